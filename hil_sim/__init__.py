@@ -1,0 +1,1 @@
+"""Simulator: the world, the boards and the wires between them, in one virtual time."""

@@ -1,0 +1,1 @@
+"""Host toolkit: from the stream of a sensor board to poses."""

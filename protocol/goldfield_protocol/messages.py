@@ -1,0 +1,146 @@
+"""Messages of ``goldfield.dbc``: identifiers, packing, unpacking and the protocol hash."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import cantools
+from cantools.database import Database
+
+DBC_PATH = Path(__file__).resolve().parent.parent / "goldfield.dbc"
+
+TYPE_SHIFT = 24
+INDEX_SHIFT = 12
+INDEX_MASK = 0xFFF
+NODE_MASK = 0xFFF
+TYPE_MASK = 0x1F << TYPE_SHIFT
+
+BROADCAST_NODE = 0
+"""Node 0 is the host; a PARAM_SET or PARAM_GET to node 0 addresses every node."""
+
+
+@dataclass(frozen=True)
+class Identifier:
+    """The three fields of a 29-bit identifier.
+
+    Parameters
+    ----------
+    type : int
+        Message type, 0..31; the lower wins the bus.
+    index : int
+        Code index, chip, parameter or counter, 0..4095.
+    node : int
+        Sender (of PARAM_SET and PARAM_GET: receiver), 0..4095.
+    """
+
+    type: int
+    index: int
+    node: int
+
+    @classmethod
+    def unpack(cls, value: int) -> Identifier:
+        """Split a 29-bit identifier."""
+        return cls(value >> TYPE_SHIFT & 0x1F, value >> INDEX_SHIFT & INDEX_MASK, value & NODE_MASK)
+
+    def pack(self) -> int:
+        """Join the fields to a 29-bit identifier."""
+        if not (0 <= self.type < 32 and 0 <= self.index <= INDEX_MASK and 0 <= self.node <= NODE_MASK):
+            raise ValueError(f"{self} does not fit a 29-bit identifier (type < 32, index and node < 4096)")
+        return self.type << TYPE_SHIFT | self.index << INDEX_SHIFT | self.node
+
+
+@dataclass(frozen=True)
+class Message:
+    """A decoded message: its name in the DBC, who sent it, its index and its signals in physical units."""
+
+    name: str
+    node: int
+    index: int
+    signals: Mapping[str, float]
+
+
+@cache
+def database() -> Database:
+    """Return the parsed ``goldfield.dbc`` (identifiers masked to the type)."""
+    loaded = cantools.database.load_file(str(DBC_PATH), frame_id_mask=TYPE_MASK)
+    assert isinstance(loaded, Database)
+    return loaded
+
+
+@cache
+def protocol_hash() -> int:
+    """Return the 32-bit version of the protocol: a hash of everything in the DBC that affects bytes.
+
+    Comments and value names do not count; identifiers, names, positions, scales and multiplexing do.
+    """
+    layout = [
+        [
+            message.frame_id,
+            message.name,
+            message.length,
+            [
+                [
+                    signal.name,
+                    signal.start,
+                    signal.length,
+                    signal.byte_order,
+                    signal.is_signed,
+                    signal.is_float,
+                    float(signal.scale),
+                    float(signal.offset),
+                    signal.multiplexer_ids,
+                ]
+                for signal in sorted(message.signals, key=lambda s: s.name)
+            ],
+        ]
+        for message in sorted(database().messages, key=lambda m: m.frame_id)
+    ]
+    digest = hashlib.sha256(json.dumps(layout, separators=(",", ":")).encode()).digest()
+    return int.from_bytes(digest[:4], "little")
+
+
+def encode(name: str, signals: Mapping[str, float], *, node: int, index: int = 0) -> tuple[int, bytes]:
+    """Pack a message.
+
+    Parameters
+    ----------
+    name : str
+        Message name in the DBC.
+    signals : mapping
+        Every signal of the message in physical units (of a multiplexed message: those of the chosen kind).
+    node, index : int
+        Fields of the identifier.
+
+    Returns
+    -------
+    tuple of (int, bytes)
+        29-bit identifier and data.
+
+    Examples
+    --------
+    >>> identifier, data = encode("PARAM_GET", {"reserved": 0}, node=7, index=2)
+    >>> hex(identifier), data.hex()
+    ('0xd002007', '00')
+    """
+    message = database().get_message_by_name(name)
+    data = bytes(message.encode(dict(signals), scaling=True))
+    return Identifier(message.frame_id >> TYPE_SHIFT, index, node).pack(), data
+
+
+def decode(identifier: int, data: bytes) -> Message | None:
+    """Unpack a message; None for a type that the DBC does not know or data of the wrong length."""
+    fields = Identifier.unpack(identifier)
+    try:
+        message = database().get_message_by_frame_id(fields.type << TYPE_SHIFT)
+    except KeyError:
+        return None
+    if len(data) != message.length:
+        return None
+    signals = message.decode(bytes(data), decode_choices=False, scaling=True)
+    assert isinstance(signals, dict)
+    return Message(message.name, fields.node, fields.index, {k: float(v) for k, v in signals.items()})  # type: ignore[arg-type]
