@@ -1,0 +1,71 @@
+# goldfield: `make run` shows the main job, `make test` runs the tests. Both do all set-up on a fresh Debian or Ubuntu machine.
+SHELL := /bin/bash
+.SHELLFLAGS := -eu -o pipefail -c
+.DELETE_ON_ERROR:
+.DEFAULT_GOAL := help
+
+BUILD := build
+VENV := .venv
+PYTHON := $(VENV)/bin/python
+SECONDS ?= 20
+SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
+
+C_STANDARD := -std=c11 -Wall -Wextra -Wconversion -Wsign-conversion -Wshadow -Werror
+HOST_CC := gcc
+HOST_CFLAGS := $(C_STANDARD) -O2 -g -fPIC -MMD -MP
+HOST_LIBRARIES :=
+
+help: ## This list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
+
+include protocol/protocol.mk
+include firmware/boards/stm32f405/board.mk
+include firmware/boards/host/board.mk
+include hil_sim/emulator/emulator.mk
+include hil_sim/rig.mk
+include tests/tests.mk
+
+# ---- set-up ----
+# $(call need,COMMAND,PACKAGES): install Debian packages if a command is missing
+define need
+command -v $(1) >/dev/null || { echo "installing $(2) with apt (missing: $(1))"; \
+  $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $(2) >$(BUILD)/apt.log 2>&1 || \
+  { tail -5 $(BUILD)/apt.log; echo "could not install $(2): see $(BUILD)/apt.log"; exit 1; }; }
+endef
+
+$(BUILD):
+	@mkdir -p $@
+
+$(BUILD)/host-tools.stamp: | $(BUILD)
+	@$(call need,$(HOST_CC),gcc libc6-dev)
+	@python3 -c 'import venv, ensurepip' 2>/dev/null || $(call need,no-such-command-venv,python3-venv python3-dev)
+	@touch $@
+
+$(BUILD)/arm-tools.stamp: | $(BUILD)
+	@$(call need,arm-none-eabi-gcc,gcc-arm-none-eabi libnewlib-arm-none-eabi)
+	@touch $@
+
+$(BUILD)/qemu.stamp: | $(BUILD)
+	@$(call need,qemu-system-arm,qemu-system-arm)
+	@touch $@
+
+$(BUILD)/venv.stamp: requirements.txt pyproject.toml $(BUILD)/host-tools.stamp
+	@echo "Python environment: $(VENV) (pinned packages)"
+	@python3 -c 'import sys; sys.exit("goldfield needs Python 3.11 or newer; python3 here is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
+	@test -x $(PYTHON) || python3 -m venv $(VENV)
+	@$(PYTHON) -m pip install -q --disable-pip-version-check -r requirements.txt
+	@$(PYTHON) -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e . 2>/dev/null
+	@touch $@
+
+setup: $(BUILD)/venv.stamp $(BUILD)/arm-tools.stamp ## Python environment and cross compiler
+
+# ---- the main job ----
+build: setup $(PROTOCOL_HEADERS) $(FIRMWARE_IMAGES) $(HOST_LIBRARIES) ## Everything that runs: images, host boards, simulator
+
+run: build ## Main job: emulated boards, real image, poses beside the truth (SECONDS=20)
+	@$(PYTHON) -m hil_sim.demo --seconds $(SECONDS)
+
+clean: ## Remove what was built (not the Python environment)
+	rm -rf $(BUILD)
+
+.PHONY: help setup build run clean

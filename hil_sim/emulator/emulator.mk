@@ -1,0 +1,1 @@
+# Adds its shared library to HOST_LIBRARIES.

@@ -1,0 +1,83 @@
+"""Types that pass between the stages of the host: fields of an epoch, poses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fields:
+    """The separated fields of one epoch, in the sensor's frame.
+
+    Attributes
+    ----------
+    epoch : int
+        Number of the code cycle.
+    time_s : float
+        Middle of the cycle.
+    beacons : tuple of str
+        Beacon ids of the site, one a row of ``field_T``.
+    field_T : ndarray, shape (n, 3)
+        One vector a beacon, tesla; NaN where an axis was not measured.
+    sigma_T : ndarray, shape (n,)
+        Standard deviation of each component.
+    """
+
+    epoch: int
+    time_s: float
+    beacons: tuple[str, ...]
+    field_T: FloatArray
+    sigma_T: FloatArray
+
+
+class Status(StrEnum):
+    """What a pose is worth."""
+
+    OK = "ok"
+    AMBIGUOUS = "ambiguous"
+    WEAK = "weak"
+    INCONSISTENT = "inconsistent"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position and attitude of the sensor in the site's frame: ``B_site = R B_sensor``.
+
+    Attributes
+    ----------
+    epoch, time_s
+        As in `Fields`.
+    position_m : ndarray, shape (3,)
+        NaN when failed.
+    orientation_xyzw : ndarray, shape (4,)
+        Unit quaternion of R, SciPy's order, w >= 0.
+    position_cov_m2 : ndarray, shape (3, 3)
+    attitude_cov_rad2 : ndarray, shape (3, 3)
+        Of a small rotation in the site's frame.
+    residual : float
+        Root of the weighted mean square residual; near 1 when the model and the noise are right.
+    status : Status
+    used, excluded : tuple of str
+        Beacon ids.
+    alternative : Pose or None
+        The other pose of an ambiguous pair.
+    """
+
+    epoch: int
+    time_s: float
+    position_m: FloatArray
+    orientation_xyzw: FloatArray
+    position_cov_m2: FloatArray
+    attitude_cov_rad2: FloatArray
+    residual: float
+    status: Status
+    used: tuple[str, ...]
+    excluded: tuple[str, ...] = ()
+    alternative: Pose | None = field(default=None, repr=False)

@@ -1,0 +1,11 @@
+test: build $(BUILD)/qemu.stamp ## All tests but the slow ones
+	@$(PYTHON) -m pytest -n 2 -m "not slow" -q
+
+test-slow: build $(BUILD)/qemu.stamp ## The slow tests too
+	@$(PYTHON) -m pytest -n 2 -q
+
+lint: build ## ruff, mypy, clang-tidy, cppcheck
+	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
+	@$(VENV)/bin/mypy
+
+.PHONY: test test-slow lint
