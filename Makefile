@@ -33,19 +33,19 @@ command -v $(1) >/dev/null || { echo "installing $(2) with apt (missing: $(1))";
   { tail -5 $(BUILD)/apt.log; echo "could not install $(2): see $(BUILD)/apt.log"; exit 1; }; }
 endef
 
-$(BUILD):
-	@mkdir -p $@
-
-$(BUILD)/host-tools.stamp: | $(BUILD)
+$(BUILD)/host-tools.stamp:
+	@mkdir -p $(BUILD)
 	@$(call need,$(HOST_CC),gcc libc6-dev)
 	@python3 -c 'import venv, ensurepip' 2>/dev/null || $(call need,no-such-command-venv,python3-venv python3-dev)
 	@touch $@
 
-$(BUILD)/arm-tools.stamp: | $(BUILD)
+$(BUILD)/arm-tools.stamp:
+	@mkdir -p $(BUILD)
 	@$(call need,arm-none-eabi-gcc,gcc-arm-none-eabi libnewlib-arm-none-eabi)
 	@touch $@
 
-$(BUILD)/qemu.stamp: | $(BUILD)
+$(BUILD)/qemu.stamp:
+	@mkdir -p $(BUILD)
 	@$(call need,qemu-system-arm,qemu-system-arm)
 	@touch $@
 
@@ -54,18 +54,18 @@ $(BUILD)/venv.stamp: requirements.txt pyproject.toml $(BUILD)/host-tools.stamp
 	@python3 -c 'import sys; sys.exit("goldfield needs Python 3.11 or newer; python3 here is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
 	@test -x $(PYTHON) || python3 -m venv $(VENV)
 	@$(PYTHON) -m pip install -q --disable-pip-version-check -r requirements.txt
-	@$(PYTHON) -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e . 2>/dev/null
+	@$(PYTHON) -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
 setup: $(BUILD)/venv.stamp $(BUILD)/arm-tools.stamp ## Python environment and cross compiler
 
 # ---- the main job ----
-build: setup $(PROTOCOL_HEADERS) $(FIRMWARE_IMAGES) $(HOST_LIBRARIES) ## Everything that runs: images, host boards, simulator
+all: setup $(PROTOCOL_HEADERS) $(FIRMWARE_IMAGES) $(HOST_LIBRARIES) ## Everything that runs: images, host boards, simulator
 
-run: build ## Main job: emulated boards, real image, poses beside the truth (SECONDS=20)
+run: all ## Main job: emulated boards, real image, poses beside the truth (SECONDS=20)
 	@$(PYTHON) -m hil_sim.demo --seconds $(SECONDS)
 
 clean: ## Remove what was built (not the Python environment)
 	rm -rf $(BUILD)
 
-.PHONY: help setup build run clean
+.PHONY: help setup all run clean

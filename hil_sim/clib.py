@@ -71,7 +71,7 @@ def load(library: str | Path, headers: Sequence[str], defines: Sequence[str] = (
     """
     path = Path(library) if Path(library).is_absolute() else ROOT / library
     if not path.exists():
-        raise FileNotFoundError(f"{path} is not built: run 'make build'")
+        raise FileNotFoundError(f"{path} is not built: run 'make all'")
     ffi = cffi.FFI()
     ffi.cdef(declarations(tuple(headers), tuple(defines)))
     return ffi, ffi.dlopen(str(path))

@@ -1,10 +1,10 @@
-test: build $(BUILD)/qemu.stamp ## All tests but the slow ones
+test: all $(BUILD)/qemu.stamp ## All tests but the slow ones
 	@$(PYTHON) -m pytest -n 2 -m "not slow" -q
 
-test-slow: build $(BUILD)/qemu.stamp ## The slow tests too
+test-slow: all $(BUILD)/qemu.stamp ## The slow tests too
 	@$(PYTHON) -m pytest -n 2 -q
 
-lint: build ## ruff, mypy, clang-tidy, cppcheck
+lint: all ## ruff, mypy, clang-tidy, cppcheck
 	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
 

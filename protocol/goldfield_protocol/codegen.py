@@ -17,8 +17,10 @@ def generate(directory: Path) -> None:
     """Write the generated sources into the directory, which is created."""
     directory.mkdir(parents=True, exist_ok=True)
     subprocess.run(
-        [sys.executable, "-m", "cantools", "generate_c_source", "--use-float", "--database-name", "goldfield"]
-        + ["--output-directory", str(directory), str(DBC_PATH)],
+        [
+            *(sys.executable, "-m", "cantools", "generate_c_source", "--use-float"),
+            *("--database-name", "goldfield", "--output-directory", str(directory), str(DBC_PATH)),
+        ],
         check=True,
         stdout=subprocess.DEVNULL,
     )
