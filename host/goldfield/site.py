@@ -1,0 +1,249 @@
+"""The site file: which beacons stand where, with which coil and code, and how noisy the sensor is.
+
+TOML; see `load` for the keys. Every number is checked here once, so that nothing behind this module needs to.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from goldfield.errors import UserError
+from goldfield.poses import FloatArray
+from goldfield.toml_table import Table, text_lines
+
+DEGREES = (5, 6, 7, 9, 10, 11)
+"""Degrees with a preferred pair of m-sequences (maths.md, 1: other degrees have none or are not used)."""
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace:
+    """The side of a plane where the sensor is: ``(p - point_m) . normal >= 0``.
+
+    Attributes
+    ----------
+    point_m : ndarray, shape (3,)
+    normal : ndarray, shape (3,)
+        Unit vector.
+    """
+
+    point_m: FloatArray
+    normal: FloatArray
+
+    def contains(self, position_m: FloatArray) -> bool:
+        """Tell whether a position, shape (3,), lies on the sensor's side."""
+        return bool((position_m - self.point_m) @ self.normal >= 0.0)
+
+
+@dataclass(frozen=True)
+class SensorSite:
+    """What the site file says of the sensor.
+
+    Attributes
+    ----------
+    noise_T : float
+        Standard deviation of one chip's sample on one axis.
+    """
+
+    noise_T: float
+
+
+@dataclass(frozen=True, eq=False)
+class Beacon:
+    """A coil at a known place.
+
+    Attributes
+    ----------
+    id : str
+    position_m : ndarray, shape (3,)
+        Centre of the coil; of a coil given by its wire the mean of its points unless the file says otherwise.
+    axis : ndarray, shape (3,)
+        Unit vector; a positive current turns around it by the right-hand rule.
+    turns : float
+        Of a coil given by its wire: how often the whole wire is repeated.
+    radius_m : float or None
+        Of a circular coil.
+    points_m : ndarray, shape (n, 3), or None
+        The wire as a polyline in the site's frame, in the direction of a positive current; exactly one of
+        ``radius_m`` and ``points_m`` is given.
+    current_A : float
+        Amplitude of the chips; negative turns the moment round.
+    code : int
+        Index of the Gold code.
+    """
+
+    id: str
+    position_m: FloatArray
+    axis: FloatArray
+    turns: float
+    radius_m: float | None
+    points_m: FloatArray | None
+    current_A: float
+    code: int
+
+    @property
+    def moment_A_m2(self) -> FloatArray:
+        """Magnetic moment, shape (3,), A m^2: turns, current and area vector multiplied."""
+        if self.points_m is not None:
+            return self.turns * self.current_A * area_vector(self.points_m)
+        assert self.radius_m is not None
+        return self.turns * self.current_A * math.pi * self.radius_m**2 * self.axis
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """Everything that the host knows before the first sample.
+
+    Attributes
+    ----------
+    name : str
+    chip_period_s : float
+    degree : int
+        Of the Gold codes: a cycle has ``2**degree - 1`` chips.
+    half_space : HalfSpace or None
+    sensor : SensorSite
+    beacons : tuple of Beacon
+        Ids and codes are unique.
+    """
+
+    name: str
+    chip_period_s: float
+    degree: int
+    half_space: HalfSpace | None
+    sensor: SensorSite
+    beacons: tuple[Beacon, ...]
+
+    @property
+    def chips(self) -> int:
+        """Chips in a cycle, N."""
+        return (1 << self.degree) - 1
+
+    @property
+    def cycle_s(self) -> float:
+        """Duration of a cycle."""
+        return self.chips * self.chip_period_s
+
+    @property
+    def codes(self) -> tuple[int, ...]:
+        """Code index of each beacon."""
+        return tuple(beacon.code for beacon in self.beacons)
+
+    def beacon(self, beacon_id: str) -> Beacon:
+        """Return the beacon of this id; KeyError if there is none."""
+        for beacon in self.beacons:
+            if beacon.id == beacon_id:
+                return beacon
+        raise KeyError(beacon_id)
+
+
+def area_vector(points_m: FloatArray) -> FloatArray:
+    """Return half the sum of r x dr along a polyline, shape (n, 3), closed by its chord: area times normal, m^2."""
+    relative = points_m - points_m.mean(axis=0)
+    return np.asarray(0.5 * np.cross(relative, np.roll(relative, -1, axis=0)).sum(axis=0), dtype=np.float64)
+
+
+def load(path: str | Path) -> Site:
+    """Read and check a site file.
+
+    Keys: ``[site] name, chip_period_s, degree`` and optionally ``half_space = {point = [x, y, z], normal = [x, y, z]}``;
+    ``[sensor] noise_T``; for each beacon ``[[beacon]] id, position_m, axis, turns, current_A, code`` and one of ``radius_m``
+    and ``points_m``. With ``points_m`` the position, the axis and the turns may be left out: the wire tells them.
+
+    Raises
+    ------
+    UserError
+        With file, line and key, if the file cannot be read, is no TOML, or any value is missing, unknown, of the wrong
+        type or out of range.
+    """
+    path = Path(path)
+    lines = text_lines(path, "site file")
+    try:
+        document = tomllib.loads("\n".join(lines))
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: is no valid TOML: {error}") from error
+    except RecursionError as error:
+        raise UserError(f"{path}: is nested too deeply for a site file") from error
+    root = Table(document, path=path, lines=lines)
+    root.allow("site", "sensor", "beacon")
+    site, sensor = root.table("site"), root.table("sensor")
+    site.allow("name", "chip_period_s", "degree", "half_space")
+    sensor.allow("noise_T")
+    degree = site.integer("degree")
+    if degree not in DEGREES:
+        raise site.error("degree", f"is {degree}; Gold codes exist here for {', '.join(map(str, DEGREES))}")
+    beacons = tuple(_beacon(table, degree) for table in root.tables("beacon"))
+    _check_unique(root, beacons)
+    return Site(
+        name=site.text("name"),
+        chip_period_s=site.positive("chip_period_s"),
+        degree=degree,
+        half_space=_half_space(site.table("half_space")) if "half_space" in site else None,
+        sensor=SensorSite(noise_T=sensor.positive("noise_T")),
+        beacons=beacons,
+    )
+
+
+def _half_space(table: Table) -> HalfSpace:
+    table.allow("point", "normal")
+    return HalfSpace(point_m=table.vector("point"), normal=table.direction("normal"))
+
+
+def _beacon(table: Table, degree: int) -> Beacon:
+    table.allow("id", "position_m", "axis", "turns", "radius_m", "points_m", "current_A", "code")
+    code = table.integer("code")
+    if not 0 <= code <= 1 << degree:
+        raise table.error("code", f"is {code}; codes of degree {degree} are 0 to {1 << degree}")
+    current = table.number("current_A")
+    if current == 0.0:
+        raise table.error("current_A", "is zero: a beacon without a field cannot be located from; leave the beacon out")
+    if ("radius_m" in table) == ("points_m" in table):
+        raise table.error("radius_m", "or points_m must be given, exactly one of them")
+    given: dict[str, Any] = {"id": table.text("id"), "current_A": current, "code": code}
+    if "radius_m" in table:
+        return Beacon(
+            **given,
+            position_m=table.vector("position_m"),
+            axis=table.direction("axis"),
+            turns=table.positive("turns"),
+            radius_m=table.positive("radius_m"),
+            points_m=None,
+        )
+    points = table.vectors("points_m")
+    area = area_vector(points)
+    length = float(np.linalg.norm(area))
+    extent = float(np.max(np.ptp(points, axis=0)))
+    if len(points) < 3 or length <= 1e-9 * extent**2:
+        raise table.error("points_m", "encloses no area: give at least three points of the wire that are not on a line")
+    axis = table.direction("axis") if "axis" in table else area / length
+    if axis @ area <= 0.0:
+        raise table.error(
+            "points_m", "run against axis: give the points in the direction of a positive current (right-hand rule)"
+        )
+    return Beacon(
+        **given,
+        position_m=table.vector("position_m") if "position_m" in table else points.mean(axis=0),
+        axis=axis,
+        turns=table.positive("turns") if "turns" in table else 1.0,
+        radius_m=None,
+        points_m=points,
+    )
+
+
+def _check_unique(root: Table, beacons: tuple[Beacon, ...]) -> None:
+    tables = root.tables("beacon")
+    ids: dict[str, int] = {}
+    codes: dict[int, str] = {}
+    for table, beacon in zip(tables, beacons, strict=True):
+        if beacon.id in ids:
+            raise table.error("id", f'is "{beacon.id}", which beacon {ids[beacon.id]} already has: ids must differ')
+        if beacon.code in codes:
+            raise table.error(
+                "code", f'is {beacon.code}, which beacon "{codes[beacon.code]}" already has: codes must differ'
+            )
+        ids[beacon.id] = len(ids) + 1
+        codes[beacon.code] = beacon.id
