@@ -1,1 +1,23 @@
-# Adds its shared library to HOST_LIBRARIES.
+# The emulator: one shared library on the libunicorn of the Python wheel (headers and library come with it).
+EMULATOR_LIBRARY := $(BUILD)/libgf_emulator.so
+EMULATOR_SOURCES := $(wildcard hil_sim/emulator/*.c hil_sim/emulator/peripherals/*.c)
+EMULATOR_OBJECTS := $(EMULATOR_SOURCES:%.c=$(BUILD)/%.o)
+UNICORN_LINKS := $(BUILD)/unicorn
+HOST_LIBRARIES += $(EMULATOR_LIBRARY)
+
+# Links to the wheel's directories, so that make need not ask Python each time it parses this.
+$(UNICORN_LINKS)/stamp: $(BUILD)/venv.stamp
+	@mkdir -p $(@D)
+	@package=$$($(PYTHON) -c 'import pathlib, unicorn; print(pathlib.Path(unicorn.__file__).parent)') && \
+	  ln -sfn $$package/include $(@D)/include && ln -sfn $$package/lib $(@D)/lib
+	@touch $@
+
+$(EMULATOR_OBJECTS): $(BUILD)/%.o: %.c $(UNICORN_LINKS)/stamp
+	@mkdir -p $(@D)
+	@$(HOST_CC) $(HOST_CFLAGS) -Ihil_sim/emulator -Ifirmware/boards -isystem $(UNICORN_LINKS)/include -c $< -o $@
+
+$(EMULATOR_LIBRARY): $(EMULATOR_OBJECTS)
+	@echo "emulator: $@"
+	@$(HOST_CC) -shared -o $@ $(EMULATOR_OBJECTS) -L$(UNICORN_LINKS)/lib -l:libunicorn.so.2 -Wl,-rpath,$$(readlink -f $(UNICORN_LINKS)/lib) -lm
+
+-include $(EMULATOR_OBJECTS:.o=.d)

@@ -1,0 +1,92 @@
+#include "machine_bench.h"
+
+#include "machine_internal.h"
+
+machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge)
+{
+    machine_t *const machine = machine_create(config, edge, 0);
+    if (machine != NULL) {
+        peripherals_create(machine);
+        machine_reset_peripherals(machine);
+    }
+    return machine;
+}
+
+bool machine_bench_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value)
+{
+    const uint8_t *const memory = machine_memory(machine, address, width);
+    return memory != NULL ? machine_bus_read(machine, address, width, value) : machine_core_read(machine, address, width, value);
+}
+
+bool machine_bench_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value)
+{
+    const uint8_t *const memory = machine_memory(machine, address, width);
+    return memory != NULL ? machine_bus_write(machine, address, width, value) : machine_core_write(machine, address, width, value);
+}
+
+bool machine_bench_irq(const machine_t *machine, unsigned position)
+{
+    return position < MACHINE_IRQ_LINES && (machine->irq_level[position >> 5] >> (position & 31u) & 1u) != 0;
+}
+
+bool machine_bench_reset_requested(machine_t *machine, uint32_t *flags)
+{
+    const bool requested = machine->reset_requested;
+    *flags = machine->reset_flags;
+    machine->reset_requested = false;
+    machine->reset_flags = 0;
+    return requested;
+}
+
+void machine_bench_reset(machine_t *machine)
+{
+    machine_reset_peripherals(machine);
+}
+
+uint64_t machine_bench_violations(const machine_t *machine)
+{
+    return machine->violations;
+}
+
+void machine_bench_forget_violations(machine_t *machine)
+{
+    machine->violations = 0;
+    machine->report_length = 0;
+    machine->report[0] = '\0';
+}
+
+static board_status_t bench_run(board_t *board, int64_t until_ps)
+{
+    machine_t *const machine = (machine_t *)board;
+    machine_fire(machine, until_ps - 1);
+    if (until_ps > machine->now_ps) {
+        machine->now_ps = until_ps;
+    }
+    return BOARD_OK;
+}
+
+static int64_t bench_now(const board_t *board)
+{
+    return machine_now((const machine_t *)board);
+}
+
+static const char *bench_report(const board_t *board)
+{
+    return ((const machine_t *)board)->report;
+}
+
+static void bench_destroy(board_t *board)
+{
+    machine_destroy((machine_t *)board);
+}
+
+const board_operations_t machine_bench_operations = {
+    .run = bench_run,
+    .now = bench_now,
+    .pin_in = machine_pin_in,
+    .uart_in = machine_uart_in,
+    .can_in = machine_can_in,
+    .can_sent = machine_can_sent,
+    .report = bench_report,
+    .destroy = bench_destroy,
+};

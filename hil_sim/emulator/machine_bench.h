@@ -1,0 +1,35 @@
+/* machine_bench.h: a machine without a processor, to test peripheral models: the caller takes the core's place.
+ *
+ *   machine_t *m = machine_bench_create(&config, &edge);
+ *   machine_bench_write(m, 0x40023830, 4, 1);              RCC_AHB1ENR: a core's store, same checks and violations
+ *   machine_bench_operations.run((board_t *)m, 1000000);   let 1 us pass: events before that time fire
+ *
+ * Every model is attached (peripherals_create) and reset; the core clock is what RCC's reset sets. config.strict changes nothing here: violations are counted.
+ */
+#ifndef GOLDFIELD_MACHINE_BENCH_H
+#define GOLDFIELD_MACHINE_BENCH_H
+
+#include "machine.h"
+
+/* NULL: out of memory. edge may be NULL (nothing connected). */
+machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge);
+
+/* run, now, pin_in, uart_in, can_in, can_sent, report (the violations so far), destroy. run always answers BOARD_OK. */
+extern const board_operations_t machine_bench_operations;
+
+/* A load or store of the core, now. width 1, 2, 4. False: it would raise a BusFault. */
+bool machine_bench_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
+bool machine_bench_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
+
+/* Level of a request line to the NVIC (0..81). */
+bool machine_bench_irq(const machine_t *machine, unsigned position);
+
+/* A watchdog asked for a reset; flags: what it wants set in RCC_CSR. The request is taken back. */
+bool machine_bench_reset_requested(machine_t *machine, uint32_t *flags);
+/* What the processor does upon a reset request: every model's reset. */
+void machine_bench_reset(machine_t *machine);
+
+uint64_t machine_bench_violations(const machine_t *machine);
+void machine_bench_forget_violations(machine_t *machine);
+
+#endif

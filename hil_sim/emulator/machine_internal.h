@@ -1,0 +1,106 @@
+/* machine_internal.h: the machine's own state, for machine.c, inputs.c, the bench and the processor; peripheral models use machine.h.
+ *
+ * A machine without a processor (machine_bench.h) is complete: memory, bus, events, violations. A processor registers itself as a table.
+ */
+#ifndef GOLDFIELD_MACHINE_INTERNAL_H
+#define GOLDFIELD_MACHINE_INTERNAL_H
+
+#include "machine.h"
+
+#define FLASH_BASE 0x08000000u
+#define FLASH_SIZE 0x00100000u
+#define SRAM_BASE 0x20000000u /* 112 KB and 16 KB, contiguous. */
+#define SRAM_SIZE 0x00020000u
+#define CCM_BASE 0x10000000u /* On the core's data bus only: no bus master but the core reaches it. */
+#define CCM_SIZE 0x00010000u
+#define SYSTEM_MEMORY_BASE 0x1FFF0000u /* Boot loader (erased here), one-time area, unique id, calibration. */
+#define SYSTEM_MEMORY_SIZE 0x00008000u
+#define PERIPHERAL_BASE 0x40000000u
+#define PERIPHERAL_SIZE 0x00080000u
+#define PERIPHERAL2_BASE 0x50000000u
+#define PERIPHERAL2_SIZE 0x00061000u
+
+#define MACHINE_PERIPHERALS 64u
+#define MACHINE_IRQ_LINES 82u /* RM0090 table 62: positions 0..81. */
+#define MACHINE_REPORT_SIZE 16384u
+#define MACHINE_NEVER INT64_MAX
+
+/* What the machine asks of a processor. Every call may come from inside an access or an event. */
+typedef struct {
+    void (*irq)(void *processor, unsigned position, bool level);
+    void (*clock)(void *processor, double hz);
+    void (*attention)(void *processor); /* The next event became earlier, or stop_requested or reset_requested was set. */
+    uint32_t (*program_counter)(const void *processor);
+    void *processor;
+} machine_processor_t;
+
+typedef struct {
+    uint32_t address, value;
+    unsigned width; /* 0: there was none yet. */
+    bool write;
+    int64_t time_ps;
+} machine_access_t;
+
+typedef struct machine_input machine_input_t;
+
+struct machine {
+    emulator_config_t config;
+    board_edge_t edge;
+
+    int64_t now_ps;
+    double core_hz;
+    machine_processor_t processor; /* processor.processor is NULL without one. */
+    bool stop_requested;           /* A violation under strict. */
+    bool reset_requested;
+    uint32_t reset_flags;
+
+    peripheral_t *peripherals[MACHINE_PERIPHERALS];
+    unsigned peripheral_count;
+    uint8_t *directory; /* Per 256-byte granule of the two peripheral areas: index + 1 of the peripheral that starts or lies there. */
+    uint32_t irq_level[3];
+
+    uint8_t *flash, *sram, *ccm, *system_memory;
+
+    machine_event_t **heap;
+    size_t heap_count, heap_capacity;
+    uint64_t event_order;
+
+    machine_input_t *free_inputs, *all_inputs;
+
+    machine_access_t last_access;
+    uint64_t violations;
+    char *report; /* Violations as text, one a line; MACHINE_REPORT_SIZE. */
+    size_t report_length;
+};
+
+/* NULL: out of memory. Memories are erased, no peripheral is attached. */
+machine_t *machine_create(const emulator_config_t *config, const board_edge_t *edge, int64_t power_on_ps);
+void machine_destroy(machine_t *machine);
+
+/* System reset: every peripheral's reset function, interrupt lines low. SRAM keeps its content. */
+void machine_reset_peripherals(machine_t *machine);
+
+/* Time of the earliest event; MACHINE_NEVER if there is none. */
+static inline int64_t machine_next_event(const machine_t *machine)
+{
+    return machine->heap_count == 0 ? MACHINE_NEVER : machine->heap[0]->time_ps;
+}
+
+/* Fire, in order, every event at or before time_ps, those that they schedule included. now is each event's time, and time_ps at the end. */
+void machine_fire(machine_t *machine, int64_t time_ps);
+
+/* A peripheral register as the core reaches it; notes the access for reports. False: nothing is there, a violation is recorded, the core faults. */
+bool machine_core_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
+bool machine_core_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
+
+/* Host address of count bytes of memory as the core sees them (flash also at 0); NULL if they are not all in one memory. */
+uint8_t *machine_memory(machine_t *machine, uint32_t address, size_t count);
+
+/* Signals from outside, board_operations_t's functions (inputs.c). */
+void machine_pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps);
+void machine_uart_in(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps);
+void machine_can_in(board_t *board, const board_frame_t *frame, int64_t time_ps);
+void machine_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps);
+void machine_inputs_destroy(machine_t *machine);
+
+#endif
