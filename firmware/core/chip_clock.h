@@ -1,0 +1,103 @@
+/* chip_clock.h: how long each chip lasts and which chip of the code it is; follows the sync wire.
+ *
+ * The board counts chips from 0 for ever ("absolute chip", uint32_t, wraps after 4.8 days: harmless). It asks for each chip's length up to two blocks
+ * ahead, and reports an edge of the sync wire as (absolute chip, ticks into that chip). The wire rises when the master begins chip 0 of a cycle.
+ *
+ * Method. Both sides are put on one time line, the board's own ticks. An estimator holds when the master begins its chips: phase and chip period (an
+ * alpha-beta filter on the edges, that is a PI loop without dead time: an edge is dated with the periods that were really handed out). The planner makes each chip end
+ * where the master's chip ends, within the allowed length of a chip. So plans already handed out are accounted for exactly, and how far ahead the board
+ * plans has no influence on stability.
+ *   ends are rounded down to whole ticks: the mean period is exact (32 fractional bits), no tick is lost or gained.
+ *
+ * Life of a follower
+ *   1. searching: runs at the nominal period. Two edges whole cycles apart (1 to 4, within CHIP_CLOCK_SEARCH_PPM) give phase and period. The label of the chip (code
+ *      chip) jumps to the master's nearest: cycles before the jump are cut short. The rest, at most half a chip, is slewed off by chips of the shortest or longest
+ *      allowed length (at most 22 chips).
+ *   2. tracking: each edge corrects phase by 1/2 and period by 1/8 of what it differs from the estimate. Edges off by more than CHIP_CLOCK_GATE_TICKS, and a second edge
+ *      in one cycle, are rejected and counted. Three rejected edges whole cycles apart with no good one between: the master has moved; phase and
+ *      period are taken from them, the label jumps again, the lock is lost.
+ *   3. locked: three edges in succession with the phase within CHIP_CLOCK_LOCK_TICKS. Lost when one is not, and CHIP_CLOCK_HOLDOVER_CYCLES after the last edge.
+ *      Until then, and after it, the last period is kept (hold-over).
+ * A master (follow = false) runs at the nominal period, is always locked, and ignores edges.
+ *
+ * Drive nothing, and report no cycle as synchronous, while not locked.
+ *
+ * Contexts: chip_clock_plan, _edge and _at from one interrupt priority; chip_clock_number_cycle and reading locked and phase_ticks from main.
+ * Time: no loops but a bounded wrap of at most 4 turns; figures of each call below. Memory: about 1.6 kB.
+ */
+#ifndef GOLDFIELD_CHIP_CLOCK_H
+#define GOLDFIELD_CHIP_CLOCK_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#define CHIP_CLOCK_HISTORY 128u          /* Planned chips that are remembered: two blocks ahead and two back. */
+#define CHIP_CLOCK_LOCK_TICKS 84         /* 0.5 us at 168 MHz. */
+#define CHIP_CLOCK_LOCK_EDGES 3u
+#define CHIP_CLOCK_GATE_TICKS 336        /* 2 us. */
+#define CHIP_CLOCK_SEARCH_PPM 300        /* Two crystals of +-100 ppm, and reserve. */
+#define CHIP_CLOCK_SEARCH_CYCLES 4u      /* Edges that may be missing while searching: three. */
+#define CHIP_CLOCK_HOLDOVER_CYCLES 100u  /* 10 s: 0.5 us at 0.05 ppm of drift since the last edge. */
+
+typedef struct {
+    uint16_t chips;         /* Of a cycle: 31..2047. */
+    uint16_t nominal_ticks; /* Of a chip. */
+    uint16_t minimum_ticks; /* A planned chip is never shorter, */
+    uint16_t maximum_ticks; /* nor longer. Must leave at least 1 % to both sides of nominal. */
+    bool follow;            /* false: master, runs free. */
+} chip_clock_config_t;
+
+/* A planned chip. */
+typedef struct {
+    uint32_t cycle;        /* Counts code cycles; see chip_clock_number_cycle. */
+    uint16_t code_chip;    /* 0..chips-1 */
+    uint16_t period_ticks;
+} chip_clock_chip_t;
+
+typedef struct {
+    chip_clock_config_t config;
+    /* Results, for reading. */
+    bool locked;
+    int32_t phase_ticks;     /* Chip clock minus sync wire at the last good edge: positive is early. Clamped to +-2^30. */
+    uint32_t edges_rejected; /* Stops at its maximum. */
+    uint64_t period;         /* Estimate of the master's chip in own ticks, 32 fractional bits. */
+    /* Private. Positions are own ticks with 32 fractional bits modulo 2^64; only differences below 12 s are formed. */
+    uint32_t chip;           /* Next absolute chip to plan. */
+    uint32_t position;       /* Its start, whole ticks modulo 2^32. */
+    uint64_t target;         /* Where the master begins that chip. */
+    uint32_t cycle;
+    uint16_t code_chip;
+    uint8_t good_edges;
+    uint8_t candidate_edges; /* Edges whole cycles apart that led to the candidate; 0: none. */
+    bool tracking;
+    uint32_t edge_cycle;     /* Cycle that the last good edge began. */
+    uint32_t cycle_shift;
+    uint32_t candidate_chip;
+    uint64_t candidate_position;
+    struct {
+        uint32_t position;
+        uint32_t cycle;
+        uint16_t code_chip;
+        uint16_t period_ticks;
+    } history[CHIP_CLOCK_HISTORY];
+} chip_clock_t;
+
+/* Start at absolute chip 0, cycle 0, code chip 0. False, and nothing done, for a configuration outside the ranges above. */
+bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config);
+
+/* Plan the next absolute chip: the first call plans chip 0. About 60 instructions. */
+chip_clock_chip_t chip_clock_plan(chip_clock_t *clock);
+
+/* A rising edge of the sync wire, ticks after the start of an absolute chip. An edge in a chip that is not planned or is forgotten is rejected.
+ * About 200 instructions. */
+void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
+
+/* What was planned for an absolute chip. False, and *planned untouched, if it is not planned yet or is more than CHIP_CLOCK_HISTORY chips ago.
+ * About 20 instructions. */
+bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *planned);
+
+/* From main, on a SYNC message: the cycle that the last good edge began has this number (modulo 2^32; a SYNC has 20 bits, so compare those only).
+ * All cycles that chip_clock_plan and _at tell from now on are counted from it. Call it within a cycle of the edge. */
+void chip_clock_number_cycle(chip_clock_t *clock, uint32_t cycle);
+
+#endif

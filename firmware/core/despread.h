@@ -1,0 +1,60 @@
+/* despread.h: the correlation of one cycle of samples with every Gold code of degree 10 at once, on three axes.
+ *
+ * Method (maths: shift k of a maximum-length sequence is a linear functional of the register's state, v[t+k] = <w_k, state_v(t)>). The sample of chip t,
+ * sign-flipped by u[t], is stored at the address state_v(t). One in-place Walsh-Hadamard transform W[w] = sum_a (-1)^<w,a> X[a] then holds
+ *   sum_t c_k[t] y[t] = W[w_k] for the codes k = 0..1022, and W[0] for code 1023 (u).
+ * Code 1024 (v) lacks the sign of u and is not in the transform: it is summed while samples are stored, as is the plain sum (offset).
+ * The chip of a bit b is 1 - 2b. Results are sums over the cycle in the samples' unit; divide by 1023 for FIELD and EPOCH_OFFSET.
+ *
+ * Exactness. Samples are 16 bits: |y| <= 2^15. Every intermediate of the transform is a sum of at most 1024 = 2^10 stored words with signs, so at most 2^25 in
+ * magnitude; a sign-flipped -2^15 is +2^15, held in 32 bits. int32_t cannot overflow, nothing is rounded, every result is an exact integer.
+ *
+ * Use. despread_start; then for each chip of the cycle in order despread_store, or despread_skip for chips without a sample; then despread_transform; then
+ * the results. A chip without a sample counts as zero and is counted in missing: samples should be near zero on average, else a hole costs
+ * (mean / 1023) per chip on every code.
+ *
+ * Memory: 12,320 bytes. To sample one cycle while reading the last, own two. Contexts: one despread_t belongs to one context at a time.
+ * Time on a Cortex-M4 at -O2 (make rule count-despread, measured): see despread_transform.
+ */
+#ifndef GOLDFIELD_DESPREAD_H
+#define GOLDFIELD_DESPREAD_H
+
+#include <stdint.h>
+
+#define DESPREAD_AXES 3u
+#define DESPREAD_CHIPS 1023u
+#define DESPREAD_WORDS 1024u
+#define DESPREAD_CODES 1025u /* 0..1022 shifts, 1023 is u, 1024 is v: as gold.h with degree 10. */
+#define DESPREAD_CODE_U 1023u
+#define DESPREAD_CODE_V 1024u
+
+typedef struct {
+    int32_t words[DESPREAD_AXES][DESPREAD_WORDS];
+    int32_t v_sum[DESPREAD_AXES];
+    int32_t sum[DESPREAD_AXES]; /* Plain sum of the samples. */
+    uint16_t u_state, v_state;  /* Of the next chip. */
+    uint16_t chip;              /* Next chip, 0..1023; 1023: the cycle is full. */
+    uint16_t missing;           /* Chips without a sample so far; after despread_transform: of the cycle. */
+} despread_t;
+
+/* Begin a cycle at chip 0. About 20 instructions: each cycle overwrites every word. */
+void despread_start(despread_t *despread);
+
+/* The sample of the next chip. Ignored when the cycle is full. About 60 instructions. */
+void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]);
+
+/* The next chips have no sample. Stops at the end of the cycle. Bound: 1023 chips of about 40 instructions. */
+void despread_skip(despread_t *despread, uint32_t chips);
+
+/* End the cycle (the rest counts as missing) and transform in place. Call once; results are valid until despread_start.
+ * Bound: fixed, no data-dependent branch. */
+void despread_transform(despread_t *despread);
+
+/* Address w_k of a code in the transformed words; 0 for code 1023 (u). Codes above 1023 have none: 0 is returned. About 2500 instructions: keep it. */
+uint16_t despread_word(uint32_t code);
+
+/* After despread_transform: sum over t of chip(code, t) * sample(t). word is despread_word(code). A code above 1024 or an axis above 2 gives 0.
+ * About 15 instructions. */
+int32_t despread_correlation(const despread_t *despread, uint32_t axis, uint32_t code, uint16_t word);
+
+#endif

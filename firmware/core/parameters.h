@@ -1,0 +1,78 @@
+/* parameters.h: the node's parameters (protocol/framing.md, "Parameters"): typed, range-checked, loaded from the stored page.
+ *
+ * A value is 32 bits of one of three kinds. Ranges (ends included) and defaults:
+ *   node unsigned 1..4095 (1) · code unsigned 0..1024 (0) · amplitude float 0..15.9 A (0: off) · sync_master unsigned 0..1 (0) ·
+ *   stream unsigned 0..1 (0) · code_count unsigned 0..64 (0) · open_coil float 0..1 (0.5) · over_current float 0..15.9 A (12) ·
+ *   zero_x, _y, _z float 0..4095 counts (2048) · calibration float -1..1 T per count (identity times 200 uT / 2048) · code_list unsigned 0..1024 (0)
+ * A float that is not a number is out of range. No parameter is read-only today; the status exists for those to come.
+ *
+ * Stored page, little-endian: magic u32 "GFP1", count u16, CRC-16/CCITT-FALSE of the entries u16; then entries: id u16, kind u16, value u32. The page is
+ * trusted only after its magic, its count against its length, and its CRC; after that each entry still passes the same checks as a PARAM_SET.
+ *
+ * Contexts: one. Reading a value from an interrupt while main sets it is safe: a value is one word. Memory: 340 bytes.
+ */
+#ifndef GOLDFIELD_PARAMETERS_H
+#define GOLDFIELD_PARAMETERS_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#define PARAMETER_NODE 0u
+#define PARAMETER_CODE 1u
+#define PARAMETER_AMPLITUDE 2u
+#define PARAMETER_SYNC_MASTER 3u
+#define PARAMETER_STREAM 4u
+#define PARAMETER_CODE_COUNT 5u
+#define PARAMETER_OPEN_COIL 6u
+#define PARAMETER_OVER_CURRENT 7u
+#define PARAMETER_ZERO 8u          /* 8..10: x, y, z. */
+#define PARAMETER_CALIBRATION 16u  /* 16..24: row by row. */
+#define PARAMETER_CODE_LIST 256u   /* 256..319. */
+#define PARAMETER_CODE_LIST_LENGTH 64u
+#define PARAMETERS_COUNT 84u
+
+typedef enum { PARAMETER_UNSIGNED = 0, PARAMETER_SIGNED = 1, PARAMETER_FLOAT = 2 } parameter_kind_t;
+
+/* As in PARAM_VALUE. */
+typedef enum {
+    PARAMETER_OK = 0,
+    PARAMETER_UNKNOWN = 1,
+    PARAMETER_OUT_OF_RANGE = 2,
+    PARAMETER_WRONG_KIND = 3,
+    PARAMETER_READ_ONLY = 4
+} parameter_status_t;
+
+/* A value as it travels: kind and 32 bits. A float is its IEEE 754 bits. */
+typedef struct {
+    uint8_t kind; /* parameter_kind_t */
+    uint32_t bits;
+} parameter_value_t;
+
+typedef struct {
+    uint32_t bits[PARAMETERS_COUNT];
+} parameters_t;
+
+typedef enum {
+    PARAMETERS_PAGE_LOADED = 0,
+    PARAMETERS_PAGE_EMPTY = 1, /* Erased flash (all ones in the magic): the defaults hold. No error. */
+    PARAMETERS_PAGE_BAD = 2    /* Wrong magic, length or CRC: ignored as a whole. */
+} parameters_page_t;
+
+/* Every parameter to its default. */
+void parameters_init(parameters_t *parameters);
+
+/* Read any parameter. PARAMETER_OK or PARAMETER_UNKNOWN (*value is then unsigned 0). About 60 instructions. */
+parameter_status_t parameters_get(const parameters_t *parameters, uint32_t id, parameter_value_t *value);
+
+/* Set a parameter. Anything but PARAMETER_OK leaves it as it was. About 80 instructions. */
+parameter_status_t parameters_set(parameters_t *parameters, uint32_t id, parameter_value_t value);
+
+/* For the application's own reading: the value of an unsigned parameter; of a float parameter. 0 for an id that does not exist or has another kind. */
+uint32_t parameters_unsigned(const parameters_t *parameters, uint32_t id);
+float parameters_float(const parameters_t *parameters, uint32_t id);
+
+/* Set parameters from a stored page of the given size. Entries that are refused (unknown, out of range, wrong kind) are skipped and counted in *refused.
+ * A page that is not PARAMETERS_PAGE_LOADED changes nothing. Bound: size / 8 entries. */
+parameters_page_t parameters_load(parameters_t *parameters, const uint8_t *page, size_t size, uint32_t *refused);
+
+#endif
