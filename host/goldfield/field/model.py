@@ -1,0 +1,158 @@
+"""The fields of a site's beacons at given points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.field.dipole import dipole
+from goldfield.field.loop import loop
+from goldfield.field.polyline import polyline
+from goldfield.poses import FloatArray
+from goldfield.site import Beacon
+
+FAR_FROM_WIRE = 100.0
+"""A coil given by its wire is taken for its dipole beyond this many half-diameters: within 2e-4 of its field there."""
+
+
+class FieldModel:
+    """Fields and gradients of several coils, vectorised over points and coils.
+
+    Circular coils are computed exactly at any range, since that costs no more than choosing; coils given by their wire exactly
+    near by and as dipoles from far away (`FAR_FROM_WIRE`).
+
+    Parameters
+    ----------
+    beacons : sequence of Beacon
+    kind : {"exact", "dipole"}
+        "dipole" takes every coil for its dipole at any range, as the sources do.
+
+    Attributes
+    ----------
+    centre_m, moment_A_m2 : ndarray, shape (n, 3)
+        Of the equivalent dipoles.
+    """
+
+    def __init__(self, beacons: Sequence[Beacon], kind: Literal["exact", "dipole"] = "exact") -> None:
+        self.centre_m: FloatArray = np.array([_centre(beacon) for beacon in beacons], dtype=float).reshape(-1, 3)
+        self.moment_A_m2: FloatArray = np.array([beacon.moment_A_m2 for beacon in beacons], dtype=float).reshape(-1, 3)
+        self._centre = np.ascontiguousarray(self.centre_m.T)
+        self._moment = np.ascontiguousarray(self.moment_A_m2.T)
+        exact = kind == "exact"
+        is_loop = np.array([exact and beacon.points_m is None for beacon in beacons], dtype=bool)
+        is_wire = np.array([exact and beacon.points_m is not None for beacon in beacons], dtype=bool)
+        self._loops: NDArray[np.intp] = np.flatnonzero(is_loop)
+        self._wires: NDArray[np.intp] = np.flatnonzero(is_wire)
+        self._dipoles: NDArray[np.intp] = np.flatnonzero(~is_loop & ~is_wire)
+
+        loops = [beacons[i] for i in self._loops]
+        self._loop_axis = np.array([beacon.axis for beacon in loops], dtype=float).reshape(-1, 3).T.copy()
+        self._loop_radius = np.array([beacon.radius_m for beacon in loops], dtype=float)
+        self._loop_current = np.array([beacon.turns * beacon.current_A for beacon in loops], dtype=float)
+
+        wires = [beacons[i] for i in self._wires]
+        points = [np.asarray(beacon.points_m, dtype=float) for beacon in wires]
+        segments = max((len(p) - 1 for p in points), default=0)
+        padded = [np.concatenate([p, np.repeat(p[-1:], segments + 1 - len(p), axis=0)]) for p in points]
+        corners = np.array(padded, dtype=float).reshape(len(wires), segments + 1, 3).transpose(2, 0, 1)
+        self._wire_start, self._wire_end = corners[..., :-1].copy(), corners[..., 1:].copy()
+        self._wire_current = np.array([beacon.turns * beacon.current_A for beacon in wires], dtype=float)
+        reach = [np.linalg.norm(p - _centre(beacon), axis=1).max() for p, beacon in zip(points, wires, strict=True)]
+        self._wire_far2 = (FAR_FROM_WIRE * np.array(reach, dtype=float)) ** 2
+
+    def __len__(self) -> int:
+        """Return the number of coils."""
+        return len(self.centre_m)
+
+    def evaluate(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Field and gradient with components leading, for numerical work.
+
+        Parameters
+        ----------
+        point_m : ndarray, shape (3, ...)
+
+        Returns
+        -------
+        field_T : ndarray, shape (3, ..., n)
+        gradient_T_m : ndarray, shape (3, 3, ..., n)
+            Row i, column j: dB_i/dp_j.
+        """
+        point = point_m[..., None]
+        if len(self._loops) == len(self):
+            return loop(point - self._shaped(self._centre, point), *self._loop_arguments(point))
+        shape = (*point_m.shape[1:], len(self))
+        kind = point_m.dtype
+        field, gradient = np.empty((3, *shape), dtype=kind), np.empty((3, 3, *shape), dtype=kind)
+        if len(self._loops):
+            offset = point - self._shaped(self._centre[:, self._loops], point)
+            field[..., self._loops], gradient[..., self._loops] = loop(offset, *self._loop_arguments(point))
+        if len(self._dipoles):
+            offset = point - self._shaped(self._centre[:, self._dipoles], point)
+            field[..., self._dipoles], gradient[..., self._dipoles] = dipole(
+                offset, self._shaped(self._moment[:, self._dipoles], point)
+            )
+        if len(self._wires):
+            field[..., self._wires], gradient[..., self._wires] = self._evaluate_wires(point)
+        return field, gradient
+
+    def field(self, point_m: FloatArray) -> FloatArray:
+        """Field of each coil at each point.
+
+        Parameters
+        ----------
+        point_m : ndarray, shape (..., 3)
+
+        Returns
+        -------
+        field_T : ndarray, shape (..., n, 3)
+            In the site's frame.
+        """
+        return self.field_and_gradient(point_m)[0]
+
+    def field_and_gradient(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Field and gradient of each coil at each point.
+
+        Parameters
+        ----------
+        point_m : ndarray, shape (..., 3)
+
+        Returns
+        -------
+        field_T : ndarray, shape (..., n, 3)
+        gradient_T_m : ndarray, shape (..., n, 3, 3)
+            Row i, column j: dB_i/dp_j.
+        """
+        field, gradient = self.evaluate(np.moveaxis(np.asarray(point_m), -1, 0))
+        return np.moveaxis(field, 0, -1), np.moveaxis(gradient, (0, 1), (-2, -1))
+
+    def _loop_arguments(self, point: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self._shaped(self._loop_axis, point), self._loop_radius, self._loop_current
+
+    def _evaluate_wires(self, point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        offset = point - self._shaped(self._centre[:, self._wires], point)
+        far = (offset * offset).sum(axis=0).real > self._wire_far2
+        if far.all():
+            return dipole(offset, self._shaped(self._moment[:, self._wires], point))
+        spread = (slice(None), *(None,) * (point.ndim - 2), slice(None), slice(None))
+        field, gradient = polyline(point, self._wire_start[spread], self._wire_end[spread], self._wire_current)
+        if far.any():
+            far_field, far_gradient = dipole(offset, self._shaped(self._moment[:, self._wires], point))
+            field, gradient = np.where(far, far_field, field), np.where(far, far_gradient, gradient)
+        return field, gradient
+
+    @staticmethod
+    def _shaped(vectors: FloatArray, point: FloatArray) -> FloatArray:
+        """Put the axes of the points between the components and the coils."""
+        return vectors.reshape(3, *(1,) * (point.ndim - 2), vectors.shape[1])
+
+
+def _centre(beacon: Beacon) -> FloatArray:
+    """Return where the equivalent dipole stands: of a wire its centre of mass, which does not depend on how it is divided."""
+    if beacon.points_m is None:
+        return beacon.position_m
+    lengths = np.linalg.norm(np.diff(beacon.points_m, axis=0), axis=1)
+    middles = 0.5 * (beacon.points_m[1:] + beacon.points_m[:-1])
+    return np.asarray(lengths @ middles / lengths.sum(), dtype=np.float64)
