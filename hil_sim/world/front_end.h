@@ -1,0 +1,41 @@
+/* front_end.h: a three-axis magnetoresistive sensor and its amplifier, up to the converter's pin.
+ *
+ *     volts[a] = 1.65 V + (sum over s of gain[a][s] B[s] + offset_T[a] + noise) * 1.65 V / range_T + converter noise
+ *
+ * gain holds the gain errors and the misalignment. The bandwidth acts before, on the sources (coil.h and ambient.h, in closed form): the
+ * field per ampere of a moving sensor is taken at the present instead of one lag ago, an error of lag * speed (1.6 um at 1 m/s and 100 kHz).
+ *
+ * Noise. noise_T is the standard deviation of one chip's sample: one number per burst and axis, so that averaging a burst does not change it.
+ * Conversions of an axis belong to one burst as long as each comes less than FRONT_END_BURST_PS after the one before. The converter's own noise is
+ * independent from conversion to conversion. Quantisation and clamping belong to the converter.
+ *
+ * Times of one axis must not decrease. Time of a call: two normal numbers.
+ */
+#ifndef GOLDFIELD_WORLD_FRONT_END_H
+#define GOLDFIELD_WORLD_FRONT_END_H
+
+#include <stdint.h>
+
+#define FRONT_END_BURST_PS 20000000 /* 20 us. */
+
+typedef struct {
+    double gain[3][3];
+    double offset_T[3];
+    double range_T;           /* At 0 V and 3.3 V. */
+    double noise_T;
+    double converter_noise_V; /* Standard deviation. */
+} front_end_config_t;
+
+typedef struct {
+    front_end_config_t config;
+    uint64_t seed;
+    unsigned board;
+    int64_t burst_start_ps[3], last_ps[3];
+} front_end_t;
+
+void front_end_init(front_end_t *front_end, const front_end_config_t *config, uint64_t seed, unsigned board);
+
+/* Volts at the pin of an axis (0..2) for a field in the sensor's frame. */
+double front_end_volts(front_end_t *front_end, unsigned axis, const double field_T[3], int64_t time_ps);
+
+#endif
