@@ -1,0 +1,171 @@
+"""The full fit: position and attitude to the measured components, for many epochs at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.field import FieldModel
+from goldfield.locate.least_squares import State, minimise
+from goldfield.locate.rotations import orthonormal, turned
+from goldfield.poses import FloatArray
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Poses of e epochs (or e candidates).
+
+    Attributes
+    ----------
+    position_m : ndarray, shape (e, 3)
+    rotation : ndarray, shape (e, 3, 3)
+        ``B_site = R B_sensor``.
+    cost : ndarray, shape (e,)
+        Sum of squared residuals over their standard deviations.
+    information : ndarray, shape (e, 6, 6)
+        Gauss-Newton information of position (m) and of a small rotation in the site's frame (rad).
+    converged : ndarray of bool, shape (e,)
+    """
+
+    position_m: FloatArray
+    rotation: FloatArray
+    cost: FloatArray
+    information: FloatArray
+    converged: NDArray[np.bool_]
+
+    def take(self, rows: NDArray[np.intp]) -> Fit:
+        """Return some of the poses."""
+        return Fit(
+            self.position_m[rows], self.rotation[rows], self.cost[rows], self.information[rows], self.converged[rows]
+        )
+
+
+class Measurements:
+    """Measured fields of e epochs with their standard deviations, ready for fitting.
+
+    Parameters
+    ----------
+    field_T : ndarray, shape (e, n, 3)
+        In the sensor's frame, one row a beacon of the model; NaN where nothing was measured.
+    sigma_T : ndarray, shape (e, n)
+        Standard deviation of each component.
+    """
+
+    def __init__(self, field_T: FloatArray, sigma_T: FloatArray) -> None:
+        self.field_T = field_T
+        self.sigma_T = sigma_T
+        self.measured: NDArray[np.bool_] = np.isfinite(field_T)
+        """shape (e, n, 3)"""
+        known = self.measured.any(axis=2)
+        self.complete = bool((self.measured.all(axis=2) == known).all())
+        """Whether each beacon's field is known with all components or not at all."""
+        self.filled_T: FloatArray = np.where(self.measured, field_T, 0.0)
+        self.magnitude_T: FloatArray = np.sqrt((self.filled_T**2).sum(axis=2))
+        """shape (e, n); of the measured components"""
+        self.known: NDArray[np.bool_] = known
+
+    def __len__(self) -> int:
+        """Return the number of epochs."""
+        return len(self.field_T)
+
+    @property
+    def count(self) -> NDArray[np.intp]:
+        """Number of measured components, shape (e,)."""
+        return np.asarray(self.measured.sum(axis=(1, 2)))
+
+    def inverse_sigma(self, model_error: float = 0.0) -> FloatArray:
+        """Square root of the weight of each component, shape (e, 3, n): 1/sqrt(sigma^2 + (model_error |B|)^2), 0 if not measured."""
+        sigma = np.sqrt(self.sigma_T**2 + (model_error * self.magnitude_T) ** 2)
+        return np.where(self.measured, 1.0 / sigma[:, :, None], 0.0).swapaxes(1, 2)
+
+    def take(self, rows: NDArray[np.intp]) -> Measurements:
+        """Return some of the epochs, also repeated ones."""
+        return Measurements(self.field_T[rows], self.sigma_T[rows])
+
+    def without(self, beacons: NDArray[np.bool_]) -> Measurements:
+        """Return the same epochs without some beacons, mask of shape (e, n)."""
+        return Measurements(np.where(beacons[:, :, None], np.nan, self.field_T), self.sigma_T)
+
+
+def fit_pose(
+    model: FieldModel,
+    measurements: Measurements,
+    position_m: FloatArray,
+    rotation: FloatArray,
+    *,
+    model_error: float = 0.0,
+    iterations: int = 40,
+) -> Fit:
+    """Least squares of position and attitude to the components, from a start near by.
+
+    Parameters
+    ----------
+    model : FieldModel
+        n beacons.
+    measurements : Measurements
+        e epochs.
+    position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
+        Start.
+    model_error : float
+        Relative error of the model: the variance of a component is sigma^2 + (model_error |B|)^2 with the measured |B|. A few
+        per cent widen the basin of convergence (strong, curved beacons no longer dominate); the last fit takes what is believed of the site.
+    iterations : int
+        Bound.
+
+    Notes
+    -----
+    With h(p, R) = R' B(p), dh = R' (G dp + B x d_theta), where exp([d_theta]x) R is the turned attitude. Isotropic complete
+    fields are compared in the site's frame, which leaves the Jacobian unturned; else in the sensor's.
+    """
+    weight = measurements.inverse_sigma(model_error)
+    measured = measurements.filled_T.swapaxes(1, 2)
+    complete = measurements.complete
+
+    def evaluate(state: State, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        position, attitude = state
+        whole = len(rows) == len(measured)
+        w, b = (weight, measured) if whole else (weight[rows], measured[rows])
+        jacobian, field = pose_jacobian(model, position)
+        if complete:
+            residual = attitude @ b - field
+        else:
+            back = attitude.swapaxes(1, 2)
+            residual = b - back @ field
+            jacobian = back[:, None] @ jacobian
+        residual *= w
+        jacobian *= w[:, None]
+        return residual.reshape(len(rows), -1), jacobian.reshape(len(rows), 6, -1)
+
+    end = minimise(evaluate, _retract, (position_m, rotation), iterations=iterations)
+    position, attitude = end.state
+    return Fit(position, orthonormal(attitude), end.cost, end.normal, end.converged)
+
+
+def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Jacobian of the fields by position and turn, in the site's frame, unweighted.
+
+    Parameters
+    ----------
+    position_m : ndarray, shape (e, 3)
+
+    Returns
+    -------
+    jacobian : ndarray, shape (e, 6, 3, n)
+        Of component c of beacon i by unknown k: position (T/m), then rotation vector (T/rad).
+    field_T : ndarray, shape (e, 3, n)
+    """
+    field, gradient = model.evaluate(position_m.T)
+    jacobian = np.zeros((len(position_m), 6, 3, len(model)))
+    jacobian[:, :3] = gradient.transpose(2, 1, 0, 3)
+    x, y, z = field
+    jacobian[:, 3, 1], jacobian[:, 3, 2] = z, -y
+    jacobian[:, 4, 0], jacobian[:, 4, 2] = -z, x
+    jacobian[:, 5, 0], jacobian[:, 5, 1] = y, -x
+    return jacobian, field.swapaxes(0, 1)
+
+
+def _retract(state: State, step: FloatArray) -> State:
+    position, attitude = state
+    return position + step[:, :3], turned(attitude, step[:, 3:])

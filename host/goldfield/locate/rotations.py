@@ -1,0 +1,43 @@
+"""Small helpers for rotations, batched."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from goldfield.poses import FloatArray
+
+
+def turned(rotation: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return exp([vector]x) R, shape (e, 3, 3): R turned by a rotation vector, shape (e, 3), of the site's frame."""
+    angle2 = (vector * vector).sum(axis=1)
+    angle = np.sqrt(angle2)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    sine = np.where(small, 1.0 - angle2 / 6.0, np.sin(safe) / safe)
+    versine = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    x, y, z = vector.T
+    skew = np.zeros_like(rotation)
+    skew[:, 0, 1], skew[:, 0, 2], skew[:, 1, 2] = -z, y, -x
+    skew[:, 1, 0], skew[:, 2, 0], skew[:, 2, 1] = z, -y, x
+    step = skew @ rotation
+    return np.asarray(rotation + sine[:, None, None] * step + versine[:, None, None] * (skew @ step))
+
+
+def orthonormal(rotation: FloatArray) -> FloatArray:
+    """Remove the rounding of many small turns: one Newton step towards the nearest rotation, shape (..., 3, 3)."""
+    return np.asarray(0.5 * rotation @ (3.0 * np.eye(3) - np.swapaxes(rotation, -1, -2) @ rotation))
+
+
+def quaternion(rotation: FloatArray) -> FloatArray:
+    """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix, shape (3, 3): the dominant eigenvector of Bar-Itzhack's matrix."""
+    r = rotation
+    k = np.array(
+        [
+            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
+            [0.0, r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
+            [0.0, 0.0, r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
+            [0.0, 0.0, 0.0, r[0, 0] + r[1, 1] + r[2, 2]],
+        ]
+    )
+    q = np.linalg.eigh(k, UPLO="U")[1][:, -1]
+    return np.asarray(-q if q[3] < 0.0 else q)
