@@ -19,6 +19,7 @@ help: ## This list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
 
 include protocol/protocol.mk
+include firmware/core/core.mk
 include firmware/boards/stm32f405/board.mk
 include firmware/boards/host/board.mk
 include hil_sim/emulator/emulator.mk

@@ -1,4 +1,13 @@
 # The hardware-free core. Boards compile CORE_SOURCES with their own compiler; build/libgf_core.so is the core alone, for its tests.
 CORE_SOURCES := $(wildcard firmware/core/*.c)
-CORE_HEADERS := $(wildcard firmware/core/*.h)
-CORE_LIBRARY := $(BUILD)/libgf_core.so
+CORE_OBJECTS := $(CORE_SOURCES:%.c=$(BUILD)/core/%.o)
+HOST_LIBRARIES += $(BUILD)/libgf_core.so
+
+$(BUILD)/libgf_core.so: $(CORE_OBJECTS)
+	@$(HOST_CC) -shared -o $@ $^
+
+$(CORE_OBJECTS): $(BUILD)/core/%.o: %.c
+	@mkdir -p $(@D)
+	@$(HOST_CC) $(HOST_CFLAGS) -c -o $@ $<
+
+-include $(CORE_OBJECTS:.o=.d)
