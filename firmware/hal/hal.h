@@ -143,7 +143,7 @@ const uint8_t *hal_parameter_page(const hal_t *hal);
 /* Restart the watchdog's 500 ms. */
 void hal_watchdog_kick(hal_t *hal);
 
-/* Sleep until something happened (interrupt) since the last call; returns at once if something already did. Never longer than one block
+/* Sleep until something happened (interrupt; a current() alone need not count) since the last call; returns at once if something already did. Never longer than one block
  * once the chip engine runs; before that at most 10 ms. */
 void hal_wait(hal_t *hal);
 

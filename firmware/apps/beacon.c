@@ -1,0 +1,214 @@
+#include "beacon.h"
+
+#include <string.h>
+
+#include "gold.h"
+#include "goldfield.h"
+#include "sync.h"
+
+/* ---- Drive ---- */
+
+static void drive_stop(beacon_t *beacon) {
+    beacon->drive = BEACON_IDLE; /* First: from here on the current interrupt keeps its hands off. */
+    hal_drive_enable(beacon->hal, false);
+    current_stop(&beacon->current);
+}
+
+static bool faulty(const beacon_t *beacon) {
+    return beacon->driver_fault || beacon->current.state == CURRENT_FAULT;
+}
+
+/* ---- Interrupts ---- */
+
+static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
+    beacon_t *beacon = context;
+    beacon->sync_due |= beacon->sync_planned; /* plan for a block is called when the block before it begins. */
+    beacon->sync_planned = false;
+    const bool allowed = beacon->wanted && beacon->clock.locked && !faulty(beacon);
+    if (!allowed && beacon->drive != BEACON_IDLE) {
+        drive_stop(beacon);
+    }
+    uint8_t mask = beacon->drive == BEACON_IDLE ? HAL_PLAN_SYNC_OUT : 0xFFu;
+    for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
+        const chip_clock_chip_t chip = chip_clock_plan(&beacon->clock);
+        if (chip.code_chip == 0) {
+            beacon->cycles++;
+            beacon->sync_planned = beacon->master;
+            beacon->sync_cycle = chip.cycle;
+            if (allowed && beacon->drive == BEACON_IDLE) {
+                beacon->start_chip = block * HAL_BLOCK_CHIPS + i;
+                beacon->drive = BEACON_ARMED;
+                mask = 0xFFu;
+            }
+        }
+        plan->period_ticks[i] = chip.period_ticks;
+        plan->drive[i] = beacon->chips[chip.code_chip] & mask;
+    }
+}
+
+static void on_current(void *context, uint32_t chip, uint16_t count) {
+    beacon_t *beacon = context;
+    if (beacon->drive == BEACON_ON) {
+        const current_action_t action = current_sample(&beacon->current, count);
+        if (action == CURRENT_SET_REFERENCE) {
+            hal_drive_reference(beacon->hal, beacon->current.reference);
+        } else if (action == CURRENT_DRIVE_OFF) {
+            hal_drive_enable(beacon->hal, false);
+            beacon->drive = BEACON_IDLE;
+            beacon->over_current += beacon->current.fault == CURRENT_FAULT_OVER;
+            beacon->open_coil += beacon->current.fault == CURRENT_FAULT_OPEN;
+        }
+    } else if (beacon->drive == BEACON_ARMED && chip + 1 == beacon->start_chip) {
+        current_start(&beacon->current);
+        hal_drive_reference(beacon->hal, beacon->current.reference);
+        hal_drive_enable(beacon->hal, true);
+        beacon->drive = BEACON_ON;
+    }
+}
+
+static void on_fault(void *context) {
+    beacon_t *beacon = context;
+    hal_drive_enable(beacon->hal, false);
+    beacon->drive = BEACON_IDLE;
+    beacon->driver_fault = true;
+}
+
+static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
+    beacon_t *beacon = context;
+    chip_clock_edge(&beacon->clock, chip, ticks);
+    beacon->edge_us = (uint32_t)hal_microseconds(beacon->hal);
+}
+
+/* ---- Main ---- */
+
+static beacon_settings_t read_settings(const node_t *node) {
+    return (beacon_settings_t){
+        .code = parameters_unsigned(&node->parameters, PARAMETER_CODE),
+        .amplitude_A = parameters_float(&node->parameters, PARAMETER_AMPLITUDE),
+        .over_current_A = parameters_float(&node->parameters, PARAMETER_OVER_CURRENT),
+        .open_fraction = parameters_float(&node->parameters, PARAMETER_OPEN_COIL),
+    };
+}
+
+/* While wanted is false and the drive idle: the planner then uses only the sync bit of chips, which is the same before and after. */
+static void write_code(beacon_t *beacon) {
+    gold_generator_t code;
+    (void)gold_start(&code, BEACON_DEGREE, beacon->settings.code, 0); /* The parameter's range is that of the codes. */
+    for (uint32_t t = 0; t < BEACON_CHIPS; t++) {
+        const uint8_t polarity = gold_next(&code) ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_POSITIVE;
+        beacon->chips[t] = t == 0 && beacon->master ? polarity | HAL_PLAN_SYNC_OUT : polarity;
+    }
+}
+
+static void apply_settings(beacon_t *beacon) {
+    beacon->wanted = false;
+    drive_stop(beacon);
+    beacon->settings = read_settings(&beacon->node);
+    write_code(beacon);
+    const current_config_t config = {
+        .sense_A = HAL_CURRENT_PER_COUNT,
+        .reference_A = HAL_REFERENCE_PER_COUNT,
+        .amplitude_A = beacon->settings.amplitude_A,
+        .over_current_A = beacon->settings.over_current_A,
+        .open_fraction = beacon->settings.open_fraction,
+    };
+    const bool configured = current_configure(&beacon->current, &config);
+    hal_drive_reference(beacon->hal, 0);
+    beacon->driver_fault = false;
+    beacon->wanted = configured && beacon->settings.amplitude_A > 0.0f && hal_clock(beacon->hal) == HAL_CLOCK_CRYSTAL;
+}
+
+static node_state_t state(const beacon_t *beacon) {
+    if (hal_clock(beacon->hal) != HAL_CLOCK_CRYSTAL) {
+        return NODE_CLOCK_FALLBACK;
+    }
+    if (faulty(beacon)) {
+        return NODE_FAULT;
+    }
+    if (beacon->cycles == 0) {
+        return NODE_STARTING;
+    }
+    if (!beacon->clock.locked) {
+        return NODE_SYNCING;
+    }
+    return !beacon->wanted || beacon->current.state == CURRENT_HOLDING ? NODE_RUNNING : NODE_SOFT_START;
+}
+
+static int16_t milliamperes(float amperes) {
+    return (int16_t)node_clamp((int32_t)(amperes * 1000.0f + (amperes < 0.0f ? -0.5f : 0.5f)), INT16_MAX);
+}
+
+static void send_status(beacon_t *beacon) {
+    const current_t *current = &beacon->current;
+    const bool on = beacon->drive == BEACON_ON;
+    const struct goldfield_drive_status_t status = {
+        .current = on ? milliamperes(current_amperes(current, current->mean)) : 0,
+        .reference = on ? milliamperes((float)current->reference * HAL_REFERENCE_PER_COUNT) : 0,
+        .target = milliamperes(beacon->settings.amplitude_A),
+        .over_current = current->fault == CURRENT_FAULT_OVER,
+        .open_coil = current->fault == CURRENT_FAULT_OPEN,
+        .driver_fault = beacon->driver_fault,
+        .enabled = on,
+        .locked = beacon->clock.locked,
+        .phase = (int16_t)node_clamp(sync_phase(beacon->clock.phase_ticks), 1023),
+    };
+    uint8_t data[8];
+    const uint8_t length = (uint8_t)goldfield_drive_status_pack(data, &status, sizeof data);
+    node_send(&beacon->node, NODE_BOTH, GOLDFIELD_DRIVE_STATUS_FRAME_ID, 0, data, length);
+}
+
+static void send_sync(beacon_t *beacon) {
+    const struct goldfield_sync_t sync = {
+        .cycle = beacon->sync_cycle & SYNC_CYCLE_MASK,
+        .chips = BEACON_CHIPS,
+        .chip_period = (uint32_t)((uint64_t)HAL_CHIP_TICKS * 1000000000000u / HAL_TICKS_PER_SECOND), /* ps */
+    };
+    uint8_t data[8];
+    const uint8_t length = (uint8_t)goldfield_sync_pack(data, &sync, sizeof data);
+    node_send(&beacon->node, NODE_BOTH, GOLDFIELD_SYNC_FRAME_ID, 0, data, length);
+}
+
+void beacon_start(beacon_t *beacon, hal_t *hal) {
+    memset(beacon, 0, sizeof *beacon);
+    beacon->hal = hal;
+    node_start(&beacon->node, hal, HAL_ROLE_BEACON);
+    beacon->master = parameters_unsigned(&beacon->node.parameters, PARAMETER_SYNC_MASTER) == 1;
+    sync_clock_init(&beacon->clock, !beacon->master);
+    apply_settings(beacon);
+    const hal_events_t events = {
+        .context = beacon,
+        .plan = on_plan,
+        .current = on_current,
+        .fault = on_fault,
+        .sync = on_sync,
+    };
+    hal_chips_start(hal, HAL_ROLE_BEACON, &events);
+}
+
+void beacon_step(beacon_t *beacon) {
+    node_t *node = &beacon->node;
+    if (beacon->sync_due) {
+        beacon->sync_due = false;
+        send_sync(beacon);
+    }
+    if (beacon->cycles_reported != beacon->cycles) {
+        beacon->cycles_reported = beacon->cycles;
+        node->counters[NODE_SYNC_REJECTED] = beacon->clock.edges_rejected;
+        node->counters[NODE_OVER_CURRENT] = beacon->over_current;
+        node->counters[NODE_OPEN_COIL] = beacon->open_coil;
+        node->state = state(beacon);
+        send_status(beacon);
+    }
+    node_step(node);
+    if (node->parameters_changed) {
+        node->parameters_changed = false;
+        const beacon_settings_t settings = read_settings(node);
+        if (memcmp(&settings, &beacon->settings, sizeof settings) != 0 || faulty(beacon)) {
+            apply_settings(beacon);
+        }
+    }
+    if (node->sync_received) {
+        node->sync_received = false;
+        sync_number(&beacon->clock, node->sync_cycle, (uint32_t)hal_microseconds(beacon->hal) - beacon->edge_us);
+    }
+}

@@ -1,0 +1,78 @@
+/* beacon.h: the application of a beacon board: drives its coil with its Gold code, in step with the sync wire.
+ *
+ * Which module runs when
+ *   plan (once a block): lengths of the next 31 chips from chip_clock, bridge polarity from the code (bit 0: positive), sync wire if master.
+ *   current (once a chip): current_sample; over-current and open coil switch the bridge off within that chip; set-point of the driver.
+ *   fault (driver's fault input): bridge off.       sync: the edge to chip_clock.
+ *   main: node; SYNC if master; DRIVE_STATUS once a cycle; parameters.
+ *
+ * States (HEARTBEAT.state)
+ *   starting     until the first cycle is planned.
+ *   syncing      the chip clock is not locked: bridge off.
+ *   soft_start   locked: the bridge goes on at the next chip 0 that is planned (at most a cycle and two blocks away), the current rises for 0.1 s.
+ *   running      at amplitude; also with amplitude 0 and locked, bridge off.
+ *   fault        over-current, open coil, or driver fault: bridge off, until amplitude, code or a threshold is set by PARAM_SET.
+ *   clock_fallback  the crystal failed: 1 % off frequency nobody could follow, bridge off for good.
+ * Loss of lock switches the bridge off at once and leads to syncing; from there on as after a start.
+ *
+ * The master (parameter sync_master) runs free from cycle 0; the sync wire is high for chip 0; SYNC with the cycle's number leaves on both links at the next turn of the
+ * main loop, at most one block (3.03 ms) after the edge, and much less when main is idle. sync_master is read once, at start.
+ * The other beacons take the cycle's number from SYNC.
+ *
+ * A PARAM_SET of any parameter but stream, node and those of a sensor stops the drive, if it changes a value, and starts it softly again.
+ *
+ * Memory: about 8 kB. Time (instructions on the Cortex-M4, tests/firmware/apps): see README of firmware.
+ */
+#ifndef GOLDFIELD_BEACON_H
+#define GOLDFIELD_BEACON_H
+
+#include "chip_clock.h"
+#include "current.h"
+#include "hal.h"
+#include "node.h"
+
+#define BEACON_DEGREE 10u
+#define BEACON_CHIPS 1023u
+
+/* Of the drive. The current interrupt preempts the others: it alone goes from ARMED to ON; all others only to IDLE, or from IDLE to ARMED. */
+typedef enum {
+    BEACON_IDLE = 0,  /* Planned chips are off. */
+    BEACON_ARMED = 1, /* Planned chips carry the code from start_chip on; the bridge is still off. */
+    BEACON_ON = 2     /* start_chip has come: the bridge is on. */
+} beacon_drive_t;
+
+/* What the drive is made from; compared to see whether a PARAM_SET changed it. */
+typedef struct {
+    uint32_t code;
+    float amplitude_A, over_current_A, open_fraction;
+} beacon_settings_t;
+
+/* Private but for tests. */
+typedef struct {
+    hal_t *hal;
+    node_t node;
+    chip_clock_t clock;
+    current_t current;
+    beacon_settings_t settings;
+    bool master;
+    uint8_t chips[BEACON_CHIPS];   /* The plan's byte for each chip of the code, polarity and sync wire. */
+    volatile bool wanted;          /* Main: settings are complete, amplitude is not 0, clock is good. */
+    volatile uint8_t drive;        /* beacon_drive_t */
+    uint32_t start_chip;           /* Absolute chip. */
+    volatile bool driver_fault;
+    volatile uint32_t over_current, open_coil; /* Events since reset. */
+    volatile uint32_t cycles;      /* Begun, as planned. */
+    uint32_t cycles_reported;
+    volatile bool sync_planned;    /* The block that was planned last begins a cycle of the master. */
+    volatile bool sync_due;        /* That block has begun. */
+    volatile uint32_t sync_cycle;
+    volatile uint32_t edge_us;     /* When the latest edge of the sync wire came; one word, so that it is never torn. */
+} beacon_t;
+
+/* Hello, parameters, code, chip engine. *beacon and *hal must live for ever. About 60,000 instructions. */
+void beacon_start(beacon_t *beacon, hal_t *hal);
+
+/* One turn of the main loop, to be called after each hal_wait(). */
+void beacon_step(beacon_t *beacon);
+
+#endif

@@ -1,0 +1,199 @@
+#include "sensor.h"
+
+#include <string.h>
+
+#include "goldfield.h"
+#include "protocol_hash.h"
+#include "sync.h"
+
+/* ---- Interrupts ---- */
+
+static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
+    sensor_t *sensor = context;
+    (void)block; /* The chip clock counts along. */
+    for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
+        plan->period_ticks[i] = chip_clock_plan(&sensor->clock).period_ticks;
+        plan->drive[i] = HAL_DRIVE_OFF;
+    }
+}
+
+/* Axis by axis: a saturated one says so, the others keep their value. */
+static void mark_saturated(const uint16_t burst[HAL_BURST][HAL_AXES], int16_t shown[HAL_AXES]) {
+    for (uint32_t axis = 0; axis < HAL_AXES; axis++) {
+        for (uint32_t i = 0; i < HAL_BURST; i++) {
+            if (burst[i][axis] == 0 || burst[i][axis] >= HAL_SAMPLE_MAX) {
+                shown[axis] = INT16_MIN;
+            }
+        }
+    }
+}
+
+static void stream_chip(sensor_t *sensor, const chip_clock_chip_t *chip, const uint16_t burst[HAL_BURST][HAL_AXES],
+                        const int16_t sample[HAL_AXES], bool saturated) {
+    int16_t shown[HAL_AXES] = {sample[0], sample[1], sample[2]};
+    if (saturated) {
+        mark_saturated(burst, shown);
+    }
+    const struct goldfield_chip_t message = {.x = shown[0], .y = shown[1], .z = shown[2], .cycle_low = (uint16_t)chip->cycle};
+    frame_t frame = {.id = sensor->stream_id | (uint32_t)chip->code_chip << PROTOCOL_INDEX_SHIFT};
+    frame.length = (uint8_t)goldfield_chip_pack(frame.data, &message, sizeof frame.data);
+    (void)queue_push(&sensor->stream, &frame); /* The queue counts what it refuses. */
+}
+
+static void on_samples(void *context, uint32_t block, const hal_samples_t *samples) {
+    sensor_t *sensor = context;
+    const bool locked = sensor->clock.locked;
+    for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
+        const uint32_t absolute = block * HAL_BLOCK_CHIPS + i;
+        chip_clock_chip_t chip;
+        if (!chip_clock_at(&sensor->clock, absolute, &chip)) {
+            continue; /* More than a block late: epoch_feed sees the gap. */
+        }
+        int16_t sample[HAL_AXES];
+        const bool saturated = epoch_sample((*samples)[i], sample);
+        if (chip.code_chip == 0) {
+            sensor->cycle_start_ticks = sensor->ticks;
+        }
+        sensor->ticks += chip.period_ticks;
+        if (epoch_feed(&sensor->collector, absolute, chip.cycle, chip.code_chip, sample, saturated, locked)) {
+            sensor->middle_ticks = (sensor->cycle_start_ticks + sensor->ticks) / 2;
+        }
+        if (sensor->streaming) {
+            stream_chip(sensor, &chip, (*samples)[i], sample, saturated);
+        }
+    }
+    sensor->sampled = true;
+}
+
+static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
+    sensor_t *sensor = context;
+    chip_clock_edge(&sensor->clock, chip, ticks);
+    sensor->edge_us = (uint32_t)hal_microseconds(sensor->hal);
+}
+
+/* ---- Main ---- */
+
+static void apply_parameters(sensor_t *sensor) {
+    const parameters_t *parameters = &sensor->node.parameters;
+    for (uint32_t row = 0; row < HAL_AXES; row++) {
+        sensor->calibration.zero[row] = parameters_float(parameters, PARAMETER_ZERO + row);
+        for (uint32_t column = 0; column < HAL_AXES; column++) {
+            sensor->calibration.matrix[row][column] = parameters_float(parameters, PARAMETER_CALIBRATION + HAL_AXES * row + column);
+        }
+    }
+    uint16_t codes[PARAMETER_CODE_LIST_LENGTH];
+    const uint32_t count = parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
+    bool same = count == sensor->selection.count;
+    for (uint32_t i = 0; i < count; i++) {
+        codes[i] = (uint16_t)parameters_unsigned(parameters, PARAMETER_CODE_LIST + i);
+        same = same && codes[i] == sensor->selection.codes[i].code;
+    }
+    if (!same) {
+        (void)epoch_select(&sensor->selection, codes, count);
+    }
+    sensor->stream_id = node_identifier(&sensor->node, GOLDFIELD_CHIP_FRAME_ID, 0);
+    sensor->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
+}
+
+static void send_header(sensor_t *sensor, const epoch_t *epoch) {
+    node_t *node = &sensor->node;
+    uint8_t data[8];
+    const struct goldfield_epoch_t header = {
+        .cycle = epoch->cycle & SYNC_CYCLE_MASK,
+        .time = sensor->middle_ticks / (HAL_TICKS_PER_SECOND / 1000000u),
+    };
+    uint8_t length = (uint8_t)goldfield_epoch_pack(data, &header, sizeof data);
+    node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_FRAME_ID, 0, data, length);
+
+    const struct goldfield_epoch_status_t status = {
+        .cycle_low = epoch->cycle & 0xFu,
+        .chips = (uint16_t)(DESPREAD_CHIPS - epoch->despread.missing),
+        .saturated = epoch->saturated,
+        .fields = (uint16_t)sensor->selection.count,
+        .locked = epoch->locked,
+        .phase = (int16_t)node_clamp(sync_phase(sensor->clock.phase_ticks), 8191),
+        .temperature = (int16_t)node_clamp(hal_temperature(sensor->hal), 2047),
+    };
+    length = (uint8_t)goldfield_epoch_status_pack(data, &status, sizeof data);
+    node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_STATUS_FRAME_ID, 0, data, length);
+}
+
+static void report(sensor_t *sensor, epoch_t *epoch) {
+    node_t *node = &sensor->node;
+    uint8_t data[8];
+    despread_transform(&epoch->despread);
+    send_header(sensor, epoch);
+
+    float mean[HAL_AXES];
+    epoch_offset(&epoch->despread, &sensor->calibration, mean);
+    const struct goldfield_epoch_offset_t offset = {
+        .x = epoch_integer(mean[0], 1e-9f),
+        .y = epoch_integer(mean[1], 1e-9f),
+        .z = epoch_integer(mean[2], 1e-9f),
+        .cycle_low = epoch->cycle & 0xFu,
+    };
+    uint8_t length = (uint8_t)goldfield_epoch_offset_pack(data, &offset, sizeof data);
+    node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_OFFSET_FRAME_ID, 0, data, length);
+
+    for (uint32_t i = 0; i < sensor->selection.count; i++) {
+        float vector[HAL_AXES];
+        epoch_field(&epoch->despread, &sensor->calibration, &sensor->selection, i, vector);
+        const struct goldfield_field_t field = {
+            .x = epoch_integer(vector[0], 1e-10f),
+            .y = epoch_integer(vector[1], 1e-10f),
+            .z = epoch_integer(vector[2], 1e-10f),
+            .cycle_low = epoch->cycle & 0xFu,
+        };
+        length = (uint8_t)goldfield_field_pack(data, &field, sizeof data);
+        node_send(node, NODE_BOTH, GOLDFIELD_FIELD_FRAME_ID, sensor->selection.codes[i].code, data, length);
+    }
+}
+
+static node_state_t state(const sensor_t *sensor) {
+    if (hal_clock(sensor->hal) != HAL_CLOCK_CRYSTAL) {
+        return NODE_CLOCK_FALLBACK;
+    }
+    return !sensor->sampled ? NODE_STARTING : sensor->clock.locked ? NODE_RUNNING : NODE_SYNCING;
+}
+
+static void drain_stream(sensor_t *sensor) {
+    const frame_t *frame;
+    while ((frame = queue_front(&sensor->stream)) != NULL && node_serial_write(&sensor->node, frame)) {
+        queue_drop(&sensor->stream);
+    }
+}
+
+void sensor_start(sensor_t *sensor, hal_t *hal) {
+    memset(sensor, 0, sizeof *sensor);
+    sensor->hal = hal;
+    node_start(&sensor->node, hal, HAL_ROLE_SENSOR);
+    (void)queue_init(&sensor->stream, sensor->stream_messages, SENSOR_STREAM_MESSAGES);
+    sync_clock_init(&sensor->clock, true);
+    epoch_init(&sensor->collector);
+    apply_parameters(sensor);
+    const hal_events_t events = {.context = sensor, .plan = on_plan, .samples = on_samples, .sync = on_sync};
+    hal_chips_start(hal, HAL_ROLE_SENSOR, &events);
+}
+
+void sensor_step(sensor_t *sensor) {
+    node_t *node = &sensor->node;
+    epoch_t *epoch = epoch_ready(&sensor->collector);
+    if (epoch) {
+        report(sensor, epoch);
+        epoch_release(&sensor->collector);
+    }
+    node->state = state(sensor);
+    node->counters[NODE_SYNC_REJECTED] = sensor->clock.edges_rejected;
+    node->counters[NODE_EPOCHS_DROPPED] = sensor->collector.dropped;
+    node->stream_lost = sensor->stream.lost;
+    node_step(node);
+    drain_stream(sensor);
+    if (node->parameters_changed) {
+        node->parameters_changed = false;
+        apply_parameters(sensor);
+    }
+    if (node->sync_received) {
+        node->sync_received = false;
+        sync_number(&sensor->clock, node->sync_cycle, (uint32_t)hal_microseconds(sensor->hal) - sensor->edge_us);
+    }
+}

@@ -1,0 +1,56 @@
+/* sensor.h: the application of a sensor board: samples the field at the end of each chip and reports one vector a code and cycle.
+ *
+ * Which module runs when
+ *   plan (once a block): lengths of the next 31 chips from chip_clock, so that chips end with the beacons' chips.
+ *   samples (once a block): each chip's burst to one sample (epoch_sample), labelled by chip_clock_at, into the cycle being collected (epoch_feed); as CHIP if streamed.
+ *   sync: the edge to chip_clock.
+ *   main: node; a complete cycle is transformed (despread_transform) while the next is collected, and reported on both links: EPOCH, EPOCH_STATUS,
+ *   EPOCH_OFFSET, one FIELD for each code of the list.
+ *
+ * States: starting (no block yet), syncing, running (locked), clock_fallback. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip
+ * clock cut short, and one that main was too late for, is dropped and counted (counter 13).
+ *
+ * Numbers and times. Cycles count from 0 at start, until SYNC tells the number of the cycle that the latest edge of the sync wire began. EPOCH.time is the middle of the
+ * cycle in microseconds of the sensor's own chip clock since its start; exact to 1 us.
+ *
+ * Parameters act from the next report on. stream sends every chip on serial (164 kB/s of 200 kB/s); chips that find no room are dropped and counted
+ * as lost messages (counter 4).
+ *
+ * Memory: about 38 kB. Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
+ */
+#ifndef GOLDFIELD_SENSOR_H
+#define GOLDFIELD_SENSOR_H
+
+#include "chip_clock.h"
+#include "epoch.h"
+#include "hal.h"
+#include "node.h"
+
+#define SENSOR_STREAM_MESSAGES 128u /* Four blocks of chips. */
+
+/* Private but for tests. */
+typedef struct {
+    hal_t *hal;
+    node_t node;
+    chip_clock_t clock;
+    epoch_collector_t collector;
+    epoch_calibration_t calibration;
+    epoch_selection_t selection;
+    volatile bool streaming;
+    volatile bool sampled;         /* A block has been taken. */
+    uint64_t ticks;                /* Length of all chips taken so far. */
+    uint64_t cycle_start_ticks;    /* Of the cycle being collected. */
+    uint64_t middle_ticks;         /* Of the cycle that is main's. */
+    volatile uint32_t edge_us;     /* When the latest edge of the sync wire came; one word, so that it is never torn. */
+    queue_t stream;
+    frame_t stream_messages[SENSOR_STREAM_MESSAGES];
+    uint32_t stream_id;            /* Identifier of a CHIP with index 0. */
+} sensor_t;
+
+/* Hello, parameters, chip engine. *sensor and *hal must live for ever. */
+void sensor_start(sensor_t *sensor, hal_t *hal);
+
+/* One turn of the main loop, to be called after each hal_wait(). A complete cycle costs about 90,000 instructions and some 1,000 for each code. */
+void sensor_step(sensor_t *sensor);
+
+#endif

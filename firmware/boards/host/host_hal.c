@@ -1,0 +1,118 @@
+#include "host_internal.h"
+
+#include <string.h>
+
+/* ---- Chip engine and drive ---- */
+
+void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
+    engine_t *engine = &hal->engine;
+    *engine = (engine_t){.running = true, .role = role, .events = *events, .chip_start = host_tick(hal) + 168};
+    events->plan(events->context, 0, &engine->plan[0]);
+    events->plan(events->context, 1, &engine->plan[1]);
+}
+
+void hal_drive_enable(hal_t *hal, bool enable) {
+    host_pin_write(hal, PIN_ENABLE, enable);
+}
+
+void hal_drive_reference(hal_t *hal, uint16_t count) {
+    const uint16_t clamped = count > HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count;
+    if (hal->edge.analog_out) {
+        hal->edge.analog_out(hal->edge.context, 1, 3.3 * clamped / HAL_SAMPLE_MAX, hal->now_ps);
+    }
+}
+
+/* ---- Serial ---- */
+
+bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count) {
+    transmitter_t *transmitter = &hal->transmitter;
+    if (count > HAL_SERIAL_BUFFER - transmitter->count) {
+        return false;
+    }
+    if (transmitter->count == 0) {
+        transmitter->byte_end = host_tick(hal) + SERIAL_BYTE_TICKS;
+    }
+    for (size_t i = 0; i < count; i++) {
+        transmitter->bytes[(transmitter->head + transmitter->count++) % HAL_SERIAL_BUFFER] = bytes[i];
+    }
+    return true;
+}
+
+void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count) {
+    /* No instruction takes time here, so the bytes leave after the call: at the same moments as on the chip. */
+    (void)hal_serial_write(hal, bytes, count);
+}
+
+size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity) {
+    size_t count = 0;
+    while (count < capacity && hal->received_count > 0) {
+        bytes[count++] = hal->received[hal->received_head];
+        hal->received_head = (hal->received_head + 1) % RECEIVE_BYTES;
+        hal->received_count--;
+    }
+    return count;
+}
+
+/* ---- CAN ---- */
+
+void host_can_request(hal_t *hal) {
+    if (hal->edge.can_request && hal->mailbox_count > 0) {
+        const hal_frame_t *frame = &hal->mailbox[hal->mailbox_head];
+        board_frame_t out = {.id = frame->id, .extended = true, .length = frame->length};
+        memcpy(out.data, frame->data, sizeof out.data);
+        hal->edge.can_request(hal->edge.context, hal->mailbox_head, &out, hal->now_ps);
+    }
+}
+
+bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
+    if (hal->mailbox_count == MAILBOXES) {
+        return false;
+    }
+    hal->mailbox[(hal->mailbox_head + hal->mailbox_count++) % MAILBOXES] = *frame;
+    if (hal->mailbox_count == 1) {
+        host_can_request(hal);
+    }
+    return true;
+}
+
+bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
+    if (hal->frames_count == 0) {
+        return false;
+    }
+    *frame = hal->frames[hal->frames_head];
+    hal->frames_head = (hal->frames_head + 1) % RECEIVE_FRAMES;
+    hal->frames_count--;
+    return true;
+}
+
+/* ---- Housekeeping ---- */
+
+hal_clock_t hal_clock(const hal_t *hal) {
+    (void)hal;
+    return HAL_CLOCK_CRYSTAL;
+}
+
+void hal_counters(const hal_t *hal, hal_counters_t *counters) {
+    *counters = hal->counters;
+}
+
+uint64_t hal_microseconds(hal_t *hal) {
+    return (uint64_t)host_tick(hal) / (HAL_TICKS_PER_SECOND / 1000000u);
+}
+
+int16_t hal_temperature(const hal_t *hal) {
+    const double tenths = hal->config.temperature_degc * 10.0;
+    return (int16_t)(tenths < 0 ? tenths - 0.5 : tenths + 0.5);
+}
+
+void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]) {
+    memcpy(id, hal->config.unique_id, HAL_UNIQUE_ID_BYTES);
+}
+
+const uint8_t *hal_parameter_page(const hal_t *hal) {
+    return hal->config.parameter_page;
+}
+
+void hal_watchdog_kick(hal_t *hal) {
+    (void)hal; /* A main loop that hangs hangs its caller, who sees it without a watchdog. */
+}
