@@ -141,6 +141,20 @@ class Table:
             raise self.error(key, f"is {value:g}; it must be greater than zero")
         return value
 
+    def flag(self, key: str) -> bool:
+        """Return a required true or false."""
+        value = self._required(key)
+        if not isinstance(value, bool):
+            raise self.error(key, f"must be true or false, not {_kind(value)}")
+        return value
+
+    def numbers(self, key: str) -> FloatArray:
+        """Return a required list of finite numbers, shape (n,), at least one."""
+        value = self._required(key)
+        if not isinstance(value, list) or not value or not all(_is_number(item) for item in value):
+            raise self.error(key, f"must be a list of finite numbers, not {_kind(value)}")
+        return np.array(value, dtype=np.float64)
+
     def vector(self, key: str) -> FloatArray:
         """Return a required vector, shape (3,)."""
         value = self._required(key)
