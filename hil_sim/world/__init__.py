@@ -1,0 +1,1 @@
+"""The physical world around the boards: motion, coils, fields."""

@@ -1,0 +1,138 @@
+"""What the motion does to the fields: field per ampere of each coil in the sensor's frame, as cubics for ``path.h``.
+
+The coils are magpylib's: true current loops with all turns at one radius, or the wire as a polyline. Nothing here knows
+how the host models a coil.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import magpylib
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from hil_sim.world.motion import Motion
+
+FloatArray = NDArray[np.float64]
+
+wires: Any = magpylib.current  # magpylib carries no types
+
+TOLERANCE = 1e-5
+"""Largest interpolation error of a coil's field relative to its magnitude at the same moment."""
+MARGIN = 4.0
+"""The error is looked at in the middle of the intervals, where it is largest on a smooth path; the rest is margin."""
+FEWEST_KNOTS, MOST_INTERVALS = 9, 16384
+
+
+class PathError(ValueError):
+    """The path cannot be computed; the message is a sentence for the user."""
+
+
+@dataclass(frozen=True, eq=False)
+class CoilGeometry:
+    """Where a coil's wire runs, in the site's frame.
+
+    Attributes
+    ----------
+    turns : float
+    radius_m : float or None
+        Of a circular loop around ``position_m`` with its normal along ``axis``.
+    position_m, axis : ndarray, shape (3,)
+    points_m : ndarray, shape (n, 3), or None
+        The wire as a polyline, taken as listed, in place of a circle.
+    """
+
+    turns: float
+    radius_m: float | None
+    position_m: FloatArray
+    axis: FloatArray
+    points_m: FloatArray | None = None
+
+    def field_per_ampere(self, positions_m: FloatArray) -> FloatArray:
+        """Return B of one ampere, shape (n, 3), tesla, site's frame, at positions of shape (n, 3)."""
+        if self.points_m is not None:
+            wire = wires.Polyline(vertices=self.points_m, current=self.turns)
+        else:
+            assert self.radius_m is not None
+            to_axis = Rotation.align_vectors(self.axis[None, :], np.array([[0.0, 0.0, 1.0]]))[0]
+            wire = wires.Circle(
+                current=self.turns, diameter=2.0 * self.radius_m, position=self.position_m, orientation=to_axis
+            )
+        return np.asarray(wire.getB(positions_m), dtype=np.float64).reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Cubics on equal intervals.
+
+    Attributes
+    ----------
+    start_s, interval_s : float
+    coefficients : ndarray, shape (intervals, columns, 4)
+        As ``path.h`` describes: constant term first, in fractions of an interval.
+    """
+
+    start_s: float
+    interval_s: float
+    coefficients: FloatArray
+
+
+def columns(coils: Sequence[CoilGeometry], motion: Motion, times_s: FloatArray) -> FloatArray:
+    """Return the columns of ``path.h``, shape (n, 3 coils + 9), at times of shape (n,).
+
+    Raises
+    ------
+    PathError
+        If the sensor runs through a coil's wire.
+    """
+    positions, rotation = motion.poses(times_s)
+    to_sensor = np.swapaxes(rotation.as_matrix(), 1, 2)
+    fields = [np.einsum("nij,nj->ni", to_sensor, coil.field_per_ampere(positions)) for coil in coils]
+    result = np.hstack([*fields, to_sensor.reshape(len(times_s), 9)])
+    if not np.all(np.isfinite(result)):
+        raise PathError(
+            "the sensor runs through a coil's wire, where the field has no limit: move the path or the coil"
+        )
+    return result
+
+
+def _relative_error(spline: CubicSpline[np.float64], truth: FloatArray, times_s: FloatArray) -> float:
+    error = np.abs(spline(times_s) - truth).reshape(len(times_s), -1, 3)
+    size = np.linalg.norm(truth.reshape(len(times_s), -1, 3), axis=2, keepdims=True)
+    return float(np.max(error / size))
+
+
+def compute(coils: Sequence[CoilGeometry], motion: Motion, start_s: float, stop_s: float) -> Path:
+    """Compute the path between two times, as fine as `TOLERANCE` asks.
+
+    Raises
+    ------
+    PathError
+        If the motion is too fast for any reasonable number of knots, or runs through a wire.
+    """
+    if motion.still:
+        values = columns(coils, motion, np.array([start_s]))
+        constant = np.zeros((1, values.shape[1], 4))
+        constant[0, :, 0] = values[0]
+        return Path(start_s, stop_s - start_s, constant)
+    intervals = FEWEST_KNOTS - 1
+    knots = np.linspace(start_s, stop_s, intervals + 1)
+    values = columns(coils, motion, knots)
+    while intervals <= MOST_INTERVALS:
+        middles = 0.5 * (knots[1:] + knots[:-1])
+        between = columns(coils, motion, middles)
+        spline = CubicSpline(knots, values)
+        if _relative_error(spline, between, middles) < TOLERANCE / MARGIN:
+            scale = (knots[1] - knots[0]) ** np.arange(4)
+            return Path(start_s, float(knots[1] - knots[0]), np.moveaxis(spline.c[::-1], 0, 2) * scale)
+        merged = np.empty((2 * intervals + 1, values.shape[1]))
+        merged[::2], merged[1::2] = values, between
+        values = merged
+        intervals *= 2
+        knots = np.linspace(start_s, stop_s, intervals + 1)
+    raise PathError(f"the motion between {start_s:g} s and {stop_s:g} s is too fast to follow: slow it down")
