@@ -150,9 +150,9 @@ def area_vector(points_m: FloatArray) -> FloatArray:
 def load(path: str | Path) -> Site:
     """Read and check a site file.
 
-    Keys: ``[site] name, chip_period_s, degree`` and optionally ``half_space = {point = [x, y, z], normal = [x, y, z]}``;
-    ``[sensor] noise_T``; for each beacon ``[[beacon]] id, position_m, axis, turns, current_A, code`` and one of ``radius_m``
-    and ``points_m``. With ``points_m`` the position, the axis and the turns may be left out: the wire tells them.
+    Keys: ``[site] name, chip_period_s, degree``, optionally ``half_space = {point = [x, y, z], normal = [x, y, z]}``;
+    ``[sensor] noise_T``; for each beacon ``[[beacon]] id, position_m, axis, turns, current_A, code`` and one of
+    ``radius_m`` and ``points_m``. With ``points_m`` the position, axis and turns may be left out: the wire tells them.
 
     Raises
     ------
@@ -240,7 +240,7 @@ def _check_unique(root: Table, beacons: tuple[Beacon, ...]) -> None:
     codes: dict[int, str] = {}
     for table, beacon in zip(tables, beacons, strict=True):
         if beacon.id in ids:
-            raise table.error("id", f'is "{beacon.id}", which beacon {ids[beacon.id]} already has: ids must differ')
+            raise table.error("id", f'is "{beacon.id}", which beacon {ids[beacon.id]} already has: take another')
         if beacon.code in codes:
             raise table.error(
                 "code", f'is {beacon.code}, which beacon "{codes[beacon.code]}" already has: codes must differ'

@@ -1,0 +1,7 @@
+"""``python -m goldfield``."""
+
+import sys
+
+from goldfield.cli import main
+
+sys.exit(main())

@@ -1,0 +1,5 @@
+"""The command ``goldfield``: one file a subcommand."""
+
+from goldfield.cli.main import main
+
+__all__ = ["main"]

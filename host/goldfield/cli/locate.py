@@ -1,0 +1,98 @@
+"""``goldfield locate``: a pose for every epoch of a table of fields, with no prior."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from goldfield import site as sites
+from goldfield.cli import options
+from goldfield.cli.output import json_line, pose_record
+from goldfield.errors import UserError
+from goldfield.poses import Fields
+from goldfield.site import Site
+from goldfield.tables import Row, read_table
+
+COLUMNS = ("epoch", "t_s", "beacon", "bx_T", "by_T", "bz_T")
+
+
+def command(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "locate",
+        help="poses from a table of fields",
+        description=f"A pose for every epoch of a CSV table with the columns {','.join(COLUMNS)}[,sigma_T] "
+        "(sensor frame; an empty cell is an axis that was not measured; the rows of an epoch follow each other).",
+    )
+    parser.add_argument("fields", metavar="FIELDS.csv", help="table of fields")
+    options.add_site(parser)
+    options.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print a line for every epoch, whatever happens."""
+    from goldfield.pose_of import pose_of  # heavy: only when a pose is wanted
+    from goldfield.view.terminal import PoseTable
+
+    site = sites.load(options.required(arguments.site, "--site", "FILE"))
+    table = PoseTable()
+    for fields in read_fields(site, arguments.fields):
+        pose = pose_of(site, fields)
+        print(json_line(pose_record(pose)) if arguments.json else table.line(pose))
+    return 0
+
+
+def read_fields(site: Site, path: str) -> Iterator[Fields]:
+    """Yield the epochs of a table of fields.
+
+    Raises
+    ------
+    UserError
+        With file, line and column of whatever is wrong.
+    """
+    rows: list[Row] = []
+    seen: set[int] = set()
+    for row in read_table(path, COLUMNS, ("sigma_T",)):
+        epoch = row.whole("epoch")
+        if rows and epoch != rows[0].whole("epoch"):
+            yield _fields(site, rows)
+            rows = []
+        if not rows:
+            if epoch in seen:
+                raise row.error("epoch", f"{epoch} comes again after another one: sort the rows by epoch")
+            seen.add(epoch)
+        rows.append(row)
+    if not rows:
+        raise UserError(f"{path}: has a header but no rows")
+    yield _fields(site, rows)
+
+
+def _fields(site: Site, rows: list[Row]) -> Fields:
+    """Check and join the rows of one epoch."""
+    default_sigma = site.sensor.noise_T / math.sqrt(site.chips)
+    known = [beacon.id for beacon in site.beacons]
+    time_s = rows[0].number("t_s")
+    beacons: list[str] = []
+    field, sigma = np.empty((len(rows), 3)), np.empty(len(rows))
+    for place, row in enumerate(rows):
+        if row.number("t_s") != time_s:
+            raise row.error("t_s", f"differs from the {time_s:g} of the same epoch's first row (line {rows[0].line})")
+        beacon = row.text("beacon")
+        if beacon not in known:
+            raise row.error("beacon", f"{beacon!r} is not in the site {site.name!r}: it has {', '.join(known[:10])}")
+        if beacon in beacons:
+            raise row.error("beacon", f"{beacon!r} comes twice in the epoch")
+        beacons.append(beacon)
+        field[place] = [row.field(column) for column in COLUMNS[3:]]
+        if row.cells.get("sigma_T", "").strip():
+            sigma[place] = row.number("sigma_T")
+            if not 0.0 < sigma[place] < 1.0:
+                raise row.error("sigma_T", f"is {sigma[place]:g}; it must be greater than zero and below 1 T")
+        else:
+            sigma[place] = default_sigma
+    return Fields(rows[0].whole("epoch"), time_s, tuple(beacons), field, sigma)

@@ -1,0 +1,75 @@
+"""Options that several subcommands share, each with its environment variable."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable
+from typing import Any
+
+from goldfield.errors import UserError
+
+
+def add(
+    parser: argparse.ArgumentParser, name: str, *, metavar: str, what: str, kind: Callable[[str], Any] = str
+) -> None:
+    """Add an option whose default is the environment variable GOLDFIELD_NAME."""
+    variable = environment_name(name)
+    parser.add_argument(
+        name,
+        metavar=metavar,
+        type=kind,
+        default=os.environ.get(variable) or None,
+        help=f"{what} (environment: {variable})",
+    )
+
+
+def add_site(parser: argparse.ArgumentParser) -> None:
+    """Add ``--site``; `required` says when it is missing."""
+    add(parser, "--site", metavar="FILE", what="site file (TOML)")
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """Add ``--json``."""
+    parser.add_argument(
+        "--json",
+        action="store_true",
+        default=os.environ.get("GOLDFIELD_JSON", "") not in ("", "0"),
+        help="one JSON object a line on stdout (environment: GOLDFIELD_JSON)",
+    )
+
+
+def required(value: str | None, name: str, metavar: str) -> str:
+    """Return the value of an option that must be given."""
+    if not value:
+        raise UserError(f"{name} is missing: give {name} {metavar} or set {environment_name(name)}")
+    return value
+
+
+def environment_name(option: str) -> str:
+    """Return the environment variable of an option.
+
+    Examples
+    --------
+    >>> environment_name("--site")
+    'GOLDFIELD_SITE'
+    """
+    return "GOLDFIELD_" + option.removeprefix("--").replace("-", "_").upper()
+
+
+def seconds(text: str) -> float:
+    """Parse a duration greater than zero, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is no number of seconds greater than zero")
+    return value
+
+
+def node(text: str) -> int:
+    """Parse a node number, for argparse."""
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 4095):
+        raise argparse.ArgumentTypeError(f"{text} is no node: nodes are 1 to 4095")
+    return int(text)

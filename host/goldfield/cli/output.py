@@ -1,0 +1,48 @@
+"""What the subcommands print: JSON lines without NaN, and the lines of tables."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from goldfield.poses import FloatArray, Pose
+
+
+def json_line(record: dict[str, Any]) -> str:
+    """Return one line of JSON; a NaN that slipped through is a defect and raises ValueError."""
+    return json.dumps(record, allow_nan=False)
+
+
+def pose_record(pose: Pose) -> dict[str, Any]:
+    """Return a pose under the keys of ``goldfield locate --json``; what is not known is None."""
+    return {
+        "epoch": pose.epoch,
+        "t_s": number(pose.time_s),
+        "position_m": whole_array(pose.position_m),
+        "orientation_xyzw": whole_array(pose.orientation_xyzw),
+        "position_cov_m2": whole_array(pose.position_cov_m2),
+        "attitude_cov_rad2": whole_array(pose.attitude_cov_rad2),
+        "residual": number(pose.residual),
+        "status": pose.status.value,
+        "used": list(pose.used),
+        "excluded": list(pose.excluded),
+    }
+
+
+def number(value: float) -> float | None:
+    """Return a finite number or None."""
+    return float(value) if math.isfinite(value) else None
+
+
+def whole_array(values: FloatArray) -> Any:
+    """Return an array as lists, or None if any element is not finite: half a position is none."""
+    return values.tolist() if np.isfinite(values).all() else None
+
+
+def elements(values: Iterable[float]) -> list[float | None]:
+    """Return each finite element, None for the others: an axis that was not measured."""
+    return [number(value) for value in values]

@@ -1,0 +1,140 @@
+"""``goldfield run``: live poses from a sensor, or from a recorded log."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import os
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+from goldfield import site as sites
+from goldfield.cli import options
+from goldfield.cli.output import json_line, number, pose_record
+from goldfield.errors import UserError
+from goldfield.link.candump import CandumpReader, CandumpWriter
+from goldfield.link.epochs import Assembler, Report
+from goldfield.link.session import Session
+from goldfield.link.source import BusSource, LogSource, Source, open_can, open_port
+from goldfield.site import Site
+
+SOURCES = ("port", "can", "log")
+
+
+def command(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "run",
+        help="live poses from a sensor",
+        description="Poses from a sensor on a serial port or CAN, or from a recorded log: a line for every epoch.",
+    )
+    for name, metavar, what in (
+        ("--port", "PATH", "serial port of the sensor"),
+        ("--can", "INTERFACE:CHANNEL", "python-can interface and channel, as socketcan:can0"),
+        ("--log", "FILE", "candump log instead of a sensor"),
+    ):
+        parser.add_argument(
+            name,
+            metavar=metavar,
+            help=f"{what} (environment: {options.environment_name(name)}, unless another is given)",
+        )
+    options.add_site(parser)
+    options.add_json(parser)
+    options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
+    options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
+    options.add(parser, "--truth", metavar="FILE", what="the simulator's truth, to compare with")
+    options.add(parser, "--node", metavar="N", what="node of the sensor (else the first one heard)", kind=options.node)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print a line for every epoch, and a summary."""
+    kind, where = _choose_source(arguments)
+    site = sites.load(options.required(arguments.site, "--site", "FILE"))
+    with contextlib.ExitStack() as stack:
+        recorder = None
+        if arguments.record:
+            recorder = CandumpWriter(arguments.record)
+            stack.callback(recorder.close)
+        source: Source = LogSource(CandumpReader(where)) if kind == "log" else _open_bus(kind, where)
+        stack.callback(source.close)
+        assembler = Assembler(silence_s=8.0 * site.cycle_s)
+        session = Session(source, where, assembler, arguments.node, recorder)
+        if isinstance(source, BusSource):
+            session.find_sensor()
+            session.configure(source, site.codes)
+        return _print_poses(arguments, site, session, live=isinstance(source, BusSource))
+
+
+def _open_bus(kind: str, where: str) -> BusSource:
+    return open_port(where) if kind == "port" else open_can(where)
+
+
+def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, live: bool) -> int:
+    from goldfield.access.epoch import EpochSeparator  # heavy: only when a pose is wanted
+    from goldfield.pose_of import pose_of
+    from goldfield.view.terminal import PoseTable, Summary
+    from goldfield.view.truth import NO_ERROR, Truth
+
+    separator = EpochSeparator(site)
+    truth = Truth(arguments.truth) if arguments.truth else None
+    table = PoseTable(live=True, truth=truth is not None)
+    summary = Summary()
+    try:
+        for report in _limited(session.reports(live), arguments.seconds):
+            pose = pose_of(site, separator.fields(report))
+            error = NO_ERROR if truth is None else truth.error_of(pose)
+            lost = report.lost(expected_fields=len(site.codes))
+            summary.add(pose, error, lost)
+            if arguments.json:
+                record = pose_record(pose) | {"lost": lost}
+                if truth is not None:
+                    record |= {
+                        "position_error_m": number(error.position_m),
+                        "attitude_error_rad": number(error.attitude_rad),
+                    }
+                print(json_line(record), flush=True)
+            else:
+                print(table.line(pose, error, lost), flush=True)
+    except KeyboardInterrupt:
+        pass  # the usual end of a live run
+    finally:
+        summary.bad_frames = session.bad_frames
+        summary.missed_cycles = session.assembler.missed_cycles
+        if summary.epochs:
+            print(summary.text(truth is not None), file=sys.stderr if arguments.json else sys.stdout, flush=True)
+        if truth is not None:
+            truth.close()
+    if not summary.epochs:
+        raise UserError(f"{session.name}: holds no cycle of a sensor")
+    return 0
+
+
+def _limited(reports: Iterator[Report], seconds: float | None) -> Iterator[Report]:
+    """Yield reports up to so much time of the sensor after the first."""
+    first = math.nan
+    for report in reports:
+        if math.isnan(first):
+            first = report.time_s
+        if seconds is not None and report.time_s - first >= seconds - 1e-6:
+            return
+        yield report
+
+
+def _choose_source(arguments: argparse.Namespace) -> tuple[str, str]:
+    """Return which of the sources is wanted: the command line's, else the environment's."""
+    given = [(name, getattr(arguments, name)) for name in SOURCES if getattr(arguments, name) is not None]
+    if not given:
+        names = {name: options.environment_name(f"--{name}") for name in SOURCES}
+        given = [(name, os.environ[variable]) for name, variable in names.items() if os.environ.get(variable)]
+    if len(given) != 1:
+        raise UserError(
+            f"{'no source is' if not given else 'more than one source is'} given: "
+            "give one of --port PATH, --can INTERFACE:CHANNEL and --log FILE"
+        )
+    kind, where = given[0]
+    if not where:
+        raise UserError(f"--{kind} is empty: give a value")
+    return kind, where

@@ -1,0 +1,119 @@
+"""The serial link as a python-can interface named ``goldfield_serial``: the frames of ``protocol/framing.md``."""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from collections import deque
+from typing import Any
+
+import can
+import serial
+from goldfield_protocol.framing import FrameDecoder, encode_frame
+
+BAUD_RATE = 2_000_000
+
+KNOWN_REASONS = {
+    errno.ENOENT: "there is no such port",
+    errno.ENOTTY: "is no serial port",
+    errno.EISDIR: "is a directory, no serial port",
+    errno.EAGAIN: "is in use by another program",
+}
+
+
+class SerialBus(can.BusABC):
+    """A serial port or pseudo-terminal that carries CAN messages.
+
+    Parameters
+    ----------
+    channel : str
+        Path of the port.
+    baudrate : int
+
+    Raises
+    ------
+    can.CanInitializationError
+        If the port cannot be opened.
+
+    Notes
+    -----
+    A bad frame costs that frame only and is counted in `bad_frames`. A lost port raises `can.CanOperationError`.
+    """
+
+    def __init__(self, channel: str, baudrate: int = BAUD_RATE, **kwargs: Any) -> None:
+        self._port_name = channel
+        self._decoder = FrameDecoder()
+        self._received: deque[can.Message] = deque()
+        try:
+            self._port = serial.Serial(channel, baudrate, timeout=0.0, write_timeout=1.0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            self._is_shutdown = True  # nothing to close: keeps python-can from complaining about it
+            raise can.CanInitializationError(f"{channel}: {_reason(error)}") from error
+        self.channel_info = f"goldfield serial {channel}"
+        self._can_protocol = can.CanProtocol.CAN_20
+        super().__init__(channel=channel, **kwargs)
+        self._port.write(b"\0")  # ends a torn frame in the receiver
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames dropped since the start: checksum, coding or length wrong."""
+        return self._decoder.bad_crc + self._decoder.malformed + self._decoder.overlong
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a message; `can.CanOperationError` if the port is gone or takes no bytes for a second."""
+        if msg.is_remote_frame or msg.is_error_frame or msg.is_fd or not msg.is_extended_id:
+            raise can.CanOperationError("the serial link carries extended data frames of up to 8 bytes only")
+        try:
+            self._port.write(encode_frame(msg.arbitration_id, bytes(msg.data)))
+        except (serial.SerialException, OSError) as error:
+            raise self._gone(error) from error
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        deadline = None if timeout is None else time.monotonic() + timeout
+        while not self._received:
+            remaining = None if deadline is None else max(0.0, deadline - time.monotonic())
+            try:
+                self._port.timeout = remaining
+                chunk = self._port.read(max(1, self._port.in_waiting))
+            except (serial.SerialException, OSError, TypeError) as error:
+                raise self._gone(error) from error  # TypeError: pyserial's answer to a port closed in another thread
+            now = time.time()
+            for frame in self._decoder.feed(chunk):
+                self._received.append(
+                    can.Message(
+                        timestamp=now,
+                        arbitration_id=frame.identifier,
+                        is_extended_id=True,
+                        data=frame.data,
+                        channel=self._port_name,
+                    )
+                )
+            if not chunk and remaining is not None:
+                break
+        return (self._received.popleft() if self._received else None), False
+
+    def fileno(self) -> int:
+        """Return the port's file descriptor."""
+        return int(self._port.fileno())
+
+    def shutdown(self) -> None:
+        """Close the port."""
+        super().shutdown()
+        self._port.close()
+
+    def _gone(self, error: Exception) -> can.CanOperationError:
+        return can.CanOperationError(
+            f"{self._port_name}: the port is gone ({_reason(error)}): cable pulled or sender ended"
+        )
+
+
+def _reason(error: Exception) -> str:
+    """Say in a few words why a port failed; pyserial wraps the system's number in a sentence of its own."""
+    if isinstance(error, serial.SerialTimeoutException):
+        return "it takes no bytes"
+    cause = error.__context__ or error
+    number = cause.args[0] if cause.args and isinstance(cause.args[0], int) else getattr(error, "errno", None)
+    if number is None:
+        return " ".join(str(error).split())
+    return KNOWN_REASONS.get(number, os.strerror(number))

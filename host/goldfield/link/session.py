@@ -1,0 +1,223 @@
+"""A sensor at the other end of a link: found by its heartbeat, checked for its protocol, set to the site's codes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+
+import can
+from cantools.database.errors import Error as DatabaseError
+from goldfield_protocol.messages import Identifier, Message, database, decode, encode, protocol_hash
+
+from goldfield.errors import SystemFailure, UserError
+from goldfield.link.candump import CandumpWriter
+from goldfield.link.epochs import Assembler, Report
+from goldfield.link.source import BusSource, Source
+
+ROLES = {0: "beacon", 1: "sensor", 2: "host"}
+ROLE_SENSOR = 1
+
+PARAM_CODE_COUNT = 5
+PARAM_CODE_LIST = 256
+LONGEST_CODE_LIST = 64
+KIND_UNSIGNED = 0
+PARAM_STATUS = {1: "unknown", 2: "out of range", 3: "of the wrong kind", 4: "read-only"}
+
+TRIES = 5
+ANSWER_S = 1.0
+HEARTBEAT_S = 10.0
+"""Heartbeats come once a second, but a simulated board may run slower than the wall clock."""
+SILENCE_S = 10.0
+
+USED = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "HEARTBEAT", "PARAM_VALUE")
+USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in USED}
+
+
+class Session:
+    """Reads one sensor.
+
+    Parameters
+    ----------
+    source : Source
+    name : str
+        Of the link, for messages.
+    assembler : Assembler
+        Its counters tell what went wrong.
+    node : int or None
+        The sensor's node; None: the first sensor that is heard.
+    recorder : CandumpWriter or None
+        Gets every message received.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        name: str,
+        assembler: Assembler,
+        node: int | None = None,
+        recorder: CandumpWriter | None = None,
+    ) -> None:
+        self.node = node
+        self.assembler = assembler
+        self.undecodable = 0
+        self._source = source
+        self.name = name
+        self._recorder = recorder
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames that the link dropped as corrupt, and messages that say nothing by the DBC."""
+        return self._source.bad_frames + self.undecodable
+
+    def find_sensor(self) -> None:
+        """Wait for the sensor's heartbeat.
+
+        Raises
+        ------
+        SystemFailure
+            If none comes within `HEARTBEAT_S`.
+        UserError
+            If a node speaks another protocol.
+        """
+        heard: set[str] = set()
+        deadline = time.monotonic() + HEARTBEAT_S
+        while (remaining := deadline - time.monotonic()) > 0.0:
+            message = self._receive(remaining)
+            if message is None:
+                continue
+            if message.name == "HEARTBEAT" and message.signals["role"] == ROLE_SENSOR:
+                if self.node in (None, message.node):
+                    self.node = message.node
+                    return
+                heard.add(f"sensor {message.node}")
+            else:
+                heard.add(f"{message.name} of node {message.node}")
+        wanted = "a sensor" if self.node is None else f"sensor {self.node}"
+        if heard:
+            what = f"heard only {', '.join(sorted(heard)[:4])}"
+        elif self.bad_frames:
+            what = f"heard only {self.bad_frames} corrupt frames: check the wiring and that nothing else uses the link"
+        else:
+            what = "heard nothing: check the power, the cable and the port"
+        raise SystemFailure(f"{self.name}: no heartbeat of {wanted} in {HEARTBEAT_S:.0f} s; {what}")
+
+    def configure(self, bus: BusSource, codes: Sequence[int]) -> bool:
+        """Make the sensor report these codes; tells whether anything had to be set.
+
+        Raises
+        ------
+        UserError
+            If there are more codes than a sensor reports.
+        SystemFailure
+            If the sensor does not answer or refuses.
+        """
+        if len(codes) > LONGEST_CODE_LIST:
+            raise UserError(
+                f"the site has {len(codes)} beacons, a sensor reports {LONGEST_CODE_LIST} at most: split the site"
+            )
+        wanted = [(PARAM_CODE_LIST + place, code) for place, code in enumerate(codes)] + [
+            (PARAM_CODE_COUNT, len(codes))
+        ]
+        changes = [(parameter, value) for parameter, value in wanted if self._ask(bus, parameter) != value]
+        for parameter, value in changes:
+            answer = self._ask(bus, parameter, value)
+            if answer != value:
+                raise SystemFailure(
+                    f"{self.name}: sensor {self.node} keeps parameter {parameter} at {answer} instead of {value}"
+                )
+        return bool(changes)
+
+    def reports(self, live: bool) -> Iterator[Report]:
+        """Yield the reports of the sensor's cycles, to the end of a log or without end.
+
+        Raises
+        ------
+        SystemFailure
+            If a live link is lost or silent for `SILENCE_S`.
+        UserError
+            If a node speaks another protocol.
+        """
+        quiet_since = time.monotonic()
+        while True:
+            raw = self._receive_raw(1.0)
+            if raw is None:
+                yield from self.assembler.flush()
+                if not live:
+                    return
+                if time.monotonic() - quiet_since > SILENCE_S:
+                    raise SystemFailure(f"{self.name}: sensor {self.node} has been silent for {SILENCE_S:.0f} s")
+                continue
+            message = self._decoded(raw)
+            if message is None:
+                continue
+            if self.node is None and message.name == "EPOCH":
+                self.node = message.node
+            if message.node == self.node:
+                quiet_since = time.monotonic()
+                yield from self.assembler.feed(message, raw.timestamp)
+
+    def _ask(self, bus: BusSource, parameter: int, value: int | None = None) -> int:
+        """Set a parameter, or read it, and return the sensor's answer."""
+        assert self.node is not None
+        if value is None:
+            request = encode("PARAM_GET", {"reserved": 0}, node=self.node, index=parameter)
+        else:
+            signals = {"kind": KIND_UNSIGNED, "value_unsigned": value}
+            request = encode("PARAM_SET", signals, node=self.node, index=parameter)
+        for _ in range(TRIES):
+            bus.send(*request)
+            deadline = time.monotonic() + ANSWER_S
+            while (remaining := deadline - time.monotonic()) > 0.0:
+                message = self._receive(remaining)
+                if message is None or (message.name, message.node, message.index) != (
+                    "PARAM_VALUE",
+                    self.node,
+                    parameter,
+                ):
+                    continue
+                status = int(message.signals["status"])
+                if status:
+                    why = PARAM_STATUS.get(status, f"of status {status}")
+                    given = "" if value is None else f" = {value}"
+                    raise SystemFailure(
+                        f"{self.name}: sensor {self.node} says that parameter {parameter}{given} is {why}"
+                    )
+                return int(message.signals.get("value_unsigned", -1))
+        raise SystemFailure(
+            f"{self.name}: sensor {self.node} did not answer a request for parameter {parameter} in {TRIES} tries"
+        )
+
+    def _receive_raw(self, timeout_s: float) -> can.Message | None:
+        raw = self._source.receive(timeout_s)
+        if raw is not None and self._recorder is not None:
+            self._recorder.write(raw)
+        return raw
+
+    def _receive(self, timeout_s: float) -> Message | None:
+        raw = self._receive_raw(timeout_s)
+        return None if raw is None else self._decoded(raw)
+
+    def _decoded(self, raw: can.Message) -> Message | None:
+        """Decode what a session uses; a heartbeat of another protocol ends it."""
+        if Identifier.unpack(raw.arbitration_id).type not in USED_TYPES:
+            return None
+        try:
+            message = decode(raw.arbitration_id, bytes(raw.data))
+        except (DatabaseError, ValueError):
+            message = None
+        if message is None:
+            self.undecodable += 1
+        elif message.name == "HEARTBEAT":
+            self._check_protocol(message)
+        return message
+
+    def _check_protocol(self, heartbeat: Message) -> None:
+        theirs, ours = int(heartbeat.signals["protocol_hash"]), protocol_hash()
+        if theirs == ours:
+            return
+        role = ROLES.get(int(heartbeat.signals["role"]), "unknown")
+        version = ".".join(str(int(heartbeat.signals[f"version_{part}"])) for part in ("major", "minor", "patch"))
+        raise UserError(
+            f"{self.name}: node {heartbeat.node} ({role}, firmware {version}) speaks protocol {theirs:#010x} and this "
+            f"host {ours:#010x}: flash it with the {role} firmware of this host's version (make flash ROLE={role})"
+        )

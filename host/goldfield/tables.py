@@ -1,0 +1,137 @@
+"""CSV tables with every cell checked: an error names file, line and column."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+from goldfield.errors import UserError
+
+LARGEST = 1e6
+"""Beyond any field in tesla, time in seconds excepted; keeps squares and sums of what is read finite."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table.
+
+    Attributes
+    ----------
+    path : Path
+    line : int
+        In the file, from 1.
+    cells : dict of str to str
+        By column.
+    """
+
+    path: Path
+    line: int
+    cells: dict[str, str]
+
+    def error(self, column: str, complaint: str) -> UserError:
+        """Return an error "file:line: column complaint" to raise."""
+        return UserError(f"{self.path}:{self.line}: {column} {complaint}")
+
+    def text(self, column: str) -> str:
+        """Return a cell that must not be empty."""
+        value = self.cells[column].strip()
+        if not value:
+            raise self.error(column, "is empty")
+        return value
+
+    def whole(self, column: str) -> int:
+        """Return a whole number of at least 0."""
+        text = self.text(column)
+        if not (text.isascii() and text.isdigit() and len(text) <= 18):
+            raise self.error(column, f"is {shown(text)}, not a whole number of at least 0")
+        return int(text)
+
+    def number(self, column: str) -> float:
+        """Return a finite number."""
+        value = self._number(self.text(column), column)
+        if math.isnan(value):
+            raise self.error(column, "is not a number")
+        return value
+
+    def field(self, column: str) -> float:
+        """Return a field in tesla; NaN if the cell is empty or says nan: not measured."""
+        text = self.cells[column].strip()
+        value = self._number(text, column) if text else math.nan
+        if abs(value) > LARGEST:
+            raise self.error(column, f"is {shown(text)} tesla, beyond any field")
+        return value
+
+    def _number(self, text: str, column: str) -> float:
+        try:
+            value = float(text)
+        except ValueError as error:
+            raise self.error(column, f"is {shown(text)}, not a number") from error
+        if math.isinf(value):
+            raise self.error(column, f"is {shown(text)}: give a finite number")
+        return value
+
+
+def shown(text: str) -> str:
+    """Quote a text for a message, cut and without control characters."""
+    clean = "".join(c if c.isprintable() else "?" for c in text[:41])
+    return f'"{clean[:40]}..."' if len(text) > 40 else f'"{clean}"'
+
+
+def read_table(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Iterator[Row]:
+    """Yield the rows of a CSV file with a header line; columns may come in any order, empty lines are skipped.
+
+    Raises
+    ------
+    UserError
+        If the file is missing, empty, no text, or has other columns.
+    """
+    path = Path(path)
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            yield from _rows(path, file, required, optional)
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: there is no such file: check the path") from error
+    except IsADirectoryError as error:
+        raise UserError(f"{path}: is a directory: give a CSV file") from error
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(
+            f"{path}: is no text (byte {error.object[error.start]:#04x} is not UTF-8): give a CSV file"
+        ) from error
+
+
+def _rows(path: Path, file: TextIO, required: tuple[str, ...], optional: tuple[str, ...]) -> Iterator[Row]:
+    lines = _lines(path, file)
+    line, header = next(lines, (1, []))
+    columns = [name.strip() for name in header]
+    wanted = ",".join(required) + "".join(f"[,{name}]" for name in optional)
+    if not columns:
+        raise UserError(f"{path}: is empty: give a CSV file with the columns {wanted}")
+    for name in columns:
+        if name not in required + optional:
+            raise UserError(f"{path}:{line}: {shown(name)} is no column of this table: its columns are {wanted}")
+        if columns.count(name) > 1:
+            raise UserError(f"{path}:{line}: the column {name} comes twice: its columns are {wanted}")
+    for name in required:
+        if name not in columns:
+            raise UserError(f"{path}:{line}: the column {name} is missing: its columns are {wanted}")
+    for line, cells in lines:
+        if len(cells) != len(columns):
+            raise UserError(f"{path}:{line}: has {len(cells)} cells where the header has {len(columns)}")
+        yield Row(path, line, dict(zip(columns, cells, strict=True)))
+
+
+def _lines(path: Path, file: TextIO) -> Iterator[tuple[int, list[str]]]:
+    """Yield the lines that are not empty with their numbers."""
+    reader = csv.reader(file, strict=True)
+    try:
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                yield reader.line_num, cells
+    except csv.Error as error:
+        raise UserError(f"{path}:{reader.line_num}: is no CSV: {error}") from error

@@ -1,0 +1,130 @@
+"""The simulator's truth beside the poses: a file of JSON lines that may still be growing.
+
+Each line: ``{"cycle", "t_s", "position_m", "orientation_xyzw"}``; matched by the cycle's number modulo 2^20.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from goldfield.errors import UserError
+from goldfield.link.epochs import CYCLE_MODULUS
+from goldfield.poses import FloatArray, Pose
+
+POLL_S = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class PoseError:
+    """How far a pose is from the truth.
+
+    Attributes
+    ----------
+    position_m, attitude_rad : float
+        Distance, and angle of the rotation between the two attitudes; NaN where either is not known.
+    """
+
+    position_m: float
+    attitude_rad: float
+
+
+NO_ERROR = PoseError(math.nan, math.nan)
+
+
+class Truth:
+    """Reads the truth of cycles as it is written.
+
+    Parameters
+    ----------
+    path : path
+    wait_s : float
+        How long to wait for a cycle's line (and for the file).
+
+    Raises
+    ------
+    UserError
+        If the file does not appear, or a line is not as it must be.
+    """
+
+    def __init__(self, path: str | Path, wait_s: float = 1.0) -> None:
+        self._path = Path(path)
+        self._wait_s = wait_s
+        self._cycles: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._pending = b""
+        self._line = 0
+        deadline = time.monotonic() + wait_s
+        while True:
+            try:
+                self._file = self._path.open("rb")
+                return
+            except FileNotFoundError as error:
+                if time.monotonic() > deadline:
+                    raise UserError(f"{path}: there is no such truth file: check the path") from error
+                time.sleep(POLL_S)
+            except OSError as error:
+                raise UserError(f"{path}: the truth file cannot be read: {error.strerror}") from error
+
+    def error_of(self, pose: Pose) -> PoseError:
+        """Compare a pose with the truth of its cycle; NaN if that does not come in time."""
+        truth = self._of_cycle(pose.epoch % CYCLE_MODULUS)
+        if truth is None:
+            return NO_ERROR
+        position, orientation = truth
+        return PoseError(
+            float(np.linalg.norm(pose.position_m - position)), rotation_angle(pose.orientation_xyzw, orientation)
+        )
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _of_cycle(self, cycle: int) -> tuple[FloatArray, FloatArray] | None:
+        deadline = time.monotonic() + self._wait_s
+        while True:
+            self._read()
+            if cycle in self._cycles:
+                return self._cycles[cycle]
+            if time.monotonic() > deadline:
+                return None
+            time.sleep(POLL_S)
+
+    def _read(self) -> None:
+        *lines, self._pending = (self._pending + self._file.read()).split(b"\n")
+        for line in lines:
+            self._line += 1
+            if line.strip():
+                self._enter(line)
+
+    def _enter(self, line: bytes) -> None:
+        try:
+            record = json.loads(line)
+            cycle = int(record["cycle"]) % CYCLE_MODULUS
+            position = np.array(record["position_m"], dtype=np.float64).reshape(3)
+            orientation = np.array(record["orientation_xyzw"], dtype=np.float64).reshape(4)
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise UserError(
+                f"{self._path}:{self._line}: is no line of truth "
+                '{"cycle", "t_s", "position_m": [3], "orientation_xyzw": [4]}'
+            ) from error
+        self._cycles[cycle] = position, orientation
+
+
+def rotation_angle(first_xyzw: FloatArray, second_xyzw: FloatArray) -> float:
+    """Return the angle of the rotation from one attitude to the other, rad, 0..pi.
+
+    From the quaternion of the difference, 2 atan2(|vector|, |scalar|): exact for small angles, where acos is not.
+
+    Examples
+    --------
+    >>> round(rotation_angle(np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0, 0.0])), 6)
+    3.141593
+    """
+    a, b = first_xyzw / np.linalg.norm(first_xyzw), second_xyzw / np.linalg.norm(second_xyzw)
+    vector = a[3] * b[:3] - b[3] * a[:3] - np.cross(a[:3], b[:3])
+    return 2.0 * math.atan2(float(np.linalg.norm(vector)), abs(float(a @ b)))
