@@ -48,6 +48,7 @@ def declarations(headers: tuple[str, ...], defines: tuple[str, ...] = ()) -> str
                 kept.append(line)
     joined = "\n".join(kept)
     joined = re.sub(r"__attribute__\s*\(\((?:[^()]|\([^()]*\))*\)\)", "", joined)
+    joined = re.sub(r"\bextern const\b", "extern", joined)  # cffi takes a const object for an integer constant
     joined = re.sub(r"_Static_assert\s*\((?:[^()\"]|\([^()]*\)|\"[^\"]*\")*\)\s*;", "", joined)
     return re.sub(r"static inline[^{;]*\{[^{}]*(?:\{[^{}]*\}[^{}]*)*\}", "", joined)
 
