@@ -1,0 +1,47 @@
+"""The core as a shared library, and Gold codes from an independent source (scipy.signal.max_len_seq)."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import max_len_seq
+
+from hil_sim import clib
+
+HEADERS = (*("gold.h", "despread.h", "chip_clock.h", "current.h", "frame.h", "queue.h", "parameters.h", "epoch.h"),)
+
+# Exponents of the published preferred pairs (gold.h).
+PAIRS = {
+    5: ((2, 5), (2, 3, 4, 5)),
+    6: ((1, 6), (1, 2, 5, 6)),
+    7: ((3, 7), (1, 2, 3, 7)),
+    9: ((4, 9), (3, 4, 6, 9)),
+    10: ((3, 10), (2, 3, 6, 8, 9, 10)),
+    11: ((2, 11), (2, 5, 8, 11)),
+}
+
+
+def sequence(degree, exponents):
+    """Bits of one period: s[t+n] is the sum of s[t+n-j] over the exponents j; starts with ones."""
+    taps = [degree - j for j in exponents if j < degree]
+    return max_len_seq(degree, state=np.ones(degree, np.int8), taps=taps)[0].astype(np.int8)
+
+
+@cache
+def family(degree):
+    """Chips (+1, -1) of every code of a family, shape (N + 2, N)."""
+    u, v = (sequence(degree, exponents) for exponents in PAIRS[degree])
+    length = len(u)
+    shifts = (np.arange(length)[:, None] + np.arange(length)) % length
+    return 1 - 2 * np.concatenate([u ^ v[shifts], u[None], v[None]]).astype(np.int64)
+
+
+@pytest.fixture(scope="session")
+def gold_family():
+    return family
+
+
+@pytest.fixture(scope="session")
+def core():
+    """(ffi, library) of build/libgf_core.so."""
+    return clib.load("build/libgf_core.so", HEADERS)

@@ -1,0 +1,299 @@
+"""The chip clock against a simulated master: one time line in the follower's own ticks, edges captured in whole ticks."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+N, NOMINAL, MINIMUM, MAXIMUM, BLOCK = 1023, 16422, 16000, 16900, 31
+MICROSECOND = 168
+
+
+class Simulation:
+    """A board that executes one block while two are planned ahead, as hal.h describes.
+
+    master(cycle) is the time of the cycle's edge in the follower's ticks. Edges are delivered within the block in which they fall.
+    """
+
+    def __init__(self, core, follow=True, chips=N):
+        self.ffi, self.lib = core
+        self.clock = self.ffi.new("chip_clock_t *")
+        config = self.ffi.new("chip_clock_config_t *", [chips, NOMINAL, MINIMUM, MAXIMUM, follow])
+        assert self.lib.chip_clock_init(self.clock, config)
+        self.first = self.clock.chip
+        self.starts = [0]  # Start of each absolute chip and the end of the last, ticks.
+        self.planned = []
+        self.block = 0
+        for _ in range(2):
+            self.plan()
+
+    def plan(self):
+        for _ in range(BLOCK):
+            chip = self.lib.chip_clock_plan(self.clock)
+            self.planned.append((chip.cycle, chip.code_chip, chip.period_ticks))
+            self.starts.append(self.starts[-1] + chip.period_ticks)
+
+    def run(self, blocks, edges):
+        """Run blocks; edges: sorted times. Those before the present are ignored."""
+        edges = [edge for edge in edges if edge >= self.starts[self.block * BLOCK]]
+        position = 0
+        for _ in range(blocks):
+            end = self.starts[(self.block + 1) * BLOCK]
+            while position < len(edges) and edges[position] < end:
+                self.edge(edges[position])
+                position += 1
+            self.block += 1
+            self.plan()
+
+    def edge(self, time):
+        tick = int(np.floor(time))
+        chip = int(np.searchsorted(self.starts, tick, side="right")) - 1
+        self.lib.chip_clock_edge(self.clock, (self.first + chip) % 2**32, tick - self.starts[chip])
+
+    def now(self):
+        return self.starts[self.block * BLOCK]
+
+    def phase_errors(self, master_start, master_period, from_chip):
+        """Ticks by which each chip begins later than the master's same code chip; label mismatches show as whole chips."""
+        starts = np.array(self.starts[from_chip:-1], dtype=float)
+        labels = np.array([code_chip for _, code_chip, _ in self.planned[from_chip:]])
+        difference = starts - (master_start + labels * master_period)
+        cycle = N * master_period
+        return difference - cycle * np.round(difference / cycle)
+
+
+def edges_of(start, relative_ppm, cycles):
+    period = NOMINAL * (1 + relative_ppm * 1e-6)
+    return [start + cycle * N * period for cycle in range(cycles)], period
+
+
+CYCLE_BLOCKS = N // BLOCK
+
+
+@settings(max_examples=60, deadline=None)
+@example(phase=0.5 / N, ppm=200.0)
+@example(phase=0.5, ppm=-200.0)
+@example(phase=0.999999, ppm=200.0)
+@given(phase=st.floats(0, 1, exclude_max=True), ppm=st.floats(-200, 200))
+def test_locks_within_five_cycles_and_stays_within_200_ns(core, phase, ppm):
+    edges, period = edges_of(phase * N * NOMINAL, ppm, 12)
+    simulation = Simulation(core)
+    simulation.run(6 * CYCLE_BLOCKS, edges[:5])  # The fifth edge lies 4 to 5 cycles after the start.
+    assert simulation.clock.locked
+    locked_from = len(simulation.planned)
+    simulation.run(5 * CYCLE_BLOCKS, edges[5:])
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected == 0
+    errors = simulation.phase_errors(edges[0], period, locked_from)
+    assert abs(errors).max() < 0.2 * MICROSECOND
+    assert abs(simulation.clock.phase_ticks) < 0.2 * MICROSECOND
+    assert all(MINIMUM <= ticks <= MAXIMUM for _, _, ticks in simulation.planned)
+    cycles = [cycle for cycle, code_chip, _ in simulation.planned[locked_from:] if code_chip == 0]
+    assert cycles == list(range(cycles[0], cycles[0] + len(cycles)))
+
+
+def test_not_locked_before_the_fifth_edge(core):
+    edges, _ = edges_of(1000.0, 37, 8)
+    simulation = Simulation(core)
+    for count in range(5):
+        assert not simulation.clock.locked, count
+        simulation.run(CYCLE_BLOCKS, edges[count : count + 1])
+    assert simulation.clock.locked
+
+
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), ppm=st.floats(-200, 200))
+def test_outliers_are_rejected_and_counted(core, seed, ppm):
+    rng = np.random.default_rng(seed)
+    edges, period = edges_of(5e6, ppm, 20)
+    # Glitches anywhere but within the gate of a good edge; one in each of 10 cycles after lock.
+    glitches = [edge + rng.uniform(500, N * NOMINAL - 20_000) for edge in edges[6:16]]
+    simulation = Simulation(core)
+    simulation.run(19 * CYCLE_BLOCKS, sorted(edges + glitches))
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected == len(glitches)
+    assert abs(simulation.phase_errors(edges[0], period, 7 * N)).max() < 0.2 * MICROSECOND
+
+
+def test_a_bouncing_wire_locks_from_the_start(core):
+    edges, period = edges_of(3e6, -80, 12)
+    bounced = sorted(edges + [edge + 5 * MICROSECOND for edge in edges])
+    simulation = Simulation(core)
+    simulation.run(11 * CYCLE_BLOCKS, bounced)
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected == sum(edge < simulation.now() for edge in bounced) // 2
+    assert abs(simulation.phase_errors(edges[0], period, 6 * N)).max() < 0.2 * MICROSECOND
+
+
+def test_a_glitch_before_the_first_edge_costs_cycles_not_the_lock(core):
+    edges, period = edges_of(9e6, 120, 14)
+    simulation = Simulation(core)
+    simulation.run(13 * CYCLE_BLOCKS, [1e6, *edges])
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected >= 1
+    assert abs(simulation.phase_errors(edges[0], period, 8 * N)).max() < 0.2 * MICROSECOND
+
+
+@pytest.mark.parametrize("ppm", [-200.0, 200.0, 3.3])
+def test_missing_edges_cost_nothing(core, ppm):
+    edges, period = edges_of(2e6, ppm, 40)
+    kept = [edge for cycle, edge in enumerate(edges) if cycle < 6 or cycle % 7 == 0]
+    simulation = Simulation(core)
+    simulation.run(38 * CYCLE_BLOCKS, kept)
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected == 0
+    assert abs(simulation.phase_errors(edges[0], period, 6 * N)).max() < 0.2 * MICROSECOND
+
+
+def test_hold_over_keeps_the_frequency_and_ends_after_100_cycles(core):
+    edges, period = edges_of(2e6, 150, 300)
+    simulation = Simulation(core)
+    simulation.run(20 * CYCLE_BLOCKS, edges[:19])
+    simulation.run(90 * CYCLE_BLOCKS, [])
+    assert simulation.clock.locked
+    assert abs(simulation.phase_errors(edges[0], period, 100 * N)).max() < 0.5 * MICROSECOND
+    simulation.run(15 * CYCLE_BLOCKS, [])
+    assert not simulation.clock.locked
+    simulation.run(4 * CYCLE_BLOCKS, edges)  # The wire is back: three good edges lock again.
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected == 0
+
+
+def test_follows_a_master_that_restarted(core):
+    edges, _ = edges_of(2e6, 20, 8)
+    moved, period = edges_of(edges[-1] + 7_654_321.0, 90, 16)
+    simulation = Simulation(core)
+    simulation.run(18 * CYCLE_BLOCKS, edges + moved)
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected == 3
+    assert abs(simulation.phase_errors(moved[0], period, 14 * N)).max() < 0.2 * MICROSECOND
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_capture_jitter_and_a_wandering_oscillator(core, seed):
+    rng = np.random.default_rng(seed)
+    rate = 50e-6 + np.cumsum(rng.normal(0, 0.02e-6, 40))  # 0.02 ppm random walk a cycle.
+    true = 4e6 + np.concatenate([[0], np.cumsum(N * NOMINAL * (1 + rate))])
+    captured = true + rng.uniform(-1, 1, len(true))  # One tick either way.
+    simulation = Simulation(core)
+    simulation.run(39 * CYCLE_BLOCKS, captured.tolist())
+    assert simulation.clock.locked
+    begins = [start for start, (_, chip, _) in zip(simulation.starts, simulation.planned, strict=False) if chip == 0]
+    for begin in [b for b in begins if true[8] < b < true[-1]]:
+        assert min(abs(begin - t) for t in true) < 0.2 * MICROSECOND
+
+
+def test_counters_that_wrap_change_nothing(core):
+    edges, period = edges_of(1e6, -130, 12)
+    simulation = Simulation(core)
+    clock = simulation.clock
+    # A fresh clock shortly before every counter wraps: chips after 4.8 days, ticks after 25 s.
+    simulation.first = clock.chip = 2**32 - 3000
+    clock.position = 2**32 - 20_000_000
+    clock.target = clock.position << 32
+    clock.code_chip = clock.cycle = 0
+    simulation.starts, simulation.planned = [0], []
+    simulation.plan()
+    simulation.plan()
+    simulation.run(11 * CYCLE_BLOCKS, edges)
+    assert clock.locked
+    assert clock.chip < 2**31
+    assert abs(simulation.phase_errors(edges[0], period, 6 * N)).max() < 0.2 * MICROSECOND
+
+
+def test_a_master_runs_free_and_ignores_edges(core):
+    simulation = Simulation(core, follow=False)
+    simulation.run(3 * CYCLE_BLOCKS, [1e5, 2e6, 2e7])
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected == 0
+    assert {ticks for _, _, ticks in simulation.planned} == {NOMINAL}
+    assert [chip for _, chip, _ in simulation.planned] == [i % N for i in range(len(simulation.planned))]
+    assert [cycle for cycle, _, _ in simulation.planned] == [i // N for i in range(len(simulation.planned))]
+
+
+def test_mean_period_is_exact(core):
+    edges, period = edges_of(2e6, 61.0, 60)
+    simulation = Simulation(core)
+    simulation.run(58 * CYCLE_BLOCKS, edges)
+    lengths = Counter(ticks for _, _, ticks in simulation.planned[30 * N :])
+    assert set(lengths) <= {NOMINAL, NOMINAL + 1, NOMINAL + 2}  # 16423.0017, corrections of a tick.
+    total = sum(ticks * count for ticks, count in lengths.items())
+    assert total / sum(lengths.values()) == pytest.approx(period, rel=1e-7)
+
+
+def test_past_plans_are_remembered_for_128_chips(core):
+    ffi, lib = core
+    simulation = Simulation(core)
+    simulation.run(3 * CYCLE_BLOCKS, [])
+    planned = ffi.new("chip_clock_chip_t *")
+    head = simulation.clock.chip
+    for chip in range(head - 128, head):
+        assert lib.chip_clock_at(simulation.clock, chip, planned)
+        assert (planned.cycle, planned.code_chip, planned.period_ticks) == simulation.planned[chip]
+    before = (planned.cycle, planned.code_chip, planned.period_ticks)
+    for chip in (head - 129, head, head + 1, head + 2**31):
+        assert not lib.chip_clock_at(simulation.clock, chip, planned)
+    assert (planned.cycle, planned.code_chip, planned.period_ticks) == before
+
+
+def test_sync_message_numbers_the_cycles(core):
+    ffi, lib = core
+    edges, _ = edges_of(2e6, 10, 10)
+    simulation = Simulation(core)
+    simulation.run(6 * CYCLE_BLOCKS, edges[:6])
+    lib.chip_clock_number_cycle(simulation.clock, 777)  # Edge 5 began cycle 777.
+    simulation.run(2 * CYCLE_BLOCKS, edges[6:])
+    index = max(i for i in range(len(simulation.planned) - BLOCK * 3) if simulation.planned[i][1] == 0)
+    edge = round((simulation.starts[index] - edges[0]) / (edges[1] - edges[0]))
+    assert simulation.planned[index][0] == 777 + edge - 5
+    planned = ffi.new("chip_clock_chip_t *")
+    assert lib.chip_clock_at(simulation.clock, simulation.clock.chip - 1, planned)
+    assert planned.cycle == simulation.planned[-1][0]
+
+
+def test_edges_of_unknown_chips_are_rejected(core):
+    _, lib = core
+    simulation = Simulation(core)
+    for chip in (simulation.clock.chip, simulation.clock.chip + 5, simulation.clock.chip - 129):
+        lib.chip_clock_edge(simulation.clock, chip % 2**32, 0)
+    lib.chip_clock_edge(simulation.clock, 3, 16901)
+    assert simulation.clock.edges_rejected == 4
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        (30, 16422, 16000, 16900),
+        (2048, 16422, 16000, 16900),
+        (1023, 16422, 16300, 16900),
+        (1023, 16422, 16000, 16500),
+        (31, 0, 0, 0),
+    ],
+)
+def test_impossible_configurations_are_refused(core, config):
+    ffi, lib = core
+    clock = ffi.new("chip_clock_t *")
+    assert not lib.chip_clock_init(clock, ffi.new("chip_clock_config_t *", [*config, True]))
+
+
+@pytest.mark.parametrize("chips", [31, 63, 127, 511, 2047])
+def test_other_lengths_of_code_lock_too(core, chips):
+    period = NOMINAL * (1 - 70e-6)
+    edges = [1.3e6 + cycle * chips * period for cycle in range(12)]
+    simulation = Simulation(core, chips=chips)
+    simulation.run(10 * chips // BLOCK, edges)
+    assert simulation.clock.locked
+    assert abs(simulation.clock.phase_ticks) < 0.2 * MICROSECOND
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_random_edges_never_lead_to_lengths_out_of_bounds(core, seed):
+    rng = np.random.default_rng(seed)
+    simulation = Simulation(core)
+    simulation.run(4 * CYCLE_BLOCKS, sorted(rng.uniform(0, 4 * N * NOMINAL, 400).tolist()))
+    assert all(MINIMUM <= ticks <= MAXIMUM for _, _, ticks in simulation.planned)
+    assert abs(simulation.clock.period / 2**32 / NOMINAL - 1) < 301e-6

@@ -1,0 +1,165 @@
+"""Instruction counts on a Cortex-M4 (Unicorn), with the compiler and the optimisation of the image."""
+
+import struct
+import subprocess
+
+import numpy as np
+import pytest
+import unicorn
+from elftools.elf.elffile import ELFFile
+from unicorn import arm_const as arm
+
+from hil_sim.clib import ROOT
+
+FLAGS = (
+    *("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
+    *("-std=c11", "-O2", "-ffreestanding"),
+)
+RAM, STACK, STOP = 0x20000000, 0x20040000, 0x0800FF00
+
+# Plain functions with word arguments around the calls that take structs or start from known states.
+HARNESS = """
+#include "chip_clock.h"
+#include "current.h"
+#include "despread.h"
+#include "epoch.h"
+#include "frame.h"
+#include "gold.h"
+#include "parameters.h"
+#include "queue.h"
+despread_t cycle;
+int16_t sample[3] = {-32768, 5, 32767};
+void start(void) { despread_start(&cycle); }
+void store(void) { despread_store(&cycle, sample); }
+void transform(void) { despread_transform(&cycle); }
+int32_t word(void) { return despread_word(1022); }
+int32_t correlation(void) { return despread_correlation(&cycle, 1, 5, 17); }
+uint16_t burst[8][3];
+int32_t burst_sample(void) { return epoch_sample((const uint16_t (*)[3])burst, sample); }
+epoch_collector_t collector;
+uint32_t chip;
+int32_t feed(void) { uint32_t t = chip++; return epoch_feed(&collector, t, t / 1023u, (uint16_t)(t % 1023u), sample, false, true); }
+chip_clock_t clock;
+void clock_init(void) {
+    chip_clock_init(&clock, &(chip_clock_config_t){1023, 16422, 16000, 16900, true});
+    for (int i = 0; i < 62; i++) chip_clock_plan(&clock);
+}
+void clock_plan(void) { chip_clock_plan(&clock); }
+void clock_cycle(void) { for (int i = 0; i < 1023; i++) chip_clock_plan(&clock); }
+void clock_edge(void) { chip_clock_edge(&clock, clock.chip - 40u, 3); }
+current_t loop;
+void loop_init(void) {
+    current_configure(&loop, &(current_config_t){0.0078125f, 0.00390625f, 10.0f, 12.0f, 0.5f});
+    current_start(&loop);
+}
+int32_t loop_sample(void) { return (int32_t)current_sample(&loop, 2048u - (loop.target >> 16)); }
+uint8_t encoded[16];
+frame_t frame = {0x1FFFFFFF, 8, {1, 2, 3, 4, 5, 6, 7, 8}};
+int32_t encode(void) { return (int32_t)frame_encode(&frame, encoded); }
+frame_decoder_t decoder;
+int32_t decode(void) { int32_t good = 0; for (int i = 0; i < 16; i++) good = frame_decode(&decoder, encoded[i], &frame); return good; }
+int32_t code_sum(void) { return gold_sum(10, 5); }
+epoch_calibration_t calibration = {{2048, 2048, 2048}, {{1e-7f, 0, 0}, {0, 1e-7f, 0}, {0, 0, 1e-7f}}};
+epoch_selection_t selection = {1, {{5, 17, -1}}};
+float field[3];
+void one_field(void) { epoch_field(&cycle, &calibration, &selection, 0, field); }
+"""
+
+
+@pytest.fixture(scope="module")
+def count(tmp_path_factory):
+    """Call a function of the harness: (instructions, r0)."""
+    directory = tmp_path_factory.mktemp("instructions")
+    source, elf = directory / "harness.c", directory / "core.elf"
+    source.write_text(HARNESS)
+    core = sorted((ROOT / "firmware/core").glob("*.c"))
+    layout = (
+        "-Ttext=0x08000000",
+        f"-Tdata={RAM:#x}",
+        "-nostartfiles",
+        "--specs=nano.specs",
+        "-Wl,-e,0,--no-warn-rwx-segments",
+    )
+    command = [
+        "arm-none-eabi-gcc",
+        *FLAGS,
+        f"-I{ROOT / 'firmware/core'}",
+        str(source),
+        *map(str, core),
+        *layout,
+        "-o",
+        str(elf),
+    ]
+    subprocess.run(command, check=True)
+    machine = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
+    machine.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
+    machine.mem_map(0x08000000, 0x10000)
+    machine.mem_map(RAM, 0x40000)
+    symbols = {}
+    with elf.open("rb") as file:
+        loaded = ELFFile(file)
+        for segment in loaded.iter_segments("PT_LOAD"):
+            machine.mem_write(segment["p_vaddr"], segment.data())
+        for symbol in loaded.get_section_by_name(".symtab").iter_symbols():
+            symbols[symbol.name] = symbol["st_value"]
+    machine.reg_write(arm.UC_ARM_REG_C1_C0_2, 0xF << 20)
+    machine.reg_write(arm.UC_ARM_REG_FPEXC, 1 << 30)
+    total = [0]
+
+    def step(*_):
+        total[0] += 1
+
+    machine.hook_add(unicorn.UC_HOOK_CODE, step)
+
+    def call(name):
+        total[0] = 0
+        machine.reg_write(arm.UC_ARM_REG_SP, STACK)
+        machine.reg_write(arm.UC_ARM_REG_LR, STOP | 1)
+        machine.emu_start(symbols[name] | 1, STOP)
+        return total[0], machine.reg_read(arm.UC_ARM_REG_R0)
+
+    call.memory = lambda name, size: bytes(machine.mem_read(symbols[name], size))
+    return call
+
+
+def test_three_axes_despread_within_90000(count, core, gold_family):
+    count("start")
+    for _ in range(1023):
+        stored, _ = count("store")
+    instructions, _ = count("transform")
+    print(f"despread_store {stored}, despread_transform {instructions} instructions for three axes")
+    words = np.array(struct.unpack("<3072i", count.memory("cycle", 12288))).reshape(3, 1024)
+    # The samples are constant: each word is a code's sum times the sample.
+    expected = np.outer([-32768, 5, 32767], gold_family(10)[:1024].sum(axis=1))
+    _, lib = core
+    addresses = [lib.despread_word(code) for code in range(1024)]
+    assert np.array_equal(words[:, addresses], expected)
+    assert instructions <= 90_000
+    assert stored <= 100
+
+
+def test_each_call_within_what_its_header_says(count):
+    figures = {}
+    count("start")
+    count("clock_init")
+    count("loop_init")
+    for name in ("word", "correlation", "burst_sample", "feed", "clock_plan", "encode", "code_sum", "one_field"):
+        figures[name], _ = count(name)
+    figures["decode"], good = count("decode")
+    assert good == 1
+    edges = []
+    for _ in range(4):
+        edges.append(count("clock_edge")[0])
+        count("clock_cycle")
+    figures["clock_edge"] = max(edges)
+    samples = [count("loop_sample") for _ in range(31 * 40)]
+    assert 2 not in [action for _, action in samples]  # No fault: this is the running loop.
+    counts = sorted(n for n, _ in samples)
+    figures["current_sample"], figures["current_sample_block"] = counts[len(counts) // 2], counts[-1]
+    print(figures)
+    bounds = {
+        **{"word": 2500, "correlation": 20, "burst_sample": 270, "feed": 220, "clock_plan": 70, "clock_edge": 600},
+        **{"encode": 500, "decode": 900, "code_sum": 50_000, "one_field": 240, "current_sample": 60},
+        "current_sample_block": 120,
+    }
+    assert {name: n for name, n in figures.items() if n > bounds[name]} == {}
