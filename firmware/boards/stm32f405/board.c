@@ -1,0 +1,126 @@
+/* board.c: board_start(), and what of hal.h is not chips, converters, links or time. */
+
+#include "board.h"
+
+#include <string.h>
+
+#include "stm32f405.h"
+
+#define PARAMETER_PAGE ((const uint8_t *)0x080E0000u)
+#define WATCHDOG_TRIES 100000u /* 3 ms at 168 MHz; the watchdog's registers take five of its 31 us cycles. */
+
+enum { MODE_OUTPUT = 1, MODE_ALTERNATE = 2, MODE_ANALOG = 3 };
+enum { PULL_NONE = 0, PULL_UP = 1, PULL_DOWN = 2 };
+enum { SPEED_HIGH = 2 };
+
+static void change(volatile uint32_t *address, uint32_t mask, uint32_t value)
+{
+    *address = (*address & ~mask) | value;
+}
+
+static void pin_mode(GPIO_registers *port, unsigned pin, uint32_t mode, uint32_t pull)
+{
+    change(&port->PUPDR, 3u << (2 * pin), pull << (2 * pin));
+    change(&port->MODER, 3u << (2 * pin), mode << (2 * pin));
+}
+
+static void pin_alternate(GPIO_registers *port, unsigned pin, uint32_t function, uint32_t pull)
+{
+    change(pin < 8 ? &port->AFRL : &port->AFRH, 15u << (4 * (pin & 7u)), function << (4 * (pin & 7u)));
+    change(&port->OSPEEDR, 3u << (2 * pin), (uint32_t)SPEED_HIGH << (2 * pin));
+    pin_mode(port, pin, MODE_ALTERNATE, pull);
+}
+
+static void pins_start(void)
+{
+    GPIOC->BSRR = 1u << (6 + 16) | 1u << (7 + 16) | 1u << (8 + 16) | 1u << (9 + 16) | 1u << 12; /* Drive off, LED off, before they are outputs. */
+    for (unsigned pin = 6; pin <= 9; pin++) {
+        change(&GPIOC->OSPEEDR, 3u << (2 * pin), (uint32_t)SPEED_HIGH << (2 * pin));
+        pin_mode(GPIOC, pin, MODE_OUTPUT, PULL_NONE);
+    }
+    pin_mode(GPIOC, 12, MODE_OUTPUT, PULL_NONE);
+    pin_mode(GPIOC, 10, 0, PULL_UP);
+    SYSCFG->EXTICR3 = SYSCFG_EXTICR3_EXTI10_PORTC;
+    for (unsigned pin = 0; pin <= 4; pin++) pin_mode(GPIOA, pin, MODE_ANALOG, PULL_NONE);
+    pin_alternate(GPIOA, 10, 1, PULL_DOWN); /* TIM1_CH3; quiet without a sync wire. */
+    pin_alternate(GPIOB, 6, 7, PULL_NONE);
+    pin_alternate(GPIOB, 7, 7, PULL_UP);
+    pin_alternate(GPIOB, 8, 9, PULL_UP); /* Recessive without a transceiver. */
+    pin_alternate(GPIOB, 9, 9, PULL_NONE);
+}
+
+/* 500 ms at the nominal 32 kHz of its oscillator, which may run at 17 to 47 kHz. */
+static void watchdog_start(void)
+{
+    IWDG->KR = IWDG_KR_KEY_START;
+    IWDG->KR = IWDG_KR_KEY_UNLOCK;
+    IWDG->PR = IWDG_PR_PR_DIV16;
+    IWDG->RLR = 999;
+    wait_for(&IWDG->SR, IWDG_SR_PVU | IWDG_SR_RVU, 0, WATCHDOG_TRIES);
+    IWDG->KR = IWDG_KR_KEY_RELOAD;
+}
+
+hal_t *board_start(void)
+{
+    hal_t *hal = &board;
+    hal->whole = (RCC->CR & RCC_CR_HSIRDY) != 0; /* It runs us. */
+    hal->counters.watchdog_resets = (RCC->CSR & RCC_CSR_WDGRSTF) != 0 ? 1u : 0u;
+    RCC->CSR |= RCC_CSR_RMVF;
+    hal->clock = clock_start();
+
+    RCC->AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA2EN;
+    RCC->APB1ENR |= RCC_APB1ENR_TIM2EN | RCC_APB1ENR_CAN1EN | RCC_APB1ENR_DACEN;
+    RCC->APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_USART1EN | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_ADC2EN | RCC_APB2ENR_ADC3EN | RCC_APB2ENR_SYSCFGEN;
+    (void)RCC->APB2ENR; /* A peripheral answers two cycles after its clock is on (ES0182). */
+
+    watchdog_start();
+    pins_start();
+    DAC->CR = DAC_CR_EN1 | DAC_CR_BOFF1; /* Unbuffered: the buffer does not reach 0 V. */
+    clock_start_tick(hal->clock);
+    serial_start(hal);
+    can_start(hal);
+    SCB->SHPR3 = (uint32_t)PRIORITY_TICK << 28;
+    return hal;
+}
+
+void interrupt_enable(unsigned irq, unsigned priority)
+{
+    NVIC->IPR[irq] = (uint8_t)(priority << 4);
+    NVIC->ISER[irq / 32] = 1u << (irq % 32);
+}
+
+void hal_counters(const hal_t *hal, hal_counters_t *counters)
+{
+    *counters = hal->counters;
+}
+
+void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES])
+{
+    for (unsigned i = 0; i < HAL_UNIQUE_ID_BYTES; i++) id[i] = hal->whole ? (uint8_t)(UNIQUE_ID[i / 4] >> (8 * (i % 4))) : 0u;
+}
+
+const uint8_t *hal_parameter_page(const hal_t *hal)
+{
+    (void)hal;
+    return PARAMETER_PAGE;
+}
+
+void hal_watchdog_kick(hal_t *hal)
+{
+    (void)hal;
+    IWDG->KR = IWDG_KR_KEY_RELOAD;
+}
+
+/* With interrupts off, one that comes between the look and WFI still ends WFI; it is served when they are on again. Interrupts that set nothing, such
+ * as the coil current's, do not return to main. */
+void hal_wait(hal_t *hal)
+{
+    for (;;) {
+        __asm volatile("cpsid i" ::: "memory");
+        const bool woken = hal->woken;
+        hal->woken = false;
+        if (!woken) __asm volatile("dsb\n\twfi" ::: "memory");
+        __asm volatile("cpsie i\n\tisb" ::: "memory");
+        if (woken) return;
+    }
+}

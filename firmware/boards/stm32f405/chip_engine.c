@@ -1,0 +1,188 @@
+/* chip_engine.c: TIM1 and two DMA streams execute the chips; the CPU writes two blocks ahead into rings.
+ *
+ * TIM1 counts 168 MHz ticks from 0 to ARR; an update event ends each chip. In chip c:
+ *
+ *   count          event        what happens                                                        transfers so far, behind it
+ *   0 (update)     TIM1_UP      stream 5: words[(c - 1) mod 62] -> GPIOC BSRR, the edges of chip c   c
+ *                               shadow ARR = period of chip c - 1 was written in chip c - 1
+ *   8000 (CC4)     TIM1_CH4     stream 4: periods[(c - 1 + 1) mod 62] -> ARR (preload), for c + 1    c + 1
+ *   CC1            converters   burst of 8 (sensor), one conversion of coil current (beacon)
+ *   any (CC3)      capture      edge of the sync wire, its count kept in CCR3
+ *   ARR            update       chip c ends; the preload becomes the shadow
+ *
+ * So chip c's word and period lie at the same index, (c - 1) mod 62: transfer number k (from 0) of either stream is for chip k + 1.
+ * Chip 0 is nobody's transfer: hal_chips_start() writes its word and its ARR itself, then starts the counter.
+ *
+ *   chips      index     read: word / period                 written by plan of
+ *   0          (61)      by the CPU before the start         block 0
+ *   1..30      0..29     start of chip 1.. / in chip 0..     block 0
+ *   31..61     30..60    start of chip 31.. / in chip 30..   block 1
+ *   62         61        start of chip 62 / in chip 61       block 2, planned from the start of chip 31 on
+ *   63..92     0..29     start of chip 63.. / in chip 62..   block 2
+ *
+ * Stream 5 has done 31 transfers at the start of chip 31 (half) and 62 at that of chip 62 (complete): its interrupts are the block boundaries.
+ * The interrupt at the start of block b plans block b + 1, of which the first index is read, at the earliest, in the last chip of block b: there are
+ * 30 chips (2.93 ms) to write it. It writes over entries that were read for block b - 1, the last of them at the boundary itself.
+ *
+ * Where are we? Stream 5's counter is ambiguous for the few cycles between an update and its transfer, stream 4's around count 8000: chip_now() looks
+ * at the count and asks the other one. A position in the ring (0..61) becomes an absolute chip by the running block as the block interrupt knows
+ * it: that interrupt may be late by less than a block, so a position in the other half of the ring is the next block's.
+ */
+
+#include "stm32f405.h"
+
+hal_t board;
+
+#define PIN_SET(pin) (1u << (pin))
+#define PIN_RESET(pin) (1u << ((pin) + 16))
+
+/* PC6, PC7: bridge inputs; PC8: sync wire. Index: drive, + 4 with the sync wire high. A drive that does not exist is off. */
+#define WORDS(sync) \
+    PIN_RESET(6) | PIN_RESET(7) | (sync), PIN_SET(6) | PIN_RESET(7) | (sync), PIN_RESET(6) | PIN_SET(7) | (sync), PIN_RESET(6) | PIN_RESET(7) | (sync)
+static const uint32_t drive_words[8] = {WORDS(PIN_RESET(8)), WORDS(PIN_SET(8))};
+
+/* Ask for block's plan and write it into the rings. */
+static void plan_block(hal_t *hal, uint32_t block)
+{
+    hal->events.plan(hal->events.context, block, &hal->plan);
+    uint32_t index = (block & 1u) != 0 ? HAL_BLOCK_CHIPS - 1u : RING_CHIPS - 1u;
+    const uint32_t next = (block & 1u) != 0 ? HAL_BLOCK_CHIPS : 0u;
+    for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
+        uint32_t period = hal->plan.period_ticks[i];
+        if (period < HAL_CHIP_TICKS_MIN) period = HAL_CHIP_TICKS_MIN;
+        if (period > HAL_CHIP_TICKS_MAX) period = HAL_CHIP_TICKS_MAX;
+        const uint32_t drive = hal->plan.drive[i];
+        hal->words[index] = drive_words[(drive & 3u) | (drive & HAL_PLAN_SYNC_OUT) >> 5];
+        hal->periods[index] = period - 1u;
+        index = i == 0 ? next : index + 1u;
+    }
+    memory_barrier();
+}
+
+static void stream_start(DMA_stream_registers *stream, volatile uint32_t *target, const uint32_t *source, uint32_t flags)
+{
+    stream->PAR = (uint32_t)target;
+    stream->M0AR = (uint32_t)source;
+    stream->NDTR = RING_CHIPS;
+    stream->CR = flags | DMA_S0CR_CHSEL_6 | DMA_S0CR_DIR_TO_PERIPHERAL | DMA_S0CR_CIRC | DMA_S0CR_MINC | DMA_S0CR_PSIZE_32 | DMA_S0CR_MSIZE_32;
+    stream->CR |= DMA_S0CR_EN;
+}
+
+void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events)
+{
+    if (hal->clock == HAL_CLOCK_SLOW) return;
+    hal->role = role;
+    hal->events = *events;
+    plan_block(hal, 0);
+    const uint32_t word = hal->words[RING_CHIPS - 1u], period = hal->periods[RING_CHIPS - 1u];
+    plan_block(hal, 1);
+
+    TIM1->ARR = period;
+    TIM1->CCR4 = CHIP_RELOAD_TICKS;
+    TIM1->CCMR2_Output = TIM_CCMR2_CC3S_TI3 | TIM_CCMR2_IC3F_8_SAMPLES; /* Capture 48 ns behind the edge, free of shorter spikes. */
+    TIM1->CCER = TIM_CCER_CC3E;
+    TIM1->CR1 = TIM_CR1_ARPE;
+    converters_start(role); /* Sets up CC1. */
+    TIM1->EGR = TIM_EGR_UG; /* Preloads become shadows. */
+    TIM1->SR = 0;
+
+    DMA2->HIFCR = DMA_HIFCR_STREAM4 | DMA_HIFCR_STREAM5;
+    stream_start(&DMA2->S[5], &GPIOC->BSRR, hal->words, DMA_S0CR_PL_VERY_HIGH | DMA_S0CR_HTIE | DMA_S0CR_TCIE);
+    stream_start(&DMA2->S[4], &TIM1->ARR, hal->periods, DMA_S0CR_PL_HIGH);
+    TIM1->DIER = TIM_DIER_UDE | TIM_DIER_CC4DE | TIM_DIER_CC3IE;
+    interrupt_enable(IRQ_DMA2_STREAM5, PRIORITY_NORMAL);
+    interrupt_enable(IRQ_TIM1_CC, PRIORITY_NORMAL);
+    if (role == HAL_ROLE_BEACON) {
+        /* The driver's fault input, also if it is active already. */
+        EXTI->FTSR |= 1u << 10;
+        EXTI->IMR |= 1u << 10;
+        interrupt_enable(IRQ_EXTI15_10, PRIORITY_DRIVE);
+        interrupt_enable(IRQ_ADC, PRIORITY_DRIVE);
+        if ((GPIOC->IDR & 1u << 10) == 0) EXTI->SWIER = 1u << 10;
+    }
+
+    const uint32_t primask = interrupts_off(); /* Word and counter together. */
+    GPIOC->BSRR = word | PIN_RESET(12);        /* PC12: the LED, to the supply: low is on. */
+    TIM1->CR1 = TIM_CR1_ARPE | TIM_CR1_CEN;
+    interrupts_restore(primask);
+}
+
+/* A block boundary. The flags of stream 5 alternate: half at the start of odd blocks, complete at that of even ones. If the next boundary's flag is
+ * up when a block's plan is written, that block has begun without it. */
+void DMA2_Stream5_Handler(void)
+{
+    hal_t *hal = &board;
+    for (uint32_t flag; ((flag = (hal->block & 1u) != 0 ? DMA_HISR_TCIF5 : DMA_HISR_HTIF5) & DMA2->HISR) != 0;) {
+        DMA2->HIFCR = flag;
+        const uint32_t finished = hal->block;
+        hal->block = finished + 1u;
+        hal->first_chip += HAL_BLOCK_CHIPS;
+        if (hal->role == HAL_ROLE_SENSOR) {
+            converters_finish_block(hal, finished);
+            hal->events.samples(hal->events.context, finished, (const hal_samples_t *)&hal->samples[finished & 1u]);
+        }
+        plan_block(hal, finished + 2u);
+        if ((DMA2->HISR & (DMA_HISR_TCIF5 | DMA_HISR_HTIF5)) != 0) hal->counters.late_blocks++;
+        converters_begin_block(hal);
+    }
+    hal->woken = true;
+}
+
+/* position 0..61 in the ring of chips, in the running block or the one behind it. first_chip is odd in odd blocks. */
+static uint32_t absolute_chip(uint32_t first_chip, uint32_t position)
+{
+    if ((first_chip & 1u) == 0) return first_chip + position;
+    return position < HAL_BLOCK_CHIPS ? first_chip + HAL_BLOCK_CHIPS + position : first_chip - HAL_BLOCK_CHIPS + position;
+}
+
+/* Transfers of a stream, mod 62. */
+static uint32_t transfers(const DMA_stream_registers *stream)
+{
+    const uint32_t done = RING_CHIPS - stream->NDTR;
+    return done == RING_CHIPS ? 0u : done;
+}
+
+/* Two passes: if a chip ended between the readings, none will end so soon again. */
+chip_time_t chip_now(const hal_t *hal)
+{
+    uint32_t ticks = 0, position = 0;
+    for (int pass = 0; pass < 2; pass++) {
+        ticks = TIM1->CNT;
+        position = transfers(ticks < CHIP_RELOAD_TICKS / 2u ? &DMA2->S[4] : &DMA2->S[5]);
+        if (TIM1->CNT >= ticks) break;
+    }
+    return (chip_time_t){.chip = absolute_chip(hal->first_chip, position), .ticks = ticks};
+}
+
+/* The count of the edge is beyond the present one: it came in the chip before. Right if this interrupt is late by less than a chip. */
+void TIM1_CC_Handler(void)
+{
+    const uint32_t edge = TIM1->CCR3; /* Clears the flag. */
+    const chip_time_t now = chip_now(&board);
+    board.events.sync(board.events.context, edge > now.ticks ? now.chip - 1u : now.chip, (uint16_t)edge);
+    board.woken = true;
+}
+
+/* Coil current, converted near the end of chip c, behind count 8000: stream 4 has done c + 1 transfers, and does no more before count 8000 of chip
+ * c + 1. Right if this interrupt is late by less than half a chip; no look at the count is needed. */
+void ADC_Handler(void)
+{
+    const uint32_t count = ADC1->DR; /* Clears the flag. */
+    const uint32_t done = transfers(&DMA2->S[4]);
+    const uint32_t chip = absolute_chip(board.first_chip, done == 0 ? RING_CHIPS - 1u : done - 1u);
+    board.events.current(board.events.context, chip, (uint16_t)count);
+}
+
+void EXTI15_10_Handler(void)
+{
+    GPIOC->BSRR = PIN_RESET(9);
+    EXTI->PR = 1u << 10;
+    board.events.fault(board.events.context);
+    board.woken = true;
+}
+
+void hal_drive_enable(hal_t *hal, bool enable)
+{
+    (void)hal;
+    GPIOC->BSRR = enable ? PIN_SET(9) : PIN_RESET(9);
+}

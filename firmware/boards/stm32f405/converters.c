@@ -1,0 +1,138 @@
+/* converters.c: what is analog.
+ *
+ * One conversion: 15 + 12 cycles of 21 MHz, 216 ticks of the chip timer. TIM1's compare 1 starts them; the start itself takes up to 3 cycles (24 ticks).
+ *   sensor: 8 x 216 ticks from count 14540: the burst ends at 16268..16292, 0.77 to 0.92 us before the nominal end of the chip. The converters run
+ *     together, one axis each; after each conversion DMA fetches three half-words (axis 0, 1, 2) from the common data register.
+ *   beacon: one conversion from count 15640, done by 15880: inside the shortest chip, so that its interrupt belongs to that chip.
+ * Temperature: channel 16, 480 + 12 cycles (3936 ticks), started by software in the first half of a chip: done by count 12000, before a burst.
+ *
+ * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks, so the stream's counter at any moment between bursts tells whether
+ * samples and chips are in step. An overrun stops DMA. Either way the stream is stopped, blocks read 0 (saturated) until it starts again at
+ * the beginning of the buffer, in the first chip of an even block.
+ */
+
+#include <string.h>
+
+#include "stm32f405.h"
+
+#define CONVERSION_TICKS 216u
+#define BURST_START (HAL_CHIP_TICKS - 154u - HAL_BURST * CONVERSION_TICKS)
+#define CURRENT_START (HAL_CHIP_TICKS_MIN - 360u)
+#define CHIP_SAMPLES (HAL_BURST * HAL_AXES)
+#define BUFFER_SAMPLES (RING_CHIPS * CHIP_SAMPLES)
+#define AFTER_BURST 400u /* A burst that ran beyond the end of a short chip is over by then. */
+
+_Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
+
+/* Eight ranks of one channel. */
+static void scan(ADC_registers *adc, uint32_t channel)
+{
+    const uint32_t five = channel | channel << 5 | channel << 10 | channel << 15 | channel << 20;
+    adc->SMPR2 = 1u << (3 * channel); /* 15 cycles. */
+    adc->SQR3 = five | channel << 25;
+    adc->SQR2 = channel | channel << 5;
+    adc->SQR1 = (HAL_BURST - 1u) << 20;
+    adc->CR1 = ADC_CR1_SCAN;
+}
+
+static void samples_start(const hal_t *hal)
+{
+    DMA_stream_registers *stream = &DMA2->S[0];
+    DMA2->LIFCR = DMA_LIFCR_STREAM0;
+    stream->PAR = (uint32_t)&C_ADC->CDR;
+    stream->M0AR = (uint32_t)hal->samples;
+    stream->NDTR = BUFFER_SAMPLES;
+    stream->CR = DMA_S0CR_PL_HIGH | DMA_S0CR_CIRC | DMA_S0CR_MINC | DMA_S0CR_PSIZE_16 | DMA_S0CR_MSIZE_16;
+    stream->CR |= DMA_S0CR_EN;
+    C_ADC->CCR |= C_ADC_CCR_DMA_MODE1;
+}
+
+static void samples_stop(void)
+{
+    C_ADC->CCR &= ~C_ADC_CCR_DMA_MODE1;
+    DMA2->S[0].CR &= ~DMA_S0CR_EN;
+}
+
+void converters_start(hal_role_t role)
+{
+    const bool sensor = role == HAL_ROLE_SENSOR;
+    /* The trigger is the rising edge of compare output 1, which goes to no pin: PWM mode 2 rises at the compare. */
+    TIM1->CCR1 = sensor ? BURST_START : CURRENT_START;
+    TIM1->CCMR1_Output = TIM_CCMR1_OC1M_PWM2 | TIM_CCMR1_OC1PE;
+    TIM1->CCER |= TIM_CCER_CC1E;
+    TIM1->BDTR = TIM_BDTR_MOE;
+
+    C_ADC->CCR = C_ADC_CCR_ADCPRE_DIV4 | C_ADC_CCR_TSVREFE | (sensor ? C_ADC_CCR_MULT_TRIPLE_REGULAR | C_ADC_CCR_DDS : 0u);
+    ADC1->SMPR1 = 7u << 18; /* Channel 16: 480 cycles. */
+    ADC1->JSQR = ADC_JSQR_JSQ4_CHANNEL16;
+    if (sensor) {
+        scan(ADC1, 1);
+        scan(ADC2, 2);
+        scan(ADC3, 3);
+        ADC2->CR2 = ADC_CR2_ADON;
+        ADC3->CR2 = ADC_CR2_ADON;
+        samples_start(&board);
+        board.sampling = true;
+    } else {
+        ADC1->SMPR2 = 1u; /* Channel 0, the only one of its sequence: 15 cycles. */
+        ADC1->CR1 = ADC_CR1_EOCIE;
+    }
+    ADC1->CR2 = ADC_CR2_ADON | ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING; /* Stable 3 us later; the first trigger comes 80 us later. */
+}
+
+void converters_finish_block(hal_t *hal, uint32_t block)
+{
+    if (hal->sampling && (C_ADC->CSR & (C_ADC_CSR_OVR1 | C_ADC_CSR_OVR2 | C_ADC_CSR_OVR3)) != 0) {
+        samples_stop();
+        hal->sampling = false;
+        hal->counters.converter_overruns++;
+    }
+    if (!hal->sampling) memset(&hal->samples[block & 1u], 0, sizeof hal->samples[0]);
+}
+
+void converters_begin_block(hal_t *hal)
+{
+    const chip_time_t now = chip_now(hal);
+    if ((ADC1->SR & ADC_SR_JEOC) != 0) {
+        hal->temperature_count = (uint16_t)ADC1->JDR1;
+        ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
+    }
+    if (now.ticks < CHIP_RELOAD_TICKS) ADC1->CR2 |= ADC_CR2_JSWSTART;
+
+    const bool between_bursts = now.ticks > AFTER_BURST && now.ticks + CONVERSION_TICKS < BURST_START;
+    if (hal->role != HAL_ROLE_SENSOR || !between_bursts) return;
+    DMA_stream_registers *stream = &DMA2->S[0];
+    const uint32_t chip = now.chip - hal->first_chip; /* Of the running block. */
+    const uint32_t expected = BUFFER_SAMPLES - ((hal->block & 1u) * HAL_BLOCK_CHIPS + chip) * CHIP_SAMPLES;
+    if (hal->sampling) {
+        if (chip < HAL_BLOCK_CHIPS && stream->NDTR != expected) {
+            samples_stop();
+            hal->sampling = false;
+            hal->counters.converter_overruns++;
+        }
+    } else if (chip == 0 && (hal->block & 1u) == 0 && (stream->CR & DMA_S0CR_EN) == 0) {
+        ADC1->SR = 0;
+        ADC2->SR = 0;
+        ADC3->SR = 0;
+        samples_start(hal);
+        hal->sampling = true;
+    }
+}
+
+/* Between the two calibration points of this very chip; of a chip without them, by the data sheet's typical 0.76 V at 25 degC and 2.5 mV/degC. */
+int16_t hal_temperature(const hal_t *hal)
+{
+    int32_t low = 959, high = 1207;
+    if (hal->whole && TEMPERATURE_CALIBRATION[1] > TEMPERATURE_CALIBRATION[0] && TEMPERATURE_CALIBRATION[1] <= HAL_SAMPLE_MAX) {
+        low = TEMPERATURE_CALIBRATION[0];
+        high = TEMPERATURE_CALIBRATION[1];
+    }
+    if (hal->temperature_count == 0) return 0; /* Not measured yet. */
+    return (int16_t)(300 + (hal->temperature_count - low) * 800 / (high - low));
+}
+
+void hal_drive_reference(hal_t *hal, uint16_t count)
+{
+    (void)hal;
+    DAC->DHR12R1 = count > 4095u ? 4095u : count;
+}

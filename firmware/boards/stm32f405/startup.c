@@ -1,0 +1,67 @@
+/* startup.c: from reset to main(). */
+
+#include "stm32f405.h"
+
+int main(void);
+
+extern uint32_t stack_top, data_start, data_end, bss_start, bss_end; /* Linker script. */
+extern const uint32_t data_load;
+
+typedef void (*vector_t)(void);
+
+/* Every entry that is not ours is a fault: it reports itself and the watchdog resets. */
+typedef struct {
+    uint32_t *stack;
+    vector_t reset, nmi, hard_fault, memory_fault, bus_fault, usage_fault, reserved0[4], supervisor_call, debug, reserved1, pend_supervisor, tick;
+    vector_t irq[IRQ_COUNT];
+} vectors_t;
+
+__attribute__((section(".vectors"), used)) static const vectors_t vectors = {
+    .stack = &stack_top,
+    .reset = Reset_Handler,
+    .nmi = Fault_Handler,
+    .hard_fault = Fault_Handler,
+    .memory_fault = Fault_Handler,
+    .bus_fault = Fault_Handler,
+    .usage_fault = Fault_Handler,
+    .supervisor_call = Fault_Handler,
+    .debug = Fault_Handler,
+    .pend_supervisor = Fault_Handler,
+    .tick = SysTick_Handler,
+    .irq =
+        {
+            [0 ... IRQ_ADC - 1] = Fault_Handler,
+            [IRQ_ADC] = ADC_Handler,
+            [IRQ_CAN1_TX] = CAN1_TX_Handler,
+            [IRQ_CAN1_RX0] = CAN1_RX0_Handler,
+            [IRQ_CAN1_SCE - 1] = Fault_Handler,
+            [IRQ_CAN1_SCE] = CAN1_SCE_Handler,
+            [IRQ_CAN1_SCE + 1 ... IRQ_TIM1_CC - 1] = Fault_Handler,
+            [IRQ_TIM1_CC] = TIM1_CC_Handler,
+            [IRQ_TIM1_CC + 1 ... IRQ_USART1 - 1] = Fault_Handler,
+            [IRQ_USART1] = USART1_Handler,
+            [IRQ_USART1 + 1 ... IRQ_EXTI15_10 - 1] = Fault_Handler,
+            [IRQ_EXTI15_10] = EXTI15_10_Handler,
+            [IRQ_EXTI15_10 + 1 ... IRQ_DMA2_STREAM2 - 1] = Fault_Handler,
+            [IRQ_DMA2_STREAM2] = DMA2_Stream2_Handler,
+            [IRQ_DMA2_STREAM2 + 1 ... IRQ_DMA2_STREAM5 - 1] = Fault_Handler,
+            [IRQ_DMA2_STREAM5] = DMA2_Stream5_Handler,
+            [IRQ_DMA2_STREAM7 - 1] = Fault_Handler,
+            [IRQ_DMA2_STREAM7] = DMA2_Stream7_Handler,
+            [IRQ_DMA2_STREAM7 + 1 ... IRQ_COUNT - 1] = Fault_Handler,
+        },
+};
+
+void Reset_Handler(void)
+{
+    SCB->VTOR = (uint32_t)&vectors;
+    SCB->CPACR |= SCB_CPACR_FPU_FULL;
+    __asm volatile("dsb\n\tisb" ::: "memory");
+
+    const uint32_t *load = &data_load;
+    for (uint32_t *word = &data_start; word < &data_end;) *word++ = *load++;
+    for (uint32_t *word = &bss_start; word < &bss_end;) *word++ = 0;
+
+    main();
+    for (;;) __asm volatile("udf #0"); /* main() never returns. */
+}

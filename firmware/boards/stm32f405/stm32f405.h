@@ -1,0 +1,120 @@
+/* stm32f405.h: inside this board. What its files share; nothing outside this directory includes it.
+ *
+ *   startup.c      vector table, reset, .data and .bss          clock.c      clock tree, waits with time-outs, microseconds, tick
+ *   crash.c        fault report over serial, then reset         board.c      pins, watchdog, interrupts, and what is not the below
+ *   chip_engine.c  TIM1, DMA to pins, blocks, sync capture      converters.c sensor's burst, coil current, temperature, DAC
+ *   serial.c       USART1 with DMA both ways                    can.c        CAN1
+ *
+ * Priorities (0 preempts 1 preempts 2): 0 coil current and driver fault, 1 every other handler, 2 the 10 ms tick.
+ *
+ * DMA2: stream 5 chip edges (very high) > stream 4 chip periods, stream 0 samples (high) > stream 2 serial in (medium) > stream 7 serial out (low).
+ * No stream is shared. All are on DMA2, as DMA1 reaches neither GPIO nor APB2. The erratum "DMA2 data corruption when managing AHB and APB
+ * peripherals in a concurrent way" (ES0182) can write the same word twice to an AHB peripheral: harmless to BSRR.
+ */
+#ifndef STM32F405_BOARD_H
+#define STM32F405_BOARD_H
+
+#include "hal.h"
+#include "registers.h"
+
+#define RING_CHIPS (2u * HAL_BLOCK_CHIPS) /* What the chip engine's buffers hold: two blocks. */
+#define SERIAL_RECEIVE_BUFFER 2048u       /* 10 ms. */
+#define CAN_RECEIVE_BUFFER 32u            /* 3.5 ms of the shortest frames with 8 bytes of data. */
+
+enum { PRIORITY_DRIVE = 0, PRIORITY_NORMAL = 1, PRIORITY_TICK = 2 };
+
+struct hal {
+    hal_clock_t clock;
+    bool whole; /* The clock controller answers as silicon does; false on a partial model of the chip, where system memory is missing, too. */
+    volatile bool woken; /* Something happened that main may want to look at. */
+    hal_role_t role;
+    hal_events_t events;
+    hal_counters_t counters;
+
+    /* clock.c */
+    uint32_t time_low, time_high;
+
+    /* chip_engine.c */
+    uint32_t block;               /* The running block, as far as the block interrupt has come. */
+    volatile uint32_t first_chip; /* Its first chip: 31 * block, odd when block is odd. */
+    uint32_t words[RING_CHIPS];   /* DMA: BSRR words. */
+    uint32_t periods[RING_CHIPS]; /* DMA: ARR values. */
+    hal_plan_t plan;
+
+    /* converters.c */
+    bool sampling; /* The samples in the buffer are complete and in step. */
+    uint16_t temperature_count;
+    hal_samples_t samples[2]; /* DMA */
+
+    /* serial.c */
+    volatile uint32_t sent, written; /* Bytes since reset: freed by the DMA, put in by main. */
+    volatile uint32_t sending;       /* Bytes in the running transfer. */
+    volatile uint32_t receive_wraps; /* Times the receive buffer was filled. */
+    uint32_t taken;                  /* Bytes since reset that main took. */
+    uint8_t transmit[HAL_SERIAL_BUFFER];
+    uint8_t receive[SERIAL_RECEIVE_BUFFER];
+
+    /* can.c */
+    volatile uint32_t can_put, can_taken; /* Frames since reset. */
+    bool can_off;
+    hal_frame_t can_frames[CAN_RECEIVE_BUFFER];
+};
+
+extern hal_t board; /* The one board of this chip: interrupt handlers have no argument. */
+
+/* Poll until (*address & mask) == value, at most tries times (about 6 cycles each). False: it did not happen. */
+bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries);
+
+hal_clock_t clock_start(void);
+void clock_start_tick(hal_clock_t clock);
+void serial_start(hal_t *hal);
+void can_start(const hal_t *hal);
+void converters_start(hal_role_t role);
+/* At a block boundary: are the finished block's samples good? If not they read 0, which counts as saturated. */
+void converters_finish_block(hal_t *hal, uint32_t block);
+/* Later in the same interrupt: temperature; stay in step with the chips. */
+void converters_begin_block(hal_t *hal);
+void interrupt_enable(unsigned irq, unsigned priority);
+
+typedef struct {
+    uint32_t chip;  /* Absolute. */
+    uint32_t ticks; /* Since it started. */
+} chip_time_t;
+/* The present. From handlers of normal priority only: the block interrupt must not run meanwhile. */
+chip_time_t chip_now(const hal_t *hal);
+
+#define CHIP_RELOAD_TICKS 8000u /* In each chip, when DMA fetches the next chip's period (CC4). */
+
+/* Interrupts off; returns what restore() needs. Nests. */
+static inline uint32_t interrupts_off(void)
+{
+    uint32_t primask;
+    __asm volatile("mrs %0, primask\n\tcpsid i" : "=r"(primask)::"memory");
+    return primask;
+}
+static inline void interrupts_restore(uint32_t primask)
+{
+    __asm volatile("msr primask, %0" ::"r"(primask) : "memory");
+}
+/* Memory written before is seen by DMA started behind. */
+static inline void memory_barrier(void)
+{
+    __asm volatile("dsb" ::: "memory");
+}
+
+/* The vector table's entries. */
+void Reset_Handler(void);
+void Fault_Handler(void);
+void SysTick_Handler(void);
+void ADC_Handler(void);
+void CAN1_TX_Handler(void);
+void CAN1_RX0_Handler(void);
+void CAN1_SCE_Handler(void);
+void TIM1_CC_Handler(void);
+void USART1_Handler(void);
+void EXTI15_10_Handler(void);
+void DMA2_Stream2_Handler(void);
+void DMA2_Stream5_Handler(void);
+void DMA2_Stream7_Handler(void);
+
+#endif
