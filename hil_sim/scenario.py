@@ -1,4 +1,4 @@
-"""Scenario files: everything the rig simulates, in TOML, in SI units; ``scenarios/prigge8.toml`` is a commented example."""
+"""Scenario files: what the rig simulates, in TOML and SI units; ``scenarios/prigge8.toml`` is a commented example."""
 
 from __future__ import annotations
 
@@ -268,6 +268,11 @@ def find(name: str) -> Path:
         known = ", ".join(sorted(file.stem for file in SCENARIOS.glob("*.toml")))
         raise UserError(f"there is no scenario '{name}'; there are {known}; or give the path of a .toml file")
     return path
+
+
+def load_scenario(name: str) -> Scenario:
+    """Read the scenario of a name or a path; see `find` and `load`."""
+    return load(find(name))
 
 
 def load(path: str | Path) -> Scenario:

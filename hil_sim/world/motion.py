@@ -78,8 +78,8 @@ class Line:
 class Waypoints:
     """Through given poses at given times; at rest before the first and after the last.
 
-    The position is a cubic spline with zero speed at both ends. The attitude turns about a fixed axis from each waypoint
-    to the next, with a rate that starts and ends at zero (the cubic 3 u^2 - 2 u^3 of the fraction u of the way).
+    The position is a cubic spline with zero speed at both ends. The attitude turns about a fixed axis from waypoint to
+    waypoint, with a rate that starts and ends at zero (the cubic 3 u^2 - 2 u^3 of the fraction u of the way).
 
     Parameters
     ----------

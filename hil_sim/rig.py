@@ -1,0 +1,386 @@
+"""The rig: a scenario's boards, coils, field and wires in one virtual time; the hot loop is ``lockstep.c``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from goldfield.errors import SystemFailure, UserError
+from numpy.typing import NDArray
+
+from hil_sim import clib
+from hil_sim.boards import Board, BoardFactory, BoardSpec, address, factory
+from hil_sim.scenario import CONVERTER_COUNTS, Scenario
+from hil_sim.world import path
+
+FloatArray = NDArray[np.float64]
+
+LIBRARY = "build/libgf_rig.so"
+HEADERS = ("lockstep.h",)
+SENSOR = 0
+PATH_WINDOW_S = 1.0
+"""The motion is handed to the hot loop in windows of this length, whatever slices are asked for."""
+PATH_OVERLAP_S = 0.001
+"""A window reaches so far beyond its ends: a converter may look a few microseconds ahead."""
+FAULTS = ("driver", "coil_open", "sense_shorted", "sync_wire_cut")
+"""In the order of ``rig_fault_t``."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A CAN frame on the bus.
+
+    Attributes
+    ----------
+    time_s : float
+        End of the frame.
+    board : int
+        Sender; one beyond the last beacon is the host's adapter.
+    identifier : int
+    data : bytes
+    extended, remote, acknowledged : bool
+    """
+
+    time_s: float
+    board: int
+    identifier: int
+    data: bytes
+    extended: bool = True
+    remote: bool = False
+    acknowledged: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Where the sensor really was in the middle of a cycle: ``B_site = R B_sensor``."""
+
+    cycle: int
+    time_s: float
+    position_m: FloatArray
+    orientation_xyzw: FloatArray
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the JSON object of a line of truth."""
+        return {
+            "cycle": self.cycle,
+            "t_s": self.time_s,
+            "position_m": self.position_m.tolist(),
+            "orientation_xyzw": self.orientation_xyzw.tolist(),
+        }
+
+
+class Rig:
+    """A bench of boards.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    boards : str or BoardFactory
+        ``emulated``, ``host``, or something that makes boards.
+    seed : int, optional
+        In place of the scenario's.
+    host_on_can : bool
+        The host's adapter is on the CAN bus: it acknowledges, and `can_read` and `can_write` work.
+    threads : int, optional
+        Default: two, or one if this machine has one processor.
+
+    Raises
+    ------
+    UserError, SystemFailure
+        If a board or a library is missing or refuses its configuration.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        boards: str | BoardFactory = "emulated",
+        seed: int | None = None,
+        *,
+        host_on_can: bool = True,
+        threads: int | None = None,
+    ) -> None:
+        self.scenario = scenario
+        self.seed = scenario.seed if seed is None else seed
+        make = factory(boards) if isinstance(boards, str) else boards
+        self._ffi: Any
+        self._library: Any
+        try:
+            self._ffi, self._library = clib.load(LIBRARY, HEADERS)
+        except FileNotFoundError as error:
+            raise UserError(str(error)) from error
+        self._boards: list[Board] = []
+        self._truth_edges = 0
+        self._window = -1
+        self._rig = self._create(host_on_can, threads or min(2, os.cpu_count() or 1))
+        try:
+            self._connect(make)
+            self._enter_window(0)
+        except BaseException:
+            self.close()
+            raise
+
+    # ---- Building ----
+
+    def _create(self, host_on_can: bool, threads: int) -> Any:
+        ffi, scenario = self._ffi, self.scenario
+        coils = ffi.new("coil_config_t[]", len(scenario.beacons))
+        for coil, beacon in zip(coils, scenario.beacons, strict=True):
+            circuit = beacon.circuit
+            sense = 0.103125 * (1.0 + circuit.sense_gain_error)
+            coil.inductance_H, coil.resistance_Ohm = circuit.inductance_H, circuit.resistance_Ohm
+            coil.supply_V, coil.lag_s = circuit.supply_V, scenario.sensor.lag_s
+            coil.reference_A_per_V = 16.0 / 3.3 * (1.0 + circuit.reference_gain_error)
+            coil.sense_V_per_A, coil.sense_noise_V = sense, circuit.sense_noise_A * sense
+        config = ffi.new("rig_config_t *")
+        config.seed, config.beacons, config.threads = self.seed, len(scenario.beacons), threads
+        config.sync_master = scenario.sync_master
+        config.can_bits_per_second, config.baud = 1_000_000, 2_000_000
+        config.host_on_can, config.coils = host_on_can, coils
+        self._fill_ambient(config.ambient)
+        self._fill_front_end(config.front_end)
+        rig = self._library.rig_create(config)
+        if rig == ffi.NULL:
+            raise SystemFailure("the rig could not be made: not enough memory or threads")
+        return rig
+
+    def _fill_ambient(self, ambient: Any) -> None:
+        source = self.scenario.ambient
+        ambient.seed, ambient.lag_s = self.seed, self.scenario.sensor.lag_s
+        ambient.earth_T = source.earth_T.tolist()
+        if source.mains is not None:
+            ambient.mains_Hz, ambient.mains_phase_rad = source.mains.frequency_Hz, source.mains.phase_rad
+            ambient.mains_T = source.mains.amplitude_T.tolist()
+            ambient.harmonics[0 : len(source.mains.harmonics)] = source.mains.harmonics
+        ambient.impulse_rate_Hz, ambient.impulse_T = source.impulses.rate_Hz, source.impulses.amplitude_T
+        ambient.impulse_decay_s = source.impulses.decay_s
+
+    def _fill_front_end(self, front_end: Any) -> None:
+        sensor = self.scenario.sensor
+        front_end.gain, front_end.offset_T = sensor.gain.tolist(), sensor.offset_T.tolist()
+        front_end.range_T, front_end.noise_T = sensor.range_T, sensor.noise_T
+        front_end.converter_noise_V = sensor.converter_noise_LSB * 3.3 / CONVERTER_COUNTS
+
+    def _connect(self, make: BoardFactory) -> None:
+        scenario, ffi, library = self.scenario, self._ffi, self._library
+        random = np.random.default_rng([self.seed, 1])
+        delays_s = random.uniform(0.0, scenario.power_on_spread_s, len(scenario.beacons) + 1)
+        clocks = [scenario.sensor.clock, *(beacon.clock for beacon in scenario.beacons)]
+        for number, (delay_s, clock) in enumerate(zip(delays_s, clocks, strict=True)):
+            spec = BoardSpec(
+                role="sensor" if number == SENSOR else "beacon",
+                clock=clock,
+                unique_id=random.bytes(8) + number.to_bytes(4, "little"),
+                parameter_page=scenario.parameter_page(number),
+                power_on_ps=int(delay_s * 1e12),
+            )
+            board = make(spec, address(ffi, library.rig_edge(self._rig, number)))
+            self._boards.append(board)
+            operations = ffi.cast("board_operations_t *", board.operations)
+            library.rig_connect(self._rig, number, ffi.cast("board_t *", board.instance), operations, spec.power_on_ps)
+
+    def _enter_window(self, window: int) -> None:
+        """Hand the motion of one window to the hot loop."""
+        start_s = window * PATH_WINDOW_S - PATH_OVERLAP_S
+        stop_s = (window + 1) * PATH_WINDOW_S + PATH_OVERLAP_S
+        coils = [beacon.geometry for beacon in self.scenario.beacons]
+        try:
+            computed = path.compute(coils, self.scenario.motion, start_s, stop_s)
+        except path.PathError as error:
+            raise UserError(f"scenario {self.scenario.name}: {error}") from error
+        coefficients = np.ascontiguousarray(computed.coefficients)
+        handed = self._ffi.new("path_t *")
+        handed.start_ps, handed.interval_ps = round(computed.start_s * 1e12), round(computed.interval_s * 1e12)
+        handed.intervals, handed.columns = coefficients.shape[:2]
+        handed.coefficients = self._ffi.from_buffer("double[]", coefficients)
+        if not self._library.rig_set_path(self._rig, handed):
+            raise SystemFailure("the rig refused the sensor's path: not enough memory")
+        self._window = window
+
+    # ---- Running ----
+
+    @property
+    def now_s(self) -> float:
+        """The sensor's present, seconds of virtual time."""
+        return float(self._library.rig_now(self._rig)) * 1e-12
+
+    def advance(self, seconds: float) -> None:
+        """Run the bench; the result does not depend on how a time is cut in calls.
+
+        Raises
+        ------
+        SystemFailure
+            If a board stopped; the sentence says which and why.
+        """
+        self.run_until(int(self._library.rig_now(self._rig)) + round(seconds * 1e12))
+
+    def run_until(self, until_ps: int) -> None:
+        """Run up to a virtual time in picoseconds, rounded down to a whole quantum; see `advance`."""
+        window_ps = round(PATH_WINDOW_S * 1e12)
+        while True:
+            now_ps = int(self._library.rig_now(self._rig))
+            if now_ps // window_ps != self._window:
+                self._enter_window(now_ps // window_ps)
+            stop_ps = min(until_ps, (self._window + 1) * window_ps)
+            status = self._library.rig_run(self._rig, stop_ps)
+            if status != self._library.RIG_OK:
+                raise SystemFailure(self._complaint(status))
+            if stop_ps >= until_ps:
+                return
+
+    def board_name(self, board: int) -> str:
+        """Return the name of a board for messages."""
+        return "the sensor" if board == SENSOR else f"beacon {self.scenario.beacons[board - 1].id}"
+
+    def _complaint(self, status: int) -> str:
+        board = int(self._library.rig_stopped_board(self._rig))
+        name = self.board_name(board)
+        if status == self._library.RIG_DRIVER_TOO_FAST:
+            return f"{name} switched its coil driver more often than any driver can follow, at {self.now_s:.6f} s"
+        return f"{name} stopped at {self.now_s:.6f} s: {self.report(board)}"
+
+    def report(self, board: int) -> str:
+        """Return a board's own words: why it stopped, or its violations so far."""
+        operations = self._ffi.cast("board_operations_t *", self._boards[board].operations)
+        text = operations.report(self._ffi.cast("board_t *", self._boards[board].instance))
+        return str(self._ffi.string(text).decode(errors="replace"))
+
+    def statistics(self, board: int) -> Mapping[str, int]:
+        """Return counts that a board keeps about itself (instructions, interrupts, sleep, violations), by name."""
+        return self._boards[board].statistics()
+
+    # ---- Links ----
+
+    def serial_read(self, board: int = SENSOR) -> bytes:
+        """Take all bytes that a board has sent since the last call."""
+        taken = []
+        buffer = self._ffi.new("uint8_t[]", 1 << 16)
+        while count := self._library.rig_serial_read(self._rig, board, buffer, len(buffer)):
+            taken.append(bytes(self._ffi.buffer(buffer, count)))
+        return b"".join(taken)
+
+    def serial_write(self, data: bytes, board: int = SENSOR) -> None:
+        """Send bytes to a board from the present on, back to back at its baud rate."""
+        self._library.rig_serial_write(self._rig, board, data, len(data))
+
+    def can_read(self) -> list[Frame]:
+        """Take all frames that were on the bus since the last call (those that end soon after the present included)."""
+        frames = []
+        transfer = self._ffi.new("can_transfer_t *")
+        while self._library.rig_can_read(self._rig, transfer):
+            frame = transfer.frame
+            frames.append(
+                Frame(
+                    time_s=transfer.end_ps * 1e-12,
+                    board=transfer.node,
+                    identifier=frame.id,
+                    data=bytes(frame.data[0 : frame.length]),
+                    extended=frame.extended,
+                    remote=frame.remote,
+                    acknowledged=transfer.acknowledged,
+                )
+            )
+        return frames
+
+    def can_write(self, identifier: int, data: bytes, *, extended: bool = True, remote: bool = False) -> None:
+        """Let the host's adapter send a frame as soon as the bus is free.
+
+        Raises
+        ------
+        UserError
+            If the rig was made without the host on the bus, or the frame is longer than 8 bytes.
+        """
+        if len(data) > 8:
+            raise UserError(f"a CAN frame has at most 8 bytes, not {len(data)}")
+        fields = {"id": identifier, "extended": extended, "remote": remote, "length": len(data), "data": list(data)}
+        if not self._library.rig_can_write(self._rig, self._ffi.new("board_frame_t *", fields)):
+            raise UserError("the host's adapter is not on the rig's CAN bus")
+
+    def can_statistics(self) -> dict[str, int]:
+        """Return the bus's counts: frames, unacknowledged, collisions, busy_ps."""
+        statistics = self._ffi.new("can_statistics_t *")
+        self._library.rig_can_statistics(self._rig, statistics)
+        return {name: int(getattr(statistics, name)) for name in ("frames", "unacknowledged", "collisions", "busy_ps")}
+
+    # ---- What an observer sees ----
+
+    def sync_edges_s(self) -> FloatArray:
+        """Return the times of all rising edges of the sync wire so far."""
+        count = int(self._library.rig_sync_edges(self._rig, 0, self._ffi.NULL, 0))
+        times = self._ffi.new("int64_t[]", max(count, 1))
+        self._library.rig_sync_edges(self._rig, 0, times, count)
+        return np.array(list(times)[:count], dtype=np.float64) * 1e-12
+
+    def truth(self) -> list[Truth]:
+        """Take the truth of the cycles that ended since the last call; cycle 0 starts at the sync wire's first edge."""
+        times = self._ffi.new("int64_t[]", 1024)
+        result: list[Truth] = []
+        while True:
+            count = int(self._library.rig_sync_edges(self._rig, self._truth_edges, times, len(times)))
+            available = min(count - self._truth_edges, len(times))
+            if available < 2:
+                return result
+            for first, second in pairwise(times[0:available]):
+                result.append(self._truth_at(self._truth_edges, 0.5e-12 * (first + second)))
+                self._truth_edges += 1
+
+    def _truth_at(self, cycle: int, time_s: float) -> Truth:
+        position, rotation = self.scenario.motion.poses(np.array([time_s]))
+        return Truth(cycle, time_s, position[0], rotation.as_quat(canonical=True)[0])
+
+    def watch_pins(self, watch: bool = True) -> None:
+        """Keep every change of the boards' bridge, enable and sync outputs from now on; see `pin_changes`."""
+        self._library.rig_watch_pins(self._rig, watch)
+
+    def pin_changes(self, board: int) -> NDArray[Any]:
+        """Take a board's kept pin changes: a structured array of ``time_ps, board, pin, level``."""
+        layout = np.dtype([("time_ps", "i8"), ("board", "u2"), ("pin", "u1"), ("level", "?")], align=True)
+        taken = []
+        buffer = self._ffi.new("rig_pin_change_t[]", 4096)
+        while count := self._library.rig_pin_changes(self._rig, board, buffer, len(buffer)):
+            taken.append(np.frombuffer(bytes(self._ffi.buffer(buffer)), dtype=layout, count=count))
+        return np.concatenate(taken) if taken else np.empty(0, dtype=layout)
+
+    def coil_current_A(self, board: int) -> float:
+        """Coil current of a beacon at the present."""
+        return float(self._library.rig_coil_current(self._rig, board))
+
+    def sensor_field_T(self) -> FloatArray:
+        """Field at the sensor at the present, shape (3,), sensor's frame, before its front end."""
+        field = self._ffi.new("double[3]")
+        self._library.rig_sensor_field(self._rig, field)
+        return np.array(list(field))
+
+    def fault(self, board: int, kind: str, active: bool = True) -> None:
+        """Begin or end a fault of `FAULTS` at a board, at the present.
+
+        Raises
+        ------
+        UserError
+            If there is no such fault.
+        """
+        if kind not in FAULTS:
+            raise UserError(f"there is no fault '{kind}'; there are {', '.join(FAULTS)}")
+        self._library.rig_fault(self._rig, board, FAULTS.index(kind), active)
+
+    # ---- End ----
+
+    def close(self) -> None:
+        """End the rig and its boards; a second call does nothing."""
+        if self._rig != self._ffi.NULL:
+            self._library.rig_destroy(self._rig)
+            self._rig = self._ffi.NULL
+            for board in self._boards:
+                board.destroy()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,26 @@
+/* fake_board.h: the smallest board that has the edge of board_edge.h, to test the rig without firmware.
+ *
+ * Beacon: bridge on, set-point 10 A, chips from a small LFSR, the coil current sampled before each chip's end; the sync output rises with every
+ * FAKE_CYCLE-th chip; one CAN frame a cycle. Sensor: eight conversions of three axes before each chip's end; the volts go out of the serial port as they are,
+ * eight bytes each. Both send back what they hear: serial bytes as they come, sync edges and CAN frames as text with their times.
+ */
+#ifndef FAKE_BOARD_H
+#define FAKE_BOARD_H
+
+#include "board_edge.h"
+
+#define FAKE_CYCLE 31
+#define FAKE_BURST 8
+
+typedef struct {
+    bool sensor;
+    bool still;            /* A beacon that keeps its bridge positive. */
+    double ppm;
+    uint32_t can_id;
+    int64_t stops_at_ps;   /* 0: never. */
+} fake_config_t;
+
+board_t *fake_create(const fake_config_t *config, const board_edge_t *edge, int64_t power_on_ps);
+extern const board_operations_t fake_operations;
+
+#endif

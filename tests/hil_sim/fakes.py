@@ -1,0 +1,135 @@
+"""Fake boards (fake_board.c) and small scenarios for tests of the rig."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import textwrap
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cffi
+
+from hil_sim import scenario
+from hil_sim.boards import Board, BoardSpec, address
+from hil_sim.clib import ROOT
+
+HERE = Path(__file__).parent
+
+
+@cache
+def library() -> tuple[cffi.FFI, Any]:
+    """Compile the fake board once and open it."""
+    output = ROOT / "build" / "tests" / "libgf_fakeboard.so"
+    output.parent.mkdir(parents=True, exist_ok=True)
+    partial = output.with_suffix(f".{os.getpid()}")
+    command = ["gcc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC"]
+    includes = [f"-I{ROOT / 'firmware/boards'}", f"-I{HERE}"]
+    subprocess.run([*command, *includes, str(HERE / "fake_board.c"), "-o", str(partial)], check=True)
+    partial.replace(output)  # two test processes may build it at the same time
+    ffi = cffi.FFI()
+    ffi.cdef(
+        """
+        typedef struct { bool sensor, still; double ppm; uint32_t can_id; int64_t stops_at_ps; } fake_config_t;
+        void *fake_create(const fake_config_t *config, const void *edge, int64_t power_on_ps);
+        extern const char fake_operations[];
+        """
+    )
+    return ffi, ffi.dlopen(str(output))
+
+
+class FakeBoards:
+    """A factory of fake boards.
+
+    Parameters
+    ----------
+    still : bool
+        Beacons keep a constant current.
+    stops : dict, optional
+        Board number to the time at which it stops, picoseconds.
+    """
+
+    def __init__(self, *, still: bool = False, stops: dict[int, int] | None = None) -> None:
+        self._still, self._stops = still, stops or {}
+        self._made = 0
+
+    def __call__(self, spec: BoardSpec, edge: int) -> Board:
+        ffi, lib = library()
+        config = ffi.new("fake_config_t *")
+        config.sensor = spec.role == "sensor"
+        config.still, config.ppm = self._still, spec.clock.crystal_ppm
+        config.can_id = 0x01000001 + self._made
+        config.stops_at_ps = self._stops.get(self._made, 0)
+        self._made += 1
+        instance = lib.fake_create(config, ffi.cast("void *", edge), spec.power_on_ps)
+        return Board(address(ffi, instance), address(ffi, lib.fake_operations), destroy=lambda: None)
+
+
+SMALL = """
+    name = "small"
+    seed = 7
+    power_on_spread_s = 1e-3
+
+    [ambient]
+    earth_T = [2e-5, 0.0, -4.5e-5]
+
+    [sensor]
+    node = 100
+    range_T = 2e-4
+    noise_T = 1e-7
+    bandwidth_Hz = 1e5
+    crystal_ppm = 20.0
+
+    [motion]
+    kind = "still"
+    position_m = [0.5, 0.6, 0.4]
+    rotation_vector_rad = [0.1, -0.2, 0.3]
+
+    [coil]
+    turns = 19
+    radius_m = 0.149
+    axis = [0.0, 0.0, 1.0]
+    current_A = 10.0
+    inductance_H = 1.9e-4
+    resistance_Ohm = 0.15
+    supply_V = 120.0
+
+    [[beacon]]
+    id = "a"
+    node = 1
+    code = 2
+    position_m = [0.0, 0.0, 0.0]
+    sync_master = true
+
+    [[beacon]]
+    id = "b"
+    node = 2
+    code = 3
+    position_m = [1.0, 0.0, 0.0]
+    crystal_ppm = 40.0
+
+    [[beacon]]
+    id = "c"
+    node = 3
+    code = 4
+    position_m = [0.0, 1.0, 0.0]
+    crystal_ppm = -30.0
+    """
+
+
+def write_scenario(directory: Path, **replacements: str) -> Path:
+    """Write the small scenario with lines replaced: the key is the line's start up to ``=``, the value what follows."""
+    text = textwrap.dedent(SMALL)
+    for old, new in replacements.items():
+        lines = [f"{old} = {new}" if line.split("=")[0].strip() == old else line for line in text.splitlines()]
+        assert lines != text.splitlines(), f"{old} is not in the scenario"
+        text = "\n".join(lines) + "\n"
+    path = directory / "small.toml"
+    path.write_text(text)
+    return path
+
+
+def small(directory: Path, **replacements: str) -> scenario.Scenario:
+    """Load the small scenario with lines replaced."""
+    return scenario.load(write_scenario(directory, **replacements))
