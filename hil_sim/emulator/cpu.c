@@ -1,0 +1,556 @@
+#include "it_block.h"
+#include "processor.h"
+
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define PRIVATE_BUS_BASE 0xE0000000u
+#define PRIVATE_BUS_SIZE 0x00100000u
+/* A page of our own. A stop inside an IT block is only honoured at an instruction outside of it: execution is sent here, and stops. */
+#define TRAMPOLINE 0xF0000000u
+#define TRAMPOLINE_SIZE 0x1000u
+
+#define OPCODE_WFI 0xBF30u
+#define OPCODE_WFE 0xBF20u
+#define OPCODE_YIELD 0xBF10u
+
+#define CFSR_IBUSERR (1u << 8)
+#define CFSR_PRECISERR (1u << 9)
+#define CFSR_BFARVALID (1u << 15)
+#define CFSR_UNDEFINSTR (1u << 16)
+#define CFSR_INVSTATE (1u << 17)
+#define CFSR_NOCP (1u << 19)
+#define CFSR_UNALIGNED (1u << 24)
+#define HFSR_DEBUGEVT (1u << 31)
+#define CPACR_FPU 0x00F00000u
+
+/* Numbers that Unicorn hands to an interrupt hook (qemu/target/arm/cpu.h). */
+enum { UNICORN_SVC = 2, UNICORN_PREFETCH_ABORT = 3, UNICORN_DATA_ABORT = 4, UNICORN_BREAKPOINT = 7, UNICORN_EXCEPTION_EXIT = 8 };
+
+/* ---- Looking at code ---- */
+
+static bool opcode_at(const cpu_t *cpu, uint32_t address, uint16_t *opcode)
+{
+    const uint8_t *const memory = machine_memory(cpu->machine, address, 2);
+    if (memory != NULL) {
+        memcpy(opcode, memory, sizeof *opcode);
+    }
+    return memory != NULL;
+}
+
+/* ITSTATE at target, if walking from address with state leads there inside the block; else 0. */
+static uint8_t walk(const cpu_t *cpu, uint32_t address, uint8_t state, uint32_t target)
+{
+    uint16_t opcode;
+    while (state != 0 && address < target && opcode_at(cpu, address, &opcode)) {
+        address += thumb_size(opcode);
+        state = it_block_advance(state);
+    }
+    return address == target ? state : 0;
+}
+
+/* ITSTATE of the instruction at address, which is about to run or just failed, from the instructions that ran before it. */
+static uint8_t it_state_at(const cpu_t *cpu, uint32_t address)
+{
+    if (cpu->executed - cpu->resume_executed < 5) {
+        const uint8_t state = walk(cpu, cpu->resume_pc, cpu->resume_it_state, address);
+        if (state != 0) {
+            return state;
+        }
+    }
+    for (uint64_t back = 1; back <= 5 && back <= cpu->executed - cpu->resume_executed; back++) {
+        const uint32_t origin = cpu->history[(cpu->executed - back) % HISTORY];
+        uint16_t opcode;
+        if (origin < address && opcode_at(cpu, origin, &opcode) && it_block_opens(opcode)) {
+            return walk(cpu, origin + 2u, (uint8_t)opcode, address);
+        }
+    }
+    return 0;
+}
+
+/* Instructions that need the floating-point unit: coprocessors 10 and 11 (ARMv7-M manual, A5.3.18). */
+static bool is_floating_point(const cpu_t *cpu, uint32_t address)
+{
+    uint16_t first, second;
+    return opcode_at(cpu, address, &first) && (first & 0xEC00u) == 0xEC00u && opcode_at(cpu, address + 2u, &second) && (second & 0x0E00u) == 0x0A00u;
+}
+
+/* ---- Before an instruction ---- */
+
+static bool preempts(const cpu_t *cpu)
+{
+    return cpu->nvic.candidate_priority < cpu->nvic.active_priority && cpu->nvic.candidate_priority < execution_priority(cpu, true);
+}
+
+/* Something must happen before the instruction at address: 0 to go on, or leave Unicorn. Sets the next deadline. */
+static bool must_leave(cpu_t *cpu, uint32_t address)
+{
+    machine_t *const machine = cpu->machine;
+    const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
+    cpu->deadline = 0;
+    if (cpu->fault.exception != 0 || machine->stop_requested || machine->reset_requested) {
+        return true;
+    }
+    machine_fire(machine, time < cpu->until_ps ? time : cpu->until_ps - 1);
+    if (time >= cpu->until_ps || machine->stop_requested || machine->reset_requested || preempts(cpu)) {
+        return true;
+    }
+    bool every_instruction = cpu->nvic.candidate_priority < cpu->nvic.active_priority; /* Masked: the mask may open any time. */
+    if ((cpu->system.cpacr & CPACR_FPU) != CPACR_FPU) {
+        every_instruction = true;
+        if (is_floating_point(cpu, address)) {
+            cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_NOCP};
+            machine_violation(machine, "floating-point instruction while CPACR does not enable the unit");
+            return true;
+        }
+    }
+    if (cpu->probes_active != 0) {
+        probes_step(cpu, address);
+        every_instruction = every_instruction || cpu->probes_active != 0;
+    }
+    if (!every_instruction) {
+        const int64_t next = machine_next_event(machine);
+        cpu->deadline = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) - cpu->skipped;
+    }
+    return false;
+}
+
+static __attribute__((noinline)) bool cpu_attend(cpu_t *cpu, uint32_t address)
+{
+    if (address == TRAMPOLINE) {
+        uc_emu_stop(cpu->uc);
+        return true;
+    }
+    if (!must_leave(cpu, address)) {
+        return false;
+    }
+    cpu->deadline = 0;
+    cpu->leave = LEAVE_STOPPED;
+    cpu->pc = address;
+    cpu->it_state = it_state_at(cpu, address);
+    if (cpu->it_state == 0) {
+        uc_emu_stop(cpu->uc);
+    } else {
+        cpu_set_register(cpu, UC_ARM_REG_PC, TRAMPOLINE | 1u);
+    }
+    return true;
+}
+
+static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void *user)
+{
+    (void)uc;
+    (void)size;
+    cpu_t *const cpu = user;
+    if (cpu->executed >= cpu->deadline && cpu_attend(cpu, (uint32_t)address)) {
+        return;
+    }
+    cpu->history[cpu->executed % HISTORY] = (uint32_t)address;
+    cpu->executed++;
+}
+
+static void on_interrupt(uc_engine *uc, uint32_t number, void *user)
+{
+    cpu_t *const cpu = user;
+    cpu->leave = LEAVE_EXCEPTION;
+    cpu->leave_exception = number;
+    uc_emu_stop(uc);
+}
+
+/* ---- Peripheral accesses ---- */
+
+static uint32_t last_pc(const cpu_t *cpu)
+{
+    return cpu->history[(cpu->executed - 1u) % HISTORY];
+}
+
+static bool is_single_transfer(const cpu_t *cpu)
+{
+    uint16_t opcode;
+    if (!opcode_at(cpu, last_pc(cpu), &opcode)) {
+        return false;
+    }
+    /* 16 bits: LDR/STR and halfwords. 32 bits: A5.3.7 to A5.3.10, single data items. */
+    return thumb_size(opcode) == 2 ? (opcode >> 12 >= 5u && opcode >> 12 <= 9u) || opcode >> 11 == 9u : (opcode & 0xFE00u) == 0xF800u;
+}
+
+static void access_begin(cpu_t *cpu, uint32_t address)
+{
+    cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
+    if (cpu->access_executed == cpu->executed && cpu->fault.exception == 0 && is_single_transfer(cpu)) {
+        /* Unicorn splits an access that is not aligned. */
+        machine_violation(cpu->machine, "unaligned access near 0x%08x", (unsigned)address);
+        cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_UNALIGNED};
+        cpu->deadline = 0;
+    }
+    cpu->access_executed = cpu->executed;
+}
+
+static void access_failed(cpu_t *cpu, uint32_t address)
+{
+    cpu->fault = (fault_t){.exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_PRECISERR | CFSR_BFARVALID, .address = address};
+    cpu->deadline = 0;
+}
+
+static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *user)
+{
+    (void)uc;
+    const bus_window_t *const window = user;
+    cpu_t *const cpu = window->cpu;
+    const uint32_t address = window->base + (uint32_t)offset;
+    uint32_t value = 0;
+    access_begin(cpu, address);
+    if (window->base != PRIVATE_BUS_BASE) {
+        if (!machine_core_read(cpu->machine, address, size, &value)) {
+            access_failed(cpu, address);
+        }
+    } else if (!system_control_read(cpu, address, size, &value)) {
+        machine_violation(cpu->machine, "%u-byte read of unknown core register 0x%08x", size, (unsigned)address);
+        access_failed(cpu, address);
+    }
+    return value;
+}
+
+static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
+{
+    (void)uc;
+    const bus_window_t *const window = user;
+    cpu_t *const cpu = window->cpu;
+    const uint32_t address = window->base + (uint32_t)offset;
+    access_begin(cpu, address);
+    if (window->base != PRIVATE_BUS_BASE) {
+        if (!machine_core_write(cpu->machine, address, size, (uint32_t)value)) {
+            access_failed(cpu, address);
+        }
+    } else if (!system_control_write(cpu, address, size, (uint32_t)value)) {
+        machine_violation(cpu->machine, "%u-byte write to unknown core register 0x%08x", size, (unsigned)address);
+        access_failed(cpu, address);
+    }
+}
+
+static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user)
+{
+    (void)uc;
+    (void)size;
+    (void)value;
+    (void)type;
+    cpu_t *const cpu = user;
+    cpu->fault.address = (uint32_t)address;
+    return false;
+}
+
+/* ---- After Unicorn returned ---- */
+
+/* The instruction at last_pc() did not complete. */
+static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, const char *what)
+{
+    cpu->fault.exception = exception;
+    cpu->fault.cfsr = cfsr;
+    cpu->pc = last_pc(cpu);
+    cpu->executed--; /* Where it stands in its IT block is found as for an instruction about to run. */
+    cpu->it_state = it_state_at(cpu, cpu->pc);
+    cpu->executed++;
+    cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
+    if ((cfsr & CFSR_BFARVALID) != 0) {
+        machine_violation(cpu->machine, "%s 0x%08x", what, (unsigned)cpu->fault.address);
+    } else {
+        machine_violation(cpu->machine, "%s", what);
+    }
+}
+
+/* PC and ITSTATE as Unicorn keeps them at the end of a block. */
+static uint32_t take_state(cpu_t *cpu)
+{
+    const uint32_t pc = cpu_register(cpu, UC_ARM_REG_PC);
+    const uint32_t xpsr = cpu_register(cpu, UC_ARM_REG_XPSR);
+    cpu->pc = pc & ~1u;
+    cpu->it_state = it_block_from_xpsr(xpsr);
+    return pc;
+}
+
+static void fetch_failed(cpu_t *cpu, uint32_t pc)
+{
+    cpu->fault = (fault_t){.exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_IBUSERR};
+    machine_violation(cpu->machine, "instruction fetch from 0x%08x, where there is no memory", (unsigned)pc);
+}
+
+static void exception_left(cpu_t *cpu)
+{
+    const uint32_t pc = take_state(cpu);
+    switch (cpu->leave_exception) {
+    case UNICORN_SVC: exception_synchronous(cpu, EXCEPTION_SVCALL); break;
+    case UNICORN_PREFETCH_ABORT:
+    case UNICORN_EXCEPTION_EXIT:
+        if (pc >= 0xFFFFFF00u) {
+            exception_return(cpu, pc | 1u);
+        } else {
+            fetch_failed(cpu, pc);
+        }
+        break;
+    case UNICORN_DATA_ABORT: instruction_failed(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNALIGNED, "unaligned access by an instruction that needs alignment"); break;
+    case UNICORN_BREAKPOINT:
+        instruction_failed(cpu, EXCEPTION_HARD_FAULT, 0, "breakpoint instruction without a debugger");
+        cpu->fault.hfsr = HFSR_DEBUGEVT;
+        break;
+    default: instruction_failed(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNDEFINSTR, "instruction that the processor cannot run"); break;
+    }
+}
+
+static void hint_left(cpu_t *cpu, uint16_t opcode)
+{
+    take_state(cpu);
+    if (opcode == OPCODE_WFI) {
+        cpu->asleep = true;
+    } else if (opcode == OPCODE_WFE) {
+        /* SEV sets no event here: a wait after it sleeps until the next exception. */
+        cpu->asleep = !cpu->event_register;
+        cpu->event_register = false;
+    }
+}
+
+static void left_unicorn(cpu_t *cpu, uc_err error)
+{
+    uint16_t opcode = 0;
+    const bool known = opcode_at(cpu, last_pc(cpu), &opcode);
+    if (cpu->leave == LEAVE_STOPPED) {
+        return;
+    }
+    if (cpu->leave == LEAVE_EXCEPTION) {
+        exception_left(cpu);
+        return;
+    }
+    switch (error) {
+    case UC_ERR_OK: hint_left(cpu, OPCODE_WFI); break;
+    case UC_ERR_INSN_INVALID:
+        if (known && (opcode == OPCODE_WFE || opcode == OPCODE_YIELD)) {
+            hint_left(cpu, opcode);
+        } else {
+            instruction_failed(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNDEFINSTR, "undefined instruction");
+        }
+        break;
+    case UC_ERR_READ_UNMAPPED:
+    case UC_ERR_READ_PROT: instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "read of unmapped address"); break;
+    case UC_ERR_WRITE_UNMAPPED: instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to unmapped address"); break;
+    case UC_ERR_WRITE_PROT: instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to read-only address"); break;
+    case UC_ERR_FETCH_UNMAPPED:
+    case UC_ERR_FETCH_PROT: fetch_failed(cpu, take_state(cpu)); break;
+    case UC_ERR_EXCEPTION:
+        take_state(cpu);
+        cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVSTATE};
+        machine_violation(cpu->machine, "branch to 0x%08x without the Thumb bit", (unsigned)cpu->pc);
+        break;
+    default: cpu_halt(cpu, uc_strerror(error)); break;
+    }
+}
+
+static void execute(cpu_t *cpu)
+{
+    if (cpu->it_state != 0) {
+        cpu_set_register(cpu, UC_ARM_REG_EPSR, it_block_to_xpsr(cpu->it_state) | 1u << 24);
+    }
+    cpu->resume_pc = cpu->pc;
+    cpu->resume_it_state = cpu->it_state;
+    cpu->resume_executed = cpu->executed;
+    cpu->access_executed = UINT64_MAX;
+    cpu->leave = LEAVE_NOTHING;
+    cpu->deadline = 0;
+    left_unicorn(cpu, uc_emu_start(cpu->uc, cpu->pc | 1u, 0, 0, 0));
+}
+
+/* ---- Running ---- */
+
+void cpu_halt(cpu_t *cpu, const char *reason)
+{
+    cpu->halted = true;
+    machine_violation(cpu->machine, "%s", reason);
+}
+
+void cpu_reset(cpu_t *cpu)
+{
+    machine_t *const machine = cpu->machine;
+    machine->reset_requested = false;
+    nvic_reset(&cpu->nvic);
+    system_control_reset(cpu);
+    cpu->asleep = false;
+    cpu->event_register = false;
+    cpu->fault = (fault_t){0};
+    cpu->depth = 0;
+    cpu->probes_active = 0;
+    for (unsigned i = 0; i < cpu->probe_count; i++) {
+        cpu->probes[i].active = false;
+    }
+    machine_reset_peripherals(machine);
+    machine->reset_flags = 0;
+
+    uint32_t vectors[2];
+    memcpy(vectors, machine->flash, sizeof vectors);
+    cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, 1u << 24 | EXCEPTION_NMI); /* A handler may write every register. */
+    static const int zeroed[] = {UC_ARM_REG_CONTROL, UC_ARM_REG_PSP, UC_ARM_REG_PRIMASK, UC_ARM_REG_BASEPRI, UC_ARM_REG_FAULTMASK, UC_ARM_REG_FPSCR};
+    for (unsigned i = 0; i < sizeof zeroed / sizeof zeroed[0]; i++) {
+        cpu_set_register(cpu, zeroed[i], 0);
+    }
+    cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, 1u << 24);
+    cpu_set_register(cpu, UC_ARM_REG_CONTROL, 0);
+    cpu_set_register(cpu, UC_ARM_REG_APSR_NZCV, 0);
+    cpu_set_register(cpu, UC_ARM_REG_SP, vectors[0] & ~3u);
+    cpu_set_register(cpu, UC_ARM_REG_LR, 0xFFFFFFFFu);
+    cpu->pc = vectors[1] & ~1u;
+    cpu->it_state = 0;
+}
+
+/* Asleep: skip to the next event or the end of the run. The core wakes for an exception that would preempt if PRIMASK were clear. */
+static void pass_sleep(cpu_t *cpu)
+{
+    if (cpu->nvic.candidate_priority < execution_priority(cpu, false)) {
+        cpu->asleep = false;
+        return;
+    }
+    const int64_t next = machine_next_event(cpu->machine);
+    cpu->skipped = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) - cpu->executed;
+}
+
+board_status_t cpu_run(cpu_t *cpu, int64_t until_ps)
+{
+    machine_t *const machine = cpu->machine;
+    cpu->until_ps = until_ps;
+    while (!cpu->halted) {
+        if (machine->stop_requested) {
+            cpu->halted = true;
+            break;
+        }
+        if (machine->reset_requested) {
+            cpu_reset(cpu);
+        }
+        const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
+        machine_fire(machine, time < until_ps ? time : until_ps - 1);
+        if (machine->stop_requested || machine->reset_requested) {
+            continue;
+        }
+        if (time >= until_ps) {
+            machine->now_ps = until_ps > machine->now_ps ? until_ps : machine->now_ps;
+            return BOARD_OK;
+        }
+        if (cpu->fault.exception != 0) {
+            const fault_t fault = cpu->fault;
+            cpu->fault = (fault_t){0};
+            exception_fault(cpu, &fault);
+        } else if (cpu->asleep) {
+            pass_sleep(cpu);
+        } else if (preempts(cpu)) {
+            exception_enter(cpu, cpu->nvic.candidate);
+        } else {
+            execute(cpu);
+        }
+    }
+    return BOARD_FAULT;
+}
+
+/* ---- What the machine asks of its processor ---- */
+
+static void irq(void *processor, unsigned position, bool level)
+{
+    cpu_t *const cpu = processor;
+    nvic_line(&cpu->nvic, position, level);
+    cpu->deadline = 0;
+}
+
+static void clock_changed(void *processor, double hz)
+{
+    cpu_t *const cpu = processor;
+    core_clock_set(&cpu->clock, cpu_cycle(cpu), hz);
+    system_control_clock_changed(cpu);
+    cpu->deadline = 0;
+}
+
+static void attention(void *processor)
+{
+    ((cpu_t *)processor)->deadline = 0;
+}
+
+static uint32_t program_counter(const void *processor)
+{
+    const cpu_t *const cpu = processor;
+    return cpu->executed == 0 ? cpu->pc : last_pc(cpu);
+}
+
+/* ---- Life ---- */
+
+static uc_err map_all(cpu_t *cpu)
+{
+    machine_t *const machine = cpu->machine;
+    const uint32_t read_execute = UC_PROT_READ | UC_PROT_EXEC;
+    const struct { uint32_t base, size, access; void *bytes; } memories[] = {
+        {0, FLASH_SIZE, read_execute, machine->flash}, /* Boot from flash: it appears at 0 too. */
+        {FLASH_BASE, FLASH_SIZE, read_execute, machine->flash},
+        {SYSTEM_MEMORY_BASE, SYSTEM_MEMORY_SIZE, read_execute, machine->system_memory},
+        {SRAM_BASE, SRAM_SIZE, UC_PROT_ALL, machine->sram},
+        {CCM_BASE, CCM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->ccm}, /* Data only: it is not on the instruction bus. */
+    };
+    uc_err error = uc_mem_map(cpu->uc, TRAMPOLINE, TRAMPOLINE_SIZE, read_execute);
+    for (unsigned i = 0; i < sizeof memories / sizeof memories[0] && error == UC_ERR_OK; i++) {
+        error = uc_mem_map_ptr(cpu->uc, memories[i].base, memories[i].size, memories[i].access, memories[i].bytes);
+    }
+    static const struct { uint32_t base, size; } windows[] = {
+        {PERIPHERAL_BASE, PERIPHERAL_SIZE}, {PERIPHERAL2_BASE, PERIPHERAL2_SIZE}, {PRIVATE_BUS_BASE, PRIVATE_BUS_SIZE}};
+    for (unsigned i = 0; i < 3 && error == UC_ERR_OK; i++) {
+        cpu->windows[i] = (bus_window_t){.cpu = cpu, .base = windows[i].base};
+        error = uc_mmio_map(cpu->uc, windows[i].base, windows[i].size, on_read, &cpu->windows[i], on_write, &cpu->windows[i]);
+    }
+    return error;
+}
+
+static uc_err start_unicorn(cpu_t *cpu)
+{
+    uc_err error = uc_open(UC_ARCH_ARM, UC_MODE_THUMB, &cpu->uc); /* UC_MODE_MCLASS would make it a Cortex-M33. */
+    if (error == UC_ERR_OK) {
+        error = uc_ctl_set_cpu_model(cpu->uc, UC_CPU_ARM_CORTEX_M4);
+    }
+    if (error == UC_ERR_OK) {
+        error = uc_ctl_exits_enable(cpu->uc); /* No exit addresses: else each stop discards the code at one. */
+    }
+    if (error == UC_ERR_OK) {
+        error = map_all(cpu);
+    }
+    if (error == UC_ERR_OK) {
+        error = uc_hook_add(cpu->uc, &cpu->code_hook, UC_HOOK_CODE, (void *)on_instruction, cpu, 1, 0);
+    }
+    if (error == UC_ERR_OK) {
+        error = uc_hook_add(cpu->uc, &cpu->interrupt_hook, UC_HOOK_INTR, (void *)on_interrupt, cpu, 1, 0);
+    }
+    if (error == UC_ERR_OK) {
+        error = uc_hook_add(cpu->uc, &cpu->memory_hook, UC_HOOK_MEM_INVALID, (void *)on_bad_memory, cpu, 1, 0);
+    }
+    return error;
+}
+
+cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size)
+{
+    cpu_t *const cpu = calloc(1, sizeof *cpu);
+    if (cpu == NULL) {
+        snprintf(error, error_size, "no memory for a processor");
+        return NULL;
+    }
+    cpu->machine = machine;
+    cpu->stack_low = UINT32_MAX;
+    const uc_err result = start_unicorn(cpu);
+    if (result != UC_ERR_OK) {
+        snprintf(error, error_size, "Unicorn cannot start a Cortex-M4: %s", uc_strerror(result));
+        cpu_destroy(cpu);
+        return NULL;
+    }
+    cpu->clock.base_ps = machine->now_ps;
+    core_clock_set(&cpu->clock, 0, 16e6 * (1.0 + machine->config.internal_ppm * 1e-6));
+    system_control_create(cpu);
+    machine->processor = (machine_processor_t){.irq = irq, .clock = clock_changed, .attention = attention, .program_counter = program_counter, .processor = cpu};
+    return cpu;
+}
+
+void cpu_destroy(cpu_t *cpu)
+{
+    if (cpu->uc != NULL) {
+        uc_close(cpu->uc);
+    }
+    free(cpu->report);
+    free(cpu);
+}

@@ -1,0 +1,133 @@
+#include "emulator.h"
+
+#include "processor.h"
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define REPORT_SIZE (MACHINE_REPORT_SIZE + 1024u)
+#define POWER_ON_FLAGS 0x0E000000u /* RCC_CSR: power-on, pin and brown-out reset. */
+
+static cpu_t *cpu_of(const board_t *board)
+{
+    return ((const machine_t *)board)->processor.processor;
+}
+
+board_t *emulator_create(const emulator_config_t *config, const board_edge_t *edge, int64_t power_on_ps, char *error, size_t error_size)
+{
+    machine_t *const machine = machine_create(config, edge, power_on_ps);
+    if (machine == NULL) {
+        snprintf(error, error_size, "no memory for a board");
+        return NULL;
+    }
+    cpu_t *const cpu = cpu_create(machine, error, error_size);
+    char *const report = malloc(REPORT_SIZE);
+    if (cpu == NULL || report == NULL) {
+        free(report);
+        if (cpu != NULL) {
+            cpu_destroy(cpu);
+            snprintf(error, error_size, "no memory for a board");
+        }
+        machine_destroy(machine);
+        return NULL;
+    }
+    cpu->report = report;
+    peripherals_create(machine);
+    machine_reset_request(machine, POWER_ON_FLAGS); /* The first run begins with the reset sequence. */
+    return (board_t *)machine;
+}
+
+bool emulator_load(board_t *board, uint32_t address, const uint8_t *bytes, size_t count)
+{
+    if (address < FLASH_BASE || address - FLASH_BASE >= FLASH_SIZE || count > FLASH_SIZE - (address - FLASH_BASE)) {
+        return false;
+    }
+    memcpy(((machine_t *)board)->flash + (address - FLASH_BASE), bytes, count);
+    uc_ctl_flush_tb(cpu_of(board)->uc);
+    return true;
+}
+
+static board_status_t emulator_run(board_t *board, int64_t until_ps)
+{
+    return cpu_run(cpu_of(board), until_ps);
+}
+
+static int64_t emulator_now(const board_t *board)
+{
+    return machine_now((const machine_t *)board);
+}
+
+static const char *emulator_report(const board_t *board)
+{
+    const machine_t *const machine = (const machine_t *)board;
+    const cpu_t *const cpu = cpu_of(board);
+    char *const text = cpu->report;
+    const system_control_t *const system = &cpu->system;
+    snprintf(text, REPORT_SIZE,
+             "%s at %.9f s: PC 0x%08x, LR 0x%08x, SP 0x%08x, xPSR 0x%08x\n"
+             "fault status: CFSR 0x%08x, HFSR 0x%08x, BFAR 0x%08x; %llu instructions, %llu violations\n%s",
+             cpu->halted ? "stopped" : "running", (double)machine->now_ps * 1e-12, (unsigned)machine->processor.program_counter(cpu),
+             (unsigned)cpu_register(cpu, UC_ARM_REG_LR), (unsigned)cpu_register(cpu, UC_ARM_REG_SP), (unsigned)cpu_register(cpu, UC_ARM_REG_XPSR),
+             (unsigned)system->cfsr, (unsigned)system->hfsr, (unsigned)system->bfar, (unsigned long long)cpu->executed,
+             (unsigned long long)machine->violations, machine->report);
+    return text;
+}
+
+static void emulator_destroy(board_t *board)
+{
+    machine_t *const machine = (machine_t *)board;
+    cpu_t *const cpu = cpu_of(board);
+    machine->processor.processor = NULL;
+    cpu_destroy(cpu);
+    machine_destroy(machine);
+}
+
+const board_operations_t emulator_operations = {
+    .run = emulator_run,
+    .now = emulator_now,
+    .pin_in = machine_pin_in,
+    .uart_in = machine_uart_in,
+    .can_in = machine_can_in,
+    .can_sent = machine_can_sent,
+    .report = emulator_report,
+    .destroy = emulator_destroy,
+};
+
+void emulator_stats(const board_t *board, emulator_stats_t *stats)
+{
+    const cpu_t *const cpu = cpu_of(board);
+    *stats = (emulator_stats_t){
+        .instructions = cpu->executed,
+        .interrupts = cpu->interrupts,
+        .cycles = cpu_cycle(cpu),
+        .sleep_cycles = cpu->skipped,
+        .violations = ((const machine_t *)board)->violations,
+        .stack_low = cpu->stack_low,
+    };
+}
+
+uint32_t emulator_register(const board_t *board, unsigned index)
+{
+    static const int special[] = {UC_ARM_REG_XPSR,    UC_ARM_REG_MSP,       UC_ARM_REG_PSP,     UC_ARM_REG_PRIMASK,
+                                  UC_ARM_REG_BASEPRI, UC_ARM_REG_FAULTMASK, UC_ARM_REG_CONTROL, UC_ARM_REG_FPSCR};
+    const cpu_t *const cpu = cpu_of(board);
+    if (index < 13) {
+        return cpu_register(cpu, UC_ARM_REG_R0 + (int)index);
+    }
+    switch (index) {
+    case 13: return cpu_register(cpu, UC_ARM_REG_SP);
+    case 14: return cpu_register(cpu, UC_ARM_REG_LR);
+    case 15: return cpu->pc;
+    default: return index - 16u < sizeof special / sizeof special[0] ? cpu_register(cpu, special[index - 16u]) : 0;
+    }
+}
+
+bool emulator_memory_read(const board_t *board, uint32_t address, uint8_t *bytes, size_t count)
+{
+    const uint8_t *const memory = machine_memory((machine_t *)board, address, count);
+    if (memory != NULL) {
+        memcpy(bytes, memory, count);
+    }
+    return memory != NULL;
+}
