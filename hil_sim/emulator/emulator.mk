@@ -16,8 +16,8 @@ $(EMULATOR_OBJECTS): $(BUILD)/%.o: %.c $(UNICORN_LINKS)/stamp
 	@mkdir -p $(@D)
 	@$(HOST_CC) $(HOST_CFLAGS) -Ihil_sim/emulator -Ifirmware/boards -isystem $(UNICORN_LINKS)/include -c $< -o $@
 
-$(EMULATOR_LIBRARY): $(EMULATOR_OBJECTS)
+$(EMULATOR_LIBRARY): $(EMULATOR_OBJECTS) hil_sim/emulator/exports.map
 	@echo "emulator: $@"
-	@$(HOST_CC) -shared -o $@ $(EMULATOR_OBJECTS) -L$(UNICORN_LINKS)/lib -l:libunicorn.so.2 -Wl,-rpath,$$(readlink -f $(UNICORN_LINKS)/lib) -lm
+	@$(HOST_CC) -shared -Wl,-Bsymbolic -Wl,--version-script=hil_sim/emulator/exports.map -o $@ $(EMULATOR_OBJECTS) -L$(UNICORN_LINKS)/lib -l:libunicorn.so.2 -Wl,-rpath,$$(readlink -f $(UNICORN_LINKS)/lib) -lm
 
 -include $(EMULATOR_OBJECTS:.o=.d)
