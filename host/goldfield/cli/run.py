@@ -83,7 +83,7 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
     table = PoseTable(live=True, truth=truth is not None)
     summary = Summary()
     try:
-        for report in _limited(session.reports(live), arguments.seconds):
+        for report in _limited(session.reports(live), arguments.seconds, site.cycle_s):
             pose = pose_of(site, separator.fields(report))
             error = NO_ERROR if truth is None else truth.error_of(pose)
             lost = report.lost(expected_fields=len(site.codes))
@@ -112,15 +112,15 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
     return 0
 
 
-def _limited(reports: Iterator[Report], seconds: float | None) -> Iterator[Report]:
-    """Yield reports up to so much time of the sensor after the first."""
+def _limited(reports: Iterator[Report], seconds: float | None, cycle_s: float) -> Iterator[Report]:
+    """Yield the reports that fill so much time of the sensor, to the nearest cycle."""
     first = math.nan
     for report in reports:
+        yield report
         if math.isnan(first):
             first = report.time_s
-        if seconds is not None and report.time_s - first >= seconds - 1e-6:
+        if seconds is not None and report.time_s - first >= seconds - 1.5 * cycle_s:
             return
-        yield report
 
 
 def _choose_source(arguments: argparse.Namespace) -> tuple[str, str]:

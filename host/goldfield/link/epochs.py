@@ -135,6 +135,7 @@ class Assembler:
             return
         else:
             cycle = self._cycle_of(int(message.signals["cycle_low"]))
+        assert self._newest is not None
         if _distance(cycle, self._expected) < 0:
             self.late += 1
             return

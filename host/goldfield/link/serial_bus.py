@@ -14,6 +14,9 @@ from goldfield_protocol.framing import FrameDecoder, encode_frame
 
 BAUD_RATE = 2_000_000
 
+POLL_S = 0.05
+"""Longest wait in one read: setting pyserial's time-out for each read would reconfigure the port each time."""
+
 KNOWN_REASONS = {
     errno.ENOENT: "there is no such port",
     errno.ENOTTY: "is no serial port",
@@ -45,8 +48,9 @@ class SerialBus(can.BusABC):
         self._port_name = channel
         self._decoder = FrameDecoder()
         self._received: deque[can.Message] = deque()
+        self._in_step = False
         try:
-            self._port = serial.Serial(channel, baudrate, timeout=0.0, write_timeout=1.0, exclusive=True)
+            self._port = serial.Serial(channel, baudrate, timeout=POLL_S, write_timeout=1.0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             self._is_shutdown = True  # nothing to close: keeps python-can from complaining about it
             raise can.CanInitializationError(f"{channel}: {_reason(error)}") from error
@@ -72,26 +76,29 @@ class SerialBus(can.BusABC):
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline = None if timeout is None else time.monotonic() + timeout
         while not self._received:
-            remaining = None if deadline is None else max(0.0, deadline - time.monotonic())
             try:
-                self._port.timeout = remaining
-                chunk = self._port.read(max(1, self._port.in_waiting))
+                waiting = self._port.in_waiting
+                chunk = b"" if timeout == 0.0 and not waiting else self._port.read(max(1, waiting))
             except (serial.SerialException, OSError, TypeError) as error:
                 raise self._gone(error) from error  # TypeError: pyserial's answer to a port closed in another thread
-            now = time.time()
-            for frame in self._decoder.feed(chunk):
-                self._received.append(
-                    can.Message(
-                        timestamp=now,
-                        arbitration_id=frame.identifier,
-                        is_extended_id=True,
-                        data=frame.data,
-                        channel=self._port_name,
-                    )
-                )
-            if not chunk and remaining is not None:
+            self._decode(chunk)
+            if not self._received and deadline is not None and time.monotonic() >= deadline:
                 break
         return (self._received.popleft() if self._received else None), False
+
+    def _decode(self, chunk: bytes) -> None:
+        now = time.time()
+        head, delimiter, rest = chunk.partition(b"\0")
+        for part in (chunk,) if self._in_step else (head + delimiter, rest):
+            for frame in self._decoder.feed(part):
+                message = can.Message(
+                    timestamp=now, arbitration_id=frame.identifier, data=frame.data, channel=self._port_name
+                )
+                self._received.append(message)
+            if delimiter and not self._in_step:
+                # Listening began in the middle of a frame, which is no fault of the line.
+                self._in_step = True
+                self._decoder.bad_crc = self._decoder.malformed = self._decoder.overlong = 0
 
     def fileno(self) -> int:
         """Return the port's file descriptor."""

@@ -139,7 +139,11 @@ class Session:
         """
         quiet_since = time.monotonic()
         while True:
-            raw = self._receive_raw(1.0)
+            try:
+                raw = self._receive_raw(1.0)
+            except SystemFailure:
+                yield from self.assembler.flush()
+                raise
             if raw is None:
                 yield from self.assembler.flush()
                 if not live:

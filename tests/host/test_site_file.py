@@ -1,0 +1,137 @@
+"""The site file: what it means, and one sentence for each thing that can be wrong with it."""
+
+import math
+
+import numpy as np
+import pytest
+from goldfield.cli import main
+from goldfield.errors import UserError
+from goldfield.site import load
+
+from tests.host.fake_sensor import SITE
+
+GOOD = """\
+[site]
+name = "room"
+chip_period_s = 97.75e-6
+degree = 10
+half_space = { point = [0.0, 0.0, 2.7], normal = [0.0, 0.0, -2.0] }
+
+[sensor]
+noise_T = 2.0e-7
+
+[[beacon]]
+id = "a"
+position_m = [0.0, 0.0, 0.0]
+axis = [0.0, 3.0, 4.0]
+turns = 19
+radius_m = 0.149
+current_A = 10.0
+code = 2
+
+[[beacon]]
+id = "square"
+points_m = [
+    [1.0, 1.0, 0.0],
+    [1.5, 1.0, 0.0],
+    [1.5, 1.5, 0.0],
+    [1.0, 1.5, 0.0],
+]
+current_A = 2.0
+code = 1024
+"""
+
+
+def write(tmp_path, text):
+    path = tmp_path / "site.toml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def test_a_site_as_it_is_meant(tmp_path):
+    site = load(write(tmp_path, GOOD))
+    assert (site.name, site.degree, site.chips, site.codes) == ("room", 10, 1023, (2, 1024))
+    assert site.cycle_s == pytest.approx(0.09999825)
+    assert site.half_space is not None
+    assert site.half_space.contains(np.array([9.0, 9.0, 0.0]))
+    assert not site.half_space.contains(np.array([0.0, 0.0, 2.8]))
+    circle, square = site.beacons
+    np.testing.assert_allclose(circle.axis, [0.0, 0.6, 0.8])
+    np.testing.assert_allclose(circle.moment_A_m2, 19 * 10 * math.pi * 0.149**2 * np.array([0.0, 0.6, 0.8]))
+    np.testing.assert_allclose(square.position_m, [1.25, 1.25, 0.0])
+    np.testing.assert_allclose(square.axis, [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(square.moment_A_m2, [0.0, 0.0, 0.5])
+    assert site.beacon("square") is square
+
+
+def test_the_patents_coil_has_the_moment_that_is_quoted():
+    assert np.linalg.norm(load(SITE).beacons[0].moment_A_m2) == pytest.approx(13.3, abs=0.06)  # maths.md, 2
+
+
+FIRST = "[[beacon]] 1"
+BAD = [
+    ("degree = 10", "degre = 10", "site.toml:4: [site]: degre is no known key", 'did you mean "degree"'),
+    ("noise_T = 2.0e-7", "noise_t = 2.0e-7", "site.toml:8: [sensor]: noise_t", 'did you mean "noise_T"'),
+    ("radius_m = 0.149", "radius = 0.149", f"site.toml:15: {FIRST}: radius", 'did you mean "radius_m"'),
+    ("[sensor]", "[sensors]", "site.toml:7: sensors is no known key", 'did you mean "sensor"'),
+    ("point = [0.0, 0.0, 2.7]", "pont = [0.0, 0.0, 2.7]", "site.toml:5: [site.half_space]: pont", '"point"'),
+    ("degree = 10", "degree = 8", "site.toml:4: [site]: degree is 8", "5, 6, 7, 9, 10, 11"),
+    ("degree = 10", "degree = 10.0", "site.toml:4: [site]: degree must be a whole number", "10.0"),
+    ("degree = 10", "", "[site]: degree is missing", "site.toml:1"),
+    ("chip_period_s = 97.75e-6", "chip_period_s = 0", "site.toml:3: [site]: chip_period_s is 0", "greater than zero"),
+    ("chip_period_s = 97.75e-6", "chip_period_s = nan", "site.toml:3: [site]: chip_period_s", "finite"),
+    ("chip_period_s = 97.75e-6", "chip_period_s = true", "site.toml:3: [site]: chip_period_s", "number"),
+    ("chip_period_s = 97.75e-6", f"chip_period_s = 1{'0' * 400}", "site.toml:3: [site]: chip_period_s", "number"),
+    ('name = "room"', "name = 3", "site.toml:2: [site]: name must be a text", "3"),
+    ("normal = [0.0, 0.0, -2.0]", "normal = [0, 0, 0]", "site.toml:5: [site.half_space]: normal", "no direction"),
+    ("axis = [0.0, 3.0, 4.0]", "axis = [0.0, 0.0, 0.0]", f"site.toml:13: {FIRST}: axis", "no direction"),
+    ("axis = [0.0, 3.0, 4.0]", "axis = [0.0, 3.0]", f"site.toml:13: {FIRST}: axis must be three", "[0.0, 3.0]"),
+    ("axis = [0.0, 3.0, 4.0]", 'axis = "up"', f"site.toml:13: {FIRST}: axis must be three", '"up"'),
+    ("turns = 19", "turns = -19", f"site.toml:14: {FIRST}: turns is -19", "greater than zero"),
+    ("radius_m = 0.149", "", f"site.toml:10: {FIRST}: radius_m or points_m", "exactly one"),
+    ("current_A = 10.0", "current_A = 0.0", f"site.toml:16: {FIRST}: current_A is zero", "leave the beacon out"),
+    ("code = 2\n", "code = 1025\n", f"site.toml:17: {FIRST}: code is 1025", "0 to 1024"),
+    ("code = 2\n", "code = -1\n", f"site.toml:17: {FIRST}: code is -1", "0 to 1024"),
+    ("code = 1024", "code = 2", "site.toml:28: [[beacon]] 2: code is 2", 'beacon "a"'),
+    ('id = "square"', 'id = "a"', 'site.toml:20: [[beacon]] 2: id is "a"', "beacon 1"),
+    ("    [1.5, 1.0, 0.0],\n    [1.5, 1.5, 0.0],\n", "", "site.toml:21: [[beacon]] 2: points_m encloses no area", "three"),
+    ("    [1.5, 1.0, 0.0],", "    [1.5, 1.0],", "site.toml:21: [[beacon]] 2: points_m must be a list", "points"),
+    ("current_A = 2.0", "axis = [0, 0, -1]\ncurrent_A = 2.0", "site.toml:21: [[beacon]] 2: points_m run", "right-hand"),
+    ("[sensor]", "[sensor", "site.toml: is no valid TOML", "line 7"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "place", "advice"), BAD, ids=[new.strip() or f"no {old}" for old, new, *_ in BAD])
+def test_each_error_is_one_sentence_that_says_where(tmp_path, capsys, old, new, place, advice):
+    assert GOOD.count(old) >= 1
+    path = write(tmp_path, GOOD.replace(old, new, 1))
+    assert main(["separate", "--site", str(path), "unused.csv"]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert place in message
+    assert advice in message
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "is empty"),
+        (b"  \n", "is empty"),
+        (b"\xff\xfe\x00\x01", "is no text"),
+        (b"[site]\nname = \x00", "is no text"),
+        (b"x = " + b"[" * 100_000, "nested too deeply"),
+        (b"x = 1", "did you mean"),
+        (b"beacon = []", "site is missing"),
+        (b"site = 3\nsensor = 4\nbeacon = 5", "site must be a table"),
+    ],
+)
+def test_files_that_are_no_site(tmp_path, content, words):
+    with pytest.raises(UserError, match=words):
+        load(write(tmp_path, content))
+
+
+def test_paths_that_are_no_file(tmp_path):
+    with pytest.raises(UserError, match="there is no such site file"):
+        load(tmp_path / "none.toml")
+    with pytest.raises(UserError, match="is a directory"):
+        load(tmp_path)
