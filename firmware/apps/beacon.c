@@ -58,7 +58,7 @@ static void on_current(void *context, uint32_t chip, uint16_t count) {
             beacon->over_current += beacon->current.fault == CURRENT_FAULT_OVER;
             beacon->open_coil += beacon->current.fault == CURRENT_FAULT_OPEN;
         }
-    } else if (beacon->drive == BEACON_ARMED && chip + 1 == beacon->start_chip) {
+    } else if (beacon->drive == BEACON_ARMED && (int32_t)(chip + 1 - beacon->start_chip) >= 0) {
         current_start(&beacon->current);
         hal_drive_reference(beacon->hal, beacon->current.reference);
         hal_drive_enable(beacon->hal, true);

@@ -46,17 +46,20 @@ static void on_samples(void *context, uint32_t block, const hal_samples_t *sampl
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         const uint32_t absolute = block * HAL_BLOCK_CHIPS + i;
         chip_clock_chip_t chip;
+        const uint64_t start = sensor->ticks;
         if (!chip_clock_at(&sensor->clock, absolute, &chip)) {
+            sensor->ticks += HAL_CHIP_TICKS;
             continue; /* More than a block late: epoch_feed sees the gap. */
         }
+        sensor->ticks += chip.period_ticks;
         int16_t sample[HAL_AXES];
         const bool saturated = epoch_sample((*samples)[i], sample);
-        if (chip.code_chip == 0) {
-            sensor->cycle_start_ticks = sensor->ticks;
-        }
-        sensor->ticks += chip.period_ticks;
         if (epoch_feed(&sensor->collector, absolute, chip.cycle, chip.code_chip, sample, saturated, locked)) {
-            sensor->middle_ticks = (sensor->cycle_start_ticks + sensor->ticks) / 2;
+            const uint64_t end = chip.code_chip == 0 ? start : sensor->ticks; /* 0: the cycle before ended in a gap. */
+            sensor->middle_ticks = (sensor->cycle_start_ticks + end) / 2;
+        }
+        if (chip.code_chip == 0) {
+            sensor->cycle_start_ticks = start;
         }
         if (sensor->streaming) {
             stream_chip(sensor, &chip, (*samples)[i], sample, saturated);

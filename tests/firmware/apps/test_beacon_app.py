@@ -1,0 +1,241 @@
+"""The beacon application on host boards: code on the pins, lock of a follower, current, protections."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import crcmod.predefined
+import numpy as np
+import pytest
+
+from tests.firmware.host_rig import (
+    CHIPS,
+    MS,
+    PIN_BRIDGE_1,
+    PIN_BRIDGE_2,
+    PIN_ENABLE,
+    PIN_FAULT,
+    PIN_SYNC_OUT,
+    SECOND,
+    US,
+    Board,
+    Coil,
+    Rig,
+    beacon,
+    chip_seconds,
+    gold_chips,
+)
+
+CHIP = round(chip_seconds(0) * 1e12)
+MASTER = {"node": 1, "code": 2, "amplitude": 8.0, "sync_master": 1}
+FOLLOWER = {"node": 2, "code": 1018, "amplitude": 8.0}
+
+
+@pytest.fixture
+def boards() -> Iterator[list[Board]]:
+    made: list[Board] = []
+    yield made
+    for board in made:
+        board.close()
+
+
+def master(boards: list[Board], coil: Coil | None = None, **options: object) -> Board:
+    parameters = {**MASTER, **options.pop("parameters", {})}  # type: ignore[dict-item]
+    boards.append(beacon(coil or Coil(), parameters=parameters, **options))
+    return boards[-1]
+
+
+def polarity(board: Board, times: np.ndarray) -> np.ndarray:
+    """Current's sign that the bridge asks for at given times: +1, -1, 0."""
+    result = np.zeros(len(times), dtype=np.int64)
+    for pin, sign in ((PIN_BRIDGE_1, 1), (PIN_BRIDGE_2, -1)):
+        changes = [(time, level) for time, number, level in board.pins if number == pin]
+        at = np.searchsorted([time for time, _ in changes], times, side="right") - 1
+        result += sign * np.array([changes[i][1] if i >= 0 else False for i in at])
+    return result
+
+
+def status(board: Board) -> dict[str, float]:
+    return dict(board.messages("DRIVE_STATUS")[-1].signals)
+
+
+def test_master_drives_its_code_from_sync_edge(boards: list[Board]) -> None:
+    board = master(boards, ppm=30.0)
+    board.run(SECOND)
+    edges = board.edges(PIN_SYNC_OUT)
+    period = CHIPS * chip_seconds(30.0) * 1e12
+    assert np.abs(np.diff(edges) - period).max() <= 1  # Zero jitter: the picosecond is this test's rounding.
+    for edge in edges[1:9]:
+        middles = np.array([edge + round((t + 0.5) * period / CHIPS) for t in range(CHIPS)])
+        assert (polarity(board, middles) == gold_chips(2)).all()
+    falls = board.edges(PIN_SYNC_OUT, False)
+    assert falls[0] - edges[0] == pytest.approx(CHIP, rel=1e-4)
+
+
+def test_both_bridge_inputs_are_never_high(boards: list[Board]) -> None:
+    board = master(boards)
+    board.run(300 * MS)
+    high: dict[int, bool] = {}
+    by_time: dict[int, list[tuple[int, bool]]] = {}
+    for time, pin, level in board.pins:
+        by_time.setdefault(time, []).append((pin, level))
+    for changes in by_time.values():
+        high.update(changes)
+        assert not (high.get(PIN_BRIDGE_1) and high.get(PIN_BRIDGE_2))
+
+
+def test_sync_message_numbers_each_cycle_right_after_its_edge(boards: list[Board]) -> None:
+    board = master(boards)
+    Rig(board, quantum=100 * US).run(1010 * MS)
+    messages = board.messages("SYNC")
+    assert [m.signals["cycle"] for m in messages] == list(range(len(messages)))
+    assert messages[0].signals["chips"] == CHIPS
+    assert messages[0].signals["chip_period"] == pytest.approx(97750.0)
+    edges = board.edges(PIN_SYNC_OUT)
+    requests = [time for time, _, identifier, _ in board.requests if identifier >> 24 == 1]
+    assert len(requests) == len(edges) == len(messages)
+    # The first waits for the hello on the bus.
+    assert all(0 <= request - edge < 400 * US for request, edge in zip(requests, edges, strict=True))
+
+
+def test_first_message_is_a_heartbeat_with_number_from_unique_id(boards: list[Board]) -> None:
+    for unique in (bytes(range(12)), bytes(range(1, 13))):
+        boards.append(Board(0, {}, unique_id=unique))
+        boards[-1].run(5 * MS)
+    first, second = (board.messages()[0] for board in boards)
+    assert first.name == second.name == "HEARTBEAT"
+    crc = crcmod.predefined.mkPredefinedCrcFun("crc-ccitt-false")
+    assert (first.node, second.node) == (1 + crc(bytes(range(12))) % 4095, 1 + crc(bytes(range(1, 13))) % 4095)
+    assert first.signals["role"] == 0
+    assert first.signals["version_minor"] == 1
+
+
+@pytest.mark.parametrize("ppm", [-100.0, 100.0])
+def test_follower_locks_to_master(boards: list[Board], ppm: float) -> None:
+    head = master(boards, ppm=-ppm)
+    follower = beacon(Coil(), parameters=FOLLOWER, ppm=ppm, power_on=37 * MS + 1_234_567)
+    boards.append(follower)
+    rig = Rig(head, follower)
+    rig.run(1500 * MS)
+    report = status(follower)
+    assert report["locked"] == 1
+    assert report["enabled"] == 1
+    assert abs(report["phase"]) <= 60
+    edge = head.edges(PIN_SYNC_OUT)[-2]
+    period = chip_seconds(-ppm) * 1e12
+    middles = np.array([edge + round((t + 0.5) * period) for t in range(CHIPS)])
+    assert (polarity(follower, middles) == gold_chips(1018)).all()
+    # Where the follower's chip edges lie against the master's, over the last three cycles.
+    flips = np.array([t for t in follower.edges(PIN_BRIDGE_1) if t > head.edges(PIN_SYNC_OUT)[-4]])
+    phase = (flips - head.edges(PIN_SYNC_OUT)[-4]) % period
+    phase = np.minimum(phase, period - phase)
+    assert phase.max() < 0.1 * US
+
+
+def test_follower_does_not_drive_before_lock(boards: list[Board]) -> None:
+    follower = beacon(Coil(), parameters=FOLLOWER)
+    boards.append(follower)
+    follower.run(2 * SECOND)
+    assert not follower.edges(PIN_ENABLE)
+    assert not follower.edges(PIN_BRIDGE_1)
+    assert not follower.edges(PIN_BRIDGE_2)
+    assert status(follower)["locked"] == 0
+    assert follower.messages("HEARTBEAT")[-1].signals["state"] == 1
+
+
+def test_soft_start_then_amplitude_with_gain_error(boards: list[Board]) -> None:
+    board = master(boards, Coil(gain=0.9))
+    board.run(SECOND)
+    on = board.edges(PIN_ENABLE)
+    assert len(on) == 1
+    volts = np.array([v for _, v in board.analog])
+    times = np.array([t for t, _ in board.analog])
+    ramp = volts[times < on[0] + 90 * MS] / 3.3 * 16.0
+    assert ramp[0] == 0
+    assert (np.diff(ramp) < 1.0).all()
+    assert ramp.max() < 8.0
+    report = status(board)
+    assert report["target"] == pytest.approx(8.0)
+    assert report["current"] == pytest.approx(8.0, abs=0.02)
+    assert report["reference"] == pytest.approx(8.0 / 0.9, abs=0.03)
+    states = [m.signals["state"] for m in board.messages("HEARTBEAT")]
+    assert states[0] == 0
+    board.run(2100 * MS)
+    assert board.messages("HEARTBEAT")[-1].signals["state"] == 3
+
+
+@pytest.mark.parametrize(
+    ("coil", "flag", "counter"),
+    [
+        (Coil(extra_A=6.0, extra_from=500 * MS), "over_current", 11),
+        (Coil(broken_from=500 * MS), "open_coil", 12),
+    ],
+)
+def test_protection_switches_off_within_one_chip(boards: list[Board], coil: Coil, flag: str, counter: int) -> None:
+    board = master(boards, coil)
+    board.run(1200 * MS)
+    off = board.edges(PIN_ENABLE, False)
+    assert len(off) == 1
+    assert 500 * MS <= off[0] <= 500 * MS + CHIP
+    assert len(board.edges(PIN_ENABLE)) == 1
+    report = status(board)
+    assert report[flag] == 1
+    assert report["enabled"] == 0
+    assert report["current"] == 0
+    assert sum(report[f] for f in ("over_current", "open_coil", "driver_fault")) == 1
+    assert board.messages("HEARTBEAT")[-1].signals["state"] == 4
+    assert {m.index: m.signals["value"] for m in board.messages("COUNTER")} == {counter: 1}
+
+
+def test_driver_fault_switches_off_at_once(boards: list[Board]) -> None:
+    board = master(boards)
+    board.pin(PIN_FAULT, False, 500 * MS)
+    board.run(SECOND)
+    assert board.edges(PIN_ENABLE, False) == [500 * MS]
+    assert status(board)["driver_fault"] == 1
+    assert status(board)["enabled"] == 0
+
+
+def test_new_amplitude_ends_a_fault(boards: list[Board]) -> None:
+    board = master(boards)
+    board.pin(PIN_FAULT, False, 500 * MS)
+    board.pin(PIN_FAULT, True, 510 * MS)
+    board.send_serial("PARAM_SET", {"kind": 2, "value_float": 5.0}, 1, 2, 700 * MS)
+    board.run(1100 * MS)
+    assert len(board.edges(PIN_ENABLE)) == 2
+    report = status(board)
+    assert report["driver_fault"] == 0
+    assert report["current"] == pytest.approx(5.0, abs=0.02)
+
+
+def test_lost_wire_is_held_over_and_then_ends_the_drive(boards: list[Board]) -> None:
+    head = master(boards)
+    follower = beacon(Coil(), parameters=FOLLOWER, ppm=20.0)
+    boards.append(follower)
+    Rig(head, follower).run(1500 * MS)
+    assert status(follower)["enabled"] == 1
+    follower.run(5 * SECOND)
+    assert status(follower)["enabled"] == 1
+    follower.run(14 * SECOND)
+    assert status(follower)["locked"] == 0
+    assert status(follower)["enabled"] == 0
+    assert follower.messages("HEARTBEAT")[-1].signals["state"] == 1
+
+
+def test_code_set_at_run_time(boards: list[Board]) -> None:
+    board = master(boards)
+    board.send_serial("PARAM_SET", {"kind": 0, "value_unsigned": 77}, 1, 1, 350 * MS)
+    board.run(900 * MS)
+    period = CHIPS * CHIP
+    edge = board.edges(PIN_SYNC_OUT)[7]
+    middles = np.array([edge + round((t + 0.5) * period / CHIPS) for t in range(CHIPS)])
+    assert (polarity(board, middles) == gold_chips(77)).all()
+    assert np.abs(np.diff(board.edges(PIN_SYNC_OUT)) - CHIPS * chip_seconds(0) * 1e12).max() <= 1
+
+
+def test_zero_amplitude_is_off(boards: list[Board]) -> None:
+    board = master(boards, parameters={"amplitude": 0.0})
+    board.run(500 * MS)
+    assert not board.edges(PIN_ENABLE)
+    assert len(board.edges(PIN_SYNC_OUT)) == 6
+    assert status(board)["target"] == 0

@@ -1,0 +1,181 @@
+"""What both applications share: parameters on both links, heartbeat, counters, loss."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from random import Random
+
+import pytest
+from goldfield_protocol import Message, encode, encode_frame, protocol_hash
+
+from tests.firmware.host_rig import BEACON, MS, SECOND, SENSOR, US, Board, Rig
+
+OK, UNKNOWN, OUT_OF_RANGE, WRONG_KIND = range(4)
+
+
+@pytest.fixture(params=[BEACON, SENSOR])
+def board(request: pytest.FixtureRequest) -> Iterator[Board]:
+    made = Board(request.param, {"node": 9}, volts=lambda pin, time: 1.65)
+    yield made
+    made.close()
+
+
+def set_value(value: float | int) -> dict[str, float]:
+    if isinstance(value, float):
+        return {"kind": 2, "value_float": value}
+    return {"kind": 0, "value_unsigned": value}
+
+
+def answers(board: Board) -> list[tuple[int, int, float, float]]:
+    """Sender, parameter, status, value."""
+    return [
+        (m.node, m.index, m.signals["status"], next(v for k, v in m.signals.items() if k.startswith("value")))
+        for m in board.messages("PARAM_VALUE")
+    ]
+
+
+def test_heartbeat_every_second_with_hash_and_version(board: Board) -> None:
+    board.run(3500 * MS)
+    beats = board.messages("HEARTBEAT")
+    assert len(beats) == 4
+    assert {m.signals["protocol_hash"] for m in beats} == {protocol_hash()}
+    assert {(m.node, m.signals["version_major"], m.signals["version_minor"]) for m in beats} == {(9, 0, 1)}
+    assert {m.signals["errors"] for m in beats} == {0}
+
+
+def test_nothing_precedes_the_first_heartbeat(board: Board) -> None:
+    board.run(100 * MS)
+    assert board.messages()[0].name == "HEARTBEAT"
+    assert board.can_messages()[0].name == "HEARTBEAT"
+
+
+@pytest.mark.parametrize(
+    ("index", "value", "status", "in_force"),
+    [
+        (1, 55, OK, 55),
+        (2, 3.5, OK, 3.5),
+        (1, 1025, OUT_OF_RANGE, 0),
+        (2, 99.0, OUT_OF_RANGE, 0.0),
+        (2, 3, WRONG_KIND, 0.0),
+        (9, 1000.0, OK, 1000.0),
+        (16, float("nan"), OUT_OF_RANGE, None),
+        (300, 1022, OK, 1022),
+        (999, 1, UNKNOWN, 0),
+    ],
+)
+def test_set_is_answered_with_the_value_in_force(
+    board: Board, index: int, value: float | int, status: int, in_force: float | None
+) -> None:
+    board.send_serial("PARAM_SET", set_value(value), 9, index, MS)
+    board.run(20 * MS)
+    [(node, number, answer, now)] = answers(board)
+    assert (node, number, answer) == (9, index, status)
+    if in_force is not None:
+        assert now == pytest.approx(in_force)
+    board.send_serial("PARAM_GET", {"reserved": 0}, 9, index, 30 * MS)
+    board.run(50 * MS)
+    assert answers(board)[1][3] == now
+    assert answers(board)[1][2] == (UNKNOWN if status == UNKNOWN else OK)
+
+
+def test_node_zero_addresses_all_and_others_are_ignored(board: Board) -> None:
+    board.send_serial("PARAM_GET", {"reserved": 0}, 0, 0, MS)
+    board.send_serial("PARAM_GET", {"reserved": 0}, 8, 0, 2 * MS)
+    board.run(20 * MS)
+    assert answers(board) == [(9, 0, OK, 9)]
+
+
+def test_answer_to_a_new_number_comes_from_the_old(board: Board) -> None:
+    board.send_serial("PARAM_SET", set_value(12), 9, 0, MS)
+    board.send_serial("PARAM_GET", {"reserved": 0}, 12, 0, 10 * MS)
+    board.run(20 * MS)
+    assert answers(board) == [(9, 0, OK, 12), (12, 0, OK, 12)]
+
+
+def test_answer_goes_to_the_link_it_came_from(board: Board) -> None:
+    board.can_in(*encode("PARAM_GET", {"reserved": 0}, node=9, index=0), 3 * MS)
+    Rig(board).run(20 * MS)
+    assert not board.messages("PARAM_VALUE")
+    assert [(m.node, m.index, m.signals["value_unsigned"]) for m in board.can_messages("PARAM_VALUE")] == [(9, 0, 9)]
+
+
+def test_messages_of_wrong_length_are_ignored(board: Board) -> None:
+    identifier, data = encode("PARAM_SET", set_value(5), node=9, index=1)
+    board.receive(encode_frame(identifier, data[:4]), MS)
+    identifier, data = encode("SYNC", {"cycle": 1, "chips": 1023, "chip_period": 0}, node=1)
+    board.receive(encode_frame(identifier, data[:3]), 2 * MS)
+    board.run(20 * MS)
+    assert not board.messages("PARAM_VALUE")
+
+
+def counters(board: Board) -> dict[int, float]:
+    return {m.index: m.signals["value"] for m in board.messages("COUNTER")}
+
+
+def test_damaged_bytes_cost_their_frame_and_are_counted(board: Board) -> None:
+    good = encode_frame(*encode("PARAM_GET", {"reserved": 0}, node=9, index=0))
+    bad = bytes([*good[:4], good[4] ^ 0x40, *good[5:]])
+    random = Random(3)
+    garbage = bytes(random.randrange(1, 256) for _ in range(40))
+    board.receive(good + bad + garbage + b"\0" + good, MS)
+    board.run(1100 * MS)
+    assert len(answers(board)) == 2
+    assert counters(board) == {0: 2}
+    assert board.messages("HEARTBEAT")[-1].signals["errors"] == 2
+
+
+def test_bytes_at_another_rate_are_lost_and_counted(board: Board) -> None:
+    board.receive(b"abc", MS, baud=115_200)
+    board.run(1100 * MS)
+    assert counters(board) == {1: 3}
+
+
+def test_bad_page_is_ignored_and_counted() -> None:
+    page = bytearray(b"GFP1\x01\x00\x00\x00" + b"\0" * 8)
+    board = Board(BEACON, bytes(page))
+    board.run(1100 * MS)
+    assert counters(board) == {9: 1}
+    board.close()
+
+
+def test_full_can_queue_counts_what_it_loses() -> None:
+    """64 codes a cycle against a bus that takes one frame in 2 ms for 2 s; then the backlog drains: every loss is counted."""
+    parameters = {"node": 9, "code_count": 64, "code_list": list(range(64))}
+    board = Board(SENSOR, parameters, volts=lambda pin, time: 1.65)
+    board.send_serial("PARAM_SET", set_value(0), 9, 5, 2 * SECOND)
+    done = 0
+    for step in range(1, 3100):
+        board.run(step * MS)
+        if len(board.requests) > done and (step % 2 == 0 or step > 2000):
+            board.can_sent(board.requests[done][1], True, step * MS)
+            done += 1
+    answered_on_serial_only = {"PARAM_VALUE"}
+    serial = [m for m in board.messages() if m.name not in answered_on_serial_only]
+    can = board.can_messages()
+    [*_, lost] = [m.signals["value"] for m in board.messages("COUNTER") if m.index == 4]
+    board.close()
+    assert lost > 100
+    assert len(serial) == len(can) + lost
+    assert in_order(can, serial)
+
+
+def in_order(part: list[Message], whole: list[Message]) -> bool:
+    """Is the part what remains of the whole after leaving some out?"""
+    rest = iter(whole)
+    return all(message in rest for message in part)
+
+
+def test_frames_leave_one_mailbox_after_the_other_and_are_repeated_on_error() -> None:
+    board = Board(BEACON, {"node": 9}, volts=lambda pin, time: 1.65)
+    board.run(10 * MS)
+    [(_, mailbox, identifier, data)] = board.requests
+    board.can_sent(mailbox, False, 11 * MS)
+    board.run(12 * MS)
+    assert [r[1:] for r in board.requests] == [(mailbox, identifier, data)] * 2
+    board.can_sent(mailbox, True, 13 * MS + US)
+    board.run(150 * MS)
+    assert board.requests[2][0] == pytest.approx(13 * MS + US, abs=6000)
+    board.can_sent((mailbox + 1) % 3, True, 151 * MS)
+    board.run(SECOND + 100 * MS)
+    assert counters(board) == {2: 1}
+    board.close()

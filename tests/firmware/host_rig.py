@@ -1,0 +1,253 @@
+"""Host boards driven from Python: each board's edge is recorded, a test supplies volts, edges, bytes and frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from goldfield_protocol import FrameDecoder, Message, decode, encode, encode_frame
+from goldfield_protocol.parameters import build_page
+from numpy.typing import NDArray
+
+from hil_sim.clib import load
+
+FFI, LIBRARY = load("build/libgf_hostboard.so", ["host_board.h"])
+RUN = LIBRARY.host_board_operations
+
+BEACON, SENSOR = 0, 1
+PIN_CURRENT, PIN_FIELD, PIN_SYNC_IN = 0, (1, 2, 3), 10
+PIN_BRIDGE_1, PIN_BRIDGE_2, PIN_SYNC_OUT, PIN_ENABLE, PIN_FAULT, PIN_LED = 38, 39, 40, 41, 42, 44
+
+US = 10**6
+MS = 10**9
+SECOND = 10**12
+CHIPS = 1023
+CHIP_TICKS = 16422
+TICKS_PER_SECOND = 168_000_000
+
+
+def chip_seconds(ppm: float) -> float:
+    """Length of a nominal chip on a clock with this error."""
+    return CHIP_TICKS / (TICKS_PER_SECOND * (1 + ppm * 1e-6))
+
+
+def gold_chips(code: int) -> NDArray[np.int64]:
+    """One period of a code as +1 and -1, from the registers' definition (IS-GPS-200, figures 3-8 and 3-9)."""
+
+    def register(stages: tuple[int, ...]) -> list[int]:
+        state = [1] * 10
+        out = []
+        for _ in range(CHIPS):
+            out.append(state[9])
+            state = [sum(state[s - 1] for s in stages) % 2, *state[:9]]
+        return out
+
+    u = np.array(register((3, 10)))
+    v = np.array(register((2, 3, 6, 8, 9, 10)))
+    bits = u if code == 1023 else v if code == 1024 else u ^ np.roll(v, -code)
+    return np.array(1 - 2 * bits, dtype=np.int64)
+
+
+@dataclass
+class Board:
+    """One host board and everything that came out of it.
+
+    Parameters
+    ----------
+    role : int
+        `BEACON` or `SENSOR`.
+    parameters : mapping or bytes
+        Contents of the parameter page, or the page itself.
+    volts : callable
+        ``volts(pin, time_ps)``: what the converter sees.
+    """
+
+    role: int
+    parameters: Mapping[str, Any] | bytes = field(default_factory=dict)
+    ppm: float = 0.0
+    volts: Callable[[int, int], float] | None = None
+    power_on: int = 0
+    unique_id: bytes = bytes(range(12))
+    temperature: float = 25.0
+    can: bool = True
+
+    pins: list[tuple[int, int, bool]] = field(default_factory=list)
+    analog: list[tuple[int, float]] = field(default_factory=list)
+    serial: list[tuple[int, int]] = field(default_factory=list)
+    requests: list[tuple[int, int, int, bytes]] = field(default_factory=list)
+    level: dict[int, bool] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        page = self.parameters if isinstance(self.parameters, bytes) else build_page(self.parameters)
+        config = FFI.new("host_board_config_t *")
+        config.role = self.role
+        config.crystal_ppm = self.ppm
+        config.temperature_degc = self.temperature
+        config.unique_id = self.unique_id
+        config.parameter_page = page.ljust(1024, b"\xff")
+        edge = FFI.new("board_edge_t *")
+        self._keep = [
+            FFI.callback("void(void *, unsigned, bool, int64_t)", self._pin_out),
+            FFI.callback("void(void *, unsigned, double, int64_t)", self._analog_out),
+            FFI.callback("void(void *, unsigned, uint8_t, int64_t)", self._uart_out),
+            FFI.callback("void(void *, unsigned, const board_frame_t *, int64_t)", self._can_request),
+        ]
+        edge.pin_out, edge.analog_out, edge.uart_out = self._keep[:3]
+        if self.can:
+            edge.can_request = self._keep[3]
+        if self.volts is not None:
+            volts = self.volts
+            sample = FFI.callback("double(void *, unsigned, int64_t)", lambda _, pin, time: volts(pin, time))
+            self._keep.append(sample)
+            edge.analog_in = sample
+        self.handle = LIBRARY.host_board_create(config, edge, self.power_on)
+        assert self.handle != FFI.NULL
+
+    def close(self) -> None:
+        RUN.destroy(self.handle)
+
+    # What comes out.
+
+    def _pin_out(self, _: Any, pin: int, level: bool, time: int) -> None:
+        self.pins.append((time, pin, level))
+        self.level[pin] = level
+
+    def _analog_out(self, _: Any, channel: int, volts: float, time: int) -> None:
+        assert channel == 1
+        self.analog.append((time, volts))
+
+    def _uart_out(self, _: Any, port: int, byte: int, time: int) -> None:
+        assert port == 1
+        self.serial.append((time, byte))
+
+    def _can_request(self, _: Any, mailbox: int, frame: Any, time: int) -> None:
+        assert frame.extended
+        assert not frame.remote
+        self.requests.append((time, mailbox, frame.id, bytes(frame.data[0 : frame.length])))
+
+    def edges(self, pin: int, level: bool = True) -> list[int]:
+        """Times at which a pin went to a level."""
+        return [time for time, number, new in self.pins if number == pin and new == level]
+
+    def messages(self, name: str | None = None) -> list[Message]:
+        """Messages on the serial port so far, all or of one kind; any damaged frame is an error."""
+        decoder = FrameDecoder()
+        frames = list(decoder.feed(bytes(byte for _, byte in self.serial)))
+        assert decoder.bad_crc == decoder.malformed == decoder.overlong == 0
+        decoded = [decode(frame.identifier, frame.data) for frame in frames]
+        assert None not in decoded
+        return [m for m in decoded if m is not None and (name is None or m.name == name)]
+
+    def can_messages(self, name: str | None = None) -> list[Message]:
+        """Messages handed to CAN so far."""
+        decoded = [decode(identifier, data) for _, _, identifier, data in self.requests]
+        return [m for m in decoded if m is not None and (name is None or m.name == name)]
+
+    # What goes in.
+
+    def run(self, until: int) -> None:
+        assert RUN.run(self.handle, until) == 0
+
+    def pin(self, pin: int, level: bool, time: int) -> None:
+        RUN.pin_in(self.handle, pin, level, time)
+
+    def sync_pulse(self, time: int) -> None:
+        self.pin(PIN_SYNC_IN, True, time)
+        self.pin(PIN_SYNC_IN, False, time + 97 * US)
+
+    def receive(self, stream: bytes, time: int, baud: int = 2_000_000) -> None:
+        """Bytes arrive back to back from a time on."""
+        for i, byte in enumerate(stream):
+            RUN.uart_in(self.handle, 1, byte, baud, time + (i + 1) * 5 * US)
+
+    def send_serial(self, name: str, signals: Mapping[str, float], node: int, index: int, time: int) -> None:
+        identifier, data = encode(name, signals, node=node, index=index)
+        self.receive(encode_frame(identifier, data), time)
+
+    def can_in(self, identifier: int, data: bytes, time: int) -> None:
+        frame = FFI.new("board_frame_t *", {"id": identifier, "extended": True, "length": len(data)})
+        frame.data[0 : len(data)] = list(data)
+        RUN.can_in(self.handle, frame, time)
+
+    def can_sent(self, mailbox: int, ok: bool, time: int) -> None:
+        RUN.can_sent(self.handle, mailbox, ok, time)
+
+
+class Rig:
+    """Boards on one sync wire, one CAN bus, and one virtual time. The first board drives the wire and runs first.
+
+    The bus takes 130 us a frame, first come, first served, and passes frames on at the end of a quantum.
+    """
+
+    def __init__(self, *boards: Board, quantum: int = MS) -> None:
+        self.boards = boards
+        self.quantum = quantum
+        self.now = 0
+        self._edges = 0
+        self._requests = [0] * len(boards)
+        self._bus_free = 0
+
+    def run(self, until: int) -> None:
+        while self.now < until:
+            self.now = min(self.now + self.quantum, until)
+            for board in self.boards:
+                board.run(self.now)
+                if board is self.boards[0]:
+                    self._forward_sync()
+            self._forward_can()
+
+    def _forward_sync(self) -> None:
+        pins = self.boards[0].pins
+        for time, pin, level in pins[self._edges :]:
+            if pin == PIN_SYNC_OUT:
+                for board in self.boards[1:]:
+                    board.pin(PIN_SYNC_IN, level, time)
+        self._edges = len(pins)
+
+    def _forward_can(self) -> None:
+        for i, sender in enumerate(self.boards):
+            for time, mailbox, identifier, data in sender.requests[self._requests[i] :]:
+                self._bus_free = max(self._bus_free, time) + 130 * US
+                sender.can_sent(mailbox, True, self._bus_free)
+                for other in self.boards:
+                    if other is not sender:
+                        other.can_in(identifier, data, self._bus_free)
+            self._requests[i] = len(sender.requests)
+
+    def __iter__(self) -> Iterator[Board]:
+        return iter(self.boards)
+
+
+@dataclass
+class Coil:
+    """A coil that follows its bridge at once: the driver makes the reference's amperes with a gain, if enabled.
+
+    ``extra_A`` and ``broken_from`` make it misbehave from a time on.
+    """
+
+    gain: float = 1.0
+    extra_A: float = 0.0
+    extra_from: int = 1 << 62
+    broken_from: int = 1 << 62
+    board: Board | None = None
+
+    def amperes(self, time: int) -> float:
+        board = self.board
+        if board is None or not board.level.get(PIN_ENABLE) or time >= self.broken_from:
+            return 0.0
+        sign = int(board.level.get(PIN_BRIDGE_1, False)) - int(board.level.get(PIN_BRIDGE_2, False))
+        reference = board.analog[-1][1] / 3.3 * 16.0
+        return sign * (self.gain * reference + (self.extra_A if time >= self.extra_from else 0.0))
+
+    def volts(self, pin: int, time: int) -> float:
+        assert pin == PIN_CURRENT
+        return 1.65 + 0.103125 * self.amperes(time)
+
+
+def beacon(coil: Coil, **options: Any) -> Board:
+    """A beacon board with its coil."""
+    board = Board(BEACON, volts=coil.volts, **options)
+    coil.board = board
+    return board
