@@ -14,6 +14,7 @@ from hil_sim.scenario import Clock
 
 HOST_LIBRARY = "build/libgf_hostboard.so"
 IMAGES = "build/firmware"
+KINDS = ("emulated", "host")
 
 
 @dataclass(frozen=True)
@@ -131,10 +132,9 @@ def factory(kind: str) -> BoardFactory:
     UserError
         Unknown kind, or its library is not built.
     """
-    kinds: Mapping[str, Callable[[], BoardFactory]] = {"emulated": EmulatedBoards, "host": HostBoards}
-    if kind not in kinds:
-        raise UserError(f"there are no boards of kind '{kind}'; there are {', '.join(kinds)}")
+    if kind not in KINDS:
+        raise UserError(f"there are no boards of kind '{kind}'; there are {', '.join(KINDS)}")
     try:
-        return kinds[kind]()
+        return EmulatedBoards() if kind == "emulated" else HostBoards()
     except FileNotFoundError as error:
         raise UserError(str(error)) from error

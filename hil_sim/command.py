@@ -1,0 +1,228 @@
+"""``goldfield hil``: the rig as a process, the sensor's serial port a pseudo-terminal, its CAN a python-can bus.
+
+Also ``python -m hil_sim.command``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, TextIO
+
+from goldfield.errors import SystemFailure, UserError
+
+from hil_sim.boards import KINDS
+from hil_sim.can_bridge import DEFAULT, CanBridge
+from hil_sim.pseudo_terminal import PseudoTerminal
+from hil_sim.rig import Rig
+from hil_sim.scenario import load_scenario
+
+SLICE_S = 0.005
+"""How often the links are served, virtual time."""
+PROGRESS_S = 5.0
+
+
+def command(subparsers: Any) -> None:
+    """Add the subcommand to the command line of goldfield."""
+    parser = subparsers.add_parser(
+        "hil",
+        help="simulated bench: boards, coils, field and links",
+        description="Runs a scenario in one virtual time. The first line tells the serial path and the CAN channel; "
+        "then one line of truth a cycle (--json) or a line of progress now and then.",
+    )
+    _add_arguments(parser)
+
+
+def _add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("scenario", metavar="SCENARIO", help="a name in hil_sim/scenarios, or a file")
+    parser.add_argument("--seconds", type=_positive, metavar="N", help="virtual seconds; default: until interrupted")
+    parser.add_argument(
+        "--boards",
+        choices=KINDS,
+        default=KINDS[0],
+        help="emulated: they run the ARM image (default); host: this machine's",
+    )
+    parser.add_argument("--seed", type=int, help="in place of the scenario's")
+    parser.add_argument("--json", action="store_true", help="JSON lines")
+    parser.add_argument("--truth", type=Path, metavar="FILE", help="write the lines of truth there, and only there")
+    parser.add_argument("--pace", type=_not_negative, default=1.0, metavar="X", help=PACE_HELP)
+    parser.add_argument("--can", default=DEFAULT, metavar="INTERFACE:CHANNEL", help=f"or none; default {DEFAULT}")
+    parser.set_defaults(run=run)
+
+
+PACE_HELP = (
+    "at most X virtual seconds in a second (default 1); 0: as fast as possible, and waiting for the reader of the port"
+)
+
+
+def _positive(text: str) -> float:
+    value = _not_negative(text)
+    if value == 0.0:
+        raise argparse.ArgumentTypeError("must be greater than zero")
+    return value
+
+
+def _not_negative(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 <= value < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}' is no number from zero up")
+    return value
+
+
+class Pace:
+    """Keeps virtual time from running ahead of the wall clock.
+
+    Parameters
+    ----------
+    factor : float
+        Virtual seconds a second; 0: no limit.
+    """
+
+    def __init__(self, factor: float) -> None:
+        self._factor = factor
+        self._start = time.monotonic()
+
+    @property
+    def elapsed_s(self) -> float:
+        """Wall time since the start."""
+        return time.monotonic() - self._start
+
+    def wait(self, virtual_s: float) -> None:
+        """Sleep until the wall clock has caught up."""
+        if self._factor > 0.0:
+            ahead = virtual_s / self._factor - self.elapsed_s
+            if ahead > 0.0:
+                time.sleep(ahead)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the bench until its time is over or it is interrupted.
+
+    Raises
+    ------
+    UserError
+        Bad scenario or channel.
+    SystemFailure
+        A board stopped.
+    """
+    scenario = load_scenario(arguments.scenario)
+    with ExitStack() as stack:
+        stack.enter_context(_interrupted_by_termination())
+        bridge = None
+        if arguments.can != "none":
+            bridge = CanBridge(arguments.can)
+            stack.callback(bridge.close)
+        rig = stack.enter_context(Rig(scenario, arguments.boards, arguments.seed, host_on_can=bridge is not None))
+        terminal = PseudoTerminal()
+        stack.callback(terminal.close)
+        truth = sys.stdout if arguments.json else None
+        if arguments.truth is not None:
+            truth = stack.enter_context(_open_for_writing(arguments.truth))
+        _announce(arguments, terminal.path)
+        pace = Pace(arguments.pace)
+        try:
+            _serve(arguments, rig, terminal, bridge, truth, pace)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            _summarise(arguments, rig, terminal, pace)
+    return 0
+
+
+def _serve(
+    arguments: argparse.Namespace,
+    rig: Rig,
+    terminal: PseudoTerminal,
+    bridge: CanBridge | None,
+    truth: TextIO | None,
+    pace: Pace,
+) -> None:
+    end_s = math.inf if arguments.seconds is None else arguments.seconds
+    slices = 0
+    next_progress_s = PROGRESS_S
+    while slices * SLICE_S < end_s:
+        rig.serial_write(terminal.read())
+        if bridge is not None:
+            bridge.to_boards(rig)
+        slices += 1
+        rig.run_until(round(min(slices * SLICE_S, end_s) * 1e12))
+        terminal.write(rig.serial_read(), wait=arguments.pace == 0.0)
+        if bridge is not None:
+            bridge.to_host(rig.can_read())
+        for line in rig.truth():
+            if truth is not None:
+                print(json.dumps(line.as_dict()), file=truth, flush=True)
+        pace.wait(rig.now_s)
+        if not arguments.json and rig.now_s >= next_progress_s:
+            next_progress_s += PROGRESS_S
+            print(f"{rig.now_s:8.1f} s, {rig.now_s / pace.elapsed_s:.2f} virtual seconds a second", flush=True)
+
+
+def _announce(arguments: argparse.Namespace, serial: str) -> None:
+    if arguments.json:
+        first = {"serial": serial, "can": arguments.can, "scenario": arguments.scenario, "boards": arguments.boards}
+        print(json.dumps(first), flush=True)
+    else:
+        print(f"serial {serial}, CAN {arguments.can}: {arguments.scenario} with {arguments.boards} boards", flush=True)
+
+
+def _summarise(arguments: argparse.Namespace, rig: Rig, terminal: PseudoTerminal, pace: Pace) -> None:
+    elapsed_s = pace.elapsed_s
+    line = f"{rig.now_s:.3f} virtual seconds in {elapsed_s:.3f} s: {rig.now_s / elapsed_s:.2f} virtual seconds a second"
+    if terminal.lost:
+        line += f"; {terminal.lost} serial bytes lost to a slow reader"
+    print(line, file=sys.stderr if arguments.json else sys.stdout, flush=True)
+
+
+def _open_for_writing(path: Path) -> TextIO:
+    try:
+        return path.open("w", encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write the truth to {path}: {error.strerror}") from error
+
+
+@contextmanager
+def _interrupted_by_termination() -> Iterator[None]:
+    """Let SIGTERM end the run as Ctrl-C does."""
+
+    def interrupt(_number: int, _frame: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run without the command line of goldfield; returns the exit code: 0, 2 (bad input) or 3 (a board failed)."""
+    parser = argparse.ArgumentParser(prog="python -m hil_sim.command")
+    _add_arguments(parser)
+    arguments = parser.parse_args(argv)
+    try:
+        return run(arguments)
+    except UserError as error:
+        print(f"hil: {error}", file=sys.stderr)
+        return 2
+    except SystemFailure as error:
+        print(f"hil: {error}", file=sys.stderr)
+        return 3
+    except BrokenPipeError:  # whoever read our lines has gone, which is no error
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
