@@ -366,10 +366,16 @@ void cpu_halt(cpu_t *cpu, const char *reason)
     machine_violation(cpu->machine, "%s", reason);
 }
 
+static double internal_clock(const machine_t *machine)
+{
+    return 16e6 * (1.0 + machine->config.internal_ppm * 1e-6);
+}
+
 void cpu_reset(cpu_t *cpu)
 {
     machine_t *const machine = cpu->machine;
     machine->reset_requested = false;
+    machine_set_core_clock(machine, internal_clock(machine));
     nvic_reset(&cpu->nvic);
     system_control_reset(cpu);
     cpu->asleep = false;
@@ -540,7 +546,7 @@ cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size)
         return NULL;
     }
     cpu->clock.base_ps = machine->now_ps;
-    core_clock_set(&cpu->clock, 0, 16e6 * (1.0 + machine->config.internal_ppm * 1e-6));
+    core_clock_set(&cpu->clock, 0, internal_clock(machine));
     system_control_create(cpu);
     machine->processor = (machine_processor_t){.irq = irq, .clock = clock_changed, .attention = attention, .program_counter = program_counter, .processor = cpu};
     return cpu;

@@ -7,7 +7,6 @@
 #include <string.h>
 
 #define REPORT_SIZE (MACHINE_REPORT_SIZE + 1024u)
-#define POWER_ON_FLAGS 0x0E000000u /* RCC_CSR: power-on, pin and brown-out reset. */
 
 static cpu_t *cpu_of(const board_t *board)
 {
@@ -34,7 +33,7 @@ board_t *emulator_create(const emulator_config_t *config, const board_edge_t *ed
     }
     cpu->report = report;
     peripherals_create(machine);
-    machine_reset_request(machine, POWER_ON_FLAGS); /* The first run begins with the reset sequence. */
+    machine_reset_request(machine, 0); /* The first run begins with the reset sequence. */
     return (board_t *)machine;
 }
 

@@ -101,6 +101,11 @@ void machine_reset_request(machine_t *machine, uint32_t csr_flags)
     }
 }
 
+uint32_t machine_reset_flags(const machine_t *machine)
+{
+    return machine->reset_flags;
+}
+
 const emulator_config_t *machine_config(const machine_t *machine)
 {
     return &machine->config;

@@ -67,6 +67,8 @@ void machine_irq(machine_t *machine, unsigned position, bool level);
 
 /* Reset request by a watchdog. flags: the bits to set in RCC_CSR. Takes effect before the next instruction. */
 void machine_reset_request(machine_t *machine, uint32_t csr_flags);
+/* For RCC, inside its reset function: the flags of the requests that led to this reset (a request by software included); 0 at power-on and for RSTR bits. */
+uint32_t machine_reset_flags(const machine_t *machine);
 
 /* ---- Memory as a bus master (DMA) sees it. False: bus error (unmapped). Peripheral registers are reached through the same calls. ---- */
 bool machine_bus_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);

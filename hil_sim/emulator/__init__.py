@@ -1,0 +1,5 @@
+"""An STM32F405 board that runs the image to be flashed: Unicorn and register-level peripheral models, in C."""
+
+from hil_sim.emulator.emulator import BadImageError, Configuration, Emulator, Probe, Statistics
+
+__all__ = ["BadImageError", "Configuration", "Emulator", "Probe", "Statistics"]

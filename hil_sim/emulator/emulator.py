@@ -1,0 +1,285 @@
+"""One emulated board, from Python. The manual is ``emulator.h``; the board's edge is ``board_edge.h``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from elftools.common.exceptions import ELFError
+from elftools.elf.elffile import ELFFile
+from elftools.elf.sections import SymbolTableSection
+from goldfield.errors import UserError
+
+from hil_sim import clib
+
+LIBRARY = "build/libgf_emulator.so"
+FLASH = range(0x08000000, 0x08100000)
+PARAMETER_PAGE = 0x080E0000
+PICOSECONDS = 1_000_000_000_000
+
+
+class BadImageError(UserError):
+    """An image or a parameter page that this board cannot hold; the message is one sentence for the user."""
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A board's individual traits.
+
+    Attributes
+    ----------
+    crystal_ppm, internal_ppm : float
+        Errors of the 8 MHz crystal and of the 16 MHz internal oscillator, parts per million.
+    crystal_dead : bool
+        The crystal never starts.
+    unique_id : bytes
+        Twelve bytes.
+    temperature_degc : float
+        Of the die, degrees Celsius.
+    strict : bool
+        A violation (``machine.h``) stops the board; else it is only recorded.
+    """
+
+    crystal_ppm: float = 0.0
+    internal_ppm: float = 0.0
+    crystal_dead: bool = False
+    unique_id: bytes = bytes(12)
+    temperature_degc: float = 25.0
+    strict: bool = True
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """Counts since reset; see ``emulator_stats_t``."""
+
+    instructions: int
+    interrupts: int
+    cycles: int
+    sleep_cycles: int
+    violations: int
+    stack_low: int
+
+    def summary(self) -> dict[str, int | float]:
+        """Return the counts and the share of cycles asleep (0 to 1)."""
+        return {**asdict(self), "sleep_share": self.sleep_cycles / self.cycles if self.cycles else 0.0}
+
+
+@dataclass(frozen=True)
+class Probe:
+    """How often a function was called, and its largest and summed instruction counts without interrupts."""
+
+    calls: int
+    total: int
+    largest: int
+
+
+def read_image(path: str | Path) -> tuple[list[tuple[int, bytes]], dict[str, int]]:
+    """Read an ELF image.
+
+    Returns
+    -------
+    segments : list of (address, bytes)
+        What lies in flash, by physical address.
+    symbols : dict
+        Addresses by name; those of functions carry the Thumb bit.
+
+    Raises
+    ------
+    BadImageError
+        The file cannot be read, is no ARM ELF image, or does not fit the flash.
+    """
+    try:
+        with Path(path).open("rb") as file:
+            elf = ELFFile(file)
+            if elf.get_machine_arch() != "ARM":
+                raise BadImageError(
+                    f"{path} is for {elf.get_machine_arch()}, not for ARM: give the image built for the board"
+                )
+            segments = [
+                (int(segment["p_paddr"]), bytes(segment.data()))
+                for segment in elf.iter_segments()
+                if segment["p_type"] == "PT_LOAD" and segment["p_filesz"] > 0
+            ]
+            table = elf.get_section_by_name(".symtab")
+            symbols: dict[str, int] = {}
+            if isinstance(table, SymbolTableSection):
+                symbols = {symbol.name: int(symbol["st_value"]) for symbol in table.iter_symbols() if symbol.name}
+    except OSError as error:
+        raise BadImageError(f"{path} cannot be read ({error.strerror}): give the ELF file of an image") from error
+    except (ELFError, UnicodeDecodeError) as error:
+        raise BadImageError(f"{path} is not an ELF image ({error}): give the file that the linker wrote") from error
+    if not segments:
+        raise BadImageError(f"{path} holds nothing to load: give a linked image, not an object file")
+    for address, data in segments:
+        if address not in FLASH or address + len(data) > FLASH.stop:
+            raise BadImageError(
+                f"{path} has {len(data)} bytes for 0x{address:08x}, outside of the flash at "
+                f"0x{FLASH.start:08x}..0x{FLASH.stop - 1:08x}: check the linker script"
+            )
+    return segments, symbols
+
+
+class Emulator:
+    """One board.
+
+    Parameters
+    ----------
+    image : path
+        ELF file, as flashed.
+    configuration : Configuration, optional
+    edge : int, optional
+        Address of a ``board_edge_t`` that another C library fills in; it is copied. Excludes the callbacks.
+    parameter_page : bytes, optional
+        Placed at 0x080E0000.
+    power_on_ps : int
+        When the board gets power, picoseconds of virtual time.
+    uart_out : callable, optional
+        ``uart_out(uart, byte, time_ps)`` for each byte that left a serial port.
+    pin_out : callable, optional
+        ``pin_out(pin, level, time_ps)`` for each change of an output pin.
+
+    Attributes
+    ----------
+    board, operations : int
+        Addresses of the ``board_t`` and of its ``board_operations_t``, for another C library.
+    symbols : dict
+        Addresses of the image's symbols.
+
+    Raises
+    ------
+    BadImageError
+        See `read_image`; or the parameter page does not fit.
+    FileNotFoundError
+        The emulator's library is not built.
+    """
+
+    def __init__(
+        self,
+        image: str | Path,
+        configuration: Configuration | None = None,
+        *,
+        edge: int | None = None,
+        parameter_page: bytes | None = None,
+        power_on_ps: int = 0,
+        uart_out: Callable[[int, int, int], None] | None = None,
+        pin_out: Callable[[int, bool, int], None] | None = None,
+    ) -> None:
+        segments, self.symbols = read_image(image)
+        if parameter_page is not None:
+            if len(parameter_page) > FLASH.stop - PARAMETER_PAGE:
+                raise BadImageError(f"the parameter page has {len(parameter_page)} bytes; at most 131072 fit")
+            segments.append((PARAMETER_PAGE, parameter_page))
+        self._ffi: Any
+        self._library: Any
+        self._ffi, self._library = clib.load(LIBRARY, ["emulator.h"])
+        ffi = self._ffi
+        self._callbacks: list[Any] = []
+        edge_pointer = ffi.new("board_edge_t *") if edge is None else ffi.cast("board_edge_t *", edge)
+        if uart_out is not None:
+            edge_pointer.uart_out = self._keep(
+                "void(void *, unsigned, uint8_t, int64_t)", lambda _, uart, byte, time: uart_out(uart, byte, time)
+            )
+        if pin_out is not None:
+            edge_pointer.pin_out = self._keep(
+                "void(void *, unsigned, bool, int64_t)", lambda _, pin, level, time: pin_out(pin, bool(level), time)
+            )
+        settings = asdict(configuration or Configuration())
+        if len(settings["unique_id"]) != 12:
+            raise ValueError(f"a unique id has 12 bytes, not {len(settings['unique_id'])}")
+        config = ffi.new("emulator_config_t *", {**settings, "unique_id": list(settings["unique_id"])})
+        message = ffi.new("char[]", 256)
+        self._board = self._library.emulator_create(config, edge_pointer, power_on_ps, message, 256)
+        if self._board == ffi.NULL:
+            raise RuntimeError(f"the emulator did not start: {ffi.string(message).decode()}")
+        self._operations = ffi.addressof(self._library, "emulator_operations")
+        self.board = int(ffi.cast("uintptr_t", self._board))
+        self.operations = int(ffi.cast("uintptr_t", self._operations))
+        self._probes: list[str] = []
+        for address, data in segments:
+            self._library.emulator_load(self._board, address, data, len(data))
+
+    def _keep(self, signature: str, function: Callable[..., None]) -> Any:
+        callback = self._ffi.callback(signature, function)
+        self._callbacks.append(callback)
+        return callback
+
+    def run(self, until_ps: int) -> bool:
+        """Run up to (not including) a time in picoseconds. False: the board stopped for good, see `report`."""
+        return int(self._operations.run(self._board, until_ps)) == 0
+
+    @property
+    def now_ps(self) -> int:
+        """Present time of the board, picoseconds."""
+        return int(self._operations.now(self._board))
+
+    def pin_in(self, pin: int, level: bool, time_ps: int) -> None:
+        """Drive an input pin (port * 16 + pin) from a time on."""
+        self._operations.pin_in(self._board, pin, level, time_ps)
+
+    def uart_in(self, uart: int, byte: int, baud: int, time_ps: int) -> None:
+        """Let a byte arrive at a serial port; its stop bit ends at time_ps."""
+        self._operations.uart_in(self._board, uart, byte, baud, time_ps)
+
+    def statistics(self) -> Statistics:
+        """Return the counts since reset."""
+        stats = self._ffi.new("emulator_stats_t *")
+        self._library.emulator_stats(self._board, stats)
+        return Statistics(**{name: int(getattr(stats, name)) for name in Statistics.__dataclass_fields__})
+
+    def report(self) -> str:
+        """Say where the processor stands, why it stopped, and what violations there were."""
+        return str(self._ffi.string(self._operations.report(self._board)).decode(errors="replace"))
+
+    def probe(self, function: str) -> None:
+        """Count the instructions of a function of the image, at most eight functions.
+
+        Raises
+        ------
+        KeyError
+            The image has no such symbol, or there are eight probes already.
+        """
+        if function not in self.symbols:
+            raise KeyError(f"the image has no function '{function}'")
+        if not self._library.emulator_probe_add(self._board, self.symbols[function]):
+            raise KeyError(f"no probe is left for '{function}': at most eight functions can be counted")
+        self._probes.append(function)
+
+    def probes(self) -> dict[str, Probe]:
+        """Return the counts of each probed function."""
+        result = {}
+        for index, name in enumerate(self._probes):
+            probe = self._ffi.new("emulator_probe_t *")
+            self._library.emulator_probe_read(self._board, index, probe)
+            result[name] = Probe(int(probe.calls), int(probe.total), int(probe.largest))
+        return result
+
+    def register(self, index: int) -> int:
+        """Return a core register; the numbers are in ``emulator.h``."""
+        return int(self._library.emulator_register(self._board, index))
+
+    def memory(self, address: int, count: int) -> bytes:
+        """Return bytes of flash or RAM.
+
+        Raises
+        ------
+        ValueError
+            There is no memory there.
+        """
+        buffer = self._ffi.new("uint8_t[]", count)
+        if not self._library.emulator_memory_read(self._board, address, buffer, count):
+            raise ValueError(f"no memory holds {count} bytes at 0x{address:08x}")
+        return bytes(buffer)
+
+    def close(self) -> None:
+        """End the board; `board` is void then."""
+        if self._board is not None:
+            self._operations.destroy(self._board)
+            self._board = None
+
+    def __enter__(self) -> Emulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
