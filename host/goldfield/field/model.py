@@ -14,6 +14,8 @@ from goldfield.field.polyline import polyline
 from goldfield.poses import FloatArray
 from goldfield.site import Beacon
 
+Kind = Literal["exact", "dipole"]
+
 FAR_FROM_WIRE = 100.0
 """A coil given by its wire is taken for its dipole beyond this many half-diameters: within 2e-4 of its field there."""
 
@@ -36,7 +38,8 @@ class FieldModel:
         Of the equivalent dipoles.
     """
 
-    def __init__(self, beacons: Sequence[Beacon], kind: Literal["exact", "dipole"] = "exact") -> None:
+    def __init__(self, beacons: Sequence[Beacon], kind: Kind = "exact") -> None:
+        self._beacons, self._kind = tuple(beacons), kind
         self.centre_m: FloatArray = np.array([_centre(beacon) for beacon in beacons], dtype=float).reshape(-1, 3)
         self.moment_A_m2: FloatArray = np.array([beacon.moment_A_m2 for beacon in beacons], dtype=float).reshape(-1, 3)
         self._centre = np.ascontiguousarray(self.centre_m.T)
@@ -48,12 +51,12 @@ class FieldModel:
         self._wires: NDArray[np.intp] = np.flatnonzero(is_wire)
         self._dipoles: NDArray[np.intp] = np.flatnonzero(~is_loop & ~is_wire)
 
-        loops = [beacons[i] for i in self._loops]
+        loops = [beacons[int(i)] for i in self._loops]
         self._loop_axis = np.array([beacon.axis for beacon in loops], dtype=float).reshape(-1, 3).T.copy()
         self._loop_radius = np.array([beacon.radius_m for beacon in loops], dtype=float)
         self._loop_current = np.array([beacon.turns * beacon.current_A for beacon in loops], dtype=float)
 
-        wires = [beacons[i] for i in self._wires]
+        wires = [beacons[int(i)] for i in self._wires]
         points = [np.asarray(beacon.points_m, dtype=float) for beacon in wires]
         segments = max((len(p) - 1 for p in points), default=0)
         padded = [np.concatenate([p, np.repeat(p[-1:], segments + 1 - len(p), axis=0)]) for p in points]
@@ -66,6 +69,14 @@ class FieldModel:
     def __len__(self) -> int:
         """Return the number of coils."""
         return len(self.centre_m)
+
+    def subset(self, rows: NDArray[np.intp]) -> FieldModel:
+        """Return the model of some of the coils."""
+        return FieldModel([self._beacons[int(row)] for row in rows], self._kind)
+
+    def as_dipoles(self) -> FieldModel:
+        """Return the model that takes every coil for its dipole."""
+        return FieldModel(self._beacons, "dipole")
 
     def evaluate(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Field and gradient with components leading, for numerical work.

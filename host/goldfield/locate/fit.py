@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,9 +39,20 @@ class Fit:
 
     def take(self, rows: NDArray[np.intp]) -> Fit:
         """Return some of the poses."""
-        return Fit(
-            self.position_m[rows], self.rotation[rows], self.cost[rows], self.information[rows], self.converged[rows]
-        )
+        return Fit(*(part[rows] for part in self._parts()))
+
+    def put(self, rows: NDArray[np.intp], other: Fit) -> None:
+        """Replace some of the poses, in place."""
+        for mine, new in zip(self._parts(), other._parts(), strict=True):
+            mine[rows] = new
+
+    def _parts(self) -> tuple[NDArray[Any], ...]:
+        return self.position_m, self.rotation, self.cost, self.information, self.converged
+
+
+def stacked(fits: Sequence[Fit]) -> Fit:
+    """Put poses one after another."""
+    return Fit(*(np.concatenate(parts) for parts in zip(*(fit._parts() for fit in fits), strict=True)))
 
 
 class Measurements:
@@ -75,6 +88,21 @@ class Measurements:
         """Number of measured components, shape (e,)."""
         return np.asarray(self.measured.sum(axis=(1, 2)))
 
+    @property
+    def axes(self) -> NDArray[np.intp]:
+        """Number of axes that the sensor has or that worked, shape (e,)."""
+        return np.asarray(self.measured.any(axis=1).sum(axis=1))
+
+    @property
+    def unknowns(self) -> NDArray[np.intp]:
+        """Position and attitude: 6, or 5 of a sensor with one axis, whose turn about it is free; shape (e,)."""
+        return np.where(self.axes == 1, 5, 6)
+
+    @property
+    def freedom(self) -> NDArray[np.intp]:
+        """Components minus unknowns, shape (e,)."""
+        return self.count - self.unknowns
+
     def inverse_sigma(self, model_error: float = 0.0) -> FloatArray:
         """Square root of the weight of each component, shape (e, 3, n): 1/sqrt(sigma^2 + (model_error |B|)^2), 0 if not measured."""
         sigma = np.sqrt(self.sigma_T**2 + (model_error * self.magnitude_T) ** 2)
@@ -83,6 +111,10 @@ class Measurements:
     def take(self, rows: NDArray[np.intp]) -> Measurements:
         """Return some of the epochs, also repeated ones."""
         return Measurements(self.field_T[rows], self.sigma_T[rows])
+
+    def of_beacons(self, rows: NDArray[np.intp]) -> Measurements:
+        """Return the same epochs with only some of the beacons."""
+        return Measurements(self.field_T[:, rows], self.sigma_T[:, rows])
 
     def without(self, beacons: NDArray[np.bool_]) -> Measurements:
         """Return the same epochs without some beacons, mask of shape (e, n)."""
@@ -164,6 +196,27 @@ def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray
     jacobian[:, 4, 0], jacobian[:, 4, 2] = -z, x
     jacobian[:, 5, 0], jacobian[:, 5, 1] = y, -x
     return jacobian, field.swapaxes(0, 1)
+
+
+def whitened_jacobian(
+    model: FieldModel, position_m: FloatArray, rotation: FloatArray, weight: FloatArray
+) -> FloatArray:
+    """Jacobian of the components in the sensor's frame over their standard deviations, shape (e, 6, 3n).
+
+    ``weight``, shape (e, 3, n), as of `Measurements.inverse_sigma`.
+    """
+    jacobian, _ = pose_jacobian(model, position_m)
+    jacobian = rotation.swapaxes(1, 2)[:, None] @ jacobian
+    jacobian *= weight[:, None]
+    return jacobian.reshape(len(position_m), 6, -1)
+
+
+def whitened_residual(model: FieldModel, measurements: Measurements, fit: Fit) -> FloatArray:
+    """Measured minus modelled components over their standard deviations, shape (e, 3n), in the order of `whitened_jacobian`."""
+    field, _ = model.evaluate(fit.position_m.T)
+    modelled = fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)
+    residual = (measurements.filled_T.swapaxes(1, 2) - modelled) * measurements.inverse_sigma()
+    return np.asarray(residual.reshape(len(measurements), -1))
 
 
 def _retract(state: State, step: FloatArray) -> State:

@@ -1,27 +1,32 @@
-"""From the fields of an epoch to a pose, with no prior: start, fit, check."""
+"""From the fields of epochs to poses with status and uncertainty."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
-from goldfield.locate.fit import Fit, Measurements, fit_pose
-from goldfield.locate.rotations import quaternion
-from goldfield.locate.shell import best_apart, directions, profiled, shell
-from goldfield.locate.starts import log_magnitudes, simple_magnitudes
-from goldfield.locate.wahba import wahba
-from goldfield.poses import Fields, Pose, Status
+from goldfield.locate.constellation import Constellation, Solutions
+from goldfield.locate.fit import Fit, Measurements
+from goldfield.locate.integrity import alarm, exclude, protection_level
+from goldfield.locate.uncertainty import honest_covariance
+from goldfield.poses import Fields, FloatArray, Pose, Status
 from goldfield.site import Site
 
-ROBUST_MODEL_ERROR = 0.03
-"""Model error of the first fit: wide enough to converge from the starts, narrow enough to end in the right valley."""
+WEAK_POSITION = 0.25
+"""A pose is weak if the standard deviation of its position along the worst axis exceeds this part of the distance to the nearest beacon:
+the field then changes its shape within the error and nothing computed from a linear model can be trusted."""
 
-SUSPECT = 1e-5
-"""A residual less likely than this makes the locator look further."""
+WEAK_ATTITUDE_RAD = 0.5
+"""... or if that of its attitude exceeds this (29 degrees), the free turn of a sensor with one axis not counted."""
+
+LEAST_BEACONS = 3
+BATCH = 512
+"""Epochs computed at once: enough to hide the interpreter, few enough to stay in the cache."""
 
 
 class Locator:
@@ -34,91 +39,165 @@ class Locator:
 
     def __init__(self, site: Site) -> None:
         self.site = site
-        self.model = FieldModel(site.beacons)
+        self._all = Constellation(FieldModel(site.beacons), site.half_space)
         self._row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
-        self._directions = directions(400)
 
     def locate(self, fields: Fields) -> Pose:
-        """Locate one epoch; never raises for bad data: then the status says ``failed``."""
-        rows = [self._row[name] for name in fields.beacons if name in self._row]
-        field = np.full((1, len(self.model), 3), np.nan)
-        sigma = np.full((1, len(self.model)), 1.0)
-        given = [i for i, name in enumerate(fields.beacons) if name in self._row]
-        field[0, rows] = fields.field_T[given]
-        sigma[0, rows] = fields.sigma_T[given]
-        measurements = Measurements(field, sigma)
-        used = tuple(b.id for b, known in zip(self.site.beacons, measurements.known[0], strict=True) if known)
-        axes = int(measurements.measured[0].any(axis=0).sum())
-        unknowns = 5 if axes == 1 else 6
-        if measurements.count[0] < unknowns or len(used) < 3:
-            return _failed(fields, used)
-        fit = self.fit(measurements)
-        freedom = int(measurements.count[0]) - unknowns
-        cost = float(fit.cost[0])
-        if not np.isfinite(cost):
-            return _failed(fields, used)
-        covariance = np.linalg.pinv(fit.information[0], hermitian=True)
-        status = Status.OK
-        if freedom > 0 and chi2.sf(cost, freedom) < SUSPECT:
-            status = Status.INCONSISTENT
-        return Pose(
-            epoch=fields.epoch,
-            time_s=fields.time_s,
-            position_m=fit.position_m[0],
-            orientation_xyzw=quaternion(fit.rotation[0]),
-            position_cov_m2=covariance[:3, :3],
-            attitude_cov_rad2=covariance[3:, 3:],
-            residual=float(np.sqrt(cost / freedom)) if freedom > 0 else 0.0,
-            status=status,
-            used=used,
-        )
+        """Locate one epoch, with no prior. Never raises for bad data: the status tells.
 
-    def fit(self, measurements: Measurements) -> Fit:
-        """Fit the poses of e epochs with no prior."""
-        fit = self._from_magnitudes(measurements) if measurements.complete else None
-        freedom = np.maximum(measurements.count - 6, 1)
-        if fit is None:
-            return _joined([self._from_shell(measurements.take(np.array([e]))) for e in range(len(measurements))])
-        wrong = ~(chi2.sf(fit.cost, freedom) > SUSPECT)
-        if self.site.half_space is not None:
-            wrong |= (fit.position_m - self.site.half_space.point_m) @ self.site.half_space.normal < 0.0
-        parts = [fit.take(np.array([e])) for e in range(len(measurements))] if wrong.any() else []
+        - ``failed``: fewer than three beacons, fewer components than unknowns, or no finite solution; position NaN.
+        - ``inconsistent``: the residual is improbable (`integrity`) and no exclusion of beacons mends it, or the only solution lies
+          outside the site's half-space.
+        - ``ambiguous``: another pose explains the fields as well; it is given as ``alternative``.
+        - ``weak``: the standard deviation exceeds `WEAK_POSITION` of the range or `WEAK_ATTITUDE_RAD`.
+        - ``ok``: none of these; ``excluded`` lists beacons that did not agree with the site and were left out.
+        """
+        return self.locate_many([fields])[0]
+
+    def locate_many(self, epochs: Sequence[Fields]) -> list[Pose]:
+        """Locate many epochs, each with no prior, in the order given; several times quicker than one by one."""
+        tables = [self._table(fields) for fields in epochs]
+        groups: dict[bytes, list[int]] = {}
+        for index, (field, _) in enumerate(tables):
+            groups.setdefault(np.isfinite(field).any(axis=1).tobytes(), []).append(index)
+        poses: dict[int, Pose] = {}
+        for members in groups.values():
+            for first in range(0, len(members), BATCH):
+                some = members[first : first + BATCH]
+                rows = np.flatnonzero(np.isfinite(tables[some[0]][0]).any(axis=1))
+                measurements = Measurements(
+                    np.stack([tables[index][0][rows] for index in some]),
+                    np.stack([tables[index][1][rows] for index in some]),
+                )
+                located = self._locate([epochs[index] for index in some], rows, measurements)
+                poses.update(zip(some, located, strict=True))
+        return [poses[index] for index in range(len(epochs))]
+
+    def protection_level_m(self, fields: Fields, pose: Pose) -> float:
+        """Radius that the error of a located epoch exceeds undetected only rarely; see `integrity.protection_level`.
+
+        Infinite if some beacon's fault could not be detected; NaN if the pose failed.
+        """
+        if pose.status is Status.FAILED:
+            return float("nan")
+        rows = np.array([self._row[name] for name in pose.used], dtype=np.intp)
+        field, sigma = self._table(fields)
+        measurements = Measurements(field[None, rows], sigma[None, rows])
+        constellation = self._all.subset(rows)
+        rotation = Rotation.from_quat(pose.orientation_xyzw).as_matrix()
+        fit = constellation.at(measurements, pose.position_m[None], rotation[None])
+        return float(protection_level(constellation, measurements, fit)[0])
+
+    def _table(self, fields: Fields) -> tuple[FloatArray, FloatArray]:
+        """Put the fields in the order of the site's beacons; ids unknown to the site and unusable noise are left out."""
+        field = np.full((len(self.site.beacons), 3), np.nan)
+        sigma = np.ones(len(self.site.beacons))
+        given = [index for index, name in enumerate(fields.beacons) if name in self._row]
+        rows = [self._row[fields.beacons[index]] for index in given]
+        field[rows] = fields.field_T[given]
+        sigma[rows] = fields.sigma_T[given]
+        usable = np.isfinite(sigma) & (sigma > 0.0)
+        field[~usable | ~np.isfinite(field).any(axis=1)] = np.nan
+        field[~np.isfinite(field)] = np.nan
+        sigma[~usable] = 1.0
+        return field, sigma
+
+    def _names(self, rows: NDArray[np.intp]) -> tuple[str, ...]:
+        return tuple(self.site.beacons[int(row)].id for row in rows)
+
+    def _locate(self, epochs: Sequence[Fields], rows: NDArray[np.intp], measurements: Measurements) -> list[Pose]:
+        """Locate epochs that heard the same beacons, given by their rows."""
+        if len(rows) < LEAST_BEACONS:
+            return [_failed(fields, self._names(rows)) for fields in epochs]
+        constellation = self._all.subset(rows)
+        solvable = measurements.freedom >= 0
+        solutions = constellation.solve(measurements)
+        solvable &= np.isfinite(solutions.best.cost)
+        wrong = solvable.copy()
+        some = np.flatnonzero(solvable)
+        if len(some):
+            wrong[some] = alarm(constellation, measurements.take(some), solutions.best.take(some))
+        sound = np.flatnonzero(solvable)
+        poses: dict[int, Pose] = {}
+        for e in np.flatnonzero(~solvable):
+            poses[int(e)] = _failed(epochs[e], self._names(rows))
+        mended: dict[int, NDArray[np.intp]] = {}
         for e in np.flatnonzero(wrong):
-            other = self._from_shell(measurements.take(np.array([e])))
-            outside = bool(
-                self.site.half_space is not None and not self.site.half_space.contains(fit.position_m[e])
+            found = exclude(constellation, measurements.take(np.array([e])))
+            if found is not None:
+                other, excluded = found
+                rest = np.delete(rows, excluded)
+                one = measurements.take(np.array([e])).of_beacons(np.delete(np.arange(len(rows)), excluded))
+                (poses[int(e)],) = self._poses([epochs[e]], rest, one, other, rows[excluded], np.array([False]))
+                mended[int(e)] = excluded
+        sound = np.array([e for e in sound if e not in mended], dtype=np.intp)
+        if len(sound):
+            done = self._poses(
+                [epochs[e] for e in sound],
+                rows,
+                measurements.take(sound),
+                solutions.take(sound),
+                np.array([], dtype=np.intp),
+                wrong[sound],
             )
-            if outside or not fit.cost[e] <= other.cost[0]:
-                parts[e] = other
-        return _joined(parts) if parts else fit
+            poses.update(zip((int(e) for e in sound), done, strict=True))
+        return [poses[e] for e in range(len(epochs))]
 
-    def _from_magnitudes(self, measurements: Measurements) -> Fit:
-        """1.5k/r^3 -> log|B| -> Wahba -> fit with model error -> fit."""
-        magnitude, sigma, known = measurements.magnitude_T, measurements.sigma_T, measurements.known
-        position = simple_magnitudes(self.model, magnitude, sigma, known)
-        position = log_magnitudes(self.model, magnitude, sigma, known, position)
-        weight = measurements.inverse_sigma(ROBUST_MODEL_ERROR)[:, 0] ** 2
-        rotation = wahba(self.model.field(position), measurements.filled_T, weight)
-        return self._refined(measurements, position, rotation)
+    def _poses(
+        self,
+        epochs: Sequence[Fields],
+        rows: NDArray[np.intp],
+        measurements: Measurements,
+        solutions: Solutions,
+        excluded: NDArray[np.intp],
+        wrong: NDArray[np.bool_],
+    ) -> list[Pose]:
+        model = self._all.subset(rows).model
+        used, left_out = self._names(rows), self._names(excluded)
+        freedom = measurements.freedom
 
-    def _from_shell(self, measurements: Measurements) -> Fit:
-        """Search the shell of one epoch, fit its best candidates, keep the best."""
-        field, sigma = measurements.field_T[0], measurements.sigma_T[0]
-        position = shell(self.model, field, sigma, self._directions, self.site.half_space)
-        loss, rotation = profiled(self.model, field, sigma, position)
-        apart = 0.25 * np.linalg.norm(position[:, None] - self.model.centre_m, axis=2).min(axis=1)
-        best = best_apart(position, loss, 8, apart)
-        repeated = measurements.take(np.zeros(len(best), dtype=np.intp))
-        fit = self._refined(repeated, position[best], rotation[best])
-        cost = np.where(np.isfinite(fit.cost), fit.cost, np.inf)
-        if self.site.half_space is not None:
-            inside = (fit.position_m - self.site.half_space.point_m) @ self.site.half_space.normal >= 0.0
-            cost = np.where(inside, cost, np.inf) if inside.any() else cost
-        return fit.take(np.array([int(np.argmin(cost))]))
+        def build(fit: Fit, which: NDArray[np.intp], status: list[Status], others: list[Pose | None]) -> list[Pose]:
+            covariance = honest_covariance(model, measurements.take(which), fit.position_m, fit.rotation)
+            weak = self._weak(model, measurements.take(which), fit, covariance)
+            quaternions = Rotation.from_matrix(fit.rotation).as_quat(canonical=True)
+            return [
+                Pose(
+                    epoch=epochs[e].epoch,
+                    time_s=epochs[e].time_s,
+                    position_m=fit.position_m[i],
+                    orientation_xyzw=quaternions[i],
+                    position_cov_m2=covariance[i, :3, :3],
+                    attitude_cov_rad2=covariance[i, 3:, 3:],
+                    residual=float(np.sqrt(fit.cost[i] / freedom[e])) if freedom[e] > 0 else 0.0,
+                    status=Status.WEAK if weak[i] and status[i] is Status.OK else status[i],
+                    used=used,
+                    excluded=left_out,
+                    alternative=others[i],
+                )
+                for i, e in enumerate(which)
+            ]
 
-    def _refined(self, measurements: Measurements, position: NDArray[np.float64], rotation: NDArray[np.float64]) -> Fit:
-        rough = fit_pose(self.model, measurements, position, rotation, model_error=ROBUST_MODEL_ERROR)
-        return fit_pose(self.model, measurements, rough.position_m, rough.rotation)
+        status = [
+            Status.INCONSISTENT if bad or out else Status.AMBIGUOUS if two else Status.OK
+            for bad, out, two in zip(wrong, solutions.outside, solutions.contested, strict=True)
+        ]
+        others: list[Pose | None] = [None] * len(epochs)
+        contested = np.flatnonzero(solutions.contested)
+        if len(contested):
+            rivals = build(
+                solutions.rival.take(contested), contested, [status[e] for e in contested], [None] * len(contested)
+            )
+            for e, pose in zip(contested, rivals, strict=True):
+                others[e] = pose
+        return build(solutions.best, np.arange(len(epochs)), status, others)
+
+    @staticmethod
+    def _weak(model: FieldModel, measurements: Measurements, fit: Fit, covariance: FloatArray) -> NDArray[np.bool_]:
+        nearest = np.linalg.norm(fit.position_m[:, None] - model.centre_m, axis=2).min(axis=1)
+        worst = np.sqrt(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1])
+        turns = np.linalg.eigvalsh(covariance[:, 3:, 3:])
+        turn = np.sqrt(np.where(measurements.axes == 1, turns[:, 1], turns[:, 2]))
+        return np.asarray((worst > WEAK_POSITION * nearest) | (turn > WEAK_ATTITUDE_RAD))
 
 
 @lru_cache(maxsize=8)
@@ -127,40 +206,18 @@ def _locator(site: Site) -> Locator:
 
 
 def locate(site: Site, fields: Fields) -> Pose:
-    """Locate the sensor of one epoch on a site, with no prior.
-
-    Parameters
-    ----------
-    site : Site
-    fields : Fields
-
-    Returns
-    -------
-    Pose
-        Always: what could not be located has status ``failed`` and NaN as position.
-    """
+    """Locate the sensor of one epoch on a site, with no prior; `Locator.locate` tells the statuses."""
     return _locator(site).locate(fields)
 
 
-def _joined(fits: list[Fit]) -> Fit:
-    return Fit(
-        np.concatenate([fit.position_m for fit in fits]),
-        np.concatenate([fit.rotation for fit in fits]),
-        np.concatenate([fit.cost for fit in fits]),
-        np.concatenate([fit.information for fit in fits]),
-        np.concatenate([fit.converged for fit in fits]),
-    )
-
-
 def _failed(fields: Fields, used: tuple[str, ...]) -> Pose:
-    nowhere = np.full((3, 3), np.nan)
     return Pose(
         epoch=fields.epoch,
         time_s=fields.time_s,
         position_m=np.full(3, np.nan),
         orientation_xyzw=np.array([0.0, 0.0, 0.0, 1.0]),
-        position_cov_m2=nowhere,
-        attitude_cov_rad2=nowhere.copy(),
+        position_cov_m2=np.full((3, 3), np.nan),
+        attitude_cov_rad2=np.full((3, 3), np.nan),
         residual=float("nan"),
         status=Status.FAILED,
         used=used,

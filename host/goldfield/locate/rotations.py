@@ -26,18 +26,3 @@ def turned(rotation: FloatArray, vector: FloatArray) -> FloatArray:
 def orthonormal(rotation: FloatArray) -> FloatArray:
     """Remove the rounding of many small turns: one Newton step towards the nearest rotation, shape (..., 3, 3)."""
     return np.asarray(0.5 * rotation @ (3.0 * np.eye(3) - np.swapaxes(rotation, -1, -2) @ rotation))
-
-
-def quaternion(rotation: FloatArray) -> FloatArray:
-    """Unit quaternion (x, y, z, w), w >= 0, of a rotation matrix, shape (3, 3): the dominant eigenvector of Bar-Itzhack's matrix."""
-    r = rotation
-    k = np.array(
-        [
-            [r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0], r[2, 1] - r[1, 2]],
-            [0.0, r[1, 1] - r[0, 0] - r[2, 2], r[1, 2] + r[2, 1], r[0, 2] - r[2, 0]],
-            [0.0, 0.0, r[2, 2] - r[0, 0] - r[1, 1], r[1, 0] - r[0, 1]],
-            [0.0, 0.0, 0.0, r[0, 0] + r[1, 1] + r[2, 2]],
-        ]
-    )
-    q = np.linalg.eigh(k, UPLO="U")[1][:, -1]
-    return np.asarray(-q if q[3] < 0.0 else q)

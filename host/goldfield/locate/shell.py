@@ -46,7 +46,7 @@ def shell(
     measured = np.isfinite(field_T)
     axes = measured.sum(axis=1)
     # A sensor with fewer axes sees less of the field: correct on average.
-    magnitude = np.sqrt(np.where(measured, field_T, 0.0).__pow__(2).sum(axis=1) * 3.0 / np.maximum(axes, 1))
+    magnitude = np.sqrt((np.where(measured, field_T, 0.0) ** 2).sum(axis=1) * 3.0 / np.maximum(axes, 1))
     strongest = int(np.argmax(magnitude))
     moment = model.moment_A_m2[strongest]
     k = MU0_OVER_4PI * np.linalg.norm(moment)
@@ -60,10 +60,8 @@ def shell(
     return np.asarray(position)
 
 
-def profiled(
-    model: FieldModel, field_T: FloatArray, sigma_T: FloatArray, position_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Loss at each candidate position with the best attitude there.
+def profiled_loss(model: FieldModel, field_T: FloatArray, sigma_T: FloatArray, position_m: FloatArray) -> FloatArray:
+    """Loss at each candidate position, shape (m,), with the best attitude there.
 
     Three measured axes: Wahba's loss. Fewer: the components are linear in the sensor's axes, b_i = s . B_i(p), so each s follows by
     linear least squares with |s| = 1; the axes' right angle is left to the fit.
@@ -72,29 +70,42 @@ def profiled(
     ----------
     field_T, sigma_T : ndarray, shapes (n, 3) and (n,)
     position_m : ndarray, shape (m, 3)
-
-    Returns
-    -------
-    loss : ndarray, shape (m,)
-    rotation : ndarray, shape (m, 3, 3)
     """
     field = model.field(position_m)
+    measured, filled, weight = _coarse(field_T, sigma_T)
+    if _complete(measured):
+        return wahba_loss(field, filled[None], weight[None])
+    loss = np.zeros(len(position_m))
+    for axis in np.flatnonzero(measured.any(axis=0)):
+        rows = measured[:, axis]
+        loss += unit_vector_fit(field[:, rows], filled[rows, axis], weight[rows])[1]
+    return loss
+
+
+def profiled_attitude(
+    model: FieldModel, field_T: FloatArray, sigma_T: FloatArray, position_m: FloatArray
+) -> FloatArray:
+    """Best attitude at each candidate position, shape (m, 3, 3); arguments as `profiled_loss`."""
+    field = model.field(position_m)
+    measured, filled, weight = _coarse(field_T, sigma_T)
+    if _complete(measured):
+        return wahba(field, filled[None], weight[None])
+    columns = np.zeros((len(position_m), 3, 3))
+    for axis in np.flatnonzero(measured.any(axis=0)):
+        rows = measured[:, axis]
+        columns[:, :, axis] = unit_vector_fit(field[:, rows], filled[rows, axis], weight[rows])[0]
+    return _completed(columns)
+
+
+def _coarse(field_T: FloatArray, sigma_T: FloatArray) -> tuple[NDArray[np.bool_], FloatArray, FloatArray]:
     measured = np.isfinite(field_T)
     filled = np.where(measured, field_T, 0.0)
     scale = COARSENESS * np.sqrt((filled**2).sum(axis=1))
-    weight = np.where(measured.any(axis=1), 1.0 / (sigma_T**2 + scale**2), 0.0)
-    if bool((measured.all(axis=1) == measured.any(axis=1)).all()):
-        sensor, weights = filled[None], weight[None]
-        return wahba_loss(field, sensor, weights), wahba(field, sensor, weights)
-    loss = np.zeros(len(position_m))
-    columns = np.zeros((len(position_m), 3, 3))
-    for axis in range(3):
-        rows = measured[:, axis]
-        if rows.any():
-            direction, misfit = unit_vector_fit(field[:, rows], filled[rows, axis], weight[rows])
-            columns[:, :, axis] = direction
-            loss += misfit
-    return loss, _completed(columns)
+    return measured, filled, np.where(measured.any(axis=1), 1.0 / (sigma_T**2 + scale**2), 0.0)
+
+
+def _complete(measured: NDArray[np.bool_]) -> bool:
+    return bool((measured.all(axis=1) == measured.any(axis=1)).all())
 
 
 def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -124,7 +135,7 @@ def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) ->
         parts = along / (eigenvalue + mu[:, None])
         norm = np.sqrt((parts**2).sum(axis=1)) + 1e-300
         slope = (parts**2 / (eigenvalue + mu[:, None])).sum(axis=1) / norm**3
-        mu = np.clip(mu + (1.0 - 1.0 / norm) / (slope * norm**0 + 1e-300), -lowest + floor, -lowest + size + floor)
+        mu = np.clip(mu + (1.0 - 1.0 / norm) / (slope + 1e-300), -lowest + floor, -lowest + size + floor)
     parts = along / (eigenvalue + mu[:, None])
     direction = np.einsum("mck,mk->mc", vector, parts)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True) + 1e-300
@@ -132,24 +143,21 @@ def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) ->
     return direction, np.asarray((error**2) @ weight)
 
 
-def best_apart(position_m: FloatArray, loss: FloatArray, count: int, apart: FloatArray) -> NDArray[np.intp]:
-    """Indices of the lowest losses, at most ``count``, each at least ``apart`` (shape (m,), m) from the better ones."""
-    order = np.argsort(loss)
+def best_apart(position_m: FloatArray, loss: FloatArray, count: int, apart_m: FloatArray) -> NDArray[np.intp]:
+    """Indices of the lowest losses, at most ``count``, each further than ``apart_m``, shape (m,), from the better ones."""
+    left = np.where(np.isfinite(loss), loss, np.inf)
     kept: list[int] = []
-    for index in order:
-        if all(np.linalg.norm(position_m[index] - position_m[k]) > apart[k] for k in kept):
-            kept.append(int(index))
-            if len(kept) == count:
-                break
+    while len(kept) < count and left.min(initial=np.inf) < np.inf:
+        best = int(np.argmin(left))
+        kept.append(best)
+        left[np.linalg.norm(position_m - position_m[best], axis=1) <= apart_m[best]] = np.inf
+        left[best] = np.inf
     return np.array(kept, dtype=np.intp)
 
 
 def _completed(columns: FloatArray) -> FloatArray:
     """Rotations, shape (m, 3, 3), whose columns are as near as can be to those given; columns of zeros are free."""
-    given = np.abs(columns).sum(axis=(0, 1)) > 0.0
     u, _, vt = np.linalg.svd(columns)
-    rotation = u @ vt  # the nearest orthonormal frame; for a missing column any direction that is left
-    wrong = np.linalg.det(rotation) < 0.0
-    free = int(np.argmin(given))
-    rotation[wrong, :, free] *= -1.0
-    return np.asarray(rotation)
+    vt = vt.copy()
+    vt[:, 2] *= np.linalg.det(u @ vt)[:, None]
+    return np.asarray(u @ vt)

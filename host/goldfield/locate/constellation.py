@@ -1,0 +1,227 @@
+"""The beacons that a sensor hears, and the search for its pose among them with no prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import gammaincc
+
+from goldfield.field import FieldModel
+from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
+from goldfield.locate.mirror import Mirror, find_mirror
+from goldfield.locate.shell import best_apart, directions, profiled_attitude, profiled_loss, shell
+from goldfield.locate.starts import log_magnitudes, simple_magnitudes
+from goldfield.locate.wahba import wahba
+from goldfield.poses import FloatArray
+from goldfield.site import HalfSpace
+
+ROBUST_MODEL_ERROR = 0.03
+"""Model error of the first fit: wide enough to converge from the starts, narrow enough to end in the right valley."""
+
+SUSPECT = 0.01
+"""A residual less likely than this makes the search look further: it costs time in one good epoch of a hundred."""
+
+RIVAL_COST = 15.0
+"""Another pose whose cost is within this of the best is a rival: it would be right in one case of e^7.5 = 1800 or more."""
+
+CANDIDATES = 8
+"""Candidates of the shell that are fitted."""
+
+
+@dataclass(frozen=True)
+class Solutions:
+    """Best pose of each of e epochs and the rival that the measurements cannot tell from it.
+
+    Attributes
+    ----------
+    best, rival : Fit
+    contested : ndarray of bool, shape (e,)
+        Whether there is a rival; else its row repeats the best pose.
+    outside : ndarray of bool, shape (e,)
+        Whether even the best pose is on the wrong side of the half-space.
+    """
+
+    best: Fit
+    rival: Fit
+    contested: NDArray[np.bool_]
+    outside: NDArray[np.bool_]
+
+    def take(self, rows: NDArray[np.intp]) -> Solutions:
+        """Return some of the epochs."""
+        return Solutions(self.best.take(rows), self.rival.take(rows), self.contested[rows], self.outside[rows])
+
+
+class Constellation:
+    """Beacons that are heard together.
+
+    Parameters
+    ----------
+    model : FieldModel
+    half_space : HalfSpace, optional
+        Where the sensor is known to be.
+    """
+
+    def __init__(self, model: FieldModel, half_space: HalfSpace | None = None) -> None:
+        self.model = model
+        self.half_space = half_space
+        self._subsets: dict[bytes, Constellation] = {}
+
+    @cached_property
+    def mirror(self) -> Mirror | None:
+        """Plane of the beacons, if they have one."""
+        return find_mirror(self.model)
+
+    @cached_property
+    def _dipoles(self) -> FieldModel:
+        return self.model.as_dipoles()
+
+    def subset(self, rows: NDArray[np.intp]) -> Constellation:
+        """Return the constellation of some of the beacons; remembered."""
+        key = np.asarray(rows, dtype=np.int64).tobytes()
+        if key not in self._subsets:
+            if len(self._subsets) >= 256:
+                self._subsets.clear()
+            self._subsets[key] = Constellation(self.model.subset(rows), self.half_space)
+        return self._subsets[key]
+
+    def solve(self, measurements: Measurements) -> Solutions:
+        """Find the poses of e epochs with no prior.
+
+        The chain of magnitudes is quick and nearly always right. The shell is searched as well when the chain cannot be used (a sensor
+        without three axes, fewer than four beacons), when its residual is improbable, or when little redundancy leaves room for
+        several answers.
+        """
+        everyone = np.arange(len(measurements))
+        simple = measurements.complete and len(self.model) >= 4
+        if simple:
+            best = self.from_magnitudes(measurements)
+            further = np.flatnonzero(~(probability(best.cost, measurements.freedom) > SUSPECT))
+        else:
+            best, further = _nowhere(len(measurements)), everyone
+        rival, contested = best.take(everyone), np.zeros(len(measurements), dtype=bool)
+        for e in further:
+            one = np.array([e])
+            found = self.from_shell(measurements.take(one))
+            if simple:
+                found = _sorted(stacked([found, best.take(one)]))
+            found = self._distinct(found, measurements.take(one))
+            best.put(one, found.take(np.array([0])))
+            if len(found.cost) > 1:
+                rival.put(one, found.take(np.array([1])))
+                contested[e] = found.cost[1] - found.cost[0] < RIVAL_COST
+        if self.mirror is not None:
+            self._reflect(measurements, best, rival, contested)
+        return self._sided(best, rival, contested)
+
+    def from_magnitudes(self, measurements: Measurements) -> Fit:
+        """1.5 k/r^3 -> log |B| -> Wahba -> fit with model error -> fit. Needs three axes and four beacons."""
+        magnitude, sigma, known = measurements.magnitude_T, measurements.sigma_T, measurements.known
+        position = simple_magnitudes(self.model, magnitude, sigma, known)
+        position = log_magnitudes(self.model, magnitude, sigma, known, position)
+        weight = measurements.inverse_sigma(ROBUST_MODEL_ERROR)[:, 0] ** 2
+        rotation = wahba(self.model.field(position), measurements.filled_T, weight)
+        return self.refine(measurements, position, rotation)
+
+    def from_shell(self, measurements: Measurements) -> Fit:
+        """Search the shell of one epoch; all candidates fitted, the best first."""
+        field, sigma = measurements.field_T[0], measurements.sigma_T[0]
+        position = shell(self._dipoles, field, sigma, directions(400))
+        loss = profiled_loss(self._dipoles, field, sigma, position)
+        if self.half_space is not None:
+            inside = (position - self.half_space.point_m) @ self.half_space.normal >= 0.0
+            loss = np.where(inside, loss, np.inf)
+        apart = 0.25 * np.linalg.norm(position[:, None] - self.model.centre_m, axis=2).min(axis=1)
+        best = best_apart(position, loss, CANDIDATES, apart)
+        if not len(best):
+            return _nowhere(1)
+        rotation = profiled_attitude(self._dipoles, field, sigma, position[best])
+        repeated = measurements.take(np.zeros(len(best), dtype=np.intp))
+        return _sorted(self.refine(repeated, position[best], rotation))
+
+    def refine(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
+        """Fit from a rough start: first with model error, then without."""
+        rough = fit_pose(self.model, measurements, position_m, rotation, model_error=ROBUST_MODEL_ERROR)
+        return fit_pose(self.model, measurements, rough.position_m, rough.rotation)
+
+    def at(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
+        """Cost and information at given poses, not fitted."""
+        return fit_pose(self.model, measurements, position_m, rotation, iterations=0)
+
+    def inside(self, position_m: FloatArray) -> NDArray[np.bool_]:
+        """Tell which positions, shape (e, 3), are in the half-space; all if there is none."""
+        if self.half_space is None:
+            return np.ones(len(position_m), dtype=bool)
+        return np.asarray((position_m - self.half_space.point_m) @ self.half_space.normal >= 0.0)
+
+    def _distinct(self, fits: Fit, measurements: Measurements) -> Fit:
+        """Drop poses that are the same as a better one, and those outside if there is one inside; the best first."""
+        finite = np.isfinite(fits.cost)
+        allowed = finite & self.inside(fits.position_m)
+        order = np.flatnonzero(allowed if allowed.any() else finite)
+        axes = measurements.measured[0].any(axis=0)
+        kept: list[int] = []
+        for i in order:
+            near = 0.05 * np.linalg.norm(fits.position_m[i] - self.model.centre_m, axis=1).min()
+            pointing = fits.rotation[i][:, axes]
+            if not any(
+                np.linalg.norm(fits.position_m[i] - fits.position_m[k]) < near
+                and np.abs(pointing - fits.rotation[k][:, axes]).max() < 0.2
+                for k in kept
+            ):
+                kept.append(int(i))
+        return fits.take(np.array(kept if kept else [0], dtype=np.intp))
+
+    def _reflect(self, measurements: Measurements, best: Fit, rival: Fit, contested: NDArray[np.bool_]) -> None:
+        """Make the image in the beacons' plane the rival where it is as likely; in place."""
+        assert self.mirror is not None
+        image = self.mirror.image(best)
+        if not self.mirror.exact:
+            image = self.refine(measurements, image.position_m, image.rotation)
+        apart = np.linalg.norm(image.position_m - best.position_m, axis=1) > 1e-3
+        apart |= np.abs(image.rotation - best.rotation).max(axis=(1, 2)) > 0.2
+        rows = np.flatnonzero(apart & (image.cost - best.cost < RIVAL_COST))
+        swap = rows[image.cost[rows] < best.cost[rows]]
+        rival.put(rows, image.take(rows))
+        rival.put(swap, best.take(swap))
+        best.put(swap, image.take(swap))
+        contested[rows] = True
+
+    def _sided(self, best: Fit, rival: Fit, contested: NDArray[np.bool_]) -> Solutions:
+        """Let the half-space decide between rivals."""
+        right, other = self.inside(best.position_m), self.inside(rival.position_m)
+        swap = np.flatnonzero(contested & ~right & other)
+        kept = best.take(swap)
+        best.put(swap, rival.take(swap))
+        rival.put(swap, kept)
+        decided = contested & (right != other)
+        return Solutions(best, rival, contested & ~decided, outside=~(right | (contested & other)))
+
+
+def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:
+    """Probability of a cost at least as large if model and noise are right (chi-square); 1 with no redundancy.
+
+    Parameters
+    ----------
+    cost : ndarray, shape (e,)
+    freedom : ndarray of int, shape (e,)
+        Components minus unknowns.
+    """
+    finite = np.where(np.isfinite(cost), cost, np.inf)
+    return np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, finite / 2.0), np.isfinite(cost) * 1.0)
+
+
+def _nowhere(count: int) -> Fit:
+    return Fit(
+        np.full((count, 3), np.nan),
+        np.broadcast_to(np.eye(3), (count, 3, 3)).copy(),
+        np.full(count, np.inf),
+        np.zeros((count, 6, 6)),
+        np.zeros(count, dtype=bool),
+    )
+
+
+def _sorted(fits: Fit) -> Fit:
+    return fits.take(np.argsort(np.where(np.isfinite(fits.cost), fits.cost, np.inf)))

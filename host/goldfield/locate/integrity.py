@@ -1,0 +1,145 @@
+"""Is the pose to be trusted: tests of the residual, exclusion of beacons that are not as the site says, protection level.
+
+As in receiver-autonomous integrity monitoring. Under a right model and Gaussian noise the cost is chi-square with 3n - 6 degrees of
+freedom. A fault of one beacon alone (wrong polarity, code or current, dead, moved, saturated) is found with more power by the
+part of the cost that its leaving out would take away, chi-square with 3: r_i' S_ii^-1 r_i, where r_i are the beacon's residuals and
+S = I - A P A' their covariance. Both tests share the permitted rate of false alarms.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, gammaincc
+
+from goldfield.locate.constellation import Constellation, Solutions, probability
+from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
+from goldfield.locate.uncertainty import root_covariance
+from goldfield.poses import FloatArray
+
+FALSE_ALARM = 5e-4
+"""Permitted rate of epochs with nothing wrong that are taken for faulty."""
+
+MISSED_DETECTION = 1e-3
+"""Rate of faults at the edge of the protection level that stay undetected."""
+
+LEAST_BEACONS = 4
+"""Beacons that must remain: three leave too little to tell that the rest is sound."""
+
+DETECTABLE = 1e-6
+"""Part of a beacon's variance that must show in the residuals for a fault of it to be detectable at all."""
+
+
+def alarm(constellation: Constellation, measurements: Measurements, fit: Fit) -> NDArray[np.bool_]:
+    """Tell which of e fitted epochs do not agree with the site; shape (e,)."""
+    whole = probability(fit.cost, measurements.freedom) < 0.5 * FALSE_ALARM
+    drop, freedom = cost_without(constellation, measurements, fit)
+    single = np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, drop / 2.0), 1.0)
+    beacons = np.maximum(measurements.known.sum(axis=1), 1)
+    return whole | (single.min(axis=1) * beacons < 0.5 * FALSE_ALARM)
+
+
+def cost_without(
+    constellation: Constellation, measurements: Measurements, fit: Fit
+) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Part of the cost, shape (e, n), that leaving out each beacon would take away, and its degrees of freedom.
+
+    Linear around the fit. 0 with 0 degrees where the beacon is needed, so that no fault of it would show.
+    """
+    shape = (len(measurements), len(constellation.model))
+    residual = _by_beacon(whitened_residual(constellation.model, measurements, fit)[:, None])[..., 0]
+    gain, seen, vector = _redundancy(constellation, measurements, fit)
+    along = np.einsum("enck,enc->enk", vector, residual)
+    drop = np.where(seen, along**2 / np.where(seen, gain, 1.0), 0.0).sum(axis=2)
+    return drop.reshape(shape), seen.sum(axis=2)
+
+
+def exclude(constellation: Constellation, measurements: Measurements) -> tuple[Solutions, NDArray[np.intp]] | None:
+    """Find the beacons of one inconsistent epoch without which it is consistent.
+
+    Leaves out one beacon after another, each time the one without which the rest agrees best, until the tests pass.
+
+    Returns
+    -------
+    solutions : Solutions
+        Of the remaining beacons.
+    excluded : ndarray of int
+        Rows of the constellation.
+    None if no set of at least `LEAST_BEACONS` beacons agrees, or if it has nothing left to be tested with.
+    """
+    rows = np.arange(len(constellation.model))
+    while len(rows) > LEAST_BEACONS:
+        best_row, best_cost = -1, np.inf
+        for row, cost in zip(rows, _costs_without_each(constellation, measurements, rows), strict=True):
+            if cost < best_cost:
+                best_row, best_cost = int(row), float(cost)
+        if best_row < 0:
+            return None
+        rows = rows[rows != best_row]
+        rest, rest_measurements = constellation.subset(rows), measurements.of_beacons(rows)
+        if rest_measurements.freedom[0] < 3:
+            return None
+        solutions = rest.solve(rest_measurements)
+        if np.isfinite(solutions.best.cost[0]) and not alarm(rest, rest_measurements, solutions.best)[0]:
+            return solutions, np.setdiff1d(np.arange(len(constellation.model)), rows)
+    return None
+
+
+def protection_level(constellation: Constellation, measurements: Measurements, fit: Fit) -> FloatArray:
+    """Radius, shape (e,), m, that the position error exceeds undetected with the probability `MISSED_DETECTION` only.
+
+    The largest over the beacons of slope times the least fault that is sure to be detected, and the noise on top. The slope of a
+    beacon is the position error over the root of the cost that its worst fault adds. Infinite if a fault of some beacon
+    cannot show in the residuals.
+    """
+    model, weight = constellation.model, measurements.inverse_sigma()
+    jacobian = whitened_jacobian(model, fit.position_m, fit.rotation, weight)
+    root, _ = root_covariance(fit.information)
+    gain, seen, vector = _redundancy(constellation, measurements, fit)
+    influence = root[:, :3] @ (root.swapaxes(1, 2) @ jacobian)  # (e, 3, 3n): whitened component -> position
+    influence = _by_beacon(influence)  # (e, n, c, 3)
+    shown = np.einsum("encp,enck->enpk", influence, vector) / np.sqrt(np.where(seen, gain, 1.0))[:, :, None, :]
+    slope = np.linalg.svd(np.where(seen[:, :, None, :], shown, 0.0), compute_uv=False)[..., 0]
+    measured = measurements.measured.sum(axis=2)
+    slope = np.where(seen.sum(axis=2) < measured, np.inf, slope).max(axis=1)
+    beacons = np.maximum(measurements.known.sum(axis=1), 1)
+    threshold = np.sqrt(chdtri(3.0, 0.5 * FALSE_ALARM / beacons))
+    sure = threshold + np.sqrt(chdtri(1.0, 2.0 * MISSED_DETECTION))
+    largest = np.sqrt(np.linalg.eigvalsh(root[:, :3] @ root[:, :3].swapaxes(1, 2))[:, -1])
+    return np.asarray(slope * sure + largest * np.sqrt(chdtri(3.0, MISSED_DETECTION)))
+
+
+def _redundancy(
+    constellation: Constellation, measurements: Measurements, fit: Fit
+) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
+    """Eigenvalues (e, n, 3) of the residuals' covariance of each beacon, which of them show faults, eigenvectors (e, n, 3, 3)."""
+    jacobian = whitened_jacobian(constellation.model, fit.position_m, fit.rotation, measurements.inverse_sigma())
+    root, _ = root_covariance(fit.information)
+    tangent = _by_beacon(root.swapaxes(1, 2) @ jacobian)  # (e, n, c, 6)
+    measured = measurements.measured
+    eye = np.eye(3) * measured[:, :, :, None]
+    gain, vector = np.linalg.eigh(eye - tangent @ tangent.swapaxes(2, 3))
+    return gain, gain > DETECTABLE, vector
+
+
+def _by_beacon(rows: FloatArray) -> FloatArray:
+    """Turn (e, k, 3n), components leading, into (e, n, 3, k)."""
+    return np.asarray(rows.reshape(len(rows), rows.shape[1], 3, -1).transpose(0, 3, 2, 1))
+
+
+def _costs_without_each(
+    constellation: Constellation, measurements: Measurements, rows: NDArray[np.intp]
+) -> list[float]:
+    """Cost of the best pose without each of these beacons in turn."""
+    rest = constellation.subset(rows)
+    count = len(rows)
+    repeated = measurements.of_beacons(rows).take(np.zeros(count, dtype=np.intp))
+    thinned = repeated.without(np.eye(count, dtype=bool))
+    if thinned.complete:
+        return [float(cost) for cost in rest.from_magnitudes(thinned).cost]
+    costs = []
+    for left_out in range(count):
+        others = np.delete(rows, left_out)
+        found = constellation.subset(others).from_shell(measurements.of_beacons(others))
+        costs.append(float(found.cost[0]))
+    return costs

@@ -1,0 +1,141 @@
+"""How far a pose may be wrong: the Cramer-Rao bound, dilution of precision, and a covariance that holds near beacons.
+
+Near a beacon the range is known to micrometres and the direction to centimetres. The set of poses that fit is then a curved
+ridge, and an error e along it carries the pose e^2/(2r) off its tangent: hundreds of standard deviations of the Gauss-Newton
+covariance, which knows only the tangent. `honest_covariance` adds the second-order term: with the model expanded along the
+principal axes L_i of the Gauss-Newton covariance P = L L', a pose error is
+
+    e = L z - 1/2 K sum_ij z_i z_j h_ij,      z standard normal,  K = P A' W,  h_ij = d2h(L_i, L_j),
+
+so that, with q_ij = L^-1 K h_ij, its mean square is L (I + (m m' + 2 sum_ij q_ij q_ij')/4) L',  m = sum_i q_ii. The second
+differences are taken one standard deviation apart, so that they are those of the region that matters.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from goldfield.field import FieldModel
+from goldfield.locate.fit import Measurements, whitened_jacobian
+from goldfield.locate.rotations import turned
+from goldfield.poses import FloatArray
+from goldfield.site import Site
+
+UNOBSERVABLE = 1e-13
+"""Eigenvalue of the scaled information, relative to 1, below which rounding hides it: that direction is taken as free."""
+
+FREE_POSITION_M2 = 1e6
+"""Variance reported along a direction of position that the measurements do not tell."""
+
+FREE_TURN_RAD2 = np.pi**2 / 3.0
+"""Variance of an angle that is not told: uniform over a full turn."""
+
+
+def root_covariance(information: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Split information, shape (e, 6, 6), into a root L of its inverse and the covariance of what it does not tell.
+
+    Returns
+    -------
+    root : ndarray, shape (e, 6, 6)
+        L with L L' = inverse information on the observable space; columns of unobservable directions are zero.
+    free : ndarray, shape (e, 6, 6)
+        Covariance of the unobservable directions: zero if all is observable.
+    """
+    scale = 1.0 / np.sqrt(np.einsum("ekk->ek", information) + 1e-300)
+    eigenvalue, vector = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
+    seen = eigenvalue > UNOBSERVABLE
+    axes = scale[:, :, None] * vector
+    root = axes * np.where(seen, 1.0 / np.sqrt(np.where(seen, eigenvalue, 1.0)), 0.0)[:, None, :]
+    free = np.zeros_like(information)
+    if not seen.all():
+        for e, k in zip(*np.nonzero(~seen), strict=True):
+            direction = axes[e, :, k] / np.linalg.norm(axes[e, :, k])
+            variance = np.repeat([FREE_POSITION_M2, FREE_TURN_RAD2], 3)
+            free[e] += np.outer(direction, direction) * np.sqrt(np.outer(variance, variance))
+    return root, free
+
+
+def gauss_newton_covariance(information: FloatArray) -> FloatArray:
+    """Inverse information, shape (e, 6, 6); unobservable directions get the variances of this module's constants."""
+    root, free = root_covariance(information)
+    return np.asarray(root @ root.swapaxes(1, 2) + free)
+
+
+def honest_covariance(
+    model: FieldModel,
+    measurements: Measurements,
+    position_m: FloatArray,
+    rotation: FloatArray,
+    model_error: float = 0.0,
+) -> FloatArray:
+    """Mean square error of fitted poses with the second-order terms of the model.
+
+    Parameters
+    ----------
+    model : FieldModel
+    measurements : Measurements
+        e epochs.
+    position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
+        Fitted.
+    model_error : float
+        As in the fit.
+
+    Returns
+    -------
+    covariance : ndarray, shape (e, 6, 6)
+        Of position (m) and a small rotation in the site's frame (rad); symmetric, positive definite.
+    """
+    weight = measurements.inverse_sigma(model_error)
+    # In the sensor's frame, where the noise is: in the site's a turn would also turn the frame.
+    tangent = whitened_jacobian(model, position_m, rotation, weight)
+    root, free = root_covariance(tangent @ tangent.swapaxes(1, 2))
+    back = tangent.swapaxes(1, 2) @ root  # whitened derivatives along the principal axes: orthonormal columns
+    q = np.empty((len(position_m), 6, 6, 6))
+    for axis in range(6):
+        step = root[:, :, axis]
+        ahead = whitened_jacobian(model, position_m + step[:, :3], turned(rotation, step[:, 3:]), weight)
+        ahead -= whitened_jacobian(model, position_m - step[:, :3], turned(rotation, -step[:, 3:]), weight)
+        q[:, axis] = 0.5 * (root.swapaxes(1, 2) @ ahead) @ back
+    q = 0.5 * (q + q.swapaxes(1, 2))
+    mean = np.einsum("eiik->ek", q)
+    flat = q.reshape(len(q), 36, 6)
+    second = 0.25 * (mean[:, :, None] * mean[:, None, :] + 2.0 * flat.swapaxes(1, 2) @ flat)
+    return np.asarray(root @ (np.eye(6) + second) @ root.swapaxes(1, 2) + free)
+
+
+def cramer_rao_bound(
+    site: Site, position_m: FloatArray, rotation: FloatArray | None = None, *, sigma_T: FloatArray | None = None
+) -> FloatArray:
+    """Least covariance that any unbiased estimator of the pose can have.
+
+    Parameters
+    ----------
+    site : Site
+    position_m : ndarray, shape (e, 3)
+    rotation : ndarray, shape (e, 3, 3), optional
+        Only matters to sensors with fewer than three axes or noise that differs between them.
+    sigma_T : ndarray, broadcast to shape (e, n, 3), optional
+        Standard deviation of each component, infinite where there is no such axis. Default: the sensor's noise per sample over the
+        square root of the number of chips.
+
+    Returns
+    -------
+    covariance : ndarray, shape (e, 6, 6)
+        Of position (m) and a small rotation in the site's frame (rad).
+    """
+    count = len(position_m)
+    if sigma_T is None:
+        sigma_T = np.array(site.sensor.noise_T / np.sqrt(site.chips))
+    weight = np.broadcast_to(1.0 / sigma_T, (count, len(site.beacons), 3)).swapaxes(1, 2)
+    turn = np.broadcast_to(np.eye(3), (count, 3, 3)) if rotation is None else rotation
+    jacobian = whitened_jacobian(FieldModel(site.beacons), position_m, turn, weight)
+    return gauss_newton_covariance(jacobian @ jacobian.swapaxes(1, 2))
+
+
+def dilution_of_precision(site: Site, position_m: FloatArray) -> FloatArray:
+    """Position error (root of the sum of variances) over the noise of a component, m/T, shape (e,).
+
+    Multiply by the standard deviation of a separated component for the error in metres.
+    """
+    bound = cramer_rao_bound(site, position_m, sigma_T=np.array(1.0))
+    return np.asarray(np.sqrt(np.einsum("ekk->e", bound[:, :3, :3])))
