@@ -1,5 +1,5 @@
 """The command ``goldfield``: one file a subcommand."""
 
-from goldfield.cli.main import main
+from goldfield.cli.entry import main
 
 __all__ = ["main"]

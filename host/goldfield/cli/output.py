@@ -19,13 +19,14 @@ def json_line(record: dict[str, Any]) -> str:
 
 def pose_record(pose: Pose) -> dict[str, Any]:
     """Return a pose under the keys of ``goldfield locate --json``; what is not known is None."""
+    located = bool(np.isfinite(pose.position_m).all() and np.isfinite(pose.orientation_xyzw).all())
     return {
         "epoch": pose.epoch,
         "t_s": number(pose.time_s),
-        "position_m": whole_array(pose.position_m),
-        "orientation_xyzw": whole_array(pose.orientation_xyzw),
-        "position_cov_m2": whole_array(pose.position_cov_m2),
-        "attitude_cov_rad2": whole_array(pose.attitude_cov_rad2),
+        "position_m": pose.position_m.tolist() if located else None,
+        "orientation_xyzw": pose.orientation_xyzw.tolist() if located else None,
+        "position_cov_m2": whole_array(pose.position_cov_m2) if located else None,
+        "attitude_cov_rad2": whole_array(pose.attitude_cov_rad2) if located else None,
         "residual": number(pose.residual),
         "status": pose.status.value,
         "used": list(pose.used),
@@ -39,7 +40,7 @@ def number(value: float) -> float | None:
 
 
 def whole_array(values: FloatArray) -> Any:
-    """Return an array as lists, or None if any element is not finite: half a position is none."""
+    """Return an array as lists, or None if any element is not finite."""
     return values.tolist() if np.isfinite(values).all() else None
 
 

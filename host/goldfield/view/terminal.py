@@ -34,11 +34,10 @@ class PoseTable:
         """Return the pose's line, after the header if that is due."""
         header = f"{self.header()}\n" if self._lines % HEADER_EVERY == 0 else ""
         self._lines += 1
-        roll, pitch, yaw = roll_pitch_yaw_deg(pose.orientation_xyzw)
-        x, y, z = pose.position_m
+        angles = np.full(3, np.nan) if pose.status is Status.FAILED else roll_pitch_yaw_deg(pose.orientation_xyzw)
         columns = [f"{pose.epoch:8d}", _cell(pose.time_s, 9, 2)]
-        columns += [_cell(value, 8, 4) for value in (x, y, z)]
-        columns += [_cell(value, 7, 2) for value in (roll, pitch, yaw)]
+        columns += [_cell(value, 8, 4) for value in pose.position_m]
+        columns += [_cell(value, 7, 2) for value in angles]
         if self.truth:
             columns += [_cell(error.position_m * 100.0, 7, 2), _cell(math.degrees(error.attitude_rad), 7, 2)]
         columns += [f"{len(pose.used):4d}", _cell(pose.residual, 8, 2)]
@@ -110,9 +109,7 @@ class Summary:
 
 
 def roll_pitch_yaw_deg(orientation_xyzw: FloatArray) -> FloatArray:
-    """Return roll, pitch and yaw, shape (3,), degrees, of R = Rz(yaw) Ry(pitch) Rx(roll); NaN for a failed pose."""
-    if not np.isfinite(orientation_xyzw).all():
-        return np.full(3, np.nan)
+    """Return roll, pitch and yaw, shape (3,), degrees, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
     r = Rotation.from_quat(orientation_xyzw).as_matrix()
     pitch = math.asin(max(-1.0, min(1.0, -r[2, 0])))
     return np.degrees([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])

@@ -80,8 +80,8 @@ def _add_foreign(subparsers: Any, entry_point: EntryPoint) -> None:
         def unavailable(_: argparse.Namespace, reason: str = reason) -> int:
             raise SystemFailure(reason)
 
-        broken = subparsers.add_parser(entry_point.name, help="(cannot be loaded)", add_help=False)
-        broken.add_argument("rest", nargs=argparse.REMAINDER)
+        broken = subparsers.add_parser(entry_point.name, help="(cannot be loaded)", add_help=False, prefix_chars="\0")
+        broken.add_argument("rest", nargs="*")  # with no prefix that anyone types, options are taken too
         broken.set_defaults(run=unavailable)
 
 
