@@ -21,7 +21,8 @@
  *
  * A PARAM_SET of any parameter but stream, node and those of a sensor stops the drive, if it changes a value, and starts it softly again.
  *
- * Memory: about 8 kB. Time (instructions on the Cortex-M4, tests/firmware/apps): see README of firmware.
+ * Memory: about 8 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 2,000 instructions, current 56 (once in 31 chips 123),
+ * main with nothing to do 105.
  */
 #ifndef GOLDFIELD_BEACON_H
 #define GOLDFIELD_BEACON_H

@@ -16,7 +16,9 @@
  * Parameters act from the next report on. stream sends every chip on serial (164 kB/s of 200 kB/s); chips that find no room are dropped and counted
  * as lost messages (counter 4).
  *
- * Memory: about 38 kB. Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
+ * Memory: about 38 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
+ * 18,000, a report of 8 codes 66,000, main with nothing to do 150.
+ * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
  */
 #ifndef GOLDFIELD_SENSOR_H
 #define GOLDFIELD_SENSOR_H
@@ -50,7 +52,7 @@ typedef struct {
 /* Hello, parameters, chip engine. *sensor and *hal must live for ever. */
 void sensor_start(sensor_t *sensor, hal_t *hal);
 
-/* One turn of the main loop, to be called after each hal_wait(). A complete cycle costs about 90,000 instructions and some 1,000 for each code. */
+/* One turn of the main loop, to be called after each hal_wait(). A complete cycle costs about 60,000 instructions and 800 for each code. */
 void sensor_step(sensor_t *sensor);
 
 #endif

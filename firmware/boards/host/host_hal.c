@@ -9,6 +9,10 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     *engine = (engine_t){.running = true, .role = role, .events = *events, .chip_start = host_tick(hal) + 168};
     events->plan(events->context, 0, &engine->plan[0]);
     events->plan(events->context, 1, &engine->plan[1]);
+    if (!hal->fault_level && events->fault) {
+        events->fault(events->context); /* Active since before the start. */
+    }
+    host_pin_write(hal, PIN_LED, false);
 }
 
 void hal_drive_enable(hal_t *hal, bool enable) {

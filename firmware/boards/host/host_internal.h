@@ -14,7 +14,7 @@ enum {
     PIN_SYNC_OUT = 40,     /* PC8 */
     PIN_ENABLE = 41,       /* PC9 */
     PIN_FAULT = 42,        /* PC10 */
-    PIN_LED = 44           /* PC12 */
+    PIN_LED = 44           /* PC12, to the supply: low is on. */
 };
 
 enum { SERIAL_PORT = 1, SERIAL_BAUD = 2000000, MAILBOXES = 3, RECEIVE_BYTES = 1024, RECEIVE_FRAMES = 64 };

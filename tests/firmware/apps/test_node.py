@@ -139,7 +139,7 @@ def test_bad_page_is_ignored_and_counted() -> None:
 
 
 def test_full_can_queue_counts_what_it_loses() -> None:
-    """64 codes a cycle against a bus that takes one frame in 2 ms for 2 s; then the backlog drains: every loss is counted."""
+    """64 codes a cycle, a bus that takes a frame in 2 ms, for 2 s; then the backlog drains: each loss is counted."""
     parameters = {"node": 9, "code_count": 64, "code_list": list(range(64))}
     board = Board(SENSOR, parameters, volts=lambda pin, time: 1.65)
     board.send_serial("PARAM_SET", set_value(0), 9, 5, 2 * SECOND)

@@ -1,0 +1,152 @@
+"""Instructions of the applications' handlers and main loops on a Cortex-M4 (Unicorn), without those of the board."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import unicorn
+from elftools.elf.elffile import ELFFile
+from goldfield_protocol.parameters import build_page
+from unicorn import arm_const as arm
+
+from hil_sim.clib import ROOT
+
+FLAGS = (
+    *("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c11", "-O2"),
+    *("-ffunction-sections", "-fdata-sections", "-nostartfiles", "--specs=nano.specs"),
+    *("-Wl,--gc-sections,-e,0,--no-warn-rwx-segments", "-Ttext=0x08000000", "-Tdata=0x20000000"),
+)
+STACK, STOP = 0x20040000, 0x0803FF00
+
+# A board that keeps the application's handlers; functions without arguments around each handler.
+HARNESS = """
+#include "beacon.h"
+#include "sensor.h"
+struct hal { uint64_t us; } hal;
+uint8_t page[HAL_PARAMETER_PAGE_BYTES] = {1};
+hal_events_t events;
+void hal_chips_start(hal_t *h, hal_role_t role, const hal_events_t *e) { (void)h; (void)role; events = *e; }
+void hal_drive_enable(hal_t *h, bool enable) { (void)h; (void)enable; }
+void hal_drive_reference(hal_t *h, uint16_t count) { (void)h; (void)count; }
+bool hal_serial_write(hal_t *h, const uint8_t *bytes, size_t count) { (void)h; (void)bytes; (void)count; return true; }
+void hal_serial_write_polled(hal_t *h, const uint8_t *bytes, size_t count) { (void)h; (void)bytes; (void)count; }
+size_t hal_serial_read(hal_t *h, uint8_t *bytes, size_t capacity) { (void)h; (void)bytes; (void)capacity; return 0; }
+bool hal_can_send(hal_t *h, const hal_frame_t *frame) { (void)h; (void)frame; return true; }
+bool hal_can_receive(hal_t *h, hal_frame_t *frame) { (void)h; (void)frame; return false; }
+hal_clock_t hal_clock(const hal_t *h) { (void)h; return HAL_CLOCK_CRYSTAL; }
+void hal_counters(const hal_t *h, hal_counters_t *c) { (void)h; *c = (hal_counters_t){0}; }
+uint64_t hal_microseconds(hal_t *h) { return h->us; }
+int16_t hal_temperature(const hal_t *h) { (void)h; return 250; }
+void hal_unique_id(const hal_t *h, uint8_t id[12]) { (void)h; for (int i = 0; i < 12; i++) id[i] = 0; }
+const uint8_t *hal_parameter_page(const hal_t *h) { (void)h; return page; }
+void hal_watchdog_kick(hal_t *h) { (void)h; }
+
+beacon_t beacon;
+sensor_t sensor;
+hal_plan_t plan;
+hal_samples_t samples;
+uint32_t block = 0, chip = 0, count = 2048;
+void begin_beacon(void) { beacon_start(&beacon, &hal); }
+void begin_sensor(void) {
+    sensor_start(&sensor, &hal);
+    for (uint32_t i = 0; i < sizeof samples / 2; i++) (&samples[0][0][0])[i] = (uint16_t)(1 + i * 37 % 4094);
+}
+void call_plan(void) { events.plan(events.context, block++, &plan); hal.us += 3030; }
+void call_current(void) { events.current(events.context, chip++, (uint16_t)(2048u - (beacon.current.target >> 16))); }
+void call_samples(void) { events.samples(events.context, block - 2, (const hal_samples_t *)&samples); }
+void step_beacon(void) { beacon_step(&beacon); }
+void step_sensor(void) { sensor_step(&sensor); }
+"""
+
+Call = Callable[[str], int]
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("instructions")
+    source, elf = directory / "harness.c", directory / "apps.elf"
+    source.write_text(HARNESS)
+    apps = [f"firmware/apps/{name}.c" for name in ("node", "sync", "beacon", "sensor")]
+    core = sorted((ROOT / "firmware/core").glob("*.c"))
+    includes = [f"-I{ROOT / path}" for path in ("firmware/core", "firmware/apps", "firmware/hal", "build/protocol")]
+    sources = [source, *(ROOT / app for app in apps), *core, ROOT / "build/protocol/goldfield.c"]
+    keep = ("begin_beacon", "begin_sensor", "call_plan", "call_current", "call_samples", "step_beacon", "step_sensor")
+    undefined = [f"-Wl,-u,{name}" for name in keep]
+    subprocess.run(["arm-none-eabi-gcc", *FLAGS, *includes, *map(str, sources), *undefined, "-o", str(elf)], check=True)
+    return elf
+
+
+@pytest.fixture
+def call(image: Path) -> Call:
+    """Call a function of the harness; returns its instructions. Each test has its own memory."""
+    machine = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
+    machine.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
+    machine.mem_map(0x08000000, 0x40000)
+    machine.mem_map(0x20000000, 0x40000)
+    symbols = {}
+    with image.open("rb") as file:
+        loaded = ELFFile(file)
+        for segment in loaded.iter_segments("PT_LOAD"):
+            machine.mem_write(segment["p_vaddr"], segment.data())
+        for symbol in loaded.get_section_by_name(".symtab").iter_symbols():
+            symbols[symbol.name] = symbol["st_value"]
+    codes = list(range(2, 10))
+    values = {"node": 1, "code": 2, "amplitude": 10.0, "sync_master": 1, "code_count": 8, "code_list": codes}
+    machine.mem_write(symbols["page"], build_page(values))
+    machine.reg_write(arm.UC_ARM_REG_C1_C0_2, 0xF << 20)
+    machine.reg_write(arm.UC_ARM_REG_FPEXC, 1 << 30)
+    total = [0]
+
+    def step(*_: object) -> None:
+        total[0] += 1
+
+    machine.hook_add(unicorn.UC_HOOK_CODE, step)
+
+    def run(name: str) -> int:
+        total[0] = 0
+        machine.reg_write(arm.UC_ARM_REG_SP, STACK)
+        machine.reg_write(arm.UC_ARM_REG_LR, STOP | 1)
+        machine.emu_start(symbols[name] | 1, STOP)
+        return total[0]
+
+    return run
+
+
+def test_beacon(call: Call) -> None:
+    start = call("begin_beacon")
+    plans, currents, idle, reports = [], [], [], []
+    for _ in range(2):
+        call("call_plan")
+    for _ in range(70):
+        currents += [call("call_current") for _ in range(31)]
+        plans.append(call("call_plan"))
+        reports.append(call("step_beacon"))
+        idle.append(call("step_beacon"))
+    chip, chip_most = sorted(currents)[len(currents) // 2], max(currents)
+    print(f"beacon: start {start}, plan of 31 chips {max(plans)}, current {chip}, at most {chip_most}")
+    print(f"        main idle {min(idle)}, with a report {max(reports)} instructions")
+    assert max(plans) <= 31 * 70
+    assert chip <= 70
+    assert chip_most <= 150
+    assert min(idle) <= 150
+
+
+def test_sensor(call: Call) -> None:
+    start = call("begin_sensor")
+    plans, samples, idle, reports = [], [], [], []
+    for _ in range(2):
+        call("call_plan")
+    for _ in range(70):
+        samples.append(call("call_samples"))
+        plans.append(call("call_plan"))
+        reports.append(call("step_sensor"))
+        idle.append(call("step_sensor"))
+    print(f"sensor: start {start}, plan of 31 chips {max(plans)}, samples of 31 chips {max(samples)}")
+    print(f"        main idle {min(idle)}, with a report of 8 codes {max(reports)} instructions")
+    assert max(samples) <= 31 * 600
+    assert max(plans) <= 31 * 70
+    assert min(idle) <= 200
+    assert max(reports) <= 110_000

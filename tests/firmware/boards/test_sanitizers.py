@@ -1,0 +1,31 @@
+"""Applications, core and host board under the address and undefined-behaviour sanitizers."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+from hil_sim.clib import ROOT
+
+
+def test_two_beacons_and_a_sensor_without_a_finding(tmp_path: Path) -> None:
+    program = tmp_path / "boards"
+    folders = ("firmware/core", "firmware/apps", "firmware/hal", "firmware/boards", "firmware/boards/host")
+    apps = [ROOT / f"firmware/apps/{name}.c" for name in ("node", "sync", "beacon", "sensor")]
+    sources = [
+        Path(__file__).with_name("host_boards_under_sanitizer.c"),
+        *apps,
+        *sorted((ROOT / "firmware/core").glob("*.c")),
+        *sorted((ROOT / "firmware/boards/host").glob("*.c")),
+        ROOT / "build/protocol/goldfield.c",
+    ]
+    flags = ["-std=c11", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    includes = [f"-I{ROOT / folder}" for folder in (*folders, "build/protocol")]
+    subprocess.run(["gcc", *flags, *includes, *map(str, sources), "-lm", "-o", str(program)], check=True)
+    done = subprocess.run([program], capture_output=True, text=True, check=False, timeout=120)
+    assert done.returncode == 0, done.stderr
+    master, follower, sensor = [[int(n) for n in line.split()] for line in done.stdout.splitlines()]
+    assert master[0] > 400
+    assert follower[0] > 200
+    assert sensor[0] > 200_000  # The stream of chips.
+    assert sensor[1] > 500  # Fields on the bus.
