@@ -31,5 +31,23 @@ $(STM32_OUT)/%.elf: $(STM32_OUT)/firmware/apps/main_%.o $(STM32_OBJECTS) $(STM32
 	@$(ARM)objcopy -O binary $@ $(@:.elf=.bin)
 	@$(ARM)objcopy -O ihex $@ $(@:.elf=.hex)
 
+firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## Both images, with their flash, RAM and worst-case stack
+	@$(PYTHON) firmware/tools/image_report.py $(STM32_IMAGES)
+
+# Parameters given on make's command line, as name=value.
+STM32_PARAMETERS := $(foreach name,NODE CODE AMPLITUDE SYNC_MASTER STREAM CODE_COUNT OPEN_COIL OVER_CURRENT ZERO_X ZERO_Y ZERO_Z CALIBRATION CODE_LIST,\
+	$(if $(findstring command line,$(origin $(name))),$(name)=$($(name))))
+STM32_PAGE := $(STM32_OUT)/parameters.bin
+PYOCD := $(VENV)/bin/pyocd
+PYOCD_TARGET := stm32f405rgtx
+
+flash: firmware ## Program a board: ROLE=beacon or sensor, with NODE=n also its parameters
+	@case "$(ROLE)" in beacon|sensor) ;; *) echo "make flash needs ROLE=beacon or ROLE=sensor"; exit 2;; esac
+	@test -z "$(strip $(STM32_PARAMETERS))" || test -n "$(filter NODE=%,$(STM32_PARAMETERS))" || { echo "make flash with parameters needs NODE=n as well"; exit 2; }
+	@test -z "$(strip $(STM32_PARAMETERS))" || $(PYTHON) -m goldfield_protocol.parameters $$(echo "$(strip $(STM32_PARAMETERS))" | tr A-Z a-z) -o $(STM32_PAGE)
+	@$(PYOCD) pack show 2>/dev/null | grep -q STM32F4xx_DFP || $(PYOCD) pack install stm32f405rgtx
+	@$(PYOCD) load --target $(PYOCD_TARGET) $(STM32_OUT)/$(ROLE).elf $(if $(strip $(STM32_PARAMETERS)),$(STM32_PAGE)@0x080E0000)
+
+.PHONY: firmware flash
 .SECONDARY: $(STM32_OBJECTS) $(STM32_MAINS:%.c=$(STM32_OUT)/%.o)
 -include $(STM32_OBJECTS:.o=.d) $(STM32_MAINS:%.c=$(STM32_OUT)/%.d)

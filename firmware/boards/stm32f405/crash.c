@@ -12,9 +12,9 @@ extern uint32_t stack_bottom, stack_top;
 
 static void say(const char *text, uint32_t value)
 {
-    uint8_t line[16];
+    uint8_t line[24];
     size_t count = 0;
-    while (*text != '\0') line[count++] = (uint8_t)*text++;
+    while (*text != '\0' && count < sizeof line - 8) line[count++] = (uint8_t)*text++;
     for (int shift = 28; shift >= 0; shift -= 4) line[count++] = (uint8_t)"0123456789abcdef"[value >> shift & 15u];
     hal_serial_write_polled(&board, line, count);
 }
@@ -37,13 +37,16 @@ __attribute__((noreturn, used)) static void crash(const uint32_t *frame, uint32_
     for (;;) __asm volatile("wfi");
 }
 
-/* The frame lies on the stack in use at the fault; the report needs a sound one. */
+/* The frame lies at the stack pointer. If the stack ran over, or nearly, the report takes the stack from its top, whose contents are lost anyway. */
 __attribute__((naked)) void Fault_Handler(void)
 {
     __asm volatile("cpsid i\n\t"
                    "mov r0, sp\n\t"
                    "mrs r1, ipsr\n\t"
-                   "ldr r2, =stack_top\n\t"
-                   "mov sp, r2\n\t"
+                   "ldr r2, =stack_bottom + 256\n\t"
+                   "ldr r3, =stack_top\n\t"
+                   "cmp r0, r2\n\t"
+                   "it lo\n\t"
+                   "movlo sp, r3\n\t"
                    "b crash");
 }

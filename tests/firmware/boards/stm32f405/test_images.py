@@ -1,0 +1,241 @@
+"""The flashable images: size, stack, no heap; and their start on QEMU's netduinoplus2.
+
+Its USART, timers and core are somebody else's models.
+"""
+
+import importlib.util
+import re
+import selectors
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from elftools.elf.elffile import ELFFile
+from goldfield_protocol import FrameDecoder, decode, protocol_hash
+
+ROOT = Path(__file__).resolve().parents[4]
+OUT = ROOT / "build" / "firmware"
+ROLES = {"beacon": 0, "sensor": 1}
+
+specification = importlib.util.spec_from_file_location("image_report", ROOT / "firmware" / "tools" / "image_report.py")
+image_report = importlib.util.module_from_spec(specification)
+sys.modules["image_report"] = image_report
+specification.loader.exec_module(image_report)
+
+
+@pytest.fixture(params=ROLES)
+def role(request):
+    return request.param
+
+
+@pytest.fixture
+def elf(role):
+    path = OUT / f"{role}.elf"
+    assert path.exists(), f"{path} is missing: run make firmware"
+    return path
+
+
+def symbols(path):
+    with path.open("rb") as file:
+        return {s.name: s["st_value"] for s in ELFFile(file).get_section_by_name(".symtab").iter_symbols() if s.name}
+
+
+def test_no_heap(elf):
+    assert not {"malloc", "_malloc_r", "calloc", "free", "_free_r", "_sbrk", "realloc"} & symbols(elf).keys()
+
+
+def test_image_lies_below_the_parameter_page(elf):
+    with elf.open("rb") as file:
+        segments = [s for s in ELFFile(file).iter_segments() if s["p_type"] == "PT_LOAD" and s["p_filesz"]]
+        assert min(s["p_paddr"] for s in segments) == 0x08000000
+        assert max(s["p_paddr"] + s["p_filesz"] for s in segments) <= 0x080E0000
+    names = symbols(elf)
+    assert names["stack_bottom"] == 0x20000000
+    assert names["bss_end"] <= 0x20020000
+
+
+def test_vectors(elf):
+    names = symbols(elf)
+    with elf.open("rb") as file:
+        words = struct.unpack("<98I", ELFFile(file).get_section_by_name(".vectors").data())
+    assert words[0] == names["stack_top"]
+    assert words[1] == names["Reset_Handler"]
+    assert words[15] == names["SysTick_Handler"]
+    assert words[16 + 68] == names["DMA2_Stream5_Handler"]
+    others = {words[i] for i in range(16, 98)} - {v for n, v in names.items() if n.endswith("_Handler")}
+    assert not others
+
+
+def test_binary_files_hold_the_image(elf):
+    with elf.open("rb") as file:
+        vectors = ELFFile(file).get_section_by_name(".vectors").data()
+    assert elf.with_suffix(".bin").read_bytes().startswith(vectors)
+    assert elf.with_suffix(".hex").read_text().startswith(":020000040800F2")
+
+
+def test_stack_and_sizes(elf):
+    image = image_report.report(elf)
+    assert image.stack <= image.stack_reserved
+    assert image.flash <= 64 * 1024  # Of 896 KB: leaves room for two images in any scheme.
+    assert image.ram <= 64 * 1024
+    assert image.path[:2] == ("Reset_Handler", "main")
+    assert image.stack > 200  # An empty call graph would pass all the above.
+
+
+CI = 'node: {{ title: "{0}" label: "{0}\\nfile.c:1:1\\n{1} bytes ({2})" }}\n'
+EDGE = 'edge: {{ sourcename: "{0}" targetname: "{1}" label: "x" }}\n'
+
+
+def test_stack_of_a_known_graph():
+    text = "".join(CI.format(n, b, "static") for n, b in [("a", 8), ("b", 100), ("c", 40), ("d", 64)])
+    text += EDGE.format("a", "b") + EDGE.format("a", "c") + EDGE.format("c", "d")
+    assert image_report.deepest(image_report.read_call_graph([text]), "a") == (112, ("a", "c", "d"))
+
+
+def test_stack_refuses_what_it_cannot_bound():
+    loop = CI.format("a", 8, "static") + CI.format("b", 8, "static") + EDGE.format("a", "b") + EDGE.format("b", "a")
+    with pytest.raises(image_report.ReportError, match="recursion: a -> b -> a"):
+        image_report.deepest(image_report.read_call_graph([loop]), "a")
+    with pytest.raises(image_report.ReportError, match="depends on the run"):
+        image_report.read_call_graph([CI.format("a", 8, "dynamic")])
+    pointer = image_report.read_call_graph([CI.format("a", 8, "static") + EDGE.format("a", "__indirect_call")])
+    with pytest.raises(image_report.ReportError, match="through a pointer"):
+        image_report.resolve(pointer, "sensor")
+    with pytest.raises(image_report.ReportError, match="nothing is known of memcpy, called by a"):
+        image_report.deepest(
+            image_report.read_call_graph([CI.format("a", 8, "static") + EDGE.format("a", "memcpy")]), "a"
+        )
+
+
+def test_stack_of_disassembled_functions():
+    text = (
+        "08000000 <f>:\n 8000000:\tb5f0      \tpush\t{r4, r5, r6, r7, lr}\n"
+        " 8000002:\ted2d 8b04 \tvpush\t{d8-d9}\n 8000006:\tb083      \tsub\tsp, #12\n"
+        " 8000008:\tf7ff fffa \tbl\t8000100 <g>\n 800000c:\te7fe      \tb.n\t800000c <f+0xc>\n"
+        "08000100 <g>:\n 8000100:\tf84d ed04 \tstr.w\tlr, [sp, #-4]!\n 8000104:\te92d 4ff0 \tstmdb\tsp!, {r4-r11, lr}\n"
+    )
+    functions = image_report.read_disassembly(text)
+    assert (functions["f"].frame, functions["f"].calls) == (20 + 16 + 12, {"g"})
+    assert functions["g"].frame == 4 + 36
+
+
+class Qemu:
+    """The image on QEMU: bytes of the first serial port, and exceptions taken as QEMU logs them."""
+
+    def __init__(self, path):
+        command = [
+            "qemu-system-arm",
+            "-M",
+            "netduinoplus2",
+            "-kernel",
+            str(path),
+            "-display",
+            "none",
+            "-monitor",
+            "none",
+        ]
+        self.process = subprocess.Popen(
+            [*command, "-serial", "stdio", "-d", "int"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            bufsize=0,
+        )
+        self.serial = b""
+        self.log = b""
+
+    def exceptions(self):
+        """Return the numbers of the exceptions taken (but returns), in order."""
+        return [int(n) for n in re.findall(rb"\.\.\.taking pending nonsecure exception (\d+)\n", self.log)]
+
+    def run_until(self, reached):
+        """Collect until reached() is true or the process ends; the test's time-out bounds it."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.process.stdout, selectors.EVENT_READ)
+            selector.register(self.process.stderr, selectors.EVENT_READ)
+            while not reached():
+                for key, _ in selector.select():
+                    chunk = key.fileobj.read(65536)
+                    assert chunk, f"QEMU ended early: {self.log[-500:]!r}"
+                    if key.fileobj is self.process.stdout:
+                        self.serial += chunk
+                    else:
+                        self.log += chunk
+
+
+@pytest.fixture
+def qemu():
+    started = []
+
+    def start(path):
+        started.append(Qemu(path))
+        return started[-1]
+
+    yield start
+    for machine in started:
+        machine.process.kill()
+        machine.process.communicate()
+
+
+def patched(elf, directory, symbol, code):
+    """Return a copy of the image with other instructions at the start of a function, and the function's address."""
+    address = symbols(elf)[symbol] & ~1
+    data = bytearray(elf.read_bytes())
+    with elf.open("rb") as file:
+        for segment in ELFFile(file).iter_segments():
+            if segment["p_vaddr"] <= address < segment["p_vaddr"] + segment["p_filesz"]:
+                offset = address - segment["p_vaddr"] + segment["p_offset"]
+                data[offset : offset + len(code)] = code
+    path = directory / "patched.elf"
+    path.write_bytes(data)
+    return path, address
+
+
+@pytest.mark.timeout(60)
+def test_first_heartbeat_and_then_no_fault(elf, role, qemu):
+    machine = qemu(elf)
+    machine.run_until(lambda: machine.serial.count(b"\0") >= 1)
+    decoder = FrameDecoder()
+    frames = list(decoder.feed(machine.serial))
+    assert decoder.bad_crc == decoder.malformed == decoder.overlong == 0
+    message = decode(frames[0].identifier, frames[0].data)
+    assert message.name == "HEARTBEAT"
+    assert message.signals["protocol_hash"] == protocol_hash()
+    assert message.signals["role"] == ROLES[role]
+    # Then it lives on its tick: 200 of them, and no other exception.
+    machine.run_until(lambda: len(machine.exceptions()) >= 200)
+    assert set(machine.exceptions()) == {15}
+    assert b"crash" not in machine.serial
+
+
+CRASH = re.compile(rb"\0crash pc=(\w{8}) lr=(\w{8}) cfsr=(\w{8}) hfsr=(\w{8}) ipsr=(\w{8})\r\n\0")
+
+
+@pytest.mark.timeout(60)
+def test_crash_report(elf, qemu, tmp_path):
+    undefined = bytes.fromhex("00de")
+    path, address = patched(elf, tmp_path, "hal_wait", undefined)
+    machine = qemu(path)
+    machine.run_until(lambda: CRASH.search(machine.serial))
+    pc, lr, cfsr, hfsr, ipsr = (int(v, 16) for v in CRASH.search(machine.serial).groups())
+    main = symbols(elf)["main"]
+    assert pc == address
+    assert main <= lr < main + 256
+    assert cfsr == 1 << 16  # UNDEFINSTR
+    assert hfsr == 1 << 30  # FORCED
+    assert ipsr == 3
+    # A receiver of frames loses nothing but the report.
+    decoder = FrameDecoder()
+    assert len(list(decoder.feed(machine.serial))) >= 1
+    assert decoder.overlong == 1
+
+
+@pytest.mark.timeout(60)
+def test_a_stack_that_runs_over_is_a_fault_with_a_report(elf, qemu, tmp_path):
+    push_for_ever = bytes.fromhex("ffb4 fde7")
+    path, _ = patched(elf, tmp_path, "hal_wait", push_for_ever)
+    machine = qemu(path)
+    machine.run_until(lambda: CRASH.search(machine.serial))
+    assert CRASH.search(machine.serial)[1] == b"00000000"
