@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from goldfield.errors import SystemFailure, UserError
 
 from hil_sim import clib
+from hil_sim.emulator import Configuration, Emulator
 from hil_sim.scenario import Clock
 
 HOST_LIBRARY = "build/libgf_hostboard.so"
@@ -60,7 +61,7 @@ class Board:
     instance: int
     operations: int
     destroy: Callable[[], None]
-    statistics: Callable[[], Mapping[str, int]] = dict
+    statistics: Callable[[], Mapping[str, float]] = dict
     keep: Any = field(default=None, repr=False)
 
 
@@ -120,8 +121,28 @@ class EmulatedBoards:
         self._images = Path(images)
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
-        """See `BoardFactory`."""
-        raise SystemFailure("the emulator is not built: run 'make all', or use --boards host")
+        """See `BoardFactory`; raises UserError if the image or the emulator is not built."""
+        configuration = Configuration(
+            crystal_ppm=spec.clock.crystal_ppm,
+            internal_ppm=spec.clock.internal_ppm,
+            crystal_dead=spec.clock.crystal_dead,
+            unique_id=spec.unique_id,
+            temperature_degc=spec.clock.temperature_degC,
+        )
+        emulator = Emulator(
+            self._images / f"{spec.role}.elf",
+            configuration,
+            edge=edge,
+            parameter_page=spec.parameter_page,
+            power_on_ps=spec.power_on_ps,
+        )
+        return Board(
+            instance=emulator.board,
+            operations=emulator.operations,
+            destroy=emulator.close,
+            statistics=lambda: emulator.statistics().summary(),
+            keep=emulator,
+        )
 
 
 def factory(kind: str) -> BoardFactory:

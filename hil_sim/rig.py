@@ -106,10 +106,10 @@ class Rig:
     ) -> None:
         self.scenario = scenario
         self.seed = scenario.seed if seed is None else seed
-        make = factory(boards) if isinstance(boards, str) else boards
         self._ffi: Any
         self._library: Any
         try:
+            make = factory(boards) if isinstance(boards, str) else boards
             self._ffi, self._library = clib.load(LIBRARY, HEADERS)
         except FileNotFoundError as error:
             raise UserError(str(error)) from error
@@ -120,6 +120,9 @@ class Rig:
         try:
             self._connect(make)
             self._enter_window(0)
+        except FileNotFoundError as error:
+            self.close()
+            raise UserError(str(error)) from error
         except BaseException:
             self.close()
             raise
@@ -249,7 +252,7 @@ class Rig:
         text = operations.report(self._ffi.cast("board_t *", self._boards[board].instance))
         return str(self._ffi.string(text).decode(errors="replace"))
 
-    def statistics(self, board: int) -> Mapping[str, int]:
+    def statistics(self, board: int) -> Mapping[str, float]:
         """Return counts that a board keeps about itself (instructions, interrupts, sleep, violations), by name."""
         return self._boards[board].statistics()
 
