@@ -13,26 +13,22 @@ enum { MODE_OUTPUT = 1, MODE_ALTERNATE = 2, MODE_ANALOG = 3 };
 enum { PULL_NONE = 0, PULL_UP = 1, PULL_DOWN = 2 };
 enum { SPEED_HIGH = 2 };
 
-static void change(volatile uint32_t *address, uint32_t mask, uint32_t value)
-{
+static void change(volatile uint32_t *address, uint32_t mask, uint32_t value) {
     *address = (*address & ~mask) | value;
 }
 
-static void pin_mode(GPIO_registers *port, unsigned pin, uint32_t mode, uint32_t pull)
-{
+static void pin_mode(GPIO_registers *port, unsigned pin, uint32_t mode, uint32_t pull) {
     change(&port->PUPDR, 3u << (2 * pin), pull << (2 * pin));
     change(&port->MODER, 3u << (2 * pin), mode << (2 * pin));
 }
 
-static void pin_alternate(GPIO_registers *port, unsigned pin, uint32_t function, uint32_t pull)
-{
+static void pin_alternate(GPIO_registers *port, unsigned pin, uint32_t function, uint32_t pull) {
     change(pin < 8 ? &port->AFRL : &port->AFRH, 15u << (4 * (pin & 7u)), function << (4 * (pin & 7u)));
     change(&port->OSPEEDR, 3u << (2 * pin), (uint32_t)SPEED_HIGH << (2 * pin));
     pin_mode(port, pin, MODE_ALTERNATE, pull);
 }
 
-static void pins_start(void)
-{
+static void pins_start(void) {
     GPIOC->BSRR = 1u << (6 + 16) | 1u << (7 + 16) | 1u << (8 + 16) | 1u << (9 + 16) | 1u << 12; /* Drive off, LED off, before they are outputs. */
     for (unsigned pin = 6; pin <= 9; pin++) {
         change(&GPIOC->OSPEEDR, 3u << (2 * pin), (uint32_t)SPEED_HIGH << (2 * pin));
@@ -50,8 +46,7 @@ static void pins_start(void)
 }
 
 /* 500 ms at the nominal 32 kHz of its oscillator, which may run at 17 to 47 kHz. */
-static void watchdog_start(void)
-{
+static void watchdog_start(void) {
     IWDG->KR = IWDG_KR_KEY_START;
     IWDG->KR = IWDG_KR_KEY_UNLOCK;
     IWDG->PR = IWDG_PR_PR_DIV16;
@@ -60,8 +55,7 @@ static void watchdog_start(void)
     IWDG->KR = IWDG_KR_KEY_RELOAD;
 }
 
-hal_t *board_start(void)
-{
+hal_t *board_start(void) {
     hal_t *hal = &board;
     hal->whole = (RCC->CR & RCC_CR_HSIRDY) != 0; /* It runs us. */
     hal->counters.watchdog_resets = (RCC->CSR & RCC_CSR_WDGRSTF) != 0 ? 1u : 0u;
@@ -83,38 +77,32 @@ hal_t *board_start(void)
     return hal;
 }
 
-void interrupt_enable(unsigned irq, unsigned priority)
-{
+void interrupt_enable(unsigned irq, unsigned priority) {
     NVIC->IPR[irq] = (uint8_t)(priority << 4);
     NVIC->ISER[irq / 32] = 1u << (irq % 32);
 }
 
-void hal_counters(const hal_t *hal, hal_counters_t *counters)
-{
+void hal_counters(const hal_t *hal, hal_counters_t *counters) {
     *counters = hal->counters;
 }
 
-void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES])
-{
+void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]) {
     for (unsigned i = 0; i < HAL_UNIQUE_ID_BYTES; i++) id[i] = hal->whole ? (uint8_t)(UNIQUE_ID[i / 4] >> (8 * (i % 4))) : 0u;
 }
 
-const uint8_t *hal_parameter_page(const hal_t *hal)
-{
+const uint8_t *hal_parameter_page(const hal_t *hal) {
     (void)hal;
     return PARAMETER_PAGE;
 }
 
-void hal_watchdog_kick(hal_t *hal)
-{
+void hal_watchdog_kick(hal_t *hal) {
     (void)hal;
     IWDG->KR = IWDG_KR_KEY_RELOAD;
 }
 
 /* With interrupts off, one that comes between the look and WFI still ends WFI; it is served when they are on again. Interrupts that set nothing, such
  * as the coil current's, do not return to main. */
-void hal_wait(hal_t *hal)
-{
+void hal_wait(hal_t *hal) {
     for (;;) {
         __asm volatile("cpsid i" ::: "memory");
         const bool woken = hal->woken;

@@ -10,8 +10,7 @@
 #define MODE_TRIES 10000u
 #define BIT_TIMING(divide, before, behind, jump) (((jump)-1u) << 24 | ((behind)-1u) << 20 | ((before)-1u) << 16 | ((divide)-1u))
 
-void can_start(const hal_t *hal)
-{
+void can_start(const hal_t *hal) {
     /* Out of sleep and into initialisation: SLEEP 0, INRQ 1. Frames leave in the order of requests (TXFP). */
     const uint32_t mode = CAN_MCR_ABOM | CAN_MCR_TXFP;
     CAN1->MCR = mode | CAN_MCR_INRQ;
@@ -37,8 +36,7 @@ void can_start(const hal_t *hal)
     interrupt_enable(IRQ_CAN1_SCE, PRIORITY_NORMAL);
 }
 
-bool hal_can_send(hal_t *hal, const hal_frame_t *frame)
-{
+bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
     (void)hal;
     const uint32_t status = CAN1->TSR;
     if ((status & (CAN_TSR_TME0 | CAN_TSR_TME1 | CAN_TSR_TME2)) == 0 || (CAN1->MSR & CAN_MSR_INAK) != 0 || frame->length > 8) return false;
@@ -52,15 +50,13 @@ bool hal_can_send(hal_t *hal, const hal_frame_t *frame)
 }
 
 /* A mailbox became free: main may have more. */
-void CAN1_TX_Handler(void)
-{
+void CAN1_TX_Handler(void) {
     CAN1->TSR = CAN_TSR_RQCP0 | CAN_TSR_RQCP1 | CAN_TSR_RQCP2;
     board.woken = true;
 }
 
 /* One frame an interrupt; the request stays up while there are more. */
-void CAN1_RX0_Handler(void)
-{
+void CAN1_RX0_Handler(void) {
     const uint32_t status = CAN1->RF0R;
     if ((status & CAN_RF0R_RFOM0) != 0 || (status & CAN_RF0R_FMP0) == 0) return; /* The last release is still on its way. */
     if (board.can_put - board.can_taken < CAN_RECEIVE_BUFFER) {
@@ -81,8 +77,7 @@ void CAN1_RX0_Handler(void)
     board.woken = true;
 }
 
-bool hal_can_receive(hal_t *hal, hal_frame_t *frame)
-{
+bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
     if (hal->can_put == hal->can_taken) return false;
     *frame = hal->can_frames[hal->can_taken % CAN_RECEIVE_BUFFER];
     hal->can_taken++;
@@ -90,8 +85,7 @@ bool hal_can_receive(hal_t *hal, hal_frame_t *frame)
 }
 
 /* An error frame, or off the bus. Not a reason to wake main. */
-void CAN1_SCE_Handler(void)
-{
+void CAN1_SCE_Handler(void) {
     const uint32_t status = CAN1->ESR, code = status & CAN_ESR_LEC;
     if (code != 0 && code != CAN_ESR_LEC) board.counters.can_errors++;
     const bool off = (status & CAN_ESR_BOFF) != 0;

@@ -4,25 +4,28 @@
  *
  *   count          event        what happens                                                        transfers so far, behind it
  *   0 (update)     TIM1_UP      stream 5: words[(c - 1) mod 62] -> GPIOC BSRR, the edges of chip c   c
- *                               shadow ARR = period of chip c - 1 was written in chip c - 1
- *   8000 (CC4)     TIM1_CH4     stream 4: periods[(c - 1 + 1) mod 62] -> ARR (preload), for c + 1    c + 1
+ *                               the preload of ARR, written in chip c - 1, becomes the period of c
+ *   8000 (CC4)     TIM1_CH4     stream 4: periods[c mod 62] -> preload of ARR, for chip c + 1        c + 1
  *   CC1            converters   burst of 8 (sensor), one conversion of coil current (beacon)
  *   any (CC3)      capture      edge of the sync wire, its count kept in CCR3
- *   ARR            update       chip c ends; the preload becomes the shadow
+ *   ARR            update       chip c ends
  *
  * So chip c's word and period lie at the same index, (c - 1) mod 62: transfer number k (from 0) of either stream is for chip k + 1.
  * Chip 0 is nobody's transfer: hal_chips_start() writes its word and its ARR itself, then starts the counter.
  *
- *   chips      index     read: word / period                 written by plan of
- *   0          (61)      by the CPU before the start         block 0
- *   1..30      0..29     start of chip 1.. / in chip 0..     block 0
- *   31..61     30..60    start of chip 31.. / in chip 30..   block 1
- *   62         61        start of chip 62 / in chip 61       block 2, planned from the start of chip 31 on
- *   63..92     0..29     start of chip 63.. / in chip 62..   block 2
+ * A stream fetches its next entry as soon as it has written the one before (RM0090, 10.3.14, direct mode): an entry must be there a chip early.
+ *
+ *   chips      index     word fetched        period fetched      written by plan of
+ *   0          (61)      by the CPU before the start             block 0
+ *   1..30      0..29     start of chip c-1   in chip c-2         block 0
+ *   31..61     30..60    start of chip c-1   in chip c-2         block 1
+ *   62         61        start of chip 61    in chip 60          block 2, planned from the start of chip 31 on
+ *   63..92     0..29     start of chip c-1   in chip c-2         block 2
+ *   (indices 0: both when the stream is switched on)
  *
  * Stream 5 has done 31 transfers at the start of chip 31 (half) and 62 at that of chip 62 (complete): its interrupts are the block boundaries.
- * The interrupt at the start of block b plans block b + 1, of which the first index is read, at the earliest, in the last chip of block b: there are
- * 30 chips (2.93 ms) to write it. It writes over entries that were read for block b - 1, the last of them at the boundary itself.
+ * The interrupt at the start of block b plans block b + 1, whose first period is fetched in the last chip but one of block b, at count 8000: there are
+ * 29.5 chips (2.88 ms) to write it; later is counted. It writes over entries that were fetched for block b - 1 and before.
  *
  * Where are we? Stream 5's counter is ambiguous for the few cycles between an update and its transfer, stream 4's around count 8000: chip_now() looks
  * at the count and asks the other one. A position in the ring (0..61) becomes an absolute chip by the running block as the block interrupt knows
@@ -42,8 +45,7 @@ hal_t board;
 static const uint32_t drive_words[8] = {WORDS(PIN_RESET(8)), WORDS(PIN_SET(8))};
 
 /* Ask for block's plan and write it into the rings. */
-static void plan_block(hal_t *hal, uint32_t block)
-{
+static void plan_block(hal_t *hal, uint32_t block) {
     hal->events.plan(hal->events.context, block, &hal->plan);
     uint32_t index = (block & 1u) != 0 ? HAL_BLOCK_CHIPS - 1u : RING_CHIPS - 1u;
     const uint32_t next = (block & 1u) != 0 ? HAL_BLOCK_CHIPS : 0u;
@@ -59,8 +61,7 @@ static void plan_block(hal_t *hal, uint32_t block)
     memory_barrier();
 }
 
-static void stream_start(DMA_stream_registers *stream, volatile uint32_t *target, const uint32_t *source, uint32_t flags)
-{
+static void stream_start(DMA_stream_registers *stream, volatile uint32_t *target, const uint32_t *source, uint32_t flags) {
     stream->PAR = (uint32_t)target;
     stream->M0AR = (uint32_t)source;
     stream->NDTR = RING_CHIPS;
@@ -68,11 +69,11 @@ static void stream_start(DMA_stream_registers *stream, volatile uint32_t *target
     stream->CR |= DMA_S0CR_EN;
 }
 
-void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events)
-{
+void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     if (hal->clock == HAL_CLOCK_SLOW) return;
     hal->role = role;
     hal->events = *events;
+    hal->sampling = true;
     plan_block(hal, 0);
     const uint32_t word = hal->words[RING_CHIPS - 1u], period = hal->periods[RING_CHIPS - 1u];
     plan_block(hal, 1);
@@ -82,7 +83,7 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events)
     TIM1->CCMR2_Output = TIM_CCMR2_CC3S_TI3 | TIM_CCMR2_IC3F_8_SAMPLES; /* Capture 48 ns behind the edge, free of shorter spikes. */
     TIM1->CCER = TIM_CCER_CC3E;
     TIM1->CR1 = TIM_CR1_ARPE;
-    converters_start(role); /* Sets up CC1. */
+    converters_start(hal); /* Sets up CC1. */
     TIM1->EGR = TIM_EGR_UG; /* Preloads become shadows. */
     TIM1->SR = 0;
 
@@ -107,10 +108,9 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events)
     interrupts_restore(primask);
 }
 
-/* A block boundary. The flags of stream 5 alternate: half at the start of odd blocks, complete at that of even ones. If the next boundary's flag is
- * up when a block's plan is written, that block has begun without it. */
-void DMA2_Stream5_Handler(void)
-{
+/* A block boundary. The flags of stream 5 alternate: half at the start of odd blocks, complete at that of even ones. A plan that was not written two
+ * chips before its block, or when the next boundary's flag is up already, came too late. */
+void DMA2_Stream5_Handler(void) {
     hal_t *hal = &board;
     for (uint32_t flag; ((flag = (hal->block & 1u) != 0 ? DMA_HISR_TCIF5 : DMA_HISR_HTIF5) & DMA2->HISR) != 0;) {
         DMA2->HIFCR = flag;
@@ -122,29 +122,28 @@ void DMA2_Stream5_Handler(void)
             hal->events.samples(hal->events.context, finished, (const hal_samples_t *)&hal->samples[finished & 1u]);
         }
         plan_block(hal, finished + 2u);
-        if ((DMA2->HISR & (DMA_HISR_TCIF5 | DMA_HISR_HTIF5)) != 0) hal->counters.late_blocks++;
-        converters_begin_block(hal);
+        const chip_time_t now = chip_now(hal);
+        const bool overtaken = (DMA2->HISR & (DMA_HISR_TCIF5 | DMA_HISR_HTIF5)) != 0;
+        if (overtaken || now.chip - hal->first_chip >= HAL_BLOCK_CHIPS - 2u) hal->counters.late_blocks++;
+        converters_begin_block(hal, now);
     }
     hal->woken = true;
 }
 
 /* position 0..61 in the ring of chips, in the running block or the one behind it. first_chip is odd in odd blocks. */
-static uint32_t absolute_chip(uint32_t first_chip, uint32_t position)
-{
+static uint32_t absolute_chip(uint32_t first_chip, uint32_t position) {
     if ((first_chip & 1u) == 0) return first_chip + position;
     return position < HAL_BLOCK_CHIPS ? first_chip + HAL_BLOCK_CHIPS + position : first_chip - HAL_BLOCK_CHIPS + position;
 }
 
 /* Transfers of a stream, mod 62. */
-static uint32_t transfers(const DMA_stream_registers *stream)
-{
+static uint32_t transfers(const DMA_stream_registers *stream) {
     const uint32_t done = RING_CHIPS - stream->NDTR;
     return done == RING_CHIPS ? 0u : done;
 }
 
 /* Two passes: if a chip ended between the readings, none will end so soon again. */
-chip_time_t chip_now(const hal_t *hal)
-{
+chip_time_t chip_now(const hal_t *hal) {
     uint32_t ticks = 0, position = 0;
     for (int pass = 0; pass < 2; pass++) {
         ticks = TIM1->CNT;
@@ -155,8 +154,7 @@ chip_time_t chip_now(const hal_t *hal)
 }
 
 /* The count of the edge is beyond the present one: it came in the chip before. Right if this interrupt is late by less than a chip. */
-void TIM1_CC_Handler(void)
-{
+void TIM1_CC_Handler(void) {
     const uint32_t edge = TIM1->CCR3; /* Clears the flag. */
     const chip_time_t now = chip_now(&board);
     board.events.sync(board.events.context, edge > now.ticks ? now.chip - 1u : now.chip, (uint16_t)edge);
@@ -165,24 +163,21 @@ void TIM1_CC_Handler(void)
 
 /* Coil current, converted near the end of chip c, behind count 8000: stream 4 has done c + 1 transfers, and does no more before count 8000 of chip
  * c + 1. Right if this interrupt is late by less than half a chip; no look at the count is needed. */
-void ADC_Handler(void)
-{
+void ADC_Handler(void) {
     const uint32_t count = ADC1->DR; /* Clears the flag. */
     const uint32_t done = transfers(&DMA2->S[4]);
     const uint32_t chip = absolute_chip(board.first_chip, done == 0 ? RING_CHIPS - 1u : done - 1u);
     board.events.current(board.events.context, chip, (uint16_t)count);
 }
 
-void EXTI15_10_Handler(void)
-{
+void EXTI15_10_Handler(void) {
     GPIOC->BSRR = PIN_RESET(9);
     EXTI->PR = 1u << 10;
     board.events.fault(board.events.context);
     board.woken = true;
 }
 
-void hal_drive_enable(hal_t *hal, bool enable)
-{
+void hal_drive_enable(hal_t *hal, bool enable) {
     (void)hal;
     GPIOC->BSRR = enable ? PIN_SET(9) : PIN_RESET(9);
 }

@@ -14,16 +14,14 @@
 #define SLOW_HZ 16000000u
 #define TICKS_PER_SECOND 100u /* The wake-up of hal_wait() before the chip engine runs. */
 
-bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries)
-{
+bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries) {
     while (tries-- > 0) {
         if ((*address & mask) == value) return true;
     }
     return false;
 }
 
-hal_clock_t clock_start(void)
-{
+hal_clock_t clock_start(void) {
     RCC->CR |= RCC_CR_HSEON;
     const bool crystal = wait_for(&RCC->CR, RCC_CR_HSERDY, RCC_CR_HSERDY, CRYSTAL_TRIES);
     if (!crystal) RCC->CR &= ~RCC_CR_HSEON;
@@ -47,8 +45,7 @@ hal_clock_t clock_start(void)
     return crystal ? HAL_CLOCK_CRYSTAL : HAL_CLOCK_INTERNAL;
 }
 
-void clock_start_tick(hal_clock_t clock)
-{
+void clock_start_tick(hal_clock_t clock) {
     const bool slow = clock == HAL_CLOCK_SLOW;
     TIM2->PSC = (slow ? SLOW_HZ : HAL_TICKS_PER_SECOND / 2u) / 1000000u - 1u;
     TIM2->ARR = 0xFFFFFFFFu;
@@ -60,19 +57,16 @@ void clock_start_tick(hal_clock_t clock)
     SYSTICK->CTRL = SYSTICK_CTRL_CLKSOURCE | SYSTICK_CTRL_TICKINT | SYSTICK_CTRL_ENABLE;
 }
 
-void SysTick_Handler(void)
-{
+void SysTick_Handler(void) {
     board.woken = true;
 }
 
-hal_clock_t hal_clock(const hal_t *hal)
-{
+hal_clock_t hal_clock(const hal_t *hal) {
     return hal->clock;
 }
 
 /* The counter and its extension to 64 bits are one reading: nobody may come between. */
-uint64_t hal_microseconds(hal_t *hal)
-{
+uint64_t hal_microseconds(hal_t *hal) {
     const uint32_t primask = interrupts_off();
     const uint32_t now = TIM2->CNT;
     if (now < hal->time_low) hal->time_high++;

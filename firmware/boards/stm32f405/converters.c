@@ -25,8 +25,7 @@
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
 
 /* Eight ranks of one channel. */
-static void scan(ADC_registers *adc, uint32_t channel)
-{
+static void scan(ADC_registers *adc, uint32_t channel) {
     const uint32_t five = channel | channel << 5 | channel << 10 | channel << 15 | channel << 20;
     adc->SMPR2 = 1u << (3 * channel); /* 15 cycles. */
     adc->SQR3 = five | channel << 25;
@@ -35,8 +34,7 @@ static void scan(ADC_registers *adc, uint32_t channel)
     adc->CR1 = ADC_CR1_SCAN;
 }
 
-static void samples_start(const hal_t *hal)
-{
+static void samples_start(const hal_t *hal) {
     DMA_stream_registers *stream = &DMA2->S[0];
     DMA2->LIFCR = DMA_LIFCR_STREAM0;
     stream->PAR = (uint32_t)&C_ADC->CDR;
@@ -47,15 +45,13 @@ static void samples_start(const hal_t *hal)
     C_ADC->CCR |= C_ADC_CCR_DMA_MODE1;
 }
 
-static void samples_stop(void)
-{
+static void samples_stop(void) {
     C_ADC->CCR &= ~C_ADC_CCR_DMA_MODE1;
     DMA2->S[0].CR &= ~DMA_S0CR_EN;
 }
 
-void converters_start(hal_role_t role)
-{
-    const bool sensor = role == HAL_ROLE_SENSOR;
+void converters_start(const hal_t *hal) {
+    const bool sensor = hal->role == HAL_ROLE_SENSOR;
     /* The trigger is the rising edge of compare output 1, which goes to no pin: PWM mode 2 rises at the compare. */
     TIM1->CCR1 = sensor ? BURST_START : CURRENT_START;
     TIM1->CCMR1_Output = TIM_CCMR1_OC1M_PWM2 | TIM_CCMR1_OC1PE;
@@ -71,8 +67,7 @@ void converters_start(hal_role_t role)
         scan(ADC3, 3);
         ADC2->CR2 = ADC_CR2_ADON;
         ADC3->CR2 = ADC_CR2_ADON;
-        samples_start(&board);
-        board.sampling = true;
+        samples_start(hal);
     } else {
         ADC1->SMPR2 = 1u; /* Channel 0, the only one of its sequence: 15 cycles. */
         ADC1->CR1 = ADC_CR1_EOCIE;
@@ -80,8 +75,7 @@ void converters_start(hal_role_t role)
     ADC1->CR2 = ADC_CR2_ADON | ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING; /* Stable 3 us later; the first trigger comes 80 us later. */
 }
 
-void converters_finish_block(hal_t *hal, uint32_t block)
-{
+void converters_finish_block(hal_t *hal, uint32_t block) {
     if (hal->sampling && (C_ADC->CSR & (C_ADC_CSR_OVR1 | C_ADC_CSR_OVR2 | C_ADC_CSR_OVR3)) != 0) {
         samples_stop();
         hal->sampling = false;
@@ -90,9 +84,7 @@ void converters_finish_block(hal_t *hal, uint32_t block)
     if (!hal->sampling) memset(&hal->samples[block & 1u], 0, sizeof hal->samples[0]);
 }
 
-void converters_begin_block(hal_t *hal)
-{
-    const chip_time_t now = chip_now(hal);
+void converters_begin_block(hal_t *hal, chip_time_t now) {
     if ((ADC1->SR & ADC_SR_JEOC) != 0) {
         hal->temperature_count = (uint16_t)ADC1->JDR1;
         ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
@@ -120,8 +112,7 @@ void converters_begin_block(hal_t *hal)
 }
 
 /* Between the two calibration points of this very chip; of a chip without them, by the data sheet's typical 0.76 V at 25 degC and 2.5 mV/degC. */
-int16_t hal_temperature(const hal_t *hal)
-{
+int16_t hal_temperature(const hal_t *hal) {
     int32_t low = 959, high = 1207;
     if (hal->whole && TEMPERATURE_CALIBRATION[1] > TEMPERATURE_CALIBRATION[0] && TEMPERATURE_CALIBRATION[1] <= HAL_SAMPLE_MAX) {
         low = TEMPERATURE_CALIBRATION[0];
@@ -131,8 +122,7 @@ int16_t hal_temperature(const hal_t *hal)
     return (int16_t)(300 + (hal->temperature_count - low) * 800 / (high - low));
 }
 
-void hal_drive_reference(hal_t *hal, uint16_t count)
-{
+void hal_drive_reference(hal_t *hal, uint16_t count) {
     (void)hal;
     DAC->DHR12R1 = count > 4095u ? 4095u : count;
 }

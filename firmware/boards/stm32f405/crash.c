@@ -10,8 +10,7 @@
 
 extern uint32_t stack_bottom, stack_top;
 
-static void say(const char *text, uint32_t value)
-{
+static void say(const char *text, uint32_t value) {
     uint8_t line[24];
     size_t count = 0;
     while (*text != '\0' && count < sizeof line - 8) line[count++] = (uint8_t)*text++;
@@ -19,8 +18,7 @@ static void say(const char *text, uint32_t value)
     hal_serial_write_polled(&board, line, count);
 }
 
-__attribute__((noreturn, used)) static void crash(const uint32_t *frame, uint32_t exception)
-{
+__attribute__((noreturn, used)) static void crash(const uint32_t *frame, uint32_t exception) {
     GPIOC->BSRR = 1u << (9 + 16);
     IWDG->KR = IWDG_KR_KEY_START; /* It may not run yet. */
 
@@ -38,8 +36,7 @@ __attribute__((noreturn, used)) static void crash(const uint32_t *frame, uint32_
 }
 
 /* The frame lies at the stack pointer. If the stack ran over, or nearly, the report takes the stack from its top, whose contents are lost anyway. */
-__attribute__((naked)) void Fault_Handler(void)
-{
+__attribute__((naked)) void Fault_Handler(void) {
     __asm volatile("cpsid i\n\t"
                    "mov r0, sp\n\t"
                    "mrs r1, ipsr\n\t"

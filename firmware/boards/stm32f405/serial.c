@@ -11,13 +11,11 @@
 
 #define BYTE_TRIES 10000u /* A byte takes 5 us, 840 cycles: ten times that, at about 6 cycles a try, and more. */
 
-static uint32_t smaller(uint32_t a, uint32_t b)
-{
+static uint32_t smaller(uint32_t a, uint32_t b) {
     return a < b ? a : b;
 }
 
-void serial_start(hal_t *hal)
-{
+void serial_start(hal_t *hal) {
     /* 168 MHz: 84 MHz / (16 x 2.625). Slow: 16 MHz / (8 x 1), which needs 8-fold oversampling. Both exact. */
     const bool slow = hal->clock == HAL_CLOCK_SLOW;
     USART1->BRR = slow ? 0x10u : 0x2Au;
@@ -44,8 +42,7 @@ void serial_start(hal_t *hal)
 /* ---- Out ---- */
 
 /* Send the longest piece that lies in one run. The stream is off, and its interrupt cannot come between. */
-static void send_piece(hal_t *hal)
-{
+static void send_piece(hal_t *hal) {
     const uint32_t position = hal->sent % HAL_SERIAL_BUFFER;
     hal->sending = smaller(hal->written - hal->sent, HAL_SERIAL_BUFFER - position);
     if (hal->sending == 0) return;
@@ -58,16 +55,14 @@ static void send_piece(hal_t *hal)
     out->CR |= DMA_S0CR_EN;
 }
 
-void DMA2_Stream7_Handler(void)
-{
+void DMA2_Stream7_Handler(void) {
     DMA2->HIFCR = DMA_HIFCR_STREAM7;
     board.sent += board.sending;
     send_piece(&board);
     board.woken = true;
 }
 
-bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count)
-{
+bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count) {
     if (count > HAL_SERIAL_BUFFER - (hal->written - hal->sent)) return false;
     const uint32_t position = hal->written % HAL_SERIAL_BUFFER;
     const uint32_t head = smaller((uint32_t)count, HAL_SERIAL_BUFFER - position);
@@ -82,8 +77,7 @@ bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count)
 }
 
 /* DMA pauses while its request is masked, and goes on where it was. */
-void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count)
-{
+void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count) {
     (void)hal;
     USART1->CR3 &= ~USART_CR3_DMAT;
     for (size_t i = 0; i < count; i++) {
@@ -96,16 +90,14 @@ void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count)
 
 /* ---- In ---- */
 
-void DMA2_Stream2_Handler(void)
-{
+void DMA2_Stream2_Handler(void) {
     DMA2->LIFCR = DMA_LIFCR_STREAM2;
     board.receive_wraps++;
     board.woken = true;
 }
 
 /* Line idle, or a receive error. The flags go by reading SR and then DR; a byte that waits is left to DMA, whose read of DR clears them as well. */
-void USART1_Handler(void)
-{
+void USART1_Handler(void) {
     const uint32_t status = USART1->SR;
     if ((status & USART_SR_RXNE) == 0) (void)USART1->DR;
     if ((status & USART_SR_ORE) != 0) board.counters.serial_overruns++;
@@ -113,8 +105,7 @@ void USART1_Handler(void)
 }
 
 /* Bytes since reset that arrived. A wrap whose interrupt is still pending counts. */
-static uint32_t received(const hal_t *hal)
-{
+static uint32_t received(const hal_t *hal) {
     const uint32_t primask = interrupts_off();
     uint32_t left = DMA2->S[2].NDTR;
     uint32_t wraps = hal->receive_wraps;
@@ -126,8 +117,7 @@ static uint32_t received(const hal_t *hal)
     return wraps * SERIAL_RECEIVE_BUFFER + SERIAL_RECEIVE_BUFFER - left;
 }
 
-size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity)
-{
+size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity) {
     if ((DMA2->S[2].CR & DMA_S0CR_EN) == 0) return 0; /* Nothing receives. */
     const uint32_t waiting = received(hal) - hal->taken;
     if (waiting > SERIAL_RECEIVE_BUFFER) { /* Overwritten: start afresh with what comes now. */

@@ -52,8 +52,7 @@ __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
         },
 };
 
-void Reset_Handler(void)
-{
+void Reset_Handler(void) {
     SCB->VTOR = (uint32_t)&vectors;
     SCB->CPACR |= SCB_CPACR_FPU_FULL;
     __asm volatile("dsb\n\tisb" ::: "memory");

@@ -69,11 +69,9 @@ hal_clock_t clock_start(void);
 void clock_start_tick(hal_clock_t clock);
 void serial_start(hal_t *hal);
 void can_start(const hal_t *hal);
-void converters_start(hal_role_t role);
+void converters_start(const hal_t *hal);
 /* At a block boundary: are the finished block's samples good? If not they read 0, which counts as saturated. */
 void converters_finish_block(hal_t *hal, uint32_t block);
-/* Later in the same interrupt: temperature; stay in step with the chips. */
-void converters_begin_block(hal_t *hal);
 void interrupt_enable(unsigned irq, unsigned priority);
 
 typedef struct {
@@ -83,22 +81,22 @@ typedef struct {
 /* The present. From handlers of normal priority only: the block interrupt must not run meanwhile. */
 chip_time_t chip_now(const hal_t *hal);
 
+/* Later in the same interrupt: temperature; stay in step with the chips. */
+void converters_begin_block(hal_t *hal, chip_time_t now);
+
 #define CHIP_RELOAD_TICKS 8000u /* In each chip, when DMA fetches the next chip's period (CC4). */
 
 /* Interrupts off; returns what restore() needs. Nests. */
-static inline uint32_t interrupts_off(void)
-{
+static inline uint32_t interrupts_off(void) {
     uint32_t primask;
     __asm volatile("mrs %0, primask\n\tcpsid i" : "=r"(primask)::"memory");
     return primask;
 }
-static inline void interrupts_restore(uint32_t primask)
-{
+static inline void interrupts_restore(uint32_t primask) {
     __asm volatile("msr primask, %0" ::"r"(primask) : "memory");
 }
 /* Memory written before is seen by DMA started behind. */
-static inline void memory_barrier(void)
-{
+static inline void memory_barrier(void) {
     __asm volatile("dsb" ::: "memory");
 }
 
