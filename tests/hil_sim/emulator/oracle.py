@@ -1,0 +1,54 @@
+"""Run one program on the emulator and on QEMU's Cortex-M4 (mps2-an386), an independent implementation, and hand back what it noted."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+from pathlib import Path
+
+from hil_sim.emulator import Configuration, Emulator
+
+PROGRAMS = Path(__file__).parent / "programs"
+FLAGS = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", "-O1", "-nostdlib", "-ffreestanding"]
+MILLISECOND = 1_000_000_000
+
+
+def build(directory: Path, *sources: Path, defines: tuple[str, ...] = ()) -> Path:
+    """Link a program for address 0, once to be loaded there (QEMU), once into the emulator's flash, which also appears at 0."""
+    files = [*map(str, sources), str(PROGRAMS / "runtime.c")]
+    for name, offset in (("program.elf", 0), ("flash.elf", 0x08000000)):
+        command = ["arm-none-eabi-gcc", *FLAGS, *(f"-D{d}" for d in defines), f"-I{PROGRAMS}", "-Wl,--build-id=none"]
+        command += [f"-Wl,--defsym=LOAD_OFFSET={offset:#x}", "-T", str(PROGRAMS / "program.ld")]
+        subprocess.run([*command, "-o", str(directory / name), *files, "-lgcc"], check=True)
+    return directory / "flash.elf"
+
+
+def load(image: Path, *, strict: bool = False) -> Emulator:
+    """Make a board that tolerates violations, as QEMU would."""
+    return Emulator(image, Configuration(strict=strict))
+
+
+def words(data: bytes) -> list[int]:
+    return list(struct.unpack(f"<{len(data) // 4}I", data))
+
+
+def word(board: Emulator, symbol: str) -> int:
+    return words(board.memory(board.symbols[symbol], 4))[0]
+
+
+def run_on_emulator(board: Emulator, limit_ms: int = 4000) -> list[int]:
+    """Run until the program says that it has finished; return its notes."""
+    while not word(board, "finished"):
+        assert board.run(board.now_ps + 5 * MILLISECOND), board.report()
+        assert board.now_ps < limit_ms * MILLISECOND, board.report()
+    return words(board.memory(board.symbols["results"], 4 * word(board, "result_count")))
+
+
+def run_on_qemu(image: Path) -> list[int]:
+    """Run the same program, linked for the same address, on QEMU; return its notes."""
+    directory = image.parent
+    command = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none"]
+    command += ["-semihosting-config", "enable=on,target=native", "-kernel", str(directory / "program.elf")]
+    command += ["-device", "loader,addr=0x2001F000,data=0x51454D55,data-len=4"]
+    subprocess.run(command, cwd=directory, check=True, timeout=30, stdin=subprocess.DEVNULL)
+    return words((directory / "results.bin").read_bytes())
