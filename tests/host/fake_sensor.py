@@ -60,7 +60,15 @@ def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s
     samples = CHIPS @ fields + ATTITUDE.inv().apply(EARTH_T) + noise
     low = cycle % 16
     time_s = (cycle + 0.5) * CYCLE_S if time_s is None else time_s
-    status = {"cycle_low": low, "chips": 1023, "saturated": 0, "fields": len(codes), "locked": 1, "phase": 0, "temperature": 25}
+    status = {
+        "cycle_low": low,
+        "chips": 1023,
+        "saturated": 0,
+        "fields": len(codes),
+        "locked": 1,
+        "phase": 0,
+        "temperature": 25,
+    }
     messages = [
         encode("EPOCH", {"cycle": cycle, "time": time_s}, node=NODE),
         encode("EPOCH_STATUS", status, node=NODE),

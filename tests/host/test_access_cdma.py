@@ -11,7 +11,18 @@ from hypothesis import strategies as st
 from tests.host.fake_sensor import CHIPS, CODES
 
 # IS-GPS-200, table 3-I: code delay chips of G2 and the first ten chips in octal; PRN with delay d is our k = 1023 - d.
-GPS = [(5, "1440"), (6, "1620"), (7, "1710"), (8, "1744"), (17, "1133"), (18, "1455"), (139, "1131"), (140, "1454"), (141, "1626"), (251, "1504")]
+GPS = [
+    (5, "1440"),
+    (6, "1620"),
+    (7, "1710"),
+    (8, "1744"),
+    (17, "1133"),
+    (18, "1455"),
+    (139, "1131"),
+    (140, "1454"),
+    (141, "1626"),
+    (251, "1504"),
+]
 HALF_GAUSS_T = 0.5e-4
 
 
@@ -98,7 +109,7 @@ def test_all_codes_have_the_rank_of_maths():
 
 
 def test_sigma_is_what_noise_makes():
-    """Two hundred cycles of noise alone: the spread of the estimates equals sigma within 5 % (rms over 1200 numbers)."""
+    """In two hundred cycles of noise the spread of the estimates equals sigma within 5 % (rms over 1200 numbers)."""
     rng = np.random.default_rng(5)
     codes = [2, 9, 1023, 1024, 500, 640]
     separator = Separator(10, codes, noise_T=2e-7)

@@ -1,6 +1,5 @@
 """Recorded logs: read, written, torn and on a full disk."""
 
-import os
 import re
 import subprocess
 import sys
@@ -63,7 +62,9 @@ def test_a_torn_last_line_is_counted(tmp_path):
     assert reader.bad_lines == 1
 
 
-@pytest.mark.parametrize("content", [b"", b"\n\n", b"\x00\xff" * 5000, b"time,id,data\n1,2,3\n", b"(1.0) can0 123#00\n"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\n\n", b"\x00\xff" * 5000, b"time,id,data\n1,2,3\n", b"(1.0) can0 123#00\n"]
+)
 def test_what_holds_no_message_is_refused(tmp_path, content):
     (tmp_path / "e.log").write_bytes(content)
     with pytest.raises(UserError, match="holds no message"):
@@ -116,5 +117,5 @@ def test_a_full_disk_stops_the_recording_but_neither_the_run_nor_what_was_writte
 def test_a_message_is_in_the_file_as_soon_as_it_is_written(tmp_path):
     writer = CandumpWriter(tmp_path / "h.log")
     writer.write(MESSAGES[0])
-    assert os.path.getsize(tmp_path / "h.log") == len("(1795371886.387772) goldfield 08000064#0001020304050607\n")
+    assert (tmp_path / "h.log").stat().st_size == len("(1795371886.387772) goldfield 08000064#0001020304050607\n")
     writer.close()

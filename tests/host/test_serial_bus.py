@@ -69,7 +69,10 @@ def test_bad_frames_cost_only_themselves_and_are_counted():
     flipped = bytearray(good[0])
     flipped[2] ^= 0x40
     with line() as (master, path, _), SerialBus(path) as bus:
-        os.write(master, good[0] + bytes(flipped) + good[1] + b"\x77" * 40 + b"\0" + good[2][3:] + good[2] + good[2] + good[3])
+        os.write(
+            master,
+            good[0] + bytes(flipped) + good[1] + b"\x77" * 40 + b"\0" + good[2][3:] + good[2] + good[2] + good[3],
+        )
         assert [i for i, _ in received(bus)] == [1, 2, 3, 3, 4]
         assert bus.bad_frames == 3
 

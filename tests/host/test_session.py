@@ -95,7 +95,7 @@ def test_another_protocol_is_refused_with_the_firmware_to_flash():
 def test_nothing_heard_and_the_wrong_node_heard(hurry):
     with PtySensor([]) as sensor:
         source, session = connect(sensor, node=7)
-        with pytest.raises(SystemFailure, match="no heartbeat of sensor 7 .* heard only sensor 100"):
+        with pytest.raises(SystemFailure, match=r"no heartbeat of sensor 7 .* heard only sensor 100"):
             session.find_sensor()
         source.close()
     source = open_can("virtual:silent")

@@ -94,14 +94,21 @@ BAD = [
     ("code = 2\n", "code = -1\n", f"site.toml:17: {FIRST}: code is -1", "0 to 1024"),
     ("code = 1024", "code = 2", "site.toml:28: [[beacon]] 2: code is 2", 'beacon "a"'),
     ('id = "square"', 'id = "a"', 'site.toml:20: [[beacon]] 2: id is "a"', "beacon 1"),
-    ("    [1.5, 1.0, 0.0],\n    [1.5, 1.5, 0.0],\n", "", "site.toml:21: [[beacon]] 2: points_m encloses no area", "three"),
+    (
+        "    [1.5, 1.0, 0.0],\n    [1.5, 1.5, 0.0],\n",
+        "",
+        "site.toml:21: [[beacon]] 2: points_m encloses no area",
+        "three",
+    ),
     ("    [1.5, 1.0, 0.0],", "    [1.5, 1.0],", "site.toml:21: [[beacon]] 2: points_m must be a list", "points"),
     ("current_A = 2.0", "axis = [0, 0, -1]\ncurrent_A = 2.0", "site.toml:21: [[beacon]] 2: points_m run", "right-hand"),
     ("[sensor]", "[sensor", "site.toml: is no valid TOML", "line 7"),
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "place", "advice"), BAD, ids=[new.strip() or f"no {old}" for old, new, *_ in BAD])
+@pytest.mark.parametrize(
+    ("old", "new", "place", "advice"), BAD, ids=[new.strip() or f"no {old}" for old, new, *_ in BAD]
+)
 def test_each_error_is_one_sentence_that_says_where(tmp_path, capsys, old, new, place, advice):
     assert GOOD.count(old) >= 1
     path = write(tmp_path, GOOD.replace(old, new, 1))

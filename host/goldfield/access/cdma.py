@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
 from goldfield.access.gold import code_matrix
 from goldfield.errors import UserError
@@ -71,6 +70,7 @@ class Separator:
                 f"the {len(codes)} codes cannot be separated: with an unknown offset only {rank} of their fields are "
                 f"independent in {self.chips} chips; leave out {len(codes) - rank} of the beacons or choose other codes"
             )
+        self._inverse = np.linalg.inv(self._normal)
 
     def from_samples(self, samples_T: FloatArray) -> Separation:
         """Separate one cycle of raw samples.
@@ -87,18 +87,20 @@ class Separator:
         variance = np.full((count, 3), np.nan)
         for axis in range(3):
             present = np.isfinite(samples_T[:, axis])
-            normal = self._normal if present.all() else self._normal_matrix(present)
-            if present.sum() <= count or _rank(normal) < count:
-                continue
+            inverse = self._inverse
+            if not present.all():
+                normal = self._normal_matrix(present)
+                if present.sum() <= count or _rank(normal) < count:
+                    continue
+                inverse = np.linalg.inv(normal)
             codes = self._code_chips[present]
             y = samples_T[present, axis]
             # The offset may be a million times the field: take it out first so that the sums do not round at its size.
             mean = y.mean()
             centred = y - mean
-            factor = cho_factor(normal)
-            field[:, axis] = cho_solve(factor, codes.T @ (centred - centred.mean()))
+            field[:, axis] = inverse @ (codes.T @ (centred - centred.mean()))
             offset[axis] = mean + (centred - codes @ field[:, axis]).mean()
-            variance[:, axis] = np.diag(cho_solve(factor, np.eye(count))) * self._noise_T**2
+            variance[:, axis] = np.diag(inverse) * self._noise_T**2
         return Separation(field, offset, _worst_sigma(variance))
 
     def from_correlations(
@@ -128,10 +130,9 @@ class Separator:
             if not known.any() or not np.isfinite(mean_T[axis]):
                 continue
             right = self.chips * correlation_T[known, axis] - self._sums[known] * mean_T[axis]
-            factor = cho_factor(self._normal[np.ix_(known, known)])
-            field[known, axis] = cho_solve(factor, right)
+            inverse = self._inverse if known.all() else np.linalg.inv(self._normal[np.ix_(known, known)])
+            field[known, axis] = inverse @ right
             offset[axis] = mean_T[axis] - self._sums[known] @ field[known, axis] / self.chips
-            inverse = cho_solve(factor, np.eye(int(known.sum())))
             leak = inverse @ self._normal[np.ix_(known, ~known)] * missing_T[~known]
             variance[known, axis] = (
                 np.diag(inverse) * self._noise_T**2 + (leak**2).sum(axis=1) + (inverse**2).sum(axis=1) * extra_variance

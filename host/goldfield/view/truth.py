@@ -44,7 +44,7 @@ class Truth:
     ----------
     path : path
     wait_s : float
-        How long to wait for a cycle's line (and for the file).
+        How long to wait for a cycle's line (and for the file); half as long after each that did not come.
 
     Raises
     ------
@@ -91,6 +91,7 @@ class Truth:
             if cycle in self._cycles:
                 return self._cycles[cycle]
             if time.monotonic() > deadline:
+                self._wait_s /= 2.0  # a file that lacks one cycle may lack many: do not wait for each
                 return None
             time.sleep(POLL_S)
 
