@@ -1,4 +1,4 @@
-"""Fields of coils with their gradients: the dipole, the exact circular loop, any wire as a polyline; see `FieldModel`."""
+"""Fields of coils with gradients: dipole, exact circular loop, any wire as a polyline; see `FieldModel`."""
 
 from goldfield.field.model import FieldModel
 

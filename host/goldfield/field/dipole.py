@@ -28,7 +28,8 @@ def dipole(offset_m: FloatArray, moment_A_m2: FloatArray) -> tuple[FloatArray, F
 
     Notes
     -----
-    At the dipole itself the result is not finite. Components lead, so that every operation runs along contiguous memory.
+    At the dipole itself the result is not finite. Components lead, so that every operation runs along contiguous
+    memory.
     """
     inverse_square = 1.0 / (offset_m * offset_m).sum(axis=0)
     strength = MU0_OVER_4PI * inverse_square * np.sqrt(inverse_square)

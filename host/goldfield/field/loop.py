@@ -5,14 +5,16 @@ w = 2 a rho, the Biot-Savart integral needs only the means over one turn
 
     I_nk = mean of cos^k(phi) / (u - w cos(phi))^(n + 1/2),
 
-namely B_axial = (mu0 I a/2) (a I_10 - rho I_11) and B_radial = (mu0 I a/2) z I_11. Textbooks write them with the complete
-elliptic integrals K and E, whose difference loses all digits near the axis and far from the coil. Here Gauss's
-arithmetic-geometric mean M of the greatest and the least distance to the wire gives them without cancellation: with c_n the
-half differences of its steps and tau = sum_{n>=1} 2^(n-1) c_n^2 / w^2 (c_1 = w/(greatest + least distance), so that w divides out),
+namely B_axial = (mu0 I a/2) (a I_10 - rho I_11) and B_radial = (mu0 I a/2) z I_11. Textbooks write them with the
+complete elliptic integrals K and E, whose difference loses all digits near the axis and far from the coil. Here
+Gauss's arithmetic-geometric mean M of the greatest and the least distance to the wire gives them without
+cancellation: with c_n the half differences of its steps and tau = sum_{n>=1} 2^(n-1) c_n^2 / w^2 (c_1 = w/(greatest +
+least distance), so that w divides out),
 
     I_10 = (u - tau w^2) / (M (u^2 - w^2)),      I_11 = w (1 - tau u) / (M (u^2 - w^2)),
 
-and the gradient follows from the recurrences between the I_2k (integration by parts), all of them sums of positive terms.
+and the gradient follows from the recurrences between the I_2k (integration by parts), all of them sums of positive
+terms.
 """
 
 from __future__ import annotations
@@ -48,8 +50,9 @@ def loop(
 
     Notes
     -----
-    On the wire itself the result is not finite. Field and gradient are accurate to 1e-9 of their size down to a hundredth of the
-    radius from the wire (tests compare with magpylib and complex steps); nearer, digits are lost with the distance squared.
+    On the wire itself the result is not finite. Field and gradient are accurate to 1e-9 of their size down to a
+    hundredth of the radius from the wire (tests compare with magpylib and complex steps); nearer, digits are lost
+    with the distance squared.
     """
     height = (axis * offset_m).sum(axis=0)
     radial = offset_m - height * axis
@@ -75,7 +78,8 @@ def loop(
 
     # Gradients of I_10 and I_11/w, each a combination of the offset and the radial vector.
     d_i10 = (-3.0 * i20) * offset_m + (6.0 * radius_m**2 * q21) * radial
-    # (3/2 I_22 - I_11/w)/rho^2 is finite on the axis, where it multiplies two radial vectors: the tiny number only avoids 0/0.
+    # (3/2 I_22 - I_11/w)/rho^2 is finite on the axis, where it multiplies two radial vectors: the tiny number only
+    # avoids 0/0.
     d_j11 = (-3.0 * q21) * offset_m + ((1.5 * i20 - 2.0 * j11) / (rho2 + 1e-300)) * radial
     d_axial = d_i10 - 2.0 * rho2 * d_j11 - (4.0 * j11) * radial
     d_lift = 2.0 * height * d_j11 + (2.0 * j11) * axis

@@ -23,8 +23,8 @@ FAR_FROM_WIRE = 100.0
 class FieldModel:
     """Fields and gradients of several coils, vectorised over points and coils.
 
-    Circular coils are computed exactly at any range, since that costs no more than choosing; coils given by their wire exactly
-    near by and as dipoles from far away (`FAR_FROM_WIRE`).
+    Circular coils are computed exactly at any range, since that costs no more than choosing; coils given by their
+    wire exactly near by and as dipoles from far away (`FAR_FROM_WIRE`).
 
     Parameters
     ----------
@@ -36,6 +36,8 @@ class FieldModel:
     ----------
     centre_m, moment_A_m2 : ndarray, shape (n, 3)
         Of the equivalent dipoles.
+    reach_m : ndarray, shape (n,)
+        Of each wire from its centre.
     """
 
     def __init__(self, beacons: Sequence[Beacon], kind: Kind = "exact") -> None:
@@ -63,8 +65,8 @@ class FieldModel:
         corners = np.array(padded, dtype=float).reshape(len(wires), segments + 1, 3).transpose(2, 0, 1)
         self._wire_start, self._wire_end = corners[..., :-1].copy(), corners[..., 1:].copy()
         self._wire_current = np.array([beacon.turns * beacon.current_A for beacon in wires], dtype=float)
-        reach = [np.linalg.norm(p - _centre(beacon), axis=1).max() for p, beacon in zip(points, wires, strict=True)]
-        self._wire_far2 = (FAR_FROM_WIRE * np.array(reach, dtype=float)) ** 2
+        self.reach_m: FloatArray = np.array([_reach(beacon) for beacon in beacons], dtype=float)
+        self._wire_far2 = (FAR_FROM_WIRE * self.reach_m[self._wires]) ** 2
 
     def __len__(self) -> int:
         """Return the number of coils."""
@@ -73,10 +75,6 @@ class FieldModel:
     def subset(self, rows: NDArray[np.intp]) -> FieldModel:
         """Return the model of some of the coils."""
         return FieldModel([self._beacons[int(row)] for row in rows], self._kind)
-
-    def as_dipoles(self) -> FieldModel:
-        """Return the model that takes every coil for its dipole."""
-        return FieldModel(self._beacons, "dipole")
 
     def evaluate(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Field and gradient with components leading, for numerical work.
@@ -161,9 +159,16 @@ class FieldModel:
 
 
 def _centre(beacon: Beacon) -> FloatArray:
-    """Return where the equivalent dipole stands: of a wire its centre of mass, which does not depend on how it is divided."""
+    """Return where the equivalent dipole stands: of a wire its centre of mass, however it is divided into segments."""
     if beacon.points_m is None:
         return beacon.position_m
     lengths = np.linalg.norm(np.diff(beacon.points_m, axis=0), axis=1)
     middles = 0.5 * (beacon.points_m[1:] + beacon.points_m[:-1])
     return np.asarray(lengths @ middles / lengths.sum(), dtype=np.float64)
+
+
+def _reach(beacon: Beacon) -> float:
+    if beacon.points_m is None:
+        assert beacon.radius_m is not None
+        return beacon.radius_m
+    return float(np.linalg.norm(beacon.points_m - _centre(beacon), axis=1).max())

@@ -20,7 +20,8 @@ def polyline(
     ----------
     point_m : ndarray, shape (3, ...)
     start_m, end_m : ndarray, shape (3, coils, segments)
-        Broadcast against ``point_m[..., None]``; a segment of no length adds nothing, so shorter wires are padded with them.
+        Broadcast against ``point_m[..., None]``; a segment of no length adds nothing, so shorter wires are padded
+        with them.
     ampere_turns : ndarray, shape (coils,)
 
     Returns
@@ -31,7 +32,8 @@ def polyline(
 
     Notes
     -----
-    The wire is taken as it is listed, open or closed; an open wire lacks its feed. On the wire the result is not finite.
+    The wire is taken as it is listed, open or closed; an open wire lacks its feed. On the wire the result is not
+    finite.
     """
     a = point_m[..., None] - start_m
     b = point_m[..., None] - end_m

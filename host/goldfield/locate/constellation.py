@@ -12,7 +12,7 @@ from scipy.special import gammaincc
 from goldfield.field import FieldModel
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.mirror import Mirror, find_mirror
-from goldfield.locate.shell import best_apart, directions, profiled_attitude, profiled_loss, shell
+from goldfield.locate.shell import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.starts import log_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
 from goldfield.poses import FloatArray
@@ -29,6 +29,10 @@ RIVAL_COST = 15.0
 
 CANDIDATES = 8
 """Candidates of the shell that are fitted."""
+
+
+REMEMBERED = 32
+"""Subsets of beacons whose searches are kept ready: a few megabytes each once their shells were needed."""
 
 
 @dataclass(frozen=True)
@@ -75,14 +79,14 @@ class Constellation:
         return find_mirror(self.model)
 
     @cached_property
-    def _dipoles(self) -> FieldModel:
-        return self.model.as_dipoles()
+    def _shell(self) -> Shell:
+        return Shell(self.model)
 
     def subset(self, rows: NDArray[np.intp]) -> Constellation:
         """Return the constellation of some of the beacons; remembered."""
         key = np.asarray(rows, dtype=np.int64).tobytes()
         if key not in self._subsets:
-            if len(self._subsets) >= 256:
+            if len(self._subsets) >= REMEMBERED:
                 self._subsets.clear()
             self._subsets[key] = Constellation(self.model.subset(rows), self.half_space)
         return self._subsets[key]
@@ -90,9 +94,9 @@ class Constellation:
     def solve(self, measurements: Measurements) -> Solutions:
         """Find the poses of e epochs with no prior.
 
-        The chain of magnitudes is quick and nearly always right. The shell is searched as well when the chain cannot be used (a sensor
-        without three axes, fewer than four beacons), when its residual is improbable, or when little redundancy leaves room for
-        several answers.
+        The chain of magnitudes is quick and nearly always right. The shell is searched as well when the chain cannot
+        be used (a sensor without three axes, fewer than four beacons), when its residual is improbable, or when
+        little redundancy leaves room for several answers.
         """
         everyone = np.arange(len(measurements))
         simple = measurements.complete and len(self.model) >= 4
@@ -128,16 +132,15 @@ class Constellation:
     def from_shell(self, measurements: Measurements) -> Fit:
         """Search the shell of one epoch; all candidates fitted, the best first."""
         field, sigma = measurements.field_T[0], measurements.sigma_T[0]
-        position = shell(self._dipoles, field, sigma, directions(400))
-        loss = profiled_loss(self._dipoles, field, sigma, position)
-        if self.half_space is not None:
-            inside = (position - self.half_space.point_m) @ self.half_space.normal >= 0.0
-            loss = np.where(inside, loss, np.inf)
+        position, modelled = self._shell.candidates(field)
+        if not len(position):
+            return _nowhere(1)
+        loss = np.where(self.inside(position), profiled_loss(modelled, field, sigma), np.inf)
         apart = 0.25 * np.linalg.norm(position[:, None] - self.model.centre_m, axis=2).min(axis=1)
         best = best_apart(position, loss, CANDIDATES, apart)
         if not len(best):
             return _nowhere(1)
-        rotation = profiled_attitude(self._dipoles, field, sigma, position[best])
+        rotation = profiled_attitude(modelled[best], field, sigma)
         repeated = measurements.take(np.zeros(len(best), dtype=np.intp))
         return _sorted(self.refine(repeated, position[best], rotation))
 

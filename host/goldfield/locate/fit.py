@@ -128,7 +128,7 @@ def fit_pose(
     rotation: FloatArray,
     *,
     model_error: float = 0.0,
-    iterations: int = 40,
+    iterations: int = 120,
 ) -> Fit:
     """Least squares of position and attitude to the components, from a start near by.
 
@@ -141,15 +141,16 @@ def fit_pose(
     position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
         Start.
     model_error : float
-        Relative error of the model: the variance of a component is sigma^2 + (model_error |B|)^2 with the measured |B|. A few
-        per cent widen the basin of convergence (strong, curved beacons no longer dominate); the last fit takes what is believed of the site.
+        Relative error of the model: the variance of a component is sigma^2 + (model_error |B|)^2 with the measured
+        |B|. A few per cent widen the basin of convergence (strong, curved beacons no longer dominate); the last fit
+        takes what is believed of the site.
     iterations : int
         Bound.
 
     Notes
     -----
-    With h(p, R) = R' B(p), dh = R' (G dp + B x d_theta), where exp([d_theta]x) R is the turned attitude. Isotropic complete
-    fields are compared in the site's frame, which leaves the Jacobian unturned; else in the sensor's.
+    With h(p, R) = R' B(p), dh = R' (G dp + B x d_theta), where exp([d_theta]x) R is the turned attitude. Isotropic
+    complete fields are compared in the site's frame, which leaves the Jacobian unturned; else in the sensor's.
     """
     weight = measurements.inverse_sigma(model_error)
     measured = measurements.filled_T.swapaxes(1, 2)

@@ -1,9 +1,11 @@
-"""Is the pose to be trusted: tests of the residual, exclusion of beacons that are not as the site says, protection level.
+"""Is the pose to be trusted: tests of the residual, exclusion of beacons that are not as the site says, protection
+level.
 
-As in receiver-autonomous integrity monitoring. Under a right model and Gaussian noise the cost is chi-square with 3n - 6 degrees of
-freedom. A fault of one beacon alone (wrong polarity, code or current, dead, moved, saturated) is found with more power by the
-part of the cost that its leaving out would take away, chi-square with 3: r_i' S_ii^-1 r_i, where r_i are the beacon's residuals and
-S = I - A P A' their covariance. Both tests share the permitted rate of false alarms.
+As in receiver-autonomous integrity monitoring. Under a right model and Gaussian noise the cost is chi-square with 3n
+- 6 degrees of freedom. A fault of one beacon alone (wrong polarity, code or current, dead, moved, saturated) is found
+with more power by the part of the cost that its leaving out would take away, chi-square with 3: r_i' S_ii^-1 r_i,
+where r_i are the beacon's residuals and S = I - A P A' their covariance. Both tests share the permitted rate of false
+alarms.
 """
 
 from __future__ import annotations
@@ -88,9 +90,9 @@ def exclude(constellation: Constellation, measurements: Measurements) -> tuple[S
 def protection_level(constellation: Constellation, measurements: Measurements, fit: Fit) -> FloatArray:
     """Radius, shape (e,), m, that the position error exceeds undetected with the probability `MISSED_DETECTION` only.
 
-    The largest over the beacons of slope times the least fault that is sure to be detected, and the noise on top. The slope of a
-    beacon is the position error over the root of the cost that its worst fault adds. Infinite if a fault of some beacon
-    cannot show in the residuals.
+    The largest over the beacons of slope times the least fault that is sure to be detected, and the noise on top. The
+    slope of a beacon is the position error over the root of the cost that its worst fault adds. Infinite if a fault
+    of some beacon cannot show in the residuals.
     """
     model, weight = constellation.model, measurements.inverse_sigma()
     jacobian = whitened_jacobian(model, fit.position_m, fit.rotation, weight)

@@ -41,12 +41,13 @@ class Minimum:
 
 
 def minimise(
-    evaluate: Evaluate, retract: Retract, start: State, *, iterations: int = 40, tolerance: float = 1e-6
+    evaluate: Evaluate, retract: Retract, start: State, *, iterations: int = 120, tolerance: float = 1e-6
 ) -> Minimum:
     """Minimise the sums of squares of e problems, each with its own damping.
 
     A problem ends when its next step promises to lower its cost by less than ``tolerance`` (in units of the noise's
-    variance: 1e-6 is a thousandth of a standard deviation) or after ``iterations`` evaluations. Ended problems are not evaluated again.
+    variance: 1e-6 is a thousandth of a standard deviation) or after ``iterations`` evaluations. Ended problems are
+    not evaluated again.
     """
     count = len(start[0])
     state = tuple(part.copy() for part in start)

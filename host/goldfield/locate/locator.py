@@ -18,8 +18,9 @@ from goldfield.poses import Fields, FloatArray, Pose, Status
 from goldfield.site import Site
 
 WEAK_POSITION = 0.25
-"""A pose is weak if the standard deviation of its position along the worst axis exceeds this part of the distance to the nearest beacon:
-the field then changes its shape within the error and nothing computed from a linear model can be trusted."""
+"""A pose is weak if the standard deviation of its position along the worst axis exceeds this part of the distance to
+the nearest beacon: the field then changes its shape within the error and nothing computed from a linear model can be
+trusted."""
 
 WEAK_ATTITUDE_RAD = 0.5
 """... or if that of its attitude exceeds this (29 degrees), the free turn of a sensor with one axis not counted."""
@@ -46,7 +47,8 @@ class Locator:
         """Locate one epoch, with no prior. Never raises for bad data: the status tells.
 
         - ``failed``: fewer than three beacons, fewer components than unknowns, or no finite solution; position NaN.
-        - ``inconsistent``: the residual is improbable (`integrity`) and no exclusion of beacons mends it, or the only solution lies
+        - ``inconsistent``: the residual is improbable (`integrity`) and no exclusion of beacons mends it, or the only
+        solution lies
           outside the site's half-space.
         - ``ambiguous``: another pose explains the fields as well; it is given as ``alternative``.
         - ``weak``: the standard deviation exceeds `WEAK_POSITION` of the range or `WEAK_ATTITUDE_RAD`.

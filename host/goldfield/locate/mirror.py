@@ -1,8 +1,8 @@
 """The exact mirror of coplanar coils that all point across their plane.
 
-A reflection through the plane leaves every such coil as it is (a magnetic moment is an axial vector), so the field at the image point
-is the field turned by 180 degrees about the normal: B(p') = N B(p), N = 2 n n' - I. The pose (p', N R) gives the very same
-measurements, whatever the sensor.
+A reflection through the plane leaves every such coil as it is (a magnetic moment is an axial vector), so the field at
+the image point is the field turned by 180 degrees about the normal: B(p') = N B(p), N = 2 n n' - I. The pose (p', N
+R) gives the very same measurements, whatever the sensor.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Starts without magnitudes' blind spots: every direction around the strongest beacon, the attitude profiled out.
+"""A start for any geometry and any sensor: the surroundings of the strongest beacon, the attitude profiled out.
 
-The strongest beacon's magnitude fixes the distance in each direction, |B| = k sqrt(1 + 3 cos^2 theta)/r^3, so the unknown position is a
-point of a shell around it: a two-dimensional search for any geometry, however large the site. At each point the best attitude
-has a closed form, so the loss is a function of the direction alone.
+The strongest beacon's magnitude nearly fixes the distance in each direction, |B| = k sqrt(1 + 3 cos^2 theta)/r^3, so the
+unknown position is on a thin shell around it: little more than a two-dimensional search, however large the site. At each
+point the best attitude has a closed form, which leaves a loss that depends on the position alone.
 """
 
 from __future__ import annotations
@@ -11,17 +11,73 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
-from goldfield.field.constants import MU0_OVER_4PI
 from goldfield.locate.wahba import wahba, wahba_loss
 from goldfield.poses import FloatArray
-from goldfield.site import HalfSpace
 
 COARSENESS = 0.3
-"""Relative error of the fields between neighbouring candidates, as a weight: the shell must not miss a narrow valley."""
+"""Relative change of the fields between neighbouring candidates, used as an error: no narrow valley may be missed."""
+
+DIRECTIONS = 300
+DISTANCE_RATIO = 1.25
+"""Of neighbouring points on a ray."""
+
+FULL_WINDOW = (0.6, 1.7)
+"""A point is a candidate if the strongest beacon's field there, over the measured one, lies between these."""
+
+PARTIAL_WINDOW = (0.9, 30.0)
+"""The same for a sensor with one or two axes, which sees no more of the field than there is, but perhaps much less."""
+
+
+class Shell:
+    """Points around each beacon with the fields of all beacons there, computed when first needed.
+
+    Parameters
+    ----------
+    model : FieldModel
+        n coils.
+    """
+
+    def __init__(self, model: FieldModel) -> None:
+        self._model = model
+        self._known: dict[int, tuple[FloatArray, FloatArray]] = {}
+
+    def candidates(self, field_T: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions, shape (m, 3), where the strongest beacon is about as strong as measured, and all fields there.
+
+        Parameters
+        ----------
+        field_T : ndarray, shape (n, 3)
+            Of one epoch; NaN where not measured.
+
+        Returns
+        -------
+        position_m : ndarray, shape (m, 3)
+        field_T : ndarray, shape (m, n, 3)
+        """
+        measured = np.isfinite(field_T)
+        magnitude = np.sqrt((np.where(measured, field_T, 0.0) ** 2).sum(axis=1))
+        strongest = int(np.argmax(magnitude))
+        low, high = FULL_WINDOW if measured[strongest].all() else PARTIAL_WINDOW
+        position, field = self._around(strongest)
+        ratio = np.linalg.norm(field[:, strongest], axis=1) / max(float(magnitude[strongest]), 1e-30)
+        chosen = (ratio > low) & (ratio < high)
+        return position[chosen], field[chosen]
+
+    def _around(self, beacon: int) -> tuple[FloatArray, FloatArray]:
+        if beacon not in self._known:
+            centre = self._model.centre_m
+            nearest = 0.5 * float(self._model.reach_m[beacon])
+            furthest = max(3.0 * float(np.linalg.norm(centre - centre[beacon], axis=1).max()), 20.0 * nearest)
+            count = 1 + int(np.ceil(np.log(furthest / nearest) / np.log(DISTANCE_RATIO)))
+            distance = nearest * DISTANCE_RATIO ** np.arange(count)
+            position = (centre[beacon] + distance[:, None, None] * directions(DIRECTIONS)).reshape(-1, 3)
+            parts = np.array_split(position, max(len(position) // 512, 1))  # the wires' segments need the memory
+            self._known[beacon] = position, np.concatenate([self._model.field(part) for part in parts])
+        return self._known[beacon]
 
 
 def directions(count: int) -> FloatArray:
-    """Evenly spread unit vectors, shape (count, 3): Fibonacci's spiral."""
+    """Return evenly spread unit vectors, shape (count, 3): Fibonacci's spiral."""
     index = np.arange(count) + 0.5
     z = 1.0 - 2.0 * index / count
     turn = np.pi * (1.0 + np.sqrt(5.0)) * index
@@ -29,71 +85,38 @@ def directions(count: int) -> FloatArray:
     return np.stack([across * np.cos(turn), across * np.sin(turn), z], axis=1)
 
 
-def shell(
-    model: FieldModel, field_T: FloatArray, sigma_T: FloatArray, unit: FloatArray, half_space: HalfSpace | None = None
-) -> FloatArray:
-    """Candidate positions around the strongest beacon, shape (m, 3), m = three distances a direction.
-
-    Parameters
-    ----------
-    field_T, sigma_T : ndarray, shapes (n, 3) and (n,)
-        Of one epoch; NaN where not measured.
-    unit : ndarray, shape (d, 3)
-        Directions, see `directions`.
-    half_space : HalfSpace, optional
-        Leaves out candidates on the other side.
-    """
-    measured = np.isfinite(field_T)
-    axes = measured.sum(axis=1)
-    # A sensor with fewer axes sees less of the field: correct on average.
-    magnitude = np.sqrt((np.where(measured, field_T, 0.0) ** 2).sum(axis=1) * 3.0 / np.maximum(axes, 1))
-    strongest = int(np.argmax(magnitude))
-    moment = model.moment_A_m2[strongest]
-    k = MU0_OVER_4PI * np.linalg.norm(moment)
-    cosine = unit @ (moment / np.linalg.norm(moment))
-    distance = np.cbrt(k * np.sqrt(1.0 + 3.0 * cosine**2) / magnitude[strongest])
-    factors = np.array([0.8, 1.0, 1.25]) if axes[strongest] == 3 else np.array([0.5, 0.7, 0.9, 1.1])
-    offset = (factors[:, None] * distance)[:, :, None] * unit
-    position = model.centre_m[strongest] + offset.reshape(-1, 3)
-    if half_space is not None:
-        position = position[(position - half_space.point_m) @ half_space.normal >= 0.0]
-    return np.asarray(position)
-
-
-def profiled_loss(model: FieldModel, field_T: FloatArray, sigma_T: FloatArray, position_m: FloatArray) -> FloatArray:
+def profiled_loss(modelled_T: FloatArray, field_T: FloatArray, sigma_T: FloatArray) -> FloatArray:
     """Loss at each candidate position, shape (m,), with the best attitude there.
 
-    Three measured axes: Wahba's loss. Fewer: the components are linear in the sensor's axes, b_i = s . B_i(p), so each s follows by
-    linear least squares with |s| = 1; the axes' right angle is left to the fit.
+    Three measured axes: Wahba's loss. Fewer: the components are linear in the sensor's axes, b_i = s . B_i(p), so
+    each s follows by linear least squares with |s| = 1; the axes' right angle is left to the fit.
 
     Parameters
     ----------
+    modelled_T : ndarray, shape (m, n, 3)
+        Fields at the candidates.
     field_T, sigma_T : ndarray, shapes (n, 3) and (n,)
-    position_m : ndarray, shape (m, 3)
+        Measured; NaN where not.
     """
-    field = model.field(position_m)
     measured, filled, weight = _coarse(field_T, sigma_T)
     if _complete(measured):
-        return wahba_loss(field, filled[None], weight[None])
-    loss = np.zeros(len(position_m))
+        return wahba_loss(modelled_T, filled[None], weight[None])
+    loss = np.zeros(len(modelled_T))
     for axis in np.flatnonzero(measured.any(axis=0)):
         rows = measured[:, axis]
-        loss += unit_vector_fit(field[:, rows], filled[rows, axis], weight[rows])[1]
+        loss += unit_vector_fit(modelled_T[:, rows], filled[rows, axis], weight[rows])[1]
     return loss
 
 
-def profiled_attitude(
-    model: FieldModel, field_T: FloatArray, sigma_T: FloatArray, position_m: FloatArray
-) -> FloatArray:
+def profiled_attitude(modelled_T: FloatArray, field_T: FloatArray, sigma_T: FloatArray) -> FloatArray:
     """Best attitude at each candidate position, shape (m, 3, 3); arguments as `profiled_loss`."""
-    field = model.field(position_m)
     measured, filled, weight = _coarse(field_T, sigma_T)
     if _complete(measured):
-        return wahba(field, filled[None], weight[None])
-    columns = np.zeros((len(position_m), 3, 3))
+        return wahba(modelled_T, filled[None], weight[None])
+    columns = np.zeros((len(modelled_T), 3, 3))
     for axis in np.flatnonzero(measured.any(axis=0)):
         rows = measured[:, axis]
-        columns[:, :, axis] = unit_vector_fit(field[:, rows], filled[rows, axis], weight[rows])[0]
+        columns[:, :, axis] = unit_vector_fit(modelled_T[:, rows], filled[rows, axis], weight[rows])[0]
     return _completed(columns)
 
 
@@ -109,7 +132,7 @@ def _complete(measured: NDArray[np.bool_]) -> bool:
 
 
 def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Unit vector s that minimises sum_i w_i (b_i - s . B_i)^2, and that sum.
+    """Find the unit vector s that minimises sum_i w_i (b_i - s . B_i)^2, and that sum.
 
     Lagrange: (A + mu I) s = c with |s| = 1; mu by Newton on 1/|s(mu)| - 1, which is nearly linear (More and Sorensen).
 
@@ -144,7 +167,7 @@ def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) ->
 
 
 def best_apart(position_m: FloatArray, loss: FloatArray, count: int, apart_m: FloatArray) -> NDArray[np.intp]:
-    """Indices of the lowest losses, at most ``count``, each further than ``apart_m``, shape (m,), from the better ones."""
+    """Return the indices of the lowest losses, at most ``count``, each further than ``apart_m`` from the better ones."""
     left = np.where(np.isfinite(loss), loss, np.inf)
     kept: list[int] = []
     while len(kept) < count and left.min(initial=np.inf) < np.inf:

@@ -1,7 +1,7 @@
 """Positions from field magnitudes, which need no attitude: the sources' two steps and their improvement.
 
-Each takes the magnitudes that were measured, shape (e, n), and returns positions, shape (e, 3); see maths.md, 3 of the sources'
-restatement: |B| = k sqrt(1 + 3 cos^2 theta)/r^3 (patent, eqns 6 and 7), and |B| ~ 1.5 k/r^3 (eqn 8).
+Each takes the magnitudes that were measured, shape (e, n), and returns positions, shape (e, 3); see maths.md, 3 of
+the sources' restatement: |B| = k sqrt(1 + 3 cos^2 theta)/r^3 (patent, eqns 6 and 7), and |B| ~ 1.5 k/r^3 (eqn 8).
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def log_magnitudes(
 ) -> FloatArray:
     """Fit the logarithms of the magnitudes from a start, shape (e, 3).
 
-    The logarithm is nearly linear in position where the magnitude is not, so it converges from much further away. Weights: the
-    noise's, and 10 % of model error, which keeps one strong beacon from hiding the others.
+    The logarithm is nearly linear in position where the magnitude is not, so it converges from much further away.
+    Weights: the noise's, and 10 % of model error, which keeps one strong beacon from hiding the others.
     """
     magnitude = np.maximum(magnitude_T, 1e-30)
     weight = np.where(known, 1.0 / np.hypot(0.1, sigma_T / magnitude), 0.0)

@@ -1,14 +1,14 @@
 """How far a pose may be wrong: the Cramer-Rao bound, dilution of precision, and a covariance that holds near beacons.
 
-Near a beacon the range is known to micrometres and the direction to centimetres. The set of poses that fit is then a curved
-ridge, and an error e along it carries the pose e^2/(2r) off its tangent: hundreds of standard deviations of the Gauss-Newton
-covariance, which knows only the tangent. `honest_covariance` adds the second-order term: with the model expanded along the
-principal axes L_i of the Gauss-Newton covariance P = L L', a pose error is
+Near a beacon the range is known to micrometres and the direction to centimetres. The set of poses that fit is then a
+curved ridge, and an error e along it carries the pose e^2/(2r) off its tangent: hundreds of standard deviations of
+the Gauss-Newton covariance, which knows only the tangent. `honest_covariance` adds the second-order term: with the
+model expanded along the principal axes L_i of the Gauss-Newton covariance P = L L', a pose error is
 
     e = L z - 1/2 K sum_ij z_i z_j h_ij,      z standard normal,  K = P A' W,  h_ij = d2h(L_i, L_j),
 
-so that, with q_ij = L^-1 K h_ij, its mean square is L (I + (m m' + 2 sum_ij q_ij q_ij')/4) L',  m = sum_i q_ii. The second
-differences are taken one standard deviation apart, so that they are those of the region that matters.
+so that, with q_ij = L^-1 K h_ij, its mean square is L (I + (m m' + 2 sum_ij q_ij q_ij')/4) L',  m = sum_i q_ii. The
+second differences are taken one standard deviation apart, so that they are those of the region that matters.
 """
 
 from __future__ import annotations
@@ -115,8 +115,8 @@ def cramer_rao_bound(
     rotation : ndarray, shape (e, 3, 3), optional
         Only matters to sensors with fewer than three axes or noise that differs between them.
     sigma_T : ndarray, broadcast to shape (e, n, 3), optional
-        Standard deviation of each component, infinite where there is no such axis. Default: the sensor's noise per sample over the
-        square root of the number of chips.
+        Standard deviation of each component, infinite where there is no such axis. Default: the sensor's noise per
+        sample over the square root of the number of chips.
 
     Returns
     -------

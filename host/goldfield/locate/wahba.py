@@ -31,8 +31,9 @@ def wahba(site: FloatArray, sensor: FloatArray, weight: FloatArray) -> FloatArra
 def wahba_loss(site: FloatArray, sensor: FloatArray, weight: FloatArray) -> FloatArray:
     """Least value of Wahba's sum, shape (...), without its rotation: the largest root of Davenport's quartic.
 
-    Arguments as `wahba`. Newton's method from an upper bound of the root (Shuster's QUEST), which it can only approach from above;
-    twelve steps leave 1e-6 of the fields' energy, enough to rank candidates, and no decomposition of thousands of matrices.
+    Arguments as `wahba`. Newton's method from an upper bound of the root (Shuster's QUEST), which it can only
+    approach from above; twelve steps leave 1e-6 of the fields' energy, enough to rank candidates, and no
+    decomposition of thousands of matrices.
     """
     h = _profile(site, sensor, weight)
     energy = np.asarray((weight * ((site * site).sum(axis=-1) + (sensor * sensor).sum(axis=-1))).sum(axis=-1))
