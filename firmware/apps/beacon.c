@@ -90,6 +90,11 @@ static beacon_settings_t read_settings(const node_t *node) {
     };
 }
 
+static bool same(const beacon_settings_t *a, const beacon_settings_t *b) {
+    return a->code == b->code && a->amplitude_A == b->amplitude_A && a->over_current_A == b->over_current_A &&
+           a->open_fraction == b->open_fraction;
+}
+
 /* While wanted is false and the drive idle: the planner then uses only the sync bit of chips, which is the same before and after. */
 static void write_code(beacon_t *beacon) {
     gold_generator_t code;
@@ -142,8 +147,8 @@ static void send_status(beacon_t *beacon) {
     const current_t *current = &beacon->current;
     const bool on = beacon->drive == BEACON_ON;
     const struct goldfield_drive_status_t status = {
-        .current = on ? milliamperes(current_amperes(current, current->mean)) : 0,
-        .reference = on ? milliamperes((float)current->reference * HAL_REFERENCE_PER_COUNT) : 0,
+        .current = milliamperes(on ? current_amperes(current, current->mean) : 0.0f),
+        .reference = milliamperes(on ? (float)current->reference * HAL_REFERENCE_PER_COUNT : 0.0f),
         .target = milliamperes(beacon->settings.amplitude_A),
         .over_current = current->fault == CURRENT_FAULT_OVER,
         .open_coil = current->fault == CURRENT_FAULT_OPEN,
@@ -193,17 +198,17 @@ void beacon_step(beacon_t *beacon) {
     }
     if (beacon->cycles_reported != beacon->cycles) {
         beacon->cycles_reported = beacon->cycles;
-        node->counters[NODE_SYNC_REJECTED] = beacon->clock.edges_rejected;
-        node->counters[NODE_OVER_CURRENT] = beacon->over_current;
-        node->counters[NODE_OPEN_COIL] = beacon->open_coil;
-        node->state = state(beacon);
         send_status(beacon);
     }
+    node->state = state(beacon);
+    node->counters[NODE_SYNC_REJECTED] = beacon->clock.edges_rejected;
+    node->counters[NODE_OVER_CURRENT] = beacon->over_current;
+    node->counters[NODE_OPEN_COIL] = beacon->open_coil;
     node_step(node);
     if (node->parameters_changed) {
         node->parameters_changed = false;
         const beacon_settings_t settings = read_settings(node);
-        if (memcmp(&settings, &beacon->settings, sizeof settings) != 0 || faulty(beacon)) {
+        if (!same(&settings, &beacon->settings) || faulty(beacon)) {
             apply_settings(beacon);
         }
     }

@@ -59,7 +59,7 @@ typedef struct {
     uint8_t chips[BEACON_CHIPS];   /* The plan's byte for each chip of the code, polarity and sync wire. */
     volatile bool wanted;          /* Main: settings are complete, amplitude is not 0, clock is good. */
     volatile uint8_t drive;        /* beacon_drive_t */
-    uint32_t start_chip;           /* Absolute chip. Chip 0 has none before it that could switch on: a master then starts with chip 1. */
+    volatile uint32_t start_chip;  /* Absolute chip. Chip 0 has none before it that could switch on: a master then starts with chip 1. */
     volatile bool driver_fault;
     volatile uint32_t over_current, open_coil; /* Events since reset. */
     volatile uint32_t cycles;      /* Begun, as planned. */

@@ -104,9 +104,9 @@ static void send_heartbeat(node_t *node) {
     collect_counters(node);
     uint8_t length = pack_heartbeat(node, data);
     node_send(node, NODE_BOTH, GOLDFIELD_HEARTBEAT_FRAME_ID, 0, data, length);
-    for (uint8_t i = 0; i < NODE_COUNTERS; i++) {
+    for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
         if (node->counters[i] > 0) {
-            const struct goldfield_counter_t counter = {.counter = i, .value = node->counters[i]};
+            const struct goldfield_counter_t counter = {.counter = (uint8_t)i, .value = node->counters[i]};
             length = (uint8_t)goldfield_counter_pack(data, &counter, sizeof data);
             node_send(node, NODE_BOTH, GOLDFIELD_COUNTER_FRAME_ID, i, data, length);
         }

@@ -62,6 +62,8 @@ class Board:
         Contents of the parameter page, or the page itself.
     volts : callable
         ``volts(pin, time_ps)``: what the converter sees.
+    clock : int
+        `hal_clock_t`: 0 crystal, 1 internal oscillator, 2 slow.
     """
 
     role: int
@@ -72,6 +74,7 @@ class Board:
     unique_id: bytes = bytes(range(12))
     temperature: float = 25.0
     can: bool = True
+    clock: int = 0
 
     pins: list[tuple[int, int, bool]] = field(default_factory=list)
     analog: list[tuple[int, float]] = field(default_factory=list)
@@ -84,6 +87,7 @@ class Board:
         config = FFI.new("host_board_config_t *")
         config.role = self.role
         config.crystal_ppm = self.ppm
+        config.clock = self.clock
         config.temperature_degc = self.temperature
         config.unique_id = self.unique_id
         config.parameter_page = page.ljust(1024, b"\xff")

@@ -18,7 +18,8 @@
 
 typedef struct {
     hal_role_t role;          /* Which application runs: beacon or sensor. */
-    double crystal_ppm;       /* Error of this board's clock, within +-100,000. Positive: fast. */
+    double crystal_ppm;       /* Error of this board's clock, whichever it is, within +-100,000. Positive: fast. */
+    hal_clock_t clock;        /* What hal_clock() tells; with HAL_CLOCK_SLOW the chip engine does not start. */
     double temperature_degc;  /* Of the processor. */
     uint8_t unique_id[HAL_UNIQUE_ID_BYTES];
     uint8_t parameter_page[HAL_PARAMETER_PAGE_BYTES]; /* As in flash (protocol/framing.md); erased flash is all 0xFF. */

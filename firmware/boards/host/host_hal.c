@@ -5,6 +5,9 @@
 /* ---- Chip engine and drive ---- */
 
 void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
+    if (hal->config.clock == HAL_CLOCK_SLOW) {
+        return;
+    }
     engine_t *engine = &hal->engine;
     *engine = (engine_t){.running = true, .role = role, .events = *events, .chip_start = host_tick(hal) + 168};
     events->plan(events->context, 0, &engine->plan[0]);
@@ -92,8 +95,7 @@ bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
 /* ---- Housekeeping ---- */
 
 hal_clock_t hal_clock(const hal_t *hal) {
-    (void)hal;
-    return HAL_CLOCK_CRYSTAL;
+    return hal->config.clock;
 }
 
 void hal_counters(const hal_t *hal, hal_counters_t *counters) {

@@ -8,9 +8,10 @@ from random import Random
 import pytest
 from goldfield_protocol import Message, encode, encode_frame, protocol_hash
 
-from tests.firmware.host_rig import BEACON, MS, SECOND, SENSOR, US, Board, Rig
+from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, SECOND, SENSOR, US, Board, Rig
 
 OK, UNKNOWN, OUT_OF_RANGE, WRONG_KIND = range(4)
+INTERNAL, SLOW = 1, 2
 
 
 @pytest.fixture(params=[BEACON, SENSOR])
@@ -157,6 +158,21 @@ def test_full_can_queue_counts_what_it_loses() -> None:
     assert lost > 100
     assert len(serial) == len(can) + lost
     assert in_order(can, serial)
+
+
+@pytest.mark.parametrize("role", [BEACON, SENSOR])
+@pytest.mark.parametrize("clock", [INTERNAL, SLOW])
+def test_clock_fallback_is_told_and_drives_nothing(role: int, clock: int) -> None:
+    parameters = {"node": 9, "amplitude": 5.0, "sync_master": 1}
+    board = Board(role, parameters, ppm=9000.0, volts=lambda pin, time: 1.65, clock=clock)
+    board.send_serial("PARAM_GET", {"reserved": 0}, 9, 0, MS)
+    board.run(1100 * MS)
+    assert board.messages("HEARTBEAT")[-1].signals["state"] == 5
+    assert counters(board) == {7: 1}
+    assert answers(board) == [(9, 0, OK, 9)]
+    assert not board.edges(PIN_ENABLE)
+    assert bool(board.messages("EPOCH")) == (role == SENSOR and clock == INTERNAL)
+    board.close()
 
 
 def in_order(part: list[Message], whole: list[Message]) -> bool:
