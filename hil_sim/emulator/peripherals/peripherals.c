@@ -1,19 +1,39 @@
-/* peripherals.c: create and attach every model. Models that are not here yet answer as a chip without them. */
-#include "machine.h"
+/* peripherals.c: create and attach every model. */
+#include "model.h"
 
-bool rcc_enabled(const machine_t *machine, const char *name) { (void)machine; (void)name; return false; }
-double rcc_bus_clock(const machine_t *machine, const char *name) { (void)machine; (void)name; return 16e6; }
-double rcc_timer_clock(const machine_t *machine, const char *name) { (void)machine; (void)name; return 16e6; }
-void dma_request(machine_t *machine, const char *source, bool level) { (void)machine; (void)source; (void)level; }
-void dma_request_pulse(machine_t *machine, const char *source) { (void)machine; (void)source; }
-void adc_trigger(machine_t *machine, const char *source, int64_t time_ps) { (void)machine; (void)source; (void)time_ps; }
-bool gpio_level(const machine_t *machine, unsigned pin) { (void)machine; (void)pin; return false; }
-bool gpio_is_alternate(const machine_t *machine, unsigned pin, unsigned af) { (void)machine; (void)pin; (void)af; return false; }
-bool gpio_is_analog(const machine_t *machine, unsigned pin) { (void)machine; (void)pin; return false; }
-void tim_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps) { (void)machine; (void)pin; (void)level; (void)time_ps; }
-void exti_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps) { (void)machine; (void)pin; (void)level; (void)time_ps; }
-void gpio_pin_in(machine_t *machine, unsigned pin, bool level, int64_t time_ps) { (void)machine; (void)pin; (void)level; (void)time_ps; }
-void usart_byte_in(machine_t *machine, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps) { (void)machine; (void)uart; (void)byte; (void)baud; (void)time_ps; }
-void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_ps) { (void)machine; (void)frame; (void)time_ps; }
-void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_ps) { (void)machine; (void)mailbox; (void)ok; (void)time_ps; }
-void peripherals_create(machine_t *machine) { (void)machine; }
+#include <stdlib.h>
+
+/* Of the model that was attached last, when all others are gone. */
+static void destroy(peripheral_t *self)
+{
+    chip_t *const chip = ((model_t *)self)->chip;
+    for (unsigned i = 0; i < chip->allocated_count; i++) {
+        free(chip->allocated[i]);
+    }
+    free(chip);
+}
+
+void peripherals_create(machine_t *machine)
+{
+    chip_t *const chip = calloc(1, sizeof *chip);
+    if (chip == NULL) {
+        abort(); /* A chip without peripherals would only mislead. */
+    }
+    chip->machine = machine;
+    chip->config = machine_config(machine);
+    chip->edge = machine_edge(machine);
+    rcc_create(chip); /* First: chip_of finds it, and its reset sets the clocks that the others use. */
+    pwr_create(chip);
+    flash_create(chip);
+    gpio_create(chip);
+    exti_create(chip);
+    dma_create(chip);
+    adc_create(chip);
+    tim_create(chip);
+    dac_create(chip);
+    usart_create(chip);
+    can_create(chip);
+    watchdog_create(chip);
+    crc_create(chip);
+    chip->models[chip->model_count - 1]->peripheral.destroy = destroy;
+}

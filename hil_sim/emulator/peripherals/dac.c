@@ -1,0 +1,195 @@
+/* dac.c: the two-channel digital-to-analog converter (RM0090 chapter 14). A new output value is there one APB1 cycle after the write, three after a timer or pin trigger, one
+ * after a software trigger; the buffer's settling belongs to the outside. Not there, and loud: noise and triangle waves. */
+#include "model.h"
+
+enum { CR = 0x00, SWTRIGR = 0x04, DHR12R1 = 0x08, DHR12L1 = 0x0C, DHR8R1 = 0x10, DHR12R2 = 0x14, DHR12L2 = 0x18, DHR8R2 = 0x1C, DHR12RD = 0x20, DHR12LD = 0x24, DHR8RD = 0x28, DOR1 = 0x2C, SR = 0x34 };
+#define EN 1u
+#define TEN 4u
+#define DMAEN 0x1000u
+#define UNDERRUN 0x2000u
+#define REFERENCE_V 3.3
+
+static const register_t registers[] = {
+    {"CR", CR, 0, 0x3FFF3FFF, ACCESS_RW},        {"SWTRIGR", SWTRIGR, 0, 0x3, ACCESS_WO},       {"DHR12R1", DHR12R1, 0, 0xFFF, ACCESS_RW},  {"DHR12L1", DHR12L1, 0, 0xFFF0, ACCESS_RW},
+    {"DHR8R1", DHR8R1, 0, 0xFF, ACCESS_RW},      {"DHR12R2", DHR12R2, 0, 0xFFF, ACCESS_RW},     {"DHR12L2", DHR12L2, 0, 0xFFF0, ACCESS_RW}, {"DHR8R2", DHR8R2, 0, 0xFF, ACCESS_RW},
+    {"DHR12RD", DHR12RD, 0, 0x0FFF0FFF, ACCESS_RW}, {"DHR12LD", DHR12LD, 0, 0xFFF0FFF0, ACCESS_RW}, {"DHR8RD", DHR8RD, 0, 0xFFFF, ACCESS_RW},
+    {"DOR1", DOR1, 0, 0xFFF, ACCESS_RO},         {"DOR2", 0x30, 0, 0xFFF, ACCESS_RO},           {"SR", SR, 0, 0x20002000, ACCESS_RW},
+};
+
+typedef struct {
+    struct dac *dac;
+    unsigned number; /* 0: channel 1 */
+    uint32_t holding;
+    bool reported;
+    bool irq;
+    machine_event_t update;
+} channel_t;
+
+typedef struct dac {
+    model_t model;
+    channel_t channel[2];
+} dac_t;
+
+static uint32_t control(const channel_t *c) { return reg(&c->dac->model, CR) >> (16 * c->number) & 0xFFFFu; }
+
+static void output(void *context, int64_t time_ps)
+{
+    channel_t *const c = context;
+    model_t *const model = &c->dac->model;
+    const board_edge_t *const edge = model->chip->edge;
+    const bool changed = model->value[DOR1 / 4 + c->number] != c->holding;
+    model->value[DOR1 / 4 + c->number] = c->holding;
+    if ((control(c) & EN) == 0 || (!changed && c->reported)) {
+        return;
+    }
+    c->reported = true;
+    if (!chip_pin_is_analog(model->chip, 4 + c->number)) {
+        machine_violation(model->machine, "DAC: channel %u drives PA%u, which is not in analog mode", c->number + 1, 4 + c->number);
+    }
+    if (edge->analog_out) {
+        edge->analog_out(edge->context, c->number + 1, REFERENCE_V * c->holding / 4096, time_ps);
+    }
+}
+
+static void convert(channel_t *c, int64_t time_ps, unsigned cycles)
+{
+    const clock_domain_t *const clock = &c->dac->model.chip->pclk1;
+    machine_schedule(c->dac->model.machine, &c->update, clock_time(clock, clock_tick(clock, time_ps) + cycles));
+}
+
+static void hold(channel_t *c, uint32_t value)
+{
+    c->holding = value & 0xFFFu;
+    if ((control(c) & TEN) == 0) {
+        convert(c, machine_now(c->dac->model.machine), 1);
+    }
+}
+
+static void interrupts(dac_t *dac)
+{
+    for (unsigned i = 0; i < 2; i++) {
+        const bool level = (reg(&dac->model, SR) >> (16 * i) & UNDERRUN) != 0 && (control(&dac->channel[i]) & 0x2000u) != 0;
+        chip_irq_shared(dac->model.chip, 54, &dac->channel[i].irq, level);
+    }
+}
+
+static void trigger(channel_t *c, int64_t time_ps, unsigned cycles)
+{
+    convert(c, time_ps, cycles);
+    if (control(c) & DMAEN) {
+        chip_t *const chip = c->dac->model.chip;
+        const dma_source_t line = c->number == 0 ? DMA_DAC1 : DMA_DAC2;
+        if (chip->lines.high[line]) {
+            machine_violation(chip->machine, "DAC: channel %u triggered before its DMA request was served (underrun)", c->number + 1);
+            c->dac->model.value[SR / 4] |= UNDERRUN << (16 * c->number);
+            interrupts(c->dac);
+            return;
+        }
+        dma_line_pulse(chip, line); /* Fetches the value of the next trigger. */
+    }
+}
+
+void dac_trigger_edge(chip_t *chip, trigger_t source, int64_t time_ps)
+{
+    static const uint8_t triggers[7] = {TRIGGER_TIM6_TRGO, TRIGGER_TIM8_TRGO, TRIGGER_TIM7_TRGO, TRIGGER_TIM5_TRGO, TRIGGER_TIM2_TRGO, TRIGGER_TIM4_TRGO, TRIGGER_EXTI9};
+    dac_t *const dac = (dac_t *)chip->dac;
+    for (unsigned i = 0; i < 2; i++) {
+        const uint32_t cr = control(&dac->channel[i]);
+        if ((cr & (EN | TEN)) == (EN | TEN) && field(cr, 3, 3) < 7 && triggers[field(cr, 3, 3)] == source) {
+            trigger(&dac->channel[i], time_ps, 3);
+        }
+    }
+}
+
+static void write_control(dac_t *dac, uint32_t value)
+{
+    chip_t *const chip = dac->model.chip;
+    if (value & 0x00C000C0u) {
+        model_missing(&dac->model, "noise and triangle waves");
+    }
+    const uint32_t old = reg(&dac->model, CR);
+    dac->model.value[CR / 4] = value;
+    for (unsigned i = 0; i < 2; i++) {
+        channel_t *const c = &dac->channel[i];
+        if ((control(c) & EN) != 0 && (old >> (16 * i) & EN) == 0) {
+            c->reported = false;
+            convert(c, machine_now(chip->machine), 1);
+        }
+        if ((control(c) & DMAEN) == 0) {
+            dma_line(chip, i == 0 ? DMA_DAC1 : DMA_DAC2, false);
+        }
+        const uint32_t source = field(control(c), 3, 3);
+        if ((control(c) & (EN | TEN)) == (EN | TEN) && source < 6) {
+            static const uint8_t heard[6] = {TRIGGER_TIM6_TRGO, TRIGGER_TIM8_TRGO, TRIGGER_TIM7_TRGO, TRIGGER_TIM5_TRGO, TRIGGER_TIM2_TRGO, TRIGGER_TIM4_TRGO};
+            chip->trigger_wanted[heard[source]] = true;
+            tim_before_change(chip);
+            tim_after_change(chip);
+        }
+    }
+    interrupts(dac);
+}
+
+static void set(model_t *model, uint32_t offset, uint32_t value)
+{
+    dac_t *const dac = (dac_t *)model;
+    channel_t *const c = dac->channel;
+    switch (offset) {
+    case CR: write_control(dac, value); return;
+    case SWTRIGR:
+        for (unsigned i = 0; i < 2; i++) {
+            if (value >> i & 1u) {
+                if ((control(&c[i]) & (TEN | 0x38u)) != (TEN | 0x38u)) {
+                    machine_violation(model->machine, "DAC_SWTRIGR: channel %u is not set to the software trigger", i + 1);
+                } else {
+                    trigger(&c[i], machine_now(model->machine), 1);
+                }
+            }
+        }
+        return;
+    case SR: /* Written 1 clears. */
+        model->value[SR / 4] &= ~value;
+        interrupts(dac);
+        return;
+    default: break;
+    }
+    model->value[offset / 4] = value;
+    switch (offset) {
+    case DHR12R1: hold(&c[0], value); break;
+    case DHR12L1: hold(&c[0], value >> 4); break;
+    case DHR8R1: hold(&c[0], value << 4); break;
+    case DHR12R2: hold(&c[1], value); break;
+    case DHR12L2: hold(&c[1], value >> 4); break;
+    case DHR8R2: hold(&c[1], value << 4); break;
+    case DHR12RD: hold(&c[0], value); hold(&c[1], value >> 16); break;
+    case DHR12LD: hold(&c[0], value >> 4); hold(&c[1], value >> 20); break;
+    default: hold(&c[0], (value & 0xFFu) << 4); hold(&c[1], (value >> 8 & 0xFFu) << 4); break;
+    }
+}
+
+static void restart(model_t *model)
+{
+    dac_t *const dac = (dac_t *)model;
+    for (unsigned i = 0; i < 2; i++) {
+        machine_cancel(model->machine, &dac->channel[i].update);
+        dac->channel[i].holding = 0;
+        dac->channel[i].reported = false;
+    }
+    for (unsigned i = 0; i < TRIGGER_COUNT; i++) {
+        model->chip->trigger_wanted[i] = false;
+    }
+    interrupts(dac);
+}
+
+void dac_create(chip_t *chip)
+{
+    static const model_description_t description = {.name = "DAC", .base = 0x40007400, .size = 0x400, .bus = BUS_APB1, .read_widths = WIDTH_32, .write_widths = WIDTH_32,
+        .registers = registers, .register_count = sizeof registers / sizeof registers[0], .set = set, .restart = restart};
+    dac_t *const dac = chip_allocate(chip, sizeof *dac);
+    chip->dac = &dac->model;
+    for (unsigned i = 0; i < 2; i++) {
+        dac->channel[i].dac = dac;
+        dac->channel[i].number = i;
+        machine_event_init(&dac->channel[i].update, output, &dac->channel[i]);
+    }
+    model_attach(chip, &dac->model, &description);
+}

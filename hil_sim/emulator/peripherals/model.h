@@ -1,0 +1,198 @@
+/* model.h: what the peripheral models of one chip share: register tables with their rules, clock domains, and signals between models.
+ *
+ * A model is a struct whose first member is model_t. Its register table holds, for each register, the offset, the reset value and the bits that
+ * RM0090 defines; everything else is reserved. model.c applies the rules that hold for every register, and only then calls the model:
+ *   - the peripheral's clock must be on, and on for the delay that the errata sheet (ES0182, 2.1.6) asks for;
+ *   - the width must be one that the peripheral supports; an APB access narrower than a word is duplicated over the word by the bridge;
+ *   - reserved bits must be written with their reset value; a read-only register must not be written.
+ * What a model does not do is loud too: model_missing().
+ */
+#ifndef GOLDFIELD_MODEL_H
+#define GOLDFIELD_MODEL_H
+
+#include "machine.h"
+
+typedef struct chip chip_t;
+typedef struct model model_t;
+
+/* ACCESS_RC_W0: bits are cleared by writing 0; ones written to reserved bits are let pass, as `SR = ~FLAG` is ST's own idiom. */
+typedef enum { ACCESS_RW, ACCESS_RO, ACCESS_WO, ACCESS_RC_W0 } register_access_t;
+
+typedef struct {
+    const char *name;
+    uint32_t offset;
+    uint32_t reset;
+    uint32_t bits; /* Defined bits, read-only ones included. The others are reserved. */
+    register_access_t access;
+} register_t;
+
+/* Widths that a peripheral takes: sum of bytes. */
+enum { WIDTH_8 = 1, WIDTH_16 = 2, WIDTH_32 = 4, WIDTH_ANY = 7 };
+typedef enum { BUS_AHB, BUS_APB1, BUS_APB2, BUS_CORE } bus_t;
+
+enum { MODEL_WORDS = 256 };
+
+typedef struct {
+    const char *name;
+    uint32_t base, size;
+    bus_t bus;
+    unsigned read_widths, write_widths;
+    const register_t *registers;
+    unsigned register_count;
+    uint32_t (*get)(model_t *model, uint32_t offset);                  /* NULL: the stored value. Offset is of the word. */
+    void (*set)(model_t *model, uint32_t offset, uint32_t value);      /* The whole word that the write makes. */
+    void (*restart)(model_t *model);                                   /* After the stored values went back to reset. May be NULL. */
+} model_description_t;
+
+struct model {
+    peripheral_t peripheral; /* First: a peripheral_t of ours is a model_t. */
+    const model_description_t *description;
+    chip_t *chip;
+    machine_t *machine;
+    uint32_t value[MODEL_WORDS];
+    uint8_t slot[MODEL_WORDS]; /* Index in the register table plus 1, by word. */
+    bool clocked, in_reset, settling;
+    int64_t settled_ps;
+};
+
+/* Fill in a model and attach it. base and name of the description may be replaced (instances). */
+void model_attach(chip_t *chip, model_t *model, const model_description_t *description);
+void model_reset(model_t *model);
+void model_clock(model_t *model, bool on, int64_t settled_ps); /* RCC: enable bit changed. */
+/* Something that RM0090 defines and this model does not do. */
+void model_missing(model_t *model, const char *what);
+const char *model_name(const model_t *model);
+/* Memory of a model, zeroed; freed with the machine. */
+void *chip_allocate(chip_t *chip, size_t size);
+/* For the tests: the register table. */
+const register_t *model_registers(machine_t *machine, const char *name, unsigned *count);
+
+static inline uint32_t reg(const model_t *model, uint32_t offset) { return model->value[offset / 4]; }
+static inline uint32_t field(uint32_t value, unsigned shift, unsigned width) { return (value >> shift) & ((1u << width) - 1u); }
+
+/* ---- Clock domains: exact tick times. Tick n is at anchor + (n - anchor_tick) * period. ---- */
+typedef struct {
+    double hz, period_ps, nominal_hz;
+    int64_t anchor_ps, anchor_tick;
+} clock_domain_t;
+int64_t clock_time(const clock_domain_t *domain, int64_t tick);  /* First picosecond of the tick. */
+int64_t clock_tick(const clock_domain_t *domain, int64_t time_ps); /* Tick that time lies in. */
+
+typedef struct rcc rcc_t;
+typedef struct gpio gpio_t;
+typedef struct exti exti_t;
+typedef struct dma dma_t;
+typedef struct tim tim_t;
+typedef struct adc adc_t;
+typedef struct usart usart_t;
+typedef struct can can_t;
+
+/* ---- Request lines to the DMA controllers ---- */
+typedef enum {
+    DMA_NONE, DMA_ADC1, DMA_ADC2, DMA_ADC3, DMA_DAC1, DMA_DAC2,
+    DMA_TIM1_UP, DMA_TIM1_CH1, DMA_TIM1_CH2, DMA_TIM1_CH3, DMA_TIM1_CH4, DMA_TIM1_TRIG, DMA_TIM1_COM,
+    DMA_TIM8_UP, DMA_TIM8_CH1, DMA_TIM8_CH2, DMA_TIM8_CH3, DMA_TIM8_CH4, DMA_TIM8_TRIG, DMA_TIM8_COM,
+    DMA_TIM2_UP, DMA_TIM2_CH1, DMA_TIM2_CH2, DMA_TIM2_CH3, DMA_TIM2_CH4,
+    DMA_TIM3_UP, DMA_TIM3_CH1, DMA_TIM3_CH2, DMA_TIM3_CH3, DMA_TIM3_CH4, DMA_TIM3_TRIG,
+    DMA_TIM4_UP, DMA_TIM4_CH1, DMA_TIM4_CH2, DMA_TIM4_CH3,
+    DMA_TIM5_UP, DMA_TIM5_CH1, DMA_TIM5_CH2, DMA_TIM5_CH3, DMA_TIM5_CH4, DMA_TIM5_TRIG,
+    DMA_TIM6_UP, DMA_TIM7_UP,
+    DMA_USART1_RX, DMA_USART1_TX, DMA_USART2_RX, DMA_USART2_TX, DMA_USART3_RX, DMA_USART3_TX,
+    DMA_UART4_RX, DMA_UART4_TX, DMA_UART5_RX, DMA_UART5_TX, DMA_USART6_RX, DMA_USART6_TX,
+    DMA_OTHER, /* A line of a peripheral that has no model: SPI, I2C, I2S, SDIO, DCMI, CRYP, HASH. */
+    DMA_SOURCES
+} dma_source_t;
+
+typedef struct {
+    bool high[DMA_SOURCES];
+    bool pulse[DMA_SOURCES];                /* Falls when served. */
+    struct dma_stream *stream[DMA_SOURCES]; /* The enabled stream that listens, or NULL. */
+} dma_lines_t;
+
+/* ---- Signals that start conversions ---- */
+typedef enum {
+    TRIGGER_TIM1_CC1, TRIGGER_TIM1_CC2, TRIGGER_TIM1_CC3, TRIGGER_TIM1_CC4, TRIGGER_TIM1_TRGO,
+    TRIGGER_TIM2_CC1, TRIGGER_TIM2_CC2, TRIGGER_TIM2_CC3, TRIGGER_TIM2_CC4, TRIGGER_TIM2_TRGO,
+    TRIGGER_TIM3_CC1, TRIGGER_TIM3_CC2, TRIGGER_TIM3_CC3, TRIGGER_TIM3_CC4, TRIGGER_TIM3_TRGO,
+    TRIGGER_TIM4_CC1, TRIGGER_TIM4_CC2, TRIGGER_TIM4_CC3, TRIGGER_TIM4_CC4, TRIGGER_TIM4_TRGO,
+    TRIGGER_TIM5_CC1, TRIGGER_TIM5_CC2, TRIGGER_TIM5_CC3, TRIGGER_TIM5_CC4, TRIGGER_TIM5_TRGO,
+    TRIGGER_TIM8_CC1, TRIGGER_TIM8_CC2, TRIGGER_TIM8_CC3, TRIGGER_TIM8_CC4, TRIGGER_TIM8_TRGO,
+    TRIGGER_TIM6_TRGO, TRIGGER_TIM7_TRGO, TRIGGER_EXTI9, TRIGGER_EXTI11, TRIGGER_EXTI15,
+    TRIGGER_COUNT, TRIGGER_NONE
+} trigger_t;
+
+enum { TIM_COUNT = 14, USART_COUNT = 6, GPIO_COUNT = 9 };
+
+struct chip {
+    machine_t *machine;
+    const emulator_config_t *config;
+    const board_edge_t *edge;
+    clock_domain_t hclk, pclk1, pclk2, timer1, timer2; /* timer1: timers on APB1. */
+    rcc_t *rcc;
+    gpio_t *gpio;
+    exti_t *exti;
+    dma_t *dma[2];
+    tim_t *tim[TIM_COUNT]; /* TIM1 first. */
+    adc_t *adc;
+    model_t *pwr, *flash, *dac;
+    usart_t *usart[USART_COUNT];
+    can_t *can[2];
+    dma_lines_t lines;
+    bool trigger_heard[TRIGGER_COUNT];  /* An analog-to-digital converter listens: the timer must make events. */
+    bool trigger_wanted[TRIGGER_COUNT]; /* The same for the digital-to-analog converter. */
+    uint8_t shared_irq[82]; /* Count of the sources that hold a shared interrupt line high. */
+    void *allocated[32];
+    unsigned allocated_count;
+    model_t *models[64];
+    unsigned model_count;
+};
+
+chip_t *chip_of(const machine_t *machine);
+
+/* An interrupt line that several sources drive. held is the source's memory of what it last said. */
+void chip_irq_shared(chip_t *chip, unsigned position, bool *held, bool level);
+
+/* rcc.c */
+void rcc_create(chip_t *chip);
+void rcc_check_limits(chip_t *chip); /* Wait states or voltage scale changed. */
+void rcc_note_reset_flags(chip_t *chip, uint32_t csr_flags); /* For RCC_CSR after the coming reset. */
+double rcc_lsi_hz(const chip_t *chip);
+bool rcc_lsi_ready(const chip_t *chip);
+void rcc_force_lsi(chip_t *chip);
+model_t *chip_model(const chip_t *chip, const char *name);
+/* pwr.c, flash.c */
+void pwr_create(chip_t *chip);
+unsigned pwr_scale(const chip_t *chip); /* 1 (up to 168 MHz) or 2 (144 MHz). */
+void flash_create(chip_t *chip);
+unsigned flash_wait_states(const chip_t *chip);
+/* gpio.c */
+void gpio_create(chip_t *chip);
+bool chip_pin_level(const chip_t *chip, unsigned pin);
+bool chip_pin_is_alternate(const chip_t *chip, unsigned pin, unsigned af);
+bool chip_pin_is_analog(const chip_t *chip, unsigned pin);
+/* exti.c */
+void exti_create(chip_t *chip);
+void exti_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
+/* dma.c */
+void dma_create(chip_t *chip);
+dma_source_t dma_source(const char *name); /* DMA_NONE if there is no such line. */
+void dma_line(chip_t *chip, dma_source_t source, bool level);
+void dma_line_pulse(chip_t *chip, dma_source_t source);
+/* tim.c */
+void tim_create(chip_t *chip);
+void tim_before_change(chip_t *chip); /* Around a change of clocks or of trigger_heard. */
+void tim_after_change(chip_t *chip);
+void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
+/* adc.c */
+void adc_create(chip_t *chip);
+void adc_last_transfer(chip_t *chip, dma_source_t source); /* The stream's last transfer (NDTR became 0). */
+void adc_trigger_edge(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps);
+/* dac.c, usart.c, can.c, watchdog.c, crc.c */
+void dac_create(chip_t *chip);
+void dac_trigger_edge(chip_t *chip, trigger_t trigger, int64_t time_ps);
+void usart_create(chip_t *chip);
+void can_create(chip_t *chip);
+void watchdog_create(chip_t *chip);
+void crc_create(chip_t *chip);
+
+#endif
