@@ -4,8 +4,9 @@
 
 int main(void);
 
-extern uint32_t stack_top, data_start, data_end, bss_start, bss_end; /* Linker script. */
-extern const uint32_t data_load;
+/* From the linker script; of the last two, the address is the number. */
+extern uint32_t stack_top, data_start[], bss_start[];
+extern const uint32_t data_load[], data_words, bss_words;
 
 typedef void (*vector_t)(void);
 
@@ -57,9 +58,8 @@ void Reset_Handler(void) {
     SCB->CPACR |= SCB_CPACR_FPU_FULL;
     __asm volatile("dsb\n\tisb" ::: "memory");
 
-    const uint32_t *load = &data_load;
-    for (uint32_t *word = &data_start; word < &data_end;) *word++ = *load++;
-    for (uint32_t *word = &bss_start; word < &bss_end;) *word++ = 0;
+    for (uint32_t i = 0; i < (uint32_t)&data_words; i++) data_start[i] = data_load[i];
+    for (uint32_t i = 0; i < (uint32_t)&bss_words; i++) bss_start[i] = 0;
 
     main();
     for (;;) __asm volatile("udf #0"); /* main() never returns. */
