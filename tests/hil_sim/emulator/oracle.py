@@ -1,4 +1,4 @@
-"""Run one program on the emulator and on QEMU's Cortex-M4 (mps2-an386), an independent implementation, and hand back what it noted."""
+"""Run one program on the emulator and on QEMU's Cortex-M4 (mps2-an386, the oracle) and hand back what it noted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MILLISECOND = 1_000_000_000
 
 
 def build(directory: Path, *sources: Path, defines: tuple[str, ...] = ()) -> Path:
-    """Link a program for address 0, once to be loaded there (QEMU), once into the emulator's flash, which also appears at 0."""
+    """Link a program for address 0, once to be loaded there (QEMU), once into our flash, which also appears at 0."""
     files = [*map(str, sources), str(PROGRAMS / "runtime.c")]
     for name, offset in (("program.elf", 0), ("flash.elf", 0x08000000)):
         command = ["arm-none-eabi-gcc", *FLAGS, *(f"-D{d}" for d in defines), f"-I{PROGRAMS}", "-Wl,--build-id=none"]
