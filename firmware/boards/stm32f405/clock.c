@@ -27,7 +27,8 @@ hal_clock_t clock_start(void) {
     if (!crystal) RCC->CR &= ~RCC_CR_HSEON;
 
     const uint32_t divide = crystal ? 4u : 8u, multiply = 168u, usb = 7u;
-    RCC->PLLCFGR = divide | multiply << 6 | usb << 24 | (crystal ? RCC_PLLCFGR_PLLSRC : 0u);
+    const uint32_t reserved = RCC->PLLCFGR & 0xF0000000u; /* Must keep its reset value. */
+    RCC->PLLCFGR = reserved | divide | multiply << 6 | usb << 24 | (crystal ? RCC_PLLCFGR_PLLSRC : 0u);
     RCC->CR |= RCC_CR_PLLON;
     if (!wait_for(&RCC->CR, RCC_CR_PLLRDY, RCC_CR_PLLRDY, SWITCH_TRIES)) {
         RCC->CR &= ~RCC_CR_PLLON;
