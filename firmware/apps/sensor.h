@@ -16,7 +16,7 @@
  * Parameters act from the next report on. stream sends every chip on serial (164 kB/s of 200 kB/s); chips that find no room are dropped and counted
  * as lost messages (counter 4).
  *
- * Memory: about 38 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
+ * Memory: about 33 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
  * 18,000, a report of 8 codes 66,000, main with nothing to do 150.
  * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
  */
