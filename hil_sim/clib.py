@@ -73,6 +73,11 @@ def load(library: str | Path, headers: Sequence[str], defines: Sequence[str] = (
     path = Path(library) if Path(library).is_absolute() else ROOT / library
     if not path.exists():
         raise FileNotFoundError(f"{path} is not built: run 'make all'")
+    return _open(path, tuple(headers), tuple(defines))
+
+
+@cache  # cffi unloads a library when its handle goes; objects made by it may outlive the handle
+def _open(path: Path, headers: tuple[str, ...], defines: tuple[str, ...]) -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
-    ffi.cdef(declarations(tuple(headers), tuple(defines)))
+    ffi.cdef(declarations(headers, defines))
     return ffi, ffi.dlopen(str(path))

@@ -1,0 +1,62 @@
+"""From chips to poses: boards in one virtual time, the sensor's stream, the host's poses beside the truth."""
+
+import numpy as np
+import pytest
+from goldfield.access.epoch import EpochSeparator
+from goldfield.locate import locate
+from goldfield.poses import Status
+from scipy.spatial.transform import Rotation
+
+CYCLES = 30
+
+
+def poses_of(bench, reports):
+    separator = EpochSeparator(bench.site)
+    return [locate(bench.site, separator.fields(report)) for report in reports]
+
+
+def errors(poses, truth):
+    position = [np.linalg.norm(p.position_m - truth[p.epoch].position_m) for p in poses]
+    attitude = [
+        (Rotation.from_quat(p.orientation_xyzw) * Rotation.from_quat(truth[p.epoch].orientation_xyzw).inv()).magnitude()
+        for p in poses
+    ]
+    return np.array(position), np.degrees(attitude)
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.fixture(scope="module")
+def bench(open_bench):
+    return open_bench("prigge8")
+
+
+@pytest.fixture(scope="module")
+def reports(bench):
+    return bench.reports(CYCLES)
+
+
+def test_every_cycle_is_reported_whole(reports):
+    assert [r.cycle for r in reports] == list(range(reports[0].cycle, reports[0].cycle + CYCLES))
+    assert all(r.complete and r.locked and r.chips == 1023 and r.saturated == 0 for r in reports)
+
+
+def test_poses_are_within_the_target(bench, reports):
+    poses = poses_of(bench, reports)
+    assert all(p.status is Status.OK and len(p.used) == len(bench.site.beacons) for p in poses)
+    truth = bench.truth()
+    if truth:  # a simulated bench
+        position, attitude = errors(poses, truth)
+        assert rms(position) < 0.02
+        assert rms(attitude) < 2.0
+
+
+def test_time_is_the_middle_of_the_cycle(bench, reports):
+    truth = bench.truth()
+    times = np.array([r.time_s for r in reports])
+    assert np.diff(times) == pytest.approx(bench.site.cycle_s, rel=1e-3)
+    if truth:
+        late = times - np.array([truth[r.cycle].time_s for r in reports])
+        assert np.ptp(late) < 200e-6 * (times[-1] - times[0]) + 5e-6  # the sensor's clock: 17 ppm against 0
