@@ -46,9 +46,9 @@ def gold_chips(code):
 CHIPS = np.array([gold_chips(code) for code in CODES]).T
 
 
-def heartbeat(node=NODE, role=1, hash_=None):
+def heartbeat(node=NODE, role=1, hash_=None, state=3):
     """A heartbeat as (identifier, data)."""
-    signals = {"protocol_hash": protocol_hash() if hash_ is None else hash_, "role": role, "state": 3}
+    signals = {"protocol_hash": protocol_hash() if hash_ is None else hash_, "role": role, "state": state}
     signals |= {"version_major": 0, "version_minor": 1, "version_patch": 0, "errors": 0}
     return encode("HEARTBEAT", signals, node=node)
 
@@ -124,6 +124,13 @@ class PtySensor:
     def __enter__(self):
         self._thread.start()
         return self
+
+    def restart(self, cycles):
+        """Forget everything, as a reset does, and say so."""
+        self.parameters.update({number: 0 for number in self.parameters})
+        self.requests.clear()
+        self._cycles = list(cycles)
+        self._send(heartbeat(state=0))
 
     def __exit__(self, *_):
         self._stop.set()

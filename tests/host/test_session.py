@@ -49,6 +49,20 @@ def test_a_sensor_that_is_set_already_is_left_alone():
         source.close()
 
 
+def test_a_sensor_that_restarts_is_set_again():
+    with PtySensor(range(4)) as sensor:
+        source, session = connect(sensor)
+        session.find_sensor()
+        session.configure(source, CODES)
+        reports = session.reports(live=True)
+        assert [next(reports).cycle for _ in range(4)] == [0, 1, 2, 3]
+        sensor.restart(range(2))
+        assert [next(reports).cycle for _ in range(2)] == [0, 1]
+        assert sensor.parameters[263] == CODES[-1]
+        assert session.assembler.restarts == 1
+        source.close()
+
+
 def test_lost_requests_are_repeated(hurry):
     with PtySensor([], deaf=3) as sensor:
         source, session = connect(sensor)

@@ -122,8 +122,7 @@ class Assembler:
         if message.name not in ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD"):
             return
         if arrival_s - self._last_time > self.silence_s:
-            yield from self.flush()
-            self._newest = None
+            yield from self.end()
         self._last_time = arrival_s
         if message.name == "EPOCH":
             cycle = int(message.signals["cycle"])
@@ -157,6 +156,11 @@ class Assembler:
         else:
             self.restarts += 1
         self._newest = self._next = cycle
+
+    def end(self) -> Iterator[Report]:
+        """Yield all open reports; what follows may be of any cycle (the sensor restarts, or was silent)."""
+        yield from self.flush()
+        self._newest = None
 
     def _cycle_of(self, low: int) -> int:
         assert self._newest is not None

@@ -16,6 +16,7 @@ from goldfield.link.source import BusSource, Source
 
 ROLES = {0: "beacon", 1: "sensor", 2: "host"}
 ROLE_SENSOR = 1
+STATE_STARTING = 0
 
 PARAM_CODE_COUNT = 5
 PARAM_CODE_LIST = 256
@@ -63,6 +64,7 @@ class Session:
         self._source = source
         self.name = name
         self._recorder = recorder
+        self._configured: tuple[BusSource, Sequence[int]] | None = None
 
     @property
     def bad_frames(self) -> int:
@@ -102,7 +104,7 @@ class Session:
         raise SystemFailure(f"{self.name}: no heartbeat of {wanted} in {HEARTBEAT_S:.0f} s; {what}")
 
     def configure(self, bus: BusSource, codes: Sequence[int]) -> bool:
-        """Make the sensor report these codes; tells whether anything had to be set.
+        """Make the sensor report these codes, now and after each of its resets; tells whether anything had to be set.
 
         Raises
         ------
@@ -125,6 +127,7 @@ class Session:
                 raise SystemFailure(
                     f"{self.name}: sensor {self.node} keeps parameter {parameter} at {answer} instead of {value}"
                 )
+        self._configured = bus, codes
         return bool(changes)
 
     def reports(self, live: bool) -> Iterator[Report]:
@@ -159,6 +162,10 @@ class Session:
             if message.node == self.node:
                 quiet_since = time.monotonic()
                 yield from self.assembler.feed(message, raw.timestamp)
+                if message.name == "HEARTBEAT" and message.signals["state"] == STATE_STARTING:
+                    yield from self.assembler.end()
+                    if self._configured:
+                        self.configure(*self._configured)
 
     def _ask(self, bus: BusSource, parameter: int, value: int | None = None) -> int:
         """Set a parameter, or read it, and return the sensor's answer."""
