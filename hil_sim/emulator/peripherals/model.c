@@ -175,7 +175,7 @@ model_t *chip_model(const chip_t *chip, const char *name)
     return NULL;
 }
 
-const register_t *model_registers(machine_t *machine, const char *name, unsigned *count)
+const register_t *machine_register_table(const machine_t *machine, const char *name, unsigned *count)
 {
     const model_t *const model = chip_model(chip_of(machine), name);
     *count = model ? model->description->register_count : 0;

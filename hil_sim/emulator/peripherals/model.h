@@ -11,20 +11,10 @@
 #define GOLDFIELD_MODEL_H
 
 #include "machine.h"
+#include "registers.h"
 
 typedef struct chip chip_t;
 typedef struct model model_t;
-
-/* ACCESS_RC_W0: bits are cleared by writing 0; ones written to reserved bits are let pass, as `SR = ~FLAG` is ST's own idiom. */
-typedef enum { ACCESS_RW, ACCESS_RO, ACCESS_WO, ACCESS_RC_W0 } register_access_t;
-
-typedef struct {
-    const char *name;
-    uint32_t offset;
-    uint32_t reset;
-    uint32_t bits; /* Defined bits, read-only ones included. The others are reserved. */
-    register_access_t access;
-} register_t;
 
 /* Widths that a peripheral takes: sum of bytes. */
 enum { WIDTH_8 = 1, WIDTH_16 = 2, WIDTH_32 = 4, WIDTH_ANY = 7 };
@@ -64,8 +54,6 @@ void model_missing(model_t *model, const char *what);
 const char *model_name(const model_t *model);
 /* Memory of a model, zeroed; freed with the machine. */
 void *chip_allocate(chip_t *chip, size_t size);
-/* For the tests: the register table. */
-const register_t *model_registers(machine_t *machine, const char *name, unsigned *count);
 
 static inline uint32_t reg(const model_t *model, uint32_t offset) { return model->value[offset / 4]; }
 static inline uint32_t field(uint32_t value, unsigned shift, unsigned width) { return (value >> shift) & ((1u << width) - 1u); }
@@ -155,7 +143,6 @@ void chip_irq_shared(chip_t *chip, unsigned position, bool *held, bool level);
 /* rcc.c */
 void rcc_create(chip_t *chip);
 void rcc_check_limits(chip_t *chip); /* Wait states or voltage scale changed. */
-void rcc_note_reset_flags(chip_t *chip, uint32_t csr_flags); /* For RCC_CSR after the coming reset. */
 double rcc_lsi_hz(const chip_t *chip);
 bool rcc_lsi_ready(const chip_t *chip);
 void rcc_force_lsi(chip_t *chip);

@@ -417,8 +417,6 @@ void rcc_force_lsi(chip_t *chip)
 
 double rcc_lsi_hz(const chip_t *chip) { return LSI_HZ * (1 + 1e-6 * chip->config->internal_ppm); }
 
-void rcc_note_reset_flags(chip_t *chip, uint32_t csr_flags) { chip->rcc->reset_flags |= csr_flags; }
-
 static void restart(model_t *model)
 {
     rcc_t *const rcc = self(model);
@@ -428,7 +426,7 @@ static void restart(model_t *model)
         machine_cancel(chip->machine, events[i]);
     }
     /* Every reset drives the NRST pin; flags stay until RMVF. */
-    rcc->reset_flags |= rcc->powered_on ? 1u << 26 : 0x0E000000u;
+    rcc->reset_flags |= rcc->powered_on ? 1u << 26 | machine_reset_flags(chip->machine) : 0x0E000000u;
     rcc->powered_on = true;
     rcc->lsi_forced = false;
     model->value[CSR / 4] = rcc->reset_flags;
