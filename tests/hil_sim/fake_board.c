@@ -22,9 +22,11 @@ struct board {
     unsigned event; /* 0: start of the chip; then conversions. */
     uint64_t chip;
     uint32_t lfsr;
-    bool powered;
+    bool positive;
     input_t inputs[INPUTS];
     size_t input_count;
+    fake_sample_t *samples;
+    size_t sample_count, sample_capacity;
     char report[64];
 };
 
@@ -47,8 +49,11 @@ static void start_chip(board_t *board)
     }
     board->lfsr = (board->lfsr >> 1) ^ ((board->lfsr & 1u) != 0 ? 0xB400u : 0u);
     const bool positive = board->config.still || (board->lfsr & 1u) != 0;
-    edge->pin_out(edge->context, 38, positive, board->now_ps);
-    edge->pin_out(edge->context, 39, !positive, board->now_ps);
+    if (board->chip == 0 || positive != board->positive) {
+        edge->pin_out(edge->context, 38, positive, board->now_ps);
+        edge->pin_out(edge->context, 39, !positive, board->now_ps);
+        board->positive = positive;
+    }
     if (board->chip % FAKE_CYCLE <= 1) {
         edge->pin_out(edge->context, 40, board->chip % FAKE_CYCLE == 0, board->now_ps);
     }
@@ -75,11 +80,15 @@ static void take_event(board_t *board)
     if (board->event == 0) {
         start_chip(board);
     } else {
-        double volts[3];
-        for (unsigned i = 0; i < (board->config.sensor ? 3u : 1u); ++i) {
-            volts[i] = edge->analog_in(edge->context, board->config.sensor ? 1 + i : 0, board->now_ps);
+        if (board->sample_count == board->sample_capacity) {
+            board->sample_capacity = 2 * board->sample_capacity + 1024;
+            board->samples = realloc(board->samples, board->sample_capacity * sizeof *board->samples);
         }
-        say(board, volts, board->config.sensor ? sizeof volts : sizeof volts[0]);
+        fake_sample_t *const sample = &board->samples[board->sample_count++];
+        *sample = (fake_sample_t){.time_ps = board->now_ps};
+        for (unsigned i = 0; i < (board->config.sensor ? 3u : 1u); ++i) {
+            sample->volts[i] = edge->analog_in(edge->context, board->config.sensor ? 1 + i : 0, board->now_ps);
+        }
     }
     if (board->event++ == last) {
         board->event = 0;
@@ -177,7 +186,14 @@ static const char *report(const board_t *board)
 
 static void destroy(board_t *board)
 {
+    free(board->samples);
     free(board);
+}
+
+size_t fake_samples(const board_t *board, const fake_sample_t **samples)
+{
+    *samples = board->samples;
+    return board->sample_count;
 }
 
 board_t *fake_create(const fake_config_t *config, const board_edge_t *edge, int64_t power_on_ps)

@@ -1,8 +1,8 @@
 /* fake_board.h: the smallest board that has the edge of board_edge.h, to test the rig without firmware.
  *
  * Beacon: bridge on, set-point 10 A, chips from a small LFSR, the coil current sampled before each chip's end; the sync output rises with every
- * FAKE_CYCLE-th chip; one CAN frame a cycle. Sensor: eight conversions of three axes before each chip's end; the volts go out of the serial port as they are,
- * eight bytes each. Both send back what they hear: serial bytes as they come, sync edges and CAN frames as text with their times.
+ * FAKE_CYCLE-th chip; one CAN frame a cycle. Sensor: eight conversions of three axes before each chip's end. Both keep their samples, and write on the
+ * serial port what they hear (bytes, sync edges, CAN frames, outcomes of their own) as text with its time.
  */
 #ifndef FAKE_BOARD_H
 #define FAKE_BOARD_H
@@ -20,7 +20,13 @@ typedef struct {
     int64_t stops_at_ps;   /* 0: never. */
 } fake_config_t;
 
+typedef struct {
+    int64_t time_ps;
+    double volts[3];
+} fake_sample_t;
+
 board_t *fake_create(const fake_config_t *config, const board_edge_t *edge, int64_t power_on_ps);
+size_t fake_samples(const board_t *board, const fake_sample_t **samples);
 extern const board_operations_t fake_operations;
 
 #endif

@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import cffi
+import numpy as np
+from numpy.typing import NDArray
 
 from hil_sim import scenario
 from hil_sim.boards import Board, BoardSpec, address
@@ -32,6 +34,8 @@ def library() -> tuple[cffi.FFI, Any]:
     ffi.cdef(
         """
         typedef struct { bool sensor, still; double ppm; uint32_t can_id; int64_t stops_at_ps; } fake_config_t;
+        typedef struct { int64_t time_ps; double volts[3]; } fake_sample_t;
+        size_t fake_samples(const void *board, const fake_sample_t **samples);
         void *fake_create(const fake_config_t *config, const void *edge, int64_t power_on_ps);
         extern const char fake_operations[];
         """
@@ -52,18 +56,26 @@ class FakeBoards:
 
     def __init__(self, *, still: bool = False, stops: dict[int, int] | None = None) -> None:
         self._still, self._stops = still, stops or {}
-        self._made = 0
+        self.instances: list[int] = []
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
         ffi, lib = library()
         config = ffi.new("fake_config_t *")
         config.sensor = spec.role == "sensor"
         config.still, config.ppm = self._still, spec.clock.crystal_ppm
-        config.can_id = 0x01000001 + self._made
-        config.stops_at_ps = self._stops.get(self._made, 0)
-        self._made += 1
+        config.can_id = 0x01000001 + len(self.instances)
+        config.stops_at_ps = self._stops.get(len(self.instances), 0)
         instance = lib.fake_create(config, ffi.cast("void *", edge), spec.power_on_ps)
-        return Board(address(ffi, instance), address(ffi, lib.fake_operations), destroy=lambda: None)
+        self.instances.append(address(ffi, instance))
+        return Board(self.instances[-1], address(ffi, lib.fake_operations), destroy=lambda: None)
+
+    def samples(self, board: int) -> NDArray[Any]:
+        """What a board has converted so far: a structured array of ``time_ps, volts``."""
+        ffi, lib = library()
+        where = ffi.new("fake_sample_t **")
+        count = lib.fake_samples(ffi.cast("void *", self.instances[board]), where)
+        layout = np.dtype([("time_ps", "i8"), ("volts", "f8", 3)])
+        return np.frombuffer(bytes(ffi.buffer(where[0], count * layout.itemsize)), dtype=layout)
 
 
 SMALL = """
@@ -119,11 +131,12 @@ SMALL = """
 
 
 def write_scenario(directory: Path, **replacements: str) -> Path:
-    """Write the small scenario with lines replaced: the key is the line's start up to ``=``, the value what follows."""
+    """Write the small scenario with replacements: the first line that sets a key gets the value (or more lines)."""
     text = textwrap.dedent(SMALL)
     for old, new in replacements.items():
-        lines = [f"{old} = {new}" if line.split("=")[0].strip() == old else line for line in text.splitlines()]
-        assert lines != text.splitlines(), f"{old} is not in the scenario"
+        lines = text.splitlines()
+        places = [number for number, line in enumerate(lines) if line.split("=")[0].strip() == old]
+        lines[places[0]] = f"{old} = {new}"
         text = "\n".join(lines) + "\n"
     path = directory / "small.toml"
     path.write_text(text)
@@ -131,5 +144,5 @@ def write_scenario(directory: Path, **replacements: str) -> Path:
 
 
 def small(directory: Path, **replacements: str) -> scenario.Scenario:
-    """Load the small scenario with lines replaced."""
+    """Load the small scenario with replacements."""
     return scenario.load(write_scenario(directory, **replacements))
