@@ -14,7 +14,7 @@ void sync_clock_init(chip_clock_t *clock, bool follow) {
 }
 
 void sync_number(chip_clock_t *clock, uint32_t cycle, uint32_t age_us) {
-    if (clock->locked && clock->config.follow && age_us < SYNC_FRESH_US) {
+    if (clock->tracking && clock->config.follow && age_us < SYNC_FRESH_US) {
         chip_clock_number_cycle(clock, cycle);
     }
 }

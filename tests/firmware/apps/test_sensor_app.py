@@ -148,6 +148,8 @@ def test_status(settled: World) -> None:
 
 def test_cycle_numbers_follow_sync(settled: World) -> None:
     numbers = [m.signals["cycle"] for m in settled.board.messages("EPOCH")]
+    assert numbers[0] == 0
+    assert numbers[1:] == list(range(1010 - len(numbers) + 1, 1010))  # From the relabelling on.
     locked = [m.signals["locked"] for m in settled.board.messages("EPOCH_STATUS")]
     assert locked[-5:] == [1] * 5
     assert numbers[-5:] == [1005, 1006, 1007, 1008, 1009]
