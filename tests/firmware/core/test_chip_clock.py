@@ -1,4 +1,4 @@
-"""The chip clock against a simulated master: one time line in the follower's own ticks, edges captured in whole ticks."""
+"""The chip clock against a simulated master, on one time line: the follower's own ticks."""
 
 from collections import Counter
 
@@ -14,7 +14,7 @@ MICROSECOND = 168
 class Simulation:
     """A board that executes one block while two are planned ahead, as hal.h describes.
 
-    master(cycle) is the time of the cycle's edge in the follower's ticks. Edges are delivered within the block in which they fall.
+    Edges are times in the follower's ticks, captured in whole ticks and delivered within the block in which they fall.
     """
 
     def __init__(self, core, follow=True, chips=N):
@@ -56,7 +56,7 @@ class Simulation:
         return self.starts[self.block * BLOCK]
 
     def phase_errors(self, master_start, master_period, from_chip):
-        """Ticks by which each chip begins later than the master's same code chip; label mismatches show as whole chips."""
+        """Ticks by which each chip begins later than the master's; a wrong label shows as whole chips."""
         starts = np.array(self.starts[from_chip:-1], dtype=float)
         labels = np.array([code_chip for _, code_chip, _ in self.planned[from_chip:]])
         difference = starts - (master_start + labels * master_period)

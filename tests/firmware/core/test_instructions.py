@@ -38,7 +38,10 @@ uint16_t burst[8][3];
 int32_t burst_sample(void) { return epoch_sample((const uint16_t (*)[3])burst, sample); }
 epoch_collector_t collector;
 uint32_t chip;
-int32_t feed(void) { uint32_t t = chip++; return epoch_feed(&collector, t, t / 1023u, (uint16_t)(t % 1023u), sample, false, true); }
+int32_t feed(void) {
+    uint32_t t = chip++;
+    return epoch_feed(&collector, t, t / 1023u, (uint16_t)(t % 1023u), sample, false, true);
+}
 chip_clock_t clock;
 void clock_init(void) {
     chip_clock_init(&clock, &(chip_clock_config_t){1023, 16422, 16000, 16900, true});
@@ -57,7 +60,11 @@ uint8_t encoded[16];
 frame_t frame = {0x1FFFFFFF, 8, {1, 2, 3, 4, 5, 6, 7, 8}};
 int32_t encode(void) { return (int32_t)frame_encode(&frame, encoded); }
 frame_decoder_t decoder;
-int32_t decode(void) { int32_t good = 0; for (int i = 0; i < 16; i++) good = frame_decode(&decoder, encoded[i], &frame); return good; }
+int32_t decode(void) {
+    int32_t good = 0;
+    for (int i = 0; i < 16; i++) good = frame_decode(&decoder, encoded[i], &frame);
+    return good;
+}
 int32_t code_sum(void) { return gold_sum(10, 5); }
 epoch_calibration_t calibration = {{2048, 2048, 2048}, {{1e-7f, 0, 0}, {0, 1e-7f, 0}, {0, 0, 1e-7f}}};
 epoch_selection_t selection = {1, {{5, 17, -1}}};

@@ -1,0 +1,168 @@
+"""Cycle assembly: bursts, the collector, scaling to tesla and to message integers."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+N = 1023
+
+
+@given(st.lists(st.lists(st.integers(0, 4200), min_size=3, max_size=3), min_size=8, max_size=8))
+def test_burst(core, burst):
+    ffi, lib = core
+    sample = ffi.new("int16_t[3]")
+    saturated = lib.epoch_sample(ffi.new("uint16_t[8][3]", burst), sample)
+    clipped = np.minimum(burst, 4095)
+    assert list(sample) == (clipped.sum(axis=0) - 8 * 2048).tolist()
+    assert saturated == bool(((clipped == 0) | (clipped == 4095)).any())
+
+
+@pytest.fixture
+def collector(core):
+    ffi, lib = core
+    state = ffi.new("epoch_collector_t *")
+    lib.epoch_init(state)
+    return state
+
+
+def feed(core, state, chips, value=1, **flags):
+    """Feed absolute chips (cycle and code chip follow from a clock that began at 0); the values returned."""
+    ffi, lib = core
+    arguments = {"saturated": False, "locked": True, **flags}
+    sample = ffi.new("int16_t[3]", [value, 2 * value, -value])
+    return [lib.epoch_feed(state, t, t // N, t % N, sample, *arguments.values()) for t in chips]
+
+
+def test_a_whole_cycle_is_handed_over(core, collector):
+    ffi, lib = core
+    assert lib.epoch_ready(collector) == ffi.NULL
+    returned = feed(core, collector, range(500, 2 * N))
+    assert returned.index(True) == 2 * N - 501  # Chips 500..1022 belong to a cycle whose beginning was not seen.
+    epoch = lib.epoch_ready(collector)
+    assert (epoch.cycle, epoch.first_chip, epoch.saturated, epoch.locked) == (1, N, 0, True)
+    assert list(epoch.despread.sum) == [N, 2 * N, -N]
+    assert (epoch.despread.chip, epoch.despread.missing, collector.dropped) == (N, 0, 0)
+    lib.epoch_release(collector)
+    assert lib.epoch_ready(collector) == ffi.NULL
+
+
+def test_a_gap_is_counted_as_missing(core, collector):
+    _, lib = core
+    feed(core, collector, [*range(100), *range(162, N)])
+    epoch = lib.epoch_ready(collector)
+    assert (epoch.despread.missing, epoch.despread.sum[0]) == (62, N - 62)
+
+
+def test_missing_last_chips(core, collector):
+    _, lib = core
+    returned = feed(core, collector, [*range(1000), N])
+    assert returned[-1]
+    epoch = lib.epoch_ready(collector)
+    lib.despread_transform(despread_of(core, epoch))
+    assert (epoch.cycle, epoch.despread.missing) == (0, 23)
+    feed(core, collector, range(N + 1, 2 * N))
+    lib.epoch_release(collector)
+    assert collector.dropped == 1  # Main held cycle 0 until cycle 1 was over.
+
+
+def despread_of(core, epoch):
+    ffi, _ = core
+    return ffi.addressof(epoch, "despread")
+
+
+def test_a_gap_across_the_end_drops_the_cycle(core, collector):
+    ffi, lib = core
+    feed(core, collector, [*range(1000), *range(N + 5, 2 * N)])
+    assert lib.epoch_ready(collector) == ffi.NULL
+    assert collector.dropped == 1
+    feed(core, collector, range(2 * N, 3 * N))
+    assert lib.epoch_ready(collector).cycle == 2
+
+
+def test_a_jump_of_the_chip_clock_drops_the_cycle(core, collector):
+    ffi, lib = core
+    sample = ffi.new("int16_t[3]")
+    labels = [*range(400), *range(700, N), *range(N)]
+    for absolute, label in enumerate(labels):
+        lib.epoch_feed(collector, absolute, 0, label, sample, False, True)
+    assert collector.dropped == 1
+    assert lib.epoch_ready(collector).first_chip == len(labels) - N
+
+
+def test_while_main_holds_a_cycle_later_ones_are_dropped_never_mixed(core, collector):
+    _, lib = core
+    feed(core, collector, range(N), value=1)
+    held = lib.epoch_ready(collector)
+    feed(core, collector, range(N, 3 * N), value=2)
+    assert (held.cycle, held.despread.sum[0], collector.dropped) == (0, N, 2)
+    lib.epoch_release(collector)
+    feed(core, collector, range(3 * N, 4 * N), value=3)
+    now = lib.epoch_ready(collector)
+    assert (now.cycle, now.despread.sum[0]) == (3, 3 * N)
+
+
+def test_saturation_and_lock_are_of_the_whole_cycle(core, collector):
+    _, lib = core
+    feed(core, collector, range(500))
+    feed(core, collector, range(500, 510), saturated=True)
+    feed(core, collector, [510], locked=False)
+    feed(core, collector, range(511, N))
+    epoch = lib.epoch_ready(collector)
+    assert (epoch.saturated, epoch.locked) == (10, False)
+
+
+def test_fields_and_offset_in_tesla(core, gold_family):
+    """Samples of a known field through a known, misaligned sensor: the float result against the product in double precision."""
+    ffi, lib = core
+    rng = np.random.default_rng(3)
+    matrix = np.diag([1e-7, 0.9e-7, 1.1e-7]) + rng.normal(0, 2e-9, (3, 3))
+    zero = np.array([2075.25, 2020.5, 2048.0])
+    conversions = rng.integers(1, 4095, (N, 8, 3))
+    state = ffi.new("despread_t *")
+    lib.despread_start(state)
+    sample = ffi.new("int16_t[3]")
+    for burst in conversions.tolist():
+        assert not lib.epoch_sample(ffi.new("uint16_t[8][3]", burst), sample)
+        lib.despread_store(state, sample)
+    lib.despread_transform(state)
+    calibration = ffi.new("epoch_calibration_t *", [zero.tolist(), matrix.tolist()])
+    codes = [0, 2, 512, 1023, 1024, 4000, 77]
+    selection = ffi.new("epoch_selection_t *")
+    assert lib.epoch_select(selection, codes, len(codes)) == 6
+    field = ffi.new("float[3]")
+    truth = (conversions.mean(axis=1) - zero) @ matrix.T
+    for index, code in enumerate(code for code in codes if code != 4000):
+        assert selection.codes[index].code == code
+        lib.epoch_field(state, calibration, selection, index, field)
+        assert list(field) == pytest.approx((gold_family(10)[code] @ truth / N).tolist(), abs=2e-11)
+    lib.epoch_offset(state, calibration, field)
+    assert list(field) == pytest.approx(truth.mean(axis=0).tolist(), abs=2e-10)
+
+
+def test_at_most_64_codes(core):
+    ffi, lib = core
+    selection = ffi.new("epoch_selection_t *")
+    assert lib.epoch_select(selection, list(range(70)), 70) == 64
+    assert lib.epoch_select(selection, [], 0) == 0
+
+
+@given(st.floats(-6e-5, 6e-5))
+def test_message_integers(core, value):
+    _, lib = core
+    result = lib.epoch_integer(value, 1e-10)
+    scaled = np.float32(value) / np.float32(1e-10)
+    if abs(scaled) > 524287:
+        assert result == -524288
+    else:
+        assert abs(result - float(scaled)) <= 0.5 + 1e-6
+
+
+def test_message_integers_at_the_ends(core):
+    _, lib = core
+    assert lib.epoch_integer(524287.0, 1.0) == 524287
+    assert lib.epoch_integer(-524287.0, 1.0) == -524287
+    for value in (524288.0, -524288.0, math.inf, -math.inf, math.nan, 1e30):
+        assert lib.epoch_integer(value, 1.0) == -524288

@@ -1,0 +1,87 @@
+"""Frames in C against the shared vectors and, on any bytes, against the Python decoder."""
+
+import json
+
+import pytest
+from goldfield_protocol.framing import FrameDecoder, RawFrame, encode_frame
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil_sim.clib import ROOT
+
+VECTORS = json.loads((ROOT / "protocol/vectors/frames.json").read_text())
+COUNTERS = ("bad_crc", "malformed", "overlong")
+raw_frames = st.builds(RawFrame, st.integers(0, (1 << 29) - 1), st.binary(max_size=8))
+
+
+def encode(core, identifier, data):
+    ffi, lib = core
+    frame = ffi.new("frame_t *", {"id": identifier, "length": len(data), "data": list(data[:8])})
+    buffer = ffi.new("uint8_t[16]")
+    return bytes(ffi.buffer(buffer)[: lib.frame_encode(frame, buffer)])
+
+
+def decode(core, stream):
+    """Frames and counters after all bytes."""
+    ffi, lib = core
+    decoder = ffi.new("frame_decoder_t *")
+    lib.frame_decoder_init(decoder)
+    frame = ffi.new("frame_t *")
+    frames = []
+    for byte in stream:
+        if lib.frame_decode(decoder, byte, frame):
+            frames.append(RawFrame(frame.id, bytes(frame.data[0 : frame.length])))
+    assert lib.frame_dropped(decoder) == sum(getattr(decoder, name) for name in COUNTERS)
+    return frames, {name: getattr(decoder, name) for name in COUNTERS}
+
+
+@pytest.mark.parametrize("vector", VECTORS["frames"], ids=lambda v: v["name"])
+def test_shared_frames(core, vector):
+    data, encoded = bytes.fromhex(vector["data"]), bytes.fromhex(vector["encoded"])
+    assert encode(core, vector["id"], data) == encoded
+    assert decode(core, encoded)[0] == [RawFrame(vector["id"], data)]
+
+
+@pytest.mark.parametrize("vector", VECTORS["streams"], ids=lambda v: v["name"])
+def test_shared_streams(core, vector):
+    frames, counters = decode(core, bytes.fromhex(vector["bytes"]))
+    assert [{"id": f.identifier, "data": f.data.hex()} for f in frames] == vector["frames"]
+    assert counters == {name: vector[name] for name in COUNTERS}
+
+
+@given(raw_frames)
+def test_encodes_as_python_does(core, frame):
+    assert encode(core, frame.identifier, frame.data) == encode_frame(frame.identifier, frame.data)
+
+
+pieces = st.one_of(
+    raw_frames.map(lambda f: encode_frame(f.identifier, f.data)),
+    st.tuples(raw_frames, st.integers(0, 15), st.integers(1, 255)).map(
+        lambda t: bytes(b ^ (t[2] if i == t[1] else 0) for i, b in enumerate(encode_frame(t[0].identifier, t[0].data)))
+    ),
+    st.binary(max_size=20),
+    st.lists(st.integers(0, 4), max_size=20).map(bytes),
+)
+
+
+@given(st.lists(pieces, max_size=12).map(b"".join))
+def test_any_bytes_decode_as_in_python(core, stream):
+    reference = FrameDecoder()
+    expected = list(reference.feed(stream))
+    assert decode(core, stream) == (expected, {name: getattr(reference, name) for name in COUNTERS})
+
+
+def test_impossible_frames_are_not_encoded(core):
+    assert encode(core, 1 << 29, b"") == b""
+    assert encode(core, 5, bytes(9)) == b""
+
+
+def test_crc_check_value_and_counter_that_stops(core):
+    ffi, lib = core
+    assert lib.frame_crc(b"123456789", 9) == 0x29B1
+    assert lib.frame_crc(b"", 0) == 0xFFFF
+    decoder = ffi.new("frame_decoder_t *", {"malformed": 2**32 - 1, "bad_crc": 7})
+    for byte in b"\x01\0":
+        lib.frame_decode(decoder, byte, ffi.new("frame_t *"))
+    assert decoder.malformed == 2**32 - 1
+    assert lib.frame_dropped(decoder) == 2**32 - 1

@@ -1,0 +1,169 @@
+"""The parameter table against framing.md, and the stored page."""
+
+import math
+import re
+import struct
+
+import crcmod.predefined
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil_sim.clib import ROOT
+
+crc16 = crcmod.predefined.mkPredefinedCrcFun("crc-ccitt-false")
+KINDS = {"unsigned": 0, "signed": 1, "float": 2}
+
+
+def documented():
+    """Parameter id -> kind, from the table of framing.md."""
+    table = {}
+    rows = re.findall(
+        r"^\| (\d+)(?:\.\.(\d+))? \| [\w, ]+ \| (\w+) \|", (ROOT / "protocol/framing.md").read_text(), re.M
+    )
+    for first, last, kind in rows:
+        for identifier in range(int(first), int(last or first) + 1):
+            table[identifier] = KINDS[kind]
+    return table
+
+
+TABLE = documented()
+
+
+def bits(value):
+    return struct.unpack("<I", struct.pack("<f", value))[0]
+
+
+def page(entries, magic=0x31504647, crc=None, count=None):
+    body = b"".join(struct.pack("<HHI", *entry) for entry in entries)
+    header = struct.pack("<IHH", magic, len(entries) if count is None else count, crc16(body) if crc is None else crc)
+    return (header + body).ljust(1024, b"\xff")
+
+
+@pytest.fixture
+def parameters(core):
+    ffi, lib = core
+    table = ffi.new("parameters_t *")
+    lib.parameters_init(table)
+    return table
+
+
+def setting(core, table, identifier, kind, value):
+    ffi, lib = core
+    return lib.parameters_set(table, identifier, ffi.new("parameter_value_t *", [kind, value])[0])
+
+
+def getting(core, table, identifier):
+    ffi, lib = core
+    value = ffi.new("parameter_value_t *")
+    return lib.parameters_get(table, identifier, value), value.kind, value.bits
+
+
+def load(core, table, stored):
+    ffi, lib = core
+    refused = ffi.new("uint32_t *", 99)
+    return lib.parameters_load(table, stored, len(stored), refused), refused[0]
+
+
+def test_exactly_the_documented_parameters_exist(core, parameters):
+    assert len(TABLE) == 84
+    for identifier in range(4096):
+        status, kind, value = getting(core, parameters, identifier)
+        if identifier in TABLE:
+            assert (status, kind) == (0, TABLE[identifier])
+            assert setting(core, parameters, identifier, kind, value) == 0  # A default is in range.
+            assert setting(core, parameters, identifier, (kind + 1) % 3, value) == 3
+        else:
+            assert (status, kind, value) == (1, 0, 0)
+            assert setting(core, parameters, identifier, 0, 0) == 1
+
+
+@pytest.mark.parametrize(
+    ("identifier", "inside", "outside"),
+    [
+        (0, [1, 4095], [0, 4096, 2**32 - 1]),
+        (1, [0, 1024], [1025]),
+        (3, [0, 1], [2]),
+        (4, [0, 1], [2]),
+        (5, [0, 64], [65]),
+        (256, [0, 1024], [1025]),
+        (319, [0, 1024], [1025]),
+        (2, [0.0, 10.0, 15.9], [-0.1, 15.91, math.nan, math.inf]),
+        (6, [0.0, 1.0], [-1e-9, 1.001, math.nan]),
+        (7, [0.0, 15.9], [-1.0, 16.0, -math.inf]),
+        (10, [0.0, 2047.5, 4095.0], [-0.5, 4095.5]),
+        (24, [-1.0, 1e-7, 1.0], [1.001, math.nan]),
+    ],
+)
+def test_ranges(core, parameters, identifier, inside, outside):
+    kind = TABLE[identifier]
+    encode = bits if kind == 2 else int
+    for value in inside:
+        assert setting(core, parameters, identifier, kind, encode(value)) == 0
+        assert getting(core, parameters, identifier) == (0, kind, encode(value))
+    for value in outside:
+        assert setting(core, parameters, identifier, kind, encode(value)) == 2
+        assert getting(core, parameters, identifier) == (0, kind, encode(inside[-1]))
+
+
+def test_typed_readers_and_defaults(core, parameters):
+    _, lib = core
+    assert lib.parameters_unsigned(parameters, 0) == 1
+    assert lib.parameters_float(parameters, 2) == 0.0  # Off.
+    assert [lib.parameters_float(parameters, i) for i in (8, 9, 10)] == [2048.0] * 3
+    nominal = [200e-6 / 2048 if i % 4 == 0 else 0.0 for i in range(9)]
+    assert [lib.parameters_float(parameters, 16 + i) for i in range(9)] == pytest.approx(nominal)
+    assert lib.parameters_unsigned(parameters, 2) == 0
+    assert lib.parameters_float(parameters, 0) == 0.0
+    assert lib.parameters_unsigned(parameters, 99) == 0
+
+
+@given(data=st.data())
+def test_a_good_page_sets_what_is_valid_and_counts_the_rest(core, data):
+    ffi, lib = core
+    table, model = ffi.new("parameters_t *"), ffi.new("parameters_t *")
+    lib.parameters_init(table)
+    lib.parameters_init(model)
+    identifiers = st.one_of(st.sampled_from(sorted(TABLE)), st.integers(0, 65535))
+    values = st.one_of(st.integers(0, 2**32 - 1), st.integers(0, 70), st.floats(-2, 2, width=32).map(bits))
+    entries = data.draw(st.lists(st.tuples(identifiers, st.sampled_from([0, 1, 2, 256, 258]), values), max_size=127))
+    refused = 0
+    for identifier, kind, value in entries:
+        refused += kind > 2 or setting(core, model, identifier, kind, value) != 0
+    assert load(core, table, page(entries)) == (0, refused)
+    assert bytes(ffi.buffer(table)) == bytes(ffi.buffer(model))
+
+
+GOOD = page([(0, 0, 7), (1, 0, 12), (2, 2, bits(3.0))])
+
+
+@pytest.mark.parametrize(
+    ("stored", "result"),
+    [
+        (b"\xff" * 1024, 1),
+        (b"\0" * 1024, 2),
+        (b"", 2),
+        (GOOD[:7], 2),
+        (GOOD[:31], 2),  # Count says more than there is.
+        (page([(0, 0, 7)], magic=0x31504648), 2),
+        (page([(0, 0, 7)], crc=0x1234), 2),
+        (page([(0, 0, 7)], count=65535), 2),
+        (page([(0, 0, 7)] * 127, count=128), 2),
+    ],
+)
+def test_a_bad_page_changes_nothing(core, parameters, stored, result):
+    ffi, _ = core
+    before = bytes(ffi.buffer(parameters))
+    assert load(core, parameters, stored) == (result, 0)
+    assert bytes(ffi.buffer(parameters)) == before
+
+
+@given(position=st.integers(0, len(GOOD.rstrip(b"\xff")) - 1), flip=st.integers(0, 7))
+def test_one_flipped_bit_spoils_the_page(core, position, flip):
+    ffi, lib = core
+    table = ffi.new("parameters_t *")
+    lib.parameters_init(table)
+    spoiled = bytearray(GOOD)
+    spoiled[position] ^= 1 << flip
+    assert load(core, table, bytes(spoiled))[0] == 2
+    assert lib.parameters_unsigned(table, 0) == 1
