@@ -23,7 +23,7 @@
  * Drive nothing, and report no cycle as synchronous, while not locked.
  *
  * Contexts: chip_clock_plan, _edge and _at from one interrupt priority; chip_clock_number_cycle and reading locked and phase_ticks from main.
- * Time: no loops but a bounded wrap of at most 4 turns; figures of each call below. Memory: about 1.6 kB.
+ * Time: no loops but a wrap of at most 5 turns; figures of each call below. Memory: about 1.6 kB.
  */
 #ifndef GOLDFIELD_CHIP_CLOCK_H
 #define GOLDFIELD_CHIP_CLOCK_H
@@ -58,7 +58,7 @@ typedef struct {
     chip_clock_config_t config;
     /* Results, for reading. */
     bool locked;
-    int32_t phase_ticks;     /* Chip clock minus sync wire at the last good edge: positive is early. Clamped to +-2^30. */
+    int32_t phase_ticks;     /* Chip clock minus sync wire at the last good edge: positive is early. */
     uint32_t edges_rejected; /* Stops at its maximum. */
     uint64_t period;         /* Estimate of the master's chip in own ticks, 32 fractional bits. */
     /* Private. Positions are own ticks with 32 fractional bits modulo 2^64; only differences below 12 s are formed. */
@@ -85,11 +85,11 @@ typedef struct {
 /* Start at absolute chip 0, cycle 0, code chip 0. False, and nothing done, for a configuration outside the ranges above. */
 bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config);
 
-/* Plan the next absolute chip: the first call plans chip 0. About 60 instructions. */
+/* Plan the next absolute chip: the first call plans chip 0. About 55 instructions. */
 chip_clock_chip_t chip_clock_plan(chip_clock_t *clock);
 
 /* A rising edge of the sync wire, ticks after the start of an absolute chip. An edge in a chip that is not planned or is forgotten is rejected.
- * About 200 instructions. */
+ * At most about 500 instructions (64-bit divisions). */
 void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
 
 /* What was planned for an absolute chip. False, and *planned untouched, if it is not planned yet or is more than CHIP_CLOCK_HISTORY chips ago.

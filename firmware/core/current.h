@@ -78,7 +78,7 @@ void current_stop(current_t *current);
 void current_clear(current_t *current);
 
 /* Interrupt, once a chip, with the sense's count; only for chips that are driven. In CURRENT_OFF it says CURRENT_KEEP, in CURRENT_FAULT CURRENT_DRIVE_OFF.
- * At most 60 instructions, once in CURRENT_BLOCK_CHIPS about 110. */
+ * About 35 instructions, once in CURRENT_BLOCK_CHIPS about 100. */
 current_action_t current_sample(current_t *current, uint16_t count);
 
 /* Amperes of an amount (mean, target). */

@@ -1,5 +1,7 @@
 #include "despread.h"
 
+#include <stddef.h>
+
 #include "gold.h"
 
 #define DEGREE 10u
@@ -52,7 +54,7 @@ void despread_skip(despread_t *despread, uint32_t chips) {
 
 /* Three stages of the transform on the eight words x[0], x[stride], ..., x[7 stride]: with a constant stride, eight values stay in registers between
  * one load and one store each. */
-__attribute__((always_inline)) static inline void butterfly8(int32_t *x, uint32_t stride) {
+__attribute__((always_inline)) static inline void butterfly8(int32_t *x, size_t stride) {
     const int32_t a0 = x[0] + x[stride], a1 = x[0] - x[stride];
     const int32_t a2 = x[2u * stride] + x[3u * stride], a3 = x[2u * stride] - x[3u * stride];
     const int32_t a4 = x[4u * stride] + x[5u * stride], a5 = x[4u * stride] - x[5u * stride];
@@ -69,7 +71,7 @@ __attribute__((always_inline)) static inline void butterfly8(int32_t *x, uint32_
     x[7u * stride] = b3 - b7;
 }
 
-__attribute__((always_inline)) static inline void stages8(int32_t *words, uint32_t stride) {
+__attribute__((always_inline)) static inline void stages8(int32_t *words, size_t stride) {
     for (int32_t *group = words; group < words + DESPREAD_WORDS; group += 8u * stride) {
         for (int32_t *x = group; x < group + stride; x++) {
             butterfly8(x, stride);
@@ -81,7 +83,7 @@ static void transform(int32_t *words) {
     stages8(words, 1);
     stages8(words, 8);
     stages8(words, 64);
-    const uint32_t half = DESPREAD_WORDS / 2u;
+    const size_t half = DESPREAD_WORDS / 2u;
     for (int32_t *x = words; x < words + half; x += 4) {
         const int32_t a = x[0], b = x[1], c = x[2], d = x[3];
         const int32_t e = x[half], f = x[half + 1u], g = x[half + 2u], h = x[half + 3u];

@@ -26,7 +26,7 @@
 #define EPOCH_CODES_MAX 64u
 #define EPOCH_OUT_OF_RANGE (-524288) /* The message's integer of an axis that was not measured. */
 
-/* Sum a burst, [conversion][axis], to a sample relative to mid-scale. True: a conversion was saturated. About 150 instructions. */
+/* Sum a burst, [conversion][axis], to a sample relative to mid-scale. True: a conversion was saturated. About 255 instructions. */
 bool epoch_sample(const uint16_t burst[EPOCH_BURST][EPOCH_AXES], int16_t sample[EPOCH_AXES]);
 
 /* ---- Collecting ---- */
@@ -50,7 +50,7 @@ typedef struct {
 void epoch_init(epoch_collector_t *collector);
 
 /* One sampled chip: its absolute number and what chip_clock_at says of it. Call in order. A gap inside a cycle counts as missing chips; a cycle whose chip 0 was not seen is
- * not collected. True: a cycle is complete and main should look. About 120 instructions, more by 40 for each chip of a gap. */
+ * not collected. True: a cycle is complete and main should look. About 195 instructions, more by 60 for each chip of a gap. */
 bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint16_t code_chip, const int16_t sample[EPOCH_AXES],
                 bool saturated, bool locked);
 
@@ -76,10 +76,10 @@ typedef struct {
 } epoch_selection_t;
 
 /* Choose the codes to report. Codes above 1024 and codes beyond the first 64 are left out; returns how many are in.
- * About 40,000 instructions a code (15 ms for 64): in main, when the list changes. */
+ * About 48,000 instructions a code (18 ms for 64 at an instruction a cycle): in main, when the list changes. */
 uint32_t epoch_select(epoch_selection_t *selection, const uint16_t *codes, uint32_t count);
 
-/* The field of entry index of the selection, T, from a transformed cycle. index < count. About 80 instructions. */
+/* The field of entry index of the selection, T, from a transformed cycle. index < count. About 225 instructions. */
 void epoch_field(const despread_t *despread, const epoch_calibration_t *calibration, const epoch_selection_t *selection, uint32_t index,
                  float field_T[EPOCH_AXES]);
 

@@ -34,7 +34,7 @@ typedef struct {
 uint16_t frame_crc(const uint8_t *bytes, size_t count);
 
 /* Encode with its delimiter. Returns the number of bytes written (8..16), or 0 for more than 8 bytes of data or more than 29 bits of id.
- * About 500 instructions. */
+ * About 375 instructions. */
 size_t frame_encode(const frame_t *frame, uint8_t encoded[FRAME_ENCODED_MAX]);
 
 /* The counters stop at their maximum. */
@@ -50,7 +50,7 @@ typedef struct {
 /* Forget everything, counters included. All zero bytes is the same state. */
 void frame_decoder_init(frame_decoder_t *decoder);
 
-/* Feed one received byte. True: it ended a good frame, which is in *frame. Otherwise *frame is untouched. About 10 instructions; at a delimiter about 500. */
+/* Feed one received byte. True: it ended a good frame, which is in *frame. Otherwise *frame is untouched. About 10 instructions; at a delimiter about 650. */
 bool frame_decode(frame_decoder_t *decoder, uint8_t byte, frame_t *frame);
 
 /* Frames dropped for any reason (counter 0 of framing.md). Stops at its maximum. */

@@ -43,7 +43,7 @@ const gold_family_t *gold_family(uint32_t degree);
 /* The register one chip later. About 10 instructions. state is 1..N (0 never occurs in a running register and would stay 0). */
 uint16_t gold_step(uint16_t taps, uint16_t state, uint16_t length);
 
-/* w_k of a register: output t + k is the parity of (w_k & state(t)). Any k; bound: 16 squarings, about 2500 instructions. */
+/* w_k of a register: output t + k is the parity of (w_k & state(t)). Any k; bound: 11 squarings, about 1100 instructions. */
 uint16_t gold_functional(const gold_family_t *family, uint16_t taps, uint32_t k);
 
 /* The next functional, w_(k+1) from w_k. About 5 instructions. */
@@ -57,14 +57,14 @@ typedef struct {
 } gold_generator_t;
 
 /* Start a code at a chip (any number; it counts modulo N). False, and the generator untouched, for a degree without family or a code above N + 1.
- * Bound: about 8000 instructions. */
+ * Bound: about 3000 instructions. */
 bool gold_start(gold_generator_t *generator, uint32_t degree, uint32_t code, uint32_t chip);
 
 /* The bit of the present chip (0: chip +1, 1: chip -1); moves on to the next. About 30 instructions. */
 uint8_t gold_next(gold_generator_t *generator);
 
 /* Sum of the chips of one period: -1 means balanced. In a family of degree 10 it is -1 for 769 codes, 63 for 136, -65 for 120. For a code that does not
- * exist 0, which is no code's sum. Bound: N calls of gold_next. */
+ * exist 0, which is no code's sum. Bound: N calls of gold_next, 47,000 instructions for degree 10. */
 int32_t gold_sum(uint32_t degree, uint32_t code);
 
 #endif

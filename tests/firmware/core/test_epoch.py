@@ -115,7 +115,7 @@ def test_saturation_and_lock_are_of_the_whole_cycle(core, collector):
 
 
 def test_fields_and_offset_in_tesla(core, gold_family):
-    """Samples of a known field through a known, misaligned sensor: the float result against the product in double precision."""
+    """Random samples through a misaligned sensor: the float result against the product in double precision."""
     ffi, lib = core
     rng = np.random.default_rng(3)
     matrix = np.diag([1e-7, 0.9e-7, 1.1e-7]) + rng.normal(0, 2e-9, (3, 3))

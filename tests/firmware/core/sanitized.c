@@ -1,0 +1,168 @@
+/* Every module of the core under the address and undefined-behaviour sanitizers, with extremes and seeded noise; and the queue between two threads.
+ * Exit 0: nothing found. Results are judged by the other tests; here only what the sanitizers see, and order and loss in the queue. */
+#include <pthread.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "chip_clock.h"
+#include "current.h"
+#include "epoch.h"
+#include "frame.h"
+#include "gold.h"
+#include "parameters.h"
+#include "queue.h"
+
+#define REQUIRE(condition) ((condition) ? (void)0 : (fprintf(stderr, "line %d: %s\n", __LINE__, #condition), exit(1)))
+
+static uint32_t random_state = 12345;
+
+static uint32_t noise(void) { /* xorshift32, Marsaglia 2003 */
+    random_state ^= random_state << 13;
+    random_state ^= random_state >> 17;
+    random_state ^= random_state << 5;
+    return random_state;
+}
+
+static void gold(void) {
+    for (uint32_t degree = 0; degree < 14; degree++) {
+        const gold_family_t *family = gold_family(degree);
+        for (uint32_t i = 0; family != NULL && i < 200; i++) {
+            gold_generator_t generator;
+            REQUIRE(gold_start(&generator, degree, noise() % (family->length + 2u), noise()));
+            (void)gold_next(&generator);
+        }
+    }
+}
+
+static void despread(void) {
+    static epoch_collector_t collector;
+    for (uint32_t mode = 0; mode < 4; mode++) {
+        epoch_init(&collector);
+        for (uint32_t t = 0; t < 3u * DESPREAD_CHIPS; t++) {
+            int16_t sample[3];
+            for (uint32_t axis = 0; axis < 3; axis++) {
+                sample[axis] = mode == 0 ? INT16_MIN : mode == 1 ? INT16_MAX : (int16_t)(noise() & 0xFFFFu);
+            }
+            const uint32_t label = mode == 3 ? noise() & 0xFFFFu : t % DESPREAD_CHIPS;
+            (void)epoch_feed(&collector, mode == 3 ? noise() & 4095u : t, t, (uint16_t)label, sample, false, true);
+            epoch_t *epoch = epoch_ready(&collector);
+            if (epoch != NULL) {
+                despread_transform(&epoch->despread);
+                for (uint32_t code = 0; code < 1030; code++) {
+                    (void)despread_correlation(&epoch->despread, code % 4u, code, despread_word(code));
+                }
+                epoch_release(&collector);
+            }
+        }
+    }
+}
+
+static void clocks(void) {
+    static const uint16_t lengths[] = {31, 63, 1023, 2047};
+    for (uint32_t i = 0; i < 8; i++) {
+        chip_clock_t clock;
+        REQUIRE(chip_clock_init(&clock, &(chip_clock_config_t){lengths[i % 4u], 16422, 16000, 16900, true}));
+        clock.chip = i < 4 ? 0 : 0xFFFFF000u;
+        for (uint32_t t = 0; t < 20000; t++) {
+            const chip_clock_chip_t planned = chip_clock_plan(&clock);
+            REQUIRE(planned.period_ticks >= 16000 && planned.period_ticks <= 16900 && planned.code_chip < lengths[i % 4u]);
+            if (t > 100 && noise() % (i % 2u == 0u ? 100u : 1023u) == 0u) {
+                chip_clock_edge(&clock, clock.chip - noise() % 130u, (uint16_t)(noise() % 17000u));
+                chip_clock_number_cycle(&clock, noise());
+            }
+        }
+    }
+}
+
+static void currents(void) {
+    for (uint32_t i = 0; i < 100; i++) {
+        current_t loop;
+        const float amplitude = (float)(noise() % 17u), limit = (float)(noise() % 20u);
+        if (current_configure(&loop, &(current_config_t){0.0078125f, 0.00390625f, amplitude, limit, (float)(noise() % 3u) / 2.0f})) {
+            current_start(&loop);
+            for (uint32_t t = 0; t < 3000; t++) {
+                const uint32_t swing = (noise() % 2u == 0u ? loop.target : 0u - loop.target) >> 16;
+                (void)current_sample(&loop, (uint16_t)(i % 3u == 0u ? noise() : 2048u + swing));
+                REQUIRE(loop.reference <= 4095);
+            }
+        }
+    }
+}
+
+static void bytes(void) {
+    frame_decoder_t decoder;
+    frame_decoder_init(&decoder);
+    for (uint32_t i = 0; i < 300000; i++) {
+        frame_t frame;
+        uint8_t encoded[FRAME_ENCODED_MAX];
+        if (frame_decode(&decoder, (uint8_t)(noise() % (i < 100000 ? 5u : 256u)), &frame)) {
+            REQUIRE(frame.length <= 8 && frame.id <= FRAME_ID_MAX && frame_encode(&frame, encoded) >= 8);
+        }
+        frame = (frame_t){.id = noise() & FRAME_ID_MAX, .length = (uint8_t)(noise() % 9u)};
+        memset(frame.data, (int)(noise() % 3u), frame.length);
+        REQUIRE(frame_encode(&frame, encoded) == frame.length + 8u);
+    }
+    for (uint32_t i = 0; i < 2000; i++) {
+        const size_t size = noise() % 1025u;
+        uint8_t *page = malloc(size + 1u); /* Exact size, so that reading beyond it is seen. */
+        for (size_t j = 0; j < size; j++) {
+            page[j] = (uint8_t)(noise() % (i % 2u == 0u ? 256u : 4u));
+        }
+        if (size >= 8u) {
+            memcpy(page, "GFP1", 4);
+            const uint32_t count = page[4] | (uint32_t)page[5] << 8;
+            if (8u + 8u * count <= size) {
+                const uint16_t crc = frame_crc(page + 8, 8u * count);
+                memcpy(page + 6, &crc, sizeof crc);
+            }
+        }
+        parameters_t parameters;
+        uint32_t refused;
+        parameters_init(&parameters);
+        (void)parameters_load(&parameters, page, size, &refused);
+        free(page);
+    }
+}
+
+#define MESSAGES 200000u
+static frame_t storage[16];
+static queue_t queue;
+
+static void *produce(void *unused) {
+    for (uint32_t i = 1; i <= MESSAGES; i++) {
+        const frame_t message = {i, 8, {(uint8_t)i, 0, 0, 0, 0, 0, 0, (uint8_t)i}};
+        (void)queue_push(&queue, &message);
+    }
+    return unused;
+}
+
+static void threads(void) {
+    REQUIRE(queue_init(&queue, storage, 16));
+    pthread_t producer;
+    REQUIRE(pthread_create(&producer, NULL, produce, NULL) == 0);
+    uint32_t last = 0, received = 0;
+    bool running = true;
+    while (running) {
+        running = last != MESSAGES && received + __atomic_load_n(&queue.lost, __ATOMIC_RELAXED) != MESSAGES;
+        const frame_t *message = queue_front(&queue);
+        if (message != NULL) {
+            REQUIRE(message->id > last && message->data[0] == (uint8_t)message->id && message->data[7] == (uint8_t)message->id);
+            last = message->id;
+            received++;
+            queue_drop(&queue);
+        }
+    }
+    REQUIRE(pthread_join(producer, NULL) == 0);
+    REQUIRE(received + queue.lost + queue_count(&queue) == MESSAGES);
+}
+
+int main(void) {
+    gold();
+    despread();
+    clocks();
+    currents();
+    bytes();
+    threads();
+    return 0;
+}

@@ -1,0 +1,26 @@
+"""The core under the compiler's sanitizers."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from hil_sim.clib import ROOT
+
+
+@pytest.mark.parametrize("sanitizer", ["address,undefined", "thread"])
+def test_sanitizers_find_nothing(tmp_path, sanitizer):
+    program = tmp_path / "sanitized"
+    flags = [
+        "-std=c11",
+        "-D_GNU_SOURCE",
+        "-O1",
+        "-g",
+        "-pthread",
+        f"-fsanitize={sanitizer}",
+        "-fno-sanitize-recover=all",
+    ]
+    sources = [Path(__file__).with_name("sanitized.c"), *sorted((ROOT / "firmware/core").glob("*.c"))]
+    subprocess.run(["gcc", *flags, f"-I{ROOT / 'firmware/core'}", *map(str, sources), "-o", str(program)], check=True)
+    result = subprocess.run([program], capture_output=True, text=True, timeout=200)
+    assert (result.returncode, result.stderr) == (0, "")
