@@ -117,15 +117,13 @@ void DMA2_Stream5_Handler(void) {
         const uint32_t finished = hal->block;
         hal->block = finished + 1u;
         hal->first_chip += HAL_BLOCK_CHIPS;
+        converters_block(hal, finished, chip_now(hal));
         if (hal->role == HAL_ROLE_SENSOR) {
-            converters_finish_block(hal, finished);
             hal->events.samples(hal->events.context, finished, (const hal_samples_t *)&hal->samples[finished & 1u]);
         }
         plan_block(hal, finished + 2u);
-        const chip_time_t now = chip_now(hal);
         const bool overtaken = (DMA2->HISR & (DMA_HISR_TCIF5 | DMA_HISR_HTIF5)) != 0;
-        if (overtaken || now.chip - hal->first_chip >= HAL_BLOCK_CHIPS - 2u) hal->counters.late_blocks++;
-        converters_begin_block(hal, now);
+        if (overtaken || chip_now(hal).chip - hal->first_chip >= HAL_BLOCK_CHIPS - 2u) hal->counters.late_blocks++;
     }
     hal->woken = true;
 }

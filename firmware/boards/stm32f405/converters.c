@@ -6,9 +6,10 @@
  *   beacon: one conversion from count 15640, done by 15880: inside the shortest chip, so that its interrupt belongs to that chip.
  * Temperature: channel 16, 480 + 12 cycles (3936 ticks), started by software in the first half of a chip: done by count 12000, before a burst.
  *
- * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks, so the stream's counter at any moment between bursts tells whether
- * samples and chips are in step. An overrun stops DMA. Either way the stream is stopped, blocks read 0 (saturated) until it starts again at
- * the beginning of the buffer, in the first chip of an even block.
+ * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's counter tells whether it is there:
+ * 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the end of the shortest chip), 24 or more is a burst missed. Then, or
+ * after an overrun, which stops DMA, the stream is stopped, and blocks read 0 (saturated) until it starts again at the beginning of the buffer, in the
+ * first chip of an even block.
  */
 
 #include <string.h>
@@ -20,7 +21,6 @@
 #define CURRENT_START (HAL_CHIP_TICKS_MIN - 360u)
 #define CHIP_SAMPLES (HAL_BURST * HAL_AXES)
 #define BUFFER_SAMPLES (RING_CHIPS * CHIP_SAMPLES)
-#define AFTER_BURST 400u /* A burst that ran beyond the end of a short chip is over by then. */
 
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
 
@@ -75,40 +75,36 @@ void converters_start(const hal_t *hal) {
     ADC1->CR2 = ADC_CR2_ADON | ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING; /* Stable 3 us later; the first trigger comes 80 us later. */
 }
 
-void converters_finish_block(hal_t *hal, uint32_t block) {
-    if (hal->sampling && (C_ADC->CSR & (C_ADC_CSR_OVR1 | C_ADC_CSR_OVR2 | C_ADC_CSR_OVR3)) != 0) {
-        samples_stop();
-        hal->sampling = false;
-        hal->counters.converter_overruns++;
-    }
-    if (!hal->sampling) memset(&hal->samples[block & 1u], 0, sizeof hal->samples[0]);
-}
-
-void converters_begin_block(hal_t *hal, chip_time_t now) {
-    if ((ADC1->SR & ADC_SR_JEOC) != 0) {
-        hal->temperature_count = (uint16_t)ADC1->JDR1;
-        ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
-    }
-    if (now.ticks < CHIP_RELOAD_TICKS) ADC1->CR2 |= ADC_CR2_JSWSTART;
-
-    const bool between_bursts = now.ticks > AFTER_BURST && now.ticks + CONVERSION_TICKS < BURST_START;
-    if (hal->role != HAL_ROLE_SENSOR || !between_bursts) return;
-    DMA_stream_registers *stream = &DMA2->S[0];
-    const uint32_t chip = now.chip - hal->first_chip; /* Of the running block. */
-    const uint32_t expected = BUFFER_SAMPLES - ((hal->block & 1u) * HAL_BLOCK_CHIPS + chip) * CHIP_SAMPLES;
-    if (hal->sampling) {
-        if (chip < HAL_BLOCK_CHIPS && stream->NDTR != expected) {
+void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
+    const bool before_burst = now.ticks < CHIP_RELOAD_TICKS;
+    bool idle = true;
+    if (hal->role == HAL_ROLE_SENSOR) {
+        const DMA_stream_registers *stream = &DMA2->S[0];
+        const uint32_t position = now.chip - hal->first_chip + (hal->block & 1u) * HAL_BLOCK_CHIPS;
+        const uint32_t behind = (stream->NDTR + position * CHIP_SAMPLES) % BUFFER_SAMPLES;
+        const bool overrun = (C_ADC->CSR & (C_ADC_CSR_OVR1 | C_ADC_CSR_OVR2 | C_ADC_CSR_OVR3)) != 0;
+        if (hal->sampling && (overrun || (before_burst && behind >= CHIP_SAMPLES))) {
             samples_stop();
             hal->sampling = false;
             hal->counters.converter_overruns++;
         }
-    } else if (chip == 0 && (hal->block & 1u) == 0 && (stream->CR & DMA_S0CR_EN) == 0) {
-        ADC1->SR = 0;
-        ADC2->SR = 0;
-        ADC3->SR = 0;
-        samples_start(hal);
-        hal->sampling = true;
+        if (!hal->sampling) {
+            memset(&hal->samples[finished & 1u], 0, sizeof hal->samples[0]);
+            if (before_burst && position == 0 && (stream->CR & DMA_S0CR_EN) == 0) {
+                ADC1->SR = 0;
+                ADC2->SR = 0;
+                ADC3->SR = 0;
+                samples_start(hal);
+                hal->sampling = true;
+            }
+        }
+        idle = hal->sampling && behind == 0;
     }
+    if ((ADC1->SR & ADC_SR_JEOC) != 0) {
+        hal->temperature_count = (uint16_t)ADC1->JDR1;
+        ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
+    }
+    if (before_burst && idle) ADC1->CR2 |= ADC_CR2_JSWSTART;
 }
 
 /* Between the two calibration points of this very chip; of a chip without them, by the data sheet's typical 0.76 V at 25 degC and 2.5 mV/degC. */

@@ -70,8 +70,6 @@ void clock_start_tick(hal_clock_t clock);
 void serial_start(hal_t *hal);
 void can_start(const hal_t *hal);
 void converters_start(const hal_t *hal);
-/* At a block boundary: are the finished block's samples good? If not they read 0, which counts as saturated. */
-void converters_finish_block(hal_t *hal, uint32_t block);
 void interrupt_enable(unsigned irq, unsigned priority);
 
 typedef struct {
@@ -81,8 +79,9 @@ typedef struct {
 /* The present. From handlers of normal priority only: the block interrupt must not run meanwhile. */
 chip_time_t chip_now(const hal_t *hal);
 
-/* Later in the same interrupt: temperature; stay in step with the chips. */
-void converters_begin_block(hal_t *hal, chip_time_t now);
+/* At a block boundary: takes and starts the temperature; stays in step with the chips. Samples of the finished block that are not good read 0, which
+ * counts as saturated. */
+void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
 
 #define CHIP_RELOAD_TICKS 8000u /* In each chip, when DMA fetches the next chip's period (CC4). */
 

@@ -1,0 +1,235 @@
+"""Chips, samples, coil current and sync capture of the real driver in the emulator, against a plan known beforehand.
+
+Time zero is the moment the LED pin falls, which the driver does together with the start of the chip timer.
+"""
+
+import bisect
+import itertools
+import random
+import struct
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from hil_sim import clib
+from hil_sim.emulator.emulator import LIBRARY, Configuration, Emulator
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[3]
+BOARD = "firmware/boards/stm32f405"
+SENSOR, MASK_INTERRUPTS, STALL, LOSE_SAMPLES = 1, 2, 4, 8
+PA0, PA1, PA10, PC6, PC7, PC8, PC12 = 0, 1, 10, 38, 39, 40, 44
+TICK_PS = 1e12 / 168e6
+FIELDS = (
+    *("hal", "mode", "planned", "plan_out_of_order", "samples_right", "samples_wrong", "blocks_lost"),
+    *("samples_out_of_order", "sampled", "currents_right", "currents_wrong", "syncs"),
+)
+COUNTERS = ("serial_overruns", "can_errors", "can_overruns", "late_blocks", "converter_overruns", "watchdog_resets")
+CHIPS = 700
+
+
+@pytest.fixture(scope="module")
+def image(tmp_path_factory):
+    path = tmp_path_factory.mktemp("probe") / "probe.elf"
+    objects = sorted((ROOT / "build" / "firmware" / BOARD).glob("*.o"))
+    assert objects, "the board is not built: run make firmware"
+    cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-O2", "-std=c11", "-Wall"]
+    link = ["-nostartfiles", "--specs=nano.specs", "-Wl,--gc-sections", "-T", str(ROOT / BOARD / "stm32f405.ld")]
+    include = [f"-I{ROOT / path}" for path in ("firmware/hal", "firmware/boards", BOARD)]
+    subprocess.run(
+        ["arm-none-eabi-gcc", *cpu, *include, str(HERE / "chip_probe.c"), *map(str, objects), *link, "-o", str(path)],
+        check=True,
+    )
+    return path
+
+
+def period(chip, mode):
+    return 16422 if mode & STALL else 16350 + chip * 37 % 131
+
+
+def drive(chip):
+    return (chip * 2654435761 % 2**32 >> 16) % 3
+
+
+class Bench:
+    """A board with the probe image; every conversion's volts tell chip, number in the chip, and axis."""
+
+    def __init__(self, image, mode, **configuration):
+        self.mode = mode
+        self.starts = [0, *itertools.accumulate(period(c, mode) for c in range(CHIPS + 200))]
+        self.zero_ps = None
+        self.edges = []  # (time, pin, level) since the start
+        self.conversions = []  # (pin, chip, number in the chip, ticks since the chip's start)
+        self._ffi, _ = clib.load(LIBRARY, ["emulator.h"])
+        edge = self._ffi.new("board_edge_t *")
+        self._keep = [
+            edge,
+            self._ffi.callback("void(void *, unsigned, bool, int64_t)", self._pin_out),
+            self._ffi.callback("double(void *, unsigned, int64_t)", self._analog_in),
+        ]
+        edge.pin_out, edge.analog_in = self._keep[1:]
+        self.board = Emulator(
+            image,
+            Configuration(**configuration),
+            edge=int(self._ffi.cast("uintptr_t", edge)),
+            parameter_page=bytes([mode]) + bytes(1023),
+        )
+
+    def _pin_out(self, _, pin, level, time_ps):
+        if pin == PC12 and not level:
+            self.zero_ps = time_ps
+        if self.zero_ps is not None:
+            self.edges.append((time_ps, pin, bool(level)))
+
+    def _analog_in(self, _, pin, time_ps):
+        if self.zero_ps is None:
+            return 1.65
+        ticks = (time_ps - self.zero_ps) / TICK_PS
+        chip = bisect.bisect_right(self.starts, ticks) - 1
+        number = sum(1 for p, c, *_ in self.conversions[-60:] if (p, c) == (pin, chip))
+        self.conversions.append((pin, chip, number, ticks - self.starts[chip]))
+        axis = max(pin - PA1, 0)
+        return (((chip * 8 + number) * 5 + axis * 1000) % 4000 + 50.25) * 3.3 / 4096
+
+    def run(self, chips):
+        """Run to a little behind the start of a chip; the chip engine starts within 20 ms."""
+        step = 0
+        while self.zero_ps is None and step < 400:
+            step += 1
+            assert self.board.run(step * 50_000_000), self.board.report()
+        assert self.zero_ps is not None
+        end = self.zero_ps + int((self.starts[chips] + 1000) * TICK_PS)
+        return self.board.run(end)
+
+    def probe(self):
+        address = self.board.symbols["probe"]
+        words = struct.unpack("<12I", self.board.memory(address, 48))
+        result = dict(zip(FIELDS, words, strict=True))
+        syncs = struct.unpack("<128I", self.board.memory(address + 48, 512))
+        result["edges"] = list(zip(syncs[:64], syncs[64:], strict=True))[: result["syncs"]]
+        result |= zip(COUNTERS, struct.unpack("<6I", self.board.memory(address + 560, 24)), strict=True)
+        result["temperature"] = struct.unpack("<i", self.board.memory(address + 584, 4))[0]
+        return result
+
+
+@pytest.fixture
+def bench(image):
+    benches = []
+
+    def make(mode, **configuration):
+        benches.append(Bench(image, mode, **configuration))
+        return benches[-1]
+
+    yield make
+    for b in benches:
+        b.board.close()
+
+
+def expected_levels(chip):
+    return {PC6: drive(chip) == 1, PC7: drive(chip) == 2, PC8: chip % 100 == 7}
+
+
+def edges_by_chip(bench):
+    """Return {chip: {pin: level}} and the ticks behind the chip's start of every edge on the planned pins."""
+    result, offsets = {}, []
+    for time_ps, pin, level in bench.edges:
+        if pin in (PC6, PC7, PC8):
+            ticks = (time_ps - bench.zero_ps) / TICK_PS
+            chip = bisect.bisect_right(bench.starts, ticks + 100) - 1
+            result.setdefault(chip, {})[pin] = level
+            offsets.append((chip, ticks - bench.starts[chip]))
+    return result, offsets
+
+
+@pytest.mark.parametrize("mode", [0, MASK_INTERRUPTS])
+def test_every_edge_of_every_chip(bench, mode):
+    b = bench(mode)
+    assert b.run(CHIPS), b.board.report()
+    changes, offsets = edges_by_chip(b)
+    for chip in range(1, CHIPS):
+        before, now = expected_levels(chip - 1), expected_levels(chip)
+        assert changes.get(chip, {}) == {pin: level for pin, level in now.items() if before[pin] != level}, chip
+    # Behind the timer by the same time in every chip: no jitter against the board's own clock.
+    behind = [ticks for chip, ticks in offsets if chip >= 1]
+    assert max(behind) - min(behind) < 1.0
+    assert 0 <= min(behind) < 40
+
+
+@pytest.mark.parametrize("mode", [0, MASK_INTERRUPTS])
+def test_current_belongs_to_its_chip(bench, mode):
+    b = bench(mode)
+    assert b.run(CHIPS), b.board.report()
+    result = b.probe()
+    assert result["currents_wrong"] == 0
+    assert result["currents_right"] in (CHIPS - 1, CHIPS)
+    assert result["plan_out_of_order"] == result["late_blocks"] == 0
+    taken = [(chip, ticks) for pin, chip, _, ticks in b.conversions if pin == PA0]
+    assert [chip for chip, _ in taken[:CHIPS]] == list(range(CHIPS))
+    assert all(15600 < ticks < 15900 for _, ticks in taken)
+
+
+@pytest.mark.parametrize("mode", [SENSOR, SENSOR | MASK_INTERRUPTS])
+def test_samples_belong_to_their_chip(bench, mode):
+    b = bench(mode, temperature_degc=41.0)
+    assert b.run(CHIPS), b.board.report()
+    result = b.probe()
+    assert result["samples_wrong"] == result["blocks_lost"] == result["converter_overruns"] == 0
+    assert result["samples_right"] == CHIPS // 31 * 31 * 24
+    assert result["samples_out_of_order"] == result["late_blocks"] == 0
+    assert abs(result["temperature"] - 410) <= 10
+    for axis in range(3):
+        taken = [(chip, number, ticks) for pin, chip, number, ticks in b.conversions if pin == PA1 + axis]
+        assert [t[:2] for t in taken[: CHIPS * 8]] == [(c, i) for c in range(CHIPS) for i in range(8)]
+        # The last conversion ends, 12 converter cycles behind its sampling, at most 1 us before the nominal chip end.
+        ends = [ticks + 12 * 8 for _, number, ticks in taken if number == 7]
+        assert min(ends) >= 16422 - 168
+        assert max(ends) <= 16422
+
+
+@pytest.mark.parametrize("mode", [0, MASK_INTERRUPTS, SENSOR])
+def test_sync_edges(bench, mode):
+    b = bench(mode)
+    assert b.run(1), b.board.report()
+    random.seed(7)
+    truth = []
+    for chip in range(5, 5 + 60 * 11, 11):
+        # Around chip boundaries, around count 4000 and 8000 where the driver changes its mind, and anywhere.
+        ticks = random.choice([-3, 0, 5, 30, 3990, 4010, 7990, 8010, random.randrange(16000), 16300])
+        truth.append(b.starts[chip] + ticks)
+        time_ps = b.zero_ps + round(truth[-1] * TICK_PS)
+        assert b.board.run(time_ps - 1_000_000), b.board.report()
+        b.board.pin_in(PA10, True, time_ps)
+        b.board.pin_in(PA10, False, time_ps + 90_000_000)
+    assert b.run(CHIPS), b.board.report()
+    edges = b.probe()["edges"]
+    assert len(edges) == len(truth)
+    late = [b.starts[chip] + ticks - true for (chip, ticks), true in zip(edges, truth, strict=True)]
+    assert all(ticks < period(chip, mode) for chip, ticks in edges)
+    # The input filter's eight samples and the synchroniser; time zero a few instructions before the timer starts.
+    assert min(late) > -20
+    assert max(late) < 20
+    assert max(late) - min(late) <= 2
+
+
+def test_a_plan_that_comes_a_block_late_is_counted_once(bench):
+    b = bench(SENSOR | STALL)
+    assert b.run(CHIPS), b.board.report()
+    result = b.probe()
+    assert result["late_blocks"] == 1
+    assert result["plan_out_of_order"] == result["samples_out_of_order"] == 0
+    assert result["samples_wrong"] == 0
+    changes, _ = edges_by_chip(b)
+    for chip in itertools.chain(range(1, 20 * 31), range(21 * 31 + 1, CHIPS)):
+        before, now = expected_levels(chip - 1), expected_levels(chip)
+        assert changes.get(chip, {}) == {pin: level for pin, level in now.items() if before[pin] != level}, chip
+
+
+def test_lost_samples_are_marked_and_counted_and_come_back_in_step(bench):
+    b = bench(SENSOR | LOSE_SAMPLES, strict=False)
+    assert b.run(CHIPS), b.board.report()
+    result = b.probe()
+    assert result["converter_overruns"] == 1
+    assert result["samples_wrong"] == 0
+    assert 1 <= result["blocks_lost"] <= 4
+    assert result["samples_right"] == (result["sampled"] - result["blocks_lost"]) * 31 * 24
