@@ -13,6 +13,7 @@ from goldfield.link.source import open_can
 from goldfield.poses import Pose, Status
 from goldfield.view.terminal import PoseTable, Summary, roll_pitch_yaw_deg
 from goldfield.view.truth import PoseError, Truth, rotation_angle
+from goldfield_protocol import encode
 from scipy.spatial.transform import Rotation
 
 from tests.host.fake_sensor import (
@@ -66,7 +67,7 @@ def test_a_log_gives_poses(tmp_path, capsys):
     lines = poses(out)
     assert [line["epoch"] for line in lines] == [4, 5, 6, 7]
     for line in lines:
-        assert list(line) == [*LOCATE_KEYS, "lost"]
+        assert list(line) == [*LOCATE_KEYS, "lost", "chips", "saturated", "locked"]
         assert line["status"] == "ok"
         assert line["lost"] == 0
         assert np.linalg.norm(np.subtract(line["position_m"], POSITION_M)) < 0.05
@@ -105,6 +106,21 @@ def test_an_epoch_without_anything_still_has_its_line(tmp_path, capsys):
         (4, "failed", True, 11),
         (5, "ok", False, 0),
     ]
+
+
+def test_what_the_sensor_says_was_wrong_is_shown(tmp_path, capsys):
+    messages = cycle_messages(0)
+    status = {"cycle_low": 0, "chips": 1000, "saturated": 4, "fields": 8, "locked": 0, "phase": 0, "temperature": 20}
+    messages[1] = encode("EPOCH_STATUS", status, node=100)
+    messages += [encode("COUNTER", {"counter": n, "value": n + 1}, node=100, index=n) for n in (6, 77)]
+    path = write(tmp_path, candump([(0.1, m) for m in messages]))
+    code, out, _ = run(capsys, "--log", path)
+    assert code == 0
+    _, line, _, counted = out.splitlines()
+    assert line.endswith(", not synchronised, 23 chips lost, 4 chips saturated")
+    assert counted == "the sensor counted since its reset: 7 converter overruns, 78 of counter 77"
+    (record,) = poses(run(capsys, "--log", path, "--json")[1])
+    assert (record["chips"], record["saturated"], record["locked"]) == (1000, 4, False)
 
 
 def test_codes_of_another_site_do_not_matter(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """The conversation with a sensor: found, checked, configured, read."""
 
 import itertools
+import threading
 
 import pytest
 from goldfield.errors import SystemFailure, UserError
@@ -22,8 +23,9 @@ def connect(sensor, node=None):
 def hurry(monkeypatch):
     """Wait less for answers that never come."""
     monkeypatch.setattr(sessions, "ANSWER_S", 0.05)
-    monkeypatch.setattr(sessions, "HEARTBEAT_S", 0.3)
-    monkeypatch.setattr(sessions, "SILENCE_S", 0.1)
+    monkeypatch.setattr(sessions, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(sessions, "QUIET_S", 0.1)
+    monkeypatch.setattr(sessions, "SILENCE_S", 0.2)
 
 
 def test_a_fresh_sensor_is_set_to_the_sites_codes():
@@ -134,14 +136,26 @@ def test_can_buses_carry_the_same(hurry):
     source.close()
 
 
-def test_a_sensor_that_falls_silent(hurry):
+def test_a_sensor_that_falls_silent_while_others_talk(hurry):
     sender, source = open_can("virtual:still"), open_can("virtual:still")
     for message in cycle_messages(4)[:-1]:
         sender.send(*message)
+    stop = threading.Event()
+
+    def chatter():
+        while not stop.wait(0.05):
+            sender.send(*heartbeat(node=3, role=0))
+
+    beacon = threading.Thread(target=chatter)
+    beacon.start()
     reports = Session(source, "virtual:still", Assembler()).reports(live=True)
-    assert next(reports).lost(8) == 1
-    with pytest.raises(SystemFailure, match="sensor 100 has been silent"):
-        next(reports)
+    try:
+        assert next(reports).lost(8) == 1
+        with pytest.raises(SystemFailure, match="sensor 100 has been silent"):
+            next(reports)
+    finally:
+        stop.set()
+        beacon.join()
     sender.close()
     source.close()
 

@@ -16,7 +16,7 @@ from goldfield.cli.output import json_line, number, pose_record
 from goldfield.errors import UserError
 from goldfield.link.candump import CandumpReader, CandumpWriter
 from goldfield.link.epochs import Assembler, Report
-from goldfield.link.session import Session
+from goldfield.link.session import COUNTERS, Session
 from goldfield.link.source import BusSource, LogSource, Source, open_can, open_port
 from goldfield.site import Site
 
@@ -89,7 +89,12 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
             lost = report.lost(expected_fields=len(site.codes))
             summary.add(pose, error, lost)
             if arguments.json:
-                record = pose_record(pose) | {"lost": lost}
+                record = pose_record(pose) | {
+                    "lost": lost,
+                    "chips": report.chips,
+                    "saturated": report.saturated,
+                    "locked": report.locked,
+                }
                 if truth is not None:
                     record |= {
                         "position_error_m": number(error.position_m),
@@ -97,12 +102,13 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
                     }
                 print(json_line(record), flush=True)
             else:
-                print(table.line(pose, error, lost), flush=True)
+                print(table.line(pose, error, lost, _note(report, site)), flush=True)
     except KeyboardInterrupt:
         pass  # the usual end of a live run
     finally:
         summary.bad_frames = session.bad_frames
         summary.missed_cycles = session.assembler.missed_cycles
+        summary.counters = {_counter_name(number): count for number, count in sorted(session.counters.items()) if count}
         if summary.epochs:
             print(summary.text(truth is not None), file=sys.stderr if arguments.json else sys.stdout, flush=True)
         if truth is not None:
@@ -110,6 +116,22 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
     if not summary.epochs:
         raise UserError(f"{session.name}: holds no cycle of a sensor")
     return 0
+
+
+def _note(report: Report, site: Site) -> str:
+    """Say what the sensor says was wrong with the cycle."""
+    notes = []
+    if report.locked is False:
+        notes.append("not synchronised")
+    if report.chips is not None and report.chips < site.chips:
+        notes.append(f"{site.chips - report.chips} chips lost")
+    if report.saturated:
+        notes.append(f"{report.saturated} chips saturated")
+    return ", ".join(notes)
+
+
+def _counter_name(number: int) -> str:
+    return COUNTERS[number] if number < len(COUNTERS) else f"of counter {number}"
 
 
 def _limited(reports: Iterator[Report], seconds: float | None, cycle_s: float) -> Iterator[Report]:

@@ -26,11 +26,32 @@ PARAM_STATUS = {1: "unknown", 2: "out of range", 3: "of the wrong kind", 4: "rea
 
 TRIES = 5
 ANSWER_S = 1.0
-HEARTBEAT_S = 10.0
-"""Heartbeats come once a second, but a simulated board may run slower than the wall clock."""
+QUIET_S = 1.0
+"""After so long a live sensor's incomplete reports are handed out."""
 SILENCE_S = 10.0
+PATIENCE_S = 30.0
+"""Heartbeats come once a second, but simulated boards may run slower than the wall clock: while something is heard, the
+sensor's is awaited so long."""
 
-USED = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "HEARTBEAT", "PARAM_VALUE")
+COUNTERS = (
+    "serial frames dropped",
+    "serial receive overruns",
+    "CAN errors",
+    "CAN receive overruns",
+    "messages lost in a full queue",
+    "late chip blocks",
+    "converter overruns",
+    "clock fallback",
+    "watchdog resets",
+    "bad parameter page",
+    "sync edges rejected",
+    "over-current",
+    "open coil",
+    "epochs dropped",
+)
+"""What a node's counters count, by index (framing.md)."""
+
+USED = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "HEARTBEAT", "COUNTER", "PARAM_VALUE")
 USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in USED}
 
 
@@ -48,6 +69,11 @@ class Session:
         The sensor's node; None: the first sensor that is heard.
     recorder : CandumpWriter or None
         Gets every message received.
+
+    Attributes
+    ----------
+    counters : dict of int to int
+        The sensor's own error counters since its reset, those that are not zero; `COUNTERS` names them.
     """
 
     def __init__(
@@ -61,6 +87,7 @@ class Session:
         self.node = node
         self.assembler = assembler
         self.undecodable = 0
+        self.counters: dict[int, int] = {}
         self._source = source
         self.name = name
         self._recorder = recorder
@@ -77,16 +104,17 @@ class Session:
         Raises
         ------
         SystemFailure
-            If none comes within `HEARTBEAT_S`.
+            If nothing is heard for `SILENCE_S`, or no sensor within `PATIENCE_S`.
         UserError
             If a node speaks another protocol.
         """
         heard: set[str] = set()
-        deadline = time.monotonic() + HEARTBEAT_S
-        while (remaining := deadline - time.monotonic()) > 0.0:
-            message = self._receive(remaining)
+        begin = heard_last = time.monotonic()
+        while time.monotonic() < min(heard_last + SILENCE_S, begin + PATIENCE_S):
+            message = self._receive(min(SILENCE_S, 0.5))
             if message is None:
                 continue
+            heard_last = time.monotonic()
             if message.name == "HEARTBEAT" and message.signals["role"] == ROLE_SENSOR:
                 if self.node in (None, message.node):
                     self.node = message.node
@@ -101,7 +129,8 @@ class Session:
             what = f"heard only {self.bad_frames} corrupt frames: check the wiring and that nothing else uses the link"
         else:
             what = "heard nothing: check the power, the cable and the port"
-        raise SystemFailure(f"{self.name}: no heartbeat of {wanted} in {HEARTBEAT_S:.0f} s; {what}")
+        waited_s = time.monotonic() - begin
+        raise SystemFailure(f"{self.name}: no heartbeat of {wanted} in {waited_s:.0f} s; {what}")
 
     def configure(self, bus: BusSource, codes: Sequence[int]) -> bool:
         """Make the sensor report these codes, now and after each of its resets; tells whether anything had to be set.
@@ -143,29 +172,37 @@ class Session:
         quiet_since = time.monotonic()
         while True:
             try:
-                raw = self._receive_raw(1.0)
+                raw = self._receive_raw(QUIET_S)
             except SystemFailure:
                 yield from self.assembler.flush()
                 raise
-            if raw is None:
+            if raw is None and not live:
                 yield from self.assembler.flush()
-                if not live:
-                    return
-                if time.monotonic() - quiet_since > SILENCE_S:
-                    raise SystemFailure(f"{self.name}: sensor {self.node} has been silent for {SILENCE_S:.0f} s")
-                continue
-            message = self._decoded(raw)
-            if message is None:
-                continue
-            if self.node is None and message.name == "EPOCH":
+                return
+            message = None if raw is None else self._decoded(raw)
+            if message is not None and self.node is None and message.name == "EPOCH":
                 self.node = message.node
-            if message.node == self.node:
+            if raw is not None and message is not None and message.node == self.node:
                 quiet_since = time.monotonic()
-                yield from self.assembler.feed(message, raw.timestamp)
-                if message.name == "HEARTBEAT" and message.signals["state"] == STATE_STARTING:
-                    yield from self.assembler.end()
-                    if self._configured:
-                        self.configure(*self._configured)
+                yield from self._take(message, raw.timestamp)
+            elif live:
+                # Nothing, or the other nodes of a bus.
+                quiet_s = time.monotonic() - quiet_since
+                if quiet_s > QUIET_S:
+                    yield from self.assembler.flush()
+                if quiet_s > SILENCE_S:
+                    raise SystemFailure(f"{self.name}: sensor {self.node} has been silent for {SILENCE_S:.0f} s")
+
+    def _take(self, message: Message, arrival_s: float) -> Iterator[Report]:
+        """Take a message of the sensor."""
+        yield from self.assembler.feed(message, arrival_s)
+        if message.name == "COUNTER":
+            self.counters[message.index] = int(message.signals["value"])
+        elif message.name == "HEARTBEAT" and message.signals["state"] == STATE_STARTING:
+            yield from self.assembler.end()
+            self.counters.clear()
+            if self._configured:
+                self.configure(*self._configured)
 
     def _ask(self, bus: BusSource, parameter: int, value: int | None = None) -> int:
         """Set a parameter, or read it, and return the sensor's answer."""

@@ -30,8 +30,8 @@ class PoseTable:
     truth: bool = False
     _lines: int = 0
 
-    def line(self, pose: Pose, error: PoseError = NO_ERROR, lost: int = 0) -> str:
-        """Return the pose's line, after the header if that is due."""
+    def line(self, pose: Pose, error: PoseError = NO_ERROR, lost: int = 0, note: str = "") -> str:
+        """Return the pose's line, after the header if that is due; the note comes last."""
         header = f"{self.header()}\n" if self._lines % HEADER_EVERY == 0 else ""
         self._lines += 1
         angles = np.full(3, np.nan) if pose.status is Status.FAILED else roll_pitch_yaw_deg(pose.orientation_xyzw)
@@ -43,7 +43,7 @@ class PoseTable:
         columns += [f"{len(pose.used):4d}", _cell(pose.residual, 8, 2)]
         if self.live:
             columns.append(f"{lost:4d}")
-        return header + " ".join(columns) + f"  {pose.status.value}"
+        return header + " ".join(columns) + f"  {pose.status.value}{note and f', {note}'}"
 
     def header(self) -> str:
         """Return the line over the columns."""
@@ -64,6 +64,7 @@ class Summary:
     lost_messages: int = 0
     bad_frames: int = 0
     missed_cycles: int = 0
+    counters: dict[str, int] = field(default_factory=dict)
     _position_m: list[float] = field(default_factory=list)
     _attitude_rad: list[float] = field(default_factory=list)
 
@@ -78,25 +79,15 @@ class Summary:
             self._position_m.append(error.position_m)
             self._attitude_rad.append(error.attitude_rad)
 
-    def record(self) -> dict[str, float | int | None]:
-        """Return the summary as JSON knows it; None where no pose could be compared."""
-        return {
-            "epochs": self.epochs,
-            "ok": self.ok,
-            "lost_messages": self.lost_messages,
-            "bad_frames": self.bad_frames,
-            "missed_cycles": self.missed_cycles,
-            "compared": len(self._position_m),
-            "position_rms_m": _rms(self._position_m),
-            "attitude_rms_rad": _rms(self._attitude_rad),
-        }
-
     def text(self, truth: bool) -> str:
         """Return the summary as lines."""
         lines = [
             f"{self.epochs} epochs, {self.ok} ok; {self.lost_messages} messages lost, {self.bad_frames} corrupt "
             f"frames, {self.missed_cycles} cycles missed in gaps"
         ]
+        if self.counters:
+            counted = ", ".join(f"{count} {name}" for name, count in self.counters.items())
+            lines.append(f"the sensor counted since its reset: {counted}")
         position, attitude = _rms(self._position_m), _rms(self._attitude_rad)
         if position is not None and attitude is not None:
             lines.append(
