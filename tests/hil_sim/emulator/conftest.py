@@ -1,0 +1,28 @@
+"""A fresh chip without processor."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from hil_sim.emulator.bench import Bench
+
+
+@pytest.fixture
+def chip() -> Iterator[Bench]:
+    """Out of reset, on its internal oscillator; every violation the test did not expect fails it."""
+    bench = Bench()
+    yield bench
+    report = bench.report
+    bench.close()
+    assert not report
+
+
+@pytest.fixture
+def fast_chip() -> Iterator[Bench]:
+    """At 168 MHz, all peripheral clocks on."""
+    bench = Bench()
+    bench.full_speed()
+    yield bench
+    report = bench.report
+    bench.close()
+    assert not report
