@@ -1,4 +1,7 @@
-"""Host boards driven from Python: each board's edge is recorded, a test supplies volts, edges, bytes and frames."""
+"""Boards driven from Python: each board's edge is recorded, a test supplies volts, edges, bytes and frames.
+
+A board is a host board, or, for comparison, the ARM image on the emulator: the edge is the same.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +14,10 @@ from goldfield_protocol import FrameDecoder, Message, decode, encode, encode_fra
 from goldfield_protocol.parameters import build_page
 from numpy.typing import NDArray
 
-from hil_sim.clib import load
+from hil_sim.clib import ROOT, load
+from hil_sim.emulator.emulator import Configuration, Emulator
 
 FFI, LIBRARY = load("build/libgf_hostboard.so", ["host_board.h"])
-RUN = LIBRARY.host_board_operations
 
 BEACON, SENSOR = 0, 1
 PIN_CURRENT, PIN_FIELD, PIN_SYNC_IN = 0, (1, 2, 3), 10
@@ -52,7 +55,7 @@ def gold_chips(code: int) -> NDArray[np.int64]:
 
 @dataclass
 class Board:
-    """One host board and everything that came out of it.
+    """One board and everything that came out of it.
 
     Parameters
     ----------
@@ -63,7 +66,9 @@ class Board:
     volts : callable
         ``volts(pin, time_ps)``: what the converter sees.
     clock : int
-        `hal_clock_t`: 0 crystal, 1 internal oscillator, 2 slow.
+        `hal_clock_t`: 0 crystal, 1 internal oscillator, 2 slow; host boards only.
+    emulated : bool
+        Run the ARM image of the role.
     """
 
     role: int
@@ -75,6 +80,7 @@ class Board:
     temperature: float = 25.0
     can: bool = True
     clock: int = 0
+    emulated: bool = False
 
     pins: list[tuple[int, int, bool]] = field(default_factory=list)
     analog: list[tuple[int, float]] = field(default_factory=list)
@@ -84,6 +90,17 @@ class Board:
 
     def __post_init__(self) -> None:
         page = self.parameters if isinstance(self.parameters, bytes) else build_page(self.parameters)
+        edge = self._edge()
+        if self.emulated:
+            settings = Configuration(
+                crystal_ppm=self.ppm, unique_id=self.unique_id, temperature_degc=self.temperature, strict=True
+            )
+            image = ROOT / "build/firmware" / ("sensor.elf" if self.role == SENSOR else "beacon.elf")
+            address = int(FFI.cast("uintptr_t", edge))
+            self._emulator = Emulator(image, settings, edge=address, parameter_page=page, power_on_ps=self.power_on)
+            self.handle = FFI.cast("board_t *", self._emulator.board)
+            self.operations = FFI.cast("board_operations_t *", self._emulator.operations)
+            return
         config = FFI.new("host_board_config_t *")
         config.role = self.role
         config.crystal_ppm = self.ppm
@@ -91,6 +108,11 @@ class Board:
         config.temperature_degc = self.temperature
         config.unique_id = self.unique_id
         config.parameter_page = page.ljust(1024, b"\xff")
+        self.handle = LIBRARY.host_board_create(config, edge, self.power_on)
+        self.operations = LIBRARY.host_board_operations
+        assert self.handle != FFI.NULL
+
+    def _edge(self) -> Any:
         edge = FFI.new("board_edge_t *")
         self._keep = [
             FFI.callback("void(void *, unsigned, bool, int64_t)", self._pin_out),
@@ -106,11 +128,13 @@ class Board:
             sample = FFI.callback("double(void *, unsigned, int64_t)", lambda _, pin, time: volts(pin, time))
             self._keep.append(sample)
             edge.analog_in = sample
-        self.handle = LIBRARY.host_board_create(config, edge, self.power_on)
-        assert self.handle != FFI.NULL
+        return edge
 
     def close(self) -> None:
-        RUN.destroy(self.handle)
+        if self.emulated:
+            self._emulator.close()
+        else:
+            self.operations.destroy(self.handle)
 
     # What comes out.
 
@@ -152,10 +176,11 @@ class Board:
     # What goes in.
 
     def run(self, until: int) -> None:
-        assert RUN.run(self.handle, until) == 0
+        ok = self.operations.run(self.handle, until) == 0
+        assert ok, FFI.string(self.operations.report(self.handle)).decode()
 
     def pin(self, pin: int, level: bool, time: int) -> None:
-        RUN.pin_in(self.handle, pin, level, time)
+        self.operations.pin_in(self.handle, pin, level, time)
 
     def sync_pulse(self, time: int) -> None:
         self.pin(PIN_SYNC_IN, True, time)
@@ -164,7 +189,7 @@ class Board:
     def receive(self, stream: bytes, time: int, baud: int = 2_000_000) -> None:
         """Bytes arrive back to back from a time on."""
         for i, byte in enumerate(stream):
-            RUN.uart_in(self.handle, 1, byte, baud, time + (i + 1) * 5 * US)
+            self.operations.uart_in(self.handle, 1, byte, baud, time + (i + 1) * 5 * US)
 
     def send_serial(self, name: str, signals: Mapping[str, float], node: int, index: int, time: int) -> None:
         identifier, data = encode(name, signals, node=node, index=index)
@@ -173,10 +198,10 @@ class Board:
     def can_in(self, identifier: int, data: bytes, time: int) -> None:
         frame = FFI.new("board_frame_t *", {"id": identifier, "extended": True, "length": len(data)})
         frame.data[0 : len(data)] = list(data)
-        RUN.can_in(self.handle, frame, time)
+        self.operations.can_in(self.handle, frame, time)
 
     def can_sent(self, mailbox: int, ok: bool, time: int) -> None:
-        RUN.can_sent(self.handle, mailbox, ok, time)
+        self.operations.can_sent(self.handle, mailbox, ok, time)
 
 
 class Rig:

@@ -25,7 +25,7 @@ void hal_drive_enable(hal_t *hal, bool enable) {
 void hal_drive_reference(hal_t *hal, uint16_t count) {
     const uint16_t clamped = count > HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count;
     if (hal->edge.analog_out) {
-        hal->edge.analog_out(hal->edge.context, 1, 3.3 * clamped / HAL_SAMPLE_MAX, hal->now_ps);
+        hal->edge.analog_out(hal->edge.context, 1, 3.3 * clamped / (HAL_SAMPLE_MAX + 1), hal->now_ps);
     }
 }
 

@@ -53,7 +53,7 @@ class World:
     """A sensor board in a field that is a function of the master's cycle and chip."""
 
     def __init__(
-        self, counts: Counts = field_counts, ppm: float = 17.0, cycles: int = 20, **parameters: object
+        self, counts: Counts = field_counts, ppm: float = 17.0, emulated: bool = False, **parameters: object
     ) -> None:
         self.counts = counts
         stored = {
@@ -65,8 +65,10 @@ class World:
             "zero_z": float(ZERO[2]),
             "calibration": [float(x) for x in MATRIX.ravel()],
         }
-        self.board = Board(SENSOR, {**stored, **parameters}, ppm=ppm, volts=self.volts, temperature=31.04)
-        for cycle in range(cycles):
+        self.board = Board(
+            SENSOR, {**stored, **parameters}, ppm=ppm, volts=self.volts, temperature=31.04, emulated=emulated
+        )
+        for cycle in range(20):
             self.board.sync_pulse(cycle_start(cycle))
             self.board.send_serial("SYNC", sync(1000 + cycle), 1, 0, cycle_start(cycle) + 2 * MS)
 

@@ -15,7 +15,6 @@ from tests.firmware.host_rig import (
     MS,
     PIN_BRIDGE_1,
     PIN_LED,
-    RUN,
     SENSOR,
     TICKS_PER_SECOND,
     US,
@@ -153,9 +152,10 @@ def test_unconnected_edge_and_bad_configuration() -> None:
     config = FFI.new("host_board_config_t *", {"role": BEACON})
     edge = FFI.new("board_edge_t *")
     board = LIBRARY.host_board_create(config, edge, 0)
-    assert RUN.run(board, 200 * MS) == 0
-    assert RUN.now(board) == 200 * MS
-    assert FFI.string(RUN.report(board)) == b""
-    RUN.destroy(board)
+    operations = LIBRARY.host_board_operations
+    assert operations.run(board, 200 * MS) == 0
+    assert operations.now(board) == 200 * MS
+    assert FFI.string(operations.report(board)) == b""
+    operations.destroy(board)
     config.crystal_ppm = float("nan")
     assert LIBRARY.host_board_create(config, edge, 0) == FFI.NULL
