@@ -1,0 +1,382 @@
+"""Timers and DMA controllers: directed tests on the bare chip."""
+
+import math
+
+import pytest
+
+from hil_sim.emulator.bench import MICROSECOND, MILLISECOND, Bench
+
+TIM1, TIM2, TIM3, TIM6 = 0x40010000, 0x40000000, 0x40000400, 0x40001000
+CR1, CR2, SMCR, DIER, SR, EGR, CCMR1, CCMR2, CCER, CNT, PSC, ARR, RCR, CCR1 = range(0, 0x38, 4)
+BDTR, DCR, DMAR = 0x44, 0x48, 0x4C
+GPIOC, DMA1, DMA2 = 0x40020800, 0x40026000, 0x40026400
+SRAM, CCM, USART1_DR = 0x20001000, 0x10000000, 0x40011004
+CIRC, MINC, PINC, DBM, CT = 1 << 8, 1 << 10, 1 << 9, 1 << 18, 1 << 19
+TCIE, HTIE = 1 << 4, 1 << 3
+TO_PERIPHERAL, TO_MEMORY, MEMORY_TO_MEMORY = 1 << 6, 0, 2 << 6
+WORDS, HALVES = 2 << 11 | 2 << 13, 1 << 11 | 1 << 13
+
+
+def stream(chip: Bench, controller: int, n: int, control: int, count: int, peripheral: int, memory: int, **extra: int) -> None:
+    base = controller + 0x10 + 0x18 * n
+    chip.write(base + 4, count)
+    chip.write(base + 8, peripheral)
+    chip.write(base + 0xC, memory)
+    chip.write(base + 0x10, extra.get("second", 0))
+    chip.write(base + 0x14, extra.get("fifo", 0x21))
+    chip.write(base, control | 1)
+
+
+def flags(chip: Bench, controller: int, n: int) -> int:
+    return chip.read(controller + 4 * (n // 4)) >> (0, 6, 16, 22)[n % 4] & 0x3D
+
+
+# ---- Timers ----
+
+
+@pytest.mark.parametrize("ppm", [0.0, 50.0, -37.5])
+def test_update_period_with_crystal_error(ppm: float) -> None:
+    """The chip clock: 16,422 ticks at 168 MHz; a thousand periods without drift."""
+    chip = Bench(crystal_ppm=ppm)
+    chip.full_speed()
+    chip.write(GPIOC, 1 << 12)
+    for word in range(2):
+        chip.write(SRAM + 4 * word, (1 << 6, 1 << 22)[word])
+    stream(chip, DMA2, 5, 6 << 25 | WORDS | MINC | CIRC | TO_PERIPHERAL, 2, GPIOC + 0x18, SRAM)
+    chip.write(TIM1 + ARR, 16421)
+    chip.write(TIM1 + DIER, 1 << 8)
+    chip.write(TIM1 + CR1, 0x81)
+    chip.edge.pins.clear()
+    chip.run(1001 * 97.75 * MICROSECOND)
+    times = [t for _, _, t in chip.edge.pins]
+    period = 16422 / (168e6 * (1 + ppm * 1e-6)) * 1e12
+    assert len(times) >= 1000
+    assert [v for _, v, _ in chip.edge.pins[:4]] == [True, False, True, False]
+    assert all(abs(t - times[0] - i * period) <= 1 for i, t in enumerate(times))
+    assert not chip.report
+    chip.close()
+
+
+def test_prescaler_and_reload_are_preloaded(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM2 + ARR, 83)
+    chip.write(TIM2 + CR1, 0x81)
+    chip.write(TIM2 + PSC, 1)
+    chip.write(TIM2 + ARR, 9)
+    start = chip.now
+    chip.run(0.5 * MICROSECOND)
+    assert chip.read(TIM2 + CNT) == 41  # Old values up to the update; one tick late, as CEN says
+    chip.run_to(start + 85 / 84e6 * 1e12 + 10)
+    assert chip.read(TIM2 + SR) & 1
+    assert chip.read(TIM2 + CNT) == 0
+    chip.run(19 / 84e6 * 1e12)
+    assert chip.read(TIM2 + CNT) == 9
+    chip.run(1 / 84e6 * 1e12)
+    assert chip.read(TIM2 + CNT) == 0
+
+
+def test_update_without_preload_is_immediate(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM3 + ARR, 999)
+    chip.write(TIM3 + CR1, 1)
+    chip.run(MICROSECOND)
+    chip.write(TIM3 + ARR, 99)
+    chip.run(MICROSECOND)
+    assert chip.read(TIM3 + CNT) == 67  # 167 ticks in, one wrap of 100
+
+
+@pytest.mark.parametrize(("control", "flag"), [(0, 1), (4, 0), (2, 0)])
+def test_software_update(fast_chip: Bench, control: int, flag: int) -> None:
+    """UG sets UIF, unless URS or UDIS; the counter restarts in each case."""
+    chip = fast_chip
+    chip.write(TIM3 + CR1, control)
+    chip.write(TIM3 + CNT, 77)
+    chip.write(TIM3 + EGR, 1)
+    assert chip.read(TIM3 + CNT) == 0
+    assert chip.read(TIM3 + SR) & 1 == flag
+
+
+def test_one_pulse_and_write_zero_to_clear(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM6 + ARR, 839)
+    chip.write(TIM6 + DIER, 1)
+    chip.write(TIM6 + CR1, 9)
+    chip.run(9.9 * MICROSECOND)
+    assert not chip.irq(54)
+    chip.run(0.2 * MICROSECOND)
+    assert chip.irq(54)
+    assert chip.read(TIM6 + CR1) == 8
+    chip.write(TIM6 + SR, 1)
+    assert chip.irq(54)
+    chip.write(TIM6 + SR, 0xFFFFFFFE)
+    assert not chip.irq(54)
+
+
+def test_repetition_counter(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM1 + ARR, 167)
+    chip.write(TIM1 + RCR, 2)
+    chip.write(TIM1 + EGR, 1)
+    chip.write(TIM1 + SR, 0)
+    chip.write(TIM1 + CR1, 1)
+    chip.run(2.9 * MICROSECOND)
+    assert chip.read(TIM1 + SR) & 1 == 0
+    chip.run(0.2 * MICROSECOND)
+    assert chip.read(TIM1 + SR) & 1 == 1
+
+
+def test_compare_flags_and_interrupts_in_time(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM1 + ARR, 1679)
+    chip.write(TIM1 + CCR1 + 4, 840)
+    chip.write(TIM1 + DIER, 4)
+    chip.write(TIM1 + CR1, 1)
+    chip.run(4.99 * MICROSECOND)
+    assert not chip.irq(27)
+    chip.run(0.03 * MICROSECOND)
+    assert chip.irq(27)
+    assert not chip.irq(25)
+
+
+def test_long_idle_is_caught_up(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM2 + ARR, 999)
+    chip.write(TIM2 + CR1, 1)
+    begin = chip.now
+    chip.run(1e12)
+    ticks = math.floor((chip.now - begin) * 84e6 / 1e12) - 1
+    assert abs(chip.read(TIM2 + CNT) - ticks % 1000) <= 1
+    assert chip.read(TIM2 + SR) & 1
+
+
+@pytest.mark.parametrize(
+    ("filter_bits", "polarity", "delay"),
+    [(0, 0, 0), (0, 2, 0), (0, 10, 0), (3, 0, 8), (7, 0, 32), (15, 0, 256)],
+)
+def test_input_capture(fast_chip: Bench, filter_bits: int, polarity: int, delay: int) -> None:
+    """The sync wire: PA10 is TIM1_CH3; a filter of N samples delays by N sample periods."""
+    chip = fast_chip
+    chip.alternate("A", 10, 1)
+    chip.write(TIM1 + CCMR2, 1 | filter_bits << 4)
+    chip.write(TIM1 + CCER, (1 | polarity) << 8)
+    chip.write(TIM1 + DIER, 8)
+    chip.write(TIM1 + CR1, 1)
+    begin = chip.now
+    rise, fall = begin + 10 * MICROSECOND, begin + 20 * MICROSECOND
+    chip.operations.pin_in(chip.board, 10, True, rise)
+    chip.operations.pin_in(chip.board, 10, False, fall)
+    chip.run(40 * MICROSECOND)
+    assert chip.irq(27)
+    edge = rise if polarity == 0 else fall
+    expected = (edge - begin) * 168e6 / 1e12 - 1 + delay
+    status = chip.read(TIM1 + SR)
+    assert abs(chip.read(TIM1 + CCR1 + 8) - expected) <= 1
+    assert bool(status & 1 << 11) == (polarity == 10)  # Both edges: overcapture
+    assert chip.read(TIM1 + SR) & 8 == 0, "reading CCR3 clears CC3IF"
+
+
+def test_filter_swallows_glitches(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.alternate("A", 10, 1)
+    chip.write(TIM1 + CCMR2, 1 | 15 << 4)
+    chip.write(TIM1 + CCER, 1 << 8)
+    chip.write(TIM1 + CR1, 1)
+    chip.operations.pin_in(chip.board, 10, True, chip.now + MICROSECOND)
+    chip.operations.pin_in(chip.board, 10, False, chip.now + 2 * MICROSECOND)
+    chip.run(10 * MICROSECOND)
+    assert chip.read(TIM1 + SR) & 8 == 0
+
+
+def test_capture_needs_the_alternate_function(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM1 + CCMR2, 1)
+    chip.write(TIM1 + CCER, 1 << 8)
+    chip.write(TIM1 + CR1, 1)
+    chip.operations.pin_in(chip.board, 10, True, chip.now + MICROSECOND)
+    chip.run(10 * MICROSECOND)
+    assert chip.read(TIM1 + SR) & 8 == 0
+
+
+def test_trigger_mode_starts_on_a_master(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM3 + ARR, 0xFFFF)
+    chip.write(TIM3 + SMCR, 6 | 1 << 4)  # ITR1 of TIM3 is TIM2
+    chip.write(TIM2 + ARR, 839)
+    chip.write(TIM2 + CR2, 2 << 4)
+    chip.write(TIM2 + CR1, 1)
+    chip.run(9 * MICROSECOND)
+    assert chip.read(TIM3 + CNT) == 0
+    chip.run(6 * MICROSECOND)
+    assert 410 <= chip.read(TIM3 + CNT) <= 420
+
+
+def test_what_is_missing_is_loud(fast_chip: Bench) -> None:
+    fast_chip.write(TIM3 + CR1, 0x10)
+    fast_chip.expect("does not do counting down")
+    fast_chip.write(TIM3 + SMCR, 3)
+    fast_chip.expect("does not do slave modes")
+
+
+def test_dma_burst_through_dmar(fast_chip: Bench) -> None:
+    chip = fast_chip
+    for i, value in enumerate((500, 100, 200, 300)):  # ARR, RCR, CCR1, CCR2
+        chip.write(SRAM + 2 * i, value if i != 1 else 0, 2)
+    stream(chip, DMA2, 5, 6 << 25 | HALVES | MINC | TO_PERIPHERAL, 4, TIM1 + DMAR, SRAM)
+    chip.write(TIM1 + DCR, 3 << 8 | ARR // 4)
+    chip.write(TIM1 + DIER, 1 << 8)
+    chip.write(TIM1 + EGR, 1)
+    assert [chip.read(TIM1 + r) for r in (ARR, RCR, CCR1, CCR1 + 4)] == [500, 0, 200, 300]
+
+
+# ---- DMA ----
+
+MAP = [  # A sample of RM0090 tables 42 and 43: controller, stream, channel, line
+    (1, 0, 2, "TIM4_CH1"), (1, 1, 3, "TIM2_UP"), (1, 1, 3, "TIM2_CH3"), (1, 1, 7, "TIM6_UP"), (1, 2, 1, "TIM7_UP"), (1, 2, 5, "TIM3_UP"),
+    (1, 2, 4, "UART4_RX"), (1, 3, 4, "USART3_TX"), (1, 4, 7, "USART3_TX"), (1, 5, 4, "USART2_RX"), (1, 5, 7, "DAC1"), (1, 6, 7, "DAC2"),
+    (1, 6, 4, "USART2_TX"), (1, 6, 6, "TIM5_UP"), (1, 7, 3, "TIM2_CH4"), (1, 7, 4, "UART5_TX"), (1, 0, 4, "UART5_RX"), (1, 4, 4, "UART4_TX"),
+    (2, 0, 0, "ADC1"), (2, 4, 0, "ADC1"), (2, 2, 1, "ADC2"), (2, 3, 1, "ADC2"), (2, 0, 2, "ADC3"), (2, 1, 2, "ADC3"), (2, 2, 4, "USART1_RX"),
+    (2, 5, 4, "USART1_RX"), (2, 7, 4, "USART1_TX"), (2, 1, 5, "USART6_RX"), (2, 7, 5, "USART6_TX"), (2, 5, 6, "TIM1_UP"), (2, 1, 6, "TIM1_CH1"),
+    (2, 2, 6, "TIM1_CH2"), (2, 6, 6, "TIM1_CH3"), (2, 4, 6, "TIM1_CH4"), (2, 6, 0, "TIM1_CH2"), (2, 1, 7, "TIM8_UP"), (2, 7, 7, "TIM8_CH4"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("controller", "n", "channel", "line"), MAP)
+def test_request_map(fast_chip: Bench, controller: int, n: int, channel: int, line: str) -> None:
+    """The stream serves this line, and of all lines no other one that the map does not give it."""
+    chip = fast_chip
+    base = DMA1 if controller == 1 else DMA2
+    chip.write(SRAM, 0x55)
+    stream(chip, base, n, channel << 25 | WORDS | TO_PERIPHERAL | CIRC, 9, TIM3 + CCR1, SRAM)
+    allowed = {x[3] for x in MAP if x[:3] == (controller, n, channel)}
+    for other in sorted({x[3] for x in MAP} - allowed):
+        if not (line.startswith("TIM") and other.startswith(line[:4])):
+            chip.lib.dma_request_pulse(chip.machine, other.encode())
+    count = base + 0x14 + 0x18 * n
+    assert chip.read(count) == 9
+    chip.lib.dma_request_pulse(chip.machine, line.encode())
+    assert chip.read(count) == 8
+    assert chip.read(TIM3 + CCR1) == 0x55
+
+
+def test_half_and_full_transfer(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM3 + CNT, 0xBEEF)
+    stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | TCIE | HTIE, 4, TIM3 + CNT, SRAM)
+    seen = []
+    for _ in range(4):
+        chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+        seen.append((flags(chip, DMA1, 1), chip.irq(12), chip.read(DMA1 + 0x2C)))
+    assert seen == [(0, False, 3), (0x10, True, 2), (0x10, True, 1), (0x30, True, 0)]
+    assert chip.read(SRAM + 4) == 0xBEEFBEEF
+    assert chip.read(DMA1 + 0x28) & 1 == 0
+    chip.write(DMA1 + 8, 0x3D << 6)
+    assert not chip.irq(12)
+
+
+def test_double_buffer_and_its_free_address(fast_chip: Bench) -> None:
+    chip = fast_chip
+    stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | DBM | CIRC, 2, TIM3 + CNT, SRAM, second=SRAM + 0x100)
+    for value in range(1, 7):
+        chip.write(TIM3 + CNT, value)
+        chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+        assert bool(chip.read(DMA1 + 0x28) & CT) == (value in (2, 3, 6))
+        if value == 3:
+            chip.write(DMA1 + 0x34, SRAM + 0x200)  # M0AR, while buffer 1 is in use
+    assert [chip.read(a) for a in (SRAM, SRAM + 0x100, SRAM + 0x200)] == [0x20001, 0x40003, 0x60005]
+    chip.write(DMA1 + 0x38, 0)  # M1AR is now in use
+    chip.expect("M1AR written while EN is set")
+
+
+def test_memory_side_is_prefetched(fast_chip: Bench) -> None:
+    """Direct mode fetches the next item as soon as EN is set or the last one left: a later change of it is not seen."""
+    chip = fast_chip
+    chip.write(SRAM, 0x00020001)
+    stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | TO_PERIPHERAL, 2, TIM3 + CCR1, SRAM)
+    chip.write(SRAM, 0x00990098)
+    chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+    assert chip.read(TIM3 + CCR1) == 1
+    chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+    assert chip.read(TIM3 + CCR1) == 0x99
+
+
+def test_fifo_packs_and_flushes(fast_chip: Bench) -> None:
+    chip = fast_chip
+    control = 7 << 25 | 1 << 11 | 2 << 13 | MINC  # Half-words in, words out
+    stream(chip, DMA1, 1, control, 6, TIM3 + CNT, SRAM, fifo=0x20 | 4 | 1)  # Threshold a half: 8 bytes
+    for value in range(1, 7):
+        chip.write(TIM3 + CNT, value)
+        chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+        if value == 3:
+            assert chip.read(SRAM) == 0
+            assert chip.read(DMA1 + 0x3C) >> 3 & 7 == 1
+        if value == 4:
+            assert chip.read(SRAM + 4) == 0x40003
+    assert [chip.read(SRAM + 4 * i) for i in range(3)] == [0x20001, 0x40003, 0x60005]
+
+
+def test_memory_to_memory(fast_chip: Bench) -> None:
+    chip = fast_chip
+    for i in range(5):
+        chip.write(SRAM + 4 * i, 0x1000 + i)
+    stream(chip, DMA2, 0, WORDS | MINC | PINC | MEMORY_TO_MEMORY, 5, SRAM, SRAM + 0x100, fifo=0x27)
+    chip.run(MICROSECOND)
+    assert [chip.read(SRAM + 0x100 + 4 * i) for i in range(5)] == [0x1000 + i for i in range(5)]
+    assert flags(chip, DMA2, 0) & 0x20
+
+
+@pytest.mark.parametrize(
+    ("controller", "control", "count", "peripheral", "memory", "fifo", "sentence"),
+    [
+        (DMA1, 7 << 25 | HALVES, 1, GPIOC + 0x14, SRAM, 0, "all that DMA1 reaches"),
+        (DMA1, 7 << 25 | HALVES | TO_PERIPHERAL, 1, TIM3 + CCR1, CCM, 0, "CCM, which no DMA reaches"),
+        (DMA1, 7 << 25 | HALVES, 0, TIM3 + CNT, SRAM, 0, "NDTR 0"),
+        (DMA1, 7 << 25 | WORDS, 1, TIM3 + CNT + 2, SRAM, 0, "not aligned"),
+        (DMA1, 7 << 25 | 1 << 11 | 2 << 13, 3, TIM3 + CNT, SRAM, 4, "NDTR is not a multiple"),
+        (DMA1, 7 << 25 | WORDS | 1 << 23, 4, TIM3 + CNT, SRAM, 5, "does not fit the FIFO threshold"),
+        (DMA1, WORDS | MEMORY_TO_MEMORY, 4, SRAM, SRAM, 4, "memory-to-memory needs DMA2"),
+        (DMA1, 7 << 25 | 3 << 11, 4, TIM3 + CNT, SRAM, 0, "reserved value 3"),
+    ],
+)  # fmt: skip
+def test_illegal_streams(
+    fast_chip: Bench, controller: int, control: int, count: int, peripheral: int, memory: int, fifo: int, sentence: str
+) -> None:
+    chip = fast_chip
+    stream(chip, controller, 1, control, count, peripheral, memory, fifo=fifo)
+    chip.expect(sentence)
+    assert chip.read(controller + 0x28) & 1 == 0
+
+
+def test_protected_registers_and_stale_flags(fast_chip: Bench) -> None:
+    chip = fast_chip
+    stream(chip, DMA1, 1, 7 << 25 | HALVES, 4, TIM3 + CNT, SRAM)
+    chip.write(DMA1 + 0x2C, 9)
+    chip.expect("NDTR written while EN is set")
+    chip.change(DMA1 + 0x28, MINC)
+    chip.expect("protected bits")
+    chip.change(DMA1 + 0x28, 0, 1)
+    assert flags(chip, DMA1, 1) == 0x20, "a stream that software stops sets TCIF"
+    chip.change(DMA1 + 0x28, 1)
+    chip.expect("event flags are still set")
+    chip.write(DMA1 + 8, 0xFFFFFFFF & 0x0F7D0F7D)
+
+
+def test_two_streams_on_one_line(fast_chip: Bench) -> None:
+    stream(fast_chip, DMA2, 0, HALVES, 4, TIM3 + CNT, SRAM)
+    stream(fast_chip, DMA2, 4, HALVES, 4, TIM3 + CNT, SRAM)
+    fast_chip.expect("already served by DMA2 stream 0")
+
+
+def test_timer_request_without_reader_waits(fast_chip: Bench) -> None:
+    """A request stays until it is served, or until its enable bit falls."""
+    chip = fast_chip
+    chip.write(TIM6 + DIER, 1 << 8)
+    chip.write(TIM6 + EGR, 1)
+    stream(chip, DMA1, 1, 7 << 25 | HALVES, 4, TIM3 + CNT, SRAM)
+    assert chip.read(DMA1 + 0x2C) == 3
+    chip.change(DMA1 + 0x28, 0, 1)
+    chip.write(DMA1 + 8, 0x3D << 6)
+    chip.write(TIM6 + EGR, 1)
+    chip.write(TIM6 + DIER, 0)
+    stream(chip, DMA1, 1, 7 << 25 | HALVES, 4, TIM3 + CNT, SRAM)
+    assert chip.read(DMA1 + 0x2C) == 4
+    chip.run(MILLISECOND)
