@@ -108,6 +108,23 @@ def test_an_epoch_without_anything_still_has_its_line(tmp_path, capsys):
     ]
 
 
+def test_fields_written_give_the_same_poses(tmp_path, capsys):
+    lines = log_of(range(3)).splitlines(keepends=True)
+    del lines[11 + 5]
+    table = tmp_path / "fields.csv"
+    code, out, _ = run(capsys, "--log", write(tmp_path, "".join(lines)), "--json", "--fields", table)
+    assert code == 0
+    assert len(table.read_text().splitlines()) == 1 + 8 + 7 + 8
+    assert main(["locate", "--site", str(SITE), str(table), "--json"]) == 0
+    again = poses(capsys.readouterr().out)
+    for live, located in zip(poses(out), again, strict=True):
+        np.testing.assert_allclose(located["position_m"], live["position_m"], atol=1e-9)
+        assert located["used"] == live["used"]
+    code, _, err = run(capsys, "--log", tmp_path / "a.log", "--fields", tmp_path / "none" / "f.csv")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "the fields cannot be written" in err
+
+
 def test_what_the_sensor_says_was_wrong_is_shown(tmp_path, capsys):
     messages = cycle_messages(0)
     status = {"cycle_low": 0, "chips": 1000, "saturated": 4, "fields": 8, "locked": 0, "phase": 0, "temperature": 20}

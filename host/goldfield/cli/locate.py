@@ -11,13 +11,12 @@ import numpy as np
 
 from goldfield import site as sites
 from goldfield.cli import options
+from goldfield.cli.fields_file import COLUMNS, SIGMA_COLUMN
 from goldfield.cli.output import json_line, pose_record
 from goldfield.errors import UserError
 from goldfield.poses import Fields
 from goldfield.site import Site
 from goldfield.tables import Row, read_table
-
-COLUMNS = ("epoch", "t_s", "beacon", "bx_T", "by_T", "bz_T")
 
 
 def command(subparsers: Any) -> None:
@@ -57,7 +56,7 @@ def read_fields(site: Site, path: str) -> Iterator[Fields]:
     """
     rows: list[Row] = []
     seen: set[int] = set()
-    for row in read_table(path, COLUMNS, ("sigma_T",)):
+    for row in read_table(path, COLUMNS, (SIGMA_COLUMN,)):
         epoch = row.whole("epoch")
         if rows and epoch != rows[0].whole("epoch"):
             yield _fields(site, rows)
@@ -89,10 +88,10 @@ def _fields(site: Site, rows: list[Row]) -> Fields:
             raise row.error("beacon", f"{beacon!r} comes twice in the epoch")
         beacons.append(beacon)
         field[place] = [row.field(column) for column in COLUMNS[3:]]
-        if row.cells.get("sigma_T", "").strip():
-            sigma[place] = row.number("sigma_T")
+        if row.cells.get(SIGMA_COLUMN, "").strip():
+            sigma[place] = row.number(SIGMA_COLUMN)
             if not 0.0 < sigma[place] < 1.0:
-                raise row.error("sigma_T", f"is {sigma[place]:g}; it must be greater than zero and below 1 T")
+                raise row.error(SIGMA_COLUMN, f"is {sigma[place]:g}; it must be greater than zero and below 1 T")
         else:
             sigma[place] = default_sigma
     return Fields(rows[0].whole("epoch"), time_s, tuple(beacons), field, sigma)

@@ -12,6 +12,7 @@ from typing import Any
 
 from goldfield import site as sites
 from goldfield.cli import options
+from goldfield.cli.fields_file import FieldsWriter
 from goldfield.cli.output import json_line, number, pose_record
 from goldfield.errors import UserError
 from goldfield.link.candump import CandumpReader, CandumpWriter
@@ -43,6 +44,7 @@ def command(subparsers: Any) -> None:
     options.add_site(parser)
     options.add_json(parser)
     options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
+    options.add(parser, "--fields", metavar="FILE", what="write the separated fields to a table for goldfield locate")
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
     options.add(parser, "--truth", metavar="FILE", what="the simulator's truth, to compare with")
     options.add(parser, "--node", metavar="N", what="node of the sensor (else the first one heard)", kind=options.node)
@@ -80,11 +82,15 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
 
     separator = EpochSeparator(site)
     truth = Truth(arguments.truth) if arguments.truth else None
+    writer = FieldsWriter(arguments.fields) if arguments.fields else None
     table = PoseTable(live=True, truth=truth is not None)
     summary = Summary()
     try:
         for report in _limited(session.reports(live), arguments.seconds, site.cycle_s):
-            pose = pose_of(site, separator.fields(report))
+            fields = separator.fields(report)
+            if writer is not None:
+                writer.write(fields)
+            pose = pose_of(site, fields)
             error = NO_ERROR if truth is None else truth.error_of(pose)
             lost = report.lost(expected_fields=len(site.codes))
             summary.add(pose, error, lost)
@@ -111,9 +117,10 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
         summary.counters = {_counter_name(number): count for number, count in sorted(session.counters.items()) if count}
         if summary.epochs:
             print(summary.text(truth is not None), file=sys.stderr if arguments.json else sys.stdout, flush=True)
-        if truth is not None:
-            truth.close()
-    if not summary.epochs:
+        for file in (truth, writer):
+            if file is not None:
+                file.close()
+    if not summary.epochs and not live:
         raise UserError(f"{session.name}: holds no cycle of a sensor")
     return 0
 
