@@ -3,7 +3,7 @@
 #include "board.h"
 #include "registers.h"
 
-enum { SENSOR = 1, MASK_INTERRUPTS = 2, STALL = 4, LOSE_SAMPLES = 8 }; /* First byte of the parameter page. */
+enum { SENSOR = 1, MASK_INTERRUPTS = 2, STALL = 4, LOSE_SAMPLES = 8, HANG_ONCE = 16 }; /* First byte of the parameter page. */
 #define SYNCS 64u
 
 struct {
@@ -91,6 +91,7 @@ int main(void) {
         }
         hal_counters(probe.hal, &probe.counters);
         probe.temperature = (uint32_t)(int32_t)hal_temperature(probe.hal);
+        if ((probe.mode & HANG_ONCE) && probe.counters.watchdog_resets == 0) for (;;) {}
         hal_watchdog_kick(probe.hal);
     }
 }

@@ -18,7 +18,7 @@ from hil_sim.emulator.emulator import LIBRARY, Configuration, Emulator
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[3]
 BOARD = "firmware/boards/stm32f405"
-SENSOR, MASK_INTERRUPTS, STALL, LOSE_SAMPLES = 1, 2, 4, 8
+SENSOR, MASK_INTERRUPTS, STALL, LOSE_SAMPLES, HANG_ONCE = 1, 2, 4, 8, 16
 PA0, PA1, PA10, PC6, PC7, PC8, PC12 = 0, 1, 10, 38, 39, 40, 44
 TICK_PS = 1e12 / 168e6
 FIELDS = (
@@ -233,3 +233,11 @@ def test_lost_samples_are_marked_and_counted_and_come_back_in_step(bench):
     assert result["samples_wrong"] == 0
     assert 1 <= result["blocks_lost"] <= 4
     assert result["samples_right"] == (result["sampled"] - result["blocks_lost"]) * 31 * 24
+
+
+def test_a_watchdog_reset_is_told(bench):
+    b = bench(HANG_ONCE)
+    assert b.board.run(400_000_000_000), b.board.report()
+    assert b.probe()["watchdog_resets"] == 0
+    assert b.board.run(700_000_000_000), b.board.report()
+    assert b.probe()["watchdog_resets"] == 1
