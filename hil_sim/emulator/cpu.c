@@ -8,10 +8,6 @@
 
 #define PRIVATE_BUS_BASE 0xE0000000u
 #define PRIVATE_BUS_SIZE 0x00100000u
-/* A page of our own. A stop inside an IT block is only honoured at an instruction outside of it: execution is sent here, and stops. */
-#define TRAMPOLINE 0xF0000000u
-#define TRAMPOLINE_SIZE 0x1000u
-
 #define OPCODE_WFI 0xBF30u
 #define OPCODE_WFE 0xBF20u
 #define OPCODE_YIELD 0xBF10u
@@ -84,26 +80,34 @@ static bool preempts(const cpu_t *cpu)
     return cpu->nvic.candidate_priority < cpu->nvic.active_priority && cpu->nvic.candidate_priority < execution_priority(cpu, true);
 }
 
-/* Something must happen before the instruction at address: 0 to go on, or leave Unicorn. Sets the next deadline. */
+/* Unicorn cannot stop inside an IT block: events fire there on time, but an exception, and the end of a run, wait for the block's end (at most 4
+ * instructions; the architecture leaves that latency open). At the end of a run the board is then so much ahead, in every slicing alike. */
+static bool may_leave(const cpu_t *cpu, uint32_t address)
+{
+    return it_state_at(cpu, address) == 0;
+}
+
+/* Must Unicorn be left before the instruction at address? Fires events and sets the next deadline. */
 static bool must_leave(cpu_t *cpu, uint32_t address)
 {
     machine_t *const machine = cpu->machine;
     const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
     cpu->deadline = 0;
-    if (cpu->fault.exception != 0 || machine->stop_requested || machine->reset_requested) {
-        return true;
+    const bool over = time >= cpu->until_ps || cpu->fault.exception != 0 || machine->stop_requested || machine->reset_requested;
+    if (over && may_leave(cpu, address)) {
+        return true; /* cpu_run() fires what is due before the end. */
     }
-    machine_fire(machine, time < cpu->until_ps ? time : cpu->until_ps - 1);
-    if (time >= cpu->until_ps || machine->stop_requested || machine->reset_requested || preempts(cpu)) {
-        return true;
+    machine_fire(machine, time);
+    if (over || machine->stop_requested || machine->reset_requested || preempts(cpu)) {
+        return may_leave(cpu, address);
     }
     bool every_instruction = cpu->nvic.candidate_priority < cpu->nvic.active_priority; /* Masked: the mask may open any time. */
     if ((cpu->system.cpacr & CPACR_FPU) != CPACR_FPU) {
         every_instruction = true;
         if (is_floating_point(cpu, address)) {
-            cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_NOCP};
-            machine_violation(machine, "floating-point instruction while CPACR does not enable the unit");
-            return true;
+            cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_NOCP, .pc = address, .it_state = it_state_at(cpu, address)};
+            machine_violation(machine, "floating-point instruction at 0x%08x while CPACR does not enable the unit", (unsigned)address);
+            return may_leave(cpu, address);
         }
     }
     if (cpu->probes_active != 0) {
@@ -119,22 +123,14 @@ static bool must_leave(cpu_t *cpu, uint32_t address)
 
 static __attribute__((noinline)) bool cpu_attend(cpu_t *cpu, uint32_t address)
 {
-    if (address == TRAMPOLINE) {
-        uc_emu_stop(cpu->uc);
-        return true;
-    }
     if (!must_leave(cpu, address)) {
         return false;
     }
     cpu->deadline = 0;
     cpu->leave = LEAVE_STOPPED;
     cpu->pc = address;
-    cpu->it_state = it_state_at(cpu, address);
-    if (cpu->it_state == 0) {
-        uc_emu_stop(cpu->uc);
-    } else {
-        cpu_set_register(cpu, UC_ARM_REG_PC, TRAMPOLINE | 1u);
-    }
+    cpu->it_state = 0;
+    uc_emu_stop(cpu->uc);
     return true;
 }
 
@@ -175,22 +171,25 @@ static bool is_single_transfer(const cpu_t *cpu)
     return thumb_size(opcode) == 2 ? (opcode >> 12 >= 5u && opcode >> 12 <= 9u) || opcode >> 11 == 9u : (opcode & 0xFE00u) == 0xF800u;
 }
 
+/* The instruction goes on (Unicorn cannot abandon it here), and the fault is taken after it, with its address. */
+static void access_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address)
+{
+    cpu->executed--;
+    const uint8_t it_state = it_state_at(cpu, cpu->history[cpu->executed % HISTORY]);
+    cpu->executed++;
+    cpu->fault = (fault_t){.exception = exception, .cfsr = cfsr, .address = address, .pc = last_pc(cpu), .it_state = it_state};
+    cpu->deadline = 0;
+}
+
 static void access_begin(cpu_t *cpu, uint32_t address)
 {
     cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
     if (cpu->access_executed == cpu->executed && cpu->fault.exception == 0 && is_single_transfer(cpu)) {
         /* Unicorn splits an access that is not aligned. */
         machine_violation(cpu->machine, "unaligned access near 0x%08x", (unsigned)address);
-        cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_UNALIGNED};
-        cpu->deadline = 0;
+        access_fault(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNALIGNED, address);
     }
     cpu->access_executed = cpu->executed;
-}
-
-static void access_failed(cpu_t *cpu, uint32_t address)
-{
-    cpu->fault = (fault_t){.exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_PRECISERR | CFSR_BFARVALID, .address = address};
-    cpu->deadline = 0;
 }
 
 static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *user)
@@ -203,11 +202,11 @@ static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *use
     access_begin(cpu, address);
     if (window->base != PRIVATE_BUS_BASE) {
         if (!machine_core_read(cpu->machine, address, size, &value)) {
-            access_failed(cpu, address);
+            access_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
         }
     } else if (!system_control_read(cpu, address, size, &value)) {
         machine_violation(cpu->machine, "%u-byte read of unknown core register 0x%08x", size, (unsigned)address);
-        access_failed(cpu, address);
+        access_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
     }
     return value;
 }
@@ -221,11 +220,11 @@ static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t val
     access_begin(cpu, address);
     if (window->base != PRIVATE_BUS_BASE) {
         if (!machine_core_write(cpu->machine, address, size, (uint32_t)value)) {
-            access_failed(cpu, address);
+            access_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
         }
     } else if (!system_control_write(cpu, address, size, (uint32_t)value)) {
         machine_violation(cpu->machine, "%u-byte write to unknown core register 0x%08x", size, (unsigned)address);
-        access_failed(cpu, address);
+        access_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
     }
 }
 
@@ -236,7 +235,7 @@ static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int
     (void)value;
     (void)type;
     cpu_t *const cpu = user;
-    cpu->fault.address = (uint32_t)address;
+    cpu->bad_address = (uint32_t)address;
     return false;
 }
 
@@ -245,15 +244,11 @@ static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int
 /* The instruction at last_pc() did not complete. */
 static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, const char *what)
 {
-    cpu->fault.exception = exception;
-    cpu->fault.cfsr = cfsr;
-    cpu->pc = last_pc(cpu);
-    cpu->executed--; /* Where it stands in its IT block is found as for an instruction about to run. */
-    cpu->it_state = it_state_at(cpu, cpu->pc);
-    cpu->executed++;
+    const uint32_t address = cpu->bad_address;
+    access_fault(cpu, exception, cfsr, address);
     cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
     if ((cfsr & CFSR_BFARVALID) != 0) {
-        machine_violation(cpu->machine, "%s 0x%08x", what, (unsigned)cpu->fault.address);
+        machine_violation(cpu->machine, "%s 0x%08x", what, (unsigned)address);
     } else {
         machine_violation(cpu->machine, "%s", what);
     }
@@ -271,7 +266,7 @@ static uint32_t take_state(cpu_t *cpu)
 
 static void fetch_failed(cpu_t *cpu, uint32_t pc)
 {
-    cpu->fault = (fault_t){.exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_IBUSERR};
+    cpu->fault = (fault_t){.exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_IBUSERR, .pc = cpu->pc, .it_state = cpu->it_state};
     machine_violation(cpu->machine, "instruction fetch from 0x%08x, where there is no memory", (unsigned)pc);
 }
 
@@ -337,7 +332,7 @@ static void left_unicorn(cpu_t *cpu, uc_err error)
     case UC_ERR_FETCH_PROT: fetch_failed(cpu, take_state(cpu)); break;
     case UC_ERR_EXCEPTION:
         take_state(cpu);
-        cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVSTATE};
+        cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVSTATE, .pc = cpu->pc};
         machine_violation(cpu->machine, "branch to 0x%08x without the Thumb bit", (unsigned)cpu->pc);
         break;
     default: cpu_halt(cpu, uc_strerror(error)); break;
@@ -440,6 +435,8 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps)
         if (cpu->fault.exception != 0) {
             const fault_t fault = cpu->fault;
             cpu->fault = (fault_t){0};
+            cpu->pc = fault.pc;
+            cpu->it_state = fault.it_state;
             exception_fault(cpu, &fault);
         } else if (cpu->asleep) {
             pass_sleep(cpu);
@@ -493,7 +490,7 @@ static uc_err map_all(cpu_t *cpu)
         {SRAM_BASE, SRAM_SIZE, UC_PROT_ALL, machine->sram},
         {CCM_BASE, CCM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->ccm}, /* Data only: it is not on the instruction bus. */
     };
-    uc_err error = uc_mem_map(cpu->uc, TRAMPOLINE, TRAMPOLINE_SIZE, read_execute);
+    uc_err error = UC_ERR_OK;
     for (unsigned i = 0; i < sizeof memories / sizeof memories[0] && error == UC_ERR_OK; i++) {
         error = uc_mem_map_ptr(cpu->uc, memories[i].base, memories[i].size, memories[i].access, memories[i].bytes);
     }

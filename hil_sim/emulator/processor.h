@@ -45,7 +45,8 @@ typedef struct {
 
 typedef struct {
     unsigned exception; /* 0: none. */
-    uint32_t cfsr, hfsr, address;
+    uint32_t cfsr, hfsr, address, pc;
+    uint8_t it_state;
 } fault_t;
 
 typedef struct cpu cpu_t;
@@ -92,6 +93,7 @@ struct cpu {
     unsigned depth; /* Exceptions active. */
     uint64_t entered_at[NVIC_EXCEPTIONS], inside[NVIC_EXCEPTIONS]; /* By depth: count at the last exception from there, instructions in exceptions from there. */
 
+    uint32_t bad_address;
     uint64_t access_executed; /* Instruction of the last peripheral access: several by one instruction are looked at. */
 
     bus_window_t windows[3];

@@ -9,8 +9,9 @@ from pathlib import Path
 CASES = 1000
 
 # One instruction, or short sequence, a line. Operands are in r0..r3 (r0 is also the destination), s0..s2 hold r0..r2,
-# flags come from r4; r5 is free, r11 points to scratch memory. Those in floating.txt run in all four rounding modes. VCVT from fixed point (last of integer.txt) does not:
-# it rounds to nearest whatever FPSCR says (ARMv7-M manual), but Unicorn 2.1.4 heeds FPSCR.
+# flags come from r4; r5 is free, r11 points to scratch memory. Those in floating.txt run in all four rounding modes;
+# VCVT from fixed point (the last of integer.txt) does not: it rounds to nearest whatever FPSCR says (ARMv7-M manual),
+# but Unicorn 2.1.4 heeds FPSCR.
 PROGRAMS = Path(__file__).parent / "programs"
 INTEGER = (PROGRAMS / "integer.txt").read_text().splitlines()
 FLOATING = (PROGRAMS / "floating.txt").read_text().splitlines()

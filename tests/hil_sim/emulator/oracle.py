@@ -13,19 +13,19 @@ FLAGS = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16", 
 MILLISECOND = 1_000_000_000
 
 
-def build(directory: Path, *sources: Path, defines: tuple[str, ...] = ()) -> Path:
+def build(directory: Path, *sources: Path) -> Path:
     """Link a program for address 0, once to be loaded there (QEMU), once into our flash, which also appears at 0."""
     files = [*map(str, sources), str(PROGRAMS / "runtime.c")]
     for name, offset in (("program.elf", 0), ("flash.elf", 0x08000000)):
-        command = ["arm-none-eabi-gcc", *FLAGS, *(f"-D{d}" for d in defines), f"-I{PROGRAMS}", "-Wl,--build-id=none"]
+        command = ["arm-none-eabi-gcc", *FLAGS, f"-I{PROGRAMS}", "-Wl,--build-id=none"]
         command += [f"-Wl,--defsym=LOAD_OFFSET={offset:#x}", "-T", str(PROGRAMS / "program.ld")]
         subprocess.run([*command, "-o", str(directory / name), *files, "-lgcc"], check=True)
     return directory / "flash.elf"
 
 
-def load(image: Path, *, strict: bool = False) -> Emulator:
-    """Make a board that tolerates violations, as QEMU would."""
-    return Emulator(image, Configuration(strict=strict))
+def load(image: Path, *, strict: bool = False, argument: int = 0) -> Emulator:
+    """Make a board that tolerates violations, as QEMU would. The program finds the argument at 0xE0000."""
+    return Emulator(image, Configuration(strict=strict), parameter_page=struct.pack("<I", argument))
 
 
 def words(data: bytes) -> list[int]:
@@ -44,11 +44,12 @@ def run_on_emulator(board: Emulator, limit_ms: int = 4000) -> list[int]:
     return words(board.memory(board.symbols["results"], 4 * word(board, "result_count")))
 
 
-def run_on_qemu(image: Path) -> list[int]:
+def run_on_qemu(image: Path, argument: int = 0) -> list[int]:
     """Run the same program, linked for the same address, on QEMU; return its notes."""
     directory = image.parent
     command = ["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-monitor", "none", "-serial", "none"]
     command += ["-semihosting-config", "enable=on,target=native", "-kernel", str(directory / "program.elf")]
     command += ["-device", "loader,addr=0x2001F000,data=0x51454D55,data-len=4"]
+    command += ["-device", f"loader,addr=0xE0000,data={argument},data-len=4"]
     subprocess.run(command, cwd=directory, check=True, timeout=30, stdin=subprocess.DEVNULL)
     return words((directory / "results.bin").read_bytes())
