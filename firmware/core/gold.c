@@ -51,7 +51,7 @@ static uint16_t product(const gold_family_t *family, uint16_t taps, uint16_t a, 
 
 uint16_t gold_functional(const gold_family_t *family, uint16_t taps, uint32_t k) {
     const uint32_t exponent = k % family->length;
-    uint16_t power = (uint16_t)(1u << (family->degree - 1u)); /* w_0: the output stage. */
+    uint16_t power = (uint16_t)((family->length + 1u) / 2u); /* w_0: the output stage. */
     for (uint32_t bit = family->degree; bit-- > 0u;) {
         power = product(family, taps, power, power);
         if ((exponent >> bit & 1u) != 0u) {
@@ -78,7 +78,7 @@ bool gold_start(gold_generator_t *generator, uint32_t degree, uint32_t code, uin
         return false;
     }
     const uint32_t first = chip % family->length;
-    const uint16_t output = (uint16_t)(1u << (family->degree - 1u));
+    const uint16_t output = (uint16_t)((family->length + 1u) / 2u);
     generator->family = family;
     generator->u_state = state_at(family, family->u_taps, first);
     generator->v_state = state_at(family, family->v_taps, code < family->length ? first + code : first);

@@ -297,3 +297,13 @@ def test_random_edges_never_lead_to_lengths_out_of_bounds(core, seed):
     simulation.run(4 * CYCLE_BLOCKS, sorted(rng.uniform(0, 4 * N * NOMINAL, 400).tolist()))
     assert all(MINIMUM <= ticks <= MAXIMUM for _, _, ticks in simulation.planned)
     assert abs(simulation.clock.period / 2**32 / NOMINAL - 1) < 301e-6
+
+
+@settings(max_examples=20, deadline=None)
+@given(phase=st.floats(0, 1))
+def test_slews_at_most_half_a_chip(core, phase):
+    edges, _ = edges_of((100 + phase) * NOMINAL, 0, 4)
+    simulation = Simulation(core)
+    simulation.run(3 * CYCLE_BLOCKS, edges)
+    # Half a chip in steps of 422 or 478 ticks is at most 20 chips, and one more with the rest.
+    assert sum(ticks in (MINIMUM, MAXIMUM) for _, _, ticks in simulation.planned) <= 20
