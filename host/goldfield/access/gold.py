@@ -33,7 +33,7 @@ def sequence(degree: int, which: int) -> NDArray[np.uint8]:
     Examples
     --------
     >>> sequence(5, 0)[:10].tolist()
-    [1, 1, 1, 1, 1, 0, 0, 0, 1, 1]
+    [1, 1, 1, 1, 1, 0, 0, 1, 1, 0]
     """
     taps = PREFERRED_PAIRS[degree][which]
     bits = [1] * degree

@@ -1,0 +1,25 @@
+"""Every example in a docstring of the host and the protocol is run."""
+
+import doctest
+import importlib
+import pkgutil
+
+import goldfield
+import goldfield_protocol
+import pytest
+
+MODULES = [
+    name
+    for package in (goldfield, goldfield_protocol)
+    for _, name, _ in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+    if not name.endswith("__main__")
+]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples(name):
+    assert doctest.testmod(importlib.import_module(name)).failed == 0
+
+
+def test_there_are_examples():
+    assert sum(doctest.testmod(importlib.import_module(name)).attempted for name in MODULES) >= 8
