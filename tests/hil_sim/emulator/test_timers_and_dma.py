@@ -17,7 +17,9 @@ TO_PERIPHERAL, TO_MEMORY, MEMORY_TO_MEMORY = 1 << 6, 0, 2 << 6
 WORDS, HALVES = 2 << 11 | 2 << 13, 1 << 11 | 1 << 13
 
 
-def stream(chip: Bench, controller: int, n: int, control: int, count: int, peripheral: int, memory: int, **extra: int) -> None:
+def stream(
+    chip: Bench, controller: int, n: int, control: int, count: int, peripheral: int, memory: int, **extra: int
+) -> None:
     base = controller + 0x10 + 0x18 * n
     chip.write(base + 4, count)
     chip.write(base + 8, peripheral)
