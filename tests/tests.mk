@@ -9,3 +9,8 @@ lint: all ## ruff, mypy, clang-tidy, cppcheck
 	@$(VENV)/bin/mypy
 
 .PHONY: test test-slow lint
+
+figures: all ## Measure and print the figures of the whole chain (several minutes)
+	@$(PYTHON) tests/bench/chain_figures.py
+
+.PHONY: figures
