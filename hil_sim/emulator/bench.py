@@ -1,4 +1,4 @@
-"""A chip without a processor, for tests of the peripheral models: the caller's loads and stores take the core's place."""
+"""A chip without a processor, to test peripheral models: the caller's loads and stores take the core's place."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Edge:
     pins: list[tuple[int, bool, int]] = field(default_factory=list)
     volts: list[tuple[int, float, int]] = field(default_factory=list)
     samples: list[tuple[int, int]] = field(default_factory=list)
-    bytes: list[tuple[int, int, int]] = field(default_factory=list)
+    sent: list[tuple[int, int, int]] = field(default_factory=list)
     frames: list[tuple[int, int, bool, bytes, int]] = field(default_factory=list)
     aborts: list[tuple[int, int]] = field(default_factory=list)
 
@@ -49,7 +49,7 @@ class Bench:
         self.ffi, self.lib = library()
         ffi = self.ffi
         self.edge = Edge()
-        settings = ffi.new("emulator_config_t *")
+        settings: Any = ffi.new("emulator_config_t *")
         settings.temperature_degc = 25.0
         for key, value in config.items():
             setattr(settings, key, value)
@@ -70,7 +70,7 @@ class Bench:
             ),
             ffi.callback("double(void *, unsigned, int64_t)", analog_in),
             ffi.callback(
-                "void(void *, unsigned, uint8_t, int64_t)", lambda _, u, b, t: self.edge.bytes.append((u, b, t))
+                "void(void *, unsigned, uint8_t, int64_t)", lambda _, u, b, t: self.edge.sent.append((u, b, t))
             ),
             ffi.callback("void(void *, unsigned, const board_frame_t *, int64_t)", frame_out),
             ffi.callback("void(void *, unsigned, int64_t)", lambda _, b, t: self.edge.aborts.append((b, t))),
@@ -117,10 +117,14 @@ class Bench:
         """Level of an interrupt line."""
         return bool(self.lib.machine_bench_irq(self.machine, position))
 
+    def _text(self, pointer: Any) -> str:
+        raw = self.ffi.string(pointer)
+        return raw if isinstance(raw, str) else raw.decode()
+
     @property
     def report(self) -> str:
         """Violations so far, one a line."""
-        return bytes(self.ffi.string(self.operations.report(self.board))).decode()
+        return self._text(self.operations.report(self.board))
 
     @property
     def violations(self) -> int:
@@ -137,10 +141,10 @@ class Bench:
         count = self.ffi.new("unsigned *")
         table = self.lib.machine_register_table(self.machine, name.encode(), count)
         rows = [table[i] for i in range(count[0])]
-        return {bytes(self.ffi.string(r.name)).decode(): (r.offset, r.reset, r.bits, r.access) for r in rows}
+        return {self._text(r.name): (r.offset, r.reset, r.bits, r.access) for r in rows}
 
     def base(self, name: str) -> int:
-        """Base address of a peripheral."""
+        """Return the base address of a peripheral."""
         return int(self.lib.machine_peripheral(self.machine, name.encode()).base)
 
     def clocks_on(self) -> None:

@@ -1,6 +1,7 @@
 """ADC and DAC: directed tests on the bare chip."""
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import pytest
 
@@ -52,7 +53,10 @@ def test_code(volts: float, code: int) -> None:
 @pytest.mark.parametrize(("setting", "sampling"), list(enumerate((3, 15, 28, 56, 84, 112, 144, 480))))
 @pytest.mark.parametrize(("resolution", "bits"), [(0, 12), (3, 6)])
 def test_conversion_time(setting: int, sampling: int, resolution: int, bits: int) -> None:
-    """The switch opens after the sampling time, the result comes one clock a bit later; two clocks of latency and up to one to the clock's edge."""
+    """The switch opens after the sampling time, the result comes one clock a bit later.
+
+    Before that, two clocks of latency and up to one to the clock's edge.
+    """
     chip = make(lambda pin, time: 1.0)
     chip.write(ADC1 + SMPR2, setting)
     chip.write(ADC1 + AC1, resolution << 24 | 1 << 5)
@@ -191,7 +195,7 @@ def test_triple_simultaneous(mode: int) -> None:
     times = [t for _, t in samples[::3]]
     assert [t for _, t in samples] == [t for t in times for _ in range(3)]
     bits = 8 if mode == 3 else 12
-    for a, b in zip(times, times[1:], strict=False):
+    for a, b in pairwise(times):
         assert abs(b - a - (28 + bits) * ADC_CLOCK_PS) <= 1
     update = begin + 8402 / 84e6 * 1e12
     assert 0 < times[0] - update - 29 * ADC_CLOCK_PS < 2.1 * ADC_CLOCK_PS

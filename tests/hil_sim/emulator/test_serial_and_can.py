@@ -1,7 +1,5 @@
 """USART and bxCAN: directed tests on the bare chip."""
 
-from collections.abc import Iterator
-
 import pytest
 
 from hil_sim.emulator.bench import MICROSECOND, MILLISECOND, Bench
@@ -45,8 +43,8 @@ def test_byte_times(fast_chip: Bench, brr: int, over8: bool, baud: float) -> Non
     assert chip.read(USART1 + SR) == TXE
     chip.run(10e12 / baud)
     assert chip.read(USART1 + SR) == TXE | TC
-    assert [(u, b) for u, b, _ in chip.edge.bytes] == [(1, 0x41), (1, 0x42)]
-    for i, (_, _, time) in enumerate(chip.edge.bytes):
+    assert [(u, b) for u, b, _ in chip.edge.sent] == [(1, 0x41), (1, 0x42)]
+    for i, (_, _, time) in enumerate(chip.edge.sent):
         assert abs(time - begin - (i + 1) * 10e12 / baud) <= 2
 
 
@@ -79,8 +77,8 @@ def test_transmit_by_dma_is_gapless(fast_chip: Bench) -> None:
     begin = chip.now
     chip.write(USART1 + U3, 0x80)
     chip.run(250 * MICROSECOND)
-    assert bytes(b for _, b, _ in chip.edge.bytes) == message
-    assert all(abs(t - begin - (i + 1) * 5 * MICROSECOND) <= 2 for i, (_, _, t) in enumerate(chip.edge.bytes))
+    assert bytes(b for _, b, _ in chip.edge.sent) == message
+    assert all(abs(t - begin - (i + 1) * 5 * MICROSECOND) <= 2 for i, (_, _, t) in enumerate(chip.edge.sent))
     assert chip.irq(70)
 
 
@@ -163,9 +161,9 @@ def start_can(chip: Bench, btr: int = ONE_MEGABIT, control: int = 0) -> None:
 
 
 @pytest.fixture
-def can_chip(fast_chip: Bench) -> Iterator[Bench]:
+def can_chip(fast_chip: Bench) -> Bench:
     start_can(fast_chip)
-    yield fast_chip
+    return fast_chip
 
 
 def load(chip: Bench, box: int, identifier: int, data: bytes) -> None:
@@ -277,7 +275,8 @@ def test_receive_release_and_overrun(can_chip: Bench) -> None:
         (0, 1, (0x10000 << 3 | 4, 0x1FFF0000 << 3 | 4), [(0x10000, True), (0x1FFFF, True)], [(0x20000, True)]),
         (1, 1, (5 << 21, 9 << 3 | 4), [(5, False), (9, True)], [(5, True), (9, False)]),
         (0, 0, (0xFFF8 << 16 | 5 << 5, 0xFFFF << 16 | 0xFFFF), [(5, False)], [(6, False), (5 << 18, True)]),
-        (1, 0, (1 << 5 | 2 << 21, 3 << 5 | (4 << 5 | 8 | 5) << 16), [(1, False), (2, False), (3, False), (4 << 18 | 5 << 15, True)], [(4, False)]),
+        (1, 0, (1 << 5 | 2 << 21, 3 << 5 | (4 << 5 | 8 | 5) << 16), [(1, False), (2, False), (3, False),
+          (4 << 18 | 5 << 15, True)], [(4, False)]),
     ],
 )  # fmt: skip
 def test_filters(
