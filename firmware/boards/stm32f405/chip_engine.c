@@ -44,20 +44,22 @@ hal_t board;
     PIN_RESET(6) | PIN_RESET(7) | (sync), PIN_SET(6) | PIN_RESET(7) | (sync), PIN_RESET(6) | PIN_SET(7) | (sync), PIN_RESET(6) | PIN_RESET(7) | (sync)
 static const uint32_t drive_words[8] = {WORDS(PIN_RESET(8)), WORDS(PIN_SET(8))};
 
+/* Chip i of the plan, into entry index of the rings. */
+static inline void write_chip(hal_t *hal, uint32_t i, uint32_t index) {
+    uint32_t period = hal->plan.period_ticks[i];
+    if (period < HAL_CHIP_TICKS_MIN) period = HAL_CHIP_TICKS_MIN;
+    if (period > HAL_CHIP_TICKS_MAX) period = HAL_CHIP_TICKS_MAX;
+    const uint32_t drive = hal->plan.drive[i];
+    hal->words[index] = drive_words[(drive & 3u) | (drive & HAL_PLAN_SYNC_OUT) >> 5];
+    hal->periods[index] = period - 1u;
+}
+
 /* Ask for block's plan and write it into the rings. */
 static void plan_block(hal_t *hal, uint32_t block) {
     hal->events.plan(hal->events.context, block, &hal->plan);
-    uint32_t index = (block & 1u) != 0 ? HAL_BLOCK_CHIPS - 1u : RING_CHIPS - 1u;
-    const uint32_t next = (block & 1u) != 0 ? HAL_BLOCK_CHIPS : 0u;
-    for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
-        uint32_t period = hal->plan.period_ticks[i];
-        if (period < HAL_CHIP_TICKS_MIN) period = HAL_CHIP_TICKS_MIN;
-        if (period > HAL_CHIP_TICKS_MAX) period = HAL_CHIP_TICKS_MAX;
-        const uint32_t drive = hal->plan.drive[i];
-        hal->words[index] = drive_words[(drive & 3u) | (drive & HAL_PLAN_SYNC_OUT) >> 5];
-        hal->periods[index] = period - 1u;
-        index = i == 0 ? next : index + 1u;
-    }
+    const uint32_t second = (block & 1u) != 0 ? HAL_BLOCK_CHIPS : 0u; /* Entry of the block's second chip. */
+    write_chip(hal, 0, (second + RING_CHIPS - 1u) % RING_CHIPS);
+    for (uint32_t i = 1; i < HAL_BLOCK_CHIPS; i++) write_chip(hal, i, second + i - 1u);
     memory_barrier();
 }
 

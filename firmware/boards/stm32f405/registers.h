@@ -115,6 +115,8 @@ typedef struct {
 #define DMA_LISR_TCIF2 (1u << 21)
 #define DMA_HISR_HTIF5 (1u << 10)
 #define DMA_HISR_TCIF5 (1u << 11)
+#define DMA_HISR_TEIF7 (1u << 25)
+#define DMA_HISR_TCIF7 (1u << 27)
 /* All five flags of a stream. */
 #define DMA_LIFCR_STREAM0 0x0000003Du
 #define DMA_LIFCR_STREAM2 0x003D0000u

@@ -55,7 +55,9 @@ static void send_piece(hal_t *hal) {
     out->CR |= DMA_S0CR_EN;
 }
 
+/* A flag that was just cleared may still raise its interrupt once: both handlers look first. */
 void DMA2_Stream7_Handler(void) {
+    if ((DMA2->HISR & (DMA_HISR_TCIF7 | DMA_HISR_TEIF7)) == 0) return;
     DMA2->HIFCR = DMA_HIFCR_STREAM7;
     board.sent += board.sending;
     send_piece(&board);
@@ -91,6 +93,7 @@ void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count) {
 /* ---- In ---- */
 
 void DMA2_Stream2_Handler(void) {
+    if ((DMA2->LISR & DMA_LISR_TCIF2) == 0) return;
     DMA2->LIFCR = DMA_LIFCR_STREAM2;
     board.receive_wraps++;
     board.woken = true;

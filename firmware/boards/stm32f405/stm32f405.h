@@ -6,6 +6,7 @@
  *   serial.c       USART1 with DMA both ways                    can.c        CAN1
  *
  * Priorities (0 preempts 1 preempts 2): 0 coil current and driver fault, 1 every other handler, 2 the 10 ms tick.
+ * The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a handler has more than two instructions before its return: all have.
  *
  * DMA2: stream 5 chip edges (very high) > stream 4 chip periods, stream 0 samples (high) > stream 2 serial in (medium) > stream 7 serial out (low).
  * No stream is shared. All are on DMA2, as DMA1 reaches neither GPIO nor APB2. The erratum "DMA2 data corruption when managing AHB and APB
