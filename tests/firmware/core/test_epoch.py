@@ -166,3 +166,10 @@ def test_message_integers_at_the_ends(core):
     assert lib.epoch_integer(-524287.0, 1.0) == -524287
     for value in (524288.0, -524288.0, math.inf, -math.inf, math.nan, 1e30):
         assert lib.epoch_integer(value, 1.0) == -524288
+
+
+def test_a_repeated_chip_drops_the_cycle(core, collector):
+    ffi, lib = core
+    feed(core, collector, [*range(100), 99, *range(100, N)])
+    assert collector.dropped == 1
+    assert lib.epoch_ready(collector) == ffi.NULL
