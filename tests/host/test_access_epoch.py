@@ -47,6 +47,16 @@ def test_lost_chips_cost_what_the_offset_leaks(separator):
     assert 0.5 < np.sqrt(np.mean(ratios)) < 1.1
 
 
+def test_sums_over_fewer_chips_are_scaled(separator):
+    """One beacon alone, no offset, three tenths of the chips lost: its field still comes out at full size."""
+    alone = np.zeros((8, 3))
+    alone[2] = [3e-7, -2e-7, 1e-7]
+    samples = CHIPS @ alone
+    samples[np.random.default_rng(4).choice(1023, size=307, replace=False)] = 0.0
+    fields = separator.fields(report_of(samples, chips=716))
+    np.testing.assert_allclose(fields.field_T[2], alone[2], rtol=0.01)
+
+
 def test_saturated_chips_are_trusted_less(separator):
     samples = CHIPS @ beacon_fields() + OFFSET_T
     assert (separator.fields(report_of(samples, saturated=5)).sigma_T > 5 * FLOOR_T).all()

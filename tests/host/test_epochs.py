@@ -131,6 +131,14 @@ def test_a_lost_cycle_is_handed_out_empty():
     assert math.isnan(reports[2].time_s)
 
 
+@pytest.mark.parametrize("gap", range(1, 8))
+def test_a_gap_that_ends_without_a_header_is_counted_by_the_low_bits(gap):
+    _, reports = assemble(arrivals([13]) + arrivals([13 + gap])[1:])
+    assert [r.cycle for r in reports] == list(range(13, 14 + gap))
+    assert_unmixed(reports[-1], 13 + gap)
+    assert (reports[-1].has_header, len(reports[-1].correlation_T)) == (False, FIELDS)
+
+
 def test_a_long_gap_is_counted_and_a_jump_is_a_restart():
     assembler, reports = assemble(arrivals([3, 4, 60, 61]))
     assert [r.cycle for r in reports] == [3, 4, 60, 61]
