@@ -30,7 +30,7 @@ class Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
-    0: done; 2: bad usage or bad input; 3: the boards, the link or this program failed. A tracebacks is shown only with
+    0: done; 2: bad usage or bad input; 3: the boards, the link or this program failed. A traceback is shown only with
     ``GOLDFIELD_DEBUG=1``.
     """
     try:
