@@ -264,6 +264,17 @@ static uint32_t take_state(cpu_t *cpu)
     return pc;
 }
 
+/* Unicorn looks for code to discard at every store into memory that may hold code, which doubles a store's cost: SRAM becomes executable only
+ * when a program first jumps there. False: it is not that. */
+static bool allow_code_in_sram(cpu_t *cpu)
+{
+    if (cpu->sram_executable || cpu->pc - SRAM_BASE >= SRAM_SIZE) {
+        return false;
+    }
+    cpu->sram_executable = true;
+    return uc_mem_protect(cpu->uc, SRAM_BASE, SRAM_SIZE, UC_PROT_ALL) == UC_ERR_OK;
+}
+
 static void fetch_failed(cpu_t *cpu, uint32_t pc)
 {
     cpu->fault = (fault_t){.exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_IBUSERR, .pc = cpu->pc, .it_state = cpu->it_state};
@@ -329,7 +340,13 @@ static void left_unicorn(cpu_t *cpu, uc_err error)
     case UC_ERR_WRITE_UNMAPPED: instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to unmapped address"); break;
     case UC_ERR_WRITE_PROT: instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to read-only address"); break;
     case UC_ERR_FETCH_UNMAPPED:
-    case UC_ERR_FETCH_PROT: fetch_failed(cpu, take_state(cpu)); break;
+    case UC_ERR_FETCH_PROT: {
+        const uint32_t pc = take_state(cpu);
+        if (!allow_code_in_sram(cpu)) {
+            fetch_failed(cpu, pc);
+        }
+        break;
+    }
     case UC_ERR_EXCEPTION:
         take_state(cpu);
         cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVSTATE, .pc = cpu->pc};
@@ -487,7 +504,7 @@ static uc_err map_all(cpu_t *cpu)
         {0, FLASH_SIZE, read_execute, machine->flash}, /* Boot from flash: it appears at 0 too. */
         {FLASH_BASE, FLASH_SIZE, read_execute, machine->flash},
         {SYSTEM_MEMORY_BASE, SYSTEM_MEMORY_SIZE, read_execute, machine->system_memory},
-        {SRAM_BASE, SRAM_SIZE, UC_PROT_ALL, machine->sram},
+        {SRAM_BASE, SRAM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->sram}, /* See allow_code_in_sram(). */
         {CCM_BASE, CCM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->ccm}, /* Data only: it is not on the instruction bus. */
     };
     uc_err error = UC_ERR_OK;

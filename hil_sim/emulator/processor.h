@@ -74,7 +74,7 @@ struct cpu {
     /* Between runs: where to go on. */
     uint32_t pc;
     uint8_t it_state;
-    bool asleep, event_register, halted;
+    bool asleep, event_register, halted, sram_executable;
     fault_t fault; /* Found by an access or by the check before an instruction; taken before the next instruction. */
 
     /* Why Unicorn was left. */
