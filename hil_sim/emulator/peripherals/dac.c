@@ -51,6 +51,16 @@ static void output(void *context, int64_t time_ps)
     }
 }
 
+/* A disabled channel leaves its pin alone; the outside is told 0 V, as a load to ground makes it. */
+static void release(channel_t *c)
+{
+    const board_edge_t *const edge = c->dac->model.chip->edge;
+    if (c->reported && edge->analog_out) {
+        edge->analog_out(edge->context, c->number + 1, 0, machine_now(c->dac->model.machine));
+    }
+    c->reported = false;
+}
+
 static void convert(channel_t *c, int64_t time_ps, unsigned cycles)
 {
     const clock_domain_t *const clock = &c->dac->model.chip->pclk1;
@@ -115,6 +125,9 @@ static void write_control(dac_t *dac, uint32_t value)
             c->reported = false;
             convert(c, machine_now(chip->machine), 1);
         }
+        if ((control(c) & EN) == 0) {
+            release(c);
+        }
         if ((control(c) & DMAEN) == 0) {
             dma_line(chip, i == 0 ? DMA_DAC1 : DMA_DAC2, false);
         }
@@ -172,7 +185,7 @@ static void restart(model_t *model)
     for (unsigned i = 0; i < 2; i++) {
         machine_cancel(model->machine, &dac->channel[i].update);
         dac->channel[i].holding = 0;
-        dac->channel[i].reported = false;
+        release(&dac->channel[i]);
     }
     for (unsigned i = 0; i < TRIGGER_COUNT; i++) {
         model->chip->trigger_wanted[i] = false;

@@ -49,6 +49,28 @@ static bool compute_level(const port_t *port, unsigned pin)
     return field(port->model.value[PUPDR / 4], 2 * pin, 2) == PULL_UP;
 }
 
+static void report(port_t *port, unsigned pin, bool level, int64_t time_ps)
+{
+    const chip_t *const chip = port->model.chip;
+    const uint16_t bit = (uint16_t)(1u << pin);
+    if ((port->known & bit) == 0 || ((port->reported & bit) != 0) != level) {
+        port->known |= bit;
+        port->reported = (uint16_t)(level ? port->reported | bit : port->reported & ~bit);
+        if (chip->edge->pin_out) {
+            chip->edge->pin_out(chip->edge->context, port->number * 16 + pin, level, time_ps);
+        }
+    }
+}
+
+/* A pin that is no output any more: the outside sees what it floats or is pulled to. */
+static void release(port_t *port, unsigned pin, bool level, int64_t time_ps)
+{
+    if (port->known >> pin & 1u) {
+        report(port, pin, level, time_ps);
+        port->known = (uint16_t)(port->known & ~(1u << pin));
+    }
+}
+
 /* Recompute some pins, tell the outside and the inside what changed. */
 static void update(port_t *port, uint16_t pins, int64_t time_ps)
 {
@@ -61,15 +83,9 @@ static void update(port_t *port, uint16_t pins, int64_t time_ps)
         const bool level = compute_level(port, pin), was = (port->level & bit) != 0;
         port->level = (uint16_t)(level ? port->level | bit : port->level & ~bit);
         if (mode(port, pin) == MODE_OUTPUT) {
-            if ((port->known & bit) == 0 || ((port->reported & bit) != 0) != level) {
-                port->known |= bit;
-                port->reported = (uint16_t)(level ? port->reported | bit : port->reported & ~bit);
-                if (chip->edge->pin_out) {
-                    chip->edge->pin_out(chip->edge->context, port->number * 16 + pin, level, time_ps);
-                }
-            }
+            report(port, pin, level, time_ps);
         } else {
-            port->known = (uint16_t)(port->known & ~bit);
+            release(port, pin, level, time_ps);
         }
         if (level != was) {
             exti_edge(chip, port->number * 16 + pin, level, time_ps);
@@ -178,9 +194,10 @@ static void restart(model_t *model)
     port_t *const port = (port_t *)model;
     port->locked = port->lock_pins = 0;
     port->lock_step = 0;
-    port->known = 0;
-    for (unsigned pin = 0; pin < 16; pin++) { /* Silently: whoever listens is in reset too. */
-        port->level = (uint16_t)(compute_level(port, pin) ? port->level | 1u << pin : port->level & ~(1u << pin));
+    for (unsigned pin = 0; pin < 16; pin++) { /* Silent inside: whoever listens there is in reset too. */
+        const bool level = compute_level(port, pin);
+        port->level = (uint16_t)(level ? port->level | 1u << pin : port->level & ~(1u << pin));
+        release(port, pin, level, machine_now(model->machine));
     }
 }
 

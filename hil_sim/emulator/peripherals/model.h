@@ -144,7 +144,7 @@ void chip_irq_shared(chip_t *chip, unsigned position, bool *held, bool level);
 void rcc_create(chip_t *chip);
 void rcc_check_limits(chip_t *chip); /* Wait states or voltage scale changed. */
 double rcc_lsi_hz(const chip_t *chip);
-bool rcc_lsi_ready(const chip_t *chip);
+bool rcc_pll_ready(const chip_t *chip);
 void rcc_force_lsi(chip_t *chip);
 model_t *chip_model(const chip_t *chip, const char *name);
 /* pwr.c, flash.c */
@@ -174,12 +174,13 @@ void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
 void adc_create(chip_t *chip);
 void adc_last_transfer(chip_t *chip, dma_source_t source); /* The stream's last transfer (NDTR became 0). */
 void adc_trigger_edge(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps);
-/* dac.c, usart.c, can.c, watchdog.c, crc.c */
+/* dac.c, usart.c, can.c, watchdog.c, crc.c, rng.c */
 void dac_create(chip_t *chip);
 void dac_trigger_edge(chip_t *chip, trigger_t trigger, int64_t time_ps);
 void usart_create(chip_t *chip);
 void can_create(chip_t *chip);
 void watchdog_create(chip_t *chip);
 void crc_create(chip_t *chip);
+void rng_create(chip_t *chip);
 
 #endif

@@ -35,5 +35,6 @@ void peripherals_create(machine_t *machine)
     can_create(chip);
     watchdog_create(chip);
     crc_create(chip);
+    rng_create(chip);
     chip->models[chip->model_count - 1]->peripheral.destroy = destroy;
 }

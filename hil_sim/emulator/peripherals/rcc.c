@@ -415,6 +415,8 @@ void rcc_force_lsi(chip_t *chip)
     chip->rcc->model.value[CSR / 4] |= 2u;
 }
 
+bool rcc_pll_ready(const chip_t *chip) { return (reg(&chip->rcc->model, CR) & PLLRDY) != 0; }
+
 double rcc_lsi_hz(const chip_t *chip) { return LSI_HZ * (1 + 1e-6 * chip->config->internal_ppm); }
 
 static void restart(model_t *model)

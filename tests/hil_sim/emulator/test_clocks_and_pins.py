@@ -215,3 +215,28 @@ def test_crc_unit(fast_chip: Bench) -> None:
 
     data = b"".join(mirror(word).to_bytes(4, "little") for word in words)
     assert fast_chip.read(CRC) == mirror(binascii.crc32(data) ^ 0xFFFFFFFF)
+
+
+def test_random_numbers_wait_for_ready(fast_chip: Bench) -> None:
+    rng = 0x50060800
+    fast_chip.write(rng, 0xC)
+    fast_chip.read(rng + 8)
+    fast_chip.expect("read while DRDY is 0")
+    words = set()
+    for _ in range(16):
+        fast_chip.run(MICROSECOND)
+        assert fast_chip.irq(80)
+        words.add(fast_chip.read(rng + 8))
+        assert not fast_chip.irq(80)
+    assert len(words) == 16
+
+
+def test_reset_releases_the_outputs(fast_chip: Bench) -> None:
+    """The bridge's enable must not stay on over a reset."""
+    chip = fast_chip
+    chip.write(GPIOC, 1 << 18)
+    chip.write(GPIOC + 0x18, 1 << 9)
+    chip.run(MICROSECOND)
+    chip.lib.machine_bench_reset(chip.machine)
+    assert [level for _, level, _ in chip.edge.pins] == [False, True, False]
+    assert chip.edge.pins[-1][2] == chip.now
