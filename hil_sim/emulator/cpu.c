@@ -6,72 +6,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define PRIVATE_BUS_BASE 0xE0000000u
-#define PRIVATE_BUS_SIZE 0x00100000u
 #define OPCODE_WFI 0xBF30u
 #define OPCODE_WFE 0xBF20u
 #define OPCODE_YIELD 0xBF10u
 
-#define CFSR_IBUSERR (1u << 8)
-#define CFSR_PRECISERR (1u << 9)
-#define CFSR_BFARVALID (1u << 15)
-#define CFSR_UNDEFINSTR (1u << 16)
-#define CFSR_INVSTATE (1u << 17)
-#define CFSR_NOCP (1u << 19)
-#define CFSR_UNALIGNED (1u << 24)
-#define HFSR_DEBUGEVT (1u << 31)
 #define CPACR_FPU 0x00F00000u
 
 /* Numbers that Unicorn hands to an interrupt hook (qemu/target/arm/cpu.h). */
 enum { UNICORN_SVC = 2, UNICORN_PREFETCH_ABORT = 3, UNICORN_DATA_ABORT = 4, UNICORN_BREAKPOINT = 7, UNICORN_EXCEPTION_EXIT = 8 };
-
-/* ---- Looking at code ---- */
-
-static bool opcode_at(const cpu_t *cpu, uint32_t address, uint16_t *opcode)
-{
-    const uint8_t *const memory = machine_memory(cpu->machine, address, 2);
-    if (memory != NULL) {
-        memcpy(opcode, memory, sizeof *opcode);
-    }
-    return memory != NULL;
-}
-
-/* ITSTATE at target, if walking from address with state leads there inside the block; else 0. */
-static uint8_t walk(const cpu_t *cpu, uint32_t address, uint8_t state, uint32_t target)
-{
-    uint16_t opcode;
-    while (state != 0 && address < target && opcode_at(cpu, address, &opcode)) {
-        address += thumb_size(opcode);
-        state = it_block_advance(state);
-    }
-    return address == target ? state : 0;
-}
-
-/* ITSTATE of the instruction at address, which is about to run or just failed, from the instructions that ran before it. */
-static uint8_t it_state_at(const cpu_t *cpu, uint32_t address)
-{
-    if (cpu->executed - cpu->resume_executed < 5) {
-        const uint8_t state = walk(cpu, cpu->resume_pc, cpu->resume_it_state, address);
-        if (state != 0) {
-            return state;
-        }
-    }
-    for (uint64_t back = 1; back <= 5 && back <= cpu->executed - cpu->resume_executed; back++) {
-        const uint32_t origin = cpu->history[(cpu->executed - back) % HISTORY];
-        uint16_t opcode;
-        if (origin < address && opcode_at(cpu, origin, &opcode) && it_block_opens(opcode)) {
-            return walk(cpu, origin + 2u, (uint8_t)opcode, address);
-        }
-    }
-    return 0;
-}
-
-/* Instructions that need the floating-point unit: coprocessors 10 and 11 (ARMv7-M manual, A5.3.18). */
-static bool is_floating_point(const cpu_t *cpu, uint32_t address)
-{
-    uint16_t first, second;
-    return opcode_at(cpu, address, &first) && (first & 0xEC00u) == 0xEC00u && opcode_at(cpu, address + 2u, &second) && (second & 0x0E00u) == 0x0A00u;
-}
 
 /* ---- Before an instruction ---- */
 
@@ -84,7 +26,7 @@ static bool preempts(const cpu_t *cpu)
  * instructions; the architecture leaves that latency open). At the end of a run the board is then so much ahead, in every slicing alike. */
 static bool may_leave(const cpu_t *cpu, uint32_t address)
 {
-    return it_state_at(cpu, address) == 0;
+    return code_it_state_at(cpu, address) == 0;
 }
 
 /* Must Unicorn be left before the instruction at address? Fires events and sets the next deadline. */
@@ -104,8 +46,8 @@ static bool must_leave(cpu_t *cpu, uint32_t address)
     bool every_instruction = cpu->nvic.candidate_priority < cpu->nvic.active_priority; /* Masked: the mask may open any time. */
     if ((cpu->system.cpacr & CPACR_FPU) != CPACR_FPU) {
         every_instruction = true;
-        if (is_floating_point(cpu, address)) {
-            cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_NOCP, .pc = address, .it_state = it_state_at(cpu, address)};
+        if (code_is_floating_point(cpu, address)) {
+            cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_NOCP, .pc = address, .it_state = code_it_state_at(cpu, address)};
             machine_violation(machine, "floating-point instruction at 0x%08x while CPACR does not enable the unit", (unsigned)address);
             return may_leave(cpu, address);
         }
@@ -154,80 +96,6 @@ static void on_interrupt(uc_engine *uc, uint32_t number, void *user)
     uc_emu_stop(uc);
 }
 
-/* ---- Peripheral accesses ---- */
-
-static uint32_t last_pc(const cpu_t *cpu)
-{
-    return cpu->history[(cpu->executed - 1u) % HISTORY];
-}
-
-static bool is_single_transfer(const cpu_t *cpu)
-{
-    uint16_t opcode;
-    if (!opcode_at(cpu, last_pc(cpu), &opcode)) {
-        return false;
-    }
-    /* 16 bits: LDR/STR and halfwords. 32 bits: A5.3.7 to A5.3.10, single data items. */
-    return thumb_size(opcode) == 2 ? (opcode >> 12 >= 5u && opcode >> 12 <= 9u) || opcode >> 11 == 9u : (opcode & 0xFE00u) == 0xF800u;
-}
-
-/* The instruction goes on (Unicorn cannot abandon it here), and the fault is taken after it, with its address. */
-static void access_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address)
-{
-    cpu->executed--;
-    const uint8_t it_state = it_state_at(cpu, cpu->history[cpu->executed % HISTORY]);
-    cpu->executed++;
-    cpu->fault = (fault_t){.exception = exception, .cfsr = cfsr, .address = address, .pc = last_pc(cpu), .it_state = it_state};
-    cpu->deadline = 0;
-}
-
-static void access_begin(cpu_t *cpu, uint32_t address)
-{
-    cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
-    if (cpu->access_executed == cpu->executed && cpu->fault.exception == 0 && is_single_transfer(cpu)) {
-        /* Unicorn splits an access that is not aligned. */
-        machine_violation(cpu->machine, "unaligned access near 0x%08x", (unsigned)address);
-        access_fault(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNALIGNED, address);
-    }
-    cpu->access_executed = cpu->executed;
-}
-
-static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *user)
-{
-    (void)uc;
-    const bus_window_t *const window = user;
-    cpu_t *const cpu = window->cpu;
-    const uint32_t address = window->base + (uint32_t)offset;
-    uint32_t value = 0;
-    access_begin(cpu, address);
-    if (window->base != PRIVATE_BUS_BASE) {
-        if (!machine_core_read(cpu->machine, address, size, &value)) {
-            access_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
-        }
-    } else if (!system_control_read(cpu, address, size, &value)) {
-        machine_violation(cpu->machine, "%u-byte read of unknown core register 0x%08x", size, (unsigned)address);
-        access_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
-    }
-    return value;
-}
-
-static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
-{
-    (void)uc;
-    const bus_window_t *const window = user;
-    cpu_t *const cpu = window->cpu;
-    const uint32_t address = window->base + (uint32_t)offset;
-    access_begin(cpu, address);
-    if (window->base != PRIVATE_BUS_BASE) {
-        if (!machine_core_write(cpu->machine, address, size, (uint32_t)value)) {
-            access_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
-        }
-    } else if (!system_control_write(cpu, address, size, (uint32_t)value)) {
-        machine_violation(cpu->machine, "%u-byte write to unknown core register 0x%08x", size, (unsigned)address);
-        access_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
-    }
-}
-
 static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user)
 {
     (void)uc;
@@ -241,11 +109,11 @@ static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int
 
 /* ---- After Unicorn returned ---- */
 
-/* The instruction at last_pc() did not complete. */
+/* The instruction at code_last_address() did not complete. */
 static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, const char *what)
 {
     const uint32_t address = cpu->bad_address;
-    access_fault(cpu, exception, cfsr, address);
+    core_bus_fault(cpu, exception, cfsr, address);
     cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
     if ((cfsr & CFSR_BFARVALID) != 0) {
         machine_violation(cpu->machine, "%s 0x%08x", what, (unsigned)address);
@@ -318,7 +186,7 @@ static void hint_left(cpu_t *cpu, uint16_t opcode)
 static void left_unicorn(cpu_t *cpu, uc_err error)
 {
     uint16_t opcode = 0;
-    const bool known = opcode_at(cpu, last_pc(cpu), &opcode);
+    const bool known = code_opcode_at(cpu, code_last_address(cpu), &opcode);
     if (cpu->leave == LEAVE_STOPPED) {
         return;
     }
@@ -491,34 +359,10 @@ static void attention(void *processor)
 static uint32_t program_counter(const void *processor)
 {
     const cpu_t *const cpu = processor;
-    return cpu->executed == 0 ? cpu->pc : last_pc(cpu);
+    return cpu->executed == 0 ? cpu->pc : code_last_address(cpu);
 }
 
 /* ---- Life ---- */
-
-static uc_err map_all(cpu_t *cpu)
-{
-    machine_t *const machine = cpu->machine;
-    const uint32_t read_execute = UC_PROT_READ | UC_PROT_EXEC;
-    const struct { uint32_t base, size, access; void *bytes; } memories[] = {
-        {0, FLASH_SIZE, read_execute, machine->flash}, /* Boot from flash: it appears at 0 too. */
-        {FLASH_BASE, FLASH_SIZE, read_execute, machine->flash},
-        {SYSTEM_MEMORY_BASE, SYSTEM_MEMORY_SIZE, read_execute, machine->system_memory},
-        {SRAM_BASE, SRAM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->sram}, /* See allow_code_in_sram(). */
-        {CCM_BASE, CCM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->ccm}, /* Data only: it is not on the instruction bus. */
-    };
-    uc_err error = UC_ERR_OK;
-    for (unsigned i = 0; i < sizeof memories / sizeof memories[0] && error == UC_ERR_OK; i++) {
-        error = uc_mem_map_ptr(cpu->uc, memories[i].base, memories[i].size, memories[i].access, memories[i].bytes);
-    }
-    static const struct { uint32_t base, size; } windows[] = {
-        {PERIPHERAL_BASE, PERIPHERAL_SIZE}, {PERIPHERAL2_BASE, PERIPHERAL2_SIZE}, {PRIVATE_BUS_BASE, PRIVATE_BUS_SIZE}};
-    for (unsigned i = 0; i < 3 && error == UC_ERR_OK; i++) {
-        cpu->windows[i] = (bus_window_t){.cpu = cpu, .base = windows[i].base};
-        error = uc_mmio_map(cpu->uc, windows[i].base, windows[i].size, on_read, &cpu->windows[i], on_write, &cpu->windows[i]);
-    }
-    return error;
-}
 
 static uc_err start_unicorn(cpu_t *cpu)
 {
@@ -530,7 +374,7 @@ static uc_err start_unicorn(cpu_t *cpu)
         error = uc_ctl_exits_enable(cpu->uc); /* No exit addresses: else each stop discards the code at one. */
     }
     if (error == UC_ERR_OK) {
-        error = map_all(cpu);
+        error = core_bus_map(cpu);
     }
     if (error == UC_ERR_OK) {
         error = uc_hook_add(cpu->uc, &cpu->code_hook, UC_HOOK_CODE, (void *)on_instruction, cpu, 1, 0);

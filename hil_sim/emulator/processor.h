@@ -17,6 +17,16 @@
 #include "machine_internal.h"
 #include "nvic.h"
 
+/* Fault status bits. */
+#define CFSR_IBUSERR (1u << 8)
+#define CFSR_PRECISERR (1u << 9)
+#define CFSR_BFARVALID (1u << 15)
+#define CFSR_UNDEFINSTR (1u << 16)
+#define CFSR_INVSTATE (1u << 17)
+#define CFSR_NOCP (1u << 19)
+#define CFSR_UNALIGNED (1u << 24)
+#define HFSR_DEBUGEVT (1u << 31)
+
 #define PROBES 8u
 #define HISTORY 8u /* Addresses of the last instructions; power of 2, more than 5 (the longest IT block). */
 
@@ -113,6 +123,20 @@ static inline uint64_t cpu_cycle(const cpu_t *cpu)
 {
     return cpu->executed + cpu->skipped;
 }
+
+/* code_view.c. False, 0: nothing there. */
+bool code_opcode_at(const cpu_t *cpu, uint32_t address, uint16_t *opcode);
+/* ITSTATE of the instruction at address, which is about to run or just failed (then with executed one less); 0 outside of an IT block. */
+uint8_t code_it_state_at(const cpu_t *cpu, uint32_t address);
+bool code_is_floating_point(const cpu_t *cpu, uint32_t address);
+/* The last instruction that began, and whether it is a load or store of a single item. */
+uint32_t code_last_address(const cpu_t *cpu);
+bool code_is_single_transfer(const cpu_t *cpu);
+
+/* core_bus.c */
+uc_err core_bus_map(cpu_t *cpu);
+/* Note a fault of the last instruction; it is taken before the next. */
+void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address);
 
 /* exceptions.c. The frame's return address is cpu->pc, its ITSTATE cpu->it_state; both become those of the handler. */
 void exception_enter(cpu_t *cpu, unsigned exception);
