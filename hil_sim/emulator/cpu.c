@@ -17,9 +17,9 @@ enum { UNICORN_SVC = 2, UNICORN_PREFETCH_ABORT = 3, UNICORN_DATA_ABORT = 4, UNIC
 
 /* ---- Before an instruction ---- */
 
-static bool preempts(const cpu_t *cpu)
+static bool preempts(const cpu_t *cpu, bool heed_primask) /* The masks cost calls into Unicorn: they are read last. */
 {
-    return cpu->nvic.candidate_priority < cpu->nvic.active_priority && cpu->nvic.candidate_priority < execution_priority(cpu, true);
+    return cpu->nvic.candidate_priority < cpu->nvic.active_priority && cpu->nvic.candidate_priority < execution_priority(cpu, heed_primask);
 }
 
 /* Unicorn cannot stop inside an IT block: events fire there on time, but an exception, and the end of a run, wait for the block's end (at most 4
@@ -40,7 +40,7 @@ static bool must_leave(cpu_t *cpu, uint32_t address)
         return true; /* cpu_run() fires what is due before the end. */
     }
     machine_fire(machine, time);
-    if (over || machine->stop_requested || machine->reset_requested || preempts(cpu)) {
+    if (over || machine->stop_requested || machine->reset_requested || preempts(cpu, true)) {
         return may_leave(cpu, address);
     }
     bool every_instruction = cpu->nvic.candidate_priority < cpu->nvic.active_priority; /* Masked: the mask may open any time. */
@@ -288,7 +288,7 @@ void cpu_reset(cpu_t *cpu)
 /* Asleep: skip to the next event or the end of the run. The core wakes for an exception that would preempt if PRIMASK were clear. */
 static void pass_sleep(cpu_t *cpu)
 {
-    if (cpu->nvic.candidate_priority < execution_priority(cpu, false)) {
+    if (preempts(cpu, false)) {
         cpu->asleep = false;
         return;
     }
@@ -325,7 +325,7 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps)
             exception_fault(cpu, &fault);
         } else if (cpu->asleep) {
             pass_sleep(cpu);
-        } else if (preempts(cpu)) {
+        } else if (preempts(cpu, true)) {
             exception_enter(cpu, cpu->nvic.candidate);
         } else {
             execute(cpu);
