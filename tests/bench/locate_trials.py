@@ -8,6 +8,8 @@ import magpylib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from goldfield.locate.uncertainty import cramer_rao_bound
+from goldfield.poses import Fields
 from goldfield.site import Beacon, HalfSpace, SensorSite, Site, area_vector
 
 CHIPS = 1023
@@ -127,3 +129,54 @@ def normalised_error(error, covariance):
 def turn_error(truth, estimate):
     """Rotation vectors, shape (e, 3), from estimated to true attitudes, in the site's frame."""
     return Rotation.from_matrix(truth @ estimate.swapaxes(1, 2)).as_rotvec()
+
+
+FAULTS = ("polarity", "code", "dead", "moved", "current", "saturated")
+
+
+def with_fault(kind, site, run, rng, row):
+    """Let one beacon, given by its row, be not as the site says; the measured noise stays the same."""
+    truth = np.einsum("eki,enk->eni", run.rotation, magpylib_fields(site, run.position_m))
+    noise = run.field_T - truth
+    beacon = site.beacons[row]
+    if kind == "polarity":
+        truth[:, row] *= -1.0
+    elif kind == "code":  # the beacon sends the code of nobody: its own correlates with noise and its leakage, -1/1023
+        truth[:, row] *= -1.0 / CHIPS
+    elif kind == "dead":
+        truth[:, row] = 0.0
+    elif kind == "moved":
+        step = rng.normal(size=3)
+        place = beacon.position_m + 0.2 * step / np.linalg.norm(step)
+        moved = site_of(
+            [Beacon(beacon.id, place, beacon.axis, beacon.turns, beacon.radius_m, None, beacon.current_A, 2)]
+        )
+        truth[:, row] = np.einsum("eki,ek->ei", run.rotation, magpylib_fields(moved, run.position_m)[:, 0])
+    elif kind == "current":
+        truth[:, row] *= rng.choice([0.5, 1.5])
+    elif kind == "saturated":  # the converter clips what the beacon adds on each axis at half the largest component
+        limit = 0.5 * np.abs(truth[:, row]).max(axis=1, keepdims=True)
+        truth[:, row] = np.clip(truth[:, row], -limit, limit)
+    else:
+        raise ValueError(kind)
+    return Trials(run.position_m, run.rotation, truth + noise, run.sigma_T)
+
+
+def fields_of(site, run):
+    """The epochs of a run as the host's type; ids of all beacons, also of those that are NaN."""
+    names = tuple(beacon.id for beacon in site.beacons)
+    return [Fields(i, 0.1 * i, names, run.field_T[i], run.sigma_T[i]) for i in range(len(run.field_T))]
+
+
+def bound_of(site, run, without=None):
+    """Cramer-Rao bound of the position at the true poses, root of the sum of variances, shape (e,)."""
+    sigma = np.where(np.isfinite(run.field_T), run.sigma_T[:, :, None], np.inf)
+    if without is not None:
+        sigma[:, without] = np.inf
+    bound = cramer_rao_bound(site, run.position_m, run.rotation, sigma_T=sigma)
+    return np.sqrt(np.einsum("ekk->e", bound[:, :3, :3]))
+
+
+def board_positions(rng, count, height=0.07):
+    """Over `spiral_board`, at one height."""
+    return np.column_stack([rng.uniform([-0.035, -0.035], [0.275, 0.115], size=(count, 2)), np.full(count, height)])

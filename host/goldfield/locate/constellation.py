@@ -178,19 +178,29 @@ class Constellation:
         return fits.take(np.array(kept if kept else [0], dtype=np.intp))
 
     def _reflect(self, measurements: Measurements, best: Fit, rival: Fit, contested: NDArray[np.bool_]) -> None:
-        """Make the image in the beacons' plane the rival where it is as likely; in place."""
+        """Try the images in the beacons' plane: the side where the sensor must be decides, else they are rivals.
+
+        In place.
+        """
         assert self.mirror is not None
         image = self.mirror.image(best)
-        if not self.mirror.exact:
+        if self.mirror.exact:
+            other = self.mirror.image(rival)
+            better = np.flatnonzero(contested & ~self.inside(rival.position_m) & self.inside(other.position_m))
+            rival.put(better, other.take(better))
+        else:
             image = self.refine(measurements, image.position_m, image.rotation)
         apart = np.linalg.norm(image.position_m - best.position_m, axis=1) > 1e-3
         apart |= np.abs(image.rotation - best.rotation).max(axis=(1, 2)) > 0.2
-        rows = np.flatnonzero(apart & (image.cost - best.cost < RIVAL_COST))
-        swap = rows[image.cost[rows] < best.cost[rows]]
-        rival.put(rows, image.take(rows))
-        rival.put(swap, best.take(swap))
+        likely = apart & (image.cost - best.cost < RIVAL_COST)
+        here, there = self.inside(best.position_m), self.inside(image.position_m)
+        swap = np.flatnonzero(likely & np.where(here == there, image.cost < best.cost, there))
+        kept = best.take(swap)
         best.put(swap, image.take(swap))
-        contested[rows] = True
+        image.put(swap, kept)
+        open_rows = np.flatnonzero(likely & (here == there))
+        rival.put(open_rows, image.take(open_rows))
+        contested[open_rows] = True
 
     def _sided(self, best: Fit, rival: Fit, contested: NDArray[np.bool_]) -> Solutions:
         """Let the half-space decide between rivals."""

@@ -212,12 +212,13 @@ def whitened_jacobian(
     return jacobian.reshape(len(position_m), 6, -1)
 
 
-def whitened_residual(model: FieldModel, measurements: Measurements, fit: Fit) -> FloatArray:
-    """Measured minus modelled components over their standard deviations, shape (e, 3n), in the order of `whitened_jacobian`."""
+def whitened_residual(model: FieldModel, measurements: Measurements, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    """Measured minus modelled components, and the modelled ones, over their standard deviations, both (e, 3n)."""
     field, _ = model.evaluate(fit.position_m.T)
-    modelled = fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)
-    residual = (measurements.filled_T.swapaxes(1, 2) - modelled) * measurements.inverse_sigma()
-    return np.asarray(residual.reshape(len(measurements), -1))
+    weight = measurements.inverse_sigma()
+    modelled = (fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)) * weight
+    residual = measurements.filled_T.swapaxes(1, 2) * weight - modelled
+    return residual.reshape(len(measurements), -1), modelled.reshape(len(measurements), -1)
 
 
 def _retract(state: State, step: FloatArray) -> State:

@@ -1,11 +1,10 @@
-"""Is the pose to be trusted: tests of the residual, exclusion of beacons that are not as the site says, protection
-level.
+"""Trust in a pose: tests of the residual, exclusion of beacons that are not as the site says, protection level.
 
-As in receiver-autonomous integrity monitoring. Under a right model and Gaussian noise the cost is chi-square with 3n
-- 6 degrees of freedom. A fault of one beacon alone (wrong polarity, code or current, dead, moved, saturated) is found
-with more power by the part of the cost that its leaving out would take away, chi-square with 3: r_i' S_ii^-1 r_i,
-where r_i are the beacon's residuals and S = I - A P A' their covariance. Both tests share the permitted rate of false
-alarms.
+As in receiver-autonomous integrity monitoring. If model and noise are right the cost is chi-square with as many degrees
+of freedom as there are components beyond the unknowns. A fault of one beacon shows with more power in the part of the
+cost that leaving it out would take away, r_i' S_ii^-1 r_i, chi-square with three degrees, where r_i are the beacon's
+residuals and S = I - A P A' their covariance; and a fault of its strength (current, polarity, dead) in the part along its
+field a_i, (a_i' r_i)^2/(a_i' S_ii a_i), with one. The three tests share the permitted rate of false alarms.
 """
 
 from __future__ import annotations
@@ -34,26 +33,39 @@ DETECTABLE = 1e-6
 
 def alarm(constellation: Constellation, measurements: Measurements, fit: Fit) -> NDArray[np.bool_]:
     """Tell which of e fitted epochs do not agree with the site; shape (e,)."""
-    whole = probability(fit.cost, measurements.freedom) < 0.5 * FALSE_ALARM
-    drop, freedom = cost_without(constellation, measurements, fit)
+    share = FALSE_ALARM / 3.0
+    each = share / np.maximum(measurements.known.sum(axis=1), 1)
+    drop, freedom, scale = fault_statistics(constellation, measurements, fit)
     single = np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, drop / 2.0), 1.0)
-    beacons = np.maximum(measurements.known.sum(axis=1), 1)
-    return whole | (single.min(axis=1) * beacons < 0.5 * FALSE_ALARM)
+    strength = gammaincc(0.5, scale / 2.0)
+    whole = probability(fit.cost, measurements.freedom)
+    return np.asarray((whole < share) | (single.min(axis=1) < each) | (strength.min(axis=1) < each))
 
 
-def cost_without(
+def fault_statistics(
     constellation: Constellation, measurements: Measurements, fit: Fit
-) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Part of the cost, shape (e, n), that leaving out each beacon would take away, and its degrees of freedom.
+) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
+    """Statistics of each beacon's faults, linear around the fit.
 
-    Linear around the fit. 0 with 0 degrees where the beacon is needed, so that no fault of it would show.
+    Returns
+    -------
+    drop : ndarray, shape (e, n)
+        Part of the cost that leaving out the beacon would take away; 0 where no fault of it can show.
+    freedom : ndarray of int, shape (e, n)
+        Its degrees of freedom.
+    scale : ndarray, shape (e, n)
+        Part of the cost that another strength of the beacon would take away; one degree of freedom, 0 where it cannot show.
     """
-    shape = (len(measurements), len(constellation.model))
-    residual = _by_beacon(whitened_residual(constellation.model, measurements, fit)[:, None])[..., 0]
+    model = constellation.model
+    residual, modelled = whitened_residual(model, measurements, fit)
     gain, seen, vector = _redundancy(constellation, measurements, fit)
-    along = np.einsum("enck,enc->enk", vector, residual)
+    along = np.einsum("enck,enc->enk", vector, _by_beacon(residual[:, None])[..., 0])
     drop = np.where(seen, along**2 / np.where(seen, gain, 1.0), 0.0).sum(axis=2)
-    return drop.reshape(shape), seen.sum(axis=2)
+    strength = np.einsum("enck,enc->enk", vector, _by_beacon(modelled[:, None])[..., 0])
+    shown = (strength**2 * gain).sum(axis=2)
+    visible = shown > DETECTABLE * (strength**2).sum(axis=2)
+    scale = np.where(visible, (strength * along).sum(axis=2) ** 2 / np.where(visible, shown, 1.0), 0.0)
+    return drop, seen.sum(axis=2), scale
 
 
 def exclude(constellation: Constellation, measurements: Measurements) -> tuple[Solutions, NDArray[np.intp]] | None:

@@ -72,7 +72,8 @@ def minimise(
         promise = np.einsum("ek,ek->e", gradient[active], step)
         near = promise < tolerance
         trial = retract(tuple(part[active] for part in state), step)
-        residual, jacobian = evaluate(trial, active)
+        with np.errstate(all="ignore"):  # a trial far off may overflow: a cost that is not finite is not accepted
+            residual, jacobian = evaluate(trial, active)
         trial_cost = np.einsum("em,em->e", residual, residual)
         better = trial_cost <= cost[active]
         chosen = active[better]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
 import numpy as np
@@ -40,7 +40,8 @@ class Locator:
 
     def __init__(self, site: Site) -> None:
         self.site = site
-        self._all = Constellation(FieldModel(site.beacons), site.half_space)
+        self.model = FieldModel(site.beacons)
+        self._all = Constellation(self.model, site.half_space)
         self._row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
 
     def locate(self, fields: Fields) -> Pose:
@@ -58,22 +59,24 @@ class Locator:
 
     def locate_many(self, epochs: Sequence[Fields]) -> list[Pose]:
         """Locate many epochs, each with no prior, in the order given; several times quicker than one by one."""
-        tables = [self._table(fields) for fields in epochs]
-        groups: dict[bytes, list[int]] = {}
-        for index, (field, _) in enumerate(tables):
-            groups.setdefault(np.isfinite(field).any(axis=1).tobytes(), []).append(index)
         poses: dict[int, Pose] = {}
-        for members in groups.values():
-            for first in range(0, len(members), BATCH):
-                some = members[first : first + BATCH]
-                rows = np.flatnonzero(np.isfinite(tables[some[0]][0]).any(axis=1))
-                measurements = Measurements(
-                    np.stack([tables[index][0][rows] for index in some]),
-                    np.stack([tables[index][1][rows] for index in some]),
-                )
-                located = self._locate([epochs[index] for index in some], rows, measurements)
-                poses.update(zip(some, located, strict=True))
+        for some, rows, constellation, measurements in self._grouped([self._table(fields) for fields in epochs]):
+            members = [epochs[index] for index in some]
+            if constellation is None:
+                located = [_failed(fields, self._names(rows)) for fields in members]
+            else:
+                located = self._locate(members, rows, constellation, measurements)
+            poses.update(zip(some, located, strict=True))
         return [poses[index] for index in range(len(epochs))]
+
+    def fit_all(self, epochs: Sequence[Fields]) -> FloatArray:
+        """Positions of many epochs, shape (e, 3), trusting every beacon: no tests, no uncertainty, NaN where failed."""
+        position = np.full((len(epochs), 3), np.nan)
+        for some, _, constellation, measurements in self._grouped([self._table(fields) for fields in epochs]):
+            if constellation is not None:
+                best = constellation.solve(measurements).best
+                position[some] = np.where(np.isfinite(best.cost)[:, None], best.position_m, np.nan)
+        return position
 
     def protection_level_m(self, fields: Fields, pose: Pose) -> float:
         """Radius that the error of a located epoch exceeds undetected only rarely; see `integrity.protection_level`.
@@ -104,45 +107,64 @@ class Locator:
         sigma[~usable] = 1.0
         return field, sigma
 
+    def _grouped(
+        self, tables: Sequence[tuple[FloatArray, FloatArray]]
+    ) -> Iterator[tuple[list[int], NDArray[np.intp], Constellation | None, Measurements]]:
+        """Group epochs that heard the same beacons: their indices, the beacons' rows, constellation, measurements.
+
+        The constellation is None if the beacons are too few.
+        """
+        groups: dict[bytes, list[int]] = {}
+        for index, (field, _) in enumerate(tables):
+            groups.setdefault(np.isfinite(field).any(axis=1).tobytes(), []).append(index)
+        for key, members in groups.items():
+            rows = np.flatnonzero(np.frombuffer(key, dtype=bool))
+            constellation = self._all.subset(rows) if len(rows) >= LEAST_BEACONS else None
+            for first in range(0, len(members), BATCH):
+                some = members[first : first + BATCH]
+                field = np.stack([tables[index][0][rows] for index in some])
+                sigma = np.stack([tables[index][1][rows] for index in some])
+                yield some, rows, constellation, Measurements(field, sigma)
+
     def _names(self, rows: NDArray[np.intp]) -> tuple[str, ...]:
         return tuple(self.site.beacons[int(row)].id for row in rows)
 
-    def _locate(self, epochs: Sequence[Fields], rows: NDArray[np.intp], measurements: Measurements) -> list[Pose]:
+    def _locate(
+        self,
+        epochs: Sequence[Fields],
+        rows: NDArray[np.intp],
+        constellation: Constellation,
+        measurements: Measurements,
+    ) -> list[Pose]:
         """Locate epochs that heard the same beacons, given by their rows."""
-        if len(rows) < LEAST_BEACONS:
-            return [_failed(fields, self._names(rows)) for fields in epochs]
-        constellation = self._all.subset(rows)
-        solvable = measurements.freedom >= 0
+        nothing = np.array([], dtype=np.intp)
         solutions = constellation.solve(measurements)
-        solvable &= np.isfinite(solutions.best.cost)
-        wrong = solvable.copy()
-        some = np.flatnonzero(solvable)
+        solved = (measurements.freedom >= 0) & np.isfinite(solutions.best.cost)
+        poses = {int(e): _failed(epochs[int(e)], self._names(rows)) for e in np.flatnonzero(~solved)}
+        some = np.flatnonzero(solved)
         if len(some):
-            wrong[some] = alarm(constellation, measurements.take(some), solutions.best.take(some))
-        sound = np.flatnonzero(solvable)
-        poses: dict[int, Pose] = {}
-        for e in np.flatnonzero(~solvable):
-            poses[int(e)] = _failed(epochs[e], self._names(rows))
-        mended: dict[int, NDArray[np.intp]] = {}
-        for e in np.flatnonzero(wrong):
-            found = exclude(constellation, measurements.take(np.array([e])))
-            if found is not None:
-                other, excluded = found
-                rest = np.delete(rows, excluded)
-                one = measurements.take(np.array([e])).of_beacons(np.delete(np.arange(len(rows)), excluded))
-                (poses[int(e)],) = self._poses([epochs[e]], rest, one, other, rows[excluded], np.array([False]))
-                mended[int(e)] = excluded
-        sound = np.array([e for e in sound if e not in mended], dtype=np.intp)
-        if len(sound):
-            done = self._poses(
-                [epochs[e] for e in sound],
-                rows,
-                measurements.take(sound),
-                solutions.take(sound),
-                np.array([], dtype=np.intp),
-                wrong[sound],
-            )
-            poses.update(zip((int(e) for e in sound), done, strict=True))
+            wrong = alarm(constellation, measurements.take(some), solutions.best.take(some))
+            trusted = ~wrong
+            for i in np.flatnonzero(wrong):
+                e = some[i : i + 1]
+                mended = exclude(constellation, measurements.take(e))
+                if mended is None:
+                    trusted[i] = True  # with the alarm: inconsistent
+                    continue
+                other, excluded = mended
+                kept = np.delete(np.arange(len(rows)), excluded)
+                thinned = measurements.take(e).of_beacons(kept)
+                sound = np.array([False])
+                poses[int(e[0])] = self._poses([epochs[int(e[0])]], rows[kept], thinned, other, rows[excluded], sound)[
+                    0
+                ]
+            left = some[trusted]
+            if len(left):
+                members = [epochs[int(e)] for e in left]
+                found = self._poses(
+                    members, rows, measurements.take(left), solutions.take(left), nothing, wrong[trusted]
+                )
+                poses.update(zip((int(e) for e in left), found, strict=True))
         return [poses[e] for e in range(len(epochs))]
 
     def _poses(

@@ -1,0 +1,219 @@
+"""Prints the figures of the locator from seeded runs: ``python -m tests.bench.locate_figures [cube] [board] ...``.
+
+Fields by magpylib, attitude uniform random, no prior. A failure is an error above max(1 cm, 8 bounds) (maths.md, 3).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections import Counter
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from goldfield.field import FieldModel
+from goldfield.locate import Locator
+from goldfield.locate.starts import full_magnitudes, simple_magnitudes
+from goldfield.locate.wahba import wahba
+from goldfield.poses import Status
+from tests.bench import locate_trials as bench
+
+
+def judged(site, run):
+    """Locate a run; the poses and its figures."""
+    began = time.perf_counter()
+    poses = Locator(site).locate_many(bench.fields_of(site, run))
+    spent = time.perf_counter() - began
+    error = np.array([pose.position_m for pose in poses]) - run.position_m
+    size, bound = np.linalg.norm(error, axis=1), bench.bound_of(site, run)
+    failed = ~(size <= np.maximum(0.01, 8 * bound))
+    turn = bench.turn_error(run.rotation, Rotation.from_quat([p.orientation_xyzw for p in poses]).as_matrix())
+    good = ~failed
+    attitude = np.array([pose.attitude_cov_rad2 for pose in poses])
+    position = np.array([pose.position_cov_m2 for pose in poses])
+    figures = {
+        "poses": len(poses),
+        "failures": int(failed.sum()),
+        "bound_median_mm": 1e3 * float(np.median(bound)),
+        "rms_error_over_bound": float(np.sqrt(np.mean((size[good] / bound[good]) ** 2))),
+        "normalised_error_position": float(bench.normalised_error(error, position)[good].mean()),
+        "normalised_error_attitude": float(bench.normalised_error(turn, attitude)[good].mean()),
+        "us_per_pose": 1e6 * spent / len(poses),
+        "status": dict(Counter(str(pose.status) for pose in poses)),
+        "excluded": sum(bool(pose.excluded) for pose in poses),
+    }
+    return poses, failed, figures
+
+
+def show(title, figures):
+    """Print one line."""
+    cells = (f"{key} {value:.4g}" if isinstance(value, float) else f"{key} {value}" for key, value in figures.items())
+    print(f"{title}: " + ", ".join(cells), flush=True)
+
+
+def cube(scale=1.0):
+    """Prigge and How's cube at 2 mG inside, at 1.5 and 2 times its size, and at 0.2 mG."""
+    result = {}
+    for noise, size, count in ((2e-7, 1.0, 20_000), (2e-7, 1.5, 10_000), (2e-7, 2.0, 10_000), (2e-8, 1.0, 10_000)):
+        site, rng = bench.prigge_cube(noise), np.random.default_rng(101)
+        run = bench.trials(site, bench.cube_positions(rng, int(scale * count), size), rng)
+        figures = judged(site, run)[2]
+        result[noise, size] = figures
+        show(f"cube {noise * 1e7:g} mG, size {size:g}", figures)
+    return result
+
+
+def lattice(scale=1.0):
+    """Ceiling lattice at 0.2 mG, with and without a half-space."""
+    result = {}
+    for half_space in (True, False):
+        site, rng = bench.ceiling_lattice(half_space=half_space), np.random.default_rng(102)
+        run = bench.trials(site, bench.lattice_positions(rng, int(scale * 10_000)), rng)
+        poses, failed, figures = judged(site, bench.nearest_only(site, run))
+        if not half_space:
+            figures["mirror_reported"] = sum(p.status is Status.AMBIGUOUS and p.alternative is not None for p in poses)
+            figures.pop("failures")
+        result[half_space] = figures
+        show(f"lattice 0.2 mG, half_space {half_space}", figures)
+    return result
+
+
+def board(scale=1.0):
+    """Eight spiral coils in a plane, a sensor with one axis 7 cm above, 25 nT of noise a sample."""
+    site, rng = bench.spiral_board(), np.random.default_rng(103)
+    run = bench.trials(site, bench.board_positions(rng, int(scale * 1000)), rng, axes=(2,))
+    figures = judged(site, run)[2]
+    figures.pop("normalised_error_attitude")  # the free turn is no error
+    show("spiral board, one axis", figures)
+    return figures
+
+
+def steps(scale=1.0):
+    """The sources' steps and ours, on the same epochs: rms and median of the position error, share within 1 m."""
+    site, rng = bench.prigge_cube(), np.random.default_rng(104)
+    run = bench.trials(site, bench.cube_positions(rng, int(scale * 5000)), rng)
+    model = FieldModel(site.beacons)
+    magnitude = np.linalg.norm(run.field_T, axis=2)
+    known = np.ones(magnitude.shape, dtype=bool)
+    simple = simple_magnitudes(model, magnitude, run.sigma_T, known, weighted=False)
+    full = full_magnitudes(model, magnitude, run.sigma_T, known, simple)
+    poses = judged(site, run)[0]
+    ours = np.array([pose.position_m for pose in poses])
+    table = {}
+    for name, position in (("simple magnitudes", simple), ("full magnitudes", full), ("ours", ours)):
+        error = np.linalg.norm(position - run.position_m, axis=1)
+        if name == "ours":
+            rotation = Rotation.from_quat([pose.orientation_xyzw for pose in poses]).as_matrix()
+        else:
+            rotation = wahba(model.field(position), run.field_T, 1.0 / run.sigma_T**2)
+        turn = np.degrees(np.linalg.norm(bench.turn_error(run.rotation, rotation), axis=1))
+        near = error < np.maximum(0.01, 8 * bench.bound_of(site, run))
+        table[name] = {
+            "median_cm": 100 * float(np.median(error)),
+            "rms_cm_of_the_nearer_95_percent": 100
+            * float(np.sqrt(np.mean(np.sort(error)[: int(0.95 * len(error))] ** 2))),
+            "within_8_bounds_percent": 100 * float(near.mean()),
+            "wahba_or_fitted_attitude_median_deg": float(np.median(turn)),
+        }
+        show(name, table[name])
+    return table
+
+
+def faults(scale=1.0):
+    """One bad beacon of eight, each kind of fault, and false alarms."""
+    site, rng = bench.prigge_cube(), np.random.default_rng(105)
+    result = {}
+    for kind in bench.FAULTS:
+        effect, detected, right, ratio = [], [], [], []
+        for row in range(8):
+            run = bench.trials(site, bench.cube_positions(rng, int(scale * 125)), rng)
+            bad = bench.with_fault(kind, site, run, rng, row)
+            trusting = Locator(site).fit_all(bench.fields_of(site, bad))
+            effect.extend(np.linalg.norm(trusting - run.position_m, axis=1) / bench.bound_of(site, run))
+            poses = Locator(site).locate_many(bench.fields_of(site, bad))
+            error = np.linalg.norm(np.array([pose.position_m for pose in poses]) - run.position_m, axis=1)
+            ratio.extend(error / bench.bound_of(site, run, without=row))
+            detected.extend(bool(p.excluded) or p.status in (Status.INCONSISTENT, Status.FAILED) for p in poses)
+            right.extend(p.excluded == (site.beacons[row].id,) for p in poses)
+        large, hit, exact, over = np.array(effect) > 3.0, np.array(detected), np.array(right), np.array(ratio)
+        result[kind] = {
+            "trials": len(large),
+            "effect_above_3_bounds": int(large.sum()),
+            "detected_of_these_percent": 100 * float(hit[large].mean()),
+            "right_one_excluded_percent": 100 * float(exact[large].mean()),
+            "error_after_exclusion_over_7_beacon_bound": float(np.sqrt(np.mean(over[exact] ** 2))),
+        }
+        show(f"fault {kind}", result[kind])
+    run = bench.trials(site, bench.cube_positions(rng, int(scale * 20_000)), rng)
+    poses = Locator(site).locate_many(bench.fields_of(site, run))
+    alarms = sum(bool(pose.excluded) or pose.status is Status.INCONSISTENT for pose in poses)
+    result["false alarms"] = {"epochs": len(poses), "alarms": alarms}
+    show("no fault", result["false alarms"])
+    return result
+
+
+def speed(scale=1.0):
+    """One by one, batched, and scipy.optimize.least_squares on the same residual from the same kind of start."""
+    site, rng = bench.prigge_cube(), np.random.default_rng(106)
+    run = bench.trials(site, bench.cube_positions(rng, int(scale * 2000)), rng)
+    locator, fields = Locator(site), bench.fields_of(site, run)
+    locator.locate_many(fields[:10])
+
+    def timed(work, count):
+        began = time.perf_counter()
+        work()
+        return 1e6 * (time.perf_counter() - began) / count
+
+    some = max(int(scale * 200), 1)
+    single = timed(lambda: [locator.locate(epoch) for epoch in fields[:some]], some)
+    batched = timed(lambda: locator.locate_many(fields), len(fields))
+    bare = timed(lambda: locator.fit_all(fields), len(fields))
+    model = locator.model
+    known = np.ones((1, 8), dtype=bool)
+
+    def with_scipy(epoch):
+        magnitude = np.linalg.norm(epoch.field_T, axis=1)[None]
+        position = simple_magnitudes(model, magnitude, epoch.sigma_T[None], known)[0]
+
+        def of_logarithms(p):
+            error = np.log(magnitude[0]) - np.log(np.linalg.norm(model.field(p), axis=1))
+            return error / np.hypot(0.1, epoch.sigma_T / magnitude[0])
+
+        position = least_squares(of_logarithms, position).x
+        rotation = wahba(model.field(position), epoch.field_T, 1.0 / epoch.sigma_T**2)
+        x = np.zeros(6)
+        for model_error in (0.03, 0.0):
+            sigma = np.hypot(epoch.sigma_T, model_error * magnitude[0])[:, None]
+
+            def residual(x, sigma=sigma):
+                turned = Rotation.from_rotvec(x[3:]).as_matrix() @ rotation
+                return ((epoch.field_T - model.field(position + x[:3]) @ turned) / sigma).ravel()
+
+            x = least_squares(residual, x, x_scale="jac").x
+        return position + x[:3]
+
+    theirs = timed(lambda: [with_scipy(epoch) for epoch in fields[:some]], some)
+    result = {
+        "single_us": single,
+        "batched_us": batched,
+        "batched_fit_only_us": bare,
+        "scipy_us": theirs,
+        "single_ratio": theirs / single,
+        "batched_ratio": theirs / batched,
+        "batched_fit_only_ratio": theirs / bare,
+    }
+    show("speed", result)
+    return result
+
+
+FIGURES = {"cube": cube, "lattice": lattice, "board": board, "steps": steps, "faults": faults, "speed": speed}
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("figures", nargs="*", choices=[*FIGURES, []], help="default: all")
+    parser.add_argument("--scale", type=float, default=1.0, help="part of the full number of trials")
+    arguments = parser.parse_args()
+    for name in arguments.figures or FIGURES:
+        FIGURES[name](arguments.scale)
