@@ -79,7 +79,7 @@ static bool systick_read(cpu_t *cpu, uint32_t address, uint64_t cycle, uint32_t 
         return true;
     case 0xE000E014: *value = systick->reload; return true;
     case 0xE000E018: *value = systick_count(cpu, cycle); return true;
-    case 0xE000E01C: *value = 0x4000493Eu; return true; /* PM0214, 4.5.4: 18750 - 1... inexact (SKEW). */
+    case 0xE000E01C: *value = 0x4000493Eu; return true; /* RM0090, 12.1.3: 18750 ticks of HCLK/8 are 1 ms at 150 MHz; not exact (SKEW). */
     default: return false;
     }
 }
@@ -268,6 +268,9 @@ static bool word_write(cpu_t *cpu, uint32_t address, uint32_t value)
         *plain = value & mask;
         if (address == 0xE000EF34 && (value & 1u << 31) == 0) {
             machine_violation(cpu->machine, "FPCCR.ASPEN cleared: this emulator always stacks an active floating-point context");
+        }
+        if (address == 0xE000ED14 && (value & 0x18u) != 0) {
+            machine_violation(cpu->machine, "CCR.UNALIGN_TRP and DIV_0_TRP are not modelled: 0x%08x written", (unsigned)value);
         }
         return true;
     }
