@@ -4,9 +4,23 @@ test: all $(BUILD)/qemu.stamp ## All tests but the slow ones
 test-slow: all $(BUILD)/qemu.stamp ## The slow tests too
 	@$(PYTHON) -m pytest -n 2 -q
 
+# ---- static checks ----
+LINT_INCLUDES := -Ifirmware/core -Ifirmware/apps -Ifirmware/hal -Ifirmware/boards -Ifirmware/boards/host -I$(PROTOCOL_OUT) \
+	-Ihil_sim -Ihil_sim/world -Ihil_sim/emulator -Ihil_sim/emulator/peripherals
+LINT_ARM := --target=arm-none-eabi $(STM32_CPU) -isystem /usr/lib/arm-none-eabi/include
+LINT_SOURCES := $(filter-out firmware/boards/stm32f405/%,$(wildcard firmware/*/*.c firmware/*/*/*.c)) $(wildcard hil_sim/*.c hil_sim/*/*.c hil_sim/*/*/*.c)
+
 lint: all ## ruff, mypy, clang-tidy, cppcheck
+	@$(call need,clang-tidy,clang-tidy)
+	@$(call need,cppcheck,cppcheck)
 	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
 	@$(VENV)/bin/mypy
+	@echo $(LINT_SOURCES) | xargs -n 4 -P 2 sh -c 'clang-tidy --quiet "$$@" -- -std=c11 -D_GNU_SOURCE $(LINT_INCLUDES) \
+		-I$$($(PYTHON) -c "import unicorn, pathlib; print(pathlib.Path(unicorn.__file__).parent / \"include\")") 2>/dev/null' clang-tidy
+	@clang-tidy --quiet $(wildcard firmware/boards/stm32f405/*.c) -- -std=c11 $(LINT_ARM) $(LINT_INCLUDES) 2>/dev/null
+	@cppcheck --std=c11 --enable=warning,performance,portability --inline-suppr --suppress=missingIncludeSystem --error-exitcode=1 -q \
+		$(LINT_INCLUDES) firmware hil_sim
+	@echo "lint: clean"
 
 .PHONY: test test-slow lint
 
