@@ -10,14 +10,14 @@ import time
 from collections import Counter
 
 import numpy as np
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
-
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.locate.starts import full_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
 from goldfield.poses import Status
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
 from tests.bench import locate_trials as bench
 
 
@@ -71,7 +71,7 @@ def lattice(scale=1.0):
     for half_space in (True, False):
         site, rng = bench.ceiling_lattice(half_space=half_space), np.random.default_rng(102)
         run = bench.trials(site, bench.lattice_positions(rng, int(scale * 10_000)), rng)
-        poses, failed, figures = judged(site, bench.nearest_only(site, run))
+        poses, _, figures = judged(site, bench.nearest_only(site, run))
         if not half_space:
             figures["mirror_reported"] = sum(p.status is Status.AMBIGUOUS and p.alternative is not None for p in poses)
             figures.pop("failures")

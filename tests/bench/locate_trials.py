@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import magpylib
 import numpy as np
-from scipy.spatial.transform import Rotation
-
 from goldfield.locate.uncertainty import cramer_rao_bound
 from goldfield.poses import Fields
 from goldfield.site import Beacon, HalfSpace, SensorSite, Site, area_vector
+from scipy.spatial.transform import Rotation
 
 CHIPS = 1023
 
@@ -32,7 +31,7 @@ def prigge_cube(noise_T=2e-7, keep=range(8)):
 
 
 def ceiling_lattice(noise_T=2e-8, half_space=True):
-    """Coils every 4.5 m on a ceiling at 2.7 m, all pointing up; a 5 x 5 part, of which a sensor uses the nearest eight."""
+    """Coils every 4.5 m on a ceiling at 2.7 m, all pointing up; 5 x 5 of them, a sensor hears eight."""
     beacons = [loop_beacon(5 * i + j, (4.5 * i, 4.5 * j, 2.7)) for i in range(5) for j in range(5)]
     below = HalfSpace(np.array([0.0, 0.0, 2.7]), np.array([0.0, 0.0, -1.0])) if half_space else None
     return site_of(beacons, below, noise_T)

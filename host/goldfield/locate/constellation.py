@@ -19,13 +19,13 @@ from goldfield.poses import FloatArray
 from goldfield.site import HalfSpace
 
 ROBUST_MODEL_ERROR = 0.03
-"""Model error of the first fit: wide enough to converge from the starts, narrow enough to end in the right valley."""
+"""Model error of the first fit: wide enough to converge from the starts, narrow enough for the right valley."""
 
 SUSPECT = 0.01
 """A residual less likely than this makes the search look further: it costs time in one good epoch of a hundred."""
 
 RIVAL_COST = 15.0
-"""Another pose whose cost is within this of the best is a rival: it would be right in one case of e^7.5 = 1800 or more."""
+"""Another pose whose cost is within this of the best is a rival; e^7.5 = 1800 to one is the odds against it then."""
 
 CANDIDATES = 8
 """Candidates of the shell that are fitted."""

@@ -71,7 +71,7 @@ class Measurements:
         self.sigma_T = sigma_T
         self.measured: NDArray[np.bool_] = np.isfinite(field_T)
         """shape (e, n, 3)"""
-        known = self.measured.any(axis=2)
+        known: NDArray[np.bool_] = np.asarray(self.measured.any(axis=2))
         self.complete = bool((self.measured.all(axis=2) == known).all())
         """Whether each beacon's field is known with all components or not at all."""
         self.filled_T: FloatArray = np.where(self.measured, field_T, 0.0)
@@ -104,7 +104,10 @@ class Measurements:
         return self.count - self.unknowns
 
     def inverse_sigma(self, model_error: float = 0.0) -> FloatArray:
-        """Square root of the weight of each component, shape (e, 3, n): 1/sqrt(sigma^2 + (model_error |B|)^2), 0 if not measured."""
+        """Square root of each component's weight, shape (e, 3, n); 0 if not measured.
+
+        1/sqrt(sigma^2 + (model_error |B|)^2).
+        """
         sigma = np.sqrt(self.sigma_T**2 + (model_error * self.magnitude_T) ** 2)
         return np.where(self.measured, 1.0 / sigma[:, :, None], 0.0).swapaxes(1, 2)
 

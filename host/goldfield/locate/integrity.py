@@ -3,8 +3,8 @@
 As in receiver-autonomous integrity monitoring. If model and noise are right the cost is chi-square with as many degrees
 of freedom as there are components beyond the unknowns. A fault of one beacon shows with more power in the part of the
 cost that leaving it out would take away, r_i' S_ii^-1 r_i, chi-square with three degrees, where r_i are the beacon's
-residuals and S = I - A P A' their covariance; and a fault of its strength (current, polarity, dead) in the part along its
-field a_i, (a_i' r_i)^2/(a_i' S_ii a_i), with one. The three tests share the permitted rate of false alarms.
+residuals and S = I - A P A' their covariance; and a fault of its strength (current, polarity, dead) in the part along
+its field a_i, (a_i' r_i)^2/(a_i' S_ii a_i), with one. The three tests share the permitted rate of false alarms.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def fault_statistics(
     freedom : ndarray of int, shape (e, n)
         Its degrees of freedom.
     scale : ndarray, shape (e, n)
-        Part of the cost that another strength of the beacon would take away; one degree of freedom, 0 where it cannot show.
+        Part of the cost that another strength of the beacon takes away; one degree of freedom, 0 where it cannot show.
     """
     model = constellation.model
     residual, modelled = whitened_residual(model, measurements, fit)
@@ -126,7 +126,10 @@ def protection_level(constellation: Constellation, measurements: Measurements, f
 def _redundancy(
     constellation: Constellation, measurements: Measurements, fit: Fit
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
-    """Eigenvalues (e, n, 3) of the residuals' covariance of each beacon, which of them show faults, eigenvectors (e, n, 3, 3)."""
+    """Decompose the residuals' covariance of each beacon.
+
+    Eigenvalues, shape (e, n, 3); which of them let a fault show; eigenvectors, shape (e, n, 3, 3).
+    """
     jacobian = whitened_jacobian(constellation.model, fit.position_m, fit.rotation, measurements.inverse_sigma())
     root, _ = root_covariance(fit.information)
     tangent = _by_beacon(root.swapaxes(1, 2) @ jacobian)  # (e, n, c, 6)

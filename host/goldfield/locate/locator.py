@@ -94,7 +94,7 @@ class Locator:
         return float(protection_level(constellation, measurements, fit)[0])
 
     def _table(self, fields: Fields) -> tuple[FloatArray, FloatArray]:
-        """Put the fields in the order of the site's beacons; ids unknown to the site and unusable noise are left out."""
+        """Put the fields in the order of the site's beacons; unknown ids and unusable noise are left out."""
         field = np.full((len(self.site.beacons), 3), np.nan)
         sigma = np.ones(len(self.site.beacons))
         given = [index for index, name in enumerate(fields.beacons) if name in self._row]

@@ -1,8 +1,8 @@
 """A start for any geometry and any sensor: the surroundings of the strongest beacon, the attitude profiled out.
 
-The strongest beacon's magnitude nearly fixes the distance in each direction, |B| = k sqrt(1 + 3 cos^2 theta)/r^3, so the
-unknown position is on a thin shell around it: little more than a two-dimensional search, however large the site. At each
-point the best attitude has a closed form, which leaves a loss that depends on the position alone.
+The strongest beacon's magnitude nearly fixes the distance in each direction, |B| = k sqrt(1 + 3 cos^2 theta)/r^3, so
+the unknown position is on a thin shell around it: little more than a two-dimensional search, however large the site.
+At each point the best attitude has a closed form, which leaves a loss that depends on the position alone.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def unit_vector_fit(field: FloatArray, value: FloatArray, weight: FloatArray) ->
 
 
 def best_apart(position_m: FloatArray, loss: FloatArray, count: int, apart_m: FloatArray) -> NDArray[np.intp]:
-    """Return the indices of the lowest losses, at most ``count``, each further than ``apart_m`` from the better ones."""
+    """Return indices of the lowest losses, at most ``count``, each further than ``apart_m`` from the better ones."""
     left = np.where(np.isfinite(loss), loss, np.inf)
     kept: list[int] = []
     while len(kept) < count and left.min(initial=np.inf) < np.inf:

@@ -15,7 +15,7 @@ from goldfield.locate.least_squares import State, minimise
 from goldfield.poses import FloatArray
 
 SIMPLE_RANGE_ERROR = 0.12
-"""Relative error of a range from 1.5 k/r^3: sqrt(1 + 3 cos^2) lies between 1 and 2, hence the range within -10 % and +14 %."""
+"""Relative error of a range from 1.5 k/r^3: sqrt(1 + 3 cos^2) lies between 1 and 2, the range within -10 and +14 %."""
 
 
 def simple_ranges(model: FieldModel, magnitude_T: FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from goldfield.poses import FloatArray
 from goldfield.site import Site
 
 UNOBSERVABLE = 1e-13
-"""Eigenvalue of the scaled information, relative to 1, below which rounding hides it: that direction is taken as free."""
+"""Eigenvalue of the information, scaled to a unit diagonal, below which rounding hides it: the direction is free."""
 
 FREE_POSITION_M2 = 1e6
 """Variance reported along a direction of position that the measurements do not tell."""

@@ -1,11 +1,10 @@
-"""Coil fields against magpylib (independent code) and gradients against complex steps (independent of the analytic form)."""
+"""Coil fields against magpylib (independent code), gradients against complex steps."""
 
 from __future__ import annotations
 
 import magpylib
 import numpy as np
 import pytest
-
 from goldfield.field import FieldModel
 from goldfield.field.dipole import dipole
 from goldfield.field.loop import loop

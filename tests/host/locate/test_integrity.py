@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.bench import locate_trials as bench
-
 from goldfield.locate import Locator
 from goldfield.poses import Status
+
+from tests.bench import locate_trials as bench
 
 
 @pytest.mark.parametrize("kind", bench.FAULTS)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-from tests.bench import locate_trials as bench
-
 from goldfield.locate import Locator, locate
 from goldfield.poses import Fields, Status
+from scipy.spatial.transform import Rotation
+
+from tests.bench import locate_trials as bench
 
 
 def judge(site, run):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.bench import locate_trials as bench
-
 from goldfield.field import FieldModel
 from goldfield.locate.shell import Shell, best_apart, directions, profiled_attitude, profiled_loss, unit_vector_fit
 from goldfield.locate.starts import full_magnitudes, log_magnitudes, simple_magnitudes, simple_ranges
+
+from tests.bench import locate_trials as bench
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +70,7 @@ def test_directions_are_evenly_spread():
 
 
 def test_shell_holds_a_candidate_near_the_truth(cube):
-    site, model, run = cube
+    _, model, run = cube
     shell = Shell(model)
     worst = 0.0
     for e in range(60):

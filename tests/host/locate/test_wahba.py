@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-
 from goldfield.locate.wahba import wahba, wahba_loss
+from scipy.spatial.transform import Rotation
 
 
 def noisy_pairs(seed, count=30, vectors=5):
