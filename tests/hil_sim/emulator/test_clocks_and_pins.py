@@ -240,3 +240,20 @@ def test_reset_releases_the_outputs(fast_chip: Bench) -> None:
     chip.lib.machine_bench_reset(chip.machine)
     assert [level for _, level, _ in chip.edge.pins] == [False, True, False]
     assert chip.edge.pins[-1][2] == chip.now
+
+
+def test_open_drain_reads_what_the_wire_is(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(GPIOC + 0x04, 1 << 3)
+    chip.write(GPIOC + 0x0C, 1 << 6)  # Pulled up
+    chip.write(GPIOC + 0x14, 1 << 3)
+    chip.write(GPIOC, 1 << 6)
+    assert chip.read(GPIOC + 0x10) == 1 << 3
+    chip.operations.pin_in(chip.board, 35, False, chip.now)
+    chip.run(1000)
+    assert chip.read(GPIOC + 0x10) == 0
+    chip.operations.pin_in(chip.board, 35, True, chip.now)
+    chip.run(1000)
+    chip.write(GPIOC + 0x18, 1 << 19)
+    assert chip.read(GPIOC + 0x10) == 0
+    assert [level for _, level, _ in chip.edge.pins] == [True, False, True, False]

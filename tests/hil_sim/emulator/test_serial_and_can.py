@@ -367,3 +367,26 @@ def test_receiver_without_pin(fast_chip: Bench) -> None:
     chip.expect("it never synchronises")
     chip.run(MILLISECOND)
     assert chip.read(CAN + MSR) & 1
+
+
+@pytest.mark.parametrize(
+    ("modes", "scales", "index"),
+    [(0b000, 0b111, 0), (0b100, 0b111, 2), (0b000, 0b110, 2), (0b001, 0b110, 4)],
+)
+def test_filter_priority(can_chip: Bench, modes: int, scales: int, index: int) -> None:
+    """32 bits before 16, list before mask, then the lower number; filters are numbered over all banks of the FIFO."""
+    chip = can_chip
+    chip.change(CAN + FMR, 1)
+    chip.write(CAN + FA1R, 0)
+    chip.write(CAN + FM1R, modes)
+    chip.write(CAN + FS1R, scales)
+    for bank in range(3):
+        wide, listed = scales >> bank & 1, modes >> bank & 1
+        value = 5 << 21 if wide else (5 << 5) * (0x10001 if listed else 1)
+        chip.write(CAN + BANKS + 8 * bank, value)
+        chip.write(CAN + BANKS + 8 * bank + 4, value if listed else 0)
+    chip.write(CAN + FA1R, 7)
+    chip.change(CAN + FMR, 0, 1)
+    frame_in(chip, 5, extended=False)
+    assert chip.read(CAN + RF0R) & 3 == 1
+    assert chip.read(CAN + 0x1B4) >> 8 == index
