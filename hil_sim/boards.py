@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from goldfield.errors import SystemFailure, UserError
-
 from hil_sim import clib
 from hil_sim.emulator import Configuration, Emulator
 from hil_sim.scenario import Clock

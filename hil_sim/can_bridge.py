@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import deque
 
 import can
-from goldfield.errors import UserError
 
+from goldfield.errors import UserError
 from hil_sim.rig import Frame, Rig
 
 DEFAULT = "udp_multicast:239.74.163.2"

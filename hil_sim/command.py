@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from goldfield.errors import SystemFailure, UserError
-
 from hil_sim.boards import KINDS
 from hil_sim.can_bridge import DEFAULT, CanBridge
 from hil_sim.pseudo_terminal import PseudoTerminal
@@ -48,7 +47,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         "--boards",
         choices=KINDS,
         default=KINDS[0],
-        help="emulated: they run the ARM image (default); host: this machine's",
+        help="emulated: they run the ARM image (default)",
     )
     parser.add_argument("--seed", type=int, help="in place of the scenario's")
     parser.add_argument("--json", action="store_true", help="JSON lines")

@@ -6,6 +6,7 @@
 #include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 #include "array.h"
 #include "serial_line.h"
@@ -13,6 +14,7 @@
 
 enum { PIN_CURRENT = 0, PIN_FIELD_X = 1, PIN_SYNC_IN = 10, PIN_BRIDGE_1 = 38, PIN_BRIDGE_2 = 39, PIN_SYNC_OUT = 40, PIN_ENABLE = 41, PIN_FAULT = 42 };
 enum { SERIAL_PORT = 1, REFERENCE_CHANNEL = 1, SPINS_BEFORE_YIELD = 2000 };
+enum { BLOCK_STEPS = 5000, BLOCKS_BEFORE_TRYING_AGAIN = 16 }; /* A block is 0.1 s, the length of a code cycle: blocks are alike. */
 
 typedef struct {
     bool abort;
@@ -49,6 +51,11 @@ typedef struct {
     pthread_cond_t wake;
     bool running; /* rig_run() is at work: workers look for seats without sleeping. */
     bool quit;
+    /* Workers help only where that is faster: on a busy machine a helper that holds a seat and is not scheduled keeps everybody waiting. */
+    bool helped;           /* In the block of steps that runs now. */
+    double cost_s[2];      /* Of a block without and with help, smoothed; 0: not known yet. */
+    double block_s;        /* Of the block so far. */
+    unsigned block_steps, blocks;
     /* Seats are handed out by number: 0, 1, 2, ... for ever; number n is seat n % seats. */
     atomic_uint_fast64_t offered, taken, done;
 } crew_t;
@@ -339,19 +346,56 @@ static void step(rig_t *rig)
     }
 }
 
-rig_status_t rig_run(rig_t *rig, int64_t until_ps)
+static double wall_clock(void)
 {
+    struct timespec now;
+    (void)clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+/* At the end of a block: go on with what has been faster, and try the other way now and then. Results do not depend on it. */
+static void choose_help(crew_t *crew)
+{
+    double *const cost_s = &crew->cost_s[crew->helped];
+    *cost_s = *cost_s > 0.0 ? 0.5 * (*cost_s + crew->block_s) : crew->block_s;
+    crew->block_s = 0.0;
+    crew->block_steps = 0;
+    crew->helped = crew->cost_s[1] < crew->cost_s[0];
+    if (++crew->blocks % BLOCKS_BEFORE_TRYING_AGAIN == 0) {
+        crew->helped = !crew->helped;
+    }
+}
+
+/* Steps of the current block up to a time, or the rest of the block. */
+static rig_status_t run_in_block(rig_t *rig, int64_t until_ps)
+{
+    crew_t *const crew = &rig->crew;
     rig_status_t status = RIG_OK;
-    crew_set(&rig->crew, true, false);
-    while (status == RIG_OK && rig->now_ps + RIG_QUANTUM_PS <= until_ps) {
+    const double start_s = wall_clock();
+    crew_set(crew, crew->helped && crew->count > 0, false);
+    while (status == RIG_OK && crew->block_steps < BLOCK_STEPS && rig->now_ps + RIG_QUANTUM_PS <= until_ps) {
         serve_serial(rig);
         step(rig);
         rig->now_ps += RIG_QUANTUM_PS;
         serve_sync_wire(rig);
         serve_bus(rig);
         status = check_boards(rig);
+        ++crew->block_steps;
     }
-    crew_set(&rig->crew, false, false);
+    crew_set(crew, false, false);
+    crew->block_s += wall_clock() - start_s;
+    if (crew->block_steps == BLOCK_STEPS) {
+        choose_help(crew);
+    }
+    return status;
+}
+
+rig_status_t rig_run(rig_t *rig, int64_t until_ps)
+{
+    rig_status_t status = RIG_OK;
+    while (status == RIG_OK && rig->now_ps + RIG_QUANTUM_PS <= until_ps) {
+        status = run_in_block(rig, until_ps);
+    }
     return status;
 }
 

@@ -1,7 +1,7 @@
 /* lockstep.h: the rig: boards, coils, field, sync wire, CAN and serial lines in one virtual time.
  *
  * Time runs in quanta of RIG_QUANTUM_PS, counted from 0, whatever slices the caller asks for: rig_run() executes the quanta that end by then.
- * In one step all boards run at the same time, in as many threads as asked for, each through one quantum of its own:
+ * In one step all boards run at the same time, in up to as many threads as asked for (fewer while that is faster), each through one quantum of its own:
  *
  *     the sync master two quanta ahead of the sensor, the other beacons one quantum ahead, the sensor at the rig's present.
  *

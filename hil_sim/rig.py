@@ -10,9 +10,9 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from goldfield.errors import SystemFailure, UserError
 from numpy.typing import NDArray
 
+from goldfield.errors import SystemFailure, UserError
 from hil_sim import clib
 from hil_sim.boards import Board, BoardFactory, BoardSpec, address, factory
 from hil_sim.scenario import CONVERTER_COUNTS, Scenario
@@ -24,7 +24,7 @@ LIBRARY = "build/libgf_rig.so"
 HEADERS = ("lockstep.h",)
 SENSOR = 0
 PATH_WINDOW_S = 1.0
-"""The motion is handed to the hot loop in windows of this length, whatever slices are asked for."""
+"""The motion is handed to the hot loop in windows of this length (whole quanta), whatever slices are asked for."""
 PATH_OVERLAP_S = 0.001
 """A window reaches so far beyond its ends: a converter may look a few microseconds ahead."""
 FAULTS = ("driver", "coil_open", "sense_shorted", "sync_wire_cut")

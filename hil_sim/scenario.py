@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+
 from goldfield.errors import UserError
 from goldfield.toml_table import Table, text_lines
 from goldfield_protocol.parameters import ParameterError, Value, build_page
-from numpy.typing import NDArray
-
 from hil_sim.world.motion import Line, Motion, Still, Waypoints
 from hil_sim.world.path import CoilGeometry
 

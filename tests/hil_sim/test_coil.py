@@ -99,7 +99,9 @@ def test_a_weak_supply_never_reaches_the_set_point(lib):
     library.coil_enable(coil, True, 0)
     drive(library, coil, 1, 0)
     for t in (1e-4, 1e-3, 0.1):
-        assert library.coil_current(coil, round(t * PS)) == pytest.approx(1.0 / R * (1.0 - np.exp(-t * R / L)), rel=1e-12)
+        assert library.coil_current(coil, round(t * PS)) == pytest.approx(
+            1.0 / R * (1.0 - np.exp(-t * R / L)), rel=1e-12
+        )
 
 
 def test_disabling_runs_the_current_down_against_the_supply_and_it_stays_down(lib):

@@ -12,7 +12,6 @@ import threading
 
 import can
 import pytest
-from tests.hil_sim.fakes import FakeBoards, small, write_scenario
 
 from goldfield.errors import UserError
 from hil_sim import command
@@ -20,6 +19,7 @@ from hil_sim.can_bridge import CanBridge
 from hil_sim.clib import ROOT
 from hil_sim.pseudo_terminal import WAITING_LIMIT, PseudoTerminal
 from hil_sim.rig import Frame, Rig
+from tests.hil_sim.fakes import FakeBoards, small, write_scenario
 
 EVERY_BYTE = bytes(range(256))
 
@@ -161,9 +161,12 @@ def hil(*arguments):
         (["prigge8", "--can", "can0"], "'can0' is no CAN channel"),
         (["prigge8", "--seconds", "-1"], "--seconds: '-1' is no number from zero up"),
         (["prigge8", "--boards", "wood"], "invalid choice: 'wood'"),
-        (["prigge8", "--can", "none", "--boards", "host", "--truth", "/no/such/dir/t"], "cannot write the truth to /no/such/dir/t"),
+        (
+            ["prigge8", "--can", "none", "--boards", "host", "--truth", "/no/such/t"],
+            "cannot write the truth to /no/such/t",
+        ),
     ],
-)  # fmt: skip
+)
 def test_bad_usage_ends_with_2_and_a_sentence(arguments, sentence):
     result = hil(*arguments)
     assert result.returncode == 2

@@ -140,7 +140,9 @@ def test_a_frame_waits_for_nobody_when_the_bus_is_idle(lib):
 
 def test_in_slices_as_in_one_piece(lib):
     random = np.random.default_rng(4)
-    wishes = sorted((int(random.integers(10**10)), int(random.integers(4)), int(random.integers(1 << 29))) for _ in range(60))
+    wishes = sorted(
+        (int(random.integers(10**10)), int(random.integers(4)), int(random.integers(1 << 29))) for _ in range(60)
+    )
     whole, sliced = Bus(lib), Bus(lib)
     for time_ps, node, identifier in wishes:
         whole.request(node, identifier, time_ps)
@@ -162,7 +164,8 @@ def test_alone_on_the_bus_is_an_error(lib):
     bits = bus.request(0, 0x123, 0)
     bus.request(0, 0x124, 0, mailbox=1)
     bus.run(10**12)
-    # Acknowledged: ..., slot, delimiter, 7 bits. Not: ..., slot, 6 bits of error flag, 8 of delimiter; then the same 3 bits of silence.
+    # Acknowledged: ..., slot, delimiter, 7 bits. Not: ..., slot, 6 bits of error flag, 8 of delimiter.
+    # Then the same 3 bits of silence.
     assert bus.seen[0][3:] == (bits + (14 - 8) * BIT, False)
     assert bus.seen[1][2] == bus.seen[0][3] + 3 * BIT
 

@@ -6,9 +6,9 @@ import re
 
 import numpy as np
 import pytest
-from goldfield.errors import SystemFailure, UserError
 from scipy.spatial.transform import Rotation
 
+from goldfield.errors import SystemFailure, UserError
 from hil_sim.rig import Rig
 from hil_sim.world import path
 from tests.hil_sim.fakes import FakeBoards, small

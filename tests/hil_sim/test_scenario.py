@@ -6,13 +6,13 @@ import tomllib
 
 import numpy as np
 import pytest
-from tests.hil_sim.fakes import small, write_scenario
 
 from goldfield import site as sites
 from goldfield.errors import UserError
 from goldfield_protocol.parameters import parse_page
 from hil_sim import scenario
 from hil_sim.world.motion import Line, Still, Waypoints
+from tests.hil_sim.fakes import small, write_scenario
 
 COUNTS_PER_T = 2048 / 2e-4
 
@@ -40,14 +40,15 @@ def test_parameter_pages(tmp_path):
 
 @pytest.mark.parametrize("calibration", ["exact", "nominal"])
 def test_calibration_undoes_the_front_end(tmp_path, calibration):
-    errors = "2e-4\ngain_error = [0.01, -0.02, 0.015]\nmisalignment_rad = [0.01, -0.005, 0.008]\noffset_T = [3e-6, -2e-6, 1e-6]"
+    errors = "2e-4\ngain_error = [0.01, -0.02, 0.015]\nmisalignment_rad = [0.01, -0.005, 0.008]\n"
+    errors += "offset_T = [3e-6, -2e-6, 1e-6]"
     loaded = small(tmp_path, range_T=f'{errors}\ncalibration = "{calibration}"')
     page = parse_page(loaded.parameter_page(0))
     field = np.array([2e-5, -3e-5, 4e-5])
     # Axes written out: x leans by .01 toward y and by -.005 toward z, y by .008 toward z.
     axes = [np.array([1, 0.01, -0.005]), np.array([0, 1, 0.008]), np.array([0, 0, 1.0])]
     sensed = [gain * (a @ field) / np.linalg.norm(a) for gain, a in zip([1.01, 0.98, 1.015], axes, strict=True)]
-    counts = 2048 + (np.array(sensed) + [3e-6, -2e-6, 1e-6]) * COUNTS_PER_T
+    counts = 2048 + np.add(sensed, [3e-6, -2e-6, 1e-6]) * COUNTS_PER_T
     zero = np.array([page["zero_x"], page["zero_y"], page["zero_z"]])
     error = np.array(page["calibration"]).reshape(3, 3) @ (counts - zero) - field
     assert np.abs(error).max() < 1e-10 if calibration == "exact" else np.abs(error).max() > 1e-6
@@ -83,9 +84,15 @@ def test_a_beacon_overrides_the_coils_defaults_and_may_be_a_wire(tmp_path):
 
 
 WRONG = {
-    "unknown key": ({"noise_T": "1e-7\nbandwith_Hz = 5.0"}, r'small\.toml:13: \[sensor\]: bandwith_Hz is no known key; did you mean "bandwidth_Hz"'),
+    "unknown key": (
+        {"noise_T": "1e-7\nbandwith_Hz = 5.0"},
+        r'small\.toml:13: \[sensor\]: bandwith_Hz is no known key; did you mean "bandwidth_Hz"',
+    ),
     "unknown table": ({"seed": "1\n[[becon]]\nid = 1"}, 'becon is no known key; did you mean "beacon"'),
-    "unknown key of a beacon": ({"sync_master": "true\nturn = 3"}, r'\[\[beacon\]\] 1: turn is no known key; did you mean "turns"'),
+    "unknown key of a beacon": (
+        {"sync_master": "true\nturn = 3"},
+        r'\[\[beacon\]\] 1: turn is no known key; did you mean "turns"',
+    ),
     "wrong type": ({"range_T": '"wide"'}, r'\[sensor\]: range_T must be a finite number, not the text "wide"'),
     "negative": ({"noise_T": "-1e-7"}, "noise_T is -1e-07; it must not be negative"),
     "no supply": ({"supply_V": "0.0"}, r"supply_V is 0; it must be greater than zero"),
@@ -95,14 +102,20 @@ WRONG = {
     "nodes twice": ({"node": "2"}, "node is 2, which the sensor already has: take another"),
     "no master": ({"sync_master": "false"}, "exactly one must have sync_master = true; none has"),
     "motion": ({"kind": '"orbit"'}, 'kind is "orbit"; it must be one of still, line, waypoints'),
-    "still does not move": ({"kind": '"still"\nvelocity_m_per_s = [1.0, 0.0, 0.0]'}, "velocity_m_per_s is no known key"),
+    "still does not move": (
+        {"kind": '"still"\nvelocity_m_per_s = [1.0, 0.0, 0.0]'},
+        "velocity_m_per_s is no known key",
+    ),
     "vector": ({"position_m": "[1.0, 2.0]"}, r"position_m must be three finite numbers"),
     "current": ({"current_A": "20.0"}, "current_A is 20; the boards drive 0 to 15.9 A"),
-    "calibration": ({"noise_T": '1e-7\ncalibration = "good"'}, 'calibration is "good"; it must be "exact" or "nominal"'),
+    "calibration": (
+        {"noise_T": '1e-7\ncalibration = "good"'},
+        'calibration is "good"; it must be "exact" or "nominal"',
+    ),
     "no TOML": ({"seed": "= 3"}, "is no valid TOML"),
     "crystal": ({"crystal_ppm": "1e5"}, r"crystal_ppm is 100000; it must lie within \+-5000"),
     "half wire": ({"code": "2\npoints_m = [[0, 0, 0], [1, 0, 0]]"}, "points_m encloses no area"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", WRONG)
@@ -122,7 +135,7 @@ def test_two_masters(tmp_path):
 
 
 def test_no_such_scenario(tmp_path):
-    with pytest.raises(UserError, match="there is no scenario 'atlantis'; there are .*prigge8"):
+    with pytest.raises(UserError, match=r"there is no scenario 'atlantis'; there are .*prigge8"):
         scenario.load_scenario("atlantis")
-    with pytest.raises(UserError, match="there is no such scenario"):
+    with pytest.raises(UserError, match=r"there is no such scenario"):
         scenario.load_scenario(str(tmp_path / "nothing.toml"))
