@@ -10,14 +10,14 @@ import time
 from collections import Counter
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.locate.starts import full_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
 from goldfield.poses import Status
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
-
 from tests.bench import locate_trials as bench
 
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import magpylib
 import numpy as np
+from scipy.spatial.transform import Rotation
+
 from goldfield.locate.uncertainty import cramer_rao_bound
 from goldfield.poses import Fields
 from goldfield.site import Beacon, HalfSpace, SensorSite, Site, area_vector
-from scipy.spatial.transform import Rotation
 
 CHIPS = 1023
 

@@ -21,8 +21,11 @@ from goldfield.site import HalfSpace
 ROBUST_MODEL_ERROR = 0.03
 """Model error of the first fit: wide enough to converge from the starts, narrow enough for the right valley."""
 
-SUSPECT = 0.01
-"""A residual less likely than this makes the search look further: it costs time in one good epoch of a hundred."""
+ROUGH_TOLERANCE = 1e-2
+"""A fit that is only a start for the next ends when it has a tenth of a standard deviation to go."""
+
+SUSPECT = 1e-3
+"""A residual less likely than this makes the search look further: it costs time in one good epoch of a thousand."""
 
 RIVAL_COST = 15.0
 """Another pose whose cost is within this of the best is a rival; e^7.5 = 1800 to one is the odds against it then."""
@@ -146,7 +149,9 @@ class Constellation:
 
     def refine(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
         """Fit from a rough start: first with model error, then without."""
-        rough = fit_pose(self.model, measurements, position_m, rotation, model_error=ROBUST_MODEL_ERROR)
+        rough = fit_pose(
+            self.model, measurements, position_m, rotation, model_error=ROBUST_MODEL_ERROR, tolerance=ROUGH_TOLERANCE
+        )
         return fit_pose(self.model, measurements, rough.position_m, rough.rotation)
 
     def at(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:

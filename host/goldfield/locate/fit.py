@@ -132,6 +132,7 @@ def fit_pose(
     *,
     model_error: float = 0.0,
     iterations: int = 120,
+    tolerance: float = 1e-6,
 ) -> Fit:
     """Least squares of position and attitude to the components, from a start near by.
 
@@ -147,8 +148,8 @@ def fit_pose(
         Relative error of the model: the variance of a component is sigma^2 + (model_error |B|)^2 with the measured
         |B|. A few per cent widen the basin of convergence (strong, curved beacons no longer dominate); the last fit
         takes what is believed of the site.
-    iterations : int
-        Bound.
+    iterations, tolerance
+        See `least_squares.minimise`.
 
     Notes
     -----
@@ -174,7 +175,7 @@ def fit_pose(
         jacobian *= w[:, None]
         return residual.reshape(len(rows), -1), jacobian.reshape(len(rows), 6, -1)
 
-    end = minimise(evaluate, _retract, (position_m, rotation), iterations=iterations)
+    end = minimise(evaluate, _retract, (position_m, rotation), iterations=iterations, tolerance=tolerance)
     position, attitude = end.state
     return Fit(position, orthonormal(attitude), end.cost, end.normal, end.converged)
 

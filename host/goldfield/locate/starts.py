@@ -63,7 +63,7 @@ def simple_magnitudes(
         w = weight[rows]
         return (range_m[rows] - distance) * w, offset * (w / np.maximum(distance, 1e-9))[:, None, :]
 
-    return minimise(evaluate, _move, (start_m,), iterations=25, tolerance=1e-4).state[0]
+    return minimise(evaluate, _move, (start_m,), iterations=25, tolerance=1e-2).state[0]
 
 
 def full_magnitudes(
@@ -97,7 +97,7 @@ def log_magnitudes(
         w = weight[rows]
         return (logarithm[rows] - np.log(modelled)) * w, slope * (w / modelled)[:, None]
 
-    return minimise(evaluate, _move, (start_m,), iterations=25, tolerance=1e-3).state[0]
+    return minimise(evaluate, _move, (start_m,), iterations=25, tolerance=1e-2).state[0]
 
 
 def _magnitude(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:

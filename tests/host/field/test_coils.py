@@ -5,6 +5,7 @@ from __future__ import annotations
 import magpylib
 import numpy as np
 import pytest
+
 from goldfield.field import FieldModel
 from goldfield.field.dipole import dipole
 from goldfield.field.loop import loop

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
 from goldfield.field import FieldModel
 from goldfield.locate.fit import Measurements, fit_pose, whitened_jacobian
 from goldfield.locate.rotations import turned
@@ -13,9 +16,6 @@ from goldfield.locate.uncertainty import (
     gauss_newton_covariance,
     honest_covariance,
 )
-from scipy.optimize import least_squares
-from scipy.spatial.transform import Rotation
-
 from tests.bench import locate_trials as bench
 
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from goldfield.locate import Locator
 from goldfield.poses import Status
-
 from tests.bench import locate_trials as bench
 
 

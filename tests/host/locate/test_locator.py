@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from goldfield.locate import Locator, locate
-from goldfield.poses import Fields, Status
 from scipy.spatial.transform import Rotation
 
+from goldfield.locate import Locator, locate
+from goldfield.poses import Fields, Status
 from tests.bench import locate_trials as bench
 
 

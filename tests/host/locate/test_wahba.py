@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from goldfield.locate.wahba import wahba, wahba_loss
 from scipy.spatial.transform import Rotation
+
+from goldfield.locate.wahba import wahba, wahba_loss
 
 
 def noisy_pairs(seed, count=30, vectors=5):
