@@ -11,6 +11,7 @@ from goldfield import site as sites
 from goldfield.errors import UserError
 from goldfield_protocol.parameters import parse_page
 from hil_sim import scenario
+from hil_sim.clib import ROOT
 from hil_sim.world.motion import Line, Still, Waypoints
 from tests.hil_sim.fakes import small, write_scenario
 
@@ -28,6 +29,11 @@ def test_the_shipped_scenarios_load_and_give_a_site(file, tmp_path):
     for written, beacon in zip(read.beacons, loaded.beacons, strict=True):
         np.testing.assert_array_equal(written.position_m, beacon.geometry.position_m)
         assert (written.id, written.current_A) == (beacon.id, beacon.circuit.current_A)
+
+
+def test_the_committed_site_is_that_of_the_scenario():
+    committed = (ROOT / "sites" / "prigge8.toml").read_text()
+    assert committed.partition("\n")[2] == scenario.load_scenario("prigge8").site_toml()
 
 
 def test_parameter_pages(tmp_path):
