@@ -26,7 +26,8 @@
 #define EPOCH_CODES_MAX 64u
 #define EPOCH_OUT_OF_RANGE (-524288) /* The message's integer of an axis that was not measured. */
 
-/* Sum a burst, [conversion][axis], to a sample relative to mid-scale. True: a conversion was saturated. About 255 instructions. */
+/* Sum a burst of 12-bit conversions, [conversion][axis], to a sample relative to mid-scale. True: a conversion was saturated. A count above 4095, which no
+ * 12-bit converter gives, makes the sample worthless. About 115 instructions. */
 bool epoch_sample(const uint16_t burst[EPOCH_BURST][EPOCH_AXES], int16_t sample[EPOCH_AXES]);
 
 /* ---- Collecting ---- */
