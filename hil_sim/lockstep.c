@@ -281,7 +281,10 @@ static bool run_a_seat(rig_t *rig)
         return false;
     }
     seat_t *const seat = &rig->seat[number % rig->seats];
-    seat->status = seat->operations->run(seat->instance, rig->now_ps + RIG_QUANTUM_PS + seat->lead_ps);
+    const int64_t until_ps = rig->now_ps + RIG_QUANTUM_PS + seat->lead_ps;
+    if (until_ps > 0) {
+        seat->status = seat->operations->run(seat->instance, until_ps);
+    }
     (void)atomic_fetch_add(&crew->done, 1);
     return true;
 }
@@ -433,6 +436,7 @@ rig_t *rig_create(const rig_config_t *config)
         return NULL;
     }
     rig->config = *config;
+    rig->now_ps = -2 * (int64_t)RIG_QUANTUM_PS; /* So that those ahead get their lead before the sensor starts at 0. */
     rig->seats = config->beacons + 1;
     rig->ambient = config->ambient;
     rig->field_time_ps = -1;
@@ -525,7 +529,7 @@ bool rig_set_path(rig_t *rig, const path_t *path)
 
 int64_t rig_now(const rig_t *rig)
 {
-    return rig->now_ps;
+    return rig->now_ps > 0 ? rig->now_ps : 0;
 }
 
 unsigned rig_stopped_board(const rig_t *rig)
@@ -541,7 +545,7 @@ size_t rig_serial_read(rig_t *rig, unsigned board, uint8_t *bytes, size_t capaci
 void rig_serial_write(rig_t *rig, unsigned board, const uint8_t *bytes, size_t count)
 {
     seat_t *const seat = &rig->seat[board];
-    serial_line_write(&seat->serial, bytes, count, rig->now_ps + seat->lead_ps);
+    serial_line_write(&seat->serial, bytes, count, rig_now(rig) + seat->lead_ps);
 }
 
 bool rig_can_read(rig_t *rig, can_transfer_t *transfer)
@@ -559,7 +563,7 @@ bool rig_can_read(rig_t *rig, can_transfer_t *transfer)
 bool rig_can_write(rig_t *rig, const board_frame_t *frame)
 {
     if (rig->config.host_on_can) {
-        can_bus_request(rig->bus, rig->seats, 0, frame, rig->now_ps);
+        can_bus_request(rig->bus, rig->seats, 0, frame, rig_now(rig));
     }
     return rig->config.host_on_can;
 }
@@ -572,7 +576,7 @@ void rig_can_statistics(const rig_t *rig, can_statistics_t *statistics)
 size_t rig_sync_edges(const rig_t *rig, size_t first, int64_t *times_ps, size_t capacity)
 {
     size_t count = rig->edge_count;
-    while (count > 0 && rig->edges_ps[count - 1] > rig->now_ps) {
+    while (count > 0 && rig->edges_ps[count - 1] > rig_now(rig)) {
         --count; /* The master is ahead. */
     }
     for (size_t i = first; i < count && i - first < capacity; ++i) {
@@ -603,19 +607,19 @@ size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, si
 
 double rig_coil_current(const rig_t *rig, unsigned board)
 {
-    return coil_current(&rig->seat[board].coil, rig->now_ps);
+    return coil_current(&rig->seat[board].coil, rig_now(rig));
 }
 
 void rig_sensor_field(const rig_t *rig, double field_T[3])
 {
     /* Values of the path at the present are scratch: nobody relies on them between calls. */
-    field_at(rig, rig->now_ps, rig->path_values, field_T);
+    field_at(rig, rig_now(rig), rig->path_values, field_T);
 }
 
 void rig_fault(rig_t *rig, unsigned board, rig_fault_t fault, bool active)
 {
     seat_t *const seat = &rig->seat[board];
-    const int64_t time_ps = rig->now_ps + seat->lead_ps;
+    const int64_t time_ps = rig_now(rig) + seat->lead_ps;
     switch (fault) {
     case RIG_FAULT_DRIVER: seat->operations->pin_in(seat->instance, PIN_FAULT, !active, time_ps); break;
     case RIG_FAULT_COIL_OPEN: coil_open(&seat->coil, active, time_ps); break;

@@ -154,6 +154,16 @@ def test_sync_edges_reach_every_other_board_at_their_time(tmp_path):
         np.testing.assert_allclose(rig.sync_edges_s(), np.array(rising) * 1e-12, rtol=0, atol=1e-15)
 
 
+def test_boards_that_have_power_from_the_first_moment_on_miss_nothing(tmp_path):
+    # The fake boards abort if the rig reaches into their past.
+    with Rig(small(tmp_path, power_on_spread_s="0.0"), FakeBoards()) as rig:
+        rig.advance(0.02)
+        assert rig.sync_edges_s()[0] == pytest.approx(1e-6)
+        for board in (0, 2, 3):
+            assert heard(rig.serial_read(board), "sync")[0] == (1, 10**6)
+        assert all(frame.time_s > 5e-4 for frame in rig.can_read())
+
+
 def test_frames_reach_every_other_board_at_their_end(tmp_path):
     with Rig(small(tmp_path), FakeBoards()) as rig:
         rig.advance(0.05)
