@@ -102,13 +102,14 @@ def test_a_reader_that_leaves_while_the_bench_waits_does_not_hold_it(terminal):
     assert not terminal.opened
 
 
-CHANNEL = "udp_multicast:239.74.163.77"
+GROUP = f"239.74.{os.getpid() >> 8 & 255}.{os.getpid() & 255}"  # of this process: several test runs on one machine
+CHANNEL = f"udp_multicast:{GROUP}"
 
 
 def test_can_round_trip_over_multicast(tmp_path):
     bridge = CanBridge(CHANNEL)
     with (
-        can.Bus(interface="udp_multicast", channel="239.74.163.77") as other,
+        can.Bus(interface="udp_multicast", channel=GROUP) as other,
         Rig(small(tmp_path), FakeBoards()) as rig,
     ):
         rig.advance(0.02)
@@ -133,7 +134,7 @@ def test_can_round_trip_over_multicast(tmp_path):
 
 def test_frames_that_nobody_acknowledged_stay_on_the_bench():
     bridge = CanBridge(CHANNEL)
-    with can.Bus(interface="udp_multicast", channel="239.74.163.77") as other:
+    with can.Bus(interface="udp_multicast", channel=GROUP) as other:
         bridge.to_host([Frame(0.1, 1, 0x10, b"", acknowledged=False), Frame(0.2, 1, 0x11, b"x")])
         assert other.recv(timeout=20.0).arbitration_id == 0x11
     bridge.close()

@@ -32,7 +32,7 @@ def test_the_shipped_scenarios_load_and_give_a_site(file, tmp_path):
 
 
 def test_the_committed_site_is_that_of_the_scenario():
-    committed = (ROOT / "sites" / "prigge8.toml").read_text()
+    committed = (ROOT / "host" / "sites" / "prigge8.toml").read_text()
     assert committed.partition("\n")[2] == scenario.load_scenario("prigge8").site_toml()
 
 
