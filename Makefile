@@ -27,17 +27,22 @@ include hil_sim/rig.mk
 include tests/tests.mk
 
 # ---- set-up ----
-# $(call need,COMMAND,PACKAGES): install Debian packages if a command is missing
+# $(call install,PACKAGES): Debian packages, through apt.
+define install
+{ echo "installing $(1) with apt"; $(SUDO) apt-get update -qq >$(BUILD)/apt.log 2>&1 && \
+  DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $(1) >>$(BUILD)/apt.log 2>&1 || \
+  { tail -5 $(BUILD)/apt.log; echo "could not install $(1): see $(BUILD)/apt.log, or install it by hand"; exit 1; }; }
+endef
+# $(call need,COMMAND,PACKAGES): install packages if a command is missing.
 define need
-command -v $(1) >/dev/null || { echo "installing $(2) with apt (missing: $(1))"; \
-  $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $(2) >$(BUILD)/apt.log 2>&1 || \
-  { tail -5 $(BUILD)/apt.log; echo "could not install $(2): see $(BUILD)/apt.log"; exit 1; }; }
+command -v $(1) >/dev/null || $(call install,$(2))
 endef
 
 $(BUILD)/host-tools.stamp:
 	@mkdir -p $(BUILD)
 	@$(call need,$(HOST_CC),gcc libc6-dev)
-	@python3 -c 'import venv, ensurepip' 2>/dev/null || $(call need,no-such-command-venv,python3-venv python3-dev)
+	@$(call need,python3,python3)
+	@python3 -c 'import venv, ensurepip' 2>/dev/null || $(call install,python3-venv)
 	@touch $@
 
 $(BUILD)/arm-tools.stamp:

@@ -1,5 +1,7 @@
 test: all $(BUILD)/qemu.stamp ## All tests but the slow ones
 	@$(PYTHON) -m pytest -n 2 -m "not slow" -q
+	@echo "end to end again, on host boards"
+	@$(PYTHON) -m pytest tests/hil --rig host -q
 
 test-slow: all $(BUILD)/qemu.stamp ## The slow tests too
 	@$(PYTHON) -m pytest -n 2 -q
