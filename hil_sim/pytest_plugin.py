@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import pytest
+
 from goldfield import site as sites
 from goldfield.link.epochs import Assembler, Report
 from goldfield.link.session import Session
 from goldfield.link.source import BusSource, open_can, open_port
 from goldfield.site import Site
 from goldfield_protocol import FrameDecoder, decode
-
 from hil_sim.rig import Rig, Truth
 from hil_sim.scenario import load_scenario
 

@@ -10,8 +10,8 @@ from typing import Any
 from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
-from goldfield.errors import UserError
 
+from goldfield.errors import UserError
 from hil_sim import clib
 
 LIBRARY = "build/libgf_emulator.so"

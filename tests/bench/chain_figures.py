@@ -14,11 +14,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
+
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
 from goldfield.poses import Pose
-from scipy.spatial.transform import Rotation
-
 from hil_sim import clib
 from hil_sim.emulator import Emulator
 from hil_sim.pytest_plugin import SimulatedBench

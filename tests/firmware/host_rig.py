@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from goldfield_protocol import FrameDecoder, Message, decode, encode, encode_frame
-from goldfield_protocol.parameters import build_page
 from numpy.typing import NDArray
 
+from goldfield_protocol import FrameDecoder, Message, decode, encode, encode_frame
+from goldfield_protocol.parameters import build_page
 from hil_sim.clib import ROOT, load
 from hil_sim.emulator.emulator import Configuration, Emulator
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from goldfield.link.epochs import Assembler
 from goldfield_protocol import FrameDecoder, decode, encode_frame
 

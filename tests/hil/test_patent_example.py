@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from goldfield.access.epoch import EpochSeparator
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
 from goldfield.poses import Status
-from scipy.spatial.transform import Rotation
 
 CYCLES = 30
 

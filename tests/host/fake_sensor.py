@@ -10,8 +10,9 @@ from pathlib import Path
 
 import magpylib
 import numpy as np
-from goldfield_protocol import FrameDecoder, Identifier, decode, encode, encode_frame, protocol_hash
 from scipy.spatial.transform import Rotation
+
+from goldfield_protocol import FrameDecoder, Identifier, decode, encode, encode_frame, protocol_hash
 
 SITE = Path(__file__).parent / "prigge8_site.toml"
 NODE = 100

@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from goldfield.access import Separator, code_matrix, plain_correlation, sequence
-from goldfield.access.gold import PREFERRED_PAIRS
-from goldfield.errors import UserError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from goldfield.access import Separator, code_matrix, plain_correlation, sequence
+from goldfield.access.gold import PREFERRED_PAIRS
+from goldfield.errors import UserError
 from tests.host.fake_sensor import CHIPS, CODES
 
 # IS-GPS-200, table 3-I: code delay chips of G2 and the first ten chips in octal; PRN with delay d is our k = 1023 - d.

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+
 from goldfield.access.epoch import EpochSeparator
 from goldfield.link.epochs import Report
 from goldfield.site import load
-
 from tests.host.fake_sensor import CHIPS, CODES, SITE, beacon_fields
 
 OFFSET_T = np.array([2e-5, -1e-5, 4e-5])

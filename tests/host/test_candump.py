@@ -6,10 +6,11 @@ import sys
 
 import can
 import pytest
-from goldfield.errors import UserError
-from goldfield.link.candump import CandumpReader, CandumpWriter
 from hypothesis import given
 from hypothesis import strategies as st
+
+from goldfield.errors import UserError
+from goldfield.link.candump import CandumpReader, CandumpWriter
 
 MESSAGES = [
     can.Message(timestamp=1795371886.387772, arbitration_id=0x08000064, data=bytes(range(8))),

@@ -10,14 +10,14 @@ import threading
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
+
 from goldfield.cli import main
 from goldfield.link.source import open_can
 from goldfield.poses import Pose, Status
 from goldfield.view.terminal import PoseTable, Summary, roll_pitch_yaw_deg
 from goldfield.view.truth import PoseError, Truth, rotation_angle
 from goldfield_protocol import encode
-from scipy.spatial.transform import Rotation
-
 from tests.host.fake_sensor import (
     ATTITUDE,
     CODES,

@@ -6,11 +6,11 @@ import sys
 
 import numpy as np
 import pytest
-from goldfield.cli import main
-from goldfield.cli.entry import _complain, build_parser
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from goldfield.cli import main
+from goldfield.cli.entry import _complain, build_parser
 from tests.host.fake_sensor import ATTITUDE, CHIPS, POSITION_M, SITE, beacon_fields
 
 FIELD_COLUMNS = "epoch,t_s,beacon,bx_T,by_T,bz_T"

@@ -4,9 +4,10 @@ import doctest
 import importlib
 import pkgutil
 
+import pytest
+
 import goldfield
 import goldfield_protocol
-import pytest
 
 MODULES = [
     name

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from goldfield.link.epochs import CYCLE_MODULUS, Assembler
-from goldfield_protocol import Message, decode, encode
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from goldfield.link.epochs import CYCLE_MODULUS, Assembler
+from goldfield_protocol import Message, decode, encode
 
 NODE = 100
 CYCLE_S = 0.1

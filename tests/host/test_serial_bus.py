@@ -7,6 +7,7 @@ import tty
 
 import can
 import pytest
+
 from goldfield.link.serial_bus import SerialBus
 from goldfield_protocol import FrameDecoder, encode_frame
 

@@ -4,13 +4,13 @@ import itertools
 import threading
 
 import pytest
+
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link import session as sessions
 from goldfield.link.epochs import Assembler
 from goldfield.link.session import Session
 from goldfield.link.source import open_can, open_port
 from goldfield_protocol import encode
-
 from tests.host.fake_sensor import CODES, NODE, PtySensor, cycle_messages, heartbeat
 
 

@@ -4,10 +4,10 @@ import math
 
 import numpy as np
 import pytest
+
 from goldfield.cli import main
 from goldfield.errors import UserError
 from goldfield.site import load
-
 from tests.host.fake_sensor import SITE
 
 GOOD = """\

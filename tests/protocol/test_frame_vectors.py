@@ -4,6 +4,7 @@ import binascii
 import json
 
 import pytest
+
 from goldfield_protocol.framing import FrameDecoder, RawFrame, encode_frame
 from goldfield_protocol.messages import DBC_PATH
 

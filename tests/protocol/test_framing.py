@@ -1,9 +1,10 @@
 """Serial framing against published vectors and properties."""
 
 import pytest
-from goldfield_protocol.framing import FrameDecoder, RawFrame, cobs_decode, cobs_encode, crc16, encode_frame
 from hypothesis import given
 from hypothesis import strategies as st
+
+from goldfield_protocol.framing import FrameDecoder, RawFrame, cobs_decode, cobs_encode, crc16, encode_frame
 
 # Cheshire & Baker's examples as given in the COBS article of Wikipedia.
 COBS_VECTORS = [

@@ -5,9 +5,10 @@ import struct
 from pathlib import Path
 
 import pytest
-from goldfield_protocol.parameters import PARAMETERS, Kind, ParameterError, build_page, main, parse_page
 from hypothesis import given
 from hypothesis import strategies as st
+
+from goldfield_protocol.parameters import PARAMETERS, Kind, ParameterError, build_page, main, parse_page
 
 FRAMING = Path(__file__).resolve().parents[2] / "protocol" / "framing.md"
 

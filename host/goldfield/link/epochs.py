@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from goldfield_protocol.messages import Message
 
 from goldfield.poses import FloatArray
+from goldfield_protocol.messages import Message
 
 CYCLE_MODULUS = 1 << 20
 LOW_MODULUS = 16

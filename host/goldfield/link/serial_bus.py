@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 import serial
+
 from goldfield_protocol.framing import FrameDecoder, encode_frame
 
 BAUD_RATE = 2_000_000

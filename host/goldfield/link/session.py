@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 
 import can
 from cantools.database.errors import Error as DatabaseError
-from goldfield_protocol.messages import Identifier, Message, database, decode, encode, protocol_hash
 
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link.candump import CandumpWriter
 from goldfield.link.epochs import Assembler, Report
 from goldfield.link.source import BusSource, Source
+from goldfield_protocol.messages import Identifier, Message, database, decode, encode, protocol_hash
 
 ROLES = {0: "beacon", 1: "sensor", 2: "host"}
 ROLE_SENSOR = 1

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import unicorn
 from elftools.elf.elffile import ELFFile
-from goldfield_protocol.parameters import build_page
 from unicorn import arm_const as arm
 
+from goldfield_protocol.parameters import build_page
 from hil_sim.clib import ROOT
 
 FLAGS = (

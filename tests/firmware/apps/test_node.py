@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from random import Random
 
 import pytest
-from goldfield_protocol import Message, encode, encode_frame, protocol_hash
 
+from goldfield_protocol import Message, encode, encode_frame, protocol_hash
 from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, SECOND, SENSOR, US, Board, Rig
 
 OK, UNKNOWN, OUT_OF_RANGE, WRONG_KIND = range(4)

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from goldfield_protocol import Message
 
+from goldfield_protocol import Message
 from tests.firmware.apps.test_sensor_app import World
 from tests.firmware.host_rig import (
     MS,

@@ -3,10 +3,10 @@
 import json
 
 import pytest
-from goldfield_protocol.framing import FrameDecoder, RawFrame, encode_frame
 from hypothesis import given
 from hypothesis import strategies as st
 
+from goldfield_protocol.framing import FrameDecoder, RawFrame, encode_frame
 from hil_sim.clib import ROOT
 
 VECTORS = json.loads((ROOT / "protocol/vectors/frames.json").read_text())

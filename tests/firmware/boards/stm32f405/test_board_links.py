@@ -3,9 +3,9 @@
 from pathlib import Path
 
 import pytest
+
 from goldfield_protocol import FrameDecoder, decode, encode, encode_frame
 from goldfield_protocol.parameters import build_page
-
 from hil_sim import clib
 from hil_sim.emulator.emulator import LIBRARY, Configuration, Emulator
 

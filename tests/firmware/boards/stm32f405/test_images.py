@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from elftools.elf.elffile import ELFFile
+
 from goldfield_protocol import FrameDecoder, decode, protocol_hash
 
 ROOT = Path(__file__).resolve().parents[4]
