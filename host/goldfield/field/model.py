@@ -37,7 +37,9 @@ class FieldModel:
     centre_m, moment_A_m2 : ndarray, shape (n, 3)
         Of the equivalent dipoles.
     reach_m : ndarray, shape (n,)
-        Of each wire from its centre.
+        Of each coil's wire from its centre.
+    wire_points_m : ndarray, shape (m, 3)
+        Corners of all coils that are given by their wire.
     """
 
     def __init__(self, beacons: Sequence[Beacon], kind: Kind = "exact") -> None:
@@ -60,6 +62,7 @@ class FieldModel:
 
         wires = [beacons[int(i)] for i in self._wires]
         points = [np.asarray(beacon.points_m, dtype=float) for beacon in wires]
+        self.wire_points_m: FloatArray = np.concatenate([np.empty((0, 3)), *points])
         segments = max((len(p) - 1 for p in points), default=0)
         padded = [np.concatenate([p, np.repeat(p[-1:], segments + 1 - len(p), axis=0)]) for p in points]
         corners = np.array(padded, dtype=float).reshape(len(wires), segments + 1, 3).transpose(2, 0, 1)

@@ -112,6 +112,8 @@ class Constellation:
         for e in further:
             one = np.array([e])
             found = self.from_shell(measurements.take(one))
+            if not simple and probability(found.cost[:1], measurements.freedom[one])[0] < SUSPECT:
+                found = self.from_shell(measurements.take(one), candidates=4 * CANDIDATES)
             if simple:
                 found = _sorted(stacked([found, best.take(one)]))
             found = self._distinct(found, measurements.take(one))
@@ -132,15 +134,15 @@ class Constellation:
         rotation = wahba(self.model.field(position), measurements.filled_T, weight)
         return self.refine(measurements, position, rotation)
 
-    def from_shell(self, measurements: Measurements) -> Fit:
-        """Search the shell of one epoch; all candidates fitted, the best first."""
+    def from_shell(self, measurements: Measurements, candidates: int = CANDIDATES) -> Fit:
+        """Search the shell of one epoch; its best candidates fitted, the best first."""
         field, sigma = measurements.field_T[0], measurements.sigma_T[0]
         position, modelled = self._shell.candidates(field)
         if not len(position):
             return _nowhere(1)
         loss = np.where(self.inside(position), profiled_loss(modelled, field, sigma), np.inf)
-        apart = 0.25 * np.linalg.norm(position[:, None] - self.model.centre_m, axis=2).min(axis=1)
-        best = best_apart(position, loss, CANDIDATES, apart)
+        apart = 2.0 / candidates * np.linalg.norm(position[:, None] - self.model.centre_m, axis=2).min(axis=1)
+        best = best_apart(position, loss, candidates, apart)
         if not len(best):
             return _nowhere(1)
         rotation = profiled_attitude(modelled[best], field, sigma)

@@ -18,8 +18,11 @@ from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_
 from goldfield.locate.uncertainty import root_covariance
 from goldfield.poses import FloatArray
 
-FALSE_ALARM = 5e-4
+FALSE_ALARM = 7e-4
 """Permitted rate of epochs with nothing wrong that are taken for faulty."""
+
+SHARES = (0.1, 0.6, 0.3)
+"""Parts of it for the whole cost, for single beacons, and for their strengths: single faults are what happens."""
 
 MISSED_DETECTION = 1e-3
 """Rate of faults at the edge of the protection level that stay undetected."""
@@ -33,13 +36,14 @@ DETECTABLE = 1e-6
 
 def alarm(constellation: Constellation, measurements: Measurements, fit: Fit) -> NDArray[np.bool_]:
     """Tell which of e fitted epochs do not agree with the site; shape (e,)."""
-    share = FALSE_ALARM / 3.0
-    each = share / np.maximum(measurements.known.sum(axis=1), 1)
+    of_whole, of_single, of_strength = (share * FALSE_ALARM for share in SHARES)
+    beacons = np.maximum(measurements.known.sum(axis=1), 1)
     drop, freedom, scale = fault_statistics(constellation, measurements, fit)
     single = np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, drop / 2.0), 1.0)
     strength = gammaincc(0.5, scale / 2.0)
     whole = probability(fit.cost, measurements.freedom)
-    return np.asarray((whole < share) | (single.min(axis=1) < each) | (strength.min(axis=1) < each))
+    some = (single.min(axis=1) * beacons < of_single) | (strength.min(axis=1) * beacons < of_strength)
+    return np.asarray((whole < of_whole) | some)
 
 
 def fault_statistics(
@@ -117,7 +121,7 @@ def protection_level(constellation: Constellation, measurements: Measurements, f
     measured = measurements.measured.sum(axis=2)
     slope = np.where(seen.sum(axis=2) < measured, np.inf, slope).max(axis=1)
     beacons = np.maximum(measurements.known.sum(axis=1), 1)
-    threshold = np.sqrt(chdtri(3.0, 0.5 * FALSE_ALARM / beacons))
+    threshold = np.sqrt(chdtri(3.0, SHARES[1] * FALSE_ALARM / beacons))
     sure = threshold + np.sqrt(chdtri(1.0, 2.0 * MISSED_DETECTION))
     largest = np.sqrt(np.linalg.eigvalsh(root[:, :3] @ root[:, :3].swapaxes(1, 2))[:, -1])
     return np.asarray(slope * sure + largest * np.sqrt(chdtri(3.0, MISSED_DETECTION)))

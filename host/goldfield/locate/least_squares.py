@@ -40,6 +40,7 @@ class Minimum:
     converged: NDArray[np.bool_]
 
 
+@np.errstate(all="ignore")  # a trial far off may overflow: a cost that is not finite is not accepted
 def minimise(
     evaluate: Evaluate, retract: Retract, start: State, *, iterations: int = 120, tolerance: float = 1e-6
 ) -> Minimum:
@@ -72,8 +73,7 @@ def minimise(
         promise = np.einsum("ek,ek->e", gradient[active], step)
         near = promise < tolerance
         trial = retract(tuple(part[active] for part in state), step)
-        with np.errstate(all="ignore"):  # a trial far off may overflow: a cost that is not finite is not accepted
-            residual, jacobian = evaluate(trial, active)
+        residual, jacobian = evaluate(trial, active)
         trial_cost = np.einsum("em,em->e", residual, residual)
         better = trial_cost <= cost[active]
         chosen = active[better]

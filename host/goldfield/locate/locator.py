@@ -57,6 +57,7 @@ class Locator:
         """
         return self.locate_many([fields])[0]
 
+    @np.errstate(all="ignore")  # nonsense in the data overflows somewhere: what is not finite is then not used
     def locate_many(self, epochs: Sequence[Fields]) -> list[Pose]:
         """Locate many epochs, each with no prior, in the order given; several times quicker than one by one."""
         poses: dict[int, Pose] = {}
@@ -69,6 +70,7 @@ class Locator:
             poses.update(zip(some, located, strict=True))
         return [poses[index] for index in range(len(epochs))]
 
+    @np.errstate(all="ignore")
     def fit_all(self, epochs: Sequence[Fields]) -> FloatArray:
         """Positions of many epochs, shape (e, 3), trusting every beacon: no tests, no uncertainty, NaN where failed."""
         position = np.full((len(epochs), 3), np.nan)
@@ -78,6 +80,7 @@ class Locator:
                 position[some] = np.where(np.isfinite(best.cost)[:, None], best.position_m, np.nan)
         return position
 
+    @np.errstate(all="ignore")
     def protection_level_m(self, fields: Fields, pose: Pose) -> float:
         """Radius that the error of a located epoch exceeds undetected only rarely; see `integrity.protection_level`.
 

@@ -1,8 +1,9 @@
-"""The exact mirror of coplanar coils that all point across their plane.
+"""The exact images of a pose that some arrangements of coils have.
 
-A reflection through the plane leaves every such coil as it is (a magnetic moment is an axial vector), so the field at
-the image point is the field turned by 180 degrees about the normal: B(p') = N B(p), N = 2 n n' - I. The pose (p', N
-R) gives the very same measurements, whatever the sensor.
+Coplanar coils that all point across their plane: a reflection through the plane leaves every such coil as it is (a magnetic
+moment is an axial vector), so the field at the image point is the field turned by half a turn about the normal,
+B(p') = N B(p), N = 2 n n' - I. Coils around one point: B(-r) = B(r). In both cases the image pose gives the very same
+measurements, whatever the sensor.
 """
 
 from __future__ import annotations
@@ -24,36 +25,29 @@ EXACT = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Mirror:
-    """Plane of nearly coplanar coils.
+    """A map of poses that changes the measurements little or not at all.
 
     Attributes
     ----------
-    point_m, normal : ndarray, shape (3,)
+    point_m : ndarray, shape (3,)
+        Fixed point.
+    reflection, turn : ndarray, shape (3, 3)
+        What the map does to positions and to attitudes.
     exact : bool
         Whether the image of a pose gives the same measurements exactly.
     """
 
     point_m: FloatArray
-    normal: FloatArray
+    reflection: FloatArray
+    turn: FloatArray
     exact: bool
-
-    @property
-    def turn(self) -> FloatArray:
-        """Half a turn about the normal, shape (3, 3)."""
-        return np.asarray(2.0 * np.outer(self.normal, self.normal) - np.eye(3))
-
-    def position(self, position_m: FloatArray) -> FloatArray:
-        """Images of positions, shape (e, 3)."""
-        height = (position_m - self.point_m) @ self.normal
-        return np.asarray(position_m - 2.0 * height[:, None] * self.normal)
 
     def image(self, fit: Fit) -> Fit:
         """Images of poses, with the same cost and the reflected information."""
-        reflection = np.eye(3) - 2.0 * np.outer(self.normal, self.normal)
         both = np.zeros((6, 6))
-        both[:3, :3], both[3:, 3:] = reflection, self.turn
+        both[:3, :3], both[3:, 3:] = self.reflection, self.turn
         return Fit(
-            self.position(fit.position_m),
+            self.point_m + (fit.position_m - self.point_m) @ self.reflection.T,
             self.turn @ fit.rotation,
             fit.cost.copy(),
             both @ fit.information @ both.T,
@@ -62,12 +56,14 @@ class Mirror:
 
 
 def find_mirror(model: FieldModel) -> Mirror | None:
-    """Return the plane of the model's coils if they are nearly coplanar and nearly all point across it, else None."""
+    """Return the map of nearly coplanar coils that nearly all point across their plane, or of coils around one point."""
     middle = model.centre_m.mean(axis=0)
     _, extent, directions = np.linalg.svd(model.centre_m - middle, full_matrices=True)
+    if extent[0] <= EXACT * model.reach_m.min():
+        return Mirror(middle, -np.eye(3), np.eye(3), exact=not len(model.wire_points_m))
     normal = directions[2]
     axis = model.moment_A_m2 / np.linalg.norm(model.moment_A_m2, axis=1, keepdims=True)
-    if len(extent) == 3 and extent[1] <= 1e-9 * extent[0]:
+    if extent[1] <= 1e-9 * extent[0]:
         # Beacons on a line lie in many planes: the one that their axes cross, if there is one.
         normal = axis.mean(axis=0) - (axis.mean(axis=0) @ directions[0]) * directions[0]
         normal = normal / max(float(np.linalg.norm(normal)), 1e-300)
@@ -75,4 +71,7 @@ def find_mirror(model: FieldModel) -> Mirror | None:
     tilt = float(np.sqrt(np.maximum(1.0 - (axis @ normal) ** 2, 0.0)).max())
     if thickness > FLAT or tilt > FLAT:
         return None
-    return Mirror(middle, normal, exact=thickness <= EXACT and tilt <= EXACT)
+    wires = float(np.abs((model.wire_points_m - middle) @ normal).max(initial=0.0) / extent[0])
+    exact = max(thickness, tilt, wires) <= EXACT
+    across = np.outer(normal, normal)
+    return Mirror(middle, np.eye(3) - 2.0 * across, 2.0 * across - np.eye(3), exact)

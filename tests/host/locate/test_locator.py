@@ -96,6 +96,18 @@ def test_tilted_axes_break_the_mirror():
     assert sum(pose.status is Status.OK for pose in poses) >= 57
 
 
+def test_coils_around_one_point_leave_the_antipode():
+    """B(-r) = B(r): three orthogonal coils in one place cannot tell the sides."""
+    rng = np.random.default_rng(57)
+    site = bench.site_of([bench.loop_beacon(i, (0.5, 0.2, 0.1), np.eye(3)[i]) for i in range(3)], noise_T=2e-8)
+    middle = np.array([0.5, 0.2, 0.1])
+    run = bench.trials(site, middle + rng.uniform(0.3, 0.8, size=(10, 3)), rng)
+    for pose, truth in zip(Locator(site).locate_many(bench.fields_of(site, run)), run.position_m, strict=True):
+        assert pose.status is Status.AMBIGUOUS
+        np.testing.assert_allclose(pose.position_m + pose.alternative.position_m, 2 * middle, atol=1e-6)
+        assert min(np.linalg.norm(p.position_m - truth) for p in (pose, pose.alternative)) < 0.02
+
+
 def test_three_beacons_of_mixed_axes_and_moments():
     rng = np.random.default_rng(46)
     site = bench.site_of(
