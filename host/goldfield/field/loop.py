@@ -94,18 +94,20 @@ def _mean(greatest: FloatArray, least: FloatArray) -> tuple[FloatArray, FloatArr
     """Arithmetic-geometric mean, and tau: the sum of 2^(n-1) c_n^2 over w^2, w = (greatest^2 - least^2)/2."""
     total = greatest + least
     a, b = 0.5 * total, np.sqrt(greatest * least)
-    w = 0.5 * total * (greatest - least)
-    c_over_w = 1.0 / total  # c_1/w
-    tau = c_over_w * c_over_w
+    quarter_w = 0.125 * total * (greatest - least)
+    c2 = 1.0 / (total * total)  # (c_1/w)^2
+    tau = c2
     weight = 1.0
+    # Each step squares the relative difference of a and b, so the worst point tells how many are needed: until 1e-9.
+    difference = float(np.max(1.0 - (b / a).real, initial=0.0))
     for _ in range(_MEAN_STEPS):
-        a_next = 0.5 * (a + b)
-        c_over_w = (0.25 * w) * c_over_w * c_over_w / a_next
+        a, b = 0.5 * (a + b), np.sqrt(a * b)
+        c = quarter_w * c2 / a
+        c2 = c * c
         weight *= 2.0
-        term = weight * c_over_w * c_over_w
-        tau = tau + term
-        b = np.sqrt(a * b)
-        a = a_next
-        if np.all(np.abs(a - b) <= 1e-9 * np.abs(a)):  # the next step squares this
+        tau = tau + weight * c2
+        if not difference > 1e-4:
             break
+        root = np.sqrt(1.0 - difference)
+        difference = 1.0 - 2.0 * root / (1.0 + (1.0 - difference))
     return 0.5 * (a + b), tau

@@ -1,8 +1,8 @@
 """The exact images of a pose that some arrangements of coils have.
 
-Coplanar coils that all point across their plane: a reflection through the plane leaves every such coil as it is (a magnetic
-moment is an axial vector), so the field at the image point is the field turned by half a turn about the normal,
-B(p') = N B(p), N = 2 n n' - I. Coils around one point: B(-r) = B(r). In both cases the image pose gives the very same
+Coplanar coils that all point across their plane: a reflection through the plane leaves every such coil as it is (a
+magnetic moment is an axial vector), so the field at the image point is the field turned by half a turn about the
+normal, B(p') = N B(p), N = 2 n n' - I. Coils around one point: B(-r) = B(r). In both cases the image pose gives the very same
 measurements, whatever the sensor.
 """
 
@@ -56,7 +56,7 @@ class Mirror:
 
 
 def find_mirror(model: FieldModel) -> Mirror | None:
-    """Return the map of nearly coplanar coils that nearly all point across their plane, or of coils around one point."""
+    """Return the map of coils around one point, or nearly in a plane and pointing across it; None if there is none."""
     middle = model.centre_m.mean(axis=0)
     _, extent, directions = np.linalg.svd(model.centre_m - middle, full_matrices=True)
     if extent[0] <= EXACT * model.reach_m.min():
