@@ -1,0 +1,36 @@
+"""A sensor in motion: poses that know of each other, and cycles that know of the motion."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from goldfield.poses import Fields, Pose
+from goldfield.site import Site
+from goldfield.track.cycle import CycleLocator, MovingPose
+from goldfield.track.filter import Tracker
+from goldfield.track.motion import Agility
+from goldfield.track.observe import CycleData, CycleObserver, EpochObserver
+
+__all__ = [
+    "Agility",
+    "CycleData",
+    "CycleLocator",
+    "CycleObserver",
+    "EpochObserver",
+    "MovingPose",
+    "Tracker",
+    "epoch_tracker",
+    "tracked",
+]
+
+
+def epoch_tracker(site: Site, agility: Agility | None = None) -> Tracker[Fields]:
+    """Return a tracker for the separated fields that sensors send."""
+    return Tracker(site, EpochObserver(site), agility)
+
+
+def tracked(site: Site, epochs: Iterable[Fields]) -> Iterator[Pose]:
+    """Yield a pose for every epoch, whatever happens; the epochs come in the order of time."""
+    tracker = epoch_tracker(site)
+    for fields in epochs:
+        yield tracker.update(fields)

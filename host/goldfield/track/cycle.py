@@ -1,0 +1,77 @@
+"""Pose, velocity and turn rate from a single cycle of samples: no average over the motion, no prior."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from goldfield.poses import FloatArray, Pose, Status
+from goldfield.site import Site
+from goldfield.track.estimate import Belief, Estimate, estimate
+from goldfield.track.motion import State
+from goldfield.track.observe import CycleData, CycleObserver
+from goldfield.track.report import Reporter
+
+VAGUE = np.repeat([1.0, 1.0, 10.0, 10.0, 2e-4], 3)
+"""Standard deviations around the start, far above what a cycle leaves open: they add nothing to it."""
+
+EVALUATIONS = 40
+IMPROBABLE = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class MovingPose:
+    """A sensor in motion at the middle of a cycle.
+
+    Attributes
+    ----------
+    pose : Pose
+    state : State or None
+        With velocity, turn rate and ambient field; None when failed.
+    covariance : ndarray, shape (15, 15)
+        Of the state's error, as `goldfield.track.motion` orders it.
+    """
+
+    pose: Pose
+    state: State | None
+    covariance: FloatArray
+
+
+class CycleLocator:
+    """Locates moving sensors from whole cycles of samples.
+
+    Parameters
+    ----------
+    site : Site
+    parts : int, optional
+        Number of equal parts of a cycle of which the sums are given; default: the samples.
+    """
+
+    def __init__(self, site: Site, parts: int | None = None) -> None:
+        self._observer = CycleObserver(site, parts)
+        self._reporter = Reporter(site)
+
+    def locate(self, data: CycleData) -> MovingPose:
+        """Locate with no prior; the statuses are those of `locate`."""
+        pose, start = self._observer.start(data)
+        if start is None:
+            return MovingPose(pose, None, np.full((15, 15), np.nan))
+        outcome = self.around(start, data)
+        probable = outcome.probable(IMPROBABLE)
+        belief = outcome.belief
+        final = self._reporter.pose(
+            data.epoch,
+            data.time_s,
+            belief,
+            residual=float(np.sqrt(outcome.cost / outcome.count)),
+            status=Status.OK if probable else Status.INCONSISTENT,
+            used=data.beacons,
+            axes=int(np.isfinite(data.data_T).any(axis=0).sum()),
+        )
+        return MovingPose(final, belief.state, belief.covariance)
+
+    def around(self, start: State, data: CycleData) -> Estimate:
+        """Fit position, attitude, velocity, turn rate and ambient field at mid-cycle from a state near by."""
+        observation, _ = self._observer.observation(data, 0.0)
+        return estimate(Belief(start, np.diag(VAGUE)), observation, EVALUATIONS)

@@ -1,0 +1,134 @@
+"""The iterated update: prior and one cycle's observation to the most probable state.
+
+With the prior's covariance S S' and the state x0 moved by S u, the cost is |u|^2 + |r|^2: the prior's 15 numbers and the
+observation's, all of unit variance. Gauss-Newton on u with its step halved while the cost would rise: the iterated
+Kalman filter (Bell & Cathey 1993) in square-root form. At the end the cost of a consistent epoch is chi-square distributed
+with as many degrees of freedom as there are numbers observed: it is the normalised innovation squared, taken where the
+linearisation holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import chdtri
+
+from goldfield.poses import FloatArray
+from goldfield.track.motion import SIZE, TURN, Agility, Observation, State, turn_jacobian
+
+TOLERANCE = 1e-2
+"""The step that promises to lower the cost by less, a tenth of a standard deviation, is the last: taken, not looked at."""
+
+HALVINGS = 4
+"""At most so many times is a step halved before the update ends where it is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """A state with its uncertainty.
+
+    Attributes
+    ----------
+    state : State
+    root : ndarray, shape (15, m)
+        Its covariance is root times its transpose.
+    """
+
+    state: State
+    root: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the state's error, shape (15, 15)."""
+        return np.asarray(self.root @ self.root.T)
+
+    def after(self, seconds: float, agility: Agility) -> Belief:
+        """Return what is believed some time later (or earlier)."""
+        together = np.hstack([self.state.transition(seconds) @ self.root, agility.noise_root(seconds)])
+        return Belief(self.state.after(seconds), compact(together))
+
+    def widened(self, covariance: FloatArray, factor: float) -> Belief:
+        """Return the belief with the deviations of the pose multiplied and a covariance, shape (6, 6), added to it."""
+        scale = np.ones((SIZE, 1))
+        scale[:6] = factor
+        added = np.zeros((SIZE, 6))
+        eigenvalue, vector = np.linalg.eigh(covariance)
+        added[:6] = vector * np.sqrt(np.maximum(eigenvalue, 0.0))
+        return Belief(self.state, compact(np.hstack([scale * self.root, added])))
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Outcome of an update.
+
+    Attributes
+    ----------
+    belief : Belief
+    cost : float
+    count : int
+        Numbers observed: the degrees of freedom of the cost.
+    evaluations : int
+        Of the field model.
+    """
+
+    belief: Belief
+    cost: float
+    count: int
+    evaluations: int
+
+    def probable(self, level: float) -> bool:
+        """Tell whether a cost this high has at least this probability."""
+        return self.cost <= _chi_square(level, self.count)
+
+
+def estimate(prior: Belief, observation: Observation, evaluations: int = 8) -> Estimate:
+    """Update a prior with an observation; the number of evaluations of the field model is bounded."""
+    u, offset, state = np.zeros(prior.root.shape[1]), np.zeros(SIZE), prior.state
+    residual, jacobian = observation.residual(state)
+    cost = float(residual @ residual)
+    if not np.isfinite(cost):
+        return Estimate(prior, np.inf, observation.count, 1)
+    used = 1
+    while True:
+        jacobian[:, TURN] = jacobian[:, TURN] @ turn_jacobian(offset[TURN])
+        whitened = jacobian @ prior.root
+        normal = whitened.T @ whitened
+        normal.flat[:: len(u) + 1] += 1.0
+        gradient = whitened.T @ residual - u
+        step = np.linalg.solve(normal, gradient)
+        promise = float(gradient @ step)
+        if promise < TOLERANCE:
+            offset = offset + prior.root @ step
+            state, cost = prior.state.moved(offset), cost - promise
+            break
+        lower = None
+        for _ in range(min(HALVINGS, evaluations - used)):
+            trial = u + step
+            offset_there = prior.root @ trial
+            state_there = prior.state.moved(offset_there)
+            with np.errstate(all="ignore"):  # a step into a wire: a cost that is not finite is not lower
+                there = observation.residual(state_there)
+            used += 1
+            cost_there = float(trial @ trial + there[0] @ there[0])
+            if cost_there <= cost:
+                lower = trial, offset_there, state_there, there, cost_there
+                break
+            step = 0.5 * step
+        if lower is None:
+            break
+        u, offset, state, (residual, jacobian), cost = lower
+    root = np.linalg.solve(np.linalg.cholesky(normal), prior.root.T).T
+    root[TURN] = turn_jacobian(offset[TURN]) @ root[TURN]
+    return Estimate(Belief(state, root), cost, observation.count, used)
+
+
+def compact(root: FloatArray) -> FloatArray:
+    """Return a root of the same covariance with 15 columns."""
+    return np.asarray(np.linalg.qr(root.T, mode="r").T)
+
+
+@lru_cache(maxsize=256)
+def _chi_square(level: float, freedom: int) -> float:
+    return float(chdtri(freedom, level)) if freedom else 0.0

@@ -1,0 +1,218 @@
+"""The state of a moving sensor, how it goes on, and what a cycle sees of it.
+
+An error of the state is a vector of 15: position (m), a small rotation in the site's frame (rad), velocity (m/s),
+angular velocity (rad/s, site's frame), ambient field (T, site's frame). The true state is `State.moved` by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from goldfield.field import FieldModel
+from goldfield.poses import FloatArray
+
+SIZE = 15
+IDENTITY: FloatArray = np.eye(3)
+POSITION, TURN, VELOCITY, RATE, AMBIENT = (slice(first, first + 3) for first in range(0, SIZE, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A sensor at one moment.
+
+    Attributes
+    ----------
+    position_m : ndarray, shape (3,)
+    rotation : ndarray, shape (3, 3)
+        ``B_site = R B_sensor``.
+    velocity_m_s, rate_rad_s : ndarray, shape (3,)
+        In the site's frame.
+    ambient_T : ndarray, shape (3,)
+        Whatever follows no code (the earth's field), in the site's frame.
+    """
+
+    position_m: FloatArray
+    rotation: FloatArray
+    velocity_m_s: FloatArray
+    rate_rad_s: FloatArray
+    ambient_T: FloatArray
+
+    def moved(self, error: FloatArray) -> State:
+        """Return the state that differs by an error, shape (15,)."""
+        return State(
+            self.position_m + error[POSITION],
+            turn_matrix(error[TURN]) @ self.rotation,
+            self.velocity_m_s + error[VELOCITY],
+            self.rate_rad_s + error[RATE],
+            self.ambient_T + error[AMBIENT],
+        )
+
+    def minus(self, other: State) -> FloatArray:
+        """Return the error, shape (15,), by which this state differs from another."""
+        turn = Rotation.from_matrix(self.rotation @ other.rotation.T).as_rotvec()
+        return np.concatenate(
+            [
+                self.position_m - other.position_m,
+                turn,
+                self.velocity_m_s - other.velocity_m_s,
+                self.rate_rad_s - other.rate_rad_s,
+                self.ambient_T - other.ambient_T,
+            ]
+        )
+
+    def after(self, seconds: float) -> State:
+        """Return the state some time later (or earlier) at constant velocity and angular velocity."""
+        return State(
+            self.position_m + seconds * self.velocity_m_s,
+            orthonormal(turn_matrix(seconds * self.rate_rad_s) @ self.rotation),
+            self.velocity_m_s,
+            self.rate_rad_s,
+            self.ambient_T,
+        )
+
+    def transition(self, seconds: float) -> FloatArray:
+        """Return how a small error goes on, shape (15, 15)."""
+        turn = seconds * self.rate_rad_s
+        result = np.eye(SIZE)
+        result[POSITION, VELOCITY] = seconds * IDENTITY
+        result[TURN, TURN] = turn_matrix(turn)
+        result[TURN, RATE] = seconds * turn_jacobian(turn)
+        return result
+
+
+@dataclass(frozen=True)
+class Agility:
+    """How the sensor may move: white accelerations, as root of their power densities.
+
+    Attributes
+    ----------
+    acceleration : float
+        m/s^2 per root hertz: the velocity changes by this much in one second (standard deviation, each axis).
+    angular_acceleration : float
+        rad/s^2 per root hertz.
+    ambient : float
+        T per root second, each axis: the ambient field differs from place to place.
+    """
+
+    acceleration: float = 1.0
+    angular_acceleration: float = 2.0
+    ambient: float = 5e-6
+
+    def noise_root(self, seconds: float) -> FloatArray:
+        """Return a root of the covariance that comes in with time, shape (15, 15).
+
+        Integrated white noise, per axis sigma^2 [[dt^3/3, dt^2/2], [dt^2/2, dt]] of (position, velocity): with s the
+        root of sigma^2 dt the root is s [[dt/sqrt(12), dt/2], [0, 1]].
+        """
+        span = abs(seconds)
+        result = np.zeros((SIZE, SIZE))
+        for place, speed, sigma in ((POSITION, VELOCITY, self.acceleration), (TURN, RATE, self.angular_acceleration)):
+            unit = sigma * np.sqrt(span) * IDENTITY
+            result[place, place] = seconds / np.sqrt(12.0) * unit
+            result[place, speed] = 0.5 * seconds * unit
+            result[speed, speed] = unit
+        result[AMBIENT, AMBIENT] = self.ambient * np.sqrt(span) * IDENTITY
+        return result
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What one cycle tells, as uncorrelated numbers of unit variance for each axis of the sensor.
+
+    Attributes
+    ----------
+    model : FieldModel
+        n beacons.
+    times_s : ndarray, shape (k,)
+        Nodes of the cycle, from its middle.
+    seen : ndarray, shape (3, r, (n + 1) k)
+        What the numbers of each axis see of the fields at the nodes; the node runs fastest, the ambient field comes
+        last. Rows of zeros where nothing was measured.
+    values : ndarray, shape (3, r)
+    count : int
+        Numbers that were measured.
+    """
+
+    model: FieldModel
+    times_s: FloatArray
+    seen: FloatArray
+    values: FloatArray
+    count: int
+
+    def residual(self, state: State) -> tuple[FloatArray, FloatArray]:
+        """Return measured minus expected numbers, shape (3 r,), and the Jacobian of the expected, shape (3 r, 15).
+
+        At a node the field of beacon i is h = R' B_i(p) in the sensor's frame, and
+        dh = R' (G_i dp + B_i x d_theta): R' [G_i, tau G_i, [B_i]x Exp(w tau), [B_i]x tau J(w tau)] of the errors at
+        mid-cycle, J the left Jacobian of rotations.
+        """
+        nodes, beacons = len(self.times_s), len(self.model)
+        points = state.position_m + np.outer(self.times_s, state.velocity_m_s)
+        field, gradient = self.model.evaluate(points.T)  # (3, k, n), (3, 3, k, n)
+        fields = np.empty((beacons + 1, nodes, 3))
+        fields[:beacons] = field.transpose(2, 1, 0)
+        fields[beacons] = state.ambient_T
+        change = np.zeros((beacons + 1, nodes, 3, SIZE))
+        change[:beacons, :, :, POSITION] = gradient.transpose(3, 2, 0, 1)
+        change[:, :, :, VELOCITY] = self.times_s[:, None, None] * change[:, :, :, POSITION]
+        change[beacons, :, :, AMBIENT] = IDENTITY
+        turns = np.outer(self.times_s, state.rate_rad_s)
+        now = turn_matrix(turns)
+        across = skew(fields)
+        change[..., TURN] = across @ now
+        change[..., RATE] = across @ (self.times_s[:, None, None] * turn_jacobian(turns))
+        back = (now @ state.rotation).swapaxes(1, 2)
+        in_sensor = (back @ fields[..., None])[..., 0].reshape(-1, 3)
+        by_error = (back @ change).reshape(-1, 3, SIZE).swapaxes(0, 1)
+        expected = (self.seen @ in_sensor.T[:, :, None])[..., 0]
+        return (self.values - expected).ravel(), (self.seen @ by_error).reshape(-1, SIZE)
+
+
+def skew(vector: FloatArray) -> FloatArray:
+    """Return [v]x, shape (..., 3, 3), of vectors, shape (..., 3): the matrix of the cross product with v."""
+    result = np.zeros((*vector.shape, 3))
+    for row, column, source in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        result[..., row, column] = vector[..., source]
+        result[..., column, row] = -vector[..., source]
+    return result
+
+
+def turn_matrix(vector: FloatArray) -> FloatArray:
+    """Return the rotations by rotation vectors, shape (..., 3): Rodrigues' formula, shape (..., 3, 3)."""
+    return _series(vector, 0)
+
+
+def turn_jacobian(vector: FloatArray) -> FloatArray:
+    """Return the left Jacobians J of rotations, shape (..., 3, 3): Exp(v + dv) = Exp(J dv) Exp(v) for small dv."""
+    return _series(vector, 1)
+
+
+def _series(vector: FloatArray, order: int) -> FloatArray:
+    """Return I + a [v]x + b [v]x^2: the exponential (order 0) or its mean over the turn (order 1)."""
+    angle2 = np.asarray((vector * vector).sum(axis=-1))
+    small = angle2 < 1e-6
+    safe = np.where(small, 1.0, angle2)
+    angle = np.sqrt(safe)
+    sine, versine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / safe
+    if order == 0:
+        a = np.where(small, 1.0 - angle2 / 6.0, sine)
+        b = np.where(small, 0.5 - angle2 / 24.0, versine)
+    else:
+        a = np.where(small, 0.5 - angle2 / 24.0, versine)
+        b = np.where(small, 1.0 / 6.0 - angle2 / 120.0, (1.0 - sine) / safe)
+    cross = skew(vector)
+    return np.asarray(IDENTITY + a[..., None, None] * cross + b[..., None, None] * (cross @ cross))
+
+
+def standing(position_m: FloatArray, orientation_xyzw: FloatArray) -> State:
+    """Return the state of a sensor at rest, the ambient field not known."""
+    rotation = Rotation.from_quat(orientation_xyzw).as_matrix()
+    return State(position_m, rotation, np.zeros(3), np.zeros(3), np.zeros(3))
+
+
+def orthonormal(rotation: FloatArray) -> FloatArray:
+    """Remove the rounding of many turns: one Newton step to the nearest rotation."""
+    return np.asarray(0.5 * rotation @ (3.0 * IDENTITY - rotation.T @ rotation))

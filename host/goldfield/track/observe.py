@@ -1,0 +1,235 @@
+"""From what the sensor sends of a cycle to an `Observation`: separated fields, or all samples, or partial sums of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.access.moving import Cycle, Reduction, node_times, separation_weights
+from goldfield.field import FieldModel
+from goldfield.locate import Locator
+from goldfield.poses import Fields, FloatArray, Pose, Status
+from goldfield.site import Site
+from goldfield.track.motion import Observation, State, standing
+
+EPOCH_NODES = 3
+CYCLE_NODES = 7
+
+AMBIENT_T = 5e-5
+"""Size of the earth's field: a turning sensor sweeps this much across its axes."""
+
+START_MODEL_ERROR = 0.03
+"""Relative error granted to the fields of a cycle whose motion is not yet known: 1 m/s at 1 m range changes them so much."""
+
+REMEMBERED = 64
+"""Sets of beacons whose matrices are kept."""
+
+
+class Timed(Protocol):
+    """What belongs to one cycle."""
+
+    @property
+    def epoch(self) -> int:
+        """Number of the cycle."""
+        ...
+
+    @property
+    def time_s(self) -> float:
+        """Middle of the cycle."""
+        ...
+
+    @property
+    def beacons(self) -> tuple[str, ...]:
+        """Ids of the beacons that may be in it."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class CycleData:
+    """A cycle as the sensor sampled it.
+
+    Attributes
+    ----------
+    epoch : int
+    time_s : float
+        Middle of the cycle.
+    beacons : tuple of str
+        All of the site.
+    data_T : ndarray, shape (N, 3)
+        One row a chip, sensor's frame; NaN on an axis that was not measured. Or partial sums, shape (parts (n + 1), 3).
+    """
+
+    epoch: int
+    time_s: float
+    beacons: tuple[str, ...]
+    data_T: FloatArray
+
+
+T = TypeVar("T", bound=Timed)
+T_contra = TypeVar("T_contra", bound=Timed, contravariant=True)
+
+
+class Observer(Protocol[T_contra]):
+    """Makes observations of one kind of data."""
+
+    def start(self, data: T_contra) -> tuple[Pose, State | None]:
+        """Locate with no prior; the state to start a track from, if there is one."""
+        ...
+
+    def observation(
+        self, data: T_contra, rate_rad_s: float, without: Sequence[str] = ()
+    ) -> tuple[Observation, tuple[str, ...]]:
+        """Return what the data tell and the beacons in it.
+
+        ``rate_rad_s`` is the root mean square of the turn rate as far as it is known; ``without`` lists beacons of
+        which nothing is to be believed.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class _Separation:
+    """What separated fields of one set of beacons see; ``sweep``, shape (n,), s: their error by a ramp of 1 T/s."""
+
+    model: FieldModel
+    seen: FloatArray
+    sweep: FloatArray
+
+
+class EpochObserver:
+    """Separated fields as observations: averages over the cycle, weighted by the codes, with all that this implies.
+
+    Fields separated on [codes, 1] also contain a part of the ambient field's ramp while the sensor turns. Its shape
+    over the beacons is known, its size is not: it is left out of what an observation tells by a variance along that
+    shape, as large as the turn rate allows.
+
+    Parameters
+    ----------
+    site : Site
+    drift : int
+        Order of the ambient field's polynomial that the fields were separated with: 0 for [codes, 1], which is what
+        sensors send, 2 for `DriftSeparator`.
+    """
+
+    def __init__(self, site: Site, drift: int = 0) -> None:
+        self._site, self._drift = site, drift
+        self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
+        self._locator = Locator(site)
+        self._times = node_times(EPOCH_NODES)
+        self._separations: dict[bytes, _Separation] = {}
+
+    def start(self, data: Fields) -> tuple[Pose, State | None]:
+        """See `Observer.start`."""
+        return _start(self._locator.locate(data))
+
+    def observation(
+        self, data: Fields, rate_rad_s: float, without: Sequence[str] = ()
+    ) -> tuple[Observation, tuple[str, ...]]:
+        """See `Observer.observation`; beacons that the site has not are left out, and fields without a usable sigma."""
+        usable = np.isfinite(data.field_T).any(axis=1) & np.isfinite(data.sigma_T) & (data.sigma_T > 0.0)
+        taken = [i for i, name in enumerate(data.beacons) if usable[i] and name in self._row]
+        taken.sort(key=lambda i: self._row[data.beacons[i]])
+        names = [data.beacons[i] for i in taken]
+        separation = self._separation(np.array([self._row[name] for name in names], dtype=np.intp))
+        field, sigma = data.field_T[taken], data.sigma_T[taken]
+        measured = np.isfinite(field)
+        measured[[name in without for name in names]] = False
+        ramp = AMBIENT_T * rate_rad_s * separation.sweep
+        covariance = np.diag(sigma**2) + np.outer(ramp, ramp)
+        seen, values = np.zeros((3, *separation.seen.shape)), np.zeros((3, len(taken)))
+        whitener = np.empty((0, 0))
+        for axis in range(3):
+            rows = measured[:, axis]
+            if axis == 0 or (rows != measured[:, axis - 1]).any():
+                whitener = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(rows, rows)]))
+            seen[axis, rows] = whitener @ separation.seen[rows]
+            values[axis, rows] = whitener @ field[rows, axis]
+        heard = tuple(name for name, axes in zip(names, measured, strict=True) if axes.any())
+        times = self._site.cycle_s * self._times
+        return Observation(separation.model, times, seen, values, int(measured.sum())), heard
+
+    def _separation(self, rows: NDArray[np.intp]) -> _Separation:
+        key = rows.tobytes()
+        if key not in self._separations:
+            if len(self._separations) >= REMEMBERED:
+                self._separations.clear()
+            beacons = [self._site.beacons[row] for row in rows]
+            codes = [beacon.code for beacon in beacons]
+            cycle = Cycle(self._site.degree, codes, EPOCH_NODES)
+            seen = cycle.seen(separation_weights(self._site.degree, codes, self._drift)[:-1])
+            sweep = self._site.cycle_s * seen[:, -EPOCH_NODES:] @ cycle.times
+            seen[:, -EPOCH_NODES:] = 0.0
+            self._separations[key] = _Separation(FieldModel(beacons), seen, sweep)
+        return self._separations[key]
+
+
+class CycleObserver:
+    """All samples of a cycle, or partial sums of them, as observations that tell velocity and turn rate as well.
+
+    Parameters
+    ----------
+    site : Site
+    parts : int, optional
+        Number of equal parts of a cycle of which the sums are given (`Cycle.part_weights`); default: the samples.
+    """
+
+    def __init__(self, site: Site, parts: int | None = None) -> None:
+        self._model = FieldModel(site.beacons)
+        self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
+        self._locator = Locator(site)
+        cycle = Cycle(site.degree, site.codes, CYCLE_NODES)
+        weights = None if parts is None else cycle.part_weights(parts)
+        self._reduction = Reduction(cycle, site.sensor.noise_T, weights)
+        self._times = site.cycle_s * cycle.times
+        # Constant fields and an ambient field with ramp and curve, by their values at the nodes
+        count = len(site.beacons)
+        constant = np.kron(np.eye(count), np.ones((CYCLE_NODES, 1)))
+        powers = (2.0 * cycle.times[:, None]) ** np.arange(3)
+        still = np.block(
+            [[constant, np.zeros((len(constant), 3))], [np.zeros((CYCLE_NODES, count)), powers]]
+        )
+        columns = self._reduction.seen @ still
+        self._still = np.linalg.pinv(columns)
+        self._still_sigma = np.sqrt((self._still**2).sum(axis=1))
+
+    def start(self, data: CycleData) -> tuple[Pose, State | None]:
+        """See `Observer.start`: as if the fields were constant during the cycle, and the ambient field not."""
+        count = len(self._row)
+        fitted = self._still @ self._reduction.numbers(data.data_T)
+        field = fitted[:count]
+        sigma = np.hypot(self._still_sigma[:count], START_MODEL_ERROR * np.linalg.norm(np.nan_to_num(field), axis=1))
+        pose, state = _start(self._locator.locate(Fields(data.epoch, data.time_s, tuple(self._row), field, sigma)))
+        if state is not None:
+            ambient = state.rotation @ np.nan_to_num(fitted[count])
+            state = State(state.position_m, state.rotation, state.velocity_m_s, state.rate_rad_s, ambient)
+        return pose, state
+
+    def observation(
+        self, data: CycleData, rate_rad_s: float, without: Sequence[str] = ()
+    ) -> tuple[Observation, tuple[str, ...]]:
+        """See `Observer.observation`; the turn rate is seen, not needed."""
+        numbers = self._reduction.numbers(data.data_T)
+        seen = self._reduction.seen
+        if without:
+            columns = [self._row[name] * CYCLE_NODES + node for name in without for node in range(CYCLE_NODES)]
+            # What is orthogonal to all that these beacons could add
+            rest = np.linalg.qr(seen[:, columns], mode="complete")[0][:, len(columns) :].T
+            numbers, seen = rest @ numbers, rest @ seen
+        measured = np.isfinite(numbers).all(axis=0)
+        observation = Observation(
+            self._model,
+            self._times,
+            np.where(measured[:, None, None], seen, 0.0),
+            np.where(measured[:, None], numbers.T, 0.0),
+            int(measured.sum()) * len(seen),
+        )
+        return observation, tuple(name for name in self._row if name not in without and measured.any())
+
+
+def _start(pose: Pose) -> tuple[Pose, State | None]:
+    usable = pose.status not in (Status.FAILED, Status.AMBIGUOUS)
+    return pose, standing(pose.position_m, pose.orientation_xyzw) if usable else None

@@ -1,0 +1,70 @@
+"""A moving sensor's samples, chip by chip; coils by magpylib, codes by shift registers: nothing of the host's models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import magpylib
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+CHIPS = 1023
+EARTH_T = np.array([2.0e-5, 0.0, -4.5e-5])
+
+
+def gold_chips(code):
+    """Chips, +1 or -1, of a Gold code of degree 10, by two shift registers."""
+    u, v = [1] * 10, [1] * 10
+    first, second = [], []
+    for _ in range(CHIPS):
+        first.append(u[9])
+        second.append(v[9])
+        u = [u[2] ^ u[9], *u[:9]]
+        v = [v[1] ^ v[2] ^ v[5] ^ v[7] ^ v[8] ^ v[9], *v[:9]]
+    return np.array([1 - 2 * (first[t] ^ second[(t + code) % CHIPS]) for t in range(CHIPS)])
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A path: position (m) and attitude as functions of times, shape (t,), s."""
+
+    position: object
+    rotation: object
+
+    def poses(self, times):
+        return self.position(times), self.rotation(times)
+
+
+def straight(position, attitude, velocity, rate):
+    """At constant velocity and angular velocity, both in the site's frame, through a pose at time 0."""
+    return Flight(
+        lambda t: position + np.outer(t, velocity), lambda t: Rotation.from_rotvec(np.outer(t, rate)) * attitude
+    )
+
+
+class Room:
+    """Coils of a site as magpylib objects, and their codes."""
+
+    def __init__(self, site):
+        self.site = site
+        self.codes = np.stack([gold_chips(beacon.code) for beacon in site.beacons], axis=1)
+        self.coils = []
+        for beacon in site.beacons:
+            turn = Rotation.align_vectors(beacon.axis[None], [[0.0, 0.0, 1.0]])[0]
+            self.coils.append(
+                magpylib.current.Circle(
+                    diameter=2 * beacon.radius_m,
+                    current=beacon.turns * beacon.current_A,
+                    position=beacon.position_m,
+                    orientation=turn,
+                )
+            )
+
+    def samples(self, flight, middle_s, noise_T, rng, earth_T=EARTH_T):
+        """Samples at the ends of the chips of a cycle, shape (1023, 3), in the sensor's frame."""
+        period = self.site.chip_period_s
+        times = middle_s + (np.arange(CHIPS) + 1 - CHIPS / 2) * period
+        position, rotation = flight.poses(times)
+        fields = magpylib.getB(self.coils, position, squeeze=False)[:, 0, 0]  # (n, t, 3)
+        total = np.einsum("tn,ntc->tc", self.codes, fields) + earth_T
+        return rotation.inv().apply(total) + noise_T * rng.normal(size=(CHIPS, 3))
