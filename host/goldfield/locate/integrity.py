@@ -27,6 +27,10 @@ SHARES = (0.1, 0.6, 0.3)
 MISSED_DETECTION = 1e-3
 """Rate of faults at the edge of the protection level that stay undetected."""
 
+BLAME = 1e-6
+"""A beacon is left out only if a cost as large as it takes away is less likely than this. An alarm with less evidence
+is most often noise, and then the pose with all beacons is the better one: it is kept and called inconsistent."""
+
 LEAST_BEACONS = 4
 """Beacons that must remain: three leave too little to tell that the rest is sound."""
 
@@ -72,10 +76,17 @@ def fault_statistics(
     return drop, seen.sum(axis=2), scale
 
 
-def exclude(constellation: Constellation, measurements: Measurements) -> tuple[Solutions, NDArray[np.intp]] | None:
+def exclude(
+    constellation: Constellation, measurements: Measurements, cost: float
+) -> tuple[Solutions, NDArray[np.intp]] | None:
     """Find the beacons of one inconsistent epoch without which it is consistent.
 
     Leaves out one beacon after another, each time the one without which the rest agrees best, until the tests pass.
+
+    Parameters
+    ----------
+    cost : float
+        Of the pose with all beacons.
 
     Returns
     -------
@@ -91,8 +102,9 @@ def exclude(constellation: Constellation, measurements: Measurements) -> tuple[S
         for row, cost in zip(rows, _costs_without_each(constellation, measurements, rows), strict=True):
             if cost < best_cost:
                 best_row, best_cost = int(row), float(cost)
-        if best_row < 0:
+        if best_row < 0 or len(rows) * gammaincc(1.5, max(cost - best_cost, 0.0) / 2.0) > BLAME:
             return None
+        cost = best_cost
         rows = rows[rows != best_row]
         rest, rest_measurements = constellation.subset(rows), measurements.of_beacons(rows)
         if rest_measurements.freedom[0] < 3:

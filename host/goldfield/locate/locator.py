@@ -48,7 +48,8 @@ class Locator:
         """Locate one epoch, with no prior. Never raises for bad data: the status tells.
 
         - ``failed``: fewer than three beacons, fewer components than unknowns, or no finite solution; position NaN.
-        - ``inconsistent``: the residual is improbable (`integrity`) and no exclusion of beacons mends it, or the only
+        - ``inconsistent``: the residual is improbable (`integrity`) and the evidence is too weak to leave out a beacon,
+          or leaving out some does not mend it, or the only
         solution lies
           outside the site's half-space.
         - ``ambiguous``: another pose explains the fields as well; it is given as ``alternative``.
@@ -150,7 +151,7 @@ class Locator:
             trusted = ~wrong
             for i in np.flatnonzero(wrong):
                 e = some[i : i + 1]
-                mended = exclude(constellation, measurements.take(e))
+                mended = exclude(constellation, measurements.take(e), float(solutions.best.cost[e[0]]))
                 if mended is None:
                     trusted[i] = True  # with the alarm: inconsistent
                     continue

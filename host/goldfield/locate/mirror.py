@@ -2,8 +2,8 @@
 
 Coplanar coils that all point across their plane: a reflection through the plane leaves every such coil as it is (a
 magnetic moment is an axial vector), so the field at the image point is the field turned by half a turn about the
-normal, B(p') = N B(p), N = 2 n n' - I. Coils around one point: B(-r) = B(r). In both cases the image pose gives the very same
-measurements, whatever the sensor.
+normal, B(p') = N B(p), N = 2 n n' - I. Coils around one point: B(-r) = B(r). In both cases the image pose gives the
+very same measurements, whatever the sensor.
 """
 
 from __future__ import annotations
