@@ -1,0 +1,26 @@
+/* vector3.h: the few operations on vectors of three floats that the core needs. Inline; each a handful of instructions. */
+#ifndef GOLDFIELD_VECTOR3_H
+#define GOLDFIELD_VECTOR3_H
+
+static inline float vector3_dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+static inline void vector3_cross(const float a[3], const float b[3], float product[3]) {
+    product[0] = a[1] * b[2] - a[2] * b[1];
+    product[1] = a[2] * b[0] - a[0] * b[2];
+    product[2] = a[0] * b[1] - a[1] * b[0];
+}
+
+static inline void vector3_subtract(const float a[3], const float b[3], float difference[3]) {
+    difference[0] = a[0] - b[0];
+    difference[1] = a[1] - b[1];
+    difference[2] = a[2] - b[2];
+}
+
+/* matrix * vector; result must not be vector. */
+static inline void vector3_transform(const float matrix[3][3], const float vector[3], float result[3]) {
+    result[0] = vector3_dot(matrix[0], vector);
+    result[1] = vector3_dot(matrix[1], vector);
+    result[2] = vector3_dot(matrix[2], vector);
+}
+
+#endif
