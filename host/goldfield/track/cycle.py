@@ -8,15 +8,12 @@ import numpy as np
 
 from goldfield.poses import FloatArray, Pose, Status
 from goldfield.site import Site
-from goldfield.track.estimate import Belief, Estimate, estimate
+from goldfield.track.estimate import VAGUE, Belief, Estimate, estimate
 from goldfield.track.motion import State
 from goldfield.track.observe import CycleData, CycleObserver
 from goldfield.track.report import Reporter
 
-VAGUE = np.repeat([1.0, 1.0, 10.0, 10.0, 2e-4], 3)
-"""Standard deviations around the start, far above what a cycle leaves open: they add nothing to it."""
-
-EVALUATIONS = 40
+EVALUATIONS = 80
 IMPROBABLE = 1e-5
 
 

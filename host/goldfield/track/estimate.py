@@ -1,8 +1,8 @@
 """The iterated update: prior and one cycle's observation to the most probable state.
 
 With the prior's covariance S S' and the state x0 moved by S u, the cost is |u|^2 + |r|^2: the prior's 15 numbers and the
-observation's, all of unit variance. Gauss-Newton on u with its step halved while the cost would rise: the iterated
-Kalman filter (Bell & Cathey 1993) in square-root form. At the end the cost of a consistent epoch is chi-square distributed
+observation's, all of unit variance. Gauss-Newton on u, damped when a step would raise the cost: the iterated Kalman
+filter (Bell & Cathey 1993) in square-root form. At the end the cost of a consistent epoch is chi-square distributed
 with as many degrees of freedom as there are numbers observed: it is the normalised innovation squared, taken where the
 linearisation holds.
 """
@@ -21,8 +21,11 @@ from goldfield.track.motion import SIZE, TURN, Agility, Observation, State, turn
 TOLERANCE = 1e-2
 """The step that promises to lower the cost by less, a tenth of a standard deviation, is the last: taken, not looked at."""
 
-HALVINGS = 4
-"""At most so many times is a step halved before the update ends where it is."""
+FIRST_DAMPING = 1e-3
+"""Of Levenberg and Marquardt, relative to the diagonal, at the first step that would raise the cost; until then none."""
+
+VAGUE = np.repeat([1.0, 1.0, 10.0, 10.0, 2e-4], 3)
+"""Standard deviations around the start, far above what a cycle leaves open: they add nothing to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,35 +93,35 @@ def estimate(prior: Belief, observation: Observation, evaluations: int = 8) -> E
     cost = float(residual @ residual)
     if not np.isfinite(cost):
         return Estimate(prior, np.inf, observation.count, 1)
-    used = 1
+    used, damping, moved = 1, 0.0, True
     while True:
-        jacobian[:, TURN] = jacobian[:, TURN] @ turn_jacobian(offset[TURN])
-        whitened = jacobian @ prior.root
-        normal = whitened.T @ whitened
-        normal.flat[:: len(u) + 1] += 1.0
-        gradient = whitened.T @ residual - u
-        step = np.linalg.solve(normal, gradient)
+        if moved:
+            jacobian[:, TURN] = jacobian[:, TURN] @ turn_jacobian(offset[TURN])
+            whitened = jacobian @ prior.root
+            normal = whitened.T @ whitened
+            normal.flat[:: len(u) + 1] += 1.0
+            gradient = whitened.T @ residual - u
+        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
         promise = float(gradient @ step)
         if promise < TOLERANCE:
             offset = offset + prior.root @ step
             state, cost = prior.state.moved(offset), cost - promise
             break
-        lower = None
-        for _ in range(min(HALVINGS, evaluations - used)):
-            trial = u + step
-            offset_there = prior.root @ trial
-            state_there = prior.state.moved(offset_there)
-            with np.errstate(all="ignore"):  # a step into a wire: a cost that is not finite is not lower
-                there = observation.residual(state_there)
-            used += 1
-            cost_there = float(trial @ trial + there[0] @ there[0])
-            if cost_there <= cost:
-                lower = trial, offset_there, state_there, there, cost_there
-                break
-            step = 0.5 * step
-        if lower is None:
+        if used >= evaluations:
             break
-        u, offset, state, (residual, jacobian), cost = lower
+        trial = u + step
+        offset_there = prior.root @ trial
+        state_there = prior.state.moved(offset_there)
+        with np.errstate(all="ignore"):  # a step into a wire: a cost that is not finite is not lower
+            there = observation.residual(state_there)
+        used += 1
+        cost_there = float(trial @ trial + there[0] @ there[0])
+        moved = cost_there <= cost
+        if moved:
+            u, offset, state, (residual, jacobian), cost = trial, offset_there, state_there, there, cost_there
+            damping = 0.1 * damping if damping > FIRST_DAMPING else 0.0
+        else:
+            damping = max(10.0 * damping, FIRST_DAMPING)
     root = np.linalg.solve(np.linalg.cholesky(normal), prior.root.T).T
     root[TURN] = turn_jacobian(offset[TURN]) @ root[TURN]
     return Estimate(Belief(state, root), cost, observation.count, used)

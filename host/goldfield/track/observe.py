@@ -14,6 +14,7 @@ from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.poses import Fields, FloatArray, Pose, Status
 from goldfield.site import Site
+from goldfield.track.estimate import VAGUE, Belief, estimate
 from goldfield.track.motion import Observation, State, standing
 
 EPOCH_NODES = 3
@@ -24,6 +25,8 @@ AMBIENT_T = 5e-5
 
 START_MODEL_ERROR = 0.03
 """Relative error granted to the fields of a cycle whose motion is not yet known: 1 m/s at 1 m range changes them so much."""
+
+START_EVALUATIONS = 40
 
 REMEMBERED = 64
 """Sets of beacons whose matrices are kept."""
@@ -185,28 +188,28 @@ class CycleObserver:
         weights = None if parts is None else cycle.part_weights(parts)
         self._reduction = Reduction(cycle, site.sensor.noise_T, weights)
         self._times = site.cycle_s * cycle.times
-        # Constant fields and an ambient field with ramp and curve, by their values at the nodes
-        count = len(site.beacons)
-        constant = np.kron(np.eye(count), np.ones((CYCLE_NODES, 1)))
+        # All fields as parabolas: the strong, quickly changing field of a near coil then leaks into no other.
         powers = (2.0 * cycle.times[:, None]) ** np.arange(3)
-        still = np.block(
-            [[constant, np.zeros((len(constant), 3))], [np.zeros((CYCLE_NODES, count)), powers]]
-        )
-        columns = self._reduction.seen @ still
-        self._still = np.linalg.pinv(columns)
-        self._still_sigma = np.sqrt((self._still**2).sum(axis=1))
+        parabolas = np.kron(np.eye(len(site.beacons) + 1), powers)
+        fit = np.linalg.pinv(self._reduction.seen @ parabolas)
+        self._parabola = np.concatenate([fit[::3], fit[1::3] * 2.0 / site.cycle_s])
+        self._parabola_sigma = np.sqrt((self._parabola**2).sum(axis=1))
 
     def start(self, data: CycleData) -> tuple[Pose, State | None]:
-        """See `Observer.start`: as if the fields were constant during the cycle, and the ambient field not."""
+        """See `Observer.start`: from the fields at mid-cycle; then the motion from their slopes, loosely weighted."""
+        numbers = self._parabola @ self._reduction.numbers(data.data_T)
+        measured = np.isfinite(numbers).all(axis=0)
+        size = np.linalg.norm(np.where(measured, numbers, 0.0), axis=1)
+        sigma = np.hypot(self._parabola_sigma, START_MODEL_ERROR * size)
         count = len(self._row)
-        fitted = self._still @ self._reduction.numbers(data.data_T)
-        field = fitted[:count]
-        sigma = np.hypot(self._still_sigma[:count], START_MODEL_ERROR * np.linalg.norm(np.nan_to_num(field), axis=1))
-        pose, state = _start(self._locator.locate(Fields(data.epoch, data.time_s, tuple(self._row), field, sigma)))
-        if state is not None:
-            ambient = state.rotation @ np.nan_to_num(fitted[count])
-            state = State(state.position_m, state.rotation, state.velocity_m_s, state.rate_rad_s, ambient)
-        return pose, state
+        fields = Fields(data.epoch, data.time_s, tuple(self._row), numbers[:count], sigma[:count])
+        pose, state = _start(self._locator.locate(fields))
+        if state is None:
+            return pose, None
+        ambient = state.rotation @ np.where(measured, numbers[count], 0.0)
+        near = State(state.position_m, state.rotation, state.velocity_m_s, state.rate_rad_s, ambient)
+        loose = self._observation((numbers / sigma[:, None]).T, self._parabola @ self._reduction.seen / sigma[:, None])
+        return pose, estimate(Belief(near, np.diag(VAGUE)), loose, START_EVALUATIONS).belief.state
 
     def observation(
         self, data: CycleData, rate_rad_s: float, without: Sequence[str] = ()
@@ -219,15 +222,19 @@ class CycleObserver:
             # What is orthogonal to all that these beacons could add
             rest = np.linalg.qr(seen[:, columns], mode="complete")[0][:, len(columns) :].T
             numbers, seen = rest @ numbers, rest @ seen
-        measured = np.isfinite(numbers).all(axis=0)
-        observation = Observation(
+        observation = self._observation(numbers.T, seen)
+        return observation, tuple(name for name in self._row if name not in without and observation.count)
+
+    def _observation(self, numbers: FloatArray, seen: FloatArray) -> Observation:
+        """Return numbers, shape (3, r), as an observation; an axis with a NaN is not measured."""
+        measured = np.isfinite(numbers).all(axis=1)
+        return Observation(
             self._model,
             self._times,
             np.where(measured[:, None, None], seen, 0.0),
-            np.where(measured[:, None], numbers.T, 0.0),
+            np.where(measured[:, None], numbers, 0.0),
             int(measured.sum()) * len(seen),
         )
-        return observation, tuple(name for name in self._row if name not in without and measured.any())
 
 
 def _start(pose: Pose) -> tuple[Pose, State | None]:
