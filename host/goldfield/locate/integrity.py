@@ -99,9 +99,9 @@ def exclude(
     rows = np.arange(len(constellation.model))
     while len(rows) > LEAST_BEACONS:
         best_row, best_cost = -1, np.inf
-        for row, cost in zip(rows, _costs_without_each(constellation, measurements, rows), strict=True):
-            if cost < best_cost:
-                best_row, best_cost = int(row), float(cost)
+        for row, without in zip(rows, _costs_without_each(constellation, measurements, rows), strict=True):
+            if without < best_cost:
+                best_row, best_cost = int(row), without
         if best_row < 0 or len(rows) * gammaincc(1.5, max(cost - best_cost, 0.0) / 2.0) > BLAME:
             return None
         cost = best_cost

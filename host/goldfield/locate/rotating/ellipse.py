@@ -1,0 +1,78 @@
+"""Position and attitude from the ellipses with no prior and no map: their axes first, then all components."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.field import FieldModel
+from goldfield.field.rotating import range_and_polar_angle
+from goldfield.locate.fit import Fit, Measurements, fit_pose
+from goldfield.locate.least_squares import State, minimise
+from goldfield.locate.rotating.trilateration import trilaterate
+from goldfield.locate.wahba import wahba
+from goldfield.poses import FloatArray
+from goldfield.rotating_site import RotatingSite
+
+START_MODEL_ERROR = 0.03
+"""Relative error granted to the model in the first fit, so that strong and curved near fields do not dominate it."""
+
+
+def position_from_axes(site: RotatingSite, field_T: FloatArray) -> FloatArray:
+    """Position, shape (e, 3), from the semi-axes alone: ranges and heights over each beacon's plane, no attitude.
+
+    Parameters
+    ----------
+    site : RotatingSite
+        n >= 3 beacons, taken for dipoles.
+    field_T : ndarray, shape (e, n, 2, 3)
+        Bc and Bs in any frame.
+    """
+    range_m, polar = range_and_polar_angle(field_T, site.strength_T_m3)
+    height_m = range_m * np.cos(polar)
+    beacon, normal = site.position_m, site.frame[:, :, 2]
+    up = normal.mean(axis=0) / np.linalg.norm(normal.mean(axis=0))
+    start = trilaterate(beacon, range_m, up)
+
+    def evaluate(state: State, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        offset = state[0][:, None, :] - beacon
+        distance = np.linalg.norm(offset, axis=2)
+        residual = np.hstack([range_m[rows] - distance, height_m[rows] - np.einsum("enj,nj->en", offset, normal)])
+        slope = np.concatenate(
+            [offset / np.maximum(distance, 1e-9)[:, :, None], np.broadcast_to(normal, offset.shape)], axis=1
+        )
+        # Farther beacons are less certain; a height's error is that of the range, amplified towards the horizon.
+        weight = 1.0 / np.hstack([range_m[rows], 2.0 * range_m[rows]])
+        return residual * weight, (slope * weight[:, :, None]).swapaxes(1, 2)
+
+    return minimise(evaluate, lambda state, step: (state[0] + step,), (start,), tolerance=1e-12).state[0]
+
+
+def locate_by_ellipse(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArray, model_error: float = 0.0) -> Fit:
+    """Poses of e epochs, with no prior.
+
+    The axes of the ellipses give a position, Wahba's problem on all components there an attitude, and a fit of position
+    and attitude to all components, with the coils as loops of their size, the rest: a dual-axis beacon is two coils
+    in one place, which `fit_pose` knows how to treat.
+
+    Parameters
+    ----------
+    site : RotatingSite
+        n >= 3 beacons.
+    field_T : ndarray, shape (e, n, 2, 3)
+        Bc and Bs in the sensor's frame.
+    sigma_T : ndarray, shape (n,)
+        Standard deviation of each component.
+    model_error : float
+        Relative error believed of the site's currents and coils.
+    """
+    epochs = len(field_T)
+    model = FieldModel([coil for beacon in site.beacons for coil in beacon.coils()])
+    measured = field_T.reshape(epochs, -1, 3)
+    sigma = np.tile(np.repeat(sigma_T, 2), (epochs, 1))
+    position = position_from_axes(site, field_T)
+    modelled = model.field(position)
+    weight = 1.0 / (sigma**2 + (START_MODEL_ERROR * np.linalg.norm(measured, axis=2)) ** 2)
+    measurements = Measurements(measured, sigma)
+    rough = fit_pose(model, measurements, position, wahba(modelled, measured, weight), model_error=START_MODEL_ERROR)
+    return fit_pose(model, measurements, rough.position_m, rough.rotation, model_error=model_error)
