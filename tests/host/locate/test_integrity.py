@@ -14,14 +14,14 @@ from tests.bench import locate_trials as bench
 def test_a_faulty_beacon_is_found_and_left_out(kind, row):
     site = bench.prigge_cube()
     rng = np.random.default_rng(51)
-    run = bench.trials(site, bench.cube_positions(rng, 40), rng)
+    run = bench.trials(site, bench.cube_positions(rng, 60), rng)
     faulty = bench.with_fault(kind, site, run, rng, row)
     bad = np.linalg.norm(faulty.field_T[:, row] - run.field_T[:, row], axis=1) / run.sigma_T[:, row] > 30.0
     poses = Locator(site).locate_many(bench.fields_of(site, faulty))
     bound = bench.bound_of(site, run, without=row)
     error = np.linalg.norm(np.array([pose.position_m for pose in poses]) - run.position_m, axis=1)
     right = np.array([pose.excluded == (site.beacons[row].id,) for pose in poses])
-    assert bad.sum() >= 10
+    assert bad.sum() >= 6
     assert right[bad].mean() >= 0.9
     assert np.sqrt(np.mean((error[right] / bound[right]) ** 2)) < 1.25
     assert all(site.beacons[row].id not in pose.used for pose in np.array(poses, dtype=object)[right])
