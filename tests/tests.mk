@@ -30,3 +30,8 @@ figures: all ## Measure and print the figures of the whole chain (several minute
 	@$(PYTHON) tests/bench/chain_figures.py
 
 .PHONY: figures
+
+location-map: $(BUILD)/venv.stamp ## Draw docs/location.png: error map, error against the bound, starts compared
+	@$(PYTHON) tests/bench/locate_map.py
+
+.PHONY: location-map
