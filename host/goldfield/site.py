@@ -13,12 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from goldfield.drive import NO_CODE, NOTHING_ELSE, Drive, Plan, read_drive, read_plan
 from goldfield.errors import UserError
 from goldfield.poses import FloatArray
 from goldfield.toml_table import Table, text_lines
-
-DEGREES = (5, 6, 7, 9, 10, 11)
-"""Degrees with a preferred pair of m-sequences (maths.md, 1: other degrees have none or are not used)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +72,9 @@ class Beacon:
     current_A : float
         Amplitude of the chips; negative turns the moment round.
     code : int
-        Index of the Gold code.
+        Index of the Gold code; `goldfield.drive.NO_CODE` unless the beacon has just one.
+    drive : Drive
+        Whatever else tells the beacon from others, and how fast its coil follows.
     """
 
     id: str
@@ -85,6 +85,7 @@ class Beacon:
     points_m: FloatArray | None
     current_A: float
     code: int
+    drive: Drive = NOTHING_ELSE
 
     @property
     def moment_A_m2(self) -> FloatArray:
@@ -108,7 +109,11 @@ class Site:
     half_space : HalfSpace or None
     sensor : SensorSite
     beacons : tuple of Beacon
-        Ids and codes are unique.
+        Ids are unique, plain codes too.
+    access : str
+        How beacons are told apart: "cdma", "tdma" or "fdma".
+    slots : int
+        Of a cycle, for "tdma"; else 0.
     """
 
     name: str
@@ -117,6 +122,8 @@ class Site:
     half_space: HalfSpace | None
     sensor: SensorSite
     beacons: tuple[Beacon, ...]
+    access: str = "cdma"
+    slots: int = 0
 
     @property
     def chips(self) -> int:
@@ -130,7 +137,19 @@ class Site:
 
     @property
     def codes(self) -> tuple[int, ...]:
-        """Code index of each beacon."""
+        """Code index of each beacon.
+
+        Raises
+        ------
+        UserError
+            If a beacon has not just one plain code: a sensor's correlations then do not hold its field.
+        """
+        for beacon in self.beacons:
+            if beacon.code == NO_CODE:
+                raise UserError(
+                    f'beacon "{beacon.id}" of the site "{self.name}" has no plain code: a sensor board correlates with '
+                    'one Gold code a beacon; give each beacon a code, or use "goldfield separate" on raw samples'
+                )
         return tuple(beacon.code for beacon in self.beacons)
 
     def beacon(self, beacon_id: str) -> Beacon:
@@ -150,9 +169,10 @@ def area_vector(points_m: FloatArray) -> FloatArray:
 def load(path: str | Path) -> Site:
     """Read and check a site file.
 
-    Keys: ``[site] name, chip_period_s, degree``, optionally ``half_space = {point = [x, y, z], normal = [x, y, z]}``;
-    ``[sensor] noise_T``; for each beacon ``[[beacon]] id, position_m, axis, turns, current_A, code`` and one of
-    ``radius_m`` and ``points_m``. With ``points_m`` the position, axis and turns may be left out: the wire tells them.
+    Keys: ``[site] name, chip_period_s, degree``, optionally ``half_space = {point = [x, y, z], normal = [x, y, z]}``
+    and ``access`` with its own (`goldfield.drive`); ``[sensor] noise_T``; for each beacon ``[[beacon]] id, position_m,
+    axis, turns, current_A, code`` and one of ``radius_m`` and ``points_m``, optionally ``tau_s``. With ``points_m`` the
+    position, axis and turns may be left out: the wire tells them.
 
     Raises
     ------
@@ -171,20 +191,20 @@ def load(path: str | Path) -> Site:
     root = Table(document, path=path, lines=lines)
     root.allow("site", "sensor", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
-    site.allow("name", "chip_period_s", "degree", "half_space")
+    site.allow("name", "chip_period_s", "degree", "half_space", "access", "slots")
     sensor.allow("noise_T")
-    degree = site.integer("degree")
-    if degree not in DEGREES:
-        raise site.error("degree", f"is {degree}; Gold codes exist here for {', '.join(map(str, DEGREES))}")
-    beacons = tuple(_beacon(table, degree) for table in root.tables("beacon"))
+    plan = read_plan(site)
+    beacons = tuple(_beacon(table, plan) for table in root.tables("beacon"))
     _check_unique(root, beacons)
     return Site(
         name=site.text("name"),
-        chip_period_s=site.positive("chip_period_s"),
-        degree=degree,
+        chip_period_s=plan.chip_period_s,
+        degree=plan.degree,
         half_space=_half_space(site.table("half_space")) if "half_space" in site else None,
         sensor=SensorSite(noise_T=sensor.positive("noise_T")),
         beacons=beacons,
+        access=plan.access,
+        slots=plan.slots,
     )
 
 
@@ -193,17 +213,19 @@ def _half_space(table: Table) -> HalfSpace:
     return HalfSpace(point_m=table.vector("point"), normal=table.direction("normal"))
 
 
-def _beacon(table: Table, degree: int) -> Beacon:
-    table.allow("id", "position_m", "axis", "turns", "radius_m", "points_m", "current_A", "code")
-    code = table.integer("code")
-    if not 0 <= code <= 1 << degree:
-        raise table.error("code", f"is {code}; codes of degree {degree} are 0 to {1 << degree}")
+BEACON_KEYS = ("id", "position_m", "axis", "turns", "radius_m", "points_m", "current_A")
+DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "tau_s")
+
+
+def _beacon(table: Table, plan: Plan) -> Beacon:
+    table.allow(*BEACON_KEYS, *DRIVE_KEYS)
+    code, drive = read_drive(table, plan)
     current = table.number("current_A")
     if current == 0.0:
         raise table.error("current_A", "is zero: a beacon without a field cannot be located from; leave the beacon out")
     if ("radius_m" in table) == ("points_m" in table):
         raise table.error("radius_m", "or points_m must be given, exactly one of them")
-    given: dict[str, Any] = {"id": table.text("id"), "current_A": current, "code": code}
+    given: dict[str, Any] = {"id": table.text("id"), "current_A": current, "code": code, "drive": drive}
     if "radius_m" in table:
         return Beacon(
             **given,
@@ -241,7 +263,7 @@ def _check_unique(root: Table, beacons: tuple[Beacon, ...]) -> None:
     for table, beacon in zip(tables, beacons, strict=True):
         if beacon.id in ids:
             raise table.error("id", f'is "{beacon.id}", which beacon {ids[beacon.id]} already has: take another')
-        if beacon.code in codes:
+        if beacon.code != NO_CODE and beacon.code in codes:
             raise table.error(
                 "code", f'is {beacon.code}, which beacon "{codes[beacon.code]}" already has: codes must differ'
             )

@@ -107,9 +107,12 @@ class Table:
             raise self.error(key, f"must be one or more tables [[{key}]], not {_kind(value)}")
         header = re.compile(rf"\s*\[\[\s*{re.escape(key)}\s*\]\]")
         headers = [number for number, line in enumerate(self._lines, start=1) if header.match(line)]
-        headers += [0] * (len(value) - len(headers))
+        if self._name:  # inline tables of a table: they stand where the key does
+            headers = []
+        headers += [self._line_of(key) if self._name else 0] * (len(value) - len(headers))
+        names = f"{self._name}: {key}" if self._name else f"[[{key}]]"
         return [
-            Table(item, path=self._path, lines=self._lines, name=f"[[{key}]] {count}", header_line=line)
+            Table(item, path=self._path, lines=self._lines, name=f"{names} {count}", header_line=line)
             for count, (item, line) in enumerate(zip(value, headers, strict=False), start=1)
         ]
 

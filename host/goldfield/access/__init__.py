@@ -2,5 +2,16 @@
 
 from goldfield.access.cdma import Separation, Separator, plain_correlation
 from goldfield.access.gold import code_matrix, sequence
+from goldfield.access.linear import Access, TemplateAccess
+from goldfield.access.of_site import SiteAccess
 
-__all__ = ["Separation", "Separator", "code_matrix", "plain_correlation", "sequence"]
+__all__ = [
+    "Access",
+    "Separation",
+    "Separator",
+    "SiteAccess",
+    "TemplateAccess",
+    "code_matrix",
+    "plain_correlation",
+    "sequence",
+]

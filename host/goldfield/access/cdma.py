@@ -3,6 +3,9 @@
 With the samples y = C b + offset + noise, the centring P = I - 11^T/N and A = C^T P C, the fields are
 b = A^-1 C^T P y. The sensor sends the plain sums C^T y / N and 1^T y / N, which hold all that this needs:
 C^T P y = N (C^T y / N) - (C^T 1)(1^T y / N).
+
+Coils that settle slowly show filtered codes F in place of C (`goldfield.access.rise`): then b = (C^T P F)^-1 C^T P y
+from the same sums, and least squares on F from samples.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goldfield.access.gold import code_matrix
+from goldfield.access.rise import filtered
 from goldfield.errors import UserError
 from goldfield.poses import FloatArray
 
@@ -50,6 +54,8 @@ class Separator:
         Code indices, all different.
     noise_T : float
         Standard deviation of one sample on one axis.
+    tau_chips : sequence of float, optional
+        Time constant of each beacon's coil in chips; left out: all follow at once.
 
     Raises
     ------
@@ -57,13 +63,23 @@ class Separator:
         If the codes and a constant are linearly dependent: no method can tell their fields apart.
     """
 
-    def __init__(self, degree: int, codes: Sequence[int], noise_T: float) -> None:
+    def __init__(
+        self, degree: int, codes: Sequence[int], noise_T: float, tau_chips: Sequence[float] | None = None
+    ) -> None:
         self.codes = tuple(codes)
         self.chips = (1 << degree) - 1
         self._noise_T = noise_T
         self._code_chips = code_matrix(degree, codes).astype(np.float64)
+        self._templates = self._code_chips
+        if tau_chips is not None and any(tau_chips):
+            filters = zip(self._code_chips.T, tau_chips, strict=True)
+            self._templates = np.stack([filtered(chips, tau) for chips, tau in filters], axis=1)
         self._sums = self._code_chips.sum(axis=0)
-        self._normal = self._normal_matrix(np.ones(self.chips, dtype=np.bool_))
+        self._template_sums = self._templates.sum(axis=0)
+        every = np.ones(self.chips, dtype=np.bool_)
+        self._normal = self._normal_matrix(self._templates, every)
+        self._code_normal = self._normal_matrix(self._code_chips, every)
+        self._seen = self._code_chips.T @ self._templates - np.outer(self._sums, self._template_sums) / self.chips
         rank = _rank(self._normal)
         if rank < len(codes):
             raise UserError(
@@ -71,6 +87,12 @@ class Separator:
                 f"independent in {self.chips} chips; leave out {len(codes) - rank} of the beacons or choose other codes"
             )
         self._inverse = np.linalg.inv(self._normal)
+        self._seen_inverse = np.linalg.inv(self._seen)
+
+    @property
+    def covariance_T2(self) -> FloatArray:
+        """Of the fields from a complete cycle of samples, on one axis, shape (n, n)."""
+        return np.asarray(self._inverse * self._noise_T**2)
 
     def from_samples(self, samples_T: FloatArray) -> Separation:
         """Separate one cycle of raw samples.
@@ -89,17 +111,17 @@ class Separator:
             present = np.isfinite(samples_T[:, axis])
             inverse = self._inverse
             if not present.all():
-                normal = self._normal_matrix(present)
+                normal = self._normal_matrix(self._templates, present)
                 if present.sum() <= count or _rank(normal) < count:
                     continue
                 inverse = np.linalg.inv(normal)
-            codes = self._code_chips[present]
+            templates = self._templates[present]
             y = samples_T[present, axis]
             # The offset may be a million times the field: take it out first so that the sums do not round at its size.
             mean = y.mean()
             centred = y - mean
-            field[:, axis] = inverse @ (codes.T @ (centred - centred.mean()))
-            offset[axis] = mean + (centred - codes @ field[:, axis]).mean()
+            field[:, axis] = inverse @ (templates.T @ (centred - centred.mean()))
+            offset[axis] = mean + (centred - templates @ field[:, axis]).mean()
             variance[:, axis] = np.diag(inverse) * self._noise_T**2
         return Separation(field, offset, _worst_sigma(variance))
 
@@ -130,20 +152,20 @@ class Separator:
             if not known.any() or not np.isfinite(mean_T[axis]):
                 continue
             right = self.chips * correlation_T[known, axis] - self._sums[known] * mean_T[axis]
-            inverse = self._inverse if known.all() else np.linalg.inv(self._normal[np.ix_(known, known)])
+            inverse = self._seen_inverse if known.all() else np.linalg.inv(self._seen[np.ix_(known, known)])
             field[known, axis] = inverse @ right
-            offset[axis] = mean_T[axis] - self._sums[known] @ field[known, axis] / self.chips
-            leak = inverse @ self._normal[np.ix_(known, ~known)] * missing_T[~known]
-            variance[known, axis] = (
-                np.diag(inverse) * self._noise_T**2 + (leak**2).sum(axis=1) + (inverse**2).sum(axis=1) * extra_variance
-            )
+            offset[axis] = mean_T[axis] - self._template_sums[known] @ field[known, axis] / self.chips
+            leak = inverse @ self._seen[np.ix_(known, ~known)] * missing_T[~known]
+            noise = ((inverse @ self._code_normal[np.ix_(known, known)]) * inverse).sum(axis=1) * self._noise_T**2
+            variance[known, axis] = noise + (leak**2).sum(axis=1) + (inverse**2).sum(axis=1) * extra_variance
         return Separation(field, offset, _worst_sigma(variance))
 
-    def _normal_matrix(self, present: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> FloatArray:
-        """C^T P C over the present chips, shape (n, n); its terms are integers up to the division."""
-        codes = self._code_chips[present]
-        sums = codes.sum(axis=0)
-        return np.asarray(codes.T @ codes - np.outer(sums, sums) / max(len(codes), 1))
+    @staticmethod
+    def _normal_matrix(columns: FloatArray, present: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> FloatArray:
+        """C^T P C over the present chips, shape (n, n); for codes its terms are integers up to the division."""
+        chosen = columns[present]
+        sums = chosen.sum(axis=0)
+        return np.asarray(chosen.T @ chosen - np.outer(sums, sums) / max(len(chosen), 1))
 
 
 def plain_correlation(samples_T: FloatArray, degree: int, codes: Sequence[int]) -> FloatArray:

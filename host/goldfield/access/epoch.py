@@ -23,7 +23,8 @@ class EpochSeparator:
 
     def __init__(self, site: Site) -> None:
         self._site = site
-        self._separator = Separator(site.degree, site.codes, site.sensor.noise_T)
+        tau_chips = [beacon.drive.tau_s / site.chip_period_s for beacon in site.beacons]
+        self._separator = Separator(site.degree, site.codes, site.sensor.noise_T, tau_chips)
         self._last: tuple[int, float] | None = None
 
     def fields(self, report: Report) -> Fields:

@@ -68,6 +68,24 @@ def seconds(text: str) -> float:
     return value
 
 
+def hertz(text: str) -> float:
+    """Parse a frequency of more than 1 Hz, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 1.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text} is no frequency of 1 to 1000000 Hz")
+    return value
+
+
+def count(text: str) -> int:
+    """Parse a number of at least 1, for argparse."""
+    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 100_000):
+        raise argparse.ArgumentTypeError(f"{text} is no whole number of 1 to 100000")
+    return int(text)
+
+
 def node(text: str) -> int:
     """Parse a node number, for argparse."""
     if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 4095):

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from goldfield import site as sites
-from goldfield.access.cdma import Separation, Separator
+from goldfield.access.cdma import Separation
+from goldfield.access.of_site import SiteAccess, SiteCycle
 from goldfield.cli import options
 from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError
@@ -32,35 +33,63 @@ def command(subparsers: Any) -> None:
     parser.add_argument("samples", metavar="SAMPLES.csv", help="table of samples")
     options.add_site(parser)
     options.add_json(parser)
+    options.add(
+        parser, "--mains", metavar="HZ", kind=options.hertz, what="take out a hum near this frequency, within 0.5 Hz"
+    )
+    options.add(
+        parser,
+        "--harmonics",
+        metavar="N",
+        kind=options.count,
+        what="multiples of --mains to take out, from 1 on",
+    )
+    parser.add_argument(
+        "--unknown-rise", action="store_true", help="find the time constants of the coils in place of tau_s of the site"
+    )
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a line for every cycle."""
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
+    if arguments.harmonics is not None and arguments.mains is None:
+        raise UserError("--harmonics is given without --mains: give the frequency of the mains too")
     try:
-        separator = Separator(site.degree, site.codes, site.sensor.noise_T)
+        access = SiteAccess(site, arguments.mains, arguments.harmonics or 1, arguments.unknown_rise)
     except UserError as error:
         raise UserError(f"{arguments.site}: {error}") from error
-    for cycle, samples in enumerate(read_cycles(site, arguments.samples)):
-        separation = separator.from_samples(samples)
+    if not access.has_offset:
+        print(
+            f"goldfield: {arguments.site}: every chip belongs to a beacon's slot, so the ambient field stays in the "
+            "field of each beacon; leave one slot without a beacon to measure it",
+            file=sys.stderr,
+        )
+    for number_of, samples in enumerate(read_cycles(site, arguments.samples)):
+        cycle = access.cycle(samples)
         if arguments.json:
-            print(json_line(separation_record(site, cycle, separation)))
+            print(json_line(cycle_record(site, number_of, cycle)))
         else:
-            print(_table(site, cycle, separation))
+            print(_table(site, number_of, cycle))
     return 0
 
 
-def separation_record(site: Site, cycle: int, separation: Separation) -> dict[str, Any]:
-    """Return a separated cycle under the keys of ``goldfield separate --json``."""
-    return {
-        "cycle": cycle,
-        "offset_T": elements(separation.offset_T),
-        "fields": [
-            {"beacon": beacon.id, "b_T": elements(field), "sigma_T": number(sigma)}
-            for beacon, field, sigma in zip(site.beacons, separation.field_T, separation.sigma_T, strict=True)
-        ],
-    }
+def cycle_record(site: Site, number_of: int, cycle: SiteCycle) -> dict[str, Any]:
+    """Return a separated cycle under the keys of ``goldfield separate --json``.
+
+    ``mains_Hz`` and each beacon's ``tau_s`` are there if they were asked for.
+    """
+    separation = cycle.separation
+    record: dict[str, Any] = {"cycle": number_of, "offset_T": elements(separation.offset_T)}
+    if cycle.mains_Hz is not None:
+        record["mains_Hz"] = cycle.mains_Hz
+    record["fields"] = [
+        {"beacon": beacon.id, "b_T": elements(field), "sigma_T": number(sigma)}
+        for beacon, field, sigma in zip(site.beacons, separation.field_T, separation.sigma_T, strict=True)
+    ]
+    if cycle.tau_s is not None:
+        for entry, tau in zip(record["fields"], cycle.tau_s, strict=True):
+            entry["tau_s"] = number(tau)
+    return record
 
 
 def read_cycles(site: Site, path: str) -> Iterator[FloatArray]:
@@ -89,13 +118,19 @@ def read_cycles(site: Site, path: str) -> Iterator[FloatArray]:
         print(f"goldfield: {path}: the last {rest} chips are no whole cycle and were left out", file=sys.stderr)
 
 
-def _table(site: Site, cycle: int, separation: Separation) -> str:
+def _table(site: Site, number_of: int, cycle: SiteCycle) -> str:
+    separation: Separation = cycle.separation
+
     def components(vector: FloatArray) -> str:
         return " ".join(f"{value * 1e9:12.3f}" if np.isfinite(value) else f"{'-':>12}" for value in vector)
 
     width = max(8, *(len(beacon.id) for beacon in site.beacons))
-    lines = [f"cycle {cycle}", f"  {'nT':<{width}} {'x':>12} {'y':>12} {'z':>12} {'sigma':>10}"]
+    head = f"cycle {number_of}" + ("" if cycle.mains_Hz is None else f" (mains at {cycle.mains_Hz:.3f} Hz taken out)")
+    tau_us = [""] * len(site.beacons) if cycle.tau_s is None else [f" {tau * 1e6:9.2f}" for tau in cycle.tau_s]
+    tau_head = "" if cycle.tau_s is None else f" {'tau/us':>9}"
+    lines = [head, f"  {'nT':<{width}} {'x':>12} {'y':>12} {'z':>12} {'sigma':>10}{tau_head}"]
     lines.append(f"  {'offset':<{width}} {components(separation.offset_T)}")
-    for beacon, field, sigma in zip(site.beacons, separation.field_T, separation.sigma_T, strict=True):
-        lines.append(f"  {beacon.id:<{width}} {components(field)} {sigma * 1e9:10.3f}")
+    rows = zip(site.beacons, separation.field_T, separation.sigma_T, tau_us, strict=True)
+    for beacon, field, sigma, tau in rows:
+        lines.append(f"  {beacon.id:<{width}} {components(field)} {sigma * 1e9:10.3f}{tau}")
     return "\n".join(lines)
