@@ -94,6 +94,7 @@ static void apply_parameters(sensor_t *sensor) {
     if (!same) {
         (void)epoch_select(&sensor->selection, codes, count);
     }
+    onboard_configure(&sensor->onboard, parameters, &sensor->selection);
     sensor->stream_id = node_identifier(&sensor->node, GOLDFIELD_CHIP_FRAME_ID, 0);
     sensor->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
 }
@@ -150,6 +151,7 @@ static void report(sensor_t *sensor, epoch_t *epoch) {
         length = (uint8_t)goldfield_field_pack(data, &field, sizeof data);
         node_send(node, NODE_BOTH, GOLDFIELD_FIELD_FRAME_ID, sensor->selection.codes[i].code, data, length);
     }
+    onboard_take(&sensor->onboard, epoch, &sensor->calibration, &sensor->selection);
 }
 
 static node_state_t state(const sensor_t *sensor) {
@@ -191,6 +193,7 @@ void sensor_step(sensor_t *sensor) {
     node->stream_lost = sensor->stream.lost;
     node_step(node);
     drain_stream(sensor);
+    onboard_step(&sensor->onboard, node); /* After the fields are on their way; its messages leave in the next turn. */
     if (node->parameters_changed) {
         node->parameters_changed = false;
         apply_parameters(sensor);

@@ -5,7 +5,7 @@
  *   samples (once a block): each chip's burst to one sample (epoch_sample), labelled by chip_clock_at, into the cycle being collected (epoch_feed); as CHIP if streamed.
  *   sync: the edge to chip_clock.
  *   main: node; a complete cycle is transformed (despread_transform) while the next is collected, and reported on both links: EPOCH, EPOCH_STATUS,
- *   EPOCH_OFFSET, one FIELD for each code of the list.
+ *   EPOCH_OFFSET, one FIELD for each code of the list. If it is to, the sensor then computes its own pose and sends it (onboard.h).
  *
  * States: starting (no block yet), syncing, running (locked), clock_fallback. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip
  * clock cut short, and one that main was too late for, is dropped and counted (counter 13).
@@ -16,7 +16,7 @@
  * Parameters act from the next report on. stream sends every chip on serial (164 kB/s of 200 kB/s); chips that find no room are dropped and counted
  * as lost messages (counter 4).
  *
- * Memory: about 33 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
+ * Memory: about 45 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
  * 18,000, a report of 8 codes 66,000, main with nothing to do 150.
  * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
  */
@@ -27,6 +27,7 @@
 #include "epoch.h"
 #include "hal.h"
 #include "node.h"
+#include "onboard.h"
 
 #define SENSOR_STREAM_MESSAGES 128u /* Four blocks of chips. */
 
@@ -38,6 +39,7 @@ typedef struct {
     epoch_collector_t collector;
     epoch_calibration_t calibration;
     epoch_selection_t selection;
+    onboard_t onboard;
     volatile bool streaming;
     volatile bool sampled;         /* A block has been taken. */
     uint64_t ticks;                /* Length of all chips taken so far. */

@@ -5,25 +5,29 @@
 
 #include "frame.h"
 
-/* A run of parameters of one kind with successive ids. The limits are exact in a float. */
+/* Parameters of one kind: rows of count successive ids, each row stride after the one before. The limits are exact in a float. */
 typedef struct {
-    uint16_t first_id, count;
+    uint16_t first_id, count, rows, stride;
     parameter_kind_t kind;
     float minimum, maximum, initial;
 } run_t;
 
 static const run_t runs[] = {
-    {PARAMETER_NODE, 1, PARAMETER_UNSIGNED, 1.0f, 4095.0f, 1.0f},
-    {PARAMETER_CODE, 1, PARAMETER_UNSIGNED, 0.0f, 1024.0f, 0.0f},
-    {PARAMETER_AMPLITUDE, 1, PARAMETER_FLOAT, 0.0f, 15.9f, 0.0f},
-    {PARAMETER_SYNC_MASTER, 1, PARAMETER_UNSIGNED, 0.0f, 1.0f, 0.0f},
-    {PARAMETER_STREAM, 1, PARAMETER_UNSIGNED, 0.0f, 1.0f, 0.0f},
-    {PARAMETER_CODE_COUNT, 1, PARAMETER_UNSIGNED, 0.0f, 64.0f, 0.0f},
-    {PARAMETER_OPEN_COIL, 1, PARAMETER_FLOAT, 0.0f, 1.0f, 0.5f},
-    {PARAMETER_OVER_CURRENT, 1, PARAMETER_FLOAT, 0.0f, 15.9f, 12.0f},
-    {PARAMETER_ZERO, 3, PARAMETER_FLOAT, 0.0f, 4095.0f, 2048.0f},
-    {PARAMETER_CALIBRATION, 9, PARAMETER_FLOAT, -1.0f, 1.0f, 0.0f},
-    {PARAMETER_CODE_LIST, PARAMETER_CODE_LIST_LENGTH, PARAMETER_UNSIGNED, 0.0f, 1024.0f, 0.0f},
+    {PARAMETER_NODE, 1, 1, 0, PARAMETER_UNSIGNED, 1.0f, 4095.0f, 1.0f},
+    {PARAMETER_CODE, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1024.0f, 0.0f},
+    {PARAMETER_AMPLITUDE, 1, 1, 0, PARAMETER_FLOAT, 0.0f, 15.9f, 0.0f},
+    {PARAMETER_SYNC_MASTER, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1.0f, 0.0f},
+    {PARAMETER_STREAM, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1.0f, 0.0f},
+    {PARAMETER_CODE_COUNT, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 64.0f, 0.0f},
+    {PARAMETER_OPEN_COIL, 1, 1, 0, PARAMETER_FLOAT, 0.0f, 1.0f, 0.5f},
+    {PARAMETER_OVER_CURRENT, 1, 1, 0, PARAMETER_FLOAT, 0.0f, 15.9f, 12.0f},
+    {PARAMETER_ZERO, 3, 1, 0, PARAMETER_FLOAT, 0.0f, 4095.0f, 2048.0f},
+    {PARAMETER_POSE, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1.0f, 0.0f},
+    {PARAMETER_NOISE, 1, 1, 0, PARAMETER_FLOAT, 0.0f, 1.0f, 2e-7f},
+    {PARAMETER_CALIBRATION, 9, 1, 0, PARAMETER_FLOAT, -1.0f, 1.0f, 0.0f},
+    {PARAMETER_HALF_SPACE, 6, 1, 0, PARAMETER_FLOAT, -1e6f, 1e6f, 0.0f},
+    {PARAMETER_CODE_LIST, PARAMETER_CODE_LIST_LENGTH, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1024.0f, 0.0f},
+    {PARAMETER_BEACONS, PARAMETER_BEACON_FIELDS, PARAMETER_CODE_LIST_LENGTH, PARAMETER_BEACON_STRIDE, PARAMETER_FLOAT, -1e6f, 1e6f, 0.0f},
 };
 #define RUNS (sizeof runs / sizeof runs[0])
 #define NOMINAL_T_PER_COUNT (200e-6f / 2048.0f) /* +-200 uT over the converter's range. */
@@ -44,11 +48,13 @@ static float bits_float(uint32_t bits) {
 static const run_t *find(uint32_t id, uint32_t *place) {
     uint32_t first_place = 0;
     for (size_t i = 0; i < RUNS; i++) {
-        if (id - runs[i].first_id < runs[i].count) { /* Below first_id the difference wraps and is large. */
-            *place = first_place + id - runs[i].first_id;
+        const uint32_t distance = id - runs[i].first_id; /* Wraps below first_id, and is large. */
+        const uint32_t row = runs[i].rows > 1u ? distance / runs[i].stride : 0u, column = distance - row * runs[i].stride;
+        if (row < runs[i].rows && column < runs[i].count) {
+            *place = first_place + row * runs[i].count + column;
             return &runs[i];
         }
-        first_place += runs[i].count;
+        first_place += (uint32_t)runs[i].count * runs[i].rows;
     }
     return NULL;
 }
@@ -65,7 +71,7 @@ void parameters_init(parameters_t *parameters) {
     uint32_t place = 0;
     for (size_t i = 0; i < RUNS; i++) {
         const uint32_t initial = runs[i].kind == PARAMETER_FLOAT ? float_bits(runs[i].initial) : (uint32_t)runs[i].initial;
-        for (uint32_t j = 0; j < runs[i].count; j++) {
+        for (uint32_t j = 0; j < (uint32_t)runs[i].count * runs[i].rows; j++) {
             parameters->bits[place] = initial;
             place++;
         }

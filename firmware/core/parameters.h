@@ -3,13 +3,14 @@
  * A value is 32 bits of one of three kinds. Ranges (ends included) and defaults:
  *   node unsigned 1..4095 (1) · code unsigned 0..1024 (0) · amplitude float 0..15.9 A (0: off) · sync_master unsigned 0..1 (0) ·
  *   stream unsigned 0..1 (0) · code_count unsigned 0..64 (0) · open_coil float 0..1 (0.5) · over_current float 0..15.9 A (12) ·
- *   zero_x, _y, _z float 0..4095 counts (2048) · calibration float -1..1 T per count (identity times 200 uT / 2048) · code_list unsigned 0..1024 (0)
+ *   zero_x, _y, _z float 0..4095 counts (2048) · pose unsigned 0..1 (0) · noise float 0..1 T (2e-7) · calibration float -1..1 T per count (identity times 200 uT / 2048) ·
+ *   half_space float +-1e6 (0) · code_list unsigned 0..1024 (0) · beacons float +-1e6 (0)
  * A float that is not a number is out of range. No parameter is read-only today; the status exists for those to come.
  *
  * Stored page, little-endian: magic u32 "GFP1", count u16, CRC-16/CCITT-FALSE of the entries u16; then entries: id u16, kind u16, value u32. The page is
  * trusted only after its magic, its count against its length, and its CRC; after that each entry still passes the same checks as a PARAM_SET.
  *
- * Contexts: one. Reading a value from an interrupt while main sets it is safe: a value is one word. Memory: 340 bytes.
+ * Contexts: one. Reading a value from an interrupt while main sets it is safe: a value is one word. Memory: 2.4 kB.
  */
 #ifndef GOLDFIELD_PARAMETERS_H
 #define GOLDFIELD_PARAMETERS_H
@@ -26,10 +27,16 @@
 #define PARAMETER_OPEN_COIL 6u
 #define PARAMETER_OVER_CURRENT 7u
 #define PARAMETER_ZERO 8u          /* 8..10: x, y, z. */
+#define PARAMETER_POSE 11u
+#define PARAMETER_NOISE 12u
 #define PARAMETER_CALIBRATION 16u  /* 16..24: row by row. */
+#define PARAMETER_HALF_SPACE 32u   /* 32..37: point, normal. */
 #define PARAMETER_CODE_LIST 256u   /* 256..319. */
 #define PARAMETER_CODE_LIST_LENGTH 64u
-#define PARAMETERS_COUNT 84u
+#define PARAMETER_BEACONS 512u     /* + 16 * place in the code list + field. */
+#define PARAMETER_BEACON_STRIDE 16u
+#define PARAMETER_BEACON_FIELDS 8u /* Position, axis, moment, radius. */
+#define PARAMETERS_COUNT 604u
 
 typedef enum { PARAMETER_UNSIGNED = 0, PARAMETER_SIGNED = 1, PARAMETER_FLOAT = 2 } parameter_kind_t;
 

@@ -30,7 +30,7 @@
 #define HAL_AXES 3u
 #define HAL_SAMPLE_MAX 4095u            /* Converter full scale; 0 and 4095 count as saturated. */
 #define HAL_UNIQUE_ID_BYTES 12u
-#define HAL_PARAMETER_PAGE_BYTES 1024u
+#define HAL_PARAMETER_PAGE_BYTES 8192u
 
 typedef struct hal hal_t;
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from goldfield_protocol.framing import crc16
 
 MAGIC = 0x31504647
-PAGE_BYTES = 1024
+PAGE_BYTES = 8192
 PAGE_ADDRESS = 0x080E0000
 _HEADER = struct.Struct("<IHH")
 _ENTRY = struct.Struct("<HH4s")
@@ -62,6 +62,8 @@ class Parameter:
         Allowed range of each element, both included.
     exact : bool
         True if an array must be given whole (a matrix); False if fewer elements are allowed (a list).
+    group, stride : int
+        A table's ids: rows of ``group`` elements, each row ``stride`` ids after the one before. Only whole rows are allowed.
     """
 
     first: int
@@ -70,6 +72,12 @@ class Parameter:
     low: float = -math.inf
     high: float = math.inf
     exact: bool = False
+    group: int = 1
+    stride: int = 1
+
+    def identifier(self, element: int) -> int:
+        """Return the id of an element."""
+        return self.first + element // self.group * self.stride + element % self.group
 
 
 PARAMETERS: Mapping[str, Parameter] = {
@@ -84,8 +92,12 @@ PARAMETERS: Mapping[str, Parameter] = {
     "zero_x": Parameter(8, Kind.FLOAT),
     "zero_y": Parameter(9, Kind.FLOAT),
     "zero_z": Parameter(10, Kind.FLOAT),
+    "pose": Parameter(11, Kind.UNSIGNED, low=0, high=1),
+    "noise": Parameter(12, Kind.FLOAT, low=0, high=1),
     "calibration": Parameter(16, Kind.FLOAT, count=9, exact=True),
+    "half_space": Parameter(32, Kind.FLOAT, count=6, low=-1e6, high=1e6, exact=True),
     "code_list": Parameter(256, Kind.UNSIGNED, count=64, low=0, high=1024),
+    "beacons": Parameter(512, Kind.FLOAT, count=512, low=-1e6, high=1e6, group=8, stride=16),
 }
 """Every parameter by its name."""
 
@@ -116,8 +128,8 @@ def build_page(values: Mapping[str, Value]) -> bytes:
     Parameters
     ----------
     values : mapping of str to number or sequence of numbers
-        Names of `PARAMETERS` with their values: a number, or for ``calibration`` (nine, row by row, T per count) and
-        ``code_list`` (up to 64) a sequence. What is not named keeps the firmware's default.
+        Names of `PARAMETERS` with their values: a number, or for ``calibration`` (nine, row by row, T per count),
+        ``half_space`` (point and normal), ``code_list`` (up to 64) and ``beacons`` (eight a beacon) a sequence. What is not named keeps the firmware's default.
 
     Returns
     -------
@@ -141,8 +153,10 @@ def build_page(values: Mapping[str, Value]) -> bytes:
         if len(elements) > parameter.count or (parameter.exact and len(elements) != parameter.count):
             bound = "" if parameter.exact or parameter.count == 1 else "at most "
             raise ParameterError(f"parameter '{name}' got {len(elements)} values; it takes {bound}{parameter.count}")
+        if len(elements) % parameter.group:
+            raise ParameterError(f"parameter '{name}' got {len(elements)} values; it takes {parameter.group} a row")
         entries += [
-            (parameter.first + i, parameter.kind, _pack(name, parameter, element)) for i, element in enumerate(elements)
+            (parameter.identifier(i), parameter.kind, _pack(name, parameter, element)) for i, element in enumerate(elements)
         ]
     body = b"".join(_ENTRY.pack(*entry) for entry in sorted(entries))
     page = _HEADER.pack(MAGIC, len(entries), crc16(body)) + body
@@ -160,7 +174,7 @@ def parse_page(page: bytes) -> dict[str, int | float | list[int | float]]:
     Returns
     -------
     dict
-        Values by name; ``calibration`` and ``code_list`` are lists.
+        Values by name; arrays are lists.
 
     Raises
     ------
@@ -177,7 +191,7 @@ def parse_page(page: bytes) -> dict[str, int | float | list[int | float]]:
         raise ParameterError(f"the page claims {count} entries; there is room for {len(body) // _ENTRY.size}")
     if crc16(body) != crc:
         raise ParameterError(f"the page's CRC is {crc:#06x}; its entries give {crc16(body):#06x}")
-    names = {p.first + i: (name, p) for name, p in PARAMETERS.items() for i in range(p.count)}
+    names = {p.identifier(i): (name, p) for name, p in PARAMETERS.items() for i in range(p.count)}
     result: dict[str, int | float | list[int | float]] = {}
     for identifier, kind, raw in _ENTRY.iter_unpack(body):
         if identifier not in names or names[identifier][1].kind != kind:
@@ -189,7 +203,7 @@ def parse_page(page: bytes) -> dict[str, int | float | list[int | float]]:
             continue
         elements = result.setdefault(name, [])
         assert isinstance(elements, list)
-        if identifier != parameter.first + len(elements):
+        if identifier != parameter.identifier(len(elements)):
             raise ParameterError(f"element {len(elements)} of parameter '{name}' is missing in the page")
         elements.append(value)
     return result

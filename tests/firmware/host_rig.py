@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield_protocol import FrameDecoder, Message, decode, encode, encode_frame
-from goldfield_protocol.parameters import build_page
+from goldfield_protocol.parameters import PAGE_BYTES, build_page
 from hil_sim.clib import ROOT, load
 from hil_sim.emulator.emulator import Configuration, Emulator
 
@@ -107,7 +107,7 @@ class Board:
         config.clock = self.clock
         config.temperature_degc = self.temperature
         config.unique_id = self.unique_id
-        config.parameter_page = page.ljust(1024, b"\xff")
+        config.parameter_page = page.ljust(PAGE_BYTES, b"\xff")
         self.handle = LIBRARY.host_board_create(config, edge, self.power_on)
         self.operations = LIBRARY.host_board_operations
         assert self.handle != FFI.NULL

@@ -29,19 +29,28 @@ def float32(value):
 def test_bytes_of_a_small_page():
     page = build_page({"code_list": [1018, 3], "node": 7, "amplitude": 1.5})
     entries = struct.pack("<HHI HHf HHI HHI", 0, 0, 7, 2, 2, 1.5, 256, 0, 1018, 257, 0, 3)
-    assert page == b"GFP1" + struct.pack("<HH", 4, bitwise_crc16(entries)) + entries + b"\xff" * (1024 - 8 - 32)
+    assert page == b"GFP1" + struct.pack("<HH", 4, bitwise_crc16(entries)) + entries + b"\xff" * (8192 - 8 - 32)
 
 
 def test_table_is_that_of_framing_md():
     text = FRAMING.read_text().split("## Parameters")[1].split("## Counters")[0]
     documented = {}
+    rows = re.search(r"^\| (\d+) \+ (\d+) i \+ 0\.\.(\d+) \| (\w+) \| (\w+) \|.*i = 0\.\.(\d+)", text, re.MULTILINE)
+    table = PARAMETERS[rows[4]]
+    assert (table.first, table.stride, table.group - 1, table.kind.name.lower()) == (
+        *(int(rows[1]), int(rows[2]), int(rows[3])),
+        rows[5],
+    )
+    assert table.count == table.group * (int(rows[6]) + 1)
     for first, last, names, kind in re.findall(r"^\| (\d+)(?:\.\.(\d+))? \| ([\w, ]+) \| (\w+) \|", text, re.MULTILINE):
         ids = range(int(first), int(last or first) + 1)
         names = names.split(", ")
         share = len(ids) // len(names)
         for i, name in enumerate(names):
             documented[name] = (ids[i * share], share, kind)
-    assert documented == {n: (p.first, p.count, p.kind.name.lower()) for n, p in PARAMETERS.items()}
+    assert documented == {
+        n: (p.first, p.count, p.kind.name.lower()) for n, p in PARAMETERS.items() if p.stride == 1
+    }
 
 
 def elements(parameter):
@@ -54,13 +63,16 @@ def elements(parameter):
 def values(parameter):
     if parameter.count == 1:
         return elements(parameter)
+    if parameter.group > 1:
+        row = st.lists(elements(parameter), min_size=parameter.group, max_size=parameter.group)
+        return st.lists(row, min_size=1, max_size=parameter.count // parameter.group).map(lambda rows: sum(rows, []))
     return st.lists(elements(parameter), min_size=parameter.count if parameter.exact else 1, max_size=parameter.count)
 
 
 @given(st.fixed_dictionaries({}, optional={name: values(p) for name, p in PARAMETERS.items()}))
 def test_parse_inverts_build(chosen):
     page = build_page(chosen)
-    assert len(page) == 1024
+    assert len(page) == 8192
     assert parse_page(page) == chosen
 
 
@@ -82,6 +94,7 @@ def test_any_changed_byte_is_noticed(position, change):
         ({"amplitude": 1e300}, "does not fit 32 bits"),
         ({"calibration": [1.0] * 8}, "parameter 'calibration' got 8 values; it takes 9"),
         ({"code_list": [1] * 65}, "it takes at most 64"),
+        ({"beacons": [1.0] * 12}, "parameter 'beacons' got 12 values; it takes 8 a row"),
         ({"node": [1, 2]}, "parameter 'node' got 2 values; it takes 1"),
     ],
 )

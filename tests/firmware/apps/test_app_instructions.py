@@ -69,7 +69,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("instructions")
     source, elf = directory / "harness.c", directory / "apps.elf"
     source.write_text(HARNESS)
-    apps = [f"firmware/apps/{name}.c" for name in ("node", "sync", "beacon", "sensor")]
+    apps = [f"firmware/apps/{name}.c" for name in ("node", "sync", "beacon", "sensor", "onboard")]
     core = sorted((ROOT / "firmware/core").glob("*.c"))
     includes = [f"-I{ROOT / path}" for path in ("firmware/core", "firmware/apps", "firmware/hal", "build/protocol")]
     sources = [source, *(ROOT / app for app in apps), *core, ROOT / "build/protocol/goldfield.c"]

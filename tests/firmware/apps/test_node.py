@@ -61,7 +61,7 @@ def test_nothing_precedes_the_first_heartbeat(board: Board) -> None:
         (9, 1000.0, OK, 1000.0),
         (16, float("nan"), OUT_OF_RANGE, None),
         (300, 1022, OK, 1022),
-        (999, 1, UNKNOWN, 0),
+        (200, 1, UNKNOWN, 0),
     ],
 )
 def test_set_is_answered_with_the_value_in_force(

@@ -18,12 +18,16 @@ KINDS = {"unsigned": 0, "signed": 1, "float": 2}
 def documented():
     """Parameter id -> kind, from the table of framing.md."""
     table = {}
-    rows = re.findall(
-        r"^\| (\d+)(?:\.\.(\d+))? \| [\w, ]+ \| (\w+) \|", (ROOT / "protocol/framing.md").read_text(), re.M
-    )
+    text = (ROOT / "protocol/framing.md").read_text()
+    rows = re.findall(r"^\| (\d+)(?:\.\.(\d+))? \| [\w, ]+ \| (\w+) \|", text, re.M)
     for first, last, kind in rows:
         for identifier in range(int(first), int(last or first) + 1):
             table[identifier] = KINDS[kind]
+    grids = re.findall(r"^\| (\d+) \+ (\d+) i \+ 0\.\.(\d+) \| \w+ \| (\w+) \|.*i = 0\.\.(\d+)", text, re.M)
+    for first, stride, last, kind, last_row in grids:
+        for row in range(int(last_row) + 1):
+            for field in range(int(last) + 1):
+                table[int(first) + int(stride) * row + field] = KINDS[kind]
     return table
 
 
@@ -66,7 +70,7 @@ def load(core, table, stored):
 
 
 def test_exactly_the_documented_parameters_exist(core, parameters):
-    assert len(TABLE) == 84
+    assert len(TABLE) == 604
     for identifier in range(4096):
         status, kind, value = getting(core, parameters, identifier)
         if identifier in TABLE:
@@ -93,6 +97,11 @@ def test_exactly_the_documented_parameters_exist(core, parameters):
         (7, [0.0, 15.9], [-1.0, 16.0, -math.inf]),
         (10, [0.0, 2047.5, 4095.0], [-0.5, 4095.5]),
         (24, [-1.0, 1e-7, 1.0], [1.001, math.nan]),
+        (11, [0, 1], [2]),
+        (12, [0.0, 2e-7, 1.0], [-1e-9, 1.1, math.nan]),
+        (37, [-1e6, 0.0, 1e6], [-1.1e6, math.inf]),
+        (512, [-1e6, 0.0, 1e6], [1.1e6, math.nan]),
+        (512 + 16 * 63 + 7, [-1e6, 0.0, 1e6], [1.1e6, math.nan]),
     ],
 )
 def test_ranges(core, parameters, identifier, inside, outside):

@@ -75,9 +75,9 @@ class Machine:
         self.unicorn.mem_write(self.symbols[name][0], data)
 
     def pose(self):
-        """Position and status."""
+        """Position, and whether it was tracked (behind 26 floats, a short enum and two words)."""
         raw = bytes(self.unicorn.mem_read(*self.symbols["pose"]))
-        return np.array(struct.unpack_from("<3f", raw)), raw[4 * 26]
+        return np.array(struct.unpack_from("<3f", raw)), bool(raw[116])
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +124,7 @@ def test_no_prior_within_two_million_tracking_within_200000(machine, site):
     load_site(machine, site)
     centres = np.array([b.position_m for b in site.beacons])
     low, high = centres.min(axis=0), centres.max(axis=0)
-    found, tracked, stack = [], [], 0
+    found, tracked, lost, stack = [], [], [], 0
     for _ in range(40):
         # Twice the cube in each direction: also far outside.
         position = (low + high) / 2 + (rng.random(3) - 0.5) * (high - low) * 2.0
@@ -141,11 +141,12 @@ def test_no_prior_within_two_million_tracking_within_200000(machine, site):
         rotation = Rotation.from_rotvec(0.1 * axis / np.linalg.norm(axis)) * rotation
         machine.write("fields", fields(site, position, rotation, rng))
         count, more = machine.call("track")
-        tracked.append(count)
+        (tracked if machine.pose()[1] else lost).append(count)
         stack = max(stack, depth, more)
     memory = {name: machine.symbols[name][1] for name in ("site", "work", "pose", "fields")}
-    print(f"find: median {np.median(found):.0f}, most {max(found)}; track: median {np.median(tracked):.0f}, most {max(tracked)}; stack {stack}; {memory}")
-    print(sorted(tracked)[-5:], sorted(found)[-5:])
-    assert max(found) <= 2_000_000
+    print(f"find: median {np.median(found):.0f}, most {max(found)}; track: median {np.median(tracked):.0f}, most {max(tracked)}")
+    print(f"lost and found again: {lost}; stack {stack}; memory {memory}")
+    assert max(found + lost) <= 2_000_000
+    assert len(lost) <= 2
     assert max(tracked) <= 200_000
     assert stack <= 3000
