@@ -5,18 +5,33 @@ from __future__ import annotations
 import os
 import sys
 import traceback
+from collections.abc import Callable
 
 import numpy as np
 
+from goldfield.errors import UserError
 from goldfield.locate import locate
 from goldfield.poses import Fields, Pose, Status
 from goldfield.site import Site
 
 
 def pose_of(site: Site, fields: Fields) -> Pose:
-    """Locate; a defect in doing so costs this epoch and is told on stderr, not the run."""
+    """Locate with no prior; see `guarded`."""
+    return guarded(lambda epoch: locate(site, epoch), fields)
+
+
+def guarded(method: Callable[[Fields], Pose], fields: Fields) -> Pose:
+    """Locate by a method; a defect in it costs this epoch and is told on stderr, not the run.
+
+    Raises
+    ------
+    UserError
+        If the method finds that the site cannot be located on.
+    """
     try:
-        return locate(site, fields)
+        return method(fields)
+    except UserError:
+        raise
     except Exception as error:
         if os.environ.get("GOLDFIELD_DEBUG") == "1":
             traceback.print_exc()

@@ -1,4 +1,4 @@
-"""A moving sensor's samples, chip by chip; coils by magpylib, codes by shift registers: nothing of the host's models."""
+"""A moving sensor's samples, chip by chip; coils by magpylib, codes by shift registers: nothing of the host's."""
 
 from __future__ import annotations
 
@@ -68,3 +68,62 @@ class Room:
         fields = magpylib.getB(self.coils, position, squeeze=False)[:, 0, 0]  # (n, t, 3)
         total = np.einsum("tn,ntc->tc", self.codes, fields) + earth_T
         return rotation.inv().apply(total) + noise_T * rng.normal(size=(CHIPS, 3))
+
+
+CLEARANCE_M = 0.25
+"""Flights keep this far from the coils' centres: a sensor does not fly through a coil of 0.149 m radius."""
+
+
+def random_flight(site, rng, speed, rate):
+    """A straight flight at time 0 inside the cube of the site, in a random direction, attitude and axis of turn."""
+    centres = np.array([beacon.position_m for beacon in site.beacons])
+    low, high = centres.min(axis=0), centres.max(axis=0)
+    while True:
+        position = rng.uniform(low, high)
+        if np.linalg.norm(centres - position, axis=1).min() > CLEARANCE_M:
+            break
+    velocity, turn = rng.normal(size=(2, 3))
+    return straight(
+        position,
+        Rotation.random(rng=rng),
+        speed * velocity / np.linalg.norm(velocity),
+        rate * turn / np.linalg.norm(turn),
+    )
+
+
+def flight_poses(flight, time):
+    """Position, shape (3,), and rotation at one moment."""
+    position, rotation = flight.poses(np.array([time]))
+    return position[0], rotation[0]
+
+
+def cycle_bound(room, flight, noise_T):
+    """Cramer-Rao bound of the position at mid-cycle, m, from all samples of a cycle.
+
+    Unknown are position, attitude, velocity, angular velocity and the earth's field; derivatives by differences of
+    magpylib's fields.
+    """
+    position, attitude = flight_poses(flight, 0.0)
+    step = 1e-3
+    ahead, behind = flight_poses(flight, step), flight_poses(flight, -step)
+    velocity = (ahead[0] - behind[0]) / (2 * step)
+    rate = (ahead[1] * behind[1].inv()).as_rotvec() / (2 * step)
+    sizes = np.repeat([1e-5, 1e-5, 1e-4, 1e-4, 1e-9], 3)
+    columns = []
+    for column, size in enumerate(sizes):
+        ends = []
+        for sign in (1, -1):
+            error = np.zeros(15)
+            error[column] = sign * size
+            moved = straight(
+                position + error[:3],
+                Rotation.from_rotvec(error[3:6]) * attitude,
+                velocity + error[6:9],
+                rate + error[9:12],
+            )
+            ends.append(room.samples(moved, 0.0, 0.0, np.random.default_rng(0), EARTH_T + error[12:]))
+        columns.append(((ends[0] - ends[1]) / (2 * size)).ravel())
+    jacobian = np.stack(columns, axis=1)
+    scale = 1.0 / np.linalg.norm(jacobian, axis=0)
+    covariance = np.linalg.inv((jacobian * scale).T @ (jacobian * scale)) * np.outer(scale, scale) * noise_T**2
+    return float(np.sqrt(np.trace(covariance[:3, :3])))

@@ -1,15 +1,15 @@
 """What a moving sensor needs of a cycle (maths.md, 4).
 
-While the sensor moves, its samples are y[t] = sum_i c_i[t] h_i(tau) + e(tau) + noise, with the fields h_i of the beacons
-and the ambient field e in the sensor's frame, which turn and change during the cycle. tau is the time from the middle
-of the cycle; sample t is taken at the end of chip t.
+While the sensor moves, its samples are y[t] = sum_i c_i[t] h_i(tau) + e(tau) + noise: the fields h_i of the beacons and
+the ambient field e in the sensor's frame turn and change during the cycle. tau is the time from the middle of the
+cycle; sample t is taken at the end of chip t.
 
 - `DriftSeparator`: columns for a ramp and a curve of the ambient field beside the codes. A turning sensor sweeps the
   earth's field, hundreds of times a beacon's, over its axes; codes do not cancel a ramp.
 - `Cycle`: the fields as polynomials through a few nodes of the cycle. Then every linear processing of the samples is a
   small matrix on the fields at the nodes: `Cycle.seen` gives it for weights of any kind.
-- `Reduction`: a whole cycle of samples, or of partial sums, as a few uncorrelated numbers that hold all that the samples
-  say of the fields at the nodes.
+- `Reduction`: a whole cycle of samples, or of partial sums, as a few uncorrelated numbers that hold all that the
+  samples say of the fields at the nodes.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ SAMPLE_PHASE = 1.0
 """Where in its chip a sample is taken: at the end, when the coils have settled."""
 
 RANK_TOLERANCE = 1e-9
-"""Of the triangle of a decomposition, relative to its largest diagonal: codes that depend on each other give rounding."""
+"""Of the triangle of a decomposition, relative to its largest diagonal: dependent codes leave rounding there."""
 
 
 def sample_times(chips: int) -> FloatArray:
-    """Times of the samples from the middle of the cycle in units of the cycle, shape (N,): -1/2 to 1/2."""
+    """Return the times of the samples from the middle of the cycle in units of the cycle, shape (N,): -1/2 to 1/2."""
     return np.asarray((np.arange(chips) + SAMPLE_PHASE) / chips - 0.5)
 
 
@@ -41,7 +41,7 @@ def node_times(nodes: int) -> FloatArray:
 
 
 def separation_weights(degree: int, codes: Sequence[int], drift: int = 0) -> FloatArray:
-    """Weights of the samples in the separated fields and, last, in the ambient field at mid-cycle, shape (n + 1, N).
+    """Return the weights of the samples in the separated fields and, last, in the ambient field at mid-cycle, shape (n + 1, N).
 
     Least squares on the codes and the powers 0 to ``drift`` of time.
 
@@ -126,7 +126,7 @@ class Cycle:
         return np.asarray(weights @ self.design)
 
     def part_weights(self, parts: int) -> FloatArray:
-        """Weights of partial sums, shape (parts (n + 1), N): by part, each code's sum and then the plain sum.
+        """Return the weights of partial sums, shape (parts (n + 1), N): by part, each code's sum, then the plain sum.
 
         1023 = 3 * 11 * 31 divides into 3, 11, 31, 33, 93 and 341 equal parts; others differ by a chip.
         """
@@ -177,7 +177,7 @@ class Reduction:
 
 
 def _lagrange(nodes: FloatArray, times: FloatArray) -> FloatArray:
-    """Lagrange's polynomials of the nodes, shape (k,), at the times, shape (N,): shape (N, k)."""
+    """Return Lagrange's polynomials of the nodes, shape (k,), at the times, shape (N,): shape (N, k)."""
     result = np.ones((len(times), len(nodes)))
     for k, node in enumerate(nodes):
         for other in np.delete(nodes, k):

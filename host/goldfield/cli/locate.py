@@ -1,4 +1,4 @@
-"""``goldfield locate``: a pose for every epoch of a table of fields, with no prior."""
+"""``goldfield locate``: a pose for every epoch of a table of fields, with no prior or tracked."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.fields_file import COLUMNS, SIGMA_COLUMN
 from goldfield.cli.output import json_line, pose_record
+from goldfield.cli.tracking import add_track, locating
 from goldfield.errors import UserError
 from goldfield.poses import Fields
 from goldfield.site import Site
@@ -29,19 +30,20 @@ def command(subparsers: Any) -> None:
     )
     parser.add_argument("fields", metavar="FIELDS.csv", help="table of fields")
     options.add_site(parser)
+    add_track(parser)
     options.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a line for every epoch, whatever happens."""
-    from goldfield.pose_of import pose_of  # heavy: only when a pose is wanted
     from goldfield.view.terminal import PoseTable
 
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
     table = PoseTable()
+    locate = locating(site, arguments.track)
     for fields in read_fields(site, arguments.fields):
-        pose = pose_of(site, fields)
+        pose = locate(fields)
         print(json_line(pose_record(pose)) if arguments.json else table.line(pose))
     return 0
 

@@ -14,6 +14,7 @@ from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.fields_file import FieldsWriter
 from goldfield.cli.output import json_line, number, pose_record
+from goldfield.cli.tracking import add_track, locating
 from goldfield.errors import UserError
 from goldfield.link.candump import CandumpReader, CandumpWriter
 from goldfield.link.epochs import Assembler, Report
@@ -42,6 +43,7 @@ def command(subparsers: Any) -> None:
             help=f"{what} (environment: {options.environment_name(name)}, unless another is given)",
         )
     options.add_site(parser)
+    add_track(parser)
     options.add_json(parser)
     options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
     options.add(parser, "--fields", metavar="FILE", what="write the separated fields to a table for goldfield locate")
@@ -76,11 +78,11 @@ def _open_bus(kind: str, where: str) -> BusSource:
 
 def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, live: bool) -> int:
     from goldfield.access.epoch import EpochSeparator  # heavy: only when a pose is wanted
-    from goldfield.pose_of import pose_of
     from goldfield.view.terminal import PoseTable, Summary
     from goldfield.view.truth import NO_ERROR, Truth
 
     separator = EpochSeparator(site)
+    locate = locating(site, arguments.track)
     truth = Truth(arguments.truth) if arguments.truth else None
     writer = FieldsWriter(arguments.fields) if arguments.fields else None
     table = PoseTable(live=True, truth=truth is not None)
@@ -90,7 +92,7 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
             fields = separator.fields(report)
             if writer is not None:
                 writer.write(fields)
-            pose = pose_of(site, fields)
+            pose = locate(fields)
             error = NO_ERROR if truth is None else truth.error_of(pose)
             lost = report.lost(expected_fields=len(site.codes))
             summary.add(pose, error, lost)

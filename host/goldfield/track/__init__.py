@@ -10,6 +10,7 @@ from goldfield.track.cycle import CycleLocator, MovingPose
 from goldfield.track.filter import Tracker
 from goldfield.track.motion import Agility
 from goldfield.track.observe import CycleData, CycleObserver, EpochObserver
+from goldfield.track.smoother import FixedLagSmoother
 
 __all__ = [
     "Agility",
@@ -17,6 +18,7 @@ __all__ = [
     "CycleLocator",
     "CycleObserver",
     "EpochObserver",
+    "FixedLagSmoother",
     "MovingPose",
     "Tracker",
     "epoch_tracker",

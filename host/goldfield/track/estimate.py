@@ -1,7 +1,7 @@
 """The iterated update: prior and one cycle's observation to the most probable state.
 
-With the prior's covariance S S' and the state x0 moved by S u, the cost is |u|^2 + |r|^2: the prior's 15 numbers and the
-observation's, all of unit variance. Gauss-Newton on u, damped when a step would raise the cost: the iterated Kalman
+With the prior's covariance S S' and the state x0 moved by S u, the cost is |u|^2 + |r|^2: the prior's 15 numbers and
+the observation's, all of unit variance. Gauss-Newton on u, damped when a step would raise the cost: the iterated Kalman
 filter (Bell & Cathey 1993) in square-root form. At the end the cost of a consistent epoch is chi-square distributed
 with as many degrees of freedom as there are numbers observed: it is the normalised innovation squared, taken where the
 linearisation holds.
@@ -19,10 +19,10 @@ from goldfield.poses import FloatArray
 from goldfield.track.motion import SIZE, TURN, Agility, Observation, State, turn_jacobian
 
 TOLERANCE = 1e-2
-"""The step that promises to lower the cost by less, a tenth of a standard deviation, is the last: taken, not looked at."""
+"""The step that promises to lower the cost by less, a tenth of a standard deviation, is taken as the last."""
 
 FIRST_DAMPING = 1e-3
-"""Of Levenberg and Marquardt, relative to the diagonal, at the first step that would raise the cost; until then none."""
+"""Of Levenberg and Marquardt, relative to the diagonal, from the first step on that would raise the cost."""
 
 VAGUE = np.repeat([1.0, 1.0, 10.0, 10.0, 2e-4], 3)
 """Standard deviations around the start, far above what a cycle leaves open: they add nothing to it."""
@@ -101,7 +101,8 @@ def estimate(prior: Belief, observation: Observation, evaluations: int = 8) -> E
             normal = whitened.T @ whitened
             normal.flat[:: len(u) + 1] += 1.0
             gradient = whitened.T @ residual - u
-        step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+        damped = normal + damping * np.diag(np.diag(normal)) if damping else normal
+        step = np.linalg.solve(damped, gradient)
         promise = float(gradient @ step)
         if promise < TOLERANCE:
             offset = offset + prior.root @ step
@@ -127,9 +128,29 @@ def estimate(prior: Belief, observation: Observation, evaluations: int = 8) -> E
     return Estimate(Belief(state, root), cost, observation.count, used)
 
 
+def second_order(belief: Belief, observation: Observation) -> Belief:
+    """Return a belief of which an observation made all, widened by the second-order terms of the model.
+
+    As `goldfield.locate.uncertainty.honest_covariance`, for all 15 unknowns; 31 evaluations of the field model.
+    """
+    root = compact(belief.root)
+    _, jacobian = observation.residual(belief.state)
+    back = jacobian @ root
+    bends = np.empty((SIZE, SIZE, SIZE))
+    for axis in range(SIZE):
+        _, ahead = observation.residual(belief.state.moved(root[:, axis]))
+        _, behind = observation.residual(belief.state.moved(-root[:, axis]))
+        bends[axis] = 0.5 * ((ahead - behind) @ root).T @ back
+    bends = 0.5 * (bends + bends.swapaxes(0, 1))
+    mean = np.einsum("iik->k", bends)
+    flat = bends.reshape(-1, SIZE)
+    second = 0.25 * (np.outer(mean, mean) + 2.0 * flat.T @ flat)
+    return Belief(belief.state, root @ np.linalg.cholesky(np.eye(SIZE) + second))
+
+
 def compact(root: FloatArray) -> FloatArray:
     """Return a root of the same covariance with 15 columns."""
-    return np.asarray(np.linalg.qr(root.T, mode="r").T)
+    return np.asarray(np.linalg.qr(root.T)[1].T)
 
 
 @lru_cache(maxsize=256)

@@ -1,8 +1,8 @@
 """Tracking: an iterated error-state Kalman filter on position, attitude and their velocities.
 
-The sensor moves with white acceleration and white angular acceleration (Gietler, Ammari & Zangl: integrated random walk).
-A track starts where `locate` puts the sensor, with wide uncertainty, and starts again after a gap or when epochs keep
-contradicting it. Every time tag is the middle of a cycle; `Tracker.pose_at` gives the pose at any other time, such as now.
+The sensor moves with white acceleration and white angular acceleration (Gietler, Ammari & Zangl: integrated random
+walk). A track starts where `locate` puts the sensor, with wide uncertainty, and starts again after a gap or when
+epochs keep contradicting it. Every time tag is the middle of a cycle; `Tracker.pose_at` gives the pose at any other time, now too.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from goldfield.track.observe import Observer, T
 from goldfield.track.report import Reporter
 
 EVALUATIONS = 8
-"""Bound of the field model's evaluations in an update (Gietler's case: a plain filter fails, eight iterations do not)."""
+"""Bound of the field model's evaluations in an update: eight are enough where a plain filter fails (maths.md, 6)."""
 
 GATE = 1e-5
 """An epoch less likely than this contradicts the track, or one of its beacons is at fault."""
@@ -101,7 +101,7 @@ class Tracker(Generic[T]):
     def step(self, data: T) -> Step:
         """As `update`, with all that a smoother needs."""
         seconds = data.time_s - self._time_s
-        if self._belief is None or not 0.0 < seconds or not data.time_s - self._agreed_s <= GAP_S:
+        if self._belief is None or not seconds > 0.0 or not data.time_s - self._agreed_s <= GAP_S:
             return self._start(data)
         predicted = self._belief.after(seconds, self._agility)
         transition = self._belief.state.transition(seconds)

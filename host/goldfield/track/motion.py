@@ -6,6 +6,7 @@ angular velocity (rad/s, site's frame), ambient field (T, site's frame). The tru
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -160,10 +161,11 @@ class Observation:
         change[:, :, :, VELOCITY] = self.times_s[:, None, None] * change[:, :, :, POSITION]
         change[beacons, :, :, AMBIENT] = IDENTITY
         turns = np.outer(self.times_s, state.rate_rad_s)
-        now = turn_matrix(turns)
+        now = np.stack([turn_matrix(turn) for turn in turns])
+        by_rate = np.stack([time * turn_jacobian(turn) for time, turn in zip(self.times_s, turns, strict=True)])
         across = skew(fields)
         change[..., TURN] = across @ now
-        change[..., RATE] = across @ (self.times_s[:, None, None] * turn_jacobian(turns))
+        change[..., RATE] = across @ by_rate
         back = (now @ state.rotation).swapaxes(1, 2)
         in_sensor = (back @ fields[..., None])[..., 0].reshape(-1, 3)
         by_error = (back @ change).reshape(-1, 3, SIZE).swapaxes(0, 1)
@@ -181,30 +183,32 @@ def skew(vector: FloatArray) -> FloatArray:
 
 
 def turn_matrix(vector: FloatArray) -> FloatArray:
-    """Return the rotations by rotation vectors, shape (..., 3): Rodrigues' formula, shape (..., 3, 3)."""
-    return _series(vector, 0)
+    """Return the rotation by a rotation vector, shape (3,): Rodrigues' formula, shape (3, 3)."""
+    return _series(vector, *_coefficients(vector)[:2])
 
 
 def turn_jacobian(vector: FloatArray) -> FloatArray:
-    """Return the left Jacobians J of rotations, shape (..., 3, 3): Exp(v + dv) = Exp(J dv) Exp(v) for small dv."""
-    return _series(vector, 1)
+    """Return the left Jacobian J of rotations, shape (3, 3): Exp(v + dv) = Exp(J dv) Exp(v) for small dv."""
+    return _series(vector, *_coefficients(vector)[1:])
 
 
-def _series(vector: FloatArray, order: int) -> FloatArray:
-    """Return I + a [v]x + b [v]x^2: the exponential (order 0) or its mean over the turn (order 1)."""
-    angle2 = np.asarray((vector * vector).sum(axis=-1))
-    small = angle2 < 1e-6
-    safe = np.where(small, 1.0, angle2)
-    angle = np.sqrt(safe)
-    sine, versine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / safe
-    if order == 0:
-        a = np.where(small, 1.0 - angle2 / 6.0, sine)
-        b = np.where(small, 0.5 - angle2 / 24.0, versine)
-    else:
-        a = np.where(small, 0.5 - angle2 / 24.0, versine)
-        b = np.where(small, 1.0 / 6.0 - angle2 / 120.0, (1.0 - sine) / safe)
-    cross = skew(vector)
-    return np.asarray(IDENTITY + a[..., None, None] * cross + b[..., None, None] * (cross @ cross))
+def _coefficients(vector: FloatArray) -> tuple[float, float, float]:
+    """Return sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 of a vector's length x."""
+    angle2 = float(vector @ vector)
+    if angle2 < 1e-6:
+        return 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0, (1.0 - angle2 / 20.0) / 6.0
+    angle = math.sqrt(angle2)
+    sine = math.sin(angle) / angle
+    return sine, (1.0 - math.cos(angle)) / angle2, (1.0 - sine) / angle2
+
+
+def _series(vector: FloatArray, first: float, second: float) -> FloatArray:
+    """Return I + first [v]x + second [v]x^2."""
+    x, y, z = vector.tolist()
+    xx, yy, zz = second * x * x, second * y * y, second * z * z
+    xy, xz, yz = second * x * y, second * x * z, second * y * z
+    x, y, z = first * x, first * y, first * z
+    return np.array([[1.0 - yy - zz, xy - z, xz + y], [xy + z, 1.0 - xx - zz, yz - x], [xz - y, yz + x, 1.0 - xx - yy]])
 
 
 def standing(position_m: FloatArray, orientation_xyzw: FloatArray) -> State:

@@ -1,4 +1,4 @@
-"""From what the sensor sends of a cycle to an `Observation`: separated fields, or all samples, or partial sums of them."""
+"""From what the sensor sends of a cycle to an `Observation`: separated fields, all samples, or partial sums of them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AMBIENT_T = 5e-5
 """Size of the earth's field: a turning sensor sweeps this much across its axes."""
 
 START_MODEL_ERROR = 0.03
-"""Relative error granted to the fields of a cycle whose motion is not yet known: 1 m/s at 1 m range changes them so much."""
+"""Relative error granted to the fields of a cycle whose motion is not yet known."""
 
 START_EVALUATIONS = 40
 
@@ -162,9 +162,13 @@ class EpochObserver:
                 self._separations.clear()
             beacons = [self._site.beacons[row] for row in rows]
             codes = [beacon.code for beacon in beacons]
-            cycle = Cycle(self._site.degree, codes, EPOCH_NODES)
-            seen = cycle.seen(separation_weights(self._site.degree, codes, self._drift)[:-1])
-            sweep = self._site.cycle_s * seen[:, -EPOCH_NODES:] @ cycle.times
+            if min(codes, default=0) >= 0:
+                cycle = Cycle(self._site.degree, codes, EPOCH_NODES)
+                seen = cycle.seen(separation_weights(self._site.degree, codes, self._drift)[:-1])
+            else:  # told apart by other means than one plain code each: the mean over the cycle, no ambient field
+                mean = Cycle(self._site.degree, (), EPOCH_NODES).design.mean(axis=0)
+                seen = np.hstack([np.kron(np.eye(len(beacons)), mean), np.zeros((len(beacons), EPOCH_NODES))])
+            sweep = self._site.cycle_s * seen[:, -EPOCH_NODES:] @ self._times
             seen[:, -EPOCH_NODES:] = 0.0
             self._separations[key] = _Separation(FieldModel(beacons), seen, sweep)
         return self._separations[key]
@@ -227,7 +231,7 @@ class CycleObserver:
 
     def _observation(self, numbers: FloatArray, seen: FloatArray) -> Observation:
         """Return numbers, shape (3, r), as an observation; an axis with a NaN is not measured."""
-        measured = np.isfinite(numbers).all(axis=1)
+        measured = np.asarray(np.isfinite(numbers).all(axis=1))
         return Observation(
             self._model,
             self._times,

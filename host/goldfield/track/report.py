@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.locate.locator import WEAK_ATTITUDE_RAD, WEAK_POSITION
-from goldfield.poses import Pose, Status
+from goldfield.poses import FloatArray, Pose, Status
 from goldfield.site import Site
 from goldfield.track.estimate import Belief
-from goldfield.track.motion import POSITION, TURN
+from goldfield.track.motion import POSITION, TURN, State
 
 
 class Reporter:
@@ -52,11 +54,21 @@ class Reporter:
             epoch=epoch,
             time_s=time_s,
             position_m=belief.state.position_m,
-            orientation_xyzw=Rotation.from_matrix(belief.state.rotation).as_quat(canonical=True),
+            orientation_xyzw=Rotation.from_matrix(belief.state.rotation, assume_valid=True).as_quat(canonical=True),
             position_cov_m2=position_cov,
             attitude_cov_rad2=attitude_cov,
             residual=residual,
             status=status,
             used=used,
             excluded=excluded,
+        )
+
+    def again(self, pose: Pose, state: State, covariance: FloatArray) -> Pose:
+        """Return the same pose with another state and its covariance, shape (15, 15)."""
+        return replace(
+            pose,
+            position_m=state.position_m,
+            orientation_xyzw=Rotation.from_matrix(state.rotation, assume_valid=True).as_quat(canonical=True),
+            position_cov_m2=covariance[POSITION, POSITION],
+            attitude_cov_rad2=covariance[TURN, TURN],
         )
