@@ -8,6 +8,8 @@ import magpylib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from goldfield.locate.uncertainty import cramer_rao_bound
+
 CHIPS = 1023
 EARTH_T = np.array([2.0e-5, 0.0, -4.5e-5])
 
@@ -127,3 +129,24 @@ def cycle_bound(room, flight, noise_T):
     scale = 1.0 / np.linalg.norm(jacobian, axis=0)
     covariance = np.linalg.inv((jacobian * scale).T @ (jacobian * scale)) * np.outer(scale, scale) * noise_T**2
     return float(np.sqrt(np.trace(covariance[:3, :3])))
+
+
+def circling(rng, speed, rate, radius=0.5):
+    """Around a tilted circle about the middle of `prigge_cube`, turning about a fixed axis."""
+    middle = np.array([1.065, 1.065, 0.89]) + rng.uniform(-0.3, 0.3, 3)
+    tilt, attitude = Rotation.random(2, rng=rng)
+    turn = rng.normal(size=3)
+    turn *= rate / np.linalg.norm(turn)
+
+    def position(times):
+        angle = speed / radius * times
+        return middle + tilt.apply(radius * np.column_stack([np.cos(angle), np.sin(angle), 0.0 * angle]))
+
+    return Flight(position, lambda times: Rotation.from_rotvec(np.outer(times, turn)) * attitude)
+
+
+def epoch_bound(site, flight, time):
+    """Cramer-Rao bound of the position, m, from eight fields of a sensor at rest where it is at this time."""
+    position, rotation = flight_poses(flight, time)
+    bound = cramer_rao_bound(site, position[None], rotation.as_matrix()[None])[0]
+    return float(np.sqrt(np.trace(bound[:3, :3])))

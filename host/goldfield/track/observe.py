@@ -189,8 +189,8 @@ class CycleObserver:
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._locator = Locator(site)
         cycle = Cycle(site.degree, site.codes, CYCLE_NODES)
-        weights = None if parts is None else cycle.part_weights(parts)
-        self._reduction = Reduction(cycle, site.sensor.noise_T, weights)
+        self.weights: FloatArray | None = None if parts is None else cycle.part_weights(parts)
+        self._reduction = Reduction(cycle, site.sensor.noise_T, self.weights)
         self._times = site.cycle_s * cycle.times
         # All fields as parabolas: the strong, quickly changing field of a near coil then leaks into no other.
         powers = (2.0 * cycle.times[:, None]) ** np.arange(3)
