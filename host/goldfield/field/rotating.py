@@ -38,7 +38,7 @@ def dual_axis_dipole(offset_m: FloatArray, strength_T_m3: FloatArray | float) ->
 
 
 def normal_vector(field_T: FloatArray) -> FloatArray:
-    """Normal Bc x Bs of the ellipse's plane, shape (..., 3), T^2 (eqn 5).
+    """Return the normal Bc x Bs of the ellipse's plane, shape (..., 3), T^2 (eqn 5).
 
     In the beacon's frame it is (k/r^3)^2 (3 u_x u_z, 3 u_y u_z, 3 u_z^2 - 2). It does not depend on the phase at which
     a turn begins, since B(t1) x B(t2) is the same multiple of it for any two times a quarter turn apart (eqn 8 has the
@@ -53,7 +53,7 @@ def normal_vector(field_T: FloatArray) -> FloatArray:
 
 
 def direction_from_normal(normal: FloatArray) -> FloatArray:
-    """Unit vector from the beacon to the point, from the normal in the beacon's frame, shapes (..., 3).
+    """Return the unit vector from beacon to point, from the normal in the beacon's frame, shapes (..., 3).
 
     With phi_cs the angle of the normal from z: phi = (phi_cs - asin(sin(phi_cs)/3))/2, theta = atan2(n_y, n_x). One
     formula for the three branches of eqn 7, from tan(phi_cs) = 3 sin(2 phi)/(3 cos(2 phi) - 1), that is
@@ -92,8 +92,8 @@ def range_and_polar_angle(field_T: FloatArray, strength_T_m3: FloatArray | float
     """Range (m) and angle from the beacon's z or -z (rad, 0 to pi/2), shapes (...), from the ellipse alone.
 
     The semi-minor axis is k/r^3 in every direction and the semi-major axis k sqrt(1 + 3 sin^2 phi)/r^3: the moment
-    turns through the direction across u in its own plane, where |B| = k/r^3, and through the one nearest to u. Exact for
-    dipoles (maths.md, 5; not in the paper). Noise that lifts the ratio of the axes over 2 gives pi/2, below 1 gives 0.
+    turns through the direction across u in its own plane, where |B| = k/r^3, and through the one nearest to u. Exact
+    for dipoles, and not in the paper. Noise that lifts the ratio of the axes over 2 gives pi/2, below 1 gives 0.
 
     Parameters
     ----------

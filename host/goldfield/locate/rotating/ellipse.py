@@ -18,7 +18,7 @@ START_MODEL_ERROR = 0.03
 """Relative error granted to the model in the first fit, so that strong and curved near fields do not dominate it."""
 
 
-def position_from_axes(site: RotatingSite, field_T: FloatArray) -> FloatArray:
+def position_from_axes(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArray) -> FloatArray:
     """Position, shape (e, 3), from the semi-axes alone: ranges and heights over each beacon's plane, no attitude.
 
     Parameters
@@ -27,12 +27,22 @@ def position_from_axes(site: RotatingSite, field_T: FloatArray) -> FloatArray:
         n >= 3 beacons, taken for dipoles.
     field_T : ndarray, shape (e, n, 2, 3)
         Bc and Bs in any frame.
+    sigma_T : ndarray, shape (n,)
+        Standard deviation of each component.
+
+    Notes
+    -----
+    A relative error d of the axes, from noise and from the coil's size, (radius/r)^2, makes a relative error d/3 of the
+    range and one of (2 + 2 sin^2 phi)/cos phi times that of the height: it knows nothing at the horizon.
     """
     range_m, polar = range_and_polar_angle(field_T, site.strength_T_m3)
     height_m = range_m * np.cos(polar)
+    radius_m = np.array([beacon.radius_m for beacon in site.beacons])
+    axes_error = np.hypot(sigma_T * range_m**3 / site.strength_T_m3, (radius_m / range_m) ** 2)
+    weight_range = 3.0 / (axes_error * range_m)
+    weight = np.hstack([weight_range, weight_range * np.cos(polar) / (2.0 + 2.0 * np.sin(polar) ** 2)])
     beacon, normal = site.position_m, site.frame[:, :, 2]
-    up = normal.mean(axis=0) / np.linalg.norm(normal.mean(axis=0))
-    start = trilaterate(beacon, range_m, up)
+    start = trilaterate(beacon, range_m, site.up)
 
     def evaluate(state: State, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
         offset = state[0][:, None, :] - beacon
@@ -41,9 +51,8 @@ def position_from_axes(site: RotatingSite, field_T: FloatArray) -> FloatArray:
         slope = np.concatenate(
             [offset / np.maximum(distance, 1e-9)[:, :, None], np.broadcast_to(normal, offset.shape)], axis=1
         )
-        # Farther beacons are less certain; a height's error is that of the range, amplified towards the horizon.
-        weight = 1.0 / np.hstack([range_m[rows], 2.0 * range_m[rows]])
-        return residual * weight, (slope * weight[:, :, None]).swapaxes(1, 2)
+        w = weight[rows]
+        return residual * w, (slope * w[:, :, None]).swapaxes(1, 2)
 
     return minimise(evaluate, lambda state, step: (state[0] + step,), (start,), tolerance=1e-12).state[0]
 
@@ -70,7 +79,7 @@ def locate_by_ellipse(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArr
     model = FieldModel([coil for beacon in site.beacons for coil in beacon.coils()])
     measured = field_T.reshape(epochs, -1, 3)
     sigma = np.tile(np.repeat(sigma_T, 2), (epochs, 1))
-    position = position_from_axes(site, field_T)
+    position = position_from_axes(site, field_T, sigma_T)
     modelled = model.field(position)
     weight = 1.0 / (sigma**2 + (START_MODEL_ERROR * np.linalg.norm(measured, axis=2)) ** 2)
     measurements = Measurements(measured, sigma)

@@ -40,30 +40,39 @@ class FingerprintMap:
         keep = np.arange(len(self.position_m)) != point
         return FingerprintMap(self.beacons, self.position_m[keep], self.strength_T[keep])
 
-    def nearest(self, strength_T: FloatArray, count: int = NEIGHBOURS) -> tuple[NDArray[np.intp], FloatArray]:
-        """Nearest fingerprints by the Euclidean distance of strengths (eqn 26), not of their logarithms.
+    def nearest(
+        self, strength_T: FloatArray, count: int = NEIGHBOURS, *, logarithmic: bool = False
+    ) -> tuple[NDArray[np.intp], FloatArray]:
+        """Nearest fingerprints by the Euclidean distance of strengths (eqns 25 to 27).
 
         Parameters
         ----------
         strength_T : ndarray, shape (e, n)
+        logarithmic : bool
+            Take the distance of the strengths' logarithms. As printed the strongest beacon alone decides; the paper's
+            Table 1 lists logarithms, and its error of 0.114 m is near that of the logarithms here.
 
         Returns
         -------
         point : ndarray of int, shape (e, c)
             The nearest first; c is the count, or all points if there are fewer.
-        distance_T : ndarray, shape (e, c)
+        distance : ndarray, shape (e, c)
+            In T, or without unit.
         """
-        distance = np.linalg.norm(strength_T[:, None, :] - self.strength_T, axis=2)
+        scale = np.log if logarithmic else np.asarray
+        distance = np.linalg.norm(scale(strength_T)[:, None, :] - scale(self.strength_T), axis=2)
         point = np.argsort(distance, axis=1, kind="stable")[:, :count]
         return point, np.take_along_axis(distance, point, axis=1)
 
 
-def nearest_neighbours(fingerprints: FingerprintMap, strength_T: FloatArray) -> FloatArray:
+def nearest_neighbours(
+    fingerprints: FingerprintMap, strength_T: FloatArray, *, logarithmic: bool = False
+) -> FloatArray:
     """Algorithm 2, shape (e, 3): mean of the nearest points, weighted by 1/distance of strengths (eqn 27).
 
     Never outside the convex hull of the fingerprints, and blind to what a strength means.
     """
-    point, distance = fingerprints.nearest(strength_T)
+    point, distance = fingerprints.nearest(strength_T, logarithmic=logarithmic)
     weight = 1.0 / np.maximum(distance, 1e-30)
     weight /= weight.sum(axis=1, keepdims=True)
     return np.asarray((weight[:, :, None] * fingerprints.position_m[point]).sum(axis=1))
@@ -103,13 +112,18 @@ class LineLocator:
         return trilaterate(self._beacon_m, lines.ranges(strength_T), self._up, z_m)
 
     def by_local_lines(
-        self, strength_T: FloatArray, z_m: FloatArray | None = None, slope: FloatArray | None = None
+        self,
+        strength_T: FloatArray,
+        z_m: FloatArray | None = None,
+        slope: FloatArray | None = None,
+        *,
+        logarithmic: bool = False,
     ) -> FloatArray:
         """Algorithm 3 as intended, shape (e, 3): the line through the nearest fingerprints.
 
-        Each of the nearest fingerprints j gives a b of its own for each beacon, b_ij = ln F_ij - k_i ln |P_j - M_i|; the
-        range is r_i = exp((ln B_i - mean_j b_ij)/k_i), and eqn 17 gives the position. Eqn 28 as printed leaves the
-        fingerprint's own line out of the difference and yields 20 m where it must yield 0 (maths.md, 5).
+        Each of the nearest fingerprints j gives a b of its own for each beacon, b_ij = ln F_ij - k_i ln |P_j - M_i|;
+        the range is r_i = exp((ln B_i - mean_j b_ij)/k_i), and eqn 17 gives the position. Eqn 28 as printed leaves the
+        fingerprint's own line out of the difference and yields 20 m where it must yield 0.
 
         Parameters
         ----------
@@ -118,9 +132,11 @@ class LineLocator:
             Known heights.
         slope : ndarray, shape (n,), optional
             k; default: of the lines over the whole map.
+        logarithmic : bool
+            As of `FingerprintMap.nearest`.
         """
         k = self.lines.slope if slope is None else slope
-        point, _ = self._map.nearest(strength_T)
+        point, _ = self._map.nearest(strength_T, logarithmic=logarithmic)
         log_strength = np.log(self._map.strength_T / NANOTESLA)
         intercept = (log_strength - k * np.log(self._range_m))[point].mean(axis=1)
         return trilaterate(self._beacon_m, Lines(k, intercept).ranges(strength_T), self._up, z_m)

@@ -1,0 +1,148 @@
+"""Separation of dual-axis beacons by their frequencies: least squares with an offset, or the paper's FFT.
+
+The sum field is offset + sum_i (Bc_i cos(2 pi f_i t) + Bs_i sin(2 pi f_i t)), with t on the beacons' clock. Least
+squares on all columns at once serves any window and any sample times. The FFT (Zheng et al. 2022, 2.2) is exact only
+when the window holds whole periods of every beacon: otherwise the earth's field, 1e4 times the signal, leaks into every
+line, so such a window is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from goldfield.errors import UserError
+from goldfield.poses import FloatArray
+
+WHOLE_TOLERANCE = 1e-6
+"""How far from whole the number of periods in an FFT window may be: leaks 3e-6 of the offset, below the noise of any
+sensor; the clocks of sampler and beacons agree no better."""
+
+WORST_GROWTH = 30.0
+"""Least squares refuses a window that multiplies the noise of a field by more than this against long windows: the
+frequencies are then hardly distinct from each other or from the offset."""
+
+
+@dataclass(frozen=True, eq=False)
+class RotatingSeparation:
+    """The parts of e windows.
+
+    Attributes
+    ----------
+    field_T : ndarray, shape (e, n, 2, 3)
+        Bc and Bs of each beacon, in the sensor's frame.
+    offset_T : ndarray, shape (e, 3)
+        What does not turn: the earth's field and the sensor's own offset.
+    sigma_T : ndarray, shape (n,)
+        Standard deviation of each component of a field.
+    """
+
+    field_T: FloatArray
+    offset_T: FloatArray
+    sigma_T: FloatArray
+
+
+class RotatingSeparator:
+    """Joint least squares over windows with the same sample times.
+
+    Parameters
+    ----------
+    frequency_Hz : sequence of float
+        n beacons, all different and above zero.
+    time_s : ndarray, shape (t,)
+        Of the samples, on the beacons' clock, in any order and at any distance.
+    noise_T : float
+        Standard deviation of one sample on one axis.
+
+    Raises
+    ------
+    UserError
+        If the window cannot tell the beacons apart.
+    """
+
+    def __init__(self, frequency_Hz: Sequence[float], time_s: FloatArray, noise_T: float) -> None:
+        _check_frequencies(frequency_Hz)
+        if len(time_s) <= 2 * len(frequency_Hz) + 1:
+            raise UserError(
+                f"{len(time_s)} samples cannot be separated into the fields of {len(frequency_Hz)} rotating beacons "
+                f"and an offset: give at least {2 * len(frequency_Hz) + 2}"
+            )
+        turn = 2.0 * np.pi * np.outer(time_s, frequency_Hz)
+        columns = np.concatenate([np.cos(turn), np.sin(turn), np.ones((len(time_s), 1))], axis=1)
+        u, size, vt = np.linalg.svd(columns, full_matrices=False)
+        spread = (vt / np.maximum(size, 1e-300)[:, None]) ** 2
+        growth = np.sqrt(spread.sum(axis=0)[:-1] * len(time_s) / 2.0)
+        self._count = len(frequency_Hz)
+        self._solve = np.asarray((vt.T / np.maximum(size, 1e-300)) @ u.T)
+        worst = int(np.argmax(growth))
+        if growth[worst] > WORST_GROWTH:
+            raise UserError(
+                f"the window of {np.ptp(time_s):g} s is too short or sampled too slowly to tell the beacon at "
+                f"{frequency_Hz[worst % self._count]:g} Hz from the others and from the constant field (noise grows "
+                f"{growth[worst]:.3g}-fold): lengthen the window or move the frequencies apart"
+            )
+        per_column = noise_T * np.sqrt(spread.sum(axis=0)[:-1]).reshape(2, self._count)
+        self.sigma_T: FloatArray = per_column.max(axis=0)
+
+    def separate(self, samples_T: FloatArray) -> RotatingSeparation:
+        """Separate windows.
+
+        Parameters
+        ----------
+        samples_T : ndarray, shape (e, t, 3)
+            All finite.
+        """
+        # The offset may be a million times the field: take its bulk out first, so that sums do not round at its size.
+        mean = samples_T.mean(axis=1, keepdims=True)
+        parts = self._solve @ (samples_T - mean)
+        n = self._count
+        field = np.stack([parts[:, :n], parts[:, n : 2 * n]], axis=2)
+        return RotatingSeparation(field, parts[:, -1] + mean[:, 0], self.sigma_T)
+
+
+def separate_by_fft(
+    samples_T: FloatArray, rate_Hz: float, frequency_Hz: Sequence[float], noise_T: float
+) -> RotatingSeparation:
+    """Separate windows by their discrete Fourier transform, as the paper does.
+
+    Parameters
+    ----------
+    samples_T : ndarray, shape (e, t, 3)
+        Evenly spaced from time 0 on the beacons' clock.
+    rate_Hz : float
+    frequency_Hz : sequence of float
+    noise_T : float
+        Standard deviation of one sample on one axis.
+
+    Raises
+    ------
+    UserError
+        If the window does not hold whole periods of every beacon, or a beacon is at or above half the rate.
+    """
+    _check_frequencies(frequency_Hz)
+    count = samples_T.shape[1]
+    window_s = count / rate_Hz
+    frequency = np.asarray(frequency_Hz, dtype=np.float64)
+    periods = frequency * window_s
+    for f, p in zip(frequency, periods, strict=True):
+        if f >= 0.5 * rate_Hz:
+            raise UserError(f"a beacon at {f:g} Hz needs more than {2 * f:g} samples a second; there are {rate_Hz:g}")
+        if abs(p - round(p)) > WHOLE_TOLERANCE or round(p) < 1:
+            raise UserError(
+                f"an FFT window of {window_s:g} s holds {p:g} periods of the beacon at {f:g} Hz, where it must hold "
+                "a whole number of every beacon's: choose another window, or separate by least squares, which takes any"
+            )
+    lines = np.fft.rfft(samples_T, axis=1) / count
+    chosen = 2.0 * lines[:, np.rint(periods).astype(int)]
+    field = np.stack([chosen.real, -chosen.imag], axis=2)
+    sigma = np.full(len(frequency), noise_T * np.sqrt(2.0 / count))
+    return RotatingSeparation(field, np.asarray(lines[:, 0].real), sigma)
+
+
+def _check_frequencies(frequency_Hz: Sequence[float]) -> None:
+    if any(not 0.0 < f < np.inf for f in frequency_Hz):
+        raise UserError("a rotating beacon's frequency must be a finite number of hertz above zero")
+    if len(set(frequency_Hz)) < len(frequency_Hz):
+        raise UserError("two rotating beacons have the same frequency: nothing can tell their fields apart; change one")

@@ -1,0 +1,68 @@
+"""Pictures of experiments, as PNG (or whatever the file's name ends in); needs matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from goldfield.errors import SystemFailure, UserError
+from goldfield.poses import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+def panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
+    """Return a figure with some panels side by side.
+
+    Raises
+    ------
+    SystemFailure
+        If matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure as New
+    except ImportError as error:
+        raise SystemFailure('pictures need matplotlib: install it with pip install "goldfield[plot]"') from error
+    figure = New(figsize=(6.0 * count, 4.5), layout="constrained")
+    figure.suptitle(title)
+    return figure, [figure.add_subplot(1, count, place + 1) for place in range(count)]
+
+
+def cumulative(axes: Axes, errors: Mapping[str, FloatArray], label: str) -> None:
+    """Draw the share of errors below each size, one curve a name; what is not finite counts as never reached."""
+    for name, error in errors.items():
+        axes.step(
+            np.sort(np.where(np.isfinite(error), error, np.inf)), np.arange(1, len(error) + 1) / len(error), label=name
+        )
+    axes.set(xlabel=label, ylabel="share of the runs", xscale="log", ylim=(0.0, 1.0))
+    axes.grid(alpha=0.3)
+    axes.legend()
+
+
+def curves(axes: Axes, x: FloatArray, lines: Mapping[str, FloatArray], xlabel: str, ylabel: str) -> None:
+    """Draw curves over one axis."""
+    for name, y in lines.items():
+        axes.plot(x, y, label=name, marker="." if len(x) < 50 else "", linewidth=1.0)
+    axes.set(xlabel=xlabel, ylabel=ylabel)
+    axes.grid(alpha=0.3)
+    axes.legend()
+
+
+def save(figure: Figure, path: str) -> None:
+    """Write a figure.
+
+    Raises
+    ------
+    UserError
+        If the file cannot be written or its name ends in no known format.
+    """
+    try:
+        figure.savefig(path, dpi=120)
+    except OSError as error:
+        raise UserError(f"{path}: the picture cannot be written: {error.strerror}") from error
+    except ValueError as error:
+        raise UserError(f"{path}: the picture cannot be written: {error}: give a name that ends in .png") from error
