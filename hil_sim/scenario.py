@@ -25,6 +25,8 @@ CHIP_TICKS, TICKS_PER_SECOND, DEGREE = 16422, 168e6, 10
 CHIP_PERIOD_S = CHIP_TICKS / TICKS_PER_SECOND
 CONVERTER_COUNTS = 4096
 HARMONICS = 16
+LEAST_NOISE_T = 1e-9
+"""What the sensor takes for its noise in a scenario without any: the converters' steps remain."""
 ZERO = np.zeros(3)
 
 
@@ -135,6 +137,8 @@ class Sensor:
         ``exact``: the parameter page holds the true zero and matrix; ``nominal``: those of a perfect sensor.
     stream : int
         The board's parameter: 0 fields, 1 fields and every raw chip.
+    pose : int
+        The board's parameter: 1: it knows the beacons and computes its own poses.
     """
 
     node: int
@@ -148,6 +152,7 @@ class Sensor:
     offset_T: FloatArray
     calibration: str
     stream: int
+    pose: int
 
     @property
     def lag_s(self) -> float:
@@ -206,7 +211,12 @@ class Scenario:
     def _sensor_parameters(self) -> Mapping[str, Value]:
         zero, matrix = self.sensor.correction()
         codes = [beacon.code for beacon in self.beacons]
+        half = self.half_space
         return {
+            "pose": self.sensor.pose,
+            "noise": max(self.sensor.noise_T, LEAST_NOISE_T),
+            "half_space": [0.0] * 6 if half is None else [*half.point.tolist(), *half.normal.tolist()],
+            "beacons": [value for beacon in self.beacons for value in _beacon_row(beacon)],
             "node": self.sensor.node,
             "stream": self.sensor.stream,
             "code_count": len(codes),
@@ -234,6 +244,21 @@ class Scenario:
                 lines.append(f"points_m = {_toml(coil.points_m)}")
             lines += [f"current_A = {_toml(beacon.circuit.current_A)}", f"code = {beacon.code}"]
         return "\n".join(lines) + "\n"
+
+
+def _beacon_row(beacon: Beacon) -> tuple[float, ...]:
+    """Position, axis, moment and radius as the sensor's parameters have them; a wire becomes the circle of its area."""
+    coil = beacon.geometry
+    if coil.points_m is None:
+        assert coil.radius_m is not None
+        area, centre = math.pi * coil.radius_m**2, coil.position_m
+    else:
+        ends = np.roll(coil.points_m, -1, axis=0)
+        area = float(np.linalg.norm(0.5 * np.cross(coil.points_m, ends).sum(axis=0)))
+        lengths = np.linalg.norm(ends - coil.points_m, axis=1)
+        centre = np.average(0.5 * (coil.points_m + ends), axis=0, weights=lengths)
+    moment = coil.turns * area * beacon.circuit.current_A
+    return (*map(float, centre), *map(float, coil.axis), moment, math.sqrt(area / math.pi))
 
 
 def _beacon_parameters(beacon: Beacon) -> Mapping[str, Value]:
@@ -318,7 +343,7 @@ COIL_KEYS = (*CIRCUIT_KEYS, "turns", "radius_m", "axis")
 CIRCUIT_REQUIRED = ("current_A", "inductance_H", "resistance_Ohm", "supply_V")
 SENSOR_KEYS = (
     *("node", "noise_T", "converter_noise_LSB", "bandwidth_Hz", "range_T", "gain_error", "misalignment_rad"),
-    *("offset_T", "calibration", "stream", *CLOCK_KEYS),
+    *("offset_T", "calibration", "stream", "pose", *CLOCK_KEYS),
 )
 MOTION_KEYS = {
     "still": ("position_m", "rotation_vector_rad"),
@@ -412,6 +437,7 @@ def _sensor(table: Table) -> Sensor:
         offset_T=_vector(table, "offset_T"),
         calibration=calibration,
         stream=_between(table, "stream", 0, 1) if "stream" in table else 0,
+        pose=_between(table, "pose", 0, 1) if "pose" in table else 1,
     )
 
 

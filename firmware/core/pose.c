@@ -248,7 +248,7 @@ void pose_track(const pose_site_t *site, const pose_field_t *fields, pose_work_t
         vector3_subtract(pose->position_m, work->origin_m, work->best.position_m);
         memcpy(work->best.quaternion, pose->quaternion, sizeof pose->quaternion);
         pose->iterations += pose_fit(&work->problem, POSE_TRACK_EVALUATIONS, &work->best);
-        if (inside(work, &work->best) && explains(&work->problem, &work->best, SUSPECT)) {
+        if (inside(work, &work->best) && explains(&work->problem, &work->best, IMPROBABLE)) {
             pose->tracked = true;
             conclude(work, false, pose);
             return;

@@ -8,7 +8,7 @@ handed out empty, so that each cycle has a report.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -27,6 +27,10 @@ OFFSET_LIMIT_T = 524288e-9
 
 LONGEST_GAP = 1000
 """A cycle number that jumps further than so many cycles tells a restart, not a loss."""
+
+
+OWN_POSE = ("POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY")
+"""What a sensor that computes its own pose sends after the fields of a cycle."""
 
 
 @dataclass
@@ -49,6 +53,8 @@ class Report:
         Mean of the samples, NaN where lost or out of range.
     correlation_T : dict of int to ndarray, shape (3,)
         Plain correlation of each code; NaN where out of range.
+    own_pose : dict of str to mapping
+        Signals of the `OWN_POSE` messages that arrived, if they are awaited.
     """
 
     cycle: int
@@ -59,11 +65,12 @@ class Report:
     locked: bool | None = None
     offset_T: FloatArray | None = None
     correlation_T: dict[int, FloatArray] = field(default_factory=dict)
+    own_pose: dict[str, Mapping[str, float]] = field(default_factory=dict)
     has_header: bool = False
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is missing."""
+        """Whether no message of the fields is missing."""
         return (
             self.has_header
             and self.offset_T is not None
@@ -86,6 +93,8 @@ class Assembler:
     ----------
     silence_s : float
         After such a time without a message the low bits of a cycle say nothing any more: eight cycles.
+    own_pose : bool
+        Whether the sensor's own poses are awaited too; else they are ignored.
     repeated : int
         Messages that had been received already.
     late : int
@@ -99,6 +108,7 @@ class Assembler:
     """
 
     silence_s: float = 0.8
+    own_pose: bool = False
     repeated: int = 0
     late: int = 0
     orphans: int = 0
@@ -119,7 +129,8 @@ class Assembler:
         arrival_s : float
             On any clock that does not run backwards.
         """
-        if message.name not in ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD"):
+        awaited = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", *(OWN_POSE if self.own_pose else ()))
+        if message.name not in awaited:
             return
         if arrival_s - self._last_time > self.silence_s:
             yield from self.end()
@@ -170,7 +181,10 @@ class Assembler:
     def _ready(self) -> Iterator[Report]:
         assert self._newest is not None
         yield from self._hand_out(until=(self._newest - 1) % CYCLE_MODULUS)
-        while (report := self._open.get(self._expected)) is not None and report.complete:
+        own = len(OWN_POSE) if self.own_pose else 0
+        while (
+            (report := self._open.get(self._expected)) is not None and report.complete and len(report.own_pose) >= own
+        ):
             yield self._pop()
 
     def _hand_out(self, until: int) -> Iterator[Report]:
@@ -213,6 +227,10 @@ def _enter(report: Report, message: Message) -> bool:
         if report.offset_T is not None:
             return False
         report.offset_T = _vector(message, OFFSET_LIMIT_T)
+    elif message.name in OWN_POSE:
+        if message.name in report.own_pose:
+            return False
+        report.own_pose[message.name] = signals
     else:
         if message.index in report.correlation_T:
             return False

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import can
 from cantools.database.errors import Error as DatabaseError
 
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link.candump import CandumpWriter
-from goldfield.link.epochs import Assembler, Report
+from goldfield.link.epochs import OWN_POSE, Assembler, Report
 from goldfield.link.source import BusSource, Source
 from goldfield_protocol.messages import Identifier, Message, database, decode, encode, protocol_hash
 
@@ -22,6 +23,7 @@ PARAM_CODE_COUNT = 5
 PARAM_CODE_LIST = 256
 LONGEST_CODE_LIST = 64
 KIND_UNSIGNED = 0
+KIND_FLOAT = 2
 PARAM_STATUS = {1: "unknown", 2: "out of range", 3: "of the wrong kind", 4: "read-only"}
 
 TRIES = 5
@@ -51,7 +53,7 @@ COUNTERS = (
 )
 """What a node's counters count, by index (framing.md)."""
 
-USED = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "HEARTBEAT", "COUNTER", "PARAM_VALUE")
+USED = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "HEARTBEAT", "COUNTER", "PARAM_VALUE", *OWN_POSE)
 USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in USED}
 
 
@@ -91,7 +93,7 @@ class Session:
         self._source = source
         self.name = name
         self._recorder = recorder
-        self._configured: tuple[BusSource, Sequence[int]] | None = None
+        self._configured: tuple[BusSource, Sequence[int], Mapping[int, int | float]] | None = None
 
     @property
     def bad_frames(self) -> int:
@@ -132,8 +134,17 @@ class Session:
         waited_s = time.monotonic() - begin
         raise SystemFailure(f"{self.name}: no heartbeat of {wanted} in {waited_s:.0f} s; {what}")
 
-    def configure(self, bus: BusSource, codes: Sequence[int]) -> bool:
+    def configure(
+        self, bus: BusSource, codes: Sequence[int], parameters: Mapping[int, int | float] | None = None
+    ) -> bool:
         """Make the sensor report these codes, now and after each of its resets; tells whether anything had to be set.
+
+        Parameters
+        ----------
+        bus : BusSource
+        codes : sequence of int
+        parameters : mapping of int to int or float, optional
+            Further parameters by id, unsigned or float by their type.
 
         Raises
         ------
@@ -146,8 +157,11 @@ class Session:
             raise UserError(
                 f"the site has {len(codes)} beacons, a sensor reports {LONGEST_CODE_LIST} at most: split the site"
             )
-        wanted = [(PARAM_CODE_LIST + place, code) for place, code in enumerate(codes)] + [
-            (PARAM_CODE_COUNT, len(codes))
+        wanted: list[tuple[int, int | float]] = [(PARAM_CODE_LIST + place, code) for place, code in enumerate(codes)]
+        wanted += [(PARAM_CODE_COUNT, len(codes))]
+        wanted += [
+            (parameter, _single(value) if isinstance(value, float) else value)
+            for parameter, value in (parameters or {}).items()
         ]
         changes = [(parameter, value) for parameter, value in wanted if self._ask(bus, parameter) != value]
         for parameter, value in changes:
@@ -156,7 +170,7 @@ class Session:
                 raise SystemFailure(
                     f"{self.name}: sensor {self.node} keeps parameter {parameter} at {answer} instead of {value}"
                 )
-        self._configured = bus, codes
+        self._configured = bus, codes, parameters or {}
         return bool(changes)
 
     def reports(self, live: bool) -> Iterator[Report]:
@@ -204,13 +218,15 @@ class Session:
             if self._configured:
                 self.configure(*self._configured)
 
-    def _ask(self, bus: BusSource, parameter: int, value: int | None = None) -> int:
+    def _ask(self, bus: BusSource, parameter: int, value: int | float | None = None) -> int | float:
         """Set a parameter, or read it, and return the sensor's answer."""
         assert self.node is not None
         if value is None:
             request = encode("PARAM_GET", {"reserved": 0}, node=self.node, index=parameter)
         else:
-            signals = {"kind": KIND_UNSIGNED, "value_unsigned": value}
+            signals: dict[str, float] = {"kind": KIND_UNSIGNED, "value_unsigned": value}
+            if isinstance(value, float):
+                signals = {"kind": KIND_FLOAT, "value_float": value}
             request = encode("PARAM_SET", signals, node=self.node, index=parameter)
         for _ in range(TRIES):
             bus.send(*request)
@@ -230,6 +246,8 @@ class Session:
                     raise SystemFailure(
                         f"{self.name}: sensor {self.node} says that parameter {parameter}{given} is {why}"
                     )
+                if "value_float" in message.signals:
+                    return float(message.signals["value_float"])
                 return int(message.signals.get("value_unsigned", -1))
         raise SystemFailure(
             f"{self.name}: sensor {self.node} did not answer a request for parameter {parameter} in {TRIES} tries"
@@ -269,3 +287,8 @@ class Session:
             f"{self.name}: node {heartbeat.node} ({role}, firmware {version}) speaks protocol {theirs:#010x} and this "
             f"host {ours:#010x}: flash it with the {role} firmware of this host's version (make flash ROLE={role})"
         )
+
+
+def _single(value: float) -> float:
+    """Round to single precision, as a sensor keeps it."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])

@@ -1,4 +1,4 @@
-"""What a pose on the sensor costs on a Cortex-M4: instructions, stack and memory, counted in Unicorn with the image's flags."""
+"""What a pose on the sensor costs on a Cortex-M4: instructions, stack and memory, with the image's flags (Unicorn)."""
 
 import struct
 import subprocess
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import unicorn
 from elftools.elf.elffile import ELFFile
-from goldfield import site as sites
-from goldfield.locate.uncertainty import cramer_rao_bound
 from scipy.spatial.transform import Rotation
 from unicorn import arm_const as arm
 
+from goldfield import site as sites
+from goldfield.locate.uncertainty import cramer_rao_bound
 from hil_sim.clib import ROOT
 
 FLAGS = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c11", "-O3")
@@ -112,7 +112,9 @@ def load_site(machine, site):
 def fields(site, position, rotation, rng):
     """Noisy fields in the sensor's frame, as the sensor's memory has them."""
     values = [
-        magpylib.current.Circle(current=b.turns * b.current_A, diameter=2 * b.radius_m, position=b.position_m).getB(position)
+        magpylib.current.Circle(current=b.turns * b.current_A, diameter=2 * b.radius_m, position=b.position_m).getB(
+            position
+        )
         for b in site.beacons
     ]
     measured = rotation.inv().apply(values) + rng.normal(0.0, SIGMA_T, (len(values), 3))
@@ -144,7 +146,8 @@ def test_no_prior_within_two_million_tracking_within_200000(machine, site):
         (tracked if machine.pose()[1] else lost).append(count)
         stack = max(stack, depth, more)
     memory = {name: machine.symbols[name][1] for name in ("site", "work", "pose", "fields")}
-    print(f"find: median {np.median(found):.0f}, most {max(found)}; track: median {np.median(tracked):.0f}, most {max(tracked)}")
+    for name, counts in (("find", found), ("track", tracked)):
+        print(f"{name}: median {np.median(counts):.0f}, most {max(counts)} instructions")
     print(f"lost and found again: {lost}; stack {stack}; memory {memory}")
     assert max(found + lost) <= 2_000_000
     assert len(lost) <= 2

@@ -1,0 +1,79 @@
+"""The sensor board alone: the poses it computes and sends, beside the host's from its fields, and the truth."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from goldfield.access.epoch import EpochSeparator
+from goldfield.link.epochs import OWN_POSE, Assembler
+from goldfield.locate import locate
+from goldfield.locate.uncertainty import cramer_rao_bound
+from goldfield.onboard import onboard_pose
+from goldfield.poses import Status
+from goldfield_protocol import FrameDecoder, decode
+
+CYCLES = 20
+
+
+@pytest.fixture(scope="module")
+def bench(open_bench):
+    return open_bench("prigge8")
+
+
+@pytest.fixture(scope="module")
+def pairs(bench):
+    """(host's pose, sensor's pose) of each cycle."""
+    if not hasattr(bench, "stream"):
+        pytest.fail("this test reads the simulated boards' bytes: leave out --rig, or give emulated or host")
+    bench.reports(CYCLES + 2)
+    assembler, separator, found = Assembler(own_pose=True), EpochSeparator(bench.site), []
+    for frame in FrameDecoder().feed(bytes(bench.stream)):
+        message = decode(frame.identifier, frame.data)
+        if message is not None:
+            for report in assembler.feed(message, 0.0):
+                fields = separator.fields(report)
+                found.append((locate(bench.site, fields), onboard_pose(bench.site, report, fields), report))
+    return found[-CYCLES:]
+
+
+def between(a, b):
+    return (Rotation.from_quat(a.orientation_xyzw) * Rotation.from_quat(b.orientation_xyzw).inv()).magnitude()
+
+
+def test_every_cycle_has_a_pose_of_the_sensor(pairs):
+    assert len(pairs) == CYCLES
+    assert all(len(report.own_pose) == len(OWN_POSE) for _, _, report in pairs)
+    assert all(own.status is Status.OK and len(own.used) == 8 for _, own, _ in pairs)
+    assert [report.own_pose["POSE_QUALITY"]["tracked"] for _, _, report in pairs] == [1.0] * CYCLES
+
+
+def test_it_agrees_with_the_host_within_a_tenth_of_the_bound(bench, pairs):
+    # Beside the bound: the messages' steps of 0.1 mm and 0.003 degrees, and the host's fields rounded to 0.1 nT.
+    for host, own, _ in pairs:
+        bound = cramer_rao_bound(bench.site, host.position_m[None])[0]
+        assert np.linalg.norm(own.position_m - host.position_m) < 0.1 * np.sqrt(np.trace(bound[:3, :3]))
+        assert between(own, host) < 0.1 * np.sqrt(np.trace(bound[3:, 3:]))
+        assert own.residual == pytest.approx(host.residual, abs=0.02)
+        for mine, theirs in (
+            (own.position_cov_m2, host.position_cov_m2),
+            (own.attitude_cov_rad2, host.attitude_cov_rad2),
+        ):
+            assert np.trace(mine) == pytest.approx(np.trace(theirs), rel=0.05)
+
+
+def test_it_is_near_the_truth(bench, pairs):
+    truth = bench.truth()
+    position = [np.linalg.norm(own.position_m - truth[own.epoch].position_m) for _, own, _ in pairs]
+    attitude = [between(own, truth[own.epoch]) for _, own, _ in pairs]
+    rms_m, rms_rad = (np.sqrt(np.mean(np.square(errors))) for errors in (position, attitude))
+    print(f"rms {1e3 * rms_m:.2f} mm, {np.degrees(rms_rad):.3f} degrees")
+    assert rms_m < 0.02
+    assert rms_rad < np.radians(2.0)
+
+
+def test_the_can_bus_carries_the_same_poses(bench, pairs):
+    received = [decode(frame.identifier, frame.data) for frame in bench.rig.can_read()]
+    poses = [m.signals for m in received if m is not None and m.name == "POSE_POSITION"]
+    assert len(poses) >= CYCLES
+    sent = [report.own_pose["POSE_POSITION"] for _, _, report in pairs]
+    assert all(position in poses for position in sent)
