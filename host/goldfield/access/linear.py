@@ -19,9 +19,12 @@ from goldfield.access.nuisance import Nuisance
 from goldfield.errors import UserError
 from goldfield.poses import FloatArray
 
-RANK_TOLERANCE = 1e-7
-"""Of singular values of columns scaled to length 1. Codes that depend on each other show rounding, about 1e-15; the
-worst regular assignment of Gold codes .03."""
+EIGENVALUE_TOLERANCE = 1e-13
+"""Of X^T X with columns of length 1, times their number: rounding leaves about 1e-16 each. The worst regular assignment
+of Gold codes has 1e-3; two tones a thousandth of a line apart 1e-6."""
+
+MOVED = 1e-7
+"""A field whose row of the null space's projector exceeds this depends on others; rounding is about 1e-15."""
 
 SHOWN = 6
 """Beacons named in a message."""
@@ -63,12 +66,15 @@ class TemplateAccess:
     def __init__(
         self, beacons: Sequence[str], templates: FloatArray, nuisances: Sequence[Nuisance], noise_T: float
     ) -> None:
-        check_separable(beacons, templates, nuisances)
         self._count = templates.shape[1]
         self._noise_T = noise_T
         self.columns: FloatArray = np.hstack([templates, *(nuisance.columns for nuisance in nuisances)])
+        spectrum = _Spectrum(self.columns)
+        names = [f'"{beacon}"' for beacon in beacons]
+        names += [nuisance.name for nuisance in nuisances for _ in range(nuisance.columns.shape[1])]
+        _check_separable(names, self._count, spectrum.null_projector(), len(templates))
         self._has_offset = bool(nuisances) and nuisances[0].columns.shape[1] == 1
-        self.weights: FloatArray = _solve(self.columns)[0]
+        self.weights: FloatArray = spectrum.pseudo_inverse()
 
     @property
     def covariance_T2(self) -> FloatArray:
@@ -99,7 +105,8 @@ class TemplateAccess:
                 continue
             weights, known = self.weights, np.ones(len(result), dtype=np.bool_)
             if not rows.all():
-                weights, known = _solve(self.columns[rows])
+                spectrum = _Spectrum(self.columns[rows])
+                weights, known = spectrum.pseudo_inverse(), np.diag(spectrum.null_projector()) <= MOVED
             # The offset may be a million times the field: take most of it out first, so that no sum rounds at its size.
             middle = float(samples_T[rows, axis].mean()) if self._has_offset else 0.0
             result[known, axis] = (weights @ (samples_T[rows, axis] - middle))[known]
@@ -109,47 +116,38 @@ class TemplateAccess:
         return result, variance
 
 
-def check_separable(beacons: Sequence[str], templates: FloatArray, nuisances: Sequence[Nuisance]) -> None:
-    """Refuse templates whose fields cannot be told apart.
-
-    Raises
-    ------
-    UserError
-        Naming the first set of beacons that depend on each other, or on a nuisance.
-    """
-    names = [f'"{beacon}"' for beacon in beacons]
-    names += [nuisance.name for nuisance in nuisances for _ in range(nuisance.columns.shape[1])]
-    columns = np.hstack([templates, *(nuisance.columns for nuisance in nuisances)])
-    null = _null_space(columns)[1]
-    together = np.abs(null @ null.T) > RANK_TOLERANCE  # who moves with whom, and with oneself if at all
-    for first in range(len(beacons)):
-        if not together[first, first]:
-            continue
-        group = list(dict.fromkeys(names[other] for other in np.flatnonzero(together[first])))
-        shown = group if len(group) <= SHOWN else [*group[:SHOWN], f"{len(group) - SHOWN} more"]
+def _check_separable(names: Sequence[str], beacons: int, null: FloatArray, chips: int) -> None:
+    """Refuse columns of which the first, the beacons', depend on others; null is the projector of the null space."""
+    together = np.abs(null) > MOVED  # who moves with whom, and with oneself if at all
+    for first in np.flatnonzero(np.diag(together)[:beacons]).tolist():
+        group = list(dict.fromkeys(names[other] for other in np.flatnonzero(together[first]).tolist()))
         if len(group) == 1:
-            raise UserError(f"the beacon {group[0]} cannot be measured: its drive is always zero")
+            raise UserError(f"the beacon {group[0]} cannot be measured: its drive is zero in every chip")
+        shown = group if len(group) <= SHOWN else [*group[:SHOWN], f"{len(group) - SHOWN} more"]
         raise UserError(
             f"the fields of the beacons {', '.join(shown[:-1])} and {shown[-1]} cannot be told apart in a cycle of "
-            f"{len(columns)} chips: change the code, offset, slot or frequency of one of them, or leave it out"
+            f"{chips} chips: change the code, offset, slot or frequency of one of them, or leave it out"
         )
 
 
-def _null_space(columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Lengths of the columns, shape (k,), and an orthonormal basis of the null space of the unit columns, (k, m)."""
-    lengths = np.linalg.norm(columns, axis=0)
-    lengths = np.where(lengths > 0.0, lengths, 1.0)
-    unit = columns / lengths
-    values, vectors = np.linalg.eigh(unit.T @ unit)
-    small = values <= max(RANK_TOLERANCE**2, 1e-13 * len(values))
-    return lengths, np.asarray(vectors[:, small])
+class _Spectrum:
+    """Eigenvalues of X^T X with the columns X scaled to length 1: its null space and the pseudo-inverse of X."""
 
+    def __init__(self, columns: FloatArray) -> None:
+        lengths = np.linalg.norm(columns, axis=0)
+        self._lengths = np.where(lengths > 0.0, lengths, 1.0)
+        self._unit = columns / self._lengths
+        self._values, self._vectors = np.linalg.eigh(self._unit.T @ self._unit)
+        self._small = self._values <= EIGENVALUE_TOLERANCE * len(self._values)
 
-def _solve(columns: FloatArray) -> tuple[FloatArray, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """Pseudo-inverse, shape (k, N), and which of its rows estimate what they should, shape (k,)."""
-    lengths, null = _null_space(columns)
-    known = np.asarray((null**2).sum(axis=1) <= RANK_TOLERANCE)
-    if null.shape[1]:
-        return np.asarray(np.linalg.pinv(columns / lengths, rcond=1e-6) / lengths[:, None]), known
-    orthogonal, triangle = np.linalg.qr(columns)
-    return np.asarray(np.linalg.solve(triangle, orthogonal.T)), known
+    def null_projector(self) -> FloatArray:
+        """Projector onto the null space, shape (k, k): the rows of columns that depend on others are not zero."""
+        null = self._vectors[:, self._small]
+        return np.asarray(null @ null.T)
+
+    def pseudo_inverse(self) -> FloatArray:
+        """Pseudo-inverse, shape (k, N)."""
+        vectors = self._vectors[:, ~self._small]
+        rough = (vectors / self._values[~self._small]) @ vectors.T @ self._unit.T
+        # One step of Newton (Schulz 1933) squares the error that the squared condition of X^T X left.
+        return np.asarray((2.0 * rough - (rough @ self._unit) @ rough) / self._lengths[:, None])

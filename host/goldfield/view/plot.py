@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
-    """Return a figure with some panels side by side.
+def panels(count: int, title: str, rows: int = 1) -> tuple[Figure, list[Axes]]:
+    """Return a figure with some panels side by side, in one row or several.
 
     Raises
     ------
@@ -27,9 +27,9 @@ def panels(count: int, title: str) -> tuple[Figure, list[Axes]]:
         from matplotlib.figure import Figure as New
     except ImportError as error:
         raise SystemFailure('pictures need matplotlib: install it with pip install "goldfield[plot]"') from error
-    figure = New(figsize=(6.0 * count, 4.5), layout="constrained")
+    figure = New(figsize=(6.0 * count, 4.5) if rows == 1 else (4.0 * count, 2.5 * rows), layout="constrained")
     figure.suptitle(title)
-    return figure, [figure.add_subplot(1, count, place + 1) for place in range(count)]
+    return figure, [figure.add_subplot(rows, count, place + 1) for place in range(rows * count)]
 
 
 def cumulative(axes: Axes, errors: Mapping[str, FloatArray], label: str) -> None:
