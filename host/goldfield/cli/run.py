@@ -13,6 +13,7 @@ from typing import Any
 from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.fields_file import FieldsWriter
+from goldfield.cli.on_sensor import add_on_sensor, check_on_sensor
 from goldfield.cli.output import json_line, number, pose_record
 from goldfield.cli.tracking import add_track, locating
 from goldfield.errors import UserError
@@ -44,6 +45,7 @@ def command(subparsers: Any) -> None:
         )
     options.add_site(parser)
     add_track(parser)
+    add_on_sensor(parser)
     options.add_json(parser)
     options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
     options.add(parser, "--fields", metavar="FILE", what="write the separated fields to a table for goldfield locate")
@@ -57,6 +59,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Print a line for every epoch, and a summary."""
     kind, where = _choose_source(arguments)
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
+    if arguments.on_sensor:
+        check_on_sensor(site, arguments.track)
     with contextlib.ExitStack() as stack:
         recorder = None
         if arguments.record:
@@ -64,11 +68,13 @@ def run(arguments: argparse.Namespace) -> int:
             stack.callback(recorder.close)
         source: Source = LogSource(CandumpReader(where)) if kind == "log" else _open_bus(kind, where)
         stack.callback(source.close)
-        assembler = Assembler(silence_s=8.0 * site.cycle_s)
+        assembler = Assembler(silence_s=8.0 * site.cycle_s, own_pose=arguments.on_sensor)
         session = Session(source, where, assembler, arguments.node, recorder)
         if isinstance(source, BusSource):
+            from goldfield.onboard import onboard_parameters
+
             session.find_sensor()
-            session.configure(source, site.codes)
+            session.configure(source, site.codes, onboard_parameters(site) if arguments.on_sensor else None)
         return _print_poses(arguments, site, session, live=isinstance(source, BusSource))
 
 
@@ -78,6 +84,7 @@ def _open_bus(kind: str, where: str) -> BusSource:
 
 def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, live: bool) -> int:
     from goldfield.access.epoch import EpochSeparator  # heavy: only when a pose is wanted
+    from goldfield.onboard import onboard_pose
     from goldfield.view.terminal import PoseTable, Summary
     from goldfield.view.truth import NO_ERROR, Truth
 
@@ -92,7 +99,7 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
             fields = separator.fields(report)
             if writer is not None:
                 writer.write(fields)
-            pose = locate(fields)
+            pose = onboard_pose(site, report, fields) if arguments.on_sensor else locate(fields)
             error = NO_ERROR if truth is None else truth.error_of(pose)
             lost = report.lost(expected_fields=len(site.codes))
             summary.add(pose, error, lost)
