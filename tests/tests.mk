@@ -35,3 +35,8 @@ location-map: $(BUILD)/venv.stamp ## Draw docs/location.png: error map, error ag
 	@$(PYTHON) tests/bench/locate_map.py
 
 .PHONY: location-map
+
+track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a moving sensor (several minutes)
+	@$(PYTHON) -m tests.bench.track_figures
+
+.PHONY: track-figures

@@ -98,8 +98,8 @@ class Agility:
         T per root second, each axis: the ambient field differs from place to place.
     """
 
-    acceleration: float = 1.0
-    angular_acceleration: float = 2.0
+    acceleration: float = 0.5
+    angular_acceleration: float = 1.0
     ambient: float = 5e-6
 
     def noise_root(self, seconds: float) -> FloatArray:
