@@ -7,8 +7,8 @@
  *
  * Units: metres and microtesla, so that numbers stay near 1 (a coil of 13 A m^2 has 1.3 uT at 1 m): k = mu0/(4 pi) m = 0.1 uT m^3 for each A m^2.
  *
- * Accuracy: 2e-6 of the field's size, gradient 2e-5 of the field over the distance to the wire, down to a fiftieth of the radius from the wire
- * (tests/firmware/core/test_loop_field.py, against magpylib). On the wire itself the result is large or not finite.
+ * Accuracy against magpylib (tests/firmware/core/test_loop_field.py): beyond two radii 2e-6 of the field and 1e-5 of the field over the distance to the wire in the
+ * gradient; nearer 1e-5 and 2e-4, down to a tenth of the radius from the wire. On the wire itself the result is large or not finite.
  * Time: at most LOOP_MEAN_STEPS of the mean, two or three in practice; see test_pose_instructions.py. No memory.
  */
 #ifndef GOLDFIELD_LOOP_FIELD_H

@@ -5,6 +5,7 @@
 #include "quaternion.h"
 
 #define N TRIANGLE_UNKNOWNS
+#define BEYOND 1e12f /* m^2: a million kilometres are no knowledge. */
 
 typedef float square_t[N][N];
 typedef float second_t[N][N][N]; /* [axis][unknown i][component k along the ridge's own axes] */
@@ -99,6 +100,7 @@ static void inflation(second_t q, square_t result) {
 
 bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, square_t covariance) {
     square_t l, inner, half;
+    bool told = true;
     if (!triangle_invert(&fit->triangle, l)) {
         return false;
     }
@@ -128,6 +130,7 @@ bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, squar
             }
             covariance[row][column] = sum;
         }
+        told = told && covariance[row][row] > 0.0f && covariance[row][row] < BEYOND; /* False for what is not a number. */
     }
-    return true;
+    return told;
 }

@@ -13,7 +13,7 @@
 
 #include "pose_fit.h"
 
-/* Of position (m) and a small turn in the site's frame (rad). False, and nothing set, if the measurements do not tell all six. */
+/* Of position (m) and a small turn in the site's frame (rad). False, and no meaning in it, if the measurements do not tell all six. */
 bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, float covariance[TRIANGLE_UNKNOWNS][TRIANGLE_UNKNOWNS]);
 
 #endif
