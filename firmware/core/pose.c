@@ -145,7 +145,13 @@ static void reflect(const float point_m[3], const float n[3], const pose_fit_t *
 
 /* ---- Result ---- */
 
-static float trace(const float matrix[3][3]) { return matrix[0][0] + matrix[1][1] + matrix[2][2]; }
+/* Whether the greatest eigenvalue of a symmetric matrix is beyond a limit: limit I - matrix then is not positive definite (Sylvester). */
+static bool beyond(const float m[3][3], float limit) {
+    const float a = limit - m[0][0], b = limit - m[1][1], c = limit - m[2][2];
+    const float minor = a * b - m[0][1] * m[0][1];
+    const float determinant = minor * c - a * m[1][2] * m[1][2] - b * m[0][2] * m[0][2] - 2.0f * m[0][1] * m[1][2] * m[0][2];
+    return !(a > 0.0f && minor > 0.0f && determinant > 0.0f);
+}
 
 /* Put the best fit, and whether it has a rival, into *pose. */
 static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
@@ -179,8 +185,8 @@ static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
         pose->quaternion[i] = sign * best->quaternion[i];
     }
     const uint32_t degrees = freedom(problem);
-    const bool weak = trace((const float (*)[3])pose->position_cov_m2) > WEAK_POSITION * WEAK_POSITION * nearest2(problem, best->position_m) ||
-                      trace((const float (*)[3])pose->attitude_cov_rad2) > WEAK_ATTITUDE_RAD * WEAK_ATTITUDE_RAD;
+    const bool weak = beyond((const float (*)[3])pose->position_cov_m2, WEAK_POSITION * WEAK_POSITION * nearest2(problem, best->position_m)) ||
+                      beyond((const float (*)[3])pose->attitude_cov_rad2, WEAK_ATTITUDE_RAD * WEAK_ATTITUDE_RAD);
     pose->residual = square_root(best->cost / (float)degrees);
     pose->status = !explains(problem, best, IMPROBABLE) || !inside(work, best) ? POSE_INCONSISTENT
                    : contested                                                 ? POSE_AMBIGUOUS
