@@ -37,7 +37,7 @@ bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
 }
 
 chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
-    clock->target += clock->period;
+    clock->target += clock->period + ((uint64_t)(int64_t)clock->detune_ticks << FRACTION_BITS);
     const int64_t wanted = difference(clock->target, (uint64_t)clock->position << FRACTION_BITS) >> FRACTION_BITS; /* Rounds down. */
     const uint16_t period_ticks = wanted < clock->config.minimum_ticks   ? clock->config.minimum_ticks
                                   : wanted > clock->config.maximum_ticks ? clock->config.maximum_ticks
@@ -47,7 +47,7 @@ chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
     clock->history[slot].cycle = clock->cycle;
     clock->history[slot].code_chip = clock->code_chip;
     clock->history[slot].period_ticks = period_ticks;
-    const chip_clock_chip_t planned = {clock->cycle + clock->cycle_shift, clock->code_chip, period_ticks};
+    const chip_clock_chip_t planned = {clock->cycle + clock->cycle_shift, clock->code_chip, period_ticks, clock->position};
 
     clock->position += period_ticks;
     clock->chip++;
@@ -192,7 +192,25 @@ bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *
     planned->cycle = clock->history[slot].cycle + clock->cycle_shift;
     planned->code_chip = clock->history[slot].code_chip;
     planned->period_ticks = clock->history[slot].period_ticks;
+    planned->position = clock->history[slot].position;
     return true;
+}
+
+void chip_clock_jump(chip_clock_t *clock, uint64_t edge, uint64_t period) {
+    if (clock->config.follow) {
+        acquire(clock, edge, (int64_t)period);
+    }
+}
+
+void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int32_t residual_ticks, bool locked) {
+    if (!clock->config.follow) {
+        return;
+    }
+    set_period(clock, (int64_t)clock->period + period);
+    clock->target += (uint64_t)phase;
+    clock->phase_ticks = residual_ticks;
+    clock->edge_cycle = clock->cycle;
+    clock->locked = locked;
 }
 
 void chip_clock_number_cycle(chip_clock_t *clock, uint32_t cycle) {

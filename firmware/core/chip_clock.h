@@ -52,6 +52,7 @@ typedef struct {
     uint32_t cycle;        /* Counts code cycles; see chip_clock_number_cycle. */
     uint16_t code_chip;    /* 0..chips-1 */
     uint16_t period_ticks;
+    uint32_t position;     /* Its start on the board's time line, ticks modulo 2^32. */
 } chip_clock_chip_t;
 
 typedef struct {
@@ -61,6 +62,7 @@ typedef struct {
     int32_t phase_ticks;     /* Chip clock minus sync wire at the last good edge: positive is early. */
     uint32_t edges_rejected; /* Stops at its maximum. */
     uint64_t period;         /* Estimate of the master's chip in own ticks, 32 fractional bits. */
+    int16_t detune_ticks;    /* Written by the owner: planned chips are longer by this than the estimate, so that the phase slides (acquire.h). */
     /* Private. Positions are own ticks with 32 fractional bits modulo 2^64; only differences below 12 s are formed. */
     uint32_t chip;           /* Next absolute chip to plan. */
     uint32_t position;       /* Its start, whole ticks modulo 2^32. */
@@ -95,6 +97,16 @@ void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
 /* What was planned for an absolute chip. False, and *planned untouched, if it is not planned yet or is more than CHIP_CLOCK_HISTORY chips ago.
  * About 20 instructions. */
 bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *planned);
+
+/* ---- Instead of the wire: an estimate made elsewhere (acquire.h). Same context as chip_clock_edge; a master ignores them. ---- */
+
+/* The master begins chip 0 of some cycle at edge (position, 32 fractional bits) and its chip lasts period (32 fractional bits; limited as the estimate always is): take both
+ * over as from the wire while searching. The label jumps, the lock is lost. edge may lie up to 12 s back. About 200 instructions. */
+void chip_clock_jump(chip_clock_t *clock, uint64_t edge, uint64_t period);
+
+/* The estimate moves by phase (32 fractional bits; positive: chips start later) and its period by period. residual_ticks becomes phase_ticks, locked tells what
+ * it tells. Counts as an edge of the present cycle for the hold-over. About 40 instructions. */
+void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int32_t residual_ticks, bool locked);
 
 /* From main, on a SYNC message: the cycle that the last good edge began has this number (modulo 2^32; a SYNC has 20 bits, so compare those only).
  * All cycles that chip_clock_plan and _at tell from now on are counted from it. Call it within a cycle of the edge. */

@@ -1,0 +1,210 @@
+"""Synchronisation by the field alone: the C core in a chip engine made here, against a signal made by NumPy (field_signal.py)."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil_sim import clib
+
+_spec = importlib.util.spec_from_file_location("field_signal", Path(__file__).with_name("field_signal.py"))
+field_signal = importlib.util.module_from_spec(_spec)
+sys.modules["field_signal"] = field_signal
+_spec.loader.exec_module(field_signal)
+
+CHIP_TICKS, CHIPS, FIRST_HOLD, CONVERSION = (
+    field_signal.CHIP_TICKS,
+    field_signal.CHIPS,
+    field_signal.FIRST_HOLD,
+    field_signal.CONVERSION,
+)
+TICKS_PER_US = 168.0
+LAG_TICKS, TARGET_TICKS = 267, 286
+LATE_US = (CHIP_TICKS + TARGET_TICKS - FIRST_HOLD - 7 * CONVERSION) / TICKS_PER_US
+"""Own chips follow the beacons' by this: the last conversion lies on the foot of the ramp."""
+BLOCK = 31
+BLOCK_S = BLOCK * CHIP_TICKS / 168e6
+CYCLE_S = CHIPS * CHIP_TICKS / 168e6
+CODES = [2, 3, 4, 5, 6, 7, 8, 9]
+
+
+class Sensor:
+    """Chip clock and acquire.c in a chip engine that plans two blocks ahead; main gets one turn a block."""
+
+    def __init__(self, core, signal, ppm=0.0, codes=CODES):
+        self.ffi, self.lib = core
+        self.signal, self.tick_s = signal, 1.0 / (168e6 * (1.0 + ppm * 1e-6))
+        self.clock, self.acquire = self.ffi.new("chip_clock_t *"), self.ffi.new("acquire_t *")
+        config = self.ffi.new("chip_clock_config_t *", [CHIPS, CHIP_TICKS, 16000, 16900, True])
+        assert self.lib.chip_clock_init(self.clock, config)
+        board = self.ffi.new("acquire_config_t *", [CHIP_TICKS, FIRST_HOLD, CONVERSION, LAG_TICKS])
+        self.lib.acquire_init(self.acquire, board)
+        self.listed = list(codes)
+        self.lib.acquire_codes(self.acquire, self.listed, len(self.listed))
+        self.plans, self.block = [], 0
+        self.times, self.errors_us, self.locked = [], [], []
+        self._plan()
+        self._plan()
+
+    def _plan(self):
+        self.lib.acquire_plan(self.acquire, self.clock)
+        plan = self.ffi.new("chip_clock_chip_t[]", BLOCK)
+        for i in range(BLOCK):
+            plan[i] = self.lib.chip_clock_plan(self.clock)
+        self.plans.append(plan)
+
+    def _block(self):
+        plan = self.plans[self.block]
+        starts = np.array([chip.position for chip in plan], dtype=float)
+        counts = self.signal.counts((starts[:, None] + FIRST_HOLD + CONVERSION * np.arange(8)) * self.tick_s)
+        bursts = self.ffi.from_buffer("uint16_t[31][8][3]", np.ascontiguousarray(counts))
+        for i in range(BLOCK):
+            self.lib.acquire_feed(self.acquire, self.block * BLOCK + i, plan + i, bursts[i])
+        self._observe(plan[0])
+        self.block += 1
+        self._plan()
+        self.lib.acquire_step(self.acquire)
+
+    def _observe(self, chip):
+        """Keep the error of the chip clock, label and phase, as an observer of the beacons sees it."""
+        time = chip.position * self.tick_s
+        cycle = CHIPS * self.signal.chip_s
+        late = time - self.signal.start_s - chip.code_chip * self.signal.chip_s
+        self.times.append(time)
+        self.errors_us.append(1e6 * ((late + cycle / 2) % cycle - cycle / 2) - LATE_US)
+        self.locked.append(bool(self.clock.locked))
+
+    def run(self, until_s):
+        while self.block * BLOCK_S < until_s:
+            self._block()
+        return self
+
+    def worst_us(self, since_s, until_s=np.inf):
+        times = np.array(self.times)
+        return float(np.abs(self.errors_us)[(times >= since_s) & (times < until_s)].max())
+
+    def locked_since_s(self):
+        """Time after the last block without lock."""
+        unlocked = np.flatnonzero(~np.array(self.locked))
+        return 0.0 if len(unlocked) == 0 else self.times[unlocked[-1]]
+
+
+@pytest.fixture(scope="module")
+def core():
+    return clib.load("build/libgf_core.so", ("chip_clock.h", "acquire.h", "fourier.h", "edge_fit.h"))
+
+
+def start(core, family, seed, codes=CODES, **options):
+    random = np.random.default_rng([4, seed])
+    signal = field_signal.random_signal(random, family.astype(float), CODES, **options)
+    return Sensor(core, signal, random.uniform(-100.0, 100.0), codes)
+
+
+def cold_starts(core, family, seeds):
+    """Errors at three cycles and after, microseconds; time of lock in cycles; searches."""
+    rows = []
+    for seed in seeds:
+        sensor = start(core, family, seed).run(0.6)
+        at_three = sensor.worst_us(3 * CYCLE_S - BLOCK_S, 3 * CYCLE_S + BLOCK_S)
+        after = sensor.worst_us(3 * CYCLE_S)
+        rows.append((at_three, after, sensor.locked_since_s() / CYCLE_S, sensor.acquire.searches))
+    return np.array(rows)
+
+
+def test_cold_starts_are_locked_in_three_cycles(core, gold_family):
+    rows = cold_starts(core, gold_family(10), range(12))
+    assert rows[:, :2].max() < 1.0
+    assert rows[:, 2].max() < 3.0
+
+
+@pytest.mark.slow
+def test_a_hundred_cold_starts(core, gold_family):
+    rows = cold_starts(core, gold_family(10), range(100))
+    print(
+        f"100 starts: at 3 cycles rms {np.sqrt(np.mean(rows[:, 0] ** 2)):.2f}, worst {rows[:, 0].max():.2f} us; "
+        f"after, worst {rows[:, 1].max():.2f} us; locked after at most {rows[:, 2].max():.2f} cycles; "
+        f"searches {rows[:, 3].mean():.2f}"
+    )
+    assert rows[:, :2].max() < 1.0
+    assert rows[:, 2].max() < 3.0
+
+
+def test_holds_the_edge(core, gold_family):
+    sensor = start(core, gold_family(10), 200).run(5.0)
+    assert sensor.worst_us(0.5) < 0.6
+    assert sensor.worst_us(2.0) < 0.3
+    assert all(np.array(sensor.locked)[np.array(sensor.times) > 0.5])
+
+
+@pytest.mark.parametrize("seed", [300, 301])
+def test_beacons_off_for_ten_seconds(core, gold_family, seed):
+    sensor = start(core, gold_family(10), seed, on=lambda t: np.where((t > 2.0) & (t < 12.0), 0.0, 1.0))
+    sensor.run(11.9)
+    assert sensor.acquire.silent
+    sensor.run(12.9)
+    assert not sensor.acquire.silent
+    assert sensor.acquire.searches == 1  # the clock was held, no new sweep
+    assert sensor.worst_us(12.0 + 3 * CYCLE_S) < 1.0
+    assert sensor.clock.locked
+
+
+def test_beacons_back_elsewhere_are_found_again(core, gold_family):
+    sensor = start(core, gold_family(10), 310).run(1.0)
+    sensor.signal.start_s += 0.0437
+    sensor.run(2.2)
+    assert sensor.acquire.searches == 2
+    assert sensor.worst_us(2.0) < 1.0
+    assert sensor.clock.locked
+
+
+@pytest.mark.parametrize("rise_us", [8.0, 20.0, 45.0])
+def test_other_coils(core, gold_family, rise_us):
+    sensor = start(core, gold_family(10), 320, rise_s=rise_us * 1e-6).run(1.0)
+    assert sensor.worst_us(0.8) < 1.0
+
+
+def test_noise_alone_locks_nothing(core, gold_family):
+    sensor = start(core, gold_family(10), 330, on=np.zeros_like).run(3.0)
+    assert sensor.acquire.searches > 10
+    assert not any(sensor.locked)
+
+
+def test_codes_that_are_not_on_the_air_only_cost_time(core, gold_family):
+    absent = list(range(100, 116))
+    sensor = start(core, gold_family(10), 340, codes=absent + CODES).run(1.2)
+    assert sensor.acquire.searches == 2  # sixteen at a time
+    assert sensor.worst_us(1.0) < 1.0
+
+
+def test_one_beacon_is_enough(core, gold_family):
+    sensor = start(core, gold_family(10), 350)
+    sensor.signal.field_T[1:] = 0.0
+    sensor.signal.field_T[0] *= 6e-7 / np.linalg.norm(sensor.signal.field_T[0])  # 6 mG
+    sensor.run(1.0)
+    assert sensor.worst_us(0.8) < 1.0
+    assert sensor.clock.locked
+
+
+def test_sample_without_the_last_conversion(core):
+    ffi, lib = core
+    random = np.random.default_rng(1)
+    sample = ffi.new("int16_t[3]")
+    for _ in range(200):
+        burst = random.integers(0, 4095, (8, 3), dtype=np.uint16, endpoint=True)
+        lib.acquire_sample(ffi.from_buffer("uint16_t[8][3]", burst), sample)
+        expected = (burst[:7].astype(float) - 2048).sum(axis=0) * 8 / 7
+        assert np.abs(np.array(list(sample)) - expected).max() <= 0.5 + 1e-9
+
+
+def test_transform_equals_numpy(core):
+    ffi, lib = core
+    random = np.random.default_rng(2)
+    values = random.normal(size=(2048, 2)).astype(np.float32)
+    signal = values[:, 0] + 1j * values[:, 1]
+    lib.fourier_forward(ffi.from_buffer("fourier_t[2048]", values))
+    spectrum = (values[:, 0] + 1j * values[:, 1])[[lib.fourier_place(k) for k in range(2048)]]
+    assert np.abs(spectrum - np.fft.fft(signal)).max() < 1e-4 * np.abs(spectrum).max()
+    lib.fourier_inverse(ffi.from_buffer("fourier_t[2048]", values))
+    assert np.abs((values[:, 0] + 1j * values[:, 1]) / 2048 - signal).max() < 1e-4 * np.abs(signal).max()
