@@ -103,14 +103,14 @@ class RotatingSeparator:
 
 
 def separate_by_fft(
-    samples_T: FloatArray, rate_Hz: float, frequency_Hz: Sequence[float], noise_T: float
+    samples_T: FloatArray, rate_Hz: float, frequency_Hz: Sequence[float], noise_T: float, start_s: float = 0.0
 ) -> RotatingSeparation:
     """Separate windows by their discrete Fourier transform, as the paper does.
 
     Parameters
     ----------
     samples_T : ndarray, shape (e, t, 3)
-        Evenly spaced from time 0 on the beacons' clock.
+        Evenly spaced, the first at ``start_s`` on the beacons' clock.
     rate_Hz : float
     frequency_Hz : sequence of float
     noise_T : float
@@ -135,7 +135,7 @@ def separate_by_fft(
                 "a whole number of every beacon's: choose another window, or separate by least squares, which takes any"
             )
     lines = np.fft.rfft(samples_T, axis=1) / count
-    chosen = 2.0 * lines[:, np.rint(periods).astype(int)]
+    chosen = 2.0 * lines[:, np.rint(periods).astype(int)] * np.exp(-2j * np.pi * frequency * start_s)[:, None]
     field = np.stack([chosen.real, -chosen.imag], axis=2)
     sigma = np.full(len(frequency), noise_T * np.sqrt(2.0 / count))
     return RotatingSeparation(field, np.asarray(lines[:, 0].real), sigma)

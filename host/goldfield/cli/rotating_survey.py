@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from goldfield.access.rotating import RotatingSeparator
+from goldfield.access.rotating import RotatingSeparation, RotatingSeparator, separate_by_fft
 from goldfield.cli import rotating_options
 from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError
@@ -25,6 +25,8 @@ COLUMNS_HELP = (
     f"CSV with the columns {','.join(SAMPLES)}[,{','.join(PLACE)}], one row a sample; a window is one standing place, "
     "its rows follow each other; t_s is on the beacons' clock"
 )
+EVEN = 1e-4
+"""Steps of time that differ by less than this part of themselves are even: what is left by printing the times."""
 ALGORITHMS = ("ellipse", "lines", "regions", "nearest", "local")
 """Ours; the paper's 1 with global lines and with those of regions; its 2; its 3 as intended."""
 
@@ -57,6 +59,7 @@ def add_actions(actions: Any) -> None:
     )
     survey.add_argument("samples", metavar="SAMPLES.csv")
     survey.add_argument("--map", required=True, metavar="MAP.csv", help="to write: point,x_m,y_m,z_m,beacon,strength_T")
+    _add_separation(survey)
     rotating_options.add_site(survey)
     survey.set_defaults(run=run_survey)
 
@@ -68,6 +71,7 @@ def add_actions(actions: Any) -> None:
     locate.add_argument("samples", metavar="SAMPLES.csv")
     locate.add_argument("--map", metavar="MAP.csv", help="of goldfield rotating survey; ellipse needs none")
     locate.add_argument("--algorithm", choices=ALGORITHMS, default="ellipse", help="default ellipse: all components")
+    _add_separation(locate)
     rotating_options.add_site(locate)
     rotating_options.add_json(locate)
     locate.set_defaults(run=run_locate)
@@ -87,6 +91,15 @@ def add_actions(actions: Any) -> None:
     simulate.set_defaults(run=run_simulate)
 
 
+def _add_separation(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--separation",
+        choices=("least-squares", "fft"),
+        default="least-squares",
+        help="least-squares (default) takes any window; fft, the paper's, only whole periods of every beacon",
+    )
+
+
 def run_survey(arguments: argparse.Namespace) -> int:
     """Build and save a map."""
     from goldfield.field.rotating import rms_strength
@@ -95,7 +108,7 @@ def run_survey(arguments: argparse.Namespace) -> int:
 
     site = rotating_options.site(arguments, 3)
     places, strengths = [], []
-    for window in read_windows(site, arguments.samples):
+    for window in read_windows(site, arguments.samples, arguments.separation):
         if window.place_m is None:
             raise UserError(f"{arguments.samples}: has no places: a survey needs the columns {','.join(PLACE)}")
         places.append(window.place_m)
@@ -132,7 +145,7 @@ def run_locate(arguments: argparse.Namespace) -> int:
             f"{'window':>6} {'x m':>9} {'y m':>9} {'z m':>9} {'roll':>7} {'pitch':>7} {'yaw deg':>8} {'residual':>9} "
             "error m"
         )
-    for window in read_windows(site, arguments.samples):
+    for window in read_windows(site, arguments.samples, arguments.separation):
         residual = None
         if arguments.algorithm == "ellipse":
             fit = locate_by_ellipse(site, window.field_T, window.sigma_T)
@@ -186,7 +199,7 @@ def run_simulate(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def read_windows(site: RotatingSite, path: str) -> Iterator[Window]:
+def read_windows(site: RotatingSite, path: str, separation: str = "least-squares") -> Iterator[Window]:
     """Yield the separated windows of a table of samples.
 
     Raises
@@ -199,7 +212,7 @@ def read_windows(site: RotatingSite, path: str) -> Iterator[Window]:
     for row in read_table(path, SAMPLES, PLACE):
         window = row.whole("window")
         if rows and window != rows[0].whole("window"):
-            yield _window(site, rows)
+            yield _window(site, rows, separation)
             rows = []
         if not rows:
             if window in seen:
@@ -208,18 +221,20 @@ def read_windows(site: RotatingSite, path: str) -> Iterator[Window]:
         rows.append(row)
     if not rows:
         raise UserError(f"{path}: has a header but no rows")
-    yield _window(site, rows)
+    yield _window(site, rows, separation)
 
 
-def _window(site: RotatingSite, rows: list[Row]) -> Window:
+def _window(site: RotatingSite, rows: list[Row], method: str) -> Window:
     first = rows[0]
     times = np.array([row.number("t_s") for row in rows])
     samples = np.array([[row.number(column) for column in SAMPLES[2:]] for row in rows])
     try:
-        separator = RotatingSeparator(site.frequency_Hz, times, site.noise_T)
+        if method == "fft":
+            separation = _by_fft(site, times, samples)
+        else:
+            separation = RotatingSeparator(site.frequency_Hz, times, site.noise_T).separate(samples[None])
     except UserError as error:
         raise first.error("window", f"{first.text('window')}: {error}") from error
-    separation = separator.separate(samples[None])
     place = None
     given = [column for column in PLACE if column in first.cells]
     if given:
@@ -231,3 +246,11 @@ def _window(site: RotatingSite, rows: list[Row]) -> Window:
                 if row.number(column) != value:
                     raise row.error(column, f"differs from the {value:g} of the window's first row: one place a window")
     return Window(first.whole("window"), separation.field_T, separation.sigma_T, place)
+
+
+def _by_fft(site: RotatingSite, time_s: FloatArray, samples_T: FloatArray) -> RotatingSeparation:
+    steps = np.diff(time_s)
+    if not len(steps) or steps.min() <= 0.0 or np.ptp(steps) > EVEN * steps.mean():
+        raise UserError("an FFT needs samples at even distances in time: separate by least squares, which takes any")
+    rate_Hz = (len(time_s) - 1) / (time_s[-1] - time_s[0])
+    return separate_by_fft(samples_T[None], rate_Hz, site.frequency_Hz, site.noise_T, time_s[0])

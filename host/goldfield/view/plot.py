@@ -39,8 +39,7 @@ def cumulative(axes: Axes, errors: Mapping[str, FloatArray], label: str) -> None
             np.sort(np.where(np.isfinite(error), error, np.inf)), np.arange(1, len(error) + 1) / len(error), label=name
         )
     axes.set(xlabel=label, ylabel="share of the runs", xscale="log", ylim=(0.0, 1.0))
-    axes.grid(alpha=0.3)
-    axes.legend()
+    _finish(axes)
 
 
 def curves(axes: Axes, x: FloatArray, lines: Mapping[str, FloatArray], xlabel: str, ylabel: str) -> None:
@@ -48,8 +47,7 @@ def curves(axes: Axes, x: FloatArray, lines: Mapping[str, FloatArray], xlabel: s
     for name, y in lines.items():
         axes.plot(x, y, label=name, marker="." if len(x) < 50 else "", linewidth=1.0)
     axes.set(xlabel=xlabel, ylabel=ylabel)
-    axes.grid(alpha=0.3)
-    axes.legend()
+    _finish(axes)
 
 
 def save(figure: Figure, path: str) -> None:
@@ -66,3 +64,8 @@ def save(figure: Figure, path: str) -> None:
         raise UserError(f"{path}: the picture cannot be written: {error.strerror}") from error
     except ValueError as error:
         raise UserError(f"{path}: the picture cannot be written: {error}: give a name that ends in .png") from error
+
+
+def _finish(axes: Axes) -> None:
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2, frameon=False, fontsize="small")

@@ -15,7 +15,8 @@ def yaw_only_attitude(beacon_m: FloatArray, position_m: FloatArray, field_T: Flo
 
     Each ellipse measured in the sensor's frame is turned into a direction as if it had been measured in the beacon's,
     and C = B A^T (A A^T)^-1 maps the true directions A to these B. But the step from a normal to a direction does not
-    commute with a tilt: 2 degrees of tilt cost 14 degrees. Use `attitude_from_normals`.
+    commute with a tilt: in the paper's room, 0.5 m over the floor, a tilt of 2 degrees turns the result by 14 degrees.
+    Use `attitude_from_normals`.
 
     Parameters
     ----------
