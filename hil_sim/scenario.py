@@ -138,7 +138,7 @@ class Sensor:
     stream : int
         The board's parameter: 0 fields, 1 fields and every raw chip.
     pose : int
-        The board's parameter: 1: it knows the beacons and computes its own poses.
+        1: the board knows the beacons and computes its own poses; 0: it knows nothing of them.
     """
 
     node: int
@@ -212,11 +212,13 @@ class Scenario:
         zero, matrix = self.sensor.correction()
         codes = [beacon.code for beacon in self.beacons]
         half = self.half_space
-        return {
-            "pose": self.sensor.pose,
+        surroundings: dict[str, Value] = {
+            "pose": 1,
             "noise": max(self.sensor.noise_T, LEAST_NOISE_T),
             "half_space": [0.0] * 6 if half is None else [*half.point.tolist(), *half.normal.tolist()],
             "beacons": [value for beacon in self.beacons for value in _beacon_row(beacon)],
+        }
+        return (surroundings if self.sensor.pose else {}) | {
             "node": self.sensor.node,
             "stream": self.sensor.stream,
             "code_count": len(codes),
