@@ -16,13 +16,14 @@ from goldfield_protocol.parameters import PARAMETERS, parse_page
 from hil_sim.scenario import SCENARIOS, load_scenario
 from tests.host.fake_sensor import ATTITUDE, NODE, POSITION_M, SITE, candump, cycle_messages, heartbeat
 
-ONE_MORE = 1.0 / 16384.0
+STEP = 1.0 / 16384.0
+OWN_M = np.add(POSITION_M, [0.01, 0.0, 0.0])
 
 
 def pose_messages(cycle, status=0, used=8):
     low = {"cycle_low": cycle % 16}
-    position = dict(zip("xyz", map(float, POSITION_M + [0.01, 0.0, 0.0]), strict=True))
-    attitude = dict(zip("xyzw", (np.round(ATTITUDE.as_quat() / ONE_MORE) * ONE_MORE).tolist(), strict=True))
+    position = dict(zip("xyz", map(float, OWN_M), strict=True))
+    attitude = dict(zip("xyzw", (np.round(ATTITUDE.as_quat() / STEP) * STEP).tolist(), strict=True))
     quality = {"status": status, "tracked": 1, "used": used, "iterations": 5, "residual": 0.97}
     quality |= {"sigma_position": 0.0072, "sigma_attitude": 0.015}
     return [
@@ -64,7 +65,7 @@ def test_a_log_with_the_sensors_poses(capsys, tmp_path):
     assert code == 0
     assert [line["epoch"] for line in own] == [4, 5, 6, 7]
     for line in own:
-        np.testing.assert_allclose(line["position_m"], POSITION_M + [0.01, 0.0, 0.0], atol=1e-6)
+        np.testing.assert_allclose(line["position_m"], OWN_M, atol=1e-6)
         assert (Rotation.from_quat(line["orientation_xyzw"]) * ATTITUDE.inv()).magnitude() < 1e-4
         assert (line["status"], len(line["used"]), line["lost"]) == ("ok", 8, 0)
         assert line["residual"] == pytest.approx(0.97)
