@@ -22,6 +22,7 @@ include protocol/protocol.mk
 include firmware/core/core.mk
 include firmware/boards/stm32f405/board.mk
 include firmware/boards/host/board.mk
+include host/goldfield/locate/locate.mk
 include hil_sim/emulator/emulator.mk
 include hil_sim/rig.mk
 include tests/tests.mk

@@ -38,6 +38,10 @@ class FieldModel:
         Of the equivalent dipoles.
     reach_m : ndarray, shape (n,)
         Of each coil's wire from its centre.
+    loop_radius_m : ndarray, shape (n,)
+        Of circular coils; 0 of coils that are taken for dipoles, NaN of those given by their wire.
+    across : ndarray, shape (3,)
+        Unit vector along which the coils' places extend least: off their plane if they have one.
     wire_points_m : ndarray, shape (m, 3)
         Corners of all coils that are given by their wire.
     """
@@ -48,6 +52,7 @@ class FieldModel:
         self.moment_A_m2: FloatArray = np.array([beacon.moment_A_m2 for beacon in beacons], dtype=float).reshape(-1, 3)
         self._centre = np.ascontiguousarray(self.centre_m.T)
         self._moment = np.ascontiguousarray(self.moment_A_m2.T)
+        self.across: FloatArray = np.linalg.svd(self.centre_m - self.centre_m.mean(axis=0))[2][2]
         exact = kind == "exact"
         is_loop = np.array([exact and beacon.points_m is None for beacon in beacons], dtype=bool)
         is_wire = np.array([exact and beacon.points_m is not None for beacon in beacons], dtype=bool)
@@ -59,6 +64,9 @@ class FieldModel:
         self._loop_axis = np.array([beacon.axis for beacon in loops], dtype=float).reshape(-1, 3).T.copy()
         self._loop_radius = np.array([beacon.radius_m for beacon in loops], dtype=float)
         self._loop_current = np.array([beacon.turns * beacon.current_A for beacon in loops], dtype=float)
+        self.loop_radius_m: FloatArray = np.zeros(len(beacons))
+        self.loop_radius_m[self._loops] = self._loop_radius
+        self.loop_radius_m[self._wires] = np.nan
 
         wires = [beacons[int(i)] for i in self._wires]
         points = [np.asarray(beacon.points_m, dtype=float) for beacon in wires]

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from scipy.special import gammaincc
 
 from goldfield.field import FieldModel
+from goldfield.locate import kernel
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.mirror import Mirror, find_mirror
 from goldfield.locate.shell import Shell, best_apart, profiled_attitude, profiled_loss
-from goldfield.locate.starts import log_magnitudes, simple_magnitudes
+from goldfield.locate.starts import MAGNITUDE_ERROR, SIMPLE_RANGE_ERROR, log_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
 from goldfield.poses import FloatArray
 from goldfield.site import HalfSpace
@@ -127,6 +128,16 @@ class Constellation:
 
     def from_magnitudes(self, measurements: Measurements) -> Fit:
         """1.5 k/r^3 -> log |B| -> Wahba -> fit with model error -> fit. Needs three axes and four beacons."""
+        quick = kernel.of(self.model)
+        if quick is not None:
+            start = quick.starts(
+                measurements.field_T,
+                measurements.sigma_T,
+                range_error=SIMPLE_RANGE_ERROR,
+                magnitude_error=MAGNITUDE_ERROR,
+                vector_error=ROBUST_MODEL_ERROR,
+            )
+            return self.refine(measurements, *start)
         magnitude, sigma, known = measurements.magnitude_T, measurements.sigma_T, measurements.known
         position = simple_magnitudes(self.model, magnitude, sigma, known)
         position = log_magnitudes(self.model, magnitude, sigma, known, position)

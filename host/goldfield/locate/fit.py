@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
+from goldfield.locate import kernel
 from goldfield.locate.least_squares import State, minimise
 from goldfield.locate.rotations import orthonormal, turned
 from goldfield.poses import FloatArray
@@ -69,39 +71,55 @@ class Measurements:
     def __init__(self, field_T: FloatArray, sigma_T: FloatArray) -> None:
         self.field_T = field_T
         self.sigma_T = sigma_T
-        self.measured: NDArray[np.bool_] = np.isfinite(field_T)
-        """shape (e, n, 3)"""
-        known: NDArray[np.bool_] = np.asarray(self.measured.any(axis=2))
-        self.complete = bool((self.measured.all(axis=2) == known).all())
-        """Whether each beacon's field is known with all components or not at all."""
-        self.filled_T: FloatArray = np.where(self.measured, field_T, 0.0)
-        self.magnitude_T: FloatArray = np.sqrt((self.filled_T**2).sum(axis=2))
-        """shape (e, n); of the measured components"""
-        self.known: NDArray[np.bool_] = known
 
     def __len__(self) -> int:
         """Return the number of epochs."""
         return len(self.field_T)
 
-    @property
+    @cached_property
+    def measured(self) -> NDArray[np.bool_]:
+        """Which components are known, shape (e, n, 3)."""
+        return np.isfinite(self.field_T)
+
+    @cached_property
+    def known(self) -> NDArray[np.bool_]:
+        """Which beacons are known by any component, shape (e, n)."""
+        return np.asarray(self.measured.any(axis=2))
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether each beacon's field is known with all components or not at all."""
+        return bool((self.measured == self.known[:, :, None]).all())
+
+    @cached_property
+    def filled_T(self) -> FloatArray:
+        """The fields with 0 for what was not measured, shape (e, n, 3)."""
+        return np.where(self.measured, self.field_T, 0.0)
+
+    @cached_property
+    def magnitude_T(self) -> FloatArray:
+        """Of the measured components, shape (e, n)."""
+        return np.asarray(np.sqrt((self.filled_T**2).sum(axis=2)))
+
+    @cached_property
     def count(self) -> NDArray[np.intp]:
         """Number of measured components, shape (e,)."""
         return np.asarray(self.measured.sum(axis=(1, 2)))
 
-    @property
+    @cached_property
     def axes(self) -> NDArray[np.intp]:
         """Number of axes that the sensor has or that worked, shape (e,)."""
         return np.asarray(self.measured.any(axis=1).sum(axis=1))
 
-    @property
+    @cached_property
     def unknowns(self) -> NDArray[np.intp]:
         """Position and attitude: 6, or 5 of a sensor with one axis, whose turn about it is free; shape (e,)."""
         return np.where(self.axes == 1, 5, 6)
 
-    @property
+    @cached_property
     def freedom(self) -> NDArray[np.intp]:
         """Components minus unknowns, shape (e,)."""
-        return self.count - self.unknowns
+        return np.asarray(self.count - self.unknowns)
 
     def inverse_sigma(self, model_error: float = 0.0) -> FloatArray:
         """Square root of each component's weight, shape (e, 3, n); 0 if not measured.
@@ -113,6 +131,8 @@ class Measurements:
 
     def take(self, rows: NDArray[np.intp]) -> Measurements:
         """Return some of the epochs, also repeated ones."""
+        if len(rows) == len(self) and (rows == np.arange(len(self))).all():
+            return self
         return Measurements(self.field_T[rows], self.sigma_T[rows])
 
     def of_beacons(self, rows: NDArray[np.intp]) -> Measurements:
@@ -156,6 +176,19 @@ def fit_pose(
     With h(p, R) = R' B(p), dh = R' (G dp + B x d_theta), where exp([d_theta]x) R is the turned attitude. Isotropic
     complete fields are compared in the site's frame, which leaves the Jacobian unturned; else in the sensor's.
     """
+    quick = kernel.of(model)
+    if quick is not None:
+        return Fit(
+            *quick.fit(
+                measurements.field_T,
+                measurements.sigma_T,
+                position_m,
+                rotation,
+                model_error=model_error,
+                iterations=iterations,
+                tolerance=tolerance,
+            )
+        )
     weight = measurements.inverse_sigma(model_error)
     measured = measurements.filled_T.swapaxes(1, 2)
     complete = measurements.complete

@@ -9,13 +9,16 @@ its field a_i, (a_i' r_i)^2/(a_i' S_ii a_i), with one. The three tests share the
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, gammaincc
 
-from goldfield.locate.constellation import Constellation, Solutions, probability
+from goldfield.locate import kernel
+from goldfield.locate.constellation import Constellation, Solutions
 from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
-from goldfield.locate.uncertainty import root_covariance
+from goldfield.locate.uncertainty import UNOBSERVABLE, root_covariance
 from goldfield.poses import FloatArray
 
 FALSE_ALARM = 7e-4
@@ -40,14 +43,28 @@ DETECTABLE = 1e-6
 
 def alarm(constellation: Constellation, measurements: Measurements, fit: Fit) -> NDArray[np.bool_]:
     """Tell which of e fitted epochs do not agree with the site; shape (e,)."""
-    of_whole, of_single, of_strength = (share * FALSE_ALARM for share in SHARES)
-    beacons = np.maximum(measurements.known.sum(axis=1), 1)
     drop, freedom, scale = fault_statistics(constellation, measurements, fit)
-    single = np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, drop / 2.0), 1.0)
-    strength = gammaincc(0.5, scale / 2.0)
-    whole = probability(fit.cost, measurements.freedom)
-    some = (single.min(axis=1) * beacons < of_single) | (strength.min(axis=1) * beacons < of_strength)
-    return np.asarray((whole < of_whole) | some)
+    of_whole, of_single, of_strength = _limits(measurements.known.shape[1])
+    heard = measurements.known.sum(axis=1)
+    wrong = fit.cost > of_whole[np.maximum(measurements.freedom, 0)]
+    wrong |= (drop > of_single[heard[:, None], freedom]).any(axis=1)
+    wrong |= scale.max(axis=1) > of_strength[heard]
+    return np.asarray(wrong)
+
+
+@cache
+def _limits(beacons: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Chi-squares that sound epochs exceed at the permitted rates; infinite with no degree of freedom.
+
+    Of the whole cost by its freedom; of a beacon by the number of beacons heard and its freedom; of a beacon's strength
+    by the number heard.
+    """
+    whole, single, strength = (share * FALSE_ALARM for share in SHARES)
+    heard = np.maximum(np.arange(beacons + 1), 1)
+    of_whole = np.append(np.inf, chdtri(np.arange(1.0, 3 * beacons + 1), whole))
+    of_single = chdtri(np.array([1.0, 1.0, 2.0, 3.0]), single / heard[:, None])
+    of_single[:, 0] = np.inf
+    return np.asarray(of_whole), np.asarray(of_single), np.asarray(chdtri(1.0, strength / heard))
 
 
 def fault_statistics(
@@ -65,6 +82,16 @@ def fault_statistics(
         Part of the cost that another strength of the beacon takes away; one degree of freedom, 0 where it cannot show.
     """
     model = constellation.model
+    quick = kernel.of(model)
+    if quick is not None:
+        return quick.faults(
+            measurements.field_T,
+            measurements.sigma_T,
+            fit.position_m,
+            fit.rotation,
+            least_eigenvalue=UNOBSERVABLE,
+            least_share=DETECTABLE,
+        )
     residual, modelled = whitened_residual(model, measurements, fit)
     gain, seen, vector = _redundancy(constellation, measurements, fit)
     along = np.einsum("enck,enc->enk", vector, _by_beacon(residual[:, None])[..., 0])

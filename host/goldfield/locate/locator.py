@@ -62,7 +62,7 @@ class Locator:
     def locate_many(self, epochs: Sequence[Fields]) -> list[Pose]:
         """Locate many epochs, each with no prior, in the order given; several times quicker than one by one."""
         poses: dict[int, Pose] = {}
-        for some, rows, constellation, measurements in self._grouped([self._table(fields) for fields in epochs]):
+        for some, rows, constellation, measurements in self._grouped(epochs):
             members = [epochs[index] for index in some]
             if constellation is None:
                 located = [_failed(fields, self._names(rows)) for fields in members]
@@ -75,7 +75,7 @@ class Locator:
     def fit_all(self, epochs: Sequence[Fields]) -> FloatArray:
         """Positions of many epochs, shape (e, 3), trusting every beacon: no tests, no uncertainty, NaN where failed."""
         position = np.full((len(epochs), 3), np.nan)
-        for some, _, constellation, measurements in self._grouped([self._table(fields) for fields in epochs]):
+        for some, _, constellation, measurements in self._grouped(epochs):
             if constellation is not None:
                 best = constellation.solve(measurements).best
                 position[some] = np.where(np.isfinite(best.cost)[:, None], best.position_m, np.nan)
@@ -90,45 +90,51 @@ class Locator:
         if pose.status is Status.FAILED:
             return float("nan")
         rows = np.array([self._row[name] for name in pose.used], dtype=np.intp)
-        field, sigma = self._table(fields)
-        measurements = Measurements(field[None, rows], sigma[None, rows])
+        field, sigma = self._tables([fields])
+        measurements = Measurements(field[:, rows], sigma[:, rows])
         constellation = self._all.subset(rows)
         rotation = Rotation.from_quat(pose.orientation_xyzw).as_matrix()
         fit = constellation.at(measurements, pose.position_m[None], rotation[None])
         return float(protection_level(constellation, measurements, fit)[0])
 
-    def _table(self, fields: Fields) -> tuple[FloatArray, FloatArray]:
-        """Put the fields in the order of the site's beacons; unknown ids and unusable noise are left out."""
-        field = np.full((len(self.site.beacons), 3), np.nan)
-        sigma = np.ones(len(self.site.beacons))
-        given = [index for index, name in enumerate(fields.beacons) if name in self._row]
-        rows = [self._row[fields.beacons[index]] for index in given]
-        field[rows] = fields.field_T[given]
-        sigma[rows] = fields.sigma_T[given]
+    def _tables(self, epochs: Sequence[Fields]) -> tuple[FloatArray, FloatArray]:
+        """Put the fields in the order of the site's beacons; unknown ids and unusable noise are left out.
+
+        Fields, shape (e, beacons, 3), NaN where not measured, and their standard deviations, shape (e, beacons).
+        """
+        field = np.full((len(epochs), len(self.site.beacons), 3), np.nan)
+        sigma = np.ones(field.shape[:2])
+        alike: dict[tuple[str, ...], list[int]] = {}
+        for index, fields in enumerate(epochs):
+            alike.setdefault(fields.beacons, []).append(index)
+        for names, members in alike.items():
+            given = [index for index, name in enumerate(names) if name in self._row]
+            target = np.array(members)[:, None], np.array([self._row[names[index]] for index in given], dtype=np.intp)
+            field[target] = np.array([epochs[index].field_T for index in members])[:, given]
+            sigma[target] = np.array([epochs[index].sigma_T for index in members])[:, given]
         usable = np.isfinite(sigma) & (sigma > 0.0)
-        field[~usable | ~np.isfinite(field).any(axis=1)] = np.nan
-        field[~np.isfinite(field)] = np.nan
+        field[~(usable[:, :, None] & np.isfinite(field))] = np.nan
         sigma[~usable] = 1.0
         return field, sigma
 
     def _grouped(
-        self, tables: Sequence[tuple[FloatArray, FloatArray]]
+        self, epochs: Sequence[Fields]
     ) -> Iterator[tuple[list[int], NDArray[np.intp], Constellation | None, Measurements]]:
         """Group epochs that heard the same beacons: their indices, the beacons' rows, constellation, measurements.
 
         The constellation is None if the beacons are too few.
         """
+        field, sigma = self._tables(epochs)
+        heard = np.asarray(np.isfinite(field).any(axis=2))
         groups: dict[bytes, list[int]] = {}
-        for index, (field, _) in enumerate(tables):
-            groups.setdefault(np.isfinite(field).any(axis=1).tobytes(), []).append(index)
+        for index in range(len(epochs)):
+            groups.setdefault(heard[index].tobytes(), []).append(index)
         for key, members in groups.items():
             rows = np.flatnonzero(np.frombuffer(key, dtype=bool))
             constellation = self._all.subset(rows) if len(rows) >= LEAST_BEACONS else None
             for first in range(0, len(members), BATCH):
                 some = members[first : first + BATCH]
-                field = np.stack([tables[index][0][rows] for index in some])
-                sigma = np.stack([tables[index][1][rows] for index in some])
-                yield some, rows, constellation, Measurements(field, sigma)
+                yield some, rows, constellation, Measurements(field[some][:, rows], sigma[some][:, rows])
 
     def _names(self, rows: NDArray[np.intp]) -> tuple[str, ...]:
         return tuple(self.site.beacons[int(row)].id for row in rows)
@@ -187,7 +193,7 @@ class Locator:
         def build(fit: Fit, which: NDArray[np.intp], status: list[Status], others: list[Pose | None]) -> list[Pose]:
             covariance = honest_covariance(model, measurements.take(which), fit.position_m, fit.rotation)
             weak = self._weak(model, measurements.take(which), fit, covariance)
-            quaternions = Rotation.from_matrix(fit.rotation).as_quat(canonical=True)
+            quaternions = Rotation.from_matrix(fit.rotation, assume_valid=True).as_quat(canonical=True)
             return [
                 Pose(
                     epoch=epochs[e].epoch,
@@ -222,8 +228,8 @@ class Locator:
     @staticmethod
     def _weak(model: FieldModel, measurements: Measurements, fit: Fit, covariance: FloatArray) -> NDArray[np.bool_]:
         nearest = np.linalg.norm(fit.position_m[:, None] - model.centre_m, axis=2).min(axis=1)
-        worst = np.sqrt(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1])
-        turns = np.linalg.eigvalsh(covariance[:, 3:, 3:])
+        shifts, turns = np.linalg.eigvalsh(np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]]))
+        worst = np.sqrt(shifts[:, 2])
         turn = np.sqrt(np.where(measurements.axes == 1, turns[:, 1], turns[:, 2]))
         return np.asarray((worst > WEAK_POSITION * nearest) | (turn > WEAK_ATTITUDE_RAD))
 

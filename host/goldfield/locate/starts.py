@@ -17,6 +17,9 @@ from goldfield.poses import FloatArray
 SIMPLE_RANGE_ERROR = 0.12
 """Relative error of a range from 1.5 k/r^3: sqrt(1 + 3 cos^2) lies between 1 and 2, the range within -10 and +14 %."""
 
+MAGNITUDE_ERROR = 0.1
+"""Model error of the logarithms of magnitudes: keeps one strong beacon from hiding the others."""
+
 
 def simple_ranges(model: FieldModel, magnitude_T: FloatArray) -> FloatArray:
     """Range of each beacon, shape (e, n), by |B| = 1.5 k/r^3 (patent, eqn 8)."""
@@ -86,10 +89,10 @@ def log_magnitudes(
     """Fit the logarithms of the magnitudes from a start, shape (e, 3).
 
     The logarithm is nearly linear in position where the magnitude is not, so it converges from much further away.
-    Weights: the noise's, and 10 % of model error, which keeps one strong beacon from hiding the others.
+    Weights: the noise's and `MAGNITUDE_ERROR`.
     """
     magnitude = np.maximum(magnitude_T, 1e-30)
-    weight = np.where(known, 1.0 / np.hypot(0.1, sigma_T / magnitude), 0.0)
+    weight = np.where(known, 1.0 / np.hypot(MAGNITUDE_ERROR, sigma_T / magnitude), 0.0)
     logarithm = np.log(magnitude)
 
     def evaluate(state: State, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
@@ -112,9 +115,8 @@ def _middle(model: FieldModel, range_m: FloatArray, known: NDArray[np.bool_]) ->
     weight = np.where(known, range_m**-2, 0.0)
     middle = weight @ model.centre_m / weight.sum(axis=1, keepdims=True)
     # In the plane of coplanar beacons the trilateration has no slope across it: start off the plane by the least range.
-    normal = np.linalg.svd(model.centre_m - model.centre_m.mean(axis=0))[2][2]
     nearest = np.where(known, range_m, np.inf).min(axis=1)
-    return np.asarray(middle + 0.3 * nearest[:, None] * normal)
+    return np.asarray(middle + 0.3 * nearest[:, None] * model.across)
 
 
 def _move(state: State, step: FloatArray) -> State:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 
 from goldfield.field import FieldModel
+from goldfield.locate import kernel
 from goldfield.locate.fit import Measurements, whitened_jacobian
 from goldfield.locate.rotations import turned
 from goldfield.poses import FloatArray
@@ -62,11 +63,7 @@ def gauss_newton_covariance(information: FloatArray) -> FloatArray:
 
 
 def honest_covariance(
-    model: FieldModel,
-    measurements: Measurements,
-    position_m: FloatArray,
-    rotation: FloatArray,
-    model_error: float = 0.0,
+    model: FieldModel, measurements: Measurements, position_m: FloatArray, rotation: FloatArray
 ) -> FloatArray:
     """Mean square error of fitted poses with the second-order terms of the model.
 
@@ -77,15 +74,24 @@ def honest_covariance(
         e epochs.
     position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
         Fitted.
-    model_error : float
-        As in the fit.
 
     Returns
     -------
     covariance : ndarray, shape (e, 6, 6)
         Of position (m) and a small rotation in the site's frame (rad); symmetric, positive definite.
     """
-    weight = measurements.inverse_sigma(model_error)
+    quick = kernel.of(model)
+    if quick is not None:
+        return quick.covariance(
+            measurements.field_T,
+            measurements.sigma_T,
+            position_m,
+            rotation,
+            least_eigenvalue=UNOBSERVABLE,
+            free_m2=FREE_POSITION_M2,
+            free_rad2=FREE_TURN_RAD2,
+        )
+    weight = measurements.inverse_sigma()
     # In the sensor's frame, where the noise is: in the site's a turn would also turn the frame.
     tangent = whitened_jacobian(model, position_m, rotation, weight)
     root, free = root_covariance(tangent @ tangent.swapaxes(1, 2))

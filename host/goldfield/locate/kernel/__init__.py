@@ -1,0 +1,211 @@
+"""The hot path of location in C, if it has been built (``make``); `of` finds it for a site.
+
+Without the library the NumPy code that each method names computes the same, slower. The equations, the units and the
+bounds are in kernel.h.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import cffi
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.field import FieldModel
+from goldfield.poses import FloatArray
+
+MOST_COILS = 64
+"""GF_MOST_COILS of kernel.h."""
+
+DECLARATIONS = """
+typedef struct {
+    size_t count;
+    double centre_m[3][64];
+    double axis[3][64];
+    double moment_A_m2[64];
+    double radius_m[64];
+    double across[3];
+} gf_coils_t;
+void gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *, double *);
+void gf_fit(const gf_coils_t *, size_t, const double *, const double *, double, size_t, double, double *, double *,
+            double *, double *, uint8_t *);
+void gf_faults(const gf_coils_t *, size_t, const double *, const double *, const double *, const double *, double,
+               double, double *, int32_t *, double *);
+void gf_covariance(const gf_coils_t *, size_t, const double *, const double *, const double *, const double *, double,
+                   double, double, double *);
+"""
+
+_ffi: Any = cffi.FFI()
+_ffi.cdef(DECLARATIONS)
+_kernels: WeakKeyDictionary[FieldModel, Kernel] = WeakKeyDictionary()
+
+
+@cache
+def _library() -> Any | None:
+    """Return the library where ``make`` puts it, None if it was not built."""
+    path = Path(__file__).resolve().parents[4] / "build" / "libgf_locate.so"
+    return _ffi.dlopen(str(path)) if path.exists() else None
+
+
+def of(model: FieldModel) -> Kernel | None:
+    """Return the kernel for these coils; None if it is not built, or for coils given by their wire or too many."""
+    library = _library()
+    if library is None or not 0 < len(model) <= MOST_COILS or len(model.wire_points_m):
+        return None
+    if model not in _kernels:
+        _kernels[model] = Kernel(library, model)
+    return _kernels[model]
+
+
+class Kernel:
+    """The functions of kernel.h for one set of coils.
+
+    Everywhere: e epochs, n coils; ``field_T``, shape (e, n, 3), NaN where not measured, and ``sigma_T``, shape (e, n).
+
+    Parameters
+    ----------
+    library
+        Opened by cffi.
+    model : FieldModel
+        Circular coils and dipoles.
+    """
+
+    def __init__(self, library: Any, model: FieldModel) -> None:
+        self._library = library
+        self._coils = _ffi.new("gf_coils_t *")
+        self._coils.count = len(model)
+        size = np.linalg.norm(model.moment_A_m2, axis=1)
+        for name, values in (("centre_m", model.centre_m), ("axis", model.moment_A_m2 / size[:, None])):
+            for part, row in zip(getattr(self._coils, name), values.T, strict=True):
+                part[0 : len(model)] = row.tolist()
+        self._coils.moment_A_m2[0 : len(model)] = size.tolist()
+        self._coils.radius_m[0 : len(model)] = model.loop_radius_m.tolist()
+        self._coils.across[0:3] = model.across.tolist()
+
+    def starts(
+        self,
+        field_T: FloatArray,
+        sigma_T: FloatArray,
+        *,
+        range_error: float,
+        magnitude_error: float,
+        vector_error: float,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Position and attitude with no prior, from complete vectors: `starts` and `wahba` one after another.
+
+        Returns
+        -------
+        position_m : ndarray, shape (e, 3)
+        rotation : ndarray, shape (e, 3, 3)
+        """
+        position, rotation = np.empty((len(field_T), 3)), np.empty((len(field_T), 3, 3))
+        self._library.gf_starts(
+            self._coils,
+            len(field_T),
+            _given(field_T),
+            _given(sigma_T),
+            range_error,
+            magnitude_error,
+            vector_error,
+            _filled(position),
+            _filled(rotation),
+        )
+        return position, rotation
+
+    def fit(
+        self,
+        field_T: FloatArray,
+        sigma_T: FloatArray,
+        position_m: FloatArray,
+        rotation: FloatArray,
+        *,
+        model_error: float,
+        iterations: int,
+        tolerance: float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
+        """As `fit.fit_pose`: position, attitude, cost, information, converged."""
+        count = len(field_T)
+        position, turn = np.array(position_m, dtype=float, order="C"), np.array(rotation, dtype=float, order="C")
+        cost, information, converged = np.empty(count), np.empty((count, 6, 6)), np.empty(count, dtype=np.bool_)
+        self._library.gf_fit(
+            self._coils,
+            count,
+            _given(field_T),
+            _given(sigma_T),
+            model_error,
+            iterations,
+            tolerance,
+            _filled(position),
+            _filled(turn),
+            _filled(cost),
+            _filled(information),
+            _ffi.from_buffer("uint8_t[]", converged, require_writable=True),
+        )
+        return position, turn, cost, information, converged
+
+    def faults(
+        self,
+        field_T: FloatArray,
+        sigma_T: FloatArray,
+        position_m: FloatArray,
+        rotation: FloatArray,
+        *,
+        least_eigenvalue: float,
+        least_share: float,
+    ) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
+        """As `integrity.fault_statistics`: drop, freedom, scale, each of shape (e, n)."""
+        shape = field_T.shape[:2]
+        drop, freedom, scale = np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape)
+        self._library.gf_faults(
+            self._coils,
+            len(field_T),
+            _given(field_T),
+            _given(sigma_T),
+            _given(position_m),
+            _given(rotation),
+            least_eigenvalue,
+            least_share,
+            _filled(drop),
+            _ffi.from_buffer("int32_t[]", freedom, require_writable=True),
+            _filled(scale),
+        )
+        return drop, freedom.astype(np.intp), scale
+
+    def covariance(
+        self,
+        field_T: FloatArray,
+        sigma_T: FloatArray,
+        position_m: FloatArray,
+        rotation: FloatArray,
+        *,
+        least_eigenvalue: float,
+        free_m2: float,
+        free_rad2: float,
+    ) -> FloatArray:
+        """As `uncertainty.honest_covariance`, shape (e, 6, 6)."""
+        covariance = np.empty((len(field_T), 6, 6))
+        self._library.gf_covariance(
+            self._coils,
+            len(field_T),
+            _given(field_T),
+            _given(sigma_T),
+            _given(position_m),
+            _given(rotation),
+            least_eigenvalue,
+            free_m2,
+            free_rad2,
+            _filled(covariance),
+        )
+        return covariance
+
+
+def _given(values: FloatArray) -> Any:
+    return _ffi.from_buffer("double[]", np.ascontiguousarray(values, dtype=np.float64))
+
+
+def _filled(values: FloatArray) -> Any:
+    return _ffi.from_buffer("double[]", values, require_writable=True)

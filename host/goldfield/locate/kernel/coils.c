@@ -1,0 +1,180 @@
+#include "coils.h"
+
+#include <math.h>
+
+/* Twice the magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
+#define STRENGTH (2.0 * 1.25663706127e-6 / (4.0 * 3.14159265358979323846))
+
+/* Enough steps of the arithmetic-geometric mean for points 1e-8 radii from a wire. */
+#define MEAN_STEPS 9
+
+/* Relative difference of the two means that one more step turns into rounding. */
+#define NEARLY_EQUAL 1e-4
+
+/* In cylinder coordinates about a coil's axis a, with r the radial vector, the field is f a + g r. As curl and divergence
+ * vanish, its gradient needs g, d = dg/dz and s = (dg/drho)/rho alone:
+ *     d (a r' + r a') + s r r' + g I - (3 g + s rho^2) a a'.
+ * f and g are means over a turn, and those follow from Gauss's mean of the greatest and the least distance to the wire:
+ * goldfield/field/loop.py has the integrals; there the gradient is formed from all four derivatives. */
+void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_t *out)
+{
+    const size_t n = coils->count;
+    double radial[3][GF_MOST_COILS];
+    double height[GF_MOST_COILS];
+    double rho2[GF_MOST_COILS];
+    double squares[GF_MOST_COILS];
+    double product2[GF_MOST_COILS];
+    double mean_a[GF_MOST_COILS];
+    double mean_b[GF_MOST_COILS];
+    double quarter_w[GF_MOST_COILS];
+    double c2[GF_MOST_COILS];
+    double tau[GF_MOST_COILS];
+    double difference = 0.0;
+
+    for (size_t i = 0; i < n; ++i) {
+        const double x = position_m[0] - coils->centre_m[0][i];
+        const double y = position_m[1] - coils->centre_m[1][i];
+        const double z = position_m[2] - coils->centre_m[2][i];
+        const double h = coils->axis[0][i] * x + coils->axis[1][i] * y + coils->axis[2][i] * z;
+        const double rx = x - h * coils->axis[0][i];
+        const double ry = y - h * coils->axis[1][i];
+        const double rz = z - h * coils->axis[2][i];
+        const double square = rx * rx + ry * ry + rz * rz;
+        const double rho = sqrt(square);
+        const double outer = rho + coils->radius_m[i];
+        const double inner = rho - coils->radius_m[i];
+        const double greatest2 = outer * outer + h * h;
+        const double least2 = inner * inner + h * h;
+        const double greatest = sqrt(greatest2);
+        const double least = sqrt(least2);
+        const double total = greatest + least;
+        radial[0][i] = rx;
+        radial[1][i] = ry;
+        radial[2][i] = rz;
+        height[i] = h;
+        rho2[i] = square;
+        squares[i] = 0.5 * (greatest2 + least2);
+        product2[i] = greatest2 * least2;
+        mean_a[i] = 0.5 * total;
+        mean_b[i] = sqrt(greatest * least);
+        quarter_w[i] = 0.125 * total * (greatest - least);
+        c2[i] = 1.0 / (total * total);
+        tau[i] = c2[i];
+    }
+    for (size_t i = 0; i < n; ++i) {
+        difference = fmax(difference, 1.0 - mean_b[i] / mean_a[i]);
+    }
+    double power = 1.0;
+    for (int step = 0; step < MEAN_STEPS; ++step) {
+        power *= 2.0;
+        for (size_t i = 0; i < n; ++i) {
+            const double a = 0.5 * (mean_a[i] + mean_b[i]);
+            const double c = quarter_w[i] * c2[i] / a;
+            mean_b[i] = sqrt(mean_a[i] * mean_b[i]);
+            mean_a[i] = a;
+            c2[i] = c * c;
+            tau[i] += power * c2[i];
+        }
+        if (difference <= NEARLY_EQUAL) {
+            break;
+        }
+        difference = 1.0 - 2.0 * sqrt(1.0 - difference) / (2.0 - difference);
+    }
+    for (size_t i = 0; i < n; ++i) {
+        const double u = squares[i];
+        const double w2 = 4.0 * coils->radius_m[i] * coils->radius_m[i] * rho2[i];
+        const double over = 1.0 / (0.5 * (mean_a[i] + mean_b[i]) * product2[i]);
+        const double i10 = (u - tau[i] * w2) * over;
+        const double j11 = (1.0 - tau[i] * u) * over;
+        const double i20 = (u * i10 + (w2 / 3.0) * j11) / product2[i];
+        const double q21 = (j11 / 3.0 + i20) / u;
+        const double strength = STRENGTH * coils->moment_A_m2[i];
+        const double h = height[i];
+        const double f = strength * (i10 - 2.0 * rho2[i] * j11);
+        const double g = strength * 2.0 * h * j11;
+        const double d = strength * 2.0 * (j11 - 3.0 * q21 * h * h);
+        /* Finite on the axis, where it multiplies two radial vectors: the tiny number only avoids 0/0. */
+        const double s = strength * 2.0 * h * ((1.5 * i20 - 2.0 * j11) / (rho2[i] + 1e-300) - 3.0 * q21);
+        const double t = 3.0 * g + s * rho2[i];
+        const double ax = coils->axis[0][i];
+        const double ay = coils->axis[1][i];
+        const double az = coils->axis[2][i];
+        const double rx = radial[0][i];
+        const double ry = radial[1][i];
+        const double rz = radial[2][i];
+        out->field_T[0][i] = f * ax + g * rx;
+        out->field_T[1][i] = f * ay + g * ry;
+        out->field_T[2][i] = f * az + g * rz;
+        out->gradient_T_m[0][i] = 2.0 * d * ax * rx + s * rx * rx - t * ax * ax + g;
+        out->gradient_T_m[1][i] = 2.0 * d * ay * ry + s * ry * ry - t * ay * ay + g;
+        out->gradient_T_m[2][i] = 2.0 * d * az * rz + s * rz * rz - t * az * az + g;
+        out->gradient_T_m[3][i] = d * (ax * ry + rx * ay) + s * rx * ry - t * ax * ay;
+        out->gradient_T_m[4][i] = d * (ax * rz + rx * az) + s * rx * rz - t * ax * az;
+        out->gradient_T_m[5][i] = d * (ay * rz + ry * az) + s * ry * rz - t * ay * az;
+    }
+}
+
+void gf_components(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, gf_components_t *out)
+{
+    gf_sources_t sources;
+    gf_sources(coils, pose->position_m, &sources);
+    for (size_t i = 0; i < coils->count; ++i) {
+        const double bx = sources.field_T[0][i];
+        const double by = sources.field_T[1][i];
+        const double bz = sources.field_T[2][i];
+        for (size_t c = 0; c < 3; ++c) {
+            /* h = e.B with e the sensor's axis in the site's frame; dh = e.(G dp) + (e x B).d_theta */
+            const double w = weight[3 * i + c];
+            const double x = w * pose->rotation[0][c];
+            const double y = w * pose->rotation[1][c];
+            const double z = w * pose->rotation[2][c];
+            double *const slope = out->slope[3 * i + c];
+            out->value[3 * i + c] = x * bx + y * by + z * bz;
+            slope[0] = x * sources.gradient_T_m[0][i] + y * sources.gradient_T_m[3][i] + z * sources.gradient_T_m[4][i];
+            slope[1] = x * sources.gradient_T_m[3][i] + y * sources.gradient_T_m[1][i] + z * sources.gradient_T_m[5][i];
+            slope[2] = x * sources.gradient_T_m[4][i] + y * sources.gradient_T_m[5][i] + z * sources.gradient_T_m[2][i];
+            slope[3] = y * bz - z * by;
+            slope[4] = z * bx - x * bz;
+            slope[5] = x * by - y * bx;
+        }
+    }
+}
+
+void gf_weights(size_t coils, const double *field_T, const double *sigma_T, double model_error, double *weight)
+{
+    for (size_t i = 0; i < coils; ++i) {
+        double square = 0.0;
+        for (size_t c = 0; c < 3; ++c) {
+            const double b = field_T[3 * i + c];
+            square += isfinite(b) ? b * b : 0.0;
+        }
+        const double w = 1.0 / sqrt(sigma_T[i] * sigma_T[i] + model_error * model_error * square);
+        for (size_t c = 0; c < 3; ++c) {
+            weight[3 * i + c] = isfinite(field_T[3 * i + c]) ? w : 0.0;
+        }
+    }
+}
+
+void gf_turn(double rotation[3][3], const double vector[3])
+{
+    const double angle2 = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2];
+    const double angle = sqrt(angle2);
+    const double half = 0.5 * angle;
+    /* A unit quaternion, whose sine over angle loses nothing at small angles. */
+    const double ratio = half < 1e-4 ? 0.5 * (1.0 - half * half / 6.0) : sin(half) / angle;
+    const double w = cos(half);
+    const double x = ratio * vector[0];
+    const double y = ratio * vector[1];
+    const double z = ratio * vector[2];
+    for (size_t c = 0; c < 3; ++c) {
+        const double vx = rotation[0][c];
+        const double vy = rotation[1][c];
+        const double vz = rotation[2][c];
+        const double tx = 2.0 * (y * vz - z * vy);
+        const double ty = 2.0 * (z * vx - x * vz);
+        const double tz = 2.0 * (x * vy - y * vx);
+        rotation[0][c] = vx + w * tx + (y * tz - z * ty);
+        rotation[1][c] = vy + w * ty + (z * tx - x * tz);
+        rotation[2][c] = vz + w * tz + (x * ty - y * tx);
+    }
+}

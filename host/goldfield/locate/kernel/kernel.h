@@ -1,0 +1,65 @@
+/* Location in double precision: the hot path of goldfield.locate, one epoch after another without an interpreter.
+ *
+ * Python calls the functions of this header through cffi (goldfield/locate/kernel/__init__.py). Each does what a NumPy
+ * function of goldfield.locate does, which stays as its reference and as the fallback where this library is not built;
+ * tests/host/locate/test_kernel.py holds the two against each other.
+ *
+ * Units are SI. Matrices are row-major and dense. n is the number of coils, e that of epochs.
+ *
+ *   field_T   e x n x 3   measured components in the sensor's frame; NaN where nothing was measured
+ *   sigma_T   e x n       their standard deviations, positive and finite
+ *   position_m  e x 3,    rotation  e x 3 x 3 with B_site = R B_sensor
+ *
+ * Memory: no heap, no globals; below 60 KiB of stack. Time: about 0.1 us for a coil's field, 2 us for a step of a fit with
+ * eight coils. Bad input: a start or a measurement that is not finite gives results that are not finite; counts outside
+ * their range are the caller's error and are not checked here.
+ */
+#ifndef GF_LOCATE_KERNEL_H
+#define GF_LOCATE_KERNEL_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+/* Coils of one site; the wrapper leaves larger ones to NumPy. */
+#define GF_MOST_COILS 64
+
+/* Circular coils, as loops or, with radius 0, as dipoles (a loop of radius 0 at the same moment is a dipole). */
+typedef struct {
+    size_t count;
+    double centre_m[3][GF_MOST_COILS];
+    double axis[3][GF_MOST_COILS];        /* unit vector along the moment */
+    double moment_A_m2[GF_MOST_COILS];    /* positive */
+    double radius_m[GF_MOST_COILS];
+    double across[3];                     /* unit vector: off the plane of the coils */
+} gf_coils_t;
+
+/* Starts with no prior, from complete vectors: trilateration with |B| = 1.5 k/r^3, fit of log |B|, Wahba's problem
+ * (goldfield.locate.starts and .wahba; patent, equations 6 to 8). range_error: of the simple ranges, relative;
+ * magnitude_error: of log |B|; vector_error: of the vectors in Wahba's problem, all beside the noise.
+ * Writes position_m and rotation. Bound: 50 evaluations of the field an epoch. */
+void gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double range_error,
+               double magnitude_error, double vector_error, double *position_m, double *rotation);
+
+/* Least squares of position and attitude to the components (goldfield.locate.fit.fit_pose, Levenberg-Marquardt).
+ * In and out: position_m, rotation. model_error: relative, beside the noise. Out: cost (e), the sum of squared whitened
+ * residuals; information (e x 6 x 6) of position and of a small turn in the site's frame; converged (e), 0 or 1.
+ * Bound: 1 + iterations evaluations of the field an epoch. */
+void gf_fit(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
+            size_t iterations, double tolerance, double *position_m, double *rotation, double *cost, double *information,
+            uint8_t *converged);
+
+/* Statistics of each beacon's faults around fitted poses (goldfield.locate.integrity, which derives them). least_share: part
+ * of a variance that must be left in the residuals for a fault to show. Out, e x n each: drop, its degrees of freedom, and
+ * scale. Bound: one evaluation of the field an epoch. */
+void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, const double *position_m,
+               const double *rotation, double least_eigenvalue, double least_share, double *drop, int32_t *freedom,
+               double *scale);
+
+/* Mean square error of fitted poses with second-order terms (goldfield.locate.uncertainty.honest_covariance). Directions
+ * whose eigenvalue of the information, scaled to a unit diagonal, is below least_eigenvalue get free_m2 and free_rad2 along
+ * them. Out: covariance (e x 6 x 6). Bound: 13 evaluations of the field an epoch. */
+void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+                   const double *position_m, const double *rotation, double least_eigenvalue, double free_m2, double free_rad2,
+                   double *covariance);
+
+#endif

@@ -1,0 +1,84 @@
+#include "linear.h"
+
+#include <math.h>
+
+#define MOST_SWEEPS 20
+
+/* Part of the matrix's norm that an element off the diagonal may keep. */
+#define ROUNDING 1e-17
+
+bool gf_solve(size_t n, const double a[][6], const double b[], double x[])
+{
+    double l[GF_MOST_UNKNOWNS][GF_MOST_UNKNOWNS];
+    for (size_t i = 0; i < n; ++i) {
+        for (size_t j = 0; j <= i; ++j) {
+            double sum = a[i][j];
+            for (size_t k = 0; k < j; ++k) {
+                sum -= l[i][k] * l[j][k];
+            }
+            if (j < i) {
+                l[i][j] = sum * l[j][j];
+            } else if (sum > 0.0 && isfinite(sum)) {
+                l[i][i] = 1.0 / sqrt(sum); /* the reciprocal: only divisions follow */
+            } else {
+                return false;
+            }
+        }
+    }
+    for (size_t i = 0; i < n; ++i) {
+        double sum = b[i];
+        for (size_t k = 0; k < i; ++k) {
+            sum -= l[i][k] * x[k];
+        }
+        x[i] = sum * l[i][i];
+    }
+    for (size_t i = n; i-- > 0;) {
+        double sum = x[i];
+        for (size_t k = i + 1; k < n; ++k) {
+            sum -= l[k][i] * x[k];
+        }
+        x[i] = sum * l[i][i];
+    }
+    return true;
+}
+
+static void rotate(double *x, double *y, double cosine, double sine)
+{
+    const double old = *x;
+    *x = cosine * old - sine * *y;
+    *y = sine * old + cosine * *y;
+}
+
+void gf_eigen(size_t n, double a[][6], double v[][6])
+{
+    double norm = 0.0;
+    for (size_t i = 0; i < n; ++i) {
+        for (size_t j = 0; j < n; ++j) {
+            v[i][j] = i == j ? 1.0 : 0.0;
+            norm = fmax(norm, fabs(a[i][j]));
+        }
+    }
+    bool turned = true;
+    for (size_t sweep = 0; turned && sweep < MOST_SWEEPS; ++sweep) {
+        turned = false;
+        for (size_t p = 0; p + 1 < n; ++p) {
+            for (size_t q = p + 1; q < n; ++q) {
+                if (!(fabs(a[p][q]) > ROUNDING * norm)) {
+                    continue;
+                }
+                turned = true;
+                const double ratio = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+                const double tangent = copysign(1.0, ratio) / (fabs(ratio) + sqrt(ratio * ratio + 1.0));
+                const double cosine = 1.0 / sqrt(tangent * tangent + 1.0);
+                const double sine = tangent * cosine;
+                for (size_t i = 0; i < n; ++i) {
+                    rotate(&a[i][p], &a[i][q], cosine, sine);
+                    rotate(&v[i][p], &v[i][q], cosine, sine);
+                }
+                for (size_t i = 0; i < n; ++i) {
+                    rotate(&a[p][i], &a[q][i], cosine, sine);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,153 @@
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+#include "fit.h"
+#include "linear.h"
+
+/* Magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
+#define MU0_OVER_4PI (1.25663706127e-6 / (4.0 * 3.14159265358979323846))
+
+#define LEAST_MAGNITUDE_T 1e-30
+#define ITERATIONS 25
+#define TOLERANCE 1e-2 /* a tenth of a standard deviation: the fit that follows does better anyway */
+
+typedef struct {
+    const gf_coils_t *coils;
+    double target[GF_MOST_COILS]; /* range, or logarithm of the magnitude */
+    double weight[GF_MOST_COILS]; /* 0 if the beacon was not heard */
+} magnitudes_t;
+
+static void evaluate_ranges(const void *argument, const gf_pose_t *pose, gf_squares_t *squares)
+{
+    const magnitudes_t *const problem = argument;
+    gf_clear(squares);
+    for (size_t i = 0; i < problem->coils->count; ++i) {
+        double slope[3];
+        double square = 0.0;
+        for (size_t k = 0; k < 3; ++k) {
+            slope[k] = pose->position_m[k] - problem->coils->centre_m[k][i];
+            square += slope[k] * slope[k];
+        }
+        const double range = sqrt(square);
+        const double w = problem->weight[i];
+        for (size_t k = 0; k < 3; ++k) {
+            slope[k] *= w / fmax(range, 1e-9);
+        }
+        gf_add(squares, 3, (problem->target[i] - range) * w, slope);
+    }
+}
+
+static void evaluate_logarithms(const void *argument, const gf_pose_t *pose, gf_squares_t *squares)
+{
+    const magnitudes_t *const problem = argument;
+    gf_sources_t sources;
+    gf_sources(problem->coils, pose->position_m, &sources);
+    gf_clear(squares);
+    for (size_t i = 0; i < problem->coils->count; ++i) {
+        const double x = sources.field_T[0][i];
+        const double y = sources.field_T[1][i];
+        const double z = sources.field_T[2][i];
+        const double square = x * x + y * y + z * z;
+        const double w = problem->weight[i];
+        const double scale = w / square;
+        const double slope[3] = {
+            scale * (x * sources.gradient_T_m[0][i] + y * sources.gradient_T_m[3][i] + z * sources.gradient_T_m[4][i]),
+            scale * (x * sources.gradient_T_m[3][i] + y * sources.gradient_T_m[1][i] + z * sources.gradient_T_m[5][i]),
+            scale * (x * sources.gradient_T_m[4][i] + y * sources.gradient_T_m[5][i] + z * sources.gradient_T_m[2][i]),
+        };
+        gf_add(squares, 3, (problem->target[i] - 0.5 * log(square)) * w, slope);
+    }
+}
+
+/* Wahba's problem by Davenport's matrix: the unit quaternion q of the rotation maximises q' K q. */
+static void align(const gf_coils_t *coils, const double position_m[3], const double *field_T, const double *weight,
+                  double rotation[3][3])
+{
+    gf_sources_t sources;
+    double h[3][3] = {{0.0}};
+    gf_sources(coils, position_m, &sources);
+    for (size_t i = 0; i < coils->count; ++i) {
+        const double w = weight[3 * i] * weight[3 * i];
+        for (size_t row = 0; w > 0.0 && row < 3; ++row) {
+            for (size_t column = 0; column < 3; ++column) {
+                h[row][column] += w * sources.field_T[row][i] * field_T[3 * i + column];
+            }
+        }
+    }
+    const double trace = h[0][0] + h[1][1] + h[2][2];
+    double k[4][6] = {
+        {2.0 * h[0][0] - trace, h[0][1] + h[1][0], h[0][2] + h[2][0], h[2][1] - h[1][2]},
+        {h[0][1] + h[1][0], 2.0 * h[1][1] - trace, h[1][2] + h[2][1], h[0][2] - h[2][0]},
+        {h[0][2] + h[2][0], h[1][2] + h[2][1], 2.0 * h[2][2] - trace, h[1][0] - h[0][1]},
+        {h[2][1] - h[1][2], h[0][2] - h[2][0], h[1][0] - h[0][1], trace},
+    };
+    double vectors[4][6];
+    gf_eigen(4, k, vectors);
+    size_t best = 0;
+    for (size_t i = 1; i < 4; ++i) {
+        best = k[i][i] > k[best][best] ? i : best;
+    }
+    const double x = vectors[0][best];
+    const double y = vectors[1][best];
+    const double z = vectors[2][best];
+    const double w = vectors[3][best];
+    const double turned[3][3] = {
+        {1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)},
+        {2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)},
+        {2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)},
+    };
+    memcpy(rotation, turned, sizeof turned);
+}
+
+static void start(const gf_coils_t *coils, const double *field_T, const double *sigma_T, double range_error,
+                  double magnitude_error, double vector_error, gf_pose_t *pose)
+{
+    const size_t n = coils->count;
+    magnitudes_t ranges = {.coils = coils};
+    magnitudes_t logarithms = {.coils = coils};
+    double weight[3 * GF_MOST_COILS];
+    double middle[3] = {0.0};
+    double total = 0.0;
+    double nearest = DBL_MAX;
+    gf_weights(n, field_T, sigma_T, vector_error, weight);
+    for (size_t i = 0; i < n; ++i) {
+        if (!(weight[3 * i] > 0.0)) {
+            continue;
+        }
+        const double *const b = field_T + 3 * i;
+        const double magnitude = fmax(sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]), LEAST_MAGNITUDE_T);
+        const double noise = sigma_T[i] / magnitude;
+        const double range = cbrt(1.5 * MU0_OVER_4PI * coils->moment_A_m2[i] / magnitude);
+        ranges.target[i] = range;
+        ranges.weight[i] = 1.0 / (range * hypot(range_error, noise / 3.0));
+        logarithms.target[i] = log(magnitude);
+        logarithms.weight[i] = 1.0 / hypot(magnitude_error, noise);
+        const double share = 1.0 / (range * range);
+        total += share;
+        nearest = fmin(nearest, range);
+        for (size_t k = 0; k < 3; ++k) {
+            middle[k] += share * coils->centre_m[k][i];
+        }
+    }
+    for (size_t k = 0; k < 3; ++k) {
+        /* In the plane of coplanar coils the trilateration has no slope across it: start off the plane. */
+        pose->position_m[k] = middle[k] / total + 0.3 * nearest * coils->across[k];
+    }
+    gf_squares_t squares;
+    (void)gf_minimise(evaluate_ranges, &ranges, 3, ITERATIONS, TOLERANCE, pose, &squares);
+    (void)gf_minimise(evaluate_logarithms, &logarithms, 3, ITERATIONS, TOLERANCE, pose, &squares);
+    align(coils, pose->position_m, field_T, weight, pose->rotation);
+}
+
+void gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double range_error,
+               double magnitude_error, double vector_error, double *position_m, double *rotation)
+{
+    for (size_t e = 0; e < epochs; ++e) {
+        gf_pose_t pose = {{0.0}, {{0.0}}};
+        start(coils, field_T + 3 * coils->count * e, sigma_T + coils->count * e, range_error, magnitude_error, vector_error,
+              &pose);
+        memcpy(position_m + 3 * e, pose.position_m, sizeof pose.position_m);
+        memcpy(rotation + 9 * e, pose.rotation, sizeof pose.rotation);
+    }
+}

@@ -1,0 +1,257 @@
+#include <math.h>
+#include <string.h>
+
+#include "coils.h"
+#include "linear.h"
+
+/* Split information into a root L of its inverse, L L' on what the measurements tell, and the directions that they do not
+ * tell: those columns of root are zero and the unit vector is in free. */
+static void split(const double information[6][6], double least_eigenvalue, double root[6][6], double free[6][6])
+{
+    double scale[6];
+    double scaled[6][6];
+    double vector[6][6];
+    for (size_t k = 0; k < 6; ++k) {
+        scale[k] = 1.0 / sqrt(information[k][k] + 1e-300);
+    }
+    for (size_t k = 0; k < 6; ++k) {
+        for (size_t l = 0; l < 6; ++l) {
+            scaled[k][l] = information[k][l] * scale[k] * scale[l];
+        }
+    }
+    gf_eigen(6, scaled, vector);
+    memset(free, 0, 6 * sizeof free[0]);
+    for (size_t l = 0; l < 6; ++l) {
+        const bool seen = scaled[l][l] > least_eigenvalue;
+        const double stretch = seen ? 1.0 / sqrt(scaled[l][l]) : 0.0;
+        double length2 = 0.0;
+        for (size_t k = 0; k < 6; ++k) {
+            const double along = scale[k] * vector[k][l];
+            root[k][l] = along * stretch;
+            length2 += along * along;
+        }
+        for (size_t k = 0; !seen && k < 6; ++k) {
+            free[k][l] = scale[k] * vector[k][l] / sqrt(length2);
+        }
+    }
+}
+
+static void inform(size_t components, double slope[][6], double information[6][6])
+{
+    memset(information, 0, 6 * sizeof information[0]);
+    for (size_t c = 0; c < components; ++c) {
+        for (size_t k = 0; k < 6; ++k) {
+            for (size_t l = 0; l < 6; ++l) {
+                information[k][l] += slope[c][k] * slope[c][l];
+            }
+        }
+    }
+}
+
+/* Each row times a 6 x 6 matrix. */
+static void transform(size_t components, double slope[][6], const double by[6][6], double out[][6])
+{
+    for (size_t c = 0; c < components; ++c) {
+        double sum[6] = {0.0};
+        for (size_t k = 0; k < 6; ++k) {
+            for (size_t l = 0; l < 6; ++l) {
+                sum[l] += slope[c][k] * by[k][l];
+            }
+        }
+        memcpy(out[c], sum, sizeof sum);
+    }
+}
+
+static gf_pose_t pose_of(const double *position_m, const double *rotation)
+{
+    gf_pose_t pose;
+    memcpy(pose.position_m, position_m, sizeof pose.position_m);
+    memcpy(pose.rotation, rotation, sizeof pose.rotation);
+    return pose;
+}
+
+typedef struct {
+    double drop;
+    double scale;
+    int32_t freedom;
+} fault_t;
+
+/* Of one beacon: its residuals, the modelled components and the model's derivatives along the principal axes of the pose's
+ * error, all over the standard deviations. The covariance of its residuals is 1 - T T'. */
+static fault_t fault_of(const double residual[3], const double modelled[3], const double tangent[3][6], const double measured[3],
+                        double least_share)
+{
+    double covariance[3][6];
+    double vector[3][6];
+    fault_t fault = {0.0, 0.0, 0};
+    double along_field = 0.0;
+    double shown = 0.0;
+    double strength2 = 0.0;
+    for (size_t i = 0; i < 3; ++i) {
+        for (size_t j = 0; j < 3; ++j) {
+            double sum = i == j && measured[i] > 0.0 ? 1.0 : 0.0;
+            for (size_t k = 0; k < 6; ++k) {
+                sum -= tangent[i][k] * tangent[j][k];
+            }
+            covariance[i][j] = sum;
+        }
+    }
+    gf_eigen(3, covariance, vector);
+    for (size_t k = 0; k < 3; ++k) {
+        const double gain = covariance[k][k];
+        const double r = vector[0][k] * residual[0] + vector[1][k] * residual[1] + vector[2][k] * residual[2];
+        const double s = vector[0][k] * modelled[0] + vector[1][k] * modelled[1] + vector[2][k] * modelled[2];
+        if (gain > least_share) {
+            fault.drop += r * r / gain;
+            fault.freedom += 1;
+        }
+        along_field += s * r;
+        shown += s * s * gain;
+        strength2 += s * s;
+    }
+    if (shown > least_share * strength2) {
+        fault.scale = along_field * along_field / shown;
+    }
+    return fault;
+}
+
+void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, const double *position_m,
+               const double *rotation, double least_eigenvalue, double least_share, double *drop, int32_t *freedom,
+               double *scale)
+{
+    const size_t n = coils->count;
+    for (size_t e = 0; e < epochs; ++e) {
+        const double *const field = field_T + 3 * n * e;
+        const gf_pose_t pose = pose_of(position_m + 3 * e, rotation + 9 * e);
+        double weight[3 * GF_MOST_COILS];
+        double information[6][6];
+        double root[6][6];
+        double free[6][6];
+        gf_components_t components;
+        gf_weights(n, field, sigma_T + n * e, 0.0, weight);
+        gf_components(coils, &pose, weight, &components);
+        inform(3 * n, components.slope, information);
+        split((const double (*)[6])information, least_eigenvalue, root, free);
+        transform(3 * n, components.slope, (const double (*)[6])root, components.slope);
+        for (size_t i = 0; i < n; ++i) {
+            double residual[3];
+            for (size_t c = 0; c < 3; ++c) {
+                residual[c] = weight[3 * i + c] > 0.0 ? weight[3 * i + c] * field[3 * i + c] - components.value[3 * i + c] : 0.0;
+            }
+            const fault_t fault = fault_of(residual, components.value + 3 * i, (const double (*)[6])(components.slope + 3 * i),
+                                           weight + 3 * i, least_share);
+            drop[n * e + i] = fault.drop;
+            freedom[n * e + i] = fault.freedom;
+            scale[n * e + i] = fault.scale;
+        }
+    }
+}
+
+/* q = half the second difference of the model along one principal axis and each other, as a pose error. */
+static void curve(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, const double root[6][6],
+                  double back[][6], size_t axis, double q[6][6])
+{
+    gf_components_t ahead;
+    gf_components_t behind;
+    double step[6];
+    gf_pose_t moved = *pose;
+    for (size_t k = 0; k < 6; ++k) {
+        step[k] = root[k][axis];
+    }
+    for (size_t k = 0; k < 3; ++k) {
+        moved.position_m[k] += step[k];
+    }
+    gf_turn(moved.rotation, step + 3);
+    gf_components(coils, &moved, weight, &ahead);
+    moved = *pose;
+    for (size_t k = 0; k < 6; ++k) {
+        step[k] = -step[k];
+    }
+    for (size_t k = 0; k < 3; ++k) {
+        moved.position_m[k] += step[k];
+    }
+    gf_turn(moved.rotation, step + 3);
+    gf_components(coils, &moved, weight, &behind);
+
+    double change[6][6] = {{0.0}}; /* difference of the Jacobians, transposed, onto the tangent space */
+    for (size_t c = 0; c < 3 * coils->count; ++c) {
+        for (size_t k = 0; k < 6; ++k) {
+            const double d = 0.5 * (ahead.slope[c][k] - behind.slope[c][k]);
+            for (size_t l = 0; l < 6; ++l) {
+                change[k][l] += d * back[c][l];
+            }
+        }
+    }
+    memset(q, 0, 6 * sizeof q[0]);
+    for (size_t k = 0; k < 6; ++k) {
+        for (size_t i = 0; i < 6; ++i) {
+            for (size_t l = 0; l < 6; ++l) {
+                q[i][l] += root[k][i] * change[k][l];
+            }
+        }
+    }
+}
+
+/* 1 + (m m' + 2 sum q q')/4 with q made symmetric in its two axes, m the sum of q over equal axes. */
+static void second_order(double q[6][6][6], double out[6][6])
+{
+    double mean[6] = {0.0};
+    memset(out, 0, 6 * sizeof out[0]);
+    for (size_t i = 0; i < 6; ++i) {
+        for (size_t j = 0; j < 6; ++j) {
+            double both[6];
+            for (size_t k = 0; k < 6; ++k) {
+                both[k] = 0.5 * (q[i][j][k] + q[j][i][k]);
+                mean[k] += i == j ? both[k] : 0.0;
+            }
+            for (size_t k = 0; k < 6; ++k) {
+                for (size_t l = 0; l < 6; ++l) {
+                    out[k][l] += 0.5 * both[k] * both[l];
+                }
+            }
+        }
+    }
+    for (size_t k = 0; k < 6; ++k) {
+        for (size_t l = 0; l < 6; ++l) {
+            out[k][l] += 0.25 * mean[k] * mean[l] + (k == l ? 1.0 : 0.0);
+        }
+    }
+}
+
+void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+                   const double *position_m, const double *rotation, double least_eigenvalue, double free_m2, double free_rad2,
+                   double *covariance)
+{
+    const size_t n = coils->count;
+    const double free_root[6] = {sqrt(free_m2), sqrt(free_m2), sqrt(free_m2), sqrt(free_rad2), sqrt(free_rad2), sqrt(free_rad2)};
+    for (size_t e = 0; e < epochs; ++e) {
+        const gf_pose_t pose = pose_of(position_m + 3 * e, rotation + 9 * e);
+        double weight[3 * GF_MOST_COILS];
+        double information[6][6];
+        double root[6][6];
+        double free[6][6];
+        double q[6][6][6];
+        double middle[6][6];
+        gf_components_t components;
+        gf_weights(n, field_T + 3 * n * e, sigma_T + n * e, 0.0, weight);
+        gf_components(coils, &pose, weight, &components);
+        inform(3 * n, components.slope, information);
+        split((const double (*)[6])information, least_eigenvalue, root, free);
+        transform(3 * n, components.slope, (const double (*)[6])root, components.slope);
+        for (size_t axis = 0; axis < 6; ++axis) {
+            curve(coils, &pose, weight, (const double (*)[6])root, components.slope, axis, q[axis]);
+        }
+        second_order(q, middle);
+        double product[6][6];
+        transform(6, root, (const double (*)[6])middle, product);
+        for (size_t k = 0; k < 6; ++k) {
+            for (size_t l = 0; l < 6; ++l) {
+                double sum = 0.0;
+                for (size_t m = 0; m < 6; ++m) {
+                    sum += product[k][m] * root[l][m] + free_root[k] * free_root[l] * free[k][m] * free[l][m];
+                }
+                covariance[36 * e + 6 * k + l] = sum;
+            }
+        }
+    }
+}
