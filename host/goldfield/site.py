@@ -46,9 +46,13 @@ class SensorSite:
     ----------
     noise_T : float
         Standard deviation of one chip's sample on one axis.
+    model_error : float
+        What a measured field may differ from the model by (survey, currents, metal near by), relative to its size. It
+        adds to the noise of each beacon's field, so that strong beacons are not trusted beyond it.
     """
 
     noise_T: float
+    model_error: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +174,9 @@ def load(path: str | Path) -> Site:
     """Read and check a site file.
 
     Keys: ``[site] name, chip_period_s, degree``, optionally ``half_space = {point = [x, y, z], normal = [x, y, z]}``
-    and ``access`` with its own (`goldfield.drive`); ``[sensor] noise_T``; for each beacon ``[[beacon]] id, position_m,
-    axis, turns, current_A, code`` and one of ``radius_m`` and ``points_m``, optionally ``tau_s``. With ``points_m`` the
-    position, axis and turns may be left out: the wire tells them.
+    and ``access`` with its own (`goldfield.drive`); ``[sensor] noise_T`` and optionally ``model_error``; for each
+    beacon ``[[beacon]] id, position_m, axis, turns, current_A, code`` and one of ``radius_m`` and ``points_m``,
+    optionally ``tau_s``. With ``points_m`` the position, axis and turns may be left out: the wire tells them.
 
     Raises
     ------
@@ -192,7 +196,7 @@ def load(path: str | Path) -> Site:
     root.allow("site", "sensor", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
     site.allow("name", "chip_period_s", "degree", "half_space", "access", "slots")
-    sensor.allow("noise_T")
+    sensor.allow("noise_T", "model_error")
     plan = read_plan(site)
     beacons = tuple(_beacon(table, plan) for table in root.tables("beacon"))
     _check_unique(root, beacons)
@@ -201,11 +205,20 @@ def load(path: str | Path) -> Site:
         chip_period_s=plan.chip_period_s,
         degree=plan.degree,
         half_space=_half_space(site.table("half_space")) if "half_space" in site else None,
-        sensor=SensorSite(noise_T=sensor.positive("noise_T")),
+        sensor=SensorSite(noise_T=sensor.positive("noise_T"), model_error=_model_error(sensor)),
         beacons=beacons,
         access=plan.access,
         slots=plan.slots,
     )
+
+
+def _model_error(sensor: Table) -> float:
+    if "model_error" not in sensor:
+        return 0.0
+    error = sensor.number("model_error")
+    if not 0.0 <= error < 1.0:
+        raise sensor.error("model_error", f"is {error:g}; it must be a part of the field, from 0 to below 1")
+    return error
 
 
 def _half_space(table: Table) -> HalfSpace:
