@@ -27,6 +27,9 @@ class Fields:
         One vector a beacon, tesla; NaN where an axis was not measured.
     sigma_T : ndarray, shape (n,)
         Standard deviation of each component.
+    sweep_T_s : float or None
+        Standard deviation of the ramp of the ambient field that is left in the fields, T/s, each axis; None if nobody
+        took the ramp out. Only of interest while the sensor turns (`goldfield.access.sweep`).
     """
 
     epoch: int
@@ -34,6 +37,7 @@ class Fields:
     beacons: tuple[str, ...]
     field_T: FloatArray
     sigma_T: FloatArray
+    sweep_T_s: float | None = None
 
 
 class Status(StrEnum):

@@ -41,7 +41,7 @@ def node_times(nodes: int) -> FloatArray:
 
 
 def separation_weights(degree: int, codes: Sequence[int], drift: int = 0) -> FloatArray:
-    """Return the weights of the samples in the separated fields and, last, in the ambient field at mid-cycle, shape (n + 1, N).
+    """Return the samples' weights in the separated fields and, last, the ambient field at mid-cycle: (n + 1, N).
 
     Least squares on the codes and the powers 0 to ``drift`` of time.
 

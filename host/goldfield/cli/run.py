@@ -84,11 +84,13 @@ def _open_bus(kind: str, where: str) -> BusSource:
 
 def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, live: bool) -> int:
     from goldfield.access.epoch import EpochSeparator  # heavy: only when a pose is wanted
+    from goldfield.access.sweep import SweepRepair
     from goldfield.onboard import onboard_pose
     from goldfield.view.terminal import PoseTable, Summary
     from goldfield.view.truth import NO_ERROR, Truth
 
     separator = EpochSeparator(site)
+    sweep = SweepRepair(site)
     locate = locating(site, arguments.track)
     truth = Truth(arguments.truth) if arguments.truth else None
     writer = FieldsWriter(arguments.fields) if arguments.fields else None
@@ -96,7 +98,7 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
     summary = Summary()
     try:
         for report in _limited(session.reports(live), arguments.seconds, site.cycle_s):
-            fields = separator.fields(report)
+            fields = sweep.repaired(separator.fields(report), report.offset_T if report.chips == site.chips else None)
             if writer is not None:
                 writer.write(fields)
             pose = onboard_pose(site, report, fields) if arguments.on_sensor else locate(fields)

@@ -2,7 +2,8 @@
 
 The sensor moves with white acceleration and white angular acceleration (Gietler, Ammari & Zangl: integrated random
 walk). A track starts where `locate` puts the sensor, with wide uncertainty, and starts again after a gap or when
-epochs keep contradicting it. Every time tag is the middle of a cycle; `Tracker.pose_at` gives the pose at any other time, now too.
+epochs keep contradicting it. Every time tag is the middle of a cycle; `Tracker.pose_at` gives the pose at any other
+time, now too.
 """
 
 from __future__ import annotations

@@ -108,7 +108,7 @@ class EpochObserver:
 
     Fields separated on [codes, 1] also contain a part of the ambient field's ramp while the sensor turns. Its shape
     over the beacons is known, its size is not: it is left out of what an observation tells by a variance along that
-    shape, as large as the turn rate allows.
+    shape, as large as the fields say (``sweep_T_s``), else as the turn rate allows.
 
     Parameters
     ----------
@@ -121,6 +121,7 @@ class EpochObserver:
     def __init__(self, site: Site, drift: int = 0) -> None:
         self._site, self._drift = site, drift
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
+        self._model = FieldModel(site.beacons)
         self._locator = Locator(site)
         self._times = node_times(EPOCH_NODES)
         self._separations: dict[bytes, _Separation] = {}
@@ -136,12 +137,15 @@ class EpochObserver:
         usable = np.isfinite(data.field_T).any(axis=1) & np.isfinite(data.sigma_T) & (data.sigma_T > 0.0)
         taken = [i for i, name in enumerate(data.beacons) if usable[i] and name in self._row]
         taken.sort(key=lambda i: self._row[data.beacons[i]])
+        if not taken:
+            nothing = np.zeros((3, 0, EPOCH_NODES * (len(self._row) + 1)))
+            return Observation(self._model, self._site.cycle_s * self._times, nothing, nothing[..., 0], 0), ()
         names = [data.beacons[i] for i in taken]
         separation = self._separation(np.array([self._row[name] for name in names], dtype=np.intp))
         field, sigma = data.field_T[taken], data.sigma_T[taken]
         measured = np.isfinite(field)
         measured[[name in without for name in names]] = False
-        ramp = AMBIENT_T * rate_rad_s * separation.sweep
+        ramp = (AMBIENT_T * rate_rad_s if data.sweep_T_s is None else data.sweep_T_s) * separation.sweep
         covariance = np.diag(sigma**2) + np.outer(ramp, ramp)
         seen, values = np.zeros((3, *separation.seen.shape)), np.zeros((3, len(taken)))
         whitener = np.empty((0, 0))
@@ -162,7 +166,7 @@ class EpochObserver:
                 self._separations.clear()
             beacons = [self._site.beacons[row] for row in rows]
             codes = [beacon.code for beacon in beacons]
-            if min(codes, default=0) >= 0:
+            if min(codes) >= 0:
                 cycle = Cycle(self._site.degree, codes, EPOCH_NODES)
                 seen = cycle.seen(separation_weights(self._site.degree, codes, self._drift)[:-1])
             else:  # told apart by other means than one plain code each: the mean over the cycle, no ambient field
@@ -182,6 +186,12 @@ class CycleObserver:
     site : Site
     parts : int, optional
         Number of equal parts of a cycle of which the sums are given (`Cycle.part_weights`); default: the samples.
+        Three parts lose 0.1 % of the position's accuracy, one part (plain correlations) 38 %.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (parts (n + 1), N), or None
+        Of the samples in the sums.
     """
 
     def __init__(self, site: Site, parts: int | None = None) -> None:
