@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from goldfield.access import Access
 from goldfield.access.rotating import RotatingSeparator, separate_by_fft
 from goldfield.errors import UserError
 
@@ -33,6 +34,17 @@ def test_least_squares_takes_times_at_any_distance():
     times = np.sort(np.random.default_rng(2).uniform(0, 1, 60))
     field, samples = sampled(times)
     np.testing.assert_allclose(RotatingSeparator(FREQUENCY, times, 3e-9).separate(samples).field_T, field, atol=1e-16)
+
+
+def test_it_is_an_access_like_the_others_and_does_without_missing_samples():
+    times = np.arange(100) / 200
+    field, samples = sampled(times)
+    samples[0, [3, 50, 51], 1] = np.nan
+    access: Access = RotatingSeparator(FREQUENCY, times, 3e-9)
+    separation = access.from_samples(samples[0])
+    np.testing.assert_allclose(separation.field_T, field[0].reshape(6, 3), atol=1e-16)
+    np.testing.assert_allclose(separation.offset_T, EARTH, rtol=1e-12)
+    assert access.covariance_T2.shape == (6, 6)
 
 
 @pytest.mark.parametrize("count", [31, 46, 200])

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from goldfield.access.cdma import Separation
+from goldfield.access.linear import TemplateAccess
+from goldfield.access.nuisance import constant
 from goldfield.errors import UserError
 from goldfield.poses import FloatArray
 
@@ -45,7 +48,7 @@ class RotatingSeparation:
 
 
 class RotatingSeparator:
-    """Joint least squares over windows with the same sample times.
+    """Joint least squares over windows with the same sample times; an `access.Access` whose fields are Bc, Bs in turn.
 
     Parameters
     ----------
@@ -64,30 +67,25 @@ class RotatingSeparator:
 
     def __init__(self, frequency_Hz: Sequence[float], time_s: FloatArray, noise_T: float) -> None:
         _check_frequencies(frequency_Hz)
-        if len(time_s) <= 2 * len(frequency_Hz) + 1:
-            raise UserError(
-                f"{len(time_s)} samples cannot be separated into the fields of {len(frequency_Hz)} rotating beacons "
-                f"and an offset: give at least {2 * len(frequency_Hz) + 2}"
-            )
         turn = 2.0 * np.pi * np.outer(time_s, frequency_Hz)
-        columns = np.concatenate([np.cos(turn), np.sin(turn), np.ones((len(time_s), 1))], axis=1)
-        u, size, vt = np.linalg.svd(columns, full_matrices=False)
-        spread = (vt / np.maximum(size, 1e-300)[:, None]) ** 2
-        growth = np.sqrt(spread.sum(axis=0)[:-1] * len(time_s) / 2.0)
-        self._count = len(frequency_Hz)
-        self._solve = np.asarray((vt.T / np.maximum(size, 1e-300)) @ u.T)
-        worst = int(np.argmax(growth))
-        if growth[worst] > WORST_GROWTH:
-            raise UserError(
-                f"the window of {np.ptp(time_s):g} s is too short or sampled too slowly to tell the beacon at "
-                f"{frequency_Hz[worst % self._count]:g} Hz from the others and from the constant field (noise grows "
-                f"{growth[worst]:.3g}-fold): lengthen the window or move the frequencies apart"
-            )
-        per_column = noise_T * np.sqrt(spread.sum(axis=0)[:-1]).reshape(2, self._count)
-        self.sigma_T: FloatArray = per_column.max(axis=0)
+        waves = np.stack([np.cos(turn), np.sin(turn)], axis=2).reshape(len(time_s), -1)
+        _check_window(frequency_Hz, time_s, waves)
+        names = [f"{frequency:g} Hz, {wave}" for frequency in frequency_Hz for wave in ("cosine", "sine")]
+        self._access = TemplateAccess(names, waves, [constant(len(time_s))], noise_T)
+        self.sigma_T: FloatArray = np.sqrt(np.diag(self.covariance_T2)).reshape(-1, 2).max(axis=1)
+        """Of each beacon's components, from a complete window, shape (n,)."""
+
+    @property
+    def covariance_T2(self) -> FloatArray:
+        """Of Bc and Bs of each beacon in turn, on one axis, shape (2n, 2n)."""
+        return self._access.covariance_T2
+
+    def from_samples(self, samples_T: FloatArray) -> Separation:
+        """Separate one window, shape (t, 3), NaN where a sample is missing; Bc and Bs of each beacon in turn."""
+        return self._access.from_samples(samples_T)
 
     def separate(self, samples_T: FloatArray) -> RotatingSeparation:
-        """Separate windows.
+        """Separate many windows at once.
 
         Parameters
         ----------
@@ -96,9 +94,8 @@ class RotatingSeparator:
         """
         # The offset may be a million times the field: take its bulk out first, so that sums do not round at its size.
         mean = samples_T.mean(axis=1, keepdims=True)
-        parts = self._solve @ (samples_T - mean)
-        n = self._count
-        field = np.stack([parts[:, :n], parts[:, n : 2 * n]], axis=2)
+        parts = self._access.weights @ (samples_T - mean)
+        field = parts[:, :-1].reshape(len(samples_T), -1, 2, 3)
         return RotatingSeparation(field, parts[:, -1] + mean[:, 0], self.sigma_T)
 
 
@@ -146,3 +143,22 @@ def _check_frequencies(frequency_Hz: Sequence[float]) -> None:
         raise UserError("a rotating beacon's frequency must be a finite number of hertz above zero")
     if len(set(frequency_Hz)) < len(frequency_Hz):
         raise UserError("two rotating beacons have the same frequency: nothing can tell their fields apart; change one")
+
+
+def _check_window(frequency_Hz: Sequence[float], time_s: FloatArray, waves: FloatArray) -> None:
+    """Refuse a window that cannot tell the waves, shape (t, 2n), from each other and from a constant."""
+    if len(time_s) < waves.shape[1] + 2:
+        raise UserError(
+            f"{len(time_s)} samples cannot be separated into the fields of {len(frequency_Hz)} rotating beacons "
+            f"and an offset: give at least {waves.shape[1] + 2}"
+        )
+    _, size, vt = np.linalg.svd(np.column_stack([waves, np.ones(len(time_s))]), full_matrices=False)
+    spread = ((vt / np.maximum(size, 1e-300)[:, None]) ** 2).sum(axis=0)[:-1]
+    growth = np.sqrt(spread * len(time_s) / 2.0)
+    worst = int(np.argmax(growth))
+    if growth[worst] > WORST_GROWTH:
+        raise UserError(
+            f"the window of {np.ptp(time_s):g} s is too short or sampled too slowly to tell the beacon at "
+            f"{frequency_Hz[worst // 2]:g} Hz from the others and from the constant field (noise grows "
+            f"{growth[worst]:.3g}-fold): lengthen the window or move the frequencies apart"
+        )
