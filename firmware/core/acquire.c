@@ -16,6 +16,9 @@
 #define HALVINGS 16u
 #define SLOPE_MIN 0.1f               /* Before the edge and far behind it there is no slope; a measurement there still tells the sign. */
 #define MODEL_VARIANCE 300.0f        /* (0.1 us)^2 */
+#define RISE_VARIANCE 0.005f         /* (7 %)^2: the rise time as a search knows it. */
+#define FOOT 0.4f                    /* Of the low-pass's time constant: nearer to the edge, or before it, there is nothing to see, */
+#define UNSEEN_VARIANCE 60000.0f     /* and the time is known to (1.5 us)^2. */
 #define SEARCH_VARIANCE 18000.0f     /* (0.8 us)^2 and */
 #define SEARCH_RATE_VARIANCE 0.04f   /* (12 ppm)^2: errors of a search. */
 #define RATE_WALK 6.6e-11f           /* A chip: 0.05 ppm in 1 s, for the crystals' temperature. */
@@ -425,7 +428,7 @@ static float measure(const acquire_t *acquire, uint32_t first, uint32_t end, flo
     const float time = time_on_ramp(acquire, fraction * acquire->edge.rise_ticks);
     const float slope = difference(acquire, ramp_slope, time);
     const float deviation = acquire->edge.rise_ticks / (slope > SLOPE_MIN ? slope : SLOPE_MIN);
-    *variance = rest * deviation * deviation + MODEL_VARIANCE;
+    *variance = rest * deviation * deviation + (time < FOOT * (float)acquire->config.lag_ticks ? UNSEEN_VARIANCE : MODEL_VARIANCE + RISE_VARIANCE * time * time);
     return time;
 }
 
@@ -465,15 +468,17 @@ static void track(acquire_t *acquire) {
     update(state, covariance, second - on_purpose, quarter, variance);
     acquire->late_ticks = 0.5f * (first + second);
     acquire->deviation_ticks = square_root(covariance[0]);
-    acquire->phase_change = -state[0] - acquire->extra_ticks;
+    const float residual = acquire->late_ticks - (float)ACQUIRE_TARGET_TICKS;
+    const bool seen = acquire->late_ticks > FOOT * (float)acquire->config.lag_ticks;
+    const float extra = seen ? 0.0f : (float)ACQUIRE_EXTRA_TICKS; /* Look later. */
+    acquire->phase_change = extra - state[0] - acquire->extra_ticks;
     acquire->rate_change = -state[1];
+    acquire->extra_ticks = extra;
     acquire->rate_chip = middle;
     acquire->middle_chip = middle;
-    const float residual = acquire->late_ticks - (float)ACQUIRE_TARGET_TICKS;
     acquire->residual_ticks = (int32_t)residual;
     acquire->good = residual < (float)ACQUIRE_TRACK_TICKS && residual > -(float)ACQUIRE_TRACK_TICKS;
     acquire->captures += acquire->captures < ACQUIRE_CAPTURES ? 1u : 0u;
-    acquire->extra_ticks = 0.0f;
     command(acquire, ACQUIRE_CORRECT);
 }
 

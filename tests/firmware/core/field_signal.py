@@ -1,7 +1,7 @@
 """What a sensor's converters see in the field of coded beacons, computed with NumPy alone; for the tests of acquire.c.
 
-Nothing here is taken from the firmware or from ``hil_sim``: dipoles, a linear slew of the coil's current behind a first-order low-pass, earth's field,
-mains, noise of a burst and of each conversion, a 12-bit converter.
+Nothing here is taken from the firmware or from ``hil_sim``: dipoles, a linear slew of the coil's current behind a
+first-order low-pass, earth's field, mains, noise of a burst and of each conversion, a 12-bit converter.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ TICKS_PER_S = 168e6
 CHIP_TICKS = 16422
 CHIPS = 1023
 FIRST_HOLD, CONVERSION = 14672, 216
-"""Ticks from a chip's start to the first conversion's sample, and from one conversion to the next (boards: converters.c)."""
+"""Ticks from a chip's start to the first conversion's sample, and from one to the next (boards: converters.c)."""
 MOMENT_FIELD = 13.25e-7
 """mu0 m / 4 pi of the 0.298 m coil with 19 turns and 10 A, T m^3."""
 CUBE_M = np.array([[x, y, z] for x in (0.0, 2.13) for y in (0.0, 2.13) for z in (0.0, 1.78)])
