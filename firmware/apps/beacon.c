@@ -2,7 +2,6 @@
 
 #include <string.h>
 
-#include "gold.h"
 #include "goldfield.h"
 #include "sync.h"
 
@@ -15,7 +14,7 @@ static void drive_stop(beacon_t *beacon) {
 }
 
 static bool faulty(const beacon_t *beacon) {
-    return beacon->driver_fault || beacon->current.state == CURRENT_FAULT;
+    return beacon->no_waveform || beacon->driver_fault || beacon->current.state == CURRENT_FAULT;
 }
 
 /* ---- Interrupts ---- */
@@ -29,6 +28,7 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
         drive_stop(beacon);
     }
     uint8_t mask = beacon->drive == BEACON_IDLE ? HAL_PLAN_SYNC_OUT : 0xFFu;
+    uint32_t driven = 0;
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         const chip_clock_chip_t chip = chip_clock_plan(&beacon->clock);
         if (chip.code_chip == 0) {
@@ -43,12 +43,18 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
         }
         plan->period_ticks[i] = chip.period_ticks;
         plan->drive[i] = beacon->chips[chip.code_chip] & mask;
+        driven |= (uint32_t)((plan->drive[i] & (HAL_DRIVE_POSITIVE | HAL_DRIVE_NEGATIVE)) != 0u) << i;
     }
+    beacon->driven[block & 1u] = driven;
 }
 
 static void on_current(void *context, uint32_t chip, uint16_t count) {
     beacon_t *beacon = context;
     if (beacon->drive == BEACON_ON) {
+        const uint32_t block = chip / HAL_BLOCK_CHIPS;
+        if ((beacon->driven[block & 1u] >> (chip - block * HAL_BLOCK_CHIPS) & 1u) == 0) {
+            return;
+        }
         const current_action_t action = current_sample(&beacon->current, count);
         if (action == CURRENT_SET_REFERENCE) {
             hal_drive_reference(beacon->hal, beacon->current.reference);
@@ -83,7 +89,14 @@ static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
 
 static beacon_settings_t read_settings(const node_t *node) {
     return (beacon_settings_t){
-        .code = parameters_unsigned(&node->parameters, PARAMETER_CODE),
+        .waveform =
+            {
+                .kind = parameters_unsigned(&node->parameters, PARAMETER_WAVEFORM),
+                .code = parameters_unsigned(&node->parameters, PARAMETER_CODE),
+                .slots = parameters_unsigned(&node->parameters, PARAMETER_SLOTS),
+                .slot = parameters_unsigned(&node->parameters, PARAMETER_SLOT),
+                .periods = parameters_unsigned(&node->parameters, PARAMETER_PERIODS),
+            },
         .amplitude_A = parameters_float(&node->parameters, PARAMETER_AMPLITUDE),
         .over_current_A = parameters_float(&node->parameters, PARAMETER_OVER_CURRENT),
         .open_fraction = parameters_float(&node->parameters, PARAMETER_OPEN_COIL),
@@ -91,16 +104,19 @@ static beacon_settings_t read_settings(const node_t *node) {
 }
 
 static bool same(const beacon_settings_t *a, const beacon_settings_t *b) {
-    return a->code == b->code && a->amplitude_A == b->amplitude_A && a->over_current_A == b->over_current_A &&
+    const waveform_config_t *const v = &a->waveform, *const w = &b->waveform;
+    const bool waveform = v->kind == w->kind && v->code == w->code && v->slots == w->slots && v->slot == w->slot && v->periods == w->periods;
+    return waveform && a->amplitude_A == b->amplitude_A && a->over_current_A == b->over_current_A &&
            a->open_fraction == b->open_fraction;
 }
 
 /* While wanted is false and the drive idle: the planner then uses only the sync bit of chips, which is the same before and after. */
-static void write_code(beacon_t *beacon) {
-    gold_generator_t code;
-    (void)gold_start(&code, BEACON_DEGREE, beacon->settings.code, 0); /* The parameter's range is that of the codes. */
+static void write_waveform(beacon_t *beacon) {
+    waveform_t waveform;
+    beacon->no_waveform = !waveform_start(&waveform, BEACON_DEGREE, &beacon->settings.waveform);
     for (uint32_t t = 0; t < BEACON_CHIPS; t++) {
-        const uint8_t polarity = gold_next(&code) ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_POSITIVE;
+        const int8_t level = beacon->no_waveform ? 0 : waveform_next(&waveform);
+        const uint8_t polarity = level > 0 ? HAL_DRIVE_POSITIVE : level < 0 ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_OFF;
         beacon->chips[t] = t == 0 && beacon->master ? polarity | HAL_PLAN_SYNC_OUT : polarity;
     }
 }
@@ -109,7 +125,7 @@ static void apply_settings(beacon_t *beacon) {
     beacon->wanted = false;
     drive_stop(beacon);
     beacon->settings = read_settings(&beacon->node);
-    write_code(beacon);
+    write_waveform(beacon);
     const current_config_t config = {
         .sense_A = HAL_CURRENT_PER_COUNT,
         .reference_A = HAL_REFERENCE_PER_COUNT,
@@ -120,7 +136,7 @@ static void apply_settings(beacon_t *beacon) {
     const bool configured = current_configure(&beacon->current, &config);
     hal_drive_reference(beacon->hal, 0);
     beacon->driver_fault = false;
-    beacon->wanted = configured && beacon->settings.amplitude_A > 0.0f && hal_clock(beacon->hal) == HAL_CLOCK_CRYSTAL;
+    beacon->wanted = configured && !beacon->no_waveform && beacon->settings.amplitude_A > 0.0f && hal_clock(beacon->hal) == HAL_CLOCK_CRYSTAL;
 }
 
 static node_state_t state(const beacon_t *beacon) {

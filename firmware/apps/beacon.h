@@ -1,8 +1,9 @@
-/* beacon.h: the application of a beacon board: drives its coil with its Gold code, in step with the sync wire.
+/* beacon.h: the application of a beacon board: drives its coil with its waveform (waveform.h: a Gold code, a pulse in a time slot, or a square wave), in step with
+ * the sync wire.
  *
  * Which module runs when
- *   plan (once a block): lengths of the next 31 chips from chip_clock, bridge polarity from the code (bit 0: positive), sync wire if master.
- *   current (once a chip): current_sample; over-current and open coil switch the bridge off within that chip; set-point of the driver.
+ *   plan (once a block): lengths of the next 31 chips from chip_clock, bridge polarity from the waveform, sync wire if master.
+ *   current (once a driven chip): current_sample; over-current and open coil switch the bridge off within that chip; set-point of the driver.
  *   fault (driver's fault input): bridge off.       sync: the edge to chip_clock.
  *   main: node; SYNC if master; DRIVE_STATUS once a cycle; parameters.
  *
@@ -11,7 +12,7 @@
  *   syncing      the chip clock is not locked: bridge off.
  *   soft_start   locked: the bridge goes on at the next chip 0 that is planned (at most a cycle and two blocks away), the current rises for 0.1 s.
  *   running      at amplitude; also with amplitude 0 and locked, bridge off.
- *   fault        over-current, open coil, or driver fault: bridge off, until amplitude, code or a threshold is set by PARAM_SET.
+ *   fault        over-current, open coil, driver fault, or a slot that is not one of the slots: bridge off, until a parameter of the drive is set by PARAM_SET.
  *   clock_fallback  the crystal failed: 1 % off frequency nobody could follow, bridge off for good.
  * Loss of lock switches the bridge off at once and leads to syncing; from there on as after a start.
  *
@@ -19,10 +20,12 @@
  * main loop, at most one block (3.03 ms) after the edge, and much less when main is idle. sync_master is read once, at start.
  * The other beacons take the cycle's number from SYNC.
  *
+ * A pulse is driven, and its current measured, only in its slot: the soft start then takes 1023 driven chips, that is as many cycles as there are slots.
+ *
  * A PARAM_SET of any parameter but stream, node and those of a sensor stops the drive, if it changes a value, and starts it softly again.
  *
- * Memory: about 8 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 2,000 instructions, current 56 (once in 31 chips 123),
- * main with nothing to do 105.
+ * Memory: about 8 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 2,400 instructions, current 70 (once in 31 chips 137),
+ * main with nothing to do 135.
  */
 #ifndef GOLDFIELD_BEACON_H
 #define GOLDFIELD_BEACON_H
@@ -31,6 +34,7 @@
 #include "current.h"
 #include "hal.h"
 #include "node.h"
+#include "waveform.h"
 
 #define BEACON_DEGREE 10u
 #define BEACON_CHIPS 1023u
@@ -44,7 +48,7 @@ typedef enum {
 
 /* What the drive is made from; compared to see whether a PARAM_SET changed it. */
 typedef struct {
-    uint32_t code;
+    waveform_config_t waveform;
     float amplitude_A, over_current_A, open_fraction;
 } beacon_settings_t;
 
@@ -56,8 +60,10 @@ typedef struct {
     current_t current;
     beacon_settings_t settings;
     bool master;
-    uint8_t chips[BEACON_CHIPS];   /* The plan's byte for each chip of the code, polarity and sync wire. */
+    uint8_t chips[BEACON_CHIPS];   /* The plan's byte for each chip of the cycle, polarity and sync wire. */
     volatile bool wanted;          /* Main: settings are complete, amplitude is not 0, clock is good. */
+    bool no_waveform;              /* The settings make none. */
+    volatile uint32_t driven[2];   /* Bit i: chip i of the even, odd block is driven; one is planned while the other runs. */
     volatile uint8_t drive;        /* beacon_drive_t */
     volatile uint32_t start_chip;  /* Absolute chip. Chip 0 has none before it that could switch on: a master then starts with chip 1. */
     volatile bool driver_fault;
@@ -70,7 +76,7 @@ typedef struct {
     volatile uint32_t edge_us;     /* When the latest edge of the sync wire came; one word, so that it is never torn. */
 } beacon_t;
 
-/* Hello, parameters, code, chip engine. *beacon and *hal must live for ever. About 60,000 instructions. */
+/* Hello, parameters, code, chip engine. *beacon and *hal must live for ever. About 83,000 instructions. */
 void beacon_start(beacon_t *beacon, hal_t *hal);
 
 /* One turn of the main loop, to be called after each hal_wait(). */

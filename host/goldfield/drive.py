@@ -7,6 +7,10 @@ from dataclasses import dataclass
 from goldfield.toml_table import Table
 
 ACCESS = ("cdma", "tdma", "fdma")
+SITE_KEYS = {"slots": "tdma", "tone": "fdma"}
+"""Keys of the site and the access they belong to."""
+
+TONES = ("sine", "square")
 
 NO_CODE = -1
 """Code of a beacon that has not exactly one plain Gold code of the site's degree; no generator takes it."""
@@ -53,6 +57,8 @@ class Drive:
         Time slot of pulsed direct current (TDMA).
     periods : int or None
         Whole periods of an alternating current in a cycle (FDMA): cos(2 pi periods t / N) in chip t.
+    square : bool
+        The sign of that cosine in its place, as the boards drive it.
     tau_s : float
         Time constant with which the current of the coil follows a step; 0: at once.
     """
@@ -60,6 +66,7 @@ class Drive:
     codes: tuple[Code, ...] = ()
     slot: int | None = None
     periods: int | None = None
+    square: bool = False
     tau_s: float = 0.0
 
 
@@ -78,12 +85,15 @@ class Plan:
     chip_period_s : float
     slots : int
         Of a cycle (TDMA), else 0.
+    square : bool
+        Tones are square waves (FDMA).
     """
 
     access: str
     degree: int
     chip_period_s: float
     slots: int = 0
+    square: bool = False
 
     @property
     def chips(self) -> int:
@@ -92,7 +102,7 @@ class Plan:
 
 
 def read_plan(site: Table) -> Plan:
-    """Read ``degree, chip_period_s``, optionally ``access``, and for TDMA ``slots``.
+    """Read ``degree, chip_period_s``, optionally ``access``, for TDMA ``slots``, for FDMA ``tone``.
 
     Raises
     ------
@@ -105,17 +115,22 @@ def read_plan(site: Table) -> Plan:
     access = site.text("access") if "access" in site else "cdma"
     if access not in ACCESS:
         raise site.error("access", f'is "{access}"; beacons are told apart by {", ".join(ACCESS)}')
+    for key, owner in SITE_KEYS.items():
+        if key in site and access != owner:
+            raise site.error(key, f'belongs to access = "{owner}", but the access here is "{access}": leave it out')
+    chip_period_s = site.positive("chip_period_s")
     if access != "tdma":
-        if "slots" in site:
-            raise site.error("slots", f'belongs to access = "tdma", but the access here is "{access}": leave it out')
-        return Plan(access, degree, site.positive("chip_period_s"))
+        tone = site.text("tone") if "tone" in site else "sine"
+        if tone not in TONES:
+            raise site.error("tone", f'is "{tone}"; tones are {" or ".join(TONES)}')
+        return Plan(access, degree, chip_period_s, square=tone == "square")
     slots, chips = site.integer("slots"), (1 << degree) - 1
     if not 1 <= slots <= chips:
         raise site.error("slots", f"is {slots}; a cycle of {chips} chips has 1 to {chips} slots")
-    return Plan(access, degree, site.positive("chip_period_s"), slots)
+    return Plan(access, degree, chip_period_s, slots)
 
 
-KEYS = {"code": "cdma", "codes": "cdma", "slot": "tdma", "frequency_Hz": "fdma"}
+BEACON_KEYS = {"code": "cdma", "codes": "cdma", "slot": "tdma", "frequency_Hz": "fdma"}
 """Keys of a beacon and the access they belong to."""
 
 
@@ -127,7 +142,7 @@ def read_drive(table: Table, plan: Plan) -> tuple[int, Drive]:
     UserError
         For any value that is missing, out of range or belongs to another access.
     """
-    for key, access in KEYS.items():
+    for key, access in BEACON_KEYS.items():
         if key in table and access != plan.access:
             raise table.error(key, f'belongs to access = "{access}", but the site\'s access is "{plan.access}"')
     tau_s = table.number("tau_s") if "tau_s" in table else 0.0
@@ -140,7 +155,7 @@ def read_drive(table: Table, plan: Plan) -> tuple[int, Drive]:
             raise table.error("slot", f"is {slot}; the site has the slots 0 to {plan.slots - 1}")
         return NO_CODE, Drive(slot=slot, tau_s=tau_s)
     if plan.access == "fdma":
-        return NO_CODE, Drive(periods=_periods(table, plan), tau_s=tau_s)
+        return NO_CODE, Drive(periods=_periods(table, plan), square=plan.square, tau_s=tau_s)
     if "codes" in table:
         if "code" in table:
             raise table.error("codes", "and code are both given: give one of them")

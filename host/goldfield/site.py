@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from goldfield.drive import NO_CODE, NOTHING_ELSE, Drive, Plan, read_drive, read_plan
+from goldfield.drive import NO_CODE, NOTHING_ELSE, SITE_KEYS, Drive, Plan, read_drive, read_plan
 from goldfield.errors import UserError
 from goldfield.poses import FloatArray
 from goldfield.toml_table import Table, text_lines
@@ -195,7 +195,7 @@ def load(path: str | Path) -> Site:
     root = Table(document, path=path, lines=lines)
     root.allow("site", "sensor", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
-    site.allow("name", "chip_period_s", "degree", "half_space", "access", "slots")
+    site.allow("name", "chip_period_s", "degree", "half_space", "access", *SITE_KEYS)
     sensor.allow("noise_T", "model_error")
     plan = read_plan(site)
     beacons = tuple(_beacon(table, plan) for table in root.tables("beacon"))

@@ -239,3 +239,52 @@ def test_zero_amplitude_is_off(boards: list[Board]) -> None:
     assert not board.edges(PIN_ENABLE)
     assert len(board.edges(PIN_SYNC_OUT)) == 6
     assert status(board)["target"] == 0
+
+
+def driven(board: Board, edge: int) -> np.ndarray:
+    """What the bridge does in the middle of each chip of the cycle that begins at an edge of the sync wire."""
+    return polarity(board, np.array([edge + round((t + 0.5) * chip_seconds(0) * 1e12) for t in range(CHIPS)]))
+
+
+def test_a_pulse_in_its_time_slot_at_the_right_current(boards: list[Board]) -> None:
+    """TDMA: on in one of nine slots, off elsewhere; the current loop sees its chips alone and settles."""
+    board = master(boards, Coil(gain=1.1), parameters={"waveform": 1, "slots": 9, "slot": 4})
+    board.run(3 * SECOND)
+    edges = board.edges(PIN_SYNC_OUT)
+    expected = np.array([1 if t // (CHIPS // 9) == 4 else 0 for t in range(CHIPS)])
+    for edge in edges[2:9]:
+        np.testing.assert_array_equal(driven(board, edge), expected)
+    assert status(board)["enabled"] == 1
+    assert status(board)["current"] == pytest.approx(8.0, abs=0.02)
+    assert status(board)["open_coil"] == status(board)["over_current"] == 0
+
+
+def test_an_open_coil_is_found_in_its_slot(boards: list[Board]) -> None:
+    board = master(boards, Coil(broken_from=2 * SECOND), parameters={"waveform": 1, "slots": 9, "slot": 4})
+    board.run(2 * SECOND - MS)
+    assert status(board)["open_coil"] == 0
+    board.run(2 * SECOND + 200 * MS)
+    assert status(board)["open_coil"] == 1
+
+
+def test_a_square_wave_of_whole_periods(boards: list[Board]) -> None:
+    """FDMA: the sign of a cosine with seven periods in a cycle; a change to another waveform by PARAM_SET alone."""
+    board = master(boards, parameters={"waveform": 2, "periods": 7})
+    board.run(500 * MS)
+    edges = board.edges(PIN_SYNC_OUT)
+    np.testing.assert_array_equal(driven(board, edges[2]), np.sign(np.cos(2.0 * np.pi * 7 * np.arange(CHIPS) / CHIPS)))
+    board.send_serial("PARAM_SET", {"kind": 0, "value_unsigned": 0}, 1, 13, 510 * MS)
+    board.run(SECOND)
+    edges = board.edges(PIN_SYNC_OUT)
+    np.testing.assert_array_equal(driven(board, edges[8]), gold_chips(2))
+
+
+def test_a_slot_that_does_not_exist_is_a_fault(boards: list[Board]) -> None:
+    board = master(boards, parameters={"waveform": 1, "slots": 9, "slot": 9})
+    board.run(1200 * MS)
+    assert board.messages("HEARTBEAT")[-1].signals["state"] == 4
+    assert not status(board)["enabled"]
+    board.send_serial("PARAM_SET", {"kind": 0, "value_unsigned": 8}, 1, 15, 1210 * MS)
+    board.run(2400 * MS)
+    assert board.messages("HEARTBEAT")[-1].signals["state"] != 4
+    assert status(board)["enabled"] == 1

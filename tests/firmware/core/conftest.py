@@ -9,7 +9,7 @@ from scipy.signal import max_len_seq
 from hil_sim import clib
 
 HEADERS = (
-    *("gold.h", "despread.h", "chip_clock.h", "current.h", "frame.h", "queue.h", "parameters.h", "epoch.h"),
+    *("gold.h", "despread.h", "chip_clock.h", "current.h", "frame.h", "queue.h", "parameters.h", "epoch.h", "waveform.h"),
     *("loop_field.h", "wahba.h", "quaternion.h", "triangle.h", "separation.h", "pose.h", "pose_covariance.h"),
 )
 
