@@ -109,7 +109,11 @@ def run_compare(arguments: argparse.Namespace) -> int:
         values = [_cell(record[key], width, digits) for key, width, digits in COMPARE_CELLS]
         print(f"{result.name:30s} {' '.join(values)}")
     if not arguments.json:
-        print(f"printed: eqns 18 to 23, for yaw only. turned: any yaw, tilts up to {arguments.tilt_deg:g} deg.")
+        failed = max(int(np.isnan(result.printed_deg).sum()) for result in results if result.printed_deg is not None)
+        print(
+            f"printed: eqns 18 to 23, for yaw only, without the places (at most {failed}) whose estimate lies in the "
+            f"beacons' plane, where they have no solution. turned: any yaw, tilts up to {arguments.tilt_deg:g} deg."
+        )
     if arguments.figure:
         from goldfield.view import plot
 
