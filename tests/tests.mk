@@ -10,7 +10,8 @@ test-slow: all $(BUILD)/qemu.stamp ## The slow tests too
 LINT_INCLUDES := -Ifirmware/core -Ifirmware/apps -Ifirmware/hal -Ifirmware/boards -Ifirmware/boards/host -I$(PROTOCOL_OUT) \
 	-Ihil_sim -Ihil_sim/world -Ihil_sim/emulator -Ihil_sim/emulator/peripherals
 LINT_ARM := --target=arm-none-eabi $(STM32_CPU) -isystem /usr/lib/arm-none-eabi/include
-LINT_SOURCES := $(filter-out firmware/boards/stm32f405/%,$(wildcard firmware/*/*.c firmware/*/*/*.c)) $(wildcard hil_sim/*.c hil_sim/*/*.c hil_sim/*/*/*.c)
+LINT_SOURCES := $(filter-out firmware/boards/stm32f405/%,$(wildcard firmware/*/*.c firmware/*/*/*.c)) $(wildcard hil_sim/*.c hil_sim/*/*.c hil_sim/*/*/*.c) \
+	$(wildcard host/goldfield/locate/kernel/*.c)
 
 lint: all ## ruff, mypy, clang-tidy, cppcheck
 	@$(call need,clang-tidy,clang-tidy)
@@ -21,7 +22,7 @@ lint: all ## ruff, mypy, clang-tidy, cppcheck
 		-I$$($(PYTHON) -c "import unicorn, pathlib; print(pathlib.Path(unicorn.__file__).parent / \"include\")") 2>/dev/null' clang-tidy
 	@clang-tidy --quiet $(wildcard firmware/boards/stm32f405/*.c) -- -std=c11 $(LINT_ARM) $(LINT_INCLUDES) 2>/dev/null
 	@cppcheck --std=c11 --enable=warning,performance,portability --inline-suppr --suppress=missingIncludeSystem --error-exitcode=1 -q \
-		$(LINT_INCLUDES) firmware hil_sim
+		$(LINT_INCLUDES) firmware hil_sim host/goldfield/locate/kernel
 	@echo "lint: clean"
 
 .PHONY: test test-slow lint
@@ -30,6 +31,11 @@ figures: all ## Measure and print the figures of the whole chain (several minute
 	@$(PYTHON) tests/bench/chain_figures.py
 
 .PHONY: figures
+
+bench: all ## Measure the host's speed: single and batched location beside SciPy, filter update
+	@$(PYTHON) -m tests.bench.locate_figures speed
+
+.PHONY: bench
 
 location-map: $(BUILD)/venv.stamp ## Draw docs/location.png: error map, error against the bound, starts compared
 	@$(PYTHON) tests/bench/locate_map.py

@@ -10,7 +10,6 @@ import time
 from collections import Counter
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
@@ -18,6 +17,7 @@ from goldfield.locate import Locator
 from goldfield.locate.starts import full_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
 from goldfield.poses import Status
+from tests.bench import locate_speed
 from tests.bench import locate_trials as bench
 
 
@@ -122,32 +122,48 @@ def steps(scale=1.0):
 
 
 def faults(scale=1.0):
-    """One bad beacon of eight, each kind of fault, and false alarms."""
+    """One bad beacon of eight, each kind of fault, and false alarms.
+
+    The effect of a fault on the position is how far it moves the pose that trusts every beacon, the noise being the
+    same: a position that is three bounds off by noise alone is no fault, and nothing can detect it. What is detected of
+    the epochs whose whole error, noise included, is above three bounds is shown beside it.
+    """
     site, rng = bench.prigge_cube(), np.random.default_rng(105)
-    result = {}
+    locator, result = Locator(site), {}
     for kind in bench.FAULTS:
-        effect, detected, right, ratio = [], [], [], []
+        effect, error, detected, right, ratio = [], [], [], [], []
         for row in range(8):
             run = bench.trials(site, bench.cube_positions(rng, int(scale * 125)), rng)
             bad = bench.with_fault(kind, site, run, rng, row)
-            trusting = Locator(site).fit_all(bench.fields_of(site, bad))
-            effect.extend(np.linalg.norm(trusting - run.position_m, axis=1) / bench.bound_of(site, run))
-            poses = Locator(site).locate_many(bench.fields_of(site, bad))
-            error = np.linalg.norm(np.array([pose.position_m for pose in poses]) - run.position_m, axis=1)
-            ratio.extend(error / bench.bound_of(site, run, without=row))
+            bound = bench.bound_of(site, run)
+            trusting = locator.fit_all(bench.fields_of(site, bad))
+            sound = locator.fit_all(bench.fields_of(site, run))
+            effect.extend(np.linalg.norm(trusting - sound, axis=1) / bound)
+            error.extend(np.linalg.norm(trusting - run.position_m, axis=1) / bound)
+            poses = locator.locate_many(bench.fields_of(site, bad))
+            after = np.linalg.norm(np.array([pose.position_m for pose in poses]) - run.position_m, axis=1)
+            ratio.extend(after / bench.bound_of(site, run, without=row))
             detected.extend(bool(p.excluded) or p.status in (Status.INCONSISTENT, Status.FAILED) for p in poses)
             right.extend(p.excluded == (site.beacons[row].id,) for p in poses)
-        large, hit, exact, over = np.array(effect) > 3.0, np.array(detected), np.array(right), np.array(ratio)
+        large, wide, hit, exact, over = (
+            np.array(effect) > 3.0,
+            np.array(error) > 3.0,
+            np.array(detected),
+            np.array(right),
+            np.array(ratio),
+        )
         result[kind] = {
             "trials": len(large),
             "effect_above_3_bounds": int(large.sum()),
             "detected_of_these_percent": 100 * float(hit[large].mean()),
+            "error_above_3_bounds": int(wide.sum()),
+            "detected_of_those_percent": 100 * float(hit[wide].mean()),
             "right_one_excluded_percent": 100 * float(exact[large].mean()),
             "error_after_exclusion_over_7_beacon_bound": float(np.sqrt(np.mean(over[exact] ** 2))),
         }
         show(f"fault {kind}", result[kind])
     run = bench.trials(site, bench.cube_positions(rng, int(scale * 20_000)), rng)
-    poses = Locator(site).locate_many(bench.fields_of(site, run))
+    poses = locator.locate_many(bench.fields_of(site, run))
     alarms = sum(bool(pose.excluded) or pose.status is Status.INCONSISTENT for pose in poses)
     result["false alarms"] = {"epochs": len(poses), "alarms": alarms}
     show("no fault", result["false alarms"])
@@ -155,55 +171,8 @@ def faults(scale=1.0):
 
 
 def speed(scale=1.0):
-    """One by one, batched, and scipy.optimize.least_squares on the same residual from the same kind of start."""
-    site, rng = bench.prigge_cube(), np.random.default_rng(106)
-    run = bench.trials(site, bench.cube_positions(rng, int(scale * 2000)), rng)
-    locator, fields = Locator(site), bench.fields_of(site, run)
-    locator.locate_many(fields[:10])
-
-    def timed(work, count):
-        began = time.perf_counter()
-        work()
-        return 1e6 * (time.perf_counter() - began) / count
-
-    some = max(int(scale * 200), 1)
-    single = timed(lambda: [locator.locate(epoch) for epoch in fields[:some]], some)
-    batched = timed(lambda: locator.locate_many(fields), len(fields))
-    bare = timed(lambda: locator.fit_all(fields), len(fields))
-    model = locator.model
-    known = np.ones((1, 8), dtype=bool)
-
-    def with_scipy(epoch):
-        magnitude = np.linalg.norm(epoch.field_T, axis=1)[None]
-        position = simple_magnitudes(model, magnitude, epoch.sigma_T[None], known)[0]
-
-        def of_logarithms(p):
-            error = np.log(magnitude[0]) - np.log(np.linalg.norm(model.field(p), axis=1))
-            return error / np.hypot(0.1, epoch.sigma_T / magnitude[0])
-
-        position = least_squares(of_logarithms, position).x
-        rotation = wahba(model.field(position), epoch.field_T, 1.0 / epoch.sigma_T**2)
-        x = np.zeros(6)
-        for model_error in (0.03, 0.0):
-            sigma = np.hypot(epoch.sigma_T, model_error * magnitude[0])[:, None]
-
-            def residual(x, sigma=sigma):
-                turned = Rotation.from_rotvec(x[3:]).as_matrix() @ rotation
-                return ((epoch.field_T - model.field(position + x[:3]) @ turned) / sigma).ravel()
-
-            x = least_squares(residual, x, x_scale="jac").x
-        return position + x[:3]
-
-    theirs = timed(lambda: [with_scipy(epoch) for epoch in fields[:some]], some)
-    result = {
-        "single_us": single,
-        "batched_us": batched,
-        "batched_fit_only_us": bare,
-        "scipy_us": theirs,
-        "single_ratio": theirs / single,
-        "batched_ratio": theirs / batched,
-        "batched_fit_only_ratio": theirs / bare,
-    }
+    """One by one, batched, a filter update, and scipy.optimize.least_squares on the same residual."""
+    result = locate_speed.speed(scale)
     show("speed", result)
     return result
 

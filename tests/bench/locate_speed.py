@@ -1,0 +1,99 @@
+"""How quick location is beside `scipy.optimize.least_squares` on the same residual from the same kind of start.
+
+Processor time, in turns in one run, of which the least of each counts, so that other work on the machine disturbs
+little and all alike.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from goldfield.locate import Locator
+from goldfield.locate.starts import simple_magnitudes
+from goldfield.locate.wahba import wahba
+from goldfield.poses import Fields
+from goldfield.track import epoch_tracker
+from tests.bench import locate_trials as bench
+
+ROUNDS = 5
+
+
+def with_scipy(model, epoch):
+    """Locate an epoch by our steps with SciPy's optimiser; the position."""
+    magnitude = np.linalg.norm(epoch.field_T, axis=1)
+    known = np.ones((1, len(model)), dtype=bool)
+    position = simple_magnitudes(model, magnitude[None], epoch.sigma_T[None], known)[0]
+
+    def of_logarithms(p):
+        error = np.log(magnitude) - np.log(np.linalg.norm(model.field(p), axis=1))
+        return error / np.hypot(0.1, epoch.sigma_T / magnitude)
+
+    position = least_squares(of_logarithms, position).x
+    rotation = wahba(model.field(position), epoch.field_T, 1.0 / epoch.sigma_T**2)
+    x = np.zeros(6)
+    for model_error in (0.03, 0.0):
+        sigma = np.hypot(epoch.sigma_T, model_error * magnitude)[:, None]
+
+        def residual(x, sigma=sigma):
+            turned = Rotation.from_rotvec(x[3:]).as_matrix() @ rotation
+            return ((epoch.field_T - model.field(position + x[:3]) @ turned) / sigma).ravel()
+
+        x = least_squares(residual, x, x_scale="jac").x
+    return position + x[:3]
+
+
+def walk(site, rng, count):
+    """Epochs of a sensor that walks through the cube at 0.2 m/s and keeps its attitude."""
+    time_s = 0.1 * np.arange(count)
+    middle, turn = np.array([1.065, 1.065, 0.9]), time_s * 0.2 / 0.6
+    position = middle + 0.6 * np.stack([np.cos(turn), np.sin(turn), 0.3 * np.sin(2 * turn)], axis=1)
+    rotation = Rotation.random(rng=rng).as_matrix()
+    field = bench.magpylib_fields(site, position) @ rotation
+    sigma = site.sensor.noise_T / np.sqrt(bench.CHIPS)
+    field = field + sigma * rng.normal(size=field.shape)
+    names = tuple(beacon.id for beacon in site.beacons)
+    return [Fields(i, time_s[i], names, field[i], np.full(len(names), sigma)) for i in range(count)]
+
+
+def speed(scale=1.0):
+    """Time of one location alone, batched, batched without tests and uncertainty, a filter update, and SciPy's."""
+    site, rng = bench.prigge_cube(), np.random.default_rng(106)
+    run = bench.trials(site, bench.cube_positions(rng, max(int(scale * 2000), 50)), rng)
+    locator, fields = Locator(site), bench.fields_of(site, run)
+    some = fields[:40]
+    path = walk(site, rng, 40)
+    results = {}
+
+    def filtered():
+        tracker = epoch_tracker(site)
+        return [tracker.update(epoch) for epoch in path]
+
+    work = {
+        "single": (lambda: [locator.locate(epoch).position_m for epoch in some], len(some)),
+        "batched": (lambda: locator.locate_many(fields), len(fields)),
+        "batched_fit_only": (lambda: locator.fit_all(fields), len(fields)),
+        "filter_update": (filtered, len(path)),
+        "scipy": (lambda: [with_scipy(locator.model, epoch) for epoch in some], len(some)),
+    }
+    least = dict.fromkeys(work, np.inf)
+    locator.locate_many(fields[:10])
+    for _ in range(ROUNDS):
+        for name, (task, count) in work.items():
+            began = time.process_time()
+            results[name] = task()
+            least[name] = min(least[name], 1e6 * (time.process_time() - began) / count)
+
+    def located(positions):
+        error = np.linalg.norm(np.array(positions) - run.position_m[: len(some)], axis=1)
+        return int((error < np.maximum(0.01, 8 * bench.bound_of(site, run)[: len(some)])).sum())
+
+    return (
+        {f"{name}_us": value for name, value in least.items()}
+        | {f"{name}_ratio": least["scipy"] / least[name] for name in ("single", "batched", "batched_fit_only")}
+        | {"batched_per_second": 1e6 / least["batched"]}
+        | {"single_success": located(results["single"]), "scipy_success": located(results["scipy"]), "of": len(some)}
+    )

@@ -1,0 +1,157 @@
+"""The C kernel against the NumPy code, which shares no line with it: same poses, statistics and uncertainty."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from goldfield.field import FieldModel
+from goldfield.locate import Locator, kernel
+from goldfield.locate.constellation import Constellation
+from goldfield.locate.fit import Measurements
+from goldfield.locate.integrity import alarm, fault_statistics
+from goldfield.locate.uncertainty import honest_covariance
+from goldfield.site import HalfSpace
+from tests.bench import locate_trials as bench
+
+
+@pytest.fixture
+def numpy_only(monkeypatch):
+    """Returns a switch: as if the library had not been built."""
+    return lambda: monkeypatch.setattr(kernel, "_library", lambda: None)
+
+
+def random_room(rng, count):
+    """Coils of any axis, size and sense around a volume of some metres, with noise that leaves a pose well known."""
+    beacons = [
+        bench.loop_beacon(
+            i,
+            rng.uniform([0, 0, 0], [3, 3, 2]),
+            rng.normal(size=3),
+            radius=rng.uniform(0.02, 0.3),
+            current=rng.choice([-1, 1]) * rng.uniform(2, 10),
+        )
+        for i in range(count)
+    ]
+    return bench.site_of(beacons, HalfSpace(np.zeros(3), np.array([0.0, 0.0, 1.0])), 2e-8)
+
+
+def measured(site, rng, count, axes=(0, 1, 2)):
+    position = rng.uniform([0.2, 0.2, 0.2], [2.8, 2.8, 1.8], size=(count, 3))
+    run = bench.trials(site, position, rng, axes=axes)
+    return run, Measurements(run.field_T, run.sigma_T)
+
+
+def scaled(covariance, by):
+    """Covariance in units of the standard deviations of another."""
+    scale = 1.0 / np.sqrt(np.einsum("ekk->ek", by))
+    return covariance * scale[:, :, None] * scale[:, None, :]
+
+
+def test_the_library_is_built_and_used():
+    site = bench.prigge_cube()
+    assert kernel.of(FieldModel(site.beacons)) is not None
+    assert kernel.of(FieldModel(bench.spiral_board().beacons)) is None  # coils given by their wire
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(4, 10), kind=st.sampled_from(["exact", "dipole"]))
+def test_fits_from_the_same_start_agree(seed, count, kind):
+    rng = np.random.default_rng(seed)
+    site = random_room(rng, count)
+    run, measurements = measured(site, rng, 5)
+    model = FieldModel(site.beacons, kind)
+    position = run.position_m + 0.005 * rng.normal(size=run.position_m.shape)
+    rotation = (Rotation.from_rotvec(0.01 * rng.normal(size=(5, 3))) * Rotation.from_matrix(run.rotation)).as_matrix()
+    constellation = Constellation(model)
+
+    def everything():
+        at = constellation.at(measurements, position, rotation)
+        statistics = fault_statistics(constellation, measurements, at)
+        return at, statistics, honest_covariance(model, measurements, position, rotation)
+
+    quick, of_faults, covariance = everything()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(kernel, "_library", lambda: None)
+        slow, of_faults_slow, covariance_slow = everything()
+    np.testing.assert_allclose(quick.rotation, slow.rotation, atol=1e-12)
+    np.testing.assert_allclose(quick.cost, slow.cost, rtol=1e-7)
+    size = np.sqrt(np.einsum("ekk->ek", slow.information))
+    relative = (quick.information - slow.information) / (size[:, :, None] * size[:, None, :])
+    assert np.abs(relative).max() < 1e-8
+    np.testing.assert_array_equal(of_faults[1], of_faults_slow[1])
+    largest = 1.0 + of_faults_slow[0].max()
+    np.testing.assert_allclose(of_faults[0], of_faults_slow[0], rtol=1e-4, atol=1e-6 * largest)
+    np.testing.assert_allclose(of_faults[2], of_faults_slow[2], rtol=1e-4, atol=1e-6 * largest)
+    difference = scaled(covariance - covariance_slow, covariance_slow)
+    assert np.abs(difference).max() < 1e-5
+
+
+@pytest.mark.parametrize("noise", [2e-7, 2e-8])
+@pytest.mark.parametrize("spoiled", ["nothing", "a beacon", "an axis", "a component"])
+def test_searches_end_at_the_same_pose(numpy_only, noise, spoiled):
+    site, rng = bench.prigge_cube(noise), np.random.default_rng(61)
+    run = bench.trials(site, bench.cube_positions(rng, 30, 1.5), rng)
+    field = run.field_T.copy()
+    if spoiled == "a beacon":
+        field[:, 3] = np.nan
+    elif spoiled == "an axis":
+        field[:, :, 1] = np.nan
+    elif spoiled == "a component":
+        field[:, 5, 2] = np.nan
+    epochs = bench.fields_of(site, bench.Trials(run.position_m, run.rotation, field, run.sigma_T))
+    quick = Locator(site).locate_many(epochs)
+    numpy_only()
+    slow = Locator(site).locate_many(epochs)
+    for mine, reference in zip(quick, slow, strict=True):
+        assert (mine.status, mine.used, mine.excluded) == (reference.status, reference.used, reference.excluded)
+        sigma = np.sqrt(np.diag(reference.position_cov_m2))
+        assert (np.abs(mine.position_m - reference.position_m) < 0.01 * sigma).all()
+        turn = Rotation.from_quat(mine.orientation_xyzw) * Rotation.from_quat(reference.orientation_xyzw).inv()
+        assert turn.magnitude() < 0.02 * np.sqrt(np.trace(reference.attitude_cov_rad2))
+        np.testing.assert_allclose(mine.position_cov_m2, reference.position_cov_m2, atol=1e-3 * sigma.max() ** 2)
+        assert mine.residual == pytest.approx(reference.residual, rel=1e-5)
+
+
+def test_starts_are_those_of_the_steps(numpy_only):
+    site, rng = bench.ceiling_lattice(), np.random.default_rng(62)
+    run = bench.trials(site, bench.lattice_positions(rng, 40), rng)
+    constellation, measurements = Constellation(FieldModel(site.beacons)), Measurements(run.field_T, run.sigma_T)
+    quick = constellation.from_magnitudes(measurements)
+    numpy_only()
+    slow = constellation.from_magnitudes(measurements)
+    same = np.abs(quick.position_m - slow.position_m).max(axis=1) < 1e-3
+    assert same.mean() > 0.9  # a start near a watershed may end on either side
+    np.testing.assert_allclose(quick.cost[same], slow.cost[same], rtol=1e-4)
+
+
+def test_alarms_are_the_same(numpy_only):
+    site, rng = bench.prigge_cube(), np.random.default_rng(63)
+    run = bench.trials(site, bench.cube_positions(rng, 200), rng)
+    bad = bench.with_fault("current", site, run, rng, 4)
+    constellation, measurements = Constellation(FieldModel(site.beacons)), Measurements(bad.field_T, bad.sigma_T)
+    fit = constellation.from_magnitudes(measurements)
+    quick = alarm(constellation, measurements, fit)
+    numpy_only()
+    assert 20 < quick.sum() < 200
+    np.testing.assert_array_equal(quick, alarm(constellation, measurements, fit))
+
+
+def test_a_hopeless_start_is_no_pose():
+    site, rng = bench.prigge_cube(), np.random.default_rng(64)
+    run = bench.trials(site, bench.cube_positions(rng, 2), rng)
+    quick = kernel.of(FieldModel(site.beacons))
+    start = np.array([[np.nan, 0.0, 0.0], run.position_m[1]])
+    fitted = quick.fit(run.field_T, run.sigma_T, start, run.rotation, model_error=0.0, iterations=120, tolerance=1e-6)
+    assert not np.isfinite(fitted[2][0])
+    assert not fitted[4][0]
+    assert fitted[4][1]
+
+
+def test_more_coils_than_the_kernel_takes_are_left_to_numpy():
+    beacons = [bench.loop_beacon(i, (0.5 * i, 0.0, 0.0)) for i in range(kernel.MOST_COILS + 1)]
+    assert kernel.of(FieldModel(beacons)) is None
+    assert kernel.of(FieldModel(beacons[:-1])) is not None
