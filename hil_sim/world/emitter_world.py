@@ -97,11 +97,16 @@ def measured(path: Path, secondary: Secondary | None, noise_A_m: float, rng: np.
     point = np.einsum("nji,nj->ni", rotation, -path.position_m)
     fields = np.empty((len(point), 3, 3), dtype=np.complex128)
     for emitter, (offset, moment) in enumerate(zip(OFFSET_M, MOMENT_A_M2, strict=True)):
-        r = point - offset
-        distance = np.linalg.norm(r, axis=1)[:, None]
-        field = (3.0 * (r @ moment)[:, None] * r / distance**2 - moment) / (4.0 * np.pi * distance**3) + 0.0j
+        field = dipole_field(point - offset, moment) + 0.0j
         if secondary is not None:
             field = field + secondary(point, offset, moment)
         fields[:, emitter] = np.einsum("nij,nj->ni", rotation, field)
     noise = rng.standard_normal((2, *fields.shape))
     return np.asarray(fields + noise_A_m * (noise[0] + 1.0j * noise[1]))
+
+
+def dipole_field(offset_m: FloatArray, moment_A_m2: FloatArray) -> FloatArray:
+    """Return H of a dipole, A/m, at offsets from it, shape (n, 3)."""
+    distance = np.linalg.norm(offset_m, axis=1)[:, None]
+    along = (offset_m @ moment_A_m2)[:, None] / distance**2
+    return np.asarray((3.0 * along * offset_m - moment_A_m2) / (4.0 * np.pi * distance**3))

@@ -25,6 +25,9 @@ MU_0 = 4e-7 * math.pi
 ORDERS = 120
 """Multipoles summed: the terms fall as (a^2/(r d))^n; 1e-9 at a distance of a fifth of the radius on both sides."""
 
+FEW_ORDERS = 2e4
+"""Arguments from which on upward recursion keeps its digits for all `ORDERS`: their square is below it."""
+
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
@@ -129,7 +132,7 @@ class _Harmonics:
         d = np.asarray(source_m, dtype=float) - sphere.centre_m
         x, d, m = np.broadcast_arrays(x, d, np.asarray(moment_A_m2, dtype=float))
         self.shape = x.shape
-        self.r = np.linalg.norm(x, axis=-1)
+        self.r = np.maximum(np.linalg.norm(x, axis=-1), 1e-12 * sphere.radius_m)
         distance = np.linalg.norm(d, axis=-1)
         if (distance <= sphere.radius_m).any():
             raise ValueError("a dipole is inside the sphere: the series is that of sources outside")
@@ -168,7 +171,7 @@ def _logarithmic_slope(z: complex | ComplexArray, orders: int) -> ComplexArray:
     n = np.arange(1, orders + 1)
     small = np.abs(z) < 1e-7
     u[small] = n + 1.0
-    moderate = ~small & (np.abs(z) < 300.0)
+    moderate = ~small & (np.abs(z) < FEW_ORDERS)
     if moderate.any():
         some = z[moderate]
         ratio = np.zeros_like(some)  # j_n/j_(n-1), by its continued fraction from far above
@@ -176,9 +179,13 @@ def _logarithmic_slope(z: complex | ComplexArray, orders: int) -> ComplexArray:
             ratio = 1.0 / ((2 * order + 1) / some - ratio)
             if order <= orders:
                 u[moderate, order - 1] = some / ratio - order
-    for place in np.argwhere(~small & ~moderate):
-        w = 1j * z[tuple(place)]
-        u[tuple(place)] = w * ive(n - 0.5, w) / ive(n + 0.5, w) - n
+    large = ~small & ~moderate
+    if large.any():
+        some = 1j * z[large]
+        ratio = 1.0 - 1.0 / some  # i_1/i_0, then upward: stable where the orders are few against the argument
+        for order in range(1, orders + 1):
+            u[large, order - 1] = some / ratio - order
+            ratio = 1.0 / ratio - (2 * order + 1) / some
     return u
 
 

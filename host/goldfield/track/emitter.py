@@ -10,6 +10,7 @@ alternate.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
@@ -40,19 +41,20 @@ class EmitterBody:
     moment_A_m2: FloatArray
     parts: Parts | None = None
 
-    def field_and_gradient(self, point_m: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Field of each emitter, A/m, and its gradient at a point, shape (3,), all in the body's frame."""
-        none = np.zeros((len(self.offset_m), 1, 3), dtype=np.complex128)
-        each = [
-            Parts(o[None], none[:1], m[None, None] + 0.0j) for o, m in zip(self.offset_m, self.moment_A_m2, strict=True)
-        ]
-        pairs = [one.field_and_gradient(point_m[None]) for one in each]
-        field = np.concatenate([pair[0][:, 0] for pair in pairs])
-        gradient = np.concatenate([pair[1][:, 0] for pair in pairs])
-        if self.parts is not None:
-            more = self.parts.field_and_gradient(point_m[None])
-            field, gradient = field + more[0][:, 0], gradient + more[1][:, 0]
-        return field, gradient
+    @cached_property
+    def _sources(self) -> Parts:
+        """The emitters' own dipoles and the conductor's parts together."""
+        count = len(self.offset_m)
+        own = np.zeros((count, count, 3), dtype=np.complex128)
+        own[np.arange(count), np.arange(count)] = self.moment_A_m2
+        alone = Parts(self.offset_m, np.zeros_like(own), own)
+        if self.parts is None:
+            return alone
+        return Parts(
+            np.concatenate([alone.position_m, self.parts.position_m]),
+            np.concatenate([alone.current_A_m, self.parts.current_A_m], axis=1),
+            np.concatenate([alone.moment_A_m2, self.parts.moment_A_m2], axis=1),
+        )
 
     def seen(self, state: State) -> tuple[ComplexArray, ComplexArray]:
         """Field at the sensor, which stands at the origin, and its Jacobian by position and turn, shape (3, 3, 6).
@@ -61,8 +63,8 @@ class EmitterBody:
         """
         rotation = state.rotation
         towards = -state.position_m
-        field, gradient = self.field_and_gradient(rotation.T @ towards)
-        field, gradient = field @ rotation.T, rotation @ gradient @ rotation.T
+        fields, gradients = self._sources.field_and_gradient((rotation.T @ towards)[None])
+        field, gradient = fields[:, 0] @ rotation.T, rotation @ gradients[:, 0] @ rotation.T
         across = np.stack([skew(h.real) + 1.0j * skew(h.imag) for h in field])
         return field, np.concatenate([-gradient, gradient @ skew(towards) - across], axis=2)
 

@@ -68,25 +68,40 @@ class Parts:
         gradient_A_m2 : ndarray of complex, shape (e, p, 3, 3)
             Row i, column j: dH_i/dx_j.
         """
-        r = np.asarray(point_m, dtype=float)[:, None, :] - self.position_m  # (p, n, 3)
-        inverse2 = 1.0 / (r * r).sum(axis=-1)
-        inverse3 = inverse2 * np.sqrt(inverse2) / (4.0 * np.pi)
-        # Tensors that act on a part's current and moment: first index the field's component, last the source's.
-        weight = inverse3[..., None] * r
-        eye = np.eye(3)
-        by_moment = 3.0 * np.einsum("pni,pnj,pn->pnij", weight, r, inverse2) - inverse3[..., None, None] * eye
-        by_current = np.einsum("ijk,pnk->pnij", _LEVI_CIVITA, weight)
-        field = np.einsum("pnij,enj->epi", by_moment, self.moment_A_m2)
-        field += np.einsum("pnij,enj->epi", by_current, self.current_A_m)
-        # The gradient of r/(4 pi r^3) is minus the dipole's tensor.
-        current_slope = -np.einsum("ikl,pnlj,enk->epij", _LEVI_CIVITA, by_moment, self.current_A_m, optimize=True)
-        fifth = 3.0 * inverse3 * inverse2
-        along = np.einsum("pni,eni->epn", r, self.moment_A_m2)
-        summed = np.einsum("eni,pnj,pn->epij", self.moment_A_m2, r, fifth, optimize=True)
-        slope = summed + summed.swapaxes(-1, -2)
-        slope += np.einsum("epn,pn->ep", along, fifth)[..., None, None] * eye
-        slope -= 5.0 * np.einsum("epn,pni,pnj,pn->epij", along, r, r, fifth * inverse2, optimize=True)
-        return field, slope + current_slope
+        points = np.asarray(point_m, dtype=float)
+        pairs = [self._at(point) for point in points]
+        return np.stack([pair[0] for pair in pairs], axis=1), np.stack([pair[1] for pair in pairs], axis=1)
+
+    def _at(self, point_m: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Field and gradient at one point, shapes (e, 3) and (e, 3, 3).
+
+        The sums over the parts are products of matrices: of currents and moments with the powers of the distance.
+        """
+        r = point_m - self.position_m
+        inverse2 = 1.0 / (r * r).sum(axis=1)
+        third = inverse2 * np.sqrt(inverse2) / (4.0 * np.pi)
+        fifth = 3.0 * third * inverse2
+        square = r[:, :, None] * r[:, None, :]
+        current, moment = self.current_A_m.swapaxes(1, 2), self.moment_A_m2.swapaxes(1, 2)  # (e, 3, n)
+
+        current_third = current @ third  # (e, i): sum of J_i / (4 pi r^3)
+        turn = current @ (third[:, None] * r)  # (e, i, j): J_i r_j / (4 pi r^3)
+        bend = _contract(current, fifth[:, None, None] * square)  # (e, i, j, l)
+        field = np.einsum("kij,eij->ek", _LEVI_CIVITA, turn)
+        gradient = np.einsum("kil,ei->ekl", _LEVI_CIVITA, current_third)
+        gradient -= np.einsum("kij,eijl->ekl", _LEVI_CIVITA, bend)
+
+        along = (self.moment_A_m2 * r).sum(axis=2)  # (e, n)
+        field += (along * fifth) @ r - moment @ third
+        slope = moment @ (fifth[:, None] * r)  # (e, i, j)
+        gradient += slope + slope.swapaxes(1, 2) + np.trace(slope, axis1=1, axis2=2)[:, None, None] * np.eye(3)
+        gradient -= 5.0 * _contract(along, (fifth * inverse2)[:, None, None] * square)
+        return field, gradient
+
+
+def _contract(rows: ComplexArray, columns: FloatArray) -> ComplexArray:
+    """Return the product over the parts: rows (..., n), columns (n, 3, 3)."""
+    return np.asarray((rows @ columns.reshape(-1, 9)).reshape(*rows.shape[:-1], 3, 3))
 
 
 _LEVI_CIVITA = np.zeros((3, 3, 3))

@@ -56,9 +56,10 @@ def respond(body: Body, frequency_Hz: float) -> Response:
     UserError
         The body is permeable and neither way holds.
     """
-    ratio = body.size_m / body.material.skin_depth_m(frequency_Hz)
-    if ratio > SKIN_RATIO:
+    depth = body.material.skin_depth_m(frequency_Hz)
+    if body.size_m > SKIN_RATIO * depth:
         return SkinResponse(body, frequency_Hz)
+    ratio = body.size_m / depth
     if body.material.relative_permeability > 1.0:
         raise UserError(
             f"the conductor is permeable and only {ratio:.2g} skin depths thick from surface to centre at "
@@ -112,10 +113,12 @@ class VolumeResponse:
     ----------
     body : Body
     frequency_Hz : float
+    first_order : bool
+        Leave out what the currents induce in each other: right for bodies much thinner than the skin depth.
     """
 
-    def __init__(self, body: Body, frequency_Hz: float) -> None:
-        self.body, self.frequency_Hz = body, frequency_Hz
+    def __init__(self, body: Body, frequency_Hz: float, first_order: bool = False) -> None:
+        self.body, self.frequency_Hz, self._first_order = body, frequency_Hz, first_order
         self._drive = -2.0j * math.pi * frequency_Hz * body.material.conductivity_S_m
         self._voxel, self._volume = body.voxels(LAYERS)
         middle = body.middle_m
@@ -151,6 +154,8 @@ class VolumeResponse:
             _vector_potential(self._voxel - source_m, moment_A_m2),
             _vector_potential(self.body.middle_m - source_m, moment_A_m2),
         )
+        if self._first_order:
+            return applied
 
         def system(flat: ComplexArray) -> ComplexArray:
             current = flat.reshape(-1, 3)
