@@ -64,6 +64,12 @@ def test_a_site_as_it_is_meant(tmp_path):
     assert site.beacon("square") is square
 
 
+def test_model_error_is_optional(tmp_path):
+    assert load(write(tmp_path, GOOD)).sensor.model_error == 0.0
+    text = GOOD.replace("noise_T = 2.0e-7", "noise_T = 2.0e-7\nmodel_error = 0.02")
+    assert load(write(tmp_path, text)).sensor.model_error == 0.02
+
+
 def test_the_patents_coil_has_the_moment_that_is_quoted():
     assert np.linalg.norm(load(SITE).beacons[0].moment_A_m2) == pytest.approx(13.3, abs=0.06)  # maths.md, 2
 
@@ -72,6 +78,13 @@ FIRST = "[[beacon]] 1"
 BAD = [
     ("degree = 10", "degre = 10", "site.toml:4: [site]: degre is no known key", 'did you mean "degree"'),
     ("noise_T = 2.0e-7", "noise_t = 2.0e-7", "site.toml:8: [sensor]: noise_t", 'did you mean "noise_T"'),
+    (
+        "noise_T = 2.0e-7",
+        "noise_T = 2e-7\nmodel_error = 1",
+        "site.toml:9: [sensor]: model_error is 1",
+        "from 0 to below",
+    ),
+    ("noise_T = 2.0e-7", "noise_T = 2e-7\nmodel_error = -0.1", "site.toml:9: [sensor]: model_error", "from 0 to below"),
     ("radius_m = 0.149", "radius = 0.149", f"site.toml:15: {FIRST}: radius", 'did you mean "radius_m"'),
     ("[sensor]", "[sensors]", "site.toml:7: sensors is no known key", 'did you mean "sensor"'),
     ("point = [0.0, 0.0, 2.7]", "pont = [0.0, 0.0, 2.7]", "site.toml:5: [site.half_space]: pont", '"point"'),

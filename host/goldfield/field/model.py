@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -40,8 +41,6 @@ class FieldModel:
         Of each coil's wire from its centre.
     loop_radius_m : ndarray, shape (n,)
         Of circular coils; 0 of coils that are taken for dipoles, NaN of those given by their wire.
-    across : ndarray, shape (3,)
-        Unit vector along which the coils' places extend least: off their plane if they have one.
     wire_points_m : ndarray, shape (m, 3)
         Corners of all coils that are given by their wire.
     """
@@ -52,7 +51,6 @@ class FieldModel:
         self.moment_A_m2: FloatArray = np.array([beacon.moment_A_m2 for beacon in beacons], dtype=float).reshape(-1, 3)
         self._centre = np.ascontiguousarray(self.centre_m.T)
         self._moment = np.ascontiguousarray(self.moment_A_m2.T)
-        self.across: FloatArray = np.linalg.svd(self.centre_m - self.centre_m.mean(axis=0))[2][2]
         exact = kind == "exact"
         is_loop = np.array([exact and beacon.points_m is None for beacon in beacons], dtype=bool)
         is_wire = np.array([exact and beacon.points_m is not None for beacon in beacons], dtype=bool)
@@ -82,6 +80,11 @@ class FieldModel:
     def __len__(self) -> int:
         """Return the number of coils."""
         return len(self.centre_m)
+
+    @cached_property
+    def across(self) -> FloatArray:
+        """Unit vector, shape (3,), along which the coils' places extend least: off their plane if they have one."""
+        return np.asarray(np.linalg.svd(self.centre_m - self.centre_m.mean(axis=0))[2][2])
 
     def subset(self, rows: NDArray[np.intp]) -> FieldModel:
         """Return the model of some of the coils."""
