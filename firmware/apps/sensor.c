@@ -6,11 +6,22 @@
 #include "protocol_hash.h"
 #include "sync.h"
 
+/* When conversions are held: stm32f405/converters.c (a trigger takes 0 to 24 ticks, here 12; the host board's bursts lie 58 ticks later). The front end's low-pass has 100 kHz. */
+static const acquire_config_t acquire_config = {
+    .nominal_ticks = HAL_CHIP_TICKS,
+    .first_conversion_ticks = HAL_CHIP_TICKS - 1750u,
+    .conversion_ticks = 216,
+    .lag_ticks = 267,
+};
+
 /* ---- Interrupts ---- */
 
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     sensor_t *sensor = context;
     (void)block; /* The chip clock counts along. */
+    if (sensor->by_field) {
+        acquire_plan(&sensor->acquire, &sensor->clock);
+    }
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         plan->period_ticks[i] = chip_clock_plan(&sensor->clock).period_ticks;
         plan->drive[i] = HAL_DRIVE_OFF;
@@ -54,6 +65,10 @@ static void on_samples(void *context, uint32_t block, const hal_samples_t *sampl
         sensor->ticks += chip.period_ticks;
         int16_t sample[HAL_AXES];
         const bool saturated = epoch_sample((*samples)[i], sample);
+        if (sensor->by_field) {
+            acquire_feed(&sensor->acquire, absolute, &chip, (*samples)[i]);
+            acquire_sample((*samples)[i], sample);
+        }
         if (epoch_feed(&sensor->collector, absolute, chip.cycle, chip.code_chip, sample, saturated, locked)) {
             const uint64_t end = chip.code_chip == 0 ? start : sensor->ticks; /* 0: the cycle before ended in a gap. */
             sensor->middle_ticks = (sensor->cycle_start_ticks + end) / 2;
@@ -70,11 +85,27 @@ static void on_samples(void *context, uint32_t block, const hal_samples_t *sampl
 
 static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
     sensor_t *sensor = context;
-    chip_clock_edge(&sensor->clock, chip, ticks);
+    if (sensor->by_field) {
+        chip_clock_compare(&sensor->clock, chip, ticks);
+    } else {
+        chip_clock_edge(&sensor->clock, chip, ticks);
+    }
     sensor->edge_us = (uint32_t)hal_microseconds(sensor->hal);
 }
 
 /* ---- Main ---- */
+
+static void apply_sync_source(sensor_t *sensor, bool by_field, const uint16_t *codes, uint32_t count) {
+    if (by_field != sensor->by_field) {
+        sensor->by_field = false; /* First: the interrupts keep their hands off. */
+        chip_clock_forget(&sensor->clock);
+        acquire_init(&sensor->acquire, &acquire_config);
+    }
+    if (by_field) {
+        acquire_codes(&sensor->acquire, codes, count);
+    }
+    sensor->by_field = by_field;
+}
 
 static void apply_parameters(sensor_t *sensor) {
     const parameters_t *parameters = &sensor->node.parameters;
@@ -95,6 +126,7 @@ static void apply_parameters(sensor_t *sensor) {
         (void)epoch_select(&sensor->selection, codes, count);
     }
     onboard_configure(&sensor->onboard, parameters, &sensor->selection);
+    apply_sync_source(sensor, parameters_unsigned(parameters, PARAMETER_SYNC_SOURCE) == 1, codes, count);
     sensor->stream_id = node_identifier(&sensor->node, GOLDFIELD_CHIP_FRAME_ID, 0);
     sensor->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
 }
@@ -193,6 +225,9 @@ void sensor_step(sensor_t *sensor) {
     node->stream_lost = sensor->stream.lost;
     node_step(node);
     drain_stream(sensor);
+    if (sensor->by_field) {
+        acquire_step(&sensor->acquire);
+    }
     onboard_step(&sensor->onboard, node); /* After the fields are on their way; its messages leave in the next turn. */
     if (node->parameters_changed) {
         node->parameters_changed = false;

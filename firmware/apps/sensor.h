@@ -4,6 +4,8 @@
  *   plan (once a block): lengths of the next 31 chips from chip_clock, so that chips end with the beacons' chips.
  *   samples (once a block): each chip's burst to one sample (epoch_sample), labelled by chip_clock_at, into the cycle being collected (epoch_feed); as CHIP if streamed.
  *   sync: the edge to chip_clock.
+ *   With sync_source 1 (the field) acquire.h rules the chip clock instead of the wire: plan and samples serve it, main does its work piece by piece, samples are without
+ *   the last conversion, and own chips run 3.12 us behind the beacons'. A wire that is there all the same is only compared: EPOCH_STATUS.phase.
  *   main: node; a complete cycle is transformed (despread_transform) while the next is collected, and reported on both links: EPOCH, EPOCH_STATUS,
  *   EPOCH_OFFSET, one FIELD for each code of the list. If it is to, the sensor then computes its own pose and sends it (onboard.h).
  *
@@ -16,13 +18,14 @@
  * Parameters act from the next report on. stream sends every chip on serial (164 kB/s of 200 kB/s); chips that find no room are dropped and counted
  * as lost messages (counter 4).
  *
- * Memory: about 45 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
+ * Memory: about 91 kB, half of it acquire.h. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
  * 18,000, a report of 8 codes 66,000, main with nothing to do 150.
  * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
  */
 #ifndef GOLDFIELD_SENSOR_H
 #define GOLDFIELD_SENSOR_H
 
+#include "acquire.h"
 #include "chip_clock.h"
 #include "epoch.h"
 #include "hal.h"
@@ -40,6 +43,8 @@ typedef struct {
     epoch_calibration_t calibration;
     epoch_selection_t selection;
     onboard_t onboard;
+    acquire_t acquire;
+    volatile bool by_field;        /* The chip clock follows the field: acquire is the interrupts'. */
     volatile bool streaming;
     volatile bool sampled;         /* A block has been taken. */
     uint64_t ticks;                /* Length of all chips taken so far. */

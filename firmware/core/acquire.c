@@ -37,6 +37,7 @@ static void record_start(acquire_t *acquire, const chip_clock_t *clock) {
     acquire->period = clock->period;
     acquire->count = 0;
     acquire->filling = true;
+    acquire->recorded = 0;
 }
 
 void acquire_plan(acquire_t *acquire, chip_clock_t *clock) {
@@ -86,7 +87,7 @@ void acquire_feed(acquire_t *acquire, uint32_t chip, const chip_clock_chip_t *pl
         acquire->step[acquire->count][axis] = (int16_t)((int32_t)SETTLED * (burst[SETTLED][axis] - MID_SCALE) - sum[axis]);
     }
     acquire->count++;
-    if (acquire->count == acquire->length) {
+    if (acquire->count >= acquire->length) {
         acquire->filling = false;
         __atomic_store_n(&acquire->recorded, 1u, __ATOMIC_RELEASE);
     }
@@ -112,7 +113,6 @@ static void command(acquire_t *acquire, acquire_command_t what) {
         acquire->detune = 0;
     }
     acquire->length = acquire->tracking && acquire->captures < ACQUIRE_CAPTURES ? ACQUIRE_CHIPS / 2u : ACQUIRE_CHIPS;
-    acquire->recorded = 0;
     __atomic_store_n(&acquire->command, (uint8_t)what, __ATOMIC_RELEASE);
 }
 
@@ -494,7 +494,7 @@ static void measure_end(acquire_t *acquire) {
 void acquire_step(acquire_t *acquire) {
     switch (acquire->stage) {
     case ACQUIRE_RECORDING:
-        if (__atomic_load_n(&acquire->recorded, __ATOMIC_ACQUIRE) == 0u) {
+        if (__atomic_load_n(&acquire->command, __ATOMIC_ACQUIRE) != ACQUIRE_NONE || __atomic_load_n(&acquire->recorded, __ATOMIC_ACQUIRE) == 0u) {
             return;
         }
         if (!acquire->tracking) {

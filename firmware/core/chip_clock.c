@@ -208,9 +208,28 @@ void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int3
     }
     set_period(clock, (int64_t)clock->period + period);
     clock->target += (uint64_t)phase;
-    clock->phase_ticks = residual_ticks;
+    if (!clock->compared) {
+        clock->phase_ticks = residual_ticks;
+    }
     clock->edge_cycle = clock->cycle;
     clock->locked = locked;
+}
+
+void chip_clock_forget(chip_clock_t *clock) {
+    clock->tracking = false;
+    clock->locked = false;
+    clock->compared = false;
+    clock->detune_ticks = 0;
+    clock->good_edges = 0;
+    clock->candidate_edges = 0;
+}
+
+void chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
+    const uint32_t age = clock->chip - chip;
+    if (age > 0u && age <= CHIP_CLOCK_HISTORY && ticks <= clock->config.maximum_ticks) {
+        clock->phase_ticks = phase_at(clock, chip % CHIP_CLOCK_HISTORY, ticks);
+        clock->compared = true;
+    }
 }
 
 void chip_clock_number_cycle(chip_clock_t *clock, uint32_t cycle) {

@@ -59,7 +59,7 @@ typedef struct {
     chip_clock_config_t config;
     /* Results, for reading. */
     bool locked;
-    int32_t phase_ticks;     /* Chip clock minus sync wire at the last good edge: positive is early. */
+    int32_t phase_ticks;     /* Chip clock minus sync wire at the last good edge: positive is early. Without a wire minus the field's edge. */
     uint32_t edges_rejected; /* Stops at its maximum. */
     uint64_t period;         /* Estimate of the master's chip in own ticks, 32 fractional bits. */
     int16_t detune_ticks;    /* Written by the owner: planned chips are longer by this than the estimate, so that the phase slides (acquire.h). */
@@ -72,6 +72,7 @@ typedef struct {
     uint8_t good_edges;
     uint8_t candidate_edges; /* Edges whole cycles apart that led to the candidate; 0: none. */
     bool tracking;
+    bool compared;
     uint32_t edge_cycle;     /* Cycle that the last good edge began. */
     uint32_t cycle_shift;
     uint32_t candidate_chip;
@@ -107,6 +108,12 @@ void chip_clock_jump(chip_clock_t *clock, uint64_t edge, uint64_t period);
 /* The estimate moves by phase (32 fractional bits; positive: chips start later) and its period by period. residual_ticks becomes phase_ticks, locked tells what
  * it tells. Counts as an edge of the present cycle for the hold-over. About 40 instructions. */
 void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int32_t residual_ticks, bool locked);
+
+/* From main: another source of time begins. Unlocked, searching, no detuning; phase and period stay until the new source tells better. */
+void chip_clock_forget(chip_clock_t *clock);
+
+/* An edge of a wire that is there but not followed: from now on phase_ticks is the difference to the wire, not the residual of chip_clock_correct. */
+void chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
 
 /* From main, on a SYNC message: the cycle that the last good edge began has this number (modulo 2^32; a SYNC has 20 bits, so compare those only).
  * All cycles that chip_clock_plan and _at tell from now on are counted from it. Call it within a cycle of the edge. */

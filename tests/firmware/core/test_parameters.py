@@ -70,7 +70,7 @@ def load(core, table, stored):
 
 
 def test_exactly_the_documented_parameters_exist(core, parameters):
-    assert len(TABLE) == 608
+    assert len(TABLE) == 609
     for identifier in range(4096):
         status, kind, value = getting(core, parameters, identifier)
         if identifier in TABLE:
