@@ -8,7 +8,7 @@ import numpy as np
 
 from goldfield.poses import FloatArray, Pose, Status
 from goldfield.site import Site
-from goldfield.track.estimate import VAGUE, Belief, Estimate, estimate, second_order
+from goldfield.track.estimate import SEARCH_TOLERANCE, VAGUE, Belief, Estimate, estimate, second_order
 from goldfield.track.motion import State
 from goldfield.track.observe import CycleData, CycleObserver
 from goldfield.track.report import Reporter
@@ -71,5 +71,5 @@ class CycleLocator:
     def around(self, start: State, data: CycleData) -> Estimate:
         """Fit position, attitude, velocity, turn rate and ambient field at mid-cycle from a state near by."""
         observation, _ = self._observer.observation(data, 0.0)
-        found = estimate(Belief(start, np.diag(VAGUE)), observation, EVALUATIONS)
+        found = estimate(Belief(start, np.diag(VAGUE)), observation, EVALUATIONS, SEARCH_TOLERANCE)
         return replace(found, belief=second_order(found.belief, observation))

@@ -15,7 +15,7 @@ import numpy as np
 
 from goldfield.poses import FloatArray, Pose, Status
 from goldfield.site import Site
-from goldfield.track.estimate import Belief, Estimate, estimate
+from goldfield.track.estimate import SEARCH_TOLERANCE, TOLERANCE, Belief, Estimate, estimate
 from goldfield.track.motion import RATE, Agility
 from goldfield.track.observe import Observer, T
 from goldfield.track.report import Reporter
@@ -145,7 +145,7 @@ class Tracker(Generic[T]):
         located, state = self._observer.start(data)
         if state is None or not np.isfinite(data.time_s):
             return Step(located, None)
-        found = self._fuse(Belief(state, np.diag(START)), data, START_EVALUATIONS)
+        found = self._fuse(Belief(state, np.diag(START)), data, START_EVALUATIONS, SEARCH_TOLERANCE)
         if found is None:
             return Step(located, None)
         covariance = np.zeros((6, 6))
@@ -155,19 +155,21 @@ class Tracker(Generic[T]):
         self._contradictions = 0
         return Step(self._pose(data, self._belief, found), self._belief)
 
-    def _fuse(self, prior: Belief, data: T, evaluations: int = EVALUATIONS) -> Fused | None:
+    def _fuse(
+        self, prior: Belief, data: T, evaluations: int = EVALUATIONS, tolerance: float = TOLERANCE
+    ) -> Fused | None:
         """Update with the data, or with all of them but one beacon's if only that agrees; None if nothing does."""
         rates = prior.root[RATE]
         rate = float(np.sqrt(prior.state.rate_rad_s @ prior.state.rate_rad_s + (rates * rates).sum()))
         observation, heard = self._observer.observation(data, rate)
         self._axes = int(observation.seen.any(axis=(1, 2)).sum())
-        whole = estimate(prior, observation, evaluations)
+        whole = estimate(prior, observation, evaluations, tolerance)
         if self._agrees(whole):
             return whole, heard, ()
         best: Fused | None = None
         for suspect in heard if len(heard) > 1 else ():
             part, rest = self._observer.observation(data, rate, without=(suspect,))
-            trial = estimate(prior, part, evaluations)
+            trial = estimate(prior, part, evaluations, tolerance)
             if self._agrees(trial) and (best is None or trial.cost < best[0].cost):
                 best = trial, rest, (suspect,)
         return best

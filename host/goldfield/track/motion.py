@@ -161,8 +161,9 @@ class Observation:
         change[:, :, :, VELOCITY] = self.times_s[:, None, None] * change[:, :, :, POSITION]
         change[beacons, :, :, AMBIENT] = IDENTITY
         turns = np.outer(self.times_s, state.rate_rad_s)
-        now = np.stack([turn_matrix(turn) for turn in turns])
-        by_rate = np.stack([time * turn_jacobian(turn) for time, turn in zip(self.times_s, turns, strict=True)])
+        both = [_turn_and_jacobian(turn) for turn in turns]
+        now = np.array([turn for turn, _ in both])
+        by_rate = self.times_s[:, None, None] * np.array([jacobian for _, jacobian in both])
         across = skew(fields)
         change[..., TURN] = across @ now
         change[..., RATE] = across @ by_rate
@@ -190,6 +191,11 @@ def turn_matrix(vector: FloatArray) -> FloatArray:
 def turn_jacobian(vector: FloatArray) -> FloatArray:
     """Return the left Jacobian J of rotations, shape (3, 3): Exp(v + dv) = Exp(J dv) Exp(v) for small dv."""
     return _series(vector, *_coefficients(vector)[1:])
+
+
+def _turn_and_jacobian(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    first, second, third = _coefficients(vector)
+    return _series(vector, first, second), _series(vector, second, third)
 
 
 def _coefficients(vector: FloatArray) -> tuple[float, float, float]:

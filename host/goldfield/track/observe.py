@@ -14,7 +14,7 @@ from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.poses import Fields, FloatArray, Pose, Status
 from goldfield.site import Site
-from goldfield.track.estimate import VAGUE, Belief, estimate
+from goldfield.track.estimate import SEARCH_TOLERANCE, VAGUE, Belief, estimate
 from goldfield.track.motion import Observation, State, standing
 
 EPOCH_NODES = 3
@@ -146,15 +146,16 @@ class EpochObserver:
         measured = np.isfinite(field)
         measured[[name in without for name in names]] = False
         ramp = (AMBIENT_T * rate_rad_s if data.sweep_T_s is None else data.sweep_T_s) * separation.sweep
-        covariance = np.diag(sigma**2) + np.outer(ramp, ramp)
-        seen, values = np.zeros((3, *separation.seen.shape)), np.zeros((3, len(taken)))
-        whitener = np.empty((0, 0))
-        for axis in range(3):
-            rows = measured[:, axis]
-            if axis == 0 or (rows != measured[:, axis - 1]).any():
-                whitener = np.linalg.inv(np.linalg.cholesky(covariance[np.ix_(rows, rows)]))
-            seen[axis, rows] = whitener @ separation.seen[rows]
-            values[axis, rows] = whitener @ field[rows, axis]
+        # Whitening of the covariance diag(sigma^2) + ramp ramp': with c = ramp/sigma the inverse root is
+        # (I - c c' (1 - 1/sqrt(1 + c'c))/c'c) diag(1/sigma), for each axis over what was measured on it.
+        weight = np.where(measured, 1.0 / sigma[:, None], 0.0).T
+        shape = weight * ramp
+        size2 = np.maximum((shape * shape).sum(axis=1), 1e-12)
+        shrink = ((1.0 - 1.0 / np.sqrt(1.0 + size2)) / size2)[:, None] * shape
+        seen = weight[:, :, None] * separation.seen
+        seen -= shrink[:, :, None] * (shape[:, None] @ seen)
+        values = weight * np.where(measured, field, 0.0).T
+        values -= shrink * (shape * values).sum(axis=1, keepdims=True)
         heard = tuple(name for name, axes in zip(names, measured, strict=True) if axes.any())
         times = self._site.cycle_s * self._times
         return Observation(separation.model, times, seen, values, int(measured.sum())), heard
@@ -223,7 +224,7 @@ class CycleObserver:
         ambient = state.rotation @ np.where(measured, numbers[count], 0.0)
         near = State(state.position_m, state.rotation, state.velocity_m_s, state.rate_rad_s, ambient)
         loose = self._observation((numbers / sigma[:, None]).T, self._parabola @ self._reduction.seen / sigma[:, None])
-        return pose, estimate(Belief(near, np.diag(VAGUE)), loose, START_EVALUATIONS).belief.state
+        return pose, estimate(Belief(near, np.diag(VAGUE)), loose, START_EVALUATIONS, SEARCH_TOLERANCE).belief.state
 
     def observation(
         self, data: CycleData, rate_rad_s: float, without: Sequence[str] = ()
