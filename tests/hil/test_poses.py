@@ -46,7 +46,10 @@ def test_every_cycle_is_reported_whole(reports):
 
 def test_poses_are_within_the_target(bench, reports):
     poses = poses_of(bench, reports)
-    assert all(p.status is Status.OK and len(p.used) == len(bench.site.beacons) for p in poses)
+    assert all(len(p.used) == len(bench.site.beacons) for p in poses)
+    alarms = sum(p.status is not Status.OK for p in poses)
+    assert alarms <= 1  # false alarms are granted to 1 epoch in 1,000
+    assert {p.status for p in poses} <= {Status.OK, Status.INCONSISTENT}
     truth = bench.truth()
     if truth:  # a simulated bench
         position, attitude = errors(poses, truth)
