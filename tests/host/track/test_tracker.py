@@ -13,7 +13,7 @@ from goldfield.poses import Fields, Status
 from goldfield.site import HalfSpace
 from goldfield.track import CycleData, CycleObserver, EpochObserver, FixedLagSmoother, Tracker, epoch_tracker, tracked
 from tests.bench.locate_trials import prigge_cube, site_of
-from tests.bench.motion_trials import Room, circling, epoch_bound, flight_poses
+from tests.bench.motion_trials import Flight, Room, circling, epoch_bound, flight_poses
 
 NOISE_T = 2e-7
 SITE = prigge_cube(NOISE_T)
@@ -258,3 +258,15 @@ def test_a_site_without_plain_codes_is_tracked_too():
     site = replace(SITE, beacons=tuple(replace(beacon, code=-1) for beacon in SITE.beacons))
     poses = list(tracked(site, STILL))
     assert all(pose.status is Status.OK for pose in poses)
+
+
+def test_a_sensor_shaken_by_hand_is_followed():
+    """0.3 m to and fro, 4.8 m/s^2 and 7 rad/s^2 at the ends: more than twice what the filter expects."""
+    middle, axis = np.array([1.0, 1.1, 0.8]), np.array([0.6, 0.0, 0.8])
+    flight = Flight(
+        lambda t: middle + 0.3 * np.outer(np.sin(4.0 * t), axis),
+        lambda t: Rotation.from_rotvec(np.outer(0.45 * np.sin(4.0 * t), [0.0, 0.8, 0.6])),
+    )
+    poses = list(tracked(SITE, epochs(cycles(flight, 30, 31))))
+    assert {pose.status for pose in poses} == {Status.OK}
+    assert max(np.linalg.norm(error_of(pose, flight)[0]) for pose in poses) < 0.05
