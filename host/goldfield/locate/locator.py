@@ -49,9 +49,7 @@ class Locator:
 
         - ``failed``: fewer than three beacons, fewer components than unknowns, or no finite solution; position NaN.
         - ``inconsistent``: the residual is improbable (`integrity`) and the evidence is too weak to leave out a beacon,
-          or leaving out some does not mend it, or the only
-        solution lies
-          outside the site's half-space.
+          or leaving out some does not mend it, or the only solution lies outside the site's half-space.
         - ``ambiguous``: another pose explains the fields as well; it is given as ``alternative``.
         - ``weak``: the standard deviation exceeds `WEAK_POSITION` of the range or `WEAK_ATTITUDE_RAD`.
         - ``ok``: none of these; ``excluded`` lists beacons that did not agree with the site and were left out.
