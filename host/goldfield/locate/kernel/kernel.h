@@ -10,9 +10,9 @@
  *   sigma_T   e x n       their standard deviations, positive and finite
  *   position_m  e x 3,    rotation  e x 3 x 3 with B_site = R B_sensor
  *
- * Memory: no heap, no globals; below 60 KiB of stack. Time: about 1 us for an evaluation of the field and a step of a fit with
- * eight coils on a server's core of today. Bad input: a start or a measurement that is not finite gives results that are not finite; counts outside
- * their range are the caller's error and are not checked here.
+ * Memory: no heap, no globals; below 60 KiB of stack. Time: about 1 us for an evaluation of the field and a step of a fit
+ * with eight coils on a server's core of today. Bad input: a start or a measurement that is not finite gives results that
+ * are not finite; counts outside their range are the caller's error and are not checked here.
  */
 #ifndef GF_LOCATE_KERNEL_H
 #define GF_LOCATE_KERNEL_H
