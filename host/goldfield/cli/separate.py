@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Iterator
 from typing import Any
@@ -13,9 +14,10 @@ from goldfield import site as sites
 from goldfield.access.cdma import Separation
 from goldfield.access.of_site import SiteAccess, SiteCycle
 from goldfield.cli import options
+from goldfield.cli.fields_file import FieldsWriter
 from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
+from goldfield.poses import Fields, FloatArray
 from goldfield.site import Site
 from goldfield.tables import read_table
 
@@ -46,6 +48,7 @@ def command(subparsers: Any) -> None:
     parser.add_argument(
         "--unknown-rise", action="store_true", help="find the time constants of the coils in place of tau_s of the site"
     )
+    options.add(parser, "--fields", metavar="FILE", what="write the fields to a table for goldfield locate")
     parser.set_defaults(run=run)
 
 
@@ -64,13 +67,32 @@ def run(arguments: argparse.Namespace) -> int:
             "field of each beacon; leave one slot without a beacon to measure it",
             file=sys.stderr,
         )
-    for number_of, samples in enumerate(read_cycles(site, arguments.samples)):
-        cycle = access.cycle(samples)
-        if arguments.json:
-            print(json_line(cycle_record(site, number_of, cycle)))
-        else:
-            print(_table(site, number_of, cycle))
+    with contextlib.ExitStack() as stack:
+        writer = None
+        if arguments.fields:
+            writer = FieldsWriter(arguments.fields)
+            stack.callback(writer.close)
+        for number_of, samples in enumerate(read_cycles(site, arguments.samples)):
+            cycle = access.cycle(samples)
+            if writer is not None:
+                writer.write(_fields(site, number_of, cycle.separation))
+            if arguments.json:
+                print(json_line(cycle_record(site, number_of, cycle)))
+            else:
+                print(_table(site, number_of, cycle))
     return 0
+
+
+def _fields(site: Site, number_of: int, separation: Separation) -> Fields:
+    """Fields of the beacons that were measured, at mid-cycle counted from the table's begin."""
+    measured = np.isfinite(separation.sigma_T)
+    return Fields(
+        epoch=number_of,
+        time_s=(number_of + 0.5) * site.cycle_s,
+        beacons=tuple(beacon.id for beacon, seen in zip(site.beacons, measured, strict=True) if seen),
+        field_T=separation.field_T[measured],
+        sigma_T=separation.sigma_T[measured],
+    )
 
 
 def cycle_record(site: Site, number_of: int, cycle: SiteCycle) -> dict[str, Any]:

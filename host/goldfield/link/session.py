@@ -218,6 +218,16 @@ class Session:
             if self._configured:
                 self.configure(*self._configured)
 
+    def parameter(self, bus: BusSource, number: int, value: int | float | None = None) -> int | float:
+        """Read a parameter of the sensor, or set it, and return the sensor's answer.
+
+        Raises
+        ------
+        SystemFailure
+            If the sensor does not answer or refuses.
+        """
+        return self._ask(bus, number, value)
+
     def _ask(self, bus: BusSource, parameter: int, value: int | float | None = None) -> int | float:
         """Set a parameter, or read it, and return the sensor's answer."""
         assert self.node is not None

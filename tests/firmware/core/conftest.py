@@ -10,7 +10,8 @@ from hil_sim import clib
 
 HEADERS = (
     *("gold.h", "despread.h", "chip_clock.h", "current.h", "frame.h", "queue.h", "parameters.h"),
-    *("epoch.h", "waveform.h", "loop_field.h", "wahba.h", "quaternion.h", "triangle.h", "separation.h", "pose.h", "pose_covariance.h"),
+    *("epoch.h", "waveform.h", "loop_field.h", "wahba.h", "quaternion.h", "triangle.h", "separation.h", "pose.h"),
+    *("pose_covariance.h",),
 )
 
 # Exponents of the published preferred pairs (gold.h).

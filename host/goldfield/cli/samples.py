@@ -1,0 +1,87 @@
+"""``goldfield samples``: raw samples of a sensor, for ``goldfield separate``: any way to tell beacons apart."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from goldfield import site as sites
+from goldfield.cli import options
+from goldfield.cli.separate import COLUMNS
+from goldfield.errors import SystemFailure
+from goldfield.link.chips import Calibration, ChipAssembler
+from goldfield.link.epochs import Assembler
+from goldfield.link.session import Session
+from goldfield.link.source import BusSource, open_port
+from goldfield.site import Site
+from goldfield_protocol.messages import decode
+
+PARAM_STREAM, PARAM_ZERO, PARAM_CALIBRATION = 4, 8, 16
+SILENCE_S = 10.0
+
+
+def command(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "samples",
+        help="raw samples of a sensor",
+        description=f"A CSV table with the columns {','.join(COLUMNS)} on stdout, one row a chip, from a sensor on a "
+        "serial port: for goldfield separate, which tells beacons apart in every way that a site file can name.",
+    )
+    options.add(parser, "--port", metavar="PATH", what="serial port of the sensor")
+    options.add_site(parser)
+    options.add(parser, "--cycles", metavar="N", kind=options.count, what="how many cycles, default 1")
+    options.add(parser, "--node", metavar="N", kind=options.node, what="node of the sensor (else the first one heard)")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print the samples."""
+    site = sites.load(options.required(arguments.site, "--site", "FILE"))
+    port = options.required(arguments.port, "--port", "PATH")
+    source = open_port(port)
+    try:
+        session = Session(source, port, Assembler(), arguments.node)
+        session.find_sensor()
+        calibration = _calibration(session, source)
+        before = session.parameter(source, PARAM_STREAM)
+        session.parameter(source, PARAM_STREAM, 1)
+        try:
+            _print(session, source, site, calibration, arguments.cycles or 1)
+        finally:
+            session.parameter(source, PARAM_STREAM, before)
+    finally:
+        source.close()
+    return 0
+
+
+def _calibration(session: Session, source: BusSource) -> Calibration:
+    zero = [session.parameter(source, PARAM_ZERO + axis) for axis in range(3)]
+    matrix = [session.parameter(source, PARAM_CALIBRATION + element) for element in range(9)]
+    return Calibration(np.array(zero, dtype=np.float64), np.array(matrix, dtype=np.float64).reshape(3, 3))
+
+
+def _print(session: Session, source: BusSource, site: Site, calibration: Calibration, cycles: int) -> None:
+    rows = csv.writer(sys.stdout, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    assembler = ChipAssembler(site.chips)
+    heard = time.monotonic()
+    while cycles:
+        raw = source.receive(0.5)
+        message = None if raw is None else decode(raw.arbitration_id, bytes(raw.data))
+        if message is None or message.node != session.node or message.name != "CHIP":
+            if time.monotonic() - heard > SILENCE_S:
+                raise SystemFailure(f"{session.name}: sensor {session.node} sent no raw chip for {SILENCE_S:.0f} s")
+            continue
+        heard = time.monotonic()
+        for sums in assembler.feed(message):
+            for chip, field in enumerate(calibration.field_T(sums)):
+                rows.writerow([chip, *("" if np.isnan(value) else repr(float(value)) for value in field)])
+            cycles -= 1
+            if not cycles:
+                break
