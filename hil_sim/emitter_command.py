@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -233,7 +234,11 @@ def run_formula(arguments: argparse.Namespace) -> int:
     _no_figure(arguments, "formula")
     rows: Rows = []
     for material, (conductivity, permeability) in experiments.MATERIALS.items():
-        error = experiments.formula_error(conductivity, permeability, arguments.frequency)
+        try:
+            error = experiments.formula_error(conductivity, permeability, arguments.frequency)
+        except UserError as refusal:
+            print(f"goldfield: {material} is left out: {refusal}", file=sys.stderr)
+            continue
         rows.append(
             {
                 "material": material,
@@ -296,6 +301,6 @@ def _draw_tracks(path: str, drawn: dict[str, Any]) -> None:
             below.semilogy(time, track.error_m, label=name, linewidth=1.0)
         above.set(title=material, xlabel="x, m", ylabel="y, m", aspect="equal")
         below.set(xlabel="time, s", ylabel="position error, m")
-        above.legend()
+        below.legend()
         below.grid(alpha=0.3)
     plot.save(figure, path)

@@ -19,7 +19,7 @@ from hil_sim.world.sphere import Sphere
 
 SITE = sites.load(Path(__file__).parent.parent / "prigge8_site.toml")
 CENTRE_M, RADIUS_M, COPPER, FREQUENCY_HZ = np.array([0.02, 0.0, -0.2]), 0.1, 59.9e6, 1e4
-SIGMA_T = 1e-12
+SIGMA_T = 6e-9
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +51,7 @@ def test_correction_removes_the_error_of_the_own_body(body: OwnBody) -> None:
         # As a locator that knows nothing of the body: all beacons trusted, or integrity would throw them out.
         without.append(np.linalg.norm(locator.fit_all([fields])[0] - position))
         pose = locate_beside(locator, body, fields)
+        assert pose.status is Status.OK
         corrected.append(np.linalg.norm(pose.position_m - position))
         turns.append((Rotation.from_quat(pose.orientation_xyzw) * rotation.inv()).magnitude())
     assert min(without) > 0.003
