@@ -32,7 +32,7 @@ figures: all ## Measure and print the figures of the whole chain (several minute
 
 .PHONY: figures
 
-bench: all ## Measure the host's speed: single and batched location beside SciPy, filter update
+bench: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure the host's speed: single and batched location beside SciPy, filter update
 	@$(PYTHON) -m tests.bench.locate_figures speed
 
 .PHONY: bench
