@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import TracebackType
 from typing import Any, Self
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from goldfield.errors import SystemFailure, UserError
 from hil_sim import clib
 from hil_sim.boards import Board, BoardFactory, BoardSpec, address, factory
-from hil_sim.scenario import CONVERTER_COUNTS, Scenario
+from hil_sim.scenario import CONVERTER_COUNTS, Clock, Scenario
 from hil_sim.world import path
 
 FloatArray = NDArray[np.float64]
@@ -114,12 +114,15 @@ class Rig:
         except FileNotFoundError as error:
             raise UserError(str(error)) from error
         self._boards: list[Board] = []
+        self._specs: list[BoardSpec] = []
         self._truth_edges = 0
         self._window = -1
         self._rig = self._create(host_on_can, threads or min(2, os.cpu_count() or 1))
         try:
-            self._connect(make)
+            self._make = make
+            self._connect()
             self._enter_window(0)
+            self.fault(SENSOR, "sync_wire_cut", not scenario.sensor.sync_wire)
         except FileNotFoundError as error:
             self.close()
             raise UserError(str(error)) from error
@@ -168,8 +171,8 @@ class Rig:
         front_end.range_T, front_end.noise_T = sensor.range_T, sensor.noise_T
         front_end.converter_noise_V = sensor.converter_noise_LSB * 3.3 / CONVERTER_COUNTS
 
-    def _connect(self, make: BoardFactory) -> None:
-        scenario, ffi, library = self.scenario, self._ffi, self._library
+    def _connect(self) -> None:
+        scenario = self.scenario
         random = np.random.default_rng([self.seed, 1])
         delays_s = random.uniform(0.0, scenario.power_on_spread_s, len(scenario.beacons) + 1)
         clocks = [scenario.sensor.clock, *(beacon.clock for beacon in scenario.beacons)]
@@ -181,10 +184,16 @@ class Rig:
                 parameter_page=scenario.parameter_page(number),
                 power_on_ps=int(delay_s * 1e12),
             )
-            board = make(spec, address(ffi, library.rig_edge(self._rig, number)))
-            self._boards.append(board)
-            operations = ffi.cast("board_operations_t *", board.operations)
-            library.rig_connect(self._rig, number, ffi.cast("board_t *", board.instance), operations, spec.power_on_ps)
+            self._specs.append(spec)
+            self._boards.append(self._seat(number, spec))
+
+    def _seat(self, number: int, spec: BoardSpec) -> Board:
+        """Make a board and connect it."""
+        ffi, library = self._ffi, self._library
+        board = self._make(spec, address(ffi, library.rig_edge(self._rig, number)))
+        operations = ffi.cast("board_operations_t *", board.operations)
+        library.rig_connect(self._rig, number, ffi.cast("board_t *", board.instance), operations, spec.power_on_ps)
+        return board
 
     def _enter_window(self, window: int) -> None:
         """Hand the motion of one window to the hot loop."""
@@ -369,6 +378,13 @@ class Rig:
         if kind not in FAULTS:
             raise UserError(f"there is no fault '{kind}'; there are {', '.join(FAULTS)}")
         self._library.rig_fault(self._rig, board, FAULTS.index(kind), active)
+
+    def power_cycle_sensor(self, off_s: float, clock: Clock | None = None) -> None:
+        """Take the sensor's power, and give it back after a time; it may come back with other oscillators."""
+        spec = replace(self._specs[SENSOR], power_on_ps=int(self._library.rig_now(self._rig)) + round(off_s * 1e12))
+        self._specs[SENSOR] = spec if clock is None else replace(spec, clock=clock)
+        self._boards[SENSOR].destroy()
+        self._boards[SENSOR] = self._seat(SENSOR, self._specs[SENSOR])
 
     # ---- End ----
 

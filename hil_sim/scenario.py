@@ -139,6 +139,8 @@ class Sensor:
         The board's parameter: 0 fields, 1 fields and every raw chip.
     pose : int
         1: the board knows the beacons and computes its own poses; 0: it knows nothing of them.
+    sync_wire : bool
+        True: it follows the sync wire; False: its sync input is not connected, it follows the beacons' field.
     """
 
     node: int
@@ -153,6 +155,7 @@ class Sensor:
     calibration: str
     stream: int
     pose: int
+    sync_wire: bool = True
 
     @property
     def lag_s(self) -> float:
@@ -221,6 +224,7 @@ class Scenario:
         return (surroundings if self.sensor.pose else {}) | {
             "node": self.sensor.node,
             "stream": self.sensor.stream,
+            "sync_source": 0 if self.sensor.sync_wire else 1,
             "code_count": len(codes),
             "code_list": codes,
             "zero_x": float(zero[0]),
@@ -345,7 +349,7 @@ COIL_KEYS = (*CIRCUIT_KEYS, "turns", "radius_m", "axis")
 CIRCUIT_REQUIRED = ("current_A", "inductance_H", "resistance_Ohm", "supply_V")
 SENSOR_KEYS = (
     *("node", "noise_T", "converter_noise_LSB", "bandwidth_Hz", "range_T", "gain_error", "misalignment_rad"),
-    *("offset_T", "calibration", "stream", "pose", *CLOCK_KEYS),
+    *("offset_T", "calibration", "stream", "pose", "sync_wire", *CLOCK_KEYS),
 )
 MOTION_KEYS = {
     "still": ("position_m", "rotation_vector_rad"),
@@ -439,6 +443,7 @@ def _sensor(table: Table) -> Sensor:
         offset_T=_vector(table, "offset_T"),
         calibration=calibration,
         stream=_between(table, "stream", 0, 1) if "stream" in table else 0,
+        sync_wire=table.flag("sync_wire") if "sync_wire" in table else True,
         pose=_between(table, "pose", 0, 1) if "pose" in table else 1,
     )
 

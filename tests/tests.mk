@@ -46,3 +46,9 @@ track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a mov
 	@$(PYTHON) -m tests.bench.track_figures
 
 .PHONY: track-figures
+
+field-sync-figures: all ## Measure synchronisation by the field alone: 100 cold starts, a dropout (several minutes)
+	@$(PYTHON) -m pytest tests/firmware/core/test_acquire.py -k hundred -q -s
+	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py -k "hundred or ten_seconds" -q -s
+
+.PHONY: field-sync-figures
