@@ -9,7 +9,7 @@
  *
  * Accuracy against magpylib (tests/firmware/core/test_loop_field.py): beyond two radii 2e-6 of the field and 1e-5 of the field over the distance to the wire in the
  * gradient; nearer 1e-5 and 2e-4, down to a tenth of the radius from the wire. On the wire itself the result is large or not finite.
- * Time: at most LOOP_MEAN_STEPS of the mean, two or three in practice; see test_pose_instructions.py. No memory.
+ * Time (Cortex-M4, -O3): field 145, with gradient 285 instructions from a few radii on; at most LOOP_MEAN_STEPS steps of the mean near the wire.
  */
 #ifndef GOLDFIELD_LOOP_FIELD_H
 #define GOLDFIELD_LOOP_FIELD_H
@@ -26,7 +26,7 @@ typedef struct {
 /* Field, uT, and gradient, uT/m, [row i][column j] = dB_i/dp_j. */
 void loop_field_and_gradient(const loop_t *loop, const float point_m[3], float field_uT[3], float gradient[3][3]);
 
-/* The field alone, at about 60 % of the time. */
+/* The field alone, at half of the time. */
 void loop_field(const loop_t *loop, const float point_m[3], float field_uT[3]);
 
 #endif

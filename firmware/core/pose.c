@@ -194,33 +194,44 @@ static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
                                                                                : POSE_OK;
 }
 
-/* Fit the candidates, the best into work->best. True: another one explains the fields as well. */
+/* Note a fit with the noise alone; *rival: least cost of another pose. */
+static void note(pose_work_t *work, const pose_fit_t *fit, float *rival) {
+    pose_fit_t *best = &work->best;
+    const bool other = best->cost < POSE_FIT_HOPELESS && different(&work->problem, best, fit) && inside(work, fit) && inside(work, best);
+    const float worse = fit->cost > best->cost ? fit->cost : best->cost;
+    *rival = other && worse < *rival ? worse : *rival;
+    if (fit->cost < best->cost) {
+        *best = *fit;
+    }
+}
+
+/* Fit the candidates, the best into work->best: those that are plausible with model error, or the least implausible. True: another pose explains the fields as well. */
 static bool fit_candidates(pose_work_t *work, uint32_t *iterations) {
     const pose_problem_t *problem = &work->problem;
     const pose_candidates_t *candidates = &work->candidates;
+    pose_fit_t *fit = &work->other, *last_resort = &work->image;
     uint32_t left = POSE_FIND_EVALUATIONS;
     float rival = POSE_FIT_HOPELESS;
-    work->best.cost = POSE_FIT_HOPELESS;
-    for (uint32_t i = 0; i < candidates->count && left >= LEAST_EVALUATIONS; i++) {
-        pose_fit_t *fit = &work->other;
+    work->best.cost = last_resort->cost = POSE_FIT_HOPELESS;
+    for (uint32_t i = 0; i < candidates->count && left >= POSE_ROBUST_EVALUATIONS + LEAST_EVALUATIONS; i++) {
         memcpy(fit->position_m, candidates->candidates[i].position_m, sizeof fit->position_m);
         pose_search_attitude(problem, fit->position_m, fit->quaternion);
-        const uint32_t taken = pose_fit_rough(problem, left < POSE_FIT_EVALUATIONS ? left : POSE_FIT_EVALUATIONS, fit);
-        *iterations += taken;
-        left -= taken;
-        if (i > 0u && different(problem, &work->best, fit)) {
-            const float worse = fit->cost > work->best.cost ? fit->cost : work->best.cost;
-            if (inside(work, fit) && inside(work, &work->best)) {
-                rival = worse < rival ? worse : rival;
-            }
-        }
-        if (fit->cost < work->best.cost) {
-            work->best = *fit;
+        left -= pose_fit_robust(problem, POSE_ROBUST_EVALUATIONS, fit);
+        if (explains(problem, fit, SUSPECT)) {
+            left -= pose_fit(problem, left, fit);
+            note(work, fit, &rival);
+        } else if (fit->cost < last_resort->cost) {
+            *last_resort = *fit;
         }
         if (problem->count >= ENOUGH_BEACONS && inside(work, &work->best) && explains(problem, &work->best, SUSPECT)) {
             break;
         }
     }
+    if (work->best.cost >= POSE_FIT_HOPELESS && last_resort->cost < POSE_FIT_HOPELESS) {
+        work->best = *last_resort;
+        left -= pose_fit(problem, left, &work->best);
+    }
+    *iterations += POSE_FIND_EVALUATIONS - left;
     return rival - work->best.cost < RIVAL_COST;
 }
 

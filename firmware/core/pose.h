@@ -8,12 +8,13 @@
  * Coplanar coils that all point across their plane have an exact mirror pose, p mirrored and the sensor turned half around the normal: the same fields exactly. The half-space
  * decides, if there is one; else the status is ambiguous. Nearly coplanar ones (a quarter of their extent) are tried too, and judged by the fields.
  *
- * Against the host: same model, weights and covariance (pose_covariance); the poses agree within a tenth of the Cramer-Rao bound (tests/firmware/core/test_pose.py). Not
- * here: three-axis sensors only, no exclusion of faulty beacons, consistency by the whole residual only.
+ * Against the host: same model, weights and covariance (pose_covariance); the poses agree within a tenth of the Cramer-Rao bound (tests/firmware/core/test_pose.py; at a tenth of
+ * the noise, 0.2 mG, and about a radius from a coil, rounding can make it a fifth). Not here: sensors with fewer than three axes, exclusion of faulty beacons, tests of single beacons.
  *
- * Bounds (Cortex-M4, gcc 12 -O2, counted in Unicorn by tests/firmware/core/test_pose_instructions.py, 8 beacons in a cube):
- *   pose_find    at most 2,000,000 instructions: 12 ms at 168 MHz.   pose_track   at most 200,000: 1.2 ms, if the previous pose is near.
- * Every loop is bounded; time grows with the number of beacons heard. Memory: pose_work_t 3.9 kB, pose_site_t 2.1 kB, both the caller's; stack 2.9 kB.
+ * Bounds (Cortex-M4, gcc 12 -O3, counted in Unicorn by tests/firmware/core/test_pose_instructions.py, 8 beacons in a cube):
+ *   pose_find    940,000 instructions, 2,000,000 when nothing explains the fields: 12 ms at an instruction a cycle and 168 MHz.
+ *   pose_track   162,000 instructions, at most 200,000 with the previous pose 0.1 m and 0.1 rad away; when it has to search, those of pose_find too.
+ * Every loop is bounded; time grows with the number of beacons heard. Memory: pose_work_t 4,092 bytes, pose_site_t 2,076, both the caller's; stack 2.7 kB.
  */
 #ifndef GOLDFIELD_POSE_H
 #define GOLDFIELD_POSE_H
@@ -23,8 +24,8 @@
 
 #define POSE_BEACONS_MAX POSE_FIT_BEACONS
 #define POSE_BEACONS_LEAST 3u
-#define POSE_FIND_EVALUATIONS 180u  /* Of all fields, over all candidates: what bounds the time. */
-#define POSE_FIT_EVALUATIONS 80u    /* For one candidate. */
+#define POSE_FIND_EVALUATIONS 80u   /* Of all fields, over all candidates: what bounds the time. */
+#define POSE_ROBUST_EVALUATIONS 25u /* For the robust fit of one candidate. */
 #define POSE_TRACK_EVALUATIONS 14u
 #define POSE_MIRROR_EVALUATIONS 10u
 

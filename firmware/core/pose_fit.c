@@ -8,6 +8,7 @@
 #define DAMPING_FAR 1e-3f     /* At first. */
 #define DAMPING_NEAR 1e-6f
 #define DAMPING_LEAST 1e-9f
+#define DAMPING_LAST 1e-12f   /* The last step goes all the way along ill-determined directions. */
 #define DAMPING_MOST 1e8f     /* No step lowers the cost any more: rounding. */
 #define GRAIN 3e-7f           /* Rounding of a field and of what is compared with it, relative. */
 
@@ -71,14 +72,14 @@ static uint32_t minimise(const pose_problem_t *problem, float model_error, float
     while (!fit->converged && fit->cost < POSE_FIT_HOPELESS && damping < DAMPING_MOST && evaluations < limit) {
         float step[TRIANGLE_UNKNOWNS];
         pose_fit_t trial = *fit;
-        triangle_solve(&fit->triangle, damping, step);
+        fit->converged = decrement(&fit->triangle) < TOLERANCE + fit->rounding * fit->rounding;
+        triangle_solve(&fit->triangle, fit->converged ? DAMPING_LAST : damping, step);
         for (uint32_t axis = 0; axis < 3u; axis++) {
             trial.position_m[axis] += step[axis];
         }
         quaternion_turn(trial.quaternion, step + 3);
         evaluate(problem, model_error, &trial);
         evaluations++;
-        fit->converged = decrement(&fit->triangle) < TOLERANCE + 6.0f * fit->rounding * fit->rounding;
         if (trial.cost <= fit->cost + 2.0f * fit->rounding * square_root(fit->cost)) {
             trial.converged = fit->converged;
             *fit = trial;
@@ -92,7 +93,6 @@ static uint32_t minimise(const pose_problem_t *problem, float model_error, float
 
 uint32_t pose_fit(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) { return minimise(problem, 0.0f, DAMPING_NEAR, limit, fit); }
 
-uint32_t pose_fit_rough(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
-    const uint32_t evaluations = minimise(problem, POSE_FIT_ROBUST, DAMPING_FAR, limit / 2u, fit);
-    return evaluations + minimise(problem, 0.0f, DAMPING_NEAR, limit - evaluations, fit);
+uint32_t pose_fit_robust(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
+    return minimise(problem, POSE_FIT_ROBUST, DAMPING_FAR, limit, fit);
 }

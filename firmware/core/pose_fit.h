@@ -6,7 +6,7 @@
  *
  * Rounding: fields are good to about POSE_FIT_ROUNDING of their size, which is part of s_i: below a noise of a few millionths of the strongest field the
  * result is limited by single precision, and says so in its covariance.
- * Time: an evaluation about 700 instructions a beacon, at most as many as the caller allows. Contexts: one. No hidden state.
+ * Time: an evaluation about 1,400 instructions a beacon, at most as many as the caller allows. Contexts: one. No hidden state.
  */
 #ifndef GOLDFIELD_POSE_FIT_H
 #define GOLDFIELD_POSE_FIT_H
@@ -50,8 +50,8 @@ typedef struct {
  * many it took. cost is POSE_FIT_HOPELESS if the fields at the start are not finite. */
 uint32_t pose_fit(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit);
 
-/* The same from a rough start: first with the model error POSE_FIT_ROBUST, for at most half of the limit, then without. */
-uint32_t pose_fit_rough(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit);
+/* The same from a rough start, with the model error POSE_FIT_ROBUST: near the right pose the cost is then below chi-square, in a wrong valley it is not. */
+uint32_t pose_fit_robust(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit);
 
 /* Whitened Jacobian of one beacon's components in the site's frame at a position: six columns; the seventh is left alone. field_uT is set. */
 void pose_fit_rows(const pose_heard_t *heard, const float position_m[3], float inverse_sigma, triangle_rows_t rows, float field_uT[3]);

@@ -7,6 +7,7 @@
 #define COARSENESS 0.3f          /* Relative change of the fields between neighbouring points, used as an error. */
 #define GOLDEN_COSINE -0.73736887f /* Of the golden angle, 2.39996 rad: Fibonacci's spiral spreads points evenly over the sphere. */
 #define GOLDEN_SINE 0.67549029f
+#define NEAR 3.0f                /* Radii within which a coil is not taken for its dipole. */
 #define APART2 (0.25f * 0.25f)   /* Candidates differ by a quarter of the distance to the strongest beacon. */
 
 static uint32_t strongest(const pose_problem_t *problem) {
@@ -58,6 +59,12 @@ static void offer(pose_candidates_t *found, const pose_candidate_t *offered, flo
     found->candidates[place] = *offered;
 }
 
+static void place(const loop_t *loop, const float direction[3], float distance, float position_m[3]) {
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        position_m[axis] = loop->centre_m[axis] + distance * direction[axis];
+    }
+}
+
 void pose_search(const pose_problem_t *problem, const float point_m[3], const float normal[3], pose_candidates_t *found) {
     const pose_heard_t *centre = &problem->heard[strongest(problem)];
     const float k = centre->loop.k_uT_m3 > 0.0f ? centre->loop.k_uT_m3 : -centre->loop.k_uT_m3;
@@ -72,11 +79,15 @@ void pose_search(const pose_problem_t *problem, const float point_m[3], const fl
         y = GOLDEN_SINE * x + GOLDEN_COSINE * y;
         x = turned;
         const float cosine = vector3_dot(direction, centre->loop.axis);
-        const float distance = inverse_cube_root(ratio * inverse_square_root(1.0f + 3.0f * cosine * cosine));
+        float distance = inverse_cube_root(ratio * inverse_square_root(1.0f + 3.0f * cosine * cosine));
         pose_candidate_t candidate;
         float from_point[3];
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            candidate.position_m[axis] = centre->loop.centre_m[axis] + distance * direction[axis];
+        place(&centre->loop, direction, distance, candidate.position_m);
+        if (distance < NEAR * centre->loop.radius_m) {
+            float field[3];
+            loop_field(&centre->loop, candidate.position_m, field);
+            distance *= inverse_cube_root(centre->magnitude_uT * inverse_square_root(vector3_dot(field, field)));
+            place(&centre->loop, direction, distance, candidate.position_m);
         }
         vector3_subtract(candidate.position_m, point_m, from_point);
         if (vector3_dot(from_point, normal) < 0.0f) {

@@ -4,7 +4,7 @@
  * that beacon: a search in two dimensions, whatever the size of the site. At each of POSE_SEARCH_DIRECTIONS points, evenly spread, Wahba's loss is what remains of the
  * measured fields with the best attitude there; the best few points that are clearly apart are the candidates.
  *
- * Time: about 1,500 instructions a direction with 8 beacons; grows with the number of beacons. See pose.h for the total.
+ * Time: about 2,500 instructions a direction with 8 beacons; grows with the number of beacons. See pose.h for the total.
  */
 #ifndef GOLDFIELD_POSE_SEARCH_H
 #define GOLDFIELD_POSE_SEARCH_H

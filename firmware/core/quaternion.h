@@ -7,7 +7,7 @@
 
 void quaternion_normalise(float quaternion[4]);
 
-/* Rotation matrix of a unit quaternion. About 40 instructions. */
+/* Rotation matrix of a unit quaternion. About 50 instructions. */
 void quaternion_matrix(const float quaternion[4], float matrix[3][3]);
 
 /* Unit quaternion nearest to a matrix that is a rotation but for rounding and scale (Shepperd: from the greatest of its components). */

@@ -7,7 +7,7 @@
  *
  * Accuracy: single precision leaves 1e-4 of E in the loss and 1e-3 rad in R when the vectors point in clearly different directions: a start for a fit, not a
  * result. With all vectors parallel R is one of many; wahba_rotation still gives a rotation.
- * Time: wahba_add 50, wahba_loss 300, wahba_rotation 500 instructions (Cortex-M4). Memory: 48 bytes.
+ * Time: wahba_add 80, wahba_loss 180, wahba_rotation 300 instructions (Cortex-M4, -O3). Memory: 40 bytes.
  */
 #ifndef GOLDFIELD_WAHBA_H
 #define GOLDFIELD_WAHBA_H

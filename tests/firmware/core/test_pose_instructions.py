@@ -21,12 +21,40 @@ SIGMA_T = 2e-7 / np.sqrt(1023)
 
 HARNESS = """
 #include "pose.h"
+#include "pose_covariance.h"
+#include "quaternion.h"
+#include "separation.h"
+#include "wahba.h"
 pose_site_t site;
 pose_field_t fields[POSE_BEACONS_MAX];
 pose_work_t work;
 pose_t pose;
 void find(void) { pose_find(&site, fields, &work, &pose); }
 void track(void) { pose_track(&site, fields, &work, &pose); }
+
+float field[3], gradient[3][3], vector[3] = {1.0f, 2.0f, 3.0f}, quaternion[4] = {0.0f, 0.6f, 0.0f, 0.8f}, matrix[3][3], step[6], covariance[6][6];
+wahba_t sum;
+triangle_t triangle;
+triangle_rows_t rows;
+separation_t separation;
+uint16_t codes[8] = {2, 3, 4, 5, 6, 7, 8, 9};
+int16_t sums[8] = {-1, -1, -1, -1, -1, -1, -1, -1};
+float axis[8];
+void one_loop_field_and_gradient(void) { loop_field_and_gradient(&work.problem.heard[1].loop, work.best.position_m, field, gradient); }
+void one_loop_field(void) { loop_field(&work.problem.heard[1].loop, work.best.position_m, field); }
+void one_pose_fit_rows(void) { pose_fit_rows(&work.problem.heard[1], work.best.position_m, 160.0f, rows, field); }
+void one_triangle_add(void) { triangle_add(&triangle, rows); }
+void one_triangle_solve(void) { triangle_solve(&work.best.triangle, 1e-3f, step); }
+void one_wahba_add(void) { wahba_add(&sum, field, work.problem.heard[1].field_uT, 1.0f); }
+void one_wahba_loss(void) { vector[0] = wahba_loss(&sum); }
+void one_wahba_rotation(void) { wahba_rotation(&sum, quaternion); }
+void one_quaternion_matrix(void) { quaternion_matrix(quaternion, matrix); }
+void one_quaternion_turn(void) { quaternion_turn(quaternion, field); }
+void one_pose_covariance(void) { pose_covariance(&work.problem, &work.best, covariance); }
+void one_pose_search(void) { pose_search(&work.problem, work.point_m, work.normal, &work.candidates); }
+void one_evaluation(void) { pose_fit(&work.problem, 1, &work.best); }
+void one_separation_init(void) { separation_init(&separation, codes, sums, 8); }
+void one_separation_apply(void) { separation_apply(&separation, 5.0f, axis); }
 """
 
 
@@ -153,3 +181,32 @@ def test_no_prior_within_two_million_tracking_within_200000(machine, site):
     assert len(lost) <= 2
     assert max(tracked) <= 200_000
     assert stack <= 3000
+
+
+def test_each_part_within_what_its_header_says(machine, site):
+    rng = np.random.default_rng(12)
+    load_site(machine, site)
+    machine.write("fields", fields(site, np.array([0.9, 1.2, 0.8]), Rotation.random(random_state=rng), rng))
+    machine.call("find")
+    bounds = {
+        **{"loop_field": 180, "loop_field_and_gradient": 320, "pose_fit_rows": 420, "triangle_add": 900},
+        **{"triangle_solve": 2200, "wahba_add": 80, "wahba_loss": 350, "wahba_rotation": 500, "quaternion_matrix": 60},
+        **{"quaternion_turn": 100, "pose_covariance": 8 * 13_000, "evaluation": 8 * 1_500, "pose_search": 300 * 2_500},
+        **{"separation_init": 500, "separation_apply": 300},
+    }
+    counts = {name: machine.call(f"one_{name}")[0] for name in bounds}
+    print(counts)
+    assert {name: n for name, n in counts.items() if n > bounds[name]} == {}
+
+
+def test_noise_alone_takes_no_longer(machine, site):
+    """Nothing explains the fields: every candidate is fitted, up to the bound on evaluations."""
+    rng = np.random.default_rng(13)
+    load_site(machine, site)
+    counts = []
+    for _ in range(40):
+        noise = rng.normal(size=(8, 3)) * 10.0 ** rng.uniform(-8, -4, (8, 1))
+        machine.write("fields", b"".join(struct.pack("<4f", *field, SIGMA_T) for field in noise))
+        counts.append(machine.call("find")[0])
+    print(f"noise alone: median {np.median(counts):.0f}, most {max(counts)} instructions")
+    assert max(counts) <= 2_000_000
