@@ -22,6 +22,7 @@ FloatArray = NDArray[np.float64]
 
 SCENARIOS = Path(__file__).parent / "scenarios"
 CHIP_TICKS, TICKS_PER_SECOND, DEGREE = 16422, 168e6, 10
+CHIPS = (1 << DEGREE) - 1
 CHIP_PERIOD_S = CHIP_TICKS / TICKS_PER_SECOND
 CONVERTER_COUNTS = 4096
 HARMONICS = 16
@@ -76,7 +77,10 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class Beacon:
-    """One beacon board with its coil."""
+    """One beacon board with its coil.
+
+    It drives its code unless it has a time ``slot`` (pulsed direct current) or ``periods`` in a cycle (square wave).
+    """
 
     id: str
     node: int
@@ -85,6 +89,13 @@ class Beacon:
     clock: Clock
     circuit: Circuit
     geometry: CoilGeometry
+    slot: int | None = None
+    periods: int | None = None
+
+    @property
+    def access(self) -> str:
+        """How the host tells it from others: "cdma", "tdma" or "fdma"."""
+        return "cdma" if self.slot is None and self.periods is None else "fdma" if self.slot is None else "tdma"
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +212,7 @@ class Scenario:
     sensor: Sensor
     motion: Motion
     beacons: tuple[Beacon, ...]
+    slots: int = 0
 
     @property
     def sync_master(self) -> int:
@@ -209,7 +221,9 @@ class Scenario:
 
     def parameter_page(self, board: int) -> bytes:
         """Build a board's parameter page (``framing.md``)."""
-        return build_page(self._sensor_parameters() if board == 0 else _beacon_parameters(self.beacons[board - 1]))
+        if board == 0:
+            return build_page(self._sensor_parameters())
+        return build_page(_beacon_parameters(self.beacons[board - 1], self.slots))
 
     def _sensor_parameters(self) -> Mapping[str, Value]:
         zero, matrix = self.sensor.correction()
@@ -236,6 +250,11 @@ class Scenario:
     def site_toml(self) -> str:
         """Write the host's site file for this scenario."""
         lines = ["[site]", f"name = {_toml(self.name)}", f"chip_period_s = {CHIP_PERIOD_S!r}", f"degree = {DEGREE}"]
+        lines += {
+            "cdma": [],
+            "tdma": ['access = "tdma"', f"slots = {self.slots}"],
+            "fdma": ['access = "fdma"', 'tone = "square"'],
+        }[self.beacons[0].access]
         if self.half_space is not None:
             point, normal = _toml(self.half_space.point), _toml(self.half_space.normal)
             lines.append(f"half_space = {{ point = {point}, normal = {normal} }}")
@@ -248,7 +267,13 @@ class Scenario:
                 lines.append(f"radius_m = {_toml(coil.radius_m)}")
             else:
                 lines.append(f"points_m = {_toml(coil.points_m)}")
-            lines += [f"current_A = {_toml(beacon.circuit.current_A)}", f"code = {beacon.code}"]
+            lines.append(f"current_A = {_toml(beacon.circuit.current_A)}")
+            if beacon.slot is not None:
+                lines.append(f"slot = {beacon.slot}")
+            elif beacon.periods is not None:
+                lines.append(f"frequency_Hz = {beacon.periods / (CHIPS * CHIP_PERIOD_S)!r}")
+            else:
+                lines.append(f"code = {beacon.code}")
         return "\n".join(lines) + "\n"
 
 
@@ -267,8 +292,13 @@ def _beacon_row(beacon: Beacon) -> tuple[float, ...]:
     return (*map(float, centre), *map(float, coil.axis), moment, math.sqrt(area / math.pi))
 
 
-def _beacon_parameters(beacon: Beacon) -> Mapping[str, Value]:
-    return {
+def _beacon_parameters(beacon: Beacon, slots: int) -> Mapping[str, Value]:
+    waveform: dict[str, Value] = {}
+    if beacon.slot is not None:
+        waveform = {"waveform": 1, "slots": slots, "slot": beacon.slot}
+    elif beacon.periods is not None:
+        waveform = {"waveform": 2, "periods": beacon.periods}
+    return waveform | {
         "node": beacon.node,
         "code": beacon.code,
         "amplitude": beacon.circuit.current_A,
@@ -321,7 +351,9 @@ def load(path: str | Path) -> Scenario:
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path}: is no valid TOML: {error}") from error
     root = Table(document, path=path, lines=lines)
-    root.allow("name", "seed", "power_on_spread_s", "half_space", "ambient", "sensor", "motion", "coil", "beacon")
+    root.allow(
+        *("name", "seed", "power_on_spread_s", "slots", "half_space", "ambient", "sensor", "motion", "coil", "beacon")
+    )
     defaults = root.table("coil") if "coil" in root else Table({}, path=path, lines=lines)
     defaults.allow(*COIL_KEYS)
     seed = root.integer("seed")
@@ -336,6 +368,7 @@ def load(path: str | Path) -> Scenario:
         sensor=_sensor(root.table("sensor")),
         motion=_motion(root.table("motion")),
         beacons=tuple(_beacon(table, defaults) for table in root.tables("beacon")),
+        slots=_between(root, "slots", 1, CHIPS) if "slots" in root else 0,
     )
     _check_boards(root, scenario)
     return scenario
@@ -356,7 +389,18 @@ MOTION_KEYS = {
     "line": ("position_m", "rotation_vector_rad", "velocity_m_per_s", "rate_rad_per_s"),
     "waypoints": ("times_s", "positions_m", "rotation_vectors_rad"),
 }
-BEACON_KEYS = ("id", "node", "code", "sync_master", "position_m", "points_m", *COIL_KEYS, *CLOCK_KEYS)
+BEACON_KEYS = (
+    "id",
+    "node",
+    "code",
+    "slot",
+    "periods",
+    "sync_master",
+    "position_m",
+    "points_m",
+    *COIL_KEYS,
+    *CLOCK_KEYS,
+)
 
 
 def _number(table: Table, key: str, default: float) -> float:
@@ -488,6 +532,8 @@ def _beacon(table: Table, defaults: Table) -> Beacon:
         clock=_clock(table),
         circuit=Circuit(**values),
         geometry=_geometry(table, source),
+        slot=_between(table, "slot", 0, CHIPS - 1) if "slot" in table else None,
+        periods=_between(table, "periods", 1, CHIPS // 2) if "periods" in table else None,
     )
 
 
@@ -522,6 +568,13 @@ def _check_boards(root: Table, scenario: Scenario) -> None:
         raise root.error("beacon", f"tables: exactly one must have sync_master = true; {found}")
     taken: dict[tuple[str, Any], str] = {("node", scenario.sensor.node): "the sensor"}
     for table, beacon in zip(tables, scenario.beacons, strict=True):
+        if beacon.slot is not None and (beacon.periods is not None or beacon.slot >= scenario.slots):
+            raise table.error(
+                "slot",
+                f"is {beacon.slot}; it excludes periods, and must be below the scenario's slots ({scenario.slots})",
+            )
+        if beacon.access != scenario.beacons[0].access:
+            raise table.error("id", "is driven otherwise than the first beacon: all need a slot, or periods, or none")
         for key in ("id", "node", "code"):
             value = getattr(beacon, key)
             if (key, value) in taken:

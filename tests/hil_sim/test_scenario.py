@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 
 import numpy as np
@@ -25,10 +26,31 @@ def test_the_shipped_scenarios_load_and_give_a_site(file, tmp_path):
     site = tmp_path / "site.toml"
     site.write_text(loaded.site_toml())
     read = sites.load(site)
-    assert read.codes == tuple(beacon.code for beacon in loaded.beacons)
+    if read.access == "cdma":
+        assert read.codes == tuple(beacon.code for beacon in loaded.beacons)
+    assert [beacon.drive.slot for beacon in read.beacons] == [beacon.slot for beacon in loaded.beacons]
+    assert [beacon.drive.periods for beacon in read.beacons] == [beacon.periods for beacon in loaded.beacons]
     for written, beacon in zip(read.beacons, loaded.beacons, strict=True):
         np.testing.assert_array_equal(written.position_m, beacon.geometry.position_m)
         assert (written.id, written.current_A) == (beacon.id, beacon.circuit.current_A)
+
+
+def test_boards_of_slots_and_tones(tmp_path):
+    slot = parse_page(scenario.load_scenario("slots8").parameter_page(8))
+    assert (slot["waveform"], slot["slots"], slot["slot"]) == (1, 9, 7)
+    tone = parse_page(scenario.load_scenario("tones8").parameter_page(8))
+    assert (tone["waveform"], tone["periods"]) == (2, 9)
+    text = scenario.find("slots8").read_text()
+    path = tmp_path / "wrong.toml"
+    for old, new, words in (
+        ("slot = 7", "slot = 9", "slot is 9; it excludes periods, and must be below the scenario's slots"),
+        ("slot = 7", "slot = 7\nperiods = 3", "slot is 7; it excludes periods"),
+        ("slot = 7\n", "", "is driven otherwise than the first beacon"),
+        ("slots = 9", "slots = 0", "slots is 0; it must lie in 1 to 1023"),
+    ):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(UserError, match=re.escape(words)):
+            scenario.load(path)
 
 
 def test_the_committed_site_is_that_of_the_scenario():
