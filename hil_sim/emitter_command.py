@@ -97,9 +97,8 @@ def _count(text: str) -> int:
 
 def run_track(arguments: argparse.Namespace) -> int:
     """Track paths beside each conductor; a row a material and model."""
-    from goldfield.track.emitter import EmitterBody
     from hil_sim import emitter_experiments as experiments
-    from hil_sim.world.emitter_world import MOMENT_A_M2, OFFSET_M, FloatArray
+    from hil_sim.world.emitter_world import FloatArray
 
     helix = arguments.path == "helix"
     materials = list(experiments.MATERIALS) if arguments.material == "all" else [arguments.material]
@@ -110,13 +109,10 @@ def run_track(arguments: argparse.Namespace) -> int:
     missed = False
     for material in materials:
         truth = experiments.true_conductor(arguments.body, material, arguments.frequency)
-        bodies = {
-            "base": EmitterBody(OFFSET_M, MOMENT_A_M2),
-            "extended": experiments.extended_body(arguments.body, material, arguments.frequency),
-        }
-        tracks: dict[str, list[experiments.Track]] = {name: [] for name in bodies}
+        models = experiments.models(arguments.body, material, arguments.frequency)
+        tracks: dict[str, list[experiments.Track]] = {name: [] for name in models}
         for seed in range(arguments.seed, arguments.seed + (1 if helix else arguments.runs)):
-            path, found = experiments.beside_conductor(truth, bodies, arguments.noise, seed, helix)
+            path, found = experiments.beside_conductor(truth, models, arguments.noise, seed, helix)
             for name, one in found.items():
                 tracks[name].append(one)
             if seed == arguments.seed:
@@ -162,12 +158,12 @@ def run_converge(arguments: argparse.Namespace) -> int:
     """Count the runs in which each filter finds the track."""
     from hil_sim import emitter_experiments as experiments
 
-    good = {"iterated": 0, "plain": 0}
-    errors: dict[str, list[float]] = {name: [] for name in good}
+    good: dict[str, int] = {}
+    errors: dict[str, list[float]] = {}
     for seed in range(arguments.seed, arguments.seed + arguments.runs):
         for name, track in experiments.from_poor_guess(arguments.noise, seed).items():
-            good[name] += experiments.converged(track)
-            errors[name].append(float(track.error_m[-1]))
+            good[name] = good.get(name, 0) + experiments.converged(track)
+            errors.setdefault(name, []).append(float(track.error_m[-1]))
     rows: Rows = [
         {
             "filter": name,

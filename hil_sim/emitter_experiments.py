@@ -39,6 +39,12 @@ GUESS_DEVIATIONS = np.array([0.3, 1.0, 0.1, 0.3])
 START_BESIDE = np.array([[0.001, 0.001, 0.001], [0.0, 0.0, 0.2], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 """Section IV-C."""
 
+WIDENED = 0.02
+"""Part of the field that is added to the noise in a filter's covariance, the old remedy against nonlinearity."""
+
+MISTRUSTED = 0.2
+"""The same for a base model that is told how wrong it is beside metal."""
+
 KNOWN_DEVIATIONS = np.array([0.01, 0.05, 0.02, 0.1])
 
 
@@ -114,6 +120,21 @@ def host_response(shape: str, conductivity_S_m: float, permeability: float, freq
     return respond(cuboid(world.CUBE_CENTRE_M, np.full(3, world.CUBE_EDGE_M), material, pieces), frequency_Hz)
 
 
+Model = tuple[EmitterBody, float]
+"""Emitters with what is known of their conductor, and the relative error that the filter allows for."""
+
+
+def models(shape: str, material: str, frequency_Hz: float) -> dict[str, Model]:
+    """Return the models that are compared, by name."""
+    base = EmitterBody(world.OFFSET_M, world.MOMENT_A_M2)
+    trusted = Noise().model
+    return {
+        "base": (base, trusted),
+        "base, mistrusted": (base, MISTRUSTED),
+        "extended": (extended_body(shape, material, frequency_Hz), trusted),
+    }
+
+
 def extended_body(shape: str, material: str, frequency_Hz: float) -> EmitterBody:
     """Return the emitters with the host's model of the conductor."""
     conductivity, permeability = MATERIALS[material]
@@ -124,7 +145,7 @@ def extended_body(shape: str, material: str, frequency_Hz: float) -> EmitterBody
 
 
 def beside_conductor(
-    truth: Secondary, bodies: dict[str, EmitterBody], noise_A_m: float, seed: int, helix: bool = False
+    truth: Secondary, models: dict[str, Model], noise_A_m: float, seed: int, helix: bool = False
 ) -> tuple[Path, dict[str, Track]]:
     """Track one path with several models; the start is known, as in section IV-C."""
     rng = np.random.default_rng(seed)
@@ -134,8 +155,8 @@ def beside_conductor(
     speed = (path.position_m[1] - path.position_m[0]) / world.STEP_S
     start = State(path.position_m[0], path.rotation[0], speed, np.zeros(3), np.zeros(3))
     tracks = {}
-    for name, body in bodies.items():
-        tracker = EmitterTracker(body, start, KNOWN_DEVIATIONS, agility, Noise(noise_A_m))
+    for name, (body, error) in models.items():
+        tracker = EmitterTracker(body, start, KNOWN_DEVIATIONS, agility, Noise(noise_A_m, error))
         tracks[name] = follow(path, fields, tracker)
     return path, tracks
 
@@ -147,7 +168,7 @@ def converged(track: Track) -> bool:
 
 
 def from_poor_guess(noise_A_m: float, seed: int) -> dict[str, Track]:
-    """Track a path in air from the paper's initial guess with both filters."""
+    """Track a path in air from the paper's initial guess: iterated filter, plain one, plain one told of more noise."""
     rng = np.random.default_rng(seed)
     path = world.brownian(START, 20.0, rng)
     fields = world.measured(path, None, noise_A_m, rng)
@@ -156,6 +177,9 @@ def from_poor_guess(noise_A_m: float, seed: int) -> dict[str, Track]:
     return {
         "iterated": follow(path, fields, EmitterTracker(body, guess, GUESS_DEVIATIONS, AGILITY, noise)),
         "plain": follow(path, fields, PlainFilter(body, GUESS, GUESS_DEVIATIONS, AGILITY, noise)),
+        "plain, noise widened": follow(
+            path, fields, PlainFilter(body, GUESS, GUESS_DEVIATIONS, AGILITY, Noise(noise_A_m, WIDENED))
+        ),
     }
 
 

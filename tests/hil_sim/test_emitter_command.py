@@ -32,7 +32,11 @@ def test_track_prints_a_table_and_draws(capsys: pytest.CaptureFixture[str], tmp_
     figure = tmp_path / "track.png"
     assert run("track", "--runs", "1", "--material", "copper", "--figure", str(figure)) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[:2] for line in lines[2:]] == [["copper", "base"], ["copper", "extended"]]
+    assert [line.split()[:2] for line in lines[2:]] == [
+        ["copper", "base"],
+        ["copper", "base,"],
+        ["copper", "extended"],
+    ]
     assert figure.stat().st_size > 10_000
 
 

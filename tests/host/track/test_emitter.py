@@ -54,6 +54,8 @@ def test_iterated_filter_converges_where_the_plain_one_fails(noise: float) -> No
     runs = [experiments.from_poor_guess(noise, seed) for seed in (1, 2)]
     assert all(experiments.converged(run["iterated"]) for run in runs)
     assert not any(experiments.converged(run["plain"]) for run in runs)
+    # ... unless it is told of more noise than there is.
+    assert all(experiments.converged(run["plain, noise widened"]) for run in runs)
 
 
 def test_filters_agree_from_a_good_guess() -> None:
@@ -77,11 +79,11 @@ def test_ninety_five_per_cent_of_two_hundred_runs_converge() -> None:
 
 def test_extended_model_tracks_beside_copper_where_the_base_model_fails() -> None:
     truth = experiments.true_conductor("sphere", "copper", 1e4)
-    base = EmitterBody(world.OFFSET_M, world.MOMENT_A_M2)
-    bodies = {"base": base, "extended": experiments.extended_body("sphere", "copper", 1e4)}
-    _, tracks = experiments.beside_conductor(truth, bodies, 1e-4, seed=3)
+    models = experiments.models("sphere", "copper", 1e4)
+    _, tracks = experiments.beside_conductor(truth, models, 1e-4, seed=3)
     assert tracks["extended"].rms(experiments.NEAR_M)[0] < 0.01
     assert tracks["base"].rms(experiments.NEAR_M)[0] > 0.03
+    assert tracks["base, mistrusted"].rms(experiments.NEAR_M)[0] > 0.03
 
 
 def test_brownian_path_has_the_stated_covariance() -> None:
