@@ -80,7 +80,7 @@ def test_stack_and_sizes(elf):
     image = image_report.report(elf)
     assert image.stack <= image.stack_reserved
     assert image.flash <= 64 * 1024  # Of 896 KB: leaves room for two images in any scheme.
-    assert image.ram <= 64 * 1024
+    assert image.ram <= 112 * 1024  # Of 128 KB. acquire.h takes 45 of the sensor's.
     assert image.path[:2] == ("Reset_Handler", "main")
     assert image.stack > 200  # An empty call graph would pass all the above.
 
