@@ -239,7 +239,7 @@ void machine_irq(machine_t *machine, unsigned position, bool level)
 static void report_append(machine_t *machine, const char *format, va_list arguments)
 {
     const size_t room = MACHINE_REPORT_SIZE - machine->report_length;
-    const int length = vsnprintf(machine->report + machine->report_length, room, format, arguments);
+    const int length = vsnprintf(machine->report + machine->report_length, room, format, arguments); /* NOLINT(clang-analyzer-valist.Uninitialized): a caller's */
     if (length > 0) {
         machine->report_length += (size_t)length < room ? (size_t)length : room - 1;
     }

@@ -30,14 +30,14 @@ enum { CSR = 0x00, CCR = 0x04, CDR = 0x08 };
 #define REFERENCE_V 3.3
 #define ADC_LIMIT_HZ 36e6
 
-static const register_t registers[] = {
+static const register_layout_t registers[] = {
     {"SR", SR, 0, 0x3F, ACCESS_RC_W0},       {"CR1", CR1, 0, 0x07C0FFFF, ACCESS_RW},      {"CR2", CR2, 0, 0x7F7F0F03, ACCESS_RW},   {"SMPR1", SMPR1, 0, 0x07FFFFFF, ACCESS_RW},
     {"SMPR2", SMPR2, 0, 0x3FFFFFFF, ACCESS_RW}, {"JOFR1", 0x14, 0, 0xFFF, ACCESS_RW},     {"JOFR2", 0x18, 0, 0xFFF, ACCESS_RW},     {"JOFR3", 0x1C, 0, 0xFFF, ACCESS_RW},
     {"JOFR4", 0x20, 0, 0xFFF, ACCESS_RW},    {"HTR", HTR, 0xFFF, 0xFFF, ACCESS_RW},       {"LTR", LTR, 0, 0xFFF, ACCESS_RW},        {"SQR1", SQR1, 0, 0x00FFFFFF, ACCESS_RW},
     {"SQR2", SQR2, 0, 0x3FFFFFFF, ACCESS_RW}, {"SQR3", SQR3, 0, 0x3FFFFFFF, ACCESS_RW},   {"JSQR", JSQR, 0, 0x003FFFFF, ACCESS_RW}, {"JDR1", 0x3C, 0, 0xFFFF, ACCESS_RO},
     {"JDR2", 0x40, 0, 0xFFFF, ACCESS_RO},    {"JDR3", 0x44, 0, 0xFFFF, ACCESS_RO},        {"JDR4", 0x48, 0, 0xFFFF, ACCESS_RO},     {"DR", DR, 0, 0xFFFF, ACCESS_RO},
 };
-static const register_t common_registers[] = {
+static const register_layout_t common_registers[] = {
     {"CSR", CSR, 0, 0x003F3F3F, ACCESS_RO}, {"CCR", CCR, 0, 0x00C3EF1F, ACCESS_RW}, {"CDR", CDR, 0, 0xFFFFFFFF, ACCESS_RO},
 };
 
@@ -91,7 +91,7 @@ static unsigned injected_length(const unit_t *u) { return reg(&u->model, CR1) & 
 static unsigned regular_channel(const unit_t *u, unsigned index)
 {
     static const uint8_t offsets[3] = {SQR3, SQR2, SQR1};
-    return field(reg(&u->model, offsets[index / 6]), 5 * (index % 6), 5);
+    return field(reg(&u->model, offsets[index / 6 % 3]), 5 * (index % 6), 5); /* At most 16 ranks. */
 }
 
 static unsigned injected_channel(const unit_t *u, unsigned index)

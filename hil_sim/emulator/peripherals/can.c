@@ -41,14 +41,14 @@ enum { MCR = 0x00, MSR = 0x04, TSR = 0x08, RF0R = 0x0C, RF1R = 0x10, IER = 0x14,
     {"MCR", MCR, 0x00010002, 0x000180FF, ACCESS_RW}, {"MSR", MSR, 0x00000C02, 0x00000F1F, ACCESS_RW}, {"TSR", TSR, 0x1C000000, 0xFF8F8F8F, ACCESS_RW},          \
     {"RF0R", RF0R, 0, 0x3B, ACCESS_RW}, {"RF1R", RF1R, 0, 0x3B, ACCESS_RW}, {"IER", IER, 0, 0x00038F7F, ACCESS_RW}, {"ESR", ESR, 0, 0xFFFF0077, ACCESS_RW},     \
     {"BTR", BTR, 0x01230000, 0xC37F03FF, ACCESS_RW}, MAILBOX(0), MAILBOX(1), MAILBOX(2), FIFO(0), FIFO(1)
-static const register_t registers[] = {
+static const register_layout_t registers[] = {
     CONTROL_REGISTERS,
     {"FMR", FMR, 0x2A1C0E01, 0x00003F01, ACCESS_RW}, {"FM1R", FM1R, 0, 0x0FFFFFFF, ACCESS_RW}, {"FS1R", FS1R, 0, 0x0FFFFFFF, ACCESS_RW}, {"FFA1R", FFA1R, 0, 0x0FFFFFFF, ACCESS_RW},
     {"FA1R", FA1R, 0, 0x0FFFFFFF, ACCESS_RW},
     BANK(0), BANK(1), BANK(2), BANK(3), BANK(4), BANK(5), BANK(6), BANK(7), BANK(8), BANK(9), BANK(10), BANK(11), BANK(12), BANK(13), BANK(14), BANK(15), BANK(16), BANK(17),
     BANK(18), BANK(19), BANK(20), BANK(21), BANK(22), BANK(23), BANK(24), BANK(25), BANK(26), BANK(27),
 };
-static const register_t registers2[] = {CONTROL_REGISTERS};
+static const register_layout_t registers2[] = {CONTROL_REGISTERS};
 
 typedef struct {
     can_t *can;

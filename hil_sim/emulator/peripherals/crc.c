@@ -3,7 +3,7 @@
 
 enum { DR = 0x00, IDR = 0x04, CR = 0x08 };
 
-static const register_t registers[] = {{"DR", DR, 0xFFFFFFFF, 0xFFFFFFFF, ACCESS_RW}, {"IDR", IDR, 0, 0xFF, ACCESS_RW}, {"CR", CR, 0, 0x1, ACCESS_WO}};
+static const register_layout_t registers[] = {{"DR", DR, 0xFFFFFFFF, 0xFFFFFFFF, ACCESS_RW}, {"IDR", IDR, 0, 0xFF, ACCESS_RW}, {"CR", CR, 0, 0x1, ACCESS_WO}};
 
 static void set(model_t *model, uint32_t offset, uint32_t value)
 {

@@ -9,7 +9,7 @@ enum { CR = 0x00, SWTRIGR = 0x04, DHR12R1 = 0x08, DHR12L1 = 0x0C, DHR8R1 = 0x10,
 #define UNDERRUN 0x2000u
 #define REFERENCE_V 3.3
 
-static const register_t registers[] = {
+static const register_layout_t registers[] = {
     {"CR", CR, 0, 0x3FFF3FFF, ACCESS_RW},        {"SWTRIGR", SWTRIGR, 0, 0x3, ACCESS_WO},       {"DHR12R1", DHR12R1, 0, 0xFFF, ACCESS_RW},  {"DHR12L1", DHR12L1, 0, 0xFFF0, ACCESS_RW},
     {"DHR8R1", DHR8R1, 0, 0xFF, ACCESS_RW},      {"DHR12R2", DHR12R2, 0, 0xFFF, ACCESS_RW},     {"DHR12L2", DHR12L2, 0, 0xFFF0, ACCESS_RW}, {"DHR8R2", DHR8R2, 0, 0xFF, ACCESS_RW},
     {"DHR12RD", DHR12RD, 0, 0x0FFF0FFF, ACCESS_RW}, {"DHR12LD", DHR12LD, 0, 0xFFF0FFF0, ACCESS_RW}, {"DHR8RD", DHR8RD, 0, 0xFFFF, ACCESS_RW},

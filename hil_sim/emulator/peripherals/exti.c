@@ -5,12 +5,12 @@ enum { MEMRM = 0x00, PMC = 0x04, EXTICR1 = 0x08, EXTICR4 = 0x14, CMPCR = 0x20 };
 enum { IMR = 0x00, EMR = 0x04, RTSR = 0x08, FTSR = 0x0C, SWIER = 0x10, PR = 0x14 };
 #define LINES 0x007FFFFFu
 
-static const register_t syscfg_registers[] = {
+static const register_layout_t syscfg_registers[] = {
     {"MEMRM", MEMRM, 0, 0x00000003, ACCESS_RW}, {"PMC", PMC, 0, 0x00800000, ACCESS_RW}, {"EXTICR1", 0x08, 0, 0xFFFF, ACCESS_RW},
     {"EXTICR2", 0x0C, 0, 0xFFFF, ACCESS_RW},    {"EXTICR3", 0x10, 0, 0xFFFF, ACCESS_RW}, {"EXTICR4", EXTICR4, 0, 0xFFFF, ACCESS_RW},
     {"CMPCR", CMPCR, 0, 0x00000101, ACCESS_RW},
 };
-static const register_t exti_registers[] = {
+static const register_layout_t exti_registers[] = {
     {"IMR", IMR, 0, LINES, ACCESS_RW},   {"EMR", EMR, 0, LINES, ACCESS_RW},     {"RTSR", RTSR, 0, LINES, ACCESS_RW},
     {"FTSR", FTSR, 0, LINES, ACCESS_RW}, {"SWIER", SWIER, 0, LINES, ACCESS_RW}, {"PR", PR, 0, LINES, ACCESS_RW},
 };

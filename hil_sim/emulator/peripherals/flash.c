@@ -3,7 +3,7 @@
 
 enum { ACR = 0x00, KEYR = 0x04, OPTKEYR = 0x08, SR = 0x0C, CR = 0x10, OPTCR = 0x14 };
 
-static const register_t registers[] = {
+static const register_layout_t registers[] = {
     {"ACR", ACR, 0, 0x00001F07, ACCESS_RW},
     {"KEYR", KEYR, 0, 0xFFFFFFFF, ACCESS_WO},
     {"OPTKEYR", OPTKEYR, 0, 0xFFFFFFFF, ACCESS_WO},

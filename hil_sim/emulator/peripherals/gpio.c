@@ -12,9 +12,9 @@ enum { PULL_NONE, PULL_UP, PULL_DOWN };
      {"AFRH", AFRH, 0, 0xFFFFFFFF, ACCESS_RW}}
 
 /* After reset PA13, 14, 15, PB3 and PB4 belong to the debug port. */
-static const register_t registers_a[REGISTERS] = PORT_REGISTERS(0xA8000000, 0x0C000000, 0x64000000);
-static const register_t registers_b[REGISTERS] = PORT_REGISTERS(0x00000280, 0x000000C0, 0x00000100);
-static const register_t registers_other[REGISTERS] = PORT_REGISTERS(0, 0, 0);
+static const register_layout_t registers_a[REGISTERS] = PORT_REGISTERS(0xA8000000, 0x0C000000, 0x64000000);
+static const register_layout_t registers_b[REGISTERS] = PORT_REGISTERS(0x00000280, 0x000000C0, 0x00000100);
+static const register_layout_t registers_other[REGISTERS] = PORT_REGISTERS(0, 0, 0);
 
 typedef struct {
     model_t model;

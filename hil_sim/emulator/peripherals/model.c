@@ -29,16 +29,16 @@ void model_missing(model_t *model, const char *what)
     machine_violation(model->machine, "%s: this model does not do %s", model_name(model), what);
 }
 
-static const register_t *describe(const model_t *model, uint32_t offset)
+static const register_layout_t *describe(const model_t *model, uint32_t offset)
 {
     const unsigned slot = model->slot[offset / 4];
     return slot == 0 ? NULL : &model->description->registers[slot - 1];
 }
 
 /* Is the peripheral reachable, and is there such a register? */
-static const register_t *admit(model_t *model, uint32_t offset, unsigned width, bool write)
+static const register_layout_t *admit(model_t *model, uint32_t offset, unsigned width, bool write)
 {
-    const register_t *const r = describe(model, offset & ~3u);
+    const register_layout_t *const r = describe(model, offset & ~3u);
     const char *const verb = write ? "write to" : "read of";
     if (!model->clocked || model->in_reset) {
         machine_violation(model->machine, "%s: %s offset 0x%03X (%s) while %s", model_name(model), verb, (unsigned)offset,
@@ -65,7 +65,7 @@ static const register_t *admit(model_t *model, uint32_t offset, unsigned width, 
 static uint32_t bus_read(peripheral_t *self, uint32_t offset, unsigned width)
 {
     model_t *const model = (model_t *)self;
-    const register_t *const r = admit(model, offset, width, false);
+    const register_layout_t *const r = admit(model, offset, width, false);
     if (r == NULL) {
         return 0;
     }
@@ -77,7 +77,7 @@ static uint32_t bus_read(peripheral_t *self, uint32_t offset, unsigned width)
 static void bus_write(peripheral_t *self, uint32_t offset, uint32_t value, unsigned width)
 {
     model_t *const model = (model_t *)self;
-    const register_t *const r = admit(model, offset, width, true);
+    const register_layout_t *const r = admit(model, offset, width, true);
     if (r == NULL) {
         return;
     }
@@ -175,7 +175,7 @@ model_t *chip_model(const chip_t *chip, const char *name)
     return NULL;
 }
 
-const register_t *machine_register_table(const machine_t *machine, const char *name, unsigned *count)
+const register_layout_t *machine_register_table(const machine_t *machine, const char *name, unsigned *count)
 {
     const model_t *const model = chip_model(chip_of(machine), name);
     *count = model ? model->description->register_count : 0;

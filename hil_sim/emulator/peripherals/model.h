@@ -27,7 +27,7 @@ typedef struct {
     uint32_t base, size;
     bus_t bus;
     unsigned read_widths, write_widths;
-    const register_t *registers;
+    const register_layout_t *registers;
     unsigned register_count;
     uint32_t (*get)(model_t *model, uint32_t offset);                  /* NULL: the stored value. Offset is of the word. */
     void (*set)(model_t *model, uint32_t offset, uint32_t value);      /* The whole word that the write makes. */

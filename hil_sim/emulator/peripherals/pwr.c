@@ -3,7 +3,7 @@
 
 enum { CR = 0x00, CSR = 0x04 };
 
-static const register_t registers[] = {
+static const register_layout_t registers[] = {
     {"CR", CR, 0x00004000, 0x000043FF, ACCESS_RW},
     {"CSR", CSR, 0x00000000, 0x0000430F, ACCESS_RW},
 };

@@ -25,7 +25,7 @@ enum { CR = 0x00, PLLCFGR = 0x04, CFGR = 0x08, CIR = 0x0C, AHB1RSTR = 0x10, APB2
 #define PLLI2SON (1u << 26)
 #define PLLI2SRDY (1u << 27)
 
-static const register_t registers[] = {
+static const register_layout_t registers[] = {
     {"CR", CR, 0x00000083, 0x0F0FFFFB, ACCESS_RW},
     {"PLLCFGR", PLLCFGR, 0x24003010, 0x0F437FFF, ACCESS_RW},
     {"CFGR", CFGR, 0, 0xFFFFFCFF, ACCESS_RW},

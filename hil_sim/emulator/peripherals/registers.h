@@ -13,9 +13,9 @@ typedef struct {
     uint32_t reset;
     uint32_t bits; /* Defined bits, read-only ones included. The others are reserved. */
     register_access_t access;
-} register_t;
+} register_layout_t;
 
 /* The register table of a model: an array that lives as long as the program, its length in count. NULL if there is no such peripheral. */
-const register_t *machine_register_table(const machine_t *machine, const char *name, unsigned *count);
+const register_layout_t *machine_register_table(const machine_t *machine, const char *name, unsigned *count);
 
 #endif

@@ -7,7 +7,7 @@ enum { CR = 0x00, SR = 0x04, DR = 0x08 };
 #define IE 8u
 #define WORD_PS (40 * 1000000 / 48)
 
-static const register_t registers[] = {{"CR", CR, 0, 0xC, ACCESS_RW}, {"SR", SR, 0, 0x67, ACCESS_RC_W0}, {"DR", DR, 0, 0xFFFFFFFF, ACCESS_RO}};
+static const register_layout_t registers[] = {{"CR", CR, 0, 0xC, ACCESS_RW}, {"SR", SR, 0, 0x67, ACCESS_RC_W0}, {"DR", DR, 0, 0xFFFFFFFF, ACCESS_RO}};
 
 typedef struct {
     model_t model;

@@ -13,7 +13,7 @@ typedef struct {
     const char *name;
     uint32_t base;
     bus_t bus;
-    const register_t *registers;
+    const register_layout_t *registers;
     unsigned register_count, channels;
     bool advanced, wide;
     unsigned irq_update, irq_channels;

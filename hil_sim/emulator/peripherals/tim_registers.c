@@ -12,22 +12,22 @@
     COMMON_REGISTERS(0x3FF, 0x5F5F, 0x1E5F, 0x5F, wide), FOUR_CHANNELS(wide), {"CR2", TIM_CR2, 0, 0xF8, ACCESS_RW}, {"SMCR", TIM_SMCR, 0, 0xFFF7, ACCESS_RW}, \
     {"CCER", TIM_CCER, 0, 0xBBBB, ACCESS_RW}
 
-static const register_t advanced[] = {
+static const register_layout_t advanced[] = {
     COMMON_REGISTERS(0x3FF, 0x7FFF, 0x1EFF, 0xFF, 0xFFFF), FOUR_CHANNELS(0xFFFF), {"CR2", TIM_CR2, 0, 0x7FFD, ACCESS_RW}, {"SMCR", TIM_SMCR, 0, 0xFFF7, ACCESS_RW},
     {"CCER", TIM_CCER, 0, 0x3FFF, ACCESS_RW}, {"RCR", TIM_RCR, 0, 0xFF, ACCESS_RW}, {"BDTR", TIM_BDTR, 0, 0xFFFF, ACCESS_RW},
 };
-static const register_t general2[] = {GENERAL(0xFFFFFFFF), {"OR", TIM_OR, 0, 0xC00, ACCESS_RW}};
-static const register_t general34[] = {GENERAL(0xFFFF)};
-static const register_t general5[] = {GENERAL(0xFFFFFFFF), {"OR", TIM_OR, 0, 0xC0, ACCESS_RW}};
-static const register_t basic[] = {COMMON_REGISTERS(0x8F, 0x101, 0x1, 0x1, 0xFFFF), {"CR2", TIM_CR2, 0, 0x70, ACCESS_RW}};
-static const register_t two_channels[] = {
+static const register_layout_t general2[] = {GENERAL(0xFFFFFFFF), {"OR", TIM_OR, 0, 0xC00, ACCESS_RW}};
+static const register_layout_t general34[] = {GENERAL(0xFFFF)};
+static const register_layout_t general5[] = {GENERAL(0xFFFFFFFF), {"OR", TIM_OR, 0, 0xC0, ACCESS_RW}};
+static const register_layout_t basic[] = {COMMON_REGISTERS(0x8F, 0x101, 0x1, 0x1, 0xFFFF), {"CR2", TIM_CR2, 0, 0x70, ACCESS_RW}};
+static const register_layout_t two_channels[] = {
     COMMON_REGISTERS(0x38F, 0x47, 0x647, 0x47, 0xFFFF), {"SMCR", TIM_SMCR, 0, 0xF7, ACCESS_RW}, {"CCMR1", TIM_CCMR1, 0, 0xFFFF, ACCESS_RW},
     {"CCER", TIM_CCER, 0, 0xBB, ACCESS_RW}, {"CCR1", TIM_CCR1, 0, 0xFFFF, ACCESS_RW}, {"CCR2", TIM_CCR1 + 4, 0, 0xFFFF, ACCESS_RW},
 };
 #define ONE_CHANNEL \
     COMMON_REGISTERS(0x387, 0x3, 0x203, 0x3, 0xFFFF), {"CCMR1", TIM_CCMR1, 0, 0xFF, ACCESS_RW}, {"CCER", TIM_CCER, 0, 0xB, ACCESS_RW}, {"CCR1", TIM_CCR1, 0, 0xFFFF, ACCESS_RW}
-static const register_t one_channel[] = {ONE_CHANNEL};
-static const register_t one_channel11[] = {ONE_CHANNEL, {"OR", TIM_OR, 0, 0x3, ACCESS_RW}};
+static const register_layout_t one_channel[] = {ONE_CHANNEL};
+static const register_layout_t one_channel11[] = {ONE_CHANNEL, {"OR", TIM_OR, 0, 0x3, ACCESS_RW}};
 
 #define TABLE(t) t, sizeof t / sizeof t[0]
 #define NO_ITR {0, 0, 0, 0}

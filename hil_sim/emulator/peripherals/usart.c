@@ -30,11 +30,11 @@ enum { SR = 0x00, DR = 0x04, BRR = 0x08, CR1 = 0x0C, CR2 = 0x10, CR3 = 0x14, GTP
 /* Largest mismatch of the two ends' bit rates (RM0090 30.3.5, at a 10-bit frame), and the tolerance to the given rate. */
 #define RATE_TOLERANCE 0.03
 
-static const register_t usart_registers[] = {
+static const register_layout_t usart_registers[] = {
     {"SR", SR, 0x000000C0, 0x3FF, ACCESS_RC_W0}, {"DR", DR, 0, 0x1FF, ACCESS_RW}, {"BRR", BRR, 0, 0xFFFF, ACCESS_RW}, {"CR1", CR1, 0, 0xBFFF, ACCESS_RW},
     {"CR2", CR2, 0, 0x7F6F, ACCESS_RW}, {"CR3", CR3, 0, 0xFFF, ACCESS_RW}, {"GTPR", GTPR, 0, 0xFFFF, ACCESS_RW},
 };
-static const register_t uart_registers[] = {
+static const register_layout_t uart_registers[] = {
     {"SR", SR, 0x000000C0, 0x1FF, ACCESS_RC_W0}, {"DR", DR, 0, 0x1FF, ACCESS_RW}, {"BRR", BRR, 0, 0xFFFF, ACCESS_RW}, {"CR1", CR1, 0, 0xBFFF, ACCESS_RW},
     {"CR2", CR2, 0, 0x706F, ACCESS_RW}, {"CR3", CR3, 0, 0x8CF, ACCESS_RW},
 };

@@ -11,8 +11,8 @@ enum { CR = 0x00, CFR = 0x04, WSR = 0x08 };
 #define WWDGRSTF (1u << 30)
 #define UPDATE_CYCLES 5 /* Of the 32 kHz clock. */
 
-static const register_t iwdg_registers[] = {{"KR", KR, 0, 0xFFFF, ACCESS_WO}, {"PR", PR, 0, 0x7, ACCESS_RW}, {"RLR", RLR, 0xFFF, 0xFFF, ACCESS_RW}, {"SR", SR, 0, 0x3, ACCESS_RO}};
-static const register_t wwdg_registers[] = {{"CR", CR, 0x7F, 0xFF, ACCESS_RW}, {"CFR", CFR, 0x7F, 0x3FF, ACCESS_RW}, {"SR", WSR, 0, 0x1, ACCESS_RC_W0}};
+static const register_layout_t iwdg_registers[] = {{"KR", KR, 0, 0xFFFF, ACCESS_WO}, {"PR", PR, 0, 0x7, ACCESS_RW}, {"RLR", RLR, 0xFFF, 0xFFF, ACCESS_RW}, {"SR", SR, 0, 0x3, ACCESS_RO}};
+static const register_layout_t wwdg_registers[] = {{"CR", CR, 0x7F, 0xFF, ACCESS_RW}, {"CFR", CFR, 0x7F, 0x3FF, ACCESS_RW}, {"SR", WSR, 0, 0x1, ACCESS_RC_W0}};
 
 typedef struct {
     model_t model;
