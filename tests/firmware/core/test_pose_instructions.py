@@ -32,7 +32,8 @@ pose_t pose;
 void find(void) { pose_find(&site, fields, &work, &pose); }
 void track(void) { pose_track(&site, fields, &work, &pose); }
 
-float field[3], gradient[3][3], vector[3] = {1.0f, 2.0f, 3.0f}, quaternion[4] = {0.0f, 0.6f, 0.0f, 0.8f}, matrix[3][3], step[6], covariance[6][6];
+float field[3], gradient[3][3], vector[3], quaternion[4] = {0.0f, 0.6f, 0.0f, 0.8f}, matrix[3][3], step[6];
+float covariance[6][6];
 wahba_t sum;
 triangle_t triangle;
 triangle_rows_t rows;
@@ -40,7 +41,9 @@ separation_t separation;
 uint16_t codes[8] = {2, 3, 4, 5, 6, 7, 8, 9};
 int16_t sums[8] = {-1, -1, -1, -1, -1, -1, -1, -1};
 float axis[8];
-void one_loop_field_and_gradient(void) { loop_field_and_gradient(&work.problem.heard[1].loop, work.best.position_m, field, gradient); }
+void one_loop_field_and_gradient(void) {
+    loop_field_and_gradient(&work.problem.heard[1].loop, work.best.position_m, field, gradient);
+}
 void one_loop_field(void) { loop_field(&work.problem.heard[1].loop, work.best.position_m, field); }
 void one_pose_fit_rows(void) { pose_fit_rows(&work.problem.heard[1], work.best.position_m, 160.0f, rows, field); }
 void one_triangle_add(void) { triangle_add(&triangle, rows); }
