@@ -21,6 +21,7 @@
 #define UNSEEN_VARIANCE 60000.0f     /* and the time is known to (1.5 us)^2. */
 #define SEARCH_VARIANCE 18000.0f     /* (0.8 us)^2 and */
 #define SEARCH_RATE_VARIANCE 0.04f   /* (12 ppm)^2: errors of a search. */
+#define UNSEEN_RECORDS 4u            /* In succession: search anew. */
 #define RATE_WALK 6.6e-11f           /* A chip: 0.05 ppm in 1 s, for the crystals' temperature. */
 
 static const float q32 = 4294967296.0f;
@@ -366,6 +367,7 @@ static void edge_end(acquire_t *acquire) {
     acquire->covariance[1] = 0.0f;
     acquire->covariance[2] = SEARCH_RATE_VARIANCE;
     acquire->captures = 0;
+    acquire->unseen = 0;
     acquire->tracking = true;
     command(acquire, ACQUIRE_JUMP);
 }
@@ -432,11 +434,15 @@ static float measure(const acquire_t *acquire, uint32_t first, uint32_t end, flo
     return time;
 }
 
-/* One measurement of phase + chips * rate in a Kalman filter. */
+/* One measurement of phase + chips * rate in a Kalman filter. One that does not fit (3 standard deviations) says that the phase is known worse than thought. */
 static void update(float state[2], float covariance[3], float value, float chips, float variance) {
+    const float innovation = value - state[0] - chips * state[1];
+    const float expected = covariance[0] + chips * (2.0f * covariance[1] + chips * covariance[2]) + variance;
+    if (innovation * innovation > 9.0f * expected) {
+        covariance[0] += innovation * innovation;
+    }
     const float phase = covariance[0] + chips * covariance[1], rate = covariance[1] + chips * covariance[2];
     const float total = phase + chips * rate + variance;
-    const float innovation = value - state[0] - chips * state[1];
     state[0] += phase / total * innovation;
     state[1] += rate / total * innovation;
     covariance[0] -= phase * phase / total;
@@ -474,12 +480,16 @@ static void track(acquire_t *acquire) {
     acquire->phase_change = extra - state[0] - acquire->extra_ticks;
     acquire->rate_change = -state[1];
     acquire->extra_ticks = extra;
+    acquire->unseen = seen ? 0u : acquire->unseen + 1u;
+    if (!seen) {
+        covariance[0] += SEARCH_VARIANCE;
+    }
     acquire->rate_chip = middle;
     acquire->middle_chip = middle;
     acquire->residual_ticks = (int32_t)residual;
     acquire->good = residual < (float)ACQUIRE_TRACK_TICKS && residual > -(float)ACQUIRE_TRACK_TICKS;
     acquire->captures += acquire->captures < ACQUIRE_CAPTURES ? 1u : 0u;
-    command(acquire, ACQUIRE_CORRECT);
+    command(acquire, acquire->unseen < UNSEEN_RECORDS ? ACQUIRE_CORRECT : ACQUIRE_SWEEP);
 }
 
 static void measure_end(acquire_t *acquire) {

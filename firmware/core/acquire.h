@@ -87,6 +87,7 @@ typedef struct {
     float covariance[3];     /* Of phase and rate at middle_chip: phase squared, product, rate squared; ticks and ticks a chip. */
     uint32_t middle_chip;    /* Of the record that was measured last. */
     uint32_t captures;       /* Records measured since the search, at most ACQUIRE_CAPTURES. */
+    uint32_t unseen;         /* Records in succession that saw no ramp. */
     float extra_ticks;       /* What the record is late on purpose. */
     /* Main to interrupt: valid while command is not ACQUIRE_NONE. */
     uint8_t command;

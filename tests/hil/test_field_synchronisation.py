@@ -102,6 +102,7 @@ def test_cold_starts(open_wireless, rig_kind):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(3600)
 def test_a_hundred_cold_starts(open_wireless, rig_kind):
     rows = cold_starts(open_wireless(strong_mains=True), rig_kind, 100)
     print(

@@ -161,6 +161,15 @@ def test_beacons_back_elsewhere_are_found_again(core, gold_family):
     assert sensor.clock.locked
 
 
+@pytest.mark.parametrize("moved_us", [-45.0, -20.0, -6.0, 6.0, 20.0, 45.0])
+def test_beacons_that_jump_are_followed(core, gold_family, moved_us):
+    sensor = start(core, gold_family(10), 305).run(2.0)
+    sensor.signal.start_s += 1e-6 * moved_us
+    sensor.run(3.8)
+    assert sensor.worst_us(3.5) < 1.0
+    assert all(np.array(sensor.locked)[np.array(sensor.times) > 3.5])
+
+
 @pytest.mark.parametrize("rise_us", [8.0, 20.0, 45.0])
 def test_other_coils(core, gold_family, rise_us):
     sensor = start(core, gold_family(10), 320, rise_s=rise_us * 1e-6).run(1.0)
