@@ -104,6 +104,19 @@ def test_sigma_is_what_noise_makes():
     assert np.sqrt(np.mean(np.square(by_samples))) == pytest.approx(1.0, abs=0.05)
 
 
+def test_sigma_of_sums_is_that_of_their_weights():
+    """Slow coils, a whole chip and more, against the weights of the samples written out."""
+    tau = np.linspace(0.3, 1.7, 8)
+    templates = np.stack([filtered(c.astype(float), t) for c, t in zip(CHIPS.T, tau, strict=True)], axis=1)
+    centred = CHIPS - CHIPS.mean(axis=0)
+    weights = np.linalg.solve(centred.T @ templates, centred.T)
+    np.testing.assert_allclose(weights @ templates, np.eye(8), atol=1e-12)
+    separation = Separator(10, CODES, NOISE_T, tau.tolist()).from_correlations(
+        np.zeros((8, 3)), np.zeros(3), np.zeros(8)
+    )
+    np.testing.assert_allclose(separation.sigma_T, NOISE_T * np.sqrt((weights**2).sum(axis=1)), rtol=1e-9)
+
+
 def test_unknown_time_constants():
     """maths.md: worst .019 % of the field without noise; the time constants follow to 1 % of a chip."""
     fields = beacon_fields()

@@ -74,12 +74,11 @@ class Separator:
         if tau_chips is not None and any(tau_chips):
             filters = zip(self._code_chips.T, tau_chips, strict=True)
             self._templates = np.stack([filtered(chips, tau) for chips, tau in filters], axis=1)
-        self._sums = self._code_chips.sum(axis=0)
-        self._template_sums = self._templates.sum(axis=0)
+        self._sums = self._code_chips.sum(axis=0)  # of the templates too: a filter of unit gain keeps the mean
         every = np.ones(self.chips, dtype=np.bool_)
         self._normal = self._normal_matrix(self._templates, every)
         self._code_normal = self._normal_matrix(self._code_chips, every)
-        self._seen = self._code_chips.T @ self._templates - np.outer(self._sums, self._template_sums) / self.chips
+        self._seen = self._code_chips.T @ self._templates - np.outer(self._sums, self._sums) / self.chips
         rank = _rank(self._normal)
         if rank < len(codes):
             raise UserError(
@@ -154,7 +153,7 @@ class Separator:
             right = self.chips * correlation_T[known, axis] - self._sums[known] * mean_T[axis]
             inverse = self._seen_inverse if known.all() else np.linalg.inv(self._seen[np.ix_(known, known)])
             field[known, axis] = inverse @ right
-            offset[axis] = mean_T[axis] - self._template_sums[known] @ field[known, axis] / self.chips
+            offset[axis] = mean_T[axis] - self._sums[known] @ field[known, axis] / self.chips
             leak = inverse @ self._seen[np.ix_(known, ~known)] * missing_T[~known]
             noise = ((inverse @ self._code_normal[np.ix_(known, known)]) * inverse).sum(axis=1) * self._noise_T**2
             variance[known, axis] = noise + (leak**2).sum(axis=1) + (inverse**2).sum(axis=1) * extra_variance
