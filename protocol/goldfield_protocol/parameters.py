@@ -63,7 +63,7 @@ class Parameter:
     exact : bool
         True if an array must be given whole (a matrix); False if fewer elements are allowed (a list).
     group, stride : int
-        A table's ids: rows of ``group`` elements, each row ``stride`` ids after the one before. Only whole rows are allowed.
+        A table's ids: rows of ``group`` elements, each row ``stride`` ids after the one before. Whole rows only.
     """
 
     first: int
@@ -134,7 +134,8 @@ def build_page(values: Mapping[str, Value]) -> bytes:
     ----------
     values : mapping of str to number or sequence of numbers
         Names of `PARAMETERS` with their values: a number, or for ``calibration`` (nine, row by row, T per count),
-        ``half_space`` (point and normal), ``code_list`` (up to 64) and ``beacons`` (eight a beacon) a sequence. What is not named keeps the firmware's default.
+        ``half_space`` (point and normal), ``code_list`` (up to 64) and ``beacons`` (eight a beacon) a sequence.
+        What is not named keeps the firmware's default.
 
     Returns
     -------
@@ -161,7 +162,8 @@ def build_page(values: Mapping[str, Value]) -> bytes:
         if len(elements) % parameter.group:
             raise ParameterError(f"parameter '{name}' got {len(elements)} values; it takes {parameter.group} a row")
         entries += [
-            (parameter.identifier(i), parameter.kind, _pack(name, parameter, element)) for i, element in enumerate(elements)
+            (parameter.identifier(i), parameter.kind, _pack(name, parameter, element))
+            for i, element in enumerate(elements)
         ]
     body = b"".join(_ENTRY.pack(*entry) for entry in sorted(entries))
     page = _HEADER.pack(MAGIC, len(entries), crc16(body)) + body

@@ -48,9 +48,7 @@ def test_table_is_that_of_framing_md():
         share = len(ids) // len(names)
         for i, name in enumerate(names):
             documented[name] = (ids[i * share], share, kind)
-    assert documented == {
-        n: (p.first, p.count, p.kind.name.lower()) for n, p in PARAMETERS.items() if p.stride == 1
-    }
+    assert documented == {n: (p.first, p.count, p.kind.name.lower()) for n, p in PARAMETERS.items() if p.stride == 1}
 
 
 def elements(parameter):
@@ -65,7 +63,9 @@ def values(parameter):
         return elements(parameter)
     if parameter.group > 1:
         row = st.lists(elements(parameter), min_size=parameter.group, max_size=parameter.group)
-        return st.lists(row, min_size=1, max_size=parameter.count // parameter.group).map(lambda rows: sum(rows, []))
+        return st.lists(row, min_size=1, max_size=parameter.count // parameter.group).map(
+            lambda rows: [x for row in rows for x in row]
+        )
     return st.lists(elements(parameter), min_size=parameter.count if parameter.exact else 1, max_size=parameter.count)
 
 
