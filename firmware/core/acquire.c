@@ -10,6 +10,7 @@
 #define SETTLED (ACQUIRE_BURST - 1u) /* Conversions of the sample. */
 #define MID_SCALE 2048
 #define PASSES 3u
+#define UNSETTLED 0x8000u
 #define LOW_BINS 32u                 /* 160 Hz. */
 #define PRESENT 6.0f                 /* Share of the codes in the variance, 1 for noise. */
 #define MIDDLE (ACQUIRE_CHIPS / 2u)
@@ -126,7 +127,7 @@ static void choose_codes(acquire_t *acquire) {
 }
 
 void acquire_codes(acquire_t *acquire, const uint16_t *codes, uint32_t count) {
-    uint16_t list[ACQUIRE_LIST_MAX];
+    uint16_t list[ACQUIRE_LIST_MAX] = {0};
     uint32_t taken = 0;
     for (uint32_t i = 0; i < count && taken < ACQUIRE_LIST_MAX; i++) {
         if (codes[i] <= 1024u) {
@@ -270,6 +271,9 @@ static bool settled_label(const acquire_t *acquire, uint32_t chip, uint32_t *lab
 
 static void residuals_start(acquire_t *acquire) {
     for (uint32_t chip = 0; chip < ACQUIRE_CHIPS; chip++) {
+        uint32_t label;
+        const bool settled = settled_label(acquire, chip, &label);
+        acquire->labels[chip] = (uint16_t)(settled ? label : label | UNSETTLED);
         for (uint32_t axis = 0; axis < ACQUIRE_AXES; axis++) {
             acquire->residual[chip][axis] = (float)acquire->field[chip][axis] - acquire->mean[axis];
             acquire->expected[chip][axis] = 0.0f;
@@ -290,9 +294,9 @@ static void generate(acquire_t *acquire, uint16_t code) {
 static void subtract_code(acquire_t *acquire, uint32_t index) {
     generate(acquire, acquire->codes[index]);
     float sum[ACQUIRE_AXES] = {0.0f}, count = 0.0f;
-    uint32_t label;
     for (uint32_t chip = 0; chip < ACQUIRE_CHIPS; chip++) {
-        if (settled_label(acquire, chip, &label)) {
+        const uint32_t label = acquire->labels[chip];
+        if ((label & UNSETTLED) == 0u) {
             for (uint32_t axis = 0; axis < ACQUIRE_AXES; axis++) {
                 sum[axis] += (float)acquire->chips[label] * acquire->residual[chip][axis];
             }
@@ -304,7 +308,7 @@ static void subtract_code(acquire_t *acquire, uint32_t index) {
         acquire->amplitude[index][axis] += sum[axis];
     }
     for (uint32_t chip = 0; chip < ACQUIRE_CHIPS; chip++) {
-        (void)settled_label(acquire, chip, &label);
+        const uint32_t label = acquire->labels[chip] & (UNSETTLED - 1u);
         for (uint32_t axis = 0; axis < ACQUIRE_AXES; axis++) {
             acquire->residual[chip][axis] -= sum[axis] * (float)acquire->chips[label];
             acquire->expected[chip][axis] += sum[axis] * (float)acquire->chips[chip];
