@@ -491,7 +491,9 @@ static void track(acquire_t *acquire) {
     acquire->rate_chip = middle;
     acquire->middle_chip = middle;
     acquire->residual_ticks = (int32_t)residual;
-    acquire->good = residual < (float)ACQUIRE_TRACK_TICKS && residual > -(float)ACQUIRE_TRACK_TICKS;
+    const float cycle = (float)ACQUIRE_CHIPS;
+    const float ahead = covariance[0] + cycle * (2.0f * covariance[1] + cycle * covariance[2]);
+    acquire->good = seen && ahead < (float)(ACQUIRE_LOCK_TICKS * ACQUIRE_LOCK_TICKS);
     acquire->captures += acquire->captures < ACQUIRE_CAPTURES ? 1u : 0u;
     command(acquire, acquire->unseen < UNSEEN_RECORDS ? ACQUIRE_CORRECT : ACQUIRE_SWEEP);
 }
