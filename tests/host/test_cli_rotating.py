@@ -178,4 +178,4 @@ def test_bad_usage_is_one_sentence(arguments, message, capsys):
 
 def test_without_a_simulated_world_it_says_what_to_install(capsys, monkeypatch):
     monkeypatch.setattr("goldfield.experiments.worlds.entry_points", lambda **_: ())
-    assert "no installed package offers a simulated room" in complaint(capsys, "compare", code=3)
+    assert "no installed package offers a simulated world" in complaint(capsys, "compare", code=3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib.metadata import entry_points
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -43,16 +43,31 @@ def rotating_world(site: RotatingSite) -> RotatingWorld:
     SystemFailure
         If no installed package offers one.
     """
-    for entry_point in entry_points(group=WORLD_GROUP, name="rotating"):
+    room: RotatingWorld = _load("rotating")(site.beacons)
+    return room
+
+
+def world_module(name: str) -> Any:
+    """Return a module of the simulated world: ``emitter``, ``sphere`` or ``boundary_elements``.
+
+    Raises
+    ------
+    SystemFailure
+        If no installed package offers it.
+    """
+    return _load(name)
+
+
+def _load(name: str) -> Any:
+    for entry_point in entry_points(group=WORLD_GROUP, name=name):
         try:
-            world: RotatingWorld = entry_point.load()(site.beacons)
+            return entry_point.load()
         except ImportError as error:
             raise SystemFailure(
-                f"the simulated room of {entry_point.value} cannot be loaded ({error}): "
+                f"the simulated world {entry_point.value} cannot be loaded ({error}): "
                 'install its packages with pip install "goldfield[sim]"'
             ) from error
-        return world
     raise SystemFailure(
-        f"no installed package offers a simulated room (entry point rotating of {WORLD_GROUP}): "
+        f"no installed package offers a simulated world (entry point {name} of {WORLD_GROUP}): "
         "install goldfield again from its repository, with pip install -e ."
     )

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from goldfield.experiments import emitter as experiments
 from goldfield.field.conductor import Parts
 from goldfield.track.emitter import EmitterBody, EmitterObservation, Noise, euler_axes, euler_matrix
 from goldfield.track.motion import State
-from hil_sim import emitter_experiments as experiments
 from hil_sim.world import emitter_world as world
 
 

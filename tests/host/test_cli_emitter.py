@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from goldfield.cli.emitter import command
 from goldfield.errors import UserError
-from hil_sim.emitter_command import command
 
 
 def run(*words: str) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield.poses import FloatArray
 
 Rows = list[dict[str, Any]]
 
@@ -97,8 +98,7 @@ def _count(text: str) -> int:
 
 def run_track(arguments: argparse.Namespace) -> int:
     """Track paths beside each conductor; a row a material and model."""
-    from hil_sim import emitter_experiments as experiments
-    from hil_sim.world.emitter_world import FloatArray
+    from goldfield.experiments import emitter as experiments
 
     helix = arguments.path == "helix"
     materials = list(experiments.MATERIALS) if arguments.material == "all" else [arguments.material]
@@ -156,7 +156,7 @@ def run_track(arguments: argparse.Namespace) -> int:
 
 def run_converge(arguments: argparse.Namespace) -> int:
     """Count the runs in which each filter finds the track."""
-    from hil_sim import emitter_experiments as experiments
+    from goldfield.experiments import emitter as experiments
 
     good: dict[str, int] = {}
     errors: dict[str, list[float]] = {}
@@ -191,7 +191,7 @@ def run_converge(arguments: argparse.Namespace) -> int:
 
 def run_table(arguments: argparse.Namespace) -> int:
     """Print Tables I and II beside our solutions of the same cube."""
-    from hil_sim import emitter_experiments as experiments
+    from goldfield.experiments import emitter as experiments
 
     _no_figure(arguments, "table")
     rows: Rows = []
@@ -225,7 +225,7 @@ def run_table(arguments: argparse.Namespace) -> int:
 
 def run_formula(arguments: argparse.Namespace) -> int:
     """Compare the explicit formula with the exact series, for each material."""
-    from hil_sim import emitter_experiments as experiments
+    from goldfield.experiments import emitter as experiments
 
     _no_figure(arguments, "formula")
     rows: Rows = []

@@ -3,20 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from goldfield.errors import UserError
+from goldfield.experiments.worlds import world_module
 from goldfield.field.conductor import Material, Parts, Response, ball, cuboid, respond
 from goldfield.field.conductor.body import PIECES
 from goldfield.field.conductor.interior import SKIN_RATIO, VolumeResponse
+from goldfield.poses import FloatArray
 from goldfield.track.emitter import EmitterBody, EmitterTracker, Noise, PlainFilter, euler_matrix
 from goldfield.track.motion import Agility, State
-from hil_sim.world import emitter_world as world
-from hil_sim.world.boundary_elements import PERFECT_CONDUCTOR, BoundaryElements, cube_surface
-from hil_sim.world.emitter_world import ComplexArray, FloatArray, Path, Secondary
-from hil_sim.world.sphere import Sphere
+
+world: Any = world_module("emitter")
+spheres: Any = world_module("sphere")
+boundary: Any = world_module("boundary_elements")
+"""The simulated truth: paths, and reference solutions of a conductor beside the emitters."""
+
+ComplexArray = NDArray[np.complex128]
+Path = Any
+"""A trajectory of the simulated world."""
+
+Secondary = Callable[[FloatArray, FloatArray, FloatArray], ComplexArray]
+"""(points (n, 3), source (3,), moment (3,)) -> field that the conductor adds, A/m, (n, 3); all in the body's frame."""
 
 MATERIALS = {"carbon": (1000.0, 1.0), "copper": (59.9e6, 1.0), "permeable": (1e5, 100.0)}
 SPHERE_RADIUS_M = world.CUBE_EDGE_M * (0.75 / math.pi) ** (1.0 / 3.0)
@@ -99,14 +112,16 @@ def true_conductor(shape: str, material: str, frequency_Hz: float) -> Secondary:
     """
     conductivity, permeability = MATERIALS[material]
     if shape == "sphere":
-        sphere = Sphere(world.CUBE_CENTRE_M, SPHERE_RADIUS_M, conductivity, permeability)
+        sphere = spheres.Sphere(world.CUBE_CENTRE_M, SPHERE_RADIUS_M, conductivity, permeability)
         return lambda point, source, moment: sphere.secondary(point, source, moment, frequency_Hz)
     if material != "copper":
         raise UserError(
             f"there is no reference solution of a cube of {material}: take --body sphere, or --material copper, which "
             "is taken for a perfect conductor"
         )
-    cube = BoundaryElements(cube_surface(world.CUBE_CENTRE_M, world.CUBE_EDGE_M), PERFECT_CONDUCTOR)
+    cube = boundary.BoundaryElements(
+        boundary.cube_surface(world.CUBE_CENTRE_M, world.CUBE_EDGE_M), boundary.PERFECT_CONDUCTOR
+    )
     return lambda point, source, moment: cube.secondary(point, source, moment).astype(np.complex128)
 
 
@@ -214,7 +229,7 @@ POINTS_M = np.array([[0.05, 0.05, 0.0], [0.0, 0.0, -0.2], [0.3, 0.0, -0.1], [-0.
 
 def formula_error(conductivity_S_m: float, permeability: float, frequency_Hz: float) -> FormulaError:
     """Compare the explicit formula with the exact series of the sphere, at the paper's geometry."""
-    sphere = Sphere(world.CUBE_CENTRE_M, SPHERE_RADIUS_M, conductivity_S_m, permeability)
+    sphere = spheres.Sphere(world.CUBE_CENTRE_M, SPHERE_RADIUS_M, conductivity_S_m, permeability)
     emitters = list(zip(world.OFFSET_M, world.MOMENT_A_M2, strict=True))
     exact = np.array([sphere.secondary(POINTS_M, o, m, frequency_Hz) for o, m in emitters])
     size = np.linalg.norm(exact, axis=-1)
@@ -270,13 +285,13 @@ def table(material: str, frequency_Hz: float) -> dict[str, ComplexArray]:
     parts = host_response("cube", *MATERIALS[material], frequency_Hz).parts(world.OFFSET_M, moment)
     result["explicit formula"] = 1e3 * parts.field(POINTS_M[:1])[:, 0].conj()
     permeability = MATERIALS[material][1]
-    cube = BoundaryElements(
-        cube_surface(world.CUBE_CENTRE_M, world.CUBE_EDGE_M),
-        PERFECT_CONDUCTOR if permeability == 1.0 else permeability,
+    cube = boundary.BoundaryElements(
+        boundary.cube_surface(world.CUBE_CENTRE_M, world.CUBE_EDGE_M),
+        boundary.PERFECT_CONDUCTOR if permeability == 1.0 else permeability,
     )
-    boundary = [cube.secondary(POINTS_M[:1], o, m)[0] for o, m in zip(world.OFFSET_M, moment, strict=True)]
+    solved = [cube.secondary(POINTS_M[:1], o, m)[0] for o, m in zip(world.OFFSET_M, moment, strict=True)]
     name = "boundary elements, perfect conductor" if permeability == 1.0 else "boundary elements, static"
-    result[name] = 1e3 * np.array(boundary, dtype=complex)
+    result[name] = 1e3 * np.array(solved, dtype=complex)
     return result
 
 
