@@ -114,7 +114,7 @@ static void command(acquire_t *acquire, acquire_command_t what) {
     } else {
         acquire->detune = 0;
     }
-    acquire->length = acquire->tracking && acquire->captures < ACQUIRE_CAPTURES ? ACQUIRE_CHIPS / 2u : ACQUIRE_CHIPS;
+    acquire->length = acquire->tracking && acquire->captures < ACQUIRE_CAPTURES ? ACQUIRE_CHIPS / 3u : ACQUIRE_CHIPS;
     __atomic_store_n(&acquire->command, (uint8_t)what, __ATOMIC_RELEASE);
 }
 

@@ -46,8 +46,8 @@
 #define ACQUIRE_DETUNE_TICKS 48     /* One chip in 342. */
 #define ACQUIRE_PEAK 10             /* Times the mean. */
 #define ACQUIRE_TARGET_TICKS 286    /* 1.7 us: last conversion after the beacons' edge. */
-#define ACQUIRE_EXTRA_TICKS 420     /* 2.5 us: so much later are records taken after a search, and after one that saw no ramp: before the edge there is nothing to see. */
-#define ACQUIRE_CAPTURES 2u         /* Half records after a search, with its amplitudes: what it left of error in rate must not grow. */
+#define ACQUIRE_EXTRA_TICKS 504     /* 3 us: so much later are records taken after a search, and after one that saw no ramp: before the edge there is nothing to see. */
+#define ACQUIRE_CAPTURES 3u         /* Records of a third of a cycle after a search, with its amplitudes: what it left of error in rate must not grow. */
 #define ACQUIRE_LOCK_TICKS 84       /* 0.5 us: locked while the phase, a cycle ahead, has a smaller standard deviation. */
 
 /* Of the board and its front end. */
