@@ -33,17 +33,17 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, const
     onboard->separable = separation_init(&onboard->separation, codes, code_sums, selection->count);
 }
 
-void onboard_take(onboard_t *onboard, const epoch_t *epoch, const epoch_calibration_t *calibration, const epoch_selection_t *selection) {
-    if (!onboard->active || epoch->despread.missing >= CHIPS) {
+void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration, const epoch_selection_t *selection) {
+    if (!onboard->active || cycle->missing >= CHIPS) {
         return;
     }
-    onboard->cycle = epoch->cycle;
-    onboard->chips = CHIPS - epoch->despread.missing;
-    onboard->saturated = epoch->saturated;
-    epoch_offset(&epoch->despread, calibration, onboard->mean);
+    onboard->cycle = cycle->cycle;
+    onboard->chips = CHIPS - cycle->missing;
+    onboard->saturated = cycle->saturated;
+    epoch_offset(cycle, calibration, onboard->mean);
     for (uint32_t i = 0; i < selection->count; i++) {
         float field[EPOCH_AXES];
-        epoch_field(&epoch->despread, calibration, selection, i, field);
+        epoch_field(cycle, calibration, selection, i, field);
         for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
             onboard->sums[axis][i] = field[axis];
         }

@@ -35,8 +35,8 @@ typedef struct {
 /* Read the parameters; forgets the pose that tracking starts from. Bound: 8 parameters for each code. */
 void onboard_configure(onboard_t *onboard, const parameters_t *parameters, const epoch_selection_t *selection);
 
-/* Take a transformed cycle, if active. About 250 instructions a code. */
-void onboard_take(onboard_t *onboard, const epoch_t *epoch, const epoch_calibration_t *calibration, const epoch_selection_t *selection);
+/* Take a whole cycle, if active. About 250 instructions a code. */
+void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration, const epoch_selection_t *selection);
 
 /* Compute and send the pose of the cycle taken, if there is one. */
 void onboard_step(onboard_t *onboard, node_t *node);

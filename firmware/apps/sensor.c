@@ -14,6 +14,10 @@ static const acquire_config_t acquire_config = {
     .lag_ticks = 267,
 };
 
+/* Index of a PART (framing.md). */
+#define PART_STRIDE 1026u
+#define PART_PLAIN 1025u
+
 /* ---- Interrupts ---- */
 
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
@@ -124,29 +128,31 @@ static void apply_parameters(sensor_t *sensor) {
     }
     if (!same) {
         (void)epoch_select(&sensor->selection, codes, count);
+        sensor->cycle.third = EPOCH_WHOLE; /* Thirds of the old list and of the new are not added. */
     }
     onboard_configure(&sensor->onboard, parameters, &sensor->selection);
     apply_sync_source(sensor, parameters_unsigned(parameters, PARAMETER_SYNC_SOURCE) == 1, codes, count);
+    sensor->collector.thirds = parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
     sensor->stream_id = node_identifier(&sensor->node, GOLDFIELD_CHIP_FRAME_ID, 0);
     sensor->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
 }
 
-static void send_header(sensor_t *sensor, const epoch_t *epoch) {
+static void send_header(sensor_t *sensor, const epoch_sums_t *cycle) {
     node_t *node = &sensor->node;
     uint8_t data[8];
     const struct goldfield_epoch_t header = {
-        .cycle = epoch->cycle & SYNC_CYCLE_MASK,
+        .cycle = cycle->cycle & SYNC_CYCLE_MASK,
         .time = sensor->middle_ticks / (HAL_TICKS_PER_SECOND / 1000000u),
     };
     uint8_t length = (uint8_t)goldfield_epoch_pack(data, &header, sizeof data);
     node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_FRAME_ID, 0, data, length);
 
     const struct goldfield_epoch_status_t status = {
-        .cycle_low = epoch->cycle & 0xFu,
-        .chips = (uint16_t)(DESPREAD_CHIPS - epoch->despread.missing),
-        .saturated = epoch->saturated,
+        .cycle_low = cycle->cycle & 0xFu,
+        .chips = (uint16_t)(DESPREAD_CHIPS - cycle->missing),
+        .saturated = cycle->saturated,
         .fields = (uint16_t)sensor->selection.count,
-        .locked = epoch->locked,
+        .locked = cycle->locked,
         .phase = (int16_t)node_clamp(sync_phase(sensor->clock.phase_ticks), 8191),
         .temperature = (int16_t)node_clamp(hal_temperature(sensor->hal), 2047),
     };
@@ -154,36 +160,57 @@ static void send_header(sensor_t *sensor, const epoch_t *epoch) {
     node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_STATUS_FRAME_ID, 0, data, length);
 }
 
-static void report(sensor_t *sensor, epoch_t *epoch) {
+static void report(sensor_t *sensor, const epoch_sums_t *cycle) {
     node_t *node = &sensor->node;
     uint8_t data[8];
-    despread_transform(&epoch->despread);
-    send_header(sensor, epoch);
+    send_header(sensor, cycle);
 
     float mean[HAL_AXES];
-    epoch_offset(&epoch->despread, &sensor->calibration, mean);
+    epoch_offset(cycle, &sensor->calibration, mean);
     const struct goldfield_epoch_offset_t offset = {
         .x = epoch_integer(mean[0], 1e-9f),
         .y = epoch_integer(mean[1], 1e-9f),
         .z = epoch_integer(mean[2], 1e-9f),
-        .cycle_low = epoch->cycle & 0xFu,
+        .cycle_low = cycle->cycle & 0xFu,
     };
     uint8_t length = (uint8_t)goldfield_epoch_offset_pack(data, &offset, sizeof data);
     node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_OFFSET_FRAME_ID, 0, data, length);
 
     for (uint32_t i = 0; i < sensor->selection.count; i++) {
         float vector[HAL_AXES];
-        epoch_field(&epoch->despread, &sensor->calibration, &sensor->selection, i, vector);
+        epoch_field(cycle, &sensor->calibration, &sensor->selection, i, vector);
         const struct goldfield_field_t field = {
             .x = epoch_integer(vector[0], 1e-10f),
             .y = epoch_integer(vector[1], 1e-10f),
             .z = epoch_integer(vector[2], 1e-10f),
-            .cycle_low = epoch->cycle & 0xFu,
+            .cycle_low = cycle->cycle & 0xFu,
         };
         length = (uint8_t)goldfield_field_pack(data, &field, sizeof data);
         node_send(node, NODE_BOTH, GOLDFIELD_FIELD_FRAME_ID, sensor->selection.codes[i].code, data, length);
     }
-    onboard_take(&sensor->onboard, epoch, &sensor->calibration, &sensor->selection);
+    onboard_take(&sensor->onboard, cycle, &sensor->calibration, &sensor->selection);
+}
+
+static void send_part(sensor_t *sensor, const epoch_sums_t *part, uint32_t code, const float vector[HAL_AXES]) {
+    uint8_t data[8];
+    const struct goldfield_part_t message = {
+        .x = epoch_integer(vector[0], 1e-10f),
+        .y = epoch_integer(vector[1], 1e-10f),
+        .z = epoch_integer(vector[2], 1e-10f),
+        .cycle_low = part->cycle & 0xFu,
+    };
+    const uint8_t length = (uint8_t)goldfield_part_pack(data, &message, sizeof data);
+    node_send(&sensor->node, NODE_BOTH, GOLDFIELD_PART_FRAME_ID, part->third * PART_STRIDE + code, data, length);
+}
+
+static void report_third(sensor_t *sensor, const epoch_sums_t *part) {
+    float vector[HAL_AXES];
+    for (uint32_t i = 0; i < sensor->selection.count; i++) {
+        epoch_field(part, &sensor->calibration, &sensor->selection, i, vector);
+        send_part(sensor, part, sensor->selection.codes[i].code, vector);
+    }
+    epoch_offset(part, &sensor->calibration, vector);
+    send_part(sensor, part, PART_PLAIN, vector);
 }
 
 static node_state_t state(const sensor_t *sensor) {
@@ -216,7 +243,13 @@ void sensor_step(sensor_t *sensor) {
     node_t *node = &sensor->node;
     epoch_t *epoch = epoch_ready(&sensor->collector);
     if (epoch) {
-        report(sensor, epoch);
+        epoch_read(epoch, &sensor->selection, &sensor->part);
+        if (sensor->part.third != EPOCH_WHOLE) {
+            report_third(sensor, &sensor->part);
+        }
+        if (epoch_add(&sensor->cycle, &sensor->part, sensor->selection.count)) {
+            report(sensor, &sensor->cycle);
+        }
         epoch_release(&sensor->collector);
     }
     node->state = state(sensor);

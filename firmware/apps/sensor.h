@@ -6,8 +6,9 @@
  *   sync: the edge to chip_clock.
  *   With sync_source 1 (the field) acquire.h rules the chip clock instead of the wire: plan and samples serve it, main does its work piece by piece, samples are without
  *   the last conversion, and own chips run 3.12 us behind the beacons'. A wire that is there all the same is only compared: EPOCH_STATUS.phase.
- *   main: node; a complete cycle is transformed (despread_transform) while the next is collected, and reported on both links: EPOCH, EPOCH_STATUS,
- *   EPOCH_OFFSET, one FIELD for each code of the list. If it is to, the sensor then computes its own pose and sends it (onboard.h).
+ *   main: node; a complete cycle is transformed (epoch_read) while the next is collected, and reported on both links: EPOCH, EPOCH_STATUS,
+ *   EPOCH_OFFSET, one FIELD for each code of the list. With parts 3 each third of a cycle is, with its PARTs, before that.
+ *   If it is to, the sensor then computes its own pose and sends it (onboard.h).
  *
  * States: starting (no block yet), syncing, running (locked), clock_fallback. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip
  * clock cut short, and one that main was too late for, is dropped and counted (counter 13).
@@ -40,6 +41,7 @@ typedef struct {
     node_t node;
     chip_clock_t clock;
     epoch_collector_t collector;
+    epoch_sums_t part, cycle; /* Just read, and what is complete of its cycle. */
     epoch_calibration_t calibration;
     epoch_selection_t selection;
     onboard_t onboard;

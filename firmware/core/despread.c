@@ -18,7 +18,27 @@ void despread_start(despread_t *despread) {
     despread->u_state = DESPREAD_CHIPS; /* All ones. */
     despread->v_state = DESPREAD_CHIPS;
     despread->chip = 0;
+    despread->end = DESPREAD_CHIPS;
     despread->missing = 0;
+}
+
+void despread_start_part(despread_t *despread, const despread_t *previous, uint32_t chips) {
+    despread_start(despread);
+    if (previous != NULL) {
+        despread->u_state = previous->u_state;
+        despread->v_state = previous->v_state;
+        despread->chip = previous->chip;
+    }
+    const uint32_t end = despread->chip + chips;
+    despread->end = (uint16_t)(end < DESPREAD_CHIPS ? end : DESPREAD_CHIPS);
+    for (uint32_t axis = 0; axis < DESPREAD_AXES; axis++) {
+        for (int32_t *x = despread->words[axis]; x < despread->words[axis] + DESPREAD_WORDS; x += 4) {
+            x[0] = 0; /* Four at a time: a plain loop would become the library's memset, byte by byte. */
+            x[1] = 0;
+            x[2] = 0;
+            x[3] = 0;
+        }
+    }
 }
 
 static void next_chip(despread_t *despread) {
@@ -28,7 +48,7 @@ static void next_chip(despread_t *despread) {
 }
 
 void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]) {
-    if (despread->chip >= DESPREAD_CHIPS) {
+    if (despread->chip >= despread->end) {
         return;
     }
     const uint32_t state = despread->v_state;
@@ -43,7 +63,7 @@ void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]) {
 }
 
 void despread_skip(despread_t *despread, uint32_t chips) {
-    for (; chips > 0u && despread->chip < DESPREAD_CHIPS; chips--) {
+    for (; chips > 0u && despread->chip < despread->end; chips--) {
         for (uint32_t axis = 0; axis < DESPREAD_AXES; axis++) {
             despread->words[axis][despread->v_state] = 0;
         }

@@ -13,7 +13,9 @@
  * the results. A chip without a sample counts as zero and is counted in missing: samples should be near zero on average, else a hole costs
  * (mean / 1023) per chip on every code.
  *
- * Memory: 12,320 bytes. To sample one cycle while reading the last, own two. Contexts: one despread_t belongs to one context at a time.
+ * Parts. despread_start_part begins with the cycle's next chips only: the results are then the sums over these chips, and those of all parts add up to the cycle's.
+ *
+ * Memory: 12,324 bytes. To sample one cycle while reading the last, own two. Contexts: one despread_t belongs to one context at a time.
  * Instruction counts here and in the other headers: Cortex-M4, gcc 12 -O2, counted in Unicorn by tests/firmware/core/test_instructions.py.
  */
 #ifndef GOLDFIELD_DESPREAD_H
@@ -33,20 +35,25 @@ typedef struct {
     int32_t v_sum[DESPREAD_AXES];
     int32_t sum[DESPREAD_AXES]; /* Plain sum of the samples. */
     uint16_t u_state, v_state;  /* Of the next chip. */
-    uint16_t chip;              /* Next chip, 0..1023; 1023: the cycle is full. */
-    uint16_t missing;           /* Chips without a sample so far; after despread_transform: of the cycle. */
+    uint16_t chip;              /* Next chip, 0..end; end: full. */
+    uint16_t end;               /* Chip at which the cycle, or the part of it, ends. */
+    uint16_t missing;           /* Chips without a sample so far; after despread_transform: of the cycle or part. */
 } despread_t;
 
 /* Begin a cycle at chip 0. About 20 instructions: each cycle overwrites every word. */
 void despread_start(despread_t *despread);
 
+/* Begin a part of a cycle: so many chips (fewer at the cycle's end) from where the previous part ended; previous NULL: from chip 0. The previous part must be full.
+ * About 4,000 instructions. */
+void despread_start_part(despread_t *despread, const despread_t *previous, uint32_t chips);
+
 /* The sample of the next chip. Ignored when the cycle is full. About 95 instructions. */
 void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]);
 
-/* The next chips have no sample. Stops at the end of the cycle. Bound: 1023 chips of about 60 instructions. */
+/* The next chips have no sample. Stops at the end of the cycle or part. Bound: 1023 chips of about 60 instructions. */
 void despread_skip(despread_t *despread, uint32_t chips);
 
-/* End the cycle (the rest counts as missing) and transform in place. Call once; results are valid until despread_start.
+/* End the cycle or part (the rest counts as missing) and transform in place. Call once; results are valid until despread_start.
  * A full cycle takes 57,100 instructions for three axes, whatever the data. */
 void despread_transform(despread_t *despread);
 

@@ -36,16 +36,40 @@ static void drop(epoch_collector_t *collector) {
     }
 }
 
-/* The cycle being filled is over. True: handed to main. */
+/* The cycle or part being filled is full. True: handed to main. The next part follows in the other buffer. */
 static bool hand_over(epoch_collector_t *collector) {
     if (__atomic_load_n(&collector->ready, __ATOMIC_ACQUIRE) != 0u) {
         drop(collector);
         return false;
     }
-    collector->collecting = false;
+    const epoch_t *full = &collector->epochs[collector->filling];
     collector->filling ^= 1u;
+    collector->collecting = full->despread.end < DESPREAD_CHIPS;
+    if (collector->collecting) {
+        epoch_t *next = &collector->epochs[collector->filling];
+        despread_start_part(&next->despread, &full->despread, EPOCH_THIRD_CHIPS);
+        next->third = (uint8_t)(full->third + 1u);
+        next->cycle = full->cycle;
+        next->first_chip = full->first_chip;
+        next->saturated = 0;
+        next->locked = true;
+    }
     __atomic_store_n(&collector->ready, 1u, __ATOMIC_RELEASE);
     return true;
+}
+
+/* What is collected has no samples from its next chip up to this one. True: a part that ended on the way was handed over. */
+static bool skip_to(epoch_collector_t *collector, uint32_t chip) {
+    bool complete = false;
+    while (collector->collecting) {
+        despread_t *despread = &collector->epochs[collector->filling].despread;
+        despread_skip(despread, chip - despread->chip);
+        if (despread->chip < despread->end) {
+            break;
+        }
+        complete = hand_over(collector) || complete;
+    }
+    return complete;
 }
 
 bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint16_t code_chip, const int16_t sample[EPOCH_AXES],
@@ -55,14 +79,21 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
     if (collector->collecting) {
         const uint32_t expected = absolute_chip - epoch->first_chip; /* Code chip, unless the chip clock jumped. */
         if (expected == DESPREAD_CHIPS && code_chip == 0u) {
-            complete = hand_over(collector); /* The last chips of the cycle are missing. */
+            complete = skip_to(collector, DESPREAD_CHIPS); /* The last chips of the cycle are missing. */
         } else if (expected != code_chip || code_chip < epoch->despread.chip) {
             drop(collector);
+        } else if (code_chip > epoch->despread.chip) {
+            complete = skip_to(collector, code_chip);
         }
     }
     epoch = &collector->epochs[collector->filling];
     if (code_chip == 0u) {
-        despread_start(&epoch->despread);
+        epoch->third = collector->thirds ? 0u : EPOCH_WHOLE;
+        if (collector->thirds) {
+            despread_start_part(&epoch->despread, NULL, EPOCH_THIRD_CHIPS);
+        } else {
+            despread_start(&epoch->despread);
+        }
         epoch->first_chip = absolute_chip;
         epoch->saturated = 0;
         epoch->locked = true;
@@ -71,12 +102,11 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
     if (!collector->collecting) {
         return complete;
     }
-    despread_skip(&epoch->despread, (uint32_t)code_chip - epoch->despread.chip);
     despread_store(&epoch->despread, sample);
     epoch->cycle = cycle;
     epoch->saturated = (uint16_t)(epoch->saturated + (saturated ? 1u : 0u));
     epoch->locked = epoch->locked && locked;
-    if (epoch->despread.chip == DESPREAD_CHIPS) {
+    if (epoch->despread.chip == epoch->despread.end) {
         complete = hand_over(collector) || complete;
     }
     return complete;
@@ -91,17 +121,72 @@ epoch_t *epoch_ready(epoch_collector_t *collector) {
 
 void epoch_release(epoch_collector_t *collector) { __atomic_store_n(&collector->ready, 0u, __ATOMIC_RELEASE); }
 
+static int16_t third_sum(uint32_t code, uint32_t third) {
+    gold_generator_t generator;
+    int32_t sum = EPOCH_THIRD_CHIPS;
+    (void)gold_start(&generator, 10, code, third * EPOCH_THIRD_CHIPS); /* A code of the family: cannot fail. */
+    for (uint32_t chip = 0; chip < EPOCH_THIRD_CHIPS; chip++) {
+        sum -= 2 * (int32_t)gold_next(&generator);
+    }
+    return (int16_t)sum;
+}
+
 uint32_t epoch_select(epoch_selection_t *selection, const uint16_t *codes, uint32_t count) {
     selection->count = 0;
     for (uint32_t i = 0; i < count && i < EPOCH_CODES_MAX; i++) {
         if (codes[i] < DESPREAD_CODES) {
             selection->codes[selection->count].code = codes[i];
             selection->codes[selection->count].word = despread_word(codes[i]);
-            selection->codes[selection->count].sum = (int16_t)gold_sum(10, codes[i]);
+            selection->codes[selection->count].sum = 0;
+            for (uint32_t third = 0; third < EPOCH_THIRDS; third++) {
+                const int16_t sum = third_sum(codes[i], third);
+                selection->codes[selection->count].third_sum[third] = sum;
+                selection->codes[selection->count].sum = (int16_t)(selection->codes[selection->count].sum + sum);
+            }
             selection->count++;
         }
     }
     return selection->count;
+}
+
+void epoch_read(epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t *sums) {
+    despread_transform(&epoch->despread);
+    for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
+        for (uint32_t i = 0; i < selection->count; i++) {
+            sums->correlation[i][axis] = despread_correlation(&epoch->despread, axis, selection->codes[i].code, selection->codes[i].word);
+        }
+        sums->sum[axis] = epoch->despread.sum[axis];
+    }
+    sums->third = epoch->third;
+    sums->cycle = epoch->cycle;
+    sums->missing = epoch->despread.missing;
+    sums->saturated = epoch->saturated;
+    sums->locked = epoch->locked;
+}
+
+bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count) {
+    if (part->third == 0u || part->third == EPOCH_WHOLE) {
+        *total = *part;
+    } else if (part->third != total->third + 1u) {
+        return false;
+    } else {
+        for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
+            for (uint32_t i = 0; i < count; i++) {
+                total->correlation[i][axis] += part->correlation[i][axis];
+            }
+            total->sum[axis] += part->sum[axis];
+        }
+        total->cycle = part->cycle;
+        total->missing = (uint16_t)(total->missing + part->missing);
+        total->saturated = (uint16_t)(total->saturated + part->saturated);
+        total->locked = total->locked && part->locked;
+        total->third = part->third;
+    }
+    if (total->third < EPOCH_THIRDS - 1u) {
+        return false;
+    }
+    total->third = EPOCH_WHOLE;
+    return true;
 }
 
 /* M (correlation / (8 N) - (zero - mid-scale) sum / N). */
@@ -119,17 +204,14 @@ static void scale(const epoch_calibration_t *calibration, const int32_t correlat
     }
 }
 
-void epoch_field(const despread_t *despread, const epoch_calibration_t *calibration, const epoch_selection_t *selection, uint32_t index,
+void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibration, const epoch_selection_t *selection, uint32_t index,
                  float field_T[EPOCH_AXES]) {
-    int32_t correlation[EPOCH_AXES];
-    for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
-        correlation[axis] = despread_correlation(despread, axis, selection->codes[index].code, selection->codes[index].word);
-    }
-    scale(calibration, correlation, selection->codes[index].sum, field_T);
+    const int16_t code_sum = sums->third < EPOCH_THIRDS ? selection->codes[index].third_sum[sums->third] : selection->codes[index].sum;
+    scale(calibration, sums->correlation[index], code_sum, field_T);
 }
 
-void epoch_offset(const despread_t *despread, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]) {
-    scale(calibration, despread->sum, CHIPS_F, offset_T);
+void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]) {
+    scale(calibration, sums->sum, sums->third < EPOCH_THIRDS ? (float)EPOCH_THIRD_CHIPS : CHIPS_F, offset_T);
 }
 
 int32_t epoch_integer(float value, float resolution) {

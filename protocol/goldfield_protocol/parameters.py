@@ -100,6 +100,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     "calibration": Parameter(16, Kind.FLOAT, count=9, exact=True),
     "periods": Parameter(25, Kind.UNSIGNED, low=1, high=511),
     "sync_source": Parameter(26, Kind.UNSIGNED, low=0, high=1),
+    "parts": Parameter(27, Kind.UNSIGNED, low=1, high=3),
     "half_space": Parameter(32, Kind.FLOAT, count=6, low=-1e6, high=1e6, exact=True),
     "code_list": Parameter(256, Kind.UNSIGNED, count=64, low=0, high=1024),
     "beacons": Parameter(512, Kind.FLOAT, count=512, low=-1e6, high=1e6, group=8, stride=16),

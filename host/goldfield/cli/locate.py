@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     table = PoseTable()
     locate = locating(site, arguments.track)
     for fields in read_fields(site, arguments.fields):
-        pose = locate(fields)
+        pose = locate(fields, None)
         print(json_line(pose_record(pose)) if arguments.json else table.line(pose))
     return 0
 

@@ -7,7 +7,7 @@ import contextlib
 import math
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from goldfield import site as sites
@@ -22,6 +22,7 @@ from goldfield.link.epochs import Assembler, Report
 from goldfield.link.session import COUNTERS, Session
 from goldfield.link.source import BusSource, LogSource, Source, open_can, open_port
 from goldfield.site import Site
+from goldfield_protocol.parameters import PARAMETERS
 
 SOURCES = ("port", "can", "log")
 
@@ -71,11 +72,19 @@ def run(arguments: argparse.Namespace) -> int:
         assembler = Assembler(silence_s=8.0 * site.cycle_s, own_pose=arguments.on_sensor)
         session = Session(source, where, assembler, arguments.node, recorder)
         if isinstance(source, BusSource):
-            from goldfield.onboard import onboard_parameters
-
             session.find_sensor()
-            session.configure(source, site.codes, onboard_parameters(site) if arguments.on_sensor else None)
+            session.configure(source, site.codes, _parameters(arguments, site))
         return _print_poses(arguments, site, session, live=isinstance(source, BusSource))
+
+
+def _parameters(arguments: argparse.Namespace, site: Site) -> Mapping[int, int | float]:
+    """Return what the sensor must know beside the codes."""
+    from goldfield.onboard import onboard_parameters
+    from goldfield.track.parts import PARTS, sensor_sends_parts
+
+    if arguments.on_sensor:
+        return onboard_parameters(site)
+    return {PARAMETERS["parts"].first: PARTS} if arguments.track and sensor_sends_parts(site) else {}
 
 
 def _open_bus(kind: str, where: str) -> BusSource:
@@ -86,6 +95,7 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
     from goldfield.access.epoch import EpochSeparator  # heavy: only when a pose is wanted
     from goldfield.access.sweep import SweepRepair
     from goldfield.onboard import onboard_pose
+    from goldfield.track.parts import cycle_of_parts
     from goldfield.view.terminal import PoseTable, Summary
     from goldfield.view.truth import NO_ERROR, Truth
 
@@ -101,7 +111,10 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
             fields = sweep.repaired(separator.fields(report), report.offset_T if report.chips == site.chips else None)
             if writer is not None:
                 writer.write(fields)
-            pose = onboard_pose(site, report, fields) if arguments.on_sensor else locate(fields)
+            if arguments.on_sensor:
+                pose = onboard_pose(site, report, fields)
+            else:
+                pose = locate(fields, cycle_of_parts(site, report, fields.time_s))
             error = NO_ERROR if truth is None else truth.error_of(pose)
             lost = report.lost(expected_fields=len(site.codes))
             summary.add(pose, error, lost)

@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 import os
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from goldfield.poses import Fields, Pose
 from goldfield.site import Site
+
+if TYPE_CHECKING:
+    from goldfield.track import CycleData
 
 
 def add_track(parser: argparse.ArgumentParser) -> None:
@@ -20,13 +24,16 @@ def add_track(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def locating(site: Site, track: bool) -> Callable[[Fields], Pose]:
-    """Return what makes a pose of each epoch, whatever happens: on its own, or with the earlier ones."""
+def locating(site: Site, track: bool) -> Callable[[Fields, CycleData | None], Pose]:
+    """Return what makes a pose of each epoch, whatever happens: on its own, or with the earlier ones.
+
+    It takes the fields, and the thirds of the cycle if they came: a tracker prefers these.
+    """
     from goldfield.pose_of import guarded, pose_of  # heavy: only when a pose is wanted
 
     if not track:
-        return lambda fields: pose_of(site, fields)
-    from goldfield.track import epoch_tracker
+        return lambda fields, _: pose_of(site, fields)
+    from goldfield.track import PartsObserver, Tracker
 
-    tracker = epoch_tracker(site)
-    return lambda fields: guarded(tracker.update, fields)
+    tracker = Tracker(site, PartsObserver(site))
+    return lambda fields, thirds: guarded(lambda _: tracker.update(fields if thirds is None else thirds), fields)

@@ -53,6 +53,8 @@ class Report:
         Mean of the samples, NaN where lost or out of range.
     correlation_T : dict of int to ndarray, shape (3,)
         Plain correlation of each code; NaN where out of range.
+    parts_T : dict of int to ndarray, shape (3,)
+        The `PART` messages by index; empty if the sensor sends none.
     own_pose : dict of str to mapping
         Signals of the `OWN_POSE` messages that arrived, if they are awaited.
     """
@@ -65,6 +67,7 @@ class Report:
     locked: bool | None = None
     offset_T: FloatArray | None = None
     correlation_T: dict[int, FloatArray] = field(default_factory=dict)
+    parts_T: dict[int, FloatArray] = field(default_factory=dict)
     own_pose: dict[str, Mapping[str, float]] = field(default_factory=dict)
     has_header: bool = False
 
@@ -115,6 +118,8 @@ class Assembler:
     missed_cycles: int = 0
     restarts: int = 0
     _open: dict[int, Report] = field(default_factory=dict)
+    _parts: dict[int, dict[int, FloatArray]] = field(default_factory=dict)
+    """By the cycle's low bits: parts come before anything else of their cycle."""
     _newest: int | None = None
     _next: int | None = None
     _last_time: float = float("-inf")
@@ -129,12 +134,17 @@ class Assembler:
         arrival_s : float
             On any clock that does not run backwards.
         """
-        awaited = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", *(OWN_POSE if self.own_pose else ()))
+        awaited = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "PART", *(OWN_POSE if self.own_pose else ()))
         if message.name not in awaited:
             return
         if arrival_s - self._last_time > self.silence_s:
             yield from self.end()
         self._last_time = arrival_s
+        if message.name == "PART":
+            parts = self._parts.setdefault(int(message.signals["cycle_low"]), {})
+            self.repeated += message.index in parts
+            parts.setdefault(message.index, _vector(message, FIELD_LIMIT_T))
+            return
         if message.name == "EPOCH":
             cycle = int(message.signals["cycle"])
             if self._newest is None or abs(_distance(cycle, self._newest)) > WINDOW:
@@ -167,11 +177,13 @@ class Assembler:
         else:
             self.restarts += 1
         self._newest = self._next = cycle
+        self._parts = {low: parts for low, parts in self._parts.items() if low == cycle % LOW_MODULUS}
 
     def end(self) -> Iterator[Report]:
         """Yield all open reports; what follows may be of any cycle (the sensor restarts, or was silent)."""
         yield from self.flush()
         self._newest = None
+        self._parts.clear()
 
     def _cycle_of(self, low: int) -> int:
         assert self._newest is not None
@@ -194,7 +206,9 @@ class Assembler:
     def _pop(self) -> Report:
         cycle = self._expected
         self._next = (cycle + 1) % CYCLE_MODULUS
-        return self._open.pop(cycle, None) or Report(cycle)
+        report = self._open.pop(cycle, None) or Report(cycle)
+        report.parts_T = self._parts.pop(cycle % LOW_MODULUS, {})
+        return report
 
     @property
     def _expected(self) -> int:

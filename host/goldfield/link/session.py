@@ -53,7 +53,7 @@ COUNTERS = (
 )
 """What a node's counters count, by index (framing.md)."""
 
-USED = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "HEARTBEAT", "COUNTER", "PARAM_VALUE", *OWN_POSE)
+USED = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "PART", "HEARTBEAT", "COUNTER", "PARAM_VALUE", *OWN_POSE)
 USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in USED}
 
 

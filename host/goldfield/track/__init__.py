@@ -10,6 +10,7 @@ from goldfield.track.cycle import CycleLocator, MovingPose
 from goldfield.track.filter import Tracker
 from goldfield.track.motion import Agility
 from goldfield.track.observe import CycleData, CycleObserver, EpochObserver
+from goldfield.track.parts import PartsObserver, cycle_of_parts, sensor_sends_parts
 from goldfield.track.smoother import FixedLagSmoother
 
 __all__ = [
@@ -20,8 +21,11 @@ __all__ = [
     "EpochObserver",
     "FixedLagSmoother",
     "MovingPose",
+    "PartsObserver",
     "Tracker",
+    "cycle_of_parts",
     "epoch_tracker",
+    "sensor_sends_parts",
     "tracked",
 ]
 

@@ -57,6 +57,10 @@ void begin_sensor(void) {
 void call_plan(void) { events.plan(events.context, block++, &plan); hal.us += 3030; }
 void call_current(void) { events.current(events.context, chip++, (uint16_t)(2048u - (beacon.current.target >> 16))); }
 void call_samples(void) { events.samples(events.context, block - 2, (const hal_samples_t *)&samples); }
+void ask_thirds(void) {
+    (void)parameters_set(&sensor.node.parameters, PARAMETER_PARTS, (parameter_value_t){PARAMETER_UNSIGNED, 3});
+    sensor.node.parameters_changed = true;
+}
 void step_beacon(void) { beacon_step(&beacon); }
 void step_sensor(void) { sensor_step(&sensor); }
 """
@@ -73,7 +77,8 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     core = sorted((ROOT / "firmware/core").glob("*.c"))
     includes = [f"-I{ROOT / path}" for path in ("firmware/core", "firmware/apps", "firmware/hal", "build/protocol")]
     sources = [source, *(ROOT / app for app in apps), *core, ROOT / "build/protocol/goldfield.c"]
-    keep = ("begin_beacon", "begin_sensor", "call_plan", "call_current", "call_samples", "step_beacon", "step_sensor")
+    keep = ("begin_beacon", "begin_sensor", "ask_thirds", "call_plan", "call_current", "call_samples")
+    keep += ("step_beacon", "step_sensor")
     undefined = [f"-Wl,-u,{name}" for name in keep]
     subprocess.run(["arm-none-eabi-gcc", *FLAGS, *includes, *map(str, sources), *undefined, "-o", str(elf)], check=True)
     return elf
@@ -150,3 +155,20 @@ def test_sensor(call: Call) -> None:
     assert max(plans) <= 31 * 70
     assert min(idle) <= 200
     assert max(reports) <= 110_000
+
+
+def test_sensor_in_thirds(call: Call) -> None:
+    call("begin_sensor")
+    call("ask_thirds")
+    for _ in range(2):
+        call("call_plan")
+    samples, main = [], []
+    for _ in range(35 + 33):
+        samples.append(call("call_samples"))
+        call("call_plan")
+        main.append(call("step_sensor"))
+    cycle = sorted(main[35:])[-3:]
+    print(f"sensor in thirds: samples of 31 chips at most {max(samples)}, main for the thirds of a cycle {cycle}")
+    assert sum(n > 50_000 for n in main[35:]) == 3
+    assert max(samples) <= 31 * 600
+    assert sum(cycle) <= 230_000

@@ -70,7 +70,7 @@ def load(core, table, stored):
 
 
 def test_exactly_the_documented_parameters_exist(core, parameters):
-    assert len(TABLE) == 609
+    assert len(TABLE) == 610
     for identifier in range(4096):
         status, kind, value = getting(core, parameters, identifier)
         if identifier in TABLE:
@@ -98,6 +98,7 @@ def test_exactly_the_documented_parameters_exist(core, parameters):
         (10, [0.0, 2047.5, 4095.0], [-0.5, 4095.5]),
         (24, [-1.0, 1e-7, 1.0], [1.001, math.nan]),
         (11, [0, 1], [2]),
+        (27, [1, 3], [0, 4]),
         (12, [0.0, 2e-7, 1.0], [-1e-9, 1.1, math.nan]),
         (37, [-1e6, 0.0, 1e6], [-1.1e6, math.inf]),
         (512, [-1e6, 0.0, 1e6], [1.1e6, math.nan]),
