@@ -29,7 +29,7 @@
 #define EPOCH_MID_SCALE 2048u
 #define EPOCH_CODES_MAX 64u
 #define EPOCH_THIRDS 3u
-#define EPOCH_THIRD_CHIPS (DESPREAD_CHIPS / EPOCH_THIRDS)
+#define EPOCH_THIRD_CHIPS 341u
 #define EPOCH_WHOLE EPOCH_THIRDS /* In place of the number of a third: the whole cycle. */
 #define EPOCH_OUT_OF_RANGE (-524288) /* The message's integer of an axis that was not measured. */
 

@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from goldfield.cli import main
-from tests.host.fake_sensor import POSITION_M, SITE, beacon_fields, log_of
+from goldfield_protocol.parameters import PARAMETERS
+from tests.host.fake_sensor import (
+    CYCLE_S,
+    POSITION_M,
+    SITE,
+    PtySensor,
+    beacon_fields,
+    candump,
+    cycle_messages,
+    log_of,
+)
 
 SIGMA_T = 2e-7 / np.sqrt(1023)
 
@@ -109,3 +119,57 @@ def test_help_tells_of_it(command, capsys):
         main([command, "--help"])
     assert ended.value.code == 0
     assert "--track" in capsys.readouterr().out
+
+
+def log_of_thirds(cycles, lost=()):
+    """A log of a sensor with ``parts`` = 3; of the cycles in ``lost`` one part is missing."""
+    timed = []
+    for cycle in cycles:
+        messages = cycle_messages(cycle, thirds=True)
+        timed += [((cycle + 1) * CYCLE_S + 1e-4 * i, m) for i, m in enumerate(messages) if i != 12 or cycle not in lost]
+    return candump(timed)
+
+
+def test_thirds_are_used_where_they_came_whole(tmp_path, capsys, monkeypatch):
+    from goldfield.track import PartsObserver
+
+    seen = []
+    observation = PartsObserver.observation
+
+    def watched(self, data, *arguments):
+        seen.append((data.epoch, type(data).__name__))
+        return observation(self, data, *arguments)
+
+    monkeypatch.setattr(PartsObserver, "observation", watched)
+    path = tmp_path / "a.log"
+    path.write_text(log_of_thirds(range(12), lost=(5, 8)))
+    assert main(["run", "--site", str(SITE), "--log", str(path), "--json", "--track"]) == 0
+    lines = poses(capsys)
+    assert [line["epoch"] for line in lines] == list(range(12))
+    assert {line["status"] for line in lines} == {"ok"}
+    assert rms_error(lines[3:]) < 0.02
+    kinds = dict(seen)
+    assert {epoch for epoch, kind in kinds.items() if kind == "Fields"} == {
+        0,
+        5,
+        8,
+    }  # 0: its EPOCH first tells the log's sensor
+    assert {kind for epoch, kind in kinds.items() if epoch not in (0, 5, 8)} == {"CycleData"}
+    path.write_text(log_of(range(12)))
+    assert main(["run", "--site", str(SITE), "--log", str(path), "--json", "--track"]) == 0
+    assert [line["status"] for line in poses(capsys)] == ["ok"] * 12
+
+
+class ThirdsSensor(PtySensor):
+    """One that knows ``parts`` and is configured last with it."""
+
+    def _configured(self):
+        return self.parameters[PARAMETERS["parts"].first] == 3
+
+
+def test_tracking_asks_a_live_sensor_for_thirds(capsys):
+    parameters = {5: 0, PARAMETERS["parts"].first: 1, **{256 + i: 0 for i in range(64)}}
+    with ThirdsSensor(range(1000), parameters=parameters) as sensor:
+        assert main(["run", "--site", str(SITE), "--port", sensor.path, "--json", "--track", "--seconds", "0.5"]) == 0
+        assert sensor.requests[-1] == "set 27"
+    assert [line["status"] for line in poses(capsys)] == ["ok"] * 5
