@@ -8,7 +8,7 @@ from goldfield.access.epoch import EpochSeparator
 from goldfield.access.sweep import SweepRepair
 from goldfield.locate import locate
 from goldfield.track import CycleLocator, PartsObserver, Tracker, cycle_of_parts, epoch_tracker
-from goldfield_protocol import encode, encode_frame
+from goldfield_protocol import FrameDecoder, decode, encode, encode_frame
 from goldfield_protocol.parameters import PARAMETERS
 from hil_sim.clib import ROOT
 from hil_sim.pytest_plugin import SimulatedBench
@@ -99,6 +99,18 @@ def test_every_cycle_has_its_thirds_and_they_add_up(flight):
             np.testing.assert_allclose(total, report.correlation_T[code], atol=2.1e-10)
         total = sum(report.parts_T[1026 * third + 1025] for third in range(3))
         np.testing.assert_allclose(total, report.offset_T, atol=7e-10)
+
+
+def test_the_sensors_own_poses_go_on_and_nothing_is_lost(flight):
+    bench, reports = flight
+    decoded = [decode(frame.identifier, frame.data) for frame in FrameDecoder().feed(bytes(bench.stream))]
+    messages = [message for message in decoded if message is not None]
+    own = [m.signals for m in messages if m.name == "POSE_QUALITY"][-CYCLES:]
+    assert [int(signals["cycle_low"]) for signals in own] == [report.cycle % 16 for report in reports]
+    assert all(signals["status"] != 4 for signals in own)  # failed
+    counters = {m.index: m.signals["value"] for m in messages if m.name == "COUNTER"}
+    assert counters.get(13, 0) <= 1  # the cycle that the first synchronisation cut short
+    assert 4 not in counters
 
 
 def test_thirds_are_near_the_bound_and_better_than_whole_cycles(flight, poses):
