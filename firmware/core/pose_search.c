@@ -5,7 +5,7 @@
 #include "wahba.h"
 
 #define COARSENESS 0.3f          /* Relative change of the fields between neighbouring points, used as an error. */
-#define GOLDEN_COSINE -0.73736887f /* Of the golden angle, 2.39996 rad: Fibonacci's spiral spreads points evenly over the sphere. */
+#define GOLDEN_COSINE (-0.73736887f) /* Of the golden angle, 2.39996 rad: Fibonacci's spiral spreads points evenly over the sphere. */
 #define GOLDEN_SINE 0.67549029f
 #define NEAR 3.0f                /* Radii within which a coil is not taken for its dipole. */
 #define APART2 (0.25f * 0.25f)   /* Candidates differ by a quarter of the distance to the strongest beacon. */
