@@ -1,4 +1,4 @@
-"""Print what is reached on a moving sensor: maths.md, 4, and issue 3's figures; all from seeded runs.
+"""Print what is reached on a moving sensor: maths.md, 4, and the goals for tracking; all from seeded runs.
 
 World: magpylib's coils, codes from shift registers, a sample at the end of each chip of a sensor that moves all the
 time. Prigge's cube; straight flights in random directions, attitudes and axes of turn, at least 0.25 m from a coil.
