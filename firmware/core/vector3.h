@@ -16,11 +16,4 @@ static inline void vector3_subtract(const float a[3], const float b[3], float di
     difference[2] = a[2] - b[2];
 }
 
-/* matrix * vector; result must not be vector. */
-static inline void vector3_transform(const float matrix[3][3], const float vector[3], float result[3]) {
-    result[0] = vector3_dot(matrix[0], vector);
-    result[1] = vector3_dot(matrix[1], vector);
-    result[2] = vector3_dot(matrix[2], vector);
-}
-
 #endif

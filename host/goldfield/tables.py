@@ -105,6 +105,33 @@ def read_table(path: str | Path, required: tuple[str, ...], optional: tuple[str,
         ) from error
 
 
+def read_groups(
+    path: str | Path, key: str, required: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> Iterator[list[Row]]:
+    """Yield the rows of `read_table` in groups of successive rows with the same whole number in the column key.
+
+    Raises
+    ------
+    UserError
+        As `read_table`; if there are no rows, or a group comes again after another one.
+    """
+    rows: list[Row] = []
+    seen: set[int] = set()
+    for row in read_table(path, required, optional):
+        number = row.whole(key)
+        if rows and number != rows[0].whole(key):
+            yield rows
+            rows = []
+        if not rows:
+            if number in seen:
+                raise row.error(key, f"{number} comes again after another one: sort the rows by {key}")
+            seen.add(number)
+        rows.append(row)
+    if not rows:
+        raise UserError(f"{path}: has a header but no rows")
+    yield rows
+
+
 def _rows(path: Path, file: TextIO, required: tuple[str, ...], optional: tuple[str, ...]) -> Iterator[Row]:
     lines = _lines(path, file)
     line, header = next(lines, (1, []))

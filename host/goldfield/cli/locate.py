@@ -14,10 +14,9 @@ from goldfield.cli import options
 from goldfield.cli.fields_file import COLUMNS, SIGMA_COLUMN
 from goldfield.cli.output import json_line, pose_record
 from goldfield.cli.tracking import add_track, locating
-from goldfield.errors import UserError
 from goldfield.poses import Fields
 from goldfield.site import Site
-from goldfield.tables import Row, read_table
+from goldfield.tables import Row, read_groups
 
 
 def command(subparsers: Any) -> None:
@@ -56,21 +55,8 @@ def read_fields(site: Site, path: str) -> Iterator[Fields]:
     UserError
         With file, line and column of whatever is wrong.
     """
-    rows: list[Row] = []
-    seen: set[int] = set()
-    for row in read_table(path, COLUMNS, (SIGMA_COLUMN,)):
-        epoch = row.whole("epoch")
-        if rows and epoch != rows[0].whole("epoch"):
-            yield _fields(site, rows)
-            rows = []
-        if not rows:
-            if epoch in seen:
-                raise row.error("epoch", f"{epoch} comes again after another one: sort the rows by epoch")
-            seen.add(epoch)
-        rows.append(row)
-    if not rows:
-        raise UserError(f"{path}: has a header but no rows")
-    yield _fields(site, rows)
+    for rows in read_groups(path, "epoch", COLUMNS, (SIGMA_COLUMN,)):
+        yield _fields(site, rows)
 
 
 def _fields(site: Site, rows: list[Row]) -> Fields:

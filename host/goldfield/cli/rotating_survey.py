@@ -17,7 +17,7 @@ from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError
 from goldfield.poses import FloatArray
 from goldfield.rotating_site import RotatingSite
-from goldfield.tables import Row, read_table
+from goldfield.tables import Row, read_groups
 
 SAMPLES = ("window", "t_s", "bx_T", "by_T", "bz_T")
 PLACE = ("x_m", "y_m", "z_m")
@@ -207,21 +207,8 @@ def read_windows(site: RotatingSite, path: str, separation: str = "least-squares
     UserError
         With file, line and column of whatever is wrong.
     """
-    rows: list[Row] = []
-    seen: set[int] = set()
-    for row in read_table(path, SAMPLES, PLACE):
-        window = row.whole("window")
-        if rows and window != rows[0].whole("window"):
-            yield _window(site, rows, separation)
-            rows = []
-        if not rows:
-            if window in seen:
-                raise row.error("window", f"{window} comes again after another one: sort the rows by window")
-            seen.add(window)
-        rows.append(row)
-    if not rows:
-        raise UserError(f"{path}: has a header but no rows")
-    yield _window(site, rows, separation)
+    for rows in read_groups(path, "window", SAMPLES, PLACE):
+        yield _window(site, rows, separation)
 
 
 def _window(site: RotatingSite, rows: list[Row], method: str) -> Window:
