@@ -12,6 +12,9 @@ SITE_KEYS = {"slots": "tdma", "tone": "fdma"}
 
 TONES = ("sine", "square")
 
+WAVES = ("cosine", "sine")
+"""Of an alternating current, by its phase: two coils at one place with one each make a rotating field."""
+
 NO_CODE = -1
 """Code of a beacon that has not exactly one plain Gold code of the site's degree; no generator takes it."""
 
@@ -56,9 +59,11 @@ class Drive:
     slot : int or None
         Time slot of pulsed direct current (TDMA).
     periods : int or None
-        Whole periods of an alternating current in a cycle (FDMA): cos(2 pi periods t / N) in chip t.
+        Whole periods of an alternating current in a cycle (FDMA): cos(2 pi periods t / N) in chip t, or its sine.
+    wave : str
+        Which of the two, one of `WAVES`.
     square : bool
-        The sign of that cosine in its place, as the boards drive it.
+        The sign of the cosine in its place, as a bridge without planned set-points drives it.
     tau_s : float
         Time constant with which the current of the coil follows a step; 0: at once.
     """
@@ -66,6 +71,7 @@ class Drive:
     codes: tuple[Code, ...] = ()
     slot: int | None = None
     periods: int | None = None
+    wave: str = "cosine"
     square: bool = False
     tau_s: float = 0.0
 
@@ -130,7 +136,7 @@ def read_plan(site: Table) -> Plan:
     return Plan(access, degree, chip_period_s, slots)
 
 
-BEACON_KEYS = {"code": "cdma", "codes": "cdma", "slot": "tdma", "frequency_Hz": "fdma"}
+BEACON_KEYS = {"code": "cdma", "codes": "cdma", "slot": "tdma", "frequency_Hz": "fdma", "wave": "fdma"}
 """Keys of a beacon and the access they belong to."""
 
 
@@ -155,7 +161,7 @@ def read_drive(table: Table, plan: Plan) -> tuple[int, Drive]:
             raise table.error("slot", f"is {slot}; the site has the slots 0 to {plan.slots - 1}")
         return NO_CODE, Drive(slot=slot, tau_s=tau_s)
     if plan.access == "fdma":
-        return NO_CODE, Drive(periods=_periods(table, plan), square=plan.square, tau_s=tau_s)
+        return NO_CODE, Drive(periods=_periods(table, plan), wave=_wave(table, plan), square=plan.square, tau_s=tau_s)
     if "codes" in table:
         if "code" in table:
             raise table.error("codes", "and code are both given: give one of them")
@@ -201,3 +207,12 @@ def _periods(table: Table, plan: Plan) -> int:
             f"such as {periods / cycle_s:.6g} Hz",
         )
     return periods
+
+
+def _wave(table: Table, plan: Plan) -> str:
+    wave = table.text("wave") if "wave" in table else "cosine"
+    if wave not in WAVES:
+        raise table.error("wave", f'is "{wave}"; waves are {" or ".join(WAVES)}')
+    if plan.square and wave != "cosine":
+        raise table.error("wave", 'is "sine", but square tones are the sign of a cosine: take tone = "sine" of [site]')
+    return wave

@@ -113,7 +113,7 @@ class Site:
     half_space : HalfSpace or None
     sensor : SensorSite
     beacons : tuple of Beacon
-        Ids are unique, plain codes too.
+        Ids are unique, plain codes too, and frequencies with their waves.
     access : str
         How beacons are told apart: "cdma", "tdma" or "fdma".
     slots : int
@@ -227,7 +227,7 @@ def _half_space(table: Table) -> HalfSpace:
 
 
 BEACON_KEYS = ("id", "position_m", "axis", "turns", "radius_m", "points_m", "current_A")
-DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "tau_s")
+DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "tau_s")
 
 
 def _beacon(table: Table, plan: Plan) -> Beacon:
@@ -273,6 +273,7 @@ def _check_unique(root: Table, beacons: tuple[Beacon, ...]) -> None:
     tables = root.tables("beacon")
     ids: dict[str, int] = {}
     codes: dict[int, str] = {}
+    waves: dict[tuple[int, str], str] = {}
     for table, beacon in zip(tables, beacons, strict=True):
         if beacon.id in ids:
             raise table.error("id", f'is "{beacon.id}", which beacon {ids[beacon.id]} already has: take another')
@@ -280,5 +281,13 @@ def _check_unique(root: Table, beacons: tuple[Beacon, ...]) -> None:
             raise table.error(
                 "code", f'is {beacon.code}, which beacon "{codes[beacon.code]}" already has: codes must differ'
             )
+        periods, wave = beacon.drive.periods, beacon.drive.wave
+        if periods is not None:
+            if (periods, wave) in waves:
+                raise table.error(
+                    "frequency_Hz",
+                    f'is that of beacon "{waves[periods, wave]}" and so is the wave, "{wave}": change one of them',
+                )
+            waves[periods, wave] = beacon.id
         ids[beacon.id] = len(ids) + 1
         codes[beacon.code] = beacon.id

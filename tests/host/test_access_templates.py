@@ -71,6 +71,10 @@ WAYS = {
     "cdma": (site_of([NOTHING_ELSE] * 8, codes=range(2, 10)), CHIPS),
     "tdma": (site_of([Drive(slot=k) for k in range(8)], "tdma", 9), slots_of(8, 9)),
     "fdma": (site_of([Drive(periods=k) for k in PERIODS], "fdma"), tones_of(PERIODS)),
+    "rotating": (
+        site_of([Drive(periods=k, wave=wave) for k in PERIODS[:4] for wave in ("cosine", "sine")], "fdma"),
+        np.stack([wave(2.0 * np.pi * k * np.arange(N) / N) for k in PERIODS[:4] for wave in (np.cos, np.sin)], axis=1),
+    ),
     "superposed": (
         site_of(SUPERPOSED),
         np.stack(

@@ -54,6 +54,19 @@ def test_slots_and_tones(tmp_path):
     assert [beacon.drive.periods for beacon in site.beacons] == [1, 3]
 
 
+def test_a_dual_axis_beacon_is_a_cosine_and_a_sine_of_one_frequency(tmp_path):
+    frequency = "frequency_Hz = 29.3255132"
+    site = load(write(tmp_path, 'access = "fdma"', frequency, f'{frequency}\nwave = "sine"'))
+    assert [(beacon.drive.periods, beacon.drive.wave) for beacon in site.beacons] == [(3, "cosine"), (3, "sine")]
+
+
+@pytest.mark.parametrize("wave", ["cosine", "sine"])
+def test_one_frequency_and_wave_is_one_beacon_s(tmp_path, wave):
+    keys = f'frequency_Hz = 29.3255132\nwave = "{wave}"'
+    with pytest.raises(UserError, match=rf':26: \[\[beacon\]\] 2: frequency_Hz is that of beacon "a".*"{wave}"'):
+        load(write(tmp_path, 'access = "fdma"', keys, keys))
+
+
 TDMA = 'access = "tdma"\nslots = 3'
 BAD = [
     ('access = "tmda"', "code = 1", ":5: [site]: access is", "cdma, tdma, fdma"),
@@ -78,6 +91,14 @@ BAD = [
     ("", "codes = [{ code = 1, offset = 1023 }]", ":16: [[beacon]] 1: codes 1: offset is 1023", "0 to 1022"),
     ('access = "fdma"', "frequency_Hz = 33.0", ":16: [[beacon]] 1: frequency_Hz is 33, 3.376 periods", "29.3255 Hz"),
     ('access = "fdma"', "frequency_Hz = 0.1", ":16: [[beacon]] 1: frequency_Hz is 0.1", "9.77517 Hz"),
+    ("", 'code = 1\nwave = "sine"', ":17: [[beacon]] 1: wave belongs to", '"fdma"'),
+    ('access = "fdma"', 'frequency_Hz = 9.775\nwave = "saw"', ':17: [[beacon]] 1: wave is "saw"', "cosine or sine"),
+    (
+        'access = "fdma"\ntone = "square"',
+        'frequency_Hz = 9.775\nwave = "sine"',
+        ":18: [[beacon]] 1: wave is",
+        'tone = "sine"',
+    ),
     ('access = "fdma"', "frequency_Hz = 9000.0", ":16: [[beacon]] 1: frequency_Hz is 9000", "1 to 511"),
 ]
 

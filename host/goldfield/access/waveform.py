@@ -7,8 +7,9 @@ current; `goldfield.access.rise` filters it with the time constant of the coil.
   its own; it begins anew with every cycle. The drive may be any offset plus these: a constant field is no beacon's.
 - TDMA: +1 during the beacon's slot of ``N // slots`` chips, else 0. Chips of no beacon are quiet and show the ambient
   field; those that are left over after the last slot are quiet too.
-- FDMA: cos(2 pi k t / N) with k whole periods in a cycle, held during a chip; or its sign, which a bridge of two levels
-  can drive. Harmonics of square waves overlap, yet all 511 of N = 1023 and a constant are independent of each other.
+- FDMA: cos(2 pi k t / N) with k whole periods in a cycle, held during a chip, or the sine, which makes a rotating field
+  with the cosine of a crossed coil; or the sign of the cosine, which a bridge of two levels can drive. Harmonics of
+  square waves overlap, yet all 511 of N = 1023 and a constant are independent of each other.
 """
 
 from __future__ import annotations
@@ -41,10 +42,12 @@ def slot_template(chips: int, slots: int, slot: int) -> FloatArray:
     return total
 
 
-def tone_template(chips: int, periods: int, square: bool = False) -> FloatArray:
-    """Alternating current with whole periods in a cycle, a cosine or its sign, shape (N,)."""
-    wave = np.cos(2.0 * np.pi * periods * np.arange(chips) / chips)
-    return np.asarray(np.sign(wave) if square else wave)
+def tone_template(chips: int, periods: int, square: bool = False, wave: str = "cosine") -> FloatArray:
+    """Alternating current with whole periods in a cycle, a cosine, its sign, or a sine, shape (N,)."""
+    turn = 2.0 * np.pi * periods * np.arange(chips) / chips
+    if wave == "sine":
+        return np.asarray(np.sin(turn))
+    return np.asarray(np.sign(np.cos(turn)) if square else np.cos(turn))
 
 
 def beacon_template(site: Site, beacon: Beacon, rise: bool = True) -> FloatArray:
@@ -53,7 +56,7 @@ def beacon_template(site: Site, beacon: Beacon, rise: bool = True) -> FloatArray
     if drive.slot is not None:
         ideal = slot_template(site.chips, site.slots, drive.slot)
     elif drive.periods is not None:
-        ideal = tone_template(site.chips, drive.periods, drive.square)
+        ideal = tone_template(site.chips, drive.periods, drive.square, drive.wave)
     else:
         ideal = code_template(site.chips, drive.codes or (Code(beacon.code, site.degree),))
     return filtered(ideal, drive.tau_s / site.chip_period_s) if rise else ideal
