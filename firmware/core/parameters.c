@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "frame.h"
+#include "gold.h"
 
 /* Parameters of one kind: rows of count successive ids, each row stride after the one before. The limits are exact in a float. */
 typedef struct {
@@ -24,15 +25,17 @@ static const run_t runs[] = {
     {PARAMETER_ZERO, 3, 1, 0, PARAMETER_FLOAT, 0.0f, 4095.0f, 2048.0f},
     {PARAMETER_POSE, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1.0f, 0.0f},
     {PARAMETER_NOISE, 1, 1, 0, PARAMETER_FLOAT, 0.0f, 1.0f, 2e-7f},
-    {PARAMETER_WAVEFORM, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 2.0f, 0.0f},
-    {PARAMETER_SLOTS, 1, 1, 0, PARAMETER_UNSIGNED, 1.0f, 1023.0f, 1.0f},
-    {PARAMETER_SLOT, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1022.0f, 0.0f},
+    {PARAMETER_WAVEFORM, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 4.0f, 0.0f},
+    {PARAMETER_SLOTS, 1, 1, 0, PARAMETER_UNSIGNED, 1.0f, 2047.0f, 1.0f},
+    {PARAMETER_SLOT, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 2046.0f, 0.0f},
     {PARAMETER_CALIBRATION, 9, 1, 0, PARAMETER_FLOAT, -1.0f, 1.0f, 0.0f},
-    {PARAMETER_PERIODS, 1, 1, 0, PARAMETER_UNSIGNED, 1.0f, 511.0f, 1.0f},
-    {PARAMETER_SYNC_SOURCE, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1.0f, 0.0f},
+    {PARAMETER_PERIODS, 1, 1, 0, PARAMETER_UNSIGNED, 1.0f, 1023.0f, 1.0f},
+    {PARAMETER_SYNC_SOURCE, 1, 1, 0, PARAMETER_UNSIGNED, 0.0f, 2.0f, 0.0f},
     {PARAMETER_PARTS, 1, 1, 0, PARAMETER_UNSIGNED, 1.0f, 3.0f, 1.0f},
+    {PARAMETER_DEGREE, 1, 1, 0, PARAMETER_UNSIGNED, 5.0f, 11.0f, 10.0f},
     {PARAMETER_HALF_SPACE, 6, 1, 0, PARAMETER_FLOAT, -1e6f, 1e6f, 0.0f},
     {PARAMETER_CODE_LIST, PARAMETER_CODE_LIST_LENGTH, 1, 0, PARAMETER_UNSIGNED, 0.0f, 1024.0f, 0.0f},
+    {PARAMETER_CODES, PARAMETER_CODES_FIELDS, PARAMETER_CODES_LENGTH, PARAMETER_CODES_STRIDE, PARAMETER_UNSIGNED, 0.0f, 2048.0f, 0.0f},
     {PARAMETER_BEACONS, PARAMETER_BEACON_FIELDS, PARAMETER_CODE_LIST_LENGTH, PARAMETER_BEACON_STRIDE, PARAMETER_FLOAT, -1e6f, 1e6f, 0.0f},
 };
 #define RUNS (sizeof runs / sizeof runs[0])
@@ -66,6 +69,9 @@ static const run_t *find(uint32_t id, uint32_t *place) {
 }
 
 static bool in_range(const run_t *run, uint32_t bits) {
+    if (run->first_id == PARAMETER_DEGREE) {
+        return gold_family(bits) != NULL;
+    }
     if (run->kind == PARAMETER_FLOAT) {
         const float value = bits_float(bits);
         return value >= run->minimum && value <= run->maximum; /* False for what is not a number. */

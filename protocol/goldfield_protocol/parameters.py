@@ -60,6 +60,8 @@ class Parameter:
         Number of elements; a scalar has one.
     low, high : float
         Allowed range of each element, both included.
+    excluded : tuple of int
+        Values between the two that are not allowed.
     exact : bool
         True if an array must be given whole (a matrix); False if fewer elements are allowed (a list).
     group, stride : int
@@ -71,6 +73,7 @@ class Parameter:
     count: int = 1
     low: float = -math.inf
     high: float = math.inf
+    excluded: tuple[int, ...] = ()
     exact: bool = False
     group: int = 1
     stride: int = 1
@@ -94,15 +97,17 @@ PARAMETERS: Mapping[str, Parameter] = {
     "zero_z": Parameter(10, Kind.FLOAT),
     "pose": Parameter(11, Kind.UNSIGNED, low=0, high=1),
     "noise": Parameter(12, Kind.FLOAT, low=0, high=1),
-    "waveform": Parameter(13, Kind.UNSIGNED, low=0, high=2),
-    "slots": Parameter(14, Kind.UNSIGNED, low=1, high=1023),
-    "slot": Parameter(15, Kind.UNSIGNED, low=0, high=1022),
+    "waveform": Parameter(13, Kind.UNSIGNED, low=0, high=4),
+    "slots": Parameter(14, Kind.UNSIGNED, low=1, high=2047),
+    "slot": Parameter(15, Kind.UNSIGNED, low=0, high=2046),
     "calibration": Parameter(16, Kind.FLOAT, count=9, exact=True),
-    "periods": Parameter(25, Kind.UNSIGNED, low=1, high=511),
-    "sync_source": Parameter(26, Kind.UNSIGNED, low=0, high=1),
+    "periods": Parameter(25, Kind.UNSIGNED, low=1, high=1023),
+    "sync_source": Parameter(26, Kind.UNSIGNED, low=0, high=2),
     "parts": Parameter(27, Kind.UNSIGNED, low=1, high=3),
+    "degree": Parameter(28, Kind.UNSIGNED, low=5, high=11, excluded=(8,)),
     "half_space": Parameter(32, Kind.FLOAT, count=6, low=-1e6, high=1e6, exact=True),
     "code_list": Parameter(256, Kind.UNSIGNED, count=64, low=0, high=1024),
+    "codes": Parameter(320, Kind.UNSIGNED, count=16, low=0, high=2048, group=4, stride=8),
     "beacons": Parameter(512, Kind.FLOAT, count=512, low=-1e6, high=1e6, group=8, stride=16),
 }
 """Every parameter by its name."""
@@ -122,6 +127,10 @@ def _pack(name: str, parameter: Parameter, value: int | float) -> bytes:
         raise ParameterError(f"parameter '{name}' is {value:g}; it must lie in {parameter.low:g} to {parameter.high:g}")
     if parameter.kind is not Kind.FLOAT and value != int(value):
         raise ParameterError(f"parameter '{name}' is {value:g}; it must be a whole number")
+    if value in parameter.excluded:
+        raise ParameterError(
+            f"parameter '{name}' is {value:g}; of {parameter.low:g} to {parameter.high:g} that is not allowed"
+        )
     try:
         return struct.pack(_FORMAT[parameter.kind], value if parameter.kind is Kind.FLOAT else int(value))
     except (struct.error, OverflowError):
@@ -135,7 +144,8 @@ def build_page(values: Mapping[str, Value]) -> bytes:
     ----------
     values : mapping of str to number or sequence of numbers
         Names of `PARAMETERS` with their values: a number, or for ``calibration`` (nine, row by row, T per count),
-        ``half_space`` (point and normal), ``code_list`` (up to 64) and ``beacons`` (eight a beacon) a sequence.
+        ``half_space`` (point and normal), ``code_list`` (up to 64), ``codes`` (four a code) and ``beacons`` (eight a
+        beacon) a sequence.
         What is not named keeps the firmware's default.
 
     Returns

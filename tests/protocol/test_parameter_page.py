@@ -34,20 +34,21 @@ def test_bytes_of_a_small_page():
 
 def test_table_is_that_of_framing_md():
     text = FRAMING.read_text().split("## Parameters")[1].split("## Counters")[0]
-    documented = {}
-    rows = re.search(r"^\| (\d+) \+ (\d+) i \+ 0\.\.(\d+) \| (\w+) \| (\w+) \|.*i = 0\.\.(\d+)", text, re.MULTILINE)
-    table = PARAMETERS[rows[4]]
-    assert (table.first, table.stride, table.group - 1, table.kind.name.lower()) == (
-        *(int(rows[1]), int(rows[2]), int(rows[3])),
-        rows[5],
-    )
-    assert table.count == table.group * (int(rows[6]) + 1)
+    documented, tables = {}, set()
+    for first, stride, last, name, kind, last_row in re.findall(
+        r"^\| (\d+) \+ (\d+) i \+ 0\.\.(\d+) \| (\w+) \| (\w+) \|.*i = 0\.\.(\d+)", text, re.MULTILINE
+    ):
+        table = PARAMETERS[name]
+        assert (table.first, table.stride, table.group - 1) == (int(first), int(stride), int(last))
+        assert (table.count, table.kind.name.lower()) == (table.group * (int(last_row) + 1), kind)
+        tables.add(name)
     for first, last, names, kind in re.findall(r"^\| (\d+)(?:\.\.(\d+))? \| ([\w, ]+) \| (\w+) \|", text, re.MULTILINE):
         ids = range(int(first), int(last or first) + 1)
         names = names.split(", ")
         share = len(ids) // len(names)
         for i, name in enumerate(names):
             documented[name] = (ids[i * share], share, kind)
+    assert tables == {n for n, p in PARAMETERS.items() if p.stride > 1}
     assert documented == {n: (p.first, p.count, p.kind.name.lower()) for n, p in PARAMETERS.items() if p.stride == 1}
 
 
@@ -55,7 +56,7 @@ def elements(parameter):
     low, high = max(parameter.low, -1e6), min(parameter.high, 1e6)
     if parameter.kind is Kind.FLOAT:
         return st.floats(low, high, width=32)
-    return st.integers(int(low), int(high))
+    return st.sampled_from([n for n in range(int(low), int(high) + 1) if n not in parameter.excluded])
 
 
 def values(parameter):
@@ -95,6 +96,8 @@ def test_any_changed_byte_is_noticed(position, change):
         ({"calibration": [1.0] * 8}, "parameter 'calibration' got 8 values; it takes 9"),
         ({"code_list": [1] * 65}, "it takes at most 64"),
         ({"beacons": [1.0] * 12}, "parameter 'beacons' got 12 values; it takes 8 a row"),
+        ({"degree": 8}, "parameter 'degree' is 8; of 5 to 11 that is not allowed"),
+        ({"codes": [5, 0, 0]}, "parameter 'codes' got 3 values; it takes 4 a row"),
         ({"node": [1, 2]}, "parameter 'node' got 2 values; it takes 1"),
     ],
 )

@@ -70,7 +70,7 @@ def load(core, table, stored):
 
 
 def test_exactly_the_documented_parameters_exist(core, parameters):
-    assert len(TABLE) == 610
+    assert len(TABLE) == 627
     for identifier in range(4096):
         status, kind, value = getting(core, parameters, identifier)
         if identifier in TABLE:
@@ -98,6 +98,14 @@ def test_exactly_the_documented_parameters_exist(core, parameters):
         (10, [0.0, 2047.5, 4095.0], [-0.5, 4095.5]),
         (24, [-1.0, 1e-7, 1.0], [1.001, math.nan]),
         (11, [0, 1], [2]),
+        (13, [0, 4], [5]),
+        (14, [1, 2047], [0, 2048]),
+        (15, [0, 2046], [2047]),
+        (25, [1, 1023], [0, 1024]),
+        (26, [0, 2], [3]),
+        (28, [5, 6, 7, 9, 10, 11], [0, 4, 8, 12, 2**32 - 1]),
+        (320, [0, 11, 2048], [2049]),
+        (320 + 8 * 3 + 3, [0, 2047], [2049]),
         (27, [1, 3], [0, 4]),
         (12, [0.0, 2e-7, 1.0], [-1e-9, 1.1, math.nan]),
         (37, [-1e6, 0.0, 1e6], [-1.1e6, math.inf]),
@@ -121,6 +129,7 @@ def test_typed_readers_and_defaults(core, parameters):
     assert lib.parameters_unsigned(parameters, 0) == 1
     assert lib.parameters_float(parameters, 2) == 0.0  # Off.
     assert [lib.parameters_float(parameters, i) for i in (8, 9, 10)] == [2048.0] * 3
+    assert lib.parameters_unsigned(parameters, 28) == 10
     nominal = [200e-6 / 2048 if i % 4 == 0 else 0.0 for i in range(9)]
     assert [lib.parameters_float(parameters, 16 + i) for i in range(9)] == pytest.approx(nominal)
     assert lib.parameters_unsigned(parameters, 2) == 0
