@@ -208,7 +208,7 @@ static void deliver(void *context, const can_transfer_t *transfer)
         if (board == transfer->node) {
             seat->operations->can_sent(seat->instance, transfer->mailbox, transfer->acknowledged, transfer->end_ps);
         } else if (transfer->acknowledged) {
-            seat->operations->can_in(seat->instance, &transfer->frame, transfer->end_ps);
+            seat->operations->can_in(seat->instance, &transfer->frame, transfer->valid_ps);
         }
     }
     if (rig->config.host_on_can) {
@@ -426,7 +426,7 @@ static void seat_init(rig_t *rig, unsigned board)
 
 rig_t *rig_create(const rig_config_t *config)
 {
-    const int64_t shortest_ps = CAN_SHORTEST_EXTENDED_BITS * (INT64_C(1000000000000) / config->can_bits_per_second);
+    const int64_t shortest_ps = (CAN_SHORTEST_EXTENDED_BITS - 1) * (INT64_C(1000000000000) / config->can_bits_per_second);
     if (config->beacons == 0 || config->sync_master == 0 || config->sync_master > config->beacons || config->threads == 0 ||
         3 * (int64_t)RIG_QUANTUM_PS > shortest_ps) {
         return NULL;

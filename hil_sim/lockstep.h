@@ -10,9 +10,10 @@
  *   - an edge of the master's sync wire reaches a board that has not yet lived through that moment;
  *   - the sensor samples currents that already happened, its converter's few microseconds of look-ahead (board_edge.h) included;
  *   - the bus arbitrates up to the sensor's present, when every request made before is known. A frame that starts in the quantum before a present T
- *     ends at T - quantum + 64 us or later (64 bits: the shortest frame with a 29-bit identifier, at 1 Mbit/s), the master is at T + 2 quanta: with
- *     3 quanta <= 64 us no frame ends in any board's past. rig_create() refuses a bit rate that breaks this rule. The exception: short frames with 11-bit
- *     identifiers (44 to 63 bits; no goldfield board sends any) may end up to 16 us in the past of a beacon, which then gets them at its present.
+ *     reaches its receivers at T - quantum + 63 us or later (one bit before the end of 64 bits: the shortest frame with a 29-bit identifier, at 1 Mbit/s),
+ *     the master is at T + 2 quanta: with 3 quanta <= 63 us no frame is received in any board's past. rig_create() refuses a bit rate that breaks this
+ *     rule. The exception: short frames with 11-bit identifiers (44 to 63 bits; no goldfield board sends any) may be received up to 17 us in the past of a
+ *     beacon, which then gets them at its present.
  *
  * All random numbers are functions of seed, board and time (world/noise.h).
  *

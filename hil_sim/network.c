@@ -254,12 +254,14 @@ void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *
             bits += ERROR_BITS - END_OF_FRAME_BITS - 1; /* From the slot on, in place of delimiter and end of frame. */
             ++bus->statistics.unacknowledged;
         }
+        const int64_t end_ps = start_ps + bus->bit_ps * bits;
         const can_transfer_t transfer = {
             .node = request.node,
             .mailbox = request.mailbox,
             .frame = request.frame,
             .start_ps = start_ps,
-            .end_ps = start_ps + bus->bit_ps * bits,
+            .valid_ps = end_ps - bus->bit_ps,
+            .end_ps = end_ps,
             .acknowledged = acknowledged,
         };
         bus->idle_ps = transfer.end_ps + bus->bit_ps * INTERFRAME_BITS;

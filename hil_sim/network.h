@@ -2,13 +2,14 @@
  *
  * Time is picoseconds of virtual time. The bus decides up to a time (can_bus_run): everything requested before must be known by then. A frame starts
  * when the bus is idle (three bits after the frame before), among all requests made by that moment the identifier that wins the bits' arbitration.
- * It ends with the last bit of its end-of-frame field, for sender and receivers alike.
+ * It ends with the last bit of its end-of-frame field. That is when the sender knows that it is through (end_ps); a receiver takes it one bit earlier,
+ * after the last but one bit of end of frame (valid_ps). Whoever stamps frames on both sides sees this bit as an offset.
  * With nobody else on the bus it fails: after the acknowledgement slot come an error flag (6 bits) and its delimiter (8 bits); the sender is told and
  * decides itself whether to try again.
  *
- * Source: ISO 11898-1:2015, 10.4 (frames), 10.5 (stuffing), 10.6 (errors). Left out: bit errors on the wire, error-passive nodes' suspended
- * transmission, differences of the nodes' bit clocks. Two nodes that send the same identifier at once (forbidden by 10.4.2.2) are counted; the
- * lower node goes first.
+ * Source: ISO 11898-1:2015, 10.4 (frames), 10.5 (stuffing), 10.6 (errors); frame validation. Left out: bit errors on the wire, delays of
+ * transceivers and cable, the sample point (the same for all nodes of one bit timing), error-passive nodes' suspended transmission, differences of
+ * the nodes' bit clocks. Two nodes that send the same identifier at once (forbidden by 10.4.2.2) are counted; the lower node goes first.
  *
  * Time of a call: in proportion to the pending requests. Memory grows with them.
  */
@@ -29,7 +30,9 @@ typedef struct {
     unsigned node;    /* Sender. */
     unsigned mailbox;
     board_frame_t frame;
-    int64_t start_ps, end_ps;
+    int64_t start_ps;
+    int64_t valid_ps; /* Receivers have it. */
+    int64_t end_ps;   /* The sender is through. */
     bool acknowledged;
 } can_transfer_t;
 

@@ -50,9 +50,10 @@ typedef struct {
     void (*pin_in)(board_t *board, unsigned pin, bool level, int64_t time_ps);
     /* A byte whose stop bit ends at time_ps arrives, sent at baud (a mismatch beyond 3 % is a framing error). */
     void (*uart_in)(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps);
-    /* A frame on the bus ended at time_ps, sent by another node at the given bit rate. */
+    /* A frame of another node is valid for its receivers at time_ps: after the last but one bit of end of frame, one bit time before its sender hears of
+     * it by can_sent (ISO 11898-1, frame validation). */
     void (*can_in)(board_t *board, const board_frame_t *frame, int64_t time_ps);
-    /* The board's own mailbox: transmitted (ok), or failed for want of an acknowledging node. */
+    /* The board's own mailbox: at time_ps its frame is transmitted (ok: the end of end of frame), or failed for want of an acknowledging node. */
     void (*can_sent)(board_t *board, unsigned mailbox, bool ok, int64_t time_ps);
     /* Why the board stopped, or the violations so far; NUL-terminated, valid until the next call. */
     const char *(*report)(const board_t *board);

@@ -98,9 +98,11 @@ class Bus:
         for node in range(nodes):
             library.can_bus_join(self.bus, node, 0)
         self.seen = []
+        self.valid_ps = []
 
         @ffi.callback("can_deliver_t")
         def deliver(_, transfer):
+            self.valid_ps.append(transfer.valid_ps)
             self.seen.append(
                 (transfer.node, transfer.frame.id, transfer.start_ps, transfer.end_ps, bool(transfer.acknowledged))
             )
@@ -126,6 +128,15 @@ def test_the_lower_identifier_wins_and_frames_keep_their_distance(lib):
     for before, after in zip(bus.seen, bus.seen[1:], strict=False):
         assert after[2] == before[3] + 3 * BIT
         assert after[3] - after[2] == later[after[1]]
+
+
+def test_receivers_have_a_frame_one_bit_before_its_sender(lib):
+    """CAN 2.0, message validation: no error up to the last but one bit of end of frame; for the sender, its end."""
+    bus = Bus(lib)
+    ends = [bus.request(0, 0x500, 0), bus.request(1, 0x7FF, 1, data=b"")]
+    bus.run(10**12)
+    assert bus.valid_ps[0] == ends[0] - BIT
+    assert bus.valid_ps[1] == ends[0] + 3 * BIT + ends[1] - BIT
 
 
 def test_a_frame_waits_for_nobody_when_the_bus_is_idle(lib):

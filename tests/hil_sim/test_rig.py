@@ -21,6 +21,7 @@ MOVING = {
 }
 BRIDGE_1, SYNC_OUT, ENABLE = 38, 40, 41
 BYTE_PS = 5 * 10**6
+CAN_BIT_PS = 10**6
 
 
 def heard(data, kind):
@@ -164,14 +165,14 @@ def test_boards_that_have_power_from_the_first_moment_on_miss_nothing(tmp_path):
         assert all(frame.time_s > 5e-4 for frame in rig.can_read())
 
 
-def test_frames_reach_every_other_board_at_their_end(tmp_path):
+def test_frames_reach_every_other_board_one_bit_before_their_end_and_their_sender_at_it(tmp_path):
     with Rig(small(tmp_path), FakeBoards()) as rig:
         rig.advance(0.05)
         frames = rig.can_read()
         assert {frame.board for frame in frames} == {1, 2, 3}
         for board in range(4):
             data = rig.serial_read(board)
-            others = [(f.identifier, round(f.time_s * 1e12)) for f in frames if f.board != board]
+            others = [(f.identifier, round(f.time_s * 1e12) - CAN_BIT_PS) for f in frames if f.board != board]
             own = [(1, round(f.time_s * 1e12)) for f in frames if f.board == board]
             got = heard(data, "frame")
             assert got == others[: len(got)]
@@ -189,7 +190,8 @@ def test_the_hosts_frame_is_arbitrated_like_any_other(tmp_path):
         assert [(f.identifier, f.data, f.acknowledged) for f in mine] == [(0x0C064001, b"\x12\x34", True)]
         assert 0.01 < mine[0].time_s < 0.0105
         for board in range(4):
-            assert (0x0C064001, round(mine[0].time_s * 1e12)) in heard(rig.serial_read(board), "frame")
+            received_ps = round(mine[0].time_s * 1e12) - CAN_BIT_PS
+            assert (0x0C064001, received_ps) in heard(rig.serial_read(board), "frame")
 
 
 def test_without_a_host_on_the_bus_there_is_nothing_to_read_or_write(tmp_path):

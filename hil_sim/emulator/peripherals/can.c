@@ -2,6 +2,8 @@
  *
  * A request goes to the edge, and the network answers when the frame is through (can_frame_sent). By identifier (TXFP 0) every waiting mailbox is handed over and the network
  * arbitrates; in order of request (TXFP 1) one at a time. The network runs at 1 Mbit/s: a controller that is off by more than 0.5 % hears errors only.
+ * A received frame is stored, and its interrupt requested, at the first time quantum of this controller's own clock at or after the moment at which it is valid: a
+ * controller synchronises to the bus in whole quanta, so time stamps of receivers jitter by up to one. The sender's own end is not rounded.
  * A frame without acknowledge counts 8 transmit errors up to 128 (error passive): so a lone node never goes bus-off.
  * Not there, and loud: time-triggered mode. Time stamps read 0.
  */
@@ -68,7 +70,8 @@ struct can {
     mailbox_t mailbox[3];
     received_t fifo[2][3];
     uint64_t orders;
-    machine_event_t mode;
+    board_frame_t arriving;
+    machine_event_t mode, arrival; /* arrival: of the frame in arriving. */
 };
 
 static uint32_t *value(can_t *c, uint32_t offset) { return &c->model.value[offset / 4]; }
@@ -179,9 +182,31 @@ static void accept(can_t *c, const board_frame_t *frame)
     }
 }
 
+/* The frame that is arriving is there. */
+static void arrived(void *context, int64_t time_ps)
+{
+    can_t *const c = context;
+    (void)time_ps;
+    if (!running(c)) {
+        return;
+    }
+    count_receive(c, -1);
+    errors(c, 0);
+    accept(c, &c->arriving);
+    interrupts(c);
+}
+
+static int64_t next_quantum(const can_t *c, int64_t time_ps)
+{
+    const clock_domain_t *const clock = &c->model.chip->pclk1;
+    const int64_t quantum = (int64_t)field(reg(&c->model, BTR), 0, 10) + 1;
+    int64_t tick = clock_tick(clock, time_ps - 1) + 1;
+    tick += (quantum - tick % quantum) % quantum;
+    return clock_time(clock, tick);
+}
+
 void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_ps)
 {
-    (void)time_ps;
     can_t *const c = chip_of(machine)->can[0];
     if (!c->model.clocked || !pin(c, false)) {
         return;
@@ -193,10 +218,11 @@ void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_p
             *value(c, MSR) &= ~SLAK;
         }
     } else if (running(c) && (reg(&c->model, BTR) & LBKM) == 0) {
-        if (rate_fits(c)) {
-            count_receive(c, -1);
-            errors(c, 0);
-            accept(c, frame);
+        if (c->arrival.heap_index >= 0) {
+            machine_violation(machine, "%s: two frames are on the bus within one time quantum", model_name(&c->model));
+        } else if (rate_fits(c)) {
+            c->arriving = *frame;
+            machine_schedule(machine, &c->arrival, next_quantum(c, time_ps));
         } else {
             count_receive(c, 1);
             errors(c, 1);
@@ -493,6 +519,7 @@ static void restart(model_t *model)
     can_t *const c = (can_t *)model;
     const board_edge_t *const edge = model->chip->edge;
     machine_cancel(model->machine, &c->mode);
+    machine_cancel(model->machine, &c->arrival);
     for (unsigned n = 0; n < 3; n++) {
         mailbox_t *const m = &c->mailbox[n];
         if (m->submitted && edge->can_abort && c->number == 0 && m->retry.heap_index < 0) {
@@ -518,6 +545,7 @@ void can_create(chip_t *chip)
         chip->can[i] = c;
         c->number = i;
         machine_event_init(&c->mode, mode_reached, c);
+        machine_event_init(&c->arrival, arrived, c);
         for (unsigned n = 0; n < 3; n++) {
             c->mailbox[n].can = c;
             c->mailbox[n].number = n;

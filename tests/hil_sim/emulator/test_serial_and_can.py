@@ -268,6 +268,31 @@ def test_receive_release_and_overrun(can_chip: Bench) -> None:
     assert not chip.irq(20)
 
 
+@pytest.mark.parametrize("ppm", [0.0, 80.0])
+def test_reception_waits_for_the_receivers_time_quantum(ppm: float) -> None:
+    """RM0090 32.7.7: a time quantum is (BRP + 1) clocks of the receiver, here 3 / 42 MHz = 71.4 ns."""
+    chip = Bench(crystal_ppm=ppm)
+    chip.full_speed()
+    start_can(chip)
+    chip.write(CAN + IER, 2)
+    quantum_ps = 3 / (42e6 * (1 + ppm * 1e-6)) * 1e12
+    frame = chip.ffi.new("board_frame_t *", {"id": 5, "extended": True})
+    times: list[int] = []
+    for i in range(40):
+        valid_ps = chip.now + 100 * MICROSECOND + 7_001 * i
+        chip.operations.can_in(chip.board, frame, valid_ps)
+        chip.run_to(valid_ps)
+        while not chip.irq(20):
+            chip.run(100)
+        times.append(chip.now)
+        assert 0 <= times[-1] - valid_ps <= quantum_ps + 100
+        chip.write(CAN + RF0R, 0x20)
+    steps = [(time - times[0]) / quantum_ps for time in times]
+    assert all(abs(step - round(step)) < 0.005 for step in steps)
+    assert not chip.report
+    chip.close()
+
+
 @pytest.mark.parametrize(
     ("mode", "scale", "bank", "passing", "stopped"),
     [
