@@ -21,8 +21,10 @@ static bool faulty(const beacon_t *beacon) {
 
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     beacon_t *beacon = context;
-    beacon->sync_due |= beacon->sync_planned; /* plan for a block is called when the block before it begins. */
-    beacon->sync_planned = false;
+    if (beacon->sync_blocks > 0u) {
+        beacon->sync_blocks--;
+        beacon->sync_due |= beacon->sync_blocks == 0u;
+    }
     const bool allowed = beacon->wanted && beacon->clock.locked && !faulty(beacon);
     if (!allowed && beacon->drive != BEACON_IDLE) {
         drive_stop(beacon);
@@ -33,8 +35,8 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
         const chip_clock_chip_t chip = chip_clock_plan(&beacon->clock);
         if (chip.code_chip == 0) {
             beacon->cycles++;
-            beacon->sync_planned = beacon->master;
-            beacon->sync_cycle = chip.cycle;
+            beacon->sync_blocks = !beacon->master ? 0u : i == 0u ? 1u : 2u; /* plan for a block is called when the block before it begins. */
+            beacon->sync_cycle = sync_cycle(&beacon->format, &chip);
             if (allowed && beacon->drive == BEACON_IDLE) {
                 beacon->start_chip = block * HAL_BLOCK_CHIPS + i;
                 beacon->drive = BEACON_ARMED;
@@ -113,8 +115,8 @@ static bool same(const beacon_settings_t *a, const beacon_settings_t *b) {
 /* While wanted is false and the drive idle: the planner then uses only the sync bit of chips, which is the same before and after. */
 static void write_waveform(beacon_t *beacon) {
     waveform_t waveform;
-    beacon->no_waveform = !waveform_start(&waveform, BEACON_DEGREE, &beacon->settings.waveform);
-    for (uint32_t t = 0; t < BEACON_CHIPS; t++) {
+    beacon->no_waveform = !waveform_start(&waveform, beacon->format.degree, &beacon->settings.waveform);
+    for (uint32_t t = 0; t < beacon->clock.config.chips; t++) {
         const int8_t level = beacon->no_waveform ? 0 : waveform_next(&waveform);
         const uint8_t polarity = level > 0 ? HAL_DRIVE_POSITIVE : level < 0 ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_OFF;
         beacon->chips[t] = t == 0 && beacon->master ? polarity | HAL_PLAN_SYNC_OUT : polarity;
@@ -181,7 +183,7 @@ static void send_status(beacon_t *beacon) {
 static void send_sync(beacon_t *beacon) {
     const struct goldfield_sync_t sync = {
         .cycle = beacon->sync_cycle & SYNC_CYCLE_MASK,
-        .chips = BEACON_CHIPS,
+        .chips = beacon->format.chips,
         .chip_period = (uint32_t)((uint64_t)HAL_CHIP_TICKS * 1000000000000u / HAL_TICKS_PER_SECOND), /* ps */
     };
     uint8_t data[8];
@@ -194,7 +196,8 @@ void beacon_start(beacon_t *beacon, hal_t *hal) {
     beacon->hal = hal;
     node_start(&beacon->node, hal, HAL_ROLE_BEACON);
     beacon->master = parameters_unsigned(&beacon->node.parameters, PARAMETER_SYNC_MASTER) == 1;
-    sync_clock_init(&beacon->clock, !beacon->master);
+    beacon->format = sync_format(parameters_unsigned(&beacon->node.parameters, PARAMETER_DEGREE));
+    sync_clock_init(&beacon->clock, &beacon->format, !beacon->master);
     apply_settings(beacon);
     const hal_events_t events = {
         .context = beacon,
@@ -230,6 +233,6 @@ void beacon_step(beacon_t *beacon) {
     }
     if (node->sync_received) {
         node->sync_received = false;
-        sync_number(&beacon->clock, node->sync_cycle, (uint32_t)hal_microseconds(beacon->hal) - beacon->edge_us);
+        sync_number(&beacon->clock, &beacon->format, node->sync_cycle, (uint32_t)hal_microseconds(beacon->hal) - beacon->edge_us);
     }
 }

@@ -5,26 +5,26 @@
  *   plan (once a block): lengths of the next 31 chips from chip_clock, bridge polarity from the waveform, sync wire if master.
  *   current (once a driven chip): current_sample; over-current and open coil switch the bridge off within that chip; set-point of the driver.
  *   fault (driver's fault input): bridge off.       sync: the edge to chip_clock.
- *   main: node; SYNC if master; DRIVE_STATUS once a cycle; parameters.
+ *   main: node; SYNC if master and DRIVE_STATUS, once a sync period (sync.h: a cycle, or about 0.1 s of shorter ones); parameters.
  *
  * States (HEARTBEAT.state)
  *   starting     until the first cycle is planned.
  *   syncing      the chip clock is not locked: bridge off.
- *   soft_start   locked: the bridge goes on at the next chip 0 that is planned (at most a cycle and two blocks away), the current rises for 0.1 s.
+ *   soft_start   locked: the bridge goes on at the next sync period that is planned (at most a period and two blocks away), the current rises for 0.1 s.
  *   running      at amplitude; also with amplitude 0 and locked, bridge off.
  *   fault        over-current, open coil, driver fault, or a slot that is not one of the slots: bridge off, until a parameter of the drive is set by PARAM_SET.
  *   clock_fallback  the crystal failed: 1 % off frequency nobody could follow, bridge off for good.
  * Loss of lock switches the bridge off at once and leads to syncing; from there on as after a start.
  *
- * The master (parameter sync_master) runs free from cycle 0; the sync wire is high for chip 0; SYNC with the cycle's number leaves on both links at the next turn of the
- * main loop, at most one block (3.03 ms) after the edge, and much less when main is idle. sync_master is read once, at start.
+ * The master (parameter sync_master) runs free from cycle 0; the sync wire is high for the first chip of a sync period; SYNC with the cycle's number leaves on both links after
+ * the edge, at most two blocks (6.06 ms) later; with degree 10 at the next turn of the main loop, much less when main is idle. sync_master and degree are read once, at start.
  * The other beacons take the cycle's number from SYNC.
  *
  * A pulse is driven, and its current measured, only in its slot: the soft start then takes 1023 driven chips, that is as many cycles as there are slots.
  *
  * A PARAM_SET of any parameter but stream, node and those of a sensor stops the drive, if it changes a value, and starts it softly again.
  *
- * Memory: about 8 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 2,400 instructions, current 70 (once in 31 chips 137),
+ * Memory: about 9 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 2,400 instructions, current 70 (once in 31 chips 137),
  * main with nothing to do 135.
  */
 #ifndef GOLDFIELD_BEACON_H
@@ -34,10 +34,10 @@
 #include "current.h"
 #include "hal.h"
 #include "node.h"
+#include "sync.h"
 #include "waveform.h"
 
-#define BEACON_DEGREE 10u
-#define BEACON_CHIPS 1023u
+#define BEACON_CHIPS_MAX 2047u /* Of a sync period (sync.h). */
 
 /* Of the drive. The current interrupt preempts the others: it alone goes from ARMED to ON; all others only to IDLE, or from IDLE to ARMED. */
 typedef enum {
@@ -60,7 +60,8 @@ typedef struct {
     current_t current;
     beacon_settings_t settings;
     bool master;
-    uint8_t chips[BEACON_CHIPS];   /* The plan's byte for each chip of the cycle, polarity and sync wire. */
+    sync_format_t format;
+    uint8_t chips[BEACON_CHIPS_MAX]; /* The plan's byte for each chip of the sync period, polarity and sync wire. */
     volatile bool wanted;          /* Main: settings are complete, amplitude is not 0, clock is good. */
     bool no_waveform;              /* The settings make none. */
     volatile uint32_t driven[2];   /* Bit i: chip i of the even, odd block is driven; one is planned while the other runs. */
@@ -68,10 +69,10 @@ typedef struct {
     volatile uint32_t start_chip;  /* Absolute chip. Chip 0 has none before it that could switch on: a master then starts with chip 1. */
     volatile bool driver_fault;
     volatile uint32_t over_current, open_coil; /* Events since reset. */
-    volatile uint32_t cycles;      /* Begun, as planned. */
+    volatile uint32_t cycles;      /* Sync periods begun, as planned. */
     uint32_t cycles_reported;
-    volatile bool sync_planned;    /* The block that was planned last begins a cycle of the master. */
-    volatile bool sync_due;        /* That block has begun. */
+    volatile uint8_t sync_blocks;  /* A master's SYNC waits until so many blocks have begun: the sync wire's edge is then past. */
+    volatile bool sync_due;        /* They have. */
     volatile uint32_t sync_cycle;
     volatile uint32_t edge_us;     /* When the latest edge of the sync wire came; one word, so that it is never torn. */
 } beacon_t;

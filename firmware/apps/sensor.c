@@ -232,7 +232,8 @@ void sensor_start(sensor_t *sensor, hal_t *hal) {
     sensor->hal = hal;
     node_start(&sensor->node, hal, HAL_ROLE_SENSOR);
     (void)queue_init(&sensor->stream, sensor->stream_messages, SENSOR_STREAM_MESSAGES);
-    sync_clock_init(&sensor->clock, true);
+    sensor->format = sync_format(10); /* The despreading's. */
+    sync_clock_init(&sensor->clock, &sensor->format, true);
     epoch_init(&sensor->collector);
     apply_parameters(sensor);
     const hal_events_t events = {.context = sensor, .plan = on_plan, .samples = on_samples, .sync = on_sync};
@@ -268,6 +269,6 @@ void sensor_step(sensor_t *sensor) {
     }
     if (node->sync_received) {
         node->sync_received = false;
-        sync_number(&sensor->clock, node->sync_cycle, (uint32_t)hal_microseconds(sensor->hal) - sensor->edge_us);
+        sync_number(&sensor->clock, &sensor->format, node->sync_cycle, (uint32_t)hal_microseconds(sensor->hal) - sensor->edge_us);
     }
 }

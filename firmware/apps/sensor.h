@@ -34,6 +34,7 @@
 #include "hal.h"
 #include "node.h"
 #include "onboard.h"
+#include "sync.h"
 
 #define SENSOR_STREAM_MESSAGES 128u /* Four blocks of chips. */
 
@@ -41,6 +42,7 @@
 typedef struct {
     hal_t *hal;
     node_t node;
+    sync_format_t format;
     chip_clock_t clock;
     epoch_collector_t collector;
     epoch_sums_t part, cycle; /* Just read, and what is complete of its cycle. */

@@ -2,20 +2,34 @@
 
 #include "hal.h"
 
-void sync_clock_init(chip_clock_t *clock, bool follow) {
+sync_format_t sync_format(uint32_t degree) {
+    return (sync_format_t){
+        .degree = (uint16_t)degree,
+        .chips = (uint16_t)((1u << degree) - 1u),
+        .cycles = (uint16_t)(degree < 10u ? 1u << (10u - degree) : 1u),
+    };
+}
+
+void sync_clock_init(chip_clock_t *clock, const sync_format_t *format, bool follow) {
     const chip_clock_config_t config = {
-        .chips = 1023,
+        .chips = (uint16_t)(format->chips * format->cycles),
         .nominal_ticks = HAL_CHIP_TICKS,
         .minimum_ticks = HAL_CHIP_TICKS_MIN,
         .maximum_ticks = HAL_CHIP_TICKS_MAX,
         .follow = follow,
     };
-    (void)chip_clock_init(clock, &config); /* The constants lie in its ranges. */
+    (void)chip_clock_init(clock, &config); /* All formats lie in its ranges. */
 }
 
-void sync_number(chip_clock_t *clock, uint32_t cycle, uint32_t age_us) {
+uint32_t sync_cycle(const sync_format_t *format, const chip_clock_chip_t *chip) {
+    return chip->cycle * format->cycles + chip->code_chip / format->chips;
+}
+
+uint16_t sync_chip(const sync_format_t *format, const chip_clock_chip_t *chip) { return chip->code_chip % format->chips; }
+
+void sync_number(chip_clock_t *clock, const sync_format_t *format, uint32_t cycle, uint32_t age_us) {
     if (clock->tracking && clock->config.follow && age_us < SYNC_FRESH_US) {
-        chip_clock_number_cycle(clock, cycle);
+        chip_clock_number_cycle(clock, cycle / format->cycles);
     }
 }
 

@@ -1,12 +1,12 @@
 /* parameters.h: the node's parameters (protocol/framing.md, "Parameters"): typed, range-checked, loaded from the stored page.
  *
  * A value is 32 bits of one of three kinds. Ranges (ends included) and defaults:
- *   node unsigned 1..4095 (1) · code unsigned 0..1024 (0) · amplitude float 0..15.9 A (0: off) · sync_master unsigned 0..1 (0) ·
+ *   node unsigned 1..4095 (1) · code unsigned 0..2048 (0) · amplitude float 0..15.9 A (0: off) · sync_master unsigned 0..1 (0) ·
  *   stream unsigned 0..1 (0) · code_count unsigned 0..64 (0) · open_coil float 0..1 (0.5) · over_current float 0..15.9 A (12) ·
  *   zero_x, _y, _z float 0..4095 counts (2048) · pose unsigned 0..1 (0) · noise float 0..1 T (2e-7) · waveform unsigned 0..4 (0) ·
  *   slots unsigned 1..2047 (1) · slot unsigned 0..2046 (0) · calibration float -1..1 T per count (identity times 200 uT / 2048) ·
  *   periods unsigned 1..1023 (1) · sync_source unsigned 0..2 (0) · parts unsigned 1..3 (1; 2 counts as 1) · degree unsigned, one of gold.h (10) ·
- *   half_space float +-1e6 (0) · code_list unsigned 0..1024 (0) · codes unsigned 0..2048 (0) · beacons float +-1e6 (0)
+ *   half_space float +-1e6 (0) · code_list unsigned 0..2048 (0) · codes unsigned 0..2048 (0) · beacons float +-1e6 (0)
  * A float that is not a number is out of range. Numbers that only fit together or not (slot and slots, a code and the cycle) are the waveform's to judge. No parameter is read-only today; the status exists for those to come.
  *
  * Stored page, little-endian: magic u32 "GFP1", count u16, CRC-16/CCITT-FALSE of the entries u16; then entries: id u16, kind u16, value u32. The page is

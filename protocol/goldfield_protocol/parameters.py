@@ -85,7 +85,7 @@ class Parameter:
 
 PARAMETERS: Mapping[str, Parameter] = {
     "node": Parameter(0, Kind.UNSIGNED, low=1, high=4095),
-    "code": Parameter(1, Kind.UNSIGNED, low=0, high=1024),
+    "code": Parameter(1, Kind.UNSIGNED, low=0, high=2048),
     "amplitude": Parameter(2, Kind.FLOAT, low=0),
     "sync_master": Parameter(3, Kind.UNSIGNED, low=0, high=1),
     "stream": Parameter(4, Kind.UNSIGNED, low=0, high=1),
@@ -106,7 +106,7 @@ PARAMETERS: Mapping[str, Parameter] = {
     "parts": Parameter(27, Kind.UNSIGNED, low=1, high=3),
     "degree": Parameter(28, Kind.UNSIGNED, low=5, high=11, excluded=(8,)),
     "half_space": Parameter(32, Kind.FLOAT, count=6, low=-1e6, high=1e6, exact=True),
-    "code_list": Parameter(256, Kind.UNSIGNED, count=64, low=0, high=1024),
+    "code_list": Parameter(256, Kind.UNSIGNED, count=64, low=0, high=2048),
     "codes": Parameter(320, Kind.UNSIGNED, count=16, low=0, high=2048, group=4, stride=8),
     "beacons": Parameter(512, Kind.FLOAT, count=512, low=-1e6, high=1e6, group=8, stride=16),
 }

@@ -16,6 +16,7 @@ from goldfield_protocol import FrameDecoder, Message, decode, encode, encode_fra
 from goldfield_protocol.parameters import PAGE_BYTES, build_page
 from hil_sim.clib import ROOT, load
 from hil_sim.emulator.emulator import Configuration, Emulator
+from tests.firmware.gold_pairs import PAIRS
 
 FFI, LIBRARY = load("build/libgf_hostboard.so", ["host_board.h"])
 
@@ -36,20 +37,20 @@ def chip_seconds(ppm: float) -> float:
     return CHIP_TICKS / (TICKS_PER_SECOND * (1 + ppm * 1e-6))
 
 
-def gold_chips(code: int) -> NDArray[np.int64]:
+def gold_chips(code: int, degree: int = 10) -> NDArray[np.int64]:
     """One period of a code as +1 and -1, from the registers' definition (IS-GPS-200, figures 3-8 and 3-9)."""
+    chips = 2**degree - 1
 
     def register(stages: tuple[int, ...]) -> list[int]:
-        state = [1] * 10
+        state = [1] * degree
         out = []
-        for _ in range(CHIPS):
-            out.append(state[9])
-            state = [sum(state[s - 1] for s in stages) % 2, *state[:9]]
+        for _ in range(chips):
+            out.append(state[-1])
+            state = [sum(state[s - 1] for s in stages) % 2, *state[:-1]]
         return out
 
-    u = np.array(register((3, 10)))
-    v = np.array(register((2, 3, 6, 8, 9, 10)))
-    bits = u if code == 1023 else v if code == 1024 else u ^ np.roll(v, -code)
+    u, v = (np.array(register(stages)) for stages in PAIRS[degree])
+    bits = u if code == chips else v if code == chips + 1 else u ^ np.roll(v, -code)
     return np.array(1 - 2 * bits, dtype=np.int64)
 
 

@@ -72,6 +72,34 @@ def test_master_drives_its_code_from_sync_edge(boards: list[Board]) -> None:
     assert falls[0] - edges[0] == pytest.approx(CHIP, rel=1e-4)
 
 
+@pytest.mark.parametrize(("degree", "cycles"), [(5, 32), (6, 16), (7, 8), (9, 2), (11, 1)])
+def test_other_degrees_by_sync_periods(boards: list[Board], degree: int, cycles: int) -> None:
+    """The sync wire and SYNC mark every so-and-so-many cycle; the code goes on through all of them."""
+    chips, code = 2**degree - 1, 2**degree - 3
+    board = master(boards, parameters={"degree": degree, "code": code})
+    follower = beacon(Coil(), parameters={**FOLLOWER, "degree": degree, "code": 3}, ppm=80.0, power_on=3 * MS)
+    boards.append(follower)
+    Rig(board, follower, quantum=100 * US).run(1500 * MS)
+    edges = board.edges(PIN_SYNC_OUT)
+    period = chips * cycles * chip_seconds(0.0) * 1e12
+    assert np.abs(np.diff(edges) - period).max() <= 1
+    messages = board.messages("SYNC")
+    assert [m.signals["cycle"] for m in messages] == list(range(0, len(messages) * cycles, cycles))
+    assert {m.signals["chips"] for m in messages} == {chips}
+    sent = [time for time, _, identifier, _ in board.requests if identifier >> 24 == 1]
+    assert all(0 <= s - edge < 7 * MS for s, edge in zip(sent[1:], edges[1:], strict=False))
+    middles = np.array([edges[-2] + round((t + 0.5) * period / chips / cycles) for t in range(chips * cycles)])
+    assert (polarity(board, middles) == np.tile(gold_chips(code, degree), cycles)).all()
+    assert (polarity(follower, middles) == np.tile(gold_chips(3, degree), cycles)).all()
+
+
+def test_a_code_beyond_the_degree_is_a_fault(boards: list[Board]) -> None:
+    board = master(boards, parameters={"degree": 7, "code": 129})
+    board.run(1100 * MS)
+    assert board.messages("HEARTBEAT")[-1].signals["state"] == 4
+    assert not board.level.get(PIN_BRIDGE_1)
+
+
 def test_both_bridge_inputs_are_never_high(boards: list[Board]) -> None:
     board = master(boards)
     board.run(300 * MS)

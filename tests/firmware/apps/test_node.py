@@ -55,7 +55,7 @@ def test_nothing_precedes_the_first_heartbeat(board: Board) -> None:
     [
         (1, 55, OK, 55),
         (2, 3.5, OK, 3.5),
-        (1, 1025, OUT_OF_RANGE, 0),
+        (1, 2049, OUT_OF_RANGE, 0),
         (2, 99.0, OUT_OF_RANGE, 0.0),
         (2, 3, WRONG_KIND, 0.0),
         (9, 1000.0, OK, 1000.0),

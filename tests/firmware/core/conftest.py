@@ -7,22 +7,13 @@ import pytest
 from scipy.signal import max_len_seq
 
 from hil_sim import clib
+from tests.firmware.gold_pairs import PAIRS
 
 HEADERS = (
     *("gold.h", "despread.h", "chip_clock.h", "current.h", "frame.h", "queue.h", "parameters.h"),
     *("epoch.h", "waveform.h", "loop_field.h", "wahba.h", "quaternion.h", "triangle.h", "separation.h", "pose.h"),
     *("pose_covariance.h",),
 )
-
-# Exponents of the published preferred pairs (gold.h).
-PAIRS = {
-    5: ((2, 5), (2, 3, 4, 5)),
-    6: ((1, 6), (1, 2, 5, 6)),
-    7: ((3, 7), (1, 2, 3, 7)),
-    9: ((4, 9), (3, 4, 6, 9)),
-    10: ((3, 10), (2, 3, 6, 8, 9, 10)),
-    11: ((2, 11), (2, 5, 8, 11)),
-}
 
 
 def sequence(degree, exponents):
