@@ -14,6 +14,9 @@ from goldfield.poses import FloatArray
 from goldfield.site import Beacon
 from goldfield.toml_table import Table, text_lines
 
+LARGEST_ALONG = 0.02
+"""Of y along x, both unit vectors."""
+
 
 @dataclass(frozen=True, eq=False)
 class DualAxisBeacon:
@@ -72,10 +75,13 @@ class RotatingSite:
         Standard deviation of one sample on one axis.
     beacons : tuple of DualAxisBeacon
         Ids and frequencies are unique.
+    model_error : float
+        As of `goldfield.site.SensorSite`.
     """
 
     noise_T: float
     beacons: tuple[DualAxisBeacon, ...]
+    model_error: float = 0.0
 
     @property
     def position_m(self) -> FloatArray:
@@ -105,7 +111,7 @@ class RotatingSite:
 
     def first(self, count: int) -> RotatingSite:
         """Return the site with only the first beacons."""
-        return RotatingSite(self.noise_T, self.beacons[:count])
+        return RotatingSite(self.noise_T, self.beacons[:count], self.model_error)
 
 
 def load(path: str | Path) -> RotatingSite:
@@ -148,20 +154,43 @@ def load(path: str | Path) -> RotatingSite:
     return site
 
 
+def is_of_boards(path: str | Path) -> bool:
+    """Tell whether a file is a site file of boards (`goldfield.site`); False also if it is no TOML.
+
+    Raises
+    ------
+    UserError
+        If it cannot be read.
+    """
+    try:
+        return "site" in tomllib.loads("\n".join(text_lines(Path(path), "site file")))
+    except tomllib.TOMLDecodeError:
+        return False
+
+
 def _beacon(table: Table) -> DualAxisBeacon:
     table.allow("id", "position_m", "x_axis", "y_axis", "turns", "radius_m", "current_A", "frequency_Hz")
     x = table.direction("x_axis") if "x_axis" in table else np.array([1.0, 0.0, 0.0])
     y = table.direction("y_axis") if "y_axis" in table else np.array([0.0, 1.0, 0.0])
-    if abs(float(x @ y)) > 0.02:
+    upright = crossed(x, y)
+    if upright is None:
         raise table.error("y_axis", "is not at right angles to x_axis (more than 1 degree off): the coils must cross")
-    y = y - (x @ y) * x
     return DualAxisBeacon(
         id=table.text("id"),
         position_m=table.vector("position_m"),
         x_axis=x,
-        y_axis=np.asarray(y / np.linalg.norm(y)),
+        y_axis=upright,
         turns=table.positive("turns"),
         radius_m=table.positive("radius_m"),
         current_A=table.positive("current_A"),
         frequency_Hz=table.positive("frequency_Hz"),
     )
+
+
+def crossed(x: FloatArray, y: FloatArray) -> FloatArray | None:
+    """Return the unit vector y made exactly orthogonal to x; None if it is more than about 1 degree off."""
+    along = float(x @ y)
+    if abs(along) > LARGEST_ALONG:
+        return None
+    rest = y - along * x
+    return np.asarray(rest / np.linalg.norm(rest))

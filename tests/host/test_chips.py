@@ -106,6 +106,15 @@ def test_the_command_prints_what_separate_reads(tmp_path, capsys):
     assert '"status": "ok"' in lines[0]
 
 
+def test_the_place_of_a_survey_is_in_every_row(capsys):
+    with Streaming() as sensor:
+        assert main(["samples", "--port", sensor.path, "--site", str(SITE), "--at", "1", "-2.5", ".5"]) == 0
+    header, *rows = capsys.readouterr().out.splitlines()
+    assert header == "chip,bx_T,by_T,bz_T,x_m,y_m,z_m"
+    assert len(rows) == 1023
+    assert all(row.endswith(",1.0,-2.5,0.5") for row in rows)
+
+
 def test_a_sensor_that_does_not_stream_is_a_failure(capsys, monkeypatch):
     monkeypatch.setattr("goldfield.cli.samples.SILENCE_S", 0.2)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 from collections.abc import Callable
 from typing import Any
@@ -55,6 +56,17 @@ def environment_name(option: str) -> str:
     'GOLDFIELD_SITE'
     """
     return "GOLDFIELD_" + option.removeprefix("--").replace("-", "_").upper()
+
+
+def finite(text: str) -> float:
+    """Parse a finite number, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is no finite number")
+    return value
 
 
 def seconds(text: str) -> float:

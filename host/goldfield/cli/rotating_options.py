@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import argparse
-import math
 from importlib.resources import as_file, files
 from typing import TYPE_CHECKING
 
-from goldfield import rotating_site
-from goldfield.cli.options import add_json
+from goldfield import dual_axis, rotating_site
+from goldfield import site as sites
+from goldfield.cli.options import add_json, finite
+from goldfield.dual_axis import DualAxisSite
 from goldfield.errors import UserError
 from goldfield.rotating_site import RotatingSite
 
 if TYPE_CHECKING:
     from goldfield.experiments.rotating_room import Setting
 
-__all__ = ["add_json", "add_site", "add_world", "count", "finite", "positive", "setting", "site"]
+__all__ = [
+    "add_json",
+    "add_site",
+    "add_world",
+    "count",
+    "dual_axis_beacons",
+    "finite",
+    "measured_site",
+    "positive",
+    "setting",
+    "site",
+]
 
 
 def add_site(parser: argparse.ArgumentParser, beacons: int | None = None) -> None:
     """Add ``--site`` and ``--beacons``; ``beacons``: how many of the site's first ones, None for all."""
     parser.add_argument(
-        "--site", metavar="FILE", help="site file of dual-axis beacons (TOML); default: the paper's room, zheng6.toml"
+        "--site",
+        metavar="FILE",
+        help="site file of dual-axis beacons or of boards (TOML); default: the paper's room, zheng6.toml",
     )
     parser.add_argument(
         "--beacons",
@@ -49,26 +63,56 @@ def add_world(parser: argparse.ArgumentParser) -> None:
 
 
 def site(arguments: argparse.Namespace, least_beacons: int) -> RotatingSite:
-    """Load the site of the options.
+    """Load the site of the options for an experiment in a simulated room.
+
+    Raises
+    ------
+    UserError
+        If it is wrong, has too few beacons, or is a site of boards.
+    """
+    loaded = measured_site(arguments, least_beacons)
+    if isinstance(loaded, DualAxisSite):
+        raise UserError(
+            f"{arguments.site}: is a site of boards (it has [site]), but the simulated room takes dual-axis beacons "
+            "without: goldfield hil simulates boards"
+        )
+    return loaded
+
+
+def measured_site(arguments: argparse.Namespace, least_beacons: int) -> RotatingSite | DualAxisSite:
+    """Load the site of the options: of dual-axis beacons, or of boards that drive them in pairs.
 
     Raises
     ------
     UserError
         If it is wrong or has too few beacons.
     """
+    loaded: RotatingSite | DualAxisSite
     if arguments.site is None:
         with as_file(files("goldfield.data") / "zheng6.toml") as path:
             loaded = rotating_site.load(path)
+    elif rotating_site.is_of_boards(arguments.site):
+        of_boards = sites.load(arguments.site)
+        try:
+            loaded = dual_axis.of_site(of_boards)
+        except UserError as error:
+            raise UserError(f"{arguments.site}: {error}") from error
     else:
         loaded = rotating_site.load(arguments.site)
-    wanted = len(loaded.beacons) if arguments.beacons is None else arguments.beacons
-    if wanted > len(loaded.beacons):
-        raise UserError(f"--beacons is {wanted}: the site has only {len(loaded.beacons)}")
+    available = len(dual_axis_beacons(loaded).beacons)
+    wanted = available if arguments.beacons is None else arguments.beacons
+    if wanted > available:
+        raise UserError(f"--beacons is {wanted}: the site has only {available}")
     if wanted < least_beacons:
         raise UserError(
             f"this needs at least {least_beacons} beacons, not {wanted}: raise --beacons or extend the site"
         )
     return loaded.first(wanted)
+
+
+def dual_axis_beacons(site: RotatingSite | DualAxisSite) -> RotatingSite:
+    """Return the dual-axis beacons of a site of either kind."""
+    return site.rotating if isinstance(site, DualAxisSite) else site
 
 
 def setting(arguments: argparse.Namespace, site: RotatingSite) -> Setting:
@@ -99,17 +143,6 @@ def positive(text: str) -> float:
     value = finite(text)
     if value <= 0.0:
         raise argparse.ArgumentTypeError(f"{text} is not greater than zero")
-    return value
-
-
-def finite(text: str) -> float:
-    """Parse a finite number, for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not abs(value) < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is no finite number")
     return value
 
 

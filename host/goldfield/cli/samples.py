@@ -6,13 +6,14 @@ import argparse
 import csv
 import sys
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from goldfield import site as sites
 from goldfield.cli import options
-from goldfield.cli.separate import COLUMNS
+from goldfield.cli.chips_file import COLUMNS, PLACE
 from goldfield.errors import SystemFailure
 from goldfield.link.chips import Calibration, ChipAssembler
 from goldfield.link.epochs import Assembler
@@ -36,6 +37,13 @@ def command(subparsers: Any) -> None:
     options.add(parser, "--port", metavar="PATH", what="serial port of the sensor")
     options.add_site(parser)
     options.add(parser, "--cycles", metavar="N", kind=options.count, what="how many cycles, default 1")
+    parser.add_argument(
+        "--at",
+        type=options.finite,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help=f"where the sensor stands, m: added as the columns {','.join(PLACE)}, for goldfield rotating survey",
+    )
     options.add(parser, "--node", metavar="N", kind=options.node, what="node of the sensor (else the first one heard)")
     parser.set_defaults(run=run)
 
@@ -52,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         before = session.parameter(source, PARAM_STREAM)
         session.parameter(source, PARAM_STREAM, 1)
         try:
-            _print(session, source, site, calibration, arguments.cycles or 1)
+            _print(session, source, site, calibration, arguments.cycles or 1, arguments.at or [])
         finally:
             session.parameter(source, PARAM_STREAM, before)
     finally:
@@ -66,9 +74,12 @@ def _calibration(session: Session, source: BusSource) -> Calibration:
     return Calibration(np.array(zero, dtype=np.float64), np.array(matrix, dtype=np.float64).reshape(3, 3))
 
 
-def _print(session: Session, source: BusSource, site: Site, calibration: Calibration, cycles: int) -> None:
+def _print(
+    session: Session, source: BusSource, site: Site, calibration: Calibration, cycles: int, place_m: Sequence[float]
+) -> None:
     rows = csv.writer(sys.stdout, lineterminator="\n")
-    rows.writerow(COLUMNS)
+    rows.writerow(COLUMNS + (PLACE if place_m else ()))
+    where = [repr(value) for value in place_m]
     assembler = ChipAssembler(site.chips)
     heard = time.monotonic()
     while cycles:
@@ -81,7 +92,7 @@ def _print(session: Session, source: BusSource, site: Site, calibration: Calibra
         heard = time.monotonic()
         for sums in assembler.feed(message):
             for chip, field in enumerate(calibration.field_T(sums)):
-                rows.writerow([chip, *("" if np.isnan(value) else repr(float(value)) for value in field)])
+                rows.writerow([chip, *("" if np.isnan(value) else repr(float(value)) for value in field), *where])
             cycles -= 1
             if not cycles:
                 break

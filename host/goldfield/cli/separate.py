@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import sys
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -14,14 +13,12 @@ from goldfield import site as sites
 from goldfield.access.cdma import Separation
 from goldfield.access.of_site import SiteAccess, SiteCycle
 from goldfield.cli import options
+from goldfield.cli.chips_file import COLUMNS, read_cycles
 from goldfield.cli.fields_file import FieldsWriter
 from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError
 from goldfield.poses import Fields, FloatArray
 from goldfield.site import Site
-from goldfield.tables import read_table
-
-COLUMNS = ("chip", "bx_T", "by_T", "bz_T")
 
 
 def command(subparsers: Any) -> None:
@@ -72,8 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.fields:
             writer = FieldsWriter(arguments.fields)
             stack.callback(writer.close)
-        for number_of, samples in enumerate(read_cycles(site, arguments.samples)):
-            cycle = access.cycle(samples)
+        for number_of, chips in enumerate(read_cycles(site, arguments.samples)):
+            cycle = access.cycle(chips.samples_T)
             if writer is not None:
                 writer.write(_fields(site, number_of, cycle.separation))
             if arguments.json:
@@ -112,32 +109,6 @@ def cycle_record(site: Site, number_of: int, cycle: SiteCycle) -> dict[str, Any]
         for entry, tau in zip(record["fields"], cycle.tau_s, strict=True):
             entry["tau_s"] = number(tau)
     return record
-
-
-def read_cycles(site: Site, path: str) -> Iterator[FloatArray]:
-    """Yield the samples of each cycle, shape (N, 3).
-
-    Raises
-    ------
-    UserError
-        With file, line and column of whatever is wrong, and if there is no whole cycle.
-    """
-    samples = np.empty((site.chips, 3))
-    count = 0
-    for row in read_table(path, COLUMNS):
-        chip = row.whole("chip")
-        expected = count % site.chips
-        if chip not in (expected, count):
-            raise row.error("chip", f"is {chip} where {expected} follows: give every chip in order from chip 0")
-        samples[expected] = [row.field(column) for column in COLUMNS[1:]]
-        count += 1
-        if count % site.chips == 0:
-            yield samples
-    cycles, rest = divmod(count, site.chips)
-    if cycles == 0:
-        raise UserError(f"{path}: has {count} chips, fewer than a cycle's {site.chips} (degree {site.degree})")
-    if rest:
-        print(f"goldfield: {path}: the last {rest} chips are no whole cycle and were left out", file=sys.stderr)
 
 
 def _table(site: Site, number_of: int, cycle: SiteCycle) -> str:

@@ -57,7 +57,7 @@ def position_from_axes(site: RotatingSite, field_T: FloatArray, sigma_T: FloatAr
     return minimise(evaluate, lambda state, step: (state[0] + step,), (start,), tolerance=1e-12).state[0]
 
 
-def locate_by_ellipse(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArray, model_error: float = 0.0) -> Fit:
+def locate_by_ellipse(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArray) -> Fit:
     """Poses of e epochs, with no prior.
 
     The axes of the ellipses give a position, Wahba's problem on all components there an attitude, and a fit of position
@@ -72,8 +72,6 @@ def locate_by_ellipse(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArr
         Bc and Bs in the sensor's frame.
     sigma_T : ndarray, shape (n,)
         Standard deviation of each component.
-    model_error : float
-        Relative error believed of the site's currents and coils.
     """
     epochs = len(field_T)
     model = FieldModel([coil for beacon in site.beacons for coil in beacon.coils()])
@@ -84,4 +82,4 @@ def locate_by_ellipse(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArr
     weight = 1.0 / (sigma**2 + (START_MODEL_ERROR * np.linalg.norm(measured, axis=2)) ** 2)
     measurements = Measurements(measured, sigma)
     rough = fit_pose(model, measurements, position, wahba(modelled, measured, weight), model_error=START_MODEL_ERROR)
-    return fit_pose(model, measurements, rough.position_m, rough.rotation, model_error=model_error)
+    return fit_pose(model, measurements, rough.position_m, rough.rotation, model_error=site.model_error)

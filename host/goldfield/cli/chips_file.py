@@ -1,0 +1,80 @@
+"""Raw samples as the table that ``goldfield samples`` writes: one row a chip, with or without the sensor's place."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from goldfield.errors import UserError
+from goldfield.poses import FloatArray
+from goldfield.site import Site
+from goldfield.tables import Row, read_table
+
+COLUMNS = ("chip", "bx_T", "by_T", "bz_T")
+PLACE = ("x_m", "y_m", "z_m")
+
+
+@dataclass(frozen=True, eq=False)
+class ChipCycle:
+    """A cycle of samples.
+
+    Attributes
+    ----------
+    samples_T : ndarray, shape (N, 3)
+        One row a chip; NaN where a sample is missing.
+    place_m : ndarray, shape (3,), or None
+        Where the table says the sensor stood.
+    """
+
+    samples_T: FloatArray
+    place_m: FloatArray | None
+
+
+def read_cycles(site: Site, path: str) -> Iterator[ChipCycle]:
+    """Yield the cycles of a table.
+
+    Raises
+    ------
+    UserError
+        With file, line and column of whatever is wrong, and if there is no whole cycle.
+    """
+    samples = np.empty((site.chips, 3))
+    place: FloatArray | None = None
+    count = 0
+    for row in read_table(path, COLUMNS, PLACE):
+        chip = row.whole("chip")
+        expected = count % site.chips
+        if chip not in (expected, count):
+            raise row.error("chip", f"is {chip} where {expected} follows: give every chip in order from chip 0")
+        samples[expected] = [row.field(column) for column in COLUMNS[1:]]
+        here = place_of(row)
+        if expected and here is not None and place is not None and (here != place).any():
+            raise row.error(PLACE[0], "to z_m differ from the row before: one place a cycle")
+        place = here
+        count += 1
+        if count % site.chips == 0:
+            yield ChipCycle(samples, place)
+    cycles, rest = divmod(count, site.chips)
+    if cycles == 0:
+        raise UserError(f"{path}: has {count} chips, fewer than a cycle's {site.chips} (degree {site.degree})")
+    if rest:
+        print(f"goldfield: {path}: the last {rest} chips are no whole cycle and were left out", file=sys.stderr)
+
+
+def place_of(row: Row) -> FloatArray | None:
+    """Return the place of a row, shape (3,); None if the table has no places.
+
+    Raises
+    ------
+    UserError
+        If it has only some of the columns.
+    """
+    given = [column for column in PLACE if column in row.cells]
+    if not given:
+        return None
+    if len(given) < len(PLACE):
+        raise UserError(f"{row.path}: has {','.join(given)} but not all of {','.join(PLACE)}")
+    return np.array([row.number(column) for column in PLACE])
