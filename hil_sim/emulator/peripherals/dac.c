@@ -1,11 +1,17 @@
-/* dac.c: the two-channel digital-to-analog converter (RM0090 chapter 14). A new output value is there one APB1 cycle after the write, three after a timer or pin trigger, one
- * after a software trigger; the buffer's settling belongs to the outside. Not there, and loud: noise and triangle waves. */
+/* dac.c: the two-channel digital-to-analog converter (RM0090 chapter 14).
+ *
+ * What is in the holding register goes to the output one APB1 cycle after it was written (TEN 0), three after a timer or pin trigger, one after a software
+ * trigger; the buffer's settling belongs to the outside. A hardware trigger takes what both channels hold and then asks for DMA, so what DMA brings is for the
+ * next trigger. A trigger that finds the request before still waiting is an underrun: requests stop until DMAUDR is cleared.
+ * Not there, and loud: noise and triangle waves. */
 #include "model.h"
 
 enum { CR = 0x00, SWTRIGR = 0x04, DHR12R1 = 0x08, DHR12L1 = 0x0C, DHR8R1 = 0x10, DHR12R2 = 0x14, DHR12L2 = 0x18, DHR8R2 = 0x1C, DHR12RD = 0x20, DHR12LD = 0x24, DHR8RD = 0x28, DOR1 = 0x2C, SR = 0x34 };
 #define EN 1u
 #define TEN 4u
+#define TSEL 0x38u
 #define DMAEN 0x1000u
+#define UNDERRUN_INTERRUPT 0x2000u
 #define UNDERRUN 0x2000u
 #define REFERENCE_V 3.3
 
@@ -19,7 +25,7 @@ static const register_layout_t registers[] = {
 typedef struct {
     struct dac *dac;
     unsigned number; /* 0: channel 1 */
-    uint32_t holding;
+    uint32_t holding, next; /* next: what the update brings to the output. */
     bool reported;
     bool irq;
     machine_event_t update;
@@ -32,22 +38,30 @@ typedef struct dac {
 
 static uint32_t control(const channel_t *c) { return reg(&c->dac->model, CR) >> (16 * c->number) & 0xFFFFu; }
 
-static void output(void *context, int64_t time_ps)
+static dma_source_t request_line(const channel_t *c) { return c->number == 0 ? DMA_DAC1 : DMA_DAC2; }
+static bool underrun(const channel_t *c) { return (reg(&c->dac->model, SR) >> (16 * c->number) & UNDERRUN) != 0; }
+
+static void report(channel_t *c, int64_t time_ps)
 {
-    channel_t *const c = context;
     model_t *const model = &c->dac->model;
     const board_edge_t *const edge = model->chip->edge;
-    const bool changed = model->value[DOR1 / 4 + c->number] != c->holding;
-    model->value[DOR1 / 4 + c->number] = c->holding;
-    if ((control(c) & EN) == 0 || (!changed && c->reported)) {
-        return;
-    }
     c->reported = true;
     if (!chip_pin_is_analog(model->chip, 4 + c->number)) {
         machine_violation(model->machine, "DAC: channel %u drives PA%u, which is not in analog mode", c->number + 1, 4 + c->number);
     }
     if (edge->analog_out) {
-        edge->analog_out(edge->context, c->number + 1, REFERENCE_V * c->holding / 4096, time_ps);
+        edge->analog_out(edge->context, c->number + 1, REFERENCE_V * reg(model, DOR1 + 4 * c->number) / 4096, time_ps);
+    }
+}
+
+static void update(void *context, int64_t time_ps)
+{
+    channel_t *const c = context;
+    uint32_t *const output = &c->dac->model.value[DOR1 / 4 + c->number];
+    const bool changed = *output != c->next;
+    *output = c->next;
+    if ((control(c) & EN) != 0 && (changed || !c->reported)) {
+        report(c, time_ps);
     }
 }
 
@@ -61,9 +75,10 @@ static void release(channel_t *c)
     c->reported = false;
 }
 
-static void convert(channel_t *c, int64_t time_ps, unsigned cycles)
+static void schedule(channel_t *c, int64_t time_ps, unsigned cycles, uint32_t next)
 {
     const clock_domain_t *const clock = &c->dac->model.chip->pclk1;
+    c->next = next;
     machine_schedule(c->dac->model.machine, &c->update, clock_time(clock, clock_tick(clock, time_ps) + cycles));
 }
 
@@ -71,44 +86,68 @@ static void hold(channel_t *c, uint32_t value)
 {
     c->holding = value & 0xFFFu;
     if ((control(c) & TEN) == 0) {
-        convert(c, machine_now(c->dac->model.machine), 1);
+        schedule(c, machine_now(c->dac->model.machine), 1, c->holding);
     }
 }
 
 static void interrupts(dac_t *dac)
 {
     for (unsigned i = 0; i < 2; i++) {
-        const bool level = (reg(&dac->model, SR) >> (16 * i) & UNDERRUN) != 0 && (control(&dac->channel[i]) & 0x2000u) != 0;
+        const bool level = underrun(&dac->channel[i]) && (control(&dac->channel[i]) & UNDERRUN_INTERRUPT) != 0;
         chip_irq_shared(dac->model.chip, 54, &dac->channel[i].irq, level);
     }
 }
 
-static void trigger(channel_t *c, int64_t time_ps, unsigned cycles)
+static void ask_for_next(channel_t *c)
 {
-    convert(c, time_ps, cycles);
-    if (control(c) & DMAEN) {
-        chip_t *const chip = c->dac->model.chip;
-        const dma_source_t line = c->number == 0 ? DMA_DAC1 : DMA_DAC2;
-        if (chip->lines.high[line]) {
-            machine_violation(chip->machine, "DAC: channel %u triggered before its DMA request was served (underrun)", c->number + 1);
-            c->dac->model.value[SR / 4] |= UNDERRUN << (16 * c->number);
-            interrupts(c->dac);
-            return;
-        }
-        dma_line_pulse(chip, line); /* Fetches the value of the next trigger. */
+    chip_t *const chip = c->dac->model.chip;
+    if ((control(c) & DMAEN) == 0 || underrun(c)) {
+        return;
     }
+    if (!chip->lines.high[request_line(c)]) {
+        dma_line_pulse(chip, request_line(c));
+        return;
+    }
+    machine_violation(chip->machine, "DAC: channel %u triggered before its DMA request was served (underrun)", c->number + 1);
+    c->dac->model.value[SR / 4] |= UNDERRUN << (16 * c->number);
+    dma_line(chip, request_line(c), false);
+    interrupts(c->dac);
+}
+
+/* TSEL 0 to 6. */
+static const uint8_t triggers[7] = {TRIGGER_TIM6_TRGO, TRIGGER_TIM8_TRGO, TRIGGER_TIM7_TRGO, TRIGGER_TIM5_TRGO, TRIGGER_TIM2_TRGO, TRIGGER_TIM4_TRGO, TRIGGER_EXTI9};
+enum { SOFTWARE = 7 };
+
+static trigger_t awaited(const channel_t *c)
+{
+    const uint32_t source = field(control(c), 3, 3);
+    return (control(c) & (EN | TEN)) == (EN | TEN) && source != SOFTWARE ? (trigger_t)triggers[source] : TRIGGER_NONE;
 }
 
 void dac_trigger_edge(chip_t *chip, trigger_t source, int64_t time_ps)
 {
-    static const uint8_t triggers[7] = {TRIGGER_TIM6_TRGO, TRIGGER_TIM8_TRGO, TRIGGER_TIM7_TRGO, TRIGGER_TIM5_TRGO, TRIGGER_TIM2_TRGO, TRIGGER_TIM4_TRGO, TRIGGER_EXTI9};
     dac_t *const dac = (dac_t *)chip->dac;
     for (unsigned i = 0; i < 2; i++) {
-        const uint32_t cr = control(&dac->channel[i]);
-        if ((cr & (EN | TEN)) == (EN | TEN) && field(cr, 3, 3) < 7 && triggers[field(cr, 3, 3)] == source) {
-            trigger(&dac->channel[i], time_ps, 3);
+        if (awaited(&dac->channel[i]) == source) {
+            schedule(&dac->channel[i], time_ps, 3, dac->channel[i].holding);
         }
     }
+    for (unsigned i = 0; i < 2; i++) {
+        if (awaited(&dac->channel[i]) == source) {
+            ask_for_next(&dac->channel[i]);
+        }
+    }
+}
+
+/* Timers make an event of a trigger only while somebody waits for it. */
+static void listen(dac_t *dac)
+{
+    chip_t *const chip = dac->model.chip;
+    tim_before_change(chip);
+    for (unsigned i = 0; i < TRIGGER_COUNT; i++) {
+        chip->trigger_wanted[i] = awaited(&dac->channel[0]) == i || awaited(&dac->channel[1]) == i;
+    }
+    tim_after_change(chip);
 }
 
 static void write_control(dac_t *dac, uint32_t value)
@@ -121,25 +160,38 @@ static void write_control(dac_t *dac, uint32_t value)
     dac->model.value[CR / 4] = value;
     for (unsigned i = 0; i < 2; i++) {
         channel_t *const c = &dac->channel[i];
-        if ((control(c) & EN) != 0 && (old >> (16 * i) & EN) == 0) {
+        const uint32_t before = old >> (16 * i);
+        if ((before & control(c) & EN) != 0 && ((before ^ control(c)) & TSEL) != 0) {
+            machine_violation(chip->machine, "DAC_CR: TSEL%u changed while EN%u is 1", i + 1, i + 1);
+        }
+        if ((control(c) & EN) != 0 && (before & EN) == 0) {
             c->reported = false;
-            convert(c, machine_now(chip->machine), 1);
+            schedule(c, machine_now(chip->machine), 1, (control(c) & TEN) == 0 ? c->holding : reg(&dac->model, DOR1 + 4 * i));
         }
         if ((control(c) & EN) == 0) {
             release(c);
         }
         if ((control(c) & DMAEN) == 0) {
-            dma_line(chip, i == 0 ? DMA_DAC1 : DMA_DAC2, false);
-        }
-        const uint32_t source = field(control(c), 3, 3);
-        if ((control(c) & (EN | TEN)) == (EN | TEN) && source < 6) {
-            static const uint8_t heard[6] = {TRIGGER_TIM6_TRGO, TRIGGER_TIM8_TRGO, TRIGGER_TIM7_TRGO, TRIGGER_TIM5_TRGO, TRIGGER_TIM2_TRGO, TRIGGER_TIM4_TRGO};
-            chip->trigger_wanted[heard[source]] = true;
-            tim_before_change(chip);
-            tim_after_change(chip);
+            dma_line(chip, request_line(c), false);
         }
     }
+    listen(dac);
     interrupts(dac);
+}
+
+static void software_trigger(dac_t *dac, uint32_t value)
+{
+    for (unsigned i = 0; i < 2; i++) {
+        channel_t *const c = &dac->channel[i];
+        if ((value >> i & 1u) == 0) {
+            continue;
+        }
+        if ((control(c) & (TEN | TSEL)) != (TEN | TSEL)) {
+            machine_violation(dac->model.machine, "DAC_SWTRIGR: channel %u is not set to the software trigger", i + 1);
+        } else {
+            schedule(c, machine_now(dac->model.machine), 1, c->holding);
+        }
+    }
 }
 
 static void set(model_t *model, uint32_t offset, uint32_t value)
@@ -148,17 +200,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
     channel_t *const c = dac->channel;
     switch (offset) {
     case CR: write_control(dac, value); return;
-    case SWTRIGR:
-        for (unsigned i = 0; i < 2; i++) {
-            if (value >> i & 1u) {
-                if ((control(&c[i]) & (TEN | 0x38u)) != (TEN | 0x38u)) {
-                    machine_violation(model->machine, "DAC_SWTRIGR: channel %u is not set to the software trigger", i + 1);
-                } else {
-                    trigger(&c[i], machine_now(model->machine), 1);
-                }
-            }
-        }
-        return;
+    case SWTRIGR: software_trigger(dac, value); return;
     case SR: /* Written 1 clears. */
         model->value[SR / 4] &= ~value;
         interrupts(dac);
@@ -187,9 +229,7 @@ static void restart(model_t *model)
         dac->channel[i].holding = 0;
         release(&dac->channel[i]);
     }
-    for (unsigned i = 0; i < TRIGGER_COUNT; i++) {
-        model->chip->trigger_wanted[i] = false;
-    }
+    listen(dac);
     interrupts(dac);
 }
 
@@ -202,7 +242,7 @@ void dac_create(chip_t *chip)
     for (unsigned i = 0; i < 2; i++) {
         dac->channel[i].dac = dac;
         dac->channel[i].number = i;
-        machine_event_init(&dac->channel[i].update, output, &dac->channel[i]);
+        machine_event_init(&dac->channel[i].update, update, &dac->channel[i]);
     }
     model_attach(chip, &dac->model, &description);
 }

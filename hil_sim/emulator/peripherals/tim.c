@@ -15,6 +15,7 @@
 #define UIF 1u
 #define TIF 0x40u
 #define MOE 0x8000u
+#define CCDS 8u /* CR2: compare and capture requests go out at the update. */
 
 struct tim {
     model_t model;
@@ -33,7 +34,7 @@ struct tim {
         machine_event_t filter;
     } input[4];
     uint8_t edges[4];
-    bool update_line, channel_line;
+    bool update_line, channel_line, trigger_line;
     unsigned burst_index;
     dma_source_t burst_source;
 };
@@ -61,6 +62,7 @@ static void interrupt(tim_t *t)
     chip_irq_shared(t->model.chip, t->what->irq_update, &t->update_line, separate ? (active & UIF) != 0 : (active & 0x5Fu) != 0);
     if (separate) {
         chip_irq_shared(t->model.chip, t->what->irq_channels, &t->channel_line, (active & 0x1Eu) != 0);
+        chip_irq_shared(t->model.chip, t->what->irq_trigger, &t->trigger_line, (active & TIF) != 0);
     }
 }
 
@@ -70,6 +72,16 @@ static void pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source)
         t->burst_index = 0;
         t->burst_source = source;
         dma_line_pulse(t->model.chip, source);
+    }
+}
+
+/* A compare or capture asks at once, or with CCDS at the next update. */
+static bool asks_at_update(const tim_t *t) { return (t->model.value[TIM_CR2 / 4] & CCDS) != 0; }
+
+static void channel_dma(tim_t *t, unsigned channel)
+{
+    if (!asks_at_update(t)) {
+        pulse_dma(t, 9 + channel, t->what->dma_channel[channel]);
     }
 }
 
@@ -160,7 +172,7 @@ static void compare_match(tim_t *t, unsigned channel, int64_t tick)
         }
     }
     interrupt(t);
-    pulse_dma(t, 9 + channel, t->what->dma_channel[channel]);
+    channel_dma(t, channel);
 }
 
 /* Preloaded values become active. */
@@ -204,6 +216,9 @@ static void update_event(tim_t *t, int64_t tick, bool by_software)
         t->model.value[TIM_SR / 4] |= UIF;
         interrupt(t);
         pulse_dma(t, 8, t->what->dma_update);
+    }
+    for (unsigned i = 0; i < t->what->channels && happens && asks_at_update(t); i++) {
+        pulse_dma(t, 9 + i, t->what->dma_channel[i]);
     }
 }
 
@@ -296,7 +311,8 @@ static void plan(tim_t *t)
     }
     const uint32_t dier = t->model.value[TIM_DIER / 4];
     const unsigned master_mode = trgo_heard(t) ? field(t->model.value[TIM_CR2 / 4], 4, 3) : 0;
-    bool update = (dier & 0x101u) != 0 || master_mode == 2;
+    const uint32_t channel_bits = asks_at_update(t) ? 0x2u : 0x202u;
+    bool update = (dier & 0x101u) != 0 || master_mode == 2 || (asks_at_update(t) && (dier & 0x1E00u) != 0);
     int64_t tick = INT64_MAX;
     const int64_t over = overflow_tick(t), last = last_count(t);
     bool later = false; /* An observed compare lies beyond the overflow. */
@@ -305,7 +321,7 @@ static void plan(tim_t *t)
             continue;
         }
         const bool heard = channel_heard(t, i) || master_mode == 4 + i;
-        if (!heard && (dier & (0x202u << i)) == 0 && !(i == 0 && master_mode == 3)) {
+        if (!heard && (dier & (channel_bits << i)) == 0 && !(i == 0 && master_mode == 3)) {
             continue;
         }
         update = update || (heard && field(mode_bits(t, i), 4, 3) >= 6);
@@ -362,6 +378,7 @@ static void slave_trigger(tim_t *t, int64_t time_ps)
     default: break;
     }
     interrupt(t);
+    pulse_dma(t, 14, t->what->dma_trigger);
     plan(t);
 }
 
@@ -381,7 +398,7 @@ static void capture(tim_t *t, unsigned channel, int64_t time_ps)
     *sr |= (*sr & 2u << channel) ? 0x200u << channel : 0;
     *sr |= 2u << channel;
     interrupt(t);
-    pulse_dma(t, 9 + channel, t->what->dma_channel[channel]);
+    channel_dma(t, channel);
     plan(t);
 }
 
@@ -541,6 +558,7 @@ static void generate(tim_t *t, uint32_t value, int64_t tick)
     if (value & TIF) {
         t->model.value[TIM_SR / 4] |= TIF;
         interrupt(t);
+        pulse_dma(t, 14, t->what->dma_trigger);
     }
 }
 
@@ -611,8 +629,8 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
     case TIM_DIER: {
         const uint32_t gone = model->value[TIM_DIER / 4] & ~value;
         model->value[TIM_DIER / 4] = value;
-        for (unsigned i = 0; i < 5; i++) { /* A request that waits falls with its enable bit. */
-            const dma_source_t source = i == 0 ? t->what->dma_update : t->what->dma_channel[i - 1];
+        for (unsigned i = 0; i < 7; i++) { /* A request that waits falls with its enable bit. */
+            const dma_source_t source = i == 0 ? t->what->dma_update : i < 5 ? t->what->dma_channel[i - 1] : i == 6 ? t->what->dma_trigger : DMA_NONE;
             if ((gone >> (8 + i) & 1u) != 0 && source != DMA_NONE) {
                 dma_line(model->chip, source, false);
             }

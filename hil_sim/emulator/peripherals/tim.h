@@ -16,8 +16,8 @@ typedef struct {
     const register_layout_t *registers;
     unsigned register_count, channels;
     bool advanced, wide;
-    unsigned irq_update, irq_channels;
-    dma_source_t dma_update, dma_channel[4];
+    unsigned irq_update, irq_channels, irq_trigger; /* The last only of the advanced timers, whose lines are separate. */
+    dma_source_t dma_update, dma_channel[4], dma_trigger;
     trigger_t first_channel_trigger, trgo;
     uint8_t master[4]; /* Timer number behind ITR0..3; 0: none. */
 } tim_description_t;

@@ -31,22 +31,22 @@ static const register_layout_t one_channel11[] = {ONE_CHANNEL, {"OR", TIM_OR, 0,
 
 #define TABLE(t) t, sizeof t / sizeof t[0]
 #define NO_ITR {0, 0, 0, 0}
-/* base, bus, registers, channels, advanced, wide; interrupt of update, of the channels; first request line; first trigger and TRGO; masters of ITR0..3 */
+/* base, bus, registers, channels, advanced, wide; interrupt of update, of the channels, of the trigger; request lines of update, channels, trigger; first trigger and TRGO; masters of ITR0..3 */
 const tim_description_t tim_descriptions[TIM_COUNT] = {
-    {"TIM1", 0x40010000, BUS_APB2, TABLE(advanced), 4, true, false, 25, 27, DMA_TIM1_UP, {DMA_TIM1_CH1, DMA_TIM1_CH2, DMA_TIM1_CH3, DMA_TIM1_CH4}, TRIGGER_TIM1_CC1, TRIGGER_TIM1_TRGO, {5, 2, 3, 4}},
-    {"TIM2", 0x40000000, BUS_APB1, TABLE(general2), 4, false, true, 28, 28, DMA_TIM2_UP, {DMA_TIM2_CH1, DMA_TIM2_CH2, DMA_TIM2_CH3, DMA_TIM2_CH4}, TRIGGER_TIM2_CC1, TRIGGER_TIM2_TRGO, {1, 8, 3, 4}},
-    {"TIM3", 0x40000400, BUS_APB1, TABLE(general34), 4, false, false, 29, 29, DMA_TIM3_UP, {DMA_TIM3_CH1, DMA_TIM3_CH2, DMA_TIM3_CH3, DMA_TIM3_CH4}, TRIGGER_TIM3_CC1, TRIGGER_TIM3_TRGO, {1, 2, 5, 4}},
-    {"TIM4", 0x40000800, BUS_APB1, TABLE(general34), 4, false, false, 30, 30, DMA_TIM4_UP, {DMA_TIM4_CH1, DMA_TIM4_CH2, DMA_TIM4_CH3, DMA_NONE}, TRIGGER_TIM4_CC1, TRIGGER_TIM4_TRGO, {1, 2, 3, 8}},
-    {"TIM5", 0x40000C00, BUS_APB1, TABLE(general5), 4, false, true, 50, 50, DMA_TIM5_UP, {DMA_TIM5_CH1, DMA_TIM5_CH2, DMA_TIM5_CH3, DMA_TIM5_CH4}, TRIGGER_TIM5_CC1, TRIGGER_TIM5_TRGO, {2, 3, 4, 8}},
-    {"TIM6", 0x40001000, BUS_APB1, TABLE(basic), 0, false, false, 54, 54, DMA_TIM6_UP, {0, 0, 0, 0}, TRIGGER_NONE, TRIGGER_TIM6_TRGO, NO_ITR},
-    {"TIM7", 0x40001400, BUS_APB1, TABLE(basic), 0, false, false, 55, 55, DMA_TIM7_UP, {0, 0, 0, 0}, TRIGGER_NONE, TRIGGER_TIM7_TRGO, NO_ITR},
-    {"TIM8", 0x40010400, BUS_APB2, TABLE(advanced), 4, true, false, 44, 46, DMA_TIM8_UP, {DMA_TIM8_CH1, DMA_TIM8_CH2, DMA_TIM8_CH3, DMA_TIM8_CH4}, TRIGGER_TIM8_CC1, TRIGGER_TIM8_TRGO, {1, 2, 4, 5}},
-    {"TIM9", 0x40014000, BUS_APB2, TABLE(two_channels), 2, false, false, 24, 24, DMA_NONE, {0, 0, 0, 0}, TRIGGER_NONE, TRIGGER_NONE, {2, 3, 0, 0}},
-    {"TIM10", 0x40014400, BUS_APB2, TABLE(one_channel), 1, false, false, 25, 25, DMA_NONE, {0, 0, 0, 0}, TRIGGER_NONE, TRIGGER_NONE, NO_ITR},
-    {"TIM11", 0x40014800, BUS_APB2, TABLE(one_channel11), 1, false, false, 26, 26, DMA_NONE, {0, 0, 0, 0}, TRIGGER_NONE, TRIGGER_NONE, NO_ITR},
-    {"TIM12", 0x40001800, BUS_APB1, TABLE(two_channels), 2, false, false, 43, 43, DMA_NONE, {0, 0, 0, 0}, TRIGGER_NONE, TRIGGER_NONE, {4, 5, 0, 0}},
-    {"TIM13", 0x40001C00, BUS_APB1, TABLE(one_channel), 1, false, false, 44, 44, DMA_NONE, {0, 0, 0, 0}, TRIGGER_NONE, TRIGGER_NONE, NO_ITR},
-    {"TIM14", 0x40002000, BUS_APB1, TABLE(one_channel), 1, false, false, 45, 45, DMA_NONE, {0, 0, 0, 0}, TRIGGER_NONE, TRIGGER_NONE, NO_ITR},
+    {"TIM1", 0x40010000, BUS_APB2, TABLE(advanced), 4, true, false, 25, 27, 26, DMA_TIM1_UP, {DMA_TIM1_CH1, DMA_TIM1_CH2, DMA_TIM1_CH3, DMA_TIM1_CH4}, DMA_TIM1_TRIG, TRIGGER_TIM1_CC1, TRIGGER_TIM1_TRGO, {5, 2, 3, 4}},
+    {"TIM2", 0x40000000, BUS_APB1, TABLE(general2), 4, false, true, 28, 28, 28, DMA_TIM2_UP, {DMA_TIM2_CH1, DMA_TIM2_CH2, DMA_TIM2_CH3, DMA_TIM2_CH4}, DMA_NONE, TRIGGER_TIM2_CC1, TRIGGER_TIM2_TRGO, {1, 8, 3, 4}},
+    {"TIM3", 0x40000400, BUS_APB1, TABLE(general34), 4, false, false, 29, 29, 29, DMA_TIM3_UP, {DMA_TIM3_CH1, DMA_TIM3_CH2, DMA_TIM3_CH3, DMA_TIM3_CH4}, DMA_TIM3_TRIG, TRIGGER_TIM3_CC1, TRIGGER_TIM3_TRGO, {1, 2, 5, 4}},
+    {"TIM4", 0x40000800, BUS_APB1, TABLE(general34), 4, false, false, 30, 30, 30, DMA_TIM4_UP, {DMA_TIM4_CH1, DMA_TIM4_CH2, DMA_TIM4_CH3, DMA_NONE}, DMA_NONE, TRIGGER_TIM4_CC1, TRIGGER_TIM4_TRGO, {1, 2, 3, 8}},
+    {"TIM5", 0x40000C00, BUS_APB1, TABLE(general5), 4, false, true, 50, 50, 50, DMA_TIM5_UP, {DMA_TIM5_CH1, DMA_TIM5_CH2, DMA_TIM5_CH3, DMA_TIM5_CH4}, DMA_TIM5_TRIG, TRIGGER_TIM5_CC1, TRIGGER_TIM5_TRGO, {2, 3, 4, 8}},
+    {"TIM6", 0x40001000, BUS_APB1, TABLE(basic), 0, false, false, 54, 54, 54, DMA_TIM6_UP, {0, 0, 0, 0}, DMA_NONE, TRIGGER_NONE, TRIGGER_TIM6_TRGO, NO_ITR},
+    {"TIM7", 0x40001400, BUS_APB1, TABLE(basic), 0, false, false, 55, 55, 55, DMA_TIM7_UP, {0, 0, 0, 0}, DMA_NONE, TRIGGER_NONE, TRIGGER_TIM7_TRGO, NO_ITR},
+    {"TIM8", 0x40010400, BUS_APB2, TABLE(advanced), 4, true, false, 44, 46, 45, DMA_TIM8_UP, {DMA_TIM8_CH1, DMA_TIM8_CH2, DMA_TIM8_CH3, DMA_TIM8_CH4}, DMA_TIM8_TRIG, TRIGGER_TIM8_CC1, TRIGGER_TIM8_TRGO, {1, 2, 4, 5}},
+    {"TIM9", 0x40014000, BUS_APB2, TABLE(two_channels), 2, false, false, 24, 24, 24, DMA_NONE, {0, 0, 0, 0}, DMA_NONE, TRIGGER_NONE, TRIGGER_NONE, {2, 3, 0, 0}},
+    {"TIM10", 0x40014400, BUS_APB2, TABLE(one_channel), 1, false, false, 25, 25, 25, DMA_NONE, {0, 0, 0, 0}, DMA_NONE, TRIGGER_NONE, TRIGGER_NONE, NO_ITR},
+    {"TIM11", 0x40014800, BUS_APB2, TABLE(one_channel11), 1, false, false, 26, 26, 26, DMA_NONE, {0, 0, 0, 0}, DMA_NONE, TRIGGER_NONE, TRIGGER_NONE, NO_ITR},
+    {"TIM12", 0x40001800, BUS_APB1, TABLE(two_channels), 2, false, false, 43, 43, 43, DMA_NONE, {0, 0, 0, 0}, DMA_NONE, TRIGGER_NONE, TRIGGER_NONE, {4, 5, 0, 0}},
+    {"TIM13", 0x40001C00, BUS_APB1, TABLE(one_channel), 1, false, false, 44, 44, 44, DMA_NONE, {0, 0, 0, 0}, DMA_NONE, TRIGGER_NONE, TRIGGER_NONE, NO_ITR},
+    {"TIM14", 0x40002000, BUS_APB1, TABLE(one_channel), 1, false, false, 45, 45, 45, DMA_NONE, {0, 0, 0, 0}, DMA_NONE, TRIGGER_NONE, TRIGGER_NONE, NO_ITR},
 };
 
 #define PIN(port, number) (uint8_t)((port - 'A') * 16 + number)

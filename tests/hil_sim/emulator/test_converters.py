@@ -1,4 +1,4 @@
-"""ADC and DAC: directed tests on the bare chip."""
+"""ADC: directed tests on the bare chip."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -8,7 +8,7 @@ import pytest
 from hil_sim.emulator.bench import MICROSECOND, Bench
 
 TIM1, TIM2, DMA2, GPIOA = 0x40010000, 0x40000000, 0x40026400, 0x40020000
-ADC1, ADC2, ADC3, COMMON, DAC = 0x40012000, 0x40012100, 0x40012200, 0x40012300, 0x40007400
+ADC1, ADC2, ADC3, COMMON = 0x40012000, 0x40012100, 0x40012200, 0x40012300
 SR, AC1, AC2, SMPR2, SQR1, SQR3, JSQR, JDR1, DR = 0x00, 0x04, 0x08, 0x10, 0x2C, 0x34, 0x38, 0x3C, 0x4C
 EOC, STRT, OVR = 2, 16, 32
 SRAM = 0x20001000
@@ -265,43 +265,4 @@ def test_strictness() -> None:
     chip.run(5 * MICROSECOND)
     chip.write(COMMON + 4, 0x17)
     chip.expect("does not do this value of MULTI")
-    finish(chip)
-
-
-def test_dac_volts_and_times() -> None:
-    chip = Bench()
-    chip.full_speed()
-    chip.analog_pin("A", 4)
-    chip.write(DAC, 1)
-    chip.run(MICROSECOND)
-    chip.write(DAC + 8, 2048)
-    written = chip.now
-    chip.run(MICROSECOND)
-    chip.write(DAC + 0xC, 4095 << 4)
-    chip.write(DAC + 0x10, 0)
-    chip.run(MICROSECOND)
-    assert [(c, v) for c, v, _ in chip.edge.volts] == [
-        (1, 0.0),
-        (1, 1.65),
-        (1, 0.0),
-    ]
-    assert 0 < chip.edge.volts[1][2] - written <= 1e12 / 42e6 + 1
-    finish(chip)
-
-
-def test_dac_software_trigger_and_missing_pin() -> None:
-    chip = Bench()
-    chip.full_speed()
-    chip.analog_pin("A", 4)
-    chip.write(DAC, 1 | 4 | 7 << 3)
-    chip.run(MICROSECOND)
-    chip.write(DAC + 8, 1024)
-    chip.run(MICROSECOND)
-    assert chip.read(DAC + 0x2C) == 0
-    chip.write(DAC + 4, 1)
-    chip.run(MICROSECOND)
-    assert chip.read(DAC + 0x2C) == 1024
-    chip.write(DAC, 1 << 16)
-    chip.run(MICROSECOND)
-    chip.expect("PA5, which is not in analog mode")
     finish(chip)

@@ -212,6 +212,27 @@ def test_trigger_mode_starts_on_a_master(fast_chip: Bench) -> None:
     assert 410 <= chip.read(TIM3 + CNT) <= 420
 
 
+@pytest.mark.parametrize(
+    ("slave", "trigger_input", "irq", "controller", "n", "channel"),
+    [(0x40010400, 1, 45, DMA2, 7, 7), (TIM3, 1, 29, DMA1, 4, 5)],
+)
+def test_trigger_interrupt_and_request(
+    fast_chip: Bench, slave: int, trigger_input: int, irq: int, controller: int, n: int, channel: int
+) -> None:
+    """A trigger from TIM2 (ITR1 of TIM8 and TIM3): TIF, with TIE an interrupt (TIM8's own line), with TDE a request."""
+    chip = fast_chip
+    chip.write(slave + SMCR, 6 | trigger_input << 4)
+    chip.write(slave + DIER, 1 << 6 | 1 << 14)
+    stream(chip, controller, n, channel << 25 | HALVES | TO_MEMORY, 3, slave + ARR, SRAM)
+    chip.write(TIM2 + CR2, 2 << 4)
+    chip.write(TIM2 + EGR, 1)
+    assert chip.read(slave + SR) & 1 << 6
+    assert chip.irq(irq)
+    assert chip.read(controller + 0x14 + 0x18 * n) == 2
+    chip.write(slave + SR, 0)
+    assert not chip.irq(irq)
+
+
 def test_what_is_missing_is_loud(fast_chip: Bench) -> None:
     fast_chip.write(TIM3 + CR1, 0x10)
     fast_chip.expect("does not do counting down")
