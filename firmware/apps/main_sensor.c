@@ -2,11 +2,13 @@
 #include "sensor.h"
 #include "board.h"
 
-static sensor_t sensor; /* Static: far too large for the stack. */
+/* Static: far too large for the stack. */
+static sensor_t sensor;
+static acquire_t acquire BOARD_CORE_MEMORY;
 
 int main(void) {
     hal_t *hal = board_start();
-    sensor_start(&sensor, hal);
+    sensor_start(&sensor, &acquire, hal);
     for (;;) {
         sensor_step(&sensor);
         hal_wait(hal);

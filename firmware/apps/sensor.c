@@ -24,7 +24,7 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     sensor_t *sensor = context;
     (void)block; /* The chip clock counts along. */
     if (sensor->by_field) {
-        acquire_plan(&sensor->acquire, &sensor->clock);
+        acquire_plan(sensor->acquire, &sensor->clock);
     }
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         plan->period_ticks[i] = chip_clock_plan(&sensor->clock).period_ticks;
@@ -70,7 +70,7 @@ static void on_samples(void *context, uint32_t block, const hal_samples_t *sampl
         int16_t sample[HAL_AXES];
         const bool saturated = epoch_sample((*samples)[i], sample);
         if (sensor->by_field) {
-            acquire_feed(&sensor->acquire, absolute, &chip, (*samples)[i]);
+            acquire_feed(sensor->acquire, absolute, &chip, (*samples)[i]);
             acquire_sample((*samples)[i], sample);
         }
         if (epoch_feed(&sensor->collector, absolute, chip.cycle, chip.code_chip, sample, saturated, locked)) {
@@ -103,10 +103,10 @@ static void apply_sync_source(sensor_t *sensor, bool by_field, const uint16_t *c
     if (by_field != sensor->by_field) {
         sensor->by_field = false; /* First: the interrupts keep their hands off. */
         chip_clock_forget(&sensor->clock);
-        acquire_init(&sensor->acquire, &acquire_config);
+        acquire_init(sensor->acquire, &acquire_config);
     }
     if (by_field) {
-        acquire_codes(&sensor->acquire, codes, count);
+        acquire_codes(sensor->acquire, codes, count);
     }
     sensor->by_field = by_field;
 }
@@ -227,9 +227,10 @@ static void drain_stream(sensor_t *sensor) {
     }
 }
 
-void sensor_start(sensor_t *sensor, hal_t *hal) {
+void sensor_start(sensor_t *sensor, acquire_t *acquire, hal_t *hal) {
     memset(sensor, 0, sizeof *sensor);
     sensor->hal = hal;
+    sensor->acquire = acquire;
     node_start(&sensor->node, hal, HAL_ROLE_SENSOR);
     (void)queue_init(&sensor->stream, sensor->stream_messages, SENSOR_STREAM_MESSAGES);
     sensor->format = sync_format(10); /* The despreading's. */
@@ -260,7 +261,7 @@ void sensor_step(sensor_t *sensor) {
     node_step(node);
     drain_stream(sensor);
     if (sensor->by_field) {
-        acquire_step(&sensor->acquire);
+        acquire_step(sensor->acquire);
     }
     onboard_step(&sensor->onboard, node); /* After the fields are on their way; its messages leave in the next turn. */
     if (node->parameters_changed) {

@@ -19,7 +19,7 @@
  * Parameters act from the next report on. stream sends every chip on serial (164 kB/s of 200 kB/s); chips that find no room are dropped and counted
  * as lost messages (counter 4).
  *
- * Memory: about 93 kB, half of it acquire.h. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
+ * Memory: about 48 kB, and acquire.h. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
  * 18,000 (with sync_source 1 30,000), a report of 8 codes 66,000, main with nothing to do 150.
  * With parts 3 the thirds of a cycle take 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within a third of a cycle. The messages of more than
  * 60 codes then outrun the queue of CAN at the end of a cycle: what finds no room is counted as lost (counter 4).
@@ -49,7 +49,7 @@ typedef struct {
     epoch_calibration_t calibration;
     epoch_selection_t selection;
     onboard_t onboard;
-    acquire_t acquire;
+    acquire_t *acquire;
     volatile bool by_field;        /* The chip clock follows the field: acquire is the interrupts'. */
     volatile bool streaming;
     volatile bool sampled;         /* A block has been taken. */
@@ -62,8 +62,8 @@ typedef struct {
     uint32_t stream_id;            /* Identifier of a CHIP with index 0. */
 } sensor_t;
 
-/* Hello, parameters, chip engine. *sensor and *hal must live for ever. */
-void sensor_start(sensor_t *sensor, hal_t *hal);
+/* Hello, parameters, chip engine. *sensor, *acquire and *hal must live for ever. No DMA touches *acquire. */
+void sensor_start(sensor_t *sensor, acquire_t *acquire, hal_t *hal);
 
 /* One turn of the main loop, to be called after each hal_wait(). A complete cycle costs about 60,000 instructions and 800 for each code. */
 void sensor_step(sensor_t *sensor);

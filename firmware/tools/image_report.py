@@ -1,4 +1,4 @@
-"""Flash, RAM and worst-case stack of the ARM images.
+"""Flash, RAM, core-coupled memory and worst-case stack of the ARM images.
 
 ``python firmware/tools/image_report.py build/firmware/sensor.elf ...`` prints one line an image.
 
@@ -23,6 +23,7 @@ TOOLS = "arm-none-eabi-"
 ENGINE = "firmware/boards/stm32f405/chip_engine.c"
 FLASH_BYTES = 896 * 1024
 RAM_BYTES = 128 * 1024
+CORE_MEMORY_BYTES = 64 * 1024
 
 HANDLERS: Mapping[str, str] = {
     f"{ENGINE}:plan_block": "on_plan",
@@ -70,10 +71,11 @@ class Function:
 
 @dataclass(frozen=True)
 class Image:
-    """What an image uses, in bytes; `path` is the deepest path of calls in main."""
+    """What an image uses, in bytes; `core_memory` is not in `ram`; `path` is the deepest path of calls in main."""
 
     flash: int
     ram: int
+    core_memory: int
     stack: int
     stack_reserved: int
     path: tuple[str, ...]
@@ -210,12 +212,23 @@ def report(elf: Path) -> Image:
         line.split()[2]: int(line.split()[0], 16) for line in run("nm", str(elf)).splitlines() if len(line.split()) == 3
     }
     reserved = symbols["stack_top"] - symbols["stack_bottom"]
-    return Image(flash=text + data, ram=data + bss, stack=stack, stack_reserved=reserved, path=path)
+    core_memory = symbols["core_memory_end"] - symbols["core_memory_start"]
+    return Image(
+        flash=text + data,
+        ram=data + bss - core_memory,
+        core_memory=core_memory,
+        stack=stack,
+        stack_reserved=reserved,
+        path=path,
+    )
 
 
 def main(arguments: list[str]) -> int:
     """Print the table; 1 if an image's worst case is unknown or more than reserved."""
-    print(f"image      flash of {FLASH_BYTES}     RAM of {RAM_BYTES}  stack (inside RAM)  deepest path of main")
+    print(
+        f"image      flash of {FLASH_BYTES}     RAM of {RAM_BYTES}  core memory of {CORE_MEMORY_BYTES}"
+        "  stack (inside RAM)  deepest path of main"
+    )
     worst = 0
     for argument in arguments:
         try:
@@ -226,7 +239,7 @@ def main(arguments: list[str]) -> int:
             continue
         path = " > ".join(name.rpartition(":")[2] for name in image.path)
         stack = f"{image.stack} of {image.stack_reserved}"
-        print(f"{Path(argument).stem:8} {image.flash:>15} {image.ram:>17} {stack:>19}  {path}")
+        print(f"{Path(argument).stem:8} {image.flash:>15} {image.ram:>17} {image.core_memory:>21} {stack:>19}  {path}")
         if image.stack > image.stack_reserved:
             print(f"error: {argument} may need more stack than it reserves", file=sys.stderr)
             worst = 1

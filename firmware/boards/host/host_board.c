@@ -12,7 +12,10 @@ struct board {
     bool powered;
     union {
         beacon_t beacon;
-        sensor_t sensor;
+        struct {
+            sensor_t sensor;
+            acquire_t acquire;
+        } sensing;
     } app;
 };
 
@@ -253,14 +256,14 @@ static void application(board_t *board) {
         if (beacon) {
             beacon_start(&board->app.beacon, hal);
         } else {
-            sensor_start(&board->app.sensor, hal);
+            sensor_start(&board->app.sensing.sensor, &board->app.sensing.acquire, hal);
         }
     }
     hal->awake = false;
     if (beacon) {
         beacon_step(&board->app.beacon);
     } else {
-        sensor_step(&board->app.sensor);
+        sensor_step(&board->app.sensing.sensor);
     }
     hal->idle_tick = host_tick(hal) + IDLE_TICKS;
 }

@@ -1,5 +1,5 @@
 # The two ARM images. The very ELF files that the emulator loads are flashed.
-#   make firmware                  flash, RAM and worst-case stack of both images
+#   make firmware                  flash, RAM, core-coupled memory and worst-case stack of both images
 #   make flash ROLE=sensor         program a board through pyOCD (see README.md here); with NODE=n also its parameter page,
 #   make flash ROLE=beacon NODE=3 CODE=17 AMPLITUDE=10 SYNC_MASTER=1     which takes every parameter of framing.md in capitals
 ARM := arm-none-eabi-
@@ -8,13 +8,13 @@ STM32_OUT := $(BUILD)/firmware
 STM32_CPU := -mcpu=cortex-m4 -mthumb -mfpu=fpv4-sp-d16 -mfloat-abi=hard
 STM32_FLAGS := $(STM32_CPU) -O2 -g -ffunction-sections -fdata-sections -fno-common \
 	-fstack-usage -fcallgraph-info=su -MMD -MP -Ifirmware/core -Ifirmware/apps -Ifirmware/hal -Ifirmware/boards -I$(PROTOCOL_OUT)
-STM32_LINK := $(STM32_CPU) -nostartfiles --specs=nano.specs -Wl,--gc-sections -Wl,--fatal-warnings -T $(STM32)/stm32f405.ld
+STM32_LINK := $(STM32_CPU) -nostartfiles --specs=nano.specs -Wl,--gc-sections -Wl,--fatal-warnings
 
 STM32_SHARED := $(wildcard firmware/core/*.c) $(filter-out firmware/apps/main_%,$(wildcard firmware/apps/*.c)) $(wildcard $(STM32)/*.c)
 STM32_OBJECTS := $(STM32_SHARED:%.c=$(STM32_OUT)/%.o) $(STM32_OUT)/protocol/goldfield.o
 STM32_MAINS := $(wildcard firmware/apps/main_beacon.c firmware/apps/main_sensor.c)
 STM32_IMAGES := $(STM32_MAINS:firmware/apps/main_%.c=$(STM32_OUT)/%.elf)
-FIRMWARE_IMAGES := $(STM32_IMAGES)
+FIRMWARE_IMAGES := $(STM32_IMAGES) $(STM32_IMAGES:$(STM32_OUT)/%=$(STM32_OUT)/qemu/%)
 
 $(STM32_OUT)/%.o: %.c $(PROTOCOL_HEADERS) $(BUILD)/arm-tools.stamp $(STM32)/board.mk
 	@mkdir -p $(@D)
@@ -31,16 +31,22 @@ $(STM32_OUT)/protocol/goldfield.o: $(PROTOCOL_OUT)/goldfield.c $(BUILD)/arm-tool
 
 $(STM32_OUT)/%.elf: $(STM32_OUT)/firmware/apps/main_%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld
 	@echo "firmware: $@"
-	@$(ARM)gcc $(STM32_LINK) -Wl,-Map=$(@:.elf=.map) -o $@ $(filter %.o,$^)
+	@$(ARM)gcc $(STM32_LINK) -T $(STM32)/stm32f405.ld -Wl,-Map=$(@:.elf=.map) -o $@ $(filter %.o,$^)
 	@$(ARM)objcopy -O binary $@ $(@:.elf=.bin)
 	@$(ARM)objcopy -O ihex $@ $(@:.elf=.hex)
+
+# For the tests on QEMU before 8.0, which has the core-coupled memory right behind the RAM: the same objects, linked for that address.
+$(STM32_OUT)/qemu/%.elf: $(STM32_OUT)/firmware/apps/main_%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld
+	@mkdir -p $(@D)
+	@sed 's/0x10000000, LENGTH/0x20020000, LENGTH/' $(STM32)/stm32f405.ld >$(@:.elf=.ld)
+	@$(ARM)gcc $(STM32_LINK) -T $(@:.elf=.ld) -o $@ $(filter %.o,$^)
 
 firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## Both images, with their flash, RAM and worst-case stack
 	@$(PYTHON) firmware/tools/image_report.py $(STM32_IMAGES)
 
 # Parameters given on make's command line, as name=value.
 STM32_PARAMETERS := $(foreach name,NODE CODE AMPLITUDE SYNC_MASTER STREAM CODE_COUNT OPEN_COIL OVER_CURRENT ZERO_X ZERO_Y ZERO_Z CALIBRATION CODE_LIST\
-	POSE NOISE HALF_SPACE BEACONS SYNC_SOURCE,\
+	POSE NOISE HALF_SPACE BEACONS SYNC_SOURCE DEGREE,\
 	$(if $(findstring command line,$(origin $(name))),$(name)=$($(name))))
 STM32_PAGE := $(STM32_OUT)/parameters.bin
 PYOCD := $(VENV)/bin/pyocd

@@ -4,9 +4,9 @@
 
 int main(void);
 
-/* From the linker script; of the last two, the address is the number. */
-extern uint32_t stack_top, data_start[], bss_start[];
-extern const uint32_t data_load[], data_words, bss_words;
+/* From the linker script; of the last three, the address is the number. */
+extern uint32_t stack_top, data_start[], bss_start[], core_memory_start[];
+extern const uint32_t data_load[], data_words, bss_words, core_memory_words;
 
 typedef void (*vector_t)(void);
 
@@ -60,6 +60,7 @@ void Reset_Handler(void) {
 
     for (uint32_t i = 0; i < (uint32_t)&data_words; i++) data_start[i] = data_load[i];
     for (uint32_t i = 0; i < (uint32_t)&bss_words; i++) bss_start[i] = 0;
+    for (uint32_t i = 0; i < (uint32_t)&core_memory_words; i++) core_memory_start[i] = 0; /* The memory's clock runs from reset on. */
 
     main();
     for (;;) __asm volatile("udf #0"); /* main() never returns. */

@@ -46,12 +46,13 @@ void hal_watchdog_kick(hal_t *h) { (void)h; }
 
 beacon_t beacon;
 sensor_t sensor;
+acquire_t acquire;
 hal_plan_t plan;
 hal_samples_t samples;
 uint32_t block = 0, chip = 0, count = 2048;
 void begin_beacon(void) { beacon_start(&beacon, &hal); }
 void begin_sensor(void) {
-    sensor_start(&sensor, &hal);
+    sensor_start(&sensor, &acquire, &hal);
     for (uint32_t i = 0; i < sizeof samples / 2; i++) (&samples[0][0][0])[i] = (uint16_t)(1 + i * 37 % 4094);
 }
 void call_plan(void) { events.plan(events.context, block++, &plan); hal.us += 3030; }
