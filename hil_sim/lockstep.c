@@ -12,9 +12,15 @@
 #include "serial_line.h"
 #include "world/noise.h"
 
-enum { PIN_CURRENT = 0, PIN_FIELD_X = 1, PIN_SYNC_IN = 10, PIN_BRIDGE_1 = 38, PIN_BRIDGE_2 = 39, PIN_SYNC_OUT = 40, PIN_ENABLE = 41, PIN_FAULT = 42 };
-enum { SERIAL_PORT = 1, REFERENCE_CHANNEL = 1, SPINS_BEFORE_YIELD = 2000 };
+enum { PIN_FIELD_X = 1, PIN_SYNC_IN = 10, PIN_SYNC_OUT = 40, PIN_ENABLE = 41, PIN_FAULT = 42 };
+enum { SERIAL_PORT = 1, SPINS_BEFORE_YIELD = 2000 };
 enum { BLOCK_STEPS = 5000, BLOCKS_BEFORE_TRYING_AGAIN = 16 }; /* A block is 0.1 s, the length of a code cycle: blocks are alike. */
+
+/* The pins of each channel of a board's drive; its set-point is the DAC channel of the next number. */
+typedef struct {
+    unsigned bridge_1, bridge_2, current;
+} channel_pins_t;
+static const channel_pins_t channel_pins[RIG_COILS] = {{.bridge_1 = 38, .bridge_2 = 39, .current = 0}, {.bridge_1 = 36, .bridge_2 = 37, .current = 6}};
 
 typedef struct {
     bool abort;
@@ -32,8 +38,9 @@ typedef struct {
     board_t *instance;
     const board_operations_t *operations;
     board_status_t status;
-    coil_t coil;           /* Beacons. */
-    uint64_t visible_head; /* The coil's head before the step. */
+    unsigned coils;
+    coil_t coil[RIG_COILS];
+    uint64_t visible_head[RIG_COILS]; /* The coils' heads before the step. */
     bool sync_cut;
     serial_line_t serial;
     can_wish_t *wishes;
@@ -63,6 +70,7 @@ typedef struct {
 struct rig {
     rig_config_t config;
     unsigned seats;
+    unsigned coils; /* Of all boards. */
     seat_t *seat;
     int64_t now_ps;
     ambient_t ambient;
@@ -89,15 +97,18 @@ static void field_at(const rig_t *rig, int64_t time_ps, double *path_values, dou
     double ambient_T[3];
     ambient_field(&rig->ambient, time_ps, ambient_T);
     path_evaluate(&rig->path, time_ps, path_values);
-    const double *const rotation = path_values + (size_t)3 * rig->config.beacons;
+    const double *const rotation = path_values + (size_t)3 * rig->coils;
     for (unsigned axis = 0; axis < 3; ++axis) {
         field_T[axis] = rotation[3 * axis] * ambient_T[0] + rotation[3 * axis + 1] * ambient_T[1] + rotation[3 * axis + 2] * ambient_T[2];
     }
-    for (unsigned beacon = 0; beacon < rig->config.beacons; ++beacon) {
-        const seat_t *const seat = &rig->seat[beacon + 1];
-        const double lagged_A = coil_lagged(&seat->coil, seat->visible_head, time_ps);
-        for (unsigned axis = 0; axis < 3; ++axis) {
-            field_T[axis] += lagged_A * path_values[3 * beacon + axis];
+    const double *per_ampere = path_values;
+    for (unsigned board = 0; board < rig->seats; ++board) {
+        const seat_t *const seat = &rig->seat[board];
+        for (unsigned i = 0; i < seat->coils; ++i, per_ampere += 3) {
+            const double lagged_A = coil_lagged(&seat->coil[i], seat->visible_head[i], time_ps);
+            for (unsigned axis = 0; axis < 3; ++axis) {
+                field_T[axis] += lagged_A * per_ampere[axis];
+            }
         }
     }
 }
@@ -123,14 +134,19 @@ static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps)
 {
     seat_t *const seat = context;
     const rig_pin_change_t change = {.time_ps = time_ps, .board = (uint16_t)seat->number, .pin = (uint8_t)pin, .level = level};
-    switch (pin) {
-    case PIN_BRIDGE_1: coil_input(&seat->coil, 1, level, time_ps); break;
-    case PIN_BRIDGE_2: coil_input(&seat->coil, 2, level, time_ps); break;
-    case PIN_ENABLE: coil_enable(&seat->coil, level, time_ps); break;
-    case PIN_SYNC_OUT: keep_change(&seat->sync_changes, &seat->sync_count, &seat->sync_capacity, change); break;
-    default: return;
+    bool wired = pin == PIN_ENABLE || pin == PIN_SYNC_OUT;
+    for (unsigned i = 0; i < seat->coils; ++i) {
+        if (pin == channel_pins[i].bridge_1 || pin == channel_pins[i].bridge_2) {
+            coil_input(&seat->coil[i], pin == channel_pins[i].bridge_1 ? 1 : 2, level, time_ps);
+            wired = true;
+        } else if (pin == PIN_ENABLE) {
+            coil_enable(&seat->coil[i], level, time_ps);
+        }
     }
-    if (seat->rig->watch) {
+    if (pin == PIN_SYNC_OUT) {
+        keep_change(&seat->sync_changes, &seat->sync_count, &seat->sync_capacity, change);
+    }
+    if (wired && seat->rig->watch) {
         keep_change(&seat->changes, &seat->change_count, &seat->change_capacity, change);
     }
 }
@@ -138,8 +154,8 @@ static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps)
 static void on_analog_out(void *context, unsigned channel, double volts, int64_t time_ps)
 {
     seat_t *const seat = context;
-    if (channel == REFERENCE_CHANNEL) {
-        coil_reference(&seat->coil, volts, time_ps);
+    if (channel >= 1 && channel <= seat->coils) {
+        coil_reference(&seat->coil[channel - 1], volts, time_ps);
     }
 }
 
@@ -149,7 +165,12 @@ static double on_analog_in(void *context, unsigned pin, int64_t time_ps)
     if (seat->number == RIG_SENSOR) {
         return pin >= PIN_FIELD_X && pin < PIN_FIELD_X + 3 ? field_volts(seat->rig, pin - PIN_FIELD_X, time_ps) : 0.0;
     }
-    return pin == PIN_CURRENT ? coil_sense(&seat->coil, seat->rig->config.seed, noise_stream(NOISE_CURRENT_SENSE, seat->number, 0), time_ps) : 0.0;
+    for (unsigned i = 0; i < seat->coils; ++i) {
+        if (pin == channel_pins[i].current) {
+            return coil_sense(&seat->coil[i], seat->rig->config.seed, noise_stream(NOISE_CURRENT_SENSE, seat->number, i), time_ps);
+        }
+    }
+    return 0.0;
 }
 
 static void on_uart_out(void *context, unsigned uart, uint8_t byte, int64_t time_ps)
@@ -261,11 +282,13 @@ static rig_status_t check_boards(rig_t *rig)
         if (seat->status != BOARD_OK) {
             return RIG_BOARD_STOPPED;
         }
-        if (seat->coil.changes > COIL_CHANGES_MAX) {
-            return RIG_DRIVER_TOO_FAST;
+        for (unsigned i = 0; i < seat->coils; ++i) {
+            if (seat->coil[i].changes > COIL_CHANGES_MAX) {
+                return RIG_DRIVER_TOO_FAST;
+            }
+            seat->coil[i].changes = 0;
+            seat->visible_head[i] = seat->coil[i].head;
         }
-        seat->coil.changes = 0;
-        seat->visible_head = seat->coil.head;
     }
     return RIG_OK;
 }
@@ -404,6 +427,17 @@ rig_status_t rig_run(rig_t *rig, int64_t until_ps)
 
 /* ---- Building and asking ---- */
 
+static bool configuration_is_good(const rig_config_t *config)
+{
+    const int64_t shortest_ps = (CAN_SHORTEST_EXTENDED_BITS - 1) * (INT64_C(1000000000000) / config->can_bits_per_second);
+    bool good = config->beacons > 0 && config->sync_master > 0 && config->sync_master <= config->beacons && config->threads > 0 &&
+                3 * (int64_t)RIG_QUANTUM_PS <= shortest_ps;
+    for (unsigned board = 0; board <= config->beacons; ++board) {
+        good = good && config->boards[board].coils <= RIG_COILS;
+    }
+    return good;
+}
+
 static void seat_init(rig_t *rig, unsigned board)
 {
     seat_t *const seat = &rig->seat[board];
@@ -420,15 +454,17 @@ static void seat_init(rig_t *rig, unsigned board)
         .can_abort = on_can_abort,
     };
     serial_line_init(&seat->serial, rig->config.baud);
-    /* The sensor has no coil; it gets one that nothing drives, so that all seats are alike. */
-    coil_init(&seat->coil, &rig->config.coils[board == RIG_SENSOR ? 0 : board - 1]);
+    const rig_board_config_t *const config = &rig->config.boards[board];
+    seat->coils = config->coils;
+    rig->coils += config->coils;
+    for (unsigned i = 0; i < config->coils; ++i) {
+        coil_init(&seat->coil[i], &config->coil[i]);
+    }
 }
 
 rig_t *rig_create(const rig_config_t *config)
 {
-    const int64_t shortest_ps = (CAN_SHORTEST_EXTENDED_BITS - 1) * (INT64_C(1000000000000) / config->can_bits_per_second);
-    if (config->beacons == 0 || config->sync_master == 0 || config->sync_master > config->beacons || config->threads == 0 ||
-        3 * (int64_t)RIG_QUANTUM_PS > shortest_ps) {
+    if (!configuration_is_good(config)) {
         return NULL;
     }
     rig_t *const rig = calloc(1, sizeof *rig);
@@ -442,7 +478,7 @@ rig_t *rig_create(const rig_config_t *config)
     rig->field_time_ps = -1;
     front_end_init(&rig->front_end, &config->front_end, config->seed, RIG_SENSOR);
     rig->seat = calloc(rig->seats, sizeof *rig->seat);
-    rig->path_values = calloc((size_t)3 * config->beacons + 9, sizeof *rig->path_values);
+    rig->path_values = calloc((size_t)3 * RIG_COILS * rig->seats + 9, sizeof *rig->path_values);
     rig->bus = can_bus_create(rig->seats + 1, config->can_bits_per_second);
     if (rig->seat == NULL || rig->path_values == NULL || rig->bus == NULL) {
         rig_destroy(rig);
@@ -451,7 +487,7 @@ rig_t *rig_create(const rig_config_t *config)
     for (unsigned board = 0; board < rig->seats; ++board) {
         seat_init(rig, board);
     }
-    rig->config.coils = NULL; /* Copied; the caller's array may go. */
+    rig->config.boards = NULL; /* Copied; the caller's array may go. */
     if (config->host_on_can) {
         can_bus_join(rig->bus, rig->seats, 0);
     }
@@ -511,7 +547,7 @@ void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_oper
 
 bool rig_set_path(rig_t *rig, const path_t *path)
 {
-    if (path->columns != (size_t)3 * rig->config.beacons + 9 || path->intervals == 0 || path->interval_ps <= 0) {
+    if (path->columns != (size_t)3 * rig->coils + 9 || path->intervals == 0 || path->interval_ps <= 0) {
         return false;
     }
     const size_t size = path->intervals * path->columns * 4 * sizeof(double);
@@ -605,9 +641,9 @@ size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, si
     return count;
 }
 
-double rig_coil_current(const rig_t *rig, unsigned board)
+double rig_coil_current(const rig_t *rig, unsigned board, unsigned coil)
 {
-    return coil_current(&rig->seat[board].coil, rig_now(rig));
+    return coil_current(&rig->seat[board].coil[coil], rig_now(rig));
 }
 
 void rig_sensor_field(const rig_t *rig, double field_T[3])
@@ -616,14 +652,14 @@ void rig_sensor_field(const rig_t *rig, double field_T[3])
     field_at(rig, rig_now(rig), rig->path_values, field_T);
 }
 
-void rig_fault(rig_t *rig, unsigned board, rig_fault_t fault, bool active)
+void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active)
 {
     seat_t *const seat = &rig->seat[board];
     const int64_t time_ps = rig_now(rig) + seat->lead_ps;
     switch (fault) {
     case RIG_FAULT_DRIVER: seat->operations->pin_in(seat->instance, PIN_FAULT, !active, time_ps); break;
-    case RIG_FAULT_COIL_OPEN: coil_open(&seat->coil, active, time_ps); break;
-    case RIG_FAULT_SENSE_SHORTED: seat->coil.sense_shorted = active; break;
+    case RIG_FAULT_COIL_OPEN: coil_open(&seat->coil[coil], active, time_ps); break;
+    case RIG_FAULT_SENSE_SHORTED: seat->coil[coil].sense_shorted = active; break;
     case RIG_FAULT_SYNC_WIRE_CUT:
         seat->sync_cut = active;
         seat->operations->pin_in(seat->instance, PIN_SYNC_IN, false, time_ps);

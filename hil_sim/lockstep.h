@@ -32,8 +32,15 @@
 
 #define RIG_QUANTUM_PS 20000000 /* 20 us. */
 #define RIG_SENSOR 0
+#define RIG_COILS 2 /* Most coils of a board: one a channel of its drive. */
 
 typedef struct rig rig_t;
+
+/* One board's analog side. */
+typedef struct {
+    unsigned coils; /* 0..RIG_COILS; coil i hangs on channel i. Coils of one board are crossed and do not couple. */
+    coil_config_t coil[RIG_COILS];
+} rig_board_config_t;
 
 typedef struct {
     uint64_t seed;
@@ -45,7 +52,7 @@ typedef struct {
     bool host_on_can;             /* The host's adapter is on the bus: it acknowledges, and its frames are kept for rig_can_read(). */
     ambient_t ambient;
     front_end_config_t front_end;
-    const coil_config_t *coils;   /* One a beacon. */
+    const rig_board_config_t *boards; /* beacons + 1: the sensor's, then the beacons'. */
 } rig_config_t;
 
 /* NULL if the configuration breaks a rule above or there is no memory. */
@@ -56,7 +63,8 @@ void rig_destroy(rig_t *rig);
 const board_edge_t *rig_edge(rig_t *rig, unsigned board);
 void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations, int64_t power_on_ps);
 
-/* The sensor's path from now on; coefficients are copied. Columns must be 3 * beacons + 9. False if they are not. */
+/* The sensor's path from now on; coefficients are copied. Columns must be 3 * coils + 9 (all boards' coils, in order of board and channel). False if
+ * they are not. */
 bool rig_set_path(rig_t *rig, const path_t *path);
 
 typedef enum {
@@ -96,17 +104,18 @@ typedef struct {
 void rig_watch_pins(rig_t *rig, bool watch);
 size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, size_t capacity);
 
-double rig_coil_current(const rig_t *rig, unsigned board);   /* At the present, ampere. */
+double rig_coil_current(const rig_t *rig, unsigned board, unsigned coil); /* At the present, ampere; the coil must be there. */
 /* The field at the sensor at the present, in its frame, before the front end. */
 void rig_sensor_field(const rig_t *rig, double field_T[3]);
 
 /* ---- Faults, from the present on ---- */
 typedef enum {
-    RIG_FAULT_DRIVER = 0,        /* The driver pulls its fault output low. */
+    RIG_FAULT_DRIVER = 0,        /* The driver pulls its fault output low (one for both channels). */
     RIG_FAULT_COIL_OPEN = 1,     /* The coil's wire is broken. */
-    RIG_FAULT_SENSE_SHORTED = 2, /* The current sense output lies at 0 V. */
+    RIG_FAULT_SENSE_SHORTED = 2, /* The coil's current sense output lies at 0 V. */
     RIG_FAULT_SYNC_WIRE_CUT = 3  /* The board's sync input stays low. */
 } rig_fault_t;
-void rig_fault(rig_t *rig, unsigned board, rig_fault_t fault, bool active);
+/* coil, which must be there, counts for the faults of a coil alone. */
+void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active);
 
 #endif

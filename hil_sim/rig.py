@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from goldfield.errors import SystemFailure, UserError
 from hil_sim import clib
 from hil_sim.boards import Board, BoardFactory, BoardSpec, address, factory
-from hil_sim.scenario import CONVERTER_COUNTS, Clock, Scenario
+from hil_sim.scenario import CONVERTER_COUNTS, Circuit, Clock, Scenario
 from hil_sim.world import path
 
 FloatArray = NDArray[np.float64]
@@ -29,6 +29,8 @@ PATH_OVERLAP_S = 0.001
 """A window reaches so far beyond its ends: a converter may look a few microseconds ahead."""
 FAULTS = ("driver", "coil_open", "sense_shorted", "sync_wire_cut")
 """In the order of ``rig_fault_t``."""
+COIL_FAULTS = ("coil_open", "sense_shorted")
+"""Those of one coil."""
 
 
 @dataclass(frozen=True)
@@ -134,25 +136,29 @@ class Rig:
 
     def _create(self, host_on_can: bool, threads: int) -> Any:
         ffi, scenario = self._ffi, self.scenario
-        coils = ffi.new("coil_config_t[]", len(scenario.beacons))
-        for coil, beacon in zip(coils, scenario.beacons, strict=True):
-            circuit = beacon.circuit
-            sense = 0.103125 * (1.0 + circuit.sense_gain_error)
-            coil.inductance_H, coil.resistance_Ohm = circuit.inductance_H, circuit.resistance_Ohm
-            coil.supply_V, coil.lag_s = circuit.supply_V, scenario.sensor.lag_s
-            coil.reference_A_per_V = 16.0 / 3.3 * (1.0 + circuit.reference_gain_error)
-            coil.sense_V_per_A, coil.sense_noise_V = sense, circuit.sense_noise_A * sense
+        boards = ffi.new("rig_board_config_t[]", 1 + len(scenario.beacons))
+        for board, beacon in zip(boards[1 : len(boards)], scenario.beacons, strict=True):
+            board.coils = len(beacon.coils)
+            for coil in board.coil[0 : board.coils]:
+                self._fill_coil(coil, beacon.circuit)
         config = ffi.new("rig_config_t *")
         config.seed, config.beacons, config.threads = self.seed, len(scenario.beacons), threads
         config.sync_master = scenario.sync_master
         config.can_bits_per_second, config.baud = 1_000_000, 2_000_000
-        config.host_on_can, config.coils = host_on_can, coils
+        config.host_on_can, config.boards = host_on_can, boards
         self._fill_ambient(config.ambient)
         self._fill_front_end(config.front_end)
         rig = self._library.rig_create(config)
         if rig == ffi.NULL:
             raise SystemFailure("the rig could not be made: not enough memory or threads")
         return rig
+
+    def _fill_coil(self, coil: Any, circuit: Circuit) -> None:
+        sense = 0.103125 * (1.0 + circuit.sense_gain_error)
+        coil.inductance_H, coil.resistance_Ohm = circuit.inductance_H, circuit.resistance_Ohm
+        coil.supply_V, coil.lag_s = circuit.supply_V, self.scenario.sensor.lag_s
+        coil.reference_A_per_V = 16.0 / 3.3 * (1.0 + circuit.reference_gain_error)
+        coil.sense_V_per_A, coil.sense_noise_V = sense, circuit.sense_noise_A * sense
 
     def _fill_ambient(self, ambient: Any) -> None:
         source = self.scenario.ambient
@@ -199,7 +205,7 @@ class Rig:
         """Hand the motion of one window to the hot loop."""
         start_s = window * PATH_WINDOW_S - PATH_OVERLAP_S
         stop_s = (window + 1) * PATH_WINDOW_S + PATH_OVERLAP_S
-        coils = [beacon.geometry for beacon in self.scenario.beacons]
+        coils = [coil for beacon in self.scenario.beacons for coil in beacon.coils]
         try:
             computed = path.compute(coils, self.scenario.motion, start_s, stop_s)
         except path.PathError as error:
@@ -357,9 +363,10 @@ class Rig:
             taken.append(np.frombuffer(bytes(self._ffi.buffer(buffer)), dtype=layout, count=count))
         return np.concatenate(taken) if taken else np.empty(0, dtype=layout)
 
-    def coil_current_A(self, board: int) -> float:
-        """Coil current of a beacon at the present."""
-        return float(self._library.rig_coil_current(self._rig, board))
+    def coil_current_A(self, board: int, coil: int = 0) -> float:
+        """Return the current in a beacon's coil (1: the second of a dual-axis beacon) at the present."""
+        self._check_coil(board, coil)
+        return float(self._library.rig_coil_current(self._rig, board, coil))
 
     def sensor_field_T(self) -> FloatArray:
         """Field at the sensor at the present, shape (3,), sensor's frame, before its front end."""
@@ -367,17 +374,24 @@ class Rig:
         self._library.rig_sensor_field(self._rig, field)
         return np.array(list(field))
 
-    def fault(self, board: int, kind: str, active: bool = True) -> None:
-        """Begin or end a fault of `FAULTS` at a board, at the present.
+    def fault(self, board: int, kind: str, active: bool = True, coil: int = 0) -> None:
+        """Begin or end a fault of `FAULTS` at a board, or at one of its coils, at the present.
 
         Raises
         ------
         UserError
-            If there is no such fault.
+            If there is no such fault, or no such coil to have it.
         """
         if kind not in FAULTS:
             raise UserError(f"there is no fault '{kind}'; there are {', '.join(FAULTS)}")
-        self._library.rig_fault(self._rig, board, FAULTS.index(kind), active)
+        if kind in COIL_FAULTS:
+            self._check_coil(board, coil)
+        self._library.rig_fault(self._rig, board, coil, FAULTS.index(kind), active)
+
+    def _check_coil(self, board: int, coil: int) -> None:
+        coils = 0 if board == SENSOR else len(self.scenario.beacons[board - 1].coils)
+        if not 0 <= coil < coils:
+            raise UserError(f"{self.board_name(board)} has {coils} coils: there is no coil {coil}, counted from 0")
 
     def power_cycle_sensor(self, off_s: float, clock: Clock | None = None) -> None:
         """Take the sensor's power, and give it back after a time; it may come back with other oscillators."""

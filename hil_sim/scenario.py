@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from goldfield.drive import DEGREES, Code, Plan, read_drive
 from goldfield.errors import UserError
 from goldfield.toml_table import Table, text_lines
 from goldfield_protocol.parameters import ParameterError, Value, build_page
@@ -21,8 +22,13 @@ from hil_sim.world.path import CoilGeometry
 FloatArray = NDArray[np.float64]
 
 SCENARIOS = Path(__file__).parent / "scenarios"
-CHIP_TICKS, TICKS_PER_SECOND, DEGREE = 16422, 168e6, 10
-CHIPS = (1 << DEGREE) - 1
+CHIP_TICKS, TICKS_PER_SECOND = 16422, 168e6
+DEGREE = 10
+"""Of the codes, unless the scenario says otherwise: the boards' default."""
+CODES_MAX = 4
+"""Superposed codes of a beacon, a limit of the boards."""
+SQUARE_TOLERANCE = 1e-3
+"""Cosine of the angle between crossed coils that still counts as none: coils that lean more would couple."""
 CHIP_PERIOD_S = CHIP_TICKS / TICKS_PER_SECOND
 CONVERTER_COUNTS = 4096
 HARMONICS = 16
@@ -77,25 +83,43 @@ class Clock:
 
 @dataclass(frozen=True, eq=False)
 class Beacon:
-    """One beacon board with its coil.
+    """One beacon board with its coil or coils.
 
-    It drives its code unless it has a time ``slot`` (pulsed direct current) or ``periods`` in a cycle (square wave).
+    It drives its code unless it has superposed ``codes``, a time ``slot`` (pulsed direct current), ``periods`` in a
+    cycle (square wave) or ``rotating_periods`` (a cosine in the coil, a sine in the ``second_coil`` that crosses it).
     """
 
     id: str
     node: int
-    code: int
+    code: int | None
     sync_master: bool
     clock: Clock
     circuit: Circuit
     geometry: CoilGeometry
     slot: int | None = None
     periods: int | None = None
+    rotating_periods: int | None = None
+    second_coil: CoilGeometry | None = None
+    codes: tuple[Code, ...] = ()
+
+    @property
+    def coils(self) -> tuple[CoilGeometry, ...]:
+        """Its coils in the order of the board's channels."""
+        return (self.geometry,) if self.second_coil is None else (self.geometry, self.second_coil)
 
     @property
     def access(self) -> str:
-        """How the host tells it from others: "cdma", "tdma" or "fdma"."""
-        return "cdma" if self.slot is None and self.periods is None else "fdma" if self.slot is None else "tdma"
+        """How the host tells it from others: "cdma", "tdma", or "fdma" with its tone."""
+        if self.slot is not None:
+            return "tdma"
+        if self.periods is not None:
+            return "fdma, square"
+        return "cdma" if self.rotating_periods is None else "fdma, sine"
+
+    @property
+    def plain_code(self) -> int | None:
+        """The code that it drives and nothing else, as a sensor board can despread it; None: there is none."""
+        return self.code if self.access == "cdma" and not self.codes else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,6 +237,12 @@ class Scenario:
     motion: Motion
     beacons: tuple[Beacon, ...]
     slots: int = 0
+    degree: int = DEGREE
+
+    @property
+    def chips(self) -> int:
+        """Chips in a cycle."""
+        return (1 << self.degree) - 1
 
     @property
     def sync_master(self) -> int:
@@ -221,13 +251,12 @@ class Scenario:
 
     def parameter_page(self, board: int) -> bytes:
         """Build a board's parameter page (``framing.md``)."""
-        if board == 0:
-            return build_page(self._sensor_parameters())
-        return build_page(_beacon_parameters(self.beacons[board - 1], self.slots))
+        own = self._sensor_parameters() if board == 0 else _beacon_parameters(self.beacons[board - 1], self.slots)
+        return build_page(own if self.degree == DEGREE else {**own, "degree": self.degree})
 
     def _sensor_parameters(self) -> Mapping[str, Value]:
         zero, matrix = self.sensor.correction()
-        codes = [beacon.code for beacon in self.beacons]
+        codes = [beacon.code for beacon in self.beacons if beacon.code is not None]
         half = self.half_space
         surroundings: dict[str, Value] = {
             "pose": 1,
@@ -249,32 +278,58 @@ class Scenario:
 
     def site_toml(self) -> str:
         """Write the host's site file for this scenario."""
-        lines = ["[site]", f"name = {_toml(self.name)}", f"chip_period_s = {CHIP_PERIOD_S!r}", f"degree = {DEGREE}"]
+        lines = [
+            "[site]",
+            f"name = {_toml(self.name)}",
+            f"chip_period_s = {CHIP_PERIOD_S!r}",
+            f"degree = {self.degree}",
+        ]
         lines += {
             "cdma": [],
             "tdma": ['access = "tdma"', f"slots = {self.slots}"],
-            "fdma": ['access = "fdma"', 'tone = "square"'],
+            "fdma, square": ['access = "fdma"', 'tone = "square"'],
+            "fdma, sine": ['access = "fdma"', 'tone = "sine"'],
         }[self.beacons[0].access]
         if self.half_space is not None:
             point, normal = _toml(self.half_space.point), _toml(self.half_space.normal)
             lines.append(f"half_space = {{ point = {point}, normal = {normal} }}")
         lines += ["", "[sensor]", f"noise_T = {self.sensor.noise_T!r}"]
         for beacon in self.beacons:
-            coil = beacon.geometry
-            lines += ["", "[[beacon]]", f"id = {_toml(beacon.id)}", f"position_m = {_toml(coil.position_m)}"]
-            lines += [f"axis = {_toml(coil.axis)}", f"turns = {_toml(coil.turns)}"]
-            if coil.points_m is None:
-                lines.append(f"radius_m = {_toml(coil.radius_m)}")
-            else:
-                lines.append(f"points_m = {_toml(coil.points_m)}")
-            lines.append(f"current_A = {_toml(beacon.circuit.current_A)}")
-            if beacon.slot is not None:
-                lines.append(f"slot = {beacon.slot}")
-            elif beacon.periods is not None:
-                lines.append(f"frequency_Hz = {beacon.periods / (CHIPS * CHIP_PERIOD_S)!r}")
-            else:
-                lines.append(f"code = {beacon.code}")
+            lines += self._site_beacon(beacon)
         return "\n".join(lines) + "\n"
+
+    def _site_beacon(self, beacon: Beacon) -> list[str]:
+        """Return the tables of a beacon: one, or one for each of its two coils."""
+        drive = [f"code = {beacon.code}"]
+        if beacon.codes:
+            drive = [f"codes = [{', '.join(map(_code_toml, beacon.codes))}]"]
+        elif beacon.slot is not None:
+            drive = [f"slot = {beacon.slot}"]
+        elif beacon.periods is not None:
+            drive = [self._frequency(beacon.periods)]
+        elif beacon.rotating_periods is not None and beacon.second_coil is not None:
+            frequency = self._frequency(beacon.rotating_periods)
+            cosine = _site_coil(f"{beacon.id}.cos", beacon, beacon.geometry)
+            sine = _site_coil(f"{beacon.id}.sin", beacon, beacon.second_coil)
+            return [*cosine, frequency, *sine, frequency, 'wave = "sine"']
+        return [*_site_coil(beacon.id, beacon, beacon.geometry), *drive]
+
+    def _frequency(self, periods: int) -> str:
+        return f"frequency_Hz = {periods / (self.chips * CHIP_PERIOD_S)!r}"
+
+
+def _site_coil(name: str, beacon: Beacon, coil: CoilGeometry) -> list[str]:
+    lines = ["", "[[beacon]]", f"id = {_toml(name)}", f"position_m = {_toml(coil.position_m)}"]
+    lines += [f"axis = {_toml(coil.axis)}", f"turns = {_toml(coil.turns)}"]
+    if coil.points_m is None:
+        lines.append(f"radius_m = {_toml(coil.radius_m)}")
+    else:
+        lines.append(f"points_m = {_toml(coil.points_m)}")
+    return [*lines, f"current_A = {_toml(beacon.circuit.current_A)}"]
+
+
+def _code_toml(code: Code) -> str:
+    return f"{{ code = {code.index}, degree = {code.degree}, offset = {code.offset}, hold = {code.hold} }}"
 
 
 def _beacon_row(beacon: Beacon) -> tuple[float, ...]:
@@ -298,9 +353,15 @@ def _beacon_parameters(beacon: Beacon, slots: int) -> Mapping[str, Value]:
         waveform = {"waveform": 1, "slots": slots, "slot": beacon.slot}
     elif beacon.periods is not None:
         waveform = {"waveform": 2, "periods": beacon.periods}
+    elif beacon.rotating_periods is not None:
+        waveform = {"waveform": 3, "periods": beacon.rotating_periods}
+    elif beacon.codes:
+        rows = [value for code in beacon.codes for value in (code.degree, code.index, code.offset, code.hold)]
+        waveform = {"waveform": 4, "codes": rows}
+    if beacon.code is not None:
+        waveform["code"] = beacon.code
     return waveform | {
         "node": beacon.node,
-        "code": beacon.code,
         "amplitude": beacon.circuit.current_A,
         "sync_master": int(beacon.sync_master),
     }
@@ -352,13 +413,18 @@ def load(path: str | Path) -> Scenario:
         raise UserError(f"{path}: is no valid TOML: {error}") from error
     root = Table(document, path=path, lines=lines)
     root.allow(
-        *("name", "seed", "power_on_spread_s", "slots", "half_space", "ambient", "sensor", "motion", "coil", "beacon")
+        *("name", "seed", "degree", "power_on_spread_s", "slots", "half_space", "ambient", "sensor", "motion", "coil"),
+        "beacon",
     )
     defaults = root.table("coil") if "coil" in root else Table({}, path=path, lines=lines)
     defaults.allow(*COIL_KEYS)
     seed = root.integer("seed")
     if not 0 <= seed < 1 << 63:
         raise root.error("seed", "must lie in 0 to 2^63 - 1")
+    degree = root.integer("degree") if "degree" in root else DEGREE
+    if degree not in DEGREES:
+        raise root.error("degree", f"is {degree}; codes exist for {', '.join(map(str, DEGREES))}")
+    plan = Plan("cdma", degree, CHIP_PERIOD_S)
     scenario = Scenario(
         name=root.text("name"),
         seed=seed,
@@ -367,8 +433,9 @@ def load(path: str | Path) -> Scenario:
         ambient=_ambient(root.table("ambient")) if "ambient" in root else Ambient(ZERO, None, Impulses()),
         sensor=_sensor(root.table("sensor")),
         motion=_motion(root.table("motion")),
-        beacons=tuple(_beacon(table, defaults) for table in root.tables("beacon")),
-        slots=_between(root, "slots", 1, CHIPS) if "slots" in root else 0,
+        beacons=tuple(_beacon(table, defaults, plan) for table in root.tables("beacon")),
+        slots=_between(root, "slots", 1, plan.chips) if "slots" in root else 0,
+        degree=degree,
     )
     _check_boards(root, scenario)
     return scenario
@@ -390,16 +457,8 @@ MOTION_KEYS = {
     "waypoints": ("times_s", "positions_m", "rotation_vectors_rad"),
 }
 BEACON_KEYS = (
-    "id",
-    "node",
-    "code",
-    "slot",
-    "periods",
-    "sync_master",
-    "position_m",
-    "points_m",
-    *COIL_KEYS,
-    *CLOCK_KEYS,
+    *("id", "node", "code", "codes", "slot", "periods", "rotating_periods", "second_axis"),
+    *("sync_master", "position_m", "points_m", *COIL_KEYS, *CLOCK_KEYS),
 )
 
 
@@ -512,7 +571,7 @@ def _motion(table: Table) -> Motion:
     return Line(position, rotation, _vector(table, "velocity_m_per_s"), _vector(table, "rate_rad_per_s"))
 
 
-def _beacon(table: Table, defaults: Table) -> Beacon:
+def _beacon(table: Table, defaults: Table, plan: Plan) -> Beacon:
     table.allow(*BEACON_KEYS)
 
     def source(key: str) -> Table:
@@ -524,17 +583,52 @@ def _beacon(table: Table, defaults: Table) -> Beacon:
             raise source(key).error(key, f"is {values[key]:g}; it must be greater than zero")
     if not 0.0 <= values["current_A"] <= 15.9:
         raise source("current_A").error("current_A", f"is {values['current_A']:g}; the boards drive 0 to 15.9 A")
+    given = [key for key in ("codes", "slot", "periods", "rotating_periods") if key in table]
+    if not given and "code" not in table:
+        raise table.error("code", "is missing; give one, or codes, slot, periods or rotating_periods")
+    if len(given) > 1:
+        raise table.error(given[0], f"and {given[1]} are both given: a beacon drives one of them")
+    geometry = _geometry(table, source)
+    highest = (plan.chips - 1) // 2
     return Beacon(
         id=table.text("id"),
         node=_between(table, "node", 1, 4095),
-        code=_between(table, "code", 0, 1024),
+        code=_between(table, "code", 0, 1 << plan.degree) if "code" in table else None,
         sync_master="sync_master" in table and table.flag("sync_master"),
         clock=_clock(table),
         circuit=Circuit(**values),
-        geometry=_geometry(table, source),
-        slot=_between(table, "slot", 0, CHIPS - 1) if "slot" in table else None,
-        periods=_between(table, "periods", 1, CHIPS // 2) if "periods" in table else None,
+        geometry=geometry,
+        slot=_between(table, "slot", 0, plan.chips - 1) if "slot" in table else None,
+        periods=_between(table, "periods", 1, highest) if "periods" in table else None,
+        rotating_periods=_between(table, "rotating_periods", 1, highest) if "rotating_periods" in table else None,
+        second_coil=_second_coil(table, geometry),
+        codes=_codes(table, plan) if "codes" in table else (),
     )
+
+
+def _codes(table: Table, plan: Plan) -> tuple[Code, ...]:
+    codes = read_drive(table, plan)[1].codes
+    if len(codes) > CODES_MAX:
+        raise table.error("codes", f"lists {len(codes)} codes; a board superposes at most {CODES_MAX}")
+    for code in codes:
+        lasts = code.hold * ((1 << code.degree) - 1)
+        if plan.chips % lasts:
+            raise table.error("codes", f"has a code that lasts {lasts} chips: a cycle of {plan.chips} is no multiple")
+    return codes
+
+
+def _second_coil(table: Table, first: CoilGeometry) -> CoilGeometry | None:
+    """Return the sine coil of a dual-axis beacon: the same as the first around another axis."""
+    if ("second_axis" in table) != ("rotating_periods" in table):
+        raise table.error("second_axis", "and rotating_periods belong together: give both or none")
+    if "second_axis" not in table:
+        return None
+    axis = table.direction("second_axis")
+    if first.points_m is not None:
+        raise table.error("points_m", "gives one coil, and second_axis needs two circular ones: give radius_m")
+    if abs(float(axis @ first.axis)) > SQUARE_TOLERANCE:
+        raise table.error("second_axis", "is not at right angles to axis: the two coils would couple")
+    return replace(first, axis=axis)
 
 
 def _geometry(table: Table, source: Callable[[str], Table]) -> CoilGeometry:
@@ -568,18 +662,21 @@ def _check_boards(root: Table, scenario: Scenario) -> None:
         raise root.error("beacon", f"tables: exactly one must have sync_master = true; {found}")
     taken: dict[tuple[str, Any], str] = {("node", scenario.sensor.node): "the sensor"}
     for table, beacon in zip(tables, scenario.beacons, strict=True):
-        if beacon.slot is not None and (beacon.periods is not None or beacon.slot >= scenario.slots):
-            raise table.error(
-                "slot",
-                f"is {beacon.slot}; it excludes periods, and must be below the scenario's slots ({scenario.slots})",
-            )
+        if beacon.slot is not None and beacon.slot >= scenario.slots:
+            raise table.error("slot", f"is {beacon.slot}; it must be below the scenario's slots ({scenario.slots})")
         if beacon.access != scenario.beacons[0].access:
-            raise table.error("id", "is driven otherwise than the first beacon: all need a slot, or periods, or none")
+            raise table.error(
+                "id", "is driven otherwise than the first beacon: all need codes, or slots, or periods, or turn"
+            )
         for key in ("id", "node", "code"):
             value = getattr(beacon, key)
+            if value is None:
+                continue
             if (key, value) in taken:
                 raise table.error(key, f"is {value!r}, which {taken[key, value]} already has: take another")
             taken[key, value] = f"beacon {beacon.id}"
+    if scenario.sensor.pose and any(beacon.plain_code is None for beacon in scenario.beacons):
+        raise root.table("sensor").error("pose", "is 1, but the board can tell apart plain codes alone: set pose = 0")
     try:
         for board in range(len(scenario.beacons) + 1):
             scenario.parameter_page(board)

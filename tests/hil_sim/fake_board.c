@@ -1,6 +1,7 @@
 #include "fake_board.h"
 
 #include <inttypes.h>
+#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -37,14 +38,10 @@ static void say(board_t *board, const void *bytes, size_t count)
     }
 }
 
-static void start_chip(board_t *board)
+static void drive_chip(board_t *board)
 {
     const board_edge_t *const edge = &board->edge;
-    if (board->config.sensor) {
-        return;
-    }
     if (board->chip == 0) {
-        edge->pin_out(edge->context, 41, true, board->now_ps);
         edge->analog_out(edge->context, 1, 10.0 / 16.0 * 3.3, board->now_ps);
     }
     board->lfsr = (board->lfsr >> 1) ^ ((board->lfsr & 1u) != 0 ? 0xB400u : 0u);
@@ -53,6 +50,35 @@ static void start_chip(board_t *board)
         edge->pin_out(edge->context, 38, positive, board->now_ps);
         edge->pin_out(edge->context, 39, !positive, board->now_ps);
         board->positive = positive;
+    }
+}
+
+static void turn_chip(const board_t *board)
+{
+    static const unsigned bridge[2] = {38, 36};
+    const board_edge_t *const edge = &board->edge;
+    const double angle = 2.0 * 3.14159265358979323846 * board->config.periods * (double)(board->chip % FAKE_CYCLE) / FAKE_CYCLE;
+    const double current_A[2] = {10.0 * cos(angle), 10.0 * sin(angle)};
+    for (unsigned i = 0; i < 2; ++i) {
+        edge->pin_out(edge->context, bridge[i], current_A[i] > 0.0, board->now_ps);
+        edge->pin_out(edge->context, bridge[i] + 1, current_A[i] < 0.0, board->now_ps);
+        edge->analog_out(edge->context, 1 + i, fabs(current_A[i]) / 16.0 * 3.3, board->now_ps);
+    }
+}
+
+static void start_chip(board_t *board)
+{
+    const board_edge_t *const edge = &board->edge;
+    if (board->config.sensor) {
+        return;
+    }
+    if (board->chip == 0) {
+        edge->pin_out(edge->context, 41, true, board->now_ps);
+    }
+    if (board->config.periods > 0) {
+        turn_chip(board);
+    } else {
+        drive_chip(board);
     }
     if (board->chip % FAKE_CYCLE <= 1) {
         edge->pin_out(edge->context, 40, board->chip % FAKE_CYCLE == 0, board->now_ps);
@@ -86,8 +112,8 @@ static void take_event(board_t *board)
         }
         fake_sample_t *const sample = &board->samples[board->sample_count++];
         *sample = (fake_sample_t){.time_ps = board->now_ps};
-        for (unsigned i = 0; i < (board->config.sensor ? 3u : 1u); ++i) {
-            sample->volts[i] = edge->analog_in(edge->context, board->config.sensor ? 1 + i : 0, board->now_ps);
+        for (unsigned i = 0; i < (board->config.sensor ? 3u : 2u); ++i) {
+            sample->volts[i] = edge->analog_in(edge->context, board->config.sensor ? 1 + i : 6 * i, board->now_ps);
         }
     }
     if (board->event++ == last) {

@@ -28,12 +28,13 @@ def library() -> tuple[cffi.FFI, Any]:
     partial = output.with_suffix(f".{os.getpid()}")
     command = ["gcc", "-std=c11", "-Wall", "-Wextra", "-Werror", "-O2", "-shared", "-fPIC"]
     includes = [f"-I{ROOT / 'firmware/boards'}", f"-I{HERE}"]
-    subprocess.run([*command, *includes, str(HERE / "fake_board.c"), "-o", str(partial)], check=True)
+    subprocess.run([*command, *includes, str(HERE / "fake_board.c"), "-lm", "-o", str(partial)], check=True)
     partial.replace(output)  # two test processes may build it at the same time
     ffi = cffi.FFI()
     ffi.cdef(
         """
-        typedef struct { bool sensor, still; double ppm; uint32_t can_id; int64_t stops_at_ps; } fake_config_t;
+        typedef struct { bool sensor, still; unsigned periods; double ppm; uint32_t can_id; int64_t stops_at_ps; }
+            fake_config_t;
         typedef struct { int64_t time_ps; double volts[3]; } fake_sample_t;
         size_t fake_samples(const void *board, const fake_sample_t **samples);
         void *fake_create(const fake_config_t *config, const void *edge, int64_t power_on_ps);
@@ -52,10 +53,14 @@ class FakeBoards:
         Beacons keep a constant current.
     stops : dict, optional
         Board number to the time at which it stops, picoseconds.
+    periods : dict, optional
+        Board number to its turns in a cycle: it drives two coils.
     """
 
-    def __init__(self, *, still: bool = False, stops: dict[int, int] | None = None) -> None:
-        self._still, self._stops = still, stops or {}
+    def __init__(
+        self, *, still: bool = False, stops: dict[int, int] | None = None, periods: dict[int, int] | None = None
+    ) -> None:
+        self._still, self._stops, self._periods = still, stops or {}, periods or {}
         self.instances: list[int] = []
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
@@ -63,6 +68,7 @@ class FakeBoards:
         config = ffi.new("fake_config_t *")
         config.sensor = spec.role == "sensor"
         config.still, config.ppm = self._still, spec.clock.crystal_ppm
+        config.periods = self._periods.get(len(self.instances), 0)
         config.can_id = 0x01000001 + len(self.instances)
         config.stops_at_ps = self._stops.get(len(self.instances), 0)
         instance = lib.fake_create(config, ffi.cast("void *", edge), spec.power_on_ps)

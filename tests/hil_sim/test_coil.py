@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from hil_sim import clib
+from tests.hil_sim.circuit import integrate
 
 L, R, V, LAG = 1.9e-4, 0.15, 120.0, 1.6e-6
 PS = 10**12
@@ -41,40 +41,6 @@ def drive(library, coil, level, time_ps):
     library.coil_input(coil, 2, level < 0, time_ps)
 
 
-def integrate(changes, until_s, times_s, supply_V=V, lag_s=LAG):
-    """Current and low-passed current by SciPy: full supply toward the target, then held (event), segment by segment."""
-    state = np.zeros(2)
-    result = np.zeros((len(times_s), 2))
-    ends = [*(start for start, _ in changes[1:]), until_s]
-    for (start, target), end in zip(changes, ends, strict=True):
-        sign = np.sign(target - state[0])
-
-        def slewing(_, y, sign=sign):
-            return [(sign * supply_V - R * y[0]) / L, (y[0] - y[1]) / lag_s]
-
-        def held(_, y):
-            return [0.0, (y[0] - y[1]) / lag_s]
-
-        def arrived(_, y, target=target):
-            return y[0] - target
-
-        arrived.terminal = True
-        pieces, time = [(slewing, [arrived])], start
-        if sign == 0:
-            pieces = []
-        pieces.append((held, None))
-        for slope, events in pieces:
-            if time >= end:
-                break
-            solution = solve_ivp(
-                slope, (time, end), state, events=events, dense_output=True, rtol=1e-10, atol=1e-12, max_step=1e-6
-            )
-            inside = (times_s >= time) & (times_s <= solution.t[-1])
-            result[inside] = solution.sol(times_s[inside]).T
-            time, state = solution.t[-1], solution.y[:, -1].copy()
-    return result
-
-
 def test_chips_match_the_circuit(lib):
     _, library = lib
     coil = make(lib)
@@ -84,7 +50,7 @@ def test_chips_match_the_circuit(lib):
     for start, target in plan:
         drive(library, coil, target, round(start * PS))
     times = np.arange(3.3e-6, 400e-6, 3.7e-6)
-    expected = integrate(plan, 400e-6, times)
+    expected = integrate(plan, 400e-6, times, inductance_H=L, resistance_Ohm=R, supply_V=V, lag_s=LAG)
     current = [library.coil_current(coil, round(t * PS)) for t in times]
     lagged = [library.coil_lagged(coil, coil.head, round(t * PS)) for t in times]
     np.testing.assert_allclose(current, expected[:, 0], atol=2e-7)

@@ -8,7 +8,9 @@ import tomllib
 import numpy as np
 import pytest
 
+from goldfield import rotating_site
 from goldfield import site as sites
+from goldfield.access import SiteAccess
 from goldfield.errors import UserError
 from goldfield_protocol.parameters import parse_page
 from hil_sim import scenario
@@ -26,13 +28,19 @@ def test_the_shipped_scenarios_load_and_give_a_site(file, tmp_path):
     site = tmp_path / "site.toml"
     site.write_text(loaded.site_toml())
     read = sites.load(site)
-    if read.access == "cdma":
+    SiteAccess(read)  # raises if the beacons cannot be told apart
+    if all(beacon.plain_code is not None for beacon in loaded.beacons):
         assert read.codes == tuple(beacon.code for beacon in loaded.beacons)
-    assert [beacon.drive.slot for beacon in read.beacons] == [beacon.slot for beacon in loaded.beacons]
-    assert [beacon.drive.periods for beacon in read.beacons] == [beacon.periods for beacon in loaded.beacons]
-    for written, beacon in zip(read.beacons, loaded.beacons, strict=True):
-        np.testing.assert_array_equal(written.position_m, beacon.geometry.position_m)
-        assert (written.id, written.current_A) == (beacon.id, beacon.circuit.current_A)
+    # A beacon of two coils is two of the site's.
+    pairs = [(beacon, coil) for beacon in loaded.beacons for coil in beacon.coils]
+    for written, (beacon, coil) in zip(read.beacons, pairs, strict=True):
+        np.testing.assert_array_equal(written.position_m, coil.position_m)
+        np.testing.assert_array_equal(written.axis, coil.axis)
+        assert written.id.partition(".")[0] == beacon.id
+        assert written.current_A == beacon.circuit.current_A
+        periods = beacon.periods if beacon.rotating_periods is None else beacon.rotating_periods
+        assert (written.drive.slot, written.drive.periods) == (beacon.slot, periods)
+        assert written.drive.codes == beacon.codes
 
 
 def test_boards_of_slots_and_tones(tmp_path):
@@ -43,14 +51,81 @@ def test_boards_of_slots_and_tones(tmp_path):
     text = scenario.find("slots8").read_text()
     path = tmp_path / "wrong.toml"
     for old, new, words in (
-        ("slot = 7", "slot = 9", "slot is 9; it excludes periods, and must be below the scenario's slots"),
-        ("slot = 7", "slot = 7\nperiods = 3", "slot is 7; it excludes periods"),
+        ("slot = 7", "slot = 9", "slot is 9; it must be below the scenario's slots"),
+        ("slot = 7", "slot = 7\nperiods = 3", "slot and periods are both given: a beacon drives one of them"),
         ("slot = 7\n", "", "is driven otherwise than the first beacon"),
         ("slots = 9", "slots = 0", "slots is 0; it must lie in 1 to 1023"),
     ):
         path.write_text(text.replace(old, new))
         with pytest.raises(UserError, match=re.escape(words)):
             scenario.load(path)
+
+
+def test_a_beacon_of_two_coils(tmp_path):
+    loaded = scenario.load_scenario("zheng6")
+    page = parse_page(loaded.parameter_page(3))
+    assert (page["waveform"], page["periods"], page["degree"], page["amplitude"]) == (3, 6, 11, 8.0)
+    assert parse_page(loaded.parameter_page(0))["degree"] == 11
+    path = tmp_path / "site.toml"
+    path.write_text(loaded.site_toml())
+    site = sites.load(path)
+    assert [beacon.id for beacon in site.beacons[4:6]] == ["m3.cos", "m3.sin"]
+    assert [beacon.drive.wave for beacon in site.beacons[4:6]] == ["cosine", "sine"]
+    assert [beacon.axis.tolist() for beacon in site.beacons[4:6]] == [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    assert site.chips == 2047
+    # Turns of the paper's beacons, in a second: within 0.1 % of 25, 20, 30, 15, 10 and 5.
+    turns = [beacon.drive.periods / site.cycle_s for beacon in site.beacons[::2]]
+    np.testing.assert_allclose(turns, [25, 20, 30, 15, 10, 5], rtol=1e-3)
+    paper = rotating_site.load(ROOT / "host" / "goldfield" / "data" / "zheng6.toml")
+    for own, printed in zip(loaded.beacons, paper.beacons, strict=True):
+        np.testing.assert_array_equal(own.geometry.position_m, printed.position_m)
+        assert (own.geometry.turns, own.geometry.radius_m) == (printed.turns, printed.radius_m)
+    # Grover's formula for the inductance, and copper's resistance, as the file says.
+    inductance = 4e-7 * np.pi * 55**2 * 0.23 * (np.log(8 * 0.23 / 0.01) - 2)
+    assert loaded.beacons[0].circuit.inductance_H == pytest.approx(inductance, rel=0.01)
+    assert loaded.beacons[0].circuit.resistance_Ohm == pytest.approx(1.72e-8 * 55 * 2 * np.pi * 0.23 / 2e-6, rel=0.03)
+
+
+def test_superposed_codes():
+    loaded = scenario.load_scenario("superposed")
+    page = parse_page(loaded.parameter_page(3))
+    assert page["waveform"] == 4
+    assert page["codes"] == [10, 5, 0, 1, 5, 3, 20, 33]
+    sensor = parse_page(loaded.parameter_page(0))
+    assert sensor["code_count"] == 0
+    assert "code" not in page
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("zheng6", "second_axis = [0.0, 1.0, 0.0]", "", "second_axis and rotating_periods belong together: give both"),
+        ("zheng6", "rotating_periods = 4", "code = 4", "second_axis and rotating_periods belong together: give both"),
+        ("zheng6", "second_axis = [0.0, 1.0, 0.0]", "second_axis = [0.1, 1.0, 0.0]", "is not at right angles to axis"),
+        ("zheng6", "rotating_periods = 6", "rotating_periods = 1024", "is 1024; it must lie in 1 to 1023"),
+        ("zheng6", "degree = 11 ", "degree = 8 ", "degree is 8; codes exist for 5, 6, 7, 9, 10, 11"),
+        ("zheng6", "pose = 0", "pose = 1", "pose is 1, but the board can tell apart plain codes alone: set pose = 0"),
+        (
+            "zheng6",
+            "rotating_periods = 6",
+            "rotating_periods = 6\nperiods = 1",
+            "periods and rotating_periods are both",
+        ),
+        ("superposed", "{ code = 8 }", "{ code = 8, degree = 6 }", "lasts 63 chips: a cycle of 1023 is no multiple"),
+        ("superposed", "hold = 11", "hold = 12", "has a code that lasts 372 chips: a cycle of 1023 is no multiple"),
+        ("superposed", "{ code = 11 }, {", "{ code = 20 }, { code = 11 }, {", "lists 5 codes; a board superposes at"),
+        ("superposed", "{ code = 8 }", "{ code = 1025 }", "code is 1025; codes of degree 10 are 0 to 1024"),
+        ("superposed", "codes = [{ code = 8 }]", "", "code is missing; give one, or codes, slot, periods or rotating"),
+    ],
+)
+def test_what_a_beacon_cannot_drive(tmp_path, name, old, new, words):
+    text = scenario.find(name).read_text()
+    assert old in text
+    path = tmp_path / "wrong.toml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(UserError, match=re.escape(words)) as caught:
+        scenario.load(path)
+    assert "wrong.toml" in str(caught.value)
 
 
 def test_the_committed_site_is_that_of_the_scenario():
