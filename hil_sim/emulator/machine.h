@@ -84,13 +84,9 @@ bool rcc_enabled(const machine_t *machine, const char *name);
 double rcc_bus_clock(const machine_t *machine, const char *name);
 double rcc_timer_clock(const machine_t *machine, const char *name);
 
-/* A request line of a peripheral to the DMA controllers: pulse (edge) or level. The DMA model maps (controller, stream, channel) from RM0090 tables 42 and 43.
- * source is e.g. "TIM1_UP", "TIM1_CH4", "ADC1", "USART1_TX". A level request is served again and again while high. */
-void dma_request(machine_t *machine, const char *source, bool level);
+/* A pulse on a request line to the DMA controllers, mapped to (controller, stream, channel) by RM0090 tables 42 and 43.
+ * source is e.g. "TIM1_UP", "TIM1_CH4", "ADC1", "USART1_TX". */
 void dma_request_pulse(machine_t *machine, const char *source);
-
-/* Timer events that trigger the converters: source e.g. "TIM1_CC1", "TIM2_TRGO". */
-void adc_trigger(machine_t *machine, const char *source, int64_t time_ps);
 
 /* GPIO: level at a pin (input or output); alternate-function inputs subscribe to edges. */
 bool gpio_level(const machine_t *machine, unsigned pin);

@@ -512,16 +512,6 @@ void dma_create(chip_t *chip)
 
 /* ---- machine.h ---- */
 
-void dma_request(machine_t *machine, const char *source, bool level)
-{
-    const dma_source_t line = dma_source(source);
-    if (line == DMA_NONE) {
-        machine_violation(machine, "DMA: there is no request line %s", source);
-        return;
-    }
-    dma_line(chip_of(machine), line, level);
-}
-
 void dma_request_pulse(machine_t *machine, const char *source)
 {
     const dma_source_t line = dma_source(source);
