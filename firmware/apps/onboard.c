@@ -4,9 +4,8 @@
 #include "roots.h"
 #include "vector3.h"
 
-#define CHIPS ((uint32_t)DESPREAD_CHIPS)
-
-void onboard_configure(onboard_t *onboard, const parameters_t *parameters, const epoch_selection_t *selection) {
+void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips, const epoch_selection_t *selection) {
+    onboard->chips = chips;
     onboard->active = parameters_unsigned(parameters, PARAMETER_POSE) == 1u;
     onboard->due = onboard->due && onboard->active;
     onboard->noise_T = parameters_float(parameters, PARAMETER_NOISE);
@@ -30,15 +29,16 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, const
         onboard->site.half_space_point_m[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + axis);
         onboard->site.half_space_normal[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + 3u + axis);
     }
-    onboard->separable = separation_init(&onboard->separation, codes, code_sums, selection->count);
+    const bool complete = selection->count == parameters_unsigned(parameters, PARAMETER_CODE_COUNT); /* Else beacons would be taken for others. */
+    onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
 }
 
 void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration, const epoch_selection_t *selection) {
-    if (!onboard->active || cycle->missing >= CHIPS) {
+    if (!onboard->active || cycle->missing >= cycle->chips) {
         return;
     }
     onboard->cycle = cycle->cycle;
-    onboard->chips = CHIPS - cycle->missing;
+    onboard->missing = cycle->missing;
     onboard->saturated = cycle->saturated;
     epoch_offset(cycle, calibration, onboard->mean);
     for (uint32_t i = 0; i < selection->count; i++) {
@@ -52,9 +52,9 @@ void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_cal
 }
 
 static void separate(onboard_t *onboard) {
-    const float scale = (float)CHIPS / (float)onboard->chips;
-    const float disturbed = (float)(CHIPS - onboard->chips + onboard->saturated), offset2 = vector3_dot(onboard->mean, onboard->mean);
-    const float extra2 = offset2 * disturbed / ((float)CHIPS * (float)CHIPS);
+    const float chips = (float)onboard->chips, scale = chips / (float)(onboard->chips - onboard->missing);
+    const float disturbed = (float)(onboard->missing + onboard->saturated), offset2 = vector3_dot(onboard->mean, onboard->mean);
+    const float extra2 = offset2 * disturbed / (chips * chips);
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         separation_apply(&onboard->separation, onboard->mean[axis], onboard->sums[axis]);
     }

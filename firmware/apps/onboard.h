@@ -26,14 +26,16 @@ typedef struct {
     float sums[EPOCH_AXES][EPOCH_CODES_MAX]; /* Of the cycle taken: correlations, later fields, T. */
     float mean[EPOCH_AXES];
     uint32_t cycle;
-    uint32_t chips, saturated;
+    uint32_t chips;                         /* N */
+    uint32_t missing, saturated;            /* Of these. */
     pose_field_t fields[POSE_BEACONS_MAX];
     pose_work_t work;
     pose_t pose;
 } onboard_t;
 
-/* Read the parameters; forgets the pose that tracking starts from. Bound: 8 parameters for each code. */
-void onboard_configure(onboard_t *onboard, const parameters_t *parameters, const epoch_selection_t *selection);
+/* Read the parameters; forgets the pose that tracking starts from. chips: of a cycle. A selection that left out a code of the list makes every pose fail. Bound: 8 parameters
+ * for each code. */
+void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips, const epoch_selection_t *selection);
 
 /* Take a whole cycle, if active. About 250 instructions a code. */
 void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration, const epoch_selection_t *selection);

@@ -43,14 +43,14 @@ static void mark_saturated(const uint16_t burst[HAL_BURST][HAL_AXES], int16_t sh
     }
 }
 
-static void stream_chip(sensor_t *sensor, const chip_clock_chip_t *chip, const uint16_t burst[HAL_BURST][HAL_AXES],
+static void stream_chip(sensor_t *sensor, uint32_t cycle, uint16_t code_chip, const uint16_t burst[HAL_BURST][HAL_AXES],
                         const int16_t sample[HAL_AXES], bool saturated) {
     int16_t shown[HAL_AXES] = {sample[0], sample[1], sample[2]};
     if (saturated) {
         mark_saturated(burst, shown);
     }
-    const struct goldfield_chip_t message = {.x = shown[0], .y = shown[1], .z = shown[2], .cycle_low = (uint16_t)chip->cycle};
-    frame_t frame = {.id = sensor->stream_id | (uint32_t)chip->code_chip << PROTOCOL_INDEX_SHIFT};
+    const struct goldfield_chip_t message = {.x = shown[0], .y = shown[1], .z = shown[2], .cycle_low = (uint16_t)cycle};
+    frame_t frame = {.id = sensor->stream_id | (uint32_t)code_chip << PROTOCOL_INDEX_SHIFT};
     frame.length = (uint8_t)goldfield_chip_pack(frame.data, &message, sizeof frame.data);
     (void)queue_push(&sensor->stream, &frame); /* The queue counts what it refuses. */
 }
@@ -69,19 +69,21 @@ static void on_samples(void *context, uint32_t block, const hal_samples_t *sampl
         sensor->ticks += chip.period_ticks;
         int16_t sample[HAL_AXES];
         const bool saturated = epoch_sample((*samples)[i], sample);
+        const uint32_t cycle = sync_cycle(&sensor->format, &chip);
+        const uint16_t code_chip = sync_chip(&sensor->format, &chip);
         if (sensor->by_field) {
             acquire_feed(sensor->acquire, absolute, &chip, (*samples)[i]);
             acquire_sample((*samples)[i], sample);
         }
-        if (epoch_feed(&sensor->collector, absolute, chip.cycle, chip.code_chip, sample, saturated, locked)) {
-            const uint64_t end = chip.code_chip == 0 ? start : sensor->ticks; /* 0: the cycle before ended in a gap. */
+        if (epoch_feed(&sensor->collector, absolute, cycle, code_chip, sample, saturated, locked)) {
+            const uint64_t end = code_chip == 0 ? start : sensor->ticks; /* 0: the cycle before ended in a gap. */
             sensor->middle_ticks = (sensor->cycle_start_ticks + end) / 2;
         }
-        if (chip.code_chip == 0) {
+        if (code_chip == 0) {
             sensor->cycle_start_ticks = start;
         }
         if (sensor->streaming) {
-            stream_chip(sensor, &chip, (*samples)[i], sample, saturated);
+            stream_chip(sensor, cycle, code_chip, (*samples)[i], sample, saturated);
         }
     }
     sensor->sampled = true;
@@ -127,12 +129,13 @@ static void apply_parameters(sensor_t *sensor) {
         same = same && codes[i] == sensor->selection.codes[i].code;
     }
     if (!same) {
-        (void)epoch_select(&sensor->selection, codes, count);
+        (void)epoch_select(&sensor->selection, sensor->collector.family, codes, count);
         sensor->cycle.third = EPOCH_WHOLE; /* Thirds of the old list and of the new are not added. */
     }
-    onboard_configure(&sensor->onboard, parameters, &sensor->selection);
-    apply_sync_source(sensor, parameters_unsigned(parameters, PARAMETER_SYNC_SOURCE) == 1, codes, count);
-    sensor->collector.thirds = parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
+    onboard_configure(&sensor->onboard, parameters, sensor->format.chips, &sensor->selection);
+    const bool degree_10 = sensor->format.degree == 10u;
+    apply_sync_source(sensor, degree_10 && parameters_unsigned(parameters, PARAMETER_SYNC_SOURCE) == 1, codes, count);
+    sensor->collector.thirds = degree_10 && parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
     sensor->stream_id = node_identifier(&sensor->node, GOLDFIELD_CHIP_FRAME_ID, 0);
     sensor->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
 }
@@ -149,7 +152,7 @@ static void send_header(sensor_t *sensor, const epoch_sums_t *cycle) {
 
     const struct goldfield_epoch_status_t status = {
         .cycle_low = cycle->cycle & 0xFu,
-        .chips = (uint16_t)(DESPREAD_CHIPS - cycle->missing),
+        .chips = (uint16_t)(cycle->chips - cycle->missing),
         .saturated = cycle->saturated,
         .fields = (uint16_t)sensor->selection.count,
         .locked = cycle->locked,
@@ -233,9 +236,9 @@ void sensor_start(sensor_t *sensor, acquire_t *acquire, hal_t *hal) {
     sensor->acquire = acquire;
     node_start(&sensor->node, hal, HAL_ROLE_SENSOR);
     (void)queue_init(&sensor->stream, sensor->stream_messages, SENSOR_STREAM_MESSAGES);
-    sensor->format = sync_format(10); /* The despreading's. */
+    sensor->format = sync_format(parameters_unsigned(&sensor->node.parameters, PARAMETER_DEGREE));
     sync_clock_init(&sensor->clock, &sensor->format, true);
-    epoch_init(&sensor->collector);
+    epoch_init(&sensor->collector, gold_family(sensor->format.degree)); /* Only degrees that have one get through parameters_set. */
     apply_parameters(sensor);
     const hal_events_t events = {.context = sensor, .plan = on_plan, .samples = on_samples, .sync = on_sync};
     hal_chips_start(hal, HAL_ROLE_SENSOR, &events);

@@ -19,8 +19,10 @@
  * Parameters act from the next report on. stream sends every chip on serial (164 kB/s of 200 kB/s); chips that find no room are dropped and counted
  * as lost messages (counter 4).
  *
- * Memory: about 48 kB, and acquire.h. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
- * 18,000 (with sync_source 1 30,000), a report of 8 codes 66,000, main with nothing to do 150.
+ * Cycles. The degree of the codes is a parameter, read once at start. Field synchronisation and thirds are for degree 10: with another, sync_source 1 counts as 0 and parts 3 as 1.
+ *
+ * Memory: about 73 kB, and acquire.h. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
+ * 18,000 (with sync_source 1 30,000), with degree 10 a report of 8 codes 66,000, main with nothing to do 150.
  * With parts 3 the thirds of a cycle take 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within a third of a cycle. The messages of more than
  * 60 codes then outrun the queue of CAN at the end of a cycle: what finds no room is counted as lost (counter 4).
  * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).

@@ -21,12 +21,6 @@ void sync_clock_init(chip_clock_t *clock, const sync_format_t *format, bool foll
     (void)chip_clock_init(clock, &config); /* All formats lie in its ranges. */
 }
 
-uint32_t sync_cycle(const sync_format_t *format, const chip_clock_chip_t *chip) {
-    return chip->cycle * format->cycles + chip->code_chip / format->chips;
-}
-
-uint16_t sync_chip(const sync_format_t *format, const chip_clock_chip_t *chip) { return chip->code_chip % format->chips; }
-
 void sync_number(chip_clock_t *clock, const sync_format_t *format, uint32_t cycle, uint32_t age_us) {
     if (clock->tracking && clock->config.follow && age_us < SYNC_FRESH_US) {
         chip_clock_number_cycle(clock, cycle / format->cycles);

@@ -31,8 +31,11 @@ sync_format_t sync_format(uint32_t degree);
 void sync_clock_init(chip_clock_t *clock, const sync_format_t *format, bool follow);
 
 /* The cycle of the code that a planned chip belongs to, counted from 0 or from what SYNC told, and its chip. About 10 instructions. */
-uint32_t sync_cycle(const sync_format_t *format, const chip_clock_chip_t *chip);
-uint16_t sync_chip(const sync_format_t *format, const chip_clock_chip_t *chip);
+static inline uint32_t sync_cycle(const sync_format_t *format, const chip_clock_chip_t *chip) {
+    return chip->cycle * format->cycles + chip->code_chip / format->chips;
+}
+
+static inline uint16_t sync_chip(const sync_format_t *format, const chip_clock_chip_t *chip) { return chip->code_chip % format->chips; }
 
 /* A SYNC message with a 20-bit cycle number came, age_us after the latest edge of the sync wire. It is taken if the clock knows the master's edges (from the
  * second edge on, before it is locked) and the edge is younger than SYNC_FRESH_US: an older one means that the wire is silent and the number belongs to an

@@ -3,9 +3,6 @@
 #include <stddef.h>
 #include <string.h>
 
-#include "gold.h"
-
-#define CHIPS_F 1023.0f
 #define LANES 0x00010001u /* One in each halfword. */
 
 /* Two conversions are six halfwords, three words: (x, y) (z, x) (y, z). Sums of four halfwords fit a halfword, so words are added whole. A lane is at a rail if
@@ -27,7 +24,7 @@ bool epoch_sample(const uint16_t burst[EPOCH_BURST][EPOCH_AXES], int16_t sample[
     return (rails & 0xF000F000u) != 0u;
 }
 
-void epoch_init(epoch_collector_t *collector) { *collector = (epoch_collector_t){0}; }
+void epoch_init(epoch_collector_t *collector, const gold_family_t *family) { *collector = (epoch_collector_t){.family = family}; }
 
 static void drop(epoch_collector_t *collector) {
     collector->collecting = false;
@@ -44,10 +41,10 @@ static bool hand_over(epoch_collector_t *collector) {
     }
     const epoch_t *full = &collector->epochs[collector->filling];
     collector->filling ^= 1u;
-    collector->collecting = full->despread.end < DESPREAD_CHIPS;
+    collector->collecting = full->despread.end < collector->family->length;
     if (collector->collecting) {
         epoch_t *next = &collector->epochs[collector->filling];
-        despread_start_part(&next->despread, &full->despread, EPOCH_THIRD_CHIPS);
+        despread_start_part(&next->despread, collector->family, &full->despread, EPOCH_THIRD_CHIPS);
         next->third = (uint8_t)(full->third + 1u);
         next->cycle = full->cycle;
         next->first_chip = full->first_chip;
@@ -78,8 +75,8 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
     epoch_t *epoch = &collector->epochs[collector->filling];
     if (collector->collecting) {
         const uint32_t expected = absolute_chip - epoch->first_chip; /* Code chip, unless the chip clock jumped. */
-        if (expected == DESPREAD_CHIPS && code_chip == 0u) {
-            complete = skip_to(collector, DESPREAD_CHIPS); /* The last chips of the cycle are missing. */
+        if (code_chip == 0u && expected == collector->family->length) {
+            complete = skip_to(collector, expected); /* The last chips of the cycle are missing. */
         } else if (expected != code_chip || code_chip < epoch->despread.chip) {
             drop(collector);
         } else if (code_chip > epoch->despread.chip) {
@@ -90,9 +87,9 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
     if (code_chip == 0u) {
         epoch->third = collector->thirds ? 0u : EPOCH_WHOLE;
         if (collector->thirds) {
-            despread_start_part(&epoch->despread, NULL, EPOCH_THIRD_CHIPS);
+            despread_start_part(&epoch->despread, collector->family, NULL, EPOCH_THIRD_CHIPS);
         } else {
-            despread_start(&epoch->despread);
+            despread_start(&epoch->despread, collector->family);
         }
         epoch->first_chip = absolute_chip;
         epoch->saturated = 0;
@@ -121,25 +118,26 @@ epoch_t *epoch_ready(epoch_collector_t *collector) {
 
 void epoch_release(epoch_collector_t *collector) { __atomic_store_n(&collector->ready, 0u, __ATOMIC_RELEASE); }
 
-static int16_t third_sum(uint32_t code, uint32_t third) {
+static int16_t third_sum(const gold_family_t *family, uint32_t code, uint32_t third) {
     gold_generator_t generator;
-    int32_t sum = EPOCH_THIRD_CHIPS;
-    (void)gold_start(&generator, 10, code, third * EPOCH_THIRD_CHIPS); /* A code of the family: cannot fail. */
-    for (uint32_t chip = 0; chip < EPOCH_THIRD_CHIPS; chip++) {
+    const uint32_t first = third * family->length / EPOCH_THIRDS, end = (third + 1u) * family->length / EPOCH_THIRDS;
+    int32_t sum = (int32_t)(end - first);
+    (void)gold_start(&generator, family->degree, code, first); /* A code of the family: cannot fail. */
+    for (uint32_t chip = first; chip < end; chip++) {
         sum -= 2 * (int32_t)gold_next(&generator);
     }
     return (int16_t)sum;
 }
 
-uint32_t epoch_select(epoch_selection_t *selection, const uint16_t *codes, uint32_t count) {
+uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family, const uint16_t *codes, uint32_t count) {
     selection->count = 0;
     for (uint32_t i = 0; i < count && i < EPOCH_CODES_MAX; i++) {
-        if (codes[i] < DESPREAD_CODES) {
+        if (codes[i] <= family->length + 1u) {
             selection->codes[selection->count].code = codes[i];
-            selection->codes[selection->count].word = despread_word(codes[i]);
+            selection->codes[selection->count].word = despread_word(family, codes[i]);
             selection->codes[selection->count].sum = 0;
             for (uint32_t third = 0; third < EPOCH_THIRDS; third++) {
-                const int16_t sum = third_sum(codes[i], third);
+                const int16_t sum = third_sum(family, codes[i], third);
                 selection->codes[selection->count].third_sum[third] = sum;
                 selection->codes[selection->count].sum = (int16_t)(selection->codes[selection->count].sum + sum);
             }
@@ -153,11 +151,12 @@ void epoch_read(epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t
     despread_transform(&epoch->despread);
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         for (uint32_t i = 0; i < selection->count; i++) {
-            sums->correlation[i][axis] = despread_correlation(&epoch->despread, axis, selection->codes[i].code, selection->codes[i].word);
+            sums->correlation[i][axis] = despread_correlation(&epoch->despread, axis, selection->codes[i].word);
         }
         sums->sum[axis] = epoch->despread.sum[axis];
     }
     sums->third = epoch->third;
+    sums->chips = epoch->despread.family->length;
     sums->cycle = epoch->cycle;
     sums->missing = epoch->despread.missing;
     sums->saturated = epoch->saturated;
@@ -190,11 +189,11 @@ bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count) {
 }
 
 /* M (correlation / (8 N) - (zero - mid-scale) sum / N). */
-static void scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum, float field_T[EPOCH_AXES]) {
+static void scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum, float chips, float field_T[EPOCH_AXES]) {
     float counts[EPOCH_AXES];
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         const float zero = calibration->zero[axis] - (float)EPOCH_MID_SCALE;
-        counts[axis] = ((float)correlation[axis] / (float)EPOCH_BURST - zero * code_sum) / CHIPS_F;
+        counts[axis] = ((float)correlation[axis] / (float)EPOCH_BURST - zero * code_sum) / chips;
     }
     for (uint32_t row = 0; row < EPOCH_AXES; row++) {
         field_T[row] = 0.0f;
@@ -207,11 +206,11 @@ static void scale(const epoch_calibration_t *calibration, const int32_t correlat
 void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibration, const epoch_selection_t *selection, uint32_t index,
                  float field_T[EPOCH_AXES]) {
     const int16_t code_sum = sums->third < EPOCH_THIRDS ? selection->codes[index].third_sum[sums->third] : selection->codes[index].sum;
-    scale(calibration, sums->correlation[index], code_sum, field_T);
+    scale(calibration, sums->correlation[index], code_sum, sums->chips, field_T);
 }
 
 void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]) {
-    scale(calibration, sums->sum, sums->third < EPOCH_THIRDS ? (float)EPOCH_THIRD_CHIPS : CHIPS_F, offset_T);
+    scale(calibration, sums->sum, sums->third < EPOCH_THIRDS ? (float)EPOCH_THIRD_CHIPS : sums->chips, sums->chips, offset_T);
 }
 
 int32_t epoch_integer(float value, float resolution) {

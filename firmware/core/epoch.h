@@ -3,13 +3,14 @@
  * A chip's sample is the sum of its burst of EPOCH_BURST conversions, relative to mid-scale: sum - 8 * 2048, -16384..16376, so it fits the 16 bits of CHIP and of
  * despread.h. counts, the mean of a burst, is sample / 8 + 2048; the field is B = M (counts - zero), parameters zero_* and calibration.
  * Since the field is linear in the sample, the correlation of the field with a code c is
- *   sum_t c[t] B[t] / N = M ( R / (8 N) - (zero - 2048) S / N ),   R = sum_t c[t] sample[t],  S = sum_t c[t],  N = 1023,
+ *   sum_t c[t] B[t] / N = M ( R / (8 N) - (zero - 2048) S / N ),   R = sum_t c[t] sample[t],  S = sum_t c[t],  N = 2^degree - 1,
  * and its mean is the same with c = 1. (A missing sample counts as mid-scale here, not as zero field.)
  *
  * The collector turns a stream of labelled samples into whole cycles. It owns one despread_t at a time: while one cycle is read by main, the next is collected into the other. If
  * main has not released it when the next cycle ends, that next cycle is dropped and counted: results are late by at most one cycle, or absent, never mixed.
  *
- * Thirds. For a moving sensor the collector hands over each third of a cycle (341 chips) as if it were a cycle: main then has a third of the time. If one is dropped the
+ * Thirds, with degree 10 only (of the other lengths only 63 is a multiple of 3, and its thirds are shorter than a block). For a moving sensor the collector hands over each third of
+ * a cycle (341 chips) as if it were a cycle: main then has a third of the time. If one is dropped the
  * cycle's later ones are not collected: after third 0 come 1 and 2 of the same cycle, or another third 0. epoch_add puts the exact sums of the thirds together to the
  * cycle's: the same integers as without thirds.
  *
@@ -50,14 +51,16 @@ typedef struct {
 
 typedef struct {
     epoch_t epochs[2];
+    const gold_family_t *family;
     uint32_t dropped;  /* Cycles that began but could not be reported: cut short by a jump of the chip clock, or main was late. */
-    bool thirds;       /* Main's wish: cycles that begin from now on come in thirds. */
+    bool thirds;       /* Main's wish, with degree 10 only: cycles that begin from now on come in thirds. */
     uint8_t filling;   /* Private from here: which one the interrupt fills; */
     bool collecting;   /* it has seen chip 0; */
     uint8_t ready;     /* the other is main's while this is 1. */
 } epoch_collector_t;
 
-void epoch_init(epoch_collector_t *collector);
+/* For codes of this family. */
+void epoch_init(epoch_collector_t *collector, const gold_family_t *family);
 
 /* One sampled chip: its absolute number and what chip_clock_at says of it. Call in order. A gap inside a cycle counts as missing chips; a cycle whose chip 0 was not seen is
  * not collected. True: a cycle or third is complete and main should look. About 200 instructions, more by 60 for each chip of a gap and 4,000 for each beginning third. */
@@ -80,34 +83,35 @@ typedef struct {
     uint32_t count;
     struct {
         uint16_t code;
-        uint16_t word; /* despread_word(code) */
-        int16_t sum;   /* gold_sum(10, code) */
+        uint16_t word; /* despread_word */
+        int16_t sum;   /* gold_sum */
         int16_t third_sum[EPOCH_THIRDS]; /* The same over each third. */
     } codes[EPOCH_CODES_MAX];
 } epoch_selection_t;
 
-/* Choose the codes to report. Codes above 1024 and codes beyond the first 64 are left out; returns how many are in.
- * About 48,000 instructions a code (18 ms for 64 at an instruction a cycle): in main, when the list changes. */
-uint32_t epoch_select(epoch_selection_t *selection, const uint16_t *codes, uint32_t count);
+/* Choose the codes of the family to report. Codes above N + 1 and codes beyond the first 64 are left out; returns how many are in.
+ * With degree 10 about 48,000 instructions a code (18 ms for 64 at an instruction a cycle): in main, when the list changes. */
+uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family, const uint16_t *codes, uint32_t count);
 
 /* What despreading tells of a cycle or of a third: exact sums in the samples' unit. */
 typedef struct {
     int32_t correlation[EPOCH_CODES_MAX][EPOCH_AXES]; /* By entry of the selection. */
     int32_t sum[EPOCH_AXES];
     uint32_t cycle;
-    uint16_t missing, saturated; /* Chips. */
+    uint16_t chips;              /* N, of a whole cycle; */
+    uint16_t missing, saturated; /* of these. */
     uint8_t third;               /* As in epoch_t. */
     bool locked;
 } epoch_sums_t;
 
-/* Transform a complete cycle or third, once, and read its sums. 57,100 instructions and about 60 for each code. */
+/* Transform a complete cycle or third, once, and read its sums. As despread_transform, and about 60 instructions for each code. */
 void epoch_read(epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t *sums);
 
 /* Add the next third to those of the same cycle before it; a third 0 or a whole cycle replaces what was there, a third that does not follow is left out. count: of the
  * selection; if that changes, set total->third to EPOCH_WHOLE: the rest of the cycle is then left out. True: total is a whole cycle now. */
 bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count);
 
-/* The field of entry index of the selection, T: correlation over N = 1023, also that of a third. index < count. About 215 instructions. */
+/* The field of entry index of the selection, T: correlation over N, also that of a third. index < count. About 215 instructions. */
 void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibration, const epoch_selection_t *selection, uint32_t index,
                  float field_T[EPOCH_AXES]);
 

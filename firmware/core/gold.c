@@ -22,16 +22,6 @@ const gold_family_t *gold_family(uint32_t degree) {
     return NULL;
 }
 
-static uint32_t parity(uint32_t bits) {
-    bits ^= bits >> 8;
-    bits ^= bits >> 4;
-    return (0x6996u >> (bits & 15u)) & 1u; /* The parities of 0..15. */
-}
-
-uint16_t gold_step(uint16_t taps, uint16_t state, uint16_t length) {
-    return (uint16_t)(((uint32_t)state << 1 | parity((uint32_t)state & taps)) & length);
-}
-
 uint16_t gold_next_functional(uint16_t taps, uint16_t functional) {
     /* Output t + i is stage n - i, one bit lower for each chip later; beyond stage 1 comes the feedback, which is the taps' functional. */
     return (uint16_t)((uint32_t)functional >> 1 ^ ((functional & 1u) != 0u ? taps : 0u));
@@ -66,7 +56,7 @@ static uint16_t state_at(const gold_family_t *family, uint16_t taps, uint32_t t)
     uint16_t functional = gold_functional(family, taps, t);
     uint32_t state = 0;
     for (uint32_t i = 0; i < family->degree; i++) {
-        state = state << 1 | parity(functional);
+        state = state << 1 | gold_parity(functional);
         functional = gold_next_functional(taps, functional);
     }
     return (uint16_t)state;

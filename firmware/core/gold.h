@@ -40,8 +40,17 @@ typedef struct {
 /* The family of a degree (5, 6, 7, 9, 10, 11), a constant; NULL for another degree. */
 const gold_family_t *gold_family(uint32_t degree);
 
+/* Sum of 16 bits over GF(2). */
+static inline uint32_t gold_parity(uint32_t bits) {
+    bits ^= bits >> 8;
+    bits ^= bits >> 4;
+    return 0x6996u >> (bits & 15u) & 1u; /* The parities of 0..15. */
+}
+
 /* The register one chip later. About 10 instructions. state is 1..N (0 never occurs in a running register and would stay 0). */
-uint16_t gold_step(uint16_t taps, uint16_t state, uint16_t length);
+static inline uint16_t gold_step(uint16_t taps, uint16_t state, uint16_t length) {
+    return (uint16_t)(((uint32_t)state << 1 | gold_parity((uint32_t)state & taps)) & length);
+}
 
 /* w_k of a register: output t + k is the parity of (w_k & state(t)). Any k; bound: 11 squarings, about 1100 instructions. */
 uint16_t gold_functional(const gold_family_t *family, uint16_t taps, uint32_t k);

@@ -37,20 +37,22 @@ static void gold(void) {
 
 static void despread(void) {
     static epoch_collector_t collector;
-    for (uint32_t mode = 0; mode < 4; mode++) {
-        epoch_init(&collector);
-        for (uint32_t t = 0; t < 3u * DESPREAD_CHIPS; t++) {
+    for (uint32_t run = 0; run < 24; run++) {
+        const uint32_t mode = run % 4u;
+        const gold_family_t *family = gold_family((const uint32_t[]){5, 6, 7, 9, 10, 11}[run / 4u]);
+        epoch_init(&collector, family);
+        for (uint32_t t = 0; t < 3u * family->length; t++) {
             int16_t sample[3];
             for (uint32_t axis = 0; axis < 3; axis++) {
                 sample[axis] = mode == 0 ? INT16_MIN : mode == 1 ? INT16_MAX : (int16_t)(noise() & 0xFFFFu);
             }
-            const uint32_t label = mode == 3 ? noise() & 0xFFFFu : t % DESPREAD_CHIPS;
+            const uint32_t label = mode == 3 ? noise() & 0xFFFFu : t % family->length;
             (void)epoch_feed(&collector, mode == 3 ? noise() & 4095u : t, t, (uint16_t)label, sample, false, true);
             epoch_t *epoch = epoch_ready(&collector);
             if (epoch != NULL) {
                 despread_transform(&epoch->despread);
-                for (uint32_t code = 0; code < 1030; code++) {
-                    (void)despread_correlation(&epoch->despread, code % 4u, code, despread_word(code));
+                for (uint32_t code = 0; code < family->length + 5u; code += 3u) {
+                    (void)despread_correlation(&epoch->despread, code % 4u, despread_word(family, code));
                 }
                 epoch_release(&collector);
             }

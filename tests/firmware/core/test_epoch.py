@@ -24,7 +24,7 @@ def test_burst(core, burst):
 def collector(core):
     ffi, lib = core
     state = ffi.new("epoch_collector_t *")
-    lib.epoch_init(state)
+    lib.epoch_init(state, lib.gold_family(10))
     return state
 
 
@@ -114,31 +114,32 @@ def test_saturation_and_lock_are_of_the_whole_cycle(core, collector):
     assert (epoch.saturated, epoch.locked) == (10, False)
 
 
-def test_fields_and_offset_in_tesla(core, gold_family):
+@pytest.mark.parametrize("degree", [5, 6, 7, 9, 10, 11])
+def test_fields_and_offset_in_tesla(core, gold_family, degree):
     """Random samples through a misaligned sensor: the float result against the product in double precision."""
     ffi, lib = core
-    rng = np.random.default_rng(3)
+    rng, length = np.random.default_rng(3), 2**degree - 1
     matrix = np.diag([1e-7, 0.9e-7, 1.1e-7]) + rng.normal(0, 2e-9, (3, 3))
     zero = np.array([2075.25, 2020.5, 2048.0])
-    conversions = rng.integers(1, 4095, (N, 8, 3))
+    conversions = rng.integers(1, 4095, (length, 8, 3))
     epoch, sums = ffi.new("epoch_t *", {"third": 3}), ffi.new("epoch_sums_t *")
     state = ffi.addressof(epoch, "despread")
-    lib.despread_start(state)
+    lib.despread_start(state, lib.gold_family(degree))
     sample = ffi.new("int16_t[3]")
     for burst in conversions.tolist():
         assert not lib.epoch_sample(ffi.new("uint16_t[8][3]", burst), sample)
         lib.despread_store(state, sample)
     calibration = ffi.new("epoch_calibration_t *", [zero.tolist(), matrix.tolist()])
-    codes = [0, 2, 512, 1023, 1024, 4000, 77]
+    codes = [0, 2, length // 2, length, length + 1, 4000, 17]
     selection = ffi.new("epoch_selection_t *")
-    assert lib.epoch_select(selection, codes, len(codes)) == 6
+    assert lib.epoch_select(selection, lib.gold_family(degree), codes, len(codes)) == 6
     lib.epoch_read(epoch, selection, sums)
     field = ffi.new("float[3]")
     truth = (conversions.mean(axis=1) - zero) @ matrix.T
     for index, code in enumerate(code for code in codes if code != 4000):
         assert selection.codes[index].code == code
         lib.epoch_field(sums, calibration, selection, index, field)
-        assert list(field) == pytest.approx((gold_family(10)[code] @ truth / N).tolist(), abs=2e-11)
+        assert list(field) == pytest.approx((gold_family(degree)[code] @ truth / length).tolist(), abs=2e-11)
     lib.epoch_offset(sums, calibration, field)
     assert list(field) == pytest.approx(truth.mean(axis=0).tolist(), abs=2e-10)
 
@@ -146,8 +147,28 @@ def test_fields_and_offset_in_tesla(core, gold_family):
 def test_at_most_64_codes(core):
     ffi, lib = core
     selection = ffi.new("epoch_selection_t *")
-    assert lib.epoch_select(selection, list(range(70)), 70) == 64
-    assert lib.epoch_select(selection, [], 0) == 0
+    assert lib.epoch_select(selection, lib.gold_family(10), list(range(70)), 70) == 64
+    assert lib.epoch_select(selection, lib.gold_family(10), [], 0) == 0
+
+
+@pytest.mark.parametrize("degree", [5, 6, 11])
+def test_cycles_of_other_lengths(core, gold_family, degree):
+    """Whole cycles follow each other, whatever the length; main is back before the next one ends."""
+    ffi, lib = core
+    length = 2**degree - 1
+    state, selection = ffi.new("epoch_collector_t *"), ffi.new("epoch_selection_t *")
+    lib.epoch_init(state, lib.gold_family(degree))
+    lib.epoch_select(selection, lib.gold_family(degree), [3], 1)
+    stream = np.random.default_rng(degree).integers(-32768, 32768, (3 * length, 3))
+    got, sums = [], ffi.new("epoch_sums_t *")
+    for t, sample in enumerate(stream.tolist()):
+        if lib.epoch_feed(state, t, t // length, t % length, sample, False, True):
+            lib.epoch_read(lib.epoch_ready(state), selection, sums)
+            got.append((sums.cycle, sums.third, sums.chips, sums.missing, list(sums.correlation[0])))
+            lib.epoch_release(state)
+    cycles = stream.reshape(3, length, 3)
+    expected = [gold_family(degree)[3] @ cycle for cycle in cycles]
+    assert got == [(i, 3, length, 0, row.tolist()) for i, row in enumerate(expected)]
 
 
 @given(st.floats(-6e-5, 6e-5))
@@ -183,10 +204,10 @@ def in_thirds(core, samples, absolute=None):
     """Feed a stream of samples with main following at once: (sums of each third, whole cycles) as epoch_add tells."""
     ffi, lib = core
     state = ffi.new("epoch_collector_t *")
-    lib.epoch_init(state)
+    lib.epoch_init(state, lib.gold_family(10))
     state.thirds = True
     selection = ffi.new("epoch_selection_t *")
-    lib.epoch_select(selection, CODES, len(CODES))
+    lib.epoch_select(selection, lib.gold_family(10), CODES, len(CODES))
     part, total = ffi.new("epoch_sums_t *"), ffi.new("epoch_sums_t *", {"third": 3})
     parts, whole = [], []
     for t in range(len(samples)) if absolute is None else absolute:
@@ -248,7 +269,7 @@ def test_a_gap_to_the_end_of_the_cycle(core, gold_family, samples):
 def test_a_third_that_main_was_late_for_costs_its_cycle_only(core, samples):
     ffi, lib = core
     state = ffi.new("epoch_collector_t *")
-    lib.epoch_init(state)
+    lib.epoch_init(state, lib.gold_family(10))
     state.thirds = True
     feed(core, state, range(2 * 341))
     assert state.dropped == 1  # Main held third 0 until third 1 was over.
@@ -279,10 +300,10 @@ def test_thirds_in_tesla_lose_the_sensors_zero(core, gold_family, samples):
     ffi, lib = core
     calibration = ffi.new("epoch_calibration_t *", [[2075.25, 2020.5, 2048.0], (np.eye(3) * 1e-8).tolist()])
     selection = ffi.new("epoch_selection_t *")
-    lib.epoch_select(selection, CODES, len(CODES))
+    lib.epoch_select(selection, lib.gold_family(10), CODES, len(CODES))
     _, parts, _ = in_thirds(core, samples[:N])
     truth = (samples[:N] / 8 + 2048 - [2075.25, 2020.5, 2048.0]) * 1e-8
-    sums, field = ffi.new("epoch_sums_t *"), ffi.new("float[3]")
+    sums, field = ffi.new("epoch_sums_t *", {"chips": N}), ffi.new("float[3]")
     for third, *_, table in parts:
         sums.third = third
         for i in range(len(CODES)):

@@ -29,14 +29,15 @@ HARNESS = """
 #include "queue.h"
 despread_t cycle;
 int16_t sample[3] = {-32768, 5, 32767};
-void start(void) { despread_start(&cycle); }
+void start(void) { despread_start(&cycle, gold_family(10)); }
 void store(void) { despread_store(&cycle, sample); }
 void transform(void) { despread_transform(&cycle); }
-int32_t word(void) { return despread_word(1022); }
-int32_t correlation(void) { return despread_correlation(&cycle, 1, 5, 17); }
+int32_t word(void) { return despread_word(gold_family(10), 1022); }
+int32_t correlation(void) { return despread_correlation(&cycle, 1, 17); }
 uint16_t burst[8][3];
 int32_t burst_sample(void) { return epoch_sample((const uint16_t (*)[3])burst, sample); }
 epoch_collector_t collector;
+void collect(void) { epoch_init(&collector, gold_family(10)); }
 uint32_t chip;
 int32_t feed(void) {
     uint32_t t = chip++;
@@ -68,7 +69,7 @@ int32_t decode(void) {
 int32_t code_sum(void) { return gold_sum(10, 5); }
 epoch_calibration_t calibration = {{2048, 2048, 2048}, {{1e-7f, 0, 0}, {0, 1e-7f, 0}, {0, 0, 1e-7f}}};
 epoch_selection_t selection = {1, {{5, 17, -1, {0}}}};
-epoch_sums_t sums = {.third = EPOCH_WHOLE};
+epoch_sums_t sums = {.third = EPOCH_WHOLE, .chips = 1023};
 float field[3];
 void one_field(void) { epoch_field(&sums, &calibration, &selection, 0, field); }
 """
@@ -136,11 +137,11 @@ def test_three_axes_despread_within_90000(count, core, gold_family):
         stored, _ = count("store")
     instructions, _ = count("transform")
     print(f"despread_store {stored}, despread_transform {instructions} instructions for three axes")
-    words = np.array(struct.unpack("<3072i", count.memory("cycle", 12288))).reshape(3, 1024)
+    words = np.array(struct.unpack("<6144i", count.memory("cycle", 24576))).reshape(3, 2048)[:, :1024]
     # The samples are constant: each word is a code's sum times the sample.
     expected = np.outer([-32768, 5, 32767], gold_family(10)[:1024].sum(axis=1))
     _, lib = core
-    addresses = [lib.despread_word(code) for code in range(1024)]
+    addresses = [lib.despread_word(lib.gold_family(10), code) for code in range(1024)]
     assert np.array_equal(words[:, addresses], expected)
     assert instructions <= 90_000
     assert stored <= 100
@@ -149,6 +150,7 @@ def test_three_axes_despread_within_90000(count, core, gold_family):
 def test_each_call_within_what_its_header_says(count):
     figures = {}
     count("start")
+    count("collect")
     count("clock_init")
     count("loop_init")
     for name in ("word", "correlation", "burst_sample", "feed", "clock_plan", "encode", "code_sum", "one_field"):

@@ -56,7 +56,7 @@ void one_quaternion_turn(void) { quaternion_turn(quaternion, field); }
 void one_pose_covariance(void) { pose_covariance(&work.problem, &work.best, covariance); }
 void one_pose_search(void) { pose_search(&work.problem, work.point_m, work.normal, &work.candidates); }
 void one_evaluation(void) { pose_fit(&work.problem, 1, &work.best); }
-void one_separation_init(void) { separation_init(&separation, codes, sums, 8); }
+void one_separation_init(void) { separation_init(&separation, 1023, codes, sums, 8); }
 void one_separation_apply(void) { separation_apply(&separation, 5.0f, axis); }
 """
 

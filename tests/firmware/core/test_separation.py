@@ -3,44 +3,55 @@
 import numpy as np
 import pytest
 
-N = 1023
 
-
-def prepared(core, gold_family, codes):
+def prepared(core, gold_family, codes, degree=10):
     ffi, lib = core
-    sums = gold_family(10)[codes].sum(axis=1)
+    sums = gold_family(degree)[codes].sum(axis=1)
     state = ffi.new("separation_t *")
-    good = lib.separation_init(state, codes, sums.tolist(), len(codes))
+    good = lib.separation_init(state, 2**degree - 1, codes, sums.tolist(), len(codes))
     return state, good
 
 
-@pytest.mark.parametrize("count", [1, 3, 8, 64])
-def test_fields_and_noise_as_least_squares(core, gold_family, count):
+@pytest.mark.parametrize(
+    ("degree", "count"), [(10, 1), (10, 3), (10, 8), (10, 64), (5, 1), (5, 25), (6, 8), (7, 64), (9, 8), (11, 64)]
+)
+def test_fields_and_noise_as_least_squares(core, gold_family, degree, count):
     """Any codes but v: balanced, unbalanced, and u."""
     ffi, lib = core
-    rng = np.random.default_rng(count)
-    codes = [1023, *rng.choice(1023, 63, replace=False).tolist()][:count]
-    state, good = prepared(core, gold_family, codes)
+    rng, length = np.random.default_rng(count), 2**degree - 1
+    codes = [length, *rng.choice(length, count - 1, replace=False).tolist()]
+    state, good = prepared(core, gold_family, codes, degree)
     assert good
-    chips = gold_family(10)[codes].astype(float)
+    chips = gold_family(degree)[codes].astype(float)
     truth, offset = rng.normal(size=count) * 10.0 ** rng.uniform(-3, 0, count), 50.0
-    samples = truth @ chips + offset + rng.normal(0, 0.1, N)
-    columns = np.vstack([chips, np.ones(N)]).T
+    samples = truth @ chips + offset + rng.normal(0, 0.1, length)
+    columns = np.vstack([chips, np.ones(length)]).T
     expected = np.linalg.lstsq(columns, samples, rcond=None)[0][:count]
-    field = ffi.new("float[]", (chips @ samples / N).tolist())
+    field = ffi.new("float[]", (chips @ samples / length).tolist())
     lib.separation_apply(state, samples.mean(), field)
     np.testing.assert_allclose(list(field), expected, atol=2e-5)  # The offset's share of single precision.
     variance = np.diag(np.linalg.inv(columns.T @ columns))[:count]
     np.testing.assert_allclose([lib.separation_variance(state, i) for i in range(count)], variance, rtol=1e-5)
 
 
-@pytest.mark.parametrize("codes", [[2, 1024], [5, 6, 5], list(range(65))])
-def test_codes_that_the_closed_form_cannot_separate_are_refused(core, gold_family, codes):
-    state, good = prepared(core, gold_family, codes)
+@pytest.mark.parametrize(
+    ("degree", "codes"),
+    [
+        (10, [2, 1024]),
+        (10, [5, 6, 5]),
+        (10, list(range(65))),
+        (7, [2, 128]),
+        (5, list(range(31))),
+        (5, list(range(32))),
+    ],
+)
+def test_codes_that_the_closed_form_cannot_separate_are_refused(core, gold_family, degree, codes):
+    """Among them more than fit: the 31 shifts of degree 5 and a constant are 32 columns in 31 chips."""
+    state, good = prepared(core, gold_family, codes, degree)
     assert not good
     assert state.count == 0
 
 
 def test_no_codes(core):
     ffi, lib = core
-    assert lib.separation_init(ffi.new("separation_t *"), [], [], 0)
+    assert lib.separation_init(ffi.new("separation_t *"), 1023, [], [], 0)
