@@ -9,6 +9,9 @@
  * nor on slices, and it is causal and exact:
  *   - an edge of the master's sync wire reaches a board that has not yet lived through that moment;
  *   - the sensor samples currents that already happened, its converter's few microseconds of look-ahead (board_edge.h) included;
+ *   - a beacon with a sensor of its own (an anchor) samples its own currents as they are, and those of the others as far as they have happened at the
+ *     start of its step, from there on as the coil's law has it (sensing.h). So it does not see a change of another board's bridge, enable or set-point in the
+ *     quantum before, if it is the sync master in the two quanta before. Samples at the ends of chips, more than 40 us after any change, are exact;
  *   - the bus arbitrates up to the sensor's present, when every request made before is known. A frame that starts in the quantum before a present T
  *     reaches its receivers at T - quantum + 63 us or later (one bit before the end of 64 bits: the shortest frame with a 29-bit identifier, at 1 Mbit/s),
  *     the master is at T + 2 quanta: with 3 quanta <= 63 us no frame is received in any board's past. rig_create() refuses a bit rate that breaks this
@@ -40,6 +43,8 @@ typedef struct rig rig_t;
 typedef struct {
     unsigned coils; /* 0..RIG_COILS; coil i hangs on channel i. Coils of one board are crossed and do not couple. */
     coil_config_t coil[RIG_COILS];
+    bool senses; /* It has a front end on its field converters. */
+    front_end_config_t front_end;
 } rig_board_config_t;
 
 typedef struct {
@@ -51,7 +56,6 @@ typedef struct {
     uint32_t baud;                /* Of bytes sent to the boards. */
     bool host_on_can;             /* The host's adapter is on the bus: it acknowledges, and its frames are kept for rig_can_read(). */
     ambient_t ambient;
-    front_end_config_t front_end;
     const rig_board_config_t *boards; /* beacons + 1: the sensor's, then the beacons'. */
 } rig_config_t;
 
@@ -63,9 +67,9 @@ void rig_destroy(rig_t *rig);
 const board_edge_t *rig_edge(rig_t *rig, unsigned board);
 void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations, int64_t power_on_ps);
 
-/* The sensor's path from now on; coefficients are copied. Columns must be 3 * coils + 9 (all boards' coils, in order of board and channel). False if
- * they are not. */
-bool rig_set_path(rig_t *rig, const path_t *path);
+/* The path of a board's sensor from now on; coefficients are copied. Columns must be 3 * coils + 9 (all boards' coils, in order of board and channel).
+ * False if they are not, or the board has no sensor. */
+bool rig_set_path(rig_t *rig, unsigned board, const path_t *path);
 
 typedef enum {
     RIG_OK = 0,
@@ -73,7 +77,7 @@ typedef enum {
     RIG_DRIVER_TOO_FAST = 2 /* A board changed its coil driver's inputs more than COIL_CHANGES_MAX times in one quantum. */
 } rig_status_t;
 
-/* Run all quanta that end at or before until_ps. All boards must be connected and a path set. */
+/* Run all quanta that end at or before until_ps. All boards must be connected and the paths of all sensors set. */
 rig_status_t rig_run(rig_t *rig, int64_t until_ps);
 int64_t rig_now(const rig_t *rig); /* The sensor's present. */
 unsigned rig_stopped_board(const rig_t *rig);
@@ -105,8 +109,8 @@ void rig_watch_pins(rig_t *rig, bool watch);
 size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, size_t capacity);
 
 double rig_coil_current(const rig_t *rig, unsigned board, unsigned coil); /* At the present, ampere; the coil must be there. */
-/* The field at the sensor at the present, in its frame, before the front end. */
-void rig_sensor_field(const rig_t *rig, double field_T[3]);
+/* The field at a board's sensor at the present, in its frame, before the front end; the board must have one. */
+void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3]);
 
 /* ---- Faults, from the present on ---- */
 typedef enum {

@@ -1,6 +1,6 @@
 # The rig's hot loop: world, network and lock-step, one shared library.
 RIG_LIBRARY := $(BUILD)/libgf_rig.so
-RIG_SOURCES := $(wildcard hil_sim/world/*.c) hil_sim/array.c hil_sim/network.c hil_sim/serial_line.c hil_sim/lockstep.c
+RIG_SOURCES := $(wildcard hil_sim/world/*.c) $(addprefix hil_sim/,array.c network.c serial_line.c crew.c seat.c lockstep.c observer.c)
 RIG_OBJECTS := $(RIG_SOURCES:%.c=$(BUILD)/%.o)
 HOST_LIBRARIES += $(RIG_LIBRARY)
 

@@ -137,6 +137,8 @@ class Rig:
     def _create(self, host_on_can: bool, threads: int) -> Any:
         ffi, scenario = self._ffi, self.scenario
         boards = ffi.new("rig_board_config_t[]", 1 + len(scenario.beacons))
+        boards[SENSOR].senses = True
+        self._fill_front_end(boards[SENSOR].front_end)
         for board, beacon in zip(boards[1 : len(boards)], scenario.beacons, strict=True):
             board.coils = len(beacon.coils)
             for coil in board.coil[0 : board.coils]:
@@ -147,7 +149,6 @@ class Rig:
         config.can_bits_per_second, config.baud = 1_000_000, 2_000_000
         config.host_on_can, config.boards = host_on_can, boards
         self._fill_ambient(config.ambient)
-        self._fill_front_end(config.front_end)
         rig = self._library.rig_create(config)
         if rig == ffi.NULL:
             raise SystemFailure("the rig could not be made: not enough memory or threads")
@@ -215,7 +216,7 @@ class Rig:
         handed.start_ps, handed.interval_ps = round(computed.start_s * 1e12), round(computed.interval_s * 1e12)
         handed.intervals, handed.columns = coefficients.shape[:2]
         handed.coefficients = self._ffi.from_buffer("double[]", coefficients)
-        if not self._library.rig_set_path(self._rig, handed):
+        if not self._library.rig_set_path(self._rig, SENSOR, handed):
             raise SystemFailure("the rig refused the sensor's path: not enough memory")
         self._window = window
 
@@ -371,7 +372,7 @@ class Rig:
     def sensor_field_T(self) -> FloatArray:
         """Field at the sensor at the present, shape (3,), sensor's frame, before its front end."""
         field = self._ffi.new("double[3]")
-        self._library.rig_sensor_field(self._rig, field)
+        self._library.rig_sensor_field(self._rig, SENSOR, field)
         return np.array(list(field))
 
     def fault(self, board: int, kind: str, active: bool = True, coil: int = 0) -> None:

@@ -1,0 +1,55 @@
+/* sensing.h: a three-axis sensor among the coils: from currents and ambient fields to the volts at a board's converters.
+ *
+ *     field = rotation(t) * ambient(t) + sum over all coils of (field per ampere)(t) * (lagged current)(t)        sensor's frame
+ *
+ * Rotation and field per ampere come from the path (path.h), the volts from the front end (front_end.h).
+ *
+ * The boards that drive the coils may run at the same time as the one that asks. So a sensor looks at each coil no further than coils_t.head, which
+ * changes only while no board runs, and beyond that the coil's law goes on as if its inputs stayed (coil.h). The coils of the sensor's own board are
+ * seen as they are.
+ *
+ * One thread uses a sensing_t; any number of them look at the same coils_t. Time of a call: at a new time one path, one ambient field and a lagged
+ * current a coil; at the same time as before (the three axes are converted at once) nothing of that; then two normal numbers.
+ */
+#ifndef GOLDFIELD_WORLD_SENSING_H
+#define GOLDFIELD_WORLD_SENSING_H
+
+#include <stdbool.h>
+
+#include "world/ambient.h"
+#include "world/coil.h"
+#include "world/front_end.h"
+#include "world/path.h"
+
+/* All coils of a rig, in the order of the path's columns. */
+typedef struct {
+    unsigned count;
+    coil_t *coil;
+    uint64_t *head; /* Of each coil, as others may see it. */
+} coils_t;
+
+typedef struct {
+    const coils_t *coils;
+    unsigned own_first, own_count; /* The coils of the sensor's own board. */
+    const ambient_t *ambient;
+    front_end_t front_end;
+    path_t path;
+    double *coefficients; /* The path's, owned. */
+    double *values;       /* Of the path's columns: scratch. */
+    int64_t field_time_ps; /* field_T is of this time. */
+    double field_T[3];
+} sensing_t;
+
+/* coils and ambient must outlive the sensing; coils.count must have its final value. False: no memory. sensing_free() is due in both cases. */
+bool sensing_init(sensing_t *sensing, const coils_t *coils, const ambient_t *ambient, const front_end_config_t *front_end, uint64_t seed, unsigned board);
+void sensing_free(sensing_t *sensing);
+
+/* The path from now on; coefficients are copied. False, and the old path stays: wrong number of columns, an empty path, or no memory. */
+bool sensing_set_path(sensing_t *sensing, const path_t *path);
+
+/* The field in the sensor's frame, before the front end. A path must be set. */
+void sensing_field(const sensing_t *sensing, int64_t time_ps, double field_T[3]);
+/* Volts at the pin of an axis (0..2). Times of one axis must not decrease. */
+double sensing_volts(sensing_t *sensing, unsigned axis, int64_t time_ps);
+
+#endif
