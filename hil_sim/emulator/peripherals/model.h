@@ -167,7 +167,7 @@ void dma_line(chip_t *chip, dma_source_t source, bool level);
 void dma_line_pulse(chip_t *chip, dma_source_t source);
 /* tim.c */
 void tim_create(chip_t *chip);
-void tim_before_change(chip_t *chip); /* Around a change of clocks or of trigger_heard. */
+void tim_before_change(chip_t *chip); /* Around a change of clocks or of who listens to a timer. */
 void tim_after_change(chip_t *chip);
 void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
 /* adc.c */

@@ -1,4 +1,11 @@
-/* tim.h: between tim.c and the timers' tables. */
+/* tim.h: between the parts of the timers' model (RM0090 chapters 17 to 20).
+ *
+ *     tim.c            registers, interrupts, DMA requests
+ *     tim_counter.c    the counter, its updates, the next moment that somebody observes
+ *     tim_channels.c   compare and capture
+ *     tim_slave.c      TRGO: timers that trigger converters and one another
+ *     tim_registers.c  register tables and pins
+ */
 #ifndef GOLDFIELD_TIM_H
 #define GOLDFIELD_TIM_H
 
@@ -8,6 +15,18 @@ enum {
     TIM_CR1 = 0x00, TIM_CR2 = 0x04, TIM_SMCR = 0x08, TIM_DIER = 0x0C, TIM_SR = 0x10, TIM_EGR = 0x14, TIM_CCMR1 = 0x18, TIM_CCMR2 = 0x1C, TIM_CCER = 0x20,
     TIM_CNT = 0x24, TIM_PSC = 0x28, TIM_ARR = 0x2C, TIM_RCR = 0x30, TIM_CCR1 = 0x34, TIM_BDTR = 0x44, TIM_DCR = 0x48, TIM_DMAR = 0x4C, TIM_OR = 0x50
 };
+
+/* TIM_CR1 */
+#define CEN 1u
+#define UDIS 2u
+#define URS 4u
+#define OPM 8u
+#define ARPE 0x80u
+#define CCDS 8u /* TIM_CR2: compare and capture requests go out at the update. */
+/* TIM_SR */
+#define UIF 1u
+#define TIF 0x40u
+#define MOE 0x8000u /* TIM_BDTR */
 
 typedef struct {
     const char *name;
@@ -29,5 +48,76 @@ typedef struct {
 extern const tim_description_t tim_descriptions[TIM_COUNT];
 extern const tim_pin_t tim_pins[];
 extern const unsigned tim_pin_count;
+
+struct tim {
+    model_t model;
+    const tim_description_t *what;
+    const clock_domain_t *clock;
+    bool running;
+    int64_t base_tick, base_count; /* The counter has base_count at base_tick. */
+    int64_t marked;                /* Counter values up to this one have been compared since the last overflow. */
+    uint32_t prescaler, reload, compare[4], repetition; /* Active (shadow) values. */
+    bool reference[4], output[4], silent_trigger;
+    uint16_t slaves; /* Timers that listen to its TRGO: bit 0 is TIM1. */
+    machine_event_t event; /* The next moment that somebody observes. */
+    struct {
+        tim_t *timer;
+        unsigned input;
+        bool raw, level;
+        machine_event_t filter;
+    } input[4];
+    uint8_t edges[4];
+    bool update_line, channel_line, trigger_line;
+    unsigned burst_index;
+    dma_source_t burst_source;
+};
+
+static inline uint32_t tim_mode_bits(const tim_t *t, unsigned channel) { return field(t->model.value[(channel < 2 ? TIM_CCMR1 : TIM_CCMR2) / 4], 8 * (channel % 2), 8); }
+static inline bool tim_is_capture(const tim_t *t, unsigned channel) { return (tim_mode_bits(t, channel) & 3u) != 0; }
+static inline unsigned tim_enable_bits(const tim_t *t, unsigned channel) { return field(t->model.value[TIM_CCER / 4], 4 * channel, 4); }
+static inline unsigned tim_master_mode(const tim_t *t) { return field(t->model.value[TIM_CR2 / 4], 4, 3); }
+static inline unsigned tim_number(const tim_t *t) { return (unsigned)(t->what - tim_descriptions) + 1; } /* 1: TIM1 */
+static inline int64_t tim_step(const tim_t *t) { return (int64_t)t->prescaler + 1; }
+static inline bool tim_counting(const tim_t *t) { return t->running && t->reload != 0; }
+static inline int64_t tim_now_tick(const tim_t *t) { return clock_tick(t->clock, machine_now(t->model.machine)); }
+/* Counter at a tick not before the base. */
+static inline int64_t tim_position(const tim_t *t, int64_t tick)
+{
+    return tim_counting(t) && tick > t->base_tick ? t->base_count + (tick - t->base_tick) / tim_step(t) : t->base_count;
+}
+
+/* tim.c */
+void tim_interrupt(tim_t *t); /* After a change of SR or DIER. */
+/* A request, if its bit of DIER is set. */
+void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source);
+/* Of a compare or capture: now, or with CCDS at the next update. */
+bool tim_asks_at_update(const tim_t *t);
+void tim_channel_dma(tim_t *t, unsigned channel);
+
+/* tim_counter.c */
+void tim_counter_init(tim_t *t);
+void tim_advance(tim_t *t, int64_t tick); /* Catch up with everything up to and including tick. */
+void tim_plan(tim_t *t);                  /* Schedule the next tick that somebody observes. */
+void tim_start(tim_t *t, int64_t tick);
+void tim_restart_counter(tim_t *t, int64_t tick); /* An update by software or a slave's reset. */
+void tim_load(tim_t *t);                          /* Preloaded values become active. */
+void tim_rebase(tim_t *t, int64_t tick);          /* Before the counter's rule changes: its present value becomes the base, the prescaler's phase kept. */
+
+/* tim_channels.c */
+void tim_channels_init(tim_t *t);
+void tim_channels_restart(tim_t *t);
+void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps); /* OCxREF and what follows from it. */
+void tim_evaluate_reference(tim_t *t, unsigned channel, bool match, int64_t count, int64_t time_ps);
+bool tim_channel_heard(const tim_t *t, unsigned channel); /* Does a converter wait for this compare? */
+void tim_compare_match(tim_t *t, unsigned channel, int64_t tick);
+void tim_capture(tim_t *t, unsigned channel, int64_t time_ps);
+void tim_check_pins(tim_t *t);
+void tim_write_channel_mode(tim_t *t, uint32_t offset, uint32_t value);
+
+/* tim_slave.c */
+void tim_trgo(tim_t *t, bool rising, bool pulse, int64_t time_ps); /* TRGO rose or fell; a pulse does both at once. */
+bool tim_trgo_heard(const tim_t *t);
+void tim_connect_slaves(chip_t *chip); /* After a change of SMCR. */
+void tim_slave_trigger(tim_t *t, int64_t time_ps);
 
 #endif

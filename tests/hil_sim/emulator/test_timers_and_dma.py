@@ -212,6 +212,19 @@ def test_trigger_mode_starts_on_a_master(fast_chip: Bench) -> None:
     assert 410 <= chip.read(TIM3 + CNT) <= 420
 
 
+def test_a_slave_may_be_connected_while_its_master_runs(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.write(TIM2 + ARR, 839)
+    chip.write(TIM2 + CR2, 2 << 4)
+    chip.write(TIM2 + CR1, 1)
+    chip.run(25 * MICROSECOND)
+    chip.write(TIM3 + ARR, 0xFFFF)
+    chip.write(TIM3 + SMCR, 4 | 1 << 4)
+    chip.write(TIM3 + CR1, 1)
+    chip.run(8 * MICROSECOND)
+    assert 240 <= chip.read(TIM3 + CNT) <= 260, "reset at 30 us"
+
+
 @pytest.mark.parametrize(
     ("slave", "trigger_input", "irq", "controller", "n", "channel"),
     [(0x40010400, 1, 45, DMA2, 7, 7), (TIM3, 1, 29, DMA1, 4, 5)],
