@@ -335,7 +335,11 @@ class Rig:
         return np.array(list(times)[:count], dtype=np.float64) * 1e-12
 
     def truth(self) -> list[Truth]:
-        """Take the truth of the cycles that ended since the last call; cycle 0 starts at the sync wire's first edge."""
+        """Take the truth of the cycles that ended since the last call; cycle 0 starts at the sync wire's first edge.
+
+        The wire marks each cycle of degree 10 or 11, each second one of degree 9, ... each 32nd of degree 5 (sync.h).
+        """
+        cycles = 1 << max(0, 10 - self.scenario.degree)
         times = self._ffi.new("int64_t[]", 1024)
         result: list[Truth] = []
         while True:
@@ -344,7 +348,9 @@ class Rig:
             if available < 2:
                 return result
             for first, second in pairwise(times[0:available]):
-                result.append(self._truth_at(self._truth_edges, 0.5e-12 * (first + second)))
+                for part in range(cycles):
+                    middle_ps = first + (second - first) * (part + 0.5) / cycles
+                    result.append(self._truth_at(self._truth_edges * cycles + part, 1e-12 * middle_ps))
                 self._truth_edges += 1
 
     def _truth_at(self, cycle: int, time_s: float) -> Truth:

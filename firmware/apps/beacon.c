@@ -233,6 +233,7 @@ void beacon_step(beacon_t *beacon) {
     }
     if (node->sync_received) {
         node->sync_received = false;
-        sync_number(&beacon->clock, &beacon->format, node->sync_cycle, (uint32_t)hal_microseconds(beacon->hal) - beacon->edge_us);
+        const uint32_t age_us = (uint32_t)hal_microseconds(beacon->hal) - beacon->edge_us;
+        node->counters[NODE_OTHER_DEGREE] += !sync_number(&beacon->clock, &beacon->format, node->sync_chips, node->sync_cycle, age_us);
     }
 }

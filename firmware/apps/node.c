@@ -18,9 +18,15 @@ void node_send(node_t *node, node_links_t links, uint32_t message, uint32_t inde
     if (links & NODE_SERIAL) {
         (void)queue_push(&node->serial, &frame); /* The queue counts what it refuses. */
     }
-    if (links & NODE_CAN) {
+    if ((links & NODE_CAN) && (!node->can_dead || queue_count(&node->can) == 0)) {
         (void)queue_push(&node->can, &frame);
     }
+}
+
+node_links_t node_room(const node_t *node, uint32_t messages) {
+    const bool serial = queue_count(&node->serial) + messages <= NODE_QUEUE_MESSAGES;
+    const bool can = node->can_dead || queue_count(&node->can) + messages <= NODE_QUEUE_MESSAGES;
+    return (serial ? NODE_SERIAL : NODE_NO_LINK) | (can ? NODE_CAN : NODE_NO_LINK);
 }
 
 bool node_serial_write(node_t *node, const frame_t *frame) {
@@ -50,11 +56,13 @@ static void drain_can(node_t *node, uint64_t now_us) {
         if (taken) {
             queue_drop(&node->can);
             node->can_us = now_us;
+            node->can_dead = false;
         }
     }
     if (taken) {
         node->can_us = now_us;
     } else if (now_us - node->can_us > NODE_CAN_GIVE_UP_US) {
+        node->can_dead = true;
         while (queue_front(&node->can)) {
             queue_drop(&node->can);
         }
@@ -155,6 +163,7 @@ static void receive(node_t *node, node_links_t link, const frame_t *frame) {
         if (goldfield_sync_unpack(&sync, frame->data, frame->length) >= 0) {
             node->sync_received = true;
             node->sync_cycle = sync.cycle;
+            node->sync_chips = sync.chips;
         }
     } else if (message == GOLDFIELD_PARAM_SET_FRAME_ID && for_me) {
         set_parameter(node, link, index, frame);

@@ -18,6 +18,9 @@ static const acquire_config_t acquire_config = {
 #define PART_STRIDE 1026u
 #define PART_PLAIN 1025u
 
+/* EPOCH, EPOCH_STATUS, EPOCH_OFFSET. */
+#define REPORT_HEAD 3u
+
 /* ---- Interrupts ---- */
 
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
@@ -140,7 +143,7 @@ static void apply_parameters(sensor_t *sensor) {
     sensor->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
 }
 
-static void send_header(sensor_t *sensor, const epoch_sums_t *cycle) {
+static void send_header(sensor_t *sensor, node_links_t links, const epoch_sums_t *cycle) {
     node_t *node = &sensor->node;
     uint8_t data[8];
     const struct goldfield_epoch_t header = {
@@ -148,7 +151,7 @@ static void send_header(sensor_t *sensor, const epoch_sums_t *cycle) {
         .time = sensor->middle_ticks / (HAL_TICKS_PER_SECOND / 1000000u),
     };
     uint8_t length = (uint8_t)goldfield_epoch_pack(data, &header, sizeof data);
-    node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_FRAME_ID, 0, data, length);
+    node_send(node, links, GOLDFIELD_EPOCH_FRAME_ID, 0, data, length);
 
     const struct goldfield_epoch_status_t status = {
         .cycle_low = cycle->cycle & 0xFu,
@@ -160,13 +163,13 @@ static void send_header(sensor_t *sensor, const epoch_sums_t *cycle) {
         .temperature = (int16_t)node_clamp(hal_temperature(sensor->hal), 2047),
     };
     length = (uint8_t)goldfield_epoch_status_pack(data, &status, sizeof data);
-    node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_STATUS_FRAME_ID, 0, data, length);
+    node_send(node, links, GOLDFIELD_EPOCH_STATUS_FRAME_ID, 0, data, length);
 }
 
-static void report(sensor_t *sensor, const epoch_sums_t *cycle) {
+static void report(sensor_t *sensor, node_links_t links, const epoch_sums_t *cycle) {
     node_t *node = &sensor->node;
     uint8_t data[8];
-    send_header(sensor, cycle);
+    send_header(sensor, links, cycle);
 
     float mean[HAL_AXES];
     epoch_offset(cycle, &sensor->calibration, mean);
@@ -177,7 +180,7 @@ static void report(sensor_t *sensor, const epoch_sums_t *cycle) {
         .cycle_low = cycle->cycle & 0xFu,
     };
     uint8_t length = (uint8_t)goldfield_epoch_offset_pack(data, &offset, sizeof data);
-    node_send(node, NODE_BOTH, GOLDFIELD_EPOCH_OFFSET_FRAME_ID, 0, data, length);
+    node_send(node, links, GOLDFIELD_EPOCH_OFFSET_FRAME_ID, 0, data, length);
 
     for (uint32_t i = 0; i < sensor->selection.count; i++) {
         float vector[HAL_AXES];
@@ -189,12 +192,12 @@ static void report(sensor_t *sensor, const epoch_sums_t *cycle) {
             .cycle_low = cycle->cycle & 0xFu,
         };
         length = (uint8_t)goldfield_field_pack(data, &field, sizeof data);
-        node_send(node, NODE_BOTH, GOLDFIELD_FIELD_FRAME_ID, sensor->selection.codes[i].code, data, length);
+        node_send(node, links, GOLDFIELD_FIELD_FRAME_ID, sensor->selection.codes[i].code, data, length);
     }
     onboard_take(&sensor->onboard, cycle, &sensor->calibration, &sensor->selection);
 }
 
-static void send_part(sensor_t *sensor, const epoch_sums_t *part, uint32_t code, const float vector[HAL_AXES]) {
+static void send_part(sensor_t *sensor, node_links_t links, const epoch_sums_t *part, uint32_t code, const float vector[HAL_AXES]) {
     uint8_t data[8];
     const struct goldfield_part_t message = {
         .x = epoch_integer(vector[0], 1e-10f),
@@ -203,17 +206,17 @@ static void send_part(sensor_t *sensor, const epoch_sums_t *part, uint32_t code,
         .cycle_low = part->cycle & 0xFu,
     };
     const uint8_t length = (uint8_t)goldfield_part_pack(data, &message, sizeof data);
-    node_send(&sensor->node, NODE_BOTH, GOLDFIELD_PART_FRAME_ID, part->third * PART_STRIDE + code, data, length);
+    node_send(&sensor->node, links, GOLDFIELD_PART_FRAME_ID, part->third * PART_STRIDE + code, data, length);
 }
 
-static void report_third(sensor_t *sensor, const epoch_sums_t *part) {
+static void report_third(sensor_t *sensor, node_links_t links, const epoch_sums_t *part) {
     float vector[HAL_AXES];
     for (uint32_t i = 0; i < sensor->selection.count; i++) {
         epoch_field(part, &sensor->calibration, &sensor->selection, i, vector);
-        send_part(sensor, part, sensor->selection.codes[i].code, vector);
+        send_part(sensor, links, part, sensor->selection.codes[i].code, vector);
     }
     epoch_offset(part, &sensor->calibration, vector);
-    send_part(sensor, part, PART_PLAIN, vector);
+    send_part(sensor, links, part, PART_PLAIN, vector);
 }
 
 static node_state_t state(const sensor_t *sensor) {
@@ -249,17 +252,19 @@ void sensor_step(sensor_t *sensor) {
     epoch_t *epoch = epoch_ready(&sensor->collector);
     if (epoch) {
         epoch_read(epoch, &sensor->selection, &sensor->part);
+        const node_links_t links = node_room(node, REPORT_HEAD + sensor->selection.count); /* Whole reports or none. */
         if (sensor->part.third != EPOCH_WHOLE) {
-            report_third(sensor, &sensor->part);
+            report_third(sensor, links, &sensor->part);
         }
         if (epoch_add(&sensor->cycle, &sensor->part, sensor->selection.count)) {
-            report(sensor, &sensor->cycle);
+            report(sensor, links, &sensor->cycle);
+            sensor->unsent += links != NODE_BOTH;
         }
         epoch_release(&sensor->collector);
     }
     node->state = state(sensor);
     node->counters[NODE_SYNC_REJECTED] = sensor->clock.edges_rejected;
-    node->counters[NODE_EPOCHS_DROPPED] = sensor->collector.dropped;
+    node->counters[NODE_EPOCHS_DROPPED] = sensor->collector.dropped + sensor->unsent;
     node->stream_lost = sensor->stream.lost;
     node_step(node);
     drain_stream(sensor);
@@ -273,6 +278,7 @@ void sensor_step(sensor_t *sensor) {
     }
     if (node->sync_received) {
         node->sync_received = false;
-        sync_number(&sensor->clock, &sensor->format, node->sync_cycle, (uint32_t)hal_microseconds(sensor->hal) - sensor->edge_us);
+        const uint32_t age_us = (uint32_t)hal_microseconds(sensor->hal) - sensor->edge_us;
+        node->counters[NODE_OTHER_DEGREE] += !sync_number(&sensor->clock, &sensor->format, node->sync_chips, node->sync_cycle, age_us);
     }
 }

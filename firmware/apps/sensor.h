@@ -11,7 +11,8 @@
  *   If it is to, the sensor then computes its own pose and sends it (onboard.h).
  *
  * States: starting (no block yet), syncing, running (locked), clock_fallback. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip
- * clock cut short, and one that main was too late for, is dropped and counted (counter 13).
+ * clock cut short, and one that main was too late for, is dropped and counted (counter 13). Also counted is one whose report found no room in the queue of a link, which then
+ * carries nothing of it: a report comes whole or not at all.
  *
  * Numbers and times. Cycles count from 0 at start, until SYNC tells the number of the cycle that the latest edge of the sync wire began. EPOCH.time is the middle of the
  * cycle in microseconds of the sensor's own chip clock since its start; exact to 1 us.
@@ -20,6 +21,9 @@
  * as lost messages (counter 4).
  *
  * Cycles. The degree of the codes is a parameter, read once at start. Field synchronisation and thirds are for degree 10: with another, sync_source 1 counts as 0 and parts 3 as 1.
+ * Short cycles leave little time. A report of n codes is n + 3 messages. On CAN (at most 160 us each) a cycle of degree 5 has room for 15 codes, of degree 6 for 35, of the others
+ * for all 64; on serial (80 us) of degree 5 for 34, which is more than 31 chips tell apart. Poses (parameter pose) take up to 12 ms with no prior, 1.2 ms from the
+ * pose before: cycles that end meanwhile are dropped.
  *
  * Memory: about 73 kB, and acquire.h. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 1,800 instructions, samples of a block
  * 18,000 (with sync_source 1 30,000), with degree 10 a report of 8 codes 66,000, main with nothing to do 150.
@@ -52,6 +56,7 @@ typedef struct {
     epoch_selection_t selection;
     onboard_t onboard;
     acquire_t *acquire;
+    uint32_t unsent;               /* Cycles for whose report a link had no room. */
     volatile bool by_field;        /* The chip clock follows the field: acquire is the interrupts'. */
     volatile bool streaming;
     volatile bool sampled;         /* A block has been taken. */

@@ -21,10 +21,17 @@ void sync_clock_init(chip_clock_t *clock, const sync_format_t *format, bool foll
     (void)chip_clock_init(clock, &config); /* All formats lie in its ranges. */
 }
 
-void sync_number(chip_clock_t *clock, const sync_format_t *format, uint32_t cycle, uint32_t age_us) {
+bool sync_number(chip_clock_t *clock, const sync_format_t *format, uint32_t chips, uint32_t cycle, uint32_t age_us) {
+    if (chips != format->chips) {
+        if (clock->config.follow) {
+            chip_clock_forget(clock);
+        }
+        return false;
+    }
     if (clock->tracking && clock->config.follow && age_us < SYNC_FRESH_US) {
         chip_clock_number_cycle(clock, cycle / format->cycles);
     }
+    return true;
 }
 
 int32_t sync_phase(int32_t ticks) {

@@ -37,10 +37,11 @@ static inline uint32_t sync_cycle(const sync_format_t *format, const chip_clock_
 
 static inline uint16_t sync_chip(const sync_format_t *format, const chip_clock_chip_t *chip) { return chip->code_chip % format->chips; }
 
-/* A SYNC message with a 20-bit cycle number came, age_us after the latest edge of the sync wire. It is taken if the clock knows the master's edges (from the
+/* A SYNC message of chips a cycle, with a 20-bit cycle number, came age_us after the latest edge of the sync wire. It is taken if the clock knows the master's edges (from the
  * second edge on, before it is locked) and the edge is younger than SYNC_FRESH_US: an older one means that the wire is silent and the number belongs to an
- * edge that was not seen. */
-void sync_number(chip_clock_t *clock, const sync_format_t *format, uint32_t cycle, uint32_t age_us);
+ * edge that was not seen.
+ * False: the master's cycle has another length. The clock then forgets the wire: as long as such messages come it never locks. */
+bool sync_number(chip_clock_t *clock, const sync_format_t *format, uint32_t chips, uint32_t cycle, uint32_t age_us);
 
 /* Ticks in units of 10 ns, rounded toward zero. */
 int32_t sync_phase(int32_t ticks);

@@ -50,6 +50,7 @@ COUNTERS = (
     "over-current",
     "open coil",
     "epochs dropped",
+    "SYNC of a master with another degree",
 )
 """What a node's counters count, by index (framing.md)."""
 
