@@ -87,6 +87,14 @@ class SiteAccess:
         count = len(whole) // LAGS
         return np.asarray(whole.reshape(count, LAGS, count, LAGS).sum(axis=(1, 3)))
 
+    @property
+    def weights(self) -> FloatArray:
+        """Of the samples of a complete cycle in the fields, shape (n, N); mains at their nominal frequency."""
+        whole = self._quiet_mains.weights[: self._templates.shape[1]]
+        if not self._unknown_rise:
+            return whole
+        return np.asarray(whole.reshape(-1, LAGS, whole.shape[1]).sum(axis=1))
+
     def from_samples(self, samples_T: FloatArray) -> Separation:
         """Separate one cycle of samples, shape (N, 3), one row a chip; NaN where a sample is missing."""
         return self.cycle(samples_T).separation

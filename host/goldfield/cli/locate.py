@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,9 +14,13 @@ from goldfield.cli import options
 from goldfield.cli.fields_file import COLUMNS, SIGMA_COLUMN
 from goldfield.cli.output import json_line, pose_record
 from goldfield.cli.tracking import add_track, locating
-from goldfield.poses import Fields
+from goldfield.errors import UserError
+from goldfield.poses import Fields, Pose
 from goldfield.site import Site
 from goldfield.tables import Row, read_groups
+
+if TYPE_CHECKING:
+    from goldfield.track import CycleData
 
 
 def command(subparsers: Any) -> None:
@@ -30,6 +34,12 @@ def command(subparsers: Any) -> None:
     parser.add_argument("fields", metavar="FIELDS.csv", help="table of fields")
     options.add_site(parser)
     add_track(parser)
+    options.add(
+        parser,
+        "--own-body",
+        metavar="BODY.toml",
+        what="conductors that move with the sensor, whose eddy currents and magnetisation are taken off",
+    )
     options.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -40,11 +50,29 @@ def run(arguments: argparse.Namespace) -> int:
 
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
     table = PoseTable()
-    locate = locating(site, arguments.track)
+    locate = _beside(site, arguments) if arguments.own_body else locating(site, arguments.track)
     for fields in read_fields(site, arguments.fields):
         pose = locate(fields, None)
         print(json_line(pose_record(pose)) if arguments.json else table.line(pose))
     return 0
+
+
+def _beside(site: Site, arguments: argparse.Namespace) -> Callable[[Fields, CycleData | None], Pose]:
+    """Return what locates each epoch beside the conductors of a file."""
+    from goldfield import body_file
+    from goldfield.locate import Locator
+    from goldfield.locate.own_body import OwnBody, locate_beside
+    from goldfield.pose_of import guarded
+
+    if arguments.track:
+        raise UserError("--own-body and --track are both given: the tracker knows nothing of a body; leave one out")
+    conductors = body_file.load(arguments.own_body)
+    try:
+        body = OwnBody(site, conductors)
+    except UserError as error:
+        raise UserError(f"{arguments.own_body}: {error}") from error
+    locator = Locator(site)
+    return lambda fields, _: guarded(lambda epoch: locate_beside(locator, body, epoch), fields)
 
 
 def read_fields(site: Site, path: str) -> Iterator[Fields]:

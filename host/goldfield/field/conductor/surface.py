@@ -5,14 +5,17 @@ Solid angle: van Oosterom & Strackee 1983; linear double layer: de Munck 1992; u
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from goldfield.field.conductor.body import Body
 from goldfield.poses import FloatArray
 
 
+@lru_cache(maxsize=1)
 def layer_matrices(body: Body) -> tuple[FloatArray, FloatArray]:
-    """Potentials at the surface's corners.
+    """Potentials at the surface's corners; the last body's are kept, for its responses at several frequencies.
 
     Returns
     -------
