@@ -1,6 +1,6 @@
 /* machine.h: what the processor side offers to the peripheral models, and what a model looks like.
  *
- * A model is one file named after the peripheral. It is written from the vendor's register description (RM0090, the SVD), never from the driver.
+ * A model is a file named after the peripheral, or a few whose names begin with it and a header that tells them apart. It is written from the vendor's register description (RM0090, the SVD), never from the driver.
  * It holds its state in its own struct, allocated by its create function; no globals.
  *
  * Strictness. What the reference manual forbids or leaves undefined is a violation: access to a peripheral whose clock is off in RCC, a reserved bit

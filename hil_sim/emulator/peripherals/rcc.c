@@ -24,6 +24,7 @@ enum { CR = 0x00, PLLCFGR = 0x04, CFGR = 0x08, CIR = 0x0C, AHB1RSTR = 0x10, APB2
 #define PLLRDY (1u << 25)
 #define PLLI2SON (1u << 26)
 #define PLLI2SRDY (1u << 27)
+#define CCMDATARAMEN (1u << 20) /* AHB1ENR */
 
 static const register_layout_t registers[] = {
     {"CR", CR, 0x00000083, 0x0F0FFFFB, ACCESS_RW},
@@ -267,6 +268,9 @@ static void write_enable(rcc_t *rcc, uint32_t offset, uint32_t value)
     const double cycles = offset < 0x40 ? 2 : 1 + chip->hclk.hz / bus->hz;
     const int64_t settled = machine_now(chip->machine) + (int64_t)(cycles * chip->hclk.period_ps);
     rcc->model.value[offset / 4] = value;
+    if (offset == AHB1ENR && (value & CCMDATARAMEN) == 0) {
+        model_missing(&rcc->model, "the core-coupled memory's clock switched off (CCMDATARAMEN 0)");
+    }
     for (unsigned i = 0; i < GATES; i++) {
         if (gates[i].enable == offset && rcc->gated[i] != NULL) {
             model_clock(rcc->gated[i], (value >> gates[i].bit & 1u) != 0, settled);

@@ -39,6 +39,12 @@ def test_masked_interrupt_wakes(image: Path) -> None:
         assert oracle.run_on_emulator(board) == [0, 1, 1]
 
 
+def test_core_coupled_memory_holds_data(image: Path) -> None:
+    with oracle.load(image, strict=True, argument=14) as board:
+        assert oracle.run_on_emulator(board) == [0x11223344, 0xA5000000, 8]
+        assert board.memory(0x10000000, 4) == bytes((0x44, 0x33, 0x22, 0x11))
+
+
 def test_counters_count_instructions(image: Path) -> None:
     """Six instructions from read to read; 3002 of the loop, its argument, the call and the second read."""
     with oracle.load(image, argument=3) as board:
@@ -98,6 +104,8 @@ def test_probe_limits(image: Path) -> None:
         (8, "instruction fetch from 0x20020000"),
         (9, "undefined instruction"),
         (10, "unaligned"),
+        (15, "write to unmapped address 0x10010000"),
+        (16, "instruction fetch from 0x10000000"),
     ],
 )
 def test_strict_board_stops_and_says_why(image: Path, argument: int, sentence: str) -> None:

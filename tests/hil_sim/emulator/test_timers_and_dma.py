@@ -385,6 +385,31 @@ def test_illegal_streams(
     assert chip.read(controller + 0x28) & 1 == 0
 
 
+@pytest.mark.parametrize(
+    ("control", "peripheral", "memory", "fifo"),
+    [
+        (TO_PERIPHERAL, TIM1 + CCR1, CCM, 0x21),
+        (TO_MEMORY, TIM1 + CNT, CCM + 0xFFF0, 0x21),
+        (TO_PERIPHERAL, CCM + 0x100, SRAM, 0x21),
+        (MEMORY_TO_MEMORY | PINC, SRAM, CCM, 0x27),
+        (MEMORY_TO_MEMORY | PINC, CCM, SRAM, 0x27),
+    ],
+)
+def test_core_coupled_memory_is_out_of_reach(
+    fast_chip: Bench, control: int, peripheral: int, memory: int, fifo: int
+) -> None:
+    """RM0090 2.3.1: only the core's data bus reaches it. A transfer error: TEIF with its interrupt, EN falls."""
+    chip = fast_chip
+    stream(chip, DMA2, 5, 6 << 25 | WORDS | MINC | 1 << 2 | control, 4, peripheral, memory, fifo=fifo)
+    if control in (TO_PERIPHERAL, TO_MEMORY):
+        chip.lib.dma_request_pulse(chip.machine, b"TIM1_UP")
+    chip.run(MICROSECOND)
+    assert flags(chip, DMA2, 5) & 8
+    assert chip.irq(68)
+    assert chip.read(DMA2 + 0x88) & 1 == 0
+    chip.expect("bus error")
+
+
 def test_protected_registers_and_stale_flags(fast_chip: Bench) -> None:
     chip = fast_chip
     stream(chip, DMA1, 1, 7 << 25 | HALVES, 4, TIM3 + CNT, SRAM)

@@ -69,6 +69,16 @@ static void working(void) /* For slices: interrupts, IT blocks and sleep in a mi
     }
 }
 
+static void core_coupled(void) /* Both ends of the 64 KB at 0x10000000: words, bytes, a pair of words. */
+{
+    REGISTER(0x10000000u) = 0x11223344u;
+    *(volatile uint8_t *)0x1000FFFFu = 0xA5;
+    __asm volatile("strd %0, %1, [%2]" ::"r"(7), "r"(8), "r"(0x10008000u) : "memory");
+    note(REGISTER(0x10000000u));
+    note(REGISTER(0x1000FFFCu));
+    note(REGISTER(0x10008004u));
+}
+
 int main(void)
 {
     switch (ARGUMENT) {
@@ -85,6 +95,9 @@ int main(void)
     case 11: AIRCR = 0x05FA0004u; break; /* Reset, for ever. */
     case 12: __asm volatile("wfe\n wfe"); break;
     case 13: __asm volatile("mov sp, %0\n udf #0" ::"r"(0x08000000u)); break;
+    case 14: core_coupled(); break;
+    case 15: REGISTER(0x10010000u) = 1; break; /* Behind its end. */
+    case 16: ((void (*)(void))0x10000001u)(); break; /* Not on the instruction bus. */
     default: break;
     }
     return 0;
