@@ -124,7 +124,9 @@ class Rig:
             self._make = make
             self._connect()
             self._enter_window(0)
-            self.fault(SENSOR, "sync_wire_cut", not scenario.sensor.sync_wire)
+            for board in range(len(self._boards)):
+                if scenario.sync != "wire" or (board == SENSOR and not scenario.sensor.sync_wire):
+                    self.fault(board, "sync_wire_cut")
         except FileNotFoundError as error:
             self.close()
             raise UserError(str(error)) from error

@@ -226,7 +226,10 @@ class HalfSpace:
 
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """A whole scenario; board 0 is the sensor, board i the i-th beacon."""
+    """A whole scenario; board 0 is the sensor, board i the i-th beacon.
+
+    ``sync`` is where the boards have their time from, ``wire`` or ``can``; with ``can`` there is no sync wire.
+    """
 
     name: str
     seed: int
@@ -238,6 +241,7 @@ class Scenario:
     beacons: tuple[Beacon, ...]
     slots: int = 0
     degree: int = DEGREE
+    sync: str = "wire"
 
     @property
     def chips(self) -> int:
@@ -252,6 +256,8 @@ class Scenario:
     def parameter_page(self, board: int) -> bytes:
         """Build a board's parameter page (``framing.md``)."""
         own = self._sensor_parameters() if board == 0 else _beacon_parameters(self.beacons[board - 1], self.slots)
+        if board > 0 and self.sync == "can":
+            own = {**own, "sync_source": 2}
         return build_page(own if self.degree == DEGREE else {**own, "degree": self.degree})
 
     def _sensor_parameters(self) -> Mapping[str, Value]:
@@ -267,7 +273,7 @@ class Scenario:
         return (surroundings if self.sensor.pose else {}) | {
             "node": self.sensor.node,
             "stream": self.sensor.stream,
-            "sync_source": 0 if self.sensor.sync_wire else 1,
+            "sync_source": 1 if not self.sensor.sync_wire else 2 if self.sync == "can" else 0,
             "code_count": len(codes),
             "code_list": codes,
             "zero_x": float(zero[0]),
@@ -413,9 +419,13 @@ def load(path: str | Path) -> Scenario:
         raise UserError(f"{path}: is no valid TOML: {error}") from error
     root = Table(document, path=path, lines=lines)
     root.allow(
-        *("name", "seed", "degree", "power_on_spread_s", "slots", "half_space", "ambient", "sensor", "motion", "coil"),
+        *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
+        "coil",
         "beacon",
     )
+    sync = root.text("sync") if "sync" in root else "wire"
+    if sync not in ("wire", "can"):
+        raise root.error("sync", f'is "{sync}"; it must be "wire" or "can"')
     defaults = root.table("coil") if "coil" in root else Table({}, path=path, lines=lines)
     defaults.allow(*COIL_KEYS)
     seed = root.integer("seed")
@@ -436,6 +446,7 @@ def load(path: str | Path) -> Scenario:
         beacons=tuple(_beacon(table, defaults, plan) for table in root.tables("beacon")),
         slots=_between(root, "slots", 1, plan.chips) if "slots" in root else 0,
         degree=degree,
+        sync=sync,
     )
     _check_boards(root, scenario)
     return scenario

@@ -21,6 +21,7 @@ static bool faulty(const beacon_t *beacon) {
 
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     beacon_t *beacon = context;
+    sync_link_serve(&beacon->link, &beacon->clock, &beacon->format, beacon->hal);
     if (beacon->sync_blocks > 0u) {
         beacon->sync_blocks--;
         beacon->sync_due |= beacon->sync_blocks == 0u;
@@ -83,7 +84,11 @@ static void on_fault(void *context) {
 
 static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
     beacon_t *beacon = context;
-    chip_clock_edge(&beacon->clock, chip, ticks);
+    if (beacon->link.follows) {
+        chip_clock_compare(&beacon->clock, chip, ticks);
+    } else {
+        chip_clock_edge(&beacon->clock, chip, ticks);
+    }
     beacon->edge_us = (uint32_t)hal_microseconds(beacon->hal);
 }
 
@@ -198,6 +203,9 @@ void beacon_start(beacon_t *beacon, hal_t *hal) {
     beacon->master = parameters_unsigned(&beacon->node.parameters, PARAMETER_SYNC_MASTER) == 1;
     beacon->format = sync_format(parameters_unsigned(&beacon->node.parameters, PARAMETER_DEGREE));
     sync_clock_init(&beacon->clock, &beacon->format, !beacon->master);
+    if (parameters_unsigned(&beacon->node.parameters, PARAMETER_SYNC_SOURCE) == SYNC_BY_CAN && !beacon->master) {
+        sync_link_follow(&beacon->link, &beacon->clock, true);
+    }
     apply_settings(beacon);
     const hal_events_t events = {
         .context = beacon,
@@ -215,6 +223,7 @@ void beacon_step(beacon_t *beacon) {
         beacon->sync_due = false;
         send_sync(beacon);
     }
+    sync_link_answer(&beacon->link, node);
     if (beacon->cycles_reported != beacon->cycles) {
         beacon->cycles_reported = beacon->cycles;
         send_status(beacon);
@@ -234,6 +243,6 @@ void beacon_step(beacon_t *beacon) {
     if (node->sync_received) {
         node->sync_received = false;
         const uint32_t age_us = (uint32_t)hal_microseconds(beacon->hal) - beacon->edge_us;
-        node->counters[NODE_OTHER_DEGREE] += !sync_number(&beacon->clock, &beacon->format, node->sync_chips, node->sync_cycle, age_us);
+        node->counters[NODE_OTHER_DEGREE] += !sync_number(&beacon->clock, &beacon->format, &beacon->link, node->sync_chips, node->sync_cycle, age_us);
     }
 }

@@ -5,7 +5,7 @@
  *   plan (once a block): lengths of the next 31 chips from chip_clock, bridge polarity from the waveform, sync wire if master.
  *   current (once a driven chip): current_sample; over-current and open coil switch the bridge off within that chip; set-point of the driver.
  *   fault (driver's fault input): bridge off.       sync: the edge to chip_clock.
- *   main: node; SYNC if master and DRIVE_STATUS, once a sync period (sync.h: a cycle, or about 0.1 s of shorter ones); parameters.
+ *   main: node; SYNC (and FOLLOW_UP) if master and DRIVE_STATUS, once a sync period (sync.h: a cycle, or about 0.1 s of shorter ones); parameters.
  *
  * States (HEARTBEAT.state)
  *   starting     until the first cycle is planned.
@@ -18,7 +18,8 @@
  *
  * The master (parameter sync_master) runs free from cycle 0; the sync wire is high for the first chip of a sync period; SYNC with the cycle's number leaves on both links after
  * the edge, at most two blocks (6.06 ms) later; with degree 10 at the next turn of the main loop, much less when main is idle. sync_master and degree are read once, at start.
- * The other beacons take the cycle's number from SYNC.
+ * The other beacons take the cycle's number from SYNC. With sync_source 2 they follow SYNC and FOLLOW_UP on CAN instead of the wire (sync.h), read once, at start; a wire that is there
+ * all the same is then only compared: DRIVE_STATUS.phase.
  *
  * A pulse is driven, and its current measured, only in its slot: the soft start then takes 1023 driven chips, that is as many cycles as there are slots.
  *
@@ -75,6 +76,7 @@ typedef struct {
     volatile bool sync_due;        /* They have. */
     volatile uint32_t sync_cycle;
     volatile uint32_t edge_us;     /* When the latest edge of the sync wire came; one word, so that it is never torn. */
+    sync_link_t link;
 } beacon_t;
 
 /* Hello, parameters, code, chip engine. *beacon and *hal must live for ever. About 83,000 instructions. */

@@ -26,6 +26,7 @@ static const acquire_config_t acquire_config = {
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     sensor_t *sensor = context;
     (void)block; /* The chip clock counts along. */
+    sync_link_serve(&sensor->link, &sensor->clock, &sensor->format, sensor->hal);
     if (sensor->by_field) {
         acquire_plan(sensor->acquire, &sensor->clock);
     }
@@ -94,7 +95,7 @@ static void on_samples(void *context, uint32_t block, const hal_samples_t *sampl
 
 static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
     sensor_t *sensor = context;
-    if (sensor->by_field) {
+    if (sensor->by_field || sensor->link.follows) {
         chip_clock_compare(&sensor->clock, chip, ticks);
     } else {
         chip_clock_edge(&sensor->clock, chip, ticks);
@@ -104,10 +105,11 @@ static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
 
 /* ---- Main ---- */
 
-static void apply_sync_source(sensor_t *sensor, bool by_field, const uint16_t *codes, uint32_t count) {
-    if (by_field != sensor->by_field) {
+static void apply_sync_source(sensor_t *sensor, uint32_t source, const uint16_t *codes, uint32_t count) {
+    const bool by_field = source == SYNC_BY_FIELD, by_can = source == SYNC_BY_CAN;
+    if (by_field != sensor->by_field || by_can != sensor->link.follows) {
         sensor->by_field = false; /* First: the interrupts keep their hands off. */
-        chip_clock_forget(&sensor->clock);
+        sync_link_follow(&sensor->link, &sensor->clock, by_can);
         acquire_init(sensor->acquire, &acquire_config);
     }
     if (by_field) {
@@ -137,7 +139,8 @@ static void apply_parameters(sensor_t *sensor) {
     }
     onboard_configure(&sensor->onboard, parameters, sensor->format.chips, &sensor->selection);
     const bool degree_10 = sensor->format.degree == 10u;
-    apply_sync_source(sensor, degree_10 && parameters_unsigned(parameters, PARAMETER_SYNC_SOURCE) == 1, codes, count);
+    const uint32_t source = parameters_unsigned(parameters, PARAMETER_SYNC_SOURCE);
+    apply_sync_source(sensor, source == SYNC_BY_FIELD && !degree_10 ? SYNC_BY_WIRE : source, codes, count);
     sensor->collector.thirds = degree_10 && parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
     sensor->stream_id = node_identifier(&sensor->node, GOLDFIELD_CHIP_FRAME_ID, 0);
     sensor->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
@@ -279,6 +282,6 @@ void sensor_step(sensor_t *sensor) {
     if (node->sync_received) {
         node->sync_received = false;
         const uint32_t age_us = (uint32_t)hal_microseconds(sensor->hal) - sensor->edge_us;
-        node->counters[NODE_OTHER_DEGREE] += !sync_number(&sensor->clock, &sensor->format, node->sync_chips, node->sync_cycle, age_us);
+        node->counters[NODE_OTHER_DEGREE] += !sync_number(&sensor->clock, &sensor->format, &sensor->link, node->sync_chips, node->sync_cycle, age_us);
     }
 }

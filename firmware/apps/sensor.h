@@ -6,6 +6,7 @@
  *   sync: the edge to chip_clock.
  *   With sync_source 1 (the field) acquire.h rules the chip clock instead of the wire: plan and samples serve it, main does its work piece by piece, samples are without
  *   the last conversion, and own chips run 3.12 us behind the beacons'. A wire that is there all the same is only compared: EPOCH_STATUS.phase.
+ *   With sync_source 2 it follows SYNC and FOLLOW_UP on CAN (sync.h); a wire is only compared, likewise.
  *   main: node; a complete cycle is transformed (epoch_read) while the next is collected, and reported on both links: EPOCH, EPOCH_STATUS,
  *   EPOCH_OFFSET, one FIELD for each code of the list. With parts 3 each third of a cycle is, with its PARTs, before that.
  *   If it is to, the sensor then computes its own pose and sends it (onboard.h).
@@ -57,6 +58,7 @@ typedef struct {
     onboard_t onboard;
     acquire_t *acquire;
     uint32_t unsent;               /* Cycles for whose report a link had no room. */
+    sync_link_t link;
     volatile bool by_field;        /* The chip clock follows the field: acquire is the interrupts'. */
     volatile bool streaming;
     volatile bool sampled;         /* A block has been taken. */

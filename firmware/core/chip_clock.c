@@ -1,7 +1,10 @@
 #include "chip_clock.h"
 
 #define FRACTION_BITS 32
-#define GATE ((int64_t)CHIP_CLOCK_GATE_TICKS << FRACTION_BITS)
+#define MESSAGE_TICKS_MAX (1 << 26) /* 0.4 s: products with a difference of periods stay below 2^63. */
+
+const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6};
+const chip_clock_source_t chip_clock_link = {.gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16};
 
 /* Largest deviation of a period or a cycle from nominal that two good crystals can show. */
 static int64_t tolerance(uint64_t nominal) {
@@ -31,7 +34,7 @@ bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
         config->minimum_ticks + margin > config->nominal_ticks || config->nominal_ticks + margin > config->maximum_ticks) {
         return false;
     }
-    *clock = (chip_clock_t){.config = *config, .locked = !config->follow};
+    *clock = (chip_clock_t){.config = *config, .source = chip_clock_wire, .locked = !config->follow};
     clock->period = nominal_period(clock);
     return true;
 }
@@ -69,16 +72,24 @@ static void count_rejected(chip_clock_t *clock) {
     }
 }
 
-/* Chip clock minus sync wire at an edge, by the chip that was really executing. */
-static int32_t phase_at(const chip_clock_t *clock, uint32_t slot, uint32_t ticks) {
-    const uint32_t chips = clock->config.chips;
-    const uint32_t code_chip = clock->history[slot].code_chip;
-    const int64_t period = (int64_t)clock->period;
-    if (code_chip <= chips / 2u) {
-        return (int32_t)((code_chip * period) >> FRACTION_BITS) + (int32_t)ticks;
+bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, chip_clock_mark_t *mark) {
+    const uint32_t age = clock->chip - chip;
+    if (age == 0u || age > CHIP_CLOCK_HISTORY || ticks > 2u * clock->config.maximum_ticks) {
+        return false;
     }
-    const int64_t whole = ((int64_t)code_chip + 1 - (int64_t)chips) * period; /* Chips between this one's end and chip 0. */
-    return (int32_t)(whole >> FRACTION_BITS) + (int32_t)ticks - (int32_t)clock->history[slot].period_ticks;
+    const uint32_t slot = chip % CHIP_CLOCK_HISTORY;
+    const uint32_t chips = clock->config.chips, code_chip = clock->history[slot].code_chip;
+    const int64_t period = (int64_t)clock->period;
+    mark->position = clock->history[slot].position + ticks;
+    mark->cycle = clock->history[slot].cycle + clock->cycle_shift;
+    if (code_chip <= chips / 2u) {
+        mark->cycle_ticks = (int32_t)((code_chip * period) >> FRACTION_BITS) + (int32_t)ticks;
+    } else {
+        const int64_t whole = ((int64_t)code_chip + 1 - (int64_t)chips) * period; /* Chips between this one's end and chip 0. */
+        mark->cycle_ticks = (int32_t)(whole >> FRACTION_BITS) + (int32_t)ticks - (int32_t)clock->history[slot].period_ticks;
+        mark->cycle++;
+    }
+    return true;
 }
 
 /* The master began chip 0 at edge and has this period: take both over, and jump to its nearest chip. */
@@ -94,11 +105,12 @@ static void acquire(chip_clock_t *clock, uint64_t edge, int64_t period) {
     clock->locked = false;
     clock->good_edges = 0;
     clock->candidate_edges = 0;
+    clock->memory = 2;
 }
 
-/* An edge that fits no estimate: look for others whole cycles apart from it. */
-static void search(chip_clock_t *clock, uint32_t chip, uint64_t edge) {
-    const uint32_t chips = clock->config.chips;
+/* An edge that fits no estimate: look for others whole cycles apart from it. True: they led to an estimate. */
+static bool search(chip_clock_t *clock, uint64_t edge) {
+    const uint32_t chips = clock->config.chips, chip = clock->chip;
     const uint64_t cycle = nominal_period(clock) * chips;
     if (clock->candidate_edges > 0u) {
         uint32_t cycles = 0;
@@ -116,39 +128,30 @@ static void search(chip_clock_t *clock, uint32_t chip, uint64_t edge) {
             clock->candidate_edges++;
             clock->candidate_chip = chip;
             clock->candidate_position = edge;
-            if (clock->candidate_edges == (clock->tracking ? 3u : 2u)) {
+            const bool found = clock->candidate_edges == (clock->tracking ? 3u : 2u);
+            if (found) {
                 acquire(clock, edge, period);
             }
-            return;
+            return found;
         }
         if (!clock->tracking) {
             count_rejected(clock);
         }
         if (cycles <= 1u && off < 0) {
-            return; /* Sooner than a cycle after the candidate: more likely a glitch than the candidate was. */
+            return false; /* Sooner than a cycle after the candidate: more likely a glitch than the candidate was. */
         }
     }
     clock->candidate_edges = 1;
     clock->candidate_chip = chip;
     clock->candidate_position = edge;
+    return false;
 }
 
-void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
-    if (!clock->config.follow) {
-        return;
-    }
-    const uint32_t age = clock->chip - chip;
-    if (age == 0u || age > CHIP_CLOCK_HISTORY || ticks > clock->config.maximum_ticks) {
-        count_rejected(clock);
-        return;
-    }
-    const uint32_t slot = chip % CHIP_CLOCK_HISTORY;
-    const uint64_t edge = (uint64_t)(clock->history[slot].position + ticks) << FRACTION_BITS;
+/* The master began a cycle at edge; the chip clock was early by phase there. True: the estimate now counts this edge. */
+static bool take_edge(chip_clock_t *clock, uint64_t edge, int32_t phase) {
     if (!clock->tracking) {
-        search(clock, chip, edge);
-        return;
+        return search(clock, edge);
     }
-
     /* The estimate's start of a cycle nearest to the edge: ahead chips before the next chip to plan. */
     const int32_t chips = clock->config.chips;
     const int64_t span = (int64_t)clock->period * chips;
@@ -164,23 +167,68 @@ void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
         cycle++;
     }
     const int32_t cycles = (int32_t)(cycle - clock->edge_cycle);
-    if (cycles <= 0 || residual > GATE || residual < -GATE) {
+    const int64_t gate = (int64_t)clock->source.gate_ticks << FRACTION_BITS;
+    if (cycles <= 0 || residual > gate || residual < -gate) {
         count_rejected(clock);
-        search(clock, chip, edge);
-        return;
+        return search(clock, edge);
     }
-    clock->phase_ticks = phase_at(clock, slot, ticks);
-    const int64_t before = (int64_t)clock->period;
-    set_period(clock, before + residual / 8 / ((int64_t)cycles * chips));
-    clock->target += (uint64_t)(residual / 2 + ((int64_t)clock->period - before) * ahead);
+    if (!clock->compared) {
+        clock->phase_ticks = phase;
+    }
+    if (clock->memory < clock->source.memory_edges) {
+        clock->memory++;
+    }
+    const int64_t before = (int64_t)clock->period, edges = clock->memory, divisor = edges * (edges + 1);
+    set_period(clock, before + residual * 6 / divisor / ((int64_t)cycles * chips));
+    clock->target += (uint64_t)(residual * (4 * edges - 2) / divisor + ((int64_t)clock->period - before) * ahead);
     clock->edge_cycle = cycle;
     clock->candidate_edges = 0;
-    if (clock->phase_ticks > CHIP_CLOCK_LOCK_TICKS || clock->phase_ticks < -CHIP_CLOCK_LOCK_TICKS) {
+    if (phase > clock->source.lock_ticks || phase < -clock->source.lock_ticks) {
         clock->good_edges = 0;
     } else if (clock->good_edges < CHIP_CLOCK_LOCK_EDGES) {
         clock->good_edges++;
     }
     clock->locked = clock->good_edges == CHIP_CLOCK_LOCK_EDGES;
+    return true;
+}
+
+void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
+    chip_clock_mark_t mark;
+    if (!clock->config.follow) {
+        return;
+    }
+    if (ticks > clock->config.maximum_ticks || !chip_clock_mark(clock, chip, ticks, &mark)) {
+        count_rejected(clock);
+        return;
+    }
+    (void)take_edge(clock, (uint64_t)mark.position << FRACTION_BITS, mark.cycle_ticks);
+}
+
+/* Ticks of the master as own ones, 32 fractional bits. */
+static int64_t own_ticks(const chip_clock_t *clock, int32_t master_ticks) {
+    const int64_t difference_of_periods = (int64_t)(clock->period - nominal_period(clock));
+    return (int64_t)master_ticks * (INT64_C(1) << FRACTION_BITS) + master_ticks * difference_of_periods / clock->config.nominal_ticks;
+}
+
+bool chip_clock_message(chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks) {
+    if (!clock->config.follow) {
+        return false;
+    }
+    if (master_ticks > MESSAGE_TICKS_MAX || master_ticks < -MESSAGE_TICKS_MAX) {
+        count_rejected(clock);
+        return false;
+    }
+    const uint64_t position = (uint64_t)mark->position << FRACTION_BITS;
+    const int64_t since = own_ticks(clock, master_ticks), cycle = (int64_t)clock->period * clock->config.chips;
+    int64_t phase = (int64_t)mark->cycle_ticks * (INT64_C(1) << FRACTION_BITS) - since;
+    phase -= phase / cycle * cycle;
+    phase += phase < -cycle / 2 ? cycle : phase > cycle / 2 ? -cycle : 0;
+    const bool tracking = clock->tracking;
+    const bool taken = take_edge(clock, position - (uint64_t)since, (int32_t)(phase >> FRACTION_BITS));
+    if (taken && !tracking) {
+        clock->target += (uint64_t)(since - own_ticks(clock, master_ticks)); /* Converted anew, now that the master's rate is known. */
+    }
+    return taken;
 }
 
 bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *planned) {
@@ -215,7 +263,8 @@ void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int3
     clock->locked = locked;
 }
 
-void chip_clock_forget(chip_clock_t *clock) {
+void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source) {
+    clock->source = *source;
     clock->tracking = false;
     clock->locked = false;
     clock->compared = false;
@@ -225,9 +274,9 @@ void chip_clock_forget(chip_clock_t *clock) {
 }
 
 void chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
-    const uint32_t age = clock->chip - chip;
-    if (age > 0u && age <= CHIP_CLOCK_HISTORY && ticks <= clock->config.maximum_ticks) {
-        clock->phase_ticks = phase_at(clock, chip % CHIP_CLOCK_HISTORY, ticks);
+    chip_clock_mark_t mark;
+    if (ticks <= clock->config.maximum_ticks && chip_clock_mark(clock, chip, ticks, &mark)) {
+        clock->phase_ticks = mark.cycle_ticks;
         clock->compared = true;
     }
 }

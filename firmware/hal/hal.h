@@ -12,7 +12,7 @@
  *   late by less than a block (3.03 ms): nothing is lost;   late by more: that block's chips are wrong, counted once a block.
  *
  * Contexts. "main" is the loop around hal_wait(); "interrupt" is any handler of hal_events_t. All handlers run at one priority except fault
- * and current, which preempt the others; a handler is never re-entered. Functions are callable from main only, unless marked [any].
+ * and current, which preempt the others; a handler is never re-entered. Functions are callable from main only, unless they say otherwise or are marked [any].
  */
 #ifndef GOLDFIELD_HAL_H
 #define GOLDFIELD_HAL_H
@@ -111,6 +111,28 @@ bool hal_can_send(hal_t *hal, const hal_frame_t *frame);
 
 /* Take the oldest received CAN frame. False if there is none. */
 bool hal_can_receive(hal_t *hal, hal_frame_t *frame);
+
+/* Time stamps. The board stamps each frame of these two types (SYNC and FOLLOW_UP of protocol/framing.md), sent or received, when it ends, in an interrupt of the highest priority. All boards
+ * on the bus see the end of a frame at one moment, so stamps of one frame on several boards are one moment on several clocks. */
+#define HAL_CAN_TYPE_MASK 0x1F000000u
+#define HAL_CAN_STAMP_0 0x01000000u
+#define HAL_CAN_STAMP_1 0x07000000u
+
+static inline bool hal_can_stamped(uint32_t id) {
+    return (id & HAL_CAN_TYPE_MASK) == HAL_CAN_STAMP_0 || (id & HAL_CAN_TYPE_MASK) == HAL_CAN_STAMP_1;
+}
+
+typedef struct {
+    hal_frame_t frame;
+    bool sent;      /* By this board, and somebody acknowledged it. Else received. */
+    uint32_t chip;  /* The frame's last bit ended ticks after the start of this chip. Less than two chips. */
+    uint32_t ticks;
+} hal_stamp_t;
+
+/* Interrupt, from plan() only: take the oldest stamp. False if there is none. The board keeps 8; frames that it cannot stamp for certain (two ended before it looked, the chip engine stands, the
+ * 8 are not taken) have none. A received frame comes by hal_can_receive() as well, with a stamp or without; before others that were received earlier.
+ *   common error of all boards: how long it takes to get into the interrupt; board to board only its jitter counts (sync.h), and the way along the cable, 5 ns/m. */
+bool hal_can_stamp(hal_t *hal, hal_stamp_t *stamp);
 
 /* ---- Housekeeping ---- */
 

@@ -208,7 +208,8 @@ class Board:
 class Rig:
     """Boards on one sync wire, one CAN bus, and one virtual time. The first board drives the wire and runs first.
 
-    The bus takes 130 us a frame, first come, first served, and passes frames on at the end of a quantum.
+    The bus takes 130 us a frame, first come, first served, and passes frames on at the end of a quantum: to
+    receivers as of one bit (1 us) before the frame's end, to its sender as of its end.
     """
 
     def __init__(self, *boards: Board, quantum: int = MS) -> None:
@@ -243,7 +244,7 @@ class Rig:
                 sender.can_sent(mailbox, True, self._bus_free)
                 for other in self.boards:
                     if other is not sender:
-                        other.can_in(identifier, data, self._bus_free)
+                        other.can_in(identifier, data, self._bus_free - US)
             self._requests[i] = len(sender.requests)
 
     def __iter__(self) -> Iterator[Board]:

@@ -205,7 +205,17 @@ static void byte_received(hal_t *hal, uint8_t byte, bool framed) {
     hal->awake = true;
 }
 
+/* A received frame is valid one bit before its end (board_edge.h). */
+static void stamp(hal_t *hal, const hal_frame_t *frame, bool sent) {
+    const engine_t *engine = &hal->engine;
+    if (hal_can_stamped(frame->id) && engine->running && engine->event > 0 && hal->stamps_count < STAMPS) {
+        hal->stamps[(hal->stamps_head + hal->stamps_count++) % STAMPS] =
+            (hal_stamp_t){.frame = *frame, .sent = sent, .chip = engine->chip, .ticks = (uint32_t)(host_tick(hal) - engine->chip_start) + (sent ? 0u : CAN_BIT_TICKS)};
+    }
+}
+
 static void frame_received(hal_t *hal, const hal_frame_t *frame) {
+    stamp(hal, frame, false);
     if (hal->frames_count == RECEIVE_FRAMES) {
         hal->counters.can_overruns++;
         return;
@@ -219,6 +229,7 @@ static void mailbox_done(hal_t *hal, uint32_t mailbox, bool ok) {
         return;
     }
     if (ok) {
+        stamp(hal, &hal->mailbox[mailbox], true);
         hal->mailbox_head = (hal->mailbox_head + 1) % MAILBOXES;
         hal->mailbox_count--;
         hal->awake = true;

@@ -3,7 +3,8 @@
  *
  * What it keeps of the hardware: the local clock with its error in ppm (every edge lies on one of its 168 MHz ticks), chips with planned periods,
  * pins that change exactly at chip starts, eight conversions a chip on each axis with the spacing of a converter clocked at 21 MHz, one coil
- * current conversion a chip, 12 bits with clamping, byte times at 2 Mbaud, three CAN mailboxes that leave in order, sync capture in ticks.
+ * current conversion a chip, 12 bits with clamping, byte times at 2 Mbaud, three CAN mailboxes that leave in order, sync capture in ticks, time stamps of
+ * frames in ticks.
  * What it does not: instructions take no time. Handlers and the main loop's iteration run at the instant of their event; so there are no late
  * blocks, converter overruns or watchdog resets here, and hal_wait() and board_start() do not exist (the main loop is run from outside).
  *

@@ -82,6 +82,16 @@ bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
     return true;
 }
 
+bool hal_can_stamp(hal_t *hal, hal_stamp_t *stamp) {
+    if (hal->stamps_count == 0) {
+        return false;
+    }
+    *stamp = hal->stamps[hal->stamps_head];
+    hal->stamps_head = (hal->stamps_head + 1) % STAMPS;
+    hal->stamps_count--;
+    return true;
+}
+
 bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
     if (hal->frames_count == 0) {
         return false;

@@ -17,11 +17,12 @@ enum {
     PIN_LED = 44           /* PC12, to the supply: low is on. */
 };
 
-enum { SERIAL_PORT = 1, SERIAL_BAUD = 2000000, MAILBOXES = 3, RECEIVE_BYTES = 1024, RECEIVE_FRAMES = 64 };
+enum { SERIAL_PORT = 1, SERIAL_BAUD = 2000000, MAILBOXES = 3, RECEIVE_BYTES = 1024, RECEIVE_FRAMES = 64, STAMPS = 8 };
 
 /* Ticks of the 168 MHz timer. The converters run at 21 MHz: 8 ticks a clock; 15 clocks of sampling and 12 of conversion. */
 enum {
     SERIAL_BYTE_TICKS = 840,   /* Ten bits of 84 ticks. */
+    CAN_BIT_TICKS = 168,
     SAMPLE_TICKS = 15 * 8,
     CONVERSION_TICKS = 27 * 8,
     BURST_MARGIN_TICKS = 84,   /* The last conversion ends 0.5 us before the planned end of the chip. */
@@ -79,6 +80,8 @@ struct hal {
     uint32_t frames_head, frames_count;
     hal_frame_t mailbox[MAILBOXES]; /* A ring: the outside sees only the oldest, so frames leave in order whatever their identifiers. */
     uint32_t mailbox_head, mailbox_count;
+    hal_stamp_t stamps[STAMPS];
+    uint32_t stamps_head, stamps_count;
     hal_counters_t counters;
     input_t *inputs;          /* Sorted by time; equal times in order of arrival. */
     size_t inputs_head, inputs_count, inputs_capacity;

@@ -1,6 +1,9 @@
 /* can.c: CAN1 at 1 Mbit/s on PB8 and PB9, 29-bit data frames only.
  *
  * A bit at 42 MHz: 3 x 14 quanta, 1 + 10 + 3, sample point 78.6 %. At 16 MHz: 1 x 16 quanta, 1 + 12 + 3, 81.3 %. CiA asks for about 75 to 87.5 %.
+ * Stamped frames (hal.h) come through FIFO 1, alone there, so that its interrupt tells of no others. It and that of the mailboxes have the highest priority and
+ * first of all look at the chip timer; only interrupts_off() (at most 40 instructions) holds them up.
+ *
  * Leaves the bus on 256 errors and comes back by itself (ABOM). The controller joins the bus when it has seen 11 recessive bits; nobody waits for
  * that: without a bus, hal_can_send() says false and the rest of the board runs.
  */
@@ -8,6 +11,10 @@
 #include "stm32f405.h"
 
 #define MODE_TRIES 10000u
+/* A frame is valid for its transmitter at the end of the last bit of its end of frame, for receivers at that of the last but one (Bosch, CAN 2.0, part B, 5; ISO 11898-1): they
+ * stamp one bit of 1 us early. */
+#define RECEIVED_EARLY_TICKS (HAL_TICKS_PER_SECOND / 1000000u)
+
 #define BIT_TIMING(divide, before, behind, jump) (((jump)-1u) << 24 | ((behind)-1u) << 20 | ((before)-1u) << 16 | ((divide)-1u))
 
 void can_start(const hal_t *hal) {
@@ -17,30 +24,37 @@ void can_start(const hal_t *hal) {
     if (!wait_for(&CAN1->MSR, CAN_MSR_INAK, CAN_MSR_INAK, MODE_TRIES)) return;
     CAN1->BTR = hal->clock == HAL_CLOCK_SLOW ? BIT_TIMING(1u, 12u, 3u, 3u) : BIT_TIMING(3u, 10u, 3u, 3u);
 
-    /* Filter 0, 32 bits with mask, to FIFO 0: extended and no remote frame, any identifier. */
+    /* Filters of 32 bits with mask, for extended frames that are not remote: 0 and 1 for stamped types, to FIFO 1; 2 for any, to FIFO 0. The lower number goes first. */
     CAN1->FMR |= CAN_FMR_FINIT;
-    CAN1->FA1R &= ~1u;
-    CAN1->FM1R &= ~1u;
-    CAN1->FS1R |= 1u;
-    CAN1->FFA1R &= ~1u;
-    CAN1->F0R1 = CAN_TI0R_IDE;
-    CAN1->F0R2 = CAN_TI0R_IDE | CAN_TI0R_RTR;
-    CAN1->FA1R |= 1u;
+    CAN1->FA1R &= ~7u;
+    CAN1->FM1R &= ~7u;
+    CAN1->FS1R |= 7u;
+    CAN1->FFA1R = (CAN1->FFA1R & ~7u) | 3u;
+    CAN1->F0R1 = HAL_CAN_STAMP_0 << 3 | CAN_TI0R_IDE;
+    CAN1->F0R2 = HAL_CAN_TYPE_MASK << 3 | CAN_TI0R_IDE | CAN_TI0R_RTR;
+    CAN1->F1R1 = HAL_CAN_STAMP_1 << 3 | CAN_TI0R_IDE;
+    CAN1->F1R2 = HAL_CAN_TYPE_MASK << 3 | CAN_TI0R_IDE | CAN_TI0R_RTR;
+    CAN1->F2R1 = CAN_TI0R_IDE;
+    CAN1->F2R2 = CAN_TI0R_IDE | CAN_TI0R_RTR;
+    CAN1->FA1R |= 7u;
     CAN1->FMR &= ~CAN_FMR_FINIT;
 
     CAN1->ESR = CAN_ESR_LEC; /* 7: none yet. */
-    CAN1->IER = CAN_IER_TMEIE | CAN_IER_FMPIE0 | CAN_IER_BOFIE | CAN_IER_LECIE | CAN_IER_ERRIE;
+    CAN1->IER = CAN_IER_TMEIE | CAN_IER_FMPIE0 | CAN_IER_FMPIE1 | CAN_IER_BOFIE | CAN_IER_LECIE | CAN_IER_ERRIE;
     CAN1->MCR = mode;
-    interrupt_enable(IRQ_CAN1_TX, PRIORITY_NORMAL);
+    interrupt_enable(IRQ_CAN1_TX, PRIORITY_STAMP);
+    interrupt_enable(IRQ_CAN1_RX1, PRIORITY_STAMP);
     interrupt_enable(IRQ_CAN1_RX0, PRIORITY_NORMAL);
     interrupt_enable(IRQ_CAN1_SCE, PRIORITY_NORMAL);
 }
 
 bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
-    (void)hal;
     const uint32_t status = CAN1->TSR;
     if ((status & (CAN_TSR_TME0 | CAN_TSR_TME1 | CAN_TSR_TME2)) == 0 || (CAN1->MSR & CAN_MSR_INAK) != 0 || frame->length > 8) return false;
-    CAN_mailbox_registers *mailbox = &CAN1->T[(status & CAN_TSR_CODE) >> 24];
+    const uint32_t number = (status & CAN_TSR_CODE) >> 24;
+    hal->can_mailbox[number] = *frame;
+    memory_barrier();
+    CAN_mailbox_registers *mailbox = &CAN1->T[number];
     const uint8_t *d = frame->data;
     mailbox->TDTR = frame->length;
     mailbox->TDLR = (uint32_t)d[0] | (uint32_t)d[1] << 8 | (uint32_t)d[2] << 16 | (uint32_t)d[3] << 24;
@@ -49,9 +63,61 @@ bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
     return true;
 }
 
-/* A mailbox became free: main may have more. */
+static void stamp(const hal_frame_t *frame, bool sent, chip_time_t now) {
+    const uint32_t put = board.can_stamp_put;
+    if ((TIM1->CR1 & TIM_CR1_CEN) == 0 || put - __atomic_load_n(&board.can_stamp_taken, __ATOMIC_ACQUIRE) == CAN_STAMPS) return;
+    board.can_stamps[put % CAN_STAMPS] = (hal_stamp_t){.frame = *frame, .sent = sent, .chip = now.chip, .ticks = now.ticks};
+    __atomic_store_n(&board.can_stamp_put, put + 1u, __ATOMIC_RELEASE);
+}
+
+bool hal_can_stamp(hal_t *hal, hal_stamp_t *stamp) {
+    const uint32_t taken = hal->can_stamp_taken;
+    if (taken == __atomic_load_n(&hal->can_stamp_put, __ATOMIC_ACQUIRE)) return false;
+    *stamp = hal->can_stamps[taken % CAN_STAMPS];
+    __atomic_store_n(&hal->can_stamp_taken, taken + 1u, __ATOMIC_RELEASE);
+    return true;
+}
+
+/* A mailbox became free: main may have more. When two did before we look, nobody knows when the first ended. */
 void CAN1_TX_Handler(void) {
-    CAN1->TSR = CAN_TSR_RQCP0 | CAN_TSR_RQCP1 | CAN_TSR_RQCP2;
+    const chip_time_t now = chip_now(&board);
+    const uint32_t status = CAN1->TSR, ended = status & (CAN_TSR_RQCP0 | CAN_TSR_RQCP1 | CAN_TSR_RQCP2);
+    CAN1->TSR = ended;
+    const hal_frame_t *frame = &board.can_mailbox[ended == CAN_TSR_RQCP0 ? 0 : ended == CAN_TSR_RQCP1 ? 1 : 2];
+    const bool one = ended == CAN_TSR_RQCP0 || ended == CAN_TSR_RQCP1 || ended == CAN_TSR_RQCP2;
+    const bool sent = (status & ended << 1) != 0; /* TXOK lies beside RQCP. */
+    if (one && sent && hal_can_stamped(frame->id)) stamp(frame, true, now);
+    board.woken = true;
+}
+
+static void copy_frame(hal_frame_t *frame, uint32_t identifier, uint32_t control, uint32_t low, uint32_t high) {
+    const uint32_t length = control & 15u;
+    frame->id = identifier >> 3;
+    frame->length = (uint8_t)(length > 8 ? 8 : length);
+    for (unsigned i = 0; i < 4; i++) {
+        frame->data[i] = (uint8_t)(low >> (8 * i));
+        frame->data[4 + i] = (uint8_t)(high >> (8 * i));
+    }
+}
+
+/* When a second frame is there before we look, nobody knows when the first ended. */
+void CAN1_RX1_Handler(void) {
+    chip_time_t now = chip_now(&board);
+    const uint32_t status = CAN1->RF1R;
+    if ((status & CAN_RF1R_RFOM1) != 0 || (status & CAN_RF1R_FMP1) == 0) return; /* The last release is still on its way. */
+    hal_frame_t frame;
+    copy_frame(&frame, CAN1->RI1R, CAN1->RDT1R, CAN1->RDL1R, CAN1->RDH1R);
+    now.ticks += RECEIVED_EARLY_TICKS;
+    if ((status & CAN_RF1R_FMP1) == 1) stamp(&frame, false, now);
+    const uint32_t put = board.can_stamped_put;
+    if (put - __atomic_load_n(&board.can_stamped_taken, __ATOMIC_ACQUIRE) < CAN_STAMPS) {
+        board.can_stamped[put % CAN_STAMPS] = frame;
+        __atomic_store_n(&board.can_stamped_put, put + 1u, __ATOMIC_RELEASE);
+    } else {
+        board.counters.can_overruns++;
+    }
+    if ((status & CAN_RF1R_FOVR1) != 0) board.counters.can_overruns++;
+    CAN1->RF1R = CAN_RF1R_RFOM1 | (status & CAN_RF1R_FOVR1);
     board.woken = true;
 }
 
@@ -61,13 +127,7 @@ void CAN1_RX0_Handler(void) {
     if ((status & CAN_RF0R_RFOM0) != 0 || (status & CAN_RF0R_FMP0) == 0) return; /* The last release is still on its way. */
     if (board.can_put - board.can_taken < CAN_RECEIVE_BUFFER) {
         hal_frame_t *frame = &board.can_frames[board.can_put % CAN_RECEIVE_BUFFER];
-        const uint32_t length = CAN1->RDT0R & 15u, low = CAN1->RDL0R, high = CAN1->RDH0R;
-        frame->id = CAN1->RI0R >> 3;
-        frame->length = (uint8_t)(length > 8 ? 8 : length);
-        for (unsigned i = 0; i < 4; i++) {
-            frame->data[i] = (uint8_t)(low >> (8 * i));
-            frame->data[4 + i] = (uint8_t)(high >> (8 * i));
-        }
+        copy_frame(frame, CAN1->RI0R, CAN1->RDT0R, CAN1->RDL0R, CAN1->RDH0R);
         board.can_put++;
     } else {
         board.counters.can_overruns++;
@@ -78,6 +138,12 @@ void CAN1_RX0_Handler(void) {
 }
 
 bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
+    const uint32_t taken = hal->can_stamped_taken;
+    if (taken != __atomic_load_n(&hal->can_stamped_put, __ATOMIC_ACQUIRE)) {
+        *frame = hal->can_stamped[taken % CAN_STAMPS];
+        __atomic_store_n(&hal->can_stamped_taken, taken + 1u, __ATOMIC_RELEASE);
+        return true;
+    }
     if (hal->can_put == hal->can_taken) return false;
     *frame = hal->can_frames[hal->can_taken % CAN_RECEIVE_BUFFER];
     hal->can_taken++;

@@ -214,7 +214,7 @@ typedef struct {
     CAN_mailbox_registers T[3];
     volatile uint32_t RI0R, RDT0R, RDL0R, RDH0R, RI1R, RDT1R, RDL1R, RDH1R, reserved1[12];
     volatile uint32_t FMR, FM1R, reserved2, FS1R, reserved3, FFA1R, reserved4, FA1R, reserved5[8];
-    volatile uint32_t F0R1, F0R2;
+    volatile uint32_t F0R1, F0R2, F1R1, F1R2, F2R1, F2R2;
 } CAN_registers;
 #define CAN1 ((CAN_registers *)0x40006400u)
 
@@ -224,8 +224,11 @@ typedef struct {
 #define CAN_MSR_INAK (1u << 0)
 #define CAN_MSR_ERRI (1u << 2)
 #define CAN_TSR_RQCP0 (1u << 0)
+#define CAN_TSR_TXOK0 (1u << 1)
 #define CAN_TSR_RQCP1 (1u << 8)
+#define CAN_TSR_TXOK1 (1u << 9)
 #define CAN_TSR_RQCP2 (1u << 16)
+#define CAN_TSR_TXOK2 (1u << 17)
 #define CAN_TSR_CODE (3u << 24)
 #define CAN_TSR_TME0 (1u << 26)
 #define CAN_TSR_TME1 (1u << 27)
@@ -233,8 +236,12 @@ typedef struct {
 #define CAN_RF0R_FMP0 (3u << 0)
 #define CAN_RF0R_FOVR0 (1u << 4)
 #define CAN_RF0R_RFOM0 (1u << 5)
+#define CAN_RF1R_FMP1 (3u << 0)
+#define CAN_RF1R_FOVR1 (1u << 4)
+#define CAN_RF1R_RFOM1 (1u << 5)
 #define CAN_IER_TMEIE (1u << 0)
 #define CAN_IER_FMPIE0 (1u << 1)
+#define CAN_IER_FMPIE1 (1u << 4)
 #define CAN_IER_BOFIE (1u << 10)
 #define CAN_IER_LECIE (1u << 11)
 #define CAN_IER_ERRIE (1u << 15)
@@ -290,6 +297,7 @@ enum {
     IRQ_ADC = 18,
     IRQ_CAN1_TX = 19,
     IRQ_CAN1_RX0 = 20,
+    IRQ_CAN1_RX1 = 21,
     IRQ_CAN1_SCE = 22,
     IRQ_TIM1_CC = 27,
     IRQ_USART1 = 37,

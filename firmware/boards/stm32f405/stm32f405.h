@@ -5,7 +5,7 @@
  *   chip_engine.c  TIM1, DMA to pins, blocks, sync capture      converters.c sensor's burst, coil current, temperature, DAC
  *   serial.c       USART1 with DMA both ways                    can.c        CAN1
  *
- * Priorities (0 preempts 1 preempts 2): 0 coil current and driver fault, 1 every other handler, 2 the 10 ms tick.
+ * Priorities (a lower number preempts): 0 time stamps of CAN frames, 1 coil current and driver fault, 2 every other handler, 3 the 10 ms tick.
  * The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a handler has more than two instructions before its return: all have.
  *
  * DMA2: stream 5 chip edges (very high) > stream 4 chip periods, stream 0 samples (high) > stream 2 serial in (medium) > stream 7 serial out (low).
@@ -22,7 +22,9 @@
 #define SERIAL_RECEIVE_BUFFER 2048u       /* 10 ms. */
 #define CAN_RECEIVE_BUFFER 32u            /* 3.5 ms of the shortest frames with 8 bytes of data. */
 
-enum { PRIORITY_DRIVE = 0, PRIORITY_NORMAL = 1, PRIORITY_TICK = 2 };
+#define CAN_STAMPS 8u
+
+enum { PRIORITY_STAMP = 0, PRIORITY_DRIVE = 1, PRIORITY_NORMAL = 2, PRIORITY_TICK = 3 };
 
 struct hal {
     hal_clock_t clock;
@@ -59,6 +61,11 @@ struct hal {
     volatile uint32_t can_put, can_taken; /* Frames since reset. */
     bool can_off;
     hal_frame_t can_frames[CAN_RECEIVE_BUFFER];
+    hal_frame_t can_mailbox[3];                  /* What was handed to each. */
+    uint32_t can_stamp_put, can_stamp_taken;     /* From the stamping interrupts to plan. */
+    hal_stamp_t can_stamps[CAN_STAMPS];
+    uint32_t can_stamped_put, can_stamped_taken; /* The frames received there, to main. */
+    hal_frame_t can_stamped[CAN_STAMPS];
 };
 
 extern hal_t board; /* The one board of this chip: interrupt handlers have no argument. */
@@ -77,7 +84,7 @@ typedef struct {
     uint32_t chip;  /* Absolute. */
     uint32_t ticks; /* Since it started. */
 } chip_time_t;
-/* The present. From handlers of normal priority only: the block interrupt must not run meanwhile. */
+/* The present. From handlers of normal priority or higher only: the block interrupt must not run to its end meanwhile. About 40 instructions. */
 chip_time_t chip_now(const hal_t *hal);
 
 /* At a block boundary: takes and starts the temperature; stays in step with the chips. Samples of the finished block that are not good read 0, which
@@ -107,6 +114,7 @@ void SysTick_Handler(void);
 void ADC_Handler(void);
 void CAN1_TX_Handler(void);
 void CAN1_RX0_Handler(void);
+void CAN1_RX1_Handler(void);
 void CAN1_SCE_Handler(void);
 void TIM1_CC_Handler(void);
 void USART1_Handler(void);

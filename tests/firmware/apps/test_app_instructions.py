@@ -36,6 +36,7 @@ void hal_serial_write_polled(hal_t *h, const uint8_t *bytes, size_t count) { (vo
 size_t hal_serial_read(hal_t *h, uint8_t *bytes, size_t capacity) { (void)h; (void)bytes; (void)capacity; return 0; }
 bool hal_can_send(hal_t *h, const hal_frame_t *frame) { (void)h; (void)frame; return true; }
 bool hal_can_receive(hal_t *h, hal_frame_t *frame) { (void)h; (void)frame; return false; }
+bool hal_can_stamp(hal_t *h, hal_stamp_t *stamp) { (void)h; (void)stamp; return false; }
 hal_clock_t hal_clock(const hal_t *h) { (void)h; return HAL_CLOCK_CRYSTAL; }
 void hal_counters(const hal_t *h, hal_counters_t *c) { (void)h; *c = (hal_counters_t){0}; }
 uint64_t hal_microseconds(hal_t *h) { return h->us; }
