@@ -81,7 +81,7 @@ static inline uint16_t sync_chip(const sync_format_t *format, const chip_clock_c
  * To a clock that follows messages on CAN nothing happens: its numbers come by FOLLOW_UP. */
 bool sync_number(chip_clock_t *clock, const sync_format_t *format, const sync_link_t *link, uint32_t chips, uint32_t cycle, uint32_t age_us);
 
-/* From plan, before chips are planned: all stamps since the last call. About 800 instructions when a FOLLOW_UP came, else 20. */
+/* From plan, before chips are planned: all stamps since the last call. About 1,100 instructions when a FOLLOW_UP came, else 20. */
 void sync_link_serve(sync_link_t *link, chip_clock_t *clock, const sync_format_t *format, hal_t *hal);
 
 /* From now on the clock follows messages on CAN, or does not: unlocked, searching. */
@@ -90,7 +90,7 @@ void sync_link_follow(sync_link_t *link, chip_clock_t *clock, bool follows);
 /* Master: send the FOLLOW_UP that is due, if one is. */
 void sync_link_answer(sync_link_t *link, node_t *node);
 
-/* From plan, before chips are planned: all stamps since the last call. About 800 instructions when a FOLLOW_UP came, else 20. */
+/* From plan, before chips are planned: all stamps since the last call. About 1,100 instructions when a FOLLOW_UP came, else 20. */
 void sync_link_serve(sync_link_t *link, chip_clock_t *clock, const sync_format_t *format, hal_t *hal);
 
 /* From now on the clock follows messages on CAN, or does not: unlocked, searching. */

@@ -1,14 +1,15 @@
 #include "chip_clock.h"
 
 #define FRACTION_BITS 32
+#define ONE (INT64_C(1) << FRACTION_BITS)
 #define MESSAGE_TICKS_MAX (1 << 26) /* 0.4 s: products with a difference of periods stay below 2^63. */
 
 const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6};
 const chip_clock_source_t chip_clock_link = {.gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16};
 
 /* Largest deviation of a period or a cycle from nominal that two good crystals can show. */
-static int64_t tolerance(uint64_t nominal) {
-    return (int64_t)(nominal / 1000000u * CHIP_CLOCK_SEARCH_PPM);
+static int64_t tolerance(int64_t nominal) {
+    return nominal / 1000000 * CHIP_CLOCK_SEARCH_PPM;
 }
 
 static uint64_t nominal_period(const chip_clock_t *clock) {
@@ -22,7 +23,7 @@ static int64_t difference(uint64_t a, uint64_t b) {
 
 static void set_period(chip_clock_t *clock, int64_t period) {
     const int64_t nominal = (int64_t)nominal_period(clock);
-    const int64_t limit = tolerance(nominal_period(clock));
+    const int64_t limit = tolerance(nominal);
     /* Within these limits the planner always keeps up with the target: they differ by at most half a chip, for ever. */
     const int64_t low = nominal - limit, high = nominal + limit;
     clock->period = (uint64_t)(period < low ? low : period > high ? high : period);
@@ -92,9 +93,8 @@ bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, c
     return true;
 }
 
-/* The master began chip 0 at edge and has this period: take both over, and jump to its nearest chip. */
-static void acquire(chip_clock_t *clock, uint64_t edge, int64_t period) {
-    set_period(clock, period);
+/* The master, whose period is the estimate's, began chip 0 at edge: jump to its nearest chip. */
+static void acquire(chip_clock_t *clock, uint64_t edge) {
     const int64_t lead = difference((uint64_t)clock->position << FRACTION_BITS, edge);
     const uint32_t chips = lead <= 0 ? 0u : (uint32_t)(((uint64_t)lead + clock->period / 2u) / clock->period);
     clock->target = edge + chips * clock->period;
@@ -108,50 +108,61 @@ static void acquire(chip_clock_t *clock, uint64_t edge, int64_t period) {
     clock->memory = 2;
 }
 
-/* An edge that fits no estimate: look for others whole cycles apart from it. True: they led to an estimate. */
-static bool search(chip_clock_t *clock, uint64_t edge) {
+/* Ticks of the master as own ones, 32 fractional bits. */
+static int64_t own_ticks(const chip_clock_t *clock, int32_t master_ticks) {
+    const int64_t slower = (int64_t)(clock->period - nominal_period(clock));
+    return (int64_t)master_ticks * ONE + master_ticks * slower / clock->config.nominal_ticks;
+}
+
+/* An edge that fits no estimate, since ticks of the master before position: look for others whole cycles apart from it. True: they led to an estimate. */
+static bool search(chip_clock_t *clock, uint64_t position, int32_t since) {
     const uint32_t chips = clock->config.chips, chip = clock->chip;
-    const uint64_t cycle = nominal_period(clock) * chips;
+    const int64_t cycle = (int64_t)nominal_period(clock) * (int64_t)chips;
     if (clock->candidate_edges > 0u) {
-        uint32_t cycles = 0;
-        int64_t off = INT64_MAX;
+        int64_t cycles = 0, off = INT64_MAX;
+        const int64_t own = difference(position, clock->candidate_position);
+        int64_t masters = (since - clock->candidate_since) * ONE;
         if (chip - clock->candidate_chip <= (CHIP_CLOCK_SEARCH_CYCLES + 1u) * chips) {
-            off = difference(edge, clock->candidate_position);
-            while (cycles < CHIP_CLOCK_SEARCH_CYCLES && off > tolerance(cycle) * cycles) {
-                off -= (int64_t)cycle;
+            off = own - masters;
+            while (cycles < CHIP_CLOCK_SEARCH_CYCLES && off > tolerance(masters)) {
+                masters += cycle;
+                off -= cycle;
                 cycles++;
             }
         }
-        const int64_t limit = tolerance(cycle) * cycles;
-        if (cycles > 0u && off >= -limit && off <= limit) {
-            const int64_t period = difference(edge, clock->candidate_position) / (int64_t)(cycles * chips);
+        const int64_t limit = tolerance(masters);
+        if (cycles > 0 && off >= -limit && off <= limit) {
             clock->candidate_edges++;
             clock->candidate_chip = chip;
-            clock->candidate_position = edge;
+            clock->candidate_position = position;
+            clock->candidate_since = since;
             const bool found = clock->candidate_edges == (clock->tracking ? 3u : 2u);
             if (found) {
-                acquire(clock, edge, period);
+                set_period(clock, own / (masters >> FRACTION_BITS) * clock->config.nominal_ticks);
+                acquire(clock, position - (uint64_t)own_ticks(clock, since));
             }
             return found;
         }
         if (!clock->tracking) {
             count_rejected(clock);
         }
-        if (cycles <= 1u && off < 0) {
+        if (cycles <= 1 && off < 0) {
             return false; /* Sooner than a cycle after the candidate: more likely a glitch than the candidate was. */
         }
     }
     clock->candidate_edges = 1;
     clock->candidate_chip = chip;
-    clock->candidate_position = edge;
+    clock->candidate_position = position;
+    clock->candidate_since = since;
     return false;
 }
 
-/* The master began a cycle at edge; the chip clock was early by phase there. True: the estimate now counts this edge. */
-static bool take_edge(chip_clock_t *clock, uint64_t edge, int32_t phase) {
+/* The master began a cycle since of its ticks before position; the chip clock was early by phase there. True: the estimate now counts this edge. */
+static bool take_edge(chip_clock_t *clock, uint64_t position, int32_t since, int32_t phase) {
     if (!clock->tracking) {
-        return search(clock, edge);
+        return search(clock, position, since);
     }
+    const uint64_t edge = position - (uint64_t)own_ticks(clock, since);
     /* The estimate's start of a cycle nearest to the edge: ahead chips before the next chip to plan. */
     const int32_t chips = clock->config.chips;
     const int64_t span = (int64_t)clock->period * chips;
@@ -170,7 +181,7 @@ static bool take_edge(chip_clock_t *clock, uint64_t edge, int32_t phase) {
     const int64_t gate = (int64_t)clock->source.gate_ticks << FRACTION_BITS;
     if (cycles <= 0 || residual > gate || residual < -gate) {
         count_rejected(clock);
-        return search(clock, edge);
+        return search(clock, position, since);
     }
     if (!clock->compared) {
         clock->phase_ticks = phase;
@@ -201,13 +212,7 @@ void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
         count_rejected(clock);
         return;
     }
-    (void)take_edge(clock, (uint64_t)mark.position << FRACTION_BITS, mark.cycle_ticks);
-}
-
-/* Ticks of the master as own ones, 32 fractional bits. */
-static int64_t own_ticks(const chip_clock_t *clock, int32_t master_ticks) {
-    const int64_t difference_of_periods = (int64_t)(clock->period - nominal_period(clock));
-    return (int64_t)master_ticks * (INT64_C(1) << FRACTION_BITS) + master_ticks * difference_of_periods / clock->config.nominal_ticks;
+    (void)take_edge(clock, (uint64_t)mark.position << FRACTION_BITS, 0, mark.cycle_ticks);
 }
 
 bool chip_clock_message(chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks) {
@@ -218,17 +223,11 @@ bool chip_clock_message(chip_clock_t *clock, const chip_clock_mark_t *mark, int3
         count_rejected(clock);
         return false;
     }
-    const uint64_t position = (uint64_t)mark->position << FRACTION_BITS;
-    const int64_t since = own_ticks(clock, master_ticks), cycle = (int64_t)clock->period * clock->config.chips;
-    int64_t phase = (int64_t)mark->cycle_ticks * (INT64_C(1) << FRACTION_BITS) - since;
-    phase -= phase / cycle * cycle;
+    const int64_t cycle = (int64_t)clock->period * clock->config.chips;
+    int64_t phase = mark->cycle_ticks * ONE - own_ticks(clock, master_ticks);
+    phase %= cycle;
     phase += phase < -cycle / 2 ? cycle : phase > cycle / 2 ? -cycle : 0;
-    const bool tracking = clock->tracking;
-    const bool taken = take_edge(clock, position - (uint64_t)since, (int32_t)(phase >> FRACTION_BITS));
-    if (taken && !tracking) {
-        clock->target += (uint64_t)(since - own_ticks(clock, master_ticks)); /* Converted anew, now that the master's rate is known. */
-    }
-    return taken;
+    return take_edge(clock, (uint64_t)mark->position << FRACTION_BITS, master_ticks, (int32_t)(phase >> FRACTION_BITS));
 }
 
 bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *planned) {
@@ -246,7 +245,8 @@ bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *
 
 void chip_clock_jump(chip_clock_t *clock, uint64_t edge, uint64_t period) {
     if (clock->config.follow) {
-        acquire(clock, edge, (int64_t)period);
+        set_period(clock, (int64_t)period);
+        acquire(clock, edge);
     }
 }
 

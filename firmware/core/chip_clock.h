@@ -103,7 +103,8 @@ typedef struct {
     uint32_t edge_cycle;     /* Cycle that the last good edge began. */
     uint32_t cycle_shift;
     uint32_t candidate_chip;
-    uint64_t candidate_position;
+    uint64_t candidate_position; /* Of its message; of the edge itself with a wire. */
+    int32_t candidate_since;     /* From edge to message, the master's ticks. */
     struct {
         uint32_t position;
         uint32_t cycle;
@@ -119,7 +120,7 @@ bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config);
 chip_clock_chip_t chip_clock_plan(chip_clock_t *clock);
 
 /* A rising edge of the sync wire, ticks after the start of an absolute chip. An edge in a chip that is not planned or is forgotten is rejected.
- * At most about 500 instructions (64-bit divisions). */
+ * At most about 670 instructions (64-bit divisions). */
 void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
 
 /* What was planned for an absolute chip. False, and *planned untouched, if it is not planned yet or is more than CHIP_CLOCK_HISTORY chips ago.
@@ -132,7 +133,7 @@ bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *
 bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, chip_clock_mark_t *mark);
 
 /* At the mark the master's cycle had lasted master_ticks of its own (negative: was to begin in so many). Within 0.4 s; more is rejected and counted. The mark may lie up to 12 s back. True: the
- * estimate now counts this edge; chip_clock_number_cycle may tell which cycle it began. At most about 700 instructions (64-bit divisions). */
+ * estimate now counts this edge; chip_clock_number_cycle may tell which cycle it began. At most about 900 instructions (64-bit divisions). */
 bool chip_clock_message(chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks);
 
 /* ---- Instead of the wire: an estimate made elsewhere (acquire.h). Same context as chip_clock_edge; a master ignores them. ---- */

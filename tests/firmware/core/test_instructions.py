@@ -51,6 +51,11 @@ void clock_init(void) {
 void clock_plan(void) { chip_clock_plan(&clock); }
 void clock_cycle(void) { for (int i = 0; i < 1023; i++) chip_clock_plan(&clock); }
 void clock_edge(void) { chip_clock_edge(&clock, clock.chip - 40u, 3); }
+void clock_message(void) {
+    chip_clock_mark_t mark;
+    chip_clock_mark(&clock, clock.chip - 40u, 3, &mark);
+    chip_clock_message(&clock, &mark, 1000);
+}
 current_t loop;
 void loop_init(void) {
     current_configure(&loop, &(current_config_t){0.0078125f, 0.00390625f, 10.0f, 12.0f, 0.5f});
@@ -157,18 +162,20 @@ def test_each_call_within_what_its_header_says(count):
         figures[name], _ = count(name)
     figures["decode"], good = count("decode")
     assert good == 1
-    edges = []
-    for _ in range(4):
-        edges.append(count("clock_edge")[0])
-        count("clock_cycle")
-    figures["clock_edge"] = max(edges)
+    for call in ("clock_edge", "clock_message"):
+        edges = []
+        for _ in range(6):
+            edges.append(count(call)[0])
+            count("clock_cycle")
+        figures[call] = max(edges)
     samples = [count("loop_sample") for _ in range(31 * 40)]
     assert 2 not in [action for _, action in samples]  # No fault: this is the running loop.
     counts = sorted(n for n, _ in samples)
     figures["current_sample"], figures["current_sample_block"] = counts[len(counts) // 2], counts[-1]
     print(figures)
     bounds = {
-        **{"word": 2500, "correlation": 20, "burst_sample": 270, "feed": 220, "clock_plan": 70, "clock_edge": 600},
+        **{"word": 2500, "correlation": 20, "burst_sample": 270, "feed": 220, "clock_plan": 70, "clock_edge": 720},
+        "clock_message": 1050,
         **{"encode": 500, "decode": 900, "code_sum": 50_000, "one_field": 240, "current_sample": 60},
         "current_sample_block": 120,
     }
