@@ -90,15 +90,6 @@ void sync_link_follow(sync_link_t *link, chip_clock_t *clock, bool follows);
 /* Master: send the FOLLOW_UP that is due, if one is. */
 void sync_link_answer(sync_link_t *link, node_t *node);
 
-/* From plan, before chips are planned: all stamps since the last call. About 1,100 instructions when a FOLLOW_UP came, else 20. */
-void sync_link_serve(sync_link_t *link, chip_clock_t *clock, const sync_format_t *format, hal_t *hal);
-
-/* From now on the clock follows messages on CAN, or does not: unlocked, searching. */
-void sync_link_follow(sync_link_t *link, chip_clock_t *clock, bool follows);
-
-/* Master: send the FOLLOW_UP that is due, if one is. */
-void sync_link_answer(sync_link_t *link, node_t *node);
-
 /* Ticks in units of 10 ns, rounded toward zero. */
 int32_t sync_phase(int32_t ticks);
 
