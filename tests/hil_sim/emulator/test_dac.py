@@ -217,6 +217,45 @@ def test_a_slave_passes_the_chips_update_on_to_the_trigger(chip: Bench) -> None:
         chip.write(DAC + CR, 0)
 
 
+def test_bridge_and_set_points_change_together(chip: Bench) -> None:
+    """Both by DMA from one update: chip k's word is on the pins at update k, its set-point three APB1 cycles later."""
+    chips = 7
+    gpio_c, patterns = 0x40020800, SRAM + 0x100
+    chip.write(gpio_c, 1 << 12 | 1 << 14)
+    for k in range(chips):
+        chip.write(patterns + 4 * k, 1 << 6 | 1 << 23 if k % 2 else 1 << 7 | 1 << 22)
+    chip.write(DAC + CR, (EN | 1 << 3) * 0x10001)
+    set_points = [100 * k + 10 | (4000 - 100 * k) << 16 for k in range(chips)]
+    chip.write(DAC + DHR12RD, set_points[0])
+    chip.run(MICROSECOND)
+    stream(chip, DMA1, 5, 7, set_points[2:] + set_points[:2])
+    chip.write(DAC + CR, (EN | TEN | 1 << 3) * 0x10001 | DMAEN)
+    chip.write(DAC + DHR12RD, set_points[1])
+    base = DMA2 + 0x10 + 0x18 * 5
+    for offset, value in ((4, chips), (8, gpio_c + 0x18), (0xC, patterns + 4)):
+        chip.write(base + offset, value)
+    chip.write(patterns + 4 * chips, chip.read(patterns))
+    chip.write(base, 6 << 25 | WORDS | MINC | MEMORY_TO_PERIPHERAL | CIRCULAR | 1)
+    chip.write(TIM1 + TIMER_ARR, 16421)
+    chip.write(TIM1 + TIMER_CR2, 2 << 4)
+    chip.write(TIM1 + TIMER_DIER, 1 << 8)
+    chip.write(TIM8 + TIMER_CR2, 2 << 4)
+    chip.write(TIM8 + TIMER_SMCR, 4)
+    chip.write(TIM8, 1)
+    chip.edge.volts.clear()
+    chip.edge.pins.clear()
+    chip.write(TIM1, 1)
+    chip.run(20.5 * 97.75 * MICROSECOND)
+    edges = [t for pin, _, t in chip.edge.pins if pin == 38]
+    for channel in (1, 2):
+        got = [(round(v / 3.3 * 4096), t) for c, v, t in chip.edge.volts if c == channel]
+        expected = [set_points[k % chips] >> 16 * (channel - 1) & 0xFFF for k in range(1, 21)]
+        assert [code for code, _ in got] == expected
+        assert all(2 * APB1_PS - 1 < t - edge <= 3 * APB1_PS + 1 for (_, t), edge in zip(got, edges[:6], strict=False))
+    levels = [level for pin, level, _ in chip.edge.pins if pin == 38]
+    assert levels[:6] == [True, False] * 3
+
+
 def test_rules() -> None:
     chip = Bench()
     chip.full_speed()
