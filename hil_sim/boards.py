@@ -24,7 +24,7 @@ class BoardSpec:
     Attributes
     ----------
     role : str
-        ``beacon`` or ``sensor``.
+        ``beacon``, ``sensor``, or ``anchor``: both.
     clock : Clock
     unique_id : bytes
         Twelve bytes.
@@ -86,8 +86,10 @@ class HostBoards:
         self._ffi, self._library = clib.load(HOST_LIBRARY, ["host_board.h"])
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
-        """See `BoardFactory`; raises UserError for a clock that such a board cannot have."""
+        """See `BoardFactory`; raises UserError for a clock or a role that such a board cannot have."""
         ffi, library = self._ffi, self._library
+        if spec.role == "anchor":
+            raise UserError("host boards cannot be a beacon with a sensor: remove [beacon.sensor]")
         if spec.clock.crystal_dead:
             raise UserError("host boards cannot simulate crystal_dead: use --boards emulated, or remove the key")
         config = ffi.new("host_board_config_t *")

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.errors import SystemFailure, UserError
-from hil_sim import clib
+from hil_sim import clib, rig_config
 from hil_sim.boards import Board, BoardFactory, BoardSpec, address, factory
-from hil_sim.scenario import CONVERTER_COUNTS, Circuit, Clock, Scenario
+from hil_sim.scenario import Clock, Scenario
 from hil_sim.world import path
 
 FloatArray = NDArray[np.float64]
@@ -59,7 +59,7 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """Where the sensor really was in the middle of a cycle: ``B_site = R B_sensor``."""
+    """Where a sensor really was in the middle of a cycle: ``B_site = R B_sensor``."""
 
     cycle: int
     time_s: float
@@ -117,7 +117,8 @@ class Rig:
             raise UserError(str(error)) from error
         self._boards: list[Board] = []
         self._specs: list[BoardSpec] = []
-        self._truth_edges = 0
+        self._sensing = [n for n in range(1 + len(scenario.beacons)) if scenario.front_end(n) is not None]
+        self._truth_edges = dict.fromkeys(self._sensing, 0)
         self._window = -1
         self._rig = self._create(host_on_can, threads or min(2, os.cpu_count() or 1))
         try:
@@ -137,48 +138,12 @@ class Rig:
     # ---- Building ----
 
     def _create(self, host_on_can: bool, threads: int) -> Any:
-        ffi, scenario = self._ffi, self.scenario
-        boards = ffi.new("rig_board_config_t[]", 1 + len(scenario.beacons))
-        boards[SENSOR].senses = True
-        self._fill_front_end(boards[SENSOR].front_end)
-        for board, beacon in zip(boards[1 : len(boards)], scenario.beacons, strict=True):
-            board.coils = len(beacon.coils)
-            for coil in board.coil[0 : board.coils]:
-                self._fill_coil(coil, beacon.circuit)
-        config = ffi.new("rig_config_t *")
-        config.seed, config.beacons, config.threads = self.seed, len(scenario.beacons), threads
-        config.sync_master = scenario.sync_master
-        config.can_bits_per_second, config.baud = 1_000_000, 2_000_000
-        config.host_on_can, config.boards = host_on_can, boards
-        self._fill_ambient(config.ambient)
+        config, _boards = rig_config.build(self._ffi, self.scenario, self.seed)
+        config.threads, config.host_on_can = threads, host_on_can
         rig = self._library.rig_create(config)
-        if rig == ffi.NULL:
+        if rig == self._ffi.NULL:
             raise SystemFailure("the rig could not be made: not enough memory or threads")
         return rig
-
-    def _fill_coil(self, coil: Any, circuit: Circuit) -> None:
-        sense = 0.103125 * (1.0 + circuit.sense_gain_error)
-        coil.inductance_H, coil.resistance_Ohm = circuit.inductance_H, circuit.resistance_Ohm
-        coil.supply_V, coil.lag_s = circuit.supply_V, self.scenario.sensor.lag_s
-        coil.reference_A_per_V = 16.0 / 3.3 * (1.0 + circuit.reference_gain_error)
-        coil.sense_V_per_A, coil.sense_noise_V = sense, circuit.sense_noise_A * sense
-
-    def _fill_ambient(self, ambient: Any) -> None:
-        source = self.scenario.ambient
-        ambient.seed, ambient.lag_s = self.seed, self.scenario.sensor.lag_s
-        ambient.earth_T = source.earth_T.tolist()
-        if source.mains is not None:
-            ambient.mains_Hz, ambient.mains_phase_rad = source.mains.frequency_Hz, source.mains.phase_rad
-            ambient.mains_T = source.mains.amplitude_T.tolist()
-            ambient.harmonics[0 : len(source.mains.harmonics)] = source.mains.harmonics
-        ambient.impulse_rate_Hz, ambient.impulse_T = source.impulses.rate_Hz, source.impulses.amplitude_T
-        ambient.impulse_decay_s = source.impulses.decay_s
-
-    def _fill_front_end(self, front_end: Any) -> None:
-        sensor = self.scenario.sensor
-        front_end.gain, front_end.offset_T = sensor.gain.tolist(), sensor.offset_T.tolist()
-        front_end.range_T, front_end.noise_T = sensor.range_T, sensor.noise_T
-        front_end.converter_noise_V = sensor.converter_noise_LSB * 3.3 / CONVERTER_COUNTS
 
     def _connect(self) -> None:
         scenario = self.scenario
@@ -187,7 +152,7 @@ class Rig:
         clocks = [scenario.sensor.clock, *(beacon.clock for beacon in scenario.beacons)]
         for number, (delay_s, clock) in enumerate(zip(delays_s, clocks, strict=True)):
             spec = BoardSpec(
-                role="sensor" if number == SENSOR else "beacon",
+                role=self._role(number),
                 clock=clock,
                 unique_id=random.bytes(8) + number.to_bytes(4, "little"),
                 parameter_page=scenario.parameter_page(number),
@@ -195,6 +160,11 @@ class Rig:
             )
             self._specs.append(spec)
             self._boards.append(self._seat(number, spec))
+
+    def _role(self, board: int) -> str:
+        if board == SENSOR:
+            return "sensor"
+        return "beacon" if self.scenario.front_end(board) is None else "anchor"
 
     def _seat(self, number: int, spec: BoardSpec) -> Board:
         """Make a board and connect it."""
@@ -205,22 +175,29 @@ class Rig:
         return board
 
     def _enter_window(self, window: int) -> None:
-        """Hand the motion of one window to the hot loop."""
+        """Hand the motion of one window to the hot loop; a sensor at rest keeps its first."""
         start_s = window * PATH_WINDOW_S - PATH_OVERLAP_S
         stop_s = (window + 1) * PATH_WINDOW_S + PATH_OVERLAP_S
         coils = [coil for beacon in self.scenario.beacons for coil in beacon.coils]
-        try:
-            computed = path.compute(coils, self.scenario.motion, start_s, stop_s)
-        except path.PathError as error:
-            raise UserError(f"scenario {self.scenario.name}: {error}") from error
+        for board in self._sensing:
+            motion = self.scenario.motion_of(board)
+            if motion.still and self._window >= 0:
+                continue
+            try:
+                self._set_path(board, path.compute(coils, motion, start_s, stop_s))
+            except path.PathError as error:
+                of = "" if board == SENSOR else f" {self.board_name(board)}:"
+                raise UserError(f"scenario {self.scenario.name}:{of} {error}") from error
+        self._window = window
+
+    def _set_path(self, board: int, computed: path.Path) -> None:
         coefficients = np.ascontiguousarray(computed.coefficients)
         handed = self._ffi.new("path_t *")
         handed.start_ps, handed.interval_ps = round(computed.start_s * 1e12), round(computed.interval_s * 1e12)
         handed.intervals, handed.columns = coefficients.shape[:2]
         handed.coefficients = self._ffi.from_buffer("double[]", coefficients)
-        if not self._library.rig_set_path(self._rig, SENSOR, handed):
-            raise SystemFailure("the rig refused the sensor's path: not enough memory")
-        self._window = window
+        if not self._library.rig_set_path(self._rig, board, handed):
+            raise SystemFailure("the rig refused a sensor's path: not enough memory")
 
     # ---- Running ----
 
@@ -336,27 +313,29 @@ class Rig:
         self._library.rig_sync_edges(self._rig, 0, times, count)
         return np.array(list(times)[:count], dtype=np.float64) * 1e-12
 
-    def truth(self) -> list[Truth]:
-        """Take the truth of the cycles that ended since the last call; cycle 0 starts at the sync wire's first edge.
+    def truth(self, board: int = SENSOR) -> list[Truth]:
+        """Take a sensor's truth of the cycles that ended since the last call; the wire's first edge starts cycle 0.
 
         The wire marks each cycle of degree 10 or 11, each second one of degree 9, ... each 32nd of degree 5 (sync.h).
         """
+        self._check_sensor(board)
         cycles = 1 << max(0, 10 - self.scenario.degree)
         times = self._ffi.new("int64_t[]", 1024)
         result: list[Truth] = []
         while True:
-            count = int(self._library.rig_sync_edges(self._rig, self._truth_edges, times, len(times)))
-            available = min(count - self._truth_edges, len(times))
+            first = self._truth_edges[board]
+            count = int(self._library.rig_sync_edges(self._rig, first, times, len(times)))
+            available = min(count - first, len(times))
             if available < 2:
                 return result
-            for first, second in pairwise(times[0:available]):
+            for edge, (start, end) in enumerate(pairwise(times[0:available]), start=first):
                 for part in range(cycles):
-                    middle_ps = first + (second - first) * (part + 0.5) / cycles
-                    result.append(self._truth_at(self._truth_edges * cycles + part, 1e-12 * middle_ps))
-                self._truth_edges += 1
+                    middle_ps = start + (end - start) * (part + 0.5) / cycles
+                    result.append(self._truth_at(board, edge * cycles + part, 1e-12 * middle_ps))
+            self._truth_edges[board] += available - 1
 
-    def _truth_at(self, cycle: int, time_s: float) -> Truth:
-        position, rotation = self.scenario.motion.poses(np.array([time_s]))
+    def _truth_at(self, board: int, cycle: int, time_s: float) -> Truth:
+        position, rotation = self.scenario.motion_of(board).poses(np.array([time_s]))
         return Truth(cycle, time_s, position[0], rotation.as_quat(canonical=True)[0])
 
     def watch_pins(self, watch: bool = True) -> None:
@@ -377,10 +356,11 @@ class Rig:
         self._check_coil(board, coil)
         return float(self._library.rig_coil_current(self._rig, board, coil))
 
-    def sensor_field_T(self) -> FloatArray:
-        """Field at the sensor at the present, shape (3,), sensor's frame, before its front end."""
+    def sensor_field_T(self, board: int = SENSOR) -> FloatArray:
+        """Return the field at a board's sensor at the present, shape (3,), its frame, before its front end."""
+        self._check_sensor(board)
         field = self._ffi.new("double[3]")
-        self._library.rig_sensor_field(self._rig, SENSOR, field)
+        self._library.rig_sensor_field(self._rig, board, field)
         return np.array(list(field))
 
     def fault(self, board: int, kind: str, active: bool = True, coil: int = 0) -> None:
@@ -396,6 +376,10 @@ class Rig:
         if kind in COIL_FAULTS:
             self._check_coil(board, coil)
         self._library.rig_fault(self._rig, board, coil, FAULTS.index(kind), active)
+
+    def _check_sensor(self, board: int) -> None:
+        if board not in self._sensing:
+            raise UserError(f"{self.board_name(board)} has no sensor: give it a table [beacon.sensor] in the scenario")
 
     def _check_coil(self, board: int, coil: int) -> None:
         coils = 0 if board == SENSOR else len(self.scenario.beacons[board - 1].coils)

@@ -96,9 +96,8 @@ class Table:
         value = self._required(key)
         if not isinstance(value, dict):
             raise self.error(key, f"must be a table, not {_kind(value)}")
-        return Table(
-            value, path=self._path, lines=self._lines, name=f"[{self._inner(key)}]", header_line=self._line_of(key)
-        )
+        name = f"{self._name}: {key}" if self._name.startswith("[[") else f"[{self._inner(key)}]"
+        return Table(value, path=self._path, lines=self._lines, name=name, header_line=self._line_of(key))
 
     def tables(self, key: str) -> list[Table]:
         """Return a required array of at least one table."""

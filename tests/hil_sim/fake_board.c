@@ -69,7 +69,7 @@ static void turn_chip(const board_t *board)
 static void start_chip(board_t *board)
 {
     const board_edge_t *const edge = &board->edge;
-    if (board->config.sensor) {
+    if (!board->config.drives) {
         return;
     }
     if (board->chip == 0) {
@@ -95,14 +95,14 @@ static int64_t event_time(const board_t *board)
     if (board->event == 0) {
         return board->chip_start_ps;
     }
-    const int64_t last = board->config.sensor ? FAKE_BURST : 1;
+    const int64_t last = board->config.senses ? FAKE_BURST : 1;
     return board->chip_start_ps + board->chip_ps - 1000000 - (last + 1 - (int64_t)board->event) * 1500000;
 }
 
 static void take_event(board_t *board)
 {
     const board_edge_t *const edge = &board->edge;
-    const unsigned last = board->config.sensor ? FAKE_BURST : 1;
+    const unsigned last = board->config.senses ? FAKE_BURST : 1;
     if (board->event == 0) {
         start_chip(board);
     } else {
@@ -112,8 +112,8 @@ static void take_event(board_t *board)
         }
         fake_sample_t *const sample = &board->samples[board->sample_count++];
         *sample = (fake_sample_t){.time_ps = board->now_ps};
-        for (unsigned i = 0; i < (board->config.sensor ? 3u : 2u); ++i) {
-            sample->volts[i] = edge->analog_in(edge->context, board->config.sensor ? 1 + i : 6 * i, board->now_ps);
+        for (unsigned i = 0; i < (board->config.senses ? 3u : 2u); ++i) {
+            sample->volts[i] = edge->analog_in(edge->context, board->config.senses ? 1 + i : 6 * i, board->now_ps);
         }
     }
     if (board->event++ == last) {

@@ -2,8 +2,9 @@
  *
  * Beacon: bridge on, set-point 10 A, chips from a small LFSR, the coil current sampled before each chip's end; the sync output rises with every
  * FAKE_CYCLE-th chip; one CAN frame a cycle. A beacon with periods drives both channels instead: 10 A times cosine and sine of so many turns in
- * FAKE_CYCLE chips, by set-points and bridge. Sensor: eight conversions of three axes before each chip's end. Both keep their samples, and write on the
- * serial port what they hear (bytes, sync edges, CAN frames, outcomes of their own) as text with its time.
+ * FAKE_CYCLE chips, by set-points and bridge. Sensor: eight conversions of three axes before each chip's end. A board that is both drives its coil and
+ * samples the field. All keep their samples, and write on the serial port what they hear (bytes, sync edges, CAN frames, outcomes of their own) as
+ * text with its time.
  */
 #ifndef FAKE_BOARD_H
 #define FAKE_BOARD_H
@@ -14,7 +15,7 @@
 #define FAKE_BURST 8
 
 typedef struct {
-    bool sensor;
+    bool drives, senses;   /* Beacon, sensor, or both. */
     bool still;            /* A beacon that keeps its bridge positive. */
     unsigned periods;      /* 0: one channel, chips. */
     double ppm;
@@ -24,7 +25,7 @@ typedef struct {
 
 typedef struct {
     int64_t time_ps;
-    double volts[3]; /* Sensor: field x, y, z. Beacon: the currents' senses of channels 0 and 1. */
+    double volts[3]; /* Field x, y, z if it senses, else the currents' senses of channels 0 and 1. */
 } fake_sample_t;
 
 board_t *fake_create(const fake_config_t *config, const board_edge_t *edge, int64_t power_on_ps);

@@ -33,8 +33,9 @@ def library() -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
     ffi.cdef(
         """
-        typedef struct { bool sensor, still; unsigned periods; double ppm; uint32_t can_id; int64_t stops_at_ps; }
-            fake_config_t;
+        typedef struct {
+            bool drives, senses, still; unsigned periods; double ppm; uint32_t can_id; int64_t stops_at_ps;
+        } fake_config_t;
         typedef struct { int64_t time_ps; double volts[3]; } fake_sample_t;
         size_t fake_samples(const void *board, const fake_sample_t **samples);
         void *fake_create(const fake_config_t *config, const void *edge, int64_t power_on_ps);
@@ -66,7 +67,7 @@ class FakeBoards:
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
         ffi, lib = library()
         config = ffi.new("fake_config_t *")
-        config.sensor = spec.role == "sensor"
+        config.drives, config.senses = spec.role != "sensor", spec.role != "beacon"
         config.still, config.ppm = self._still, spec.clock.crystal_ppm
         config.periods = self._periods.get(len(self.instances), 0)
         config.can_id = 0x01000001 + len(self.instances)

@@ -1,0 +1,100 @@
+"""Parameter pages of the boards (``framing.md``)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from goldfield_protocol.parameters import Value, build_page
+from hil_sim.scenario.parts import DEGREE, Beacon, FrontEnd
+
+if TYPE_CHECKING:
+    from hil_sim.scenario.scenario import Scenario
+
+LEAST_NOISE_T = 1e-9
+"""What the sensor takes for its noise in a scenario without any: the converters' steps remain."""
+
+
+def build(scenario: Scenario, board: int) -> bytes:
+    """Build the page of a board: 0 the sensor, then the beacons."""
+    if board == 0:
+        own = _sensor(scenario)
+    else:
+        beacon = scenario.beacons[board - 1]
+        own = _beacon(beacon, scenario.slots)
+        if beacon.sensor is not None:
+            own = {**own, **_front_end(beacon.sensor), **_code_list(scenario)}
+        if scenario.sync == "can":
+            own = {**own, "sync_source": 2}
+    return build_page(own if scenario.degree == DEGREE else {**own, "degree": scenario.degree})
+
+
+def _sensor(scenario: Scenario) -> Mapping[str, Value]:
+    sensor, half = scenario.sensor, scenario.half_space
+    surroundings: dict[str, Value] = {
+        "pose": 1,
+        "noise": max(sensor.noise_T, LEAST_NOISE_T),
+        "half_space": [0.0] * 6 if half is None else [*half.point.tolist(), *half.normal.tolist()],
+        "beacons": [value for beacon in scenario.beacons for value in _beacon_row(beacon)],
+    }
+    return {
+        **(surroundings if sensor.pose else {}),
+        "node": sensor.node,
+        "stream": sensor.stream,
+        "sync_source": 1 if not sensor.sync_wire else 2 if scenario.sync == "can" else 0,
+        **_code_list(scenario),
+        **_front_end(sensor),
+    }
+
+
+def _code_list(scenario: Scenario) -> dict[str, Value]:
+    codes = [beacon.code for beacon in scenario.beacons if beacon.code is not None]
+    return {"code_count": len(codes), "code_list": codes}
+
+
+def _front_end(front_end: FrontEnd) -> dict[str, Value]:
+    zero, matrix = front_end.correction()
+    return {
+        "zero_x": float(zero[0]),
+        "zero_y": float(zero[1]),
+        "zero_z": float(zero[2]),
+        "calibration": [float(value) for value in matrix.ravel()],
+    }
+
+
+def _beacon_row(beacon: Beacon) -> tuple[float, ...]:
+    """Position, axis, moment and radius as the sensor's parameters have them; a wire becomes the circle of its area."""
+    coil = beacon.geometry
+    if coil.points_m is None:
+        assert coil.radius_m is not None
+        area, centre = math.pi * coil.radius_m**2, coil.position_m
+    else:
+        ends = np.roll(coil.points_m, -1, axis=0)
+        area = float(np.linalg.norm(0.5 * np.cross(coil.points_m, ends).sum(axis=0)))
+        lengths = np.linalg.norm(ends - coil.points_m, axis=1)
+        centre = np.average(0.5 * (coil.points_m + ends), axis=0, weights=lengths)
+    moment = coil.turns * area * beacon.circuit.current_A
+    return (*map(float, centre), *map(float, coil.axis), moment, math.sqrt(area / math.pi))
+
+
+def _beacon(beacon: Beacon, slots: int) -> Mapping[str, Value]:
+    waveform: dict[str, Value] = {}
+    if beacon.slot is not None:
+        waveform = {"waveform": 1, "slots": slots, "slot": beacon.slot}
+    elif beacon.periods is not None:
+        waveform = {"waveform": 2, "periods": beacon.periods}
+    elif beacon.rotating_periods is not None:
+        waveform = {"waveform": 3, "periods": beacon.rotating_periods}
+    elif beacon.codes:
+        rows = [value for code in beacon.codes for value in (code.degree, code.index, code.offset, code.hold)]
+        waveform = {"waveform": 4, "codes": rows}
+    if beacon.code is not None:
+        waveform["code"] = beacon.code
+    return waveform | {
+        "node": beacon.node,
+        "amplitude": beacon.circuit.current_A,
+        "sync_master": int(beacon.sync_master),
+    }

@@ -1,0 +1,394 @@
+"""Reading and checking scenario files."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.drive import DEGREES, Code, Plan, read_drive
+from goldfield.errors import UserError
+from goldfield.toml_table import Table, text_lines
+from goldfield_protocol.parameters import ParameterError
+from hil_sim.scenario.parts import (
+    CHIP_PERIOD_S,
+    DEGREE,
+    Ambient,
+    Anchor,
+    Beacon,
+    Circuit,
+    Clock,
+    HalfSpace,
+    Impulses,
+    Mains,
+    Sensor,
+)
+from hil_sim.scenario.scenario import Scenario
+from hil_sim.world.motion import Line, Motion, Still, Waypoints
+from hil_sim.world.path import CoilGeometry
+
+FloatArray = NDArray[np.float64]
+
+SCENARIOS = Path(__file__).parents[1] / "scenarios"
+HARMONICS = 16
+CODES_MAX = 4
+"""Superposed codes of a beacon, a limit of the boards."""
+SQUARE_TOLERANCE = 1e-3
+"""Cosine of the angle between crossed coils that still counts as none: coils that lean more would couple."""
+ZERO = np.zeros(3)
+
+
+def find(name: str) -> Path:
+    """Return the file of a scenario given by its name in ``scenarios`` or by a path.
+
+    Raises
+    ------
+    UserError
+        If there is none.
+    """
+    if Path(name).suffix == ".toml" or Path(name).is_file():
+        return Path(name)
+    path = SCENARIOS / f"{name}.toml"
+    if not path.is_file():
+        known = ", ".join(sorted(file.stem for file in SCENARIOS.glob("*.toml")))
+        raise UserError(f"there is no scenario '{name}'; there are {known}; or give the path of a .toml file")
+    return path
+
+
+def load_scenario(name: str) -> Scenario:
+    """Read the scenario of a name or a path; see `find` and `load`."""
+    return load(find(name))
+
+
+def load(path: str | Path) -> Scenario:
+    """Read and check a scenario file.
+
+    Raises
+    ------
+    UserError
+        One sentence with file, line, table and key, if anything is missing, unknown, of the wrong type or out of range.
+    """
+    path = Path(path)
+    lines = text_lines(path, "scenario")
+    try:
+        document = tomllib.loads("\n".join(lines))
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: is no valid TOML: {error}") from error
+    root = Table(document, path=path, lines=lines)
+    root.allow(
+        *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
+        *("coil", "beacon"),
+    )
+    sync = root.text("sync") if "sync" in root else "wire"
+    if sync not in ("wire", "can"):
+        raise root.error("sync", f'is "{sync}"; it must be "wire" or "can"')
+    coil = root.table("coil") if "coil" in root else Table({}, path=path, lines=lines)
+    coil.allow(*COIL_KEYS)
+    seed = root.integer("seed")
+    if not 0 <= seed < 1 << 63:
+        raise root.error("seed", "must lie in 0 to 2^63 - 1")
+    degree = root.integer("degree") if "degree" in root else DEGREE
+    if degree not in DEGREES:
+        raise root.error("degree", f"is {degree}; codes exist for {', '.join(map(str, DEGREES))}")
+    plan = Plan("cdma", degree, CHIP_PERIOD_S)
+    sensor = _sensor(root.table("sensor"))
+    defaults = Defaults(coil, root.table("sensor"), plan)
+    scenario = Scenario(
+        name=root.text("name"),
+        seed=seed,
+        power_on_spread_s=_not_negative(root, "power_on_spread_s", 0.02),
+        half_space=_half_space(root.table("half_space")) if "half_space" in root else None,
+        ambient=_ambient(root.table("ambient")) if "ambient" in root else Ambient(ZERO, None, Impulses()),
+        sensor=sensor,
+        motion=_motion(root.table("motion")),
+        beacons=tuple(_beacon(table, defaults) for table in root.tables("beacon")),
+        slots=_between(root, "slots", 1, plan.chips) if "slots" in root else 0,
+        degree=degree,
+        sync=sync,
+    )
+    _check_boards(root, scenario)
+    return scenario
+
+
+# ---- Tables ----
+
+CLOCK_KEYS = tuple(field.name for field in fields(Clock))
+CIRCUIT_KEYS = tuple(field.name for field in fields(Circuit))
+COIL_KEYS = (*CIRCUIT_KEYS, "turns", "radius_m", "axis")
+CIRCUIT_REQUIRED = ("current_A", "inductance_H", "resistance_Ohm", "supply_V")
+FRONT_END_KEYS = (
+    *("noise_T", "converter_noise_LSB", "range_T", "gain_error", "misalignment_rad", "offset_T", "calibration"),
+)
+SENSOR_KEYS = ("node", "bandwidth_Hz", "stream", "pose", "sync_wire", *FRONT_END_KEYS, *CLOCK_KEYS)
+ANCHOR_KEYS = ("position_m", "rotation_vector_rad", *FRONT_END_KEYS)
+MOTION_KEYS = {
+    "still": ("position_m", "rotation_vector_rad"),
+    "line": ("position_m", "rotation_vector_rad", "velocity_m_per_s", "rate_rad_per_s"),
+    "waypoints": ("times_s", "positions_m", "rotation_vectors_rad"),
+}
+BEACON_KEYS = (
+    *("id", "node", "code", "codes", "slot", "periods", "rotating_periods", "second_axis"),
+    *("sync_master", "position_m", "points_m", "sensor", *COIL_KEYS, *CLOCK_KEYS),
+)
+
+
+@dataclass(frozen=True)
+class Defaults:
+    """Where a beacon's values come from if it does not give them."""
+
+    coil: Table
+    sensor: Table
+    plan: Plan
+
+
+def _source(table: Table, defaults: Table) -> Callable[[str], Table]:
+    """Return what tells the table of a key: the defaults' only if the table has none and they have."""
+
+    def source(key: str) -> Table:
+        return defaults if key not in table and key in defaults else table
+
+    return source
+
+
+def _number(table: Table, key: str, default: float) -> float:
+    return table.number(key) if key in table else default
+
+
+def _vector(table: Table, key: str) -> FloatArray:
+    return table.vector(key) if key in table else ZERO
+
+
+def _not_negative(table: Table, key: str, default: float) -> float:
+    value = _number(table, key, default)
+    if value < 0.0:
+        raise table.error(key, f"is {value:g}; it must not be negative")
+    return value
+
+
+def _between(table: Table, key: str, low: int, high: int) -> int:
+    value = table.integer(key)
+    if not low <= value <= high:
+        raise table.error(key, f"is {value}; it must lie in {low} to {high}")
+    return value
+
+
+def _clock(table: Table) -> Clock:
+    internal = _number(table, "internal_ppm", 0.0)
+    crystal = _number(table, "crystal_ppm", 0.0)
+    for key, value, limit in (("crystal_ppm", crystal, 5e3), ("internal_ppm", internal, 5e4)):
+        if abs(value) > limit:
+            raise table.error(key, f"is {value:g}; it must lie within +-{limit:g}")
+    return Clock(
+        crystal_ppm=crystal,
+        internal_ppm=internal,
+        crystal_dead="crystal_dead" in table and table.flag("crystal_dead"),
+        temperature_degC=_number(table, "temperature_degC", 25.0),
+    )
+
+
+def _half_space(table: Table) -> HalfSpace:
+    table.allow("point", "normal")
+    return HalfSpace(point=table.vector("point"), normal=table.direction("normal"))
+
+
+def _ambient(table: Table) -> Ambient:
+    table.allow("earth_T", "mains", "impulses")
+    mains, impulses = None, Impulses()
+    if "mains" in table:
+        inner = table.table("mains")
+        inner.allow("frequency_Hz", "amplitude_T", "harmonics", "phase_rad")
+        harmonics = tuple(inner.numbers("harmonics").tolist()) if "harmonics" in inner else (1.0,)
+        if len(harmonics) > HARMONICS:
+            raise inner.error("harmonics", f"lists {len(harmonics)}; at most {HARMONICS} are possible")
+        mains = Mains(
+            frequency_Hz=inner.positive("frequency_Hz"),
+            amplitude_T=inner.vector("amplitude_T"),
+            harmonics=harmonics,
+            phase_rad=_number(inner, "phase_rad", 0.0),
+        )
+    if "impulses" in table:
+        inner = table.table("impulses")
+        inner.allow("rate_Hz", "amplitude_T", "decay_s")
+        impulses = Impulses(
+            rate_Hz=_not_negative(inner, "rate_Hz", 0.0),
+            amplitude_T=inner.number("amplitude_T"),
+            decay_s=inner.positive("decay_s") if "decay_s" in inner else Impulses.decay_s,
+        )
+    return Ambient(earth_T=_vector(table, "earth_T"), mains=mains, impulses=impulses)
+
+
+def _front_end(table: Table, defaults: Table) -> dict[str, Any]:
+    """Return the fields of a `FrontEnd`; the bandwidth is the sensor board's for all, as the coils' lag is one."""
+    source = _source(table, defaults)
+    calibration = source("calibration").text("calibration") if "calibration" in source("calibration") else "exact"
+    if calibration not in ("exact", "nominal"):
+        raise source("calibration").error("calibration", f'is "{calibration}"; it must be "exact" or "nominal"')
+    return {
+        "noise_T": _not_negative(source("noise_T"), "noise_T", 0.0),
+        "converter_noise_LSB": _not_negative(source("converter_noise_LSB"), "converter_noise_LSB", 0.5),
+        "bandwidth_Hz": _not_negative(defaults, "bandwidth_Hz", 0.0),
+        "range_T": source("range_T").positive("range_T"),
+        "gain_error": _vector(source("gain_error"), "gain_error"),
+        "misalignment_rad": _vector(source("misalignment_rad"), "misalignment_rad"),
+        "offset_T": _vector(source("offset_T"), "offset_T"),
+        "calibration": calibration,
+    }
+
+
+def _sensor(table: Table) -> Sensor:
+    table.allow(*SENSOR_KEYS)
+    return Sensor(
+        **_front_end(table, table),
+        node=_between(table, "node", 1, 4095),
+        clock=_clock(table),
+        stream=_between(table, "stream", 0, 1) if "stream" in table else 0,
+        sync_wire=table.flag("sync_wire") if "sync_wire" in table else True,
+        pose=_between(table, "pose", 0, 1) if "pose" in table else 1,
+    )
+
+
+def _anchor(table: Table, defaults: Table) -> Anchor:
+    table.allow(*ANCHOR_KEYS)
+    return Anchor(
+        **_front_end(table, defaults),
+        position_m=table.vector("position_m"),
+        rotation_vector_rad=_vector(table, "rotation_vector_rad"),
+    )
+
+
+def _motion(table: Table) -> Motion:
+    kind = table.text("kind")
+    if kind not in MOTION_KEYS:
+        raise table.error("kind", f'is "{kind}"; it must be one of {", ".join(MOTION_KEYS)}')
+    table.allow("kind", *MOTION_KEYS[kind])
+    if kind == "waypoints":
+        times = table.numbers("times_s")
+        positions, rotations = table.vectors("positions_m"), table.vectors("rotation_vectors_rad")
+        if len(times) < 2 or np.any(np.diff(times) <= 0.0):
+            raise table.error("times_s", "must be at least two times that increase")
+        for key, value in (("positions_m", positions), ("rotation_vectors_rad", rotations)):
+            if len(value) != len(times):
+                raise table.error(key, f"has {len(value)} entries; times_s has {len(times)}: give one each")
+        return Waypoints(times, positions, rotations)
+    position, rotation = table.vector("position_m"), _vector(table, "rotation_vector_rad")
+    if kind == "still":
+        return Still(position, rotation)
+    return Line(position, rotation, _vector(table, "velocity_m_per_s"), _vector(table, "rate_rad_per_s"))
+
+
+def _beacon(table: Table, defaults: Defaults) -> Beacon:
+    table.allow(*BEACON_KEYS)
+    plan, source = defaults.plan, _source(table, defaults.coil)
+    values = {key: source(key).number(key) for key in CIRCUIT_KEYS if key in source(key) or key in CIRCUIT_REQUIRED}
+    for key in ("inductance_H", "resistance_Ohm", "supply_V"):
+        if values[key] <= 0.0:
+            raise source(key).error(key, f"is {values[key]:g}; it must be greater than zero")
+    if not 0.0 <= values["current_A"] <= 15.9:
+        raise source("current_A").error("current_A", f"is {values['current_A']:g}; the boards drive 0 to 15.9 A")
+    given = [key for key in ("codes", "slot", "periods", "rotating_periods") if key in table]
+    if not given and "code" not in table:
+        raise table.error("code", "is missing; give one, or codes, slot, periods or rotating_periods")
+    if len(given) > 1:
+        raise table.error(given[0], f"and {given[1]} are both given: a beacon drives one of them")
+    geometry = _geometry(table, source)
+    highest = (plan.chips - 1) // 2
+    return Beacon(
+        id=table.text("id"),
+        node=_between(table, "node", 1, 4095),
+        code=_between(table, "code", 0, 1 << plan.degree) if "code" in table else None,
+        sync_master="sync_master" in table and table.flag("sync_master"),
+        clock=_clock(table),
+        circuit=Circuit(**values),
+        geometry=geometry,
+        slot=_between(table, "slot", 0, plan.chips - 1) if "slot" in table else None,
+        periods=_between(table, "periods", 1, highest) if "periods" in table else None,
+        rotating_periods=_between(table, "rotating_periods", 1, highest) if "rotating_periods" in table else None,
+        second_coil=_second_coil(table, geometry),
+        codes=_codes(table, plan) if "codes" in table else (),
+        sensor=_anchor(table.table("sensor"), defaults.sensor) if "sensor" in table else None,
+    )
+
+
+def _codes(table: Table, plan: Plan) -> tuple[Code, ...]:
+    codes = read_drive(table, plan)[1].codes
+    if len(codes) > CODES_MAX:
+        raise table.error("codes", f"lists {len(codes)} codes; a board superposes at most {CODES_MAX}")
+    for code in codes:
+        lasts = code.hold * ((1 << code.degree) - 1)
+        if plan.chips % lasts:
+            raise table.error("codes", f"has a code that lasts {lasts} chips: a cycle of {plan.chips} is no multiple")
+    return codes
+
+
+def _second_coil(table: Table, first: CoilGeometry) -> CoilGeometry | None:
+    """Return the sine coil of a dual-axis beacon: the same as the first around another axis."""
+    if ("second_axis" in table) != ("rotating_periods" in table):
+        raise table.error("second_axis", "and rotating_periods belong together: give both or none")
+    if "second_axis" not in table:
+        return None
+    axis = table.direction("second_axis")
+    if first.points_m is not None:
+        raise table.error("points_m", "gives one coil, and second_axis needs two circular ones: give radius_m")
+    if abs(float(axis @ first.axis)) > SQUARE_TOLERANCE:
+        raise table.error("second_axis", "is not at right angles to axis: the two coils would couple")
+    return replace(first, axis=axis)
+
+
+def _geometry(table: Table, source: Callable[[str], Table]) -> CoilGeometry:
+    if "points_m" in table:
+        if "radius_m" in table:
+            raise table.error("points_m", "and radius_m are both given: give one of them")
+        points = table.vectors("points_m")
+        area = 0.5 * np.cross(points, np.roll(points, -1, axis=0)).sum(axis=0)
+        if len(points) < 3 or not np.any(area):
+            raise table.error("points_m", "encloses no area: give at least three points that are not on a line")
+        return CoilGeometry(
+            turns=table.positive("turns") if "turns" in table else 1.0,
+            radius_m=None,
+            position_m=table.vector("position_m") if "position_m" in table else points.mean(axis=0),
+            axis=area / np.linalg.norm(area),
+            points_m=points,
+        )
+    return CoilGeometry(
+        turns=source("turns").positive("turns"),
+        radius_m=source("radius_m").positive("radius_m"),
+        position_m=table.vector("position_m"),
+        axis=source("axis").direction("axis"),
+    )
+
+
+def _check_boards(root: Table, scenario: Scenario) -> None:
+    tables = root.tables("beacon")
+    masters = [beacon.id for beacon in scenario.beacons if beacon.sync_master]
+    if len(masters) != 1:
+        found = f"{', '.join(masters)} have" if masters else "none has"
+        raise root.error("beacon", f"tables: exactly one must have sync_master = true; {found}")
+    taken: dict[tuple[str, Any], str] = {("node", scenario.sensor.node): "the sensor"}
+    for table, beacon in zip(tables, scenario.beacons, strict=True):
+        if beacon.slot is not None and beacon.slot >= scenario.slots:
+            raise table.error("slot", f"is {beacon.slot}; it must be below the scenario's slots ({scenario.slots})")
+        if beacon.access != scenario.beacons[0].access:
+            raise table.error(
+                "id", "is driven otherwise than the first beacon: all need codes, or slots, or periods, or turn"
+            )
+        for key in ("id", "node", "code"):
+            value = getattr(beacon, key)
+            if value is None:
+                continue
+            if (key, value) in taken:
+                raise table.error(key, f"is {value!r}, which {taken[key, value]} already has: take another")
+            taken[key, value] = f"beacon {beacon.id}"
+    if scenario.sensor.pose and any(beacon.plain_code is None for beacon in scenario.beacons):
+        raise root.table("sensor").error("pose", "is 1, but the board can tell apart plain codes alone: set pose = 0")
+    try:
+        for board in range(len(scenario.beacons) + 1):
+            scenario.parameter_page(board)
+    except ParameterError as error:
+        raise root.error(
+            "sensor" if board == 0 else "beacon", f"does not fit the boards' parameters: {error}"
+        ) from error

@@ -1,0 +1,60 @@
+"""A whole scenario."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil_sim.scenario import pages, site_file
+from hil_sim.scenario.parts import DEGREE, Ambient, Beacon, FrontEnd, HalfSpace, Sensor
+from hil_sim.world.motion import Motion
+
+
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A whole scenario; board 0 is the sensor, board i the i-th beacon.
+
+    ``sync`` is where the boards have their time from, ``wire`` or ``can``; with ``can`` there is no sync wire.
+    """
+
+    name: str
+    seed: int
+    power_on_spread_s: float
+    half_space: HalfSpace | None
+    ambient: Ambient
+    sensor: Sensor
+    motion: Motion
+    beacons: tuple[Beacon, ...]
+    slots: int = 0
+    degree: int = DEGREE
+    sync: str = "wire"
+
+    @property
+    def chips(self) -> int:
+        """Chips in a cycle."""
+        return (1 << self.degree) - 1
+
+    @property
+    def sync_master(self) -> int:
+        """Board number of the sync master."""
+        return 1 + [beacon.sync_master for beacon in self.beacons].index(True)
+
+    def front_end(self, board: int) -> FrontEnd | None:
+        """Return a board's sensor; None: it has none."""
+        return self.sensor if board == 0 else self.beacons[board - 1].sensor
+
+    def motion_of(self, board: int) -> Motion:
+        """Return the motion of a board's sensor; ValueError if it has none."""
+        if board == 0:
+            return self.motion
+        anchor = self.beacons[board - 1].sensor
+        if anchor is None:
+            raise ValueError(f"beacon {self.beacons[board - 1].id} has no sensor")
+        return anchor.motion
+
+    def parameter_page(self, board: int) -> bytes:
+        """Build a board's parameter page (``framing.md``)."""
+        return pages.build(self, board)
+
+    def site_toml(self) -> str:
+        """Write the host's site file for this scenario."""
+        return site_file.write(self)

@@ -1,0 +1,80 @@
+"""The host's site file for a scenario."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from goldfield.drive import Code
+from hil_sim.scenario.parts import CHIP_PERIOD_S, Beacon
+from hil_sim.world.path import CoilGeometry
+
+if TYPE_CHECKING:
+    from hil_sim.scenario.scenario import Scenario
+
+
+def write(scenario: Scenario) -> str:
+    """Write the site file."""
+    lines = [
+        "[site]",
+        f"name = {_toml(scenario.name)}",
+        f"chip_period_s = {CHIP_PERIOD_S!r}",
+        f"degree = {scenario.degree}",
+    ]
+    lines += {
+        "cdma": [],
+        "tdma": ['access = "tdma"', f"slots = {scenario.slots}"],
+        "fdma, square": ['access = "fdma"', 'tone = "square"'],
+        "fdma, sine": ['access = "fdma"', 'tone = "sine"'],
+    }[scenario.beacons[0].access]
+    if scenario.half_space is not None:
+        point, normal = _toml(scenario.half_space.point), _toml(scenario.half_space.normal)
+        lines.append(f"half_space = {{ point = {point}, normal = {normal} }}")
+    lines += ["", "[sensor]", f"noise_T = {scenario.sensor.noise_T!r}"]
+    for beacon in scenario.beacons:
+        lines += _beacon(beacon, scenario)
+    return "\n".join(lines) + "\n"
+
+
+def _beacon(beacon: Beacon, scenario: Scenario) -> list[str]:
+    """Return the tables of a beacon: one, or one for each of its two coils."""
+    drive = [f"code = {beacon.code}"]
+    if beacon.codes:
+        drive = [f"codes = [{', '.join(map(_code, beacon.codes))}]"]
+    elif beacon.slot is not None:
+        drive = [f"slot = {beacon.slot}"]
+    elif beacon.periods is not None:
+        drive = [_frequency(scenario, beacon.periods)]
+    elif beacon.rotating_periods is not None and beacon.second_coil is not None:
+        frequency = _frequency(scenario, beacon.rotating_periods)
+        cosine = _coil(f"{beacon.id}.cos", beacon, beacon.geometry)
+        sine = _coil(f"{beacon.id}.sin", beacon, beacon.second_coil)
+        return [*cosine, frequency, *sine, frequency, 'wave = "sine"']
+    return [*_coil(beacon.id, beacon, beacon.geometry), *drive]
+
+
+def _frequency(scenario: Scenario, periods: int) -> str:
+    return f"frequency_Hz = {periods / (scenario.chips * CHIP_PERIOD_S)!r}"
+
+
+def _coil(name: str, beacon: Beacon, coil: CoilGeometry) -> list[str]:
+    lines = ["", "[[beacon]]", f"id = {_toml(name)}", f"position_m = {_toml(coil.position_m)}"]
+    lines += [f"axis = {_toml(coil.axis)}", f"turns = {_toml(coil.turns)}"]
+    if coil.points_m is None:
+        lines.append(f"radius_m = {_toml(coil.radius_m)}")
+    else:
+        lines.append(f"points_m = {_toml(coil.points_m)}")
+    return [*lines, f"current_A = {_toml(beacon.circuit.current_A)}"]
+
+
+def _code(code: Code) -> str:
+    return f"{{ code = {code.index}, degree = {code.degree}, offset = {code.offset}, hold = {code.hold} }}"
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, np.ndarray):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return repr(float(value))
