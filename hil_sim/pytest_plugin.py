@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import pytest
 
 from goldfield import site as sites
-from goldfield.link.epochs import Assembler, Report
+from goldfield.link.epochs import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.link.session import Session
 from goldfield.link.source import BusSource, open_can, open_port
 from goldfield.site import Site
@@ -98,8 +98,9 @@ class RealBench:
 
     def __init__(self, source: BusSource, name: str, site: Site) -> None:
         self.site = site
-        self._session = Session(source, name, Assembler(silence_s=8.0 * site.cycle_s))
+        self._session = Session(source, name, Assembler(silence_s=max(SHORTEST_SILENCE_S, 8.0 * site.cycle_s)))
         self._session.find_sensor()
+        self._session.check_degree(source, site.degree)
         self._session.configure(source, site.codes)
         self._reports = self._session.reports(live=True)
 

@@ -129,6 +129,7 @@ class PtySensor:
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         self.parameters = {5: 0, **{256 + i: 0 for i in range(64)}} if parameters is None else parameters
+        self.parameters.setdefault(28, 10)
         self.requests = []
         self._cycles, self._deaf, self._hang_up, self._garbage = list(cycles), deaf, hang_up, garbage
         self._hash, self._refuse = hash_, refuse
@@ -141,7 +142,7 @@ class PtySensor:
 
     def restart(self, cycles):
         """Forget everything, as a reset does, and say so."""
-        self.parameters.update({number: 0 for number in self.parameters})
+        self.parameters.update({number: 0 for number in self.parameters if number != 28})
         self.requests.clear()
         self._cycles = list(cycles)
         self._send(heartbeat(state=0))

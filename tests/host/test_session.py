@@ -100,6 +100,16 @@ def test_more_codes_than_a_sensor_reports():
         source.close()
 
 
+def test_a_sensor_of_another_degree_is_refused():
+    with PtySensor([]) as sensor:
+        source, session = connect(sensor)
+        session.find_sensor()
+        session.check_degree(source, 10)
+        with pytest.raises(UserError, match="sensor 100 works with codes of degree 10, the site file says 11: correct"):
+            session.check_degree(source, 11)
+        source.close()
+
+
 def test_another_protocol_is_refused_with_the_firmware_to_flash():
     with PtySensor([], hash_=0x1234) as sensor:
         source, session = connect(sensor)

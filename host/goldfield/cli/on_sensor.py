@@ -8,9 +8,6 @@ import os
 from goldfield.errors import UserError
 from goldfield.site import Site
 
-CODE_V = 1024
-"""The one code of the family that the board's closed form does not separate (framing.md)."""
-
 
 def add_on_sensor(parser: argparse.ArgumentParser) -> None:
     """Add ``--on-sensor``."""
@@ -34,8 +31,9 @@ def check_on_sensor(site: Site, track: bool) -> None:
     if track:
         raise UserError("--on-sensor and --track are both given: the sensor tracks by itself; leave out one of them")
     own_codes = site.access == "cdma" and len(set(site.codes)) == len(site.beacons)
-    if not own_codes or CODE_V in site.codes or site.degree != 10:
+    code_v = site.chips + 1  # the one code of the family that the board's closed form does not separate (framing.md)
+    if not own_codes or code_v in site.codes:
         raise UserError(
-            f"site {site.name}: a sensor computes its own pose only from beacons that have each their own code of "
-            f"degree 10, none of them {CODE_V}: change the codes or leave out --on-sensor"
+            f"site {site.name}: a sensor computes its own pose only from beacons that have each their own code, "
+            f"none of them {code_v}: change the codes or leave out --on-sensor"
         )

@@ -18,7 +18,7 @@ from goldfield.cli.output import json_line, number, pose_record
 from goldfield.cli.tracking import add_track, locating
 from goldfield.errors import UserError
 from goldfield.link.candump import CandumpReader, CandumpWriter
-from goldfield.link.epochs import Assembler, Report
+from goldfield.link.epochs import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.link.session import COUNTERS, Session
 from goldfield.link.source import BusSource, LogSource, Source, open_can, open_port
 from goldfield.site import Site
@@ -69,10 +69,11 @@ def run(arguments: argparse.Namespace) -> int:
             stack.callback(recorder.close)
         source: Source = LogSource(CandumpReader(where)) if kind == "log" else _open_bus(kind, where)
         stack.callback(source.close)
-        assembler = Assembler(silence_s=8.0 * site.cycle_s, own_pose=arguments.on_sensor)
+        assembler = Assembler(silence_s=max(SHORTEST_SILENCE_S, 8.0 * site.cycle_s), own_pose=arguments.on_sensor)
         session = Session(source, where, assembler, arguments.node, recorder)
         if isinstance(source, BusSource):
             session.find_sensor()
+            session.check_degree(source, site.degree)
             session.configure(source, site.codes, _parameters(arguments, site))
         return _print_poses(arguments, site, session, live=isinstance(source, BusSource))
 

@@ -56,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     try:
         session = Session(source, port, Assembler(), arguments.node)
         session.find_sensor()
+        session.check_degree(source, site.degree)
         calibration = _calibration(session, source)
         before = session.parameter(source, PARAM_STREAM)
         session.parameter(source, PARAM_STREAM, 1)

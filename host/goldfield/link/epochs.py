@@ -29,6 +29,9 @@ LONGEST_GAP = 1000
 """A cycle number that jumps further than so many cycles tells a restart, not a loss."""
 
 
+SHORTEST_SILENCE_S = 0.8
+"""Messages of short cycles come in bursts through an operating system; each burst has numbers of all twenty bits."""
+
 OWN_POSE = ("POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY")
 """What a sensor that computes its own pose sends after the fields of a cycle."""
 
@@ -95,7 +98,8 @@ class Assembler:
     Attributes
     ----------
     silence_s : float
-        After such a time without a message the low bits of a cycle say nothing any more: eight cycles.
+        After such a time without a message the low bits of a cycle say nothing any more: eight cycles, but not less
+        than `SHORTEST_SILENCE_S`.
     own_pose : bool
         Whether the sensor's own poses are awaited too; else they are ignored.
     repeated : int
@@ -110,7 +114,7 @@ class Assembler:
         Times that the cycle number jumped: the sensor or the sync master restarted.
     """
 
-    silence_s: float = 0.8
+    silence_s: float = SHORTEST_SILENCE_S
     own_pose: bool = False
     repeated: int = 0
     late: int = 0

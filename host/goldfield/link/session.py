@@ -20,6 +20,7 @@ ROLE_SENSOR = 1
 STATE_STARTING = 0
 
 PARAM_CODE_COUNT = 5
+PARAM_DEGREE = 28
 PARAM_CODE_LIST = 256
 LONGEST_CODE_LIST = 64
 KIND_UNSIGNED = 0
@@ -134,6 +135,23 @@ class Session:
             what = "heard nothing: check the power, the cable and the port"
         waited_s = time.monotonic() - begin
         raise SystemFailure(f"{self.name}: no heartbeat of {wanted} in {waited_s:.0f} s; {what}")
+
+    def check_degree(self, bus: BusSource, degree: int) -> None:
+        """Check that the sensor works with codes of the site's degree, which it reads once at its start.
+
+        Raises
+        ------
+        UserError
+            If it does not.
+        SystemFailure
+            If it does not answer.
+        """
+        own = self._ask(bus, PARAM_DEGREE)
+        if own != degree:
+            raise UserError(
+                f"{self.name}: sensor {self.node} works with codes of degree {own}, the site file says {degree}: "
+                "correct the site's degree, or store the parameter degree in every board"
+            )
 
     def configure(
         self, bus: BusSource, codes: Sequence[int], parameters: Mapping[int, int | float] | None = None
