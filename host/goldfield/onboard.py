@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
 from goldfield.link.epochs import OWN_POSE, Report
 from goldfield.pose_of import failed_pose
@@ -20,14 +21,18 @@ STATUS = (Status.OK, Status.AMBIGUOUS, Status.WEAK, Status.INCONSISTENT, Status.
 def onboard_parameters(site: Site) -> Mapping[int, int | float]:
     """Return the parameters, by id, with which a sensor computes its pose on a site whose codes it reports.
 
-    A coil given by its wire becomes the circle of its area, which is its field from a few diameters on.
+    A coil given by its wire becomes the circle of its area, which is its field from a few diameters on. A coil that
+    follows its code slowly becomes as much weaker as its part in the correlation is, so that the sensor need not know
+    ``tau_s``; what it adds to the correlations with other codes, .2 % of it at .3 chips, stays.
     """
     model = FieldModel(site.beacons)
+    ideal, risen = (np.asarray(site_templates(site, rise)) for rise in (False, True))
+    gain = (ideal * (risen - risen.mean(axis=0))).sum(axis=0) / (ideal * (ideal - ideal.mean(axis=0))).sum(axis=0)
     rows: list[float] = []
-    for beacon, centre, moment in zip(site.beacons, model.centre_m, model.moment_A_m2, strict=True):
+    for beacon, centre, moment, part in zip(site.beacons, model.centre_m, model.moment_A_m2, gain, strict=True):
         size = float(np.linalg.norm(moment))
         area = size / abs(beacon.turns * beacon.current_A)
-        rows += [*centre.tolist(), *(moment / size).tolist(), size, float(np.sqrt(area / np.pi))]
+        rows += [*centre.tolist(), *(moment / size).tolist(), float(part) * size, float(np.sqrt(area / np.pi))]
     half = np.zeros(6)
     if site.half_space is not None:
         half = np.concatenate([site.half_space.point_m, site.half_space.normal])

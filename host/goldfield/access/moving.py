@@ -40,10 +40,14 @@ def node_times(nodes: int) -> FloatArray:
     return np.asarray(-0.5 * np.cos(np.pi * (np.arange(nodes) + 0.5) / nodes))
 
 
-def separation_weights(degree: int, codes: Sequence[int], drift: int = 0) -> FloatArray:
+def separation_weights(
+    degree: int, codes: Sequence[int], drift: int = 0, templates: FloatArray | None = None
+) -> FloatArray:
     """Return the samples' weights in the separated fields and, last, the ambient field at mid-cycle: (n + 1, N).
 
-    Least squares on the codes and the powers 0 to ``drift`` of time.
+    Least squares on the codes and the powers 0 to ``drift`` of time. With templates of coils that follow slowly, shape
+    (N, n), the same sums of the samples, so solved that fields and powers at rest come out right: as
+    `goldfield.access.cdma.Separator` does with what a sensor sends.
 
     Raises
     ------
@@ -60,7 +64,10 @@ def separation_weights(degree: int, codes: Sequence[int], drift: int = 0) -> Flo
             f"the {len(codes)} codes cannot be separated beside an ambient field that changes during the cycle "
             f"(order {drift}): leave out beacons or choose other codes"
         )
-    return np.asarray(np.linalg.solve(triangle, orthogonal.T)[: len(codes) + 1])
+    weights = np.linalg.solve(triangle, orthogonal.T)
+    if templates is not None:
+        weights = np.linalg.solve(weights @ np.hstack([templates, powers]), weights)
+    return np.asarray(weights[: len(codes) + 1])
 
 
 class DriftSeparator:
@@ -103,22 +110,23 @@ class Cycle:
     codes : sequence of int
     nodes : int
         3 for separated fields, which average over the cycle; 7 holds 3e-6 of a field over 0.1 m at 0.3 m.
+    templates : ndarray, shape (N, n), optional
+        What the samples hold of each beacon (`goldfield.access.waveform`); default: the codes.
 
     Attributes
     ----------
     times : ndarray, shape (k,)
         Of the nodes, from mid-cycle in units of the cycle: Chebyshev points.
     design : ndarray, shape (N, (n + 1) k)
-        Samples by field at node: n codes, then the ambient field; the node runs fastest.
+        Samples by field at node: n beacons, then the ambient field; the node runs fastest.
     """
 
-    def __init__(self, degree: int, codes: Sequence[int], nodes: int) -> None:
-        self.degree, self.codes = degree, tuple(codes)
+    def __init__(self, degree: int, codes: Sequence[int], nodes: int, templates: FloatArray | None = None) -> None:
         chips = (1 << degree) - 1
         self.times: FloatArray = node_times(nodes)
         basis = _lagrange(self.times, sample_times(chips))
-        carriers = np.hstack([code_matrix(degree, codes).astype(np.float64), np.ones((chips, 1))])
-        self._carriers = carriers
+        self._codes: FloatArray = code_matrix(degree, codes).astype(np.float64)
+        carriers = np.hstack([self._codes if templates is None else templates, np.ones((chips, 1))])
         self.design: FloatArray = (carriers[:, :, None] * basis[:, None, :]).reshape(chips, -1)
 
     def seen(self, weights: FloatArray) -> FloatArray:
@@ -130,11 +138,11 @@ class Cycle:
 
         1023 = 3 * 11 * 31 divides into 3, 11, 31, 33, 93 and 341 equal parts; others differ by a chip.
         """
-        chips = len(self._carriers)
+        sums = np.hstack([self._codes, np.ones((len(self._codes), 1))])
         rows = []
-        for block in np.array_split(np.arange(chips), parts):
-            row = np.zeros((self._carriers.shape[1], chips))
-            row[:, block] = self._carriers[block].T
+        for block in np.array_split(np.arange(len(sums)), parts):
+            row = np.zeros((sums.shape[1], len(sums)))
+            row[:, block] = sums[block].T
             rows.append(row)
         return np.concatenate(rows)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from goldfield.access.gold import code_matrix
 from goldfield.access.moving import sample_times, separation_weights
+from goldfield.access.waveform import beacon_template
 from goldfield.poses import Fields, FloatArray
 from goldfield.site import Site
 
@@ -81,6 +82,7 @@ class SweepRepair:
             codes = [self._codes[name] for name in beacons]
             ramp = self._site.cycle_s * sample_times(self._site.chips)
             chips: NDArray[np.int8] = code_matrix(self._site.degree, codes)
-            shape = separation_weights(self._site.degree, codes)[:-1] @ ramp
+            templates = np.stack([beacon_template(self._site, self._site.beacon(name)) for name in beacons], axis=1)
+            shape = separation_weights(self._site.degree, codes, templates=templates)[:-1] @ ramp
             self._shapes[beacons] = np.asarray(shape), chips.mean(axis=0)
         return self._shapes[beacons]

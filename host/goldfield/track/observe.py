@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.access.moving import Cycle, Reduction, node_times, separation_weights
+from goldfield.access.of_site import SiteAccess
+from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.poses import Fields, FloatArray, Pose, Status
@@ -104,11 +107,12 @@ class _Separation:
 
 
 class EpochObserver:
-    """Separated fields as observations: averages over the cycle, weighted by the codes, with all that this implies.
+    """Separated fields as observations: averages over the cycle, weighted by the drives, with all that this implies.
 
-    Fields separated on [codes, 1] also contain a part of the ambient field's ramp while the sensor turns. Its shape
+    Fields separated on [drives, 1] also contain a part of the ambient field's ramp while the sensor turns. Its shape
     over the beacons is known, its size is not: it is left out of what an observation tells by a variance along that
-    shape, as large as the fields say (``sweep_T_s``), else as the turn rate allows.
+    shape, as large as the fields say (``sweep_T_s``), else as the turn rate allows. The site's ``model_error`` adds to
+    the noise of each cycle as if it were new in each.
 
     Parameters
     ----------
@@ -124,7 +128,12 @@ class EpochObserver:
         self._model = FieldModel(site.beacons)
         self._locator = Locator(site)
         self._times = node_times(EPOCH_NODES)
+        self._templates = site_templates(site)
         self._separations: dict[bytes, _Separation] = {}
+
+    @cached_property
+    def _access_weights(self) -> FloatArray:
+        return SiteAccess(self._site).weights
 
     def start(self, data: Fields) -> tuple[Pose, State | None]:
         """See `Observer.start`."""
@@ -142,7 +151,9 @@ class EpochObserver:
             return Observation(self._model, self._site.cycle_s * self._times, nothing, nothing[..., 0], 0), ()
         names = [data.beacons[i] for i in taken]
         separation = self._separation(np.array([self._row[name] for name in names], dtype=np.intp))
-        field, sigma = data.field_T[taken], data.sigma_T[taken]
+        field = data.field_T[taken]
+        size = np.sqrt(np.nansum(field**2, axis=1))
+        sigma = np.hypot(data.sigma_T[taken], self._site.sensor.model_error * size)
         measured = np.isfinite(field)
         measured[[name in without for name in names]] = False
         ramp = (AMBIENT_T * rate_rad_s if data.sweep_T_s is None else data.sweep_T_s) * separation.sweep
@@ -166,13 +177,12 @@ class EpochObserver:
             if len(self._separations) >= REMEMBERED:
                 self._separations.clear()
             beacons = [self._site.beacons[row] for row in rows]
-            codes = [beacon.code for beacon in beacons]
+            codes, templates = [beacon.code for beacon in beacons], self._templates[:, rows]
             if min(codes) >= 0:
-                cycle = Cycle(self._site.degree, codes, EPOCH_NODES)
-                seen = cycle.seen(separation_weights(self._site.degree, codes, self._drift)[:-1])
-            else:  # told apart by other means than one plain code each: the mean over the cycle, no ambient field
-                mean = Cycle(self._site.degree, (), EPOCH_NODES).design.mean(axis=0)
-                seen = np.hstack([np.kron(np.eye(len(beacons)), mean), np.zeros((len(beacons), EPOCH_NODES))])
+                weights = separation_weights(self._site.degree, codes, self._drift, templates)[:-1]
+            else:  # told apart by other means than one plain code each
+                weights = self._access_weights[rows]
+            seen = Cycle(self._site.degree, (), EPOCH_NODES, templates).seen(weights)
             sweep = self._site.cycle_s * seen[:, -EPOCH_NODES:] @ self._times
             seen[:, -EPOCH_NODES:] = 0.0
             self._separations[key] = _Separation(FieldModel(beacons), seen, sweep)
@@ -181,6 +191,8 @@ class EpochObserver:
 
 class CycleObserver:
     """All samples of a cycle, or partial sums of them, as observations that tell velocity and turn rate as well.
+
+    The site's ``model_error`` is not in them: where it counts, separated fields serve (`EpochObserver`).
 
     Parameters
     ----------
@@ -199,7 +211,7 @@ class CycleObserver:
         self._model = FieldModel(site.beacons)
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._locator = Locator(site)
-        cycle = Cycle(site.degree, site.codes, CYCLE_NODES)
+        cycle = Cycle(site.degree, site.codes, CYCLE_NODES, site_templates(site))
         self.weights: FloatArray | None = None if parts is None else cycle.part_weights(parts)
         self._reduction = Reduction(cycle, site.sensor.noise_T, self.weights)
         self._times = site.cycle_s * cycle.times

@@ -20,9 +20,9 @@ PLAIN = 1025
 
 
 def sensor_sends_parts(site: Site) -> bool:
-    """Tell whether a sensor's thirds serve on this site: each beacon its own code of degree 10, and quick coils."""
-    own = len(set(site.codes)) == len(site.beacons) and all(beacon.drive.tau_s == 0.0 for beacon in site.beacons)
-    return site.access == "cdma" and site.degree == 10 and own
+    """Tell whether a sensor's thirds serve on this site: each beacon its own code of degree 10, and no model error."""
+    own = site.access == "cdma" and site.degree == 10 and len(set(site.codes)) == len(site.beacons)
+    return own and site.sensor.model_error == 0.0
 
 
 def cycle_of_parts(site: Site, report: Report, time_s: float) -> CycleData | None:
