@@ -49,6 +49,18 @@ def test_compare_ranks_the_algorithms(capsys):
     assert results["3 improved fingerprints"]["turned_deg"] < 1.0
 
 
+def test_the_paper_s_order_needs_several_heights_and_logarithms(capsys):
+    """Its 3 < 2 < 1 appears where lines must serve several elevations and neighbours are those of the logarithms."""
+    order = re.compile(
+        r"lines\): (\d < \d < \d) as printed, (\d < \d < \d) with distances of ln B; the paper: 3 < 2 < 1"
+    )
+    found = {}
+    for top in ("0.5", "2.5"):
+        assert main(["rotating", "compare", "--runs", "100", "--box", "0", "6", "0", "4.5", "0.5", top]) == 0
+        found[top] = order.search(capsys.readouterr().out).groups()
+    assert found == {"0.5": ("3 < 1 < 2", "3 < 1 < 2"), "2.5": ("3 < 1 < 2", "3 < 2 < 1")}
+
+
 def test_the_same_seed_gives_the_same_figures(capsys):
     first, again, other = (lines(capsys, "compare", "--runs", "5", "--seed", seed, "--json") for seed in (3, 3, 4))
     assert first == again

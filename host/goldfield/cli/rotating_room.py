@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from goldfield.cli.output import json_line, number
 from goldfield.errors import UserError
 
 if TYPE_CHECKING:
-    from goldfield.experiments.rotating_room import Room
+    from goldfield.experiments.rotating_room import Compared, Room
     from goldfield.poses import FloatArray
 
 PAPER_POSITION_M = {
@@ -21,6 +22,7 @@ PAPER_POSITION_M = {
     "2 nearest fingerprints": 0.114,
     "3 improved fingerprints": 0.069,
 }
+PAPER_ORDER = "3 < 2 < 1"
 PAPER_ATTITUDE_DEG = {
     "1 attenuation lines, global": 5.62,
     "1 attenuation lines, regions": 5.62,
@@ -114,6 +116,10 @@ def run_compare(arguments: argparse.Namespace) -> int:
             f"printed: eqns 18 to 23, for yaw only, without the places (at most {failed}) whose estimate lies in the "
             f"beacons' plane, where they have no solution. turned: any yaw, tilts up to {arguments.tilt_deg:g} deg."
         )
+        print(
+            f"order by mean position error (1: global lines): {_order(results, '')} as printed, "
+            f"{_order(results, ', ln B')} with distances of ln B; the paper: {PAPER_ORDER}."
+        )
     if arguments.figure:
         from goldfield.view import plot
 
@@ -123,6 +129,13 @@ def run_compare(arguments: argparse.Namespace) -> int:
         plot.cumulative(right, turned, f"attitude error deg, tilts up to {arguments.tilt_deg:g} deg")
         plot.save(figure, arguments.figure)
     return 0
+
+
+def _order(results: Sequence[Compared], kind: str) -> str:
+    """Return the paper's algorithms by their mean error, the best first; kind: how 2 and 3 measure distances."""
+    names = ("1 attenuation lines, global", f"2 nearest fingerprints{kind}", f"3 improved fingerprints{kind}")
+    mean = {result.name: float(np.mean(result.error_m)) for result in results}
+    return " < ".join(name[0] for name in sorted(names, key=lambda name: mean[name]))
 
 
 COMPARE_CELLS = (
