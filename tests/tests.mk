@@ -47,8 +47,9 @@ track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a mov
 
 .PHONY: track-figures
 
-field-sync-figures: all ## Measure synchronisation by the field alone: 100 cold starts, a dropout (several minutes)
-	@$(PYTHON) -m pytest tests/firmware/core/test_acquire.py -k hundred -q -s
+field-sync-figures: all ## Measure synchronisation by the field alone: cold starts by hundreds, a dropout (several minutes)
+	@$(PYTHON) -m pytest tests/firmware/core/test_acquire.py -k "thousand or hundreds" -q -s
 	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py -k "hundred or ten_seconds" -q -s
+	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py --rig host -k "hundred or ten_seconds" -q -s
 
 .PHONY: field-sync-figures

@@ -6,13 +6,7 @@
 #include "protocol_hash.h"
 #include "sync.h"
 
-/* When conversions are held: stm32f405/converters.c (a trigger takes 0 to 24 ticks, here 12; the host board's bursts lie 58 ticks later). The front end's low-pass has 100 kHz. */
-static const acquire_config_t acquire_config = {
-    .nominal_ticks = HAL_CHIP_TICKS,
-    .first_conversion_ticks = HAL_CHIP_TICKS - 1750u,
-    .conversion_ticks = 216,
-    .lag_ticks = 267,
-};
+#define PI 3.14159265f
 
 /* Index of a PART (framing.md). */
 #define PART_STRIDE 1026u
@@ -105,12 +99,23 @@ static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
 
 /* ---- Main ---- */
 
+static void start_acquire(acquire_t *acquire) {
+    const hal_burst_t burst = hal_burst_timing();
+    const acquire_config_t config = {
+        .nominal_ticks = HAL_CHIP_TICKS,
+        .first_conversion_ticks = burst.first_ticks,
+        .conversion_ticks = burst.spacing_ticks,
+        .lag_ticks = (uint16_t)((float)HAL_TICKS_PER_SECOND / (2.0f * PI * (float)HAL_FRONT_END_HZ)),
+    };
+    acquire_init(acquire, &config);
+}
+
 static void apply_sync_source(sensor_t *sensor, uint32_t source, const uint16_t *codes, uint32_t count) {
     const bool by_field = source == SYNC_BY_FIELD, by_can = source == SYNC_BY_CAN;
     if (by_field != sensor->by_field || by_can != sensor->link.follows) {
         sensor->by_field = false; /* First: the interrupts keep their hands off. */
         sync_link_follow(&sensor->link, &sensor->clock, by_can);
-        acquire_init(sensor->acquire, &acquire_config);
+        start_acquire(sensor->acquire);
     }
     if (by_field) {
         acquire_codes(sensor->acquire, codes, count);

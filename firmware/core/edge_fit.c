@@ -1,6 +1,9 @@
 #include "edge_fit.h"
 
-#define STEPS 20u
+#include "normal3.h"
+
+#define STEPS 8u
+#define UNKNOWNS 3.0f
 #define MIDDLE_CHIP 511.0f
 #define RISE_START 5000.0f /* 30 us. */
 #define RISE_MIN 300.0f
@@ -9,85 +12,103 @@
 
 static float limit(float value, float low, float high) { return value < low ? low : value > high ? high : value; }
 
-/* F and its derivatives by t and by L. */
+/* S and R of an endless ramp. */
 typedef struct {
-    float value, by_time, by_rise;
+    float integral, height;
 } ramp_t;
 
-static ramp_t ramp(float t, float rise) {
-    if (t <= 0.0f) {
-        return (ramp_t){0.0f, 0.0f, 0.0f};
+static ramp_t ramp(float t, float lag) {
+    if (!(t > 0.0f)) {
+        return (ramp_t){0.0f, 0.0f};
     }
-    if (t >= rise) {
-        return (ramp_t){t - 0.5f * rise, 1.0f, -0.5f};
-    }
-    const float share = t / rise;
-    return (ramp_t){0.5f * t * share, share, -0.5f * share * share};
+    const float height = t - lag * (1.0f - edge_decay(t / lag));
+    return (ramp_t){0.5f * t * t - lag * height, height};
 }
 
-static ramp_t fraction(float t, float rise, float burst) {
-    const ramp_t late = ramp(t + 0.5f * burst, rise), early = ramp(t - 0.5f * burst, rise);
-    return (ramp_t){(late.value - early.value) / burst, (late.by_time - early.by_time) / burst, (late.by_rise - early.by_rise) / burst};
+/* A(t) L, its derivatives by t and by L: the edge of rise L. */
+typedef struct {
+    float value, by_time, by_rise;
+} edge_t;
+
+static edge_t edge(float t, float rise, float lag) {
+    const ramp_t foot = ramp(t, lag), head = ramp(t - rise, lag);
+    return (edge_t){foot.integral - head.integral, foot.height - head.height, head.height};
 }
 
-/* Solve the symmetric a x = b by elimination; damping keeps a positive. */
-static void solve(float a[3][3], float b[3], float x[3]) {
-    for (uint32_t i = 0; i < 3u; i++) {
-        a[i][i] = a[i][i] * 1.001f + 1e-20f;
+/* Of a bin: what it should show of level or step, and the derivatives. */
+static edge_t model(const edge_shape_t *shape, float t, float rise, bool step) {
+    const float half = 0.5f * shape->burst_ticks;
+    const edge_t late = edge(t + half, rise, shape->lag_ticks), early = edge(t - half, rise, shape->lag_ticks);
+    const float scale = (step ? 2.0f : 1.0f) / (shape->burst_ticks * rise);
+    edge_t sum = {late.value - early.value, late.by_time - early.by_time, late.by_rise - early.by_rise};
+    if (step) {
+        const edge_t middle = edge(t, rise, shape->lag_ticks);
+        sum = (edge_t){late.value + early.value - 2.0f * middle.value, late.by_time + early.by_time - 2.0f * middle.by_time,
+                       late.by_rise + early.by_rise - 2.0f * middle.by_rise};
     }
-    for (uint32_t i = 0; i < 2u; i++) {
-        for (uint32_t row = i + 1u; row < 3u; row++) {
-            const float factor = a[row][i] / a[i][i];
-            for (uint32_t column = i; column < 3u; column++) {
-                a[row][column] -= factor * a[i][column];
-            }
-            b[row] -= factor * b[i];
+    return (edge_t){scale * sum.value, scale * sum.by_time, scale * (sum.by_rise - sum.value / rise)};
+}
+
+/* Of levels or steps: normal equations about the present fit, what the fit leaves, what there was. */
+typedef struct {
+    normal3_t normal;
+    float left, spread, bins;
+} part_t;
+
+static part_t linearise(const edge_bin_t bins[EDGE_FIT_SWEEPS][EDGE_FIT_BINS], const edge_shape_t *shape, const edge_fit_t *fit, bool step) {
+    part_t part = {.left = 0.0f};
+    float sum = 0.0f, squares = 0.0f, weights = 0.0f;
+    for (uint32_t i = 0; i < EDGE_FIT_SWEEPS * EDGE_FIT_BINS; i++) {
+        const edge_bin_t *bin = &bins[i / EDGE_FIT_BINS][i % EDGE_FIT_BINS];
+        if (!(bin->weight > 0.0f)) {
+            continue;
         }
+        const float seen = bin->product / bin->weight, chip = bin->chip / bin->weight - MIDDLE_CHIP;
+        const float t = bin->phase / bin->weight * shape->chip_ticks - fit->onset_ticks - fit->slip_ticks_per_chip * chip;
+        const edge_t shown = model(shape, t, fit->rise_ticks, step);
+        const float slope[3] = {-shown.by_time, -shown.by_time * chip, shown.by_rise};
+        const float error = seen - shown.value;
+        normal3_add(&part.normal, slope, error, bin->weight);
+        part.left += bin->weight * error * error;
+        part.bins += 1.0f;
+        sum += bin->weight * seen;
+        squares += bin->weight * seen * seen;
+        weights += bin->weight;
     }
-    x[2] = b[2] / a[2][2];
-    x[1] = (b[1] - a[1][2] * x[2]) / a[1][1];
-    x[0] = (b[0] - a[0][1] * x[1] - a[0][2] * x[2]) / a[0][0];
+    part.spread = weights > 0.0f ? squares - sum * sum / weights : 0.0f;
+    return part;
 }
 
-bool edge_fit(const edge_profile_t *profile, float bin_ticks, float burst_ticks, edge_fit_t *fit) {
-    float left = 0.0f, spread = 0.0f;
-    *fit = (edge_fit_t){-0.5f * RISE_START, 0.0f, RISE_START};
-    for (uint32_t step = 0; step < STEPS; step++) {
-        float a[3][3] = {{0.0f}}, b[3] = {0.0f}, change[3];
-        float sum = 0.0f, squares = 0.0f, weights = 0.0f;
-        left = 0.0f;
-        for (uint32_t sweep = 0; sweep < EDGE_FIT_SWEEPS; sweep++) {
-            for (uint32_t bin = 0; bin < EDGE_FIT_BINS; bin++) {
-                const float weight = profile->weight[sweep][bin];
-                if (!(weight > 0.0f)) {
-                    continue;
-                }
-                const float seen = profile->product[sweep][bin] / weight;
-                const float chip = profile->moment[sweep][bin] / weight - MIDDLE_CHIP;
-                const float x = ((float)bin + 0.5f - 0.5f * (float)EDGE_FIT_BINS) * bin_ticks;
-                const ramp_t model = fraction(x - fit->onset_ticks - fit->slip_ticks_per_chip * chip, fit->rise_ticks, burst_ticks);
-                const float slope[3] = {-model.by_time, -model.by_time * chip, model.by_rise};
-                const float error = seen - model.value;
-                for (uint32_t row = 0; row < 3u; row++) {
-                    for (uint32_t column = 0; column < 3u; column++) {
-                        a[row][column] += weight * slope[row] * slope[column];
-                    }
-                    b[row] += weight * slope[row] * error;
-                }
-                left += weight * error * error;
-                sum += weight * seen;
-                squares += weight * seen * seen;
-                weights += weight;
-            }
+/* Add normal equations, weighted by the variance that their residuals show. */
+static void weigh(normal3_t *sum, const part_t *part) {
+    const float information = (part->bins - UNKNOWNS) / (part->left + 1e-20f);
+    for (uint32_t row = 0; row < 3u; row++) {
+        for (uint32_t column = 0; column < 3u; column++) {
+            sum->matrix[row][column] += information * part->normal.matrix[row][column];
         }
-        if (!(weights > 0.0f)) {
+        sum->side[row] += information * part->normal.side[row];
+    }
+}
+
+bool edge_fit(const edge_profile_t *profile, const edge_shape_t *shape, edge_fit_t *fit) {
+    *fit = (edge_fit_t){.onset_ticks = -0.5f * RISE_START, .rise_ticks = RISE_START};
+    for (uint32_t i = 0; i < STEPS; i++) {
+        const part_t level = linearise(profile->level, shape, fit, false), step = linearise(profile->step, shape, fit, true);
+        if (!(level.bins > UNKNOWNS) || !(step.bins > UNKNOWNS)) {
             return false;
         }
-        spread = squares - sum * sum / weights;
-        solve(a, b, change);
+        normal3_t normal = {.side = {0.0f}};
+        weigh(&normal, &level);
+        weigh(&normal, &step);
+        if (i + 1u == STEPS) {
+            normal3_invert((const float(*)[3])normal.matrix, fit->covariance);
+            return level.left < 0.5f * level.spread;
+        }
+        float change[3];
+        normal3_solve(&normal, change);
         fit->onset_ticks += limit(change[0], -1000.0f, 1000.0f);
         fit->slip_ticks_per_chip = limit(fit->slip_ticks_per_chip + limit(change[1], -2.0f, 2.0f), -SLIP_MAX, SLIP_MAX);
         fit->rise_ticks = limit(fit->rise_ticks + limit(change[2], -1500.0f, 1500.0f), RISE_MIN, RISE_MAX);
     }
-    return left < 0.5f * spread;
+    return false;
 }

@@ -28,6 +28,7 @@
 #define HAL_BLOCK_CHIPS 31u             /* 1023 = 33 blocks. */
 #define HAL_BURST 8u                    /* Conversions of one axis in a chip, the last of which ends at most 1 us before the nominal chip end. */
 #define HAL_AXES 3u
+#define HAL_FRONT_END_HZ 100000u        /* Corner of the first-order low-pass before a sensor's converters. */
 #define HAL_SAMPLE_MAX 4095u            /* Converter full scale; 0 and 4095 count as saturated. */
 #define HAL_UNIQUE_ID_BYTES 12u
 #define HAL_PARAMETER_PAGE_BYTES 8192u
@@ -51,6 +52,12 @@ typedef struct {
 
 /* Raw conversions of one block: [chip][conversion][axis], right-aligned 12 bits. */
 typedef uint16_t hal_samples_t[HAL_BLOCK_CHIPS][HAL_BURST][HAL_AXES];
+
+/* When a burst's conversions are held (their sampling ends): the first, after the start of a chip of nominal length, and from each to the next; ticks, exact to 12. */
+typedef struct {
+    uint16_t first_ticks, spacing_ticks;
+} hal_burst_t;
+hal_burst_t hal_burst_timing(void);
 
 typedef struct {
     void *context; /* Handed back to every handler. */

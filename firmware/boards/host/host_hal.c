@@ -116,6 +116,10 @@ uint64_t hal_microseconds(hal_t *hal) {
     return (uint64_t)host_tick(hal) / (HAL_TICKS_PER_SECOND / 1000000u);
 }
 
+hal_burst_t hal_burst_timing(void) {
+    return (hal_burst_t){HAL_CHIP_TICKS - BURST_MARGIN_TICKS - HAL_BURST * CONVERSION_TICKS + SAMPLE_TICKS, CONVERSION_TICKS};
+}
+
 int16_t hal_temperature(const hal_t *hal) {
     const double tenths = hal->config.temperature_degc * 10.0;
     return (int16_t)(tenths < 0 ? tenths - 0.5 : tenths + 0.5);

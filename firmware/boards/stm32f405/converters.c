@@ -18,6 +18,8 @@
 
 #define CONVERSION_TICKS 216u
 #define BURST_START (HAL_CHIP_TICKS - 154u - HAL_BURST * CONVERSION_TICKS)
+#define TRIGGER_TICKS 12u                /* Half of what a start takes at most. */
+#define SAMPLING_TICKS 120u              /* 15 cycles. */
 #define CURRENT_START (HAL_CHIP_TICKS_MIN - 360u)
 #define CHIP_SAMPLES (HAL_BURST * HAL_AXES)
 #define BUFFER_SAMPLES (RING_CHIPS * CHIP_SAMPLES)
@@ -105,6 +107,10 @@ void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
         ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
     }
     if (before_burst && idle) ADC1->CR2 |= ADC_CR2_JSWSTART;
+}
+
+hal_burst_t hal_burst_timing(void) {
+    return (hal_burst_t){BURST_START + TRIGGER_TICKS + SAMPLING_TICKS, CONVERSION_TICKS};
 }
 
 /* Between the two calibration points of this very chip; of a chip without them, by the data sheet's typical 0.76 V at 25 degC and 2.5 mV/degC. */

@@ -28,6 +28,10 @@ BLOCK = 31
 BLOCK_S = BLOCK * CHIP_TICKS / 168e6
 CYCLE_S = CHIPS * CHIP_TICKS / 168e6
 CODES = [2, 3, 4, 5, 6, 7, 8, 9]
+HEADERS = ("chip_clock.h", "fourier.h", "acquire_record.h", "code_search.h", "code_field.h", "edge_fit.h")
+HEADERS += ("edge_track.h", "acquire.h")
+WHITE = {"noise_T": 0.0, "conversion_noise_T": 2e-7 * np.sqrt(8.0)}
+"""The same noise of a burst's mean, but independent in its conversions."""
 
 
 class Sensor:
@@ -93,7 +97,7 @@ class Sensor:
 
 @pytest.fixture(scope="module")
 def core():
-    return clib.load("build/libgf_core.so", ("chip_clock.h", "acquire.h", "fourier.h", "edge_fit.h"))
+    return clib.load("build/libgf_core.so", HEADERS)
 
 
 def start(core, family, seed, codes=CODES, **options):
@@ -102,11 +106,11 @@ def start(core, family, seed, codes=CODES, **options):
     return Sensor(core, signal, random.uniform(-100.0, 100.0), codes)
 
 
-def cold_starts(core, family, seeds):
+def cold_starts(core, family, seeds, **options):
     """Errors at three cycles and after, microseconds; time of lock in cycles; searches."""
     rows = []
     for seed in seeds:
-        sensor = start(core, family, seed).run(0.6)
+        sensor = start(core, family, seed, **options).run(0.6)
         at_three = sensor.worst_us(3 * CYCLE_S - BLOCK_S, 3 * CYCLE_S + BLOCK_S)
         after = sensor.worst_us(3 * CYCLE_S)
         rows.append((at_three, after, sensor.locked_since_s() / CYCLE_S, sensor.acquire.searches))
@@ -115,22 +119,76 @@ def cold_starts(core, family, seeds):
 
 def test_cold_starts_are_locked_in_three_cycles(core, gold_family):
     rows = cold_starts(core, gold_family(10), range(12))
-    assert rows[:, :2].max() < 1.0
+    assert rows[:, 0].max() < 0.5
+    assert rows[:, 1].max() < 0.7
     assert rows[:, 2].max() < 3.0
 
 
+def tell(name, rows):
+    """Print what test-slow and field-sync-figures show of cold starts."""
+    for when, errors in (("at 3 cycles", rows[:, 0]), ("from then on", rows[:, 1])):
+        rms, beyond = np.sqrt(np.mean(errors**2)), np.sum(errors >= 1.0)
+        print(f"{name}, {len(rows)} starts, {when}: rms {rms:.3f}, worst {errors.max():.2f} us, {beyond} beyond 1 us")
+    within = np.sum(rows[:, 2] < 3.0)
+    print(f"{name}: locked within 3 cycles {within}, the last after {rows[:, 2].max():.2f}")
+
+
 @pytest.mark.slow
-def test_a_hundred_cold_starts(core, gold_family):
-    rows = cold_starts(core, gold_family(10), range(100))
-    print(
-        f"100 starts: at 3 cycles rms {np.sqrt(np.mean(rows[:, 0] ** 2)):.2f}, worst {rows[:, 0].max():.2f} us; "
-        f"after, worst {rows[:, 1].max():.2f} us; locked within 3 cycles {np.sum(rows[:, 2] < 3)}, "
-        f"the last after {rows[:, 2].max():.2f}; "
-        f"searches {rows[:, 3].mean():.2f}"
-    )
+@pytest.mark.timeout(3600)
+def test_a_thousand_cold_starts(core, gold_family):
+    rows = cold_starts(core, gold_family(10), range(20000, 21000))
+    tell("2 mG a burst", rows)
     assert rows[:, :2].max() < 1.0
-    assert np.sum(rows[:, 2] < 3.0) >= 98  # the flag may follow a cycle later
-    assert rows[:, 2].max() < 4.0
+    assert np.sum(rows[:, 2] < 3.0) >= 990  # the flag may follow a cycle later
+    assert rows[:, 2].max() < 4.5
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_hundreds_of_cold_starts_in_white_noise(core, gold_family):
+    single = {"noise_T": 0.0, "conversion_noise_T": 2e-7}
+    tell("2 mG a conversion", cold_starts(core, gold_family(10), range(21000, 21300), **single))
+    rows = cold_starts(core, gold_family(10), range(21000, 21300), **WHITE)
+    tell("2 mG a burst, white", rows)
+    assert np.sum(rows[:, 0] < 1.0) >= 270
+
+
+def test_tells_its_own_error(core, gold_family):
+    """Errors of rate and ramp, in standard deviations that the search claims, whatever the noise is like."""
+    for options in ({}, WHITE):
+        normalised = []
+        for seed in range(400, 420):
+            sensor = start(core, gold_family(10), seed, **options)
+            while not sensor.acquire.tracking:
+                sensor.run((sensor.block + 0.5) * BLOCK_S)
+            edge = sensor.acquire.edge
+            slip = edge.slip_ticks_per_chip - (sensor.signal.chip_s / sensor.tick_s - CHIP_TICKS)
+            rise = edge.rise_ticks - sensor.signal.rise_s / sensor.tick_s
+            normalised.append((slip / edge.covariance[1][1] ** 0.5, rise / edge.covariance[2][2] ** 0.5))
+        assert np.all(np.abs(np.sqrt(np.mean(np.square(normalised), axis=0)) - 1.0) < 0.5)
+
+
+def test_white_noise_is_no_lock_before_its_time(core, gold_family):
+    """Noise of single conversions tells less of the edge: the lock waits for it."""
+    rows = cold_starts(core, gold_family(10), range(430, 442), noise_T=0.0, conversion_noise_T=2e-7)
+    assert rows[:, :2].max() < 1.0
+    wrong = [start(core, gold_family(10), seed, **WHITE).run(0.6) for seed in range(450, 462)]
+    locked = np.concatenate([np.abs(s.errors_us)[np.array(s.locked)] for s in wrong])
+    assert np.mean(locked < 1.0) > 0.9
+
+
+def test_a_record_waits_for_the_slew(core, gold_family):
+    """The first capture begins where the jump's slew has ended: all its bursts lie at the same place in the chip."""
+    for seed in range(500, 506):
+        sensor = start(core, gold_family(10), seed)
+        while sensor.acquire.captures == 0:
+            sensor.run((sensor.block + 0.5) * BLOCK_S)
+        chips = sensor.acquire.middle_chip + np.arange(-CHIPS // 6 + 1, CHIPS // 6)
+        plans = [sensor.plans[chip // BLOCK][chip % BLOCK] for chip in chips]
+        late = [p.position - p.code_chip * sensor.signal.chip_s / sensor.tick_s for p in plans]
+        cycle = CHIPS * sensor.signal.chip_s / sensor.tick_s
+        away = (np.array(late) - late[-1] + cycle / 2) % cycle - cycle / 2
+        assert np.ptp(away) < 250.0  # what an error in rate makes of a third of a cycle
 
 
 def test_holds_the_edge(core, gold_family):
