@@ -12,8 +12,8 @@
 #define PART_STRIDE 1026u
 #define PART_PLAIN 1025u
 
-/* EPOCH, EPOCH_STATUS, EPOCH_OFFSET. */
-#define REPORT_HEAD 3u
+/* Messages of a cycle beside its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and three of the pose. */
+#define REPORT_BESIDE 6u
 
 /* ---- Interrupts ---- */
 
@@ -260,7 +260,7 @@ void sensor_step(sensor_t *sensor) {
     epoch_t *epoch = epoch_ready(&sensor->collector);
     if (epoch) {
         epoch_read(epoch, &sensor->selection, &sensor->part);
-        const node_links_t links = node_room(node, REPORT_HEAD + sensor->selection.count); /* Whole reports or none. */
+        const node_links_t links = node_room(node, REPORT_BESIDE + sensor->selection.count); /* Whole reports or none. */
         if (sensor->part.third != EPOCH_WHOLE) {
             report_third(sensor, links, &sensor->part);
         }

@@ -22,7 +22,7 @@
  * as lost messages (counter 4).
  *
  * Cycles. The degree of the codes is a parameter, read once at start. Field synchronisation and thirds are for degree 10: with another, sync_source 1 counts as 0 and parts 3 as 1.
- * Short cycles leave little time. A report of n codes is n + 3 messages. On CAN (at most 160 us each) a cycle of degree 5 has room for 15 codes, of degree 6 for 35, of the others
+ * Short cycles leave little time. A report of n codes is n + 3 messages, and 3 of the pose. Without poses, on CAN (at most 160 us each) a cycle of degree 5 has room for 15 codes, of degree 6 for 35, of the others
  * for all 64; on serial (80 us) of degree 5 for 34, which is more than 31 chips tell apart. Poses (parameter pose) take up to 12 ms with no prior, 1.2 ms from the
  * pose before: cycles that end meanwhile are dropped.
  *
