@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipk
 
 from goldfield.errors import UserError
-from hil_sim import scenario
+from hil_sim import clib, scenario
 from hil_sim.rig import Rig
 from tests.hil_sim.circuit import integrate
 from tests.hil_sim.fakes import FakeBoards, write_scenario
@@ -99,6 +99,29 @@ def test_the_field_turns_at_the_settled_ends_of_chips(tmp_path):
     errors = [looks["volts"][:, 0] - 0.103125 * AMPLITUDE_A * np.cos(angle)]
     errors += [looks["volts"][:, 1] - 0.103125 * AMPLITUDE_A * np.sin(angle)]
     assert abs(np.corrcoef(errors)[0, 1]) < 0.4
+
+
+def test_the_coils_of_zheng6_follow_their_sinusoids():
+    """As its file says: each step of the set-point has arrived 10 us after the chip's edge, of every beacon's both."""
+    ffi, library = clib.load("build/libgf_rig.so", ["world/coil.h"])
+    loaded = scenario.load_scenario("zheng6")
+    chip_ps = 97750000
+    for beacon in loaded.beacons:
+        circuit = beacon.circuit
+        config = {"inductance_H": circuit.inductance_H, "resistance_Ohm": circuit.resistance_Ohm}
+        config |= {"supply_V": circuit.supply_V, "reference_A_per_V": 16.0 / 3.3}
+        turn = 2 * np.pi * beacon.rotating_periods * np.arange(2 * loaded.chips) / loaded.chips
+        for wave in (np.cos(turn), np.sin(turn)):
+            coil = ffi.new("coil_t *")
+            library.coil_init(coil, ffi.new("coil_config_t *", config))
+            library.coil_enable(coil, True, 0)
+            short_A = []
+            for chip, target_A in enumerate(circuit.current_A * wave):
+                library.coil_reference(coil, abs(target_A) / 16.0 * 3.3, chip * chip_ps)
+                library.coil_input(coil, 1, bool(target_A > 0.0), chip * chip_ps)
+                library.coil_input(coil, 2, bool(target_A < 0.0), chip * chip_ps)
+                short_A.append(library.coil_current(coil, chip * chip_ps + 10**7) - target_A)
+            assert np.abs(short_A[100:]).max() < 1e-9  # the first step is the whole 8 A
 
 
 def test_one_enable_and_one_fault_serve_both_coils(tmp_path):
