@@ -7,7 +7,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipk
 
+from goldfield import site as sites
+from goldfield.access import SiteAccess
 from goldfield.errors import UserError
+from goldfield.locate import locate
+from goldfield.poses import Fields
 from hil_sim import clib, scenario
 from hil_sim.rig import Rig
 from tests.hil_sim.circuit import integrate
@@ -16,7 +20,7 @@ from tests.hil_sim.fakes import FakeBoards, write_scenario
 MU0 = 1.25663706127e-6
 TURNS, RADIUS_M, AMPLITUDE_A = 19.0, 0.149, 10.0
 COSINE_AXIS, SINE_AXIS = np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
-CYCLE, CHIP_S = 31, 97.75e-6  # of the fake board
+CYCLE, CHIP_S, FAKE_BURST = 31, 97.75e-6, 8  # of the fake board
 LAG_S = 1.0 / (2.0 * np.pi * 1e5)
 SPAN_S = 5e-3
 CIRCUITS = {
@@ -99,6 +103,31 @@ def test_the_field_turns_at_the_settled_ends_of_chips(tmp_path):
     errors = [looks["volts"][:, 0] - 0.103125 * AMPLITUDE_A * np.cos(angle)]
     errors += [looks["volts"][:, 1] - 0.103125 * AMPLITUDE_A * np.sin(angle)]
     assert abs(np.corrcoef(errors)[0, 1]) < 0.4
+
+
+def test_what_the_site_file_says_is_what_the_sensor_sees(tmp_path):
+    """From the rig's samples to a pose: the host knows nothing but the site file that the scenario writes."""
+    path = write_scenario(tmp_path, seed="7\ndegree = 5", power_on_spread_s="0.0", noise_T="1e-9\npose = 0")
+    text = path.read_text().replace("crystal_ppm", "internal_ppm")  # all chips at once
+    for code, second in ((2, "[0.0, 1.0, 0.0]"), (3, "[0.6, 0.8, 0.0]"), (4, "[1.0, 0.0, 0.0]")):
+        turning = f"axis = [0.0, 0.0, 1.0]\nsecond_axis = {second}\nrotating_periods = {code - 1}"
+        text = text.replace(f"code = {code}", turning)
+    path.write_text(text)
+    scene = scenario.load(path)
+    (tmp_path / "site.toml").write_text(scene.site_toml())
+    site = sites.load(tmp_path / "site.toml")
+    boards = FakeBoards(periods={1: 1, 2: 2, 3: 3})
+    with Rig(scene, boards) as rig:
+        rig.advance(0.02)
+        volts = boards.samples(0)["volts"].reshape(-1, FAKE_BURST, 3).mean(axis=1)
+        rig.close()
+    separation = SiteAccess(site).from_samples((volts[CYCLE : 2 * CYCLE] / 1.65 - 1.0) * 2e-4)
+    ids = tuple(beacon.id for beacon in site.beacons)
+    assert ids == ("a.cos", "a.sin", "b.cos", "b.sin", "c.cos", "c.sin")
+    pose = locate(site, Fields(0, 0.0, ids, separation.field_T, separation.sigma_T))
+    np.testing.assert_allclose(pose.position_m, [0.5, 0.6, 0.4], atol=1e-3)
+    turned = Rotation.from_quat(pose.orientation_xyzw) * Rotation.from_rotvec([0.1, -0.2, 0.3]).inv()
+    assert turned.magnitude() < 2e-3
 
 
 def test_the_coils_of_zheng6_follow_their_sinusoids():
