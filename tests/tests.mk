@@ -53,3 +53,9 @@ field-sync-figures: all ## Measure synchronisation by the field alone: cold star
 	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py --rig host -k "hundred or ten_seconds" -q -s
 
 .PHONY: field-sync-figures
+
+can-sync-figures: all ## Measure timing over CAN without a sync wire: edges, hold-over, poses, 100 cold starts (several minutes)
+	@$(PYTHON) -m tests.bench.can_timing_figures
+	@$(PYTHON) -m tests.bench.can_timing_figures --boards host
+
+.PHONY: can-sync-figures

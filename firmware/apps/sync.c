@@ -1,5 +1,7 @@
 #include "sync.h"
 
+#include <stddef.h>
+
 #include "goldfield.h"
 #include "protocol_hash.h"
 
@@ -59,6 +61,16 @@ static void answer(sync_link_t *link, const sync_format_t *format, uint32_t cycl
     }
 }
 
+static sync_seen_t *find(sync_link_t *link, uint32_t node, uint32_t cycle) {
+    for (uint32_t i = 0; i < SYNC_SEEN; i++) {
+        if (link->seen[i].open && link->seen[i].node == node && link->seen[i].cycle == cycle) {
+            return &link->seen[i];
+        }
+    }
+    return NULL;
+}
+
+/* Of a SYNC that is sent twice the second counts, as for its master. */
 static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_format_t *format, const hal_stamp_t *stamp) {
     struct goldfield_sync_t sync;
     chip_clock_mark_t mark;
@@ -69,26 +81,25 @@ static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_f
     if (stamp->sent) {
         answer(link, format, sync.cycle, &mark);
     } else {
-        link->seen[link->count % SYNC_SEEN] = (sync_seen_t){.open = true, .node = stamp->frame.id & PROTOCOL_NODE_MASK, .cycle = sync.cycle, .mark = mark};
-        link->count++;
+        const uint32_t node = stamp->frame.id & PROTOCOL_NODE_MASK;
+        sync_seen_t *before = find(link, node, sync.cycle);
+        sync_seen_t *place = before ? before : &link->seen[link->count++ % SYNC_SEEN];
+        *place = (sync_seen_t){.open = true, .node = node, .cycle = sync.cycle, .mark = mark};
     }
 }
 
-/* From the latest SYNC back: one that was sent twice counts when it was through the second time, as for its master. */
 static void take_follow_up(sync_link_t *link, chip_clock_t *clock, const sync_format_t *format, const hal_frame_t *frame) {
     struct goldfield_follow_up_t follow_up;
     if (goldfield_follow_up_unpack(&follow_up, frame->data, frame->length) < 0) {
         return;
     }
-    for (uint32_t back = 1; back <= SYNC_SEEN; back++) {
-        sync_seen_t *seen = &link->seen[(link->count - back) % SYNC_SEEN];
-        if (seen->open && seen->node == (frame->id & PROTOCOL_NODE_MASK) && seen->cycle == follow_up.cycle) {
-            seen->open = false;
-            if (chip_clock_message(clock, &seen->mark, follow_up.ticks)) {
-                chip_clock_number_cycle(clock, follow_up.cycle / format->cycles);
-            }
-            return;
-        }
+    sync_seen_t *seen = find(link, frame->id & PROTOCOL_NODE_MASK, follow_up.cycle);
+    if (seen == NULL) {
+        return;
+    }
+    seen->open = false;
+    if (chip_clock_message(clock, &seen->mark, follow_up.ticks)) {
+        chip_clock_number_cycle(clock, follow_up.cycle / format->cycles);
     }
 }
 

@@ -95,12 +95,18 @@ bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, c
 
 /* The master, whose period is the estimate's, began chip 0 at edge: jump to its nearest chip. */
 static void acquire(chip_clock_t *clock, uint64_t edge) {
-    const int64_t lead = difference((uint64_t)clock->position << FRACTION_BITS, edge);
-    const uint32_t chips = lead <= 0 ? 0u : (uint32_t)(((uint64_t)lead + clock->period / 2u) / clock->period);
+    const uint64_t span = clock->period * clock->config.chips;
+    int64_t lead = difference((uint64_t)clock->position << FRACTION_BITS, edge);
+    uint32_t ahead = 0;
+    for (; lead < 0; lead += (int64_t)span) { /* A message may tell of a cycle to come. */
+        edge -= span;
+        ahead++;
+    }
+    const uint32_t chips = (uint32_t)(((uint64_t)lead + clock->period / 2u) / clock->period);
     clock->target = edge + chips * clock->period;
     clock->code_chip = (uint16_t)(chips % clock->config.chips);
     clock->cycle++; /* The cycle under way is cut short. */
-    clock->edge_cycle = clock->cycle - chips / clock->config.chips;
+    clock->edge_cycle = clock->cycle - chips / clock->config.chips + ahead;
     clock->tracking = true;
     clock->locked = false;
     clock->good_edges = 0;

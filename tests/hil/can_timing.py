@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from goldfield_protocol import decode
 from hil_sim.pytest_plugin import SimulatedBench
-from hil_sim.rig import Rig
+from hil_sim.rig import SENSOR, Rig
+from hil_sim.scenario import Clock
+
+FloatArray = NDArray[np.float64]
 
 BRIDGE = (38, 39)
 """PC6, PC7."""
@@ -53,12 +57,12 @@ class LoadedBus:
         return float((self.rig.can_statistics()["busy_ps"] - busy_ps) * 1e-12 / (self.rig.now_s - start_s))
 
 
-def beacon_phases(bench: SimulatedBench) -> list[NDArray[np.float64]]:
+def beacon_phases(bench: SimulatedBench) -> list[FloatArray]:
     """Seconds by which each chip edge of each follower is later than the first beacon's, the master's, chips.
 
     Takes all pin changes since `Rig.watch_pins` or the last call; they must span less than the crystals' wander.
     """
-    fit: NDArray[np.float64] | None = None
+    fit: FloatArray | None = None
     start = stop = 0.0
     phases = []
     for board in range(1, 1 + len(bench.scenario.beacons)):
@@ -71,3 +75,56 @@ def beacon_phases(bench: SimulatedBench) -> list[NDArray[np.float64]]:
         inside = times[(times >= start) & (times <= stop)]
         phases.append(inside - np.polyval(fit, np.round((inside - fit[1]) / fit[0])))
     return phases
+
+
+def sensor_phases(bench: SimulatedBench, bus: LoadedBus, seconds: float) -> FloatArray:
+    """Run on; rows of time s, locked, and chip clock minus sync wire in microseconds, one a cycle of the sensor.
+
+    Connect the wire to the sensor before: it does not follow it, but tells its phase against it.
+    """
+    rows = []
+    end_s = bench.rig.now_s + seconds
+    while bench.rig.now_s < end_s:
+        bus.advance(0.01)
+        for frame in bench.decoder.feed(bench.rig.serial_read()):
+            message = decode(frame.identifier, frame.data)
+            if message is not None and message.name == "EPOCH_STATUS":
+                rows.append((bench.rig.now_s, message.signals["locked"], message.signals["phase"] * 1e-3))
+    return np.array(rows).reshape(-1, 3)
+
+
+def cold_starts(bench: SimulatedBench, bus: LoadedBus, count: int) -> FloatArray:
+    """Switch the sensor off and on, each time for a random while and with another crystal within +-100 ppm.
+
+    Returns
+    -------
+    ndarray, shape (count, 2)
+        Seconds from power-on to the report of the first cycle that is synchronous from end to end (infinite: none in
+        1.2 s), and the largest error of a chip edge from then on, microseconds.
+    """
+    bench.rig.fault(SENSOR, "sync_wire_cut", False)
+    random = np.random.default_rng(17)
+    results = []
+    for _ in range(count):
+        off_s = random.uniform(0.001, 0.1)
+        bench.rig.power_cycle_sensor(off_s, Clock(crystal_ppm=random.uniform(-100.0, 100.0)))
+        on_s = bench.rig.now_s + off_s
+        told = sensor_phases(bench, bus, off_s + 1.2)
+        locked = told[told[:, 1] == 1.0]
+        first_s = locked[0, 0] if len(locked) else np.inf
+        after = told[told[:, 0] >= first_s]
+        good = len(after) > 0 and after[:, 1].all()
+        results.append((first_s - on_s if good else np.inf, np.abs(after[:, 2]).max() if good else np.inf))
+    return np.array(results)
+
+
+def starve(bench: SimulatedBench, seconds: float) -> None:
+    """Let frames that win against SYNC take the whole bus: as if it were cut, but busy. Some 15 ms too long."""
+    statistics = bench.rig.can_statistics
+    first, sent = statistics()["frames"], 0
+    end_s = bench.rig.now_s + seconds
+    while bench.rig.now_s < end_s:
+        while sent - (statistics()["frames"] - first) < 120:
+            bench.rig.can_write(0x00FFF000 | sent % 0xFFF, bytes(8))
+            sent += 1
+        bench.rig.advance(0.01)

@@ -6,7 +6,9 @@ import pytest
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
 from goldfield.poses import Status
-from tests.hil.can_timing import LoadedBus, beacon_phases
+from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.scenario import SCENARIOS
+from tests.hil.can_timing import LoadedBus, beacon_phases, cold_starts, sensor_phases, starve
 
 
 @pytest.fixture(scope="module")
@@ -39,3 +41,36 @@ def test_poses(bench):
     truth = bench.truth()
     errors = [np.linalg.norm(pose.position_m - truth[pose.epoch].position_m) for pose in poses]
     assert np.sqrt(np.mean(np.square(errors))) < 0.02
+
+
+@pytest.fixture
+def small_bench(rig_kind, tmp_path):
+    """Three beacons and the sensor without sync wire."""
+    text = (SCENARIOS / "patent3.toml").read_text()
+    path = tmp_path / "small.toml"
+    path.write_text('sync = "can"\n' + text)
+    bench = SimulatedBench(str(path), rig_kind, tmp_path)
+    yield bench
+    bench.rig.close()
+
+
+def test_cold_starts_on_a_busy_bus(small_bench):
+    starts = cold_starts(small_bench, LoadedBus(small_bench.rig), 3)
+    assert starts[:, 0].max() < 1.0
+    assert starts[:, 1].max() < 0.5
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_a_hundred_cold_starts_on_a_busy_bus(small_bench):
+    starts = cold_starts(small_bench, LoadedBus(small_bench.rig), 100)
+    assert starts[:, 0].max() < 1.0
+    assert starts[:, 1].max() < 0.5
+
+
+def test_a_bus_that_sync_does_not_get_for_a_second_costs_no_lock(small_bench):
+    small_bench.rig.fault(0, "sync_wire_cut", False)
+    starve(small_bench, 1.0)
+    told = sensor_phases(small_bench, LoadedBus(small_bench.rig, load=0.0), 1.0)
+    assert told[:, 1].all()
+    assert np.abs(told[:, 2]).max() < 0.5
