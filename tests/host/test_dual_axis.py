@@ -124,9 +124,9 @@ def test_separate_and_locate_take_the_pairs_as_any_beacons(tmp_path, capsys):
     lines(capsys, "separate", "--site", site, samples, "--fields", fields, "--json")
     (pose,) = lines(capsys, "locate", "--site", site, fields, "--json")
     (tracked,) = lines(capsys, "locate", "--site", site, fields, "--json", "--track")
-    for record in (pose, tracked):
+    for record, limit_m in ((pose, 2e-4), (tracked, 1e-3)):  # a tracker must allow for motion within the cycle
         assert record["status"] == "ok"
-        np.testing.assert_allclose(record["position_m"], whole["position_m"], atol=2e-4)
+        np.testing.assert_allclose(record["position_m"], whole["position_m"], atol=limit_m)
 
 
 def test_the_rise_of_the_coils_is_known(tmp_path, capsys):
