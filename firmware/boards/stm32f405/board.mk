@@ -46,7 +46,7 @@ firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## Both images, with their flash, 
 
 # Parameters given on make's command line, as name=value.
 STM32_PARAMETERS := $(foreach name,NODE CODE AMPLITUDE SYNC_MASTER STREAM CODE_COUNT OPEN_COIL OVER_CURRENT ZERO_X ZERO_Y ZERO_Z CALIBRATION CODE_LIST\
-	POSE NOISE HALF_SPACE BEACONS SYNC_SOURCE DEGREE,\
+	POSE NOISE WAVEFORM SLOTS SLOT PERIODS CODES SYNC_SOURCE PARTS DEGREE HALF_SPACE BEACONS,\
 	$(if $(findstring command line,$(origin $(name))),$(name)=$($(name))))
 STM32_PAGE := $(STM32_OUT)/parameters.bin
 PYOCD := $(VENV)/bin/pyocd
