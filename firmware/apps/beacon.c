@@ -10,14 +10,44 @@
 static void drive_stop(beacon_t *beacon) {
     beacon->drive = BEACON_IDLE; /* First: from here on the current interrupt keeps its hands off. */
     hal_drive_enable(beacon->hal, false);
-    current_stop(&beacon->current);
+    for (uint32_t channel = 0; channel < HAL_CHANNELS; channel++) {
+        current_stop(&beacon->current[channel]);
+    }
+}
+
+/* Of one of the driven channels at least; the state of all of them. */
+static bool any(const beacon_t *beacon, current_state_t state) {
+    return beacon->current[0].state == state || (beacon->channels == 2u && beacon->current[1].state == state);
+}
+
+static bool all(const beacon_t *beacon, current_state_t state) {
+    return beacon->current[0].state == state && (beacon->channels == 1u || beacon->current[1].state == state);
 }
 
 static bool faulty(const beacon_t *beacon) {
-    return beacon->no_waveform || beacon->driver_fault || beacon->current.state == CURRENT_FAULT;
+    return beacon->no_waveform || beacon->driver_fault || any(beacon, CURRENT_FAULT);
 }
 
 /* ---- Interrupts ---- */
+
+/* One channel of a block, from chip first on: bridge, set-point, and what the measurement must know. Level 0 is not driven. */
+static void plan_channel(beacon_t *beacon, hal_plan_t *plan, uint32_t block, uint32_t channel, uint32_t first, const uint16_t positions[HAL_BLOCK_CHIPS]) {
+    const uint32_t reference = beacon->current[channel].reference;
+    const int16_t *const levels = beacon->levels[channel];
+    int16_t *const asked = beacon->blocks[block & 1u].asked[channel];
+    uint32_t driven = 0;
+    for (uint32_t i = first; i < HAL_BLOCK_CHIPS; i++) {
+        const int32_t level = levels[positions[i]];
+        const uint32_t size = (uint32_t)(level < 0 ? -level : level);
+        const uint32_t set_point = (size * reference + WAVEFORM_ONE / 2u) / WAVEFORM_ONE;
+        const uint32_t bridge = level > 0 ? HAL_DRIVE_POSITIVE : level < 0 ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_OFF;
+        plan->set_point[channel][i] = (uint16_t)set_point;
+        plan->drive[i] = (uint8_t)(plan->drive[i] | bridge << HAL_DRIVE_BITS * channel);
+        asked[i] = (int16_t)(level < 0 ? -(int32_t)set_point : (int32_t)set_point);
+        driven |= (uint32_t)(level != 0) << i;
+    }
+    beacon->blocks[block & 1u].driven[channel] = driven;
+}
 
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     beacon_t *beacon = context;
@@ -30,10 +60,13 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     if (!allowed && beacon->drive != BEACON_IDLE) {
         drive_stop(beacon);
     }
-    uint8_t mask = beacon->drive == BEACON_IDLE ? HAL_PLAN_SYNC_OUT : 0xFFu;
-    uint32_t driven = 0;
+    uint32_t first = beacon->drive == BEACON_IDLE ? HAL_BLOCK_CHIPS : 0u; /* Chip from which on the block is driven. */
+    uint16_t positions[HAL_BLOCK_CHIPS];
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         const chip_clock_chip_t chip = chip_clock_plan(&beacon->clock);
+        positions[i] = chip.code_chip;
+        plan->period_ticks[i] = chip.period_ticks;
+        plan->drive[i] = beacon->master && chip.code_chip == 0 ? HAL_PLAN_SYNC_OUT : 0u;
         if (chip.code_chip == 0) {
             beacon->cycles++;
             beacon->sync_blocks = !beacon->master ? 0u : i == 0u ? 1u : 2u; /* plan for a block is called when the block before it begins. */
@@ -41,35 +74,40 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
             if (allowed && beacon->drive == BEACON_IDLE) {
                 beacon->start_chip = block * HAL_BLOCK_CHIPS + i;
                 beacon->drive = BEACON_ARMED;
-                mask = 0xFFu;
+                first = i;
             }
         }
-        plan->period_ticks[i] = chip.period_ticks;
-        plan->drive[i] = beacon->chips[chip.code_chip] & mask;
-        driven |= (uint32_t)((plan->drive[i] & (HAL_DRIVE_POSITIVE | HAL_DRIVE_NEGATIVE)) != 0u) << i;
     }
-    beacon->driven[block & 1u] = driven;
+    memset(plan->set_point, 0, sizeof plan->set_point);
+    memset(beacon->blocks[block & 1u].driven, 0, sizeof beacon->blocks[0].driven);
+    for (uint32_t channel = 0; channel < beacon->channels; channel++) {
+        plan_channel(beacon, plan, block, channel, first, positions);
+    }
 }
 
-static void on_current(void *context, uint32_t chip, uint16_t count) {
+static void trip(beacon_t *beacon, const current_t *current) {
+    hal_drive_enable(beacon->hal, false);
+    beacon->drive = BEACON_IDLE;
+    beacon->over_current += current->fault == CURRENT_FAULT_OVER;
+    beacon->open_coil += current->fault == CURRENT_FAULT_OPEN;
+}
+
+static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
     beacon_t *beacon = context;
     if (beacon->drive == BEACON_ON) {
-        const uint32_t block = chip / HAL_BLOCK_CHIPS;
-        if ((beacon->driven[block & 1u] >> (chip - block * HAL_BLOCK_CHIPS) & 1u) == 0) {
-            return;
+        const uint32_t block = chip / HAL_BLOCK_CHIPS, i = chip - block * HAL_BLOCK_CHIPS;
+        const beacon_block_t *const planned = &beacon->blocks[block & 1u];
+        for (uint32_t channel = 0; channel < beacon->channels; channel++) {
+            const bool driven = (planned->driven[channel] >> i & 1u) != 0u;
+            if (driven && !current_sample(&beacon->current[channel], planned->asked[channel][i], count[channel])) {
+                trip(beacon, &beacon->current[channel]);
+                return;
+            }
         }
-        const current_action_t action = current_sample(&beacon->current, count);
-        if (action == CURRENT_SET_REFERENCE) {
-            hal_drive_reference(beacon->hal, beacon->current.reference);
-        } else if (action == CURRENT_DRIVE_OFF) {
-            hal_drive_enable(beacon->hal, false);
-            beacon->drive = BEACON_IDLE;
-            beacon->over_current += beacon->current.fault == CURRENT_FAULT_OVER;
-            beacon->open_coil += beacon->current.fault == CURRENT_FAULT_OPEN;
+    } else if (beacon->drive == BEACON_ARMED && (int32_t)(chip + 1 - beacon->start_chip) >= 0 && !faulty(beacon)) {
+        for (uint32_t channel = 0; channel < beacon->channels; channel++) {
+            current_start(&beacon->current[channel]);
         }
-    } else if (beacon->drive == BEACON_ARMED && (int32_t)(chip + 1 - beacon->start_chip) >= 0) {
-        current_start(&beacon->current);
-        hal_drive_reference(beacon->hal, beacon->current.reference);
         hal_drive_enable(beacon->hal, true);
         beacon->drive = BEACON_ON;
     }
@@ -94,8 +132,18 @@ static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
 
 /* ---- Main ---- */
 
+static waveform_code_t read_code(const node_t *node, uint32_t place) {
+    const uint32_t id = PARAMETER_CODES + place * PARAMETER_CODES_STRIDE;
+    return (waveform_code_t){
+        .degree = parameters_unsigned(&node->parameters, id),
+        .index = parameters_unsigned(&node->parameters, id + 1u),
+        .offset = parameters_unsigned(&node->parameters, id + 2u),
+        .hold = parameters_unsigned(&node->parameters, id + 3u),
+    };
+}
+
 static beacon_settings_t read_settings(const node_t *node) {
-    return (beacon_settings_t){
+    beacon_settings_t settings = {
         .waveform =
             {
                 .kind = parameters_unsigned(&node->parameters, PARAMETER_WAVEFORM),
@@ -108,23 +156,33 @@ static beacon_settings_t read_settings(const node_t *node) {
         .over_current_A = parameters_float(&node->parameters, PARAMETER_OVER_CURRENT),
         .open_fraction = parameters_float(&node->parameters, PARAMETER_OPEN_COIL),
     };
+    for (uint32_t place = 0; place < PARAMETER_CODES_LENGTH; place++) {
+        settings.waveform.codes[place] = read_code(node, place);
+    }
+    return settings;
 }
+
+_Static_assert(sizeof(waveform_config_t) == (5u + 4u * WAVEFORM_CODES) * sizeof(uint32_t), "words without gaps: equal if their bytes are");
+_Static_assert(WAVEFORM_CHANNELS == HAL_CHANNELS && WAVEFORM_CODES == PARAMETER_CODES_LENGTH, "one and the same");
 
 static bool same(const beacon_settings_t *a, const beacon_settings_t *b) {
-    const waveform_config_t *const v = &a->waveform, *const w = &b->waveform;
-    const bool waveform = v->kind == w->kind && v->code == w->code && v->slots == w->slots && v->slot == w->slot && v->periods == w->periods;
-    return waveform && a->amplitude_A == b->amplitude_A && a->over_current_A == b->over_current_A &&
-           a->open_fraction == b->open_fraction;
+    return memcmp(&a->waveform, &b->waveform, sizeof a->waveform) == 0 && a->amplitude_A == b->amplitude_A &&
+           a->over_current_A == b->over_current_A && a->open_fraction == b->open_fraction;
 }
 
-/* While wanted is false and the drive idle: the planner then uses only the sync bit of chips, which is the same before and after. */
+/* While wanted is false and the drive idle: the planner then looks at no level. */
 static void write_waveform(beacon_t *beacon) {
     waveform_t waveform;
     beacon->no_waveform = !waveform_start(&waveform, beacon->format.degree, &beacon->settings.waveform);
+    beacon->channels = waveform_channels(beacon->settings.waveform.kind);
+    if (beacon->no_waveform) {
+        return;
+    }
     for (uint32_t t = 0; t < beacon->clock.config.chips; t++) {
-        const int8_t level = beacon->no_waveform ? 0 : waveform_next(&waveform);
-        const uint8_t polarity = level > 0 ? HAL_DRIVE_POSITIVE : level < 0 ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_OFF;
-        beacon->chips[t] = t == 0 && beacon->master ? polarity | HAL_PLAN_SYNC_OUT : polarity;
+        int16_t level[WAVEFORM_CHANNELS];
+        waveform_next(&waveform, level);
+        beacon->levels[0][t] = level[0];
+        beacon->levels[1][t] = level[1];
     }
 }
 
@@ -140,8 +198,7 @@ static void apply_settings(beacon_t *beacon) {
         .over_current_A = beacon->settings.over_current_A,
         .open_fraction = beacon->settings.open_fraction,
     };
-    const bool configured = current_configure(&beacon->current, &config);
-    hal_drive_reference(beacon->hal, 0);
+    const bool configured = current_configure(&beacon->current[0], &config) && current_configure(&beacon->current[1], &config);
     beacon->driver_fault = false;
     beacon->wanted = configured && !beacon->no_waveform && beacon->settings.amplitude_A > 0.0f && hal_clock(beacon->hal) == HAL_CLOCK_CRYSTAL;
 }
@@ -159,18 +216,18 @@ static node_state_t state(const beacon_t *beacon) {
     if (!beacon->clock.locked) {
         return NODE_SYNCING;
     }
-    return !beacon->wanted || beacon->current.state == CURRENT_HOLDING ? NODE_RUNNING : NODE_SOFT_START;
+    return !beacon->wanted || all(beacon, CURRENT_HOLDING) ? NODE_RUNNING : NODE_SOFT_START;
 }
 
 static int16_t milliamperes(float amperes) {
     return (int16_t)node_clamp((int32_t)(amperes * 1000.0f + (amperes < 0.0f ? -0.5f : 0.5f)), INT16_MAX);
 }
 
-static void send_status(beacon_t *beacon) {
-    const current_t *current = &beacon->current;
+static void send_status(beacon_t *beacon, uint32_t channel) {
+    const current_t *current = &beacon->current[channel];
     const bool on = beacon->drive == BEACON_ON;
     const struct goldfield_drive_status_t status = {
-        .current = milliamperes(on ? current_amperes(current, current->mean) : 0.0f),
+        .current = milliamperes(on ? current->measured_A : 0.0f),
         .reference = milliamperes(on ? (float)current->reference * HAL_REFERENCE_PER_COUNT : 0.0f),
         .target = milliamperes(beacon->settings.amplitude_A),
         .over_current = current->fault == CURRENT_FAULT_OVER,
@@ -182,7 +239,7 @@ static void send_status(beacon_t *beacon) {
     };
     uint8_t data[8];
     const uint8_t length = (uint8_t)goldfield_drive_status_pack(data, &status, sizeof data);
-    node_send(&beacon->node, NODE_BOTH, GOLDFIELD_DRIVE_STATUS_FRAME_ID, 0, data, length);
+    node_send(&beacon->node, NODE_BOTH, GOLDFIELD_DRIVE_STATUS_FRAME_ID, channel, data, length);
 }
 
 static void send_sync(beacon_t *beacon) {
@@ -226,7 +283,9 @@ void beacon_step(beacon_t *beacon) {
     sync_link_answer(&beacon->link, node);
     if (beacon->cycles_reported != beacon->cycles) {
         beacon->cycles_reported = beacon->cycles;
-        send_status(beacon);
+        for (uint32_t channel = 0; channel < beacon->channels; channel++) {
+            send_status(beacon, channel);
+        }
     }
     node->state = state(beacon);
     node->counters[NODE_SYNC_REJECTED] = beacon->clock.edges_rejected;

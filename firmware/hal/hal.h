@@ -6,7 +6,7 @@
  * The chip engine. Time is cut in chips, the chips in blocks of HAL_BLOCK_CHIPS. Hardware (timer and DMA) executes a block while the CPU
  * plans the block after it: the CPU is never in the timing path. All chips are counted from 0 since hal_chips_start(), never reset;
  * which code chip that is, is the application's affair. At every boundary between blocks, in interrupt context, the board calls
- *   1. samples() with the block that just ended (sensor only), then
+ *   1. samples() with the block that just ended (sensor and anchor), then
  *   2. plan() for the block that follows the one that just started.
  * A board that is late by a whole block repeats its old plan, and counts hal_counters_t.late_blocks: chip edges are then wrong for that block.
  *   late by less than a block (3.03 ms): nothing is lost;   late by more: that block's chips are wrong, counted once a block.
@@ -29,6 +29,7 @@
 #define HAL_BURST 8u                    /* Conversions of one axis in a chip, the last of which ends at most 1 us before the nominal chip end. */
 #define HAL_AXES 3u
 #define HAL_FRONT_END_HZ 100000u        /* Corner of the first-order low-pass before a sensor's converters. */
+#define HAL_CHANNELS 2u                 /* Coil drives: bridge, set-point and current sense each; one enable and one fault input for both. */
 #define HAL_SAMPLE_MAX 4095u            /* Converter full scale; 0 and 4095 count as saturated. */
 #define HAL_UNIQUE_ID_BYTES 12u
 #define HAL_PARAMETER_PAGE_BYTES 8192u
@@ -43,11 +44,13 @@ typedef enum {
     HAL_DRIVE_NEGATIVE = 2  /* Code bit 1, chip -1. */
 } hal_drive_t;
 
+#define HAL_DRIVE_BITS 2u       /* A chip's drive holds hal_drive_t of channel c in bits 2 c and 2 c + 1. */
 #define HAL_PLAN_SYNC_OUT 0x80u /* Or-ed to a chip's drive: the sync wire is high for this chip (its rising edge is the chip's start). */
 
 typedef struct {
     uint16_t period_ticks[HAL_BLOCK_CHIPS]; /* Length of each chip. */
-    uint8_t drive[HAL_BLOCK_CHIPS];         /* hal_drive_t, with HAL_PLAN_SYNC_OUT or not. A sensor leaves HAL_DRIVE_OFF. */
+    uint8_t drive[HAL_BLOCK_CHIPS];         /* hal_drive_t of each channel, with HAL_PLAN_SYNC_OUT or not. A sensor leaves HAL_DRIVE_OFF. */
+    uint16_t set_point[HAL_CHANNELS][HAL_BLOCK_CHIPS]; /* The driver's current, 0..4095 counts of HAL_REFERENCE_PER_COUNT; larger is clamped. A sensor's are ignored. */
 } hal_plan_t;
 
 /* Raw conversions of one block: [chip][conversion][axis], right-aligned 12 bits. */
@@ -65,12 +68,12 @@ typedef struct {
     /* Interrupt. Fill *plan for block (block 0 holds chips 0..30). Called for blocks 0 and 1 inside hal_chips_start(). At most 3 ms of work. */
     void (*plan)(void *context, uint32_t block, hal_plan_t *plan);
 
-    /* Interrupt, sensor only (NULL otherwise). The samples of a finished block; valid during the call. */
+    /* Interrupt, sensor and anchor (NULL otherwise). The samples of a finished block; valid during the call. */
     void (*samples)(void *context, uint32_t block, const hal_samples_t *samples);
 
-    /* Interrupt, beacon only (NULL otherwise). Once a chip, just before the chip ends: the coil current's converter count (0..4095; mid-scale 2048 is 0 A;
-     * 1 count is HAL_CURRENT_PER_COUNT). chip is the chip in which it was taken. */
-    void (*current)(void *context, uint32_t chip, uint16_t count);
+    /* Interrupt, beacon and anchor (NULL otherwise). Once a chip: the coil currents' converter counts (0..4095; mid-scale 2048 is 0 A; 1 count is
+     * HAL_CURRENT_PER_COUNT), all taken at one moment, a few microseconds before the end of chip (an anchor: just before its burst). */
+    void (*current)(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 
     /* Interrupt. The driver's fault input went active. The board has already disabled the drive. */
     void (*fault)(void *context);
@@ -79,21 +82,21 @@ typedef struct {
     void (*sync)(void *context, uint32_t chip, uint16_t ticks);
 } hal_events_t;
 
-#define HAL_CURRENT_PER_COUNT 0.0078125f /* A per count of the current sense: +-16 A in 4096. */
-#define HAL_REFERENCE_PER_COUNT 0.00390625f /* A per count of hal_drive_reference: 16 A in 4096. */
+#define HAL_CURRENT_PER_COUNT 0.0078125f    /* A per count of the current sense: +-16 A in 4096. */
+#define HAL_REFERENCE_PER_COUNT 0.00390625f /* A per count of a set-point: 16 A in 4096. */
 
-typedef enum { HAL_ROLE_BEACON = 0, HAL_ROLE_SENSOR = 1 } hal_role_t;
+/* A beacon drives, a sensor samples, an anchor does both. */
+typedef enum { HAL_ROLE_BEACON = 0, HAL_ROLE_SENSOR = 1, HAL_ROLE_ANCHOR = 2 } hal_role_t;
+static inline bool hal_role_drives(hal_role_t role) { return role != HAL_ROLE_SENSOR; }
+static inline bool hal_role_samples(hal_role_t role) { return role != HAL_ROLE_BEACON; }
 
 /* Start the chip engine. The handlers and their context must live for ever. Call once. */
 void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events);
 
-/* ---- Coil drive (beacon) ---- */
+/* ---- Coil drive (beacon, anchor) ---- */
 
-/* [any] Bridge enable. Off acts at once (one register write), whatever the plan says. */
+/* [any] Enable of both bridges. Off acts at once (one register write), whatever the plan says. Bridges and set-points change as planned, together at a chip's start. */
 void hal_drive_enable(hal_t *hal, bool enable);
-
-/* [any] Current set-point of the driver, 0..4095 counts of HAL_REFERENCE_PER_COUNT; larger is clamped. */
-void hal_drive_reference(hal_t *hal, uint16_t count);
 
 /* ---- Links ---- */
 

@@ -21,7 +21,9 @@ from tests.firmware.gold_pairs import PAIRS
 FFI, LIBRARY = load("build/libgf_hostboard.so", ["host_board.h"])
 
 BEACON, SENSOR = 0, 1
-PIN_CURRENT, PIN_FIELD, PIN_SYNC_IN = 0, (1, 2, 3), 10
+PIN_CURRENT, PIN_FIELD, PIN_SYNC_IN = (0, 6), (1, 2, 3), 10
+PINS_BRIDGE = ((38, 39), (36, 37))
+"""Inputs 1 and 2 of each channel's bridge."""
 PIN_BRIDGE_1, PIN_BRIDGE_2, PIN_SYNC_OUT, PIN_ENABLE, PIN_FAULT, PIN_LED = 38, 39, 40, 41, 42, 44
 
 US = 10**6
@@ -84,7 +86,7 @@ class Board:
     emulated: bool = False
 
     pins: list[tuple[int, int, bool]] = field(default_factory=list)
-    analog: list[tuple[int, float]] = field(default_factory=list)
+    analog: tuple[list[tuple[int, float]], list[tuple[int, float]]] = field(default_factory=lambda: ([], []))
     serial: list[tuple[int, int]] = field(default_factory=list)
     requests: list[tuple[int, int, int, bytes]] = field(default_factory=list)
     level: dict[int, bool] = field(default_factory=dict)
@@ -144,8 +146,7 @@ class Board:
         self.level[pin] = level
 
     def _analog_out(self, _: Any, channel: int, volts: float, time: int) -> None:
-        assert channel == 1
-        self.analog.append((time, volts))
+        self.analog[channel - 1].append((time, volts))
 
     def _uart_out(self, _: Any, port: int, byte: int, time: int) -> None:
         assert port == 1
@@ -262,23 +263,28 @@ class Coil:
     extra_A: float = 0.0
     extra_from: int = 1 << 62
     broken_from: int = 1 << 62
+    channel: int = 0
     board: Board | None = None
 
     def amperes(self, time: int) -> float:
         board = self.board
         if board is None or not board.level.get(PIN_ENABLE) or time >= self.broken_from:
             return 0.0
-        sign = int(board.level.get(PIN_BRIDGE_1, False)) - int(board.level.get(PIN_BRIDGE_2, False))
-        reference = board.analog[-1][1] / 3.3 * 16.0
-        return sign * (self.gain * reference + (self.extra_A if time >= self.extra_from else 0.0))
-
-    def volts(self, pin: int, time: int) -> float:
-        assert pin == PIN_CURRENT
-        return 1.65 + 0.103125 * self.amperes(time)
+        positive, negative = (bool(board.level.get(pin)) for pin in PINS_BRIDGE[self.channel])
+        reference = board.analog[self.channel][-1][1] / 3.3 * 16.0
+        extra = self.extra_A if time >= self.extra_from else 0.0
+        return (int(positive) - int(negative)) * (self.gain * reference + extra)
 
 
-def beacon(coil: Coil, **options: Any) -> Board:
-    """A beacon board with its coil."""
-    board = Board(BEACON, volts=coil.volts, **options)
-    coil.board = board
+def beacon(coil: Coil, second: Coil | None = None, **options: Any) -> Board:
+    """A beacon board with its coil, or its two; other analog inputs lie at mid-scale."""
+    coils = [coil] if second is None else [coil, second]
+
+    def volts(pin: int, time: int) -> float:
+        channel = PIN_CURRENT.index(pin) if pin in PIN_CURRENT else len(coils)
+        return 1.65 + (0.103125 * coils[channel].amperes(time) if channel < len(coils) else 0.0)
+
+    board = Board(BEACON, volts=volts, **options)
+    for channel, each in enumerate(coils):
+        each.board, each.channel = board, channel
     return board

@@ -58,10 +58,14 @@ static uint32_t planned_period(const engine_t *engine) {
     return period < HAL_CHIP_TICKS_MIN ? HAL_CHIP_TICKS_MIN : period > HAL_CHIP_TICKS_MAX ? HAL_CHIP_TICKS_MAX : period;
 }
 
-/* Events of a chip by number: 0 is the start of the very first chip; then the eight samplings of a sensor, or the sampling of the coil current and
- * the end of its conversion; the last is the start of the next chip. */
+/* Events of a chip by number: 0 is the start of the very first chip; then, where there are coils, the sampling of their currents and the end of that conversion;
+ * then a sensor's eight samplings (an anchor has both); the last is the start of the next chip. */
+static uint32_t current_events(const engine_t *engine) {
+    return hal_role_drives(engine->role) ? 2u : 0u;
+}
+
 static uint32_t last_event(const engine_t *engine) {
-    return engine->role == HAL_ROLE_SENSOR ? 1 + HAL_BURST : 3;
+    return 1u + current_events(engine) + (hal_role_samples(engine->role) ? HAL_BURST : 0u);
 }
 
 static int64_t engine_tick(const engine_t *engine) {
@@ -73,10 +77,12 @@ static int64_t engine_tick(const engine_t *engine) {
         return end;
     }
     const int64_t converted = end - BURST_MARGIN_TICKS;
-    if (engine->role == HAL_ROLE_SENSOR) {
-        return converted - (int64_t)(HAL_BURST + 1 - engine->event) * CONVERSION_TICKS + SAMPLE_TICKS;
+    const int64_t to_come = (int64_t)last_event(engine) - engine->event; /* Samplings of the burst, this one included. */
+    if (engine->event > current_events(engine)) {
+        return converted - to_come * CONVERSION_TICKS + SAMPLE_TICKS;
     }
-    return engine->event == 1 ? converted - CONVERSION_TICKS + SAMPLE_TICKS : converted;
+    const int64_t measured = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS : converted;
+    return engine->event == 1 ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
 }
 
 static void next_chip(engine_t *engine) {
@@ -89,12 +95,29 @@ static void next_chip(engine_t *engine) {
     }
 }
 
+static void set_point_write(hal_t *hal, unsigned channel, uint16_t count) {
+    const uint16_t clamped = count > HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count;
+    if (hal->engine.set_point[channel] != clamped) {
+        hal->engine.set_point[channel] = clamped;
+        if (hal->edge.analog_out) {
+            hal->edge.analog_out(hal->edge.context, channel + 1, 3.3 * clamped / (HAL_SAMPLE_MAX + 1), hal->now_ps);
+        }
+    }
+}
+
 static void start_chip(hal_t *hal) {
+    static const unsigned bridges[HAL_CHANNELS] = {PIN_BRIDGE_0, PIN_BRIDGE_1};
     engine_t *engine = &hal->engine;
-    const uint8_t drive = engine->plan[engine->block & 1].drive[engine->chip_in_block];
-    const uint8_t bridge = drive & (uint8_t)~HAL_PLAN_SYNC_OUT;
-    host_pin_write(hal, PIN_BRIDGE_1, bridge == HAL_DRIVE_POSITIVE);
-    host_pin_write(hal, PIN_BRIDGE_2, bridge == HAL_DRIVE_NEGATIVE);
+    const hal_plan_t *plan = &engine->plan[engine->block & 1];
+    const uint32_t drive = plan->drive[engine->chip_in_block];
+    for (unsigned channel = 0; channel < HAL_CHANNELS; channel++) {
+        const uint32_t bridge = drive >> HAL_DRIVE_BITS * channel & 3u;
+        host_pin_write(hal, bridges[channel], bridge == HAL_DRIVE_POSITIVE);
+        host_pin_write(hal, bridges[channel] + 1, bridge == HAL_DRIVE_NEGATIVE);
+        if (hal_role_drives(engine->role)) {
+            set_point_write(hal, channel, plan->set_point[channel][engine->chip_in_block]);
+        }
+    }
     host_pin_write(hal, PIN_SYNC_OUT, (drive & HAL_PLAN_SYNC_OUT) != 0);
     if (engine->chip_in_block == 0 && engine->block > 0) {
         if (engine->events.samples) {
@@ -114,12 +137,13 @@ static void engine_event(hal_t *hal) {
         }
         engine->event = 1;
         start_chip(hal);
-    } else if (engine->role == HAL_ROLE_SENSOR) {
+    } else if (event > current_events(engine)) {
         for (unsigned axis = 0; axis < HAL_AXES; axis++) {
-            engine->samples[engine->chip_in_block][event - 1][axis] = convert(hal, PIN_FIELD_X + axis);
+            engine->samples[engine->chip_in_block][event - current_events(engine) - 1][axis] = convert(hal, PIN_FIELD_X + axis);
         }
     } else if (event == 1) {
-        engine->current = convert(hal, PIN_CURRENT);
+        engine->current[0] = convert(hal, PIN_CURRENT_0);
+        engine->current[1] = convert(hal, PIN_CURRENT_1);
     } else {
         engine->events.current(engine->events.context, engine->chip, engine->current);
     }

@@ -2,9 +2,9 @@
  * outside sees the same edge as that of the emulator: pins of boards/pinout.md, volts, bytes and frames, each with its time.
  *
  * What it keeps of the hardware: the local clock with its error in ppm (every edge lies on one of its 168 MHz ticks), chips with planned periods,
- * pins that change exactly at chip starts, eight conversions a chip on each axis with the spacing of a converter clocked at 21 MHz, one coil
- * current conversion a chip, 12 bits with clamping, byte times at 2 Mbaud, three CAN mailboxes that leave in order, sync capture in ticks, time stamps of
- * frames in ticks.
+ * pins and set-points that change exactly at chip starts, eight conversions a chip on each axis with the spacing of a converter clocked at 21 MHz, one
+ * conversion of both coil currents a chip, 12 bits with clamping, byte times at 2 Mbaud, three CAN mailboxes that leave in order, sync capture in ticks, time
+ * stamps of frames in ticks.
  * What it does not: instructions take no time. Handlers and the main loop's iteration run at the instant of their event; so there are no late
  * blocks, converter overruns or watchdog resets here, and hal_wait() and board_start() do not exist (the main loop is run from outside).
  *

@@ -9,7 +9,7 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
         return;
     }
     engine_t *engine = &hal->engine;
-    *engine = (engine_t){.running = true, .role = role, .events = *events, .chip_start = host_tick(hal) + 168};
+    *engine = (engine_t){.running = true, .role = role, .events = *events, .chip_start = host_tick(hal) + 168, .set_point = {UINT16_MAX, UINT16_MAX}};
     events->plan(events->context, 0, &engine->plan[0]);
     events->plan(events->context, 1, &engine->plan[1]);
     if (!hal->fault_level && events->fault) {
@@ -20,13 +20,6 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
 
 void hal_drive_enable(hal_t *hal, bool enable) {
     host_pin_write(hal, PIN_ENABLE, enable);
-}
-
-void hal_drive_reference(hal_t *hal, uint16_t count) {
-    const uint16_t clamped = count > HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count;
-    if (hal->edge.analog_out) {
-        hal->edge.analog_out(hal->edge.context, 1, 3.3 * clamped / (HAL_SAMPLE_MAX + 1), hal->now_ps);
-    }
 }
 
 /* ---- Serial ---- */

@@ -6,11 +6,12 @@
 
 /* Pins, numbered port * 16 + pin (boards/pinout.md). */
 enum {
-    PIN_CURRENT = 0,       /* PA0 */
+    PIN_CURRENT_0 = 0,     /* PA0 */
     PIN_FIELD_X = 1,       /* PA1; y and z follow. */
+    PIN_CURRENT_1 = 6,     /* PA6 */
     PIN_SYNC_IN = 10,      /* PA10 */
-    PIN_BRIDGE_1 = 38,     /* PC6 */
-    PIN_BRIDGE_2 = 39,     /* PC7 */
+    PIN_BRIDGE_1 = 36,     /* PC4: inputs 1 and 2 of channel 1's bridge, */
+    PIN_BRIDGE_0 = 38,     /* PC6: of channel 0's. */
     PIN_SYNC_OUT = 40,     /* PC8 */
     PIN_ENABLE = 41,       /* PC9 */
     PIN_FAULT = 42,        /* PC10 */
@@ -52,7 +53,8 @@ typedef struct {
     uint32_t chip_in_block;
     int64_t chip_start;       /* Tick. */
     uint32_t event;           /* Next within this chip: see engine_tick(). */
-    uint16_t current;         /* The conversion that ends shortly. */
+    uint16_t current[HAL_CHANNELS];   /* The conversions that end shortly. */
+    uint16_t set_point[HAL_CHANNELS]; /* That the outside has been told. */
     hal_samples_t samples;
 } engine_t;
 

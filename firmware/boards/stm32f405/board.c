@@ -29,15 +29,15 @@ static void pin_alternate(GPIO_registers *port, unsigned pin, uint32_t function,
 }
 
 static void pins_start(void) {
-    GPIOC->BSRR = 1u << (6 + 16) | 1u << (7 + 16) | 1u << (8 + 16) | 1u << (9 + 16) | 1u << 12; /* Drive off, LED off, before they are outputs. */
-    for (unsigned pin = 6; pin <= 9; pin++) {
+    GPIOC->BSRR = 0x3F0u << 16 | 1u << 12; /* Drives off (PC4 to PC9), LED off, before they are outputs. */
+    for (unsigned pin = 4; pin <= 9; pin++) {
         change(&GPIOC->OSPEEDR, 3u << (2 * pin), (uint32_t)SPEED_HIGH << (2 * pin));
         pin_mode(GPIOC, pin, MODE_OUTPUT, PULL_NONE);
     }
     pin_mode(GPIOC, 12, MODE_OUTPUT, PULL_NONE);
     pin_mode(GPIOC, 10, 0, PULL_UP);
     SYSCFG->EXTICR3 = SYSCFG_EXTICR3_EXTI10_PORTC;
-    for (unsigned pin = 0; pin <= 4; pin++) pin_mode(GPIOA, pin, MODE_ANALOG, PULL_NONE);
+    for (unsigned pin = 0; pin <= 6; pin++) pin_mode(GPIOA, pin, MODE_ANALOG, PULL_NONE);
     pin_alternate(GPIOA, 10, 1, PULL_DOWN); /* TIM1_CH3; quiet without a sync wire. */
     pin_alternate(GPIOB, 6, 7, PULL_NONE);
     pin_alternate(GPIOB, 7, 7, PULL_UP);
@@ -62,14 +62,15 @@ hal_t *board_start(void) {
     RCC->CSR |= RCC_CSR_RMVF;
     hal->clock = clock_start();
 
-    RCC->AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA2EN;
+    RCC->AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA1EN | RCC_AHB1ENR_DMA2EN;
     RCC->APB1ENR |= RCC_APB1ENR_TIM2EN | RCC_APB1ENR_CAN1EN | RCC_APB1ENR_DACEN;
-    RCC->APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_USART1EN | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_ADC2EN | RCC_APB2ENR_ADC3EN | RCC_APB2ENR_SYSCFGEN;
+    RCC->APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_ADC2EN | RCC_APB2ENR_ADC3EN | RCC_APB2ENR_SYSCFGEN;
     (void)RCC->APB2ENR; /* A peripheral answers two cycles after its clock is on (ES0182). */
 
     watchdog_start();
     pins_start();
-    DAC->CR = DAC_CR_EN1 | DAC_CR_BOFF1; /* Unbuffered: the buffer does not reach 0 V. */
+    /* Unbuffered: the buffer does not reach 0 V. The trigger is chosen now and switched on by the chip engine: it must not change while a channel is on. */
+    DAC->CR = DAC_CR_EN1 | DAC_CR_BOFF1 | DAC_CR_TSEL1_TIM8 | DAC_CR_EN2 | DAC_CR_BOFF2 | DAC_CR_TSEL2_TIM8;
     clock_start_tick(hal->clock);
     serial_start(hal);
     can_start(hal);

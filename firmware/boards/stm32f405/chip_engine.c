@@ -1,31 +1,36 @@
-/* chip_engine.c: TIM1 and two DMA streams execute the chips; the CPU writes two blocks ahead into rings.
+/* chip_engine.c: TIM1, TIM8, three DMA streams and the DAC execute the chips; the CPU writes two blocks ahead into rings.
  *
- * TIM1 counts 168 MHz ticks from 0 to ARR; an update event ends each chip. In chip c:
+ * TIM1 counts 168 MHz ticks from 0 to ARR; an update event ends each chip. TIM8 is reset by each update (TRGO of TIM1, ITR0 of TIM8), passes the event on to the DAC
+ * (which TIM1 does not reach), and starts the conversion of coil currents by its compare 2. In chip c:
  *
- *   count          event        what happens                                                        transfers so far, behind it
- *   0 (update)     TIM1_UP      stream 5: words[(c - 1) mod 62] -> GPIOC BSRR, the edges of chip c   c
+ *   count          event        what happens                                                            transfers so far, behind it
+ *   0 (update)     TIM1_UP      DMA2 stream 5: words[(c - 1) mod 62] -> GPIOC BSRR, the edges of chip c   c
  *                               the preload of ARR, written in chip c - 1, becomes the period of c
- *   8000 (CC4)     TIM1_CH4     stream 4: periods[c mod 62] -> preload of ARR, for chip c + 1        c + 1
- *   CC1            converters   burst of 8 (sensor), one conversion of coil current (beacon)
+ *   0 (reset)      TIM8 TRGO    the DAC's outputs take what its data register holds: the set-points of c
+ *                               then DMA1 stream 5: set_points[(c - 1) mod 62] -> DHR12RD, for c + 1      c
+ *   8000 (CC4)     TIM1_CH4     DMA2 stream 4: periods[c mod 62] -> preload of ARR, for chip c + 1        c + 1
+ *   CC1            converters   burst of 8 (sensor, anchor)
+ *   TIM8 CC2       converters   one conversion of the coil currents (beacon, anchor)
  *   any (CC3)      capture      edge of the sync wire, its count kept in CCR3
  *   ARR            update       chip c ends
  *
- * So chip c's word and period lie at the same index, (c - 1) mod 62: transfer number k (from 0) of either stream is for chip k + 1.
- * Chip 0 is nobody's transfer: hal_chips_start() writes its word and its ARR itself, then starts the counter.
+ * So chip c's word and period lie at the same index, (c - 1) mod 62: transfer number k (from 0) of either stream is for chip k + 1. Its set-points lie one before,
+ * at (c - 2) mod 62: transfer k is for chip k + 2. Chip 0 is nobody's transfer, nor are the set-points of chip 1: hal_chips_start() writes them itself, then starts
+ * the counters.
  *
  * A stream fetches its next entry as soon as it has written the one before (RM0090, 10.3.14, direct mode): an entry must be there a chip early.
  *
- *   chips      index     word fetched        period fetched      written by plan of
- *   0          (61)      by the CPU before the start             block 0
- *   1..30      0..29     start of chip c-1   in chip c-2         block 0
- *   31..61     30..60    start of chip c-1   in chip c-2         block 1
- *   62         61        start of chip 61    in chip 60          block 2, planned from the start of chip 31 on
- *   63..92     0..29     start of chip c-1   in chip c-2         block 2
- *   (indices 0: both when the stream is switched on)
+ *   chips      index     word fetched        period fetched      set-point fetched (index less 1)     written by plan of
+ *   0          (61)      by the CPU before the start                                                  block 0
+ *   1..30      0..29     start of chip c-1   in chip c-2         start of chip c-2                    block 0
+ *   31..61     30..60    start of chip c-1   in chip c-2         start of chip c-2                    block 1
+ *   62         61        start of chip 61    in chip 60          start of chip 60                     block 2, planned from the start of chip 31 on
+ *   63..92     0..29     start of chip c-1   in chip c-2         start of chip c-2                    block 2
+ *   (the first of each stream: when it is switched on)
  *
- * Stream 5 has done 31 transfers at the start of chip 31 (half) and 62 at that of chip 62 (complete): its interrupts are the block boundaries.
- * The interrupt at the start of block b plans block b + 1, whose first period is fetched in the last chip but one of block b, at count 8000: there are
- * 29.5 chips (2.88 ms) to write it; later is counted. It writes over entries that were fetched for block b - 1 and before.
+ * DMA2 stream 5 has done 31 transfers at the start of chip 31 (half) and 62 at that of chip 62 (complete): its interrupts are the block boundaries.
+ * The interrupt at the start of block b plans block b + 1, whose first set-points are fetched at the start of the last chip but one of block b: there are
+ * 29 chips (2.83 ms) to write it; later is counted. It writes over entries that were fetched for block b - 1 and before.
  *
  * Where are we? Stream 5's counter is ambiguous for the few cycles between an update and its transfer, stream 4's around count 8000: chip_now() looks
  * at the count and asks the other one. A position in the ring (0..61) becomes an absolute chip by the running block as the block interrupt knows
@@ -39,19 +44,26 @@ hal_t board;
 #define PIN_SET(pin) (1u << (pin))
 #define PIN_RESET(pin) (1u << ((pin) + 16))
 
-/* PC6, PC7: bridge inputs; PC8: sync wire. Index: drive, + 4 with the sync wire high. A drive that does not exist is off. */
-#define WORDS(sync) \
-    PIN_RESET(6) | PIN_RESET(7) | (sync), PIN_SET(6) | PIN_RESET(7) | (sync), PIN_RESET(6) | PIN_SET(7) | (sync), PIN_RESET(6) | PIN_RESET(7) | (sync)
-static const uint32_t drive_words[8] = {WORDS(PIN_RESET(8)), WORDS(PIN_SET(8))};
+/* Bridge inputs by hal_drive_t; a drive that does not exist is off. */
+#define BRIDGE(first, second) \
+    {PIN_RESET(first) | PIN_RESET(second), PIN_SET(first) | PIN_RESET(second), PIN_RESET(first) | PIN_SET(second), PIN_RESET(first) | PIN_RESET(second)}
+static const uint32_t bridge_words[HAL_CHANNELS][4] = {BRIDGE(6, 7), BRIDGE(4, 5)};
+
+static uint32_t set_point(uint16_t count) {
+    return count > 4095u ? 4095u : count;
+}
 
 /* Chip i of the plan, into entry index of the rings. */
 static inline void write_chip(hal_t *hal, uint32_t i, uint32_t index) {
-    uint32_t period = hal->plan.period_ticks[i];
+    const hal_plan_t *plan = &hal->plan;
+    uint32_t period = plan->period_ticks[i];
     if (period < HAL_CHIP_TICKS_MIN) period = HAL_CHIP_TICKS_MIN;
     if (period > HAL_CHIP_TICKS_MAX) period = HAL_CHIP_TICKS_MAX;
-    const uint32_t drive = hal->plan.drive[i];
-    hal->words[index] = drive_words[(drive & 3u) | (drive & HAL_PLAN_SYNC_OUT) >> 5];
+    const uint32_t drive = plan->drive[i];
+    const uint32_t sync = (drive & HAL_PLAN_SYNC_OUT) != 0u ? PIN_SET(8) : PIN_RESET(8);
+    hal->words[index] = bridge_words[0][drive & 3u] | bridge_words[1][drive >> HAL_DRIVE_BITS & 3u] | sync;
     hal->periods[index] = period - 1u;
+    hal->set_points[index > 0u ? index - 1u : RING_CHIPS - 1u] = set_point(plan->set_point[0][i]) | set_point(plan->set_point[1][i]) << 16;
 }
 
 /* Ask for block's plan and write it into the rings. */
@@ -67,8 +79,21 @@ static void stream_start(DMA_stream_registers *stream, volatile uint32_t *target
     stream->PAR = (uint32_t)target;
     stream->M0AR = (uint32_t)source;
     stream->NDTR = RING_CHIPS;
-    stream->CR = flags | DMA_S0CR_CHSEL_6 | DMA_S0CR_DIR_TO_PERIPHERAL | DMA_S0CR_CIRC | DMA_S0CR_MINC | DMA_S0CR_PSIZE_32 | DMA_S0CR_MSIZE_32;
+    stream->CR = flags | DMA_S0CR_DIR_TO_PERIPHERAL | DMA_S0CR_CIRC | DMA_S0CR_MINC | DMA_S0CR_PSIZE_32 | DMA_S0CR_MSIZE_32;
     stream->CR |= DMA_S0CR_EN;
+}
+
+/* TIM8 and the DAC behind TIM1, which stands still. TIM1 must not make an update event between here and its start. */
+static void drive_start(const hal_t *hal) {
+    TIM1->CR2 = TIM_CR2_MMS_UPDATE;
+    TIM8->CR2 = TIM_CR2_MMS_UPDATE;
+    TIM8->SMCR = TIM_SMCR_SMS_RESET; /* By ITR0 (TS 0), which is TIM1. */
+
+    DAC->DHR12RD = hal->set_points[RING_CHIPS - 2u]; /* Chip 0: without a trigger the outputs follow at once. */
+    DAC->CR |= DAC_CR_TEN1 | DAC_CR_TEN2 | DAC_CR_DMAEN1;
+    DAC->DHR12RD = hal->set_points[RING_CHIPS - 1u]; /* Chip 1. */
+    DMA1->HIFCR = DMA_HIFCR_STREAM5;
+    stream_start(&DMA1->S[5], &DAC->DHR12RD, hal->set_points, DMA_S0CR_CHSEL_7 | DMA_S0CR_PL_VERY_HIGH);
 }
 
 void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
@@ -85,27 +110,30 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     TIM1->CCMR2_Output = TIM_CCMR2_CC3S_TI3 | TIM_CCMR2_IC3F_8_SAMPLES; /* Capture 48 ns behind the edge, free of shorter spikes. */
     TIM1->CCER = TIM_CCER_CC3E;
     TIM1->CR1 = TIM_CR1_ARPE;
-    converters_start(hal); /* Sets up CC1. */
+    converters_start(hal); /* Sets up CC1 and TIM8's CC2. */
     TIM1->EGR = TIM_EGR_UG; /* Preloads become shadows. */
     TIM1->SR = 0;
 
     DMA2->HIFCR = DMA_HIFCR_STREAM4 | DMA_HIFCR_STREAM5;
-    stream_start(&DMA2->S[5], &GPIOC->BSRR, hal->words, DMA_S0CR_PL_VERY_HIGH | DMA_S0CR_HTIE | DMA_S0CR_TCIE);
-    stream_start(&DMA2->S[4], &TIM1->ARR, hal->periods, DMA_S0CR_PL_HIGH);
+    stream_start(&DMA2->S[5], &GPIOC->BSRR, hal->words, DMA_S0CR_CHSEL_6 | DMA_S0CR_PL_VERY_HIGH | DMA_S0CR_HTIE | DMA_S0CR_TCIE);
+    stream_start(&DMA2->S[4], &TIM1->ARR, hal->periods, DMA_S0CR_CHSEL_6 | DMA_S0CR_PL_HIGH);
     TIM1->DIER = TIM_DIER_UDE | TIM_DIER_CC4DE | TIM_DIER_CC3IE;
     interrupt_enable(IRQ_DMA2_STREAM5, PRIORITY_NORMAL);
     interrupt_enable(IRQ_TIM1_CC, PRIORITY_NORMAL);
-    if (role == HAL_ROLE_BEACON) {
-        /* The driver's fault input, also if it is active already. */
+    interrupt_enable(IRQ_ADC, PRIORITY_DRIVE);
+    const bool drives = hal_role_drives(role);
+    if (drives) {
+        drive_start(hal);
+        /* The drivers' fault input, also if it is active already. */
         EXTI->FTSR |= 1u << 10;
         EXTI->IMR |= 1u << 10;
         interrupt_enable(IRQ_EXTI15_10, PRIORITY_DRIVE);
-        interrupt_enable(IRQ_ADC, PRIORITY_DRIVE);
         if ((GPIOC->IDR & 1u << 10) == 0) EXTI->SWIER = 1u << 10;
     }
 
-    const uint32_t primask = interrupts_off(); /* Word and counter together. */
-    GPIOC->BSRR = word | PIN_RESET(12);        /* PC12: the LED, to the supply: low is on. */
+    const uint32_t primask = interrupts_off(); /* Word and counters together. */
+    if (drives) TIM8->CR1 = TIM_CR1_CEN;
+    GPIOC->BSRR = word | PIN_RESET(12); /* PC12: the LED, to the supply: low is on. */
     TIM1->CR1 = TIM_CR1_ARPE | TIM_CR1_CEN;
     interrupts_restore(primask);
 }
@@ -120,7 +148,7 @@ void DMA2_Stream5_Handler(void) {
         hal->block = finished + 1u;
         hal->first_chip += HAL_BLOCK_CHIPS;
         converters_block(hal, finished, chip_now(hal));
-        if (hal->role == HAL_ROLE_SENSOR) {
+        if (hal_role_samples(hal->role)) {
             hal->events.samples(hal->events.context, finished, (const hal_samples_t *)&hal->samples[finished & 1u]);
         }
         plan_block(hal, finished + 2u);
@@ -161,13 +189,14 @@ void TIM1_CC_Handler(void) {
     board.woken = true;
 }
 
-/* Coil current, converted near the end of chip c, behind count 8000: stream 4 has done c + 1 transfers, and does no more before count 8000 of chip
+/* Coil currents, converted in chip c behind count 8000: stream 4 has done c + 1 transfers, and does no more before count 8000 of chip
  * c + 1. Right if this interrupt is late by less than half a chip; no look at the count is needed. */
 void ADC_Handler(void) {
-    const uint32_t count = ADC1->DR; /* Clears the flag. */
+    uint16_t count[HAL_CHANNELS];
+    if (!converters_take(&board, count)) return;
     const uint32_t done = transfers(&DMA2->S[4]);
     const uint32_t chip = absolute_chip(board.first_chip, done == 0 ? RING_CHIPS - 1u : done - 1u);
-    board.events.current(board.events.context, chip, (uint16_t)count);
+    board.events.current(board.events.context, chip, count);
 }
 
 void EXTI15_10_Handler(void) {

@@ -1,10 +1,14 @@
-/* converters.c: what is analog.
+/* converters.c: what is analog, but for the DAC (chip_engine.c).
  *
- * One conversion: 15 + 12 cycles of 21 MHz, 216 ticks of the chip timer. TIM1's compare 1 starts them; the start itself takes up to 3 cycles (24 ticks).
- *   sensor: 8 x 216 ticks from count 14540: the burst ends at 16268..16292, 0.77 to 0.92 us before the nominal end of the chip. The converters run
- *     together, one axis each; after each conversion DMA fetches three half-words (axis 0, 1, 2) from the common data register.
- *   beacon: one conversion from count 15640, done by 15880: inside the shortest chip, so that its interrupt belongs to that chip.
- * Temperature: channel 16, 480 + 12 cycles (3936 ticks), started by software in the first half of a chip: done by count 12000, before a burst.
+ * One conversion: 15 + 12 cycles of 21 MHz, 216 ticks of the chip timer; a start takes up to 3 cycles (24 ticks). The three converters run together, in the mode
+ * "regular simultaneous and injected simultaneous" (RM0090, 13.9.7): the regular groups are the burst, the injected ones currents and temperature.
+ *   burst (sensor, anchor): 8 x 216 ticks from TIM1's compare 1 at count 14540: it ends at 16268..16292, 0.77 to 0.92 us before the nominal end of the chip.
+ *     One axis each; after each conversion DMA fetches three half-words (axis 0, 1, 2) from the common data register.
+ *   coil currents (beacon, anchor): channel 0 on ADC1, channel 1 on ADC2, at one moment, from TIM8's compare 2 (ADC3 converts for nobody). A beacon: at count 15640, done by
+ *     15890, inside the shortest chip, so that its interrupt belongs to that chip. An anchor: at 14240, done by 14490, before its burst.
+ *   temperature: channel 16 on ADC1, 480 + 12 cycles (3936 ticks), started by software in the first quarter of a chip, when nothing else converts: done by count 8200. For
+ *     this one conversion it takes the coil current's place in the injected group. Converters that run together must sample equally long: ADC2 and ADC3 look at pins
+ *     meanwhile, for nobody.
  *
  * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's counter tells whether it is there:
  * 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the end of the shortest chip), 24 or more is a burst missed. Then, or
@@ -20,16 +24,32 @@
 #define BURST_START (HAL_CHIP_TICKS - 154u - HAL_BURST * CONVERSION_TICKS)
 #define TRIGGER_TICKS 12u                /* Half of what a start takes at most. */
 #define SAMPLING_TICKS 120u              /* 15 cycles. */
-#define CURRENT_START (HAL_CHIP_TICKS_MIN - 360u)
 #define CHIP_SAMPLES (HAL_BURST * HAL_AXES)
 #define BUFFER_SAMPLES (RING_CHIPS * CHIP_SAMPLES)
+#define CURRENT_START (HAL_CHIP_TICKS_MIN - 360u)
+#define CURRENT_START_ANCHOR (BURST_START - 300u)
 
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
+_Static_assert(CURRENT_START == 15640u && CURRENT_START_ANCHOR == 14240u, "and the currents");
+
+/* Of an injected group's four places, a group of one conversion uses the last. */
+static void inject(uint32_t first, uint32_t second, uint32_t third) {
+    ADC1->JSQR = first << 15;
+    ADC2->JSQR = second << 15;
+    ADC3->JSQR = third << 15;
+}
+
+static void inject_currents(void) {
+    inject(0, 6, 3);
+}
+
+static void inject_temperature(void) {
+    inject(16, 4, 0);
+}
 
 /* Eight ranks of one channel. */
 static void scan(ADC_registers *adc, uint32_t channel) {
     const uint32_t five = channel | channel << 5 | channel << 10 | channel << 15 | channel << 20;
-    adc->SMPR2 = 1u << (3 * channel); /* 15 cycles. */
     adc->SQR3 = five | channel << 25;
     adc->SQR2 = channel | channel << 5;
     adc->SQR1 = (HAL_BURST - 1u) << 20;
@@ -52,35 +72,57 @@ static void samples_stop(void) {
     DMA2->S[0].CR &= ~DMA_S0CR_EN;
 }
 
-void converters_start(const hal_t *hal) {
-    const bool sensor = hal->role == HAL_ROLE_SENSOR;
-    /* The trigger is the rising edge of compare output 1, which goes to no pin: PWM mode 2 rises at the compare. */
-    TIM1->CCR1 = sensor ? BURST_START : CURRENT_START;
+/* The triggers are the rising edges of compare outputs that go to no pin: PWM mode 2 rises at the compare. */
+static void triggers_start(const hal_t *hal) {
+    TIM1->CCR1 = BURST_START;
     TIM1->CCMR1_Output = TIM_CCMR1_OC1M_PWM2 | TIM_CCMR1_OC1PE;
     TIM1->CCER |= TIM_CCER_CC1E;
     TIM1->BDTR = TIM_BDTR_MOE;
+    TIM8->CCR2 = hal_role_samples(hal->role) ? CURRENT_START_ANCHOR : CURRENT_START;
+    TIM8->CCMR1_Output = TIM_CCMR1_OC2M_PWM2;
+    TIM8->CCER = TIM_CCER_CC2E;
+    TIM8->BDTR = TIM_BDTR_MOE;
+}
 
-    C_ADC->CCR = C_ADC_CCR_ADCPRE_DIV4 | C_ADC_CCR_TSVREFE | (sensor ? C_ADC_CCR_MULT_TRIPLE_REGULAR | C_ADC_CCR_DDS : 0u);
-    ADC1->SMPR1 = 7u << 18; /* Channel 16: 480 cycles. */
-    ADC1->JSQR = ADC_JSQR_JSQ4_CHANNEL16;
-    if (sensor) {
+void converters_start(const hal_t *hal) {
+    const bool samples = hal_role_samples(hal->role), drives = hal_role_drives(hal->role);
+    triggers_start(hal);
+    C_ADC->CCR = C_ADC_CCR_ADCPRE_DIV4 | C_ADC_CCR_TSVREFE | C_ADC_CCR_MULT_TRIPLE_COMBINED | (samples ? C_ADC_CCR_DDS : 0u);
+    /* 15 cycles for what is sampled and measured, 480 (7) for the temperature's group. */
+    ADC1->SMPR1 = 7u << 18;
+    ADC1->SMPR2 = 1u << 0 | 1u << 3;
+    ADC2->SMPR2 = 1u << 6 | 7u << 12 | 1u << 18;
+    ADC3->SMPR2 = 7u << 0 | 1u << 9;
+    inject_currents();
+    if (samples) {
         scan(ADC1, 1);
         scan(ADC2, 2);
         scan(ADC3, 3);
-        ADC2->CR2 = ADC_CR2_ADON;
-        ADC3->CR2 = ADC_CR2_ADON;
         samples_start(hal);
-    } else {
-        ADC1->SMPR2 = 1u; /* Channel 0, the only one of its sequence: 15 cycles. */
-        ADC1->CR1 = ADC_CR1_EOCIE;
     }
-    ADC1->CR2 = ADC_CR2_ADON | ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING; /* Stable 3 us later; the first trigger comes 80 us later. */
+    ADC1->CR1 |= ADC_CR1_JEOCIE;
+    ADC2->CR2 = ADC_CR2_ADON;
+    ADC3->CR2 = ADC_CR2_ADON;
+    /* Stable 3 us later; the first trigger comes 80 us later. */
+    ADC1->CR2 = ADC_CR2_ADON | (samples ? ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING : 0u) | (drives ? ADC_CR2_JEXTSEL_TIM8_CC2 | ADC_CR2_JEXTEN_RISING : 0u);
+}
+
+bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
+    ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
+    if (ADC1->JSQR != 0u) { /* Not channel 0. */
+        hal->temperature_count = (uint16_t)ADC1->JDR1;
+        inject_currents();
+        return false;
+    }
+    count[0] = (uint16_t)ADC1->JDR1;
+    count[1] = (uint16_t)ADC2->JDR1;
+    return true;
 }
 
 void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
     const bool before_burst = now.ticks < CHIP_RELOAD_TICKS;
     bool idle = true;
-    if (hal->role == HAL_ROLE_SENSOR) {
+    if (hal_role_samples(hal->role)) {
         const DMA_stream_registers *stream = &DMA2->S[0];
         const uint32_t position = now.chip - hal->first_chip + (hal->block & 1u) * HAL_BLOCK_CHIPS;
         const uint32_t behind = (stream->NDTR + position * CHIP_SAMPLES) % BUFFER_SAMPLES;
@@ -102,11 +144,10 @@ void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
         }
         idle = hal->sampling && behind == 0;
     }
-    if ((ADC1->SR & ADC_SR_JEOC) != 0) {
-        hal->temperature_count = (uint16_t)ADC1->JDR1;
-        ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
+    if (idle && now.ticks < CHIP_RELOAD_TICKS / 2u) {
+        inject_temperature();
+        ADC1->CR2 |= ADC_CR2_JSWSTART;
     }
-    if (before_burst && idle) ADC1->CR2 |= ADC_CR2_JSWSTART;
 }
 
 hal_burst_t hal_burst_timing(void) {
@@ -122,9 +163,4 @@ int16_t hal_temperature(const hal_t *hal) {
     }
     if (hal->temperature_count == 0) return 0; /* Not measured yet. */
     return (int16_t)(300 + (hal->temperature_count - low) * 800 / (high - low));
-}
-
-void hal_drive_reference(hal_t *hal, uint16_t count) {
-    (void)hal;
-    DAC->DHR12R1 = count > 4095u ? 4095u : count;
 }

@@ -38,11 +38,13 @@ typedef struct {
 #define RCC_AHB1ENR_GPIOAEN (1u << 0)
 #define RCC_AHB1ENR_GPIOBEN (1u << 1)
 #define RCC_AHB1ENR_GPIOCEN (1u << 2)
+#define RCC_AHB1ENR_DMA1EN (1u << 21)
 #define RCC_AHB1ENR_DMA2EN (1u << 22)
 #define RCC_APB1ENR_TIM2EN (1u << 0)
 #define RCC_APB1ENR_CAN1EN (1u << 25)
 #define RCC_APB1ENR_DACEN (1u << 29)
 #define RCC_APB2ENR_TIM1EN (1u << 0)
+#define RCC_APB2ENR_TIM8EN (1u << 1)
 #define RCC_APB2ENR_USART1EN (1u << 4)
 #define RCC_APB2ENR_ADC1EN (1u << 8)
 #define RCC_APB2ENR_ADC2EN (1u << 9)
@@ -92,6 +94,7 @@ typedef struct {
     volatile uint32_t LISR, HISR, LIFCR, HIFCR;
     DMA_stream_registers S[8];
 } DMA_registers;
+#define DMA1 ((DMA_registers *)0x40026000u)
 #define DMA2 ((DMA_registers *)0x40026400u)
 
 /* Of every stream: named after stream 0. */
@@ -111,6 +114,7 @@ typedef struct {
 #define DMA_S0CR_PL_VERY_HIGH (3u << 16)
 #define DMA_S0CR_CHSEL_4 (4u << 25)
 #define DMA_S0CR_CHSEL_6 (6u << 25)
+#define DMA_S0CR_CHSEL_7 (7u << 25)
 
 #define DMA_LISR_TCIF2 (1u << 21)
 #define DMA_HISR_HTIF5 (1u << 10)
@@ -130,19 +134,24 @@ typedef struct {
     volatile uint32_t CR1, CR2, SMCR, DIER, SR, EGR, CCMR1_Output, CCMR2_Output, CCER, CNT, PSC, ARR, RCR, CCR1, CCR2, CCR3, CCR4, BDTR;
 } TIM_registers;
 #define TIM1 ((TIM_registers *)0x40010000u)
+#define TIM8 ((TIM_registers *)0x40010400u)
 #define TIM2 ((TIM_registers *)0x40000000u) /* 32 bits wide; has neither RCR nor BDTR. */
 
 #define TIM_CR1_CEN (1u << 0)
 #define TIM_CR1_ARPE (1u << 7)
+#define TIM_CR2_MMS_UPDATE (2u << 4)
+#define TIM_SMCR_SMS_RESET (4u << 0)
 #define TIM_DIER_CC3IE (1u << 3)
 #define TIM_DIER_UDE (1u << 8)
 #define TIM_DIER_CC4DE (1u << 12)
 #define TIM_EGR_UG (1u << 0)
 #define TIM_CCMR1_OC1PE (1u << 3)
 #define TIM_CCMR1_OC1M_PWM2 (7u << 4)
+#define TIM_CCMR1_OC2M_PWM2 (7u << 12)
 #define TIM_CCMR2_CC3S_TI3 (1u << 0)
 #define TIM_CCMR2_IC3F_8_SAMPLES (3u << 4)
 #define TIM_CCER_CC1E (1u << 0)
+#define TIM_CCER_CC2E (1u << 4)
 #define TIM_CCER_CC3E (1u << 8)
 #define TIM_BDTR_MOE (1u << 15)
 
@@ -156,13 +165,14 @@ typedef struct {
 #define ADC3 ((ADC_registers *)0x40012200u)
 
 #define ADC_SR_JEOC (1u << 2)
-#define ADC_CR1_EOCIE (1u << 5)
+#define ADC_CR1_JEOCIE (1u << 7)
 #define ADC_CR1_SCAN (1u << 8)
 #define ADC_CR2_ADON (1u << 0)
+#define ADC_CR2_JEXTSEL_TIM8_CC2 (12u << 16)
+#define ADC_CR2_JEXTEN_RISING (1u << 20)
 #define ADC_CR2_JSWSTART (1u << 22)
 #define ADC_CR2_EXTSEL_TIM1_CC1 (0u << 24)
 #define ADC_CR2_EXTEN_RISING (1u << 28)
-#define ADC_JSQR_JSQ4_CHANNEL16 (16u << 15)
 
 typedef struct {
     volatile uint32_t CSR, CCR, CDR;
@@ -172,19 +182,26 @@ typedef struct {
 #define C_ADC_CSR_OVR1 (1u << 5)
 #define C_ADC_CSR_OVR2 (1u << 13)
 #define C_ADC_CSR_OVR3 (1u << 21)
-#define C_ADC_CCR_MULT_TRIPLE_REGULAR (0x16u << 0)
+#define C_ADC_CCR_MULT_TRIPLE_COMBINED (0x11u << 0) /* Regular simultaneous and injected simultaneous. */
 #define C_ADC_CCR_DDS (1u << 13)
 #define C_ADC_CCR_DMA_MODE1 (1u << 14)
 #define C_ADC_CCR_ADCPRE_DIV4 (1u << 16)
 #define C_ADC_CCR_TSVREFE (1u << 23)
 
 typedef struct {
-    volatile uint32_t CR, SWTRIGR, DHR12R1;
+    volatile uint32_t CR, SWTRIGR, DHR12R1, DHR12L1, DHR8R1, DHR12R2, DHR12L2, DHR8R2, DHR12RD;
 } DAC_registers;
 #define DAC ((DAC_registers *)0x40007400u)
 
 #define DAC_CR_EN1 (1u << 0)
 #define DAC_CR_BOFF1 (1u << 1)
+#define DAC_CR_TEN1 (1u << 2)
+#define DAC_CR_TSEL1_TIM8 (1u << 3)
+#define DAC_CR_DMAEN1 (1u << 12)
+#define DAC_CR_EN2 (1u << 16)
+#define DAC_CR_BOFF2 (1u << 17)
+#define DAC_CR_TEN2 (1u << 18)
+#define DAC_CR_TSEL2_TIM8 (1u << 19)
 
 /* ---- Links ---- */
 

@@ -2,14 +2,14 @@
  *
  *   startup.c      vector table, reset, .data and .bss          clock.c      clock tree, waits with time-outs, microseconds, tick
  *   crash.c        fault report over serial, then reset         board.c      pins, watchdog, interrupts, and what is not the below
- *   chip_engine.c  TIM1, DMA to pins, blocks, sync capture      converters.c sensor's burst, coil current, temperature, DAC
+ *   chip_engine.c  TIM1, TIM8, DMA to pins and DAC, blocks, sync converters.c sensor's burst, coil currents, temperature
  *   serial.c       USART1 with DMA both ways                    can.c        CAN1
  *
- * Priorities (a lower number preempts): 0 time stamps of CAN frames, 1 coil current and driver fault, 2 every other handler, 3 the 10 ms tick.
+ * Priorities (a lower number preempts): 0 time stamps of CAN frames, 1 coil currents, temperature and driver fault, 2 every other handler, 3 the 10 ms tick.
  * The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a handler has more than two instructions before its return: all have.
  *
  * DMA2: stream 5 chip edges (very high) > stream 4 chip periods, stream 0 samples (high) > stream 2 serial in (medium) > stream 7 serial out (low).
- * No stream is shared. All are on DMA2, as DMA1 reaches neither GPIO nor APB2. The erratum "DMA2 data corruption when managing AHB and APB
+ * DMA1: stream 5 set-points to the DAC, alone; DMA1 reaches neither GPIO nor APB2. No stream is shared. The erratum "DMA2 data corruption when managing AHB and APB
  * peripherals in a concurrent way" (ES0182) can write the same word twice to an AHB peripheral: harmless to BSRR.
  */
 #ifndef STM32F405_BOARD_H
@@ -42,6 +42,7 @@ struct hal {
     volatile uint32_t first_chip; /* Its first chip: 31 * block, odd when block is odd. */
     uint32_t words[RING_CHIPS];   /* DMA: BSRR words. */
     uint32_t periods[RING_CHIPS]; /* DMA: ARR values. */
+    uint32_t set_points[RING_CHIPS]; /* DMA: DHR12RD words. */
     hal_plan_t plan;
 
     /* converters.c */
@@ -87,7 +88,10 @@ typedef struct {
 /* The present. From handlers of normal priority or higher only: the block interrupt must not run to its end meanwhile. About 40 instructions. */
 chip_time_t chip_now(const hal_t *hal);
 
-/* At a block boundary: takes and starts the temperature; stays in step with the chips. Samples of the finished block that are not good read 0, which
+/* After an end of injected conversions. True: the counts are those of the coil currents; false: it was the temperature. */
+bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
+
+/* At a block boundary: starts the temperature; stays in step with the chips. Samples of the finished block that are not good read 0, which
  * counts as saturated. */
 void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
 

@@ -11,7 +11,7 @@ import unicorn
 from elftools.elf.elffile import ELFFile
 from unicorn import arm_const as arm
 
-from goldfield_protocol.parameters import build_page
+from goldfield_protocol.parameters import Value, build_page
 from hil_sim.clib import ROOT
 
 FLAGS = (
@@ -30,7 +30,6 @@ uint8_t page[HAL_PARAMETER_PAGE_BYTES] = {1};
 hal_events_t events;
 void hal_chips_start(hal_t *h, hal_role_t role, const hal_events_t *e) { (void)h; (void)role; events = *e; }
 void hal_drive_enable(hal_t *h, bool enable) { (void)h; (void)enable; }
-void hal_drive_reference(hal_t *h, uint16_t count) { (void)h; (void)count; }
 bool hal_serial_write(hal_t *h, const uint8_t *bytes, size_t count) { (void)h; (void)bytes; (void)count; return true; }
 void hal_serial_write_polled(hal_t *h, const uint8_t *bytes, size_t count) { (void)h; (void)bytes; (void)count; }
 size_t hal_serial_read(hal_t *h, uint8_t *bytes, size_t capacity) { (void)h; (void)bytes; (void)capacity; return 0; }
@@ -49,7 +48,7 @@ void hal_watchdog_kick(hal_t *h) { (void)h; }
 beacon_t beacon;
 sensor_t sensor;
 acquire_t acquire;
-hal_plan_t plan;
+hal_plan_t plans[2];
 hal_samples_t samples;
 uint32_t block = 0, chip = 0, count = 2048;
 void begin_beacon(void) { beacon_start(&beacon, &hal); }
@@ -57,8 +56,19 @@ void begin_sensor(void) {
     sensor_start(&sensor, &acquire, &hal);
     for (uint32_t i = 0; i < sizeof samples / 2; i++) (&samples[0][0][0])[i] = (uint16_t)(1 + i * 37 % 4094);
 }
-void call_plan(void) { events.plan(events.context, block++, &plan); hal.us += 3030; }
-void call_current(void) { events.current(events.context, chip++, (uint16_t)(2048u - (beacon.current.target >> 16))); }
+void call_plan(void) { events.plan(events.context, block, &plans[block & 1]); block++; hal.us += 3030; }
+static uint16_t sensed(uint32_t drive, uint32_t set_point) {
+    const uint32_t size = set_point / 2u;
+    return (uint16_t)(2048u + (drive == HAL_DRIVE_POSITIVE ? size : drive == HAL_DRIVE_NEGATIVE ? 0u - size : 0u));
+}
+uint16_t now[2];
+void sense_current(void) {
+    const hal_plan_t *plan = &plans[chip / HAL_BLOCK_CHIPS & 1];
+    const uint32_t i = chip % HAL_BLOCK_CHIPS;
+    now[0] = sensed(plan->drive[i] & 3u, plan->set_point[0][i]);
+    now[1] = sensed(plan->drive[i] >> 2 & 3u, plan->set_point[1][i]);
+}
+void call_current(void) { events.current(events.context, chip++, now); }
 void call_samples(void) { events.samples(events.context, block - 2, (const hal_samples_t *)&samples); }
 void ask_thirds(void) {
     (void)parameters_set(&sensor.node.parameters, PARAMETER_PARTS, (parameter_value_t){PARAMETER_UNSIGNED, 3});
@@ -80,7 +90,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     core = sorted((ROOT / "firmware/core").glob("*.c"))
     includes = [f"-I{ROOT / path}" for path in ("firmware/core", "firmware/apps", "firmware/hal", "build/protocol")]
     sources = [source, *(ROOT / app for app in apps), *core, ROOT / "build/protocol/goldfield.c"]
-    keep = ("begin_beacon", "begin_sensor", "ask_thirds", "call_plan", "call_current", "call_samples")
+    keep = ("begin_beacon", "begin_sensor", "ask_thirds", "call_plan", "sense_current", "call_current", "call_samples")
     keep += ("step_beacon", "step_sensor")
     undefined = [f"-Wl,-u,{name}" for name in keep]
     subprocess.run(["arm-none-eabi-gcc", *FLAGS, *includes, *map(str, sources), *undefined, "-o", str(elf)], check=True)
@@ -88,7 +98,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def call(image: Path) -> Call:
+def call(image: Path, request: pytest.FixtureRequest) -> Call:
     """Call a function of the harness; returns its instructions. Each test has its own memory."""
     machine = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
     machine.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
@@ -102,8 +112,15 @@ def call(image: Path) -> Call:
         for symbol in loaded.get_section_by_name(".symtab").iter_symbols():
             symbols[symbol.name] = symbol["st_value"]
     codes = list(range(2, 10))
-    values = {"node": 1, "code": 2, "amplitude": 10.0, "sync_master": 1, "code_count": 8, "code_list": codes}
-    machine.mem_write(symbols["page"], build_page(values))
+    values: dict[str, Value] = {
+        "node": 1,
+        "code": 2,
+        "amplitude": 10.0,
+        "sync_master": 1,
+        "code_count": 8,
+        "code_list": codes,
+    }
+    machine.mem_write(symbols["page"], build_page(values | getattr(request, "param", {})))
     machine.reg_write(arm.UC_ARM_REG_C1_C0_2, 0xF << 20)
     machine.reg_write(arm.UC_ARM_REG_FPEXC, 1 << 30)
     total = [0]
@@ -123,23 +140,30 @@ def call(image: Path) -> Call:
     return run
 
 
-def test_beacon(call: Call) -> None:
+@pytest.mark.parametrize(
+    ("call", "most"),
+    [({}, (115, 105, 215)), ({"waveform": 3, "periods": 5, "degree": 11}, (150, 165, 385))],
+    indirect=["call"],
+)
+def test_beacon(call: Call, most: tuple[int, int, int]) -> None:
     start = call("begin_beacon")
     plans, currents, idle, reports = [], [], [], []
     for _ in range(2):
         call("call_plan")
     for _ in range(70):
-        currents += [call("call_current") for _ in range(31)]
+        for _ in range(31):
+            call("sense_current")
+            currents.append(call("call_current"))
         plans.append(call("call_plan"))
         reports.append(call("step_beacon"))
         idle.append(call("step_beacon"))
     chip, chip_most = sorted(currents)[len(currents) // 2], max(currents)
     print(f"beacon: start {start}, plan of 31 chips {max(plans)}, current {chip}, at most {chip_most}")
     print(f"        main idle {min(idle)}, with a report {max(reports)} instructions")
-    assert max(plans) <= 31 * 80
-    assert chip <= 70
-    assert chip_most <= 150
-    assert min(idle) <= 150
+    assert max(plans) <= 31 * most[0]
+    assert chip <= most[1]
+    assert chip_most <= most[2]
+    assert min(idle) <= 160
 
 
 def test_sensor(call: Call) -> None:

@@ -16,6 +16,7 @@ from tests.firmware.host_rig import (
     PIN_ENABLE,
     PIN_FAULT,
     PIN_SYNC_OUT,
+    PINS_BRIDGE,
     SECOND,
     US,
     Board,
@@ -176,8 +177,8 @@ def test_soft_start_then_amplitude_with_gain_error(boards: list[Board]) -> None:
     board.run(SECOND)
     on = board.edges(PIN_ENABLE)
     assert len(on) == 1
-    volts = np.array([v for _, v in board.analog])
-    times = np.array([t for t, _ in board.analog])
+    volts = np.array([v for _, v in board.analog[0]])
+    times = np.array([t for t, _ in board.analog[0]])
     ramp = volts[times < on[0] + 90 * MS] / 3.3 * 16.0
     assert ramp[0] == 0
     assert (np.diff(ramp) < 1.0).all()
@@ -316,3 +317,92 @@ def test_a_slot_that_does_not_exist_is_a_fault(boards: list[Board]) -> None:
     board.run(2400 * MS)
     assert board.messages("HEARTBEAT")[-1].signals["state"] != 4
     assert status(board)["enabled"] == 1
+
+
+def drives(board: Board, times: np.ndarray, channel: int) -> np.ndarray:
+    """Current that bridge and set-point of a channel ask for at given times, A."""
+    result = np.zeros(len(times))
+    for pin, sign in zip(PINS_BRIDGE[channel], (1, -1), strict=True):
+        changes = [(time, level) for time, number, level in board.pins if number == pin]
+        at = np.searchsorted([time for time, _ in changes], times, side="right") - 1
+        result += sign * np.array([changes[i][1] if i >= 0 else False for i in at])
+    steps = board.analog[channel]
+    at = np.searchsorted([time for time, _ in steps], times, side="right") - 1
+    return result * np.array([steps[i][1] for i in at]) / 3.3 * 16.0
+
+
+def asked(board: Board, edge: int, chips: int = CHIPS, channel: int = 0) -> np.ndarray:
+    """What a channel asks for in the middle of each chip of the cycle that begins at an edge of the sync wire, A."""
+    return drives(board, np.array([edge + round((t + 0.5) * chip_seconds(0) * 1e12) for t in range(chips)]), channel)
+
+
+def statuses(board: Board) -> dict[int, dict[str, float]]:
+    """The latest DRIVE_STATUS of each channel."""
+    return {m.index: dict(m.signals) for m in board.messages("DRIVE_STATUS")}
+
+
+@pytest.mark.parametrize(("degree", "periods"), [(11, 5), (10, 37)])
+def test_a_rotating_field_of_two_sinusoids(boards: list[Board], degree: int, periods: int) -> None:
+    """Two drivers, each with a gain error of its own: the currents are the same and a quarter of a period apart."""
+    chips = 2**degree - 1
+    first, second = Coil(gain=0.93), Coil(gain=1.08)
+    parameters = {**MASTER, "waveform": 3, "periods": periods, "degree": degree}
+    board = beacon(first, second, parameters=parameters)
+    boards.append(board)
+    board.run(SECOND)
+    edge = board.edges(PIN_SYNC_OUT)[-2]
+    turn = 2.0 * np.pi * periods * np.arange(chips) / chips
+    for channel, (coil, wave) in enumerate(((first, np.cos(turn)), (second, np.sin(turn)))):
+        current = coil.gain * asked(board, edge, chips, channel)
+        assert np.abs(current - 8.0 * wave).max() < 0.02
+        report = statuses(board)[channel]
+        assert report["current"] == pytest.approx(8.0, abs=0.01)
+        assert report["reference"] == pytest.approx(8.0 / coil.gain, abs=0.02)
+        assert report["target"] == 8.0
+        assert report["enabled"] == 1
+        assert report["open_coil"] == report["over_current"] == 0
+    assert sorted(statuses(board)) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("coil", "flag"),
+    [(Coil(broken_from=500 * MS), "open_coil"), (Coil(extra_A=6.0, extra_from=500 * MS), "over_current")],
+)
+@pytest.mark.parametrize("channel", [0, 1])
+def test_a_fault_of_either_coil_stops_both(boards: list[Board], coil: Coil, flag: str, channel: int) -> None:
+    coils = [Coil(), Coil()]
+    coils[channel] = Coil(broken_from=coil.broken_from, extra_A=coil.extra_A, extra_from=coil.extra_from)
+    board = beacon(*coils, parameters={**MASTER, "waveform": 3, "periods": 20})
+    boards.append(board)
+    board.run(1200 * MS)
+    [off] = board.edges(PIN_ENABLE, False)
+    # Half a period has 25.6 chips; near its ends the current is too small to judge.
+    assert 500 * MS <= off <= 500 * MS + 26 * CHIP
+    reports = statuses(board)
+    assert [reports[c][flag] for c in (0, 1)] == [int(c == channel) for c in (0, 1)]
+    assert all(report["enabled"] == 0 and report["current"] == 0 for report in reports.values())
+    assert board.messages("HEARTBEAT")[-1].signals["state"] == 4
+
+
+def test_superposed_codes_share_the_amplitude(boards: list[Board]) -> None:
+    codes = [(10, 700, 3, 1), (5, 7, 30, 33), (10, 2, 0, 1)]
+    board = master(boards, Coil(gain=1.05), parameters={"waveform": 4, "codes": [n for code in codes for n in code]})
+    board.run(SECOND)
+    expected = np.zeros(CHIPS)
+    for degree, index, offset, hold in codes:
+        own = gold_chips(index, degree)
+        expected += [own[(t // hold + offset) % len(own)] / len(codes) for t in range(CHIPS)]
+    assert np.abs(1.05 * asked(board, board.edges(PIN_SYNC_OUT)[8]) - 8.0 * expected).max() < 0.02
+    assert status(board)["current"] == pytest.approx(8.0, abs=0.02)
+    assert statuses(board).keys() == {0}
+
+
+def test_codes_that_do_not_fit_the_cycle_are_a_fault(boards: list[Board]) -> None:
+    board = master(boards, parameters={"waveform": 4, "codes": [7, 0, 0, 1]})
+    board.run(1200 * MS)
+    assert board.messages("HEARTBEAT")[-1].signals["state"] == 4
+    assert not status(board)["enabled"]
+    board.send_serial("PARAM_SET", {"kind": 0, "value_unsigned": 10}, 1, 320, 1210 * MS)
+    board.run(2400 * MS)
+    assert status(board)["enabled"] == 1
+    np.testing.assert_array_equal(driven(board, board.edges(PIN_SYNC_OUT)[-2]), gold_chips(0))

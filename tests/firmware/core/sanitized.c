@@ -12,6 +12,7 @@
 #include "gold.h"
 #include "parameters.h"
 #include "queue.h"
+#include "waveform.h"
 
 #define REQUIRE(condition) ((condition) ? (void)0 : (fprintf(stderr, "line %d: %s\n", __LINE__, #condition), exit(1)))
 
@@ -84,9 +85,26 @@ static void currents(void) {
         if (current_configure(&loop, &(current_config_t){0.0078125f, 0.00390625f, amplitude, limit, (float)(noise() % 3u) / 2.0f})) {
             current_start(&loop);
             for (uint32_t t = 0; t < 3000; t++) {
-                const uint32_t swing = (noise() % 2u == 0u ? loop.target : 0u - loop.target) >> 16;
-                (void)current_sample(&loop, (uint16_t)(i % 3u == 0u ? noise() : 2048u + swing));
+                const int32_t set_point = (int32_t)(noise() % 8191u) - 4095;
+                (void)current_sample(&loop, (int16_t)set_point, (uint16_t)(i % 3u == 0u ? (int32_t)noise() : 2048 + set_point / 2));
                 REQUIRE(loop.reference <= 4095);
+            }
+        }
+    }
+}
+
+static void waveforms(void) {
+    for (uint32_t i = 0; i < 2000; i++) {
+        waveform_config_t config = {.kind = noise() % 6u, .code = noise() % 2049u, .slots = noise() % 2048u, .slot = noise() % 64u, .periods = noise() % 1200u};
+        for (uint32_t j = 0; j < WAVEFORM_CODES; j++) {
+            config.codes[j] = (waveform_code_t){noise() % 13u, noise() % 70u, noise() % 40u, i % 9u == 0u ? noise() : noise() % 40u};
+        }
+        waveform_t waveform;
+        if (waveform_start(&waveform, 4u + noise() % 9u, &config)) {
+            for (uint32_t t = 0; t < 3000; t++) {
+                int16_t level[WAVEFORM_CHANNELS];
+                waveform_next(&waveform, level);
+                REQUIRE(level[0] >= -WAVEFORM_ONE && level[0] <= WAVEFORM_ONE && level[1] >= -WAVEFORM_ONE && level[1] <= WAVEFORM_ONE);
             }
         }
     }
@@ -164,6 +182,7 @@ int main(void) {
     despread();
     clocks();
     currents();
+    waveforms();
     bytes();
     threads();
     return 0;

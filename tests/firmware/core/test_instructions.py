@@ -27,6 +27,7 @@ HARNESS = """
 #include "gold.h"
 #include "parameters.h"
 #include "queue.h"
+#include "waveform.h"
 despread_t cycle;
 int16_t sample[3] = {-32768, 5, 32767};
 void start(void) { despread_start(&cycle, gold_family(10)); }
@@ -61,7 +62,21 @@ void loop_init(void) {
     current_configure(&loop, &(current_config_t){0.0078125f, 0.00390625f, 10.0f, 12.0f, 0.5f});
     current_start(&loop);
 }
-int32_t loop_sample(void) { return (int32_t)current_sample(&loop, 2048u - (loop.target >> 16)); }
+int32_t loop_sample(void) {
+    return !current_sample(&loop, (int16_t)-loop.reference, (uint16_t)(2048u - loop.reference / 2u));
+}
+waveform_t waveform;
+int16_t level[WAVEFORM_CHANNELS];
+const waveform_config_t rotating_field = {.kind = WAVEFORM_ROTATING, .periods = 5};
+const waveform_config_t four = {
+    .kind = WAVEFORM_SUPERPOSED,
+    .codes = {{10, 1, 0, 1}, {10, 2, 5, 1}, {5, 1, 0, 3}, {5, 2, 0, 33}},
+};
+const waveform_config_t one = {.kind = WAVEFORM_CODE, .code = 2};
+void rotating(void) { waveform_start(&waveform, 11, &rotating_field); }
+void four_codes(void) { waveform_start(&waveform, 10, &four); }
+void one_code(void) { waveform_start(&waveform, 10, &one); }
+void chip_level(void) { waveform_next(&waveform, level); }
 uint8_t encoded[16];
 frame_t frame = {0x1FFFFFFF, 8, {1, 2, 3, 4, 5, 6, 7, 8}};
 int32_t encode(void) { return (int32_t)frame_encode(&frame, encoded); }
@@ -169,14 +184,17 @@ def test_each_call_within_what_its_header_says(count):
             count("clock_cycle")
         figures[call] = max(edges)
     samples = [count("loop_sample") for _ in range(31 * 40)]
-    assert 2 not in [action for _, action in samples]  # No fault: this is the running loop.
+    assert not any(off for _, off in samples)  # No fault: this is the running loop.
     counts = sorted(n for n, _ in samples)
     figures["current_sample"], figures["current_sample_block"] = counts[len(counts) // 2], counts[-1]
+    for name in ("one_code", "rotating", "four_codes"):
+        count(name)
+        figures[name] = max(count("chip_level")[0] for _ in range(40))
     print(figures)
     bounds = {
         **{"word": 2500, "correlation": 20, "burst_sample": 270, "feed": 220, "clock_plan": 70, "clock_edge": 720},
         "clock_message": 1050,
         **{"encode": 500, "decode": 900, "code_sum": 50_000, "one_field": 240, "current_sample": 60},
-        "current_sample_block": 120,
+        **{"current_sample_block": 170, "one_code": 100, "rotating": 120, "four_codes": 275},
     }
     assert {name: n for name, n in figures.items() if n > bounds[name]} == {}

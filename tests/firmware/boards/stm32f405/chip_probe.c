@@ -3,7 +3,7 @@
 #include "board.h"
 #include "registers.h"
 
-enum { SENSOR = 1, MASK_INTERRUPTS = 2, STALL = 4, LOSE_SAMPLES = 8, HANG_ONCE = 16 }; /* First byte of the parameter page. */
+enum { SENSOR = 1, MASK_INTERRUPTS = 2, STALL = 4, LOSE_SAMPLES = 8, HANG_ONCE = 16, ANCHOR = 32 }; /* First byte of the parameter page. */
 #define SYNCS 64u
 
 struct {
@@ -28,7 +28,10 @@ static void plan(void *context, uint32_t block, hal_plan_t *out) {
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         const uint32_t chip = block * HAL_BLOCK_CHIPS + i;
         out->period_ticks[i] = (uint16_t)((probe.mode & STALL) ? HAL_CHIP_TICKS : 16350u + chip * 37u % 131u);
-        out->drive[i] = (uint8_t)((chip * 2654435761u >> 16) % 3u | (chip % 100u == 7u ? HAL_PLAN_SYNC_OUT : 0u));
+        const uint32_t mixed = chip * 2654435761u;
+        out->drive[i] = (uint8_t)((mixed >> 16) % 3u | (mixed >> 8 & 0xFFu) % 3u << HAL_DRIVE_BITS | (chip % 100u == 7u ? HAL_PLAN_SYNC_OUT : 0u));
+        out->set_point[0][i] = (uint16_t)(chip * 29u % 4200u); /* Some beyond 4095. */
+        out->set_point[1][i] = (uint16_t)(chip * 53u % 4096u);
     }
     if ((probe.mode & STALL) && block == 20) spin(4000);
     if ((probe.mode & LOSE_SAMPLES) && block == 10) DMA2->S[0].CR &= ~DMA_S0CR_EN;
@@ -55,9 +58,10 @@ static void samples(void *context, uint32_t block, const hal_samples_t *in) {
     }
 }
 
-static void current(void *context, uint32_t chip, uint16_t count) {
+static void current(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
     (void)context;
-    if (count == chip * 8u * 5u % 4000u + 50u) probe.currents_right++;
+    const uint32_t expected = chip * 8u * 5u % 4000u + 50u;
+    if (count[0] == expected && count[1] == expected + 20u) probe.currents_right++;
     else probe.currents_wrong++;
 }
 
@@ -77,10 +81,15 @@ static void fault(void *context) {
 int main(void) {
     probe.hal = board_start();
     probe.mode = hal_parameter_page(probe.hal)[0];
-    const bool sensor = (probe.mode & SENSOR) != 0;
+    const hal_role_t role = (probe.mode & ANCHOR) ? HAL_ROLE_ANCHOR : (probe.mode & SENSOR) ? HAL_ROLE_SENSOR : HAL_ROLE_BEACON;
     const hal_events_t events = {
-        .plan = plan, .samples = sensor ? samples : NULL, .current = sensor ? NULL : current, .fault = fault, .sync = sync};
-    hal_chips_start(probe.hal, sensor ? HAL_ROLE_SENSOR : HAL_ROLE_BEACON, &events);
+        .plan = plan,
+        .samples = hal_role_samples(role) ? samples : NULL,
+        .current = hal_role_drives(role) ? current : NULL,
+        .fault = fault,
+        .sync = sync,
+    };
+    hal_chips_start(probe.hal, role, &events);
     for (;;) {
         if (probe.mode & MASK_INTERRUPTS) { /* Interrupts late by up to 40 us, most of the time. */
             __asm volatile("cpsid i" ::: "memory");

@@ -1,6 +1,7 @@
-"""Chips, samples, coil current and sync capture of the real driver in the emulator, against a plan known beforehand.
+"""Chips, set-points, samples, coil currents and sync capture of the real driver in the emulator.
 
-Time zero is the moment the LED pin falls, which the driver does together with the start of the chip timer.
+All against a plan known beforehand. Time zero is the moment the LED pin falls, which the driver does together with the
+start of the chip timer.
 """
 
 import bisect
@@ -18,8 +19,8 @@ from hil_sim.emulator.emulator import LIBRARY, Configuration, Emulator
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[3]
 BOARD = "firmware/boards/stm32f405"
-SENSOR, MASK_INTERRUPTS, STALL, LOSE_SAMPLES, HANG_ONCE = 1, 2, 4, 8, 16
-PA0, PA1, PA10, PC6, PC7, PC8, PC12 = 0, 1, 10, 38, 39, 40, 44
+SENSOR, MASK_INTERRUPTS, STALL, LOSE_SAMPLES, HANG_ONCE, ANCHOR = 1, 2, 4, 8, 16, 32
+PA0, PA1, PA6, PA10, PC4, PC5, PC6, PC7, PC8, PC12 = 0, 1, 6, 10, 36, 37, 38, 39, 40, 44
 TICK_PS = 1e12 / 168e6
 FIELDS = (
     *("hal", "mode", "planned", "plan_out_of_order", "samples_right", "samples_wrong", "blocks_lost"),
@@ -48,8 +49,13 @@ def period(chip, mode):
     return 16422 if mode & STALL else 16350 + chip * 37 % 131
 
 
-def drive(chip):
-    return (chip * 2654435761 % 2**32 >> 16) % 3
+def drive(chip, channel):
+    mixed = chip * 2654435761 % 2**32
+    return (mixed >> 8 & 0xFF) % 3 if channel else (mixed >> 16) % 3
+
+
+def set_points(chip):
+    return [min(chip * 29 % 4200, 4095), chip * 53 % 4096]
 
 
 class Bench:
@@ -60,6 +66,7 @@ class Bench:
         self.starts = [0, *itertools.accumulate(period(c, mode) for c in range(CHIPS + 200))]
         self.zero_ps = None
         self.edges = []  # (time, pin, level) since the start
+        self.analog = ([], [])  # (time, counts) of each channel
         self.conversions = []  # (pin, chip, number in the chip, ticks since the chip's start)
         self._ffi, _ = clib.load(LIBRARY, ["emulator.h"])
         edge = self._ffi.new("board_edge_t *")
@@ -67,8 +74,9 @@ class Bench:
             edge,
             self._ffi.callback("void(void *, unsigned, bool, int64_t)", self._pin_out),
             self._ffi.callback("double(void *, unsigned, int64_t)", self._analog_in),
+            self._ffi.callback("void(void *, unsigned, double, int64_t)", self._analog_out),
         ]
-        edge.pin_out, edge.analog_in = self._keep[1:]
+        edge.pin_out, edge.analog_in, edge.analog_out = self._keep[1:]
         self.board = Emulator(
             image,
             Configuration(**configuration),
@@ -82,13 +90,23 @@ class Bench:
         if self.zero_ps is not None:
             self.edges.append((time_ps, pin, bool(level)))
 
+    def _analog_out(self, _, channel, volts, time_ps):
+        self.analog[channel - 1].append((time_ps, round(volts / 3.3 * 4096)))
+
     def _analog_in(self, _, pin, time_ps):
         if self.zero_ps is None:
             return 1.65
         ticks = (time_ps - self.zero_ps) / TICK_PS
         chip = bisect.bisect_right(self.starts, ticks) - 1
+        ticks -= self.starts[chip]
+        if ticks < 14000:  # Converted beside the temperature, for nobody.
+            return 0.0
         number = sum(1 for p, c, *_ in self.conversions[-60:] if (p, c) == (pin, chip))
-        self.conversions.append((pin, chip, number, ticks - self.starts[chip]))
+        if pin == PA1 + 2 and ticks < 14500:  # Beside an anchor's currents.
+            return 0.0
+        self.conversions.append((pin, chip, number, ticks))
+        if pin == PA6:
+            return ((chip * 8 * 5) % 4000 + 70.25) * 3.3 / 4096
         axis = max(pin - PA1, 0)
         return (((chip * 8 + number) * 5 + axis * 1000) % 4000 + 50.25) * 3.3 / 4096
 
@@ -127,14 +145,15 @@ def bench(image):
 
 
 def expected_levels(chip):
-    return {PC6: drive(chip) == 1, PC7: drive(chip) == 2, PC8: chip % 100 == 7}
+    first, second = drive(chip, 0), drive(chip, 1)
+    return {PC6: first == 1, PC7: first == 2, PC4: second == 1, PC5: second == 2, PC8: chip % 100 == 7}
 
 
 def edges_by_chip(bench):
     """Return {chip: {pin: level}} and the ticks behind the chip's start of every edge on the planned pins."""
     result, offsets = {}, []
     for time_ps, pin, level in bench.edges:
-        if pin in (PC6, PC7, PC8):
+        if pin in (PC4, PC5, PC6, PC7, PC8):
             ticks = (time_ps - bench.zero_ps) / TICK_PS
             chip = bisect.bisect_right(bench.starts, ticks + 100) - 1
             result.setdefault(chip, {})[pin] = level
@@ -156,20 +175,50 @@ def test_every_edge_of_every_chip(bench, mode):
     assert 0 <= min(behind) < 40
 
 
-@pytest.mark.parametrize("mode", [0, MASK_INTERRUPTS])
-def test_current_belongs_to_its_chip(bench, mode):
+@pytest.mark.parametrize("mode", [0, MASK_INTERRUPTS, ANCHOR])
+def test_every_set_point_changes_with_its_chip(bench, mode):
     b = bench(mode)
+    assert b.run(CHIPS), b.board.report()
+    behind = []
+    for channel in range(2):
+        truth = {
+            c: set_points(c)[channel]
+            for c in range(CHIPS)
+            if c == 0 or set_points(c)[channel] != set_points(c - 1)[channel]
+        }
+        seen = {}
+        for time_ps, count in b.analog[channel]:
+            ticks = (time_ps - b.zero_ps) / TICK_PS
+            chip = bisect.bisect_right(b.starts, ticks) - 1
+            seen[max(chip, 0)] = count  # That of chip 0 is there before the start.
+            if chip >= 0:
+                behind.append(ticks - b.starts[chip])
+        assert {c: n for c, n in seen.items() if c < CHIPS} == truth
+    bridges = [ticks for chip, ticks in edges_by_chip(b)[1] if chip >= 1]
+    print(
+        f"bridges {max(bridges):.1f}, set-points {min(behind):.1f} to {max(behind):.1f} ticks behind the chip's start"
+    )
+    assert max(behind) - min(behind) < 4.0  # The DAC's clock has four ticks.
+    assert all(abs(ticks - max(bridges)) < 17 for ticks in behind)  # 0.1 us
+
+
+@pytest.mark.parametrize("mode", [0, MASK_INTERRUPTS, ANCHOR])
+def test_currents_belong_to_their_chip(bench, mode):
+    b = bench(mode, temperature_degc=41.0)
     assert b.run(CHIPS), b.board.report()
     result = b.probe()
     assert result["currents_wrong"] == 0
     assert result["currents_right"] in (CHIPS - 1, CHIPS)
     assert result["plan_out_of_order"] == result["late_blocks"] == 0
-    taken = [(chip, ticks) for pin, chip, _, ticks in b.conversions if pin == PA0]
-    assert [chip for chip, _ in taken[:CHIPS]] == list(range(CHIPS))
-    assert all(15600 < ticks < 15900 for _, ticks in taken)
+    assert abs(result["temperature"] - 410) <= 10
+    early, late = (14240, 14540) if mode & ANCHOR else (15640, 15900)
+    taken = {pin: [(c, t) for p, c, _, t in b.conversions if p == pin] for pin in (PA0, PA6)}
+    assert taken[PA0] == taken[PA6]  # At one moment.
+    assert [chip for chip, _ in taken[PA0][:CHIPS]] == list(range(CHIPS))
+    assert all(early < ticks < late - 12 * 8 for _, ticks in taken[PA0])
 
 
-@pytest.mark.parametrize("mode", [SENSOR, SENSOR | MASK_INTERRUPTS])
+@pytest.mark.parametrize("mode", [SENSOR, SENSOR | MASK_INTERRUPTS, ANCHOR, ANCHOR | MASK_INTERRUPTS])
 def test_samples_belong_to_their_chip(bench, mode):
     b = bench(mode, temperature_degc=41.0)
     assert b.run(CHIPS), b.board.report()
