@@ -38,9 +38,9 @@ BEACON_ONLY = ("ADC_Handler", "EXTI15_10_Handler")
 """Interrupts that the sensor never enables (`hal_chips_start`)."""
 
 PRIORITIES: tuple[tuple[str, ...], ...] = (
+    ("CAN1_TX_Handler", "CAN1_RX1_Handler"),
     BEACON_ONLY,
     (
-        "CAN1_TX_Handler",
         "CAN1_RX0_Handler",
         "CAN1_SCE_Handler",
         "TIM1_CC_Handler",
