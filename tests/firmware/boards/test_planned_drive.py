@@ -1,4 +1,4 @@
-"""What the beacon's image makes two coils carry, on the emulator: sinusoids in quadrature, levels of superposed codes."""
+"""What the beacon's image makes two coils carry, on the emulator: sinusoids in quadrature, levels of several codes."""
 
 from __future__ import annotations
 
