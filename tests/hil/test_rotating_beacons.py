@@ -1,0 +1,123 @@
+"""Dual-axis boards on the whole chain: planned sinusoids in two coils, raw chips of the sensor, poses at the bound."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from goldfield.access import SiteAccess
+from goldfield.access.waveform import site_templates
+from goldfield.cli import main
+from goldfield.link.chips import Calibration, ChipAssembler
+from goldfield.locate.uncertainty import cramer_rao_bound
+from goldfield.site import load
+from goldfield_protocol import FrameDecoder, decode
+from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.scenario import SCENARIOS
+
+CYCLES = 8
+SETTLED_S = 1.3
+"""From START_S of a bench on: the soft start is over, and the cycles that were cut short."""
+
+
+@pytest.fixture(scope="module")
+def recorded(rig_kind, tmp_path_factory):
+    """The site file, a table of raw chips of a sensor at rest among the first three boards of zheng6, and the truth.
+
+    The site file's noise is that of the surroundings alone; the steps of the converter add to it: it is measured.
+    """
+    directory = tmp_path_factory.mktemp("zheng3")
+    head, *beacons = (SCENARIOS / "zheng6.toml").read_text().split("[[beacon]]")
+    scenario = directory / "zheng3.toml"
+    scenario.write_text("[[beacon]]".join([head, *beacons[:3]]))
+    bench = SimulatedBench(str(scenario), rig_kind if rig_kind in ("emulated", "host") else "host", directory)
+    try:
+        bench.advance(SETTLED_S)
+        already = len(bench.stream)
+        bench.advance((CYCLES + 2) * bench.site.cycle_s)
+        assembler, node = ChipAssembler(bench.site.chips), bench.scenario.sensor.node
+        messages = [
+            decode(frame.identifier, frame.data) for frame in FrameDecoder().feed(bytes(bench.stream[already:]))
+        ]
+        own = [message for message in messages if message is not None and message.node == node]
+        cycles = [sums.copy() for message in own for sums in assembler.feed(message)]
+        truth = bench.rig.truth()[-1]
+    finally:
+        bench.rig.close()
+    whole = [sums for sums in cycles if np.isfinite(sums).all()][-CYCLES:]
+    assert len(whole) == CYCLES
+    calibration = Calibration(*bench.scenario.sensor.correction())
+    samples = [calibration.field_T(sums) for sums in whole]
+    table = directory / "samples.csv"
+    with table.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["chip", "bx_T", "by_T", "bz_T", "x_m", "y_m", "z_m"])
+        for cycle in samples:
+            writer.writerows([chip, *row, *truth.position_m] for chip, row in enumerate(cycle.tolist()))
+    site_file = directory / "site.toml"
+    text, noise_T = site_file.read_text(), sample_noise_T(bench.site, samples)
+    site_file.write_text(text.replace(f"noise_T = {bench.site.sensor.noise_T}", f"noise_T = {noise_T}"))
+    return load(site_file), site_file, table, samples, truth
+
+
+def located(capsys, site_file, table, *options):
+    assert main(["rotating", "locate", str(table), "--site", str(site_file), "--json", *options]) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def turn_rad(record, truth):
+    """Attitude error as a rotation vector."""
+    turn = Rotation.from_quat(record["orientation_xyzw"]) * Rotation.from_quat(truth.orientation_xyzw).inv()
+    return turn.as_rotvec()
+
+
+def sample_noise_T(site, samples):
+    """What is left of the samples beside fields, a constant and the hum: noise of surroundings and converter."""
+    mains = np.array([wave(1e2 * np.pi * k * site.chip_period_s * np.arange(site.chips))
+                      for k in (1, 3) for wave in (np.sin, np.cos)]).T  # fmt: skip
+    columns = np.hstack([site_templates(site), mains, np.ones((site.chips, 1))])
+    rest = [cycle - columns @ np.linalg.lstsq(columns, cycle, rcond=None)[0] for cycle in samples]
+    return float(np.std(rest))
+
+
+def test_poses_near_the_bound(recorded, capsys):
+    site, site_file, table, _, truth = recorded
+    records = located(capsys, site_file, table)
+    assert len(records) == CYCLES
+    variance = np.diag(cramer_rao_bound(site, truth.position_m[None])[0])
+    bound_m, bound_rad = (float(np.sqrt(part.sum())) for part in np.split(variance, 2))
+    rms_m = float(np.sqrt(np.mean([record["error_m"] ** 2 for record in records])))
+    rms_rad = float(np.sqrt(np.mean([turn_rad(record, truth) @ turn_rad(record, truth) for record in records])))
+    print(
+        f"noise {site.sensor.noise_T * 1e9:.1f} nT a sample; position {rms_m * 1e3:.2f} mm, bound "
+        f"{bound_m * 1e3:.2f} mm; attitude {np.degrees(rms_rad):.3f} deg, bound {np.degrees(bound_rad):.3f} deg"
+    )
+    assert rms_m < 2.5 * bound_m  # the rest: amplitudes within what the current loop holds them to
+    assert rms_rad < 2.5 * bound_rad
+    assert rms_m < 0.0025
+
+
+def test_range_and_elevation_alone_and_the_paper_s_separation(recorded, capsys):
+    _, site_file, table, _, truth = recorded
+    for options in (("--algorithm", "axes"), ("--separation", "fft")):
+        for record in located(capsys, site_file, table, *options):
+            assert record["error_m"] < 0.04
+            assert np.degrees(np.linalg.norm(turn_rad(record, truth))) < 0.5
+
+
+def test_separate_and_locate_as_of_any_beacons(recorded, capsys, tmp_path):
+    site, site_file, table, samples, truth = recorded
+    fields = tmp_path / "fields.csv"
+    assert main(["separate", "--site", str(site_file), str(table), "--fields", str(fields), "--json"]) == 0
+    separated = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    weights = SiteAccess(site).weights
+    first = np.array([entry["b_T"] for entry in separated[0]["fields"]])
+    np.testing.assert_allclose(first, weights @ (samples[0] - samples[0].mean(axis=0)), atol=1e-13)
+    for options in ((), ("--track",)):
+        assert main(["locate", "--site", str(site_file), str(fields), "--json", *options]) == 0
+        poses = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert len(poses) == CYCLES
+        for pose in poses:
+            assert np.linalg.norm(np.array(pose["position_m"]) - truth.position_m) < 0.005
