@@ -86,10 +86,10 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("instructions")
     source, elf = directory / "harness.c", directory / "apps.elf"
     source.write_text(HARNESS)
-    apps = [f"firmware/apps/{name}.c" for name in ("node", "sync", "beacon", "sensor", "onboard")]
+    apps = [path for path in sorted((ROOT / "firmware/apps").glob("*.c")) if not path.name.startswith("main_")]
     core = sorted((ROOT / "firmware/core").glob("*.c"))
     includes = [f"-I{ROOT / path}" for path in ("firmware/core", "firmware/apps", "firmware/hal", "build/protocol")]
-    sources = [source, *(ROOT / app for app in apps), *core, ROOT / "build/protocol/goldfield.c"]
+    sources = [source, *apps, *core, ROOT / "build/protocol/goldfield.c"]
     keep = ("begin_beacon", "begin_sensor", "ask_thirds", "call_plan", "sense_current", "call_current", "call_samples")
     keep += ("step_beacon", "step_sensor")
     undefined = [f"-Wl,-u,{name}" for name in keep]
