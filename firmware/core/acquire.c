@@ -227,9 +227,12 @@ static void record_end(acquire_t *acquire) {
 }
 
 static void measure_end(acquire_t *acquire) {
+    const bool before = acquire->silent;
     acquire->silent = !code_field_present(&acquire->field, acquire->code_count);
     if (acquire->silent) {
         search_start(acquire);
+    } else if (before) {
+        command(acquire, ACQUIRE_AGAIN); /* Codes came back somewhere in this record: its amplitudes are no whole cycle's. */
     } else {
         track(acquire);
     }

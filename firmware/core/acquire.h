@@ -21,7 +21,7 @@
  * A record begins when the chip clock has slewed to where it is to be (after a jump up to 22 chips): bursts under way to it lie elsewhere on the ramp, and would bias the first capture.
  *
  * Dropout. When the codes' share of the variance is that of noise, the clock is left alone (chip_clock.h unlocks it after its hold-over) and each record is searched: codes at
- * the own phase are tracked again, codes elsewhere start a new search with sliding phase. Four records in succession without a ramp start one too.
+ * the own phase are tracked again from the first whole record on, codes elsewhere start a new search with sliding phase. Four records in succession without a ramp start one too.
  *
  * Accuracy (`make field-sync-figures`). 1000 cold starts of the test's signal with 2 mG a burst, 8 beacons in the cube, mains hum of 0.5 uT: edge at three cycles within
  * 0.32 us, rms 0.079; in the three cycles after it, the worst moment of a start within 0.57 us, rms 0.146. With 2 mG in each conversion 0.58 and 0.92 us (300 starts).

@@ -126,5 +126,5 @@ def test_beacons_off_for_ten_seconds(open_wireless, rig_kind):
     told = watch(bench, ramp_s + 6 * CYCLE_S)
     after = told[told[:, 0] > told[0, 0] + ramp_s + 4 * CYCLE_S]
     print(f"after 10 s without field: error {np.abs(after[:, 2] + LATE_US[rig_kind]).max():.2f} us")
-    assert np.abs(after[:, 2] + LATE_US[rig_kind]).max() < 1.0
+    assert np.abs(told[:, 2] + LATE_US[rig_kind]).max() < 1.0  # nor is it lost in the records that the return cuts
     assert after[:, 1].all()
