@@ -14,9 +14,6 @@ from hil_sim.scenario.parts import DEGREE, Beacon, FrontEnd
 if TYPE_CHECKING:
     from hil_sim.scenario.scenario import Scenario
 
-LEAST_NOISE_T = 1e-9
-"""What the sensor takes for its noise in a scenario without any: the converters' steps remain."""
-
 
 def build(scenario: Scenario, board: int) -> bytes:
     """Build the page of a board: 0 the sensor, then the beacons."""
@@ -36,7 +33,7 @@ def _sensor(scenario: Scenario) -> Mapping[str, Value]:
     sensor, half = scenario.sensor, scenario.half_space
     surroundings: dict[str, Value] = {
         "pose": 1,
-        "noise": max(sensor.noise_T, LEAST_NOISE_T),
+        "noise": sensor.sample_noise_T,
         "half_space": [0.0] * 6 if half is None else [*half.point.tolist(), *half.normal.tolist()],
         "beacons": [value for beacon in scenario.beacons for value in _beacon_row(beacon)],
     }

@@ -19,6 +19,8 @@ CHIP_PERIOD_S = CHIP_TICKS / TICKS_PER_SECOND
 DEGREE = 10
 """Of the codes, unless the scenario says otherwise: the boards' default."""
 CONVERTER_COUNTS = 4096
+BURST = 8
+"""Conversions of an axis in a chip (``hal.h``)."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +74,7 @@ class FrontEnd:
     Attributes
     ----------
     noise_T : float
-        Standard deviation of one chip's sample on one axis.
+        Standard deviation of one chip's sample on one axis, without the converter's own.
     converter_noise_LSB : float
         Standard deviation of each single conversion, in steps of the converter.
     bandwidth_Hz : float
@@ -108,6 +110,15 @@ class FrontEnd:
         axes = np.array([[1.0, xy, xz], [0.0, 1.0, yz], [0.0, 0.0, 1.0]])
         axes /= np.linalg.norm(axes, axis=1, keepdims=True)
         return np.asarray((1.0 + self.gain_error)[:, None] * axes)
+
+    @property
+    def sample_noise_T(self) -> float:
+        """Standard deviation of a chip's sample: noise and what averaging a burst leaves of the converter's own.
+
+        The steps count as a noise of LSB / sqrt(12) in each conversion, as they are where the noise spans them.
+        """
+        step_T = 2.0 * self.range_T / CONVERTER_COUNTS
+        return math.hypot(self.noise_T, step_T * math.sqrt((self.converter_noise_LSB**2 + 1.0 / 12.0) / BURST))
 
     def correction(self) -> tuple[FloatArray, FloatArray]:
         """Return zero, shape (3,), counts, and matrix, shape (3, 3), T per count, as the parameter page has them."""
