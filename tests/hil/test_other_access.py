@@ -51,14 +51,14 @@ def test_pose_with_another_access(open_bench, rig_kind, scenario, boards):
     inverse = np.linalg.inv(np.linalg.cholesky(access.covariance_T2))
     scatter = np.einsum("ij,ejk->eik", inverse, fields - fields.mean(axis=0))
     freedom = scatter[1:].size
-    assert np.sum(scatter**2) / freedom == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / freedom))
+    assert np.sum(scatter**2) / freedom == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / freedom))
 
     ids = tuple(beacon.id for beacon in site.beacons)
     pose = locate(site, Fields(0, 0.0, ids, fields.mean(axis=0), sigma / np.sqrt(len(cycles))))
-    print(
-        f"{scenario}: scatter {np.sum(scatter**2) / freedom:.2f} of what is expected, pose within {np.linalg.norm(pose.position_m - truth.position_m) * 100:.2f} cm"
-    )
+    error_m = np.linalg.norm(pose.position_m - truth.position_m)
+    scattered = np.sum(scatter**2) / freedom
+    print(f"{scenario}: scatter {scattered:.2f} of what is expected, pose within {error_m * 100:.2f} cm")
     assert pose.residual < 2.0  # the error of the quiet slot is in all fields alike: not quite the 1 of separate errors
-    assert np.linalg.norm(pose.position_m - truth.position_m) < 0.04
+    assert error_m < 0.04
     turn = Rotation.from_quat(pose.orientation_xyzw) * Rotation.from_quat(truth.orientation_xyzw).inv()
     assert np.degrees(turn.magnitude()) < 3.0
