@@ -113,12 +113,13 @@ class FrontEnd:
 
     @property
     def sample_noise_T(self) -> float:
-        """Standard deviation of a chip's sample: noise and what averaging a burst leaves of the converter's own.
+        """Standard deviation of a chip's sample: noise and what averaging a burst leaves of the converter's own, to three digits.
 
         The steps count as a noise of LSB / sqrt(12) in each conversion, as they are where the noise spans them.
         """
         step_T = 2.0 * self.range_T / CONVERTER_COUNTS
-        return math.hypot(self.noise_T, step_T * math.sqrt((self.converter_noise_LSB**2 + 1.0 / 12.0) / BURST))
+        converter_T = step_T * math.sqrt((self.converter_noise_LSB**2 + 1.0 / 12.0) / BURST)
+        return float(f"{math.hypot(self.noise_T, converter_T):.3g}")
 
     def correction(self) -> tuple[FloatArray, FloatArray]:
         """Return zero, shape (3,), counts, and matrix, shape (3, 3), T per count, as the parameter page has them."""

@@ -31,7 +31,7 @@ def write(scenario: Scenario) -> str:
     if scenario.half_space is not None:
         point, normal = _toml(scenario.half_space.point), _toml(scenario.half_space.normal)
         lines.append(f"half_space = {{ point = {point}, normal = {normal} }}")
-    lines += ["", "[sensor]", f"noise_T = {scenario.sensor.sample_noise_T:.3g}"]
+    lines += ["", "[sensor]", f"noise_T = {scenario.sensor.sample_noise_T!r}"]
     for beacon in scenario.beacons:
         lines += _beacon(beacon, scenario)
     return "\n".join(lines) + "\n"

@@ -46,6 +46,7 @@ def test_poses_at_the_bound(tmp_path, rig_kind, degree, boards, cycles):
             for report in assembler.feed(decode(frame.identifier, frame.data), 0.0):
                 fields = separator.fields(report)
                 found.append((report, locate(bench.site, fields), onboard_pose(bench.site, report, fields)))
+        bench.rig.advance(0.25)  # The truth of a cycle is told from the sync wire's next edge on.
         found, truth = found[-cycles - 1 : -1], bench.truth()
     finally:
         bench.rig.close()
