@@ -86,14 +86,12 @@ class HostBoards:
         self._ffi, self._library = clib.load(HOST_LIBRARY, ["host_board.h"])
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
-        """See `BoardFactory`; raises UserError for a clock or a role that such a board cannot have."""
+        """See `BoardFactory`; raises UserError for a clock that such a board cannot have."""
         ffi, library = self._ffi, self._library
-        if spec.role == "anchor":
-            raise UserError("host boards cannot be a beacon with a sensor: remove [beacon.sensor]")
         if spec.clock.crystal_dead:
             raise UserError("host boards cannot simulate crystal_dead: use --boards emulated, or remove the key")
         config = ffi.new("host_board_config_t *")
-        config.role = library.HAL_ROLE_SENSOR if spec.role == "sensor" else library.HAL_ROLE_BEACON
+        config.role = getattr(library, f"HAL_ROLE_{spec.role.upper()}")
         config.crystal_ppm = spec.clock.crystal_ppm
         config.temperature_degc = spec.clock.temperature_degC
         config.unique_id = list(spec.unique_id)
@@ -115,7 +113,7 @@ class EmulatedBoards:
     Parameters
     ----------
     images : path, optional
-        Directory with ``beacon.elf`` and ``sensor.elf``.
+        Directory with ``beacon.elf``, ``sensor.elf`` and ``anchor.elf``.
     """
 
     def __init__(self, images: str | Path = clib.ROOT / IMAGES) -> None:

@@ -1,6 +1,6 @@
 /* board.h: how an image gets its board.
  *
- * The board's start-up code (vector table, .data, .bss, core memory) calls main(); main (firmware/apps/main_beacon.c, main_sensor.c: one image each) calls
+ * The board's start-up code (vector table, .data, .bss, core memory) calls main(); main (firmware/apps/main_beacon.c, main_sensor.c, main_anchor.c: one image each) calls
  * board_start() first, and then owns the processor: it never returns.
  *
  * A board that lives in memory (boards/host) does not have this function: it creates as many boards as one likes and calls the applications itself.

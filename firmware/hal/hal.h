@@ -85,8 +85,8 @@ typedef struct {
 #define HAL_CURRENT_PER_COUNT 0.0078125f    /* A per count of the current sense: +-16 A in 4096. */
 #define HAL_REFERENCE_PER_COUNT 0.00390625f /* A per count of a set-point: 16 A in 4096. */
 
-/* A beacon drives, a sensor samples, an anchor does both. */
-typedef enum { HAL_ROLE_BEACON = 0, HAL_ROLE_SENSOR = 1, HAL_ROLE_ANCHOR = 2 } hal_role_t;
+/* A beacon drives, a sensor samples, an anchor does both. As in HEARTBEAT. */
+typedef enum { HAL_ROLE_BEACON = 0, HAL_ROLE_SENSOR = 1, HAL_ROLE_ANCHOR = 3 } hal_role_t;
 static inline bool hal_role_drives(hal_role_t role) { return role != HAL_ROLE_SENSOR; }
 static inline bool hal_role_samples(hal_role_t role) { return role != HAL_ROLE_BEACON; }
 

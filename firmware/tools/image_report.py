@@ -34,12 +34,12 @@ HANDLERS: Mapping[str, str] = {
 }
 """Which handler in the application's file a function of the board calls through `hal_events_t`."""
 
-BEACON_ONLY = ("ADC_Handler", "EXTI15_10_Handler")
-"""Interrupts that the sensor never enables (`hal_chips_start`)."""
+ABSENT: Mapping[str, tuple[str, ...]] = {"beacon": ("on_samples",), "sensor": ("on_current", "on_fault"), "anchor": ()}
+"""Handlers that an application does not have; the board then never calls them (`hal_chips_start`)."""
 
 PRIORITIES: tuple[tuple[str, ...], ...] = (
     ("CAN1_TX_Handler", "CAN1_RX1_Handler"),
-    BEACON_ONLY,
+    ("ADC_Handler", "EXTI15_10_Handler"),
     (
         "CAN1_RX0_Handler",
         "CAN1_SCE_Handler",
@@ -177,9 +177,7 @@ def resolve(graph: dict[str, Function], role: str) -> None:
         handler = f"firmware/apps/{role}.c:{HANDLERS[name]}"
         if handler in graph:
             function.calls.add(handler)
-        elif not (name in BEACON_ONLY and role == "sensor") and not (
-            name == "DMA2_Stream5_Handler" and role == "beacon"
-        ):
+        elif HANDLERS[name] not in ABSENT[role]:
             raise ReportError(f"{name} calls {handler}, which does not exist")
 
 
@@ -203,9 +201,7 @@ def report(elf: Path) -> Image:
             graph[name] = function
     stack, path = deepest(graph, "Reset_Handler")
     for names in PRIORITIES:
-        enabled = [n for n in names if role == "beacon" or n not in BEACON_ONLY]
-        if enabled:
-            stack += EXCEPTION_FRAME + max(deepest(graph, name)[0] for name in enabled)
+        stack += EXCEPTION_FRAME + max(deepest(graph, name)[0] for name in names)
 
     text, data, bss = map(int, run("size", str(elf)).splitlines()[1].split()[:3])
     symbols = {

@@ -20,7 +20,8 @@ from tests.firmware.gold_pairs import PAIRS
 
 FFI, LIBRARY = load("build/libgf_hostboard.so", ["host_board.h"])
 
-BEACON, SENSOR = 0, 1
+BEACON, SENSOR, ANCHOR = 0, 1, 3
+IMAGES = {BEACON: "beacon.elf", SENSOR: "sensor.elf", ANCHOR: "anchor.elf"}
 PIN_CURRENT, PIN_FIELD, PIN_SYNC_IN = (0, 6), (1, 2, 3), 10
 PINS_BRIDGE = ((38, 39), (36, 37))
 """Inputs 1 and 2 of each channel's bridge."""
@@ -63,7 +64,7 @@ class Board:
     Parameters
     ----------
     role : int
-        `BEACON` or `SENSOR`.
+        `BEACON`, `SENSOR` or `ANCHOR`.
     parameters : mapping or bytes
         Contents of the parameter page, or the page itself.
     volts : callable
@@ -98,7 +99,7 @@ class Board:
             settings = Configuration(
                 crystal_ppm=self.ppm, unique_id=self.unique_id, temperature_degc=self.temperature, strict=True
             )
-            image = ROOT / "build/firmware" / ("sensor.elf" if self.role == SENSOR else "beacon.elf")
+            image = ROOT / "build/firmware" / IMAGES[self.role]
             address = int(FFI.cast("uintptr_t", edge))
             self._emulator = Emulator(image, settings, edge=address, parameter_page=page, power_on_ps=self.power_on)
             self.handle = FFI.cast("board_t *", self._emulator.board)

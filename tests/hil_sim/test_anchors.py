@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from goldfield.errors import UserError
 from goldfield_protocol.parameters import parse_page
 from hil_sim import scenario
-from hil_sim.boards import HostBoards
 from hil_sim.rig import Rig
 from hil_sim.world import path
 from tests.hil_sim.fakes import FakeBoards, small, write_scenario
@@ -146,8 +145,6 @@ def test_what_is_wrong_with_an_anchor_is_said(tmp_path):
         anchored(tmp_path, keys="bandwidth_Hz = 1e4")
     with Rig(small(tmp_path), FakeBoards()) as rig, pytest.raises(UserError, match="beacon b has no sensor: give it"):
         rig.sensor_field_T(2)
-    with pytest.raises(UserError, match="host boards cannot be a beacon with a sensor"):
-        Rig(anchored(tmp_path), HostBoards())
     inside = anchored(tmp_path, power_on_spread_s="0.0")
     object.__setattr__(inside.beacons[1].sensor, "position_m", np.array([1.149, 0.0, 0.0]))
     with pytest.raises(UserError, match="scenario small: beacon b: the sensor runs through a coil's wire"):

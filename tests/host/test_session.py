@@ -3,6 +3,7 @@
 import itertools
 import threading
 
+import can
 import pytest
 
 from goldfield.errors import SystemFailure, UserError
@@ -128,6 +129,48 @@ def test_nothing_heard_and_the_wrong_node_heard(hurry):
     with pytest.raises(SystemFailure, match="heard nothing: check the power"):
         Session(source, "virtual:silent", Assembler()).find_sensor()
     source.close()
+
+
+def test_anchors_are_read_when_asked_for(hurry):
+    sender, source = open_can("virtual:anchors"), open_can("virtual:anchors")
+
+    def send_all():
+        for message in [heartbeat(node=3, role=3), heartbeat(), *cycle_messages(4), heartbeat(node=3, role=3)]:
+            sender.send(*message)
+
+    send_all()
+    session = Session(source, "virtual:anchors", Assembler())
+    session.find_sensor()
+    assert session.node == 100
+    send_all()
+    session = Session(source, "virtual:anchors", Assembler(), node=3)
+    session.find_sensor()
+    assert session.node == 3
+    sender.close()
+    source.close()
+    sender, source = open_can("virtual:alone"), open_can("virtual:alone")
+    sender.send(*heartbeat(node=3, role=3))
+    with pytest.raises(SystemFailure, match=r"heard only anchor 3 \(to read it, give --node 3\)"):
+        Session(source, "virtual:alone", Assembler()).find_sensor()
+    sender.close()
+    source.close()
+
+
+def test_a_log_that_begins_with_an_anchors_reports():
+    class Log:
+        bad_frames = 0
+
+        def __init__(self):
+            messages = [*cycle_messages(4), *cycle_messages(5), heartbeat(role=3), *cycle_messages(6)]
+            self.left = [can.Message(arbitration_id=identifier, data=data) for identifier, data in messages]
+
+        def receive(self, timeout_s):
+            return self.left.pop(0) if self.left else None
+
+    with pytest.raises(UserError, match="node 100 is an anchor: give --node 100 to read it, or the number"):
+        list(Session(Log(), "x.log", Assembler()).reports(live=False))
+    session = Session(Log(), "x.log", Assembler(), node=100)
+    assert [report.cycle for report in session.reports(live=False)] == [4, 5, 6]
 
 
 def test_can_buses_carry_the_same(hurry):

@@ -4,6 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "anchor.h"
 #include "beacon.h"
 #include "sensor.h"
 
@@ -12,6 +13,7 @@ struct board {
     bool powered;
     union {
         beacon_t beacon;
+        anchor_t anchor;
         struct {
             sensor_t sensor;
             acquire_t acquire;
@@ -282,24 +284,32 @@ static void input_take(hal_t *hal) {
 
 /* ---- Operations ---- */
 
+static void application_start(board_t *board) {
+    hal_t *hal = &board->hal;
+    switch (hal->config.role) {
+    case HAL_ROLE_BEACON: beacon_start(&board->app.beacon, hal); break;
+    case HAL_ROLE_SENSOR: sensor_start(&board->app.sensing.sensor, &board->app.sensing.acquire, hal); break;
+    case HAL_ROLE_ANCHOR: anchor_start(&board->app.anchor, hal); break;
+    }
+}
+
+static void application_step(board_t *board) {
+    switch (board->hal.config.role) {
+    case HAL_ROLE_BEACON: beacon_step(&board->app.beacon); break;
+    case HAL_ROLE_SENSOR: sensor_step(&board->app.sensing.sensor); break;
+    case HAL_ROLE_ANCHOR: anchor_step(&board->app.anchor); break;
+    }
+}
+
 static void application(board_t *board) {
     hal_t *hal = &board->hal;
-    const bool beacon = hal->config.role == HAL_ROLE_BEACON;
     if (!board->powered) {
         board->powered = true;
         host_pin_write(hal, PIN_LED, true);
-        if (beacon) {
-            beacon_start(&board->app.beacon, hal);
-        } else {
-            sensor_start(&board->app.sensing.sensor, &board->app.sensing.acquire, hal);
-        }
+        application_start(board);
     }
     hal->awake = false;
-    if (beacon) {
-        beacon_step(&board->app.beacon);
-    } else {
-        sensor_step(&board->app.sensing.sensor);
-    }
+    application_step(board);
     hal->idle_tick = host_tick(hal) + IDLE_TICKS;
 }
 

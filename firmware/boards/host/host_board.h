@@ -18,7 +18,7 @@
 #include "hal.h"
 
 typedef struct {
-    hal_role_t role;          /* Which application runs: beacon or sensor. */
+    hal_role_t role;          /* Which application runs. */
     double crystal_ppm;       /* Error of this board's clock, whichever it is, within +-100,000. Positive: fast. */
     hal_clock_t clock;        /* What hal_clock() tells; with HAL_CLOCK_SLOW the chip engine does not start. */
     double temperature_degc;  /* Of the processor. */

@@ -1,5 +1,5 @@
-# The two ARM images. The very ELF files that the emulator loads are flashed.
-#   make firmware                  flash, RAM, core-coupled memory and worst-case stack of both images
+# The ARM images. The very ELF files that the emulator loads are flashed.
+#   make firmware                  flash, RAM, core-coupled memory and worst-case stack of all images
 #   make flash ROLE=sensor         program a board through pyOCD (see README.md here); with NODE=n also its parameter page,
 #   make flash ROLE=beacon NODE=3 CODE=17 AMPLITUDE=10 SYNC_MASTER=1     which takes every parameter of framing.md in capitals
 ARM := arm-none-eabi-
@@ -12,7 +12,7 @@ STM32_LINK := $(STM32_CPU) -nostartfiles --specs=nano.specs -Wl,--gc-sections -W
 
 STM32_SHARED := $(wildcard firmware/core/*.c) $(filter-out firmware/apps/main_%,$(wildcard firmware/apps/*.c)) $(wildcard $(STM32)/*.c)
 STM32_OBJECTS := $(STM32_SHARED:%.c=$(STM32_OUT)/%.o) $(STM32_OUT)/protocol/goldfield.o
-STM32_MAINS := $(wildcard firmware/apps/main_beacon.c firmware/apps/main_sensor.c)
+STM32_MAINS := $(wildcard firmware/apps/main_*.c)
 STM32_IMAGES := $(STM32_MAINS:firmware/apps/main_%.c=$(STM32_OUT)/%.elf)
 FIRMWARE_IMAGES := $(STM32_IMAGES) $(STM32_IMAGES:$(STM32_OUT)/%=$(STM32_OUT)/qemu/%)
 
@@ -41,7 +41,7 @@ $(STM32_OUT)/qemu/%.elf: $(STM32_OUT)/firmware/apps/main_%.o $(STM32_OBJECTS) $(
 	@sed 's/0x10000000, LENGTH/0x20020000, LENGTH/' $(STM32)/stm32f405.ld >$(@:.elf=.ld)
 	@$(ARM)gcc $(STM32_LINK) -T $(@:.elf=.ld) -o $@ $(filter %.o,$^)
 
-firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## Both images, with their flash, RAM and worst-case stack
+firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## All images, with their flash, RAM and worst-case stack
 	@$(PYTHON) firmware/tools/image_report.py $(STM32_IMAGES)
 
 # Parameters given on make's command line, as name=value.
@@ -52,8 +52,8 @@ STM32_PAGE := $(STM32_OUT)/parameters.bin
 PYOCD := $(VENV)/bin/pyocd
 PYOCD_TARGET := stm32f405rgtx
 
-flash: firmware ## Program a board: ROLE=beacon or sensor, with NODE=n also its parameters
-	@case "$(ROLE)" in beacon|sensor) ;; *) echo "make flash needs ROLE=beacon or ROLE=sensor"; exit 2;; esac
+flash: firmware ## Program a board: ROLE=beacon, sensor or anchor, with NODE=n also its parameters
+	@case "$(ROLE)" in beacon|sensor|anchor) ;; *) echo "make flash needs ROLE=beacon, ROLE=sensor or ROLE=anchor"; exit 2;; esac
 	@test -z "$(strip $(STM32_PARAMETERS))" || test -n "$(filter NODE=%,$(STM32_PARAMETERS))" || { echo "make flash with parameters needs NODE=n as well"; exit 2; }
 	@test -z "$(strip $(STM32_PARAMETERS))" || $(PYTHON) -m goldfield_protocol.parameters $$(echo "$(strip $(STM32_PARAMETERS))" | tr A-Z a-z) -o $(STM32_PAGE)
 	@$(PYOCD) pack show 2>/dev/null | grep -q STM32F4xx_DFP || $(PYOCD) pack install stm32f405rgtx

@@ -15,8 +15,8 @@ from goldfield.link.epochs import OWN_POSE, Assembler, Report
 from goldfield.link.source import BusSource, Source
 from goldfield_protocol.messages import Identifier, Message, database, decode, encode, protocol_hash
 
-ROLES = {0: "beacon", 1: "sensor", 2: "host"}
-ROLE_SENSOR = 1
+ROLES = {0: "beacon", 1: "sensor", 2: "host", 3: "anchor"}
+ROLE_SENSOR, ROLE_ANCHOR = 1, 3
 STATE_STARTING = 0
 
 PARAM_CODE_COUNT = 5
@@ -70,7 +70,7 @@ class Session:
     assembler : Assembler
         Its counters tell what went wrong.
     node : int or None
-        The sensor's node; None: the first sensor that is heard.
+        The sensor's node, which may be an anchor's; None: the first sensor that is heard, and no anchor.
     recorder : CandumpWriter or None
         Gets every message received.
 
@@ -95,6 +95,7 @@ class Session:
         self._source = source
         self.name = name
         self._recorder = recorder
+        self._asked = node is not None
         self._configured: tuple[BusSource, Sequence[int], Mapping[int, int | float]] | None = None
 
     @property
@@ -119,11 +120,14 @@ class Session:
             if message is None:
                 continue
             heard_last = time.monotonic()
-            if message.name == "HEARTBEAT" and message.signals["role"] == ROLE_SENSOR:
+            role = message.signals["role"] if message.name == "HEARTBEAT" else None
+            if role == ROLE_SENSOR or (role == ROLE_ANCHOR and self._asked):
                 if self.node in (None, message.node):
                     self.node = message.node
                     return
-                heard.add(f"sensor {message.node}")
+                heard.add(f"{ROLES[int(role)]} {message.node}")
+            elif role == ROLE_ANCHOR:
+                heard.add(f"anchor {message.node} (to read it, give --node {message.node})")
             else:
                 heard.add(f"{message.name} of node {message.node}")
         wanted = "a sensor" if self.node is None else f"sensor {self.node}"
@@ -200,7 +204,7 @@ class Session:
         SystemFailure
             If a live link is lost or silent for `SILENCE_S`.
         UserError
-            If a node speaks another protocol.
+            If a node speaks another protocol, or the first reports of a log are an anchor's that nobody asked for.
         """
         quiet_since = time.monotonic()
         while True:
@@ -228,6 +232,11 @@ class Session:
 
     def _take(self, message: Message, arrival_s: float) -> Iterator[Report]:
         """Take a message of the sensor."""
+        if message.name == "HEARTBEAT" and message.signals["role"] == ROLE_ANCHOR and not self._asked:
+            raise UserError(
+                f"{self.name}: node {message.node} is an anchor: give --node {message.node} to read it, "
+                "or the number of the sensor"
+            )
         yield from self.assembler.feed(message, arrival_s)
         if message.name == "COUNTER":
             self.counters[message.index] = int(message.signals["value"])

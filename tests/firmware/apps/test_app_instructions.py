@@ -23,6 +23,7 @@ STACK, STOP = 0x20040000, 0x0803FF00
 
 # A board that keeps the application's handlers; functions without arguments around each handler.
 HARNESS = """
+#include "anchor.h"
 #include "beacon.h"
 #include "sensor.h"
 struct hal { uint64_t us; } hal;
@@ -47,15 +48,17 @@ void hal_watchdog_kick(hal_t *h) { (void)h; }
 
 beacon_t beacon;
 sensor_t sensor;
+anchor_t anchor;
 acquire_t acquire;
 hal_plan_t plans[2];
 hal_samples_t samples;
 uint32_t block = 0, chip = 0, count = 2048;
 void begin_beacon(void) { beacon_start(&beacon, &hal); }
-void begin_sensor(void) {
-    sensor_start(&sensor, &acquire, &hal);
+static void fill_samples(void) {
     for (uint32_t i = 0; i < sizeof samples / 2; i++) (&samples[0][0][0])[i] = (uint16_t)(1 + i * 37 % 4094);
 }
+void begin_sensor(void) { sensor_start(&sensor, &acquire, &hal); fill_samples(); }
+void begin_anchor(void) { anchor_start(&anchor, &hal); fill_samples(); }
 void call_plan(void) { events.plan(events.context, block, &plans[block & 1]); block++; hal.us += 3030; }
 static uint16_t sensed(uint32_t drive, uint32_t set_point) {
     const uint32_t size = set_point / 2u;
@@ -76,6 +79,7 @@ void ask_thirds(void) {
 }
 void step_beacon(void) { beacon_step(&beacon); }
 void step_sensor(void) { sensor_step(&sensor); }
+void step_anchor(void) { anchor_step(&anchor); }
 """
 
 Call = Callable[[str], int]
@@ -91,7 +95,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     includes = [f"-I{ROOT / path}" for path in ("firmware/core", "firmware/apps", "firmware/hal", "build/protocol")]
     sources = [source, *apps, *core, ROOT / "build/protocol/goldfield.c"]
     keep = ("begin_beacon", "begin_sensor", "ask_thirds", "call_plan", "sense_current", "call_current", "call_samples")
-    keep += ("step_beacon", "step_sensor")
+    keep += ("begin_anchor", "step_beacon", "step_sensor", "step_anchor")
     undefined = [f"-Wl,-u,{name}" for name in keep]
     subprocess.run(["arm-none-eabi-gcc", *FLAGS, *includes, *map(str, sources), *undefined, "-o", str(elf)], check=True)
     return elf
@@ -163,7 +167,7 @@ def test_beacon(call: Call, most: tuple[int, int, int]) -> None:
     assert max(plans) <= 31 * most[0]
     assert chip <= most[1]
     assert chip_most <= most[2]
-    assert min(idle) <= 160
+    assert min(idle) <= 180
 
 
 def test_sensor(call: Call) -> None:
@@ -181,6 +185,28 @@ def test_sensor(call: Call) -> None:
     assert max(samples) <= 31 * 600
     assert max(plans) <= 31 * 70
     assert min(idle) <= 200
+    assert max(reports) <= 110_000
+
+
+@pytest.mark.parametrize("call", [{"waveform": 3, "periods": 5}], indirect=True)
+def test_anchor_with_two_channels(call: Call) -> None:
+    start = call("begin_anchor")
+    samples, currents, plans, reports, idle = [], [], [], [], []
+    for _ in range(2):
+        call("call_plan")
+    for _ in range(70):
+        for _ in range(31):
+            call("sense_current")
+            currents.append(call("call_current"))
+        samples.append(call("call_samples"))
+        plans.append(call("call_plan"))
+        reports.append(call("step_anchor"))
+        idle.append(call("step_anchor"))
+    block = max(samples) + max(plans) + 30 * sorted(currents)[len(currents) // 2] + max(currents)
+    print(f"anchor: start {start}, samples and plan of a block {max(samples)} + {max(plans)}, with currents {block}")
+    print(f"        main idle {min(idle)}, with a report of 8 codes {max(reports)} instructions")
+    assert block <= 25_000  # Of 509,000 ticks.
+    assert min(idle) <= 250
     assert max(reports) <= 110_000
 
 

@@ -18,7 +18,7 @@ from goldfield_protocol import FrameDecoder, decode, protocol_hash
 
 ROOT = Path(__file__).resolve().parents[4]
 OUT = ROOT / "build" / "firmware"
-ROLES = {"beacon": 0, "sensor": 1}
+ROLES = {"beacon": 0, "sensor": 1, "anchor": 3}
 
 specification = importlib.util.spec_from_file_location("image_report", ROOT / "firmware" / "tools" / "image_report.py")
 image_report = importlib.util.module_from_spec(specification)
