@@ -113,7 +113,7 @@ class FrontEnd:
 
     @property
     def sample_noise_T(self) -> float:
-        """Standard deviation of a chip's sample: noise and what averaging a burst leaves of the converter's own, to three digits.
+        """Standard deviation of a chip's sample, to three digits: its noise and the converter's, averaged.
 
         The steps count as a noise of LSB / sqrt(12) in each conversion, as they are where the noise spans them.
         """
