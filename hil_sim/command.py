@@ -52,6 +52,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, help="in place of the scenario's")
     parser.add_argument("--json", action="store_true", help="JSON lines")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the lines of truth there, and only there")
+    parser.add_argument("--site", type=Path, metavar="FILE", help="write the site file of this scenario there")
     parser.add_argument("--pace", type=_not_negative, default=1.0, metavar="X", help=PACE_HELP)
     parser.add_argument("--can", default=DEFAULT, metavar="INTERFACE:CHANNEL", help=f"or none; default {DEFAULT}")
     parser.set_defaults(run=run)
@@ -116,6 +117,8 @@ def run(arguments: argparse.Namespace) -> int:
         A board stopped.
     """
     scenario = load_scenario(arguments.scenario)
+    if arguments.site is not None:
+        _write(arguments.site, scenario.site_toml())
     with ExitStack() as stack:
         stack.enter_context(_interrupted_by_termination())
         bridge = None
@@ -182,6 +185,13 @@ def _summarise(arguments: argparse.Namespace, rig: Rig, terminal: PseudoTerminal
     if terminal.lost:
         line += f"; {terminal.lost} serial bytes lost to a slow reader"
     print(line, file=sys.stderr if arguments.json else sys.stdout, flush=True)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"cannot write the site file to {path}: {error.strerror}") from error
 
 
 def _open_for_writing(path: Path) -> TextIO:

@@ -1,0 +1,16 @@
+"""``goldfield hil --site``: the site file that the host needs for a scenario."""
+
+from goldfield import site
+from hil_sim import command
+
+
+def test_the_site_file_is_written_before_the_bench_runs(tmp_path):
+    path = tmp_path / "site.toml"
+    options = ["prigge8", "--boards", "host", "--seconds", "0.01", "--can", "none", "--site", str(path)]
+    assert command.main(options) == 0
+    assert site.load(path).codes == tuple(range(2, 10))
+
+
+def test_a_site_file_that_cannot_be_written_is_said(tmp_path, capsys):
+    assert command.main(["prigge8", "--boards", "host", "--site", str(tmp_path)]) == 2
+    assert f"cannot write the site file to {tmp_path}: Is a directory" in capsys.readouterr().err
