@@ -1,4 +1,4 @@
-"""``goldfield hil``: the rig as a process, the sensor's serial port a pseudo-terminal, its CAN a python-can bus.
+"""``goldfield hil``: the rig as a process, its serial ports pseudo-terminals, its CAN a python-can bus.
 
 Also ``python -m hil_sim.command``.
 """
@@ -12,7 +12,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -21,8 +21,8 @@ from goldfield.errors import SystemFailure, UserError
 from hil_sim.boards import KINDS
 from hil_sim.can_bridge import DEFAULT, CanBridge
 from hil_sim.pseudo_terminal import PseudoTerminal
-from hil_sim.rig import Rig
-from hil_sim.scenario import load_scenario
+from hil_sim.rig import SENSOR, Rig
+from hil_sim.scenario import Scenario, load_scenario
 
 SLICE_S = 0.005
 """How often the links are served, virtual time."""
@@ -34,7 +34,8 @@ def command(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "hil",
         help="simulated bench: boards, coils, field and links",
-        description="Runs a scenario in one virtual time. The first line tells the serial path and the CAN channel; "
+        description="Runs a scenario in one virtual time. The first line tells the serial path and the CAN channel, "
+        "with --json those of anchors too, which else have a line each; "
         "then one line of truth a cycle (--json) or a line of progress now and then.",
     )
     _add_arguments(parser)
@@ -126,26 +127,28 @@ def run(arguments: argparse.Namespace) -> int:
             bridge = CanBridge(arguments.can)
             stack.callback(bridge.close)
         rig = stack.enter_context(Rig(scenario, arguments.boards, arguments.seed, host_on_can=bridge is not None))
-        terminal = PseudoTerminal()
-        stack.callback(terminal.close)
+        terminals = {}
+        for board in rig.sensing:
+            terminals[board] = PseudoTerminal()
+            stack.callback(terminals[board].close)
         truth = sys.stdout if arguments.json else None
         if arguments.truth is not None:
             truth = stack.enter_context(_open_for_writing(arguments.truth))
-        _announce(arguments, terminal.path)
+        _announce(arguments, scenario, {board: terminal.path for board, terminal in terminals.items()})
         pace = Pace(arguments.pace)
         try:
-            _serve(arguments, rig, terminal, bridge, truth, pace)
+            _serve(arguments, rig, terminals, bridge, truth, pace)
         except KeyboardInterrupt:
             pass
         finally:
-            _summarise(arguments, rig, terminal, pace)
+            _summarise(arguments, rig, sum(terminal.lost for terminal in terminals.values()), pace)
     return 0
 
 
 def _serve(
     arguments: argparse.Namespace,
     rig: Rig,
-    terminal: PseudoTerminal,
+    terminals: Mapping[int, PseudoTerminal],
     bridge: CanBridge | None,
     truth: TextIO | None,
     pace: Pace,
@@ -154,12 +157,14 @@ def _serve(
     slices = 0
     next_progress_s = PROGRESS_S
     while slices * SLICE_S < end_s:
-        rig.serial_write(terminal.read())
+        for board, terminal in terminals.items():
+            rig.serial_write(terminal.read(), board)
         if bridge is not None:
             bridge.to_boards(rig)
         slices += 1
         rig.run_until(round(min(slices * SLICE_S, end_s) * 1e12))
-        terminal.write(rig.serial_read(), wait=arguments.pace == 0.0)
+        for board, terminal in terminals.items():
+            terminal.write(rig.serial_read(board), wait=arguments.pace == 0.0)
         if bridge is not None:
             bridge.to_host(rig.can_read())
         for line in rig.truth():
@@ -171,19 +176,27 @@ def _serve(
             print(f"{rig.now_s:8.1f} s, {rig.now_s / pace.elapsed_s:.2f} virtual seconds a second", flush=True)
 
 
-def _announce(arguments: argparse.Namespace, serial: str) -> None:
+def _announce(arguments: argparse.Namespace, scenario: Scenario, serial: Mapping[int, str]) -> None:
+    anchors = {scenario.beacons[board - 1]: path for board, path in serial.items() if board != SENSOR}
     if arguments.json:
-        first = {"serial": serial, "can": arguments.can, "scenario": arguments.scenario, "boards": arguments.boards}
+        first: dict[str, Any] = {"serial": serial[SENSOR], "can": arguments.can, "scenario": arguments.scenario}
+        first["boards"] = arguments.boards
+        if anchors:
+            first["anchors"] = {anchor.id: {"node": anchor.node, "serial": path} for anchor, path in anchors.items()}
         print(json.dumps(first), flush=True)
-    else:
-        print(f"serial {serial}, CAN {arguments.can}: {arguments.scenario} with {arguments.boards} boards", flush=True)
+        return
+    print(
+        f"serial {serial[SENSOR]}, CAN {arguments.can}: {arguments.scenario} with {arguments.boards} boards", flush=True
+    )
+    for anchor, path in anchors.items():
+        print(f"serial {path}: anchor {anchor.id}, node {anchor.node}", flush=True)
 
 
-def _summarise(arguments: argparse.Namespace, rig: Rig, terminal: PseudoTerminal, pace: Pace) -> None:
+def _summarise(arguments: argparse.Namespace, rig: Rig, lost: int, pace: Pace) -> None:
     elapsed_s = pace.elapsed_s
     line = f"{rig.now_s:.3f} virtual seconds in {elapsed_s:.3f} s: {rig.now_s / elapsed_s:.2f} virtual seconds a second"
-    if terminal.lost:
-        line += f"; {terminal.lost} serial bytes lost to a slow reader"
+    if lost:
+        line += f"; {lost} serial bytes lost to a slow reader"
     print(line, file=sys.stderr if arguments.json else sys.stdout, flush=True)
 
 

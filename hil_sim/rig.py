@@ -95,6 +95,11 @@ class Rig:
     ------
     UserError, SystemFailure
         If a board or a library is missing or refuses its configuration.
+
+    Attributes
+    ----------
+    sensing : list of int
+        Boards with a sensor: `SENSOR`, then the anchors.
     """
 
     def __init__(
@@ -117,8 +122,8 @@ class Rig:
             raise UserError(str(error)) from error
         self._boards: list[Board] = []
         self._specs: list[BoardSpec] = []
-        self._sensing = [n for n in range(1 + len(scenario.beacons)) if scenario.front_end(n) is not None]
-        self._truth_edges = dict.fromkeys(self._sensing, 0)
+        self.sensing = [n for n in range(1 + len(scenario.beacons)) if scenario.front_end(n) is not None]
+        self._truth_edges = dict.fromkeys(self.sensing, 0)
         self._window = -1
         self._rig = self._create(host_on_can, threads or min(2, os.cpu_count() or 1))
         try:
@@ -179,7 +184,7 @@ class Rig:
         start_s = window * PATH_WINDOW_S - PATH_OVERLAP_S
         stop_s = (window + 1) * PATH_WINDOW_S + PATH_OVERLAP_S
         coils = [coil for beacon in self.scenario.beacons for coil in beacon.coils]
-        for board in self._sensing:
+        for board in self.sensing:
             motion = self.scenario.motion_of(board)
             if motion.still and self._window >= 0:
                 continue
@@ -378,7 +383,7 @@ class Rig:
         self._library.rig_fault(self._rig, board, coil, FAULTS.index(kind), active)
 
     def _check_sensor(self, board: int) -> None:
-        if board not in self._sensing:
+        if board not in self.sensing:
             raise UserError(f"{self.board_name(board)} has no sensor: give it a table [beacon.sensor] in the scenario")
 
     def _check_coil(self, board: int, coil: int) -> None:

@@ -195,6 +195,26 @@ def test_json_lines(tmp_path, monkeypatch, capsys):
     assert "0.050 virtual seconds in" in output.err
 
 
+ANCHORED = "[beacon.sensor]\nposition_m = [0.0, 0.0, 0.7]\n\n[[beacon]]"
+
+
+def test_every_anchors_serial_port_is_told(tmp_path, monkeypatch, capsys):
+    path = write_scenario(tmp_path)
+    first, one, two, three = path.read_text().split("[[beacon]]")
+    path.write_text(f"{first}[[beacon]]{one}[[beacon]]{two}{ANCHORED}{three}")
+    options = {"scenario": path}
+    _, output = run_command(tmp_path, monkeypatch, capsys, "--json", "--seconds", "0.01", **options)
+    told = json.loads(output.out.splitlines()[0])
+    assert told["anchors"].keys() == {"b"}
+    assert told["anchors"]["b"]["node"] == 2
+    _, output = run_command(tmp_path, monkeypatch, capsys, "--seconds", "0.01", **options)
+    sensor, anchor = output.out.splitlines()[:2]
+    assert sensor.startswith("serial /dev/")
+    assert anchor.startswith("serial /dev/")
+    assert anchor.endswith("anchor b, node 2")
+    assert anchor.split()[1] != sensor.split()[1]
+
+
 def test_truth_goes_to_a_file_and_only_there(tmp_path, monkeypatch, capsys):
     truth = tmp_path / "truth.jsonl"
     code, output = run_command(tmp_path, monkeypatch, capsys, "--json", "--seconds", "0.05", "--truth", str(truth))
