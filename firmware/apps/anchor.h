@@ -7,8 +7,9 @@
  * The sync master is one of the anchors or beacons; it measures like the others, on its own chip clock. sync_source 1, the field, is for sensors: here it counts as 0.
  * It reports cycles whether its own coil is on or not, also in the states fault and syncing.
  *
- * Its own field. If its own code is in the code list, its FIELD is the field of its own coil at its own sensor: a fixed vector of the mounting (and its current). Both ranges must hold it: that of
- * FIELD, +-52.4 uT, and the converter's, which the sum of all fields and the earth's must not leave (EPOCH_STATUS.saturated).
+ * Its own field. Its own code belongs into the code list: that FIELD is the field of its own coil at its own sensor, a fixed vector of the mounting (and the current), some thousand times those of
+ * the others; without it the others' fields cannot be separated from what it leaves in them. Both ranges must hold it: that of FIELD, +-52.4 uT, and the converter's, which the sum of all
+ * fields and the earth's must not leave (EPOCH_STATUS.saturated). How far from the coil that is: boards/pinout.md.
  *
  * Memory: 80 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2), with two channels: samples and plan of a block 10,300 + 4,500 instructions, with the
  * block's current interrupts 19,800 of the 509,000 ticks of a block; with degree 10 a report of 8 codes 68,000, main with nothing to do 235.

@@ -8,13 +8,13 @@ from random import Random
 import pytest
 
 from goldfield_protocol import Message, encode, encode_frame, protocol_hash
-from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, SECOND, SENSOR, US, Board, Rig
+from tests.firmware.host_rig import ANCHOR, BEACON, MS, PIN_ENABLE, SECOND, SENSOR, US, Board, Rig
 
 OK, UNKNOWN, OUT_OF_RANGE, WRONG_KIND = range(4)
 INTERNAL, SLOW = 1, 2
 
 
-@pytest.fixture(params=[BEACON, SENSOR])
+@pytest.fixture(params=[BEACON, SENSOR, ANCHOR])
 def board(request: pytest.FixtureRequest) -> Iterator[Board]:
     made = Board(request.param, {"node": 9}, volts=lambda pin, time: 1.65)
     yield made
@@ -164,7 +164,7 @@ def test_full_can_queue_counts_what_it_loses() -> None:
     assert in_order(can, serial)
 
 
-@pytest.mark.parametrize("role", [BEACON, SENSOR])
+@pytest.mark.parametrize("role", [BEACON, SENSOR, ANCHOR])
 @pytest.mark.parametrize("clock", [INTERNAL, SLOW])
 def test_clock_fallback_is_told_and_drives_nothing(role: int, clock: int) -> None:
     parameters = {"node": 9, "amplitude": 5.0, "sync_master": 1}
@@ -175,7 +175,7 @@ def test_clock_fallback_is_told_and_drives_nothing(role: int, clock: int) -> Non
     assert counters(board) == {7: 1}
     assert answers(board) == [(9, 0, OK, 9)]
     assert not board.edges(PIN_ENABLE)
-    assert bool(board.messages("EPOCH")) == (role == SENSOR and clock == INTERNAL)
+    assert bool(board.messages("EPOCH")) == (role != BEACON and clock == INTERNAL)
     board.close()
 
 

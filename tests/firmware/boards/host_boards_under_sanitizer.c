@@ -1,4 +1,4 @@
-/* Two beacons and a sensor on host boards, one sync wire, one bus, bytes from a stranger; built with the address and undefined-behaviour sanitizers by
+/* Two beacons, a sensor and an anchor on host boards, one sync wire, one bus, bytes from a stranger; built with the address and undefined-behaviour sanitizers by
  * test_sanitizers.py. Prints how many bytes and frames came out; any finding of a sanitizer ends it with an error. */
 #include <stdio.h>
 #include <stdlib.h>
@@ -6,7 +6,7 @@
 
 #include "host_board.h"
 
-enum { BOARDS = 3, MASTER = 0, PIN_SYNC_IN = 10, PIN_SYNC_OUT = 40 };
+enum { BOARDS = 4, MASTER = 0, PIN_SYNC_IN = 10, PIN_SYNC_OUT = 40 };
 #define MS INT64_C(1000000000)
 
 typedef struct world world_t;
@@ -82,9 +82,10 @@ static void fill_page(uint8_t *page, unsigned index) {
 }
 
 int main(void) {
+    static const hal_role_t roles[BOARDS] = {HAL_ROLE_BEACON, HAL_ROLE_BEACON, HAL_ROLE_SENSOR, HAL_ROLE_ANCHOR};
     static world_t world;
     for (unsigned i = 0; i < BOARDS; i++) {
-        host_board_config_t config = {.role = i == 2 ? HAL_ROLE_SENSOR : HAL_ROLE_BEACON, .crystal_ppm = 60.0 * i - 60.0, .temperature_degc = -12.3};
+        host_board_config_t config = {.role = roles[i], .crystal_ppm = 60.0 * i - 60.0, .temperature_degc = -12.3};
         fill_page(config.parameter_page, i);
         world.seats[i] = (seat_t){.world = &world, .index = i};
         const board_edge_t edge = {.context = &world.seats[i], .pin_out = pin_out, .analog_in = analog_in, .uart_out = uart_out, .can_request = can_request};

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.firmware.host_rig import (
+    ANCHOR,
     BEACON,
     FFI,
     LIBRARY,
@@ -128,7 +129,7 @@ def record(role: int, steps: list[int]) -> tuple[object, ...]:
     return result
 
 
-@pytest.mark.parametrize("role", [BEACON, SENSOR])
+@pytest.mark.parametrize("role", [BEACON, SENSOR, ANCHOR])
 def test_same_bytes_in_slices_of_any_length(role: int) -> None:
     random = Random(11)
     ragged = sorted(random.randrange(700 * MS) for _ in range(500))

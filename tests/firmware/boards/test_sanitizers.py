@@ -8,7 +8,7 @@ from pathlib import Path
 from hil_sim.clib import ROOT
 
 
-def test_two_beacons_and_a_sensor_without_a_finding(tmp_path: Path) -> None:
+def test_two_beacons_a_sensor_and_an_anchor_without_a_finding(tmp_path: Path) -> None:
     program = tmp_path / "boards"
     folders = ("firmware/core", "firmware/apps", "firmware/hal", "firmware/boards", "firmware/boards/host")
     apps = [path for path in sorted((ROOT / "firmware/apps").glob("*.c")) if not path.name.startswith("main_")]
@@ -24,8 +24,10 @@ def test_two_beacons_and_a_sensor_without_a_finding(tmp_path: Path) -> None:
     subprocess.run(["gcc", *flags, *includes, *map(str, sources), "-lm", "-o", str(program)], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr
-    master, follower, sensor = [[int(n) for n in line.split()] for line in done.stdout.splitlines()]
+    master, follower, sensor, anchor = [[int(n) for n in line.split()] for line in done.stdout.splitlines()]
     assert master[0] > 400
     assert follower[0] > 200
     assert sensor[0] > 200_000  # The stream of chips.
     assert sensor[1] > 500  # Fields on the bus.
+    assert anchor[0] > 200_000
+    assert anchor[1] > 500

@@ -12,7 +12,7 @@ from hil_sim.emulator.emulator import LIBRARY, Configuration, Emulator
 OUT = Path(__file__).resolve().parents[4] / "build" / "firmware"
 MS = 1_000_000_000
 BYTE_PS = 5_000_000
-ROLES = ["beacon", "sensor"]
+ROLES = ["beacon", "sensor", "anchor"]
 
 
 class Board:
