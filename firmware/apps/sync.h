@@ -1,4 +1,4 @@
-/* sync.h: the chip clock of a board as both applications use it.
+/* sync.h: the chip clock of a board as all applications use it (timing.h).
  *
  * A cycle of the code has N = 2^degree - 1 chips (parameter degree, read once at start; gold.h). The sync wire rises, and SYNC tells a number, not at every cycle of a short code but
  * once in a sync period of K cycles, the power of two that brings it near to 0.1 s:

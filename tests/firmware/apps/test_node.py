@@ -1,4 +1,4 @@
-"""What both applications share: parameters on both links, heartbeat, counters, loss."""
+"""What the applications share: parameters on both links, heartbeat, counters, loss."""
 
 from __future__ import annotations
 
