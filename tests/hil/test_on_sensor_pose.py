@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.link.epochs import OWN_POSE, Assembler
@@ -13,6 +14,7 @@ from goldfield.poses import Status
 from goldfield_protocol import FrameDecoder, decode
 
 CYCLES = 20
+FREEDOM = 3 * 8 - 6
 
 
 @pytest.fixture(scope="module")
@@ -41,10 +43,15 @@ def between(a, b):
 
 
 def test_every_cycle_has_a_pose_of_the_sensor(pairs):
+    """One cycle in 5,000 is improbable, and the sensor says so (pose.h). Which noise is drawn depends on each tick."""
     assert len(pairs) == CYCLES
-    assert all(len(report.own_pose) == len(OWN_POSE) for _, _, report in pairs)
-    assert all(own.status is Status.OK and len(own.used) == 8 for _, own, _ in pairs)
-    assert [report.own_pose["POSE_QUALITY"]["tracked"] for _, _, report in pairs] == [1.0] * CYCLES
+    improbable = [chi2.sf(FREEDOM * own.residual**2, FREEDOM) < 1.0 / 5000.0 for _, own, _ in pairs]
+    assert sum(improbable) <= 1
+    for (_, own, report), alarm in zip(pairs, improbable, strict=True):
+        assert len(report.own_pose) == len(OWN_POSE)
+        assert len(own.used) == 8
+        assert own.status is (Status.INCONSISTENT if alarm else Status.OK)
+        assert report.own_pose["POSE_QUALITY"]["tracked"] == float(not alarm)
 
 
 def test_it_agrees_with_the_host_within_a_tenth_of_the_bound(bench, pairs):
