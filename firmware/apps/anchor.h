@@ -5,9 +5,10 @@
  *   plan, current, fault: drive.h, which also has the states (HEARTBEAT.state).       samples: sense.h.       sync: the edge to the chip clock (timing.h).
  *   main: node; what a beacon sends (drive.h) and what a sensor sends (sense.h), of one node; parameters, those of beacon and of sensor, in one page.
  * The sync master is one of the anchors or beacons; it measures like the others, on its own chip clock. sync_source 1, the field, is for sensors: here it counts as 0.
+ * Its SYNC may wait for main's other work: 0.5 ms behind a cycle's end, 12 ms where it also computes poses; no later than sync.h takes it (SYNC_FRESH_US).
  * It reports cycles whether its own coil is on or not, also in the states fault and syncing.
  *
- * Its own field. Its own code belongs into the code list: that FIELD is the field of its own coil at its own sensor, a fixed vector of the mounting (and the current), some thousand times those of
+ * Its own field. Its own code belongs into the code list: that FIELD is the field of its own coil at its own sensor, a fixed vector of the mounting (and the current), up to a thousand times those of
  * the others; without it the others' fields cannot be separated from what it leaves in them. Both ranges must hold it: that of FIELD, +-52.4 uT, and the converter's, which the sum of all
  * fields and the earth's must not leave (EPOCH_STATUS.saturated). How far from the coil that is: boards/pinout.md.
  *
