@@ -12,8 +12,8 @@
  * the others; without it the others' fields cannot be separated from what it leaves in them. Both ranges must hold it: that of FIELD, +-52.4 uT, and the converter's, which the sum of all
  * fields and the earth's must not leave (EPOCH_STATUS.saturated). How far from the coil that is: boards/pinout.md.
  *
- * Memory: 80 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2), with two channels: samples and plan of a block 10,300 + 4,500 instructions, with the
- * block's current interrupts 19,800 of the 509,000 ticks of a block; with degree 10 a report of 8 codes 68,000, main with nothing to do 235.
+ * Memory: 80 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2), with two channels: samples and plan of a block 10,300 + 4,400 instructions, with the
+ * block's current interrupts 19,700 of the 509,000 ticks of a block; with degree 10 a report of 8 codes 68,000, main with nothing to do 235.
  */
 #ifndef GOLDFIELD_ANCHOR_H
 #define GOLDFIELD_ANCHOR_H

@@ -64,6 +64,8 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
         positions[i] = chip.code_chip;
         plan->period_ticks[i] = chip.period_ticks;
         plan->drive[i] = timing->master && chip.code_chip == 0 ? HAL_PLAN_SYNC_OUT : 0u;
+        plan->set_point[0][i] = 0; /* Here, since the library's memset goes byte by byte. */
+        plan->set_point[1][i] = 0;
         if (chip.code_chip == 0) {
             drive->cycles++;
             drive->sync_blocks = !timing->master ? 0u : i == 0u ? 1u : 2u; /* plan for a block is called when the block before it begins. */
@@ -75,7 +77,6 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
             }
         }
     }
-    memset(plan->set_point, 0, sizeof plan->set_point);
     memset(drive->blocks[block & 1u].driven, 0, sizeof drive->blocks[0].driven);
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
         plan_channel(drive, plan, block, channel, first, positions);

@@ -109,7 +109,8 @@ void converters_start(const hal_t *hal) {
 
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
-    if (ADC1->JSQR != 0u) { /* Not channel 0. */
+    if (hal->temperature_due) {
+        hal->temperature_due = false;
         hal->temperature_count = (uint16_t)ADC1->JDR1;
         inject_currents();
         return false;
@@ -146,6 +147,7 @@ void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
     }
     if (idle && now.ticks < CHIP_RELOAD_TICKS / 2u) {
         inject_temperature();
+        hal->temperature_due = true;
         ADC1->CR2 |= ADC_CR2_JSWSTART;
     }
 }

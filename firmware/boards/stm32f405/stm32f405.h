@@ -47,6 +47,7 @@ struct hal {
 
     /* converters.c */
     bool sampling; /* The samples in the buffer are complete and in step. */
+    volatile bool temperature_due; /* The injected conversion is of the temperature: as JSQR says, which would have to be read in each chip. */
     uint16_t temperature_count;
     hal_samples_t samples[2]; /* DMA */
 
