@@ -11,6 +11,8 @@
 
 /* Messages of a cycle beside its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and three of the pose. */
 #define REPORT_BESIDE 6u
+/* Of a third: its plain sum. */
+#define PART_BESIDE 1u
 
 /* ---- Interrupts ---- */
 
@@ -72,6 +74,13 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
 }
 
 /* ---- Main ---- */
+
+/* The links that take so many messages of a report: all of them or none. One that takes none is counted. */
+static node_links_t room(sense_t *sense, uint32_t messages) {
+    const node_links_t links = node_room(sense->node, messages);
+    sense->unsent += links != NODE_BOTH;
+    return links;
+}
 
 static void send_header(sense_t *sense, node_links_t links, const epoch_sums_t *cycle) {
     node_t *node = sense->node;
@@ -196,13 +205,12 @@ void sense_step(sense_t *sense) {
     epoch_t *epoch = epoch_ready(&sense->collector);
     if (epoch) {
         epoch_read(epoch, &sense->selection, &sense->part);
-        const node_links_t links = node_room(node, REPORT_BESIDE + sense->selection.count); /* Whole reports or none. */
+        const uint32_t count = sense->selection.count;
         if (sense->part.third != EPOCH_WHOLE) {
-            report_third(sense, links, &sense->part);
+            report_third(sense, room(sense, PART_BESIDE + count), &sense->part);
         }
-        if (epoch_add(&sense->cycle, &sense->part, sense->selection.count)) {
-            report(sense, links, &sense->cycle);
-            sense->unsent += links != NODE_BOTH;
+        if (epoch_add(&sense->cycle, &sense->part, count)) {
+            report(sense, room(sense, REPORT_BESIDE + count), &sense->cycle);
         }
         epoch_release(&sense->collector);
     }

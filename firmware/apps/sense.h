@@ -21,10 +21,10 @@
  * for all 64; on serial (80 us) of degree 5 for 34, which is more than 31 chips tell apart. Poses (parameter pose) take up to 12 ms with no prior, 1.2 ms from the
  * pose before: cycles that end meanwhile are dropped.
  *
- * Memory: 62 kB. Time: samples of a block 10,300 instructions, with parts 3 14,300 (following the field 30,000), with degree 10 a report of 8 codes 67,000
+ * Memory: 62 kB. Time: samples of a block 10,300 instructions, with parts 3 14,300 (following the field 16,800), with degree 10 a report of 8 codes 67,000
  * (tests/firmware/apps/test_app_instructions.py).
  * With parts 3 the thirds of a cycle take 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within a third of a cycle. The messages of more than
- * 60 codes then outrun the queue of CAN at the end of a cycle: what finds no room is counted as lost (counter 4).
+ * 60 codes then outrun the queue of CAN at the end of a cycle: a third or a report that finds no room there is left out of that link and counted (counter 13).
  * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
  */
 #ifndef GOLDFIELD_SENSE_H
@@ -49,7 +49,7 @@ typedef struct {
     epoch_calibration_t calibration;
     epoch_selection_t selection;   /* Codes reported. */
     onboard_t onboard;
-    uint32_t unsent;               /* Cycles for whose report a link had no room. */
+    uint32_t unsent;               /* Reports, of thirds too, for which a link had no room. */
     volatile bool streaming;
     volatile bool sampled;         /* A block has been taken. */
     uint64_t ticks;                /* Length of all chips taken so far. */

@@ -15,7 +15,7 @@
  * report on.
  *
  * Memory: 71 kB, and acquire.h. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a block 2,000 instructions, samples of a block
- * 14,300 at most (with sync_source 1 30,000), with degree 10 a report of 8 codes 67,000, main with nothing to do 180.
+ * 14,300 at most (with sync_source 1 16,800), with degree 10 a report of 8 codes 67,000, main with nothing to do 180.
  */
 #ifndef GOLDFIELD_SENSOR_H
 #define GOLDFIELD_SENSOR_H

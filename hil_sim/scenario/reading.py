@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from goldfield.drive import DEGREES, Code, Plan, read_drive
 from goldfield.errors import UserError
-from goldfield.toml_table import Table, text_lines
+from goldfield.toml_table import Table, read_table
 from goldfield_protocol.parameters import ParameterError
 from hil_sim.scenario.parts import (
     CHIP_PERIOD_S,
@@ -74,12 +73,7 @@ def load(path: str | Path) -> Scenario:
         One sentence with file, line, table and key, if anything is missing, unknown, of the wrong type or out of range.
     """
     path = Path(path)
-    lines = text_lines(path, "scenario")
-    try:
-        document = tomllib.loads("\n".join(lines))
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: is no valid TOML: {error}") from error
-    root = Table(document, path=path, lines=lines)
+    root = read_table(path, "scenario")
     root.allow(
         *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
         *("coil", "beacon"),
@@ -87,7 +81,7 @@ def load(path: str | Path) -> Scenario:
     sync = root.text("sync") if "sync" in root else "wire"
     if sync not in ("wire", "can"):
         raise root.error("sync", f'is "{sync}"; it must be "wire" or "can"')
-    coil = root.table("coil") if "coil" in root else Table({}, path=path, lines=lines)
+    coil = root.table("coil") if "coil" in root else Table({}, path=path, lines=())
     coil.allow(*COIL_KEYS)
     seed = root.integer("seed")
     if not 0 <= seed < 1 << 63:

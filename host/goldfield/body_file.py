@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from goldfield.errors import UserError
 from goldfield.field.conductor import Body, Material, Response, ball, cuboid, respond
 from goldfield.field.conductor.interior import SKIN_RATIO
 from goldfield.poses import FloatArray
-from goldfield.toml_table import Table, text_lines
+from goldfield.toml_table import Table, read_table
 
 SKIN_PIECES, VOLUME_PIECES = 10, 6
 """Each edge of the surface is cut into so many; a body that the field penetrates has three voxels a triangle, and a
@@ -95,11 +93,7 @@ def load(path: str | Path) -> tuple[Conductor, ...]:
         With file, line, table and key of whatever is wrong.
     """
     path = Path(path)
-    lines = text_lines(path, "file of conductors")
-    try:
-        document = Table(tomllib.loads("\n".join(lines)), path=path, lines=lines)
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: is no TOML: {error}") from error
+    document = read_table(path, "file of conductors")
     document.allow("conductor")
     return tuple(_conductor(table) for table in document.tables("conductor"))
 

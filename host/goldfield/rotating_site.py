@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.constants import mu_0
 
-from goldfield.errors import UserError
 from goldfield.poses import FloatArray
 from goldfield.site import Beacon
-from goldfield.toml_table import Table, text_lines
+from goldfield.toml_table import Table, read_table
 
 LARGEST_ALONG = 0.02
 """Of y along x, both unit vectors."""
@@ -126,11 +124,7 @@ def load(path: str | Path) -> RotatingSite:
         With file, line, table and key of whatever is wrong.
     """
     path = Path(path)
-    lines = text_lines(path, "site file of rotating beacons")
-    try:
-        document = Table(tomllib.loads("\n".join(lines)), path=path, lines=lines)
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: is no TOML: {error}") from error
+    document = read_table(path, "site file of rotating beacons")
     document.allow("sensor", "beacon")
     sensor = document.table("sensor")
     sensor.allow("noise_T")
@@ -155,17 +149,14 @@ def load(path: str | Path) -> RotatingSite:
 
 
 def is_of_boards(path: str | Path) -> bool:
-    """Tell whether a file is a site file of boards (`goldfield.site`); False also if it is no TOML.
+    """Tell whether a file is a site file of boards (`goldfield.site`).
 
     Raises
     ------
     UserError
-        If it cannot be read.
+        If it cannot be read or is no TOML.
     """
-    try:
-        return "site" in tomllib.loads("\n".join(text_lines(Path(path), "site file")))
-    except tomllib.TOMLDecodeError:
-        return False
+    return "site" in read_table(Path(path), "site file")
 
 
 def _beacon(table: Table) -> DualAxisBeacon:

@@ -6,7 +6,6 @@ TOML; see `load` for the keys. Every number is checked here once, so that nothin
 from __future__ import annotations
 
 import math
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import numpy as np
 from goldfield.drive import NO_CODE, NOTHING_ELSE, SITE_KEYS, Drive, Plan, read_drive, read_plan
 from goldfield.errors import UserError
 from goldfield.poses import FloatArray
-from goldfield.toml_table import Table, text_lines
+from goldfield.toml_table import Table, read_table
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,14 +184,7 @@ def load(path: str | Path) -> Site:
         type or out of range.
     """
     path = Path(path)
-    lines = text_lines(path, "site file")
-    try:
-        document = tomllib.loads("\n".join(lines))
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: is no valid TOML: {error}") from error
-    except RecursionError as error:
-        raise UserError(f"{path}: is nested too deeply for a site file") from error
-    root = Table(document, path=path, lines=lines)
+    root = read_table(path, "site file")
     root.allow("site", "sensor", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
     site.allow("name", "chip_period_s", "degree", "half_space", "access", *SITE_KEYS)

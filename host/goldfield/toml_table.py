@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -44,6 +45,23 @@ def text_lines(path: Path, what: str) -> list[str]:
         line = text[: text.index("\0")].count("\n") + 1
         raise UserError(f"{path}:{line}: is no text (it holds a zero byte): give a {what}")
     return text.splitlines()
+
+
+def read_table(path: Path, what: str) -> Table:
+    """Read a TOML file.
+
+    Raises
+    ------
+    UserError
+        As `text_lines`, and if it is no TOML.
+    """
+    lines = text_lines(path, what)
+    try:
+        return Table(tomllib.loads("\n".join(lines)), path=path, lines=lines)
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: is no valid TOML: {error}") from error
+    except RecursionError as error:
+        raise UserError(f"{path}: is nested too deeply for a {what}") from error
 
 
 class Table:

@@ -54,7 +54,7 @@ def test_a_good_file_is_read(tmp_path):
         ("y_axis = [-1, 0.01, 0]", "y_axis = [-1, 1, 0]", "y_axis is not at right angles to x_axis"),
         ("y_axis = [-1, 0.01, 0]", "y_axis = [1, 0, 0]", "y_axis with x_axis puts the beacon's z"),
         ("current_A = 8", "current_A = 0", "current_A is 0; it must be greater than zero"),
-        ("noise_T = 3e-9", "noise_T = ", "is no TOML"),
+        ("noise_T = 3e-9", "noise_T = ", "is no valid TOML"),
     ],
 )
 def test_a_wrong_file_is_told(tmp_path, old, new, message):

@@ -188,6 +188,20 @@ def test_sensor(call: Call) -> None:
     assert max(reports) <= 110_000
 
 
+@pytest.mark.parametrize("call", [{"sync_source": 1}], indirect=True)
+def test_sensor_that_follows_the_field(call: Call) -> None:
+    call("begin_sensor")
+    for _ in range(2):
+        call("call_plan")
+    samples = []
+    for _ in range(200):
+        samples.append(call("call_samples"))
+        call("call_plan")
+        call("step_sensor")
+    print(f"sensor by the field: samples of 31 chips {max(samples)}")
+    assert max(samples) <= 31 * 600
+
+
 @pytest.mark.parametrize("call", [{"waveform": 3, "periods": 5}], indirect=True)
 def test_anchor_with_two_channels(call: Call) -> None:
     start = call("begin_anchor")
