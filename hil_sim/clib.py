@@ -12,16 +12,7 @@ from typing import Any
 import cffi
 
 ROOT = Path(__file__).resolve().parent.parent
-INCLUDES = (
-    "firmware/core",
-    "firmware/apps",
-    "firmware/hal",
-    "firmware/boards",
-    "firmware/boards/host",
-    "hil_sim/emulator",
-    "hil_sim",
-    "build/protocol",
-)
+INCLUDES = ("firmware", "hil_sim", "build/protocol")
 
 
 @cache

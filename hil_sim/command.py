@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from goldfield.errors import SystemFailure, UserError
-from hil_sim.boards import KINDS
-from hil_sim.can_bridge import DEFAULT, CanBridge
-from hil_sim.pseudo_terminal import PseudoTerminal
+from hil_sim.links.can_bridge import DEFAULT, CanBridge
+from hil_sim.links.pseudo_terminal import PseudoTerminal
 from hil_sim.rig import SENSOR, Rig
+from hil_sim.rig.boards import KINDS
 from hil_sim.scenario import Scenario, load_scenario
 
 SLICE_S = 0.005

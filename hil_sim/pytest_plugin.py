@@ -15,9 +15,9 @@ from typing import Any, Protocol
 import pytest
 
 from goldfield import site as sites
-from goldfield.link.epochs import SHORTEST_SILENCE_S, Assembler, Report
-from goldfield.link.session import Session
-from goldfield.link.source import BusSource, open_can, open_port
+from goldfield.link.buses import BusSource, open_can, open_port
+from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
+from goldfield.sensor.session import Session
 from goldfield.site import Site
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.rig import Rig, Truth

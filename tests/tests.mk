@@ -7,10 +7,9 @@ test-slow: all $(BUILD)/qemu.stamp ## The slow tests too
 	@$(PYTHON) -m pytest -n 2 -q
 
 # ---- static checks ----
-LINT_INCLUDES := -Ifirmware/core -Ifirmware/apps -Ifirmware/hal -Ifirmware/boards -Ifirmware/boards/host -I$(PROTOCOL_OUT) \
-	-Ihil_sim -Ihil_sim/world -Ihil_sim/emulator -Ihil_sim/emulator/peripherals
+LINT_INCLUDES := -Ifirmware -I$(PROTOCOL_OUT) -Ihil_sim
 LINT_ARM := --target=arm-none-eabi $(STM32_CPU) -isystem /usr/lib/arm-none-eabi/include
-LINT_SOURCES := $(filter-out firmware/boards/stm32f405/%,$(wildcard firmware/*/*.c firmware/*/*/*.c)) $(wildcard hil_sim/*.c hil_sim/*/*.c hil_sim/*/*/*.c) \
+LINT_SOURCES := $(filter-out firmware/boards/stm32f405/%,$(wildcard firmware/*/*.c firmware/*/*/*.c)) $(wildcard hil_sim/*/*.c hil_sim/*/*/*.c) \
 	$(wildcard host/goldfield/locate/kernel/*.c)
 
 lint: all ## ruff, mypy, clang-tidy, cppcheck
@@ -48,7 +47,7 @@ track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a mov
 .PHONY: track-figures
 
 field-sync-figures: all ## Measure synchronisation by the field alone: cold starts by hundreds, a dropout (several minutes)
-	@$(PYTHON) -m pytest tests/firmware/core/test_acquire.py -k "thousand or hundreds" -q -s
+	@$(PYTHON) -m pytest tests/firmware/core/timing/test_acquire.py -k "thousand or hundreds" -q -s
 	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py -k "hundred or ten_seconds" -q -s
 	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py --rig host -k "hundred or ten_seconds" -q -s
 

@@ -1,4 +1,4 @@
-#include "anchor.h"
+#include "apps/anchor.h"
 
 #include <string.h>
 

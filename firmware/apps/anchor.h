@@ -18,11 +18,11 @@
 #ifndef GOLDFIELD_ANCHOR_H
 #define GOLDFIELD_ANCHOR_H
 
-#include "drive.h"
-#include "hal.h"
-#include "node.h"
-#include "sense.h"
-#include "timing.h"
+#include "services/drive.h"
+#include "hal/hal.h"
+#include "services/node.h"
+#include "services/sense.h"
+#include "services/timing.h"
 
 /* Private but for tests. */
 typedef struct {

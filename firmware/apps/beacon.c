@@ -1,4 +1,4 @@
-#include "beacon.h"
+#include "apps/beacon.h"
 
 #include <string.h>
 

@@ -10,10 +10,10 @@
 #ifndef GOLDFIELD_BEACON_H
 #define GOLDFIELD_BEACON_H
 
-#include "drive.h"
-#include "hal.h"
-#include "node.h"
-#include "timing.h"
+#include "services/drive.h"
+#include "hal/hal.h"
+#include "services/node.h"
+#include "services/timing.h"
 
 /* Private but for tests. */
 typedef struct {

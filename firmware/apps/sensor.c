@@ -1,4 +1,4 @@
-#include "sensor.h"
+#include "apps/sensor.h"
 
 #include <string.h>
 

@@ -20,11 +20,11 @@
 #ifndef GOLDFIELD_SENSOR_H
 #define GOLDFIELD_SENSOR_H
 
-#include "acquire.h"
-#include "hal.h"
-#include "node.h"
-#include "sense.h"
-#include "timing.h"
+#include "core/timing/acquire.h"
+#include "hal/hal.h"
+#include "services/node.h"
+#include "services/sense.h"
+#include "services/timing.h"
 
 /* Private but for tests. */
 typedef struct {

@@ -8,7 +8,7 @@
 #ifndef GOLDFIELD_BOARD_H
 #define GOLDFIELD_BOARD_H
 
-#include "hal.h"
+#include "hal/hal.h"
 
 /* For a static variable that begins as zeros and that only the processor touches, never DMA: it goes to the core-coupled memory (STM32F405: 64 KB beside the 128 KB
  * of RAM). */

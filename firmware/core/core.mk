@@ -1,5 +1,5 @@
 # The hardware-free core. Boards compile CORE_SOURCES with their own compiler; build/libgf_core.so is the core alone, for its tests.
-CORE_SOURCES := $(wildcard firmware/core/*.c)
+CORE_SOURCES := $(wildcard firmware/core/*/*.c)
 CORE_OBJECTS := $(CORE_SOURCES:%.c=$(BUILD)/core/%.o)
 HOST_LIBRARIES += $(BUILD)/libgf_core.so
 
@@ -8,6 +8,6 @@ $(BUILD)/libgf_core.so: $(CORE_OBJECTS)
 
 $(CORE_OBJECTS): $(BUILD)/core/%.o: %.c
 	@mkdir -p $(@D)
-	@$(HOST_CC) $(HOST_CFLAGS) -c -o $@ $<
+	@$(HOST_CC) $(HOST_CFLAGS) -Ifirmware -c -o $@ $<
 
 -include $(CORE_OBJECTS:.o=.d)

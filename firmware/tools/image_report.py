@@ -192,7 +192,7 @@ def report(elf: Path) -> Image:
     texts = [
         path.read_text()
         for path in sorted(elf.parent.rglob("*.ci"))
-        if not path.stem.startswith("main_") or path.stem == f"main_{role}"
+        if path.parent.name != "images" or path.stem == role
     ]
     graph = read_call_graph(texts)
     resolve(graph, role)

@@ -19,7 +19,7 @@ MILLISECOND = 1_000_000_000
 @cache
 def library() -> tuple[cffi.FFI, Any]:
     """Open the emulator with the declarations of the bench."""
-    return load("build/libgf_emulator.so", ["machine_bench.h", "peripherals/registers.h"])
+    return load("build/libgf_emulator.so", ["emulator/machine_bench.h", "emulator/peripherals/registers.h"])
 
 
 @dataclass

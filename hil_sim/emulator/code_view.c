@@ -1,6 +1,6 @@
 /* Looking at the program: which instruction stands where, and where an IT block is. */
-#include "it_block.h"
-#include "processor.h"
+#include "emulator/it_block.h"
+#include "emulator/processor.h"
 
 #include <string.h>
 

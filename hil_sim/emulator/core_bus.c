@@ -1,5 +1,5 @@
 /* The core's side of the buses: what is mapped where, and accesses that are not plain memory. */
-#include "processor.h"
+#include "emulator/processor.h"
 
 #define PRIVATE_BUS_BASE 0xE0000000u
 #define PRIVATE_BUS_SIZE 0x00100000u

@@ -1,5 +1,5 @@
-#include "it_block.h"
-#include "processor.h"
+#include "emulator/it_block.h"
+#include "emulator/processor.h"
 
 #include <stdarg.h>
 #include <stdio.h>

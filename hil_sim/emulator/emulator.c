@@ -1,6 +1,6 @@
-#include "emulator.h"
+#include "emulator/emulator.h"
 
-#include "processor.h"
+#include "emulator/processor.h"
 
 #include <stdio.h>
 #include <stdlib.h>

@@ -5,7 +5,7 @@
 #ifndef GOLDFIELD_EMULATOR_H
 #define GOLDFIELD_EMULATOR_H
 
-#include "board_edge.h"
+#include "boards/board_edge.h"
 
 typedef struct {
     double crystal_ppm;       /* Error of this board's 8 MHz crystal. */

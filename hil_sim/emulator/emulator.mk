@@ -14,7 +14,7 @@ $(UNICORN_LINKS)/stamp: $(BUILD)/venv.stamp
 
 $(EMULATOR_OBJECTS): $(BUILD)/%.o: %.c $(UNICORN_LINKS)/stamp
 	@mkdir -p $(@D)
-	@$(HOST_CC) $(HOST_CFLAGS) -Ihil_sim/emulator -Ifirmware/boards -isystem $(UNICORN_LINKS)/include -c $< -o $@
+	@$(HOST_CC) $(HOST_CFLAGS) -Ihil_sim -Ifirmware -isystem $(UNICORN_LINKS)/include -c $< -o $@
 
 $(EMULATOR_LIBRARY): $(EMULATOR_OBJECTS) hil_sim/emulator/exports.map
 	@echo "emulator: $@"

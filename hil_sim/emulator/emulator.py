@@ -173,7 +173,7 @@ class Emulator:
             segments.append((PARAMETER_PAGE, parameter_page))
         self._ffi: Any
         self._library: Any
-        self._ffi, self._library = clib.load(LIBRARY, ["emulator.h"])
+        self._ffi, self._library = clib.load(LIBRARY, ["emulator/emulator.h"])
         ffi = self._ffi
         self._callbacks: list[Any] = []
         edge_pointer = ffi.new("board_edge_t *") if edge is None else ffi.cast("board_edge_t *", edge)

@@ -3,8 +3,8 @@
  * The floating-point registers are stacked at entry even when FPCCR.LSPEN asks for lazy stacking: what a program can see is the same but for FPCCR and FPCAR.
  * Tail-chaining is a return followed by an entry. The exclusive monitor is not cleared: Unicorn's STREX compares the value as well.
  */
-#include "it_block.h"
-#include "processor.h"
+#include "emulator/it_block.h"
+#include "emulator/processor.h"
 
 #include <string.h>
 

@@ -1,5 +1,5 @@
 /* Signals from outside: each waits in the machine's event heap for its time; one that is not in the future acts at once. */
-#include "machine_internal.h"
+#include "emulator/machine_internal.h"
 
 #include <stdlib.h>
 

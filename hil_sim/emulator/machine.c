@@ -1,4 +1,4 @@
-#include "machine_internal.h"
+#include "emulator/machine_internal.h"
 
 #include <stdarg.h>
 #include <stdio.h>

@@ -14,8 +14,8 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "board_edge.h"
-#include "emulator.h"
+#include "boards/board_edge.h"
+#include "emulator/emulator.h"
 
 typedef struct machine machine_t; /* One chip: processor, buses, peripherals. board_t is a machine_t. */
 

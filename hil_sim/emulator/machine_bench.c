@@ -1,6 +1,6 @@
-#include "machine_bench.h"
+#include "emulator/machine_bench.h"
 
-#include "machine_internal.h"
+#include "emulator/machine_internal.h"
 
 machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge)
 {

@@ -9,7 +9,7 @@
 #ifndef GOLDFIELD_MACHINE_BENCH_H
 #define GOLDFIELD_MACHINE_BENCH_H
 
-#include "machine.h"
+#include "emulator/machine.h"
 
 /* NULL: out of memory. edge may be NULL (nothing connected). */
 machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge);

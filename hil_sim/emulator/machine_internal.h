@@ -5,7 +5,7 @@
 #ifndef GOLDFIELD_MACHINE_INTERNAL_H
 #define GOLDFIELD_MACHINE_INTERNAL_H
 
-#include "machine.h"
+#include "emulator/machine.h"
 
 #define FLASH_BASE 0x08000000u
 #define FLASH_SIZE 0x00100000u

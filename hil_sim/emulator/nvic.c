@@ -1,4 +1,4 @@
-#include "nvic.h"
+#include "emulator/nvic.h"
 
 #include <string.h>
 

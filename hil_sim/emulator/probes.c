@@ -1,6 +1,6 @@
 /* Instruction counts of functions. While a probe is inside its function, cpu_attend() looks at every instruction for the return address;
  * a function whose entry is a branch target starts a block of code in Unicorn, so entries cost a hook on that one block only. */
-#include "processor.h"
+#include "emulator/processor.h"
 
 void probes_enter_exception(cpu_t *cpu)
 {

@@ -13,9 +13,9 @@
 
 #include <unicorn/unicorn.h>
 
-#include "core_clock.h"
-#include "machine_internal.h"
-#include "nvic.h"
+#include "emulator/core_clock.h"
+#include "emulator/machine_internal.h"
+#include "emulator/nvic.h"
 
 /* Fault status bits. */
 #define CFSR_IBUSERR (1u << 8)

@@ -1,6 +1,6 @@
 /* System control block, SysTick, data watchpoint unit's cycle counter, and the identification registers at 0xE0000000..0xE00FFFFF
  * (ARMv7-M architecture reference manual B3, C1; PM0214; RM0090, 38 for DBGMCU). The trace macrocell swallows what is written to it. */
-#include "processor.h"
+#include "emulator/processor.h"
 
 #define CPUID_M4 0x410FC241u
 #define DBGMCU_IDCODE 0x10076413u

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.drive import Code
+from goldfield.site.drive import Code
 from hil_sim.world.motion import Still
 from hil_sim.world.path import CoilGeometry
 

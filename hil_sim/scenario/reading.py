@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.drive import DEGREES, Code, Plan, read_drive
 from goldfield.errors import UserError
-from goldfield.toml_table import Table, read_table
+from goldfield.files.toml_table import Table, read_table
+from goldfield.site.drive import DEGREES, Code, Plan, read_drive
 from goldfield_protocol.parameters import ParameterError
 from hil_sim.scenario.parts import (
     CHIP_PERIOD_S,

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from goldfield.drive import Code
+from goldfield.site.drive import Code
 from hil_sim.scenario.parts import CHIP_PERIOD_S, Beacon
 from hil_sim.world.path import CoilGeometry
 

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
-from goldfield.poses import Pose
+from goldfield.types import Pose
 from hil_sim import clib
 from hil_sim.emulator import Emulator
 from hil_sim.pytest_plugin import SimulatedBench

@@ -16,7 +16,7 @@ from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.locate.starts import full_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
-from goldfield.poses import Status
+from goldfield.types import Status
 from tests.bench import locate_speed
 from tests.bench import locate_trials as bench
 

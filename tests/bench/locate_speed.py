@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from goldfield.locate import Locator
 from goldfield.locate.starts import simple_magnitudes
 from goldfield.locate.wahba import wahba
-from goldfield.poses import Fields
 from goldfield.track import epoch_tracker
+from goldfield.types import Fields
 from tests.bench import locate_trials as bench
 
 ROUNDS = 5

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.locate.uncertainty import cramer_rao_bound
-from goldfield.poses import Fields
 from goldfield.site import Beacon, HalfSpace, SensorSite, Site, area_vector
+from goldfield.types import Fields
 
 CHIPS = 1023
 

@@ -16,7 +16,6 @@ from goldfield.access import Separator
 from goldfield.access.moving import Cycle, DriftSeparator, Reduction
 from goldfield.field import FieldModel
 from goldfield.locate.fit import Measurements, fit_pose
-from goldfield.poses import Fields, Status
 from goldfield.track import (
     CycleData,
     CycleLocator,
@@ -27,6 +26,7 @@ from goldfield.track import (
     epoch_tracker,
 )
 from goldfield.track.motion import Observation, State
+from goldfield.types import Fields, Status
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import EARTH_T, Room, circling, cycle_bound, epoch_bound, flight_poses, random_flight
 

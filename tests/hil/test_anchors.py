@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from goldfield.access.epoch import EpochSeparator
-from goldfield.link.epochs import Assembler
+from goldfield.link.reports import Assembler
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.pytest_plugin import SimulatedBench
 

@@ -5,7 +5,7 @@ import pytest
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
-from goldfield.poses import Status
+from goldfield.types import Status
 from hil_sim.pytest_plugin import SimulatedBench
 from hil_sim.scenario import SCENARIOS
 from tests.hil.can_timing import LoadedBus, beacon_phases, cold_starts, sensor_phases, starve

@@ -6,10 +6,10 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.access.gold import code_matrix
-from goldfield.link.epochs import Assembler
+from goldfield.link.reports import Assembler
 from goldfield.locate import locate
 from goldfield.locate.uncertainty import cramer_rao_bound
-from goldfield.onboard import onboard_pose
+from goldfield.sensor.onboard import onboard_pose
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.pytest_plugin import SimulatedBench
 from hil_sim.scenario import SCENARIOS

@@ -8,7 +8,7 @@ import pytest
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
-from goldfield.poses import Status
+from goldfield.types import Status
 from goldfield_protocol import decode, encode, encode_frame
 from hil_sim.pytest_plugin import SimulatedBench
 from hil_sim.rig import SENSOR

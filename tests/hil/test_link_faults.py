@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from goldfield.link.epochs import Assembler
+from goldfield.link.reports import Assembler
 from goldfield_protocol import FrameDecoder, decode, encode_frame
 
 SENSOR = 100

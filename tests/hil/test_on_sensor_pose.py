@@ -6,11 +6,11 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from goldfield.access.epoch import EpochSeparator
-from goldfield.link.epochs import OWN_POSE, Assembler
+from goldfield.link.reports import OWN_POSE, Assembler
 from goldfield.locate import locate
 from goldfield.locate.uncertainty import cramer_rao_bound
-from goldfield.onboard import onboard_pose
-from goldfield.poses import Status
+from goldfield.sensor.onboard import onboard_pose
+from goldfield.types import Status
 from goldfield_protocol import FrameDecoder, decode
 
 CYCLES = 20

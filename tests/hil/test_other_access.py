@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from goldfield.access import SiteAccess
 from goldfield.link.chips import Calibration, ChipAssembler
 from goldfield.locate import locate
-from goldfield.poses import Fields
+from goldfield.types import Fields
 from goldfield_protocol.framing import FrameDecoder, encode_frame
 from goldfield_protocol.messages import decode, encode
 

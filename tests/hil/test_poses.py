@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
-from goldfield.poses import Status
+from goldfield.types import Status
 
 CYCLES = 30
 

@@ -1,6 +1,6 @@
 # The applications on a board in memory: build/libgf_hostboard.so, for the simulator and for tests.
-HOSTBOARD_SOURCES := $(wildcard firmware/core/*.c) $(filter-out firmware/apps/main_%,$(wildcard firmware/apps/*.c)) $(wildcard firmware/boards/host/*.c)
-HOSTBOARD_INCLUDES := $(addprefix -Ifirmware/,core apps hal boards boards/host) -I$(PROTOCOL_OUT)
+HOSTBOARD_SOURCES := $(CORE_SOURCES) $(wildcard firmware/services/*.c firmware/apps/*.c firmware/boards/host/*.c)
+HOSTBOARD_INCLUDES := -Ifirmware -I$(PROTOCOL_OUT)
 HOSTBOARD_OBJECTS := $(patsubst %.c,$(BUILD)/hostboard/%.o,$(HOSTBOARD_SOURCES)) $(BUILD)/hostboard/protocol/goldfield.o
 HOSTBOARD_LIBRARY := $(BUILD)/libgf_hostboard.so
 

@@ -1,12 +1,12 @@
-#include "host_internal.h"
+#include "boards/host/host_internal.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "anchor.h"
-#include "beacon.h"
-#include "sensor.h"
+#include "apps/anchor.h"
+#include "apps/beacon.h"
+#include "apps/sensor.h"
 
 struct board {
     hal_t hal; /* First: a board is found from its HAL and back. */

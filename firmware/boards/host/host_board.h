@@ -14,8 +14,8 @@
 #ifndef GOLDFIELD_HOST_BOARD_H
 #define GOLDFIELD_HOST_BOARD_H
 
-#include "board_edge.h"
-#include "hal.h"
+#include "boards/board_edge.h"
+#include "hal/hal.h"
 
 typedef struct {
     hal_role_t role;          /* Which application runs. */

@@ -1,4 +1,4 @@
-#include "host_internal.h"
+#include "boards/host/host_internal.h"
 
 #include <string.h>
 

@@ -2,7 +2,7 @@
 #ifndef GOLDFIELD_HOST_INTERNAL_H
 #define GOLDFIELD_HOST_INTERNAL_H
 
-#include "host_board.h"
+#include "boards/host/host_board.h"
 
 /* Pins, numbered port * 16 + pin (boards/pinout.md). */
 enum {

@@ -1,10 +1,10 @@
 /* board.c: board_start(), and what of hal.h is not chips, converters, links or time. */
 
-#include "board.h"
+#include "boards/board.h"
 
 #include <string.h>
 
-#include "stm32f405.h"
+#include "boards/stm32f405/stm32f405.h"
 
 #define PARAMETER_PAGE ((const uint8_t *)0x080E0000u)
 #define WATCHDOG_TRIES 100000u /* 3 ms at 168 MHz; the watchdog's registers take five of its 31 us cycles. */

@@ -8,7 +8,7 @@
  * that: without a bus, hal_can_send() says false and the rest of the board runs.
  */
 
-#include "stm32f405.h"
+#include "boards/stm32f405/stm32f405.h"
 
 #define MODE_TRIES 10000u
 /* A frame is valid for its transmitter at the end of the last bit of its end of frame, for receivers at that of the last but one (Bosch, CAN 2.0, part B, 5; ISO 11898-1): they

@@ -37,7 +37,7 @@
  * it: that interrupt may be late by less than a block, so a position in the other half of the ring is the next block's.
  */
 
-#include "stm32f405.h"
+#include "boards/stm32f405/stm32f405.h"
 
 hal_t board;
 

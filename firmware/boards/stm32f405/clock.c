@@ -7,7 +7,7 @@
  * Voltage scale 1, needed at 168 MHz, is this chip's reset value.
  */
 
-#include "stm32f405.h"
+#include "boards/stm32f405/stm32f405.h"
 
 #define CRYSTAL_TRIES 50000u /* 20 ms at 16 MHz; a crystal takes 2 ms (data sheet, table 37). */
 #define SWITCH_TRIES 10000u  /* 4 ms; the PLL takes 0.3 ms. */

@@ -18,7 +18,7 @@
 
 #include <string.h>
 
-#include "stm32f405.h"
+#include "boards/stm32f405/stm32f405.h"
 
 #define CONVERSION_TICKS 216u
 #define BURST_START (HAL_CHIP_TICKS - 154u - HAL_BURST * CONVERSION_TICKS)

@@ -6,7 +6,7 @@
  * Then the board waits for its watchdog.
  */
 
-#include "stm32f405.h"
+#include "boards/stm32f405/stm32f405.h"
 
 extern uint32_t stack_bottom, stack_top;
 

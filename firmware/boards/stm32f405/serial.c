@@ -7,7 +7,7 @@
 
 #include <string.h>
 
-#include "stm32f405.h"
+#include "boards/stm32f405/stm32f405.h"
 
 #define BYTE_TRIES 10000u /* A byte takes 5 us, 840 cycles: ten times that, at about 6 cycles a try, and more. */
 

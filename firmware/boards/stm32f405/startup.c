@@ -1,6 +1,6 @@
 /* startup.c: from reset to main(). */
 
-#include "stm32f405.h"
+#include "boards/stm32f405/stm32f405.h"
 
 int main(void);
 

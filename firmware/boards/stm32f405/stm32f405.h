@@ -15,8 +15,8 @@
 #ifndef STM32F405_BOARD_H
 #define STM32F405_BOARD_H
 
-#include "hal.h"
-#include "registers.h"
+#include "hal/hal.h"
+#include "boards/stm32f405/registers.h"
 
 #define RING_CHIPS (2u * HAL_BLOCK_CHIPS) /* What the chip engine's buffers hold: two blocks. */
 #define SERIAL_RECEIVE_BUFFER 2048u       /* 10 ms. */

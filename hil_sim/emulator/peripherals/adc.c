@@ -1,7 +1,7 @@
 /* adc.c: the three converters and their common part: registers and triggers (see adc.h).
  * Not there, and loud: interleaved and alternate modes, sequences of unequal conversions in simultaneous modes.
  */
-#include "adc.h"
+#include "emulator/peripherals/adc.h"
 
 #define STABILISATION_PS 3000000
 

@@ -11,7 +11,7 @@
 #ifndef GOLDFIELD_ADC_H
 #define GOLDFIELD_ADC_H
 
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum {
     ADC_SR = 0x00, ADC_CR1 = 0x04, ADC_CR2 = 0x08, ADC_SMPR1 = 0x0C, ADC_SMPR2 = 0x10, ADC_JOFR1 = 0x14, ADC_HTR = 0x24, ADC_LTR = 0x28, ADC_SQR1 = 0x2C, ADC_SQR2 = 0x30,

@@ -4,7 +4,7 @@
  * conversion, which is done again after it; a regular trigger during an injected group waits. Converters that go together begin each conversion at once and go on
  * when the slowest is done; their JEOC comes when all are done (13.9.1). Only where the group is a single conversion may they differ in its length.
  */
-#include "adc.h"
+#include "emulator/peripherals/adc.h"
 
 #define REGULAR_LATENCY 2
 #define INJECTED_LATENCY 3

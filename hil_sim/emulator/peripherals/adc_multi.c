@@ -5,7 +5,7 @@
  *
  * Not there, and loud: interleaved and alternate modes.
  */
-#include "adc.h"
+#include "emulator/peripherals/adc.h"
 
 static uint32_t multi(const adc_t *adc) { return reg(&adc->common, ADC_CCR) & 31u; }
 

@@ -2,7 +2,7 @@
  *
  * The converters' clock is PCLK2 divided by ADCPRE. A result is round(volts / 3.3 * 4096), clamped.
  */
-#include "adc.h"
+#include "emulator/peripherals/adc.h"
 
 #include <math.h>
 

@@ -1,7 +1,7 @@
 /* can.c: bxCAN: registers, modes, bit timing, errors (see can.h). The network runs at 1 Mbit/s: a controller that is off by more than 0.5 % hears errors only.
  * Not there, and loud: time-triggered mode.
  */
-#include "can.h"
+#include "emulator/peripherals/can.h"
 
 #include <math.h>
 

@@ -8,7 +8,7 @@
 #ifndef GOLDFIELD_CAN_H
 #define GOLDFIELD_CAN_H
 
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { MCR = 0x00, MSR = 0x04, TSR = 0x08, RF0R = 0x0C, RF1R = 0x10, IER = 0x14, ESR = 0x18, BTR = 0x1C, TI0R = 0x180, RI0R = 0x1B0, FMR = 0x200, FM1R = 0x204, FS1R = 0x20C, FFA1R = 0x214,
        FA1R = 0x21C, F0R1 = 0x240 };

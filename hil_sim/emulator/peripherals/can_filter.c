@@ -1,5 +1,5 @@
 /* can_filter.c: see can_filter.h. */
-#include "can_filter.h"
+#include "emulator/peripherals/can_filter.h"
 
 static uint32_t image32(const board_frame_t *f) { return (f->extended ? f->id << 3 | 4u : f->id << 21) | (f->remote ? 2u : 0); }
 

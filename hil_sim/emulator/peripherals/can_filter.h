@@ -2,7 +2,7 @@
 #ifndef GOLDFIELD_CAN_FILTER_H
 #define GOLDFIELD_CAN_FILTER_H
 
-#include "board_edge.h"
+#include "boards/board_edge.h"
 
 typedef struct {
     uint32_t mode, scale, fifo, active; /* FM1R, FS1R, FFA1R, FA1R: a bit a bank. */

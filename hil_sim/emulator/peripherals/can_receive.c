@@ -3,8 +3,8 @@
  * A frame is stored, and its interrupt requested, at the first time quantum of this controller's own clock at or after the moment at which it is valid: a controller
  * synchronises to the bus in whole quanta, so time stamps of receivers jitter by up to one. Time stamps of the controller (RDTxR) read 0.
  */
-#include "can_filter.h"
-#include "can.h"
+#include "emulator/peripherals/can_filter.h"
+#include "emulator/peripherals/can.h"
 
 #include <string.h>
 

@@ -3,7 +3,7 @@
  * A request goes to the edge, and the network answers when the frame is through (can_frame_sent). By identifier (TXFP 0) every waiting mailbox is handed over and the network
  * arbitrates; in order of request (TXFP 1) one at a time. A frame without acknowledge counts 8 transmit errors up to 128 (error passive): so a lone node never goes bus-off.
  */
-#include "can.h"
+#include "emulator/peripherals/can.h"
 
 #include <math.h>
 #include <string.h>

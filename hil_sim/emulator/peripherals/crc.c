@@ -1,5 +1,5 @@
 /* crc.c: the CRC unit (RM0090 4.4): polynomial 0x04C11DB7, words most significant bit first. */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { DR = 0x00, IDR = 0x04, CR = 0x08 };
 

@@ -4,7 +4,7 @@
  * trigger; the buffer's settling belongs to the outside. A hardware trigger takes what both channels hold and then asks for DMA, so what DMA brings is for the
  * next trigger. A trigger that finds the request before still waiting is an underrun: requests stop until DMAUDR is cleared.
  * Not there, and loud: noise and triangle waves. */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { CR = 0x00, SWTRIGR = 0x04, DHR12R1 = 0x08, DHR12L1 = 0x0C, DHR8R1 = 0x10, DHR12R2 = 0x14, DHR12L2 = 0x18, DHR8R2 = 0x1C, DHR12RD = 0x20, DHR12LD = 0x24, DHR8RD = 0x28, DOR1 = 0x2C, SR = 0x34 };
 #define EN 1u

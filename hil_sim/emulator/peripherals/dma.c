@@ -1,5 +1,5 @@
 /* dma.c: the two DMA controllers (RM0090 chapter 10): registers, flags, what a stream may be set to (see dma.h). */
-#include "dma.h"
+#include "emulator/peripherals/dma.h"
 
 /* What may change while EN is set: EN itself, the interrupt enables and CIRC. */
 #define UNPROTECTED (0x1Fu | CIRC)

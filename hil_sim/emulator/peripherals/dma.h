@@ -7,7 +7,7 @@
 #ifndef GOLDFIELD_DMA_H
 #define GOLDFIELD_DMA_H
 
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { LISR = 0x00, HISR = 0x04, LIFCR = 0x08, HIFCR = 0x0C, STREAM0 = 0x10, STREAM_SIZE = 0x18 };
 enum { SCR = 0x00, SNDTR = 0x04, SPAR = 0x08, SM0AR = 0x0C, SM1AR = 0x10, SFCR = 0x14 }; /* Of a stream. */

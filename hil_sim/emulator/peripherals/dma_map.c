@@ -1,5 +1,5 @@
 /* dma_map.c: which request lines reach which stream (RM0090 tables 42 and 43, F405/407), and the lines' names. */
-#include "dma.h"
+#include "emulator/peripherals/dma.h"
 
 #include <string.h>
 

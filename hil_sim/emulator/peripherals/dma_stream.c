@@ -3,7 +3,7 @@
  * A transfer takes no time: it happens at the moment of its request, so streams never wait for each other and priorities (PL) have no effect. On silicon it takes some ten AHB
  * cycles. Memory-to-memory transfers end as a whole, when their event comes.
  */
-#include "dma.h"
+#include "emulator/peripherals/dma.h"
 
 #include <string.h>
 

@@ -1,5 +1,5 @@
 /* exti.c: system configuration (RM0090 9.2) and external interrupts (RM0090 12.3). */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { MEMRM = 0x00, PMC = 0x04, EXTICR1 = 0x08, EXTICR4 = 0x14, CMPCR = 0x20 };
 enum { IMR = 0x00, EMR = 0x04, RTSR = 0x08, FTSR = 0x0C, SWIER = 0x10, PR = 0x14 };

@@ -1,5 +1,5 @@
 /* flash.c: flash interface (RM0090 3.9, F405/407): wait states, caches and the locks. Programming and erasing are not there. */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { ACR = 0x00, KEYR = 0x04, OPTKEYR = 0x08, SR = 0x0C, CR = 0x10, OPTCR = 0x14 };
 

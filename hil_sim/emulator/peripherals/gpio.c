@@ -1,5 +1,5 @@
 /* gpio.c: general-purpose ports A to I (RM0090 8.4). */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { MODER = 0x00, OTYPER = 0x04, OSPEEDR = 0x08, PUPDR = 0x0C, IDR = 0x10, ODR = 0x14, BSRR = 0x18, LCKR = 0x1C, AFRL = 0x20, AFRH = 0x24, REGISTERS = 10 };
 enum { MODE_INPUT, MODE_OUTPUT, MODE_ALTERNATE, MODE_ANALOG };

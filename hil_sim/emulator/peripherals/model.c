@@ -1,5 +1,5 @@
 /* model.c: the rules that hold for every register. */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 #include <math.h>
 #include <stdlib.h>

@@ -10,8 +10,8 @@
 #ifndef GOLDFIELD_MODEL_H
 #define GOLDFIELD_MODEL_H
 
-#include "machine.h"
-#include "registers.h"
+#include "emulator/machine.h"
+#include "emulator/peripherals/registers.h"
 
 typedef struct chip chip_t;
 typedef struct model model_t;

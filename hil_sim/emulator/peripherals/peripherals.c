@@ -1,5 +1,5 @@
 /* peripherals.c: create and attach every model. */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 #include <stdlib.h>
 

@@ -1,5 +1,5 @@
 /* pwr.c: power control (RM0090 5.4, F405/407): regulator scale and the backup-domain lock. Stop and standby are not there. */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { CR = 0x00, CSR = 0x04 };
 

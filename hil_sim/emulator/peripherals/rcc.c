@@ -1,5 +1,5 @@
 /* rcc.c: reset and clock control (RM0090 chapter 7, F405/407). Limits: data sheet DS8626 table 14 and 5.3.9 ff. at 3.3 V. */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 #include <string.h>
 

@@ -2,7 +2,7 @@
 #ifndef GOLDFIELD_REGISTERS_H
 #define GOLDFIELD_REGISTERS_H
 
-#include "machine.h"
+#include "emulator/machine.h"
 
 /* ACCESS_RC_W0: bits are cleared by writing 0; ones written to reserved bits are let pass, as `SR = ~FLAG` is ST's own idiom. */
 typedef enum { ACCESS_RW, ACCESS_RO, ACCESS_WO, ACCESS_RC_W0 } register_access_t;

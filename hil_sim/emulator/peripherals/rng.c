@@ -1,6 +1,6 @@
 /* rng.c: the random number generator (RM0090 24.4), deterministic: a xorshift sequence that starts from the chip's unique id. A word is ready 40 cycles of the 48 MHz clock after the one
  * before was read. Its clock is PLLQ; that it runs at all is checked as "the PLL is ready". */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum { CR = 0x00, SR = 0x04, DR = 0x08 };
 #define RNGEN 4u

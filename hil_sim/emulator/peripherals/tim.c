@@ -1,7 +1,7 @@
 /* tim.c: timers 1 to 14, counting up (RM0090 chapters 17 to 20): registers, interrupts, DMA requests (see tim.h).
  * Not there, and loud: counting down and centre-aligned, encoder, gated and external-clock modes, ETR, break, commutation, outputs to pins.
  */
-#include "tim.h"
+#include "emulator/peripherals/tim.h"
 
 void tim_interrupt(tim_t *t)
 {

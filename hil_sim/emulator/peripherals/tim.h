@@ -9,7 +9,7 @@
 #ifndef GOLDFIELD_TIM_H
 #define GOLDFIELD_TIM_H
 
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 enum {
     TIM_CR1 = 0x00, TIM_CR2 = 0x04, TIM_SMCR = 0x08, TIM_DIER = 0x0C, TIM_SR = 0x10, TIM_EGR = 0x14, TIM_CCMR1 = 0x18, TIM_CCMR2 = 0x1C, TIM_CCER = 0x20,

@@ -2,7 +2,7 @@
  *
  * Outputs go to converters' triggers only, not to pins. A capture without filter has no synchroniser delay (two to three ticks on silicon).
  */
-#include "tim.h"
+#include "emulator/peripherals/tim.h"
 
 /* ---- Compare ---- */
 

@@ -3,7 +3,7 @@
  * The counter is computed from the time: it has base_count at tick base_tick of the timer's clock. Nothing happens while it merely counts; an event is scheduled for the
  * next update or compare that something observes (interrupt, DMA, trigger), and everything else is caught up on access.
  */
-#include "tim.h"
+#include "emulator/peripherals/tim.h"
 
 static int64_t maximum(const tim_t *t) { return t->what->wide ? 0xFFFFFFFF : 0xFFFF; }
 static int64_t last_count(const tim_t *t) { return t->base_count <= t->reload ? (int64_t)t->reload : maximum(t); }

@@ -1,5 +1,5 @@
 /* tim_registers.c: the timers' register tables and pins (RM0090 chapters 17 to 20; data sheet DS8626 table 9). */
-#include "tim.h"
+#include "emulator/peripherals/tim.h"
 
 #define COMMON_REGISTERS(cr1, dier, sr, egr, wide)                                                                                              \
     {"CR1", TIM_CR1, 0, cr1, ACCESS_RW}, {"DIER", TIM_DIER, 0, dier, ACCESS_RW}, {"SR", TIM_SR, 0, sr, ACCESS_RC_W0},                            \

@@ -1,5 +1,5 @@
 /* tim_slave.c: TRGO: timers that trigger converters and one another. A trigger acts at once: on silicon a slave's counter follows a tick or two later. */
-#include "tim.h"
+#include "emulator/peripherals/tim.h"
 
 void tim_trgo(tim_t *t, bool rising, bool pulse, int64_t time_ps)
 {

@@ -4,7 +4,7 @@
  * IDLE is known only when the next byte can no longer have begun within the idle frame, so it comes one frame late.
  * Not there, and loud: synchronous, half-duplex, smartcard, IrDA and LIN modes, hardware flow control, mute, break.
  */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 #include <math.h>
 

@@ -1,5 +1,5 @@
 /* watchdog.c: the independent watchdog (RM0090 21.4) and the window watchdog (RM0090 22.6). */
-#include "model.h"
+#include "emulator/peripherals/model.h"
 
 #include <math.h>
 

@@ -18,7 +18,7 @@ import numpy as np
 from goldfield.access.gold import code_matrix
 from goldfield.access.rise import filtered
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 RANK_TOLERANCE = 1e-9
 """Relative to N. Gram matrices of codes have integer entries: a singular one shows eigenvalues of rounding size, a

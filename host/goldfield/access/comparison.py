@@ -19,7 +19,7 @@ from goldfield.access.nuisance import Nuisance, constant, mains
 from goldfield.access.rise import LAGS, filtered, lagged, sharpened
 from goldfield.access.waveform import slot_template, tone_template
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 
 @dataclass(frozen=True)

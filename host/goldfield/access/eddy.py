@@ -24,8 +24,8 @@ from numpy.typing import NDArray
 from goldfield.access.of_site import SiteAccess
 from goldfield.access.rise import filtered
 from goldfield.access.waveform import site_templates
-from goldfield.poses import FloatArray
 from goldfield.site import Site
+from goldfield.types import FloatArray
 
 TAU_CHIPS = np.logspace(-3.0, 6.0, 91)
 """From relaxations that are over within a chip to such that last for a thousand cycles."""

@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from goldfield.access.cdma import Separator
-from goldfield.link.epochs import FIELD_LIMIT_T, OFFSET_LIMIT_T, Report
-from goldfield.poses import Fields
+from goldfield.link.reports import FIELD_LIMIT_T, OFFSET_LIMIT_T, Report
 from goldfield.site import Site
+from goldfield.types import Fields
 
 
 class EpochSeparator:

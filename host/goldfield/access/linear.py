@@ -17,7 +17,7 @@ import numpy as np
 from goldfield.access.cdma import Separation
 from goldfield.access.nuisance import Nuisance
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 EIGENVALUE_TOLERANCE = 1e-13
 """Of X^T X with columns of length 1, times their number: rounding leaves about 1e-16 each. The worst regular assignment

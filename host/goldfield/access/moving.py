@@ -21,7 +21,7 @@ import numpy as np
 from goldfield.access.cdma import Separation
 from goldfield.access.gold import code_matrix
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 SAMPLE_PHASE = 1.0
 """Where in its chip a sample is taken: at the end, when the coils have settled."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 SEARCH_HZ = 0.5
 """How far the mains frequency may be off its nominal value: grids hold 0.2 Hz, island grids 1 %."""

@@ -12,8 +12,8 @@ from goldfield.access.nuisance import Nuisance, constant, mains, mains_frequency
 from goldfield.access.rise import LAGS, lagged, tau_from_lags
 from goldfield.access.waveform import site_templates
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
 from goldfield.site import Site
+from goldfield.types import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ import math
 import numpy as np
 from scipy.signal import lfilter
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 LAGS = 3
 """Columns a beacon of `unknown_rise`."""

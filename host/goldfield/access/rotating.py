@@ -17,7 +17,7 @@ from goldfield.access.cdma import Separation
 from goldfield.access.linear import TemplateAccess
 from goldfield.access.nuisance import constant
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 WHOLE_TOLERANCE = 1e-6
 """How far from whole the number of periods in an FFT window may be: leaks 3e-6 of the offset, below the noise of any

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from goldfield.access.gold import code_matrix
 from goldfield.access.moving import sample_times, separation_weights
 from goldfield.access.waveform import beacon_template
-from goldfield.poses import Fields, FloatArray
 from goldfield.site import Site
+from goldfield.types import Fields, FloatArray
 
 LONGEST_STEP = 1.5
 """Cycles further apart than this many are no neighbours."""

@@ -20,9 +20,9 @@ import numpy as np
 
 from goldfield.access.gold import code_matrix
 from goldfield.access.rise import filtered
-from goldfield.drive import Code
-from goldfield.poses import FloatArray
 from goldfield.site import Beacon, Site
+from goldfield.site.drive import Code
+from goldfield.types import FloatArray
 
 
 def code_template(chips: int, codes: Sequence[Code]) -> FloatArray:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
+from goldfield.files.csv_table import Row, read_table
 from goldfield.site import Site
-from goldfield.tables import Row, read_table
+from goldfield.types import FloatArray
 
 COLUMNS = ("chip", "bx_T", "by_T", "bz_T")
 PLACE = ("x_m", "y_m", "z_m")

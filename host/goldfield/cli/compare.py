@@ -10,8 +10,8 @@ from typing import Any
 
 from goldfield.cli import options
 from goldfield.cli.output import json_line
-from goldfield.drive import DEGREES
 from goldfield.errors import UserError
+from goldfield.site.drive import DEGREES
 
 RISES = (0.1, 0.2, 0.3)
 

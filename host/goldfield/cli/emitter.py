@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from goldfield.errors import SystemFailure, UserError
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 Rows = list[dict[str, Any]]
 

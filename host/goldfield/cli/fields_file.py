@@ -7,7 +7,7 @@ import math
 from pathlib import Path
 
 from goldfield.errors import UserError
-from goldfield.poses import Fields
+from goldfield.types import Fields
 
 COLUMNS = ("epoch", "t_s", "beacon", "bx_T", "by_T", "bz_T")
 SIGMA_COLUMN = "sigma_T"

@@ -15,9 +15,9 @@ from goldfield.cli.fields_file import COLUMNS, SIGMA_COLUMN
 from goldfield.cli.output import json_line, pose_record
 from goldfield.cli.tracking import add_track, locating
 from goldfield.errors import UserError
-from goldfield.poses import Fields, Pose
+from goldfield.files.csv_table import Row, read_groups
 from goldfield.site import Site
-from goldfield.tables import Row, read_groups
+from goldfield.types import Fields, Pose
 
 if TYPE_CHECKING:
     from goldfield.track import CycleData
@@ -59,10 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _beside(site: Site, arguments: argparse.Namespace) -> Callable[[Fields, CycleData | None], Pose]:
     """Return what locates each epoch beside the conductors of a file."""
-    from goldfield import body_file
+    from goldfield.field.conductor import body_file
     from goldfield.locate import Locator
     from goldfield.locate.own_body import OwnBody, locate_beside
-    from goldfield.pose_of import guarded
+    from goldfield.sensor.guard import guarded
 
     if arguments.track:
         raise UserError("--own-body and --track are both given: the tracker knows nothing of a body; leave one out")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from goldfield.poses import FloatArray, Pose
+from goldfield.types import FloatArray, Pose
 
 
 def json_line(record: dict[str, Any]) -> str:

@@ -6,12 +6,13 @@ import argparse
 from importlib.resources import as_file, files
 from typing import TYPE_CHECKING
 
-from goldfield import dual_axis, rotating_site
 from goldfield import site as sites
 from goldfield.cli.options import add_json, finite
-from goldfield.dual_axis import DualAxisSite
 from goldfield.errors import UserError
-from goldfield.rotating_site import RotatingSite
+from goldfield.site import dual_axis
+from goldfield.site import rotating as rotating_site
+from goldfield.site.dual_axis import DualAxisSite
+from goldfield.site.rotating import RotatingSite
 
 if TYPE_CHECKING:
     from goldfield.experiments.rotating_room import Setting

@@ -14,7 +14,7 @@ from goldfield.errors import UserError
 
 if TYPE_CHECKING:
     from goldfield.experiments.rotating_room import Compared, Room
-    from goldfield.poses import FloatArray
+    from goldfield.types import FloatArray
 
 PAPER_POSITION_M = {
     "1 attenuation lines, global": 0.336,  # the paper does not say which of the two kinds of lines

@@ -17,8 +17,8 @@ from goldfield.cli.chips_file import PLACE
 from goldfield.cli.output import elements, json_line, number
 from goldfield.cli.rotating_windows import COLUMNS_HELP, SAMPLES, Window, read_windows
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
-from goldfield.rotating_site import RotatingSite
+from goldfield.site.rotating import RotatingSite
+from goldfield.types import FloatArray
 
 ALGORITHMS = ("ellipse", "axes", "lines", "regions", "nearest", "local")
 """Ours, with all components and with the ellipse's axes alone; the paper's 1 with global lines and with those of

@@ -10,11 +10,11 @@ import numpy as np
 from goldfield.access.rotating import RotatingSeparation, RotatingSeparator, separate_by_fft
 from goldfield.cli import chips_file
 from goldfield.cli.chips_file import PLACE, place_of
-from goldfield.dual_axis import DualAxisSite
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
-from goldfield.rotating_site import RotatingSite
-from goldfield.tables import Row, read_groups
+from goldfield.files.csv_table import Row, read_groups
+from goldfield.site.dual_axis import DualAxisSite
+from goldfield.site.rotating import RotatingSite
+from goldfield.types import FloatArray
 
 SAMPLES = ("window", "t_s", "bx_T", "by_T", "bz_T")
 COLUMNS_HELP = (

@@ -17,10 +17,10 @@ from goldfield.cli.on_sensor import add_on_sensor, check_on_sensor
 from goldfield.cli.output import json_line, number, pose_record
 from goldfield.cli.tracking import add_track, locating
 from goldfield.errors import UserError
-from goldfield.link.candump import CandumpReader, CandumpWriter
-from goldfield.link.epochs import SHORTEST_SILENCE_S, Assembler, Report
-from goldfield.link.session import COUNTERS, Session
-from goldfield.link.source import BusSource, LogSource, Source, open_can, open_port
+from goldfield.link.buses import BusSource, LogSource, Source, open_can, open_port
+from goldfield.link.recordings import CandumpReader, CandumpWriter
+from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
+from goldfield.sensor.session import COUNTERS, Session
 from goldfield.site import Site
 from goldfield_protocol.parameters import PARAMETERS
 
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _parameters(arguments: argparse.Namespace, site: Site) -> Mapping[int, int | float]:
     """Return what the sensor must know beside the codes."""
-    from goldfield.onboard import onboard_parameters
+    from goldfield.sensor.onboard import onboard_parameters
     from goldfield.track.parts import PARTS, sensor_sends_parts
 
     if arguments.on_sensor:
@@ -95,7 +95,7 @@ def _open_bus(kind: str, where: str) -> BusSource:
 def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, live: bool) -> int:
     from goldfield.access.epoch import EpochSeparator  # heavy: only when a pose is wanted
     from goldfield.access.sweep import SweepRepair
-    from goldfield.onboard import onboard_pose
+    from goldfield.sensor.onboard import onboard_pose
     from goldfield.track.parts import cycle_of_parts
     from goldfield.view.terminal import PoseTable, Summary
     from goldfield.view.truth import NO_ERROR, Truth

@@ -15,10 +15,10 @@ from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.chips_file import COLUMNS, PLACE
 from goldfield.errors import SystemFailure
+from goldfield.link.buses import BusSource, open_port
 from goldfield.link.chips import Calibration, ChipAssembler
-from goldfield.link.epochs import Assembler
-from goldfield.link.session import Session
-from goldfield.link.source import BusSource, open_port
+from goldfield.link.reports import Assembler
+from goldfield.sensor.session import Session
 from goldfield.site import Site
 from goldfield_protocol.messages import decode
 

@@ -17,8 +17,8 @@ from goldfield.cli.chips_file import COLUMNS, read_cycles
 from goldfield.cli.fields_file import FieldsWriter
 from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError
-from goldfield.poses import Fields, FloatArray
 from goldfield.site import Site
+from goldfield.types import Fields, FloatArray
 
 
 def command(subparsers: Any) -> None:

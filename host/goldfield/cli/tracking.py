@@ -7,8 +7,8 @@ import os
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from goldfield.poses import Fields, Pose
 from goldfield.site import Site
+from goldfield.types import Fields, Pose
 
 if TYPE_CHECKING:
     from goldfield.track import CycleData
@@ -29,7 +29,7 @@ def locating(site: Site, track: bool) -> Callable[[Fields, CycleData | None], Po
 
     It takes the fields, and the thirds of the cycle if they came: a tracker prefers these.
     """
-    from goldfield.pose_of import guarded, pose_of  # heavy: only when a pose is wanted
+    from goldfield.sensor.guard import guarded, pose_of  # heavy: only when a pose is wanted
 
     if not track:
         return lambda fields, _: pose_of(site, fields)

@@ -15,9 +15,9 @@ from goldfield.experiments.worlds import world_module
 from goldfield.field.conductor import Material, Parts, Response, ball, cuboid, respond
 from goldfield.field.conductor.body import PIECES
 from goldfield.field.conductor.interior import SKIN_RATIO, VolumeResponse
-from goldfield.poses import FloatArray
 from goldfield.track.emitter import EmitterBody, EmitterTracker, Noise, PlainFilter, euler_matrix
 from goldfield.track.motion import Agility, State
+from goldfield.types import FloatArray
 
 world: Any = world_module("emitter")
 spheres: Any = world_module("sphere")

@@ -16,8 +16,8 @@ from goldfield.field.rotating import direction_from_normal, normal_vector, rms_s
 from goldfield.locate.rotating.attitude import attitude_from_normals, printed_angles, yaw_only_attitude
 from goldfield.locate.rotating.ellipse import locate_by_ellipse, position_from_axes
 from goldfield.locate.rotating.fingerprint import NEIGHBOURS, FingerprintMap, LineLocator, nearest_neighbours
-from goldfield.poses import FloatArray
-from goldfield.rotating_site import RotatingSite
+from goldfield.site.rotating import RotatingSite
+from goldfield.types import FloatArray
 
 OpenWorld = Callable[[RotatingSite], RotatingWorld]
 """Makes a simulated room with a site's beacons, as `worlds.rotating_world`."""

@@ -7,11 +7,11 @@ from importlib.resources import as_file, files
 
 import numpy as np
 
+from goldfield.files.csv_table import read_table
 from goldfield.locate.rotating.fingerprint import FingerprintMap, LineLocator, nearest_neighbours
 from goldfield.locate.rotating.lines import NANOTESLA, Lines
 from goldfield.locate.rotating.trilateration import trilaterate
-from goldfield.poses import FloatArray
-from goldfield.tables import read_table
+from goldfield.types import FloatArray
 
 BEACON_M = np.array([[0.0, 0.0, 0.0], [6.20, 0.54, 0.0], [3.20, 4.28, 0.0]])
 PRINTED_LINES = Lines(np.array([-2.995, -3.001, -3.005]), np.array([9.353, 9.217, 9.057]))

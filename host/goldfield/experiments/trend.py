@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 DAY_S = 86400.0
 

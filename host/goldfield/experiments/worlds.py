@@ -8,8 +8,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from goldfield.errors import SystemFailure
-from goldfield.poses import FloatArray
-from goldfield.rotating_site import RotatingSite
+from goldfield.site.rotating import RotatingSite
+from goldfield.types import FloatArray
 
 WORLD_GROUP = "goldfield.worlds"
 

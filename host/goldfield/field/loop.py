@@ -22,7 +22,7 @@ from __future__ import annotations
 import numpy as np
 
 from goldfield.field.constants import MU0_OVER_4PI
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 _MEAN_STEPS = 9
 """Bound on the steps of the arithmetic-geometric mean: enough for points 1e-8 radii from the wire."""

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from goldfield.field.dipole import dipole
 from goldfield.field.loop import loop
 from goldfield.field.polyline import polyline
-from goldfield.poses import FloatArray
 from goldfield.site import Beacon
+from goldfield.types import FloatArray
 
 Kind = Literal["exact", "dipole"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from goldfield.field.constants import MU0_OVER_4PI
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 
 def polyline(

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 
 def dual_axis_dipole(offset_m: FloatArray, strength_T_m3: FloatArray | float) -> FloatArray:

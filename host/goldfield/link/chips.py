@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 from goldfield_protocol.messages import Message
 
 BURST = 8

@@ -11,13 +11,13 @@ from scipy.special import gammaincc
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
+from goldfield.locate.field_shell_search import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.mirror import Mirror, find_mirror
-from goldfield.locate.shell import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.starts import MAGNITUDE_ERROR, SIMPLE_RANGE_ERROR, log_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
-from goldfield.poses import FloatArray
 from goldfield.site import HalfSpace
+from goldfield.types import FloatArray
 
 ROBUST_MODEL_ERROR = 0.03
 """Model error of the first fit: wide enough to converge from the starts, narrow enough for the right valley."""

@@ -14,7 +14,7 @@ from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.least_squares import State, minimise
 from goldfield.locate.rotations import orthonormal, turned
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from goldfield.locate import kernel
 from goldfield.locate.constellation import Constellation, Solutions
 from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
 from goldfield.locate.uncertainty import UNOBSERVABLE, root_covariance
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 FALSE_ALARM = 7e-4
 """Permitted rate of epochs with nothing wrong that are taken for faulty."""

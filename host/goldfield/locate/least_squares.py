@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 State = tuple[FloatArray, ...]
 """Arrays with one problem a row."""

@@ -13,9 +13,9 @@ from goldfield.field import FieldModel
 from goldfield.locate.constellation import Constellation, Solutions
 from goldfield.locate.fit import Fit, Measurements
 from goldfield.locate.integrity import alarm, exclude, protection_level
-from goldfield.locate.uncertainty import honest_covariance
-from goldfield.poses import Fields, FloatArray, Pose, Status
+from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import Site
+from goldfield.types import Fields, FloatArray, Pose, Status
 
 WEAK_POSITION = 0.25
 """A pose is weak if the standard deviation of its position along the worst axis exceeds this part of the distance to
@@ -192,7 +192,7 @@ class Locator:
         freedom = measurements.freedom
 
         def build(fit: Fit, which: NDArray[np.intp], status: list[Status], others: list[Pose | None]) -> list[Pose]:
-            covariance = honest_covariance(model, measurements.take(which), fit.position_m, fit.rotation)
+            covariance = second_order_covariance(model, measurements.take(which), fit.position_m, fit.rotation)
             weak = self._weak(model, measurements.take(which), fit, covariance)
             quaternions = Rotation.from_matrix(fit.rotation, assume_valid=True).as_quat(canonical=True)
             return [

@@ -14,7 +14,7 @@ import numpy as np
 
 from goldfield.field import FieldModel
 from goldfield.locate.fit import Fit
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 FLAT = 0.25
 """Thickness over extent of the beacons below which the image of a pose is tried as a rival, exact or not."""

@@ -18,12 +18,12 @@ from scipy.constants import mu_0
 from scipy.spatial.transform import Rotation
 
 from goldfield.access.eddy import eddy_frequencies, eddy_weights
-from goldfield.body_file import Conductor
 from goldfield.field import FieldModel
+from goldfield.field.conductor.body_file import Conductor
 from goldfield.field.dipole import dipole
 from goldfield.locate.locator import Locator
-from goldfield.poses import Fields, FloatArray, Pose, Status
 from goldfield.site import Site
+from goldfield.types import Fields, FloatArray, Pose, Status
 
 ROUNDS = 12
 SETTLED_M = 2e-5

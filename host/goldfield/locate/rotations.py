@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 
 def turned(rotation: FloatArray, vector: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from goldfield.field import FieldModel
 from goldfield.field.constants import MU0_OVER_4PI
 from goldfield.locate.least_squares import State, minimise
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 SIMPLE_RANGE_ERROR = 0.12
 """Relative error of a range from 1.5 k/r^3: sqrt(1 + 3 cos^2) lies between 1 and 2, the range within -10 and +14 %."""

@@ -2,8 +2,8 @@
 
 Near a beacon the range is known to micrometres and the direction to centimetres. The set of poses that fit is then a
 curved ridge, and an error e along it carries the pose e^2/(2r) off its tangent: hundreds of standard deviations of
-the Gauss-Newton covariance, which knows only the tangent. `honest_covariance` adds the second-order term: with the
-model expanded along the principal axes L_i of the Gauss-Newton covariance P = L L', a pose error is
+the Gauss-Newton covariance, which knows only the tangent. `second_order_covariance` adds the second-order term: with
+the model expanded along the principal axes L_i of the Gauss-Newton covariance P = L L', a pose error is
 
     e = L z - 1/2 K sum_ij z_i z_j h_ij,      z standard normal,  K = P A' W,  h_ij = d2h(L_i, L_j),
 
@@ -19,8 +19,8 @@ from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.fit import Measurements, whitened_jacobian
 from goldfield.locate.rotations import turned
-from goldfield.poses import FloatArray
 from goldfield.site import Site
+from goldfield.types import FloatArray
 
 UNOBSERVABLE = 1e-13
 """Eigenvalue of the information, scaled to a unit diagonal, below which rounding hides it: the direction is free."""
@@ -62,7 +62,7 @@ def gauss_newton_covariance(information: FloatArray) -> FloatArray:
     return np.asarray(root @ root.swapaxes(1, 2) + free)
 
 
-def honest_covariance(
+def second_order_covariance(
     model: FieldModel, measurements: Measurements, position_m: FloatArray, rotation: FloatArray
 ) -> FloatArray:
     """Mean square error of fitted poses with the second-order terms of the model.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 
-from goldfield.poses import Fields, Pose
 from goldfield.site import Site
 from goldfield.track.cycle import CycleLocator, MovingPose
 from goldfield.track.filter import Tracker
@@ -12,6 +11,7 @@ from goldfield.track.motion import Agility
 from goldfield.track.observe import CycleData, CycleObserver, EpochObserver
 from goldfield.track.parts import PartsObserver, cycle_of_parts, sensor_sends_parts
 from goldfield.track.smoother import FixedLagSmoother
+from goldfield.types import Fields, Pose
 
 __all__ = [
     "Agility",

@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goldfield.poses import FloatArray, Pose, Status
 from goldfield.site import Site
 from goldfield.track.estimate import SEARCH_TOLERANCE, VAGUE, Belief, Estimate, estimate, second_order
 from goldfield.track.motion import State
 from goldfield.track.observe import CycleData, CycleObserver
 from goldfield.track.report import Reporter
+from goldfield.types import FloatArray, Pose, Status
 
 EVALUATIONS = 80
 IMPROBABLE = 1e-5

@@ -17,9 +17,9 @@ import numpy as np
 
 from goldfield.field.conductor import Parts
 from goldfield.field.conductor.explicit import ComplexArray
-from goldfield.poses import FloatArray
 from goldfield.track.estimate import Belief, estimate
 from goldfield.track.motion import POSITION, SIZE, TURN, Agility, Observation, State, skew
+from goldfield.types import FloatArray
 
 EVALUATIONS = 30
 """Of the field model in one update, at most; most need three."""

@@ -15,8 +15,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chdtri
 
-from goldfield.poses import FloatArray
 from goldfield.track.motion import SIZE, TURN, Agility, Observation, State, turn_jacobian
+from goldfield.types import FloatArray
 
 TOLERANCE = 0.1
 """The step that promises to lower the cost by less, three tenths of a standard deviation, is taken as the last: a
@@ -135,7 +135,7 @@ def estimate(prior: Belief, observation: Observation, evaluations: int, toleranc
 def second_order(belief: Belief, observation: Observation) -> Belief:
     """Return a belief of which an observation made all, widened by the second-order terms of the model.
 
-    As `goldfield.locate.uncertainty.honest_covariance`, for all 15 unknowns; 31 evaluations of the field model.
+    As `goldfield.locate.uncertainty.second_order_covariance`, for all 15 unknowns; 31 evaluations of the field model.
     """
     root = compact(belief.root)
     _, jacobian = observation.residual(belief.state)

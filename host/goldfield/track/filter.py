@@ -13,12 +13,12 @@ from typing import Generic
 
 import numpy as np
 
-from goldfield.poses import FloatArray, Pose, Status
 from goldfield.site import Site
 from goldfield.track.estimate import SEARCH_TOLERANCE, TOLERANCE, Belief, Estimate, estimate
 from goldfield.track.motion import RATE, Agility
 from goldfield.track.observe import Observer, T
 from goldfield.track.report import Reporter
+from goldfield.types import FloatArray, Pose, Status
 
 EVALUATIONS = 8
 """Bound of the field model's evaluations in an update: eight are enough where a plain filter fails (maths.md, 6)."""

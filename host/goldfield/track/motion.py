@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 SIZE = 15
 IDENTITY: FloatArray = np.eye(3)

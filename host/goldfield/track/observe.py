@@ -15,10 +15,10 @@ from goldfield.access.of_site import SiteAccess
 from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
-from goldfield.poses import Fields, FloatArray, Pose, Status
 from goldfield.site import Site
 from goldfield.track.estimate import SEARCH_TOLERANCE, VAGUE, Belief, estimate
 from goldfield.track.motion import Observation, State, standing
+from goldfield.types import Fields, FloatArray, Pose, Status
 
 EPOCH_NODES = 3
 CYCLE_NODES = 7

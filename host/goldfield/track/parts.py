@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from goldfield.link.epochs import Report
-from goldfield.poses import Fields, Pose
+from goldfield.link.reports import Report
 from goldfield.site import Site
 from goldfield.track.motion import Observation, State
 from goldfield.track.observe import CycleData, CycleObserver, EpochObserver
+from goldfield.types import Fields, Pose
 
 PARTS = 3
 PART_STRIDE = 1026

@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.locate.locator import WEAK_ATTITUDE_RAD, WEAK_POSITION
-from goldfield.poses import FloatArray, Pose, Status
 from goldfield.site import Site
 from goldfield.track.estimate import Belief
 from goldfield.track.motion import POSITION, TURN, State
+from goldfield.types import FloatArray, Pose, Status
 
 
 class Reporter:

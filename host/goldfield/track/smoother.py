@@ -12,12 +12,12 @@ from typing import Generic
 
 import numpy as np
 
-from goldfield.poses import FloatArray, Pose
 from goldfield.site import Site
 from goldfield.track.estimate import Belief
 from goldfield.track.filter import Step, Tracker
 from goldfield.track.observe import T
 from goldfield.track.report import Reporter
+from goldfield.types import FloatArray, Pose
 
 
 class FixedLagSmoother(Generic[T]):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from goldfield.errors import SystemFailure, UserError
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from goldfield.poses import FloatArray, Pose, Status
+from goldfield.types import FloatArray, Pose, Status
 from goldfield.view.truth import NO_ERROR, PoseError
 
 HEADER_EVERY = 25

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from goldfield.errors import UserError
-from goldfield.link.epochs import CYCLE_MODULUS
-from goldfield.poses import FloatArray, Pose
+from goldfield.link.reports import CYCLE_MODULUS
+from goldfield.types import FloatArray, Pose
 
 POLL_S = 0.01
 

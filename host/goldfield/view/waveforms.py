@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from goldfield.access.comparison import POINTS_PER_CHIP, Setup, Waveform, code_drives, slot_drives, tone_drives
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 from goldfield.view.plot import panels, save
 
 if TYPE_CHECKING:

@@ -23,9 +23,9 @@ STACK, STOP = 0x20040000, 0x0803FF00
 
 # A board that keeps the application's handlers; functions without arguments around each handler.
 HARNESS = """
-#include "anchor.h"
-#include "beacon.h"
-#include "sensor.h"
+#include "apps/anchor.h"
+#include "apps/beacon.h"
+#include "apps/sensor.h"
 struct hal { uint64_t us; } hal;
 uint8_t page[HAL_PARAMETER_PAGE_BYTES] = {1};
 hal_events_t events;
@@ -90,10 +90,10 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("instructions")
     source, elf = directory / "harness.c", directory / "apps.elf"
     source.write_text(HARNESS)
-    apps = [path for path in sorted((ROOT / "firmware/apps").glob("*.c")) if not path.name.startswith("main_")]
-    core = sorted((ROOT / "firmware/core").glob("*.c"))
-    includes = [f"-I{ROOT / path}" for path in ("firmware/core", "firmware/apps", "firmware/hal", "build/protocol")]
-    sources = [source, *apps, *core, ROOT / "build/protocol/goldfield.c"]
+    folders = ("apps", "services", "core/*")
+    firmware = [path for folder in folders for path in sorted((ROOT / "firmware").glob(f"{folder}/*.c"))]
+    includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]
+    sources = [source, *firmware, ROOT / "build/protocol/goldfield.c"]
     keep = ("begin_beacon", "begin_sensor", "ask_thirds", "call_plan", "sense_current", "call_current", "call_samples")
     keep += ("begin_anchor", "step_beacon", "step_sensor", "step_anchor")
     undefined = [f"-Wl,-u,{name}" for name in keep]

@@ -4,7 +4,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "host_board.h"
+#include "boards/host/host_board.h"
 
 enum { BOARDS = 4, MASTER = 0, PIN_SYNC_IN = 10, PIN_SYNC_OUT = 40 };
 #define MS INT64_C(1000000000)

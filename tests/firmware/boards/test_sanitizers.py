@@ -10,17 +10,14 @@ from hil_sim.clib import ROOT
 
 def test_two_beacons_a_sensor_and_an_anchor_without_a_finding(tmp_path: Path) -> None:
     program = tmp_path / "boards"
-    folders = ("firmware/core", "firmware/apps", "firmware/hal", "firmware/boards", "firmware/boards/host")
-    apps = [path for path in sorted((ROOT / "firmware/apps").glob("*.c")) if not path.name.startswith("main_")]
+    folders = ("apps", "services", "core/*", "boards/host")
     sources = [
         Path(__file__).with_name("host_boards_under_sanitizer.c"),
-        *apps,
-        *sorted((ROOT / "firmware/core").glob("*.c")),
-        *sorted((ROOT / "firmware/boards/host").glob("*.c")),
+        *(path for folder in folders for path in sorted((ROOT / "firmware").glob(f"{folder}/*.c"))),
         ROOT / "build/protocol/goldfield.c",
     ]
     flags = ["-std=c11", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    includes = [f"-I{ROOT / folder}" for folder in (*folders, "build/protocol")]
+    includes = [f"-I{ROOT / folder}" for folder in ("firmware", "build/protocol")]
     subprocess.run(["gcc", *flags, *includes, *map(str, sources), "-lm", "-o", str(program)], check=True)
     done = subprocess.run([program], capture_output=True, text=True, check=False, timeout=120)
     assert done.returncode == 0, done.stderr

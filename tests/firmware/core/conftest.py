@@ -10,9 +10,22 @@ from hil_sim import clib
 from tests.firmware.gold_pairs import PAIRS
 
 HEADERS = (
-    *("gold.h", "despread.h", "chip_clock.h", "current.h", "frame.h", "queue.h", "parameters.h"),
-    *("epoch.h", "waveform.h", "loop_field.h", "wahba.h", "quaternion.h", "triangle.h", "separation.h", "pose.h"),
-    *("pose_covariance.h",),
+    "core/codes/gold.h",
+    "core/codes/despread.h",
+    "core/codes/epoch.h",
+    "core/codes/separation.h",
+    "core/timing/chip_clock.h",
+    "core/drive/current.h",
+    "core/drive/waveform.h",
+    "core/link/frame.h",
+    "core/link/queue.h",
+    "core/link/parameters.h",
+    "core/math/quaternion.h",
+    "core/math/triangle.h",
+    "core/pose/loop_field.h",
+    "core/pose/wahba.h",
+    "core/pose/pose.h",
+    "core/pose/pose_covariance.h",
 )
 
 

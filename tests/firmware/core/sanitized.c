@@ -5,14 +5,14 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "chip_clock.h"
-#include "current.h"
-#include "epoch.h"
-#include "frame.h"
-#include "gold.h"
-#include "parameters.h"
-#include "queue.h"
-#include "waveform.h"
+#include "core/timing/chip_clock.h"
+#include "core/drive/current.h"
+#include "core/codes/epoch.h"
+#include "core/link/frame.h"
+#include "core/codes/gold.h"
+#include "core/link/parameters.h"
+#include "core/link/queue.h"
+#include "core/drive/waveform.h"
 
 #define REQUIRE(condition) ((condition) ? (void)0 : (fprintf(stderr, "line %d: %s\n", __LINE__, #condition), exit(1)))
 

@@ -19,15 +19,15 @@ RAM, STACK, STOP = 0x20000000, 0x20040000, 0x0800FF00
 
 # Plain functions with word arguments around the calls that take structs or start from known states.
 HARNESS = """
-#include "chip_clock.h"
-#include "current.h"
-#include "despread.h"
-#include "epoch.h"
-#include "frame.h"
-#include "gold.h"
-#include "parameters.h"
-#include "queue.h"
-#include "waveform.h"
+#include "core/timing/chip_clock.h"
+#include "core/drive/current.h"
+#include "core/codes/despread.h"
+#include "core/codes/epoch.h"
+#include "core/link/frame.h"
+#include "core/codes/gold.h"
+#include "core/link/parameters.h"
+#include "core/link/queue.h"
+#include "core/drive/waveform.h"
 despread_t cycle;
 int16_t sample[3] = {-32768, 5, 32767};
 void start(void) { despread_start(&cycle, gold_family(10)); }
@@ -101,7 +101,7 @@ def count(tmp_path_factory):
     directory = tmp_path_factory.mktemp("instructions")
     source, elf = directory / "harness.c", directory / "core.elf"
     source.write_text(HARNESS)
-    core = sorted((ROOT / "firmware/core").glob("*.c"))
+    core = sorted((ROOT / "firmware/core").glob("*/*.c"))
     layout = (
         "-Ttext=0x08000000",
         f"-Tdata={RAM:#x}",
@@ -112,7 +112,7 @@ def count(tmp_path_factory):
     command = [
         "arm-none-eabi-gcc",
         *FLAGS,
-        f"-I{ROOT / 'firmware/core'}",
+        f"-I{ROOT / 'firmware'}",
         str(source),
         *map(str, core),
         *layout,

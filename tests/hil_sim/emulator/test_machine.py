@@ -14,7 +14,7 @@ class Machine:
     def __init__(self) -> None:
         self.ffi: Any
         self.library: Any
-        self.ffi, self.library = clib.load(LIBRARY, ["machine_bench.h"])
+        self.ffi, self.library = clib.load(LIBRARY, ["emulator/machine_bench.h"])
         self.config = self.ffi.new("emulator_config_t *")
         self.pointer = self.library.machine_bench_create(self.config, self.ffi.NULL)
         self.fired: list[tuple[int, int, int]] = []

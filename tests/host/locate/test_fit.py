@@ -14,7 +14,7 @@ from goldfield.locate.uncertainty import (
     cramer_rao_bound,
     dilution_of_precision,
     gauss_newton_covariance,
-    honest_covariance,
+    second_order_covariance,
 )
 from tests.bench import locate_trials as bench
 
@@ -127,14 +127,14 @@ def test_dilution_times_noise_is_the_bound():
     np.testing.assert_allclose(dilution_of_precision(site, position) * 2e-7 / np.sqrt(1023), expected, rtol=1e-9)
 
 
-def test_honest_covariance_of_a_linear_problem_is_gauss_newtons(cube):
+def test_second_order_covariance_of_a_linear_problem_is_gauss_newtons(cube):
     """With next to no noise the model is linear over a standard deviation."""
     _, model, run = cube
     measurements = Measurements(run.field_T, run.sigma_T * 1e-6)
     weight = measurements.inverse_sigma()
     jacobian = whitened_jacobian(model, run.position_m, run.rotation, weight)
     plain = gauss_newton_covariance(jacobian @ jacobian.swapaxes(1, 2))
-    honest = honest_covariance(model, measurements, run.position_m, run.rotation)
+    honest = second_order_covariance(model, measurements, run.position_m, run.rotation)
     np.testing.assert_allclose(honest, plain, rtol=0, atol=1e-3 * np.abs(plain).max(axis=(1, 2)).max())
 
 
@@ -142,7 +142,7 @@ def test_a_sensor_with_one_axis_has_a_free_turn(cube):
     site, model, _ = cube
     rng = np.random.default_rng(8)
     run = bench.trials(site, bench.cube_positions(rng, 10), rng, sigma_T=1e-10, axes=(2,))
-    covariance = honest_covariance(model, Measurements(run.field_T, run.sigma_T), run.position_m, run.rotation)
+    covariance = second_order_covariance(model, Measurements(run.field_T, run.sigma_T), run.position_m, run.rotation)
     for e in range(10):
         variance, direction = np.linalg.eigh(covariance[e, 3:, 3:])
         assert variance[2] == pytest.approx(np.pi**2 / 3, rel=0.01)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from goldfield.locate import Locator
-from goldfield.poses import Status
+from goldfield.types import Status
 from tests.bench import locate_trials as bench
 
 

@@ -13,7 +13,7 @@ from goldfield.locate import Locator, kernel
 from goldfield.locate.constellation import Constellation
 from goldfield.locate.fit import Measurements
 from goldfield.locate.integrity import alarm, fault_statistics
-from goldfield.locate.uncertainty import honest_covariance
+from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import HalfSpace
 from tests.bench import locate_trials as bench
 
@@ -71,7 +71,7 @@ def test_fits_from_the_same_start_agree(seed, count, kind):
     def everything():
         at = constellation.at(measurements, position, rotation)
         statistics = fault_statistics(constellation, measurements, at)
-        return at, statistics, honest_covariance(model, measurements, position, rotation)
+        return at, statistics, second_order_covariance(model, measurements, position, rotation)
 
     quick, of_faults, covariance = everything()
     with pytest.MonkeyPatch.context() as patch:

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from goldfield.locate import Locator, locate
-from goldfield.poses import Fields, Status
+from goldfield.types import Fields, Status
 from tests.bench import locate_trials as bench
 
 

@@ -10,17 +10,16 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from goldfield import body_file
 from goldfield import site as sites
 from goldfield.access import SiteAccess
 from goldfield.access.eddy import eddy_frequencies, eddy_weights, relaxation_part
 from goldfield.cli import main
 from goldfield.cli.locate import read_fields
 from goldfield.field import FieldModel
-from goldfield.field.conductor import Material
+from goldfield.field.conductor import Material, body_file
 from goldfield.locate import Locator
 from goldfield.locate.own_body import OwnBody, locate_beside
-from goldfield.poses import Fields, Status
+from goldfield.types import Fields, Status
 from hil_sim.world.sphere import Sphere
 from tests.host.fake_sensor import gold_chips
 from tests.host.locate.relaxing_sphere import added, answers, relaxations

@@ -13,7 +13,7 @@ from goldfield.locate.rotating.ellipse import locate_by_ellipse, position_from_a
 from goldfield.locate.rotating.fingerprint import FingerprintMap, LineLocator, nearest_neighbours
 from goldfield.locate.rotating.lines import Lines, fit_lines
 from goldfield.locate.rotating.trilateration import trilaterate
-from goldfield.rotating_site import DualAxisBeacon, RotatingSite
+from goldfield.site.rotating import DualAxisBeacon, RotatingSite
 
 PLACES = np.array([[0.0, 0.0, 0.0], [6.20, 0.54, 0.0], [3.20, 4.28, 0.0]])
 

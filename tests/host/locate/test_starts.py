@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from goldfield.field import FieldModel
-from goldfield.locate.shell import Shell, best_apart, directions, profiled_attitude, profiled_loss, unit_vector_fit
+from goldfield.locate.field_shell_search import (
+    Shell,
+    best_apart,
+    directions,
+    profiled_attitude,
+    profiled_loss,
+    unit_vector_fit,
+)
 from goldfield.locate.starts import full_magnitudes, log_magnitudes, simple_magnitudes, simple_ranges
 from tests.bench import locate_trials as bench
 

@@ -5,8 +5,8 @@ import pytest
 
 from goldfield.access.moving import Cycle
 from goldfield.locate.uncertainty import cramer_rao_bound
-from goldfield.poses import Status
 from goldfield.track import CycleData, CycleLocator
+from goldfield.types import Status
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import EARTH_T, Room, cycle_bound, flight_poses, random_flight
 

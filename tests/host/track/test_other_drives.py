@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from goldfield.access import Separator, SiteAccess
-from goldfield.drive import NO_CODE, Drive
-from goldfield.onboard import onboard_parameters
-from goldfield.poses import Fields, Status
+from goldfield.sensor.onboard import onboard_parameters
+from goldfield.site.drive import NO_CODE, Drive
 from goldfield.track import CycleData, CycleObserver, Tracker, tracked
+from goldfield.types import Fields, Status
 from goldfield_protocol.parameters import PARAMETERS
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, circling, flight_poses

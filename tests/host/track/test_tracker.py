@@ -9,7 +9,6 @@ from scipy.spatial.transform import Rotation
 from goldfield.access import Separator
 from goldfield.access.moving import DriftSeparator
 from goldfield.locate import locate
-from goldfield.poses import Fields, Status
 from goldfield.site import HalfSpace
 from goldfield.track import (
     CycleData,
@@ -21,6 +20,7 @@ from goldfield.track import (
     sensor_sends_parts,
     tracked,
 )
+from goldfield.types import Fields, Status
 from tests.bench.locate_trials import prigge_cube, site_of
 from tests.bench.motion_trials import Flight, Room, circling, epoch_bound, flight_poses
 

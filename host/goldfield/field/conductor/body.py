@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.constants import mu_0
 
 from goldfield.errors import UserError
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 PIECES = 12
 """Each edge of the surface is cut into so many: a cube's field is within 2 % then (tests)."""

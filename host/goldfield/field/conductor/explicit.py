@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 ComplexArray = NDArray[np.complex128]
 

@@ -29,7 +29,7 @@ from goldfield.errors import SystemFailure, UserError
 from goldfield.field.conductor.body import Body
 from goldfield.field.conductor.explicit import ComplexArray, Parts
 from goldfield.field.conductor.surface import layer_matrices, slope_matrix, stiffness
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 SKIN_RATIO = 3.0
 LAYERS = 3

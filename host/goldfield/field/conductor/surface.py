@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from goldfield.field.conductor.body import Body
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 
 @lru_cache(maxsize=1)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 MOST_COILS = 64
 """GF_MOST_COILS of kernel.h."""
@@ -186,7 +186,7 @@ class Kernel:
         free_m2: float,
         free_rad2: float,
     ) -> FloatArray:
-        """As `uncertainty.honest_covariance`, shape (e, 6, 6)."""
+        """As `uncertainty.second_order_covariance`, shape (e, 6, 6)."""
         covariance = np.empty((len(field_T), 6, 6))
         self._library.gf_covariance(
             self._coils,

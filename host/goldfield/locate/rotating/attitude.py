@@ -6,8 +6,8 @@ import numpy as np
 
 from goldfield.field.rotating import direction_from_normal, dual_axis_dipole, normal_vector
 from goldfield.locate.wahba import wahba
-from goldfield.poses import FloatArray
-from goldfield.rotating_site import RotatingSite
+from goldfield.site.rotating import RotatingSite
+from goldfield.types import FloatArray
 
 
 def yaw_only_attitude(beacon_m: FloatArray, position_m: FloatArray, field_T: FloatArray) -> FloatArray:

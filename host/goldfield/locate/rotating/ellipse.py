@@ -11,8 +11,8 @@ from goldfield.locate.fit import Fit, Measurements, fit_pose
 from goldfield.locate.least_squares import State, minimise
 from goldfield.locate.rotating.trilateration import trilaterate
 from goldfield.locate.wahba import wahba
-from goldfield.poses import FloatArray
-from goldfield.rotating_site import RotatingSite
+from goldfield.site.rotating import RotatingSite
+from goldfield.types import FloatArray
 
 START_MODEL_ERROR = 0.03
 """Relative error granted to the model in the first fit, so that strong and curved near fields do not dominate it."""

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from goldfield.locate.rotating.lines import NANOTESLA, Lines, fit_lines
 from goldfield.locate.rotating.trilateration import trilaterate
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 NEIGHBOURS = 4
 """n of eqns 27 to 29."""

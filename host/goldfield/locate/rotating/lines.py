@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 NANOTESLA = 1e-9
 """Unit of B in the lines, as in the paper: b is ln of the nanotesla at 1 m."""

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from goldfield.errors import UserError
+from goldfield.files.csv_table import Row, read_table
 from goldfield.locate.rotating.fingerprint import NEIGHBOURS, FingerprintMap
-from goldfield.tables import Row, read_table
 
 COLUMNS = ("point", "x_m", "y_m", "z_m", "beacon", "strength_T")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from goldfield.locate.least_squares import State, minimise
-from goldfield.poses import FloatArray
+from goldfield.types import FloatArray
 
 START_HEIGHTS_M = (0.3, 1.0, 3.0)
 """Over the middle of the beacons. Ranges to beacons in one plane leave a saddle in that plane, so the starts are off

@@ -1,7 +1,7 @@
 /* An image that asks the board for chips whose plan test_chip_engine.py knows, and notes in RAM what the board reports. */
 
-#include "board.h"
-#include "registers.h"
+#include "boards/board.h"
+#include "boards/stm32f405/registers.h"
 
 enum { SENSOR = 1, MASK_INTERRUPTS = 2, STALL = 4, LOSE_SAMPLES = 8, HANG_ONCE = 16, ANCHOR = 32 }; /* First byte of the parameter page. */
 #define SYNCS 64u

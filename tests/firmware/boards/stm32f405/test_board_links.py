@@ -20,7 +20,7 @@ class Board:
 
     def __init__(self, image, *, page=None, bus=True, **configuration):
         self.serial, self.can, self.bus, self.pending = b"", [], bus, []
-        self._ffi, _ = clib.load(LIBRARY, ["emulator.h"])
+        self._ffi, _ = clib.load(LIBRARY, ["emulator/emulator.h"])
         edge = self._ffi.new("board_edge_t *")
         self._keep = [
             edge,

@@ -37,7 +37,7 @@ def image(tmp_path_factory):
     assert objects, "the board is not built: run make firmware"
     cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-O2", "-std=c11", "-Wall"]
     link = ["-nostartfiles", "--specs=nano.specs", "-Wl,--gc-sections", "-T", str(ROOT / BOARD / "stm32f405.ld")]
-    include = [f"-I{ROOT / path}" for path in ("firmware/hal", "firmware/boards", BOARD)]
+    include = [f"-I{ROOT / 'firmware'}"]
     subprocess.run(
         ["arm-none-eabi-gcc", *cpu, *include, str(HERE / "chip_probe.c"), *map(str, objects), *link, "-o", str(path)],
         check=True,
@@ -68,7 +68,7 @@ class Bench:
         self.edges = []  # (time, pin, level) since the start
         self.analog = ([], [])  # (time, counts) of each channel
         self.conversions = []  # (pin, chip, number in the chip, ticks since the chip's start)
-        self._ffi, _ = clib.load(LIBRARY, ["emulator.h"])
+        self._ffi, _ = clib.load(LIBRARY, ["emulator/emulator.h"])
         edge = self._ffi.new("board_edge_t *")
         self._keep = [
             edge,

@@ -1,0 +1,62 @@
+#include "core/codes/separation.h"
+
+/* Of A over (N + 1)^2: far above rounding, far below that of any list that can be separated. */
+#define LEAST_DETERMINANT 1e-3f
+
+bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *codes, const int16_t *sums, uint32_t count) {
+    separation->count = 0;
+    separation->chips = (float)chips;
+    if (count > SEPARATION_CODES_MAX) {
+        return false;
+    }
+    float sum = 0.0f, square = 0.0f;
+    for (uint32_t i = 0; i < count; i++) {
+        for (uint32_t j = 0; j < i; j++) {
+            if (codes[i] == codes[j]) {
+                return false;
+            }
+        }
+        if (codes[i] > chips) { /* v, or none. */
+            return false;
+        }
+        separation->sums[i] = sums[i];
+        sum += separation->sums[i];
+        square += separation->sums[i] * separation->sums[i];
+    }
+    /* A - V'U with A = N + 1, U = [1, s] and V = [1, s / N]. */
+    const float a = separation->chips + 1.0f;
+    const float m00 = a - (float)count, m01 = -sum, m10 = -sum / separation->chips, m11 = a - square / separation->chips;
+    const float determinant = m00 * m11 - m01 * m10;
+    if (!(determinant > LEAST_DETERMINANT * a * a)) {
+        return false;
+    }
+    separation->inverse[0][0] = m11 / determinant;
+    separation->inverse[0][1] = -m01 / determinant;
+    separation->inverse[1][0] = -m10 / determinant;
+    separation->inverse[1][1] = m00 / determinant;
+    separation->count = count;
+    return true;
+}
+
+/* b = (y + U M^-1 V'y) / A for A I - U V'. */
+void separation_apply(const separation_t *separation, float mean, float *field) {
+    float plain = 0.0f, weighted = 0.0f;
+    for (uint32_t i = 0; i < separation->count; i++) {
+        field[i] = separation->chips * field[i] - separation->sums[i] * mean;
+        plain += field[i];
+        weighted += separation->sums[i] * field[i];
+    }
+    weighted /= separation->chips;
+    const float all = separation->inverse[0][0] * plain + separation->inverse[0][1] * weighted;
+    const float by_sum = separation->inverse[1][0] * plain + separation->inverse[1][1] * weighted;
+    for (uint32_t i = 0; i < separation->count; i++) {
+        field[i] = (field[i] + all + separation->sums[i] * by_sum) / (separation->chips + 1.0f);
+    }
+}
+
+float separation_variance(const separation_t *separation, uint32_t index) {
+    const float s = separation->sums[index], scaled = s / separation->chips;
+    const float all = separation->inverse[0][0] + separation->inverse[0][1] * scaled;
+    const float by_sum = separation->inverse[1][0] + separation->inverse[1][1] * scaled;
+    return (1.0f + all + s * by_sum) / (separation->chips + 1.0f);
+}

@@ -1,0 +1,136 @@
+#include "core/pose/pose_covariance.h"
+
+#include <string.h>
+
+#include "core/math/quaternion.h"
+
+#define N TRIANGLE_UNKNOWNS
+#define BEYOND 1e12f /* m^2: a million kilometres are no knowledge. */
+
+typedef float square_t[N][N];
+typedef float second_t[N][N][N]; /* [axis][unknown i][component k along the ridge's own axes] */
+
+/* rows times L, which is upper triangular. */
+static void principal(const triangle_rows_t rows, const square_t l, float result[3][N]) {
+    for (uint32_t row = 0; row < 3u; row++) {
+        for (uint32_t column = 0; column < N; column++) {
+            float sum = 0.0f;
+            for (uint32_t k = 0; k <= column; k++) {
+                sum += rows[row][k] * l[k][column];
+            }
+            result[row][column] = sum;
+        }
+    }
+}
+
+/* The rows at the pose moved by sign times a column of L. turn is the rotation of that column: seen in a frame that turns with the sensor the noise stays as it is. */
+static void moved(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, uint32_t axis, float sign, const float turn[3][3], float weight,
+                  triangle_rows_t back) {
+    float position[3], field[3];
+    triangle_rows_t rows;
+    for (uint32_t i = 0; i < 3u; i++) {
+        position[i] = fit->position_m[i] + sign * l[i][axis];
+    }
+    pose_fit_rows(heard, position, weight, rows, field);
+    for (uint32_t row = 0; row < 3u; row++) {
+        for (uint32_t column = 0; column < N; column++) {
+            back[row][column] = turn[0][row] * rows[0][column] + turn[1][row] * rows[1][column] + turn[2][row] * rows[2][column];
+        }
+    }
+}
+
+/* Rotations by the turn in each column of L, and the opposite ones. */
+static void turns_of(const square_t l, float sign, float turns[N][3][3]) {
+    for (uint32_t axis = 0; axis < N; axis++) {
+        const float turn[3] = {sign * l[3][axis], sign * l[4][axis], sign * l[5][axis]};
+        float quaternion[4] = {0.0f, 0.0f, 0.0f, 1.0f};
+        quaternion_turn(quaternion, turn);
+        quaternion_matrix(quaternion, turns[axis]);
+    }
+}
+
+static void add_beacon(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, const float there[N][3][3], const float opposite[N][3][3], second_t q) {
+    const float weight = pose_fit_inverse_sigma(heard, 0.0f);
+    triangle_rows_t here, ahead, behind;
+    float field[3], along[3][N], change[3][N];
+    pose_fit_rows(heard, fit->position_m, weight, here, field);
+    principal((const float (*)[TRIANGLE_COLUMNS])here, l, along);
+    for (uint32_t axis = 0; axis < N; axis++) {
+        moved(heard, fit, l, axis, 1.0f, there[axis], weight, ahead);
+        moved(heard, fit, l, axis, -1.0f, opposite[axis], weight, behind);
+        for (uint32_t row = 0; row < 3u; row++) {
+            for (uint32_t column = 0; column < N; column++) {
+                ahead[row][column] = 0.5f * (ahead[row][column] - behind[row][column]);
+            }
+        }
+        principal((const float (*)[TRIANGLE_COLUMNS])ahead, l, change);
+        for (uint32_t i = 0; i < N; i++) {
+            for (uint32_t k = 0; k < N; k++) {
+                q[axis][i][k] += change[0][i] * along[0][k] + change[1][i] * along[1][k] + change[2][i] * along[2][k];
+            }
+        }
+    }
+}
+
+/* I + (m m' + 2 sum q q') / 4, with q made symmetric in axis and unknown. */
+static void inflation(second_t q, square_t result) {
+    float mean[N] = {0};
+    for (uint32_t a = 0; a < N; a++) {
+        for (uint32_t i = 0; i < a; i++) {
+            for (uint32_t k = 0; k < N; k++) {
+                q[a][i][k] = q[i][a][k] = 0.5f * (q[a][i][k] + q[i][a][k]);
+            }
+        }
+        for (uint32_t k = 0; k < N; k++) {
+            mean[k] += q[a][a][k];
+        }
+    }
+    for (uint32_t k = 0; k < N; k++) {
+        for (uint32_t m = 0; m <= k; m++) {
+            float sum = 0.0f;
+            for (uint32_t a = 0; a < N; a++) {
+                for (uint32_t i = 0; i < N; i++) {
+                    sum += q[a][i][k] * q[a][i][m];
+                }
+            }
+            result[k][m] = result[m][k] = (k == m ? 1.0f : 0.0f) + 0.25f * (mean[k] * mean[m] + 2.0f * sum);
+        }
+    }
+}
+
+bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, square_t covariance) {
+    square_t l, inner, half;
+    bool told = true;
+    if (!triangle_invert(&fit->triangle, l)) {
+        return false;
+    }
+    float there[N][3][3], opposite[N][3][3];
+    turns_of((const float (*)[N])l, 1.0f, there);
+    turns_of((const float (*)[N])l, -1.0f, opposite);
+    second_t q;
+    memset(q, 0, sizeof q);
+    for (uint32_t i = 0; i < problem->count; i++) {
+        add_beacon(&problem->heard[i], fit, (const float (*)[N])l, (const float (*)[3][3])there, (const float (*)[3][3])opposite, q);
+    }
+    inflation(q, inner);
+    for (uint32_t row = 0; row < N; row++) {
+        for (uint32_t column = 0; column < N; column++) {
+            float sum = 0.0f;
+            for (uint32_t k = row; k < N; k++) {
+                sum += l[row][k] * inner[k][column];
+            }
+            half[row][column] = sum;
+        }
+    }
+    for (uint32_t row = 0; row < N; row++) {
+        for (uint32_t column = 0; column < N; column++) {
+            float sum = 0.0f;
+            for (uint32_t k = column; k < N; k++) {
+                sum += half[row][k] * l[column][k];
+            }
+            covariance[row][column] = sum;
+        }
+        told = told && covariance[row][row] > 0.0f && covariance[row][row] < BEYOND; /* False for what is not a number. */
+    }
+    return told;
+}

@@ -1,0 +1,107 @@
+#include "core/pose/pose_search.h"
+
+#include "core/math/roots.h"
+#include "core/math/vector3.h"
+#include "core/pose/wahba.h"
+
+#define COARSENESS 0.3f          /* Relative change of the fields between neighbouring points, used as an error. */
+#define GOLDEN_COSINE (-0.73736887f) /* Of the golden angle, 2.39996 rad: Fibonacci's spiral spreads points evenly over the sphere. */
+#define GOLDEN_SINE 0.67549029f
+#define NEAR 3.0f                /* Radii within which a coil is not taken for its dipole. */
+#define APART2 (0.25f * 0.25f)   /* Candidates differ by a quarter of the distance to the strongest beacon. */
+
+static uint32_t strongest(const pose_problem_t *problem) {
+    uint32_t best = 0;
+    for (uint32_t i = 1; i < problem->count; i++) {
+        if (problem->heard[i].magnitude_uT > problem->heard[best].magnitude_uT) {
+            best = i;
+        }
+    }
+    return best;
+}
+
+static void profile(const pose_problem_t *problem, const float position_m[3], wahba_t *wahba) {
+    wahba_init(wahba);
+    for (uint32_t i = 0; i < problem->count; i++) {
+        const pose_heard_t *heard = &problem->heard[i];
+        const float error = COARSENESS * heard->magnitude_uT;
+        float field[3];
+        loop_field(&heard->loop, position_m, field);
+        wahba_add(wahba, field, heard->field_uT, 1.0f / (heard->sigma_uT * heard->sigma_uT + error * error));
+    }
+}
+
+/* Keep the list sorted by loss, its entries apart. */
+static void offer(pose_candidates_t *found, const pose_candidate_t *offered, float apart2) {
+    uint32_t place = found->count;
+    for (uint32_t i = 0; i < found->count; i++) {
+        float between[3];
+        vector3_subtract(found->candidates[i].position_m, offered->position_m, between);
+        if (vector3_dot(between, between) < apart2) {
+            if (found->candidates[i].loss <= offered->loss) {
+                return;
+            }
+            place = i; /* Replaces its worse neighbour. */
+            break;
+        }
+    }
+    if (place == POSE_SEARCH_CANDIDATES) {
+        place--;
+        if (found->candidates[place].loss <= offered->loss) {
+            return;
+        }
+    } else if (place == found->count) {
+        found->count++;
+    }
+    for (; place > 0u && found->candidates[place - 1u].loss > offered->loss; place--) {
+        found->candidates[place] = found->candidates[place - 1u];
+    }
+    found->candidates[place] = *offered;
+}
+
+static void place(const loop_t *loop, const float direction[3], float distance, float position_m[3]) {
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        position_m[axis] = loop->centre_m[axis] + distance * direction[axis];
+    }
+}
+
+void pose_search(const pose_problem_t *problem, const float point_m[3], const float normal[3], pose_candidates_t *found) {
+    const pose_heard_t *centre = &problem->heard[strongest(problem)];
+    const float k = centre->loop.k_uT_m3 > 0.0f ? centre->loop.k_uT_m3 : -centre->loop.k_uT_m3;
+    const float ratio = centre->magnitude_uT / k;
+    float x = 1.0f, y = 0.0f;
+    found->count = 0;
+    for (uint32_t i = 0; i < POSE_SEARCH_DIRECTIONS; i++) {
+        const float z = 1.0f - (2.0f * (float)i + 1.0f) / (float)POSE_SEARCH_DIRECTIONS;
+        const float across = square_root(1.0f - z * z);
+        const float direction[3] = {across * x, across * y, z};
+        const float turned = GOLDEN_COSINE * x - GOLDEN_SINE * y;
+        y = GOLDEN_SINE * x + GOLDEN_COSINE * y;
+        x = turned;
+        const float cosine = vector3_dot(direction, centre->loop.axis);
+        float distance = inverse_cube_root(ratio * inverse_square_root(1.0f + 3.0f * cosine * cosine));
+        pose_candidate_t candidate;
+        float from_point[3];
+        place(&centre->loop, direction, distance, candidate.position_m);
+        if (distance < NEAR * centre->loop.radius_m) {
+            float field[3];
+            loop_field(&centre->loop, candidate.position_m, field);
+            distance *= inverse_cube_root(centre->magnitude_uT * inverse_square_root(vector3_dot(field, field)));
+            place(&centre->loop, direction, distance, candidate.position_m);
+        }
+        vector3_subtract(candidate.position_m, point_m, from_point);
+        if (vector3_dot(from_point, normal) < 0.0f) {
+            continue;
+        }
+        wahba_t wahba;
+        profile(problem, candidate.position_m, &wahba);
+        candidate.loss = wahba_loss(&wahba);
+        offer(found, &candidate, APART2 * distance * distance);
+    }
+}
+
+void pose_search_attitude(const pose_problem_t *problem, const float position_m[3], float quaternion[4]) {
+    wahba_t wahba;
+    profile(problem, position_m, &wahba);
+    wahba_rotation(&wahba, quaternion);
+}

@@ -1,0 +1,292 @@
+#include "core/timing/chip_clock.h"
+
+#define FRACTION_BITS 32
+#define ONE (INT64_C(1) << FRACTION_BITS)
+#define MESSAGE_TICKS_MAX (1 << 26) /* 0.4 s: products with a difference of periods stay below 2^63. */
+
+const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6};
+const chip_clock_source_t chip_clock_link = {.gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16};
+
+/* Largest deviation of a period or a cycle from nominal that two good crystals can show. */
+static int64_t tolerance(int64_t nominal) {
+    return nominal / 1000000 * CHIP_CLOCK_SEARCH_PPM;
+}
+
+static uint64_t nominal_period(const chip_clock_t *clock) {
+    return (uint64_t)clock->config.nominal_ticks << FRACTION_BITS;
+}
+
+/* Signed difference of two positions modulo 2^64. */
+static int64_t difference(uint64_t a, uint64_t b) {
+    return (int64_t)(a - b);
+}
+
+static void set_period(chip_clock_t *clock, int64_t period) {
+    const int64_t nominal = (int64_t)nominal_period(clock);
+    const int64_t limit = tolerance(nominal);
+    /* Within these limits the planner always keeps up with the target: they differ by at most half a chip, for ever. */
+    const int64_t low = nominal - limit, high = nominal + limit;
+    clock->period = (uint64_t)(period < low ? low : period > high ? high : period);
+}
+
+bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
+    const uint32_t margin = config->nominal_ticks / 100u;
+    if (config->chips < 31u || config->chips > 2047u || config->nominal_ticks == 0u || config->minimum_ticks == 0u ||
+        config->minimum_ticks + margin > config->nominal_ticks || config->nominal_ticks + margin > config->maximum_ticks) {
+        return false;
+    }
+    *clock = (chip_clock_t){.config = *config, .source = chip_clock_wire, .locked = !config->follow};
+    clock->period = nominal_period(clock);
+    return true;
+}
+
+chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
+    clock->target += clock->period + ((uint64_t)(int64_t)clock->detune_ticks << FRACTION_BITS);
+    const int64_t wanted = difference(clock->target, (uint64_t)clock->position << FRACTION_BITS) >> FRACTION_BITS; /* Rounds down. */
+    const uint16_t period_ticks = wanted < clock->config.minimum_ticks   ? clock->config.minimum_ticks
+                                  : wanted > clock->config.maximum_ticks ? clock->config.maximum_ticks
+                                                                         : (uint16_t)wanted;
+    const uint32_t slot = clock->chip % CHIP_CLOCK_HISTORY;
+    clock->history[slot].position = clock->position;
+    clock->history[slot].cycle = clock->cycle;
+    clock->history[slot].code_chip = clock->code_chip;
+    clock->history[slot].period_ticks = period_ticks;
+    const chip_clock_chip_t planned = {clock->cycle + clock->cycle_shift, clock->code_chip, period_ticks, clock->position};
+
+    clock->position += period_ticks;
+    clock->chip++;
+    clock->code_chip++;
+    if (clock->code_chip == clock->config.chips) {
+        clock->code_chip = 0;
+        clock->cycle++;
+        if (clock->config.follow && clock->cycle - clock->edge_cycle > CHIP_CLOCK_HOLDOVER_CYCLES) {
+            clock->locked = false;
+            clock->good_edges = 0;
+        }
+    }
+    return planned;
+}
+
+static void count_rejected(chip_clock_t *clock) {
+    if (clock->edges_rejected < UINT32_MAX) {
+        clock->edges_rejected++;
+    }
+}
+
+bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, chip_clock_mark_t *mark) {
+    const uint32_t age = clock->chip - chip;
+    if (age == 0u || age > CHIP_CLOCK_HISTORY || ticks > 2u * clock->config.maximum_ticks) {
+        return false;
+    }
+    const uint32_t slot = chip % CHIP_CLOCK_HISTORY;
+    const uint32_t chips = clock->config.chips, code_chip = clock->history[slot].code_chip;
+    const int64_t period = (int64_t)clock->period;
+    mark->position = clock->history[slot].position + ticks;
+    mark->cycle = clock->history[slot].cycle + clock->cycle_shift;
+    if (code_chip <= chips / 2u) {
+        mark->cycle_ticks = (int32_t)((code_chip * period) >> FRACTION_BITS) + (int32_t)ticks;
+    } else {
+        const int64_t whole = ((int64_t)code_chip + 1 - (int64_t)chips) * period; /* Chips between this one's end and chip 0. */
+        mark->cycle_ticks = (int32_t)(whole >> FRACTION_BITS) + (int32_t)ticks - (int32_t)clock->history[slot].period_ticks;
+        mark->cycle++;
+    }
+    return true;
+}
+
+/* The master, whose period is the estimate's, began chip 0 at edge: jump to its nearest chip. */
+static void acquire(chip_clock_t *clock, uint64_t edge) {
+    const uint64_t span = clock->period * clock->config.chips;
+    int64_t lead = difference((uint64_t)clock->position << FRACTION_BITS, edge);
+    uint32_t ahead = 0;
+    for (; lead < 0; lead += (int64_t)span) { /* A message may tell of a cycle to come. */
+        edge -= span;
+        ahead++;
+    }
+    const uint32_t chips = (uint32_t)(((uint64_t)lead + clock->period / 2u) / clock->period);
+    clock->target = edge + chips * clock->period;
+    clock->code_chip = (uint16_t)(chips % clock->config.chips);
+    clock->cycle++; /* The cycle under way is cut short. */
+    clock->edge_cycle = clock->cycle - chips / clock->config.chips + ahead;
+    clock->tracking = true;
+    clock->locked = false;
+    clock->good_edges = 0;
+    clock->candidate_edges = 0;
+    clock->memory = 2;
+}
+
+/* Ticks of the master as own ones, 32 fractional bits. */
+static int64_t own_ticks(const chip_clock_t *clock, int32_t master_ticks) {
+    const int64_t slower = (int64_t)(clock->period - nominal_period(clock));
+    return (int64_t)master_ticks * ONE + master_ticks * slower / clock->config.nominal_ticks;
+}
+
+/* An edge that fits no estimate, since ticks of the master before position: look for others whole cycles apart from it. True: they led to an estimate. */
+static bool search(chip_clock_t *clock, uint64_t position, int32_t since) {
+    const uint32_t chips = clock->config.chips, chip = clock->chip;
+    const int64_t cycle = (int64_t)nominal_period(clock) * (int64_t)chips;
+    if (clock->candidate_edges > 0u) {
+        int64_t cycles = 0, off = INT64_MAX;
+        const int64_t own = difference(position, clock->candidate_position);
+        int64_t masters = (since - clock->candidate_since) * ONE;
+        if (chip - clock->candidate_chip <= (CHIP_CLOCK_SEARCH_CYCLES + 1u) * chips) {
+            off = own - masters;
+            while (cycles < CHIP_CLOCK_SEARCH_CYCLES && off > tolerance(masters)) {
+                masters += cycle;
+                off -= cycle;
+                cycles++;
+            }
+        }
+        const int64_t limit = tolerance(masters);
+        if (cycles > 0 && off >= -limit && off <= limit) {
+            clock->candidate_edges++;
+            clock->candidate_chip = chip;
+            clock->candidate_position = position;
+            clock->candidate_since = since;
+            const bool found = clock->candidate_edges == (clock->tracking ? 3u : 2u);
+            if (found) {
+                set_period(clock, own / (masters >> FRACTION_BITS) * clock->config.nominal_ticks);
+                acquire(clock, position - (uint64_t)own_ticks(clock, since));
+            }
+            return found;
+        }
+        if (!clock->tracking) {
+            count_rejected(clock);
+        }
+        if (cycles <= 1 && off < 0) {
+            return false; /* Sooner than a cycle after the candidate: more likely a glitch than the candidate was. */
+        }
+    }
+    clock->candidate_edges = 1;
+    clock->candidate_chip = chip;
+    clock->candidate_position = position;
+    clock->candidate_since = since;
+    return false;
+}
+
+/* The master began a cycle since of its ticks before position; the chip clock was early by phase there. True: the estimate now counts this edge. */
+static bool take_edge(chip_clock_t *clock, uint64_t position, int32_t since, int32_t phase) {
+    if (!clock->tracking) {
+        return search(clock, position, since);
+    }
+    const uint64_t edge = position - (uint64_t)own_ticks(clock, since);
+    /* The estimate's start of a cycle nearest to the edge: ahead chips before the next chip to plan. */
+    const int32_t chips = clock->config.chips;
+    const int64_t span = (int64_t)clock->period * chips;
+    int32_t ahead = clock->code_chip;
+    uint32_t cycle = clock->cycle;
+    int64_t residual = difference(edge, clock->target - (uint64_t)clock->code_chip * clock->period);
+    for (; residual < -span / 2; residual += span) {
+        ahead += chips;
+        cycle--;
+    }
+    for (; residual > span / 2; residual -= span) {
+        ahead -= chips;
+        cycle++;
+    }
+    const int32_t cycles = (int32_t)(cycle - clock->edge_cycle);
+    const int64_t gate = (int64_t)clock->source.gate_ticks << FRACTION_BITS;
+    if (cycles <= 0 || residual > gate || residual < -gate) {
+        count_rejected(clock);
+        return search(clock, position, since);
+    }
+    if (!clock->compared) {
+        clock->phase_ticks = phase;
+    }
+    if (clock->memory < clock->source.memory_edges) {
+        clock->memory++;
+    }
+    const int64_t before = (int64_t)clock->period, edges = clock->memory, divisor = edges * (edges + 1);
+    set_period(clock, before + residual * 6 / divisor / ((int64_t)cycles * chips));
+    clock->target += (uint64_t)(residual * (4 * edges - 2) / divisor + ((int64_t)clock->period - before) * ahead);
+    clock->edge_cycle = cycle;
+    clock->candidate_edges = 0;
+    if (phase > clock->source.lock_ticks || phase < -clock->source.lock_ticks) {
+        clock->good_edges = 0;
+    } else if (clock->good_edges < CHIP_CLOCK_LOCK_EDGES) {
+        clock->good_edges++;
+    }
+    clock->locked = clock->good_edges == CHIP_CLOCK_LOCK_EDGES;
+    return true;
+}
+
+void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
+    chip_clock_mark_t mark;
+    if (!clock->config.follow) {
+        return;
+    }
+    if (ticks > clock->config.maximum_ticks || !chip_clock_mark(clock, chip, ticks, &mark)) {
+        count_rejected(clock);
+        return;
+    }
+    (void)take_edge(clock, (uint64_t)mark.position << FRACTION_BITS, 0, mark.cycle_ticks);
+}
+
+bool chip_clock_message(chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks) {
+    if (!clock->config.follow) {
+        return false;
+    }
+    if (master_ticks > MESSAGE_TICKS_MAX || master_ticks < -MESSAGE_TICKS_MAX) {
+        count_rejected(clock);
+        return false;
+    }
+    const int64_t cycle = (int64_t)clock->period * clock->config.chips;
+    int64_t phase = mark->cycle_ticks * ONE - own_ticks(clock, master_ticks);
+    phase %= cycle;
+    phase += phase < -cycle / 2 ? cycle : phase > cycle / 2 ? -cycle : 0;
+    return take_edge(clock, (uint64_t)mark->position << FRACTION_BITS, master_ticks, (int32_t)(phase >> FRACTION_BITS));
+}
+
+bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *planned) {
+    const uint32_t age = clock->chip - chip;
+    if (age == 0u || age > CHIP_CLOCK_HISTORY) {
+        return false;
+    }
+    const uint32_t slot = chip % CHIP_CLOCK_HISTORY;
+    planned->cycle = clock->history[slot].cycle + clock->cycle_shift;
+    planned->code_chip = clock->history[slot].code_chip;
+    planned->period_ticks = clock->history[slot].period_ticks;
+    planned->position = clock->history[slot].position;
+    return true;
+}
+
+void chip_clock_jump(chip_clock_t *clock, uint64_t edge, uint64_t period) {
+    if (clock->config.follow) {
+        set_period(clock, (int64_t)period);
+        acquire(clock, edge);
+    }
+}
+
+void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int32_t residual_ticks, bool locked) {
+    if (!clock->config.follow) {
+        return;
+    }
+    set_period(clock, (int64_t)clock->period + period);
+    clock->target += (uint64_t)phase;
+    if (!clock->compared) {
+        clock->phase_ticks = residual_ticks;
+    }
+    clock->edge_cycle = clock->cycle;
+    clock->locked = locked;
+}
+
+void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source) {
+    clock->source = *source;
+    clock->tracking = false;
+    clock->locked = false;
+    clock->compared = false;
+    clock->detune_ticks = 0;
+    clock->good_edges = 0;
+    clock->candidate_edges = 0;
+}
+
+void chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
+    chip_clock_mark_t mark;
+    if (ticks <= clock->config.maximum_ticks && chip_clock_mark(clock, chip, ticks, &mark)) {
+        clock->phase_ticks = mark.cycle_ticks;
+        clock->compared = true;
+    }
+}
+
+void chip_clock_number_cycle(chip_clock_t *clock, uint32_t cycle) {
+    clock->cycle_shift = cycle - clock->edge_cycle;
+}

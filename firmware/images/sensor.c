@@ -1,0 +1,16 @@
+/* The sensor image. */
+#include "apps/sensor.h"
+#include "boards/board.h"
+
+/* Static: far too large for the stack. */
+static sensor_t sensor;
+static acquire_t acquire BOARD_CORE_MEMORY;
+
+int main(void) {
+    hal_t *hal = board_start();
+    sensor_start(&sensor, &acquire, hal);
+    for (;;) {
+        sensor_step(&sensor);
+        hal_wait(hal);
+    }
+}

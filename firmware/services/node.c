@@ -1,0 +1,244 @@
+#include "services/node.h"
+
+#include <string.h>
+
+#include "goldfield.h"
+#include "protocol_hash.h"
+#include "services/version.h"
+
+/* ---- Sending ---- */
+
+uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index) {
+    return message | index << PROTOCOL_INDEX_SHIFT | node->id;
+}
+
+void node_send(node_t *node, node_links_t links, uint32_t message, uint32_t index, const uint8_t *data, uint8_t length) {
+    frame_t frame = {.id = node_identifier(node, message, index), .length = length};
+    memcpy(frame.data, data, length);
+    if (links & NODE_SERIAL) {
+        (void)queue_push(&node->serial, &frame); /* The queue counts what it refuses. */
+    }
+    if ((links & NODE_CAN) && (!node->can_dead || queue_count(&node->can) == 0)) {
+        (void)queue_push(&node->can, &frame);
+    }
+}
+
+node_links_t node_room(const node_t *node, uint32_t messages) {
+    const bool serial = queue_count(&node->serial) + messages <= NODE_QUEUE_MESSAGES;
+    const bool can = node->can_dead || queue_count(&node->can) + messages <= NODE_QUEUE_MESSAGES;
+    return (serial ? NODE_SERIAL : NODE_NO_LINK) | (can ? NODE_CAN : NODE_NO_LINK);
+}
+
+bool node_serial_write(node_t *node, const frame_t *frame) {
+    uint8_t encoded[FRAME_ENCODED_MAX];
+    const size_t count = frame_encode(frame, encoded);
+    return hal_serial_write(node->hal, encoded, count);
+}
+
+int32_t node_clamp(int32_t value, int32_t limit) {
+    return value > limit ? limit : value < -limit ? -limit : value;
+}
+
+static void drain_serial(node_t *node) {
+    const frame_t *frame;
+    while ((frame = queue_front(&node->serial)) != NULL && node_serial_write(node, frame)) {
+        queue_drop(&node->serial);
+    }
+}
+
+static void drain_can(node_t *node, uint64_t now_us) {
+    const frame_t *frame;
+    bool taken = true;
+    while (taken && (frame = queue_front(&node->can)) != NULL) {
+        hal_frame_t out = {.id = frame->id, .length = frame->length};
+        memcpy(out.data, frame->data, sizeof out.data);
+        taken = hal_can_send(node->hal, &out);
+        if (taken) {
+            queue_drop(&node->can);
+            node->can_us = now_us;
+            node->can_dead = false;
+        }
+    }
+    if (taken) {
+        node->can_us = now_us;
+    } else if (now_us - node->can_us > NODE_CAN_GIVE_UP_US) {
+        node->can_dead = true;
+        while (queue_front(&node->can)) {
+            queue_drop(&node->can);
+        }
+    }
+}
+
+/* ---- Heartbeat ---- */
+
+static uint32_t add_saturated(uint32_t a, uint32_t b) {
+    return a > UINT32_MAX - b ? UINT32_MAX : a + b;
+}
+
+static void collect_counters(node_t *node) {
+    hal_counters_t board;
+    hal_counters(node->hal, &board);
+    uint32_t *counters = node->counters;
+    counters[NODE_FRAMES_DROPPED] = frame_dropped(&node->decoder);
+    counters[NODE_SERIAL_OVERRUNS] = board.serial_overruns;
+    counters[NODE_CAN_ERRORS] = board.can_errors;
+    counters[NODE_CAN_OVERRUNS] = board.can_overruns;
+    counters[NODE_LATE_BLOCKS] = board.late_blocks;
+    counters[NODE_CONVERTER_OVERRUNS] = board.converter_overruns;
+    counters[NODE_WATCHDOG_RESETS] = board.watchdog_resets;
+    counters[NODE_CLOCK_FALLBACKS] = hal_clock(node->hal) != HAL_CLOCK_CRYSTAL;
+    counters[NODE_MESSAGES_LOST] = add_saturated(add_saturated(node->serial.lost, node->can.lost), node->stream_lost);
+}
+
+static uint8_t pack_heartbeat(const node_t *node, uint8_t data[8]) {
+    uint32_t errors = 0;
+    for (unsigned i = 0; i < NODE_COUNTERS; i++) {
+        errors = add_saturated(errors, node->counters[i]);
+    }
+    const struct goldfield_heartbeat_t heartbeat = {
+        .protocol_hash = PROTOCOL_HASH,
+        .role = (uint8_t)node->role,
+        .state = (uint8_t)node->state,
+        .version_major = VERSION_MAJOR,
+        .version_minor = VERSION_MINOR,
+        .version_patch = VERSION_PATCH,
+        .errors = errors > 1023 ? 1023 : (uint16_t)errors,
+    };
+    return (uint8_t)goldfield_heartbeat_pack(data, &heartbeat, 8);
+}
+
+static void send_heartbeat(node_t *node) {
+    uint8_t data[8];
+    collect_counters(node);
+    uint8_t length = pack_heartbeat(node, data);
+    node_send(node, NODE_BOTH, GOLDFIELD_HEARTBEAT_FRAME_ID, 0, data, length);
+    for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
+        if (node->counters[i] > 0) {
+            const struct goldfield_counter_t counter = {.counter = (uint8_t)i, .value = node->counters[i]};
+            length = (uint8_t)goldfield_counter_pack(data, &counter, sizeof data);
+            node_send(node, NODE_BOTH, GOLDFIELD_COUNTER_FRAME_ID, i, data, length);
+        }
+    }
+}
+
+/* ---- Receiving ---- */
+
+static void answer_parameter(node_t *node, node_links_t link, uint32_t index, parameter_status_t status) {
+    parameter_value_t value;
+    (void)parameters_get(&node->parameters, index, &value);
+    struct goldfield_param_value_t answer = {.kind = value.kind, .status = (uint8_t)status, .value_unsigned = value.bits};
+    memcpy(&answer.value_signed, &value.bits, sizeof value.bits); /* The packer takes the member that belongs to the kind. */
+    memcpy(&answer.value_float, &value.bits, sizeof value.bits);
+    uint8_t data[8];
+    const uint8_t length = (uint8_t)goldfield_param_value_pack(data, &answer, sizeof data);
+    node_send(node, link, GOLDFIELD_PARAM_VALUE_FRAME_ID, index, data, length);
+}
+
+static void set_parameter(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
+    struct goldfield_param_set_t set = {0};
+    if (goldfield_param_set_unpack(&set, frame->data, frame->length) < 0) {
+        return;
+    }
+    parameter_value_t value = {.kind = set.kind, .bits = set.value_unsigned};
+    if (set.kind == PARAMETER_SIGNED) {
+        memcpy(&value.bits, &set.value_signed, sizeof value.bits);
+    } else if (set.kind == PARAMETER_FLOAT) {
+        memcpy(&value.bits, &set.value_float, sizeof value.bits);
+    }
+    const parameter_status_t status = parameters_set(&node->parameters, index, value);
+    answer_parameter(node, link, index, status);
+    if (status == PARAMETER_OK) {
+        node->parameters_changed = true;
+        node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
+    }
+}
+
+static void receive(node_t *node, node_links_t link, const frame_t *frame) {
+    const uint32_t message = frame->id & ~((1u << PROTOCOL_TYPE_SHIFT) - 1u);
+    const uint32_t index = frame->id >> PROTOCOL_INDEX_SHIFT & 0xFFFu;
+    const uint32_t to = frame->id & PROTOCOL_NODE_MASK;
+    const bool for_me = to == 0 || to == node->id;
+    if (message == GOLDFIELD_SYNC_FRAME_ID) {
+        struct goldfield_sync_t sync;
+        if (goldfield_sync_unpack(&sync, frame->data, frame->length) >= 0) {
+            node->sync_received = true;
+            node->sync_cycle = sync.cycle;
+            node->sync_chips = sync.chips;
+        }
+    } else if (message == GOLDFIELD_PARAM_SET_FRAME_ID && for_me) {
+        set_parameter(node, link, index, frame);
+    } else if (message == GOLDFIELD_PARAM_GET_FRAME_ID && for_me) {
+        parameter_value_t value;
+        answer_parameter(node, link, index, parameters_get(&node->parameters, index, &value));
+    }
+}
+
+static void receive_serial(node_t *node) {
+    uint8_t bytes[64];
+    size_t count = sizeof bytes;
+    for (uint32_t taken = 0; count == sizeof bytes && taken < NODE_BYTES_A_STEP; taken += (uint32_t)count) {
+        count = hal_serial_read(node->hal, bytes, sizeof bytes);
+        for (size_t i = 0; i < count; i++) {
+            frame_t frame;
+            if (frame_decode(&node->decoder, bytes[i], &frame)) {
+                receive(node, NODE_SERIAL, &frame);
+            }
+        }
+    }
+}
+
+static void receive_can(node_t *node) {
+    hal_frame_t in;
+    for (uint32_t taken = 0; taken < NODE_FRAMES_A_STEP && hal_can_receive(node->hal, &in); taken++) {
+        frame_t frame = {.id = in.id, .length = in.length};
+        memcpy(frame.data, in.data, sizeof frame.data);
+        receive(node, NODE_CAN, &frame);
+    }
+}
+
+/* ---- Life ---- */
+
+static uint32_t number_from_unique_id(const hal_t *hal) {
+    uint8_t unique[HAL_UNIQUE_ID_BYTES];
+    hal_unique_id(hal, unique);
+    return 1u + frame_crc(unique, sizeof unique) % 4095u;
+}
+
+void node_start(node_t *node, hal_t *hal, hal_role_t role) {
+    memset(node, 0, sizeof *node);
+    node->hal = hal;
+    node->role = role;
+    frame_decoder_init(&node->decoder);
+    (void)queue_init(&node->serial, node->serial_messages, NODE_QUEUE_MESSAGES);
+    (void)queue_init(&node->can, node->can_messages, NODE_QUEUE_MESSAGES);
+
+    parameters_init(&node->parameters);
+    const parameter_value_t derived = {.kind = PARAMETER_UNSIGNED, .bits = number_from_unique_id(hal)};
+    (void)parameters_set(&node->parameters, PARAMETER_NODE, derived); /* The page overrules it. */
+    uint32_t refused = 0;
+    const parameters_page_t page = parameters_load(&node->parameters, hal_parameter_page(hal), HAL_PARAMETER_PAGE_BYTES, &refused);
+    node->counters[NODE_BAD_PARAMETER_PAGE] = refused + (page == PARAMETERS_PAGE_BAD);
+    node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
+
+    frame_t hello = {.id = node_identifier(node, GOLDFIELD_HEARTBEAT_FRAME_ID, 0)};
+    hello.length = pack_heartbeat(node, hello.data);
+    uint8_t encoded[FRAME_ENCODED_MAX];
+    const size_t count = frame_encode(&hello, encoded);
+    hal_serial_write_polled(hal, encoded, count);
+    (void)queue_push(&node->can, &hello);
+    node->heartbeat_us = hal_microseconds(hal);
+    node->can_us = node->heartbeat_us;
+}
+
+void node_step(node_t *node) {
+    hal_watchdog_kick(node->hal);
+    receive_serial(node);
+    receive_can(node);
+    const uint64_t now_us = hal_microseconds(node->hal);
+    if (now_us - node->heartbeat_us >= NODE_HEARTBEAT_US) {
+        node->heartbeat_us += NODE_HEARTBEAT_US;
+        send_heartbeat(node);
+    }
+    drain_serial(node);
+    drain_can(node, now_us);
+}

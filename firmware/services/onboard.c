@@ -1,0 +1,131 @@
+#include "services/onboard.h"
+
+#include "goldfield.h"
+#include "core/math/roots.h"
+#include "core/math/vector3.h"
+
+void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips, const epoch_selection_t *selection) {
+    onboard->chips = chips;
+    onboard->active = parameters_unsigned(parameters, PARAMETER_POSE) == 1u;
+    onboard->due = onboard->due && onboard->active;
+    onboard->noise_T = parameters_float(parameters, PARAMETER_NOISE);
+    onboard->pose.status = POSE_FAILED;
+    uint16_t codes[EPOCH_CODES_MAX];
+    int16_t code_sums[EPOCH_CODES_MAX];
+    onboard->site.count = selection->count;
+    for (uint32_t i = 0; i < selection->count; i++) {
+        const uint32_t row = PARAMETER_BEACONS + PARAMETER_BEACON_STRIDE * i;
+        pose_beacon_t *beacon = &onboard->site.beacons[i];
+        codes[i] = selection->codes[i].code;
+        code_sums[i] = selection->codes[i].sum;
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            beacon->position_m[axis] = parameters_float(parameters, row + axis);
+            beacon->axis[axis] = parameters_float(parameters, row + 3u + axis);
+        }
+        beacon->moment_A_m2 = parameters_float(parameters, row + 6u);
+        beacon->radius_m = parameters_float(parameters, row + 7u);
+    }
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        onboard->site.half_space_point_m[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + axis);
+        onboard->site.half_space_normal[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + 3u + axis);
+    }
+    const bool complete = selection->count == parameters_unsigned(parameters, PARAMETER_CODE_COUNT); /* Else beacons would be taken for others. */
+    onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
+}
+
+void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration, const epoch_selection_t *selection) {
+    if (!onboard->active || cycle->missing >= cycle->chips) {
+        return;
+    }
+    onboard->cycle = cycle->cycle;
+    onboard->missing = cycle->missing;
+    onboard->saturated = cycle->saturated;
+    epoch_offset(cycle, calibration, onboard->mean);
+    for (uint32_t i = 0; i < selection->count; i++) {
+        float field[EPOCH_AXES];
+        epoch_field(cycle, calibration, selection, i, field);
+        for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
+            onboard->sums[axis][i] = field[axis];
+        }
+    }
+    onboard->due = true;
+}
+
+static void separate(onboard_t *onboard) {
+    const float chips = (float)onboard->chips, scale = chips / (float)(onboard->chips - onboard->missing);
+    const float disturbed = (float)(onboard->missing + onboard->saturated), offset2 = vector3_dot(onboard->mean, onboard->mean);
+    const float extra2 = offset2 * disturbed / (chips * chips);
+    for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
+        separation_apply(&onboard->separation, onboard->mean[axis], onboard->sums[axis]);
+    }
+    for (uint32_t i = 0; i < onboard->separation.count; i++) {
+        pose_field_t *field = &onboard->fields[i];
+        for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
+            field->field_T[axis] = scale * onboard->sums[axis][i];
+        }
+        field->sigma_T = square_root(onboard->noise_T * onboard->noise_T * separation_variance(&onboard->separation, i) + extra2);
+    }
+}
+
+/* value / resolution to the nearest whole number from 0 to limit. */
+static uint32_t clamped(float value, float resolution, uint32_t limit) {
+    const float scaled = value / resolution + 0.5f;
+    return scaled >= (float)limit ? limit : scaled > 0.0f ? (uint32_t)scaled : 0u;
+}
+
+/* A component of a unit quaternion in 2^-14; 1 itself does not fit 15 bits. */
+static int16_t component(float value) { return (int16_t)node_clamp(epoch_integer(value, 1.0f / 16384.0f), 16383); }
+
+static float root_of_trace(const float matrix[3][3]) { return square_root(matrix[0][0] + matrix[1][1] + matrix[2][2]); }
+
+static void send(const onboard_t *onboard, node_t *node) {
+    const pose_t *pose = &onboard->pose;
+    const bool found = pose->status != POSE_FAILED;
+    const uint8_t cycle_low = onboard->cycle & 0xFu;
+    uint8_t data[8];
+    const struct goldfield_pose_position_t position = {
+        .x = found ? epoch_integer(pose->position_m[0], 1e-4f) : EPOCH_OUT_OF_RANGE,
+        .y = found ? epoch_integer(pose->position_m[1], 1e-4f) : EPOCH_OUT_OF_RANGE,
+        .z = found ? epoch_integer(pose->position_m[2], 1e-4f) : EPOCH_OUT_OF_RANGE,
+        .cycle_low = cycle_low,
+    };
+    uint8_t length = (uint8_t)goldfield_pose_position_pack(data, &position, sizeof data);
+    node_send(node, NODE_BOTH, GOLDFIELD_POSE_POSITION_FRAME_ID, 0, data, length);
+
+    const struct goldfield_pose_attitude_t attitude = {
+        .x = found ? component(pose->quaternion[0]) : 0,
+        .y = found ? component(pose->quaternion[1]) : 0,
+        .z = found ? component(pose->quaternion[2]) : 0,
+        .w = found ? component(pose->quaternion[3]) : 0,
+        .cycle_low = cycle_low,
+    };
+    length = (uint8_t)goldfield_pose_attitude_pack(data, &attitude, sizeof data);
+    node_send(node, NODE_BOTH, GOLDFIELD_POSE_ATTITUDE_FRAME_ID, 0, data, length);
+
+    const struct goldfield_pose_quality_t quality = {
+        .cycle_low = cycle_low,
+        .status = (uint8_t)pose->status,
+        .tracked = pose->tracked,
+        .used = (uint8_t)pose->used,
+        .iterations = (uint8_t)(pose->iterations < 255u ? pose->iterations : 255u),
+        .residual = (uint16_t)(found ? clamped(pose->residual, 0.01f, 4095u) : 0u),
+        .sigma_position = (uint16_t)(found ? clamped(root_of_trace(pose->position_cov_m2), 1e-4f, 65535u) : 65535u),
+        .sigma_attitude = (uint16_t)(found ? clamped(root_of_trace(pose->attitude_cov_rad2), 5e-4f, 8191u) : 8191u),
+    };
+    length = (uint8_t)goldfield_pose_quality_pack(data, &quality, sizeof data);
+    node_send(node, NODE_BOTH, GOLDFIELD_POSE_QUALITY_FRAME_ID, 0, data, length);
+}
+
+void onboard_step(onboard_t *onboard, node_t *node) {
+    if (!onboard->due) {
+        return;
+    }
+    onboard->due = false;
+    if (onboard->separable) {
+        separate(onboard);
+        pose_track(&onboard->site, onboard->fields, &onboard->work, &onboard->pose);
+    } else {
+        onboard->pose = (pose_t){.status = POSE_FAILED};
+    }
+    send(onboard, node);
+}

@@ -1,0 +1,224 @@
+#include "services/sense.h"
+
+#include <string.h>
+
+#include "goldfield.h"
+#include "protocol_hash.h"
+
+/* Index of a PART (framing.md). */
+#define PART_STRIDE 1026u
+#define PART_PLAIN 1025u
+
+/* Messages of a cycle beside its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and three of the pose. */
+#define REPORT_BESIDE 6u
+/* Of a third: its plain sum. */
+#define PART_BESIDE 1u
+
+/* ---- Interrupts ---- */
+
+/* Axis by axis: a saturated one says so, the others keep their value. */
+static void mark_saturated(const uint16_t burst[HAL_BURST][HAL_AXES], int16_t shown[HAL_AXES]) {
+    for (uint32_t axis = 0; axis < HAL_AXES; axis++) {
+        for (uint32_t i = 0; i < HAL_BURST; i++) {
+            if (burst[i][axis] == 0 || burst[i][axis] >= HAL_SAMPLE_MAX) {
+                shown[axis] = INT16_MIN;
+            }
+        }
+    }
+}
+
+static void stream_chip(sense_t *sense, uint32_t cycle, uint16_t code_chip, const uint16_t burst[HAL_BURST][HAL_AXES],
+                        const int16_t sample[HAL_AXES], bool saturated) {
+    int16_t shown[HAL_AXES] = {sample[0], sample[1], sample[2]};
+    if (saturated) {
+        mark_saturated(burst, shown);
+    }
+    const struct goldfield_chip_t message = {.x = shown[0], .y = shown[1], .z = shown[2], .cycle_low = (uint16_t)cycle};
+    frame_t frame = {.id = sense->stream_id | (uint32_t)code_chip << PROTOCOL_INDEX_SHIFT};
+    frame.length = (uint8_t)goldfield_chip_pack(frame.data, &message, sizeof frame.data);
+    (void)queue_push(&sense->stream, &frame); /* The queue counts what it refuses. */
+}
+
+void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples, acquire_t *acquire) {
+    const timing_t *const timing = sense->timing;
+    const bool locked = timing->clock.locked;
+    for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
+        const uint32_t absolute = block * HAL_BLOCK_CHIPS + i;
+        chip_clock_chip_t chip;
+        const uint64_t start = sense->ticks;
+        if (!chip_clock_at(&timing->clock, absolute, &chip)) {
+            sense->ticks += HAL_CHIP_TICKS;
+            continue; /* More than a block late: epoch_feed sees the gap. */
+        }
+        sense->ticks += chip.period_ticks;
+        int16_t sample[HAL_AXES];
+        const bool saturated = epoch_sample((*samples)[i], sample);
+        const uint32_t cycle = sync_cycle(&timing->format, &chip);
+        const uint16_t code_chip = sync_chip(&timing->format, &chip);
+        if (acquire) {
+            acquire_feed(acquire, absolute, &chip, (*samples)[i]);
+            acquire_sample((*samples)[i], sample);
+        }
+        if (epoch_feed(&sense->collector, absolute, cycle, code_chip, sample, saturated, locked)) {
+            const uint64_t end = code_chip == 0 ? start : sense->ticks; /* 0: the cycle before ended in a gap. */
+            sense->middle_ticks = (sense->cycle_start_ticks + end) / 2;
+        }
+        if (code_chip == 0) {
+            sense->cycle_start_ticks = start;
+        }
+        if (sense->streaming) {
+            stream_chip(sense, cycle, code_chip, (*samples)[i], sample, saturated);
+        }
+    }
+    sense->sampled = true;
+}
+
+/* ---- Main ---- */
+
+/* The links that take so many messages of a report: all of them or none. One that takes none is counted. */
+static node_links_t room(sense_t *sense, uint32_t messages) {
+    const node_links_t links = node_room(sense->node, messages);
+    sense->unsent += links != NODE_BOTH;
+    return links;
+}
+
+static void send_header(sense_t *sense, node_links_t links, const epoch_sums_t *cycle) {
+    node_t *node = sense->node;
+    uint8_t data[8];
+    const struct goldfield_epoch_t header = {
+        .cycle = cycle->cycle & SYNC_CYCLE_MASK,
+        .time = sense->middle_ticks / (HAL_TICKS_PER_SECOND / 1000000u),
+    };
+    uint8_t length = (uint8_t)goldfield_epoch_pack(data, &header, sizeof data);
+    node_send(node, links, GOLDFIELD_EPOCH_FRAME_ID, 0, data, length);
+
+    const struct goldfield_epoch_status_t status = {
+        .cycle_low = cycle->cycle & 0xFu,
+        .chips = (uint16_t)(cycle->chips - cycle->missing),
+        .saturated = cycle->saturated,
+        .fields = (uint16_t)sense->selection.count,
+        .locked = cycle->locked,
+        .phase = (int16_t)node_clamp(sync_phase(sense->timing->clock.phase_ticks), 8191),
+        .temperature = (int16_t)node_clamp(hal_temperature(sense->node->hal), 2047),
+    };
+    length = (uint8_t)goldfield_epoch_status_pack(data, &status, sizeof data);
+    node_send(node, links, GOLDFIELD_EPOCH_STATUS_FRAME_ID, 0, data, length);
+}
+
+static void report(sense_t *sense, node_links_t links, const epoch_sums_t *cycle) {
+    node_t *node = sense->node;
+    uint8_t data[8];
+    send_header(sense, links, cycle);
+
+    float mean[HAL_AXES];
+    epoch_offset(cycle, &sense->calibration, mean);
+    const struct goldfield_epoch_offset_t offset = {
+        .x = epoch_integer(mean[0], 1e-9f),
+        .y = epoch_integer(mean[1], 1e-9f),
+        .z = epoch_integer(mean[2], 1e-9f),
+        .cycle_low = cycle->cycle & 0xFu,
+    };
+    uint8_t length = (uint8_t)goldfield_epoch_offset_pack(data, &offset, sizeof data);
+    node_send(node, links, GOLDFIELD_EPOCH_OFFSET_FRAME_ID, 0, data, length);
+
+    for (uint32_t i = 0; i < sense->selection.count; i++) {
+        float vector[HAL_AXES];
+        epoch_field(cycle, &sense->calibration, &sense->selection, i, vector);
+        const struct goldfield_field_t field = {
+            .x = epoch_integer(vector[0], 1e-10f),
+            .y = epoch_integer(vector[1], 1e-10f),
+            .z = epoch_integer(vector[2], 1e-10f),
+            .cycle_low = cycle->cycle & 0xFu,
+        };
+        length = (uint8_t)goldfield_field_pack(data, &field, sizeof data);
+        node_send(node, links, GOLDFIELD_FIELD_FRAME_ID, sense->selection.codes[i].code, data, length);
+    }
+    onboard_take(&sense->onboard, cycle, &sense->calibration, &sense->selection);
+}
+
+static void send_part(sense_t *sense, node_links_t links, const epoch_sums_t *part, uint32_t code, const float vector[HAL_AXES]) {
+    uint8_t data[8];
+    const struct goldfield_part_t message = {
+        .x = epoch_integer(vector[0], 1e-10f),
+        .y = epoch_integer(vector[1], 1e-10f),
+        .z = epoch_integer(vector[2], 1e-10f),
+        .cycle_low = part->cycle & 0xFu,
+    };
+    const uint8_t length = (uint8_t)goldfield_part_pack(data, &message, sizeof data);
+    node_send(sense->node, links, GOLDFIELD_PART_FRAME_ID, part->third * PART_STRIDE + code, data, length);
+}
+
+static void report_third(sense_t *sense, node_links_t links, const epoch_sums_t *part) {
+    float vector[HAL_AXES];
+    for (uint32_t i = 0; i < sense->selection.count; i++) {
+        epoch_field(part, &sense->calibration, &sense->selection, i, vector);
+        send_part(sense, links, part, sense->selection.codes[i].code, vector);
+    }
+    epoch_offset(part, &sense->calibration, vector);
+    send_part(sense, links, part, PART_PLAIN, vector);
+}
+
+static void drain_stream(sense_t *sense) {
+    const frame_t *frame;
+    while ((frame = queue_front(&sense->stream)) != NULL && node_serial_write(sense->node, frame)) {
+        queue_drop(&sense->stream);
+    }
+}
+
+void sense_configure(sense_t *sense) {
+    const parameters_t *parameters = &sense->node->parameters;
+    const sync_format_t *const format = &sense->timing->format;
+    for (uint32_t row = 0; row < HAL_AXES; row++) {
+        sense->calibration.zero[row] = parameters_float(parameters, PARAMETER_ZERO + row);
+        for (uint32_t column = 0; column < HAL_AXES; column++) {
+            sense->calibration.matrix[row][column] = parameters_float(parameters, PARAMETER_CALIBRATION + HAL_AXES * row + column);
+        }
+    }
+    uint16_t codes[PARAMETER_CODE_LIST_LENGTH];
+    const uint32_t count = parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
+    bool same = count == sense->selection.count;
+    for (uint32_t i = 0; i < count; i++) {
+        codes[i] = (uint16_t)parameters_unsigned(parameters, PARAMETER_CODE_LIST + i);
+        same = same && codes[i] == sense->selection.codes[i].code;
+    }
+    if (!same) {
+        (void)epoch_select(&sense->selection, sense->collector.family, codes, count);
+        sense->cycle.third = EPOCH_WHOLE; /* Thirds of the old list and of the new are not added. */
+    }
+    onboard_configure(&sense->onboard, parameters, format->chips, &sense->selection);
+    sense->collector.thirds = format->degree == 10u && parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
+    sense->stream_id = node_identifier(sense->node, GOLDFIELD_CHIP_FRAME_ID, 0);
+    sense->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
+}
+
+void sense_start(sense_t *sense, node_t *node, const timing_t *timing) {
+    memset(sense, 0, sizeof *sense);
+    sense->node = node;
+    sense->timing = timing;
+    (void)queue_init(&sense->stream, sense->stream_messages, SENSE_STREAM_MESSAGES);
+    epoch_init(&sense->collector, gold_family(timing->format.degree)); /* Only degrees that have one get through parameters_set. */
+    sense_configure(sense);
+}
+
+void sense_step(sense_t *sense) {
+    node_t *node = sense->node;
+    epoch_t *epoch = epoch_ready(&sense->collector);
+    if (epoch) {
+        epoch_read(epoch, &sense->selection, &sense->part);
+        const uint32_t count = sense->selection.count;
+        if (sense->part.third != EPOCH_WHOLE) {
+            report_third(sense, room(sense, PART_BESIDE + count), &sense->part);
+        }
+        if (epoch_add(&sense->cycle, &sense->part, count)) {
+            report(sense, room(sense, REPORT_BESIDE + count), &sense->cycle);
+        }
+        epoch_release(&sense->collector);
+    }
+    node->counters[NODE_EPOCHS_DROPPED] = sense->collector.dropped + sense->unsent;
+    node->stream_lost = sense->stream.lost;
+}
+
+void sense_spare(sense_t *sense) {
+    drain_stream(sense);
+    onboard_step(&sense->onboard, sense->node);
+}

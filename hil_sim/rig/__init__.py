@@ -1,0 +1,5 @@
+"""The rig: boards, world, sync wire, CAN and serial in one virtual time; `Rig` is the door."""
+
+from hil_sim.rig.rig import SENSOR, Frame, Rig, Truth
+
+__all__ = ["SENSOR", "Frame", "Rig", "Truth"]

@@ -1,0 +1,116 @@
+#include "rig/board_slot.h"
+
+#include <stdlib.h>
+
+#include "rig/array.h"
+#include "world/noise.h"
+
+enum { PIN_FIELD_X = 1 };
+
+typedef struct {
+    unsigned bridge_1, bridge_2, current;
+} channel_pins_t;
+
+static const channel_pins_t channel_pins[RIG_COILS] = {{.bridge_1 = 38, .bridge_2 = 39, .current = 0}, {.bridge_1 = 36, .bridge_2 = 37, .current = 6}};
+
+static void keep_change(rig_pin_change_t **changes, size_t *count, size_t *capacity, rig_pin_change_t change)
+{
+    *changes = array_reserve(*changes, capacity, *count + 1, sizeof **changes);
+    (*changes)[(*count)++] = change;
+}
+
+static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps)
+{
+    board_slot_t *const slot = context;
+    const rig_pin_change_t change = {.time_ps = time_ps, .board = (uint16_t)slot->number, .pin = (uint8_t)pin, .level = level};
+    bool wired = pin == SEAT_PIN_ENABLE || pin == SEAT_PIN_SYNC_OUT;
+    for (unsigned i = 0; i < slot->coils; ++i) {
+        if (pin == channel_pins[i].bridge_1 || pin == channel_pins[i].bridge_2) {
+            coil_input(&slot->coil[i], pin == channel_pins[i].bridge_1 ? 1 : 2, level, time_ps);
+            wired = true;
+        } else if (pin == SEAT_PIN_ENABLE) {
+            coil_enable(&slot->coil[i], level, time_ps);
+        }
+    }
+    if (pin == SEAT_PIN_SYNC_OUT) {
+        keep_change(&slot->sync_changes, &slot->sync_count, &slot->sync_capacity, change);
+    }
+    if (wired && slot->watch) {
+        keep_change(&slot->changes, &slot->change_count, &slot->change_capacity, change);
+    }
+}
+
+static void on_analog_out(void *context, unsigned channel, double volts, int64_t time_ps)
+{
+    board_slot_t *const slot = context;
+    if (channel >= 1 && channel <= slot->coils) {
+        coil_reference(&slot->coil[channel - 1], volts, time_ps);
+    }
+}
+
+static double on_analog_in(void *context, unsigned pin, int64_t time_ps)
+{
+    board_slot_t *const slot = context;
+    if (slot->senses && pin >= PIN_FIELD_X && pin < PIN_FIELD_X + 3) {
+        return sensing_volts(&slot->sensing, pin - PIN_FIELD_X, time_ps);
+    }
+    for (unsigned i = 0; i < slot->coils; ++i) {
+        if (pin == channel_pins[i].current) {
+            return coil_sense(&slot->coil[i], slot->seed, noise_stream(NOISE_CURRENT_SENSE, slot->number, i), time_ps);
+        }
+    }
+    return 0.0;
+}
+
+static void on_uart_out(void *context, unsigned uart, uint8_t byte, int64_t time_ps)
+{
+    board_slot_t *const slot = context;
+    (void)time_ps;
+    if (uart == SEAT_SERIAL_PORT) {
+        serial_line_received(&slot->serial, byte);
+    }
+}
+
+static void keep_wish(board_slot_t *slot, board_slot_wish_t wish)
+{
+    slot->wishes = array_reserve(slot->wishes, &slot->wish_capacity, slot->wish_count + 1, sizeof *slot->wishes);
+    slot->wishes[slot->wish_count++] = wish;
+}
+
+static void on_can_request(void *context, unsigned mailbox, const board_frame_t *frame, int64_t time_ps)
+{
+    keep_wish(context, (board_slot_wish_t){.mailbox = mailbox, .frame = *frame, .time_ps = time_ps});
+}
+
+static void on_can_abort(void *context, unsigned mailbox, int64_t time_ps)
+{
+    keep_wish(context, (board_slot_wish_t){.abort = true, .mailbox = mailbox, .time_ps = time_ps});
+}
+
+void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config, coil_t *coil)
+{
+    *slot = (board_slot_t){.number = number, .seed = seed, .coils = config->coils, .coil = coil};
+    slot->edge = (board_edge_t){
+        .context = slot,
+        .pin_out = on_pin_out,
+        .analog_out = on_analog_out,
+        .analog_in = on_analog_in,
+        .uart_out = on_uart_out,
+        .can_request = on_can_request,
+        .can_abort = on_can_abort,
+    };
+    for (unsigned i = 0; i < config->coils; ++i) {
+        coil_init(&coil[i], &config->coil[i]);
+    }
+}
+
+void board_slot_free(board_slot_t *slot)
+{
+    if (slot->senses) {
+        sensing_free(&slot->sensing);
+    }
+    serial_line_free(&slot->serial);
+    free(slot->wishes);
+    free(slot->sync_changes);
+    free(slot->changes);
+}

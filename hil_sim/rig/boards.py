@@ -1,0 +1,160 @@
+"""Boards for the rig: emulated ones that run the ARM image, and host boards; both with the edge of ``board_edge.h``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from goldfield.errors import SystemFailure, UserError
+from hil_sim import clib
+from hil_sim.emulator import Configuration, Emulator
+from hil_sim.scenario import Clock
+
+HOST_LIBRARY = "build/libgf_hostboard.so"
+IMAGES = "build/firmware"
+KINDS = ("emulated", "host")
+
+
+@dataclass(frozen=True)
+class BoardSpec:
+    """What a board is made from.
+
+    Attributes
+    ----------
+    role : str
+        ``beacon``, ``sensor``, or ``anchor``: both.
+    clock : Clock
+    unique_id : bytes
+        Twelve bytes.
+    parameter_page : bytes
+        As it lies in flash.
+    power_on_ps : int
+        Virtual time at which it gets power.
+    """
+
+    role: str
+    clock: Clock
+    unique_id: bytes
+    parameter_page: bytes
+    power_on_ps: int
+
+
+@dataclass
+class Board:
+    """A board that exists.
+
+    Attributes
+    ----------
+    instance, operations : int
+        Addresses of its ``board_t`` and ``board_operations_t``.
+    destroy : callable
+        Ends the board; the addresses are then void.
+    statistics : callable
+        Counts since reset, by name; empty if the board keeps none.
+    keep : object
+        Whatever must live as long as the board.
+    """
+
+    instance: int
+    operations: int
+    destroy: Callable[[], None]
+    statistics: Callable[[], Mapping[str, float]] = dict
+    keep: Any = field(default=None, repr=False)
+
+
+class BoardFactory(Protocol):
+    """Makes the boards of a rig."""
+
+    def __call__(self, spec: BoardSpec, edge: int) -> Board:
+        """Make one board on the edge at this address (``board_edge_t *``)."""
+        ...
+
+
+def address(ffi: Any, pointer: Any) -> int:
+    """Return a cffi pointer as a number, to hand it to another library."""
+    return int(ffi.cast("uintptr_t", pointer))
+
+
+class HostBoards:
+    """Boards of this machine: the firmware's own sources behind the same hardware layer (``host_board.h``)."""
+
+    def __init__(self) -> None:
+        self._ffi: Any
+        self._library: Any
+        self._ffi, self._library = clib.load(HOST_LIBRARY, ["boards/host/host_board.h"])
+
+    def __call__(self, spec: BoardSpec, edge: int) -> Board:
+        """See `BoardFactory`; raises UserError for a clock that such a board cannot have."""
+        ffi, library = self._ffi, self._library
+        if spec.clock.crystal_dead:
+            raise UserError("host boards cannot simulate crystal_dead: use --boards emulated, or remove the key")
+        config = ffi.new("host_board_config_t *")
+        config.role = getattr(library, f"HAL_ROLE_{spec.role.upper()}")
+        config.crystal_ppm = spec.clock.crystal_ppm
+        config.temperature_degc = spec.clock.temperature_degC
+        config.unique_id = list(spec.unique_id)
+        config.parameter_page = list(spec.parameter_page)
+        instance = library.host_board_create(config, ffi.cast("board_edge_t *", edge), spec.power_on_ps)
+        if instance == ffi.NULL:
+            raise SystemFailure(f"the host board of the {spec.role} could not be made")
+        operations = ffi.addressof(library, "host_board_operations")
+        return Board(
+            instance=address(ffi, instance),
+            operations=address(ffi, operations),
+            destroy=lambda: operations.destroy(instance),
+        )
+
+
+class EmulatedBoards:
+    """STM32F405s that run the images to be flashed, on the emulator.
+
+    Parameters
+    ----------
+    images : path, optional
+        Directory with ``beacon.elf``, ``sensor.elf`` and ``anchor.elf``.
+    """
+
+    def __init__(self, images: str | Path = clib.ROOT / IMAGES) -> None:
+        self._images = Path(images)
+
+    def __call__(self, spec: BoardSpec, edge: int) -> Board:
+        """See `BoardFactory`; raises UserError if the image or the emulator is not built."""
+        configuration = Configuration(
+            crystal_ppm=spec.clock.crystal_ppm,
+            internal_ppm=spec.clock.internal_ppm,
+            crystal_dead=spec.clock.crystal_dead,
+            unique_id=spec.unique_id,
+            temperature_degc=spec.clock.temperature_degC,
+        )
+        emulator = Emulator(
+            self._images / f"{spec.role}.elf",
+            configuration,
+            edge=edge,
+            parameter_page=spec.parameter_page,
+            power_on_ps=spec.power_on_ps,
+        )
+        return Board(
+            instance=emulator.board,
+            operations=emulator.operations,
+            destroy=emulator.close,
+            statistics=lambda: emulator.statistics().summary(),
+            keep=emulator,
+        )
+
+
+def factory(kind: str) -> BoardFactory:
+    """Return the factory of ``emulated`` or ``host`` boards.
+
+    Raises
+    ------
+    UserError
+        Unknown kind, or its library is not built.
+    """
+    if kind not in KINDS:
+        raise UserError(f"there are no boards of kind '{kind}'; there are {', '.join(KINDS)}")
+    try:
+        return EmulatedBoards() if kind == "emulated" else HostBoards()
+    except FileNotFoundError as error:
+        raise UserError(str(error)) from error

@@ -1,0 +1,69 @@
+/* can_bus.h: a CAN 2.0 bus: frame lengths with bit stuffing, arbitration by identifier, interframe space, acknowledgement.
+ *
+ * Time is picoseconds of virtual time. The bus decides up to a time (can_bus_run): everything requested before must be known by then. A frame starts
+ * when the bus is idle (three bits after the frame before), among all requests made by that moment the identifier that wins the bits' arbitration.
+ * It ends with the last bit of its end-of-frame field. That is when the sender knows that it is through (end_ps); a receiver takes it one bit earlier,
+ * after the last but one bit of end of frame (valid_ps). Whoever stamps frames on both sides sees this bit as an offset.
+ * With nobody else on the bus it fails: after the acknowledgement slot come an error flag (6 bits) and its delimiter (8 bits); the sender is told and
+ * decides itself whether to try again.
+ *
+ * Source: ISO 11898-1:2015, 10.4 (frames), 10.5 (stuffing), 10.6 (errors); frame validation. Left out: bit errors on the wire, delays of
+ * transceivers and cable, the sample point (the same for all nodes of one bit timing), error-passive nodes' suspended transmission, differences of
+ * the nodes' bit clocks. Two nodes that send the same identifier at once (forbidden by 10.4.2.2) are counted; the lower node goes first.
+ *
+ * Time of a call: in proportion to the pending requests. Memory grows with them.
+ */
+#ifndef GOLDFIELD_CAN_BUS_H
+#define GOLDFIELD_CAN_BUS_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "boards/board_edge.h"
+
+/* A frame of 29-bit identifier without data has 64 bits and not fewer, its interframe space not counted; one of 11-bit identifier 44. */
+#define CAN_SHORTEST_EXTENDED_BITS 64
+
+typedef struct can_bus can_bus_t;
+
+typedef struct {
+    unsigned node;    /* Sender. */
+    unsigned mailbox;
+    board_frame_t frame;
+    int64_t start_ps;
+    int64_t valid_ps; /* Receivers have it. */
+    int64_t end_ps;   /* The sender is through. */
+    bool acknowledged;
+} can_transfer_t;
+
+/* Called for each transfer, in order of time, from inside can_bus_run(). */
+typedef void (*can_deliver_t)(void *context, const can_transfer_t *transfer);
+
+typedef struct {
+    uint64_t frames;
+    uint64_t unacknowledged;
+    uint64_t collisions;  /* Two nodes with the same identifier. */
+    int64_t busy_ps;      /* Frames and interframe spaces. */
+} can_statistics_t;
+
+can_bus_t *can_bus_create(unsigned nodes, uint32_t bits_per_second);
+void can_bus_destroy(can_bus_t *bus);
+
+/* The node listens and acknowledges from a time on; before it is not there. */
+void can_bus_join(can_bus_t *bus, unsigned node, int64_t time_ps);
+
+void can_bus_request(can_bus_t *bus, unsigned node, unsigned mailbox, const board_frame_t *frame, int64_t time_ps);
+/* Withdraw the latest request of a mailbox, unless its frame has started by then. */
+void can_bus_abort(can_bus_t *bus, unsigned node, unsigned mailbox, int64_t time_ps);
+
+/* Start every frame that starts before until_ps, and deliver it (its end may lie later). */
+void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *context);
+
+void can_bus_statistics(const can_bus_t *bus, can_statistics_t *statistics);
+
+/* Bits from start of frame to the last bit of end of frame, stuff bits included, for an acknowledged frame. */
+unsigned can_frame_bits(const board_frame_t *frame);
+/* Smaller wins the arbitration: the bits of the arbitration field in the order of the wire. */
+uint32_t can_arbitration_key(const board_frame_t *frame);
+
+#endif

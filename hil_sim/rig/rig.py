@@ -1,0 +1,418 @@
+"""The rig: a scenario's boards, coils, field and wires in one virtual time; the hot loop is ``lockstep.c``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.errors import SystemFailure, UserError
+from hil_sim import clib
+from hil_sim.rig import config as rig_config
+from hil_sim.rig.boards import Board, BoardFactory, BoardSpec, address, factory
+from hil_sim.scenario import Clock, Scenario
+from hil_sim.world import path
+
+FloatArray = NDArray[np.float64]
+
+LIBRARY = "build/libgf_rig.so"
+HEADERS = ("rig/lockstep.h",)
+SENSOR = 0
+PATH_WINDOW_S = 1.0
+"""The motion is handed to the hot loop in windows of this length (whole quanta), whatever slices are asked for."""
+PATH_OVERLAP_S = 0.001
+"""A window reaches so far beyond its ends: a converter may look a few microseconds ahead."""
+FAULTS = ("driver", "coil_open", "sense_shorted", "sync_wire_cut")
+"""In the order of ``rig_fault_t``."""
+COIL_FAULTS = ("coil_open", "sense_shorted")
+"""Those of one coil."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A CAN frame on the bus.
+
+    Attributes
+    ----------
+    time_s : float
+        End of the frame.
+    board : int
+        Sender; one beyond the last beacon is the host's adapter.
+    identifier : int
+    data : bytes
+    extended, remote, acknowledged : bool
+    """
+
+    time_s: float
+    board: int
+    identifier: int
+    data: bytes
+    extended: bool = True
+    remote: bool = False
+    acknowledged: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """Where a sensor really was in the middle of a cycle: ``B_site = R B_sensor``."""
+
+    cycle: int
+    time_s: float
+    position_m: FloatArray
+    orientation_xyzw: FloatArray
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the JSON object of a line of truth."""
+        return {
+            "cycle": self.cycle,
+            "t_s": self.time_s,
+            "position_m": self.position_m.tolist(),
+            "orientation_xyzw": self.orientation_xyzw.tolist(),
+        }
+
+
+class Rig:
+    """A bench of boards.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    boards : str or BoardFactory
+        ``emulated``, ``host``, or something that makes boards.
+    seed : int, optional
+        In place of the scenario's.
+    host_on_can : bool
+        The host's adapter is on the CAN bus: it acknowledges, and `can_read` and `can_write` work.
+    threads : int, optional
+        Default: two, or one if this machine has one processor.
+
+    Raises
+    ------
+    UserError, SystemFailure
+        If a board or a library is missing or refuses its configuration.
+
+    Attributes
+    ----------
+    sensing : list of int
+        Boards with a sensor: `SENSOR`, then the anchors.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        boards: str | BoardFactory = "emulated",
+        seed: int | None = None,
+        *,
+        host_on_can: bool = True,
+        threads: int | None = None,
+    ) -> None:
+        self.scenario = scenario
+        self.seed = scenario.seed if seed is None else seed
+        self._ffi: Any
+        self._library: Any
+        try:
+            make = factory(boards) if isinstance(boards, str) else boards
+            self._ffi, self._library = clib.load(LIBRARY, HEADERS)
+        except FileNotFoundError as error:
+            raise UserError(str(error)) from error
+        self._boards: list[Board] = []
+        self._specs: list[BoardSpec] = []
+        self.sensing = [n for n in range(1 + len(scenario.beacons)) if scenario.front_end(n) is not None]
+        self._truth_edges = dict.fromkeys(self.sensing, 0)
+        self._window = -1
+        self._rig = self._create(host_on_can, threads or min(2, os.cpu_count() or 1))
+        try:
+            self._make = make
+            self._connect()
+            self._enter_window(0)
+            for board in range(len(self._boards)):
+                if scenario.sync != "wire" or (board == SENSOR and not scenario.sensor.sync_wire):
+                    self.fault(board, "sync_wire_cut")
+        except FileNotFoundError as error:
+            self.close()
+            raise UserError(str(error)) from error
+        except BaseException:
+            self.close()
+            raise
+
+    # ---- Building ----
+
+    def _create(self, host_on_can: bool, threads: int) -> Any:
+        config, _boards = rig_config.build(self._ffi, self.scenario, self.seed)
+        config.threads, config.host_on_can = threads, host_on_can
+        rig = self._library.rig_create(config)
+        if rig == self._ffi.NULL:
+            raise SystemFailure("the rig could not be made: not enough memory or threads")
+        return rig
+
+    def _connect(self) -> None:
+        scenario = self.scenario
+        random = np.random.default_rng([self.seed, 1])
+        delays_s = random.uniform(0.0, scenario.power_on_spread_s, len(scenario.beacons) + 1)
+        clocks = [scenario.sensor.clock, *(beacon.clock for beacon in scenario.beacons)]
+        for number, (delay_s, clock) in enumerate(zip(delays_s, clocks, strict=True)):
+            spec = BoardSpec(
+                role=self._role(number),
+                clock=clock,
+                unique_id=random.bytes(8) + number.to_bytes(4, "little"),
+                parameter_page=scenario.parameter_page(number),
+                power_on_ps=int(delay_s * 1e12),
+            )
+            self._specs.append(spec)
+            self._boards.append(self._slot(number, spec))
+
+    def _role(self, board: int) -> str:
+        if board == SENSOR:
+            return "sensor"
+        return "beacon" if self.scenario.front_end(board) is None else "anchor"
+
+    def _slot(self, number: int, spec: BoardSpec) -> Board:
+        """Make a board and connect it."""
+        ffi, library = self._ffi, self._library
+        board = self._make(spec, address(ffi, library.rig_edge(self._rig, number)))
+        operations = ffi.cast("board_operations_t *", board.operations)
+        library.rig_connect(self._rig, number, ffi.cast("board_t *", board.instance), operations, spec.power_on_ps)
+        return board
+
+    def _enter_window(self, window: int) -> None:
+        """Hand the motion of one window to the hot loop; a sensor at rest keeps its first."""
+        start_s = window * PATH_WINDOW_S - PATH_OVERLAP_S
+        stop_s = (window + 1) * PATH_WINDOW_S + PATH_OVERLAP_S
+        coils = [coil for beacon in self.scenario.beacons for coil in beacon.coils]
+        for board in self.sensing:
+            motion = self.scenario.motion_of(board)
+            if motion.still and self._window >= 0:
+                continue
+            try:
+                self._set_path(board, path.compute(coils, motion, start_s, stop_s))
+            except path.PathError as error:
+                of = "" if board == SENSOR else f" {self.board_name(board)}:"
+                raise UserError(f"scenario {self.scenario.name}:{of} {error}") from error
+        self._window = window
+
+    def _set_path(self, board: int, computed: path.Path) -> None:
+        coefficients = np.ascontiguousarray(computed.coefficients)
+        handed = self._ffi.new("path_t *")
+        handed.start_ps, handed.interval_ps = round(computed.start_s * 1e12), round(computed.interval_s * 1e12)
+        handed.intervals, handed.columns = coefficients.shape[:2]
+        handed.coefficients = self._ffi.from_buffer("double[]", coefficients)
+        if not self._library.rig_set_path(self._rig, board, handed):
+            raise SystemFailure("the rig refused a sensor's path: not enough memory")
+
+    # ---- Running ----
+
+    @property
+    def now_s(self) -> float:
+        """The sensor's present, seconds of virtual time."""
+        return float(self._library.rig_now(self._rig)) * 1e-12
+
+    def advance(self, seconds: float) -> None:
+        """Run the bench; the result does not depend on how a time is cut in calls.
+
+        Raises
+        ------
+        SystemFailure
+            If a board stopped; the sentence says which and why.
+        """
+        self.run_until(int(self._library.rig_now(self._rig)) + round(seconds * 1e12))
+
+    def run_until(self, until_ps: int) -> None:
+        """Run up to a virtual time in picoseconds, rounded down to a whole quantum; see `advance`."""
+        window_ps = round(PATH_WINDOW_S * 1e12)
+        while True:
+            now_ps = int(self._library.rig_now(self._rig))
+            if now_ps // window_ps != self._window:
+                self._enter_window(now_ps // window_ps)
+            stop_ps = min(until_ps, (self._window + 1) * window_ps)
+            status = self._library.rig_run(self._rig, stop_ps)
+            if status != self._library.RIG_OK:
+                raise SystemFailure(self._complaint(status))
+            if stop_ps >= until_ps:
+                return
+
+    def board_name(self, board: int) -> str:
+        """Return the name of a board for messages."""
+        return "the sensor" if board == SENSOR else f"beacon {self.scenario.beacons[board - 1].id}"
+
+    def _complaint(self, status: int) -> str:
+        board = int(self._library.rig_stopped_board(self._rig))
+        name = self.board_name(board)
+        if status == self._library.RIG_DRIVER_TOO_FAST:
+            return f"{name} switched its coil driver more often than any driver can follow, at {self.now_s:.6f} s"
+        return f"{name} stopped at {self.now_s:.6f} s: {self.report(board)}"
+
+    def report(self, board: int) -> str:
+        """Return a board's own words: why it stopped, or its violations so far."""
+        operations = self._ffi.cast("board_operations_t *", self._boards[board].operations)
+        text = operations.report(self._ffi.cast("board_t *", self._boards[board].instance))
+        return str(self._ffi.string(text).decode(errors="replace"))
+
+    def statistics(self, board: int) -> Mapping[str, float]:
+        """Return counts that a board keeps about itself (instructions, interrupts, sleep, violations), by name."""
+        return self._boards[board].statistics()
+
+    # ---- Links ----
+
+    def serial_read(self, board: int = SENSOR) -> bytes:
+        """Take all bytes that a board has sent since the last call."""
+        taken = []
+        buffer = self._ffi.new("uint8_t[]", 1 << 16)
+        while count := self._library.rig_serial_read(self._rig, board, buffer, len(buffer)):
+            taken.append(bytes(self._ffi.buffer(buffer, count)))
+        return b"".join(taken)
+
+    def serial_write(self, data: bytes, board: int = SENSOR) -> None:
+        """Send bytes to a board from the present on, back to back at its baud rate."""
+        self._library.rig_serial_write(self._rig, board, data, len(data))
+
+    def can_read(self) -> list[Frame]:
+        """Take all frames that were on the bus since the last call (those that end soon after the present included)."""
+        frames = []
+        transfer = self._ffi.new("can_transfer_t *")
+        while self._library.rig_can_read(self._rig, transfer):
+            frame = transfer.frame
+            frames.append(
+                Frame(
+                    time_s=transfer.end_ps * 1e-12,
+                    board=transfer.node,
+                    identifier=frame.id,
+                    data=bytes(frame.data[0 : frame.length]),
+                    extended=frame.extended,
+                    remote=frame.remote,
+                    acknowledged=transfer.acknowledged,
+                )
+            )
+        return frames
+
+    def can_write(self, identifier: int, data: bytes, *, extended: bool = True, remote: bool = False) -> None:
+        """Let the host's adapter send a frame as soon as the bus is free.
+
+        Raises
+        ------
+        UserError
+            If the rig was made without the host on the bus, or the frame is longer than 8 bytes.
+        """
+        if len(data) > 8:
+            raise UserError(f"a CAN frame has at most 8 bytes, not {len(data)}")
+        fields = {"id": identifier, "extended": extended, "remote": remote, "length": len(data), "data": list(data)}
+        if not self._library.rig_can_write(self._rig, self._ffi.new("board_frame_t *", fields)):
+            raise UserError("the host's adapter is not on the rig's CAN bus")
+
+    def can_statistics(self) -> dict[str, int]:
+        """Return the bus's counts: frames, unacknowledged, collisions, busy_ps."""
+        statistics = self._ffi.new("can_statistics_t *")
+        self._library.rig_can_statistics(self._rig, statistics)
+        return {name: int(getattr(statistics, name)) for name in ("frames", "unacknowledged", "collisions", "busy_ps")}
+
+    # ---- What an observer sees ----
+
+    def sync_edges_s(self) -> FloatArray:
+        """Return the times of all rising edges of the sync wire so far."""
+        count = int(self._library.rig_sync_edges(self._rig, 0, self._ffi.NULL, 0))
+        times = self._ffi.new("int64_t[]", max(count, 1))
+        self._library.rig_sync_edges(self._rig, 0, times, count)
+        return np.array(list(times)[:count], dtype=np.float64) * 1e-12
+
+    def truth(self, board: int = SENSOR) -> list[Truth]:
+        """Take a sensor's truth of the cycles that ended since the last call; the wire's first edge starts cycle 0.
+
+        The wire marks each cycle of degree 10 or 11, each second one of degree 9, ... each 32nd of degree 5 (sync.h).
+        """
+        self._check_sensor(board)
+        cycles = 1 << max(0, 10 - self.scenario.degree)
+        times = self._ffi.new("int64_t[]", 1024)
+        result: list[Truth] = []
+        while True:
+            first = self._truth_edges[board]
+            count = int(self._library.rig_sync_edges(self._rig, first, times, len(times)))
+            available = min(count - first, len(times))
+            if available < 2:
+                return result
+            for edge, (start, end) in enumerate(pairwise(times[0:available]), start=first):
+                for part in range(cycles):
+                    middle_ps = start + (end - start) * (part + 0.5) / cycles
+                    result.append(self._truth_at(board, edge * cycles + part, 1e-12 * middle_ps))
+            self._truth_edges[board] += available - 1
+
+    def _truth_at(self, board: int, cycle: int, time_s: float) -> Truth:
+        position, rotation = self.scenario.motion_of(board).poses(np.array([time_s]))
+        return Truth(cycle, time_s, position[0], rotation.as_quat(canonical=True)[0])
+
+    def watch_pins(self, watch: bool = True) -> None:
+        """Keep every change of the boards' bridge, enable and sync outputs from now on; see `pin_changes`."""
+        self._library.rig_watch_pins(self._rig, watch)
+
+    def pin_changes(self, board: int) -> NDArray[Any]:
+        """Take a board's kept pin changes: a structured array of ``time_ps, board, pin, level``."""
+        layout = np.dtype([("time_ps", "i8"), ("board", "u2"), ("pin", "u1"), ("level", "?")], align=True)
+        taken = []
+        buffer = self._ffi.new("rig_pin_change_t[]", 4096)
+        while count := self._library.rig_pin_changes(self._rig, board, buffer, len(buffer)):
+            taken.append(np.frombuffer(bytes(self._ffi.buffer(buffer)), dtype=layout, count=count))
+        return np.concatenate(taken) if taken else np.empty(0, dtype=layout)
+
+    def coil_current_A(self, board: int, coil: int = 0) -> float:
+        """Return the current in a beacon's coil (1: the second of a dual-axis beacon) at the present."""
+        self._check_coil(board, coil)
+        return float(self._library.rig_coil_current(self._rig, board, coil))
+
+    def sensor_field_T(self, board: int = SENSOR) -> FloatArray:
+        """Return the field at a board's sensor at the present, shape (3,), its frame, before its front end."""
+        self._check_sensor(board)
+        field = self._ffi.new("double[3]")
+        self._library.rig_sensor_field(self._rig, board, field)
+        return np.array(list(field))
+
+    def fault(self, board: int, kind: str, active: bool = True, coil: int = 0) -> None:
+        """Begin or end a fault of `FAULTS` at a board, or at one of its coils, at the present.
+
+        Raises
+        ------
+        UserError
+            If there is no such fault, or no such coil to have it.
+        """
+        if kind not in FAULTS:
+            raise UserError(f"there is no fault '{kind}'; there are {', '.join(FAULTS)}")
+        if kind in COIL_FAULTS:
+            self._check_coil(board, coil)
+        self._library.rig_fault(self._rig, board, coil, FAULTS.index(kind), active)
+
+    def _check_sensor(self, board: int) -> None:
+        if board not in self.sensing:
+            raise UserError(f"{self.board_name(board)} has no sensor: give it a table [beacon.sensor] in the scenario")
+
+    def _check_coil(self, board: int, coil: int) -> None:
+        coils = 0 if board == SENSOR else len(self.scenario.beacons[board - 1].coils)
+        if not 0 <= coil < coils:
+            raise UserError(f"{self.board_name(board)} has {coils} coils: there is no coil {coil}, counted from 0")
+
+    def power_cycle_sensor(self, off_s: float, clock: Clock | None = None) -> None:
+        """Take the sensor's power, and give it back after a time; it may come back with other oscillators."""
+        spec = replace(self._specs[SENSOR], power_on_ps=int(self._library.rig_now(self._rig)) + round(off_s * 1e12))
+        self._specs[SENSOR] = spec if clock is None else replace(spec, clock=clock)
+        self._boards[SENSOR].destroy()
+        self._boards[SENSOR] = self._slot(SENSOR, self._specs[SENSOR])
+
+    # ---- End ----
+
+    def close(self) -> None:
+        """End the rig and its boards; a second call does nothing."""
+        if self._rig != self._ffi.NULL:
+            self._library.rig_destroy(self._rig)
+            self._rig = self._ffi.NULL
+            for board in self._boards:
+                board.destroy()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

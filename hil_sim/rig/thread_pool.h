@@ -1,0 +1,52 @@
+/* thread_pool.h: threads that do the same numbered tasks again and again, together with the caller.
+ *
+ * thread_pool_step() does tasks 0 .. tasks - 1, each once, in any order and on any thread, and returns when all are done. Steps are short (tens of
+ * microseconds), so helpers look for tasks without sleeping between thread_pool_begin() and thread_pool_end(), and sleep outside.
+ *
+ * Helpers help only where that is faster: on a busy machine a helper that holds a task and is not scheduled keeps everybody waiting. The pool measures
+ * blocks of CREW_BLOCK_STEPS steps with and without help, goes on with what is faster, and tries the other way now and then. What the tasks compute
+ * must not depend on it.
+ *
+ * One thread owns a pool. Memory: a few words and the threads.
+ */
+#ifndef GOLDFIELD_THREAD_POOL_H
+#define GOLDFIELD_THREAD_POOL_H
+
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stdbool.h>
+#include <stdint.h>
+
+#define CREW_BLOCK_STEPS 5000 /* Of 20 us: 0.1 s, the length of a code cycle, so that blocks are alike. */
+
+typedef void thread_pool_task_t(void *context, unsigned number);
+
+typedef struct {
+    thread_pool_task_t *task;
+    void *context;
+    unsigned tasks;
+    pthread_t *threads; /* Helpers. */
+    unsigned count;
+    pthread_mutex_t mutex;
+    pthread_cond_t wake;
+    bool running; /* Helpers look for tasks without sleeping. */
+    bool quit;
+    bool helped;      /* In the block of steps that runs now. */
+    double cost_s[2]; /* Of a block without and with help, smoothed; 0: not known yet. */
+    double begun_s;   /* When the block, or the part of it since thread_pool_begin(), began. */
+    double block_s;   /* Of the block before that. */
+    unsigned block_steps, blocks;
+    /* Tasks are handed out by number: 0, 1, 2, ... for ever; number n is task n % tasks. */
+    atomic_uint_fast64_t offered, taken, done;
+} thread_pool_t;
+
+/* Start a pool that is all zeros, with threads - 1 helpers. False if there is no memory, or the system gives fewer threads: free it all the same. */
+bool thread_pool_init(thread_pool_t *pool, unsigned threads, unsigned tasks, thread_pool_task_t *task, void *context);
+/* Ends the helpers. A pool that is still all zeros needs no freeing, but may be freed. */
+void thread_pool_free(thread_pool_t *pool);
+
+void thread_pool_begin(thread_pool_t *pool);
+void thread_pool_step(thread_pool_t *pool);
+void thread_pool_end(thread_pool_t *pool);
+
+#endif

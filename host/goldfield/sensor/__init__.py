@@ -1,0 +1,1 @@
+"""The pipeline: what a sensor on a link sends becomes poses."""

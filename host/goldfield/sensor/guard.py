@@ -1,0 +1,59 @@
+"""A pose for every epoch, whatever happens."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Callable
+
+import numpy as np
+
+from goldfield.errors import UserError
+from goldfield.locate import locate
+from goldfield.site import Site
+from goldfield.types import Fields, Pose, Status
+
+
+def pose_of(site: Site, fields: Fields) -> Pose:
+    """Locate with no prior; see `guarded`."""
+    return guarded(lambda epoch: locate(site, epoch), fields)
+
+
+def guarded(method: Callable[[Fields], Pose], fields: Fields) -> Pose:
+    """Locate by a method; a defect in it costs this epoch and is told on stderr, not the run.
+
+    Raises
+    ------
+    UserError
+        If the method finds that the site cannot be located on.
+    """
+    try:
+        return method(fields)
+    except UserError:
+        raise
+    except Exception as error:
+        if os.environ.get("GOLDFIELD_DEBUG") == "1":
+            traceback.print_exc()
+        print(
+            f"goldfield: epoch {fields.epoch}: location failed unexpectedly ({type(error).__name__}: {error}): "
+            "please report it",
+            file=sys.stderr,
+        )
+        return failed_pose(fields)
+
+
+def failed_pose(fields: Fields) -> Pose:
+    """Return a pose that says nothing but that there is none."""
+    return Pose(
+        epoch=fields.epoch,
+        time_s=fields.time_s,
+        position_m=np.full(3, np.nan),
+        orientation_xyzw=np.full(4, np.nan),
+        position_cov_m2=np.full((3, 3), np.nan),
+        attitude_cov_rad2=np.full((3, 3), np.nan),
+        residual=float("nan"),
+        status=Status.FAILED,
+        used=(),
+        excluded=fields.beacons,
+    )

@@ -1,0 +1,218 @@
+"""What a beacon drives: the keys of a site file that say how beacons are told apart, and how fast a coil follows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from goldfield.files.toml_table import Table
+
+ACCESS = ("cdma", "tdma", "fdma")
+SITE_KEYS = {"slots": "tdma", "tone": "fdma"}
+"""Keys of the site and the access they belong to."""
+
+TONES = ("sine", "square")
+
+WAVES = ("cosine", "sine")
+"""Of an alternating current, by its phase: two coils at one place with one each make a rotating field."""
+
+NO_CODE = -1
+"""Code of a beacon that has not exactly one plain Gold code of the site's degree; no generator takes it."""
+
+DEGREES = (5, 6, 7, 9, 10, 11)
+"""Degrees with a preferred pair of m-sequences (maths.md, 1: other degrees have none or are not used)."""
+
+WHOLE_TOLERANCE = 0.01
+"""How far from a whole number the periods of a cycle may be: about this part of a field leaks into a neighbour's."""
+
+LONGEST_TAU_CHIPS = 10.0
+"""A coil that settles more slowly follows none of its chips: its field is lost in noise."""
+
+
+@dataclass(frozen=True)
+class Code:
+    """A Gold code on a beacon.
+
+    Attributes
+    ----------
+    index, degree : int
+        Of the code.
+    offset : int
+        The code runs ahead by so many of its own chips.
+    hold : int
+        Chips of the site for which one chip of this code lasts: its chip rate is so many times slower.
+    """
+
+    index: int
+    degree: int
+    offset: int = 0
+    hold: int = 1
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What distinguishes a beacon beside its one plain code. Empty: nothing else does.
+
+    Attributes
+    ----------
+    codes : tuple of Code
+        Driven at once, each with an equal part of the current: the beacon's current is their peak.
+    slot : int or None
+        Time slot of pulsed direct current (TDMA).
+    periods : int or None
+        Whole periods of an alternating current in a cycle (FDMA): cos(2 pi periods t / N) in chip t, or its sine.
+    wave : str
+        Which of the two, one of `WAVES`.
+    square : bool
+        The sign of the cosine in its place, as a bridge without planned set-points drives it.
+    tau_s : float
+        Time constant with which the current of the coil follows a step; 0: at once.
+    """
+
+    codes: tuple[Code, ...] = ()
+    slot: int | None = None
+    periods: int | None = None
+    wave: str = "cosine"
+    square: bool = False
+    tau_s: float = 0.0
+
+
+NOTHING_ELSE = Drive()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What all beacons of a site have in common.
+
+    Attributes
+    ----------
+    access : str
+        One of `ACCESS`.
+    degree : int
+    chip_period_s : float
+    slots : int
+        Of a cycle (TDMA), else 0.
+    square : bool
+        Tones are square waves (FDMA).
+    """
+
+    access: str
+    degree: int
+    chip_period_s: float
+    slots: int = 0
+    square: bool = False
+
+    @property
+    def chips(self) -> int:
+        """Chips in a cycle, N."""
+        return (1 << self.degree) - 1
+
+
+def read_plan(site: Table) -> Plan:
+    """Read ``degree, chip_period_s``, optionally ``access``, for TDMA ``slots``, for FDMA ``tone``.
+
+    Raises
+    ------
+    UserError
+        For any value that is missing or out of range.
+    """
+    degree = site.integer("degree")
+    if degree not in DEGREES:
+        raise site.error("degree", f"is {degree}; Gold codes exist here for {', '.join(map(str, DEGREES))}")
+    access = site.text("access") if "access" in site else "cdma"
+    if access not in ACCESS:
+        raise site.error("access", f'is "{access}"; beacons are told apart by {", ".join(ACCESS)}')
+    for key, owner in SITE_KEYS.items():
+        if key in site and access != owner:
+            raise site.error(key, f'belongs to access = "{owner}", but the access here is "{access}": leave it out')
+    chip_period_s = site.positive("chip_period_s")
+    if access != "tdma":
+        tone = site.text("tone") if "tone" in site else "sine"
+        if tone not in TONES:
+            raise site.error("tone", f'is "{tone}"; tones are {" or ".join(TONES)}')
+        return Plan(access, degree, chip_period_s, square=tone == "square")
+    slots, chips = site.integer("slots"), (1 << degree) - 1
+    if not 1 <= slots <= chips:
+        raise site.error("slots", f"is {slots}; a cycle of {chips} chips has 1 to {chips} slots")
+    return Plan(access, degree, chip_period_s, slots)
+
+
+BEACON_KEYS = {"code": "cdma", "codes": "cdma", "slot": "tdma", "frequency_Hz": "fdma", "wave": "fdma"}
+"""Keys of a beacon and the access they belong to."""
+
+
+def read_drive(table: Table, plan: Plan) -> tuple[int, Drive]:
+    """Read what a beacon drives: its plain code, or `NO_CODE`, and all the rest.
+
+    Raises
+    ------
+    UserError
+        For any value that is missing, out of range or belongs to another access.
+    """
+    for key, access in BEACON_KEYS.items():
+        if key in table and access != plan.access:
+            raise table.error(key, f'belongs to access = "{access}", but the site\'s access is "{plan.access}"')
+    tau_s = table.number("tau_s") if "tau_s" in table else 0.0
+    longest = LONGEST_TAU_CHIPS * plan.chip_period_s
+    if not 0.0 <= tau_s <= longest:
+        raise table.error("tau_s", f"is {tau_s:g}; a coil's time constant is 0 to {longest:g} s (ten chips)")
+    if plan.access == "tdma":
+        slot = table.integer("slot")
+        if not 0 <= slot < plan.slots:
+            raise table.error("slot", f"is {slot}; the site has the slots 0 to {plan.slots - 1}")
+        return NO_CODE, Drive(slot=slot, tau_s=tau_s)
+    if plan.access == "fdma":
+        return NO_CODE, Drive(periods=_periods(table, plan), wave=_wave(table, plan), square=plan.square, tau_s=tau_s)
+    if "codes" in table:
+        if "code" in table:
+            raise table.error("codes", "and code are both given: give one of them")
+        return NO_CODE, Drive(codes=tuple(_code(part, plan) for part in table.tables("codes")), tau_s=tau_s)
+    return _index(table, plan.degree), Drive(tau_s=tau_s)
+
+
+def _index(table: Table, degree: int) -> int:
+    code = table.integer("code")
+    if not 0 <= code <= 1 << degree:
+        raise table.error("code", f"is {code}; codes of degree {degree} are 0 to {1 << degree}")
+    return code
+
+
+def _code(table: Table, plan: Plan) -> Code:
+    table.allow("code", "degree", "offset", "hold")
+    degree = table.integer("degree") if "degree" in table else plan.degree
+    if degree not in DEGREES:
+        raise table.error("degree", f"is {degree}; Gold codes exist here for {', '.join(map(str, DEGREES))}")
+    hold = table.integer("hold") if "hold" in table else 1
+    length = (1 << degree) - 1
+    if hold < 1 or hold * length > plan.chips:
+        key = "hold" if hold < 1 or "hold" in table else "degree"
+        raise table.error(
+            key,
+            f"makes the code last {hold} times {length} chips; it must last 1 to {plan.chips}, a cycle of the site",
+        )
+    offset = table.integer("offset") if "offset" in table else 0
+    if not 0 <= offset < length:
+        raise table.error("offset", f"is {offset}; offsets of a code of degree {degree} are 0 to {length - 1} chips")
+    return Code(_index(table, degree), degree, offset, hold)
+
+
+def _periods(table: Table, plan: Plan) -> int:
+    frequency = table.positive("frequency_Hz")
+    cycle_s = plan.chips * plan.chip_period_s
+    highest = (plan.chips - 1) // 2
+    periods = min(max(round(frequency * cycle_s), 1), highest)
+    if abs(frequency * cycle_s - periods) > WHOLE_TOLERANCE:
+        raise table.error(
+            "frequency_Hz",
+            f"is {frequency:g}, {frequency * cycle_s:.4g} periods a cycle; give whole periods, 1 to {highest}, "
+            f"such as {periods / cycle_s:.6g} Hz",
+        )
+    return periods
+
+
+def _wave(table: Table, plan: Plan) -> str:
+    wave = table.text("wave") if "wave" in table else "cosine"
+    if wave not in WAVES:
+        raise table.error("wave", f'is "{wave}"; waves are {" or ".join(WAVES)}')
+    if plan.square and wave != "cosine":
+        raise table.error("wave", 'is "sine", but square tones are the sign of a cosine: take tone = "sine" of [site]')
+    return wave

@@ -1,0 +1,163 @@
+"""A site: which beacons stand where, with which coil and code, and how noisy the sensor is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from goldfield.errors import UserError
+from goldfield.site.drive import NO_CODE, NOTHING_ELSE, Drive
+from goldfield.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class HalfSpace:
+    """The side of a plane where the sensor is: ``(p - point_m) . normal >= 0``.
+
+    Attributes
+    ----------
+    point_m : ndarray, shape (3,)
+    normal : ndarray, shape (3,)
+        Unit vector.
+    """
+
+    point_m: FloatArray
+    normal: FloatArray
+
+    def contains(self, position_m: FloatArray) -> bool:
+        """Tell whether a position, shape (3,), lies on the sensor's side."""
+        return bool((position_m - self.point_m) @ self.normal >= 0.0)
+
+
+@dataclass(frozen=True)
+class SensorSite:
+    """What the site file says of the sensor.
+
+    Attributes
+    ----------
+    noise_T : float
+        Standard deviation of one chip's sample on one axis.
+    model_error : float
+        What a measured field may differ from the model by (survey, currents, metal near by), relative to its size. It
+        adds to the noise of each beacon's field, so that strong beacons are not trusted beyond it.
+    """
+
+    noise_T: float
+    model_error: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Beacon:
+    """A coil at a known place.
+
+    Attributes
+    ----------
+    id : str
+    position_m : ndarray, shape (3,)
+        Centre of the coil; of a coil given by its wire the mean of its points unless the file says otherwise.
+    axis : ndarray, shape (3,)
+        Unit vector; a positive current turns around it by the right-hand rule.
+    turns : float
+        Of a coil given by its wire: how often the whole wire is repeated.
+    radius_m : float or None
+        Of a circular coil.
+    points_m : ndarray, shape (n, 3), or None
+        The wire as a polyline in the site's frame, in the direction of a positive current; exactly one of
+        ``radius_m`` and ``points_m`` is given.
+    current_A : float
+        Amplitude of the chips; negative turns the moment round.
+    code : int
+        Index of the Gold code; `goldfield.site.drive.NO_CODE` unless the beacon has just one.
+    drive : Drive
+        Whatever else tells the beacon from others, and how fast its coil follows.
+    """
+
+    id: str
+    position_m: FloatArray
+    axis: FloatArray
+    turns: float
+    radius_m: float | None
+    points_m: FloatArray | None
+    current_A: float
+    code: int
+    drive: Drive = NOTHING_ELSE
+
+    @property
+    def moment_A_m2(self) -> FloatArray:
+        """Magnetic moment, shape (3,), A m^2: turns, current and area vector multiplied."""
+        if self.points_m is not None:
+            return self.turns * self.current_A * area_vector(self.points_m)
+        assert self.radius_m is not None
+        return self.turns * self.current_A * math.pi * self.radius_m**2 * self.axis
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """Everything that the host knows before the first sample.
+
+    Attributes
+    ----------
+    name : str
+    chip_period_s : float
+    degree : int
+        Of the Gold codes: a cycle has ``2**degree - 1`` chips.
+    half_space : HalfSpace or None
+    sensor : SensorSite
+    beacons : tuple of Beacon
+        Ids are unique, plain codes too, and frequencies with their waves.
+    access : str
+        How beacons are told apart: "cdma", "tdma" or "fdma".
+    slots : int
+        Of a cycle, for "tdma"; else 0.
+    """
+
+    name: str
+    chip_period_s: float
+    degree: int
+    half_space: HalfSpace | None
+    sensor: SensorSite
+    beacons: tuple[Beacon, ...]
+    access: str = "cdma"
+    slots: int = 0
+
+    @property
+    def chips(self) -> int:
+        """Chips in a cycle, N."""
+        return (1 << self.degree) - 1
+
+    @property
+    def cycle_s(self) -> float:
+        """Duration of a cycle."""
+        return self.chips * self.chip_period_s
+
+    @property
+    def codes(self) -> tuple[int, ...]:
+        """Code index of each beacon.
+
+        Raises
+        ------
+        UserError
+            If a beacon has not just one plain code: a sensor's correlations then do not hold its field.
+        """
+        for beacon in self.beacons:
+            if beacon.code == NO_CODE:
+                raise UserError(
+                    f'beacon "{beacon.id}" of the site "{self.name}" has no plain code: a sensor board correlates with '
+                    'one Gold code a beacon; give each beacon a code, or use "goldfield separate" on raw samples'
+                )
+        return tuple(beacon.code for beacon in self.beacons)
+
+    def beacon(self, beacon_id: str) -> Beacon:
+        """Return the beacon of this id; KeyError if there is none."""
+        for beacon in self.beacons:
+            if beacon.id == beacon_id:
+                return beacon
+        raise KeyError(beacon_id)
+
+
+def area_vector(points_m: FloatArray) -> FloatArray:
+    """Return half the sum of r x dr along a polyline, shape (n, 3), closed by its chord: area times normal, m^2."""
+    relative = points_m - points_m.mean(axis=0)
+    return np.asarray(0.5 * np.cross(relative, np.roll(relative, -1, axis=0)).sum(axis=0), dtype=np.float64)

@@ -1,0 +1,131 @@
+"""The site file: a site as TOML; see `load` for the keys.
+
+Every number is checked here once, so that nothing behind this module needs to.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from goldfield.files.toml_table import Table, read_table
+from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
+from goldfield.site.model import Beacon, HalfSpace, SensorSite, Site, area_vector
+
+
+def load(path: str | Path) -> Site:
+    """Read and check a site file.
+
+    Keys: ``[site] name, chip_period_s, degree``, optionally ``half_space = {point = [x, y, z], normal = [x, y, z]}``
+    and ``access`` with its own (`goldfield.site.drive`); ``[sensor] noise_T`` and optionally ``model_error``; for each
+    beacon ``[[beacon]] id, position_m, axis, turns, current_A, code`` and one of ``radius_m`` and ``points_m``,
+    optionally ``tau_s``. With ``points_m`` the position, axis and turns may be left out: the wire tells them.
+
+    Raises
+    ------
+    UserError
+        With file, line and key, if the file cannot be read, is no TOML, or any value is missing, unknown, of the wrong
+        type or out of range.
+    """
+    path = Path(path)
+    root = read_table(path, "site file")
+    root.allow("site", "sensor", "beacon")
+    site, sensor = root.table("site"), root.table("sensor")
+    site.allow("name", "chip_period_s", "degree", "half_space", "access", *SITE_KEYS)
+    sensor.allow("noise_T", "model_error")
+    plan = read_plan(site)
+    beacons = tuple(_beacon(table, plan) for table in root.tables("beacon"))
+    _check_unique(root, beacons)
+    return Site(
+        name=site.text("name"),
+        chip_period_s=plan.chip_period_s,
+        degree=plan.degree,
+        half_space=_half_space(site.table("half_space")) if "half_space" in site else None,
+        sensor=SensorSite(noise_T=sensor.positive("noise_T"), model_error=_model_error(sensor)),
+        beacons=beacons,
+        access=plan.access,
+        slots=plan.slots,
+    )
+
+
+def _model_error(sensor: Table) -> float:
+    if "model_error" not in sensor:
+        return 0.0
+    error = sensor.number("model_error")
+    if not 0.0 <= error < 1.0:
+        raise sensor.error("model_error", f"is {error:g}; it must be a part of the field, from 0 to below 1")
+    return error
+
+
+def _half_space(table: Table) -> HalfSpace:
+    table.allow("point", "normal")
+    return HalfSpace(point_m=table.vector("point"), normal=table.direction("normal"))
+
+
+BEACON_KEYS = ("id", "position_m", "axis", "turns", "radius_m", "points_m", "current_A")
+DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "tau_s")
+
+
+def _beacon(table: Table, plan: Plan) -> Beacon:
+    table.allow(*BEACON_KEYS, *DRIVE_KEYS)
+    code, drive = read_drive(table, plan)
+    current = table.number("current_A")
+    if current == 0.0:
+        raise table.error("current_A", "is zero: a beacon without a field cannot be located from; leave the beacon out")
+    if ("radius_m" in table) == ("points_m" in table):
+        raise table.error("radius_m", "or points_m must be given, exactly one of them")
+    given: dict[str, Any] = {"id": table.text("id"), "current_A": current, "code": code, "drive": drive}
+    if "radius_m" in table:
+        return Beacon(
+            **given,
+            position_m=table.vector("position_m"),
+            axis=table.direction("axis"),
+            turns=table.positive("turns"),
+            radius_m=table.positive("radius_m"),
+            points_m=None,
+        )
+    points = table.vectors("points_m")
+    area = area_vector(points)
+    length = float(np.linalg.norm(area))
+    extent = float(np.max(np.ptp(points, axis=0)))
+    if len(points) < 3 or length <= 1e-9 * extent**2:
+        raise table.error("points_m", "encloses no area: give at least three points of the wire that are not on a line")
+    axis = table.direction("axis") if "axis" in table else area / length
+    if axis @ area <= 0.0:
+        raise table.error(
+            "points_m", "run against axis: give the points in the direction of a positive current (right-hand rule)"
+        )
+    return Beacon(
+        **given,
+        position_m=table.vector("position_m") if "position_m" in table else points.mean(axis=0),
+        axis=axis,
+        turns=table.positive("turns") if "turns" in table else 1.0,
+        radius_m=None,
+        points_m=points,
+    )
+
+
+def _check_unique(root: Table, beacons: tuple[Beacon, ...]) -> None:
+    tables = root.tables("beacon")
+    ids: dict[str, int] = {}
+    codes: dict[int, str] = {}
+    waves: dict[tuple[int, str], str] = {}
+    for table, beacon in zip(tables, beacons, strict=True):
+        if beacon.id in ids:
+            raise table.error("id", f'is "{beacon.id}", which beacon {ids[beacon.id]} already has: take another')
+        if beacon.code != NO_CODE and beacon.code in codes:
+            raise table.error(
+                "code", f'is {beacon.code}, which beacon "{codes[beacon.code]}" already has: codes must differ'
+            )
+        periods, wave = beacon.drive.periods, beacon.drive.wave
+        if periods is not None:
+            if (periods, wave) in waves:
+                raise table.error(
+                    "frequency_Hz",
+                    f'is that of beacon "{waves[periods, wave]}" and so is the wave, "{wave}": change one of them',
+                )
+            waves[periods, wave] = beacon.id
+        ids[beacon.id] = len(ids) + 1
+        codes[beacon.code] = beacon.id

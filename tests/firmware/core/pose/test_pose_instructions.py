@@ -1,0 +1,221 @@
+"""What a pose on the sensor costs on a Cortex-M4: instructions, stack and memory, with the image's flags (Unicorn)."""
+
+import struct
+import subprocess
+
+import magpylib
+import numpy as np
+import pytest
+import unicorn
+from elftools.elf.elffile import ELFFile
+from scipy.spatial.transform import Rotation
+from unicorn import arm_const as arm
+
+from goldfield import site as sites
+from goldfield.locate.uncertainty import cramer_rao_bound
+from hil_sim.clib import ROOT
+
+FLAGS = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c11", "-O3")
+RAM, STACK, STOP = 0x20000000, 0x20040000, 0x0800FF00
+SIGMA_T = 2e-7 / np.sqrt(1023)
+
+HARNESS = """
+#include "core/pose/pose.h"
+#include "core/pose/pose_covariance.h"
+#include "core/math/quaternion.h"
+#include "core/codes/separation.h"
+#include "core/pose/wahba.h"
+pose_site_t site;
+pose_field_t fields[POSE_BEACONS_MAX];
+pose_work_t work;
+pose_t pose;
+void find(void) { pose_find(&site, fields, &work, &pose); }
+void track(void) { pose_track(&site, fields, &work, &pose); }
+
+float field[3], gradient[3][3], vector[3], quaternion[4] = {0.0f, 0.6f, 0.0f, 0.8f}, matrix[3][3], step[6];
+float covariance[6][6];
+wahba_t sum;
+triangle_t triangle;
+triangle_rows_t rows;
+separation_t separation;
+uint16_t codes[8] = {2, 3, 4, 5, 6, 7, 8, 9};
+int16_t sums[8] = {-1, -1, -1, -1, -1, -1, -1, -1};
+float axis[8];
+void one_loop_field_and_gradient(void) {
+    loop_field_and_gradient(&work.problem.heard[1].loop, work.best.position_m, field, gradient);
+}
+void one_loop_field(void) { loop_field(&work.problem.heard[1].loop, work.best.position_m, field); }
+void one_pose_fit_rows(void) { pose_fit_rows(&work.problem.heard[1], work.best.position_m, 160.0f, rows, field); }
+void one_triangle_add(void) { triangle_add(&triangle, rows); }
+void one_triangle_solve(void) { triangle_solve(&work.best.triangle, 1e-3f, step); }
+void one_wahba_add(void) { wahba_add(&sum, field, work.problem.heard[1].field_uT, 1.0f); }
+void one_wahba_loss(void) { vector[0] = wahba_loss(&sum); }
+void one_wahba_rotation(void) { wahba_rotation(&sum, quaternion); }
+void one_quaternion_matrix(void) { quaternion_matrix(quaternion, matrix); }
+void one_quaternion_turn(void) { quaternion_turn(quaternion, field); }
+void one_pose_covariance(void) { pose_covariance(&work.problem, &work.best, covariance); }
+void one_pose_search(void) { pose_search(&work.problem, work.point_m, work.normal, &work.candidates); }
+void one_evaluation(void) { pose_fit(&work.problem, 1, &work.best); }
+void one_separation_init(void) { separation_init(&separation, 1023, codes, sums, 8); }
+void one_separation_apply(void) { separation_apply(&separation, 5.0f, axis); }
+"""
+
+
+class Machine:
+    """The core on a Cortex-M4; instructions are counted a basic block at a time."""
+
+    def __init__(self, elf):
+        self.unicorn = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
+        self.unicorn.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
+        self.unicorn.mem_map(0x08000000, 0x10000)
+        self.unicorn.mem_map(RAM, 0x40000)
+        self.symbols = {}
+        with elf.open("rb") as file:
+            loaded = ELFFile(file)
+            for segment in loaded.iter_segments("PT_LOAD"):
+                self.unicorn.mem_write(segment["p_vaddr"], segment.data())
+            for symbol in loaded.get_section_by_name(".symtab").iter_symbols():
+                self.symbols[symbol.name] = symbol["st_value"], symbol["st_size"]
+        self.unicorn.reg_write(arm.UC_ARM_REG_C1_C0_2, 0xF << 20)
+        self.unicorn.reg_write(arm.UC_ARM_REG_FPEXC, 1 << 30)
+        self.blocks = {}
+        self.count = 0
+        self.unicorn.hook_add(unicorn.UC_HOOK_BLOCK, self._block)
+
+    def _block(self, _, address, size, __):
+        if (address, size) not in self.blocks:
+            halfwords = struct.unpack(f"<{size // 2}H", self.unicorn.mem_read(address, size))
+            place = count = 0
+            while place < len(halfwords):
+                place += 2 if halfwords[place] >= 0xE800 else 1  # Thumb-2: such a halfword begins a long instruction.
+                count += 1
+            self.blocks[address, size] = count
+        self.count += self.blocks[address, size]
+
+    def call(self, name):
+        """Instructions and stack of a call."""
+        self.count = 0
+        self.unicorn.mem_write(STACK - 8192, b"\xa5" * 8192)
+        self.unicorn.reg_write(arm.UC_ARM_REG_SP, STACK)
+        self.unicorn.reg_write(arm.UC_ARM_REG_LR, STOP | 1)
+        self.unicorn.emu_start(self.symbols[name][0] | 1, STOP)
+        used = bytes(self.unicorn.mem_read(STACK - 8192, 8192)).lstrip(b"\xa5")
+        return self.count, len(used)
+
+    def write(self, name, data):
+        self.unicorn.mem_write(self.symbols[name][0], data)
+
+    def pose(self):
+        """Position, and whether it was tracked (behind 26 floats, a short enum and two words)."""
+        raw = bytes(self.unicorn.mem_read(*self.symbols["pose"]))
+        return np.array(struct.unpack_from("<3f", raw)), bool(raw[116])
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("pose")
+    source, elf = directory / "harness.c", directory / "pose.elf"
+    source.write_text(HARNESS)
+    firmware = ROOT / "firmware"
+    subprocess.run(
+        [
+            *(
+                "arm-none-eabi-gcc",
+                *FLAGS,
+                f"-I{firmware}",
+                str(source),
+                *map(str, sorted(firmware.glob("core/*/*.c"))),
+            ),
+            *("-Ttext=0x08000000", f"-Tdata={RAM:#x}", "-nostartfiles", "--specs=nano.specs"),
+            *("-Wl,-e,0,--no-warn-rwx-segments", "-o", str(elf)),
+        ],
+        check=True,
+    )
+    return Machine(elf)
+
+
+@pytest.fixture(scope="module")
+def site():
+    return sites.load(ROOT / "host/sites/prigge8.toml")
+
+
+def load_site(machine, site):
+    table = b"".join(
+        struct.pack("<8f", *b.position_m, *b.axis, np.linalg.norm(b.moment_A_m2), b.radius_m) for b in site.beacons
+    )
+    machine.write("site", struct.pack("<I", len(site.beacons)) + table)
+
+
+def fields(site, position, rotation, rng):
+    """Noisy fields in the sensor's frame, as the sensor's memory has them."""
+    values = [
+        magpylib.current.Circle(current=b.turns * b.current_A, diameter=2 * b.radius_m, position=b.position_m).getB(
+            position
+        )
+        for b in site.beacons
+    ]
+    measured = rotation.inv().apply(values) + rng.normal(0.0, SIGMA_T, (len(values), 3))
+    return b"".join(struct.pack("<4f", *field, SIGMA_T) for field in measured)
+
+
+def test_no_prior_within_two_million_tracking_within_200000(machine, site):
+    rng = np.random.default_rng(11)
+    load_site(machine, site)
+    centres = np.array([b.position_m for b in site.beacons])
+    low, high = centres.min(axis=0), centres.max(axis=0)
+    found, tracked, lost, stack = [], [], [], 0
+    for _ in range(40):
+        # Twice the cube in each direction: also far outside.
+        position = (low + high) / 2 + (rng.random(3) - 0.5) * (high - low) * 2.0
+        rotation = Rotation.random(random_state=rng)
+        machine.write("fields", fields(site, position, rotation, rng))
+        count, depth = machine.call("find")
+        found.append(count)
+        estimate, _ = machine.pose()
+        bound = cramer_rao_bound(site, position[None], rotation.as_matrix()[None])[0, :3, :3]
+        assert np.linalg.norm(estimate - position) < max(0.01, 8.0 * np.sqrt(np.trace(bound)))
+        # One cycle later: 0.1 m and 0.1 rad on, as at 1 m/s and 1 rad/s.
+        direction, axis = rng.normal(size=(2, 3))
+        position = position + 0.1 * direction / np.linalg.norm(direction)
+        rotation = Rotation.from_rotvec(0.1 * axis / np.linalg.norm(axis)) * rotation
+        machine.write("fields", fields(site, position, rotation, rng))
+        count, more = machine.call("track")
+        (tracked if machine.pose()[1] else lost).append(count)
+        stack = max(stack, depth, more)
+    memory = {name: machine.symbols[name][1] for name in ("site", "work", "pose", "fields")}
+    for name, counts in (("find", found), ("track", tracked)):
+        print(f"{name}: median {np.median(counts):.0f}, most {max(counts)} instructions")
+    print(f"lost and found again: {lost}; stack {stack}; memory {memory}")
+    assert max(found + lost) <= 2_000_000
+    assert len(lost) <= 2
+    assert max(tracked) <= 200_000
+    assert stack <= 3000
+
+
+def test_each_part_within_what_its_header_says(machine, site):
+    rng = np.random.default_rng(12)
+    load_site(machine, site)
+    machine.write("fields", fields(site, np.array([0.9, 1.2, 0.8]), Rotation.random(random_state=rng), rng))
+    machine.call("find")
+    bounds = {
+        **{"loop_field": 180, "loop_field_and_gradient": 320, "pose_fit_rows": 420, "triangle_add": 900},
+        **{"triangle_solve": 2200, "wahba_add": 80, "wahba_loss": 350, "wahba_rotation": 500, "quaternion_matrix": 60},
+        **{"quaternion_turn": 100, "pose_covariance": 8 * 13_000, "evaluation": 8 * 1_500, "pose_search": 300 * 2_500},
+        **{"separation_init": 500, "separation_apply": 300},
+    }
+    counts = {name: machine.call(f"one_{name}")[0] for name in bounds}
+    print(counts)
+    assert {name: n for name, n in counts.items() if n > bounds[name]} == {}
+
+
+def test_noise_alone_takes_no_longer(machine, site):
+    """Nothing explains the fields: every candidate is fitted, up to the bound on evaluations."""
+    rng = np.random.default_rng(13)
+    load_site(machine, site)
+    counts = []
+    for _ in range(40):
+        noise = rng.normal(size=(8, 3)) * 10.0 ** rng.uniform(-8, -4, (8, 1))
+        machine.write("fields", b"".join(struct.pack("<4f", *field, SIGMA_T) for field in noise))
+        counts.append(machine.call("find")[0])
+    print(f"noise alone: median {np.median(counts):.0f}, most {max(counts)} instructions")
+    assert max(counts) <= 2_000_000

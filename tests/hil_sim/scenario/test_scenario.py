@@ -1,0 +1,244 @@
+"""Scenario files: what they mean, and what they say when they are wrong."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+
+import numpy as np
+import pytest
+
+from goldfield import site as sites
+from goldfield.access import SiteAccess
+from goldfield.errors import UserError
+from goldfield.site import rotating as rotating_site
+from goldfield_protocol.parameters import parse_page
+from hil_sim import scenario
+from hil_sim.clib import ROOT
+from hil_sim.world.motion import Line, Still, Waypoints
+from tests.hil_sim.rig.fakes import small, write_scenario
+
+COUNTS_PER_T = 2048 / 2e-4
+
+
+@pytest.mark.parametrize("file", sorted(scenario.SCENARIOS.glob("*.toml")), ids=lambda file: file.stem)
+def test_the_shipped_scenarios_load_and_give_a_site(file, tmp_path):
+    loaded = scenario.load_scenario(file.stem)
+    assert loaded.name == file.stem
+    site = tmp_path / "site.toml"
+    site.write_text(loaded.site_toml())
+    read = sites.load(site)
+    SiteAccess(read)  # raises if the beacons cannot be told apart
+    if all(beacon.plain_code is not None for beacon in loaded.beacons):
+        assert read.codes == tuple(beacon.code for beacon in loaded.beacons)
+    # A beacon of two coils is two of the site's.
+    pairs = [(beacon, coil) for beacon in loaded.beacons for coil in beacon.coils]
+    for written, (beacon, coil) in zip(read.beacons, pairs, strict=True):
+        np.testing.assert_array_equal(written.position_m, coil.position_m)
+        np.testing.assert_array_equal(written.axis, coil.axis)
+        assert written.id.partition(".")[0] == beacon.id
+        assert written.current_A == beacon.circuit.current_A
+        periods = beacon.periods if beacon.rotating_periods is None else beacon.rotating_periods
+        assert (written.drive.slot, written.drive.periods) == (beacon.slot, periods)
+        assert written.drive.codes == beacon.codes
+
+
+def test_boards_of_slots_and_tones(tmp_path):
+    slot = parse_page(scenario.load_scenario("slots8").parameter_page(8))
+    assert (slot["waveform"], slot["slots"], slot["slot"]) == (1, 9, 7)
+    tone = parse_page(scenario.load_scenario("tones8").parameter_page(8))
+    assert (tone["waveform"], tone["periods"]) == (2, 9)
+    text = scenario.find("slots8").read_text()
+    path = tmp_path / "wrong.toml"
+    for old, new, words in (
+        ("slot = 7", "slot = 9", "slot is 9; it must be below the scenario's slots"),
+        ("slot = 7", "slot = 7\nperiods = 3", "slot and periods are both given: a beacon drives one of them"),
+        ("slot = 7\n", "", "is driven otherwise than the first beacon"),
+        ("slots = 9", "slots = 0", "slots is 0; it must lie in 1 to 1023"),
+    ):
+        path.write_text(text.replace(old, new))
+        with pytest.raises(UserError, match=re.escape(words)):
+            scenario.load(path)
+
+
+def test_a_beacon_of_two_coils(tmp_path):
+    loaded = scenario.load_scenario("zheng6")
+    page = parse_page(loaded.parameter_page(3))
+    assert (page["waveform"], page["periods"], page["degree"], page["amplitude"]) == (3, 6, 11, 8.0)
+    assert parse_page(loaded.parameter_page(0))["degree"] == 11
+    path = tmp_path / "site.toml"
+    path.write_text(loaded.site_toml())
+    site = sites.load(path)
+    assert [beacon.id for beacon in site.beacons[4:6]] == ["m3.cos", "m3.sin"]
+    assert [beacon.drive.wave for beacon in site.beacons[4:6]] == ["cosine", "sine"]
+    assert [beacon.axis.tolist() for beacon in site.beacons[4:6]] == [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    assert site.chips == 2047
+    # Turns of the paper's beacons, in a second: within 0.1 % of 25, 20, 30, 15, 10 and 5.
+    turns = [beacon.drive.periods / site.cycle_s for beacon in site.beacons[::2]]
+    np.testing.assert_allclose(turns, [25, 20, 30, 15, 10, 5], rtol=1e-3)
+    paper = rotating_site.load(ROOT / "host" / "goldfield" / "data" / "zheng6.toml")
+    for own, printed in zip(loaded.beacons, paper.beacons, strict=True):
+        np.testing.assert_array_equal(own.geometry.position_m, printed.position_m)
+        assert (own.geometry.turns, own.geometry.radius_m) == (printed.turns, printed.radius_m)
+    # Grover's formula for the inductance, and copper's resistance, as the file says.
+    inductance = 4e-7 * np.pi * 55**2 * 0.23 * (np.log(8 * 0.23 / 0.01) - 2)
+    assert loaded.beacons[0].circuit.inductance_H == pytest.approx(inductance, rel=0.01)
+    assert loaded.beacons[0].circuit.resistance_Ohm == pytest.approx(1.72e-8 * 55 * 2 * np.pi * 0.23 / 2e-6, rel=0.03)
+
+
+def test_superposed_codes():
+    loaded = scenario.load_scenario("superposed")
+    page = parse_page(loaded.parameter_page(3))
+    assert page["waveform"] == 4
+    assert page["codes"] == [10, 5, 0, 1, 5, 3, 20, 33]
+    sensor = parse_page(loaded.parameter_page(0))
+    assert sensor["code_count"] == 0
+    assert "code" not in page
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "words"),
+    [
+        ("zheng6", "second_axis = [0.0, 1.0, 0.0]", "", "second_axis and rotating_periods belong together: give both"),
+        ("zheng6", "rotating_periods = 4", "code = 4", "second_axis and rotating_periods belong together: give both"),
+        ("zheng6", "second_axis = [0.0, 1.0, 0.0]", "second_axis = [0.1, 1.0, 0.0]", "is not at right angles to axis"),
+        ("zheng6", "rotating_periods = 6", "rotating_periods = 1024", "is 1024; it must lie in 1 to 1023"),
+        ("zheng6", "degree = 11 ", "degree = 8 ", "degree is 8; codes exist for 5, 6, 7, 9, 10, 11"),
+        ("zheng6", "pose = 0", "pose = 1", "pose is 1, but the board can tell apart plain codes alone: set pose = 0"),
+        (
+            "zheng6",
+            "rotating_periods = 6",
+            "rotating_periods = 6\nperiods = 1",
+            "periods and rotating_periods are both",
+        ),
+        ("superposed", "{ code = 8 }", "{ code = 8, degree = 6 }", "lasts 63 chips: a cycle of 1023 is no multiple"),
+        ("superposed", "hold = 11", "hold = 12", "has a code that lasts 372 chips: a cycle of 1023 is no multiple"),
+        ("superposed", "{ code = 11 }, {", "{ code = 20 }, { code = 11 }, {", "lists 5 codes; a board superposes at"),
+        ("superposed", "{ code = 8 }", "{ code = 1025 }", "code is 1025; codes of degree 10 are 0 to 1024"),
+        ("superposed", "codes = [{ code = 8 }]", "", "code is missing; give one, or codes, slot, periods or rotating"),
+    ],
+)
+def test_what_a_beacon_cannot_drive(tmp_path, name, old, new, words):
+    text = scenario.find(name).read_text()
+    assert old in text
+    path = tmp_path / "wrong.toml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(UserError, match=re.escape(words)) as caught:
+        scenario.load(path)
+    assert "wrong.toml" in str(caught.value)
+
+
+def test_the_committed_site_is_that_of_the_scenario():
+    committed = (ROOT / "host" / "sites" / "prigge8.toml").read_text()
+    assert committed.partition("\n")[2] == scenario.load_scenario("prigge8").site_toml()
+
+
+def test_parameter_pages(tmp_path):
+    loaded = small(tmp_path)
+    assert parse_page(loaded.parameter_page(2)) == {"node": 2, "code": 3, "amplitude": 10.0, "sync_master": 0}
+    assert parse_page(loaded.parameter_page(1))["sync_master"] == 1
+    sensor = parse_page(loaded.parameter_page(0))
+    assert (sensor["node"], sensor["code_count"], sensor["code_list"]) == (100, 3, [2, 3, 4])
+
+
+@pytest.mark.parametrize("calibration", ["exact", "nominal"])
+def test_calibration_undoes_the_front_end(tmp_path, calibration):
+    errors = "2e-4\ngain_error = [0.01, -0.02, 0.015]\nmisalignment_rad = [0.01, -0.005, 0.008]\n"
+    errors += "offset_T = [3e-6, -2e-6, 1e-6]"
+    loaded = small(tmp_path, range_T=f'{errors}\ncalibration = "{calibration}"')
+    page = parse_page(loaded.parameter_page(0))
+    field = np.array([2e-5, -3e-5, 4e-5])
+    # Axes written out: x leans by .01 toward y and by -.005 toward z, y by .008 toward z.
+    axes = [np.array([1, 0.01, -0.005]), np.array([0, 1, 0.008]), np.array([0, 0, 1.0])]
+    sensed = [gain * (a @ field) / np.linalg.norm(a) for gain, a in zip([1.01, 0.98, 1.015], axes, strict=True)]
+    counts = 2048 + np.add(sensed, [3e-6, -2e-6, 1e-6]) * COUNTS_PER_T
+    zero = np.array([page["zero_x"], page["zero_y"], page["zero_z"]])
+    error = np.array(page["calibration"]).reshape(3, 3) @ (counts - zero) - field
+    assert np.abs(error).max() < 1e-10 if calibration == "exact" else np.abs(error).max() > 1e-6
+
+
+def test_motions(tmp_path):
+    assert isinstance(small(tmp_path).motion, Still)
+    assert isinstance(small(tmp_path, kind='"line"\nvelocity_m_per_s = [1.0, 0.0, 0.0]').motion, Line)
+    path = write_scenario(tmp_path)
+    before, after = path.read_text().split("[motion]")
+    table = """[motion]
+kind = "waypoints"
+times_s = [0.0, 1.0]
+positions_m = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
+rotation_vectors_rad = [[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
+"""
+    path.write_text(before + table + after[after.index("[coil]") :])
+    assert isinstance(scenario.load(path).motion, Waypoints)
+
+
+def test_a_beacon_overrides_the_coils_defaults_and_may_be_a_wire(tmp_path):
+    text = "2\npoints_m = [[0, 0, 0], [0.3, 0, 0], [0.3, 0.2, 0], [0, 0.2, 0], [0, 0, 0]]\ncurrent_A = 5.0"
+    path = write_scenario(tmp_path, code=text)
+    loaded = scenario.load(path)
+    wire, circle = loaded.beacons[0], loaded.beacons[1]
+    assert (wire.circuit.current_A, circle.circuit.current_A) == (5.0, 10.0)
+    assert wire.geometry.turns == 1.0
+    assert circle.geometry.turns == 19.0
+    np.testing.assert_allclose(wire.geometry.axis, [0, 0, 1])
+    site = tomllib.loads(loaded.site_toml())
+    assert site["beacon"][0]["points_m"][2] == [0.3, 0.2, 0.0]
+    assert "radius_m" not in site["beacon"][0]
+
+
+WRONG = {
+    "unknown key": (
+        {"noise_T": "1e-7\nbandwith_Hz = 5.0"},
+        r'small\.toml:13: \[sensor\]: bandwith_Hz is no known key; did you mean "bandwidth_Hz"',
+    ),
+    "unknown table": ({"seed": "1\n[[becon]]\nid = 1"}, 'becon is no known key; did you mean "beacon"'),
+    "unknown key of a beacon": (
+        {"sync_master": "true\nturn = 3"},
+        r'\[\[beacon\]\] 1: turn is no known key; did you mean "turns"',
+    ),
+    "wrong type": ({"range_T": '"wide"'}, r'\[sensor\]: range_T must be a finite number, not the text "wide"'),
+    "negative": ({"noise_T": "-1e-7"}, "noise_T is -1e-07; it must not be negative"),
+    "no supply": ({"supply_V": "0.0"}, r"supply_V is 0; it must be greater than zero"),
+    "node": ({"node": "5000"}, "node is 5000; it must lie in 1 to 4095"),
+    "code": ({"code": "1025"}, "code is 1025; it must lie in 0 to 1024"),
+    "codes twice": ({"code": "3"}, "code is 3, which beacon a already has: take another"),
+    "nodes twice": ({"node": "2"}, "node is 2, which the sensor already has: take another"),
+    "no master": ({"sync_master": "false"}, "exactly one must have sync_master = true; none has"),
+    "motion": ({"kind": '"orbit"'}, 'kind is "orbit"; it must be one of still, line, waypoints'),
+    "still does not move": (
+        {"kind": '"still"\nvelocity_m_per_s = [1.0, 0.0, 0.0]'},
+        "velocity_m_per_s is no known key",
+    ),
+    "vector": ({"position_m": "[1.0, 2.0]"}, r"position_m must be three finite numbers"),
+    "current": ({"current_A": "20.0"}, "current_A is 20; the boards drive 0 to 15.9 A"),
+    "calibration": (
+        {"noise_T": '1e-7\ncalibration = "good"'},
+        'calibration is "good"; it must be "exact" or "nominal"',
+    ),
+    "no TOML": ({"seed": "= 3"}, "is no valid TOML"),
+    "crystal": ({"crystal_ppm": "1e5"}, r"crystal_ppm is 100000; it must lie within \+-5000"),
+    "half wire": ({"code": "2\npoints_m = [[0, 0, 0], [1, 0, 0]]"}, "points_m encloses no area"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_wrong_is_said_in_a_sentence(tmp_path, name):
+    replacements, sentence = WRONG[name]
+    with pytest.raises(UserError, match=sentence) as caught:
+        scenario.load(write_scenario(tmp_path, **replacements))
+    assert "\n" not in str(caught.value)
+    assert "small.toml" in str(caught.value)
+
+
+def test_two_masters(tmp_path):
+    path = write_scenario(tmp_path)
+    path.write_text(path.read_text().replace("crystal_ppm = -30.0", "sync_master = true"))
+    with pytest.raises(UserError, match="exactly one must have sync_master = true; a, c have"):
+        scenario.load(path)
+
+
+def test_no_such_scenario(tmp_path):
+    with pytest.raises(UserError, match=r"there is no scenario 'atlantis'; there are .*prigge8"):
+        scenario.load_scenario("atlantis")
+    with pytest.raises(UserError, match=r"there is no such scenario"):
+        scenario.load_scenario(str(tmp_path / "nothing.toml"))

@@ -1,0 +1,390 @@
+"""`goldfield run`: live on a pseudo-terminal, on a recorded log, beside the truth, and with what goes wrong."""
+
+import json
+import math
+import re
+import signal
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from goldfield.cli import main
+from goldfield.link.buses import open_can
+from goldfield.types import Pose, Status
+from goldfield.view.terminal import PoseTable, Summary, roll_pitch_yaw_deg
+from goldfield.view.truth import PoseError, Truth, rotation_angle
+from goldfield_protocol import encode
+from tests.host.fake_sensor import (
+    ATTITUDE,
+    CODES,
+    POSITION_M,
+    SITE,
+    PtySensor,
+    beacon_fields,
+    candump,
+    cycle_messages,
+    heartbeat,
+    log_of,
+)
+
+LOCATE_KEYS = ["epoch", "t_s", "position_m", "orientation_xyzw", "position_cov_m2", "attitude_cov_rad2"]
+LOCATE_KEYS += ["residual", "status", "used", "excluded"]
+
+
+def no_constants(name):
+    raise AssertionError(f"{name} is no JSON")
+
+
+def run(capsys, *options):
+    code = main(["run", "--site", str(SITE), *map(str, options)])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def poses(out):
+    return [json.loads(line, parse_constant=no_constants) for line in out.splitlines()]
+
+
+def write(tmp_path, text, name="a.log"):
+    path = tmp_path / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def truth_lines(cycles, offset=(0.0, 0.0, 0.0)):
+    orientation = ATTITUDE.as_quat().tolist()
+    position = (POSITION_M + offset).tolist()
+    record = {"position_m": position, "orientation_xyzw": orientation}
+    return "".join(json.dumps({"cycle": c, "t_s": 0.1 * c} | record) + "\n" for c in cycles)
+
+
+def test_a_log_gives_poses(tmp_path, capsys):
+    path = write(tmp_path, log_of(range(4, 8), [heartbeat()]))
+    code, out, err = run(capsys, "--log", path, "--json")
+    assert code == 0
+    lines = poses(out)
+    assert [line["epoch"] for line in lines] == [4, 5, 6, 7]
+    for line in lines:
+        assert list(line) == [*LOCATE_KEYS, "lost", "chips", "saturated", "locked"]
+        assert line["status"] == "ok"
+        assert line["lost"] == 0
+        assert np.linalg.norm(np.subtract(line["position_m"], POSITION_M)) < 0.05
+        assert 0.5 < line["residual"] < 2.0
+    assert err == "4 epochs, 4 ok; 0 messages lost, 0 corrupt frames, 0 cycles missed in gaps\n"
+
+
+def test_errors_of_separation_are_the_noise_of_the_messages(tmp_path, capsys):
+    """Without noise what is left is the messages' resolution of 0.1 nT: the pose is right to a millimetre."""
+    messages = [(0.1, m) for m in cycle_messages(0, noise_T=0.0)]
+    _, out, _ = run(capsys, "--log", write(tmp_path, candump(messages)), "--json")
+    (line,) = poses(out)
+    assert np.linalg.norm(np.subtract(line["position_m"], POSITION_M)) < 1e-3
+
+
+def test_lost_messages_show_and_the_rest_is_used(tmp_path, capsys):
+    lines = log_of(range(3)).splitlines(keepends=True)
+    del lines[11 + 5]  # a field of cycle 1
+    del lines[22 - 1 : 22]  # the header of cycle 2
+    lines.insert(8, "(0.1) can0 garbage\n")
+    code, out, err = run(capsys, "--log", write(tmp_path, "".join(lines)), "--json")
+    assert code == 0
+    first, second, third = poses(out)
+    assert (first["lost"], len(first["used"])) == (0, 8)
+    assert (second["lost"], len(second["used"])) == (1, 7)
+    assert third["lost"] == 1
+    assert third["t_s"] == pytest.approx(2.5 * 1023 * 97.75e-6, abs=1e-5)
+    assert "2 messages lost, 1 corrupt frames" in err
+
+
+def test_an_epoch_without_anything_still_has_its_line(tmp_path, capsys):
+    text = log_of([3, 5])
+    _, out, _ = run(capsys, "--log", write(tmp_path, text), "--json")
+    assert [(p["epoch"], p["status"], p["position_m"] is None, p["lost"]) for p in poses(out)] == [
+        (3, "ok", False, 0),
+        (4, "failed", True, 11),
+        (5, "ok", False, 0),
+    ]
+
+
+def test_fields_written_give_the_same_poses(tmp_path, capsys):
+    lines = log_of(range(3)).splitlines(keepends=True)
+    del lines[11 + 5]
+    table = tmp_path / "fields.csv"
+    code, out, _ = run(capsys, "--log", write(tmp_path, "".join(lines)), "--json", "--fields", table)
+    assert code == 0
+    assert len(table.read_text().splitlines()) == 1 + 8 + 7 + 8
+    assert main(["locate", "--site", str(SITE), str(table), "--json"]) == 0
+    again = poses(capsys.readouterr().out)
+    for live, located in zip(poses(out), again, strict=True):
+        np.testing.assert_allclose(located["position_m"], live["position_m"], atol=1e-9)
+        assert located["used"] == live["used"]
+    code, _, err = run(capsys, "--log", tmp_path / "a.log", "--fields", tmp_path / "none" / "f.csv")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "the fields cannot be written" in err
+
+
+def test_what_the_sensor_says_was_wrong_is_shown(tmp_path, capsys):
+    messages = cycle_messages(0)
+    status = {"cycle_low": 0, "chips": 1000, "saturated": 4, "fields": 8, "locked": 0, "phase": 0, "temperature": 20}
+    messages[1] = encode("EPOCH_STATUS", status, node=100)
+    messages += [encode("COUNTER", {"counter": n, "value": n + 1}, node=100, index=n) for n in (6, 77)]
+    path = write(tmp_path, candump([(0.1, m) for m in messages]))
+    code, out, _ = run(capsys, "--log", path)
+    assert code == 0
+    _, line, _, counted = out.splitlines()
+    assert line.endswith(", not synchronised, 23 chips lost, 4 chips saturated")
+    assert counted == "the sensor counted since its reset: 7 converter overruns, 78 of counter 77"
+    (record,) = poses(run(capsys, "--log", path, "--json")[1])
+    assert (record["chips"], record["saturated"], record["locked"]) == (1000, 4, False)
+
+
+def test_codes_of_another_site_do_not_matter(tmp_path, capsys):
+    other = cycle_messages(0, codes=CODES)[3:5]
+    foreign = [(identifier + (0x300 << 12), data) for identifier, data in other]
+    messages = cycle_messages(0)
+    code, out, _ = run(
+        capsys, "--log", write(tmp_path, candump([(0.1, m) for m in [*messages[:3], *foreign, *messages[3:]]]))
+    )
+    assert code == 0
+    assert out.splitlines()[1].endswith("ok")
+
+
+def test_live_on_a_serial_port_recorded_and_replayed_alike(tmp_path, capsys):
+    record = tmp_path / "record.log"
+    with PtySensor(range(20), garbage=b"\x13\x37\0") as sensor:
+        code, out, err = run(capsys, "--port", sensor.path, "--seconds", 0.6, "--json", "--record", record)
+    assert code == 0
+    assert [p["epoch"] for p in poses(out)] == list(range(6))
+    assert all(p["status"] == "ok" for p in poses(out))
+    counts = re.fullmatch(r"6 epochs, 6 ok; 0 messages lost, (\d+) corrupt frames, 0 cycles missed in gaps\n", err)
+    assert counts is not None
+    assert int(counts[1]) >= 6  # one for each piece of garbage
+    code, again, _ = run(capsys, "--log", record, "--json", "--seconds", 0.6)
+    assert code == 0
+    assert again == out
+
+
+def test_live_on_can(capsys):
+    sender = open_can("virtual:cli")
+    stop = threading.Event()
+
+    def answer():
+        cycle = 0
+        while not stop.is_set():
+            sender.send(*heartbeat())
+            for message in cycle_messages(cycle):
+                sender.send(*message)
+            cycle += 1
+            while (request := sender.receive(0.02)) is not None:
+                index = request.arbitration_id >> 12 & 0xFFF
+                value = {5: len(CODES), 28: 10}[index] if index < 256 else CODES[index - 256]
+                sender.send((0x0E << 24) | index << 12 | 100, bytes([0]) + value.to_bytes(4, "little"))
+
+    thread = threading.Thread(target=answer, daemon=True)
+    thread.start()
+    code, out, _ = run(capsys, "--can", "virtual:cli", "--seconds", 0.3, "--json")
+    stop.set()
+    thread.join()
+    sender.close()
+    assert code == 0
+    assert [p["status"] for p in poses(out)] == ["ok"] * 3
+
+
+def test_a_pulled_cable_ends_the_run_with_what_came_before(capsys):
+    with PtySensor(range(4), hang_up=True) as sensor:
+        code, out, err = run(capsys, "--port", sensor.path, "--json")
+    assert code == 3
+    assert f"goldfield: {sensor.path}: the port is gone" in err
+    assert "Traceback" not in err
+    whole = [p["epoch"] for p in poses(out) if p["lost"] == 0]
+    assert whole == list(range(len(whole)))
+    assert all(p["status"] == "ok" for p in poses(out)[: len(whole)])
+    assert len(poses(out)) - len(whole) <= 1  # the cycle that was cut: whatever its fields tell
+
+
+def test_an_interrupt_is_the_usual_end():
+    with PtySensor(range(1000)) as sensor:
+        command = [sys.executable, "-m", "goldfield", "run", "--port", sensor.path, "--site", str(SITE), "--json"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            assert process.stderr is not None
+            assert json.loads(process.stdout.readline())["epoch"] == 0
+            process.send_signal(signal.SIGINT)
+            process.stdout.read()
+            message = process.stderr.read()
+            assert process.wait() == 0
+    assert re.match(r"\d+ epochs, \d+ ok; 0 messages lost", message)
+    assert message.count("\n") == 1
+
+
+def test_another_protocol_live_and_in_a_log(tmp_path, capsys):
+    with PtySensor([], hash_=1) as sensor:
+        code, _, err = run(capsys, "--port", sensor.path)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "make flash ROLE=sensor" in err
+    code, _, err = run(capsys, "--log", write(tmp_path, log_of([1], [heartbeat(hash_=1)])))
+    assert (code, err.count("\n")) == (2, 1)
+    assert "make flash ROLE=sensor" in err
+
+
+BAD = [
+    ([], "no source is given"),
+    (["--port", "a", "--log", "b"], "more than one source is given"),
+    (["--port", ""], "--port is empty"),
+    (["--port", "/dev/no-such-port"], "/dev/no-such-port: there is no such port"),
+    (["--port", "."], "is a directory"),
+    (["--log", "/no/such.log"], "/no/such.log: there is no such log"),
+    (["--log", "."], "is a directory"),
+    (["--log", str(SITE)], "prigge8_site.toml:1: the log holds no message"),
+    (["--can", "socketcan"], "is not INTERFACE:CHANNEL"),
+    (["--can", "nonsense:0"], "knows no interface nonsense"),
+    (["--can", "slcan:/dev/no-such-port"], "--can slcan:/dev/no-such-port: cannot be opened"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), BAD)
+def test_bad_usage_is_one_sentence(capsys, options, words):
+    code, out, err = run(capsys, *options)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert words in err
+
+
+@pytest.mark.parametrize(
+    ("option", "value"), [("--seconds", "0"), ("--seconds", "x"), ("--seconds", "nan"), ("--node", "4096")]
+)
+def test_bad_numbers(capsys, option, value):
+    with pytest.raises(SystemExit) as ended:
+        main(["run", option, value])
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_log_of_other_messages(tmp_path, capsys):
+    code, _, err = run(capsys, "--log", write(tmp_path, candump([(0.0, heartbeat(node=3, role=0))])))
+    assert code == 2
+    assert "a.log: holds no cycle of a sensor" in err
+
+
+def test_the_environment_gives_the_source_unless_the_command_line_does(tmp_path, capsys, monkeypatch):
+    path = write(tmp_path, log_of([1]))
+    monkeypatch.setenv("GOLDFIELD_PORT", "/dev/no-such-port")
+    assert run(capsys)[0] == 2
+    assert run(capsys, "--log", path)[0] == 0
+    monkeypatch.delenv("GOLDFIELD_PORT")
+    monkeypatch.setenv("GOLDFIELD_LOG", str(path))
+    monkeypatch.setenv("GOLDFIELD_SECONDS", "0.1")
+    assert run(capsys)[0] == 0
+    monkeypatch.setenv("GOLDFIELD_SECONDS", "never")
+    with pytest.raises(SystemExit):
+        main(["run"])
+
+
+def test_errors_against_the_truth(tmp_path, capsys):
+    path = write(tmp_path, log_of(range(3)))
+    truth = write(tmp_path, truth_lines(range(3), offset=(0.0, 0.3, 0.4)), "truth.jsonl")
+    code, out, err = run(capsys, "--log", path, "--json", "--truth", truth)
+    assert code == 0
+    lines = poses(out)
+    for line in lines:
+        distance = np.linalg.norm(np.subtract(line["position_m"], np.add(POSITION_M, [0.0, 0.3, 0.4])))
+        assert line["position_error_m"] == pytest.approx(distance)
+        turn = (Rotation.from_quat(line["orientation_xyzw"]).inv() * ATTITUDE).magnitude()
+        assert line["attitude_error_rad"] == pytest.approx(turn)
+    rms = math.sqrt(np.mean([line["position_error_m"] ** 2 for line in lines]))
+    assert f"rms error of 3 ok poses: position {rms * 100:.2f} cm" in err
+    code, out, _ = run(capsys, "--log", path, "--truth", truth)
+    header, *rows, _, summary = out.splitlines()
+    assert " yaw deg  err cm err deg used " in header
+    assert float(rows[0].split()[8]) == pytest.approx(lines[0]["position_error_m"] * 100, abs=0.006)
+    assert summary.startswith("rms error of 3 ok poses")
+
+
+def test_truth_that_lacks_a_cycle_or_is_none(tmp_path, capsys):
+    path = write(tmp_path, log_of(range(2)))
+    code, out, _ = run(capsys, "--log", path, "--json", "--truth", write(tmp_path, truth_lines([1]), "t.jsonl"))
+    assert code == 0
+    assert [line["position_error_m"] is None for line in poses(out)] == [True, False]
+    for bad in ("{}", "[]", "1", "no json", '{"cycle": 0, "position_m": [1], "orientation_xyzw": [0,0,0,1]}'):
+        code, _, err = run(capsys, "--log", path, "--truth", write(tmp_path, f"\n{bad}\n", "t.jsonl"))
+        assert code == 2
+        assert "t.jsonl:2: is no line of truth" in err
+    code, _, err = run(capsys, "--log", path, "--truth", tmp_path / "none")
+    assert code == 2
+    assert "no such truth file" in err
+
+
+def pose(epoch, position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0), status=Status.OK):
+    nothing = np.zeros((3, 3))
+    return Pose(epoch, 0.1 * epoch, np.array(position), np.array(orientation), nothing, nothing, 1.0, status, ("b1",))
+
+
+def test_truth_that_is_still_being_written(tmp_path):
+    """A line in two pieces, the second while the reader waits; the cycle's number wraps at 2^20."""
+    path = tmp_path / "t.jsonl"
+    line = truth_lines([2**20 + 5])
+    path.write_text(line[:30])
+    truth = Truth(path, wait_s=20.0)
+    writer = threading.Timer(0.05, lambda: path.open("a").write(line[30:]))
+    writer.start()
+    error = truth.error_of(pose(5, np.add(POSITION_M, [0.0, 0.0, 0.01]), ATTITUDE.as_quat()))
+    writer.join()
+    assert error.position_m == pytest.approx(0.01)
+    assert error.attitude_rad == pytest.approx(0.0, abs=1e-12)
+    truth.close()
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, math.pi])
+def test_rotation_angle(angle):
+    first = Rotation.from_rotvec([0.3, -2.0, 0.7])
+    axis = np.array([1.0, 2.0, -2.0]) / 3.0
+    second = Rotation.from_rotvec(angle * axis) * first
+    assert rotation_angle(first.as_quat(), -second.as_quat()) == pytest.approx(angle, rel=1e-6, abs=1e-15)
+
+
+def test_roll_pitch_yaw_against_scipy():
+    for rotation in Rotation.random(50, rng=np.random.default_rng(3)):
+        yaw, pitch, roll = rotation.as_euler("ZYX", degrees=True)
+        np.testing.assert_allclose(roll_pitch_yaw_deg(rotation.as_quat()), [roll, pitch, yaw], atol=1e-9)
+
+
+def test_the_summary_counts_ok_poses_only():
+    summary = Summary()
+    summary.add(pose(0), PoseError(0.03, 0.3), lost=2)
+    summary.add(pose(1), PoseError(0.04, 0.4))
+    summary.add(pose(2, status=Status.INCONSISTENT), PoseError(9.0, 3.0))
+    assert summary.text(truth=True).splitlines() == [
+        "3 epochs, 2 ok; 2 messages lost, 0 corrupt frames, 0 cycles missed in gaps",
+        "rms error of 2 ok poses: position 3.54 cm, attitude 20.26 deg",
+    ]
+    assert Summary().text(truth=True).endswith("no ok pose could be compared with the truth")
+
+
+def test_the_header_comes_again():
+    table = PoseTable()
+    text = "\n".join(table.line(pose(i)) for i in range(60))
+    assert text.count("status") == 3
+
+
+def test_a_full_disk_does_not_stop_the_run(tmp_path, capsys):
+    code, out, err = run(capsys, "--log", write(tmp_path, log_of(range(2))), "--json", "--record", "/dev/full")
+    assert code == 0
+    assert len(poses(out)) == 2
+    assert "recording stopped after 0 bytes: No space left on device; the run goes on" in err
+
+
+def test_as_a_program(tmp_path):
+    path = write(tmp_path, log_of(range(2)))
+    command = [sys.executable, "-m", "goldfield", "run", "--log", str(path), "--site", str(SITE), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert len(poses(done.stdout)) == 2
+
+
+def test_the_sensors_fields_are_those_of_magpylib():
+    """Guards the fake sensor: strong, all different, and none out of a message's range."""
+    sizes = np.linalg.norm(beacon_fields(), axis=1)
+    assert (sizes > 1e-7).all()
+    assert (sizes < 52e-6).all()

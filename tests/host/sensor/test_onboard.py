@@ -1,0 +1,147 @@
+"""Poses that the sensor computed: its messages in a log, and a live sensor that gets the beacon table."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from goldfield import site as sites
+from goldfield.cli import main
+from goldfield.sensor.onboard import onboard_parameters
+from goldfield_protocol import encode
+from goldfield_protocol.parameters import PARAMETERS, parse_page
+from hil_sim.scenario import SCENARIOS, load_scenario
+from tests.host.fake_sensor import ATTITUDE, NODE, POSITION_M, SITE, candump, cycle_messages, heartbeat
+
+STEP = 1.0 / 16384.0
+OWN_M = np.add(POSITION_M, [0.01, 0.0, 0.0])
+
+
+def pose_messages(cycle, status=0, used=8):
+    low = {"cycle_low": cycle % 16}
+    position = dict(zip("xyz", map(float, OWN_M), strict=True))
+    attitude = dict(zip("xyzw", (np.round(ATTITUDE.as_quat() / STEP) * STEP).tolist(), strict=True))
+    quality = {"status": status, "tracked": 1, "used": used, "iterations": 5, "residual": 0.97}
+    quality |= {"sigma_position": 0.0072, "sigma_attitude": 0.015}
+    return [
+        encode("POSE_POSITION", position | low, node=NODE),
+        encode("POSE_ATTITUDE", attitude | low, node=NODE),
+        encode("POSE_QUALITY", quality | low, node=NODE),
+    ]
+
+
+def run(capsys, tmp_path, messages, *options):
+    log = tmp_path / "a.log"
+    log.write_text(candump([(0.001 * i, message) for i, message in enumerate(messages)]))
+    code = main(["run", "--site", str(SITE), "--log", str(log), "--json", *options])
+    captured = capsys.readouterr()
+    return code, [json.loads(line) for line in captured.out.splitlines()], captured.err
+
+
+def test_messages_of_the_dbc_bit_by_bit():
+    """Packed by hand: the layout in the C code, in the DBC and here is the same."""
+    identifier, data = encode("POSE_POSITION", {"x": -1.0, "y": 0.1, "z": 52.4287, "cycle_low": 9}, node=7)
+    assert identifier == 16 << 24 | 7
+    assert int.from_bytes(data, "little") == (-10000 & 0xFFFFF) | 1000 << 20 | 524287 << 40 | 9 << 60
+    identifier, data = encode("POSE_ATTITUDE", {"x": -0.5, "y": 0.25, "z": 0.0, "w": 0.75, "cycle_low": 1}, node=7)
+    assert identifier == 17 << 24 | 7
+    assert int.from_bytes(data, "little") == (-8192 & 0x7FFF) | 4096 << 15 | 12288 << 45 | 1 << 60
+    signals = {"cycle_low": 15, "status": 3, "tracked": 1, "used": 64, "iterations": 200, "residual": 1.25}
+    identifier, data = encode("POSE_QUALITY", signals | {"sigma_position": 0.5, "sigma_attitude": 0.01}, node=7)
+    assert identifier == 18 << 24 | 7
+    assert int.from_bytes(data, "little") == (
+        15 | 3 << 4 | 1 << 7 | 64 << 8 | 200 << 15 | 125 << 23 | 5000 << 35 | 20 << 51
+    )
+
+
+def test_a_log_with_the_sensors_poses(capsys, tmp_path):
+    messages = [heartbeat()]
+    for cycle in range(4, 8):
+        messages += cycle_messages(cycle) + pose_messages(cycle)
+    code, own, _ = run(capsys, tmp_path, messages, "--on-sensor")
+    assert code == 0
+    assert [line["epoch"] for line in own] == [4, 5, 6, 7]
+    for line in own:
+        np.testing.assert_allclose(line["position_m"], OWN_M, atol=1e-6)
+        assert (Rotation.from_quat(line["orientation_xyzw"]) * ATTITUDE.inv()).magnitude() < 1e-4
+        assert (line["status"], len(line["used"]), line["lost"]) == ("ok", 8, 0)
+        assert line["residual"] == pytest.approx(0.97)
+        assert np.sqrt(np.trace(line["position_cov_m2"])) == pytest.approx(0.0072)
+        assert np.sqrt(np.trace(line["attitude_cov_rad2"])) == pytest.approx(0.015)
+    # Without the option they are not looked at.
+    code, host, _ = run(capsys, tmp_path, messages)
+    assert [line["lost"] for line in host] == [0] * 4
+    assert all(np.linalg.norm(np.subtract(line["position_m"], POSITION_M)) < 0.05 for line in host)
+
+
+def test_a_lost_pose_message_costs_that_epoch_only(capsys, tmp_path):
+    messages = [heartbeat()]
+    for cycle in range(4, 8):
+        of_pose = pose_messages(cycle, status=2 if cycle == 7 else 0, used=6 if cycle == 7 else 8)
+        messages += cycle_messages(cycle) + (of_pose[:2] if cycle == 5 else of_pose)
+    _, lines, _ = run(capsys, tmp_path, messages, "--on-sensor")
+    assert [line["status"] for line in lines] == ["ok", "failed", "ok", "weak"]
+    assert lines[1]["position_m"] is None
+    assert lines[3]["used"] == ["?"] * 6
+
+
+def test_a_sensor_without_poses(capsys, tmp_path):
+    messages = [heartbeat(), *cycle_messages(4), *cycle_messages(5)]
+    code, lines, _ = run(capsys, tmp_path, messages, "--on-sensor")
+    assert code == 0
+    assert [line["status"] for line in lines] == ["failed", "failed"]
+
+
+def test_what_cannot_be_is_said(capsys, tmp_path):
+    code, _, err = run(capsys, tmp_path, [heartbeat()], "--on-sensor", "--track")
+    assert code == 2
+    assert "--on-sensor and --track are both given" in err
+    site = tmp_path / "site.toml"
+    site.write_text(SITE.read_text().replace("code = 9", "code = 1024"))
+    code = main(["run", "--site", str(site), "--log", "x.log", "--on-sensor"])
+    assert code == 2
+    assert "none of them 1024" in capsys.readouterr().err
+
+
+def test_the_table_from_the_site_is_that_of_the_rig(tmp_path):
+    """Two ways to the same parameters: the scenario's page, and the site file that the scenario writes."""
+    scenario = load_scenario("prigge8")
+    path = tmp_path / "site.toml"
+    path.write_text(scenario.site_toml())
+    page = parse_page(scenario.parameter_page(0))
+    values = onboard_parameters(sites.load(path))
+    for name in ("pose", "noise", "half_space", "beacons"):
+        stored = page[name] if isinstance(page[name], list) else [page[name]]
+        given = [values[PARAMETERS[name].identifier(i)] for i in range(len(stored))]
+        np.testing.assert_allclose(given, stored, rtol=1e-6)
+    assert len(values) == 8 + 64
+
+
+def test_a_live_sensor_that_knows_no_beacons_gets_them(tmp_path):
+    """Boards of the rig as one process, the command as another: parameters and poses through the serial port."""
+    scenario = tmp_path / "bare.toml"
+    text = (SCENARIOS / "prigge8.toml").read_text().replace("pose = 1 ", "pose = 0 ")
+    scenario.write_text(text)
+    site = tmp_path / "site.toml"
+    site.write_text(load_scenario(str(scenario)).site_toml())
+    goldfield = [sys.executable, "-m", "goldfield"]
+    rig_command = [*goldfield, "hil", str(scenario), "--boards", "host", "--json", "--seconds", "60"]
+    with subprocess.Popen(rig_command, stdout=subprocess.PIPE, text=True) as rig:
+        try:
+            port = json.loads(rig.stdout.readline())["serial"]
+            options = ["--port", port, "--site", str(site), "--on-sensor", "--json", "--seconds", "1.5"]
+            done = subprocess.run(
+                [*goldfield, "run", *options], capture_output=True, text=True, timeout=60, check=False
+            )
+        finally:
+            rig.terminate()
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(lines) >= 14
+    located = [line for line in lines if line["status"] == "ok"]
+    assert len(located) >= len(lines) - 3  # At first the table may be incomplete.
+    errors = [np.linalg.norm(np.subtract(line["position_m"], [0.9, 1.2, 0.8])) for line in located]
+    assert np.sqrt(np.mean(np.square(errors))) < 0.02
