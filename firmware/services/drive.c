@@ -27,8 +27,10 @@ static bool faulty(const drive_t *drive) {
 
 /* ---- Interrupts ---- */
 
-/* One channel of a block, from chip first on: bridge, set-point, and what the measurement must know. Level 0 is not driven. */
-static void plan_channel(drive_t *drive, hal_plan_t *plan, uint32_t block, uint32_t channel, uint32_t first, const uint16_t positions[HAL_BLOCK_CHIPS]) {
+/* One channel of a block, from chip first on: bridge, set-point, and what the measurement must know. Level 0 is not
+ * driven. */
+static void plan_channel(drive_t *drive, hal_plan_t *plan, uint32_t block, uint32_t channel, uint32_t first,
+                         const uint16_t positions[HAL_BLOCK_CHIPS]) {
     const uint32_t reference = drive->current[channel].reference;
     const int16_t *const levels = drive->levels[channel];
     int16_t *const asked = drive->blocks[block & 1u].asked[channel];
@@ -68,7 +70,9 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
         plan->set_point[1][i] = 0;
         if (chip.code_chip == 0) {
             drive->cycles++;
-            drive->sync_blocks = !timing->master ? 0u : i == 0u ? 1u : 2u; /* plan for a block is called when the block before it begins. */
+            drive->sync_blocks = !timing->master ? 0u
+                                 : i == 0u       ? 1u
+                                                 : 2u; /* plan for a block is called when the block before it begins. */
             drive->sync_cycle = sync_cycle(&timing->format, &chip);
             if (allowed && drive->phase == DRIVE_IDLE) {
                 drive->start_chip = block * HAL_BLOCK_CHIPS + i;
@@ -148,7 +152,8 @@ static drive_settings_t read_settings(const node_t *node) {
     return settings;
 }
 
-_Static_assert(sizeof(waveform_config_t) == (5u + 4u * WAVEFORM_CODES) * sizeof(uint32_t), "words without gaps: equal if their bytes are");
+_Static_assert(sizeof(waveform_config_t) == (5u + 4u * WAVEFORM_CODES) * sizeof(uint32_t),
+               "words without gaps: equal if their bytes are");
 _Static_assert(WAVEFORM_CHANNELS == HAL_CHANNELS && WAVEFORM_CODES == PARAMETER_CODES_LENGTH, "one and the same");
 
 static bool same(const drive_settings_t *a, const drive_settings_t *b) {
@@ -184,9 +189,11 @@ static void apply_settings(drive_t *drive) {
         .over_current_A = drive->settings.over_current_A,
         .open_fraction = drive->settings.open_fraction,
     };
-    const bool configured = current_configure(&drive->current[0], &config) && current_configure(&drive->current[1], &config);
+    const bool configured = current_configure(&drive->current[0], &config) &&
+                            current_configure(&drive->current[1], &config);
     drive->driver_fault = false;
-    drive->wanted = configured && !drive->no_waveform && drive->settings.amplitude_A > 0.0f && hal_clock(drive->node->hal) == HAL_CLOCK_CRYSTAL;
+    drive->wanted = configured && !drive->no_waveform && drive->settings.amplitude_A > 0.0f &&
+                    hal_clock(drive->node->hal) == HAL_CLOCK_CRYSTAL;
 }
 
 node_state_t drive_state(const drive_t *drive) {

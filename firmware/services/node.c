@@ -12,7 +12,8 @@ uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index) {
     return message | index << PROTOCOL_INDEX_SHIFT | node->id;
 }
 
-void node_send(node_t *node, node_links_t links, uint32_t message, uint32_t index, const uint8_t *data, uint8_t length) {
+void node_send(node_t *node, node_links_t links, uint32_t message, uint32_t index, const uint8_t *data,
+               uint8_t length) {
     frame_t frame = {.id = node_identifier(node, message, index), .length = length};
     memcpy(frame.data, data, length);
     if (links & NODE_SERIAL) {
@@ -126,8 +127,10 @@ static void send_heartbeat(node_t *node) {
 static void answer_parameter(node_t *node, node_links_t link, uint32_t index, parameter_status_t status) {
     parameter_value_t value;
     (void)parameters_get(&node->parameters, index, &value);
-    struct goldfield_param_value_t answer = {.kind = value.kind, .status = (uint8_t)status, .value_unsigned = value.bits};
-    memcpy(&answer.value_signed, &value.bits, sizeof value.bits); /* The packer takes the member that belongs to the kind. */
+    struct goldfield_param_value_t answer = {
+        .kind = value.kind, .status = (uint8_t)status, .value_unsigned = value.bits};
+    memcpy(&answer.value_signed, &value.bits,
+           sizeof value.bits); /* The packer takes the member that belongs to the kind. */
     memcpy(&answer.value_float, &value.bits, sizeof value.bits);
     uint8_t data[8];
     const uint8_t length = (uint8_t)goldfield_param_value_pack(data, &answer, sizeof data);
@@ -216,7 +219,8 @@ void node_start(node_t *node, hal_t *hal, hal_role_t role) {
     const parameter_value_t derived = {.kind = PARAMETER_UNSIGNED, .bits = number_from_unique_id(hal)};
     (void)parameters_set(&node->parameters, PARAMETER_NODE, derived); /* The page overrules it. */
     uint32_t refused = 0;
-    const parameters_page_t page = parameters_load(&node->parameters, hal_parameter_page(hal), HAL_PARAMETER_PAGE_BYTES, &refused);
+    const parameters_page_t page = parameters_load(&node->parameters, hal_parameter_page(hal), HAL_PARAMETER_PAGE_BYTES,
+                                                   &refused);
     node->counters[NODE_BAD_PARAMETER_PAGE] = refused + (page == PARAMETERS_PAGE_BAD);
     node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
 

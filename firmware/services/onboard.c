@@ -1,10 +1,11 @@
 #include "services/onboard.h"
 
-#include "goldfield.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
+#include "goldfield.h"
 
-void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips, const epoch_selection_t *selection) {
+void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips,
+                       const epoch_selection_t *selection) {
     onboard->chips = chips;
     onboard->active = parameters_unsigned(parameters, PARAMETER_POSE) == 1u;
     onboard->due = onboard->due && onboard->active;
@@ -29,11 +30,14 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
         onboard->site.half_space_point_m[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + axis);
         onboard->site.half_space_normal[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + 3u + axis);
     }
-    const bool complete = selection->count == parameters_unsigned(parameters, PARAMETER_CODE_COUNT); /* Else beacons would be taken for others. */
+    const bool complete = selection->count ==
+                          parameters_unsigned(parameters,
+                                              PARAMETER_CODE_COUNT); /* Else beacons would be taken for others. */
     onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
 }
 
-void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration, const epoch_selection_t *selection) {
+void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
+                  const epoch_selection_t *selection) {
     if (!onboard->active || cycle->missing >= cycle->chips) {
         return;
     }
@@ -53,7 +57,8 @@ void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_cal
 
 static void separate(onboard_t *onboard) {
     const float chips = (float)onboard->chips, scale = chips / (float)(onboard->chips - onboard->missing);
-    const float disturbed = (float)(onboard->missing + onboard->saturated), offset2 = vector3_dot(onboard->mean, onboard->mean);
+    const float disturbed = (float)(onboard->missing + onboard->saturated),
+                offset2 = vector3_dot(onboard->mean, onboard->mean);
     const float extra2 = offset2 * disturbed / (chips * chips);
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         separation_apply(&onboard->separation, onboard->mean[axis], onboard->sums[axis]);
@@ -63,7 +68,8 @@ static void separate(onboard_t *onboard) {
         for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
             field->field_T[axis] = scale * onboard->sums[axis][i];
         }
-        field->sigma_T = square_root(onboard->noise_T * onboard->noise_T * separation_variance(&onboard->separation, i) + extra2);
+        field->sigma_T = square_root(
+            onboard->noise_T * onboard->noise_T * separation_variance(&onboard->separation, i) + extra2);
     }
 }
 
@@ -74,9 +80,13 @@ static uint32_t clamped(float value, float resolution, uint32_t limit) {
 }
 
 /* A component of a unit quaternion in 2^-14; 1 itself does not fit 15 bits. */
-static int16_t component(float value) { return (int16_t)node_clamp(epoch_integer(value, 1.0f / 16384.0f), 16383); }
+static int16_t component(float value) {
+    return (int16_t)node_clamp(epoch_integer(value, 1.0f / 16384.0f), 16383);
+}
 
-static float root_of_trace(const float matrix[3][3]) { return square_root(matrix[0][0] + matrix[1][1] + matrix[2][2]); }
+static float root_of_trace(const float matrix[3][3]) {
+    return square_root(matrix[0][0] + matrix[1][1] + matrix[2][2]);
+}
 
 static void send(const onboard_t *onboard, node_t *node) {
     const pose_t *pose = &onboard->pose;

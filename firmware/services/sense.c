@@ -7,7 +7,7 @@
 
 /* Index of a PART (framing.md). */
 #define PART_STRIDE 1026u
-#define PART_PLAIN 1025u
+#define PART_PLAIN  1025u
 
 /* Messages of a cycle beside its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and three of the pose. */
 #define REPORT_BESIDE 6u
@@ -136,7 +136,8 @@ static void report(sense_t *sense, node_links_t links, const epoch_sums_t *cycle
     onboard_take(&sense->onboard, cycle, &sense->calibration, &sense->selection);
 }
 
-static void send_part(sense_t *sense, node_links_t links, const epoch_sums_t *part, uint32_t code, const float vector[HAL_AXES]) {
+static void send_part(sense_t *sense, node_links_t links, const epoch_sums_t *part, uint32_t code,
+                      const float vector[HAL_AXES]) {
     uint8_t data[8];
     const struct goldfield_part_t message = {
         .x = epoch_integer(vector[0], 1e-10f),
@@ -171,7 +172,8 @@ void sense_configure(sense_t *sense) {
     for (uint32_t row = 0; row < HAL_AXES; row++) {
         sense->calibration.zero[row] = parameters_float(parameters, PARAMETER_ZERO + row);
         for (uint32_t column = 0; column < HAL_AXES; column++) {
-            sense->calibration.matrix[row][column] = parameters_float(parameters, PARAMETER_CALIBRATION + HAL_AXES * row + column);
+            sense->calibration.matrix[row][column] = parameters_float(parameters,
+                                                                      PARAMETER_CALIBRATION + HAL_AXES * row + column);
         }
     }
     uint16_t codes[PARAMETER_CODE_LIST_LENGTH];
@@ -196,7 +198,8 @@ void sense_start(sense_t *sense, node_t *node, const timing_t *timing) {
     sense->node = node;
     sense->timing = timing;
     (void)queue_init(&sense->stream, sense->stream_messages, SENSE_STREAM_MESSAGES);
-    epoch_init(&sense->collector, gold_family(timing->format.degree)); /* Only degrees that have one get through parameters_set. */
+    epoch_init(&sense->collector,
+               gold_family(timing->format.degree)); /* Only degrees that have one get through parameters_set. */
     sense_configure(sense);
 }
 

@@ -5,7 +5,8 @@
 #include "goldfield.h"
 #include "protocol_hash.h"
 
-_Static_assert(GOLDFIELD_SYNC_FRAME_ID == HAL_CAN_STAMP_0 && GOLDFIELD_FOLLOW_UP_FRAME_ID == HAL_CAN_STAMP_1, "The board stamps these two");
+_Static_assert(GOLDFIELD_SYNC_FRAME_ID == HAL_CAN_STAMP_0 && GOLDFIELD_FOLLOW_UP_FRAME_ID == HAL_CAN_STAMP_1,
+               "The board stamps these two");
 
 sync_format_t sync_format(uint32_t degree) {
     return (sync_format_t){
@@ -26,7 +27,8 @@ void sync_clock_init(chip_clock_t *clock, const sync_format_t *format, bool foll
     (void)chip_clock_init(clock, &config); /* All formats lie in its ranges. */
 }
 
-bool sync_number(chip_clock_t *clock, const sync_format_t *format, const sync_link_t *link, uint32_t chips, uint32_t cycle, uint32_t age_us) {
+bool sync_number(chip_clock_t *clock, const sync_format_t *format, const sync_link_t *link, uint32_t chips,
+                 uint32_t cycle, uint32_t age_us) {
     if (chips != format->chips) {
         if (clock->config.follow && !link->follows) {
             chip_clock_forget(clock, &chip_clock_wire);
@@ -53,7 +55,8 @@ static int32_t cycles_between(uint32_t a, uint32_t b) {
 
 /* The master's own SYNC was through at the mark. An answer that main has not fetched stays. */
 static void answer(sync_link_t *link, const sync_format_t *format, uint32_t cycle, const chip_clock_mark_t *mark) {
-    const int32_t cycles = cycles_between(mark->cycle * format->cycles, cycle), limit = SYNC_PERIODS_LATE * format->cycles;
+    const int32_t cycles = cycles_between(mark->cycle * format->cycles, cycle),
+                  limit = SYNC_PERIODS_LATE * format->cycles;
     if (!__atomic_load_n(&link->answer_due, __ATOMIC_ACQUIRE) && cycles >= -limit && cycles <= limit) {
         link->answer_cycle = cycle;
         link->answer_ticks = cycles * format->chips * (int32_t)HAL_CHIP_TICKS + mark->cycle_ticks;
@@ -71,7 +74,8 @@ static sync_seen_t *find(sync_link_t *link, uint32_t node, uint32_t cycle) {
 }
 
 /* Of a SYNC that is sent twice the second counts, as for its master. */
-static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_format_t *format, const hal_stamp_t *stamp) {
+static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_format_t *format,
+                      const hal_stamp_t *stamp) {
     struct goldfield_sync_t sync;
     chip_clock_mark_t mark;
     if (goldfield_sync_unpack(&sync, stamp->frame.data, stamp->frame.length) < 0 || sync.chips != format->chips ||
@@ -88,7 +92,8 @@ static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_f
     }
 }
 
-static void take_follow_up(sync_link_t *link, chip_clock_t *clock, const sync_format_t *format, const hal_frame_t *frame) {
+static void take_follow_up(sync_link_t *link, chip_clock_t *clock, const sync_format_t *format,
+                           const hal_frame_t *frame) {
     struct goldfield_follow_up_t follow_up;
     if (goldfield_follow_up_unpack(&follow_up, frame->data, frame->length) < 0) {
         return;

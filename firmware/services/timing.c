@@ -12,7 +12,9 @@ void timing_start(timing_t *timing, const parameters_t *parameters, bool can_lea
     }
 }
 
-void timing_serve(timing_t *timing, hal_t *hal) { sync_link_serve(&timing->link, &timing->clock, &timing->format, hal); }
+void timing_serve(timing_t *timing, hal_t *hal) {
+    sync_link_serve(&timing->link, &timing->clock, &timing->format, hal);
+}
 
 void timing_edge(timing_t *timing, hal_t *hal, uint32_t chip, uint16_t ticks) {
     if (timing->by_field || timing->link.follows) {
@@ -28,6 +30,7 @@ void timing_step(timing_t *timing, node_t *node) {
     if (node->sync_received) {
         node->sync_received = false;
         const uint32_t age_us = (uint32_t)hal_microseconds(node->hal) - timing->edge_us;
-        node->counters[NODE_OTHER_DEGREE] += !sync_number(&timing->clock, &timing->format, &timing->link, node->sync_chips, node->sync_cycle, age_us);
+        node->counters[NODE_OTHER_DEGREE] += !sync_number(&timing->clock, &timing->format, &timing->link,
+                                                          node->sync_chips, node->sync_cycle, age_us);
     }
 }

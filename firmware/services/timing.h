@@ -1,9 +1,11 @@
-/* timing.h: a board's chip clock and what it follows, as beacon, sensor and anchor have it: the sync wire, messages on CAN, or (sensor) the field.
+/* timing.h: a board's chip clock and what it follows, as beacon, sensor and anchor have it: the sync wire, messages on
+ * CAN, or (sensor) the field.
  *
- * Parameters degree and sync_master are read once, at start. A follower takes the cycle's number from SYNC (sync.h). A sync wire that is there but not followed is only
- * compared: chip_clock_t.phase_ticks.
+ * Parameters degree and sync_master are read once, at start. A follower takes the cycle's number from SYNC (sync.h). A
+ * sync wire that is there but not followed is only compared: chip_clock_t.phase_ticks.
  *
- * Contexts: timing_serve from plan, before chips are planned; timing_edge from sync; the rest from main. Memory: 1.8 kB.
+ * Contexts: timing_serve from plan, before chips are planned; timing_edge from sync; the rest from main. Memory: 1.8
+ * kB.
  */
 #ifndef GOLDFIELD_TIMING_H
 #define GOLDFIELD_TIMING_H
@@ -17,8 +19,9 @@ typedef struct {
     sync_format_t format;
     chip_clock_t clock;
     sync_link_t link;
-    bool master;               /* Runs free; the other boards follow it. */
-    volatile bool by_field;    /* The application's wish: somebody else serves the clock (acquire.h), so the wire must not. */
+    bool master; /* Runs free; the other boards follow it. */
+    volatile bool
+        by_field; /* The application's wish: somebody else serves the clock (acquire.h), so the wire must not. */
     volatile uint32_t edge_us; /* When the latest edge of the sync wire came; one word, so that it is never torn. */
 } timing_t;
 

@@ -5,17 +5,16 @@
 #define PRIVATE_BUS_SIZE 0x00100000u
 
 /* The instruction goes on (Unicorn cannot abandon it here), and the fault is taken after it, with its address. */
-void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address)
-{
+void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address) {
     cpu->executed--;
     const uint8_t it_state = code_it_state_at(cpu, cpu->history[cpu->executed % HISTORY]);
     cpu->executed++;
-    cpu->fault = (fault_t){.exception = exception, .cfsr = cfsr, .address = address, .pc = code_last_address(cpu), .it_state = it_state};
+    cpu->fault = (fault_t){
+        .exception = exception, .cfsr = cfsr, .address = address, .pc = code_last_address(cpu), .it_state = it_state};
     cpu->deadline = 0;
 }
 
-static void access_begin(cpu_t *cpu, uint32_t address)
-{
+static void access_begin(cpu_t *cpu, uint32_t address) {
     cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
     if (cpu->access_executed == cpu->executed && cpu->fault.exception == 0 && code_is_single_transfer(cpu)) {
         /* Unicorn splits an access that is not aligned. */
@@ -25,8 +24,7 @@ static void access_begin(cpu_t *cpu, uint32_t address)
     cpu->access_executed = cpu->executed;
 }
 
-static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *user)
-{
+static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *user) {
     (void)uc;
     const bus_window_t *const window = user;
     cpu_t *const cpu = window->cpu;
@@ -44,8 +42,7 @@ static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *use
     return value;
 }
 
-static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user)
-{
+static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t value, void *user) {
     (void)uc;
     const bus_window_t *const window = user;
     cpu_t *const cpu = window->cpu;
@@ -61,26 +58,32 @@ static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t val
     }
 }
 
-uc_err core_bus_map(cpu_t *cpu)
-{
+uc_err core_bus_map(cpu_t *cpu) {
     machine_t *const machine = cpu->machine;
     const uint32_t read_execute = UC_PROT_READ | UC_PROT_EXEC;
-    const struct { uint32_t base, size, access; void *bytes; } memories[] = {
+    const struct {
+        uint32_t base, size, access;
+        void *bytes;
+    } memories[] = {
         {0, FLASH_SIZE, read_execute, machine->flash}, /* Boot from flash: it appears at 0 too. */
         {FLASH_BASE, FLASH_SIZE, read_execute, machine->flash},
         {SYSTEM_MEMORY_BASE, SYSTEM_MEMORY_SIZE, read_execute, machine->system_memory},
         {SRAM_BASE, SRAM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->sram}, /* See allow_code_in_sram(). */
-        {CCM_BASE, CCM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->ccm}, /* Data only: it is not on the instruction bus. */
+        {CCM_BASE, CCM_SIZE, UC_PROT_READ | UC_PROT_WRITE,
+         machine->ccm}, /* Data only: it is not on the instruction bus. */
     };
     uc_err error = UC_ERR_OK;
     for (unsigned i = 0; i < sizeof memories / sizeof memories[0] && error == UC_ERR_OK; i++) {
         error = uc_mem_map_ptr(cpu->uc, memories[i].base, memories[i].size, memories[i].access, memories[i].bytes);
     }
-    static const struct { uint32_t base, size; } windows[] = {
+    static const struct {
+        uint32_t base, size;
+    } windows[] = {
         {PERIPHERAL_BASE, PERIPHERAL_SIZE}, {PERIPHERAL2_BASE, PERIPHERAL2_SIZE}, {PRIVATE_BUS_BASE, PRIVATE_BUS_SIZE}};
     for (unsigned i = 0; i < 3 && error == UC_ERR_OK; i++) {
         cpu->windows[i] = (bus_window_t){.cpu = cpu, .base = windows[i].base};
-        error = uc_mmio_map(cpu->uc, windows[i].base, windows[i].size, on_read, &cpu->windows[i], on_write, &cpu->windows[i]);
+        error = uc_mmio_map(cpu->uc, windows[i].base, windows[i].size, on_read, &cpu->windows[i], on_write,
+                            &cpu->windows[i]);
     }
     return error;
 }

@@ -1,7 +1,8 @@
 /* core_clock.h: core cycles to picoseconds and back, exactly.
  *
- * Cycle c starts at base_ps + floor(((c - base_cycle) * period + fraction) / 2^64), period being picoseconds times 2^64: a period's rounding error is below
- * 1e-16 of it, so times do not depend on how a run is sliced. Range: 150 days between two changes of frequency.
+ * Cycle c starts at base_ps + floor(((c - base_cycle) * period + fraction) / 2^64), period being picoseconds times
+ * 2^64: a period's rounding error is below 1e-16 of it, so times do not depend on how a run is sliced. Range: 150 days
+ * between two changes of frequency.
  */
 #ifndef GOLDFIELD_CORE_CLOCK_H
 #define GOLDFIELD_CORE_CLOCK_H
@@ -18,14 +19,13 @@ typedef struct {
     double cycles_per_ps;
 } core_clock_t;
 
-static inline int64_t core_clock_time(const core_clock_t *clock, uint64_t cycle)
-{
-    return clock->base_ps + (int64_t)(((clock_wide_t)(cycle - clock->base_cycle) * clock->period + clock->fraction) >> 64);
+static inline int64_t core_clock_time(const core_clock_t *clock, uint64_t cycle) {
+    return clock->base_ps +
+           (int64_t)(((clock_wide_t)(cycle - clock->base_cycle) * clock->period + clock->fraction) >> 64);
 }
 
 /* The first cycle that starts at or after time_ps. */
-static inline uint64_t core_clock_cycle(const core_clock_t *clock, int64_t time_ps)
-{
+static inline uint64_t core_clock_cycle(const core_clock_t *clock, int64_t time_ps) {
     if (time_ps <= clock->base_ps) {
         return clock->base_cycle;
     }
@@ -40,8 +40,7 @@ static inline uint64_t core_clock_cycle(const core_clock_t *clock, int64_t time_
 }
 
 /* Cycles from cycle on last 1/hz. */
-static inline void core_clock_set(core_clock_t *clock, uint64_t cycle, double hz)
-{
+static inline void core_clock_set(core_clock_t *clock, uint64_t cycle, double hz) {
     const clock_wide_t position = (clock_wide_t)(cycle - clock->base_cycle) * clock->period + clock->fraction;
     clock->base_ps += (int64_t)(position >> 64);
     clock->fraction = (uint64_t)position;

@@ -6,36 +6,43 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define OPCODE_WFI 0xBF30u
-#define OPCODE_WFE 0xBF20u
+#define OPCODE_WFI   0xBF30u
+#define OPCODE_WFE   0xBF20u
 #define OPCODE_YIELD 0xBF10u
 
 #define CPACR_FPU 0x00F00000u
 
 /* Numbers that Unicorn hands to an interrupt hook (qemu/target/arm/cpu.h). */
-enum { UNICORN_SVC = 2, UNICORN_PREFETCH_ABORT = 3, UNICORN_DATA_ABORT = 4, UNICORN_BREAKPOINT = 7, UNICORN_EXCEPTION_EXIT = 8 };
+enum {
+    UNICORN_SVC = 2,
+    UNICORN_PREFETCH_ABORT = 3,
+    UNICORN_DATA_ABORT = 4,
+    UNICORN_BREAKPOINT = 7,
+    UNICORN_EXCEPTION_EXIT = 8
+};
 
 /* ---- Before an instruction ---- */
 
 static bool preempts(const cpu_t *cpu, bool heed_primask) /* The masks cost calls into Unicorn: they are read last. */
 {
-    return cpu->nvic.candidate_priority < cpu->nvic.active_priority && cpu->nvic.candidate_priority < execution_priority(cpu, heed_primask);
+    return cpu->nvic.candidate_priority < cpu->nvic.active_priority &&
+           cpu->nvic.candidate_priority < execution_priority(cpu, heed_primask);
 }
 
-/* Unicorn cannot stop inside an IT block: events fire there on time, but an exception, and the end of a run, wait for the block's end (at most 4
- * instructions; the architecture leaves that latency open). At the end of a run the board is then so much ahead, in every slicing alike. */
-static bool may_leave(const cpu_t *cpu, uint32_t address)
-{
+/* Unicorn cannot stop inside an IT block: events fire there on time, but an exception, and the end of a run, wait
+ * for the block's end (at most 4 instructions; the architecture leaves that latency open). At the end of a run the
+ * board is then so much ahead, in every slicing alike. */
+static bool may_leave(const cpu_t *cpu, uint32_t address) {
     return code_it_state_at(cpu, address) == 0;
 }
 
 /* Must Unicorn be left before the instruction at address? Fires events and sets the next deadline. */
-static bool must_leave(cpu_t *cpu, uint32_t address)
-{
+static bool must_leave(cpu_t *cpu, uint32_t address) {
     machine_t *const machine = cpu->machine;
     const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
     cpu->deadline = 0;
-    const bool over = time >= cpu->until_ps || cpu->fault.exception != 0 || machine->stop_requested || machine->reset_requested;
+    const bool over = time >= cpu->until_ps || cpu->fault.exception != 0 || machine->stop_requested ||
+                      machine->reset_requested;
     if (over && may_leave(cpu, address)) {
         return true; /* cpu_run() fires what is due before the end. */
     }
@@ -43,12 +50,17 @@ static bool must_leave(cpu_t *cpu, uint32_t address)
     if (over || machine->stop_requested || machine->reset_requested || preempts(cpu, true)) {
         return may_leave(cpu, address);
     }
-    bool every_instruction = cpu->nvic.candidate_priority < cpu->nvic.active_priority; /* Masked: the mask may open any time. */
+    bool every_instruction = cpu->nvic.candidate_priority <
+                             cpu->nvic.active_priority; /* Masked: the mask may open any time. */
     if ((cpu->system.cpacr & CPACR_FPU) != CPACR_FPU) {
         every_instruction = true;
         if (code_is_floating_point(cpu, address)) {
-            cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_NOCP, .pc = address, .it_state = code_it_state_at(cpu, address)};
-            machine_violation(machine, "floating-point instruction at 0x%08x while CPACR does not enable the unit", (unsigned)address);
+            cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT,
+                                   .cfsr = CFSR_NOCP,
+                                   .pc = address,
+                                   .it_state = code_it_state_at(cpu, address)};
+            machine_violation(machine, "floating-point instruction at 0x%08x while CPACR does not enable the unit",
+                              (unsigned)address);
             return may_leave(cpu, address);
         }
     }
@@ -63,8 +75,7 @@ static bool must_leave(cpu_t *cpu, uint32_t address)
     return false;
 }
 
-static __attribute__((noinline)) bool cpu_attend(cpu_t *cpu, uint32_t address)
-{
+static __attribute__((noinline)) bool cpu_attend(cpu_t *cpu, uint32_t address) {
     if (!must_leave(cpu, address)) {
         return false;
     }
@@ -76,8 +87,7 @@ static __attribute__((noinline)) bool cpu_attend(cpu_t *cpu, uint32_t address)
     return true;
 }
 
-static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void *user)
-{
+static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void *user) {
     (void)uc;
     (void)size;
     cpu_t *const cpu = user;
@@ -88,16 +98,14 @@ static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void 
     cpu->executed++;
 }
 
-static void on_interrupt(uc_engine *uc, uint32_t number, void *user)
-{
+static void on_interrupt(uc_engine *uc, uint32_t number, void *user) {
     cpu_t *const cpu = user;
     cpu->leave = LEAVE_EXCEPTION;
     cpu->leave_exception = number;
     uc_emu_stop(uc);
 }
 
-static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user)
-{
+static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user) {
     (void)uc;
     (void)size;
     (void)value;
@@ -110,8 +118,7 @@ static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int
 /* ---- After Unicorn returned ---- */
 
 /* The instruction at code_last_address() did not complete. */
-static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, const char *what)
-{
+static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, const char *what) {
     const uint32_t address = cpu->bad_address;
     core_bus_fault(cpu, exception, cfsr, address);
     cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
@@ -123,8 +130,7 @@ static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, co
 }
 
 /* PC and ITSTATE as Unicorn keeps them at the end of a block. */
-static uint32_t take_state(cpu_t *cpu)
-{
+static uint32_t take_state(cpu_t *cpu) {
     const uint32_t pc = cpu_register(cpu, UC_ARM_REG_PC);
     const uint32_t xpsr = cpu_register(cpu, UC_ARM_REG_XPSR);
     cpu->pc = pc & ~1u;
@@ -132,10 +138,9 @@ static uint32_t take_state(cpu_t *cpu)
     return pc;
 }
 
-/* Unicorn looks for code to discard at every store into memory that may hold code, which doubles a store's cost: SRAM becomes executable only
- * when a program first jumps there. False: it is not that. */
-static bool allow_code_in_sram(cpu_t *cpu)
-{
+/* Unicorn looks for code to discard at every store into memory that may hold code, which doubles a store's cost:
+ * SRAM becomes executable only when a program first jumps there. False: it is not that. */
+static bool allow_code_in_sram(cpu_t *cpu) {
     if (cpu->sram_executable || cpu->pc - SRAM_BASE >= SRAM_SIZE) {
         return false;
     }
@@ -143,17 +148,18 @@ static bool allow_code_in_sram(cpu_t *cpu)
     return uc_mem_protect(cpu->uc, SRAM_BASE, SRAM_SIZE, UC_PROT_ALL) == UC_ERR_OK;
 }
 
-static void fetch_failed(cpu_t *cpu, uint32_t pc)
-{
-    cpu->fault = (fault_t){.exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_IBUSERR, .pc = cpu->pc, .it_state = cpu->it_state};
+static void fetch_failed(cpu_t *cpu, uint32_t pc) {
+    cpu->fault = (fault_t){
+        .exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_IBUSERR, .pc = cpu->pc, .it_state = cpu->it_state};
     machine_violation(cpu->machine, "instruction fetch from 0x%08x, where there is no memory", (unsigned)pc);
 }
 
-static void exception_left(cpu_t *cpu)
-{
+static void exception_left(cpu_t *cpu) {
     const uint32_t pc = take_state(cpu);
     switch (cpu->leave_exception) {
-    case UNICORN_SVC: exception_synchronous(cpu, EXCEPTION_SVCALL); break;
+    case UNICORN_SVC:
+        exception_synchronous(cpu, EXCEPTION_SVCALL);
+        break;
     case UNICORN_PREFETCH_ABORT:
     case UNICORN_EXCEPTION_EXIT:
         if (pc >= 0xFFFFFF00u) {
@@ -162,17 +168,21 @@ static void exception_left(cpu_t *cpu)
             fetch_failed(cpu, pc);
         }
         break;
-    case UNICORN_DATA_ABORT: instruction_failed(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNALIGNED, "unaligned access by an instruction that needs alignment"); break;
+    case UNICORN_DATA_ABORT:
+        instruction_failed(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNALIGNED,
+                           "unaligned access by an instruction that needs alignment");
+        break;
     case UNICORN_BREAKPOINT:
         instruction_failed(cpu, EXCEPTION_HARD_FAULT, 0, "breakpoint instruction without a debugger");
         cpu->fault.hfsr = HFSR_DEBUGEVT;
         break;
-    default: instruction_failed(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNDEFINSTR, "instruction that the processor cannot run"); break;
+    default:
+        instruction_failed(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNDEFINSTR, "instruction that the processor cannot run");
+        break;
     }
 }
 
-static void hint_left(cpu_t *cpu, uint16_t opcode)
-{
+static void hint_left(cpu_t *cpu, uint16_t opcode) {
     take_state(cpu);
     if (opcode == OPCODE_WFI) {
         cpu->asleep = true;
@@ -183,8 +193,7 @@ static void hint_left(cpu_t *cpu, uint16_t opcode)
     }
 }
 
-static void left_unicorn(cpu_t *cpu, uc_err error)
-{
+static void left_unicorn(cpu_t *cpu, uc_err error) {
     uint16_t opcode = 0;
     const bool known = code_opcode_at(cpu, code_last_address(cpu), &opcode);
     if (cpu->leave == LEAVE_STOPPED) {
@@ -195,7 +204,9 @@ static void left_unicorn(cpu_t *cpu, uc_err error)
         return;
     }
     switch (error) {
-    case UC_ERR_OK: hint_left(cpu, OPCODE_WFI); break;
+    case UC_ERR_OK:
+        hint_left(cpu, OPCODE_WFI);
+        break;
     case UC_ERR_INSN_INVALID:
         if (known && (opcode == OPCODE_WFE || opcode == OPCODE_YIELD)) {
             hint_left(cpu, opcode);
@@ -204,9 +215,15 @@ static void left_unicorn(cpu_t *cpu, uc_err error)
         }
         break;
     case UC_ERR_READ_UNMAPPED:
-    case UC_ERR_READ_PROT: instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "read of unmapped address"); break;
-    case UC_ERR_WRITE_UNMAPPED: instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to unmapped address"); break;
-    case UC_ERR_WRITE_PROT: instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to read-only address"); break;
+    case UC_ERR_READ_PROT:
+        instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "read of unmapped address");
+        break;
+    case UC_ERR_WRITE_UNMAPPED:
+        instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to unmapped address");
+        break;
+    case UC_ERR_WRITE_PROT:
+        instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to read-only address");
+        break;
     case UC_ERR_FETCH_UNMAPPED:
     case UC_ERR_FETCH_PROT: {
         const uint32_t pc = take_state(cpu);
@@ -220,12 +237,13 @@ static void left_unicorn(cpu_t *cpu, uc_err error)
         cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVSTATE, .pc = cpu->pc};
         machine_violation(cpu->machine, "branch to 0x%08x without the Thumb bit", (unsigned)cpu->pc);
         break;
-    default: cpu_halt(cpu, uc_strerror(error)); break;
+    default:
+        cpu_halt(cpu, uc_strerror(error));
+        break;
     }
 }
 
-static void execute(cpu_t *cpu)
-{
+static void execute(cpu_t *cpu) {
     if (cpu->it_state != 0) {
         cpu_set_register(cpu, UC_ARM_REG_EPSR, it_block_to_xpsr(cpu->it_state) | 1u << 24);
     }
@@ -240,19 +258,16 @@ static void execute(cpu_t *cpu)
 
 /* ---- Running ---- */
 
-void cpu_halt(cpu_t *cpu, const char *reason)
-{
+void cpu_halt(cpu_t *cpu, const char *reason) {
     cpu->halted = true;
     machine_violation(cpu->machine, "%s", reason);
 }
 
-static double internal_clock(const machine_t *machine)
-{
+static double internal_clock(const machine_t *machine) {
     return 16e6 * (1.0 + machine->config.internal_ppm * 1e-6);
 }
 
-void cpu_reset(cpu_t *cpu)
-{
+void cpu_reset(cpu_t *cpu) {
     machine_t *const machine = cpu->machine;
     machine->reset_requested = false;
     machine_set_core_clock(machine, internal_clock(machine));
@@ -272,7 +287,8 @@ void cpu_reset(cpu_t *cpu)
     uint32_t vectors[2];
     memcpy(vectors, machine->flash, sizeof vectors);
     cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, 1u << 24 | EXCEPTION_NMI); /* A handler may write every register. */
-    static const int zeroed[] = {UC_ARM_REG_CONTROL, UC_ARM_REG_PSP, UC_ARM_REG_PRIMASK, UC_ARM_REG_BASEPRI, UC_ARM_REG_FAULTMASK, UC_ARM_REG_FPSCR};
+    static const int zeroed[] = {UC_ARM_REG_CONTROL, UC_ARM_REG_PSP,       UC_ARM_REG_PRIMASK,
+                                 UC_ARM_REG_BASEPRI, UC_ARM_REG_FAULTMASK, UC_ARM_REG_FPSCR};
     for (unsigned i = 0; i < sizeof zeroed / sizeof zeroed[0]; i++) {
         cpu_set_register(cpu, zeroed[i], 0);
     }
@@ -285,9 +301,9 @@ void cpu_reset(cpu_t *cpu)
     cpu->it_state = 0;
 }
 
-/* Asleep: skip to the next event or the end of the run. The core wakes for an exception that would preempt if PRIMASK were clear. */
-static void pass_sleep(cpu_t *cpu)
-{
+/* Asleep: skip to the next event or the end of the run. The core wakes for an exception that would preempt if
+ * PRIMASK were clear. */
+static void pass_sleep(cpu_t *cpu) {
     if (preempts(cpu, false)) {
         cpu->asleep = false;
         return;
@@ -296,8 +312,7 @@ static void pass_sleep(cpu_t *cpu)
     cpu->skipped = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) - cpu->executed;
 }
 
-board_status_t cpu_run(cpu_t *cpu, int64_t until_ps)
-{
+board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
     machine_t *const machine = cpu->machine;
     cpu->until_ps = until_ps;
     while (!cpu->halted) {
@@ -336,36 +351,31 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps)
 
 /* ---- What the machine asks of its processor ---- */
 
-static void irq(void *processor, unsigned position, bool level)
-{
+static void irq(void *processor, unsigned position, bool level) {
     cpu_t *const cpu = processor;
     nvic_line(&cpu->nvic, position, level);
     cpu->deadline = 0;
 }
 
-static void clock_changed(void *processor, double hz)
-{
+static void clock_changed(void *processor, double hz) {
     cpu_t *const cpu = processor;
     core_clock_set(&cpu->clock, cpu_cycle(cpu), hz);
     system_control_clock_changed(cpu);
     cpu->deadline = 0;
 }
 
-static void attention(void *processor)
-{
+static void attention(void *processor) {
     ((cpu_t *)processor)->deadline = 0;
 }
 
-static uint32_t program_counter(const void *processor)
-{
+static uint32_t program_counter(const void *processor) {
     const cpu_t *const cpu = processor;
     return cpu->executed == 0 ? cpu->pc : code_last_address(cpu);
 }
 
 /* ---- Life ---- */
 
-static uc_err start_unicorn(cpu_t *cpu)
-{
+static uc_err start_unicorn(cpu_t *cpu) {
     uc_err error = uc_open(UC_ARCH_ARM, UC_MODE_THUMB, &cpu->uc); /* UC_MODE_MCLASS would make it a Cortex-M33. */
     if (error == UC_ERR_OK) {
         error = uc_ctl_set_cpu_model(cpu->uc, UC_CPU_ARM_CORTEX_M4);
@@ -388,8 +398,7 @@ static uc_err start_unicorn(cpu_t *cpu)
     return error;
 }
 
-cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size)
-{
+cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size) {
     cpu_t *const cpu = calloc(1, sizeof *cpu);
     if (cpu == NULL) {
         snprintf(error, error_size, "no memory for a processor");
@@ -406,12 +415,15 @@ cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size)
     cpu->clock.base_ps = machine->now_ps;
     core_clock_set(&cpu->clock, 0, internal_clock(machine));
     system_control_create(cpu);
-    machine->processor = (machine_processor_t){.irq = irq, .clock = clock_changed, .attention = attention, .program_counter = program_counter, .processor = cpu};
+    machine->processor = (machine_processor_t){.irq = irq,
+                                               .clock = clock_changed,
+                                               .attention = attention,
+                                               .program_counter = program_counter,
+                                               .processor = cpu};
     return cpu;
 }
 
-void cpu_destroy(cpu_t *cpu)
-{
+void cpu_destroy(cpu_t *cpu) {
     if (cpu->uc != NULL) {
         uc_close(cpu->uc);
     }

@@ -8,13 +8,12 @@
 
 #define REPORT_SIZE (MACHINE_REPORT_SIZE + 1024u)
 
-static cpu_t *cpu_of(const board_t *board)
-{
+static cpu_t *cpu_of(const board_t *board) {
     return ((const machine_t *)board)->processor.processor;
 }
 
-board_t *emulator_create(const emulator_config_t *config, const board_edge_t *edge, int64_t power_on_ps, char *error, size_t error_size)
-{
+board_t *emulator_create(const emulator_config_t *config, const board_edge_t *edge, int64_t power_on_ps, char *error,
+                         size_t error_size) {
     machine_t *const machine = machine_create(config, edge, power_on_ps);
     if (machine == NULL) {
         snprintf(error, error_size, "no memory for a board");
@@ -37,8 +36,7 @@ board_t *emulator_create(const emulator_config_t *config, const board_edge_t *ed
     return (board_t *)machine;
 }
 
-bool emulator_load(board_t *board, uint32_t address, const uint8_t *bytes, size_t count)
-{
+bool emulator_load(board_t *board, uint32_t address, const uint8_t *bytes, size_t count) {
     if (address < FLASH_BASE || address - FLASH_BASE >= FLASH_SIZE || count > FLASH_SIZE - (address - FLASH_BASE)) {
         return false;
     }
@@ -47,18 +45,15 @@ bool emulator_load(board_t *board, uint32_t address, const uint8_t *bytes, size_
     return true;
 }
 
-static board_status_t emulator_run(board_t *board, int64_t until_ps)
-{
+static board_status_t emulator_run(board_t *board, int64_t until_ps) {
     return cpu_run(cpu_of(board), until_ps);
 }
 
-static int64_t emulator_now(const board_t *board)
-{
+static int64_t emulator_now(const board_t *board) {
     return machine_now((const machine_t *)board);
 }
 
-static const char *emulator_report(const board_t *board)
-{
+static const char *emulator_report(const board_t *board) {
     const machine_t *const machine = (const machine_t *)board;
     const cpu_t *const cpu = cpu_of(board);
     char *const text = cpu->report;
@@ -66,15 +61,15 @@ static const char *emulator_report(const board_t *board)
     snprintf(text, REPORT_SIZE,
              "%s at %.9f s: PC 0x%08x, LR 0x%08x, SP 0x%08x, xPSR 0x%08x\n"
              "fault status: CFSR 0x%08x, HFSR 0x%08x, BFAR 0x%08x; %llu instructions, %llu violations\n%s",
-             cpu->halted ? "stopped" : "running", (double)machine->now_ps * 1e-12, (unsigned)machine->processor.program_counter(cpu),
-             (unsigned)cpu_register(cpu, UC_ARM_REG_LR), (unsigned)cpu_register(cpu, UC_ARM_REG_SP), (unsigned)cpu_register(cpu, UC_ARM_REG_XPSR),
+             cpu->halted ? "stopped" : "running", (double)machine->now_ps * 1e-12,
+             (unsigned)machine->processor.program_counter(cpu), (unsigned)cpu_register(cpu, UC_ARM_REG_LR),
+             (unsigned)cpu_register(cpu, UC_ARM_REG_SP), (unsigned)cpu_register(cpu, UC_ARM_REG_XPSR),
              (unsigned)system->cfsr, (unsigned)system->hfsr, (unsigned)system->bfar, (unsigned long long)cpu->executed,
              (unsigned long long)machine->violations, machine->report);
     return text;
 }
 
-static void emulator_destroy(board_t *board)
-{
+static void emulator_destroy(board_t *board) {
     machine_t *const machine = (machine_t *)board;
     cpu_t *const cpu = cpu_of(board);
     machine->processor.processor = NULL;
@@ -93,8 +88,7 @@ const board_operations_t emulator_operations = {
     .destroy = emulator_destroy,
 };
 
-void emulator_stats(const board_t *board, emulator_stats_t *stats)
-{
+void emulator_stats(const board_t *board, emulator_stats_t *stats) {
     const cpu_t *const cpu = cpu_of(board);
     *stats = (emulator_stats_t){
         .instructions = cpu->executed,
@@ -106,8 +100,7 @@ void emulator_stats(const board_t *board, emulator_stats_t *stats)
     };
 }
 
-uint32_t emulator_register(const board_t *board, unsigned index)
-{
+uint32_t emulator_register(const board_t *board, unsigned index) {
     static const int special[] = {UC_ARM_REG_XPSR,    UC_ARM_REG_MSP,       UC_ARM_REG_PSP,     UC_ARM_REG_PRIMASK,
                                   UC_ARM_REG_BASEPRI, UC_ARM_REG_FAULTMASK, UC_ARM_REG_CONTROL, UC_ARM_REG_FPSCR};
     const cpu_t *const cpu = cpu_of(board);
@@ -115,15 +108,18 @@ uint32_t emulator_register(const board_t *board, unsigned index)
         return cpu_register(cpu, UC_ARM_REG_R0 + (int)index);
     }
     switch (index) {
-    case 13: return cpu_register(cpu, UC_ARM_REG_SP);
-    case 14: return cpu_register(cpu, UC_ARM_REG_LR);
-    case 15: return cpu->pc;
-    default: return index - 16u < sizeof special / sizeof special[0] ? cpu_register(cpu, special[index - 16u]) : 0;
+    case 13:
+        return cpu_register(cpu, UC_ARM_REG_SP);
+    case 14:
+        return cpu_register(cpu, UC_ARM_REG_LR);
+    case 15:
+        return cpu->pc;
+    default:
+        return index - 16u < sizeof special / sizeof special[0] ? cpu_register(cpu, special[index - 16u]) : 0;
     }
 }
 
-bool emulator_memory_read(const board_t *board, uint32_t address, uint8_t *bytes, size_t count)
-{
+bool emulator_memory_read(const board_t *board, uint32_t address, uint8_t *bytes, size_t count) {
     const uint8_t *const memory = machine_memory((machine_t *)board, address, count);
     if (memory != NULL) {
         memcpy(bytes, memory, count);

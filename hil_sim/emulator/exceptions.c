@@ -1,46 +1,44 @@
 /* Exception entry, return and fault escalation (ARMv7-M architecture reference manual, B1.5).
  *
- * The floating-point registers are stacked at entry even when FPCCR.LSPEN asks for lazy stacking: what a program can see is the same but for FPCCR and FPCAR.
- * Tail-chaining is a return followed by an entry. The exclusive monitor is not cleared: Unicorn's STREX compares the value as well.
+ * The floating-point registers are stacked at entry even when FPCCR.LSPEN asks for lazy stacking: what a program can
+ * see is the same but for FPCCR and FPCAR. Tail-chaining is a return followed by an entry. The exclusive monitor is not
+ * cleared: Unicorn's STREX compares the value as well.
  */
 #include "emulator/it_block.h"
 #include "emulator/processor.h"
 
 #include <string.h>
 
-#define CONTROL_UNPRIVILEGED 1u
-#define CONTROL_PROCESS_STACK 2u
+#define CONTROL_UNPRIVILEGED   1u
+#define CONTROL_PROCESS_STACK  2u
 #define CONTROL_FLOATING_POINT 4u
-#define XPSR_THUMB (1u << 24)
-#define XPSR_ALIGNED (1u << 9)
-#define XPSR_EXCEPTION 0x1FFu
-#define CCR_STACK_ALIGN 0x200u
-#define CCR_NON_BASE_THREAD 1u
-#define SCR_SLEEP_ON_EXIT 2u
-#define BASIC_FRAME 0x20u
-#define EXTENDED_FRAME 0x68u
-#define CFSR_INVPC (1u << 18)
-#define HFSR_FORCED (1u << 30)
-#define RETURN_BASIC_FRAME 0x10u
-#define RETURN_THREAD 0x8u
-#define RETURN_PROCESS_STACK 0x4u
+#define XPSR_THUMB             (1u << 24)
+#define XPSR_ALIGNED           (1u << 9)
+#define XPSR_EXCEPTION         0x1FFu
+#define CCR_STACK_ALIGN        0x200u
+#define CCR_NON_BASE_THREAD    1u
+#define SCR_SLEEP_ON_EXIT      2u
+#define BASIC_FRAME            0x20u
+#define EXTENDED_FRAME         0x68u
+#define CFSR_INVPC             (1u << 18)
+#define HFSR_FORCED            (1u << 30)
+#define RETURN_BASIC_FRAME     0x10u
+#define RETURN_THREAD          0x8u
+#define RETURN_PROCESS_STACK   0x4u
 
 enum { FRAME_R0, FRAME_R1, FRAME_R2, FRAME_R3, FRAME_R12, FRAME_LR, FRAME_PC, FRAME_XPSR, FRAME_WORDS };
 
-uint32_t cpu_register(const cpu_t *cpu, int unicorn_register)
-{
+uint32_t cpu_register(const cpu_t *cpu, int unicorn_register) {
     uint32_t value = 0;
     uc_reg_read(cpu->uc, unicorn_register, &value);
     return value;
 }
 
-void cpu_set_register(cpu_t *cpu, int unicorn_register, uint32_t value)
-{
+void cpu_set_register(cpu_t *cpu, int unicorn_register, uint32_t value) {
     uc_reg_write(cpu->uc, unicorn_register, &value);
 }
 
-int execution_priority(const cpu_t *cpu, bool heed_primask)
-{
+int execution_priority(const cpu_t *cpu, bool heed_primask) {
     int priority = cpu->nvic.active_priority;
     const uint32_t basepri = cpu_register(cpu, UC_ARM_REG_BASEPRI) & 0xF0u;
     if (basepri != 0) {
@@ -56,20 +54,17 @@ int execution_priority(const cpu_t *cpu, bool heed_primask)
     return priority;
 }
 
-static uint8_t *stack_memory(const cpu_t *cpu, uint32_t address, size_t count)
-{
+static uint8_t *stack_memory(const cpu_t *cpu, uint32_t address, size_t count) {
     const uint32_t area = address >> 24;
     return area == SRAM_BASE >> 24 || area == CCM_BASE >> 24 ? machine_memory(cpu->machine, address, count) : NULL;
 }
 
 /* Unicorn caches which mode it translates for; writing flags makes it look again. */
-static void refresh_mode(cpu_t *cpu, uint32_t xpsr)
-{
+static void refresh_mode(cpu_t *cpu, uint32_t xpsr) {
     cpu_set_register(cpu, UC_ARM_REG_APSR_NZCV, xpsr & 0xF0000000u);
 }
 
-static void save_floating_point(cpu_t *cpu, uint8_t *frame)
-{
+static void save_floating_point(cpu_t *cpu, uint8_t *frame) {
     for (int i = 0; i < 8; i++) {
         uint64_t pair = 0;
         uc_reg_read(cpu->uc, UC_ARM_REG_D0 + i, &pair);
@@ -79,8 +74,7 @@ static void save_floating_point(cpu_t *cpu, uint8_t *frame)
     memcpy(frame + BASIC_FRAME + 64, &status, sizeof status);
 }
 
-static void restore_floating_point(cpu_t *cpu, const uint8_t *frame)
-{
+static void restore_floating_point(cpu_t *cpu, const uint8_t *frame) {
     for (int i = 0; i < 8; i++) {
         uint64_t pair;
         memcpy(&pair, frame + BASIC_FRAME + 8 * i, sizeof pair);
@@ -92,8 +86,7 @@ static void restore_floating_point(cpu_t *cpu, const uint8_t *frame)
 }
 
 /* CONTROL and mode of a processor that is in handler mode or privileged. */
-static void become_handler(cpu_t *cpu, uint32_t xpsr, uint32_t control)
-{
+static void become_handler(cpu_t *cpu, uint32_t xpsr, uint32_t control) {
     if ((control & CONTROL_UNPRIVILEGED) != 0) {
         /* Unprivileged thread mode may not write CONTROL; handler mode may, except for the stack selection. */
         cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, xpsr);
@@ -110,12 +103,13 @@ static void become_handler(cpu_t *cpu, uint32_t xpsr, uint32_t control)
     refresh_mode(cpu, xpsr);
 }
 
-void exception_enter(cpu_t *cpu, unsigned exception)
-{
-    static const int saved[] = {UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3, UC_ARM_REG_R12, UC_ARM_REG_LR, UC_ARM_REG_SP, UC_ARM_REG_XPSR,
-                                UC_ARM_REG_CONTROL};
+void exception_enter(cpu_t *cpu, unsigned exception) {
+    static const int saved[] = {UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2,   UC_ARM_REG_R3,     UC_ARM_REG_R12,
+                                UC_ARM_REG_LR, UC_ARM_REG_SP, UC_ARM_REG_XPSR, UC_ARM_REG_CONTROL};
     uint32_t frame[FRAME_WORDS], stack = 0, xpsr = 0, control = 0;
-    void *const values[] = {&frame[FRAME_R0], &frame[FRAME_R1], &frame[FRAME_R2], &frame[FRAME_R3], &frame[FRAME_R12], &frame[FRAME_LR], &stack, &xpsr, &control};
+    void *const values[] = {&frame[FRAME_R0],  &frame[FRAME_R1], &frame[FRAME_R2], &frame[FRAME_R3],
+                            &frame[FRAME_R12], &frame[FRAME_LR], &stack,           &xpsr,
+                            &control};
     uc_reg_read_batch(cpu->uc, saved, (void **)values, sizeof saved / sizeof saved[0]);
 
     const bool floating_point = (control & CONTROL_FLOATING_POINT) != 0;
@@ -123,12 +117,14 @@ void exception_enter(cpu_t *cpu, unsigned exception)
     const bool align = (stack & 4u) != 0 && (floating_point || (cpu->system.ccr & CCR_STACK_ALIGN) != 0);
     const uint32_t new_stack = stack - size - (align ? 4u : 0u);
     frame[FRAME_PC] = cpu->pc;
-    frame[FRAME_XPSR] = (xpsr & ~(IT_BLOCK_XPSR | XPSR_ALIGNED)) | XPSR_THUMB | it_block_to_xpsr(cpu->it_state) | (align ? XPSR_ALIGNED : 0);
+    frame[FRAME_XPSR] = (xpsr & ~(IT_BLOCK_XPSR | XPSR_ALIGNED)) | XPSR_THUMB | it_block_to_xpsr(cpu->it_state) |
+                        (align ? XPSR_ALIGNED : 0);
 
     uint8_t *const memory = stack_memory(cpu, new_stack, size);
     const uint8_t *const vector = machine_memory(cpu->machine, cpu->system.vtor + 4u * exception, 4);
     if (memory == NULL || vector == NULL) {
-        cpu_halt(cpu, memory == NULL ? "lockup: the stack pointer is outside of RAM at an exception" : "lockup: the vector table is outside of memory");
+        cpu_halt(cpu, memory == NULL ? "lockup: the stack pointer is outside of RAM at an exception"
+                                     : "lockup: the vector table is outside of memory");
         return;
     }
     memcpy(memory, frame, sizeof frame);
@@ -138,9 +134,10 @@ void exception_enter(cpu_t *cpu, unsigned exception)
 
     const bool from_handler = (xpsr & XPSR_EXCEPTION) != 0;
     const bool process_stack = !from_handler && (control & CONTROL_PROCESS_STACK) != 0;
-    const uint32_t exc_return = 0xFFFFFFE1u | (floating_point ? 0 : RETURN_BASIC_FRAME) | (from_handler ? 0 : RETURN_THREAD) |
-                                (process_stack ? RETURN_PROCESS_STACK : 0);
-    cpu_set_register(cpu, UC_ARM_REG_SP, new_stack); /* Of the stack in use; becoming a handler switches to the main stack. */
+    const uint32_t exc_return = 0xFFFFFFE1u | (floating_point ? 0 : RETURN_BASIC_FRAME) |
+                                (from_handler ? 0 : RETURN_THREAD) | (process_stack ? RETURN_PROCESS_STACK : 0);
+    cpu_set_register(cpu, UC_ARM_REG_SP,
+                     new_stack); /* Of the stack in use; becoming a handler switches to the main stack. */
     cpu_set_register(cpu, UC_ARM_REG_LR, exc_return);
     become_handler(cpu, (xpsr & ~(IT_BLOCK_XPSR | XPSR_EXCEPTION)) | XPSR_THUMB | exception, control);
 
@@ -160,20 +157,20 @@ void exception_enter(cpu_t *cpu, unsigned exception)
     }
 }
 
-static void invalid_return(cpu_t *cpu, uint32_t exc_return)
-{
-    machine_violation(cpu->machine, "exception return with value 0x%08x does not fit the processor's state", (unsigned)exc_return);
+static void invalid_return(cpu_t *cpu, uint32_t exc_return) {
+    machine_violation(cpu->machine, "exception return with value 0x%08x does not fit the processor's state",
+                      (unsigned)exc_return);
     exception_fault(cpu, &(fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVPC});
 }
 
-void exception_return(cpu_t *cpu, uint32_t exc_return)
-{
+void exception_return(cpu_t *cpu, uint32_t exc_return) {
     const unsigned exception = cpu_register(cpu, UC_ARM_REG_IPSR) & XPSR_EXCEPTION;
     const uint32_t kind = exc_return & 0xFu;
     cpu->pc = exc_return & ~1u;
     cpu->it_state = 0;
     const bool to_thread = kind != 1u;
-    if (exc_return < 0xFFFFFFE0u || (kind != 1u && kind != 9u && kind != 0xDu) || !nvic_is_active(&cpu->nvic, exception) ||
+    if (exc_return < 0xFFFFFFE0u || (kind != 1u && kind != 9u && kind != 0xDu) ||
+        !nvic_is_active(&cpu->nvic, exception) ||
         (to_thread && nvic_active_count(&cpu->nvic) > 1 && (cpu->system.ccr & CCR_NON_BASE_THREAD) == 0) ||
         (!to_thread && nvic_active_count(&cpu->nvic) == 1)) {
         invalid_return(cpu, exc_return);
@@ -205,8 +202,10 @@ void exception_return(cpu_t *cpu, uint32_t exc_return)
     }
     const uint32_t new_stack = (stack + size) | ((frame[FRAME_XPSR] & XPSR_ALIGNED) != 0 ? 4u : 0u);
     cpu_set_register(cpu, process_stack ? UC_ARM_REG_PSP : UC_ARM_REG_SP, new_stack);
-    static const int restored[] = {UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2, UC_ARM_REG_R3, UC_ARM_REG_R12, UC_ARM_REG_LR};
-    void *const values[] = {&frame[FRAME_R0], &frame[FRAME_R1], &frame[FRAME_R2], &frame[FRAME_R3], &frame[FRAME_R12], &frame[FRAME_LR]};
+    static const int restored[] = {UC_ARM_REG_R0, UC_ARM_REG_R1,  UC_ARM_REG_R2,
+                                   UC_ARM_REG_R3, UC_ARM_REG_R12, UC_ARM_REG_LR};
+    void *const values[] = {&frame[FRAME_R0], &frame[FRAME_R1],  &frame[FRAME_R2],
+                            &frame[FRAME_R3], &frame[FRAME_R12], &frame[FRAME_LR]};
     uc_reg_write_batch(cpu->uc, restored, (void *const *)values, 6);
 
     /* CONTROL last, in thread mode: only there can it select the stack, and it may take the privilege away. */
@@ -217,7 +216,8 @@ void exception_return(cpu_t *cpu, uint32_t exc_return)
     cpu->it_state = it_block_from_xpsr(frame[FRAME_XPSR]);
     const uint32_t xpsr = (frame[FRAME_XPSR] & ~(XPSR_ALIGNED | IT_BLOCK_XPSR)) | XPSR_THUMB;
     cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, xpsr);
-    const uint32_t new_control = (control & CONTROL_UNPRIVILEGED) | (process_stack ? CONTROL_PROCESS_STACK : 0) | (floating_point ? CONTROL_FLOATING_POINT : 0);
+    const uint32_t new_control = (control & CONTROL_UNPRIVILEGED) | (process_stack ? CONTROL_PROCESS_STACK : 0) |
+                                 (floating_point ? CONTROL_FLOATING_POINT : 0);
     if (new_control != control || (control & CONTROL_UNPRIVILEGED) != 0) {
         cpu_set_register(cpu, UC_ARM_REG_CONTROL, new_control);
     }
@@ -226,11 +226,11 @@ void exception_return(cpu_t *cpu, uint32_t exc_return)
     cpu->asleep = to_thread && nvic_active_count(&cpu->nvic) == 0 && (cpu->system.scr & SCR_SLEEP_ON_EXIT) != 0;
 }
 
-void exception_synchronous(cpu_t *cpu, unsigned exception)
-{
+void exception_synchronous(cpu_t *cpu, unsigned exception) {
     const int priority = execution_priority(cpu, true);
     if (exception != EXCEPTION_HARD_FAULT) {
-        const bool enabled = exception == EXCEPTION_SVCALL || (cpu->system.shcsr >> (12u + exception) & 1u) != 0; /* MEMFAULTENA is bit 16. */
+        const bool enabled = exception == EXCEPTION_SVCALL ||
+                             (cpu->system.shcsr >> (12u + exception) & 1u) != 0; /* MEMFAULTENA is bit 16. */
         if (enabled && nvic_group_priority(&cpu->nvic, nvic_priority(&cpu->nvic, exception)) < priority) {
             exception_enter(cpu, exception);
             return;
@@ -244,8 +244,7 @@ void exception_synchronous(cpu_t *cpu, unsigned exception)
     exception_enter(cpu, EXCEPTION_HARD_FAULT);
 }
 
-void exception_fault(cpu_t *cpu, const fault_t *fault)
-{
+void exception_fault(cpu_t *cpu, const fault_t *fault) {
     cpu->system.cfsr |= fault->cfsr;
     cpu->system.hfsr |= fault->hfsr;
     if ((fault->cfsr & 1u << 15) != 0) {

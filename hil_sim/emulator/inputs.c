@@ -1,4 +1,5 @@
-/* Signals from outside: each waits in the machine's event heap for its time; one that is not in the future acts at once. */
+/* Signals from outside: each waits in the machine's event heap for its time; one that is not in the future acts at
+ * once. */
 #include "emulator/machine_internal.h"
 
 #include <stdlib.h>
@@ -17,24 +18,31 @@ struct machine_input {
     board_frame_t frame;
 };
 
-static void arrive(void *context, int64_t time_ps)
-{
+static void arrive(void *context, int64_t time_ps) {
     machine_input_t *const input = context;
     machine_t *const machine = input->machine;
     input->next_free = machine->free_inputs;
     machine->free_inputs = input;
     const machine_input_t copy = *input; /* The model may cause another input, which may take this one's place. */
     switch (copy.kind) {
-    case INPUT_PIN: gpio_pin_in(machine, copy.number, copy.flag, time_ps); break;
-    case INPUT_UART: usart_byte_in(machine, copy.number, copy.byte, copy.baud, time_ps); break;
-    case INPUT_CAN: can_frame_in(machine, &copy.frame, time_ps); break;
-    case INPUT_CAN_SENT: can_frame_sent(machine, copy.number, copy.flag, time_ps); break;
+    case INPUT_PIN:
+        gpio_pin_in(machine, copy.number, copy.flag, time_ps);
+        break;
+    case INPUT_UART:
+        usart_byte_in(machine, copy.number, copy.byte, copy.baud, time_ps);
+        break;
+    case INPUT_CAN:
+        can_frame_in(machine, &copy.frame, time_ps);
+        break;
+    case INPUT_CAN_SENT:
+        can_frame_sent(machine, copy.number, copy.flag, time_ps);
+        break;
     }
 }
 
-/* An input from the pool, due at time_ps. Freed inputs are used again, so a run needs as many as ever waited together. */
-static void post(board_t *board, const machine_input_t *content, int64_t time_ps)
-{
+/* An input from the pool, due at time_ps. Freed inputs are used again, so a run needs as many as ever waited
+ * together. */
+static void post(board_t *board, const machine_input_t *content, int64_t time_ps) {
     machine_t *const machine = (machine_t *)board;
     machine_input_t *input = machine->free_inputs;
     machine_input_t *next = NULL;
@@ -56,28 +64,23 @@ static void post(board_t *board, const machine_input_t *content, int64_t time_ps
     machine_schedule(machine, &input->event, time_ps > machine->now_ps ? time_ps : machine->now_ps);
 }
 
-void machine_pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps)
-{
+void machine_pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_PIN, .number = pin, .flag = level}, time_ps);
 }
 
-void machine_uart_in(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps)
-{
+void machine_uart_in(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_UART, .number = uart, .byte = byte, .baud = baud}, time_ps);
 }
 
-void machine_can_in(board_t *board, const board_frame_t *frame, int64_t time_ps)
-{
+void machine_can_in(board_t *board, const board_frame_t *frame, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CAN, .frame = *frame}, time_ps);
 }
 
-void machine_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps)
-{
+void machine_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CAN_SENT, .number = mailbox, .flag = ok}, time_ps);
 }
 
-void machine_inputs_destroy(machine_t *machine)
-{
+void machine_inputs_destroy(machine_t *machine) {
     while (machine->all_inputs != NULL) {
         machine_input_t *const input = machine->all_inputs;
         machine->all_inputs = input->next;

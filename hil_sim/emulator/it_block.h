@@ -1,7 +1,8 @@
 /* it_block.h: where in an IT block an address lies.
  *
- * Unicorn does not keep ITSTATE while it runs a block of code, but an interrupt or a stop in the middle of an IT block needs it.
- * It is found again by walking over the instructions from a place where it is known. ITSTATE as in the ARMv7-M manual, A7.3.2; 0 outside of a block.
+ * Unicorn does not keep ITSTATE while it runs a block of code, but an interrupt or a stop in the middle of an IT block
+ * needs it. It is found again by walking over the instructions from a place where it is known. ITSTATE as in the
+ * ARMv7-M manual, A7.3.2; 0 outside of a block.
  */
 #ifndef GOLDFIELD_IT_BLOCK_H
 #define GOLDFIELD_IT_BLOCK_H
@@ -14,24 +15,20 @@ static inline bool it_block_opens(uint16_t opcode) /* An IT instruction. */
     return (opcode & 0xFF00u) == 0xBF00u && (opcode & 0xFu) != 0;
 }
 
-static inline unsigned thumb_size(uint16_t opcode)
-{
+static inline unsigned thumb_size(uint16_t opcode) {
     return opcode >> 11 >= 0x1Du ? 4 : 2;
 }
 
-static inline uint8_t it_block_advance(uint8_t state)
-{
+static inline uint8_t it_block_advance(uint8_t state) {
     return (state & 7u) == 0 ? 0 : (uint8_t)((state & 0xE0u) | ((unsigned)state << 1 & 0x1Fu));
 }
 
 /* ITSTATE's two places in xPSR. */
-static inline uint32_t it_block_to_xpsr(uint8_t state)
-{
+static inline uint32_t it_block_to_xpsr(uint8_t state) {
     return (uint32_t)(state >> 2) << 10 | (uint32_t)(state & 3u) << 25;
 }
 
-static inline uint8_t it_block_from_xpsr(uint32_t xpsr)
-{
+static inline uint8_t it_block_from_xpsr(uint32_t xpsr) {
     return (uint8_t)((xpsr >> 10 & 0x3Fu) << 2 | (xpsr >> 25 & 3u));
 }
 

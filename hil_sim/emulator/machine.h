@@ -1,11 +1,13 @@
 /* machine.h: what the processor side offers to the peripheral models, and what a model looks like.
  *
- * A model is a file named after the peripheral, or a few whose names begin with it and a header that tells them apart. It is written from the vendor's register description (RM0090, the SVD), never from the driver.
- * It holds its state in its own struct, allocated by its create function; no globals.
+ * A model is a file named after the peripheral, or a few whose names begin with it and a header that tells them apart.
+ * It is written from the vendor's register description (RM0090, the SVD), never from the driver. It holds its state in
+ * its own struct, allocated by its create function; no globals.
  *
- * Strictness. What the reference manual forbids or leaves undefined is a violation: access to a peripheral whose clock is off in RCC, a reserved bit
- * written 1 (or a must-be-kept bit changed), a wrong order of enabling, an access of unsupported width, an unmapped address, an overrun that
- * loses data (ADC OVR, USART ORE, CAN FOVR: these set their flags as well). machine_violation() records it, and under emulator_config_t.strict stops the board.
+ * Strictness. What the reference manual forbids or leaves undefined is a violation: access to a peripheral whose clock
+ * is off in RCC, a reserved bit written 1 (or a must-be-kept bit changed), a wrong order of enabling, an access of
+ * unsupported width, an unmapped address, an overrun that loses data (ADC OVR, USART ORE, CAN FOVR: these set their
+ * flags as well). machine_violation() records it, and under emulator_config_t.strict stops the board.
  */
 #ifndef GOLDFIELD_MACHINE_H
 #define GOLDFIELD_MACHINE_H
@@ -27,10 +29,11 @@ struct peripheral {
     uint32_t base, size; /* Address range, size a multiple of 4. */
     machine_t *machine;
     void *state;
-    /* width is 1, 2 or 4 bytes; offset is from base and aligned to width. debug is true for accesses that must have no side effects. */
+    /* width is 1, 2 or 4 bytes; offset is from base and aligned to width. debug is true for accesses that must have
+     * no side effects. */
     uint32_t (*read)(peripheral_t *self, uint32_t offset, unsigned width);
     void (*write)(peripheral_t *self, uint32_t offset, uint32_t value, unsigned width);
-    void (*reset)(peripheral_t *self);   /* Power-on or system reset, and RCC's RSTR bit. */
+    void (*reset)(peripheral_t *self); /* Power-on or system reset, and RCC's RSTR bit. */
     void (*destroy)(peripheral_t *self);
 };
 
@@ -48,29 +51,33 @@ double machine_core_clock(const machine_t *machine);
 const emulator_config_t *machine_config(const machine_t *machine);
 const board_edge_t *machine_edge(const machine_t *machine);
 
-/* Events: a callback at an exact time, in order of time; equal times in order of scheduling. An event fires before the first instruction that starts at or
- * after its time. Scheduling a pending event moves it. The struct belongs to the model. */
+/* Events: a callback at an exact time, in order of time; equal times in order of scheduling. An event fires before
+ * the first instruction that starts at or after its time. Scheduling a pending event moves it. The struct belongs to
+ * the model. */
 typedef struct machine_event machine_event_t;
 struct machine_event {
     void (*fire)(void *context, int64_t time_ps);
     void *context;
-    int64_t time_ps;       /* Read-only to models. */
-    uint64_t order;        /* Internal. */
-    int32_t heap_index;    /* Internal; initialise with machine_event_init. */
+    int64_t time_ps;    /* Read-only to models. */
+    uint64_t order;     /* Internal. */
+    int32_t heap_index; /* Internal; initialise with machine_event_init. */
 };
 void machine_event_init(machine_event_t *event, void (*fire)(void *context, int64_t time_ps), void *context);
 void machine_schedule(machine_t *machine, machine_event_t *event, int64_t time_ps);
 void machine_cancel(machine_t *machine, machine_event_t *event);
 
-/* ---- Interrupts: level of the peripheral's request line to the NVIC (position as in RM0090 table 62, 0 = WWDG). ---- */
+/* ---- Interrupts: level of the peripheral's request line to the NVIC (position as in RM0090 table 62, 0 = WWDG).
+ * ---- */
 void machine_irq(machine_t *machine, unsigned position, bool level);
 
 /* Reset request by a watchdog. flags: the bits to set in RCC_CSR. Takes effect before the next instruction. */
 void machine_reset_request(machine_t *machine, uint32_t csr_flags);
-/* For RCC, inside its reset function: the flags of the requests that led to this reset (a request by software included); 0 at power-on and for RSTR bits. */
+/* For RCC, inside its reset function: the flags of the requests that led to this reset (a request by software
+ * included); 0 at power-on and for RSTR bits. */
 uint32_t machine_reset_flags(const machine_t *machine);
 
-/* ---- Memory as a bus master (DMA) sees it. False: bus error (unmapped). Peripheral registers are reached through the same calls. ---- */
+/* ---- Memory as a bus master (DMA) sees it. False: bus error (unmapped). Peripheral registers are reached through
+ * the same calls. ---- */
 bool machine_bus_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_bus_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
 
@@ -79,7 +86,8 @@ void machine_violation(machine_t *machine, const char *format, ...) __attribute_
 
 /* ---- Between models (signals inside the chip) ---- */
 
-/* RCC answers: is the peripheral's bus clock on; its bus clock and its timers' clock in Hz (crystal error included). name as in the SVD. */
+/* RCC answers: is the peripheral's bus clock on; its bus clock and its timers' clock in Hz (crystal error included).
+ * name as in the SVD. */
 bool rcc_enabled(const machine_t *machine, const char *name);
 double rcc_bus_clock(const machine_t *machine, const char *name);
 double rcc_timer_clock(const machine_t *machine, const char *name);

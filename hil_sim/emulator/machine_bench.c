@@ -2,8 +2,7 @@
 
 #include "emulator/machine_internal.h"
 
-machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge)
-{
+machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge) {
     machine_t *const machine = machine_create(config, edge, 0);
     if (machine != NULL) {
         peripherals_create(machine);
@@ -12,25 +11,23 @@ machine_t *machine_bench_create(const emulator_config_t *config, const board_edg
     return machine;
 }
 
-bool machine_bench_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value)
-{
+bool machine_bench_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value) {
     const uint8_t *const memory = machine_memory(machine, address, width);
-    return memory != NULL ? machine_bus_read(machine, address, width, value) : machine_core_read(machine, address, width, value);
+    return memory != NULL ? machine_bus_read(machine, address, width, value)
+                          : machine_core_read(machine, address, width, value);
 }
 
-bool machine_bench_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value)
-{
+bool machine_bench_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value) {
     const uint8_t *const memory = machine_memory(machine, address, width);
-    return memory != NULL ? machine_bus_write(machine, address, width, value) : machine_core_write(machine, address, width, value);
+    return memory != NULL ? machine_bus_write(machine, address, width, value)
+                          : machine_core_write(machine, address, width, value);
 }
 
-bool machine_bench_irq(const machine_t *machine, unsigned position)
-{
+bool machine_bench_irq(const machine_t *machine, unsigned position) {
     return position < MACHINE_IRQ_LINES && (machine->irq_level[position >> 5] >> (position & 31u) & 1u) != 0;
 }
 
-bool machine_bench_reset_requested(machine_t *machine, uint32_t *flags)
-{
+bool machine_bench_reset_requested(machine_t *machine, uint32_t *flags) {
     const bool requested = machine->reset_requested;
     *flags = machine->reset_flags;
     machine->reset_requested = false;
@@ -38,25 +35,21 @@ bool machine_bench_reset_requested(machine_t *machine, uint32_t *flags)
     return requested;
 }
 
-void machine_bench_reset(machine_t *machine)
-{
+void machine_bench_reset(machine_t *machine) {
     machine_reset_peripherals(machine);
 }
 
-uint64_t machine_bench_violations(const machine_t *machine)
-{
+uint64_t machine_bench_violations(const machine_t *machine) {
     return machine->violations;
 }
 
-void machine_bench_forget_violations(machine_t *machine)
-{
+void machine_bench_forget_violations(machine_t *machine) {
     machine->violations = 0;
     machine->report_length = 0;
     machine->report[0] = '\0';
 }
 
-static board_status_t bench_run(board_t *board, int64_t until_ps)
-{
+static board_status_t bench_run(board_t *board, int64_t until_ps) {
     machine_t *const machine = (machine_t *)board;
     machine_fire(machine, until_ps - 1);
     if (until_ps > machine->now_ps) {
@@ -65,18 +58,15 @@ static board_status_t bench_run(board_t *board, int64_t until_ps)
     return BOARD_OK;
 }
 
-static int64_t bench_now(const board_t *board)
-{
+static int64_t bench_now(const board_t *board) {
     return machine_now((const machine_t *)board);
 }
 
-static const char *bench_report(const board_t *board)
-{
+static const char *bench_report(const board_t *board) {
     return ((const machine_t *)board)->report;
 }
 
-static void bench_destroy(board_t *board)
-{
+static void bench_destroy(board_t *board) {
     machine_destroy((machine_t *)board);
 }
 

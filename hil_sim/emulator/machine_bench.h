@@ -4,7 +4,8 @@
  *   machine_bench_write(m, 0x40023830, 4, 1);              RCC_AHB1ENR: a core's store, same checks and violations
  *   machine_bench_operations.run((board_t *)m, 1000000);   let 1 us pass: events before that time fire
  *
- * Every model is attached (peripherals_create) and reset; the core clock is what RCC's reset sets. config.strict changes nothing here: violations are counted.
+ * Every model is attached (peripherals_create) and reset; the core clock is what RCC's reset sets. config.strict
+ * changes nothing here: violations are counted.
  */
 #ifndef GOLDFIELD_MACHINE_BENCH_H
 #define GOLDFIELD_MACHINE_BENCH_H

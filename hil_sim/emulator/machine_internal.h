@@ -1,35 +1,38 @@
-/* machine_internal.h: the machine's own state, for machine.c, inputs.c, the bench and the processor; peripheral models use machine.h.
+/* machine_internal.h: the machine's own state, for machine.c, inputs.c, the bench and the processor; peripheral models
+ * use machine.h.
  *
- * A machine without a processor (machine_bench.h) is complete: memory, bus, events, violations. A processor registers itself as a table.
+ * A machine without a processor (machine_bench.h) is complete: memory, bus, events, violations. A processor registers
+ * itself as a table.
  */
 #ifndef GOLDFIELD_MACHINE_INTERNAL_H
 #define GOLDFIELD_MACHINE_INTERNAL_H
 
 #include "emulator/machine.h"
 
-#define FLASH_BASE 0x08000000u
-#define FLASH_SIZE 0x00100000u
-#define SRAM_BASE 0x20000000u /* 112 KB and 16 KB, contiguous. */
-#define SRAM_SIZE 0x00020000u
-#define CCM_BASE 0x10000000u /* On the core's data bus only: no bus master but the core reaches it. */
-#define CCM_SIZE 0x00010000u
+#define FLASH_BASE         0x08000000u
+#define FLASH_SIZE         0x00100000u
+#define SRAM_BASE          0x20000000u /* 112 KB and 16 KB, contiguous. */
+#define SRAM_SIZE          0x00020000u
+#define CCM_BASE           0x10000000u /* On the core's data bus only: no bus master but the core reaches it. */
+#define CCM_SIZE           0x00010000u
 #define SYSTEM_MEMORY_BASE 0x1FFF0000u /* Boot loader (erased here), one-time area, unique id, calibration. */
 #define SYSTEM_MEMORY_SIZE 0x00008000u
-#define PERIPHERAL_BASE 0x40000000u
-#define PERIPHERAL_SIZE 0x00080000u
-#define PERIPHERAL2_BASE 0x50000000u
-#define PERIPHERAL2_SIZE 0x00061000u
+#define PERIPHERAL_BASE    0x40000000u
+#define PERIPHERAL_SIZE    0x00080000u
+#define PERIPHERAL2_BASE   0x50000000u
+#define PERIPHERAL2_SIZE   0x00061000u
 
 #define MACHINE_PERIPHERALS 64u
-#define MACHINE_IRQ_LINES 82u /* RM0090 table 62: positions 0..81. */
+#define MACHINE_IRQ_LINES   82u /* RM0090 table 62: positions 0..81. */
 #define MACHINE_REPORT_SIZE 16384u
-#define MACHINE_NEVER INT64_MAX
+#define MACHINE_NEVER       INT64_MAX
 
 /* What the machine asks of a processor. Every call may come from inside an access or an event. */
 typedef struct {
     void (*irq)(void *processor, unsigned position, bool level);
     void (*clock)(void *processor, double hz);
-    void (*attention)(void *processor); /* The next event became earlier, or stop_requested or reset_requested was set. */
+    void (*attention)(
+        void *processor); /* The next event became earlier, or stop_requested or reset_requested was set. */
     uint32_t (*program_counter)(const void *processor);
     void *processor;
 } machine_processor_t;
@@ -56,7 +59,8 @@ struct machine {
 
     peripheral_t *peripherals[MACHINE_PERIPHERALS];
     unsigned peripheral_count;
-    uint8_t *directory; /* Per 256-byte granule of the two peripheral areas: index + 1 of the peripheral that starts or lies there. */
+    uint8_t *directory; /* Per 256-byte granule of the two peripheral areas: index + 1 of the peripheral that starts or
+                           lies there. */
     uint32_t irq_level[3];
 
     uint8_t *flash, *sram, *ccm, *system_memory;
@@ -81,19 +85,21 @@ void machine_destroy(machine_t *machine);
 void machine_reset_peripherals(machine_t *machine);
 
 /* Time of the earliest event; MACHINE_NEVER if there is none. */
-static inline int64_t machine_next_event(const machine_t *machine)
-{
+static inline int64_t machine_next_event(const machine_t *machine) {
     return machine->heap_count == 0 ? MACHINE_NEVER : machine->heap[0]->time_ps;
 }
 
-/* Fire, in order, every event at or before time_ps, those that they schedule included. now is each event's time, and time_ps at the end. */
+/* Fire, in order, every event at or before time_ps, those that they schedule included. now is each event's time, and
+ * time_ps at the end. */
 void machine_fire(machine_t *machine, int64_t time_ps);
 
-/* A peripheral register as the core reaches it; notes the access for reports. False: nothing is there, a violation is recorded, the core faults. */
+/* A peripheral register as the core reaches it; notes the access for reports. False: nothing is there, a violation
+ * is recorded, the core faults. */
 bool machine_core_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_core_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
 
-/* Host address of count bytes of memory as the core sees them (flash also at 0); NULL if they are not all in one memory. */
+/* Host address of count bytes of memory as the core sees them (flash also at 0); NULL if they are not all in one
+ * memory. */
 uint8_t *machine_memory(machine_t *machine, uint32_t address, size_t count);
 
 /* Signals from outside, board_operations_t's functions (inputs.c). */

@@ -1,7 +1,9 @@
-/* nvic.h: which exception is pending, enabled, active, and which comes first (ARMv7-M architecture reference manual, B1.5 and B3.4).
+/* nvic.h: which exception is pending, enabled, active, and which comes first (ARMv7-M architecture reference manual,
+ * B1.5 and B3.4).
  *
- * Exceptions are numbered as in IPSR: 2 NMI, 3 HardFault, 4 MemManage, 5 BusFault, 6 UsageFault, 11 SVCall, 14 PendSV, 15 SysTick, 16 + n interrupt n.
- * A priority is 0..255 with 4 bits implemented; lower goes first; HardFault is -1, NMI -2, nothing active 256.
+ * Exceptions are numbered as in IPSR: 2 NMI, 3 HardFault, 4 MemManage, 5 BusFault, 6 UsageFault, 11 SVCall, 14 PendSV,
+ * 15 SysTick, 16 + n interrupt n. A priority is 0..255 with 4 bits implemented; lower goes first; HardFault is -1, NMI
+ * -2, nothing active 256.
  */
 #ifndef GOLDFIELD_NVIC_H
 #define GOLDFIELD_NVIC_H
@@ -9,16 +11,26 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define NVIC_EXCEPTIONS 98u /* 16 and the STM32F405's 82 interrupts. */
+#define NVIC_EXCEPTIONS    98u /* 16 and the STM32F405's 82 interrupts. */
 #define NVIC_IDLE_PRIORITY 256
-enum { EXCEPTION_NMI = 2, EXCEPTION_HARD_FAULT, EXCEPTION_MEMORY_FAULT, EXCEPTION_BUS_FAULT, EXCEPTION_USAGE_FAULT, EXCEPTION_SVCALL = 11,
-       EXCEPTION_PENDSV = 14, EXCEPTION_SYSTICK = 15, EXCEPTION_INTERRUPT = 16 };
+enum {
+    EXCEPTION_NMI = 2,
+    EXCEPTION_HARD_FAULT,
+    EXCEPTION_MEMORY_FAULT,
+    EXCEPTION_BUS_FAULT,
+    EXCEPTION_USAGE_FAULT,
+    EXCEPTION_SVCALL = 11,
+    EXCEPTION_PENDSV = 14,
+    EXCEPTION_SYSTICK = 15,
+    EXCEPTION_INTERRUPT = 16
+};
 
 typedef struct {
     uint32_t pending[4], active[4], enabled[4], line[4]; /* Bit n of word w: exception 32 w + n. */
     uint8_t priority[NVIC_EXCEPTIONS + 2u];
     unsigned priority_group; /* AIRCR.PRIGROUP, 0..7. */
-    /* Kept up to date by every function: the pending exception that goes first (0: none), its group priority, and the group priority of what is active. */
+    /* Kept up to date by every function: the pending exception that goes first (0: none), its group priority, and
+     * the group priority of what is active. */
     unsigned candidate;
     int candidate_priority, active_priority;
 } nvic_t;
@@ -40,7 +52,8 @@ int nvic_group_priority(const nvic_t *nvic, int priority);
 /* Of an exception: fixed, or as set. */
 int nvic_priority(const nvic_t *nvic, unsigned exception);
 
-/* Registers at 0xE000E100..0xE000E4EF and STIR 0xE000EF00; width 1, 2 or 4 (bytes only for the priorities). False: no such register. */
+/* Registers at 0xE000E100..0xE000E4EF and STIR 0xE000EF00; width 1, 2 or 4 (bytes only for the priorities). False:
+ * no such register. */
 bool nvic_read(const nvic_t *nvic, uint32_t address, unsigned width, uint32_t *value);
 bool nvic_write(nvic_t *nvic, uint32_t address, unsigned width, uint32_t value);
 

@@ -1,26 +1,25 @@
-/* Instruction counts of functions. While a probe is inside its function, cpu_attend() looks at every instruction for the return address;
- * a function whose entry is a branch target starts a block of code in Unicorn, so entries cost a hook on that one block only. */
+/* Instruction counts of functions. While a probe is inside its function, cpu_attend() looks at every instruction for
+ * the return address; a function whose entry is a branch target starts a block of code in Unicorn, so entries cost a
+ * hook on that one block only. */
 #include "emulator/processor.h"
 
-void probes_enter_exception(cpu_t *cpu)
-{
+void probes_enter_exception(cpu_t *cpu) {
     cpu->entered_at[cpu->depth++] = cpu->executed;
 }
 
-void probes_leave_exception(cpu_t *cpu)
-{
+void probes_leave_exception(cpu_t *cpu) {
     cpu->depth--;
     cpu->inside[cpu->depth] += cpu->executed - cpu->entered_at[cpu->depth];
 }
 
-static void on_entry(uc_engine *uc, uint64_t address, uint32_t size, void *user)
-{
+static void on_entry(uc_engine *uc, uint64_t address, uint32_t size, void *user) {
     (void)uc;
     (void)size;
     cpu_t *const cpu = user;
     for (unsigned i = 0; i < cpu->probe_count; i++) {
         probe_t *const probe = &cpu->probes[i];
-        /* A block that is entered again after a stop at its first instruction was not called twice; recursion counts as part of the outer call. */
+        /* A block that is entered again after a stop at its first instruction was not called twice; recursion counts
+         * as part of the outer call. */
         if (probe->result.entry == (uint32_t)address && !probe->active) {
             probe->active = true;
             probe->depth = cpu->depth;
@@ -34,12 +33,11 @@ static void on_entry(uc_engine *uc, uint64_t address, uint32_t size, void *user)
     }
 }
 
-void probes_step(cpu_t *cpu, uint32_t address)
-{
+void probes_step(cpu_t *cpu, uint32_t address) {
     for (unsigned i = 0; i < cpu->probe_count; i++) {
         probe_t *const probe = &cpu->probes[i];
-        if (probe->active && probe->return_address == address && probe->depth == cpu->depth && cpu->executed != probe->start &&
-            cpu_register(cpu, UC_ARM_REG_SP) >= probe->stack) {
+        if (probe->active && probe->return_address == address && probe->depth == cpu->depth &&
+            cpu->executed != probe->start && cpu_register(cpu, UC_ARM_REG_SP) >= probe->stack) {
             const uint64_t count = cpu->executed - probe->start - (cpu->inside[cpu->depth] - probe->excluded);
             probe->active = false;
             cpu->probes_active--;
@@ -50,14 +48,14 @@ void probes_step(cpu_t *cpu, uint32_t address)
     }
 }
 
-bool emulator_probe_add(board_t *board, uint32_t entry)
-{
+bool emulator_probe_add(board_t *board, uint32_t entry) {
     cpu_t *const cpu = ((machine_t *)board)->processor.processor;
     if (cpu->probe_count == PROBES) {
         return false;
     }
     entry &= ~1u;
-    if (uc_hook_add(cpu->uc, &cpu->probe_hooks[cpu->probe_count], UC_HOOK_BLOCK, (void *)on_entry, cpu, entry, entry) != UC_ERR_OK) {
+    if (uc_hook_add(cpu->uc, &cpu->probe_hooks[cpu->probe_count], UC_HOOK_BLOCK, (void *)on_entry, cpu, entry, entry) !=
+        UC_ERR_OK) {
         return false;
     }
     uc_ctl_flush_tb(cpu->uc);
@@ -65,8 +63,7 @@ bool emulator_probe_add(board_t *board, uint32_t entry)
     return true;
 }
 
-bool emulator_probe_read(const board_t *board, unsigned index, emulator_probe_t *probe)
-{
+bool emulator_probe_read(const board_t *board, unsigned index, emulator_probe_t *probe) {
     const cpu_t *const cpu = ((const machine_t *)board)->processor.processor;
     if (index >= cpu->probe_count) {
         return false;

@@ -1,12 +1,16 @@
-/* processor.h: the Cortex-M4F inside the emulator; for cpu.c, exceptions.c, system_control.c, probes.c and emulator.c only.
+/* processor.h: the Cortex-M4F inside the emulator; for cpu.c, exceptions.c, system_control.c, probes.c and emulator.c
+ * only.
  *
- * Time. executed counts instructions, skipped the cycles asleep; the instruction about to run starts at cycle executed + skipped.
- * An instruction takes one cycle; one whose condition fails inside an IT block takes none (Unicorn does not report it).
+ * Time. executed counts instructions, skipped the cycles asleep; the instruction about to run starts at cycle executed
+ * + skipped. An instruction takes one cycle; one whose condition fails inside an IT block takes none (Unicorn does not
+ * report it).
  *
- * How a deadline is met exactly and cheaply: one code hook runs before each instruction and compares executed with deadline (a call and a compare, 5 to 10 ns).
- * All else happens when the deadline is reached, in cpu_attend(): events fire there, without leaving Unicorn; only exceptions, sleep and the
- * end of a run leave it. A block hook that counts whole blocks would save most of these calls, but Unicorn translates a block with its hooks once
- * and for all, so the blocks near a deadline could not be stepped through without discarding them; and PC inside accesses needs the code hook anyway.
+ * How a deadline is met exactly and cheaply: one code hook runs before each instruction and compares executed with
+ * deadline (a call and a compare, 5 to 10 ns). All else happens when the deadline is reached, in cpu_attend(): events
+ * fire there, without leaving Unicorn; only exceptions, sleep and the end of a run leave it. A block hook that counts
+ * whole blocks would save most of these calls, but Unicorn translates a block with its hooks once and for all, so the
+ * blocks near a deadline could not be stepped through without discarding them; and PC inside accesses needs the code
+ * hook anyway.
  */
 #ifndef GOLDFIELD_PROCESSOR_H
 #define GOLDFIELD_PROCESSOR_H
@@ -18,28 +22,29 @@
 #include "emulator/nvic.h"
 
 /* Fault status bits. */
-#define CFSR_IBUSERR (1u << 8)
-#define CFSR_PRECISERR (1u << 9)
-#define CFSR_BFARVALID (1u << 15)
+#define CFSR_IBUSERR    (1u << 8)
+#define CFSR_PRECISERR  (1u << 9)
+#define CFSR_BFARVALID  (1u << 15)
 #define CFSR_UNDEFINSTR (1u << 16)
-#define CFSR_INVSTATE (1u << 17)
-#define CFSR_NOCP (1u << 19)
-#define CFSR_UNALIGNED (1u << 24)
-#define HFSR_DEBUGEVT (1u << 31)
+#define CFSR_INVSTATE   (1u << 17)
+#define CFSR_NOCP       (1u << 19)
+#define CFSR_UNALIGNED  (1u << 24)
+#define HFSR_DEBUGEVT   (1u << 31)
 
-#define PROBES 8u
+#define PROBES  8u
 #define HISTORY 8u /* Addresses of the last instructions; power of 2, more than 5 (the longest IT block). */
 
 typedef struct {
     uint32_t control, reload, active_reload;
-    bool counted;      /* COUNTFLAG. */
-    uint32_t stopped;  /* The count while not enabled. */
-    uint64_t zero;     /* While enabled: the cycle at which it last was, or counts as having been, zero. */
+    bool counted;     /* COUNTFLAG. */
+    uint32_t stopped; /* The count while not enabled. */
+    uint64_t zero;    /* While enabled: the cycle at which it last was, or counts as having been, zero. */
     machine_event_t event;
 } systick_t;
 
 typedef struct {
-    uint32_t vtor, scr, ccr, shcsr, cfsr, hfsr, dfsr, mmfar, bfar, afsr, cpacr, fpccr, fpcar, actlr, demcr, dwt_control, debug_control[3];
+    uint32_t vtor, scr, ccr, shcsr, cfsr, hfsr, dfsr, mmfar, bfar, afsr, cpacr, fpccr, fpcar, actlr, demcr, dwt_control,
+        debug_control[3];
     uint64_t dwt_origin; /* Awake cycles at which CYCCNT was 0. */
     uint32_t dwt_stopped;
     systick_t systick;
@@ -100,8 +105,9 @@ struct cpu {
 
     probe_t probes[PROBES];
     unsigned probe_count, probes_active;
-    unsigned depth; /* Exceptions active. */
-    uint64_t entered_at[NVIC_EXCEPTIONS], inside[NVIC_EXCEPTIONS]; /* By depth: count at the last exception from there, instructions in exceptions from there. */
+    unsigned depth;                                                /* Exceptions active. */
+    uint64_t entered_at[NVIC_EXCEPTIONS], inside[NVIC_EXCEPTIONS]; /* By depth: count at the last exception from there,
+                                                                      instructions in exceptions from there. */
 
     uint32_t bad_address;
     uint64_t access_executed; /* Instruction of the last peripheral access: several by one instruction are looked at. */
@@ -119,14 +125,14 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps);
 void cpu_halt(cpu_t *cpu, const char *reason); /* For good: the board stops. */
 uint32_t cpu_register(const cpu_t *cpu, int unicorn_register);
 void cpu_set_register(cpu_t *cpu, int unicorn_register, uint32_t value);
-static inline uint64_t cpu_cycle(const cpu_t *cpu)
-{
+static inline uint64_t cpu_cycle(const cpu_t *cpu) {
     return cpu->executed + cpu->skipped;
 }
 
 /* code_view.c. False, 0: nothing there. */
 bool code_opcode_at(const cpu_t *cpu, uint32_t address, uint16_t *opcode);
-/* ITSTATE of the instruction at address, which is about to run or just failed (then with executed one less); 0 outside of an IT block. */
+/* ITSTATE of the instruction at address, which is about to run or just failed (then with executed one less); 0
+ * outside of an IT block. */
 uint8_t code_it_state_at(const cpu_t *cpu, uint32_t address);
 bool code_is_floating_point(const cpu_t *cpu, uint32_t address);
 /* The last instruction that began, and whether it is a load or store of a single item. */
@@ -147,7 +153,8 @@ void exception_fault(cpu_t *cpu, const fault_t *fault);
 /* Priority below which (numerically) an exception preempts. */
 int execution_priority(const cpu_t *cpu, bool heed_primask);
 
-/* system_control.c: registers of the private peripheral bus. False: no such register. cycle: of the accessing instruction. */
+/* system_control.c: registers of the private peripheral bus. False: no such register. cycle: of the accessing
+ * instruction. */
 void system_control_create(cpu_t *cpu);
 void system_control_reset(cpu_t *cpu);
 void system_control_clock_changed(cpu_t *cpu);

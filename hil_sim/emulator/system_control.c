@@ -1,26 +1,26 @@
-/* System control block, SysTick, data watchpoint unit's cycle counter, and the identification registers at 0xE0000000..0xE00FFFFF
- * (ARMv7-M architecture reference manual B3, C1; PM0214; RM0090, 38 for DBGMCU). The trace macrocell swallows what is written to it. */
+/* System control block, SysTick, data watchpoint unit's cycle counter, and the identification registers at
+ * 0xE0000000..0xE00FFFFF (ARMv7-M architecture reference manual B3, C1; PM0214; RM0090, 38 for DBGMCU). The trace
+ * macrocell swallows what is written to it. */
 #include "emulator/processor.h"
 
-#define CPUID_M4 0x410FC241u
-#define DBGMCU_IDCODE 0x10076413u
-#define AIRCR_KEY 0x05FAu
-#define SYSTICK_MASK 0x00FFFFFFu
-#define SYSTICK_ENABLE 1u
-#define SYSTICK_INTERRUPT 2u
+#define CPUID_M4           0x410FC241u
+#define DBGMCU_IDCODE      0x10076413u
+#define AIRCR_KEY          0x05FAu
+#define SYSTICK_MASK       0x00FFFFFFu
+#define SYSTICK_ENABLE     1u
+#define SYSTICK_INTERRUPT  2u
 #define SYSTICK_CORE_CLOCK 4u
-#define DEMCR_TRACE (1u << 24)
-#define FPCCR_ASPEN_LSPEN 0xC0000000u
+#define DEMCR_TRACE        (1u << 24)
+#define FPCCR_ASPEN_LSPEN  0xC0000000u
 
-/* ---- SysTick. While it runs, the count at cycle zero + k d is (reload + 1 - k) modulo (reload + 1), d the divider. ---- */
+/* ---- SysTick. While it runs, the count at cycle zero + k d is (reload + 1 - k) modulo (reload + 1), d the divider.
+ * ---- */
 
-static uint64_t systick_divider(const systick_t *systick)
-{
+static uint64_t systick_divider(const systick_t *systick) {
     return (systick->control & SYSTICK_CORE_CLOCK) != 0 ? 1 : 8;
 }
 
-static uint32_t systick_count(const cpu_t *cpu, uint64_t cycle)
-{
+static uint32_t systick_count(const cpu_t *cpu, uint64_t cycle) {
     const systick_t *const systick = &cpu->system.systick;
     if ((systick->control & SYSTICK_ENABLE) == 0 || cycle < systick->zero) {
         return (systick->control & SYSTICK_ENABLE) == 0 ? systick->stopped : 0;
@@ -30,8 +30,7 @@ static uint32_t systick_count(const cpu_t *cpu, uint64_t cycle)
     return steps == 0 ? 0 : (uint32_t)(modulus - steps);
 }
 
-static void systick_schedule(cpu_t *cpu)
-{
+static void systick_schedule(cpu_t *cpu) {
     systick_t *const systick = &cpu->system.systick;
     if ((systick->control & SYSTICK_ENABLE) == 0 || systick->active_reload == 0) {
         machine_cancel(cpu->machine, &systick->event);
@@ -41,8 +40,7 @@ static void systick_schedule(cpu_t *cpu)
     machine_schedule(cpu->machine, &systick->event, core_clock_time(&cpu->clock, cycle));
 }
 
-static void systick_fire(void *context, int64_t time_ps)
-{
+static void systick_fire(void *context, int64_t time_ps) {
     (void)time_ps;
     cpu_t *const cpu = context;
     systick_t *const systick = &cpu->system.systick;
@@ -55,8 +53,7 @@ static void systick_fire(void *context, int64_t time_ps)
     systick_schedule(cpu);
 }
 
-static void systick_set_control(cpu_t *cpu, uint32_t control, uint64_t cycle)
-{
+static void systick_set_control(cpu_t *cpu, uint32_t control, uint64_t cycle) {
     systick_t *const systick = &cpu->system.systick;
     const uint32_t count = systick_count(cpu, cycle);
     systick->control = control & 7u;
@@ -64,31 +61,39 @@ static void systick_set_control(cpu_t *cpu, uint32_t control, uint64_t cycle)
     if (count == 0 || count > systick->active_reload) {
         systick->active_reload = systick->reload;
     }
-    const uint64_t elapsed = count == 0 ? 0 : ((uint64_t)systick->active_reload + 1u - count) * systick_divider(systick);
+    const uint64_t elapsed = count == 0 ? 0
+                                        : ((uint64_t)systick->active_reload + 1u - count) * systick_divider(systick);
     systick->zero = cycle - elapsed;
     systick_schedule(cpu);
 }
 
-static bool systick_read(cpu_t *cpu, uint32_t address, uint64_t cycle, uint32_t *value)
-{
+static bool systick_read(cpu_t *cpu, uint32_t address, uint64_t cycle, uint32_t *value) {
     systick_t *const systick = &cpu->system.systick;
     switch (address) {
     case 0xE000E010:
         *value = systick->control | (systick->counted ? 1u << 16 : 0);
         systick->counted = false;
         return true;
-    case 0xE000E014: *value = systick->reload; return true;
-    case 0xE000E018: *value = systick_count(cpu, cycle); return true;
-    case 0xE000E01C: *value = 0x4000493Eu; return true; /* RM0090, 12.1.3: 18750 ticks of HCLK/8 are 1 ms at 150 MHz; not exact (SKEW). */
-    default: return false;
+    case 0xE000E014:
+        *value = systick->reload;
+        return true;
+    case 0xE000E018:
+        *value = systick_count(cpu, cycle);
+        return true;
+    case 0xE000E01C:
+        *value = 0x4000493Eu;
+        return true; /* RM0090, 12.1.3: 18750 ticks of HCLK/8 are 1 ms at 150 MHz; not exact (SKEW). */
+    default:
+        return false;
     }
 }
 
-static bool systick_write(cpu_t *cpu, uint32_t address, uint64_t cycle, uint32_t value)
-{
+static bool systick_write(cpu_t *cpu, uint32_t address, uint64_t cycle, uint32_t value) {
     systick_t *const systick = &cpu->system.systick;
     switch (address) {
-    case 0xE000E010: systick_set_control(cpu, value, cycle); return true;
+    case 0xE000E010:
+        systick_set_control(cpu, value, cycle);
+        return true;
     case 0xE000E014:
         systick->reload = value & SYSTICK_MASK;
         if (systick_count(cpu, cycle) == 0) {
@@ -102,26 +107,25 @@ static bool systick_write(cpu_t *cpu, uint32_t address, uint64_t cycle, uint32_t
         systick->zero = cycle;
         systick_schedule(cpu);
         return true;
-    case 0xE000E01C: return true;
-    default: return false;
+    case 0xE000E01C:
+        return true;
+    default:
+        return false;
     }
 }
 
 /* ---- Cycle counter: counts while the core is awake (its clock stops in sleep when no debugger holds it). ---- */
 
-static bool cycle_counter_runs(const system_control_t *system)
-{
+static bool cycle_counter_runs(const system_control_t *system) {
     return (system->demcr & DEMCR_TRACE) != 0 && (system->dwt_control & 1u) != 0;
 }
 
-static uint32_t cycle_counter(const cpu_t *cpu)
-{
+static uint32_t cycle_counter(const cpu_t *cpu) {
     const system_control_t *const system = &cpu->system;
     return cycle_counter_runs(system) ? (uint32_t)(cpu->executed - 1u - system->dwt_origin) : system->dwt_stopped;
 }
 
-static void cycle_counter_set(cpu_t *cpu, uint32_t demcr, uint32_t dwt_control, uint32_t count)
-{
+static void cycle_counter_set(cpu_t *cpu, uint32_t demcr, uint32_t dwt_control, uint32_t count) {
     cpu->system.demcr = demcr;
     cpu->system.dwt_control = dwt_control;
     cpu->system.dwt_stopped = count;
@@ -130,8 +134,7 @@ static void cycle_counter_set(cpu_t *cpu, uint32_t demcr, uint32_t dwt_control, 
 
 /* ---- System control block ---- */
 
-static uint32_t interrupt_control_state(const cpu_t *cpu)
-{
+static uint32_t interrupt_control_state(const cpu_t *cpu) {
     const nvic_t *const nvic = &cpu->nvic;
     uint32_t value = cpu_register(cpu, UC_ARM_REG_IPSR) & 0x1FFu;
     value |= nvic_active_count(nvic) <= 1 ? 1u << 11 : 0;
@@ -145,9 +148,10 @@ static uint32_t interrupt_control_state(const cpu_t *cpu)
     return value;
 }
 
-static void write_interrupt_control(nvic_t *nvic, uint32_t value)
-{
-    static const struct { unsigned set, clear, exception; } actions[] = {{31, 32, EXCEPTION_NMI}, {28, 27, EXCEPTION_PENDSV}, {26, 25, EXCEPTION_SYSTICK}};
+static void write_interrupt_control(nvic_t *nvic, uint32_t value) {
+    static const struct {
+        unsigned set, clear, exception;
+    } actions[] = {{31, 32, EXCEPTION_NMI}, {28, 27, EXCEPTION_PENDSV}, {26, 25, EXCEPTION_SYSTICK}};
     for (unsigned i = 0; i < 3; i++) {
         if ((value >> actions[i].set & 1u) != 0) {
             nvic_pend(nvic, actions[i].exception);
@@ -158,14 +162,18 @@ static void write_interrupt_control(nvic_t *nvic, uint32_t value)
 }
 
 /* SHCSR: enable bits are stored; active and pending bits are the NVIC's. */
-static const struct { unsigned bit; unsigned exception; bool pending; } handler_state[] = {
-    {0, EXCEPTION_MEMORY_FAULT, false}, {1, EXCEPTION_BUS_FAULT, false}, {3, EXCEPTION_USAGE_FAULT, false}, {7, EXCEPTION_SVCALL, false},
-    {10, EXCEPTION_PENDSV, false},      {11, EXCEPTION_SYSTICK, false},  {12, EXCEPTION_USAGE_FAULT, true}, {13, EXCEPTION_MEMORY_FAULT, true},
-    {14, EXCEPTION_BUS_FAULT, true},    {15, EXCEPTION_SVCALL, true},
+static const struct {
+    unsigned bit;
+    unsigned exception;
+    bool pending;
+} handler_state[] = {
+    {0, EXCEPTION_MEMORY_FAULT, false}, {1, EXCEPTION_BUS_FAULT, false},    {3, EXCEPTION_USAGE_FAULT, false},
+    {7, EXCEPTION_SVCALL, false},       {10, EXCEPTION_PENDSV, false},      {11, EXCEPTION_SYSTICK, false},
+    {12, EXCEPTION_USAGE_FAULT, true},  {13, EXCEPTION_MEMORY_FAULT, true}, {14, EXCEPTION_BUS_FAULT, true},
+    {15, EXCEPTION_SVCALL, true},
 };
 
-static uint32_t handler_control(const cpu_t *cpu)
-{
+static uint32_t handler_control(const cpu_t *cpu) {
     uint32_t value = cpu->system.shcsr;
     for (unsigned i = 0; i < sizeof handler_state / sizeof handler_state[0]; i++) {
         const bool set = handler_state[i].pending ? nvic_is_pending(&cpu->nvic, handler_state[i].exception)
@@ -175,8 +183,7 @@ static uint32_t handler_control(const cpu_t *cpu)
     return value;
 }
 
-static void write_reset_control(cpu_t *cpu, uint32_t value)
-{
+static void write_reset_control(cpu_t *cpu, uint32_t value) {
     if (value >> 16 != AIRCR_KEY) {
         machine_violation(cpu->machine, "AIRCR written without its key: 0x%08x", (unsigned)value);
         return;
@@ -188,34 +195,60 @@ static void write_reset_control(cpu_t *cpu, uint32_t value)
 }
 
 /* Registers that only hold what is written. NULL: not one of these. *mask: the bits that exist. */
-static uint32_t *plain_register(system_control_t *system, uint32_t address, uint32_t *mask)
-{
+static uint32_t *plain_register(system_control_t *system, uint32_t address, uint32_t *mask) {
     *mask = 0xFFFFFFFFu;
     switch (address) {
-    case 0xE000E008: return &system->actlr;
-    case 0xE000ED08: *mask = 0xFFFFFF80u; return &system->vtor;
-    case 0xE000ED10: *mask = 0x16u; return &system->scr;
-    case 0xE000ED14: *mask = 0x31Bu; return &system->ccr;
-    case 0xE000ED34: return &system->mmfar;
-    case 0xE000ED38: return &system->bfar;
-    case 0xE000ED3C: return &system->afsr;
-    case 0xE000ED88: *mask = 0x00F00000u; return &system->cpacr;
-    case 0xE000EF34: *mask = FPCCR_ASPEN_LSPEN; return &system->fpccr;
-    case 0xE000EF38: *mask = 0xFFFFFFF8u; return &system->fpcar;
-    case 0xE0042004: return &system->debug_control[0];
-    case 0xE0042008: return &system->debug_control[1];
-    case 0xE004200C: return &system->debug_control[2];
-    default: return NULL;
+    case 0xE000E008:
+        return &system->actlr;
+    case 0xE000ED08:
+        *mask = 0xFFFFFF80u;
+        return &system->vtor;
+    case 0xE000ED10:
+        *mask = 0x16u;
+        return &system->scr;
+    case 0xE000ED14:
+        *mask = 0x31Bu;
+        return &system->ccr;
+    case 0xE000ED34:
+        return &system->mmfar;
+    case 0xE000ED38:
+        return &system->bfar;
+    case 0xE000ED3C:
+        return &system->afsr;
+    case 0xE000ED88:
+        *mask = 0x00F00000u;
+        return &system->cpacr;
+    case 0xE000EF34:
+        *mask = FPCCR_ASPEN_LSPEN;
+        return &system->fpccr;
+    case 0xE000EF38:
+        *mask = 0xFFFFFFF8u;
+        return &system->fpcar;
+    case 0xE0042004:
+        return &system->debug_control[0];
+    case 0xE0042008:
+        return &system->debug_control[1];
+    case 0xE004200C:
+        return &system->debug_control[2];
+    default:
+        return NULL;
     }
 }
 
-static bool constant(uint32_t address, uint32_t *value)
-{
-    static const struct { uint32_t address, value; } constants[] = {
-        {0xE000E004, 2},          {0xE000ED00, CPUID_M4},   {0xE000ED40, 0x00000030}, {0xE000ED44, 0x00000200}, {0xE000ED48, 0x00100000},
-        {0xE000ED4C, 0},          {0xE000ED50, 0x00100030}, {0xE000ED54, 0},          {0xE000ED58, 0x01000000}, {0xE000ED5C, 0},
-        {0xE000ED60, 0x01141110}, {0xE000ED64, 0x02112000}, {0xE000ED68, 0x21232231}, {0xE000ED6C, 0x01111131}, {0xE000ED70, 0x01310132},
-        {0xE000ED90, 0x00000800}, {0xE000ED94, 0},          {0xE000EDF0, 0},          {0xE000EF3C, 0},          {0xE000EF40, 0x10110021},
+static bool constant(uint32_t address, uint32_t *value) {
+    static const struct {
+        uint32_t address, value;
+    } constants[] = {
+        {0xE000E004, 2},          {0xE000ED00, CPUID_M4},
+        {0xE000ED40, 0x00000030}, {0xE000ED44, 0x00000200},
+        {0xE000ED48, 0x00100000}, {0xE000ED4C, 0},
+        {0xE000ED50, 0x00100030}, {0xE000ED54, 0},
+        {0xE000ED58, 0x01000000}, {0xE000ED5C, 0},
+        {0xE000ED60, 0x01141110}, {0xE000ED64, 0x02112000},
+        {0xE000ED68, 0x21232231}, {0xE000ED6C, 0x01111131},
+        {0xE000ED70, 0x01310132}, {0xE000ED90, 0x00000800},
+        {0xE000ED94, 0},          {0xE000EDF0, 0},
+        {0xE000EF3C, 0},          {0xE000EF40, 0x10110021},
         {0xE000EF44, 0x11000011}, {0xE0042000, DBGMCU_IDCODE},
     };
     for (unsigned i = 0; i < sizeof constants / sizeof constants[0]; i++) {
@@ -227,13 +260,13 @@ static bool constant(uint32_t address, uint32_t *value)
     return false;
 }
 
-static bool is_trace(uint32_t address) /* ITM, the watchpoint unit's rest, breakpoint unit, TPIU, ETM: no debugger is there to see them. */
+static bool is_trace(uint32_t address) /* ITM, the watchpoint unit's rest, breakpoint unit, TPIU, ETM: no debugger is
+                                          there to see them. */
 {
     return address < 0xE0003000u || (address >= 0xE0040000u && address < 0xE0042000u);
 }
 
-static bool word_read(cpu_t *cpu, uint32_t address, uint32_t *value)
-{
+static bool word_read(cpu_t *cpu, uint32_t address, uint32_t *value) {
     uint32_t mask;
     const uint32_t *const plain = plain_register(&cpu->system, address, &mask);
     if (plain != NULL) {
@@ -241,16 +274,35 @@ static bool word_read(cpu_t *cpu, uint32_t address, uint32_t *value)
         return true;
     }
     switch (address) {
-    case 0xE000ED04: *value = interrupt_control_state(cpu); return true;
-    case 0xE000ED0C: *value = 0xFA050000u | cpu->nvic.priority_group << 8; return true;
-    case 0xE000ED24: *value = handler_control(cpu); return true;
-    case 0xE000ED28: *value = cpu->system.cfsr; return true;
-    case 0xE000ED2C: *value = cpu->system.hfsr; return true;
-    case 0xE000ED30: *value = cpu->system.dfsr; return true;
-    case 0xE000EDFC: *value = cpu->system.demcr; return true;
-    case 0xE0001000: *value = 0x40000000u | cpu->system.dwt_control; return true;
-    case 0xE0001004: *value = cycle_counter(cpu); return true;
-    default: break;
+    case 0xE000ED04:
+        *value = interrupt_control_state(cpu);
+        return true;
+    case 0xE000ED0C:
+        *value = 0xFA050000u | cpu->nvic.priority_group << 8;
+        return true;
+    case 0xE000ED24:
+        *value = handler_control(cpu);
+        return true;
+    case 0xE000ED28:
+        *value = cpu->system.cfsr;
+        return true;
+    case 0xE000ED2C:
+        *value = cpu->system.hfsr;
+        return true;
+    case 0xE000ED30:
+        *value = cpu->system.dfsr;
+        return true;
+    case 0xE000EDFC:
+        *value = cpu->system.demcr;
+        return true;
+    case 0xE0001000:
+        *value = 0x40000000u | cpu->system.dwt_control;
+        return true;
+    case 0xE0001004:
+        *value = cycle_counter(cpu);
+        return true;
+    default:
+        break;
     }
     if (constant(address, value)) {
         return true;
@@ -259,50 +311,69 @@ static bool word_read(cpu_t *cpu, uint32_t address, uint32_t *value)
     return is_trace(address);
 }
 
-static bool word_write(cpu_t *cpu, uint32_t address, uint32_t value)
-{
+static bool word_write(cpu_t *cpu, uint32_t address, uint32_t value) {
     system_control_t *const system = &cpu->system;
     uint32_t mask;
     uint32_t *const plain = plain_register(system, address, &mask);
     if (plain != NULL) {
         *plain = value & mask;
         if (address == 0xE000EF34 && (value & 1u << 31) == 0) {
-            machine_violation(cpu->machine, "FPCCR.ASPEN cleared: this emulator always stacks an active floating-point context");
+            machine_violation(cpu->machine,
+                              "FPCCR.ASPEN cleared: this emulator always stacks an active floating-point context");
         }
         if (address == 0xE000ED14 && (value & 0x18u) != 0) {
-            machine_violation(cpu->machine, "CCR.UNALIGN_TRP and DIV_0_TRP are not modelled: 0x%08x written", (unsigned)value);
+            machine_violation(cpu->machine, "CCR.UNALIGN_TRP and DIV_0_TRP are not modelled: 0x%08x written",
+                              (unsigned)value);
         }
         return true;
     }
     switch (address) {
-    case 0xE000ED04: write_interrupt_control(&cpu->nvic, value); return true;
-    case 0xE000ED0C: write_reset_control(cpu, value); return true;
-    case 0xE000ED24: system->shcsr = value & 0x00070000u; return true;
-    case 0xE000ED28: system->cfsr &= ~value; return true;
-    case 0xE000ED2C: system->hfsr &= ~value; return true;
-    case 0xE000ED30: system->dfsr &= ~value; return true;
-    case 0xE000EDFC: cycle_counter_set(cpu, value, system->dwt_control, cycle_counter(cpu)); return true;
-    case 0xE0001000: cycle_counter_set(cpu, system->demcr, value & 0x0FFFFFFFu, cycle_counter(cpu)); return true;
-    case 0xE0001004: cycle_counter_set(cpu, system->demcr, system->dwt_control, value); return true;
+    case 0xE000ED04:
+        write_interrupt_control(&cpu->nvic, value);
+        return true;
+    case 0xE000ED0C:
+        write_reset_control(cpu, value);
+        return true;
+    case 0xE000ED24:
+        system->shcsr = value & 0x00070000u;
+        return true;
+    case 0xE000ED28:
+        system->cfsr &= ~value;
+        return true;
+    case 0xE000ED2C:
+        system->hfsr &= ~value;
+        return true;
+    case 0xE000ED30:
+        system->dfsr &= ~value;
+        return true;
+    case 0xE000EDFC:
+        cycle_counter_set(cpu, value, system->dwt_control, cycle_counter(cpu));
+        return true;
+    case 0xE0001000:
+        cycle_counter_set(cpu, system->demcr, value & 0x0FFFFFFFu, cycle_counter(cpu));
+        return true;
+    case 0xE0001004:
+        cycle_counter_set(cpu, system->demcr, system->dwt_control, value);
+        return true;
     case 0xE000ED94:
     case 0xE000EF3C:
         if (value != 0) {
-            machine_violation(cpu->machine, "%s is not modelled: 0x%08x written", address == 0xE000ED94 ? "the memory protection unit" : "FPDSCR", (unsigned)value);
+            machine_violation(cpu->machine, "%s is not modelled: 0x%08x written",
+                              address == 0xE000ED94 ? "the memory protection unit" : "FPDSCR", (unsigned)value);
         }
         return true;
-    default: break;
+    default:
+        break;
     }
     uint32_t ignored;
     return constant(address, &ignored) || is_trace(address);
 }
 
-static bool is_handler_priority(uint32_t address)
-{
+static bool is_handler_priority(uint32_t address) {
     return address >= 0xE000ED18u && address < 0xE000ED24u;
 }
 
-bool system_control_read(cpu_t *cpu, uint32_t address, unsigned width, uint32_t *value)
-{
+bool system_control_read(cpu_t *cpu, uint32_t address, unsigned width, uint32_t *value) {
     *value = 0;
     if (is_handler_priority(address)) {
         for (unsigned i = 0; i < width; i++) {
@@ -314,14 +385,14 @@ bool system_control_read(cpu_t *cpu, uint32_t address, unsigned width, uint32_t 
         return nvic_read(&cpu->nvic, address, width, value);
     }
     if ((address & 3u) != 0 || width != 4) {
-        return is_trace(address) || (address >= 0xE000ED28u && address < 0xE000ED2Cu && word_read(cpu, address & ~3u, value) &&
-                                     (*value = *value >> (8u * (address & 3u)) & (width == 1 ? 0xFFu : 0xFFFFu), true));
+        return is_trace(address) ||
+               (address >= 0xE000ED28u && address < 0xE000ED2Cu && word_read(cpu, address & ~3u, value) &&
+                (*value = *value >> (8u * (address & 3u)) & (width == 1 ? 0xFFu : 0xFFFFu), true));
     }
     return systick_read(cpu, address, cpu_cycle(cpu) - 1u, value) || word_read(cpu, address, value);
 }
 
-bool system_control_write(cpu_t *cpu, uint32_t address, unsigned width, uint32_t value)
-{
+bool system_control_write(cpu_t *cpu, uint32_t address, unsigned width, uint32_t value) {
     cpu->deadline = 0; /* Nearly every register here decides on what runs next. */
     if (is_handler_priority(address)) {
         for (unsigned i = 0; i < width; i++) {
@@ -333,24 +404,22 @@ bool system_control_write(cpu_t *cpu, uint32_t address, unsigned width, uint32_t
         return nvic_write(&cpu->nvic, address, width, value);
     }
     if ((address & 3u) != 0 || width != 4) {
-        return is_trace(address) || (address >= 0xE000ED28u && address < 0xE000ED2Cu && word_write(cpu, address & ~3u, value << (8u * (address & 3u))));
+        return is_trace(address) || (address >= 0xE000ED28u && address < 0xE000ED2Cu &&
+                                     word_write(cpu, address & ~3u, value << (8u * (address & 3u))));
     }
     return systick_write(cpu, address, cpu_cycle(cpu) - 1u, value) || word_write(cpu, address, value);
 }
 
-void system_control_create(cpu_t *cpu)
-{
+void system_control_create(cpu_t *cpu) {
     machine_event_init(&cpu->system.systick.event, systick_fire, cpu);
 }
 
-void system_control_reset(cpu_t *cpu)
-{
+void system_control_reset(cpu_t *cpu) {
     machine_cancel(cpu->machine, &cpu->system.systick.event);
     cpu->system = (system_control_t){.ccr = 0x200u, .fpccr = FPCCR_ASPEN_LSPEN};
     system_control_create(cpu);
 }
 
-void system_control_clock_changed(cpu_t *cpu)
-{
+void system_control_clock_changed(cpu_t *cpu) {
     systick_schedule(cpu);
 }

@@ -3,8 +3,7 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-void *array_reserve(void *items, size_t *capacity, size_t needed, size_t item_size)
-{
+void *array_reserve(void *items, size_t *capacity, size_t needed, size_t item_size) {
     if (needed <= *capacity) {
         return items;
     }

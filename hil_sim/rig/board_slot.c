@@ -11,18 +11,18 @@ typedef struct {
     unsigned bridge_1, bridge_2, current;
 } channel_pins_t;
 
-static const channel_pins_t channel_pins[RIG_COILS] = {{.bridge_1 = 38, .bridge_2 = 39, .current = 0}, {.bridge_1 = 36, .bridge_2 = 37, .current = 6}};
+static const channel_pins_t channel_pins[RIG_COILS] = {{.bridge_1 = 38, .bridge_2 = 39, .current = 0},
+                                                       {.bridge_1 = 36, .bridge_2 = 37, .current = 6}};
 
-static void keep_change(rig_pin_change_t **changes, size_t *count, size_t *capacity, rig_pin_change_t change)
-{
+static void keep_change(rig_pin_change_t **changes, size_t *count, size_t *capacity, rig_pin_change_t change) {
     *changes = array_reserve(*changes, capacity, *count + 1, sizeof **changes);
     (*changes)[(*count)++] = change;
 }
 
-static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps)
-{
+static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps) {
     board_slot_t *const slot = context;
-    const rig_pin_change_t change = {.time_ps = time_ps, .board = (uint16_t)slot->number, .pin = (uint8_t)pin, .level = level};
+    const rig_pin_change_t change = {
+        .time_ps = time_ps, .board = (uint16_t)slot->number, .pin = (uint8_t)pin, .level = level};
     bool wired = pin == SEAT_PIN_ENABLE || pin == SEAT_PIN_SYNC_OUT;
     for (unsigned i = 0; i < slot->coils; ++i) {
         if (pin == channel_pins[i].bridge_1 || pin == channel_pins[i].bridge_2) {
@@ -40,16 +40,14 @@ static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps)
     }
 }
 
-static void on_analog_out(void *context, unsigned channel, double volts, int64_t time_ps)
-{
+static void on_analog_out(void *context, unsigned channel, double volts, int64_t time_ps) {
     board_slot_t *const slot = context;
     if (channel >= 1 && channel <= slot->coils) {
         coil_reference(&slot->coil[channel - 1], volts, time_ps);
     }
 }
 
-static double on_analog_in(void *context, unsigned pin, int64_t time_ps)
-{
+static double on_analog_in(void *context, unsigned pin, int64_t time_ps) {
     board_slot_t *const slot = context;
     if (slot->senses && pin >= PIN_FIELD_X && pin < PIN_FIELD_X + 3) {
         return sensing_volts(&slot->sensing, pin - PIN_FIELD_X, time_ps);
@@ -62,8 +60,7 @@ static double on_analog_in(void *context, unsigned pin, int64_t time_ps)
     return 0.0;
 }
 
-static void on_uart_out(void *context, unsigned uart, uint8_t byte, int64_t time_ps)
-{
+static void on_uart_out(void *context, unsigned uart, uint8_t byte, int64_t time_ps) {
     board_slot_t *const slot = context;
     (void)time_ps;
     if (uart == SEAT_SERIAL_PORT) {
@@ -71,24 +68,21 @@ static void on_uart_out(void *context, unsigned uart, uint8_t byte, int64_t time
     }
 }
 
-static void keep_wish(board_slot_t *slot, board_slot_wish_t wish)
-{
+static void keep_wish(board_slot_t *slot, board_slot_wish_t wish) {
     slot->wishes = array_reserve(slot->wishes, &slot->wish_capacity, slot->wish_count + 1, sizeof *slot->wishes);
     slot->wishes[slot->wish_count++] = wish;
 }
 
-static void on_can_request(void *context, unsigned mailbox, const board_frame_t *frame, int64_t time_ps)
-{
+static void on_can_request(void *context, unsigned mailbox, const board_frame_t *frame, int64_t time_ps) {
     keep_wish(context, (board_slot_wish_t){.mailbox = mailbox, .frame = *frame, .time_ps = time_ps});
 }
 
-static void on_can_abort(void *context, unsigned mailbox, int64_t time_ps)
-{
+static void on_can_abort(void *context, unsigned mailbox, int64_t time_ps) {
     keep_wish(context, (board_slot_wish_t){.abort = true, .mailbox = mailbox, .time_ps = time_ps});
 }
 
-void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config, coil_t *coil)
-{
+void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config,
+                     coil_t *coil) {
     *slot = (board_slot_t){.number = number, .seed = seed, .coils = config->coils, .coil = coil};
     slot->edge = (board_edge_t){
         .context = slot,
@@ -104,8 +98,7 @@ void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const r
     }
 }
 
-void board_slot_free(board_slot_t *slot)
-{
+void board_slot_free(board_slot_t *slot) {
     if (slot->senses) {
         sensing_free(&slot->sensing);
     }

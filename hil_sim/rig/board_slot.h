@@ -1,7 +1,9 @@
-/* board_slot.h: a board's place in the rig: what its pins, converters and links are wired to. Internal to the rig (lockstep.h).
+/* board_slot.h: a board's place in the rig: what its pins, converters and links are wired to. Internal to the rig
+ * (lockstep.h).
  *
- * Pins (boards/pinout.md), with i the channel: bridge inputs PC6/PC7 and PC4/PC5, set-points DAC channel 1 + i, current senses PA0 and PA6; PC9 enables
- * both bridges, PC10 is their fault; PC8 and PA10 are the sync wire's ends; the field is on PA1 to PA3.
+ * Pins (boards/pinout.md), with i the channel: bridge inputs PC6/PC7 and PC4/PC5, set-points DAC channel 1 + i, current
+ * senses PA0 and PA6; PC9 enables both bridges, PC10 is their fault; PC8 and PA10 are the sync wire's ends; the field
+ * is on PA1 to PA3.
  *
  * During a step only the thread that runs the board touches its slot; others look at its coils as sensing.h says.
  */
@@ -46,7 +48,8 @@ typedef struct {
 } board_slot_t;
 
 /* A slot with its edge and coils; coil points to config.coils of them. The caller fills what else it has. */
-void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config, coil_t *coil);
+void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config,
+                     coil_t *coil);
 void board_slot_free(board_slot_t *slot);
 
 #endif

@@ -40,15 +40,13 @@ typedef struct {
     unsigned count;
 } bit_string_t;
 
-static void append(bit_string_t *string, uint32_t value, unsigned count)
-{
+static void append(bit_string_t *string, uint32_t value, unsigned count) {
     for (unsigned i = count; i-- > 0;) {
         string->bits[string->count++] = (uint8_t)((value >> i) & 1u);
     }
 }
 
-static uint16_t checksum(const bit_string_t *string)
-{
+static uint16_t checksum(const bit_string_t *string) {
     uint16_t crc = 0;
     for (unsigned i = 0; i < string->count; ++i) {
         const unsigned next = string->bits[i] ^ (unsigned)(crc >> 14);
@@ -61,8 +59,7 @@ static uint16_t checksum(const bit_string_t *string)
 }
 
 /* The part of a frame that is stuffed: start of frame to the end of the checksum. */
-static bit_string_t stuffed_part(const board_frame_t *frame)
-{
+static bit_string_t stuffed_part(const board_frame_t *frame) {
     bit_string_t string = {.count = 0};
     const uint32_t remote = frame->remote ? 1 : 0;
     const unsigned length = frame->length > 8 ? 8 : frame->length;
@@ -87,8 +84,7 @@ static bit_string_t stuffed_part(const board_frame_t *frame)
 }
 
 /* After five equal bits a bit of the other value is inserted; it counts for the next five. */
-static unsigned stuff_bits(const bit_string_t *string)
-{
+static unsigned stuff_bits(const bit_string_t *string) {
     unsigned inserted = 0;
     unsigned run = 0;
     unsigned last = 2;
@@ -104,14 +100,12 @@ static unsigned stuff_bits(const bit_string_t *string)
     return inserted;
 }
 
-unsigned can_frame_bits(const board_frame_t *frame)
-{
+unsigned can_frame_bits(const board_frame_t *frame) {
     const bit_string_t string = stuffed_part(frame);
     return string.count + stuff_bits(&string) + CRC_DELIMITER_BITS + ACKNOWLEDGE_BITS + END_OF_FRAME_BITS;
 }
 
-uint32_t can_arbitration_key(const board_frame_t *frame)
-{
+uint32_t can_arbitration_key(const board_frame_t *frame) {
     const uint32_t remote = frame->remote ? 1 : 0;
     if (frame->extended) {
         return ((frame->id >> 18) << 21) | (3u << 19) | ((frame->id & 0x3FFFFu) << 1) | remote;
@@ -121,8 +115,7 @@ uint32_t can_arbitration_key(const board_frame_t *frame)
 
 /* ---- The bus ---- */
 
-can_bus_t *can_bus_create(unsigned nodes, uint32_t bits_per_second)
-{
+can_bus_t *can_bus_create(unsigned nodes, uint32_t bits_per_second) {
     can_bus_t *const bus = calloc(1, sizeof *bus);
     int64_t *const joined = calloc(nodes, sizeof *joined);
     if (bus == NULL || joined == NULL) {
@@ -137,8 +130,7 @@ can_bus_t *can_bus_create(unsigned nodes, uint32_t bits_per_second)
     return bus;
 }
 
-void can_bus_destroy(can_bus_t *bus)
-{
+void can_bus_destroy(can_bus_t *bus) {
     if (bus != NULL) {
         free(bus->joined_ps);
         free(bus->requests);
@@ -146,20 +138,21 @@ void can_bus_destroy(can_bus_t *bus)
     }
 }
 
-void can_bus_join(can_bus_t *bus, unsigned node, int64_t time_ps)
-{
+void can_bus_join(can_bus_t *bus, unsigned node, int64_t time_ps) {
     bus->joined_ps[node] = time_ps;
 }
 
-void can_bus_request(can_bus_t *bus, unsigned node, unsigned mailbox, const board_frame_t *frame, int64_t time_ps)
-{
+void can_bus_request(can_bus_t *bus, unsigned node, unsigned mailbox, const board_frame_t *frame, int64_t time_ps) {
     bus->requests = array_reserve(bus->requests, &bus->capacity, bus->count + 1, sizeof *bus->requests);
-    bus->requests[bus->count++] = (request_t){
-        .node = node, .mailbox = mailbox, .frame = *frame, .key = can_arbitration_key(frame), .time_ps = time_ps, .until_ps = INT64_MAX};
+    bus->requests[bus->count++] = (request_t){.node = node,
+                                              .mailbox = mailbox,
+                                              .frame = *frame,
+                                              .key = can_arbitration_key(frame),
+                                              .time_ps = time_ps,
+                                              .until_ps = INT64_MAX};
 }
 
-void can_bus_abort(can_bus_t *bus, unsigned node, unsigned mailbox, int64_t time_ps)
-{
+void can_bus_abort(can_bus_t *bus, unsigned node, unsigned mailbox, int64_t time_ps) {
     for (size_t i = bus->count; i-- > 0;) {
         request_t *const request = &bus->requests[i];
         if (request->node == node && request->mailbox == mailbox && request->until_ps == INT64_MAX) {
@@ -169,16 +162,14 @@ void can_bus_abort(can_bus_t *bus, unsigned node, unsigned mailbox, int64_t time
     }
 }
 
-static void remove_request(can_bus_t *bus, size_t index)
-{
+static void remove_request(can_bus_t *bus, size_t index) {
     --bus->count;
     for (size_t i = index; i < bus->count; ++i) {
         bus->requests[i] = bus->requests[i + 1];
     }
 }
 
-static void drop_withdrawn(can_bus_t *bus, int64_t time_ps)
-{
+static void drop_withdrawn(can_bus_t *bus, int64_t time_ps) {
     for (size_t i = bus->count; i-- > 0;) {
         if (bus->requests[i].until_ps <= time_ps) {
             remove_request(bus, i);
@@ -187,8 +178,7 @@ static void drop_withdrawn(can_bus_t *bus, int64_t time_ps)
 }
 
 /* When the next frame starts: the bus is idle and somebody wants it. INT64_MAX: nobody does. */
-static int64_t next_start(const can_bus_t *bus)
-{
+static int64_t next_start(const can_bus_t *bus) {
     int64_t start = INT64_MAX;
     for (size_t i = 0; i < bus->count; ++i) {
         const request_t *const request = &bus->requests[i];
@@ -200,16 +190,14 @@ static int64_t next_start(const can_bus_t *bus)
     return start;
 }
 
-static bool goes_before(const request_t *a, const request_t *b)
-{
+static bool goes_before(const request_t *a, const request_t *b) {
     if (a->key != b->key) {
         return a->key < b->key;
     }
     return a->node < b->node;
 }
 
-static size_t arbitration_winner(can_bus_t *bus, int64_t start_ps)
-{
+static size_t arbitration_winner(can_bus_t *bus, int64_t start_ps) {
     size_t winner = bus->count;
     for (size_t i = 0; i < bus->count; ++i) {
         const request_t *const request = &bus->requests[i];
@@ -222,15 +210,15 @@ static size_t arbitration_winner(can_bus_t *bus, int64_t start_ps)
     }
     for (size_t i = 0; i < bus->count; ++i) {
         const request_t *const request = &bus->requests[i];
-        if (request->time_ps <= start_ps && request->key == bus->requests[winner].key && request->node != bus->requests[winner].node) {
+        if (request->time_ps <= start_ps && request->key == bus->requests[winner].key &&
+            request->node != bus->requests[winner].node) {
             ++bus->statistics.collisions;
         }
     }
     return winner;
 }
 
-static bool anybody_else(const can_bus_t *bus, unsigned sender, int64_t time_ps)
-{
+static bool anybody_else(const can_bus_t *bus, unsigned sender, int64_t time_ps) {
     for (unsigned node = 0; node < bus->nodes; ++node) {
         if (node != sender && bus->joined_ps[node] <= time_ps) {
             return true;
@@ -239,8 +227,7 @@ static bool anybody_else(const can_bus_t *bus, unsigned sender, int64_t time_ps)
     return false;
 }
 
-void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *context)
-{
+void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *context) {
     int64_t start_ps;
     while (bus->count > 0 && (start_ps = next_start(bus)) < until_ps) {
         drop_withdrawn(bus, start_ps);
@@ -271,7 +258,6 @@ void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *
     }
 }
 
-void can_bus_statistics(const can_bus_t *bus, can_statistics_t *statistics)
-{
+void can_bus_statistics(const can_bus_t *bus, can_statistics_t *statistics) {
     *statistics = bus->statistics;
 }

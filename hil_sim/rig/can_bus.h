@@ -1,15 +1,18 @@
-/* can_bus.h: a CAN 2.0 bus: frame lengths with bit stuffing, arbitration by identifier, interframe space, acknowledgement.
+/* can_bus.h: a CAN 2.0 bus: frame lengths with bit stuffing, arbitration by identifier, interframe space,
+ * acknowledgement.
  *
- * Time is picoseconds of virtual time. The bus decides up to a time (can_bus_run): everything requested before must be known by then. A frame starts
- * when the bus is idle (three bits after the frame before), among all requests made by that moment the identifier that wins the bits' arbitration.
- * It ends with the last bit of its end-of-frame field. That is when the sender knows that it is through (end_ps); a receiver takes it one bit earlier,
- * after the last but one bit of end of frame (valid_ps). Whoever stamps frames on both sides sees this bit as an offset.
- * With nobody else on the bus it fails: after the acknowledgement slot come an error flag (6 bits) and its delimiter (8 bits); the sender is told and
- * decides itself whether to try again.
+ * Time is picoseconds of virtual time. The bus decides up to a time (can_bus_run): everything requested before must be
+ * known by then. A frame starts when the bus is idle (three bits after the frame before), among all requests made by
+ * that moment the identifier that wins the bits' arbitration. It ends with the last bit of its end-of-frame field. That
+ * is when the sender knows that it is through (end_ps); a receiver takes it one bit earlier, after the last but one bit
+ * of end of frame (valid_ps). Whoever stamps frames on both sides sees this bit as an offset. With nobody else on the
+ * bus it fails: after the acknowledgement slot come an error flag (6 bits) and its delimiter (8 bits); the sender is
+ * told and decides itself whether to try again.
  *
- * Source: ISO 11898-1:2015, 10.4 (frames), 10.5 (stuffing), 10.6 (errors); frame validation. Left out: bit errors on the wire, delays of
- * transceivers and cable, the sample point (the same for all nodes of one bit timing), error-passive nodes' suspended transmission, differences of
- * the nodes' bit clocks. Two nodes that send the same identifier at once (forbidden by 10.4.2.2) are counted; the lower node goes first.
+ * Source: ISO 11898-1:2015, 10.4 (frames), 10.5 (stuffing), 10.6 (errors); frame validation. Left out: bit errors on
+ * the wire, delays of transceivers and cable, the sample point (the same for all nodes of one bit timing),
+ * error-passive nodes' suspended transmission, differences of the nodes' bit clocks. Two nodes that send the same
+ * identifier at once (forbidden by 10.4.2.2) are counted; the lower node goes first.
  *
  * Time of a call: in proportion to the pending requests. Memory grows with them.
  */
@@ -21,13 +24,14 @@
 
 #include "boards/board_edge.h"
 
-/* A frame of 29-bit identifier without data has 64 bits and not fewer, its interframe space not counted; one of 11-bit identifier 44. */
+/* A frame of 29-bit identifier without data has 64 bits and not fewer, its interframe space not counted; one of
+ * 11-bit identifier 44. */
 #define CAN_SHORTEST_EXTENDED_BITS 64
 
 typedef struct can_bus can_bus_t;
 
 typedef struct {
-    unsigned node;    /* Sender. */
+    unsigned node; /* Sender. */
     unsigned mailbox;
     board_frame_t frame;
     int64_t start_ps;
@@ -42,8 +46,8 @@ typedef void (*can_deliver_t)(void *context, const can_transfer_t *transfer);
 typedef struct {
     uint64_t frames;
     uint64_t unacknowledged;
-    uint64_t collisions;  /* Two nodes with the same identifier. */
-    int64_t busy_ps;      /* Frames and interframe spaces. */
+    uint64_t collisions; /* Two nodes with the same identifier. */
+    int64_t busy_ps;     /* Frames and interframe spaces. */
 } can_statistics_t;
 
 can_bus_t *can_bus_create(unsigned nodes, uint32_t bits_per_second);

@@ -8,13 +8,13 @@
 
 /* ---- Between steps: the wires ---- */
 
-static void serve_sync_wire(rig_t *rig)
-{
+static void serve_sync_wire(rig_t *rig) {
     board_slot_t *const master = &rig->slot[rig->config.sync_master];
     for (size_t i = 0; i < master->sync_count; ++i) {
         const rig_pin_change_t change = master->sync_changes[i];
         if (change.level) {
-            rig->edges_ps = array_reserve(rig->edges_ps, &rig->edge_capacity, rig->edge_count + 1, sizeof *rig->edges_ps);
+            rig->edges_ps = array_reserve(rig->edges_ps, &rig->edge_capacity, rig->edge_count + 1,
+                                          sizeof *rig->edges_ps);
             rig->edges_ps[rig->edge_count++] = change.time_ps;
         }
         for (unsigned board = 0; board < rig->slots; ++board) {
@@ -29,8 +29,7 @@ static void serve_sync_wire(rig_t *rig)
     }
 }
 
-static void deliver(void *context, const can_transfer_t *transfer)
-{
+static void deliver(void *context, const can_transfer_t *transfer) {
     rig_t *const rig = context;
     for (unsigned board = 0; board < rig->slots; ++board) {
         board_slot_t *const slot = &rig->slot[board];
@@ -52,8 +51,7 @@ static void deliver(void *context, const can_transfer_t *transfer)
     }
 }
 
-static void serve_bus(rig_t *rig)
-{
+static void serve_bus(rig_t *rig) {
     for (unsigned board = 0; board < rig->slots; ++board) {
         board_slot_t *const slot = &rig->slot[board];
         for (size_t i = 0; i < slot->wish_count; ++i) {
@@ -70,8 +68,7 @@ static void serve_bus(rig_t *rig)
 }
 
 /* Only what arrives in the next quantum is handed over, so that a board never holds a long list of bytes to come. */
-static void serve_serial(rig_t *rig)
-{
+static void serve_serial(rig_t *rig) {
     for (unsigned board = 0; board < rig->slots; ++board) {
         board_slot_t *const slot = &rig->slot[board];
         uint8_t byte;
@@ -83,8 +80,7 @@ static void serve_serial(rig_t *rig)
 }
 
 /* Those that look at coils in the next step see what has happened up to now. */
-static rig_status_t check_boards(rig_t *rig)
-{
+static rig_status_t check_boards(rig_t *rig) {
     coils_t *const coils = &rig->coils;
     for (unsigned board = 0; board < rig->slots; ++board) {
         const board_slot_t *const slot = &rig->slot[board];
@@ -108,8 +104,7 @@ static rig_status_t check_boards(rig_t *rig)
 /* ---- Running ---- */
 
 /* A task of the pool: one board's quantum. */
-static void run_board(void *context, unsigned board)
-{
+static void run_board(void *context, unsigned board) {
     const rig_t *const rig = context;
     board_slot_t *const slot = &rig->slot[board];
     const int64_t until_ps = rig->now_ps + RIG_QUANTUM_PS + slot->lead_ps;
@@ -118,8 +113,7 @@ static void run_board(void *context, unsigned board)
     }
 }
 
-rig_status_t rig_run(rig_t *rig, int64_t until_ps)
-{
+rig_status_t rig_run(rig_t *rig, int64_t until_ps) {
     rig_status_t status = RIG_OK;
     thread_pool_begin(&rig->pool);
     while (status == RIG_OK && rig->now_ps + RIG_QUANTUM_PS <= until_ps) {
@@ -134,41 +128,42 @@ rig_status_t rig_run(rig_t *rig, int64_t until_ps)
     return status;
 }
 
-int64_t rig_now(const rig_t *rig)
-{
+int64_t rig_now(const rig_t *rig) {
     return rig->now_ps > 0 ? rig->now_ps : 0;
 }
 
-unsigned rig_stopped_board(const rig_t *rig)
-{
+unsigned rig_stopped_board(const rig_t *rig) {
     return rig->stopped;
 }
 
 /* ---- Building ---- */
 
-static bool configuration_is_good(const rig_config_t *config)
-{
-    const int64_t shortest_ps = (CAN_SHORTEST_EXTENDED_BITS - 1) * (INT64_C(1000000000000) / config->can_bits_per_second);
-    bool good = config->beacons > 0 && config->sync_master > 0 && config->sync_master <= config->beacons && config->threads > 0 &&
-                3 * (int64_t)RIG_QUANTUM_PS <= shortest_ps;
+static bool configuration_is_good(const rig_config_t *config) {
+    const int64_t shortest_ps = (CAN_SHORTEST_EXTENDED_BITS - 1) *
+                                (INT64_C(1000000000000) / config->can_bits_per_second);
+    bool good = config->beacons > 0 && config->sync_master > 0 && config->sync_master <= config->beacons &&
+                config->threads > 0 && 3 * (int64_t)RIG_QUANTUM_PS <= shortest_ps;
     for (unsigned board = 0; board <= config->beacons; ++board) {
         good = good && config->boards[board].coils <= RIG_COILS;
     }
     return good;
 }
 
-static bool take_slots(rig_t *rig, const rig_config_t *config)
-{
+static bool take_slots(rig_t *rig, const rig_config_t *config) {
     bool good = true;
     unsigned first = 0;
     for (unsigned board = 0; board < rig->slots; ++board) {
         const rig_board_config_t *const own = &config->boards[board];
         board_slot_t *const slot = &rig->slot[board];
         board_slot_init(slot, board, config->seed, own, &rig->coils.coil[first]);
-        slot->lead_ps = board == RIG_SENSOR ? 0 : board == config->sync_master ? 2 * (int64_t)RIG_QUANTUM_PS : RIG_QUANTUM_PS;
+        slot->lead_ps = board == RIG_SENSOR            ? 0
+                        : board == config->sync_master ? 2 * (int64_t)RIG_QUANTUM_PS
+                                                       : RIG_QUANTUM_PS;
         serial_line_init(&slot->serial, config->baud);
         if (own->senses) {
-            good = sensing_init(&slot->sensing, &rig->coils, &rig->config.ambient, &own->front_end, config->seed, board) && good;
+            good = sensing_init(&slot->sensing, &rig->coils, &rig->config.ambient, &own->front_end, config->seed,
+                                board) &&
+                   good;
             slot->senses = true;
             slot->sensing.own_first = first;
             slot->sensing.own_count = own->coils;
@@ -178,8 +173,7 @@ static bool take_slots(rig_t *rig, const rig_config_t *config)
     return good;
 }
 
-rig_t *rig_create(const rig_config_t *config)
-{
+rig_t *rig_create(const rig_config_t *config) {
     if (!configuration_is_good(config)) {
         return NULL;
     }
@@ -188,7 +182,7 @@ rig_t *rig_create(const rig_config_t *config)
         return NULL;
     }
     rig->config = *config;
-    rig->config.boards = NULL; /* Copied; the caller's array may go. */
+    rig->config.boards = NULL;                  /* Copied; the caller's array may go. */
     rig->now_ps = -2 * (int64_t)RIG_QUANTUM_PS; /* So that those ahead get their lead before the sensor starts at 0. */
     rig->slots = config->beacons + 1;
     for (unsigned board = 0; board <= config->beacons; ++board) {
@@ -198,8 +192,8 @@ rig_t *rig_create(const rig_config_t *config)
     rig->coils.head = calloc(rig->coils.count + 1u, sizeof *rig->coils.head);
     rig->slot = calloc(rig->slots, sizeof *rig->slot);
     rig->bus = can_bus_create(rig->slots + 1, config->can_bits_per_second);
-    if (rig->coils.coil == NULL || rig->coils.head == NULL || rig->slot == NULL || rig->bus == NULL || !take_slots(rig, config) ||
-        !thread_pool_init(&rig->pool, config->threads, rig->slots, run_board, rig)) {
+    if (rig->coils.coil == NULL || rig->coils.head == NULL || rig->slot == NULL || rig->bus == NULL ||
+        !take_slots(rig, config) || !thread_pool_init(&rig->pool, config->threads, rig->slots, run_board, rig)) {
         rig_destroy(rig);
         return NULL;
     }
@@ -209,8 +203,7 @@ rig_t *rig_create(const rig_config_t *config)
     return rig;
 }
 
-void rig_destroy(rig_t *rig)
-{
+void rig_destroy(rig_t *rig) {
     if (rig == NULL) {
         return;
     }
@@ -227,13 +220,12 @@ void rig_destroy(rig_t *rig)
     free(rig);
 }
 
-const board_edge_t *rig_edge(rig_t *rig, unsigned board)
-{
+const board_edge_t *rig_edge(rig_t *rig, unsigned board) {
     return &rig->slot[board].edge;
 }
 
-void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations, int64_t power_on_ps)
-{
+void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations,
+                 int64_t power_on_ps) {
     board_slot_t *const slot = &rig->slot[board];
     slot->instance = instance;
     slot->operations = operations;
@@ -244,8 +236,7 @@ void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_oper
     }
 }
 
-bool rig_set_path(rig_t *rig, unsigned board, const path_t *path)
-{
+bool rig_set_path(rig_t *rig, unsigned board, const path_t *path) {
     board_slot_t *const slot = &rig->slot[board];
     return slot->senses && sensing_set_path(&slot->sensing, path);
 }

@@ -4,19 +4,16 @@
 
 /* What lockstep.h offers to whoever stands beside the bench: links, looks, faults. Called between steps. */
 
-size_t rig_serial_read(rig_t *rig, unsigned board, uint8_t *bytes, size_t capacity)
-{
+size_t rig_serial_read(rig_t *rig, unsigned board, uint8_t *bytes, size_t capacity) {
     return serial_line_read(&rig->slot[board].serial, bytes, capacity);
 }
 
-void rig_serial_write(rig_t *rig, unsigned board, const uint8_t *bytes, size_t count)
-{
+void rig_serial_write(rig_t *rig, unsigned board, const uint8_t *bytes, size_t count) {
     board_slot_t *const slot = &rig->slot[board];
     serial_line_write(&slot->serial, bytes, count, rig_now(rig) + slot->lead_ps);
 }
 
-bool rig_can_read(rig_t *rig, can_transfer_t *transfer)
-{
+bool rig_can_read(rig_t *rig, can_transfer_t *transfer) {
     if (rig->transfer_count == 0) {
         return false;
     }
@@ -27,21 +24,18 @@ bool rig_can_read(rig_t *rig, can_transfer_t *transfer)
     return true;
 }
 
-bool rig_can_write(rig_t *rig, const board_frame_t *frame)
-{
+bool rig_can_write(rig_t *rig, const board_frame_t *frame) {
     if (rig->config.host_on_can) {
         can_bus_request(rig->bus, rig->slots, 0, frame, rig_now(rig));
     }
     return rig->config.host_on_can;
 }
 
-void rig_can_statistics(const rig_t *rig, can_statistics_t *statistics)
-{
+void rig_can_statistics(const rig_t *rig, can_statistics_t *statistics) {
     can_bus_statistics(rig->bus, statistics);
 }
 
-size_t rig_sync_edges(const rig_t *rig, size_t first, int64_t *times_ps, size_t capacity)
-{
+size_t rig_sync_edges(const rig_t *rig, size_t first, int64_t *times_ps, size_t capacity) {
     size_t count = rig->edge_count;
     while (count > 0 && rig->edges_ps[count - 1] > rig_now(rig)) {
         --count; /* The master is ahead. */
@@ -52,15 +46,13 @@ size_t rig_sync_edges(const rig_t *rig, size_t first, int64_t *times_ps, size_t 
     return count;
 }
 
-void rig_watch_pins(rig_t *rig, bool watch)
-{
+void rig_watch_pins(rig_t *rig, bool watch) {
     for (unsigned board = 0; board < rig->slots; ++board) {
         rig->slot[board].watch = watch;
     }
 }
 
-size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, size_t capacity)
-{
+size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, size_t capacity) {
     board_slot_t *const slot = &rig->slot[board];
     const size_t waiting = slot->change_count - slot->change_first;
     const size_t count = waiting < capacity ? waiting : capacity;
@@ -74,24 +66,27 @@ size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, si
     return count;
 }
 
-double rig_coil_current(const rig_t *rig, unsigned board, unsigned coil)
-{
+double rig_coil_current(const rig_t *rig, unsigned board, unsigned coil) {
     return coil_current(&rig->slot[board].coil[coil], rig_now(rig));
 }
 
-void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3])
-{
+void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3]) {
     sensing_field(&rig->slot[board].sensing, rig_now(rig), field_T);
 }
 
-void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active)
-{
+void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active) {
     board_slot_t *const slot = &rig->slot[board];
     const int64_t time_ps = rig_now(rig) + slot->lead_ps;
     switch (fault) {
-    case RIG_FAULT_DRIVER: slot->operations->pin_in(slot->instance, SEAT_PIN_FAULT, !active, time_ps); break;
-    case RIG_FAULT_COIL_OPEN: coil_open(&slot->coil[coil], active, time_ps); break;
-    case RIG_FAULT_SENSE_SHORTED: slot->coil[coil].sense_shorted = active; break;
+    case RIG_FAULT_DRIVER:
+        slot->operations->pin_in(slot->instance, SEAT_PIN_FAULT, !active, time_ps);
+        break;
+    case RIG_FAULT_COIL_OPEN:
+        coil_open(&slot->coil[coil], active, time_ps);
+        break;
+    case RIG_FAULT_SENSE_SHORTED:
+        slot->coil[coil].sense_shorted = active;
+        break;
     case RIG_FAULT_SYNC_WIRE_CUT:
         slot->sync_cut = active;
         slot->operations->pin_in(slot->instance, SEAT_PIN_SYNC_IN, false, time_ps);

@@ -1,9 +1,10 @@
-/* rig_internal.h: the rig itself, for those that make it up: lockstep.c builds and runs it, observer.c is its outside. */
+/* rig_internal.h: the rig itself, for those that make it up: lockstep.c builds and runs it, observer.c is its
+ * outside. */
 #ifndef GOLDFIELD_RIG_INTERNAL_H
 #define GOLDFIELD_RIG_INTERNAL_H
 
-#include "rig/thread_pool.h"
 #include "rig/board_slot.h"
+#include "rig/thread_pool.h"
 
 struct rig {
     rig_config_t config;

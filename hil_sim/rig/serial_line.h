@@ -1,7 +1,9 @@
-/* serial_line.h: the far side of one board's serial port: what the board has sent and nobody has read yet, and what waits to be sent to it.
+/* serial_line.h: the far side of one board's serial port: what the board has sent and nobody has read yet, and what
+ * waits to be sent to it.
  *
- * Bytes to the board follow each other back to back, ten bits each, from the moment of writing (or the end of what waits). Times are picoseconds.
- * Both queues grow as needed; nothing is lost here. Time of a call: in proportion to the bytes.
+ * Bytes to the board follow each other back to back, ten bits each, from the moment of writing (or the end of what
+ * waits). Times are picoseconds. Both queues grow as needed; nothing is lost here. Time of a call: in proportion to the
+ * bytes.
  */
 #ifndef GOLDFIELD_SERIAL_LINE_H
 #define GOLDFIELD_SERIAL_LINE_H
@@ -17,8 +19,8 @@ typedef struct {
 
 typedef struct {
     byte_queue_t from_board, to_board;
-    int64_t byte_ps;   /* Ten bits. */
-    int64_t next_ps;   /* End of the stop bit of the first byte that waits. */
+    int64_t byte_ps; /* Ten bits. */
+    int64_t next_ps; /* End of the stop bit of the first byte that waits. */
     uint32_t baud;
 } serial_line_t;
 

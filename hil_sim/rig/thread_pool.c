@@ -7,9 +7,9 @@
 
 enum { SPINS_BEFORE_YIELD = 2000, BLOCKS_BEFORE_TRYING_AGAIN = 16 };
 
-/* Do one task if one is offered. A number is only taken while its step is open: the step cannot end before that number is done. */
-static bool do_a_task(thread_pool_t *pool)
-{
+/* Do one task if one is offered. A number is only taken while its step is open: the step cannot end before that
+ * number is done. */
+static bool do_a_task(thread_pool_t *pool) {
     uint_fast64_t number = atomic_load(&pool->taken);
     if (number >= atomic_load(&pool->offered) || !atomic_compare_exchange_strong(&pool->taken, &number, number + 1)) {
         return false;
@@ -19,8 +19,7 @@ static bool do_a_task(thread_pool_t *pool)
     return true;
 }
 
-static void *helper(void *context)
-{
+static void *helper(void *context) {
     thread_pool_t *const pool = context;
     unsigned spins = 0;
     for (;;) {
@@ -42,8 +41,7 @@ static void *helper(void *context)
     }
 }
 
-static void set(thread_pool_t *pool, bool running, bool quit)
-{
+static void set(thread_pool_t *pool, bool running, bool quit) {
     (void)pthread_mutex_lock(&pool->mutex);
     pool->running = running;
     pool->quit = quit;
@@ -51,15 +49,13 @@ static void set(thread_pool_t *pool, bool running, bool quit)
     (void)pthread_mutex_unlock(&pool->mutex);
 }
 
-static double wall_clock(void)
-{
+static double wall_clock(void) {
     struct timespec now;
     (void)clock_gettime(CLOCK_MONOTONIC, &now);
     return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
 }
 
-static void choose_help(thread_pool_t *pool)
-{
+static void choose_help(thread_pool_t *pool) {
     double *const cost_s = &pool->cost_s[pool->helped];
     *cost_s = *cost_s > 0.0 ? 0.5 * (*cost_s + pool->block_s) : pool->block_s;
     pool->block_s = 0.0;
@@ -70,8 +66,7 @@ static void choose_help(thread_pool_t *pool)
     }
 }
 
-bool thread_pool_init(thread_pool_t *pool, unsigned threads, unsigned tasks, thread_pool_task_t *task, void *context)
-{
+bool thread_pool_init(thread_pool_t *pool, unsigned threads, unsigned tasks, thread_pool_task_t *task, void *context) {
     pool->task = task;
     pool->context = context;
     pool->tasks = tasks;
@@ -79,14 +74,14 @@ bool thread_pool_init(thread_pool_t *pool, unsigned threads, unsigned tasks, thr
     (void)pthread_cond_init(&pool->wake, NULL);
     const unsigned wanted = threads - 1; /* The caller is one of them. */
     pool->threads = calloc(wanted + 1u, sizeof *pool->threads);
-    while (pool->threads != NULL && pool->count < wanted && pthread_create(&pool->threads[pool->count], NULL, helper, pool) == 0) {
+    while (pool->threads != NULL && pool->count < wanted &&
+           pthread_create(&pool->threads[pool->count], NULL, helper, pool) == 0) {
         ++pool->count;
     }
     return pool->threads != NULL && pool->count == wanted;
 }
 
-void thread_pool_free(thread_pool_t *pool)
-{
+void thread_pool_free(thread_pool_t *pool) {
     if (pool->threads == NULL) {
         return;
     }
@@ -99,14 +94,12 @@ void thread_pool_free(thread_pool_t *pool)
     free(pool->threads);
 }
 
-void thread_pool_begin(thread_pool_t *pool)
-{
+void thread_pool_begin(thread_pool_t *pool) {
     pool->begun_s = wall_clock();
     set(pool, pool->helped && pool->count > 0, false);
 }
 
-void thread_pool_step(thread_pool_t *pool)
-{
+void thread_pool_step(thread_pool_t *pool) {
     const uint_fast64_t end = atomic_load(&pool->offered) + pool->tasks;
     atomic_store(&pool->offered, end);
     unsigned spins = 0;
@@ -123,8 +116,7 @@ void thread_pool_step(thread_pool_t *pool)
     }
 }
 
-void thread_pool_end(thread_pool_t *pool)
-{
+void thread_pool_end(thread_pool_t *pool) {
     set(pool, false, false);
     pool->block_s += wall_clock() - pool->begun_s;
 }

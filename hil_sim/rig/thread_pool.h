@@ -1,11 +1,12 @@
 /* thread_pool.h: threads that do the same numbered tasks again and again, together with the caller.
  *
- * thread_pool_step() does tasks 0 .. tasks - 1, each once, in any order and on any thread, and returns when all are done. Steps are short (tens of
- * microseconds), so helpers look for tasks without sleeping between thread_pool_begin() and thread_pool_end(), and sleep outside.
+ * thread_pool_step() does tasks 0 .. tasks - 1, each once, in any order and on any thread, and returns when all are
+ * done. Steps are short (tens of microseconds), so helpers look for tasks without sleeping between thread_pool_begin()
+ * and thread_pool_end(), and sleep outside.
  *
- * Helpers help only where that is faster: on a busy machine a helper that holds a task and is not scheduled keeps everybody waiting. The pool measures
- * blocks of CREW_BLOCK_STEPS steps with and without help, goes on with what is faster, and tries the other way now and then. What the tasks compute
- * must not depend on it.
+ * Helpers help only where that is faster: on a busy machine a helper that holds a task and is not scheduled keeps
+ * everybody waiting. The pool measures blocks of CREW_BLOCK_STEPS steps with and without help, goes on with what is
+ * faster, and tries the other way now and then. What the tasks compute must not depend on it.
  *
  * One thread owns a pool. Memory: a few words and the threads.
  */
@@ -40,7 +41,8 @@ typedef struct {
     atomic_uint_fast64_t offered, taken, done;
 } thread_pool_t;
 
-/* Start a pool that is all zeros, with threads - 1 helpers. False if there is no memory, or the system gives fewer threads: free it all the same. */
+/* Start a pool that is all zeros, with threads - 1 helpers. False if there is no memory, or the system gives fewer
+ * threads: free it all the same. */
 bool thread_pool_init(thread_pool_t *pool, unsigned threads, unsigned tasks, thread_pool_task_t *task, void *context);
 /* Ends the helpers. A pool that is still all zeros needs no freeing, but may be freed. */
 void thread_pool_free(thread_pool_t *pool);

@@ -8,8 +8,7 @@ static const double two_pi = 6.283185307179586;
 static const double decays_kept = 20.0;
 
 /* Sum of the harmonics, each with the low-pass's loss 1/sqrt(1 + (w lag)^2) and delay atan(w lag). */
-static double mains(const ambient_t *ambient, double time_s)
-{
+static double mains(const ambient_t *ambient, double time_s) {
     const double angular = two_pi * ambient->mains_Hz;
     const double angle = fmod(ambient->mains_Hz * time_s, 1.0) * two_pi + ambient->mains_phase_rad;
     double sum = 0.0;
@@ -23,8 +22,7 @@ static double mains(const ambient_t *ambient, double time_s)
     return sum;
 }
 
-static double impulse_shape(const ambient_t *ambient, double age_s)
-{
+static double impulse_shape(const ambient_t *ambient, double age_s) {
     const double decay = ambient->impulse_decay_s;
     if (ambient->lag_s <= 0.0) {
         return exp(-age_s / decay);
@@ -33,10 +31,9 @@ static double impulse_shape(const ambient_t *ambient, double age_s)
     return (exp(-age_s / decay) - exp(-age_s / lag)) * decay / (decay - lag);
 }
 
-/* Time is cut in cells of at most one decay time and at most a tenth of the mean distance; a cell holds one impulse or none. Two impulses in one
- * cell would have a probability below 0.5 %: the process is Poisson but for those. */
-static void add_impulses(const ambient_t *ambient, double time_s, double field_T[3])
-{
+/* Time is cut in cells of at most one decay time and at most a tenth of the mean distance; a cell holds one impulse
+ * or none. Two impulses in one cell would have a probability below 0.5 %: the process is Poisson but for those. */
+static void add_impulses(const ambient_t *ambient, double time_s, double field_T[3]) {
     const double cell_s = fmin(ambient->impulse_decay_s, 0.1 / ambient->impulse_rate_Hz);
     const double chance = 1.0 - exp(-ambient->impulse_rate_Hz * cell_s);
     const uint64_t when = noise_stream(NOISE_IMPULSE, 0, 0);
@@ -45,7 +42,8 @@ static void add_impulses(const ambient_t *ambient, double time_s, double field_T
     for (int64_t cell = oldest > 0.0 ? (int64_t)oldest : 0; cell <= last; ++cell) {
         const uint64_t counter = (uint64_t)cell;
         const double draw = noise_uniform(ambient->seed, when, counter);
-        const double age_s = time_s - ((double)cell + draw / chance) * cell_s; /* Given that it happens, draw/chance is uniform in the cell. */
+        const double age_s = time_s - ((double)cell + draw / chance) *
+                                          cell_s; /* Given that it happens, draw/chance is uniform in the cell. */
         if (draw < chance && age_s >= 0.0) {
             const double height = 2.0 * noise_uniform(ambient->seed, when + 1u, counter) - 1.0;
             const double longitude = two_pi * noise_uniform(ambient->seed, when + 2u, counter);
@@ -58,8 +56,7 @@ static void add_impulses(const ambient_t *ambient, double time_s, double field_T
     }
 }
 
-void ambient_field(const ambient_t *ambient, int64_t time_ps, double field_T[3])
-{
+void ambient_field(const ambient_t *ambient, int64_t time_ps, double field_T[3]) {
     const double time_s = (double)time_ps * 1e-12;
     const double hum = ambient->mains_Hz > 0.0 ? mains(ambient, time_s) : 0.0;
     for (unsigned i = 0; i < 3u; ++i) {

@@ -2,12 +2,14 @@
  *
  *     earth:    constant
  *     mains:    mains_T * sum over h = 1.. of harmonics[h-1] * sin(h (2 pi f t + phase))
- *     impulses: Poisson process of impulse_rate_Hz; each is amplitude * direction * exp(-(t - t0)/decay), direction uniform on the sphere
+ *     impulses: Poisson process of impulse_rate_Hz; each is amplitude * direction * exp(-(t - t0)/decay), direction
+ *       uniform on the sphere
  *
  * Mains and impulses pass the same first-order low-pass (lag_s) as the coils, in closed form.
  *
- * Pure: the field is a function of the time alone (noise.h), so any number of sensors may ask in any order. Time of a call: a few sines, and
- * with impulses the numbers of the last 20 decay times. An impulse still contributes e^-20 of its amplitude when it is dropped.
+ * Pure: the field is a function of the time alone (noise.h), so any number of sensors may ask in any order. Time of a
+ * call: a few sines, and with impulses the numbers of the last 20 decay times. An impulse still contributes e^-20 of
+ * its amplitude when it is dropped.
  */
 #ifndef GOLDFIELD_WORLD_AMBIENT_H
 #define GOLDFIELD_WORLD_AMBIENT_H
@@ -25,8 +27,8 @@ typedef struct {
     double harmonics[AMBIENT_HARMONICS]; /* Relative amplitude of 1, 2, ... times mains_Hz. */
     double impulse_rate_Hz;              /* 0: none. */
     double impulse_T;
-    double impulse_decay_s;              /* Above 0 if there are any. */
-    double lag_s;                        /* 0: none. */
+    double impulse_decay_s; /* Above 0 if there are any. */
+    double lag_s;           /* 0: none. */
 } ambient_t;
 
 void ambient_field(const ambient_t *ambient, int64_t time_ps, double field_T[3]);

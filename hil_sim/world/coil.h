@@ -1,19 +1,23 @@
 /* coil.h: a beacon's coil and its driver.
  *
- * The driver is an H-bridge with a fast current loop. Bridge inputs (1, 2) = (high, low) ask for +set-point, (low, high) for -set-point, equal inputs for zero;
- * with the bridge disabled the diodes put the supply against the current until it is zero. The set-point is the reference voltage times
- * reference_A_per_V. Until the current has arrived, the bridge gives all it has:
+ * The driver is an H-bridge with a fast current loop. Bridge inputs (1, 2) = (high, low) ask for +set-point, (low,
+ * high) for -set-point, equal inputs for zero; with the bridge disabled the diodes put the supply against the current
+ * until it is zero. The set-point is the reference voltage times reference_A_per_V. Until the current has arrived, the
+ * bridge gives all it has:
  *
  *     L di/dt = +-V - R i      i(t) = +-V/R + (i0 -+ V/R) exp(-t R/L)       (Kirchhoff; +-V toward the target)
  *
- * then the loop holds it. Each change of an input starts a segment of this form, so current and lagged current are exact at any time.
- * The lagged current is the current through a first-order low-pass of lag_s (the sensor's bandwidth), solved in the same closed form.
+ * then the loop holds it. Each change of an input starts a segment of this form, so current and lagged current are
+ * exact at any time. The lagged current is the current through a first-order low-pass of lag_s (the sensor's
+ * bandwidth), solved in the same closed form.
  *
- * One thread changes a coil, another may look at its past at the same time: the reader uses a head that it got before (coil_head), and segments are
- * not rewritten as long as no more than COIL_CHANGES_MAX changes happen in one quantum (lockstep.h); `changes` counts them.
+ * One thread changes a coil, another may look at its past at the same time: the reader uses a head that it got before
+ * (coil_head), and segments are not rewritten as long as no more than COIL_CHANGES_MAX changes happen in one quantum
+ * (lockstep.h); `changes` counts them.
  *
- * Times are picoseconds of virtual time and must not decrease from change to change. Each call is bounded: one exp or two, and at most
- * COIL_HISTORY segments looked at. Bad values (resistance or inductance not above 0) are refused by scenario.py.
+ * Times are picoseconds of virtual time and must not decrease from change to change. Each call is bounded: one exp or
+ * two, and at most COIL_HISTORY segments looked at. Bad values (resistance or inductance not above 0) are refused by
+ * scenario.py.
  */
 #ifndef GOLDFIELD_WORLD_COIL_H
 #define GOLDFIELD_WORLD_COIL_H
@@ -21,7 +25,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define COIL_HISTORY 256
+#define COIL_HISTORY     256
 #define COIL_CHANGES_MAX 64
 
 typedef struct {
@@ -38,9 +42,9 @@ typedef struct {
     int64_t start_ps;
     double current_A; /* At the start. */
     double lagged_A;
-    double limit_A;   /* Where the supply alone would bring the current: +-V/R. */
+    double limit_A; /* Where the supply alone would bring the current: +-V/R. */
     double target_A;
-    double reach_s;   /* After the start, when the current arrives at its target; infinite if it never does. */
+    double reach_s; /* After the start, when the current arrives at its target; infinite if it never does. */
     double lagged_at_reach_A;
 } coil_segment_t;
 
@@ -48,11 +52,11 @@ typedef struct {
     coil_config_t config;
     double time_constant_s; /* L/R. */
     bool input1, input2, enabled;
-    bool open;           /* Fault: no current can flow. */
-    bool sense_shorted;  /* Fault: the sense output lies at 0 V. */
+    bool open;          /* Fault: no current can flow. */
+    bool sense_shorted; /* Fault: the sense output lies at 0 V. */
     double set_point_A;
-    uint64_t head;       /* Number of the latest segment. */
-    unsigned changes;    /* Segments since it was last set to 0. */
+    uint64_t head;    /* Number of the latest segment. */
+    unsigned changes; /* Segments since it was last set to 0. */
     coil_segment_t segments[COIL_HISTORY];
 } coil_t;
 

@@ -2,12 +2,14 @@
  *
  *     volts[a] = 1.65 V + (sum over s of gain[a][s] B[s] + offset_T[a] + noise) * 1.65 V / range_T + converter noise
  *
- * gain holds the gain errors and the misalignment. The bandwidth acts before, on the sources (coil.h and ambient.h, in closed form): the
- * field per ampere of a moving sensor is taken at the present instead of one lag ago, an error of lag * speed (1.6 um at 1 m/s and 100 kHz).
+ * gain holds the gain errors and the misalignment. The bandwidth acts before, on the sources (coil.h and ambient.h, in
+ * closed form): the field per ampere of a moving sensor is taken at the present instead of one lag ago, an error of lag
+ * * speed (1.6 um at 1 m/s and 100 kHz).
  *
- * Noise. noise_T is the standard deviation of one chip's sample: one number per burst and axis, so that averaging a burst does not change it.
- * Conversions of an axis belong to one burst as long as each comes less than FRONT_END_BURST_PS after the one before. The converter's own noise is
- * independent from conversion to conversion. Quantisation and clamping belong to the converter.
+ * Noise. noise_T is the standard deviation of one chip's sample: one number per burst and axis, so that averaging a
+ * burst does not change it. Conversions of an axis belong to one burst as long as each comes less than
+ * FRONT_END_BURST_PS after the one before. The converter's own noise is independent from conversion to conversion.
+ * Quantisation and clamping belong to the converter.
  *
  * Times of one axis must not decrease. Time of a call: two normal numbers.
  */
@@ -21,7 +23,7 @@
 typedef struct {
     double gain[3][3];
     double offset_T[3];
-    double range_T;           /* At 0 V and 3.3 V. */
+    double range_T; /* At 0 V and 3.3 V. */
     double noise_T;
     double converter_noise_V; /* Standard deviation. */
 } front_end_config_t;

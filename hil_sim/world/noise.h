@@ -1,10 +1,12 @@
 /* noise.h: random numbers that depend on nothing but their address.
  *
- * A number is a hash of (seed, stream, counter): no generator has a state, so results depend neither on the order of calls, nor on threads, nor
- * on how a run is cut in slices. Stream: who asks and for what (noise_stream). Counter: usually the time in picoseconds.
+ * A number is a hash of (seed, stream, counter): no generator has a state, so results depend neither on the order of
+ * calls, nor on threads, nor on how a run is cut in slices. Stream: who asks and for what (noise_stream). Counter:
+ * usually the time in picoseconds.
  *
- * The hash is three rounds of the SplitMix64 finaliser (Steele, Lea, Flood 2014, "Fast splittable pseudorandom number generators"); normal numbers by
- * Box and Muller. About 5 ns for bits and 40 ns for a normal number. No memory, no errors.
+ * The hash is three rounds of the SplitMix64 finaliser (Steele, Lea, Flood 2014, "Fast splittable pseudorandom number
+ * generators"); normal numbers by Box and Muller. About 5 ns for bits and 40 ns for a normal number. No memory, no
+ * errors.
  */
 #ifndef GOLDFIELD_WORLD_NOISE_H
 #define GOLDFIELD_WORLD_NOISE_H

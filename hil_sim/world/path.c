@@ -1,7 +1,6 @@
 #include "world/path.h"
 
-void path_evaluate(const path_t *path, int64_t time_ps, double *values)
-{
+void path_evaluate(const path_t *path, int64_t time_ps, double *values) {
     int64_t interval = (time_ps - path->start_ps) / path->interval_ps;
     if (interval < 0) {
         interval = 0;

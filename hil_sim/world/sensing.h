@@ -1,15 +1,18 @@
-/* sensing.h: a three-axis sensor among the coils: from currents and ambient fields to the volts at a board's converters.
+/* sensing.h: a three-axis sensor among the coils: from currents and ambient fields to the volts at a board's
+ * converters.
  *
- *     field = rotation(t) * ambient(t) + sum over all coils of (field per ampere)(t) * (lagged current)(t)        sensor's frame
+ *     field = rotation(t) * ambient(t) + sum over all coils of (field per ampere)(t) * (lagged current)(t)
+ *       sensor's frame
  *
  * Rotation and field per ampere come from the path (path.h), the volts from the front end (front_end.h).
  *
- * The boards that drive the coils may run at the same time as the one that asks. So a sensor looks at each coil no further than coils_t.head, which
- * changes only while no board runs, and beyond that the coil's law goes on as if its inputs stayed (coil.h). The coils of the sensor's own board are
- * seen as they are.
+ * The boards that drive the coils may run at the same time as the one that asks. So a sensor looks at each coil no
+ * further than coils_t.head, which changes only while no board runs, and beyond that the coil's law goes on as if its
+ * inputs stayed (coil.h). The coils of the sensor's own board are seen as they are.
  *
- * One thread uses a sensing_t; any number of them look at the same coils_t. Time of a call: at a new time one path, one ambient field and a lagged
- * current a coil; at the same time as before (the three axes are converted at once) nothing of that; then two normal numbers.
+ * One thread uses a sensing_t; any number of them look at the same coils_t. Time of a call: at a new time one path, one
+ * ambient field and a lagged current a coil; at the same time as before (the three axes are converted at once) nothing
+ * of that; then two normal numbers.
  */
 #ifndef GOLDFIELD_WORLD_SENSING_H
 #define GOLDFIELD_WORLD_SENSING_H
@@ -34,17 +37,20 @@ typedef struct {
     const ambient_t *ambient;
     front_end_t front_end;
     path_t path;
-    double *coefficients; /* The path's, owned. */
-    double *values;       /* Of the path's columns: scratch. */
+    double *coefficients;  /* The path's, owned. */
+    double *values;        /* Of the path's columns: scratch. */
     int64_t field_time_ps; /* field_T is of this time. */
     double field_T[3];
 } sensing_t;
 
-/* coils and ambient must outlive the sensing; coils.count must have its final value. False: no memory. sensing_free() is due in both cases. */
-bool sensing_init(sensing_t *sensing, const coils_t *coils, const ambient_t *ambient, const front_end_config_t *front_end, uint64_t seed, unsigned board);
+/* coils and ambient must outlive the sensing; coils.count must have its final value. False: no memory.
+ * sensing_free() is due in both cases. */
+bool sensing_init(sensing_t *sensing, const coils_t *coils, const ambient_t *ambient,
+                  const front_end_config_t *front_end, uint64_t seed, unsigned board);
 void sensing_free(sensing_t *sensing);
 
-/* The path from now on; coefficients are copied. False, and the old path stays: wrong number of columns, an empty path, or no memory. */
+/* The path from now on; coefficients are copied. False, and the old path stays: wrong number of columns, an empty
+ * path, or no memory. */
 bool sensing_set_path(sensing_t *sensing, const path_t *path);
 
 /* The field in the sensor's frame, before the front end. A path must be set. */

@@ -27,7 +27,8 @@ __extension__ typedef unsigned __int128 wide_t;
 
 int64_t host_time_of(const hal_t *hal, int64_t tick) {
     const wide_t product = (wide_t)(uint64_t)tick * hal->tick_q32;
-    return hal->power_on_ps + (int64_t)((product + 0xFFFFFFFFu) >> 32); /* Rounded up, so that host_tick() gives the same tick back. */
+    return hal->power_on_ps +
+           (int64_t)((product + 0xFFFFFFFFu) >> 32); /* Rounded up, so that host_tick() gives the same tick back. */
 }
 
 int64_t host_tick(const hal_t *hal) {
@@ -60,8 +61,9 @@ static uint32_t planned_period(const engine_t *engine) {
     return period < HAL_CHIP_TICKS_MIN ? HAL_CHIP_TICKS_MIN : period > HAL_CHIP_TICKS_MAX ? HAL_CHIP_TICKS_MAX : period;
 }
 
-/* Events of a chip by number: 0 is the start of the very first chip; then, where there are coils, the sampling of their currents and the end of that conversion;
- * then a sensor's eight samplings (an anchor has both); the last is the start of the next chip. */
+/* Events of a chip by number: 0 is the start of the very first chip; then, where there are coils, the sampling of
+ * their currents and the end of that conversion; then a sensor's eight samplings (an anchor has both); the last is
+ * the start of the next chip. */
 static uint32_t current_events(const engine_t *engine) {
     return hal_role_drives(engine->role) ? 2u : 0u;
 }
@@ -79,11 +81,13 @@ static int64_t engine_tick(const engine_t *engine) {
         return end;
     }
     const int64_t converted = end - BURST_MARGIN_TICKS;
-    const int64_t to_come = (int64_t)last_event(engine) - engine->event; /* Samplings of the burst, this one included. */
+    const int64_t to_come = (int64_t)last_event(engine) -
+                            engine->event; /* Samplings of the burst, this one included. */
     if (engine->event > current_events(engine)) {
         return converted - to_come * CONVERSION_TICKS + SAMPLE_TICKS;
     }
-    const int64_t measured = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS : converted;
+    const int64_t measured = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS
+                                                            : converted;
     return engine->event == 1 ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
 }
 
@@ -141,7 +145,8 @@ static void engine_event(hal_t *hal) {
         start_chip(hal);
     } else if (event > current_events(engine)) {
         for (unsigned axis = 0; axis < HAL_AXES; axis++) {
-            engine->samples[engine->chip_in_block][event - current_events(engine) - 1][axis] = convert(hal, PIN_FIELD_X + axis);
+            engine->samples[engine->chip_in_block][event - current_events(engine) - 1][axis] = convert(
+                hal, PIN_FIELD_X + axis);
         }
     } else if (event == 1) {
         engine->current[0] = convert(hal, PIN_CURRENT_0);
@@ -235,8 +240,11 @@ static void byte_received(hal_t *hal, uint8_t byte, bool framed) {
 static void stamp(hal_t *hal, const hal_frame_t *frame, bool sent) {
     const engine_t *engine = &hal->engine;
     if (hal_can_stamped(frame->id) && engine->running && engine->event > 0 && hal->stamps_count < STAMPS) {
-        hal->stamps[(hal->stamps_head + hal->stamps_count++) % STAMPS] =
-            (hal_stamp_t){.frame = *frame, .sent = sent, .chip = engine->chip, .ticks = (uint32_t)(host_tick(hal) - engine->chip_start) + (sent ? 0u : CAN_BIT_TICKS)};
+        hal->stamps[(hal->stamps_head + hal->stamps_count++) % STAMPS] = (hal_stamp_t){
+            .frame = *frame,
+            .sent = sent,
+            .chip = engine->chip,
+            .ticks = (uint32_t)(host_tick(hal) - engine->chip_start) + (sent ? 0u : CAN_BIT_TICKS)};
     }
 }
 
@@ -275,10 +283,18 @@ static void input_take(hal_t *hal) {
         return; /* Nobody was there to hear it; a pin keeps its level. */
     }
     switch (input.kind) {
-    case INPUT_PIN: pin_changed(hal, input.number, input.level); break;
-    case INPUT_BYTE: byte_received(hal, input.byte, input.level); break;
-    case INPUT_FRAME: frame_received(hal, &input.frame); break;
-    case INPUT_SENT: mailbox_done(hal, input.number, input.level); break;
+    case INPUT_PIN:
+        pin_changed(hal, input.number, input.level);
+        break;
+    case INPUT_BYTE:
+        byte_received(hal, input.byte, input.level);
+        break;
+    case INPUT_FRAME:
+        frame_received(hal, &input.frame);
+        break;
+    case INPUT_SENT:
+        mailbox_done(hal, input.number, input.level);
+        break;
     }
 }
 
@@ -287,17 +303,29 @@ static void input_take(hal_t *hal) {
 static void application_start(board_t *board) {
     hal_t *hal = &board->hal;
     switch (hal->config.role) {
-    case HAL_ROLE_BEACON: beacon_start(&board->app.beacon, hal); break;
-    case HAL_ROLE_SENSOR: sensor_start(&board->app.sensing.sensor, &board->app.sensing.acquire, hal); break;
-    case HAL_ROLE_ANCHOR: anchor_start(&board->app.anchor, hal); break;
+    case HAL_ROLE_BEACON:
+        beacon_start(&board->app.beacon, hal);
+        break;
+    case HAL_ROLE_SENSOR:
+        sensor_start(&board->app.sensing.sensor, &board->app.sensing.acquire, hal);
+        break;
+    case HAL_ROLE_ANCHOR:
+        anchor_start(&board->app.anchor, hal);
+        break;
     }
 }
 
 static void application_step(board_t *board) {
     switch (board->hal.config.role) {
-    case HAL_ROLE_BEACON: beacon_step(&board->app.beacon); break;
-    case HAL_ROLE_SENSOR: sensor_step(&board->app.sensing.sensor); break;
-    case HAL_ROLE_ANCHOR: anchor_step(&board->app.anchor); break;
+    case HAL_ROLE_BEACON:
+        beacon_step(&board->app.beacon);
+        break;
+    case HAL_ROLE_SENSOR:
+        sensor_step(&board->app.sensing.sensor);
+        break;
+    case HAL_ROLE_ANCHOR:
+        anchor_step(&board->app.anchor);
+        break;
     }
 }
 
@@ -315,7 +343,8 @@ static void application(board_t *board) {
 
 typedef enum { NEXT_ENGINE, NEXT_BYTE, NEXT_INPUT, NEXT_IDLE } next_t;
 
-/* What comes next and when. At equal times the order is that of next_t: chips first, so that an edge at a chip's start belongs to that chip. */
+/* What comes next and when. At equal times the order is that of next_t: chips first, so that an edge at a chip's
+ * start belongs to that chip. */
 static next_t next_event(const hal_t *hal, int64_t *time_ps) {
     next_t next = NEXT_IDLE;
     *time_ps = host_time_of(hal, hal->idle_tick);
@@ -345,10 +374,18 @@ static board_status_t board_run(board_t *board, int64_t until_ps) {
     while (board->powered && (next = next_event(hal, &time_ps), time_ps < until_ps)) {
         hal->now_ps = time_ps > hal->now_ps ? time_ps : hal->now_ps;
         switch (next) {
-        case NEXT_ENGINE: engine_event(hal); break;
-        case NEXT_BYTE: byte_sent(hal); break;
-        case NEXT_INPUT: input_take(hal); break;
-        case NEXT_IDLE: hal->awake = true; break;
+        case NEXT_ENGINE:
+            engine_event(hal);
+            break;
+        case NEXT_BYTE:
+            byte_sent(hal);
+            break;
+        case NEXT_INPUT:
+            input_take(hal);
+            break;
+        case NEXT_IDLE:
+            hal->awake = true;
+            break;
         }
         if (hal->awake) {
             application(board);

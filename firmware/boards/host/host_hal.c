@@ -9,7 +9,11 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
         return;
     }
     engine_t *engine = &hal->engine;
-    *engine = (engine_t){.running = true, .role = role, .events = *events, .chip_start = host_tick(hal) + 168, .set_point = {UINT16_MAX, UINT16_MAX}};
+    *engine = (engine_t){.running = true,
+                         .role = role,
+                         .events = *events,
+                         .chip_start = host_tick(hal) + 168,
+                         .set_point = {UINT16_MAX, UINT16_MAX}};
     events->plan(events->context, 0, &engine->plan[0]);
     events->plan(events->context, 1, &engine->plan[1]);
     if (!hal->fault_level && events->fault) {
@@ -110,7 +114,8 @@ uint64_t hal_microseconds(hal_t *hal) {
 }
 
 hal_burst_t hal_burst_timing(void) {
-    return (hal_burst_t){HAL_CHIP_TICKS - BURST_MARGIN_TICKS - HAL_BURST * CONVERSION_TICKS + SAMPLE_TICKS, CONVERSION_TICKS};
+    return (hal_burst_t){HAL_CHIP_TICKS - BURST_MARGIN_TICKS - HAL_BURST * CONVERSION_TICKS + SAMPLE_TICKS,
+                         CONVERSION_TICKS};
 }
 
 int16_t hal_temperature(const hal_t *hal) {

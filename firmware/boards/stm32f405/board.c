@@ -37,7 +37,8 @@ static void pins_start(void) {
     pin_mode(GPIOC, 12, MODE_OUTPUT, PULL_NONE);
     pin_mode(GPIOC, 10, 0, PULL_UP);
     SYSCFG->EXTICR3 = SYSCFG_EXTICR3_EXTI10_PORTC;
-    for (unsigned pin = 0; pin <= 6; pin++) pin_mode(GPIOA, pin, MODE_ANALOG, PULL_NONE);
+    for (unsigned pin = 0; pin <= 6; pin++)
+        pin_mode(GPIOA, pin, MODE_ANALOG, PULL_NONE);
     pin_alternate(GPIOA, 10, 1, PULL_DOWN); /* TIM1_CH3; quiet without a sync wire. */
     pin_alternate(GPIOB, 6, 7, PULL_NONE);
     pin_alternate(GPIOB, 7, 7, PULL_UP);
@@ -62,14 +63,17 @@ hal_t *board_start(void) {
     RCC->CSR |= RCC_CSR_RMVF;
     hal->clock = clock_start();
 
-    RCC->AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA1EN | RCC_AHB1ENR_DMA2EN;
+    RCC->AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA1EN |
+                    RCC_AHB1ENR_DMA2EN;
     RCC->APB1ENR |= RCC_APB1ENR_TIM2EN | RCC_APB1ENR_CAN1EN | RCC_APB1ENR_DACEN;
-    RCC->APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_ADC2EN | RCC_APB2ENR_ADC3EN | RCC_APB2ENR_SYSCFGEN;
+    RCC->APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN | RCC_APB2ENR_ADC1EN |
+                    RCC_APB2ENR_ADC2EN | RCC_APB2ENR_ADC3EN | RCC_APB2ENR_SYSCFGEN;
     (void)RCC->APB2ENR; /* A peripheral answers two cycles after its clock is on (ES0182). */
 
     watchdog_start();
     pins_start();
-    /* Unbuffered: the buffer does not reach 0 V. The trigger is chosen now and switched on by the chip engine: it must not change while a channel is on. */
+    /* Unbuffered: the buffer does not reach 0 V. The trigger is chosen now and switched on by the chip engine: it
+     * must not change while a channel is on. */
     DAC->CR = DAC_CR_EN1 | DAC_CR_BOFF1 | DAC_CR_TSEL1_TIM8 | DAC_CR_EN2 | DAC_CR_BOFF2 | DAC_CR_TSEL2_TIM8;
     clock_start_tick(hal->clock);
     serial_start(hal);
@@ -88,7 +92,8 @@ void hal_counters(const hal_t *hal, hal_counters_t *counters) {
 }
 
 void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]) {
-    for (unsigned i = 0; i < HAL_UNIQUE_ID_BYTES; i++) id[i] = hal->whole ? (uint8_t)(UNIQUE_ID[i / 4] >> (8 * (i % 4))) : 0u;
+    for (unsigned i = 0; i < HAL_UNIQUE_ID_BYTES; i++)
+        id[i] = hal->whole ? (uint8_t)(UNIQUE_ID[i / 4] >> (8 * (i % 4))) : 0u;
 }
 
 const uint8_t *hal_parameter_page(const hal_t *hal) {
@@ -101,15 +106,17 @@ void hal_watchdog_kick(hal_t *hal) {
     IWDG->KR = IWDG_KR_KEY_RELOAD;
 }
 
-/* With interrupts off, one that comes between the look and WFI still ends WFI; it is served when they are on again. Interrupts that set nothing, such
- * as the coil current's, do not return to main. */
+/* With interrupts off, one that comes between the look and WFI still ends WFI; it is served when they are on again.
+ * Interrupts that set nothing, such as the coil current's, do not return to main. */
 void hal_wait(hal_t *hal) {
     for (;;) {
         __asm volatile("cpsid i" ::: "memory");
         const bool woken = hal->woken;
         hal->woken = false;
-        if (!woken) __asm volatile("dsb\n\twfi" ::: "memory");
+        if (!woken)
+            __asm volatile("dsb\n\twfi" ::: "memory");
         __asm volatile("cpsie i\n\tisb" ::: "memory");
-        if (woken) return;
+        if (woken)
+            return;
     }
 }

@@ -1,30 +1,34 @@
 /* can.c: CAN1 at 1 Mbit/s on PB8 and PB9, 29-bit data frames only.
  *
- * A bit at 42 MHz: 3 x 14 quanta, 1 + 10 + 3, sample point 78.6 %. At 16 MHz: 1 x 16 quanta, 1 + 12 + 3, 81.3 %. CiA asks for about 75 to 87.5 %.
- * Stamped frames (hal.h) come through FIFO 1, alone there, so that its interrupt tells of no others. It and that of the mailboxes have the highest priority and
- * first of all look at the chip timer; only interrupts_off() (at most 40 instructions) holds them up.
+ * A bit at 42 MHz: 3 x 14 quanta, 1 + 10 + 3, sample point 78.6 %. At 16 MHz: 1 x 16 quanta, 1 + 12 + 3, 81.3 %. CiA
+ * asks for about 75 to 87.5 %. Stamped frames (hal.h) come through FIFO 1, alone there, so that its interrupt tells of
+ * no others. It and that of the mailboxes have the highest priority and first of all look at the chip timer; only
+ * interrupts_off() (at most 40 instructions) holds them up.
  *
- * Leaves the bus on 256 errors and comes back by itself (ABOM). The controller joins the bus when it has seen 11 recessive bits; nobody waits for
- * that: without a bus, hal_can_send() says false and the rest of the board runs.
+ * Leaves the bus on 256 errors and comes back by itself (ABOM). The controller joins the bus when it has seen 11
+ * recessive bits; nobody waits for that: without a bus, hal_can_send() says false and the rest of the board runs.
  */
 
 #include "boards/stm32f405/stm32f405.h"
 
 #define MODE_TRIES 10000u
-/* A frame is valid for its transmitter at the end of the last bit of its end of frame, for receivers at that of the last but one (Bosch, CAN 2.0, part B, 5; ISO 11898-1): they
- * stamp one bit of 1 us early. */
+/* A frame is valid for its transmitter at the end of the last bit of its end of frame, for receivers at that of the
+ * last but one (Bosch, CAN 2.0, part B, 5; ISO 11898-1): they stamp one bit of 1 us early. */
 #define RECEIVED_EARLY_TICKS (HAL_TICKS_PER_SECOND / 1000000u)
 
-#define BIT_TIMING(divide, before, behind, jump) (((jump)-1u) << 24 | ((behind)-1u) << 20 | ((before)-1u) << 16 | ((divide)-1u))
+#define BIT_TIMING(divide, before, behind, jump)                                                                       \
+    (((jump)-1u) << 24 | ((behind)-1u) << 20 | ((before)-1u) << 16 | ((divide)-1u))
 
 void can_start(const hal_t *hal) {
     /* Out of sleep and into initialisation: SLEEP 0, INRQ 1. Frames leave in the order of requests (TXFP). */
     const uint32_t mode = CAN_MCR_ABOM | CAN_MCR_TXFP;
     CAN1->MCR = mode | CAN_MCR_INRQ;
-    if (!wait_for(&CAN1->MSR, CAN_MSR_INAK, CAN_MSR_INAK, MODE_TRIES)) return;
+    if (!wait_for(&CAN1->MSR, CAN_MSR_INAK, CAN_MSR_INAK, MODE_TRIES))
+        return;
     CAN1->BTR = hal->clock == HAL_CLOCK_SLOW ? BIT_TIMING(1u, 12u, 3u, 3u) : BIT_TIMING(3u, 10u, 3u, 3u);
 
-    /* Filters of 32 bits with mask, for extended frames that are not remote: 0 and 1 for stamped types, to FIFO 1; 2 for any, to FIFO 0. The lower number goes first. */
+    /* Filters of 32 bits with mask, for extended frames that are not remote: 0 and 1 for stamped types, to FIFO 1; 2
+     * for any, to FIFO 0. The lower number goes first. */
     CAN1->FMR |= CAN_FMR_FINIT;
     CAN1->FA1R &= ~7u;
     CAN1->FM1R &= ~7u;
@@ -50,7 +54,9 @@ void can_start(const hal_t *hal) {
 
 bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
     const uint32_t status = CAN1->TSR;
-    if ((status & (CAN_TSR_TME0 | CAN_TSR_TME1 | CAN_TSR_TME2)) == 0 || (CAN1->MSR & CAN_MSR_INAK) != 0 || frame->length > 8) return false;
+    if ((status & (CAN_TSR_TME0 | CAN_TSR_TME1 | CAN_TSR_TME2)) == 0 || (CAN1->MSR & CAN_MSR_INAK) != 0 ||
+        frame->length > 8)
+        return false;
     const uint32_t number = (status & CAN_TSR_CODE) >> 24;
     hal->can_mailbox[number] = *frame;
     memory_barrier();
@@ -65,14 +71,17 @@ bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
 
 static void stamp(const hal_frame_t *frame, bool sent, chip_time_t now) {
     const uint32_t put = board.can_stamp_put;
-    if ((TIM1->CR1 & TIM_CR1_CEN) == 0 || put - __atomic_load_n(&board.can_stamp_taken, __ATOMIC_ACQUIRE) == CAN_STAMPS) return;
-    board.can_stamps[put % CAN_STAMPS] = (hal_stamp_t){.frame = *frame, .sent = sent, .chip = now.chip, .ticks = now.ticks};
+    if ((TIM1->CR1 & TIM_CR1_CEN) == 0 || put - __atomic_load_n(&board.can_stamp_taken, __ATOMIC_ACQUIRE) == CAN_STAMPS)
+        return;
+    board.can_stamps[put % CAN_STAMPS] = (hal_stamp_t){
+        .frame = *frame, .sent = sent, .chip = now.chip, .ticks = now.ticks};
     __atomic_store_n(&board.can_stamp_put, put + 1u, __ATOMIC_RELEASE);
 }
 
 bool hal_can_stamp(hal_t *hal, hal_stamp_t *stamp) {
     const uint32_t taken = hal->can_stamp_taken;
-    if (taken == __atomic_load_n(&hal->can_stamp_put, __ATOMIC_ACQUIRE)) return false;
+    if (taken == __atomic_load_n(&hal->can_stamp_put, __ATOMIC_ACQUIRE))
+        return false;
     *stamp = hal->can_stamps[taken % CAN_STAMPS];
     __atomic_store_n(&hal->can_stamp_taken, taken + 1u, __ATOMIC_RELEASE);
     return true;
@@ -86,7 +95,8 @@ void CAN1_TX_Handler(void) {
     const hal_frame_t *frame = &board.can_mailbox[ended == CAN_TSR_RQCP0 ? 0 : ended == CAN_TSR_RQCP1 ? 1 : 2];
     const bool one = ended == CAN_TSR_RQCP0 || ended == CAN_TSR_RQCP1 || ended == CAN_TSR_RQCP2;
     const bool sent = (status & ended << 1) != 0; /* TXOK lies beside RQCP. */
-    if (one && sent && hal_can_stamped(frame->id)) stamp(frame, true, now);
+    if (one && sent && hal_can_stamped(frame->id))
+        stamp(frame, true, now);
     board.woken = true;
 }
 
@@ -104,11 +114,13 @@ static void copy_frame(hal_frame_t *frame, uint32_t identifier, uint32_t control
 void CAN1_RX1_Handler(void) {
     chip_time_t now = chip_now(&board);
     const uint32_t status = CAN1->RF1R;
-    if ((status & CAN_RF1R_RFOM1) != 0 || (status & CAN_RF1R_FMP1) == 0) return; /* The last release is still on its way. */
+    if ((status & CAN_RF1R_RFOM1) != 0 || (status & CAN_RF1R_FMP1) == 0)
+        return; /* The last release is still on its way. */
     hal_frame_t frame;
     copy_frame(&frame, CAN1->RI1R, CAN1->RDT1R, CAN1->RDL1R, CAN1->RDH1R);
     now.ticks += RECEIVED_EARLY_TICKS;
-    if ((status & CAN_RF1R_FMP1) == 1) stamp(&frame, false, now);
+    if ((status & CAN_RF1R_FMP1) == 1)
+        stamp(&frame, false, now);
     const uint32_t put = board.can_stamped_put;
     if (put - __atomic_load_n(&board.can_stamped_taken, __ATOMIC_ACQUIRE) < CAN_STAMPS) {
         board.can_stamped[put % CAN_STAMPS] = frame;
@@ -116,7 +128,8 @@ void CAN1_RX1_Handler(void) {
     } else {
         board.counters.can_overruns++;
     }
-    if ((status & CAN_RF1R_FOVR1) != 0) board.counters.can_overruns++;
+    if ((status & CAN_RF1R_FOVR1) != 0)
+        board.counters.can_overruns++;
     CAN1->RF1R = CAN_RF1R_RFOM1 | (status & CAN_RF1R_FOVR1);
     board.woken = true;
 }
@@ -124,7 +137,8 @@ void CAN1_RX1_Handler(void) {
 /* One frame an interrupt; the request stays up while there are more. */
 void CAN1_RX0_Handler(void) {
     const uint32_t status = CAN1->RF0R;
-    if ((status & CAN_RF0R_RFOM0) != 0 || (status & CAN_RF0R_FMP0) == 0) return; /* The last release is still on its way. */
+    if ((status & CAN_RF0R_RFOM0) != 0 || (status & CAN_RF0R_FMP0) == 0)
+        return; /* The last release is still on its way. */
     if (board.can_put - board.can_taken < CAN_RECEIVE_BUFFER) {
         hal_frame_t *frame = &board.can_frames[board.can_put % CAN_RECEIVE_BUFFER];
         copy_frame(frame, CAN1->RI0R, CAN1->RDT0R, CAN1->RDL0R, CAN1->RDH0R);
@@ -132,7 +146,8 @@ void CAN1_RX0_Handler(void) {
     } else {
         board.counters.can_overruns++;
     }
-    if ((status & CAN_RF0R_FOVR0) != 0) board.counters.can_overruns++;
+    if ((status & CAN_RF0R_FOVR0) != 0)
+        board.counters.can_overruns++;
     CAN1->RF0R = CAN_RF0R_RFOM0 | (status & CAN_RF0R_FOVR0);
     board.woken = true;
 }
@@ -144,7 +159,8 @@ bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
         __atomic_store_n(&hal->can_stamped_taken, taken + 1u, __ATOMIC_RELEASE);
         return true;
     }
-    if (hal->can_put == hal->can_taken) return false;
+    if (hal->can_put == hal->can_taken)
+        return false;
     *frame = hal->can_frames[hal->can_taken % CAN_RECEIVE_BUFFER];
     hal->can_taken++;
     return true;
@@ -153,9 +169,11 @@ bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
 /* An error frame, or off the bus. Not a reason to wake main. */
 void CAN1_SCE_Handler(void) {
     const uint32_t status = CAN1->ESR, code = status & CAN_ESR_LEC;
-    if (code != 0 && code != CAN_ESR_LEC) board.counters.can_errors++;
+    if (code != 0 && code != CAN_ESR_LEC)
+        board.counters.can_errors++;
     const bool off = (status & CAN_ESR_BOFF) != 0;
-    if (off && !board.can_off) board.counters.can_errors++;
+    if (off && !board.can_off)
+        board.counters.can_errors++;
     board.can_off = off;
     CAN1->ESR = CAN_ESR_LEC;
     CAN1->MSR = CAN_MSR_ERRI;

@@ -1,9 +1,12 @@
-/* chip_engine.c: TIM1, TIM8, three DMA streams and the DAC execute the chips; the CPU writes two blocks ahead into rings.
+/* chip_engine.c: TIM1, TIM8, three DMA streams and the DAC execute the chips; the CPU writes two blocks ahead into
+ * rings.
  *
- * TIM1 counts 168 MHz ticks from 0 to ARR; an update event ends each chip. TIM8 is reset by each update (TRGO of TIM1, ITR0 of TIM8), passes the event on to the DAC
- * (which TIM1 does not reach), and starts the conversion of coil currents by its compare 2. In chip c:
+ * TIM1 counts 168 MHz ticks from 0 to ARR; an update event ends each chip. TIM8 is reset by each update (TRGO of TIM1,
+ * ITR0 of TIM8), passes the event on to the DAC (which TIM1 does not reach), and starts the conversion of coil currents
+ * by its compare 2. In chip c:
  *
- *   count          event        what happens                                                            transfers so far, behind it
+ *   count          event        what happens                                                            transfers so
+ *                  far, behind it
  *   0 (update)     TIM1_UP      DMA2 stream 5: words[(c - 1) mod 62] -> GPIOC BSRR, the edges of chip c   c
  *                               the preload of ARR, written in chip c - 1, becomes the period of c
  *   0 (reset)      TIM8 TRGO    the DAC's outputs take what its data register holds: the set-points of c
@@ -14,39 +17,47 @@
  *   any (CC3)      capture      edge of the sync wire, its count kept in CCR3
  *   ARR            update       chip c ends
  *
- * So chip c's word and period lie at the same index, (c - 1) mod 62: transfer number k (from 0) of either stream is for chip k + 1. Its set-points lie one before,
- * at (c - 2) mod 62: transfer k is for chip k + 2. Chip 0 is nobody's transfer, nor are the set-points of chip 1: hal_chips_start() writes them itself, then starts
- * the counters.
+ * So chip c's word and period lie at the same index, (c - 1) mod 62: transfer number k (from 0) of either stream is for
+ * chip k + 1. Its set-points lie one before, at (c - 2) mod 62: transfer k is for chip k + 2. Chip 0 is nobody's
+ * transfer, nor are the set-points of chip 1: hal_chips_start() writes them itself, then starts the counters.
  *
- * A stream fetches its next entry as soon as it has written the one before (RM0090, 10.3.14, direct mode): an entry must be there a chip early.
+ * A stream fetches its next entry as soon as it has written the one before (RM0090, 10.3.14, direct mode): an entry
+ * must be there a chip early.
  *
- *   chips      index     word fetched        period fetched      set-point fetched (index less 1)     written by plan of
+ *   chips      index     word fetched        period fetched      set-point fetched (index less 1)     written by plan
+ *              of
  *   0          (61)      by the CPU before the start                                                  block 0
  *   1..30      0..29     start of chip c-1   in chip c-2         start of chip c-2                    block 0
  *   31..61     30..60    start of chip c-1   in chip c-2         start of chip c-2                    block 1
- *   62         61        start of chip 61    in chip 60          start of chip 60                     block 2, planned from the start of chip 31 on
+ *   62         61        start of chip 61    in chip 60          start of chip 60                     block 2, planned
+ *              from the start of chip 31 on
  *   63..92     0..29     start of chip c-1   in chip c-2         start of chip c-2                    block 2
  *   (the first of each stream: when it is switched on)
  *
- * DMA2 stream 5 has done 31 transfers at the start of chip 31 (half) and 62 at that of chip 62 (complete): its interrupts are the block boundaries.
- * The interrupt at the start of block b plans block b + 1, whose first set-points are fetched at the start of the last chip but one of block b: there are
- * 29 chips (2.83 ms) to write it; later is counted. It writes over entries that were fetched for block b - 1 and before.
+ * DMA2 stream 5 has done 31 transfers at the start of chip 31 (half) and 62 at that of chip 62 (complete): its
+ * interrupts are the block boundaries. The interrupt at the start of block b plans block b + 1, whose first set-points
+ * are fetched at the start of the last chip but one of block b: there are 29 chips (2.83 ms) to write it; later is
+ * counted. It writes over entries that were fetched for block b - 1 and before.
  *
- * Where are we? Stream 5's counter is ambiguous for the few cycles between an update and its transfer, stream 4's around count 8000: chip_now() looks
- * at the count and asks the other one. A position in the ring (0..61) becomes an absolute chip by the running block as the block interrupt knows
- * it: that interrupt may be late by less than a block, so a position in the other half of the ring is the next block's.
+ * Where are we? Stream 5's counter is ambiguous for the few cycles between an update and its transfer, stream 4's
+ * around count 8000: chip_now() looks at the count and asks the other one. A position in the ring (0..61) becomes an
+ * absolute chip by the running block as the block interrupt knows it: that interrupt may be late by less than a block,
+ * so a position in the other half of the ring is the next block's.
  */
 
 #include "boards/stm32f405/stm32f405.h"
 
 hal_t board;
 
-#define PIN_SET(pin) (1u << (pin))
+#define PIN_SET(pin)   (1u << (pin))
 #define PIN_RESET(pin) (1u << ((pin) + 16))
 
 /* Bridge inputs by hal_drive_t; a drive that does not exist is off. */
-#define BRIDGE(first, second) \
-    {PIN_RESET(first) | PIN_RESET(second), PIN_SET(first) | PIN_RESET(second), PIN_RESET(first) | PIN_SET(second), PIN_RESET(first) | PIN_RESET(second)}
+#define BRIDGE(first, second)                                                                                          \
+    {                                                                                                                  \
+        PIN_RESET(first) | PIN_RESET(second), PIN_SET(first) | PIN_RESET(second), PIN_RESET(first) | PIN_SET(second),  \
+            PIN_RESET(first) | PIN_RESET(second)                                                                       \
+    }
 static const uint32_t bridge_words[HAL_CHANNELS][4] = {BRIDGE(6, 7), BRIDGE(4, 5)};
 
 static uint32_t set_point(uint16_t count) {
@@ -57,13 +68,16 @@ static uint32_t set_point(uint16_t count) {
 static inline void write_chip(hal_t *hal, uint32_t i, uint32_t index) {
     const hal_plan_t *plan = &hal->plan;
     uint32_t period = plan->period_ticks[i];
-    if (period < HAL_CHIP_TICKS_MIN) period = HAL_CHIP_TICKS_MIN;
-    if (period > HAL_CHIP_TICKS_MAX) period = HAL_CHIP_TICKS_MAX;
+    if (period < HAL_CHIP_TICKS_MIN)
+        period = HAL_CHIP_TICKS_MIN;
+    if (period > HAL_CHIP_TICKS_MAX)
+        period = HAL_CHIP_TICKS_MAX;
     const uint32_t drive = plan->drive[i];
     const uint32_t sync = (drive & HAL_PLAN_SYNC_OUT) != 0u ? PIN_SET(8) : PIN_RESET(8);
     hal->words[index] = bridge_words[0][drive & 3u] | bridge_words[1][drive >> HAL_DRIVE_BITS & 3u] | sync;
     hal->periods[index] = period - 1u;
-    hal->set_points[index > 0u ? index - 1u : RING_CHIPS - 1u] = set_point(plan->set_point[0][i]) | set_point(plan->set_point[1][i]) << 16;
+    hal->set_points[index > 0u ? index - 1u : RING_CHIPS - 1u] = set_point(plan->set_point[0][i]) |
+                                                                 set_point(plan->set_point[1][i]) << 16;
 }
 
 /* Ask for block's plan and write it into the rings. */
@@ -71,15 +85,18 @@ static void plan_block(hal_t *hal, uint32_t block) {
     hal->events.plan(hal->events.context, block, &hal->plan);
     const uint32_t second = (block & 1u) != 0 ? HAL_BLOCK_CHIPS : 0u; /* Entry of the block's second chip. */
     write_chip(hal, 0, (second + RING_CHIPS - 1u) % RING_CHIPS);
-    for (uint32_t i = 1; i < HAL_BLOCK_CHIPS; i++) write_chip(hal, i, second + i - 1u);
+    for (uint32_t i = 1; i < HAL_BLOCK_CHIPS; i++)
+        write_chip(hal, i, second + i - 1u);
     memory_barrier();
 }
 
-static void stream_start(DMA_stream_registers *stream, volatile uint32_t *target, const uint32_t *source, uint32_t flags) {
+static void stream_start(DMA_stream_registers *stream, volatile uint32_t *target, const uint32_t *source,
+                         uint32_t flags) {
     stream->PAR = (uint32_t)target;
     stream->M0AR = (uint32_t)source;
     stream->NDTR = RING_CHIPS;
-    stream->CR = flags | DMA_S0CR_DIR_TO_PERIPHERAL | DMA_S0CR_CIRC | DMA_S0CR_MINC | DMA_S0CR_PSIZE_32 | DMA_S0CR_MSIZE_32;
+    stream->CR = flags | DMA_S0CR_DIR_TO_PERIPHERAL | DMA_S0CR_CIRC | DMA_S0CR_MINC | DMA_S0CR_PSIZE_32 |
+                 DMA_S0CR_MSIZE_32;
     stream->CR |= DMA_S0CR_EN;
 }
 
@@ -97,7 +114,8 @@ static void drive_start(const hal_t *hal) {
 }
 
 void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
-    if (hal->clock == HAL_CLOCK_SLOW) return;
+    if (hal->clock == HAL_CLOCK_SLOW)
+        return;
     hal->role = role;
     hal->events = *events;
     hal->sampling = true;
@@ -107,15 +125,17 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
 
     TIM1->ARR = period;
     TIM1->CCR4 = CHIP_RELOAD_TICKS;
-    TIM1->CCMR2_Output = TIM_CCMR2_CC3S_TI3 | TIM_CCMR2_IC3F_8_SAMPLES; /* Capture 48 ns behind the edge, free of shorter spikes. */
+    TIM1->CCMR2_Output = TIM_CCMR2_CC3S_TI3 |
+                         TIM_CCMR2_IC3F_8_SAMPLES; /* Capture 48 ns behind the edge, free of shorter spikes. */
     TIM1->CCER = TIM_CCER_CC3E;
     TIM1->CR1 = TIM_CR1_ARPE;
-    converters_start(hal); /* Sets up CC1 and TIM8's CC2. */
+    converters_start(hal);  /* Sets up CC1 and TIM8's CC2. */
     TIM1->EGR = TIM_EGR_UG; /* Preloads become shadows. */
     TIM1->SR = 0;
 
     DMA2->HIFCR = DMA_HIFCR_STREAM4 | DMA_HIFCR_STREAM5;
-    stream_start(&DMA2->S[5], &GPIOC->BSRR, hal->words, DMA_S0CR_CHSEL_6 | DMA_S0CR_PL_VERY_HIGH | DMA_S0CR_HTIE | DMA_S0CR_TCIE);
+    stream_start(&DMA2->S[5], &GPIOC->BSRR, hal->words,
+                 DMA_S0CR_CHSEL_6 | DMA_S0CR_PL_VERY_HIGH | DMA_S0CR_HTIE | DMA_S0CR_TCIE);
     stream_start(&DMA2->S[4], &TIM1->ARR, hal->periods, DMA_S0CR_CHSEL_6 | DMA_S0CR_PL_HIGH);
     TIM1->DIER = TIM_DIER_UDE | TIM_DIER_CC4DE | TIM_DIER_CC3IE;
     interrupt_enable(IRQ_DMA2_STREAM5, PRIORITY_NORMAL);
@@ -128,18 +148,21 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
         EXTI->FTSR |= 1u << 10;
         EXTI->IMR |= 1u << 10;
         interrupt_enable(IRQ_EXTI15_10, PRIORITY_DRIVE);
-        if ((GPIOC->IDR & 1u << 10) == 0) EXTI->SWIER = 1u << 10;
+        if ((GPIOC->IDR & 1u << 10) == 0)
+            EXTI->SWIER = 1u << 10;
     }
 
     const uint32_t primask = interrupts_off(); /* Word and counters together. */
-    if (drives) TIM8->CR1 = TIM_CR1_CEN;
+    if (drives)
+        TIM8->CR1 = TIM_CR1_CEN;
     GPIOC->BSRR = word | PIN_RESET(12); /* PC12: the LED, to the supply: low is on. */
     TIM1->CR1 = TIM_CR1_ARPE | TIM_CR1_CEN;
     interrupts_restore(primask);
 }
 
-/* A block boundary. The flags of stream 5 alternate: half at the start of odd blocks, complete at that of even ones. A plan that was not written two
- * chips before its block, or when the next boundary's flag is up already, came too late. */
+/* A block boundary. The flags of stream 5 alternate: half at the start of odd blocks, complete at that of even ones.
+ * A plan that was not written two chips before its block, or when the next boundary's flag is up already, came too
+ * late. */
 void DMA2_Stream5_Handler(void) {
     hal_t *hal = &board;
     for (uint32_t flag; ((flag = (hal->block & 1u) != 0 ? DMA_HISR_TCIF5 : DMA_HISR_HTIF5) & DMA2->HISR) != 0;) {
@@ -153,15 +176,18 @@ void DMA2_Stream5_Handler(void) {
         }
         plan_block(hal, finished + 2u);
         const bool overtaken = (DMA2->HISR & (DMA_HISR_TCIF5 | DMA_HISR_HTIF5)) != 0;
-        if (overtaken || chip_now(hal).chip - hal->first_chip >= HAL_BLOCK_CHIPS - 2u) hal->counters.late_blocks++;
+        if (overtaken || chip_now(hal).chip - hal->first_chip >= HAL_BLOCK_CHIPS - 2u)
+            hal->counters.late_blocks++;
     }
     hal->woken = true;
 }
 
 /* position 0..61 in the ring of chips, in the running block or the one behind it. first_chip is odd in odd blocks. */
 static uint32_t absolute_chip(uint32_t first_chip, uint32_t position) {
-    if ((first_chip & 1u) == 0) return first_chip + position;
-    return position < HAL_BLOCK_CHIPS ? first_chip + HAL_BLOCK_CHIPS + position : first_chip - HAL_BLOCK_CHIPS + position;
+    if ((first_chip & 1u) == 0)
+        return first_chip + position;
+    return position < HAL_BLOCK_CHIPS ? first_chip + HAL_BLOCK_CHIPS + position
+                                      : first_chip - HAL_BLOCK_CHIPS + position;
 }
 
 /* Transfers of a stream, mod 62. */
@@ -176,12 +202,14 @@ chip_time_t chip_now(const hal_t *hal) {
     for (int pass = 0; pass < 2; pass++) {
         ticks = TIM1->CNT;
         position = transfers(ticks < CHIP_RELOAD_TICKS / 2u ? &DMA2->S[4] : &DMA2->S[5]);
-        if (TIM1->CNT >= ticks) break;
+        if (TIM1->CNT >= ticks)
+            break;
     }
     return (chip_time_t){.chip = absolute_chip(hal->first_chip, position), .ticks = ticks};
 }
 
-/* The count of the edge is beyond the present one: it came in the chip before. Right if this interrupt is late by less than a chip. */
+/* The count of the edge is beyond the present one: it came in the chip before. Right if this interrupt is late by
+ * less than a chip. */
 void TIM1_CC_Handler(void) {
     const uint32_t edge = TIM1->CCR3; /* Clears the flag. */
     const chip_time_t now = chip_now(&board);
@@ -189,11 +217,13 @@ void TIM1_CC_Handler(void) {
     board.woken = true;
 }
 
-/* Coil currents, converted in chip c behind count 8000: stream 4 has done c + 1 transfers, and does no more before count 8000 of chip
- * c + 1. Right if this interrupt is late by less than half a chip; no look at the count is needed. */
+/* Coil currents, converted in chip c behind count 8000: stream 4 has done c + 1 transfers, and does no more before
+ * count 8000 of chip c + 1. Right if this interrupt is late by less than half a chip; no look at the count is
+ * needed. */
 void ADC_Handler(void) {
     uint16_t count[HAL_CHANNELS];
-    if (!converters_take(&board, count)) return;
+    if (!converters_take(&board, count))
+        return;
     const uint32_t done = transfers(&DMA2->S[4]);
     const uint32_t chip = absolute_chip(board.first_chip, done == 0 ? RING_CHIPS - 1u : done - 1u);
     board.events.current(board.events.context, chip, count);

@@ -1,22 +1,24 @@
 /* clock.c: the clock tree and everything that is time.
  *
- *   crystal 8 MHz / 4 (or internal 16 MHz / 8) = 2 MHz, x 168 = 336 MHz, / 2 = 168 MHz: core, AHB, chip timer TIM1 (APB2 timers run at twice APB2)
+ *   crystal 8 MHz / 4 (or internal 16 MHz / 8) = 2 MHz, x 168 = 336 MHz, / 2 = 168 MHz: core, AHB, chip timer TIM1
+ *     (APB2 timers run at twice APB2)
  *   APB2 = 84 MHz: USART1; converters 84 / 4 = 21 MHz.   APB1 = 42 MHz: CAN, DAC; TIM2 at 84 MHz.
- * If the PLL does not lock either, everything runs at the 16 MHz the chip starts with, undivided.
- * A crystal that dies later stops the core; the watchdog has an oscillator of its own, resets, and the board comes back on the internal oscillator.
- * Voltage scale 1, needed at 168 MHz, is this chip's reset value.
+ * If the PLL does not lock either, everything runs at the 16 MHz the chip starts with, undivided. A crystal that dies
+ * later stops the core; the watchdog has an oscillator of its own, resets, and the board comes back on the internal
+ * oscillator. Voltage scale 1, needed at 168 MHz, is this chip's reset value.
  */
 
 #include "boards/stm32f405/stm32f405.h"
 
-#define CRYSTAL_TRIES 50000u /* 20 ms at 16 MHz; a crystal takes 2 ms (data sheet, table 37). */
-#define SWITCH_TRIES 10000u  /* 4 ms; the PLL takes 0.3 ms. */
-#define SLOW_HZ 16000000u
+#define CRYSTAL_TRIES    50000u /* 20 ms at 16 MHz; a crystal takes 2 ms (data sheet, table 37). */
+#define SWITCH_TRIES     10000u /* 4 ms; the PLL takes 0.3 ms. */
+#define SLOW_HZ          16000000u
 #define TICKS_PER_SECOND 100u /* The wake-up of hal_wait() before the chip engine runs. */
 
 bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries) {
     while (tries-- > 0) {
-        if ((*address & mask) == value) return true;
+        if ((*address & mask) == value)
+            return true;
     }
     return false;
 }
@@ -24,7 +26,8 @@ bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, u
 hal_clock_t clock_start(void) {
     RCC->CR |= RCC_CR_HSEON;
     const bool crystal = wait_for(&RCC->CR, RCC_CR_HSERDY, RCC_CR_HSERDY, CRYSTAL_TRIES);
-    if (!crystal) RCC->CR &= ~RCC_CR_HSEON;
+    if (!crystal)
+        RCC->CR &= ~RCC_CR_HSEON;
 
     const uint32_t divide = crystal ? 4u : 8u, multiply = 168u, usb = 7u;
     const uint32_t reserved = RCC->PLLCFGR & 0xF0000000u; /* Must keep its reset value. */
@@ -36,7 +39,8 @@ hal_clock_t clock_start(void) {
     }
 
     FLASH->ACR = FLASH_ACR_LATENCY_5 | FLASH_ACR_PRFTEN | FLASH_ACR_ICEN | FLASH_ACR_DCEN;
-    if (!wait_for(&FLASH->ACR, 7u, FLASH_ACR_LATENCY_5, SWITCH_TRIES)) return HAL_CLOCK_SLOW;
+    if (!wait_for(&FLASH->ACR, 7u, FLASH_ACR_LATENCY_5, SWITCH_TRIES))
+        return HAL_CLOCK_SLOW;
     RCC->CFGR |= RCC_CFGR_PPRE1_DIV4 | RCC_CFGR_PPRE2_DIV2; /* Before the switch: the buses must never run too fast. */
     RCC->CFGR |= RCC_CFGR_SW1;
     if (!wait_for(&RCC->CFGR, RCC_CFGR_SWS0 | RCC_CFGR_SWS1, RCC_CFGR_SWS1, SWITCH_TRIES)) {
@@ -70,7 +74,8 @@ hal_clock_t hal_clock(const hal_t *hal) {
 uint64_t hal_microseconds(hal_t *hal) {
     const uint32_t primask = interrupts_off();
     const uint32_t now = TIM2->CNT;
-    if (now < hal->time_low) hal->time_high++;
+    if (now < hal->time_low)
+        hal->time_high++;
     hal->time_low = now;
     const uint64_t time = (uint64_t)hal->time_high << 32 | now;
     interrupts_restore(primask);

@@ -1,32 +1,37 @@
 /* converters.c: what is analog, but for the DAC (chip_engine.c).
  *
- * One conversion: 15 + 12 cycles of 21 MHz, 216 ticks of the chip timer; a start takes up to 3 cycles (24 ticks). The three converters run together, in the mode
- * "regular simultaneous and injected simultaneous" (RM0090, 13.9.7): the regular groups are the burst, the injected ones currents and temperature.
- *   burst (sensor, anchor): 8 x 216 ticks from TIM1's compare 1 at count 14540: it ends at 16268..16292, 0.77 to 0.92 us before the nominal end of the chip.
- *     One axis each; after each conversion DMA fetches three half-words (axis 0, 1, 2) from the common data register.
- *   coil currents (beacon, anchor): channel 0 on ADC1, channel 1 on ADC2, at one moment, from TIM8's compare 2 (ADC3 converts for nobody). A beacon: at count 15640, done by
- *     15890, inside the shortest chip, so that its interrupt belongs to that chip. An anchor: at 14240, done by 14490, before its burst.
- *   temperature: channel 16 on ADC1, 480 + 12 cycles (3936 ticks), started by software in the first quarter of a chip, when nothing else converts: done by count 8200. For
- *     this one conversion it takes the coil current's place in the injected group. Converters that run together must sample equally long: ADC2 and ADC3 look at pins
- *     meanwhile, for nobody.
+ * One conversion: 15 + 12 cycles of 21 MHz, 216 ticks of the chip timer; a start takes up to 3 cycles (24 ticks). The
+ * three converters run together, in the mode "regular simultaneous and injected simultaneous" (RM0090, 13.9.7): the
+ * regular groups are the burst, the injected ones currents and temperature.
+ *   burst (sensor, anchor): 8 x 216 ticks from TIM1's compare 1 at count 14540: it ends at 16268..16292, 0.77 to 0.92
+ *     us before the nominal end of the chip. One axis each; after each conversion DMA fetches three half-words (axis 0,
+ *     1, 2) from the common data register.
+ *   coil currents (beacon, anchor): channel 0 on ADC1, channel 1 on ADC2, at one moment, from TIM8's compare 2 (ADC3
+ *     converts for nobody). A beacon: at count 15640, done by 15890, inside the shortest chip, so that its interrupt
+ *     belongs to that chip. An anchor: at 14240, done by 14490, before its burst.
+ *   temperature: channel 16 on ADC1, 480 + 12 cycles (3936 ticks), started by software in the first quarter of a chip,
+ *     when nothing else converts: done by count 8200. For this one conversion it takes the coil current's place in the
+ *     injected group. Converters that run together must sample equally long: ADC2 and ADC3 look at pins meanwhile, for
+ *     nobody.
  *
- * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's counter tells whether it is there:
- * 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the end of the shortest chip), 24 or more is a burst missed. Then, or
- * after an overrun, which stops DMA, the stream is stopped, and blocks read 0 (saturated) until it starts again at the beginning of the buffer, in the
- * first chip of an even block.
+ * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's
+ * counter tells whether it is there: 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the end
+ * of the shortest chip), 24 or more is a burst missed. Then, or after an overrun, which stops DMA, the stream is
+ * stopped, and blocks read 0 (saturated) until it starts again at the beginning of the buffer, in the first chip of an
+ * even block.
  */
 
 #include <string.h>
 
 #include "boards/stm32f405/stm32f405.h"
 
-#define CONVERSION_TICKS 216u
-#define BURST_START (HAL_CHIP_TICKS - 154u - HAL_BURST * CONVERSION_TICKS)
-#define TRIGGER_TICKS 12u                /* Half of what a start takes at most. */
-#define SAMPLING_TICKS 120u              /* 15 cycles. */
-#define CHIP_SAMPLES (HAL_BURST * HAL_AXES)
-#define BUFFER_SAMPLES (RING_CHIPS * CHIP_SAMPLES)
-#define CURRENT_START (HAL_CHIP_TICKS_MIN - 360u)
+#define CONVERSION_TICKS     216u
+#define BURST_START          (HAL_CHIP_TICKS - 154u - HAL_BURST * CONVERSION_TICKS)
+#define TRIGGER_TICKS        12u  /* Half of what a start takes at most. */
+#define SAMPLING_TICKS       120u /* 15 cycles. */
+#define CHIP_SAMPLES         (HAL_BURST * HAL_AXES)
+#define BUFFER_SAMPLES       (RING_CHIPS * CHIP_SAMPLES)
+#define CURRENT_START        (HAL_CHIP_TICKS_MIN - 360u)
 #define CURRENT_START_ANCHOR (BURST_START - 300u)
 
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
@@ -87,7 +92,8 @@ static void triggers_start(const hal_t *hal) {
 void converters_start(const hal_t *hal) {
     const bool samples = hal_role_samples(hal->role), drives = hal_role_drives(hal->role);
     triggers_start(hal);
-    C_ADC->CCR = C_ADC_CCR_ADCPRE_DIV4 | C_ADC_CCR_TSVREFE | C_ADC_CCR_MULT_TRIPLE_COMBINED | (samples ? C_ADC_CCR_DDS : 0u);
+    C_ADC->CCR = C_ADC_CCR_ADCPRE_DIV4 | C_ADC_CCR_TSVREFE | C_ADC_CCR_MULT_TRIPLE_COMBINED |
+                 (samples ? C_ADC_CCR_DDS : 0u);
     /* 15 cycles for what is sampled and measured, 480 (7) for the temperature's group. */
     ADC1->SMPR1 = 7u << 18;
     ADC1->SMPR2 = 1u << 0 | 1u << 3;
@@ -104,7 +110,8 @@ void converters_start(const hal_t *hal) {
     ADC2->CR2 = ADC_CR2_ADON;
     ADC3->CR2 = ADC_CR2_ADON;
     /* Stable 3 us later; the first trigger comes 80 us later. */
-    ADC1->CR2 = ADC_CR2_ADON | (samples ? ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING : 0u) | (drives ? ADC_CR2_JEXTSEL_TIM8_CC2 | ADC_CR2_JEXTEN_RISING : 0u);
+    ADC1->CR2 = ADC_CR2_ADON | (samples ? ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING : 0u) |
+                (drives ? ADC_CR2_JEXTSEL_TIM8_CC2 | ADC_CR2_JEXTEN_RISING : 0u);
 }
 
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
@@ -156,13 +163,16 @@ hal_burst_t hal_burst_timing(void) {
     return (hal_burst_t){BURST_START + TRIGGER_TICKS + SAMPLING_TICKS, CONVERSION_TICKS};
 }
 
-/* Between the two calibration points of this very chip; of a chip without them, by the data sheet's typical 0.76 V at 25 degC and 2.5 mV/degC. */
+/* Between the two calibration points of this very chip; of a chip without them, by the data sheet's typical 0.76 V
+ * at 25 degC and 2.5 mV/degC. */
 int16_t hal_temperature(const hal_t *hal) {
     int32_t low = 959, high = 1207;
-    if (hal->whole && TEMPERATURE_CALIBRATION[1] > TEMPERATURE_CALIBRATION[0] && TEMPERATURE_CALIBRATION[1] <= HAL_SAMPLE_MAX) {
+    if (hal->whole && TEMPERATURE_CALIBRATION[1] > TEMPERATURE_CALIBRATION[0] &&
+        TEMPERATURE_CALIBRATION[1] <= HAL_SAMPLE_MAX) {
         low = TEMPERATURE_CALIBRATION[0];
         high = TEMPERATURE_CALIBRATION[1];
     }
-    if (hal->temperature_count == 0) return 0; /* Not measured yet. */
+    if (hal->temperature_count == 0)
+        return 0; /* Not measured yet. */
     return (int16_t)(300 + (hal->temperature_count - low) * 800 / (high - low));
 }

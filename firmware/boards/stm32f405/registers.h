@@ -1,8 +1,9 @@
 /* registers.h: the registers of the STM32F405 that this board uses, and only those.
  *
- * Names as in the reference manual (RM0090) and ST's SVD; tests/firmware/boards/stm32f405/test_registers.py checks every base address, offset and
- * bit against the SVD. A bit constant is named PERIPHERAL_REGISTER_FIELD, with _VALUE behind it if the field has a chosen value.
- * Core registers (SysTick, NVIC, SCB): ARMv7-M Architecture Reference Manual, B3.2 to B3.4.
+ * Names as in the reference manual (RM0090) and ST's SVD; tests/firmware/boards/stm32f405/test_registers.py checks
+ * every base address, offset and bit against the SVD. A bit constant is named PERIPHERAL_REGISTER_FIELD, with _VALUE
+ * behind it if the field has a chosen value. Core registers (SysTick, NVIC, SCB): ARMv7-M Architecture Reference
+ * Manual, B3.2 to B3.4.
  */
 #ifndef STM32F405_REGISTERS_H
 #define STM32F405_REGISTERS_H
@@ -23,35 +24,35 @@ typedef struct {
 } RCC_registers;
 #define RCC ((RCC_registers *)0x40023800u)
 
-#define RCC_CR_HSION (1u << 0)
-#define RCC_CR_HSIRDY (1u << 1)
-#define RCC_CR_HSEON (1u << 16)
-#define RCC_CR_HSERDY (1u << 17)
-#define RCC_CR_PLLON (1u << 24)
-#define RCC_CR_PLLRDY (1u << 25)
-#define RCC_PLLCFGR_PLLSRC (1u << 22) /* 1: crystal. */
-#define RCC_CFGR_SW1 (1u << 1)        /* System clock: PLL. */
-#define RCC_CFGR_SWS0 (1u << 2)
-#define RCC_CFGR_SWS1 (1u << 3)
-#define RCC_CFGR_PPRE1_DIV4 (5u << 10)
-#define RCC_CFGR_PPRE2_DIV2 (4u << 13)
-#define RCC_AHB1ENR_GPIOAEN (1u << 0)
-#define RCC_AHB1ENR_GPIOBEN (1u << 1)
-#define RCC_AHB1ENR_GPIOCEN (1u << 2)
-#define RCC_AHB1ENR_DMA1EN (1u << 21)
-#define RCC_AHB1ENR_DMA2EN (1u << 22)
-#define RCC_APB1ENR_TIM2EN (1u << 0)
-#define RCC_APB1ENR_CAN1EN (1u << 25)
-#define RCC_APB1ENR_DACEN (1u << 29)
-#define RCC_APB2ENR_TIM1EN (1u << 0)
-#define RCC_APB2ENR_TIM8EN (1u << 1)
+#define RCC_CR_HSION         (1u << 0)
+#define RCC_CR_HSIRDY        (1u << 1)
+#define RCC_CR_HSEON         (1u << 16)
+#define RCC_CR_HSERDY        (1u << 17)
+#define RCC_CR_PLLON         (1u << 24)
+#define RCC_CR_PLLRDY        (1u << 25)
+#define RCC_PLLCFGR_PLLSRC   (1u << 22) /* 1: crystal. */
+#define RCC_CFGR_SW1         (1u << 1)  /* System clock: PLL. */
+#define RCC_CFGR_SWS0        (1u << 2)
+#define RCC_CFGR_SWS1        (1u << 3)
+#define RCC_CFGR_PPRE1_DIV4  (5u << 10)
+#define RCC_CFGR_PPRE2_DIV2  (4u << 13)
+#define RCC_AHB1ENR_GPIOAEN  (1u << 0)
+#define RCC_AHB1ENR_GPIOBEN  (1u << 1)
+#define RCC_AHB1ENR_GPIOCEN  (1u << 2)
+#define RCC_AHB1ENR_DMA1EN   (1u << 21)
+#define RCC_AHB1ENR_DMA2EN   (1u << 22)
+#define RCC_APB1ENR_TIM2EN   (1u << 0)
+#define RCC_APB1ENR_CAN1EN   (1u << 25)
+#define RCC_APB1ENR_DACEN    (1u << 29)
+#define RCC_APB2ENR_TIM1EN   (1u << 0)
+#define RCC_APB2ENR_TIM8EN   (1u << 1)
 #define RCC_APB2ENR_USART1EN (1u << 4)
-#define RCC_APB2ENR_ADC1EN (1u << 8)
-#define RCC_APB2ENR_ADC2EN (1u << 9)
-#define RCC_APB2ENR_ADC3EN (1u << 10)
+#define RCC_APB2ENR_ADC1EN   (1u << 8)
+#define RCC_APB2ENR_ADC2EN   (1u << 9)
+#define RCC_APB2ENR_ADC3EN   (1u << 10)
 #define RCC_APB2ENR_SYSCFGEN (1u << 14)
-#define RCC_CSR_RMVF (1u << 24)
-#define RCC_CSR_WDGRSTF (1u << 29) /* RM0090 calls it IWDGRSTF. */
+#define RCC_CSR_RMVF         (1u << 24)
+#define RCC_CSR_WDGRSTF      (1u << 29) /* RM0090 calls it IWDGRSTF. */
 
 typedef struct {
     volatile uint32_t ACR;
@@ -59,9 +60,9 @@ typedef struct {
 #define FLASH ((FLASH_registers *)0x40023C00u)
 
 #define FLASH_ACR_LATENCY_5 (5u << 0)
-#define FLASH_ACR_PRFTEN (1u << 8)
-#define FLASH_ACR_ICEN (1u << 9)
-#define FLASH_ACR_DCEN (1u << 10)
+#define FLASH_ACR_PRFTEN    (1u << 8)
+#define FLASH_ACR_ICEN      (1u << 9)
+#define FLASH_ACR_DCEN      (1u << 10)
 
 /* ---- Pins ---- */
 
@@ -98,23 +99,23 @@ typedef struct {
 #define DMA2 ((DMA_registers *)0x40026400u)
 
 /* Of every stream: named after stream 0. */
-#define DMA_S0CR_EN (1u << 0)
-#define DMA_S0CR_TEIE (1u << 2)
-#define DMA_S0CR_HTIE (1u << 3)
-#define DMA_S0CR_TCIE (1u << 4)
+#define DMA_S0CR_EN                (1u << 0)
+#define DMA_S0CR_TEIE              (1u << 2)
+#define DMA_S0CR_HTIE              (1u << 3)
+#define DMA_S0CR_TCIE              (1u << 4)
 #define DMA_S0CR_DIR_TO_PERIPHERAL (1u << 6)
-#define DMA_S0CR_CIRC (1u << 8)
-#define DMA_S0CR_MINC (1u << 10)
-#define DMA_S0CR_PSIZE_16 (1u << 11)
-#define DMA_S0CR_PSIZE_32 (2u << 11)
-#define DMA_S0CR_MSIZE_16 (1u << 13)
-#define DMA_S0CR_MSIZE_32 (2u << 13)
-#define DMA_S0CR_PL_MEDIUM (1u << 16)
-#define DMA_S0CR_PL_HIGH (2u << 16)
-#define DMA_S0CR_PL_VERY_HIGH (3u << 16)
-#define DMA_S0CR_CHSEL_4 (4u << 25)
-#define DMA_S0CR_CHSEL_6 (6u << 25)
-#define DMA_S0CR_CHSEL_7 (7u << 25)
+#define DMA_S0CR_CIRC              (1u << 8)
+#define DMA_S0CR_MINC              (1u << 10)
+#define DMA_S0CR_PSIZE_16          (1u << 11)
+#define DMA_S0CR_PSIZE_32          (2u << 11)
+#define DMA_S0CR_MSIZE_16          (1u << 13)
+#define DMA_S0CR_MSIZE_32          (2u << 13)
+#define DMA_S0CR_PL_MEDIUM         (1u << 16)
+#define DMA_S0CR_PL_HIGH           (2u << 16)
+#define DMA_S0CR_PL_VERY_HIGH      (3u << 16)
+#define DMA_S0CR_CHSEL_4           (4u << 25)
+#define DMA_S0CR_CHSEL_6           (6u << 25)
+#define DMA_S0CR_CHSEL_7           (7u << 25)
 
 #define DMA_LISR_TCIF2 (1u << 21)
 #define DMA_HISR_HTIF5 (1u << 10)
@@ -131,76 +132,78 @@ typedef struct {
 /* ---- Timers ---- */
 
 typedef struct {
-    volatile uint32_t CR1, CR2, SMCR, DIER, SR, EGR, CCMR1_Output, CCMR2_Output, CCER, CNT, PSC, ARR, RCR, CCR1, CCR2, CCR3, CCR4, BDTR;
+    volatile uint32_t CR1, CR2, SMCR, DIER, SR, EGR, CCMR1_Output, CCMR2_Output, CCER, CNT, PSC, ARR, RCR, CCR1, CCR2,
+        CCR3, CCR4, BDTR;
 } TIM_registers;
 #define TIM1 ((TIM_registers *)0x40010000u)
 #define TIM8 ((TIM_registers *)0x40010400u)
 #define TIM2 ((TIM_registers *)0x40000000u) /* 32 bits wide; has neither RCR nor BDTR. */
 
-#define TIM_CR1_CEN (1u << 0)
-#define TIM_CR1_ARPE (1u << 7)
-#define TIM_CR2_MMS_UPDATE (2u << 4)
-#define TIM_SMCR_SMS_RESET (4u << 0)
-#define TIM_DIER_CC3IE (1u << 3)
-#define TIM_DIER_UDE (1u << 8)
-#define TIM_DIER_CC4DE (1u << 12)
-#define TIM_EGR_UG (1u << 0)
-#define TIM_CCMR1_OC1PE (1u << 3)
-#define TIM_CCMR1_OC1M_PWM2 (7u << 4)
-#define TIM_CCMR1_OC2M_PWM2 (7u << 12)
-#define TIM_CCMR2_CC3S_TI3 (1u << 0)
+#define TIM_CR1_CEN              (1u << 0)
+#define TIM_CR1_ARPE             (1u << 7)
+#define TIM_CR2_MMS_UPDATE       (2u << 4)
+#define TIM_SMCR_SMS_RESET       (4u << 0)
+#define TIM_DIER_CC3IE           (1u << 3)
+#define TIM_DIER_UDE             (1u << 8)
+#define TIM_DIER_CC4DE           (1u << 12)
+#define TIM_EGR_UG               (1u << 0)
+#define TIM_CCMR1_OC1PE          (1u << 3)
+#define TIM_CCMR1_OC1M_PWM2      (7u << 4)
+#define TIM_CCMR1_OC2M_PWM2      (7u << 12)
+#define TIM_CCMR2_CC3S_TI3       (1u << 0)
 #define TIM_CCMR2_IC3F_8_SAMPLES (3u << 4)
-#define TIM_CCER_CC1E (1u << 0)
-#define TIM_CCER_CC2E (1u << 4)
-#define TIM_CCER_CC3E (1u << 8)
-#define TIM_BDTR_MOE (1u << 15)
+#define TIM_CCER_CC1E            (1u << 0)
+#define TIM_CCER_CC2E            (1u << 4)
+#define TIM_CCER_CC3E            (1u << 8)
+#define TIM_BDTR_MOE             (1u << 15)
 
 /* ---- Converters ---- */
 
 typedef struct {
-    volatile uint32_t SR, CR1, CR2, SMPR1, SMPR2, JOFR1, JOFR2, JOFR3, JOFR4, HTR, LTR, SQR1, SQR2, SQR3, JSQR, JDR1, JDR2, JDR3, JDR4, DR;
+    volatile uint32_t SR, CR1, CR2, SMPR1, SMPR2, JOFR1, JOFR2, JOFR3, JOFR4, HTR, LTR, SQR1, SQR2, SQR3, JSQR, JDR1,
+        JDR2, JDR3, JDR4, DR;
 } ADC_registers;
 #define ADC1 ((ADC_registers *)0x40012000u)
 #define ADC2 ((ADC_registers *)0x40012100u)
 #define ADC3 ((ADC_registers *)0x40012200u)
 
-#define ADC_SR_JEOC (1u << 2)
-#define ADC_CR1_JEOCIE (1u << 7)
-#define ADC_CR1_SCAN (1u << 8)
-#define ADC_CR2_ADON (1u << 0)
+#define ADC_SR_JEOC              (1u << 2)
+#define ADC_CR1_JEOCIE           (1u << 7)
+#define ADC_CR1_SCAN             (1u << 8)
+#define ADC_CR2_ADON             (1u << 0)
 #define ADC_CR2_JEXTSEL_TIM8_CC2 (12u << 16)
-#define ADC_CR2_JEXTEN_RISING (1u << 20)
-#define ADC_CR2_JSWSTART (1u << 22)
-#define ADC_CR2_EXTSEL_TIM1_CC1 (0u << 24)
-#define ADC_CR2_EXTEN_RISING (1u << 28)
+#define ADC_CR2_JEXTEN_RISING    (1u << 20)
+#define ADC_CR2_JSWSTART         (1u << 22)
+#define ADC_CR2_EXTSEL_TIM1_CC1  (0u << 24)
+#define ADC_CR2_EXTEN_RISING     (1u << 28)
 
 typedef struct {
     volatile uint32_t CSR, CCR, CDR;
 } C_ADC_registers;
 #define C_ADC ((C_ADC_registers *)0x40012300u)
 
-#define C_ADC_CSR_OVR1 (1u << 5)
-#define C_ADC_CSR_OVR2 (1u << 13)
-#define C_ADC_CSR_OVR3 (1u << 21)
+#define C_ADC_CSR_OVR1                 (1u << 5)
+#define C_ADC_CSR_OVR2                 (1u << 13)
+#define C_ADC_CSR_OVR3                 (1u << 21)
 #define C_ADC_CCR_MULT_TRIPLE_COMBINED (0x11u << 0) /* Regular simultaneous and injected simultaneous. */
-#define C_ADC_CCR_DDS (1u << 13)
-#define C_ADC_CCR_DMA_MODE1 (1u << 14)
-#define C_ADC_CCR_ADCPRE_DIV4 (1u << 16)
-#define C_ADC_CCR_TSVREFE (1u << 23)
+#define C_ADC_CCR_DDS                  (1u << 13)
+#define C_ADC_CCR_DMA_MODE1            (1u << 14)
+#define C_ADC_CCR_ADCPRE_DIV4          (1u << 16)
+#define C_ADC_CCR_TSVREFE              (1u << 23)
 
 typedef struct {
     volatile uint32_t CR, SWTRIGR, DHR12R1, DHR12L1, DHR8R1, DHR12R2, DHR12L2, DHR8R2, DHR12RD;
 } DAC_registers;
 #define DAC ((DAC_registers *)0x40007400u)
 
-#define DAC_CR_EN1 (1u << 0)
-#define DAC_CR_BOFF1 (1u << 1)
-#define DAC_CR_TEN1 (1u << 2)
+#define DAC_CR_EN1        (1u << 0)
+#define DAC_CR_BOFF1      (1u << 1)
+#define DAC_CR_TEN1       (1u << 2)
 #define DAC_CR_TSEL1_TIM8 (1u << 3)
-#define DAC_CR_DMAEN1 (1u << 12)
-#define DAC_CR_EN2 (1u << 16)
-#define DAC_CR_BOFF2 (1u << 17)
-#define DAC_CR_TEN2 (1u << 18)
+#define DAC_CR_DMAEN1     (1u << 12)
+#define DAC_CR_EN2        (1u << 16)
+#define DAC_CR_BOFF2      (1u << 17)
+#define DAC_CR_TEN2       (1u << 18)
 #define DAC_CR_TSEL2_TIM8 (1u << 19)
 
 /* ---- Links ---- */
@@ -210,17 +213,17 @@ typedef struct {
 } USART_registers;
 #define USART1 ((USART_registers *)0x40011000u)
 
-#define USART_SR_ORE (1u << 3)
-#define USART_SR_RXNE (1u << 5)
-#define USART_SR_TXE (1u << 7)
-#define USART_CR1_RE (1u << 2)
-#define USART_CR1_TE (1u << 3)
+#define USART_SR_ORE     (1u << 3)
+#define USART_SR_RXNE    (1u << 5)
+#define USART_SR_TXE     (1u << 7)
+#define USART_CR1_RE     (1u << 2)
+#define USART_CR1_TE     (1u << 3)
 #define USART_CR1_IDLEIE (1u << 4)
-#define USART_CR1_UE (1u << 13)
-#define USART_CR1_OVER8 (1u << 15)
-#define USART_CR3_EIE (1u << 0)
-#define USART_CR3_DMAR (1u << 6)
-#define USART_CR3_DMAT (1u << 7)
+#define USART_CR1_UE     (1u << 13)
+#define USART_CR1_OVER8  (1u << 15)
+#define USART_CR3_EIE    (1u << 0)
+#define USART_CR3_DMAR   (1u << 6)
+#define USART_CR3_DMAT   (1u << 7)
 
 typedef struct {
     volatile uint32_t TIR, TDTR, TDLR, TDHR;
@@ -235,39 +238,39 @@ typedef struct {
 } CAN_registers;
 #define CAN1 ((CAN_registers *)0x40006400u)
 
-#define CAN_MCR_INRQ (1u << 0)
-#define CAN_MCR_TXFP (1u << 2)
-#define CAN_MCR_ABOM (1u << 6)
-#define CAN_MSR_INAK (1u << 0)
-#define CAN_MSR_ERRI (1u << 2)
-#define CAN_TSR_RQCP0 (1u << 0)
-#define CAN_TSR_TXOK0 (1u << 1)
-#define CAN_TSR_RQCP1 (1u << 8)
-#define CAN_TSR_TXOK1 (1u << 9)
-#define CAN_TSR_RQCP2 (1u << 16)
-#define CAN_TSR_TXOK2 (1u << 17)
-#define CAN_TSR_CODE (3u << 24)
-#define CAN_TSR_TME0 (1u << 26)
-#define CAN_TSR_TME1 (1u << 27)
-#define CAN_TSR_TME2 (1u << 28)
-#define CAN_RF0R_FMP0 (3u << 0)
+#define CAN_MCR_INRQ   (1u << 0)
+#define CAN_MCR_TXFP   (1u << 2)
+#define CAN_MCR_ABOM   (1u << 6)
+#define CAN_MSR_INAK   (1u << 0)
+#define CAN_MSR_ERRI   (1u << 2)
+#define CAN_TSR_RQCP0  (1u << 0)
+#define CAN_TSR_TXOK0  (1u << 1)
+#define CAN_TSR_RQCP1  (1u << 8)
+#define CAN_TSR_TXOK1  (1u << 9)
+#define CAN_TSR_RQCP2  (1u << 16)
+#define CAN_TSR_TXOK2  (1u << 17)
+#define CAN_TSR_CODE   (3u << 24)
+#define CAN_TSR_TME0   (1u << 26)
+#define CAN_TSR_TME1   (1u << 27)
+#define CAN_TSR_TME2   (1u << 28)
+#define CAN_RF0R_FMP0  (3u << 0)
 #define CAN_RF0R_FOVR0 (1u << 4)
 #define CAN_RF0R_RFOM0 (1u << 5)
-#define CAN_RF1R_FMP1 (3u << 0)
+#define CAN_RF1R_FMP1  (3u << 0)
 #define CAN_RF1R_FOVR1 (1u << 4)
 #define CAN_RF1R_RFOM1 (1u << 5)
-#define CAN_IER_TMEIE (1u << 0)
+#define CAN_IER_TMEIE  (1u << 0)
 #define CAN_IER_FMPIE0 (1u << 1)
 #define CAN_IER_FMPIE1 (1u << 4)
-#define CAN_IER_BOFIE (1u << 10)
-#define CAN_IER_LECIE (1u << 11)
-#define CAN_IER_ERRIE (1u << 15)
-#define CAN_ESR_BOFF (1u << 2)
-#define CAN_ESR_LEC (7u << 4)
-#define CAN_TI0R_TXRQ (1u << 0)
-#define CAN_TI0R_RTR (1u << 1)
-#define CAN_TI0R_IDE (1u << 2)
-#define CAN_FMR_FINIT (1u << 0)
+#define CAN_IER_BOFIE  (1u << 10)
+#define CAN_IER_LECIE  (1u << 11)
+#define CAN_IER_ERRIE  (1u << 15)
+#define CAN_ESR_BOFF   (1u << 2)
+#define CAN_ESR_LEC    (7u << 4)
+#define CAN_TI0R_TXRQ  (1u << 0)
+#define CAN_TI0R_RTR   (1u << 1)
+#define CAN_TI0R_IDE   (1u << 2)
+#define CAN_FMR_FINIT  (1u << 0)
 
 /* ---- Watchdog ---- */
 
@@ -278,19 +281,19 @@ typedef struct {
 
 #define IWDG_KR_KEY_UNLOCK 0x5555u
 #define IWDG_KR_KEY_RELOAD 0xAAAAu
-#define IWDG_KR_KEY_START 0xCCCCu
-#define IWDG_PR_PR_DIV16 (2u << 0)
-#define IWDG_SR_PVU (1u << 0)
-#define IWDG_SR_RVU (1u << 1)
+#define IWDG_KR_KEY_START  0xCCCCu
+#define IWDG_PR_PR_DIV16   (2u << 0)
+#define IWDG_SR_PVU        (1u << 0)
+#define IWDG_SR_RVU        (1u << 1)
 
 /* ---- Processor core ---- */
 
 typedef struct {
     volatile uint32_t CTRL, LOAD, VAL, CALIB;
 } SYSTICK_registers;
-#define SYSTICK ((SYSTICK_registers *)0xE000E010u)
-#define SYSTICK_CTRL_ENABLE (1u << 0)
-#define SYSTICK_CTRL_TICKINT (1u << 1)
+#define SYSTICK                ((SYSTICK_registers *)0xE000E010u)
+#define SYSTICK_CTRL_ENABLE    (1u << 0)
+#define SYSTICK_CTRL_TICKINT   (1u << 1)
 #define SYSTICK_CTRL_CLKSOURCE (1u << 2) /* 1: processor clock. */
 
 typedef struct {
@@ -304,9 +307,10 @@ typedef struct {
 #define NVIC ((NVIC_registers *)0xE000E100u)
 
 typedef struct {
-    volatile uint32_t CPUID, ICSR, VTOR, AIRCR, SCR, CCR, SHPR1, SHPR2, SHPR3, SHCSR, CFSR, HFSR, DFSR, MMFAR, BFAR, AFSR, reserved0[18], CPACR;
+    volatile uint32_t CPUID, ICSR, VTOR, AIRCR, SCR, CCR, SHPR1, SHPR2, SHPR3, SHCSR, CFSR, HFSR, DFSR, MMFAR, BFAR,
+        AFSR, reserved0[18], CPACR;
 } SCB_registers;
-#define SCB ((SCB_registers *)0xE000ED00u)
+#define SCB                ((SCB_registers *)0xE000ED00u)
 #define SCB_CPACR_FPU_FULL (15u << 20)
 
 /* Positions in the vector table of RM0090, table 62. */
@@ -327,7 +331,8 @@ enum {
 
 /* ---- What ST wrote into system memory (RM0090, 39.1; data sheet, 5.3.22) ---- */
 
-#define UNIQUE_ID ((const volatile uint32_t *)0x1FFF7A10u)          /* Three words. */
-#define TEMPERATURE_CALIBRATION ((const volatile uint16_t *)0x1FFF7A2Cu) /* Sensor's counts at 30 and at 110 degC, 3.3 V. */
+#define UNIQUE_ID ((const volatile uint32_t *)0x1FFF7A10u) /* Three words. */
+#define TEMPERATURE_CALIBRATION                                                                                        \
+    ((const volatile uint16_t *)0x1FFF7A2Cu) /* Sensor's counts at 30 and at 110 degC, 3.3 V. */
 
 #endif

@@ -1,8 +1,8 @@
 /* serial.c: USART1 at 2,000,000 baud on PB6 and PB7, DMA both ways.
  *
- * Out: a ring that main fills; stream 7 sends the longest piece in one run, its interrupt starts the next.
- * In: stream 2 fills a ring for ever; main takes what is there at each wake. The end of a burst (line idle) wakes main at once.
- * All positions count bytes since reset (32 bits, wrapping), so that full and empty differ and losses show.
+ * Out: a ring that main fills; stream 7 sends the longest piece in one run, its interrupt starts the next. In: stream 2
+ * fills a ring for ever; main takes what is there at each wake. The end of a burst (line idle) wakes main at once. All
+ * positions count bytes since reset (32 bits, wrapping), so that full and empty differ and losses show.
  */
 
 #include <string.h>
@@ -45,7 +45,8 @@ void serial_start(hal_t *hal) {
 static void send_piece(hal_t *hal) {
     const uint32_t position = hal->sent % HAL_SERIAL_BUFFER;
     hal->sending = smaller(hal->written - hal->sent, HAL_SERIAL_BUFFER - position);
-    if (hal->sending == 0) return;
+    if (hal->sending == 0)
+        return;
     DMA_stream_registers *out = &DMA2->S[7];
     DMA2->HIFCR = DMA_HIFCR_STREAM7;
     out->M0AR = (uint32_t)&hal->transmit[position];
@@ -57,7 +58,8 @@ static void send_piece(hal_t *hal) {
 
 /* A flag that was just cleared may still raise its interrupt once: both handlers look first. */
 void DMA2_Stream7_Handler(void) {
-    if ((DMA2->HISR & (DMA_HISR_TCIF7 | DMA_HISR_TEIF7)) == 0) return;
+    if ((DMA2->HISR & (DMA_HISR_TCIF7 | DMA_HISR_TEIF7)) == 0)
+        return;
     DMA2->HIFCR = DMA_HIFCR_STREAM7;
     board.sent += board.sending;
     send_piece(&board);
@@ -65,7 +67,8 @@ void DMA2_Stream7_Handler(void) {
 }
 
 bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count) {
-    if (count > HAL_SERIAL_BUFFER - (hal->written - hal->sent)) return false;
+    if (count > HAL_SERIAL_BUFFER - (hal->written - hal->sent))
+        return false;
     const uint32_t position = hal->written % HAL_SERIAL_BUFFER;
     const uint32_t head = smaller((uint32_t)count, HAL_SERIAL_BUFFER - position);
     memcpy(&hal->transmit[position], bytes, head);
@@ -73,7 +76,8 @@ bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count) {
 
     const uint32_t primask = interrupts_off();
     hal->written += (uint32_t)count;
-    if (hal->sending == 0) send_piece(hal);
+    if (hal->sending == 0)
+        send_piece(hal);
     interrupts_restore(primask);
     return true;
 }
@@ -93,17 +97,21 @@ void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count) {
 /* ---- In ---- */
 
 void DMA2_Stream2_Handler(void) {
-    if ((DMA2->LISR & DMA_LISR_TCIF2) == 0) return;
+    if ((DMA2->LISR & DMA_LISR_TCIF2) == 0)
+        return;
     DMA2->LIFCR = DMA_LIFCR_STREAM2;
     board.receive_wraps++;
     board.woken = true;
 }
 
-/* Line idle, or a receive error. The flags go by reading SR and then DR; a byte that waits is left to DMA, whose read of DR clears them as well. */
+/* Line idle, or a receive error. The flags go by reading SR and then DR; a byte that waits is left to DMA, whose
+ * read of DR clears them as well. */
 void USART1_Handler(void) {
     const uint32_t status = USART1->SR;
-    if ((status & USART_SR_RXNE) == 0) (void)USART1->DR;
-    if ((status & USART_SR_ORE) != 0) board.counters.serial_overruns++;
+    if ((status & USART_SR_RXNE) == 0)
+        (void)USART1->DR;
+    if ((status & USART_SR_ORE) != 0)
+        board.counters.serial_overruns++;
     board.woken = true;
 }
 
@@ -121,7 +129,8 @@ static uint32_t received(const hal_t *hal) {
 }
 
 size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity) {
-    if ((DMA2->S[2].CR & DMA_S0CR_EN) == 0) return 0; /* Nothing receives. */
+    if ((DMA2->S[2].CR & DMA_S0CR_EN) == 0)
+        return 0; /* Nothing receives. */
     const uint32_t waiting = received(hal) - hal->taken;
     if (waiting > SERIAL_RECEIVE_BUFFER) { /* Overwritten: start afresh with what comes now. */
         const uint32_t primask = interrupts_off();
@@ -131,7 +140,8 @@ size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity) {
         return 0;
     }
     const uint32_t count = smaller(waiting, (uint32_t)capacity);
-    for (uint32_t i = 0; i < count; i++) bytes[i] = hal->receive[(hal->taken + i) % SERIAL_RECEIVE_BUFFER];
+    for (uint32_t i = 0; i < count; i++)
+        bytes[i] = hal->receive[(hal->taken + i) % SERIAL_RECEIVE_BUFFER];
     hal->taken += count;
     return count;
 }

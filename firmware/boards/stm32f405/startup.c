@@ -13,7 +13,8 @@ typedef void (*vector_t)(void);
 /* Every entry that is not ours is a fault: it reports itself and the watchdog resets. */
 typedef struct {
     uint32_t *stack;
-    vector_t reset, nmi, hard_fault, memory_fault, bus_fault, usage_fault, reserved0[4], supervisor_call, debug, reserved1, pend_supervisor, tick;
+    vector_t reset, nmi, hard_fault, memory_fault, bus_fault, usage_fault, reserved0[4], supervisor_call, debug,
+        reserved1, pend_supervisor, tick;
     vector_t irq[IRQ_COUNT];
 } vectors_t;
 
@@ -58,10 +59,14 @@ void Reset_Handler(void) {
     SCB->CPACR |= SCB_CPACR_FPU_FULL;
     __asm volatile("dsb\n\tisb" ::: "memory");
 
-    for (uint32_t i = 0; i < (uint32_t)&data_words; i++) data_start[i] = data_load[i];
-    for (uint32_t i = 0; i < (uint32_t)&bss_words; i++) bss_start[i] = 0;
-    for (uint32_t i = 0; i < (uint32_t)&core_memory_words; i++) core_memory_start[i] = 0; /* The memory's clock runs from reset on. */
+    for (uint32_t i = 0; i < (uint32_t)&data_words; i++)
+        data_start[i] = data_load[i];
+    for (uint32_t i = 0; i < (uint32_t)&bss_words; i++)
+        bss_start[i] = 0;
+    for (uint32_t i = 0; i < (uint32_t)&core_memory_words; i++)
+        core_memory_start[i] = 0; /* The memory's clock runs from reset on. */
 
     main();
-    for (;;) __asm volatile("udf #0"); /* main() never returns. */
+    for (;;)
+        __asm volatile("udf #0"); /* main() never returns. */
 }

@@ -1,26 +1,31 @@
 /* stm32f405.h: inside this board. What its files share; nothing outside this directory includes it.
  *
- *   startup.c      vector table, reset, .data and .bss          clock.c      clock tree, waits with time-outs, microseconds, tick
- *   crash.c        fault report over serial, then reset         board.c      pins, watchdog, interrupts, and what is not the below
- *   chip_engine.c  TIM1, TIM8, DMA to pins and DAC, blocks, sync converters.c sensor's burst, coil currents, temperature
+ *   startup.c      vector table, reset, .data and .bss          clock.c      clock tree, waits with time-outs,
+ *                  microseconds, tick
+ *   crash.c        fault report over serial, then reset         board.c      pins, watchdog, interrupts, and what is
+ *                  not the below
+ *   chip_engine.c  TIM1, TIM8, DMA to pins and DAC, blocks, sync converters.c sensor's burst, coil currents,
+ *                  temperature
  *   serial.c       USART1 with DMA both ways                    can.c        CAN1
  *
- * Priorities (a lower number preempts): 0 time stamps of CAN frames, 1 coil currents, temperature and driver fault, 2 every other handler, 3 the 10 ms tick.
- * The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a handler has more than two instructions before its return: all have.
+ * Priorities (a lower number preempts): 0 time stamps of CAN frames, 1 coil currents, temperature and driver fault, 2
+ * every other handler, 3 the 10 ms tick. The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a
+ * handler has more than two instructions before its return: all have.
  *
- * DMA2: stream 5 chip edges (very high) > stream 4 chip periods, stream 0 samples (high) > stream 2 serial in (medium) > stream 7 serial out (low).
- * DMA1: stream 5 set-points to the DAC, alone; DMA1 reaches neither GPIO nor APB2. No stream is shared. The erratum "DMA2 data corruption when managing AHB and APB
- * peripherals in a concurrent way" (ES0182) can write the same word twice to an AHB peripheral: harmless to BSRR.
+ * DMA2: stream 5 chip edges (very high) > stream 4 chip periods, stream 0 samples (high) > stream 2 serial in (medium)
+ * > stream 7 serial out (low). DMA1: stream 5 set-points to the DAC, alone; DMA1 reaches neither GPIO nor APB2. No
+ * stream is shared. The erratum "DMA2 data corruption when managing AHB and APB peripherals in a concurrent way"
+ * (ES0182) can write the same word twice to an AHB peripheral: harmless to BSRR.
  */
 #ifndef STM32F405_BOARD_H
 #define STM32F405_BOARD_H
 
-#include "hal/hal.h"
 #include "boards/stm32f405/registers.h"
+#include "hal/hal.h"
 
-#define RING_CHIPS (2u * HAL_BLOCK_CHIPS) /* What the chip engine's buffers hold: two blocks. */
-#define SERIAL_RECEIVE_BUFFER 2048u       /* 10 ms. */
-#define CAN_RECEIVE_BUFFER 32u            /* 3.5 ms of the shortest frames with 8 bytes of data. */
+#define RING_CHIPS            (2u * HAL_BLOCK_CHIPS) /* What the chip engine's buffers hold: two blocks. */
+#define SERIAL_RECEIVE_BUFFER 2048u                  /* 10 ms. */
+#define CAN_RECEIVE_BUFFER    32u                    /* 3.5 ms of the shortest frames with 8 bytes of data. */
 
 #define CAN_STAMPS 8u
 
@@ -28,7 +33,8 @@ enum { PRIORITY_STAMP = 0, PRIORITY_DRIVE = 1, PRIORITY_NORMAL = 2, PRIORITY_TIC
 
 struct hal {
     hal_clock_t clock;
-    bool whole; /* The clock controller answers as silicon does; false on a partial model of the chip, where system memory is missing, too. */
+    bool whole; /* The clock controller answers as silicon does; false on a partial model of the chip, where system
+                   memory is missing, too. */
     volatile bool woken; /* Something happened that main may want to look at. */
     hal_role_t role;
     hal_events_t events;
@@ -38,16 +44,17 @@ struct hal {
     uint32_t time_low, time_high;
 
     /* chip_engine.c */
-    uint32_t block;               /* The running block, as far as the block interrupt has come. */
-    volatile uint32_t first_chip; /* Its first chip: 31 * block, odd when block is odd. */
-    uint32_t words[RING_CHIPS];   /* DMA: BSRR words. */
-    uint32_t periods[RING_CHIPS]; /* DMA: ARR values. */
+    uint32_t block;                  /* The running block, as far as the block interrupt has come. */
+    volatile uint32_t first_chip;    /* Its first chip: 31 * block, odd when block is odd. */
+    uint32_t words[RING_CHIPS];      /* DMA: BSRR words. */
+    uint32_t periods[RING_CHIPS];    /* DMA: ARR values. */
     uint32_t set_points[RING_CHIPS]; /* DMA: DHR12RD words. */
     hal_plan_t plan;
 
     /* converters.c */
-    bool sampling; /* The samples in the buffer are complete and in step. */
-    volatile bool temperature_due; /* The injected conversion is of the temperature: as JSQR says, which would have to be read in each chip. */
+    bool sampling;                 /* The samples in the buffer are complete and in step. */
+    volatile bool temperature_due; /* The injected conversion is of the temperature: as JSQR says, which would have to
+                                      be read in each chip. */
     uint16_t temperature_count;
     hal_samples_t samples[2]; /* DMA */
 
@@ -63,8 +70,8 @@ struct hal {
     volatile uint32_t can_put, can_taken; /* Frames since reset. */
     bool can_off;
     hal_frame_t can_frames[CAN_RECEIVE_BUFFER];
-    hal_frame_t can_mailbox[3];                  /* What was handed to each. */
-    uint32_t can_stamp_put, can_stamp_taken;     /* From the stamping interrupts to plan. */
+    hal_frame_t can_mailbox[3];              /* What was handed to each. */
+    uint32_t can_stamp_put, can_stamp_taken; /* From the stamping interrupts to plan. */
     hal_stamp_t can_stamps[CAN_STAMPS];
     uint32_t can_stamped_put, can_stamped_taken; /* The frames received there, to main. */
     hal_frame_t can_stamped[CAN_STAMPS];
@@ -86,14 +93,16 @@ typedef struct {
     uint32_t chip;  /* Absolute. */
     uint32_t ticks; /* Since it started. */
 } chip_time_t;
-/* The present. From handlers of normal priority or higher only: the block interrupt must not run to its end meanwhile. About 40 instructions. */
+/* The present. From handlers of normal priority or higher only: the block interrupt must not run to its end
+ * meanwhile. About 40 instructions. */
 chip_time_t chip_now(const hal_t *hal);
 
-/* After an end of injected conversions. True: the counts are those of the coil currents; false: it was the temperature. */
+/* After an end of injected conversions. True: the counts are those of the coil currents; false: it was the
+ * temperature. */
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
 
-/* At a block boundary: starts the temperature; stays in step with the chips. Samples of the finished block that are not good read 0, which
- * counts as saturated. */
+/* At a block boundary: starts the temperature; stays in step with the chips. Samples of the finished block that are
+ * not good read 0, which counts as saturated. */
 void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
 
 #define CHIP_RELOAD_TICKS 8000u /* In each chip, when DMA fetches the next chip's period (CC4). */

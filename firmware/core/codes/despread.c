@@ -16,7 +16,8 @@ void despread_start(despread_t *despread, const gold_family_t *family) {
     despread->missing = 0;
 }
 
-void despread_start_part(despread_t *despread, const gold_family_t *family, const despread_t *previous, uint32_t chips) {
+void despread_start_part(despread_t *despread, const gold_family_t *family, const despread_t *previous,
+                         uint32_t chips) {
     despread_start(despread, family);
     if (previous != NULL) {
         despread->u_state = previous->u_state;
@@ -46,7 +47,8 @@ void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]) {
     if (despread->chip >= despread->end) {
         return;
     }
-    const uint32_t state = despread->v_state, half = despread->family->length / 2u; /* Above it the output stage is 1. */
+    const uint32_t state = despread->v_state,
+                   half = despread->family->length / 2u; /* Above it the output stage is 1. */
     const int32_t u = despread->u_state > half ? -1 : 1;
     const int32_t v = state > half ? -1 : 1;
     for (uint32_t axis = 0; axis < DESPREAD_AXES; axis++) {
@@ -67,8 +69,8 @@ void despread_skip(despread_t *despread, uint32_t chips) {
     }
 }
 
-/* Three stages of the transform on the eight words x[0], x[stride], ..., x[7 stride]: with a constant stride, eight values stay in registers between
- * one load and one store each. */
+/* Three stages of the transform on the eight words x[0], x[stride], ..., x[7 stride]: with a constant stride, eight
+ * values stay in registers between one load and one store each. */
 __attribute__((always_inline)) static inline void butterfly8(int32_t *x, size_t stride) {
     const int32_t a0 = x[0] + x[stride], a1 = x[0] - x[stride];
     const int32_t a2 = x[2u * stride] + x[3u * stride], a3 = x[2u * stride] - x[3u * stride];

@@ -5,14 +5,16 @@
 
 #define LANES 0x00010001u /* One in each halfword. */
 
-/* Two conversions are six halfwords, three words: (x, y) (z, x) (y, z). Sums of four halfwords fit a halfword, so words are added whole. A lane is at a rail if
- * lane + 1 has bit 12 (4095), or lane - 1 borrows (0). A borrow reaches the neighbour only from a lane that is itself at the rail. */
+/* Two conversions are six halfwords, three words: (x, y) (z, x) (y, z). Sums of four halfwords fit a halfword, so
+ * words are added whole. A lane is at a rail if lane + 1 has bit 12 (4095), or lane - 1 borrows (0). A borrow
+ * reaches the neighbour only from a lane that is itself at the rail. */
 bool epoch_sample(const uint16_t burst[EPOCH_BURST][EPOCH_AXES], int16_t sample[EPOCH_AXES]) {
     uint32_t xy = 0, zx = 0, yz = 0, rails = 0;
     for (uint32_t i = 0; i < EPOCH_BURST; i += 2u) {
         uint32_t words[3];
         memcpy(words, burst[i], sizeof words);
-        rails |= (words[0] + LANES) | (words[0] - LANES) | (words[1] + LANES) | (words[1] - LANES) | (words[2] + LANES) | (words[2] - LANES);
+        rails |= (words[0] + LANES) | (words[0] - LANES) | (words[1] + LANES) | (words[1] - LANES) |
+                 (words[2] + LANES) | (words[2] - LANES);
         xy += words[0];
         zx += words[1];
         yz += words[2];
@@ -24,7 +26,9 @@ bool epoch_sample(const uint16_t burst[EPOCH_BURST][EPOCH_AXES], int16_t sample[
     return (rails & 0xF000F000u) != 0u;
 }
 
-void epoch_init(epoch_collector_t *collector, const gold_family_t *family) { *collector = (epoch_collector_t){.family = family}; }
+void epoch_init(epoch_collector_t *collector, const gold_family_t *family) {
+    *collector = (epoch_collector_t){.family = family};
+}
 
 static void drop(epoch_collector_t *collector) {
     collector->collecting = false;
@@ -55,7 +59,8 @@ static bool hand_over(epoch_collector_t *collector) {
     return true;
 }
 
-/* What is collected has no samples from its next chip up to this one. True: a part that ended on the way was handed over. */
+/* What is collected has no samples from its next chip up to this one. True: a part that ended on the way was handed
+ * over. */
 static bool skip_to(epoch_collector_t *collector, uint32_t chip) {
     bool complete = false;
     while (collector->collecting) {
@@ -69,8 +74,8 @@ static bool skip_to(epoch_collector_t *collector, uint32_t chip) {
     return complete;
 }
 
-bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint16_t code_chip, const int16_t sample[EPOCH_AXES],
-                bool saturated, bool locked) {
+bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint16_t code_chip,
+                const int16_t sample[EPOCH_AXES], bool saturated, bool locked) {
     bool complete = false;
     epoch_t *epoch = &collector->epochs[collector->filling];
     if (collector->collecting) {
@@ -116,7 +121,9 @@ epoch_t *epoch_ready(epoch_collector_t *collector) {
     return &collector->epochs[collector->filling ^ 1u];
 }
 
-void epoch_release(epoch_collector_t *collector) { __atomic_store_n(&collector->ready, 0u, __ATOMIC_RELEASE); }
+void epoch_release(epoch_collector_t *collector) {
+    __atomic_store_n(&collector->ready, 0u, __ATOMIC_RELEASE);
+}
 
 static int16_t third_sum(const gold_family_t *family, uint32_t code, uint32_t third) {
     gold_generator_t generator;
@@ -129,7 +136,8 @@ static int16_t third_sum(const gold_family_t *family, uint32_t code, uint32_t th
     return (int16_t)sum;
 }
 
-uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family, const uint16_t *codes, uint32_t count) {
+uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family, const uint16_t *codes,
+                      uint32_t count) {
     selection->count = 0;
     for (uint32_t i = 0; i < count && i < EPOCH_CODES_MAX; i++) {
         if (codes[i] <= family->length + 1u) {
@@ -189,7 +197,8 @@ bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count) {
 }
 
 /* M (correlation / (8 N) - (zero - mid-scale) sum / N). */
-static void scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum, float chips, float field_T[EPOCH_AXES]) {
+static void scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum,
+                  float chips, float field_T[EPOCH_AXES]) {
     float counts[EPOCH_AXES];
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         const float zero = calibration->zero[axis] - (float)EPOCH_MID_SCALE;
@@ -203,14 +212,16 @@ static void scale(const epoch_calibration_t *calibration, const int32_t correlat
     }
 }
 
-void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibration, const epoch_selection_t *selection, uint32_t index,
-                 float field_T[EPOCH_AXES]) {
-    const int16_t code_sum = sums->third < EPOCH_THIRDS ? selection->codes[index].third_sum[sums->third] : selection->codes[index].sum;
+void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibration, const epoch_selection_t *selection,
+                 uint32_t index, float field_T[EPOCH_AXES]) {
+    const int16_t code_sum = sums->third < EPOCH_THIRDS ? selection->codes[index].third_sum[sums->third]
+                                                        : selection->codes[index].sum;
     scale(calibration, sums->correlation[index], code_sum, sums->chips, field_T);
 }
 
 void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]) {
-    scale(calibration, sums->sum, sums->third < EPOCH_THIRDS ? (float)EPOCH_THIRD_CHIPS : sums->chips, sums->chips, offset_T);
+    scale(calibration, sums->sum, sums->third < EPOCH_THIRDS ? (float)EPOCH_THIRD_CHIPS : sums->chips, sums->chips,
+          offset_T);
 }
 
 int32_t epoch_integer(float value, float resolution) {

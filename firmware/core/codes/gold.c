@@ -2,7 +2,7 @@
 
 #include <stddef.h>
 
-#define STAGE(j) (1u << ((j) - 1u))
+#define STAGE(j) (1u << ((j)-1u))
 
 static const gold_family_t families[] = {
     {5, 31, STAGE(2) | STAGE(5), STAGE(2) | STAGE(3) | STAGE(4) | STAGE(5)},
@@ -23,7 +23,8 @@ const gold_family_t *gold_family(uint32_t degree) {
 }
 
 uint16_t gold_next_functional(uint16_t taps, uint16_t functional) {
-    /* Output t + i is stage n - i, one bit lower for each chip later; beyond stage 1 comes the feedback, which is the taps' functional. */
+    /* Output t + i is stage n - i, one bit lower for each chip later; beyond stage 1 comes the feedback, which is
+     * the taps' functional. */
     return (uint16_t)((uint32_t)functional >> 1 ^ ((functional & 1u) != 0u ? taps : 0u));
 }
 

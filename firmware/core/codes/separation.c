@@ -3,7 +3,8 @@
 /* Of A over (N + 1)^2: far above rounding, far below that of any list that can be separated. */
 #define LEAST_DETERMINANT 1e-3f
 
-bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *codes, const int16_t *sums, uint32_t count) {
+bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *codes, const int16_t *sums,
+                     uint32_t count) {
     separation->count = 0;
     separation->chips = (float)chips;
     if (count > SEPARATION_CODES_MAX) {
@@ -25,7 +26,8 @@ bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *c
     }
     /* A - V'U with A = N + 1, U = [1, s] and V = [1, s / N]. */
     const float a = separation->chips + 1.0f;
-    const float m00 = a - (float)count, m01 = -sum, m10 = -sum / separation->chips, m11 = a - square / separation->chips;
+    const float m00 = a - (float)count, m01 = -sum, m10 = -sum / separation->chips,
+                m11 = a - square / separation->chips;
     const float determinant = m00 * m11 - m01 * m10;
     if (!(determinant > LEAST_DETERMINANT * a * a)) {
         return false;

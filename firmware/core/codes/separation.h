@@ -1,10 +1,11 @@
 /* separation.h: the exact fields of synchronised Gold codes from their plain correlations and the mean, in closed form.
  *
- * With samples y = C b + offset, the plain sums r = C'y / N and mean = 1'y / N hold all that least squares on [codes, 1] needs:
+ * With samples y = C b + offset, the plain sums r = C'y / N and mean = 1'y / N hold all that least squares on [codes,
+ * 1] needs:
  *   A b = N r - s mean,   A = C'C - s s' / N,   s = C'1.
- * Any two different codes of a family but v (code N + 1) have the product -1, so that A = (N + 1) I - 1 1' - s s' / N: a multiple of the identity and a matrix of
- * rank two, whose inverse is that of a 2 x 2 matrix (Woodbury). The products with v take other values: lists with code N + 1 are refused, as are
- * repeated codes, which nothing can separate.
+ * Any two different codes of a family but v (code N + 1) have the product -1, so that A = (N + 1) I - 1 1' - s s' / N:
+ * a multiple of the identity and a matrix of rank two, whose inverse is that of a 2 x 2 matrix (Woodbury). The products
+ * with v take other values: lists with code N + 1 are refused, as are repeated codes, which nothing can separate.
  *
  * Noise: with a standard deviation of noise on each sample, that of a component of b_i is noise sqrt((A^-1)_ii).
  * Time: about 25 instructions a code and axis. Memory: 280 bytes.
@@ -24,8 +25,10 @@ typedef struct {
     float inverse[2][2];              /* Of (N + 1) I - V'U, U = [1, s], V = [1, s / N]. */
 } separation_t;
 
-/* Prepare for a list of codes of N = chips with their sums (gold_sum). False, and count is 0: too many for this list or for so few chips, code N + 1 or above, or one code twice. */
-bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *codes, const int16_t *sums, uint32_t count);
+/* Prepare for a list of codes of N = chips with their sums (gold_sum). False, and count is 0: too many for this list
+ * or for so few chips, code N + 1 or above, or one code twice. */
+bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *codes, const int16_t *sums,
+                     uint32_t count);
 
 /* Correlations of one axis, all sums over the same cycle divided by N, to fields, in place. */
 void separation_apply(const separation_t *separation, float mean, float *field);

@@ -1,24 +1,26 @@
 #include "core/drive/current.h"
 
-#define MID_SCALE 2048
+#define MID_SCALE     2048
 #define MAGNITUDE_MAX 2046u /* Beyond lie the rails. */
 #define REFERENCE_MAX 4095.0f
-#define KEPT 0.875f   /* Of the old sums, block after block. */
-#define ADAPTED 0.25f /* Of the reference of a driver without error, at most. */
-#define ONE 65536.0f
+#define KEPT          0.875f /* Of the old sums, block after block. */
+#define ADAPTED       0.25f  /* Of the reference of a driver without error, at most. */
+#define ONE           65536.0f
 
 bool current_configure(current_t *current, const current_config_t *config) {
     /* Written so that a value that is not a number fails. */
-    if (!(config->sense_A > 0.0f && config->reference_A > 0.0f && config->amplitude_A >= 0.0f && config->over_current_A >= 0.0f &&
-          config->open_fraction >= 0.0f && config->open_fraction <= 1.0f)) {
+    if (!(config->sense_A > 0.0f && config->reference_A > 0.0f && config->amplitude_A >= 0.0f &&
+          config->over_current_A >= 0.0f && config->open_fraction >= 0.0f && config->open_fraction <= 1.0f)) {
         return false;
     }
     const float scale = config->reference_A / config->sense_A;
-    if (!(config->amplitude_A / config->sense_A <= (float)(MID_SCALE - 1) && scale >= 1.0f / 1024.0f && scale <= 8.0f)) {
+    if (!(config->amplitude_A / config->sense_A <= (float)(MID_SCALE - 1) && scale >= 1.0f / 1024.0f &&
+          scale <= 8.0f)) {
         return false;
     }
     const float limit = config->over_current_A / config->sense_A;
-    const float least_A = config->amplitude_A > 4.0f * CURRENT_OPEN_MINIMUM_A ? 0.25f * config->amplitude_A : CURRENT_OPEN_MINIMUM_A;
+    const float least_A = config->amplitude_A > 4.0f * CURRENT_OPEN_MINIMUM_A ? 0.25f * config->amplitude_A
+                                                                              : CURRENT_OPEN_MINIMUM_A;
     const float open_above = config->open_fraction > 0.0f ? least_A / config->reference_A : REFERENCE_MAX;
     *current = (current_t){
         .state = CURRENT_OFF,
@@ -89,7 +91,9 @@ static void gather(current_t *current) {
     current->chips = 0;
 }
 
-static float within(float value, float low, float high) { return value < low ? low : value > high ? high : value; }
+static float within(float value, float low, float high) {
+    return value < low ? low : value > high ? high : value;
+}
 
 static void end_block(current_t *current) {
     const current_config_t *const config = &current->config;

@@ -4,7 +4,9 @@
 
 #define PI 3.14159265f
 
-uint32_t waveform_channels(uint32_t kind) { return kind == WAVEFORM_ROTATING ? 2u : 1u; }
+uint32_t waveform_channels(uint32_t kind) {
+    return kind == WAVEFORM_ROTATING ? 2u : 1u;
+}
 
 /* One code into the next part. False if it does not exist or does not fit a cycle of so many chips. */
 static bool add_part(waveform_t *waveform, const waveform_code_t *code) {
@@ -50,12 +52,17 @@ static bool start_tone(waveform_t *waveform, uint32_t periods) {
 static bool start(waveform_t *waveform, uint32_t degree, const waveform_config_t *config) {
     const waveform_code_t plain = {degree, config->code, 0u, 1u};
     switch (config->kind) {
-    case WAVEFORM_CODE: return start_codes(waveform, &plain, 1u);
-    case WAVEFORM_SUPERPOSED: return start_codes(waveform, config->codes, WAVEFORM_CODES);
-    case WAVEFORM_SLOT: return start_slot(waveform, config);
+    case WAVEFORM_CODE:
+        return start_codes(waveform, &plain, 1u);
+    case WAVEFORM_SUPERPOSED:
+        return start_codes(waveform, config->codes, WAVEFORM_CODES);
+    case WAVEFORM_SLOT:
+        return start_slot(waveform, config);
     case WAVEFORM_TONE:
-    case WAVEFORM_ROTATING: return start_tone(waveform, config->periods);
-    default: return false;
+    case WAVEFORM_ROTATING:
+        return start_tone(waveform, config->periods);
+    default:
+        return false;
     }
 }
 
@@ -109,14 +116,17 @@ static int16_t next_of_tone(waveform_t *waveform) {
     return 4u * phase < length || 4u * phase > 3u * length ? WAVEFORM_ONE : -WAVEFORM_ONE;
 }
 
-/* Level of sin(2 pi turns), -1/2 <= turns <= 5/4. Folded to a quarter turn, where the series up to x^9 errs by less than 4e-6. */
+/* Level of sin(2 pi turns), -1/2 <= turns <= 5/4. Folded to a quarter turn, where the series up to x^9 errs by less
+ * than 4e-6. */
 static int16_t sine(float turns) {
     float folded = turns > 0.75f ? turns - 1.0f : turns;
     if (folded > 0.25f) {
         folded = 0.5f - folded;
     }
     const float x = 2.0f * PI * folded, square = x * x;
-    return rounded(x * (1.0f + square * (-1.0f / 6.0f + square * (1.0f / 120.0f + square * (-1.0f / 5040.0f + square * (1.0f / 362880.0f))))));
+    return rounded(
+        x * (1.0f + square * (-1.0f / 6.0f +
+                              square * (1.0f / 120.0f + square * (-1.0f / 5040.0f + square * (1.0f / 362880.0f))))));
 }
 
 static void next_of_rotating(waveform_t *waveform, int16_t level[WAVEFORM_CHANNELS]) {
@@ -128,9 +138,17 @@ static void next_of_rotating(waveform_t *waveform, int16_t level[WAVEFORM_CHANNE
 void waveform_next(waveform_t *waveform, int16_t level[WAVEFORM_CHANNELS]) {
     level[1] = 0;
     switch (waveform->kind) {
-    case WAVEFORM_SLOT: level[0] = next_of_slot(waveform); break;
-    case WAVEFORM_TONE: level[0] = next_of_tone(waveform); break;
-    case WAVEFORM_ROTATING: next_of_rotating(waveform, level); break;
-    default: level[0] = next_of_codes(waveform); break; /* waveform_start makes no other. */
+    case WAVEFORM_SLOT:
+        level[0] = next_of_slot(waveform);
+        break;
+    case WAVEFORM_TONE:
+        level[0] = next_of_tone(waveform);
+        break;
+    case WAVEFORM_ROTATING:
+        next_of_rotating(waveform, level);
+        break;
+    default:
+        level[0] = next_of_codes(waveform);
+        break; /* waveform_start makes no other. */
     }
 }

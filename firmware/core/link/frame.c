@@ -2,8 +2,8 @@
 
 #include <string.h>
 
-#define HEAD 4u /* Bytes of the identifier. */
-#define CHECK 2u
+#define HEAD     4u /* Bytes of the identifier. */
+#define CHECK    2u
 #define BODY_MAX (HEAD + FRAME_DATA_MAX + CHECK)
 
 uint16_t frame_crc(const uint8_t *bytes, size_t count) {
@@ -48,7 +48,9 @@ size_t frame_encode(const frame_t *frame, uint8_t encoded[FRAME_ENCODED_MAX]) {
     return end + 1u;
 }
 
-void frame_decoder_init(frame_decoder_t *decoder) { *decoder = (frame_decoder_t){0}; }
+void frame_decoder_init(frame_decoder_t *decoder) {
+    *decoder = (frame_decoder_t){0};
+}
 
 static void count_up(uint32_t *counter) {
     if (*counter < UINT32_MAX) {
@@ -84,7 +86,8 @@ static bool check(frame_decoder_t *decoder, frame_t *frame) {
         count_up(&decoder->bad_crc);
         return false;
     }
-    const uint32_t id = payload[0] | (uint32_t)payload[1] << 8 | (uint32_t)payload[2] << 16 | (uint32_t)payload[3] << 24;
+    const uint32_t id = payload[0] | (uint32_t)payload[1] << 8 | (uint32_t)payload[2] << 16 |
+                        (uint32_t)payload[3] << 24;
     if (id > FRAME_ID_MAX) {
         count_up(&decoder->malformed);
         return false;

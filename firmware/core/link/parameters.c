@@ -3,10 +3,11 @@
 #include <stdbool.h>
 #include <string.h>
 
-#include "core/link/frame.h"
 #include "core/codes/gold.h"
+#include "core/link/frame.h"
 
-/* Parameters of one kind: rows of count successive ids, each row stride after the one before. The limits are exact in a float. */
+/* Parameters of one kind: rows of count successive ids, each row stride after the one before. The limits are exact
+ * in a float. */
 typedef struct {
     uint16_t first_id, count, rows, stride;
     parameter_kind_t kind;
@@ -35,10 +36,12 @@ static const run_t runs[] = {
     {PARAMETER_DEGREE, 1, 1, 0, PARAMETER_UNSIGNED, 5.0f, 11.0f, 10.0f},
     {PARAMETER_HALF_SPACE, 6, 1, 0, PARAMETER_FLOAT, -1e6f, 1e6f, 0.0f},
     {PARAMETER_CODE_LIST, PARAMETER_CODE_LIST_LENGTH, 1, 0, PARAMETER_UNSIGNED, 0.0f, 2048.0f, 0.0f},
-    {PARAMETER_CODES, PARAMETER_CODES_FIELDS, PARAMETER_CODES_LENGTH, PARAMETER_CODES_STRIDE, PARAMETER_UNSIGNED, 0.0f, 2048.0f, 0.0f},
-    {PARAMETER_BEACONS, PARAMETER_BEACON_FIELDS, PARAMETER_CODE_LIST_LENGTH, PARAMETER_BEACON_STRIDE, PARAMETER_FLOAT, -1e6f, 1e6f, 0.0f},
+    {PARAMETER_CODES, PARAMETER_CODES_FIELDS, PARAMETER_CODES_LENGTH, PARAMETER_CODES_STRIDE, PARAMETER_UNSIGNED, 0.0f,
+     2048.0f, 0.0f},
+    {PARAMETER_BEACONS, PARAMETER_BEACON_FIELDS, PARAMETER_CODE_LIST_LENGTH, PARAMETER_BEACON_STRIDE, PARAMETER_FLOAT,
+     -1e6f, 1e6f, 0.0f},
 };
-#define RUNS (sizeof runs / sizeof runs[0])
+#define RUNS                (sizeof runs / sizeof runs[0])
 #define NOMINAL_T_PER_COUNT (200e-6f / 2048.0f) /* +-200 uT over the converter's range. */
 
 static uint32_t float_bits(float value) {
@@ -58,7 +61,8 @@ static const run_t *find(uint32_t id, uint32_t *place) {
     uint32_t first_place = 0;
     for (size_t i = 0; i < RUNS; i++) {
         const uint32_t distance = id - runs[i].first_id; /* Wraps below first_id, and is large. */
-        const uint32_t row = runs[i].rows > 1u ? distance / runs[i].stride : 0u, column = distance - row * runs[i].stride;
+        const uint32_t row = runs[i].rows > 1u ? distance / runs[i].stride : 0u,
+                       column = distance - row * runs[i].stride;
         if (row < runs[i].rows && column < runs[i].count) {
             *place = first_place + row * runs[i].count + column;
             return &runs[i];
@@ -82,7 +86,8 @@ static bool in_range(const run_t *run, uint32_t bits) {
 void parameters_init(parameters_t *parameters) {
     uint32_t place = 0;
     for (size_t i = 0; i < RUNS; i++) {
-        const uint32_t initial = runs[i].kind == PARAMETER_FLOAT ? float_bits(runs[i].initial) : (uint32_t)runs[i].initial;
+        const uint32_t initial = runs[i].kind == PARAMETER_FLOAT ? float_bits(runs[i].initial)
+                                                                 : (uint32_t)runs[i].initial;
         for (uint32_t j = 0; j < (uint32_t)runs[i].count * runs[i].rows; j++) {
             parameters->bits[place] = initial;
             place++;
@@ -133,9 +138,13 @@ float parameters_float(const parameters_t *parameters, uint32_t id) {
     return value.kind == PARAMETER_FLOAT ? bits_float(value.bits) : 0.0f;
 }
 
-static uint32_t read_u16(const uint8_t *bytes) { return bytes[0] | (uint32_t)bytes[1] << 8; }
+static uint32_t read_u16(const uint8_t *bytes) {
+    return bytes[0] | (uint32_t)bytes[1] << 8;
+}
 
-static uint32_t read_u32(const uint8_t *bytes) { return read_u16(bytes) | read_u16(bytes + 2) << 16; }
+static uint32_t read_u32(const uint8_t *bytes) {
+    return read_u16(bytes) | read_u16(bytes + 2) << 16;
+}
 
 parameters_page_t parameters_load(parameters_t *parameters, const uint8_t *page, size_t size, uint32_t *refused) {
     enum { MAGIC = 0x31504647, HEADER = 8, ENTRY = 8 };
@@ -147,7 +156,8 @@ parameters_page_t parameters_load(parameters_t *parameters, const uint8_t *page,
     if (magic == UINT32_MAX) {
         return PARAMETERS_PAGE_EMPTY;
     }
-    if (magic != MAGIC || count > (size - HEADER) / ENTRY || frame_crc(page + HEADER, (size_t)count * ENTRY) != read_u16(page + 6)) {
+    if (magic != MAGIC || count > (size - HEADER) / ENTRY ||
+        frame_crc(page + HEADER, (size_t)count * ENTRY) != read_u16(page + 6)) {
         return PARAMETERS_PAGE_BAD;
     }
     for (uint32_t i = 0; i < count; i++) {

@@ -1,13 +1,15 @@
 /* queue.h: a bounded queue of messages from one producer to one consumer, without locks.
  *
- * One producer context and one consumer context, for example an interrupt and main, or both the same. Two interrupts of different priority must not share the producer
- * side. The producer writes only head and lost, the consumer only tail; both are single words, published after the message they cover (C11 release and acquire),
- * so the queue is right for interrupts on one core and for threads alike.
+ * One producer context and one consumer context, for example an interrupt and main, or both the same. Two interrupts of
+ * different priority must not share the producer side. The producer writes only head and lost, the consumer only tail;
+ * both are single words, published after the message they cover (C11 release and acquire), so the queue is right for
+ * interrupts on one core and for threads alike.
  *
- * Order: first in, first out. Loss: when full, the new message is refused and counted; what is queued is never overwritten.
- * Latency: a message leaves after at most capacity - 1 others. Drained to the serial line of 2,000,000 baud (at most 80 us a message) a queue of 128 holds a
- * message for at most 10.3 ms, as long as the consumer keeps the line busy; on CAN at 1 Mbit/s (at most 160 us for a frame of 8 bytes with all stuff bits) 20.5 ms, plus
- * the time that frames of lower id from other nodes hold the bus.
+ * Order: first in, first out. Loss: when full, the new message is refused and counted; what is queued is never
+ * overwritten. Latency: a message leaves after at most capacity - 1 others. Drained to the serial line of 2,000,000
+ * baud (at most 80 us a message) a queue of 128 holds a message for at most 10.3 ms, as long as the consumer keeps the
+ * line busy; on CAN at 1 Mbit/s (at most 160 us for a frame of 8 bytes with all stuff bits) 20.5 ms, plus the time that
+ * frames of lower id from other nodes hold the bus.
  *
  * Memory: the caller's array. Time: push and pop about 30 instructions each, no loops but the copy of one message.
  */

@@ -1,7 +1,8 @@
 /* normal3.h: normal equations of a weighted least-squares problem in three unknowns, summed row by row.
  *
- * Minimises sum of weight (error - slope . x)^2 over the rows. A matrix of known information (inverse covariance) may stand in it from the start: prior knowledge.
- * Elimination without pivoting, as a symmetric positive matrix allows; an unknown that no row tells of gets x = 0 and a huge variance. Time: a few divisions. Memory: 48 bytes.
+ * Minimises sum of weight (error - slope . x)^2 over the rows. A matrix of known information (inverse covariance) may
+ * stand in it from the start: prior knowledge. Elimination without pivoting, as a symmetric positive matrix allows; an
+ * unknown that no row tells of gets x = 0 and a huge variance. Time: a few divisions. Memory: 48 bytes.
  */
 #ifndef GOLDFIELD_NORMAL3_H
 #define GOLDFIELD_NORMAL3_H

@@ -10,10 +10,12 @@ void quaternion_normalise(float quaternion[4]);
 /* Rotation matrix of a unit quaternion. About 50 instructions. */
 void quaternion_matrix(const float quaternion[4], float matrix[3][3]);
 
-/* Unit quaternion nearest to a matrix that is a rotation but for rounding and scale (Shepperd: from the greatest of its components). */
+/* Unit quaternion nearest to a matrix that is a rotation but for rounding and scale (Shepperd: from the greatest of
+ * its components). */
 void quaternion_from_matrix(const float matrix[3][3], float quaternion[4]);
 
-/* Turn by a small vector of the site's frame, rad: (1, vector/2) times quaternion, exact to second order in the angle; any angle gives a rotation. */
+/* Turn by a small vector of the site's frame, rad: (1, vector/2) times quaternion, exact to second order in the
+ * angle; any angle gives a rotation. */
 void quaternion_turn(float quaternion[4], const float vector_rad[3]);
 
 #endif

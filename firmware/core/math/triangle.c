@@ -4,10 +4,12 @@
 
 #include "core/math/roots.h"
 
-#define N TRIANGLE_UNKNOWNS
+#define N    TRIANGLE_UNKNOWNS
 #define SEEN 1e-6f /* Of a column's norm: less on the diagonal is rounding. */
 
-void triangle_init(triangle_t *triangle) { *triangle = (triangle_t){0}; }
+void triangle_init(triangle_t *triangle) {
+    *triangle = (triangle_t){0};
+}
 
 /* Column by column, reflect (r[j][j], rows[0..2][j]) onto its first component. */
 void triangle_add(triangle_t *triangle, triangle_rows_t rows) {
@@ -22,7 +24,8 @@ void triangle_add(triangle_t *triangle, triangle_rows_t rows) {
         const float tau = 2.0f / (head * head + below);
         r[j] = r[j] > 0.0f ? -norm : norm;
         for (uint32_t k = j + 1u; k < TRIANGLE_COLUMNS; k++) {
-            const float t = tau * (head * r[k] + rows[0][j] * rows[0][k] + rows[1][j] * rows[1][k] + rows[2][j] * rows[2][k]);
+            const float t = tau *
+                            (head * r[k] + rows[0][j] * rows[0][k] + rows[1][j] * rows[1][k] + rows[2][j] * rows[2][k]);
             r[k] -= t * head;
             rows[0][k] -= t * rows[0][j];
             rows[1][k] -= t * rows[1][j];

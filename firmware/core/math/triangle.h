@@ -1,7 +1,9 @@
-/* triangle.h: linear least squares of six unknowns in square-root form: rows are folded into a triangle as they come, none is kept.
+/* triangle.h: linear least squares of six unknowns in square-root form: rows are folded into a triangle as they come,
+ * none is kept.
  *
- * The triangle R and right side z satisfy R'R = A'A and R'z = A'y for the rows A, y folded so far (Householder reflections of three rows at a time). The normal
- * matrix is never formed: its condition is the square of A's, which near a beacon is 1e4 and more, and single precision has 7 digits.
+ * The triangle R and right side z satisfy R'R = A'A and R'z = A'y for the rows A, y folded so far (Householder
+ * reflections of three rows at a time). The normal matrix is never formed: its condition is the square of A's, which
+ * near a beacon is 1e4 and more, and single precision has 7 digits.
  *
  * Time (Cortex-M4, -O3): triangle_add 890, triangle_solve 1,700 instructions. Memory: 168 bytes.
  */
@@ -11,7 +13,7 @@
 #include <stdbool.h>
 
 #define TRIANGLE_UNKNOWNS 6u
-#define TRIANGLE_COLUMNS 7u /* The last is the right side. */
+#define TRIANGLE_COLUMNS  7u /* The last is the right side. */
 
 typedef float triangle_rows_t[3][TRIANGLE_COLUMNS];
 
@@ -28,7 +30,8 @@ void triangle_add(triangle_t *triangle, triangle_rows_t rows);
  * An unknown that no row tells of gets no step. */
 void triangle_solve(const triangle_t *triangle, float damping, float step[TRIANGLE_UNKNOWNS]);
 
-/* Inverse of R, upper triangular, so that the covariance is L L'. False, and L is not set, if the rows do not tell all unknowns. */
+/* Inverse of R, upper triangular, so that the covariance is L L'. False, and L is not set, if the rows do not tell
+ * all unknowns. */
 bool triangle_invert(const triangle_t *triangle, float l[TRIANGLE_UNKNOWNS][TRIANGLE_UNKNOWNS]);
 
 #endif

@@ -1,8 +1,11 @@
-/* vector3.h: the few operations on vectors of three floats that the core needs. Inline; each a handful of instructions. */
+/* vector3.h: the few operations on vectors of three floats that the core needs. Inline; each a handful of
+ * instructions. */
 #ifndef GOLDFIELD_VECTOR3_H
 #define GOLDFIELD_VECTOR3_H
 
-static inline float vector3_dot(const float a[3], const float b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+static inline float vector3_dot(const float a[3], const float b[3]) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+}
 
 static inline void vector3_cross(const float a[3], const float b[3], float product[3]) {
     product[0] = a[1] * b[2] - a[2] * b[1];

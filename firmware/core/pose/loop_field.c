@@ -5,17 +5,18 @@
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 
-#define ENOUGH 1e-4f    /* Relative difference of the two means: the next step squares it. */
-#define TINY_M2 1e-20f  /* Only avoids 0/0 on the axis, where it multiplies two radial vectors. */
+#define ENOUGH  1e-4f  /* Relative difference of the two means: the next step squares it. */
+#define TINY_M2 1e-20f /* Only avoids 0/0 on the axis, where it multiplies two radial vectors. */
 
 /* What field and gradient share. */
 typedef struct {
     float offset[3], radial[3]; /* From the centre; and its part across the axis. */
     float height, rho2, u, s, w2;
-    float i10, j11;             /* I_10 and I_11 / w. */
+    float i10, j11; /* I_10 and I_11 / w. */
 } integrals_t;
 
-/* Arithmetic-geometric mean of greatest and least, and tau = sum of 2^(n-1) c_n^2 / w^2 over its steps, c_n their half differences. */
+/* Arithmetic-geometric mean of greatest and least, and tau = sum of 2^(n-1) c_n^2 / w^2 over its steps, c_n their
+ * half differences. */
 static float mean_of(float greatest, float least, float *tau) {
     const float total = greatest + least;
     float a = 0.5f * total, b = square_root(greatest * least);
@@ -82,7 +83,8 @@ void loop_field_and_gradient(const loop_t *loop, const float point_m[3], float f
     for (uint32_t axis = 0; axis < 3u; axis++) {
         const float j_slope = along_j * i.offset[axis] + across_j * i.radial[axis];
         const float i_slope = along_i * i.offset[axis] + across_i * i.radial[axis];
-        axial_slope[axis] = scale * (i_slope - 2.0f * i.rho2 * j_slope - 4.0f * i.j11 * i.radial[axis]) - lift * loop->axis[axis];
+        axial_slope[axis] = scale * (i_slope - 2.0f * i.rho2 * j_slope - 4.0f * i.j11 * i.radial[axis]) -
+                            lift * loop->axis[axis];
         lift_slope[axis] = scale * 2.0f * (i.height * j_slope + i.j11 * loop->axis[axis]);
     }
     for (uint32_t row = 0; row < 3u; row++) {

@@ -2,22 +2,22 @@
 
 #include <string.h>
 
-#include "core/pose/pose_covariance.h"
 #include "core/math/quaternion.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
+#include "core/pose/pose_covariance.h"
 
-#define MICROTESLA 1e6f
-#define UT_M3_PER_A_M2 0.1f        /* mu0 / (4 pi) */
-#define ENOUGH_BEACONS 4u          /* With fewer there may be several answers: all candidates are fitted. */
-#define LEAST_EVALUATIONS 12u      /* Fewer are no fit. */
-#define RIVAL_COST 15.0f           /* Another pose within this of the best would be right in one case of e^7.5. */
-#define SUSPECT 2.326f             /* Of a normal deviate, one-sided: 1 in 100. */
-#define IMPROBABLE 3.54f           /* 1 in 5,000. */
-#define FLAT 0.25f                 /* Thickness over extent, and tilt, up to which the mirror pose is tried. */
-#define WEAK_POSITION 0.25f
+#define MICROTESLA        1e6f
+#define UT_M3_PER_A_M2    0.1f   /* mu0 / (4 pi) */
+#define ENOUGH_BEACONS    4u     /* With fewer there may be several answers: all candidates are fitted. */
+#define LEAST_EVALUATIONS 12u    /* Fewer are no fit. */
+#define RIVAL_COST        15.0f  /* Another pose within this of the best would be right in one case of e^7.5. */
+#define SUSPECT           2.326f /* Of a normal deviate, one-sided: 1 in 100. */
+#define IMPROBABLE        3.54f  /* 1 in 5,000. */
+#define FLAT              0.25f  /* Thickness over extent, and tilt, up to which the mirror pose is tried. */
+#define WEAK_POSITION     0.25f
 #define WEAK_ATTITUDE_RAD 0.5f
-#define GREATEST 1e15f             /* uT: beyond it squares overflow. */
+#define GREATEST          1e15f /* uT: beyond it squares overflow. */
 
 /* The chi-square that is exceeded with the probability of a normal deviate (Wilson and Hilferty, 1931). */
 static float chi_square(uint32_t freedom, float deviate) {
@@ -26,7 +26,9 @@ static float chi_square(uint32_t freedom, float deviate) {
     return f * root * root * root;
 }
 
-static uint32_t freedom(const pose_problem_t *problem) { return 3u * problem->count - TRIANGLE_UNKNOWNS; }
+static uint32_t freedom(const pose_problem_t *problem) {
+    return 3u * problem->count - TRIANGLE_UNKNOWNS;
+}
 
 static bool explains(const pose_problem_t *problem, const pose_fit_t *fit, float deviate) {
     return fit->cost <= chi_square(freedom(problem), deviate);
@@ -45,8 +47,8 @@ static bool hear(const pose_beacon_t *beacon, const pose_field_t *measured, pose
     heard->sigma_uT = MICROTESLA * measured->sigma_T;
     heard->loop.k_uT_m3 = UT_M3_PER_A_M2 * beacon->moment_A_m2;
     heard->loop.radius_m = beacon->radius_m > 0.0f ? beacon->radius_m : 0.0f;
-    return length2 > 0.0f && beacon->moment_A_m2 != 0.0f && heard->sigma_uT > 0.0f && heard->sigma_uT < GREATEST && heard->magnitude_uT > 0.0f &&
-           heard->magnitude_uT < GREATEST; /* Also false for what is not a number. */
+    return length2 > 0.0f && beacon->moment_A_m2 != 0.0f && heard->sigma_uT > 0.0f && heard->sigma_uT < GREATEST &&
+           heard->magnitude_uT > 0.0f && heard->magnitude_uT < GREATEST; /* Also false for what is not a number. */
 }
 
 static void pose_problem(const pose_site_t *site, const pose_field_t *fields, pose_work_t *work) {
@@ -100,7 +102,8 @@ static bool different(const pose_problem_t *problem, const pose_fit_t *a, const 
 
 /* ---- The mirror ---- */
 
-/* Unit normal of the plane of nearly coplanar coils that point across it; point: their mean. False if they are not such. */
+/* Unit normal of the plane of nearly coplanar coils that point across it; point: their mean. False if they are not
+ * such. */
 static bool mirror_plane(const pose_problem_t *problem, float point_m[3], float normal[3]) {
     memset(point_m, 0, 3u * sizeof *point_m);
     memset(normal, 0, 3u * sizeof *normal);
@@ -121,7 +124,8 @@ static bool mirror_plane(const pose_problem_t *problem, float point_m[3], float 
         const loop_t *loop = &problem->heard[i].loop;
         float offset[3];
         vector3_subtract(loop->centre_m, point_m, offset);
-        const float height = vector3_dot(offset, normal), cosine = vector3_dot(loop->axis, normal), distance2 = vector3_dot(offset, offset);
+        const float height = vector3_dot(offset, normal), cosine = vector3_dot(loop->axis, normal),
+                    distance2 = vector3_dot(offset, offset);
         thickness2 = height * height > thickness2 ? height * height : thickness2;
         extent2 = distance2 > extent2 ? distance2 : extent2;
         least_cosine2 = cosine * cosine < least_cosine2 ? cosine * cosine : least_cosine2;
@@ -145,11 +149,13 @@ static void reflect(const float point_m[3], const float n[3], const pose_fit_t *
 
 /* ---- Result ---- */
 
-/* Whether the greatest eigenvalue of a symmetric matrix is beyond a limit: limit I - matrix then is not positive definite (Sylvester). */
+/* Whether the greatest eigenvalue of a symmetric matrix is beyond a limit: limit I - matrix then is not positive
+ * definite (Sylvester). */
 static bool beyond(const float m[3][3], float limit) {
     const float a = limit - m[0][0], b = limit - m[1][1], c = limit - m[2][2];
     const float minor = a * b - m[0][1] * m[0][1];
-    const float determinant = minor * c - a * m[1][2] * m[1][2] - b * m[0][2] * m[0][2] - 2.0f * m[0][1] * m[1][2] * m[0][2];
+    const float determinant = minor * c - a * m[1][2] * m[1][2] - b * m[0][2] * m[0][2] -
+                              2.0f * m[0][1] * m[1][2] * m[0][2];
     return !(a > 0.0f && minor > 0.0f && determinant > 0.0f);
 }
 
@@ -185,8 +191,9 @@ static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
         pose->quaternion[i] = sign * best->quaternion[i];
     }
     const uint32_t degrees = freedom(problem);
-    const bool weak = beyond((const float (*)[3])pose->position_cov_m2, WEAK_POSITION * WEAK_POSITION * nearest2(problem, best->position_m)) ||
-                      beyond((const float (*)[3])pose->attitude_cov_rad2, WEAK_ATTITUDE_RAD * WEAK_ATTITUDE_RAD);
+    const bool weak = beyond((const float(*)[3])pose->position_cov_m2,
+                             WEAK_POSITION * WEAK_POSITION * nearest2(problem, best->position_m)) ||
+                      beyond((const float(*)[3])pose->attitude_cov_rad2, WEAK_ATTITUDE_RAD * WEAK_ATTITUDE_RAD);
     pose->residual = square_root(best->cost / (float)degrees);
     pose->status = !explains(problem, best, IMPROBABLE) || !inside(work, best) ? POSE_INCONSISTENT
                    : contested                                                 ? POSE_AMBIGUOUS
@@ -197,7 +204,8 @@ static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
 /* Note a fit with the noise alone; *rival: least cost of another pose. */
 static void note(pose_work_t *work, const pose_fit_t *fit, float *rival) {
     pose_fit_t *best = &work->best;
-    const bool other = best->cost < POSE_FIT_HOPELESS && different(&work->problem, best, fit) && inside(work, fit) && inside(work, best);
+    const bool other = best->cost < POSE_FIT_HOPELESS && different(&work->problem, best, fit) && inside(work, fit) &&
+                       inside(work, best);
     const float worse = fit->cost > best->cost ? fit->cost : best->cost;
     *rival = other && worse < *rival ? worse : *rival;
     if (fit->cost < best->cost) {
@@ -205,7 +213,8 @@ static void note(pose_work_t *work, const pose_fit_t *fit, float *rival) {
     }
 }
 
-/* Fit the candidates, the best into work->best: those that are plausible with model error, or the least implausible. True: another pose explains the fields as well. */
+/* Fit the candidates, the best into work->best: those that are plausible with model error, or the least implausible.
+ * True: another pose explains the fields as well. */
 static bool fit_candidates(pose_work_t *work, uint32_t *iterations) {
     const pose_problem_t *problem = &work->problem;
     const pose_candidates_t *candidates = &work->candidates;

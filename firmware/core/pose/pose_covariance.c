@@ -4,7 +4,7 @@
 
 #include "core/math/quaternion.h"
 
-#define N TRIANGLE_UNKNOWNS
+#define N      TRIANGLE_UNKNOWNS
 #define BEYOND 1e12f /* m^2: a million kilometres are no knowledge. */
 
 typedef float square_t[N][N];
@@ -23,9 +23,10 @@ static void principal(const triangle_rows_t rows, const square_t l, float result
     }
 }
 
-/* The rows at the pose moved by sign times a column of L. turn is the rotation of that column: seen in a frame that turns with the sensor the noise stays as it is. */
-static void moved(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, uint32_t axis, float sign, const float turn[3][3], float weight,
-                  triangle_rows_t back) {
+/* The rows at the pose moved by sign times a column of L. turn is the rotation of that column: seen in a frame that
+ * turns with the sensor the noise stays as it is. */
+static void moved(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, uint32_t axis, float sign,
+                  const float turn[3][3], float weight, triangle_rows_t back) {
     float position[3], field[3];
     triangle_rows_t rows;
     for (uint32_t i = 0; i < 3u; i++) {
@@ -34,7 +35,8 @@ static void moved(const pose_heard_t *heard, const pose_fit_t *fit, const square
     pose_fit_rows(heard, position, weight, rows, field);
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < N; column++) {
-            back[row][column] = turn[0][row] * rows[0][column] + turn[1][row] * rows[1][column] + turn[2][row] * rows[2][column];
+            back[row][column] = turn[0][row] * rows[0][column] + turn[1][row] * rows[1][column] +
+                                turn[2][row] * rows[2][column];
         }
     }
 }
@@ -49,12 +51,13 @@ static void turns_of(const square_t l, float sign, float turns[N][3][3]) {
     }
 }
 
-static void add_beacon(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, const float there[N][3][3], const float opposite[N][3][3], second_t q) {
+static void add_beacon(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, const float there[N][3][3],
+                       const float opposite[N][3][3], second_t q) {
     const float weight = pose_fit_inverse_sigma(heard, 0.0f);
     triangle_rows_t here, ahead, behind;
     float field[3], along[3][N], change[3][N];
     pose_fit_rows(heard, fit->position_m, weight, here, field);
-    principal((const float (*)[TRIANGLE_COLUMNS])here, l, along);
+    principal((const float(*)[TRIANGLE_COLUMNS])here, l, along);
     for (uint32_t axis = 0; axis < N; axis++) {
         moved(heard, fit, l, axis, 1.0f, there[axis], weight, ahead);
         moved(heard, fit, l, axis, -1.0f, opposite[axis], weight, behind);
@@ -63,7 +66,7 @@ static void add_beacon(const pose_heard_t *heard, const pose_fit_t *fit, const s
                 ahead[row][column] = 0.5f * (ahead[row][column] - behind[row][column]);
             }
         }
-        principal((const float (*)[TRIANGLE_COLUMNS])ahead, l, change);
+        principal((const float(*)[TRIANGLE_COLUMNS])ahead, l, change);
         for (uint32_t i = 0; i < N; i++) {
             for (uint32_t k = 0; k < N; k++) {
                 q[axis][i][k] += change[0][i] * along[0][k] + change[1][i] * along[1][k] + change[2][i] * along[2][k];
@@ -105,12 +108,13 @@ bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, squar
         return false;
     }
     float there[N][3][3], opposite[N][3][3];
-    turns_of((const float (*)[N])l, 1.0f, there);
-    turns_of((const float (*)[N])l, -1.0f, opposite);
+    turns_of((const float(*)[N])l, 1.0f, there);
+    turns_of((const float(*)[N])l, -1.0f, opposite);
     second_t q;
     memset(q, 0, sizeof q);
     for (uint32_t i = 0; i < problem->count; i++) {
-        add_beacon(&problem->heard[i], fit, (const float (*)[N])l, (const float (*)[3][3])there, (const float (*)[3][3])opposite, q);
+        add_beacon(&problem->heard[i], fit, (const float(*)[N])l, (const float(*)[3][3])there,
+                   (const float(*)[3][3])opposite, q);
     }
     inflation(q, inner);
     for (uint32_t row = 0; row < N; row++) {
@@ -130,7 +134,8 @@ bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, squar
             }
             covariance[row][column] = sum;
         }
-        told = told && covariance[row][row] > 0.0f && covariance[row][row] < BEYOND; /* False for what is not a number. */
+        told = told && covariance[row][row] > 0.0f &&
+               covariance[row][row] < BEYOND; /* False for what is not a number. */
     }
     return told;
 }

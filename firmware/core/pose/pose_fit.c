@@ -4,20 +4,24 @@
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 
-#define TOLERANCE 1e-3f       /* A fit ends after a step that promised to lower the cost by less: 3 % of a standard deviation, and the step is taken. */
-#define DAMPING_FAR 1e-3f     /* At first. */
-#define DAMPING_NEAR 1e-6f
+#define TOLERANCE                                                                                                      \
+    1e-3f /* A fit ends after a step that promised to lower the cost by less: 3 % of a standard deviation, and the     \
+             step is taken. */
+#define DAMPING_FAR   1e-3f /* At first. */
+#define DAMPING_NEAR  1e-6f
 #define DAMPING_LEAST 1e-9f
-#define DAMPING_LAST 1e-12f   /* The last step goes all the way along ill-determined directions. */
-#define DAMPING_MOST 1e8f     /* No step lowers the cost any more: rounding. */
-#define GRAIN 3e-7f           /* Rounding of a field and of what is compared with it, relative. */
+#define DAMPING_LAST  1e-12f /* The last step goes all the way along ill-determined directions. */
+#define DAMPING_MOST  1e8f   /* No step lowers the cost any more: rounding. */
+#define GRAIN         3e-7f  /* Rounding of a field and of what is compared with it, relative. */
 
 float pose_fit_inverse_sigma(const pose_heard_t *heard, float model_error) {
     const float relative2 = model_error * model_error + POSE_FIT_ROUNDING * POSE_FIT_ROUNDING;
-    return inverse_square_root(heard->sigma_uT * heard->sigma_uT + relative2 * heard->magnitude_uT * heard->magnitude_uT);
+    return inverse_square_root(heard->sigma_uT * heard->sigma_uT +
+                               relative2 * heard->magnitude_uT * heard->magnitude_uT);
 }
 
-void pose_fit_rows(const pose_heard_t *heard, const float position_m[3], float inverse_sigma, triangle_rows_t rows, float field_uT[3]) {
+void pose_fit_rows(const pose_heard_t *heard, const float position_m[3], float inverse_sigma, triangle_rows_t rows,
+                   float field_uT[3]) {
     float gradient[3][3];
     loop_field_and_gradient(&heard->loop, position_m, field_uT, gradient);
     const float x = inverse_sigma * field_uT[0], y = inverse_sigma * field_uT[1], z = inverse_sigma * field_uT[2];
@@ -56,7 +60,8 @@ static void evaluate(const pose_problem_t *problem, float model_error, pose_fit_
     }
 }
 
-/* What an undamped step would lower the cost by, if the model were linear. The damped step's promise is no measure: it hides ill-determined directions. */
+/* What an undamped step would lower the cost by, if the model were linear. The damped step's promise is no measure:
+ * it hides ill-determined directions. */
 static float decrement(const triangle_t *triangle) {
     float sum = 0.0f;
     for (uint32_t i = 0; i < TRIANGLE_UNKNOWNS; i++) {
@@ -65,7 +70,8 @@ static float decrement(const triangle_t *triangle) {
     return sum;
 }
 
-static uint32_t minimise(const pose_problem_t *problem, float model_error, float damping, uint32_t limit, pose_fit_t *fit) {
+static uint32_t minimise(const pose_problem_t *problem, float model_error, float damping, uint32_t limit,
+                         pose_fit_t *fit) {
     fit->converged = false;
     evaluate(problem, model_error, fit);
     uint32_t evaluations = 1;
@@ -91,7 +97,9 @@ static uint32_t minimise(const pose_problem_t *problem, float model_error, float
     return evaluations;
 }
 
-uint32_t pose_fit(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) { return minimise(problem, 0.0f, DAMPING_NEAR, limit, fit); }
+uint32_t pose_fit(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
+    return minimise(problem, 0.0f, DAMPING_NEAR, limit, fit);
+}
 
 uint32_t pose_fit_robust(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
     return minimise(problem, POSE_FIT_ROBUST, DAMPING_FAR, limit, fit);

@@ -4,11 +4,12 @@
 #include "core/math/vector3.h"
 #include "core/pose/wahba.h"
 
-#define COARSENESS 0.3f          /* Relative change of the fields between neighbouring points, used as an error. */
-#define GOLDEN_COSINE (-0.73736887f) /* Of the golden angle, 2.39996 rad: Fibonacci's spiral spreads points evenly over the sphere. */
+#define COARSENESS 0.3f /* Relative change of the fields between neighbouring points, used as an error. */
+#define GOLDEN_COSINE                                                                                                  \
+    (-0.73736887f) /* Of the golden angle, 2.39996 rad: Fibonacci's spiral spreads points evenly over the sphere. */
 #define GOLDEN_SINE 0.67549029f
-#define NEAR 3.0f                /* Radii within which a coil is not taken for its dipole. */
-#define APART2 (0.25f * 0.25f)   /* Candidates differ by a quarter of the distance to the strongest beacon. */
+#define NEAR        3.0f            /* Radii within which a coil is not taken for its dipole. */
+#define APART2      (0.25f * 0.25f) /* Candidates differ by a quarter of the distance to the strongest beacon. */
 
 static uint32_t strongest(const pose_problem_t *problem) {
     uint32_t best = 0;
@@ -65,7 +66,8 @@ static void place(const loop_t *loop, const float direction[3], float distance, 
     }
 }
 
-void pose_search(const pose_problem_t *problem, const float point_m[3], const float normal[3], pose_candidates_t *found) {
+void pose_search(const pose_problem_t *problem, const float point_m[3], const float normal[3],
+                 pose_candidates_t *found) {
     const pose_heard_t *centre = &problem->heard[strongest(problem)];
     const float k = centre->loop.k_uT_m3 > 0.0f ? centre->loop.k_uT_m3 : -centre->loop.k_uT_m3;
     const float ratio = centre->magnitude_uT / k;

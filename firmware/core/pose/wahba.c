@@ -11,7 +11,9 @@ typedef struct {
     float norm2, determinant, cofactors2; /* |H|^2, det H, |adj H|^2 */
 } quartic_t;
 
-void wahba_init(wahba_t *wahba) { *wahba = (wahba_t){0}; }
+void wahba_init(wahba_t *wahba) {
+    *wahba = (wahba_t){0};
+}
 
 void wahba_add(wahba_t *wahba, const float site[3], const float sensor[3], float weight) {
     for (uint32_t row = 0; row < 3u; row++) {
@@ -78,5 +80,5 @@ void wahba_rotation(const wahba_t *wahba, float quaternion[4]) {
             matrix[row][column] = zeta > 1e-7f ? sum / zeta : (row == column ? 1.0f : 0.0f);
         }
     }
-    quaternion_from_matrix((const float (*)[3])matrix, quaternion);
+    quaternion_from_matrix((const float(*)[3])matrix, quaternion);
 }

@@ -1,13 +1,15 @@
-/* wahba.h: the rotation between two sets of vectors (Wahba's problem): the R that minimises sum_i w_i |site_i - R sensor_i|^2.
+/* wahba.h: the rotation between two sets of vectors (Wahba's problem): the R that minimises sum_i w_i |site_i - R
+ * sensor_i|^2.
  *
- * Method: Markley's fast optimal attitude matrix (J. Astronaut. Sci. 41, 1993). With H = sum w site sensor', the greatest root lambda of
+ * Method: Markley's fast optimal attitude matrix (J. Astronaut. Sci. 41, 1993). With H = sum w site sensor', the
+ * greatest root lambda of
  *   (lambda^2 - |H|^2)^2 - 8 lambda det H - 4 |adj H|^2 = 0
- * gives the least loss, E - 2 lambda with E = sum w (|site|^2 + |sensor|^2), and R in closed form. lambda by Newton from E/2, an upper bound, from where it
- * only descends. Scaled by E, so any units do.
+ * gives the least loss, E - 2 lambda with E = sum w (|site|^2 + |sensor|^2), and R in closed form. lambda by Newton
+ * from E/2, an upper bound, from where it only descends. Scaled by E, so any units do.
  *
- * Accuracy: single precision leaves 1e-4 of E in the loss and 1e-3 rad in R when the vectors point in clearly different directions: a start for a fit, not a
- * result. With all vectors parallel R is one of many; wahba_rotation still gives a rotation.
- * Time: wahba_add 80, wahba_loss 180, wahba_rotation 300 instructions (Cortex-M4, -O3). Memory: 40 bytes.
+ * Accuracy: single precision leaves 1e-4 of E in the loss and 1e-3 rad in R when the vectors point in clearly different
+ * directions: a start for a fit, not a result. With all vectors parallel R is one of many; wahba_rotation still gives a
+ * rotation. Time: wahba_add 80, wahba_loss 180, wahba_rotation 300 instructions (Cortex-M4, -O3). Memory: 40 bytes.
  */
 #ifndef GOLDFIELD_WAHBA_H
 #define GOLDFIELD_WAHBA_H

@@ -5,11 +5,12 @@
 
 #include "core/math/roots.h"
 
-#define PASSES 2u
-#define MIDDLE (ACQUIRE_CHIPS / 2u)
+#define PASSES       2u
+#define MIDDLE       (ACQUIRE_CHIPS / 2u)
 #define CODES_A_STEP 4u
-#define SETTLE_CHIPS 2u   /* Beyond what the slew takes at nominal length: clocks differ by 300 ppm. */
-#define FOOT 0.4f         /* Of the low-pass's time constant: nearer to the edge, or before it, there is next to nothing to see. */
+#define SETTLE_CHIPS 2u /* Beyond what the slew takes at nominal length: clocks differ by 300 ppm. */
+#define FOOT                                                                                                           \
+    0.4f /* Of the low-pass's time constant: nearer to the edge, or before it, there is next to nothing to see. */
 #define UNSEEN_RECORDS 4u /* In succession: search anew. */
 
 static const float q32 = 4294967296.0f;
@@ -24,7 +25,8 @@ void acquire_init(acquire_t *acquire, const acquire_config_t *config) {
 /* The record begins when the chip clock has slewed to where it is to be: until then bursts lie elsewhere. */
 static void record_start(acquire_t *acquire, const chip_clock_t *clock) {
     const int64_t away = (int64_t)(clock->target - ((uint64_t)clock->position << 32)) >> 32;
-    const int64_t longer = clock->config.maximum_ticks - clock->config.nominal_ticks, shorter = clock->config.nominal_ticks - clock->config.minimum_ticks;
+    const int64_t longer = clock->config.maximum_ticks - clock->config.nominal_ticks,
+                  shorter = clock->config.nominal_ticks - clock->config.minimum_ticks;
     acquire->from_chip = clock->chip + SETTLE_CHIPS + (uint32_t)(away < 0 ? -away / shorter : away / longer);
     acquire->period = clock->period;
     acquire->count = 0;
@@ -45,13 +47,15 @@ void acquire_plan(acquire_t *acquire, chip_clock_t *clock) {
     } else if (command == ACQUIRE_CORRECT) {
         const float chips = (float)(clock->chip - acquire->rate_chip);
         const float phase = acquire->phase_change + acquire->rate_change * chips;
-        chip_clock_correct(clock, (int64_t)(phase * q32), (int64_t)(acquire->rate_change * q32), acquire->residual_ticks, acquire->good);
+        chip_clock_correct(clock, (int64_t)(phase * q32), (int64_t)(acquire->rate_change * q32),
+                           acquire->residual_ticks, acquire->good);
     }
     record_start(acquire, clock);
     __atomic_store_n(&acquire->command, ACQUIRE_NONE, __ATOMIC_RELEASE);
 }
 
-void acquire_feed(acquire_t *acquire, uint32_t chip, const chip_clock_chip_t *planned, const uint16_t burst[ACQUIRE_BURST][ACQUIRE_AXES]) {
+void acquire_feed(acquire_t *acquire, uint32_t chip, const chip_clock_chip_t *planned,
+                  const uint16_t burst[ACQUIRE_BURST][ACQUIRE_AXES]) {
     if (!acquire->filling || (int32_t)(chip - acquire->from_chip) < 0) {
         return;
     }
@@ -101,7 +105,8 @@ void acquire_codes(acquire_t *acquire, const uint16_t *codes, uint32_t count) {
             taken++;
         }
     }
-    if (acquire->searches > 0u && taken == acquire->list_count && memcmp(list, acquire->list, taken * sizeof list[0]) == 0) {
+    if (acquire->searches > 0u && taken == acquire->list_count &&
+        memcmp(list, acquire->list, taken * sizeof list[0]) == 0) {
         return;
     }
     memcpy(acquire->list, list, taken * sizeof list[0]);
@@ -114,7 +119,9 @@ void acquire_codes(acquire_t *acquire, const uint16_t *codes, uint32_t count) {
 /* ---- Search ---- */
 
 static void search_start(acquire_t *acquire) {
-    acquire->frame.chip_length = acquire->tracking ? 1.0f : 1.0f + (float)ACQUIRE_DETUNE_TICKS / (float)acquire->config.nominal_ticks;
+    acquire->frame.chip_length = acquire->tracking
+                                     ? 1.0f
+                                     : 1.0f + (float)ACQUIRE_DETUNE_TICKS / (float)acquire->config.nominal_ticks;
     code_search_start(&acquire->search, &acquire->record, acquire->frame.chip_length);
     acquire->code = 0;
     acquire->stage = ACQUIRE_TRANSFORMING;
@@ -128,7 +135,9 @@ static void search_end(acquire_t *acquire) {
         const uint32_t away = (peak.label + ACQUIRE_CHIPS + 1u - acquire->first_code_chip) % ACQUIRE_CHIPS;
         command(acquire, found && away > 1u ? ACQUIRE_SWEEP : ACQUIRE_AGAIN);
     } else if (!found) {
-        acquire->list_first = acquire->list_count > 0u ? (acquire->list_first + acquire->code_count) % acquire->list_count : 0u;
+        acquire->list_first = acquire->list_count > 0u
+                                  ? (acquire->list_first + acquire->code_count) % acquire->list_count
+                                  : 0u;
         choose_codes(acquire);
         command(acquire, ACQUIRE_SWEEP);
     } else {
@@ -142,25 +151,32 @@ static void search_end(acquire_t *acquire) {
     }
 }
 
-static int64_t fixed(float ticks) { return (int64_t)(ticks * q32); }
+static int64_t fixed(float ticks) {
+    return (int64_t)(ticks * q32);
+}
 
 static void edge_end(acquire_t *acquire) {
     const acquire_config_t *config = &acquire->config;
-    const edge_shape_t shape = {(float)config->nominal_ticks, (float)(ACQUIRE_BURST * config->conversion_ticks), (float)config->lag_ticks};
+    const edge_shape_t shape = {(float)config->nominal_ticks, (float)(ACQUIRE_BURST * config->conversion_ticks),
+                                (float)config->lag_ticks};
     const edge_profile_t *profile = code_field_profile(&acquire->field, &acquire->record, &acquire->frame);
     if (acquire->code_count == 0u || !edge_fit(profile, &shape, &acquire->edge)) {
         command(acquire, ACQUIRE_SWEEP);
         return;
     }
     float phase;
-    const uint32_t label = (code_frame_label(&acquire->frame, MIDDLE, &phase) + 1u) % ACQUIRE_CHIPS; /* The chip that begins at this edge. */
-    const float held = (float)config->first_conversion_ticks + 0.5f * (float)((ACQUIRE_BURST - 1u) * config->conversion_ticks);
-    const float edge = held + (float)config->nominal_ticks * -phase + acquire->edge.onset_ticks; /* After the start of MIDDLE. */
+    const uint32_t label = (code_frame_label(&acquire->frame, MIDDLE, &phase) + 1u) %
+                           ACQUIRE_CHIPS; /* The chip that begins at this edge. */
+    const float held = (float)config->first_conversion_ticks +
+                       0.5f * (float)((ACQUIRE_BURST - 1u) * config->conversion_ticks);
+    const float edge = held + (float)config->nominal_ticks * -phase +
+                       acquire->edge.onset_ticks; /* After the start of MIDDLE. */
     const uint64_t step = acquire->period + ((uint64_t)ACQUIRE_DETUNE_TICKS << 32);
     const uint64_t start = ((uint64_t)acquire->first_position << 32) + step * MIDDLE;
     acquire->edge_period = acquire->period + (uint64_t)fixed(acquire->edge.slip_ticks_per_chip);
     const uint32_t last_hold = config->first_conversion_ticks + (ACQUIRE_BURST - 1u) * config->conversion_ticks;
-    const float time = (float)(ACQUIRE_TARGET_TICKS + ACQUIRE_EXTRA_TICKS), late = (float)config->nominal_ticks + time - (float)last_hold;
+    const float time = (float)(ACQUIRE_TARGET_TICKS + ACQUIRE_EXTRA_TICKS),
+                late = (float)config->nominal_ticks + time - (float)last_hold;
     acquire->edge_position = start + (uint64_t)fixed(edge + late) - label * acquire->edge_period;
     acquire->middle_chip = acquire->first_chip + MIDDLE;
     acquire->extra_ticks = ACQUIRE_EXTRA_TICKS;
@@ -177,7 +193,8 @@ static void edge_end(acquire_t *acquire) {
 
 static edge_look_t look(const acquire_t *acquire, uint32_t first, uint32_t end, uint32_t middle) {
     edge_look_t look = {.chips = 0.5f * (float)(first + end) - (float)middle};
-    look.share = code_field_step(&acquire->field, &acquire->record, acquire->first_code_chip, first, end, &look.variance);
+    look.share = code_field_step(&acquire->field, &acquire->record, acquire->first_code_chip, first, end,
+                                 &look.variance);
     return look;
 }
 
@@ -232,7 +249,8 @@ static void measure_end(acquire_t *acquire) {
     if (acquire->silent) {
         search_start(acquire);
     } else if (before) {
-        command(acquire, ACQUIRE_AGAIN); /* Codes came back somewhere in this record: its amplitudes are no whole cycle's. */
+        command(acquire,
+                ACQUIRE_AGAIN); /* Codes came back somewhere in this record: its amplitudes are no whole cycle's. */
     } else {
         track(acquire);
     }
@@ -259,7 +277,8 @@ static void amplitudes(acquire_t *acquire) {
 void acquire_step(acquire_t *acquire) {
     switch (acquire->stage) {
     case ACQUIRE_RECORDING:
-        if (__atomic_load_n(&acquire->command, __ATOMIC_ACQUIRE) == ACQUIRE_NONE && __atomic_load_n(&acquire->recorded, __ATOMIC_ACQUIRE) != 0u) {
+        if (__atomic_load_n(&acquire->command, __ATOMIC_ACQUIRE) == ACQUIRE_NONE &&
+            __atomic_load_n(&acquire->recorded, __ATOMIC_ACQUIRE) != 0u) {
             record_end(acquire);
         }
         return;
@@ -272,8 +291,13 @@ void acquire_step(acquire_t *acquire) {
         }
         return;
     case ACQUIRE_AMPLITUDES:
-    case ACQUIRE_MEASURING: amplitudes(acquire); return;
-    case ACQUIRE_EDGE: edge_end(acquire); return;
-    default: return;
+    case ACQUIRE_MEASURING:
+        amplitudes(acquire);
+        return;
+    case ACQUIRE_EDGE:
+        edge_end(acquire);
+        return;
+    default:
+        return;
     }
 }

@@ -21,7 +21,8 @@ static int32_t without_last(parts_t part) {
     return (sum * 8 + (sum < 0 ? -3 : 3)) / 7;
 }
 
-void record_burst(acquire_record_t *record, uint32_t chip, record_cut_t cut, const uint16_t burst[ACQUIRE_BURST][ACQUIRE_AXES]) {
+void record_burst(acquire_record_t *record, uint32_t chip, record_cut_t cut,
+                  const uint16_t burst[ACQUIRE_BURST][ACQUIRE_AXES]) {
     for (uint32_t axis = 0; axis < ACQUIRE_AXES; axis++) {
         const parts_t part = parts(burst, axis);
         int32_t field, step;

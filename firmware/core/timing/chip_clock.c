@@ -1,7 +1,7 @@
 #include "core/timing/chip_clock.h"
 
-#define FRACTION_BITS 32
-#define ONE (INT64_C(1) << FRACTION_BITS)
+#define FRACTION_BITS     32
+#define ONE               (INT64_C(1) << FRACTION_BITS)
 #define MESSAGE_TICKS_MAX (1 << 26) /* 0.4 s: products with a difference of periods stay below 2^63. */
 
 const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6};
@@ -32,7 +32,8 @@ static void set_period(chip_clock_t *clock, int64_t period) {
 bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
     const uint32_t margin = config->nominal_ticks / 100u;
     if (config->chips < 31u || config->chips > 2047u || config->nominal_ticks == 0u || config->minimum_ticks == 0u ||
-        config->minimum_ticks + margin > config->nominal_ticks || config->nominal_ticks + margin > config->maximum_ticks) {
+        config->minimum_ticks + margin > config->nominal_ticks ||
+        config->nominal_ticks + margin > config->maximum_ticks) {
         return false;
     }
     *clock = (chip_clock_t){.config = *config, .source = chip_clock_wire, .locked = !config->follow};
@@ -42,7 +43,8 @@ bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
 
 chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
     clock->target += clock->period + ((uint64_t)(int64_t)clock->detune_ticks << FRACTION_BITS);
-    const int64_t wanted = difference(clock->target, (uint64_t)clock->position << FRACTION_BITS) >> FRACTION_BITS; /* Rounds down. */
+    const int64_t wanted = difference(clock->target, (uint64_t)clock->position << FRACTION_BITS) >>
+                           FRACTION_BITS; /* Rounds down. */
     const uint16_t period_ticks = wanted < clock->config.minimum_ticks   ? clock->config.minimum_ticks
                                   : wanted > clock->config.maximum_ticks ? clock->config.maximum_ticks
                                                                          : (uint16_t)wanted;
@@ -51,7 +53,8 @@ chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
     clock->history[slot].cycle = clock->cycle;
     clock->history[slot].code_chip = clock->code_chip;
     clock->history[slot].period_ticks = period_ticks;
-    const chip_clock_chip_t planned = {clock->cycle + clock->cycle_shift, clock->code_chip, period_ticks, clock->position};
+    const chip_clock_chip_t planned = {clock->cycle + clock->cycle_shift, clock->code_chip, period_ticks,
+                                       clock->position};
 
     clock->position += period_ticks;
     clock->chip++;
@@ -86,8 +89,10 @@ bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, c
     if (code_chip <= chips / 2u) {
         mark->cycle_ticks = (int32_t)((code_chip * period) >> FRACTION_BITS) + (int32_t)ticks;
     } else {
-        const int64_t whole = ((int64_t)code_chip + 1 - (int64_t)chips) * period; /* Chips between this one's end and chip 0. */
-        mark->cycle_ticks = (int32_t)(whole >> FRACTION_BITS) + (int32_t)ticks - (int32_t)clock->history[slot].period_ticks;
+        const int64_t whole = ((int64_t)code_chip + 1 - (int64_t)chips) *
+                              period; /* Chips between this one's end and chip 0. */
+        mark->cycle_ticks = (int32_t)(whole >> FRACTION_BITS) + (int32_t)ticks -
+                            (int32_t)clock->history[slot].period_ticks;
         mark->cycle++;
     }
     return true;
@@ -120,7 +125,8 @@ static int64_t own_ticks(const chip_clock_t *clock, int32_t master_ticks) {
     return (int64_t)master_ticks * ONE + master_ticks * slower / clock->config.nominal_ticks;
 }
 
-/* An edge that fits no estimate, since ticks of the master before position: look for others whole cycles apart from it. True: they led to an estimate. */
+/* An edge that fits no estimate, since ticks of the master before position: look for others whole cycles apart from
+ * it. True: they led to an estimate. */
 static bool search(chip_clock_t *clock, uint64_t position, int32_t since) {
     const uint32_t chips = clock->config.chips, chip = clock->chip;
     const int64_t cycle = (int64_t)nominal_period(clock) * (int64_t)chips;
@@ -163,7 +169,8 @@ static bool search(chip_clock_t *clock, uint64_t position, int32_t since) {
     return false;
 }
 
-/* The master began a cycle since of its ticks before position; the chip clock was early by phase there. True: the estimate now counts this edge. */
+/* The master began a cycle since of its ticks before position; the chip clock was early by phase there. True: the
+ * estimate now counts this edge. */
 static bool take_edge(chip_clock_t *clock, uint64_t position, int32_t since, int32_t phase) {
     if (!clock->tracking) {
         return search(clock, position, since);

@@ -4,11 +4,13 @@
 
 #include "core/codes/gold.h"
 
-#define DEGREE 10u
+#define DEGREE    10u
 #define UNSETTLED 0x8000u
-#define PRESENT 6.0f /* Share of the codes in the variance, 1 for noise. */
+#define PRESENT   6.0f /* Share of the codes in the variance, 1 for noise. */
 
-static uint32_t modulo(uint32_t chip) { return chip % ACQUIRE_CHIPS; }
+static uint32_t modulo(uint32_t chip) {
+    return chip % ACQUIRE_CHIPS;
+}
 
 uint32_t code_frame_label(const code_frame_t *frame, uint32_t chip, float *phase) {
     const float time = (float)chip * frame->chip_length - frame->crossing + 0.5f; /* Above -0.5. */
@@ -94,7 +96,8 @@ static void add_to_bin(edge_bin_t *bin, float seen, float change, float phase, f
     bin->chip += change * change * chip;
 }
 
-const edge_profile_t *code_field_profile(code_field_t *field, const acquire_record_t *record, const code_frame_t *frame) {
+const edge_profile_t *code_field_profile(code_field_t *field, const acquire_record_t *record,
+                                         const code_frame_t *frame) {
     edge_profile_t *profile = &field->profile;
     memset(profile, 0, sizeof *profile);
     float before[ACQUIRE_AXES] = {0.0f}, change_before[ACQUIRE_AXES] = {0.0f}, phase_before = 1.0f;
@@ -109,7 +112,8 @@ const edge_profile_t *code_field_profile(code_field_t *field, const acquire_reco
             const float done = (float)record->field[chip][axis] - field->expected[label][axis];
             const float change = field->expected[next][axis] - field->expected[label][axis];
             if (successive) {
-                add_to_bin(&profile->level[sweep][bin], done - before[axis], change - change_before[axis], phase, (float)chip);
+                add_to_bin(&profile->level[sweep][bin], done - before[axis], change - change_before[axis], phase,
+                           (float)chip);
             }
             add_to_bin(&profile->step[sweep][bin], (float)record->step[chip][axis], change, phase, (float)chip);
             before[axis] = done;
@@ -120,7 +124,8 @@ const edge_profile_t *code_field_profile(code_field_t *field, const acquire_reco
     return profile;
 }
 
-float code_field_step(const code_field_t *field, const acquire_record_t *record, uint32_t label, uint32_t first, uint32_t end, float *variance) {
+float code_field_step(const code_field_t *field, const acquire_record_t *record, uint32_t label, uint32_t first,
+                      uint32_t end, float *variance) {
     float product = 0.0f, weight = 1e-20f, squares = 0.0f;
     for (uint32_t chip = first; chip < end; chip++) {
         const uint32_t here = modulo(label + chip), next = modulo(here + 1u);

@@ -5,16 +5,20 @@
 #include "core/codes/gold.h"
 #include "core/math/roots.h"
 
-#define DEGREE 10u
+#define DEGREE   10u
 #define LOW_BINS 32u /* 160 Hz. */
-#define FULL 16384.0f
+#define FULL     16384.0f
 
-static float larger(float a, float b) { return a > b ? a : b; }
+static float larger(float a, float b) {
+    return a > b ? a : b;
+}
 
 void code_search_start(code_search_t *search, const acquire_record_t *record, float chip_length) {
     float mean[ACQUIRE_AXES], variance[ACQUIRE_AXES];
     record_statistics(record, mean, variance);
-    const uint32_t least = variance[0] <= variance[1] ? (variance[0] <= variance[2] ? 0u : 2u) : variance[1] <= variance[2] ? 1u : 2u;
+    const uint32_t least = variance[0] <= variance[1]   ? (variance[0] <= variance[2] ? 0u : 2u)
+                           : variance[1] <= variance[2] ? 1u
+                                                        : 2u;
     const uint32_t x = least == 0u ? 1u : 0u, y = least == 2u ? 1u : 2u;
     memset(search, 0, sizeof *search);
     for (uint32_t chip = 0; chip < ACQUIRE_CHIPS; chip++) {
@@ -55,7 +59,9 @@ void code_search_add(code_search_t *search, uint16_t code) {
     }
 }
 
-static uint32_t following(uint32_t p) { return p + 1u < ACQUIRE_CHIPS ? p + 1u : 0u; }
+static uint32_t following(uint32_t p) {
+    return p + 1u < ACQUIRE_CHIPS ? p + 1u : 0u;
+}
 
 code_peak_t code_search_peak(const code_search_t *search) {
     code_peak_t peak = {0u, 0.5f, 0.0f};

@@ -2,15 +2,17 @@
 
 #include "core/math/normal3.h"
 
-#define STEPS 8u
-#define UNKNOWNS 3.0f
+#define STEPS       8u
+#define UNKNOWNS    3.0f
 #define MIDDLE_CHIP 511.0f
-#define RISE_START 5000.0f /* 30 us. */
-#define RISE_MIN 300.0f
-#define RISE_MAX 8000.0f
-#define SLIP_MAX 5.0f      /* 300 ppm of a chip. */
+#define RISE_START  5000.0f /* 30 us. */
+#define RISE_MIN    300.0f
+#define RISE_MAX    8000.0f
+#define SLIP_MAX    5.0f /* 300 ppm of a chip. */
 
-static float limit(float value, float low, float high) { return value < low ? low : value > high ? high : value; }
+static float limit(float value, float low, float high) {
+    return value < low ? low : value > high ? high : value;
+}
 
 /* S and R of an endless ramp. */
 typedef struct {
@@ -43,7 +45,8 @@ static edge_t model(const edge_shape_t *shape, float t, float rise, bool step) {
     edge_t sum = {late.value - early.value, late.by_time - early.by_time, late.by_rise - early.by_rise};
     if (step) {
         const edge_t middle = edge(t, rise, shape->lag_ticks);
-        sum = (edge_t){late.value + early.value - 2.0f * middle.value, late.by_time + early.by_time - 2.0f * middle.by_time,
+        sum = (edge_t){late.value + early.value - 2.0f * middle.value,
+                       late.by_time + early.by_time - 2.0f * middle.by_time,
                        late.by_rise + early.by_rise - 2.0f * middle.by_rise};
     }
     return (edge_t){scale * sum.value, scale * sum.by_time, scale * (sum.by_rise - sum.value / rise)};
@@ -55,7 +58,8 @@ typedef struct {
     float left, spread, bins;
 } part_t;
 
-static part_t linearise(const edge_bin_t bins[EDGE_FIT_SWEEPS][EDGE_FIT_BINS], const edge_shape_t *shape, const edge_fit_t *fit, bool step) {
+static part_t linearise(const edge_bin_t bins[EDGE_FIT_SWEEPS][EDGE_FIT_BINS], const edge_shape_t *shape,
+                        const edge_fit_t *fit, bool step) {
     part_t part = {.left = 0.0f};
     float sum = 0.0f, squares = 0.0f, weights = 0.0f;
     for (uint32_t i = 0; i < EDGE_FIT_SWEEPS * EDGE_FIT_BINS; i++) {
@@ -64,7 +68,8 @@ static part_t linearise(const edge_bin_t bins[EDGE_FIT_SWEEPS][EDGE_FIT_BINS], c
             continue;
         }
         const float seen = bin->product / bin->weight, chip = bin->chip / bin->weight - MIDDLE_CHIP;
-        const float t = bin->phase / bin->weight * shape->chip_ticks - fit->onset_ticks - fit->slip_ticks_per_chip * chip;
+        const float t = bin->phase / bin->weight * shape->chip_ticks - fit->onset_ticks -
+                        fit->slip_ticks_per_chip * chip;
         const edge_t shown = model(shape, t, fit->rise_ticks, step);
         const float slope[3] = {-shown.by_time, -shown.by_time * chip, shown.by_rise};
         const float error = seen - shown.value;
@@ -93,7 +98,8 @@ static void weigh(normal3_t *sum, const part_t *part) {
 bool edge_fit(const edge_profile_t *profile, const edge_shape_t *shape, edge_fit_t *fit) {
     *fit = (edge_fit_t){.onset_ticks = -0.5f * RISE_START, .rise_ticks = RISE_START};
     for (uint32_t i = 0; i < STEPS; i++) {
-        const part_t level = linearise(profile->level, shape, fit, false), step = linearise(profile->step, shape, fit, true);
+        const part_t level = linearise(profile->level, shape, fit, false),
+                     step = linearise(profile->step, shape, fit, true);
         if (!(level.bins > UNKNOWNS) || !(step.bins > UNKNOWNS)) {
             return false;
         }

@@ -5,14 +5,14 @@
 #include "core/math/normal3.h"
 #include "core/math/roots.h"
 
-#define CONVERSIONS 8u
-#define ITERATIONS 6u
-#define HALVINGS 16u
-#define MISFIT 16.0f           /* Chi squared of two looks: 0.03 % are larger. */
+#define CONVERSIONS   8u
+#define ITERATIONS    6u
+#define HALVINGS      16u
+#define MISFIT        16.0f    /* Chi squared of two looks: 0.03 % are larger. */
 #define EDGE_VARIANCE 70.0f    /* (0.05 us)^2: the beacons' edges lie up to 48 ns apart, and the ramp is a model. */
-#define RATE_WALK 6.6e-11f     /* A chip: 0.05 ppm in 1 s, for the crystals' temperature. */
-#define RISE_MIN 300.0f
-#define STEP_MAX 400.0f        /* Ticks of time in one iteration: two conversions. */
+#define RATE_WALK     6.6e-11f /* A chip: 0.05 ppm in 1 s, for the crystals' temperature. */
+#define RISE_MIN      300.0f
+#define STEP_MAX      400.0f /* Ticks of time in one iteration: two conversions. */
 
 /* Height on the ramp in ticks of it, and its slope. */
 typedef struct {
@@ -58,7 +58,8 @@ void edge_track_start(edge_track_t *track, const edge_fit_t *fit, float time_tic
     *track = (edge_track_t){.time_ticks = time_ticks, .rise_ticks = fit->rise_ticks};
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < 3u; column++) {
-            const float sign = (row == 2u) != (column == 2u) ? -1.0f : 1.0f; /* A later edge is a shorter time after it. */
+            const float sign = (row == 2u) != (column == 2u) ? -1.0f
+                                                             : 1.0f; /* A later edge is a shorter time after it. */
             track->covariance[row][column] = sign * fit->covariance[row][column];
         }
     }
@@ -81,7 +82,8 @@ float edge_track_variance(const edge_track_t *track, float chips) {
 }
 
 bool edge_track_blind(const edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2]) {
-    const float share = 0.5f * (looks[0].share + looks[1].share), expected = contrast(burst, track->time_ticks).height / track->rise_ticks;
+    const float share = 0.5f * (looks[0].share + looks[1].share),
+                expected = contrast(burst, track->time_ticks).height / track->rise_ticks;
     const float deviation = 0.5f * square_root(looks[0].variance + looks[1].variance);
     return share < 2.0f * deviation && share < expected - 3.0f * deviation;
 }
@@ -106,7 +108,8 @@ static float iterate(edge_track_t *track, const edge_burst_t *burst, const edge_
             const ramp_t seen = contrast(burst, x[0] + looks[k].chips * x[1]);
             const float share = seen.height / x[2], by_time = seen.slope / x[2];
             const float slope[3] = {by_time, by_time * looks[k].chips, -share / x[2]};
-            const float error = looks[k].share - share, weight = 1.0f / (looks[k].variance + EDGE_VARIANCE * by_time * by_time);
+            const float error = looks[k].share - share,
+                        weight = 1.0f / (looks[k].variance + EDGE_VARIANCE * by_time * by_time);
             normal3_add(&normal, slope, error, weight);
             misfit += weight * error * error;
         }

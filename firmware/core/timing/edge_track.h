@@ -1,16 +1,20 @@
-/* edge_track.h: holds what is known of the beacons' edge against the own chips: how late the burst lies, how that changes, how long the field's ramp lasts.
+/* edge_track.h: holds what is known of the beacons' edge against the own chips: how late the burst lies, how that
+ * changes, how long the field's ramp lasts.
  *
- * State. Time t from the beacons' edge to the burst's last conversion, ticks; its rate, ticks a chip; rise L of the ramp, ticks; and their covariance. It comes from a search
- * (edge_fit.h) with the covariance that the search's own noise tells. Between looks phase and rate run on (edge_track_move); the rate walks by RATE_WALK.
+ * State. Time t from the beacons' edge to the burst's last conversion, ticks; its rate, ticks a chip; rise L of the
+ * ramp, ticks; and their covariance. It comes from a search (edge_fit.h) with the covariance that the search's own
+ * noise tells. Between looks phase and rate run on (edge_track_move); the rate walks by RATE_WALK.
  *
- * A look is the mean of a burst's late conversions minus the mean of its early ones, as a share of the field's change at the edge: (R(late) - R(early)) / L, with
- * R(t) = t - lag (1 - exp(-t / lag)), the foot of the ramp behind the front end's low-pass (0 before the edge; the head of the ramp is never in a burst that straddles the foot).
- * Earth, mains and what noise a burst has in common cancel in it. Each look brings the variance that its own residuals showed.
+ * A look is the mean of a burst's late conversions minus the mean of its early ones, as a share of the field's change
+ * at the edge: (R(late) - R(early)) / L, with R(t) = t - lag (1 - exp(-t / lag)), the foot of the ramp behind the front
+ * end's low-pass (0 before the edge; the head of the ramp is never in a burst that straddles the foot). Earth, mains
+ * and what noise a burst has in common cancel in it. Each look brings the variance that its own residuals showed.
  *
- * Method. Two looks (the halves of a record) and the state before them as knowledge: Gauss and Newton (an iterated extended Kalman filter in information form). The rise is
- * estimated along: an error of it tilts all times on the ramp by the same share, which a filter of phase and rate alone takes for a rate. Looks that fit badly (chi squared above
- * MISFIT) say that the phase is known worse than thought: it is then taken from the look alone.
- * Time: about 15,000 instructions an update. Memory: 48 bytes.
+ * Method. Two looks (the halves of a record) and the state before them as knowledge: Gauss and Newton (an iterated
+ * extended Kalman filter in information form). The rise is estimated along: an error of it tilts all times on the ramp
+ * by the same share, which a filter of phase and rate alone takes for a rate. Looks that fit badly (chi squared above
+ * MISFIT) say that the phase is known worse than thought: it is then taken from the look alone. Time: about 15,000
+ * instructions an update. Memory: 48 bytes.
  */
 #ifndef GOLDFIELD_EDGE_TRACK_H
 #define GOLDFIELD_EDGE_TRACK_H
@@ -44,7 +48,8 @@ void edge_track_start(edge_track_t *track, const edge_fit_t *fit, float time_tic
 /* The state chips (at least 0) later. */
 void edge_track_move(edge_track_t *track, float chips);
 
-/* True if the looks show no ramp at all, by their own noise, where the state says that there should be one: the burst lies before the edge, or far behind it. */
+/* True if the looks show no ramp at all, by their own noise, where the state says that there should be one: the
+ * burst lies before the edge, or far behind it. */
 bool edge_track_blind(const edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2]);
 
 /* Looks that do not fit to what was known win. */

@@ -6,36 +6,46 @@
 #define STABILISATION_PS 3000000
 
 static const register_layout_t registers[] = {
-    {"SR", ADC_SR, 0, 0x3F, ACCESS_RC_W0},       {"CR1", ADC_CR1, 0, 0x07C0FFFF, ACCESS_RW},      {"CR2", ADC_CR2, 0, 0x7F7F0F03, ACCESS_RW},   {"SMPR1", ADC_SMPR1, 0, 0x07FFFFFF, ACCESS_RW},
-    {"SMPR2", ADC_SMPR2, 0, 0x3FFFFFFF, ACCESS_RW}, {"JOFR1", 0x14, 0, 0xFFF, ACCESS_RW},     {"JOFR2", 0x18, 0, 0xFFF, ACCESS_RW},     {"JOFR3", 0x1C, 0, 0xFFF, ACCESS_RW},
-    {"JOFR4", 0x20, 0, 0xFFF, ACCESS_RW},    {"HTR", ADC_HTR, 0xFFF, 0xFFF, ACCESS_RW},       {"LTR", ADC_LTR, 0, 0xFFF, ACCESS_RW},        {"SQR1", ADC_SQR1, 0, 0x00FFFFFF, ACCESS_RW},
-    {"SQR2", ADC_SQR2, 0, 0x3FFFFFFF, ACCESS_RW}, {"SQR3", ADC_SQR3, 0, 0x3FFFFFFF, ACCESS_RW},   {"JSQR", ADC_JSQR, 0, 0x003FFFFF, ACCESS_RW}, {"JDR1", 0x3C, 0, 0xFFFF, ACCESS_RO},
-    {"JDR2", 0x40, 0, 0xFFFF, ACCESS_RO},    {"JDR3", 0x44, 0, 0xFFFF, ACCESS_RO},        {"JDR4", 0x48, 0, 0xFFFF, ACCESS_RO},     {"DR", ADC_DR, 0, 0xFFFF, ACCESS_RO},
+    {"SR", ADC_SR, 0, 0x3F, ACCESS_RC_W0},          {"CR1", ADC_CR1, 0, 0x07C0FFFF, ACCESS_RW},
+    {"CR2", ADC_CR2, 0, 0x7F7F0F03, ACCESS_RW},     {"SMPR1", ADC_SMPR1, 0, 0x07FFFFFF, ACCESS_RW},
+    {"SMPR2", ADC_SMPR2, 0, 0x3FFFFFFF, ACCESS_RW}, {"JOFR1", 0x14, 0, 0xFFF, ACCESS_RW},
+    {"JOFR2", 0x18, 0, 0xFFF, ACCESS_RW},           {"JOFR3", 0x1C, 0, 0xFFF, ACCESS_RW},
+    {"JOFR4", 0x20, 0, 0xFFF, ACCESS_RW},           {"HTR", ADC_HTR, 0xFFF, 0xFFF, ACCESS_RW},
+    {"LTR", ADC_LTR, 0, 0xFFF, ACCESS_RW},          {"SQR1", ADC_SQR1, 0, 0x00FFFFFF, ACCESS_RW},
+    {"SQR2", ADC_SQR2, 0, 0x3FFFFFFF, ACCESS_RW},   {"SQR3", ADC_SQR3, 0, 0x3FFFFFFF, ACCESS_RW},
+    {"JSQR", ADC_JSQR, 0, 0x003FFFFF, ACCESS_RW},   {"JDR1", 0x3C, 0, 0xFFFF, ACCESS_RO},
+    {"JDR2", 0x40, 0, 0xFFFF, ACCESS_RO},           {"JDR3", 0x44, 0, 0xFFFF, ACCESS_RO},
+    {"JDR4", 0x48, 0, 0xFFFF, ACCESS_RO},           {"DR", ADC_DR, 0, 0xFFFF, ACCESS_RO},
 };
 static const register_layout_t common_registers[] = {
-    {"CSR", ADC_CSR, 0, 0x003F3F3F, ACCESS_RO}, {"CCR", ADC_CCR, 0, 0x00C3EF1F, ACCESS_RW}, {"CDR", ADC_CDR, 0, 0xFFFFFFFF, ACCESS_RO},
+    {"CSR", ADC_CSR, 0, 0x003F3F3F, ACCESS_RO},
+    {"CCR", ADC_CCR, 0, 0x00C3EF1F, ACCESS_RW},
+    {"CDR", ADC_CDR, 0, 0xFFFFFFFF, ACCESS_RO},
 };
 
-static const uint8_t regular_triggers[16] = {
-    TRIGGER_TIM1_CC1, TRIGGER_TIM1_CC2, TRIGGER_TIM1_CC3, TRIGGER_TIM2_CC2, TRIGGER_TIM2_CC3, TRIGGER_TIM2_CC4, TRIGGER_TIM2_TRGO, TRIGGER_TIM3_CC1,
-    TRIGGER_TIM3_TRGO, TRIGGER_TIM4_CC4, TRIGGER_TIM5_CC1, TRIGGER_TIM5_CC2, TRIGGER_TIM5_CC3, TRIGGER_TIM8_CC1, TRIGGER_TIM8_TRGO, TRIGGER_EXTI11};
-static const uint8_t injected_triggers[16] = {
-    TRIGGER_TIM1_CC4, TRIGGER_TIM1_TRGO, TRIGGER_TIM2_CC1, TRIGGER_TIM2_TRGO, TRIGGER_TIM3_CC2, TRIGGER_TIM3_CC4, TRIGGER_TIM4_CC1, TRIGGER_TIM4_CC2,
-    TRIGGER_TIM4_CC3, TRIGGER_TIM4_TRGO, TRIGGER_TIM5_CC4, TRIGGER_TIM5_TRGO, TRIGGER_TIM8_CC2, TRIGGER_TIM8_CC3, TRIGGER_TIM8_CC4, TRIGGER_EXTI15};
+static const uint8_t regular_triggers[16] = {TRIGGER_TIM1_CC1,  TRIGGER_TIM1_CC2, TRIGGER_TIM1_CC3,  TRIGGER_TIM2_CC2,
+                                             TRIGGER_TIM2_CC3,  TRIGGER_TIM2_CC4, TRIGGER_TIM2_TRGO, TRIGGER_TIM3_CC1,
+                                             TRIGGER_TIM3_TRGO, TRIGGER_TIM4_CC4, TRIGGER_TIM5_CC1,  TRIGGER_TIM5_CC2,
+                                             TRIGGER_TIM5_CC3,  TRIGGER_TIM8_CC1, TRIGGER_TIM8_TRGO, TRIGGER_EXTI11};
+static const uint8_t injected_triggers[16] = {TRIGGER_TIM1_CC4, TRIGGER_TIM1_TRGO, TRIGGER_TIM2_CC1, TRIGGER_TIM2_TRGO,
+                                              TRIGGER_TIM3_CC2, TRIGGER_TIM3_CC4,  TRIGGER_TIM4_CC1, TRIGGER_TIM4_CC2,
+                                              TRIGGER_TIM4_CC3, TRIGGER_TIM4_TRGO, TRIGGER_TIM5_CC4, TRIGGER_TIM5_TRGO,
+                                              TRIGGER_TIM8_CC2, TRIGGER_TIM8_CC3,  TRIGGER_TIM8_CC4, TRIGGER_EXTI15};
 
-void adc_interrupt(unit_t *u)
-{
+void adc_interrupt(unit_t *u) {
     const uint32_t cr1 = reg(&u->model, ADC_CR1), sr = reg(&u->model, ADC_SR);
-    const bool level = ((cr1 & 0x20u) && (sr & EOC)) || ((cr1 & 0x40u) && (sr & AWD)) || ((cr1 & 0x80u) && (sr & JEOC)) || ((cr1 & 1u << 26) && (sr & OVR));
+    const bool level = ((cr1 & 0x20u) && (sr & EOC)) || ((cr1 & 0x40u) && (sr & AWD)) ||
+                       ((cr1 & 0x80u) && (sr & JEOC)) || ((cr1 & 1u << 26) && (sr & OVR));
     chip_irq_shared(u->model.chip, 18, &u->irq, level);
 }
 
 /* ---- Triggers ---- */
 
-static bool edge_selected(unsigned enable, bool rising) { return enable == 3 || enable == (rising ? 1u : 2u); }
+static bool edge_selected(unsigned enable, bool rising) {
+    return enable == 3 || enable == (rising ? 1u : 2u);
+}
 
-void adc_trigger_edge(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps)
-{
+void adc_trigger_edge(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps) {
     if (!chip->trigger_heard[trigger]) {
         return;
     }
@@ -45,17 +55,18 @@ void adc_trigger_edge(chip_t *chip, trigger_t trigger, bool rising, int64_t time
         if ((cr2 & ADON) == 0) {
             continue;
         }
-        if (edge_selected(field(cr2, 20, 2), rising) && injected_triggers[field(cr2, 16, 4)] == trigger && !adc_follows(u, INJECTED)) {
+        if (edge_selected(field(cr2, 20, 2), rising) && injected_triggers[field(cr2, 16, 4)] == trigger &&
+            !adc_follows(u, INJECTED)) {
             adc_start_injected(u, time_ps);
         }
-        if (edge_selected(field(cr2, 28, 2), rising) && regular_triggers[field(cr2, 24, 4)] == trigger && !adc_follows(u, REGULAR)) {
+        if (edge_selected(field(cr2, 28, 2), rising) && regular_triggers[field(cr2, 24, 4)] == trigger &&
+            !adc_follows(u, REGULAR)) {
             adc_start_regular(u, time_ps);
         }
     }
 }
 
-static void listen(adc_t *adc)
-{
+static void listen(adc_t *adc) {
     chip_t *const chip = adc->common.chip;
     bool heard[TRIGGER_COUNT] = {false};
     bool changed = false;
@@ -85,8 +96,7 @@ static void listen(adc_t *adc)
 
 /* ---- Registers ---- */
 
-static void write_cr2(unit_t *u, uint32_t value)
-{
+static void write_cr2(unit_t *u, uint32_t value) {
     machine_t *const machine = u->model.machine;
     const uint32_t old = reg(&u->model, ADC_CR2);
     u->model.value[ADC_CR2 / 4] = value & ~(SWSTART | JSWSTART);
@@ -108,8 +118,7 @@ static void write_cr2(unit_t *u, uint32_t value)
     }
 }
 
-static void set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void set(model_t *model, uint32_t offset, uint32_t value) {
     unit_t *const u = (unit_t *)model;
     switch (offset) {
     case ADC_SR:
@@ -119,10 +128,15 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
         }
         model->value[ADC_SR / 4] &= value;
         break;
-    case ADC_CR2: write_cr2(u, value); break;
+    case ADC_CR2:
+        write_cr2(u, value);
+        break;
     default:
         if (u->activity != IDLE && offset >= ADC_SQR1 && offset <= ADC_JSQR && value != reg(model, offset)) {
-            machine_violation(model->machine, "%s: a sequence register (SQRx, JSQR) changed during a conversion, which would start over (RM0090 13.3.4)", model_name(model));
+            machine_violation(model->machine,
+                              "%s: a sequence register (SQRx, JSQR) changed during a conversion, which would start "
+                              "over (RM0090 13.3.4)",
+                              model_name(model));
         }
         model->value[offset / 4] = value;
         break;
@@ -130,8 +144,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
     adc_interrupt(u);
 }
 
-static uint32_t get(model_t *model, uint32_t offset)
-{
+static uint32_t get(model_t *model, uint32_t offset) {
     unit_t *const u = (unit_t *)model;
     if (offset == ADC_DR) {
         u->unread = false;
@@ -142,20 +155,20 @@ static uint32_t get(model_t *model, uint32_t offset)
     return reg(model, offset);
 }
 
-static uint32_t common_get(model_t *model, uint32_t offset)
-{
+static uint32_t common_get(model_t *model, uint32_t offset) {
     adc_t *const adc = model->chip->adc;
     if (offset == ADC_CSR) {
-        return reg(&adc->unit[0].model, ADC_SR) | reg(&adc->unit[1].model, ADC_SR) << 8 | reg(&adc->unit[2].model, ADC_SR) << 16;
+        return reg(&adc->unit[0].model, ADC_SR) | reg(&adc->unit[1].model, ADC_SR) << 8 |
+               reg(&adc->unit[2].model, ADC_SR) << 16;
     }
     return offset == ADC_CDR ? adc_common_read(adc) : reg(model, offset);
 }
 
-static void common_set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void common_set(model_t *model, uint32_t offset, uint32_t value) {
     const uint32_t old = reg(model, ADC_CCR);
     const unsigned multi = value & 31u;
-    if (multi != 0 && multi != 0x01 && multi != 0x11 && multi != 0x05 && multi != 0x15 && multi != 0x06 && multi != 0x16) {
+    if (multi != 0 && multi != 0x01 && multi != 0x11 && multi != 0x05 && multi != 0x15 && multi != 0x06 &&
+        multi != 0x16) {
         model_missing(model, "this value of MULTI (interleaved, alternate or reserved)");
     }
     if (((old ^ value) & 31u) != 0 && (old & 31u) != 0 && multi != 0) {
@@ -167,8 +180,7 @@ static void common_set(model_t *model, uint32_t offset, uint32_t value)
     }
 }
 
-static void restart(model_t *model)
-{
+static void restart(model_t *model) {
     unit_t *const u = (unit_t *)model;
     adc_stop(u);
     u->no_more_requests = false;
@@ -176,12 +188,22 @@ static void restart(model_t *model)
     listen(model->chip->adc);
 }
 
-static void common_restart(model_t *model) { adc_common_forget(model->chip->adc); }
+static void common_restart(model_t *model) {
+    adc_common_forget(model->chip->adc);
+}
 
-void adc_create(chip_t *chip)
-{
-    static const model_description_t common_description = {.name = "C_ADC", .base = 0x40012300, .size = 0x100, .bus = BUS_APB2, .read_widths = WIDTH_ANY, .write_widths = WIDTH_32,
-        .registers = common_registers, .register_count = 3, .get = common_get, .set = common_set, .restart = common_restart};
+void adc_create(chip_t *chip) {
+    static const model_description_t common_description = {.name = "C_ADC",
+                                                           .base = 0x40012300,
+                                                           .size = 0x100,
+                                                           .bus = BUS_APB2,
+                                                           .read_widths = WIDTH_ANY,
+                                                           .write_widths = WIDTH_32,
+                                                           .registers = common_registers,
+                                                           .register_count = 3,
+                                                           .get = common_get,
+                                                           .set = common_set,
+                                                           .restart = common_restart};
     static const char *const names[3] = {"ADC1", "ADC2", "ADC3"};
     struct storage {
         adc_t adc;
@@ -193,8 +215,17 @@ void adc_create(chip_t *chip)
         u->number = i;
         u->request = (dma_source_t)(DMA_ADC1 + i);
         adc_group_init(u);
-        storage->description[i] = (model_description_t){.name = names[i], .base = 0x40012000u + 0x100u * i, .size = 0x100, .bus = BUS_APB2, .read_widths = WIDTH_ANY,
-            .write_widths = WIDTH_32, .registers = registers, .register_count = sizeof registers / sizeof registers[0], .get = get, .set = set, .restart = restart};
+        storage->description[i] = (model_description_t){.name = names[i],
+                                                        .base = 0x40012000u + 0x100u * i,
+                                                        .size = 0x100,
+                                                        .bus = BUS_APB2,
+                                                        .read_widths = WIDTH_ANY,
+                                                        .write_widths = WIDTH_32,
+                                                        .registers = registers,
+                                                        .register_count = sizeof registers / sizeof registers[0],
+                                                        .get = get,
+                                                        .set = set,
+                                                        .restart = restart};
         model_attach(chip, &u->model, &storage->description[i]);
     }
     model_attach(chip, &chip->adc->common, &common_description);

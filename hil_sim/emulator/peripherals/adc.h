@@ -5,8 +5,8 @@
  *     adc_group.c     regular and injected groups: what runs when
  *     adc_multi.c     which converters go together; the common data register
  *
- * One event per conversion; converters that go together share the first one's event. The analog value is asked for when a conversion starts, with the time at
- * which the sampling switch opens; the result is there when the conversion ends.
+ * One event per conversion; converters that go together share the first one's event. The analog value is asked for when
+ * a conversion starts, with the time at which the sampling switch opens; the result is there when the conversion ends.
  */
 #ifndef GOLDFIELD_ADC_H
 #define GOLDFIELD_ADC_H
@@ -14,30 +14,42 @@
 #include "emulator/peripherals/model.h"
 
 enum {
-    ADC_SR = 0x00, ADC_CR1 = 0x04, ADC_CR2 = 0x08, ADC_SMPR1 = 0x0C, ADC_SMPR2 = 0x10, ADC_JOFR1 = 0x14, ADC_HTR = 0x24, ADC_LTR = 0x28, ADC_SQR1 = 0x2C, ADC_SQR2 = 0x30,
-    ADC_SQR3 = 0x34, ADC_JSQR = 0x38, ADC_JDR1 = 0x3C, ADC_DR = 0x4C
+    ADC_SR = 0x00,
+    ADC_CR1 = 0x04,
+    ADC_CR2 = 0x08,
+    ADC_SMPR1 = 0x0C,
+    ADC_SMPR2 = 0x10,
+    ADC_JOFR1 = 0x14,
+    ADC_HTR = 0x24,
+    ADC_LTR = 0x28,
+    ADC_SQR1 = 0x2C,
+    ADC_SQR2 = 0x30,
+    ADC_SQR3 = 0x34,
+    ADC_JSQR = 0x38,
+    ADC_JDR1 = 0x3C,
+    ADC_DR = 0x4C
 };
 enum { ADC_CSR = 0x00, ADC_CCR = 0x04, ADC_CDR = 0x08 }; /* Common. */
 /* ADC_SR */
-#define AWD 1u
-#define EOC 2u
-#define JEOC 4u
+#define AWD   1u
+#define EOC   2u
+#define JEOC  4u
 #define JSTRT 8u
-#define STRT 16u
-#define OVR 32u
+#define STRT  16u
+#define OVR   32u
 /* ADC_CR1 */
-#define SCAN 0x100u
-#define JAUTO 0x400u
-#define DISCEN 0x800u
+#define SCAN    0x100u
+#define JAUTO   0x400u
+#define DISCEN  0x800u
 #define JDISCEN 0x1000u
 /* ADC_CR2 */
-#define ADON 1u
-#define CONT 2u
-#define DMA 0x100u
-#define DDS 0x200u
-#define EOCS 0x400u
+#define ADON     1u
+#define CONT     2u
+#define DMA      0x100u
+#define DDS      0x200u
+#define EOCS     0x400u
 #define JSWSTART (1u << 22)
-#define SWSTART (1u << 30)
+#define SWSTART  (1u << 30)
 
 typedef enum { IDLE, REGULAR, INJECTED } activity_t;
 
@@ -46,7 +58,8 @@ typedef struct {
     unsigned number; /* 0: ADC1 */
     dma_source_t request;
     activity_t activity;
-    bool regular_waits;             /* Its regular sequence was interrupted by an injected one. Of those that go together the first one's counts. */
+    bool regular_waits; /* Its regular sequence was interrupted by an injected one. Of those that go together the first
+                           one's counts. */
     unsigned index, injected_index; /* Place in the sequence. */
     uint32_t result;                /* Of the running conversion, 12 bits. */
     bool unread, no_more_requests, irq;
@@ -62,9 +75,15 @@ struct adc {
     bool no_more_requests;
 };
 
-static inline adc_t *adc_of(const unit_t *u) { return u->model.chip->adc; }
-static inline bool adc_scans(const unit_t *u) { return (reg(&u->model, ADC_CR1) & SCAN) != 0; }
-static inline unsigned adc_resolution(const unit_t *u) { return 12 - 2 * field(reg(&u->model, ADC_CR1), 24, 2); }
+static inline adc_t *adc_of(const unit_t *u) {
+    return u->model.chip->adc;
+}
+static inline bool adc_scans(const unit_t *u) {
+    return (reg(&u->model, ADC_CR1) & SCAN) != 0;
+}
+static inline unsigned adc_resolution(const unit_t *u) {
+    return 12 - 2 * field(reg(&u->model, ADC_CR1), 24, 2);
+}
 
 /* adc.c */
 void adc_interrupt(unit_t *u); /* After a change of SR or CR1. */
@@ -80,7 +99,8 @@ unsigned adc_pin(const unit_t *u, unsigned channel);
 /* Clocks that the sampling switch is closed for a channel; PCLK2 cycles per converter clock. */
 unsigned adc_sampling(const unit_t *u, unsigned channel);
 int64_t adc_divider(const unit_t *u);
-/* Tick of PCLK2 at which a trigger's conversion begins: the first converter clock edge at or after time_ps, plus latency converter clocks. */
+/* Tick of PCLK2 at which a trigger's conversion begins: the first converter clock edge at or after time_ps, plus
+ * latency converter clocks. */
 int64_t adc_start_tick(const unit_t *u, int64_t time_ps, int64_t latency);
 /* Code of a channel when its switch opens. */
 uint32_t adc_sample(unit_t *u, unsigned channel, int64_t opens_ps);
@@ -100,7 +120,9 @@ bool adc_follows(const unit_t *u, activity_t group);
 /* The unit that leads this one's group, itself or ADC1, and how many go together, ADC1 first; 1: alone. */
 unit_t *adc_leader(unit_t *u, activity_t group);
 unsigned adc_members(const unit_t *leader, activity_t group);
-static inline unit_t *adc_member(unit_t *leader, unsigned count, unsigned i) { return count == 1 ? leader : &adc_of(leader)->unit[i]; }
+static inline unit_t *adc_member(unit_t *leader, unsigned count, unsigned i) {
+    return count == 1 ? leader : &adc_of(leader)->unit[i];
+}
 /* Do its regular results go through the common data register? Keep one; false: it is full, the result is lost. */
 bool adc_by_common(const unit_t *u);
 bool adc_common_keep(adc_t *adc, uint32_t result);

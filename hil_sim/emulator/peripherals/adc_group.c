@@ -1,34 +1,37 @@
 /* adc_group.c: regular and injected groups: what is converted when, and where results go (RM0090 13.3.9, 13.8, 13.9).
  *
- * A trigger takes effect two converter clocks (regular) or three (injected) after the next edge of the converters' clock. An injected group interrupts a regular
- * conversion, which is done again after it; a regular trigger during an injected group waits. Converters that go together begin each conversion at once and go on
- * when the slowest is done; their JEOC comes when all are done (13.9.1). Only where the group is a single conversion may they differ in its length.
+ * A trigger takes effect two converter clocks (regular) or three (injected) after the next edge of the converters'
+ * clock. An injected group interrupts a regular conversion, which is done again after it; a regular trigger during an
+ * injected group waits. Converters that go together begin each conversion at once and go on when the slowest is done;
+ * their JEOC comes when all are done (13.9.1). Only where the group is a single conversion may they differ in its
+ * length.
  */
 #include "emulator/peripherals/adc.h"
 
-#define REGULAR_LATENCY 2
+#define REGULAR_LATENCY  2
 #define INJECTED_LATENCY 3
 
-static unsigned place(const unit_t *leader, activity_t group) { return group == REGULAR ? leader->index : leader->injected_index; }
+static unsigned place(const unit_t *leader, activity_t group) {
+    return group == REGULAR ? leader->index : leader->injected_index;
+}
 
 /* ---- Conversions ---- */
 
-static void check_pins(unit_t *leader, activity_t group, unsigned count)
-{
+static void check_pins(unit_t *leader, activity_t group, unsigned count) {
     unsigned pins[3];
     for (unsigned i = 0; i < count; i++) {
         const unit_t *const u = adc_member(leader, count, i);
         pins[i] = adc_pin(u, adc_channel(u, group, place(leader, group)));
         for (unsigned k = 0; k < i && pins[i] != ADC_NO_PIN; k++) {
             if (pins[k] == pins[i]) {
-                machine_violation(leader->model.machine, "%s: converts the same pin as %s at the same time", model_name(&u->model), model_name(&adc_of(u)->unit[k].model));
+                machine_violation(leader->model.machine, "%s: converts the same pin as %s at the same time",
+                                  model_name(&u->model), model_name(&adc_of(u)->unit[k].model));
             }
         }
     }
 }
 
-static void begin(unit_t *leader, activity_t group, int64_t tick)
-{
+static void begin(unit_t *leader, activity_t group, int64_t tick) {
     chip_t *const chip = leader->model.chip;
     const int64_t divider = adc_divider(leader);
     const unsigned count = adc_members(leader, group), index = place(leader, group);
@@ -36,14 +39,16 @@ static void begin(unit_t *leader, activity_t group, int64_t tick)
     bool differ = false;
     for (unsigned i = 0; i < count; i++) {
         unit_t *const u = adc_member(leader, count, i);
-        const unsigned channel = adc_channel(u, group, index), sampling = adc_sampling(u, channel), clocks = sampling + adc_resolution(u);
+        const unsigned channel = adc_channel(u, group, index), sampling = adc_sampling(u, channel),
+                       clocks = sampling + adc_resolution(u);
         u->activity = group;
         u->result = adc_sample(u, channel, clock_time(&chip->pclk2, tick + sampling * divider));
         differ = differ || (i > 0 && clocks != longest);
         longest = clocks > longest ? clocks : longest;
     }
     if (differ && adc_length(leader, group) > 1) {
-        model_missing(&leader->model, "sequences whose sampling times or resolutions differ between converters that go together");
+        model_missing(&leader->model,
+                      "sequences whose sampling times or resolutions differ between converters that go together");
     }
     if (count > 1) {
         check_pins(leader, group, count);
@@ -52,35 +57,35 @@ static void begin(unit_t *leader, activity_t group, int64_t tick)
 }
 
 /* May all members start? */
-static bool members_ready(unit_t *leader, activity_t group, unsigned count)
-{
+static bool members_ready(unit_t *leader, activity_t group, unsigned count) {
     for (unsigned i = 0; i < count; i++) {
         unit_t *const u = adc_member(leader, count, i);
         if (!adc_ready(u, group == REGULAR ? "regular conversion started" : "injected conversion started")) {
             return false;
         }
         if (adc_length(u, group) != adc_length(leader, group)) {
-            machine_violation(u->model.machine, "%s: sequence length differs from ADC1's in simultaneous mode", model_name(&u->model));
+            machine_violation(u->model.machine, "%s: sequence length differs from ADC1's in simultaneous mode",
+                              model_name(&u->model));
         }
     }
     return true;
 }
 
-static void mark_started(unit_t *leader, unsigned count, uint32_t flag)
-{
+static void mark_started(unit_t *leader, unsigned count, uint32_t flag) {
     for (unsigned i = 0; i < count; i++) {
         adc_member(leader, count, i)->model.value[ADC_SR / 4] |= flag;
     }
 }
 
-void adc_start_regular(unit_t *u, int64_t time_ps)
-{
+void adc_start_regular(unit_t *u, int64_t time_ps) {
     const unsigned count = adc_members(u, REGULAR);
     if (!members_ready(u, REGULAR, count) || (reg(&u->model, ADC_SR) & OVR) != 0) {
         return; /* No conversion until OVR is cleared. */
     }
     if (u->activity == REGULAR || u->regular_waits) {
-        machine_violation(u->model.machine, "%s: a trigger came while the sequence was still being converted, and was lost", model_name(&u->model));
+        machine_violation(u->model.machine,
+                          "%s: a trigger came while the sequence was still being converted, and was lost",
+                          model_name(&u->model));
         return;
     }
     if ((reg(&u->model, ADC_CR1) & DISCEN) == 0) {
@@ -94,8 +99,7 @@ void adc_start_regular(unit_t *u, int64_t time_ps)
     }
 }
 
-void adc_start_injected(unit_t *u, int64_t time_ps)
-{
+void adc_start_injected(unit_t *u, int64_t time_ps) {
     const unsigned count = adc_members(u, INJECTED);
     if (!members_ready(u, INJECTED, count)) {
         return;
@@ -103,7 +107,10 @@ void adc_start_injected(unit_t *u, int64_t time_ps)
     for (unsigned i = 0; i < count; i++) {
         const unit_t *const member = adc_member(u, count, i);
         if (member->activity == INJECTED) {
-            machine_violation(u->model.machine, "%s: an injected trigger came while the injected group was still being converted, and was lost", model_name(&member->model));
+            machine_violation(
+                u->model.machine,
+                "%s: an injected trigger came while the injected group was still being converted, and was lost",
+                model_name(&member->model));
             return;
         }
     }
@@ -124,8 +131,7 @@ void adc_start_injected(unit_t *u, int64_t time_ps)
 
 /* ---- Results ---- */
 
-static uint32_t aligned(const unit_t *u, int32_t value)
-{
+static uint32_t aligned(const unit_t *u, int32_t value) {
     const unsigned bits = adc_resolution(u);
     if ((reg(&u->model, ADC_CR2) & 0x800u) == 0) {
         return (uint32_t)value & 0xFFFFu;
@@ -133,8 +139,7 @@ static uint32_t aligned(const unit_t *u, int32_t value)
     return ((uint32_t)value << (bits == 6 ? 2 : 16 - bits)) & 0xFFFFu;
 }
 
-static void watchdog(unit_t *u, activity_t group, unsigned channel, uint32_t value)
-{
+static void watchdog(unit_t *u, activity_t group, unsigned channel, uint32_t value) {
     const uint32_t cr1 = reg(&u->model, ADC_CR1);
     if ((cr1 >> (group == INJECTED ? 22 : 23) & 1u) == 0 || ((cr1 & 0x200u) && (cr1 & 31u) != channel)) {
         return;
@@ -145,15 +150,13 @@ static void watchdog(unit_t *u, activity_t group, unsigned channel, uint32_t val
     }
 }
 
-static void overrun(unit_t *u)
-{
+static void overrun(unit_t *u) {
     machine_violation(u->model.machine, "%s: overrun, a result was lost (OVR)", model_name(&u->model));
     u->model.value[ADC_SR / 4] |= OVR;
     dma_line(u->model.chip, u->request, false);
 }
 
-static void store_regular(unit_t *u, unsigned index, bool last)
-{
+static void store_regular(unit_t *u, unsigned index, bool last) {
     const uint32_t cr2 = reg(&u->model, ADC_CR2), value = u->result >> (12 - adc_resolution(u));
     const bool by_common = adc_by_common(u);
     watchdog(u, REGULAR, adc_channel(u, REGULAR, index), value);
@@ -175,8 +178,7 @@ static void store_regular(unit_t *u, unsigned index, bool last)
     }
 }
 
-static void store_injected(unit_t *u, unsigned index)
-{
+static void store_injected(unit_t *u, unsigned index) {
     const uint32_t value = u->result >> (12 - adc_resolution(u));
     watchdog(u, INJECTED, adc_channel(u, INJECTED, index), value);
     u->model.value[ADC_JDR1 / 4 + index] = aligned(u, (int32_t)value - (int32_t)reg(&u->model, ADC_JOFR1 + 4 * index));
@@ -184,8 +186,7 @@ static void store_injected(unit_t *u, unsigned index)
 
 /* ---- What runs next ---- */
 
-static void next_injected(unit_t *leader, unsigned count, int64_t tick)
-{
+static void next_injected(unit_t *leader, unsigned count, int64_t tick) {
     const bool last = ++leader->injected_index >= adc_length(leader, INJECTED);
     if (!last && (reg(&leader->model, ADC_CR1) & JDISCEN) == 0) {
         begin(leader, INJECTED, tick);
@@ -204,8 +205,7 @@ static void next_injected(unit_t *leader, unsigned count, int64_t tick)
     }
 }
 
-static void next_regular(unit_t *leader, bool last, int64_t tick)
-{
+static void next_regular(unit_t *leader, bool last, int64_t tick) {
     const uint32_t cr1 = reg(&leader->model, ADC_CR1);
     const bool continuous = (reg(&leader->model, ADC_CR2) & CONT) != 0;
     leader->index = last ? 0 : leader->index + 1;
@@ -222,8 +222,7 @@ static void next_regular(unit_t *leader, bool last, int64_t tick)
     }
 }
 
-static void conversion_done(void *context, int64_t time_ps)
-{
+static void conversion_done(void *context, int64_t time_ps) {
     unit_t *const leader = context;
     adc_t *const adc = adc_of(leader);
     const activity_t group = leader->activity;
@@ -252,10 +251,11 @@ static void conversion_done(void *context, int64_t time_ps)
     }
 }
 
-void adc_group_init(unit_t *u) { machine_event_init(&u->done, conversion_done, u); }
+void adc_group_init(unit_t *u) {
+    machine_event_init(&u->done, conversion_done, u);
+}
 
-void adc_stop(unit_t *u)
-{
+void adc_stop(unit_t *u) {
     machine_cancel(u->model.machine, &u->done);
     u->activity = IDLE;
     u->regular_waits = u->unread = false;

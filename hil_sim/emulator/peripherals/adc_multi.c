@@ -7,40 +7,50 @@
  */
 #include "emulator/peripherals/adc.h"
 
-static uint32_t multi(const adc_t *adc) { return reg(&adc->common, ADC_CCR) & 31u; }
+static uint32_t multi(const adc_t *adc) {
+    return reg(&adc->common, ADC_CCR) & 31u;
+}
 
-unsigned adc_multi_units(const adc_t *adc) { return multi(adc) == 0 ? 1 : (multi(adc) & 16u) != 0 ? 3 : 2; }
+unsigned adc_multi_units(const adc_t *adc) {
+    return multi(adc) == 0 ? 1 : (multi(adc) & 16u) != 0 ? 3 : 2;
+}
 
-static bool together(const adc_t *adc, activity_t group)
-{
+static bool together(const adc_t *adc, activity_t group) {
     const uint32_t mode = multi(adc) & 15u;
     return mode == 1 || mode == (group == REGULAR ? 6u : 5u);
 }
 
-bool adc_follows(const unit_t *u, activity_t group) { return u->number > 0 && u->number < adc_multi_units(adc_of(u)) && together(adc_of(u), group); }
+bool adc_follows(const unit_t *u, activity_t group) {
+    return u->number > 0 && u->number < adc_multi_units(adc_of(u)) && together(adc_of(u), group);
+}
 
-unit_t *adc_leader(unit_t *u, activity_t group) { return adc_follows(u, group) ? &adc_of(u)->unit[0] : u; }
+unit_t *adc_leader(unit_t *u, activity_t group) {
+    return adc_follows(u, group) ? &adc_of(u)->unit[0] : u;
+}
 
-unsigned adc_members(const unit_t *leader, activity_t group)
-{
+unsigned adc_members(const unit_t *leader, activity_t group) {
     const adc_t *const adc = adc_of(leader);
     return leader->number == 0 && together(adc, group) ? adc_multi_units(adc) : 1;
 }
 
 /* ---- The common data register ---- */
 
-static unsigned dma_mode(const adc_t *adc) { return field(reg(&adc->common, ADC_CCR), 14, 2); }
-static unsigned results_a_request(const adc_t *adc) { return dma_mode(adc) == 1 ? 1 : 2; }
-static bool wants_dma(const adc_t *adc) { return dma_mode(adc) != 0 && adc->queued >= results_a_request(adc); }
+static unsigned dma_mode(const adc_t *adc) {
+    return field(reg(&adc->common, ADC_CCR), 14, 2);
+}
+static unsigned results_a_request(const adc_t *adc) {
+    return dma_mode(adc) == 1 ? 1 : 2;
+}
+static bool wants_dma(const adc_t *adc) {
+    return dma_mode(adc) != 0 && adc->queued >= results_a_request(adc);
+}
 
-bool adc_by_common(const unit_t *u)
-{
+bool adc_by_common(const unit_t *u) {
     const adc_t *const adc = adc_of(u);
     return dma_mode(adc) != 0 && together(adc, REGULAR) && u->number < adc_multi_units(adc);
 }
 
-bool adc_common_keep(adc_t *adc, uint32_t result)
-{
+bool adc_common_keep(adc_t *adc, uint32_t result) {
     if (adc->queued == sizeof adc->queue / sizeof adc->queue[0]) {
         return false;
     }
@@ -48,8 +58,7 @@ bool adc_common_keep(adc_t *adc, uint32_t result)
     return true;
 }
 
-bool adc_common_request(adc_t *adc)
-{
+bool adc_common_request(adc_t *adc) {
     if (!wants_dma(adc) || adc->no_more_requests) {
         return true;
     }
@@ -57,12 +66,13 @@ bool adc_common_request(adc_t *adc)
     return !wants_dma(adc) || adc->no_more_requests;
 }
 
-uint32_t adc_common_read(adc_t *adc)
-{
+uint32_t adc_common_read(adc_t *adc) {
     const unsigned mode = dma_mode(adc), take = results_a_request(adc);
     uint32_t value = reg(&adc->unit[0].model, ADC_DR) | reg(&adc->unit[1].model, ADC_DR) << 16;
     if (wants_dma(adc)) {
-        value = mode == 1 ? adc->queue[0] : mode == 2 ? adc->queue[0] | (uint32_t)adc->queue[1] << 16 : (adc->queue[0] & 0xFFu) | (adc->queue[1] & 0xFFu) << 8;
+        value = mode == 1   ? adc->queue[0]
+                : mode == 2 ? adc->queue[0] | (uint32_t)adc->queue[1] << 16
+                            : (adc->queue[0] & 0xFFu) | (adc->queue[1] & 0xFFu) << 8;
         adc->queued -= take;
         for (unsigned i = 0; i < adc->queued; i++) {
             adc->queue[i] = adc->queue[i + take];
@@ -79,15 +89,13 @@ uint32_t adc_common_read(adc_t *adc)
     return value;
 }
 
-void adc_common_forget(adc_t *adc)
-{
+void adc_common_forget(adc_t *adc) {
     adc->queued = 0;
     adc->no_more_requests = false;
 }
 
 /* RM0090 13.8.1: without DDS no request follows the last transfer. */
-void adc_last_transfer(chip_t *chip, dma_source_t source)
-{
+void adc_last_transfer(chip_t *chip, dma_source_t source) {
     if (source < DMA_ADC1 || source > DMA_ADC3) {
         return;
     }

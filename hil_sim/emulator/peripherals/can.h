@@ -1,4 +1,5 @@
-/* can.h: between the parts of the bxCAN model (RM0090 chapter 32). CAN1 is on the network; CAN2's registers are there, its pins lead nowhere.
+/* can.h: between the parts of the bxCAN model (RM0090 chapter 32). CAN1 is on the network; CAN2's registers are there,
+ * its pins lead nowhere.
  *
  *     can.c           registers, modes, bit timing, errors
  *     can_transmit.c  mailboxes
@@ -10,26 +11,42 @@
 
 #include "emulator/peripherals/model.h"
 
-enum { MCR = 0x00, MSR = 0x04, TSR = 0x08, RF0R = 0x0C, RF1R = 0x10, IER = 0x14, ESR = 0x18, BTR = 0x1C, TI0R = 0x180, RI0R = 0x1B0, FMR = 0x200, FM1R = 0x204, FS1R = 0x20C, FFA1R = 0x214,
-       FA1R = 0x21C, F0R1 = 0x240 };
+enum {
+    MCR = 0x00,
+    MSR = 0x04,
+    TSR = 0x08,
+    RF0R = 0x0C,
+    RF1R = 0x10,
+    IER = 0x14,
+    ESR = 0x18,
+    BTR = 0x1C,
+    TI0R = 0x180,
+    RI0R = 0x1B0,
+    FMR = 0x200,
+    FM1R = 0x204,
+    FS1R = 0x20C,
+    FFA1R = 0x214,
+    FA1R = 0x21C,
+    F0R1 = 0x240
+};
 /* MCR */
-#define INRQ 1u
-#define SLEEP 2u
-#define TXFP 4u
-#define RFLM 8u
-#define NART 0x10u
-#define AWUM 0x20u
-#define TTCM 0x80u
+#define INRQ         1u
+#define SLEEP        2u
+#define TXFP         4u
+#define RFLM         8u
+#define NART         0x10u
+#define AWUM         0x20u
+#define TTCM         0x80u
 #define MASTER_RESET 0x8000u
 /* MSR */
-#define INAK 1u
-#define SLAK 2u
-#define ERRI 4u
-#define WKUI 8u
+#define INAK  1u
+#define SLAK  2u
+#define ERRI  4u
+#define WKUI  8u
 #define SLAKI 0x10u
 /* BTR */
-#define LBKM 0x40000000u
-#define SILM 0x80000000u
+#define LBKM       0x40000000u
+#define SILM       0x80000000u
 #define NETWORK_HZ 1e6
 
 typedef struct {
@@ -54,16 +71,20 @@ struct can {
     machine_event_t mode, arrival; /* arrival: of the frame in arriving. */
 };
 
-static inline uint32_t *can_value(can_t *c, uint32_t offset) { return &c->model.value[offset / 4]; }
-static inline bool can_running(const can_t *c) { return c->model.clocked && (reg(&c->model, MSR) & (INAK | SLAK)) == 0; }
+static inline uint32_t *can_value(can_t *c, uint32_t offset) {
+    return &c->model.value[offset / 4];
+}
+static inline bool can_running(const can_t *c) {
+    return c->model.clocked && (reg(&c->model, MSR) & (INAK | SLAK)) == 0;
+}
 
 /* can.c */
 double can_bit_rate(const can_t *c, bool nominal); /* bit/s; nominal: with a perfect crystal. */
 bool can_rate_fits(const can_t *c);                /* Does this controller understand the network's bits? */
 bool can_has_pin(const can_t *c, bool transmit);
-void can_interrupts(can_t *c);                     /* After any change of flags or enables. */
-void can_errors(can_t *c, unsigned code);          /* Last error code, warning and passive flags, from the counters. */
-void can_count_transmit(can_t *c, int step);       /* Error counters. */
+void can_interrupts(can_t *c);               /* After any change of flags or enables. */
+void can_errors(can_t *c, unsigned code);    /* Last error code, warning and passive flags, from the counters. */
+void can_count_transmit(can_t *c, int step); /* Error counters. */
 void can_count_receive(can_t *c, int step);
 
 /* can_transmit.c */

@@ -1,17 +1,17 @@
 /* can_filter.c: see can_filter.h. */
 #include "emulator/peripherals/can_filter.h"
 
-static uint32_t image32(const board_frame_t *f) { return (f->extended ? f->id << 3 | 4u : f->id << 21) | (f->remote ? 2u : 0); }
+static uint32_t image32(const board_frame_t *f) {
+    return (f->extended ? f->id << 3 | 4u : f->id << 21) | (f->remote ? 2u : 0);
+}
 
-static uint32_t image16(const board_frame_t *f)
-{
+static uint32_t image16(const board_frame_t *f) {
     const uint32_t standard = f->extended ? f->id >> 18 : f->id;
     return standard << 5 | (f->remote ? 0x10u : 0) | (f->extended ? 0x8u | (f->id >> 15 & 7u) : 0);
 }
 
 /* Filters of one bank, in order; -1: none passes. */
-static int bank_match(const uint32_t bank[2], bool wide, bool list, const board_frame_t *frame)
-{
+static int bank_match(const uint32_t bank[2], bool wide, bool list, const board_frame_t *frame) {
     if (wide) {
         const uint32_t image = image32(frame);
         if (list) {
@@ -29,8 +29,7 @@ static int bank_match(const uint32_t bank[2], bool wide, bool list, const board_
     return -1;
 }
 
-bool can_filter_match(const can_filters_t *filters, const board_frame_t *frame, unsigned *fifo, unsigned *index)
-{
+bool can_filter_match(const can_filters_t *filters, const board_frame_t *frame, unsigned *fifo, unsigned *index) {
     unsigned next[2] = {0, 0}; /* Filter numbers are counted for each FIFO, inactive banks too. */
     int best = -1;             /* 32 bits before 16, list before mask, then the lower number. */
     for (unsigned i = filters->first; i < filters->end; i++) {

@@ -1,28 +1,29 @@
 /* can_transmit.c: mailboxes.
  *
- * A request goes to the edge, and the network answers when the frame is through (can_frame_sent). By identifier (TXFP 0) every waiting mailbox is handed over and the network
- * arbitrates; in order of request (TXFP 1) one at a time. A frame without acknowledge counts 8 transmit errors up to 128 (error passive): so a lone node never goes bus-off.
+ * A request goes to the edge, and the network answers when the frame is through (can_frame_sent). By identifier (TXFP
+ * 0) every waiting mailbox is handed over and the network arbitrates; in order of request (TXFP 1) one at a time. A
+ * frame without acknowledge counts 8 transmit errors up to 128 (error passive): so a lone node never goes bus-off.
  */
 #include "emulator/peripherals/can.h"
 
 #include <math.h>
 #include <string.h>
 
-#define ERROR_FRAME_BITS 23 /* Flag, delimiter, intermission, suspended transmission of an error-passive node rounded. */
+#define ERROR_FRAME_BITS                                                                                               \
+    23 /* Flag, delimiter, intermission, suspended transmission of an error-passive node rounded. */
 
-static board_frame_t frame_of(can_t *c, unsigned n)
-{
+static board_frame_t frame_of(can_t *c, unsigned n) {
     const uint32_t *const m = can_value(c, TI0R + 16 * n);
     const unsigned length = m[1] & 15u;
-    board_frame_t frame = {.extended = (m[0] & 4u) != 0, .remote = (m[0] & 2u) != 0, .length = (uint8_t)(length > 8 ? 8 : length)};
+    board_frame_t frame = {
+        .extended = (m[0] & 4u) != 0, .remote = (m[0] & 2u) != 0, .length = (uint8_t)(length > 8 ? 8 : length)};
     frame.id = frame.extended ? m[0] >> 3 : m[0] >> 21;
     memcpy(frame.data, &m[2], 8);
     memset(frame.data + frame.length, 0, (size_t)(8 - frame.length));
     return frame;
 }
 
-static void finish(can_t *c, unsigned n, uint32_t result)
-{
+static void finish(can_t *c, unsigned n, uint32_t result) {
     mailbox_t *const m = &c->mailbox[n];
     machine_cancel(c->model.machine, &m->retry);
     m->pending = m->submitted = false;
@@ -30,8 +31,7 @@ static void finish(can_t *c, unsigned n, uint32_t result)
     *can_value(c, TSR) |= (1u | result) << (8 * n) | 1u << (26 + n);
 }
 
-void can_submit(can_t *c, int64_t time_ps)
-{
+void can_submit(can_t *c, int64_t time_ps) {
     const board_edge_t *const edge = c->model.chip->edge;
     const uint32_t btr = reg(&c->model, BTR);
     if (!can_running(c) || ((btr & SILM) && !(btr & LBKM))) {
@@ -57,9 +57,12 @@ void can_submit(can_t *c, int64_t time_ps)
             const unsigned bits = (frame.extended ? 67u : 47u) + 8u * frame.length; /* Without stuffing. */
             machine_schedule(c->model.machine, &first->retry, time_ps + llround(bits * 1e12 / can_bit_rate(c, false)));
         } else if (!can_has_pin(c, true)) {
-            machine_violation(c->model.machine, "%s: a frame waits, but no pin is in the transmitter's alternate function 9", model_name(&c->model));
+            machine_violation(c->model.machine,
+                              "%s: a frame waits, but no pin is in the transmitter's alternate function 9",
+                              model_name(&c->model));
         } else if (!can_rate_fits(c)) {
-            machine_schedule(c->model.machine, &first->retry, time_ps + llround(ERROR_FRAME_BITS * 1e12 / NETWORK_HZ)); /* Nobody understands it. */
+            machine_schedule(c->model.machine, &first->retry,
+                             time_ps + llround(ERROR_FRAME_BITS * 1e12 / NETWORK_HZ)); /* Nobody understands it. */
             can_count_transmit(c, 8);
             can_errors(c, 5);
         } else if (edge->can_request && c->number == 0) {
@@ -69,8 +72,7 @@ void can_submit(can_t *c, int64_t time_ps)
 }
 
 /* The end of a looped frame, or time to try again. */
-static void retry(void *context, int64_t time_ps)
-{
+static void retry(void *context, int64_t time_ps) {
     mailbox_t *const m = context;
     can_t *const c = m->can;
     if (reg(&c->model, BTR) & LBKM) {
@@ -84,8 +86,7 @@ static void retry(void *context, int64_t time_ps)
     can_interrupts(c);
 }
 
-void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_ps)
-{
+void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_ps) {
     can_t *const c = chip_of(machine)->can[0];
     if (mailbox > 2 || !c->mailbox[mailbox].submitted) {
         return; /* Withdrawn meanwhile. */
@@ -103,8 +104,7 @@ void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_
     can_interrupts(c);
 }
 
-void can_withdraw(can_t *c, unsigned n, int64_t time_ps)
-{
+void can_withdraw(can_t *c, unsigned n, int64_t time_ps) {
     const board_edge_t *const edge = c->model.chip->edge;
     if (c->mailbox[n].pending) {
         if (c->mailbox[n].submitted && edge->can_abort && c->number == 0) {
@@ -114,16 +114,17 @@ void can_withdraw(can_t *c, unsigned n, int64_t time_ps)
     }
 }
 
-void can_write_mailbox(can_t *c, uint32_t offset, uint32_t word)
-{
+void can_write_mailbox(can_t *c, uint32_t offset, uint32_t word) {
     const unsigned n = (offset - TI0R) / 16;
     mailbox_t *const m = &c->mailbox[n];
     if (m->pending) {
-        machine_violation(c->model.machine, "%s: transmit mailbox %u written while it is not empty (TME%u)", model_name(&c->model), n, n);
+        machine_violation(c->model.machine, "%s: transmit mailbox %u written while it is not empty (TME%u)",
+                          model_name(&c->model), n, n);
         return;
     }
     if (offset % 16 == 4 && ((word & 15u) > 8 || (word & 0x100u) != 0)) {
-        machine_violation(c->model.machine, "%s_TDT%uR: 0x%08X: DLC above 8, or TGT without time-triggered mode", model_name(&c->model), n, (unsigned)word);
+        machine_violation(c->model.machine, "%s_TDT%uR: 0x%08X: DLC above 8, or TGT without time-triggered mode",
+                          model_name(&c->model), n, (unsigned)word);
     }
     *can_value(c, offset) = word;
     if (offset % 16 == 0 && (word & 1u)) {
@@ -135,8 +136,7 @@ void can_write_mailbox(can_t *c, uint32_t offset, uint32_t word)
 }
 
 /* CODE: the next free mailbox, or the one of lowest priority. LOW: pending and lowest, when more than one waits. */
-uint32_t can_transmit_status(const can_t *c)
-{
+uint32_t can_transmit_status(const can_t *c) {
     const uint32_t tsr = reg(&c->model, TSR) & 0x1CFFFFFFu;
     unsigned lowest = 3, waiting = 0, free = 3;
     for (unsigned n = 0; n < 3; n++) {
@@ -147,15 +147,15 @@ uint32_t can_transmit_status(const can_t *c)
         waiting++;
         const bool in_order = (reg(&c->model, MCR) & TXFP) != 0;
         const uint32_t id = reg(&c->model, TI0R + 16 * n);
-        if (lowest == 3 || (in_order ? c->mailbox[n].order > c->mailbox[lowest].order : id >= reg(&c->model, TI0R + 16 * lowest))) {
+        if (lowest == 3 ||
+            (in_order ? c->mailbox[n].order > c->mailbox[lowest].order : id >= reg(&c->model, TI0R + 16 * lowest))) {
             lowest = n;
         }
     }
     return (tsr & ~0x03000000u) | (free < 3 ? free : lowest) << 24 | (waiting > 1 ? 1u << (29 + lowest) : 0);
 }
 
-void can_transmit_init(can_t *c)
-{
+void can_transmit_init(can_t *c) {
     for (unsigned n = 0; n < 3; n++) {
         c->mailbox[n].can = c;
         c->mailbox[n].number = n;
@@ -163,8 +163,7 @@ void can_transmit_init(can_t *c)
     }
 }
 
-void can_transmit_restart(can_t *c)
-{
+void can_transmit_restart(can_t *c) {
     const board_edge_t *const edge = c->model.chip->edge;
     for (unsigned n = 0; n < 3; n++) {
         mailbox_t *const m = &c->mailbox[n];

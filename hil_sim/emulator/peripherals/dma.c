@@ -2,32 +2,48 @@
 #include "emulator/peripherals/dma.h"
 
 /* What may change while EN is set: EN itself, the interrupt enables and CIRC. */
-#define UNPROTECTED (0x1Fu | CIRC)
-#define FLAG_BITS 0x0F7D0F7Du
+#define UNPROTECTED   (0x1Fu | CIRC)
+#define FLAG_BITS     0x0F7D0F7Du
 #define MEMORY_CYCLES 8 /* AHB cycles for an item from memory to memory. */
 
-#define STREAM_REGISTERS(n)                                                                                                                                  \
-    {"S" #n "CR", STREAM0 + n * STREAM_SIZE + SCR, 0, 0x0FEFFFFF, ACCESS_RW}, {"S" #n "NDTR", STREAM0 + n * STREAM_SIZE + SNDTR, 0, 0xFFFF, ACCESS_RW},           \
-    {"S" #n "PAR", STREAM0 + n * STREAM_SIZE + SPAR, 0, 0xFFFFFFFF, ACCESS_RW}, {"S" #n "M0AR", STREAM0 + n * STREAM_SIZE + SM0AR, 0, 0xFFFFFFFF, ACCESS_RW},     \
-    {"S" #n "M1AR", STREAM0 + n * STREAM_SIZE + SM1AR, 0, 0xFFFFFFFF, ACCESS_RW}, {"S" #n "FCR", STREAM0 + n * STREAM_SIZE + SFCR, 0x21, 0xBF, ACCESS_RW}
+#define STREAM_REGISTERS(n)                                                                                            \
+    {"S" #n "CR", STREAM0 + n * STREAM_SIZE + SCR, 0, 0x0FEFFFFF, ACCESS_RW},                                          \
+        {"S" #n "NDTR", STREAM0 + n * STREAM_SIZE + SNDTR, 0, 0xFFFF, ACCESS_RW},                                      \
+        {"S" #n "PAR", STREAM0 + n * STREAM_SIZE + SPAR, 0, 0xFFFFFFFF, ACCESS_RW},                                    \
+        {"S" #n "M0AR", STREAM0 + n * STREAM_SIZE + SM0AR, 0, 0xFFFFFFFF, ACCESS_RW},                                  \
+        {"S" #n "M1AR", STREAM0 + n * STREAM_SIZE + SM1AR, 0, 0xFFFFFFFF, ACCESS_RW}, {                                \
+        "S" #n "FCR", STREAM0 + n *STREAM_SIZE + SFCR, 0x21, 0xBF, ACCESS_RW                                           \
+    }
 
 static const register_layout_t registers[] = {
-    {"LISR", LISR, 0, FLAG_BITS, ACCESS_RO}, {"HISR", HISR, 0, FLAG_BITS, ACCESS_RO}, {"LIFCR", LIFCR, 0, FLAG_BITS, ACCESS_WO}, {"HIFCR", HIFCR, 0, FLAG_BITS, ACCESS_WO},
-    STREAM_REGISTERS(0), STREAM_REGISTERS(1), STREAM_REGISTERS(2), STREAM_REGISTERS(3), STREAM_REGISTERS(4), STREAM_REGISTERS(5), STREAM_REGISTERS(6), STREAM_REGISTERS(7),
+    {"LISR", LISR, 0, FLAG_BITS, ACCESS_RO},
+    {"HISR", HISR, 0, FLAG_BITS, ACCESS_RO},
+    {"LIFCR", LIFCR, 0, FLAG_BITS, ACCESS_WO},
+    {"HIFCR", HIFCR, 0, FLAG_BITS, ACCESS_WO},
+    STREAM_REGISTERS(0),
+    STREAM_REGISTERS(1),
+    STREAM_REGISTERS(2),
+    STREAM_REGISTERS(3),
+    STREAM_REGISTERS(4),
+    STREAM_REGISTERS(5),
+    STREAM_REGISTERS(6),
+    STREAM_REGISTERS(7),
 };
 
-const char *dma_name(const dma_stream_t *s) { return model_name(&s->dma->model); }
+const char *dma_name(const dma_stream_t *s) {
+    return model_name(&s->dma->model);
+}
 
-static unsigned flag_shift(unsigned stream)
-{
+static unsigned flag_shift(unsigned stream) {
     static const uint8_t shifts[4] = {0, 6, 16, 22};
     return shifts[stream % 4];
 }
 
-static uint32_t dma_flags(const dma_stream_t *s) { return s->dma->model.value[s->number / 4] >> flag_shift(s->number) & 0x3Du; }
+static uint32_t dma_flags(const dma_stream_t *s) {
+    return s->dma->model.value[s->number / 4] >> flag_shift(s->number) & 0x3Du;
+}
 
-void dma_interrupt(dma_stream_t *s)
-{
+void dma_interrupt(dma_stream_t *s) {
     const uint32_t cr = s->value[SCR / 4], f = dma_flags(s);
     /* DMEIE, TEIE, HTIE, TCIE are bits 1 to 4; their flags bits 2 to 5. */
     const bool level = ((cr << 1) & f & 0x3Cu) != 0 || ((s->value[SFCR / 4] & 0x80u) && (f & FEIF));
@@ -37,15 +53,13 @@ void dma_interrupt(dma_stream_t *s)
     }
 }
 
-void dma_raise(dma_stream_t *s, uint32_t flag)
-{
+void dma_raise(dma_stream_t *s, uint32_t flag) {
     s->dma->model.value[s->number / 4] |= flag << flag_shift(s->number);
     dma_interrupt(s);
 }
 
 /* Is the configuration one that RM0090 allows? Says so if not. */
-static bool legal(const dma_stream_t *s)
-{
+static bool legal(const dma_stream_t *s) {
     machine_t *const machine = s->dma->model.machine;
     const uint32_t cr = s->value[SCR / 4];
     const char *wrong = NULL;
@@ -59,7 +73,8 @@ static bool legal(const dma_stream_t *s)
         wrong = "EN set with NDTR 0";
     } else if (s->direction == MEMORY_TO_MEMORY && (s->dma->number == 0 || s->direct || (cr & (CIRC | DBM)) != 0)) {
         wrong = "memory-to-memory needs DMA2, the FIFO and a single buffer";
-    } else if (s->value[SPAR / 4] % s->psize != 0 || s->value[SM0AR / 4] % s->msize != 0 || ((cr & DBM) && s->value[SM1AR / 4] % s->msize != 0)) {
+    } else if (s->value[SPAR / 4] % s->psize != 0 || s->value[SM0AR / 4] % s->msize != 0 ||
+               ((cr & DBM) && s->value[SM1AR / 4] % s->msize != 0)) {
         wrong = "an address is not aligned to its item size";
     } else if (s->psize < s->msize && s->value[SNDTR / 4] * s->psize % s->msize != 0) {
         wrong = "NDTR is not a multiple of MSIZE / PSIZE";
@@ -67,14 +82,14 @@ static bool legal(const dma_stream_t *s)
         wrong = "circular: the buffer is not a multiple of the memory burst";
     }
     if (wrong != NULL) {
-        machine_violation(machine, "%s stream %u: %s (SxCR 0x%08X, NDTR %u)", dma_name(s), s->number, wrong, (unsigned)cr, (unsigned)s->value[SNDTR / 4]);
+        machine_violation(machine, "%s stream %u: %s (SxCR 0x%08X, NDTR %u)", dma_name(s), s->number, wrong,
+                          (unsigned)cr, (unsigned)s->value[SNDTR / 4]);
     }
     return wrong == NULL;
 }
 
 /* DMA1's peripheral port ends at the APB1 bridge; the ports of DMA2 and the memory ports reach all but CCM. */
-static bool reachable(dma_stream_t *s)
-{
+static bool reachable(dma_stream_t *s) {
     const uint32_t peripheral = s->value[SPAR / 4];
     if (s->dma->number == 0 && (peripheral < 0x40000000u || peripheral >= 0x40008000u)) {
         dma_bus_error(s, "peripheral address outside APB1, all that DMA1 reaches:", peripheral);
@@ -83,8 +98,7 @@ static bool reachable(dma_stream_t *s)
     return true;
 }
 
-static void enable(dma_stream_t *s)
-{
+static void enable(dma_stream_t *s) {
     chip_t *const chip = s->dma->model.chip;
     const uint32_t cr = s->value[SCR / 4], fcr = s->value[SFCR / 4];
     s->direction = field(cr, 6, 2);
@@ -99,8 +113,12 @@ static void enable(dma_stream_t *s)
     s->burst = s->direct ? s->msize : beats[field(cr, 23, 2)] * s->msize;
     s->threshold = s->direct ? s->psize : 4 * (field(fcr, 0, 2) + 1);
     s->enabled = true;
-    if (!s->direct && (s->burst > s->threshold || s->threshold % s->burst != 0 || beats[field(cr, 21, 2)] * s->psize > 16)) {
-        machine_violation(chip->machine, "%s stream %u: a memory burst of %u bytes does not fit the FIFO threshold of %u (RM0090 table 48)", dma_name(s), s->number, s->burst, s->threshold);
+    if (!s->direct &&
+        (s->burst > s->threshold || s->threshold % s->burst != 0 || beats[field(cr, 21, 2)] * s->psize > 16)) {
+        machine_violation(
+            chip->machine,
+            "%s stream %u: a memory burst of %u bytes does not fit the FIFO threshold of %u (RM0090 table 48)",
+            dma_name(s), s->number, s->burst, s->threshold);
         dma_disable(s);
         dma_raise(s, FEIF);
         return;
@@ -115,7 +133,8 @@ static void enable(dma_stream_t *s)
         return;
     }
     if (s->direction == MEMORY_TO_MEMORY) {
-        machine_schedule(chip->machine, &s->done, machine_now(chip->machine) + (int64_t)(s->reload * MEMORY_CYCLES * chip->hclk.period_ps));
+        machine_schedule(chip->machine, &s->done,
+                         machine_now(chip->machine) + (int64_t)(s->reload * MEMORY_CYCLES * chip->hclk.period_ps));
         return;
     }
     s->cell = dma_cell(s->dma->number, field(cr, 25, 3), s->number);
@@ -129,7 +148,8 @@ static void enable(dma_stream_t *s)
     for (unsigned i = 0; i < 3 && s->cell->source[i] != DMA_NONE; i++) {
         dma_stream_t **const listener = &chip->lines.stream[s->cell->source[i]];
         if (*listener != NULL) {
-            machine_violation(chip->machine, "%s stream %u: its request line is already served by %s stream %u", dma_name(s), s->number, dma_name(*listener), (*listener)->number);
+            machine_violation(chip->machine, "%s stream %u: its request line is already served by %s stream %u",
+                              dma_name(s), s->number, dma_name(*listener), (*listener)->number);
         }
         *listener = s;
     }
@@ -138,12 +158,12 @@ static void enable(dma_stream_t *s)
     }
 }
 
-static void write_control(dma_stream_t *s, uint32_t value)
-{
+static void write_control(dma_stream_t *s, uint32_t value) {
     uint32_t *const cr = &s->value[SCR / 4];
     if (s->enabled) {
         if (((*cr ^ value) & ~UNPROTECTED) != 0) {
-            machine_violation(s->dma->model.machine, "%s_S%uCR: protected bits 0x%08X changed while EN is set", dma_name(s), s->number, (unsigned)((*cr ^ value) & ~UNPROTECTED));
+            machine_violation(s->dma->model.machine, "%s_S%uCR: protected bits 0x%08X changed while EN is set",
+                              dma_name(s), s->number, (unsigned)((*cr ^ value) & ~UNPROTECTED));
         }
         *cr = (*cr & ~UNPROTECTED) | (value & UNPROTECTED);
         if ((value & EN) == 0) {
@@ -162,8 +182,7 @@ static void write_control(dma_stream_t *s, uint32_t value)
     dma_interrupt(s);
 }
 
-static void write_stream(dma_stream_t *s, uint32_t offset, uint32_t value)
-{
+static void write_stream(dma_stream_t *s, uint32_t offset, uint32_t value) {
     const uint32_t cr = s->value[SCR / 4];
     if (offset == SCR) {
         write_control(s, value);
@@ -171,7 +190,8 @@ static void write_stream(dma_stream_t *s, uint32_t offset, uint32_t value)
     }
     if (offset == SFCR) {
         if (s->enabled && ((s->value[SFCR / 4] ^ value) & 7u) != 0) {
-            machine_violation(s->dma->model.machine, "%s_S%uFCR: DMDIS or FTH changed while EN is set", dma_name(s), s->number);
+            machine_violation(s->dma->model.machine, "%s_S%uFCR: DMDIS or FTH changed while EN is set", dma_name(s),
+                              s->number);
             return;
         }
         s->value[SFCR / 4] = value & 0x87u;
@@ -181,14 +201,16 @@ static void write_stream(dma_stream_t *s, uint32_t offset, uint32_t value)
     const bool idle_buffer = (cr & DBM) && offset == ((cr & CT) ? SM0AR : SM1AR);
     if (s->enabled && !idle_buffer) {
         machine_violation(s->dma->model.machine, "%s stream %u: %s written while EN is set", dma_name(s), s->number,
-                          offset == SNDTR ? "NDTR" : offset == SPAR ? "PAR" : offset == SM0AR ? "M0AR" : "M1AR");
+                          offset == SNDTR   ? "NDTR"
+                          : offset == SPAR  ? "PAR"
+                          : offset == SM0AR ? "M0AR"
+                                            : "M1AR");
         return;
     }
     s->value[offset / 4] = value;
 }
 
-static uint32_t get(model_t *model, uint32_t offset)
-{
+static uint32_t get(model_t *model, uint32_t offset) {
     if (offset < STREAM0) {
         return offset <= HISR ? reg(model, offset) : 0;
     }
@@ -201,8 +223,7 @@ static uint32_t get(model_t *model, uint32_t offset)
     return reg(model, offset);
 }
 
-static void set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void set(model_t *model, uint32_t offset, uint32_t value) {
     dma_t *const dma = (dma_t *)model;
     if (offset == LIFCR || offset == HIFCR) {
         const unsigned half = (offset - LIFCR) / 4;
@@ -215,8 +236,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
     write_stream(&dma->stream[(offset - STREAM0) / STREAM_SIZE], (offset - STREAM0) % STREAM_SIZE, value);
 }
 
-static void restart(model_t *model)
-{
+static void restart(model_t *model) {
     dma_t *const dma = (dma_t *)model;
     for (unsigned i = 0; i < 8; i++) {
         dma_stream_t *const s = &dma->stream[i];
@@ -228,13 +248,30 @@ static void restart(model_t *model)
     }
 }
 
-void dma_create(chip_t *chip)
-{
+void dma_create(chip_t *chip) {
     static const model_description_t descriptions[2] = {
-        {.name = "DMA1", .base = 0x40026000, .size = 0x400, .bus = BUS_AHB, .read_widths = WIDTH_32, .write_widths = WIDTH_32, .registers = registers,
-         .register_count = sizeof registers / sizeof registers[0], .get = get, .set = set, .restart = restart},
-        {.name = "DMA2", .base = 0x40026400, .size = 0x400, .bus = BUS_AHB, .read_widths = WIDTH_32, .write_widths = WIDTH_32, .registers = registers,
-         .register_count = sizeof registers / sizeof registers[0], .get = get, .set = set, .restart = restart},
+        {.name = "DMA1",
+         .base = 0x40026000,
+         .size = 0x400,
+         .bus = BUS_AHB,
+         .read_widths = WIDTH_32,
+         .write_widths = WIDTH_32,
+         .registers = registers,
+         .register_count = sizeof registers / sizeof registers[0],
+         .get = get,
+         .set = set,
+         .restart = restart},
+        {.name = "DMA2",
+         .base = 0x40026400,
+         .size = 0x400,
+         .bus = BUS_AHB,
+         .read_widths = WIDTH_32,
+         .write_widths = WIDTH_32,
+         .registers = registers,
+         .register_count = sizeof registers / sizeof registers[0],
+         .get = get,
+         .set = set,
+         .restart = restart},
     };
     static const uint8_t irq[2][8] = {{11, 12, 13, 14, 15, 16, 17, 47}, {56, 57, 58, 59, 60, 68, 69, 70}};
     for (unsigned i = 0; i < 2; i++) {
@@ -255,8 +292,7 @@ void dma_create(chip_t *chip)
 
 /* ---- machine.h ---- */
 
-void dma_request_pulse(machine_t *machine, const char *source)
-{
+void dma_request_pulse(machine_t *machine, const char *source) {
     const dma_source_t line = dma_source(source);
     if (line == DMA_NONE) {
         machine_violation(machine, "DMA: there is no request line %s", source);

@@ -14,13 +14,13 @@ enum { SCR = 0x00, SNDTR = 0x04, SPAR = 0x08, SM0AR = 0x0C, SM1AR = 0x10, SFCR =
 enum { FEIF = 1, DMEIF = 4, TEIF = 8, HTIF = 16, TCIF = 32 };
 enum { PERIPHERAL_TO_MEMORY, MEMORY_TO_PERIPHERAL, MEMORY_TO_MEMORY };
 /* SxCR */
-#define EN 1u
-#define CIRC (1u << 8)
-#define PINC (1u << 9)
-#define MINC (1u << 10)
+#define EN     1u
+#define CIRC   (1u << 8)
+#define PINC   (1u << 9)
+#define MINC   (1u << 10)
 #define PINCOS (1u << 15)
-#define DBM (1u << 18)
-#define CT (1u << 19)
+#define DBM    (1u << 18)
+#define CT     (1u << 19)
 
 typedef struct {
     dma_source_t source[3]; /* DMA_NONE where there is none. */
@@ -59,9 +59,10 @@ void dma_raise(dma_stream_t *s, uint32_t flag);
 /* dma_stream.c */
 void dma_stream_init(dma_stream_t *s);
 void dma_disable(dma_stream_t *s);
-void dma_bus_error(dma_stream_t *s, const char *what, uint32_t address); /* A transfer error: says so, stops the stream, raises TEIF. */
+void dma_bus_error(dma_stream_t *s, const char *what,
+                   uint32_t address); /* A transfer error: says so, stops the stream, raises TEIF. */
 void dma_fill(dma_stream_t *s);
-void dma_drain(dma_stream_t *s); /* FIFO to memory. */
+void dma_drain(dma_stream_t *s);                   /* FIFO to memory. */
 void dma_serve(chip_t *chip, dma_source_t source); /* Transfer as long as the line asks. */
 
 /* dma_map.c */

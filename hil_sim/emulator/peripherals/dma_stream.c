@@ -1,14 +1,14 @@
 /* dma_stream.c: how a stream moves items.
  *
- * A transfer takes no time: it happens at the moment of its request, so streams never wait for each other and priorities (PL) have no effect. On silicon it takes some ten AHB
- * cycles. Memory-to-memory transfers end as a whole, when their event comes.
+ * A transfer takes no time: it happens at the moment of its request, so streams never wait for each other and
+ * priorities (PL) have no effect. On silicon it takes some ten AHB cycles. Memory-to-memory transfers end as a whole,
+ * when their event comes.
  */
 #include "emulator/peripherals/dma.h"
 
 #include <string.h>
 
-void dma_disable(dma_stream_t *s)
-{
+void dma_disable(dma_stream_t *s) {
     chip_t *const chip = s->dma->model.chip;
     s->value[SCR / 4] &= ~EN;
     s->enabled = false;
@@ -22,18 +22,18 @@ void dma_disable(dma_stream_t *s)
     }
 }
 
-void dma_bus_error(dma_stream_t *s, const char *what, uint32_t address)
-{
-    machine_violation(s->dma->model.machine, "%s stream %u: bus error at the %s 0x%08X", dma_name(s), s->number, what, (unsigned)address);
+void dma_bus_error(dma_stream_t *s, const char *what, uint32_t address) {
+    machine_violation(s->dma->model.machine, "%s stream %u: bus error at the %s 0x%08X", dma_name(s), s->number, what,
+                      (unsigned)address);
     dma_disable(s);
     dma_raise(s, TEIF);
 }
 
-static bool memory_access(dma_stream_t *s, bool write, unsigned width, uint32_t *value)
-{
+static bool memory_access(dma_stream_t *s, bool write, unsigned width, uint32_t *value) {
     const uint32_t address = s->value[(s->memory_target ? SM1AR : SM0AR) / 4] + s->memory_offset;
     machine_t *const machine = s->dma->model.machine;
-    if (address >> 24 == 0x10u || !(write ? machine_bus_write(machine, address, width, *value) : machine_bus_read(machine, address, width, value))) {
+    if (address >> 24 == 0x10u || !(write ? machine_bus_write(machine, address, width, *value)
+                                          : machine_bus_read(machine, address, width, value))) {
         dma_bus_error(s, address >> 24 == 0x10u ? "CCM, which no DMA reaches:" : "memory address", address);
         return false;
     }
@@ -44,11 +44,11 @@ static bool memory_access(dma_stream_t *s, bool write, unsigned width, uint32_t 
     return true;
 }
 
-static bool peripheral_access(dma_stream_t *s, bool write, uint32_t *value)
-{
+static bool peripheral_access(dma_stream_t *s, bool write, uint32_t *value) {
     const uint32_t address = s->value[SPAR / 4] + s->peripheral_offset;
     machine_t *const machine = s->dma->model.machine;
-    if (!(write ? machine_bus_write(machine, address, s->psize, *value) : machine_bus_read(machine, address, s->psize, value))) {
+    if (!(write ? machine_bus_write(machine, address, s->psize, *value)
+                : machine_bus_read(machine, address, s->psize, value))) {
         dma_bus_error(s, "peripheral address", address);
         return false;
     }
@@ -56,8 +56,7 @@ static bool peripheral_access(dma_stream_t *s, bool write, uint32_t *value)
     return true;
 }
 
-static void memory_wrap(dma_stream_t *s)
-{
+static void memory_wrap(dma_stream_t *s) {
     s->memory_offset = 0;
     s->memory_left = s->reload * s->psize;
     if (s->value[SCR / 4] & DBM) {
@@ -66,8 +65,7 @@ static void memory_wrap(dma_stream_t *s)
 }
 
 /* Memory to FIFO: as much as fits, in whole bursts. In direct mode the FIFO holds one item. */
-void dma_fill(dma_stream_t *s)
-{
+void dma_fill(dma_stream_t *s) {
     const unsigned capacity = s->direct ? s->psize : 16u;
     while (s->enabled && s->fifo_count + s->burst <= capacity) {
         if (s->memory_left == 0) {
@@ -87,12 +85,13 @@ void dma_fill(dma_stream_t *s)
     }
 }
 
-void dma_drain(dma_stream_t *s)
-{
+void dma_drain(dma_stream_t *s) {
     unsigned at = 0;
     while (at < s->fifo_count && s->enabled) {
         uint32_t value = 0;
-        const unsigned left = s->fifo_count - at, width = left < s->msize ? s->psize : s->msize; /* The end of an odd block goes in smaller items. */
+        const unsigned left = s->fifo_count - at,
+                       width = left < s->msize ? s->psize
+                                               : s->msize; /* The end of an odd block goes in smaller items. */
         memcpy(&value, s->fifo + at, width);
         if (!memory_access(s, true, width, &value)) {
             return;
@@ -102,8 +101,7 @@ void dma_drain(dma_stream_t *s)
     s->fifo_count = 0;
 }
 
-static void count(dma_stream_t *s, dma_source_t source)
-{
+static void count(dma_stream_t *s, dma_source_t source) {
     uint32_t left = s->value[SNDTR / 4] - 1;
     s->value[SNDTR / 4] = left;
     if (left == s->reload / 2 && left != 0) {
@@ -128,8 +126,7 @@ static void count(dma_stream_t *s, dma_source_t source)
     dma_raise(s, TCIF);
 }
 
-static void transfer(dma_stream_t *s, dma_source_t source)
-{
+static void transfer(dma_stream_t *s, dma_source_t source) {
     uint32_t value = 0;
     if (s->direction == PERIPHERAL_TO_MEMORY) {
         if (!peripheral_access(s, false, &value)) {
@@ -162,8 +159,7 @@ static void transfer(dma_stream_t *s, dma_source_t source)
     }
 }
 
-void dma_serve(chip_t *chip, dma_source_t source)
-{
+void dma_serve(chip_t *chip, dma_source_t source) {
     dma_stream_t *const s = chip->lines.stream[source];
     if (s == NULL || s->busy) {
         return;
@@ -171,8 +167,10 @@ void dma_serve(chip_t *chip, dma_source_t source)
     s->busy = true;
     for (unsigned turns = 0; s->enabled && chip->lines.high[source]; turns++) {
         if (turns == 64) { /* A line that no transfer lowers. */
-            machine_violation(chip->machine, "%s stream %u: its request stays high whatever it transfers; does PAR 0x%08X belong to it?", dma_name(s), s->number,
-                              (unsigned)s->value[SPAR / 4]);
+            machine_violation(
+                chip->machine,
+                "%s stream %u: its request stays high whatever it transfers; does PAR 0x%08X belong to it?",
+                dma_name(s), s->number, (unsigned)s->value[SPAR / 4]);
             dma_disable(s);
             break;
         }
@@ -184,8 +182,7 @@ void dma_serve(chip_t *chip, dma_source_t source)
     s->busy = false;
 }
 
-static void copy_memory(void *context, int64_t time_ps)
-{
+static void copy_memory(void *context, int64_t time_ps) {
     dma_stream_t *const s = context;
     (void)time_ps;
     while (s->enabled) {
@@ -204,12 +201,13 @@ static void copy_memory(void *context, int64_t time_ps)
     }
 }
 
-void dma_stream_init(dma_stream_t *s) { machine_event_init(&s->done, copy_memory, s); }
+void dma_stream_init(dma_stream_t *s) {
+    machine_event_init(&s->done, copy_memory, s);
+}
 
 /* ---- Request lines ---- */
 
-void dma_line(chip_t *chip, dma_source_t source, bool level)
-{
+void dma_line(chip_t *chip, dma_source_t source, bool level) {
     chip->lines.pulse[source] = false;
     if (chip->lines.high[source] != level) {
         chip->lines.high[source] = level;
@@ -219,8 +217,7 @@ void dma_line(chip_t *chip, dma_source_t source, bool level)
     }
 }
 
-void dma_line_pulse(chip_t *chip, dma_source_t source)
-{
+void dma_line_pulse(chip_t *chip, dma_source_t source) {
     chip->lines.pulse[source] = true;
     chip->lines.high[source] = true;
     dma_serve(chip, source);

@@ -6,8 +6,9 @@ enum { IMR = 0x00, EMR = 0x04, RTSR = 0x08, FTSR = 0x0C, SWIER = 0x10, PR = 0x14
 #define LINES 0x007FFFFFu
 
 static const register_layout_t syscfg_registers[] = {
-    {"MEMRM", MEMRM, 0, 0x00000003, ACCESS_RW}, {"PMC", PMC, 0, 0x00800000, ACCESS_RW}, {"EXTICR1", 0x08, 0, 0xFFFF, ACCESS_RW},
-    {"EXTICR2", 0x0C, 0, 0xFFFF, ACCESS_RW},    {"EXTICR3", 0x10, 0, 0xFFFF, ACCESS_RW}, {"EXTICR4", EXTICR4, 0, 0xFFFF, ACCESS_RW},
+    {"MEMRM", MEMRM, 0, 0x00000003, ACCESS_RW}, {"PMC", PMC, 0, 0x00800000, ACCESS_RW},
+    {"EXTICR1", 0x08, 0, 0xFFFF, ACCESS_RW},    {"EXTICR2", 0x0C, 0, 0xFFFF, ACCESS_RW},
+    {"EXTICR3", 0x10, 0, 0xFFFF, ACCESS_RW},    {"EXTICR4", EXTICR4, 0, 0xFFFF, ACCESS_RW},
     {"CMPCR", CMPCR, 0, 0x00000101, ACCESS_RW},
 };
 static const register_layout_t exti_registers[] = {
@@ -19,8 +20,7 @@ struct exti {
     model_t syscfg, exti;
 };
 
-static void interrupts(exti_t *exti)
-{
+static void interrupts(exti_t *exti) {
     machine_t *const machine = exti->exti.machine;
     const uint32_t active = reg(&exti->exti, PR) & reg(&exti->exti, IMR);
     for (unsigned line = 0; line < 5; line++) {
@@ -30,13 +30,15 @@ static void interrupts(exti_t *exti)
     machine_irq(machine, 40, (active & 0xFC00u) != 0);
 }
 
-static void edge(exti_t *exti, unsigned line, int64_t time_ps)
-{
+static void edge(exti_t *exti, unsigned line, int64_t time_ps) {
     const uint32_t bit = 1u << line;
     if (((reg(&exti->exti, IMR) | reg(&exti->exti, EMR)) & bit) == 0) {
         return;
     }
-    const trigger_t trigger = line == 9 ? TRIGGER_EXTI9 : line == 11 ? TRIGGER_EXTI11 : line == 15 ? TRIGGER_EXTI15 : TRIGGER_NONE;
+    const trigger_t trigger = line == 9    ? TRIGGER_EXTI9
+                              : line == 11 ? TRIGGER_EXTI11
+                              : line == 15 ? TRIGGER_EXTI15
+                                           : TRIGGER_NONE;
     if (trigger != TRIGGER_NONE) {
         adc_trigger_edge(exti->exti.chip, trigger, true, time_ps);
         dac_trigger_edge(exti->exti.chip, trigger, time_ps);
@@ -47,18 +49,17 @@ static void edge(exti_t *exti, unsigned line, int64_t time_ps)
     }
 }
 
-void exti_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps)
-{
+void exti_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
     exti_t *const exti = chip->exti;
     const unsigned line = pin % 16;
     const uint32_t selected = reg(&exti->exti, level ? RTSR : FTSR);
-    if ((selected >> line & 1u) != 0 && field(reg(&exti->syscfg, EXTICR1 + 4 * (line / 4)), 4 * (line % 4), 4) == pin / 16) {
+    if ((selected >> line & 1u) != 0 &&
+        field(reg(&exti->syscfg, EXTICR1 + 4 * (line / 4)), 4 * (line % 4), 4) == pin / 16) {
         edge(exti, line, time_ps);
     }
 }
 
-static void exti_set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void exti_set(model_t *model, uint32_t offset, uint32_t value) {
     exti_t *const exti = model->chip->exti;
     const uint32_t old = reg(model, offset);
     switch (offset) {
@@ -74,17 +75,19 @@ static void exti_set(model_t *model, uint32_t offset, uint32_t value)
             }
         }
         break;
-    default: model->value[offset / 4] = value; break;
+    default:
+        model->value[offset / 4] = value;
+        break;
     }
     interrupts(exti);
 }
 
-static void syscfg_set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void syscfg_set(model_t *model, uint32_t offset, uint32_t value) {
     if (offset >= EXTICR1 && offset <= EXTICR4) {
         for (unsigned i = 0; i < 4; i++) {
             if (field(value, 4 * i, 4) > 8) {
-                machine_violation(model->machine, "SYSCFG_%s: 0x%X is no port", offset == EXTICR1 ? "EXTICR1" : "EXTICR2..4", field(value, 4 * i, 4));
+                machine_violation(model->machine, "SYSCFG_%s: 0x%X is no port",
+                                  offset == EXTICR1 ? "EXTICR1" : "EXTICR2..4", field(value, 4 * i, 4));
             }
         }
     } else if (value != 0) {
@@ -94,17 +97,35 @@ static void syscfg_set(model_t *model, uint32_t offset, uint32_t value)
     model->value[offset / 4] = value;
 }
 
-static void exti_restart(model_t *model) { interrupts(model->chip->exti); }
+static void exti_restart(model_t *model) {
+    interrupts(model->chip->exti);
+}
 
-void exti_create(chip_t *chip)
-{
-    static const model_description_t syscfg = {.name = "SYSCFG", .base = 0x40013800, .size = 0x400, .bus = BUS_APB2, .read_widths = WIDTH_ANY, .write_widths = WIDTH_ANY,
-        .registers = syscfg_registers, .register_count = sizeof syscfg_registers / sizeof syscfg_registers[0], .set = syscfg_set};
-    static const model_description_t description = {.name = "EXTI", .base = 0x40013C00, .size = 0x400, .bus = BUS_APB2, .read_widths = WIDTH_32, .write_widths = WIDTH_32,
-        .registers = exti_registers, .register_count = sizeof exti_registers / sizeof exti_registers[0], .set = exti_set, .restart = exti_restart};
+void exti_create(chip_t *chip) {
+    static const model_description_t syscfg = {.name = "SYSCFG",
+                                               .base = 0x40013800,
+                                               .size = 0x400,
+                                               .bus = BUS_APB2,
+                                               .read_widths = WIDTH_ANY,
+                                               .write_widths = WIDTH_ANY,
+                                               .registers = syscfg_registers,
+                                               .register_count = sizeof syscfg_registers / sizeof syscfg_registers[0],
+                                               .set = syscfg_set};
+    static const model_description_t description = {.name = "EXTI",
+                                                    .base = 0x40013C00,
+                                                    .size = 0x400,
+                                                    .bus = BUS_APB2,
+                                                    .read_widths = WIDTH_32,
+                                                    .write_widths = WIDTH_32,
+                                                    .registers = exti_registers,
+                                                    .register_count = sizeof exti_registers / sizeof exti_registers[0],
+                                                    .set = exti_set,
+                                                    .restart = exti_restart};
     chip->exti = chip_allocate(chip, sizeof *chip->exti);
     model_attach(chip, &chip->exti->syscfg, &syscfg);
     model_attach(chip, &chip->exti->exti, &description);
 }
 
-void exti_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps) { exti_edge(chip_of(machine), pin, level, time_ps); }
+void exti_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps) {
+    exti_edge(chip_of(machine), pin, level, time_ps);
+}

@@ -1,15 +1,32 @@
 /* gpio.c: general-purpose ports A to I (RM0090 8.4). */
 #include "emulator/peripherals/model.h"
 
-enum { MODER = 0x00, OTYPER = 0x04, OSPEEDR = 0x08, PUPDR = 0x0C, IDR = 0x10, ODR = 0x14, BSRR = 0x18, LCKR = 0x1C, AFRL = 0x20, AFRH = 0x24, REGISTERS = 10 };
+enum {
+    MODER = 0x00,
+    OTYPER = 0x04,
+    OSPEEDR = 0x08,
+    PUPDR = 0x0C,
+    IDR = 0x10,
+    ODR = 0x14,
+    BSRR = 0x18,
+    LCKR = 0x1C,
+    AFRL = 0x20,
+    AFRH = 0x24,
+    REGISTERS = 10
+};
 enum { MODE_INPUT, MODE_OUTPUT, MODE_ALTERNATE, MODE_ANALOG };
 enum { PULL_NONE, PULL_UP, PULL_DOWN };
 
-#define PORT_REGISTERS(moder, ospeedr, pupdr)                                                                                          \
-    {{"MODER", MODER, moder, 0xFFFFFFFF, ACCESS_RW}, {"OTYPER", OTYPER, 0, 0xFFFF, ACCESS_RW}, {"OSPEEDR", OSPEEDR, ospeedr, 0xFFFFFFFF, ACCESS_RW}, \
-     {"PUPDR", PUPDR, pupdr, 0xFFFFFFFF, ACCESS_RW}, {"IDR", IDR, 0, 0xFFFF, ACCESS_RO}, {"ODR", ODR, 0, 0xFFFF, ACCESS_RW},                         \
-     {"BSRR", BSRR, 0, 0xFFFFFFFF, ACCESS_WO}, {"LCKR", LCKR, 0, 0x1FFFF, ACCESS_RW}, {"AFRL", AFRL, 0, 0xFFFFFFFF, ACCESS_RW},                      \
-     {"AFRH", AFRH, 0, 0xFFFFFFFF, ACCESS_RW}}
+#define PORT_REGISTERS(moder, ospeedr, pupdr)                                                                          \
+    {                                                                                                                  \
+        {"MODER", MODER, moder, 0xFFFFFFFF, ACCESS_RW}, {"OTYPER", OTYPER, 0, 0xFFFF, ACCESS_RW},                      \
+            {"OSPEEDR", OSPEEDR, ospeedr, 0xFFFFFFFF, ACCESS_RW}, {"PUPDR", PUPDR, pupdr, 0xFFFFFFFF, ACCESS_RW},      \
+            {"IDR", IDR, 0, 0xFFFF, ACCESS_RO}, {"ODR", ODR, 0, 0xFFFF, ACCESS_RW},                                    \
+            {"BSRR", BSRR, 0, 0xFFFFFFFF, ACCESS_WO}, {"LCKR", LCKR, 0, 0x1FFFF, ACCESS_RW},                           \
+            {"AFRL", AFRL, 0, 0xFFFFFFFF, ACCESS_RW}, {                                                                \
+            "AFRH", AFRH, 0, 0xFFFFFFFF, ACCESS_RW                                                                     \
+        }                                                                                                              \
+    }
 
 /* After reset PA13, 14, 15, PB3 and PB4 belong to the debug port. */
 static const register_layout_t registers_a[REGISTERS] = PORT_REGISTERS(0xA8000000, 0x0C000000, 0x64000000);
@@ -32,10 +49,11 @@ struct gpio {
     port_t port[GPIO_COUNT];
 };
 
-static unsigned mode(const port_t *port, unsigned pin) { return field(port->model.value[MODER / 4], 2 * pin, 2); }
+static unsigned mode(const port_t *port, unsigned pin) {
+    return field(port->model.value[MODER / 4], 2 * pin, 2);
+}
 
-static bool compute_level(const port_t *port, unsigned pin)
-{
+static bool compute_level(const port_t *port, unsigned pin) {
     const uint16_t bit = (uint16_t)(1u << pin);
     if (mode(port, pin) == MODE_OUTPUT) {
         const bool high = (port->model.value[ODR / 4] & bit) != 0;
@@ -49,8 +67,7 @@ static bool compute_level(const port_t *port, unsigned pin)
     return field(port->model.value[PUPDR / 4], 2 * pin, 2) == PULL_UP;
 }
 
-static void report(port_t *port, unsigned pin, bool level, int64_t time_ps)
-{
+static void report(port_t *port, unsigned pin, bool level, int64_t time_ps) {
     const chip_t *const chip = port->model.chip;
     const uint16_t bit = (uint16_t)(1u << pin);
     if ((port->known & bit) == 0 || ((port->reported & bit) != 0) != level) {
@@ -63,8 +80,7 @@ static void report(port_t *port, unsigned pin, bool level, int64_t time_ps)
 }
 
 /* A pin that is no output any more: the outside sees what it floats or is pulled to. */
-static void release(port_t *port, unsigned pin, bool level, int64_t time_ps)
-{
+static void release(port_t *port, unsigned pin, bool level, int64_t time_ps) {
     if (port->known >> pin & 1u) {
         report(port, pin, level, time_ps);
         port->known = (uint16_t)(port->known & ~(1u << pin));
@@ -72,8 +88,7 @@ static void release(port_t *port, unsigned pin, bool level, int64_t time_ps)
 }
 
 /* Recompute some pins, tell the outside and the inside what changed. */
-static void update(port_t *port, uint16_t pins, int64_t time_ps)
-{
+static void update(port_t *port, uint16_t pins, int64_t time_ps) {
     chip_t *const chip = port->model.chip;
     for (unsigned pin = 0; pins >> pin; pin++) {
         const uint16_t bit = (uint16_t)(1u << pin);
@@ -94,8 +109,7 @@ static void update(port_t *port, uint16_t pins, int64_t time_ps)
     }
 }
 
-static uint16_t analog_pins(const port_t *port)
-{
+static uint16_t analog_pins(const port_t *port) {
     uint16_t pins = 0;
     for (unsigned pin = 0; pin < 16; pin++) {
         pins = (uint16_t)(pins | (mode(port, pin) == MODE_ANALOG ? 1u << pin : 0));
@@ -103,12 +117,13 @@ static uint16_t analog_pins(const port_t *port)
     return pins;
 }
 
-static uint32_t get(model_t *model, uint32_t offset)
-{
+static uint32_t get(model_t *model, uint32_t offset) {
     port_t *const port = (port_t *)model;
     switch (offset) {
-    case IDR: return port->level & (uint32_t)~analog_pins(port);
-    case BSRR: return 0;
+    case IDR:
+        return port->level & (uint32_t)~analog_pins(port);
+    case BSRR:
+        return 0;
     case LCKR:
         if (port->lock_step == 3) { /* The sequence ends with a read of LCKK. */
             port->locked = port->lock_pins;
@@ -116,12 +131,12 @@ static uint32_t get(model_t *model, uint32_t offset)
             port->lock_step = 0;
         }
         return reg(model, LCKR);
-    default: return reg(model, offset);
+    default:
+        return reg(model, offset);
     }
 }
 
-static void write_lock(port_t *port, uint32_t value)
-{
+static void write_lock(port_t *port, uint32_t value) {
     static const bool key[3] = {true, false, true};
     if (port->locked) {
         machine_violation(port->model.machine, "%s_LCKR: written after the port was locked", model_name(&port->model));
@@ -140,20 +155,20 @@ static void write_lock(port_t *port, uint32_t value)
 }
 
 /* Fields of locked pins must not change. bits: width of a pin's field; first: its first pin. */
-static bool locked_changed(const port_t *port, uint32_t offset, uint32_t value, unsigned bits, unsigned first)
-{
+static bool locked_changed(const port_t *port, uint32_t offset, uint32_t value, unsigned bits, unsigned first) {
     const uint32_t changed = value ^ port->model.value[offset / 4];
     for (unsigned pin = 0; pin < 16 && changed != 0; pin++) {
-        if ((port->locked >> pin & 1u) && pin >= first && (pin - first) * bits < 32 && field(changed, (pin - first) * bits, bits) != 0) {
-            machine_violation(port->model.machine, "%s: configuration of locked pin %u changed", model_name(&port->model), pin);
+        if ((port->locked >> pin & 1u) && pin >= first && (pin - first) * bits < 32 &&
+            field(changed, (pin - first) * bits, bits) != 0) {
+            machine_violation(port->model.machine, "%s: configuration of locked pin %u changed",
+                              model_name(&port->model), pin);
             return true;
         }
     }
     return false;
 }
 
-static void set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void set(model_t *model, uint32_t offset, uint32_t value) {
     port_t *const port = (port_t *)model;
     const int64_t now = machine_now(model->machine);
     const uint32_t old = reg(model, offset);
@@ -169,15 +184,19 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
         model->value[ODR / 4] = value;
         update(port, (uint16_t)(old ^ value), now);
         return;
-    case LCKR: write_lock(port, value); return;
+    case LCKR:
+        write_lock(port, value);
+        return;
     case PUPDR:
         for (unsigned pin = 0; pin < 16; pin++) {
             if (field(value, 2 * pin, 2) == 3) {
-                machine_violation(model->machine, "%s_PUPDR: pin %u set to the reserved value 3", model_name(model), pin);
+                machine_violation(model->machine, "%s_PUPDR: pin %u set to the reserved value 3", model_name(model),
+                                  pin);
             }
         }
         break;
-    default: break;
+    default:
+        break;
     }
     const unsigned bits = offset == OTYPER ? 1 : offset >= AFRL ? 4 : 2;
     if (locked_changed(port, offset, value, bits, offset == AFRH ? 8 : 0)) {
@@ -189,8 +208,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
     }
 }
 
-static void restart(model_t *model)
-{
+static void restart(model_t *model) {
     port_t *const port = (port_t *)model;
     port->locked = port->lock_pins = 0;
     port->lock_step = 0;
@@ -201,18 +219,28 @@ static void restart(model_t *model)
     }
 }
 
-void gpio_create(chip_t *chip)
-{
-    static const char *const names[GPIO_COUNT] = {"GPIOA", "GPIOB", "GPIOC", "GPIOD", "GPIOE", "GPIOF", "GPIOG", "GPIOH", "GPIOI"};
+void gpio_create(chip_t *chip) {
+    static const char *const names[GPIO_COUNT] = {"GPIOA", "GPIOB", "GPIOC", "GPIOD", "GPIOE",
+                                                  "GPIOF", "GPIOG", "GPIOH", "GPIOI"};
     struct storage {
         gpio_t gpio;
         model_description_t description[GPIO_COUNT];
     } *const storage = chip_allocate(chip, sizeof *storage);
     chip->gpio = &storage->gpio;
     for (unsigned i = 0; i < GPIO_COUNT; i++) {
-        storage->description[i] = (model_description_t){.name = names[i], .base = 0x40020000u + 0x400u * i, .size = 0x400, .bus = BUS_AHB, .read_widths = WIDTH_ANY,
-            .write_widths = WIDTH_ANY, .registers = i == 0 ? registers_a : i == 1 ? registers_b : registers_other, .register_count = REGISTERS,
-            .get = get, .set = set, .restart = restart};
+        storage->description[i] = (model_description_t){.name = names[i],
+                                                        .base = 0x40020000u + 0x400u * i,
+                                                        .size = 0x400,
+                                                        .bus = BUS_AHB,
+                                                        .read_widths = WIDTH_ANY,
+                                                        .write_widths = WIDTH_ANY,
+                                                        .registers = i == 0   ? registers_a
+                                                                     : i == 1 ? registers_b
+                                                                              : registers_other,
+                                                        .register_count = REGISTERS,
+                                                        .get = get,
+                                                        .set = set,
+                                                        .restart = restart};
         chip->gpio->port[i].number = i;
         model_attach(chip, &chip->gpio->port[i].model, &storage->description[i]);
     }
@@ -220,25 +248,34 @@ void gpio_create(chip_t *chip)
 
 /* ---- machine.h and the other models ---- */
 
-bool chip_pin_level(const chip_t *chip, unsigned pin) { return pin / 16 < GPIO_COUNT && (chip->gpio->port[pin / 16].level >> pin % 16 & 1u) != 0; }
+bool chip_pin_level(const chip_t *chip, unsigned pin) {
+    return pin / 16 < GPIO_COUNT && (chip->gpio->port[pin / 16].level >> pin % 16 & 1u) != 0;
+}
 
-bool chip_pin_is_alternate(const chip_t *chip, unsigned pin, unsigned af)
-{
+bool chip_pin_is_alternate(const chip_t *chip, unsigned pin, unsigned af) {
     if (pin / 16 >= GPIO_COUNT) {
         return false;
     }
     const port_t *const port = &chip->gpio->port[pin / 16];
-    return mode(port, pin % 16) == MODE_ALTERNATE && field(port->model.value[(pin % 16 < 8 ? AFRL : AFRH) / 4], 4 * (pin % 8), 4) == af;
+    return mode(port, pin % 16) == MODE_ALTERNATE &&
+           field(port->model.value[(pin % 16 < 8 ? AFRL : AFRH) / 4], 4 * (pin % 8), 4) == af;
 }
 
-bool chip_pin_is_analog(const chip_t *chip, unsigned pin) { return pin / 16 < GPIO_COUNT && mode(&chip->gpio->port[pin / 16], pin % 16) == MODE_ANALOG; }
+bool chip_pin_is_analog(const chip_t *chip, unsigned pin) {
+    return pin / 16 < GPIO_COUNT && mode(&chip->gpio->port[pin / 16], pin % 16) == MODE_ANALOG;
+}
 
-bool gpio_level(const machine_t *machine, unsigned pin) { return chip_pin_level(chip_of(machine), pin); }
-bool gpio_is_alternate(const machine_t *machine, unsigned pin, unsigned af) { return chip_pin_is_alternate(chip_of(machine), pin, af); }
-bool gpio_is_analog(const machine_t *machine, unsigned pin) { return chip_pin_is_analog(chip_of(machine), pin); }
+bool gpio_level(const machine_t *machine, unsigned pin) {
+    return chip_pin_level(chip_of(machine), pin);
+}
+bool gpio_is_alternate(const machine_t *machine, unsigned pin, unsigned af) {
+    return chip_pin_is_alternate(chip_of(machine), pin, af);
+}
+bool gpio_is_analog(const machine_t *machine, unsigned pin) {
+    return chip_pin_is_analog(chip_of(machine), pin);
+}
 
-void gpio_pin_in(machine_t *machine, unsigned pin, bool level, int64_t time_ps)
-{
+void gpio_pin_in(machine_t *machine, unsigned pin, bool level, int64_t time_ps) {
     chip_t *const chip = chip_of(machine);
     if (pin / 16 >= GPIO_COUNT) {
         machine_violation(machine, "GPIO: there is no pin %u", pin);

@@ -1,9 +1,12 @@
-/* model.h: what the peripheral models of one chip share: register tables with their rules, clock domains, and signals between models.
+/* model.h: what the peripheral models of one chip share: register tables with their rules, clock domains, and signals
+ * between models.
  *
- * A model is a struct whose first member is model_t. Its register table holds, for each register, the offset, the reset value and the bits that
- * RM0090 defines; everything else is reserved. model.c applies the rules that hold for every register, and only then calls the model:
+ * A model is a struct whose first member is model_t. Its register table holds, for each register, the offset, the reset
+ * value and the bits that RM0090 defines; everything else is reserved. model.c applies the rules that hold for every
+ * register, and only then calls the model:
  *   - the peripheral's clock must be on, and on for the delay that the errata sheet (ES0182, 2.1.6) asks for;
- *   - the width must be one that the peripheral supports; an APB access narrower than a word is duplicated over the word by the bridge;
+ *   - the width must be one that the peripheral supports; an APB access narrower than a word is duplicated over the
+ *     word by the bridge;
  *   - reserved bits must be written with their reset value; a read-only register must not be written.
  * What a model does not do is loud too: model_missing().
  */
@@ -29,9 +32,9 @@ typedef struct {
     unsigned read_widths, write_widths;
     const register_layout_t *registers;
     unsigned register_count;
-    uint32_t (*get)(model_t *model, uint32_t offset);                  /* NULL: the stored value. Offset is of the word. */
-    void (*set)(model_t *model, uint32_t offset, uint32_t value);      /* The whole word that the write makes. */
-    void (*restart)(model_t *model);                                   /* After the stored values went back to reset. May be NULL. */
+    uint32_t (*get)(model_t *model, uint32_t offset);             /* NULL: the stored value. Offset is of the word. */
+    void (*set)(model_t *model, uint32_t offset, uint32_t value); /* The whole word that the write makes. */
+    void (*restart)(model_t *model); /* After the stored values went back to reset. May be NULL. */
 } model_description_t;
 
 struct model {
@@ -55,15 +58,19 @@ const char *model_name(const model_t *model);
 /* Memory of a model, zeroed; freed with the machine. */
 void *chip_allocate(chip_t *chip, size_t size);
 
-static inline uint32_t reg(const model_t *model, uint32_t offset) { return model->value[offset / 4]; }
-static inline uint32_t field(uint32_t value, unsigned shift, unsigned width) { return (value >> shift) & ((1u << width) - 1u); }
+static inline uint32_t reg(const model_t *model, uint32_t offset) {
+    return model->value[offset / 4];
+}
+static inline uint32_t field(uint32_t value, unsigned shift, unsigned width) {
+    return (value >> shift) & ((1u << width) - 1u);
+}
 
 /* ---- Clock domains: exact tick times. Tick n is at anchor + (n - anchor_tick) * period. ---- */
 typedef struct {
     double hz, period_ps, nominal_hz;
     int64_t anchor_ps, anchor_tick;
 } clock_domain_t;
-int64_t clock_time(const clock_domain_t *domain, int64_t tick);  /* First picosecond of the tick. */
+int64_t clock_time(const clock_domain_t *domain, int64_t tick);    /* First picosecond of the tick. */
 int64_t clock_tick(const clock_domain_t *domain, int64_t time_ps); /* Tick that time lies in. */
 
 typedef struct rcc rcc_t;
@@ -77,16 +84,61 @@ typedef struct can can_t;
 
 /* ---- Request lines to the DMA controllers ---- */
 typedef enum {
-    DMA_NONE, DMA_ADC1, DMA_ADC2, DMA_ADC3, DMA_DAC1, DMA_DAC2,
-    DMA_TIM1_UP, DMA_TIM1_CH1, DMA_TIM1_CH2, DMA_TIM1_CH3, DMA_TIM1_CH4, DMA_TIM1_TRIG, DMA_TIM1_COM,
-    DMA_TIM8_UP, DMA_TIM8_CH1, DMA_TIM8_CH2, DMA_TIM8_CH3, DMA_TIM8_CH4, DMA_TIM8_TRIG, DMA_TIM8_COM,
-    DMA_TIM2_UP, DMA_TIM2_CH1, DMA_TIM2_CH2, DMA_TIM2_CH3, DMA_TIM2_CH4,
-    DMA_TIM3_UP, DMA_TIM3_CH1, DMA_TIM3_CH2, DMA_TIM3_CH3, DMA_TIM3_CH4, DMA_TIM3_TRIG,
-    DMA_TIM4_UP, DMA_TIM4_CH1, DMA_TIM4_CH2, DMA_TIM4_CH3,
-    DMA_TIM5_UP, DMA_TIM5_CH1, DMA_TIM5_CH2, DMA_TIM5_CH3, DMA_TIM5_CH4, DMA_TIM5_TRIG,
-    DMA_TIM6_UP, DMA_TIM7_UP,
-    DMA_USART1_RX, DMA_USART1_TX, DMA_USART2_RX, DMA_USART2_TX, DMA_USART3_RX, DMA_USART3_TX,
-    DMA_UART4_RX, DMA_UART4_TX, DMA_UART5_RX, DMA_UART5_TX, DMA_USART6_RX, DMA_USART6_TX,
+    DMA_NONE,
+    DMA_ADC1,
+    DMA_ADC2,
+    DMA_ADC3,
+    DMA_DAC1,
+    DMA_DAC2,
+    DMA_TIM1_UP,
+    DMA_TIM1_CH1,
+    DMA_TIM1_CH2,
+    DMA_TIM1_CH3,
+    DMA_TIM1_CH4,
+    DMA_TIM1_TRIG,
+    DMA_TIM1_COM,
+    DMA_TIM8_UP,
+    DMA_TIM8_CH1,
+    DMA_TIM8_CH2,
+    DMA_TIM8_CH3,
+    DMA_TIM8_CH4,
+    DMA_TIM8_TRIG,
+    DMA_TIM8_COM,
+    DMA_TIM2_UP,
+    DMA_TIM2_CH1,
+    DMA_TIM2_CH2,
+    DMA_TIM2_CH3,
+    DMA_TIM2_CH4,
+    DMA_TIM3_UP,
+    DMA_TIM3_CH1,
+    DMA_TIM3_CH2,
+    DMA_TIM3_CH3,
+    DMA_TIM3_CH4,
+    DMA_TIM3_TRIG,
+    DMA_TIM4_UP,
+    DMA_TIM4_CH1,
+    DMA_TIM4_CH2,
+    DMA_TIM4_CH3,
+    DMA_TIM5_UP,
+    DMA_TIM5_CH1,
+    DMA_TIM5_CH2,
+    DMA_TIM5_CH3,
+    DMA_TIM5_CH4,
+    DMA_TIM5_TRIG,
+    DMA_TIM6_UP,
+    DMA_TIM7_UP,
+    DMA_USART1_RX,
+    DMA_USART1_TX,
+    DMA_USART2_RX,
+    DMA_USART2_TX,
+    DMA_USART3_RX,
+    DMA_USART3_TX,
+    DMA_UART4_RX,
+    DMA_UART4_TX,
+    DMA_UART5_RX,
+    DMA_UART5_TX,
+    DMA_USART6_RX,
+    DMA_USART6_TX,
     DMA_OTHER, /* A line of a peripheral that has no model: SPI, I2C, I2S, SDIO, DCMI, CRYP, HASH. */
     DMA_SOURCES
 } dma_source_t;
@@ -99,14 +151,43 @@ typedef struct {
 
 /* ---- Signals that start conversions ---- */
 typedef enum {
-    TRIGGER_TIM1_CC1, TRIGGER_TIM1_CC2, TRIGGER_TIM1_CC3, TRIGGER_TIM1_CC4, TRIGGER_TIM1_TRGO,
-    TRIGGER_TIM2_CC1, TRIGGER_TIM2_CC2, TRIGGER_TIM2_CC3, TRIGGER_TIM2_CC4, TRIGGER_TIM2_TRGO,
-    TRIGGER_TIM3_CC1, TRIGGER_TIM3_CC2, TRIGGER_TIM3_CC3, TRIGGER_TIM3_CC4, TRIGGER_TIM3_TRGO,
-    TRIGGER_TIM4_CC1, TRIGGER_TIM4_CC2, TRIGGER_TIM4_CC3, TRIGGER_TIM4_CC4, TRIGGER_TIM4_TRGO,
-    TRIGGER_TIM5_CC1, TRIGGER_TIM5_CC2, TRIGGER_TIM5_CC3, TRIGGER_TIM5_CC4, TRIGGER_TIM5_TRGO,
-    TRIGGER_TIM8_CC1, TRIGGER_TIM8_CC2, TRIGGER_TIM8_CC3, TRIGGER_TIM8_CC4, TRIGGER_TIM8_TRGO,
-    TRIGGER_TIM6_TRGO, TRIGGER_TIM7_TRGO, TRIGGER_EXTI9, TRIGGER_EXTI11, TRIGGER_EXTI15,
-    TRIGGER_COUNT, TRIGGER_NONE
+    TRIGGER_TIM1_CC1,
+    TRIGGER_TIM1_CC2,
+    TRIGGER_TIM1_CC3,
+    TRIGGER_TIM1_CC4,
+    TRIGGER_TIM1_TRGO,
+    TRIGGER_TIM2_CC1,
+    TRIGGER_TIM2_CC2,
+    TRIGGER_TIM2_CC3,
+    TRIGGER_TIM2_CC4,
+    TRIGGER_TIM2_TRGO,
+    TRIGGER_TIM3_CC1,
+    TRIGGER_TIM3_CC2,
+    TRIGGER_TIM3_CC3,
+    TRIGGER_TIM3_CC4,
+    TRIGGER_TIM3_TRGO,
+    TRIGGER_TIM4_CC1,
+    TRIGGER_TIM4_CC2,
+    TRIGGER_TIM4_CC3,
+    TRIGGER_TIM4_CC4,
+    TRIGGER_TIM4_TRGO,
+    TRIGGER_TIM5_CC1,
+    TRIGGER_TIM5_CC2,
+    TRIGGER_TIM5_CC3,
+    TRIGGER_TIM5_CC4,
+    TRIGGER_TIM5_TRGO,
+    TRIGGER_TIM8_CC1,
+    TRIGGER_TIM8_CC2,
+    TRIGGER_TIM8_CC3,
+    TRIGGER_TIM8_CC4,
+    TRIGGER_TIM8_TRGO,
+    TRIGGER_TIM6_TRGO,
+    TRIGGER_TIM7_TRGO,
+    TRIGGER_EXTI9,
+    TRIGGER_EXTI11,
+    TRIGGER_EXTI15,
+    TRIGGER_COUNT,
+    TRIGGER_NONE
 } trigger_t;
 
 enum { TIM_COUNT = 14, USART_COUNT = 6, GPIO_COUNT = 9 };
@@ -128,7 +209,7 @@ struct chip {
     dma_lines_t lines;
     bool trigger_heard[TRIGGER_COUNT];  /* An analog-to-digital converter listens: the timer must make events. */
     bool trigger_wanted[TRIGGER_COUNT]; /* The same for the digital-to-analog converter. */
-    uint8_t shared_irq[82]; /* Count of the sources that hold a shared interrupt line high. */
+    uint8_t shared_irq[82];             /* Count of the sources that hold a shared interrupt line high. */
     void *allocated[32];
     unsigned allocated_count;
     model_t *models[64];

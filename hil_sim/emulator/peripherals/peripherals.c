@@ -4,8 +4,7 @@
 #include <stdlib.h>
 
 /* Of the model that was attached last, when all others are gone. */
-static void destroy(peripheral_t *self)
-{
+static void destroy(peripheral_t *self) {
     chip_t *const chip = ((model_t *)self)->chip;
     for (unsigned i = 0; i < chip->allocated_count; i++) {
         free(chip->allocated[i]);
@@ -13,8 +12,7 @@ static void destroy(peripheral_t *self)
     free(chip);
 }
 
-void peripherals_create(machine_t *machine)
-{
+void peripherals_create(machine_t *machine) {
     chip_t *const chip = calloc(1, sizeof *chip);
     if (chip == NULL) {
         abort(); /* A chip without peripherals would only mislead. */

@@ -4,7 +4,8 @@
 
 #include "emulator/machine.h"
 
-/* ACCESS_RC_W0: bits are cleared by writing 0; ones written to reserved bits are let pass, as `SR = ~FLAG` is ST's own idiom. */
+/* ACCESS_RC_W0: bits are cleared by writing 0; ones written to reserved bits are let pass, as `SR = ~FLAG` is ST's
+ * own idiom. */
 typedef enum { ACCESS_RW, ACCESS_RO, ACCESS_WO, ACCESS_RC_W0 } register_access_t;
 
 typedef struct {
@@ -15,7 +16,8 @@ typedef struct {
     register_access_t access;
 } register_layout_t;
 
-/* The register table of a model: an array that lives as long as the program, its length in count. NULL if there is no such peripheral. */
+/* The register table of a model: an array that lives as long as the program, its length in count. NULL if there is
+ * no such peripheral. */
 const register_layout_t *machine_register_table(const machine_t *machine, const char *name, unsigned *count);
 
 #endif

@@ -1,21 +1,21 @@
-/* tim.c: timers 1 to 14, counting up (RM0090 chapters 17 to 20): registers, interrupts, DMA requests (see tim.h).
- * Not there, and loud: counting down and centre-aligned, encoder, gated and external-clock modes, ETR, break, commutation, outputs to pins.
+/* tim.c: timers 1 to 14, counting up (RM0090 chapters 17 to 20): registers, interrupts, DMA requests (see tim.h). Not
+ * there, and loud: counting down and centre-aligned, encoder, gated and external-clock modes, ETR, break, commutation,
+ * outputs to pins.
  */
 #include "emulator/peripherals/tim.h"
 
-void tim_interrupt(tim_t *t)
-{
+void tim_interrupt(tim_t *t) {
     const uint32_t active = t->model.value[TIM_SR / 4] & t->model.value[TIM_DIER / 4];
     const bool separate = t->what->irq_update != t->what->irq_channels;
-    chip_irq_shared(t->model.chip, t->what->irq_update, &t->update_line, separate ? (active & UIF) != 0 : (active & 0x5Fu) != 0);
+    chip_irq_shared(t->model.chip, t->what->irq_update, &t->update_line,
+                    separate ? (active & UIF) != 0 : (active & 0x5Fu) != 0);
     if (separate) {
         chip_irq_shared(t->model.chip, t->what->irq_channels, &t->channel_line, (active & 0x1Eu) != 0);
         chip_irq_shared(t->model.chip, t->what->irq_trigger, &t->trigger_line, (active & TIF) != 0);
     }
 }
 
-void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source)
-{
+void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source) {
     if ((t->model.value[TIM_DIER / 4] >> enable_bit & 1u) != 0 && source != DMA_NONE) {
         t->burst_index = 0;
         t->burst_source = source;
@@ -23,10 +23,11 @@ void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source)
     }
 }
 
-bool tim_asks_at_update(const tim_t *t) { return (t->model.value[TIM_CR2 / 4] & CCDS) != 0; }
+bool tim_asks_at_update(const tim_t *t) {
+    return (t->model.value[TIM_CR2 / 4] & CCDS) != 0;
+}
 
-void tim_channel_dma(tim_t *t, unsigned channel)
-{
+void tim_channel_dma(tim_t *t, unsigned channel) {
     if (!tim_asks_at_update(t)) {
         tim_pulse_dma(t, 9 + channel, t->what->dma_channel[channel]);
     }
@@ -34,14 +35,15 @@ void tim_channel_dma(tim_t *t, unsigned channel)
 
 /* ---- Registers ---- */
 
-static void check_modes(tim_t *t, uint32_t offset, uint32_t value)
-{
+static void check_modes(tim_t *t, uint32_t offset, uint32_t value) {
     const char *missing = NULL;
     if (offset == TIM_CR1 && (value & 0x70u) != 0) {
         missing = "counting down or centre-aligned";
     } else if (offset == TIM_CR2 && (value & 0x85u) != 0) {
         missing = "preloaded control bits and the exclusive-or input";
-    } else if (offset == TIM_SMCR && ((value & 0xFF00u) != 0 || ((value & 7u) != 0 && (value & 7u) != 4 && (value & 7u) != 6) || ((value & 7u) != 0 && (value & 0x70u) == 0x70u))) {
+    } else if (offset == TIM_SMCR &&
+               ((value & 0xFF00u) != 0 || ((value & 7u) != 0 && (value & 7u) != 4 && (value & 7u) != 6) ||
+                ((value & 7u) != 0 && (value & 0x70u) == 0x70u))) {
         missing = "slave modes other than reset and trigger, and the external trigger";
     } else if (offset == TIM_BDTR && (value & 0x1000u) != 0) {
         missing = "break";
@@ -55,8 +57,7 @@ static void check_modes(tim_t *t, uint32_t offset, uint32_t value)
     }
 }
 
-static void generate(tim_t *t, uint32_t value, int64_t tick)
-{
+static void generate(tim_t *t, uint32_t value, int64_t tick) {
     if (value & 0xA0u) {
         model_missing(&t->model, "commutation and break (EGR)");
     }
@@ -80,8 +81,7 @@ static void generate(tim_t *t, uint32_t value, int64_t tick)
     }
 }
 
-static uint32_t burst_register(tim_t *t)
-{
+static uint32_t burst_register(tim_t *t) {
     const uint32_t dcr = t->model.value[TIM_DCR / 4];
     const uint32_t offset = 4 * (field(dcr, 0, 5) + t->burst_index);
     t->burst_index = t->burst_index == field(dcr, 8, 5) ? 0 : t->burst_index + 1;
@@ -90,11 +90,11 @@ static uint32_t burst_register(tim_t *t)
 
 static void set(model_t *model, uint32_t offset, uint32_t value);
 
-static void burst_write(tim_t *t, uint32_t value)
-{
+static void burst_write(tim_t *t, uint32_t value) {
     const uint32_t offset = burst_register(t);
     if (offset >= TIM_DCR || t->model.slot[offset / 4] == 0) {
-        machine_violation(t->model.machine, "%s_DMAR: the burst reaches offset 0x%02X, where no register is", model_name(&t->model), (unsigned)offset);
+        machine_violation(t->model.machine, "%s_DMAR: the burst reaches offset 0x%02X, where no register is",
+                          model_name(&t->model), (unsigned)offset);
     } else {
         set(&t->model, offset, value);
     }
@@ -103,8 +103,7 @@ static void burst_write(tim_t *t, uint32_t value)
     }
 }
 
-static void write_cr1(tim_t *t, uint32_t value, int64_t tick)
-{
+static void write_cr1(tim_t *t, uint32_t value, int64_t tick) {
     t->model.value[TIM_CR1 / 4] = value;
     if ((value & ARPE) == 0) {
         t->reload = t->model.value[TIM_ARR / 4];
@@ -123,22 +122,31 @@ static void write_cr1(tim_t *t, uint32_t value, int64_t tick)
     }
 }
 
-static void set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void set(model_t *model, uint32_t offset, uint32_t value) {
     tim_t *const t = (tim_t *)model;
     const int64_t tick = tim_now_tick(t);
     tim_advance(t, tick);
     check_modes(t, offset, value);
     t->silent_trigger = false;
     switch (offset) {
-    case TIM_CR1: write_cr1(t, value, tick); break;
-    case TIM_SR: model->value[TIM_SR / 4] &= value; tim_interrupt(t); break;
-    case TIM_EGR: generate(t, value, tick); break;
+    case TIM_CR1:
+        write_cr1(t, value, tick);
+        break;
+    case TIM_SR:
+        model->value[TIM_SR / 4] &= value;
+        tim_interrupt(t);
+        break;
+    case TIM_EGR:
+        generate(t, value, tick);
+        break;
     case TIM_DIER: {
         const uint32_t gone = model->value[TIM_DIER / 4] & ~value;
         model->value[TIM_DIER / 4] = value;
         for (unsigned i = 0; i < 7; i++) { /* A request that waits falls with its enable bit. */
-            const dma_source_t source = i == 0 ? t->what->dma_update : i < 5 ? t->what->dma_channel[i - 1] : i == 6 ? t->what->dma_trigger : DMA_NONE;
+            const dma_source_t source = i == 0   ? t->what->dma_update
+                                        : i < 5  ? t->what->dma_channel[i - 1]
+                                        : i == 6 ? t->what->dma_trigger
+                                                 : DMA_NONE;
             if ((gone >> (8 + i) & 1u) != 0 && source != DMA_NONE) {
                 dma_line(model->chip, source, false);
             }
@@ -147,10 +155,13 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
         break;
     }
     case TIM_CCMR1:
-    case TIM_CCMR2: tim_write_channel_mode(t, offset, value); break;
+    case TIM_CCMR2:
+        tim_write_channel_mode(t, offset, value);
+        break;
     case TIM_CCER:
     case TIM_BDTR:
-        if (offset == TIM_BDTR && (field(model->value[TIM_BDTR / 4], 8, 2)) != 0 && ((model->value[TIM_BDTR / 4] ^ value) & 0xFFu) != 0) {
+        if (offset == TIM_BDTR && (field(model->value[TIM_BDTR / 4], 8, 2)) != 0 &&
+            ((model->value[TIM_BDTR / 4] ^ value) & 0xFFu) != 0) {
             machine_violation(model->machine, "%s_BDTR: DTG is locked until reset", model_name(model));
             value = (value & ~0xFFu) | (model->value[TIM_BDTR / 4] & 0xFFu);
         }
@@ -183,7 +194,9 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
         tim_connect_slaves(model->chip);
         tim_after_change(model->chip);
         break;
-    case TIM_DMAR: burst_write(t, value); break;
+    case TIM_DMAR:
+        burst_write(t, value);
+        break;
     case TIM_DCR:
         t->burst_index = 0;
         model->value[offset / 4] = value;
@@ -192,7 +205,8 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
         if (offset >= TIM_CCR1 && offset < TIM_CCR1 + 16) {
             const unsigned channel = (offset - TIM_CCR1) / 4;
             if (tim_is_capture(t, channel)) {
-                machine_violation(model->machine, "%s: CCR%u written, but it is read-only while the channel captures", model_name(model), channel + 1);
+                machine_violation(model->machine, "%s: CCR%u written, but it is read-only while the channel captures",
+                                  model_name(model), channel + 1);
                 break;
             }
             model->value[offset / 4] = value;
@@ -208,8 +222,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value)
     tim_plan(t);
 }
 
-static uint32_t get(model_t *model, uint32_t offset)
-{
+static uint32_t get(model_t *model, uint32_t offset) {
     tim_t *const t = (tim_t *)model;
     if (offset == TIM_SR || offset == TIM_CNT || offset == TIM_CR1 || offset == TIM_DMAR) {
         tim_advance(t, tim_now_tick(t));
@@ -232,8 +245,7 @@ static uint32_t get(model_t *model, uint32_t offset)
     return offset == TIM_EGR ? 0 : reg(model, offset);
 }
 
-static void restart(model_t *model)
-{
+static void restart(model_t *model) {
     tim_t *const t = (tim_t *)model;
     machine_cancel(model->machine, &t->event);
     t->running = false;
@@ -248,8 +260,7 @@ static void restart(model_t *model)
     tim_interrupt(t);
 }
 
-void tim_before_change(chip_t *chip)
-{
+void tim_before_change(chip_t *chip) {
     for (unsigned i = 0; i < TIM_COUNT; i++) {
         if (chip->tim[i]->running) {
             tim_advance(chip->tim[i], tim_now_tick(chip->tim[i]));
@@ -257,15 +268,13 @@ void tim_before_change(chip_t *chip)
     }
 }
 
-void tim_after_change(chip_t *chip)
-{
+void tim_after_change(chip_t *chip) {
     for (unsigned i = 0; i < TIM_COUNT; i++) {
         tim_plan(chip->tim[i]);
     }
 }
 
-void tim_create(chip_t *chip)
-{
+void tim_create(chip_t *chip) {
     struct storage {
         tim_t tim[TIM_COUNT];
         model_description_t description[TIM_COUNT];
@@ -278,8 +287,17 @@ void tim_create(chip_t *chip)
         t->clock = what->bus == BUS_APB2 ? &chip->timer2 : &chip->timer1;
         tim_counter_init(t);
         tim_channels_init(t);
-        storage->description[i] = (model_description_t){.name = what->name, .base = what->base, .size = 0x400, .bus = what->bus, .read_widths = WIDTH_ANY,
-            .write_widths = WIDTH_16 | WIDTH_32, .registers = what->registers, .register_count = what->register_count, .get = get, .set = set, .restart = restart};
+        storage->description[i] = (model_description_t){.name = what->name,
+                                                        .base = what->base,
+                                                        .size = 0x400,
+                                                        .bus = what->bus,
+                                                        .read_widths = WIDTH_ANY,
+                                                        .write_widths = WIDTH_16 | WIDTH_32,
+                                                        .registers = what->registers,
+                                                        .register_count = what->register_count,
+                                                        .get = get,
+                                                        .set = set,
+                                                        .restart = restart};
         model_attach(chip, &t->model, &storage->description[i]);
     }
 }

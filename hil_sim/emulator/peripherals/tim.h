@@ -12,15 +12,31 @@
 #include "emulator/peripherals/model.h"
 
 enum {
-    TIM_CR1 = 0x00, TIM_CR2 = 0x04, TIM_SMCR = 0x08, TIM_DIER = 0x0C, TIM_SR = 0x10, TIM_EGR = 0x14, TIM_CCMR1 = 0x18, TIM_CCMR2 = 0x1C, TIM_CCER = 0x20,
-    TIM_CNT = 0x24, TIM_PSC = 0x28, TIM_ARR = 0x2C, TIM_RCR = 0x30, TIM_CCR1 = 0x34, TIM_BDTR = 0x44, TIM_DCR = 0x48, TIM_DMAR = 0x4C, TIM_OR = 0x50
+    TIM_CR1 = 0x00,
+    TIM_CR2 = 0x04,
+    TIM_SMCR = 0x08,
+    TIM_DIER = 0x0C,
+    TIM_SR = 0x10,
+    TIM_EGR = 0x14,
+    TIM_CCMR1 = 0x18,
+    TIM_CCMR2 = 0x1C,
+    TIM_CCER = 0x20,
+    TIM_CNT = 0x24,
+    TIM_PSC = 0x28,
+    TIM_ARR = 0x2C,
+    TIM_RCR = 0x30,
+    TIM_CCR1 = 0x34,
+    TIM_BDTR = 0x44,
+    TIM_DCR = 0x48,
+    TIM_DMAR = 0x4C,
+    TIM_OR = 0x50
 };
 
 /* TIM_CR1 */
-#define CEN 1u
+#define CEN  1u
 #define UDIS 2u
-#define URS 4u
-#define OPM 8u
+#define URS  4u
+#define OPM  8u
 #define ARPE 0x80u
 #define CCDS 8u /* TIM_CR2: compare and capture requests go out at the update. */
 /* TIM_SR */
@@ -35,7 +51,8 @@ typedef struct {
     const register_layout_t *registers;
     unsigned register_count, channels;
     bool advanced, wide;
-    unsigned irq_update, irq_channels, irq_trigger; /* The last only of the advanced timers, whose lines are separate. */
+    unsigned irq_update, irq_channels,
+        irq_trigger; /* The last only of the advanced timers, whose lines are separate. */
     dma_source_t dma_update, dma_channel[4], dma_trigger;
     trigger_t first_channel_trigger, trgo;
     uint8_t master[4]; /* Timer number behind ITR0..3; 0: none. */
@@ -58,7 +75,7 @@ struct tim {
     int64_t marked;                /* Counter values up to this one have been compared since the last overflow. */
     uint32_t prescaler, reload, compare[4], repetition; /* Active (shadow) values. */
     bool reference[4], output[4], silent_trigger;
-    uint16_t slaves; /* Timers that listen to its TRGO: bit 0 is TIM1. */
+    uint16_t slaves;       /* Timers that listen to its TRGO: bit 0 is TIM1. */
     machine_event_t event; /* The next moment that somebody observes. */
     struct {
         tim_t *timer;
@@ -72,17 +89,32 @@ struct tim {
     dma_source_t burst_source;
 };
 
-static inline uint32_t tim_mode_bits(const tim_t *t, unsigned channel) { return field(t->model.value[(channel < 2 ? TIM_CCMR1 : TIM_CCMR2) / 4], 8 * (channel % 2), 8); }
-static inline bool tim_is_capture(const tim_t *t, unsigned channel) { return (tim_mode_bits(t, channel) & 3u) != 0; }
-static inline unsigned tim_enable_bits(const tim_t *t, unsigned channel) { return field(t->model.value[TIM_CCER / 4], 4 * channel, 4); }
-static inline unsigned tim_master_mode(const tim_t *t) { return field(t->model.value[TIM_CR2 / 4], 4, 3); }
-static inline unsigned tim_number(const tim_t *t) { return (unsigned)(t->what - tim_descriptions) + 1; } /* 1: TIM1 */
-static inline int64_t tim_step(const tim_t *t) { return (int64_t)t->prescaler + 1; }
-static inline bool tim_counting(const tim_t *t) { return t->running && t->reload != 0; }
-static inline int64_t tim_now_tick(const tim_t *t) { return clock_tick(t->clock, machine_now(t->model.machine)); }
+static inline uint32_t tim_mode_bits(const tim_t *t, unsigned channel) {
+    return field(t->model.value[(channel < 2 ? TIM_CCMR1 : TIM_CCMR2) / 4], 8 * (channel % 2), 8);
+}
+static inline bool tim_is_capture(const tim_t *t, unsigned channel) {
+    return (tim_mode_bits(t, channel) & 3u) != 0;
+}
+static inline unsigned tim_enable_bits(const tim_t *t, unsigned channel) {
+    return field(t->model.value[TIM_CCER / 4], 4 * channel, 4);
+}
+static inline unsigned tim_master_mode(const tim_t *t) {
+    return field(t->model.value[TIM_CR2 / 4], 4, 3);
+}
+static inline unsigned tim_number(const tim_t *t) {
+    return (unsigned)(t->what - tim_descriptions) + 1;
+} /* 1: TIM1 */
+static inline int64_t tim_step(const tim_t *t) {
+    return (int64_t)t->prescaler + 1;
+}
+static inline bool tim_counting(const tim_t *t) {
+    return t->running && t->reload != 0;
+}
+static inline int64_t tim_now_tick(const tim_t *t) {
+    return clock_tick(t->clock, machine_now(t->model.machine));
+}
 /* Counter at a tick not before the base. */
-static inline int64_t tim_position(const tim_t *t, int64_t tick)
-{
+static inline int64_t tim_position(const tim_t *t, int64_t tick) {
     return tim_counting(t) && tick > t->base_tick ? t->base_count + (tick - t->base_tick) / tim_step(t) : t->base_count;
 }
 
@@ -101,7 +133,8 @@ void tim_plan(tim_t *t);                  /* Schedule the next tick that somebod
 void tim_start(tim_t *t, int64_t tick);
 void tim_restart_counter(tim_t *t, int64_t tick); /* An update by software or a slave's reset. */
 void tim_load(tim_t *t);                          /* Preloaded values become active. */
-void tim_rebase(tim_t *t, int64_t tick);          /* Before the counter's rule changes: its present value becomes the base, the prescaler's phase kept. */
+void tim_rebase(tim_t *t, int64_t tick); /* Before the counter's rule changes: its present value becomes the base, the
+                                            prescaler's phase kept. */
 
 /* tim_channels.c */
 void tim_channels_init(tim_t *t);

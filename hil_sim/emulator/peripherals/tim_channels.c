@@ -1,13 +1,13 @@
 /* tim_channels.c: compare (output references, what a match sets off) and capture (inputs, filters).
  *
- * Outputs go to converters' triggers only, not to pins. A capture without filter has no synchroniser delay (two to three ticks on silicon).
+ * Outputs go to converters' triggers only, not to pins. A capture without filter has no synchroniser delay (two to
+ * three ticks on silicon).
  */
 #include "emulator/peripherals/tim.h"
 
 /* ---- Compare ---- */
 
-void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps)
-{
+void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps) {
     chip_t *const chip = t->model.chip;
     if (t->reference[channel] != level) {
         t->reference[channel] = level;
@@ -26,29 +26,42 @@ void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps)
     }
 }
 
-void tim_evaluate_reference(tim_t *t, unsigned channel, bool match, int64_t count, int64_t time_ps)
-{
+void tim_evaluate_reference(tim_t *t, unsigned channel, bool match, int64_t count, int64_t time_ps) {
     bool level = t->reference[channel];
     switch (field(tim_mode_bits(t, channel), 4, 3)) {
-    case 1: level = match ? true : level; break;
-    case 2: level = match ? false : level; break;
-    case 3: level = match ? !level : level; break;
-    case 4: level = false; break;
-    case 5: level = true; break;
-    case 6: level = count < t->compare[channel]; break;
-    case 7: level = count >= t->compare[channel]; break;
-    default: break;
+    case 1:
+        level = match ? true : level;
+        break;
+    case 2:
+        level = match ? false : level;
+        break;
+    case 3:
+        level = match ? !level : level;
+        break;
+    case 4:
+        level = false;
+        break;
+    case 5:
+        level = true;
+        break;
+    case 6:
+        level = count < t->compare[channel];
+        break;
+    case 7:
+        level = count >= t->compare[channel];
+        break;
+    default:
+        break;
     }
     tim_set_reference(t, channel, level, time_ps);
 }
 
-bool tim_channel_heard(const tim_t *t, unsigned channel)
-{
-    return t->what->first_channel_trigger != TRIGGER_NONE && t->model.chip->trigger_heard[(unsigned)t->what->first_channel_trigger + channel];
+bool tim_channel_heard(const tim_t *t, unsigned channel) {
+    return t->what->first_channel_trigger != TRIGGER_NONE &&
+           t->model.chip->trigger_heard[(unsigned)t->what->first_channel_trigger + channel];
 }
 
-void tim_compare_match(tim_t *t, unsigned channel, int64_t tick)
-{
+void tim_compare_match(tim_t *t, unsigned channel, int64_t tick) {
     const int64_t time_ps = clock_time(t->clock, tick);
     t->model.value[TIM_SR / 4] |= 2u << channel;
     tim_evaluate_reference(t, channel, true, t->compare[channel], time_ps);
@@ -56,11 +69,15 @@ void tim_compare_match(tim_t *t, unsigned channel, int64_t tick)
         tim_trgo(t, true, true, time_ps);
     }
     if (tim_channel_heard(t, channel) && !t->silent_trigger) {
-        const bool driven = (tim_enable_bits(t, channel) & 1u) != 0 && (!t->what->advanced || (t->model.value[TIM_BDTR / 4] & MOE) != 0);
+        const bool driven = (tim_enable_bits(t, channel) & 1u) != 0 &&
+                            (!t->what->advanced || (t->model.value[TIM_BDTR / 4] & MOE) != 0);
         if (!driven || field(tim_mode_bits(t, channel), 4, 3) == 0) {
             t->silent_trigger = true;
-            machine_violation(t->model.machine, "%s: a converter waits for CC%u, but OC%u never changes: it needs an OC%uM other than frozen, CC%uE%s", model_name(&t->model),
-                              channel + 1, channel + 1, channel + 1, channel + 1, t->what->advanced ? " and MOE" : "");
+            machine_violation(
+                t->model.machine,
+                "%s: a converter waits for CC%u, but OC%u never changes: it needs an OC%uM other than frozen, CC%uE%s",
+                model_name(&t->model), channel + 1, channel + 1, channel + 1, channel + 1,
+                t->what->advanced ? " and MOE" : "");
         }
     }
     tim_interrupt(t);
@@ -69,8 +86,7 @@ void tim_compare_match(tim_t *t, unsigned channel, int64_t tick)
 
 /* ---- Capture ---- */
 
-void tim_capture(tim_t *t, unsigned channel, int64_t time_ps)
-{
+void tim_capture(tim_t *t, unsigned channel, int64_t time_ps) {
     static const uint8_t every[4] = {1, 2, 4, 8};
     if (++t->edges[channel] < every[field(tim_mode_bits(t, channel), 2, 2)]) {
         return;
@@ -87,21 +103,23 @@ void tim_capture(tim_t *t, unsigned channel, int64_t time_ps)
     tim_plan(t);
 }
 
-static bool edge_wanted(const tim_t *t, unsigned channel, bool level)
-{
+static bool edge_wanted(const tim_t *t, unsigned channel, bool level) {
     switch (tim_enable_bits(t, channel) & 0xAu) {
-    case 0x0: return level;
-    case 0x2: return !level;
-    case 0xA: return true;
+    case 0x0:
+        return level;
+    case 0x2:
+        return !level;
+    case 0xA:
+        return true;
     default:
-        machine_violation(t->model.machine, "%s_CCER: CC%uNP set with CC%uP clear is reserved for inputs", model_name(&t->model), channel + 1, channel + 1);
+        machine_violation(t->model.machine, "%s_CCER: CC%uNP set with CC%uP clear is reserved for inputs",
+                          model_name(&t->model), channel + 1, channel + 1);
         return false;
     }
 }
 
 /* The level of TIx after the filter changed. */
-static void filtered_edge(tim_t *t, unsigned input, bool level, int64_t time_ps)
-{
+static void filtered_edge(tim_t *t, unsigned input, bool level, int64_t time_ps) {
     for (unsigned channel = 0; channel < t->what->channels; channel++) {
         const unsigned selection = tim_mode_bits(t, channel) & 3u;
         const bool mine = (selection == 1 && channel == input) || (selection == 2 && (channel ^ 1u) == input);
@@ -116,9 +134,9 @@ static void filtered_edge(tim_t *t, unsigned input, bool level, int64_t time_ps)
     }
 }
 
-static int64_t filter_ticks(const tim_t *t, unsigned input)
-{
-    static const uint16_t ticks[16] = {0, 2, 4, 8, 12, 16, 24, 32, 48, 64, 80, 96, 128, 160, 192, 256}; /* Samples times divider. */
+static int64_t filter_ticks(const tim_t *t, unsigned input) {
+    static const uint16_t ticks[16] = {0,  2,  4,  8,  12,  16,  24,  32,
+                                       48, 64, 80, 96, 128, 160, 192, 256}; /* Samples times divider. */
     /* The filter is that of the first channel that listens to this input. */
     unsigned setting = 0;
     for (unsigned channel = 0; channel < t->what->channels && setting == 0; channel++) {
@@ -131,8 +149,7 @@ static int64_t filter_ticks(const tim_t *t, unsigned input)
     return (int64_t)ticks[setting] << division;
 }
 
-static void filter_done(void *context, int64_t time_ps)
-{
+static void filter_done(void *context, int64_t time_ps) {
     tim_t *const t = *(tim_t **)context; /* First member of the input. */
     for (unsigned i = 0; i < 4; i++) {
         if ((void *)&t->input[i] == context && t->input[i].raw != t->input[i].level) {
@@ -142,8 +159,7 @@ static void filter_done(void *context, int64_t time_ps)
     }
 }
 
-void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps)
-{
+void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
     for (unsigned i = 0; i < tim_pin_count; i++) {
         if (tim_pins[i].pin != pin) {
             continue;
@@ -161,33 +177,36 @@ void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps)
         } else if (level == t->input[input].level) {
             machine_cancel(chip->machine, &t->input[input].filter); /* A glitch: back before the filter was full. */
         } else {
-            machine_schedule(chip->machine, &t->input[input].filter, clock_time(t->clock, clock_tick(t->clock, time_ps) + ticks));
+            machine_schedule(chip->machine, &t->input[input].filter,
+                             clock_time(t->clock, clock_tick(t->clock, time_ps) + ticks));
         }
     }
 }
 
-void tim_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps) { tim_edge(chip_of(machine), pin, level, time_ps); }
+void tim_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps) {
+    tim_edge(chip_of(machine), pin, level, time_ps);
+}
 
 /* ---- Registers ---- */
 
-void tim_check_pins(tim_t *t)
-{
+void tim_check_pins(tim_t *t) {
     for (unsigned i = 0; i < tim_pin_count; i++) {
         const unsigned channel = tim_pins[i].channel;
-        if (tim_pins[i].timer == tim_number(t) && (tim_enable_bits(t, channel) & 1u) != 0 && !tim_is_capture(t, channel) &&
+        if (tim_pins[i].timer == tim_number(t) && (tim_enable_bits(t, channel) & 1u) != 0 &&
+            !tim_is_capture(t, channel) &&
             chip_pin_is_alternate(t->model.chip, tim_pins[i].pin, tim_pins[i].alternate)) {
             model_missing(&t->model, "compare outputs to pins");
         }
     }
 }
 
-void tim_write_channel_mode(tim_t *t, uint32_t offset, uint32_t value)
-{
+void tim_write_channel_mode(tim_t *t, uint32_t offset, uint32_t value) {
     const uint32_t old = t->model.value[offset / 4];
     for (unsigned i = 0; i < 2; i++) {
         const unsigned channel = (offset == TIM_CCMR1 ? 0 : 2) + i;
         if (((old ^ value) >> (8 * i) & 3u) != 0 && (tim_enable_bits(t, channel) & 1u) != 0) {
-            machine_violation(t->model.machine, "%s: CC%uS is writable only while CC%uE is 0", model_name(&t->model), channel + 1, channel + 1);
+            machine_violation(t->model.machine, "%s: CC%uS is writable only while CC%uE is 0", model_name(&t->model),
+                              channel + 1, channel + 1);
             return;
         }
     }
@@ -203,8 +222,7 @@ void tim_write_channel_mode(tim_t *t, uint32_t offset, uint32_t value)
     }
 }
 
-void tim_channels_init(tim_t *t)
-{
+void tim_channels_init(tim_t *t) {
     for (unsigned i = 0; i < 4; i++) {
         t->input[i].timer = t;
         t->input[i].input = i;
@@ -212,8 +230,7 @@ void tim_channels_init(tim_t *t)
     }
 }
 
-void tim_channels_restart(tim_t *t)
-{
+void tim_channels_restart(tim_t *t) {
     for (unsigned i = 0; i < 4; i++) {
         machine_cancel(t->model.machine, &t->input[i].filter);
         t->input[i].level = t->input[i].raw = false;

@@ -1,16 +1,22 @@
 /* tim_counter.c: the counter, its updates, and the next moment that somebody observes.
  *
- * The counter is computed from the time: it has base_count at tick base_tick of the timer's clock. Nothing happens while it merely counts; an event is scheduled for the
- * next update or compare that something observes (interrupt, DMA, trigger), and everything else is caught up on access.
+ * The counter is computed from the time: it has base_count at tick base_tick of the timer's clock. Nothing happens
+ * while it merely counts; an event is scheduled for the next update or compare that something observes (interrupt, DMA,
+ * trigger), and everything else is caught up on access.
  */
 #include "emulator/peripherals/tim.h"
 
-static int64_t maximum(const tim_t *t) { return t->what->wide ? 0xFFFFFFFF : 0xFFFF; }
-static int64_t last_count(const tim_t *t) { return t->base_count <= t->reload ? (int64_t)t->reload : maximum(t); }
-static int64_t overflow_tick(const tim_t *t) { return t->base_tick + (last_count(t) + 1 - t->base_count) * tim_step(t); }
+static int64_t maximum(const tim_t *t) {
+    return t->what->wide ? 0xFFFFFFFF : 0xFFFF;
+}
+static int64_t last_count(const tim_t *t) {
+    return t->base_count <= t->reload ? (int64_t)t->reload : maximum(t);
+}
+static int64_t overflow_tick(const tim_t *t) {
+    return t->base_tick + (last_count(t) + 1 - t->base_count) * tim_step(t);
+}
 
-void tim_load(tim_t *t)
-{
+void tim_load(tim_t *t) {
     t->prescaler = t->model.value[TIM_PSC / 4];
     t->reload = t->model.value[TIM_ARR / 4];
     for (unsigned i = 0; i < t->what->channels; i++) {
@@ -22,8 +28,7 @@ void tim_load(tim_t *t)
 }
 
 /* The counter starts anew at tick; the state is whole before anything outside is told. */
-static void update_event(tim_t *t, int64_t tick, bool by_software)
-{
+static void update_event(tim_t *t, int64_t tick, bool by_software) {
     const uint32_t cr1 = t->model.value[TIM_CR1 / 4];
     const int64_t time_ps = clock_time(t->clock, tick);
     const bool happens = (cr1 & UDIS) == 0 && (by_software || t->repetition == 0);
@@ -55,8 +60,7 @@ static void update_event(tim_t *t, int64_t tick, bool by_software)
     }
 }
 
-static void overflow(tim_t *t, int64_t tick)
-{
+static void overflow(tim_t *t, int64_t tick) {
     const bool regular = t->base_count <= t->reload;
     t->base_tick = tick;
     t->base_count = 0;
@@ -73,11 +77,11 @@ static void overflow(tim_t *t, int64_t tick)
 }
 
 /* Whole periods in which nothing changes and nobody looks. */
-static void skip(tim_t *t, int64_t tick)
-{
+static void skip(tim_t *t, int64_t tick) {
     const int64_t period = ((int64_t)t->reload + 1) * tim_step(t);
-    if (t->base_count != 0 || tick - t->base_tick < 4 * period || (t->model.value[TIM_CR1 / 4] & OPM) != 0 || t->repetition != 0 ||
-        (t->what->advanced && t->model.value[TIM_RCR / 4] != 0) || t->prescaler != t->model.value[TIM_PSC / 4] || t->reload != t->model.value[TIM_ARR / 4]) {
+    if (t->base_count != 0 || tick - t->base_tick < 4 * period || (t->model.value[TIM_CR1 / 4] & OPM) != 0 ||
+        t->repetition != 0 || (t->what->advanced && t->model.value[TIM_RCR / 4] != 0) ||
+        t->prescaler != t->model.value[TIM_PSC / 4] || t->reload != t->model.value[TIM_ARR / 4]) {
         return;
     }
     for (unsigned i = 0; i < t->what->channels; i++) {
@@ -88,8 +92,7 @@ static void skip(tim_t *t, int64_t tick)
     t->base_tick += ((tick - t->base_tick) / period - 2) * period;
 }
 
-void tim_advance(tim_t *t, int64_t tick)
-{
+void tim_advance(tim_t *t, int64_t tick) {
     if (tim_counting(t)) {
         skip(t, tick);
     }
@@ -103,7 +106,8 @@ void tim_advance(tim_t *t, int64_t tick)
             }
         }
         if (next != INT64_MAX) {
-            const int64_t at = next > t->base_count ? t->base_tick + (next - t->base_count) * tim_step(t) : t->base_tick;
+            const int64_t at = next > t->base_count ? t->base_tick + (next - t->base_count) * tim_step(t)
+                                                    : t->base_tick;
             t->marked = next;
             for (unsigned i = 0; i < t->what->channels; i++) {
                 if (!tim_is_capture(t, i) && t->compare[i] == next && t->marked == next) {
@@ -119,8 +123,7 @@ void tim_advance(tim_t *t, int64_t tick)
     }
 }
 
-void tim_plan(tim_t *t)
-{
+void tim_plan(tim_t *t) {
     machine_cancel(t->model.machine, &t->event);
     if (!tim_counting(t)) {
         return;
@@ -142,7 +145,9 @@ void tim_plan(tim_t *t)
         }
         update = update || (heard && field(tim_mode_bits(t, i), 4, 3) >= 6);
         if (t->compare[i] > t->marked && t->compare[i] <= last) {
-            const int64_t at = t->compare[i] > t->base_count ? t->base_tick + (t->compare[i] - t->base_count) * tim_step(t) : t->base_tick;
+            const int64_t at = t->compare[i] > t->base_count
+                                   ? t->base_tick + (t->compare[i] - t->base_count) * tim_step(t)
+                                   : t->base_tick;
             tick = at < tick ? at : tick;
         } else {
             later = true;
@@ -156,32 +161,30 @@ void tim_plan(tim_t *t)
     }
 }
 
-static void observed(void *context, int64_t time_ps)
-{
+static void observed(void *context, int64_t time_ps) {
     tim_t *const t = context;
     tim_advance(t, clock_tick(t->clock, time_ps));
     tim_plan(t);
 }
 
-void tim_counter_init(tim_t *t) { machine_event_init(&t->event, observed, t); }
+void tim_counter_init(tim_t *t) {
+    machine_event_init(&t->event, observed, t);
+}
 
-void tim_start(tim_t *t, int64_t tick)
-{
+void tim_start(tim_t *t, int64_t tick) {
     t->running = true;
     t->base_tick = tick;
     t->marked = t->base_count - 1;
 }
 
-void tim_restart_counter(tim_t *t, int64_t tick)
-{
+void tim_restart_counter(tim_t *t, int64_t tick) {
     t->base_count = 0;
     t->base_tick = tick;
     t->marked = -1;
     update_event(t, tick, true);
 }
 
-void tim_rebase(tim_t *t, int64_t tick)
-{
+void tim_rebase(tim_t *t, int64_t tick) {
     if (tim_counting(t) && tick > t->base_tick) {
         const int64_t steps = (tick - t->base_tick) / tim_step(t);
         t->base_count += steps;

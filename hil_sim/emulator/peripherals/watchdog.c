@@ -5,14 +5,18 @@
 
 enum { KR = 0x00, PR = 0x04, RLR = 0x08, SR = 0x0C };
 enum { CR = 0x00, CFR = 0x04, WSR = 0x08 };
-#define PVU 1u
-#define RVU 2u
-#define IWDGRSTF (1u << 29)
-#define WWDGRSTF (1u << 30)
+#define PVU           1u
+#define RVU           2u
+#define IWDGRSTF      (1u << 29)
+#define WWDGRSTF      (1u << 30)
 #define UPDATE_CYCLES 5 /* Of the 32 kHz clock. */
 
-static const register_layout_t iwdg_registers[] = {{"KR", KR, 0, 0xFFFF, ACCESS_WO}, {"PR", PR, 0, 0x7, ACCESS_RW}, {"RLR", RLR, 0xFFF, 0xFFF, ACCESS_RW}, {"SR", SR, 0, 0x3, ACCESS_RO}};
-static const register_layout_t wwdg_registers[] = {{"CR", CR, 0x7F, 0xFF, ACCESS_RW}, {"CFR", CFR, 0x7F, 0x3FF, ACCESS_RW}, {"SR", WSR, 0, 0x1, ACCESS_RC_W0}};
+static const register_layout_t iwdg_registers[] = {{"KR", KR, 0, 0xFFFF, ACCESS_WO},
+                                                   {"PR", PR, 0, 0x7, ACCESS_RW},
+                                                   {"RLR", RLR, 0xFFF, 0xFFF, ACCESS_RW},
+                                                   {"SR", SR, 0, 0x3, ACCESS_RO}};
+static const register_layout_t wwdg_registers[] = {
+    {"CR", CR, 0x7F, 0xFF, ACCESS_RW}, {"CFR", CFR, 0x7F, 0x3FF, ACCESS_RW}, {"SR", WSR, 0, 0x1, ACCESS_RC_W0}};
 
 typedef struct {
     model_t model;
@@ -29,8 +33,7 @@ typedef struct {
 
 /* ---- Independent watchdog ---- */
 
-static void refresh(iwdg_t *w)
-{
+static void refresh(iwdg_t *w) {
     if (w->running) {
         const unsigned divider = 4u << (w->prescaler > 6 ? 6 : w->prescaler);
         const double seconds = (double)divider * (w->reload + 1) / rcc_lsi_hz(w->model.chip);
@@ -38,15 +41,13 @@ static void refresh(iwdg_t *w)
     }
 }
 
-static void iwdg_expired(void *context, int64_t time_ps)
-{
+static void iwdg_expired(void *context, int64_t time_ps) {
     iwdg_t *const w = context;
     (void)time_ps;
     machine_reset_request(w->model.machine, IWDGRSTF);
 }
 
-static void prescaler_updated(void *context, int64_t time_ps)
-{
+static void prescaler_updated(void *context, int64_t time_ps) {
     iwdg_t *const w = context;
     (void)time_ps;
     w->prescaler = reg(&w->model, PR);
@@ -54,16 +55,14 @@ static void prescaler_updated(void *context, int64_t time_ps)
     refresh(w); /* The present count is not known to a digit; a running down-counter is restarted. */
 }
 
-static void reload_updated(void *context, int64_t time_ps)
-{
+static void reload_updated(void *context, int64_t time_ps) {
     iwdg_t *const w = context;
     (void)time_ps;
     w->reload = reg(&w->model, RLR);
     w->model.value[SR / 4] &= ~RVU;
 }
 
-static void iwdg_set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void iwdg_set(model_t *model, uint32_t offset, uint32_t value) {
     iwdg_t *const w = (iwdg_t *)model;
     const int64_t later = machine_now(model->machine) + llround(UPDATE_CYCLES * 1e12 / rcc_lsi_hz(model->chip));
     if (offset == KR) {
@@ -81,7 +80,8 @@ static void iwdg_set(model_t *model, uint32_t offset, uint32_t value)
     }
     const uint32_t busy = offset == PR ? PVU : RVU;
     if (!w->unlocked || (reg(model, SR) & busy) != 0) {
-        machine_violation(model->machine, "IWDG_%s: written %s", offset == PR ? "PR" : "RLR", w->unlocked ? "while the update before is under way (SR)" : "without the key 0x5555");
+        machine_violation(model->machine, "IWDG_%s: written %s", offset == PR ? "PR" : "RLR",
+                          w->unlocked ? "while the update before is under way (SR)" : "without the key 0x5555");
         return;
     }
     model->value[offset / 4] = value;
@@ -89,8 +89,7 @@ static void iwdg_set(model_t *model, uint32_t offset, uint32_t value)
     machine_schedule(model->machine, offset == PR ? &w->prescaler_update : &w->reload_update, later);
 }
 
-static void iwdg_restart(model_t *model)
-{
+static void iwdg_restart(model_t *model) {
     iwdg_t *const w = (iwdg_t *)model;
     machine_cancel(model->machine, &w->expiry);
     machine_cancel(model->machine, &w->prescaler_update);
@@ -102,17 +101,17 @@ static void iwdg_restart(model_t *model)
 
 /* ---- Window watchdog ---- */
 
-static int64_t wwdg_step(const wwdg_t *w) { return (int64_t)4096 << field(reg(&w->model, CFR), 7, 2); }
+static int64_t wwdg_step(const wwdg_t *w) {
+    return (int64_t)4096 << field(reg(&w->model, CFR), 7, 2);
+}
 
-static uint32_t wwdg_count(const wwdg_t *w)
-{
+static uint32_t wwdg_count(const wwdg_t *w) {
     const clock_domain_t *const clock = &w->model.chip->pclk1;
     const int64_t steps = (clock_tick(clock, machine_now(w->model.machine)) - w->base_tick) / wwdg_step(w);
     return (uint32_t)((int64_t)(reg(&w->model, CR) & 0x7Fu) - steps) & 0x7Fu;
 }
 
-static void wwdg_plan(wwdg_t *w)
-{
+static void wwdg_plan(wwdg_t *w) {
     const clock_domain_t *const clock = &w->model.chip->pclk1;
     const int64_t to_40 = (int64_t)(reg(&w->model, CR) & 0x7Fu) - 0x40;
     if ((reg(&w->model, CR) & 0x80u) != 0) {
@@ -121,25 +120,24 @@ static void wwdg_plan(wwdg_t *w)
     }
 }
 
-static void wwdg_interrupt(wwdg_t *w) { machine_irq(w->model.machine, 0, (reg(&w->model, WSR) & 1u) != 0 && (reg(&w->model, CFR) & 0x200u) != 0); }
+static void wwdg_interrupt(wwdg_t *w) {
+    machine_irq(w->model.machine, 0, (reg(&w->model, WSR) & 1u) != 0 && (reg(&w->model, CFR) & 0x200u) != 0);
+}
 
-static void wwdg_early(void *context, int64_t time_ps)
-{
+static void wwdg_early(void *context, int64_t time_ps) {
     wwdg_t *const w = context;
     (void)time_ps;
     w->model.value[WSR / 4] |= 1u;
     wwdg_interrupt(w);
 }
 
-static void wwdg_expired(void *context, int64_t time_ps)
-{
+static void wwdg_expired(void *context, int64_t time_ps) {
     wwdg_t *const w = context;
     (void)time_ps;
     machine_reset_request(w->model.machine, WWDGRSTF);
 }
 
-static void wwdg_set(model_t *model, uint32_t offset, uint32_t value)
-{
+static void wwdg_set(model_t *model, uint32_t offset, uint32_t value) {
     wwdg_t *const w = (wwdg_t *)model;
     const bool active = (reg(model, CR) & 0x80u) != 0;
     if (offset == CR) {
@@ -158,26 +156,40 @@ static void wwdg_set(model_t *model, uint32_t offset, uint32_t value)
     wwdg_interrupt(w);
 }
 
-static uint32_t wwdg_get(model_t *model, uint32_t offset)
-{
+static uint32_t wwdg_get(model_t *model, uint32_t offset) {
     wwdg_t *const w = (wwdg_t *)model;
     return offset == CR && (reg(model, CR) & 0x80u) != 0 ? 0x80u | wwdg_count(w) : reg(model, offset);
 }
 
-static void wwdg_restart(model_t *model)
-{
+static void wwdg_restart(model_t *model) {
     wwdg_t *const w = (wwdg_t *)model;
     machine_cancel(model->machine, &w->early);
     machine_cancel(model->machine, &w->expiry);
     wwdg_interrupt(w);
 }
 
-void watchdog_create(chip_t *chip)
-{
-    static const model_description_t iwdg_description = {.name = "IWDG", .base = 0x40003000, .size = 0x400, .bus = BUS_APB1, .read_widths = WIDTH_16 | WIDTH_32,
-        .write_widths = WIDTH_16 | WIDTH_32, .registers = iwdg_registers, .register_count = 4, .set = iwdg_set, .restart = iwdg_restart};
-    static const model_description_t wwdg_description = {.name = "WWDG", .base = 0x40002C00, .size = 0x400, .bus = BUS_APB1, .read_widths = WIDTH_16 | WIDTH_32,
-        .write_widths = WIDTH_16 | WIDTH_32, .registers = wwdg_registers, .register_count = 3, .get = wwdg_get, .set = wwdg_set, .restart = wwdg_restart};
+void watchdog_create(chip_t *chip) {
+    static const model_description_t iwdg_description = {.name = "IWDG",
+                                                         .base = 0x40003000,
+                                                         .size = 0x400,
+                                                         .bus = BUS_APB1,
+                                                         .read_widths = WIDTH_16 | WIDTH_32,
+                                                         .write_widths = WIDTH_16 | WIDTH_32,
+                                                         .registers = iwdg_registers,
+                                                         .register_count = 4,
+                                                         .set = iwdg_set,
+                                                         .restart = iwdg_restart};
+    static const model_description_t wwdg_description = {.name = "WWDG",
+                                                         .base = 0x40002C00,
+                                                         .size = 0x400,
+                                                         .bus = BUS_APB1,
+                                                         .read_widths = WIDTH_16 | WIDTH_32,
+                                                         .write_widths = WIDTH_16 | WIDTH_32,
+                                                         .registers = wwdg_registers,
+                                                         .register_count = 3,
+                                                         .get = wwdg_get,
+                                                         .set = wwdg_set,
+                                                         .restart = wwdg_restart};
     iwdg_t *const iwdg = chip_allocate(chip, sizeof *iwdg);
     machine_event_init(&iwdg->expiry, iwdg_expired, iwdg);
     machine_event_init(&iwdg->prescaler_update, prescaler_updated, iwdg);

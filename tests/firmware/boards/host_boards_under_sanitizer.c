@@ -1,5 +1,6 @@
-/* Two beacons, a sensor and an anchor on host boards, one sync wire, one bus, bytes from a stranger; built with the address and undefined-behaviour sanitizers by
- * test_sanitizers.py. Prints how many bytes and frames came out; any finding of a sanitizer ends it with an error. */
+/* Two beacons, a sensor and an anchor on host boards, one sync wire, one bus, bytes from a stranger; built with the
+ * address and undefined-behaviour sanitizers by test_sanitizers.py. Prints how many bytes and frames came out; any
+ * finding of a sanitizer ends it with an error. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -14,16 +15,16 @@ typedef struct {
     world_t *world;
     unsigned index;
     unsigned long bytes, frames;
-} seat_t;
+} board_slot_t;
 struct world {
     board_t *boards[BOARDS];
-    seat_t seats[BOARDS];
+    board_slot_t slots[BOARDS];
 };
 
 static void pin_out(void *context, unsigned pin, bool level, int64_t time_ps) {
-    const seat_t *seat = context;
-    for (unsigned i = 1; seat->index == MASTER && pin == PIN_SYNC_OUT && i < BOARDS; i++) {
-        host_board_operations.pin_in(seat->world->boards[i], PIN_SYNC_IN, level, time_ps);
+    const board_slot_t *slot = context;
+    for (unsigned i = 1; slot->index == MASTER && pin == PIN_SYNC_OUT && i < BOARDS; i++) {
+        host_board_operations.pin_in(slot->world->boards[i], PIN_SYNC_IN, level, time_ps);
     }
 }
 
@@ -34,17 +35,18 @@ static double analog_in(void *context, unsigned pin, int64_t time_ps) {
 
 static void uart_out(void *context, unsigned uart, uint8_t byte, int64_t time_ps) {
     (void)uart, (void)byte, (void)time_ps;
-    ((seat_t *)context)->bytes++;
+    ((board_slot_t *)context)->bytes++;
 }
 
 static void can_request(void *context, unsigned mailbox, const board_frame_t *frame, int64_t time_ps) {
-    seat_t *seat = context;
-    seat->frames++;
+    board_slot_t *slot = context;
+    slot->frames++;
     for (unsigned i = 0; i < BOARDS; i++) {
-        if (i == seat->index) {
-            host_board_operations.can_sent(seat->world->boards[i], mailbox, seat->frames % 50 != 0, time_ps + 130000000);
+        if (i == slot->index) {
+            host_board_operations.can_sent(slot->world->boards[i], mailbox, slot->frames % 50 != 0,
+                                           time_ps + 130000000);
         } else {
-            host_board_operations.can_in(seat->world->boards[i], frame, time_ps + 130000000);
+            host_board_operations.can_in(slot->world->boards[i], frame, time_ps + 130000000);
         }
     }
 }
@@ -87,10 +89,15 @@ int main(void) {
     for (unsigned i = 0; i < BOARDS; i++) {
         host_board_config_t config = {.role = roles[i], .crystal_ppm = 60.0 * i - 60.0, .temperature_degc = -12.3};
         fill_page(config.parameter_page, i);
-        world.seats[i] = (seat_t){.world = &world, .index = i};
-        const board_edge_t edge = {.context = &world.seats[i], .pin_out = pin_out, .analog_in = analog_in, .uart_out = uart_out, .can_request = can_request};
+        world.slots[i] = (board_slot_t){.world = &world, .index = i};
+        const board_edge_t edge = {.context = &world.slots[i],
+                                   .pin_out = pin_out,
+                                   .analog_in = analog_in,
+                                   .uart_out = uart_out,
+                                   .can_request = can_request};
         world.boards[i] = host_board_create(&config, &edge, i * 7 * MS);
-        if (!world.boards[i]) return 1;
+        if (!world.boards[i])
+            return 1;
     }
     uint32_t random = 1;
     for (int64_t now = MS; now <= 1500 * MS; now += MS) {
@@ -104,7 +111,7 @@ int main(void) {
         }
     }
     for (unsigned i = 0; i < BOARDS; i++) {
-        printf("%lu %lu\n", world.seats[i].bytes, world.seats[i].frames);
+        printf("%lu %lu\n", world.slots[i].bytes, world.slots[i].frames);
         host_board_operations.destroy(world.boards[i]);
     }
     return 0;

@@ -1,18 +1,19 @@
-/* Every module of the core under the address and undefined-behaviour sanitizers, with extremes and seeded noise; and the queue between two threads.
- * Exit 0: nothing found. Results are judged by the other tests; here only what the sanitizers see, and order and loss in the queue. */
+/* Every module of the core under the address and undefined-behaviour sanitizers, with extremes and seeded noise; and
+ * the queue between two threads. Exit 0: nothing found. Results are judged by the other tests; here only what the
+ * sanitizers see, and order and loss in the queue. */
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
-#include "core/timing/chip_clock.h"
-#include "core/drive/current.h"
 #include "core/codes/epoch.h"
-#include "core/link/frame.h"
 #include "core/codes/gold.h"
+#include "core/drive/current.h"
+#include "core/drive/waveform.h"
+#include "core/link/frame.h"
 #include "core/link/parameters.h"
 #include "core/link/queue.h"
-#include "core/drive/waveform.h"
+#include "core/timing/chip_clock.h"
 
 #define REQUIRE(condition) ((condition) ? (void)0 : (fprintf(stderr, "line %d: %s\n", __LINE__, #condition), exit(1)))
 
@@ -69,7 +70,8 @@ static void clocks(void) {
         clock.chip = i < 4 ? 0 : 0xFFFFF000u;
         for (uint32_t t = 0; t < 20000; t++) {
             const chip_clock_chip_t planned = chip_clock_plan(&clock);
-            REQUIRE(planned.period_ticks >= 16000 && planned.period_ticks <= 16900 && planned.code_chip < lengths[i % 4u]);
+            REQUIRE(planned.period_ticks >= 16000 && planned.period_ticks <= 16900 &&
+                    planned.code_chip < lengths[i % 4u]);
             if (t > 100 && noise() % (i % 2u == 0u ? 100u : 1023u) == 0u) {
                 chip_clock_edge(&clock, clock.chip - noise() % 130u, (uint16_t)(noise() % 17000u));
                 chip_clock_number_cycle(&clock, noise());
@@ -82,11 +84,13 @@ static void currents(void) {
     for (uint32_t i = 0; i < 100; i++) {
         current_t loop;
         const float amplitude = (float)(noise() % 17u), limit = (float)(noise() % 20u);
-        if (current_configure(&loop, &(current_config_t){0.0078125f, 0.00390625f, amplitude, limit, (float)(noise() % 3u) / 2.0f})) {
+        if (current_configure(
+                &loop, &(current_config_t){0.0078125f, 0.00390625f, amplitude, limit, (float)(noise() % 3u) / 2.0f})) {
             current_start(&loop);
             for (uint32_t t = 0; t < 3000; t++) {
                 const int32_t set_point = (int32_t)(noise() % 8191u) - 4095;
-                (void)current_sample(&loop, (int16_t)set_point, (uint16_t)(i % 3u == 0u ? (int32_t)noise() : 2048 + set_point / 2));
+                (void)current_sample(&loop, (int16_t)set_point,
+                                     (uint16_t)(i % 3u == 0u ? (int32_t)noise() : 2048 + set_point / 2));
                 REQUIRE(loop.reference <= 4095);
             }
         }
@@ -95,16 +99,22 @@ static void currents(void) {
 
 static void waveforms(void) {
     for (uint32_t i = 0; i < 2000; i++) {
-        waveform_config_t config = {.kind = noise() % 6u, .code = noise() % 2049u, .slots = noise() % 2048u, .slot = noise() % 64u, .periods = noise() % 1200u};
+        waveform_config_t config = {.kind = noise() % 6u,
+                                    .code = noise() % 2049u,
+                                    .slots = noise() % 2048u,
+                                    .slot = noise() % 64u,
+                                    .periods = noise() % 1200u};
         for (uint32_t j = 0; j < WAVEFORM_CODES; j++) {
-            config.codes[j] = (waveform_code_t){noise() % 13u, noise() % 70u, noise() % 40u, i % 9u == 0u ? noise() : noise() % 40u};
+            config.codes[j] = (waveform_code_t){noise() % 13u, noise() % 70u, noise() % 40u,
+                                                i % 9u == 0u ? noise() : noise() % 40u};
         }
         waveform_t waveform;
         if (waveform_start(&waveform, 4u + noise() % 9u, &config)) {
             for (uint32_t t = 0; t < 3000; t++) {
                 int16_t level[WAVEFORM_CHANNELS];
                 waveform_next(&waveform, level);
-                REQUIRE(level[0] >= -WAVEFORM_ONE && level[0] <= WAVEFORM_ONE && level[1] >= -WAVEFORM_ONE && level[1] <= WAVEFORM_ONE);
+                REQUIRE(level[0] >= -WAVEFORM_ONE && level[0] <= WAVEFORM_ONE && level[1] >= -WAVEFORM_ONE &&
+                        level[1] <= WAVEFORM_ONE);
             }
         }
     }
@@ -167,7 +177,8 @@ static void threads(void) {
         running = last != MESSAGES && received + __atomic_load_n(&queue.lost, __ATOMIC_RELAXED) != MESSAGES;
         const frame_t *message = queue_front(&queue);
         if (message != NULL) {
-            REQUIRE(message->id > last && message->data[0] == (uint8_t)message->id && message->data[7] == (uint8_t)message->id);
+            REQUIRE(message->id > last && message->data[0] == (uint8_t)message->id &&
+                    message->data[7] == (uint8_t)message->id);
             last = message->id;
             received++;
             queue_drop(&queue);

@@ -31,15 +31,13 @@ struct board {
     char report[64];
 };
 
-static void say(board_t *board, const void *bytes, size_t count)
-{
+static void say(board_t *board, const void *bytes, size_t count) {
     for (size_t i = 0; i < count; ++i) {
         board->edge.uart_out(board->edge.context, 1, ((const uint8_t *)bytes)[i], board->now_ps);
     }
 }
 
-static void drive_chip(board_t *board)
-{
+static void drive_chip(board_t *board) {
     const board_edge_t *const edge = &board->edge;
     if (board->chip == 0) {
         edge->analog_out(edge->context, 1, 10.0 / 16.0 * 3.3, board->now_ps);
@@ -53,11 +51,11 @@ static void drive_chip(board_t *board)
     }
 }
 
-static void turn_chip(const board_t *board)
-{
+static void turn_chip(const board_t *board) {
     static const unsigned bridge[2] = {38, 36};
     const board_edge_t *const edge = &board->edge;
-    const double angle = 2.0 * 3.14159265358979323846 * board->config.periods * (double)(board->chip % FAKE_CYCLE) / FAKE_CYCLE;
+    const double angle = 2.0 * 3.14159265358979323846 * board->config.periods * (double)(board->chip % FAKE_CYCLE) /
+                         FAKE_CYCLE;
     const double current_A[2] = {10.0 * cos(angle), 10.0 * sin(angle)};
     for (unsigned i = 0; i < 2; ++i) {
         edge->pin_out(edge->context, bridge[i], current_A[i] > 0.0, board->now_ps);
@@ -66,8 +64,7 @@ static void turn_chip(const board_t *board)
     }
 }
 
-static void start_chip(board_t *board)
-{
+static void start_chip(board_t *board) {
     const board_edge_t *const edge = &board->edge;
     if (!board->config.drives) {
         return;
@@ -90,8 +87,7 @@ static void start_chip(board_t *board)
     }
 }
 
-static int64_t event_time(const board_t *board)
-{
+static int64_t event_time(const board_t *board) {
     if (board->event == 0) {
         return board->chip_start_ps;
     }
@@ -99,8 +95,7 @@ static int64_t event_time(const board_t *board)
     return board->chip_start_ps + board->chip_ps - 1000000 - (last + 1 - (int64_t)board->event) * 1500000;
 }
 
-static void take_event(board_t *board)
-{
+static void take_event(board_t *board) {
     const board_edge_t *const edge = &board->edge;
     const unsigned last = board->config.senses ? FAKE_BURST : 1;
     if (board->event == 0) {
@@ -123,23 +118,29 @@ static void take_event(board_t *board)
     }
 }
 
-static void take_input(board_t *board)
-{
+static void take_input(board_t *board) {
     const input_t input = board->inputs[0];
     --board->input_count;
     memmove(board->inputs, board->inputs + 1, board->input_count * sizeof input);
     char text[64];
     switch (input.kind) {
-    case INPUT_SYNC: (void)snprintf(text, sizeof text, "<sync %u %" PRId64 ">", input.value, input.time_ps); break;
-    case INPUT_BYTE: (void)snprintf(text, sizeof text, "<byte %02x %" PRId64 ">", input.value, input.time_ps); break;
-    case INPUT_FRAME: (void)snprintf(text, sizeof text, "<frame %x %" PRId64 ">", input.frame.id, input.time_ps); break;
-    default: (void)snprintf(text, sizeof text, "<sent %u %" PRId64 ">", input.value, input.time_ps); break;
+    case INPUT_SYNC:
+        (void)snprintf(text, sizeof text, "<sync %u %" PRId64 ">", input.value, input.time_ps);
+        break;
+    case INPUT_BYTE:
+        (void)snprintf(text, sizeof text, "<byte %02x %" PRId64 ">", input.value, input.time_ps);
+        break;
+    case INPUT_FRAME:
+        (void)snprintf(text, sizeof text, "<frame %x %" PRId64 ">", input.frame.id, input.time_ps);
+        break;
+    default:
+        (void)snprintf(text, sizeof text, "<sent %u %" PRId64 ">", input.value, input.time_ps);
+        break;
     }
     say(board, text, strlen(text));
 }
 
-static board_status_t run(board_t *board, int64_t until_ps)
-{
+static board_status_t run(board_t *board, int64_t until_ps) {
     for (;;) {
         int64_t next_ps = event_time(board);
         const bool input = board->input_count > 0 && board->inputs[0].time_ps <= next_ps;
@@ -161,13 +162,11 @@ static board_status_t run(board_t *board, int64_t until_ps)
     }
 }
 
-static int64_t now(const board_t *board)
-{
+static int64_t now(const board_t *board) {
     return board->now_ps;
 }
 
-static void add(board_t *board, input_t input)
-{
+static void add(board_t *board, input_t input) {
     if (board->input_count == INPUTS || input.time_ps < board->now_ps) {
         abort(); /* The rig promised neither to flood a board nor to reach into its past. */
     }
@@ -178,8 +177,7 @@ static void add(board_t *board, input_t input)
     board->inputs[at] = input;
 }
 
-static void pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps)
-{
+static void pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps) {
     if (pin == 10 && time_ps > 0) {
         add(board, (input_t){.time_ps = time_ps, .kind = INPUT_SYNC, .value = level});
     } else if (pin == 42 && !level) {
@@ -187,43 +185,36 @@ static void pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps)
     }
 }
 
-static void uart_in(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps)
-{
+static void uart_in(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps) {
     (void)uart;
     (void)baud;
     add(board, (input_t){.time_ps = time_ps, .kind = INPUT_BYTE, .value = byte});
 }
 
-static void can_in(board_t *board, const board_frame_t *frame, int64_t time_ps)
-{
+static void can_in(board_t *board, const board_frame_t *frame, int64_t time_ps) {
     add(board, (input_t){.time_ps = time_ps, .kind = INPUT_FRAME, .frame = *frame});
 }
 
-static void can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps)
-{
+static void can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps) {
     (void)mailbox;
     add(board, (input_t){.time_ps = time_ps, .kind = INPUT_SENT, .value = ok});
 }
 
-static const char *report(const board_t *board)
-{
+static const char *report(const board_t *board) {
     return board->report;
 }
 
-static void destroy(board_t *board)
-{
+static void destroy(board_t *board) {
     free(board->samples);
     free(board);
 }
 
-size_t fake_samples(const board_t *board, const fake_sample_t **samples)
-{
+size_t fake_samples(const board_t *board, const fake_sample_t **samples) {
     *samples = board->samples;
     return board->sample_count;
 }
 
-board_t *fake_create(const fake_config_t *config, const board_edge_t *edge, int64_t power_on_ps)
-{
+board_t *fake_create(const fake_config_t *config, const board_edge_t *edge, int64_t power_on_ps) {
     board_t *const board = calloc(1, sizeof *board);
     if (board != NULL) {
         board->config = *config;
@@ -236,5 +227,11 @@ board_t *fake_create(const fake_config_t *config, const board_edge_t *edge, int6
     return board;
 }
 
-const board_operations_t fake_operations = {
-    .run = run, .now = now, .pin_in = pin_in, .uart_in = uart_in, .can_in = can_in, .can_sent = can_sent, .report = report, .destroy = destroy};
+const board_operations_t fake_operations = {.run = run,
+                                            .now = now,
+                                            .pin_in = pin_in,
+                                            .uart_in = uart_in,
+                                            .can_in = can_in,
+                                            .can_sent = can_sent,
+                                            .report = report,
+                                            .destroy = destroy};

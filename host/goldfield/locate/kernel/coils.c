@@ -11,13 +11,12 @@
 /* Relative difference of the two means that one more step turns into rounding. */
 #define NEARLY_EQUAL 1e-4
 
-/* In cylinder coordinates about a coil's axis a, with r the radial vector, the field is f a + g r. As curl and divergence
- * vanish, its gradient needs g, d = dg/dz and s = (dg/drho)/rho alone:
+/* In cylinder coordinates about a coil's axis a, with r the radial vector, the field is f a + g r. As curl and
+ * divergence vanish, its gradient needs g, d = dg/dz and s = (dg/drho)/rho alone:
  *     d (a r' + r a') + s r r' + g I - (3 g + s rho^2) a a'.
- * f and g are means over a turn, and those follow from Gauss's mean of the greatest and the least distance to the wire:
- * goldfield/field/loop.py has the integrals; there the gradient is formed from all four derivatives. */
-void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_t *out)
-{
+ * f and g are means over a turn, and those follow from Gauss's mean of the greatest and the least distance to the
+ * wire: goldfield/field/loop.py has the integrals; there the gradient is formed from all four derivatives. */
+void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_t *out) {
     const size_t n = coils->count;
     double radial[3][GF_MOST_COILS];
     double height[GF_MOST_COILS];
@@ -114,8 +113,7 @@ void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_
     }
 }
 
-void gf_components(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, gf_components_t *out)
-{
+void gf_components(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, gf_components_t *out) {
     gf_sources_t sources;
     gf_sources(coils, pose->position_m, &sources);
     for (size_t i = 0; i < coils->count; ++i) {
@@ -140,8 +138,7 @@ void gf_components(const gf_coils_t *coils, const gf_pose_t *pose, const double 
     }
 }
 
-void gf_weights(size_t coils, const double *field_T, const double *sigma_T, double model_error, double *weight)
-{
+void gf_weights(size_t coils, const double *field_T, const double *sigma_T, double model_error, double *weight) {
     for (size_t i = 0; i < coils; ++i) {
         double square = 0.0;
         for (size_t c = 0; c < 3; ++c) {
@@ -155,8 +152,7 @@ void gf_weights(size_t coils, const double *field_T, const double *sigma_T, doub
     }
 }
 
-void gf_turn(double rotation[3][3], const double vector[3])
-{
+void gf_turn(double rotation[3][3], const double vector[3]) {
     const double angle2 = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2];
     const double angle = sqrt(angle2);
     const double half = 0.5 * angle;

@@ -28,7 +28,8 @@ void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_
  * standard deviations, 0 where not measured. */
 void gf_components(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, gf_components_t *out);
 
-/* Reciprocal standard deviations of one epoch's components, 1/sqrt(sigma^2 + (model_error |B|)^2), 0 where not measured. */
+/* Reciprocal standard deviations of one epoch's components, 1/sqrt(sigma^2 + (model_error |B|)^2), 0 where not
+ * measured. */
 void gf_weights(size_t coils, const double *field_T, const double *sigma_T, double model_error, double *weight);
 
 /* Turn by a rotation vector of the site's frame: exp([vector]x) R. */

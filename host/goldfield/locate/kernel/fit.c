@@ -5,20 +5,19 @@
 
 #include "linear.h"
 
-/* Damping relative to the diagonal: at first, its least, after success, after failure, and where there is no hope left. */
-#define FIRST_DAMPING 1e-3
-#define LEAST_DAMPING 1e-9
-#define EASED 0.1
-#define TIGHTENED 8.0
+/* Damping relative to the diagonal: at first, its least, after success, after failure, and where there is no hope
+ * left. */
+#define FIRST_DAMPING    1e-3
+#define LEAST_DAMPING    1e-9
+#define EASED            0.1
+#define TIGHTENED        8.0
 #define HOPELESS_DAMPING 1e12
 
-void gf_clear(gf_squares_t *squares)
-{
+void gf_clear(gf_squares_t *squares) {
     memset(squares, 0, sizeof *squares);
 }
 
-void gf_add(gf_squares_t *squares, size_t unknowns, double residual, const double slope[])
-{
+void gf_add(gf_squares_t *squares, size_t unknowns, double residual, const double slope[]) {
     squares->cost += residual * residual;
     for (size_t k = 0; k < unknowns; ++k) {
         squares->gradient[k] += slope[k] * residual;
@@ -28,8 +27,7 @@ void gf_add(gf_squares_t *squares, size_t unknowns, double residual, const doubl
     }
 }
 
-static bool propose(const gf_squares_t *squares, size_t unknowns, double damping, double step[6])
-{
+static bool propose(const gf_squares_t *squares, size_t unknowns, double damping, double step[6]) {
     double damped[6][6];
     double largest = 0.0;
     memcpy(damped, squares->normal, sizeof damped);
@@ -37,14 +35,14 @@ static bool propose(const gf_squares_t *squares, size_t unknowns, double damping
         largest = fmax(largest, damped[k][k]);
     }
     for (size_t k = 0; k < unknowns; ++k) {
-        damped[k][k] += damping * damped[k][k] + 1e-12 * largest + 1e-300; /* a direction of which nothing is known stays */
+        damped[k][k] += damping * damped[k][k] + 1e-12 * largest +
+                        1e-300; /* a direction of which nothing is known stays */
     }
-    return gf_solve(unknowns, (const double (*)[6])damped, squares->gradient, step);
+    return gf_solve(unknowns, (const double(*)[6])damped, squares->gradient, step);
 }
 
 bool gf_minimise(gf_evaluate_t evaluate, const void *problem, size_t unknowns, size_t iterations, double tolerance,
-                 gf_pose_t *pose, gf_squares_t *squares)
-{
+                 gf_pose_t *pose, gf_squares_t *squares) {
     double damping = FIRST_DAMPING;
     bool near = false;
     evaluate(problem, pose, squares);
@@ -88,8 +86,7 @@ typedef struct {
     double whitened[3 * GF_MOST_COILS]; /* measured components over their standard deviations */
 } pose_problem_t;
 
-static void evaluate_pose(const void *argument, const gf_pose_t *pose, gf_squares_t *squares)
-{
+static void evaluate_pose(const void *argument, const gf_pose_t *pose, gf_squares_t *squares) {
     const pose_problem_t *const problem = argument;
     gf_components_t components;
     gf_components(problem->coils, pose, problem->weight, &components);
@@ -100,8 +97,7 @@ static void evaluate_pose(const void *argument, const gf_pose_t *pose, gf_square
 }
 
 /* One Newton step towards the nearest rotation: removes the rounding of many turns. */
-static void straighten(double r[3][3])
-{
+static void straighten(double r[3][3]) {
     double out[3][3];
     for (size_t i = 0; i < 3; ++i) {
         for (size_t j = 0; j < 3; ++j) {
@@ -116,9 +112,8 @@ static void straighten(double r[3][3])
 }
 
 void gf_fit(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-            size_t iterations, double tolerance, double *position_m, double *rotation, double *cost, double *information,
-            uint8_t *converged)
-{
+            size_t iterations, double tolerance, double *position_m, double *rotation, double *cost,
+            double *information, uint8_t *converged) {
     const size_t n = coils->count;
     for (size_t e = 0; e < epochs; ++e) {
         const double *const field = field_T + 3 * n * e;

@@ -22,8 +22,9 @@ void gf_add(gf_squares_t *squares, size_t unknowns, double residual, const doubl
 /* What is minimised: fills squares at a pose. */
 typedef void (*gf_evaluate_t)(const void *problem, const gf_pose_t *pose, gf_squares_t *squares);
 
-/* Improve a pose until the next step promises to lower the cost by less than tolerance, or after this many trials. On return
- * squares belongs to the pose; its cost is not finite if the start was hopeless. Returns whether it converged. */
+/* Improve a pose until the next step promises to lower the cost by less than tolerance, or after this many trials.
+ * On return squares belongs to the pose; its cost is not finite if the start was hopeless. Returns whether it
+ * converged. */
 bool gf_minimise(gf_evaluate_t evaluate, const void *problem, size_t unknowns, size_t iterations, double tolerance,
                  gf_pose_t *pose, gf_squares_t *squares);
 

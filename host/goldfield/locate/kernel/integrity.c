@@ -4,10 +4,9 @@
 #include "coils.h"
 #include "linear.h"
 
-/* Split information into a root L of its inverse, L L' on what the measurements tell, and the directions that they do not
- * tell: those columns of root are zero and the unit vector is in free. */
-static void split(const double information[6][6], double least_eigenvalue, double root[6][6], double free[6][6])
-{
+/* Split information into a root L of its inverse, L L' on what the measurements tell, and the directions that they
+ * do not tell: those columns of root are zero and the unit vector is in free. */
+static void split(const double information[6][6], double least_eigenvalue, double root[6][6], double free[6][6]) {
     double scale[6];
     double scaled[6][6];
     double vector[6][6];
@@ -36,8 +35,7 @@ static void split(const double information[6][6], double least_eigenvalue, doubl
     }
 }
 
-static void inform(size_t components, double slope[][6], double information[6][6])
-{
+static void inform(size_t components, double slope[][6], double information[6][6]) {
     memset(information, 0, 6 * sizeof information[0]);
     for (size_t c = 0; c < components; ++c) {
         for (size_t k = 0; k < 6; ++k) {
@@ -49,8 +47,7 @@ static void inform(size_t components, double slope[][6], double information[6][6
 }
 
 /* Each row times a 6 x 6 matrix. */
-static void transform(size_t components, double slope[][6], const double by[6][6], double out[][6])
-{
+static void transform(size_t components, double slope[][6], const double by[6][6], double out[][6]) {
     for (size_t c = 0; c < components; ++c) {
         double sum[6] = {0.0};
         for (size_t k = 0; k < 6; ++k) {
@@ -62,8 +59,7 @@ static void transform(size_t components, double slope[][6], const double by[6][6
     }
 }
 
-static gf_pose_t pose_of(const double *position_m, const double *rotation)
-{
+static gf_pose_t pose_of(const double *position_m, const double *rotation) {
     gf_pose_t pose;
     memcpy(pose.position_m, position_m, sizeof pose.position_m);
     memcpy(pose.rotation, rotation, sizeof pose.rotation);
@@ -76,11 +72,10 @@ typedef struct {
     int32_t freedom;
 } fault_t;
 
-/* Of one beacon: its residuals, the modelled components and the model's derivatives along the principal axes of the pose's
- * error, all over the standard deviations. The covariance of its residuals is 1 - T T'. */
-static fault_t fault_of(const double residual[3], const double modelled[3], const double tangent[3][6], const double measured[3],
-                        double least_share)
-{
+/* Of one beacon: its residuals, the modelled components and the model's derivatives along the principal axes of the
+ * pose's error, all over the standard deviations. The covariance of its residuals is 1 - T T'. */
+static fault_t fault_of(const double residual[3], const double modelled[3], const double tangent[3][6],
+                        const double measured[3], double least_share) {
     double covariance[3][6];
     double vector[3][6];
     fault_t fault = {0.0, 0.0, 0};
@@ -115,10 +110,9 @@ static fault_t fault_of(const double residual[3], const double modelled[3], cons
     return fault;
 }
 
-void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, const double *position_m,
-               const double *rotation, double least_eigenvalue, double least_share, double *drop, int32_t *freedom,
-               double *scale)
-{
+void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+               const double *position_m, const double *rotation, double least_eigenvalue, double least_share,
+               double *drop, int32_t *freedom, double *scale) {
     const size_t n = coils->count;
     for (size_t e = 0; e < epochs; ++e) {
         const double *const field = field_T + 3 * n * e;
@@ -131,15 +125,17 @@ void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, co
         gf_weights(n, field, sigma_T + n * e, 0.0, weight);
         gf_components(coils, &pose, weight, &components);
         inform(3 * n, components.slope, information);
-        split((const double (*)[6])information, least_eigenvalue, root, free);
-        transform(3 * n, components.slope, (const double (*)[6])root, components.slope);
+        split((const double(*)[6])information, least_eigenvalue, root, free);
+        transform(3 * n, components.slope, (const double(*)[6])root, components.slope);
         for (size_t i = 0; i < n; ++i) {
             double residual[3];
             for (size_t c = 0; c < 3; ++c) {
-                residual[c] = weight[3 * i + c] > 0.0 ? weight[3 * i + c] * field[3 * i + c] - components.value[3 * i + c] : 0.0;
+                residual[c] = weight[3 * i + c] > 0.0
+                                  ? weight[3 * i + c] * field[3 * i + c] - components.value[3 * i + c]
+                                  : 0.0;
             }
-            const fault_t fault = fault_of(residual, components.value + 3 * i, (const double (*)[6])(components.slope + 3 * i),
-                                           weight + 3 * i, least_share);
+            const fault_t fault = fault_of(residual, components.value + 3 * i,
+                                           (const double(*)[6])(components.slope + 3 * i), weight + 3 * i, least_share);
             drop[n * e + i] = fault.drop;
             freedom[n * e + i] = fault.freedom;
             scale[n * e + i] = fault.scale;
@@ -149,8 +145,7 @@ void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, co
 
 /* q = half the second difference of the model along one principal axis and each other, as a pose error. */
 static void curve(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, const double root[6][6],
-                  double back[][6], size_t axis, double q[6][6])
-{
+                  double back[][6], size_t axis, double q[6][6]) {
     gf_components_t ahead;
     gf_components_t behind;
     double step[6];
@@ -193,8 +188,7 @@ static void curve(const gf_coils_t *coils, const gf_pose_t *pose, const double *
 }
 
 /* 1 + (m m' + 2 sum q q')/4 with q made symmetric in its two axes, m the sum of q over equal axes. */
-static void second_order(double q[6][6][6], double out[6][6])
-{
+static void second_order(double q[6][6][6], double out[6][6]) {
     double mean[6] = {0.0};
     memset(out, 0, 6 * sizeof out[0]);
     for (size_t i = 0; i < 6; ++i) {
@@ -219,11 +213,11 @@ static void second_order(double q[6][6][6], double out[6][6])
 }
 
 void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
-                   const double *position_m, const double *rotation, double least_eigenvalue, double free_m2, double free_rad2,
-                   double *covariance)
-{
+                   const double *position_m, const double *rotation, double least_eigenvalue, double free_m2,
+                   double free_rad2, double *covariance) {
     const size_t n = coils->count;
-    const double free_root[6] = {sqrt(free_m2), sqrt(free_m2), sqrt(free_m2), sqrt(free_rad2), sqrt(free_rad2), sqrt(free_rad2)};
+    const double free_root[6] = {sqrt(free_m2),   sqrt(free_m2),   sqrt(free_m2),
+                                 sqrt(free_rad2), sqrt(free_rad2), sqrt(free_rad2)};
     for (size_t e = 0; e < epochs; ++e) {
         const gf_pose_t pose = pose_of(position_m + 3 * e, rotation + 9 * e);
         double weight[3 * GF_MOST_COILS];
@@ -236,14 +230,14 @@ void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T
         gf_weights(n, field_T + 3 * n * e, sigma_T + n * e, 0.0, weight);
         gf_components(coils, &pose, weight, &components);
         inform(3 * n, components.slope, information);
-        split((const double (*)[6])information, least_eigenvalue, root, free);
-        transform(3 * n, components.slope, (const double (*)[6])root, components.slope);
+        split((const double(*)[6])information, least_eigenvalue, root, free);
+        transform(3 * n, components.slope, (const double(*)[6])root, components.slope);
         for (size_t axis = 0; axis < 6; ++axis) {
-            curve(coils, &pose, weight, (const double (*)[6])root, components.slope, axis, q[axis]);
+            curve(coils, &pose, weight, (const double(*)[6])root, components.slope, axis, q[axis]);
         }
         second_order(q, middle);
         double product[6][6];
-        transform(6, root, (const double (*)[6])middle, product);
+        transform(6, root, (const double(*)[6])middle, product);
         for (size_t k = 0; k < 6; ++k) {
             for (size_t l = 0; l < 6; ++l) {
                 double sum = 0.0;

@@ -10,9 +10,9 @@
  *   sigma_T   e x n       their standard deviations, positive and finite
  *   position_m  e x 3,    rotation  e x 3 x 3 with B_site = R B_sensor
  *
- * Memory: no heap, no globals; below 60 KiB of stack. Time: about 1 us for an evaluation of the field and a step of a fit
- * with eight coils on a server's core of today. Bad input: a start or a measurement that is not finite gives results that
- * are not finite; counts outside their range are the caller's error and are not checked here.
+ * Memory: no heap, no globals; below 60 KiB of stack. Time: about 1 us for an evaluation of the field and a step of a
+ * fit with eight coils on a server's core of today. Bad input: a start or a measurement that is not finite gives
+ * results that are not finite; counts outside their range are the caller's error and are not checked here.
  */
 #ifndef GF_LOCATE_KERNEL_H
 #define GF_LOCATE_KERNEL_H
@@ -27,10 +27,10 @@
 typedef struct {
     size_t count;
     double centre_m[3][GF_MOST_COILS];
-    double axis[3][GF_MOST_COILS];        /* unit vector along the moment */
-    double moment_A_m2[GF_MOST_COILS];    /* positive */
+    double axis[3][GF_MOST_COILS];     /* unit vector along the moment */
+    double moment_A_m2[GF_MOST_COILS]; /* positive */
     double radius_m[GF_MOST_COILS];
-    double across[3];                     /* unit vector: off the plane of the coils */
+    double across[3]; /* unit vector: off the plane of the coils */
 } gf_coils_t;
 
 /* Starts with no prior, from complete vectors: trilateration with |B| = 1.5 k/r^3, fit of log |B|, Wahba's problem
@@ -45,21 +45,21 @@ void gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, co
  * residuals; information (e x 6 x 6) of position and of a small turn in the site's frame; converged (e), 0 or 1.
  * Bound: 1 + iterations evaluations of the field an epoch. */
 void gf_fit(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-            size_t iterations, double tolerance, double *position_m, double *rotation, double *cost, double *information,
-            uint8_t *converged);
+            size_t iterations, double tolerance, double *position_m, double *rotation, double *cost,
+            double *information, uint8_t *converged);
 
-/* Statistics of each beacon's faults around fitted poses (goldfield.locate.integrity, which derives them). least_share: part
- * of a variance that must be left in the residuals for a fault to show. Out, e x n each: drop, its degrees of freedom, and
- * scale. Bound: one evaluation of the field an epoch. */
-void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, const double *position_m,
-               const double *rotation, double least_eigenvalue, double least_share, double *drop, int32_t *freedom,
-               double *scale);
+/* Statistics of each beacon's faults around fitted poses (goldfield.locate.integrity, which derives them).
+ * least_share: part of a variance that must be left in the residuals for a fault to show. Out, e x n each: drop, its
+ * degrees of freedom, and scale. Bound: one evaluation of the field an epoch. */
+void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+               const double *position_m, const double *rotation, double least_eigenvalue, double least_share,
+               double *drop, int32_t *freedom, double *scale);
 
-/* Mean square error of fitted poses with second-order terms (goldfield.locate.uncertainty.honest_covariance). Directions
- * whose eigenvalue of the information, scaled to a unit diagonal, is below least_eigenvalue get free_m2 and free_rad2 along
- * them. Out: covariance (e x 6 x 6). Bound: 13 evaluations of the field an epoch. */
+/* Mean square error of fitted poses with second-order terms (goldfield.locate.uncertainty.honest_covariance).
+ * Directions whose eigenvalue of the information, scaled to a unit diagonal, is below least_eigenvalue get free_m2
+ * and free_rad2 along them. Out: covariance (e x 6 x 6). Bound: 13 evaluations of the field an epoch. */
 void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
-                   const double *position_m, const double *rotation, double least_eigenvalue, double free_m2, double free_rad2,
-                   double *covariance);
+                   const double *position_m, const double *rotation, double least_eigenvalue, double free_m2,
+                   double free_rad2, double *covariance);
 
 #endif

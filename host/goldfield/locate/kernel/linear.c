@@ -7,8 +7,7 @@
 /* Part of the matrix's norm that an element off the diagonal may keep. */
 #define ROUNDING 1e-17
 
-bool gf_solve(size_t n, const double a[][6], const double b[], double x[])
-{
+bool gf_solve(size_t n, const double a[][6], const double b[], double x[]) {
     double l[GF_MOST_UNKNOWNS][GF_MOST_UNKNOWNS];
     for (size_t i = 0; i < n; ++i) {
         for (size_t j = 0; j <= i; ++j) {
@@ -42,15 +41,13 @@ bool gf_solve(size_t n, const double a[][6], const double b[], double x[])
     return true;
 }
 
-static void rotate(double *x, double *y, double cosine, double sine)
-{
+static void rotate(double *x, double *y, double cosine, double sine) {
     const double old = *x;
     *x = cosine * old - sine * *y;
     *y = sine * old + cosine * *y;
 }
 
-void gf_eigen(size_t n, double a[][6], double v[][6])
-{
+void gf_eigen(size_t n, double a[][6], double v[][6]) {
     double norm = 0.0;
     for (size_t i = 0; i < n; ++i) {
         for (size_t j = 0; j < n; ++j) {

@@ -9,8 +9,8 @@
 #define MU0_OVER_4PI (1.25663706127e-6 / (4.0 * 3.14159265358979323846))
 
 #define LEAST_MAGNITUDE_T 1e-30
-#define ITERATIONS 25
-#define TOLERANCE 1e-2 /* a tenth of a standard deviation: the fit that follows does better anyway */
+#define ITERATIONS        25
+#define TOLERANCE         1e-2 /* a tenth of a standard deviation: the fit that follows does better anyway */
 
 typedef struct {
     const gf_coils_t *coils;
@@ -18,8 +18,7 @@ typedef struct {
     double weight[GF_MOST_COILS]; /* 0 if the beacon was not heard */
 } magnitudes_t;
 
-static void evaluate_ranges(const void *argument, const gf_pose_t *pose, gf_squares_t *squares)
-{
+static void evaluate_ranges(const void *argument, const gf_pose_t *pose, gf_squares_t *squares) {
     const magnitudes_t *const problem = argument;
     gf_clear(squares);
     for (size_t i = 0; i < problem->coils->count; ++i) {
@@ -38,8 +37,7 @@ static void evaluate_ranges(const void *argument, const gf_pose_t *pose, gf_squa
     }
 }
 
-static void evaluate_logarithms(const void *argument, const gf_pose_t *pose, gf_squares_t *squares)
-{
+static void evaluate_logarithms(const void *argument, const gf_pose_t *pose, gf_squares_t *squares) {
     const magnitudes_t *const problem = argument;
     gf_sources_t sources;
     gf_sources(problem->coils, pose->position_m, &sources);
@@ -62,8 +60,7 @@ static void evaluate_logarithms(const void *argument, const gf_pose_t *pose, gf_
 
 /* Wahba's problem by Davenport's matrix: the unit quaternion q of the rotation maximises q' K q. */
 static void align(const gf_coils_t *coils, const double position_m[3], const double *field_T, const double *weight,
-                  double rotation[3][3])
-{
+                  double rotation[3][3]) {
     gf_sources_t sources;
     double h[3][3] = {{0.0}};
     gf_sources(coils, position_m, &sources);
@@ -101,8 +98,7 @@ static void align(const gf_coils_t *coils, const double position_m[3], const dou
 }
 
 static void start(const gf_coils_t *coils, const double *field_T, const double *sigma_T, double range_error,
-                  double magnitude_error, double vector_error, gf_pose_t *pose)
-{
+                  double magnitude_error, double vector_error, gf_pose_t *pose) {
     const size_t n = coils->count;
     magnitudes_t ranges = {.coils = coils};
     magnitudes_t logarithms = {.coils = coils};
@@ -141,12 +137,11 @@ static void start(const gf_coils_t *coils, const double *field_T, const double *
 }
 
 void gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double range_error,
-               double magnitude_error, double vector_error, double *position_m, double *rotation)
-{
+               double magnitude_error, double vector_error, double *position_m, double *rotation) {
     for (size_t e = 0; e < epochs; ++e) {
         gf_pose_t pose = {{0.0}, {{0.0}}};
-        start(coils, field_T + 3 * coils->count * e, sigma_T + coils->count * e, range_error, magnitude_error, vector_error,
-              &pose);
+        start(coils, field_T + 3 * coils->count * e, sigma_T + coils->count * e, range_error, magnitude_error,
+              vector_error, &pose);
         memcpy(position_m + 3 * e, pose.position_m, sizeof pose.position_m);
         memcpy(rotation + 9 * e, pose.rotation, sizeof pose.rotation);
     }

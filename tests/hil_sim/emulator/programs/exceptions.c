@@ -3,15 +3,20 @@
 
 static volatile uint32_t step;
 
-static void note_state(uint32_t tag)
-{
+static void note_state(uint32_t tag) {
     uint32_t ipsr, primask, basepri, control;
-    __asm volatile("mrs %0, ipsr\n mrs %1, primask\n mrs %2, basepri\n mrs %3, control" : "=r"(ipsr), "=r"(primask), "=r"(basepri), "=r"(control));
+    __asm volatile("mrs %0, ipsr\n mrs %1, primask\n mrs %2, basepri\n mrs %3, control"
+                   : "=r"(ipsr), "=r"(primask), "=r"(basepri), "=r"(control));
     note(tag << 24 | (control & 7u) << 20 | (primask & 1u) << 16 | (basepri & 0xF0u) << 8 | ipsr);
 }
 
-static void pend(unsigned irq) { ISPR = 1u << irq; BARRIER(); }
-static void set_basepri(uint32_t value) { __asm volatile("msr basepri, %0\n isb" ::"r"(value) : "memory"); }
+static void pend(unsigned irq) {
+    ISPR = 1u << irq;
+    BARRIER();
+}
+static void set_basepri(uint32_t value) {
+    __asm volatile("msr basepri, %0\n isb" ::"r"(value) : "memory");
+}
 
 void irq0_handler(void) /* Lowest: makes 2 pending, which must wait or nest according to the priorities. */
 {
@@ -34,8 +39,7 @@ void irq0_handler(void) /* Lowest: makes 2 pending, which must wait or nest acco
     }
 }
 
-void irq1_handler(void)
-{
+void irq1_handler(void) {
     note_state(0x20);
     if (step == 1) {
         pend(3); /* Highest, nests twice. */
@@ -45,23 +49,28 @@ void irq1_handler(void)
     }
 }
 
-void irq2_handler(void) { note_state(0x30); }
+void irq2_handler(void) {
+    note_state(0x30);
+}
 
-void irq3_handler(void)
-{
+void irq3_handler(void) {
     note_state(0x40);
-    __asm volatile("vmov s0, %0\n vmov s15, %0\n vmov s16, s0\n vmsr fpscr, %1" ::"r"(0x40400000u), "r"(0x80000000u) : "s0", "s15");
+    __asm volatile("vmov s0, %0\n vmov s15, %0\n vmov s16, s0\n vmsr fpscr, %1" ::"r"(0x40400000u), "r"(0x80000000u)
+                   : "s0", "s15");
     uint32_t control;
     __asm volatile("mrs %0, control" : "=r"(control));
     note(control);
 }
 
-void pendsv_handler(void) { note_state(0x50); }
+void pendsv_handler(void) {
+    note_state(0x50);
+}
 
-void systick_handler(void) { note_state(0x60); }
+void systick_handler(void) {
+    note_state(0x60);
+}
 
-__attribute__((used)) void svcall_seen(const uint32_t *frame, uint32_t exc_return)
-{
+__attribute__((used)) void svcall_seen(const uint32_t *frame, uint32_t exc_return) {
     note_state(0x70);
     if (*(const uint8_t *)(frame[6] - 2u) == 99) {
         finish();
@@ -75,14 +84,13 @@ __attribute__((used)) void svcall_seen(const uint32_t *frame, uint32_t exc_retur
     ((uint32_t *)frame)[0] = frame[0] + frame[1];
 }
 
-__attribute__((naked)) void svcall_handler(void)
-{
-    __asm volatile("tst lr, #4\n ite eq\n mrseq r0, msp\n mrsne r0, psp\n mov r1, lr\n push {r4, lr}\n bl svcall_seen\n pop {r4, pc}");
+__attribute__((naked)) void svcall_handler(void) {
+    __asm volatile("tst lr, #4\n ite eq\n mrseq r0, msp\n mrsne r0, psp\n mov r1, lr\n push {r4, lr}\n bl "
+                   "svcall_seen\n pop {r4, pc}");
 }
 
 /* Faults: notes, then goes on behind the instruction (2 or 4 bytes). */
-__attribute__((used)) void fault_seen(uint32_t *frame)
-{
+__attribute__((used)) void fault_seen(uint32_t *frame) {
     note_state(0x80);
     note(CFSR & ~(1u << 13)); /* QEMU knows no lazy stacking fault. */
     note(HFSR);
@@ -103,19 +111,19 @@ __attribute__((used)) void fault_seen(uint32_t *frame)
     }
 }
 
-__attribute__((naked)) void hard_fault_handler(void)
-{
-    __asm volatile("tst lr, #4\n ite eq\n mrseq r0, msp\n mrsne r0, psp\n push {r4, lr}\n bl fault_seen\n pop {r4, pc}");
+__attribute__((naked)) void hard_fault_handler(void) {
+    __asm volatile(
+        "tst lr, #4\n ite eq\n mrseq r0, msp\n mrsne r0, psp\n push {r4, lr}\n bl fault_seen\n pop {r4, pc}");
 }
 void usage_fault_handler(void) __attribute__((alias("hard_fault_handler")));
 void bus_fault_handler(void) __attribute__((alias("hard_fault_handler")));
 
-static void faults(void)
-{
+static void faults(void) {
     __asm volatile("udf #7");
     __asm volatile("udf.w #1027");
     __asm volatile("ldr r0, [%0]\n str r0, [%0, #4]" ::"r"(0x60000000u) : "r0", "memory");
-    __asm volatile("cmp r0, r0\n itt eq\n moveq r1, #3\n ldreq r0, [%0]" ::"r"(0x60000010u) : "r0", "r1", "cc", "memory");
+    __asm volatile("cmp r0, r0\n itt eq\n moveq r1, #3\n ldreq r0, [%0]" ::"r"(0x60000010u)
+                   : "r0", "r1", "cc", "memory");
     step = 40;
     CPACR = 0;
     BARRIER();
@@ -126,8 +134,7 @@ static void faults(void)
     note(sum);
 }
 
-static uint32_t supervisor_call(uint32_t a, uint32_t b)
-{
+static uint32_t supervisor_call(uint32_t a, uint32_t b) {
     register uint32_t r0 __asm("r0") = a;
     register uint32_t r1 __asm("r1") = b;
     register uint32_t r2 __asm("r2") = 0x22222222u;
@@ -136,8 +143,7 @@ static uint32_t supervisor_call(uint32_t a, uint32_t b)
     return r0;
 }
 
-static void masks(void)
-{
+static void masks(void) {
     __asm volatile("cpsid i");
     pend(0);
     ICSR = 1u << 28;
@@ -173,10 +179,10 @@ static void masks(void)
 
 static uint32_t process_stack[256] __attribute__((aligned(8)));
 
-static void floating_point_frames(void)
-{
+static void floating_point_frames(void) {
     uint32_t s0, s15, s16, fpscr;
-    __asm volatile("vmov s0, %4\n vmov s15, %5\n vmov s16, %5\n vmsr fpscr, %6\n str %7, [%8]\n dsb\n isb\n vmov %0, s0\n vmov %1, s15\n vmov %2, s16\n vmrs %3, fpscr"
+    __asm volatile("vmov s0, %4\n vmov s15, %5\n vmov s16, %5\n vmsr fpscr, %6\n str %7, [%8]\n dsb\n isb\n vmov %0, "
+                   "s0\n vmov %1, s15\n vmov %2, s16\n vmrs %3, fpscr"
                    : "=&r"(s0), "=&r"(s15), "=&r"(s16), "=&r"(fpscr)
                    : "r"(0x3F800001u), "r"(0x12345678u), "r"(0x20000000u), "r"(8u), "r"(&ISPR)
                    : "s0", "s15", "memory");
@@ -194,8 +200,7 @@ static void floating_point_frames(void)
 }
 
 /* On the process stack from here on, first privileged, then not. The second stack is not aligned to 8 bytes. */
-__attribute__((used, noreturn)) void unprivileged(void)
-{
+__attribute__((used, noreturn)) void unprivileged(void) {
     uint32_t psp, control;
     __asm volatile("mrs %0, control" : "=r"(control));
     note(control);
@@ -211,8 +216,7 @@ __attribute__((used, noreturn)) void unprivileged(void)
     }
 }
 
-__attribute__((used, noreturn)) void on_process_stack(void)
-{
+__attribute__((used, noreturn)) void on_process_stack(void) {
     note(supervisor_call(1000, 234));
     pend(0);
     uint32_t psp, stack;
@@ -222,8 +226,7 @@ __attribute__((used, noreturn)) void on_process_stack(void)
     __builtin_unreachable();
 }
 
-int main(void)
-{
+int main(void) {
     CPACR = 0xF00000u;
     BARRIER();
     CCR |= 0x200u;

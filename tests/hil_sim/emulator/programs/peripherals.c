@@ -1,48 +1,46 @@
-/* A chip's whole way in one bare program: crystal and PLL, a timer that triggers three converters, DMA of their results with its interrupt, a serial port fed by DMA, a pin toggled by
- * a timer's compare interrupt, and the independent watchdog at the end. Written from RM0090, for the test of the models with the processor. */
+/* A chip's whole way in one bare program: crystal and PLL, a timer that triggers three converters, DMA of their
+ * results with its interrupt, a serial port fed by DMA, a pin toggled by a timer's compare interrupt, and the
+ * independent watchdog at the end. Written from RM0090, for the test of the models with the processor. */
 #include <stdint.h>
 
 #define R(address) (*(volatile uint32_t *)(uintptr_t)(address))
-#define RCC 0x40023800u
-#define GPIOA 0x40020000u
-#define GPIOB 0x40020400u
-#define GPIOC 0x40020800u
-#define DMA2 0x40026400u
-#define ADC 0x40012000u
-#define TIM2 0x40000000u
-#define TIM3 0x40000400u
-#define USART1 0x40011000u
-#define IWDG 0x40003000u
+#define RCC        0x40023800u
+#define GPIOA      0x40020000u
+#define GPIOB      0x40020400u
+#define GPIOC      0x40020800u
+#define DMA2       0x40026400u
+#define ADC        0x40012000u
+#define TIM2       0x40000000u
+#define TIM3       0x40000400u
+#define USART1     0x40011000u
+#define IWDG       0x40003000u
 
 static volatile uint32_t transfers, matches;
 static uint16_t samples[24];
 static uint8_t message[24];
 
 void reset_handler(void);
-static void stuck(void)
-{
+static void stuck(void) {
     for (;;) {
     }
 }
 
-static void adc_transfer_complete(void)
-{
+static void adc_transfer_complete(void) {
     R(DMA2 + 0x08) = 0x3D;
     transfers++;
 }
 
-static void timer3(void)
-{
+static void timer3(void) {
     R(TIM3 + 0x10) = ~2u;
     (void)R(TIM3 + 0x10);
     R(GPIOC + 0x18) = ++matches & 1 ? 1u << 12 : 1u << 28;
 }
 
 __attribute__((section(".vectors"), used)) static void (*const vectors[16 + 82])(void) = {
-    [0] = (void (*)(void))0x20018000u, [1] = reset_handler, [2] = stuck, [3] = stuck, [16 + 29] = timer3, [16 + 56] = adc_transfer_complete};
+    [0] = (void (*)(void))0x20018000u, [1] = reset_handler, [2] = stuck, [3] = stuck, [16 + 29] = timer3,
+    [16 + 56] = adc_transfer_complete};
 
-static void clocks(void)
-{
+static void clocks(void) {
     R(0x40023C00) = 0x705;
     R(RCC) |= 1u << 16;
     while (!(R(RCC) & 1u << 17)) {
@@ -60,8 +58,7 @@ static void clocks(void)
     (void)R(RCC + 0x44);
 }
 
-static void converters(void)
-{
+static void converters(void) {
     R(GPIOA) |= 3u << 2 | 3u << 4 | 3u << 6;
     R(ADC + 0x304) = 1u << 16 | 1u << 14 | 1u << 13 | 0x16u;
     for (uint32_t i = 0; i < 3; i++) {
@@ -84,8 +81,7 @@ static void converters(void)
     R(TIM2) = 1;
 }
 
-void reset_handler(void)
-{
+void reset_handler(void) {
     transfers = matches = 0;
     if (R(RCC + 0x74) & 1u << 29) { /* The watchdog did it: say so, and rest. */
         R(RCC + 0x30) |= 4u;
