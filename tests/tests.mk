@@ -58,3 +58,8 @@ can-sync-figures: all ## Measure timing over CAN without a sync wire: edges, hol
 	@$(PYTHON) -m tests.bench.can_timing_figures --boards host
 
 .PHONY: can-sync-figures
+
+readme-figures: all ## Compare each figure that README.md quotes with what the command beside it prints (half an hour)
+	@$(PYTHON) -m tests.bench.readme_figures
+
+.PHONY: readme-figures
