@@ -1,4 +1,4 @@
-/* version.h: the firmware's version, in every heartbeat. */
+/* version.h: the firmware's version, which every heartbeat tells. */
 #ifndef GOLDFIELD_VERSION_H
 #define GOLDFIELD_VERSION_H
 
