@@ -1,48 +1,51 @@
-/* drive.h: the part of an application that drives: one coil, or two crossed coils, with a waveform (waveform.h: a Gold
- * code, several at once, a pulse in a time slot, a square wave, or a rotating field), in step with the board's chip
- * clock; and the sync master's duties.
+/* drive.h: the part of an application that drives one coil, or two crossed coils, with a waveform in step with the
+ * board's chip clock. It also does the sync master's duties. A waveform (waveform.h) is a Gold code, several at once, a
+ * pulse in a time slot, a square wave, or a rotating field.
  *
- * Which module runs when
- *   plan (once a block): lengths of the next 31 chips from chip_clock, bridge polarities and set-points from the
- *     waveform and the current loops, sync wire if master.
- *   current (once a driven chip): current_sample of each channel; over-current and open coil of one switch both bridges
- *     off within that chip.
- *   fault (drivers' fault input): bridges off.
- *   main: SYNC (and FOLLOW_UP) if master and DRIVE_STATUS, once a sync period (sync.h: a cycle, or about 0.1 s of
- *     shorter ones); parameters.
+ * Calls, in the order they are made
+ *   1. drive_start      main, once, before the chip engine starts.
+ *   2. drive_plan       interrupt, once a block: it plans the lengths of the next 31 chips from chip_clock, the bridge
+ *                       polarities and set-points from the waveform and the current loops, and a master's sync wire.
+ *      drive_current    interrupt, once a driven chip: it gives each channel to current_sample. Over-current or an open
+ *                       coil of one channel switches both bridges off within that chip.
+ *      drive_fault      interrupt, on the drivers' fault input: it switches the bridges off.
+ *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, and DRIVE_STATUS, once
+ * a sync period (sync.h: a cycle, or about 0.1 s of shorter ones). drive_state      main, to tell the board's state.
+ *      drive_configure  main, when a parameter has changed.
  *
  * States (HEARTBEAT.state)
- *   starting     until the first cycle is planned.
- *   syncing      the chip clock is not locked: bridge off.
- *   soft_start   locked: the bridge goes on at the next sync period that is planned (at most a period and two blocks
- *                away), the current rises for 0.1 s.
- *   running      at amplitude; also with amplitude 0 and locked, bridge off.
- *   fault        over-current, open coil, driver fault, or a waveform that does not exist (waveform.h): bridge off,
- *                until a parameter of the drive is set by PARAM_SET.
- *   clock_fallback  the crystal failed: 1 % off frequency nobody could follow, bridge off for good.
- * Loss of lock switches the bridge off at once and leads to syncing; from there on as after a start.
+ *   starting        No cycle has been planned yet.
+ *   syncing         The chip clock is not locked; the bridge is off.
+ *   soft_start      The clock is locked. The bridge goes on at the next sync period that is planned (at most a period
+ * and two blocks away), and the current rises for 0.1 s. running         The current is at its amplitude. With
+ * amplitude 0 and a locked clock the state is running, too, with the bridge off. fault           There was
+ * over-current, an open coil, or a driver fault, or the waveform does not exist (waveform.h). The bridge stays off
+ * until a parameter of the drive is set by PARAM_SET. clock_fallback  The crystal failed: 1 % off frequency nobody
+ * could follow, so the bridge stays off for good. Loss of lock switches the bridge off at once and leads to syncing;
+ * from there the drive goes on as after a start.
  *
- * The master (parameter sync_master) runs free from cycle 0; the sync wire is high for the first chip of a sync period;
- * SYNC with the cycle's number leaves on both links after the edge, at most two blocks (6.06 ms) later; with degree 10
- * at the next turn of the main loop, much less when main is idle. sync_master and degree are read once, at start. The
- * other beacons take the cycle's number from SYNC. With sync_source 2 they follow SYNC and FOLLOW_UP on CAN instead of
- * the wire (sync.h), read once, at start; a wire that is there all the same is then only compared: DRIVE_STATUS.phase.
+ * The master (parameter sync_master, read once at start with degree) runs free from cycle 0. The sync wire is high for
+ * the first chip of a sync period. SYNC with the cycle's number leaves on both links after that edge, at most two
+ * blocks (6.06 ms) later: with degree 10 at the next turn of the main loop, which is much sooner when main is idle. The
+ * other beacons take the cycle's number from SYNC. With sync_source 2, read once at start, they follow SYNC and
+ * FOLLOW_UP on CAN instead of the wire (sync.h); a wire that is there all the same is then only compared
+ * (DRIVE_STATUS.phase).
  *
- * A pulse is driven, and its current measured, only in its slot: the soft start then takes 1023 driven chips, that is
+ * A pulse is driven, and its current measured, only in its slot. The soft start then takes 1023 driven chips, that is
  * as many cycles as there are slots.
  *
- * DRIVE_STATUS: index 0 is channel 0; a rotating field has one of index 1, too. target is the amplitude parameter: the
- * current at level 1, the peak of the waveform (superposed codes reach it where all agree). current is that peak as the
- * loop measures it (current.h: the driver's gain from all chips, times the set-point), not a mean of magnitudes;
- * reference is the set-point of level 1. over_current and open_coil are the channel's own; driver_fault and enabled are
- * common. All 0 A while the bridges are off.
+ * DRIVE_STATUS has index 0 for channel 0; with a rotating field there is one of index 1, too. All currents are 0 A
+ * while the bridges are off, but for target. target      the amplitude parameter: the current at level 1, the peak of
+ * the waveform (superposed codes reach it where all agree). current     that peak as the loop measures it (current.h:
+ * the driver's gain from all chips, times the set-point), not a mean of magnitudes. reference   the set-point of
+ * level 1. over_current, open_coil    the channel's own faults. driver_fault, enabled      common to both channels.
  *
- * A PARAM_SET of any parameter but stream, node and those of a sensor stops the drive, if it changes a value, and
- * starts it softly again.
+ * A PARAM_SET that changes any parameter but stream, node and those of a sensor stops the drive and starts it softly
+ * again.
  *
- * Memory: 8.8 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2), for one channel and, in
- * brackets, for a rotating field: plan of a block 3,400 (4,400) instructions, current 98 (155), once in 31 chips 205
- * (372).
+ * Memory: 8.8 kB. Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel
+ * and, in brackets, for a rotating field: drive_plan takes 3,400 (4,400) instructions a block, drive_current 98 (155),
+ * once in 31 chips 205 (372).
  */
 #ifndef GOLDFIELD_DRIVE_H
 #define GOLDFIELD_DRIVE_H
@@ -53,26 +56,28 @@
 #include "services/node.h"
 #include "services/timing.h"
 
-#define DRIVE_CHIPS_MAX 2047u /* Of a sync period (sync.h). */
+#define DRIVE_CHIPS_MAX 2047u /* Most chips in a sync period: one cycle of degree 11 (sync.h). */
 
-/* The current interrupt preempts the others: it alone goes from ARMED to ON; all others only to IDLE, or from IDLE
- * to ARMED. */
+/* The current interrupt preempts the others. It alone goes from ARMED to ON; all others go to IDLE, or from IDLE to
+ * ARMED. */
 typedef enum {
     DRIVE_IDLE = 0,  /* Planned chips are off. */
     DRIVE_ARMED = 1, /* Planned chips carry the waveform from start_chip on; the bridges are still off. */
     DRIVE_ON = 2     /* start_chip has come: the bridges are on. */
 } drive_phase_t;
 
-/* What the drive is made from; compared to see whether a PARAM_SET changed it. */
+/* The parameters that the drive is made from; they are compared to see whether a PARAM_SET changed one. */
 typedef struct {
     waveform_config_t waveform;
-    float amplitude_A, over_current_A, open_fraction;
+    float amplitude_A;    /* Current at level 1, A. */
+    float over_current_A; /* Magnitude of current beyond which the drive trips, A. */
+    float open_fraction;  /* Least share of the current asked for; below it the coil counts as open. */
 } drive_settings_t;
 
 /* A block as it was planned, for the interrupt that measures it. */
 typedef struct {
-    uint32_t driven[HAL_CHANNELS];                /* Bit i: chip i is driven. */
-    int16_t asked[HAL_CHANNELS][HAL_BLOCK_CHIPS]; /* Counts of set-point, with the bridge's sign. */
+    uint32_t driven[HAL_CHANNELS];                /* Bit i is set if chip i is driven. */
+    int16_t asked[HAL_CHANNELS][HAL_BLOCK_CHIPS]; /* Set-point of each chip, counts with the bridge's sign. */
 } drive_block_t;
 
 /* Private but for tests. */
@@ -80,41 +85,42 @@ typedef struct {
     node_t *node;
     timing_t *timing;
     current_t current[HAL_CHANNELS];
-    uint32_t channels; /* Driven: 1 or 2. Changes only while the drive is idle, as do levels. */
+    uint32_t channels; /* Channels driven, 1 or 2. It changes only while the drive is idle, as do levels. */
     drive_settings_t settings;
-    int16_t levels[HAL_CHANNELS][DRIVE_CHIPS_MAX]; /* Of each chip of the sync period. */
-    volatile bool wanted;                          /* Main: settings are complete, amplitude is not 0, clock is good. */
-    bool no_waveform;                              /* The settings make none. */
-    drive_block_t blocks[2];                       /* Even and odd ones: one is planned while the other runs. */
-    volatile uint8_t phase;                        /* drive_phase_t */
-    volatile uint32_t start_chip; /* Absolute chip. Chip 0 has none before it that could switch on: a master then starts
-                                     with chip 1. */
-    volatile bool driver_fault;
+    int16_t levels[HAL_CHANNELS][DRIVE_CHIPS_MAX]; /* Level of each chip of the sync period (WAVEFORM_ONE is 1). */
+    volatile bool wanted;    /* Set by main: the settings are complete, the amplitude is not 0, the clock is good. */
+    bool no_waveform;        /* The settings make no waveform. */
+    drive_block_t blocks[2]; /* The even and the odd block: one is planned while the other runs. */
+    volatile uint8_t phase;  /* A drive_phase_t. */
+    volatile uint32_t start_chip; /* Absolute chip with which the drive begins. Chip 0 has none before it that could
+                                     switch on, so that a master starts with chip 1. */
+    volatile bool driver_fault;   /* The drivers' fault input went active. */
     volatile uint32_t over_current, open_coil; /* Events since reset. */
     volatile uint32_t cycles;                  /* Sync periods begun, as planned. */
-    uint32_t cycles_reported;
-    volatile uint8_t
-        sync_blocks; /* A master's SYNC waits until so many blocks have begun: the sync wire's edge is then past. */
-    volatile bool sync_due; /* They have. */
-    volatile uint32_t sync_cycle;
+    uint32_t cycles_reported;                  /* The value of cycles when DRIVE_STATUS was sent last. */
+    volatile uint8_t sync_blocks;              /* Blocks that have yet to begin before a master's SYNC may leave: the
+                                                  sync wire's edge is then past. */
+    volatile bool sync_due;                    /* They have begun: SYNC is to be sent. */
+    volatile uint32_t sync_cycle;              /* The number of the cycle that it tells. */
 } drive_t;
 
-/* Main, before the chip engine starts; node and timing are started, and live for ever. Nearly all of what beacon.h
- * tells. */
+/* Read the parameters and prepare the waveform; main calls it before the chip engine starts. node and timing have been
+ * started, and live for ever. Costs nearly all of what beacon.h gives for beacon_start. */
 void drive_start(drive_t *drive, node_t *node, timing_t *timing);
 
-/* Interrupt: what hal_events_t has plan, current and fault for. Nobody else plans chips of this clock. */
+/* The interrupts that hal_events_t has as plan, current and fault. Nobody else plans chips of this clock. */
 void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan);
 void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 void drive_fault(drive_t *drive);
 
-/* One turn of the main loop, before node_step: messages and counters that are due. */
+/* Send the messages that are due and write the node's counters: one turn of the main loop, before node_step. */
 void drive_step(drive_t *drive);
 
-/* Main: what the drive says of the board's state. */
+/* Returns the board's state as the drive sees it. */
 node_state_t drive_state(const drive_t *drive);
 
-/* Main, when a parameter changed. */
+/* Read the parameters again. If one of the drive has changed, or the drive is in a fault, it stops and starts softly
+ * with the new ones. */
 void drive_configure(drive_t *drive);
 
 #endif

@@ -1,38 +1,41 @@
-/* sense.h: the part of an application that measures the field: from the samples of a block to one vector a code and
- * cycle, on both links.
+/* sense.h: the part of an application that measures the field: it turns the samples of each block into one vector for
+ * each code and cycle, and reports them on both links.
  *
- * Which module runs when
- *   samples (once a block): each chip's burst to one sample (epoch_sample), labelled by chip_clock_at, into the cycle
- *     being collected (epoch_feed); as CHIP if streamed.
- *   main: a complete cycle is transformed (epoch_read) while the next is collected, and reported on both links: EPOCH,
- *     EPOCH_STATUS,
- *   EPOCH_OFFSET, one FIELD for each code of the list. With parts 3 each third of a cycle is, with its PARTs, before
- *     that.
- *   If it is to, the board then computes its own pose and sends it (onboard.h).
+ * Calls, in the order they are made
+ *   1. sense_start      main, once, before the chip engine starts.
+ *   2. sense_samples    interrupt, once a block: each chip's burst becomes one sample (epoch_sample), is labelled by
+ *                       chip_clock_at, and goes into the cycle being collected (epoch_feed); it is also sent as CHIP if
+ *                       chips are streamed.
+ *   3. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
+ * and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the list. With parts
+ * (thirds of a cycle: parameter parts = 3) each part is, with its PARTs, before that. sense_spare      main, after
+ * node_step: streamed chips leave, and the board computes its own pose and sends it, if it is to (onboard.h).
+ *      sense_configure  main, when a parameter has changed: it acts from the next report on.
  *
- * Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip clock cut short, and one that
- * main was too late for, is dropped and counted (counter 13). Also counted is one whose report found no room in the
- * queue of a link, which then carries nothing of it: a report comes whole or not at all.
+ * Reports. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip clock cut short, and one
+ * that main was too late for, is dropped and counted (counter 13). A report that finds no room in the queue of a link
+ * is counted there, too, and that link then carries nothing of it: a report comes whole or not at all.
  *
  * Numbers and times. Cycles count from 0 at start, until SYNC tells the number of the cycle that the latest edge of the
- * sync wire began. EPOCH.time is the middle of the cycle in microseconds of the board's own chip clock since its start;
+ * sync wire began. EPOCH.time is the middle of the cycle in microseconds of the board's own chip clock since its start,
  * exact to 1 us.
  *
- * Parameters act from the next report on. stream sends every chip on serial (164 kB/s of 200 kB/s); chips that find no
- * room are dropped and counted as lost messages (counter 4).
+ * Stream. Parameter stream sends every chip on serial (164 kB/s of 200 kB/s). Chips that find no room are dropped and
+ * counted as lost messages (counter 4).
  *
- * Cycles. The degree of the codes is a parameter, read once at start. Thirds are for degree 10: with another, parts 3
- * counts as 1. Short cycles leave little time. A report of n codes is n + 3 messages, and 3 of the pose. Without poses,
- * on CAN (at most 160 us each) a cycle of degree 5 has room for 15 codes, of degree 6 for 35, of the others for all 64;
- * on serial (80 us) of degree 5 for 34, which is more than 31 chips tell apart. Poses (parameter pose) take up to 12 ms
- * with no prior, 1.2 ms from the pose before: cycles that end meanwhile are dropped.
+ * Short cycles. The degree of the codes is a parameter, read once at start; with another degree than 10, parts = 3
+ * counts as 1. Short cycles leave little time: a report of n codes is n + 3 messages, and 3 of the pose. codes that
+ * fit, without poses   degree 5                               degree 6   others on CAN (at most 160 us each)    15 35
+ * all 64 on serial (80 us each)          34, more than 31 chips tell apart      all 64     all 64 Poses (parameter
+ * pose) take up to 12 ms with no prior, 1.2 ms from the pose before; cycles that end meanwhile are dropped.
  *
- * Memory: 62 kB. Time: samples of a block 10,300 instructions, with parts 3 14,300 (following the field 16,800), with
- * degree 10 a report of 8 codes 67,000 (tests/firmware/apps/test_app_instructions.py). With parts 3 the thirds of a
- * cycle take 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within a third of a
- * cycle. The messages of more than 60 codes then outrun the queue of CAN at the end of a cycle: a third or a report
- * that finds no room there is left out of that link and counted (counter 13). Latency from the end of a cycle to the
- * report's first byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
+ * Memory: 62 kB.
+ * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,300 instructions, with parts
+ * 14,300 (16,800 when following the field); with degree 10 a report of 8 codes takes 67,000. The parts of a cycle take
+ * 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within a third of a cycle. With
+ * more than 60 codes their messages outrun the queue of CAN at the end of a cycle: a part or a report that finds no
+ * room there is left out of that link and counted (counter 13). Latency from the end of a cycle to the report's first
+ * byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
  */
 #ifndef GOLDFIELD_SENSE_H
 #define GOLDFIELD_SENSE_H
@@ -45,44 +48,45 @@
 #include "services/onboard.h"
 #include "services/timing.h"
 
-#define SENSE_STREAM_MESSAGES 128u /* Four blocks of chips. */
+#define SENSE_STREAM_MESSAGES 128u /* Length of the queue of streamed chips: four blocks. */
 
 /* Private but for tests, sampled and selection. */
 typedef struct {
     node_t *node;
     const timing_t *timing;
     epoch_collector_t collector;
-    epoch_sums_t part, cycle; /* Just read, and what is complete of its cycle. */
+    epoch_sums_t part, cycle; /* The sums just read, and what is complete of their cycle. */
     epoch_calibration_t calibration;
-    epoch_selection_t selection; /* Codes reported. */
+    epoch_selection_t selection; /* The codes that are reported. */
     onboard_t onboard;
-    uint32_t unsent; /* Reports, of thirds too, for which a link had no room. */
-    volatile bool streaming;
+    uint32_t unsent;            /* Reports of cycles and of parts for which a link had no room. */
+    volatile bool streaming;    /* Every chip is sent on serial. */
     volatile bool sampled;      /* A block has been taken. */
-    uint64_t ticks;             /* Length of all chips taken so far. */
-    uint64_t cycle_start_ticks; /* Of the cycle being collected. */
-    uint64_t middle_ticks;      /* Of the cycle that is main's. */
-    queue_t stream;
+    uint64_t ticks;             /* Length of all chips taken so far, ticks. */
+    uint64_t cycle_start_ticks; /* The value of ticks at the start of the cycle being collected. */
+    uint64_t middle_ticks;      /* The value of ticks in the middle of the cycle that is main's. */
+    queue_t stream;             /* Streamed chips that wait for the serial port. */
     frame_t stream_messages[SENSE_STREAM_MESSAGES];
-    uint32_t stream_id; /* Identifier of a CHIP with index 0. */
+    uint32_t stream_id; /* The identifier of a CHIP with index 0. */
 } sense_t;
 
-/* Main, before the chip engine starts; node and timing are started, and live for ever. */
+/* Read the parameters and begin to collect; main calls it before the chip engine starts. node and timing have been
+ * started, and live for ever. */
 void sense_start(sense_t *sense, node_t *node, const timing_t *timing);
 
-/* Main, when a parameter changed. */
+/* Read the parameters again. */
 void sense_configure(sense_t *sense);
 
-/* The samples of a block, as hal_events_t.samples has them. acquire: NULL, or what synchronises by the field: it
- * gets every burst, and samples are without the last conversion. */
+/* Take the samples of a block, as hal_events_t.samples has them. acquire is NULL, or the module that synchronises by
+ * the field: it gets every burst, and samples are then made without the last conversion. */
 void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples, acquire_t *acquire);
 
-/* One turn of the main loop, before node_step: a complete cycle, if there is one, costs about 60,000 instructions
- * and 800 for each code. */
+/* Report a complete cycle or part, if there is one: one turn of the main loop, before node_step. A cycle costs about
+ * 60,000 instructions and 800 for each code. */
 void sense_step(sense_t *sense);
 
-/* And after node_step, when the fields are on their way: chips that are streamed, and the own pose, whose messages
- * leave in the next turn. */
+/* Do what can wait until the fields are on their way, after node_step: send streamed chips, and compute the board's own
+ * pose, whose messages leave in the next turn. */
 void sense_spare(sense_t *sense);
 
 #endif
