@@ -40,8 +40,8 @@
  * the driver's gain from all chips, times the set-point), not a mean of magnitudes. reference   the set-point of
  * level 1. over_current, open_coil    the channel's own faults. driver_fault, enabled      common to both channels.
  *
- * A PARAM_SET that changes any parameter but stream, node and those of a sensor stops the drive and starts it softly
- * again.
+ * A PARAM_SET that changes the waveform or one of its numbers, the amplitude, over_current or open_coil stops the drive
+ * and starts it softly again.
  *
  * Memory: 8.8 kB. Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel
  * and, in brackets, for a rotating field: drive_plan takes 3,400 (4,400) instructions a block, drive_current 98 (155),
