@@ -1,51 +1,60 @@
 /* drive.h: the part of an application that drives one coil, or two crossed coils, with a waveform in step with the
- * board's chip clock. It also does the sync master's duties. A waveform (waveform.h) is a Gold code, several at once, a
- * pulse in a time slot, a square wave, or a rotating field.
+ * board's chip clock. It also does the sync master's duties. A waveform (waveform.h) is a Gold code, several at once,
+ * a pulse in a time slot, a square wave, or a rotating field.
  *
  * Calls, in the order they are made
  *   1. drive_start      main, once, before the chip engine starts.
  *   2. drive_plan       interrupt, once a block: it plans the lengths of the next 31 chips from chip_clock, the bridge
  *                       polarities and set-points from the waveform and the current loops, and a master's sync wire.
- *      drive_current    interrupt, once a driven chip: it gives each channel to current_sample. Over-current or an open
- *                       coil of one channel switches both bridges off within that chip.
+ *      drive_current    interrupt, once a driven chip: it gives each channel to current_sample. Over-current or an
+ *                       open coil of one channel switches both bridges off within that chip.
  *      drive_fault      interrupt, on the drivers' fault input: it switches the bridges off.
- *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, and DRIVE_STATUS, once
- * a sync period (sync.h: a cycle, or about 0.1 s of shorter ones). drive_state      main, to tell the board's state.
+ *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, and DRIVE_STATUS,
+ *                       once a sync period (sync.h: a cycle, or about 0.1 s of shorter ones).
+ *      drive_state      main, to tell the board's state.
  *      drive_configure  main, when a parameter has changed.
  *
  * States (HEARTBEAT.state)
  *   starting        No cycle has been planned yet.
  *   syncing         The chip clock is not locked; the bridge is off.
  *   soft_start      The clock is locked. The bridge goes on at the next sync period that is planned (at most a period
- * and two blocks away), and the current rises for 0.1 s. running         The current is at its amplitude. With
- * amplitude 0 and a locked clock the state is running, too, with the bridge off. fault           There was
- * over-current, an open coil, or a driver fault, or the waveform does not exist (waveform.h). The bridge stays off
- * until a parameter of the drive is set by PARAM_SET. clock_fallback  The crystal failed: 1 % off frequency nobody
- * could follow, so the bridge stays off for good. Loss of lock switches the bridge off at once and leads to syncing;
- * from there the drive goes on as after a start.
+ *                   and two blocks away), and the current rises for 0.1 s.
+ *   running         The current is at its amplitude. With amplitude 0 and a locked clock the state is running, too,
+ *                   with the bridge off.
+ *   fault           There was over-current, an open coil or a driver fault, or the waveform does not exist
+ *                   (waveform.h). The bridge stays off until a PARAM_SET is accepted, whether it changes a value or
+ *                   not.
+ *   clock_fallback  The crystal failed: 1 % off frequency nobody could follow, so the bridge stays off for good.
+ * Loss of lock switches the bridge off at once and leads to syncing; from there the drive goes on as after a start.
  *
  * The master (parameter sync_master, read once at start with degree) runs free from cycle 0. The sync wire is high for
  * the first chip of a sync period. SYNC with the cycle's number leaves on both links after that edge, at most two
- * blocks (6.06 ms) later: with degree 10 at the next turn of the main loop, which is much sooner when main is idle. The
- * other beacons take the cycle's number from SYNC. With sync_source 2, read once at start, they follow SYNC and
+ * blocks (6.06 ms) later: with degree 10 at the next turn of the main loop, which is much sooner when main is idle.
+ * The other beacons take the cycle's number from SYNC. With sync_source 2, read once at start, they follow SYNC and
  * FOLLOW_UP on CAN instead of the wire (sync.h); a wire that is there all the same is then only compared
  * (DRIVE_STATUS.phase).
  *
  * A pulse is driven, and its current measured, only in its slot. The soft start then takes 1023 driven chips, that is
  * as many cycles as there are slots.
  *
- * DRIVE_STATUS has index 0 for channel 0; with a rotating field there is one of index 1, too. All currents are 0 A
- * while the bridges are off, but for target. target      the amplitude parameter: the current at level 1, the peak of
- * the waveform (superposed codes reach it where all agree). current     that peak as the loop measures it (current.h:
- * the driver's gain from all chips, times the set-point), not a mean of magnitudes. reference   the set-point of
- * level 1. over_current, open_coil    the channel's own faults. driver_fault, enabled      common to both channels.
+ * DRIVE_STATUS has index 0 for channel 0; with a rotating field there is one of index 1, too. While the bridges are
+ * off current and reference are 0 A.
+ *   target                   is the amplitude parameter: the current at level 1, the peak of the waveform (superposed
+ *                            codes reach it where all agree).
+ *   current                  is that peak as the loop measures it (current.h: the driver's gain from all chips, times
+ *                            the set-point), not a mean of magnitudes.
+ *   reference                is the set-point of level 1.
+ *   over_current, open_coil  are the channel's own faults.
+ *   driver_fault, enabled    are common to both channels.
  *
- * A PARAM_SET that changes the waveform or one of its numbers, the amplitude, over_current or open_coil stops the drive
- * and starts it softly again.
+ * A PARAM_SET that changes the waveform or one of its numbers, the amplitude, over_current or open_coil stops the
+ * drive and starts it softly again.
  *
- * Memory: 8.8 kB. Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel
- * and, in brackets, for a rotating field: drive_plan takes 3,400 (4,400) instructions a block, drive_current 98 (155),
- * once in 31 chips 205 (372).
+ * Memory: 8.8 kB.
+ *
+ * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel and, in brackets,
+ * for a rotating field: drive_plan takes 3,400 (4,400) instructions a block, drive_current 98 (155), once in 31 chips
+ * 205 (372).
  */
 #ifndef GOLDFIELD_DRIVE_H
 #define GOLDFIELD_DRIVE_H

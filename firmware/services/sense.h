@@ -4,38 +4,47 @@
  * Calls, in the order they are made
  *   1. sense_start      main, once, before the chip engine starts.
  *   2. sense_samples    interrupt, once a block: each chip's burst becomes one sample (epoch_sample), is labelled by
- *                       chip_clock_at, and goes into the cycle being collected (epoch_feed); it is also sent as CHIP if
+ *                       chip_clock_at, and goes into the cycle being collected (epoch_feed); it is also sent as CHIP
+ *                         if
  *                       chips are streamed.
  *   3. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
- * and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the list. With parts
- * (thirds of a cycle: parameter parts = 3) each part is, with its PARTs, before that. sense_spare      main, after
- * node_step: streamed chips leave, and the board computes its own pose and sends it, if it is to (onboard.h).
+ *                       and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the
+ *                       list. With parts (thirds of a cycle; parameter parts = 3) each part is reported before that,
+ *                       with its PARTs.
+ *      sense_spare      main, after node_step: streamed chips leave, and the board computes its own pose and sends it,
+ *                       if it is to (onboard.h).
  *      sense_configure  main, when a parameter has changed: it acts from the next report on.
  *
- * Reports. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip clock cut short, and one
- * that main was too late for, is dropped and counted (counter 13). A report that finds no room in the queue of a link
- * is counted there, too, and that link then carries nothing of it: a report comes whole or not at all.
+ * Reports. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip clock cut short, and
+ * one that main was too late for, is dropped and counted (counter 13). A report that finds no room in the queue of a
+ * link is counted there, too, and that link then carries nothing of it: a report comes whole or not at all.
  *
- * Numbers and times. Cycles count from 0 at start, until SYNC tells the number of the cycle that the latest edge of the
- * sync wire began. EPOCH.time is the middle of the cycle in microseconds of the board's own chip clock since its start,
- * exact to 1 us.
+ * Numbers and times. Cycles count from 0 at start, until SYNC tells the number of the cycle that the latest edge of
+ * the sync wire began. EPOCH.time is the middle of the cycle in microseconds of the board's own chip clock since its
+ * start, exact to 1 us.
  *
  * Stream. Parameter stream sends every chip on serial (164 kB/s of 200 kB/s). Chips that find no room are dropped and
  * counted as lost messages (counter 4).
  *
  * Short cycles. The degree of the codes is a parameter, read once at start; with another degree than 10, parts = 3
- * counts as 1. Short cycles leave little time: a report of n codes is n + 3 messages, and 3 of the pose. codes that
- * fit, without poses   degree 5                               degree 6   others on CAN (at most 160 us each)    15 35
- * all 64 on serial (80 us each)          34, more than 31 chips tell apart      all 64     all 64 Poses (parameter
- * pose) take up to 12 ms with no prior, 1.2 ms from the pose before; cycles that end meanwhile are dropped.
+ * counts as 1. Short cycles leave little time: a report of n codes is n + 3 messages, and 3 of the pose. So many codes
+ * fit without poses:
+ *   link     a message     degree 5   degree 6   other degrees
+ *   CAN      160 us           15         35         all 64
+ *   serial    80 us           34         all 64     all 64
+ * 34 is more than 31 chips tell apart. Poses (parameter pose) take up to 12 ms with no prior, 1.2 ms from the pose
+ * before; cycles that end meanwhile are dropped.
  *
  * Memory: 62 kB.
+ *
  * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,300 instructions, with parts
  * 14,300 (16,800 when following the field); with degree 10 a report of 8 codes takes 67,000. The parts of a cycle take
  * 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within a third of a cycle. With
  * more than 60 codes their messages outrun the queue of CAN at the end of a cycle: a part or a report that finds no
- * room there is left out of that link and counted (counter 13). Latency from the end of a cycle to the report's first
- * byte: the rest of the block (at most 3.03 ms) and the transform (0.5 ms).
+ * room there is left out of that link and counted (counter 13).
+ *
+ * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the
+ * transform (0.5 ms).
  */
 #ifndef GOLDFIELD_SENSE_H
 #define GOLDFIELD_SENSE_H
@@ -85,8 +94,8 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
  * 60,000 instructions and 800 for each code. */
 void sense_step(sense_t *sense);
 
-/* Do what can wait until the fields are on their way, after node_step: send streamed chips, and compute the board's own
- * pose, whose messages leave in the next turn. */
+/* Do what can wait until the fields are on their way, after node_step: send streamed chips, and compute the board's
+ * own pose, whose messages leave in the next turn. */
 void sense_spare(sense_t *sense);
 
 #endif

@@ -9,29 +9,32 @@
  *   5. sync_cycle, sync_chip         for each planned chip that is to be labelled.
  *
  * Sync period. A cycle of the code has N = 2^degree - 1 chips (parameter degree, read once at start; gold.h). With a
- * short code the sync wire does not rise, and SYNC does not tell a number, at every cycle but once in a sync period of
- * K cycles, where K is the power of two that brings the period near to 0.1 s: degree   5    6    7    9    10    11 N
- * 31   63  127  511  1023  2047 K       32   16    8    2     1     1 K N    992 1008 1016 1022  1023  2047 To the chip
- * clock a sync period is its cycle. What chip_clock.h says of lock and hold-over is therefore the same for every code,
- * SYNC comes while its edge is the latest, and it takes no room on the bus that a short cycle's report needs. No two
- * periods are alike within CHIP_CLOCK_SEARCH_PPM of two good crystals, and SYNC tells N besides.
+ * short code the sync wire does not rise, and SYNC does not tell a number, at every cycle but once in a sync period.
+ * That is K cycles, K the power of two that brings the period near to 0.1 s:
+ *   degree   5    6    7    9    10    11
+ *   N       31   63  127  511  1023  2047
+ *   K       32   16    8    2     1     1
+ *   K N    992 1008 1016 1022  1023  2047
+ * To the chip clock a sync period is its cycle. What chip_clock.h says of lock and hold-over is therefore the same for
+ * every code, SYNC comes while its edge is the latest, and it takes no room on the bus that a short cycle's report
+ * needs. No two periods are alike within CHIP_CLOCK_SEARCH_PPM of two good crystals, and SYNC tells N besides.
  *
  * Timing over CAN (parameter sync_source = 2) needs neither a sync wire nor a look at the field (Prigge and How,
  * section 4, first method). It takes two steps, as in IEEE 1588 and AUTOSAR's CanTSyn.
  *   1. The master sends SYNC with the number of its cycle, whenever the bus takes it. All boards stamp the end of the
  *      frame on their own chip clocks (hal_can_stamp).
  *   2. The master then tells in FOLLOW_UP how long that cycle had lasted on its own clock at the end of SYNC. A
- * follower has seen that end on its own clock: the end of SYNC minus that time is where the cycle began
+ *      follower has seen that end on its own clock: the end of SYNC minus that time is where the cycle began
  *      (chip_clock_message).
  * So nothing that delays SYNC or FOLLOW_UP matters.
  *
- * Jitter. Three things differ from board to board: the receiver's time quantum (71 ns; its mean, half of it, remains as
- * an offset), what holds the stamping interrupt up (hal.h), and the cable (5 ns/m). On emulated boards with a bus 62 %
- * busy single stamps scatter by 15 ns rms (make can-sync-figures); wait states of the flash are not emulated. The gains
- * of chip_clock_link are chosen for eight times that, 20 ticks. With an oscillator that wanders by 0.02 ppm a cycle
- * (0.34 ticks a cycle in each cycle) the tracking index is 0.017, and alpha 0.17, beta 0.016 are the best (Kalata
- * 1984); 16 edges have 0.23 and 0.022, and cost less lag while crystals warm up. The error of the rate, some 1 tick a
- * cycle at 20 ticks of jitter, is what 10 s of hold-over multiply by 100.
+ * Jitter. Three things differ from board to board: the receiver's time quantum (71 ns; its mean, half of it, remains
+ * as an offset), what holds the stamping interrupt up (hal.h), and the cable (5 ns/m). On emulated boards with a bus
+ * 62 % busy single stamps scatter by 15 ns rms (make can-sync-figures); wait states of the flash are not emulated. The
+ * gains of chip_clock_link are chosen for eight times that, 20 ticks. With an oscillator that wanders by 0.02 ppm a
+ * cycle (0.34 ticks a cycle in each cycle) the tracking index is 0.017, and alpha 0.17, beta 0.016 are the best
+ * (Kalata 1984); 16 edges have 0.23 and 0.022, and cost less lag while crystals warm up. The error of the rate, some 1
+ * tick a cycle at 20 ticks of jitter, is what 10 s of hold-over multiply by 100.
  *
  * What may go wrong
  *   SYNC or FOLLOW_UP lost, bus off  The cycle has no edge, as with a missing edge of the wire: hold-over for 10 s.

@@ -5,8 +5,7 @@
  *   1. acquire_init   main, once, and again when the source of time changes.
  *   2. acquire_codes  main, with the codes that may be on the air.
  *   3. acquire_plan   interrupt, before the chips of a block are planned.
- *   4. acquire_feed   interrupt, with the burst of each chip; acquire_sample (acquire_record.h) makes the chip's
- * sample.
+ *   4. acquire_feed   interrupt, with the burst of each chip; acquire_sample (acquire_record.h) makes its sample.
  *   5. acquire_step   main, once a turn.
  * Main reads tracking, silent and the other results; the chip clock's `locked` tells whether the chips are in step.
  *
@@ -43,8 +42,8 @@
  * record on; codes elsewhere start a new search with sliding phase. Four records in succession without a ramp start
  * one, too.
  *
- * Accuracy (`make field-sync-figures`), with 8 beacons in the cube and mains hum of 0.5 uT. Figures are of the edge, in
- * us.
+ * Accuracy (`make field-sync-figures`), with 8 beacons in the cube and mains hum of 0.5 uT. Figures are of the edge,
+ * in us.
  *   noise                           starts   at three cycles               worst moment of a start in the next three
  *   2 mG a burst                    1000     within 0.32, rms 0.079        within 0.57, rms 0.146
  *   2 mG in each conversion         300      within 0.58                   within 0.92
@@ -53,11 +52,13 @@
  * comes when the filter knows the edge, up to three cycles later.
  *
  * Contexts: acquire_plan and acquire_feed are called from the one interrupt of the chip clock, the others from main.
- * Main and interrupt hand the record over by one flag each. Time (Cortex-M4, -O2,
- * tests/firmware/core/timing/test_acquire_instructions.py): acquire_feed takes 150 instructions, acquire_plan 620. One
- * acquire_step takes at most 760,000 (4.5 ms at an instruction a cycle), the search of one code. A whole search with
- * eight codes takes 9.3 million in 17 steps, a tracked record 1.16 million in 3. Memory: 41.5 kB, nearly all of it the
- * record (12 kB) and the transforms.
+ * Main and interrupt hand the record over by one flag each.
+ *
+ * Time (Cortex-M4, -O2, tests/firmware/core/timing/test_acquire_instructions.py): acquire_feed takes 150 instructions,
+ * acquire_plan 620. One acquire_step takes at most 760,000 (4.5 ms at an instruction a cycle), the search of one code.
+ * A whole search with eight codes takes 9.3 million in 17 steps, a tracked record 1.16 million in 3.
+ *
+ * Memory: 41.5 kB, nearly all of it the record (12 kB) and the transforms.
  */
 #ifndef GOLDFIELD_ACQUIRE_H
 #define GOLDFIELD_ACQUIRE_H
@@ -77,14 +78,12 @@
 #define ACQUIRE_DETUNE_TICKS 48               /* Extra length of own chips in a search, ticks: one chip in 342. */
 #define ACQUIRE_PEAK         10               /* Least height of a search's peak, times the mean. */
 #define ACQUIRE_TARGET_TICKS 286u /* Last conversion after the beacons' edge when tracking, ticks: 1.7 us. */
-#define ACQUIRE_EXTRA_TICKS                                                                                            \
-    700u                         /* Extra delay of records that look for the edge, which puts it in the middle of the  \
-                                    burst, ticks: 4.2 us. */
+/* Extra delay of records that look for the edge, ticks: 4.2 us, which puts it in the middle of the burst. */
+#define ACQUIRE_EXTRA_TICKS   700u
 #define ACQUIRE_CAPTURES      3u /* Records of a third of a cycle after a search. */
 #define ACQUIRE_LATE_CAPTURES 2u /* How many of these look for the edge. */
-#define ACQUIRE_LOCK_TICKS                                                                                             \
-    84u /* Largest standard deviation of the phase, predicted a cycle ahead, with which the                            \
-           clock counts as locked, ticks: 0.5 us. */
+/* Largest standard deviation of the phase, a cycle ahead, with which the clock counts as locked, ticks: 0.5 us. */
+#define ACQUIRE_LOCK_TICKS 84u
 
 /* The board and its front end. */
 typedef struct {

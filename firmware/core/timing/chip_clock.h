@@ -1,5 +1,5 @@
-/* chip_clock.h: decides how long each of the board's chips lasts and which chip of the code it is. A follower keeps its
- * chips in step with the master's by edges of the sync wire, by messages that the master's clock dates, or by an
+/* chip_clock.h: decides how long each of the board's chips lasts and which chip of the code it is. A follower keeps
+ * its chips in step with the master's by edges of the sync wire, by messages that the master's clock dates, or by an
  * estimate made elsewhere; a master runs free.
  *
  * Calls, in the order they are made
@@ -17,19 +17,20 @@
  * ticks into that chip. The wire rises when the master begins chip 0 of a cycle.
  *
  * Method. The board's chips and the master's are put on one time line, the board's own ticks. An estimator holds when
- * the master begins its chips: their phase and their period. It is an alpha-beta filter on the edges, that is a PI loop
- * without dead time, since an edge is dated with the periods that were really handed out. The planner makes each chip
- * end where the master's chip ends, within the allowed length of a chip. Plans already handed out are thus accounted
- * for exactly, and how far ahead the board plans has no influence on stability. Ends are rounded down to whole ticks,
- * but the mean period is exact (32 fractional bits): no tick is lost or gained.
+ * the master begins its chips: their phase and their period. It is an alpha-beta filter on the edges, that is a PI
+ * loop without dead time, since an edge is dated with the periods that were really handed out. The planner makes each
+ * chip end where the master's chip ends, within the allowed length of a chip. Plans already handed out are thus
+ * accounted for exactly, and how far ahead the board plans has no influence on stability. Ends are rounded down to
+ * whole ticks, but the mean period is exact (32 fractional bits): no tick is lost or gained.
  *
  * Gains. The k-th edge since the search has the gains of the straight line fitted to k edges,
  *   alpha = (4 k - 2) / (k (k + 1)),   beta = 6 / (k (k + 1))
  * (Brookner, Tracking and Kalman Filtering Made Easy, 1.2.10: expanding memory). k grows up to the source's
  * memory_edges and stays there. The phase then has alpha times the variance of an edge. Oscillators whose rate drifts
- * by d ticks a cycle in each cycle cost a lag of d (1 - alpha) / beta. source   edges   alpha   beta    why wire 6 0.52
- * 0.14    The capture has a tick of jitter, so what matters is to follow the oscillator. link        16   0.23    0.022
- * sync.h has the figures of the jitter and what the choice rests on.
+ * by d ticks a cycle in each cycle cost a lag of d (1 - alpha) / beta.
+ *   source   edges   alpha   beta    why
+ *   wire         6   0.52    0.14    The capture has a tick of jitter: what matters is to follow the oscillator.
+ *   link        16   0.23    0.022   sync.h has the figures of the jitter and what the choice rests on.
  *
  * Messages. A frame on a bus ends for all boards at one moment. The board marks that moment on its own chip clock
  * (chip_clock_mark). The master tells later how long its cycle had lasted at that moment on the master's own clock
@@ -45,8 +46,8 @@
  *      edge in one cycle, are rejected and counted. Three rejected edges whole cycles apart, with no good one between,
  *      mean that the master has moved: phase and period are taken from them, the label jumps again, the lock is lost.
  *   3. Locked. The clock locks after three edges in succession with the phase within the source's lock_ticks. It loses
- *      the lock when the phase of an edge is not within them, and CHIP_CLOCK_HOLDOVER_CYCLES after the last edge. Until
- *      then, and after it, the clock keeps the last period (hold-over).
+ *      the lock when the phase of an edge is not within them, and CHIP_CLOCK_HOLDOVER_CYCLES after the last edge.
+ *      Until then, and after it, the clock keeps the last period (hold-over).
  * A master (follow = false) runs at the nominal period, is always locked, and ignores edges.
  *
  * Contexts: chip_clock_plan, _edge, _mark, _message, _jump, _correct, _compare and _at are called from one interrupt
@@ -169,9 +170,9 @@ bool chip_clock_message(chip_clock_t *clock, const chip_clock_mark_t *mark, int3
  * jumps and the lock is lost. The edge may lie up to 12 s back. Costs about 200 instructions. */
 void chip_clock_jump(chip_clock_t *clock, uint64_t edge, uint64_t period);
 
-/* Move the estimate by phase (32 fractional bits; positive: chips start later) and its period by period. residual_ticks
- * becomes phase_ticks (unless a wire is compared), and locked becomes `locked`. The call counts as an edge of the
- * present cycle for the hold-over. Costs about 40 instructions. */
+/* Move the estimate by phase (32 fractional bits; positive: chips start later) and its period by period.
+ * residual_ticks becomes phase_ticks (unless a wire is compared), and locked becomes `locked`. The call counts as an
+ * edge of the present cycle for the hold-over. Costs about 40 instructions. */
 void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int32_t residual_ticks, bool locked);
 
 /* Begin with another source of edges, from main. The clock is then unlocked, searching and not detuned; phase and
