@@ -1,24 +1,30 @@
-/* epoch.h: from raw conversions to one cycle's fields in tesla, and to the integers of FIELD and EPOCH_OFFSET.
+/* epoch.h: turns raw conversions into one cycle's fields in tesla, and into the integers of FIELD and EPOCH_OFFSET. A
+ * collector gathers labelled samples into whole cycles, one while main reads the one before.
  *
- * A chip's sample is the sum of its burst of EPOCH_BURST conversions, relative to mid-scale: sum - 8 * 2048,
- * -16384..16376, so it fits the 16 bits of CHIP and of despread.h. counts, the mean of a burst, is sample / 8 + 2048;
- * the field is B = M (counts - zero), parameters zero_* and calibration. Since the field is linear in the sample, the
- * correlation of the field with a code c is
- *   sum_t c[t] B[t] / N = M ( R / (8 N) - (zero - 2048) S / N ),   R = sum_t c[t] sample[t],  S = sum_t c[t],  N =
- *     2^degree - 1,
+ * Calls, in the order they are made
+ *   1. epoch_init     once; epoch_select when the list of codes changes.
+ *   2. epoch_sample   interrupt, for the burst of each chip; then epoch_feed with the sample.
+ *   3. epoch_ready    main, once a turn; then epoch_read, epoch_add, and epoch_release.
+ *   4. epoch_field    main, for each code of a report; epoch_offset for the mean; epoch_integer for what is sent.
+ *
+ * Scale. A chip's sample is the sum of its burst of EPOCH_BURST conversions relative to mid-scale: sum - 8 * 2048,
+ * -16384..16376, so it fits the 16 bits of CHIP and of despread.h. counts, the mean of a burst, is sample / 8 + 2048.
+ * The field is B = M (counts - zero), with the parameters zero_* and calibration. Since the field is linear in the
+ * sample, the correlation of the field with a code c is
+ *   sum_t c[t] B[t] / N = M (R / (8 N) - (zero - 2048) S / N),
+ *   R = sum_t c[t] sample[t],   S = sum_t c[t],   N = 2^degree - 1,
  * and its mean is the same with c = 1. (A missing sample counts as mid-scale here, not as zero field.)
  *
- * The collector turns a stream of labelled samples into whole cycles. It owns one despread_t at a time: while one cycle
- * is read by main, the next is collected into the other. If main has not released it when the next cycle ends, that
- * next cycle is dropped and counted: results are late by at most one cycle, or absent, never mixed.
+ * Dropped cycles. If main has not released a cycle when the next one ends, that next cycle is dropped and counted.
+ * Results are late by at most one cycle, or absent, never mixed.
  *
- * Thirds, with degree 10 only (of the other lengths only 63 is a multiple of 3, and its thirds are shorter than a
- * block). For a moving sensor the collector hands over each third of a cycle (341 chips) as if it were a cycle: main
- * then has a third of the time. If one is dropped the cycle's later ones are not collected: after third 0 come 1 and 2
- * of the same cycle, or another third 0. epoch_add puts the exact sums of the thirds together to the cycle's: the same
- * integers as without thirds.
+ * Parts (thirds of a cycle), with degree 10 only: of the other lengths only 63 is a multiple of 3, and its thirds are
+ * shorter than a block. For a moving sensor the collector hands over each part (341 chips) as if it were a cycle; main
+ * then has a third of the time. If one is dropped the cycle's later ones are not collected: after part 0 come 1 and 2
+ * of the same cycle, or another part 0. epoch_add puts the exact sums of the parts together to the cycle's: the same
+ * integers as without parts.
  *
- * Contexts: epoch_feed from the sample interrupt; epoch_ready, epoch_release from main.
+ * Contexts: epoch_feed is called from the sample interrupt, epoch_ready and epoch_release from main.
  */
 #ifndef GOLDFIELD_EPOCH_H
 #define GOLDFIELD_EPOCH_H
@@ -29,27 +35,27 @@
 #include "core/codes/despread.h"
 
 #define EPOCH_AXES         DESPREAD_AXES
-#define EPOCH_BURST        8u
-#define EPOCH_SAMPLE_MAX   4095u /* A conversion of 0 or 4095 is saturated. */
-#define EPOCH_MID_SCALE    2048u
-#define EPOCH_CODES_MAX    64u
-#define EPOCH_THIRDS       3u
-#define EPOCH_THIRD_CHIPS  341u
-#define EPOCH_WHOLE        EPOCH_THIRDS /* In place of the number of a third: the whole cycle. */
-#define EPOCH_OUT_OF_RANGE (-524288)    /* The message's integer of an axis that was not measured. */
+#define EPOCH_BURST        8u           /* Conversions in the burst of one chip and axis. */
+#define EPOCH_SAMPLE_MAX   4095u        /* Largest count of a 12-bit conversion; 0 and 4095 are saturated. */
+#define EPOCH_MID_SCALE    2048u        /* Count in the middle of the converter's range. */
+#define EPOCH_CODES_MAX    64u          /* Most codes in a report: the length of the parameter code_list. */
+#define EPOCH_THIRDS       3u           /* Parts of a cycle. */
+#define EPOCH_THIRD_CHIPS  341u         /* Chips in a part: 1023 / 3. */
+#define EPOCH_WHOLE        EPOCH_THIRDS /* Stands in place of the number of a part for the whole cycle. */
+#define EPOCH_OUT_OF_RANGE (-524288)    /* Integer in the messages of an axis that was not measured. */
 
-/* Sum a burst of 12-bit conversions, [conversion][axis], to a sample relative to mid-scale. True: a conversion was
- * saturated. A count above 4095, which no 12-bit converter gives, makes the sample worthless. About 115
- * instructions. */
+/* Sum a burst of 12-bit conversions, [conversion][axis], to a sample relative to mid-scale. A count above 4095, which
+ * no 12-bit converter gives, makes the sample worthless. Costs about 115 instructions.
+ * Returns true if a conversion was saturated. */
 bool epoch_sample(const uint16_t burst[EPOCH_BURST][EPOCH_AXES], int16_t sample[EPOCH_AXES]);
 
 /* ---- Collecting ---- */
 
 typedef struct {
     despread_t despread;
-    uint32_t cycle;
-    uint32_t first_chip; /* Absolute chip of code chip 0. */
-    uint8_t third;       /* 0, 1, 2: the samples are of this third of the cycle; EPOCH_WHOLE: of all of it. */
+    uint32_t cycle;      /* The cycle's number. */
+    uint32_t first_chip; /* Absolute chip of the cycle's code chip 0. */
+    uint8_t third;       /* The part that the samples are of, 0, 1, 2; EPOCH_WHOLE: they are of the whole cycle. */
     uint16_t saturated;  /* Chips of it with a saturated conversion on any axis. */
     bool locked;         /* The chip clock was locked at every chip. */
 } epoch_t;
@@ -57,82 +63,88 @@ typedef struct {
 typedef struct {
     epoch_t epochs[2];
     const gold_family_t *family;
-    uint32_t dropped; /* Cycles that began but could not be reported: cut short by a jump of the chip clock, or main was
-                         late. */
-    bool thirds;      /* Main's wish, with degree 10 only: cycles that begin from now on come in thirds. */
-    uint8_t filling;  /* Private from here: which one the interrupt fills; */
-    bool collecting;  /* it has seen chip 0; */
-    uint8_t ready;    /* the other is main's while this is 1. */
+    uint32_t dropped; /* Cycles that began but could not be reported: the chip clock jumped and cut them short, or main
+                         was late. */
+    bool thirds;      /* Set by main, with degree 10 only: cycles that begin from now on come in parts. */
+    /* Private. */
+    uint8_t filling; /* Which of the two the interrupt fills. */
+    bool collecting; /* The one being filled has seen chip 0. */
+    uint8_t ready;   /* The other one is main's while this is 1. */
 } epoch_collector_t;
 
-/* For codes of this family. */
+/* Prepare to collect cycles of this family's codes. */
 void epoch_init(epoch_collector_t *collector, const gold_family_t *family);
 
-/* One sampled chip: its absolute number and what chip_clock_at says of it. Call in order. A gap inside a cycle
- * counts as missing chips; a cycle whose chip 0 was not seen is not collected. True: a cycle or third is complete
- * and main should look. About 200 instructions, more by 60 for each chip of a gap and 4,000 for each beginning
- * third. */
+/* Take one sampled chip: its absolute number, what chip_clock_at says of it, and its sample. Chips come in order. A
+ * gap inside a cycle counts as missing chips; a cycle whose chip 0 was not seen is not collected. Costs about 200
+ * instructions, 60 more for each chip of a gap and 4,000 more for each part that begins.
+ * Returns true if a cycle or part is complete and main should look. */
 bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint16_t code_chip,
                 const int16_t sample[EPOCH_AXES], bool saturated, bool locked);
 
-/* Main: the complete cycle or third, not yet transformed (epoch_read does that); NULL if there is none. It is main's
- * until epoch_release. */
+/* Returns the complete cycle or part, not yet transformed (epoch_read does that), or NULL if there is none. It is
+ * main's until epoch_release. */
 epoch_t *epoch_ready(epoch_collector_t *collector);
+
+/* Give the cycle or part back to the collector. */
 void epoch_release(epoch_collector_t *collector);
 
 /* ---- Scaling ---- */
 
 typedef struct {
-    float zero[EPOCH_AXES];               /* Counts at zero field. */
-    float matrix[EPOCH_AXES][EPOCH_AXES]; /* T per count. */
+    float zero[EPOCH_AXES];               /* Converter's counts at zero field. */
+    float matrix[EPOCH_AXES][EPOCH_AXES]; /* M, T per count. */
 } epoch_calibration_t;
 
-/* Codes to report, with what despreading needs of them. */
+/* The codes to report, with what despreading needs of them. */
 typedef struct {
-    uint32_t count;
+    uint32_t count; /* Codes in the selection. */
     struct {
-        uint16_t code;
-        uint16_t word;                   /* despread_word */
-        int16_t sum;                     /* gold_sum */
-        int16_t third_sum[EPOCH_THIRDS]; /* The same over each third. */
+        uint16_t code;                   /* Index of gold.h. */
+        uint16_t word;                   /* Where its correlation is: despread_word. */
+        int16_t sum;                     /* Sum of its chips: gold_sum. */
+        int16_t third_sum[EPOCH_THIRDS]; /* Sum of its chips in each part. */
     } codes[EPOCH_CODES_MAX];
 } epoch_selection_t;
 
-/* Choose the codes of the family to report. Codes above N + 1 and codes beyond the first 64 are left out; returns
- * how many are in. With degree 10 about 48,000 instructions a code (18 ms for 64 at an instruction a cycle): in
- * main, when the list changes. */
+/* Choose the codes of the family to report. Codes above N + 1 and codes beyond the first 64 are left out. Costs with
+ * degree 10 about 48,000 instructions a code (18 ms for 64 at an instruction a cycle): main calls it when the list
+ * changes.
+ * Returns how many codes are in. */
 uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family, const uint16_t *codes, uint32_t count);
 
-/* What despreading tells of a cycle or of a third: exact sums in the samples' unit. */
+/* What despreading tells of a cycle or of a part: exact sums in the samples' unit. */
 typedef struct {
-    int32_t correlation[EPOCH_CODES_MAX][EPOCH_AXES]; /* By entry of the selection. */
-    int32_t sum[EPOCH_AXES];
-    uint32_t cycle;
-    uint16_t chips;              /* N, of a whole cycle; */
-    uint16_t missing, saturated; /* of these. */
-    uint8_t third;               /* As in epoch_t. */
-    bool locked;
+    int32_t correlation[EPOCH_CODES_MAX][EPOCH_AXES]; /* Correlations, by entry of the selection. */
+    int32_t sum[EPOCH_AXES];                          /* Plain sums of the samples. */
+    uint32_t cycle;                                   /* The cycle's number. */
+    uint16_t chips;                                   /* N, the chips in a whole cycle, also for a part. */
+    uint16_t missing, saturated;                      /* Chips without a sample, and with a saturated one. */
+    uint8_t third;                                    /* The part, or EPOCH_WHOLE, as in epoch_t. */
+    bool locked;                                      /* The chip clock was locked at every chip. */
 } epoch_sums_t;
 
-/* Transform a complete cycle or third, once, and read its sums. As despread_transform, and about 60 instructions for
- * each code. */
+/* Transform a complete cycle or part, once, and read its sums. Costs as much as despread_transform, and about 60
+ * instructions for each code. */
 void epoch_read(epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t *sums);
 
-/* Add the next third to those of the same cycle before it; a third 0 or a whole cycle replaces what was there, a
- * third that does not follow is left out. count: of the selection; if that changes, set total->third to EPOCH_WHOLE:
- * the rest of the cycle is then left out. True: total is a whole cycle now. */
+/* Add the next part to those of the same cycle before it. A part 0 or a whole cycle replaces what was there; a part
+ * that does not follow is left out. count is that of the selection; if the selection changes, the caller sets
+ * total->third to EPOCH_WHOLE, and the rest of the cycle is then left out.
+ * Returns true if total is a whole cycle now. */
 bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count);
 
-/* The field of entry index of the selection, T: correlation over N, also that of a third. index < count. About 215
- * instructions. */
+/* Compute the field of entry index of the selection, index < count, in T: the correlation over N, also for a part.
+ * Costs about 215 instructions. */
 void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibration, const epoch_selection_t *selection,
                  uint32_t index, float field_T[EPOCH_AXES]);
 
-/* The mean field of a cycle, T; of a third its sum over N. */
+/* Compute the mean field of a cycle, T; for a part its sum over N. */
 void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]);
 
-/* The integer of a 20-bit signal: value / resolution, rounded to the nearest; EPOCH_OUT_OF_RANGE beyond +-524287 and
- * for a value that is not a number. resolution is 1e-10 T for FIELD and PART, 1e-9 T for EPOCH_OFFSET. */
+/* Scale a value to the integer of a 20-bit signal. resolution is 1e-10 T for FIELD and PART, 1e-9 T for EPOCH_OFFSET.
+ * Returns value / resolution, rounded to the nearest; EPOCH_OUT_OF_RANGE beyond +-524287 and for a value that is not a
+ * number. */
 int32_t epoch_integer(float value, float resolution);
 
 #endif
