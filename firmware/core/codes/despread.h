@@ -55,8 +55,7 @@ typedef struct {
     uint16_t missing;             /* Chips without a sample so far; after the transform, in the whole cycle or part. */
 } despread_t;
 
-/* Begin a cycle of the family's codes at chip 0. Costs about 20 instructions, since each cycle overwrites every word.
- */
+/* Begin a cycle of the family's codes at chip 0. Costs about 20 instructions: each cycle overwrites every word. */
 void despread_start(despread_t *despread, const gold_family_t *family);
 
 /* Begin a part of a cycle: so many chips (fewer at the cycle's end) from where the previous part ended, or from chip 0
