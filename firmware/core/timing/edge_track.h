@@ -1,20 +1,29 @@
 /* edge_track.h: holds what is known of the beacons' edge against the own chips: how late the burst lies, how that
- * changes, how long the field's ramp lasts.
+ * changes, and how long the field's ramp lasts.
  *
- * State. Time t from the beacons' edge to the burst's last conversion, ticks; its rate, ticks a chip; rise L of the
- * ramp, ticks; and their covariance. It comes from a search (edge_fit.h) with the covariance that the search's own
- * noise tells. Between looks phase and rate run on (edge_track_move); the rate walks by RATE_WALK.
+ * Calls, in the order they are made
+ *   1. edge_track_start   after a search and the jump to its edge.
+ *   2. edge_track_move    to the middle of each record.
+ *   3. edge_track_blind   with the two looks of the record, to see whether there is a ramp at all.
+ *   4. edge_track_update  with the looks.
+ *   5. edge_track_variance, to see whether the clock may lock.
+ *
+ * State. It is the time t from the beacons' edge to the burst's last conversion, ticks; its rate, ticks a chip; the
+ * rise L of the ramp, ticks; and their covariance. It comes from a search (edge_fit.h) with the covariance that the
+ * search's own noise tells. Between looks phase and rate run on; the rate walks by RATE_WALK.
  *
  * A look is the mean of a burst's late conversions minus the mean of its early ones, as a share of the field's change
- * at the edge: (R(late) - R(early)) / L, with R(t) = t - lag (1 - exp(-t / lag)), the foot of the ramp behind the front
- * end's low-pass (0 before the edge; the head of the ramp is never in a burst that straddles the foot). Earth, mains
- * and what noise a burst has in common cancel in it. Each look brings the variance that its own residuals showed.
+ * at the edge: (R(late) - R(early)) / L, with R(t) = t - lag (1 - exp(-t / lag)), the foot of the ramp behind the
+ * front end's low-pass (0 before the edge; the head of the ramp is never in a burst that straddles the foot). Earth,
+ * mains and what noise a burst has in common cancel in it. Each look brings the variance that its own residuals
+ * showed.
  *
- * Method. Two looks (the halves of a record) and the state before them as knowledge: Gauss and Newton (an iterated
- * extended Kalman filter in information form). The rise is estimated along: an error of it tilts all times on the ramp
- * by the same share, which a filter of phase and rate alone takes for a rate. Looks that fit badly (chi squared above
- * MISFIT) say that the phase is known worse than thought: it is then taken from the look alone. Time: about 15,000
- * instructions an update. Memory: 48 bytes.
+ * Method. Two looks (the halves of a record) are joined with the state before them as knowledge, by Gauss and Newton
+ * (an iterated extended Kalman filter in information form). The rise is estimated along: an error of it tilts all
+ * times on the ramp by the same share, which a filter of phase and rate alone takes for a rate. Looks that fit badly
+ * (chi squared above MISFIT) say that the phase is known worse than thought: it is then taken from the look alone.
+ *
+ * Time: about 15,000 instructions an update. Memory: 48 bytes.
  */
 #ifndef GOLDFIELD_EDGE_TRACK_H
 #define GOLDFIELD_EDGE_TRACK_H
@@ -24,7 +33,7 @@
 
 #include "core/timing/edge_fit.h"
 
-/* Of a burst of eight. */
+/* How a burst of eight conversions is cut and seen. */
 typedef struct {
     uint32_t early;         /* Conversions that count as early, 1..7. */
     float conversion_ticks; /* From one conversion to the next. */
@@ -32,30 +41,32 @@ typedef struct {
 } edge_burst_t;
 
 typedef struct {
-    float share;    /* Of the change, that the late conversions have done more than the early ones; */
-    float variance; /* of it. */
-    float chips;    /* When: after the state's chip. */
+    float share;    /* Share of the change that the late conversions have done more than the early ones. */
+    float variance; /* Variance of the share. */
+    float chips;    /* When the look was taken, chips after the state's. */
 } edge_look_t;
 
 typedef struct {
-    float time_ticks, rate, rise_ticks;
-    float covariance[3][3]; /* In this order. */
+    float time_ticks;       /* t: from the beacons' edge to the burst's last conversion, ticks. */
+    float rate;             /* Change of t, ticks a chip. */
+    float rise_ticks;       /* L: how long the ramp lasts, ticks. */
+    float covariance[3][3]; /* Covariance of these three, in this order. */
 } edge_track_t;
 
-/* After a search and a jump that puts the last conversion time_ticks behind the edge found. */
+/* Begin after a search and a jump that puts the last conversion time_ticks behind the edge found. */
 void edge_track_start(edge_track_t *track, const edge_fit_t *fit, float time_ticks);
 
-/* The state chips (at least 0) later. */
+/* Move the state on by so many chips, at least 0. */
 void edge_track_move(edge_track_t *track, float chips);
 
-/* True if the looks show no ramp at all, by their own noise, where the state says that there should be one: the
- * burst lies before the edge, or far behind it. */
+/* Returns true if the looks show no ramp at all, by their own noise, where the state says that there should be one:
+ * the burst lies before the edge, or far behind it. */
 bool edge_track_blind(const edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2]);
 
-/* Looks that do not fit to what was known win. */
+/* Take the two looks of a record into the state. Looks that do not fit to what was known win over it. */
 void edge_track_update(edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2]);
 
-/* Variance of the time, chips later. */
+/* Returns the variance of the time so many chips later, ticks squared. */
 float edge_track_variance(const edge_track_t *track, float chips);
 
 #endif
