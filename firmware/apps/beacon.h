@@ -1,13 +1,17 @@
-/* beacon.h: the application of a beacon board: drives its coil, or its two crossed coils, in step with the other
+/* beacon.h: the application of a beacon board: it drives its coil, or its two crossed coils, in step with the other
  * boards.
  *
- * Which module runs when
- *   plan, current, fault: drive.h, which also has the states (HEARTBEAT.state).       sync: the edge to the chip clock
- *     (timing.h).
- *   main: node; SYNC if master, DRIVE_STATUS, parameters (drive.h).
+ * Calls: beacon_start once, then beacon_step after each hal_wait().
  *
- * Memory: 17 kB. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2), for one channel and, in
- * brackets, for a rotating field: plan of a block 3,400 (4,400) instructions, current 98 (155), once in 31 chips 205
+ * Which module runs when
+ *   plan, current, fault  drive.h, which also has the states (HEARTBEAT.state).
+ *   sync                  the edge goes to the chip clock (timing.h).
+ *   main                  node; SYNC if master, DRIVE_STATUS, parameters (drive.h).
+ *
+ * Memory: 17 kB.
+ *
+ * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel and, in brackets,
+ * for a rotating field: plan of a block takes 3,400 (4,400) instructions, current 98 (155), once in 31 chips 205
  * (372), main with nothing to do 170.
  */
 #ifndef GOLDFIELD_BEACON_H
@@ -26,11 +30,11 @@ typedef struct {
     drive_t drive;
 } beacon_t;
 
-/* Hello, parameters, waveform, chip engine. *beacon and *hal must live for ever. About 143,000 instructions, a
- * rotating field of 2047 chips 280,000 (1.6 ms). */
+/* Say hello, read the parameters, prepare the waveform and start the chip engine. *beacon and *hal must live for ever.
+ * Costs about 143,000 instructions, with a rotating field of 2047 chips 280,000 (1.6 ms). */
 void beacon_start(beacon_t *beacon, hal_t *hal);
 
-/* One turn of the main loop, to be called after each hal_wait(). */
+/* Run one turn of the main loop. */
 void beacon_step(beacon_t *beacon);
 
 #endif

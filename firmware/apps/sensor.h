@@ -1,25 +1,31 @@
-/* sensor.h: the application of a sensor board: samples the field at the end of each chip and reports one vector a code
- * and cycle.
+/* sensor.h: the application of a sensor board: it samples the field at the end of each chip and reports one vector for
+ * each code and cycle.
+ *
+ * Calls: sensor_start once, then sensor_step after each hal_wait().
  *
  * Which module runs when
- *   plan (once a block): lengths of the next 31 chips from chip_clock, so that chips end with the beacons' chips.
- *   samples (once a block): sense.h.
- *   sync: the edge to chip_clock.
- *   With sync_source 1 (the field) acquire.h rules the chip clock instead of the wire: plan and samples serve it, main
- *     does its work piece by piece, samples are without
- *   the last conversion, and own chips run 3.12 us behind the beacons'. A wire that is there all the same is only
- *     compared: EPOCH_STATUS.phase.
- *   With sync_source 2 it follows SYNC and FOLLOW_UP on CAN (sync.h); a wire is only compared, likewise.
- *   main: node; reports (sense.h).
+ *   plan     once a block: lengths of the next 31 chips from chip_clock, so that chips end with the beacons' chips.
+ *   samples  once a block: sense.h.
+ *   sync     the edge goes to the chip clock (timing.h).
+ *   main     node; reports (sense.h).
+ *
+ * Sources of time (parameter sync_source)
+ *   0  The chip clock follows the sync wire.
+ *   1  acquire.h rules the chip clock by the field instead. plan and samples serve it, main does its work piece by
+ *      piece, samples are without the last conversion, and own chips run 3.12 us behind the beacons'. A wire that is
+ *      there all the same is only compared: EPOCH_STATUS.phase. Field synchronisation is for degree 10; with another,
+ *      1 counts as 0.
+ *   2  The chip clock follows SYNC and FOLLOW_UP on CAN (sync.h); a wire is only compared, likewise.
  *
  * States: starting (no block yet), syncing, running (locked), clock_fallback.
  *
- * The degree of the codes is a parameter, read once at start. Field synchronisation is for degree 10: with another,
- * sync_source 1 counts as 0. All others act from the next report on.
+ * The degree of the codes is a parameter that is read once, at start. All others act from the next report on.
  *
- * Memory: 71 kB, and acquire.h. Time: tests/firmware/apps/test_app_instructions.py counts (Cortex-M4, -O2): plan of a
- * block 2,000 instructions, samples of a block 14,300 at most (with sync_source 1 16,800), with degree 10 a report of 8
- * codes 67,000, main with nothing to do 180.
+ * Memory: 71 kB, and acquire.h.
+ *
+ * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2): plan of a block takes 2,000
+ * instructions, samples of a block 14,300 at most (with sync_source 1 16,800), with degree 10 a report of 8 codes
+ * 67,000, main with nothing to do 180.
  */
 #ifndef GOLDFIELD_SENSOR_H
 #define GOLDFIELD_SENSOR_H
@@ -39,10 +45,11 @@ typedef struct {
     acquire_t *acquire;
 } sensor_t;
 
-/* Hello, parameters, chip engine. *sensor, *acquire and *hal must live for ever. No DMA touches *acquire. */
+/* Say hello, read the parameters and start the chip engine. *sensor, *acquire and *hal must live for ever. No DMA
+ * touches *acquire. */
 void sensor_start(sensor_t *sensor, acquire_t *acquire, hal_t *hal);
 
-/* One turn of the main loop, to be called after each hal_wait(). */
+/* Run one turn of the main loop. */
 void sensor_step(sensor_t *sensor);
 
 #endif

@@ -1,15 +1,18 @@
 /* onboard.h: the sensor's own pose: from one cycle's plain correlations to POSE_POSITION, POSE_ATTITUDE and
- * POSE_QUALITY on both links.
+ * POSE_QUALITY on both links. It is active with parameter pose = 1.
  *
- * Active with parameter pose = 1. The beacon of place i in the code list is row i of the parameters "beacons"
- * (framing.md); noise gives the weights, half_space resolves the mirror of coplanar coils. Lost chips scale the sums;
- * saturated and lost ones widen the noise by the part of the offset that no longer cancels.
+ * Calls, in the order they are made
+ *   1. onboard_configure  at start, and when a parameter has changed.
+ *   2. onboard_take       with each whole cycle: it copies the cycle's sums while they are there.
+ *   3. onboard_step       at once or later: it computes and sends. Until then a further cycle replaces the first.
  *
- * onboard_take copies a cycle's sums while they are there; onboard_step computes, at once or later in main: until then
- * a further cycle replaces the first. Each taken cycle gives three messages, whatever happens; the status tells.
+ * The beacon of place i in the code list is row i of the parameters "beacons" (framing.md); noise gives the weights,
+ * and half_space resolves the mirror of coplanar coils. Lost chips scale the sums; saturated and lost ones widen the
+ * noise by the part of the offset that no longer cancels. Each cycle that is computed gives three messages, whatever
+ * happens; the status tells.
  *
- * Memory: 8.4 kB. Time: onboard_step as pose.h, and about 25 instructions a code and axis for the separation; nothing
- * without a cycle. Contexts: main only.
+ * Contexts: main only. Memory: 8.4 kB. Time: onboard_step takes as long as pose.h says, and about 25 instructions a
+ * code and axis for the separation; without a cycle it takes nothing.
  */
 #ifndef GOLDFIELD_ONBOARD_H
 #define GOLDFIELD_ONBOARD_H
@@ -21,27 +24,27 @@
 
 /* Private but for tests. */
 typedef struct {
-    bool active, due;
-    bool separable; /* The code list can be separated. */
-    float noise_T;
+    bool active, due; /* Poses are wanted; a cycle has been taken and not been computed. */
+    bool separable;   /* The code list can be separated. */
+    float noise_T;    /* Standard deviation of a sample, T. */
     separation_t separation;
     pose_site_t site;
-    float sums[EPOCH_AXES][EPOCH_CODES_MAX]; /* Of the cycle taken: correlations, later fields, T. */
-    float mean[EPOCH_AXES];
-    uint32_t cycle;
-    uint32_t chips;              /* N */
-    uint32_t missing, saturated; /* Of these. */
+    float sums[EPOCH_AXES][EPOCH_CODES_MAX]; /* Correlations of the cycle taken, later its fields, T. */
+    float mean[EPOCH_AXES];                  /* Its mean field, T. */
+    uint32_t cycle;                          /* Its number. */
+    uint32_t chips;                          /* N, the chips in a cycle. */
+    uint32_t missing, saturated;             /* Chips of it without a sample, and with a saturated one. */
     pose_field_t fields[POSE_BEACONS_MAX];
     pose_work_t work;
     pose_t pose;
 } onboard_t;
 
-/* Read the parameters; forgets the pose that tracking starts from. chips: of a cycle. A selection that left out a
- * code of the list makes every pose fail. Bound: 8 parameters for each code. */
+/* Read the parameters and forget the pose that tracking starts from. chips is the number of chips in a cycle. A
+ * selection that left out a code of the list makes every pose fail. Costs the reading of 8 parameters for each code. */
 void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips,
                        const epoch_selection_t *selection);
 
-/* Take a whole cycle, if active. About 250 instructions a code. */
+/* Take a whole cycle, if active and if it has any sample. Costs about 250 instructions a code. */
 void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
                   const epoch_selection_t *selection);
 
