@@ -1,8 +1,8 @@
-/* Looking at the program: which instruction stands where, and where an IT block is. */
-#include "emulator/it_block.h"
-#include "emulator/processor.h"
+#include "emulator/code_view.h"
 
 #include <string.h>
+
+#include "emulator/it_block.h"
 
 bool code_opcode_at(const cpu_t *cpu, uint32_t address, uint16_t *opcode) {
     const uint8_t *const memory = machine_memory(cpu->machine, address, 2);

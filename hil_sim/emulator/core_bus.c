@@ -1,5 +1,7 @@
-/* The core's side of the buses: what is mapped where, and accesses that are not plain memory. */
-#include "emulator/processor.h"
+#include "emulator/core_bus.h"
+
+#include "emulator/code_view.h"
+#include "emulator/system_control.h"
 
 #define PRIVATE_BUS_BASE 0xE0000000u
 #define PRIVATE_BUS_SIZE 0x00100000u
@@ -68,7 +70,8 @@ uc_err core_bus_map(cpu_t *cpu) {
         {0, FLASH_SIZE, read_execute, machine->flash}, /* Boot from flash: it appears at 0 too. */
         {FLASH_BASE, FLASH_SIZE, read_execute, machine->flash},
         {SYSTEM_MEMORY_BASE, SYSTEM_MEMORY_SIZE, read_execute, machine->system_memory},
-        {SRAM_BASE, SRAM_SIZE, UC_PROT_READ | UC_PROT_WRITE, machine->sram}, /* See allow_code_in_sram(). */
+        {SRAM_BASE, SRAM_SIZE, UC_PROT_READ | UC_PROT_WRITE,
+         machine->sram}, /* Executable when the first jump goes there (execution.c). */
         {CCM_BASE, CCM_SIZE, UC_PROT_READ | UC_PROT_WRITE,
          machine->ccm}, /* Data only: it is not on the instruction bus. */
     };

@@ -1,10 +1,13 @@
 #include "emulator/emulator.h"
 
-#include "emulator/processor.h"
-
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+
+#include "emulator/cpu.h"
+#include "emulator/inputs.h"
+#include "emulator/peripherals/peripherals.h"
+#include "emulator/probes.h"
 
 #define REPORT_SIZE (MACHINE_REPORT_SIZE + 1024u)
 
@@ -74,16 +77,17 @@ static void emulator_destroy(board_t *board) {
     cpu_t *const cpu = cpu_of(board);
     machine->processor.processor = NULL;
     cpu_destroy(cpu);
+    inputs_destroy(machine);
     machine_destroy(machine);
 }
 
 const board_operations_t emulator_operations = {
     .run = emulator_run,
     .now = emulator_now,
-    .pin_in = machine_pin_in,
-    .uart_in = machine_uart_in,
-    .can_in = machine_can_in,
-    .can_sent = machine_can_sent,
+    .pin_in = inputs_pin,
+    .uart_in = inputs_uart,
+    .can_in = inputs_can,
+    .can_sent = inputs_can_sent,
     .report = emulator_report,
     .destroy = emulator_destroy,
 };
@@ -125,4 +129,18 @@ bool emulator_memory_read(const board_t *board, uint32_t address, uint8_t *bytes
         memcpy(bytes, memory, count);
     }
     return memory != NULL;
+}
+
+bool emulator_probe_add(board_t *board, uint32_t entry) {
+    return probes_add(cpu_of(board), entry);
+}
+
+bool emulator_probe_read(const board_t *board, unsigned index, emulator_probe_t *probe) {
+    const cpu_t *const cpu = cpu_of(board);
+    if (index >= cpu->probe_count) {
+        return false;
+    }
+    const probe_t *const own = &cpu->probes[index];
+    *probe = (emulator_probe_t){.entry = own->entry, .calls = own->calls, .total = own->total, .largest = own->largest};
+    return true;
 }

@@ -4,10 +4,12 @@
  * see is the same but for FPCCR and FPCAR. Tail-chaining is a return followed by an entry. The exclusive monitor is not
  * cleared: Unicorn's STREX compares the value as well.
  */
-#include "emulator/it_block.h"
-#include "emulator/processor.h"
+#include "emulator/exceptions.h"
 
 #include <string.h>
+
+#include "emulator/it_block.h"
+#include "emulator/probes.h"
 
 #define CONTROL_UNPRIVILEGED   1u
 #define CONTROL_PROCESS_STACK  2u
@@ -20,25 +22,14 @@
 #define SCR_SLEEP_ON_EXIT      2u
 #define BASIC_FRAME            0x20u
 #define EXTENDED_FRAME         0x68u
-#define CFSR_INVPC             (1u << 18)
-#define HFSR_FORCED            (1u << 30)
 #define RETURN_BASIC_FRAME     0x10u
 #define RETURN_THREAD          0x8u
 #define RETURN_PROCESS_STACK   0x4u
 
 enum { FRAME_R0, FRAME_R1, FRAME_R2, FRAME_R3, FRAME_R12, FRAME_LR, FRAME_PC, FRAME_XPSR, FRAME_WORDS };
 
-uint32_t cpu_register(const cpu_t *cpu, int unicorn_register) {
-    uint32_t value = 0;
-    uc_reg_read(cpu->uc, unicorn_register, &value);
-    return value;
-}
-
-void cpu_set_register(cpu_t *cpu, int unicorn_register, uint32_t value) {
-    uc_reg_write(cpu->uc, unicorn_register, &value);
-}
-
-int execution_priority(const cpu_t *cpu, bool heed_primask) {
+/* The priority below which (numerically) an exception preempts. */
+static int execution_priority(const cpu_t *cpu, bool heed_primask) {
     int priority = cpu->nvic.active_priority;
     const uint32_t basepri = cpu_register(cpu, UC_ARM_REG_BASEPRI) & 0xF0u;
     if (basepri != 0) {
@@ -52,6 +43,12 @@ int execution_priority(const cpu_t *cpu, bool heed_primask) {
         priority = -1;
     }
     return priority;
+}
+
+bool exception_preempts(const cpu_t *cpu, bool heed_primask) {
+    /* The masks cost calls into Unicorn: they are read last. */
+    return cpu->nvic.candidate_priority < cpu->nvic.active_priority &&
+           cpu->nvic.candidate_priority < execution_priority(cpu, heed_primask);
 }
 
 static uint8_t *stack_memory(const cpu_t *cpu, uint32_t address, size_t count) {
@@ -137,7 +134,7 @@ void exception_enter(cpu_t *cpu, unsigned exception) {
     const uint32_t exc_return = 0xFFFFFFE1u | (floating_point ? 0 : RETURN_BASIC_FRAME) |
                                 (from_handler ? 0 : RETURN_THREAD) | (process_stack ? RETURN_PROCESS_STACK : 0);
     cpu_set_register(cpu, UC_ARM_REG_SP,
-                     new_stack); /* Of the stack in use; becoming a handler switches to the main stack. */
+                     new_stack); /* SP is that of the stack in use; becoming a handler switches to the main stack. */
     cpu_set_register(cpu, UC_ARM_REG_LR, exc_return);
     become_handler(cpu, (xpsr & ~(IT_BLOCK_XPSR | XPSR_EXCEPTION)) | XPSR_THUMB | exception, control);
 
@@ -153,7 +150,7 @@ void exception_enter(cpu_t *cpu, unsigned exception) {
     cpu->pc = handler & ~1u;
     cpu->it_state = 0;
     if ((handler & 1u) == 0) {
-        exception_fault(cpu, &(fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = 1u << 17}); /* INVSTATE */
+        exception_fault(cpu, &(fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVSTATE});
     }
 }
 
@@ -163,16 +160,48 @@ static void invalid_return(cpu_t *cpu, uint32_t exc_return) {
     exception_fault(cpu, &(fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVPC});
 }
 
+/* Whether the processor's state allows a return from an exception with this EXC_RETURN value. */
+static bool return_fits(const cpu_t *cpu, unsigned exception, uint32_t exc_return) {
+    const uint32_t kind = exc_return & 0xFu;
+    const unsigned active = nvic_active_count(&cpu->nvic);
+    if (exc_return < 0xFFFFFFE0u || (kind != 1u && kind != 9u && kind != 0xDu) ||
+        !nvic_is_active(&cpu->nvic, exception)) {
+        return false;
+    }
+    return kind == 1u ? active != 1 : active <= 1 || (cpu->system.ccr & CCR_NON_BASE_THREAD) != 0;
+}
+
+/* Take the registers back from a frame. CONTROL comes last, in thread mode: only there can it select the stack, and
+ * it may take the privilege away. */
+static void restore_registers(cpu_t *cpu, uint32_t frame[FRAME_WORDS], bool process_stack, bool floating_point) {
+    static const int restored[] = {UC_ARM_REG_R0, UC_ARM_REG_R1,  UC_ARM_REG_R2,
+                                   UC_ARM_REG_R3, UC_ARM_REG_R12, UC_ARM_REG_LR};
+    void *const values[] = {&frame[FRAME_R0], &frame[FRAME_R1],  &frame[FRAME_R2],
+                            &frame[FRAME_R3], &frame[FRAME_R12], &frame[FRAME_LR]};
+    uc_reg_write_batch(cpu->uc, restored, (void *const *)values, 6);
+
+    const uint32_t control = cpu_register(cpu, UC_ARM_REG_CONTROL);
+    if ((control & CONTROL_UNPRIVILEGED) != 0) {
+        cpu_set_register(cpu, UC_ARM_REG_CONTROL, 0);
+    }
+    const uint32_t xpsr = (frame[FRAME_XPSR] & ~(XPSR_ALIGNED | IT_BLOCK_XPSR)) | XPSR_THUMB;
+    cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, xpsr);
+    const uint32_t new_control = (control & CONTROL_UNPRIVILEGED) | (process_stack ? CONTROL_PROCESS_STACK : 0) |
+                                 (floating_point ? CONTROL_FLOATING_POINT : 0);
+    if (new_control != control || (control & CONTROL_UNPRIVILEGED) != 0) {
+        cpu_set_register(cpu, UC_ARM_REG_CONTROL, new_control);
+    }
+    refresh_mode(cpu, xpsr);
+    cpu->it_state = it_block_from_xpsr(frame[FRAME_XPSR]);
+    cpu->pc = frame[FRAME_PC] & ~1u;
+}
+
 void exception_return(cpu_t *cpu, uint32_t exc_return) {
     const unsigned exception = cpu_register(cpu, UC_ARM_REG_IPSR) & XPSR_EXCEPTION;
-    const uint32_t kind = exc_return & 0xFu;
+    const bool to_thread = (exc_return & RETURN_THREAD) != 0;
     cpu->pc = exc_return & ~1u;
     cpu->it_state = 0;
-    const bool to_thread = kind != 1u;
-    if (exc_return < 0xFFFFFFE0u || (kind != 1u && kind != 9u && kind != 0xDu) ||
-        !nvic_is_active(&cpu->nvic, exception) ||
-        (to_thread && nvic_active_count(&cpu->nvic) > 1 && (cpu->system.ccr & CCR_NON_BASE_THREAD) == 0) ||
-        (!to_thread && nvic_active_count(&cpu->nvic) == 1)) {
+    if (!return_fits(cpu, exception, exc_return)) {
         invalid_return(cpu, exc_return);
         return;
     }
@@ -202,27 +231,7 @@ void exception_return(cpu_t *cpu, uint32_t exc_return) {
     }
     const uint32_t new_stack = (stack + size) | ((frame[FRAME_XPSR] & XPSR_ALIGNED) != 0 ? 4u : 0u);
     cpu_set_register(cpu, process_stack ? UC_ARM_REG_PSP : UC_ARM_REG_SP, new_stack);
-    static const int restored[] = {UC_ARM_REG_R0, UC_ARM_REG_R1,  UC_ARM_REG_R2,
-                                   UC_ARM_REG_R3, UC_ARM_REG_R12, UC_ARM_REG_LR};
-    void *const values[] = {&frame[FRAME_R0], &frame[FRAME_R1],  &frame[FRAME_R2],
-                            &frame[FRAME_R3], &frame[FRAME_R12], &frame[FRAME_LR]};
-    uc_reg_write_batch(cpu->uc, restored, (void *const *)values, 6);
-
-    /* CONTROL last, in thread mode: only there can it select the stack, and it may take the privilege away. */
-    const uint32_t control = cpu_register(cpu, UC_ARM_REG_CONTROL);
-    if ((control & CONTROL_UNPRIVILEGED) != 0) {
-        cpu_set_register(cpu, UC_ARM_REG_CONTROL, 0);
-    }
-    cpu->it_state = it_block_from_xpsr(frame[FRAME_XPSR]);
-    const uint32_t xpsr = (frame[FRAME_XPSR] & ~(XPSR_ALIGNED | IT_BLOCK_XPSR)) | XPSR_THUMB;
-    cpu_set_register(cpu, UC_ARM_REG_XPSR_NZCVQG, xpsr);
-    const uint32_t new_control = (control & CONTROL_UNPRIVILEGED) | (process_stack ? CONTROL_PROCESS_STACK : 0) |
-                                 (floating_point ? CONTROL_FLOATING_POINT : 0);
-    if (new_control != control || (control & CONTROL_UNPRIVILEGED) != 0) {
-        cpu_set_register(cpu, UC_ARM_REG_CONTROL, new_control);
-    }
-    refresh_mode(cpu, xpsr);
-    cpu->pc = frame[FRAME_PC] & ~1u;
+    restore_registers(cpu, frame, process_stack, floating_point);
     cpu->asleep = to_thread && nvic_active_count(&cpu->nvic) == 0 && (cpu->system.scr & SCR_SLEEP_ON_EXIT) != 0;
 }
 
@@ -247,7 +256,7 @@ void exception_synchronous(cpu_t *cpu, unsigned exception) {
 void exception_fault(cpu_t *cpu, const fault_t *fault) {
     cpu->system.cfsr |= fault->cfsr;
     cpu->system.hfsr |= fault->hfsr;
-    if ((fault->cfsr & 1u << 15) != 0) {
+    if ((fault->cfsr & CFSR_BFARVALID) != 0) {
         cpu->system.bfar = fault->address;
     }
     exception_synchronous(cpu, fault->exception);

@@ -1,8 +1,9 @@
-/* Signals from outside: each waits in the machine's event heap for its time; one that is not in the future acts at
- * once. */
-#include "emulator/machine_internal.h"
+#include "emulator/inputs.h"
 
 #include <stdlib.h>
+
+#include "emulator/machine_internal.h"
+#include "emulator/peripherals/outside.h"
 
 typedef enum { INPUT_PIN, INPUT_UART, INPUT_CAN, INPUT_CAN_SENT } input_kind_t;
 
@@ -64,23 +65,23 @@ static void post(board_t *board, const machine_input_t *content, int64_t time_ps
     machine_schedule(machine, &input->event, time_ps > machine->now_ps ? time_ps : machine->now_ps);
 }
 
-void machine_pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps) {
+void inputs_pin(board_t *board, unsigned pin, bool level, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_PIN, .number = pin, .flag = level}, time_ps);
 }
 
-void machine_uart_in(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps) {
+void inputs_uart(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_UART, .number = uart, .byte = byte, .baud = baud}, time_ps);
 }
 
-void machine_can_in(board_t *board, const board_frame_t *frame, int64_t time_ps) {
+void inputs_can(board_t *board, const board_frame_t *frame, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CAN, .frame = *frame}, time_ps);
 }
 
-void machine_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps) {
+void inputs_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CAN_SENT, .number = mailbox, .flag = ok}, time_ps);
 }
 
-void machine_inputs_destroy(machine_t *machine) {
+void inputs_destroy(machine_t *machine) {
     while (machine->all_inputs != NULL) {
         machine_input_t *const input = machine->all_inputs;
         machine->all_inputs = input->next;

@@ -1,4 +1,8 @@
-/* machine.h: what the processor side offers to the peripheral models, and what a model looks like.
+/* machine.h: the chip's processor side as the peripheral models see it, and what a model looks like.
+ *
+ * A model attaches itself to the bus (machine_attach), and from then on gets the accesses in its address range; it asks
+ * for the time, schedules events, drives interrupt lines, reads and writes memory as a bus master, and tells of
+ * violations.
  *
  * A model is a file named after the peripheral, or a few whose names begin with it and a header that tells them apart.
  * It is written from the vendor's register description (RM0090, the SVD), never from the driver. It holds its state in
@@ -17,101 +21,85 @@
 #include <stdint.h>
 
 #include "boards/board_edge.h"
-#include "emulator/emulator.h"
+#include "emulator/config.h"
 
-typedef struct machine machine_t; /* One chip: processor, buses, peripherals. board_t is a machine_t. */
+typedef struct machine machine_t; /* One chip: processor, buses, peripherals. A board_t is a machine_t. */
 
-/* ---- A peripheral model ---- */
+/* ---- A peripheral ---- */
 
 typedef struct peripheral peripheral_t;
 struct peripheral {
     const char *name;    /* As in the SVD: "TIM1", "DMA2". */
-    uint32_t base, size; /* Address range, size a multiple of 4. */
-    machine_t *machine;
-    void *state;
-    /* width is 1, 2 or 4 bytes; offset is from base and aligned to width. debug is true for accesses that must have
-     * no side effects. */
+    uint32_t base, size; /* Address range; size is a multiple of 4. */
+    machine_t *machine;  /* Set by machine_attach(). */
+    void *state;         /* The model's own. */
+    /* Accesses: width is 1, 2 or 4 bytes; offset is from base and aligned to width. */
     uint32_t (*read)(peripheral_t *self, uint32_t offset, unsigned width);
     void (*write)(peripheral_t *self, uint32_t offset, uint32_t value, unsigned width);
-    void (*reset)(peripheral_t *self); /* Power-on or system reset, and RCC's RSTR bit. */
-    void (*destroy)(peripheral_t *self);
+    void (*reset)(peripheral_t *self);   /* Power-on or system reset. May be NULL. */
+    void (*destroy)(peripheral_t *self); /* May be NULL. */
 };
 
-/* Add a model to the bus. The peripheral must live as long as the machine. Up to 64. */
+/* Add a model to the bus. The peripheral must live as long as the machine. Limit: 64; one more, or an address outside
+ * of the peripheral areas, is a violation and nothing is attached. */
 void machine_attach(machine_t *machine, peripheral_t *peripheral);
-peripheral_t *machine_peripheral(machine_t *machine, const char *name); /* NULL if there is none. */
 
-/* ---- Time. All clocks derive from RCC, which calls machine_set_core_clock() when the system clock changes. ---- */
+/* The peripheral of a name. Returns NULL if there is none. */
+peripheral_t *machine_peripheral(machine_t *machine, const char *name);
 
-/* The present, picoseconds; inside an access: the time of that instruction. */
-int64_t machine_now(const machine_t *machine);
-/* The core runs at hz (a double: crystal error included) from now on. */
-void machine_set_core_clock(machine_t *machine, double hz);
-double machine_core_clock(const machine_t *machine);
 const emulator_config_t *machine_config(const machine_t *machine);
 const board_edge_t *machine_edge(const machine_t *machine);
 
-/* Events: a callback at an exact time, in order of time; equal times in order of scheduling. An event fires before
- * the first instruction that starts at or after its time. Scheduling a pending event moves it. The struct belongs to
- * the model. */
+/* ---- Time ---- */
+
+/* The present, picoseconds; inside an access it is the time of that instruction. */
+int64_t machine_now(const machine_t *machine);
+
+/* The core runs at hz from now on, crystal error included. All clocks derive from RCC, which calls this when the system
+ * clock changes. */
+void machine_set_core_clock(machine_t *machine, double hz);
+
+/* A callback at an exact time. Events fire in order of time, those of equal times in order of scheduling, each before
+ * the first instruction that starts at or after its time. The struct belongs to the model and must stay where it is
+ * while it is pending. */
 typedef struct machine_event machine_event_t;
 struct machine_event {
     void (*fire)(void *context, int64_t time_ps);
     void *context;
-    int64_t time_ps;    /* Read-only to models. */
-    uint64_t order;     /* Internal. */
-    int32_t heap_index; /* Internal; initialise with machine_event_init. */
+    int64_t time_ps;    /* When it fires; models only read it. */
+    uint64_t order;     /* The machine's own, as is the next. */
+    int32_t heap_index; /* -1: not pending. */
 };
+
+/* Prepare an event that is not pending. */
 void machine_event_init(machine_event_t *event, void (*fire)(void *context, int64_t time_ps), void *context);
+/* Let it fire at time_ps; an event that is pending moves. */
 void machine_schedule(machine_t *machine, machine_event_t *event, int64_t time_ps);
+/* Let it not fire; an event that is not pending stays so. */
 void machine_cancel(machine_t *machine, machine_event_t *event);
 
-/* ---- Interrupts: level of the peripheral's request line to the NVIC (position as in RM0090 table 62, 0 = WWDG).
- * ---- */
+/* ---- Interrupts and resets ---- */
+
+/* The level of a peripheral's request line to the NVIC; position as in RM0090 table 62, 0 being WWDG. */
 void machine_irq(machine_t *machine, unsigned position, bool level);
 
-/* Reset request by a watchdog. flags: the bits to set in RCC_CSR. Takes effect before the next instruction. */
+/* A watchdog or the core asks for a system reset, which happens before the next instruction. csr_flags are the bits to
+ * set in RCC_CSR. */
 void machine_reset_request(machine_t *machine, uint32_t csr_flags);
-/* For RCC, inside its reset function: the flags of the requests that led to this reset (a request by software
- * included); 0 at power-on and for RSTR bits. */
+
+/* For RCC, inside its reset function: the flags of the requests that led to this reset. Returns 0 at power-on. */
 uint32_t machine_reset_flags(const machine_t *machine);
 
-/* ---- Memory as a bus master (DMA) sees it. False: bus error (unmapped). Peripheral registers are reached through
- * the same calls. ---- */
+/* ---- Memory and registers, as a bus master (DMA) reaches them ---- */
+
+/* width is 1, 2 or 4 bytes. Returns false upon a bus error (nothing is there, or it is read-only), which is a violation
+ * as well. */
 bool machine_bus_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_bus_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
 
 /* ---- Violations ---- */
+
+/* Record a sentence, with the time, the program counter and the last peripheral access. */
 void machine_violation(machine_t *machine, const char *format, ...) __attribute__((format(printf, 2, 3)));
-
-/* ---- Between models (signals inside the chip) ---- */
-
-/* RCC answers: is the peripheral's bus clock on; its bus clock and its timers' clock in Hz (crystal error included).
- * name as in the SVD. */
-bool rcc_enabled(const machine_t *machine, const char *name);
-double rcc_bus_clock(const machine_t *machine, const char *name);
-double rcc_timer_clock(const machine_t *machine, const char *name);
-
-/* A pulse on a request line to the DMA controllers, mapped to (controller, stream, channel) by RM0090 tables 42 and 43.
- * source is e.g. "TIM1_UP", "TIM1_CH4", "ADC1", "USART1_TX". */
-void dma_request_pulse(machine_t *machine, const char *source);
-
-/* GPIO: level at a pin (input or output); alternate-function inputs subscribe to edges. */
-bool gpio_level(const machine_t *machine, unsigned pin);
-/* True when the pin is in alternate mode af. */
-bool gpio_is_alternate(const machine_t *machine, unsigned pin, unsigned af);
-bool gpio_is_analog(const machine_t *machine, unsigned pin);
-/* Called by GPIO for each input edge (from outside or a looped output): timers capture, EXTI. */
-void tim_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps);
-void exti_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps);
-
-/* From outside, called by the machine's board_operations_t. */
-void gpio_pin_in(machine_t *machine, unsigned pin, bool level, int64_t time_ps);
-void usart_byte_in(machine_t *machine, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps);
-void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_ps);
-void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_ps);
-
-/* peripherals.c: create and attach every model. Called once by emulator_create, after the processor exists. */
-void peripherals_create(machine_t *machine);
 
 #endif

@@ -1,6 +1,9 @@
 #include "emulator/machine_bench.h"
 
+#include "emulator/inputs.h"
 #include "emulator/machine_internal.h"
+#include "emulator/peripherals/model.h"
+#include "emulator/peripherals/peripherals.h"
 
 machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge) {
     machine_t *const machine = machine_create(config, edge, 0);
@@ -49,6 +52,43 @@ void machine_bench_forget_violations(machine_t *machine) {
     machine->report[0] = '\0';
 }
 
+double machine_bench_core_clock(const machine_t *machine) {
+    return machine->core_hz;
+}
+
+double machine_bench_bus_clock(const machine_t *machine, const char *name) {
+    const chip_t *const chip = chip_of(machine);
+    const model_t *const model = chip_model(chip, name);
+    if (model == NULL) {
+        return 0;
+    }
+    switch (model->description->bus) {
+    case BUS_APB1:
+        return chip->pclk1.hz;
+    case BUS_APB2:
+        return chip->pclk2.hz;
+    default:
+        return chip->hclk.hz;
+    }
+}
+
+double machine_bench_timer_clock(const machine_t *machine, const char *name) {
+    const chip_t *const chip = chip_of(machine);
+    const model_t *const model = chip_model(chip, name);
+    if (model == NULL) {
+        return 0;
+    }
+    return model->description->bus == BUS_APB2 ? chip->timer2.hz : chip->timer1.hz;
+}
+
+bool machine_bench_dma_pulse(machine_t *machine, const char *source) {
+    const dma_source_t line = dma_source(source);
+    if (line != DMA_NONE) {
+        dma_line_pulse(chip_of(machine), line);
+    }
+    return line != DMA_NONE;
+}
+
 static board_status_t bench_run(board_t *board, int64_t until_ps) {
     machine_t *const machine = (machine_t *)board;
     machine_fire(machine, until_ps - 1);
@@ -67,16 +107,17 @@ static const char *bench_report(const board_t *board) {
 }
 
 static void bench_destroy(board_t *board) {
+    inputs_destroy((machine_t *)board);
     machine_destroy((machine_t *)board);
 }
 
 const board_operations_t machine_bench_operations = {
     .run = bench_run,
     .now = bench_now,
-    .pin_in = machine_pin_in,
-    .uart_in = machine_uart_in,
-    .can_in = machine_can_in,
-    .can_sent = machine_can_sent,
+    .pin_in = inputs_pin,
+    .uart_in = inputs_uart,
+    .can_in = inputs_can,
+    .can_sent = inputs_can_sent,
     .report = bench_report,
     .destroy = bench_destroy,
 };

@@ -12,23 +12,33 @@
 
 #include "emulator/machine.h"
 
-/* NULL: out of memory. edge may be NULL (nothing connected). */
+/* edge may be NULL: nothing is connected. Returns NULL if there is no memory. */
 machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge);
 
-/* run, now, pin_in, uart_in, can_in, can_sent, report (the violations so far), destroy. run always answers BOARD_OK. */
+/* run, now, pin_in, uart_in, can_in, can_sent, report (the violations so far), destroy. run always returns BOARD_OK. */
 extern const board_operations_t machine_bench_operations;
 
-/* A load or store of the core, now. width 1, 2, 4. False: it would raise a BusFault. */
+/* A load or store of the core, now; width is 1, 2 or 4. Returns false if it would raise a BusFault. */
 bool machine_bench_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_bench_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
 
 /* Level of a request line to the NVIC (0..81). */
 bool machine_bench_irq(const machine_t *machine, unsigned position);
 
-/* A watchdog asked for a reset; flags: what it wants set in RCC_CSR. The request is taken back. */
+/* Whether a watchdog asked for a reset, and in flags what it wants set in RCC_CSR. The request is taken back. */
 bool machine_bench_reset_requested(machine_t *machine, uint32_t *flags);
 /* What the processor does upon a reset request: every model's reset. */
 void machine_bench_reset(machine_t *machine);
+
+/* Clocks in Hz, crystal error included: the core's, and those of a peripheral, named as in the SVD: of its bus, and of
+ * the timers on that bus. Return 0 if there is no such peripheral. */
+double machine_bench_core_clock(const machine_t *machine);
+double machine_bench_bus_clock(const machine_t *machine, const char *name);
+double machine_bench_timer_clock(const machine_t *machine, const char *name);
+
+/* A pulse on a request line to the DMA controllers (RM0090 tables 42 and 43): "TIM1_UP", "TIM1_CH4", "ADC1",
+ * "USART1_TX". Returns false if there is no such line. */
+bool machine_bench_dma_pulse(machine_t *machine, const char *source);
 
 uint64_t machine_bench_violations(const machine_t *machine);
 void machine_bench_forget_violations(machine_t *machine);

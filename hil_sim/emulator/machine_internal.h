@@ -1,8 +1,14 @@
-/* machine_internal.h: the machine's own state, for machine.c, inputs.c, the bench and the processor; peripheral models
- * use machine.h.
+/* machine_internal.h: the machine's own state, for the files that make it up, the inputs, the bench and the processor;
+ * peripheral models use machine.h.
  *
- * A machine without a processor (machine_bench.h) is complete: memory, bus, events, violations. A processor registers
- * itself as a table.
+ * machine_create() makes a machine without a processor, which is complete: memory, bus, events, violations. A processor
+ * registers itself as a table (machine_t.processor). Whoever lets the machine live calls machine_fire() for time to
+ * pass, machine_core_read() and machine_core_write() for the core's accesses, and machine_reset_peripherals() upon a
+ * reset.
+ *
+ *     machine.c         life, reset, interrupt lines, violations
+ *     machine_events.c  time and the heap of events
+ *     machine_bus.c     memories and peripherals by address
  */
 #ifndef GOLDFIELD_MACHINE_INTERNAL_H
 #define GOLDFIELD_MACHINE_INTERNAL_H
@@ -22,29 +28,31 @@
 #define PERIPHERAL2_BASE   0x50000000u
 #define PERIPHERAL2_SIZE   0x00061000u
 
-#define MACHINE_PERIPHERALS 64u
-#define MACHINE_IRQ_LINES   82u /* RM0090 table 62: positions 0..81. */
-#define MACHINE_REPORT_SIZE 16384u
-#define MACHINE_NEVER       INT64_MAX
+#define MACHINE_PERIPHERALS       64u
+#define MACHINE_IRQ_LINES         82u /* RM0090 table 62: positions 0..81. */
+#define MACHINE_REPORT_SIZE       16384u
+#define MACHINE_NEVER             INT64_MAX
+#define MACHINE_DIRECTORY_GRANULE 256u
+#define MACHINE_DIRECTORY_SIZE    ((PERIPHERAL_SIZE + PERIPHERAL2_SIZE) / MACHINE_DIRECTORY_GRANULE)
 
 /* What the machine asks of a processor. Every call may come from inside an access or an event. */
 typedef struct {
     void (*irq)(void *processor, unsigned position, bool level);
     void (*clock)(void *processor, double hz);
-    void (*attention)(
-        void *processor); /* The next event became earlier, or stop_requested or reset_requested was set. */
+    /* The next event became earlier, or stop_requested or reset_requested was set. */
+    void (*attention)(void *processor);
     uint32_t (*program_counter)(const void *processor);
-    void *processor;
+    void *processor; /* NULL: there is none. */
 } machine_processor_t;
 
 typedef struct {
     uint32_t address, value;
-    unsigned width; /* 0: there was none yet. */
+    unsigned width; /* Bytes; 0: there was none yet. */
     bool write;
     int64_t time_ps;
 } machine_access_t;
 
-typedef struct machine_input machine_input_t;
+typedef struct machine_input machine_input_t; /* inputs.c */
 
 struct machine {
     emulator_config_t config;
@@ -52,15 +60,15 @@ struct machine {
 
     int64_t now_ps;
     double core_hz;
-    machine_processor_t processor; /* processor.processor is NULL without one. */
-    bool stop_requested;           /* A violation under strict. */
+    machine_processor_t processor;
+    bool stop_requested; /* There was a violation under strict. */
     bool reset_requested;
     uint32_t reset_flags;
 
     peripheral_t *peripherals[MACHINE_PERIPHERALS];
     unsigned peripheral_count;
-    uint8_t *directory; /* Per 256-byte granule of the two peripheral areas: index + 1 of the peripheral that starts or
-                           lies there. */
+    /* By granule of the two peripheral areas: index + 1 of the peripheral that starts or lies there. */
+    uint8_t *directory;
     uint32_t irq_level[3];
 
     uint8_t *flash, *sram, *ccm, *system_memory;
@@ -77,36 +85,32 @@ struct machine {
     size_t report_length;
 };
 
-/* NULL: out of memory. Memories are erased, no peripheral is attached. */
+/* A machine at power_on_ps with erased memories and no peripheral; edge may be NULL (nothing is connected). Returns
+ * NULL if there is no memory. */
 machine_t *machine_create(const emulator_config_t *config, const board_edge_t *edge, int64_t power_on_ps);
+
+/* Destroy the peripherals and free the machine; inputs_destroy() comes before. */
 void machine_destroy(machine_t *machine);
 
 /* System reset: every peripheral's reset function, interrupt lines low. SRAM keeps its content. */
 void machine_reset_peripherals(machine_t *machine);
 
-/* Time of the earliest event; MACHINE_NEVER if there is none. */
+/* Fire, in order, every event at or before time_ps, those that they schedule included. The present is each event's
+ * time, and time_ps at the end. */
+void machine_fire(machine_t *machine, int64_t time_ps);
+
+/* Time of the earliest event. Returns MACHINE_NEVER if there is none. */
 static inline int64_t machine_next_event(const machine_t *machine) {
     return machine->heap_count == 0 ? MACHINE_NEVER : machine->heap[0]->time_ps;
 }
 
-/* Fire, in order, every event at or before time_ps, those that they schedule included. now is each event's time, and
- * time_ps at the end. */
-void machine_fire(machine_t *machine, int64_t time_ps);
-
-/* A peripheral register as the core reaches it; notes the access for reports. False: nothing is there, a violation
- * is recorded, the core faults. */
+/* A peripheral register as the core reaches it; the access is noted for reports. Returns false if nothing is there: a
+ * violation is recorded, and the core faults. */
 bool machine_core_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_core_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
 
-/* Host address of count bytes of memory as the core sees them (flash also at 0); NULL if they are not all in one
- * memory. */
+/* Host address of count bytes of memory as the core sees them (flash also at 0). Returns NULL if they are not all in
+ * one memory. */
 uint8_t *machine_memory(machine_t *machine, uint32_t address, size_t count);
-
-/* Signals from outside, board_operations_t's functions (inputs.c). */
-void machine_pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps);
-void machine_uart_in(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps);
-void machine_can_in(board_t *board, const board_frame_t *frame, int64_t time_ps);
-void machine_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps);
-void machine_inputs_destroy(machine_t *machine);
 
 #endif

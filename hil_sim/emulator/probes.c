@@ -1,7 +1,4 @@
-/* Instruction counts of functions. While a probe is inside its function, cpu_attend() looks at every instruction for
- * the return address; a function whose entry is a branch target starts a block of code in Unicorn, so entries cost a
- * hook on that one block only. */
-#include "emulator/processor.h"
+#include "emulator/probes.h"
 
 void probes_enter_exception(cpu_t *cpu) {
     cpu->entered_at[cpu->depth++] = cpu->executed;
@@ -20,7 +17,7 @@ static void on_entry(uc_engine *uc, uint64_t address, uint32_t size, void *user)
         probe_t *const probe = &cpu->probes[i];
         /* A block that is entered again after a stop at its first instruction was not called twice; recursion counts
          * as part of the outer call. */
-        if (probe->result.entry == (uint32_t)address && !probe->active) {
+        if (probe->entry == (uint32_t)address && !probe->active) {
             probe->active = true;
             probe->depth = cpu->depth;
             probe->return_address = cpu_register(cpu, UC_ARM_REG_LR) & ~1u;
@@ -41,15 +38,14 @@ void probes_step(cpu_t *cpu, uint32_t address) {
             const uint64_t count = cpu->executed - probe->start - (cpu->inside[cpu->depth] - probe->excluded);
             probe->active = false;
             cpu->probes_active--;
-            probe->result.calls++;
-            probe->result.total += count;
-            probe->result.largest = count > probe->result.largest ? count : probe->result.largest;
+            probe->calls++;
+            probe->total += count;
+            probe->largest = count > probe->largest ? count : probe->largest;
         }
     }
 }
 
-bool emulator_probe_add(board_t *board, uint32_t entry) {
-    cpu_t *const cpu = ((machine_t *)board)->processor.processor;
+bool probes_add(cpu_t *cpu, uint32_t entry) {
     if (cpu->probe_count == PROBES) {
         return false;
     }
@@ -59,15 +55,6 @@ bool emulator_probe_add(board_t *board, uint32_t entry) {
         return false;
     }
     uc_ctl_flush_tb(cpu->uc);
-    cpu->probes[cpu->probe_count++] = (probe_t){.result.entry = entry};
-    return true;
-}
-
-bool emulator_probe_read(const board_t *board, unsigned index, emulator_probe_t *probe) {
-    const cpu_t *const cpu = ((const machine_t *)board)->processor.processor;
-    if (index >= cpu->probe_count) {
-        return false;
-    }
-    *probe = cpu->probes[index].result;
+    cpu->probes[cpu->probe_count++] = (probe_t){.entry = entry};
     return true;
 }

@@ -1,118 +1,15 @@
-/* System control block, SysTick, data watchpoint unit's cycle counter, and the identification registers at
+/* System control block, data watchpoint unit's cycle counter, and the identification registers at
  * 0xE0000000..0xE00FFFFF (ARMv7-M architecture reference manual B3, C1; PM0214; RM0090, 38 for DBGMCU). The trace
  * macrocell swallows what is written to it. */
-#include "emulator/processor.h"
+#include "emulator/system_control.h"
 
-#define CPUID_M4           0x410FC241u
-#define DBGMCU_IDCODE      0x10076413u
-#define AIRCR_KEY          0x05FAu
-#define SYSTICK_MASK       0x00FFFFFFu
-#define SYSTICK_ENABLE     1u
-#define SYSTICK_INTERRUPT  2u
-#define SYSTICK_CORE_CLOCK 4u
-#define DEMCR_TRACE        (1u << 24)
-#define FPCCR_ASPEN_LSPEN  0xC0000000u
+#include "emulator/systick.h"
 
-/* ---- SysTick. While it runs, the count at cycle zero + k d is (reload + 1 - k) modulo (reload + 1), d the divider.
- * ---- */
-
-static uint64_t systick_divider(const systick_t *systick) {
-    return (systick->control & SYSTICK_CORE_CLOCK) != 0 ? 1 : 8;
-}
-
-static uint32_t systick_count(const cpu_t *cpu, uint64_t cycle) {
-    const systick_t *const systick = &cpu->system.systick;
-    if ((systick->control & SYSTICK_ENABLE) == 0 || cycle < systick->zero) {
-        return (systick->control & SYSTICK_ENABLE) == 0 ? systick->stopped : 0;
-    }
-    const uint64_t modulus = (uint64_t)systick->active_reload + 1u;
-    const uint64_t steps = (cycle - systick->zero) / systick_divider(systick) % modulus;
-    return steps == 0 ? 0 : (uint32_t)(modulus - steps);
-}
-
-static void systick_schedule(cpu_t *cpu) {
-    systick_t *const systick = &cpu->system.systick;
-    if ((systick->control & SYSTICK_ENABLE) == 0 || systick->active_reload == 0) {
-        machine_cancel(cpu->machine, &systick->event);
-        return;
-    }
-    const uint64_t cycle = systick->zero + ((uint64_t)systick->active_reload + 1u) * systick_divider(systick);
-    machine_schedule(cpu->machine, &systick->event, core_clock_time(&cpu->clock, cycle));
-}
-
-static void systick_fire(void *context, int64_t time_ps) {
-    (void)time_ps;
-    cpu_t *const cpu = context;
-    systick_t *const systick = &cpu->system.systick;
-    systick->zero += ((uint64_t)systick->active_reload + 1u) * systick_divider(systick);
-    systick->active_reload = systick->reload;
-    systick->counted = true;
-    if ((systick->control & SYSTICK_INTERRUPT) != 0) {
-        nvic_pend(&cpu->nvic, EXCEPTION_SYSTICK);
-    }
-    systick_schedule(cpu);
-}
-
-static void systick_set_control(cpu_t *cpu, uint32_t control, uint64_t cycle) {
-    systick_t *const systick = &cpu->system.systick;
-    const uint32_t count = systick_count(cpu, cycle);
-    systick->control = control & 7u;
-    systick->stopped = count;
-    if (count == 0 || count > systick->active_reload) {
-        systick->active_reload = systick->reload;
-    }
-    const uint64_t elapsed = count == 0 ? 0
-                                        : ((uint64_t)systick->active_reload + 1u - count) * systick_divider(systick);
-    systick->zero = cycle - elapsed;
-    systick_schedule(cpu);
-}
-
-static bool systick_read(cpu_t *cpu, uint32_t address, uint64_t cycle, uint32_t *value) {
-    systick_t *const systick = &cpu->system.systick;
-    switch (address) {
-    case 0xE000E010:
-        *value = systick->control | (systick->counted ? 1u << 16 : 0);
-        systick->counted = false;
-        return true;
-    case 0xE000E014:
-        *value = systick->reload;
-        return true;
-    case 0xE000E018:
-        *value = systick_count(cpu, cycle);
-        return true;
-    case 0xE000E01C:
-        *value = 0x4000493Eu;
-        return true; /* RM0090, 12.1.3: 18750 ticks of HCLK/8 are 1 ms at 150 MHz; not exact (SKEW). */
-    default:
-        return false;
-    }
-}
-
-static bool systick_write(cpu_t *cpu, uint32_t address, uint64_t cycle, uint32_t value) {
-    systick_t *const systick = &cpu->system.systick;
-    switch (address) {
-    case 0xE000E010:
-        systick_set_control(cpu, value, cycle);
-        return true;
-    case 0xE000E014:
-        systick->reload = value & SYSTICK_MASK;
-        if (systick_count(cpu, cycle) == 0) {
-            systick_set_control(cpu, systick->control, cycle);
-        }
-        return true;
-    case 0xE000E018: /* Any write clears the count, without an exception. */
-        systick->counted = false;
-        systick->stopped = 0;
-        systick->active_reload = systick->reload;
-        systick->zero = cycle;
-        systick_schedule(cpu);
-        return true;
-    case 0xE000E01C:
-        return true;
-    default:
-        return false;
-    }
-}
+#define CPUID_M4          0x410FC241u
+#define DBGMCU_IDCODE     0x10076413u
+#define AIRCR_KEY         0x05FAu
+#define DEMCR_TRACE       (1u << 24)
+#define FPCCR_ASPEN_LSPEN 0xC0000000u
 
 /* ---- Cycle counter: counts while the core is awake (its clock stops in sleep when no debugger holds it). ---- */
 
@@ -194,7 +91,8 @@ static void write_reset_control(cpu_t *cpu, uint32_t value) {
     }
 }
 
-/* Registers that only hold what is written. NULL: not one of these. *mask: the bits that exist. */
+/* Where a register is kept that only holds what is written, and in *mask the bits that exist. NULL: it is not one of
+ * these. */
 static uint32_t *plain_register(system_control_t *system, uint32_t address, uint32_t *mask) {
     *mask = 0xFFFFFFFFu;
     switch (address) {
@@ -260,9 +158,9 @@ static bool constant(uint32_t address, uint32_t *value) {
     return false;
 }
 
-static bool is_trace(uint32_t address) /* ITM, the watchpoint unit's rest, breakpoint unit, TPIU, ETM: no debugger is
-                                          there to see them. */
-{
+/* The instrumentation trace macrocell, the watchpoint unit's rest, the breakpoint unit, the trace port and the embedded
+ * trace macrocell: no debugger is there to see them. */
+static bool is_trace(uint32_t address) {
     return address < 0xE0003000u || (address >= 0xE0040000u && address < 0xE0042000u);
 }
 
@@ -410,16 +308,8 @@ bool system_control_write(cpu_t *cpu, uint32_t address, unsigned width, uint32_t
     return systick_write(cpu, address, cpu_cycle(cpu) - 1u, value) || word_write(cpu, address, value);
 }
 
-void system_control_create(cpu_t *cpu) {
-    machine_event_init(&cpu->system.systick.event, systick_fire, cpu);
-}
-
 void system_control_reset(cpu_t *cpu) {
     machine_cancel(cpu->machine, &cpu->system.systick.event);
     cpu->system = (system_control_t){.ccr = 0x200u, .fpccr = FPCCR_ASPEN_LSPEN};
-    system_control_create(cpu);
-}
-
-void system_control_clock_changed(cpu_t *cpu) {
-    systick_schedule(cpu);
+    systick_create(cpu);
 }

@@ -45,7 +45,7 @@ static bool edge_selected(unsigned enable, bool rising) {
     return enable == 3 || enable == (rising ? 1u : 2u);
 }
 
-void adc_trigger_edge(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps) {
+static void trigger_edge(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps) {
     if (!chip->trigger_heard[trigger]) {
         return;
     }
@@ -210,6 +210,8 @@ void adc_create(chip_t *chip) {
         model_description_t description[3];
     } *const storage = chip_allocate(chip, sizeof *storage);
     chip->adc = &storage->adc;
+    chip->signals.convert = trigger_edge;
+    chip->signals.last_transfer = adc_last_transfer;
     for (unsigned i = 0; i < 3; i++) {
         unit_t *const u = &chip->adc->unit[i];
         u->number = i;

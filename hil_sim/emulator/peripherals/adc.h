@@ -114,7 +114,6 @@ void adc_start_injected(unit_t *u, int64_t time_ps);
 void adc_stop(unit_t *u);
 
 /* adc_multi.c */
-unsigned adc_multi_units(const adc_t *adc); /* 1: independent mode. */
 /* Does this unit only follow ADC1 in this group? */
 bool adc_follows(const unit_t *u, activity_t group);
 /* The unit that leads this one's group, itself or ADC1, and how many go together, ADC1 first; 1: alone. */
@@ -130,5 +129,7 @@ bool adc_common_keep(adc_t *adc, uint32_t result);
 bool adc_common_request(adc_t *adc);
 uint32_t adc_common_read(adc_t *adc);
 void adc_common_forget(adc_t *adc);
+/* DMA moved the last item that a request line asked for. */
+void adc_last_transfer(chip_t *chip, dma_source_t source);
 
 #endif

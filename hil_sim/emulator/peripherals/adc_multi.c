@@ -11,7 +11,8 @@ static uint32_t multi(const adc_t *adc) {
     return reg(&adc->common, ADC_CCR) & 31u;
 }
 
-unsigned adc_multi_units(const adc_t *adc) {
+/* How many converters go together; 1: independent mode. */
+static unsigned units_together(const adc_t *adc) {
     return multi(adc) == 0 ? 1 : (multi(adc) & 16u) != 0 ? 3 : 2;
 }
 
@@ -21,7 +22,7 @@ static bool together(const adc_t *adc, activity_t group) {
 }
 
 bool adc_follows(const unit_t *u, activity_t group) {
-    return u->number > 0 && u->number < adc_multi_units(adc_of(u)) && together(adc_of(u), group);
+    return u->number > 0 && u->number < units_together(adc_of(u)) && together(adc_of(u), group);
 }
 
 unit_t *adc_leader(unit_t *u, activity_t group) {
@@ -30,7 +31,7 @@ unit_t *adc_leader(unit_t *u, activity_t group) {
 
 unsigned adc_members(const unit_t *leader, activity_t group) {
     const adc_t *const adc = adc_of(leader);
-    return leader->number == 0 && together(adc, group) ? adc_multi_units(adc) : 1;
+    return leader->number == 0 && together(adc, group) ? units_together(adc) : 1;
 }
 
 /* ---- The common data register ---- */
@@ -47,7 +48,7 @@ static bool wants_dma(const adc_t *adc) {
 
 bool adc_by_common(const unit_t *u) {
     const adc_t *const adc = adc_of(u);
-    return dma_mode(adc) != 0 && together(adc, REGULAR) && u->number < adc_multi_units(adc);
+    return dma_mode(adc) != 0 && together(adc, REGULAR) && u->number < units_together(adc);
 }
 
 bool adc_common_keep(adc_t *adc, uint32_t result) {
@@ -78,7 +79,7 @@ uint32_t adc_common_read(adc_t *adc) {
             adc->queue[i] = adc->queue[i + take];
         }
     }
-    for (unsigned i = 0; i < adc_multi_units(adc); i++) {
+    for (unsigned i = 0; i < units_together(adc); i++) {
         adc->unit[i].unread = false;
         adc->unit[i].model.value[ADC_SR / 4] &= ~EOC;
         adc_interrupt(&adc->unit[i]);
@@ -101,7 +102,7 @@ void adc_last_transfer(chip_t *chip, dma_source_t source) {
     }
     adc_t *const adc = chip->adc;
     unit_t *const u = &adc->unit[source - DMA_ADC1];
-    if (adc_multi_units(adc) > 1 && source == DMA_ADC1) {
+    if (units_together(adc) > 1 && source == DMA_ADC1) {
         adc->no_more_requests = (reg(&adc->common, ADC_CCR) >> 13 & 1u) == 0;
     } else {
         u->no_more_requests = (reg(&u->model, ADC_CR2) & DDS) == 0;

@@ -6,6 +6,7 @@
  */
 #include "emulator/peripherals/can.h"
 #include "emulator/peripherals/can_filter.h"
+#include "emulator/peripherals/outside.h"
 
 #include <string.h>
 

@@ -5,6 +5,7 @@
  * frame without acknowledge counts 8 transmit errors up to 128 (error passive): so a lone node never goes bus-off.
  */
 #include "emulator/peripherals/can.h"
+#include "emulator/peripherals/outside.h"
 
 #include <math.h>
 #include <string.h>

@@ -150,7 +150,7 @@ static trigger_t awaited(const channel_t *c) {
     return (control(c) & (EN | TEN)) == (EN | TEN) && source != SOFTWARE ? (trigger_t)triggers[source] : TRIGGER_NONE;
 }
 
-void dac_trigger_edge(chip_t *chip, trigger_t source, int64_t time_ps) {
+static void trigger_edge(chip_t *chip, trigger_t source, int64_t time_ps) {
     dac_t *const dac = (dac_t *)chip->dac;
     for (unsigned i = 0; i < 2; i++) {
         if (awaited(&dac->channel[i]) == source) {
@@ -293,6 +293,7 @@ void dac_create(chip_t *chip) {
                                                     .restart = restart};
     dac_t *const dac = chip_allocate(chip, sizeof *dac);
     chip->dac = &dac->model;
+    chip->signals.output = trigger_edge;
     for (unsigned i = 0; i < 2; i++) {
         dac->channel[i].dac = dac;
         dac->channel[i].number = i;

@@ -43,7 +43,8 @@ static uint32_t dma_flags(const dma_stream_t *s) {
     return s->dma->model.value[s->number / 4] >> flag_shift(s->number) & 0x3Du;
 }
 
-void dma_interrupt(dma_stream_t *s) {
+/* After a change of flags or enables. */
+static void interrupt(dma_stream_t *s) {
     const uint32_t cr = s->value[SCR / 4], f = dma_flags(s);
     /* DMEIE, TEIE, HTIE, TCIE are bits 1 to 4; their flags bits 2 to 5. */
     const bool level = ((cr << 1) & f & 0x3Cu) != 0 || ((s->value[SFCR / 4] & 0x80u) && (f & FEIF));
@@ -55,7 +56,7 @@ void dma_interrupt(dma_stream_t *s) {
 
 void dma_raise(dma_stream_t *s, uint32_t flag) {
     s->dma->model.value[s->number / 4] |= flag << flag_shift(s->number);
-    dma_interrupt(s);
+    interrupt(s);
 }
 
 /* Is the configuration one that RM0090 allows? Says so if not. */
@@ -179,7 +180,7 @@ static void write_control(dma_stream_t *s, uint32_t value) {
             enable(s);
         }
     }
-    dma_interrupt(s);
+    interrupt(s);
 }
 
 static void write_stream(dma_stream_t *s, uint32_t offset, uint32_t value) {
@@ -195,7 +196,7 @@ static void write_stream(dma_stream_t *s, uint32_t offset, uint32_t value) {
             return;
         }
         s->value[SFCR / 4] = value & 0x87u;
-        dma_interrupt(s);
+        interrupt(s);
         return;
     }
     const bool idle_buffer = (cr & DBM) && offset == ((cr & CT) ? SM0AR : SM1AR);
@@ -229,7 +230,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
         const unsigned half = (offset - LIFCR) / 4;
         model->value[half] &= ~value;
         for (unsigned i = 4 * half; i < 4 * half + 4; i++) {
-            dma_interrupt(&dma->stream[i]);
+            interrupt(&dma->stream[i]);
         }
         return;
     }
@@ -243,7 +244,7 @@ static void restart(model_t *model) {
         dma_disable(s);
         s->fifo_count = 0;
         s->direct = true;
-        dma_interrupt(s);
+        interrupt(s);
         s->line = false;
     }
 }
@@ -288,15 +289,4 @@ void dma_create(chip_t *chip) {
         }
         model_attach(chip, &dma->model, &descriptions[i]);
     }
-}
-
-/* ---- machine.h ---- */
-
-void dma_request_pulse(machine_t *machine, const char *source) {
-    const dma_source_t line = dma_source(source);
-    if (line == DMA_NONE) {
-        machine_violation(machine, "DMA: there is no request line %s", source);
-        return;
-    }
-    dma_line_pulse(chip_of(machine), line);
 }

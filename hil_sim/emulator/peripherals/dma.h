@@ -53,7 +53,6 @@ struct dma {
 
 /* dma.c */
 const char *dma_name(const dma_stream_t *s); /* Of its controller. */
-void dma_interrupt(dma_stream_t *s);         /* After a change of flags or enables. */
 void dma_raise(dma_stream_t *s, uint32_t flag);
 
 /* dma_stream.c */

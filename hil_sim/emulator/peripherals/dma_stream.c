@@ -111,7 +111,7 @@ static void count(dma_stream_t *s, dma_source_t source) {
         return;
     }
     s->peripheral_offset = 0;
-    adc_last_transfer(s->dma->model.chip, source);
+    s->dma->model.chip->signals.last_transfer(s->dma->model.chip, source);
     if (s->value[SCR / 4] & (CIRC | DBM)) {
         s->value[SNDTR / 4] = s->reload;
         if (s->value[SCR / 4] & DBM) {

@@ -40,8 +40,8 @@ static void edge(exti_t *exti, unsigned line, int64_t time_ps) {
                               : line == 15 ? TRIGGER_EXTI15
                                            : TRIGGER_NONE;
     if (trigger != TRIGGER_NONE) {
-        adc_trigger_edge(exti->exti.chip, trigger, true, time_ps);
-        dac_trigger_edge(exti->exti.chip, trigger, time_ps);
+        exti->exti.chip->signals.convert(exti->exti.chip, trigger, true, time_ps);
+        exti->exti.chip->signals.output(exti->exti.chip, trigger, time_ps);
     }
     if (reg(&exti->exti, IMR) & bit) {
         exti->exti.value[PR / 4] |= bit;
@@ -49,7 +49,7 @@ static void edge(exti_t *exti, unsigned line, int64_t time_ps) {
     }
 }
 
-void exti_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
+static void pin_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
     exti_t *const exti = chip->exti;
     const unsigned line = pin % 16;
     const uint32_t selected = reg(&exti->exti, level ? RTSR : FTSR);
@@ -122,10 +122,7 @@ void exti_create(chip_t *chip) {
                                                     .set = exti_set,
                                                     .restart = exti_restart};
     chip->exti = chip_allocate(chip, sizeof *chip->exti);
+    chip_listen_to_pins(chip, pin_edge);
     model_attach(chip, &chip->exti->syscfg, &syscfg);
     model_attach(chip, &chip->exti->exti, &description);
-}
-
-void exti_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps) {
-    exti_edge(chip_of(machine), pin, level, time_ps);
 }

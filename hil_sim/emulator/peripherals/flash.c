@@ -12,7 +12,7 @@ static const register_layout_t registers[] = {
 
 typedef struct {
     model_t model;
-    unsigned keys;  /* Of the unlock sequence, correct so far. */
+    unsigned keys;  /* Correct keys of the unlock sequence so far. */
     bool key_error; /* Locked until reset. */
 } flash_t;
 
@@ -69,10 +69,6 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
 static void restart(model_t *model) {
     ((flash_t *)model)->keys = 0;
     ((flash_t *)model)->key_error = false;
-}
-
-unsigned flash_wait_states(const chip_t *chip) {
-    return reg(chip->flash, ACR) & 7u;
 }
 
 void flash_create(chip_t *chip) {

@@ -1,5 +1,6 @@
 /* gpio.c: general-purpose ports A to I (RM0090 8.4). */
 #include "emulator/peripherals/model.h"
+#include "emulator/peripherals/outside.h"
 
 enum {
     MODER = 0x00,
@@ -103,8 +104,9 @@ static void update(port_t *port, uint16_t pins, int64_t time_ps) {
             release(port, pin, level, time_ps);
         }
         if (level != was) {
-            exti_edge(chip, port->number * 16 + pin, level, time_ps);
-            tim_edge(chip, port->number * 16 + pin, level, time_ps);
+            for (unsigned i = 0; i < CHIP_PIN_LISTENERS && chip->signals.pin_edge[i] != NULL; i++) {
+                chip->signals.pin_edge[i](chip, port->number * 16 + pin, level, time_ps);
+            }
         }
     }
 }
@@ -246,11 +248,7 @@ void gpio_create(chip_t *chip) {
     }
 }
 
-/* ---- machine.h and the other models ---- */
-
-bool chip_pin_level(const chip_t *chip, unsigned pin) {
-    return pin / 16 < GPIO_COUNT && (chip->gpio->port[pin / 16].level >> pin % 16 & 1u) != 0;
-}
+/* ---- The outside and the other models ---- */
 
 bool chip_pin_is_alternate(const chip_t *chip, unsigned pin, unsigned af) {
     if (pin / 16 >= GPIO_COUNT) {
@@ -263,16 +261,6 @@ bool chip_pin_is_alternate(const chip_t *chip, unsigned pin, unsigned af) {
 
 bool chip_pin_is_analog(const chip_t *chip, unsigned pin) {
     return pin / 16 < GPIO_COUNT && mode(&chip->gpio->port[pin / 16], pin % 16) == MODE_ANALOG;
-}
-
-bool gpio_level(const machine_t *machine, unsigned pin) {
-    return chip_pin_level(chip_of(machine), pin);
-}
-bool gpio_is_alternate(const machine_t *machine, unsigned pin, unsigned af) {
-    return chip_pin_is_alternate(chip_of(machine), pin, af);
-}
-bool gpio_is_analog(const machine_t *machine, unsigned pin) {
-    return chip_pin_is_analog(chip_of(machine), pin);
 }
 
 void gpio_pin_in(machine_t *machine, unsigned pin, bool level, int64_t time_ps) {

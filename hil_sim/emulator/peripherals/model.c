@@ -136,6 +136,15 @@ void *chip_allocate(chip_t *chip, size_t size) {
     return memory;
 }
 
+void chip_listen_to_pins(chip_t *chip, pin_edge_t listener) {
+    for (unsigned i = 0; i < CHIP_PIN_LISTENERS; i++) {
+        if (chip->signals.pin_edge[i] == NULL) {
+            chip->signals.pin_edge[i] = listener;
+            return;
+        }
+    }
+}
+
 void chip_irq_shared(chip_t *chip, unsigned position, bool *held, bool level) {
     if (*held != level) {
         *held = level;

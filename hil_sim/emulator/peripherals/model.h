@@ -1,6 +1,12 @@
 /* model.h: what the peripheral models of one chip share: register tables with their rules, clock domains, and signals
  * between models.
  *
+ * A model's create function takes memory (chip_allocate), fills in a description and attaches (model_attach); from then
+ * on its set, get and restart functions are called. A model that must know a lower one calls it (the end of this file
+ * lists the functions by file); a model that only sends, whoever listens, uses chip_t.signals. So models call each
+ * other in one direction only: RCC and the watchdogs above the timers, those and the converters above DMA, DMA and the
+ * links above the pins.
+ *
  * A model is a struct whose first member is model_t. Its register table holds, for each register, the offset, the reset
  * value and the bits that RM0090 defines; everything else is reserved. model.c applies the rules that hold for every
  * register, and only then calls the model:
@@ -19,7 +25,7 @@
 typedef struct chip chip_t;
 typedef struct model model_t;
 
-/* Widths that a peripheral takes: sum of bytes. */
+/* Widths that a peripheral takes: a sum of bytes. */
 enum { WIDTH_8 = 1, WIDTH_16 = 2, WIDTH_32 = 4, WIDTH_ANY = 7 };
 typedef enum { BUS_AHB, BUS_APB1, BUS_APB2, BUS_CORE } bus_t;
 
@@ -32,9 +38,12 @@ typedef struct {
     unsigned read_widths, write_widths;
     const register_layout_t *registers;
     unsigned register_count;
-    uint32_t (*get)(model_t *model, uint32_t offset);             /* NULL: the stored value. Offset is of the word. */
-    void (*set)(model_t *model, uint32_t offset, uint32_t value); /* The whole word that the write makes. */
-    void (*restart)(model_t *model); /* After the stored values went back to reset. May be NULL. */
+    /* The value of the word at an offset; NULL: the stored value. */
+    uint32_t (*get)(model_t *model, uint32_t offset);
+    /* A write; value is the whole word that it makes. */
+    void (*set)(model_t *model, uint32_t offset, uint32_t value);
+    /* After the stored values went back to reset. May be NULL. */
+    void (*restart)(model_t *model);
 } model_description_t;
 
 struct model {
@@ -44,19 +53,10 @@ struct model {
     machine_t *machine;
     uint32_t value[MODEL_WORDS];
     uint8_t slot[MODEL_WORDS]; /* Index in the register table plus 1, by word. */
-    bool clocked, in_reset, settling;
-    int64_t settled_ps;
+    bool clocked, in_reset;    /* As RCC has it. */
+    bool settling;             /* Its clock was enabled, and nobody has accessed it since. */
+    int64_t settled_ps;        /* From then on an access is allowed. */
 };
-
-/* Fill in a model and attach it. base and name of the description may be replaced (instances). */
-void model_attach(chip_t *chip, model_t *model, const model_description_t *description);
-void model_reset(model_t *model);
-void model_clock(model_t *model, bool on, int64_t settled_ps); /* RCC: enable bit changed. */
-/* Something that RM0090 defines and this model does not do. */
-void model_missing(model_t *model, const char *what);
-const char *model_name(const model_t *model);
-/* Memory of a model, zeroed; freed with the machine. */
-void *chip_allocate(chip_t *chip, size_t size);
 
 static inline uint32_t reg(const model_t *model, uint32_t offset) {
     return model->value[offset / 4];
@@ -67,11 +67,13 @@ static inline uint32_t field(uint32_t value, unsigned shift, unsigned width) {
 
 /* ---- Clock domains: exact tick times. Tick n is at anchor + (n - anchor_tick) * period. ---- */
 typedef struct {
-    double hz, period_ps, nominal_hz;
+    double hz, period_ps; /* As they are, crystal error included. */
+    double nominal_hz;    /* With perfect oscillators. */
     int64_t anchor_ps, anchor_tick;
 } clock_domain_t;
-int64_t clock_time(const clock_domain_t *domain, int64_t tick);    /* First picosecond of the tick. */
-int64_t clock_tick(const clock_domain_t *domain, int64_t time_ps); /* Tick that time lies in. */
+/* The first picosecond of a tick, and the tick that a time lies in. */
+int64_t clock_time(const clock_domain_t *domain, int64_t tick);
+int64_t clock_tick(const clock_domain_t *domain, int64_t time_ps);
 
 typedef struct rcc rcc_t;
 typedef struct gpio gpio_t;
@@ -190,6 +192,19 @@ typedef enum {
     TRIGGER_NONE
 } trigger_t;
 
+/* ---- Signals from models that do not know who listens. Each listener enters itself when it is created. ---- */
+enum { CHIP_PIN_LISTENERS = 2 };
+typedef void (*pin_edge_t)(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
+typedef struct {
+    pin_edge_t pin_edge[CHIP_PIN_LISTENERS]; /* GPIO: a pin's level changed. EXTI, then the timers. */
+    /* A timer or EXTI: an edge of a trigger of the analog-to-digital converters. */
+    void (*convert)(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps);
+    /* A timer or EXTI: a rising edge of a trigger of the digital-to-analog converter. */
+    void (*output)(chip_t *chip, trigger_t trigger, int64_t time_ps);
+    /* DMA: the last transfer that a line asked for (NDTR became 0). The analog-to-digital converters. */
+    void (*last_transfer)(chip_t *chip, dma_source_t source);
+} chip_signals_t;
+
 enum { TIM_COUNT = 14, USART_COUNT = 6, GPIO_COUNT = 9 };
 
 struct chip {
@@ -207,6 +222,7 @@ struct chip {
     usart_t *usart[USART_COUNT];
     can_t *can[2];
     dma_lines_t lines;
+    chip_signals_t signals;
     bool trigger_heard[TRIGGER_COUNT];  /* An analog-to-digital converter listens: the timer must make events. */
     bool trigger_wanted[TRIGGER_COUNT]; /* The same for the digital-to-analog converter. */
     uint8_t shared_irq[82];             /* Count of the sources that hold a shared interrupt line high. */
@@ -216,48 +232,59 @@ struct chip {
     unsigned model_count;
 };
 
+/* The chip of a machine whose peripherals exist, and its model of a name; NULL if there is none. */
 chip_t *chip_of(const machine_t *machine);
+model_t *chip_model(const chip_t *chip, const char *name);
+
+/* Memory of a model, zeroed; freed with the machine. Ends the process if there is none. */
+void *chip_allocate(chip_t *chip, size_t size);
+
+/* Enter a listener for edges of pins, behind those that are there. */
+void chip_listen_to_pins(chip_t *chip, pin_edge_t listener);
 
 /* An interrupt line that several sources drive. held is the source's memory of what it last said. */
 void chip_irq_shared(chip_t *chip, unsigned position, bool *held, bool level);
 
-/* rcc.c */
+/* Fill in a model and attach it. Instances of one kind each need a description, with their name and base. */
+void model_attach(chip_t *chip, model_t *model, const model_description_t *description);
+/* Registers back to their reset values, then the description's restart. */
+void model_reset(model_t *model);
+/* For RCC: the enable bit changed; an access before settled_ps is too soon. */
+void model_clock(model_t *model, bool on, int64_t settled_ps);
+/* A violation: the program wants something that RM0090 defines and this model does not do. */
+void model_missing(model_t *model, const char *what);
+const char *model_name(const model_t *model);
+
+/* ---- The models, by file ---- */
+
+/* rcc.c, rcc_clocks.c */
 void rcc_create(chip_t *chip);
-void rcc_check_limits(chip_t *chip); /* Wait states or voltage scale changed. */
+void rcc_check_limits(chip_t *chip); /* After wait states or voltage scale changed: are they enough? */
 double rcc_lsi_hz(const chip_t *chip);
 bool rcc_pll_ready(const chip_t *chip);
-void rcc_force_lsi(chip_t *chip);
-model_t *chip_model(const chip_t *chip, const char *name);
+void rcc_force_lsi(chip_t *chip); /* The independent watchdog runs: its oscillator does, until reset. */
 /* pwr.c, flash.c */
 void pwr_create(chip_t *chip);
-unsigned pwr_scale(const chip_t *chip); /* 1 (up to 168 MHz) or 2 (144 MHz). */
 void flash_create(chip_t *chip);
-unsigned flash_wait_states(const chip_t *chip);
-/* gpio.c */
+/* gpio.c; pins are numbered as in board_edge.h, af is the alternate function. */
 void gpio_create(chip_t *chip);
-bool chip_pin_level(const chip_t *chip, unsigned pin);
 bool chip_pin_is_alternate(const chip_t *chip, unsigned pin, unsigned af);
 bool chip_pin_is_analog(const chip_t *chip, unsigned pin);
 /* exti.c */
 void exti_create(chip_t *chip);
-void exti_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
-/* dma.c */
+/* dma.c, dma_stream.c, dma_map.c */
 void dma_create(chip_t *chip);
 dma_source_t dma_source(const char *name); /* DMA_NONE if there is no such line. */
 void dma_line(chip_t *chip, dma_source_t source, bool level);
-void dma_line_pulse(chip_t *chip, dma_source_t source);
+void dma_line_pulse(chip_t *chip, dma_source_t source); /* A request that falls when it is served. */
 /* tim.c */
 void tim_create(chip_t *chip);
-void tim_before_change(chip_t *chip); /* Around a change of clocks or of who listens to a timer. */
+/* Around a change of clocks or of who listens to a timer. */
+void tim_before_change(chip_t *chip);
 void tim_after_change(chip_t *chip);
-void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
-/* adc.c */
+/* adc.c, dac.c, usart.c, can.c, watchdog.c, crc.c, rng.c */
 void adc_create(chip_t *chip);
-void adc_last_transfer(chip_t *chip, dma_source_t source); /* The stream's last transfer (NDTR became 0). */
-void adc_trigger_edge(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps);
-/* dac.c, usart.c, can.c, watchdog.c, crc.c, rng.c */
 void dac_create(chip_t *chip);
-void dac_trigger_edge(chip_t *chip, trigger_t trigger, int64_t time_ps);
 void usart_create(chip_t *chip);
 void can_create(chip_t *chip);
 void watchdog_create(chip_t *chip);

@@ -1,9 +1,10 @@
-/* peripherals.c: create and attach every model. */
-#include "emulator/peripherals/model.h"
+#include "emulator/peripherals/peripherals.h"
 
 #include <stdlib.h>
 
-/* Of the model that was attached last, when all others are gone. */
+#include "emulator/peripherals/model.h"
+
+/* The destroy function of the model that was attached last: all others are gone when it is called. */
 static void destroy(peripheral_t *self) {
     chip_t *const chip = ((model_t *)self)->chip;
     for (unsigned i = 0; i < chip->allocated_count; i++) {
@@ -15,7 +16,7 @@ static void destroy(peripheral_t *self) {
 void peripherals_create(machine_t *machine) {
     chip_t *const chip = calloc(1, sizeof *chip);
     if (chip == NULL) {
-        abort(); /* A chip without peripherals would only mislead. */
+        abort();
     }
     chip->machine = machine;
     chip->config = machine_config(machine);

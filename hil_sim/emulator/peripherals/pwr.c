@@ -10,8 +10,8 @@ static const register_layout_t registers[] = {
 };
 
 static uint32_t get(model_t *model, uint32_t offset) {
-    return offset == CSR ? reg(model, CSR) | 1u << 14
-                         : reg(model, offset); /* VOSRDY: the regulator settles before the PLL locks. */
+    /* VOSRDY: the regulator settles before the PLL locks. */
+    return offset == CSR ? reg(model, CSR) | 1u << 14 : reg(model, offset);
 }
 
 static void set(model_t *model, uint32_t offset, uint32_t value) {
@@ -26,10 +26,6 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
     }
     model->value[CR / 4] = value & ~0xCu;
     rcc_check_limits(model->chip);
-}
-
-unsigned pwr_scale(const chip_t *chip) {
-    return reg(chip->pwr, CR) >> 14 & 1u ? 1 : 2;
 }
 
 void pwr_create(chip_t *chip) {

@@ -279,6 +279,7 @@ void tim_create(chip_t *chip) {
         tim_t tim[TIM_COUNT];
         model_description_t description[TIM_COUNT];
     } *const storage = chip_allocate(chip, sizeof *storage);
+    chip_listen_to_pins(chip, tim_pin_edge);
     for (unsigned i = 0; i < TIM_COUNT; i++) {
         tim_t *const t = &storage->tim[i];
         const tim_description_t *const what = &tim_descriptions[i];

@@ -137,6 +137,7 @@ void tim_rebase(tim_t *t, int64_t tick); /* Before the counter's rule changes: i
                                             prescaler's phase kept. */
 
 /* tim_channels.c */
+void tim_pin_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps); /* Listens to GPIO. */
 void tim_channels_init(tim_t *t);
 void tim_channels_restart(tim_t *t);
 void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps); /* OCxREF and what follows from it. */

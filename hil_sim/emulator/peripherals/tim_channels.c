@@ -21,7 +21,7 @@ void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps) 
     if (t->output[channel] != output) {
         t->output[channel] = output;
         if (t->what->first_channel_trigger != TRIGGER_NONE) {
-            adc_trigger_edge(chip, (trigger_t)(t->what->first_channel_trigger + channel), output, time_ps);
+            chip->signals.convert(chip, (trigger_t)(t->what->first_channel_trigger + channel), output, time_ps);
         }
     }
 }
@@ -159,7 +159,7 @@ static void filter_done(void *context, int64_t time_ps) {
     }
 }
 
-void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
+void tim_pin_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
     for (unsigned i = 0; i < tim_pin_count; i++) {
         if (tim_pins[i].pin != pin) {
             continue;
@@ -181,10 +181,6 @@ void tim_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
                              clock_time(t->clock, clock_tick(t->clock, time_ps) + ticks));
         }
     }
-}
-
-void tim_pin_edge(machine_t *machine, unsigned pin, bool level, int64_t time_ps) {
-    tim_edge(chip_of(machine), pin, level, time_ps);
 }
 
 /* ---- Registers ---- */

@@ -8,13 +8,13 @@ void tim_trgo(tim_t *t, bool rising, bool pulse, int64_t time_ps) {
         return;
     }
     if (chip->trigger_heard[t->what->trgo]) {
-        adc_trigger_edge(chip, t->what->trgo, rising, time_ps);
+        chip->signals.convert(chip, t->what->trgo, rising, time_ps);
         if (pulse) {
-            adc_trigger_edge(chip, t->what->trgo, !rising, time_ps);
+            chip->signals.convert(chip, t->what->trgo, !rising, time_ps);
         }
     }
     if (rising) {
-        dac_trigger_edge(chip, t->what->trgo, time_ps);
+        chip->signals.output(chip, t->what->trgo, time_ps);
         for (unsigned i = 0; t->slaves >> i != 0; i++) {
             if ((t->slaves >> i & 1u) != 0) {
                 tim_slave_trigger(chip->tim[i], time_ps);

@@ -6,6 +6,7 @@
  * flow control, mute, break.
  */
 #include "emulator/peripherals/model.h"
+#include "emulator/peripherals/outside.h"
 
 #include <math.h>
 

@@ -12,7 +12,7 @@ IWDG, WWDG, CRC = 0x40003000, 0x40002C00, 0x40023000
 
 
 def core_clock(chip: Bench) -> float:
-    return float(chip.lib.machine_core_clock(chip.machine))
+    return float(chip.lib.machine_bench_core_clock(chip.machine))
 
 
 def test_crystal_starts_after_two_milliseconds(chip: Bench) -> None:
@@ -39,8 +39,8 @@ def test_pll_and_prescalers(ppm: float) -> None:
     scale = 1 + ppm * 1e-6
     assert core_clock(chip) == pytest.approx(168e6 * scale, rel=1e-12)
     for name, bus, timer in (("TIM1", 84e6, 168e6), ("TIM2", 42e6, 84e6)):
-        assert chip.lib.rcc_bus_clock(chip.machine, name.encode()) == pytest.approx(bus * scale, rel=1e-12)
-        assert chip.lib.rcc_timer_clock(chip.machine, name.encode()) == pytest.approx(timer * scale, rel=1e-12)
+        assert chip.lib.machine_bench_bus_clock(chip.machine, name.encode()) == pytest.approx(bus * scale, rel=1e-12)
+        assert chip.lib.machine_bench_timer_clock(chip.machine, name.encode()) == pytest.approx(timer * scale, rel=1e-12)
     assert not chip.report
     chip.close()
 

@@ -289,10 +289,10 @@ def test_request_map(fast_chip: Bench, controller: int, n: int, channel: int, li
     allowed = {x[3] for x in MAP if x[:3] == (controller, n, channel)}
     for other in sorted({x[3] for x in MAP} - allowed):
         if not (line.startswith("TIM") and other.startswith(line[:4])):
-            chip.lib.dma_request_pulse(chip.machine, other.encode())
+            assert chip.lib.machine_bench_dma_pulse(chip.machine, other.encode())
     count = base + 0x14 + 0x18 * n
     assert chip.read(count) == 9
-    chip.lib.dma_request_pulse(chip.machine, line.encode())
+    assert chip.lib.machine_bench_dma_pulse(chip.machine, line.encode())
     assert chip.read(count) == 8
     assert chip.read(TIM3 + CCR1) == 0x55
 
@@ -303,7 +303,7 @@ def test_half_and_full_transfer(fast_chip: Bench) -> None:
     stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | TCIE | HTIE, 4, TIM3 + CNT, SRAM)
     seen = []
     for _ in range(4):
-        chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+        assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
         seen.append((flags(chip, DMA1, 1), chip.irq(12), chip.read(DMA1 + 0x2C)))
     assert seen == [(0, False, 3), (0x10, True, 2), (0x10, True, 1), (0x30, True, 0)]
     assert chip.read(SRAM + 4) == 0xBEEFBEEF
@@ -317,7 +317,7 @@ def test_double_buffer_and_its_free_address(fast_chip: Bench) -> None:
     stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | DBM | CIRC, 2, TIM3 + CNT, SRAM, second=SRAM + 0x100)
     for value in range(1, 7):
         chip.write(TIM3 + CNT, value)
-        chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+        assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
         assert bool(chip.read(DMA1 + 0x28) & CT) == (value in (2, 3, 6))
         if value == 3:
             chip.write(DMA1 + 0x34, SRAM + 0x200)  # M0AR, while buffer 1 is in use
@@ -332,9 +332,9 @@ def test_memory_side_is_prefetched(fast_chip: Bench) -> None:
     chip.write(SRAM, 0x00020001)
     stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | TO_PERIPHERAL, 2, TIM3 + CCR1, SRAM)
     chip.write(SRAM, 0x00990098)
-    chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+    assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
     assert chip.read(TIM3 + CCR1) == 1
-    chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+    assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
     assert chip.read(TIM3 + CCR1) == 0x99
 
 
@@ -344,7 +344,7 @@ def test_fifo_packs_and_flushes(fast_chip: Bench) -> None:
     stream(chip, DMA1, 1, control, 6, TIM3 + CNT, SRAM, fifo=0x20 | 4 | 1)  # Threshold a half: 8 bytes
     for value in range(1, 7):
         chip.write(TIM3 + CNT, value)
-        chip.lib.dma_request_pulse(chip.machine, b"TIM6_UP")
+        assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
         if value == 3:
             assert chip.read(SRAM) == 0
             assert chip.read(DMA1 + 0x3C) >> 3 & 7 == 1
@@ -402,7 +402,7 @@ def test_core_coupled_memory_is_out_of_reach(
     chip = fast_chip
     stream(chip, DMA2, 5, 6 << 25 | WORDS | MINC | 1 << 2 | control, 4, peripheral, memory, fifo=fifo)
     if control in (TO_PERIPHERAL, TO_MEMORY):
-        chip.lib.dma_request_pulse(chip.machine, b"TIM1_UP")
+        assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM1_UP")
     chip.run(MICROSECOND)
     assert flags(chip, DMA2, 5) & 8
     assert chip.irq(68)

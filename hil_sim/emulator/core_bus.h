@@ -1,0 +1,14 @@
+/* core_bus.h: the core's side of the buses: what is mapped where in Unicorn, and accesses that are not plain memory. */
+#ifndef GOLDFIELD_CORE_BUS_H
+#define GOLDFIELD_CORE_BUS_H
+
+#include "emulator/processor.h"
+
+/* Map the machine's memories, the peripheral areas and the private peripheral bus. Returns Unicorn's error. */
+uc_err core_bus_map(cpu_t *cpu);
+
+/* Note a fault of the last instruction; it is taken before the next. The instruction itself goes on, as Unicorn cannot
+ * abandon it inside an access. */
+void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address);
+
+#endif

@@ -1,0 +1,19 @@
+/* inputs.h: signals from outside of the chip, as board_operations_t offers them.
+ *
+ * Each waits in the machine's event heap for its time; one that is not in the future acts at once. A board_t here is a
+ * machine_t, with or without a processor.
+ */
+#ifndef GOLDFIELD_INPUTS_H
+#define GOLDFIELD_INPUTS_H
+
+#include "emulator/machine.h"
+
+void inputs_pin(board_t *board, unsigned pin, bool level, int64_t time_ps);
+void inputs_uart(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps);
+void inputs_can(board_t *board, const board_frame_t *frame, int64_t time_ps);
+void inputs_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps);
+
+/* Free the signals of a machine that is about to be destroyed, those that wait included. */
+void inputs_destroy(machine_t *machine);
+
+#endif

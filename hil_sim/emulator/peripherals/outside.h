@@ -1,0 +1,22 @@
+/* outside.h: signals from outside of the chip, as they reach its peripherals at their time (inputs.h brings them).
+ *
+ * Pins are numbered as in board_edge.h; times are picoseconds and never before the machine's present.
+ */
+#ifndef GOLDFIELD_OUTSIDE_H
+#define GOLDFIELD_OUTSIDE_H
+
+#include "emulator/machine.h"
+
+/* gpio.c: the pin is driven to a level. A pin that does not exist is a violation. */
+void gpio_pin_in(machine_t *machine, unsigned pin, bool level, int64_t time_ps);
+
+/* usart.c: the stop bit of a byte, sent at a bit rate of baud, ended. */
+void usart_byte_in(machine_t *machine, unsigned uart, uint8_t byte, uint32_t baud, int64_t time_ps);
+
+/* can_receive.c: a frame on the network became valid. */
+void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_ps);
+
+/* can_transmit.c: the frame of a mailbox is through (ok), or failed. */
+void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_ps);
+
+#endif
