@@ -5,8 +5,8 @@
 
 #include <stddef.h>
 
-/* Room for at least needed items: returns items, or where they have been moved to; updates *capacity (at least
- * doubled when it grows). */
+/* Make room for at least needed items of item_size bytes, and update *capacity, which at least doubles when it grows.
+ * Returns the items, which may have moved. */
 void *array_reserve(void *items, size_t *capacity, size_t needed, size_t item_size);
 
 #endif

@@ -23,16 +23,16 @@ static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps)
     board_slot_t *const slot = context;
     const rig_pin_change_t change = {
         .time_ps = time_ps, .board = (uint16_t)slot->number, .pin = (uint8_t)pin, .level = level};
-    bool wired = pin == SEAT_PIN_ENABLE || pin == SEAT_PIN_SYNC_OUT;
+    bool wired = pin == BOARD_PIN_ENABLE || pin == BOARD_PIN_SYNC_OUT;
     for (unsigned i = 0; i < slot->coils; ++i) {
         if (pin == channel_pins[i].bridge_1 || pin == channel_pins[i].bridge_2) {
             coil_input(&slot->coil[i], pin == channel_pins[i].bridge_1 ? 1 : 2, level, time_ps);
             wired = true;
-        } else if (pin == SEAT_PIN_ENABLE) {
+        } else if (pin == BOARD_PIN_ENABLE) {
             coil_enable(&slot->coil[i], level, time_ps);
         }
     }
-    if (pin == SEAT_PIN_SYNC_OUT) {
+    if (pin == BOARD_PIN_SYNC_OUT) {
         keep_change(&slot->sync_changes, &slot->sync_count, &slot->sync_capacity, change);
     }
     if (wired && slot->watch) {
@@ -63,22 +63,23 @@ static double on_analog_in(void *context, unsigned pin, int64_t time_ps) {
 static void on_uart_out(void *context, unsigned uart, uint8_t byte, int64_t time_ps) {
     board_slot_t *const slot = context;
     (void)time_ps;
-    if (uart == SEAT_SERIAL_PORT) {
+    if (uart == BOARD_SERIAL_PORT) {
         serial_line_received(&slot->serial, byte);
     }
 }
 
-static void keep_wish(board_slot_t *slot, board_slot_wish_t wish) {
-    slot->wishes = array_reserve(slot->wishes, &slot->wish_capacity, slot->wish_count + 1, sizeof *slot->wishes);
-    slot->wishes[slot->wish_count++] = wish;
+static void keep_request(board_slot_t *slot, board_slot_request_t request) {
+    slot->requests = array_reserve(slot->requests, &slot->request_capacity, slot->request_count + 1,
+                                   sizeof *slot->requests);
+    slot->requests[slot->request_count++] = request;
 }
 
 static void on_can_request(void *context, unsigned mailbox, const board_frame_t *frame, int64_t time_ps) {
-    keep_wish(context, (board_slot_wish_t){.mailbox = mailbox, .frame = *frame, .time_ps = time_ps});
+    keep_request(context, (board_slot_request_t){.mailbox = mailbox, .frame = *frame, .time_ps = time_ps});
 }
 
 static void on_can_abort(void *context, unsigned mailbox, int64_t time_ps) {
-    keep_wish(context, (board_slot_wish_t){.abort = true, .mailbox = mailbox, .time_ps = time_ps});
+    keep_request(context, (board_slot_request_t){.abort = true, .mailbox = mailbox, .time_ps = time_ps});
 }
 
 void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config,
@@ -103,7 +104,7 @@ void board_slot_free(board_slot_t *slot) {
         sensing_free(&slot->sensing);
     }
     serial_line_free(&slot->serial);
-    free(slot->wishes);
+    free(slot->requests);
     free(slot->sync_changes);
     free(slot->changes);
 }

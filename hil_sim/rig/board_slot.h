@@ -1,5 +1,7 @@
-/* board_slot.h: a board's place in the rig: what its pins, converters and links are wired to. Internal to the rig
- * (lockstep.h).
+/* board_slot.h: a board's slot in the rig: what its pins, converters and links are wired to. Internal to the rig.
+ *
+ * board_slot_init() makes the edge with which the board is created; from then on the board's outputs act on the slot's
+ * coils, serial line and lists, and its converters read them. lockstep.c empties the lists between two steps.
  *
  * Pins (boards/pinout.md), with i the channel: bridge inputs PC6/PC7 and PC4/PC5, set-points DAC channel 1 + i, current
  * senses PA0 and PA6; PC9 enables both bridges, PC10 is their fault; PC8 and PA10 are the sync wire's ends; the field
@@ -10,46 +12,56 @@
 #ifndef GOLDFIELD_BOARD_SLOT_H
 #define GOLDFIELD_BOARD_SLOT_H
 
-#include "rig/lockstep.h"
+#include "boards/board_edge.h"
+#include "rig/rig_board.h"
 #include "rig/serial_line.h"
 #include "world/sensing.h"
 
-enum { SEAT_PIN_SYNC_IN = 10, SEAT_PIN_SYNC_OUT = 40, SEAT_PIN_ENABLE = 41, SEAT_PIN_FAULT = 42, SEAT_SERIAL_PORT = 1 };
+enum {
+    BOARD_PIN_SYNC_IN = 10,
+    BOARD_PIN_SYNC_OUT = 40,
+    BOARD_PIN_ENABLE = 41,
+    BOARD_PIN_FAULT = 42,
+    BOARD_SERIAL_PORT = 1
+};
 
 /* What the board asked of the CAN bus. */
 typedef struct {
-    bool abort;
+    bool abort; /* It takes back the mailbox's request; else it makes one. */
     unsigned mailbox;
     board_frame_t frame;
     int64_t time_ps;
-} board_slot_wish_t;
+} board_slot_request_t;
 
 typedef struct {
-    unsigned number; /* Of the board. */
-    uint64_t seed;
-    int64_t lead_ps; /* How far it runs ahead of the rig's present. */
+    unsigned number; /* The board's. */
+    uint64_t seed;   /* The rig's. */
+    int64_t lead_ps; /* How far the board runs ahead of the rig's present. */
     board_edge_t edge;
     board_t *instance;
     const board_operations_t *operations;
-    board_status_t status;
+    board_status_t status; /* What its last step returned. */
     unsigned coils;
     coil_t *coil; /* The first of its coils. */
-    bool senses;
-    sensing_t sensing; /* If it does. */
-    bool sync_cut;
+    bool senses;  /* sensing is in use. */
+    sensing_t sensing;
+    bool sync_cut; /* Fault: its sync input is not connected. */
     serial_line_t serial;
-    board_slot_wish_t *wishes;
-    size_t wish_count, wish_capacity;
-    rig_pin_change_t *sync_changes; /* Of the sync output, not yet handed on. */
+    board_slot_request_t *requests; /* In order of time, not yet handed to the bus. */
+    size_t request_count, request_capacity;
+    rig_pin_change_t *sync_changes; /* Changes of its sync output, not yet handed on. */
     size_t sync_count, sync_capacity;
-    bool watch;
-    rig_pin_change_t *changes; /* Watched pins. */
+    bool watch;                /* Keep the changes of its pins. */
+    rig_pin_change_t *changes; /* Those that nobody has taken yet begin at change_first. */
     size_t change_first, change_count, change_capacity;
 } board_slot_t;
 
-/* A slot with its edge and coils; coil points to config.coils of them. The caller fills what else it has. */
+/* Make a slot with its edge, and its coils; coil points to config->coils of them. The caller fills in what else the
+ * slot has. */
 void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config,
                      coil_t *coil);
+
+/* Free what the slot holds; the board and the coils are the caller's. */
 void board_slot_free(board_slot_t *slot);
 
 #endif

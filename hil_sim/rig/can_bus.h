@@ -1,6 +1,9 @@
 /* can_bus.h: a CAN 2.0 bus: frame lengths with bit stuffing, arbitration by identifier, interframe space,
  * acknowledgement.
  *
+ * can_bus_create(), can_bus_join() for each node, then again and again: can_bus_request() and can_bus_abort() as the
+ * nodes ask, and can_bus_run() up to a time before which nobody will ask any more.
+ *
  * Time is picoseconds of virtual time. The bus decides up to a time (can_bus_run): everything requested before must be
  * known by then. A frame starts when the bus is idle (three bits after the frame before), among all requests made by
  * that moment the identifier that wins the bits' arbitration. It ends with the last bit of its end-of-frame field. That
@@ -31,11 +34,11 @@
 typedef struct can_bus can_bus_t;
 
 typedef struct {
-    unsigned node; /* Sender. */
+    unsigned node; /* The sender. */
     unsigned mailbox;
     board_frame_t frame;
     int64_t start_ps;
-    int64_t valid_ps; /* Receivers have it. */
+    int64_t valid_ps; /* Receivers have the frame. */
     int64_t end_ps;   /* The sender is through. */
     bool acknowledged;
 } can_transfer_t;
@@ -44,19 +47,23 @@ typedef struct {
 typedef void (*can_deliver_t)(void *context, const can_transfer_t *transfer);
 
 typedef struct {
-    uint64_t frames;
-    uint64_t unacknowledged;
-    uint64_t collisions; /* Two nodes with the same identifier. */
-    int64_t busy_ps;     /* Frames and interframe spaces. */
+    uint64_t frames;         /* Transfers, failed ones included. */
+    uint64_t unacknowledged; /* Transfers that failed. */
+    uint64_t collisions;     /* Two nodes sent the same identifier. */
+    int64_t busy_ps;         /* Sum of frames and interframe spaces. */
 } can_statistics_t;
 
+/* A bus of nodes 0 .. nodes - 1, of which none is there yet. Returns NULL if there is no memory. */
 can_bus_t *can_bus_create(unsigned nodes, uint32_t bits_per_second);
+/* bus may be NULL. */
 void can_bus_destroy(can_bus_t *bus);
 
-/* The node listens and acknowledges from a time on; before it is not there. */
+/* The node listens and acknowledges from a time on; before, it is not there. */
 void can_bus_join(can_bus_t *bus, unsigned node, int64_t time_ps);
 
+/* The node asks to send a frame from a mailbox, from a time on. */
 void can_bus_request(can_bus_t *bus, unsigned node, unsigned mailbox, const board_frame_t *frame, int64_t time_ps);
+
 /* Withdraw the latest request of a mailbox, unless its frame has started by then. */
 void can_bus_abort(can_bus_t *bus, unsigned node, unsigned mailbox, int64_t time_ps);
 
@@ -65,9 +72,11 @@ void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *
 
 void can_bus_statistics(const can_bus_t *bus, can_statistics_t *statistics);
 
-/* Bits from start of frame to the last bit of end of frame, stuff bits included, for an acknowledged frame. */
+/* Returns the bits from start of frame to the last bit of end of frame, stuff bits included, of an acknowledged frame.
+ */
 unsigned can_frame_bits(const board_frame_t *frame);
-/* Smaller wins the arbitration: the bits of the arbitration field in the order of the wire. */
+
+/* Returns the bits of the arbitration field in the order of the wire: the smaller wins. */
 uint32_t can_arbitration_key(const board_frame_t *frame);
 
 #endif

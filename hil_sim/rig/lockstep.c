@@ -4,7 +4,7 @@
 #include <string.h>
 
 #include "rig/array.h"
-#include "rig/rig_internal.h"
+#include "rig/lockstep_internal.h"
 
 /* ---- Between steps: the wires ---- */
 
@@ -20,7 +20,7 @@ static void serve_sync_wire(rig_t *rig) {
         for (unsigned board = 0; board < rig->slots; ++board) {
             board_slot_t *const slot = &rig->slot[board];
             if (board != rig->config.sync_master && !slot->sync_cut) {
-                slot->operations->pin_in(slot->instance, SEAT_PIN_SYNC_IN, change.level, change.time_ps);
+                slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, change.level, change.time_ps);
             }
         }
     }
@@ -54,15 +54,15 @@ static void deliver(void *context, const can_transfer_t *transfer) {
 static void serve_bus(rig_t *rig) {
     for (unsigned board = 0; board < rig->slots; ++board) {
         board_slot_t *const slot = &rig->slot[board];
-        for (size_t i = 0; i < slot->wish_count; ++i) {
-            const board_slot_wish_t *const wish = &slot->wishes[i];
-            if (wish->abort) {
-                can_bus_abort(rig->bus, board, wish->mailbox, wish->time_ps);
+        for (size_t i = 0; i < slot->request_count; ++i) {
+            const board_slot_request_t *const request = &slot->requests[i];
+            if (request->abort) {
+                can_bus_abort(rig->bus, board, request->mailbox, request->time_ps);
             } else {
-                can_bus_request(rig->bus, board, wish->mailbox, &wish->frame, wish->time_ps);
+                can_bus_request(rig->bus, board, request->mailbox, &request->frame, request->time_ps);
             }
         }
-        slot->wish_count = 0;
+        slot->request_count = 0;
     }
     can_bus_run(rig->bus, rig->now_ps, deliver, rig);
 }
@@ -74,12 +74,12 @@ static void serve_serial(rig_t *rig) {
         uint8_t byte;
         int64_t end_ps;
         while (serial_line_next(&slot->serial, rig->now_ps + slot->lead_ps + RIG_QUANTUM_PS, &byte, &end_ps)) {
-            slot->operations->uart_in(slot->instance, SEAT_SERIAL_PORT, byte, slot->serial.baud, end_ps);
+            slot->operations->uart_in(slot->instance, BOARD_SERIAL_PORT, byte, slot->serial.baud, end_ps);
         }
     }
 }
 
-/* Those that look at coils in the next step see what has happened up to now. */
+/* Did all boards get through the step? Those that look at coils in the next step see what has happened up to now. */
 static rig_status_t check_boards(rig_t *rig) {
     coils_t *const coils = &rig->coils;
     for (unsigned board = 0; board < rig->slots; ++board) {
@@ -230,9 +230,9 @@ void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_oper
     slot->instance = instance;
     slot->operations = operations;
     can_bus_join(rig->bus, board, power_on_ps);
-    operations->pin_in(instance, SEAT_PIN_SYNC_IN, false, 0);
+    operations->pin_in(instance, BOARD_PIN_SYNC_IN, false, 0);
     if (board != RIG_SENSOR) {
-        operations->pin_in(instance, SEAT_PIN_FAULT, true, 0);
+        operations->pin_in(instance, BOARD_PIN_FAULT, true, 0);
     }
 }
 

@@ -25,112 +25,109 @@
  *
  * All random numbers are functions of seed, board and time (world/noise.h).
  *
- * Board 0 is the sensor, the beacons follow. The caller creates each board with rig_edge(), connects it, and destroys
- * it after the rig. One thread calls the rig. Functions with a board number do not check it.
+ * Order of calls: rig_create(); for each board, create it with rig_edge() and hand it over with rig_connect();
+ * rig_set_path() for each sensor; then rig_run() again and again, and between two runs the links, looks and faults;
+ * rig_destroy(), and only then the boards. Board 0 is the sensor, the beacons follow. One thread calls the rig.
+ * Functions with a board number do not check it.
  */
 #ifndef GOLDFIELD_LOCKSTEP_H
 #define GOLDFIELD_LOCKSTEP_H
 
 #include "boards/board_edge.h"
 #include "rig/can_bus.h"
+#include "rig/rig_board.h"
 #include "world/ambient.h"
-#include "world/coil.h"
-#include "world/front_end.h"
 #include "world/path.h"
 
-#define RIG_QUANTUM_PS 20000000 /* 20 us. */
-#define RIG_SENSOR     0
-#define RIG_COILS      2 /* Most coils of a board: one a channel of its drive. */
+#define RIG_QUANTUM_PS 20000000 /* 20 us: see the bus's rule above. */
+#define RIG_SENSOR     0        /* The sensor's board number. */
 
 typedef struct rig rig_t;
-
-/* One board's analog side. */
-typedef struct {
-    unsigned coils; /* 0..RIG_COILS; coil i hangs on channel i. Coils of one board are crossed and do not couple. */
-    coil_config_t coil[RIG_COILS];
-    bool senses; /* It has a front end on its field converters. */
-    front_end_config_t front_end;
-} rig_board_config_t;
 
 typedef struct {
     uint64_t seed;
     unsigned beacons;
     unsigned sync_master;         /* Board number, 1..beacons. */
-    unsigned threads;             /* 1.. */
+    unsigned threads;             /* Most threads of a step, 1 or more. */
     uint32_t can_bits_per_second; /* 1,000,000 or less. */
-    uint32_t baud;                /* Of bytes sent to the boards. */
-    bool host_on_can; /* The host's adapter is on the bus: it acknowledges, and its frames are kept for rig_can_read().
-                       */
+    uint32_t baud;                /* Bit rate of bytes sent to the boards. */
+    /* The host's adapter is on the bus: it acknowledges, and its frames are kept for rig_can_read(). */
+    bool host_on_can;
     ambient_t ambient;
-    const rig_board_config_t *boards; /* beacons + 1: the sensor's, then the beacons'. */
+    const rig_board_config_t *boards; /* beacons + 1: the sensor's, then the beacons'. Copied. */
 } rig_config_t;
-
-/* NULL if the configuration breaks a rule above or there is no memory. */
-rig_t *rig_create(const rig_config_t *config);
-void rig_destroy(rig_t *rig);
-
-/* The edge to create a board with, and its power-on time: from then on it is on the CAN bus. */
-const board_edge_t *rig_edge(rig_t *rig, unsigned board);
-void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations,
-                 int64_t power_on_ps);
-
-/* The path of a board's sensor from now on; coefficients are copied. Columns must be 3 * coils + 9 (all boards'
- * coils, in order of board and channel). False if they are not, or the board has no sensor. */
-bool rig_set_path(rig_t *rig, unsigned board, const path_t *path);
 
 typedef enum {
     RIG_OK = 0,
-    RIG_BOARD_STOPPED = 1, /* rig_stopped_board() says which; ask its report. */
-    RIG_DRIVER_TOO_FAST =
-        2 /* A board changed its coil driver's inputs more than COIL_CHANGES_MAX times in one quantum. */
+    RIG_BOARD_STOPPED = 1,  /* rig_stopped_board() says which; its report says why. */
+    RIG_DRIVER_TOO_FAST = 2 /* A board changed its driver's inputs more than COIL_CHANGES_MAX times in one quantum. */
 } rig_status_t;
 
-/* Run all quanta that end at or before until_ps. All boards must be connected and the paths of all sensors set. */
-rig_status_t rig_run(rig_t *rig, int64_t until_ps);
-int64_t rig_now(const rig_t *rig); /* The sensor's present. */
-unsigned rig_stopped_board(const rig_t *rig);
-
-/* ---- Serial ---- */
-size_t rig_serial_read(rig_t *rig, unsigned board, uint8_t *bytes, size_t capacity);
-void rig_serial_write(rig_t *rig, unsigned board, const uint8_t *bytes, size_t count);
-
-/* ---- CAN ---- */
-/* Take the oldest transfer that the host's adapter saw. False if there is none. The node of the host is beacons + 1. */
-bool rig_can_read(rig_t *rig, can_transfer_t *transfer);
-/* The host's adapter wants to send. False if it is not on the bus. */
-bool rig_can_write(rig_t *rig, const board_frame_t *frame);
-void rig_can_statistics(const rig_t *rig, can_statistics_t *statistics);
-
-/* ---- What an observer of the bench sees ---- */
-/* Rising edges of the sync wire since the start, at or before the present; returns how many there are, copies from
- * number first on. */
-size_t rig_sync_edges(const rig_t *rig, size_t first, int64_t *times_ps, size_t capacity);
-
-typedef struct {
-    int64_t time_ps;
-    uint16_t board;
-    uint8_t pin;
-    bool level;
-} rig_pin_change_t;
-
-/* Keep the changes of every board's bridge inputs, enable and sync output from now on, and take them (board by board
- * in order of time). */
-void rig_watch_pins(rig_t *rig, bool watch);
-size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, size_t capacity);
-
-double rig_coil_current(const rig_t *rig, unsigned board,
-                        unsigned coil); /* At the present, ampere; the coil must be there. */
-/* The field at a board's sensor at the present, in its frame, before the front end; the board must have one. */
-void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3]);
-
-/* ---- Faults, from the present on ---- */
 typedef enum {
     RIG_FAULT_DRIVER = 0,        /* The driver pulls its fault output low (one for both channels). */
     RIG_FAULT_COIL_OPEN = 1,     /* The coil's wire is broken. */
     RIG_FAULT_SENSE_SHORTED = 2, /* The coil's current sense output lies at 0 V. */
     RIG_FAULT_SYNC_WIRE_CUT = 3  /* The board's sync input stays low. */
 } rig_fault_t;
-/* coil, which must be there, counts for the faults of a coil alone. */
+
+/* A rig without boards. Returns NULL if the configuration breaks a rule above or there is no memory. */
+rig_t *rig_create(const rig_config_t *config);
+void rig_destroy(rig_t *rig); /* rig may be NULL. */
+
+/* The edge to create a board with. */
+const board_edge_t *rig_edge(rig_t *rig, unsigned board);
+
+/* Hand a board over; it is on the CAN bus from its power-on time on, in picoseconds. */
+void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations,
+                 int64_t power_on_ps);
+
+/* The path of a board's sensor from now on; coefficients are copied. Columns must be 3 * coils + 9 (all boards'
+ * coils, in order of board and channel). Returns false if they are not, or the board has no sensor. */
+bool rig_set_path(rig_t *rig, unsigned board, const path_t *path);
+
+/* Run all quanta that end at or before until_ps. All boards must be connected and the paths of all sensors set. */
+rig_status_t rig_run(rig_t *rig, int64_t until_ps);
+
+/* Returns the sensor's present, picoseconds. */
+int64_t rig_now(const rig_t *rig);
+
+/* Returns the board that ended the last run, if it did not end well. */
+unsigned rig_stopped_board(const rig_t *rig);
+
+/* ---- Links, between two runs ---- */
+
+/* Take bytes that a board has sent, at most capacity. Returns how many. */
+size_t rig_serial_read(rig_t *rig, unsigned board, uint8_t *bytes, size_t capacity);
+/* Send bytes to a board, from its present on. */
+void rig_serial_write(rig_t *rig, unsigned board, const uint8_t *bytes, size_t count);
+
+/* Take the oldest transfer that the host's adapter saw; the host is node beacons + 1. Returns false if there is none.
+ */
+bool rig_can_read(rig_t *rig, can_transfer_t *transfer);
+/* The host's adapter asks to send. Returns false if it is not on the bus. */
+bool rig_can_write(rig_t *rig, const board_frame_t *frame);
+void rig_can_statistics(const rig_t *rig, can_statistics_t *statistics);
+
+/* ---- What an observer of the bench sees, between two runs ---- */
+
+/* Copy the times of the sync wire's rising edges from number first on, at most capacity. Returns how many there were
+ * since the start, at or before the present. */
+size_t rig_sync_edges(const rig_t *rig, size_t first, int64_t *times_ps, size_t capacity);
+
+/* Keep the changes of every board's bridge inputs, enable and sync output from now on, or stop keeping them. */
+void rig_watch_pins(rig_t *rig, bool watch);
+/* Take a board's oldest kept changes, in order of time, at most capacity. Returns how many. */
+size_t rig_pin_changes(rig_t *rig, unsigned board, rig_pin_change_t *changes, size_t capacity);
+
+/* Returns a coil's current at the present, ampere; the coil must be there. */
+double rig_coil_current(const rig_t *rig, unsigned board, unsigned coil);
+
+/* The field at a board's sensor at the present, in its frame, before the front end; the board must have one. */
+void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3]);
+
+/* ---- Faults, from the board's present on ---- */
+
+/* Make or mend a fault. coil counts for the faults of a coil alone, and must be there then. */
 void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active);
 
 #endif

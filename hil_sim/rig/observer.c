@@ -1,8 +1,7 @@
+/* observer.c: what lockstep.h offers to whoever stands beside the bench: links, looks, faults. */
 #include <string.h>
 
-#include "rig/rig_internal.h"
-
-/* What lockstep.h offers to whoever stands beside the bench: links, looks, faults. Called between steps. */
+#include "rig/lockstep_internal.h"
 
 size_t rig_serial_read(rig_t *rig, unsigned board, uint8_t *bytes, size_t capacity) {
     return serial_line_read(&rig->slot[board].serial, bytes, capacity);
@@ -79,7 +78,7 @@ void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, boo
     const int64_t time_ps = rig_now(rig) + slot->lead_ps;
     switch (fault) {
     case RIG_FAULT_DRIVER:
-        slot->operations->pin_in(slot->instance, SEAT_PIN_FAULT, !active, time_ps);
+        slot->operations->pin_in(slot->instance, BOARD_PIN_FAULT, !active, time_ps);
         break;
     case RIG_FAULT_COIL_OPEN:
         coil_open(&slot->coil[coil], active, time_ps);
@@ -89,7 +88,7 @@ void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, boo
         break;
     case RIG_FAULT_SYNC_WIRE_CUT:
         slot->sync_cut = active;
-        slot->operations->pin_in(slot->instance, SEAT_PIN_SYNC_IN, false, time_ps);
+        slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, false, time_ps);
         break;
     }
 }

@@ -109,7 +109,7 @@ void thread_pool_step(thread_pool_t *pool) {
             (void)sched_yield();
         }
     }
-    if (++pool->block_steps == CREW_BLOCK_STEPS) {
+    if (++pool->block_steps == THREAD_POOL_BLOCK_STEPS) {
         thread_pool_end(pool);
         choose_help(pool);
         thread_pool_begin(pool);
