@@ -82,11 +82,6 @@ hal_t *board_start(void) {
     return hal;
 }
 
-void interrupt_enable(unsigned irq, unsigned priority) {
-    NVIC->IPR[irq] = (uint8_t)(priority << 4);
-    NVIC->ISER[irq / 32] = 1u << (irq % 32);
-}
-
 void hal_counters(const hal_t *hal, hal_counters_t *counters) {
     *counters = hal->counters;
 }

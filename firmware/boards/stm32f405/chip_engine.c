@@ -47,8 +47,6 @@
 
 #include "boards/stm32f405/stm32f405.h"
 
-hal_t board;
-
 #define PIN_SET(pin)   (1u << (pin))
 #define PIN_RESET(pin) (1u << ((pin) + 16))
 

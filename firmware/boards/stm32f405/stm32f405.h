@@ -1,12 +1,15 @@
 /* stm32f405.h: inside this board. What its files share; nothing outside this directory includes it.
  *
- *   startup.c      vector table, reset, .data and .bss          clock.c      clock tree, waits with time-outs,
- *                  microseconds, tick
- *   crash.c        fault report over serial, then reset         board.c      pins, watchdog, interrupts, and what is
- *                  not the below
- *   chip_engine.c  TIM1, TIM8, DMA to pins and DAC, blocks, sync converters.c sensor's burst, coil currents,
- *                  temperature
- *   serial.c       USART1 with DMA both ways                    can.c        CAN1
+ *   interrupts.c   the one board that handlers see, and how a handler is switched on
+ *   clock.c        clock tree, waits with time-outs, microseconds, tick
+ *   serial.c       USART1 with DMA both ways
+ *   converters.c   the sensor's burst, coil currents, temperature
+ *   chip_engine.c  TIM1, TIM8, DMA to pins and DAC, blocks, sync
+ *   can.c          CAN1
+ *   board.c        pins, watchdog, and what is not the others'
+ *   crash.c        fault report over serial, then reset
+ *   startup.c      vector table, reset, .data and .bss
+ * A file calls only those above it in this list. Functions are declared below by file.
  *
  * Priorities (a lower number preempts): 0 time stamps of CAN frames, 1 coil currents, temperature and driver fault, 2
  * every other handler, 3 the 10 ms tick. The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a
@@ -77,35 +80,10 @@ struct hal {
     hal_frame_t can_stamped[CAN_STAMPS];
 };
 
+/* ---- interrupts.c ---- */
+
 extern hal_t board; /* The one board of this chip: interrupt handlers have no argument. */
-
-/* Poll until (*address & mask) == value, at most tries times (about 6 cycles each). False: it did not happen. */
-bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries);
-
-hal_clock_t clock_start(void);
-void clock_start_tick(hal_clock_t clock);
-void serial_start(hal_t *hal);
-void can_start(const hal_t *hal);
-void converters_start(const hal_t *hal);
 void interrupt_enable(unsigned irq, unsigned priority);
-
-typedef struct {
-    uint32_t chip;  /* Absolute. */
-    uint32_t ticks; /* Since it started. */
-} chip_time_t;
-/* The present. From handlers of normal priority or higher only: the block interrupt must not run to its end
- * meanwhile. About 40 instructions. */
-chip_time_t chip_now(const hal_t *hal);
-
-/* After an end of injected conversions. True: the counts are those of the coil currents; false: it was the
- * temperature. */
-bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
-
-/* At a block boundary: starts the temperature; stays in step with the chips. Samples of the finished block that are
- * not good read 0, which counts as saturated. */
-void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
-
-#define CHIP_RELOAD_TICKS 8000u /* In each chip, when DMA fetches the next chip's period (CC4). */
 
 /* Interrupts off; returns what restore() needs. Nests. */
 static inline uint32_t interrupts_off(void) {
@@ -120,6 +98,47 @@ static inline void interrupts_restore(uint32_t primask) {
 static inline void memory_barrier(void) {
     __asm volatile("dsb" ::: "memory");
 }
+
+/* ---- clock.c ---- */
+
+/* Poll until (*address & mask) == value, at most tries times (about 6 cycles each). Returns false if it did not
+ * happen. */
+bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries);
+hal_clock_t clock_start(void);
+void clock_start_tick(hal_clock_t clock);
+
+/* ---- serial.c ---- */
+
+void serial_start(hal_t *hal);
+
+/* ---- converters.c ---- */
+
+#define CHIP_RELOAD_TICKS 8000u /* In each chip, when DMA fetches the next chip's period (CC4). */
+
+typedef struct {
+    uint32_t chip;  /* Absolute. */
+    uint32_t ticks; /* Since it started. */
+} chip_time_t;
+
+void converters_start(const hal_t *hal);
+
+/* After an end of injected conversions. Returns true if the counts are those of the coil currents, false if it was the
+ * temperature. */
+bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
+
+/* At a block boundary: starts the temperature; stays in step with the chips. Samples of the finished block that are
+ * not good read 0, which counts as saturated. */
+void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
+
+/* ---- chip_engine.c ---- */
+
+/* The present. From handlers of normal priority or higher only: the block interrupt must not run to its end
+ * meanwhile. About 40 instructions. */
+chip_time_t chip_now(const hal_t *hal);
+
+/* ---- can.c ---- */
+
+void can_start(const hal_t *hal);
 
 /* The vector table's entries. */
 void Reset_Handler(void);
