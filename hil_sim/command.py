@@ -22,7 +22,7 @@ from hil_sim.links.can_bridge import DEFAULT, CanBridge
 from hil_sim.links.pseudo_terminal import PseudoTerminal
 from hil_sim.rig import SENSOR, Rig
 from hil_sim.rig.boards import KINDS
-from hil_sim.scenario import Scenario, load_scenario
+from hil_sim.scenario import Scenario, load_scenario, site_toml
 
 SLICE_S = 0.005
 """How often the links are served, virtual time."""
@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
     """
     scenario = load_scenario(arguments.scenario)
     if arguments.site is not None:
-        _write(arguments.site, scenario.site_toml())
+        _write(arguments.site, site_toml(scenario))
     with ExitStack() as stack:
         stack.enter_context(_interrupted_by_termination())
         bridge = None

@@ -14,7 +14,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from hil_sim.scenario import load_scenario
+from hil_sim.scenario import load_scenario, site_toml
 
 START_SECONDS = 3.0
 """Virtual time the boards get to boot, synchronise and ramp their currents up, beyond the seconds asked for."""
@@ -30,7 +30,7 @@ def main(argv: list[str] | None = None) -> int:
 
     with tempfile.TemporaryDirectory(prefix="goldfield-") as directory:
         truth, site = Path(directory) / "truth.jsonl", Path(directory) / "site.toml"
-        site.write_text(load_scenario(options.scenario).site_toml())
+        site.write_text(site_toml(load_scenario(options.scenario)))
         rig_command = ["hil", options.scenario, "--json", "--boards", options.boards, "--truth", str(truth)]
         print(f"starting {options.scenario} with {options.boards} boards ...", flush=True)
         with subprocess.Popen(

@@ -16,7 +16,7 @@ from goldfield.errors import SystemFailure, UserError
 from hil_sim import clib
 from hil_sim.rig import config as rig_config
 from hil_sim.rig.boards import Board, BoardFactory, BoardSpec, address, factory
-from hil_sim.scenario import Clock, Scenario
+from hil_sim.scenario import Clock, Scenario, parameter_page
 from hil_sim.world import path
 
 FloatArray = NDArray[np.float64]
@@ -161,7 +161,7 @@ class Rig:
                 role=self._role(number),
                 clock=clock,
                 unique_id=random.bytes(8) + number.to_bytes(4, "little"),
-                parameter_page=scenario.parameter_page(number),
+                parameter_page=parameter_page(scenario, number),
                 power_on_ps=int(delay_s * 1e12),
             )
             self._specs.append(spec)

@@ -1,8 +1,10 @@
 """Scenario files: what the rig simulates, in TOML and SI units; ``scenarios/prigge8.toml`` is a commented example."""
 
+from hil_sim.scenario.pages import parameter_page
 from hil_sim.scenario.parts import CONVERTER_COUNTS, Ambient, Beacon, Circuit, Clock, FrontEnd
 from hil_sim.scenario.reading import SCENARIOS, find, load, load_scenario
 from hil_sim.scenario.scenario import Scenario
+from hil_sim.scenario.site_file import site_toml
 
 __all__ = [
     "CONVERTER_COUNTS",
@@ -16,4 +18,6 @@ __all__ = [
     "find",
     "load",
     "load_scenario",
+    "parameter_page",
+    "site_toml",
 ]

@@ -1,22 +1,31 @@
-"""Parameter pages of the boards (``framing.md``)."""
+"""The boards' parameter pages for a scenario: what ``make flash`` would write into each board's flash memory."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from goldfield_protocol.parameters import Value, build_page
 from hil_sim.scenario.parts import DEGREE, Beacon, FrontEnd
-
-if TYPE_CHECKING:
-    from hil_sim.scenario.scenario import Scenario
+from hil_sim.scenario.scenario import Scenario
 
 
-def build(scenario: Scenario, board: int) -> bytes:
-    """Build the page of a board: 0 the sensor, then the beacons."""
+def parameter_page(scenario: Scenario, board: int) -> bytes:
+    """Build the parameter page of a board.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    board : int
+        0 is the sensor, i is the i-th beacon.
+
+    Raises
+    ------
+    goldfield_protocol.parameters.ParameterError
+        If a value does not fit the boards' parameters.
+    """
     if board == 0:
         own = _sensor(scenario)
     else:

@@ -14,6 +14,7 @@ from goldfield.errors import UserError
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
 from goldfield_protocol.parameters import ParameterError
+from hil_sim.scenario.pages import parameter_page
 from hil_sim.scenario.parts import (
     CHIP_PERIOD_S,
     DEGREE,
@@ -381,7 +382,7 @@ def _check_boards(root: Table, scenario: Scenario) -> None:
         raise root.table("sensor").error("pose", "is 1, but the board can tell apart plain codes alone: set pose = 0")
     try:
         for board in range(len(scenario.beacons) + 1):
-            scenario.parameter_page(board)
+            parameter_page(scenario, board)
     except ParameterError as error:
         raise root.error(
             "sensor" if board == 0 else "beacon", f"does not fit the boards' parameters: {error}"

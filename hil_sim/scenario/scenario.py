@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil_sim.scenario import pages, site_file
 from hil_sim.scenario.parts import DEGREE, Ambient, Beacon, FrontEnd, HalfSpace, Sensor
 from hil_sim.world.motion import Motion
 
@@ -50,11 +49,3 @@ class Scenario:
         if anchor is None:
             raise ValueError(f"beacon {self.beacons[board - 1].id} has no sensor")
         return anchor.motion
-
-    def parameter_page(self, board: int) -> bytes:
-        """Build a board's parameter page (``framing.md``)."""
-        return pages.build(self, board)
-
-    def site_toml(self) -> str:
-        """Write the host's site file for this scenario."""
-        return site_file.write(self)

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from goldfield.site.drive import Code
 from hil_sim.scenario.parts import CHIP_PERIOD_S, Beacon
+from hil_sim.scenario.scenario import Scenario
 from hil_sim.world.path import CoilGeometry
 
-if TYPE_CHECKING:
-    from hil_sim.scenario.scenario import Scenario
 
-
-def write(scenario: Scenario) -> str:
-    """Write the site file."""
+def site_toml(scenario: Scenario) -> str:
+    """Return the text of the site file with which the host knows the scenario's coils, drives and noise."""
     lines = [
         "[site]",
         f"name = {_toml(scenario.name)}",

@@ -133,11 +133,11 @@ def test_an_anchors_front_end_is_the_sensors_unless_it_says_otherwise(tmp_path):
     anchor = scene.beacons[1].sensor
     assert anchor.gain_error.tolist() == [0.01, -0.02, 0.015]
     assert (anchor.offset_T.tolist(), anchor.range_T, anchor.noise_T) == ([1e-6, 0.0, 0.0], 1e-3, 1e-7)
-    page = parse_page(scene.parameter_page(2))
+    page = parse_page(scenario.parameter_page(scene, 2))
     assert (page["node"], page["code"], page["code_list"]) == (2, 3, [2, 3, 4])
     assert page["zero_x"] == pytest.approx(2048 + 1e-6 * 2048 / 1e-3)
     assert np.array(page["calibration"]).reshape(3, 3)[1, 1] == pytest.approx(1e-3 / 2048 / 0.98)
-    assert "zero_x" not in parse_page(small(tmp_path).parameter_page(2))
+    assert "zero_x" not in parse_page(scenario.parameter_page(small(tmp_path), 2))
 
 
 def test_what_is_wrong_with_an_anchor_is_said(tmp_path):

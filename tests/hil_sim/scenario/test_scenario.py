@@ -26,7 +26,7 @@ def test_the_shipped_scenarios_load_and_give_a_site(file, tmp_path):
     loaded = scenario.load_scenario(file.stem)
     assert loaded.name == file.stem
     site = tmp_path / "site.toml"
-    site.write_text(loaded.site_toml())
+    site.write_text(scenario.site_toml(loaded))
     read = sites.load(site)
     SiteAccess(read)  # raises if the beacons cannot be told apart
     if all(beacon.plain_code is not None for beacon in loaded.beacons):
@@ -44,9 +44,9 @@ def test_the_shipped_scenarios_load_and_give_a_site(file, tmp_path):
 
 
 def test_boards_of_slots_and_tones(tmp_path):
-    slot = parse_page(scenario.load_scenario("slots8").parameter_page(8))
+    slot = parse_page(scenario.parameter_page(scenario.load_scenario("slots8"), 8))
     assert (slot["waveform"], slot["slots"], slot["slot"]) == (1, 9, 7)
-    tone = parse_page(scenario.load_scenario("tones8").parameter_page(8))
+    tone = parse_page(scenario.parameter_page(scenario.load_scenario("tones8"), 8))
     assert (tone["waveform"], tone["periods"]) == (2, 9)
     text = scenario.find("slots8").read_text()
     path = tmp_path / "wrong.toml"
@@ -63,11 +63,11 @@ def test_boards_of_slots_and_tones(tmp_path):
 
 def test_a_beacon_of_two_coils(tmp_path):
     loaded = scenario.load_scenario("zheng6")
-    page = parse_page(loaded.parameter_page(3))
+    page = parse_page(scenario.parameter_page(loaded, 3))
     assert (page["waveform"], page["periods"], page["degree"], page["amplitude"]) == (3, 6, 11, 8.0)
-    assert parse_page(loaded.parameter_page(0))["degree"] == 11
+    assert parse_page(scenario.parameter_page(loaded, 0))["degree"] == 11
     path = tmp_path / "site.toml"
-    path.write_text(loaded.site_toml())
+    path.write_text(scenario.site_toml(loaded))
     site = sites.load(path)
     assert [beacon.id for beacon in site.beacons[4:6]] == ["m3.cos", "m3.sin"]
     assert [beacon.drive.wave for beacon in site.beacons[4:6]] == ["cosine", "sine"]
@@ -88,10 +88,10 @@ def test_a_beacon_of_two_coils(tmp_path):
 
 def test_superposed_codes():
     loaded = scenario.load_scenario("superposed")
-    page = parse_page(loaded.parameter_page(3))
+    page = parse_page(scenario.parameter_page(loaded, 3))
     assert page["waveform"] == 4
     assert page["codes"] == [10, 5, 0, 1, 5, 3, 20, 33]
-    sensor = parse_page(loaded.parameter_page(0))
+    sensor = parse_page(scenario.parameter_page(loaded, 0))
     assert sensor["code_count"] == 0
     assert "code" not in page
 
@@ -130,14 +130,14 @@ def test_what_a_beacon_cannot_drive(tmp_path, name, old, new, words):
 
 def test_the_committed_site_is_that_of_the_scenario():
     committed = (ROOT / "host" / "sites" / "prigge8.toml").read_text()
-    assert committed.partition("\n")[2] == scenario.load_scenario("prigge8").site_toml()
+    assert committed.partition("\n")[2] == scenario.site_toml(scenario.load_scenario("prigge8"))
 
 
 def test_parameter_pages(tmp_path):
     loaded = small(tmp_path)
-    assert parse_page(loaded.parameter_page(2)) == {"node": 2, "code": 3, "amplitude": 10.0, "sync_master": 0}
-    assert parse_page(loaded.parameter_page(1))["sync_master"] == 1
-    sensor = parse_page(loaded.parameter_page(0))
+    assert parse_page(scenario.parameter_page(loaded, 2)) == {"node": 2, "code": 3, "amplitude": 10.0, "sync_master": 0}
+    assert parse_page(scenario.parameter_page(loaded, 1))["sync_master"] == 1
+    sensor = parse_page(scenario.parameter_page(loaded, 0))
     assert (sensor["node"], sensor["code_count"], sensor["code_list"]) == (100, 3, [2, 3, 4])
 
 
@@ -146,7 +146,7 @@ def test_calibration_undoes_the_front_end(tmp_path, calibration):
     errors = "2e-4\ngain_error = [0.01, -0.02, 0.015]\nmisalignment_rad = [0.01, -0.005, 0.008]\n"
     errors += "offset_T = [3e-6, -2e-6, 1e-6]"
     loaded = small(tmp_path, range_T=f'{errors}\ncalibration = "{calibration}"')
-    page = parse_page(loaded.parameter_page(0))
+    page = parse_page(scenario.parameter_page(loaded, 0))
     field = np.array([2e-5, -3e-5, 4e-5])
     # Axes written out: x leans by .01 toward y and by -.005 toward z, y by .008 toward z.
     axes = [np.array([1, 0.01, -0.005]), np.array([0, 1, 0.008]), np.array([0, 0, 1.0])]
@@ -181,7 +181,7 @@ def test_a_beacon_overrides_the_coils_defaults_and_may_be_a_wire(tmp_path):
     assert wire.geometry.turns == 1.0
     assert circle.geometry.turns == 19.0
     np.testing.assert_allclose(wire.geometry.axis, [0, 0, 1])
-    site = tomllib.loads(loaded.site_toml())
+    site = tomllib.loads(scenario.site_toml(loaded))
     assert site["beacon"][0]["points_m"][2] == [0.3, 0.2, 0.0]
     assert "radius_m" not in site["beacon"][0]
 

@@ -114,7 +114,7 @@ def test_what_the_site_file_says_is_what_the_sensor_sees(tmp_path):
         text = text.replace(f"code = {code}", turning)
     path.write_text(text)
     scene = scenario.load(path)
-    (tmp_path / "site.toml").write_text(scene.site_toml())
+    (tmp_path / "site.toml").write_text(scenario.site_toml(scene))
     site = sites.load(tmp_path / "site.toml")
     boards = FakeBoards(periods={1: 1, 2: 2, 3: 3})
     with Rig(scene, boards) as rig:
