@@ -1,0 +1,166 @@
+"""The import rules of the tree, and how much may lie loose at the top of a package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.structure.import_graph import Import, circles, graph, imports, sources
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = {"goldfield": ROOT / "host", "goldfield_protocol": ROOT / "protocol", "hil_sim": ROOT}
+
+MODULES = {module: path for package, root in PACKAGES.items() for module, path in sources(root, package).items()}
+IMPORTS = [item for module, path in MODULES.items() for item in imports(module, path)]
+
+LEVELS = (
+    ("types", "errors"),
+    ("files", "link"),
+    ("site",),
+    ("access", "field"),
+    ("locate",),
+    ("track",),
+    ("sensor",),
+    ("view",),
+    ("cli",),
+)
+"""Parts of goldfield, lowest first. A part imports itself and lower ones; parts of one level do not know each other.
+
+The files and the links are both lowest: a link knows no file and no site, and a site knows no link.
+"""
+
+LEVEL = {part: level for level, parts in enumerate(LEVELS) for part in parts}
+NEVER = {("site", "link"), ("errors", "types")}
+"""Downward or level, and still forbidden."""
+
+MOVING = {"goldfield.experiments"} | {
+    f"goldfield.cli.{name}"
+    for name in ("compare", "emitter", "rotating", "rotating_options", "rotating_room", "rotating_survey")
+}
+"""The papers' experiments as far as they still lie in the host: their place is ``hil_sim.papers``."""
+
+TYPING_ONLY = {
+    "goldfield.view.plot": "matplotlib",
+    "goldfield.view.waveforms": "matplotlib",
+}
+"""Imports for annotations alone, each with its reason: an optional package that only pictures need."""
+
+RESTRUCTURED = {"goldfield.cli.locate", "goldfield.cli.tracking"}
+"""Modules whose imports for typing keep the tracker out of a call that does not track."""
+
+
+def within(name: str, *packages: str) -> bool:
+    return any(name == package or name.startswith(f"{package}.") for package in packages)
+
+
+def part_of(name: str) -> str | None:
+    """Return the part of goldfield that a module or an imported name belongs to; None: the front door or no part."""
+    first, *rest = name.split(".")
+    return rest[0] if first == "goldfield" and rest and rest[0] in LEVEL else None
+
+
+def breaks_layers(item: Import) -> bool:
+    """Tell whether an import inside goldfield goes up, or to another part of the same level."""
+    here, there = part_of(item.module), part_of(item.target)
+    if here is None or there is None or here == there:
+        return False
+    return LEVEL[there] >= LEVEL[here] or (here, there) in NEVER
+
+
+def complaints(found: list[Import]) -> list[str]:
+    return [f"{item.module}:{item.line} imports {item.target}" for item in found]
+
+
+def forbidden(importer: tuple[str, ...], imported: tuple[str, ...], but: tuple[str, ...] = ()) -> list[str]:
+    """Return the imports of some packages, except in the modules of ``but``, by others."""
+    return complaints(
+        [
+            item
+            for item in IMPORTS
+            if within(item.module, *importer) and not within(item.module, *but) and within(item.target, *imported)
+        ]
+    )
+
+
+def test_the_tree_was_read():
+    assert {"goldfield.cli", "goldfield.locate.fit", "goldfield_protocol.messages", "hil_sim.rig.rig"} <= set(MODULES)
+    assert len(IMPORTS) > 500
+
+
+def test_every_part_of_goldfield_has_a_level():
+    parts = {module.split(".")[1] for module in MODULES if module.startswith("goldfield.")}
+    assert parts - set(LEVEL) <= {"__main__", "experiments", "data"}
+
+
+@pytest.mark.parametrize(
+    ("module", "target", "bad"),
+    [
+        ("goldfield.track.filter", "goldfield.locate.fit.Fit", False),
+        ("goldfield.locate.fit", "goldfield.track.Tracker", True),
+        ("goldfield.field.model", "goldfield.access.cdma", True),
+        ("goldfield.access.cdma", "goldfield.field.model", True),
+        ("goldfield.access.epoch", "goldfield.link.reports", False),
+        ("goldfield.link.buses", "goldfield.files.csv_table", True),
+        ("goldfield.site.reading", "goldfield.link.buses", True),
+        ("goldfield.types", "goldfield.errors.UserError", True),
+        ("goldfield.cli.run", "goldfield.view.terminal", False),
+        ("goldfield.view.terminal", "goldfield.cli.options", True),
+        ("goldfield.sensor.session", "goldfield.view.truth", True),
+        ("goldfield", "goldfield.sensor.session", False),
+    ],
+)
+def test_the_rule_of_layers_judges_both_ways(module, target, bad):
+    assert breaks_layers(Import(module, target, 1, False)) == bad
+
+
+def test_imports_of_goldfield_go_down():
+    assert complaints([item for item in IMPORTS if breaks_layers(item)]) == []
+
+
+def test_nothing_below_takes_from_the_front_door():
+    """``from goldfield import site`` names a part; ``from goldfield import Pose`` would close a circle."""
+    parts = {"goldfield.__version__", *(module for module in MODULES if within(module, "goldfield"))}
+    inside = [item for item in IMPORTS if part_of(item.module) not in (None, "cli")]
+    assert (
+        complaints(
+            [i for i in inside if i.target.count(".") <= 1 and within(i.target, "goldfield") and i.target not in parts]
+        )
+        == []
+    )
+
+
+def test_the_protocol_knows_neither_host_nor_simulator():
+    assert forbidden(("goldfield_protocol",), ("goldfield", "hil_sim")) == []
+
+
+def test_the_host_never_imports_the_simulator():
+    assert forbidden(("goldfield",), ("hil_sim",)) == []
+
+
+MODELS = ("goldfield.locate", "goldfield.field", "goldfield.access")
+
+
+def test_the_worlds_physics_is_independent_of_the_hosts_model():
+    assert forbidden(("hil_sim.world", "hil_sim.emulator"), (*MODELS, "hil_sim.rig")) == []
+
+
+def test_world_and_model_meet_in_the_papers_alone():
+    assert forbidden(("hil_sim",), MODELS, but=("hil_sim.papers",)) == []
+    experiments = ("hil_sim.papers", "goldfield.experiments")
+    assert forbidden(("goldfield", "hil_sim"), experiments, but=("hil_sim.papers", *MOVING)) == []
+
+
+def test_no_circle():
+    assert circles(graph(MODULES, IMPORTS)) == []
+
+
+def test_imports_for_typing_have_a_reason():
+    found = [item for item in IMPORTS if item.typing_only and not within(item.module, *MOVING, *RESTRUCTURED)]
+    assert complaints([i for i in found if not within(i.target, TYPING_ONLY.get(i.module, "nothing"))]) == []
+
+
+@pytest.mark.parametrize(("package", "most"), [("goldfield", 4), ("hil_sim", 6)])
+def test_few_files_lie_loose_at_the_top(package, most):
+    loose = [path.name for path in (PACKAGES[package] / package).glob("*.py")]
+    assert len(loose) <= most, sorted(loose)
