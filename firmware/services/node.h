@@ -1,7 +1,7 @@
 /* node.h: what all applications have in common: who they are, what they say once a second, their parameters, their two
  * links.
  *
- * Links. Serial and CAN carry the same messages (protocol/goldfield.dbc, framing.md). node_send() puts a message into
+ * Links. Serial and CAN carry the same messages (goldfield.dbc, framing.md). node_send() puts a message into
  * the queue of each link it is for; node_step() hands the queues to the board. A full queue refuses the message and
  * counts it (counter 4); one link never holds up the other.
  *   latency on serial: at most 128 queued messages of 16 bytes behind 4 kB of buffer at 2 Mbaud: 31 ms;

@@ -12,7 +12,7 @@ from pathlib import Path
 import cantools
 from cantools.database import Database
 
-DBC_PATH = Path(__file__).resolve().parent.parent / "goldfield.dbc"
+DBC_PATH = Path(__file__).resolve().with_name("goldfield.dbc")
 
 TYPE_SHIFT = 24
 INDEX_SHIFT = 12
