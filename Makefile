@@ -38,6 +38,11 @@ endef
 define need
 command -v $(1) >/dev/null || $(call install,$(2))
 endef
+# $(call pip,ARGUMENTS): pip's own words go to a file, and are shown only if it fails.
+define pip
+CFLAGS="$(C_STANDARD)" $(PYTHON) -m pip --disable-pip-version-check --no-input $(1) >$(BUILD)/pip.log 2>&1 || \
+  { tail -20 $(BUILD)/pip.log; echo "pip failed: all of its words are in $(BUILD)/pip.log"; exit 1; }
+endef
 
 $(BUILD)/host-tools.stamp:
 	@mkdir -p $(BUILD)
@@ -56,12 +61,12 @@ $(BUILD)/qemu.stamp:
 	@$(call need,qemu-system-arm,qemu-system-arm)
 	@touch $@
 
-$(BUILD)/venv.stamp: requirements.txt pyproject.toml $(BUILD)/host-tools.stamp
+$(BUILD)/venv.stamp: requirements.txt pyproject.toml setup.py $(BUILD)/host-tools.stamp
 	@echo "Python environment: $(VENV) (pinned packages)"
 	@python3 -c 'import sys; sys.exit("goldfield needs Python 3.11 or newer; python3 here is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'
 	@test -x $(PYTHON) || python3 -m venv $(VENV)
-	@$(PYTHON) -m pip install -q --disable-pip-version-check -r requirements.txt
-	@$(PYTHON) -m pip install -q --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@$(call pip,install -r requirements.txt)
+	@$(call pip,install --no-deps --no-build-isolation -e .)
 	@touch $@
 
 setup: $(BUILD)/venv.stamp $(BUILD)/arm-tools.stamp ## Python environment and cross compiler
@@ -72,7 +77,12 @@ all: setup $(PROTOCOL_HEADERS) $(FIRMWARE_IMAGES) $(HOST_LIBRARIES) ## Everythin
 run: all ## Main job: emulated boards, real image, poses beside the truth (SECONDS=20)
 	@$(PYTHON) -m hil_sim.demo --seconds $(SECONDS)
 
-clean: ## Remove what was built (not the Python environment)
-	rm -rf $(BUILD)
+wheel: all ## Everything as one file for pip, in build/dist: host, simulator and the ARM images
+	@rm -rf $(BUILD)/dist
+	@GOLDFIELD_PARTS=$(abspath $(BUILD)) $(call pip,wheel --no-deps --no-build-isolation --wheel-dir $(BUILD)/dist .)
+	@du -h $(BUILD)/dist/*.whl
 
-.PHONY: help setup all run clean
+clean: ## Remove what was built (not the Python environment)
+	rm -rf $(BUILD) $(LOCATE_LIBRARY)
+
+.PHONY: help setup all run wheel clean

@@ -1,9 +1,15 @@
-"""Load a shared library of ours through cffi with the declarations of its own headers."""
+"""Find what the build makes, and load a shared library of ours through cffi with the declarations of its own headers.
+
+In a checkout libraries and images lie in ``build`` and the compiler's preprocessor reads the headers. An installed
+wheel has neither headers nor compiler: it carries the libraries, the images and the declarations in ``hil_sim/built``, where
+``setup.py`` puts them (``python -m hil_sim.clib DIRECTORY`` writes the declarations).
+"""
 
 from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -12,7 +18,40 @@ from typing import Any
 import cffi
 
 ROOT = Path(__file__).resolve().parent.parent
+"""The checkout that this package is part of."""
+INSTALLED = Path(__file__).resolve().with_name("built")
+"""What an installed wheel carries."""
 INCLUDES = ("firmware", "hil_sim", "build/protocol")
+LIBRARIES = {
+    "libgf_rig.so": "rig/lockstep.h",
+    "libgf_hostboard.so": "boards/host/host_board.h",
+    "libgf_emulator.so": "emulator/emulator.h",
+}
+"""The libraries that the simulator runs on, each with the header of what Python calls."""
+
+
+def built(name: str) -> Path:
+    """Return the path of a library or an image that the build makes, as ``libgf_rig.so`` or ``firmware/sensor.elf``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If it was not built; the message is a sentence for the user.
+    """
+    for path in (INSTALLED / name, ROOT / "build" / name):
+        if path.exists():
+            return path
+    if (ROOT / "Makefile").exists():
+        raise FileNotFoundError(f"{ROOT / 'build' / name} is not built: run 'make all'")
+    if name.startswith("firmware/"):
+        raise FileNotFoundError(
+            f"this installation of goldfield has no {name}, the image that emulated boards run: use host boards "
+            "(--boards host), or install a wheel that 'make wheel' made in a checkout of goldfield"
+        )
+    raise FileNotFoundError(
+        f"this installation of goldfield has no {name}, because no C compiler was there when it was built: "
+        "install gcc and make, and build it again"
+    )
 
 
 @cache
@@ -45,12 +84,12 @@ def declarations(headers: tuple[str, ...], defines: tuple[str, ...] = ()) -> str
 
 
 def load(library: str | Path, headers: Sequence[str], defines: Sequence[str] = ()) -> tuple[cffi.FFI, Any]:
-    """Open a library with the declarations of its headers.
+    """Open a library with the declarations of its headers, which only a checkout has; see `load_built`.
 
     Parameters
     ----------
     library : path
-        Shared library, relative to the project or absolute.
+        Shared library: a name that `built` finds, or a path, relative to the checkout or absolute.
     headers : sequence of str
         Header names, found on the project's include paths.
     defines : sequence of str
@@ -59,16 +98,51 @@ def load(library: str | Path, headers: Sequence[str], defines: Sequence[str] = (
     Raises
     ------
     FileNotFoundError
-        If the library has not been built.
+        If the library has not been built, or needs another that is not there.
     """
-    path = Path(library) if Path(library).is_absolute() else ROOT / library
+    path = built(str(library)) if Path(library).name == str(library) else ROOT / library
     if not path.exists():
         raise FileNotFoundError(f"{path} is not built: run 'make all'")
-    return _open(path, tuple(headers), tuple(defines))
+    return _open(path, declarations(tuple(headers), tuple(defines)))
+
+
+def load_built(library: str) -> tuple[cffi.FFI, Any]:
+    """Open one of `LIBRARIES`, in a checkout and in an installation alike.
+
+    Raises
+    ------
+    FileNotFoundError
+        See `load`.
+    """
+    shipped = INSTALLED / _declarations_file(library)
+    if shipped.exists():
+        return _open(built(library), shipped.read_text(encoding="utf-8"))
+    return load(built(library), [LIBRARIES[library]])
 
 
 @cache  # cffi unloads a library when its handle goes; objects made by it may outlive the handle
-def _open(path: Path, headers: tuple[str, ...], defines: tuple[str, ...]) -> tuple[cffi.FFI, Any]:
+def _open(path: Path, text: str) -> tuple[cffi.FFI, Any]:
     ffi = cffi.FFI()
-    ffi.cdef(declarations(headers, defines))
-    return ffi, ffi.dlopen(str(path))
+    ffi.cdef(text)
+    try:
+        return ffi, ffi.dlopen(str(path))
+    except OSError as error:
+        raise FileNotFoundError(
+            f"{path.name} cannot be loaded ({error}): what the simulator needs comes with pip install 'goldfield[sim]'"
+        ) from error
+
+
+def _declarations_file(library: str) -> str:
+    return f"{library.removesuffix('.so')}.cdef"
+
+
+def write_declarations(directory: Path) -> None:
+    """Write the declarations of each of `LIBRARIES` for an installation."""
+    for library, header in LIBRARIES.items():
+        (directory / _declarations_file(library)).write_text(declarations((header,)), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python -m hil_sim.clib DIRECTORY")
+    write_declarations(Path(sys.argv[1]))

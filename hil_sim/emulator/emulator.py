@@ -14,7 +14,7 @@ from elftools.elf.sections import SymbolTableSection
 from goldfield.errors import UserError
 from hil_sim import clib
 
-LIBRARY = "build/libgf_emulator.so"
+LIBRARY = "libgf_emulator.so"
 FLASH = range(0x08000000, 0x08100000)
 PARAMETER_PAGE = 0x080E0000
 PICOSECONDS = 1_000_000_000_000
@@ -173,7 +173,7 @@ class Emulator:
             segments.append((PARAMETER_PAGE, parameter_page))
         self._ffi: Any
         self._library: Any
-        self._ffi, self._library = clib.load(LIBRARY, ["emulator/emulator.h"])
+        self._ffi, self._library = clib.load_built(LIBRARY)
         ffi = self._ffi
         self._callbacks: list[Any] = []
         edge_pointer = ffi.new("board_edge_t *") if edge is None else ffi.cast("board_edge_t *", edge)

@@ -10,10 +10,10 @@ from typing import Any, Protocol
 from goldfield.errors import SystemFailure, UserError
 from hil_sim import clib
 from hil_sim.emulator import Configuration, Emulator
+from hil_sim.emulator.emulator import LIBRARY as EMULATOR_LIBRARY
 from hil_sim.scenario import Clock
 
-HOST_LIBRARY = "build/libgf_hostboard.so"
-IMAGES = "build/firmware"
+HOST_LIBRARY = "libgf_hostboard.so"
 KINDS = ("emulated", "host")
 
 
@@ -83,7 +83,7 @@ class HostBoards:
     def __init__(self) -> None:
         self._ffi: Any
         self._library: Any
-        self._ffi, self._library = clib.load(HOST_LIBRARY, ["boards/host/host_board.h"])
+        self._ffi, self._library = clib.load_built(HOST_LIBRARY)
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
         """See `BoardFactory`; raises UserError for a clock that such a board cannot have."""
@@ -113,14 +113,20 @@ class EmulatedBoards:
     Parameters
     ----------
     images : path, optional
-        Directory with ``beacon.elf``, ``sensor.elf`` and ``anchor.elf``.
+        Directory with ``beacon.elf``, ``sensor.elf`` and ``anchor.elf``; by default the images that were built.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the images or the emulator were not built.
     """
 
-    def __init__(self, images: str | Path = clib.ROOT / IMAGES) -> None:
-        self._images = Path(images)
+    def __init__(self, images: str | Path | None = None) -> None:
+        self._images = clib.built("firmware/sensor.elf").parent if images is None else Path(images)
+        clib.load_built(EMULATOR_LIBRARY)
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
-        """See `BoardFactory`; raises UserError if the image or the emulator is not built."""
+        """See `BoardFactory`; raises UserError if the image cannot be read."""
         configuration = Configuration(
             crystal_ppm=spec.clock.crystal_ppm,
             internal_ppm=spec.clock.internal_ppm,

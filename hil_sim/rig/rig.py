@@ -21,8 +21,7 @@ from hil_sim.world import path
 
 FloatArray = NDArray[np.float64]
 
-LIBRARY = "build/libgf_rig.so"
-HEADERS = ("rig/lockstep.h",)
+LIBRARY = "libgf_rig.so"
 SENSOR = 0
 PATH_WINDOW_S = 1.0
 """The motion is handed to the hot loop in windows of this length (whole quanta), whatever slices are asked for."""
@@ -118,7 +117,7 @@ class Rig:
         self._library: Any
         try:
             make = factory(boards) if isinstance(boards, str) else boards
-            self._ffi, self._library = clib.load(LIBRARY, HEADERS)
+            self._ffi, self._library = clib.load_built(LIBRARY)
         except FileNotFoundError as error:
             raise UserError(str(error)) from error
         self._boards: list[Board] = []

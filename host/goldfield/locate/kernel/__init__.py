@@ -1,4 +1,4 @@
-"""The hot path of location in C, if it has been built (``make``); `of` finds it for a site.
+"""The hot path of location in C, if it has been built (``setup.py``); `of` finds it for a site.
 
 Without the library the NumPy code that each method names computes the same, slower. The equations, the units and the
 bounds are in kernel.h.
@@ -46,8 +46,8 @@ _kernels: WeakKeyDictionary[FieldModel, Kernel] = WeakKeyDictionary()
 
 @cache
 def _library() -> Any | None:
-    """Return the library where ``make`` puts it, None if it was not built."""
-    path = Path(__file__).resolve().parents[4] / "build" / "libgf_locate.so"
+    """Return the library that ``setup.py`` puts beside this file, None if there was no compiler."""
+    path = Path(__file__).with_name("libgf_locate.so")
     return _ffi.dlopen(str(path)) if path.exists() else None
 
 
