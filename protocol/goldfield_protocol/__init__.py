@@ -6,7 +6,7 @@ identifiers, the serial frames and the protocol hash.
 
 from goldfield_protocol.framing import FrameDecoder, RawFrame, encode_frame
 from goldfield_protocol.messages import (
-    DBC_PATH,
+    DBC,
     Identifier,
     Message,
     database,
@@ -16,7 +16,7 @@ from goldfield_protocol.messages import (
 )
 
 __all__ = [
-    "DBC_PATH",
+    "DBC",
     "FrameDecoder",
     "Identifier",
     "Message",

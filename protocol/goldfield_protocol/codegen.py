@@ -8,22 +8,24 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib import resources
 from pathlib import Path
 
-from goldfield_protocol.messages import DBC_PATH, INDEX_SHIFT, NODE_MASK, TYPE_SHIFT, protocol_hash
+from goldfield_protocol.messages import DBC, INDEX_SHIFT, NODE_MASK, TYPE_SHIFT, protocol_hash
 
 
 def generate(directory: Path) -> None:
     """Write the generated sources into the directory, which is created."""
     directory.mkdir(parents=True, exist_ok=True)
-    subprocess.run(
-        [
-            *(sys.executable, "-m", "cantools", "generate_c_source", "--use-float"),
-            *("--database-name", "goldfield", "--output-directory", str(directory), str(DBC_PATH)),
-        ],
-        check=True,
-        stdout=subprocess.DEVNULL,
-    )
+    with resources.as_file(DBC) as dbc:
+        subprocess.run(
+            [
+                *(sys.executable, "-m", "cantools", "generate_c_source", "--use-float"),
+                *("--database-name", "goldfield", "--output-directory", str(directory), str(dbc)),
+            ],
+            check=True,
+            stdout=subprocess.DEVNULL,
+        )
     (directory / "protocol_hash.h").write_text(
         "/* Generated from goldfield.dbc. */\n"
         "#ifndef PROTOCOL_HASH_H\n#define PROTOCOL_HASH_H\n"

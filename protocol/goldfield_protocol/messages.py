@@ -7,12 +7,13 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
+from importlib import resources
 
 import cantools
 from cantools.database import Database
 
-DBC_PATH = Path(__file__).resolve().with_name("goldfield.dbc")
+DBC = resources.files("goldfield_protocol") / "goldfield.dbc"
+"""The file of all messages, which is shipped with the package."""
 
 TYPE_SHIFT = 24
 INDEX_SHIFT = 12
@@ -67,7 +68,7 @@ class Message:
 @cache
 def database() -> Database:
     """Return the parsed ``goldfield.dbc`` (identifiers masked to the type)."""
-    loaded = cantools.database.load_file(str(DBC_PATH), frame_id_mask=TYPE_MASK)
+    loaded = cantools.database.load_string(DBC.read_text(encoding="ascii"), "dbc", frame_id_mask=TYPE_MASK)
     assert isinstance(loaded, Database)
     return loaded
 

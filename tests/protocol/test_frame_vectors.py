@@ -2,13 +2,13 @@
 
 import binascii
 import json
+from pathlib import Path
 
 import pytest
 
 from goldfield_protocol.framing import FrameDecoder, RawFrame, encode_frame
-from goldfield_protocol.messages import DBC_PATH
 
-VECTORS = json.loads((DBC_PATH.parent / "vectors" / "frames.json").read_text())
+VECTORS = json.loads((Path(__file__).parents[2] / "protocol" / "vectors" / "frames.json").read_text())
 
 
 @pytest.mark.parametrize("vector", VECTORS["frames"], ids=lambda v: v["name"])
