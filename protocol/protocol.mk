@@ -1,6 +1,7 @@
 PROTOCOL_OUT := $(BUILD)/protocol
-PROTOCOL_HEADERS := $(PROTOCOL_OUT)/goldfield.h $(PROTOCOL_OUT)/protocol_hash.h
+PROTOCOL_HEADERS := $(addprefix $(PROTOCOL_OUT)/,goldfield.h protocol_hash.h parameter_ids.h parameter_table.h counter_ids.h)
+PROTOCOL_SOURCES := $(addprefix protocol/goldfield_protocol/,goldfield.dbc parameters.toml codegen.py c_tables.py table.py messages.py)
 
-$(PROTOCOL_OUT)/goldfield.c $(PROTOCOL_HEADERS) &: protocol/goldfield_protocol/goldfield.dbc protocol/goldfield_protocol/codegen.py $(BUILD)/venv.stamp
-	@echo "protocol: generating C packers"
+$(PROTOCOL_OUT)/goldfield.c $(PROTOCOL_HEADERS) &: $(PROTOCOL_SOURCES) $(BUILD)/venv.stamp
+	@echo "protocol: generating C packers and tables"
 	@$(PYTHON) -m goldfield_protocol.codegen $(PROTOCOL_OUT)

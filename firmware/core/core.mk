@@ -6,8 +6,8 @@ HOST_LIBRARIES += $(BUILD)/libgf_core.so
 $(BUILD)/libgf_core.so: $(CORE_OBJECTS)
 	@$(HOST_CC) -shared -o $@ $^
 
-$(CORE_OBJECTS): $(BUILD)/core/%.o: %.c
+$(CORE_OBJECTS): $(BUILD)/core/%.o: %.c $(PROTOCOL_HEADERS)
 	@mkdir -p $(@D)
-	@$(HOST_CC) $(HOST_CFLAGS) -Ifirmware -c -o $@ $<
+	@$(HOST_CC) $(HOST_CFLAGS) -Ifirmware -I$(PROTOCOL_OUT) -c -o $@ $<
 
 -include $(CORE_OBJECTS:.o=.d)

@@ -146,7 +146,7 @@ static drive_settings_t read_settings(const node_t *node) {
         .over_current_A = parameters_float(&node->parameters, PARAMETER_OVER_CURRENT),
         .open_fraction = parameters_float(&node->parameters, PARAMETER_OPEN_COIL),
     };
-    for (uint32_t place = 0; place < PARAMETER_CODES_LENGTH; place++) {
+    for (uint32_t place = 0; place < PARAMETER_CODES_ROWS; place++) {
         settings.waveform.codes[place] = read_code(node, place);
     }
     return settings;
@@ -154,7 +154,7 @@ static drive_settings_t read_settings(const node_t *node) {
 
 _Static_assert(sizeof(waveform_config_t) == (5u + 4u * WAVEFORM_CODES) * sizeof(uint32_t),
                "words without gaps: equal if their bytes are");
-_Static_assert(WAVEFORM_CHANNELS == HAL_CHANNELS && WAVEFORM_CODES == PARAMETER_CODES_LENGTH, "one and the same");
+_Static_assert(WAVEFORM_CHANNELS == HAL_CHANNELS && WAVEFORM_CODES == PARAMETER_CODES_ROWS, "one and the same");
 
 static bool same(const drive_settings_t *a, const drive_settings_t *b) {
     return memcmp(&a->waveform, &b->waveform, sizeof a->waveform) == 0 && a->amplitude_A == b->amplitude_A &&
@@ -273,6 +273,6 @@ void drive_step(drive_t *drive) {
             send_status(drive, channel);
         }
     }
-    node->counters[NODE_OVER_CURRENT] = drive->over_current;
-    node->counters[NODE_OPEN_COIL] = drive->open_coil;
+    node->counters[COUNTER_OVER_CURRENT] = drive->over_current;
+    node->counters[COUNTER_OPEN_COIL] = drive->open_coil;
 }

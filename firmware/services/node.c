@@ -80,20 +80,21 @@ static void collect_counters(node_t *node) {
     hal_counters_t board;
     hal_counters(node->hal, &board);
     uint32_t *counters = node->counters;
-    counters[NODE_FRAMES_DROPPED] = frame_dropped(&node->decoder);
-    counters[NODE_SERIAL_OVERRUNS] = board.serial_overruns;
-    counters[NODE_CAN_ERRORS] = board.can_errors;
-    counters[NODE_CAN_OVERRUNS] = board.can_overruns;
-    counters[NODE_LATE_BLOCKS] = board.late_blocks;
-    counters[NODE_CONVERTER_OVERRUNS] = board.converter_overruns;
-    counters[NODE_WATCHDOG_RESETS] = board.watchdog_resets;
-    counters[NODE_CLOCK_FALLBACKS] = hal_clock(node->hal) != HAL_CLOCK_CRYSTAL;
-    counters[NODE_MESSAGES_LOST] = add_saturated(add_saturated(node->serial.lost, node->can.lost), node->stream_lost);
+    counters[COUNTER_FRAMES_DROPPED] = frame_dropped(&node->decoder);
+    counters[COUNTER_SERIAL_OVERRUNS] = board.serial_overruns;
+    counters[COUNTER_CAN_ERRORS] = board.can_errors;
+    counters[COUNTER_CAN_OVERRUNS] = board.can_overruns;
+    counters[COUNTER_LATE_BLOCKS] = board.late_blocks;
+    counters[COUNTER_CONVERTER_OVERRUNS] = board.converter_overruns;
+    counters[COUNTER_WATCHDOG_RESETS] = board.watchdog_resets;
+    counters[COUNTER_CLOCK_FALLBACKS] = hal_clock(node->hal) != HAL_CLOCK_CRYSTAL;
+    counters[COUNTER_MESSAGES_LOST] = add_saturated(add_saturated(node->serial.lost, node->can.lost),
+                                                    node->stream_lost);
 }
 
 static uint8_t pack_heartbeat(const node_t *node, uint8_t data[8]) {
     uint32_t errors = 0;
-    for (unsigned i = 0; i < NODE_COUNTERS; i++) {
+    for (unsigned i = 0; i < COUNTERS_COUNT; i++) {
         errors = add_saturated(errors, node->counters[i]);
     }
     const struct goldfield_heartbeat_t heartbeat = {
@@ -113,7 +114,7 @@ static void send_heartbeat(node_t *node) {
     collect_counters(node);
     uint8_t length = pack_heartbeat(node, data);
     node_send(node, NODE_BOTH, GOLDFIELD_HEARTBEAT_FRAME_ID, 0, data, length);
-    for (uint32_t i = 0; i < NODE_COUNTERS; i++) {
+    for (uint32_t i = 0; i < COUNTERS_COUNT; i++) {
         if (node->counters[i] > 0) {
             const struct goldfield_counter_t counter = {.counter = (uint8_t)i, .value = node->counters[i]};
             length = (uint8_t)goldfield_counter_pack(data, &counter, sizeof data);
@@ -221,7 +222,7 @@ void node_start(node_t *node, hal_t *hal, hal_role_t role) {
     uint32_t refused = 0;
     const parameters_page_t page = parameters_load(&node->parameters, hal_parameter_page(hal), HAL_PARAMETER_PAGE_BYTES,
                                                    &refused);
-    node->counters[NODE_BAD_PARAMETER_PAGE] = refused + (page == PARAMETERS_PAGE_BAD);
+    node->counters[COUNTER_BAD_PARAMETER_PAGE] = refused + (page == PARAMETERS_PAGE_BAD);
     node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
 
     frame_t hello = {.id = node_identifier(node, GOLDFIELD_HEARTBEAT_FRAME_ID, 0)};

@@ -1,22 +1,21 @@
 /* node.h: what all applications have in common: who they are, what they say once a second, their parameters, their two
  * links.
  *
- * Links. Serial and CAN carry the same messages (goldfield.dbc, framing.md). node_send() puts a message into
- * the queue of each link it is for; node_step() hands the queues to the board. A full queue refuses the message and
- * counts it (counter 4); one link never holds up the other.
+ * Links. Serial and CAN carry the same messages (protocol/framing.md). node_send() puts a message into the queue of
+ * each link it is for; node_step() hands the queues to the board. A full queue refuses the message and counts it
+ * (COUNTER_MESSAGES_LOST); one link never holds up the other.
  *   latency on serial: at most 128 queued messages of 16 bytes behind 4 kB of buffer at 2 Mbaud: 31 ms;
  *   on CAN: at most 128 messages of 160 us, 21 ms, plus the frames of other nodes with lower identifiers. What no
- *     mailbox has taken for 100 ms, because the bus is dead
- *   or not there, is thrown away: not counted as lost, the dead bus itself is counted (counter 2). From then on one
- *     message at a time tries it.
+ *     mailbox has taken for 100 ms, because the bus is dead or not there, is thrown away: not counted as lost, for the
+ *     dead bus itself is counted (COUNTER_CAN_ERRORS). From then on one message at a time tries it.
  *
  * Identity. The node parameter of the parameter page; if the page has none, 1 + CRC-16/CCITT-FALSE(unique id, 12 bytes)
  * mod 4095: the same after each reset, and with 8 unconfigured boards two are equal in 0.7 % of cases (the host sees
  * two boards of one number by their interleaved heartbeats).
  *
  * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
- * the link they came from; a new node number acts after its answer. SYNC is kept for the application. All others, and
- * those of a wrong length, are ignored.
+ * the link they came from; a new node number acts after its answer. SYNC is kept for the application. All
+ * others are ignored, and so are PARAM_SET and SYNC of a wrong length.
  *
  * Contexts: main only. Time: node_step with nothing to do about 150 instructions, bounded by NODE_BYTES_A_STEP received
  * bytes, NODE_FRAMES_A_STEP frames, and the queues' contents. Memory: about 4.7 kB.
@@ -27,6 +26,7 @@
 #include "core/link/frame.h"
 #include "core/link/parameters.h"
 #include "core/link/queue.h"
+#include "counter_ids.h"
 #include "hal/hal.h"
 
 #define NODE_QUEUE_MESSAGES 128u
@@ -47,34 +47,14 @@ typedef enum {
 
 typedef enum { NODE_NO_LINK = 0, NODE_SERIAL = 1, NODE_CAN = 2, NODE_BOTH = 3 } node_links_t;
 
-/* Counters (framing.md). The application writes those from NODE_SYNC_REJECTED on. */
-enum {
-    NODE_FRAMES_DROPPED = 0,
-    NODE_SERIAL_OVERRUNS = 1,
-    NODE_CAN_ERRORS = 2,
-    NODE_CAN_OVERRUNS = 3,
-    NODE_MESSAGES_LOST = 4,
-    NODE_LATE_BLOCKS = 5,
-    NODE_CONVERTER_OVERRUNS = 6,
-    NODE_CLOCK_FALLBACKS = 7,
-    NODE_WATCHDOG_RESETS = 8,
-    NODE_BAD_PARAMETER_PAGE = 9, /* The page is bad, or entries in it were refused. */
-    NODE_SYNC_REJECTED = 10,
-    NODE_OVER_CURRENT = 11,
-    NODE_OPEN_COIL = 12,
-    NODE_EPOCHS_DROPPED = 13,
-    NODE_OTHER_DEGREE = 14, /* SYNC of a master whose cycle has another length. */
-    NODE_COUNTERS = 15
-};
-
 typedef struct {
     hal_t *hal;
     hal_role_t role;
     uint16_t id;
     parameters_t parameters;
     /* Between node and application. */
-    node_state_t state; /* Application writes. */
-    uint32_t counters[NODE_COUNTERS];
+    node_state_t state;                /* Application writes. */
+    uint32_t counters[COUNTERS_COUNT]; /* By COUNTER_...; application writes those from COUNTER_SYNC_REJECTED on. */
     uint32_t stream_lost; /* Messages the application lost on its own way to node_serial_write(); application writes. */
     bool parameters_changed; /* A PARAM_SET was accepted; the application clears it. */
     bool sync_received;      /* A SYNC with sync_cycle (20 bits) and sync_chips came; the application clears it. */

@@ -15,7 +15,7 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
     int16_t code_sums[EPOCH_CODES_MAX];
     onboard->site.count = selection->count;
     for (uint32_t i = 0; i < selection->count; i++) {
-        const uint32_t row = PARAMETER_BEACONS + PARAMETER_BEACON_STRIDE * i;
+        const uint32_t row = PARAMETER_BEACONS + PARAMETER_BEACONS_STRIDE * i;
         pose_beacon_t *beacon = &onboard->site.beacons[i];
         codes[i] = selection->codes[i].code;
         code_sums[i] = selection->codes[i].sum;

@@ -170,13 +170,13 @@ void sense_configure(sense_t *sense) {
     const parameters_t *parameters = &sense->node->parameters;
     const sync_format_t *const format = &sense->timing->format;
     for (uint32_t row = 0; row < HAL_AXES; row++) {
-        sense->calibration.zero[row] = parameters_float(parameters, PARAMETER_ZERO + row);
+        sense->calibration.zero[row] = parameters_float(parameters, PARAMETER_ZERO_X + row);
         for (uint32_t column = 0; column < HAL_AXES; column++) {
             sense->calibration.matrix[row][column] = parameters_float(parameters,
                                                                       PARAMETER_CALIBRATION + HAL_AXES * row + column);
         }
     }
-    uint16_t codes[PARAMETER_CODE_LIST_LENGTH];
+    uint16_t codes[PARAMETER_CODE_LIST_ELEMENTS];
     const uint32_t count = parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
     bool same = count == sense->selection.count;
     for (uint32_t i = 0; i < count; i++) {
@@ -217,7 +217,7 @@ void sense_step(sense_t *sense) {
         }
         epoch_release(&sense->collector);
     }
-    node->counters[NODE_EPOCHS_DROPPED] = sense->collector.dropped + sense->unsent;
+    node->counters[COUNTER_EPOCHS_DROPPED] = sense->collector.dropped + sense->unsent;
     node->stream_lost = sense->stream.lost;
 }
 

@@ -26,11 +26,11 @@ void timing_edge(timing_t *timing, hal_t *hal, uint32_t chip, uint16_t ticks) {
 }
 
 void timing_step(timing_t *timing, node_t *node) {
-    node->counters[NODE_SYNC_REJECTED] = timing->clock.edges_rejected;
+    node->counters[COUNTER_SYNC_REJECTED] = timing->clock.edges_rejected;
     if (node->sync_received) {
         node->sync_received = false;
         const uint32_t age_us = (uint32_t)hal_microseconds(node->hal) - timing->edge_us;
-        node->counters[NODE_OTHER_DEGREE] += !sync_number(&timing->clock, &timing->format, &timing->link,
+        node->counters[COUNTER_OTHER_DEGREE] += !sync_number(&timing->clock, &timing->format, &timing->link,
                                                           node->sync_chips, node->sync_cycle, age_us);
     }
 }

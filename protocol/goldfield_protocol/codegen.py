@@ -1,7 +1,7 @@
-"""Generate the C packers and the protocol hash from ``goldfield.dbc``.
+"""Generate what the firmware takes from ``goldfield.dbc`` and ``parameters.toml``.
 
-``python -m goldfield_protocol.codegen DIRECTORY`` writes ``goldfield.c``, ``goldfield.h`` (cantools) and
-``protocol_hash.h``.
+``python -m goldfield_protocol.codegen DIRECTORY`` writes the packers ``goldfield.c`` and ``goldfield.h`` (cantools),
+``protocol_hash.h``, and the tables ``parameter_ids.h``, ``parameter_table.h`` and ``counter_ids.h``.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import sys
 from importlib import resources
 from pathlib import Path
 
+from goldfield_protocol import c_tables
 from goldfield_protocol.messages import DBC, INDEX_SHIFT, NODE_MASK, TYPE_SHIFT, protocol_hash
 
 
@@ -35,6 +36,9 @@ def generate(directory: Path) -> None:
         f"#define PROTOCOL_NODE_MASK {NODE_MASK:#x}u\n"
         "#endif\n"
     )
+    (directory / "parameter_ids.h").write_text(c_tables.ids_header())
+    (directory / "parameter_table.h").write_text(c_tables.table_header())
+    (directory / "counter_ids.h").write_text(c_tables.counters_header())
 
 
 if __name__ == "__main__":

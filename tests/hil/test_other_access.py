@@ -10,8 +10,9 @@ from goldfield.locate import locate
 from goldfield.types import Fields
 from goldfield_protocol.framing import FrameDecoder, encode_frame
 from goldfield_protocol.messages import decode, encode
+from goldfield_protocol.parameters import PARAMETERS
 
-PARAM_STREAM = 4
+PARAM_STREAM = PARAMETERS["stream"].first
 
 
 def cycles_of(rig, node, seconds):

@@ -1,7 +1,7 @@
 # The ARM images. The very ELF files that the emulator loads are flashed.
 #   make firmware                  flash, RAM, core-coupled memory and worst-case stack of all images
 #   make flash ROLE=sensor         program a board through pyOCD (see README.md here); with NODE=n also its parameter page,
-#   make flash ROLE=beacon NODE=3 CODE=17 AMPLITUDE=10 SYNC_MASTER=1     which takes every parameter of framing.md in capitals
+#   make flash ROLE=beacon NODE=3 CODE=17 AMPLITUDE=10 SYNC_MASTER=1     which takes every parameter of docs/parameters.md in capitals
 ARM := arm-none-eabi-
 STM32 := firmware/boards/stm32f405
 STM32_OUT := $(BUILD)/firmware
@@ -44,10 +44,9 @@ $(STM32_OUT)/qemu/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM
 firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## All images, with their flash, RAM and worst-case stack
 	@$(PYTHON) firmware/tools/image_report.py $(STM32_IMAGES)
 
-# Parameters given on make's command line, as name=value.
-STM32_PARAMETERS := $(foreach name,NODE CODE AMPLITUDE SYNC_MASTER STREAM CODE_COUNT OPEN_COIL OVER_CURRENT ZERO_X ZERO_Y ZERO_Z CALIBRATION CODE_LIST\
-	POSE NOISE WAVEFORM SLOTS SLOT PERIODS CODES SYNC_SOURCE PARTS DEGREE HALF_SPACE BEACONS,\
-	$(if $(findstring command line,$(origin $(name))),$(name)=$($(name))))
+# Parameters given on make's command line, as name=value. The names are asked for only when a board is programmed, and once.
+STM32_PARAMETERS = $(eval STM32_PARAMETERS := $(foreach name,$(shell $(PYTHON) -m goldfield_protocol.parameters --keys),\
+	$(if $(findstring command line,$(origin $(name))),$(name)=$($(name)))))$(STM32_PARAMETERS)
 STM32_PAGE := $(STM32_OUT)/parameters.bin
 PYOCD := $(VENV)/bin/pyocd
 PYOCD_TARGET := stm32f405rgtx

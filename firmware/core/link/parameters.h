@@ -1,26 +1,28 @@
-/* parameters.h: the node's parameters (protocol/framing.md, "Parameters"): typed, range-checked, loaded from the stored
- * page.
+/* parameters.h: the numbers that a user may set on a board: typed, checked against their range, and loaded from the
+ * page in flash. Which parameters there are is told by protocol/goldfield_protocol/parameters.toml, from which
+ * parameter_ids.h (the names PARAMETER_...) and parameter_table.h are generated; docs/parameters.md is the same as a
+ * page to read.
  *
- * A value is 32 bits of one of three kinds. Ranges (ends included) and defaults:
- *   node unsigned 1..4095 (1) · code unsigned 0..2048 (0) · amplitude float 0..15.9 A (0: off) · sync_master unsigned
- *     0..1 (0) ·
- *   stream unsigned 0..1 (0) · code_count unsigned 0..64 (0) · open_coil float 0..1 (0.5) · over_current float 0..15.9
- *     A (12) ·
- *   zero_x, _y, _z float 0..4095 counts (2048) · pose unsigned 0..1 (0) · noise float 0..1 T (2e-7) · waveform unsigned
- *     0..4 (0) ·
- *   slots unsigned 1..2047 (1) · slot unsigned 0..2046 (0) · calibration float -1..1 T per count (identity times 200 uT
- *     / 2048) ·
- *   periods unsigned 1..1023 (1) · sync_source unsigned 0..2 (0) · parts unsigned 1..3 (1; 2 counts as 1) · degree
- *     unsigned, one of gold.h (10) ·
- *   half_space float +-1e6 (0) · code_list unsigned 0..2048 (0) · codes unsigned 0..2048 (0) · beacons float +-1e6 (0)
- * A float that is not a number is out of range. Numbers that only fit together or not (slot and slots, a code and the
- * cycle) are the waveform's to judge. No parameter is read-only today; the status exists for those to come.
+ * The calls, in the order in which they are made:
+ *   1. parameters_init() gives every parameter its default;
+ *   2. parameters_load() takes over what the stored page holds;
+ *   3. parameters_unsigned() and parameters_float() are the application's own reading;
+ *   4. parameters_get(), parameters_set() and parameters_next() serve a host: value, change and description.
  *
- * Stored page, little-endian: magic u32 "GFP1", count u16, CRC-16/CCITT-FALSE of the entries u16; then entries: id u16,
- * kind u16, value u32. The page is trusted only after its magic, its count against its length, and its CRC; after that
- * each entry still passes the same checks as a PARAM_SET.
+ * A value is 32 bits of one kind: unsigned, signed or float (IEEE 754, single precision). Both ends of a range are
+ * allowed; a float that is not a number is out of range. What fits together only with other parameters (a slot with
+ * the number of slots, a code with the degree) is judged by the module that uses it.
  *
- * Contexts: one. Reading a value from an interrupt while main sets it is safe: a value is one word. Memory: 2.5 kB.
+ * Every board keeps every parameter, also those that its role does not use: one page fits all boards.
+ * parameters_next() tells only those that a role uses.
+ *
+ * The stored page is little-endian: magic u32 "GFP1", count u16, CRC-16/CCITT-FALSE of the entries u16, then for each
+ * entry id u16, kind u16, value u32. It is trusted only if its magic, its length and its CRC are right, and each entry
+ * still passes the checks of parameters_set().
+ *
+ * Contexts: all calls come from main. An interrupt may read a value while main sets it, for a value is one word.
+ * Memory: parameters_t takes 2.5 kB of RAM; the table lies in flash. Cost: a search passes over at most 25 entries,
+ * which is the bound of every call on one id.
  */
 #ifndef GOLDFIELD_PARAMETERS_H
 #define GOLDFIELD_PARAMETERS_H
@@ -28,40 +30,12 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define PARAMETER_NODE             0u
-#define PARAMETER_CODE             1u
-#define PARAMETER_AMPLITUDE        2u
-#define PARAMETER_SYNC_MASTER      3u
-#define PARAMETER_STREAM           4u
-#define PARAMETER_CODE_COUNT       5u
-#define PARAMETER_OPEN_COIL        6u
-#define PARAMETER_OVER_CURRENT     7u
-#define PARAMETER_ZERO             8u /* 8..10: x, y, z. */
-#define PARAMETER_POSE             11u
-#define PARAMETER_NOISE            12u
-#define PARAMETER_WAVEFORM         13u /* waveform_kind_t */
-#define PARAMETER_SLOTS            14u
-#define PARAMETER_SLOT             15u
-#define PARAMETER_CALIBRATION      16u /* 16..24: row by row. */
-#define PARAMETER_PERIODS          25u
-#define PARAMETER_SYNC_SOURCE      26u
-#define PARAMETER_PARTS            27u
-#define PARAMETER_DEGREE           28u
-#define PARAMETER_HALF_SPACE       32u  /* 32..37: point, normal. */
-#define PARAMETER_CODE_LIST        256u /* 256..319. */
-#define PARAMETER_CODE_LIST_LENGTH 64u
-#define PARAMETER_CODES            320u /* + 8 * place + field. */
-#define PARAMETER_CODES_LENGTH     4u
-#define PARAMETER_CODES_STRIDE     8u
-#define PARAMETER_CODES_FIELDS     4u   /* Degree, index, offset, hold. */
-#define PARAMETER_BEACONS          512u /* + 16 * place in the code list + field. */
-#define PARAMETER_BEACON_STRIDE    16u
-#define PARAMETER_BEACON_FIELDS    8u /* Position, axis, moment, radius. */
-#define PARAMETERS_COUNT           627u
+#include "parameter_ids.h"
 
+/* How the 32 bits of a value are read; the numbers are those of PARAM_VALUE and of the stored page. */
 typedef enum { PARAMETER_UNSIGNED = 0, PARAMETER_SIGNED = 1, PARAMETER_FLOAT = 2 } parameter_kind_t;
 
-/* As in PARAM_VALUE. */
+/* What became of a request; the numbers are those of PARAM_VALUE. No parameter is read-only today. */
 typedef enum {
     PARAMETER_OK = 0,
     PARAMETER_UNKNOWN = 1,
@@ -70,39 +44,66 @@ typedef enum {
     PARAMETER_READ_ONLY = 4
 } parameter_status_t;
 
-/* A value as it travels: kind and 32 bits. A float is its IEEE 754 bits. */
+/* A value as it travels: its kind, and its 32 bits. */
 typedef struct {
-    uint8_t kind; /* parameter_kind_t */
+    uint8_t kind; /* A parameter_kind_t, or any other number that came over a link. */
     uint32_t bits;
 } parameter_value_t;
 
+/* One parameter of the table: rows of elements with successive ids, each row stride ids after the one before. */
+typedef struct {
+    uint16_t first_id; /* Id of the first element of the first row. */
+    uint8_t kind;      /* parameter_kind_t */
+    uint8_t at_start;  /* 1: a change acts after the next reset only. */
+    uint8_t roles;     /* Bit 1 << hal_role_t is set for each role that uses the parameter. */
+    uint8_t elements;  /* Elements of a row. */
+    uint8_t rows;      /* Rows. */
+    uint8_t stride;    /* Ids from one row to the next; 0 for a single row. */
+    uint8_t excluded;  /* An unsigned value of the range that is refused all the same; 0: there is none. */
+    uint32_t minimum;  /* Smallest value, as 32 bits of the kind. */
+    uint32_t maximum;  /* Largest value, as 32 bits of the kind. */
+    uint32_t initial;  /* Default of the first element, as 32 bits of the kind. */
+    const char *text;  /* Name and, behind a space, the unit if there is one. */
+} parameter_entry_t;
+
+/* The values of all elements, in the order of the table. */
 typedef struct {
     uint32_t bits[PARAMETERS_COUNT];
 } parameters_t;
 
 typedef enum {
-    PARAMETERS_PAGE_LOADED = 0,
-    PARAMETERS_PAGE_EMPTY = 1, /* Erased flash (all ones in the magic): the defaults hold. No error. */
-    PARAMETERS_PAGE_BAD = 2    /* Wrong magic, length or CRC: ignored as a whole. */
+    PARAMETERS_PAGE_LOADED = 0, /* The page was good; single entries may have been refused. */
+    PARAMETERS_PAGE_EMPTY = 1,  /* The flash is erased (all ones in the magic): no error, the defaults hold. */
+    PARAMETERS_PAGE_BAD = 2     /* Magic, length or CRC are wrong: the page is ignored as a whole. */
 } parameters_page_t;
 
-/* Every parameter to its default. */
+/* Give every parameter its default. */
 void parameters_init(parameters_t *parameters);
 
-/* Read any parameter. PARAMETER_OK or PARAMETER_UNKNOWN (*value is then unsigned 0). About 60 instructions. */
-parameter_status_t parameters_get(const parameters_t *parameters, uint32_t id, parameter_value_t *value);
+/* Set parameters from a stored page of size bytes. Entries that are unknown, out of range or of the wrong kind are
+ * skipped and counted in *refused. A page that is not PARAMETERS_PAGE_LOADED changes nothing. The bound is size / 8
+ * entries.
+ * Returns what became of the page. */
+parameters_page_t parameters_load(parameters_t *parameters, const uint8_t *page, size_t size, uint32_t *refused);
 
-/* Set a parameter. Anything but PARAMETER_OK leaves it as it was. About 80 instructions. */
-parameter_status_t parameters_set(parameters_t *parameters, uint32_t id, parameter_value_t value);
-
-/* For the application's own reading: the value of an unsigned parameter; of a float parameter. 0 for an id that does
- * not exist or has another kind. */
+/* Read an unsigned parameter for the application's own use.
+ * Returns its value; 0 for an id that does not exist or has another kind. */
 uint32_t parameters_unsigned(const parameters_t *parameters, uint32_t id);
+
+/* Read a float parameter for the application's own use.
+ * Returns its value; 0 for an id that does not exist or has another kind. */
 float parameters_float(const parameters_t *parameters, uint32_t id);
 
-/* Set parameters from a stored page of the given size. Entries that are refused (unknown, out of range, wrong kind)
- * are skipped and counted in *refused. A page that is not PARAMETERS_PAGE_LOADED changes nothing. Bound: size / 8
- * entries. */
-parameters_page_t parameters_load(parameters_t *parameters, const uint8_t *page, size_t size, uint32_t *refused);
+/* Read any parameter into *value.
+ * Returns PARAMETER_OK, or PARAMETER_UNKNOWN with an unsigned 0 in *value. */
+parameter_status_t parameters_get(const parameters_t *parameters, uint32_t id, parameter_value_t *value);
+
+/* Set a parameter; if it is refused it stays as it was.
+ * Returns PARAMETER_OK, PARAMETER_UNKNOWN, PARAMETER_WRONG_KIND or PARAMETER_OUT_OF_RANGE. */
+parameter_status_t parameters_set(parameters_t *parameters, uint32_t id, parameter_value_t value);
+
+/* Find the next parameter of the table: the first one whose first_id is at least id and that the role uses.
+ * Returns the entry, a constant; NULL if there is none. */
+const parameter_entry_t *parameters_next(uint32_t id, uint32_t role);
 
 #endif

@@ -20,9 +20,9 @@ from goldfield.errors import UserError
 from goldfield.link.buses import BusSource, LogSource, Source, open_can, open_port
 from goldfield.link.recordings import CandumpReader, CandumpWriter
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
-from goldfield.sensor.session import COUNTERS, Session
+from goldfield.sensor.session import Session
 from goldfield.site import Site
-from goldfield_protocol.parameters import PARAMETERS
+from goldfield_protocol.parameters import PARAMETERS, counter_name
 
 SOURCES = ("port", "can", "log")
 
@@ -139,7 +139,7 @@ def _print_poses(arguments: argparse.Namespace, site: Site, session: Session, li
     finally:
         summary.bad_frames = session.bad_frames
         summary.missed_cycles = session.assembler.missed_cycles
-        summary.counters = {_counter_name(number): count for number, count in sorted(session.counters.items()) if count}
+        summary.counters = {counter_name(number): count for number, count in sorted(session.counters.items()) if count}
         if summary.epochs:
             print(summary.text(truth is not None), file=sys.stderr if arguments.json else sys.stdout, flush=True)
         for file in (truth, writer):
@@ -160,10 +160,6 @@ def _note(report: Report, site: Site) -> str:
     if report.saturated:
         notes.append(f"{report.saturated} chips saturated")
     return ", ".join(notes)
-
-
-def _counter_name(number: int) -> str:
-    return COUNTERS[number] if number < len(COUNTERS) else f"of counter {number}"
 
 
 def _limited(reports: Iterator[Report], seconds: float | None, cycle_s: float) -> Iterator[Report]:

@@ -21,8 +21,9 @@ from goldfield.link.reports import Assembler
 from goldfield.sensor.session import Session
 from goldfield.site import Site
 from goldfield_protocol.messages import decode
+from goldfield_protocol.parameters import PARAMETERS
 
-PARAM_STREAM, PARAM_ZERO, PARAM_CALIBRATION = 4, 8, 16
+STREAM = PARAMETERS["stream"].first
 SILENCE_S = 10.0
 
 
@@ -58,20 +59,21 @@ def run(arguments: argparse.Namespace) -> int:
         session.find_sensor()
         session.check_degree(source, site.degree)
         calibration = _calibration(session, source)
-        before = session.parameter(source, PARAM_STREAM)
-        session.parameter(source, PARAM_STREAM, 1)
+        before = session.parameter(source, STREAM)
+        session.parameter(source, STREAM, 1)
         try:
             _print(session, source, site, calibration, arguments.cycles or 1, arguments.at or [])
         finally:
-            session.parameter(source, PARAM_STREAM, before)
+            session.parameter(source, STREAM, before)
     finally:
         source.close()
     return 0
 
 
 def _calibration(session: Session, source: BusSource) -> Calibration:
-    zero = [session.parameter(source, PARAM_ZERO + axis) for axis in range(3)]
-    matrix = [session.parameter(source, PARAM_CALIBRATION + element) for element in range(9)]
+    elements = PARAMETERS["calibration"]
+    zero = [session.parameter(source, PARAMETERS[name].first) for name in ("zero_x", "zero_y", "zero_z")]
+    matrix = [session.parameter(source, elements.identifier(i)) for i in range(elements.count)]
     return Calibration(np.array(zero, dtype=np.float64), np.array(matrix, dtype=np.float64).reshape(3, 3))
 
 

@@ -14,18 +14,15 @@ from goldfield.link.buses import BusSource, Source
 from goldfield.link.recordings import CandumpWriter
 from goldfield.link.reports import OWN_POSE, Assembler, Report
 from goldfield_protocol.messages import Identifier, Message, database, decode, encode, protocol_hash
+from goldfield_protocol.parameters import PARAMETERS, Kind, find_id, label_of
 
 ROLES = {0: "beacon", 1: "sensor", 2: "host", 3: "anchor"}
 ROLE_SENSOR, ROLE_ANCHOR = 1, 3
 STATE_STARTING = 0
 
-PARAM_CODE_COUNT = 5
-PARAM_DEGREE = 28
-PARAM_CODE_LIST = 256
-LONGEST_CODE_LIST = 64
-KIND_UNSIGNED = 0
-KIND_FLOAT = 2
-PARAM_STATUS = {1: "unknown", 2: "out of range", 3: "of the wrong kind", 4: "read-only"}
+LONGEST_CODE_LIST = PARAMETERS["code_list"].count
+OUT_OF_RANGE = 2
+PARAM_STATUS = {1: "unknown", OUT_OF_RANGE: "out of range", 3: "of the wrong kind", 4: "read-only"}
 
 TRIES = 5
 ANSWER_S = 1.0
@@ -35,25 +32,6 @@ SILENCE_S = 10.0
 PATIENCE_S = 30.0
 """Heartbeats come once a second, but simulated boards may run slower than the wall clock: while something is heard, the
 sensor's is awaited so long."""
-
-COUNTERS = (
-    "serial frames dropped",
-    "serial receive overruns",
-    "CAN errors",
-    "CAN receive overruns",
-    "messages lost in a full queue",
-    "late chip blocks",
-    "converter overruns",
-    "clock fallback",
-    "watchdog resets",
-    "bad parameter page",
-    "sync edges rejected",
-    "over-current",
-    "open coil",
-    "epochs dropped",
-    "SYNC of a master with another degree",
-)
-"""What a node's counters count, by index (framing.md)."""
 
 USED = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "PART", "HEARTBEAT", "COUNTER", "PARAM_VALUE", *OWN_POSE)
 USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in USED}
@@ -77,7 +55,7 @@ class Session:
     Attributes
     ----------
     counters : dict of int to int
-        The sensor's own error counters since its reset, those that are not zero; `COUNTERS` names them.
+        The sensor's own error counters since its reset, those that are not zero; `counter_name` names them.
     """
 
     def __init__(
@@ -150,7 +128,7 @@ class Session:
         SystemFailure
             If it does not answer.
         """
-        own = self._ask(bus, PARAM_DEGREE)
+        own = self._ask(bus, PARAMETERS["degree"].first)
         if own != degree:
             raise UserError(
                 f"{self.name}: sensor {self.node} works with codes of degree {own}, the site file says {degree}: "
@@ -180,8 +158,9 @@ class Session:
             raise UserError(
                 f"the site has {len(codes)} beacons, a sensor reports {LONGEST_CODE_LIST} at most: split the site"
             )
-        wanted: list[tuple[int, int | float]] = [(PARAM_CODE_LIST + place, code) for place, code in enumerate(codes)]
-        wanted += [(PARAM_CODE_COUNT, len(codes))]
+        code_list = PARAMETERS["code_list"]
+        wanted: list[tuple[int, int | float]] = [(code_list.identifier(i), code) for i, code in enumerate(codes)]
+        wanted += [(PARAMETERS["code_count"].first, len(codes))]
         wanted += [
             (parameter, _single(value) if isinstance(value, float) else value)
             for parameter, value in (parameters or {}).items()
@@ -191,7 +170,8 @@ class Session:
             answer = self._ask(bus, parameter, value)
             if answer != value:
                 raise SystemFailure(
-                    f"{self.name}: sensor {self.node} keeps parameter {parameter} at {answer} instead of {value}"
+                    f"{self.name}: sensor {self.node} keeps parameter {label_of(parameter)} at {answer} "
+                    f"instead of {value}"
                 )
         self._configured = bus, codes, parameters or {}
         return bool(changes)
@@ -262,9 +242,9 @@ class Session:
         if value is None:
             request = encode("PARAM_GET", {"reserved": 0}, node=self.node, index=parameter)
         else:
-            signals: dict[str, float] = {"kind": KIND_UNSIGNED, "value_unsigned": value}
+            signals: dict[str, float] = {"kind": Kind.UNSIGNED, "value_unsigned": value}
             if isinstance(value, float):
-                signals = {"kind": KIND_FLOAT, "value_float": value}
+                signals = {"kind": Kind.FLOAT, "value_float": value}
             request = encode("PARAM_SET", signals, node=self.node, index=parameter)
         for _ in range(TRIES):
             bus.send(*request)
@@ -282,13 +262,15 @@ class Session:
                     why = PARAM_STATUS.get(status, f"of status {status}")
                     given = "" if value is None else f" = {value}"
                     raise SystemFailure(
-                        f"{self.name}: sensor {self.node} says that parameter {parameter}{given} is {why}"
+                        f"{self.name}: sensor {self.node} says that parameter {label_of(parameter)}{given} is "
+                        f"{why}{_range_behind(parameter, status)}"
                     )
                 if "value_float" in message.signals:
                     return float(message.signals["value_float"])
                 return int(message.signals.get("value_unsigned", -1))
         raise SystemFailure(
-            f"{self.name}: sensor {self.node} did not answer a request for parameter {parameter} in {TRIES} tries"
+            f"{self.name}: sensor {self.node} did not answer a request for parameter {label_of(parameter)} "
+            f"in {TRIES} tries"
         )
 
     def _receive_raw(self, timeout_s: float) -> can.Message | None:
@@ -325,6 +307,12 @@ class Session:
             f"{self.name}: node {heartbeat.node} ({role}, firmware {version}) speaks protocol {theirs:#010x} and this "
             f"host {ours:#010x}: flash it with the {role} firmware of this host's version (make flash ROLE={role})"
         )
+
+
+def _range_behind(identifier: int, status: int) -> str:
+    """Return the range in parentheses if that is what the sensor objects to."""
+    found = find_id(identifier)
+    return f" ({found[0].range_text})" if found is not None and status == OUT_OF_RANGE else ""
 
 
 def _single(value: float) -> float:

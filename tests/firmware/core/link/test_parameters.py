@@ -1,37 +1,19 @@
-"""The parameter table against framing.md, and the stored page."""
+"""The firmware's parameters against the table of parameters.toml, and the stored page."""
 
 import math
-import re
 import struct
 
 import crcmod.predefined
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil_sim.clib import ROOT
+from goldfield_protocol.parameters import PARAMETERS, Kind, ParameterError, build_page
+from goldfield_protocol.table import ROLES
 
 crc16 = crcmod.predefined.mkPredefinedCrcFun("crc-ccitt-false")
-KINDS = {"unsigned": 0, "signed": 1, "float": 2}
-
-
-def documented():
-    """Parameter id -> kind, from the table of framing.md."""
-    table = {}
-    text = (ROOT / "protocol/framing.md").read_text()
-    rows = re.findall(r"^\| (\d+)(?:\.\.(\d+))? \| [\w, ]+ \| (\w+) \|", text, re.M)
-    for first, last, kind in rows:
-        for identifier in range(int(first), int(last or first) + 1):
-            table[identifier] = KINDS[kind]
-    grids = re.findall(r"^\| (\d+) \+ (\d+) i \+ 0\.\.(\d+) \| \w+ \| (\w+) \|.*i = 0\.\.(\d+)", text, re.M)
-    for first, stride, last, kind, last_row in grids:
-        for row in range(int(last_row) + 1):
-            for field in range(int(last) + 1):
-                table[int(first) + int(stride) * row + field] = KINDS[kind]
-    return table
-
-
-TABLE = documented()
+TABLE = {p.identifier(i): p.kind for p in PARAMETERS.values() for i in range(p.count)}
 
 
 def bits(value):
@@ -122,6 +104,98 @@ def test_ranges(core, parameters, identifier, inside, outside):
     for value in outside:
         assert setting(core, parameters, identifier, kind, encode(value)) == 2
         assert getting(core, parameters, identifier) == (0, kind, encode(inside[-1]))
+
+
+def neighbours(parameter):
+    """Values at both limits, just inside and just outside of them, around the excluded one, and odd ones: 32 bits each.
+
+    Just outside of a float is the next single-precision number, of a whole number the next one, which may wrap.
+    """
+    if parameter.kind is Kind.FLOAT:
+        low, high = np.float32(parameter.low), np.float32(parameter.high)
+        ways = np.float32(-np.inf), np.float32(np.inf)
+        ends = [value for end in (low, high) for value in (end, *(np.nextafter(end, way) for way in ways))]
+        odd = [0.0, -0.0, np.inf, -np.inf, np.nan, -np.nan, np.finfo(np.float32).max, np.float32(1e-45)]
+        return [bits(float(value)) for value in [*ends, *odd]]
+    middle = [] if parameter.excluded is None else [parameter.excluded + i for i in (-1, 0, 1)]
+    ends = [end + i for end in (parameter.low, parameter.high) for i in (-1, 0, 1)]
+    return [value % 2**32 for value in (*ends, *middle, 2**31, 2**32 - 1)]
+
+
+def built(parameter, element, number):
+    """The page with the number as this element and defaults around it; None if the page builder refuses it."""
+    if parameter.count == 1:
+        values = number
+    else:
+        elements = parameter.count if parameter.exact else (element // parameter.group + 1) * parameter.group
+        values = [parameter.default[i % parameter.group] for i in range(elements)]
+        values[element] = number
+    try:
+        return build_page({parameter.name: values})
+    except ParameterError as error:
+        said = str(error)
+    assert parameter.label(element) in said
+    assert parameter.range_text in said
+    return None
+
+
+def chosen_elements(parameter):
+    """Every element of small arrays; of large ones, the first and the last row."""
+    whole = range(parameter.count)
+    return whole if parameter.count <= 16 else [*whole[: parameter.group], *whole[-parameter.group :]]
+
+
+@pytest.mark.parametrize("parameter", PARAMETERS.values(), ids=PARAMETERS)
+def test_builder_and_firmware_take_and_refuse_the_same(core, parameters, parameter):
+    """Each element at its limits and beside them: by the builder, by the page at start, and by PARAM_SET."""
+    taken = {True: 0, False: 0}
+    for element in sorted(set(chosen_elements(parameter))):
+        identifier = parameter.identifier(element)
+        for value in neighbours(parameter):
+            status = setting(core, parameters, identifier, parameter.kind, value)
+            stored = load(core, parameters, page([(identifier, parameter.kind, value)]))
+            number = parameter.value(struct.pack("<I", value))
+            made = built(parameter, element, number)
+            assert status in (0, 2)
+            assert stored == (0, int(status == 2))
+            assert (made is not None) == (status == 0), (identifier, number)
+            if made is not None:
+                assert load(core, parameters, made) == (0, 0)
+                assert getting(core, parameters, identifier) == (0, parameter.kind, value)
+            taken[status == 0] += 1
+        for kind in {*Kind, 3} - {parameter.kind}:
+            valid = int.from_bytes(parameter.pack(parameter.default[element % parameter.group]), "little")
+            assert setting(core, parameters, identifier, kind, valid) == 3
+            assert load(core, parameters, page([(identifier, kind, valid)])) == (0, 1)
+    assert min(taken.values()) > 0
+
+
+def test_defaults_are_those_of_the_table(core, parameters):
+    for parameter in PARAMETERS.values():
+        for element in range(parameter.count):
+            default = parameter.pack(parameter.default[element % parameter.group])
+            assert getting(core, parameters, parameter.identifier(element))[2] == int.from_bytes(default, "little")
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_the_next_parameter_is_one_that_the_role_uses(core, role):
+    ffi, lib = core
+    used = [p for p in PARAMETERS.values() if role in p.roles]
+    assert 0 < len(used) < len(PARAMETERS) or role == "anchor"
+    for identifier in range(4096):
+        entry = lib.parameters_next(identifier, ROLES[role])
+        expected = next((p for p in used if p.first >= identifier), None)
+        assert (entry == ffi.NULL) == (expected is None)
+        if expected is not None:
+            assert entry.first_id == expected.first
+            assert ffi.string(entry.text).decode() == f"{expected.name} {expected.unit}".rstrip()
+
+
+def test_degrees_are_those_that_have_codes(core, parameters):
+    _, lib = core
+    for degree in range(64):
+        known = bool(lib.gold_family(degree))
+        assert setting(core, parameters, PARAMETERS["degree"].first, Kind.UNSIGNED, degree) == (0 if known else 2)
 
 
 def test_typed_readers_and_defaults(core, parameters):

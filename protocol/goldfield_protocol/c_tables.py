@@ -1,0 +1,70 @@
+"""The tables of ``parameters.toml`` as C headers: ids of parameters and counters, and the firmware's own table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from goldfield_protocol.table import COUNTERS, PARAMETERS, ROLES, Parameter
+
+_HEAD = "/* Generated from parameters.toml. */\n"
+
+
+def ids_header() -> str:
+    """Return ``parameter_ids.h``: the id of each parameter and the shape of each array."""
+    lines = []
+    for parameter in PARAMETERS.values():
+        macro = f"PARAMETER_{parameter.name.upper()}"
+        lines.append(f"#define {macro} {parameter.first}u")
+        if parameter.count > 1:
+            lines.append(f"#define {macro}_ELEMENTS {parameter.group}u")
+        if parameter.rows > 1:
+            lines += [f"#define {macro}_ROWS {parameter.rows}u", f"#define {macro}_STRIDE {parameter.stride}u"]
+    lines += ["/* Number of elements of all parameters. */"]
+    lines += [f"#define PARAMETERS_COUNT {sum(p.count for p in PARAMETERS.values())}u"]
+    return _guarded("PARAMETER_IDS_H", lines)
+
+
+def counters_header() -> str:
+    """Return ``counter_ids.h``: the index of each counter."""
+    lines = [f"    COUNTER_{c.identifier.upper()} = {c.index}, /* {c.text} */" for c in COUNTERS]
+    return _guarded("COUNTER_IDS_H", ["enum {", *lines, f"    COUNTERS_COUNT = {len(COUNTERS)}", "};"])
+
+
+def table_header() -> str:
+    """Return ``parameter_table.h``: the constants of ``parameters.c``, which includes it behind ``parameters.h``."""
+    entries = [_entry(parameter) for parameter in PARAMETERS.values()]
+    defaults = [line for parameter in PARAMETERS.values() for line in _odd_defaults(parameter)]
+    lines = ["static const parameter_entry_t parameter_table[] = {", *entries, "};"]
+    lines += ["/* Defaults of elements that differ from that of the parameter's first element. */"]
+    lines += ["static const struct {", "    uint16_t id;", "    uint32_t bits;", "} parameter_defaults[] = {"]
+    lines += [*defaults, "};"]
+    return _guarded("PARAMETER_TABLE_H", lines)
+
+
+def _guarded(guard: str, lines: list[str]) -> str:
+    return _HEAD + "\n".join([f"#ifndef {guard}", f"#define {guard}", *lines, "#endif"]) + "\n"
+
+
+def _word(parameter: Parameter, value: int | float) -> str:
+    """Return the 32 bits of a value."""
+    return f"{int.from_bytes(parameter.pack(value), 'little'):#x}u"
+
+
+def _entry(parameter: Parameter) -> str:
+    roles = sum(1 << ROLES[role] for role in parameter.roles)
+    text = f"{parameter.name} {parameter.unit}".rstrip()
+    fields = [
+        *(f"{parameter.first}u", f"PARAMETER_{parameter.kind.name}", str(int(parameter.at_start)), f"{roles:#x}u"),
+        *(f"{n}u" for n in (parameter.group, parameter.rows, parameter.stride, parameter.excluded or 0)),
+        *(_word(parameter, value) for value in (parameter.low, parameter.high, parameter.default[0])),
+        f'"{text}"',
+    ]
+    return f"    {{{', '.join(fields)}}},"
+
+
+def _odd_defaults(parameter: Parameter) -> Iterator[str]:
+    """Yield the defaults of elements that differ from the first one's."""
+    for element in range(parameter.count):
+        value = parameter.default[element % parameter.group]
+        if value != parameter.default[0]:
+            yield f"    {{{parameter.identifier(element)}u, {_word(parameter, value)}}},"
