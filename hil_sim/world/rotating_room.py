@@ -1,7 +1,6 @@
 """A room with dual-axis beacons: what a sensor samples there.
 
 The coils are magpylib's current loops with all turns at one radius; nothing here knows how the host models a beacon.
-`RotatingRoom` is offered to others through the entry point ``rotating`` of the group ``goldfield.worlds``.
 """
 
 from __future__ import annotations

@@ -58,7 +58,7 @@ def recorded(rig_kind, tmp_path_factory):
 
 
 def located(capsys, site_file, table, *options):
-    assert main(["rotating", "locate", str(table), "--site", str(site_file), "--json", *options]) == 0
+    assert main(["paper", "zheng", "locate", str(table), "--site", str(site_file), "--json", *options]) == 0
     return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 

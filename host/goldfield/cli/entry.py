@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from importlib.metadata import EntryPoint, entry_points, version
 from typing import Any, NoReturn
 
-from goldfield.cli import compare, emitter, locate, rotating, run, samples, separate
+from goldfield.cli import locate, run, samples, separate
 from goldfield.errors import SystemFailure, UserError
 
 EXIT_USAGE = 2
@@ -59,7 +59,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser = Parser(prog="goldfield", description="Indoor position and attitude from coded magnetic fields.")
     parser.add_argument("--version", action="version", version=f"goldfield {version('goldfield')}")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (run, locate, samples, separate, compare, rotating, emitter):
+    for module in (run, locate, samples, separate):
         module.command(subparsers)
     for entry_point in entry_points(group=COMMAND_GROUP):
         _add_foreign(subparsers, entry_point)

@@ -8,7 +8,6 @@ import pytest
 from scipy.signal import lsim
 
 from goldfield.access import Separator, SiteAccess
-from goldfield.access.comparison import coil_rise
 from goldfield.access.epoch import EpochSeparator
 from goldfield.access.rise import filtered, sharpened
 from goldfield.cli import main
@@ -54,16 +53,6 @@ def test_no_rise_changes_nothing():
 
 def test_sharpening_undoes_the_filter():
     np.testing.assert_allclose(sharpened(filtered(CHIPS.astype(float), 0.7), 0.7), CHIPS, atol=1e-12)
-
-
-@pytest.mark.parametrize(("tau", "ignored", "range_mm"), [(0.1, -0.0045, 0.03), (0.2, -0.68, 4.5), (0.3, -3.56, 24.0)])
-def test_bias_and_cures(tau, ignored, range_mm):
-    """The figures of maths.md, 1; the cures below .01 % (known tau: rounding)."""
-    rise = coil_rise(tau)
-    assert 100.0 * rise.ignored == pytest.approx(ignored, rel=0.02)
-    assert 1e3 * rise.range_m == pytest.approx(range_mm, rel=0.03)
-    assert max(abs(rise.exact), abs(rise.sharp)) < 1e-12
-    assert abs(rise.unknown) < 1e-4
 
 
 def test_exact_templates_of_eight_different_coils():

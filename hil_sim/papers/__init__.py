@@ -1,0 +1,1 @@
+"""The sources' experiments, repeated: the one place where the simulated world meets the host's model."""

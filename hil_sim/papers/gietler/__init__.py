@@ -1,0 +1,1 @@
+"""Gietler, Ammari and Zangl: moving emitters tracked by a fixed sensor, beside conductors."""

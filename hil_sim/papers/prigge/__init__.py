@@ -1,0 +1,1 @@
+"""Prigge and How (US patent 6,691,074): ways to tell beacons apart, compared on equal terms."""
