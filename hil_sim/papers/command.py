@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil_sim.papers.gietler import reports as gietler
-from hil_sim.papers.prigge import report as prigge
+from hil_sim.papers.gietler import command as gietler
+from hil_sim.papers.prigge import command as prigge
 from hil_sim.papers.zheng import command as zheng
 
 

@@ -1,4 +1,4 @@
-"""``goldfield paper prigge``: ways to tell beacons apart, on equal terms; the patent's figures and coil rise."""
+"""What ``goldfield paper prigge`` prints: the comparison as tables, or as one JSON object."""
 
 from __future__ import annotations
 
@@ -8,45 +8,81 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from goldfield.cli import options
 from goldfield.cli.output import json_line
 from goldfield.errors import UserError
 from goldfield.site.drive import DEGREES
+from goldfield.types import FloatArray
+from hil_sim.papers.prigge import comparison, waveforms
+from hil_sim.papers.prigge.comparison import Figures, Rise, Setup, Waveform
 
 RISES = (0.1, 0.2, 0.3)
+"""Time constants of the coils, in chips, whose errors are shown."""
 
 NULL_DB = -250.0
-"""Rounding of a weighted sum of a thousand samples."""
+"""A level below this is the rounding of a weighted sum of a thousand samples, and is shown as a null."""
 
 
-def command(subparsers: Any) -> None:
-    """Add the subcommand."""
-    parser = subparsers.add_parser(
-        "prigge",
-        help="TDMA, FDMA and CDMA side by side",
-        description="Ways to tell beacons apart, compared at equal peak current and at equal average power: white "
-        "noise, mains, impulses, the earth's field, spectrum, eddy currents; then the patent's example and coil rise. "
-        "The figures are computed from the exact separation of each system, none is drawn at random.",
-    )
-    options.add(
-        parser, "--beacons", metavar="N", kind=options.count, what="how many beacons share a cycle, default 100"
-    )
-    options.add(parser, "--degree", metavar="N", kind=options.count, what="2^N - 1 samples a cycle, default 10")
-    options.add(parser, "--cycle", metavar="SECONDS", kind=options.seconds, what="duration of a cycle, default 0.1")
-    options.add(parser, "--mains", metavar="HZ", kind=options.hertz, what="frequency of the mains, default 60")
-    options.add(
-        parser, "--figure", metavar="FILE", what="draw waveforms and spectra (FIG. 1 to 4) into a PNG, PDF or SVG"
-    )
-    options.add_json(parser)
-    parser.set_defaults(run=run)
+@dataclasses.dataclass(frozen=True, eq=False)
+class Report:
+    """All figures of the comparison.
+
+    Attributes
+    ----------
+    setup : Setup
+    systems : list of Figures
+    plain_mG, exact_mG : ndarray, shape (3,)
+        The patent's example by plain correlation and by exact separation.
+    waves : list of Waveform
+        The signals of FIG. 4.
+    rises : list of Rise
+        One for each of `RISES`.
+    """
+
+    setup: Setup
+    systems: list[Figures]
+    plain_mG: FloatArray
+    exact_mG: FloatArray
+    waves: list[Waveform]
+    rises: list[Rise]
+
+    @property
+    def gain(self) -> float:
+        """Noise of TDMA without a quiet slot over that of CDMA, at equal peak current."""
+        return self.systems[0].noise / self.systems[3].noise
+
+    @property
+    def gain_power(self) -> float:
+        """The same gain at equal average power."""
+        return self.gain * self.systems[3].peak / self.systems[0].peak
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the tables, or one JSON object."""
-    from hil_sim.papers.prigge import comparison  # heavy: only when it is wanted
+    setup = _setup(arguments)
+    systems = comparison.systems(setup)
+    plain, exact = comparison.patent_example()
+    waves = comparison.figure_4(setup.conductor_chips / comparison.PATENT_FIGURE_4_HZ)
+    report = Report(setup, systems, plain, exact, waves, [comparison.coil_rise(tau) for tau in RISES])
+    if arguments.figure:
+        waveforms.draw(arguments.figure, waves)
+    if arguments.json:
+        print(json_line(_record(report)))
+    else:
+        _print_systems(report)
+        _print_signals(report)
+    return 0
 
-    defaults = comparison.Setup()
-    setup = comparison.Setup(
+
+def _setup(arguments: argparse.Namespace) -> Setup:
+    """Return the setup of the options.
+
+    Raises
+    ------
+    UserError
+        If there are no codes of the degree, or the mains cannot be sampled.
+    """
+    defaults = Setup()
+    setup = Setup(
         beacons=arguments.beacons or defaults.beacons,
         degree=arguments.degree or defaults.degree,
         cycle_s=arguments.cycle or defaults.cycle_s,
@@ -58,28 +94,24 @@ def run(arguments: argparse.Namespace) -> int:
         raise UserError(
             f"--mains {setup.mains_Hz:g} is above half the sample rate: give a longer code or a shorter cycle"
         )
-    systems = comparison.systems(setup)
-    plain, exact = comparison.patent_example()
-    waves = comparison.figure_4(setup.conductor_chips / comparison.PATENT_FIGURE_4_HZ)
-    rises = [comparison.coil_rise(tau) for tau in RISES]
-    if arguments.figure:
-        from hil_sim.papers.prigge.waveforms import draw
+    return setup
 
-        draw(arguments.figure, waves)
-    gain = systems[0].noise / systems[3].noise
-    gain_power = gain * systems[3].peak / systems[0].peak
-    if arguments.json:
-        record = {
-            "setup": dataclasses.asdict(setup),
-            "systems": [dataclasses.asdict(system) | {"peak": system.peak} for system in systems],
-            "gain_equal_peak": gain,
-            "gain_equal_power": gain_power,
-            "patent_example": {"plain": plain.tolist(), "exact": exact.tolist()},
-            "figure_4": [{"signal": wave.name, "below": wave.below, "eddy": wave.eddy} for wave in waves],
-            "coil_rise": [dataclasses.asdict(rise) for rise in rises],
-        }
-        print(json_line(record))
-        return 0
+
+def _record(report: Report) -> dict[str, Any]:
+    return {
+        "setup": dataclasses.asdict(report.setup),
+        "systems": [dataclasses.asdict(system) | {"peak": system.peak} for system in report.systems],
+        "gain_equal_peak": report.gain,
+        "gain_equal_power": report.gain_power,
+        "patent_example": {"plain": report.plain_mG.tolist(), "exact": report.exact_mG.tolist()},
+        "figure_4": [{"signal": wave.name, "below": wave.below, "eddy": wave.eddy} for wave in report.waves],
+        "coil_rise": [dataclasses.asdict(rise) for rise in report.rises],
+    }
+
+
+def _print_systems(report: Report) -> None:
+    """Print what each system makes of disturbances, at equal peak and at equal power, and its drive."""
+    setup, systems = report.setup, report.systems
     print(
         f"{setup.beacons} beacons, {setup.chips} samples in {setup.cycle_s:g} s, mains at {setup.mains_Hz:g} Hz "
         f"(columns {setup.mains_error_Hz:g} Hz off), conductor of tau = {setup.conductor_chips:g} chips"
@@ -126,18 +158,23 @@ def run(arguments: argparse.Namespace) -> int:
             for system in systems
         ],
     )
+
+
+def _print_signals(report: Report) -> None:
+    """Print the patent's FIG. 4, the gain that it claims, its example, and what coil rise does to that."""
     _print_table(
         ("FIG. 4, all at 1 kHz", "energy below 1 kHz", "eddy error"),
-        [(wave.name, f"{wave.below:.1%}", f"{wave.eddy:.1%}") for wave in waves],
+        [(wave.name, f"{wave.below:.1%}", f"{wave.eddy:.1%}") for wave in report.waves],
     )
     print(
-        f"\nCDMA against TDMA without a quiet slot: {gain:.2f} at equal peak current, {gain_power:.2f} at equal power"
+        f"\nCDMA against TDMA without a quiet slot: {report.gain:.2f} at equal peak current, "
+        f"{report.gain_power:.2f} at equal power"
     )
     print(
         "the patent's 12, 6 and 1 mG: "
-        + ", ".join(f"{value:.2f}" for value in plain)
+        + ", ".join(f"{value:.2f}" for value in report.plain_mG)
         + " by plain correlation, "
-        + ", ".join(f"{value:.4f}" for value in exact)
+        + ", ".join(f"{value:.4f}" for value in report.exact_mG)
         + " by exact separation"
     )
     _print_table(
@@ -151,10 +188,9 @@ def run(arguments: argparse.Namespace) -> int:
                 f"{abs(rise.sharp):.0e}",
                 f"{rise.unknown:.5%}",
             )
-            for rise in rises
+            for rise in report.rises
         ],
     )
-    return 0
 
 
 def _print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

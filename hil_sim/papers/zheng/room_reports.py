@@ -1,138 +1,47 @@
-"""``goldfield paper zheng compare|range|beacons|stability``: Zheng et al. 2022 repeated in a simulated room."""
+"""What ``goldfield paper zheng compare|range|beacons|stability`` prints and draws."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from goldfield.cli.output import json_line, number
 from goldfield.errors import UserError
-from hil_sim.papers.zheng import options
-
-if TYPE_CHECKING:
-    from goldfield.types import FloatArray
-    from hil_sim.papers.zheng.room import Compared, Room
+from goldfield.types import FloatArray
+from hil_sim.papers import plot
+from hil_sim.papers.zheng import room_options, sites
+from hil_sim.papers.zheng.experiments import Compared, compare, direction_errors, more_beacons, stability
+from hil_sim.papers.zheng.room import Room
 
 PAPER_POSITION_M = {
-    "1 attenuation lines, global": 0.336,  # the paper does not say which of the two kinds of lines
+    "1 attenuation lines, global": 0.336,
     "1 attenuation lines, regions": 0.336,
     "2 nearest fingerprints": 0.114,
     "3 improved fingerprints": 0.069,
 }
+"""Mean position errors that the paper prints. It does not say which of the two kinds of lines its algorithm 1 has."""
+
 PAPER_ORDER = "3 < 2 < 1"
+"""The paper's algorithms by these errors, the best first."""
+
 PAPER_ATTITUDE_DEG = {
     "1 attenuation lines, global": 5.62,
     "1 attenuation lines, regions": 5.62,
     "2 nearest fingerprints": 3.91,
     "3 improved fingerprints": 2.37,
 }
+"""Mean errors of the attitude's angles that the paper prints."""
+
 PAPER_BEACONS_M = {3: 0.110, 4: 0.085, 5: 0.077, 6: 0.071}
+"""Mean position errors that the paper prints for each number of beacons."""
+
 PAPER_RANGE = "the paper: 14 m in its laboratory, 20 m in its simulation, limit not stated"
+
 STILL_M = (1.20, 1.80, 0.50)
 """Where the sensor of the stability experiment stands: a point of the paper's Table 1."""
-
-
-def add_actions(actions: Any) -> None:
-    """Add the actions."""
-    compare = actions.add_parser("compare", help="the algorithms in a simulated room (figs 7 and 8)")
-    _add_room(compare, runs=200, beacons=3)
-    compare.add_argument(
-        "--tilt-deg",
-        type=options.positive,
-        default=90.0,
-        metavar="D",
-        help="largest tilt of the turned sensors",
-    )
-    compare.set_defaults(run=run_compare)
-
-    reach = actions.add_parser("range", help="error of one beacon's direction over the distance (fig 6)")
-    _add_room(reach, runs=400, beacons=1)
-    reach.add_argument(
-        "--polar-deg", type=options.positive, default=45.0, metavar="D", help="angle from the beacon's z"
-    )
-    reach.add_argument("--limit-deg", type=options.positive, default=5.0, metavar="D", help="what still counts")
-    reach.set_defaults(run=run_range)
-
-    beacons = actions.add_parser("beacons", help="three and more beacons (fig 11)")
-    _add_room(beacons, runs=200, beacons=6)
-    beacons.set_defaults(run=run_beacons)
-
-    stability = actions.add_parser("stability", help="48 h with a drive that drifts with temperature (figs 9 and 10)")
-    _add_room(stability, runs=20, beacons=3)
-    stability.add_argument("--hours", type=options.positive, default=48.0, metavar="H", help="of one run; default 48")
-    stability.add_argument(
-        "--ageing-per-day",
-        type=options.finite,
-        default=0.0,
-        metavar="X",
-        help="steady relative loss of current, to see a trend",
-    )
-    stability.set_defaults(run=run_stability)
-
-
-def run_compare(arguments: argparse.Namespace) -> int:
-    """Print a line an algorithm."""
-    from hil_sim.papers.zheng.room import compare
-
-    room = _room(arguments, 3)
-    results = compare(room, arguments.runs, arguments.tilt_deg)
-    if not arguments.json:
-        print(_about(room, f"{arguments.runs} places"))
-        print(f"{'':30s} {'position error m':^32s} {'attitude error deg':^43s}")
-        print(
-            f"{'algorithm':30s} {'mean':>8} {'95 %':>8} {'worst':>7} {'paper':>6}"
-            f" {'printed,':>9} {'paper':>6} {'Wahba,':>8} {'worst':>7} {'printed,':>9}"
-        )
-        print(f"{'':62s} {'level':>9} {'':6} {'turned':>8} {'':7} {'turned':>9}")
-    for result in results:
-        record: dict[str, Any] = {
-            "algorithm": result.name,
-            "mean_m": number(float(np.mean(result.error_m))),
-            "p95_m": number(float(np.quantile(result.error_m, 0.95))),
-            "worst_m": number(float(result.error_m.max())),
-            "paper_m": PAPER_POSITION_M.get(result.name),
-            "printed_level_deg": _mean(result.printed_deg),
-            "paper_deg": PAPER_ATTITUDE_DEG.get(result.name),
-            "turned_deg": number(float(np.mean(result.turned_deg))),
-            "turned_worst_deg": number(float(result.turned_deg.max())),
-            "printed_turned_deg": _mean(result.printed_turned_deg),
-            "printed_failed": None if result.printed_deg is None else int(np.isnan(result.printed_deg).sum()),
-        }
-        if arguments.json:
-            print(json_line(record))
-            continue
-        values = [_cell(record[key], width, digits) for key, width, digits in COMPARE_CELLS]
-        print(f"{result.name:30s} {' '.join(values)}")
-    if not arguments.json:
-        failed = max(int(np.isnan(result.printed_deg).sum()) for result in results if result.printed_deg is not None)
-        print(
-            f"printed: eqns 18 to 23, for yaw only, without the places (at most {failed}) whose estimate lies in the "
-            f"beacons' plane, where they have no solution. turned: any yaw, tilts up to {arguments.tilt_deg:g} deg."
-        )
-        print(
-            f"order by mean position error (1: global lines): {_order(results, '')} as printed, "
-            f"{_order(results, ', ln B')} with distances of ln B; the paper: {PAPER_ORDER}."
-        )
-    if arguments.figure:
-        from hil_sim.papers import plot
-
-        figure, (left, right) = plot.panels(2, "Zheng et al. 2022, figs 7 and 8, in the simulated room")
-        plot.cumulative(left, {result.name: result.error_m for result in results}, "position error m")
-        turned = {result.name: result.turned_deg for result in results}
-        plot.cumulative(right, turned, f"attitude error deg, tilts up to {arguments.tilt_deg:g} deg")
-        plot.save(figure, arguments.figure)
-    return 0
-
-
-def _order(results: Sequence[Compared], kind: str) -> str:
-    """Return the paper's algorithms by their mean error, the best first; kind: how 2 and 3 measure distances."""
-    names = ("1 attenuation lines, global", f"2 nearest fingerprints{kind}", f"3 improved fingerprints{kind}")
-    mean = {result.name: float(np.mean(result.error_m)) for result in results}
-    return " < ".join(name[0] for name in sorted(names, key=lambda name: mean[name]))
-
 
 COMPARE_CELLS = (
     ("mean_m", 8, 4),
@@ -145,13 +54,76 @@ COMPARE_CELLS = (
     ("turned_worst_deg", 7, 2),
     ("printed_turned_deg", 9, 1),
 )
+"""Key, width and digits of each number in a line of the comparison."""
+
+
+def run_compare(arguments: argparse.Namespace) -> int:
+    """Print a line an algorithm."""
+    room = room_options.room(arguments, 3)
+    results = compare(room, arguments.runs, arguments.tilt_deg)
+    records = [_compare_record(result) for result in results]
+    if arguments.json:
+        for record in records:
+            print(json_line(record))
+    else:
+        print(_about(room, f"{arguments.runs} places"))
+        _print_compared(records)
+        failed = max(int(np.isnan(result.printed_deg).sum()) for result in results if result.printed_deg is not None)
+        print(
+            f"printed: eqns 18 to 23, for yaw only, without the places (at most {failed}) whose estimate lies in the "
+            f"beacons' plane, where they have no solution. turned: any yaw, tilts up to {arguments.tilt_deg:g} deg."
+        )
+        print(
+            f"order by mean position error (1: global lines): {_order(results, '')} as printed, "
+            f"{_order(results, ', ln B')} with distances of ln B; the paper: {PAPER_ORDER}."
+        )
+    if arguments.figure:
+        figure, (left, right) = plot.panels(2, "Zheng et al. 2022, figs 7 and 8, in the simulated room")
+        plot.cumulative(left, {result.name: result.error_m for result in results}, "position error m")
+        turned = {result.name: result.turned_deg for result in results}
+        plot.cumulative(right, turned, f"attitude error deg, tilts up to {arguments.tilt_deg:g} deg")
+        plot.save(figure, arguments.figure)
+    return 0
+
+
+def _compare_record(result: Compared) -> dict[str, Any]:
+    return {
+        "algorithm": result.name,
+        "mean_m": number(float(np.mean(result.error_m))),
+        "p95_m": number(float(np.quantile(result.error_m, 0.95))),
+        "worst_m": number(float(result.error_m.max())),
+        "paper_m": PAPER_POSITION_M.get(result.name),
+        "printed_level_deg": _mean(result.printed_deg),
+        "paper_deg": PAPER_ATTITUDE_DEG.get(result.name),
+        "turned_deg": number(float(np.mean(result.turned_deg))),
+        "turned_worst_deg": number(float(result.turned_deg.max())),
+        "printed_turned_deg": _mean(result.printed_turned_deg),
+        "printed_failed": None if result.printed_deg is None else int(np.isnan(result.printed_deg).sum()),
+    }
+
+
+def _print_compared(records: Sequence[dict[str, Any]]) -> None:
+    print(f"{'':30s} {'position error m':^32s} {'attitude error deg':^43s}")
+    print(
+        f"{'algorithm':30s} {'mean':>8} {'95 %':>8} {'worst':>7} {'paper':>6}"
+        f" {'printed,':>9} {'paper':>6} {'Wahba,':>8} {'worst':>7} {'printed,':>9}"
+    )
+    print(f"{'':62s} {'level':>9} {'':6} {'turned':>8} {'':7} {'turned':>9}")
+    for record in records:
+        values = [_cell(record[key], width, digits) for key, width, digits in COMPARE_CELLS]
+        print(f"{record['algorithm']:30s} {' '.join(values)}")
+
+
+def _order(results: Sequence[Compared], kind: str) -> str:
+    """Return the paper's algorithms by their mean error, the best first; kind: how 2 and 3 measure distances."""
+    names = ("1 attenuation lines, global", f"2 nearest fingerprints{kind}", f"3 improved fingerprints{kind}")
+    mean = {result.name: float(np.mean(result.error_m)) for result in results}
+    return " < ".join(name[0] for name in sorted(names, key=lambda name: mean[name]))
 
 
 def run_range(arguments: argparse.Namespace) -> int:
     """Print a line a distance."""
-    from hil_sim.papers.zheng.room import direction_errors
-
-    room = _room(arguments, 1)
+    room = room_options.room(arguments, 1)
     distance = np.arange(2.0, 31.0, 1.0)
     error = direction_errors(room, distance, arguments.polar_deg, arguments.runs)
     beyond = np.flatnonzero(error > arguments.limit_deg)
@@ -168,8 +140,6 @@ def run_range(arguments: argparse.Namespace) -> int:
         within = "beyond 30 m" if last is None else f"{last:g} m"
         print(f"within {arguments.limit_deg:g} deg up to {within} ({PAPER_RANGE})")
     if arguments.figure:
-        from hil_sim.papers import plot
-
         figure, (axes,) = plot.panels(1, "Zheng et al. 2022, fig 6, in the simulated room")
         plot.curves(axes, distance, {"one beacon": error**2}, "distance m", "mean square error of the direction, deg^2")
         axes.set_yscale("log")
@@ -179,10 +149,8 @@ def run_range(arguments: argparse.Namespace) -> int:
 
 def run_beacons(arguments: argparse.Namespace) -> int:
     """Print a line a number of beacons."""
-    from hil_sim.papers.zheng.room import more_beacons
-
-    site = options.site(arguments, 3)
-    results = more_beacons(site, options.setting(arguments, site), arguments.runs)
+    site = sites.simulated(arguments, 3)
+    results = more_beacons(site, room_options.setting(arguments, site), arguments.runs)
     if not arguments.json:
         print(f"{'beacons':>7} {'3 improved m':>13} {'paper m':>8} {'ours m':>8}")
     for result in results:
@@ -193,8 +161,6 @@ def run_beacons(arguments: argparse.Namespace) -> int:
         else:
             print(f"{result.beacons:7d} {improved:13.4f} {_cell(paper, 8, 3)} {ours:8.4f}")
     if arguments.figure:
-        from hil_sim.papers import plot
-
         figure, (left, right) = plot.panels(2, "Zheng et al. 2022, fig 11, in the simulated room")
         plot.cumulative(left, {f"{r.beacons} beacons": r.improved_m for r in results}, "improved fingerprints, error m")
         plot.cumulative(right, {f"{r.beacons} beacons": r.ours_m for r in results}, "ours, error m")
@@ -204,13 +170,11 @@ def run_beacons(arguments: argparse.Namespace) -> int:
 
 def run_stability(arguments: argparse.Namespace) -> int:
     """Print a line an algorithm and kind of error."""
-    from hil_sim.papers.zheng.room import stability
-
     if arguments.runs < 2:
         raise UserError("--runs is 1: the uncertainty of the slope comes from the spread over at least 2 runs")
     if arguments.hours < 30.0:
         raise UserError(f"--hours is {arguments.hours:g}: less than 30 h cannot tell a slope from the daily cycle")
-    room = _room(arguments, 3)
+    room = room_options.room(arguments, 3)
     result = stability(room, arguments.hours, np.array(STILL_M), arguments.runs, arguments.ageing_per_day)
     if not arguments.json:
         print(_about(room, f"{arguments.runs} runs of {arguments.hours:g} h, one estimate a minute"))
@@ -235,8 +199,6 @@ def run_stability(arguments: argparse.Namespace) -> int:
                 verdict = "yes" if trend.consistent_with_zero else "no"
                 print(f"{name:26s} {text[0]} {shown:3s} {' '.join(text[1:])}  {verdict}")
     if arguments.figure:
-        from hil_sim.papers import plot
-
         figure, (left, right) = plot.panels(2, "Zheng et al. 2022, figs 9 and 10, in the simulated room: the first run")
         plot.curves(left, result.hours, result.error_m, "hours", "position error m")
         plot.curves(right, result.hours, result.error_deg, "hours", "attitude error deg")
@@ -244,24 +206,6 @@ def run_stability(arguments: argparse.Namespace) -> int:
         right.set_yscale("log")
         plot.save(figure, arguments.figure)
     return 0
-
-
-def _add_room(parser: argparse.ArgumentParser, *, runs: int, beacons: int) -> None:
-    options.add_site(parser, beacons)
-    options.add_world(parser)
-    parser.add_argument(
-        "--runs", type=options.count, default=runs, metavar="N", help=f"places, or repetitions; default {runs}"
-    )
-    parser.add_argument("--figure", metavar="FILE.png", help="also draw it")
-    options.add_json(parser)
-
-
-def _room(arguments: argparse.Namespace, least_beacons: int) -> Room:
-    from hil_sim.papers.zheng.room import Room
-    from hil_sim.world.rotating_room import RotatingRoom
-
-    site = options.site(arguments, least_beacons)
-    return Room(site, RotatingRoom(site.beacons), options.setting(arguments, site))
 
 
 def _about(room: Room, what: str) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import argparse
 from dataclasses import dataclass
 from importlib.resources import as_file, files
 
 import numpy as np
 
+from goldfield.cli.output import json_line
 from goldfield.files.csv_table import read_table
 from goldfield.types import FloatArray
 from hil_sim.papers.zheng.methods.fingerprint import FingerprintMap, LineLocator, nearest_neighbours
@@ -92,3 +94,21 @@ def scores(table: Table1) -> list[Score]:
         Score("local lines, leave one out", error(local), error(local_known)),
         Score("4 nearest fingerprints, leave one out", error(neighbours)),
     ]
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print a line a method."""
+    table = read()
+    if not arguments.json:
+        print(f"{'mean error, 7 points':38s} {'3-D m':>8} {'z known m':>10}")
+    for score in scores(table):
+        known = None if score.error_known_height_m is None else float(score.error_known_height_m.mean())
+        if arguments.json:
+            record = {"method": score.method, "error_m": float(score.error_m.mean()), "error_known_height_m": known}
+            print(json_line({**record, "each_m": score.error_m.tolist()}))
+        else:
+            print(f"{score.method:38s} {score.error_m.mean():8.3f} {'' if known is None else f'{known:10.3f}':>10}")
+    if not arguments.json:
+        angles = ", ".join(f"{angle:.2f}" for angle in np.abs(table.angle_deg).mean(axis=0))
+        print(f"The paper prints {PRINTED_MEAN_ERROR_M} m for its own. Its printed angles: mean {angles} deg.")
+    return 0

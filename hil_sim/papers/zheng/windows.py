@@ -14,14 +14,9 @@ from goldfield.files.csv_table import Row, read_groups
 from goldfield.site.dual_axis import DualAxisSite
 from goldfield.site.rotating import RotatingSite
 from goldfield.types import FloatArray
+from hil_sim.papers.zheng.columns import SAMPLES
 from hil_sim.papers.zheng.methods.separation import RotatingSeparation, RotatingSeparator, separate_by_fft
 
-SAMPLES = ("window", "t_s", "bx_T", "by_T", "bz_T")
-COLUMNS_HELP = (
-    f"CSV with the columns {','.join(SAMPLES)}[,{','.join(PLACE)}], one row a sample; a window is one standing place, "
-    "its rows follow each other; t_s is on the beacons' clock. With a site file of boards the table of goldfield "
-    f"samples: {','.join(chips_file.COLUMNS)}[,{','.join(PLACE)}], a window a cycle"
-)
 EVEN = 1e-4
 """Steps of time that differ by less than this part of themselves are even: what is left by printing the times."""
 

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.field.conductor import Parts
 from goldfield.track.motion import State
-from hil_sim.papers.gietler import experiments
-from hil_sim.papers.gietler.tracker import EmitterBody, EmitterObservation, Noise, euler_axes, euler_matrix
+from hil_sim.papers.gietler import conductors, experiments
+from hil_sim.papers.gietler.tracker import EmitterBody, EmitterObservation, Noise, PlainFilter, euler_axes, euler_matrix
 from hil_sim.world import emitter_world as world
 
 
@@ -65,7 +65,7 @@ def test_filters_agree_from_a_good_guess() -> None:
     fields = world.measured(path, None, 1e-4, rng)
     body, noise = EmitterBody(world.OFFSET_M, world.MOMENT_A_M2), Noise(1e-4, 0.0)
     deviations = np.array([0.01, 0.02, 0.02, 0.1])
-    plain = experiments.PlainFilter(body, experiments.START, deviations, experiments.AGILITY, noise)
+    plain = PlainFilter(body, experiments.START, deviations, experiments.AGILITY, noise)
     track = experiments.follow(path, fields, plain)
     assert experiments.converged(track)
 
@@ -78,7 +78,7 @@ def test_ninety_five_per_cent_of_two_hundred_runs_converge() -> None:
 
 
 def test_extended_model_tracks_beside_copper_where_the_base_model_fails() -> None:
-    truth = experiments.true_conductor("sphere", "copper", 1e4)
+    truth = conductors.true_conductor("sphere", "copper", 1e4)
     models = experiments.models("sphere", "copper", 1e4)
     _, tracks = experiments.beside_conductor(truth, models, 1e-4, seed=3)
     assert tracks["extended"].rms(experiments.NEAR_M)[0] < 0.01

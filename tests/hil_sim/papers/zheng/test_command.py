@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -171,7 +173,7 @@ def test_broken_windows_are_told(surveyed, tmp_path, capsys):
         (("compare", "--site", "no.toml"), "no.toml: there is no such"),
         (("compare", "--box", "1", "0", "0", "1", "1", "1"), "--box: each first number"),
         (("compare", "--box", "0", ".1", "0", ".1", "0", ".1"), "give a larger box"),
-        (("compare", "--runs", "0"), "0 is no whole number from 1"),
+        (("compare", "--runs", "0"), "0 is no whole number of 1"),
         (("compare", "--window", "0.01"), "too short|cannot be separated"),
         (("compare", "--window", "1e6"), "more than 100,000 samples"),
         (("compare", "--seed", "-1"), "--seed is -1"),
@@ -186,3 +188,14 @@ def test_broken_windows_are_told(surveyed, tmp_path, capsys):
 )
 def test_bad_usage_is_one_sentence(arguments, message, capsys):
     assert re.search(message, complaint(capsys, *arguments))
+
+
+def test_without_the_packages_of_the_simulation_it_says_what_to_install():
+    program = (
+        "import sys; sys.modules['magpylib'] = None; from goldfield.cli import main; "
+        "sys.exit(main(['paper', 'zheng', 'compare', '--runs', '1']))"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert ended.returncode == 3
+    assert 'pip install "goldfield[sim]"' in ended.stderr
+    assert ended.stderr.count("\n") == 1

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from goldfield.errors import UserError
-from hil_sim.papers.gietler.reports import command
+from hil_sim.papers.gietler.command import command
 
 
 def run(*words: str) -> int:
