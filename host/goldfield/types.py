@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,7 +62,7 @@ class Pose:
     position_m : ndarray, shape (3,)
         NaN when failed.
     orientation_xyzw : ndarray, shape (4,)
-        Unit quaternion of R, SciPy's order, w >= 0.
+        Unit quaternion of R, SciPy's order, w >= 0; NaN when failed.
     position_cov_m2 : ndarray, shape (3, 3)
     attitude_cov_rad2 : ndarray, shape (3, 3)
         Of a small rotation in the site's frame.
@@ -85,3 +86,36 @@ class Pose:
     used: tuple[str, ...]
     excluded: tuple[str, ...] = ()
     alternative: Pose | None = field(default=None, repr=False)
+
+    @classmethod
+    def failed(cls, fields: Fields, used: tuple[str, ...] = (), excluded: tuple[str, ...] = ()) -> Self:
+        """Return the pose of an epoch that could not be located: every number is NaN, the status is ``failed``.
+
+        Parameters
+        ----------
+        fields : Fields
+            The epoch; its number and time are those of the pose.
+        used : tuple of str
+            Ids of the beacons that were tried.
+        excluded : tuple of str
+            Ids of the beacons that were not looked at.
+
+        Examples
+        --------
+        >>> fields = Fields(7, 0.75, ("b1",), np.zeros((1, 3)), np.ones(1))
+        >>> pose = Pose.failed(fields, used=fields.beacons)
+        >>> pose.epoch, pose.status.value, pose.used, bool(np.isnan(pose.position_m).all())
+        (7, 'failed', ('b1',), True)
+        """
+        return cls(
+            epoch=fields.epoch,
+            time_s=fields.time_s,
+            position_m=np.full(3, np.nan),
+            orientation_xyzw=np.full(4, np.nan),
+            position_cov_m2=np.full((3, 3), np.nan),
+            attitude_cov_rad2=np.full((3, 3), np.nan),
+            residual=float("nan"),
+            status=Status.FAILED,
+            used=used,
+            excluded=excluded,
+        )

@@ -63,7 +63,7 @@ class Locator:
         for some, rows, constellation, measurements in self._grouped(epochs):
             members = [epochs[index] for index in some]
             if constellation is None:
-                located = [_failed(fields, self._names(rows)) for fields in members]
+                located = [Pose.failed(fields, used=self._names(rows)) for fields in members]
             else:
                 located = self._locate(members, rows, constellation, measurements)
             poses.update(zip(some, located, strict=True))
@@ -151,7 +151,7 @@ class Locator:
         nothing = np.array([], dtype=np.intp)
         solutions = constellation.solve(measurements)
         solved = (measurements.freedom >= 0) & np.isfinite(solutions.best.cost)
-        poses = {int(e): _failed(epochs[int(e)], self._names(rows)) for e in np.flatnonzero(~solved)}
+        poses = {int(e): Pose.failed(epochs[int(e)], used=self._names(rows)) for e in np.flatnonzero(~solved)}
         some = np.flatnonzero(solved)
         if len(some):
             wrong = alarm(constellation, measurements.take(some), solutions.best.take(some))
@@ -243,17 +243,3 @@ def _locator(site: Site) -> Locator:
 def locate(site: Site, fields: Fields) -> Pose:
     """Locate the sensor of one epoch on a site, with no prior; `Locator.locate` tells the statuses."""
     return _locator(site).locate(fields)
-
-
-def _failed(fields: Fields, used: tuple[str, ...]) -> Pose:
-    return Pose(
-        epoch=fields.epoch,
-        time_s=fields.time_s,
-        position_m=np.full(3, np.nan),
-        orientation_xyzw=np.array([0.0, 0.0, 0.0, 1.0]),
-        position_cov_m2=np.full((3, 3), np.nan),
-        attitude_cov_rad2=np.full((3, 3), np.nan),
-        residual=float("nan"),
-        status=Status.FAILED,
-        used=used,
-    )

@@ -7,12 +7,10 @@ import sys
 import traceback
 from collections.abc import Callable
 
-import numpy as np
-
 from goldfield.errors import UserError
 from goldfield.locate import locate
 from goldfield.site import Site
-from goldfield.types import Fields, Pose, Status
+from goldfield.types import Fields, Pose
 
 
 def pose_of(site: Site, fields: Fields) -> Pose:
@@ -40,20 +38,4 @@ def guarded(method: Callable[[Fields], Pose], fields: Fields) -> Pose:
             "please report it",
             file=sys.stderr,
         )
-        return failed_pose(fields)
-
-
-def failed_pose(fields: Fields) -> Pose:
-    """Return a pose that says nothing but that there is none."""
-    return Pose(
-        epoch=fields.epoch,
-        time_s=fields.time_s,
-        position_m=np.full(3, np.nan),
-        orientation_xyzw=np.full(4, np.nan),
-        position_cov_m2=np.full((3, 3), np.nan),
-        attitude_cov_rad2=np.full((3, 3), np.nan),
-        residual=float("nan"),
-        status=Status.FAILED,
-        used=(),
-        excluded=fields.beacons,
-    )
+        return Pose.failed(fields, excluded=fields.beacons)

@@ -9,7 +9,6 @@ import numpy as np
 from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
 from goldfield.link.reports import OWN_POSE, Report
-from goldfield.sensor.guard import failed_pose
 from goldfield.site import Site
 from goldfield.types import Fields, Pose, Status
 from goldfield_protocol.parameters import PARAMETERS
@@ -62,13 +61,13 @@ def onboard_pose(site: Site, report: Report, fields: Fields) -> Pose:
         Of the same epoch.
     """
     if len(report.own_pose) < len(OWN_POSE):
-        return failed_pose(fields)
+        return Pose.failed(fields, excluded=fields.beacons)
     position, attitude, quality = (report.own_pose[name] for name in OWN_POSE)
     status = STATUS[int(quality["status"])] if int(quality["status"]) < len(STATUS) else Status.FAILED
     quaternion = np.array([attitude[axis] for axis in "xyzw"])
     size = float(np.linalg.norm(quaternion))
     if status is Status.FAILED or size < 0.5:
-        return failed_pose(fields)
+        return Pose.failed(fields, excluded=fields.beacons)
     used = int(quality["used"])
     names = tuple(beacon.id for beacon in site.beacons)
     return Pose(

@@ -167,6 +167,7 @@ def test_what_cannot_be_located_says_failed():
         assert pose.status is Status.FAILED
         assert pose.epoch == fields.epoch
         assert np.isnan(pose.position_m).all()
+        assert np.isnan(pose.orientation_xyzw).all()
 
 
 def test_nonsense_gets_a_pose_that_says_so():
