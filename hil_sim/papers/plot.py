@@ -1,4 +1,4 @@
-"""Pictures of experiments, as PNG (or whatever the file's name ends in); needs matplotlib."""
+"""Pictures of experiments, as PNG or whatever else the file's name ends in; they need matplotlib."""
 
 from __future__ import annotations
 

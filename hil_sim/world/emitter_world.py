@@ -16,14 +16,14 @@ STEP_S = 0.1
 VELOCITY_SIGMA = 0.01
 RATE_SIGMA = 0.1
 OFFSET_M = np.array([[0.0, 0.0, 0.0], [0.05, 0.05, 0.05], [-0.02, 0.03, 0.02]])
-"""Of the emitters from the first one, in the body's frame (p12, p13)."""
+"""Places of the emitters from the first one, in the body's frame (p12, p13)."""
 
 MOMENT_A_M2 = np.eye(3)[::-1].copy()
-"""Orthogonal: along z, y and x (section IV-A), 1 A m^2 (section III-C)."""
+"""Moments, orthogonal: along z, y and x (section IV-A), 1 A m^2 (section III-C)."""
 
 CUBE_EDGE_M = 0.05
 CUBE_CENTRE_M = np.array([0.0, 0.0, -0.05])
-"""Of the conductor from the first emitter: [0, 0, 0.15] where that is at [0, 0, 0.2]."""
+"""Place of the conductor from the first emitter: [0, 0, 0.15] where that is at [0, 0, 0.2]."""
 
 Secondary = Callable[[FloatArray, FloatArray, FloatArray], ComplexArray]
 """(points (n, 3), source (3,), moment (3,)) -> field that the conductor adds, A/m, (n, 3); all in the body's frame."""
@@ -36,9 +36,9 @@ class Path:
     Attributes
     ----------
     position_m : ndarray, shape (n, 3)
-        Of the first emitter; the sensor stands at the origin.
+        Place of the first emitter; the sensor stands at the origin.
     angles_rad : ndarray, shape (n, 3)
-        About x, y, z: R = Rz Ry Rx.
+        Angles about x, y, z: R = Rz Ry Rx.
     """
 
     position_m: FloatArray
@@ -46,7 +46,7 @@ class Path:
 
     @property
     def rotation(self) -> FloatArray:
-        """From the body's frame to the sensor's, shape (n, 3, 3)."""
+        """Return the rotation from the body's frame to the sensor's, shape (n, 3, 3)."""
         return np.asarray(Rotation.from_euler("xyz", self.angles_rad).as_matrix())
 
 

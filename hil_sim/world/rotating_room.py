@@ -32,7 +32,7 @@ WANDER, WANDER_S = 5.0e-4, 3600.0
 
 
 class CrossedCoils(Protocol):
-    """What this needs to know of a beacon; units as named, axes of unit length."""
+    """What the room needs to know of a beacon; units as named, axes of unit length."""
 
     @property
     def position_m(self) -> FloatArray: ...  # noqa: D102
@@ -74,7 +74,7 @@ class RotatingRoom:
         self._frequency = np.array([beacon.frequency_Hz for beacon in beacons])
 
     def field(self, position_m: FloatArray) -> FloatArray:
-        """Amplitudes Bc and Bs in the site's frame, tesla, shape (e, n, 2, 3), at positions of shape (e, 3)."""
+        """Return Bc and Bs in the site's frame, tesla, shape (e, n, 2, 3), at positions of shape (e, 3)."""
         fields = [current * coil.field_per_ampere(position_m) for current, coil in self._coils]
         return np.stack(fields, axis=1).reshape(len(position_m), -1, 2, 3)
 
@@ -92,9 +92,9 @@ class RotatingRoom:
         Parameters
         ----------
         position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
-            Of the sensor in each of e windows; ``B_site = R B_sensor``.
+            Pose of the sensor in each of e windows; ``B_site = R B_sensor``.
         time_s : ndarray, shape (t,)
-            Of the samples in a window, on the beacons' clock.
+            Times of the samples in a window, on the beacons' clock.
         noise_T : float
             Standard deviation of white noise of each sample.
         rng : numpy.random.Generator
@@ -110,14 +110,15 @@ class RotatingRoom:
         return np.asarray(total @ rotation + noise_T * rng.standard_normal(total.shape))
 
     def thermal_drive(self, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Factor on the current of each beacon over the hours after it was switched on, shape (t, n).
+        """Return the factor on the current of each beacon over the hours after it was switched on, shape (t, n).
 
-        Warm-up, the room's day, and a first-order Gauss-Markov wander; each beacon has its own share of each.
+        It has the warm-up, the room's day, and a first-order Gauss-Markov wander; each beacon has its own share
+        of each.
 
         Parameters
         ----------
         time_s : ndarray, shape (t,)
-            Evenly spaced, from 0.
+            Times, evenly spaced, from 0.
         rng : numpy.random.Generator
         """
         count = len(self._frequency)

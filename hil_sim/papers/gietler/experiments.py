@@ -53,7 +53,7 @@ class Track:
     range_m, error_m, turn_rad : ndarray, shape (n,)
         Distance of the first emitter from the sensor, and errors of its position and of the attitude.
     position_m : ndarray, shape (n, 3)
-        Estimated.
+        Estimated positions of the first emitter.
     """
 
     range_m: FloatArray
@@ -62,7 +62,7 @@ class Track:
     position_m: FloatArray
 
     def rms(self, within_m: float = math.inf) -> tuple[float, float]:
-        """Root mean square errors of position and attitude where the range is at most so much; NaN if nowhere."""
+        """Return the rms errors of position and attitude where the range is at most so much; NaN if nowhere."""
         near = self.range_m <= within_m
         if not near.any():
             return math.nan, math.nan

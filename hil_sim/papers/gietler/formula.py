@@ -42,7 +42,7 @@ class FormulaError:
 
 
 POINTS_M = np.array([[0.05, 0.05, 0.0], [0.0, 0.0, -0.2], [0.3, 0.0, -0.1], [-0.2, 0.2, 0.1]])
-"""Where fields are compared, from the first emitter: the paper's point of observation first."""
+"""Points where fields are compared, from the first emitter: the paper's point of observation first."""
 
 
 def formula_error(conductivity_S_m: float, permeability: float, frequency_Hz: float) -> FormulaError:

@@ -22,7 +22,7 @@ from goldfield.track.motion import POSITION, SIZE, TURN, Agility, Observation, S
 from goldfield.types import FloatArray
 
 EVALUATIONS = 30
-"""Of the field model in one update, at most; most need three."""
+"""Largest number of evaluations of the field model in one update; most updates need three."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class EmitterBody:
 
     @cached_property
     def _sources(self) -> Parts:
-        """The emitters' own dipoles and the conductor's parts together."""
+        """Return the emitters' own dipoles and the conductor's parts together."""
         count = len(self.offset_m)
         own = np.zeros((count, count, 3), dtype=np.complex128)
         own[np.arange(count), np.arange(count)] = self.moment_A_m2
@@ -57,7 +57,7 @@ class EmitterBody:
         )
 
     def seen(self, state: State) -> tuple[ComplexArray, ComplexArray]:
-        """Field at the sensor, which stands at the origin, and its Jacobian by position and turn, shape (3, 3, 6).
+        """Return the field at the sensor, at the origin, and its Jacobian by position and turn, shape (3, 3, 6).
 
         With d = -p and h(R'd) in the body's frame, H = R h: dH = R G R' (-dp + d x d_theta) - H x d_theta.
         """
@@ -88,11 +88,11 @@ class EmitterObservation:
 
     @property
     def count(self) -> int:
-        """Numbers measured."""
+        """Return how many real numbers were measured."""
         return 2 * self.field_A_m.size
 
     def residual(self, state: State) -> tuple[FloatArray, FloatArray]:
-        """Measured minus expected numbers of unit variance, shape (18,), and the Jacobian of the expected, (18, 15)."""
+        """Return measured minus expected numbers of unit variance, (18,), and the expected ones' Jacobian, (18, 15)."""
         field, change = self.body.seen(state)
         weight = 1.0 / self.sigma_A_m[:, None]
         difference = weight * (self.field_A_m - field)
@@ -158,7 +158,8 @@ class EmitterTracker:
 class PlainFilter:
     """The extended Kalman filter as printed: Euler angles R = Rz Ry Rx, one linearisation an epoch, eqs. (17) to (24).
 
-    Parameters as of `EmitterTracker`, but ``start`` is (velocity, position, angle rates, angles), shape (4, 3).
+    The parameters are those of `EmitterTracker`, but ``start`` is (velocity, position, angle rates, angles), shape
+    (4, 3).
     """
 
     def __init__(

@@ -34,7 +34,7 @@ class Setup:
     cycle_s : float
     mains_Hz : float
     mains_error_Hz : float
-        By which the mains columns miss the true frequency.
+        Error by which the mains columns miss the true frequency.
     conductor_chips : float
         Time constant of a nearby conductor in chips.
     """
@@ -129,7 +129,7 @@ def systems(setup: Setup) -> list[Figures]:
 
 
 def slot_drives(setup: Setup) -> FloatArray:
-    """Pulses of direct current, one slot a beacon and one that stays quiet, shape (N, n)."""
+    """Return pulses of direct current, one slot a beacon and one that stays quiet, shape (N, n)."""
     slots = setup.beacons + 1
     if slots > setup.chips:
         raise UserError(f"{setup.beacons} beacons and a quiet slot have no room in {setup.chips} chips: compare fewer")
@@ -137,7 +137,7 @@ def slot_drives(setup: Setup) -> FloatArray:
 
 
 def tone_drives(setup: Setup) -> FloatArray:
-    """Tones of 1, 2, ... whole periods in a cycle, without the one nearest to the mains, shape (N, n)."""
+    """Return tones of 1, 2, ... whole periods in a cycle, without the one nearest to the mains, shape (N, n)."""
     highest = (setup.chips - 1) // 2
     periods = [k for k in range(1, highest + 1) if k != round(setup.mains_Hz * setup.cycle_s)]
     if setup.beacons > len(periods):
@@ -146,7 +146,7 @@ def tone_drives(setup: Setup) -> FloatArray:
 
 
 def code_drives(setup: Setup) -> FloatArray:
-    """Balanced Gold codes, shape (N, n): of those the earth's field leaks least into plain correlations."""
+    """Return balanced Gold codes, shape (N, n): of those the earth's field leaks least into plain correlations."""
     family = code_matrix(setup.degree, range(setup.chips)).astype(np.float64)
     balanced = family[:, family.sum(axis=0) == -1.0]
     if setup.beacons > balanced.shape[1]:
@@ -182,15 +182,18 @@ def figures(system: str, drives: FloatArray, nuisances: Sequence[Nuisance], setu
 
 
 def conductor(drives: FloatArray, conductor_chips: float) -> FloatArray:
-    """Secondary field at the ends of the chips: d[n] = e (d[n-1] + c[n] - c[n-1]), e = exp(-T / tau), shape (N, n).
+    """Return the secondary field at the ends of the chips, shape (N, n).
 
-    The first-order high-pass that belongs to the coil's low-pass: drive minus filtered drive.
+    It is d[n] = e (d[n-1] + c[n] - c[n-1]) with e = exp(-T / tau), the first-order high-pass that belongs
+    to the coil's low-pass: drive minus filtered drive.
     """
     return np.asarray(drives - filtered(drives, conductor_chips))
 
 
 def below_chip_rate(drives: FloatArray) -> FloatArray:
-    """Part of the energy of each drive, held during its chips and without its mean, below the chip rate, shape (n,).
+    """Return the part of the energy of each drive below the chip rate, shape (n,).
+
+    The drive is held during its chips and taken without its mean.
 
     The lines of a held sequence are those of its discrete transform times sinc(f T).
     """
@@ -212,9 +215,9 @@ class Waveform:
     ----------
     name : str
     values : ndarray, shape (1023 * 64,)
-        In 1.023 s.
+        The signal over 1.023 s.
     below : float
-        Part of its energy, without its mean, below 1 kHz.
+        Part of the signal's energy, without its mean, below 1 kHz.
     eddy : float
         Error of its own amplitude through a conductor, as `Figures`; a sine is detected synchronously.
     """
@@ -246,7 +249,7 @@ def figure_4(conductor_s: float) -> list[Waveform]:
 
 
 def _own(drive: FloatArray, conductor_chips: float) -> float:
-    """Part of a drive, shape (N, 1), that a conductor adds to it at the samples."""
+    """Return the part of a drive, shape (N, 1), that a conductor adds to it at the samples."""
     return float((drive * conductor(drive, conductor_chips)).sum() / (drive**2).sum())
 
 

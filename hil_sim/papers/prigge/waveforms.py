@@ -24,9 +24,9 @@ def draw(path: str, waves: list[Waveform]) -> None:
     Parameters
     ----------
     path : str
-        PNG, PDF or SVG by its ending.
+        File to write: PNG, PDF or SVG by its ending.
     waves : list of Waveform
-        Of FIG. 4.
+        The signals of FIG. 4.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def draw(path: str, waves: list[Waveform]) -> None:
 
 
 def _beacons(axes: Axes, title: str, drives: FloatArray) -> None:
-    """Drives of some beacons below each other."""
+    """Draw the drives of some beacons below each other."""
     chips = np.arange(len(drives) + 1)
     for beacon in range(BEACONS):
         axes.step(chips, 0.4 * np.append(drives[:, beacon], drives[-1, beacon]) - beacon, where="post")
@@ -58,7 +58,7 @@ def _beacons(axes: Axes, title: str, drives: FloatArray) -> None:
 
 
 def _wave(axes: list[Axes], wave: Waveform) -> None:
-    """Waveform, spectrum up to 4 kHz, and the spectrum's sum."""
+    """Draw the waveform, its spectrum up to 4 kHz, and the spectrum's sum."""
     shown = wave.values[: SHOWN_MS * POINTS_PER_CHIP]
     axes[0].plot(np.arange(len(shown)) / POINTS_PER_CHIP, shown)
     axes[0].set(title=f"FIG. 4: {wave.name}", xlabel="ms", ylim=(-1.3, 1.3))

@@ -10,8 +10,8 @@ from hil_sim.papers.actions import action
 from hil_sim.papers.zheng.columns import COLUMNS_HELP
 
 ALGORITHMS = ("ellipse", "axes", "lines", "regions", "nearest", "local")
-"""Ours, with all components and with the ellipse's axes alone; the paper's 1 with global lines and with those of
-regions; its 2; its 3 as intended."""
+"""Names of the algorithms: ours, with all components and with the ellipse's axes alone; the paper's 1 with global lines
+and with those of regions; its 2; its 3 as intended."""
 
 
 def command(subparsers: Any) -> None:

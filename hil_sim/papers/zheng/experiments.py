@@ -42,7 +42,7 @@ class Compared:
         Angle between the true attitude and that of Wahba's problem on the normals (of the full fit, if the algorithm
         has one), for sensors turned at random.
     printed_turned_deg : ndarray, shape (e,) or None
-        As ``printed_deg``, for the sensors turned at random.
+        The same as ``printed_deg``, for the sensors turned at random.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Compared:
 
 
 def compare(room: Room, runs: int, tilt_deg: float) -> list[Compared]:
-    """Each algorithm at the same random places: position, attitude unturned and turned (figs 7 and 8)."""
+    """Run each algorithm at the same random places: position, attitude unturned and turned (figs 7 and 8)."""
     fingerprints = room.survey()
     lines = LineLocator(room.site.position_m, fingerprints, room.site.up)
     truth = room.targets(runs)
@@ -88,10 +88,10 @@ def compare(room: Room, runs: int, tilt_deg: float) -> list[Compared]:
 
 
 def direction_errors(room: Room, range_m: FloatArray, polar_deg: float, runs: int) -> FloatArray:
-    """Root mean square error, in degrees, of the direction from the normal at each range from beacon 1 (fig 6).
+    """Return the rms error, in degrees, of the direction from the normal at each range from beacon 1 (fig 6).
 
-    At one angle from the beacon's z (not stated in the paper) and random azimuths: at the horizon the normal tells no
-    azimuth, whatever the range. Shape of ``range_m``, (d,).
+    The points are at one angle from the beacon's z (not stated in the paper) and random azimuths: at the horizon the
+    normal tells no azimuth, whatever the range. The shape is that of ``range_m``, (d,).
     """
     beacon = room.site.beacons[0]
     polar = np.radians(polar_deg)
@@ -125,7 +125,7 @@ class BeaconCount:
 
 
 def more_beacons(site: RotatingSite, setting: Setting, runs: int) -> list[BeaconCount]:
-    """Errors with the first 3, 4, ... of the site's beacons, at the same places around their middle (fig 11)."""
+    """Return errors with the first 3, 4, ... of the site's beacons, at the same places around their middle (fig 11)."""
     middle = site.position_m[:, :2].mean(axis=0)
     results = []
     for count in range(3, len(site.beacons) + 1):
@@ -153,7 +153,7 @@ class Stability:
     trend_m, trend_deg : dict of str to Trend
         Slopes after the warm-up over all runs, by algorithm.
     drive_range : float
-        Greatest minus least factor on any beacon's current, in the first run.
+        Greatest minus least drift factor on any beacon's current, in the first run.
     """
 
     hours: FloatArray
@@ -165,7 +165,7 @@ class Stability:
 
 
 def stability(room: Room, hours: float, position_m: FloatArray, runs: int, ageing_per_day: float = 0.0) -> Stability:
-    """Error of a sensor at rest while the drive warms, follows the day and wanders (figs 9 and 10).
+    """Return the errors of a sensor at rest while the drive warms, follows the day and wanders (figs 9 and 10).
 
     Parameters
     ----------
@@ -174,9 +174,9 @@ def stability(room: Room, hours: float, position_m: FloatArray, runs: int, agein
         Duration of one run.
     position_m : ndarray, shape (3,)
     runs : int
-        At least two, each with a drift of its own.
+        Number of runs, at least two, each with a drift of its own.
     ageing_per_day : float
-        A steady relative loss of every beacon's current: what a trend looks like.
+        Steady relative loss of every beacon's current, which shows what a trend looks like.
     """
     lines = LineLocator(room.site.position_m, room.survey(), room.site.up)
     time_s: FloatArray = np.arange(round(hours * 3600.0 / UPDATE_S), dtype=np.float64) * UPDATE_S
@@ -211,17 +211,17 @@ def stability(room: Room, hours: float, position_m: FloatArray, runs: int, agein
 
 
 def distance(position_m: FloatArray, truth_m: FloatArray) -> FloatArray:
-    """Distances, shape (e,), between positions of shape (e, 3)."""
+    """Return distances, shape (e,), between positions of shape (e, 3)."""
     return np.asarray(np.linalg.norm(position_m - truth_m, axis=1))
 
 
 def angle_deg(rotation: FloatArray, truth: FloatArray) -> FloatArray:
-    """Angles of the turns between attitudes of shape (e, 3, 3), degrees, shape (e,)."""
+    """Return the angles of the turns between attitudes of shape (e, 3, 3), degrees, shape (e,)."""
     return np.asarray(np.degrees((Rotation.from_matrix(rotation) * Rotation.from_matrix(truth).inv()).magnitude()))
 
 
 def printed_error_deg(site: RotatingSite, position_m: FloatArray, field_T: FloatArray, truth: FloatArray) -> FloatArray:
-    """Mean error of the angles of the attitude as printed (eqn 31), degrees, shape (e,)."""
+    """Return the mean error of the angles of the attitude as printed (eqn 31), degrees, shape (e,)."""
     angles = printed_angles(yaw_only_attitude(site.position_m, position_m, field_T))
     error = angles - printed_angles(truth.swapaxes(1, 2))
     return np.asarray(np.degrees(np.abs((error + np.pi) % (2.0 * np.pi) - np.pi).mean(axis=1)))

@@ -48,7 +48,7 @@ class Setting:
     high_m: tuple[float, float, float]
 
     def times_s(self) -> FloatArray:
-        """Sample times of a window, shape (t,)."""
+        """Return the sample times of a window, shape (t,)."""
         return np.arange(max(round(self.window_s * self.rate_Hz), 1)) / self.rate_Hz
 
 
@@ -84,7 +84,7 @@ class Room:
         return self.world.samples(position_m, rotation, self.setting.times_s(), self.setting.noise_T, self.rng, drive)
 
     def grid(self) -> FloatArray:
-        """Places of the fingerprints, shape (p, 3)."""
+        """Return the places of the fingerprints, shape (p, 3)."""
         low, high = np.array(self.setting.low_m), np.array(self.setting.high_m)
         steps = [np.arange(a, b + 1e-9, FINGERPRINT_SPACING_M) for a, b in zip(low, high, strict=True)]
         grid = self._clear(np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3))
@@ -102,7 +102,7 @@ class Room:
         return FingerprintMap(names, grid, rms_strength(self.measure(grid)))
 
     def targets(self, count: int) -> FloatArray:
-        """Random places in the box, shape (count, 3)."""
+        """Return random places in the box, shape (count, 3)."""
         low, high = np.array(self.setting.low_m), np.array(self.setting.high_m)
         found = np.empty((0, 3))
         for _ in range(MOST_TRIES):
@@ -112,7 +112,7 @@ class Room:
         raise UserError(f"the box has no room for targets {NEAREST_M:g} m from the beacons: give a larger box")
 
     def tilted(self, count: int, largest_deg: float) -> FloatArray:
-        """Random attitudes, shape (count, 3, 3): any yaw, then a tilt of up to so much about any horizontal axis."""
+        """Return random attitudes, shape (count, 3, 3): any yaw, then a tilt about any horizontal axis."""
         yaw, azimuth = self.rng.uniform(0.0, 2.0 * np.pi, (2, count))
         tilt = np.radians(self.rng.uniform(0.0, largest_deg, count))
         axis = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros(count)], axis=1)

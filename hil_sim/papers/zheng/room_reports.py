@@ -217,7 +217,7 @@ def _about(room: Room, what: str) -> str:
 
 
 def _mean(values: FloatArray | None) -> float | None:
-    """Mean of what is finite: where a position lies in the plane of the beacons the printed attitude does not exist."""
+    """Return the mean of what is finite: for a position in the beacons' plane the printed attitude does not exist."""
     if values is None or not np.isfinite(values).any():
         return None
     return number(float(np.nanmean(values)))

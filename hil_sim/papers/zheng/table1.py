@@ -29,7 +29,8 @@ class Table1:
     Attributes
     ----------
     position_m, strength_T, estimate_m, angle_deg : ndarray, shape (7, 3)
-        True points; strength of each beacon; what the paper estimated of position and of the angles, whose truth is 0.
+        True points; strength of each beacon; what the paper estimated of position and of the angles. The true angles
+        are 0.
     """
 
     position_m: FloatArray
@@ -46,9 +47,9 @@ class Score:
     ----------
     method : str
     error_m : ndarray, shape (7,)
-        Of the position in space.
+        Errors of the position in space.
     error_known_height_m : ndarray, shape (7,), or None
-        When the true height is given to the method.
+        The same errors when the method is given the true height.
     """
 
     method: str

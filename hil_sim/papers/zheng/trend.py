@@ -1,4 +1,4 @@
-"""Does an error grow with time? Slopes of repeated runs, and whether their mean differs from zero."""
+"""Slopes of repeated runs over time, and whether their mean differs from zero."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ DAY_S = 86400.0
 
 
 def slope_per_day(time_s: FloatArray, value: FloatArray) -> float:
-    """Slope of a series beside a daily cycle, by least squares, in its unit a day.
+    """Return the slope of a series beside a daily cycle, by least squares, in its unit a day.
 
     Parameters
     ----------
     time_s : ndarray, shape (t,)
-        More than a day in all: else the daily cycle and the slope are one.
+        The times span more than a day: else the daily cycle and the slope are one.
     value : ndarray, shape (t,)
     """
     day = (time_s - time_s.mean()) / DAY_S
@@ -37,7 +37,7 @@ class Trend:
     Attributes
     ----------
     per_day : float
-        Mean over the runs.
+        Mean of the slopes over the runs.
     sigma_per_day : float
         Standard deviation of that mean.
     one_run_per_day : float
@@ -58,7 +58,7 @@ class Trend:
 
 
 def trend(slopes: FloatArray) -> Trend:
-    """Mean slope of at least two runs, shape (n,)."""
+    """Return the mean slope of at least two runs, shape (n,), and its uncertainty."""
     spread = float(np.std(slopes, ddof=1))
     sigma = spread / float(np.sqrt(len(slopes)))
     return Trend(float(np.mean(slopes)), sigma, spread, float(student.ppf(0.975, len(slopes) - 1)) * sigma)

@@ -28,11 +28,13 @@ class Window:
     Attributes
     ----------
     window : int
+        Number of the window in the table.
     field_T : ndarray, shape (1, n, 2, 3)
-        NaN where the samples that are left do not tell.
+        Bc and Bs of each beacon; NaN where the samples that are left do not tell.
     sigma_T : ndarray, shape (n,)
+        Standard deviation of each component of a beacon's field.
     place_m : ndarray, shape (3,), or None
-        Where the table says the sensor stood.
+        Place where the table says that the sensor stood.
     """
 
     window: int

@@ -2,7 +2,7 @@
 
 A site with ``access = "fdma"`` names the coils of a dual-axis beacon ``m1.cos`` and ``m1.sin``. To everything that
 separates and locates they are two beacons like others; this puts them together for the methods that take a beacon as a
-whole (`goldfield.locate.rotating`).
+whole (the experiments of ``goldfield paper zheng``).
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from hil_sim.papers.zheng.methods.field_ellipse import direction_from_normal, du
 
 
 def yaw_only_attitude(beacon_m: FloatArray, position_m: FloatArray, field_T: FloatArray) -> FloatArray:
-    """Attitude matrix as printed (Zheng et al. 2022, eqns 18 to 22), right for a turn about the beacons' z only.
+    """Return the attitude matrix as printed (eqns 18 to 22), right for a turn about the beacons' z only.
 
     Each ellipse measured in the sensor's frame is turned into a direction as if it had been measured in the beacon's,
     and C = B A^T (A A^T)^-1 maps the true directions A to these B. But the step from a normal to a direction does not
@@ -21,7 +21,7 @@ def yaw_only_attitude(beacon_m: FloatArray, position_m: FloatArray, field_T: Flo
     Parameters
     ----------
     beacon_m : ndarray, shape (n, 3)
-        At least three, with axes parallel to the site's.
+        Places of at least three beacons with axes parallel to the site's.
     position_m : ndarray, shape (e, 3)
     field_T : ndarray, shape (e, n, 2, 3)
         Bc and Bs in the sensor's frame.
@@ -42,17 +42,17 @@ def yaw_only_attitude(beacon_m: FloatArray, position_m: FloatArray, field_T: Flo
 
 
 def printed_angles(attitude: FloatArray) -> FloatArray:
-    """Angles psi, gamma, lambda in radians, shape (e, 3), of an attitude matrix C, shape (e, 3, 3) (eqn 23)."""
+    """Return psi, gamma, lambda in radians, shape (e, 3), of an attitude matrix C, shape (e, 3, 3) (eqn 23)."""
     psi = -np.arcsin(np.clip(attitude[:, 2, 0], -1.0, 1.0))
     gamma = np.arctan2(attitude[:, 1, 0], attitude[:, 0, 0])
     return np.stack([psi, gamma, np.arctan2(attitude[:, 2, 1], attitude[:, 2, 2])], axis=1)
 
 
 def attitude_from_normals(site: RotatingSite, position_m: FloatArray, field_T: FloatArray) -> FloatArray:
-    """Rotation R, ``B_site = R B_sensor``, that best turns the measured normals onto those at the position (Wahba).
+    """Return the rotation R, ``B_site = R B_sensor``, that best turns the measured normals onto those at the position.
 
-    Holds for any attitude, and for beacons that stand at any angle. Every beacon counts alike: with a position from
-    strengths the error is that of the position, not the noise.
+    This is Wahba's problem. The result holds for any attitude, and for beacons that stand at any angle. Every
+    beacon counts alike: with a position from strengths the error is that of the position, not the noise.
 
     Parameters
     ----------

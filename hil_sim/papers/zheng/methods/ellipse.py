@@ -19,7 +19,7 @@ START_MODEL_ERROR = 0.03
 
 
 def position_from_axes(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArray) -> FloatArray:
-    """Position, shape (e, 3), from the semi-axes alone: ranges and heights over each beacon's plane, no attitude.
+    """Return positions, shape (e, 3), from the semi-axes alone: ranges and heights over each beacon's plane.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def position_from_axes(site: RotatingSite, field_T: FloatArray, sigma_T: FloatAr
 
 
 def locate_by_ellipse(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArray) -> Fit:
-    """Poses of e epochs, with no prior.
+    """Return the poses of e epochs, with no prior.
 
     The axes of the ellipses give a position, Wahba's problem on all components there an attitude, and a fit of position
     and attitude to all components, with the coils as loops of their size, the rest: a dual-axis beacon is two coils

@@ -17,19 +17,19 @@ from goldfield.types import FloatArray
 
 
 def dual_axis_dipole(offset_m: FloatArray, strength_T_m3: FloatArray | float) -> FloatArray:
-    """Field of two crossed dipoles along x and y, in the beacon's frame (eqn 1).
+    """Return the field of two crossed dipoles along x and y, in the beacon's frame (eqn 1).
 
     Parameters
     ----------
     offset_m : ndarray, shape (..., 3)
-        From the beacon to the point.
+        Vector from the beacon to the point.
     strength_T_m3 : ndarray, shape (...), or float
         k, the magnetic constant over 4 pi times the moment of one coil.
 
     Returns
     -------
     field_T : ndarray, shape (..., 2, 3)
-        Bc and Bs. Not finite at the beacon itself.
+        Bc and Bs, which are not finite at the beacon itself.
     """
     distance = np.linalg.norm(offset_m, axis=-1)
     unit = offset_m / distance[..., None]
@@ -72,10 +72,10 @@ def direction_from_normal(normal: FloatArray) -> FloatArray:
 
 
 def semi_axes(field_T: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Semi-major and semi-minor axis of the field's ellipse, shapes (...), T.
+    """Return the semi-major and the semi-minor axis of the field's ellipse, shapes (...), T.
 
-    The singular values of [Bc Bs], from the sum of their squares |Bc|^2 + |Bs|^2 and their product |Bc x Bs|: no
-    attitude enters.
+    They are the singular values of [Bc Bs], from the sum of their squares |Bc|^2 + |Bs|^2 and their product |Bc x Bs|:
+    no attitude enters.
 
     Parameters
     ----------
@@ -89,11 +89,11 @@ def semi_axes(field_T: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def range_and_polar_angle(field_T: FloatArray, strength_T_m3: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-    """Range (m) and angle from the beacon's z or -z (rad, 0 to pi/2), shapes (...), from the ellipse alone.
+    """Return range (m) and angle from the beacon's z or -z (rad, 0 to pi/2), shapes (...), from the ellipse alone.
 
     The semi-minor axis is k/r^3 in every direction and the semi-major axis k sqrt(1 + 3 sin^2 phi)/r^3: the moment
-    turns through the direction across u in its own plane, where |B| = k/r^3, and through the one nearest to u. Exact
-    for dipoles, and not in the paper. Noise that lifts the ratio of the axes over 2 gives pi/2, below 1 gives 0.
+    turns through the direction across u in its own plane, where |B| = k/r^3, and through the one nearest to u. This is
+    exact for dipoles, and not in the paper. Noise that lifts the ratio of the axes over 2 gives pi/2, below 1 gives 0.
 
     Parameters
     ----------
@@ -109,10 +109,10 @@ def range_and_polar_angle(field_T: FloatArray, strength_T_m3: FloatArray | float
 
 
 def rms_strength(field_T: FloatArray) -> FloatArray:
-    """Root mean square of |B| over a turn, shape (...), T: the received strength (RSSI), free of attitude.
+    """Return the root mean square of |B| over a turn, shape (...), T: the received strength (RSSI), free of attitude.
 
-    sqrt((|Bc|^2 + |Bs|^2)/2), which is (k/r^3) sqrt(1 + 1.5 sin^2 phi) for a dipole. The paper's eqn 15 takes ln of it
-    for a line in ln r; the direction's share (up to ln 1.58) is that line's error.
+    It is sqrt((|Bc|^2 + |Bs|^2)/2), that is (k/r^3) sqrt(1 + 1.5 sin^2 phi) for a dipole. The paper's eqn 15 takes ln
+    of it for a line in ln r; the direction's share (up to ln 1.58) is that line's error.
 
     Parameters
     ----------

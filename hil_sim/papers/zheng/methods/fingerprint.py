@@ -12,7 +12,7 @@ from hil_sim.papers.zheng.methods.lines import NANOTESLA, Lines, fit_lines
 from hil_sim.papers.zheng.methods.trilateration import trilaterate
 
 NEIGHBOURS = 4
-"""n of eqns 27 to 29."""
+"""Number of nearest fingerprints, n of eqns 27 to 29."""
 REGION_M = 2.0
 """Side of the square regions R that each have lines of their own (2.3 of the paper)."""
 LEAST_IN_REGION = 4
@@ -43,7 +43,7 @@ class FingerprintMap:
     def nearest(
         self, strength_T: FloatArray, count: int = NEIGHBOURS, *, logarithmic: bool = False
     ) -> tuple[NDArray[np.intp], FloatArray]:
-        """Nearest fingerprints by the Euclidean distance of strengths (eqns 25 to 27).
+        """Return the nearest fingerprints by the Euclidean distance of strengths (eqns 25 to 27).
 
         Parameters
         ----------
@@ -57,7 +57,7 @@ class FingerprintMap:
         point : ndarray of int, shape (e, c)
             The nearest first; c is the count, or all points if there are fewer.
         distance : ndarray, shape (e, c)
-            In T, or without unit.
+            Distance of the strengths in T, or of their logarithms without unit.
         """
         scale = np.log if logarithmic else np.asarray
         distance = np.linalg.norm(scale(strength_T)[:, None, :] - scale(self.strength_T), axis=2)
@@ -68,9 +68,10 @@ class FingerprintMap:
 def nearest_neighbours(
     fingerprints: FingerprintMap, strength_T: FloatArray, *, logarithmic: bool = False
 ) -> FloatArray:
-    """Algorithm 2, shape (e, 3): mean of the nearest points, weighted by 1/distance of strengths (eqn 27).
+    """Return positions by algorithm 2, shape (e, 3): the mean of the nearest points.
 
-    Never outside the convex hull of the fingerprints, and blind to what a strength means.
+    The weights are 1/distance of strengths (eqn 27). The result is never outside the convex hull of the
+    fingerprints, and blind to what a strength means.
     """
     point, distance = fingerprints.nearest(strength_T, logarithmic=logarithmic)
     weight = 1.0 / np.maximum(distance, 1e-30)
@@ -87,14 +88,14 @@ class LineLocator:
         Places of the map's beacons.
     fingerprints : FingerprintMap
     up : ndarray, shape (3,), optional
-        As of `trilaterate`.
+        Side where the sensor is, as in `trilaterate`.
     """
 
     def __init__(self, beacon_m: FloatArray, fingerprints: FingerprintMap, up: FloatArray | None = None) -> None:
         self._beacon_m, self._map, self._up = beacon_m, fingerprints, up
         self._range_m = np.linalg.norm(fingerprints.position_m[:, None] - beacon_m, axis=2)
         self.lines = fit_lines(self._range_m, fingerprints.strength_T)
-        """Over the whole map."""
+        """The line of each beacon over the whole map."""
         self._square = np.floor(fingerprints.position_m[:, :2] / REGION_M + 1e-9).astype(int)
         regions, self._region = np.unique(self._square, axis=0, return_inverse=True)
         fitted = [self._region_lines(region) for region in range(len(regions))]
@@ -102,11 +103,11 @@ class LineLocator:
         self._intercepts = np.stack([lines.intercept for lines in fitted])
 
     def by_global_lines(self, strength_T: FloatArray, z_m: FloatArray | None = None) -> FloatArray:
-        """Algorithm 1, shape (e, 3), from strengths, shape (e, n): one line a beacon for the whole map."""
+        """Return positions by algorithm 1, shape (e, 3), from strengths, shape (e, n): a line a beacon."""
         return trilaterate(self._beacon_m, self.lines.ranges(strength_T), self._up, z_m)
 
     def by_region_lines(self, strength_T: FloatArray, z_m: FloatArray | None = None) -> FloatArray:
-        """Algorithm 1 with the lines of the square region that the nearest fingerprint lies in (2.3 of the paper)."""
+        """Return the same with the lines of the square region that the nearest fingerprint lies in (paper, 2.3)."""
         region = self._region[self._map.nearest(strength_T, 1)[0][:, 0]]
         lines = Lines(self._slopes[region], self._intercepts[region])
         return trilaterate(self._beacon_m, lines.ranges(strength_T), self._up, z_m)
@@ -119,7 +120,7 @@ class LineLocator:
         *,
         logarithmic: bool = False,
     ) -> FloatArray:
-        """Algorithm 3 as intended, shape (e, 3): the line through the nearest fingerprints.
+        """Return positions by algorithm 3 as intended, shape (e, 3): the line through the nearest fingerprints.
 
         Each of the nearest fingerprints j gives a b of its own for each beacon, b_ij = ln F_ij - k_i ln |P_j - M_i|;
         the range is r_i = exp((ln B_i - mean_j b_ij)/k_i), and eqn 17 gives the position. Eqn 28 as printed leaves the
@@ -131,9 +132,9 @@ class LineLocator:
         z_m : ndarray, shape (e,), optional
             Known heights.
         slope : ndarray, shape (n,), optional
-            k; default: of the lines over the whole map.
+            Slopes k; by default those of the lines over the whole map.
         logarithmic : bool
-            As of `FingerprintMap.nearest`.
+            Kind of distance, as in `FingerprintMap.nearest`.
         """
         k = self.lines.slope if slope is None else slope
         point, _ = self._map.nearest(strength_T, logarithmic=logarithmic)

@@ -23,24 +23,25 @@ class Lines:
     Attributes
     ----------
     slope, intercept : ndarray, shape (n,) or (e, n)
-        k and b.
+        Values of k and of b.
     """
 
     slope: FloatArray
     intercept: FloatArray
 
     def ranges(self, strength_T: FloatArray) -> FloatArray:
-        """Ranges r = exp((ln B - b)/k) in metres, shape (e, n), from strengths of the same shape."""
+        """Return the ranges r = exp((ln B - b)/k) in metres, shape (e, n), from strengths of the same shape."""
         return np.asarray(np.exp((np.log(strength_T / NANOTESLA) - self.intercept) / self.slope))
 
 
 def fit_lines(range_m: FloatArray, strength_T: FloatArray) -> Lines:
-    """Least-squares line of each beacon.
+    """Return the least-squares line of each beacon.
 
     Parameters
     ----------
     range_m, strength_T : ndarray, shape (p, n)
-        At p points. At least two different ranges a beacon; else its line is not finite.
+        Range and strength of n beacons at p points. A beacon with less than two different ranges has a line that is
+        not finite.
     """
     x, y = np.log(range_m), np.log(strength_T / NANOTESLA)
     dx, dy = x - x.mean(axis=0), y - y.mean(axis=0)

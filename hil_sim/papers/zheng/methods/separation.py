@@ -20,8 +20,8 @@ from goldfield.errors import UserError
 from goldfield.types import FloatArray
 
 WHOLE_TOLERANCE = 1e-6
-"""How far from whole the number of periods in an FFT window may be: leaks 3e-6 of the offset, below the noise of any
-sensor; the clocks of sampler and beacons agree no better."""
+"""Largest distance of the number of periods in an FFT window from a whole number: it leaks 3e-6 of the offset, below
+the noise of any sensor; the clocks of sampler and beacons agree no better."""
 
 WORST_GROWTH = 30.0
 """Least squares refuses a window that multiplies the noise of a field by more than this against long windows: the
@@ -37,7 +37,7 @@ class RotatingSeparation:
     field_T : ndarray, shape (e, n, 2, 3)
         Bc and Bs of each beacon, in the sensor's frame.
     offset_T : ndarray, shape (e, 3)
-        What does not turn: the earth's field and the sensor's own offset.
+        The part that does not turn: the earth's field and the sensor's own offset.
     sigma_T : ndarray, shape (n,)
         Standard deviation of each component of a field.
     """
@@ -53,9 +53,9 @@ class RotatingSeparator:
     Parameters
     ----------
     frequency_Hz : sequence of float
-        n beacons, all different and above zero.
+        Frequencies of n beacons, all different and above zero.
     time_s : ndarray, shape (t,)
-        Of the samples, on the beacons' clock, in any order and at any distance.
+        Times of the samples on the beacons' clock, in any order and at any distance.
     noise_T : float
         Standard deviation of one sample on one axis.
 
@@ -73,11 +73,11 @@ class RotatingSeparator:
         names = [f"{frequency:g} Hz, {wave}" for frequency in frequency_Hz for wave in ("cosine", "sine")]
         self._access = TemplateAccess(names, waves, [constant(len(time_s))], noise_T)
         self.sigma_T: FloatArray = np.sqrt(np.diag(self.covariance_T2)).reshape(-1, 2).max(axis=1)
-        """Of each beacon's components, from a complete window, shape (n,)."""
+        """Standard deviation of each beacon's components from a complete window, shape (n,)."""
 
     @property
     def covariance_T2(self) -> FloatArray:
-        """Of Bc and Bs of each beacon in turn, on one axis, shape (2n, 2n)."""
+        """Covariance of Bc and Bs of each beacon in turn, on one axis, shape (2n, 2n)."""
         return self._access.covariance_T2
 
     def from_samples(self, samples_T: FloatArray) -> Separation:
@@ -90,7 +90,7 @@ class RotatingSeparator:
         Parameters
         ----------
         samples_T : ndarray, shape (e, t, 3)
-            All finite.
+            Samples, which must be finite.
         """
         # The offset may be a million times the field: take its bulk out first, so that sums do not round at its size.
         mean = samples_T.mean(axis=1, keepdims=True)
@@ -107,7 +107,7 @@ def separate_by_fft(
     Parameters
     ----------
     samples_T : ndarray, shape (e, t, 3)
-        Evenly spaced, the first at ``start_s`` on the beacons' clock.
+        Samples, evenly spaced, the first at ``start_s`` on the beacons' clock.
     rate_Hz : float
     frequency_Hz : sequence of float
     noise_T : float

@@ -8,23 +8,23 @@ from goldfield.locate.least_squares import State, minimise
 from goldfield.types import FloatArray
 
 START_HEIGHTS_M = (0.3, 1.0, 3.0)
-"""Over the middle of the beacons. Ranges to beacons in one plane leave a saddle in that plane, so the starts are off
-it; the best end counts."""
+"""Heights of the starts over the middle of the beacons. Ranges to beacons in one plane leave a saddle in that plane, so
+the starts are off it; the best end counts."""
 
 
 def trilaterate(
     beacon_m: FloatArray, range_m: FloatArray, up: FloatArray | None = None, z_m: FloatArray | None = None
 ) -> FloatArray:
-    """Positions of e epochs, shape (e, 3).
+    """Return the positions of e epochs, shape (e, 3).
 
     Parameters
     ----------
     beacon_m : ndarray, shape (n, 3)
-        At least three.
+        Places of at least three beacons.
     range_m : ndarray, shape (e, n)
     up : ndarray, shape (3,), optional
-        Towards the side of the beacons' middle where the sensor is; default +z. Of beacons in one plane the mirror
-        position fits as well.
+        Direction towards the side of the beacons' middle where the sensor is; default +z. Where the beacons stand in
+        one plane the mirror position fits as well.
     z_m : ndarray, shape (e,), optional
         Known heights: then only x and y are sought.
     """

@@ -10,7 +10,7 @@ Two ways, by the ratio of the body's size a (radius of the largest ball inside) 
 - `VolumeResponse`, a < `SKIN_RATIO` skin depths, not permeable: J = sigma E, E = -i omega (A_0 + A[J]) - grad phi with
   n.E = 0 at the surface; J at voxels by GMRES, phi by point charges around the body that fit the normal component.
 
-Largest error against the exact series of a sphere, not permeable, at the paper's geometry (`goldfield emitter
+Largest error against the exact series of a sphere, not permeable, at the paper's geometry (`goldfield paper gietler
 formula`): 1.7 % up to a fifth of a skin depth, 2.4 % at 1.9, 3.0 % at 2.4, 5.2 % at 3.0, 1.0 % at 4.8, .2 % from 48
 up; mu_r = 100: 1.4 % at 19. A permeable body whose skin is not thin is refused.
 """
