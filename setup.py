@@ -2,7 +2,8 @@
 
 The kernel of ``goldfield.locate`` is a plain shared library: it uses nothing of Python's C interface, so that neither
 Python's headers nor its version matter. The simulator's libraries and images are made by the Makefile, which alone
-knows how; here they are collected. A part that cannot be built is left out with a sentence, and the rest works without it.
+knows how; here they are collected. A part that cannot be built is left out with a sentence, and the rest works without
+it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Find what the build makes, and load a shared library of ours through cffi with the declarations of its own headers.
 
 In a checkout libraries and images lie in ``build`` and the compiler's preprocessor reads the headers. An installed
-wheel has neither headers nor compiler: it carries the libraries, the images and the declarations in ``hil_sim/built``, where
-``setup.py`` puts them (``python -m hil_sim.clib DIRECTORY`` writes the declarations).
+wheel has neither headers nor compiler: it carries the libraries, the images and the declarations in ``hil_sim/built``,
+where ``setup.py`` puts them (``python -m hil_sim.clib DIRECTORY`` writes the declarations).
 """
 
 from __future__ import annotations

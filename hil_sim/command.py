@@ -1,6 +1,7 @@
-"""``goldfield hil``: the rig as a process, its serial ports pseudo-terminals, its CAN a python-can bus.
+"""``goldfield hil``: simulated bench: boards, coils, field and links.
 
-Also ``python -m hil_sim.command``.
+The rig is a process of its own, its serial ports pseudo-terminals, its CAN a python-can bus. The first line is the
+command's line in ``goldfield --help``. Also ``python -m hil_sim.command``.
 """
 
 from __future__ import annotations
@@ -33,7 +34,6 @@ def command(subparsers: Any) -> None:
     """Add the subcommand to the command line of goldfield."""
     parser = subparsers.add_parser(
         "hil",
-        help="simulated bench: boards, coils, field and links",
         description="Runs a scenario in one virtual time. The first line tells the serial path and the CAN channel, "
         "with --json those of anchors too, which else have a line each; "
         "then one line of truth a cycle (--json) or a line of progress now and then.",

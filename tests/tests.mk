@@ -3,6 +3,9 @@ test: all $(BUILD)/qemu.stamp ## All tests but the slow ones
 	@echo "end to end again, on host boards"
 	@$(PYTHON) -m pytest tests/hil --rig host -q
 
+test-wheel: all ## Build the wheel, install it alone and use it outside the tree
+	@$(PYTHON) -m pytest tests/packaging -q -s
+
 test-slow: all $(BUILD)/qemu.stamp ## The slow tests too
 	@$(PYTHON) -m pytest -n 2 -q
 
@@ -24,15 +27,16 @@ lint: all ## ruff, mypy, clang-tidy, cppcheck
 		$(LINT_INCLUDES) firmware hil_sim host/goldfield/locate/kernel
 	@echo "lint: clean"
 
-.PHONY: test test-slow lint
+.PHONY: test test-wheel test-slow lint
 
 figures: all ## Measure and print the figures of the whole chain (several minutes)
 	@$(PYTHON) tests/bench/chain_figures.py
 
 .PHONY: figures
 
-bench: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure the host's speed: single and batched location beside SciPy, filter update
+bench: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure the host's speed: location single and batched beside SciPy, filter update, start-up
 	@$(PYTHON) -m tests.bench.locate_figures speed
+	@$(PYTHON) tests/bench/start_up.py
 
 .PHONY: bench
 

@@ -1,4 +1,4 @@
-"""``goldfield paper``: the subcommand that `hil_sim` adds to goldfield for the experiments of the sources."""
+"""``goldfield paper``: the published experiments repeated."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ def command(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "paper",
-        help="the published experiments repeated",
         description="The experiments of the sources, repeated with the host's methods in simulated worlds.",
     )
     papers = parser.add_subparsers(title="papers", metavar="PAPER", required=True)

@@ -41,8 +41,8 @@ MOVING = {"goldfield.experiments"} | {
 """The papers' experiments as far as they still lie in the host: their place is ``hil_sim.papers``."""
 
 TYPING_ONLY = {
-    "goldfield.view.plot": "matplotlib",
-    "goldfield.view.waveforms": "matplotlib",
+    "hil_sim.papers.plot": "matplotlib",
+    "hil_sim.papers.prigge.waveforms": "matplotlib",
 }
 """Imports for annotations alone, each with its reason: an optional package that only pictures need."""
 

@@ -12,9 +12,9 @@ drive c. Taking f for c biases the estimate; three cures:
 from __future__ import annotations
 
 import math
+from itertools import accumulate
 
 import numpy as np
-from scipy.signal import lfilter
 
 from goldfield.types import FloatArray
 
@@ -44,8 +44,15 @@ def filtered(drive: FloatArray, tau_chips: float) -> FloatArray:
     e = remainder(tau_chips)
     if e == 0.0:
         return drive
-    last = lfilter([1.0 - e], [1.0, -e], drive, axis=0)[-1] / (1.0 - e ** len(drive))
-    return np.asarray(lfilter([1.0 - e], [1.0, -e], drive, axis=0, zi=e * last[None])[0])
+    steps = ((1.0 - e) * np.asarray(drive)).reshape(len(drive), -1).T.tolist()
+    columns = [_settled(column, e) for column in steps]
+    return np.array(columns).T.reshape(np.shape(drive))
+
+
+def _settled(steps: list[float], e: float) -> list[float]:
+    """Return f[n] = e f[n-1] + step[n] of a cycle that has gone on for ever."""
+    *_, last = accumulate(steps, lambda before, step: e * before + step)
+    return list(accumulate(steps, lambda before, step: e * before + step, initial=last / (1.0 - e ** len(steps))))[1:]
 
 
 def sharpened(samples_T: FloatArray, tau_chips: float) -> FloatArray:

@@ -1,18 +1,31 @@
-"""Entry of the command: parser, subcommands of other packages, and the exit codes 0, 2 and 3."""
+"""Entry of the command: parser, subcommands of other packages, and the exit codes 0, 2 and 3.
+
+Only the subcommand that was called is imported: the others are known by name and one line of help.
+"""
 
 from __future__ import annotations
 
 import argparse
+import ast
 import os
 import sys
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points, version
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, NoReturn
 
-from goldfield.cli import locate, run, samples, separate
 from goldfield.errors import SystemFailure, UserError
 
+COMMANDS = {
+    "run": ("goldfield.cli.run", "live poses from a sensor"),
+    "locate": ("goldfield.cli.locate", "poses from a table of fields"),
+    "samples": ("goldfield.cli.samples", "raw samples of a sensor"),
+    "separate": ("goldfield.cli.separate", "field of each beacon from raw samples"),
+}
+"""Each subcommand of this package: the module whose function ``command`` adds its parser, and its line of help."""
 EXIT_USAGE = 2
 EXIT_FAILED = 3
 EXIT_INTERRUPTED = 130
@@ -34,7 +47,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     ``GOLDFIELD_DEBUG=1``.
     """
     try:
-        arguments = build_parser().parse_args(argv)
+        words = sys.argv[1:] if argv is None else list(argv)
+        arguments = build_parser(words[0] if words else None).parse_args(words)
         return int(arguments.run(arguments))
     except UserError as error:
         return _complain(str(error), EXIT_USAGE)
@@ -54,35 +68,86 @@ def main(argv: Sequence[str] | None = None) -> int:
         )
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Build the parser with the subcommands of this package and of every installed one."""
+class _Version(argparse.Action):
+    """Print the installed version, which takes time to look up, and exit."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        """See `argparse.Action`."""
+        print(f"goldfield {version('goldfield')}")
+        parser.exit()
+
+
+def build_parser(called: str | None = None) -> argparse.ArgumentParser:
+    """Build the parser.
+
+    Parameters
+    ----------
+    called : str, optional
+        First word of the command line. The subcommand of this name is loaded; of the others the parser knows the name
+        and the line of help only. Other packages are not searched for a word that this package knows.
+    """
     parser = Parser(prog="goldfield", description="Indoor position and attitude from coded magnetic fields.")
-    parser.add_argument("--version", action="version", version=f"goldfield {version('goldfield')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
-    for module in (run, locate, samples, separate):
-        module.command(subparsers)
+    for name, (module, summary) in COMMANDS.items():
+        if name == called:
+            import_module(module).command(subparsers)
+        else:
+            subparsers.add_parser(name, help=summary, add_help=False)
+    if called in COMMANDS or called == "--version":
+        return parser
     for entry_point in entry_points(group=COMMAND_GROUP):
-        _add_foreign(subparsers, entry_point)
+        if entry_point.name in subparsers.choices:
+            continue
+        if entry_point.name == called:
+            _add_foreign(subparsers, entry_point)
+        else:
+            subparsers.add_parser(entry_point.name, help=_summary(entry_point), add_help=False)
     return parser
 
 
+def _summary(entry_point: EntryPoint) -> str:
+    """Return the line of help of another package's subcommand, without running its module.
+
+    It is the first line of the module's docstring: "``goldfield NAME``: line of help."
+    """
+    module = entry_point.value.partition(":")[0]
+    try:
+        spec = find_spec(module)
+        source = Path(spec.origin).read_text(encoding="utf-8")  # type: ignore[union-attr, arg-type]  # caught below
+        first, *_ = (ast.get_docstring(ast.parse(source)) or "").splitlines() or [""]
+    except Exception:
+        return "(cannot be loaded)"
+    summary = first.removeprefix(f"``goldfield {entry_point.name}``: ").rstrip(".")
+    return (summary or f"see goldfield {entry_point.name} --help").replace("%", "%%")
+
+
 def _add_foreign(subparsers: Any, entry_point: EntryPoint) -> None:
-    """Add a subcommand of another package; a broken one stays visible and says what is wrong when it is called."""
+    """Add the subcommand of another package; a broken one says what is wrong with it when it is called."""
+    name = entry_point.name
     try:
         entry_point.load()(subparsers)
+        reason = "it adds no subcommand of this name"
+    except ModuleNotFoundError as error:
+        reason = f"{type(error).__name__}: {error}{_extras(entry_point)}"
     except Exception as error:
-        if entry_point.name in subparsers.choices:
-            return
-        reason = (
-            f"the command {entry_point.name} of {entry_point.value} cannot be loaded: {type(error).__name__}: {error}"
-        )
+        reason = f"{type(error).__name__}: {error}"
+    if name in subparsers.choices:
+        return
 
-        def unavailable(_: argparse.Namespace, reason: str = reason) -> int:
-            raise SystemFailure(reason)
+    def unavailable(_: argparse.Namespace) -> int:
+        raise SystemFailure(f"the command {name} of {entry_point.value} cannot be loaded: {reason}")
 
-        broken = subparsers.add_parser(entry_point.name, help="(cannot be loaded)", add_help=False, prefix_chars="\0")
-        broken.add_argument("rest", nargs="*")  # with no prefix that anyone types, options are taken too
-        broken.set_defaults(run=unavailable)
+    broken = subparsers.add_parser(name, add_help=False, prefix_chars="\0")
+    broken.add_argument("rest", nargs="*")  # with no prefix that anyone types, options are taken too
+    broken.set_defaults(run=unavailable)
+
+
+def _extras(entry_point: EntryPoint) -> str:
+    """Return how to install everything that the package of a subcommand can use, if it names any extras."""
+    package = getattr(entry_point, "dist", None)
+    extras = package.metadata.get_all("Provides-Extra") if package else None
+    return f"; pip install '{package.name}[{','.join(extras)}]' brings what it needs" if package and extras else ""
 
 
 def _complain(message: str, code: int) -> int:

@@ -27,7 +27,6 @@ def command(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "locate",
-        help="poses from a table of fields",
         description=f"A pose for every epoch of a CSV table with the columns {','.join(COLUMNS)}[,sigma_T] "
         "(sensor frame; an empty cell is an axis that was not measured; the rows of an epoch follow each other).",
     )

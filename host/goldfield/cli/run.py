@@ -31,7 +31,6 @@ def command(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "run",
-        help="live poses from a sensor",
         description="Poses from a sensor on a serial port or CAN, or from a recorded log: a line for every epoch.",
     )
     for name, metavar, what in (

@@ -31,7 +31,6 @@ def command(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "samples",
-        help="raw samples of a sensor",
         description=f"A CSV table with the columns {','.join(COLUMNS)} on stdout, one row a chip, from a sensor on a "
         "serial port: for goldfield separate, which tells beacons apart in every way that a site file can name.",
     )

@@ -25,7 +25,6 @@ def command(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "separate",
-        help="field of each beacon from raw samples",
         description=f"The field of each beacon from a CSV table with the columns {','.join(COLUMNS)}: one row a chip "
         "from chip 0 (counting on or beginning again at every cycle), an empty cell is a sample that is missing.",
     )

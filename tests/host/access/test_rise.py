@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
+from scipy.signal import lfilter, lsim
 
 from goldfield.access import Separator, SiteAccess
 from goldfield.access.epoch import EpochSeparator
-from goldfield.access.rise import filtered, sharpened
+from goldfield.access.rise import filtered, remainder, sharpened
 from goldfield.cli import main
 from goldfield.link.reports import Report
 from goldfield.site import Beacon, SensorSite, Site
@@ -29,6 +29,15 @@ def current(drive, tau_chips, points=8):
 
 
 CURRENTS = np.stack([current(c, tau) if tau else c.astype(float) for c, tau in zip(CHIPS.T, TAU, strict=True)], axis=1)
+
+
+@pytest.mark.parametrize("tau", [0.05, 0.35, 10.0])
+@pytest.mark.parametrize("shape", [(1,), (N,), (N, 4)])
+def test_templates_are_those_of_the_filter_of_scipy_to_the_last_bit(shape, tau):
+    drive, e = np.random.default_rng(5).standard_normal(shape), remainder(tau)
+    last = lfilter([1.0 - e], [1.0, -e], drive, axis=0)[-1] / (1.0 - e ** len(drive))
+    expected = lfilter([1.0 - e], [1.0, -e], drive, axis=0, zi=e * last[None])[0]
+    np.testing.assert_array_equal(filtered(drive, tau), expected)
 
 
 def site_of(tau_chips):

@@ -1,0 +1,76 @@
+"""Start-up: only the subcommand that was called is imported, and the list of subcommands tells all of them."""
+
+import subprocess
+import sys
+from importlib.metadata import entry_points
+
+import pytest
+
+from goldfield.cli import main
+from goldfield.cli.entry import COMMANDS, build_parser
+
+LIST_MODULES = """
+import sys
+from goldfield.cli import main
+try:
+    main(sys.argv[1:])
+except SystemExit:
+    pass
+print(*sys.modules, file=sys.stderr)
+"""
+
+
+def modules_of(*arguments):
+    done = subprocess.run(
+        [sys.executable, "-c", LIST_MODULES, *arguments], capture_output=True, text=True, check=True, cwd="/"
+    )
+    return set(done.stderr.split())
+
+
+@pytest.mark.parametrize("word", ["--version", "--help"])
+def test_neither_version_nor_help_imports_a_numerical_package_or_a_subcommand(word):
+    modules = modules_of(word)
+    assert not modules & {"numpy", "scipy", "can", "cantools", "cffi", "rich", "hil_sim.command"}
+    assert not modules & {module for module, _ in COMMANDS.values()}
+
+
+def test_the_help_of_run_imports_run_alone():
+    modules = modules_of("run", "--help")
+    assert "goldfield.cli.run" in modules
+    assert not modules & {"scipy.signal", "scipy.stats", "matplotlib", "hil_sim.command", "goldfield.cli.separate"}
+
+
+def test_separation_needs_no_signal_package():
+    assert "scipy.signal" not in modules_of("separate", "--help")
+
+
+def test_the_help_lists_every_subcommand_with_a_line(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines() if line.startswith("    "))
+    for name, (_, summary) in COMMANDS.items():
+        assert lines[name] == summary
+    for entry_point in entry_points(group="goldfield.commands"):
+        assert lines[entry_point.name]
+    assert lines["hil"] == "simulated bench: boards, coils, field and links"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_subcommand_of_the_table_is_there(name, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main([name, "--help"])
+    assert stopped.value.code == 0
+    assert capsys.readouterr().out.startswith(f"usage: goldfield {name} ")
+
+
+def test_a_foreign_command_must_have_the_name_of_its_entry_point(capsys, monkeypatch):
+    class Entry:
+        name, value = "here", "package:command"
+
+        def load(self):
+            return lambda subparsers: subparsers.add_parser("elsewhere")
+
+    monkeypatch.setattr("goldfield.cli.entry.entry_points", lambda group: [Entry()])
+    assert main(["here"]) == 3
+    assert "it adds no subcommand of this name" in capsys.readouterr().err
+    assert "(cannot be loaded)" in build_parser().format_help()
