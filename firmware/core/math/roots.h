@@ -1,11 +1,13 @@
 /* roots.h: sqrt(x), 1/sqrt(x) and 1/cbrt(x) in single precision, without a library and the same on every machine, bit
  * for bit.
  *
- * square_root is correctly rounded: one instruction where the processor has it, else refined in double precision. The
- * inverses: a first guess from the bits of the number (its exponent over -2 or -3; the constants minimise the guess's
- * error), then Newton on y^-n - x, which converges quadratically: three steps take 4 % to rounding. Relative error at
- * most 3e-7 for x from 1e-35 to 1e35. x = 0 gives a large finite number. Negative numbers: no meaning. About 15 and 18
- * instructions, no more time than a division takes.
+ * square_root is correctly rounded: it is one instruction where the processor has it, else it is refined in double
+ * precision. The inverses begin with a first guess from the bits of the number (its exponent over -2 or -3; the
+ * constants minimise the guess's error) and go on with Newton on y^-n - x, which converges quadratically: three steps
+ * take 4 % to rounding.
+ *
+ * Limits. The relative error is at most 3e-7 for x from 1e-35 to 1e35. x = 0 gives a large finite number. A negative
+ * number has no meaningful result. Time: about 15 and 18 instructions, no more than a division takes.
  */
 #ifndef GOLDFIELD_ROOTS_H
 #define GOLDFIELD_ROOTS_H

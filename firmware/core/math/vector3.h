@@ -1,5 +1,5 @@
-/* vector3.h: the few operations on vectors of three floats that the core needs. Inline; each a handful of
- * instructions. */
+/* vector3.h: the few operations on vectors of three floats that the core needs. They are inline, and each takes a
+ * handful of instructions. */
 #ifndef GOLDFIELD_VECTOR3_H
 #define GOLDFIELD_VECTOR3_H
 
