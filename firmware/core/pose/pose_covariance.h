@@ -1,11 +1,13 @@
 /* pose_covariance.h: how far a fitted pose may be wrong, with the second-order terms of the model.
  *
- * Near a beacon the range is known to micrometres and the direction to centimetres; the poses that fit lie on a curved
- * ridge, and the Gauss-Newton covariance, which knows only its tangent, is overconfident many times across it. With L
- * L' the Gauss-Newton covariance, J the whitened Jacobian, and second differences over one standard deviation along
- * each of the six columns of L,
- *   q_ai = (J L)' (dJ_a L_i) / 2,    covariance = L (I + (m m' + 2 sum_ai q_ai q_ai') / 4) L',    m = sum_a q_aa.
- * (The same as host/goldfield/locate/uncertainty.py, honest_covariance.)
+ * Near a beacon the range is known to micrometres and the direction to centimetres. The poses that fit lie on a curved
+ * ridge, and the Gauss-Newton covariance, which knows only its tangent, is overconfident many times across it.
+ *
+ * Method. With L L' the Gauss-Newton covariance, J the whitened Jacobian, and second differences over one standard
+ * deviation along each of the six columns of L,
+ *   q_ai = (J L)' (dJ_a L_i) / 2,   m = sum_a q_aa,
+ *   covariance = L (I + (m m' + 2 sum_ai q_ai q_ai') / 4) L'.
+ * The same is in host/goldfield/locate/uncertainty.py (honest_covariance).
  *
  * Time: about 12,300 instructions a beacon. Stack: 2 kB.
  */
@@ -14,8 +16,8 @@
 
 #include "core/pose/pose_fit.h"
 
-/* Of position (m) and a small turn in the site's frame (rad). False, and no meaning in it, if the measurements do
- * not tell all six. */
+/* Compute the covariance of the position (m) and a small turn in the site's frame (rad).
+ * Returns false, with a meaningless covariance, if the measurements do not tell all six. */
 bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit,
                      float covariance[TRIANGLE_UNKNOWNS][TRIANGLE_UNKNOWNS]);
 

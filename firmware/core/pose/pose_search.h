@@ -1,12 +1,12 @@
-/* pose_search.h: where to start a fit with no prior: the surroundings of the strongest beacon, the attitude profiled
- * out.
+/* pose_search.h: where to start a fit with no prior: on a shell around the strongest beacon, with the attitude
+ * profiled out. The calls are pose_search, then pose_search_attitude for each candidate that is fitted.
  *
- * The magnitude of the strongest field fixes the distance in each direction, |B| = k sqrt(1 + 3 cos^2) / r^3, so that
- * the unknown position lies on a shell around that beacon: a search in two dimensions, whatever the size of the site.
- * At each of POSE_SEARCH_DIRECTIONS points, evenly spread, Wahba's loss is what remains of the measured fields with the
- * best attitude there; the best few points that are clearly apart are the candidates.
+ * Method. The magnitude of the strongest field fixes the distance in each direction, |B| = k sqrt(1 + 3 cos^2) / r^3,
+ * so that the unknown position lies on a shell around that beacon: a search in two dimensions, whatever the size of
+ * the site. At each of POSE_SEARCH_DIRECTIONS points, evenly spread, Wahba's loss is what remains of the measured
+ * fields with the best attitude there; the best few points that are clearly apart are the candidates.
  *
- * Time: about 2,500 instructions a direction with 8 beacons; grows with the number of beacons. See pose.h for the
+ * Time: about 2,500 instructions a direction with 8 beacons; it grows with the number of beacons. pose.h has the
  * total.
  */
 #ifndef GOLDFIELD_POSE_SEARCH_H
@@ -14,12 +14,12 @@
 
 #include "core/pose/pose_fit.h"
 
-#define POSE_SEARCH_DIRECTIONS 300u
-#define POSE_SEARCH_CANDIDATES 6u
+#define POSE_SEARCH_DIRECTIONS 300u /* Directions that are tried: 12 degrees from one to the next. */
+#define POSE_SEARCH_CANDIDATES 6u   /* Most candidates that are kept. */
 
 typedef struct {
     float position_m[3];
-    float loss;
+    float loss; /* Wahba's loss there. */
 } pose_candidate_t;
 
 typedef struct {
@@ -27,12 +27,12 @@ typedef struct {
     pose_candidate_t candidates[POSE_SEARCH_CANDIDATES]; /* The best first. */
 } pose_candidates_t;
 
-/* Candidates for a problem of at least one beacon. Those with (position - point) . normal < 0 are left out; normal
- * 0: none is. */
+/* Find candidates for a problem of at least one beacon. Those with (position - point) . normal < 0 are left out; with
+ * normal 0 none is. */
 void pose_search(const pose_problem_t *problem, const float point_m[3], const float normal[3],
                  pose_candidates_t *found);
 
-/* The best attitude at a position. */
+/* Compute the best attitude at a position. */
 void pose_search_attitude(const pose_problem_t *problem, const float position_m[3], float quaternion[4]);
 
 #endif
