@@ -1,7 +1,6 @@
-/* board.h: how an image gets its board.
- *
- * The board's start-up code (vector table, .data, .bss, core memory) calls main(); main (firmware/images/beacon.c,
- * sensor.c, anchor.c: one image each) calls board_start() first, and then owns the processor: it never returns.
+/* board.h: how an image gets its board. The board's start-up code (vector table, .data, .bss, core memory) calls
+ * main(); main (firmware/images/beacon.c, sensor.c, anchor.c: one image each) calls board_start() first, and then owns
+ * the processor: it never returns.
  *
  * A board that lives in memory (boards/host) does not have this function: it creates as many boards as one likes and
  * calls the applications itself.
@@ -11,14 +10,15 @@
 
 #include "hal/hal.h"
 
-/* For a static variable that begins as zeros and that only the processor touches, never DMA: it goes to the
- * core-coupled memory (STM32F405: 64 KB beside the 128 KB of RAM). */
+/* Places a static variable that begins as zeros and that only the processor touches, never DMA, in the core-coupled
+ * memory (STM32F405: 64 KB beside the 128 KB of RAM). */
 #define BOARD_CORE_MEMORY __attribute__((section(".bss.core_memory")))
 
-/* Set up clocks, pins, links, watchdog and converters; returns the one board of this chip. Call once, first of all
- * in main(). Always returns, also on a crippled machine: every wait for hardware has a time-out, and hal_clock()
- * tells what became of the clocks. hal_serial_write_polled() works afterwards, whatever else failed. The chip engine
- * stands still until hal_chips_start(); the coil drive is off. */
+/* Set up clocks, pins, links and watchdog. It is called once, first of all in main(), and always returns, also on a
+ * crippled machine: every wait for hardware has a time-out, and hal_clock() tells what became of the clocks.
+ * hal_serial_write_polled() works afterwards, whatever else failed. The chip engine stands still until
+ * hal_chips_start(), which also sets up the converters; the coil drive is off.
+ * Returns the one board of this chip. */
 hal_t *board_start(void);
 
 #endif

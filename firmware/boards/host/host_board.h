@@ -2,16 +2,20 @@
  * firmware/hal/hal.h, and the outside sees the same edge as that of the emulator: pins of boards/pinout.md, volts,
  * bytes and frames, each with its time.
  *
+ * Calls: host_board_create makes a board, host_board_operations runs it (board_edge.h) and destroys it.
+ *
  * What it keeps of the hardware: the local clock with its error in ppm (every edge lies on one of its 168 MHz ticks),
  * chips with planned periods, pins and set-points that change exactly at chip starts, eight conversions a chip on each
  * axis with the spacing of a converter clocked at 21 MHz, one conversion of both coil currents a chip, 12 bits with
  * clamping, byte times at 2 Mbaud, three CAN mailboxes that leave in order, sync capture in ticks, time stamps of
- * frames in ticks. What it does not: instructions take no time. Handlers and the main loop's iteration run at the
- * instant of their event; so there are no late blocks, converter overruns or watchdog resets here, and hal_wait() and
- * board_start() do not exist (the main loop is run from outside).
+ * frames in ticks.
  *
- * Boards share nothing: each may run in its own thread; one board in one thread at a time. Memory: one allocation a
- * board of about 60 KiB, and one for the inputs that wait for their time, which grows with them.
+ * What it does not keep: instructions take no time. Handlers and the main loop's iteration run at the instant of their
+ * event. So there are no late blocks, converter overruns or watchdog resets here, and hal_wait() and board_start() do
+ * not exist (the main loop is run from outside).
+ *
+ * Contexts: boards share nothing. Each may run in its own thread, one board in one thread at a time. Memory: one
+ * allocation a board of about 60 KiB, and one for the inputs that wait for their time, which grows with them.
  */
 #ifndef GOLDFIELD_HOST_BOARD_H
 #define GOLDFIELD_HOST_BOARD_H
@@ -21,19 +25,20 @@
 
 typedef struct {
     hal_role_t role;         /* Which application runs. */
-    double crystal_ppm;      /* Error of this board's clock, whichever it is, within +-100,000. Positive: fast. */
+    double crystal_ppm;      /* Error of this board's clock, whichever it is, within +-100,000; positive is fast. */
     hal_clock_t clock;       /* What hal_clock() tells; with HAL_CLOCK_SLOW the chip engine does not start. */
-    double temperature_degc; /* Of the processor. */
-    uint8_t unique_id[HAL_UNIQUE_ID_BYTES];
-    uint8_t parameter_page[HAL_PARAMETER_PAGE_BYTES]; /* As in flash (protocol/framing.md); erased flash is all 0xFF. */
+    double temperature_degc; /* Temperature of the processor, degC. */
+    uint8_t unique_id[HAL_UNIQUE_ID_BYTES]; /* What hal_unique_id() tells. */
+    /* The page in flash (protocol/framing.md); erased flash is all 0xFF. */
+    uint8_t parameter_page[HAL_PARAMETER_PAGE_BYTES];
 } host_board_config_t;
 
-/* A board that gets power at power_on_ps; its application starts at that moment. config and edge are copied;
- * edge->context must outlive the board. NULL if there is no memory or crystal_ppm is out of range. */
+/* Make a board that gets power at power_on_ps; its application starts at that moment. config and edge are copied;
+ * edge->context must outlive the board. Returns NULL if there is no memory or crystal_ppm is out of range. */
 board_t *host_board_create(const host_board_config_t *config, const board_edge_t *edge, int64_t power_on_ps);
 
-/* run() costs a few microseconds of this machine for a chip. It returns BOARD_OK always; report() is empty. A pin, a
- * port or a mailbox that the board does not have is ignored. */
+/* How the outside acts on the board. run() costs a few microseconds of this machine for a chip and always returns
+ * BOARD_OK; report() is empty. A pin, a port or a mailbox that the board does not have is ignored. */
 extern const board_operations_t host_board_operations;
 
 #endif

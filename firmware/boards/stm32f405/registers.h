@@ -1,9 +1,9 @@
 /* registers.h: the registers of the STM32F405 that this board uses, and only those.
  *
- * Names as in the reference manual (RM0090) and ST's SVD; tests/firmware/boards/stm32f405/test_registers.py checks
- * every base address, offset and bit against the SVD. A bit constant is named PERIPHERAL_REGISTER_FIELD, with _VALUE
- * behind it if the field has a chosen value. Core registers (SysTick, NVIC, SCB): ARMv7-M Architecture Reference
- * Manual, B3.2 to B3.4.
+ * Names are those of the reference manual (RM0090) and ST's SVD; tests/firmware/boards/stm32f405/test_registers.py
+ * checks every base address, offset and bit against the SVD. A bit constant is named PERIPHERAL_REGISTER_FIELD, with
+ * _VALUE behind it if the field has a chosen value. The core's registers (SysTick, NVIC, SCB) are those of the ARMv7-M
+ * Architecture Reference Manual, B3.2 to B3.4.
  */
 #ifndef STM32F405_REGISTERS_H
 #define STM32F405_REGISTERS_H
@@ -98,7 +98,7 @@ typedef struct {
 #define DMA1 ((DMA_registers *)0x40026000u)
 #define DMA2 ((DMA_registers *)0x40026400u)
 
-/* Of every stream: named after stream 0. */
+/* The bits of every stream's CR, named after stream 0. */
 #define DMA_S0CR_EN                (1u << 0)
 #define DMA_S0CR_TEIE              (1u << 2)
 #define DMA_S0CR_HTIE              (1u << 3)
@@ -313,7 +313,7 @@ typedef struct {
 #define SCB                ((SCB_registers *)0xE000ED00u)
 #define SCB_CPACR_FPU_FULL (15u << 20)
 
-/* Positions in the vector table of RM0090, table 62. */
+/* Positions of the interrupts in the vector table (RM0090, table 62). */
 enum {
     IRQ_ADC = 18,
     IRQ_CAN1_TX = 19,
@@ -332,7 +332,7 @@ enum {
 /* ---- What ST wrote into system memory (RM0090, 39.1; data sheet, 5.3.22) ---- */
 
 #define UNIQUE_ID ((const volatile uint32_t *)0x1FFF7A10u) /* Three words. */
-#define TEMPERATURE_CALIBRATION                                                                                        \
-    ((const volatile uint16_t *)0x1FFF7A2Cu) /* Sensor's counts at 30 and at 110 degC, 3.3 V. */
+/* Counts of the temperature sensor at 30 and at 110 degC, 3.3 V. */
+#define TEMPERATURE_CALIBRATION ((const volatile uint16_t *)0x1FFF7A2Cu)
 
 #endif

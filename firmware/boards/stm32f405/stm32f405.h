@@ -1,4 +1,4 @@
-/* stm32f405.h: inside this board. What its files share; nothing outside this directory includes it.
+/* stm32f405.h: inside this board: what its files share. Nothing outside this directory includes it.
  *
  *   interrupts.c   the one board that handlers see, and how a handler is switched on
  *   clock.c        clock tree, waits with time-outs, microseconds, tick
@@ -11,14 +11,23 @@
  *   startup.c      vector table, reset, .data and .bss
  * A file calls only those above it in this list. Functions are declared below by file.
  *
- * Priorities (a lower number preempts): 0 time stamps of CAN frames, 1 coil currents, temperature and driver fault, 2
- * every other handler, 3 the 10 ms tick. The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a
- * handler has more than two instructions before its return: all have.
+ * Priorities (a lower number preempts)
+ *   0   time stamps of CAN frames
+ *   1   coil currents, temperature and driver fault
+ *   2   every other handler
+ *   3   the 10 ms tick
+ * The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a handler has more than two instructions
+ * before its return: all have.
  *
- * DMA2: stream 5 chip edges (very high) > stream 4 chip periods, stream 0 samples (high) > stream 2 serial in (medium)
- * > stream 7 serial out (low). DMA1: stream 5 set-points to the DAC, alone; DMA1 reaches neither GPIO nor APB2. No
- * stream is shared. The erratum "DMA2 data corruption when managing AHB and APB peripherals in a concurrent way"
- * (ES0182) can write the same word twice to an AHB peripheral: harmless to BSRR.
+ * DMA streams, by priority; no stream is shared
+ *   DMA2 stream 5   chip edges                   very high
+ *   DMA2 stream 4   chip periods                 high
+ *   DMA2 stream 0   samples                      high
+ *   DMA2 stream 2   serial in                    medium
+ *   DMA2 stream 7   serial out                   low
+ *   DMA1 stream 5   set-points to the DAC        alone; DMA1 reaches neither GPIO nor APB2
+ * The erratum "DMA2 data corruption when managing AHB and APB peripherals in a concurrent way" (ES0182) can write the
+ * same word twice to an AHB peripheral, which is harmless to BSRR.
  */
 #ifndef STM32F405_BOARD_H
 #define STM32F405_BOARD_H
@@ -26,57 +35,57 @@
 #include "boards/stm32f405/registers.h"
 #include "hal/hal.h"
 
-#define RING_CHIPS            (2u * HAL_BLOCK_CHIPS) /* What the chip engine's buffers hold: two blocks. */
-#define SERIAL_RECEIVE_BUFFER 2048u                  /* 10 ms. */
-#define CAN_RECEIVE_BUFFER    32u                    /* 3.5 ms of the shortest frames with 8 bytes of data. */
+#define RING_CHIPS            (2u * HAL_BLOCK_CHIPS) /* Chips in the chip engine's buffers: two blocks. */
+#define SERIAL_RECEIVE_BUFFER 2048u                  /* Received bytes that may wait for main: 10 ms. */
+#define CAN_RECEIVE_BUFFER    32u /* Received frames that may wait for main: 3.5 ms of the shortest with 8 bytes. */
+#define CAN_STAMPS            8u  /* Stamped frames that may wait (hal.h). */
 
-#define CAN_STAMPS 8u
-
+/* Priorities of the interrupts, as above. */
 enum { PRIORITY_STAMP = 0, PRIORITY_DRIVE = 1, PRIORITY_NORMAL = 2, PRIORITY_TICK = 3 };
 
 struct hal {
     hal_clock_t clock;
-    bool whole; /* The clock controller answers as silicon does; false on a partial model of the chip, where system
-                   memory is missing, too. */
-    volatile bool woken; /* Something happened that main may want to look at. */
+    bool whole;          /* The clock controller answers as silicon does. It is false on a partial model of the chip,
+                            where system memory is missing, too. */
+    volatile bool woken; /* Something has happened that main may want to look at. */
     hal_role_t role;
     hal_events_t events;
     hal_counters_t counters;
 
     /* clock.c */
-    uint32_t time_low, time_high;
+    uint32_t time_low, time_high; /* The latest reading of hal_microseconds(). */
 
     /* chip_engine.c */
     uint32_t block;                  /* The running block, as far as the block interrupt has come. */
     volatile uint32_t first_chip;    /* Its first chip: 31 * block, odd when block is odd. */
-    uint32_t words[RING_CHIPS];      /* DMA: BSRR words. */
-    uint32_t periods[RING_CHIPS];    /* DMA: ARR values. */
-    uint32_t set_points[RING_CHIPS]; /* DMA: DHR12RD words. */
-    hal_plan_t plan;
+    uint32_t words[RING_CHIPS];      /* Read by DMA: words for BSRR. */
+    uint32_t periods[RING_CHIPS];    /* Read by DMA: values for ARR. */
+    uint32_t set_points[RING_CHIPS]; /* Read by DMA: words for DHR12RD. */
+    hal_plan_t plan;                 /* The plan that the application fills. */
 
     /* converters.c */
     bool sampling;                 /* The samples in the buffer are complete and in step. */
-    volatile bool temperature_due; /* The injected conversion is of the temperature: as JSQR says, which would have to
-                                      be read in each chip. */
-    uint16_t temperature_count;
-    hal_samples_t samples[2]; /* DMA */
+    volatile bool temperature_due; /* The injected conversion is that of the temperature. JSQR says so, too, but would
+                                      have to be read in each chip. */
+    uint16_t temperature_count;    /* Its latest result, counts; 0: there is none. */
+    hal_samples_t samples[2];      /* Written by DMA: the even and the odd block. */
 
     /* serial.c */
     volatile uint32_t sent, written; /* Bytes since reset: freed by the DMA, put in by main. */
     volatile uint32_t sending;       /* Bytes in the running transfer. */
-    volatile uint32_t receive_wraps; /* Times the receive buffer was filled. */
+    volatile uint32_t receive_wraps; /* How often DMA has filled the receive buffer. */
     uint32_t taken;                  /* Bytes since reset that main took. */
     uint8_t transmit[HAL_SERIAL_BUFFER];
     uint8_t receive[SERIAL_RECEIVE_BUFFER];
 
     /* can.c */
-    volatile uint32_t can_put, can_taken; /* Frames since reset. */
-    bool can_off;
+    volatile uint32_t can_put, can_taken; /* Frames since reset: put in by the interrupt, taken by main. */
+    bool can_off;                         /* The controller is off the bus. */
     hal_frame_t can_frames[CAN_RECEIVE_BUFFER];
-    hal_frame_t can_mailbox[3];              /* What was handed to each. */
-    uint32_t can_stamp_put, can_stamp_taken; /* From the stamping interrupts to plan. */
+    hal_frame_t can_mailbox[3];              /* The frame that was handed to each mailbox. */
+    uint32_t can_stamp_put, can_stamp_taken; /* Stamps since reset, from the stamping interrupts to plan. */
     hal_stamp_t can_stamps[CAN_STAMPS];
-    uint32_t can_stamped_put, can_stamped_taken; /* The frames received there, to main. */
+    uint32_t can_stamped_put, can_stamped_taken; /* Frames since reset that were received there, to main. */
     hal_frame_t can_stamped[CAN_STAMPS];
 };
 
@@ -85,7 +94,7 @@ struct hal {
 extern hal_t board; /* The one board of this chip: interrupt handlers have no argument. */
 void interrupt_enable(unsigned irq, unsigned priority);
 
-/* Interrupts off; returns what restore() needs. Nests. */
+/* Switch interrupts off. Calls nest. Returns what interrupts_restore() needs. */
 static inline uint32_t interrupts_off(void) {
     uint32_t primask;
     __asm volatile("mrs %0, primask\n\tcpsid i" : "=r"(primask)::"memory");
@@ -94,7 +103,7 @@ static inline uint32_t interrupts_off(void) {
 static inline void interrupts_restore(uint32_t primask) {
     __asm volatile("msr primask, %0" ::"r"(primask) : "memory");
 }
-/* Memory written before is seen by DMA started behind. */
+/* Make sure that DMA which is started after the call sees what was written before it. */
 static inline void memory_barrier(void) {
     __asm volatile("dsb" ::: "memory");
 }
@@ -113,27 +122,27 @@ void serial_start(hal_t *hal);
 
 /* ---- converters.c ---- */
 
-#define CHIP_RELOAD_TICKS 8000u /* In each chip, when DMA fetches the next chip's period (CC4). */
+#define CHIP_RELOAD_TICKS 8000u /* When DMA fetches the next chip's period (CC4), ticks after each chip's start. */
 
 typedef struct {
-    uint32_t chip;  /* Absolute. */
-    uint32_t ticks; /* Since it started. */
+    uint32_t chip;  /* Absolute chip. */
+    uint32_t ticks; /* Ticks since it started. */
 } chip_time_t;
 
 void converters_start(const hal_t *hal);
 
-/* After an end of injected conversions. Returns true if the counts are those of the coil currents, false if it was the
- * temperature. */
+/* Take the result of injected conversions that have ended. Returns true if the counts are those of the coil currents,
+ * false if it was the temperature. */
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
 
-/* At a block boundary: starts the temperature; stays in step with the chips. Samples of the finished block that are
- * not good read 0, which counts as saturated. */
+/* Start the temperature and check that the samples are in step with the chips, at a block boundary. Samples of the
+ * finished block that are not good read 0, which counts as saturated. */
 void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
 
 /* ---- chip_engine.c ---- */
 
-/* The present. From handlers of normal priority or higher only: the block interrupt must not run to its end
- * meanwhile. About 40 instructions. */
+/* Read the chip engine's time, from handlers of normal priority or higher only: the block interrupt must not run to
+ * its end meanwhile. Costs about 40 instructions. Returns the present. */
 chip_time_t chip_now(const hal_t *hal);
 
 /* ---- can.c ---- */

@@ -7,7 +7,7 @@
  * deviation along each of the six columns of L,
  *   q_ai = (J L)' (dJ_a L_i) / 2,   m = sum_a q_aa,
  *   covariance = L (I + (m m' + 2 sum_ai q_ai q_ai') / 4) L'.
- * The same is in host/goldfield/locate/uncertainty.py (honest_covariance).
+ * The host computes the same in host/goldfield/locate/uncertainty.py.
  *
  * Time: about 12,300 instructions a beacon. Stack: 2 kB.
  */

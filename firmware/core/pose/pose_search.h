@@ -14,7 +14,7 @@
 
 #include "core/pose/pose_fit.h"
 
-#define POSE_SEARCH_DIRECTIONS 300u /* Directions that are tried: 12 degrees from one to the next. */
+#define POSE_SEARCH_DIRECTIONS 300u /* Directions that are tried: about 12 degrees from one to the next. */
 #define POSE_SEARCH_CANDIDATES 6u   /* Most candidates that are kept. */
 
 typedef struct {
