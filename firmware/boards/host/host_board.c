@@ -1,3 +1,5 @@
+/* host_board.c: the time of a host board, what comes from outside, the application, and the operations that the
+ * outside sees (board_edge.h). */
 #include "boards/host/host_internal.h"
 
 #include <math.h>
@@ -9,7 +11,7 @@
 #include "apps/sensor.h"
 
 struct board {
-    hal_t hal; /* First: a board is found from its HAL and back. */
+    hal_t hal; /* The first member, so that a board is found from its HAL and back. */
     bool powered;
     union {
         beacon_t beacon;
@@ -27,141 +29,12 @@ __extension__ typedef unsigned __int128 wide_t;
 
 int64_t host_time_of(const hal_t *hal, int64_t tick) {
     const wide_t product = (wide_t)(uint64_t)tick * hal->tick_q32;
-    return hal->power_on_ps +
-           (int64_t)((product + 0xFFFFFFFFu) >> 32); /* Rounded up, so that host_tick() gives the same tick back. */
+    /* Rounded up, so that host_tick() gives the same tick back. */
+    return hal->power_on_ps + (int64_t)((product + 0xFFFFFFFFu) >> 32);
 }
 
 int64_t host_tick(const hal_t *hal) {
     return (int64_t)(((wide_t)(uint64_t)(hal->now_ps - hal->power_on_ps) << 32) / hal->tick_q32);
-}
-
-/* ---- Pins and converters ---- */
-
-void host_pin_write(hal_t *hal, unsigned pin, bool level) {
-    if (hal->pin_out[pin] != level) {
-        hal->pin_out[pin] = level;
-        if (hal->edge.pin_out) {
-            hal->edge.pin_out(hal->edge.context, pin, level, hal->now_ps);
-        }
-    }
-}
-
-static uint16_t convert(const hal_t *hal, unsigned pin) {
-    if (!hal->edge.analog_in) {
-        return 0;
-    }
-    const double count = floor(hal->edge.analog_in(hal->edge.context, pin, hal->now_ps) * (4096.0 / 3.3) + 0.5);
-    return count >= HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count > 0 ? (uint16_t)count : 0; /* Not a number: 0. */
-}
-
-/* ---- Chip engine ---- */
-
-static uint32_t planned_period(const engine_t *engine) {
-    const uint32_t period = engine->plan[engine->block & 1].period_ticks[engine->chip_in_block];
-    return period < HAL_CHIP_TICKS_MIN ? HAL_CHIP_TICKS_MIN : period > HAL_CHIP_TICKS_MAX ? HAL_CHIP_TICKS_MAX : period;
-}
-
-/* Events of a chip by number: 0 is the start of the very first chip; then, where there are coils, the sampling of
- * their currents and the end of that conversion; then a sensor's eight samplings (an anchor has both); the last is
- * the start of the next chip. */
-static uint32_t current_events(const engine_t *engine) {
-    return hal_role_drives(engine->role) ? 2u : 0u;
-}
-
-static uint32_t last_event(const engine_t *engine) {
-    return 1u + current_events(engine) + (hal_role_samples(engine->role) ? HAL_BURST : 0u);
-}
-
-static int64_t engine_tick(const engine_t *engine) {
-    if (engine->event == 0) {
-        return engine->chip_start;
-    }
-    const int64_t end = engine->chip_start + planned_period(engine);
-    if (engine->event == last_event(engine)) {
-        return end;
-    }
-    const int64_t converted = end - BURST_MARGIN_TICKS;
-    const int64_t to_come = (int64_t)last_event(engine) -
-                            engine->event; /* Samplings of the burst, this one included. */
-    if (engine->event > current_events(engine)) {
-        return converted - to_come * CONVERSION_TICKS + SAMPLE_TICKS;
-    }
-    const int64_t measured = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS
-                                                            : converted;
-    return engine->event == 1 ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
-}
-
-static void next_chip(engine_t *engine) {
-    engine->chip_start += planned_period(engine);
-    engine->chip++;
-    engine->chip_in_block++;
-    if (engine->chip_in_block == HAL_BLOCK_CHIPS) {
-        engine->chip_in_block = 0;
-        engine->block++;
-    }
-}
-
-static void set_point_write(hal_t *hal, unsigned channel, uint16_t count) {
-    const uint16_t clamped = count > HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count;
-    if (hal->engine.set_point[channel] != clamped) {
-        hal->engine.set_point[channel] = clamped;
-        if (hal->edge.analog_out) {
-            hal->edge.analog_out(hal->edge.context, channel + 1, 3.3 * clamped / (HAL_SAMPLE_MAX + 1), hal->now_ps);
-        }
-    }
-}
-
-static void start_chip(hal_t *hal) {
-    static const unsigned bridges[HAL_CHANNELS] = {PIN_BRIDGE_0, PIN_BRIDGE_1};
-    engine_t *engine = &hal->engine;
-    const hal_plan_t *plan = &engine->plan[engine->block & 1];
-    const uint32_t drive = plan->drive[engine->chip_in_block];
-    for (unsigned channel = 0; channel < HAL_CHANNELS; channel++) {
-        const uint32_t bridge = drive >> HAL_DRIVE_BITS * channel & 3u;
-        host_pin_write(hal, bridges[channel], bridge == HAL_DRIVE_POSITIVE);
-        host_pin_write(hal, bridges[channel] + 1, bridge == HAL_DRIVE_NEGATIVE);
-        if (hal_role_drives(engine->role)) {
-            set_point_write(hal, channel, plan->set_point[channel][engine->chip_in_block]);
-        }
-    }
-    host_pin_write(hal, PIN_SYNC_OUT, (drive & HAL_PLAN_SYNC_OUT) != 0);
-    if (engine->chip_in_block == 0 && engine->block > 0) {
-        if (engine->events.samples) {
-            engine->events.samples(engine->events.context, engine->block - 1, (const hal_samples_t *)&engine->samples);
-        }
-        engine->events.plan(engine->events.context, engine->block + 1, &engine->plan[(engine->block + 1) & 1]);
-        hal->awake = true;
-    }
-}
-
-static void engine_event(hal_t *hal) {
-    engine_t *engine = &hal->engine;
-    const uint32_t event = engine->event++;
-    if (event == 0 || event == last_event(engine)) {
-        if (event > 0) {
-            next_chip(engine);
-        }
-        engine->event = 1;
-        start_chip(hal);
-    } else if (event > current_events(engine)) {
-        for (unsigned axis = 0; axis < HAL_AXES; axis++) {
-            engine->samples[engine->chip_in_block][event - current_events(engine) - 1][axis] = convert(
-                hal, PIN_FIELD_X + axis);
-        }
-    } else if (event == 1) {
-        engine->current[0] = convert(hal, PIN_CURRENT_0);
-        engine->current[1] = convert(hal, PIN_CURRENT_1);
-    } else {
-        engine->events.current(engine->events.context, engine->chip, engine->current);
-    }
-}
-
-static void sync_edge(hal_t *hal) {
-    const engine_t *engine = &hal->engine;
-    if (engine->running && engine->event > 0 && engine->events.sync) {
-        engine->events.sync(engine->events.context, engine->chip, (uint16_t)(host_tick(hal) - engine->chip_start));
-        hal->awake = true;
-    }
 }
 
 /* ---- Serial ---- */
@@ -212,7 +85,7 @@ static void pin_changed(hal_t *hal, uint32_t pin, bool level) {
         const bool rising = level && !hal->sync_level;
         hal->sync_level = level;
         if (rising) {
-            sync_edge(hal);
+            host_engine_sync(hal);
         }
     } else if (pin == PIN_FAULT) {
         const bool falling = !level && hal->fault_level;
@@ -236,7 +109,7 @@ static void byte_received(hal_t *hal, uint8_t byte, bool framed) {
     hal->awake = true;
 }
 
-/* A received frame is valid one bit before its end (board_edge.h). */
+/* Stamps a frame with its end; a received frame is valid one bit before that (board_edge.h). */
 static void stamp(hal_t *hal, const hal_frame_t *frame, bool sent) {
     const engine_t *engine = &hal->engine;
     if (hal_can_stamped(frame->id) && engine->running && engine->event > 0 && hal->stamps_count < STAMPS) {
@@ -343,7 +216,7 @@ static void application(board_t *board) {
 
 typedef enum { NEXT_ENGINE, NEXT_BYTE, NEXT_INPUT, NEXT_IDLE } next_t;
 
-/* What comes next and when. At equal times the order is that of next_t: chips first, so that an edge at a chip's
+/* Tells what comes next and when. At equal times the order is that of next_t: chips first, so that an edge at a chip's
  * start belongs to that chip. */
 static next_t next_event(const hal_t *hal, int64_t *time_ps) {
     next_t next = NEXT_IDLE;
@@ -356,8 +229,8 @@ static next_t next_event(const hal_t *hal, int64_t *time_ps) {
         *time_ps = host_time_of(hal, hal->transmitter.byte_end);
         next = NEXT_BYTE;
     }
-    if (hal->engine.running && host_time_of(hal, engine_tick(&hal->engine)) <= *time_ps) {
-        *time_ps = host_time_of(hal, engine_tick(&hal->engine));
+    if (hal->engine.running && host_time_of(hal, host_engine_tick(&hal->engine)) <= *time_ps) {
+        *time_ps = host_time_of(hal, host_engine_tick(&hal->engine));
         next = NEXT_ENGINE;
     }
     return next;
@@ -375,7 +248,7 @@ static board_status_t board_run(board_t *board, int64_t until_ps) {
         hal->now_ps = time_ps > hal->now_ps ? time_ps : hal->now_ps;
         switch (next) {
         case NEXT_ENGINE:
-            engine_event(hal);
+            host_engine_event(hal);
             break;
         case NEXT_BYTE:
             byte_sent(hal);
@@ -449,7 +322,7 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
     hal->config = *config;
     hal->power_on_ps = power_on_ps;
     hal->now_ps = power_on_ps < 0 ? power_on_ps : 0;
-    hal->fault_level = true; /* Pulled up. */
+    hal->fault_level = true; /* The input is pulled up. */
     hal->tick_q32 = (uint64_t)(4294967296.0 * 1e12 / (HAL_TICKS_PER_SECOND * (1.0 + config->crystal_ppm * 1e-6)) + 0.5);
     return board;
 }

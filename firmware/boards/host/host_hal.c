@@ -1,3 +1,4 @@
+/* host_hal.c: the functions of hal.h on a host board. */
 #include "boards/host/host_internal.h"
 
 #include <string.h>
@@ -17,7 +18,7 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     events->plan(events->context, 0, &engine->plan[0]);
     events->plan(events->context, 1, &engine->plan[1]);
     if (!hal->fault_level && events->fault) {
-        events->fault(events->context); /* Active since before the start. */
+        events->fault(events->context); /* It was active before the start. */
     }
     host_pin_write(hal, PIN_LED, false);
 }

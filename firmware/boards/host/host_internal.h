@@ -1,5 +1,8 @@
-/* host_internal.h: the state of a host board, shared by its two halves: host_board.c (time, events, edge) and
- * host_hal.c (the HAL's functions). */
+/* host_internal.h: the state of a host board, shared by its three files:
+ *   host_board.c   time, inputs from outside, the application, the operations of board_edge.h
+ *   host_engine.c  the chip engine, with its pins and converters
+ *   host_hal.c     the functions of hal.h
+ */
 #ifndef GOLDFIELD_HOST_INTERNAL_H
 #define GOLDFIELD_HOST_INTERNAL_H
 
@@ -11,25 +14,32 @@ enum {
     PIN_FIELD_X = 1,   /* PA1; y and z follow. */
     PIN_CURRENT_1 = 6, /* PA6 */
     PIN_SYNC_IN = 10,  /* PA10 */
-    PIN_BRIDGE_1 = 36, /* PC4: inputs 1 and 2 of channel 1's bridge, */
-    PIN_BRIDGE_0 = 38, /* PC6: of channel 0's. */
+    PIN_BRIDGE_1 = 36, /* PC4: input 1 of channel 1's bridge; input 2 follows. */
+    PIN_BRIDGE_0 = 38, /* PC6: input 1 of channel 0's bridge; input 2 follows. */
     PIN_SYNC_OUT = 40, /* PC8 */
     PIN_ENABLE = 41,   /* PC9 */
     PIN_FAULT = 42,    /* PC10 */
-    PIN_LED = 44       /* PC12, to the supply: low is on. */
+    PIN_LED = 44       /* PC12, between pin and supply: low is on. */
 };
 
-enum { SERIAL_PORT = 1, SERIAL_BAUD = 2000000, MAILBOXES = 3, RECEIVE_BYTES = 1024, RECEIVE_FRAMES = 64, STAMPS = 8 };
-
-/* Ticks of the 168 MHz timer. The converters run at 21 MHz: 8 ticks a clock; 15 clocks of sampling and 12 of
- * conversion. */
 enum {
-    SERIAL_BYTE_TICKS = 840, /* Ten bits of 84 ticks. */
-    CAN_BIT_TICKS = 168,
-    SAMPLE_TICKS = 15 * 8,
-    CONVERSION_TICKS = 27 * 8,
-    BURST_MARGIN_TICKS = 84, /* The last conversion ends 0.5 us before the planned end of the chip. */
-    IDLE_TICKS = 1680000     /* 10 ms: the longest sleep before the chip engine runs. */
+    SERIAL_PORT = 1,       /* USART1. */
+    SERIAL_BAUD = 2000000, /* Bits a second on it. */
+    MAILBOXES = 3,         /* Mailboxes of the CAN controller. */
+    RECEIVE_BYTES = 1024,  /* Received bytes that may wait for main. */
+    RECEIVE_FRAMES = 64,   /* Received frames that may wait for main. */
+    STAMPS = 8             /* Stamped frames that may wait (hal.h). */
+};
+
+/* Durations in ticks of the 168 MHz timer. The converters run at 21 MHz, 8 ticks a clock; they sample for 15 clocks
+ * and convert for 12. */
+enum {
+    SERIAL_BYTE_TICKS = 840,   /* A byte of ten bits of 84 ticks. */
+    CAN_BIT_TICKS = 168,       /* A bit on CAN, 1 us. */
+    SAMPLE_TICKS = 15 * 8,     /* From the start of a conversion to the end of its sampling. */
+    CONVERSION_TICKS = 27 * 8, /* A whole conversion. */
+    BURST_MARGIN_TICKS = 84,   /* From the end of the last conversion to the planned end of the chip, 0.5 us. */
+    IDLE_TICKS = 1680000       /* The longest sleep before the chip engine runs, 10 ms. */
 };
 
 typedef enum { INPUT_PIN, INPUT_BYTE, INPUT_FRAME, INPUT_SENT } input_kind_t;
@@ -38,32 +48,32 @@ typedef enum { INPUT_PIN, INPUT_BYTE, INPUT_FRAME, INPUT_SENT } input_kind_t;
 typedef struct {
     int64_t time_ps;
     input_kind_t kind;
-    uint32_t number; /* Pin or mailbox. */
-    bool level;      /* Pin's level; mailbox's success; byte's framing is right. */
+    uint32_t number; /* The pin or mailbox. */
+    bool level;      /* The pin's level; the mailbox's success; the byte's framing is right. */
     uint8_t byte;
     hal_frame_t frame;
 } input_t;
 
-/* The conversions of one chip, in order, then its end. */
+/* The chip engine. It goes through the events of a chip in order: its conversions, then its end. */
 typedef struct {
     bool running;
     hal_role_t role;
     hal_events_t events;
-    hal_plan_t plan[2]; /* Of the block under way and of the next, by parity of the block. */
-    uint32_t block;
-    uint32_t chip; /* Since hal_chips_start(). */
-    uint32_t chip_in_block;
-    int64_t chip_start;               /* Tick. */
-    uint32_t event;                   /* Next within this chip: see engine_tick(). */
+    hal_plan_t plan[2];               /* Plans of the block under way and of the next, by parity of the block. */
+    uint32_t block;                   /* The block under way. */
+    uint32_t chip;                    /* The chip under way, counted since hal_chips_start(). */
+    uint32_t chip_in_block;           /* Its place in the block. */
+    int64_t chip_start;               /* The tick at which it began. */
+    uint32_t event;                   /* The next event within the chip: host_engine.c numbers them. */
     uint16_t current[HAL_CHANNELS];   /* The conversions that end shortly. */
-    uint16_t set_point[HAL_CHANNELS]; /* That the outside has been told. */
-    hal_samples_t samples;
+    uint16_t set_point[HAL_CHANNELS]; /* The set-points that the outside has been told. */
+    hal_samples_t samples;            /* The samples of the block so far. */
 } engine_t;
 
 typedef struct {
     uint8_t bytes[HAL_SERIAL_BUFFER];
-    uint32_t head, count;
-    int64_t byte_end; /* Tick at which the byte at the head has left. */
+    uint32_t head, count; /* The first byte that waits, and how many wait. */
+    int64_t byte_end;     /* The tick at which the byte at the head has left. */
 } transmitter_t;
 
 struct hal {
@@ -71,32 +81,45 @@ struct hal {
     host_board_config_t config;
     int64_t power_on_ps;
     int64_t now_ps;
-    uint64_t tick_q32; /* Picoseconds of a tick, times 2^32. */
-    bool awake;        /* An interrupt since the main loop last ran. */
+    uint64_t tick_q32; /* Length of a tick, ps times 2^32. */
+    bool awake;        /* There was an interrupt since the main loop last ran. */
     int64_t idle_tick; /* The latest end of the present sleep. */
     engine_t engine;
-    bool pin_out[64]; /* Levels that the outside has been told. */
-    bool fault_level, sync_level;
+    bool pin_out[64];             /* The levels that the outside has been told. */
+    bool fault_level, sync_level; /* The levels of the two inputs. */
     transmitter_t transmitter;
     uint8_t received[RECEIVE_BYTES];
     uint32_t received_head, received_count;
     hal_frame_t frames[RECEIVE_FRAMES];
     uint32_t frames_head, frames_count;
-    hal_frame_t mailbox[MAILBOXES]; /* A ring: the outside sees only the oldest, so frames leave in order whatever their
-                                       identifiers. */
+    /* The mailboxes are a ring: the outside sees only the oldest, so frames leave in order whatever their identifiers.
+     */
+    hal_frame_t mailbox[MAILBOXES];
     uint32_t mailbox_head, mailbox_count;
     hal_stamp_t stamps[STAMPS];
     uint32_t stamps_head, stamps_count;
     hal_counters_t counters;
-    input_t *inputs; /* Sorted by time; equal times in order of arrival. */
+    input_t *inputs; /* What waits for its time, sorted by time; equal times in order of arrival. */
     size_t inputs_head, inputs_count, inputs_capacity;
 };
 
-/* The present in ticks of the board's clock since power-on, and the first picosecond of a tick. */
+/* Returns the present in ticks of the board's clock since power-on. */
 int64_t host_tick(const hal_t *hal);
+
+/* Returns the first picosecond of a tick. */
 int64_t host_time_of(const hal_t *hal, int64_t tick);
 
+/* Set an output, and tell the outside if its level changes. */
 void host_pin_write(hal_t *hal, unsigned pin, bool level);
+
+/* Returns the tick at which the engine's next event is due. */
+int64_t host_engine_tick(const engine_t *engine);
+
+/* Let the engine's next event happen. */
+void host_engine_event(hal_t *hal);
+
+/* The sync input has risen: tell the application, if the engine runs. */
+void host_engine_sync(hal_t *hal);
 
 /* Give the outside the oldest frame of the mailboxes. */
 void host_can_request(hal_t *hal);

@@ -1,0 +1,133 @@
+/* host_engine.c: the chip engine of a host board: what a chip does to pins, set-points and converters, and when. */
+#include "boards/host/host_internal.h"
+
+#include <math.h>
+
+/* ---- Pins and converters ---- */
+
+void host_pin_write(hal_t *hal, unsigned pin, bool level) {
+    if (hal->pin_out[pin] != level) {
+        hal->pin_out[pin] = level;
+        if (hal->edge.pin_out) {
+            hal->edge.pin_out(hal->edge.context, pin, level, hal->now_ps);
+        }
+    }
+}
+
+static uint16_t convert(const hal_t *hal, unsigned pin) {
+    if (!hal->edge.analog_in) {
+        return 0;
+    }
+    const double count = floor(hal->edge.analog_in(hal->edge.context, pin, hal->now_ps) * (4096.0 / 3.3) + 0.5);
+    return count >= HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count > 0 ? (uint16_t)count : 0; /* 0 for what is not a number. */
+}
+
+/* ---- Chip engine ---- */
+
+static uint32_t planned_period(const engine_t *engine) {
+    const uint32_t period = engine->plan[engine->block & 1].period_ticks[engine->chip_in_block];
+    return period < HAL_CHIP_TICKS_MIN ? HAL_CHIP_TICKS_MIN : period > HAL_CHIP_TICKS_MAX ? HAL_CHIP_TICKS_MAX : period;
+}
+
+/* A chip's events have numbers. 0 is the start of the very first chip; then, where there are coils, come the sampling
+ * of their currents and the end of that conversion; then a sensor's eight samplings (an anchor has both); the last is
+ * the start of the next chip. */
+static uint32_t current_events(const engine_t *engine) {
+    return hal_role_drives(engine->role) ? 2u : 0u;
+}
+
+static uint32_t last_event(const engine_t *engine) {
+    return 1u + current_events(engine) + (hal_role_samples(engine->role) ? HAL_BURST : 0u);
+}
+
+int64_t host_engine_tick(const engine_t *engine) {
+    if (engine->event == 0) {
+        return engine->chip_start;
+    }
+    const int64_t end = engine->chip_start + planned_period(engine);
+    if (engine->event == last_event(engine)) {
+        return end;
+    }
+    const int64_t converted = end - BURST_MARGIN_TICKS;
+    /* The samplings of the burst that are to come, this one included. */
+    const int64_t to_come = (int64_t)last_event(engine) - engine->event;
+    if (engine->event > current_events(engine)) {
+        return converted - to_come * CONVERSION_TICKS + SAMPLE_TICKS;
+    }
+    const int64_t measured = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS
+                                                            : converted;
+    return engine->event == 1 ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
+}
+
+static void next_chip(engine_t *engine) {
+    engine->chip_start += planned_period(engine);
+    engine->chip++;
+    engine->chip_in_block++;
+    if (engine->chip_in_block == HAL_BLOCK_CHIPS) {
+        engine->chip_in_block = 0;
+        engine->block++;
+    }
+}
+
+static void set_point_write(hal_t *hal, unsigned channel, uint16_t count) {
+    const uint16_t clamped = count > HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count;
+    if (hal->engine.set_point[channel] != clamped) {
+        hal->engine.set_point[channel] = clamped;
+        if (hal->edge.analog_out) {
+            hal->edge.analog_out(hal->edge.context, channel + 1, 3.3 * clamped / (HAL_SAMPLE_MAX + 1), hal->now_ps);
+        }
+    }
+}
+
+static void start_chip(hal_t *hal) {
+    static const unsigned bridges[HAL_CHANNELS] = {PIN_BRIDGE_0, PIN_BRIDGE_1};
+    engine_t *engine = &hal->engine;
+    const hal_plan_t *plan = &engine->plan[engine->block & 1];
+    const uint32_t drive = plan->drive[engine->chip_in_block];
+    for (unsigned channel = 0; channel < HAL_CHANNELS; channel++) {
+        const uint32_t bridge = drive >> HAL_DRIVE_BITS * channel & 3u;
+        host_pin_write(hal, bridges[channel], bridge == HAL_DRIVE_POSITIVE);
+        host_pin_write(hal, bridges[channel] + 1, bridge == HAL_DRIVE_NEGATIVE);
+        if (hal_role_drives(engine->role)) {
+            set_point_write(hal, channel, plan->set_point[channel][engine->chip_in_block]);
+        }
+    }
+    host_pin_write(hal, PIN_SYNC_OUT, (drive & HAL_PLAN_SYNC_OUT) != 0);
+    if (engine->chip_in_block == 0 && engine->block > 0) {
+        if (engine->events.samples) {
+            engine->events.samples(engine->events.context, engine->block - 1, (const hal_samples_t *)&engine->samples);
+        }
+        engine->events.plan(engine->events.context, engine->block + 1, &engine->plan[(engine->block + 1) & 1]);
+        hal->awake = true;
+    }
+}
+
+void host_engine_event(hal_t *hal) {
+    engine_t *engine = &hal->engine;
+    const uint32_t event = engine->event++;
+    if (event == 0 || event == last_event(engine)) {
+        if (event > 0) {
+            next_chip(engine);
+        }
+        engine->event = 1;
+        start_chip(hal);
+    } else if (event > current_events(engine)) {
+        for (unsigned axis = 0; axis < HAL_AXES; axis++) {
+            engine->samples[engine->chip_in_block][event - current_events(engine) - 1][axis] = convert(
+                hal, PIN_FIELD_X + axis);
+        }
+    } else if (event == 1) {
+        engine->current[0] = convert(hal, PIN_CURRENT_0);
+        engine->current[1] = convert(hal, PIN_CURRENT_1);
+    } else {
+        engine->events.current(engine->events.context, engine->chip, engine->current);
+    }
+}
+
+void host_engine_sync(hal_t *hal) {
+    const engine_t *engine = &hal->engine;
+    if (engine->running && engine->event > 0 && engine->events.sync) {
+        engine->events.sync(engine->events.context, engine->chip, (uint16_t)(host_tick(hal) - engine->chip_start));
+        hal->awake = true;
+    }
+}
