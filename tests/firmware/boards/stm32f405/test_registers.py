@@ -95,7 +95,7 @@ def members(body):
 @pytest.fixture(scope="module")
 def header(tmp_path_factory):
     """Return (pointers {name: (struct, base)}, offsets {struct: {member: offset}}, constants {name: value})."""
-    text = HEADER.read_text()
+    text = HEADER.read_text().replace("\\\n", "")
     structs = {name: list(members(body)) for body, name in re.findall(r"typedef struct \{(.*?)\} (\w+);", text, re.S)}
     pointers = dict(re.findall(r"#define (\w+) \(\((\w+) \*\)", text))
     constants = [
