@@ -122,6 +122,61 @@ static void write_cr1(tim_t *t, uint32_t value, int64_t tick) {
     }
 }
 
+static void write_dier(tim_t *t, uint32_t value) {
+    const uint32_t gone = t->model.value[TIM_DIER / 4] & ~value;
+    t->model.value[TIM_DIER / 4] = value;
+    for (unsigned i = 0; i < 7; i++) { /* A request that waits falls with its enable bit. */
+        const dma_source_t source = i == 0   ? t->what->dma_update
+                                    : i < 5  ? t->what->dma_channel[i - 1]
+                                    : i == 6 ? t->what->dma_trigger
+                                             : DMA_NONE;
+        if ((gone >> (8 + i) & 1u) != 0 && source != DMA_NONE) {
+            dma_line(t->model.chip, source, false);
+        }
+    }
+    tim_interrupt(t);
+}
+
+/* CCER and BDTR: what reaches the outputs. */
+static void write_outputs(tim_t *t, uint32_t offset, uint32_t value) {
+    const uint32_t old = t->model.value[offset / 4];
+    if (offset == TIM_BDTR && field(old, 8, 2) != 0 && ((old ^ value) & 0xFFu) != 0) {
+        machine_violation(t->model.machine, "%s_BDTR: DTG is locked until reset", model_name(&t->model));
+        value = (value & ~0xFFu) | (old & 0xFFu);
+    }
+    t->model.value[offset / 4] = value;
+    for (unsigned i = 0; i < t->what->channels; i++) {
+        if (!tim_is_capture(t, i)) {
+            tim_set_reference(t, i, t->reference[i], machine_now(t->model.machine));
+        }
+    }
+    tim_check_pins(t);
+}
+
+static void write_arr(tim_t *t, uint32_t value, int64_t tick) {
+    t->model.value[TIM_ARR / 4] = value;
+    if ((t->model.value[TIM_CR1 / 4] & ARPE) == 0) {
+        tim_rebase(t, tick);
+        if (t->running && t->reload == 0) {
+            t->base_tick = tick;
+        }
+        t->reload = value;
+    }
+}
+
+static void write_ccr(tim_t *t, unsigned channel, uint32_t value, int64_t tick) {
+    if (tim_is_capture(t, channel)) {
+        machine_violation(t->model.machine, "%s: CCR%u written, but it is read-only while the channel captures",
+                          model_name(&t->model), channel + 1);
+        return;
+    }
+    t->model.value[TIM_CCR1 / 4 + channel] = value;
+    if ((tim_mode_bits(t, channel) & 8u) == 0) {
+        t->compare[channel] = value;
+        tim_evaluate_reference(t, channel, false, tim_position(t, tick), machine_now(t->model.machine));
+    }
+}
+
 static void set(model_t *model, uint32_t offset, uint32_t value) {
     tim_t *const t = (tim_t *)model;
     const int64_t tick = tim_now_tick(t);
@@ -139,39 +194,16 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
     case TIM_EGR:
         generate(t, value, tick);
         break;
-    case TIM_DIER: {
-        const uint32_t gone = model->value[TIM_DIER / 4] & ~value;
-        model->value[TIM_DIER / 4] = value;
-        for (unsigned i = 0; i < 7; i++) { /* A request that waits falls with its enable bit. */
-            const dma_source_t source = i == 0   ? t->what->dma_update
-                                        : i < 5  ? t->what->dma_channel[i - 1]
-                                        : i == 6 ? t->what->dma_trigger
-                                                 : DMA_NONE;
-            if ((gone >> (8 + i) & 1u) != 0 && source != DMA_NONE) {
-                dma_line(model->chip, source, false);
-            }
-        }
-        tim_interrupt(t);
+    case TIM_DIER:
+        write_dier(t, value);
         break;
-    }
     case TIM_CCMR1:
     case TIM_CCMR2:
         tim_write_channel_mode(t, offset, value);
         break;
     case TIM_CCER:
     case TIM_BDTR:
-        if (offset == TIM_BDTR && (field(model->value[TIM_BDTR / 4], 8, 2)) != 0 &&
-            ((model->value[TIM_BDTR / 4] ^ value) & 0xFFu) != 0) {
-            machine_violation(model->machine, "%s_BDTR: DTG is locked until reset", model_name(model));
-            value = (value & ~0xFFu) | (model->value[TIM_BDTR / 4] & 0xFFu);
-        }
-        model->value[offset / 4] = value;
-        for (unsigned i = 0; i < t->what->channels; i++) {
-            if (!tim_is_capture(t, i)) {
-                tim_set_reference(t, i, t->reference[i], machine_now(model->machine));
-            }
-        }
-        tim_check_pins(t);
+        write_outputs(t, offset, value);
         break;
     case TIM_CNT:
         t->base_count = value;
@@ -179,14 +211,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
         t->marked = (int64_t)value - 1;
         break;
     case TIM_ARR:
-        model->value[TIM_ARR / 4] = value;
-        if ((model->value[TIM_CR1 / 4] & ARPE) == 0) {
-            tim_rebase(t, tick);
-            if (t->running && t->reload == 0) {
-                t->base_tick = tick;
-            }
-            t->reload = value;
-        }
+        write_arr(t, value, tick);
         break;
     case TIM_SMCR:
         tim_before_change(model->chip); /* Masters that nobody listened to have made no events. */
@@ -203,17 +228,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
         break;
     default:
         if (offset >= TIM_CCR1 && offset < TIM_CCR1 + 16) {
-            const unsigned channel = (offset - TIM_CCR1) / 4;
-            if (tim_is_capture(t, channel)) {
-                machine_violation(model->machine, "%s: CCR%u written, but it is read-only while the channel captures",
-                                  model_name(model), channel + 1);
-                break;
-            }
-            model->value[offset / 4] = value;
-            if ((tim_mode_bits(t, channel) & 8u) == 0) {
-                t->compare[channel] = value;
-                tim_evaluate_reference(t, channel, false, tim_position(t, tick), machine_now(model->machine));
-            }
+            write_ccr(t, (offset - TIM_CCR1) / 4, value, tick);
         } else {
             model->value[offset / 4] = value;
         }

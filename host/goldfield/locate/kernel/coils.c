@@ -11,25 +11,22 @@
 /* Relative difference of the two means that one more step turns into rounding. */
 #define NEARLY_EQUAL 1e-4
 
-/* In cylinder coordinates about a coil's axis a, with r the radial vector, the field is f a + g r. As curl and
- * divergence vanish, its gradient needs g, d = dg/dz and s = (dg/drho)/rho alone:
- *     d (a r' + r a') + s r r' + g I - (3 g + s rho^2) a a'.
- * f and g are means over a turn, and those follow from Gauss's mean of the greatest and the least distance to the
- * wire: goldfield/field/loop.py has the integrals; there the gradient is formed from all four derivatives. */
-void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_t *out) {
-    const size_t n = coils->count;
-    double radial[3][GF_MOST_COILS];
-    double height[GF_MOST_COILS];
+/* Where a point is beside each coil, and what Gauss's mean starts from. */
+typedef struct {
+    double radial[3][GF_MOST_COILS]; /* From the coil's axis to the point. */
+    double height[GF_MOST_COILS];    /* Along the axis. */
     double rho2[GF_MOST_COILS];
-    double squares[GF_MOST_COILS];
-    double product2[GF_MOST_COILS];
-    double mean_a[GF_MOST_COILS];
+    double squares[GF_MOST_COILS];  /* Mean of the squared greatest and least distance to the wire, */
+    double product2[GF_MOST_COILS]; /* and their product. */
+    double mean_a[GF_MOST_COILS];   /* The two means, of which one becomes the other. */
     double mean_b[GF_MOST_COILS];
     double quarter_w[GF_MOST_COILS];
     double c2[GF_MOST_COILS];
-    double tau[GF_MOST_COILS];
-    double difference = 0.0;
+    double tau[GF_MOST_COILS]; /* Sum of 2^k c_k^2, from which the integral of the second kind follows. */
+} gf_cylinders_t;
 
+static void enter_cylinders(const gf_coils_t *coils, const double position_m[3], gf_cylinders_t *at) {
+    const size_t n = coils->count;
     for (size_t i = 0; i < n; ++i) {
         const double x = position_m[0] - coils->centre_m[0][i];
         const double y = position_m[1] - coils->centre_m[1][i];
@@ -47,60 +44,78 @@ void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_
         const double greatest = sqrt(greatest2);
         const double least = sqrt(least2);
         const double total = greatest + least;
-        radial[0][i] = rx;
-        radial[1][i] = ry;
-        radial[2][i] = rz;
-        height[i] = h;
-        rho2[i] = square;
-        squares[i] = 0.5 * (greatest2 + least2);
-        product2[i] = greatest2 * least2;
-        mean_a[i] = 0.5 * total;
-        mean_b[i] = sqrt(greatest * least);
-        quarter_w[i] = 0.125 * total * (greatest - least);
-        c2[i] = 1.0 / (total * total);
-        tau[i] = c2[i];
+        at->radial[0][i] = rx;
+        at->radial[1][i] = ry;
+        at->radial[2][i] = rz;
+        at->height[i] = h;
+        at->rho2[i] = square;
+        at->squares[i] = 0.5 * (greatest2 + least2);
+        at->product2[i] = greatest2 * least2;
+        at->mean_a[i] = 0.5 * total;
+        at->mean_b[i] = sqrt(greatest * least);
+        at->quarter_w[i] = 0.125 * total * (greatest - least);
+        at->c2[i] = 1.0 / (total * total);
+        at->tau[i] = at->c2[i];
     }
+}
+
+/* Gauss's arithmetic-geometric mean of all coils at once: as many steps as the worst needs. */
+static void converge_means(size_t n, gf_cylinders_t *at) {
+    double difference = 0.0;
     for (size_t i = 0; i < n; ++i) {
-        difference = fmax(difference, 1.0 - mean_b[i] / mean_a[i]);
+        difference = fmax(difference, 1.0 - at->mean_b[i] / at->mean_a[i]);
     }
     double power = 1.0;
     for (int step = 0; step < MEAN_STEPS; ++step) {
         power *= 2.0;
         for (size_t i = 0; i < n; ++i) {
-            const double a = 0.5 * (mean_a[i] + mean_b[i]);
-            const double c = quarter_w[i] * c2[i] / a;
-            mean_b[i] = sqrt(mean_a[i] * mean_b[i]);
-            mean_a[i] = a;
-            c2[i] = c * c;
-            tau[i] += power * c2[i];
+            const double a = 0.5 * (at->mean_a[i] + at->mean_b[i]);
+            const double c = at->quarter_w[i] * at->c2[i] / a;
+            at->mean_b[i] = sqrt(at->mean_a[i] * at->mean_b[i]);
+            at->mean_a[i] = a;
+            at->c2[i] = c * c;
+            at->tau[i] += power * at->c2[i];
         }
         if (difference <= NEARLY_EQUAL) {
             break;
         }
         difference = 1.0 - 2.0 * sqrt(1.0 - difference) / (2.0 - difference);
     }
+}
+
+/* In cylinder coordinates about a coil's axis a, with r the radial vector, the field is f a + g r. As curl and
+ * divergence vanish, its gradient needs g, d = dg/dz and s = (dg/drho)/rho alone:
+ *     d (a r' + r a') + s r r' + g I - (3 g + s rho^2) a a'.
+ * f and g are means over a turn, and those follow from Gauss's mean of the greatest and the least distance to the
+ * wire: goldfield/field/loop.py has the integrals; there the gradient is formed from all four derivatives. */
+void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_t *out) {
+    const size_t n = coils->count;
+    gf_cylinders_t cylinders;
+    gf_cylinders_t *const at = &cylinders;
+    enter_cylinders(coils, position_m, at);
+    converge_means(n, at);
     for (size_t i = 0; i < n; ++i) {
-        const double u = squares[i];
-        const double w2 = 4.0 * coils->radius_m[i] * coils->radius_m[i] * rho2[i];
-        const double over = 1.0 / (0.5 * (mean_a[i] + mean_b[i]) * product2[i]);
-        const double i10 = (u - tau[i] * w2) * over;
-        const double j11 = (1.0 - tau[i] * u) * over;
-        const double i20 = (u * i10 + (w2 / 3.0) * j11) / product2[i];
+        const double u = at->squares[i];
+        const double w2 = 4.0 * coils->radius_m[i] * coils->radius_m[i] * at->rho2[i];
+        const double over = 1.0 / (0.5 * (at->mean_a[i] + at->mean_b[i]) * at->product2[i]);
+        const double i10 = (u - at->tau[i] * w2) * over;
+        const double j11 = (1.0 - at->tau[i] * u) * over;
+        const double i20 = (u * i10 + (w2 / 3.0) * j11) / at->product2[i];
         const double q21 = (j11 / 3.0 + i20) / u;
         const double strength = STRENGTH * coils->moment_A_m2[i];
-        const double h = height[i];
-        const double f = strength * (i10 - 2.0 * rho2[i] * j11);
+        const double h = at->height[i];
+        const double f = strength * (i10 - 2.0 * at->rho2[i] * j11);
         const double g = strength * 2.0 * h * j11;
         const double d = strength * 2.0 * (j11 - 3.0 * q21 * h * h);
         /* Finite on the axis, where it multiplies two radial vectors: the tiny number only avoids 0/0. */
-        const double s = strength * 2.0 * h * ((1.5 * i20 - 2.0 * j11) / (rho2[i] + 1e-300) - 3.0 * q21);
-        const double t = 3.0 * g + s * rho2[i];
+        const double s = strength * 2.0 * h * ((1.5 * i20 - 2.0 * j11) / (at->rho2[i] + 1e-300) - 3.0 * q21);
+        const double t = 3.0 * g + s * at->rho2[i];
         const double ax = coils->axis[0][i];
         const double ay = coils->axis[1][i];
         const double az = coils->axis[2][i];
-        const double rx = radial[0][i];
-        const double ry = radial[1][i];
-        const double rz = radial[2][i];
+        const double rx = at->radial[0][i];
+        const double ry = at->radial[1][i];
+        const double rz = at->radial[2][i];
         out->field_T[0][i] = f * ax + g * rx;
         out->field_T[1][i] = f * ay + g * ry;
         out->field_T[2][i] = f * az + g * rz;
