@@ -11,7 +11,6 @@ import cffi
 
 from hil_sim.clib import load
 
-NANOSECOND = 1_000
 MICROSECOND = 1_000_000
 MILLISECOND = 1_000_000_000
 

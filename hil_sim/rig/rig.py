@@ -16,21 +16,18 @@ from goldfield.errors import SystemFailure, UserError
 from hil_sim import clib
 from hil_sim.rig import config as rig_config
 from hil_sim.rig.boards import Board, BoardFactory, BoardSpec, address, factory
+from hil_sim.rig.paths import PathWindows
+from hil_sim.rig.truth import Truth, truth_at
 from hil_sim.scenario import Clock, Scenario, parameter_page
-from hil_sim.world import path
 
 FloatArray = NDArray[np.float64]
 
 LIBRARY = "libgf_rig.so"
 SENSOR = 0
-PATH_WINDOW_S = 1.0
-"""The motion is handed to the hot loop in windows of this length (whole quanta), whatever slices are asked for."""
-PATH_OVERLAP_S = 0.001
-"""A window reaches so far beyond its ends: a converter may look a few microseconds ahead."""
 FAULTS = ("driver", "coil_open", "sense_shorted", "sync_wire_cut")
-"""In the order of ``rig_fault_t``."""
+"""The faults that a board can be given, in the order of ``rig_fault_t``."""
 COIL_FAULTS = ("coil_open", "sense_shorted")
-"""Those of one coil."""
+"""The faults that strike one coil of a board."""
 
 
 @dataclass(frozen=True)
@@ -55,25 +52,6 @@ class Frame:
     extended: bool = True
     remote: bool = False
     acknowledged: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """Where a sensor really was in the middle of a cycle: ``B_site = R B_sensor``."""
-
-    cycle: int
-    time_s: float
-    position_m: FloatArray
-    orientation_xyzw: FloatArray
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the JSON object of a line of truth."""
-        return {
-            "cycle": self.cycle,
-            "t_s": self.time_s,
-            "position_m": self.position_m.tolist(),
-            "orientation_xyzw": self.orientation_xyzw.tolist(),
-        }
 
 
 class Rig:
@@ -124,12 +102,11 @@ class Rig:
         self._specs: list[BoardSpec] = []
         self.sensing = [n for n in range(1 + len(scenario.beacons)) if scenario.front_end(n) is not None]
         self._truth_edges = dict.fromkeys(self.sensing, 0)
-        self._window = -1
         self._rig = self._create(host_on_can, threads or min(2, os.cpu_count() or 1))
         try:
             self._make = make
             self._connect()
-            self._enter_window(0)
+            self._paths = PathWindows(self._ffi, self._library, self._rig, scenario)
             for board in range(len(self._boards)):
                 if scenario.sync != "wire" or (board == SENSOR and not scenario.sensor.sync_wire):
                     self.fault(board, "sync_wire_cut")
@@ -179,31 +156,6 @@ class Rig:
         library.rig_connect(self._rig, number, ffi.cast("board_t *", board.instance), operations, spec.power_on_ps)
         return board
 
-    def _enter_window(self, window: int) -> None:
-        """Hand the motion of one window to the hot loop; a sensor at rest keeps its first."""
-        start_s = window * PATH_WINDOW_S - PATH_OVERLAP_S
-        stop_s = (window + 1) * PATH_WINDOW_S + PATH_OVERLAP_S
-        coils = [coil for beacon in self.scenario.beacons for coil in beacon.coils]
-        for board in self.sensing:
-            motion = self.scenario.motion_of(board)
-            if motion.still and self._window >= 0:
-                continue
-            try:
-                self._set_path(board, path.compute(coils, motion, start_s, stop_s))
-            except path.PathError as error:
-                of = "" if board == SENSOR else f" {self.board_name(board)}:"
-                raise UserError(f"scenario {self.scenario.name}:{of} {error}") from error
-        self._window = window
-
-    def _set_path(self, board: int, computed: path.Path) -> None:
-        coefficients = np.ascontiguousarray(computed.coefficients)
-        handed = self._ffi.new("path_t *")
-        handed.start_ps, handed.interval_ps = round(computed.start_s * 1e12), round(computed.interval_s * 1e12)
-        handed.intervals, handed.columns = coefficients.shape[:2]
-        handed.coefficients = self._ffi.from_buffer("double[]", coefficients)
-        if not self._library.rig_set_path(self._rig, board, handed):
-            raise SystemFailure("the rig refused a sensor's path: not enough memory")
-
     # ---- Running ----
 
     @property
@@ -223,12 +175,8 @@ class Rig:
 
     def run_until(self, until_ps: int) -> None:
         """Run up to a virtual time in picoseconds, rounded down to a whole quantum; see `advance`."""
-        window_ps = round(PATH_WINDOW_S * 1e12)
         while True:
-            now_ps = int(self._library.rig_now(self._rig))
-            if now_ps // window_ps != self._window:
-                self._enter_window(now_ps // window_ps)
-            stop_ps = min(until_ps, (self._window + 1) * window_ps)
+            stop_ps = min(until_ps, self._paths.enter(int(self._library.rig_now(self._rig))))
             status = self._library.rig_run(self._rig, stop_ps)
             if status != self._library.RIG_OK:
                 raise SystemFailure(self._complaint(status))
@@ -236,8 +184,8 @@ class Rig:
                 return
 
     def board_name(self, board: int) -> str:
-        """Return the name of a board for messages."""
-        return "the sensor" if board == SENSOR else f"beacon {self.scenario.beacons[board - 1].id}"
+        """Return the name of a board for messages: "the sensor" or "beacon b3"."""
+        return self.scenario.board_name(board)
 
     def _complaint(self, status: int) -> str:
         board = int(self._library.rig_stopped_board(self._rig))
@@ -324,6 +272,7 @@ class Rig:
         The wire marks each cycle of degree 10 or 11, each second one of degree 9, ... each 32nd of degree 5 (sync.h).
         """
         self._check_sensor(board)
+        motion = self.scenario.motion_of(board)
         cycles = 1 << max(0, 10 - self.scenario.degree)
         times = self._ffi.new("int64_t[]", 1024)
         result: list[Truth] = []
@@ -336,12 +285,8 @@ class Rig:
             for edge, (start, end) in enumerate(pairwise(times[0:available]), start=first):
                 for part in range(cycles):
                     middle_ps = start + (end - start) * (part + 0.5) / cycles
-                    result.append(self._truth_at(board, edge * cycles + part, 1e-12 * middle_ps))
+                    result.append(truth_at(motion, edge * cycles + part, 1e-12 * middle_ps))
             self._truth_edges[board] += available - 1
-
-    def _truth_at(self, board: int, cycle: int, time_s: float) -> Truth:
-        position, rotation = self.scenario.motion_of(board).poses(np.array([time_s]))
-        return Truth(cycle, time_s, position[0], rotation.as_quat(canonical=True)[0])
 
     def watch_pins(self, watch: bool = True) -> None:
         """Keep every change of the boards' bridge, enable and sync outputs from now on; see `pin_changes`."""

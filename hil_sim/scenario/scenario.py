@@ -37,6 +37,10 @@ class Scenario:
         """Board number of the sync master."""
         return 1 + [beacon.sync_master for beacon in self.beacons].index(True)
 
+    def board_name(self, board: int) -> str:
+        """Return the name of a board for messages: "the sensor" or "beacon b3"."""
+        return "the sensor" if board == 0 else f"beacon {self.beacons[board - 1].id}"
+
     def front_end(self, board: int) -> FrontEnd | None:
         """Return a board's sensor; None: it has none."""
         return self.sensor if board == 0 else self.beacons[board - 1].sensor

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
-from goldfield.locate.starts import full_magnitudes, simple_magnitudes
+from goldfield.locate.starts import simple_magnitudes
 from goldfield.locate.wahba import wahba
 from goldfield.types import Status
 from tests.bench import locate_speed
@@ -98,7 +98,7 @@ def steps(scale=1.0):
     magnitude = np.linalg.norm(run.field_T, axis=2)
     known = np.ones(magnitude.shape, dtype=bool)
     simple = simple_magnitudes(model, magnitude, run.sigma_T, known, weighted=False)
-    full = full_magnitudes(model, magnitude, run.sigma_T, known, simple)
+    full = bench.full_magnitudes(model, magnitude, run.sigma_T, known, simple)
     poses = judged(site, run)[0]
     ours = np.array([pose.position_m for pose in poses])
     table = {}

@@ -18,7 +18,7 @@ from goldfield.field.model import FieldModel
 from goldfield.locate.constellation import Constellation
 from goldfield.locate.fit import Measurements
 from goldfield.locate.locator import Locator
-from goldfield.locate.starts import full_magnitudes, simple_magnitudes
+from goldfield.locate.starts import simple_magnitudes
 from goldfield.locate.wahba import wahba
 
 mpl.use("Agg")
@@ -79,7 +79,7 @@ def starts_of(site, run):
     magnitude, known = measured.magnitude_T, measured.known
     centre = np.broadcast_to(model.centre_m.mean(axis=0), run.position_m.shape).copy()
     simple = simple_magnitudes(model, magnitude, run.sigma_T, known, weighted=False)
-    full = full_magnitudes(model, magnitude, run.sigma_T, known, simple)
+    full = bench.full_magnitudes(model, magnitude, run.sigma_T, known, simple)
     weight = 1.0 / run.sigma_T**2
     found = {}
     for name, start in (("centre", centre), ("simple magnitudes", simple), ("simple, then full magnitudes", full)):

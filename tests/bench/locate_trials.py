@@ -8,6 +8,7 @@ import magpylib
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from goldfield.locate.least_squares import minimise
 from goldfield.locate.uncertainty import cramer_rao_bound
 from goldfield.site import Beacon, HalfSpace, SensorSite, Site, area_vector
 from goldfield.types import Fields
@@ -180,3 +181,20 @@ def bound_of(site, run, without=None):
 def board_positions(rng, count, height=0.07):
     """Over `spiral_board`, at one height."""
     return np.column_stack([rng.uniform([-0.035, -0.035], [0.275, 0.115], size=(count, 2)), np.full(count, height)])
+
+
+def full_magnitudes(model, magnitude_T, sigma_T, known, start_m):
+    """Positions, shape (e, 3), by a fit of the magnitudes themselves: the patent's second step (its eqns 6 and 7)."""
+    weight = np.where(known, 1.0 / sigma_T, 0.0)
+
+    def evaluate(state, rows):
+        field, gradient = model.evaluate(state[0].T)
+        modelled = np.sqrt((field * field).sum(axis=0))
+        slope = ((field[:, None] * gradient).sum(axis=0) / modelled).swapaxes(0, 1)
+        w = weight[rows]
+        return (magnitude_T[rows] - modelled) * w, slope * w[:, None]
+
+    def move(state, step):
+        return (state[0] + step,)
+
+    return minimise(evaluate, move, (start_m,), iterations=25, tolerance=1e-4).state[0]

@@ -55,12 +55,6 @@ def eddy_frequencies(site: Site) -> FloatArray:
     return np.asarray(np.geomspace(lowest, HIGHEST, count) / (2.0 * math.pi * site.chip_period_s))
 
 
-def relaxation_part(site: Site, tau_chips: float) -> FloatArray:
-    """Part g of a relaxation of beacon i (columns) that is found in the field of beacon j (rows), shape (n, n)."""
-    templates = site_templates(site)
-    return np.asarray(SiteAccess(site).weights @ (templates - filtered(templates, tau_chips)))
-
-
 def eddy_weights(site: Site, frequency_Hz: FloatArray) -> NDArray[np.complex128]:
     """Weights w of the phasors S, shape (n, n, k): the field found in beacon j is Re sum_ik w[j, i, k] S[i, k].
 

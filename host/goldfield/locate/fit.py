@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
-from goldfield.locate.least_squares import State, minimise
+from goldfield.locate.least_squares import Evaluate, State, minimise
 from goldfield.locate.rotations import orthonormal, turned
 from goldfield.types import FloatArray
 
@@ -154,27 +154,33 @@ def fit_pose(
     iterations: int = 120,
     tolerance: float = 1e-6,
 ) -> Fit:
-    """Least squares of position and attitude to the components, from a start near by.
+    """Fit position and attitude to the measured components by least squares, from a start near by.
+
+    The kernel in C does it where it is built and knows the coils; the NumPy code computes the same.
 
     Parameters
     ----------
     model : FieldModel
-        n beacons.
+        The n beacons.
     measurements : Measurements
-        e epochs.
-    position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
-        Start.
+        The e epochs.
+    position_m : ndarray, shape (e, 3)
+        Positions to start from, m.
+    rotation : ndarray, shape (e, 3, 3)
+        Attitudes to start from, ``B_site = R B_sensor``.
     model_error : float
         Relative error of the model: the variance of a component is sigma^2 + (model_error |B|)^2 with the measured
         |B|. A few per cent widen the basin of convergence (strong, curved beacons no longer dominate); the last fit
         takes what is believed of the site.
-    iterations, tolerance
-        See `least_squares.minimise`.
+    iterations : int
+        The most evaluations of the model in an epoch; see `least_squares.minimise`.
+    tolerance : float
+        An epoch ends when its next step promises to lower the cost by less; see `least_squares.minimise`.
 
-    Notes
-    -----
-    With h(p, R) = R' B(p), dh = R' (G dp + B x d_theta), where exp([d_theta]x) R is the turned attitude. Isotropic
-    complete fields are compared in the site's frame, which leaves the Jacobian unturned; else in the sensor's.
+    Returns
+    -------
+    Fit
+        The poses where the iteration ended; ``converged`` tells which ended by the tolerance.
     """
     quick = kernel.of(model)
     if quick is not None:
@@ -189,6 +195,19 @@ def fit_pose(
                 tolerance=tolerance,
             )
         )
+    evaluate = _weighted_misfit(model, measurements, model_error)
+    end = minimise(evaluate, _retract, (position_m, rotation), iterations=iterations, tolerance=tolerance)
+    position, attitude = end.state
+    return Fit(position, orthonormal(attitude), end.cost, end.normal, end.converged)
+
+
+def _weighted_misfit(model: FieldModel, measurements: Measurements, model_error: float) -> Evaluate:
+    """Return the residuals and Jacobian of a pose as `least_squares.minimise` asks for them.
+
+    With h(p, R) = R' B(p), dh = R' (G dp + B x d_theta), where exp([d_theta]x) R is the turned attitude. Complete
+    fields are compared in the site's frame, which leaves the Jacobian unturned: their three components have one
+    standard deviation, so that the cost is the same. Others are compared in the sensor's frame.
+    """
     weight = measurements.inverse_sigma(model_error)
     measured = measurements.filled_T.swapaxes(1, 2)
     complete = measurements.complete
@@ -208,9 +227,7 @@ def fit_pose(
         jacobian *= w[:, None]
         return residual.reshape(len(rows), -1), jacobian.reshape(len(rows), 6, -1)
 
-    end = minimise(evaluate, _retract, (position_m, rotation), iterations=iterations, tolerance=tolerance)
-    position, attitude = end.state
-    return Fit(position, orthonormal(attitude), end.cost, end.normal, end.converged)
+    return evaluate
 
 
 def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:

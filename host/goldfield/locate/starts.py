@@ -69,20 +69,6 @@ def simple_magnitudes(
     return minimise(evaluate, _move, (start_m,), iterations=25, tolerance=1e-2).state[0]
 
 
-def full_magnitudes(
-    model: FieldModel, magnitude_T: FloatArray, sigma_T: FloatArray, known: NDArray[np.bool_], start_m: FloatArray
-) -> FloatArray:
-    """Fit the magnitudes themselves (patent, eqns 6 and 7, with the model's coils) from a start, shape (e, 3)."""
-    weight = np.where(known, 1.0 / sigma_T, 0.0)
-
-    def evaluate(state: State, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        modelled, slope = _magnitude(model, state[0])
-        w = weight[rows]
-        return (magnitude_T[rows] - modelled) * w, slope * w[:, None]
-
-    return minimise(evaluate, _move, (start_m,), iterations=25, tolerance=1e-4).state[0]
-
-
 def log_magnitudes(
     model: FieldModel, magnitude_T: FloatArray, sigma_T: FloatArray, known: NDArray[np.bool_], start_m: FloatArray
 ) -> FloatArray:

@@ -12,7 +12,9 @@ from scipy.spatial.transform import Rotation
 
 from goldfield import site as sites
 from goldfield.access import SiteAccess
-from goldfield.access.eddy import eddy_frequencies, eddy_weights, relaxation_part
+from goldfield.access.eddy import eddy_frequencies, eddy_weights
+from goldfield.access.rise import filtered
+from goldfield.access.waveform import site_templates
 from goldfield.cli import main
 from goldfield.cli.locate import read_fields
 from goldfield.field import FieldModel
@@ -97,6 +99,12 @@ def test_the_sphere_in_time_is_the_sphere_at_any_frequency():
             summed = ball.susceptibilities(0.0, n)[n - 1] + (x / (1.0 + x)) @ amplitude
             series = [ball.susceptibilities(frequency, n)[n - 1] for frequency in frequencies]
             np.testing.assert_allclose(summed, series, atol=5e-3)
+
+
+def relaxation_part(site, tau_chips):
+    """Part of a relaxation of beacon i (columns) that is found in the field of beacon j (rows), shape (n, n)."""
+    templates = site_templates(site)
+    return SiteAccess(site).weights @ (templates - filtered(templates, tau_chips))
 
 
 @pytest.mark.parametrize("access", ["codes", "tones", "slots"])

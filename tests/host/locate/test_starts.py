@@ -14,7 +14,7 @@ from goldfield.locate.field_shell_search import (
     profiled_loss,
     unit_vector_fit,
 )
-from goldfield.locate.starts import full_magnitudes, log_magnitudes, simple_magnitudes, simple_ranges
+from goldfield.locate.starts import log_magnitudes, simple_magnitudes, simple_ranges
 from tests.bench import locate_trials as bench
 
 
@@ -46,7 +46,7 @@ def test_simple_ranges_are_within_their_stated_error(cube):
 def test_each_step_of_the_sources_improves_on_the_one_before(cube):
     _, model, run = cube
     simple = simple_magnitudes(model, *magnitudes(run), weighted=False)
-    full = full_magnitudes(model, *magnitudes(run), simple)
+    full = bench.full_magnitudes(model, *magnitudes(run), simple)
     logarithmic = log_magnitudes(model, *magnitudes(run), simple_magnitudes(model, *magnitudes(run)))
     error = np.linalg.norm(full - run.position_m, axis=1)
     # decimetres (the patent says typically 20 cm), then centimetres wherever the iteration found the right valley

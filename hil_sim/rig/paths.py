@@ -1,0 +1,76 @@
+"""The sensors' motion, handed to the hot loop window by window."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from goldfield.errors import SystemFailure, UserError
+from hil_sim.scenario import Scenario
+from hil_sim.world import path
+
+WINDOW_S = 1.0
+"""Length of a window, whole quanta: the windows are the same whatever slices of time the rig is run in."""
+WINDOW_PS = round(WINDOW_S * 1e12)
+OVERLAP_S = 0.001
+"""A window reaches so far beyond its ends: a converter may look a few microseconds ahead."""
+
+
+class PathWindows:
+    """Computes the path of each sensor for the window that the rig is in, and hands it over; the first one at once.
+
+    Parameters
+    ----------
+    ffi, library
+        The rig's library, opened by cffi.
+    rig
+        The ``rig_t *`` that takes the paths.
+    scenario : Scenario
+
+    Raises
+    ------
+    UserError
+        If a sensor comes too near to a coil, or moves too fast to be followed.
+    SystemFailure
+        If there is not enough memory.
+    """
+
+    def __init__(self, ffi: Any, library: Any, rig: Any, scenario: Scenario) -> None:
+        self._ffi, self._library, self._rig = ffi, library, rig
+        self._scenario = scenario
+        self._coils = [coil for beacon in scenario.beacons for coil in beacon.coils]
+        self._window = -1
+        self.enter(0)
+
+    def enter(self, now_ps: int) -> int:
+        """See that the rig has the window of a virtual time; return the window's end, ps."""
+        window = now_ps // WINDOW_PS
+        if window != self._window:
+            self._hand_over(window)
+            self._window = window
+        return (window + 1) * WINDOW_PS
+
+    def _hand_over(self, window: int) -> None:
+        """Hand over the motion of one window; a sensor at rest keeps its first."""
+        start_s, stop_s = window * WINDOW_S - OVERLAP_S, (window + 1) * WINDOW_S + OVERLAP_S
+        for board in range(1 + len(self._scenario.beacons)):
+            if self._scenario.front_end(board) is None:
+                continue
+            motion = self._scenario.motion_of(board)
+            if motion.still and self._window >= 0:
+                continue
+            try:
+                self._set(board, path.compute(self._coils, motion, start_s, stop_s))
+            except path.PathError as error:
+                whose = "" if board == 0 else f" {self._scenario.board_name(board)}:"
+                raise UserError(f"scenario {self._scenario.name}:{whose} {error}") from error
+
+    def _set(self, board: int, computed: path.Path) -> None:
+        coefficients = np.ascontiguousarray(computed.coefficients)
+        handed = self._ffi.new("path_t *")
+        handed.start_ps, handed.interval_ps = round(computed.start_s * 1e12), round(computed.interval_s * 1e12)
+        handed.intervals, handed.columns = coefficients.shape[:2]
+        handed.coefficients = self._ffi.from_buffer("double[]", coefficients)
+        if not self._library.rig_set_path(self._rig, board, handed):
+            raise SystemFailure("the rig refused a sensor's path: not enough memory")
