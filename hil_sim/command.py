@@ -26,7 +26,7 @@ from hil_sim.rig.boards import KINDS
 from hil_sim.scenario import Scenario, load_scenario, site_toml
 
 SLICE_S = 0.005
-"""How often the links are served, virtual time."""
+"""Virtual time between two services of the links."""
 PROGRESS_S = 5.0
 
 

@@ -37,7 +37,7 @@ class Configuration:
     unique_id : bytes
         Twelve bytes.
     temperature_degc : float
-        Of the die, degrees Celsius.
+        Temperature of the die, degrees Celsius.
     strict : bool
         A violation (``machine.h``) stops the board; else it is only recorded.
     """

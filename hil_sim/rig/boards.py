@@ -29,7 +29,7 @@ class BoardSpec:
     unique_id : bytes
         Twelve bytes.
     parameter_page : bytes
-        As it lies in flash.
+        The board's parameters as they lie in flash.
     power_on_ps : int
         Virtual time at which it gets power.
     """

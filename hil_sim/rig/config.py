@@ -9,7 +9,7 @@ from hil_sim.scenario import CONVERTER_COUNTS, Ambient, Circuit, FrontEnd, Scena
 SENSE_V_PER_A = 0.103125
 SET_POINT_A_PER_V = 16.0 / 3.3
 REFERENCE_V = 3.3
-"""Of the boards (``pinout.md``)."""
+"""Supply that the boards' converters refer to, and the scales of driver and current sense (``pinout.md``)."""
 
 CAN_BITS_PER_SECOND, BAUD = 1_000_000, 2_000_000
 

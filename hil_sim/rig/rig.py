@@ -63,7 +63,7 @@ class Rig:
     boards : str or BoardFactory
         ``emulated``, ``host``, or something that makes boards.
     seed : int, optional
-        In place of the scenario's.
+        Seed of all random draws, in place of the scenario's.
     host_on_can : bool
         The host's adapter is on the CAN bus: it acknowledges, and `can_read` and `can_write` work.
     threads : int, optional

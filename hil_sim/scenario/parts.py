@@ -17,7 +17,7 @@ FloatArray = NDArray[np.float64]
 CHIP_TICKS, TICKS_PER_SECOND = 16422, 168e6
 CHIP_PERIOD_S = CHIP_TICKS / TICKS_PER_SECOND
 DEGREE = 10
-"""Of the codes, unless the scenario says otherwise: the boards' default."""
+"""Degree of the codes unless the scenario says otherwise: the boards' default."""
 CONVERTER_COUNTS = 4096
 BURST = 8
 """Conversions of an axis in a chip (``hal.h``)."""
@@ -58,7 +58,7 @@ class Clock:
     crystal_dead : bool
         The crystal never starts (emulated boards).
     temperature_degC : float
-        Of the processor.
+        Temperature of the processor.
     """
 
     crystal_ppm: float = 0.0
@@ -141,7 +141,7 @@ class Sensor(FrontEnd):
     stream : int
         The board's parameter: 0 fields, 1 fields and every raw chip.
     pose : int
-        1: the board knows the beacons and computes its own poses; 0: it knows nothing of them.
+        With 1 the board knows the beacons and computes its own poses, with 0 it knows nothing of them.
     sync_wire : bool
         True: it follows the sync wire; False: its sync input is not connected, it follows the beacons' field.
     """

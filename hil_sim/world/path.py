@@ -41,7 +41,7 @@ class CoilGeometry:
     ----------
     turns : float
     radius_m : float or None
-        Of a circular loop around ``position_m`` with its normal along ``axis``.
+        Radius of a circular loop around ``position_m`` with its normal along ``axis``.
     position_m, axis : ndarray, shape (3,)
     points_m : ndarray, shape (n, 3), or None
         The wire as a polyline, taken as listed, in place of a circle.
@@ -74,7 +74,7 @@ class Path:
     ----------
     start_s, interval_s : float
     coefficients : ndarray, shape (intervals, columns, 4)
-        As ``path.h`` describes: constant term first, in fractions of an interval.
+        The cubics as ``path.h`` describes them: constant term first, in fractions of an interval.
     """
 
     start_s: float

@@ -32,7 +32,7 @@ class Separation:
     Attributes
     ----------
     field_T : ndarray, shape (n, 3)
-        Of each code; NaN on an axis that was not measured.
+        Field of each code; NaN on an axis that was not measured.
     offset_T : ndarray, shape (3,)
         Whatever does not follow a code: the earth's field and the sensor's own offset.
     sigma_T : ndarray, shape (n,)
@@ -90,7 +90,7 @@ class Separator:
 
     @property
     def covariance_T2(self) -> FloatArray:
-        """Of the fields from a complete cycle of samples, on one axis, shape (n, n)."""
+        """Covariance of the fields from a complete cycle of samples, on one axis, shape (n, n)."""
         return np.asarray(self._inverse * self._noise_T**2)
 
     def from_samples(self, samples_T: FloatArray) -> Separation:

@@ -5,9 +5,9 @@ d(t) of a beacon it adds S_0 d + sum_p S_p (d - d * exp(-t/tau_p)/tau_p), a part
 and relaxations (poles of a quasi-static conductor are real: Landau, Lifshitz & Pitaevskii, Electrodynamics of
 Continuous Media, sec. 59). What is left of a relaxation in the samples at the ends of the chips is the drive minus the
 filtered drive (`goldfield.access.rise`); the weights of the site's separation turn that into g_ji(tau), the part of
-beacon i's that is found in beacon j's field. Of codes it is about exp(-T/tau): what is left at the end of a chip of
-length T. Of a tone it is the part in phase at its frequency; of a sine and a cosine at one frequency each also hears
-the part in quadrature of the other.
+beacon i's that is found in beacon j's field. For codes it is about exp(-T/tau): what is left at the end of a chip of
+length T. For a tone it is the part in phase at its frequency; a sine and a cosine at one frequency each also hear the
+part in quadrature of the other.
 
 A model of the conductor knows S(omega), its field as a phasor, of which a relaxation makes the part
 (x^2 + i x)/(1 + x^2), x = omega tau. So g is fitted over all tau by such parts at a few frequencies, and the field
@@ -28,20 +28,23 @@ from goldfield.site import Site
 from goldfield.types import FloatArray
 
 TAU_CHIPS = np.logspace(-3.0, 6.0, 91)
-"""From relaxations that are over within a chip to such that last for a thousand cycles."""
+"""Time constants fitted: from relaxations that are over within a chip to those that last for a thousand cycles."""
 
 LOWEST, HIGHEST = 0.1, 10.0
-"""Radians a chip: of these frequencies answers to single chips are composed, within 0.5 %."""
+"""Range of frequencies, radians a chip, of which answers to single chips are composed, within 0.5 %."""
 
 PER_DECADE = 2.0
+"""Frequencies a decade."""
+
 SMALLEST_SINGULAR = 1e-3
-"""Keeps the weights near one, so that they do not multiply the errors of the conductor's model; costs 0.1 %."""
+"""Smallest singular value kept: the weights stay near one and do not multiply a model's errors; costs 0.1 %."""
 
 
 def eddy_frequencies(site: Site) -> FloatArray:
-    """Frequencies at which a conductor must be known, Hz, shape (k,).
+    """Return the frequencies at which a conductor must be known, Hz, shape (k,).
 
-    Of sine tones their own; else two a decade, from the slowest change of a drive to ten radians a chip.
+    They are those of the tones where all drives are sines; else two a decade, from the slowest change of a drive to
+    ten radians a chip.
     """
     periods = [beacon.drive.periods for beacon in site.beacons if beacon.drive.periods is not None]
     if periods and not site.beacons[0].drive.square:
@@ -56,13 +59,13 @@ def eddy_frequencies(site: Site) -> FloatArray:
 
 
 def eddy_weights(site: Site, frequency_Hz: FloatArray) -> NDArray[np.complex128]:
-    """Weights w of the phasors S, shape (n, n, k): the field found in beacon j is Re sum_ik w[j, i, k] S[i, k].
+    """Return the weights w of the phasors S, shape (n, n, k): the field found in beacon j is Re sum_ik w[j, i, k] S[i, k].
 
     Parameters
     ----------
     site : Site
     frequency_Hz : ndarray, shape (k,)
-        As of `eddy_frequencies`.
+        The frequencies of `eddy_frequencies`.
     """
     templates, weights = site_templates(site), SiteAccess(site).weights
     parts = np.stack([weights @ (templates - filtered(templates, tau)) for tau in TAU_CHIPS])

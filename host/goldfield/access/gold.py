@@ -50,7 +50,7 @@ def code_matrix(degree: int, codes: Sequence[int]) -> NDArray[np.int8]:
     Raises
     ------
     ValueError
-        For a code index beyond 2**degree.
+        If a code index is beyond 2**degree.
 
     Examples
     --------

@@ -20,22 +20,23 @@ from goldfield.errors import UserError
 from goldfield.types import FloatArray
 
 EIGENVALUE_TOLERANCE = 1e-13
-"""Of X^T X with columns of length 1, times their number: rounding leaves about 1e-16 each. The worst regular assignment
-of Gold codes has 1e-3; two tones a thousandth of a line apart 1e-6."""
+"""Largest eigenvalue of X^T X that counts as zero, for each column, with columns of length 1: rounding leaves about
+1e-16. The least eigenvalue of the worst regular assignment of Gold codes is 1e-3, that of two tones a thousandth of a
+line apart 1e-6."""
 
 MOVED = 1e-7
 """A field whose row of the null space's projector exceeds this depends on others; rounding is about 1e-15."""
 
 SHOWN = 6
-"""Beacons named in a message."""
+"""Most beacons that a message names."""
 
 
 class Access(Protocol):
-    """What all ways to tell beacons apart have in common; location does not care which it was."""
+    """The interface of every way to tell beacons apart; location does not care which it was."""
 
     @property
     def covariance_T2(self) -> FloatArray:
-        """Of the fields from a complete cycle, on one axis, shape (n, n)."""
+        """Covariance of the fields from a complete cycle, on one axis, shape (n, n)."""
         ...
 
     def from_samples(self, samples_T: FloatArray) -> Separation:
@@ -78,7 +79,7 @@ class TemplateAccess:
 
     @property
     def covariance_T2(self) -> FloatArray:
-        """Of the fields from a complete cycle, on one axis, shape (n, n)."""
+        """Covariance of the fields from a complete cycle, on one axis, shape (n, n)."""
         fields = self.weights[: self._count]
         return np.asarray(fields @ fields.T * self._noise_T**2)
 
@@ -95,7 +96,7 @@ class TemplateAccess:
         return Separation(coefficients[: self._count], offset, sigma)
 
     def coefficients(self, samples_T: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Coefficients of all columns and their variances for unit noise, each of shape (columns, 3)."""
+        """Return the coefficients of all columns and their variances for unit noise, each of shape (columns, 3)."""
         result = np.full((self.columns.shape[1], 3), np.nan)
         variance = np.full_like(result, np.nan)
         present = np.isfinite(samples_T)

@@ -27,7 +27,7 @@ SAMPLE_PHASE = 1.0
 """Where in its chip a sample is taken: at the end, when the coils have settled."""
 
 RANK_TOLERANCE = 1e-9
-"""Of the triangle of a decomposition, relative to its largest diagonal: dependent codes leave rounding there."""
+"""Least diagonal of a triangular factor, relative to its largest: dependent codes leave rounding there."""
 
 
 def sample_times(chips: int) -> FloatArray:
@@ -85,7 +85,7 @@ class DriftSeparator:
     Raises
     ------
     UserError
-        As `separation_weights`.
+        If the codes cannot be told apart; see `separation_weights`.
     """
 
     def __init__(self, degree: int, codes: Sequence[int], noise_T: float, drift: int = 2) -> None:
@@ -116,7 +116,7 @@ class Cycle:
     Attributes
     ----------
     times : ndarray, shape (k,)
-        Of the nodes, from mid-cycle in units of the cycle: Chebyshev points.
+        Times of the nodes from mid-cycle, in units of the cycle: Chebyshev points.
     design : ndarray, shape (N, (n + 1) k)
         Samples by field at node: n beacons, then the ambient field; the node runs fastest.
     """
@@ -156,7 +156,8 @@ class Reduction:
     noise_T : float
         Standard deviation of one sample on one axis.
     weights : ndarray, shape (m, N), optional
-        Of the sums that are given in place of the samples, such as `Cycle.part_weights`; not more than N, independent.
+        Weights of the sums that are given in place of the samples, such as `Cycle.part_weights`: at most N of them,
+        and independent.
 
     Attributes
     ----------

@@ -18,12 +18,12 @@ GRID_HZ = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Nuisance:
-    """Columns of something unwanted.
+    """A part of the samples that no beacon made, as columns whose coefficients are unknown.
 
     Attributes
     ----------
     name : str
-        As messages call it.
+        What messages call it.
     columns : ndarray, shape (N, k)
     """
 
@@ -32,12 +32,12 @@ class Nuisance:
 
 
 def constant(chips: int) -> Nuisance:
-    """Ambient field, sensor offset, any offset of the drives: one column."""
+    """Return the one column of ambient field, sensor offset and any offset of the drives."""
     return Nuisance("a constant field", np.ones((chips, 1)))
 
 
 def mains(chips: int, chip_period_s: float, frequency_Hz: float, harmonics: int = 1) -> Nuisance:
-    """Cosine and sine of a frequency and its multiples up to ``harmonics``, at the ends of the chips."""
+    """Return cosine and sine of a frequency and its multiples up to ``harmonics``, at the ends of the chips."""
     phase = 2.0 * np.pi * frequency_Hz * chip_period_s * (np.arange(chips) + 1.0)
     waves = [wave(order * phase) for order in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
     return Nuisance(f"the mains at {frequency_Hz:g} Hz", np.stack(waves, axis=1))
@@ -56,7 +56,7 @@ def mains_frequency(
         Columns of the beacons and other nuisances, independent of each other.
     chip_period_s, nominal_Hz : float
     harmonics : int
-        As `mains`.
+        Number of multiples of the frequency, as for `mains`.
 
     Notes
     -----

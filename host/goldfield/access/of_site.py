@@ -35,7 +35,7 @@ class SiteCycle:
 
 
 class SiteAccess:
-    """Tells the beacons of a site apart, by whichever access its file names. An `Access`.
+    """Tells the beacons of a site apart, by whichever access its file names; an `Access` like the others.
 
     Parameters
     ----------
@@ -43,9 +43,9 @@ class SiteAccess:
     mains_Hz : float, optional
         Nominal frequency of a hum to take out; the true one is searched for in every cycle within half a hertz.
     harmonics : int
-        Multiples of it that are taken out, from the first on.
+        How many multiples of that frequency are taken out, from the first on.
     unknown_rise : bool
-        Ignore the file's ``tau_s`` and regress on three lags of the drive: sqrt(3) times the noise.
+        Ignore the file's ``tau_s`` and regress on three lags of the drive, which costs sqrt(3) times the noise.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class SiteAccess:
 
     @property
     def covariance_T2(self) -> FloatArray:
-        """Of the fields from a complete cycle, on one axis, shape (n, n); mains at their nominal frequency."""
+        """Covariance of the fields from a complete cycle, one axis, shape (n, n); mains at their nominal frequency."""
         whole = self._quiet_mains.covariance_T2
         if not self._unknown_rise:
             return whole
@@ -89,7 +89,7 @@ class SiteAccess:
 
     @property
     def weights(self) -> FloatArray:
-        """Of the samples of a complete cycle in the fields, shape (n, N); mains at their nominal frequency."""
+        """Weights of a complete cycle's samples in the fields, shape (n, N); mains at their nominal frequency."""
         whole = self._quiet_mains.weights[: self._templates.shape[1]]
         if not self._unknown_rise:
             return whole

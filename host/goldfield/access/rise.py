@@ -5,7 +5,7 @@ drive c. Taking f for c biases the estimate; three cures:
 
 - `filtered`: the exact templates, for a known tau of each beacon;
 - `sharpened`: the samples as they would be without rise, for one tau of all beacons;
-- `unknown_rise`: regress on c[n], c[n-1] and c[n-2] and add, for unknown taus. What is left out is e^3, .019 % at
+- `lagged`: regress on c[n], c[n-1] and c[n-2] and add, for unknown taus. What is left out is e^3, .019 % at
   tau / T = .35; the ratio of the coefficients tells tau.
 """
 
@@ -19,7 +19,7 @@ import numpy as np
 from goldfield.types import FloatArray
 
 LAGS = 3
-"""Columns a beacon of `unknown_rise`."""
+"""Columns that each beacon has where its rise is unknown."""
 
 
 def remainder(tau_chips: float) -> float:
@@ -40,6 +40,13 @@ def filtered(drive: FloatArray, tau_chips: float) -> FloatArray:
     -------
     ndarray, of the same shape
         f[n] = e f[n-1] + (1 - e) c[n] with f[-1] = f[N-1], to rounding.
+
+    Examples
+    --------
+    A coil whose current falls to a half in a chip, driven for one of four chips:
+
+    >>> filtered(np.array([1.0, 0.0, 0.0, 0.0]), 1.0 / math.log(2.0)).round(4).tolist()
+    [0.5333, 0.2667, 0.1333, 0.0667]
     """
     e = remainder(tau_chips)
     if e == 0.0:
@@ -68,14 +75,15 @@ def sharpened(samples_T: FloatArray, tau_chips: float) -> FloatArray:
 
 
 def lagged(drives: FloatArray) -> FloatArray:
-    """Columns c[n], c[n-1], c[n-2] of each drive, shape (N, n) to (N, 3 n); the lag runs fastest."""
+    """Return the columns c[n], c[n-1], c[n-2] of each drive, shape (N, n) to (N, 3 n); the lag runs fastest."""
     return np.stack([np.roll(drives, lag, axis=0) for lag in range(LAGS)], axis=2).reshape(len(drives), -1)
 
 
 def tau_from_lags(coefficients_T: FloatArray) -> float:
-    """Time constant in chips from the coefficients of one beacon's lags, shape (3, axes).
+    """Return the time constant in chips from the coefficients of one beacon's lags, shape (3, axes).
 
-    The coefficients are (1 - e) b (1, e, e^2): least squares of the second on the first. 0 if noise makes it negative.
+    The coefficients are (1 - e) b (1, e, e^2): e follows by least squares of the second on the first. The result is 0
+    if noise makes e negative.
     """
     first, second = coefficients_T[0], coefficients_T[1]
     power = float(first @ first)

@@ -50,7 +50,7 @@ class SweepRepair:
         Parameters
         ----------
         fields : Fields
-            Of the next cycle.
+            Separated fields of the next cycle.
         mean_T : ndarray, shape (3,), or None
             Mean of all samples; None, or NaN on an axis that was measured, if not known: three more are then needed.
         """

@@ -9,16 +9,16 @@ from goldfield.types import FloatArray
 
 
 def dipole(offset_m: FloatArray, moment_A_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Field of magnetic dipoles and its gradient.
+    """Return the field of magnetic dipoles and its gradient.
 
-    B = (mu0/4 pi) (3 (m.u) u - m)/r^3 with u = r/|r|.
+    The field is B = (mu0/4 pi) (3 (m.u) u - m)/r^3 with u = r/|r| (Jackson, Classical Electrodynamics, eqn 5.56).
 
     Parameters
     ----------
     offset_m : ndarray, shape (3, ...)
-        From the dipole to the point.
+        Vectors from the dipole to the point, m.
     moment_A_m2 : ndarray, shape (3, ...)
-        Broadcasts against the offset.
+        Moments, which broadcast against the offset.
 
     Returns
     -------
@@ -30,6 +30,15 @@ def dipole(offset_m: FloatArray, moment_A_m2: FloatArray) -> tuple[FloatArray, F
     -----
     At the dipole itself the result is not finite. Components lead, so that every operation runs along contiguous
     memory.
+
+    Examples
+    --------
+    One metre from a moment of 10 A m^2 the field is 2 uT on its axis and half of that, turned round, beside it:
+
+    >>> moment = np.array([[0.0], [0.0], [10.0]])
+    >>> field, _ = dipole(np.array([[0.0, 1.0], [0.0, 0.0], [1.0, 0.0]]), moment)
+    >>> (1e6 * field[2]).round(6).tolist()
+    [2.0, -1.0]
     """
     inverse_square = 1.0 / (offset_m * offset_m).sum(axis=0)
     strength = MU0_OVER_4PI * inverse_square * np.sqrt(inverse_square)

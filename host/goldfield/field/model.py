@@ -36,11 +36,11 @@ class FieldModel:
     Attributes
     ----------
     centre_m, moment_A_m2 : ndarray, shape (n, 3)
-        Of the equivalent dipoles.
+        Places and moments of the equivalent dipoles.
     reach_m : ndarray, shape (n,)
-        Of each coil's wire from its centre.
+        Largest distance of each coil's wire from its centre.
     loop_radius_m : ndarray, shape (n,)
-        Of circular coils; 0 of coils that are taken for dipoles, NaN of those given by their wire.
+        Radii of circular coils; 0 for coils that are taken for dipoles, NaN for those given by their wire.
     wire_points_m : ndarray, shape (m, 3)
         Corners of all coils that are given by their wire.
     """
@@ -91,7 +91,7 @@ class FieldModel:
         return FieldModel([self._beacons[int(row)] for row in rows], self._kind)
 
     def evaluate(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Field and gradient with components leading, for numerical work.
+        """Return field and gradient with components leading, for numerical work.
 
         Parameters
         ----------
@@ -122,21 +122,30 @@ class FieldModel:
         return field, gradient
 
     def field(self, point_m: FloatArray) -> FloatArray:
-        """Field of each coil at each point.
+        """Return the field of each coil at each point.
 
         Parameters
         ----------
         point_m : ndarray, shape (..., 3)
+            Points in the site's frame.
 
         Returns
         -------
         field_T : ndarray, shape (..., n, 3)
-            In the site's frame.
+            Fields in the site's frame.
+
+        Examples
+        --------
+        A coil of 20 turns and 0.15 m with 10 A, seen from 2 m above and from 2 m beside it:
+
+        >>> coil = Beacon("b1", np.zeros(3), np.array([0.0, 0.0, 1.0]), 20.0, 0.15, None, 10.0, code=2)
+        >>> (1e6 * FieldModel([coil]).field(np.array([[0.0, 0.0, 2.0], [2.0, 0.0, 0.0]])))[:, 0, 2].round(3).tolist()
+        [0.35, -0.178]
         """
         return self.field_and_gradient(point_m)[0]
 
     def field_and_gradient(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Field and gradient of each coil at each point.
+        """Return the field and gradient of each coil at each point.
 
         Parameters
         ----------

@@ -23,9 +23,9 @@ class Row:
     ----------
     path : Path
     line : int
-        In the file, from 1.
+        Number of the line in the file, from 1.
     cells : dict of str to str
-        By column.
+        The row's text by the name of its column.
     """
 
     path: Path
@@ -113,7 +113,7 @@ def read_groups(
     Raises
     ------
     UserError
-        As `read_table`; if there are no rows, or a group comes again after another one.
+        As for `read_table`; also if there are no rows, or if a group comes again after another one.
     """
     rows: list[Row] = []
     seen: set[int] = set()

@@ -53,7 +53,7 @@ def read_table(path: Path, what: str) -> Table:
     Raises
     ------
     UserError
-        As `text_lines`, and if it is no TOML.
+        If the file cannot be read (`text_lines`) or is no TOML.
     """
     lines = text_lines(path, what)
     try:
@@ -70,13 +70,13 @@ class Table:
     Parameters
     ----------
     values : mapping
-        As tomllib parsed it.
+        The keys and values as tomllib parsed them.
     path : Path
         The file, for messages.
     lines : sequence of str
         The file's lines; tomllib keeps no positions, so lines are found by search.
     name : str
-        For messages, as ``[site]`` or ``[[beacon]] 2``; empty for the document.
+        What messages call the table, such as ``[site]`` or ``[[beacon]] 2``; empty for the document.
     header_line : int
         Line of the table's header, from 1; 0: unknown or the document.
     """

@@ -34,7 +34,6 @@ RIVAL_COST = 15.0
 CANDIDATES = 8
 """Candidates of the shell that are fitted."""
 
-
 REMEMBERED = 32
 """Subsets of beacons whose searches are kept ready: a few megabytes each once their shells were needed."""
 
@@ -47,9 +46,9 @@ class Solutions:
     ----------
     best, rival : Fit
     contested : ndarray of bool, shape (e,)
-        Whether there is a rival; else its row repeats the best pose.
+        True where there is a rival; else its row repeats the best pose.
     outside : ndarray of bool, shape (e,)
-        Whether even the best pose is on the wrong side of the half-space.
+        True where even the best pose is on the wrong side of the half-space.
     """
 
     best: Fit
@@ -69,7 +68,7 @@ class Constellation:
     ----------
     model : FieldModel
     half_space : HalfSpace, optional
-        Where the sensor is known to be.
+        Side of a plane where the sensor is known to be.
     """
 
     def __init__(self, model: FieldModel, half_space: HalfSpace | None = None) -> None:
@@ -127,7 +126,11 @@ class Constellation:
         return self._sided(best, rival, contested)
 
     def from_magnitudes(self, measurements: Measurements) -> Fit:
-        """1.5 k/r^3 -> log |B| -> Wahba -> fit with model error -> fit. Needs three axes and four beacons."""
+        """Locate by the chain of magnitudes, which needs three axes and four beacons.
+
+        The steps: positions from 1.5 k/r^3, then from log |B|, attitudes by Wahba's problem, a fit with model error,
+        a fit without.
+        """
         quick = kernel.of(self.model)
         if quick is not None:
             start = quick.starts(
@@ -146,7 +149,7 @@ class Constellation:
         return self.refine(measurements, position, rotation)
 
     def from_shell(self, measurements: Measurements, candidates: int = CANDIDATES) -> Fit:
-        """Search the shell of one epoch; its best candidates fitted, the best first."""
+        """Search the shell of one epoch and fit its best candidates; the best comes first."""
         field, sigma = measurements.field_T[0], measurements.sigma_T[0]
         position, modelled = self._shell.candidates(field)
         if not len(position):
@@ -168,7 +171,7 @@ class Constellation:
         return fit_pose(self.model, measurements, rough.position_m, rough.rotation)
 
     def at(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
-        """Cost and information at given poses, not fitted."""
+        """Return cost and information at given poses, not fitted."""
         return fit_pose(self.model, measurements, position_m, rotation, iterations=0)
 
     def inside(self, position_m: FloatArray) -> NDArray[np.bool_]:
@@ -198,7 +201,7 @@ class Constellation:
     def _reflect(self, measurements: Measurements, best: Fit, rival: Fit, contested: NDArray[np.bool_]) -> None:
         """Try the images in the beacons' plane: the side where the sensor must be decides, else they are rivals.
 
-        In place.
+        The arguments are changed in place.
         """
         assert self.mirror is not None
         image = self.mirror.image(best)
@@ -232,7 +235,7 @@ class Constellation:
 
 
 def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:
-    """Probability of a cost at least as large if model and noise are right (chi-square); 1 with no redundancy.
+    """Return the probability of a cost at least as large if model and noise are right (chi-square); 1 with no redundancy.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ COARSENESS = 0.3
 
 DIRECTIONS = 300
 DISTANCE_RATIO = 1.25
-"""Of neighbouring points on a ray."""
+"""Ratio of the distances of neighbouring points on a ray."""
 
 FULL_WINDOW = (0.6, 1.7)
 """A point is a candidate if the strongest beacon's field there, over the measured one, lies between these."""
@@ -47,7 +47,7 @@ class Shell:
         Parameters
         ----------
         field_T : ndarray, shape (n, 3)
-            Of one epoch; NaN where not measured.
+            Fields of one epoch; NaN where not measured.
 
         Returns
         -------

@@ -63,7 +63,7 @@ class Measurements:
     Parameters
     ----------
     field_T : ndarray, shape (e, n, 3)
-        In the sensor's frame, one row a beacon of the model; NaN where nothing was measured.
+        Fields in the sensor's frame, one row a beacon of the model; NaN where nothing was measured.
     sigma_T : ndarray, shape (e, n)
         Standard deviation of each component.
     """
@@ -78,17 +78,17 @@ class Measurements:
 
     @cached_property
     def measured(self) -> NDArray[np.bool_]:
-        """Which components are known, shape (e, n, 3)."""
+        """Mask of the components that are known, shape (e, n, 3)."""
         return np.isfinite(self.field_T)
 
     @cached_property
     def known(self) -> NDArray[np.bool_]:
-        """Which beacons are known by any component, shape (e, n)."""
+        """Mask of the beacons that are known by any component, shape (e, n)."""
         return np.asarray(self.measured.any(axis=2))
 
     @cached_property
     def complete(self) -> bool:
-        """Whether each beacon's field is known with all components or not at all."""
+        """True if each beacon's field is known with all components or not at all."""
         return bool((self.measured == self.known[:, :, None]).all())
 
     @cached_property
@@ -98,7 +98,7 @@ class Measurements:
 
     @cached_property
     def magnitude_T(self) -> FloatArray:
-        """Of the measured components, shape (e, n)."""
+        """Magnitudes of the measured components, shape (e, n)."""
         return np.asarray(np.sqrt((self.filled_T**2).sum(axis=2)))
 
     @cached_property
@@ -113,18 +113,18 @@ class Measurements:
 
     @cached_property
     def unknowns(self) -> NDArray[np.intp]:
-        """Position and attitude: 6, or 5 of a sensor with one axis, whose turn about it is free; shape (e,)."""
+        """Number of unknowns, shape (e,): 6, or 5 for a sensor with one axis, whose turn about it is free."""
         return np.where(self.axes == 1, 5, 6)
 
     @cached_property
     def freedom(self) -> NDArray[np.intp]:
-        """Components minus unknowns, shape (e,)."""
+        """Degrees of freedom, components minus unknowns, shape (e,)."""
         return np.asarray(self.count - self.unknowns)
 
     def inverse_sigma(self, model_error: float = 0.0) -> FloatArray:
-        """Square root of each component's weight, shape (e, 3, n); 0 if not measured.
+        """Return the square root of each component's weight, shape (e, 3, n); 0 if not measured.
 
-        1/sqrt(sigma^2 + (model_error |B|)^2).
+        It is 1/sqrt(sigma^2 + (model_error |B|)^2) for each measured component.
         """
         sigma = np.sqrt(self.sigma_T**2 + (model_error * self.magnitude_T) ** 2)
         return np.where(self.measured, 1.0 / sigma[:, :, None], 0.0).swapaxes(1, 2)
@@ -231,7 +231,7 @@ def _weighted_misfit(model: FieldModel, measurements: Measurements, model_error:
 
 
 def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Jacobian of the fields by position and turn, in the site's frame, unweighted.
+    """Return the Jacobian of the fields by position and turn, in the site's frame, unweighted.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray
     Returns
     -------
     jacobian : ndarray, shape (e, 6, 3, n)
-        Of component c of beacon i by unknown k: position (T/m), then rotation vector (T/rad).
+        Derivative of component c of beacon i by unknown k: position (T/m), then rotation vector (T/rad).
     field_T : ndarray, shape (e, 3, n)
     """
     field, gradient = model.evaluate(position_m.T)
@@ -256,9 +256,9 @@ def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray
 def whitened_jacobian(
     model: FieldModel, position_m: FloatArray, rotation: FloatArray, weight: FloatArray
 ) -> FloatArray:
-    """Jacobian of the components in the sensor's frame over their standard deviations, shape (e, 6, 3n).
+    """Return the Jacobian of the components in the sensor's frame over their standard deviations, shape (e, 6, 3n).
 
-    ``weight``, shape (e, 3, n), as of `Measurements.inverse_sigma`.
+    ``weight``, shape (e, 3, n), is that of `Measurements.inverse_sigma`.
     """
     jacobian, _ = pose_jacobian(model, position_m)
     jacobian = rotation.swapaxes(1, 2)[:, None] @ jacobian
@@ -267,7 +267,7 @@ def whitened_jacobian(
 
 
 def whitened_residual(model: FieldModel, measurements: Measurements, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Measured minus modelled components, and the modelled ones, over their standard deviations, both (e, 3n)."""
+    """Return measured minus modelled components, and the modelled ones, over their standard deviations, both (e, 3n)."""
     field, _ = model.evaluate(fit.position_m.T)
     weight = measurements.inverse_sigma()
     modelled = (fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)) * weight

@@ -113,12 +113,12 @@ def exclude(
     Parameters
     ----------
     cost : float
-        Of the pose with all beacons.
+        Cost of the pose with all beacons.
 
     Returns
     -------
     solutions : Solutions
-        Of the remaining beacons.
+        Poses from the remaining beacons.
     excluded : ndarray of int
         Rows of the constellation.
     None if no set of at least `LEAST_BEACONS` beacons agrees, or if it has nothing left to be tested with.

@@ -23,9 +23,12 @@ the nearest beacon: the field then changes its shape within the error and nothin
 trusted."""
 
 WEAK_ATTITUDE_RAD = 0.5
-"""... or if that of its attitude exceeds this (29 degrees), the free turn of a sensor with one axis not counted."""
+"""A pose is weak, too, if the standard deviation of its attitude exceeds this, 29 degrees; the free turn of a sensor
+with one axis does not count."""
 
 LEAST_BEACONS = 3
+"""With fewer beacons no pose is computed."""
+
 BATCH = 512
 """Epochs computed at once: enough to hide the interpreter, few enough to stay in the cache."""
 
@@ -45,7 +48,7 @@ class Locator:
         self._row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
 
     def locate(self, fields: Fields) -> Pose:
-        """Locate one epoch, with no prior. Never raises for bad data: the status tells.
+        """Locate one epoch, with no prior; bad data never raise, the status tells.
 
         - ``failed``: fewer than three beacons, fewer components than unknowns, or no finite solution; position NaN.
         - ``inconsistent``: the residual is improbable (`integrity`) and the evidence is too weak to leave out a beacon,
@@ -71,7 +74,10 @@ class Locator:
 
     @np.errstate(all="ignore")
     def fit_all(self, epochs: Sequence[Fields]) -> FloatArray:
-        """Positions of many epochs, shape (e, 3), trusting every beacon: no tests, no uncertainty, NaN where failed."""
+        """Return the positions of many epochs, shape (e, 3), trusting every beacon.
+
+        Nothing is tested and no uncertainty computed; a row is NaN where location failed.
+        """
         position = np.full((len(epochs), 3), np.nan)
         for some, _, constellation, measurements in self._grouped(epochs):
             if constellation is not None:
@@ -81,9 +87,10 @@ class Locator:
 
     @np.errstate(all="ignore")
     def protection_level_m(self, fields: Fields, pose: Pose) -> float:
-        """Radius that the error of a located epoch exceeds undetected only rarely; see `integrity.protection_level`.
+        """Return the radius, m, that the error of a located epoch exceeds undetected only rarely.
 
-        Infinite if some beacon's fault could not be detected; NaN if the pose failed.
+        It is infinite if some beacon's fault could not be detected, and NaN if the pose failed; see
+        `integrity.protection_level`.
         """
         if pose.status is Status.FAILED:
             return float("nan")

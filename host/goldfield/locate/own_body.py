@@ -77,7 +77,7 @@ class OwnBody:
         Returns
         -------
         field_T : ndarray, shape (n, 3)
-            In the sensor's frame, of all beacons of the site.
+            Fields in the sensor's frame, of all beacons of the site.
         """
         source, moment = (self._model.centre_m - position_m) @ rotation, self._model.moment_A_m2 @ rotation
         total = np.zeros_like(source)
@@ -124,7 +124,7 @@ def locate_beside(locator: Locator, body: OwnBody, fields: Fields) -> Pose:
     Returns
     -------
     Pose
-        As of `Locator.locate`; ``inconsistent`` also if it does not settle.
+        What `Locator.locate` returns; ``inconsistent`` also if the pose does not settle.
     """
     pose = locator.locate(fields)
     known = {beacon.id: row for row, beacon in enumerate(locator.site.beacons)}

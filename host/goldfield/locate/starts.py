@@ -1,4 +1,4 @@
-"""Positions from field magnitudes, which need no attitude: the sources' two steps and their improvement.
+"""Positions from field magnitudes, which need no attitude: the sources' first step and an improvement of their second.
 
 Each takes the magnitudes that were measured, shape (e, n), and returns positions, shape (e, 3); see maths.md, 3 of
 the sources' restatement: |B| = k sqrt(1 + 3 cos^2 theta)/r^3 (patent, eqns 6 and 7), and |B| ~ 1.5 k/r^3 (eqn 8).
@@ -22,7 +22,7 @@ MAGNITUDE_ERROR = 0.1
 
 
 def simple_ranges(model: FieldModel, magnitude_T: FloatArray) -> FloatArray:
-    """Range of each beacon, shape (e, n), by |B| = 1.5 k/r^3 (patent, eqn 8)."""
+    """Return the range of each beacon, shape (e, n), by |B| = 1.5 k/r^3 (patent, eqn 8)."""
     k = MU0_OVER_4PI * np.linalg.norm(model.moment_A_m2, axis=1)
     return np.asarray(np.cbrt(1.5 * k / np.maximum(magnitude_T, 1e-30)))
 
@@ -44,7 +44,7 @@ def simple_magnitudes(
         n beacons.
     magnitude_T, sigma_T : ndarray, shape (e, n)
     known : ndarray of bool, shape (e, n)
-        Which were measured.
+        Tells which magnitudes were measured.
     start_m : ndarray, shape (e, 3), optional
         Default: the mean of the beacons' places, near beacons counting more, moved off their plane.
     weighted : bool
@@ -74,8 +74,8 @@ def log_magnitudes(
 ) -> FloatArray:
     """Fit the logarithms of the magnitudes from a start, shape (e, 3).
 
-    The logarithm is nearly linear in position where the magnitude is not, so it converges from much further away.
-    Weights: the noise's and `MAGNITUDE_ERROR`.
+    The logarithm is nearly linear in position where the magnitude is not, so that the fit converges from much further
+    away than one of the magnitudes (patent, eqns 6 and 7). The weights are those of the noise and `MAGNITUDE_ERROR`.
     """
     magnitude = np.maximum(magnitude_T, 1e-30)
     weight = np.where(known, 1.0 / np.hypot(MAGNITUDE_ERROR, sigma_T / magnitude), 0.0)
@@ -90,7 +90,7 @@ def log_magnitudes(
 
 
 def _magnitude(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Magnitude, shape (e, n), and its gradient, shape (e, 3, n)."""
+    """Return the magnitude, shape (e, n), and its gradient, shape (e, 3, n)."""
     field, gradient = model.evaluate(position_m.T)
     magnitude = np.sqrt((field * field).sum(axis=0))
     slope = (field[:, None] * gradient).sum(axis=0) / magnitude

@@ -57,7 +57,10 @@ def root_covariance(information: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def gauss_newton_covariance(information: FloatArray) -> FloatArray:
-    """Inverse information, shape (e, 6, 6); unobservable directions get the variances of this module's constants."""
+    """Return the inverse information, shape (e, 6, 6).
+
+    Unobservable directions get the variances of this module's constants.
+    """
     root, free = root_covariance(information)
     return np.asarray(root @ root.swapaxes(1, 2) + free)
 
@@ -65,7 +68,7 @@ def gauss_newton_covariance(information: FloatArray) -> FloatArray:
 def second_order_covariance(
     model: FieldModel, measurements: Measurements, position_m: FloatArray, rotation: FloatArray
 ) -> FloatArray:
-    """Mean square error of fitted poses with the second-order terms of the model.
+    """Return the mean square error of fitted poses with the second-order terms of the model.
 
     Parameters
     ----------
@@ -78,7 +81,7 @@ def second_order_covariance(
     Returns
     -------
     covariance : ndarray, shape (e, 6, 6)
-        Of position (m) and a small rotation in the site's frame (rad); symmetric, positive definite.
+        Mean square error of position (m) and a small rotation in the site's frame (rad); positive definite.
     """
     quick = kernel.of(model)
     if quick is not None:
@@ -112,7 +115,7 @@ def second_order_covariance(
 def cramer_rao_bound(
     site: Site, position_m: FloatArray, rotation: FloatArray | None = None, *, sigma_T: FloatArray | None = None
 ) -> FloatArray:
-    """Least covariance that any unbiased estimator of the pose can have.
+    """Return the least covariance that any unbiased estimator of the pose can have.
 
     Parameters
     ----------
@@ -127,7 +130,7 @@ def cramer_rao_bound(
     Returns
     -------
     covariance : ndarray, shape (e, 6, 6)
-        Of position (m) and a small rotation in the site's frame (rad).
+        Covariance of position (m) and a small rotation in the site's frame (rad).
     """
     count = len(position_m)
     if sigma_T is None:
@@ -139,7 +142,7 @@ def cramer_rao_bound(
 
 
 def dilution_of_precision(site: Site, position_m: FloatArray) -> FloatArray:
-    """Position error (root of the sum of variances) over the noise of a component, m/T, shape (e,).
+    """Return the position error (root of the sum of variances) over the noise of a component, m/T, shape (e,).
 
     Multiply by the standard deviation of a separated component for the error in metres.
     """

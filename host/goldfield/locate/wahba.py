@@ -8,7 +8,9 @@ from goldfield.types import FloatArray
 
 
 def wahba(site: FloatArray, sensor: FloatArray, weight: FloatArray) -> FloatArray:
-    """Rotation R that minimises sum_i w_i |site_i - R sensor_i|^2, by singular values (Markley).
+    """Return the rotation R that minimises sum_i w_i |site_i - R sensor_i|^2, by singular values.
+
+    The method is Markley's (J. Astronautical Sciences 36, 1988).
 
     Parameters
     ----------
@@ -21,6 +23,14 @@ def wahba(site: FloatArray, sensor: FloatArray, weight: FloatArray) -> FloatArra
     -------
     rotation : ndarray, shape (..., 3, 3)
         ``B_site = R B_sensor``. At least two pairs of different directions make it unique.
+
+    Examples
+    --------
+    A sensor that is turned by a quarter about z sees the site's x along its own -y:
+
+    >>> site, sensor = np.array([[1.0, 0, 0], [0, 0, 1.0]]), np.array([[0, -1.0, 0], [0, 0, 1.0]])
+    >>> (wahba(site, sensor, np.ones(2)) @ [1.0, 0.0, 0.0]).round(6).tolist()
+    [0.0, 1.0, 0.0]
     """
     u, _, vt = np.linalg.svd(_profile(site, sensor, weight))
     vt = vt.copy()
@@ -29,11 +39,11 @@ def wahba(site: FloatArray, sensor: FloatArray, weight: FloatArray) -> FloatArra
 
 
 def wahba_loss(site: FloatArray, sensor: FloatArray, weight: FloatArray) -> FloatArray:
-    """Least value of Wahba's sum, shape (...), without its rotation: the largest root of Davenport's quartic.
+    """Return the least value of Wahba's sum, shape (...), without its rotation; the arguments are those of `wahba`.
 
-    Arguments as `wahba`. Newton's method from an upper bound of the root (Shuster's QUEST), which it can only
-    approach from above; twelve steps leave 1e-6 of the fields' energy, enough to rank candidates, and no
-    decomposition of thousands of matrices.
+    It follows from the largest root of Davenport's quartic, found by Newton's method from an upper bound (Shuster's
+    QUEST), which the iteration can only approach from above. Twelve steps leave 1e-6 of the fields' energy: enough to
+    rank candidates, without a decomposition of thousands of matrices.
     """
     h = _profile(site, sensor, weight)
     energy = np.asarray((weight * ((site * site).sum(axis=-1) + (sensor * sensor).sum(axis=-1))).sum(axis=-1))

@@ -1,4 +1,4 @@
-"""What a beacon drives: the keys of a site file that say how beacons are told apart, and how fast a coil follows."""
+"""The drive of a beacon: the keys of a site file that say how beacons are told apart, and how fast a coil follows."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ SITE_KEYS = {"slots": "tdma", "tone": "fdma"}
 TONES = ("sine", "square")
 
 WAVES = ("cosine", "sine")
-"""Of an alternating current, by its phase: two coils at one place with one each make a rotating field."""
+"""Phases of an alternating current: two coils at one place, one with each, make a rotating field."""
 
 NO_CODE = -1
-"""Code of a beacon that has not exactly one plain Gold code of the site's degree; no generator takes it."""
+"""Index that stands for a beacon that has not exactly one plain Gold code of the site's degree; no generator takes it."""
 
 DEGREES = (5, 6, 7, 9, 10, 11)
 """Degrees with a preferred pair of m-sequences (maths.md, 1: other degrees have none or are not used)."""
 
 WHOLE_TOLERANCE = 0.01
-"""How far from a whole number the periods of a cycle may be: about this part of a field leaks into a neighbour's."""
+"""Largest distance of a cycle's periods from a whole number: about this part of a field leaks into a neighbour's."""
 
 LONGEST_TAU_CHIPS = 10.0
-"""A coil that settles more slowly follows none of its chips: its field is lost in noise."""
+"""Longest accepted time constant of a coil: one that settles more slowly follows none of its chips."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class Code:
     Attributes
     ----------
     index, degree : int
-        Of the code.
+        Index and degree of the code.
     offset : int
-        The code runs ahead by so many of its own chips.
+        Number of its own chips by which the code runs ahead.
     hold : int
         Chips of the site for which one chip of this code lasts: its chip rate is so many times slower.
     """
@@ -50,22 +50,22 @@ class Code:
 
 @dataclass(frozen=True)
 class Drive:
-    """What distinguishes a beacon beside its one plain code. Empty: nothing else does.
+    """Everything that distinguishes a beacon beside its one plain code; an empty drive distinguishes nothing.
 
     Attributes
     ----------
     codes : tuple of Code
-        Driven at once, each with an equal part of the current: the beacon's current is their peak.
+        Codes driven at once, each with an equal part of the current: the beacon's current is their peak.
     slot : int or None
         Time slot of pulsed direct current (TDMA).
     periods : int or None
         Whole periods of an alternating current in a cycle (FDMA): cos(2 pi periods t / N) in chip t, or its sine.
     wave : str
-        Which of the two, one of `WAVES`.
+        Phase of the alternating current, one of `WAVES`.
     square : bool
-        The sign of the cosine in its place, as a bridge without planned set-points drives it.
+        True drives the sign of the cosine in its place, as a bridge without planned set-points does.
     tau_s : float
-        Time constant with which the current of the coil follows a step; 0: at once.
+        Time constant with which the current of the coil follows a step; with 0 it follows at once.
     """
 
     codes: tuple[Code, ...] = ()
@@ -81,7 +81,7 @@ NOTHING_ELSE = Drive()
 
 @dataclass(frozen=True)
 class Plan:
-    """What all beacons of a site have in common.
+    """The part of the drives that all beacons of a site have in common.
 
     Attributes
     ----------
@@ -90,9 +90,9 @@ class Plan:
     degree : int
     chip_period_s : float
     slots : int
-        Of a cycle (TDMA), else 0.
+        Number of time slots of a cycle (TDMA), else 0.
     square : bool
-        Tones are square waves (FDMA).
+        True if tones are square waves (FDMA).
     """
 
     access: str
@@ -113,7 +113,7 @@ def read_plan(site: Table) -> Plan:
     Raises
     ------
     UserError
-        For any value that is missing or out of range.
+        If any value is missing or out of range.
     """
     degree = site.integer("degree")
     if degree not in DEGREES:
@@ -146,7 +146,7 @@ def read_drive(table: Table, plan: Plan) -> tuple[int, Drive]:
     Raises
     ------
     UserError
-        For any value that is missing, out of range or belongs to another access.
+        If any value is missing, out of range or belongs to another access.
     """
     for key, access in BEACON_KEYS.items():
         if key in table and access != plan.access:

@@ -30,12 +30,12 @@ class DualAxisSite:
     Attributes
     ----------
     site : Site
-        As its file has it.
+        The site as its file has it.
     rotating : RotatingSite
-        The pairs, in the order of their cosines. Of each, z = x cross y points to the sensor's side.
+        The pairs, in the order of their cosines; the z = x cross y of each points to the sensor's side.
     rows : ndarray of int, shape (n, 2)
-        Of the site's beacons: the coils along x and y. Where the sensor is on the other side of cosine cross sine, the
-        sine's coil is x: the field of a unit current in each coil is the same whichever comes first.
+        Places, among the site's beacons, of the coils along x and y. Where the sensor is on the other side of cosine
+        cross sine, the sine's coil is x: the field of a unit current in each coil is the same whichever comes first.
     """
 
     site: Site

@@ -33,14 +33,14 @@ class HalfSpace:
 
 @dataclass(frozen=True)
 class SensorSite:
-    """What the site file says of the sensor.
+    """The sensor as the site file describes it.
 
     Attributes
     ----------
     noise_T : float
         Standard deviation of one chip's sample on one axis.
     model_error : float
-        What a measured field may differ from the model by (survey, currents, metal near by), relative to its size. It
+        Part of its size by which a measured field may differ from the model (survey, currents, metal near by). It
         adds to the noise of each beacon's field, so that strong beacons are not trusted beyond it.
     """
 
@@ -55,23 +55,24 @@ class Beacon:
     Attributes
     ----------
     id : str
+        Name of the beacon, different for each beacon of a site.
     position_m : ndarray, shape (3,)
-        Centre of the coil; of a coil given by its wire the mean of its points unless the file says otherwise.
+        Centre of the coil, m; for a coil given by its wire, the mean of its points unless the file says otherwise.
     axis : ndarray, shape (3,)
         Unit vector; a positive current turns around it by the right-hand rule.
     turns : float
-        Of a coil given by its wire: how often the whole wire is repeated.
+        Number of turns; for a coil given by its wire, how often the whole wire is repeated.
     radius_m : float or None
-        Of a circular coil.
+        Radius of a circular coil.
     points_m : ndarray, shape (n, 3), or None
         The wire as a polyline in the site's frame, in the direction of a positive current; exactly one of
         ``radius_m`` and ``points_m`` is given.
     current_A : float
-        Amplitude of the chips; negative turns the moment round.
+        Amplitude of the chips; a negative one turns the moment round.
     code : int
         Index of the Gold code; `goldfield.site.drive.NO_CODE` unless the beacon has just one.
     drive : Drive
-        Whatever else tells the beacon from others, and how fast its coil follows.
+        Everything else that tells the beacon from others, and how fast its coil follows.
     """
 
     id: str
@@ -95,22 +96,23 @@ class Beacon:
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """Everything that the host knows before the first sample.
+    """A site: everything that the host knows before the first sample; `goldfield.site.load` reads it from a file.
 
     Attributes
     ----------
     name : str
     chip_period_s : float
+        Duration of a chip.
     degree : int
-        Of the Gold codes: a cycle has ``2**degree - 1`` chips.
+        Degree of the Gold codes: a cycle has ``2**degree - 1`` chips.
     half_space : HalfSpace or None
     sensor : SensorSite
     beacons : tuple of Beacon
         Ids are unique, plain codes too, and frequencies with their waves.
     access : str
-        How beacons are told apart: "cdma", "tdma" or "fdma".
+        Way in which beacons are told apart: "cdma", "tdma" or "fdma".
     slots : int
-        Of a cycle, for "tdma"; else 0.
+        Number of time slots in a cycle for "tdma", else 0.
     """
 
     name: str
@@ -158,6 +160,19 @@ class Site:
 
 
 def area_vector(points_m: FloatArray) -> FloatArray:
-    """Return half the sum of r x dr along a polyline, shape (n, 3), closed by its chord: area times normal, m^2."""
+    """Return the area vector of a polyline that is closed by its chord: area times normal, m^2, shape (3,).
+
+    It is half the sum of r x dr along the line, which for a coil of one turn and 1 A is the magnetic moment.
+
+    Parameters
+    ----------
+    points_m : ndarray, shape (n, 3)
+        Points in the direction of a positive current.
+
+    Examples
+    --------
+    >>> area_vector(np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.2, 0.1, 0.0], [0.0, 0.1, 0.0]])).round(6).tolist()
+    [0.0, 0.0, 0.02]
+    """
     relative = points_m - points_m.mean(axis=0)
     return np.asarray(0.5 * np.cross(relative, np.roll(relative, -1, axis=0)).sum(axis=0), dtype=np.float64)

@@ -1,6 +1,6 @@
 """The site file: a site as TOML; see `load` for the keys.
 
-Every number is checked here once, so that nothing behind this module needs to.
+Every value is checked once, when the file is read, so that nothing behind this module needs to.
 """
 
 from __future__ import annotations
@@ -18,16 +18,51 @@ from goldfield.site.model import Beacon, HalfSpace, SensorSite, Site, area_vecto
 def load(path: str | Path) -> Site:
     """Read and check a site file.
 
-    Keys: ``[site] name, chip_period_s, degree``, optionally ``half_space = {point = [x, y, z], normal = [x, y, z]}``
-    and ``access`` with its own (`goldfield.site.drive`); ``[sensor] noise_T`` and optionally ``model_error``; for each
-    beacon ``[[beacon]] id, position_m, axis, turns, current_A, code`` and one of ``radius_m`` and ``points_m``,
-    optionally ``tau_s``. With ``points_m`` the position, axis and turns may be left out: the wire tells them.
+    The table ``[site]`` says what all beacons have in common:
+
+    - ``name``: text;
+    - ``chip_period_s``: duration of a chip, above 0;
+    - ``degree``: degree of the Gold codes, 5, 6, 7, 9, 10 or 11: a cycle has 2^degree - 1 chips;
+    - ``access``: how beacons are told apart, ``"cdma"`` (codes, the default), ``"tdma"`` (time slots) or ``"fdma"``
+      (frequencies);
+    - ``slots``: only for tdma, and needed there: the number of time slots in a cycle, 1 to the number of its chips;
+    - ``tone``: only for fdma: ``"sine"`` (the default) or ``"square"``;
+    - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the side of the plane
+      to which the normal points, which decides between a pose and its mirror image.
+
+    The table ``[sensor]`` describes the sensor:
+
+    - ``noise_T``: standard deviation of one chip's sample on one axis, above 0;
+    - ``model_error``: optional, 0 to below 1: by what part of its size a field may differ from the model.
+
+    Each table ``[[beacon]]`` describes one coil, in metres and in the site's frame:
+
+    - ``id``: text, different for each beacon;
+    - ``current_A``: amplitude, not 0; a negative current turns the moment round;
+    - ``radius_m`` for a circular coil, which needs ``position_m`` (its centre), ``axis`` (its normal, of any length)
+      and ``turns``; or
+    - ``points_m`` for a coil given by its wire, at least three points in the direction of a positive current;
+      ``position_m``, ``axis`` and ``turns`` (default 1) may then be left out: the wire tells them;
+    - ``code`` for cdma: index of a Gold code, 0 to 2^degree, different for each beacon; or ``codes``, several at
+      once: a list of ``{code, degree, offset, hold}``, each with the last three optional (`Code`);
+    - ``slot`` for tdma: 0 to slots - 1;
+    - ``frequency_Hz`` for fdma, a whole number of periods in a cycle, and optionally ``wave``, ``"cosine"`` (the
+      default) or ``"sine"``: two beacons may share a frequency, not a frequency and a wave;
+    - ``tau_s``: optional, time constant with which the coil's current follows a step, 0 to ten chips.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    Site
 
     Raises
     ------
     UserError
-        With file, line and key, if the file cannot be read, is no TOML, or any value is missing, unknown, of the wrong
-        type or out of range.
+        If the file cannot be read or is no TOML, or if any value is missing, unknown, of the wrong type or out of
+        range; the sentence names file, line and key.
     """
     path = Path(path)
     root = read_table(path, "site file")

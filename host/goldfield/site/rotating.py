@@ -13,7 +13,7 @@ from goldfield.site import Beacon
 from goldfield.types import FloatArray
 
 LARGEST_ALONG = 0.02
-"""Of y along x, both unit vectors."""
+"""Largest accepted dot product of the two axes: about 1 degree from a right angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class DualAxisBeacon:
     x_axis, y_axis : ndarray, shape (3,)
         Unit vectors at right angles: the normals of the coils with the cosine and with the sine.
     turns, radius_m : float
-        Of each coil.
+        Turns and radius of each coil.
     current_A : float
         Amplitude.
     frequency_Hz : float
@@ -74,7 +74,7 @@ class RotatingSite:
     beacons : tuple of DualAxisBeacon
         Ids and frequencies are unique.
     model_error : float
-        As of `goldfield.site.SensorSite`.
+        Relative error of the model, as in `goldfield.site.SensorSite`.
     """
 
     noise_T: float
@@ -121,7 +121,7 @@ def load(path: str | Path) -> RotatingSite:
     Raises
     ------
     UserError
-        With file, line, table and key of whatever is wrong.
+        If anything is wrong; the sentence names file, line, table and key.
     """
     path = Path(path)
     document = read_table(path, "site file of rotating beacons")

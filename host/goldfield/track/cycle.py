@@ -25,9 +25,9 @@ class MovingPose:
     ----------
     pose : Pose
     state : State or None
-        With velocity, turn rate and ambient field; None when failed.
+        The state with velocity, turn rate and ambient field; None if there is no pose.
     covariance : ndarray, shape (15, 15)
-        Of the state's error, as `goldfield.track.motion` orders it.
+        Covariance of the state's error, in the order of `goldfield.track.motion`.
     """
 
     pose: Pose

@@ -26,7 +26,7 @@ SEARCH_TOLERANCE = 0.01
 """The same for fits from far away, which creep along curved valleys."""
 
 FIRST_DAMPING = 1e-3
-"""Of Levenberg and Marquardt, relative to the diagonal, from the first step on that would raise the cost."""
+"""First damping of Levenberg and Marquardt, relative to the diagonal, once a step would raise the cost."""
 
 VAGUE = np.repeat([1.0, 1.0, 10.0, 10.0, 2e-4], 3)
 """Standard deviations around the start, far above what a cycle leaves open: they add nothing to it."""
@@ -77,7 +77,7 @@ class Estimate:
     count : int
         Numbers observed: the degrees of freedom of the cost.
     evaluations : int
-        Of the field model.
+        Number of evaluations of the field model.
     """
 
     belief: Belief

@@ -52,13 +52,13 @@ class Step:
     Attributes
     ----------
     pose : Pose
-        What is believed after the epoch.
+        The pose after the epoch.
     belief : Belief or None
-        None: there is no track.
+        The belief after the epoch; None if there is no track.
     predicted : Belief or None
-        Before the epoch; None where a track starts or there is none.
+        The belief before the epoch's measurements; None where a track starts or there is none.
     transition : ndarray, shape (15, 15), or None
-        From the previous step's errors to those of ``predicted``.
+        Transition from the previous step's errors to those of ``predicted``.
     """
 
     pose: Pose
@@ -100,7 +100,7 @@ class Tracker(Generic[T]):
         return self.step(data).pose
 
     def step(self, data: T) -> Step:
-        """As `update`, with all that a smoother needs."""
+        """Do what `update` does and return all that a smoother needs."""
         seconds = data.time_s - self._time_s
         if self._belief is None or not seconds > 0.0 or not data.time_s - self._agreed_s <= GAP_S:
             return self._start(data)

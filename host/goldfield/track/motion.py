@@ -30,7 +30,7 @@ class State:
     rotation : ndarray, shape (3, 3)
         ``B_site = R B_sensor``.
     velocity_m_s, rate_rad_s : ndarray, shape (3,)
-        In the site's frame.
+        Velocity and turn rate in the site's frame.
     ambient_T : ndarray, shape (3,)
         Whatever follows no code (the earth's field), in the site's frame.
     """

@@ -204,7 +204,7 @@ class CycleObserver:
     Attributes
     ----------
     weights : ndarray, shape (parts (n + 1), N), or None
-        Of the samples in the sums.
+        Weights of the samples in the sums.
     """
 
     def __init__(self, site: Site, parts: int | None = None) -> None:

@@ -33,7 +33,7 @@ class FixedLagSmoother(Generic[T]):
     Raises
     ------
     ValueError
-        For a lag below 1.
+        If the lag is below 1.
     """
 
     def __init__(self, site: Site, tracker: Tracker[T], lag: int) -> None:

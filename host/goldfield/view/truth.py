@@ -22,7 +22,7 @@ POLL_S = 0.01
 
 @dataclass(frozen=True, eq=False)
 class PoseError:
-    """How far a pose is from the truth.
+    """Distance of a pose from the truth.
 
     Attributes
     ----------

@@ -52,7 +52,7 @@ def load(path: str | Path, beacons: tuple[str, ...]) -> FingerprintMap:
     Raises
     ------
     UserError
-        With file, line and column of whatever is wrong.
+        If anything is wrong; the sentence names file, line and column.
     """
     places: dict[int, tuple[float, float, float]] = {}
     strengths: dict[int, dict[str, float]] = {}

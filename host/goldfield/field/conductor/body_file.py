@@ -33,9 +33,9 @@ class Conductor:
     material : Material
     centre_m : ndarray, shape (3,)
     radius_m : float or None
-        Of a ball.
+        Radius of a ball.
     edges_m : ndarray, shape (3,), or None
-        Of a box, along its own axes.
+        Edges of a box, along its own axes.
     rotation : ndarray, shape (3, 3)
         Columns are a box's axes.
     """
@@ -90,7 +90,7 @@ def load(path: str | Path) -> tuple[Conductor, ...]:
     Raises
     ------
     UserError
-        With file, line, table and key of whatever is wrong.
+        If anything is wrong; the sentence names file, line, table and key.
     """
     path = Path(path)
     document = read_table(path, "file of conductors")

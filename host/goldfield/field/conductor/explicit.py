@@ -60,7 +60,7 @@ class Parts:
         Parameters
         ----------
         point_m : ndarray, shape (p, 3)
-            Not nearer to the body than its parts are to each other, or the sum does not stand for the integral.
+            Points no nearer to the body than its parts are to each other, or the sum does not stand for the integral.
 
         Returns
         -------

@@ -23,7 +23,7 @@ def layer_matrices(body: Body) -> tuple[FloatArray, FloatArray]:
         Just outside the surface, of a double layer that is linear on the triangles: phi = int f dG/dn dy. The diagonal
         follows from Gauss's law: a constant double layer has no potential outside.
     single : ndarray, shape (v, v)
-        Of a charge of one at a corner, spread evenly over the triangles around it: phi = int q G dy, 1/m.
+        Potential of a charge of one at a corner, spread evenly over the triangles around it: phi = int q G dy, 1/m.
     """
     point, triangles = body.corner_m, body.triangles
     corner = body.corner_m[triangles]
