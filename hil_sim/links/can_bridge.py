@@ -7,6 +7,7 @@ from collections import deque
 import can
 
 from goldfield.errors import UserError
+from goldfield.link.can_channel import open_channel
 from hil_sim.rig import Frame, Rig
 
 DEFAULT = "udp_multicast:239.74.163.2"
@@ -37,7 +38,7 @@ class CanBridge:
         if not interface or not name:
             raise UserError(f"'{channel}' is no CAN channel: write INTERFACE:CHANNEL, as in {DEFAULT}, or none")
         try:
-            self._bus = can.Bus(interface=interface, channel=name)
+            self._bus = open_channel(interface, name)
         except (can.CanError, OSError, ValueError, ImportError) as error:
             raise UserError(f"cannot open the CAN channel {channel}: {error}; --can none does without") from error
         # A multicast group hands everything back to its sender; what we sent must not reach the boards again.

@@ -11,6 +11,7 @@ from typing import Protocol
 import can
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield.link.can_channel import open_channel
 from goldfield.link.recordings import CandumpReader
 from goldfield.link.serial_bus import SerialBus
 
@@ -140,7 +141,7 @@ def open_can(where: str) -> BusSource:
     if interface not in can.VALID_INTERFACES:
         raise UserError(f"--can {where}: python-can knows no interface {interface}; it knows {_known_interfaces()}")
     try:
-        return BusSource(can.Bus(interface=interface, channel=channel, bitrate=CAN_BIT_RATE), where)
+        return BusSource(open_channel(interface, channel, bitrate=CAN_BIT_RATE), where)
     except Exception as error:  # each vendor's interface raises its own kinds
         raise UserError(f"--can {where}: cannot be opened: {_one_line(error)}") from error
 

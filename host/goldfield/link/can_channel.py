@@ -1,0 +1,45 @@
+"""The one place where a python-can bus is opened by the name of its interface and channel."""
+
+from __future__ import annotations
+
+import socket
+import sys
+from typing import Any
+
+import can
+
+MULTICAST_ALL = {socket.AF_INET: (socket.IPPROTO_IP, 49), socket.AF_INET6: (socket.IPPROTO_IPV6, 29)}
+"""Level and number of Linux's options IP_MULTICAST_ALL and IPV6_MULTICAST_ALL, which Python does not name."""
+
+
+def open_channel(interface: str, channel: str, **options: Any) -> can.BusABC:
+    """Open a python-can bus that hears its own channel and no other.
+
+    python-can binds every ``udp_multicast`` bus to the same port of all addresses, and Linux then hands each of them
+    the messages of every group that any program of the machine has joined: two benches with groups of their own would
+    hear each other. This function asks the system for the bus's own group only.
+
+    Parameters
+    ----------
+    interface, channel : str
+        Names that python-can knows, for example ``udp_multicast`` and ``239.74.163.2``.
+    **options
+        Further arguments of `can.Bus`.
+
+    Returns
+    -------
+    can.BusABC
+
+    Raises
+    ------
+    Exception
+        Whatever python-can or a vendor's interface raises if there is no such bus.
+    """
+    bus = can.Bus(interface=interface, channel=channel, **options)
+    if interface == "udp_multicast" and sys.platform == "linux":
+        family = socket.AF_INET6 if ":" in channel else socket.AF_INET
+        with socket.fromfd(bus.fileno(), family, socket.SOCK_DGRAM) as own:
+            own.setsockopt(*MULTICAST_ALL[family], 0)
+        while bus.recv(timeout=0.0) is not None:
+            pass  # messages of other groups that came between the opening and the option
+    return bus
