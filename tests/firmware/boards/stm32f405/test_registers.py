@@ -97,10 +97,10 @@ def header(tmp_path_factory):
     """Return (pointers {name: (struct, base)}, offsets {struct: {member: offset}}, constants {name: value})."""
     text = HEADER.read_text().replace("\\\n", "")
     structs = {name: list(members(body)) for body, name in re.findall(r"typedef struct \{(.*?)\} (\w+);", text, re.S)}
-    pointers = dict(re.findall(r"#define (\w+) \(\((\w+) \*\)", text))
+    pointers = dict(re.findall(r"#define (\w+) +\(\((\w+) \*\)", text))
     constants = [
         name
-        for name, value in re.findall(r"^#define (\w+) (.+)$", text, re.M)
+        for name, value in re.findall(r"^#define (\w+) +(.+)$", text, re.M)
         if name not in pointers and "*)" not in value
     ]
     extra = [f"offsetof(DMA_registers, S[{i}])" for i in range(8)] + [
