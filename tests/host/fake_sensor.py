@@ -127,6 +127,7 @@ class PtySensor:
     def __init__(self, cycles, *, deaf=0, hang_up=False, hash_=None, garbage=b"", parameters=None, refuse=0):
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
+        os.set_blocking(self.master, False)
         self.path = os.ttyname(self._slave)
         self.parameters = {5: 0, **{256 + i: 0 for i in range(64)}} if parameters is None else parameters
         self.parameters.setdefault(28, 10)
@@ -164,7 +165,7 @@ class PtySensor:
             elif not self._configured() and not self.requests:
                 self._send(heartbeat(hash_=self._hash))
             if self._configured() and self._cycles:
-                os.write(self.master, self._garbage)
+                self._write(self._garbage)
                 for message in cycle_messages(self._cycles.pop(0)):
                     self._send(message)
                 if not self._cycles and self._hang_up:
@@ -195,4 +196,10 @@ class PtySensor:
         self._send(encode("PARAM_VALUE", value, node=NODE, index=identifier.index))
 
     def _send(self, message):
-        os.write(self.master, encode_frame(*message))
+        self._write(encode_frame(*message))
+
+    def _write(self, data):
+        """Write to the end, or until the test is over: a host that does not read any more must not hold the thread."""
+        while data and not self._stop.is_set():
+            if select.select([], [self.master], [], 0.02)[1]:
+                data = data[os.write(self.master, data) :]

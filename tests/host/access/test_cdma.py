@@ -120,7 +120,7 @@ def test_sigma_is_what_noise_makes():
     assert np.sqrt(np.mean(np.square(normalised))) == pytest.approx(1.0, abs=0.05)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.sets(st.integers(0, 1022), max_size=900), st.integers(0, 2))
 def test_missing_samples_cost_only_what_they_hold(missing, axis):
     codes = [2, 3, 4, 5]

@@ -213,7 +213,7 @@ def test_conflicts_with_what_is_no_beacon():
     np.testing.assert_allclose(lone.from_samples(short_code(3)[:, None] * np.ones(3)).field_T, 1.0)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.lists(st.tuples(st.integers(0, 32), st.integers(0, 30)), min_size=1, max_size=29, unique=True))
 def test_separable_if_and_only_if_numpy_finds_full_rank(assignment):
     """Shared codes at any offsets: the check agrees with the rank by singular values."""

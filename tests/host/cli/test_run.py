@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -206,6 +207,15 @@ def test_a_pulled_cable_ends_the_run_with_what_came_before(capsys):
     assert len(poses(out)) - len(whole) <= 1  # the cycle that was cut: whatever its fields tell
 
 
+@pytest.fixture
+def interruptible():
+    """Let programs that the test starts take interrupts: they ignore them if the tests run behind a shell's ``&``."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_is_the_usual_end():
     with PtySensor(range(1000)) as sensor:
         command = [sys.executable, "-m", "goldfield", "run", "--port", sensor.path, "--site", str(SITE), "--json"]
@@ -214,9 +224,8 @@ def test_an_interrupt_is_the_usual_end():
             assert process.stderr is not None
             assert json.loads(process.stdout.readline())["epoch"] == 0
             process.send_signal(signal.SIGINT)
-            process.stdout.read()
-            message = process.stderr.read()
-            assert process.wait() == 0
+            _, message = process.communicate()
+            assert process.returncode == 0, message
     assert re.match(r"\d+ epochs, \d+ ok; 0 messages lost", message)
     assert message.count("\n") == 1
 
@@ -322,16 +331,21 @@ def pose(epoch, position=(0.0, 0.0, 0.0), orientation=(0.0, 0.0, 0.0, 1.0), stat
     return Pose(epoch, 0.1 * epoch, np.array(position), np.array(orientation), nothing, nothing, 1.0, status, ("b1",))
 
 
-def test_truth_that_is_still_being_written(tmp_path):
+def test_truth_that_is_still_being_written(tmp_path, monkeypatch):
     """A line in two pieces, the second while the reader waits; the cycle's number wraps at 2^20."""
     path = tmp_path / "t.jsonl"
     line = truth_lines([2**20 + 5])
     path.write_text(line[:30])
-    truth = Truth(path, wait_s=20.0)
-    writer = threading.Timer(0.05, lambda: path.open("a").write(line[30:]))
-    writer.start()
+    sleeps = []
+
+    def sleep(seconds):
+        sleeps.append(seconds)
+        path.write_text(line)
+
+    monkeypatch.setattr("goldfield.view.truth.time", SimpleNamespace(monotonic=lambda: sum(sleeps), sleep=sleep))
+    truth = Truth(path)
     error = truth.error_of(pose(5, np.add(POSITION_M, [0.0, 0.0, 0.01]), ATTITUDE.as_quat()))
-    writer.join()
+    assert len(sleeps) == 1
     assert error.position_m == pytest.approx(0.01)
     assert error.attitude_rad == pytest.approx(0.0, abs=1e-12)
     truth.close()

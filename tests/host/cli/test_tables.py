@@ -211,7 +211,7 @@ def check_refused(tmp_path, capsys, command, rows, words):
     assert words in message
 
 
-@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 @given(st.binary(max_size=200) | st.text(alphabet=',\n"01.eb-x\r\t', max_size=100).map(str.encode))
 def test_no_table_ends_in_a_traceback(tmp_path, capsys, content):
     for command, header in (("locate", FIELD_COLUMNS), ("separate", SAMPLE_COLUMNS)):

@@ -68,7 +68,7 @@ def test_a_complete_report_comes_at_once():
     assert counts == [0, 0, 0, 0, 0, 0, 1] * 3
 
 
-@settings(deadline=None, max_examples=300)
+@settings(max_examples=300)
 @given(st.integers(0, CYCLE_MODULUS), st.data())
 def test_lost_repeated_and_late_messages_never_mix_cycles(start, data):
     """Messages may be lost, repeated, or come up to a cycle late; what remains is reported once, unmixed."""
@@ -108,7 +108,6 @@ def test_lost_repeated_and_late_messages_never_mix_cycles(start, data):
         assert got <= len(kept)
 
 
-@settings(deadline=None)
 @given(st.lists(st.tuples(st.integers(0, (1 << 29) - 1), st.binary(min_size=8, max_size=8)), max_size=60))
 def test_garbage_that_passes_every_check_raises_nothing(frames):
     decoded = [decode(identifier, data) for identifier, data in frames if identifier >> 24 != 0x0E]

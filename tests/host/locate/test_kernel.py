@@ -57,7 +57,7 @@ def test_the_library_is_built_and_used():
     assert kernel.of(FieldModel(bench.spiral_board().beacons)) is None  # coils given by their wire
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(4, 10), kind=st.sampled_from(["exact", "dipole"]))
 def test_fits_from_the_same_start_agree(seed, count, kind):
     rng = np.random.default_rng(seed)

@@ -1,0 +1,62 @@
+"""A sensor on a link in virtual time: nothing waits, and the clock moves only while somebody listens."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+
+import can
+
+from goldfield_protocol import Identifier, decode, encode
+from tests.host.fake_sensor import NODE
+
+ANSWER_S = 0.004
+"""Virtual time that the sensor takes to answer."""
+
+
+class VirtualLink:
+    """Takes the place of a `BusSource` and, by its `monotonic`, of the module `time`.
+
+    Parameters
+    ----------
+    parameters : dict of int to int
+        Values of the sensor by number.
+    deaf : int
+        How many requests the sensor leaves unanswered.
+    """
+
+    bad_frames = 0
+
+    def __init__(self, parameters=None, deaf=0):
+        self.now_s = 1000.0
+        self.parameters = parameters or {}
+        self.requests = []
+        self._deaf = deaf
+        self._due = []
+        self._order = itertools.count()
+
+    def monotonic(self):
+        return self.now_s
+
+    def deliver(self, message, after_s=0.0):
+        """Let a message arrive so long after now."""
+        heapq.heappush(self._due, (self.now_s + after_s, next(self._order), message))
+
+    def receive(self, timeout_s):
+        if not self._due or self._due[0][0] > self.now_s + timeout_s:
+            self.now_s += timeout_s
+            return None
+        time_s, _, (identifier, data) = heapq.heappop(self._due)
+        self.now_s = max(self.now_s, time_s)
+        return can.Message(timestamp=self.now_s, arbitration_id=identifier, data=data)
+
+    def send(self, identifier, data):
+        message, number = decode(identifier, data), Identifier.unpack(identifier).index
+        self.requests.append((message.name, number))
+        if self._deaf:
+            self._deaf -= 1
+            return
+        if message.name == "PARAM_SET":
+            self.parameters[number] = int(message.signals["value_unsigned"])
+        value = {"kind": 0, "status": 0, "value_unsigned": self.parameters.get(number, 0)}
+        self.deliver(encode("PARAM_VALUE", value, node=NODE, index=number), ANSWER_S)
