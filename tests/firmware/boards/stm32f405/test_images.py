@@ -203,7 +203,6 @@ def patched(elf, directory, symbol, code):
     return path, address
 
 
-@pytest.mark.timeout(60)
 def test_first_heartbeat_and_then_no_fault(qemu_elf, role, qemu):
     machine = qemu(qemu_elf)
     machine.run_until(lambda: machine.serial.count(b"\0") >= 1)
@@ -223,7 +222,6 @@ def test_first_heartbeat_and_then_no_fault(qemu_elf, role, qemu):
 CRASH = re.compile(rb"\0crash pc=(\w{8}) lr=(\w{8}) cfsr=(\w{8}) hfsr=(\w{8}) ipsr=(\w{8})\r\n\0")
 
 
-@pytest.mark.timeout(60)
 def test_crash_report(qemu_elf, qemu, tmp_path):
     undefined = bytes.fromhex("00de")
     path, address = patched(qemu_elf, tmp_path, "hal_wait", undefined)
@@ -242,7 +240,6 @@ def test_crash_report(qemu_elf, qemu, tmp_path):
     assert decoder.overlong == 1
 
 
-@pytest.mark.timeout(60)
 def test_a_stack_that_runs_over_is_a_fault_with_a_report(qemu_elf, qemu, tmp_path):
     push_for_ever = bytes.fromhex("ffb4 fde7")
     path, _ = patched(qemu_elf, tmp_path, "hal_wait", push_for_ever)

@@ -53,7 +53,7 @@ def test_equals_the_matrix_product(core, gold_family, degree, index):
     assert state.missing == 0
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(data=st.data())
 def test_missing_samples_count_as_zero(core, gold_family, data):
     degree = data.draw(st.sampled_from(DEGREES))

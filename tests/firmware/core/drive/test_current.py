@@ -68,7 +68,7 @@ class Drive:
         return np.array(references)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     gain=st.floats(0.82, 1.2),
     amplitude=st.floats(0.5, 12.0),

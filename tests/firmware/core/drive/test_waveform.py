@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from goldfield.access.waveform import code_template, slot_template, tone_template
@@ -95,13 +95,11 @@ def superposed(core, degree, codes):
     return one_channel(core, degree, SUPERPOSED, codes=[(c.degree, c.index, c.offset, c.hold) for c in codes])
 
 
-@settings(deadline=None)
 @given(codes=st.lists(fitting_codes(), min_size=1, max_size=4))
 def test_superposed_codes_are_the_hosts_template(core, codes):
     assert np.abs(superposed(core, 10, codes) - code_template(1023, codes)).max() < 1.0 / ONE
 
 
-@settings(deadline=None)
 @given(codes=st.lists(fitting_codes(), min_size=1, max_size=4))
 def test_superposed_codes_are_a_mean_of_gold_codes(core, gold_family, codes):
     expected = np.zeros(1023)

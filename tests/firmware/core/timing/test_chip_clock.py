@@ -72,7 +72,7 @@ def edges_of(start, relative_ppm, cycles):
 CYCLE_BLOCKS = N // BLOCK
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @example(phase=0.5 / N, ppm=200.0)
 @example(phase=0.5, ppm=-200.0)
 @example(phase=0.999999, ppm=200.0)
@@ -103,7 +103,7 @@ def test_not_locked_before_the_fifth_edge(core):
     assert simulation.clock.locked
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), ppm=st.floats(-200, 200))
 def test_outliers_are_rejected_and_counted(core, seed, ppm):
     rng = np.random.default_rng(seed)
@@ -171,7 +171,7 @@ def test_follows_a_master_that_restarted(core):
     assert abs(simulation.phase_errors(moved[0], period, 14 * N)).max() < 0.2 * MICROSECOND
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_capture_jitter_and_a_wandering_oscillator(core, seed):
     rng = np.random.default_rng(seed)
@@ -289,7 +289,7 @@ def test_other_lengths_of_code_lock_too(core, chips):
     assert abs(simulation.clock.phase_ticks) < 0.2 * MICROSECOND
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_random_edges_never_lead_to_lengths_out_of_bounds(core, seed):
     rng = np.random.default_rng(seed)
@@ -299,7 +299,7 @@ def test_random_edges_never_lead_to_lengths_out_of_bounds(core, seed):
     assert abs(simulation.clock.period / 2**32 / NOMINAL - 1) < 301e-6
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(phase=st.floats(0, 1))
 def test_slews_at_most_half_a_chip(core, phase):
     edges, _ = edges_of((100 + phase) * NOMINAL, 0, 4)

@@ -56,7 +56,7 @@ def messages_of(start, relative_ppm, cycles, *, seed, jitter=0.0, span=0.1, late
     return result, NOMINAL * rate
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(phase=st.floats(0, 1, exclude_max=True), ppm=st.floats(-200, 200), seed=st.integers(0, 2**32 - 1))
 def test_locks_whenever_sync_and_follow_up_come(core, phase, ppm, seed):
     start = phase * N * NOMINAL
@@ -71,7 +71,7 @@ def test_locks_whenever_sync_and_follow_up_come(core, phase, ppm, seed):
     assert abs(simulation.phase_errors(start, period, locked_from)).max() < 0.3 * MICROSECOND
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_jitter_is_averaged_and_the_oscillator_followed(core, seed):
     """Uniform jitter of +-35 ticks (20 rms), a random walk of the rate of 0.02 ppm a cycle: the figures in sync.h."""
