@@ -31,6 +31,6 @@ void timing_step(timing_t *timing, node_t *node) {
         node->sync_received = false;
         const uint32_t age_us = (uint32_t)hal_microseconds(node->hal) - timing->edge_us;
         node->counters[COUNTER_OTHER_DEGREE] += !sync_number(&timing->clock, &timing->format, &timing->link,
-                                                          node->sync_chips, node->sync_cycle, age_us);
+                                                             node->sync_chips, node->sync_cycle, age_us);
     }
 }

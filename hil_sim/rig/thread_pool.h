@@ -20,8 +20,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#define THREAD_POOL_BLOCK_STEPS 5000 /* Steps of 20 us: 0.1 s, the length of a code cycle, so that blocks are alike.   \
-                                      */
+/* Steps in a block: 0.1 s of steps of 20 us, the length of a code cycle, so that blocks are alike. */
+#define THREAD_POOL_BLOCK_STEPS 5000
 
 typedef void thread_pool_task_t(void *context, unsigned number);
 

@@ -59,7 +59,7 @@ def eddy_frequencies(site: Site) -> FloatArray:
 
 
 def eddy_weights(site: Site, frequency_Hz: FloatArray) -> NDArray[np.complex128]:
-    """Return the weights w of the phasors S, shape (n, n, k): the field found in beacon j is Re sum_ik w[j, i, k] S[i, k].
+    """Return the weights w of the phasors S, shape (n, n, k): the field in beacon j is Re sum_ik w[j, i, k] S[i, k].
 
     Parameters
     ----------
