@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from goldfield.access import SiteAccess
 from goldfield.cli import chips_file
 from goldfield.cli.chips_file import PLACE, place_of
 from goldfield.errors import UserError
@@ -60,8 +61,6 @@ def read_windows(site: RotatingSite | DualAxisSite, path: str, separation: str =
 
 def _cycles(dual: DualAxisSite, path: str, method: str) -> Iterator[Window]:
     """Yield a window for every cycle of raw chips; sample t of a cycle was taken in chip t of all beacons."""
-    from goldfield.access.of_site import SiteAccess
-
     site = dual.site
     if method == "fft" and any(beacon.drive.tau_s for beacon in site.beacons):
         raise UserError("an FFT knows nothing of the coils' rise (tau_s of the site): separate by least squares")
