@@ -127,7 +127,7 @@ class Bench:
 
     @property
     def violations(self) -> int:
-        """How many violations so far."""
+        """Return the number of violations so far."""
         return int(self.lib.machine_bench_violations(self.machine))
 
     def expect(self, text: str) -> None:

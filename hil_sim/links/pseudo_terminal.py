@@ -19,7 +19,7 @@ class PseudoTerminal:
     Attributes
     ----------
     path : str
-        What the other process opens.
+        Path of the device that the other process opens.
     lost : int
         Bytes lost because the reader was too slow.
     """
@@ -35,7 +35,7 @@ class PseudoTerminal:
 
     @property
     def opened(self) -> bool:
-        """Whether another process has it open."""
+        """True while another process has it open."""
         return not self._poll(0, 0) & select.POLLHUP
 
     def _poll(self, events: int, milliseconds: int) -> int:

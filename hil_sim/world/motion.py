@@ -1,4 +1,4 @@
-"""How the sensor moves: poses as functions of time, ``B_site = R B_sensor``."""
+"""Motions of a sensor: poses as functions of time, ``B_site = R B_sensor``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the motion does to the fields: field per ampere of each coil in the sensor's frame, as cubics for ``path.h``.
+"""The path of a sensor: field per ampere of each coil in the sensor's frame, as cubics in time for ``path.h``.
 
 The coils are magpylib's: true current loops with all turns at one radius, or the wire as a polyline. Nothing here knows
 how the host models a coil.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from pathlib import Path
 
 import pytest
@@ -158,6 +159,29 @@ def test_no_circle():
 def test_imports_for_typing_have_a_reason():
     found = [item for item in IMPORTS if item.typing_only and not within(item.module, *MOVING, *RESTRUCTURED)]
     assert complaints([i for i in found if not within(i.target, TYPING_ONLY.get(i.module, "nothing"))]) == []
+
+
+MOST_LINES = 60
+"""A function is a screen, its docstring included."""
+
+
+def long_functions(source: str) -> list[str]:
+    return [
+        f"{node.name}: {(node.end_lineno or 0) - node.lineno + 1} lines"
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (node.end_lineno or 0) - node.lineno >= MOST_LINES
+    ]
+
+
+def test_a_function_of_one_line_more_is_too_long():
+    assert long_functions("def fits():\n" + "    pass\n" * (MOST_LINES - 1)) == []
+    assert len(long_functions("class A:\n  async def long(self):\n" + "    pass\n" * MOST_LINES)) == 1
+
+
+def test_no_function_is_longer_than_a_screen():
+    found = {module: long_functions(path.read_text()) for module, path in MODULES.items() if module not in MOVING}
+    assert {module: functions for module, functions in found.items() if functions} == {}
 
 
 @pytest.mark.parametrize(("package", "most"), [("goldfield", 4), ("hil_sim", 6)])

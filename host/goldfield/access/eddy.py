@@ -1,4 +1,4 @@
-"""What separation makes of the field that a conductor adds: eddy currents answer late, and each access hears them so.
+"""Conductors seen through the separation: eddy currents answer late, and each access hears them so.
 
 A conductor in a field that is switched on opposes it at first and lets it in over its time constants: to the drive
 d(t) of a beacon it adds S_0 d + sum_p S_p (d - d * exp(-t/tau_p)/tau_p), a part that follows at once (magnetisation)
@@ -59,7 +59,9 @@ def eddy_frequencies(site: Site) -> FloatArray:
 
 
 def eddy_weights(site: Site, frequency_Hz: FloatArray) -> NDArray[np.complex128]:
-    """Return the weights w of the phasors S, shape (n, n, k): the field in beacon j is Re sum_ik w[j, i, k] S[i, k].
+    """Return the weights w of the phasors S, shape (n, n, k).
+
+    The field found in beacon j is Re sum_ik w[j, i, k] S[i, k].
 
     Parameters
     ----------

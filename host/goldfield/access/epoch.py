@@ -1,4 +1,4 @@
-"""From the report of a sensor's cycle to the field of each beacon of the site."""
+"""Separation of a board's reports: turns the report of a cycle into the field of each beacon of the site."""
 
 from __future__ import annotations
 

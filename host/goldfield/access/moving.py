@@ -1,4 +1,4 @@
-"""What a moving sensor needs of a cycle (maths.md, 4).
+"""Separation for a moving sensor, whose fields change during a cycle (maths.md, 4).
 
 While the sensor moves, its samples are y[t] = sum_i c_i[t] h_i(tau) + e(tau) + noise: the fields h_i of the beacons and
 the ambient field e in the sensor's frame turn and change during the cycle. tau is the time from the middle of the
@@ -24,7 +24,7 @@ from goldfield.errors import UserError
 from goldfield.types import FloatArray
 
 SAMPLE_PHASE = 1.0
-"""Where in its chip a sample is taken: at the end, when the coils have settled."""
+"""Place in its chip, from 0 to 1, at which a sample is taken: at the end, when the coils have settled."""
 
 RANK_TOLERANCE = 1e-9
 """Least diagonal of a triangular factor, relative to its largest: dependent codes leave rounding there."""

@@ -1,4 +1,4 @@
-"""What is in the samples beside the beacons: a constant, and the hum of the mains."""
+"""Nuisances, which are in the samples beside the beacons: a constant, and the hum of the mains."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from scipy.optimize import minimize_scalar
 from goldfield.types import FloatArray
 
 SEARCH_HZ = 0.5
-"""How far the mains frequency may be off its nominal value: grids hold 0.2 Hz, island grids 1 %."""
+"""Largest searched difference of the mains frequency from its nominal value: grids hold 0.2 Hz, island grids 1 %."""
 
 GRID_HZ = 0.1
 """Steps of the search before it is refined: the peak of a cycle of 0.1 s is about 10 Hz wide."""

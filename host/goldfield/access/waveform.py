@@ -1,4 +1,4 @@
-"""What each beacon adds to the samples of a cycle for a field of one: its template.
+"""Templates: what each beacon adds to the samples of a cycle for a field of one.
 
 Sample t is taken at the end of chip t. Without coil rise the template is the drive itself, in parts of the beacon's
 current; `goldfield.access.rise` filters it with the time constant of the coil.

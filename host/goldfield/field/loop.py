@@ -15,6 +15,13 @@ least distance), so that w divides out),
 
 and the gradient follows from the recurrences between the I_2k (integration by parts), all of them sums of positive
 terms.
+
+In its centre a loop makes mu0 I/(2 a), 6.283 uT for 1 A around 0.1 m:
+
+>>> centre, up = np.zeros((3, 1)), np.array([[0.0], [0.0], [1.0]])
+>>> field, _ = loop(centre, up, np.array([0.1]), np.array([1.0]))
+>>> (1e6 * field[2]).round(3).tolist()
+[6.283]
 """
 
 from __future__ import annotations
@@ -53,15 +60,6 @@ def loop(
     On the wire itself the result is not finite. Field and gradient are accurate to 1e-9 of their size down to a
     hundredth of the radius from the wire (tests compare with magpylib and complex steps); nearer, digits are lost
     with the distance squared.
-
-    Examples
-    --------
-    In its centre a loop makes mu0 I/(2 a): 6.283 uT for 1 A around 0.1 m.
-
-    >>> centre, up = np.zeros((3, 1)), np.array([[0.0], [0.0], [1.0]])
-    >>> field, _ = loop(centre, up, np.array([0.1]), np.array([1.0]))
-    >>> (1e6 * field[2]).round(3).tolist()
-    [6.283]
     """
     height = (axis * offset_m).sum(axis=0)
     radial = offset_m - height * axis

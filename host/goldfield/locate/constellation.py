@@ -235,7 +235,9 @@ class Constellation:
 
 
 def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:
-    """Return the probability of such a cost or more if model and noise are right (chi-square); 1 with no redundancy.
+    """Return the probability of a cost at least as large if model and noise are right (chi-square).
+
+    It is 1 where there is no redundancy.
 
     Parameters
     ----------

@@ -267,7 +267,7 @@ def whitened_jacobian(
 
 
 def whitened_residual(model: FieldModel, measurements: Measurements, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Return measured minus modelled components, and the modelled ones, over their standard deviations: (e, 3n)."""
+    """Return the residuals and the modelled components, over their standard deviations, both of shape (e, 3n)."""
     field, _ = model.evaluate(fit.position_m.T)
     weight = measurements.inverse_sigma()
     modelled = (fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)) * weight

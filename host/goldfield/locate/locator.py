@@ -1,4 +1,4 @@
-"""From the fields of epochs to poses with status and uncertainty."""
+"""Location: turns the fields of epochs into poses with status and uncertainty."""
 
 from __future__ import annotations
 

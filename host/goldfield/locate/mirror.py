@@ -34,7 +34,7 @@ class Mirror:
     reflection, turn : ndarray, shape (3, 3)
         What the map does to positions and to attitudes.
     exact : bool
-        Whether the image of a pose gives the same measurements exactly.
+        True if the image of a pose gives the same measurements exactly.
     """
 
     point_m: FloatArray

@@ -1,4 +1,4 @@
-"""How far a pose may be wrong: the Cramer-Rao bound, dilution of precision, and a covariance that holds near beacons.
+"""Uncertainty of poses: the Cramer-Rao bound, dilution of precision, and a covariance that holds near beacons.
 
 Near a beacon the range is known to micrometres and the direction to centimetres. The set of poses that fit is then a
 curved ridge, and an error e along it carries the pose e^2/(2r) off its tangent: hundreds of standard deviations of

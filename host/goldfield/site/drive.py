@@ -16,7 +16,7 @@ WAVES = ("cosine", "sine")
 """Phases of an alternating current: two coils at one place, one with each, make a rotating field."""
 
 NO_CODE = -1
-"""Index of a beacon that has not exactly one plain Gold code of the site's degree; no generator takes it."""
+"""Code index of a beacon without exactly one plain Gold code of the site's degree; no generator takes it."""
 
 DEGREES = (5, 6, 7, 9, 10, 11)
 """Degrees with a preferred pair of m-sequences (maths.md, 1: other degrees have none or are not used)."""

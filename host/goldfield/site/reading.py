@@ -64,8 +64,10 @@ def load(path: str | Path) -> Site:
         If the file cannot be read or is no TOML, or if any value is missing, unknown, of the wrong type or out of
         range; the sentence names file, line and key.
     """
-    path = Path(path)
-    root = read_table(path, "site file")
+    return _site(read_table(Path(path), "site file"))
+
+
+def _site(root: Table) -> Site:
     root.allow("site", "sensor", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
     site.allow("name", "chip_period_s", "degree", "half_space", "access", *SITE_KEYS)

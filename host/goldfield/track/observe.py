@@ -1,4 +1,4 @@
-"""From what the sensor sends of a cycle to an `Observation`: separated fields, all samples, or partial sums of them."""
+"""Turns what a sensor sends of a cycle into an `Observation`: separated fields, all samples, or partial sums."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From beliefs to poses with a status."""
+"""Turns beliefs into poses with a status."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What a person sees."""
+"""Views for a person: the terminal's table, the comparison with a known truth, pictures."""

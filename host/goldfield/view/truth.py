@@ -44,7 +44,7 @@ class Truth:
     ----------
     path : path
     wait_s : float
-        How long to wait for a cycle's line (and for the file); half as long after each that did not come.
+        Longest wait for a cycle's line (and for the file), seconds; it is halved after each line that did not come.
 
     Raises
     ------
