@@ -5,7 +5,7 @@
 void despread_start(despread_t *despread, const gold_family_t *family) {
     despread->family = family;
     for (uint32_t axis = 0; axis < DESPREAD_AXES; axis++) {
-        despread->words[axis][0] = 0; /* No state is zero: the only word that no chip writes. */
+        despread->words[axis][0] = 0; /* No state is zero, so no chip writes this word. */
         despread->v_sum[axis] = 0;
         despread->sum[axis] = 0;
     }
@@ -28,7 +28,7 @@ void despread_start_part(despread_t *despread, const gold_family_t *family, cons
     despread->end = (uint16_t)(end < family->length ? end : family->length);
     for (uint32_t axis = 0; axis < DESPREAD_AXES; axis++) {
         for (int32_t *x = despread->words[axis]; x < despread->words[axis] + family->length; x += 4) {
-            x[0] = 0; /* Four at a time: a plain loop would become the library's memset, byte by byte. */
+            x[0] = 0; /* A plain loop would become the library's memset, which goes byte by byte. */
             x[1] = 0;
             x[2] = 0;
             x[3] = 0;
@@ -47,8 +47,8 @@ void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]) {
     if (despread->chip >= despread->end) {
         return;
     }
-    const uint32_t state = despread->v_state,
-                   half = despread->family->length / 2u; /* Above it the output stage is 1. */
+    /* In a state above half the output stage is 1. */
+    const uint32_t state = despread->v_state, half = despread->family->length / 2u;
     const int32_t u = despread->u_state > half ? -1 : 1;
     const int32_t v = state > half ? -1 : 1;
     for (uint32_t axis = 0; axis < DESPREAD_AXES; axis++) {
@@ -69,8 +69,8 @@ void despread_skip(despread_t *despread, uint32_t chips) {
     }
 }
 
-/* Three stages of the transform on the eight words x[0], x[stride], ..., x[7 stride]: with a constant stride, eight
- * values stay in registers between one load and one store each. */
+/* Does three stages of the transform on the eight words x[0], x[stride], ..., x[7 stride]. With a constant stride,
+ * eight values stay in registers between one load and one store each. */
 __attribute__((always_inline)) static inline void butterfly8(int32_t *x, size_t stride) {
     const int32_t a0 = x[0] + x[stride], a1 = x[0] - x[stride];
     const int32_t a2 = x[2u * stride] + x[3u * stride], a3 = x[2u * stride] - x[3u * stride];
@@ -96,7 +96,7 @@ __attribute__((always_inline)) static inline void stages8(int32_t *words, size_t
     }
 }
 
-/* The last stage, or the last two, of 2 half or 4 quarter words. */
+/* Does the last stage of the transform, on 2 half words. */
 static void stage2(int32_t *words, size_t half) {
     for (int32_t *x = words, *y = words + half; x < words + half; x += 4, y += 4) {
         const int32_t a = x[0], b = x[1], c = x[2], d = x[3];
@@ -112,6 +112,7 @@ static void stage2(int32_t *words, size_t half) {
     }
 }
 
+/* Does the last two stages of the transform, on 4 quarter words. */
 __attribute__((always_inline)) static inline void stages4(int32_t *words, size_t quarter) {
     for (int32_t *x = words; x < words + quarter; x++) {
         const int32_t a = x[0] + x[quarter], b = x[0] - x[quarter];
@@ -143,7 +144,7 @@ static void transform(int32_t *words, uint32_t degree) {
     case 11:
         stages4(words, 512);
         break;
-    default: /* 6 and 9: stages in threes are all. */
+    default: /* Degrees 6 and 9 are done with stages in threes. */
         break;
     }
 }

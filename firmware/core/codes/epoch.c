@@ -3,7 +3,7 @@
 #include <stddef.h>
 #include <string.h>
 
-#define LANES 0x00010001u /* One in each halfword. */
+#define LANES 0x00010001u /* The number one in each of the two halfwords of a word. */
 
 /* Two conversions are six halfwords, three words: (x, y) (z, x) (y, z). Sums of four halfwords fit a halfword, so
  * words are added whole. A lane is at a rail if lane + 1 has bit 12 (4095), or lane - 1 borrows (0). A borrow
@@ -37,7 +37,8 @@ static void drop(epoch_collector_t *collector) {
     }
 }
 
-/* The cycle or part being filled is full. True: handed to main. The next part follows in the other buffer. */
+/* Hands the cycle or part that is full to main; the next part follows in the other buffer. Returns false if main is
+ * late, and the cycle is dropped. */
 static bool hand_over(epoch_collector_t *collector) {
     if (__atomic_load_n(&collector->ready, __ATOMIC_ACQUIRE) != 0u) {
         drop(collector);
@@ -59,8 +60,8 @@ static bool hand_over(epoch_collector_t *collector) {
     return true;
 }
 
-/* What is collected has no samples from its next chip up to this one. True: a part that ended on the way was handed
- * over. */
+/* Notes that what is collected has no samples from its next chip up to this one. Returns true if a part that ended on
+ * the way was handed over. */
 static bool skip_to(epoch_collector_t *collector, uint32_t chip) {
     bool complete = false;
     while (collector->collecting) {
@@ -79,7 +80,7 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
     bool complete = false;
     epoch_t *epoch = &collector->epochs[collector->filling];
     if (collector->collecting) {
-        const uint32_t expected = absolute_chip - epoch->first_chip; /* Code chip, unless the chip clock jumped. */
+        const uint32_t expected = absolute_chip - epoch->first_chip; /* It is the code chip, unless the clock jumped. */
         if (code_chip == 0u && expected == collector->family->length) {
             complete = skip_to(collector, expected); /* The last chips of the cycle are missing. */
         } else if (expected != code_chip || code_chip < epoch->despread.chip) {
@@ -129,7 +130,7 @@ static int16_t third_sum(const gold_family_t *family, uint32_t code, uint32_t th
     gold_generator_t generator;
     const uint32_t first = third * family->length / EPOCH_THIRDS, end = (third + 1u) * family->length / EPOCH_THIRDS;
     int32_t sum = (int32_t)(end - first);
-    (void)gold_start(&generator, family->degree, code, first); /* A code of the family: cannot fail. */
+    (void)gold_start(&generator, family->degree, code, first); /* It cannot fail: the code is of the family. */
     for (uint32_t chip = first; chip < end; chip++) {
         sum -= 2 * (int32_t)gold_next(&generator);
     }
@@ -196,7 +197,7 @@ bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count) {
     return true;
 }
 
-/* M (correlation / (8 N) - (zero - mid-scale) sum / N). */
+/* Computes M (correlation / (8 N) - (zero - mid-scale) sum / N). */
 static void scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum,
                   float chips, float field_T[EPOCH_AXES]) {
     float counts[EPOCH_AXES];
@@ -226,7 +227,7 @@ void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibrati
 
 int32_t epoch_integer(float value, float resolution) {
     const float scaled = value / resolution;
-    if (!(scaled >= -524287.0f && scaled <= 524287.0f)) { /* Also what is not a number. */
+    if (!(scaled >= -524287.0f && scaled <= 524287.0f)) { /* True also for what is not a number. */
         return EPOCH_OUT_OF_RANGE;
     }
     return (int32_t)(scaled < 0.0f ? scaled - 0.5f : scaled + 0.5f);

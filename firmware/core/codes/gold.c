@@ -28,7 +28,7 @@ uint16_t gold_next_functional(uint16_t taps, uint16_t functional) {
     return (uint16_t)((uint32_t)functional >> 1 ^ ((functional & 1u) != 0u ? taps : 0u));
 }
 
-/* Product in GF(2^n) of two functionals, w_a times w_b = w_(a+b). */
+/* Returns the product in GF(2^n) of two functionals, w_a times w_b = w_(a+b). */
 static uint16_t product(const gold_family_t *family, uint16_t taps, uint16_t a, uint16_t b) {
     uint32_t sum = 0;
     for (uint32_t i = 0; i < family->degree; i++) {
@@ -42,7 +42,7 @@ static uint16_t product(const gold_family_t *family, uint16_t taps, uint16_t a, 
 
 uint16_t gold_functional(const gold_family_t *family, uint16_t taps, uint32_t k) {
     const uint32_t exponent = k % family->length;
-    uint16_t power = (uint16_t)((family->length + 1u) / 2u); /* w_0: the output stage. */
+    uint16_t power = (uint16_t)((family->length + 1u) / 2u); /* w_0 picks the output stage. */
     for (uint32_t bit = family->degree; bit-- > 0u;) {
         power = product(family, taps, power, power);
         if ((exponent >> bit & 1u) != 0u) {
@@ -52,7 +52,8 @@ uint16_t gold_functional(const gold_family_t *family, uint16_t taps, uint32_t k)
     return power;
 }
 
-/* The register t chips after all ones: stage n - i is output t + i, the parity of w_(t+i) alone. */
+/* Returns the register t chips after all ones. Its stage n - i is output t + i, which is the parity of w_(t+i) alone.
+ * */
 static uint16_t state_at(const gold_family_t *family, uint16_t taps, uint32_t t) {
     uint16_t functional = gold_functional(family, taps, t);
     uint32_t state = 0;

@@ -1,6 +1,7 @@
 #include "core/codes/separation.h"
 
-/* Of A over (N + 1)^2: far above rounding, far below that of any list that can be separated. */
+/* Smallest accepted determinant of the 2 x 2 matrix over (N + 1)^2: far above rounding, far below that of any list
+ * that can be separated. */
 #define LEAST_DETERMINANT 1e-3f
 
 bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *codes, const int16_t *sums,
@@ -17,14 +18,14 @@ bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *c
                 return false;
             }
         }
-        if (codes[i] > chips) { /* v, or none. */
+        if (codes[i] > chips) { /* The code is v, or none. */
             return false;
         }
         separation->sums[i] = sums[i];
         sum += separation->sums[i];
         square += separation->sums[i] * separation->sums[i];
     }
-    /* A - V'U with A = N + 1, U = [1, s] and V = [1, s / N]. */
+    /* The 2 x 2 matrix is a - V'U with a = N + 1, U = [1, s] and V = [1, s / N]. */
     const float a = separation->chips + 1.0f;
     const float m00 = a - (float)count, m01 = -sum, m10 = -sum / separation->chips,
                 m11 = a - square / separation->chips;
@@ -40,7 +41,7 @@ bool separation_init(separation_t *separation, uint32_t chips, const uint16_t *c
     return true;
 }
 
-/* b = (y + U M^-1 V'y) / A for A I - U V'. */
+/* Woodbury: b = (y + U M^-1 V'y) / a solves (a I - U V') b = y, with M = a - V'U. */
 void separation_apply(const separation_t *separation, float mean, float *field) {
     float plain = 0.0f, weighted = 0.0f;
     for (uint32_t i = 0; i < separation->count; i++) {

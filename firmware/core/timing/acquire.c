@@ -5,15 +5,16 @@
 
 #include "core/math/roots.h"
 
-#define PASSES       2u
-#define MIDDLE       (ACQUIRE_CHIPS / 2u)
-#define CODES_A_STEP 4u
-#define SETTLE_CHIPS 2u /* Beyond what the slew takes at nominal length: clocks differ by 300 ppm. */
-#define FOOT                                                                                                           \
-    0.4f /* Of the low-pass's time constant: nearer to the edge, or before it, there is next to nothing to see. */
-#define UNSEEN_RECORDS 4u /* In succession: search anew. */
+#define PASSES       2u                   /* Passes over the codes of a sliding record (code_field.h). */
+#define MIDDLE       (ACQUIRE_CHIPS / 2u) /* Chip in the middle of a whole record. */
+#define CODES_A_STEP 4u                   /* Codes that are subtracted in one acquire_step. */
+#define SETTLE_CHIPS 2u /* Chips added to what a slew takes at nominal length, since clocks differ by 300 ppm. */
+/* Least time after the edge at which the ramp is seen, low-pass time constants: nearer to the edge, or before it,
+ * there is next to nothing to see. */
+#define FOOT           0.4f
+#define UNSEEN_RECORDS 4u /* Records in succession without a ramp that start a new search. */
 
-static const float q32 = 4294967296.0f;
+static const float q32 = 4294967296.0f; /* 2^32: the scale of positions and periods. */
 
 void acquire_init(acquire_t *acquire, const acquire_config_t *config) {
     memset(acquire, 0, sizeof *acquire);
@@ -22,7 +23,7 @@ void acquire_init(acquire_t *acquire, const acquire_config_t *config) {
 
 /* ---- Interrupt ---- */
 
-/* The record begins when the chip clock has slewed to where it is to be: until then bursts lie elsewhere. */
+/* Lets a record begin when the chip clock has slewed to where it is to be: until then bursts lie elsewhere. */
 static void record_start(acquire_t *acquire, const chip_clock_t *clock) {
     const int64_t away = (int64_t)(clock->target - ((uint64_t)clock->position << 32)) >> 32;
     const int64_t longer = clock->config.maximum_ticks - clock->config.nominal_ticks,
@@ -60,7 +61,7 @@ void acquire_feed(acquire_t *acquire, uint32_t chip, const chip_clock_chip_t *pl
         return;
     }
     if (acquire->count > 0u && chip != acquire->first_chip + acquire->count) {
-        acquire->count = 0; /* A gap. */
+        acquire->count = 0; /* There was a gap: the record begins anew. */
     }
     if (acquire->count == 0u) {
         acquire->first_chip = chip;
@@ -88,7 +89,7 @@ static void command(acquire_t *acquire, acquire_command_t what) {
     __atomic_store_n(&acquire->command, (uint8_t)what, __ATOMIC_RELEASE);
 }
 
-/* The next up to 16 codes of the list. */
+/* Takes the next codes of the list, up to 16, into use. */
 static void choose_codes(acquire_t *acquire) {
     acquire->code_count = acquire->list_count < ACQUIRE_CODES_MAX ? acquire->list_count : ACQUIRE_CODES_MAX;
     for (uint32_t i = 0; i < acquire->code_count; i++) {
@@ -131,7 +132,7 @@ static void search_end(acquire_t *acquire) {
     const code_peak_t peak = code_search_peak(&acquire->search);
     const bool found = peak.height >= (float)ACQUIRE_PEAK;
     acquire->peak = peak.height;
-    if (acquire->tracking) { /* After silence. */
+    if (acquire->tracking) { /* The record follows silence. */
         const uint32_t away = (peak.label + ACQUIRE_CHIPS + 1u - acquire->first_code_chip) % ACQUIRE_CHIPS;
         command(acquire, found && away > 1u ? ACQUIRE_SWEEP : ACQUIRE_AGAIN);
     } else if (!found) {
@@ -165,12 +166,11 @@ static void edge_end(acquire_t *acquire) {
         return;
     }
     float phase;
-    const uint32_t label = (code_frame_label(&acquire->frame, MIDDLE, &phase) + 1u) %
-                           ACQUIRE_CHIPS; /* The chip that begins at this edge. */
+    /* The code chip that begins at the edge near the middle, and where that edge is after the start of MIDDLE. */
+    const uint32_t label = (code_frame_label(&acquire->frame, MIDDLE, &phase) + 1u) % ACQUIRE_CHIPS;
     const float held = (float)config->first_conversion_ticks +
                        0.5f * (float)((ACQUIRE_BURST - 1u) * config->conversion_ticks);
-    const float edge = held + (float)config->nominal_ticks * -phase +
-                       acquire->edge.onset_ticks; /* After the start of MIDDLE. */
+    const float edge = held + (float)config->nominal_ticks * -phase + acquire->edge.onset_ticks;
     const uint64_t step = acquire->period + ((uint64_t)ACQUIRE_DETUNE_TICKS << 32);
     const uint64_t start = ((uint64_t)acquire->first_position << 32) + step * MIDDLE;
     acquire->edge_period = acquire->period + (uint64_t)fixed(acquire->edge.slip_ticks_per_chip);
@@ -233,10 +233,10 @@ static void record_end(acquire_t *acquire) {
     if (!acquire->tracking) {
         search_start(acquire);
     } else if (acquire->captures < ACQUIRE_CAPTURES) {
-        track(acquire); /* With the search's amplitudes. */
+        track(acquire); /* The amplitudes are those of the search. */
     } else {
         acquire->frame.label = acquire->first_code_chip;
-        acquire->pass = PASSES - 1u; /* A whole cycle: the codes are orthogonal. */
+        acquire->pass = PASSES - 1u; /* One pass is enough: the codes of a whole cycle are orthogonal. */
         acquire->code = 0;
         code_field_start(&acquire->field, &acquire->record, &acquire->frame);
         acquire->stage = ACQUIRE_MEASURING;
@@ -249,8 +249,8 @@ static void measure_end(acquire_t *acquire) {
     if (acquire->silent) {
         search_start(acquire);
     } else if (before) {
-        command(acquire,
-                ACQUIRE_AGAIN); /* Codes came back somewhere in this record: its amplitudes are no whole cycle's. */
+        /* Codes came back somewhere in this record: its amplitudes are no whole cycle's. */
+        command(acquire, ACQUIRE_AGAIN);
     } else {
         track(acquire);
     }

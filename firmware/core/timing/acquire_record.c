@@ -2,7 +2,7 @@
 
 #define MID_SCALE 2048
 
-/* Sums of an axis's conversions relative to mid-scale: the first four, the next three, the last. */
+/* The sums of an axis's conversions relative to mid-scale: the first four, the next three, the last. */
 typedef struct {
     int32_t first, second, last;
 } parts_t;
@@ -15,7 +15,7 @@ static parts_t parts(const uint16_t burst[ACQUIRE_BURST][ACQUIRE_AXES], uint32_t
     };
 }
 
-/* Eight times the mean of the first seven, rounded. */
+/* Returns eight times the mean of the first seven conversions, rounded. */
 static int32_t without_last(parts_t part) {
     const int32_t sum = part.first + part.second;
     return (sum * 8 + (sum < 0 ? -3 : 3)) / 7;

@@ -1,13 +1,13 @@
 #include "core/timing/chip_clock.h"
 
-#define FRACTION_BITS     32
+#define FRACTION_BITS     32 /* Fractional bits of positions and periods. */
 #define ONE               (INT64_C(1) << FRACTION_BITS)
-#define MESSAGE_TICKS_MAX (1 << 26) /* 0.4 s: products with a difference of periods stay below 2^63. */
+#define MESSAGE_TICKS_MAX (1 << 26) /* Largest time in a message, 0.4 s: its products stay below 2^63. */
 
 const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6};
 const chip_clock_source_t chip_clock_link = {.gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16};
 
-/* Largest deviation of a period or a cycle from nominal that two good crystals can show. */
+/* Returns the largest deviation of a period or a cycle from nominal that two good crystals can show. */
 static int64_t tolerance(int64_t nominal) {
     return nominal / 1000000 * CHIP_CLOCK_SEARCH_PPM;
 }
@@ -16,7 +16,7 @@ static uint64_t nominal_period(const chip_clock_t *clock) {
     return (uint64_t)clock->config.nominal_ticks << FRACTION_BITS;
 }
 
-/* Signed difference of two positions modulo 2^64. */
+/* Returns the signed difference of two positions modulo 2^64. */
 static int64_t difference(uint64_t a, uint64_t b) {
     return (int64_t)(a - b);
 }
@@ -24,7 +24,7 @@ static int64_t difference(uint64_t a, uint64_t b) {
 static void set_period(chip_clock_t *clock, int64_t period) {
     const int64_t nominal = (int64_t)nominal_period(clock);
     const int64_t limit = tolerance(nominal);
-    /* Within these limits the planner always keeps up with the target: they differ by at most half a chip, for ever. */
+    /* Within these limits the planner always keeps up with the target: the two differ by at most half a chip. */
     const int64_t low = nominal - limit, high = nominal + limit;
     clock->period = (uint64_t)(period < low ? low : period > high ? high : period);
 }
@@ -43,8 +43,8 @@ bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
 
 chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
     clock->target += clock->period + ((uint64_t)(int64_t)clock->detune_ticks << FRACTION_BITS);
-    const int64_t wanted = difference(clock->target, (uint64_t)clock->position << FRACTION_BITS) >>
-                           FRACTION_BITS; /* Rounds down. */
+    /* The shift rounds down to whole ticks. */
+    const int64_t wanted = difference(clock->target, (uint64_t)clock->position << FRACTION_BITS) >> FRACTION_BITS;
     const uint16_t period_ticks = wanted < clock->config.minimum_ticks   ? clock->config.minimum_ticks
                                   : wanted > clock->config.maximum_ticks ? clock->config.maximum_ticks
                                                                          : (uint16_t)wanted;
@@ -89,8 +89,8 @@ bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, c
     if (code_chip <= chips / 2u) {
         mark->cycle_ticks = (int32_t)((code_chip * period) >> FRACTION_BITS) + (int32_t)ticks;
     } else {
-        const int64_t whole = ((int64_t)code_chip + 1 - (int64_t)chips) *
-                              period; /* Chips between this one's end and chip 0. */
+        /* The chips between this one's end and chip 0. */
+        const int64_t whole = ((int64_t)code_chip + 1 - (int64_t)chips) * period;
         mark->cycle_ticks = (int32_t)(whole >> FRACTION_BITS) + (int32_t)ticks -
                             (int32_t)clock->history[slot].period_ticks;
         mark->cycle++;
@@ -98,7 +98,7 @@ bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, c
     return true;
 }
 
-/* The master, whose period is the estimate's, began chip 0 at edge: jump to its nearest chip. */
+/* Jumps to the nearest chip of the master, whose period is the estimate's and who began chip 0 at edge. */
 static void acquire(chip_clock_t *clock, uint64_t edge) {
     const uint64_t span = clock->period * clock->config.chips;
     int64_t lead = difference((uint64_t)clock->position << FRACTION_BITS, edge);
@@ -119,14 +119,14 @@ static void acquire(chip_clock_t *clock, uint64_t edge) {
     clock->memory = 2;
 }
 
-/* Ticks of the master as own ones, 32 fractional bits. */
+/* Returns ticks of the master as own ones, with 32 fractional bits. */
 static int64_t own_ticks(const chip_clock_t *clock, int32_t master_ticks) {
     const int64_t slower = (int64_t)(clock->period - nominal_period(clock));
     return (int64_t)master_ticks * ONE + master_ticks * slower / clock->config.nominal_ticks;
 }
 
-/* An edge that fits no estimate, since ticks of the master before position: look for others whole cycles apart from
- * it. True: they led to an estimate. */
+/* Takes an edge that fits no estimate, which came `since` ticks of the master before position, and compares it with
+ * the candidate: edges whole cycles apart make an estimate. Returns true if they led to one. */
 static bool search(chip_clock_t *clock, uint64_t position, int32_t since) {
     const uint32_t chips = clock->config.chips, chip = clock->chip;
     const int64_t cycle = (int64_t)nominal_period(clock) * (int64_t)chips;
@@ -159,7 +159,7 @@ static bool search(chip_clock_t *clock, uint64_t position, int32_t since) {
             count_rejected(clock);
         }
         if (cycles <= 1 && off < 0) {
-            return false; /* Sooner than a cycle after the candidate: more likely a glitch than the candidate was. */
+            return false; /* It came within a cycle of the candidate, and is more likely the glitch of the two. */
         }
     }
     clock->candidate_edges = 1;
@@ -169,14 +169,14 @@ static bool search(chip_clock_t *clock, uint64_t position, int32_t since) {
     return false;
 }
 
-/* The master began a cycle since of its ticks before position; the chip clock was early by phase there. True: the
- * estimate now counts this edge. */
+/* Takes the edge of a master who began a cycle `since` of its ticks before position, where the chip clock was early by
+ * phase. Returns true if the estimate now counts this edge. */
 static bool take_edge(chip_clock_t *clock, uint64_t position, int32_t since, int32_t phase) {
     if (!clock->tracking) {
         return search(clock, position, since);
     }
     const uint64_t edge = position - (uint64_t)own_ticks(clock, since);
-    /* The estimate's start of a cycle nearest to the edge: ahead chips before the next chip to plan. */
+    /* The estimate's start of a cycle that is nearest to the edge lies `ahead` chips before the next chip to plan. */
     const int32_t chips = clock->config.chips;
     const int64_t span = (int64_t)clock->period * chips;
     int32_t ahead = clock->code_chip;

@@ -4,22 +4,22 @@
 
 #include "core/codes/gold.h"
 
-#define DEGREE    10u
-#define UNSETTLED 0x8000u
-#define PRESENT   6.0f /* Share of the codes in the variance, 1 for noise. */
+#define DEGREE    10u     /* Degree of the codes. */
+#define UNSETTLED 0x8000u /* Bit of a label: the sample lies on the ramp and does not count. */
+#define PRESENT   6.0f    /* Least share of the codes in the variance with which they are there; noise has 1. */
 
 static uint32_t modulo(uint32_t chip) {
     return chip % ACQUIRE_CHIPS;
 }
 
 uint32_t code_frame_label(const code_frame_t *frame, uint32_t chip, float *phase) {
-    const float time = (float)chip * frame->chip_length - frame->crossing + 0.5f; /* Above -0.5. */
+    const float time = (float)chip * frame->chip_length - frame->crossing + 0.5f; /* It is above -0.5. */
     const uint32_t whole = (uint32_t)(time + 1.0f) - 1u;
     *phase = time - (float)(int32_t)whole - 0.5f;
     return modulo(frame->label + whole + ACQUIRE_CHIPS);
 }
 
-/* The chip that a sample shows, marked if it is not settled. */
+/* Returns the code chip that a sample shows, marked if it is not settled. */
 static uint16_t shown_label(const code_frame_t *frame, uint32_t chip) {
     if (!frame->sliding) {
         return (uint16_t)modulo(frame->label + chip);
@@ -107,7 +107,7 @@ const edge_profile_t *code_field_profile(code_field_t *field, const acquire_reco
         const uint32_t sweep = chip * EDGE_FIT_SWEEPS / ACQUIRE_CHIPS;
         uint32_t bin = (uint32_t)((phase + 0.5f) * (float)EDGE_FIT_BINS);
         bin = bin < EDGE_FIT_BINS ? bin : EDGE_FIT_BINS - 1u;
-        const bool successive = phase > phase_before; /* Not where the frame begins anew. */
+        const bool successive = phase > phase_before; /* It is not where the frame begins anew. */
         for (uint32_t axis = 0; axis < ACQUIRE_AXES; axis++) {
             const float done = (float)record->field[chip][axis] - field->expected[label][axis];
             const float change = field->expected[next][axis] - field->expected[label][axis];

@@ -5,9 +5,9 @@
 #include "core/codes/gold.h"
 #include "core/math/roots.h"
 
-#define DEGREE   10u
-#define LOW_BINS 32u /* 160 Hz. */
-#define FULL     16384.0f
+#define DEGREE   10u      /* Degree of the codes. */
+#define LOW_BINS 32u      /* Lines that are left out on both sides of zero: those up to 160 Hz. */
+#define FULL     16384.0f /* Largest line of the record's spectrum as it is kept, in 16 bits. */
 
 static float larger(float a, float b) {
     return a > b ? a : b;
@@ -41,7 +41,7 @@ void code_search_start(code_search_t *search, const acquire_record_t *record, fl
     }
 }
 
-/* Correlation at all phases p, sum over t of conj(y[t]) c[t + p]. */
+/* The correlation at a phase p is the sum over t of conj(y[t]) c[t + p]; it is computed at all phases at once. */
 void code_search_add(code_search_t *search, uint16_t code) {
     gold_generator_t generator;
     (void)gold_start(&generator, DEGREE, code, 0);

@@ -2,19 +2,19 @@
 
 #include "core/math/normal3.h"
 
-#define STEPS       8u
-#define UNKNOWNS    3.0f
-#define MIDDLE_CHIP 511.0f
-#define RISE_START  5000.0f /* 30 us. */
-#define RISE_MIN    300.0f
+#define STEPS       8u      /* Iterations. */
+#define UNKNOWNS    3.0f    /* Onset, slip and rise. */
+#define MIDDLE_CHIP 511.0f  /* Chip of the record at which the onset holds. */
+#define RISE_START  5000.0f /* Rise with which the fit starts, ticks: 30 us. */
+#define RISE_MIN    300.0f  /* Shortest and longest rise, ticks: 1.8 us and 48 us. */
 #define RISE_MAX    8000.0f
-#define SLIP_MAX    5.0f /* 300 ppm of a chip. */
+#define SLIP_MAX    5.0f /* Largest slip, ticks a chip: 300 ppm. */
 
 static float limit(float value, float low, float high) {
     return value < low ? low : value > high ? high : value;
 }
 
-/* S and R of an endless ramp. */
+/* The integral S and the height R of an endless ramp. */
 typedef struct {
     float integral, height;
 } ramp_t;
@@ -27,7 +27,7 @@ static ramp_t ramp(float t, float lag) {
     return (ramp_t){0.5f * t * t - lag * height, height};
 }
 
-/* A(t) L, its derivatives by t and by L: the edge of rise L. */
+/* A(t) L of an edge of rise L, and its derivatives by t and by L. */
 typedef struct {
     float value, by_time, by_rise;
 } edge_t;
@@ -37,7 +37,7 @@ static edge_t edge(float t, float rise, float lag) {
     return (edge_t){foot.integral - head.integral, foot.height - head.height, head.height};
 }
 
-/* Of a bin: what it should show of level or step, and the derivatives. */
+/* Returns what a bin should show of level or step, and the derivatives. */
 static edge_t model(const edge_shape_t *shape, float t, float rise, bool step) {
     const float half = 0.5f * shape->burst_ticks;
     const edge_t late = edge(t + half, rise, shape->lag_ticks), early = edge(t - half, rise, shape->lag_ticks);
@@ -52,7 +52,8 @@ static edge_t model(const edge_shape_t *shape, float t, float rise, bool step) {
     return (edge_t){scale * sum.value, scale * sum.by_time, scale * (sum.by_rise - sum.value / rise)};
 }
 
-/* Of levels or steps: normal equations about the present fit, what the fit leaves, what there was. */
+/* What levels or steps alone tell: normal equations about the present fit, what the fit leaves of the squares, what
+ * there was of them without it, and the number of bins. */
 typedef struct {
     normal3_t normal;
     float left, spread, bins;
@@ -84,7 +85,7 @@ static part_t linearise(const edge_bin_t bins[EDGE_FIT_SWEEPS][EDGE_FIT_BINS], c
     return part;
 }
 
-/* Add normal equations, weighted by the variance that their residuals show. */
+/* Adds normal equations, weighted by the variance that their residuals show. */
 static void weigh(normal3_t *sum, const part_t *part) {
     const float information = (part->bins - UNKNOWNS) / (part->left + 1e-20f);
     for (uint32_t row = 0; row < 3u; row++) {

@@ -5,21 +5,24 @@
 #include "core/math/normal3.h"
 #include "core/math/roots.h"
 
-#define CONVERSIONS   8u
-#define ITERATIONS    6u
-#define HALVINGS      16u
-#define MISFIT        16.0f    /* Chi squared of two looks: 0.03 % are larger. */
-#define EDGE_VARIANCE 70.0f    /* (0.05 us)^2: the beacons' edges lie up to 48 ns apart, and the ramp is a model. */
-#define RATE_WALK     6.6e-11f /* A chip: 0.05 ppm in 1 s, for the crystals' temperature. */
-#define RISE_MIN      300.0f
-#define STEP_MAX      400.0f /* Ticks of time in one iteration: two conversions. */
+#define CONVERSIONS 8u    /* Conversions in a burst. */
+#define ITERATIONS  6u    /* Iterations of Gauss and Newton. */
+#define HALVINGS    16u   /* Halvings of the interval in which a contrast is looked for. */
+#define MISFIT      16.0f /* Largest chi squared of two looks that fit: 0.03 % are larger. */
+/* Variance of an edge besides noise, ticks^2: (0.05 us)^2, since the beacons' edges lie up to 48 ns apart, and the
+ * ramp is a model. */
+#define EDGE_VARIANCE 70.0f
+#define RATE_WALK                                                                                                      \
+    6.6e-11f            /* Growth of the rate's variance in a chip: 0.05 ppm in 1 s, for the crystals' temperature. */
+#define RISE_MIN 300.0f /* Shortest rise, ticks: 1.8 us. */
+#define STEP_MAX 400.0f /* Largest change of the time in one iteration, ticks: two conversions. */
 
-/* Height on the ramp in ticks of it, and its slope. */
+/* The height on the ramp, in ticks of it, and its slope. */
 typedef struct {
     float height, slope;
 } ramp_t;
 
-/* Of one conversion, a time after the beacons' edge. */
+/* Returns what one conversion shows, a time after the beacons' edge. */
 static ramp_t ramp(float time, float lag) {
     if (!(time > 0.0f)) {
         return (ramp_t){0.0f, 0.0f};
@@ -28,7 +31,8 @@ static ramp_t ramp(float time, float lag) {
     return (ramp_t){time - lag * slope, slope};
 }
 
-/* Of the late conversions minus the early ones, with the last conversion a time after the edge. */
+/* Returns what the late conversions show minus what the early ones do, with the last conversion a time after the edge.
+ * */
 static ramp_t contrast(const edge_burst_t *burst, float time) {
     ramp_t sum = {0.0f, 0.0f};
     for (uint32_t i = 0; i < CONVERSIONS; i++) {
@@ -40,7 +44,8 @@ static ramp_t contrast(const edge_burst_t *burst, float time) {
     return sum;
 }
 
-/* The time at which the contrast has a height: it grows until all conversions are on the ramp. Halves the interval. */
+/* Returns the time at which the contrast has a height, by halving the interval: the contrast grows until all
+ * conversions are on the ramp. */
 static float time_of_contrast(const edge_burst_t *burst, float height) {
     float low = 0.0f, high = (float)CONVERSIONS * burst->conversion_ticks;
     for (uint32_t step = 0; step < HALVINGS; step++) {
@@ -58,8 +63,8 @@ void edge_track_start(edge_track_t *track, const edge_fit_t *fit, float time_tic
     *track = (edge_track_t){.time_ticks = time_ticks, .rise_ticks = fit->rise_ticks};
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < 3u; column++) {
-            const float sign = (row == 2u) != (column == 2u) ? -1.0f
-                                                             : 1.0f; /* A later edge is a shorter time after it. */
+            /* A later edge is a shorter time after it. */
+            const float sign = (row == 2u) != (column == 2u) ? -1.0f : 1.0f;
             track->covariance[row][column] = sign * fit->covariance[row][column];
         }
     }
@@ -88,7 +93,7 @@ bool edge_track_blind(const edge_track_t *track, const edge_burst_t *burst, cons
     return share < 2.0f * deviation && share < expected - 3.0f * deviation;
 }
 
-/* Gauss and Newton from x; returns chi squared. */
+/* Iterates Gauss and Newton from x. Returns chi squared. */
 static float iterate(edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2], float x[3]) {
     const float before[3] = {track->time_ticks, track->rate, track->rise_ticks};
     float known[3][3], misfit = 0.0f;
