@@ -1,14 +1,14 @@
 #include "core/drive/current.h"
 
-#define MID_SCALE     2048
-#define MAGNITUDE_MAX 2046u /* Beyond lie the rails. */
-#define REFERENCE_MAX 4095.0f
-#define KEPT          0.875f /* Of the old sums, block after block. */
-#define ADAPTED       0.25f  /* Of the reference of a driver without error, at most. */
-#define ONE           65536.0f
+#define MID_SCALE     2048     /* Count of the sense at 0 A. */
+#define MAGNITUDE_MAX 2046u    /* Largest magnitude that is measured, counts; beyond lie the rails. */
+#define REFERENCE_MAX 4095.0f  /* Largest set-point, counts. */
+#define KEPT          0.875f   /* Share of the old sums that is kept block after block. */
+#define ADAPTED       0.25f    /* Largest change of the reference from that of a driver without error. */
+#define ONE           65536.0f /* The factor 1 with 16 fractional bits. */
 
 bool current_configure(current_t *current, const current_config_t *config) {
-    /* Written so that a value that is not a number fails. */
+    /* The comparisons are written so that a value that is not a number fails. */
     if (!(config->sense_A > 0.0f && config->reference_A > 0.0f && config->amplitude_A >= 0.0f &&
           config->over_current_A >= 0.0f && config->open_fraction >= 0.0f && config->open_fraction <= 1.0f)) {
         return false;
@@ -77,7 +77,7 @@ static bool trip(current_t *current, current_fault_t fault) {
     return false;
 }
 
-/* The sums of the block into those that forget. */
+/* Adds the sums of the block to those that forget. */
 static void gather(current_t *current) {
     current->count = KEPT * current->count + (float)current->chips;
     current->asked = KEPT * current->asked + (float)current->block_asked;
@@ -98,7 +98,7 @@ static float within(float value, float low, float high) {
 static void end_block(current_t *current) {
     const current_config_t *const config = &current->config;
     gather(current);
-    const float nominal = config->reference_A / config->sense_A; /* Counts of sense for a count of reference. */
+    const float nominal = config->reference_A / config->sense_A; /* Counts of sense for one of reference. */
     const float n = current->count + 1.0f, spread = n * current->square - current->asked * current->asked;
     const float estimated = spread > 0.0f ? (n * current->product - current->asked * current->came) / spread : nominal;
     const float gain = within(estimated, nominal / (1.0f + ADAPTED), nominal / (1.0f - ADAPTED));
@@ -106,7 +106,7 @@ static void end_block(current_t *current) {
     current->open_scale = (uint32_t)(gain * config->open_fraction * ONE);
 
     const float next = current->target_A + config->amplitude_A / (float)CURRENT_RAMP_BLOCKS;
-    const bool arrived = next >= config->amplitude_A * 0.99999f; /* 33 thirty-thirds may be a rounding short of one. */
+    const bool arrived = next >= config->amplitude_A * 0.99999f; /* 33 thirty-thirds may fall short of one. */
     current->target_A = arrived ? config->amplitude_A : next;
     current->reference = (uint16_t)within(current->target_A / (gain * config->sense_A) + 0.5f, 0.0f, REFERENCE_MAX);
     current->state = arrived ? CURRENT_HOLDING : CURRENT_RAMPING;

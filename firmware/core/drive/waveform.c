@@ -8,7 +8,7 @@ uint32_t waveform_channels(uint32_t kind) {
     return kind == WAVEFORM_ROTATING ? 2u : 1u;
 }
 
-/* One code into the next part. False if it does not exist or does not fit a cycle of so many chips. */
+/* Puts one code into the next part. Returns false if it does not exist or does not fit the cycle. */
 static bool add_part(waveform_t *waveform, const waveform_code_t *code) {
     const gold_family_t *const family = gold_family(code->degree);
     if (family == NULL || code->offset >= family->length || code->hold == 0u || code->hold > waveform->length ||
@@ -110,14 +110,14 @@ static uint32_t next_phase(waveform_t *waveform) {
     return phase;
 }
 
-/* cos(2 pi phase / N) > 0 in the first and the last quarter of a period. */
+/* The cosine of 2 pi phase / N is positive in the first and the last quarter of a period. */
 static int16_t next_of_tone(waveform_t *waveform) {
     const uint32_t phase = next_phase(waveform), length = waveform->length;
     return 4u * phase < length || 4u * phase > 3u * length ? WAVEFORM_ONE : -WAVEFORM_ONE;
 }
 
-/* Level of sin(2 pi turns), -1/2 <= turns <= 5/4. Folded to a quarter turn, where the series up to x^9 errs by less
- * than 4e-6. */
+/* Returns the level of sin(2 pi turns), -1/2 <= turns <= 5/4. The angle is folded to a quarter turn, where the series
+ * up to x^9 errs by less than 4e-6. */
 static int16_t sine(float turns) {
     float folded = turns > 0.75f ? turns - 1.0f : turns;
     if (folded > 0.25f) {

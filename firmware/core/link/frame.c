@@ -3,11 +3,11 @@
 #include <string.h>
 
 #define HEAD     4u /* Bytes of the identifier. */
-#define CHECK    2u
+#define CHECK    2u /* Bytes of the checksum. */
 #define BODY_MAX (HEAD + FRAME_DATA_MAX + CHECK)
 
 uint16_t frame_crc(const uint8_t *bytes, size_t count) {
-    /* The remainders of four bits: a small table, two look-ups a byte. */
+    /* The remainders of four bits make a small table, with two look-ups a byte. */
     static const uint16_t table[16] = {0x0000, 0x1021, 0x2042, 0x3063, 0x4084, 0x50A5, 0x60C6, 0x70E7,
                                        0x8108, 0x9129, 0xA14A, 0xB16B, 0xC18C, 0xD1AD, 0xE1CE, 0xF1EF};
     uint32_t crc = 0xFFFF;
@@ -58,7 +58,7 @@ static void count_up(uint32_t *counter) {
     }
 }
 
-/* Undo COBS; encoded holds no zero byte. Returns the payload's length, 0 if a distance points beyond the end. */
+/* Undoes COBS; encoded holds no zero byte. Returns the payload's length, or 0 if a distance points beyond the end. */
 static size_t unstuff(const uint8_t *encoded, size_t count, uint8_t payload[FRAME_ENCODED_MAX]) {
     size_t length = 0, next = encoded[0];
     for (size_t i = 1; i < count; i++) {

@@ -1,6 +1,6 @@
 #include "core/math/fourier.h"
 
-/* exp(-i pi / 2^stage), stage 0..10. */
+/* The twiddle factors' steps, exp(-i pi / 2^stage), for stages 0..10. */
 static const fourier_t steps[FOURIER_BITS] = {
     {-1.0f, 0.0f},
     {0.0f, -1.0f},

@@ -2,7 +2,7 @@
 
 #include <string.h>
 
-/* Gauss and Jordan on matrix | right, columns of right. */
+/* Eliminates by Gauss and Jordan on matrix | right, with so many columns of right; right becomes the solution. */
 static void eliminate(float matrix[3][3], float right[3][3], uint32_t columns) {
     for (uint32_t i = 0; i < 3u; i++) {
         const float pivot = matrix[i][i] > 1e-20f ? 1.0f / matrix[i][i] : 1e20f;

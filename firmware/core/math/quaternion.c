@@ -34,12 +34,12 @@ void quaternion_from_matrix(const float m[3][3], float q[4]) {
             greatest = i;
         }
     }
-    if (greatest == 3u) { /* 4 w times each component. */
+    if (greatest == 3u) { /* The sums are 4 w times each component. */
         q[0] = m[2][1] - m[1][2];
         q[1] = m[0][2] - m[2][0];
         q[2] = m[1][0] - m[0][1];
         q[3] = 1.0f + trace;
-    } else { /* 4 times that component times each. */
+    } else { /* The sums are 4 times the greatest component times each. */
         const uint32_t i = greatest, j = (i + 1u) % 3u, k = (i + 2u) % 3u;
         q[i] = 1.0f - trace + 2.0f * m[i][i];
         q[j] = m[i][j] + m[j][i];

@@ -5,13 +5,13 @@
 #include "core/math/roots.h"
 
 #define N    TRIANGLE_UNKNOWNS
-#define SEEN 1e-6f /* Of a column's norm: less on the diagonal is rounding. */
+#define SEEN 1e-6f /* Least share of a column's norm on the diagonal that is not rounding. */
 
 void triangle_init(triangle_t *triangle) {
     *triangle = (triangle_t){0};
 }
 
-/* Column by column, reflect (r[j][j], rows[0..2][j]) onto its first component. */
+/* Column by column, (r[j][j], rows[0..2][j]) is reflected onto its first component. */
 void triangle_add(triangle_t *triangle, triangle_rows_t rows) {
     for (uint32_t j = 0; j < N; j++) {
         float *const r = triangle->r[j];
@@ -20,7 +20,7 @@ void triangle_add(triangle_t *triangle, triangle_rows_t rows) {
             continue;
         }
         const float norm = square_root(r[j] * r[j] + below);
-        const float head = r[j] > 0.0f ? r[j] + norm : r[j] - norm; /* The sign that does not cancel. */
+        const float head = r[j] > 0.0f ? r[j] + norm : r[j] - norm; /* This sign does not cancel. */
         const float tau = 2.0f / (head * head + below);
         r[j] = r[j] > 0.0f ? -norm : norm;
         for (uint32_t k = j + 1u; k < TRIANGLE_COLUMNS; k++) {
@@ -71,7 +71,7 @@ bool triangle_invert(const triangle_t *triangle, float l[TRIANGLE_UNKNOWNS][TRIA
         for (uint32_t i = 0; i < N; i++) {
             l[i][j] = i == j ? 1.0f / diagonal : 0.0f;
         }
-        for (uint32_t i = j; i-- > 0u;) { /* Column j: R l_j = e_j, upwards. */
+        for (uint32_t i = j; i-- > 0u;) { /* Column j solves R l_j = e_j, from below upwards. */
             float sum = 0.0f;
             for (uint32_t k = i + 1u; k <= j; k++) {
                 sum += triangle->r[i][k] * l[k][j];

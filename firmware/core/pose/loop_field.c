@@ -5,18 +5,19 @@
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 
-#define ENOUGH  1e-4f  /* Relative difference of the two means: the next step squares it. */
-#define TINY_M2 1e-20f /* Only avoids 0/0 on the axis, where it multiplies two radial vectors. */
+#define ENOUGH  1e-4f  /* Largest relative difference of the two means at the end: the next step would square it. */
+#define TINY_M2 1e-20f /* Added to rho^2 to avoid 0/0 on the axis, where the quotient multiplies two radial vectors.   \
+                        */
 
-/* What field and gradient share. */
+/* The quantities that field and gradient share. */
 typedef struct {
-    float offset[3], radial[3]; /* From the centre; and its part across the axis. */
+    float offset[3], radial[3]; /* The point from the centre, and the part of that across the axis. */
     float height, rho2, u, s, w2;
-    float i10, j11; /* I_10 and I_11 / w. */
+    float i10, j11; /* The means I_10 and I_11 / w. */
 } integrals_t;
 
-/* Arithmetic-geometric mean of greatest and least, and tau = sum of 2^(n-1) c_n^2 / w^2 over its steps, c_n their
- * half differences. */
+/* Returns the arithmetic-geometric mean of greatest and least. *tau becomes the sum of 2^(n-1) c_n^2 / w^2 over its
+ * steps, with c_n their half differences. */
 static float mean_of(float greatest, float least, float *tau) {
     const float total = greatest + least;
     float a = 0.5f * total, b = square_root(greatest * least);
@@ -79,7 +80,7 @@ void loop_field_and_gradient(const loop_t *loop, const float point_m[3], float f
     const float q21 = (i.j11 * (1.0f / 3.0f) + i20) / i.u; /* I_21 / w */
     const float along_j = -3.0f * q21, across_j = (1.5f * i20 - 2.0f * i.j11) / (i.rho2 + TINY_M2);
     const float along_i = -3.0f * i20, across_i = 6.0f * loop->radius_m * loop->radius_m * q21;
-    float axial_slope[3], lift_slope[3]; /* Of the factors of axis and radial, by position. */
+    float axial_slope[3], lift_slope[3]; /* Slopes of the factors of axis and radial, by position. */
     for (uint32_t axis = 0; axis < 3u; axis++) {
         const float j_slope = along_j * i.offset[axis] + across_j * i.radial[axis];
         const float i_slope = along_i * i.offset[axis] + across_i * i.radial[axis];

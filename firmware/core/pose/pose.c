@@ -7,19 +7,19 @@
 #include "core/math/vector3.h"
 #include "core/pose/pose_covariance.h"
 
-#define MICROTESLA        1e6f
-#define UT_M3_PER_A_M2    0.1f   /* mu0 / (4 pi) */
-#define ENOUGH_BEACONS    4u     /* With fewer there may be several answers: all candidates are fitted. */
-#define LEAST_EVALUATIONS 12u    /* Fewer are no fit. */
-#define RIVAL_COST        15.0f  /* Another pose within this of the best would be right in one case of e^7.5. */
-#define SUSPECT           2.326f /* Of a normal deviate, one-sided: 1 in 100. */
-#define IMPROBABLE        3.54f  /* 1 in 5,000. */
-#define FLAT              0.25f  /* Thickness over extent, and tilt, up to which the mirror pose is tried. */
-#define WEAK_POSITION     0.25f
-#define WEAK_ATTITUDE_RAD 0.5f
-#define GREATEST          1e15f /* uT: beyond it squares overflow. */
+#define MICROTESLA        1e6f   /* Microtesla in a tesla. */
+#define UT_M3_PER_A_M2    0.1f   /* mu0 / (4 pi) in uT m^3 for each A m^2. */
+#define ENOUGH_BEACONS    4u     /* Fewest beacons with one answer; with fewer all candidates are fitted. */
+#define LEAST_EVALUATIONS 12u    /* Fewest evaluations that are worth the name of a fit. */
+#define RIVAL_COST        15.0f  /* Distance in cost of a rival: a pose so much worse is right in one case of e^7.5. */
+#define SUSPECT           2.326f /* Normal deviate, one-sided, beyond which a cost is suspect: 1 in 100. */
+#define IMPROBABLE        3.54f  /* Normal deviate beyond which a cost is improbable: 1 in 5,000. */
+#define FLAT              0.25f  /* Largest thickness over extent, and tilt, with which the mirror pose is tried. */
+#define WEAK_POSITION     0.25f  /* Largest deviation of the position, over the distance to the nearest beacon. */
+#define WEAK_ATTITUDE_RAD 0.5f   /* Largest deviation of the attitude, rad; beyond either nothing linear holds. */
+#define GREATEST          1e15f  /* Largest field that is taken, uT; beyond it squares overflow. */
 
-/* The chi-square that is exceeded with the probability of a normal deviate (Wilson and Hilferty, 1931). */
+/* Returns the chi-square that is exceeded with the probability of a normal deviate (Wilson and Hilferty, 1931). */
 static float chi_square(uint32_t freedom, float deviate) {
     const float f = (float)freedom, part = 2.0f / (9.0f * f);
     const float root = 1.0f - part + deviate * square_root(part);
@@ -48,7 +48,7 @@ static bool hear(const pose_beacon_t *beacon, const pose_field_t *measured, pose
     heard->loop.k_uT_m3 = UT_M3_PER_A_M2 * beacon->moment_A_m2;
     heard->loop.radius_m = beacon->radius_m > 0.0f ? beacon->radius_m : 0.0f;
     return length2 > 0.0f && beacon->moment_A_m2 != 0.0f && heard->sigma_uT > 0.0f && heard->sigma_uT < GREATEST &&
-           heard->magnitude_uT > 0.0f && heard->magnitude_uT < GREATEST; /* Also false for what is not a number. */
+           heard->magnitude_uT > 0.0f && heard->magnitude_uT < GREATEST; /* False also for what is not a number. */
 }
 
 static void pose_problem(const pose_site_t *site, const pose_field_t *fields, pose_work_t *work) {
@@ -90,20 +90,21 @@ static float nearest2(const pose_problem_t *problem, const float position_m[3]) 
     return least;
 }
 
-/* Whether two fits are different poses: apart by a twentieth of the distance to the nearest beacon, or by 0.2 rad. */
+/* Returns whether two fits are different poses: apart by a twentieth of the distance to the nearest beacon, or by 0.2
+ * rad. */
 static bool different(const pose_problem_t *problem, const pose_fit_t *a, const pose_fit_t *b) {
     float offset[3], overlap = 0.0f;
     vector3_subtract(a->position_m, b->position_m, offset);
     for (uint32_t i = 0; i < 4u; i++) {
-        overlap += a->quaternion[i] * b->quaternion[i]; /* Cosine of half the angle between. */
+        overlap += a->quaternion[i] * b->quaternion[i]; /* The cosine of half the angle between. */
     }
     return vector3_dot(offset, offset) > 0.0025f * nearest2(problem, a->position_m) || overlap * overlap < 0.99f;
 }
 
 /* ---- The mirror ---- */
 
-/* Unit normal of the plane of nearly coplanar coils that point across it; point: their mean. False if they are not
- * such. */
+/* Computes the plane of nearly coplanar coils that point across it: its unit normal, and as its point their mean.
+ * Returns false if the coils are not such. */
 static bool mirror_plane(const pose_problem_t *problem, float point_m[3], float normal[3]) {
     memset(point_m, 0, 3u * sizeof *point_m);
     memset(normal, 0, 3u * sizeof *normal);
@@ -133,7 +134,8 @@ static bool mirror_plane(const pose_problem_t *problem, float point_m[3], float 
     return thickness2 <= FLAT * FLAT * extent2 && least_cosine2 >= 1.0f - FLAT * FLAT;
 }
 
-/* p' = p - 2 (p - point) . n n; half a turn about n: quaternion (n, 0) before the attitude's. */
+/* The image of a pose lies at p' = p - 2 (p - point) . n n. The sensor makes half a turn about n: the quaternion (n,
+ * 0) before the attitude's. */
 static void reflect(const float point_m[3], const float n[3], const pose_fit_t *fit, pose_fit_t *image) {
     float offset[3], turned[3];
     const float *q = fit->quaternion;
@@ -149,8 +151,8 @@ static void reflect(const float point_m[3], const float n[3], const pose_fit_t *
 
 /* ---- Result ---- */
 
-/* Whether the greatest eigenvalue of a symmetric matrix is beyond a limit: limit I - matrix then is not positive
- * definite (Sylvester). */
+/* Returns whether the greatest eigenvalue of a symmetric matrix is beyond a limit: limit I - matrix then is not
+ * positive definite (Sylvester). */
 static bool beyond(const float m[3][3], float limit) {
     const float a = limit - m[0][0], b = limit - m[1][1], c = limit - m[2][2];
     const float minor = a * b - m[0][1] * m[0][1];
@@ -159,7 +161,7 @@ static bool beyond(const float m[3][3], float limit) {
     return !(a > 0.0f && minor > 0.0f && determinant > 0.0f);
 }
 
-/* Put the best fit, and whether it has a rival, into *pose. */
+/* Puts the best fit, and whether it has a rival, into *pose. */
 static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
     const pose_problem_t *problem = &work->problem;
     float point[3], normal[3], covariance[TRIANGLE_UNKNOWNS][TRIANGLE_UNKNOWNS];
@@ -201,7 +203,7 @@ static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
                                                                                : POSE_OK;
 }
 
-/* Note a fit with the noise alone; *rival: least cost of another pose. */
+/* Notes a fit with the noise alone. *rival becomes the least cost of another pose. */
 static void note(pose_work_t *work, const pose_fit_t *fit, float *rival) {
     pose_fit_t *best = &work->best;
     const bool other = best->cost < POSE_FIT_HOPELESS && different(&work->problem, best, fit) && inside(work, fit) &&
@@ -213,8 +215,8 @@ static void note(pose_work_t *work, const pose_fit_t *fit, float *rival) {
     }
 }
 
-/* Fit the candidates, the best into work->best: those that are plausible with model error, or the least implausible.
- * True: another pose explains the fields as well. */
+/* Fits the candidates that are plausible with model error, or else the least implausible; the best goes into
+ * work->best. Returns true if another pose explains the fields as well. */
 static bool fit_candidates(pose_work_t *work, uint32_t *iterations) {
     const pose_problem_t *problem = &work->problem;
     const pose_candidates_t *candidates = &work->candidates;

@@ -5,12 +5,12 @@
 #include "core/math/quaternion.h"
 
 #define N      TRIANGLE_UNKNOWNS
-#define BEYOND 1e12f /* m^2: a million kilometres are no knowledge. */
+#define BEYOND 1e12f /* Largest variance, m^2: a position within a thousand kilometres is no knowledge. */
 
 typedef float square_t[N][N];
 typedef float second_t[N][N][N]; /* [axis][unknown i][component k along the ridge's own axes] */
 
-/* rows times L, which is upper triangular. */
+/* Multiplies rows by L, which is upper triangular. */
 static void principal(const triangle_rows_t rows, const square_t l, float result[3][N]) {
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < N; column++) {
@@ -23,8 +23,8 @@ static void principal(const triangle_rows_t rows, const square_t l, float result
     }
 }
 
-/* The rows at the pose moved by sign times a column of L. turn is the rotation of that column: seen in a frame that
- * turns with the sensor the noise stays as it is. */
+/* Computes the rows at the pose moved by sign times a column of L. turn is the rotation of that column: seen in a
+ * frame that turns with the sensor the noise stays as it is. */
 static void moved(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, uint32_t axis, float sign,
                   const float turn[3][3], float weight, triangle_rows_t back) {
     float position[3], field[3];
@@ -41,7 +41,7 @@ static void moved(const pose_heard_t *heard, const pose_fit_t *fit, const square
     }
 }
 
-/* Rotations by the turn in each column of L, and the opposite ones. */
+/* Computes the rotations by the turn in each column of L, or with sign -1 the opposite ones. */
 static void turns_of(const square_t l, float sign, float turns[N][3][3]) {
     for (uint32_t axis = 0; axis < N; axis++) {
         const float turn[3] = {sign * l[3][axis], sign * l[4][axis], sign * l[5][axis]};
@@ -75,7 +75,7 @@ static void add_beacon(const pose_heard_t *heard, const pose_fit_t *fit, const s
     }
 }
 
-/* I + (m m' + 2 sum q q') / 4, with q made symmetric in axis and unknown. */
+/* Computes I + (m m' + 2 sum q q') / 4, with q made symmetric in axis and unknown. */
 static void inflation(second_t q, square_t result) {
     float mean[N] = {0};
     for (uint32_t a = 0; a < N; a++) {
@@ -134,8 +134,8 @@ bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, squar
             }
             covariance[row][column] = sum;
         }
-        told = told && covariance[row][row] > 0.0f &&
-               covariance[row][row] < BEYOND; /* False for what is not a number. */
+        /* The comparisons are false for what is not a number. */
+        told = told && covariance[row][row] > 0.0f && covariance[row][row] < BEYOND;
     }
     return told;
 }

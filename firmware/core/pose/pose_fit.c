@@ -4,14 +4,14 @@
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 
-#define TOLERANCE                                                                                                      \
-    1e-3f /* A fit ends after a step that promised to lower the cost by less: 3 % of a standard deviation, and the     \
-             step is taken. */
-#define DAMPING_FAR   1e-3f /* At first. */
-#define DAMPING_NEAR  1e-6f
-#define DAMPING_LEAST 1e-9f
-#define DAMPING_LAST  1e-12f /* The last step goes all the way along ill-determined directions. */
-#define DAMPING_MOST  1e8f   /* No step lowers the cost any more: rounding. */
+/* Least promise of a step, in cost, after which a fit goes on: 3 % of a standard deviation. The step itself is taken.
+ * */
+#define TOLERANCE     1e-3f
+#define DAMPING_FAR   1e-3f  /* Damping of the first step from a rough start. */
+#define DAMPING_NEAR  1e-6f  /* Damping of the first step from a good start. */
+#define DAMPING_LEAST 1e-9f  /* Least damping of all steps but the last. */
+#define DAMPING_LAST  1e-12f /* Damping of the last step, which goes all the way along ill-determined directions. */
+#define DAMPING_MOST  1e8f   /* Damping with which a fit ends, since no step lowers the cost any more: rounding. */
 #define GRAIN         3e-7f  /* Rounding of a field and of what is compared with it, relative. */
 
 float pose_fit_inverse_sigma(const pose_heard_t *heard, float model_error) {
@@ -55,13 +55,13 @@ static void evaluate(const pose_problem_t *problem, float model_error, pose_fit_
         greatest = weight * heard->magnitude_uT > greatest ? weight * heard->magnitude_uT : greatest;
     }
     fit->rounding = GRAIN * greatest;
-    if (!(fit->cost < POSE_FIT_HOPELESS)) { /* Also what is not a number. */
+    if (!(fit->cost < POSE_FIT_HOPELESS)) { /* True also for what is not a number. */
         fit->cost = POSE_FIT_HOPELESS;
     }
 }
 
-/* What an undamped step would lower the cost by, if the model were linear. The damped step's promise is no measure:
- * it hides ill-determined directions. */
+/* Returns what an undamped step would lower the cost by, if the model were linear. The damped step's promise is no
+ * measure: it hides ill-determined directions. */
 static float decrement(const triangle_t *triangle) {
     float sum = 0.0f;
     for (uint32_t i = 0; i < TRIANGLE_UNKNOWNS; i++) {

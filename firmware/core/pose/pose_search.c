@@ -5,11 +5,11 @@
 #include "core/pose/wahba.h"
 
 #define COARSENESS 0.3f /* Relative change of the fields between neighbouring points, used as an error. */
-#define GOLDEN_COSINE                                                                                                  \
-    (-0.73736887f) /* Of the golden angle, 2.39996 rad: Fibonacci's spiral spreads points evenly over the sphere. */
-#define GOLDEN_SINE 0.67549029f
-#define NEAR        3.0f            /* Radii within which a coil is not taken for its dipole. */
-#define APART2      (0.25f * 0.25f) /* Candidates differ by a quarter of the distance to the strongest beacon. */
+/* Cosine and sine of the golden angle, 2.39996 rad: Fibonacci's spiral spreads points evenly over the sphere. */
+#define GOLDEN_COSINE (-0.73736887f)
+#define GOLDEN_SINE   0.67549029f
+#define NEAR          3.0f            /* Distance within which a coil is not taken for its dipole, radii. */
+#define APART2        (0.25f * 0.25f) /* Least distance of candidates over that to the strongest beacon, squared. */
 
 static uint32_t strongest(const pose_problem_t *problem) {
     uint32_t best = 0;
@@ -32,7 +32,7 @@ static void profile(const pose_problem_t *problem, const float position_m[3], wa
     }
 }
 
-/* Keep the list sorted by loss, its entries apart. */
+/* Offers a candidate to the list, which stays sorted by loss, with its entries apart. */
 static void offer(pose_candidates_t *found, const pose_candidate_t *offered, float apart2) {
     uint32_t place = found->count;
     for (uint32_t i = 0; i < found->count; i++) {
@@ -42,7 +42,7 @@ static void offer(pose_candidates_t *found, const pose_candidate_t *offered, flo
             if (found->candidates[i].loss <= offered->loss) {
                 return;
             }
-            place = i; /* Replaces its worse neighbour. */
+            place = i; /* It replaces its worse neighbour. */
             break;
         }
     }

@@ -5,7 +5,7 @@
 #include "core/math/quaternion.h"
 #include "core/math/vector3.h"
 
-/* H over E/2, so that lambda is at most 1, and what the quartic is made of. */
+/* H over E/2, so that lambda is at most 1, and the numbers that the quartic is made of. */
 typedef struct {
     float h[3][3], cofactors[3][3];
     float norm2, determinant, cofactors2; /* |H|^2, det H, |adj H|^2 */
@@ -48,7 +48,7 @@ static float greatest_root(const quartic_t *q) {
         const float excess = lambda * lambda - q->norm2;
         const float value = excess * excess - 8.0f * lambda * q->determinant - 4.0f * q->cofactors2;
         const float slope = 4.0f * lambda * excess - 8.0f * q->determinant;
-        if (!(value > 0.0f && slope > 0.0f)) { /* At the root, but for rounding. */
+        if (!(value > 0.0f && slope > 0.0f)) { /* Lambda is the root, but for rounding. */
             break;
         }
         lambda -= value / slope;

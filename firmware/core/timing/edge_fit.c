@@ -52,8 +52,8 @@ static edge_t model(const edge_shape_t *shape, float t, float rise, bool step) {
     return (edge_t){scale * sum.value, scale * sum.by_time, scale * (sum.by_rise - sum.value / rise)};
 }
 
-/* What levels or steps alone tell: normal equations about the present fit, what the fit leaves of the squares, what
- * there was of them without it, and the number of bins. */
+/* What levels or steps alone tell: normal equations about the present fit, what the fit leaves of the squares, the
+ * spread that there was about their mean, and the number of bins. */
 typedef struct {
     normal3_t normal;
     float left, spread, bins;
