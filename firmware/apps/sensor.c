@@ -9,7 +9,7 @@
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     sensor_t *sensor = context;
     timing_t *const timing = &sensor->timing;
-    (void)block; /* The chip clock counts along. */
+    (void)block; /* The chip clock counts the blocks along. */
     timing_serve(timing, sensor->hal);
     if (timing->by_field) {
         acquire_plan(sensor->acquire, &timing->clock);
@@ -55,7 +55,7 @@ static void follow(sensor_t *sensor, uint32_t source) {
     timing_t *const timing = &sensor->timing;
     const bool by_field = source == SYNC_BY_FIELD && timing->format.degree == 10u, by_can = source == SYNC_BY_CAN;
     if (by_field != timing->by_field || by_can != timing->link.follows) {
-        timing->by_field = false; /* First: the interrupts keep their hands off. */
+        timing->by_field = false; /* It comes first: the interrupts now keep their hands off. */
         sync_link_follow(&timing->link, &timing->clock, by_can);
         start_acquire(sensor->acquire);
     }

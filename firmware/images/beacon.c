@@ -1,8 +1,8 @@
-/* The beacon image. */
+/* beacon.c: what is linked into the beacon image. */
 #include "apps/beacon.h"
 #include "boards/board.h"
 
-static beacon_t beacon; /* Static: far too large for the stack. */
+static beacon_t beacon; /* It is static, since it is far too large for the stack. */
 
 int main(void) {
     hal_t *hal = board_start();

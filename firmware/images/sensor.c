@@ -1,8 +1,8 @@
-/* The sensor image. */
+/* sensor.c: what is linked into the sensor image. */
 #include "apps/sensor.h"
 #include "boards/board.h"
 
-/* Static: far too large for the stack. */
+/* They are static, since they are far too large for the stack. */
 static sensor_t sensor;
 static acquire_t acquire BOARD_CORE_MEMORY;
 

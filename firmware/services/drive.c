@@ -5,18 +5,19 @@
 #include "goldfield.h"
 
 static void drive_stop(drive_t *drive) {
-    drive->phase = DRIVE_IDLE; /* First: from here on the current interrupt keeps its hands off. */
+    drive->phase = DRIVE_IDLE; /* It comes first: the current interrupt now keeps its hands off. */
     hal_drive_enable(drive->node->hal, false);
     for (uint32_t channel = 0; channel < HAL_CHANNELS; channel++) {
         current_stop(&drive->current[channel]);
     }
 }
 
-/* Of one of the driven channels at least; the state of all of them. */
+/* Returns whether one driven channel at least is in a state. */
 static bool any(const drive_t *drive, current_state_t state) {
     return drive->current[0].state == state || (drive->channels == 2u && drive->current[1].state == state);
 }
 
+/* Returns whether all driven channels are in a state. */
 static bool all(const drive_t *drive, current_state_t state) {
     return drive->current[0].state == state && (drive->channels == 1u || drive->current[1].state == state);
 }
@@ -27,8 +28,8 @@ static bool faulty(const drive_t *drive) {
 
 /* ---- Interrupts ---- */
 
-/* One channel of a block, from chip first on: bridge, set-point, and what the measurement must know. Level 0 is not
- * driven. */
+/* Plans one channel of a block from chip first on: bridge, set-point, and what the measurement must know. Level 0 is
+ * not driven. */
 static void plan_channel(drive_t *drive, hal_plan_t *plan, uint32_t block, uint32_t channel, uint32_t first,
                          const uint16_t positions[HAL_BLOCK_CHIPS]) {
     const uint32_t reference = drive->current[channel].reference;
@@ -59,20 +60,20 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
     if (!allowed && drive->phase != DRIVE_IDLE) {
         drive_stop(drive);
     }
-    uint32_t first = drive->phase == DRIVE_IDLE ? HAL_BLOCK_CHIPS : 0u; /* Chip from which on the block is driven. */
+    uint32_t first = drive->phase == DRIVE_IDLE ? HAL_BLOCK_CHIPS
+                                                : 0u; /* The chip from which on the block is driven. */
     uint16_t positions[HAL_BLOCK_CHIPS];
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
         const chip_clock_chip_t chip = chip_clock_plan(&timing->clock);
         positions[i] = chip.code_chip;
         plan->period_ticks[i] = chip.period_ticks;
         plan->drive[i] = timing->master && chip.code_chip == 0 ? HAL_PLAN_SYNC_OUT : 0u;
-        plan->set_point[0][i] = 0; /* Here, since the library's memset goes byte by byte. */
+        plan->set_point[0][i] = 0; /* It is cleared here, since memset goes byte by byte. */
         plan->set_point[1][i] = 0;
         if (chip.code_chip == 0) {
             drive->cycles++;
-            drive->sync_blocks = !timing->master ? 0u
-                                 : i == 0u       ? 1u
-                                                 : 2u; /* plan for a block is called when the block before it begins. */
+            /* The plan for a block is made when the block before it begins. */
+            drive->sync_blocks = !timing->master ? 0u : i == 0u ? 1u : 2u;
             drive->sync_cycle = sync_cycle(&timing->format, &chip);
             if (allowed && drive->phase == DRIVE_IDLE) {
                 drive->start_chip = block * HAL_BLOCK_CHIPS + i;
@@ -161,7 +162,7 @@ static bool same(const drive_settings_t *a, const drive_settings_t *b) {
            a->over_current_A == b->over_current_A && a->open_fraction == b->open_fraction;
 }
 
-/* While wanted is false and the drive idle: the planner then looks at no level. */
+/* Writes the levels of all chips, while wanted is false and the drive is idle: the planner then looks at no level. */
 static void write_waveform(drive_t *drive) {
     waveform_t waveform;
     drive->no_waveform = !waveform_start(&waveform, drive->timing->format.degree, &drive->settings.waveform);
@@ -239,7 +240,7 @@ static void send_sync(drive_t *drive) {
     const struct goldfield_sync_t sync = {
         .cycle = drive->sync_cycle & SYNC_CYCLE_MASK,
         .chips = drive->timing->format.chips,
-        .chip_period = (uint32_t)((uint64_t)HAL_CHIP_TICKS * 1000000000000u / HAL_TICKS_PER_SECOND), /* ps */
+        .chip_period = (uint32_t)((uint64_t)HAL_CHIP_TICKS * 1000000000000u / HAL_TICKS_PER_SECOND), /* In ps. */
     };
     uint8_t data[8];
     const uint8_t length = (uint8_t)goldfield_sync_pack(data, &sync, sizeof data);

@@ -30,9 +30,8 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
         onboard->site.half_space_point_m[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + axis);
         onboard->site.half_space_normal[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + 3u + axis);
     }
-    const bool complete = selection->count ==
-                          parameters_unsigned(parameters,
-                                              PARAMETER_CODE_COUNT); /* Else beacons would be taken for others. */
+    /* With a code left out beacons would be taken for others. */
+    const bool complete = selection->count == parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
     onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
 }
 
@@ -73,13 +72,13 @@ static void separate(onboard_t *onboard) {
     }
 }
 
-/* value / resolution to the nearest whole number from 0 to limit. */
+/* Returns value / resolution as the nearest whole number from 0 to limit. */
 static uint32_t clamped(float value, float resolution, uint32_t limit) {
     const float scaled = value / resolution + 0.5f;
     return scaled >= (float)limit ? limit : scaled > 0.0f ? (uint32_t)scaled : 0u;
 }
 
-/* A component of a unit quaternion in 2^-14; 1 itself does not fit 15 bits. */
+/* Returns a component of a unit quaternion in units of 2^-14; 1 itself does not fit 15 bits. */
 static int16_t component(float value) {
     return (int16_t)node_clamp(epoch_integer(value, 1.0f / 16384.0f), 16383);
 }

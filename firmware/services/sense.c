@@ -5,18 +5,19 @@
 #include "goldfield.h"
 #include "protocol_hash.h"
 
-/* Index of a PART (framing.md). */
+/* The index of a PART is part * PART_STRIDE + code, with PART_PLAIN in place of the code for the plain sum
+ * (framing.md). */
 #define PART_STRIDE 1026u
 #define PART_PLAIN  1025u
 
-/* Messages of a cycle beside its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and three of the pose. */
+/* Messages of a cycle besides its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and three of the pose. */
 #define REPORT_BESIDE 6u
-/* Of a third: its plain sum. */
+/* Messages of a part besides those of its codes: its plain sum. */
 #define PART_BESIDE 1u
 
 /* ---- Interrupts ---- */
 
-/* Axis by axis: a saturated one says so, the others keep their value. */
+/* Marks the sample axis by axis: a saturated one says so, the others keep their value. */
 static void mark_saturated(const uint16_t burst[HAL_BURST][HAL_AXES], int16_t shown[HAL_AXES]) {
     for (uint32_t axis = 0; axis < HAL_AXES; axis++) {
         for (uint32_t i = 0; i < HAL_BURST; i++) {
@@ -48,7 +49,7 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
         const uint64_t start = sense->ticks;
         if (!chip_clock_at(&timing->clock, absolute, &chip)) {
             sense->ticks += HAL_CHIP_TICKS;
-            continue; /* More than a block late: epoch_feed sees the gap. */
+            continue; /* The board is more than a block late: epoch_feed sees the gap. */
         }
         sense->ticks += chip.period_ticks;
         int16_t sample[HAL_AXES];
@@ -60,7 +61,8 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
             acquire_sample((*samples)[i], sample);
         }
         if (epoch_feed(&sense->collector, absolute, cycle, code_chip, sample, saturated, locked)) {
-            const uint64_t end = code_chip == 0 ? start : sense->ticks; /* 0: the cycle before ended in a gap. */
+            /* With code chip 0 the cycle before it ended in a gap. */
+            const uint64_t end = code_chip == 0 ? start : sense->ticks;
             sense->middle_ticks = (sense->cycle_start_ticks + end) / 2;
         }
         if (code_chip == 0) {
@@ -75,7 +77,7 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
 
 /* ---- Main ---- */
 
-/* The links that take so many messages of a report: all of them or none. One that takes none is counted. */
+/* Returns the links that take all of a report's messages, so many. The report is counted if a link takes none. */
 static node_links_t room(sense_t *sense, uint32_t messages) {
     const node_links_t links = node_room(sense->node, messages);
     sense->unsent += links != NODE_BOTH;
@@ -185,7 +187,7 @@ void sense_configure(sense_t *sense) {
     }
     if (!same) {
         (void)epoch_select(&sense->selection, sense->collector.family, codes, count);
-        sense->cycle.third = EPOCH_WHOLE; /* Thirds of the old list and of the new are not added. */
+        sense->cycle.third = EPOCH_WHOLE; /* Parts of the old list and of the new are not added. */
     }
     onboard_configure(&sense->onboard, parameters, format->chips, &sense->selection);
     sense->collector.thirds = format->degree == 10u && parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
@@ -198,8 +200,8 @@ void sense_start(sense_t *sense, node_t *node, const timing_t *timing) {
     sense->node = node;
     sense->timing = timing;
     (void)queue_init(&sense->stream, sense->stream_messages, SENSE_STREAM_MESSAGES);
-    epoch_init(&sense->collector,
-               gold_family(timing->format.degree)); /* Only degrees that have one get through parameters_set. */
+    /* Only degrees that have a family get through parameters_set. */
+    epoch_init(&sense->collector, gold_family(timing->format.degree));
     sense_configure(sense);
 }
 

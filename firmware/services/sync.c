@@ -24,7 +24,7 @@ void sync_clock_init(chip_clock_t *clock, const sync_format_t *format, bool foll
         .maximum_ticks = HAL_CHIP_TICKS_MAX,
         .follow = follow,
     };
-    (void)chip_clock_init(clock, &config); /* All formats lie in its ranges. */
+    (void)chip_clock_init(clock, &config); /* It cannot fail: all formats lie in its ranges. */
 }
 
 bool sync_number(chip_clock_t *clock, const sync_format_t *format, const sync_link_t *link, uint32_t chips,
@@ -47,13 +47,13 @@ int32_t sync_phase(int32_t ticks) {
 
 /* ---- Timing over CAN ---- */
 
-/* Cycles from b to a, whose numbers have 20 bits. */
+/* Returns the cycles from b to a, whose numbers have 20 bits. */
 static int32_t cycles_between(uint32_t a, uint32_t b) {
     const uint32_t difference = (a - b) & SYNC_CYCLE_MASK;
     return (int32_t)difference - (difference > SYNC_CYCLE_MASK / 2u ? (int32_t)SYNC_CYCLE_MASK + 1 : 0);
 }
 
-/* The master's own SYNC was through at the mark. An answer that main has not fetched stays. */
+/* Prepares the FOLLOW_UP of a master whose own SYNC ended at the mark. One that main has not fetched yet stays. */
 static void answer(sync_link_t *link, const sync_format_t *format, uint32_t cycle, const chip_clock_mark_t *mark) {
     const int32_t cycles = cycles_between(mark->cycle * format->cycles, cycle),
                   limit = SYNC_PERIODS_LATE * format->cycles;
@@ -73,7 +73,7 @@ static sync_seen_t *find(sync_link_t *link, uint32_t node, uint32_t cycle) {
     return NULL;
 }
 
-/* Of a SYNC that is sent twice the second counts, as for its master. */
+/* Notes a SYNC, sent or received. If one is sent twice, the second counts, as it does for its master. */
 static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_format_t *format,
                       const hal_stamp_t *stamp) {
     struct goldfield_sync_t sync;
@@ -121,7 +121,7 @@ void sync_link_serve(sync_link_t *link, chip_clock_t *clock, const sync_format_t
 }
 
 void sync_link_follow(sync_link_t *link, chip_clock_t *clock, bool follows) {
-    link->follows = false; /* First: the interrupt keeps its hands off. */
+    link->follows = false; /* It comes first: the interrupt now keeps its hands off. */
     chip_clock_forget(clock, follows ? &chip_clock_link : &chip_clock_wire);
     link->follows = follows;
 }

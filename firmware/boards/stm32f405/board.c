@@ -1,4 +1,4 @@
-/* board.c: board_start(), and what of hal.h is not chips, converters, links or time. */
+/* board.c: board_start(), and those functions of hal.h that are not about chips, converters, links or time. */
 
 #include "boards/board.h"
 
@@ -6,8 +6,9 @@
 
 #include "boards/stm32f405/stm32f405.h"
 
-#define PARAMETER_PAGE ((const uint8_t *)0x080E0000u)
-#define WATCHDOG_TRIES 100000u /* 3 ms at 168 MHz; the watchdog's registers take five of its 31 us cycles. */
+#define PARAMETER_PAGE ((const uint8_t *)0x080E0000u) /* The last sector of the flash. */
+/* Tries of waiting for the watchdog: 3 ms at 168 MHz; its registers take five of its 31 us cycles. */
+#define WATCHDOG_TRIES 100000u
 
 enum { MODE_OUTPUT = 1, MODE_ALTERNATE = 2, MODE_ANALOG = 3 };
 enum { PULL_NONE = 0, PULL_UP = 1, PULL_DOWN = 2 };
@@ -29,7 +30,7 @@ static void pin_alternate(GPIO_registers *port, unsigned pin, uint32_t function,
 }
 
 static void pins_start(void) {
-    GPIOC->BSRR = 0x3F0u << 16 | 1u << 12; /* Drives off (PC4 to PC9), LED off, before they are outputs. */
+    GPIOC->BSRR = 0x3F0u << 16 | 1u << 12; /* Drives (PC4 to PC9) and LED are off before they are outputs. */
     for (unsigned pin = 4; pin <= 9; pin++) {
         change(&GPIOC->OSPEEDR, 3u << (2 * pin), (uint32_t)SPEED_HIGH << (2 * pin));
         pin_mode(GPIOC, pin, MODE_OUTPUT, PULL_NONE);
@@ -39,14 +40,14 @@ static void pins_start(void) {
     SYSCFG->EXTICR3 = SYSCFG_EXTICR3_EXTI10_PORTC;
     for (unsigned pin = 0; pin <= 6; pin++)
         pin_mode(GPIOA, pin, MODE_ANALOG, PULL_NONE);
-    pin_alternate(GPIOA, 10, 1, PULL_DOWN); /* TIM1_CH3; quiet without a sync wire. */
+    pin_alternate(GPIOA, 10, 1, PULL_DOWN); /* TIM1_CH3, pulled so that it is quiet without a sync wire. */
     pin_alternate(GPIOB, 6, 7, PULL_NONE);
     pin_alternate(GPIOB, 7, 7, PULL_UP);
-    pin_alternate(GPIOB, 8, 9, PULL_UP); /* Recessive without a transceiver. */
+    pin_alternate(GPIOB, 8, 9, PULL_UP); /* The pull-up is recessive without a transceiver. */
     pin_alternate(GPIOB, 9, 9, PULL_NONE);
 }
 
-/* 500 ms at the nominal 32 kHz of its oscillator, which may run at 17 to 47 kHz. */
+/* Starts the watchdog with 500 ms at the nominal 32 kHz of its oscillator, which may run at 17 to 47 kHz. */
 static void watchdog_start(void) {
     IWDG->KR = IWDG_KR_KEY_START;
     IWDG->KR = IWDG_KR_KEY_UNLOCK;
@@ -58,7 +59,7 @@ static void watchdog_start(void) {
 
 hal_t *board_start(void) {
     hal_t *hal = &board;
-    hal->whole = (RCC->CR & RCC_CR_HSIRDY) != 0; /* It runs us. */
+    hal->whole = (RCC->CR & RCC_CR_HSIRDY) != 0; /* The processor runs on it. */
     hal->counters.watchdog_resets = (RCC->CSR & RCC_CSR_WDGRSTF) != 0 ? 1u : 0u;
     RCC->CSR |= RCC_CSR_RMVF;
     hal->clock = clock_start();
@@ -72,8 +73,8 @@ hal_t *board_start(void) {
 
     watchdog_start();
     pins_start();
-    /* Unbuffered: the buffer does not reach 0 V. The trigger is chosen now and switched on by the chip engine: it
-     * must not change while a channel is on. */
+    /* The outputs are unbuffered, since the buffer does not reach 0 V. The trigger is chosen now and switched on by the
+     * chip engine: it must not change while a channel is on. */
     DAC->CR = DAC_CR_EN1 | DAC_CR_BOFF1 | DAC_CR_TSEL1_TIM8 | DAC_CR_EN2 | DAC_CR_BOFF2 | DAC_CR_TSEL2_TIM8;
     clock_start_tick(hal->clock);
     serial_start(hal);
@@ -101,8 +102,8 @@ void hal_watchdog_kick(hal_t *hal) {
     IWDG->KR = IWDG_KR_KEY_RELOAD;
 }
 
-/* With interrupts off, one that comes between the look and WFI still ends WFI; it is served when they are on again.
- * Interrupts that set nothing, such as the coil current's, do not return to main. */
+/* With interrupts off, one that comes between the look at woken and WFI still ends WFI; it is served when they are on
+ * again. Interrupts that set nothing, such as the coil current's, do not return to main. */
 void hal_wait(hal_t *hal) {
     for (;;) {
         __asm volatile("cpsid i" ::: "memory");

@@ -1,17 +1,21 @@
 /* can.c: CAN1 at 1 Mbit/s on PB8 and PB9, 29-bit data frames only.
  *
- * A bit at 42 MHz: 3 x 14 quanta, 1 + 10 + 3, sample point 78.6 %. At 16 MHz: 1 x 16 quanta, 1 + 12 + 3, 81.3 %. CiA
- * asks for about 75 to 87.5 %. Stamped frames (hal.h) come through FIFO 1, alone there, so that its interrupt tells of
- * no others. It and that of the mailboxes have the highest priority and first of all look at the chip timer; only
- * interrupts_off() (at most 40 instructions) holds them up.
+ * Bit timing; CiA asks for a sample point of about 75 to 87.5 %.
+ *   clock    divided by   quanta              sample point
+ *   42 MHz       3        14 = 1 + 10 + 3     78.6 %
+ *   16 MHz       1        16 = 1 + 12 + 3     81.3 %
  *
- * Leaves the bus on 256 errors and comes back by itself (ABOM). The controller joins the bus when it has seen 11
- * recessive bits; nobody waits for that: without a bus, hal_can_send() says false and the rest of the board runs.
+ * Stamped frames (hal.h) come through FIFO 1, alone there, so that its interrupt tells of no others. That interrupt
+ * and the mailboxes' have the highest priority and first of all look at the chip timer; only interrupts_off() (at most
+ * 40 instructions) holds them up.
+ *
+ * The controller leaves the bus on 256 errors and comes back by itself (ABOM). It joins the bus when it has seen 11
+ * recessive bits. Nobody waits for that: without a bus, hal_can_send() returns false and the rest of the board runs.
  */
 
 #include "boards/stm32f405/stm32f405.h"
 
-#define MODE_TRIES 10000u
+#define MODE_TRIES 10000u /* Tries of waiting for the controller to change its mode. */
 /* A frame is valid for its transmitter at the end of the last bit of its end of frame, for receivers at that of the
  * last but one (Bosch, CAN 2.0, part B, 5; ISO 11898-1): they stamp one bit of 1 us early. */
 #define RECEIVED_EARLY_TICKS (HAL_TICKS_PER_SECOND / 1000000u)
@@ -20,15 +24,16 @@
     (((jump)-1u) << 24 | ((behind)-1u) << 20 | ((before)-1u) << 16 | ((divide)-1u))
 
 void can_start(const hal_t *hal) {
-    /* Out of sleep and into initialisation: SLEEP 0, INRQ 1. Frames leave in the order of requests (TXFP). */
+    /* SLEEP 0 and INRQ 1 bring it out of sleep and into initialisation. Frames leave in the order of requests (TXFP).
+     */
     const uint32_t mode = CAN_MCR_ABOM | CAN_MCR_TXFP;
     CAN1->MCR = mode | CAN_MCR_INRQ;
     if (!wait_for(&CAN1->MSR, CAN_MSR_INAK, CAN_MSR_INAK, MODE_TRIES))
         return;
     CAN1->BTR = hal->clock == HAL_CLOCK_SLOW ? BIT_TIMING(1u, 12u, 3u, 3u) : BIT_TIMING(3u, 10u, 3u, 3u);
 
-    /* Filters of 32 bits with mask, for extended frames that are not remote: 0 and 1 for stamped types, to FIFO 1; 2
-     * for any, to FIFO 0. The lower number goes first. */
+    /* The filters have 32 bits with mask and take extended frames that are not remote: 0 and 1 the stamped types, to
+     * FIFO 1; 2 any, to FIFO 0. The lower number goes first. */
     CAN1->FMR |= CAN_FMR_FINIT;
     CAN1->FA1R &= ~7u;
     CAN1->FM1R &= ~7u;
@@ -43,7 +48,7 @@ void can_start(const hal_t *hal) {
     CAN1->FA1R |= 7u;
     CAN1->FMR &= ~CAN_FMR_FINIT;
 
-    CAN1->ESR = CAN_ESR_LEC; /* 7: none yet. */
+    CAN1->ESR = CAN_ESR_LEC; /* The code 7 says that there was none yet. */
     CAN1->IER = CAN_IER_TMEIE | CAN_IER_FMPIE0 | CAN_IER_FMPIE1 | CAN_IER_BOFIE | CAN_IER_LECIE | CAN_IER_ERRIE;
     CAN1->MCR = mode;
     interrupt_enable(IRQ_CAN1_TX, PRIORITY_STAMP);
@@ -87,7 +92,8 @@ bool hal_can_stamp(hal_t *hal, hal_stamp_t *stamp) {
     return true;
 }
 
-/* A mailbox became free: main may have more. When two did before we look, nobody knows when the first ended. */
+/* A mailbox has become free, and main may have more. When two have before this looks, nobody knows when the first
+ * ended. */
 void CAN1_TX_Handler(void) {
     const chip_time_t now = chip_now(&board);
     const uint32_t status = CAN1->TSR, ended = status & (CAN_TSR_RQCP0 | CAN_TSR_RQCP1 | CAN_TSR_RQCP2);
@@ -110,7 +116,7 @@ static void copy_frame(hal_frame_t *frame, uint32_t identifier, uint32_t control
     }
 }
 
-/* When a second frame is there before we look, nobody knows when the first ended. */
+/* A stamped frame has come. When a second one is there before this looks, nobody knows when the first ended. */
 void CAN1_RX1_Handler(void) {
     chip_time_t now = chip_now(&board);
     const uint32_t status = CAN1->RF1R;
@@ -134,7 +140,7 @@ void CAN1_RX1_Handler(void) {
     board.woken = true;
 }
 
-/* One frame an interrupt; the request stays up while there are more. */
+/* Takes one frame an interrupt; the request stays up while there are more. */
 void CAN1_RX0_Handler(void) {
     const uint32_t status = CAN1->RF0R;
     if ((status & CAN_RF0R_RFOM0) != 0 || (status & CAN_RF0R_FMP0) == 0)
@@ -166,7 +172,7 @@ bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
     return true;
 }
 
-/* An error frame, or off the bus. Not a reason to wake main. */
+/* There was an error frame, or the controller left the bus. That is no reason to wake main. */
 void CAN1_SCE_Handler(void) {
     const uint32_t status = CAN1->ESR, code = status & CAN_ESR_LEC;
     if (code != 0 && code != CAN_ESR_LEC)

@@ -2,37 +2,35 @@
  * rings.
  *
  * TIM1 counts 168 MHz ticks from 0 to ARR; an update event ends each chip. TIM8 is reset by each update (TRGO of TIM1,
- * ITR0 of TIM8), passes the event on to the DAC (which TIM1 does not reach), and starts the conversion of coil currents
- * by its compare 2. In chip c:
+ * ITR0 of TIM8), passes the event on to the DAC (which TIM1 does not reach), and starts the conversion of coil
+ * currents by its compare 2. In chip c:
  *
- *   count          event        what happens                                                            transfers so
- *                  far, behind it
- *   0 (update)     TIM1_UP      DMA2 stream 5: words[(c - 1) mod 62] -> GPIOC BSRR, the edges of chip c   c
- *                               the preload of ARR, written in chip c - 1, becomes the period of c
- *   0 (reset)      TIM8 TRGO    the DAC's outputs take what its data register holds: the set-points of c
- *                               then DMA1 stream 5: set_points[(c - 1) mod 62] -> DHR12RD, for c + 1      c
- *   8000 (CC4)     TIM1_CH4     DMA2 stream 4: periods[c mod 62] -> preload of ARR, for chip c + 1        c + 1
- *   CC1            converters   burst of 8 (sensor, anchor)
- *   TIM8 CC2       converters   one conversion of the coil currents (beacon, anchor)
- *   any (CC3)      capture      edge of the sync wire, its count kept in CCR3
- *   ARR            update       chip c ends
+ *   count        event        what happens                                                            transfers
+ *   0 (update)   TIM1_UP      DMA2 stream 5: words[(c - 1) mod 62] -> GPIOC BSRR, the edges of chip c   c
+ *                             the preload of ARR, written in chip c - 1, becomes the period of c
+ *   0 (reset)    TIM8 TRGO    the DAC's outputs take what its data register holds: the set-points of c
+ *                             then DMA1 stream 5: set_points[(c - 1) mod 62] -> DHR12RD, for c + 1      c
+ *   8000 (CC4)   TIM1_CH4     DMA2 stream 4: periods[c mod 62] -> preload of ARR, for chip c + 1        c + 1
+ *   CC1          converters   burst of 8 (sensor, anchor)
+ *   TIM8 CC2     converters   one conversion of the coil currents (beacon, anchor)
+ *   any (CC3)    capture      edge of the sync wire, its count kept in CCR3
+ *   ARR          update       chip c ends
+ * The last column has the stream's transfers so far, behind that event.
  *
- * So chip c's word and period lie at the same index, (c - 1) mod 62: transfer number k (from 0) of either stream is for
- * chip k + 1. Its set-points lie one before, at (c - 2) mod 62: transfer k is for chip k + 2. Chip 0 is nobody's
+ * So chip c's word and period lie at the same index, (c - 1) mod 62: transfer number k (from 0) of either stream is
+ * for chip k + 1. Its set-points lie one before, at (c - 2) mod 62: transfer k is for chip k + 2. Chip 0 is nobody's
  * transfer, nor are the set-points of chip 1: hal_chips_start() writes them itself, then starts the counters.
  *
  * A stream fetches its next entry as soon as it has written the one before (RM0090, 10.3.14, direct mode): an entry
  * must be there a chip early.
  *
- *   chips      index     word fetched        period fetched      set-point fetched (index less 1)     written by plan
- *              of
- *   0          (61)      by the CPU before the start                                                  block 0
- *   1..30      0..29     start of chip c-1   in chip c-2         start of chip c-2                    block 0
- *   31..61     30..60    start of chip c-1   in chip c-2         start of chip c-2                    block 1
- *   62         61        start of chip 61    in chip 60          start of chip 60                     block 2, planned
- *              from the start of chip 31 on
- *   63..92     0..29     start of chip c-1   in chip c-2         start of chip c-2                    block 2
- *   (the first of each stream: when it is switched on)
+ *   chips      index     word fetched        period fetched   set-point fetched (index less 1)   by the plan of
+ *   0          (61)      by the CPU before the start                                             block 0
+ *   1..30      0..29     start of chip c-1   in chip c-2      start of chip c-2                  block 0
+ *   31..61     30..60    start of chip c-1   in chip c-2      start of chip c-2                  block 1
+ *   62         61        start of chip 61    in chip 60       start of chip 60                   block 2
+ *   63..92     0..29     start of chip c-1   in chip c-2      start of chip c-2                  block 2
+ * The first entry of each stream is fetched when it is switched on. Block 2 is planned from the start of chip 31 on.
  *
  * DMA2 stream 5 has done 31 transfers at the start of chip 31 (half) and 62 at that of chip 62 (complete): its
  * interrupts are the block boundaries. The interrupt at the start of block b plans block b + 1, whose first set-points
@@ -50,7 +48,7 @@
 #define PIN_SET(pin)   (1u << (pin))
 #define PIN_RESET(pin) (1u << ((pin) + 16))
 
-/* Bridge inputs by hal_drive_t; a drive that does not exist is off. */
+/* The words of a bridge's inputs, by hal_drive_t; a drive that does not exist is off. */
 #define BRIDGE(first, second)                                                                                          \
     {                                                                                                                  \
         PIN_RESET(first) | PIN_RESET(second), PIN_SET(first) | PIN_RESET(second), PIN_RESET(first) | PIN_SET(second),  \
@@ -62,7 +60,7 @@ static uint32_t set_point(uint16_t count) {
     return count > 4095u ? 4095u : count;
 }
 
-/* Chip i of the plan, into entry index of the rings. */
+/* Writes chip i of the plan into entry index of the rings. */
 static inline void write_chip(hal_t *hal, uint32_t i, uint32_t index) {
     const hal_plan_t *plan = &hal->plan;
     uint32_t period = plan->period_ticks[i];
@@ -78,10 +76,10 @@ static inline void write_chip(hal_t *hal, uint32_t i, uint32_t index) {
                                                                  set_point(plan->set_point[1][i]) << 16;
 }
 
-/* Ask for block's plan and write it into the rings. */
+/* Asks for the block's plan and writes it into the rings. */
 static void plan_block(hal_t *hal, uint32_t block) {
     hal->events.plan(hal->events.context, block, &hal->plan);
-    const uint32_t second = (block & 1u) != 0 ? HAL_BLOCK_CHIPS : 0u; /* Entry of the block's second chip. */
+    const uint32_t second = (block & 1u) != 0 ? HAL_BLOCK_CHIPS : 0u; /* The entry of the second chip. */
     write_chip(hal, 0, (second + RING_CHIPS - 1u) % RING_CHIPS);
     for (uint32_t i = 1; i < HAL_BLOCK_CHIPS; i++)
         write_chip(hal, i, second + i - 1u);
@@ -98,15 +96,15 @@ static void stream_start(DMA_stream_registers *stream, volatile uint32_t *target
     stream->CR |= DMA_S0CR_EN;
 }
 
-/* TIM8 and the DAC behind TIM1, which stands still. TIM1 must not make an update event between here and its start. */
+/* Puts TIM8 and the DAC behind TIM1, which stands still and must not make an update event until it is started. */
 static void drive_start(const hal_t *hal) {
     TIM1->CR2 = TIM_CR2_MMS_UPDATE;
     TIM8->CR2 = TIM_CR2_MMS_UPDATE;
-    TIM8->SMCR = TIM_SMCR_SMS_RESET; /* By ITR0 (TS 0), which is TIM1. */
+    TIM8->SMCR = TIM_SMCR_SMS_RESET; /* The trigger is ITR0 (TS 0), which is TIM1. */
 
-    DAC->DHR12RD = hal->set_points[RING_CHIPS - 2u]; /* Chip 0: without a trigger the outputs follow at once. */
+    DAC->DHR12RD = hal->set_points[RING_CHIPS - 2u]; /* For chip 0: without a trigger the outputs follow at once. */
     DAC->CR |= DAC_CR_TEN1 | DAC_CR_TEN2 | DAC_CR_DMAEN1;
-    DAC->DHR12RD = hal->set_points[RING_CHIPS - 1u]; /* Chip 1. */
+    DAC->DHR12RD = hal->set_points[RING_CHIPS - 1u]; /* For chip 1. */
     DMA1->HIFCR = DMA_HIFCR_STREAM5;
     stream_start(&DMA1->S[5], &DAC->DHR12RD, hal->set_points, DMA_S0CR_CHSEL_7 | DMA_S0CR_PL_VERY_HIGH);
 }
@@ -123,12 +121,12 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
 
     TIM1->ARR = period;
     TIM1->CCR4 = CHIP_RELOAD_TICKS;
-    TIM1->CCMR2_Output = TIM_CCMR2_CC3S_TI3 |
-                         TIM_CCMR2_IC3F_8_SAMPLES; /* Capture 48 ns behind the edge, free of shorter spikes. */
+    /* The capture is 48 ns behind the edge, free of shorter spikes. */
+    TIM1->CCMR2_Output = TIM_CCMR2_CC3S_TI3 | TIM_CCMR2_IC3F_8_SAMPLES;
     TIM1->CCER = TIM_CCER_CC3E;
     TIM1->CR1 = TIM_CR1_ARPE;
-    converters_start(hal);  /* Sets up CC1 and TIM8's CC2. */
-    TIM1->EGR = TIM_EGR_UG; /* Preloads become shadows. */
+    converters_start(hal);  /* It sets up CC1 and TIM8's CC2. */
+    TIM1->EGR = TIM_EGR_UG; /* The preloads become shadows. */
     TIM1->SR = 0;
 
     DMA2->HIFCR = DMA_HIFCR_STREAM4 | DMA_HIFCR_STREAM5;
@@ -142,7 +140,7 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     const bool drives = hal_role_drives(role);
     if (drives) {
         drive_start(hal);
-        /* The drivers' fault input, also if it is active already. */
+        /* The drivers' fault input counts also if it is active already. */
         EXTI->FTSR |= 1u << 10;
         EXTI->IMR |= 1u << 10;
         interrupt_enable(IRQ_EXTI15_10, PRIORITY_DRIVE);
@@ -150,17 +148,17 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
             EXTI->SWIER = 1u << 10;
     }
 
-    const uint32_t primask = interrupts_off(); /* Word and counters together. */
+    const uint32_t primask = interrupts_off(); /* The word and the counters start together. */
     if (drives)
         TIM8->CR1 = TIM_CR1_CEN;
-    GPIOC->BSRR = word | PIN_RESET(12); /* PC12: the LED, to the supply: low is on. */
+    GPIOC->BSRR = word | PIN_RESET(12); /* PC12 drives the LED to the supply: low is on. */
     TIM1->CR1 = TIM_CR1_ARPE | TIM_CR1_CEN;
     interrupts_restore(primask);
 }
 
-/* A block boundary. The flags of stream 5 alternate: half at the start of odd blocks, complete at that of even ones.
- * A plan that was not written two chips before its block, or when the next boundary's flag is up already, came too
- * late. */
+/* A block boundary has come. The flags of stream 5 alternate: half at the start of odd blocks, complete at that of
+ * even ones. A plan that was not written two chips before its block, or when the next boundary's flag is up already,
+ * came too late. */
 void DMA2_Stream5_Handler(void) {
     hal_t *hal = &board;
     for (uint32_t flag; ((flag = (hal->block & 1u) != 0 ? DMA_HISR_TCIF5 : DMA_HISR_HTIF5) & DMA2->HISR) != 0;) {
@@ -180,7 +178,8 @@ void DMA2_Stream5_Handler(void) {
     hal->woken = true;
 }
 
-/* position 0..61 in the ring of chips, in the running block or the one behind it. first_chip is odd in odd blocks. */
+/* Returns the absolute chip of a position 0..61 in the ring, in the running block or the one behind it. first_chip is
+ * odd in odd blocks. */
 static uint32_t absolute_chip(uint32_t first_chip, uint32_t position) {
     if ((first_chip & 1u) == 0)
         return first_chip + position;
@@ -188,13 +187,13 @@ static uint32_t absolute_chip(uint32_t first_chip, uint32_t position) {
                                       : first_chip - HAL_BLOCK_CHIPS + position;
 }
 
-/* Transfers of a stream, mod 62. */
+/* Returns the transfers of a stream, modulo 62. */
 static uint32_t transfers(const DMA_stream_registers *stream) {
     const uint32_t done = RING_CHIPS - stream->NDTR;
     return done == RING_CHIPS ? 0u : done;
 }
 
-/* Two passes: if a chip ended between the readings, none will end so soon again. */
+/* Two passes are enough: if a chip ended between the readings, none will end so soon again. */
 chip_time_t chip_now(const hal_t *hal) {
     uint32_t ticks = 0, position = 0;
     for (int pass = 0; pass < 2; pass++) {
@@ -206,18 +205,18 @@ chip_time_t chip_now(const hal_t *hal) {
     return (chip_time_t){.chip = absolute_chip(hal->first_chip, position), .ticks = ticks};
 }
 
-/* The count of the edge is beyond the present one: it came in the chip before. Right if this interrupt is late by
+/* An edge whose count is beyond the present one came in the chip before. That is right if this interrupt is late by
  * less than a chip. */
 void TIM1_CC_Handler(void) {
-    const uint32_t edge = TIM1->CCR3; /* Clears the flag. */
+    const uint32_t edge = TIM1->CCR3; /* Reading it clears the flag. */
     const chip_time_t now = chip_now(&board);
     board.events.sync(board.events.context, edge > now.ticks ? now.chip - 1u : now.chip, (uint16_t)edge);
     board.woken = true;
 }
 
-/* Coil currents, converted in chip c behind count 8000: stream 4 has done c + 1 transfers, and does no more before
- * count 8000 of chip c + 1. Right if this interrupt is late by less than half a chip; no look at the count is
- * needed. */
+/* The coil currents of chip c are converted behind count 8000: stream 4 has done c + 1 transfers, and does no more
+ * before count 8000 of chip c + 1. That is right if this interrupt is late by less than half a chip; no look at the
+ * count is needed. */
 void ADC_Handler(void) {
     uint16_t count[HAL_CHANNELS];
     if (!converters_take(&board, count))

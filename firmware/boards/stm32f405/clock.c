@@ -1,8 +1,10 @@
 /* clock.c: the clock tree and everything that is time.
  *
- *   crystal 8 MHz / 4 (or internal 16 MHz / 8) = 2 MHz, x 168 = 336 MHz, / 2 = 168 MHz: core, AHB, chip timer TIM1
- *     (APB2 timers run at twice APB2)
- *   APB2 = 84 MHz: USART1; converters 84 / 4 = 21 MHz.   APB1 = 42 MHz: CAN, DAC; TIM2 at 84 MHz.
+ *   PLL in    2 MHz: crystal 8 MHz / 4, or internal oscillator 16 MHz / 8
+ *   PLL       336 MHz, x 168
+ *   core      168 MHz, / 2: core, AHB, chip timer TIM1 (APB2 timers run at twice APB2)
+ *   APB2      84 MHz: USART1; converters at 84 / 4 = 21 MHz
+ *   APB1      42 MHz: CAN, DAC; TIM2 at 84 MHz
  * If the PLL does not lock either, everything runs at the 16 MHz the chip starts with, undivided. A crystal that dies
  * later stops the core; the watchdog has an oscillator of its own, resets, and the board comes back on the internal
  * oscillator. Voltage scale 1, needed at 168 MHz, is this chip's reset value.
@@ -10,10 +12,11 @@
 
 #include "boards/stm32f405/stm32f405.h"
 
-#define CRYSTAL_TRIES    50000u /* 20 ms at 16 MHz; a crystal takes 2 ms (data sheet, table 37). */
-#define SWITCH_TRIES     10000u /* 4 ms; the PLL takes 0.3 ms. */
-#define SLOW_HZ          16000000u
-#define TICKS_PER_SECOND 100u /* The wake-up of hal_wait() before the chip engine runs. */
+#define CRYSTAL_TRIES                                                                                                  \
+    50000u /* Tries of waiting for the crystal, 20 ms at 16 MHz; it takes 2 ms (data sheet, table 37). */
+#define SWITCH_TRIES     10000u    /* Tries of waiting for a switch, 4 ms; the PLL takes 0.3 ms. */
+#define SLOW_HZ          16000000u /* Clock without the PLL, Hz. */
+#define TICKS_PER_SECOND 100u      /* Wake-ups of hal_wait() a second before the chip engine runs. */
 
 bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries) {
     while (tries-- > 0) {
@@ -30,7 +33,7 @@ hal_clock_t clock_start(void) {
         RCC->CR &= ~RCC_CR_HSEON;
 
     const uint32_t divide = crystal ? 4u : 8u, multiply = 168u, usb = 7u;
-    const uint32_t reserved = RCC->PLLCFGR & 0xF0000000u; /* Must keep its reset value. */
+    const uint32_t reserved = RCC->PLLCFGR & 0xF0000000u; /* They must keep their reset value. */
     RCC->PLLCFGR = reserved | divide | multiply << 6 | usb << 24 | (crystal ? RCC_PLLCFGR_PLLSRC : 0u);
     RCC->CR |= RCC_CR_PLLON;
     if (!wait_for(&RCC->CR, RCC_CR_PLLRDY, RCC_CR_PLLRDY, SWITCH_TRIES)) {
@@ -41,7 +44,7 @@ hal_clock_t clock_start(void) {
     FLASH->ACR = FLASH_ACR_LATENCY_5 | FLASH_ACR_PRFTEN | FLASH_ACR_ICEN | FLASH_ACR_DCEN;
     if (!wait_for(&FLASH->ACR, 7u, FLASH_ACR_LATENCY_5, SWITCH_TRIES))
         return HAL_CLOCK_SLOW;
-    RCC->CFGR |= RCC_CFGR_PPRE1_DIV4 | RCC_CFGR_PPRE2_DIV2; /* Before the switch: the buses must never run too fast. */
+    RCC->CFGR |= RCC_CFGR_PPRE1_DIV4 | RCC_CFGR_PPRE2_DIV2; /* This comes before the switch: no bus may run too fast. */
     RCC->CFGR |= RCC_CFGR_SW1;
     if (!wait_for(&RCC->CFGR, RCC_CFGR_SWS0 | RCC_CFGR_SWS1, RCC_CFGR_SWS1, SWITCH_TRIES)) {
         RCC->CFGR &= ~(RCC_CFGR_SW1 | RCC_CFGR_PPRE1_DIV4 | RCC_CFGR_PPRE2_DIV2);
@@ -54,7 +57,7 @@ void clock_start_tick(hal_clock_t clock) {
     const bool slow = clock == HAL_CLOCK_SLOW;
     TIM2->PSC = (slow ? SLOW_HZ : HAL_TICKS_PER_SECOND / 2u) / 1000000u - 1u;
     TIM2->ARR = 0xFFFFFFFFu;
-    TIM2->EGR = TIM_EGR_UG; /* Loads the prescaler. */
+    TIM2->EGR = TIM_EGR_UG; /* The update loads the prescaler. */
     TIM2->CR1 = TIM_CR1_CEN;
 
     SYSTICK->LOAD = (slow ? SLOW_HZ : HAL_TICKS_PER_SECOND) / TICKS_PER_SECOND - 1u;

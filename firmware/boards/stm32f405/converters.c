@@ -1,22 +1,23 @@
 /* converters.c: what is analog, but for the DAC (chip_engine.c).
  *
- * One conversion: 15 + 12 cycles of 21 MHz, 216 ticks of the chip timer; a start takes up to 3 cycles (24 ticks). The
- * three converters run together, in the mode "regular simultaneous and injected simultaneous" (RM0090, 13.9.7): the
- * regular groups are the burst, the injected ones currents and temperature.
- *   burst (sensor, anchor): 8 x 216 ticks from TIM1's compare 1 at count 14540: it ends at 16268..16292, 0.77 to 0.92
- *     us before the nominal end of the chip. One axis each; after each conversion DMA fetches three half-words (axis 0,
- *     1, 2) from the common data register.
- *   coil currents (beacon, anchor): channel 0 on ADC1, channel 1 on ADC2, at one moment, from TIM8's compare 2 (ADC3
- *     converts for nobody). A beacon: at count 15640, done by 15890, inside the shortest chip, so that its interrupt
- *     belongs to that chip. An anchor: at 14240, done by 14490, before its burst.
- *   temperature: channel 16 on ADC1, 480 + 12 cycles (3936 ticks), started by software in the first quarter of a chip,
- *     when nothing else converts: done by count 8200. For this one conversion it takes the coil current's place in the
- *     injected group. Converters that run together must sample equally long: ADC2 and ADC3 look at pins meanwhile, for
- *     nobody.
+ * A conversion takes 15 + 12 cycles of 21 MHz, 216 ticks of the chip timer; a start takes up to 3 cycles (24 ticks).
+ * The three converters run together, in the mode "regular simultaneous and injected simultaneous" (RM0090, 13.9.7):
+ * the regular groups are the burst, the injected ones currents and temperature.
+ *   burst          (sensor, anchor) It takes 8 x 216 ticks from TIM1's compare 1 at count 14540 and ends at
+ *                  16268..16292, 0.77 to 0.92 us before the nominal end of the chip. Each converter has one axis;
+ *                  after each conversion DMA fetches three half-words (axis 0, 1, 2) from the common data register.
+ *   coil currents  (beacon, anchor) Channel 0 is on ADC1, channel 1 on ADC2, at one moment, from TIM8's compare 2
+ *                  (ADC3 converts for nobody). A beacon's are at count 15640 and done by 15890, inside the shortest
+ *                  chip, so that the interrupt belongs to that chip. An anchor's are at 14240, done by 14490, before
+ *                  its burst.
+ *   temperature    Channel 16 on ADC1 takes 480 + 12 cycles (3936 ticks), started by software in the first quarter of
+ *                  a chip, when nothing else converts, and done by count 8200. For this one conversion it takes the
+ *                  coil current's place in the injected group. Converters that run together must sample equally long:
+ *                  ADC2 and ADC3 look at pins meanwhile, for nobody.
  *
  * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's
- * counter tells whether it is there: 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the end
- * of the shortest chip), 24 or more is a burst missed. Then, or after an overrun, which stops DMA, the stream is
+ * counter tells whether it is there: 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the
+ * end of the shortest chip), 24 or more is a burst missed. Then, or after an overrun, which stops DMA, the stream is
  * stopped, and blocks read 0 (saturated) until it starts again at the beginning of the buffer, in the first chip of an
  * even block.
  */
@@ -25,10 +26,10 @@
 
 #include "boards/stm32f405/stm32f405.h"
 
-#define CONVERSION_TICKS     216u
+#define CONVERSION_TICKS     216u /* Length of a conversion, ticks: 27 cycles. */
 #define BURST_START          (HAL_CHIP_TICKS - 154u - HAL_BURST * CONVERSION_TICKS)
-#define TRIGGER_TICKS        12u  /* Half of what a start takes at most. */
-#define SAMPLING_TICKS       120u /* 15 cycles. */
+#define TRIGGER_TICKS        12u  /* Mean delay of a start, ticks: half of what it takes at most. */
+#define SAMPLING_TICKS       120u /* Length of the sampling in a conversion, ticks: 15 cycles. */
 #define CHIP_SAMPLES         (HAL_BURST * HAL_AXES)
 #define BUFFER_SAMPLES       (RING_CHIPS * CHIP_SAMPLES)
 #define CURRENT_START        (HAL_CHIP_TICKS_MIN - 360u)
@@ -37,7 +38,7 @@
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
 _Static_assert(CURRENT_START == 15640u && CURRENT_START_ANCHOR == 14240u, "and the currents");
 
-/* Of an injected group's four places, a group of one conversion uses the last. */
+/* Chooses the injected channel of each converter. A group of one conversion uses the last of its four places. */
 static void inject(uint32_t first, uint32_t second, uint32_t third) {
     ADC1->JSQR = first << 15;
     ADC2->JSQR = second << 15;
@@ -52,7 +53,7 @@ static void inject_temperature(void) {
     inject(16, 4, 0);
 }
 
-/* Eight ranks of one channel. */
+/* Sets up eight ranks of one channel. */
 static void scan(ADC_registers *adc, uint32_t channel) {
     const uint32_t five = channel | channel << 5 | channel << 10 | channel << 15 | channel << 20;
     adc->SQR3 = five | channel << 25;
@@ -94,7 +95,7 @@ void converters_start(const hal_t *hal) {
     triggers_start(hal);
     C_ADC->CCR = C_ADC_CCR_ADCPRE_DIV4 | C_ADC_CCR_TSVREFE | C_ADC_CCR_MULT_TRIPLE_COMBINED |
                  (samples ? C_ADC_CCR_DDS : 0u);
-    /* 15 cycles for what is sampled and measured, 480 (7) for the temperature's group. */
+    /* What is sampled and measured takes 15 cycles (1), the temperature's group 480 (7). */
     ADC1->SMPR1 = 7u << 18;
     ADC1->SMPR2 = 1u << 0 | 1u << 3;
     ADC2->SMPR2 = 1u << 6 | 7u << 12 | 1u << 18;
@@ -109,7 +110,7 @@ void converters_start(const hal_t *hal) {
     ADC1->CR1 |= ADC_CR1_JEOCIE;
     ADC2->CR2 = ADC_CR2_ADON;
     ADC3->CR2 = ADC_CR2_ADON;
-    /* Stable 3 us later; the first trigger comes 80 us later. */
+    /* The converters are stable 3 us later; the first trigger comes 80 us later. */
     ADC1->CR2 = ADC_CR2_ADON | (samples ? ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING : 0u) |
                 (drives ? ADC_CR2_JEXTSEL_TIM8_CC2 | ADC_CR2_JEXTEN_RISING : 0u);
 }
@@ -163,8 +164,8 @@ hal_burst_t hal_burst_timing(void) {
     return (hal_burst_t){BURST_START + TRIGGER_TICKS + SAMPLING_TICKS, CONVERSION_TICKS};
 }
 
-/* Between the two calibration points of this very chip; of a chip without them, by the data sheet's typical 0.76 V
- * at 25 degC and 2.5 mV/degC. */
+/* The temperature lies on the line through the two calibration points of this very chip; on a chip without them the
+ * data sheet's typical 0.76 V at 25 degC and 2.5 mV/degC serve. */
 int16_t hal_temperature(const hal_t *hal) {
     int32_t low = 959, high = 1207;
     if (hal->whole && TEMPERATURE_CALIBRATION[1] > TEMPERATURE_CALIBRATION[0] &&
@@ -173,6 +174,6 @@ int16_t hal_temperature(const hal_t *hal) {
         high = TEMPERATURE_CALIBRATION[1];
     }
     if (hal->temperature_count == 0)
-        return 0; /* Not measured yet. */
+        return 0; /* It has not been measured yet. */
     return (int16_t)(300 + (hal->temperature_count - low) * 800 / (high - low));
 }

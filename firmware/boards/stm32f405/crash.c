@@ -38,8 +38,8 @@ __attribute__((noreturn, used)) static void crash(const uint32_t *frame, uint32_
         __asm volatile("wfi");
 }
 
-/* The frame lies at the stack pointer. If the stack ran over, or nearly, the report takes the stack from its top,
- * whose contents are lost anyway. */
+/* The exception's frame lies at the stack pointer. If the stack ran over, or nearly, the report takes the stack from
+ * its top, whose contents are lost anyway. */
 __attribute__((naked)) void Fault_Handler(void) {
     __asm volatile("cpsid i\n\t"
                    "mov r0, sp\n\t"

@@ -1,22 +1,25 @@
 /* serial.c: USART1 at 2,000,000 baud on PB6 and PB7, DMA both ways.
  *
- * Out: a ring that main fills; stream 7 sends the longest piece in one run, its interrupt starts the next. In: stream 2
- * fills a ring for ever; main takes what is there at each wake. The end of a burst (line idle) wakes main at once. All
- * positions count bytes since reset (32 bits, wrapping), so that full and empty differ and losses show.
+ * Out, main fills a ring; stream 7 sends the longest piece in one run, and its interrupt starts the next. In, stream 2
+ * fills a ring for ever, and main takes what is there at each wake; the end of a burst (line idle) wakes main at once.
+ * All positions count bytes since reset (32 bits, wrapping), so that full and empty differ and losses show.
  */
 
 #include <string.h>
 
 #include "boards/stm32f405/stm32f405.h"
 
-#define BYTE_TRIES 10000u /* A byte takes 5 us, 840 cycles: ten times that, at about 6 cycles a try, and more. */
+/* Tries of waiting for a byte to leave, which takes 5 us, 840 cycles: ten times that, at about 6 cycles a try, and
+ * more. */
+#define BYTE_TRIES 10000u
 
 static uint32_t smaller(uint32_t a, uint32_t b) {
     return a < b ? a : b;
 }
 
 void serial_start(hal_t *hal) {
-    /* 168 MHz: 84 MHz / (16 x 2.625). Slow: 16 MHz / (8 x 1), which needs 8-fold oversampling. Both exact. */
+    /* With the PLL it is 84 MHz / (16 x 2.625), without 16 MHz / (8 x 1), which needs 8-fold oversampling. Both are
+     * exact. */
     const bool slow = hal->clock == HAL_CLOCK_SLOW;
     USART1->BRR = slow ? 0x10u : 0x2Au;
     USART1->CR3 = USART_CR3_DMAR | USART_CR3_DMAT | USART_CR3_EIE;
@@ -41,7 +44,7 @@ void serial_start(hal_t *hal) {
 
 /* ---- Out ---- */
 
-/* Send the longest piece that lies in one run. The stream is off, and its interrupt cannot come between. */
+/* Sends the longest piece that lies in one run. The stream is off, and its interrupt cannot come between. */
 static void send_piece(hal_t *hal) {
     const uint32_t position = hal->sent % HAL_SERIAL_BUFFER;
     hal->sending = smaller(hal->written - hal->sent, HAL_SERIAL_BUFFER - position);
@@ -104,8 +107,8 @@ void DMA2_Stream2_Handler(void) {
     board.woken = true;
 }
 
-/* Line idle, or a receive error. The flags go by reading SR and then DR; a byte that waits is left to DMA, whose
- * read of DR clears them as well. */
+/* The line is idle, or there was a receive error. The flags go by reading SR and then DR; a byte that waits is left to
+ * DMA, whose read of DR clears them as well. */
 void USART1_Handler(void) {
     const uint32_t status = USART1->SR;
     if ((status & USART_SR_RXNE) == 0)
@@ -115,7 +118,7 @@ void USART1_Handler(void) {
     board.woken = true;
 }
 
-/* Bytes since reset that arrived. A wrap whose interrupt is still pending counts. */
+/* Returns the bytes since reset that arrived. A wrap whose interrupt is still pending counts. */
 static uint32_t received(const hal_t *hal) {
     const uint32_t primask = interrupts_off();
     uint32_t left = DMA2->S[2].NDTR;
@@ -132,7 +135,7 @@ size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity) {
     if ((DMA2->S[2].CR & DMA_S0CR_EN) == 0)
         return 0; /* Nothing receives. */
     const uint32_t waiting = received(hal) - hal->taken;
-    if (waiting > SERIAL_RECEIVE_BUFFER) { /* Overwritten: start afresh with what comes now. */
+    if (waiting > SERIAL_RECEIVE_BUFFER) { /* It was overwritten: start afresh with what comes now. */
         const uint32_t primask = interrupts_off();
         hal->counters.serial_overruns += waiting;
         interrupts_restore(primask);

@@ -4,7 +4,7 @@
 
 int main(void);
 
-/* From the linker script; of the last three, the address is the number. */
+/* These come from the linker script; of the last three, the address is the number. */
 extern uint32_t stack_top, data_start[], bss_start[], core_memory_start[];
 extern const uint32_t data_load[], data_words, bss_words, core_memory_words;
 

@@ -5,9 +5,8 @@
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 
-#define ENOUGH  1e-4f  /* Largest relative difference of the two means at the end: the next step would square it. */
-#define TINY_M2 1e-20f /* Added to rho^2 to avoid 0/0 on the axis, where the quotient multiplies two radial vectors.   \
-                        */
+#define ENOUGH  1e-4f  /* Largest relative difference of the two means at the end; the next step would square it. */
+#define TINY_M2 1e-20f /* Added to rho^2 against 0/0 on the axis, where the quotient multiplies radial vectors. */
 
 /* The quantities that field and gradient share. */
 typedef struct {
