@@ -92,8 +92,7 @@ struct hal {
     uint32_t received_head, received_count;
     hal_frame_t frames[RECEIVE_FRAMES];
     uint32_t frames_head, frames_count;
-    /* The mailboxes are a ring: the outside sees only the oldest, so frames leave in order whatever their identifiers.
-     */
+    /* The mailboxes are a ring whose oldest alone the outside sees: frames leave in order, whatever identifiers. */
     hal_frame_t mailbox[MAILBOXES];
     uint32_t mailbox_head, mailbox_count;
     hal_stamp_t stamps[STAMPS];

@@ -24,8 +24,7 @@
     (((jump)-1u) << 24 | ((behind)-1u) << 20 | ((before)-1u) << 16 | ((divide)-1u))
 
 void can_start(const hal_t *hal) {
-    /* SLEEP 0 and INRQ 1 bring it out of sleep and into initialisation. Frames leave in the order of requests (TXFP).
-     */
+    /* SLEEP 0 and INRQ 1 bring it out of sleep into initialisation. Frames leave in the order of requests (TXFP). */
     const uint32_t mode = CAN_MCR_ABOM | CAN_MCR_TXFP;
     CAN1->MCR = mode | CAN_MCR_INRQ;
     if (!wait_for(&CAN1->MSR, CAN_MSR_INAK, CAN_MSR_INAK, MODE_TRIES))
