@@ -4,10 +4,12 @@
  *
  * Calls: anchor_start once, then anchor_step after each hal_wait().
  *
- * Which module runs when plan, current, fault  drive.h, which also has the states (HEARTBEAT.state). samples
- *   sense.h. sync                  the edge goes to the chip clock (timing.h). main                  node; what a
- *   beacon sends (drive.h) and what a sensor sends (sense.h), under one node number;
- *                         parameters, those of beacon and of sensor, in one page.
+ * Which module runs when
+ *   plan, current, fault  drive.h, which also has the states (HEARTBEAT.state).
+ *   samples               sense.h.
+ *   sync                  the edge goes to the chip clock (timing.h).
+ *   main                  node; what a beacon sends (drive.h) and what a sensor sends (sense.h), under one node
+ *                         number; parameters, those of beacon and of sensor, in one page.
  * The board reports cycles whether its own coil is on or not, also in the states fault and syncing.
  *
  * Synchronisation. The sync master is one of the anchors or beacons; it measures like the others, on its own chip
@@ -45,8 +47,8 @@ typedef struct {
     sense_t sense;
 } anchor_t;
 
-/* Say hello, read the parameters, prepare the waveform and start the chip engine. *anchor and *hal must live for ever.
- * */
+/* Say hello, read the parameters, prepare the waveform and start the chip engine. *anchor and *hal must live for
+ * ever. */
 void anchor_start(anchor_t *anchor, hal_t *hal);
 
 /* Run one turn of the main loop. */

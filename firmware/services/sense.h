@@ -5,8 +5,7 @@
  *   1. sense_start      main, once, before the chip engine starts.
  *   2. sense_samples    interrupt, once a block: each chip's burst becomes one sample (epoch_sample), is labelled by
  *                       chip_clock_at, and goes into the cycle being collected (epoch_feed); it is also sent as CHIP
- *                         if
- *                       chips are streamed.
+ *                       if chips are streamed.
  *   3. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
  *                       and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the
  *                       list. With parts (thirds of a cycle; parameter parts = 3) each part is reported before that,

@@ -12,8 +12,8 @@
 
 #include "boards/stm32f405/stm32f405.h"
 
-#define CRYSTAL_TRIES                                                                                                  \
-    50000u /* Tries of waiting for the crystal, 20 ms at 16 MHz; it takes 2 ms (data sheet, table 37). */
+/* Tries of waiting for the crystal, 20 ms at 16 MHz; a crystal takes 2 ms (data sheet, table 37). */
+#define CRYSTAL_TRIES    50000u
 #define SWITCH_TRIES     10000u    /* Tries of waiting for a switch, 4 ms; the PLL takes 0.3 ms. */
 #define SLOW_HZ          16000000u /* Clock without the PLL, Hz. */
 #define TICKS_PER_SECOND 100u      /* Wake-ups of hal_wait() a second before the chip engine runs. */

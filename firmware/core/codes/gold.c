@@ -52,8 +52,7 @@ uint16_t gold_functional(const gold_family_t *family, uint16_t taps, uint32_t k)
     return power;
 }
 
-/* Returns the register t chips after all ones. Its stage n - i is output t + i, which is the parity of w_(t+i) alone.
- * */
+/* Returns the register t chips after all ones. Its stage n - i is output t + i: the parity of w_(t+i) alone. */
 static uint16_t state_at(const gold_family_t *family, uint16_t taps, uint32_t t) {
     uint16_t functional = gold_functional(family, taps, t);
     uint32_t state = 0;

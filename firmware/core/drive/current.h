@@ -26,8 +26,7 @@
  *   open coil     The current in the asked direction is below open_fraction of what was asked (by the estimated gain),
  *                 in a chip that asks for more than a quarter of the amplitude and than CURRENT_OPEN_MINIMUM_A. So
  *                 neither the first quarter of the ramp, nor zeros of a sinusoid, nor cancelling codes are an open
- *                   coil;
- *                 a sense of the wrong sign is one.
+ *                 coil; a sense of the wrong sign is one.
  * Either is a fault: current_sample returns false, within that chip, and so does every call until current_clear.
  *
  * Units. The sense counts 0..4095, 2048 is 0 A; sense_A is A per count. The reference counts 0..4095 of reference_A

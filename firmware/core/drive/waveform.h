@@ -4,11 +4,11 @@
  * Calls, in the order they are made: waveform_start with a configuration, then waveform_next once for each chip;
  * waveform_channels tells how many channels a kind drives.
  *
- * Kinds, in chip t of N. Channel 1 is driven by the rotating one alone. code (CDMA)  One Gold code; its bit 0 is +1.
+ * Kinds, in chip t of N. Channel 1 is driven by the rotating one alone.
+ *   code (CDMA)  One Gold code; its bit 0 is +1.
  *   slot (TDMA)  +1 during one of `slots` equal slots of N / slots chips (integer division), 0 in all others. Chips
- *   that
- *                are left over after the last slot, and slots of no beacon, stay quiet: the host measures the ambient
- *                field there.
+ *                that are left over after the last slot, and slots of no beacon, stay quiet: the host measures the
+ *                ambient field there.
  *   tone (FDMA)  A square wave of whole periods in a cycle, +1 where cos(2 pi periods t / N) > 0 and -1 elsewhere; N
  *                is odd, so no cosine is 0. At equal peak current it carries twice the power of a sine. Its odd
  *                harmonics reach other beacons' lines; the host's least squares on the square waves themselves takes

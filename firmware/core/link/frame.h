@@ -7,11 +7,10 @@
  * CRC: polynomial 0x1021, start 0xFFFF, not reflected, check value 0x29B1 for "123456789". COBS: Cheshire & Baker
  * 1999; a frame is short enough for one block.
  *
- * Security. Every received byte comes from outside: a stranger may send anything, at line rate. Trusted        Nothing
- *   on the line. The CRC protects against accident, not against intent: whoever can write to the
- *                  wire can send any message. A message that may do harm must be bounded where it is used (the
- *                    parameter
- *                  table's ranges, the over-current limit).
+ * Security. Every received byte comes from outside: a stranger may send anything, at line rate.
+ *   Trusted        Nothing on the line. The CRC protects against accident, not against intent: whoever can write to
+ *                  the wire can send any message. A message that may do harm must be bounded where it is used (the
+ *                  parameter table's ranges, the over-current limit).
  *   Invariants     pending <= FRAME_ENCODED_MAX - 1 always; bytes beyond that are dropped before they are stored.
  *                  Every length inside a frame is checked against the bytes that came before it is used as an index. A
  *                  frame handed out has length <= 8 and id < 2^29. Whatever came before, the decoder is in step after

@@ -4,8 +4,7 @@
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 
-/* Least promise of a step, in cost, after which a fit goes on: 3 % of a standard deviation. The step itself is taken.
- * */
+/* Least promise of a step, in cost, after which a fit goes on: 3 % of a deviation. The step itself is taken. */
 #define TOLERANCE     1e-3f
 #define DAMPING_FAR   1e-3f  /* Damping of the first step from a rough start. */
 #define DAMPING_NEAR  1e-6f  /* Damping of the first step from a good start. */

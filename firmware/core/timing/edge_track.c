@@ -12,10 +12,10 @@
 /* Variance of an edge besides noise, ticks^2: (0.05 us)^2, since the beacons' edges lie up to 48 ns apart, and the
  * ramp is a model. */
 #define EDGE_VARIANCE 70.0f
-#define RATE_WALK                                                                                                      \
-    6.6e-11f            /* Growth of the rate's variance in a chip: 0.05 ppm in 1 s, for the crystals' temperature. */
-#define RISE_MIN 300.0f /* Shortest rise, ticks: 1.8 us. */
-#define STEP_MAX 400.0f /* Largest change of the time in one iteration, ticks: two conversions. */
+/* Growth of the rate's variance in a chip, (ticks a chip)^2: 0.05 ppm in 1 s, for the crystals' temperature. */
+#define RATE_WALK 6.6e-11f
+#define RISE_MIN  300.0f /* Shortest rise, ticks: 1.8 us. */
+#define STEP_MAX  400.0f /* Largest change of the time in one iteration, ticks: two conversions. */
 
 /* The height on the ramp, in ticks of it, and its slope. */
 typedef struct {
@@ -31,8 +31,7 @@ static ramp_t ramp(float time, float lag) {
     return (ramp_t){time - lag * slope, slope};
 }
 
-/* Returns what the late conversions show minus what the early ones do, with the last conversion a time after the edge.
- * */
+/* Returns what the late conversions show minus what the early ones do, with the last one a time after the edge. */
 static ramp_t contrast(const edge_burst_t *burst, float time) {
     ramp_t sum = {0.0f, 0.0f};
     for (uint32_t i = 0; i < CONVERSIONS; i++) {
