@@ -6,6 +6,8 @@
 #include "protocol_hash.h"
 #include "services/version.h"
 
+#define TEXT_CHARACTERS 7u /* Characters in one PARAM_TEXT. */
+
 /* ---- Sending ---- */
 
 uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index) {
@@ -157,6 +159,48 @@ static void set_parameter(node_t *node, node_links_t link, uint32_t index, const
     }
 }
 
+/* Seven characters of a text, from the given place on, zeros behind its end; little-endian, as all integers here. */
+static struct goldfield_param_text_t text_part(const char *text, size_t length, uint32_t part) {
+    const size_t begin = (size_t)part * TEXT_CHARACTERS, left = length - begin;
+    uint8_t characters[8] = {0};
+    memcpy(characters, text + begin, left < TEXT_CHARACTERS ? left : TEXT_CHARACTERS);
+    struct goldfield_param_text_t message = {.part = (uint8_t)part, .last = left <= TEXT_CHARACTERS};
+    memcpy(&message.characters_0_to_3, characters, sizeof message.characters_0_to_3);
+    memcpy(&message.characters_4_to_6, characters + 4, 4);
+    return message;
+}
+
+static void describe_parameter(node_t *node, node_links_t link, uint32_t index) {
+    uint8_t data[8];
+    const parameter_entry_t *entry = parameters_next(index, node->role);
+    if (entry == NULL) {
+        const struct goldfield_param_description_t none = {.kind = GOLDFIELD_PARAM_DESCRIPTION_KIND_NONE_CHOICE};
+        (void)goldfield_param_description_pack(data, &none, sizeof data);
+        node_send(node, link, GOLDFIELD_PARAM_DESCRIPTION_FRAME_ID, index, data, sizeof data);
+        return;
+    }
+    const struct goldfield_param_description_t description = {
+        .kind = entry->kind,
+        .at_start = entry->at_start,
+        .stride = entry->stride,
+        .elements = entry->elements,
+        .rows = entry->rows,
+        .excluded = entry->excluded,
+        .value_default = entry->initial,
+    };
+    (void)goldfield_param_description_pack(data, &description, sizeof data);
+    node_send(node, link, GOLDFIELD_PARAM_DESCRIPTION_FRAME_ID, entry->first_id, data, sizeof data);
+    const struct goldfield_param_range_t range = {.minimum = entry->minimum, .maximum = entry->maximum};
+    (void)goldfield_param_range_pack(data, &range, sizeof data);
+    node_send(node, link, GOLDFIELD_PARAM_RANGE_FRAME_ID, entry->first_id, data, sizeof data);
+    const size_t length = strlen(entry->text);
+    for (uint32_t part = 0; part * TEXT_CHARACTERS < length; part++) {
+        const struct goldfield_param_text_t text = text_part(entry->text, length, part);
+        (void)goldfield_param_text_pack(data, &text, sizeof data);
+        node_send(node, link, GOLDFIELD_PARAM_TEXT_FRAME_ID, entry->first_id, data, sizeof data);
+    }
+}
+
 static void receive(node_t *node, node_links_t link, const frame_t *frame) {
     const uint32_t message = frame->id & ~((1u << PROTOCOL_TYPE_SHIFT) - 1u);
     const uint32_t index = frame->id >> PROTOCOL_INDEX_SHIFT & 0xFFFu;
@@ -174,6 +218,8 @@ static void receive(node_t *node, node_links_t link, const frame_t *frame) {
     } else if (message == GOLDFIELD_PARAM_GET_FRAME_ID && for_me) {
         parameter_value_t value;
         answer_parameter(node, link, index, parameters_get(&node->parameters, index, &value));
+    } else if (message == GOLDFIELD_PARAM_DESCRIBE_FRAME_ID && for_me) {
+        describe_parameter(node, link, index);
     }
 }
 

@@ -14,7 +14,8 @@
  * two boards of one number by their interleaved heartbeats).
  *
  * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
- * the link they came from; a new node number acts after its answer. SYNC is kept for the application. All
+ * the link they came from; a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a
+ * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). SYNC is kept for the application. All
  * others are ignored, and so are PARAM_SET and SYNC of a wrong length.
  *
  * Contexts: main only. Time: node_step with nothing to do about 150 instructions, bounded by NODE_BYTES_A_STEP received
