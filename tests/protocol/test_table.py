@@ -88,5 +88,6 @@ def test_single_precision_decides_as_on_a_board():
     over = struct.unpack("<f", struct.pack("<I", struct.unpack("<I", struct.pack("<f", limit))[0] + 1))[0]
     amplitude = PARAMETERS["amplitude"]
     assert amplitude.bits(15.9) == amplitude.bits(limit) == struct.pack("<f", limit)
+    assert amplitude.bits(15.9 + 1e-8) == amplitude.bits(15.9)  # It is stored as the limit.
     with pytest.raises(ParameterError):
         amplitude.bits(over)

@@ -1,7 +1,7 @@
 """Raw chips of a sensor (parameter ``stream`` = 1, serial only), put together to cycles of samples.
 
 ``CHIP`` carries the sum of a burst of eight conversions relative to mid-scale. The field is M (counts - zero) with the
-mean count of the burst and the sensor's own calibration (framing.md, "Parameters").
+mean count of the burst and the sensor's own calibration (docs/parameters.md).
 """
 
 from __future__ import annotations
