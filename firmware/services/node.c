@@ -160,8 +160,8 @@ static void set_parameter(node_t *node, node_links_t link, uint32_t index, const
 }
 
 /* Seven characters of a text, from the given place on, zeros behind its end; little-endian, as all integers here. */
-static struct goldfield_param_text_t text_part(const char *text, size_t length, uint32_t part) {
-    const size_t begin = (size_t)part * TEXT_CHARACTERS, left = length - begin;
+static struct goldfield_param_text_t text_part(const char *text, uint32_t length, uint32_t part) {
+    const uint32_t begin = part * TEXT_CHARACTERS, left = length - begin;
     uint8_t characters[8] = {0};
     memcpy(characters, text + begin, left < TEXT_CHARACTERS ? left : TEXT_CHARACTERS);
     struct goldfield_param_text_t message = {.part = (uint8_t)part, .last = left <= TEXT_CHARACTERS};
@@ -193,7 +193,7 @@ static void describe_parameter(node_t *node, node_links_t link, uint32_t index) 
     const struct goldfield_param_range_t range = {.minimum = entry->minimum, .maximum = entry->maximum};
     (void)goldfield_param_range_pack(data, &range, sizeof data);
     node_send(node, link, GOLDFIELD_PARAM_RANGE_FRAME_ID, entry->first_id, data, sizeof data);
-    const size_t length = strlen(entry->text);
+    const uint32_t length = (uint32_t)strlen(entry->text);
     for (uint32_t part = 0; part * TEXT_CHARACTERS < length; part++) {
         const struct goldfield_param_text_t text = text_part(entry->text, length, part);
         (void)goldfield_param_text_pack(data, &text, sizeof data);
