@@ -19,7 +19,7 @@ from setuptools import Command, Extension, setup
 from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build import build
 from setuptools.command.build_ext import build_ext
-from setuptools.errors import BaseError
+from setuptools.errors import BaseError, CCompilerError, CompileError, LinkError
 
 ROOT = Path(__file__).resolve().parent
 KERNEL = "host/goldfield/locate/kernel"
@@ -27,6 +27,8 @@ LIBRARIES = ("libgf_rig.so", "libgf_hostboard.so", "libgf_emulator.so")
 IMAGES = ("firmware/beacon.elf", "firmware/sensor.elf", "firmware/anchor.elf")
 PARTS = os.environ.get("GOLDFIELD_PARTS")
 """The directory where ``make wheel`` has built the simulator's parts; without it they are built here."""
+SCRATCH = Path("build/wheel")
+"""What setuptools leaves lying, metadata too: in the checkout itself Python would take it for an installed package."""
 STAMPS = ("venv", "host-tools", "arm-tools")
 """The Makefile's set-up of a checkout, which is not wanted while pip builds."""
 
@@ -57,7 +59,7 @@ class BuildKernel(build_ext):
         """Compile, or say what is missing."""
         try:
             super().build_extension(ext)
-        except BaseError as error:
+        except (BaseError, CCompilerError, CompileError, LinkError) as error:
             logging.warning(
                 "goldfield: the C kernel of location is left out, because it does not compile here (%s). "
                 "Poses are the same without it but slower; with gcc installed, install goldfield again.",
@@ -113,7 +115,7 @@ class BuildSimulator(Command):
 
     def _make(self) -> Path:
         """Let the Makefile build what the compilers at hand can build, in a directory of its own."""
-        parts = Path("build/wheel/parts")
+        parts = SCRATCH / "parts"
         wanted = [str(parts / name) for name in LIBRARIES]
         if shutil.which("arm-none-eabi-gcc"):
             wanted += [str(parts / name) for name in IMAGES]
@@ -147,9 +149,10 @@ class Wheel(bdist_wheel):
 
 
 build.sub_commands.append(("build_simulator", None))
+(ROOT / SCRATCH).mkdir(parents=True, exist_ok=True)
 setup(
     cmdclass={"build": Build, "build_ext": BuildKernel, "build_simulator": BuildSimulator, "bdist_wheel": Wheel},
-    options={"build": {"build_base": "build/wheel"}},
+    options={"build": {"build_base": str(SCRATCH)}, "egg_info": {"egg_base": str(SCRATCH)}},
     ext_modules=[
         Extension(
             "goldfield.locate.kernel.libgf_locate",

@@ -5,4 +5,5 @@ HOST_LIBRARIES += $(LOCATE_LIBRARY)
 
 $(LOCATE_LIBRARY): $(wildcard host/goldfield/locate/kernel/*.[ch]) setup.py | $(BUILD)/venv.stamp
 	@echo "location: $@"
-	@CFLAGS="$(C_STANDARD)" $(PYTHON) setup.py -q build_ext --inplace --force
+	@rm -f $@
+	@CFLAGS="$(C_STANDARD)" $(PYTHON) setup.py -q build_ext --inplace --force && test -f $@
