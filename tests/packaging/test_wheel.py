@@ -11,6 +11,7 @@ import sys
 import sysconfig
 import venv
 import zipfile
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,17 @@ def installation(tmp_path_factory, wheel):
     return Installation(tmp_path_factory.mktemp("installation"), wheel)
 
 
+@contextmanager
+def taken_away(path):
+    """Rename a file or a folder for a while."""
+    aside = path.with_name(f"{path.name}.aside")
+    path.rename(aside)
+    try:
+        yield
+    finally:
+        aside.rename(path)
+
+
 def test_the_wheel_holds_everything_but_sources_and_tests(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {KERNEL, "goldfield_protocol/goldfield.dbc", "hil_sim/scenarios/prigge8.toml"} <= names
@@ -118,19 +130,14 @@ def test_locate_finds_the_pose_with_the_kernel_and_without(installation):
     for place, field in enumerate(beacon_fields()):
         rows.append(f"0,0.0,b{place + 1}," + ",".join(repr(float(value)) for value in field))
     table = installation.write("fields.csv", "\n".join(rows))
-    kernel = installation.packages / KERNEL
-    aside = kernel.with_suffix(".aside")
     arguments = ("locate", "--site", installation.write("site.toml", SITE.read_text()), table, "--json")
     fast, complaint = installation.run("goldfield", *arguments)
     assert not complaint
     uses = "from goldfield.locate import kernel; print(kernel._library() is not None)"
     assert installation.run("python", "-c", uses)[0] == "True\n"
-    kernel.rename(aside)
-    try:
+    with taken_away(installation.packages / KERNEL):
         assert installation.run("python", "-c", uses)[0] == "False\n"
         slow, complaint = installation.run("goldfield", *arguments)
-    finally:
-        aside.rename(kernel)
     assert not complaint
     for output in (fast, slow):
         pose = json.loads(output)
@@ -161,15 +168,18 @@ def test_the_simulated_bench_runs(installation, boards, seconds):
 
 
 def test_without_the_images_it_tells_what_to_do(installation):
-    images = installation.packages / "hil_sim" / "built" / "firmware"
-    images.rename(images.with_name("aside"))
-    try:
+    with taken_away(installation.packages / "hil_sim" / "built" / "firmware"):
         complaint = installation.run("goldfield", "hil", "prigge8", "--can", "none", code=2)[1]
-    finally:
-        images.with_name("aside").rename(images)
     assert complaint.count("\n") == 1
     assert "--boards host" in complaint
     assert "make wheel" in complaint
+
+
+def test_without_the_packages_of_the_simulator_it_tells_what_to_install(installation):
+    with taken_away(installation.packages / "elftools"):
+        complaint = installation.run("goldfield", "hil", "prigge8", "--boards", "host", code=3)[1]
+    assert complaint.count("\n") == 1
+    assert "pip install 'goldfield[plot,sim]'" in complaint
 
 
 def test_the_pytest_of_another_project_sees_nothing_of_goldfield(installation):
