@@ -26,6 +26,7 @@ include host/goldfield/locate/locate.mk
 include hil_sim/emulator/emulator.mk
 include hil_sim/rig/rig.mk
 include tests/tests.mk
+include tests/checks.mk
 
 # ---- set-up ----
 # $(call install,PACKAGES): Debian packages, through apt.

@@ -1,5 +1,8 @@
-"""Settings of every test: examples that are the same each time, and no bound on the time that one takes."""
+"""What holds for every test: examples that are the same each time, no bound on time, and which tests are long."""
 
+from pathlib import Path
+
+import pytest
 from hypothesis import HealthCheck, settings
 
 settings.register_profile(
@@ -9,3 +12,35 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("goldfield")
+
+HERE = Path(__file__).parent
+LONG = (
+    "bench",
+    "firmware/apps",
+    "firmware/boards",
+    "firmware/core/pose/test_pose_instructions.py",
+    "firmware/core/test_instructions.py",
+    "firmware/core/test_sanitized.py",
+    "firmware/core/timing/test_acquire_instructions.py",
+    "firmware/services",
+    "hil",
+    "host/cli/test_emitter.py",
+    "host/locate/test_locator.py",
+    "host/locate/test_own_body.py",
+    "host/sensor/test_onboard.py",
+    "host/site/test_dual_axis.py",
+    "host/track",
+)
+"""Folders and files that `make check` leaves out: each of them takes many seconds."""
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark the tests of those places, before pytest selects by marks."""
+    places = [HERE / place for place in LONG]
+    missing = [str(place) for place in places if not place.exists()]
+    if missing:
+        raise pytest.UsageError(f"tests/conftest.py names places that are not there: {', '.join(missing)}")
+    for item in items:
+        if any(item.path.is_relative_to(place) for place in places):
+            item.add_marker(pytest.mark.long)

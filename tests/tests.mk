@@ -1,33 +1,23 @@
-test: all $(BUILD)/qemu.stamp ## All tests but the slow ones
-	@$(PYTHON) -m pytest -n 2 -m "not slow" -q
+# `make check test` runs each test once. The wheel has a target of its own.
+PYTEST := $(PYTHON) -m pytest -n 2 -q --ignore=tests/packaging
+
+test: test-fast test-long ## All tests but the slow ones
 	@echo "end to end again, on host boards"
 	@$(PYTHON) -m pytest tests/hil --rig host -q
 
 test-wheel: all ## Build the wheel, install it alone and use it outside the tree
 	@$(PYTHON) -m pytest tests/packaging -q -s
 
-test-slow: all $(BUILD)/qemu.stamp ## The slow tests too
-	@$(PYTHON) -m pytest -n 2 -q
+test-fast: all $(BUILD)/qemu.stamp ## The tests that take little time: two minutes in all
+	@$(PYTEST) -m "not slow and not long"
 
-# ---- static checks ----
-LINT_INCLUDES := -Ifirmware -I$(PROTOCOL_OUT) -Ihil_sim
-LINT_ARM := --target=arm-none-eabi $(STM32_CPU) -isystem /usr/lib/arm-none-eabi/include
-LINT_SOURCES := $(filter-out firmware/boards/stm32f405/%,$(wildcard firmware/*/*.c firmware/*/*/*.c)) $(wildcard hil_sim/*/*.c hil_sim/*/*/*.c) \
-	$(wildcard host/goldfield/locate/kernel/*.c)
+test-long: all $(BUILD)/qemu.stamp ## The tests that take more
+	@$(PYTEST) -m "long and not slow"
 
-lint: all ## ruff, mypy, clang-tidy, cppcheck
-	@$(call need,clang-tidy,clang-tidy)
-	@$(call need,cppcheck,cppcheck)
-	@$(VENV)/bin/ruff check . && $(VENV)/bin/ruff format --check .
-	@$(VENV)/bin/mypy
-	@echo $(LINT_SOURCES) | xargs -n 4 -P 2 sh -c 'clang-tidy --quiet "$$@" -- -std=c11 -D_GNU_SOURCE $(LINT_INCLUDES) \
-		-I$$($(PYTHON) -c "import unicorn, pathlib; print(pathlib.Path(unicorn.__file__).parent / \"include\")") 2>/dev/null' clang-tidy
-	@clang-tidy --quiet $(wildcard firmware/boards/stm32f405/*.c) -- -std=c11 $(LINT_ARM) $(LINT_INCLUDES) 2>/dev/null
-	@cppcheck --std=c11 --enable=warning,performance,portability --inline-suppr --suppress=missingIncludeSystem --error-exitcode=1 -q \
-		$(LINT_INCLUDES) firmware hil_sim host/goldfield/locate/kernel
-	@echo "lint: clean"
+test-slow: all $(BUILD)/qemu.stamp ## All tests, the slow ones too
+	@$(PYTEST)
 
-.PHONY: test test-wheel test-slow lint
+.PHONY: test test-wheel test-fast test-long test-slow
 
 figures: all ## Measure and print the figures of the whole chain (several minutes)
 	@$(PYTHON) tests/bench/chain_figures.py
