@@ -163,13 +163,13 @@ def _serve(
             bridge.to_boards(rig)
         slices += 1
         rig.run_until(round(min(slices * SLICE_S, end_s) * 1e12))
+        for line in rig.truth():  # before the messages: who has read a cycle finds its truth
+            if truth is not None:
+                print(json.dumps(line.as_dict()), file=truth, flush=True)
         for board, terminal in terminals.items():
             terminal.write(rig.serial_read(board), wait=arguments.pace == 0.0)
         if bridge is not None:
             bridge.to_host(rig.can_read())
-        for line in rig.truth():
-            if truth is not None:
-                print(json.dumps(line.as_dict()), file=truth, flush=True)
         pace.wait(rig.now_s)
         if not arguments.json and rig.now_s >= next_progress_s:
             next_progress_s += PROGRESS_S
