@@ -1,6 +1,6 @@
 /* host_board.c: the time of a host board, what comes from outside, the application, and the operations that the
  * outside sees (board_edge.h). */
-#include "boards/host/host_internal.h"
+#include "boards/host/host_board.h"
 
 #include <math.h>
 #include <stdlib.h>
@@ -9,6 +9,7 @@
 #include "apps/anchor.h"
 #include "apps/beacon.h"
 #include "apps/sensor.h"
+#include "boards/host/host_internal.h"
 
 struct board {
     hal_t hal; /* The first member, so that a board is found from its HAL and back. */

@@ -21,17 +21,7 @@
 #define GOLDFIELD_HOST_BOARD_H
 
 #include "boards/board_edge.h"
-#include "hal/hal.h"
-
-typedef struct {
-    hal_role_t role;         /* Which application runs. */
-    double crystal_ppm;      /* Error of this board's clock, whichever it is, within +-100,000; positive is fast. */
-    hal_clock_t clock;       /* What hal_clock() tells; with HAL_CLOCK_SLOW the chip engine does not start. */
-    double temperature_degc; /* Temperature of the processor, degC. */
-    uint8_t unique_id[HAL_UNIQUE_ID_BYTES]; /* What hal_unique_id() tells. */
-    /* The page in flash (protocol/framing.md); erased flash is all 0xFF. */
-    uint8_t parameter_page[HAL_PARAMETER_PAGE_BYTES];
-} host_board_config_t;
+#include "boards/host/host_config.h"
 
 /* Make a board that gets power at power_on_ps; its application starts at that moment. config and edge are copied;
  * edge->context must outlive the board. Returns NULL if there is no memory or crystal_ppm is out of range. */

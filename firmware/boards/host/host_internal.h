@@ -6,7 +6,10 @@
 #ifndef GOLDFIELD_HOST_INTERNAL_H
 #define GOLDFIELD_HOST_INTERNAL_H
 
-#include "boards/host/host_board.h"
+#include <stddef.h>
+
+#include "boards/board_edge.h"
+#include "boards/host/host_config.h"
 
 /* Pins, numbered port * 16 + pin (boards/pinout.md). */
 enum {

@@ -4,7 +4,7 @@
 
 #include "core/math/roots.h"
 
-void quaternion_normalise(float q[4]) {
+static void normalise(float q[4]) {
     const float scale = inverse_square_root(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     for (uint32_t i = 0; i < 4u; i++) {
         q[i] *= scale;
@@ -46,7 +46,7 @@ void quaternion_from_matrix(const float m[3][3], float q[4]) {
         q[k] = m[i][k] + m[k][i];
         q[3] = m[k][j] - m[j][k];
     }
-    quaternion_normalise(q);
+    normalise(q);
 }
 
 void quaternion_turn(float q[4], const float vector_rad[3]) {
@@ -56,5 +56,5 @@ void quaternion_turn(float q[4], const float vector_rad[3]) {
     q[1] = old[1] + y * old[3] + z * old[0] - x * old[2];
     q[2] = old[2] + z * old[3] + x * old[1] - y * old[0];
     q[3] = old[3] - x * old[0] - y * old[1] - z * old[2];
-    quaternion_normalise(q);
+    normalise(q);
 }

@@ -4,9 +4,6 @@
 #ifndef GOLDFIELD_QUATERNION_H
 #define GOLDFIELD_QUATERNION_H
 
-/* Scale a quaternion to length 1. */
-void quaternion_normalise(float quaternion[4]);
-
 /* Compute the rotation matrix R of a unit quaternion. Costs about 50 instructions. */
 void quaternion_matrix(const float quaternion[4], float matrix[3][3]);
 

@@ -1,0 +1,17 @@
+/* host_config.h: what makes one host board different from another. host_board_create() takes it. */
+#ifndef GOLDFIELD_HOST_CONFIG_H
+#define GOLDFIELD_HOST_CONFIG_H
+
+#include "hal/hal.h"
+
+typedef struct {
+    hal_role_t role;         /* Which application runs. */
+    double crystal_ppm;      /* Error of this board's clock, whichever it is, within +-100,000; positive is fast. */
+    hal_clock_t clock;       /* What hal_clock() tells; with HAL_CLOCK_SLOW the chip engine does not start. */
+    double temperature_degc; /* Temperature of the processor, degC. */
+    uint8_t unique_id[HAL_UNIQUE_ID_BYTES]; /* What hal_unique_id() tells. */
+    /* The page in flash (protocol/framing.md); erased flash is all 0xFF. */
+    uint8_t parameter_page[HAL_PARAMETER_PAGE_BYTES];
+} host_board_config_t;
+
+#endif
