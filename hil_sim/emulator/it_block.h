@@ -10,15 +10,17 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-static inline bool it_block_opens(uint16_t opcode) /* An IT instruction. */
-{
+/* Whether a first halfword is that of an IT instruction. */
+static inline bool it_block_opens(uint16_t opcode) {
     return (opcode & 0xFF00u) == 0xBF00u && (opcode & 0xFu) != 0;
 }
 
+/* Bytes of the instruction that begins with a halfword. */
 static inline unsigned thumb_size(uint16_t opcode) {
     return opcode >> 11 >= 0x1Du ? 4 : 2;
 }
 
+/* ITSTATE of the next instruction. */
 static inline uint8_t it_block_advance(uint8_t state) {
     return (state & 7u) == 0 ? 0 : (uint8_t)((state & 0xE0u) | ((unsigned)state << 1 & 0x1Fu));
 }

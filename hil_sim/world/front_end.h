@@ -1,4 +1,5 @@
-/* front_end.h: a three-axis magnetoresistive sensor and its amplifier, up to the converter's pin.
+/* front_end.h: a three-axis magnetoresistive sensor and its amplifier, up to the converter's pin. front_end_init(),
+ * then front_end_volts() for each conversion.
  *
  *     volts[a] = 1.65 V + (sum over s of gain[a][s] B[s] + offset_T[a] + noise) * 1.65 V / range_T + converter noise
  *
@@ -21,11 +22,11 @@
 #define FRONT_END_BURST_PS 20000000 /* 20 us. */
 
 typedef struct {
-    double gain[3][3];
+    double gain[3][3]; /* gain[a][s]: axis a of the sensor by component s of the field in its frame. */
     double offset_T[3];
-    double range_T; /* At 0 V and 3.3 V. */
-    double noise_T;
-    double converter_noise_V; /* Standard deviation. */
+    double range_T;           /* The field at 3.3 V; at 0 V it is as much the other way. */
+    double noise_T;           /* Standard deviation of one chip's sample. */
+    double converter_noise_V; /* Standard deviation of one conversion. */
 } front_end_config_t;
 
 typedef struct {
@@ -37,7 +38,7 @@ typedef struct {
 
 void front_end_init(front_end_t *front_end, const front_end_config_t *config, uint64_t seed, unsigned board);
 
-/* Volts at the pin of an axis (0..2) for a field in the sensor's frame. */
+/* Returns the volts at the pin of an axis (0..2) for a field in the sensor's frame. */
 double front_end_volts(front_end_t *front_end, unsigned axis, const double field_T[3], int64_t time_ps);
 
 #endif

@@ -1,4 +1,5 @@
-/* noise.h: random numbers that depend on nothing but their address.
+/* noise.h: random numbers that depend on nothing but their address. noise_stream() makes the address's second part,
+ * noise_bits(), noise_uniform() and noise_normal() the numbers.
  *
  * A number is a hash of (seed, stream, counter): no generator has a state, so results depend neither on the order of
  * calls, nor on threads, nor on how a run is cut in slices. Stream: who asks and for what (noise_stream). Counter:
@@ -15,11 +16,16 @@
 
 typedef enum { NOISE_CHIP = 1, NOISE_CONVERTER = 2, NOISE_CURRENT_SENSE = 3, NOISE_IMPULSE = 4 } noise_purpose_t;
 
-/* The stream of a purpose, a board and an axis (or other part, 0..255). */
+/* Returns the stream of a purpose, a board and an axis (or other part, 0..255). */
 uint64_t noise_stream(noise_purpose_t purpose, unsigned board, unsigned part);
 
+/* Returns 64 random bits. */
 uint64_t noise_bits(uint64_t seed, uint64_t stream, uint64_t counter);
-double noise_uniform(uint64_t seed, uint64_t stream, uint64_t counter); /* In (0, 1). */
-double noise_normal(uint64_t seed, uint64_t stream, uint64_t counter);  /* Mean 0, standard deviation 1. */
+
+/* Returns a number in (0, 1), both ends excluded. */
+double noise_uniform(uint64_t seed, uint64_t stream, uint64_t counter);
+
+/* Returns a normal number of mean 0 and standard deviation 1. */
+double noise_normal(uint64_t seed, uint64_t stream, uint64_t counter);
 
 #endif

@@ -15,12 +15,12 @@
 
 typedef struct {
     int64_t start_ps;
-    int64_t interval_ps; /* Above 0. */
+    int64_t interval_ps; /* Length of an interval, above 0. */
     size_t intervals, columns;
-    const double *coefficients; /* [interval][column][4]: c0..c3. Not owned. */
+    const double *coefficients; /* [interval][column][4]: c0..c3; the caller's. */
 } path_t;
 
-/* Every column at a time. Time: 3 multiplications a column. */
+/* The values of every column at a time. Time of a call: 3 multiplications a column. */
 void path_evaluate(const path_t *path, int64_t time_ps, double *values);
 
 #endif

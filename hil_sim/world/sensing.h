@@ -1,5 +1,5 @@
 /* sensing.h: a three-axis sensor among the coils: from currents and ambient fields to the volts at a board's
- * converters.
+ * converters. sensing_init(), sensing_set_path(), then sensing_volts() for each conversion, and sensing_free().
  *
  *     field = rotation(t) * ambient(t) + sum over all coils of (field per ampere)(t) * (lagged current)(t)
  *       sensor's frame
@@ -28,7 +28,7 @@
 typedef struct {
     unsigned count;
     coil_t *coil;
-    uint64_t *head; /* Of each coil, as others may see it. */
+    uint64_t *head; /* Latest segment of each coil that others may see. */
 } coils_t;
 
 typedef struct {
@@ -38,24 +38,24 @@ typedef struct {
     front_end_t front_end;
     path_t path;
     double *coefficients;  /* The path's, owned. */
-    double *values;        /* Of the path's columns: scratch. */
-    int64_t field_time_ps; /* field_T is of this time. */
+    double *values;        /* Scratch: the values of the path's columns. */
+    int64_t field_time_ps; /* The time that field_T belongs to. */
     double field_T[3];
 } sensing_t;
 
-/* coils and ambient must outlive the sensing; coils.count must have its final value. False: no memory.
- * sensing_free() is due in both cases. */
+/* coils and ambient must outlive the sensing; coils.count must have its final value. Returns false if there is no
+ * memory. sensing_free() is due in both cases. */
 bool sensing_init(sensing_t *sensing, const coils_t *coils, const ambient_t *ambient,
                   const front_end_config_t *front_end, uint64_t seed, unsigned board);
 void sensing_free(sensing_t *sensing);
 
-/* The path from now on; coefficients are copied. False, and the old path stays: wrong number of columns, an empty
- * path, or no memory. */
+/* The path from now on; coefficients are copied. Returns false, and the old path stays, if the number of columns is
+ * wrong, the path is empty, or there is no memory. */
 bool sensing_set_path(sensing_t *sensing, const path_t *path);
 
 /* The field in the sensor's frame, before the front end. A path must be set. */
 void sensing_field(const sensing_t *sensing, int64_t time_ps, double field_T[3]);
-/* Volts at the pin of an axis (0..2). Times of one axis must not decrease. */
+/* Returns the volts at the pin of an axis (0..2). Times of one axis must not decrease. */
 double sensing_volts(sensing_t *sensing, unsigned axis, int64_t time_ps);
 
 #endif

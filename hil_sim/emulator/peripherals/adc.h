@@ -58,10 +58,11 @@ typedef struct {
     unsigned number; /* 0: ADC1 */
     dma_source_t request;
     activity_t activity;
-    bool regular_waits; /* Its regular sequence was interrupted by an injected one. Of those that go together the first
-                           one's counts. */
+    /* Its regular sequence was interrupted by an injected one; among converters that go together the first one's flag
+     * counts. */
+    bool regular_waits;
     unsigned index, injected_index; /* Place in the sequence. */
-    uint32_t result;                /* Of the running conversion, 12 bits. */
+    uint32_t result;                /* The running conversion's, 12 bits. */
     bool unread, no_more_requests, irq;
     int64_t stable_ps;
     machine_event_t done;
@@ -89,22 +90,22 @@ static inline unsigned adc_resolution(const unit_t *u) {
 void adc_interrupt(unit_t *u); /* After a change of SR or CR1. */
 
 /* adc_sampling.c */
-/* Channel of rank index of a group. */
+/* The channel at a place of a group's sequence, from 0. */
 unsigned adc_channel(const unit_t *u, activity_t group, unsigned index);
-/* Conversions in a group. */
+/* How many conversions a group has. */
 unsigned adc_length(const unit_t *u, activity_t group);
-/* Pin behind a channel, numbered as in board_edge.h. ADC_NO_PIN: internal or not there. */
+/* The pin behind a channel, numbered as in board_edge.h; ADC_NO_PIN if the channel is internal or not there. */
 enum { ADC_NO_PIN = 255 };
 unsigned adc_pin(const unit_t *u, unsigned channel);
 /* Clocks that the sampling switch is closed for a channel; PCLK2 cycles per converter clock. */
 unsigned adc_sampling(const unit_t *u, unsigned channel);
 int64_t adc_divider(const unit_t *u);
-/* Tick of PCLK2 at which a trigger's conversion begins: the first converter clock edge at or after time_ps, plus
+/* The tick of PCLK2 at which a trigger's conversion begins: the first converter clock edge at or after time_ps, plus
  * latency converter clocks. */
 int64_t adc_start_tick(const unit_t *u, int64_t time_ps, int64_t latency);
-/* Code of a channel when its switch opens. */
+/* The code that a channel gives when its sampling switch opens. */
 uint32_t adc_sample(unit_t *u, unsigned channel, int64_t opens_ps);
-/* May it convert now? Says what is wrong if not. */
+/* Whether it may convert now; a violation says what is wrong if not. */
 bool adc_ready(unit_t *u, const char *what);
 
 /* adc_group.c */
@@ -114,7 +115,7 @@ void adc_start_injected(unit_t *u, int64_t time_ps);
 void adc_stop(unit_t *u);
 
 /* adc_multi.c */
-/* Does this unit only follow ADC1 in this group? */
+/* Whether this unit only follows ADC1 in this group. */
 bool adc_follows(const unit_t *u, activity_t group);
 /* The unit that leads this one's group, itself or ADC1, and how many go together, ADC1 first; 1: alone. */
 unit_t *adc_leader(unit_t *u, activity_t group);
@@ -122,10 +123,11 @@ unsigned adc_members(const unit_t *leader, activity_t group);
 static inline unit_t *adc_member(unit_t *leader, unsigned count, unsigned i) {
     return count == 1 ? leader : &adc_of(leader)->unit[i];
 }
-/* Do its regular results go through the common data register? Keep one; false: it is full, the result is lost. */
+/* Whether its regular results go through the common data register. */
 bool adc_by_common(const unit_t *u);
+/* Keep a result for that register. Returns false if it is full: the result is lost. */
 bool adc_common_keep(adc_t *adc, uint32_t result);
-/* After a regular conversion: ask for DMA. False: there was nobody to fetch the results. */
+/* After a regular conversion: ask for DMA. Returns false if there was nobody to fetch the results. */
 bool adc_common_request(adc_t *adc);
 uint32_t adc_common_read(adc_t *adc);
 void adc_common_forget(adc_t *adc);

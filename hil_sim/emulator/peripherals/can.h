@@ -68,7 +68,8 @@ struct can {
     received_t fifo[2][3];
     uint64_t orders;
     board_frame_t arriving;
-    machine_event_t mode, arrival; /* arrival: of the frame in arriving. */
+    machine_event_t mode;    /* A change of mode is through. */
+    machine_event_t arrival; /* The frame in arriving is through. */
 };
 
 static inline uint32_t *can_value(can_t *c, uint32_t offset) {
@@ -80,7 +81,7 @@ static inline bool can_running(const can_t *c) {
 
 /* can.c */
 double can_bit_rate(const can_t *c, bool nominal); /* bit/s; nominal: with a perfect crystal. */
-bool can_rate_fits(const can_t *c);                /* Does this controller understand the network's bits? */
+bool can_rate_fits(const can_t *c);                /* Whether this controller understands the network's bits. */
 bool can_has_pin(const can_t *c, bool transmit);
 void can_interrupts(can_t *c);               /* After any change of flags or enables. */
 void can_errors(can_t *c, unsigned code);    /* Last error code, warning and passive flags, from the counters. */

@@ -10,7 +10,7 @@
 #include "emulator/peripherals/model.h"
 
 enum { LISR = 0x00, HISR = 0x04, LIFCR = 0x08, HIFCR = 0x0C, STREAM0 = 0x10, STREAM_SIZE = 0x18 };
-enum { SCR = 0x00, SNDTR = 0x04, SPAR = 0x08, SM0AR = 0x0C, SM1AR = 0x10, SFCR = 0x14 }; /* Of a stream. */
+enum { SCR = 0x00, SNDTR = 0x04, SPAR = 0x08, SM0AR = 0x0C, SM1AR = 0x10, SFCR = 0x14 }; /* A stream's. */
 enum { FEIF = 1, DMEIF = 4, TEIF = 8, HTIF = 16, TCIF = 32 };
 enum { PERIPHERAL_TO_MEMORY, MEMORY_TO_PERIPHERAL, MEMORY_TO_MEMORY };
 /* SxCR */
@@ -33,7 +33,8 @@ typedef struct dma_stream {
     bool enabled, busy, line;
     const dma_cell_t *cell;
     /* Latched when EN is set. */
-    unsigned direction, psize, msize, burst; /* Bytes; burst: of one memory burst. */
+    unsigned direction, psize, msize; /* Sizes in bytes. */
+    unsigned burst;                   /* Bytes of one memory burst. */
     bool direct;
     unsigned threshold;
     uint32_t reload, peripheral_step;
@@ -52,7 +53,7 @@ struct dma {
 };
 
 /* dma.c */
-const char *dma_name(const dma_stream_t *s); /* Of its controller. */
+const char *dma_name(const dma_stream_t *s); /* Its controller's name. */
 void dma_raise(dma_stream_t *s, uint32_t flag);
 
 /* dma_stream.c */

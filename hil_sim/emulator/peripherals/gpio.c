@@ -38,7 +38,7 @@ typedef struct {
     model_t model;
     unsigned number;
     uint16_t driven, outside; /* Pins driven from outside, and their levels. */
-    uint16_t level;           /* Of every pin, as seen with the input buffer on. */
+    uint16_t level;           /* Level of every pin, as seen with the input buffer on. */
     uint16_t reported;        /* Pins whose output level was reported as high ... */
     uint16_t known;           /* ... of those that were reported at all. */
     uint16_t locked;

@@ -12,12 +12,12 @@ typedef struct {
     const char *name;
     uint32_t offset;
     uint32_t reset;
-    uint32_t bits; /* Defined bits, read-only ones included. The others are reserved. */
+    uint32_t bits; /* The defined bits, read-only ones included; the others are reserved. */
     register_access_t access;
 } register_layout_t;
 
-/* The register table of a model: an array that lives as long as the program, its length in count. NULL if there is
- * no such peripheral. */
+/* The register table of a model. Returns an array that lives as long as the program, its length in count; NULL if there
+ * is no such peripheral. */
 const register_layout_t *machine_register_table(const machine_t *machine, const char *name, unsigned *count);
 
 #endif

@@ -51,8 +51,8 @@ typedef struct {
     const register_layout_t *registers;
     unsigned register_count, channels;
     bool advanced, wide;
-    unsigned irq_update, irq_channels,
-        irq_trigger; /* The last only of the advanced timers, whose lines are separate. */
+    unsigned irq_update, irq_channels; /* Equal where one line serves all. */
+    unsigned irq_trigger;              /* In use where the lines are separate: the advanced timers. */
     dma_source_t dma_update, dma_channel[4], dma_trigger;
     trigger_t first_channel_trigger, trgo;
     uint8_t master[4]; /* Timer number behind ITR0..3; 0: none. */
@@ -122,7 +122,7 @@ static inline int64_t tim_position(const tim_t *t, int64_t tick) {
 void tim_interrupt(tim_t *t); /* After a change of SR or DIER. */
 /* A request, if its bit of DIER is set. */
 void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source);
-/* Of a compare or capture: now, or with CCDS at the next update. */
+/* A compare's or capture's request goes out now, or with CCDS at the next update. */
 bool tim_asks_at_update(const tim_t *t);
 void tim_channel_dma(tim_t *t, unsigned channel);
 
@@ -142,7 +142,7 @@ void tim_channels_init(tim_t *t);
 void tim_channels_restart(tim_t *t);
 void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps); /* OCxREF and what follows from it. */
 void tim_evaluate_reference(tim_t *t, unsigned channel, bool match, int64_t count, int64_t time_ps);
-bool tim_channel_heard(const tim_t *t, unsigned channel); /* Does a converter wait for this compare? */
+bool tim_channel_heard(const tim_t *t, unsigned channel); /* Whether a converter waits for this compare. */
 void tim_compare_match(tim_t *t, unsigned channel, int64_t tick);
 void tim_capture(tim_t *t, unsigned channel, int64_t time_ps);
 void tim_check_pins(tim_t *t);

@@ -9,7 +9,7 @@ enum { CR = 0x00, CFR = 0x04, WSR = 0x08 };
 #define RVU           2u
 #define IWDGRSTF      (1u << 29)
 #define WWDGRSTF      (1u << 30)
-#define UPDATE_CYCLES 5 /* Of the 32 kHz clock. */
+#define UPDATE_CYCLES 5 /* Periods of the 32 kHz clock. */
 
 static const register_layout_t iwdg_registers[] = {{"KR", KR, 0, 0xFFFF, ACCESS_WO},
                                                    {"PR", PR, 0, 0x7, ACCESS_RW},
@@ -27,7 +27,7 @@ typedef struct {
 
 typedef struct {
     model_t model;
-    int64_t base_tick; /* Of PCLK1, when the counter had the stored value. */
+    int64_t base_tick; /* Tick of PCLK1 at which the counter had the stored value. */
     machine_event_t early, expiry;
 } wwdg_t;
 

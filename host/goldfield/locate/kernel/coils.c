@@ -16,9 +16,9 @@ typedef struct {
     double radial[3][GF_MOST_COILS]; /* From the coil's axis to the point. */
     double height[GF_MOST_COILS];    /* Along the axis. */
     double rho2[GF_MOST_COILS];
-    double squares[GF_MOST_COILS];  /* Mean of the squared greatest and least distance to the wire, */
-    double product2[GF_MOST_COILS]; /* and their product. */
-    double mean_a[GF_MOST_COILS];   /* The two means, of which one becomes the other. */
+    double squares[GF_MOST_COILS];  /* Mean of the squares of greatest and least distance to the wire, */
+    double product2[GF_MOST_COILS]; /* and product of those squares. */
+    double mean_a[GF_MOST_COILS];   /* The two means, which meet. */
     double mean_b[GF_MOST_COILS];
     double quarter_w[GF_MOST_COILS];
     double c2[GF_MOST_COILS];

@@ -72,8 +72,9 @@ typedef struct {
     int32_t freedom;
 } fault_t;
 
-/* Of one beacon: its residuals, the modelled components and the model's derivatives along the principal axes of the
- * pose's error, all over the standard deviations. The covariance of its residuals is 1 - T T'. */
+/* The statistics of one beacon from its residuals, the modelled components and the model's derivatives T along the
+ * principal axes of the pose's error (tangent), all over the standard deviations. The covariance of its residuals is
+ * 1 - T T'. */
 static fault_t fault_of(const double residual[3], const double modelled[3], const double tangent[3][6],
                         const double measured[3], double least_share) {
     double covariance[3][6];

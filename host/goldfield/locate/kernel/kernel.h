@@ -1,4 +1,5 @@
 /* Location in double precision: the hot path of goldfield.locate, one epoch after another without an interpreter.
+ * gf_starts() gives poses to start from, gf_fit() the fitted ones; gf_faults() and gf_covariance() judge those.
  *
  * Python calls the functions of this header through cffi (goldfield/locate/kernel/__init__.py). Each does what a NumPy
  * function of goldfield.locate does, which stays as its reference and as the fallback where this library is not built;
@@ -34,28 +35,29 @@ typedef struct {
 } gf_coils_t;
 
 /* Starts with no prior, from complete vectors: trilateration with |B| = 1.5 k/r^3, fit of log |B|, Wahba's problem
- * (goldfield.locate.starts and .wahba; patent, equations 6 to 8). range_error: of the simple ranges, relative;
- * magnitude_error: of log |B|; vector_error: of the vectors in Wahba's problem, all beside the noise.
- * Writes position_m and rotation. Bound: 50 evaluations of the field an epoch. */
+ * (goldfield.locate.starts and .wahba; patent, equations 6 to 8). Three errors beside the noise, all relative:
+ * range_error in the simple ranges, magnitude_error in |B| (so absolute in its logarithm), vector_error in the vectors
+ * of Wahba's problem. Out: position_m, rotation. Bound: 50 evaluations of the field an epoch. */
 void gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double range_error,
                double magnitude_error, double vector_error, double *position_m, double *rotation);
 
 /* Least squares of position and attitude to the components (goldfield.locate.fit.fit_pose, Levenberg-Marquardt).
- * In and out: position_m, rotation. model_error: relative, beside the noise. Out: cost (e), the sum of squared whitened
- * residuals; information (e x 6 x 6) of position and of a small turn in the site's frame; converged (e), 0 or 1.
- * Bound: 1 + iterations evaluations of the field an epoch. */
+ * model_error is relative, beside the noise. In and out: position_m, rotation. Out: cost (e), the sum of squared
+ * whitened residuals; information (e x 6 x 6) of position and of a small turn in the site's frame; converged (e), 0 or
+ * 1. Bound: 1 + iterations evaluations of the field an epoch. */
 void gf_fit(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
             size_t iterations, double tolerance, double *position_m, double *rotation, double *cost,
             double *information, uint8_t *converged);
 
 /* Statistics of each beacon's faults around fitted poses (goldfield.locate.integrity, which derives them).
- * least_share: part of a variance that must be left in the residuals for a fault to show. Out, e x n each: drop, its
- * degrees of freedom, and scale. Bound: one evaluation of the field an epoch. */
+ * least_eigenvalue is as in gf_covariance(); least_share is the part of a variance that must be left in the residuals
+ * for a fault to show. Out, e x n each: drop, its degrees of freedom, and scale. Bound: one evaluation of the field an
+ * epoch. */
 void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
                const double *position_m, const double *rotation, double least_eigenvalue, double least_share,
                double *drop, int32_t *freedom, double *scale);
 
-/* Mean square error of fitted poses with second-order terms (goldfield.locate.uncertainty.honest_covariance).
+/* Mean square error of fitted poses with second-order terms (goldfield.locate.uncertainty.second_order_covariance).
  * Directions whose eigenvalue of the information, scaled to a unit diagonal, is below least_eigenvalue get free_m2
  * and free_rad2 along them. Out: covariance (e x 6 x 6). Bound: 13 evaluations of the field an epoch. */
 void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,

@@ -5,13 +5,14 @@
 #include <stdbool.h>
 #include <stddef.h>
 
-#define GF_MOST_UNKNOWNS 6
+#define GF_MOST_UNKNOWNS 6 /* A pose's; n is at most this. */
 
-/* Solve a x = b for a positive definite n x n matrix (Cholesky); false if it is not positive definite or not finite. */
+/* Solve a x = b for a positive definite n x n matrix (Cholesky). Returns false if it is not positive definite or not
+ * finite. */
 bool gf_solve(size_t n, const double a[][6], const double b[], double x[]);
 
-/* Eigenvalues and eigenvectors of a symmetric n x n matrix by Jacobi's rotations: on return the diagonal of a holds the
- * values, the columns of v the vectors. At most 20 sweeps; six are usual. */
+/* Eigenvalues and eigenvectors of a symmetric n x n matrix by Jacobi's rotations: afterwards the diagonal of a holds
+ * the values, the columns of v the vectors. At most 20 sweeps; six are usual. */
 void gf_eigen(size_t n, double a[][6], double v[][6]);
 
 #endif
