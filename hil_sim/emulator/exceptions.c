@@ -1,4 +1,4 @@
-/* Exception entry, return and fault escalation (ARMv7-M architecture reference manual, B1.5).
+/* exceptions.c: what differs from the manual.
  *
  * The floating-point registers are stacked at entry even when FPCCR.LSPEN asks for lazy stacking: what a program can
  * see is the same but for FPCCR and FPCAR. Tail-chaining is a return followed by an entry. The exclusive monitor is not

@@ -1,4 +1,4 @@
-/* System control block, data watchpoint unit's cycle counter, and the identification registers at
+/* system_control.c: system control block, data watchpoint unit's cycle counter, and the identification registers at
  * 0xE0000000..0xE00FFFFF (ARMv7-M architecture reference manual B3, C1; PM0214; RM0090, 38 for DBGMCU). The trace
  * macrocell swallows what is written to it. */
 #include "emulator/system_control.h"

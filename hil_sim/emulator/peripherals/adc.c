@@ -1,5 +1,6 @@
 /* adc.c: the three converters and their common part: registers and triggers (see adc.h).
- * Not there, and loud: interleaved and alternate modes, sequences of unequal conversions in simultaneous modes.
+ * Using what is not modelled is a violation: interleaved and alternate modes, sequences of unequal conversions in
+ * simultaneous modes.
  */
 #include "emulator/peripherals/adc.h"
 

@@ -3,7 +3,7 @@
  *     MULTI        1, 0x11                5, 0x15          6, 0x16
  *     together     regular and injected   injected         regular (no injected group may run)
  *
- * Not there, and loud: interleaved and alternate modes.
+ * Using what is not modelled is a violation: interleaved and alternate modes.
  */
 #include "emulator/peripherals/adc.h"
 

@@ -1,5 +1,5 @@
 /* can.c: bxCAN: registers, modes, bit timing, errors (see can.h). The network runs at 1 Mbit/s: a controller that is
- * off by more than 0.5 % hears errors only. Not there, and loud: time-triggered mode.
+ * off by more than 0.5 % hears errors only. Using what is not modelled is a violation: time-triggered mode.
  */
 #include "emulator/peripherals/can.h"
 

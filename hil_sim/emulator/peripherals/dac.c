@@ -3,8 +3,8 @@
  * What is in the holding register goes to the output one APB1 cycle after it was written (TEN 0), three after a
  * timer or pin trigger, one after a software trigger; the buffer's settling belongs to the outside. A hardware
  * trigger takes what both channels hold and then asks for DMA, so what DMA brings is for the next trigger. A trigger
- * that finds the request before still waiting is an underrun: requests stop until DMAUDR is cleared. Not there, and
- * loud: noise and triangle waves. */
+ * that finds the request before still waiting is an underrun: requests stop until DMAUDR is cleared. Using what is not
+ * modelled is a violation: noise and triangle waves. */
 #include "emulator/peripherals/model.h"
 
 enum {

@@ -1,6 +1,6 @@
-/* tim.c: timers 1 to 14, counting up (RM0090 chapters 17 to 20): registers, interrupts, DMA requests (see tim.h). Not
- * there, and loud: counting down and centre-aligned, encoder, gated and external-clock modes, ETR, break, commutation,
- * outputs to pins.
+/* tim.c: timers 1 to 14, counting up (RM0090 chapters 17 to 20): registers, interrupts, DMA requests (see tim.h). Using
+ * what is not modelled is a violation: counting down and centre-aligned, encoder, gated and external-clock modes, ETR,
+ * break, commutation, outputs to pins.
  */
 #include "emulator/peripherals/tim.h"
 

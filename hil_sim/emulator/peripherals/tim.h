@@ -59,7 +59,7 @@ typedef struct {
 } tim_description_t;
 
 typedef struct {
-    uint8_t pin, timer, alternate, channel; /* Channel from 0. */
+    uint8_t pin, timer, alternate, channel; /* The channel counts from 0. */
 } tim_pin_t;
 
 extern const tim_description_t tim_descriptions[TIM_COUNT];
@@ -74,19 +74,20 @@ struct tim {
     int64_t base_tick, base_count; /* The counter has base_count at base_tick. */
     int64_t marked;                /* Counter values up to this one have been compared since the last overflow. */
     uint32_t prescaler, reload, compare[4], repetition; /* Active (shadow) values. */
-    bool reference[4], output[4], silent_trigger;
-    uint16_t slaves;       /* Timers that listen to its TRGO: bit 0 is TIM1. */
-    machine_event_t event; /* The next moment that somebody observes. */
+    bool reference[4], output[4];                       /* OCxREF, and OCx behind polarity and enables. */
+    bool silent_trigger;                                /* The violation of a trigger that never comes was recorded. */
+    uint16_t slaves;                                    /* Timers that listen to its TRGO: bit 0 is TIM1. */
+    machine_event_t event;                              /* The next moment that somebody observes. */
     struct {
         tim_t *timer;
         unsigned input;
-        bool raw, level;
+        bool raw, level; /* Before and behind the filter. */
         machine_event_t filter;
     } input[4];
-    uint8_t edges[4];
+    uint8_t edges[4]; /* Captured edges that the prescaler has swallowed. */
     bool update_line, channel_line, trigger_line;
-    unsigned burst_index;
-    dma_source_t burst_source;
+    unsigned burst_index;      /* Registers of the DMA burst that are done, */
+    dma_source_t burst_source; /* and the request that it answers. */
 };
 
 static inline uint32_t tim_mode_bits(const tim_t *t, unsigned channel) {
@@ -101,9 +102,11 @@ static inline unsigned tim_enable_bits(const tim_t *t, unsigned channel) {
 static inline unsigned tim_master_mode(const tim_t *t) {
     return field(t->model.value[TIM_CR2 / 4], 4, 3);
 }
+/* 1 is TIM1. */
 static inline unsigned tim_number(const tim_t *t) {
     return (unsigned)(t->what - tim_descriptions) + 1;
-} /* 1: TIM1 */
+}
+/* Clocks of a count. */
 static inline int64_t tim_step(const tim_t *t) {
     return (int64_t)t->prescaler + 1;
 }
@@ -113,14 +116,14 @@ static inline bool tim_counting(const tim_t *t) {
 static inline int64_t tim_now_tick(const tim_t *t) {
     return clock_tick(t->clock, machine_now(t->model.machine));
 }
-/* Counter at a tick not before the base. */
+/* The counter at a tick not before the base. */
 static inline int64_t tim_position(const tim_t *t, int64_t tick) {
     return tim_counting(t) && tick > t->base_tick ? t->base_count + (tick - t->base_tick) / tim_step(t) : t->base_count;
 }
 
 /* tim.c */
 void tim_interrupt(tim_t *t); /* After a change of SR or DIER. */
-/* A request, if its bit of DIER is set. */
+/* A request to DMA, if its bit of DIER is set. */
 void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source);
 /* A compare's or capture's request goes out now, or with CCDS at the next update. */
 bool tim_asks_at_update(const tim_t *t);

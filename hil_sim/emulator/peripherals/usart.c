@@ -2,8 +2,8 @@
  *
  * Bytes take their frame time at the rate that BRR sets; they leave only if a pin is in the transmitter's alternate
  * function, and arrive likewise. IDLE is known only when the next byte can no longer have begun within the idle frame,
- * so it comes one frame late. Not there, and loud: synchronous, half-duplex, smartcard, IrDA and LIN modes, hardware
- * flow control, mute, break.
+ * so it comes one frame late. Using what is not modelled is a violation: synchronous, half-duplex, smartcard, IrDA and
+ * LIN modes, hardware flow control, mute, break.
  */
 #include "emulator/peripherals/model.h"
 #include "emulator/peripherals/outside.h"
