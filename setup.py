@@ -1,4 +1,4 @@
-"""What pyproject.toml cannot say: the C parts of the wheel.
+"""What pyproject.toml cannot say: the C parts of the wheel, in folders ``built`` that no one takes for Python modules.
 
 The kernel of ``goldfield.locate`` is a plain shared library: it uses nothing of Python's C interface, so that neither
 Python's headers nor its version matter. The simulator's libraries and images are made by the Makefile, which alone
@@ -65,6 +65,11 @@ class BuildKernel(build_ext):
                 "Poses are the same without it but slower; with gcc installed, install goldfield again.",
                 error,
             )
+
+    def copy_extensions_to_source(self) -> None:
+        """Put the library beside its sources, for an editable installation."""
+        (ROOT / KERNEL / "built").mkdir(exist_ok=True)
+        super().copy_extensions_to_source()
 
     def get_ext_filename(self, fullname: str) -> str:
         """Return the path of the library, whose name tells no version of Python."""
@@ -155,7 +160,7 @@ setup(
     options={"build": {"build_base": str(SCRATCH)}, "egg_info": {"egg_base": str(SCRATCH)}},
     ext_modules=[
         Extension(
-            "goldfield.locate.kernel.libgf_locate",
+            "goldfield.locate.kernel.built.libgf_locate",
             sources=sorted(str(path.relative_to(ROOT)) for path in (ROOT / KERNEL).glob("*.c")),
             depends=sorted(str(path.relative_to(ROOT)) for path in (ROOT / KERNEL).glob("*.h")),
             # Nothing here reads errno or floating-point traps; saying so lets the compiler work on two coils at a time.

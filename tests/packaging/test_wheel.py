@@ -23,7 +23,7 @@ from tests.host.fake_sensor import ATTITUDE, POSITION_M, SITE, beacon_fields, he
 pytestmark = pytest.mark.slow
 
 IMAGES = ("beacon", "sensor", "anchor")
-KERNEL = "goldfield/locate/kernel/libgf_locate.so"
+KERNEL = "goldfield/locate/kernel/built/libgf_locate.so"
 VERSION_H = ROOT / "firmware" / "services" / "version.h"
 
 

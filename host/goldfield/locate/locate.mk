@@ -1,6 +1,6 @@
 # The hot path of goldfield.locate in C; without it the host computes the same with NumPy, slower. How it is compiled
 # stands in setup.py, for pip and for make alike.
-LOCATE_LIBRARY := host/goldfield/locate/kernel/libgf_locate.so
+LOCATE_LIBRARY := host/goldfield/locate/kernel/built/libgf_locate.so
 HOST_LIBRARIES += $(LOCATE_LIBRARY)
 
 $(LOCATE_LIBRARY): $(wildcard host/goldfield/locate/kernel/*.[ch]) setup.py | $(BUILD)/venv.stamp

@@ -46,8 +46,8 @@ _kernels: WeakKeyDictionary[FieldModel, Kernel] = WeakKeyDictionary()
 
 @cache
 def _library() -> Any | None:
-    """Return the library that ``setup.py`` puts beside this file, None if there was no compiler."""
-    path = Path(__file__).with_name("libgf_locate.so")
+    """Return the library that ``setup.py`` puts into the folder ``built`` here, None if there was no compiler."""
+    path = Path(__file__).with_name("built") / "libgf_locate.so"
     return _ffi.dlopen(str(path)) if path.exists() else None
 
 
