@@ -101,7 +101,7 @@ class BoundaryElements:
         self._points = np.stack(inner, axis=1)
 
     def secondary(self, point_m: FloatArray, source_m: FloatArray, moment_A_m2: FloatArray) -> FloatArray:
-        """Field that the body adds at points outside.
+        """Return the field that the body adds at points outside.
 
         Parameters
         ----------

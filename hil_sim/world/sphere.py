@@ -67,7 +67,7 @@ class Sphere:
     def secondary(
         self, point_m: FloatArray, source_m: FloatArray, moment_A_m2: FloatArray, frequency_Hz: float
     ) -> ComplexArray:
-        """Field that the sphere adds outside itself.
+        """Return the field that the sphere adds outside itself.
 
         Parameters
         ----------

@@ -59,7 +59,7 @@ class EpochSeparator:
         )
 
     def _time(self, report: Report) -> float:
-        """Middle of the cycle; counted on from the last known one if the header was lost."""
+        """Return the middle of the cycle; it is counted on from the last known one if the header was lost."""
         if math.isfinite(report.time_s):
             self._last = (report.cycle, report.time_s)
             return report.time_s

@@ -147,7 +147,7 @@ class _Spectrum:
         return np.asarray(null @ null.T)
 
     def pseudo_inverse(self) -> FloatArray:
-        """Pseudo-inverse, shape (k, N)."""
+        """Return the pseudo-inverse, shape (k, N)."""
         vectors = self._vectors[:, ~self._small]
         rough = (vectors / self._values[~self._small]) @ vectors.T @ self._unit.T
         # One step of Newton (Schulz 1933) squares the error that the squared condition of X^T X left.

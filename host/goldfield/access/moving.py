@@ -36,7 +36,7 @@ def sample_times(chips: int) -> FloatArray:
 
 
 def node_times(nodes: int) -> FloatArray:
-    """Chebyshev points of the cycle, from its middle in units of the cycle, shape (k,)."""
+    """Return the Chebyshev points of the cycle, from its middle in units of the cycle, shape (k,)."""
     return np.asarray(-0.5 * np.cos(np.pi * (np.arange(nodes) + 0.5) / nodes))
 
 

@@ -75,7 +75,7 @@ class SweepRepair:
         return replace(fields, field_T=fields.field_T - np.outer(shape, latest + change), sweep_T_s=sigma)
 
     def _shape(self, beacons: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-        """Error of the fields by a ramp of 1 T/s, s, and the codes' means, both of shape (n,)."""
+        """Return the error of the fields by a ramp of 1 T/s, s, and the codes' means, both of shape (n,)."""
         if beacons not in self._shapes:
             if len(self._shapes) >= REMEMBERED:
                 self._shapes.clear()

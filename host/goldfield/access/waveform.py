@@ -26,7 +26,7 @@ from goldfield.types import FloatArray
 
 
 def code_template(chips: int, codes: Sequence[Code]) -> FloatArray:
-    """Sum of codes with equal parts and a peak of 1, shape (N,)."""
+    """Return the sum of codes with equal parts and a peak of 1, shape (N,)."""
     total = np.zeros(chips)
     for code in codes:
         own = code_matrix(code.degree, [code.index])[:, 0].astype(np.float64)
@@ -35,7 +35,7 @@ def code_template(chips: int, codes: Sequence[Code]) -> FloatArray:
 
 
 def slot_template(chips: int, slots: int, slot: int) -> FloatArray:
-    """Pulse of direct current in one of equal slots, shape (N,)."""
+    """Return the pulse of direct current in one of equal slots, shape (N,)."""
     length = chips // slots
     total = np.zeros(chips)
     total[slot * length : (slot + 1) * length] = 1.0
@@ -43,7 +43,7 @@ def slot_template(chips: int, slots: int, slot: int) -> FloatArray:
 
 
 def tone_template(chips: int, periods: int, square: bool = False, wave: str = "cosine") -> FloatArray:
-    """Alternating current with whole periods in a cycle, a cosine, its sign, or a sine, shape (N,)."""
+    """Return an alternating current with whole periods in a cycle, a cosine, its sign, or a sine, shape (N,)."""
     turn = 2.0 * np.pi * periods * np.arange(chips) / chips
     if wave == "sine":
         return np.asarray(np.sin(turn))
@@ -51,7 +51,7 @@ def tone_template(chips: int, periods: int, square: bool = False, wave: str = "c
 
 
 def beacon_template(site: Site, beacon: Beacon, rise: bool = True) -> FloatArray:
-    """Template of one beacon of a site, shape (N,), with its coil's rise or without."""
+    """Return the template of one beacon of a site, shape (N,), with its coil's rise or without."""
     drive = beacon.drive
     if drive.slot is not None:
         ideal = slot_template(site.chips, site.slots, drive.slot)
@@ -63,5 +63,5 @@ def beacon_template(site: Site, beacon: Beacon, rise: bool = True) -> FloatArray
 
 
 def site_templates(site: Site, rise: bool = True) -> FloatArray:
-    """Templates of all beacons of a site as columns, shape (N, n)."""
+    """Return the templates of all beacons of a site as columns, shape (N, n)."""
     return np.stack([beacon_template(site, beacon, rise) for beacon in site.beacons], axis=1)

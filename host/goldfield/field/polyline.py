@@ -11,7 +11,7 @@ from goldfield.types import FloatArray
 def polyline(
     point_m: FloatArray, start_m: FloatArray, end_m: FloatArray, ampere_turns: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Field of polylines and its gradient.
+    """Return the field of polylines and its gradient.
 
     Of a segment from P to Q with a = r - P, b = r - Q:
     B = (mu0 I/4 pi) ((Q - P) x a) (|a| + |b|)/(|a| |b| (|a| |b| + a.b)).

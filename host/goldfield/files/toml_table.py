@@ -207,7 +207,7 @@ class Table:
         return f"{self._name.strip('[]')}.{key}" if self._name else key
 
     def _line_of(self, key: str) -> int:
-        """Line of a key of this table, else of the table's header; 0 if neither is found."""
+        """Return the line of a key of this table, else of the table's header; 0 if neither is found."""
         name = rf"""["']?{re.escape(key)}["']?"""
         pattern = re.compile(rf"(?:\s*|.*[{{,]\s*){name}\s*=|\s*\[\[?\s*(?:.*\.)?{name}\s*\]")
         first = max(self._header_line, 1)

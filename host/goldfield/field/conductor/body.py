@@ -140,7 +140,7 @@ def ball(centre_m: FloatArray, radius_m: float, material: Material, pieces: int 
 
 
 def _cube(pieces: int) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Corners on the surface of the cube from -1 to 1 and triangles, outward."""
+    """Return the corners on the surface of the cube from -1 to 1 and triangles, outward."""
     if pieces < 2:
         raise UserError(f"an edge is cut into {pieces} pieces: give at least 2")
     index: dict[tuple[int, int, int], int] = {}

@@ -51,11 +51,11 @@ class Parts:
         return cls(position_m, volume_m3[:, None] * curl_A_m2, moment)
 
     def field(self, point_m: FloatArray) -> ComplexArray:
-        """Secondary field at points, shape (p, 3): A/m, shape (e, p, 3)."""
+        """Return the secondary field at points, shape (p, 3): A/m, shape (e, p, 3)."""
         return self.field_and_gradient(point_m)[0]
 
     def field_and_gradient(self, point_m: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Secondary field and its gradient.
+        """Return the secondary field and its gradient.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class Parts:
         return np.stack([pair[0] for pair in pairs], axis=1), np.stack([pair[1] for pair in pairs], axis=1)
 
     def _at(self, point_m: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Field and gradient at one point, shapes (e, 3) and (e, 3, 3).
+        """Return the field and gradient at one point, shapes (e, 3) and (e, 3, 3).
 
         The sums over the parts are products of matrices: of currents and moments with the powers of the distance.
         """

@@ -104,7 +104,7 @@ class SkinResponse:
         return Parts(self.body.middle_m, np.cross(self.body.area_m2, self._tangential(potential)), moment)
 
     def _tangential(self, potential: ComplexArray) -> ComplexArray:
-        """Tangential field on the triangles from the potential at the corners."""
+        """Return the tangential field on the triangles from the potential at the corners."""
         return np.asarray(-np.einsum("eti,tic->etc", potential[:, self.body.triangles], self._slope))
 
 
@@ -183,7 +183,7 @@ def _vector_potential(offset_m: FloatArray, moment_A_m2: FloatArray) -> FloatArr
 
 
 def _coulomb(point_m: FloatArray, charge_m: FloatArray) -> FloatArray:
-    """Gradient of 1/|x - y| up to its sign, shape (points, charges, 3)."""
+    """Return the gradient of 1/|x - y| up to its sign, shape (points, charges, 3)."""
     offset = point_m[:, None] - charge_m
     return np.asarray(offset / (offset * offset).sum(axis=-1, keepdims=True) ** 1.5)
 
