@@ -3,7 +3,7 @@ PYTEST := $(PYTHON) -m pytest -n 2 -q --ignore=tests/packaging
 
 test: test-fast test-long ## All tests but the slow ones
 	@echo "end to end again, on host boards"
-	@$(PYTHON) -m pytest tests/hil --rig host -q
+	@$(PYTHON) -m pytest tests/hil --goldfield-rig host -q
 
 test-wheel: all ## Build the wheel, install it alone and use it outside the tree
 	@$(PYTHON) -m pytest tests/packaging -q -s
@@ -43,7 +43,7 @@ track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a mov
 field-sync-figures: all ## Measure synchronisation by the field alone: cold starts by hundreds, a dropout (several minutes)
 	@$(PYTHON) -m pytest tests/firmware/core/timing/test_acquire.py -k "thousand or hundreds" -q -s
 	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py -k "hundred or ten_seconds" -q -s
-	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py --rig host -k "hundred or ten_seconds" -q -s
+	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py --goldfield-rig host -k "hundred or ten_seconds" -q -s
 
 .PHONY: field-sync-figures
 

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_on_command_line: ContextVar[bool] = ContextVar("on_command_line", default=False)
+
 
 class UserError(Exception):
     """Bad usage or bad input; the CLI prints it as one line and exits with 2."""
@@ -9,3 +15,29 @@ class UserError(Exception):
 
 class SystemFailure(Exception):
     """The boards or the link to them failed; the CLI prints it as one line and exits with 3."""
+
+
+def option(name: str, value: object = "") -> str:
+    """Return how the reader of an error gives an option: a keyword argument, or within `on_command_line` an option.
+
+    Examples
+    --------
+    >>> option("node", 3), option("port")
+    ('node=3', 'port=')
+    >>> with on_command_line():
+    ...     option("node", 3), option("on_sensor")
+    ('--node 3', '--on-sensor')
+    """
+    if _on_command_line.get():
+        return f"--{name.replace('_', '-')} {value}".rstrip()
+    return f"{name}={value}"
+
+
+@contextmanager
+def on_command_line() -> Iterator[None]:
+    """Make the errors that are raised meanwhile name options as the command line does; serves as a decorator too."""
+    token = _on_command_line.set(True)
+    try:
+        yield
+    finally:
+        _on_command_line.reset(token)

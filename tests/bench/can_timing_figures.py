@@ -16,7 +16,7 @@ import numpy as np
 
 from goldfield_protocol import decode
 from hil_sim import clib
-from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.bench import SimulatedBench
 from hil_sim.rig import SENSOR
 from tests.bench.chain_figures import POSES, open_bench, pose_errors, poses_of, rms
 from tests.hil.can_timing import LoadedBus, beacon_phases, cold_starts, sensor_phases, starve

@@ -20,8 +20,8 @@ from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
 from goldfield.types import Pose
 from hil_sim import clib
+from hil_sim.bench import SimulatedBench
 from hil_sim.emulator import Emulator
-from hil_sim.pytest_plugin import SimulatedBench
 
 CYCLE_INSTRUCTIONS = 168e6 * 1023 * 16422 / 168e6
 """One instruction is one cycle in the emulator."""

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from goldfield.locate import Locator
 from goldfield.locate.starts import simple_magnitudes
 from goldfield.locate.wahba import wahba
-from goldfield.track import epoch_tracker
+from goldfield.track import Tracker
 from goldfield.types import Fields
 from tests.bench import locate_trials as bench
 
@@ -69,7 +69,7 @@ def speed(scale=1.0):
     results = {}
 
     def filtered():
-        tracker = epoch_tracker(site)
+        tracker = Tracker(site)
         return [tracker.update(epoch) for epoch in path]
 
     work = {

@@ -23,7 +23,6 @@ from goldfield.track import (
     EpochObserver,
     FixedLagSmoother,
     Tracker,
-    epoch_tracker,
 )
 from goldfield.track.motion import Observation, State
 from goldfield.types import Fields, Status
@@ -147,8 +146,8 @@ def print_tracking_table(runs, length):
             epochs = [fields(cycle, plain) for cycle in cycles]
             parts = [CycleData(c.epoch, c.time_s, c.beacons, thirds @ c.data_T) for c in cycles]
             results = {
-                "epochs": poses_of(epoch_tracker(site), epochs),
-                "epochs, smoothed by 6": list(FixedLagSmoother(site, epoch_tracker(site), 6).poses(epochs)),
+                "epochs": poses_of(Tracker(site), epochs),
+                "epochs, smoothed by 6": list(FixedLagSmoother(site, Tracker(site), 6).poses(epochs)),
                 "epochs without ramp": poses_of(
                     Tracker(site, EpochObserver(site, 2)), [fields(cycle, drift) for cycle in cycles]
                 ),
@@ -190,7 +189,7 @@ def print_time():
         Fields(c.epoch, c.time_s, c.beacons, s.field_T, s.sigma_T) for c, s in zip(cycles, separations, strict=True)
     ]
     for label, tracker, data in (
-        ("separated fields", epoch_tracker(site), epochs),
+        ("separated fields", Tracker(site), epochs),
         ("samples", Tracker(site, CycleObserver(site)), cycles),
     ):
         tracker.update(data[0])

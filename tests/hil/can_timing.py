@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield_protocol import decode
-from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.bench import SimulatedBench
 from hil_sim.rig import SENSOR, Rig
 from hil_sim.scenario import Clock
 

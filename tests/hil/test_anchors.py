@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from goldfield.access.epoch import EpochSeparator
 from goldfield.link.reports import Assembler
 from goldfield_protocol import FrameDecoder, decode
-from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.bench import SimulatedBench
 
 CYCLES = 15
 LEAST_P = 1e-4

@@ -6,7 +6,7 @@ import pytest
 from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
 from goldfield.types import Status
-from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
 from tests.hil.can_timing import LoadedBus, beacon_phases, cold_starts, sensor_phases, starve
 
@@ -14,7 +14,7 @@ from tests.hil.can_timing import LoadedBus, beacon_phases, cold_starts, sensor_p
 @pytest.fixture(scope="module")
 def bench(open_bench, rig_kind):
     if rig_kind not in ("emulated", "host"):
-        pytest.fail("only a simulated bench shows its pins: run with --rig emulated or host")
+        pytest.fail("only a simulated bench shows its pins: run with --goldfield-rig emulated or host")
     return open_bench("prigge8can")
 
 

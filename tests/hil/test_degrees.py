@@ -9,9 +9,9 @@ from goldfield.access.gold import code_matrix
 from goldfield.link.reports import Assembler
 from goldfield.locate import locate
 from goldfield.locate.uncertainty import cramer_rao_bound
-from goldfield.sensor.onboard import onboard_pose
+from goldfield.sensor.on_sensor import on_sensor_pose
 from goldfield_protocol import FrameDecoder, decode
-from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
 
 
@@ -41,11 +41,11 @@ def test_poses_at_the_bound(tmp_path, rig_kind, degree, boards, cycles):
     bench = SimulatedBench(scenario(tmp_path, degree), kind, tmp_path)
     try:
         bench.reports(cycles + 4)
-        assembler, separator, found = Assembler(own_pose=True), EpochSeparator(bench.site), []
+        assembler, separator, found = Assembler(on_sensor=True), EpochSeparator(bench.site), []
         for frame in FrameDecoder().feed(bytes(bench.stream)):
             for report in assembler.feed(decode(frame.identifier, frame.data), 0.0):
                 fields = separator.fields(report)
-                found.append((report, locate(bench.site, fields), onboard_pose(bench.site, report, fields)))
+                found.append((report, locate(bench.site, fields), on_sensor_pose(bench.site, report, fields)))
         bench.rig.advance(0.25)  # The truth of a cycle is told from the sync wire's next edge on.
         found, truth = found[-cycles - 1 : -1], bench.truth()
     finally:

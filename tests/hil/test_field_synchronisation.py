@@ -10,7 +10,7 @@ from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
 from goldfield.types import Status
 from goldfield_protocol import decode, encode, encode_frame
-from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.bench import SimulatedBench
 from hil_sim.rig import SENSOR
 from hil_sim.scenario import SCENARIOS, Clock
 
@@ -27,7 +27,7 @@ MAINS = ("amplitude_T = [1.0e-8, 2.0e-8, 1.0e-8]", "amplitude_T = [3.0e-7, 3.0e-
 def open_wireless(rig_kind, tmp_path):
     """A function that opens prigge8 without sync wire, if asked for with 0.5 uT of mains hum."""
     if rig_kind not in ("emulated", "host"):
-        pytest.fail("this test needs a simulated bench: run it with --rig emulated or host")
+        pytest.fail("this test needs a simulated bench: run it with --goldfield-rig emulated or host")
     benches = []
 
     def open_one(strong_mains=False):

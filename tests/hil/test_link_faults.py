@@ -26,7 +26,7 @@ def reports_of(stream):
 @pytest.fixture(scope="module")
 def simulated(open_bench, rig_kind):
     if rig_kind not in ("emulated", "host"):
-        pytest.fail("this test compares simulated benches: run it with --rig emulated or host")
+        pytest.fail("this test compares simulated benches: run it with --goldfield-rig emulated or host")
     return open_bench
 
 

@@ -7,11 +7,11 @@ from scipy.spatial.transform import Rotation
 from goldfield.access.epoch import EpochSeparator
 from goldfield.access.sweep import SweepRepair
 from goldfield.locate import locate
-from goldfield.track import CycleLocator, PartsObserver, Tracker, cycle_of_parts, epoch_tracker
+from goldfield.track import CycleLocator, PartsObserver, Tracker, cycle_of_parts
 from goldfield_protocol import FrameDecoder, decode, encode, encode_frame
 from goldfield_protocol.parameters import PARAMETERS
+from hil_sim.bench import SimulatedBench
 from hil_sim.clib import ROOT
-from hil_sim.pytest_plugin import SimulatedBench
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, cycle_bound, straight
 
@@ -42,7 +42,7 @@ def waypoints():
 def flight(tmp_path_factory, rig_kind):
     """(bench, reports) of a sensor that was asked for thirds."""
     if rig_kind not in ("host", "emulated"):
-        pytest.fail("nobody moves the sensor of a real bench: leave out --rig, or give emulated or host")
+        pytest.fail("nobody moves the sensor of a real bench: leave out --goldfield-rig, or give emulated or host")
     text = (ROOT / "hil_sim/scenarios/prigge8.toml").read_text()
     start, end = text.index("[motion]"), text.index("[coil]")
     times, positions, turns = waypoints()
@@ -65,7 +65,7 @@ def poses(flight):
     """Poses of each cycle: (one cycle alone by its fields, by its thirds; tracked by fields, by thirds)."""
     bench, reports = flight
     separator, sweep = EpochSeparator(bench.site), SweepRepair(bench.site)
-    whole, thirds = epoch_tracker(bench.site), Tracker(bench.site, PartsObserver(bench.site))
+    whole, thirds = Tracker(bench.site), Tracker(bench.site, PartsObserver(bench.site))
     alone = CycleLocator(bench.site, 3)
     result = []
     for report in reports:

@@ -6,10 +6,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from goldfield.access.epoch import EpochSeparator
-from goldfield.link.reports import OWN_POSE, Assembler
+from goldfield.link.reports import ON_SENSOR_POSE, Assembler
 from goldfield.locate import locate
 from goldfield.locate.uncertainty import cramer_rao_bound
-from goldfield.sensor.onboard import onboard_pose
+from goldfield.sensor.on_sensor import on_sensor_pose
 from goldfield.types import Status
 from goldfield_protocol import FrameDecoder, decode
 
@@ -26,15 +26,15 @@ def bench(open_bench):
 def pairs(bench):
     """(host's pose, sensor's pose) of each cycle."""
     if not hasattr(bench, "stream"):
-        pytest.fail("this test reads the simulated boards' bytes: leave out --rig, or give emulated or host")
+        pytest.fail("this test reads the simulated boards' bytes: leave out --goldfield-rig, or give emulated or host")
     bench.reports(CYCLES + 2)
-    assembler, separator, found = Assembler(own_pose=True), EpochSeparator(bench.site), []
+    assembler, separator, found = Assembler(on_sensor=True), EpochSeparator(bench.site), []
     for frame in FrameDecoder().feed(bytes(bench.stream)):
         message = decode(frame.identifier, frame.data)
         if message is not None:
             for report in assembler.feed(message, 0.0):
                 fields = separator.fields(report)
-                found.append((locate(bench.site, fields), onboard_pose(bench.site, report, fields), report))
+                found.append((locate(bench.site, fields), on_sensor_pose(bench.site, report, fields), report))
     return found[-CYCLES:]
 
 
@@ -48,10 +48,10 @@ def test_every_cycle_has_a_pose_of_the_sensor(pairs):
     improbable = [chi2.sf(FREEDOM * own.residual**2, FREEDOM) < 1.0 / 5000.0 for _, own, _ in pairs]
     assert sum(improbable) <= 1
     for (_, own, report), alarm in zip(pairs, improbable, strict=True):
-        assert len(report.own_pose) == len(OWN_POSE)
+        assert len(report.on_sensor_pose) == len(ON_SENSOR_POSE)
         assert len(own.used) == 8
         assert own.status is (Status.INCONSISTENT if alarm else Status.OK)
-        assert report.own_pose["POSE_QUALITY"]["tracked"] == float(not alarm)
+        assert report.on_sensor_pose["POSE_QUALITY"]["tracked"] == float(not alarm)
 
 
 def test_it_agrees_with_the_host_within_a_tenth_of_the_bound(bench, pairs):
@@ -82,5 +82,5 @@ def test_the_can_bus_carries_the_same_poses(bench, pairs):
     received = [decode(frame.identifier, frame.data) for frame in bench.rig.can_read()]
     poses = [m.signals for m in received if m is not None and m.name == "POSE_POSITION"]
     assert len(poses) >= CYCLES
-    sent = [report.own_pose["POSE_POSITION"] for _, _, report in pairs]
+    sent = [report.on_sensor_pose["POSE_POSITION"] for _, _, report in pairs]
     assert all(position in poses for position in sent)

@@ -14,7 +14,7 @@ from goldfield.link.chips import Calibration, ChipAssembler
 from goldfield.locate.uncertainty import cramer_rao_bound
 from goldfield.site import load
 from goldfield_protocol import FrameDecoder, decode
-from hil_sim.pytest_plugin import SimulatedBench
+from hil_sim.bench import SimulatedBench
 from hil_sim.scenario import SCENARIOS
 
 CYCLES = 8

@@ -11,7 +11,7 @@ CHIP_S = 16422 / 168e6
 def edges(open_bench, rig_kind):
     """Edge times in seconds by beacon, from one second of a synchronised rig."""
     if rig_kind not in ("emulated", "host"):
-        pytest.fail("only a simulated bench shows its pins: run with --rig emulated or host")
+        pytest.fail("only a simulated bench shows its pins: run with --goldfield-rig emulated or host")
     bench = open_bench("prigge8")
     bench.rig.watch_pins()
     bench.advance(1.0)

@@ -54,7 +54,7 @@ def heartbeat(node=NODE, role=1, hash_=None, state=3):
     return encode("HEARTBEAT", signals, node=node)
 
 
-def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s=None, thirds=False):
+def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s=None, parts=False):
     """What a sensor sends of one cycle, from 1023 noisy samples."""
     fields = beacon_fields() if fields is None else fields
     noise = np.random.default_rng([seed, cycle]).normal(scale=noise_T, size=(1023, 3))
@@ -70,7 +70,7 @@ def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s
         "phase": 0,
         "temperature": 25,
     }
-    messages = _thirds(samples, low) if thirds else []
+    messages = _parts(samples, low) if parts else []
     messages += [
         encode("EPOCH", {"cycle": cycle, "time": time_s}, node=NODE),
         encode("EPOCH_STATUS", status, node=NODE),
@@ -82,7 +82,7 @@ def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s
     return messages
 
 
-def _thirds(samples, low):
+def _parts(samples, low):
     """What a sensor with ``parts`` = 3 sends before the rest of a cycle."""
     carriers = dict(zip((*CODES, 1025), [*CHIPS.T, np.ones(1023)], strict=True))
     messages = []

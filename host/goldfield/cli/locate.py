@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import math
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from collections.abc import Callable
+from typing import Any
 
 from goldfield import site as sites
 from goldfield.cli import options
-from goldfield.cli.fields_file import COLUMNS, SIGMA_COLUMN
+from goldfield.cli.location_options import add_track
 from goldfield.cli.output import json_line, pose_record
-from goldfield.cli.tracking import add_track, locating
 from goldfield.errors import UserError
-from goldfield.files.csv_table import Row, read_groups
+from goldfield.sensor.fields_table import COLUMNS, read_fields
 from goldfield.site import Site
 from goldfield.types import Fields, Pose
-
-if TYPE_CHECKING:
-    from goldfield.track import CycleData
 
 
 def command(subparsers: Any) -> None:
@@ -49,14 +42,22 @@ def run(arguments: argparse.Namespace) -> int:
 
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
     table = PoseTable()
-    locate = _beside(site, arguments) if arguments.own_body else locating(site, arguments.track)
+    pose_of = _beside_body(site, arguments) if arguments.own_body else _location(site, arguments.track)
     for fields in read_fields(site, arguments.fields):
-        pose = locate(fields, None)
+        pose = pose_of(fields)
         print(json_line(pose_record(pose)) if arguments.json else table.line(pose))
     return 0
 
 
-def _beside(site: Site, arguments: argparse.Namespace) -> Callable[[Fields, CycleData | None], Pose]:
+def _location(site: Site, track: bool) -> Callable[[Fields], Pose]:
+    from goldfield.sensor.location import location  # heavy: only when a pose is wanted
+    from goldfield.sensor.options import Method
+
+    locate = location(site, Method.TRACK if track else Method.EACH)
+    return lambda fields: locate(fields, None)
+
+
+def _beside_body(site: Site, arguments: argparse.Namespace) -> Callable[[Fields], Pose]:
     """Return what locates each epoch beside the conductors of a file."""
     from goldfield.field.conductor import body_file
     from goldfield.locate import Locator
@@ -71,42 +72,4 @@ def _beside(site: Site, arguments: argparse.Namespace) -> Callable[[Fields, Cycl
     except UserError as error:
         raise UserError(f"{arguments.own_body}: {error}") from error
     locator = Locator(site)
-    return lambda fields, _: guarded(lambda epoch: locate_beside(locator, body, epoch), fields)
-
-
-def read_fields(site: Site, path: str) -> Iterator[Fields]:
-    """Yield the epochs of a table of fields.
-
-    Raises
-    ------
-    UserError
-        With file, line and column of whatever is wrong.
-    """
-    for rows in read_groups(path, "epoch", COLUMNS, (SIGMA_COLUMN,)):
-        yield _fields(site, rows)
-
-
-def _fields(site: Site, rows: list[Row]) -> Fields:
-    """Check and join the rows of one epoch."""
-    default_sigma = site.sensor.noise_T / math.sqrt(site.chips)
-    known = [beacon.id for beacon in site.beacons]
-    time_s = rows[0].number("t_s")
-    beacons: list[str] = []
-    field, sigma = np.empty((len(rows), 3)), np.empty(len(rows))
-    for place, row in enumerate(rows):
-        if row.number("t_s") != time_s:
-            raise row.error("t_s", f"differs from the {time_s:g} of the same epoch's first row (line {rows[0].line})")
-        beacon = row.text("beacon")
-        if beacon not in known:
-            raise row.error("beacon", f"{beacon!r} is not in the site {site.name!r}: it has {', '.join(known[:10])}")
-        if beacon in beacons:
-            raise row.error("beacon", f"{beacon!r} comes twice in the epoch")
-        beacons.append(beacon)
-        field[place] = [row.field(column) for column in COLUMNS[3:]]
-        if row.cells.get(SIGMA_COLUMN, "").strip():
-            sigma[place] = row.number(SIGMA_COLUMN)
-            if not 0.0 < sigma[place] < 1.0:
-                raise row.error(SIGMA_COLUMN, f"is {sigma[place]:g}; it must be greater than zero and below 1 T")
-        else:
-            sigma[place] = default_sigma
-    return Fields(rows[0].whole("epoch"), time_s, tuple(beacons), field, sigma)
+    return lambda fields: guarded(lambda epoch: locate_beside(locator, body, epoch), fields)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
-import time
-from collections.abc import Sequence
+from contextlib import closing
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -14,23 +14,14 @@ import numpy as np
 from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.chips_file import COLUMNS, PLACE
-from goldfield.errors import SystemFailure
-from goldfield.link.buses import BusSource, open_port
-from goldfield.link.chips import Calibration, ChipAssembler
-from goldfield.link.reports import Assembler
-from goldfield.sensor.session import Session
-from goldfield.site import Site
-from goldfield_protocol.messages import decode
-from goldfield_protocol.parameters import PARAMETERS
-
-STREAM = PARAMETERS["stream"].first
-SILENCE_S = 10.0
+from goldfield.errors import on_command_line
 
 
 def command(subparsers: Any) -> None:
     """Add the subcommand."""
     parser = subparsers.add_parser(
         "samples",
+        help="raw samples of a sensor",
         description=f"A CSV table with the columns {','.join(COLUMNS)} on stdout, one row a chip, from a sensor on a "
         "serial port: for goldfield separate, which tells beacons apart in every way that a site file can name.",
     )
@@ -42,59 +33,28 @@ def command(subparsers: Any) -> None:
         type=options.finite,
         nargs=3,
         metavar=("X", "Y", "Z"),
-        help=f"where the sensor stands, m: added as the columns {','.join(PLACE)}, for goldfield paper zheng survey",
+        help=f"where the sensor stands, m: added as the columns {','.join(PLACE)}, for goldfield rotating survey",
     )
     options.add(parser, "--node", metavar="N", kind=options.node, what="node of the sensor (else the first one heard)")
     parser.set_defaults(run=run)
 
 
+@on_command_line()
 def run(arguments: argparse.Namespace) -> int:
     """Print the samples."""
+    from goldfield.link.buses import open_port  # heavy: only when there is a sensor
+    from goldfield.sensor.samples import sample_cycles
+    from goldfield.sensor.session import Session
+
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
     port = options.required(arguments.port, "--port", "PATH")
-    source = open_port(port)
-    try:
-        session = Session(source, port, Assembler(), arguments.node)
-        session.find_sensor()
-        session.check_degree(source, site.degree)
-        calibration = _calibration(session, source)
-        before = session.parameter(source, STREAM)
-        session.parameter(source, STREAM, 1)
-        try:
-            _print(session, source, site, calibration, arguments.cycles or 1, arguments.at or [])
-        finally:
-            session.parameter(source, STREAM, before)
-    finally:
-        source.close()
-    return 0
-
-
-def _calibration(session: Session, source: BusSource) -> Calibration:
-    elements = PARAMETERS["calibration"]
-    zero = [session.parameter(source, PARAMETERS[name].first) for name in ("zero_x", "zero_y", "zero_z")]
-    matrix = [session.parameter(source, elements.identifier(i)) for i in range(elements.count)]
-    return Calibration(np.array(zero, dtype=np.float64), np.array(matrix, dtype=np.float64).reshape(3, 3))
-
-
-def _print(
-    session: Session, source: BusSource, site: Site, calibration: Calibration, cycles: int, place_m: Sequence[float]
-) -> None:
     rows = csv.writer(sys.stdout, lineterminator="\n")
-    rows.writerow(COLUMNS + (PLACE if place_m else ()))
-    where = [repr(value) for value in place_m]
-    assembler = ChipAssembler(site.chips)
-    heard = time.monotonic()
-    while cycles:
-        raw = source.receive(0.5)
-        message = None if raw is None else decode(raw.arbitration_id, bytes(raw.data))
-        if message is None or message.node != session.node or message.name != "CHIP":
-            if time.monotonic() - heard > SILENCE_S:
-                raise SystemFailure(f"{session.name}: sensor {session.node} sent no raw chip for {SILENCE_S:.0f} s")
-            continue
-        heard = time.monotonic()
-        for sums in assembler.feed(message):
-            for chip, field in enumerate(calibration.field_T(sums)):
-                rows.writerow([chip, *("" if np.isnan(value) else repr(float(value)) for value in field), *where])
-            cycles -= 1
-            if not cycles:
-                break
+    place = [repr(value) for value in arguments.at or []]
+    with closing(open_port(port)) as source:
+        session = Session(source, port, site, arguments.node)
+        rows.writerow(COLUMNS + (PLACE if place else ()))
+        with closing(sample_cycles(session, site)) as cycles:
+            for samples in islice(cycles, arguments.cycles or 1):
+                for chip, field in enumerate(samples):
+                    rows.writerow([chip, *("" if np.isnan(value) else repr(float(value)) for value in field), *place])
+    return 0

@@ -14,9 +14,9 @@ from goldfield.access.cdma import Separation
 from goldfield.access.of_site import SiteAccess, SiteCycle
 from goldfield.cli import options
 from goldfield.cli.chips_file import COLUMNS, read_cycles
-from goldfield.cli.fields_file import FieldsWriter
 from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError
+from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.site import Site
 from goldfield.types import Fields, FloatArray
 

@@ -10,7 +10,7 @@ from typing import Protocol
 
 import can
 
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, option
 from goldfield.link.can_channel import open_channel
 from goldfield.link.recordings import CandumpReader
 from goldfield.link.serial_bus import SerialBus
@@ -130,20 +130,21 @@ def open_port(path: str) -> BusSource:
     try:
         return BusSource(SerialBus(path), path)
     except can.CanError as error:
-        raise UserError(f"{error}: check --port") from error
+        raise UserError(f"{error}: check {option('port')}") from error
 
 
 def open_can(where: str) -> BusSource:
     """Open ``INTERFACE:CHANNEL`` of python-can; `UserError` if that fails."""
     interface, separator, channel = where.partition(":")
+    given = option("can", where)
     if not (interface and separator and channel):
-        raise UserError(f"--can {where}: is not INTERFACE:CHANNEL, as in socketcan:can0 or udp_multicast:239.74.163.2")
+        raise UserError(f"{given}: is not INTERFACE:CHANNEL, as in socketcan:can0 or udp_multicast:239.74.163.2")
     if interface not in can.VALID_INTERFACES:
-        raise UserError(f"--can {where}: python-can knows no interface {interface}; it knows {_known_interfaces()}")
+        raise UserError(f"{given}: python-can knows no interface {interface}; it knows {_known_interfaces()}")
     try:
         return BusSource(open_channel(interface, channel, bitrate=CAN_BIT_RATE), where)
     except Exception as error:  # each vendor's interface raises its own kinds
-        raise UserError(f"--can {where}: cannot be opened: {_one_line(error)}") from error
+        raise UserError(f"{given}: cannot be opened: {_one_line(error)}") from error
 
 
 def _known_interfaces() -> str:

@@ -32,7 +32,7 @@ LONGEST_GAP = 1000
 SHORTEST_SILENCE_S = 0.8
 """Messages of short cycles come in bursts through an operating system; each burst has numbers of all twenty bits."""
 
-OWN_POSE = ("POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY")
+ON_SENSOR_POSE = ("POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY")
 """What a sensor that computes its own pose sends after the fields of a cycle."""
 
 
@@ -58,8 +58,8 @@ class Report:
         Plain correlation of each code; NaN where out of range.
     parts_T : dict of int to ndarray, shape (3,)
         The `PART` messages by index; empty if the sensor sends none.
-    own_pose : dict of str to mapping
-        Signals of the `OWN_POSE` messages that arrived, if they are awaited.
+    on_sensor_pose : dict of str to mapping
+        Signals of the `ON_SENSOR_POSE` messages that arrived, if they are awaited.
     """
 
     cycle: int
@@ -71,7 +71,7 @@ class Report:
     offset_T: FloatArray | None = None
     correlation_T: dict[int, FloatArray] = field(default_factory=dict)
     parts_T: dict[int, FloatArray] = field(default_factory=dict)
-    own_pose: dict[str, Mapping[str, float]] = field(default_factory=dict)
+    on_sensor_pose: dict[str, Mapping[str, float]] = field(default_factory=dict)
     has_header: bool = False
 
     @property
@@ -100,7 +100,7 @@ class Assembler:
     silence_s : float
         After such a time without a message the low bits of a cycle say nothing any more: eight cycles, but not less
         than `SHORTEST_SILENCE_S`.
-    own_pose : bool
+    on_sensor : bool
         Whether the sensor's own poses are awaited too; else they are ignored.
     repeated : int
         Messages that had been received already.
@@ -115,7 +115,7 @@ class Assembler:
     """
 
     silence_s: float = SHORTEST_SILENCE_S
-    own_pose: bool = False
+    on_sensor: bool = False
     repeated: int = 0
     late: int = 0
     orphans: int = 0
@@ -138,7 +138,14 @@ class Assembler:
         arrival_s : float
             On any clock that does not run backwards.
         """
-        awaited = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", "PART", *(OWN_POSE if self.own_pose else ()))
+        awaited = (
+            "EPOCH",
+            "EPOCH_STATUS",
+            "EPOCH_OFFSET",
+            "FIELD",
+            "PART",
+            *(ON_SENSOR_POSE if self.on_sensor else ()),
+        )
         if message.name not in awaited:
             return
         if arrival_s - self._last_time > self.silence_s:
@@ -197,9 +204,11 @@ class Assembler:
     def _ready(self) -> Iterator[Report]:
         assert self._newest is not None
         yield from self._hand_out(until=(self._newest - 1) % CYCLE_MODULUS)
-        own = len(OWN_POSE) if self.own_pose else 0
+        own = len(ON_SENSOR_POSE) if self.on_sensor else 0
         while (
-            (report := self._open.get(self._expected)) is not None and report.complete and len(report.own_pose) >= own
+            (report := self._open.get(self._expected)) is not None
+            and report.complete
+            and len(report.on_sensor_pose) >= own
         ):
             yield self._pop()
 
@@ -245,10 +254,10 @@ def _enter(report: Report, message: Message) -> bool:
         if report.offset_T is not None:
             return False
         report.offset_T = _vector(message, OFFSET_LIMIT_T)
-    elif message.name in OWN_POSE:
-        if message.name in report.own_pose:
+    elif message.name in ON_SENSOR_POSE:
+        if message.name in report.on_sensor_pose:
             return False
-        report.own_pose[message.name] = signals
+        report.on_sensor_pose[message.name] = signals
     else:
         if message.index in report.correlation_T:
             return False

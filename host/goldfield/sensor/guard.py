@@ -8,14 +8,7 @@ import traceback
 from collections.abc import Callable
 
 from goldfield.errors import UserError
-from goldfield.locate import locate
-from goldfield.site import Site
 from goldfield.types import Fields, Pose
-
-
-def pose_of(site: Site, fields: Fields) -> Pose:
-    """Locate with no prior; see `guarded`."""
-    return guarded(lambda epoch: locate(site, epoch), fields)
 
 
 def guarded(method: Callable[[Fields], Pose], fields: Fields) -> Pose:

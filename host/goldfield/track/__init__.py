@@ -24,19 +24,13 @@ __all__ = [
     "PartsObserver",
     "Tracker",
     "cycle_of_parts",
-    "epoch_tracker",
     "sensor_sends_parts",
     "tracked",
 ]
 
 
-def epoch_tracker(site: Site, agility: Agility | None = None) -> Tracker[Fields]:
-    """Return a tracker for the separated fields that sensors send."""
-    return Tracker(site, EpochObserver(site), agility)
-
-
 def tracked(site: Site, epochs: Iterable[Fields]) -> Iterator[Pose]:
     """Yield a pose for every epoch, whatever happens; the epochs come in the order of time."""
-    tracker = epoch_tracker(site)
+    tracker = Tracker(site)
     for fields in epochs:
         yield tracker.update(fields)

@@ -9,16 +9,16 @@ time, now too.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic
+from typing import Any, Generic, overload
 
 import numpy as np
 
 from goldfield.site import Site
 from goldfield.track.estimate import SEARCH_TOLERANCE, TOLERANCE, Belief, Estimate, estimate
 from goldfield.track.motion import RATE, Agility
-from goldfield.track.observe import Observer, T
+from goldfield.track.observe import EpochObserver, Observer, T
 from goldfield.track.report import Reporter
-from goldfield.types import FloatArray, Pose, Status
+from goldfield.types import Fields, FloatArray, Pose, Status
 
 EVALUATIONS = 8
 """Bound of the field model's evaluations in an update: eight are enough where a plain filter fails (maths.md, 6)."""
@@ -68,19 +68,42 @@ class Step:
 
 
 class Tracker(Generic[T]):
-    """Tracks one sensor.
+    """Tracks one sensor: give it every epoch in the order of time, it returns a pose of that epoch and those before.
 
     Parameters
     ----------
     site : Site
-    observer : Observer
-        Makes observations of the data: `EpochObserver` of `Fields`, `CycleObserver` of `CycleData`.
+    observer : Observer, optional
+        Makes observations of the data: `EpochObserver`, the default, of `Fields`; `CycleObserver` of `CycleData`.
     agility : Agility, optional
-        How the sensor may move.
+        How the sensor may move; by default as a person or a robot does.
+
+    Raises
+    ------
+    UserError
+        If the beacons of the site cannot be told apart.
+
+    Examples
+    --------
+    In ``docs/examples``:
+
+    >>> import goldfield
+    >>> site = goldfield.load_site("room.toml")
+    >>> tracker = goldfield.Tracker(site)
+    >>> poses = [tracker.update(fields) for fields in goldfield.read_fields(site, "fields.csv")]
+    >>> poses[-1].status.value, poses[-1].position_m.round(1)
+    ('ok', array([0.9, 1.2, 0.8]))
     """
 
-    def __init__(self, site: Site, observer: Observer[T], agility: Agility | None = None) -> None:
-        self._site, self._observer = site, observer
+    @overload
+    def __init__(self: Tracker[Fields], site: Site, *, agility: Agility | None = None) -> None: ...
+
+    @overload
+    def __init__(self, site: Site, observer: Observer[T], agility: Agility | None = None) -> None: ...
+
+    def __init__(self, site: Site, observer: Observer[Any] | None = None, agility: Agility | None = None) -> None:
+        self._site = site
+        self._observer: Observer[Any] = EpochObserver(site) if observer is None else observer
         self._agility = Agility() if agility is None else agility
         self._reporter = Reporter(site)
         self._belief: Belief | None = None

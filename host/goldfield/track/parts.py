@@ -16,11 +16,11 @@ from goldfield.types import Fields, Pose
 PARTS = 3
 PART_STRIDE = 1026
 PLAIN = 1025
-"""Index of a ``PART``: third * 1026 + code; 1025 in place of the code: the plain sum (framing.md)."""
+"""Index of a ``PART``: part * 1026 + code; 1025 in place of the code: the plain sum (framing.md)."""
 
 
 def sensor_sends_parts(site: Site) -> bool:
-    """Tell whether a sensor's thirds serve on this site: each beacon its own code of degree 10, and no model error."""
+    """Tell whether a sensor's parts serve on this site: each beacon its own code of degree 10, and no model error."""
     own = site.access == "cdma" and site.degree == 10 and len(set(site.codes)) == len(site.beacons)
     return own and site.sensor.model_error == 0.0
 
@@ -42,7 +42,7 @@ def cycle_of_parts(site: Site, report: Report, time_s: float) -> CycleData | Non
     """
     if report.chips != site.chips or report.saturated or not sensor_sends_parts(site):
         return None
-    indices = [third * PART_STRIDE + code for third in range(PARTS) for code in (*site.codes, PLAIN)]
+    indices = [part * PART_STRIDE + code for part in range(PARTS) for code in (*site.codes, PLAIN)]
     if not all(index in report.parts_T for index in indices):
         return None
     sums = site.chips * np.array([report.parts_T[index] for index in indices])
@@ -50,7 +50,7 @@ def cycle_of_parts(site: Site, report: Report, time_s: float) -> CycleData | Non
 
 
 class PartsObserver:
-    """Observes thirds of cycles where they came whole, and separated fields where not."""
+    """Observes the parts of cycles where they came whole, and separated fields where not."""
 
     def __init__(self, site: Site) -> None:
         self._site = site

@@ -57,7 +57,19 @@ class PoseTable:
 
 @dataclass
 class Summary:
-    """Counts over a run, and rms errors of the poses with status ok."""
+    """Counts over a run, and rms errors of the poses with status ok.
+
+    Attributes
+    ----------
+    epochs, ok, lost_messages : int
+        Epochs that `add` was told of, those of them with status ok, and messages lost in all of them.
+    bad_frames, missed_cycles : int
+        Corrupt frames, and cycles lost in long gaps.
+    counters : dict of str to int
+        The sensor's own error counters.
+    dropped : dict of str to int
+        Epochs that each output which was too slow did not get.
+    """
 
     epochs: int = 0
     ok: int = 0
@@ -65,6 +77,7 @@ class Summary:
     bad_frames: int = 0
     missed_cycles: int = 0
     counters: dict[str, int] = field(default_factory=dict)
+    dropped: dict[str, int] = field(default_factory=dict)
     _position_m: list[float] = field(default_factory=list)
     _attitude_rad: list[float] = field(default_factory=list)
 
@@ -88,6 +101,8 @@ class Summary:
         if self.counters:
             counted = ", ".join(f"{count} {name}" for name, count in self.counters.items())
             lines.append(f"the sensor counted since its reset: {counted}")
+        for name, count in self.dropped.items():
+            lines.append(f"{count} epochs were left out of {name}, which took them too slowly")
         position, attitude = _rms(self._position_m), _rms(self._attitude_rad)
         if position is not None and attitude is not None:
             lines.append(

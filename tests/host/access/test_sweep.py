@@ -8,7 +8,7 @@ import pytest
 from goldfield.access import Separator
 from goldfield.access.moving import DriftSeparator
 from goldfield.access.sweep import SweepRepair
-from goldfield.track import epoch_tracker
+from goldfield.track import Tracker
 from goldfield.types import Fields
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, circling, epoch_bound, flight_poses
@@ -49,7 +49,7 @@ def test_the_ramp_goes_and_the_rest_stays(turning):
 
 def test_tracking_gains_by_it(turning):
     flight, epochs, means, _ = turning
-    repair, tracker = SweepRepair(SITE), epoch_tracker(SITE)
+    repair, tracker = SweepRepair(SITE), Tracker(SITE)
     ratio = []
     for fields, mean in zip(epochs, means, strict=True):
         pose = tracker.update(repair.repaired(fields, mean))

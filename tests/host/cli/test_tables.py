@@ -91,7 +91,7 @@ def test_a_defect_in_location_costs_the_epoch_only(tmp_path, capsys, monkeypatch
     def broken(*_):
         raise ZeroDivisionError("test")
 
-    monkeypatch.setattr("goldfield.sensor.guard.locate", broken)
+    monkeypatch.setattr("goldfield.sensor.location.locate", broken)
     assert run(tmp_path, "locate", fields_table(2), "--json") == 0
     captured = capsys.readouterr()
     assert [json.loads(line)["status"] for line in captured.out.splitlines()] == ["failed", "failed"]

@@ -121,16 +121,16 @@ def test_help_tells_of_it(command, capsys):
     assert "--track" in capsys.readouterr().out
 
 
-def log_of_thirds(cycles, lost=()):
+def log_of_parts(cycles, lost=()):
     """A log of a sensor with ``parts`` = 3; of the cycles in ``lost`` one part is missing."""
     timed = []
     for cycle in cycles:
-        messages = cycle_messages(cycle, thirds=True)
+        messages = cycle_messages(cycle, parts=True)
         timed += [((cycle + 1) * CYCLE_S + 1e-4 * i, m) for i, m in enumerate(messages) if i != 12 or cycle not in lost]
     return candump(timed)
 
 
-def test_thirds_are_used_where_they_came_whole(tmp_path, capsys, monkeypatch):
+def test_parts_are_used_where_they_came_whole(tmp_path, capsys, monkeypatch):
     from goldfield.track import PartsObserver
 
     seen = []
@@ -142,7 +142,7 @@ def test_thirds_are_used_where_they_came_whole(tmp_path, capsys, monkeypatch):
 
     monkeypatch.setattr(PartsObserver, "observation", watched)
     path = tmp_path / "a.log"
-    path.write_text(log_of_thirds(range(12), lost=(5, 8)))
+    path.write_text(log_of_parts(range(12), lost=(5, 8)))
     assert main(["run", "--site", str(SITE), "--log", str(path), "--json", "--track"]) == 0
     lines = poses(capsys)
     assert [line["epoch"] for line in lines] == list(range(12))
@@ -160,16 +160,16 @@ def test_thirds_are_used_where_they_came_whole(tmp_path, capsys, monkeypatch):
     assert [line["status"] for line in poses(capsys)] == ["ok"] * 12
 
 
-class ThirdsSensor(PtySensor):
+class PartsSensor(PtySensor):
     """One that knows ``parts`` and is configured last with it."""
 
     def _configured(self):
         return self.parameters[PARAMETERS["parts"].first] == 3
 
 
-def test_tracking_asks_a_live_sensor_for_thirds(capsys):
+def test_tracking_asks_a_live_sensor_for_parts(capsys):
     parameters = {5: 0, PARAMETERS["parts"].first: 1, **{256 + i: 0 for i in range(64)}}
-    with ThirdsSensor(range(1000), parameters=parameters) as sensor:
+    with PartsSensor(range(1000), parameters=parameters) as sensor:
         assert main(["run", "--site", str(SITE), "--port", sensor.path, "--json", "--track", "--seconds", "0.5"]) == 0
         assert sensor.requests[-1] == "set 27"
     assert [line["status"] for line in poses(capsys)] == ["ok"] * 5

@@ -116,7 +116,7 @@ def test_the_place_of_a_survey_is_in_every_row(capsys):
 
 
 def test_a_sensor_that_does_not_stream_is_a_failure(capsys, monkeypatch):
-    monkeypatch.setattr("goldfield.cli.samples.SILENCE_S", 0.2)
+    monkeypatch.setattr("goldfield.sensor.samples.SILENCE_S", 0.2)
 
     class Silent(Streaming):
         def _answer(self, frame):

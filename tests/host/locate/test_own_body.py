@@ -16,11 +16,11 @@ from goldfield.access.eddy import eddy_frequencies, eddy_weights
 from goldfield.access.rise import filtered
 from goldfield.access.waveform import site_templates
 from goldfield.cli import main
-from goldfield.cli.locate import read_fields
 from goldfield.field import FieldModel
 from goldfield.field.conductor import Material, body_file
 from goldfield.locate import Locator
 from goldfield.locate.own_body import OwnBody, locate_beside
+from goldfield.sensor.fields_table import read_fields
 from goldfield.types import Fields, Status
 from hil_sim.world.sphere import Sphere
 from tests.host.fake_sensor import gold_chips

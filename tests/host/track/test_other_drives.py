@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from goldfield.access import Separator, SiteAccess
-from goldfield.sensor.onboard import onboard_parameters
+from goldfield.sensor.on_sensor import on_sensor_parameters
 from goldfield.site.drive import NO_CODE, Drive
 from goldfield.track import CycleData, CycleObserver, Tracker, tracked
 from goldfield.types import Fields, Status
@@ -118,7 +118,7 @@ def test_sums_of_slow_coils():
 def test_a_sensor_s_own_poses_know_slow_coils_as_weaker_ones():
     """The parts of the drives in the correlations, against correlations of the current written down here."""
     names = {PARAMETERS["beacons"].identifier(8 * row + 6): row for row in range(8)}
-    quick, slow = onboard_parameters(CUBE), onboard_parameters(SLOW)
+    quick, slow = on_sensor_parameters(CUBE), on_sensor_parameters(SLOW)
     current = WAYS["slow"][1]
     for identifier, row in names.items():
         chips = CODES[:, row]

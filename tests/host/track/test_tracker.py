@@ -16,7 +16,6 @@ from goldfield.track import (
     EpochObserver,
     FixedLagSmoother,
     Tracker,
-    epoch_tracker,
     sensor_sends_parts,
     tracked,
 )
@@ -102,7 +101,7 @@ def test_tracking_from_samples_and_partial_sums(parts):
 
 def test_smoothing_is_better_than_filtering_and_says_so():
     filtered = list(tracked(SITE, EPOCHS))
-    smoothed = list(FixedLagSmoother(SITE, epoch_tracker(SITE), 6).poses(EPOCHS))
+    smoothed = list(FixedLagSmoother(SITE, Tracker(SITE), 6).poses(EPOCHS))
     assert [pose.epoch for pose in smoothed] == list(range(40))
     assert over_bound(smoothed[3:-6]) < 0.9 * over_bound(filtered[3:-6])
     for value in normalised(smoothed[3:-6]):
@@ -114,20 +113,20 @@ def test_smoothing_is_better_than_filtering_and_says_so():
 
 def test_a_lag_needs_an_epoch():
     with pytest.raises(ValueError, match="at least 1"):
-        FixedLagSmoother(SITE, epoch_tracker(SITE), 0)
+        FixedLagSmoother(SITE, Tracker(SITE), 0)
 
 
 def test_the_smoother_loses_no_epoch_over_gaps_and_failures():
     nothing = Fields(99, 1.5, (), np.empty((0, 3)), np.empty(0))
     some = [*EPOCHS[:8], *EPOCHS[25:30], nothing, *EPOCHS[30:33]]
     some[13] = replace(nothing, time_s=EPOCHS[29].time_s + 5.0)
-    smoothed = list(FixedLagSmoother(SITE, epoch_tracker(SITE), 4).poses(some))
+    smoothed = list(FixedLagSmoother(SITE, Tracker(SITE), 4).poses(some))
     assert [pose.epoch for pose in smoothed] == [fields.epoch for fields in some]
     assert smoothed[13].status is Status.FAILED
 
 
 def test_the_pose_at_any_time():
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     assert tracker.pose_at(0.0) is None
     for fields in EPOCHS[:20]:
         last = tracker.update(fields)
@@ -144,7 +143,7 @@ def test_the_pose_at_any_time():
 @pytest.mark.parametrize("fault", ["polarity", "dead", "wrong current"])
 def test_a_beacon_that_fails_is_left_out(fault):
     factor = {"polarity": -1.0, "dead": 0.0, "wrong current": 1.5}[fault]
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     poses = []
     for fields in EPOCHS[:20]:
         row = int(np.argsort(np.linalg.norm(fields.field_T, axis=1))[-2])
@@ -163,7 +162,7 @@ def test_a_beacon_that_fails_is_left_out(fault):
 def test_a_sensor_carried_elsewhere_is_found_again():
     elsewhere = circling(np.random.default_rng(77), speed=0.0, rate=0.0)
     jump = epochs(cycles(elsewhere, 14, 78))[8:]
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     for fields in STILL[:8]:
         tracker.update(fields)
     poses = [tracker.update(fields) for fields in jump]
@@ -176,7 +175,7 @@ def test_a_sensor_carried_elsewhere_is_found_again():
 
 
 def test_after_a_gap_the_track_starts_anew():
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     steps = [tracker.step(fields) for fields in [*EPOCHS[:5], *EPOCHS[8:12], *EPOCHS[30:33]]]
     assert [step.predicted is None for step in steps] == [True] + [False] * 8 + [True] + [False] * 2
     assert all(step.pose.status is Status.OK for step in steps)
@@ -185,7 +184,7 @@ def test_after_a_gap_the_track_starts_anew():
 
 
 def test_two_beacons_carry_a_track_for_a_while():
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     for fields in EPOCHS[:15]:
         tracker.update(fields)
     errors = []
@@ -201,7 +200,7 @@ def test_two_beacons_carry_a_track_for_a_while():
 
 
 def test_epochs_that_say_nothing_are_bridged_and_then_not():
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     for fields in STILL:
         tracker.update(fields)
     empty = np.full((8, 3), np.nan)
@@ -217,7 +216,7 @@ def test_epochs_that_say_nothing_are_bridged_and_then_not():
 
 
 def test_one_axis_and_lost_components():
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     for fields in EPOCHS[:12]:
         tracker.update(fields)
     for k, fields in enumerate(EPOCHS[12:16]):
@@ -231,7 +230,7 @@ def test_one_axis_and_lost_components():
 
 
 def test_beacons_of_another_site_and_useless_noise_are_ignored():
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     for fields in STILL[:6]:
         tracker.update(fields)
     fields = STILL[6]
@@ -269,7 +268,7 @@ def test_the_site_s_model_error_is_granted_to_the_fields():
 
 
 def test_no_time_no_track():
-    tracker = epoch_tracker(SITE)
+    tracker = Tracker(SITE)
     pose = tracker.update(replace(STILL[0], time_s=float("nan")))
     assert pose.status is Status.OK
     assert tracker.pose_at(0.0) is None

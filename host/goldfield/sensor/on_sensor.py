@@ -8,7 +8,7 @@ import numpy as np
 
 from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
-from goldfield.link.reports import OWN_POSE, Report
+from goldfield.link.reports import ON_SENSOR_POSE, Report
 from goldfield.site import Site
 from goldfield.types import Fields, Pose, Status
 from goldfield_protocol.parameters import PARAMETERS
@@ -17,7 +17,7 @@ STATUS = (Status.OK, Status.AMBIGUOUS, Status.WEAK, Status.INCONSISTENT, Status.
 """By the number in ``POSE_QUALITY``."""
 
 
-def onboard_parameters(site: Site) -> Mapping[int, int | float]:
+def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:
     """Return the parameters, by id, with which a sensor computes its pose on a site whose codes it reports.
 
     A coil given by its wire becomes the circle of its area, which is its field from a few diameters on. A coil that
@@ -48,7 +48,7 @@ def onboard_parameters(site: Site) -> Mapping[int, int | float]:
     }
 
 
-def onboard_pose(site: Site, report: Report, fields: Fields) -> Pose:
+def on_sensor_pose(site: Site, report: Report, fields: Fields) -> Pose:
     """Return the pose that came with a report; failed if some of its messages did not.
 
     Of the covariances the messages tell the sums of the variances: they are shared out evenly.
@@ -60,9 +60,9 @@ def onboard_pose(site: Site, report: Report, fields: Fields) -> Pose:
     fields : Fields
         Of the same epoch.
     """
-    if len(report.own_pose) < len(OWN_POSE):
+    if len(report.on_sensor_pose) < len(ON_SENSOR_POSE):
         return Pose.failed(fields, excluded=fields.beacons)
-    position, attitude, quality = (report.own_pose[name] for name in OWN_POSE)
+    position, attitude, quality = (report.on_sensor_pose[name] for name in ON_SENSOR_POSE)
     status = STATUS[int(quality["status"])] if int(quality["status"]) < len(STATUS) else Status.FAILED
     quaternion = np.array([attitude[axis] for axis in "xyzw"])
     size = float(np.linalg.norm(quaternion))

@@ -1,0 +1,140 @@
+"""Benches for end-to-end tests: a sensor board among beacons, simulated in this process or real."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+from goldfield import site as sites
+from goldfield.link.reports import Assembler, Report
+from goldfield.sensor.opening import open_sensor
+from goldfield.site import Site
+from goldfield_protocol import FrameDecoder, decode
+from hil_sim.rig import Rig, Truth
+from hil_sim.scenario import load_scenario
+
+START_S = 2.5
+"""Virtual time in which simulated boards boot, synchronise and ramp up their currents."""
+
+
+class Bench(Protocol):
+    """A sensor board among beacons: what an end-to-end test needs of it."""
+
+    site: Site
+
+    def reports(self, count: int) -> list[Report]:
+        """Return the next code cycles of the sensor."""
+        ...
+
+    def truth(self) -> dict[int, Truth]:
+        """Return the true poses by cycle; empty on a real bench."""
+        ...
+
+    def close(self) -> None:
+        """Let go of the boards."""
+        ...
+
+
+class SimulatedBench:
+    """A rig in this process: its time stands still unless it is asked to run on.
+
+    Parameters
+    ----------
+    scenario : str
+        A name in ``hil_sim/scenarios``, or a file.
+    boards : str
+        ``"emulated"`` or ``"host"``.
+    directory : path
+        The site file is written there.
+    link : str
+        Whether the sensor is read at its serial port, ``"serial"``, or on the CAN bus, ``"can"``.
+
+    Attributes
+    ----------
+    scenario : Scenario
+    site : Site
+    rig : Rig
+    stream : bytearray
+        Every serial byte of the sensor so far.
+    decoder : FrameDecoder
+        Of the serial stream.
+    """
+
+    def __init__(self, scenario: str, boards: str, directory: Path, link: str = "serial") -> None:
+        self.scenario = load_scenario(scenario)
+        path = directory / "site.toml"
+        path.write_text(self.scenario.site_toml())
+        self.site = sites.load(path)
+        self.rig = Rig(self.scenario, boards)
+        self.link = link
+        self.stream = bytearray()
+        self.decoder = FrameDecoder()
+        self._assembler = Assembler()
+        self._truth: dict[int, Truth] = {}
+        self.rig.advance(START_S)
+        self._read()
+
+    def advance(self, seconds: float) -> list[Report]:
+        """Run on, and return the cycles that the sensor reported."""
+        self.rig.advance(seconds)
+        return self._read()
+
+    def reports(self, count: int) -> list[Report]:
+        """Return the next code cycles of the sensor."""
+        reports: list[Report] = []
+        for _ in range(4 * count + 20):
+            if len(reports) >= count:
+                break
+            reports += self.advance(self.site.cycle_s)
+        return reports[:count]
+
+    def truth(self) -> dict[int, Truth]:
+        """Return the true poses by cycle."""
+        self._truth.update({truth.cycle: truth for truth in self.rig.truth()})
+        return self._truth
+
+    def close(self) -> None:
+        """End the rig."""
+        self.rig.close()
+
+    def _read(self) -> list[Report]:
+        received = self.rig.serial_read()
+        self.stream += received
+        if self.link == "serial":
+            frames = [(frame.identifier, frame.data) for frame in self.decoder.feed(received)]
+        else:
+            frames = [(frame.identifier, frame.data) for frame in self.rig.can_read()]
+        reports: list[Report] = []
+        for identifier, data in frames:
+            message = decode(identifier, data)
+            if message is not None and message.node == self.scenario.sensor.node:
+                reports += self._assembler.feed(message, self.rig.now_s)
+        return reports
+
+
+class RealBench:
+    """Boards on a desk.
+
+    Parameters
+    ----------
+    kind, where : str
+        ``"port"`` and its path, or ``"can"`` and ``INTERFACE:CHANNEL``.
+    site : Site
+    """
+
+    def __init__(self, kind: str, where: str, site: Site) -> None:
+        self.site = site
+        self._sensor = open_sensor(kind, where, site)
+        self._reports = self._sensor.reports()
+
+    def reports(self, count: int) -> list[Report]:
+        """Return the next code cycles of the sensor."""
+        return [next(self._reports) for _ in range(count)]
+
+    def truth(self) -> dict[int, Truth]:
+        """Return nothing: nobody knows where a real sensor is."""
+        return {}
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self._sensor.close()

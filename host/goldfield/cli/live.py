@@ -1,0 +1,69 @@
+"""What ``goldfield run`` does: a sensor or a recording is opened, its epochs go to the sinks, a summary ends it."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+
+from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
+from goldfield.link.recordings import CandumpWriter
+from goldfield.sensor.fields_table import FieldsWriter
+from goldfield.sensor.opening import open_sensor
+from goldfield.sensor.options import Options, chosen_method
+from goldfield.sensor.pipeline import Epoch, Sensor
+from goldfield.sensor.sinks import Branch, Fanout, Part
+from goldfield.site import Site
+from goldfield.view.terminal import Summary
+from goldfield.view.truth import Truth
+
+
+def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site) -> None:
+    """Print a line for every epoch of a source, and a summary however it ends.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+        Of ``goldfield run``.
+    kind, where : str
+        The source, as for `open_sensor`.
+    site : Site
+    """
+    choices = Options(chosen_method(arguments.track, arguments.on_sensor), arguments.node, arguments.seconds)
+    with contextlib.ExitStack() as stack:
+        recorder = None
+        if arguments.record:
+            recorder = Branch(CandumpWriter(arguments.record), arguments.record, waits=kind == "log")
+            stack.callback(recorder.close)
+        _print_epochs(arguments, stack.enter_context(open_sensor(kind, where, site, choices, recorder)))
+
+
+def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> None:
+    summary = Summary()
+    sinks = _sinks(arguments, sensor, summary)
+    try:
+        with sinks:
+            for epoch in sensor.epochs():
+                sinks.write(epoch)
+    except KeyboardInterrupt:
+        pass  # the usual end of a live run
+    finally:
+        summary.bad_frames = sensor.bad_frames
+        summary.missed_cycles = sensor.missed_cycles
+        summary.counters = sensor.counters
+        summary.dropped = sinks.dropped
+        if summary.epochs:
+            text = summary.text(truth=bool(arguments.truth))
+            print(text, file=sys.stderr if arguments.json else sys.stdout, flush=True)
+
+
+def _sinks(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch]:
+    """Return the sinks that the command line asks for: the lines on stdout, and perhaps a table of fields."""
+    truth = Truth(arguments.truth) if arguments.truth else None
+    line_of = (json_record_line if arguments.json else table_line)(truth is not None)
+    fields = FieldsWriter(arguments.fields) if arguments.fields else None
+    sinks: Fanout[Epoch] = Fanout(waits=not sensor.live)
+    sinks.add(PoseLines(line_of, summary, truth), "the lines on stdout", essential=True)
+    if fields is not None:
+        sinks.add(Part(fields, lambda epoch: epoch.fields), arguments.fields)
+    return sinks

@@ -1,0 +1,142 @@
+"""The dialogue with a sensor about its parameters: read, set, and made to be what a site needs."""
+
+from __future__ import annotations
+
+import struct
+import time
+from collections.abc import Mapping, Sequence
+
+from goldfield.errors import SystemFailure, UserError
+from goldfield.link.buses import BusSource
+from goldfield.sensor.receiver import Receiver
+from goldfield_protocol.messages import encode
+from goldfield_protocol.parameters import PARAMETERS
+
+KIND_UNSIGNED = 0
+KIND_FLOAT = 2
+PARAM_STATUS = {1: "unknown", 2: "out of range", 3: "of the wrong kind", 4: "read-only"}
+
+TRIES = 5
+ANSWER_S = 1.0
+"""A sensor answers a request within a few milliseconds; simulated boards may run slower than the wall clock."""
+
+Parameters = Mapping[int, int | float]
+"""Values by the parameter's id; unsigned or single precision by their type."""
+
+
+class Dialogue:
+    """Asks one node on a bus.
+
+    Parameters
+    ----------
+    receiver : Receiver
+        Where the answers come from; whatever else arrives while an answer is awaited is lost to others.
+    bus : BusSource
+        Takes the requests.
+    node : int
+    """
+
+    def __init__(self, receiver: Receiver, bus: BusSource, node: int) -> None:
+        self._receiver = receiver
+        self._bus = bus
+        self.node = node
+
+    def check_degree(self, degree: int) -> None:
+        """Check that the sensor works with codes of the site's degree, which it reads once at its start.
+
+        Raises
+        ------
+        UserError
+            If it does not.
+        SystemFailure
+            If it does not answer.
+        """
+        own = self.ask(PARAMETERS["degree"].first)
+        if own != degree:
+            raise UserError(
+                f"{self._sensor} works with codes of degree {own}, the site file says {degree}: "
+                "correct the site's degree, or store the parameter degree in every board"
+            )
+
+    def configure(self, codes: Sequence[int], parameters: Parameters | None = None) -> bool:
+        """Make the sensor report these codes; tells whether anything had to be set.
+
+        Parameters
+        ----------
+        codes : sequence of int
+        parameters : mapping of int to int or float, optional
+            Further parameters.
+
+        Raises
+        ------
+        UserError
+            If there are more codes than a sensor reports.
+        SystemFailure
+            If the sensor does not answer or refuses.
+        """
+        most = PARAMETERS["code_list"].count
+        if len(codes) > most:
+            raise UserError(f"the site has {len(codes)} beacons, a sensor reports {most} at most: split the site")
+        wanted: list[tuple[int, int | float]] = [
+            (PARAMETERS["code_list"].identifier(place), code) for place, code in enumerate(codes)
+        ]
+        wanted += [(PARAMETERS["code_count"].first, len(codes))]
+        wanted += [
+            (parameter, _single(value) if isinstance(value, float) else value)
+            for parameter, value in (parameters or {}).items()
+        ]
+        changes = [(parameter, value) for parameter, value in wanted if self.ask(parameter) != value]
+        for parameter, value in changes:
+            answer = self.ask(parameter, value)
+            if answer != value:
+                raise SystemFailure(f"{self._sensor} keeps parameter {parameter} at {answer} instead of {value}")
+        return bool(changes)
+
+    def ask(self, parameter: int, value: int | float | None = None) -> int | float:
+        """Read a parameter, or set it if a value is given, and return the sensor's answer.
+
+        Raises
+        ------
+        SystemFailure
+            If the sensor does not answer or refuses.
+        """
+        if value is None:
+            request = encode("PARAM_GET", {"reserved": 0}, node=self.node, index=parameter)
+        else:
+            signals: dict[str, float] = {"kind": KIND_UNSIGNED, "value_unsigned": value}
+            if isinstance(value, float):
+                signals = {"kind": KIND_FLOAT, "value_float": value}
+            request = encode("PARAM_SET", signals, node=self.node, index=parameter)
+        for _ in range(TRIES):
+            self._bus.send(*request)
+            answer = self._answer(parameter)
+            if answer is None:
+                continue
+            status = int(answer["status"])
+            if status:
+                why = PARAM_STATUS.get(status, f"of status {status}")
+                given = "" if value is None else f" = {value}"
+                raise SystemFailure(f"{self._sensor} says that parameter {parameter}{given} is {why}")
+            if "value_float" in answer:
+                return float(answer["value_float"])
+            return int(answer.get("value_unsigned", -1))
+        raise SystemFailure(f"{self._sensor} did not answer a request for parameter {parameter} in {TRIES} tries")
+
+    def _answer(self, parameter: int) -> Mapping[str, float] | None:
+        """Return the signals of the answer, None if it does not come in time."""
+        wanted = "PARAM_VALUE", self.node, parameter
+        deadline = time.monotonic() + ANSWER_S
+        while (remaining := deadline - time.monotonic()) > 0.0:
+            message = self._receiver.receive(remaining)
+            if message is not None and (message.name, message.node, message.index) == wanted:
+                return message.signals
+        return None
+
+    @property
+    def _sensor(self) -> str:
+        return f"{self._receiver.name}: sensor {self.node}"
+
+
+def _single(value: float) -> float:
+    """Round to single precision, as a sensor keeps it."""
+    return float(struct.unpack("<f", struct.pack("<f", value))[0])

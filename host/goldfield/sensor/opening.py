@@ -1,0 +1,152 @@
+"""The doors: a sensor on a port or a bus, and a recording, opened as a `Sensor`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from goldfield.errors import UserError, option
+from goldfield.link.buses import LogSource, Source, open_can, open_port
+from goldfield.link.recordings import CandumpReader
+from goldfield.sensor.options import Options, chosen_method
+from goldfield.sensor.pipeline import Sensor
+from goldfield.sensor.receiver import Recorder
+from goldfield.site import Site, load
+
+SOURCES = ("port", "can", "log")
+"""Kinds of sources: a serial port, a CAN bus, a recording."""
+
+
+def connect(
+    *,
+    port: str | Path | None = None,
+    can: str | None = None,
+    site: Site | str | Path,
+    node: int | None = None,
+    track: bool = False,
+    on_sensor: bool = False,
+) -> Sensor:
+    """Connect to a sensor board: find it, check that it suits the site, and make it report the site's beacons.
+
+    Parameters
+    ----------
+    port : path, optional
+        Serial port of the sensor. Exactly one of ``port`` and ``can`` must be given.
+    can : str, optional
+        Interface and channel of python-can, as ``"socketcan:can0"``.
+    site : Site or path
+        The site, or its file.
+    node : int, optional
+        Node of the sensor, 1 to 4095; the first sensor heard if it is not given. A beacon with a sensor of its own, an
+        anchor, is read only if its node is given.
+    track : bool, optional
+        Make a pose of an epoch and those before it, for a sensor in motion; else every epoch is located by itself.
+    on_sensor : bool, optional
+        Let the sensor board compute the poses; not together with ``track``.
+
+    Returns
+    -------
+    Sensor
+        A context manager; `Sensor.poses` yields ten poses a second of the usual codes (degree 10, 97.75 us a chip).
+
+    Raises
+    ------
+    UserError
+        If the arguments contradict each other, the port or bus cannot be opened, the site file is wrong, or a board
+        does not suit the site or speaks another protocol.
+    SystemFailure
+        If no sensor is heard within 10 s (30 s if others are), or it does not answer.
+
+    Examples
+    --------
+    >>> import goldfield
+    >>> with goldfield.connect(port="/dev/ttyUSB0", site="room.toml") as sensor:  # doctest: +SKIP
+    ...     for pose in sensor.poses():
+    ...         print(pose.position_m, pose.status)
+
+    >>> goldfield.connect(site="room.toml")
+    Traceback (most recent call last):
+    goldfield.errors.UserError: no source is given: give one of port= and can=
+    """
+    kind, where = _only(port=port, can=can)
+    return open_sensor(kind, where, _site(site), Options(chosen_method(track, on_sensor), node))
+
+
+def open_log(
+    path: str | Path,
+    *,
+    site: Site | str | Path,
+    node: int | None = None,
+    track: bool = False,
+    on_sensor: bool = False,
+) -> Sensor:
+    """Open a recording that ``goldfield run --record`` made, or any candump log of a sensor's messages.
+
+    Parameters
+    ----------
+    path : path
+        The log, as candump and ``goldfield run --record`` write it.
+    site, node, track, on_sensor
+        As for `connect`. With ``on_sensor`` the poses are those that the sensor sent when it was recorded.
+
+    Returns
+    -------
+    Sensor
+        A context manager; `Sensor.poses` yields the poses as fast as they can be computed, up to the end of the log.
+
+    Raises
+    ------
+    UserError
+        If the arguments contradict each other, or the log cannot be read; while reading, if it holds no message, no
+        cycle of a sensor, or messages of another protocol.
+
+    Examples
+    --------
+    In ``docs/examples``:
+
+    >>> import goldfield
+    >>> with goldfield.open_log("recording.log", site="room.toml") as sensor:
+    ...     poses = list(sensor.poses())
+    >>> len(poses), poses[0].status.value, poses[0].position_m.round(1)
+    (38, 'ok', array([0.9, 1.2, 0.8]))
+    """
+    return open_sensor("log", str(path), _site(site), Options(chosen_method(track, on_sensor), node))
+
+
+def open_sensor(
+    kind: str, where: str, site: Site, options: Options | None = None, recorder: Recorder | None = None
+) -> Sensor:
+    """Open one of the `SOURCES` as a sensor; `connect` and `open_log` tell the errors.
+
+    Parameters
+    ----------
+    kind : str
+        One of `SOURCES`.
+    where : str
+        Path of the port or the log, or ``INTERFACE:CHANNEL``.
+    site : Site
+    options : Options, optional
+    recorder : Recorder, optional
+        Gets every message received; the caller closes it.
+    """
+    options = Options() if options is None else options
+    options.check(site)
+    return Sensor(open_source(kind, where), where, site, options, recorder)
+
+
+def open_source(kind: str, where: str) -> Source:
+    """Open one of the `SOURCES`; `UserError` if that fails."""
+    if kind == "log":
+        return LogSource(CandumpReader(where))
+    return open_port(where) if kind == "port" else open_can(where)
+
+
+def _site(site: Site | str | Path) -> Site:
+    return site if isinstance(site, Site) else load(site)
+
+
+def _only(**sources: str | Path | None) -> tuple[str, str]:
+    given = [(kind, str(where)) for kind, where in sources.items() if where is not None]
+    if len(given) != 1:
+        what = "no source is" if not given else "more than one source is"
+        raise UserError(f"{what} given: give one of {' and '.join(option(kind) for kind in sources)}")
+    return given[0]

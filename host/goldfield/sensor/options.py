@@ -1,0 +1,74 @@
+"""What a user decides about the pipeline: how poses are made, which node is read, for how long."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from goldfield.errors import UserError, option
+from goldfield.site import Site
+
+
+class Method(StrEnum):
+    """How the pose of an epoch is made."""
+
+    EACH = "each"
+    """Every epoch is located by itself, with no prior."""
+    TRACK = "track"
+    """A filter follows the sensor: a pose is made of this epoch and those before."""
+    ON_SENSOR = "on_sensor"
+    """The sensor board computes its poses itself; the host passes them on."""
+
+
+def chosen_method(track: bool, on_sensor: bool) -> Method:
+    """Return the method that two switches choose.
+
+    Raises
+    ------
+    UserError
+        If both are on.
+    """
+    if track and on_sensor:
+        raise UserError(
+            f"{option('on_sensor')} and {option('track')} are both given: the sensor tracks by itself; "
+            "leave out one of them"
+        )
+    return Method.TRACK if track else Method.ON_SENSOR if on_sensor else Method.EACH
+
+
+@dataclass(frozen=True)
+class Options:
+    """The choices, with their defaults.
+
+    Attributes
+    ----------
+    method : Method
+    node : int or None
+        Node of the sensor, 1 to 4095, which may be an anchor's; None: the first sensor that is heard, and no anchor.
+    seconds : float or None
+        Ends the epochs after so much time of the sensor; None: they go on until the log ends, or without end.
+    """
+
+    method: Method = Method.EACH
+    node: int | None = None
+    seconds: float | None = None
+
+    def check(self, site: Site) -> None:
+        """Check that the options suit a site.
+
+        Raises
+        ------
+        UserError
+            If the sensor is to compute poses from beacons that a board cannot separate.
+        """
+        if self.method is not Method.ON_SENSOR:
+            return
+        own_codes = site.access == "cdma" and len(set(site.codes)) == len(site.beacons)
+        code_v = (
+            site.chips + 1
+        )  # the one code of the family that the board's closed form does not separate (framing.md)
+        if not own_codes or code_v in site.codes:
+            raise UserError(
+                f"site {site.name}: a sensor computes its own pose only from beacons that have each their own code, "
+                f"none of them {code_v}: change the codes or leave out {option('on_sensor')}"
+            )

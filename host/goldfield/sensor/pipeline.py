@@ -1,0 +1,216 @@
+"""The pipeline: a source of messages and a site in, poses with everything known about them out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from goldfield.errors import UserError
+from goldfield.link.buses import Source
+from goldfield.link.reports import Report
+from goldfield.sensor.location import location, needed_parameters
+from goldfield.sensor.options import Options
+from goldfield.sensor.receiver import Recorder
+from goldfield.sensor.separation import Separation
+from goldfield.sensor.session import COUNTERS, Session
+from goldfield.site import Site
+from goldfield.types import Fields, Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Epoch:
+    """A pose with everything known about it.
+
+    Attributes
+    ----------
+    pose : Pose
+    fields : Fields
+        The separated fields, from which the host located (unless the sensor did).
+    report : Report
+        What arrived of the cycle, before separation.
+    lost : int
+        Messages of the cycle that did not arrive.
+    notes : tuple of str
+        What the sensor says was wrong with the cycle, as "not synchronised" or "3 chips lost"; empty: nothing.
+    """
+
+    pose: Pose
+    fields: Fields
+    report: Report
+    lost: int
+    notes: tuple[str, ...]
+
+
+class Sensor:
+    """A sensor on a site: its epochs and poses, live or from a recording.
+
+    `goldfield.connect` and `goldfield.open_log` make it; as a context manager it lets go of its link at the end.
+
+    Parameters
+    ----------
+    source : Source
+        Where the messages come from; it is closed by `close`, and if the constructor raises.
+    name : str
+        The link's name, for error messages.
+    site : Site
+    options : Options, optional
+    recorder : Recorder, optional
+        Gets every message received; the caller closes it.
+
+    Attributes
+    ----------
+    site : Site
+    name : str
+
+    Raises
+    ------
+    UserError
+        If the site's codes cannot be separated, a node speaks another protocol, or a live sensor does not suit.
+    SystemFailure
+        If no live sensor is heard, or it does not answer.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        name: str,
+        site: Site,
+        options: Options | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
+        self.site = site
+        self.name = name
+        self._source = source
+        self._options = Options() if options is None else options
+        method = self._options.method
+        self._session = Session(source, name, site, self._options.node, recorder, on_sensor=method is method.ON_SENSOR)
+        try:
+            self._separation = Separation(site)
+            self._locate = location(site, method)
+            if self._session.live:
+                self._session.start(needed_parameters(site, method))
+        except BaseException:
+            source.close()
+            raise
+
+    def poses(self) -> Iterator[Pose]:
+        """Yield a pose for every code cycle, to the end of a recording or without end; see `epochs`.
+
+        A cycle that cannot be located has a pose too, with the status ``failed``.
+        """
+        return (epoch.pose for epoch in self.epochs())
+
+    def epochs(self) -> Iterator[Epoch]:
+        """Yield every code cycle as an `Epoch`, to the end of a recording or without end.
+
+        Raises
+        ------
+        SystemFailure
+            If a live link is lost, or the sensor silent for 10 s.
+        UserError
+            If a node speaks another protocol, or a recording holds no cycle of a sensor.
+        """
+        found = False
+        for report in self.reports():
+            found = True
+            yield self._epoch(report)
+        if not found and not self.live:
+            raise UserError(f"{self.name}: holds no cycle of a sensor")
+
+    def reports(self) -> Iterator[Report]:
+        """Yield what arrived of each code cycle, neither separated nor located; otherwise as `epochs`."""
+        first = math.nan
+        for report in self._session.reports():
+            yield report
+            if math.isnan(first):
+                first = report.time_s
+            seconds = self._options.seconds
+            # To the nearest cycle; the first one counts.
+            if seconds is not None and report.time_s - first >= seconds - 1.5 * self.site.cycle_s:
+                return
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self._source.close()
+
+    def __enter__(self) -> Self:
+        """Return the sensor itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Let go of the link."""
+        self.close()
+
+    @property
+    def live(self) -> bool:
+        """Whether this is a sensor on a link, not a recording."""
+        return self._session.live
+
+    @property
+    def node(self) -> int | None:
+        """The sensor's node; None while a recording has not told it."""
+        return self._session.node
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames so far that were dropped as corrupt, and messages that the protocol does not explain."""
+        return self._session.receiver.bad_frames
+
+    @property
+    def missed_cycles(self) -> int:
+        """Cycles so far that were lost in gaps too long to make an epoch of each."""
+        return self._session.assembler.missed_cycles
+
+    @property
+    def repeated(self) -> int:
+        """Messages so far that had arrived already."""
+        return self._session.assembler.repeated
+
+    @property
+    def late(self) -> int:
+        """Messages so far that arrived after their epoch."""
+        return self._session.assembler.late
+
+    @property
+    def orphans(self) -> int:
+        """Messages so far whose cycle nobody can tell: before the first header or after a silence."""
+        return self._session.assembler.orphans
+
+    @property
+    def restarts(self) -> int:
+        """Times so far that the number of the cycle jumped: the sensor or the sync master restarted."""
+        return self._session.assembler.restarts
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """The sensor's own error counters since its reset by name, those that are not zero."""
+        return {_counter_name(number): count for number, count in sorted(self._session.counters.items()) if count}
+
+    def _epoch(self, report: Report) -> Epoch:
+        fields = self._separation.fields(report)
+        return Epoch(
+            pose=self._locate(fields, report),
+            fields=fields,
+            report=report,
+            lost=report.lost(expected_fields=len(self.site.codes)),
+            notes=tuple(_notes(report, self.site.chips)),
+        )
+
+
+def _notes(report: Report, chips: int) -> Iterator[str]:
+    """Say what the sensor says was wrong with the cycle."""
+    if report.locked is False:
+        yield "not synchronised"
+    if report.chips is not None and report.chips < chips:
+        yield f"{chips - report.chips} chips lost"
+    if report.saturated:
+        yield f"{report.saturated} chips saturated"
+
+
+def _counter_name(number: int) -> str:
+    return COUNTERS[number] if number < len(COUNTERS) else f"of counter {number}"

@@ -1,0 +1,33 @@
+"""From a sensor's report of a cycle to the field of each beacon: separated, the ambient field's ramp taken out."""
+
+from __future__ import annotations
+
+from goldfield.access.epoch import EpochSeparator
+from goldfield.access.sweep import SweepRepair
+from goldfield.link.reports import Report
+from goldfield.site import Site
+from goldfield.types import Fields
+
+
+class Separation:
+    """Separates the reports of one sensor, in the order of their cycles.
+
+    Parameters
+    ----------
+    site : Site
+
+    Raises
+    ------
+    UserError
+        If the site's codes cannot be separated.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self._chips = site.chips
+        self._separator = EpochSeparator(site)
+        self._sweep = SweepRepair(site)
+
+    def fields(self, report: Report) -> Fields:
+        """Return the fields of the next cycle; beacons whose message did not arrive are left out."""
+        mean_T = report.offset_T if report.chips == self._chips else None  # with chips lost the mean tells no ramp
+        return self._sweep.repaired(self._separator.fields(report), mean_T)

@@ -1,0 +1,208 @@
+"""Where results go: any number of sinks, each fed by its own thread, so that none holds up the pipeline or another.
+
+A sink is whatever has `write` and `close`: a table on stdout, a file, a page in a browser. `Branch` feeds one from a
+bounded queue, `Fanout` any number of them.
+"""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+from collections.abc import Callable
+from types import TracebackType
+from typing import Generic, Protocol, Self, TypeVar
+
+T = TypeVar("T")
+U = TypeVar("U")
+T_contra = TypeVar("T_contra", contravariant=True)
+
+CAPACITY = 1000
+"""Items that a branch keeps for a slow sink: epochs of 100 s, some 6 MB."""
+
+
+class Sink(Protocol[T_contra]):
+    """Takes items, in order, from one thread."""
+
+    def write(self, item: T_contra, /) -> None:
+        """Take the next item; it may block."""
+        ...
+
+    def close(self) -> None:
+        """End; nothing is written afterwards."""
+        ...
+
+
+class Part(Generic[T, U]):
+    """Gives a sink a part of every item.
+
+    Parameters
+    ----------
+    sink : Sink
+    part_of : callable
+        Returns the part, as the fields of an epoch.
+    """
+
+    def __init__(self, sink: Sink[U], part_of: Callable[[T], U]) -> None:
+        self._sink = sink
+        self._part_of = part_of
+
+    def write(self, item: T, /) -> None:
+        """Write the item's part."""
+        self._sink.write(self._part_of(item))
+
+    def close(self) -> None:
+        """Close the sink."""
+        self._sink.close()
+
+
+class _End:
+    """Ends a branch's queue."""
+
+
+class Branch(Generic[T]):
+    """Feeds one sink from a thread of its own; a sink itself.
+
+    Parameters
+    ----------
+    sink : Sink
+        Written and closed in the branch's thread only.
+    name : str
+        What it is, for messages: "the table of fields".
+    waits : bool
+        Whether `write` waits while the queue is full, as suits a recording; else the item is dropped and counted, as
+        suits a live source.
+    essential : bool, optional
+        Whether an error of the sink ends the run: it is raised, once, by the next `write` or by `close`. Else the error
+        is told on stderr, and what follows is discarded.
+    capacity : int, optional
+        Items that the queue holds.
+
+    Attributes
+    ----------
+    dropped : int
+        Items that the sink did not get because it was too slow.
+    """
+
+    def __init__(
+        self, sink: Sink[T], name: str, *, waits: bool, essential: bool = False, capacity: int = CAPACITY
+    ) -> None:
+        self.name = name
+        self.dropped = 0
+        self._sink = sink
+        self._waits = waits
+        self._essential = essential
+        self._queue: queue.Queue[T | _End] = queue.Queue(capacity)
+        self._error: Exception | None = None
+        self._closed = False
+        self._thread = threading.Thread(target=self._feed, name=name, daemon=True)
+        self._thread.start()
+
+    def write(self, item: T, /) -> None:
+        """Hand an item over; it never waits for the sink unless ``waits`` was asked for."""
+        self._raise_error()
+        if self._waits:
+            self._queue.put(item)
+            return
+        try:
+            self._queue.put_nowait(item)
+        except queue.Full:
+            self.dropped += 1
+
+    def close(self) -> None:
+        """Wait until the sink has got what is in the queue, and close it."""
+        if not self._closed:
+            self._closed = True
+            self._queue.put(_End())
+        self._thread.join()
+        self._raise_error()
+
+    def _feed(self) -> None:
+        failed = False
+        while not isinstance(item := self._queue.get(), _End):
+            if not failed:  # else the queue is emptied, so that nobody waits for room in it
+                failed = not self._attempt(item)
+        self._attempt(None)
+
+    def _attempt(self, item: T | None) -> bool:
+        """Write an item, or close with None; tells whether that went well."""
+        try:
+            if item is None:
+                self._sink.close()
+            else:
+                self._sink.write(item)
+        except Exception as error:  # whatever a sink raises must not end the others
+            if self._essential:
+                self._error = self._error or error
+            else:
+                reason = " ".join(str(error).split()) or type(error).__name__
+                print(f"goldfield: {self.name}: {reason}; the run goes on without", file=sys.stderr, flush=True)
+            return False
+        return True
+
+    def _raise_error(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            self._essential = False  # one error ends the run; those that follow from it are only told
+            raise error
+
+
+class Fanout(Generic[T]):
+    """Hands every item to each of its sinks; as a context manager it closes them at the end.
+
+    Parameters
+    ----------
+    waits : bool
+        As for `Branch`: True for a recording (nothing is lost), False for a live source (nothing is held up).
+    """
+
+    def __init__(self, *, waits: bool) -> None:
+        self._waits = waits
+        self._branches: list[Branch[T]] = []
+
+    def add(self, sink: Sink[T], name: str, *, essential: bool = False, capacity: int = CAPACITY) -> None:
+        """Add a sink; see `Branch`."""
+        self._branches.append(Branch(sink, name, waits=self._waits, essential=essential, capacity=capacity))
+
+    def write(self, item: T, /) -> None:
+        """Hand an item to every sink.
+
+        Raises
+        ------
+        Exception
+            The error of an essential sink.
+        """
+        for branch in self._branches:
+            branch.write(item)
+
+    def close(self) -> None:
+        """Wait until every sink has got what is left for it, and close them all.
+
+        Raises
+        ------
+        Exception
+            The error of an essential sink.
+        """
+        errors = []
+        for branch in self._branches:
+            try:
+                branch.close()
+            except Exception as error:  # the others are closed first
+                errors.append(error)
+        if errors:
+            raise errors[0]
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """How many items each sink that was too slow has missed, by its name."""
+        return {branch.name: branch.dropped for branch in self._branches if branch.dropped}
+
+    def __enter__(self) -> Self:
+        """Return the fan-out itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the sinks."""
+        self.close()

@@ -1,0 +1,145 @@
+"""Sinks fed by threads of their own: in order, without holding up each other, and what happens when one fails."""
+
+import threading
+
+import pytest
+
+from goldfield.sensor.sinks import Branch, Fanout, Part
+
+
+class Kept:
+    """Keeps what it gets."""
+
+    def __init__(self):
+        self.items, self.closed = [], 0
+
+    def write(self, item):
+        assert not self.closed
+        self.items.append(item)
+
+    def close(self):
+        self.closed += 1
+
+
+class Held(Kept):
+    """Says that it got an item, then blocks until it is let go."""
+
+    def __init__(self):
+        super().__init__()
+        self.reached, self.go = threading.Event(), threading.Event()
+
+    def write(self, item):
+        self.reached.set()
+        assert self.go.wait(60.0)
+        super().write(item)
+
+
+class Broken(Kept):
+    """Raises at the third item."""
+
+    def __init__(self, error):
+        super().__init__()
+        self.error = error
+
+    def write(self, item):
+        if len(self.items) == 2:
+            raise self.error
+        super().write(item)
+
+
+def write_all(fanout, count):
+    for item in range(count):
+        fanout.write(item)
+
+
+def test_every_sink_gets_every_item_in_order_and_is_closed_once():
+    sinks = [Kept(), Kept()]
+    with Fanout(waits=True) as fanout:
+        for sink in sinks:
+            fanout.add(sink, "kept", capacity=2)
+        for item in range(500):
+            fanout.write(item)
+    fanout.close()
+    assert [sink.items for sink in sinks] == [list(range(500))] * 2
+    assert [sink.closed for sink in sinks] == [1, 1]
+    assert fanout.dropped == {}
+
+
+def test_a_part_of_every_item():
+    kept = Kept()
+    with Fanout(waits=True) as fanout:
+        fanout.add(Part(kept, len), "kept")
+        fanout.write("four")
+    assert (kept.items, kept.closed) == ([4], 1)
+
+
+def test_a_slow_sink_of_a_live_source_drops_whole_items_and_holds_up_nobody():
+    held, kept = Held(), Kept()
+    with Fanout(waits=False) as fanout:
+        fanout.add(held, "the slow one", capacity=3)
+        fanout.add(kept, "the quick one")
+        fanout.write(0)
+        assert held.reached.wait(60.0)  # item 0 is in its hands, its queue is empty
+        for item in range(1, 10):
+            fanout.write(item)
+        held.go.set()
+    assert held.items == [0, 1, 2, 3]
+    assert kept.items == list(range(10))
+    assert fanout.dropped == {"the slow one": 6}
+
+
+def test_a_recording_waits_for_a_slow_sink():
+    held = Held()
+    branch = Branch(held, "slow", waits=True, capacity=1)
+    branch.write(0)
+    assert held.reached.wait(60.0)
+    branch.write(1)  # fills the queue
+    writer = threading.Thread(target=branch.write, args=(2,))
+    writer.start()
+    assert writer.is_alive()
+    held.go.set()
+    writer.join(60.0)
+    branch.close()
+    assert (held.items, branch.dropped) == ([0, 1, 2], 0)
+
+
+@pytest.mark.parametrize(
+    ("error", "words"), [(OSError(28, "No space left on device"), "No space left"), (KeyError(), "KeyError")]
+)
+def test_a_sink_that_fails_is_told_once_and_the_others_go_on(capsys, error, words):
+    broken, kept = Broken(error), Kept()
+    with Fanout(waits=True) as fanout:
+        fanout.add(broken, "map.csv", capacity=1)
+        fanout.add(kept, "kept", capacity=1)
+        for item in range(20):
+            fanout.write(item)
+    assert (broken.items, broken.closed) == ([0, 1], 1)
+    assert kept.items == list(range(20))
+    err = capsys.readouterr().err
+    assert err.startswith("goldfield: map.csv: ")
+    assert err.endswith("; the run goes on without\n")
+    assert words in err
+    assert err.count("\n") == 1
+
+
+def test_an_essential_sink_that_fails_ends_the_run(capsys):
+    broken, kept = Broken(BrokenPipeError()), Kept()
+    fanout = Fanout(waits=True)
+    fanout.add(broken, "stdout", essential=True, capacity=1)
+    fanout.add(kept, "kept")
+    with pytest.raises(BrokenPipeError):
+        write_all(fanout, 20)
+    fanout.close()
+    assert len(kept.items) <= 5  # with room for one item the writer learns of it at the sixth at the latest
+    assert (broken.closed, kept.closed) == (1, 1)
+    assert capsys.readouterr().err == ""
+
+
+def test_an_error_at_the_last_item_is_raised_by_close():
+    broken = Broken(ValueError("bad"))
+    fanout = Fanout(waits=True)
+    fanout.add(broken, "stdout", essential=True)
+    write_all(fanout, 3)
+    with pytest.raises(ValueError, match="bad"):
+        fanout.close()
+    assert broken.closed == 1
