@@ -9,6 +9,7 @@ from __future__ import annotations
 import queue
 import sys
 import threading
+import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Generic, Protocol, Self, TypeVar
@@ -19,6 +20,9 @@ T_contra = TypeVar("T_contra", contravariant=True)
 
 CAPACITY = 1000
 """Items that a branch keeps for a slow sink: epochs of 100 s, some 6 MB."""
+
+POLL_S = 0.001
+"""How often a full queue that is waited for is looked at again."""
 
 
 class Sink(Protocol[T_contra]):
@@ -92,7 +96,9 @@ class Branch(Generic[T]):
         self._sink = sink
         self._waits = waits
         self._essential = essential
-        self._queue: queue.Queue[T | _End] = queue.Queue(capacity)
+        self._capacity = capacity
+        # A SimpleQueue, whose lock an interrupt cannot leave locked, as it can that of a Queue.
+        self._queue: queue.SimpleQueue[T | _End] = queue.SimpleQueue()
         self._error: Exception | None = None
         self._closed = False
         self._thread = threading.Thread(target=self._feed, name=name, daemon=True)
@@ -101,13 +107,12 @@ class Branch(Generic[T]):
     def write(self, item: T, /) -> None:
         """Hand an item over; it never waits for the sink unless ``waits`` was asked for."""
         self._raise_error()
-        if self._waits:
-            self._queue.put(item)
-            return
-        try:
-            self._queue.put_nowait(item)
-        except queue.Full:
-            self.dropped += 1
+        while self._queue.qsize() >= self._capacity:
+            if not self._waits:
+                self.dropped += 1
+                return
+            time.sleep(POLL_S)
+        self._queue.put(item)
 
     def close(self) -> None:
         """Wait until the sink has got what is in the queue, and close it."""

@@ -1,0 +1,66 @@
+"""What ``import goldfield`` offers, and what it costs."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import goldfield
+from tests.host.fake_sensor import SITE, heartbeat, log_of
+
+
+def test_every_name_is_there_and_known_to_type_checkers():
+    stub = ast.parse((Path(goldfield.__file__).parent / "__init__.pyi").read_text())
+    names = {
+        alias.asname: (node.module, alias.name)
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+    assert {*names, "__version__"} == set(goldfield.__all__)
+    for name, (module, own_name) in names.items():
+        found = getattr(goldfield, name)
+        told = getattr(__import__(module, fromlist=[own_name]), own_name)
+        assert found is told or name == "locate"
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        goldfield.nothing  # noqa: B018
+
+
+def test_the_import_loads_nothing_heavy():
+    code = "import goldfield, sys; print(*{name.split('.')[0] for name in sys.modules} & {'numpy', 'scipy', 'can'})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "\n"
+
+
+def test_locate_is_a_function_whatever_was_imported_before():
+    site = goldfield.load_site(SITE)
+    fields = goldfield.Fields(3, 0.3, (), np.zeros((0, 3)), np.zeros(0))
+    assert goldfield.locate(site, fields).status is goldfield.Status.FAILED
+
+
+def test_a_log_gives_epochs_and_counts(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text(log_of(range(4, 8), [heartbeat()]))
+    with goldfield.open_log(path, site=SITE) as sensor:
+        epochs = list(sensor.epochs())
+    assert [epoch.pose.epoch for epoch in epochs] == [4, 5, 6, 7]
+    assert all((epoch.lost, epoch.notes, len(epoch.fields.beacons)) == (0, (), 8) for epoch in epochs)
+    assert (sensor.node, sensor.live, sensor.bad_frames, sensor.counters) == (100, False, 0, {})
+
+
+BAD = [
+    ({}, "no source is given: give one of port= and can="),
+    ({"port": "a", "can": "b"}, "more than one source is given"),
+    ({"port": "/dev/no-such-port"}, "there is no such port: check port=$"),
+    ({"can": "nonsense:0"}, "^can=nonsense:0: python-can knows no interface nonsense"),
+    ({"port": "a", "track": True, "on_sensor": True}, "^on_sensor= and track= are both given"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "words"), BAD)
+def test_errors_speak_of_the_arguments(arguments, words):
+    with pytest.raises(goldfield.UserError, match=words):
+        goldfield.connect(site=SITE, **arguments)
