@@ -24,10 +24,10 @@ LONG = (
     "firmware/core/timing/test_acquire_instructions.py",
     "firmware/services",
     "hil",
-    "host/cli/test_emitter.py",
+    "hil_sim/papers/gietler",
     "host/locate/test_locator.py",
     "host/locate/test_own_body.py",
-    "host/sensor/test_onboard.py",
+    "host/sensor/test_on_sensor.py",
     "host/site/test_dual_axis.py",
     "host/track",
 )

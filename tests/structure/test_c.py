@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 KERNEL = "host/goldfield/locate/kernel"
 INCLUDE_PATHS = ("firmware", "hil_sim", KERNEL)
 GENERATED = {"goldfield.h", "protocol_hash.h", "parameters.h"}

@@ -10,11 +10,10 @@ from goldfield.errors import SystemFailure, UserError
 from goldfield.link.buses import BusSource
 from goldfield.sensor.receiver import Receiver
 from goldfield_protocol.messages import encode
-from goldfield_protocol.parameters import PARAMETERS
+from goldfield_protocol.parameters import PARAMETERS, Kind, find_id, label_of
 
-KIND_UNSIGNED = 0
-KIND_FLOAT = 2
-PARAM_STATUS = {1: "unknown", 2: "out of range", 3: "of the wrong kind", 4: "read-only"}
+OUT_OF_RANGE = 2
+PARAM_STATUS = {1: "unknown", OUT_OF_RANGE: "out of range", 3: "of the wrong kind", 4: "read-only"}
 
 TRIES = 5
 ANSWER_S = 1.0
@@ -89,7 +88,9 @@ class Dialogue:
         for parameter, value in changes:
             answer = self.ask(parameter, value)
             if answer != value:
-                raise SystemFailure(f"{self._sensor} keeps parameter {parameter} at {answer} instead of {value}")
+                raise SystemFailure(
+                    f"{self._sensor} keeps parameter {label_of(parameter)} at {answer} instead of {value}"
+                )
         return bool(changes)
 
     def ask(self, parameter: int, value: int | float | None = None) -> int | float:
@@ -103,9 +104,9 @@ class Dialogue:
         if value is None:
             request = encode("PARAM_GET", {"reserved": 0}, node=self.node, index=parameter)
         else:
-            signals: dict[str, float] = {"kind": KIND_UNSIGNED, "value_unsigned": value}
+            signals: dict[str, float] = {"kind": Kind.UNSIGNED, "value_unsigned": value}
             if isinstance(value, float):
-                signals = {"kind": KIND_FLOAT, "value_float": value}
+                signals = {"kind": Kind.FLOAT, "value_float": value}
             request = encode("PARAM_SET", signals, node=self.node, index=parameter)
         for _ in range(TRIES):
             self._bus.send(*request)
@@ -116,11 +117,16 @@ class Dialogue:
             if status:
                 why = PARAM_STATUS.get(status, f"of status {status}")
                 given = "" if value is None else f" = {value}"
-                raise SystemFailure(f"{self._sensor} says that parameter {parameter}{given} is {why}")
+                raise SystemFailure(
+                    f"{self._sensor} says that parameter {label_of(parameter)}{given} is "
+                    f"{why}{_range_behind(parameter, status)}"
+                )
             if "value_float" in answer:
                 return float(answer["value_float"])
             return int(answer.get("value_unsigned", -1))
-        raise SystemFailure(f"{self._sensor} did not answer a request for parameter {parameter} in {TRIES} tries")
+        raise SystemFailure(
+            f"{self._sensor} did not answer a request for parameter {label_of(parameter)} in {TRIES} tries"
+        )
 
     def _answer(self, parameter: int) -> Mapping[str, float] | None:
         """Return the signals of the answer, None if it does not come in time."""
@@ -135,6 +141,12 @@ class Dialogue:
     @property
     def _sensor(self) -> str:
         return f"{self._receiver.name}: sensor {self.node}"
+
+
+def _range_behind(identifier: int, status: int) -> str:
+    """Return the range in parentheses if that is what the sensor objects to."""
+    found = find_id(identifier)
+    return f" ({found[0].range_text})" if found is not None and status == OUT_OF_RANGE else ""
 
 
 def _single(value: float) -> float:

@@ -15,9 +15,10 @@ from goldfield.sensor.location import location, needed_parameters
 from goldfield.sensor.options import Options
 from goldfield.sensor.receiver import Recorder
 from goldfield.sensor.separation import Separation
-from goldfield.sensor.session import COUNTERS, Session
+from goldfield.sensor.session import Session
 from goldfield.site import Site
 from goldfield.types import Fields, Pose
+from goldfield_protocol.parameters import counter_name
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +190,7 @@ class Sensor:
     @property
     def counters(self) -> dict[str, int]:
         """The sensor's own error counters since its reset by name, those that are not zero."""
-        return {_counter_name(number): count for number, count in sorted(self._session.counters.items()) if count}
+        return {counter_name(number): count for number, count in sorted(self._session.counters.items()) if count}
 
     def _epoch(self, report: Report) -> Epoch:
         fields = self._separation.fields(report)
@@ -210,7 +211,3 @@ def _notes(report: Report, chips: int) -> Iterator[str]:
         yield f"{chips - report.chips} chips lost"
     if report.saturated:
         yield f"{report.saturated} chips saturated"
-
-
-def _counter_name(number: int) -> str:
-    return COUNTERS[number] if number < len(COUNTERS) else f"of counter {number}"

@@ -23,25 +23,6 @@ PATIENCE_S = 30.0
 """Heartbeats come once a second, but simulated boards may run slower than the wall clock: while something is heard, the
 sensor's is awaited so long."""
 
-COUNTERS = (
-    "serial frames dropped",
-    "serial receive overruns",
-    "CAN errors",
-    "CAN receive overruns",
-    "messages lost in a full queue",
-    "late chip blocks",
-    "converter overruns",
-    "clock fallback",
-    "watchdog resets",
-    "bad parameter page",
-    "sync edges rejected",
-    "over-current",
-    "open coil",
-    "epochs dropped",
-    "SYNC of a master with another degree",
-)
-"""What a node's counters count, by index (framing.md)."""
-
 
 class Session:
     """Reads one sensor, and on a bus talks to it.
@@ -70,7 +51,7 @@ class Session:
     assembler : Assembler
         Its counters tell what went wrong on the way.
     counters : dict of int to int
-        The sensor's own error counters since its reset, those that it told; `COUNTERS` names them.
+        The sensor's own error counters since its reset, those that it told; `counter_name` names them.
     """
 
     def __init__(
