@@ -11,7 +11,7 @@ from goldfield.sensor.opening import open_sensor
 from goldfield.site import Site
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.rig import Rig, Truth
-from hil_sim.scenario import load_scenario
+from hil_sim.scenario import load_scenario, site_toml
 
 START_S = 2.5
 """Virtual time in which simulated boards boot, synchronise and ramp up their currents."""
@@ -63,7 +63,7 @@ class SimulatedBench:
     def __init__(self, scenario: str, boards: str, directory: Path, link: str = "serial") -> None:
         self.scenario = load_scenario(scenario)
         path = directory / "site.toml"
-        path.write_text(self.scenario.site_toml())
+        path.write_text(site_toml(self.scenario))
         self.site = sites.load(path)
         self.rig = Rig(self.scenario, boards)
         self.link = link
