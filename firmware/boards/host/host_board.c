@@ -28,7 +28,7 @@ struct board {
 
 __extension__ typedef unsigned __int128 wide_t;
 
-int64_t host_time_of(const hal_t *hal, int64_t tick) {
+static int64_t time_of(const hal_t *hal, int64_t tick) {
     const wide_t product = (wide_t)(uint64_t)tick * hal->tick_q32;
     /* Rounded up, so that host_tick() gives the same tick back. */
     return hal->power_on_ps + (int64_t)((product + 0xFFFFFFFFu) >> 32);
@@ -221,17 +221,17 @@ typedef enum { NEXT_ENGINE, NEXT_BYTE, NEXT_INPUT, NEXT_IDLE } next_t;
  * start belongs to that chip. */
 static next_t next_event(const hal_t *hal, int64_t *time_ps) {
     next_t next = NEXT_IDLE;
-    *time_ps = host_time_of(hal, hal->idle_tick);
+    *time_ps = time_of(hal, hal->idle_tick);
     if (hal->inputs_count > 0 && hal->inputs[hal->inputs_head].time_ps <= *time_ps) {
         *time_ps = hal->inputs[hal->inputs_head].time_ps;
         next = NEXT_INPUT;
     }
-    if (hal->transmitter.count > 0 && host_time_of(hal, hal->transmitter.byte_end) <= *time_ps) {
-        *time_ps = host_time_of(hal, hal->transmitter.byte_end);
+    if (hal->transmitter.count > 0 && time_of(hal, hal->transmitter.byte_end) <= *time_ps) {
+        *time_ps = time_of(hal, hal->transmitter.byte_end);
         next = NEXT_BYTE;
     }
-    if (hal->engine.running && host_time_of(hal, host_engine_tick(&hal->engine)) <= *time_ps) {
-        *time_ps = host_time_of(hal, host_engine_tick(&hal->engine));
+    if (hal->engine.running && time_of(hal, host_engine_tick(&hal->engine)) <= *time_ps) {
+        *time_ps = time_of(hal, host_engine_tick(&hal->engine));
         next = NEXT_ENGINE;
     }
     return next;

@@ -108,9 +108,6 @@ struct hal {
 /* Returns the present in ticks of the board's clock since power-on. */
 int64_t host_tick(const hal_t *hal);
 
-/* Returns the first picosecond of a tick. */
-int64_t host_time_of(const hal_t *hal, int64_t tick);
-
 /* Set an output, and tell the outside if its level changes. */
 void host_pin_write(hal_t *hal, unsigned pin, bool level);
 
