@@ -7,6 +7,7 @@ import itertools
 
 import can
 
+from goldfield.link.buses import BusSource
 from goldfield_protocol import Identifier, decode, encode
 from tests.host.fake_sensor import NODE
 
@@ -14,7 +15,7 @@ ANSWER_S = 0.004
 """Virtual time that the sensor takes to answer."""
 
 
-class VirtualLink:
+class VirtualLink(BusSource):
     """Takes the place of a `BusSource` and, by its `monotonic`, of the module `time`.
 
     Parameters

@@ -34,10 +34,6 @@ static int64_t time_of(const hal_t *hal, int64_t tick) {
     return hal->power_on_ps + (int64_t)((product + 0xFFFFFFFFu) >> 32);
 }
 
-int64_t host_tick(const hal_t *hal) {
-    return (int64_t)(((wide_t)(uint64_t)(hal->now_ps - hal->power_on_ps) << 32) / hal->tick_q32);
-}
-
 /* ---- Serial ---- */
 
 static void byte_sent(hal_t *hal) {

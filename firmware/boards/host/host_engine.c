@@ -3,16 +3,7 @@
 
 #include <math.h>
 
-/* ---- Pins and converters ---- */
-
-void host_pin_write(hal_t *hal, unsigned pin, bool level) {
-    if (hal->pin_out[pin] != level) {
-        hal->pin_out[pin] = level;
-        if (hal->edge.pin_out) {
-            hal->edge.pin_out(hal->edge.context, pin, level, hal->now_ps);
-        }
-    }
-}
+/* ---- Converters ---- */
 
 static uint16_t convert(const hal_t *hal, unsigned pin) {
     if (!hal->edge.analog_in) {

@@ -3,6 +3,23 @@
 
 #include <string.h>
 
+/* ---- What the files above need as well ---- */
+
+__extension__ typedef unsigned __int128 wide_t;
+
+int64_t host_tick(const hal_t *hal) {
+    return (int64_t)(((wide_t)(uint64_t)(hal->now_ps - hal->power_on_ps) << 32) / hal->tick_q32);
+}
+
+void host_pin_write(hal_t *hal, unsigned pin, bool level) {
+    if (hal->pin_out[pin] != level) {
+        hal->pin_out[pin] = level;
+        if (hal->edge.pin_out) {
+            hal->edge.pin_out(hal->edge.context, pin, level, hal->now_ps);
+        }
+    }
+}
+
 /* ---- Chip engine and drive ---- */
 
 void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {

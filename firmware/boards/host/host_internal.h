@@ -1,8 +1,7 @@
-/* host_internal.h: the state of a host board, shared by its three files:
+/* host_internal.h: the state of a host board, shared by its three files, each of which calls only those below it:
  *   host_board.c   time, inputs from outside, the application, the operations of board_edge.h
- *   host_engine.c  the chip engine, with its pins and converters
- *   host_hal.c     the functions of hal.h
- */
+ *   host_engine.c  the chip engine, with its converters
+ *   host_hal.c     the functions of hal.h, the present, and the pins */
 #ifndef GOLDFIELD_HOST_INTERNAL_H
 #define GOLDFIELD_HOST_INTERNAL_H
 

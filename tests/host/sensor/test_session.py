@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import threading
 
 import can
 import pytest
@@ -15,6 +14,7 @@ from goldfield.sensor import session as sessions
 from goldfield.sensor.session import Session
 from goldfield_protocol import encode
 from tests.host.fake_sensor import CODES, NODE, SITE, PtySensor, cycle_messages, heartbeat
+from tests.host.virtual_link import VirtualLink
 
 ROOM = sites.load(SITE)
 
@@ -25,12 +25,16 @@ def connect(sensor, node=None):
 
 
 @pytest.fixture
-def hurry(monkeypatch):
-    """Wait less for answers that never come."""
-    monkeypatch.setattr(dialogues, "ANSWER_S", 0.05)
-    monkeypatch.setattr(sessions, "PATIENCE_S", 0.5)
-    monkeypatch.setattr(sessions, "QUIET_S", 0.1)
-    monkeypatch.setattr(sessions, "SILENCE_S", 0.2)
+def virtual(monkeypatch):
+    """Return a function that makes a link in virtual time and a session on it, which tells the time by the link."""
+
+    def make(node=None, **options):
+        link = VirtualLink(**options)
+        monkeypatch.setattr(sessions, "time", link)
+        monkeypatch.setattr(dialogues, "time", link)
+        return link, Session(link, "virtual", ROOM, node)
+
+    return make
 
 
 def test_a_fresh_sensor_is_set_to_the_sites_codes():
@@ -67,28 +71,30 @@ def test_a_sensor_that_restarts_is_set_again():
         source.close()
 
 
-def test_lost_requests_are_repeated(hurry):
-    with PtySensor([], deaf=3) as sensor:
-        source, session = connect(sensor)
-        assert session.start()
-        assert sensor.parameters[5] == 8
-        source.close()
+def test_lost_requests_are_repeated(virtual):
+    link, session = virtual(node=NODE, deaf=dialogues.TRIES - 1)
+    assert session.dialogue.configure(CODES)
+    assert link.requests[: dialogues.TRIES] == [("PARAM_GET", 256)] * dialogues.TRIES
+    assert [link.parameters[256 + i] for i in range(8)] == list(CODES)
+    assert link.parameters[5] == 8
 
 
-def test_a_deaf_sensor_is_given_up(hurry):
-    with PtySensor([], deaf=1000) as sensor:
-        source, session = connect(sensor)
-        session.find()
-        with pytest.raises(SystemFailure, match="did not answer a request for parameter 256 in 5 tries"):
-            session.dialogue.configure(CODES)
-        source.close()
+def test_a_deaf_sensor_is_given_up(virtual):
+    link, session = virtual(node=NODE, deaf=dialogues.TRIES)
+    begin_s = link.now_s
+    with pytest.raises(SystemFailure, match=r"did not answer a request for parameter code_list\[0\] in 5 tries"):
+        session.dialogue.configure(CODES)
+    assert link.requests == [("PARAM_GET", 256)] * dialogues.TRIES
+    assert link.now_s - begin_s == pytest.approx(dialogues.TRIES * dialogues.ANSWER_S)
 
 
 def test_a_refusal_is_told():
     with PtySensor([], refuse=2) as sensor:
         source, session = connect(sensor)
         session.find()
-        with pytest.raises(SystemFailure, match="sensor 100 says that parameter 256 is out of range"):
+        with pytest.raises(
+            SystemFailure, match=r"sensor 100 says that parameter code_list\[0\] is out of range \(0 to 2048\)"
+        ):
             session.dialogue.configure(CODES)
         source.close()
 
@@ -118,19 +124,33 @@ def test_another_protocol_is_refused_with_the_firmware_to_flash():
         source.close()
 
 
-def test_nothing_heard_and_the_wrong_node_heard(hurry):
-    with PtySensor([]) as sensor:
-        source, session = connect(sensor, node=7)
-        with pytest.raises(SystemFailure, match=r"no heartbeat of sensor 7 .* heard only sensor 100"):
+def test_nothing_heard_and_the_wrong_node_heard(virtual):
+    link, session = virtual(node=7)
+    for second in range(60):
+        link.deliver(heartbeat(), after_s=second + 0.3)
+    with pytest.raises(SystemFailure, match=r"no heartbeat of sensor 7 in 30 s; heard only sensor 100"):
+        session.find()
+    _, session = virtual()
+    with pytest.raises(SystemFailure, match=r"no heartbeat of a sensor in 10 s; heard nothing: check the power"):
+        session.find()
+
+
+def test_a_heartbeat_is_awaited_to_the_end_of_patience_while_something_is_heard(virtual):
+    """Boards that are simulated slower than the wall clock: cycles come, the heartbeat takes long."""
+    for delay_s, found in ((29.0, True), (31.0, False)):
+        link, session = virtual()
+        for number in range(8):
+            link.deliver(cycle_messages(number)[0], after_s=4.0 * number)
+        link.deliver(heartbeat(), after_s=delay_s)
+        if found:
             session.find()
-        source.close()
-    source = open_can("virtual:silent")
-    with pytest.raises(SystemFailure, match="heard nothing: check the power"):
-        Session(source, "virtual:silent", ROOM).find()
-    source.close()
+            assert session.node == NODE
+        else:
+            with pytest.raises(SystemFailure, match="no heartbeat of a sensor in 30 s; heard only EPOCH of node 100"):
+                session.find()
 
 
-def test_anchors_are_read_when_asked_for(hurry):
+def test_anchors_are_read_when_asked_for(virtual):
     sender, source = open_can("virtual:anchors"), open_can("virtual:anchors")
 
     def send_all():
@@ -147,12 +167,10 @@ def test_anchors_are_read_when_asked_for(hurry):
     assert session.node == 3
     sender.close()
     source.close()
-    sender, source = open_can("virtual:alone"), open_can("virtual:alone")
-    sender.send(*heartbeat(node=3, role=3))
+    link, session = virtual()
+    link.deliver(heartbeat(node=3, role=3))
     with pytest.raises(SystemFailure, match=r"heard only anchor 3 \(to read it, give node=3\)"):
-        Session(source, "virtual:alone", ROOM).find()
-    sender.close()
-    source.close()
+        session.find()
 
 
 def test_a_log_that_begins_with_an_anchors_reports():
@@ -172,7 +190,7 @@ def test_a_log_that_begins_with_an_anchors_reports():
     assert [report.cycle for report in session.reports()] == [4, 5, 6]
 
 
-def test_can_buses_carry_the_same(hurry):
+def test_can_buses_carry_the_same():
     """On CAN the beacons' messages are there too; another beacon's protocol is refused as well."""
     sender, source = open_can("virtual:both"), open_can("virtual:both")
     session = Session(source, "virtual:both", ROOM)
@@ -188,28 +206,19 @@ def test_can_buses_carry_the_same(hurry):
     source.close()
 
 
-def test_a_sensor_that_falls_silent_while_others_talk(hurry):
-    sender, source = open_can("virtual:still"), open_can("virtual:still")
+def test_a_sensor_that_falls_silent_while_others_talk(virtual):
+    link, session = virtual()
     for message in cycle_messages(4)[:-1]:
-        sender.send(*message)
-    stop = threading.Event()
-
-    def chatter():
-        while not stop.wait(0.05):
-            sender.send(*heartbeat(node=3, role=0))
-
-    beacon = threading.Thread(target=chatter)
-    beacon.start()
-    reports = Session(source, "virtual:still", ROOM).reports()
-    try:
-        assert next(reports).lost(8) == 1
-        with pytest.raises(SystemFailure, match="sensor 100 has been silent"):
-            next(reports)
-    finally:
-        stop.set()
-        beacon.join()
-    sender.close()
-    source.close()
+        link.deliver(message)
+    for number in range(400):
+        link.deliver(heartbeat(node=3, role=0), after_s=0.05 * number)
+    begin_s = link.now_s
+    reports = session.reports()
+    assert next(reports).lost(8) == 1
+    assert link.now_s - begin_s == pytest.approx(sessions.QUIET_S, abs=0.051)
+    with pytest.raises(SystemFailure, match="sensor 100 has been silent for 10 s"):
+        next(reports)
+    assert link.now_s - begin_s == pytest.approx(sessions.SILENCE_S, abs=0.051)
 
 
 def test_a_message_of_the_wrong_length_is_counted():
