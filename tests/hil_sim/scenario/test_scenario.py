@@ -76,7 +76,7 @@ def test_a_beacon_of_two_coils(tmp_path):
     # Turns of the paper's beacons, in a second: within 0.1 % of 25, 20, 30, 15, 10 and 5.
     turns = [beacon.drive.periods / site.cycle_s for beacon in site.beacons[::2]]
     np.testing.assert_allclose(turns, [25, 20, 30, 15, 10, 5], rtol=1e-3)
-    paper = rotating_site.load(ROOT / "host" / "goldfield" / "data" / "zheng6.toml")
+    paper = rotating_site.load(ROOT / "hil_sim/papers/zheng/data/zheng6.toml")
     for own, printed in zip(loaded.beacons, paper.beacons, strict=True):
         np.testing.assert_array_equal(own.geometry.position_m, printed.position_m)
         assert (own.geometry.turns, own.geometry.radius_m) == (printed.turns, printed.radius_m)
