@@ -113,6 +113,7 @@ def count(tmp_path_factory):
         "arm-none-eabi-gcc",
         *FLAGS,
         f"-I{ROOT / 'firmware'}",
+        f"-I{ROOT / 'build/protocol'}",
         str(source),
         *map(str, core),
         *layout,

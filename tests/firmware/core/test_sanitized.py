@@ -21,6 +21,7 @@ def test_sanitizers_find_nothing(tmp_path, sanitizer):
         "-fno-sanitize-recover=all",
     ]
     sources = [Path(__file__).with_name("sanitized.c"), *sorted((ROOT / "firmware/core").glob("*/*.c"))]
-    subprocess.run(["gcc", *flags, f"-I{ROOT / 'firmware'}", *map(str, sources), "-o", str(program)], check=True)
+    includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]
+    subprocess.run(["gcc", *flags, *includes, *map(str, sources), "-o", str(program)], check=True)
     result = subprocess.run([program], capture_output=True, text=True)
     assert (result.returncode, result.stderr) == (0, "")

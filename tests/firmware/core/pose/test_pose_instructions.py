@@ -123,6 +123,7 @@ def machine(tmp_path_factory):
                 "arm-none-eabi-gcc",
                 *FLAGS,
                 f"-I{firmware}",
+                f"-I{ROOT / 'build/protocol'}",
                 str(source),
                 *map(str, sorted(firmware.glob("core/*/*.c"))),
             ),
