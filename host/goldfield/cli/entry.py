@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import os
 import sys
 import traceback
@@ -47,7 +48,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     ``GOLDFIELD_DEBUG=1``.
     """
     try:
-        words = sys.argv[1:] if argv is None else list(argv)
+        code = _outcome(sys.argv[1:] if argv is None else list(argv))
+    except SystemExit as end:  # of a parser: help, version or a complaint
+        raise SystemExit(_flushed(int(end.code or 0))) from None
+    return _flushed(code)
+
+
+def _outcome(words: list[str]) -> int:
+    """Run a command, tell what went wrong, and return the exit code."""
+    try:
         arguments = build_parser(words[0] if words else None).parse_args(words)
         return int(arguments.run(arguments))
     except UserError as error:
@@ -55,9 +64,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SystemFailure as error:
         return _complain(str(error), EXIT_FAILED)
     except BrokenPipeError:
-        # The reader of our output went away, as in "| head": that ends us, and is no error.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        return 0  # The reader of our output went away, as in "| head": that ends us, and is no error.
+    except OSError as error:
+        return _complain(f"the system refused to read or write: {error}", EXIT_FAILED)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except Exception as error:
@@ -66,6 +75,19 @@ def main(argv: Sequence[str] | None = None) -> int:
             "output of the same command under GOLDFIELD_DEBUG=1",
             EXIT_FAILED,
         )
+
+
+def _flushed(code: int) -> int:
+    """Write out what is buffered and return the exit code; Python itself would end with 120 if that fails."""
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            if stream is not None:  # it is None if it was closed before the start
+                stream.flush()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+            if stream is sys.stdout and code == 0 and not isinstance(error, BrokenPipeError):
+                code = _complain(f"the output cannot be written: {error.strerror}", EXIT_FAILED)
+    return code
 
 
 class _Version(argparse.Action):
@@ -153,5 +175,6 @@ def _extras(entry_point: EntryPoint) -> str:
 def _complain(message: str, code: int) -> int:
     if os.environ.get("GOLDFIELD_DEBUG") == "1":
         traceback.print_exc()
-    print(f"goldfield: {' '.join(message.split())}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # stderr may be what failed
+        print(f"goldfield: {' '.join(message.split())}", file=sys.stderr)
     return code

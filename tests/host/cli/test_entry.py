@@ -1,13 +1,17 @@
 """Start-up: only the subcommand that was called is imported, and the list of subcommands tells all of them."""
 
+import os
+import re
 import subprocess
 import sys
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import pytest
 
 from goldfield.cli import main
 from goldfield.cli.entry import COMMANDS, build_parser
+from hil_sim.clib import ROOT
 
 LIST_MODULES = """
 import sys
@@ -74,3 +78,49 @@ def test_a_foreign_command_must_have_the_name_of_its_entry_point(capsys, monkeyp
     assert main(["here"]) == 3
     assert "it adds no subcommand of this name" in capsys.readouterr().err
     assert "(cannot be loaded)" in build_parser().format_help()
+
+
+ROOM = str(ROOT / "docs" / "examples" / "room.toml")
+FIELDS = str(ROOT / "docs" / "examples" / "fields.csv")
+LOG = str(ROOT / "docs" / "examples" / "recording.log")
+BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
+COMMAND_LINES = [
+    ["--version"],
+    ["--help"],
+    ["locate", "--site", ROOM, FIELDS],
+    ["run", "--site", ROOM, "--log", LOG, "--seconds", ".3"],
+    ["run", "--site", ROOM, "--log", LOG, "--seconds", ".3", "--json"],
+]
+
+
+def ended(words, **streams):
+    command = [sys.executable, "-m", "goldfield", *words]
+    return subprocess.run(command, env=BUFFERED, check=False, text=True, **streams)
+
+
+@pytest.mark.parametrize("words", COMMAND_LINES)
+def test_a_full_output_is_told_in_a_sentence(words):
+    with Path("/dev/full").open("w") as full:
+        done = ended(words, stdout=full, stderr=subprocess.PIPE)
+    last = done.stderr.splitlines()[-1]
+    assert done.returncode == 3
+    assert re.fullmatch(r"goldfield: the .* (cannot be written|refused to .*): .*No space left on device", last)
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+
+
+@pytest.mark.parametrize("words", COMMAND_LINES)
+def test_a_reader_that_went_away_is_no_error(words):
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = ended(words, stdout=writing, stderr=subprocess.PIPE)
+    os.close(writing)
+    assert done.returncode == 0
+    assert "ignored" not in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_errors_that_nobody_can_be_told_keep_their_exit_code():
+    with Path("/dev/full").open("w") as full:
+        assert ended(["locate", "--site", ROOM, "nowhere.csv"], stdout=subprocess.PIPE, stderr=full).returncode == 2
+        assert ended(["locate"], stdout=full, stderr=full).returncode == 2
