@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fields:
-    """The separated fields of one epoch, in the sensor's frame.
+    """The separated fields of one epoch, in the sensor's frame; equal to itself only, as arrays have no one answer.
 
     Attributes
     ----------
@@ -51,9 +51,9 @@ class Status(StrEnum):
     FAILED = "failed"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Pose:
-    """Position and attitude of the sensor in the site's frame: ``B_site = R B_sensor``.
+    """Position and attitude of the sensor in the site's frame: ``B_site = R B_sensor``; equal to itself only.
 
     Attributes
     ----------

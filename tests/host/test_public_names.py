@@ -1,14 +1,18 @@
 """What ``import goldfield`` offers, and what it costs."""
 
 import ast
+import gc
+import pickle
 import subprocess
 import sys
 from pathlib import Path
 
+import can
 import numpy as np
 import pytest
 
 import goldfield
+from goldfield.link.buses import BusSource
 from tests.host.fake_sensor import SITE, heartbeat, log_of
 
 
@@ -64,3 +68,56 @@ BAD = [
 def test_errors_speak_of_the_arguments(arguments, words):
     with pytest.raises(goldfield.UserError, match=words):
         goldfield.connect(site=SITE, **arguments)
+
+
+def test_only_public_names_are_listed():
+    assert dir(goldfield) == sorted(goldfield.__all__)
+
+
+def test_fields_and_poses_can_be_compared_and_kept_in_sets():
+    fields = goldfield.Fields(3, 0.3, ("b1",), np.zeros((1, 3)), np.ones(1))
+    poses = [goldfield.Pose.failed(fields) for _ in range(2)]
+    assert poses[1] in poses
+    assert poses[0] != poses[1]
+    assert len({*poses, fields}) == 3
+
+
+def test_locate_reaches_other_processes():
+    assert pickle.loads(pickle.dumps(goldfield.locate)) is goldfield.locate
+
+
+@pytest.mark.parametrize("node", [0, 4096])
+def test_a_node_that_cannot_be_is_refused(tmp_path, node):
+    with pytest.raises(goldfield.UserError, match=rf"^node={node}: is no node: nodes are 1 to 4095"):
+        goldfield.open_log(tmp_path / "none.log", site=SITE, node=node)
+
+
+def test_a_second_iterator_goes_on_and_is_empty_at_the_end(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text(log_of(range(4, 8), [heartbeat()]))
+    with goldfield.open_log(path, site=SITE) as sensor:
+        assert next(sensor.poses()).epoch == 4
+        assert [pose.epoch for pose in sensor.poses()] == [5, 6, 7]
+        assert list(sensor.poses()) == []
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_closed_recording_is_not_read_on(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text(log_of(range(4, 8), [heartbeat()]))
+    with goldfield.open_log(path, site=SITE) as sensor:
+        poses = sensor.poses()
+        next(poses)
+    sensor.close()
+    with pytest.raises(goldfield.UserError, match=r"a\.log: is closed: read it before, or open it again"):
+        list(poses)
+    del sensor, poses
+    gc.collect()
+
+
+def test_a_closed_live_sensor_is_not_waited_for():
+    with can.Bus("closed", interface="virtual") as bus:
+        source = BusSource(bus, "virtual")
+        source.close()
+        with pytest.raises(goldfield.UserError, match=r"^virtual: is closed"):
+            source.receive(60.0)
