@@ -66,7 +66,9 @@ class BusSource:
         return self._bus.bad_frames if isinstance(self._bus, SerialBus) else 0
 
     def receive(self, timeout_s: float) -> can.Message | None:
-        """Return the next message, or None when none came in time."""
+        """Return the next message, or None when none came in time; `UserError` after `close`."""
+        if self._stop.is_set():
+            raise UserError(_closed(self.name))
         try:
             item = self._queue.get(timeout=max(0.0, timeout_s))
         except queue.Empty:
@@ -111,6 +113,7 @@ class LogSource:
     def __init__(self, reader: CandumpReader) -> None:
         self._reader = reader
         self._messages: Iterator[can.Message] = iter(reader)
+        self._closed = False
 
     @property
     def bad_frames(self) -> int:
@@ -118,11 +121,15 @@ class LogSource:
         return self._reader.bad_lines
 
     def receive(self, timeout_s: float) -> can.Message | None:
-        """Return the next message, None at the end."""
+        """Return the next message, None at the end; `UserError` after `close`."""
+        if self._closed:
+            raise UserError(_closed(self._reader.name))
         return next(self._messages, None)
 
     def close(self) -> None:
-        """Nothing to let go of: the reader closes its file at the end."""
+        """Close the file."""
+        self._closed = True
+        self._reader.close()
 
 
 def open_port(path: str) -> BusSource:
@@ -145,6 +152,11 @@ def open_can(where: str) -> BusSource:
         return BusSource(open_channel(interface, channel, bitrate=CAN_BIT_RATE), where)
     except Exception as error:  # each vendor's interface raises its own kinds
         raise UserError(f"{given}: cannot be opened: {_one_line(error)}") from error
+
+
+def _closed(name: str) -> str:
+    """Return the sentence for who reads a link that was closed."""
+    return f"{name}: is closed: read it before, or open it again"
 
 
 def _known_interfaces() -> str:

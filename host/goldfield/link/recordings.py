@@ -20,6 +20,8 @@ class CandumpReader:
 
     Attributes
     ----------
+    name : str
+        The path, for messages.
     bad_lines : int
         Lines so far that are no message of ours: torn, corrupt, or with an 11-bit identifier.
 
@@ -31,6 +33,7 @@ class CandumpReader:
 
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
+        self.name = str(path)
         self.bad_lines = 0
         try:
             self._file = self._path.open("rb")
@@ -63,6 +66,10 @@ class CandumpReader:
                 f"{self._path}:1: the log holds no message like '(1.500000) can0 01000064#0011223344556677': "
                 "give a candump log"
             )
+
+    def close(self) -> None:
+        """Close the file, which the end of the log does too."""
+        self._file.close()
 
 
 class CandumpWriter:

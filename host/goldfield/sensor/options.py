@@ -8,6 +8,9 @@ from enum import StrEnum
 from goldfield.errors import UserError, option
 from goldfield.site import Site
 
+LAST_NODE = 4095
+"""The largest node that the twelve bits of a message's identifier hold; 0 is no node."""
+
 
 class Method(StrEnum):
     """How the pose of an epoch is made."""
@@ -59,8 +62,10 @@ class Options:
         Raises
         ------
         UserError
-            If the sensor is to compute poses from beacons that a board cannot separate.
+            If there is no such node, or the sensor is to compute poses from beacons that a board cannot separate.
         """
+        if self.node is not None and not 1 <= self.node <= LAST_NODE:
+            raise UserError(f"{option('node', self.node)}: is no node: nodes are 1 to {LAST_NODE}")
         if self.method is not Method.ON_SENSOR:
             return
         own_codes = site.access == "cdma" and len(set(site.codes)) == len(site.beacons)

@@ -85,6 +85,7 @@ class Sensor:
         self.site = site
         self.name = name
         self._source = source
+        self._found = False
         self._options = Options() if options is None else options
         method = self._options.method
         self._session = Session(source, name, site, self._options.node, recorder, on_sensor=method is method.ON_SENSOR)
@@ -100,7 +101,8 @@ class Sensor:
     def poses(self) -> Iterator[Pose]:
         """Yield a pose for every code cycle, to the end of a recording or without end; see `epochs`.
 
-        A cycle that cannot be located has a pose too, with the status ``failed``.
+        A cycle that cannot be located has a pose too, with the status ``failed``. A second iterator goes on where the
+        first stopped; at the end of a recording it yields nothing.
         """
         return (epoch.pose for epoch in self.epochs())
 
@@ -112,13 +114,12 @@ class Sensor:
         SystemFailure
             If a live link is lost, or the sensor silent for 10 s.
         UserError
-            If a node speaks another protocol, or a recording holds no cycle of a sensor.
+            If a node speaks another protocol, a recording holds no cycle of a sensor, or the sensor was closed.
         """
-        found = False
         for report in self.reports():
-            found = True
+            self._found = True
             yield self._epoch(report)
-        if not found and not self.live:
+        if not self._found and not self.live:
             raise UserError(f"{self.name}: holds no cycle of a sensor")
 
     def reports(self) -> Iterator[Report]:
