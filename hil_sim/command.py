@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield.files.outputs import check_outputs
 from hil_sim.links.can_bridge import DEFAULT, CanBridge
 from hil_sim.links.pseudo_terminal import PseudoTerminal
 from hil_sim.rig import SENSOR, Rig
@@ -118,6 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
         A board stopped.
     """
     scenario = load_scenario(arguments.scenario)
+    check_outputs({"--site": arguments.site, "--truth": arguments.truth}, {"SCENARIO": arguments.scenario})
     if arguments.site is not None:
         _write(arguments.site, site_toml(scenario))
     with ExitStack() as stack:

@@ -10,6 +10,7 @@ from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.location_options import add_on_sensor, add_track
 from goldfield.errors import UserError, on_command_line
+from goldfield.files.outputs import check_outputs
 
 SOURCES = ("port", "can", "log")
 
@@ -49,7 +50,10 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.cli.live import print_poses  # heavy: only when a pose is wanted
 
     kind, where = _choose_source(arguments)
-    print_poses(arguments, kind, where, sites.load(options.required(arguments.site, "--site", "FILE")))
+    site = options.required(arguments.site, "--site", "FILE")
+    inputs = {"--site": site, "--log": where if kind == "log" else None, "--truth": arguments.truth}
+    check_outputs({"--record": arguments.record, "--fields": arguments.fields}, inputs)
+    print_poses(arguments, kind, where, sites.load(site))
     return 0
 
 

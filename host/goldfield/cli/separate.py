@@ -16,6 +16,7 @@ from goldfield.cli import options
 from goldfield.cli.chips_file import COLUMNS, read_cycles
 from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError
+from goldfield.files.outputs import check_outputs
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.site import Site
 from goldfield.types import Fields, FloatArray
@@ -50,7 +51,9 @@ def command(subparsers: Any) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a line for every cycle."""
-    site = sites.load(options.required(arguments.site, "--site", "FILE"))
+    path = options.required(arguments.site, "--site", "FILE")
+    check_outputs({"--fields": arguments.fields}, {"--site": path, "SAMPLES.csv": arguments.samples})
+    site = sites.load(path)
     if arguments.harmonics is not None and arguments.mains is None:
         raise UserError("--harmonics is given without --mains: give the frequency of the mains too")
     try:
