@@ -3,8 +3,7 @@
 The parameters are those of ``parameters.toml``; ``framing.md`` has the layout of the page.
 
 ``python -m goldfield_protocol.parameters node=7 code=3 code_list=3,17,40 -o page.bin`` writes a page;
-``python -m goldfield_protocol.parameters --show page.bin`` prints one;
-``python -m goldfield_protocol.parameters --keys`` prints the names in capitals, as ``make flash`` takes them.
+``python -m goldfield_protocol.parameters --show page.bin`` prints one.
 """
 
 from __future__ import annotations
@@ -170,6 +169,16 @@ def parse_assignment(text: str) -> tuple[str, Value]:
     return name, elements[0] if len(elements) == 1 else elements
 
 
+def _values(assignments: Sequence[str]) -> dict[str, Value]:
+    """Return the values by name; `ParameterError` if a name comes twice."""
+    values: dict[str, Value] = {}
+    for name, value in map(parse_assignment, assignments):
+        if name in values:
+            raise ParameterError(f"parameter '{name}' is given twice")
+        values[name] = value
+    return values
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (2: bad input)."""
     parser = argparse.ArgumentParser(
@@ -177,20 +186,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("assignments", nargs="*", metavar="name=value", help=", ".join(PARAMETERS))
     parser.add_argument("-o", "--output", type=Path, help="file to write")
-    parser.add_argument("--keys", action="store_true", help="print the names as make flash takes them instead")
     parser.add_argument("--show", type=Path, metavar="PAGE", help="print the values of a page instead")
     options = parser.parse_args(arguments)
     try:
-        if options.keys:
-            print(" ".join(name.upper() for name in PARAMETERS))
-            return 0
         if options.show is not None:
             for name, value in parse_page(options.show.read_bytes()).items():
                 print(f"{name}={','.join(map(str, value)) if isinstance(value, list) else value}")
             return 0
         if options.output is None:
             raise ParameterError("say with -o which file to write")
-        options.output.write_bytes(build_page(dict(parse_assignment(text) for text in options.assignments)))
+        options.output.write_bytes(build_page(_values(options.assignments)))
     except (ParameterError, OSError) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

@@ -241,7 +241,7 @@ def find(name: str) -> Parameter:
     """Return the parameter of a name; `ParameterError` names the nearest one if there is none."""
     if name in PARAMETERS:
         return PARAMETERS[name]
-    near = difflib.get_close_matches(name, PARAMETERS, n=1, cutoff=0)
+    near = difflib.get_close_matches(name.lower(), PARAMETERS, n=1, cutoff=0)
     raise ParameterError(f"there is no parameter '{name}'; the nearest is '{near[0]}'")
 
 

@@ -105,3 +105,15 @@ def test_bad_command_line_is_one_line_and_exit_2(arguments, capsys, tmp_path, mo
     assert error.startswith("error: ")
     assert error.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_parameter_that_is_given_twice_is_refused(tmp_path, capsys):
+    page = tmp_path / "page.bin"
+    assert main(["node=1", "code=2", "node=3", "-o", str(page)]) == 2
+    assert capsys.readouterr().err == "error: parameter 'node' is given twice\n"
+    assert not page.exists()
+
+
+def test_a_name_in_capitals_is_told_its_own_parameter():
+    with pytest.raises(ParameterError, match=r"^there is no parameter 'AMPLITUDE'; the nearest is 'amplitude'$"):
+        build_page({"AMPLITUDE": 1.0})

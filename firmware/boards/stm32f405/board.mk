@@ -44,8 +44,10 @@ $(STM32_OUT)/qemu/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM
 firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## All images, with their flash, RAM and worst-case stack
 	@$(PYTHON) firmware/tools/image_report.py $(STM32_IMAGES)
 
-# Parameters given on make's command line, as name=value. The names are asked for only when a board is programmed, and once.
-STM32_PARAMETERS = $(eval STM32_PARAMETERS := $(foreach name,$(shell $(PYTHON) -m goldfield_protocol.parameters --keys),\
+# What is given on make's command line and no makefile sets is a parameter, as name=value; a mistyped one is refused when the page is
+# built. They are looked for only when a board is programmed, and once.
+STM32_OPTIONS = ROLE $(shell sed -nE 's/^([A-Z0-9_]+) *[:?+]?=.*/\1/p' $(filter-out %.d,$(MAKEFILE_LIST)))
+STM32_PARAMETERS = $(eval STM32_PARAMETERS := $(foreach name,$(filter-out $(STM32_OPTIONS),$(.VARIABLES)),\
 	$(if $(findstring command line,$(origin $(name))),$(name)=$($(name)))))$(STM32_PARAMETERS)
 STM32_PAGE := $(STM32_OUT)/parameters.bin
 PYOCD := $(VENV)/bin/pyocd

@@ -63,3 +63,11 @@ def test_an_image_alone_leaves_the_page(flash):
     assert done.returncode == 0, done.stderr
     assert loaded == "load --target stm32f405rgtx build/firmware/sensor.elf"
     assert not page.exists()
+
+
+def test_a_mistyped_parameter_is_refused(flash):
+    done, loaded, page = flash("ROLE=beacon", "NODE=3", "AMPLITUD=10")
+    assert done.returncode == 2
+    assert "error: there is no parameter 'amplitud'; the nearest is 'amplitude'" in done.stderr
+    assert not loaded
+    assert not page.exists()
