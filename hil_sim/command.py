@@ -56,10 +56,11 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the lines of truth there, and only there")
     parser.add_argument("--site", type=Path, metavar="FILE", help="write the site file of this scenario there")
     parser.add_argument("--pace", type=_not_negative, default=1.0, metavar="X", help=PACE_HELP)
-    parser.add_argument("--can", default=DEFAULT, metavar="INTERFACE:CHANNEL", help=f"or none; default {DEFAULT}")
+    parser.add_argument("--can", metavar="INTERFACE:CHANNEL", help=CAN_HELP)
     parser.set_defaults(run=run)
 
 
+CAN_HELP = f"or none; default {DEFAULT}, or the next address that no other bench of this machine has"
 PACE_HELP = (
     "at most X virtual seconds in a second (default 1); 0: as fast as possible, and waiting for the reader of the port"
 )
@@ -136,7 +137,8 @@ def run(arguments: argparse.Namespace) -> int:
         truth = sys.stdout if arguments.json else None
         if arguments.truth is not None:
             truth = stack.enter_context(_open_for_writing(arguments.truth))
-        _announce(arguments, scenario, {board: terminal.path for board, terminal in terminals.items()})
+        channel = "none" if bridge is None else bridge.channel
+        _announce(arguments, scenario, channel, {board: terminal.path for board, terminal in terminals.items()})
         pace = Pace(arguments.pace)
         try:
             _serve(arguments, rig, terminals, bridge, truth, pace)
@@ -178,18 +180,16 @@ def _serve(
             print(f"{rig.now_s:8.1f} s, {rig.now_s / pace.elapsed_s:.2f} virtual seconds a second", flush=True)
 
 
-def _announce(arguments: argparse.Namespace, scenario: Scenario, serial: Mapping[int, str]) -> None:
+def _announce(arguments: argparse.Namespace, scenario: Scenario, channel: str, serial: Mapping[int, str]) -> None:
     anchors = {scenario.beacons[board - 1]: path for board, path in serial.items() if board != SENSOR}
     if arguments.json:
-        first: dict[str, Any] = {"serial": serial[SENSOR], "can": arguments.can, "scenario": arguments.scenario}
+        first: dict[str, Any] = {"serial": serial[SENSOR], "can": channel, "scenario": arguments.scenario}
         first["boards"] = arguments.boards
         if anchors:
             first["anchors"] = {anchor.id: {"node": anchor.node, "serial": path} for anchor, path in anchors.items()}
         print(json.dumps(first), flush=True)
         return
-    print(
-        f"serial {serial[SENSOR]}, CAN {arguments.can}: {arguments.scenario} with {arguments.boards} boards", flush=True
-    )
+    print(f"serial {serial[SENSOR]}, CAN {channel}: {arguments.scenario} with {arguments.boards} boards", flush=True)
     for anchor, path in anchors.items():
         print(f"serial {path}: anchor {anchor.id}, node {anchor.node}", flush=True)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import socket
+import sys
 from collections import deque
 
 import can
@@ -11,7 +13,36 @@ from goldfield.link.can_channel import open_channel
 from hil_sim.rig import Frame, Rig
 
 DEFAULT = "udp_multicast:239.74.163.2"
+"""The channel of the first bench of a machine; `own_channel` gives each further one the next address."""
+MOST_BENCHES = 100
 ECHOES_KEPT = 4096
+
+
+def own_channel() -> tuple[str, socket.socket | None]:
+    """Return a CAN channel that no other bench of this machine has, and what keeps it until it is closed.
+
+    Boards of two benches on one channel would hear each other. A channel is taken by a socket of its name in Linux's
+    abstract name space, which the system forgets with the process and which reaches as far as the channel itself: one
+    network name space. Other systems have no such names: there every bench gets `DEFAULT`.
+
+    Raises
+    ------
+    UserError
+        If `MOST_BENCHES` channels are taken.
+    """
+    if sys.platform != "linux":
+        return DEFAULT, None
+    stem, _, first = DEFAULT.rpartition(".")
+    lock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    for number in range(int(first), int(first) + MOST_BENCHES):
+        channel = f"{stem}.{number}"
+        try:
+            lock.bind(f"\0goldfield {channel}")
+        except OSError:  # another bench has it
+            continue
+        return channel, lock
+    lock.close()
+    raise UserError(f"{MOST_BENCHES} benches run on this machine, each with its CAN channel: --can none does without")
 
 
 class CanBridge:
@@ -19,11 +50,13 @@ class CanBridge:
 
     Parameters
     ----------
-    channel : str
-        ``INTERFACE:CHANNEL`` of python-can, for example ``udp_multicast:239.74.163.2`` or ``socketcan:vcan0``.
+    channel : str, optional
+        ``INTERFACE:CHANNEL`` of python-can, for example ``udp_multicast:239.74.163.2`` or ``socketcan:vcan0``; None:
+        one that no other bench of this machine has taken in this way.
 
     Attributes
     ----------
+    channel : str
     refused : int
         Frames that the other side sent and CAN 2.0 does not know.
 
@@ -33,7 +66,10 @@ class CanBridge:
         If there is no such bus.
     """
 
-    def __init__(self, channel: str) -> None:
+    def __init__(self, channel: str | None = None) -> None:
+        self._lock: socket.socket | None = None
+        if channel is None:
+            channel, self._lock = own_channel()
         interface, _, name = channel.partition(":")
         if not interface or not name:
             raise UserError(f"'{channel}' is no CAN channel: write INTERFACE:CHANNEL, as in {DEFAULT}, or none")
@@ -96,3 +132,5 @@ class CanBridge:
     def close(self) -> None:
         """Leave the bus."""
         self._bus.shutdown()
+        if self._lock is not None:
+            self._lock.close()

@@ -18,7 +18,7 @@ from goldfield.errors import UserError
 from goldfield.link.can_channel import open_channel
 from hil_sim import command
 from hil_sim.clib import ROOT
-from hil_sim.links.can_bridge import CanBridge
+from hil_sim.links.can_bridge import CanBridge, own_channel
 from hil_sim.links.pseudo_terminal import WAITING_LIMIT, PseudoTerminal
 from hil_sim.rig import Frame, Rig
 from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
@@ -199,11 +199,11 @@ def test_bad_usage_ends_with_2_and_a_sentence(arguments, sentence):
     assert "Traceback" not in result.stderr
 
 
-def run_command(tmp_path, monkeypatch, capsys, *options, boards=None, scenario=None):
+def run_command(tmp_path, monkeypatch, capsys, *options, boards=None, scenario=None, can=("--can", "none")):
     """The command in this process, on fake boards."""
     monkeypatch.setattr("hil_sim.rig.rig.factory", lambda kind: boards or FakeBoards())
     path = scenario or write_scenario(tmp_path)
-    code = command.main([str(path), "--can", "none", "--pace", "0", *options])
+    code = command.main([str(path), *can, "--pace", "0", *options])
     return code, capsys.readouterr()
 
 
@@ -259,7 +259,31 @@ def test_it_is_a_subcommand():
     command.command(parser.add_subparsers())
     arguments = parser.parse_args(["hil", "prigge8", "--seconds", "3"])
     assert arguments.run is command.run
-    assert (arguments.pace, arguments.boards, arguments.can) == (1.0, "emulated", "udp_multicast:239.74.163.2")
+    assert (arguments.pace, arguments.boards, arguments.can) == (1.0, "emulated", None)
+
+
+def test_benches_of_one_machine_have_a_can_channel_each(monkeypatch):
+    monkeypatch.setattr("hil_sim.links.can_bridge.DEFAULT", f"test{os.getpid()}:239.74.163.2")
+    (one, first), (two, second) = own_channel(), own_channel()
+    assert (one, two) == (f"test{os.getpid()}:239.74.163.2", f"test{os.getpid()}:239.74.163.3")
+    first.close()
+    again, third = own_channel()
+    assert again == one
+    second.close()
+    third.close()
+
+
+def test_no_channel_is_left(monkeypatch):
+    monkeypatch.setattr("hil_sim.links.can_bridge.MOST_BENCHES", 0)
+    with pytest.raises(UserError, match=r"^0 benches run on this machine, each with its CAN channel: --can none"):
+        own_channel()
+
+
+def test_the_default_channel_is_told(tmp_path, monkeypatch, capsys):
+    taken = []
+    monkeypatch.setattr(command, "CanBridge", lambda channel: taken.append(CanBridge(channel)) or taken[-1])
+    _, output = run_command(tmp_path, monkeypatch, capsys, "--json", "--seconds", "0.01", can=())
+    assert json.loads(output.out.splitlines()[0])["can"] == taken[0].channel
 
 
 def test_pace_never_runs_ahead(monkeypatch):
