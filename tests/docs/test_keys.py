@@ -1,8 +1,12 @@
-"""The pages on site files and scenarios name every key that the readers take, and no other."""
+"""The pages on site files, scenarios and the command line name every key and option, the first two no other key."""
 
 from __future__ import annotations
 
 import re
+import subprocess
+import sys
+
+import pytest
 
 from goldfield.site import drive
 from goldfield.site import reading as site_reading
@@ -38,3 +42,35 @@ def test_every_motion_is_explained() -> None:
     for kind, keys in reading.MOTION_KEYS.items():
         assert f'`"{kind}"`' in text
         assert all(f"`{key}`" in text for key in keys)
+
+
+COMMANDS = ("run", "locate", "separate", "samples", "hil")
+
+
+def options_of(command: str) -> set[str]:
+    """Return the long options of a subcommand."""
+    help_text = subprocess.run(
+        [sys.executable, "-m", "goldfield", command, "--help"], capture_output=True, text=True, check=True
+    ).stdout
+    return set(re.findall(r"^  (?:-h, )?(--[a-z][a-z-]*)", help_text, re.M)) - {"--help"}
+
+
+def section(command: str) -> str:
+    """Return what the page on the command line says of a subcommand: its row, its section, and the JSON lines."""
+    text = (ROOT / "docs/cli.md").read_text()
+    row = "".join(re.findall(rf"^\| `goldfield {command} .*\n", text, re.M))
+    parts = re.split(r"^##+ (.*)\n", text, flags=re.M)
+    titled = dict(zip(parts[1::2], parts[2::2], strict=True))
+    return row + "".join(body for title, body in titled.items() if command in title.split()) + titled["JSON lines"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_option_is_on_the_page_of_the_command_line(command: str) -> None:
+    found = options_of(command)
+    assert "--site" in found
+    assert {option for option in found if option not in section(command)} == set()
+
+
+def test_the_page_is_read_by_sections() -> None:
+    assert "--pace" in section("hil")
+    assert "--pace" not in section("run")
