@@ -33,7 +33,7 @@ def command(subparsers: Any) -> None:
         type=options.finite,
         nargs=3,
         metavar=("X", "Y", "Z"),
-        help=f"where the sensor stands, m: added as the columns {','.join(PLACE)}, for goldfield rotating survey",
+        help=f"where the sensor stands, m: added as the columns {','.join(PLACE)}, for goldfield paper zheng survey",
     )
     options.add(parser, "--node", metavar="N", kind=options.node, what="node of the sensor (else the first one heard)")
     parser.set_defaults(run=run)
