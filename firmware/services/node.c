@@ -132,8 +132,8 @@ static void answer_parameter(node_t *node, node_links_t link, uint32_t index, pa
     (void)parameters_get(&node->parameters, index, &value);
     struct goldfield_param_value_t answer = {
         .kind = value.kind, .status = (uint8_t)status, .value_unsigned = value.bits};
-    memcpy(&answer.value_signed, &value.bits,
-           sizeof value.bits); /* The packer takes the member that belongs to the kind. */
+    /* The packer takes the member that belongs to the kind. */
+    memcpy(&answer.value_signed, &value.bits, sizeof value.bits);
     memcpy(&answer.value_float, &value.bits, sizeof value.bits);
     uint8_t data[8];
     const uint8_t length = (uint8_t)goldfield_param_value_pack(data, &answer, sizeof data);
@@ -159,7 +159,7 @@ static void set_parameter(node_t *node, node_links_t link, uint32_t index, const
     }
 }
 
-/* Seven characters of a text, from the given place on, zeros behind its end; little-endian, as all integers here. */
+/* Returns seven characters of a text as a message, zeros behind its end; the first character is the lowest byte. */
 static struct goldfield_param_text_t text_part(const char *text, uint32_t length, uint32_t part) {
     const uint32_t begin = part * TEXT_CHARACTERS, left = length - begin;
     uint8_t characters[8] = {0};
@@ -264,7 +264,7 @@ void node_start(node_t *node, hal_t *hal, hal_role_t role) {
 
     parameters_init(&node->parameters);
     const parameter_value_t derived = {.kind = PARAMETER_UNSIGNED, .bits = number_from_unique_id(hal)};
-    (void)parameters_set(&node->parameters, PARAMETER_NODE, derived); /* The page overrules it. */
+    (void)parameters_set(&node->parameters, PARAMETER_NODE, derived); /* The page, which is read next, overrules it. */
     uint32_t refused = 0;
     const parameters_page_t page = parameters_load(&node->parameters, hal_parameter_page(hal), HAL_PARAMETER_PAGE_BYTES,
                                                    &refused);

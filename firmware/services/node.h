@@ -1,5 +1,11 @@
-/* node.h: what all applications have in common: who they are, what they say once a second, their parameters, their two
- * links.
+/* node.h: what all applications have in common: the board's identity and parameters, a heartbeat once a second, and the
+ * two links on which it speaks, serial and CAN.
+ *
+ * Calls, in the order they are made (all of them from main)
+ *   1. node_start         once, before anything else is started.
+ *   2. node_step          once a turn of the main loop.
+ *      node_send          whenever a message is to leave; node_room tells first whether several fit together.
+ *      node_serial_write  for a stream that goes past the queue; node_identifier tells its identifiers.
  *
  * Links. Serial and CAN carry the same messages (protocol/framing.md). node_send() puts a message into the queue of
  * each link it is for; node_step() hands the queues to the board. A full queue refuses the message and counts it
@@ -9,17 +15,17 @@
  *     mailbox has taken for 100 ms, because the bus is dead or not there, is thrown away: not counted as lost, for the
  *     dead bus itself is counted (COUNTER_CAN_ERRORS). From then on one message at a time tries it.
  *
- * Identity. The node parameter of the parameter page; if the page has none, 1 + CRC-16/CCITT-FALSE(unique id, 12 bytes)
- * mod 4095: the same after each reset, and with 8 unconfigured boards two are equal in 0.7 % of cases (the host sees
- * two boards of one number by their interleaved heartbeats).
+ * Identity. The board's number is the parameter node of the parameter page. If the page has none, it is 1 +
+ * CRC-16/CCITT-FALSE(unique id, 12 bytes) mod 4095: the same after each reset. Two of eight unconfigured boards have
+ * one number in 0.7 % of cases, which the host sees by their interleaved heartbeats.
  *
  * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
  * the link they came from; a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a
  * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). SYNC is kept for the application. All
  * others are ignored, and so are PARAM_SET and SYNC of a wrong length.
  *
- * Contexts: main only. Time: node_step with nothing to do about 150 instructions, bounded by NODE_BYTES_A_STEP received
- * bytes, NODE_FRAMES_A_STEP frames, and the queues' contents. Memory: about 4.7 kB.
+ * Time: node_step with nothing to do takes about 150 instructions. It is bounded by NODE_BYTES_A_STEP received bytes,
+ * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 6.8 kB.
  */
 #ifndef GOLDFIELD_NODE_H
 #define GOLDFIELD_NODE_H
@@ -30,13 +36,13 @@
 #include "counter_ids.h"
 #include "hal/hal.h"
 
-#define NODE_QUEUE_MESSAGES 128u
-#define NODE_HEARTBEAT_US   1000000u
-#define NODE_CAN_GIVE_UP_US 100000u
-#define NODE_BYTES_A_STEP   1024u
-#define NODE_FRAMES_A_STEP  64u
+#define NODE_QUEUE_MESSAGES 128u     /* Messages that the queue of each link holds. */
+#define NODE_HEARTBEAT_US   1000000u /* Time from one heartbeat to the next, us. */
+#define NODE_CAN_GIVE_UP_US 100000u  /* Time without a message taken after which CAN counts as dead, us. */
+#define NODE_BYTES_A_STEP   1024u    /* Most bytes received on serial in one node_step. */
+#define NODE_FRAMES_A_STEP  64u      /* Most frames received on CAN in one node_step. */
 
-/* As in HEARTBEAT. */
+/* What a board is doing; the numbers are those of HEARTBEAT.state. */
 typedef enum {
     NODE_STARTING = 0,
     NODE_SYNCING = 1,
@@ -46,50 +52,55 @@ typedef enum {
     NODE_CLOCK_FALLBACK = 5
 } node_state_t;
 
+/* A set of links, a bit each. */
 typedef enum { NODE_NO_LINK = 0, NODE_SERIAL = 1, NODE_CAN = 2, NODE_BOTH = 3 } node_links_t;
 
 typedef struct {
     hal_t *hal;
     hal_role_t role;
-    uint16_t id;
+    uint16_t id; /* The board's number, 1 to 4095. */
     parameters_t parameters;
     /* Between node and application. */
-    node_state_t state;                /* Application writes. */
-    uint32_t counters[COUNTERS_COUNT]; /* By COUNTER_...; application writes those from COUNTER_SYNC_REJECTED on. */
-    uint32_t stream_lost; /* Messages the application lost on its own way to node_serial_write(); application writes. */
-    bool parameters_changed; /* A PARAM_SET was accepted; the application clears it. */
-    bool sync_received;      /* A SYNC with sync_cycle (20 bits) and sync_chips came; the application clears it. */
-    uint32_t sync_cycle, sync_chips;
+    node_state_t state;                /* The application writes it. */
+    uint32_t counters[COUNTERS_COUNT]; /* Indexed by COUNTER_...; the application writes those from
+                                        * COUNTER_SYNC_REJECTED on. */
+    uint32_t stream_lost;              /* Messages that the application lost on its way to node_serial_write(); it
+                                        * writes this. */
+    bool parameters_changed;           /* A PARAM_SET was accepted; the application clears it. */
+    bool sync_received;                /* A SYNC came; the application clears it. */
+    uint32_t sync_cycle, sync_chips;   /* The cycle (20 bits) and the chips in a cycle that this SYNC told. */
     /* Private. */
     frame_decoder_t decoder;
     queue_t serial, can;
     frame_t serial_messages[NODE_QUEUE_MESSAGES], can_messages[NODE_QUEUE_MESSAGES];
-    uint64_t heartbeat_us; /* Of the latest heartbeat. */
-    uint64_t can_us;       /* CAN last took a message, or had none to take. */
-    bool can_dead;         /* It did not for too long: one message at a time is queued to try it. */
+    uint64_t heartbeat_us; /* Time of the latest heartbeat. */
+    uint64_t can_us;       /* Latest time at which CAN took a message, or had none to take. */
+    bool can_dead;         /* CAN took none for too long: one message at a time is queued to try it. */
 } node_t;
 
-/* Load parameters and say hello: a heartbeat on serial by polling before anything else is touched, so that even a
- * crippled machine is heard; the same into the queue of CAN. state is NODE_STARTING. */
+/* Load the parameters and say hello: a heartbeat leaves on serial by polling before anything else is touched, so that
+ * even a crippled machine is heard; the same goes into the queue of CAN. The state is then NODE_STARTING. */
 void node_start(node_t *node, hal_t *hal, hal_role_t role);
 
-/* One turn of the main loop: watchdog, received messages, heartbeat and counters if due, queues to the board. */
+/* Do one turn: kick the watchdog, take received messages, send heartbeat and counters if they are due, and hand the
+ * queues to the board. */
 void node_step(node_t *node);
 
-/* Queue a message of this node. message: its *_FRAME_ID of build/protocol/goldfield.h; index < 4096; at most 8 bytes
- * of data. */
+/* Queue a message of this node on the given links. message is its *_FRAME_ID of build/protocol/goldfield.h, index is
+ * below 4096, data has at most 8 bytes. A message that finds a queue full is lost there, and counted. */
 void node_send(node_t *node, node_links_t links, uint32_t message, uint32_t index, const uint8_t *data, uint8_t length);
 
-/* The links that have room for so many more messages; a dead CAN bus does not count as full. */
+/* Returns the links that have room for so many more messages; a dead CAN bus does not count as full. */
 node_links_t node_room(const node_t *node, uint32_t messages);
 
-/* The identifier that node_send() gives. */
+/* Returns the identifier that node_send() gives to a message. */
 uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index);
 
-/* Past the queue: hand a whole frame to the serial port. False if it does not fit now. About 600 instructions. */
+/* Hand a whole frame to the serial port, past the queue. It takes about 600 instructions.
+ * Returns false if it does not fit now: nothing was sent. */
 bool node_serial_write(node_t *node, const frame_t *frame);
 
-/* An integer limited to +-limit. */
+/* Returns the value, limited to -limit and +limit: for a signal of a message that is clamped. */
 int32_t node_clamp(int32_t value, int32_t limit);
 
 #endif
