@@ -35,20 +35,11 @@ LEVEL = {part: level for level, parts in enumerate(LEVELS) for part in parts}
 NEVER = {("site", "link"), ("errors", "types")}
 """Downward or level, and still forbidden."""
 
-MOVING = {"goldfield.experiments"} | {
-    f"goldfield.cli.{name}"
-    for name in ("compare", "emitter", "rotating", "rotating_options", "rotating_room", "rotating_survey")
-}
-"""The papers' experiments as far as they still lie in the host: their place is ``hil_sim.papers``."""
-
 TYPING_ONLY = {
     "hil_sim.papers.plot": "matplotlib",
     "hil_sim.papers.prigge.waveforms": "matplotlib",
 }
 """Imports for annotations alone, each with its reason: an optional package that only pictures need."""
-
-RESTRUCTURED = {"goldfield.cli.locate", "goldfield.cli.tracking"}
-"""Modules whose imports for typing keep the tracker out of a call that does not track."""
 
 
 def within(name: str, *packages: str) -> bool:
@@ -91,7 +82,7 @@ def test_the_tree_was_read():
 
 def test_every_part_of_goldfield_has_a_level():
     parts = {module.split(".")[1] for module in MODULES if module.startswith("goldfield.")}
-    assert parts - set(LEVEL) <= {"__main__", "experiments", "data"}
+    assert parts - set(LEVEL) == {"__main__"}
 
 
 @pytest.mark.parametrize(
@@ -148,8 +139,7 @@ def test_the_worlds_physics_is_independent_of_the_hosts_model():
 
 def test_world_and_model_meet_in_the_papers_alone():
     assert forbidden(("hil_sim",), MODELS, but=("hil_sim.papers",)) == []
-    experiments = ("hil_sim.papers", "goldfield.experiments")
-    assert forbidden(("goldfield", "hil_sim"), experiments, but=("hil_sim.papers", *MOVING)) == []
+    assert forbidden(("goldfield", "hil_sim"), ("hil_sim.papers",), but=("hil_sim.papers",)) == []
 
 
 def test_no_circle():
@@ -157,7 +147,7 @@ def test_no_circle():
 
 
 def test_imports_for_typing_have_a_reason():
-    found = [item for item in IMPORTS if item.typing_only and not within(item.module, *MOVING, *RESTRUCTURED)]
+    found = [item for item in IMPORTS if item.typing_only]
     assert complaints([i for i in found if not within(i.target, TYPING_ONLY.get(i.module, "nothing"))]) == []
 
 
@@ -180,7 +170,7 @@ def test_a_function_of_one_line_more_is_too_long():
 
 
 def test_no_function_is_longer_than_a_screen():
-    found = {module: long_functions(path.read_text()) for module, path in MODULES.items() if module not in MOVING}
+    found = {module: long_functions(path.read_text()) for module, path in MODULES.items()}
     assert {module: functions for module, functions in found.items() if functions} == {}
 
 
