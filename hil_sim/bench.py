@@ -57,7 +57,7 @@ class SimulatedBench:
     stream : bytearray
         Every serial byte of the sensor so far.
     decoder : FrameDecoder
-        Of the serial stream.
+        Takes the serial stream apart.
     """
 
     def __init__(self, scenario: str, boards: str, directory: Path, link: str = "serial") -> None:

@@ -64,8 +64,9 @@ class Pose:
     orientation_xyzw : ndarray, shape (4,)
         Unit quaternion of R, SciPy's order, w >= 0; NaN when failed.
     position_cov_m2 : ndarray, shape (3, 3)
+        Covariance of the position in the site's frame.
     attitude_cov_rad2 : ndarray, shape (3, 3)
-        Of a small rotation in the site's frame.
+        Covariance of a small rotation in the site's frame.
     residual : float
         Root of the weighted mean square residual; near 1 when the model and the noise are right.
     status : Status

@@ -92,7 +92,10 @@ def recording(rig_kind, tmp_path_factory):
 
 @pytest.mark.parametrize("board", range(5))
 def test_fields_of_the_others_are_magpylibs_within_the_noise(recording, board):
-    """Of the sensor: all. Chi-square over all cycles, and over their mean, which is four times as strict."""
+    """Chi-square over all cycles, and over their mean, which is four times as strict.
+
+    Board 0 is the sensor, to which all four anchors are others.
+    """
     fields, sigma_T = recording.fields(board)
     others = np.arange(4) != board - 1
     errors = ((fields - recording.truth(board)) / sigma_T[:, None])[:, others]
@@ -136,11 +139,11 @@ def test_every_cycle_of_every_board_on_serial_and_on_can(recording):
             if message.name == "EPOCH_STATUS":
                 assert (message.signals["locked"], message.signals["saturated"]) == (1, 0)
         both = [message for message in reported if message in heard]
-        assert len(both) >= len(reported) - 2 * (3 + 4)  # Of the first and the last cycle a part.
+        assert len(both) >= len(reported) - 2 * (3 + 4)  # The first and the last cycle may be heard in part.
         counts = Counter(message.name for message in own)
         assert (counts["DRIVE_STATUS"] > 0) == (board > 0)
     assert max(cycle[0] for cycle in cycles) - min(cycle[0] for cycle in cycles) <= 1
     rate = max(map(len, recording.serial)) / recording.seconds
     print(f"CAN {100 * recording.busy:.1f} % busy, serial at most {rate:.0f} bytes/s")
     assert recording.busy < 0.15
-    assert rate < 20_000  # Of 200,000.
+    assert rate < 20_000  # The line carries 200,000.

@@ -20,7 +20,7 @@ LATE_US = {"emulated": 3.12, "host": 2.78}
 AMPLITUDE = 2
 """The parameter."""
 MAINS = ("amplitude_T = [1.0e-8, 2.0e-8, 1.0e-8]", "amplitude_T = [3.0e-7, 3.0e-7, 2.6e-7]")
-"""Of prigge8, and 0.5 uT."""
+"""The line of prigge8 with the mains' amplitude, and what makes it 0.5 uT."""
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
     Parameters
     ----------
     arguments : argparse.Namespace
-        Of ``goldfield run``.
+        The parsed command line of ``goldfield run``.
     kind, where : str
         The source, as for `open_sensor`.
     site : Site

@@ -13,7 +13,7 @@ def polyline(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the field of polylines and its gradient.
 
-    Of a segment from P to Q with a = r - P, b = r - Q:
+    A segment from P to Q adds, with a = r - P and b = r - Q,
     B = (mu0 I/4 pi) ((Q - P) x a) (|a| + |b|)/(|a| |b| (|a| |b| + a.b)).
 
     Parameters

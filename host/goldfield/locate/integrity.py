@@ -56,8 +56,8 @@ def alarm(constellation: Constellation, measurements: Measurements, fit: Fit) ->
 def _limits(beacons: int) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Chi-squares that sound epochs exceed at the permitted rates; infinite with no degree of freedom.
 
-    Of the whole cost by its freedom; of a beacon by the number of beacons heard and its freedom; of a beacon's strength
-    by the number heard.
+    The first is the limit of the whole cost by its freedom, the second that of one beacon by the number of beacons
+    heard and its freedom, the third that of a beacon's strength by the number heard.
     """
     whole, single, strength = (share * FALSE_ALARM for share in SHARES)
     heard = np.maximum(np.arange(beacons + 1), 1)

@@ -51,14 +51,15 @@ def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:
 def on_sensor_pose(site: Site, report: Report, fields: Fields) -> Pose:
     """Return the pose that came with a report; failed if some of its messages did not.
 
-    Of the covariances the messages tell the sums of the variances: they are shared out evenly.
+    The messages tell only the sum of the variances of position and that of attitude: each is shared out evenly over its
+    three axes.
 
     Parameters
     ----------
     site : Site
     report : Report
     fields : Fields
-        Of the same epoch.
+        The fields of the same epoch.
     """
     if len(report.on_sensor_pose) < len(ON_SENSOR_POSE):
         return Pose.failed(fields, excluded=fields.beacons)

@@ -91,7 +91,7 @@ def anchors() -> Iterator[list[Anchor]]:
 
 
 def last_fields(board: Board) -> np.ndarray:
-    """Of the latest cycle, code by axis, tesla."""
+    """Return the fields of the latest cycle, code by axis, tesla."""
     fields = board.messages("FIELD")[-len(CODES) :]
     assert [m.index for m in fields] == CODES
     assert len({m.signals["cycle_low"] for m in fields}) == 1

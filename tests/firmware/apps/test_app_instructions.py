@@ -219,7 +219,7 @@ def test_anchor_with_two_channels(call: Call) -> None:
     block = max(samples) + max(plans) + 30 * sorted(currents)[len(currents) // 2] + max(currents)
     print(f"anchor: start {start}, samples and plan of a block {max(samples)} + {max(plans)}, with currents {block}")
     print(f"        main idle {min(idle)}, with a report of 8 codes {max(reports)} instructions")
-    assert block <= 25_000  # Of 509,000 ticks.
+    assert block <= 25_000  # A block lasts 509,000 ticks.
     assert min(idle) <= 250
     assert max(reports) <= 110_000
 

@@ -29,7 +29,7 @@ AMPLITUDES = np.array([[120, -60, 10], [-3, 5, 7], [40, 41, -42]])
 OFFSET = np.array([-200, 150, 37])
 COUNT_T = 200e-6 / 2048
 CAN_FRAME = 137 * US
-"""Of eight bytes, with the stuff bits of a typical FIELD."""
+"""The duration of a frame of eight bytes, with the stuff bits of a typical FIELD."""
 
 
 def codes_of(degree: int) -> list[int]:

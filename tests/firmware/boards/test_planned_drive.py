@@ -21,7 +21,7 @@ def run(parameters: dict[str, object], until: int) -> Board:
 
 
 def currents(board: Board, channel: int, chips: int) -> np.ndarray:
-    """Of the last whole cycle, in the middle of each chip, A."""
+    """Return the currents of the last whole cycle, in the middle of each chip, A."""
     edge = board.edges(PIN_SYNC_OUT)[-2]
     middles = np.array([edge + round((t + 0.5) * chip_seconds(PPM) * 1e12) for t in range(chips)])
     return GAINS[channel] * drives(board, middles, channel)

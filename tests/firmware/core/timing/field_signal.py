@@ -32,7 +32,7 @@ class Signal:
     chips : ndarray, shape (beacons, 1023)
         Codes, +1 and -1.
     field_T : ndarray, shape (beacons, 3)
-        Of each beacon at chip +1.
+        The field of each beacon at chip +1.
     start_s : float
         When the beacons begin chip 0 of a cycle.
     chip_s : float
