@@ -22,7 +22,7 @@
  * Sources: US patent 6,691,074 (CDMA, superposition; pulsed DC and AC as its prior art); Zheng et al. (rotating
  * field). The host's templates are in host/goldfield/access/waveform.py.
  *
- * Contexts: one. Memory: 116 bytes, owned by the caller. Errors: nothing fails silently; waveform_start refuses a
+ * Contexts: one. Memory: 92 bytes, owned by the caller. Errors: nothing fails silently; waveform_start refuses a
  * waveform that does not exist.
  */
 #ifndef GOLDFIELD_WAVEFORM_H
