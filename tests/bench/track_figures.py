@@ -54,7 +54,7 @@ def one_cycle(speed, rate, noise_T, count):
     site = prigge_cube(noise_T)
     room, rng = Room(site), np.random.default_rng([3, int(speed), int(rate), round(noise_T * 1e9)])
     plain, drift = Separator(10, site.codes, noise_T), DriftSeparator(10, site.codes, noise_T)
-    whole, thirds = CycleLocator(site), CycleLocator(site, 3)
+    whole, in_parts = CycleLocator(site), CycleLocator(site, 3)
     sums = Cycle(10, site.codes, 7).part_weights(3)
     errors, contradicted = [], []
     for _ in range(count):
@@ -64,7 +64,7 @@ def one_cycle(speed, rate, noise_T, count):
         patent = least_squares(site, plain.from_samples(samples), flight)
         ramp = least_squares(site, drift.from_samples(samples), flight)
         chips = whole.locate(CycleData(0, 0.0, names(site), samples)).pose
-        parts = thirds.locate(CycleData(0, 0.0, names(site), sums @ samples)).pose
+        parts = in_parts.locate(CycleData(0, 0.0, names(site), sums @ samples)).pose
         found = [patent - end, patent - middle, ramp - middle, chips.position_m - middle, parts.position_m - middle]
         errors.append([*np.linalg.norm(found, axis=1), cycle_bound(room, flight, noise_T)])
         contradicted.append(chips.status is Status.INCONSISTENT)
@@ -124,7 +124,7 @@ def print_tracking_table(runs, length):
     site = prigge_cube(noise_T)
     room = Room(site)
     plain, drift = Separator(10, site.codes, noise_T), DriftSeparator(10, site.codes, noise_T)
-    thirds = Cycle(10, site.codes, 7).part_weights(3)
+    sums = Cycle(10, site.codes, 7).part_weights(3)
 
     def fields(cycle, separator):
         separation = separator.from_samples(cycle.data_T)
@@ -144,7 +144,7 @@ def print_tracking_table(runs, length):
             cycles = [CycleData(k, t, names(site), room.samples(flight, t, noise_T, rng)) for k, t in enumerate(times)]
             bound = np.array([epoch_bound(site, flight, t) for t in times])
             epochs = [fields(cycle, plain) for cycle in cycles]
-            parts = [CycleData(c.epoch, c.time_s, c.beacons, thirds @ c.data_T) for c in cycles]
+            parts = [CycleData(c.epoch, c.time_s, c.beacons, sums @ c.data_T) for c in cycles]
             results = {
                 "epochs": poses_of(Tracker(site), epochs),
                 "epochs, smoothed by 6": list(FixedLagSmoother(site, Tracker(site), 6).poses(epochs)),

@@ -1,4 +1,4 @@
-"""A sensor in motion that sends thirds of its cycles: tracked better than by whole cycles, near the bound."""
+"""A sensor in motion that sends the parts of its cycles: tracked better than by whole cycles, near the bound."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def waypoints():
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory, rig_kind):
-    """(bench, reports) of a sensor that was asked for thirds."""
+    """(bench, reports) of a sensor that was asked for parts."""
     if rig_kind not in ("host", "emulated"):
         pytest.fail("nobody moves the sensor of a real bench: leave out --goldfield-rig, or give emulated or host")
     text = (ROOT / "hil_sim/scenarios/prigge8.toml").read_text()
@@ -62,10 +62,10 @@ def flight(tmp_path_factory, rig_kind):
 
 @pytest.fixture(scope="module")
 def poses(flight):
-    """Poses of each cycle: (one cycle alone by its fields, by its thirds; tracked by fields, by thirds)."""
+    """Poses of each cycle: (one cycle alone by its fields, by its parts; tracked by fields, by parts)."""
     bench, reports = flight
     separator, sweep = EpochSeparator(bench.site), SweepRepair(bench.site)
-    whole, thirds = Tracker(bench.site), Tracker(bench.site, PartsObserver(bench.site))
+    whole, in_parts = Tracker(bench.site), Tracker(bench.site, PartsObserver(bench.site))
     alone = CycleLocator(bench.site, 3)
     result = []
     for report in reports:
@@ -73,7 +73,7 @@ def poses(flight):
         cycle = cycle_of_parts(bench.site, report, fields.time_s)
         assert cycle is not None
         single = locate(bench.site, separator.fields(report))
-        result.append((single, alone.locate(cycle).pose, whole.update(fields), thirds.update(cycle)))
+        result.append((single, alone.locate(cycle).pose, whole.update(fields), in_parts.update(cycle)))
     return result
 
 
@@ -89,15 +89,15 @@ def over_bound(bench, poses):
     return np.sqrt(np.mean(np.square(errors))), np.sqrt(np.mean(np.square(ratios)))
 
 
-def test_every_cycle_has_its_thirds_and_they_add_up(flight):
+def test_every_cycle_has_its_parts_and_they_add_up(flight):
     bench, reports = flight
     for report in reports:
         assert report.complete
         assert len(report.parts_T) == 3 * 9
         for code in bench.site.codes:
-            total = sum(report.parts_T[1026 * third + code] for third in range(3))
+            total = sum(report.parts_T[1026 * part + code] for part in range(3))
             np.testing.assert_allclose(total, report.correlation_T[code], atol=2.1e-10)
-        total = sum(report.parts_T[1026 * third + 1025] for third in range(3))
+        total = sum(report.parts_T[1026 * part + 1025] for part in range(3))
         np.testing.assert_allclose(total, report.offset_T, atol=7e-10)
 
 
@@ -113,13 +113,13 @@ def test_the_sensors_own_poses_go_on_and_nothing_is_lost(flight):
     assert 4 not in counters
 
 
-def test_thirds_are_near_the_bound_and_better_than_whole_cycles(flight, poses):
+def test_parts_are_near_the_bound_and_better_than_whole_cycles(flight, poses):
     bench, _ = flight
     figures = {}
-    for name, kind in (("fields", 0), ("thirds", 1), ("fields, tracked", 2), ("thirds, tracked", 3)):
+    for name, kind in (("fields", 0), ("parts", 1), ("fields, tracked", 2), ("parts, tracked", 3)):
         error, ratio = over_bound(bench, [of_cycle[kind] for of_cycle in poses[SETTLING:]])
         figures[name] = ratio
         print(f"{name}: rms {1e3 * error:.2f} mm, {ratio:.3f} times the bound of one cycle's samples")
-    assert figures["thirds"] < 1.15
-    assert figures["thirds"] < 0.7 * figures["fields"]
-    assert figures["thirds, tracked"] < 1.0
+    assert figures["parts"] < 1.15
+    assert figures["parts"] < 0.7 * figures["fields"]
+    assert figures["parts, tracked"] < 1.0
