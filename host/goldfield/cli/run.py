@@ -11,8 +11,7 @@ from goldfield.cli import options
 from goldfield.cli.location_options import add_on_sensor, add_track
 from goldfield.errors import UserError, on_command_line
 from goldfield.files.outputs import check_outputs
-
-SOURCES = ("port", "can", "log")
+from goldfield.sensor.options import SOURCES
 
 
 def command(subparsers: Any) -> None:

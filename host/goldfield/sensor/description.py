@@ -14,11 +14,9 @@ from typing import Protocol
 import can
 
 from goldfield.errors import SystemFailure
+from goldfield.sensor.dialogue import ANSWER_S, TRIES
 from goldfield_protocol.messages import Message, decode, encode
 
-TRIES = 5
-ANSWER_S = 1.0
-"""A board answers within a few milliseconds; a simulated one may run slower than the wall clock."""
 NO_FURTHER = 3
 """Value of ``PARAM_DESCRIPTION.kind`` behind the last parameter."""
 _KINDS = {0: ("unsigned", "<I"), 1: ("signed", "<i"), 2: ("float", "<f")}

@@ -17,7 +17,7 @@ PARAM_STATUS = {1: "unknown", OUT_OF_RANGE: "out of range", 3: "of the wrong kin
 
 TRIES = 5
 ANSWER_S = 1.0
-"""A sensor answers a request within a few milliseconds; simulated boards may run slower than the wall clock."""
+"""A board answers a request within a few milliseconds; a simulated one may run slower than the wall clock."""
 
 Parameters = Mapping[int, int | float]
 """Values by the parameter's id; unsigned or single precision by their type."""

@@ -12,9 +12,6 @@ from goldfield.sensor.pipeline import Sensor
 from goldfield.sensor.receiver import Recorder
 from goldfield.site import Site, load
 
-SOURCES = ("port", "can", "log")
-"""Kinds of sources: a serial port, a CAN bus, a recording."""
-
 
 def connect(
     *,
@@ -115,12 +112,12 @@ def open_log(
 def open_sensor(
     kind: str, where: str, site: Site, options: Options | None = None, recorder: Recorder | None = None
 ) -> Sensor:
-    """Open one of the `SOURCES` as a sensor; `connect` and `open_log` tell the errors.
+    """Open a source as a sensor; `connect` and `open_log` tell the errors.
 
     Parameters
     ----------
     kind : str
-        One of `SOURCES`.
+        One of `goldfield.sensor.options.SOURCES`.
     where : str
         Path of the port or the log, or ``INTERFACE:CHANNEL``.
     site : Site
@@ -134,7 +131,7 @@ def open_sensor(
 
 
 def open_source(kind: str, where: str) -> Source:
-    """Open one of the `SOURCES`; `UserError` if that fails."""
+    """Open a source, with kind and place as for `open_sensor`; `UserError` if that fails."""
     if kind == "log":
         return LogSource(CandumpReader(where))
     return open_port(where) if kind == "port" else open_can(where)
