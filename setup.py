@@ -34,7 +34,7 @@ STAMPS = ("venv", "host-tools", "arm-tools")
 
 
 class Build(build):
-    """As usual, but nothing that an earlier build left gets into the wheel."""
+    """The usual build, but nothing that an earlier one left gets into the wheel."""
 
     def run(self) -> None:
         """Build everything."""

@@ -179,7 +179,7 @@ def bound_of(site, run, without=None):
 
 
 def board_positions(rng, count, height=0.07):
-    """Over `spiral_board`, at one height."""
+    """Return random positions over `spiral_board`, at one height."""
     return np.column_stack([rng.uniform([-0.035, -0.035], [0.275, 0.115], size=(count, 2)), np.full(count, height)])
 
 

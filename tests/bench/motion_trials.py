@@ -38,7 +38,7 @@ class Flight:
 
 
 def straight(position, attitude, velocity, rate):
-    """At constant velocity and angular velocity, both in the site's frame, through a pose at time 0."""
+    """Return a flight at constant velocity and angular velocity (site's frame) through a pose at time 0."""
     return Flight(
         lambda t: position + np.outer(t, velocity), lambda t: Rotation.from_rotvec(np.outer(t, rate)) * attitude
     )

@@ -72,7 +72,7 @@ def test_locate_table():
 
 
 def test_my_robot(tmp_path):
-    """In a project of a stranger: no configuration of this tree is seen."""
+    """The example runs in a stranger's project, which sees no configuration of this tree."""
     test = tmp_path / "test_my_robot.py"
     test.write_text((EXAMPLES / "test_my_robot.py").read_text())
     out = run("-m", "pytest", "-q", "-p", "hil_sim.pytest_plugin", "--goldfield-rig", "host", test, cwd=tmp_path)

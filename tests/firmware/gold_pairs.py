@@ -8,4 +8,4 @@ PAIRS = {
     10: ((3, 10), (2, 3, 6, 8, 9, 10)),
     11: ((2, 11), (2, 5, 8, 11)),
 }
-"""By degree: exponents of u and of v."""
+"""The exponents of u and of v for each degree."""

@@ -32,7 +32,7 @@ def circle(time_s):
 
 
 def waypoints():
-    """At 1 m/s along the circle, turning at 1 rad/s about a fixed axis."""
+    """Return a flight at 1 m/s along the circle, turning at 1 rad/s about a fixed axis."""
     times = np.arange(0.0, 12.0, 0.01)
     turns = Rotation.from_rotvec(np.outer(times, RATE_RAD_S)) * Rotation.from_rotvec([0.3, -0.2, 1.1])
     return times, circle(times)[0], turns.as_rotvec()

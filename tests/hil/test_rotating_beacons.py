@@ -19,7 +19,7 @@ from hil_sim.scenario import SCENARIOS
 
 CYCLES = 8
 SETTLED_S = 1.3
-"""From START_S of a bench on: the soft start is over, and the cycles that were cut short."""
+"""Time from START_S of a bench on after which the soft start is over, and the cycles that were cut short."""
 
 
 @pytest.fixture(scope="module")

@@ -21,8 +21,8 @@ from goldfield.errors import UserError
 from goldfield.types import FloatArray
 
 RANK_TOLERANCE = 1e-9
-"""Relative to N. Gram matrices of codes have integer entries: a singular one shows eigenvalues of rounding size, a
-regular one of at least about 1."""
+"""Smallest eigenvalue of a regular Gram matrix, relative to N. Gram matrices of codes have integer entries: a singular
+one shows eigenvalues of rounding size, a regular one of at least about 1."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ class PoseLines:
         Makes the line: `table_line` or `json_record_line`.
     summary : Summary
     truth : Truth or None
-        Is compared with, and closed at the end.
+        The truth that poses are compared with; it is closed at the end.
     """
 
     def __init__(self, line_of: LineOf, summary: Summary, truth: Truth | None) -> None:

@@ -47,9 +47,9 @@ class BusSource:
     Parameters
     ----------
     bus : can.BusABC
-        Is shut down by `close`.
+        The bus; `close` shuts it down.
     name : str
-        For messages.
+        The link's name, for error messages.
     """
 
     def __init__(self, bus: can.BusABC, name: str) -> None:

@@ -50,7 +50,7 @@ class ChipAssembler:
     Parameters
     ----------
     chips : int
-        In a cycle.
+        Chips in a cycle.
     """
 
     def __init__(self, chips: int) -> None:

@@ -123,7 +123,7 @@ class Assembler:
     restarts: int = 0
     _open: dict[int, Report] = field(default_factory=dict)
     _parts: dict[int, dict[int, FloatArray]] = field(default_factory=dict)
-    """By the cycle's low bits: parts come before anything else of their cycle."""
+    """The parts of cycles by the cycle's low bits: they come before anything else of their cycle."""
     _newest: int | None = None
     _next: int | None = None
     _last_time: float = float("-inf")
@@ -136,7 +136,7 @@ class Assembler:
         message : Message
             Others than those of a cycle are ignored.
         arrival_s : float
-            On any clock that does not run backwards.
+            Time of arrival, on any clock that does not run backwards.
         """
         awaited = (
             "EPOCH",

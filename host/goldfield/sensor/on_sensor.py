@@ -14,7 +14,7 @@ from goldfield.types import Fields, Pose, Status
 from goldfield_protocol.parameters import PARAMETERS
 
 STATUS = (Status.OK, Status.AMBIGUOUS, Status.WEAK, Status.INCONSISTENT, Status.FAILED)
-"""By the number in ``POSE_QUALITY``."""
+"""The statuses, in the order of their numbers in ``POSE_QUALITY``."""
 
 
 def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:

@@ -17,11 +17,12 @@ ROLE_SENSOR, ROLE_ANCHOR = 1, 3
 STATE_STARTING = 0
 
 QUIET_S = 1.0
-"""After so long a live sensor's incomplete reports are handed out."""
+"""Silence of a live sensor after which its incomplete reports are handed out."""
 SILENCE_S = 10.0
+"""Silence of a live link, or of the sensor that is read, which ends the session."""
 PATIENCE_S = 30.0
-"""Heartbeats come once a second, but simulated boards may run slower than the wall clock: while something is heard, the
-sensor's is awaited so long."""
+"""Longest wait for a heartbeat of the sensor while others are heard. Heartbeats come once a second, but simulated
+boards may run slower than the wall clock."""
 
 
 class Session:

@@ -27,7 +27,7 @@ GATE = 1e-5
 """An epoch less likely than this contradicts the track, or one of its beacons is at fault."""
 
 GAP_S = 1.0
-"""After so long without an epoch that agrees the track is given up."""
+"""The track is given up after this time without an epoch that agrees."""
 
 PATIENCE = 3
 """The track is given up at this many epochs in a row that contradict it."""

@@ -121,7 +121,7 @@ def test_a_master_of_another_degree_is_not_followed_and_counted(told: int) -> No
 
 @pytest.mark.parametrize(("own", "masters"), [(10, 11), (11, 10), (9, 10), (5, 6)])
 def test_a_beacon_does_not_drive_beside_a_master_of_another_degree(own: int, masters: int) -> None:
-    """On wire and CAN, with the crystals as far apart as brings degrees 10 and 11 nearest."""
+    """Wire and CAN are both there, with the crystals as far apart as brings degrees 10 and 11 nearest."""
     head = beacon(Coil(), parameters={"node": 1, "sync_master": 1, "degree": masters}, ppm=-100.0)
     other = beacon(Coil(), parameters={"node": 2, "amplitude": 5.0, "degree": own}, ppm=100.0)
     Rig(head, other).run(3 * SECOND)

@@ -19,7 +19,7 @@ def chip() -> Iterator[Bench]:
 
 @pytest.fixture
 def fast_chip() -> Iterator[Bench]:
-    """At 168 MHz, all peripheral clocks on."""
+    """Return a chip at 168 MHz with all peripheral clocks on."""
     bench = Bench()
     bench.full_speed()
     yield bench

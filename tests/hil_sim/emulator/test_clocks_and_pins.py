@@ -208,7 +208,7 @@ def test_window_watchdog(fast_chip: Bench) -> None:
 
 
 def test_crc_unit(fast_chip: Bench) -> None:
-    """Against zlib's CRC-32: the same polynomial, bits mirrored."""
+    """The truth is zlib's CRC-32: the same polynomial, bits mirrored."""
     words = [0x12345678, 0, 0xDEADBEEF]
     for word in words:
         fast_chip.write(CRC, word)

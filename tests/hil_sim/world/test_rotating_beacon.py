@@ -131,7 +131,7 @@ def test_what_the_site_file_says_is_what_the_sensor_sees(tmp_path):
 
 
 def test_the_coils_of_zheng6_follow_their_sinusoids():
-    """As its file says: each step of the set-point has arrived 10 us after the chip's edge, of every beacon's both."""
+    """Each step of the set-point has arrived 10 us after the chip's edge, in both coils of every beacon."""
     ffi, library = clib.load("build/libgf_rig.so", ["world/coil.h"])
     loaded = scenario.load_scenario("zheng6")
     chip_ps = 97750000

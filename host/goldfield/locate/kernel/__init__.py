@@ -127,7 +127,7 @@ class Kernel:
         iterations: int,
         tolerance: float,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
-        """As `fit.fit_pose`: position, attitude, cost, information, converged."""
+        """Fit as `fit.fit_pose` does; returns position, attitude, cost, information, converged."""
         count = len(field_T)
         position, turn = np.array(position_m, dtype=float, order="C"), np.array(rotation, dtype=float, order="C")
         cost, information, converged = np.empty(count), np.empty((count, 6, 6)), np.empty(count, dtype=np.bool_)
@@ -157,7 +157,7 @@ class Kernel:
         least_eigenvalue: float,
         least_share: float,
     ) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
-        """As `integrity.fault_statistics`: drop, freedom, scale, each of shape (e, n)."""
+        """Return what `integrity.fault_statistics` does: drop, freedom, scale, each of shape (e, n)."""
         shape = field_T.shape[:2]
         drop, freedom, scale = np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape)
         self._library.gf_faults(
@@ -186,7 +186,7 @@ class Kernel:
         free_m2: float,
         free_rad2: float,
     ) -> FloatArray:
-        """As `uncertainty.second_order_covariance`, shape (e, 6, 6)."""
+        """Return what `uncertainty.second_order_covariance` does, shape (e, 6, 6)."""
         covariance = np.empty((len(field_T), 6, 6))
         self._library.gf_covariance(
             self._coils,

@@ -44,7 +44,7 @@ def test_wahba_of_parallel_vectors_is_some_rotation(core):
 
 @pytest.mark.parametrize("condition", [1.0, 1e2, 1e4])
 def test_least_squares_of_ill_conditioned_rows(core, condition):
-    """Against double precision: the normal matrix of the last case has a condition of 1e8, lost in single precision."""
+    """The truth is in double precision; the last case's normal matrix, of condition 1e8, is lost in single."""
     ffi, lib = core
     rng = np.random.default_rng(2)
     u, _, vt = np.linalg.svd(rng.normal(size=(24, 6)), full_matrices=False)
