@@ -6,10 +6,10 @@
  *   2. onboard_take       with each whole cycle: it copies the cycle's sums while they are there.
  *   3. onboard_step       at once or later: it computes and sends. Until then a further cycle replaces the first.
  *
- * The beacon of place i in the code list is row i of the parameters "beacons" (framing.md); noise gives the weights,
- * and half_space resolves the mirror of coplanar coils. Lost chips scale the sums; saturated and lost ones widen the
- * noise by the part of the offset that no longer cancels. Each cycle that is computed gives three messages, whatever
- * happens; the status tells.
+ * The beacon of place i in the code list is row i of the parameter beacons (docs/parameters.md); noise gives the
+ * weights, and half_space resolves the mirror of coplanar coils. Lost chips scale the sums; saturated and lost ones
+ * widen the noise by the part of the offset that no longer cancels. Each cycle that is computed gives three messages,
+ * whatever happens; the status tells.
  *
  * Contexts: main only. Memory: 8.4 kB. Time: onboard_step takes as long as pose.h says, and about 25 instructions a
  * code and axis for the separation; without a cycle it takes nothing.

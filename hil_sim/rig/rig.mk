@@ -1,4 +1,4 @@
-# The rig's hot loop: world, network and lock-step, one shared library.
+# The rig's hot loop: world, CAN bus, serial lines and lock-step, one shared library.
 RIG_LIBRARY := $(BUILD)/libgf_rig.so
 RIG_SOURCES := $(wildcard hil_sim/world/*.c hil_sim/rig/*.c)
 RIG_OBJECTS := $(RIG_SOURCES:%.c=$(BUILD)/%.o)

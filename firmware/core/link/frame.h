@@ -64,7 +64,7 @@ void frame_decoder_init(frame_decoder_t *decoder);
  * Returns true if it ended a good frame, which is then in *frame; otherwise *frame is untouched. */
 bool frame_decode(frame_decoder_t *decoder, uint8_t byte, frame_t *frame);
 
-/* Returns the frames dropped for any reason (counter 0 of framing.md); the sum stops at its maximum. */
+/* Returns the frames dropped for any reason (COUNTER_FRAMES_DROPPED); the sum stops at its maximum. */
 uint32_t frame_dropped(const frame_decoder_t *decoder);
 
 #endif
