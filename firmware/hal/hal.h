@@ -72,8 +72,8 @@ typedef uint16_t hal_samples_t[HAL_BLOCK_CHIPS][HAL_BURST][HAL_AXES];
 
 /* When a burst's conversions are held, that is when their sampling ends; ticks, exact to 12. */
 typedef struct {
-    uint16_t first_ticks;   /* From the start of a chip of nominal length to the first conversion. */
-    uint16_t spacing_ticks; /* From each conversion to the next. */
+    uint16_t first_ticks;   /* Time from the start of a chip of nominal length to the first conversion, ticks. */
+    uint16_t spacing_ticks; /* Time from each conversion to the next, ticks. */
 } hal_burst_t;
 
 /* Returns the times of the board's bursts. [any] */
@@ -165,7 +165,7 @@ typedef struct {
     hal_frame_t frame;
     bool sent;      /* True: this board sent the frame, and somebody acknowledged it. False: it was received. */
     uint32_t chip;  /* Absolute chip after whose start the time counts. */
-    uint32_t ticks; /* From that start to the end of the frame's last bit, less than two chips. */
+    uint32_t ticks; /* Time from that start to the end of the frame's last bit, ticks: less than two chips. */
 } hal_stamp_t;
 
 /* Interrupt, from plan() only: take the oldest stamp. The board keeps 8. Frames that it cannot stamp for certain (two

@@ -29,7 +29,7 @@ typedef struct machine machine_t; /* One chip: processor, buses, peripherals. A 
 
 typedef struct peripheral peripheral_t;
 struct peripheral {
-    const char *name;    /* As in the SVD: "TIM1", "DMA2". */
+    const char *name;    /* Name as in the SVD: "TIM1", "DMA2". */
     uint32_t base, size; /* Address range; size is a multiple of 4. */
     machine_t *machine;  /* Set by machine_attach(). */
     void *state;         /* The model's own. */
@@ -87,7 +87,7 @@ void machine_irq(machine_t *machine, unsigned position, bool level);
  * set in RCC_CSR. */
 void machine_reset_request(machine_t *machine, uint32_t csr_flags);
 
-/* For RCC, inside its reset function: the flags of the requests that led to this reset. Returns 0 at power-on. */
+/* Returns the flags of the requests that led to this reset, 0 at power-on. RCC asks, inside its reset function. */
 uint32_t machine_reset_flags(const machine_t *machine);
 
 /* ---- Memory and registers, as a bus master (DMA) reaches them ---- */

@@ -67,7 +67,7 @@ struct machine {
 
     peripheral_t *peripherals[MACHINE_PERIPHERALS];
     unsigned peripheral_count;
-    /* By granule of the two peripheral areas: index + 1 of the peripheral that starts or lies there. */
+    /* Index + 1 of the peripheral that starts or lies in each granule of the two peripheral areas. */
     uint8_t *directory;
     uint32_t irq_level[3];
 

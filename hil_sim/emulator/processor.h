@@ -53,7 +53,7 @@ typedef struct {
 /* A function whose instructions are counted. */
 typedef struct {
     uint32_t entry;                 /* Its address, the Thumb bit clear. */
-    uint64_t calls, total, largest; /* As emulator_probe_t (emulator.h) says. */
+    uint64_t calls, total, largest; /* What emulator_probe_t (emulator.h) tells. */
     bool active;                    /* The function is running. */
     unsigned depth;                 /* Exceptions active at its entry. */
     uint32_t return_address, stack; /* LR and SP at its entry. */
@@ -63,7 +63,7 @@ typedef struct {
 typedef struct {
     unsigned exception;  /* 0: there is no fault. */
     uint32_t cfsr, hfsr; /* Status bits to set. */
-    uint32_t address;    /* For BFAR. */
+    uint32_t address;    /* Address for BFAR. */
     uint32_t pc;         /* Where the handler returns to. */
     uint8_t it_state;    /* ITSTATE there. */
 } fault_t;
@@ -111,7 +111,7 @@ struct cpu {
     probe_t probes[PROBES];
     unsigned probe_count, probes_active;
     unsigned depth; /* Exceptions active. */
-    /* By depth: count at the last exception from there, and instructions in exceptions from there. */
+    /* Count at the last exception from each depth, and instructions in exceptions from there. */
     uint64_t entered_at[NVIC_EXCEPTIONS], inside[NVIC_EXCEPTIONS];
 
     uint32_t bad_address;     /* Address of the access that Unicorn could not do. */

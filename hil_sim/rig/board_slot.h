@@ -47,7 +47,7 @@ typedef struct {
     sensing_t sensing;
     bool sync_cut; /* Fault: its sync input is not connected. */
     serial_line_t serial;
-    board_slot_request_t *requests; /* In order of time, not yet handed to the bus. */
+    board_slot_request_t *requests; /* Requests not yet handed to the bus, in order of time. */
     size_t request_count, request_capacity;
     rig_pin_change_t *sync_changes; /* Changes of its sync output, not yet handed on. */
     size_t sync_count, sync_capacity;

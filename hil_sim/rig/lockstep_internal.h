@@ -13,7 +13,7 @@ struct rig {
     coils_t coils; /* Those of all boards. */
     int64_t now_ps;
     can_bus_t *bus;
-    can_transfer_t *transfers; /* For the host; the oldest is number transfer_first. */
+    can_transfer_t *transfers; /* Transfers for the host; the oldest is number transfer_first. */
     size_t transfer_first, transfer_count, transfer_capacity;
     int64_t *edges_ps; /* Rising edges of the sync wire. */
     size_t edge_count, edge_capacity;

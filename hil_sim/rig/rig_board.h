@@ -20,7 +20,7 @@ typedef struct {
     int64_t time_ps;
     uint16_t board;
     uint8_t pin; /* Numbered as in board_edge.h. */
-    bool level;  /* After the change. */
+    bool level;  /* Level after the change. */
 } rig_pin_change_t;
 
 #endif

@@ -38,9 +38,9 @@ enum {
 enum {
     SERIAL_BYTE_TICKS = 840,   /* A byte of ten bits of 84 ticks. */
     CAN_BIT_TICKS = 168,       /* A bit on CAN, 1 us. */
-    SAMPLE_TICKS = 15 * 8,     /* From the start of a conversion to the end of its sampling. */
+    SAMPLE_TICKS = 15 * 8,     /* Time from the start of a conversion to the end of its sampling. */
     CONVERSION_TICKS = 27 * 8, /* A whole conversion. */
-    BURST_MARGIN_TICKS = 84,   /* From the end of the last conversion to the planned end of the chip, 0.5 us. */
+    BURST_MARGIN_TICKS = 84,   /* Time from the last conversion's end to the planned end of the chip, 0.5 us. */
     IDLE_TICKS = 1680000       /* The longest sleep before the chip engine runs, 10 ms. */
 };
 

@@ -88,9 +88,9 @@
 /* The board and its front end. */
 typedef struct {
     uint16_t nominal_ticks;          /* Nominal length of a chip, ticks. */
-    uint16_t first_conversion_ticks; /* From the chip's start to the moment when the burst's first sample is held. */
-    uint16_t conversion_ticks;       /* From one conversion to the next. */
-    uint16_t lag_ticks;              /* Time constant of the front end's low-pass. */
+    uint16_t first_conversion_ticks; /* Time from the chip's start until the burst's first sample is held, ticks. */
+    uint16_t conversion_ticks;       /* Time from one conversion to the next, ticks. */
+    uint16_t lag_ticks;              /* Time constant of the front end's low-pass, ticks. */
 } acquire_config_t;
 
 /* What main does with a record, in this order; a tracked record goes from RECORDING to MEASURING. */

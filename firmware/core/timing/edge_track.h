@@ -36,7 +36,7 @@
 /* How a burst of eight conversions is cut and seen. */
 typedef struct {
     uint32_t early;         /* Conversions that count as early, 1..7. */
-    float conversion_ticks; /* From one conversion to the next. */
+    float conversion_ticks; /* Time from one conversion to the next, ticks. */
     float lag_ticks;        /* Time constant of the front end's low-pass. */
 } edge_burst_t;
 

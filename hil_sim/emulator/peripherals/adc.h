@@ -87,7 +87,7 @@ static inline unsigned adc_resolution(const unit_t *u) {
 }
 
 /* adc.c */
-void adc_interrupt(unit_t *u); /* After a change of SR or CR1. */
+void adc_interrupt(unit_t *u); /* SR or CR1 has changed. */
 
 /* adc_sampling.c */
 /* The channel at a place of a group's sequence, from 0. */
@@ -127,7 +127,7 @@ static inline unit_t *adc_member(unit_t *leader, unsigned count, unsigned i) {
 bool adc_by_common(const unit_t *u);
 /* Keep a result for that register. Returns false if it is full: the result is lost. */
 bool adc_common_keep(adc_t *adc, uint32_t result);
-/* After a regular conversion: ask for DMA. Returns false if there was nobody to fetch the results. */
+/* Ask for DMA after a regular conversion. Returns false if there was nobody to fetch the results. */
 bool adc_common_request(adc_t *adc);
 uint32_t adc_common_read(adc_t *adc);
 void adc_common_forget(adc_t *adc);

@@ -83,7 +83,7 @@ static inline bool can_running(const can_t *c) {
 double can_bit_rate(const can_t *c, bool nominal); /* bit/s; nominal: with a perfect crystal. */
 bool can_rate_fits(const can_t *c);                /* Whether this controller understands the network's bits. */
 bool can_has_pin(const can_t *c, bool transmit);
-void can_interrupts(can_t *c);               /* After any change of flags or enables. */
+void can_interrupts(can_t *c);               /* A flag or an enable has changed. */
 void can_errors(can_t *c, unsigned code);    /* Last error code, warning and passive flags, from the counters. */
 void can_count_transmit(can_t *c, int step); /* Error counters. */
 void can_count_receive(can_t *c, int step);

@@ -42,7 +42,7 @@ typedef struct {
     uint32_t (*get)(model_t *model, uint32_t offset);
     /* A write; value is the whole word that it makes. */
     void (*set)(model_t *model, uint32_t offset, uint32_t value);
-    /* After the stored values went back to reset. May be NULL. */
+    /* The stored values went back to reset. May be NULL. */
     void (*restart)(model_t *model);
 } model_description_t;
 
@@ -53,9 +53,9 @@ struct model {
     machine_t *machine;
     uint32_t value[MODEL_WORDS];
     uint8_t slot[MODEL_WORDS]; /* Index in the register table plus 1, by word. */
-    bool clocked, in_reset;    /* As RCC has it. */
+    bool clocked, in_reset;    /* Clock and reset as RCC has them. */
     bool settling;             /* Its clock was enabled, and nobody has accessed it since. */
-    int64_t settled_ps;        /* From then on an access is allowed. */
+    int64_t settled_ps;        /* The time from which on an access is allowed. */
 };
 
 static inline uint32_t reg(const model_t *model, uint32_t offset) {
@@ -67,8 +67,8 @@ static inline uint32_t field(uint32_t value, unsigned shift, unsigned width) {
 
 /* ---- Clock domains: exact tick times. Tick n is at anchor + (n - anchor_tick) * period. ---- */
 typedef struct {
-    double hz, period_ps; /* As they are, crystal error included. */
-    double nominal_hz;    /* With perfect oscillators. */
+    double hz, period_ps; /* Frequency and period as they are, crystal error included. */
+    double nominal_hz;    /* Frequency with perfect oscillators. */
     int64_t anchor_ps, anchor_tick;
 } clock_domain_t;
 /* The first picosecond of a tick, and the tick that a time lies in. */
@@ -247,9 +247,9 @@ void chip_irq_shared(chip_t *chip, unsigned position, bool *held, bool level);
 
 /* Fill in a model and attach it. Instances of one kind each need a description, with their name and base. */
 void model_attach(chip_t *chip, model_t *model, const model_description_t *description);
-/* Registers back to their reset values, then the description's restart. */
+/* Put registers back to their reset values, then call the description's restart. */
 void model_reset(model_t *model);
-/* For RCC: the enable bit changed; an access before settled_ps is too soon. */
+/* RCC's enable bit of the model changed; an access before settled_ps is too soon. */
 void model_clock(model_t *model, bool on, int64_t settled_ps);
 /* A violation: the program wants something that RM0090 defines and this model does not do. */
 void model_missing(model_t *model, const char *what);
@@ -259,7 +259,7 @@ const char *model_name(const model_t *model);
 
 /* rcc.c, rcc_clocks.c */
 void rcc_create(chip_t *chip);
-void rcc_check_limits(chip_t *chip); /* After wait states or voltage scale changed: are they enough? */
+void rcc_check_limits(chip_t *chip); /* A violation if wait states or voltage scale no longer suffice. */
 double rcc_lsi_hz(const chip_t *chip);
 bool rcc_pll_ready(const chip_t *chip);
 void rcc_force_lsi(chip_t *chip); /* The independent watchdog runs: its oscillator does, until reset. */

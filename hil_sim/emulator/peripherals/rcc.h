@@ -50,7 +50,7 @@ struct rcc {
 /* rcc_clocks.c */
 /* Input of the PLL in Hz; nominal: with perfect oscillators. */
 double rcc_pll_input(const rcc_t *rcc, bool nominal);
-/* After a change of the system clock or of a divider: the domains, the core's clock, and the limits. */
+/* Work out the domains, the core's clock and the limits anew, as the system clock or a divider has changed. */
 void rcc_update_clocks(rcc_t *rcc);
 
 /* rcc_gates.c */

@@ -81,7 +81,7 @@ struct tim {
     struct {
         tim_t *timer;
         unsigned input;
-        bool raw, level; /* Before and behind the filter. */
+        bool raw, level; /* Level before and behind the filter. */
         machine_event_t filter;
     } input[4];
     uint8_t edges[4]; /* Captured edges that the prescaler has swallowed. */
@@ -122,7 +122,7 @@ static inline int64_t tim_position(const tim_t *t, int64_t tick) {
 }
 
 /* tim.c */
-void tim_interrupt(tim_t *t); /* After a change of SR or DIER. */
+void tim_interrupt(tim_t *t); /* SR or DIER has changed. */
 /* A request to DMA, if its bit of DIER is set. */
 void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source);
 /* A compare's or capture's request goes out now, or with CCDS at the next update. */
@@ -154,7 +154,7 @@ void tim_write_channel_mode(tim_t *t, uint32_t offset, uint32_t value);
 /* tim_slave.c */
 void tim_trgo(tim_t *t, bool rising, bool pulse, int64_t time_ps); /* TRGO rose or fell; a pulse does both at once. */
 bool tim_trgo_heard(const tim_t *t);
-void tim_connect_slaves(chip_t *chip); /* After a change of SMCR. */
+void tim_connect_slaves(chip_t *chip); /* SMCR has changed. */
 void tim_slave_trigger(tim_t *t, int64_t time_ps);
 
 #endif
