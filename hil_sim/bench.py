@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
 from goldfield import site as sites
 from goldfield.link.reports import Assembler, Report
 from goldfield.sensor.opening import open_sensor
+from goldfield.sensor.separation import Separation
 from goldfield.site import Site
+from goldfield.types import Fields
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.rig import Rig, Truth
 from hil_sim.scenario import load_scenario, site_toml
@@ -17,25 +20,44 @@ START_S = 2.5
 """Virtual time in which simulated boards boot, synchronise and ramp up their currents."""
 
 
-class Bench(Protocol):
-    """A sensor board among beacons: what an end-to-end test needs of it."""
+class Bench(ABC):
+    """A sensor board among beacons: what an end-to-end test needs of it.
+
+    Attributes
+    ----------
+    site : Site
+    """
 
     site: Site
 
+    @abstractmethod
     def reports(self, count: int) -> list[Report]:
         """Return the next code cycles of the sensor."""
-        ...
 
+    @abstractmethod
     def truth(self) -> dict[int, Truth]:
         """Return the true poses by cycle; empty on a real bench."""
-        ...
 
+    @abstractmethod
     def close(self) -> None:
         """Let go of the boards."""
-        ...
+
+    def fields(self, count: int) -> list[Fields]:
+        """Return the field of each beacon in the next code cycles, for `goldfield.locate`; ``epoch`` is the cycle.
+
+        Raises
+        ------
+        UserError
+            If the site's beacons are told apart by anything but codes that a sensor board reports.
+        """
+        return [self._separation.fields(report) for report in self.reports(count)]
+
+    @cached_property
+    def _separation(self) -> Separation:
+        return Separation(self.site)
 
 
-class SimulatedBench:
+class SimulatedBench(Bench):
     """A rig in this process: its time stands still unless it is asked to run on.
 
     Parameters
@@ -112,7 +134,7 @@ class SimulatedBench:
         return reports
 
 
-class RealBench:
+class RealBench(Bench):
     """Boards on a desk.
 
     Parameters

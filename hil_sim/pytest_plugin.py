@@ -6,7 +6,7 @@ the name of a scenario::
 
     def test_one_metre_up(open_bench):
         bench = open_bench("prigge8")
-        reports = bench.reports(10)
+        poses = [goldfield.locate(bench.site, fields) for fields in bench.fields(10)]
 
 ``--goldfield-rig emulated`` (the default: boards that run the ARM image), ``--goldfield-rig host`` (the same firmware
 compiled for this machine), ``--goldfield-rig serial:PATH`` or ``--goldfield-rig can:INTERFACE:CHANNEL`` (real boards;

@@ -8,18 +8,16 @@ ones. In place of ``prigge8`` give the path of a scenario of your own.
 import numpy as np
 
 import goldfield
-from goldfield.sensor.separation import Separation
 
 
 def test_ten_poses_within_three_centimetres(open_bench):
     """Ten code cycles in a row are located near the truth."""
     bench = open_bench("prigge8")
-    separation = Separation(bench.site)
-    reports = bench.reports(10)
+    epochs = bench.fields(10)
     truth = bench.truth()  # by cycle; empty on a real bench, where nobody knows it
-    assert len(reports) == 10
-    for report in reports:
-        pose = goldfield.locate(bench.site, separation.fields(report))
+    assert len(epochs) == 10
+    for fields in epochs:
+        pose = goldfield.locate(bench.site, fields)
         assert pose.status is goldfield.Status.OK
         if truth:
-            assert np.linalg.norm(pose.position_m - truth[report.cycle].position_m) < 0.03
+            assert np.linalg.norm(pose.position_m - truth[pose.epoch].position_m) < 0.03
