@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from goldfield.errors import UserError
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
-from goldfield_protocol.parameters import ParameterError
+from goldfield_protocol.parameters import PARAMETERS, ParameterError
 from hil_sim.scenario.pages import parameter_page
 from hil_sim.scenario.parts import (
     CHIP_PERIOD_S,
@@ -36,7 +36,8 @@ FloatArray = NDArray[np.float64]
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 HARMONICS = 16
-CODES_MAX = 4
+AMPLITUDE, NODE = PARAMETERS["amplitude"], PARAMETERS["node"]
+CODES_MAX = PARAMETERS["codes"].rows
 """Superposed codes of a beacon, a limit of the boards."""
 SQUARE_TOLERANCE = 1e-3
 """Cosine of the angle between crossed coils that still counts as none: coils that lean more would couple."""
@@ -239,7 +240,7 @@ def _sensor(table: Table) -> Sensor:
     table.allow(*SENSOR_KEYS)
     return Sensor(
         **_front_end(table, table),
-        node=_between(table, "node", 1, 4095),
+        node=_between(table, "node", int(NODE.low), int(NODE.high)),
         clock=_clock(table),
         stream=_between(table, "stream", 0, 1) if "stream" in table else 0,
         sync_wire=table.flag("sync_wire") if "sync_wire" in table else True,
@@ -283,8 +284,9 @@ def _beacon(table: Table, defaults: Defaults) -> Beacon:
     for key in ("inductance_H", "resistance_Ohm", "supply_V"):
         if values[key] <= 0.0:
             raise source(key).error(key, f"is {values[key]:g}; it must be greater than zero")
-    if not 0.0 <= values["current_A"] <= 15.9:
-        raise source("current_A").error("current_A", f"is {values['current_A']:g}; the boards drive 0 to 15.9 A")
+    if not AMPLITUDE.low <= values["current_A"] <= AMPLITUDE.high:
+        limits = f"the boards drive {AMPLITUDE.low:g} to {AMPLITUDE.high:g} A"
+        raise source("current_A").error("current_A", f"is {values['current_A']:g}; {limits}")
     given = [key for key in ("codes", "slot", "periods", "rotating_periods") if key in table]
     if not given and "code" not in table:
         raise table.error("code", "is missing; give one, or codes, slot, periods or rotating_periods")
@@ -294,7 +296,7 @@ def _beacon(table: Table, defaults: Defaults) -> Beacon:
     highest = (plan.chips - 1) // 2
     return Beacon(
         id=table.text("id"),
-        node=_between(table, "node", 1, 4095),
+        node=_between(table, "node", int(NODE.low), int(NODE.high)),
         code=_between(table, "code", 0, 1 << plan.degree) if "code" in table else None,
         sync_master="sync_master" in table and table.flag("sync_master"),
         clock=_clock(table),
