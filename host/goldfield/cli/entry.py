@@ -83,9 +83,11 @@ def _flushed(code: int) -> int:
         try:
             if stream is not None:  # it is None if it was closed before the start
                 stream.flush()
-        except OSError as error:
+        except (OSError, KeyboardInterrupt) as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-            if stream is sys.stdout and code == 0 and not isinstance(error, BrokenPipeError):
+            if isinstance(error, KeyboardInterrupt):
+                code = EXIT_INTERRUPTED
+            elif stream is sys.stdout and code == 0 and not isinstance(error, BrokenPipeError):
                 code = _complain(f"the output cannot be written: {error.strerror}", EXIT_FAILED)
     return code
 

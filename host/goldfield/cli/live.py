@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import os
 import sys
 
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
@@ -35,10 +36,14 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
         if arguments.record:
             recorder = Branch(CandumpWriter(arguments.record), arguments.record, waits=kind == "log")
             stack.callback(recorder.close)
-        _print_epochs(arguments, stack.enter_context(open_sensor(kind, where, site, choices, recorder)))
+        stuck = _print_epochs(arguments, stack.enter_context(open_sensor(kind, where, site, choices, recorder)))
+    if stuck:
+        sys.stderr.flush()
+        os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
 
 
-def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> None:
+def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> bool:
+    """Print the epochs and the summary; return whether an interrupt left a sink stuck, as by a pipe nobody reads."""
     summary = Summary()
     sinks = _sinks(arguments, sensor, summary)
     try:
@@ -54,7 +59,8 @@ def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> None:
         summary.dropped = sinks.dropped
         if summary.epochs:
             text = summary.text(truth=bool(arguments.truth))
-            print(text, file=sys.stderr if arguments.json else sys.stdout, flush=True)
+            print(text, file=sys.stderr if arguments.json or sinks.stuck else sys.stdout, flush=True)
+    return sinks.stuck
 
 
 def _sinks(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch]:

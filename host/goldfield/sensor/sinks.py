@@ -21,6 +21,9 @@ T_contra = TypeVar("T_contra", contravariant=True)
 CAPACITY = 1000
 """Items that a branch keeps for a slow sink: epochs of 100 s, some 6 MB."""
 
+INTERRUPTED_S = 1.0
+"""How long an interrupted run waits for a sink to take what is left, as a pipe that nobody reads never does."""
+
 POLL_S = 0.001
 """How often a full queue that is waited for is looked at again."""
 
@@ -85,14 +88,16 @@ class Branch(Generic[T]):
     Attributes
     ----------
     dropped : int
-        Items that the sink did not get because it was too slow.
+        Items that the sink did not get because it was too slow, or stuck at the end.
+    stuck : bool
+        True if the sink has not come to its end after `close`.
     """
 
     def __init__(
         self, sink: Sink[T], name: str, *, waits: bool, essential: bool = False, capacity: int = CAPACITY
     ) -> None:
         self.name = name
-        self.dropped = 0
+        self._refused = 0
         self._sink = sink
         self._waits = waits
         self._essential = essential
@@ -101,6 +106,7 @@ class Branch(Generic[T]):
         self._queue: queue.SimpleQueue[T | _End] = queue.SimpleQueue()
         self._error: Exception | None = None
         self._closed = False
+        self._ended = False  # is_alive would not do: a join that is interrupted makes it False at once
         self._thread = threading.Thread(target=self._feed, name=name, daemon=True)
         self._thread.start()
 
@@ -109,18 +115,28 @@ class Branch(Generic[T]):
         self._raise_error()
         while self._queue.qsize() >= self._capacity:
             if not self._waits:
-                self.dropped += 1
+                self._refused += 1
                 return
             time.sleep(POLL_S)
         self._queue.put(item)
 
-    def close(self) -> None:
-        """Wait until the sink has got what is in the queue, and close it."""
+    def close(self, patience_s: float | None = None) -> None:
+        """Wait until the sink has got what is in the queue, and close it; without end if no patience is given."""
         if not self._closed:
             self._closed = True
             self._queue.put(_End())
-        self._thread.join()
+        self._thread.join(patience_s)
         self._raise_error()
+
+    @property
+    def stuck(self) -> bool:
+        """Whether the sink has not come to its end, though it was closed."""
+        return self._closed and not self._ended
+
+    @property
+    def dropped(self) -> int:
+        """How many items the sink has missed: for want of room in the queue, or because it is stuck."""
+        return self._refused + (max(0, self._queue.qsize() - 1) if self.stuck else 0)
 
     def _feed(self) -> None:
         failed = False
@@ -128,6 +144,7 @@ class Branch(Generic[T]):
             if not failed:  # else the queue is emptied, so that nobody waits for room in it
                 failed = not self._attempt(item)
         self._attempt(None)
+        self._ended = True
 
     def _attempt(self, item: T | None) -> bool:
         """Write an item, or close with None; tells whether that went well."""
@@ -180,8 +197,13 @@ class Fanout(Generic[T]):
         for branch in self._branches:
             branch.write(item)
 
-    def close(self) -> None:
+    def close(self, patience_s: float | None = None) -> None:
         """Wait until every sink has got what is left for it, and close them all.
+
+        Parameters
+        ----------
+        patience_s : float, optional
+            How long each of them is waited for; without end if it is not given.
 
         Raises
         ------
@@ -191,11 +213,16 @@ class Fanout(Generic[T]):
         errors = []
         for branch in self._branches:
             try:
-                branch.close()
+                branch.close(patience_s)
             except Exception as error:  # the others are closed first
                 errors.append(error)
         if errors:
             raise errors[0]
+
+    @property
+    def stuck(self) -> bool:
+        """Whether a sink has not come to its end, though it was closed: its thread lives on."""
+        return any(branch.stuck for branch in self._branches)
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -209,5 +236,5 @@ class Fanout(Generic[T]):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the sinks."""
-        self.close()
+        """Close the sinks; one that is stuck does not hold up an interrupt."""
+        self.close(INTERRUPTED_S if kind is KeyboardInterrupt else None)

@@ -1,9 +1,12 @@
 """Start-up: only the subcommand that was called is imported, and the list of subcommands tells all of them."""
 
+import fcntl
 import os
 import re
+import signal
 import subprocess
 import sys
+import time
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -124,3 +127,24 @@ def test_errors_that_nobody_can_be_told_keep_their_exit_code():
     with Path("/dev/full").open("w") as full:
         assert ended(["locate", "--site", ROOM, "nowhere.csv"], stdout=subprocess.PIPE, stderr=full).returncode == 2
         assert ended(["locate"], stdout=full, stderr=full).returncode == 2
+
+
+def test_a_run_whose_reader_sleeps_ends_at_the_first_interrupt(tmp_path):
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)  # of the 40 kB that the run prints
+    again = tmp_path / "again.log"
+    words = ["run", "--site", ROOM, "--log", LOG, "--json", "--record", str(again)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "goldfield", *words], env=BUFFERED, stdout=writing, stderr=subprocess.PIPE, text=True
+    ) as running:
+        os.close(writing)
+        # The pipe that nobody reads does not hold up the recording.
+        while not again.exists() or again.stat().st_size < Path(LOG).stat().st_size:
+            assert running.poll() is None
+            time.sleep(0.02)
+        running.send_signal(signal.SIGINT)
+        _, err = running.communicate(timeout=600)
+    os.close(reading)
+    assert running.returncode == 0
+    assert re.match(r"\d+ epochs, \d+ ok", err)
+    assert re.search(r"\d+ epochs were left out of the lines on stdout", err)

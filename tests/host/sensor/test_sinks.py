@@ -143,3 +143,27 @@ def test_an_error_at_the_last_item_is_raised_by_close():
     with pytest.raises(ValueError, match="bad"):
         fanout.close()
     assert broken.closed == 1
+
+
+def interrupted(sinks):
+    with sinks:
+        write_all(sinks, 4)
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_an_interrupt_is_not_held_up_by_a_stuck_sink(monkeypatch, waits):
+    monkeypatch.setattr("goldfield.sensor.sinks.INTERRUPTED_S", 0.0)
+    held = Held()
+    sinks = Fanout(waits=waits)
+    sinks.add(held, "held")
+    assert not sinks.stuck
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(sinks)
+    assert held.reached.wait(60.0)
+    assert sinks.stuck
+    assert sinks.dropped == {"held": 3}
+    held.go.set()
+    sinks.close()
+    assert not sinks.stuck
+    assert (held.items, sinks.dropped) == ([0, 1, 2, 3], {})
