@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 
 _on_command_line: ContextVar[bool] = ContextVar("on_command_line", default=False)
@@ -15,6 +16,13 @@ class UserError(Exception):
 
 class SystemFailure(Exception):
     """The boards or the link to them failed; the CLI prints it as one line and exits with 3."""
+
+
+def tell(message: str) -> None:
+    """Print a line for the user on stderr; one that is full or closed must end neither the run nor a thread of it."""
+    if sys.stderr is not None:
+        with suppress(OSError):
+            print(f"goldfield: {message}", file=sys.stderr, flush=True)
 
 
 def option(name: str, value: object = "") -> str:

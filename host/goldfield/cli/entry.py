@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import ast
-import contextlib
 import os
 import sys
 import traceback
@@ -18,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, tell
 
 COMMANDS = {
     "run": ("goldfield.cli.run", "live poses from a sensor"),
@@ -47,6 +46,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     0: done; 2: bad usage or bad input; 3: the boards, the link or this program failed. A traceback is shown only with
     ``GOLDFIELD_DEBUG=1``.
     """
+    # A stream that was closed before the start is None, for which print would take stdout.
+    sys.stdout = sys.stdout or Path(os.devnull).open("w")  # noqa: SIM115 - stays open to the end
+    sys.stderr = sys.stderr or Path(os.devnull).open("w")  # noqa: SIM115
     try:
         code = _outcome(sys.argv[1:] if argv is None else list(argv))
     except SystemExit as end:  # of a parser: help, version or a complaint
@@ -81,8 +83,7 @@ def _flushed(code: int) -> int:
     """Write out what is buffered and return the exit code; Python itself would end with 120 if that fails."""
     for stream in (sys.stdout, sys.stderr):
         try:
-            if stream is not None:  # it is None if it was closed before the start
-                stream.flush()
+            stream.flush()
         except (OSError, KeyboardInterrupt) as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
             if isinstance(error, KeyboardInterrupt):
@@ -177,6 +178,5 @@ def _extras(entry_point: EntryPoint) -> str:
 def _complain(message: str, code: int) -> int:
     if os.environ.get("GOLDFIELD_DEBUG") == "1":
         traceback.print_exc()
-    with contextlib.suppress(OSError):  # stderr may be what failed
-        print(f"goldfield: {' '.join(message.split())}", file=sys.stderr)
+    tell(" ".join(message.split()))
     return code

@@ -7,7 +7,10 @@ import contextlib
 import os
 import sys
 
+import can
+
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
+from goldfield.errors import tell
 from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.sensor.opening import open_sensor
@@ -35,11 +38,18 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
         recorder = None
         if arguments.record:
             recorder = Branch(CandumpWriter(arguments.record), arguments.record, waits=kind == "log")
-            stack.callback(recorder.close)
+            stack.callback(end_recording, recorder)
         stuck = _print_epochs(arguments, stack.enter_context(open_sensor(kind, where, site, choices, recorder)))
     if stuck:
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
+
+
+def end_recording(recorder: Branch[can.Message]) -> None:
+    """Close a recording, and tell how much of it is missing."""
+    recorder.close()
+    if recorder.dropped:
+        tell(f"{recorder.name}: {recorder.dropped} messages are missing in it, because the disk was too slow")
 
 
 def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> bool:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import can
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, tell
 
 CHANNEL = "goldfield"
 LINE = re.compile(rb"\((\d{1,12}\.\d{1,9})\) \S{1,64} ([0-9A-Fa-f]{8})#((?:[0-9A-Fa-f]{2}){0,8})(?: [RT])?\s*")
@@ -119,11 +118,7 @@ class CandumpWriter:
 
     def _give_up(self, error: OSError) -> None:
         self.failed = True
-        print(
-            f"goldfield: {self._path}: recording stopped after {self._size} bytes: {error.strerror}; the run goes on",
-            file=sys.stderr,
-            flush=True,
-        )
+        tell(f"{self._path}: recording stopped after {self._size} bytes: {error.strerror}; the run goes on")
         try:
             self._file.truncate(self._size)
         except OSError:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import sys
 import traceback
 from collections.abc import Callable
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, tell
 from goldfield.types import Fields, Pose
 
 
@@ -26,9 +25,5 @@ def guarded(method: Callable[[Fields], Pose], fields: Fields) -> Pose:
     except Exception as error:
         if os.environ.get("GOLDFIELD_DEBUG") == "1":
             traceback.print_exc()
-        print(
-            f"goldfield: epoch {fields.epoch}: location failed unexpectedly ({type(error).__name__}: {error}): "
-            "please report it",
-            file=sys.stderr,
-        )
+        tell(f"epoch {fields.epoch}: location failed unexpectedly ({type(error).__name__}: {error}): please report it")
         return Pose.failed(fields, excluded=fields.beacons)

@@ -7,12 +7,13 @@ bounded queue, `Fanout` any number of them.
 from __future__ import annotations
 
 import queue
-import sys
 import threading
 import time
 from collections.abc import Callable
 from types import TracebackType
 from typing import Generic, Protocol, Self, TypeVar
+
+from goldfield.errors import tell
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -158,7 +159,7 @@ class Branch(Generic[T]):
                 self._error = self._error or error
             else:
                 reason = " ".join(str(error).split()) or type(error).__name__
-                print(f"goldfield: {self.name}: {reason}; the run goes on without", file=sys.stderr, flush=True)
+                tell(f"{self.name}: {reason}; the run goes on without")
             return False
         return True
 

@@ -1,6 +1,7 @@
 """Start-up: only the subcommand that was called is imported, and the list of subcommands tells all of them."""
 
 import fcntl
+import json
 import os
 import re
 import signal
@@ -148,3 +149,11 @@ def test_a_run_whose_reader_sleeps_ends_at_the_first_interrupt(tmp_path):
     assert running.returncode == 0
     assert re.match(r"\d+ epochs, \d+ ok", err)
     assert re.search(r"\d+ epochs were left out of the lines on stdout", err)
+
+
+def test_without_stderr_nothing_but_json_goes_to_stdout():
+    words = ["run", "--site", ROOM, "--log", LOG, "--seconds", ".3", "--json"]
+    closing = ["sh", "-c", 'exec "$@" 2>&-', "sh", sys.executable, "-m", "goldfield", *words]
+    done = subprocess.run(closing, env=BUFFERED, check=False, text=True, stdout=subprocess.PIPE)
+    assert done.returncode == 0
+    assert [json.loads(line)["status"] for line in done.stdout.splitlines()] == ["ok"] * 3

@@ -1,9 +1,11 @@
 """Sinks fed by threads of their own: in order, without holding up each other, and what happens when one fails."""
 
 import threading
+from types import SimpleNamespace
 
 import pytest
 
+from goldfield.cli.live import end_recording
 from goldfield.sensor.sinks import Branch, Fanout, Part
 
 
@@ -167,3 +169,25 @@ def test_an_interrupt_is_not_held_up_by_a_stuck_sink(monkeypatch, waits):
     sinks.close()
     assert not sinks.stuck
     assert (held.items, sinks.dropped) == ([0, 1, 2, 3], {})
+
+
+def test_a_failing_sink_holds_nothing_up_where_nobody_can_be_told(monkeypatch):
+    def full(text):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("sys.stderr", SimpleNamespace(write=full, flush=lambda: None))
+    with Fanout(waits=True) as fanout:
+        fanout.add(Broken(ValueError("broken")), "broken", capacity=2)
+        write_all(fanout, 50)
+
+
+def test_a_recording_with_gaps_is_told(capsys):
+    held = Held()
+    recorder = Branch(held, "a.log", waits=False, capacity=1)
+    recorder.write(0)
+    assert held.reached.wait(60.0)
+    for message in (1, 2, 3):
+        recorder.write(message)
+    held.go.set()
+    end_recording(recorder)
+    assert capsys.readouterr().err == "goldfield: a.log: 2 messages are missing in it, because the disk was too slow\n"
