@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import signal
 import sys
 import time
@@ -18,7 +17,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
-from goldfield.errors import SystemFailure, UserError
+from goldfield.cli import main as goldfield_main
+from goldfield.errors import UserError
 from goldfield.files.outputs import check_outputs
 from hil_sim.links.can_bridge import DEFAULT, CanBridge
 from hil_sim.links.pseudo_terminal import PseudoTerminal
@@ -51,7 +51,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         default=KINDS[0],
         help="emulated: they run the ARM image (default)",
     )
-    parser.add_argument("--seed", type=int, help="in place of the scenario's")
+    parser.add_argument("--seed", type=_seed, metavar="N", help="in place of the scenario's")
     parser.add_argument("--json", action="store_true", help="JSON lines")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the lines of truth there, and only there")
     parser.add_argument("--site", type=Path, metavar="FILE", help="write the site file of this scenario there")
@@ -81,6 +81,12 @@ def _not_negative(text: str) -> float:
     if not 0.0 <= value < math.inf:
         raise argparse.ArgumentTypeError(f"'{text}' is no number from zero up")
     return value
+
+
+def _seed(text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) <= 19 and int(text) < 1 << 63):
+        raise argparse.ArgumentTypeError(f"'{text}' is no seed: seeds are 0 to 2^63 - 1")
+    return int(text)
 
 
 class Pace:
@@ -231,21 +237,8 @@ def _interrupted_by_termination() -> Iterator[None]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run without the command line of goldfield; returns the exit code: 0, 2 (bad input) or 3 (a board failed)."""
-    parser = argparse.ArgumentParser(prog="python -m hil_sim.command")
-    _add_arguments(parser)
-    arguments = parser.parse_args(argv)
-    try:
-        return run(arguments)
-    except UserError as error:
-        print(f"hil: {error}", file=sys.stderr)
-        return 2
-    except SystemFailure as error:
-        print(f"hil: {error}", file=sys.stderr)
-        return 3
-    except BrokenPipeError:  # whoever read our lines has gone, which is no error
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    """Run ``goldfield hil`` with arguments and return its exit code."""
+    return goldfield_main(["hil", *(sys.argv[1:] if argv is None else argv)])
 
 
 if __name__ == "__main__":

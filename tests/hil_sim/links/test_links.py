@@ -250,14 +250,23 @@ def test_truth_goes_to_a_file_and_only_there(tmp_path, monkeypatch, capsys):
 def test_a_failing_board_ends_with_3(tmp_path, monkeypatch, capsys):
     code, output = run_command(tmp_path, monkeypatch, capsys, boards=FakeBoards(stops={0: 10**10}))
     assert code == 3
-    assert "hil: the sensor stopped at 0.0" in output.err
+    assert "goldfield: the sensor stopped at 0.0" in output.err
     assert "asked to stop" in output.err
+
+
+@pytest.mark.parametrize("seed", ["-1", str(1 << 63), "9" * 5000, "x", "1.5"])
+def test_a_seed_that_no_rig_has_is_refused(capsys, seed):
+    with pytest.raises(SystemExit) as ended:
+        command.main(["prigge8", f"--seed={seed}"])
+    assert ended.value.code == 2
+    assert "is no seed: seeds are 0 to 2^63 - 1" in capsys.readouterr().err
 
 
 def test_it_is_a_subcommand():
     parser = argparse.ArgumentParser()
     command.command(parser.add_subparsers())
-    arguments = parser.parse_args(["hil", "prigge8", "--seconds", "3"])
+    arguments = parser.parse_args(["hil", "prigge8", "--seconds", "3", "--seed", str((1 << 63) - 1)])
+    assert arguments.seed == (1 << 63) - 1
     assert arguments.run is command.run
     assert (arguments.pace, arguments.boards, arguments.can) == (1.0, "emulated", None)
 
