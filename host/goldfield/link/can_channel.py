@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import logging
 import socket
 import sys
 from typing import Any
 
 import can
+
+# What fails is raised and told in one line; python-can's own warnings are for programs that set logging up.
+logging.getLogger("can").addHandler(logging.NullHandler())
 
 MULTICAST_ALL = {socket.AF_INET: (socket.IPPROTO_IP, 49), socket.AF_INET6: (socket.IPPROTO_IPV6, 29)}
 """Level and number of Linux's options IP_MULTICAST_ALL and IPV6_MULTICAST_ALL, which Python does not name."""

@@ -157,3 +157,9 @@ def test_without_stderr_nothing_but_json_goes_to_stdout():
     done = subprocess.run(closing, env=BUFFERED, check=False, text=True, stdout=subprocess.PIPE)
     assert done.returncode == 0
     assert [json.loads(line)["status"] for line in done.stdout.splitlines()] == ["ok"] * 3
+
+
+def test_a_can_channel_that_cannot_be_opened_is_one_line():
+    done = ended(["run", "--site", ROOM, "--can", "udp_multicast:192.0.2.1"], stderr=subprocess.PIPE)
+    assert done.returncode == 2
+    assert re.fullmatch(r"goldfield: --can udp_multicast:192\.0\.2\.1: cannot be opened: .*\n", done.stderr)
