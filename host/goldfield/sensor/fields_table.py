@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import csv
+import errno
+import io
 import math
+import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -53,7 +57,7 @@ def read_fields(site: Site, path: str | Path) -> Iterator[Fields]:
 
 
 class FieldsWriter:
-    """Writes the fields of epochs to a table, each line at once.
+    """Writes the fields of epochs to a table, each epoch at once and whole: what a full disk tears off is cut away.
 
     Parameters
     ----------
@@ -69,29 +73,38 @@ class FieldsWriter:
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
         try:
-            self._file = self._path.open("w", encoding="utf-8", newline="", buffering=1)
+            self._file = self._path.open("wb", buffering=0)
         except OSError as error:
             raise self._failure(error) from error
-        self._rows = csv.writer(self._file, lineterminator="\n")
-        self._write([*COLUMNS, SIGMA_COLUMN])
+        self._size = 0
+        self._write([[*COLUMNS, SIGMA_COLUMN]])
 
     def write(self, fields: Fields) -> None:
         """Append one epoch; without a known time it is left out, since the table needs one."""
         if not math.isfinite(fields.time_s):
             return
+        rows = []
         for beacon, field, sigma in zip(fields.beacons, fields.field_T, fields.sigma_T, strict=True):
             components = [repr(float(value)) if math.isfinite(value) else "" for value in field]
-            self._write([str(fields.epoch), repr(float(fields.time_s)), beacon, *components, repr(float(sigma))])
+            rows.append([str(fields.epoch), repr(float(fields.time_s)), beacon, *components, repr(float(sigma))])
+        self._write(rows)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
-    def _write(self, cells: list[str]) -> None:
+    def _write(self, rows: list[list[str]]) -> None:
+        text = io.StringIO()
+        csv.writer(text, lineterminator="\n").writerows(rows)
+        data = text.getvalue().encode()
         try:
-            self._rows.writerow(cells)
+            if self._file.write(data) != len(data):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
+            with suppress(OSError):  # a device such as /dev/full cannot be cut
+                self._file.truncate(self._size)
             raise self._failure(error) from error
+        self._size += len(data)
 
     def _failure(self, error: OSError) -> UserError:
         return UserError(f"{self._path}: the fields cannot be written: {error.strerror}")

@@ -159,7 +159,8 @@ class Branch(Generic[T]):
                 self._error = self._error or error
             else:
                 reason = " ".join(str(error).split()) or type(error).__name__
-                tell(f"{self.name}: {reason}; the run goes on without")
+                told = reason.removeprefix(f"{self.name}: ")  # a file's errors begin with its path
+                tell(f"{self.name}: {told}; the run goes on without")
             return False
         return True
 
