@@ -14,7 +14,7 @@ from tests.host.fake_sensor import SITE
 
 @pytest.fixture
 def small_disk():
-    """A limit of the size of files, which the system enforces as a full disk: a write is cut short, the next refused."""
+    """A limit of the size of files, which acts as a full disk does: a write is cut short, the next refused."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
