@@ -31,7 +31,7 @@ $(LINT)/firmware/boards/stm32f405/%.tidy: firmware/boards/stm32f405/%.c .clang-t
 
 lint: all $(BUILD)/lint-tools.stamp ## Likely mistakes: ruff, clang-tidy, cppcheck
 	@$(VENV)/bin/ruff check -q .
-	@$(MAKE) --no-print-directory -j 2 --output-sync=target $(LINT_STAMPS)
+	@$(MAKE) --no-print-directory -s -j 2 --output-sync=target $(LINT_STAMPS)
 	@mkdir -p $(LINT)/cppcheck
 	@cppcheck -q -j 2 --cppcheck-build-dir=$(LINT)/cppcheck --std=c11 --enable=warning,performance,portability --inline-suppr \
 		--suppress=missingIncludeSystem --error-exitcode=1 -Ifirmware -I$(PROTOCOL_OUT) -Ihil_sim firmware hil_sim host/goldfield/locate/kernel
