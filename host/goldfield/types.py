@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Self
@@ -42,13 +44,75 @@ class Fields:
 
 
 class Status(StrEnum):
-    """What a pose is worth."""
+    """What a pose is worth; where several hold, the last of them is told."""
 
     OK = "ok"
-    AMBIGUOUS = "ambiguous"
+    """The pose fits the fields, no other does, and no fault of one beacon hides an error above the alert limit."""
+    UNVERIFIED = "unverified"
+    """The pose fits the fields, but a fault of one beacon could hide an error above the alert limit."""
     WEAK = "weak"
+    """The beacons that were heard do not fix the pose."""
+    AMBIGUOUS = "ambiguous"
+    """Two poses fit the fields."""
     INCONSISTENT = "inconsistent"
+    """No pose fits the fields of a clear majority of the beacons, or something else is known to be wrong."""
     FAILED = "failed"
+    """There is no pose."""
+
+
+class Explanation(StrEnum):
+    """Kinds of `Finding`: in what way the world differs from the site file."""
+
+    MIRRORED = "mirrored"
+    """All fields are negated: the sensor's axes are left-handed, or all coils are reversed."""
+    STRENGTH = "strength"
+    """All fields are larger or smaller by one factor: the sensor's gain, or all currents."""
+    AXIS_GAIN = "axis_gain"
+    """One axis of the sensor has another gain."""
+    SENSOR = "sensor"
+    """The sensor distorts the fields in another linear way: axes that are not square, iron beside it."""
+    UNITS = "units"
+    """The site file is in other units of length."""
+    DEAD = "dead"
+    """A beacon has no field."""
+    REVERSED = "reversed"
+    """A beacon's field is reversed."""
+    CURRENT = "current"
+    """A beacon has another current."""
+    MOVED = "moved"
+    """A beacon is at another place."""
+    BEACON = "beacon"
+    """A beacon is not as the site says, in no simpler way."""
+    CLOCK = "clock"
+    """The sensor's clock, or its count of the cycles, is not that of the beacons."""
+    BOARD = "board"
+    """A board reports that something is wrong with it."""
+    UNKNOWN = "unknown"
+    """Nothing that was tried explains the fields."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What explains the fields better than the site file does; equal to itself only.
+
+    Attributes
+    ----------
+    kind : Explanation
+    beacons : tuple of str
+        Ids of the beacons that it is about; empty if it is about the sensor or the whole site.
+    text : str
+        A sentence for people: what was found and what to check.
+    position_m : ndarray, shape (3,), or None
+        Where in the site's frame a beacon fits better.
+    factor : float or None
+        By what its field, or all fields, or those of an axis must be multiplied; 0 for a beacon that is dead.
+    """
+
+    kind: Explanation
+    beacons: tuple[str, ...]
+    text: str
+    position_m: FloatArray | None = None
+    factor: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +135,18 @@ class Pose:
         Root of the weighted mean square residual; near 1 when the model and the noise are right.
     status : Status
     used, excluded : tuple of str
-        Beacon ids.
+        Ids of the beacons that the pose rests on, and of those that were left out.
     alternative : Pose or None
         The other pose of an ambiguous pair.
+    reason : str or None
+        Why the pose is not worth more, or what was left out of it, as a sentence; None if there is nothing to say.
+    protection_m : float
+        Radius around the position that the error exceeds undetected only rarely if at most one beacon is not as the
+        site says (`goldfield.locate.integrity.protection_level`); infinite if nothing can be promised, NaN when failed.
+    residuals : mapping of str to float
+        Each beacon's normalised residual by its id, near 1 if the beacon is as the site says.
+    findings : tuple of Finding
+        What explains the fields better than the site file does.
     """
 
     epoch: int
@@ -87,9 +160,19 @@ class Pose:
     used: tuple[str, ...]
     excluded: tuple[str, ...] = ()
     alternative: Pose | None = field(default=None, repr=False)
+    reason: str | None = None
+    protection_m: float = math.inf
+    residuals: Mapping[str, float] = field(default_factory=dict, repr=False)
+    findings: tuple[Finding, ...] = field(default=(), repr=False)
 
     @classmethod
-    def failed(cls, fields: Fields, used: tuple[str, ...] = (), excluded: tuple[str, ...] = ()) -> Self:
+    def failed(
+        cls,
+        fields: Fields,
+        used: tuple[str, ...] = (),
+        excluded: tuple[str, ...] = (),
+        reason: str = "the fields give no pose",
+    ) -> Self:
         """Return the pose of an epoch that could not be located: every number is NaN, the status is ``failed``.
 
         Parameters
@@ -100,6 +183,8 @@ class Pose:
             Ids of the beacons that were tried.
         excluded : tuple of str
             Ids of the beacons that were not looked at.
+        reason : str
+            Why there is no pose.
 
         Examples
         --------
@@ -119,4 +204,6 @@ class Pose:
             status=Status.FAILED,
             used=used,
             excluded=excluded,
+            reason=reason,
+            protection_m=math.nan,
         )

@@ -31,7 +31,15 @@ def pose_record(pose: Pose) -> dict[str, Any]:
         "status": pose.status.value,
         "used": list(pose.used),
         "excluded": list(pose.excluded),
+        "reason": pose.reason,
+        "protection_m": number(pose.protection_m),
+        "alternative": None if pose.alternative is None else _place(pose.alternative),
+        "beacons": {name: number(residual) for name, residual in pose.residuals.items()},
     }
+
+
+def _place(pose: Pose) -> dict[str, Any]:
+    return {"position_m": pose.position_m.tolist(), "orientation_xyzw": pose.orientation_xyzw.tolist()}
 
 
 def number(value: float) -> float | None:

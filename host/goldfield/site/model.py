@@ -12,6 +12,10 @@ from goldfield.site.drive import NO_CODE, NOTHING_ELSE, Drive
 from goldfield.types import FloatArray
 
 
+ALERT_LIMIT_M = 0.5
+"""Default of the alert limit, m: sound poses stay below it nearly always with five beacons, with four most often."""
+
+
 @dataclass(frozen=True, eq=False)
 class HalfSpace:
     """The side of a plane where the sensor is: ``(p - point_m) . normal >= 0``.
@@ -113,6 +117,9 @@ class Site:
         Way in which beacons are told apart: "cdma", "tdma" or "fdma".
     slots : int
         Number of time slots in a cycle for "tdma", else 0.
+    alert_limit_m : float
+        Largest error of a position that its user can bear: a pose is ``ok`` only if no fault of a single beacon could
+        hide a larger one (`goldfield.Pose.protection_m`).
     """
 
     name: str
@@ -123,6 +130,7 @@ class Site:
     beacons: tuple[Beacon, ...]
     access: str = "cdma"
     slots: int = 0
+    alert_limit_m: float = ALERT_LIMIT_M
 
     @property
     def chips(self) -> int:

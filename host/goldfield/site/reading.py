@@ -12,7 +12,7 @@ import numpy as np
 
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
-from goldfield.site.model import Beacon, HalfSpace, SensorSite, Site, area_vector
+from goldfield.site.model import ALERT_LIMIT_M, Beacon, HalfSpace, SensorSite, Site, area_vector
 
 
 def load(path: str | Path) -> Site:
@@ -28,7 +28,9 @@ def load(path: str | Path) -> Site:
     - ``slots``: only for tdma, and needed there: the number of time slots in a cycle, 1 to the number of its chips;
     - ``tone``: only for fdma: ``"sine"`` (the default) or ``"square"``;
     - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the side of the plane
-      to which the normal points, which decides between a pose and its mirror image.
+      to which the normal points, which decides between a pose and its mirror image;
+    - ``alert_limit_m``: optional, above 0: a pose whose error could be larger through a fault of one beacon is not
+      ``ok`` but ``unverified`` (`ALERT_LIMIT_M`).
 
     The table ``[sensor]`` describes the sensor:
 
@@ -70,7 +72,7 @@ def load(path: str | Path) -> Site:
 def _site(root: Table) -> Site:
     root.allow("site", "sensor", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
-    site.allow("name", "chip_period_s", "degree", "half_space", "access", *SITE_KEYS)
+    site.allow("name", "chip_period_s", "degree", "half_space", "access", "alert_limit_m", *SITE_KEYS)
     sensor.allow("noise_T", "model_error")
     plan = read_plan(site)
     beacons = tuple(_beacon(table, plan) for table in root.tables("beacon"))
@@ -84,6 +86,7 @@ def _site(root: Table) -> Site:
         beacons=beacons,
         access=plan.access,
         slots=plan.slots,
+        alert_limit_m=site.positive("alert_limit_m") if "alert_limit_m" in site else ALERT_LIMIT_M,
     )
 
 

@@ -33,7 +33,7 @@ from tests.host.fake_sensor import (
 )
 
 LOCATE_KEYS = ["epoch", "t_s", "position_m", "orientation_xyzw", "position_cov_m2", "attitude_cov_rad2"]
-LOCATE_KEYS += ["residual", "status", "used", "excluded"]
+LOCATE_KEYS += ["residual", "status", "used", "excluded", "reason", "protection_m", "alternative", "beacons"]
 
 
 def no_constants(name):
