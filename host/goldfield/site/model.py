@@ -11,7 +11,6 @@ from goldfield.errors import UserError
 from goldfield.site.drive import NO_CODE, NOTHING_ELSE, Drive
 from goldfield.types import FloatArray
 
-
 ALERT_LIMIT_M = 0.5
 """Default of the alert limit, m: sound poses stay below it nearly always with five beacons, with four most often."""
 
