@@ -1,5 +1,6 @@
 """What holds for every test: examples that are the same each time, no bound on time, and which tests are long."""
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,10 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("goldfield")
+
+# A shell lets what it starts in the background ignore interrupts, and a program hands that on to the programs that it
+# starts: tests that interrupt one of them need the usual.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 HERE = Path(__file__).parent
 LONG = (

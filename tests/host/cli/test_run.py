@@ -207,15 +207,6 @@ def test_a_pulled_cable_ends_the_run_with_what_came_before(capsys):
     assert len(poses(out)) - len(whole) <= 1  # the cycle that was cut: whatever its fields tell
 
 
-@pytest.fixture
-def interruptible():
-    """Let programs that the test starts take interrupts: they ignore them if the tests run behind a shell's ``&``."""
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("interruptible")
 def test_an_interrupt_is_the_usual_end():
     with PtySensor(range(1000)) as sensor:
         command = [sys.executable, "-m", "goldfield", "run", "--port", sensor.path, "--site", str(SITE), "--json"]
