@@ -52,11 +52,11 @@ def run(command: str, directory: Path) -> str:
 
 def test_the_page_works(port: str, tmp_path: Path) -> None:
     live = run(LIVE.replace("PORT", port), tmp_path)
-    epochs, ok = map(int, re.search(r"^(\d+) epochs, (\d+) ok", live, re.M).groups())  # type: ignore[union-attr]
+    epochs, ok = map(int, re.search(r"^(\d+) epochs: (\d+) ok", live, re.M).groups())  # type: ignore[union-attr]
     assert epochs == 30
     assert ok >= 29
     replayed, located = (run(command, tmp_path) for command in LATER)
-    poses = [line for line in live.splitlines() if line.endswith("ok")]
+    poses = [line for line in live.splitlines() if line.endswith("  ok")]
     assert len(poses) == ok
     # The recording also has what came while the sensor was set up, so its first poses know more of the ambient field.
     assert set(poses[2:]) <= set(replayed.splitlines())

@@ -18,7 +18,7 @@ from goldfield.sensor.options import Options, chosen_method
 from goldfield.sensor.pipeline import Epoch, Sensor
 from goldfield.sensor.sinks import Branch, Fanout, Part
 from goldfield.site import Site
-from goldfield.view.terminal import Summary
+from goldfield.view.summary import LINK_COUNTS, Summary
 from goldfield.view.truth import Truth
 
 
@@ -63,8 +63,7 @@ def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> bool:
     except KeyboardInterrupt:
         pass  # the usual end of a live run
     finally:
-        summary.bad_frames = sensor.bad_frames
-        summary.missed_cycles = sensor.missed_cycles
+        summary.link = {name: getattr(sensor, name) for name in LINK_COUNTS}
         summary.counters = sensor.counters
         summary.dropped = sinks.dropped
         if summary.epochs:

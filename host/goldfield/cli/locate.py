@@ -6,9 +6,8 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-from goldfield import site as sites
 from goldfield.cli import options
-from goldfield.cli.location_options import add_track
+from goldfield.cli.location_options import add_alert_limit, add_track, site_of
 from goldfield.cli.output import json_line, pose_record
 from goldfield.errors import UserError
 from goldfield.sensor.fields_table import COLUMNS, read_fields
@@ -26,6 +25,7 @@ def command(subparsers: Any) -> None:
     parser.add_argument("fields", metavar="FIELDS.csv", help="table of fields")
     options.add_site(parser)
     add_track(parser)
+    add_alert_limit(parser)
     options.add(
         parser,
         "--own-body",
@@ -37,15 +37,19 @@ def command(subparsers: Any) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print a line for every epoch, whatever happens."""
+    """Print a line for every epoch, whatever happens, and below a table a summary."""
+    from goldfield.view.summary import Summary
     from goldfield.view.terminal import PoseTable
 
-    site = sites.load(options.required(arguments.site, "--site", "FILE"))
-    table = PoseTable()
+    site = site_of(arguments)
+    table, summary = PoseTable(), Summary()
     pose_of = _beside_body(site, arguments) if arguments.own_body else _location(site, arguments.track)
     for fields in read_fields(site, arguments.fields):
         pose = pose_of(fields)
+        summary.add(pose)
         print(json_line(pose_record(pose)) if arguments.json else table.line(pose))
+    if not arguments.json:
+        print(summary.text(truth=False))
     return 0
 
 

@@ -1,9 +1,14 @@
-"""The options that say how poses are made: ``--track`` and ``--on-sensor``."""
+"""The options that say how poses are made and judged: ``--track``, ``--on-sensor`` and ``--alert-limit``."""
 
 from __future__ import annotations
 
 import argparse
 import os
+from dataclasses import replace
+
+from goldfield import site as sites
+from goldfield.cli import options
+from goldfield.site import Site
 
 
 def add_track(parser: argparse.ArgumentParser) -> None:
@@ -25,3 +30,21 @@ def add_on_sensor(parser: argparse.ArgumentParser) -> None:
         help="print the poses that the sensor computes, once it has got the site's beacons "
         "(environment: GOLDFIELD_ON_SENSOR)",
     )
+
+
+def add_alert_limit(parser: argparse.ArgumentParser) -> None:
+    """Add ``--alert-limit``."""
+    options.add(
+        parser,
+        "--alert-limit",
+        metavar="METRES",
+        what="a pose is unverified if a fault of one beacon could hide a larger error (default: the site file's)",
+        kind=options.metres,
+    )
+
+
+def site_of(arguments: argparse.Namespace) -> Site:
+    """Load the site of ``--site`` with the alert limit of the command line, if there is one."""
+    site = sites.load(options.required(arguments.site, "--site", "FILE"))
+    limit_m: float | None = arguments.alert_limit
+    return site if limit_m is None else replace(site, alert_limit_m=limit_m)

@@ -80,6 +80,17 @@ def seconds(text: str) -> float:
     return value
 
 
+def metres(text: str) -> float:
+    """Parse a length greater than zero, for argparse."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not 0.0 < value < 1e9:
+        raise argparse.ArgumentTypeError(f"{text} is no length in metres greater than zero")
+    return value
+
+
 def hertz(text: str) -> float:
     """Parse a frequency of more than 1 Hz, for argparse."""
     try:

@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 from goldfield.cli.output import json_line, number, pose_record
 from goldfield.sensor.pipeline import Epoch
-from goldfield.view.terminal import PoseTable, Summary
+from goldfield.view.summary import Summary
+from goldfield.view.terminal import PoseTable
 from goldfield.view.truth import NO_ERROR, PoseError, Truth
 
 LineOf = Callable[[Epoch, PoseError], str]
@@ -43,7 +44,7 @@ class PoseLines:
 
 def table_line(truth: bool) -> LineOf:
     """Return what makes lines of a table, with errors against the truth or without."""
-    table = PoseTable(live=True, truth=truth)
+    table = PoseTable(truth=truth)
     return lambda epoch, error: table.line(epoch.pose, error, epoch.lost, ", ".join(epoch.notes))
 
 

@@ -6,9 +6,8 @@ import argparse
 import os
 from typing import Any
 
-from goldfield import site as sites
 from goldfield.cli import options
-from goldfield.cli.location_options import add_on_sensor, add_track
+from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_track, site_of
 from goldfield.errors import UserError, on_command_line
 from goldfield.files.outputs import check_outputs
 from goldfield.sensor.options import SOURCES
@@ -34,6 +33,7 @@ def command(subparsers: Any) -> None:
     options.add_site(parser)
     add_track(parser)
     add_on_sensor(parser)
+    add_alert_limit(parser)
     options.add_json(parser)
     options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
     options.add(parser, "--fields", metavar="FILE", what="write the separated fields to a table for goldfield locate")
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     site = options.required(arguments.site, "--site", "FILE")
     inputs = {"--site": site, "--log": where if kind == "log" else None, "--truth": arguments.truth}
     check_outputs({"--record": arguments.record, "--fields": arguments.fields}, inputs)
-    print_poses(arguments, kind, where, sites.load(site))
+    print_poses(arguments, kind, where, site_of(arguments))
     return 0
 
 

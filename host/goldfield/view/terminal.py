@@ -1,9 +1,10 @@
-"""Poses as the lines of a table, and the summary at the end."""
+"""Poses as the lines of a table that fits 80 columns."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+import textwrap
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,106 +13,81 @@ from goldfield.types import FloatArray, Pose, Status
 from goldfield.view.truth import NO_ERROR, PoseError
 
 HEADER_EVERY = 25
+"""Lines from one header to the next."""
+
+WIDTH = 80
+"""Columns of a terminal that was never widened; what does not fit beside a pose goes below it."""
+
+INDENT = " " * 8
+"""Before what goes below a pose."""
 
 
 @dataclass
 class PoseTable:
     """Makes a line of each pose; the header comes again now and then.
 
+    The columns are the cycle's number, the position in metres, roll, pitch and yaw in degrees, the standard deviation
+    of the position in centimetres, the number of beacons used, the residual, and the status with the beacons that were
+    left out. With the truth, errors in centimetres and degrees take the place of that number and of the angles'
+    decimals. Below a pose stands its reason, when it is another
+    than that of the pose before.
+
     Parameters
     ----------
-    live : bool
-        Show lost messages.
     truth : bool
-        Show errors against the truth.
+        Show errors against the truth; a status longer than ``unverified`` then passes `WIDTH`.
     """
 
-    live: bool = False
     truth: bool = False
     _lines: int = 0
+    _reason: str | None = None
 
     def line(self, pose: Pose, error: PoseError = NO_ERROR, lost: int = 0, note: str = "") -> str:
-        """Return the pose's line, after the header if that is due; the note comes last."""
-        header = f"{self.header()}\n" if self._lines % HEADER_EVERY == 0 else ""
+        """Return the pose's lines, after the header if that is due; messages lost and the note come last."""
+        header = [self.header()] if self._lines % HEADER_EVERY == 0 else []
         self._lines += 1
         angles = np.full(3, np.nan) if pose.status is Status.FAILED else roll_pitch_yaw_deg(pose.orientation_xyzw)
-        columns = [f"{pose.epoch:8d}", _cell(pose.time_s, 9, 2)]
-        columns += [_cell(value, 8, 4) for value in pose.position_m]
-        columns += [_cell(value, 7, 2) for value in angles]
+        columns = [f"{pose.epoch:6d}"]
+        columns += [_cell(value, 7, 3) for value in pose.position_m]
+        columns += [_cell(value, 5, 0) if self.truth else _cell(value, 6, 1) for value in angles]
+        columns.append(_cell(position_sd_m(pose) * 100.0, 5, 1))
         if self.truth:
-            columns += [_cell(error.position_m * 100.0, 7, 2), _cell(math.degrees(error.attitude_rad), 7, 2)]
-        columns += [f"{len(pose.used):4d}", _cell(pose.residual, 8, 2)]
-        if self.live:
-            columns.append(f"{lost:4d}")
-        return header + " ".join(columns) + f"  {pose.status.value}{note and f', {note}'}"
+            columns += [_cell(error.position_m * 100.0, 5, 2), _cell(math.degrees(error.attitude_rad), 5, 2)]
+        else:
+            columns.append(f"{len(pose.used):2d}")
+        columns.append(_cell(pose.residual, 5, 2))
+        said = [pose.status.value]
+        said += [f"no {' '.join(pose.excluded)}"] if pose.excluded and pose.used else []
+        said += [f"{lost} lost"] if lost else []
+        said += [note] if note else []
+        below = [pose.reason] if pose.reason is not None and pose.reason != self._reason else []
+        self._reason = pose.reason
+        return "\n".join(
+            [*header, *_beside(" ".join(columns) + "  ", said), *(line for text in below for line in _below(text))]
+        )
 
     def header(self) -> str:
         """Return the line over the columns."""
-        truth = f" {'err cm':>7} {'err deg':>7}" if self.truth else ""
-        lost = f" {'lost':>4}" if self.live else ""
-        return (
-            f"{'epoch':>8} {'t s':>9} {'x m':>8} {'y m':>8} {'z m':>8} {'roll':>7} {'pitch':>7} {'yaw deg':>7}{truth}"
-            f" {'used':>4} {'residual':>8}{lost}  status"
-        )
+        angles = f"{'roll':>5} {'pitch':>5} {'yaw':>5}" if self.truth else f"{'roll':>6} {'pitch':>6} {'yaw':>6}"
+        more = f"{'cm':>5} {'deg':>5}" if self.truth else f"{'n':>2}"
+        return f"{'epoch':>6} {'x m':>7} {'y m':>7} {'z m':>7} {angles} {'sd cm':>5} {more} {'resid':>5}  status"
 
 
-@dataclass
-class Summary:
-    """Counts over a run, and rms errors of the poses with status ok.
+def position_sd_m(pose: Pose) -> float:
+    """Return the standard deviation of the position, the root of the sum over the axes; NaN if it is not known."""
+    return float(np.sqrt(np.trace(pose.position_cov_m2)))
 
-    Attributes
-    ----------
-    epochs, ok, lost_messages : int
-        Epochs that `add` was told of, those of them with status ok, and messages lost in all of them.
-    bad_frames, missed_cycles : int
-        Corrupt frames, and cycles lost in long gaps.
-    counters : dict of str to int
-        The sensor's own error counters.
-    dropped : dict of str to int
-        Epochs that each output which was too slow did not get.
-    """
 
-    epochs: int = 0
-    ok: int = 0
-    lost_messages: int = 0
-    bad_frames: int = 0
-    missed_cycles: int = 0
-    counters: dict[str, int] = field(default_factory=dict)
-    dropped: dict[str, int] = field(default_factory=dict)
-    _position_m: list[float] = field(default_factory=list)
-    _attitude_rad: list[float] = field(default_factory=list)
+def _beside(columns: str, said: list[str]) -> list[str]:
+    """Put what is said beside the columns as far as it fits, the rest below; the status, which is first, is beside."""
+    line, rest = columns + said[0], said[1:]
+    while rest and len(line) + 2 + len(rest[0]) <= WIDTH:
+        line += ", " + rest.pop(0)
+    return [line, *(_below(", ".join(rest)) if rest else [])]
 
-    def add(self, pose: Pose, error: PoseError = NO_ERROR, lost: int = 0) -> None:
-        """Count an epoch."""
-        self.epochs += 1
-        self.lost_messages += lost
-        if pose.status is not Status.OK:
-            return
-        self.ok += 1
-        if math.isfinite(error.position_m) and math.isfinite(error.attitude_rad):
-            self._position_m.append(error.position_m)
-            self._attitude_rad.append(error.attitude_rad)
 
-    def text(self, truth: bool) -> str:
-        """Return the summary as lines."""
-        lines = [
-            f"{self.epochs} epochs, {self.ok} ok; {self.lost_messages} messages lost, {self.bad_frames} corrupt "
-            f"frames, {self.missed_cycles} cycles missed in gaps"
-        ]
-        if self.counters:
-            counted = ", ".join(f"{count} {name}" for name, count in self.counters.items())
-            lines.append(f"the sensor counted since its reset: {counted}")
-        for name, count in self.dropped.items():
-            lines.append(f"{count} epochs were left out of {name}, which took them too slowly")
-        position, attitude = _rms(self._position_m), _rms(self._attitude_rad)
-        if position is not None and attitude is not None:
-            lines.append(
-                f"rms error of {len(self._position_m)} ok poses: position {position * 100.0:.2f} cm, "
-                f"attitude {math.degrees(attitude):.2f} deg"
-            )
-        elif truth:
-            lines.append("no ok pose could be compared with the truth")
-        return "\n".join(lines)
+def _below(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT)
 
 
 def roll_pitch_yaw_deg(orientation_xyzw: FloatArray) -> FloatArray:
@@ -124,7 +100,3 @@ def roll_pitch_yaw_deg(orientation_xyzw: FloatArray) -> FloatArray:
 def _cell(value: float, width: int, decimals: int) -> str:
     """Return a number in its column, a dash if there is none."""
     return f"{value:{width}.{decimals}f}" if math.isfinite(value) else f"{'-':>{width}}"
-
-
-def _rms(values: list[float]) -> float | None:
-    return math.sqrt(sum(value * value for value in values) / len(values)) if values else None

@@ -147,7 +147,7 @@ def test_a_run_whose_reader_sleeps_ends_at_the_first_interrupt(tmp_path):
             _, err = running.communicate()
     os.close(reading)
     assert running.returncode == 0
-    assert re.match(r"\d+ epochs, \d+ ok", err)
+    assert re.match(r"\d+ epochs: \d+ ok", err)
     assert re.search(r"\d+ epochs were left out of the lines on stdout", err)
 
 

@@ -100,11 +100,12 @@ def test_a_defect_in_location_costs_the_epoch_only(tmp_path, capsys, monkeypatch
 
 def test_tables_for_people(tmp_path, capsys):
     assert run(tmp_path, "locate", [*fields_table(1), "3,0.3,b1,,,"]) == 0
-    header, ok, failed = capsys.readouterr().out.splitlines()
-    assert " ".join(header.split()) == "epoch t s x m y m z m roll pitch yaw deg used residual status"
-    assert ok.split()[:5] == ["0", "0.00", "0.9000", "1.2000", "0.8000"]
+    header, ok, failed, reason, *summary = capsys.readouterr().out.splitlines()
+    assert " ".join(header.split()) == "epoch x m y m z m roll pitch yaw sd cm n resid status"
+    assert ok.split()[:4] == ["0", "0.900", "1.200", "0.800"]
     assert ok.endswith("  ok")
-    assert failed.split() == ["3", "0.30", *"------", "0", "-", "failed"]
+    assert failed.split() == ["3", *"-------", "0", "-", "failed"]
+    assert summary == ["2 epochs: 1 ok, 1 failed", f"failed in 1 of 2: {reason.strip()}"]
     assert run(tmp_path, "separate", samples_table(1)) == 0
     out = capsys.readouterr().out.splitlines()
     assert (out[0], out[2].split()) == ("cycle 0", ["offset", "50000.000", "50000.000", "50000.000"])
@@ -272,7 +273,7 @@ def test_the_last_resort_is_one_line(capsys, monkeypatch):
     def defect(_):
         raise IndexError("first\nsecond")
 
-    monkeypatch.setattr("goldfield.cli.locate.sites.load", defect)
+    monkeypatch.setattr("goldfield.cli.location_options.sites.load", defect)
     assert main(["locate", "--site", "x", "y"]) == 3
     message = capsys.readouterr().err
     assert message.startswith("goldfield: unexpected IndexError: first second; this is a defect")

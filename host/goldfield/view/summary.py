@@ -1,0 +1,161 @@
+"""What a run came to: poses by status, beacons that were left out, what was found, messages and counters."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from goldfield.types import Explanation, Finding, FloatArray, Pose, Status
+from goldfield.view.terminal import WIDTH
+from goldfield.view.truth import NO_ERROR, PoseError
+
+LINK_COUNTS = {
+    "bad_frames": "corrupt frames",
+    "missed_cycles": "cycles missed in gaps",
+    "late": "messages late",
+    "repeated": "messages repeated",
+    "orphans": "messages of no known cycle",
+    "restarts": "jumps of the cycle number",
+}
+"""Counters of a link that the summary tells if they are not zero, with the words for them."""
+
+
+@dataclass
+class _Found:
+    """One kind of finding about the same beacons, over a run."""
+
+    count: int = 0
+    last: Finding | None = None
+    position_m: list[FloatArray] = field(default_factory=list)
+    factor: list[float] = field(default_factory=list)
+
+    def add(self, finding: Finding) -> None:
+        self.count += 1
+        self.last = finding
+        if finding.position_m is not None:
+            self.position_m.append(finding.position_m)
+        if finding.factor is not None:
+            self.factor.append(finding.factor)
+
+
+@dataclass
+class _Said:
+    """The reasons of poses of one status that no finding explains."""
+
+    count: int = 0
+    last: str = ""
+    various: bool = False
+
+    def add(self, reason: str) -> None:
+        self.various |= self.count > 0 and reason != self.last
+        self.last = reason
+        self.count += 1
+
+
+@dataclass
+class Summary:
+    """Counts over a run, and rms errors of the poses with status ok.
+
+    Attributes
+    ----------
+    epochs, lost_messages : int
+        Epochs that `add` was told of, and messages lost in all of them.
+    statuses : Counter of Status
+    link : dict of str to int
+        Counts of the link by the names of `LINK_COUNTS`.
+    counters : dict of str to int
+        The sensor's own error counters.
+    dropped : dict of str to int
+        Epochs that each output which was too slow did not get.
+    """
+
+    epochs: int = 0
+    lost_messages: int = 0
+    statuses: Counter[Status] = field(default_factory=Counter)
+    link: dict[str, int] = field(default_factory=dict)
+    counters: dict[str, int] = field(default_factory=dict)
+    dropped: dict[str, int] = field(default_factory=dict)
+    _excluded: Counter[str] = field(default_factory=Counter)
+    _found: dict[tuple[Explanation, tuple[str, ...]], _Found] = field(default_factory=dict)
+    _reasons: dict[Status, _Said] = field(default_factory=dict)
+    _position_m: list[float] = field(default_factory=list)
+    _attitude_rad: list[float] = field(default_factory=list)
+
+    def add(self, pose: Pose, error: PoseError = NO_ERROR, lost: int = 0) -> None:
+        """Count an epoch."""
+        self.epochs += 1
+        self.lost_messages += lost
+        self.statuses[pose.status] += 1
+        self._excluded.update(pose.excluded if pose.used else ())
+        for finding in pose.findings:
+            self._found.setdefault((finding.kind, finding.beacons), _Found()).add(finding)
+        if pose.reason is not None and not pose.findings:
+            self._reasons.setdefault(pose.status, _Said()).add(pose.reason)
+        if pose.status is Status.OK and math.isfinite(error.position_m) and math.isfinite(error.attitude_rad):
+            self._position_m.append(error.position_m)
+            self._attitude_rad.append(error.attitude_rad)
+
+    def text(self, truth: bool) -> str:
+        """Return the summary as lines of at most 80 columns."""
+        counts = [f"{self.statuses[status]} {status.value}" for status in Status if self.statuses[status]]
+        lines = [f"{self.epochs} epochs: {', '.join(counts) or 'none'}"]
+        lines += self._about_beacons()
+        lines += self._about_links()
+        position, attitude = _rms(self._position_m), _rms(self._attitude_rad)
+        if position is not None and attitude is not None:
+            lines.append(
+                f"rms error of {len(self._position_m)} ok poses: position {position * 100.0:.2f} cm, "
+                f"attitude {math.degrees(attitude):.2f} deg"
+            )
+        elif truth:
+            lines.append("no ok pose could be compared with the truth")
+        return "\n".join(part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  "))
+
+    def _about_beacons(self) -> list[str]:
+        lines: list[str] = []
+        told: set[str] = set()
+        for (kind, beacons), found in sorted(self._found.items(), key=lambda item: -item[1].count):
+            left_out = [name for name in beacons if self._excluded[name] and name not in told]
+            told.update(left_out)
+            lines += [f"{self._left_out(name)}: {_summed_up(kind, found)}" for name in left_out]
+            if not told & set(beacons):
+                lines.append(f"in {found.count} of {self.epochs}: {_summed_up(kind, found)}")
+        lines += [self._left_out(name) for name in self._excluded if name not in told]
+        for status, said in self._reasons.items():
+            example = ", such as" if said.various else ""
+            lines.append(f"{status.value} in {said.count} of {self.epochs}{example}: {said.last}")
+        return lines
+
+    def _left_out(self, name: str) -> str:
+        return f"{name} left out in {self._excluded[name]} of {self.epochs}"
+
+    def _about_links(self) -> list[str]:
+        told = {"messages lost": self.lost_messages}
+        told |= {words: self.link.get(name, 0) for name, words in LINK_COUNTS.items()}
+        counted = [f"{count} {words}" for words, count in told.items() if count]
+        lines = ["the link: " + ", ".join(counted)] if counted else []
+        if self.counters:
+            counted = [f"{count} {name}" for name, count in self.counters.items()]
+            lines.append("the sensor counted since its reset: " + ", ".join(counted))
+        lines += [f"{n} epochs were left out of {name}, which took them too slowly" for name, n in self.dropped.items()]
+        return lines
+
+
+def _summed_up(kind: Explanation, found: _Found) -> str:
+    """Return what was found in one sentence: the median over the epochs where there is a figure."""
+    assert found.last is not None
+    names = " and ".join(found.last.beacons)
+    if kind is Explanation.MOVED and found.position_m:
+        x, y, z = np.median(found.position_m, axis=0)
+        return f"its position fits better at ({x:.3f}, {y:.3f}, {z:.3f}) m"
+    if kind is Explanation.CURRENT and found.factor:
+        return f"the current of {names} fits better at {np.median(found.factor):.3f} of what the site says"
+    return found.last.text
+
+
+def _rms(values: list[float]) -> float | None:
+    return math.sqrt(sum(value * value for value in values) / len(values)) if values else None
