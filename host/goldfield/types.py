@@ -11,6 +11,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from goldfield.errors import UserError
+
 FloatArray = NDArray[np.float64]
 
 
@@ -33,6 +35,17 @@ class Fields:
     sweep_T_s : float or None
         Standard deviation of the ramp of the ambient field that is left in the fields, T/s, each axis; None if nobody
         took the ramp out. Only of interest while the sensor turns (`goldfield.access.sweep`).
+
+    Raises
+    ------
+    UserError
+        If the arrays' shapes are not those of as many beacons.
+
+    Examples
+    --------
+    >>> Fields(0, 0.0, ("b1", "b2"), np.zeros((2, 3)), np.ones(3))
+    Traceback (most recent call last):
+    goldfield.errors.UserError: sigma_T= of Fields has the shape (3,): 2 beacons need (2,)
     """
 
     epoch: int
@@ -41,6 +54,14 @@ class Fields:
     field_T: FloatArray
     sigma_T: FloatArray
     sweep_T_s: float | None = None
+
+    def __post_init__(self) -> None:
+        """Check the shapes, so that no array reaches the search that is not as this class says."""
+        count = len(self.beacons)
+        for name, shape in (("field_T", (count, 3)), ("sigma_T", (count,))):
+            given = np.shape(getattr(self, name))
+            if given != shape:
+                raise UserError(f"{name}= of Fields has the shape {given}: {count} beacons need {shape}")
 
 
 class Status(StrEnum):

@@ -121,3 +121,13 @@ def test_a_closed_live_sensor_is_not_waited_for():
         source.close()
         with pytest.raises(goldfield.UserError, match=r"^virtual: is closed"):
             source.receive(60.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "sigma"), [((2, 3), (3,)), ((3, 2), (3,)), ((3,), (3,)), ((3, 3), ()), ((3, 3), (3, 3))]
+)
+def test_fields_of_the_wrong_shape_are_refused_in_a_sentence(field, sigma):
+    with pytest.raises(
+        goldfield.UserError, match=r"^(field|sigma)_T= of Fields has the shape \(.*\): 3 beacons need \("
+    ):
+        goldfield.Fields(0, 0.0, ("b1", "b2", "b3"), np.zeros(field), np.ones(sigma))
