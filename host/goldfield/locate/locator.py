@@ -50,11 +50,13 @@ class Locator:
     def locate(self, fields: Fields) -> Pose:
         """Locate one epoch, with no prior; bad data never raise, the status tells.
 
-        - ``failed``: fewer than three beacons, fewer components than unknowns, or no finite solution; position NaN.
+        - ``failed``: fewer than three beacons, fewer components than unknowns, fields that are nothing but noise
+          (`constellation.SILENCE`), or no finite solution; position NaN.
         - ``inconsistent``: the residual is improbable (`integrity`) and the evidence is too weak to leave out a beacon,
           or leaving out some does not mend it, or the only solution lies outside the site's half-space.
         - ``ambiguous``: another pose explains the fields as well; it is given as ``alternative``.
-        - ``weak``: the standard deviation exceeds `WEAK_POSITION` of the range or `WEAK_ATTITUDE_RAD`.
+        - ``weak``: the standard deviation exceeds `WEAK_POSITION` of the range or `WEAK_ATTITUDE_RAD`, or the search
+          came to the end of its evaluations.
         - ``ok``: none of these; ``excluded`` lists beacons that did not agree with the site and were left out.
         """
         return self.locate_many([fields])[0]
@@ -220,8 +222,16 @@ class Locator:
             ]
 
         status = [
-            Status.INCONSISTENT if bad or out else Status.AMBIGUOUS if two else Status.OK
-            for bad, out, two in zip(wrong, solutions.outside, solutions.contested, strict=True)
+            Status.INCONSISTENT
+            if out or (bad and not capped)
+            else Status.AMBIGUOUS
+            if two
+            else Status.WEAK
+            if capped
+            else Status.OK
+            for bad, out, two, capped in zip(
+                wrong, solutions.outside, solutions.contested, solutions.bounded, strict=True
+            )
         ]
         others: list[Pose | None] = [None] * len(epochs)
         contested = np.flatnonzero(solutions.contested)

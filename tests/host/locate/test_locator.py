@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, ncx2
 
 from goldfield.locate import Locator, locate
+from goldfield.locate.constellation import SILENCE, Constellation, audible
+from goldfield.locate.fit import Measurements
 from goldfield.types import Fields, Status
 from tests.bench import locate_trials as bench
 
@@ -170,16 +173,77 @@ def test_what_cannot_be_located_says_failed():
         assert np.isnan(pose.orientation_xyzw).all()
 
 
-def test_nonsense_gets_a_pose_that_says_so():
-    """Zeros, noise alone, one huge value: always an answer, never called ok."""
-    site = bench.prigge_cube()
-    names = tuple(f"b{i}" for i in range(8))
+def nothing_but(site, field, sigma=6e-9):
+    return locate(site, Fields(0, 0.0, tuple(b.id for b in site.beacons), field, np.full(len(field), sigma)))
+
+
+@pytest.mark.parametrize("beacons", [3, 4, 8])
+def test_noise_alone_and_silence_fail(beacons):
+    site = bench.prigge_cube(keep=range(8 - beacons, 8))
     rng = np.random.default_rng(48)
-    noise = rng.normal(size=(8, 3)) * 6e-9
-    spike = noise.copy()
-    spike[3, 1] = 1.0
-    for field in (np.zeros((8, 3)), noise, spike):
-        assert locate(site, Fields(0, 0.0, names, field, np.full(8, 6e-9))).status is not Status.OK
+    assert nothing_but(site, np.zeros((beacons, 3))).status is Status.FAILED
+    for _ in range(50):
+        noise = 6e-9 * rng.normal(size=(beacons, 3))
+        assert nothing_but(site, noise).status is Status.FAILED
+        noise[1, 1] = 1.0  # one beacon, however strong, is no pose
+        assert nothing_but(site, noise).status is Status.FAILED
+
+
+def test_far_poses_fail_as_rarely_as_stated():
+    """Fields without the strongest beacon are noise or not: both sides of the threshold, against the exact law."""
+    sigma, count, rng = 6e-9, 40000, np.random.default_rng(52)
+    limit = chi2.isf(SILENCE, 21)
+    for energy in (0.0, 30.0, 60.0):
+        truth = np.zeros((8, 3))
+        truth[:, 0] = sigma * np.sqrt(energy / 7)
+        truth[0, 0] = 100 * sigma
+        field = truth + sigma * rng.normal(size=(count, 8, 3))
+        heard = audible(Measurements(field, np.full((count, 8), sigma))).mean()
+        expected = ncx2.sf(limit, 21, energy) if energy else SILENCE
+        assert heard == pytest.approx(expected, abs=4 * np.sqrt(expected * (1 - expected) / count))
+    exact = np.zeros((2, 8, 3))
+    exact[:, 0, 0] = 1.0
+    exact[:, 1, 0] = sigma * np.sqrt(limit) * np.array([0.999, 1.001])
+    assert audible(Measurements(exact, np.full((2, 8), sigma))).tolist() == [False, True]
+
+
+def test_poses_on_the_way_out_are_ok_then_weak_then_failed():
+    site, rng = bench.prigge_cube(), np.random.default_rng(53)
+    away = rng.normal(size=(200, 3))
+    away *= rng.uniform(3.0, 8.0, size=(200, 1)) / np.linalg.norm(away, axis=1, keepdims=True)
+    run = bench.trials(site, np.array([1.065, 1.065, 0.9]) + away, rng)
+    poses = Locator(site).locate_many(bench.fields_of(site, run))
+    share = bench.bound_of(site, run) / np.linalg.norm(
+        run.position_m[:, None] - [b.position_m for b in site.beacons], axis=2
+    ).min(axis=1)
+    failed = np.array([pose.status is Status.FAILED for pose in poses])
+    assert not failed[share < 0.15].any()
+    assert failed[share > 1.0].mean() > 0.9
+    assert sum(pose.status is Status.WEAK for pose in poses) >= 3
+
+
+def test_a_spike_is_never_ok():
+    site, rng = bench.prigge_cube(), np.random.default_rng(48)
+    run = bench.trials(site, np.array([[1.0, 1.2, 0.8]]), rng)
+    field = run.field_T[0].copy()
+    field[:, 1] = 1.0
+    assert nothing_but(site, field).status is not Status.OK
+
+
+def test_what_ended_for_want_of_iterations_is_weak_and_never_inconsistent(monkeypatch):
+    """A fit that the cap ended proves nothing, however large its cost."""
+    site, rng = bench.prigge_cube(), np.random.default_rng(54)
+    run = bench.trials(site, bench.cube_positions(rng, 3), rng)
+    solve = Constellation.solve
+
+    def ended(self, measurements):
+        solutions = solve(self, measurements)
+        solutions.best.cost[:] = 1e6
+        return replace(solutions, bounded=np.ones(len(measurements), dtype=bool))
+
+    monkeypatch.setattr(Constellation, "solve", ended)
+    for pose in Locator(site).locate_many(bench.fields_of(site, run)):
+        assert pose.status is Status.WEAK
 
 
 def test_model_error_admits_a_site_that_is_not_quite_as_the_file_says():
