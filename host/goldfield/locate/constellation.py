@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +30,19 @@ SUSPECT = 1e-3
 
 RIVAL_COST = 15.0
 """Another pose whose cost is within this of the best is a rival; e^7.5 = 1800 to one is the odds against it then."""
+
+SURE_BEACONS = 6
+"""Beacons that must stand out of the noise for the chain's answer to be taken without a search: fewer leave room for
+several answers."""
+
+OUTSTANDING = 10.0
+"""A beacon stands out of the noise if its field is this many standard deviations strong."""
+
+SURE_RADII = 2.0
+"""Distance from every coil, in its radii, for the same: nearer the valleys of the cost bend."""
+
+MOST_EVALUATIONS = 10_000
+"""Evaluations of the field that a search may take, 5 to 20 ms; the median is 600, near coils 2,000."""
 
 CANDIDATES = 8
 """Candidates of the shell that are fitted."""
@@ -62,6 +75,9 @@ class Solutions:
     bounded : ndarray of bool, shape (e,)
         True where the search came to the end of its evaluations: a better pose may exist, and a large cost proves
         nothing.
+    covariance_widening : ndarray, shape (e, 6, 6)
+        To be added to the covariance of the best pose (m, rad in the site's frame): what it lacks because the valley
+        of the cost bends or has several minima close together.
     """
 
     best: Fit
@@ -69,12 +85,14 @@ class Solutions:
     contested: NDArray[np.bool_]
     outside: NDArray[np.bool_]
     bounded: NDArray[np.bool_]
+    covariance_widening: FloatArray
 
     def put(self, rows: NDArray[np.intp], other: Solutions) -> None:
         """Replace some of the epochs, in place."""
         self.best.put(rows, other.best)
         self.rival.put(rows, other.rival)
         self.contested[rows], self.outside[rows], self.bounded[rows] = other.contested, other.outside, other.bounded
+        self.covariance_widening[rows] = other.covariance_widening
 
     def take(self, rows: NDArray[np.intp]) -> Solutions:
         """Return some of the epochs."""
@@ -84,6 +102,7 @@ class Solutions:
             self.contested[rows],
             self.outside[rows],
             self.bounded[rows],
+            self.covariance_widening[rows],
         )
 
 
@@ -123,46 +142,79 @@ class Constellation:
     def solve(self, measurements: Measurements) -> Solutions:
         """Find the poses of e epochs with no prior.
 
-        The chain of magnitudes is quick and nearly always right. The shell is searched as well when the chain cannot
-        be used (a sensor without three axes, fewer than four beacons), when its residual is improbable, or when
-        little redundancy leaves room for several answers. Where the fields are nothing but noise the cost is infinite.
+        The chain of magnitudes is quick, and its answer is taken where it is shown to be right (`_sure`). Elsewhere
+        the pose is searched: by the kernel, or for coils given by their wire and sensors without three axes in the
+        shell of the strongest beacon. Where the fields are nothing but noise the cost is infinite.
         """
         heard = audible(measurements)
-        if not heard.all():
-            return self._solve_heard(measurements, heard)
-        everyone = np.arange(len(measurements))
-        simple = measurements.complete and len(self.model) >= 4
-        if simple:
-            best = self.from_magnitudes(measurements)
-            further = np.flatnonzero(~(probability(best.cost, measurements.freedom) > SUSPECT))
-        else:
-            best, further = _nowhere(len(measurements)), everyone
-        rival, contested = best.take(everyone), np.zeros(len(measurements), dtype=bool)
-        for e in further:
-            one = np.array([e])
-            found = self.from_shell(measurements.take(one))
-            if not simple and probability(found.cost[:1], measurements.freedom[one])[0] < SUSPECT:
-                found = self.from_shell(measurements.take(one), candidates=4 * CANDIDATES)
-            if simple:
-                found = _sorted(stacked([found, best.take(one)]))
-            found = self._distinct(found, measurements.take(one))
-            best.put(one, found.take(np.array([0])))
-            if len(found.cost) > 1:
-                rival.put(one, found.take(np.array([1])))
-                contested[e] = found.cost[1] - found.cost[0] < RIVAL_COST
-        if self.mirror is not None:
-            self._reflect(measurements, best, rival, contested)
-        return self._sided(best, rival, contested)
-
-    def _solve_heard(self, measurements: Measurements, heard: NDArray[np.bool_]) -> Solutions:
-        """Solve the epochs that are more than noise; the others are nowhere."""
-        nowhere = np.zeros(len(measurements), dtype=bool)
-        solutions = Solutions(
-            _nowhere(len(measurements)), _nowhere(len(measurements)), nowhere.copy(), nowhere.copy(), nowhere
-        )
+        if heard.all():
+            return self._solve_heard(measurements)
+        solutions = _unsolved(_nowhere(len(measurements)))
         rows = np.flatnonzero(heard)
         if len(rows):
-            solutions.put(rows, self.solve(measurements.take(rows)))
+            solutions.put(rows, self._solve_heard(measurements.take(rows)))
+        return solutions
+
+    def _solve_heard(self, measurements: Measurements) -> Solutions:
+        """Find the poses of epochs that are more than noise."""
+        quick = kernel.of(self.model) if measurements.complete else None
+        if measurements.complete and len(self.model) >= (4 if quick is None else SURE_BEACONS):
+            solutions = _unsolved(self.from_magnitudes(measurements))
+        else:
+            solutions = _unsolved(_nowhere(len(measurements)))
+        further = np.flatnonzero(~self._sure(measurements, solutions.best, strict=quick is not None))
+        if len(further) and quick is not None:
+            solutions.put(further, self._search(quick, measurements.take(further)))
+        else:
+            for e in further:
+                one = np.array([e])
+                solutions.put(one, self._search_shell(measurements.take(one), solutions.best.take(one)))
+        if self.mirror is not None:
+            self._reflect(measurements, solutions)
+        return self._sided(solutions)
+
+    def _sure(self, measurements: Measurements, fit: Fit, *, strict: bool) -> NDArray[np.bool_]:
+        """Tell which fits, shape (e,), need no search: they fit, and if strict nothing else can.
+
+        Nothing else was found in trials where `SURE_BEACONS` stand out of the noise and no coil is near.
+        """
+        sure = fit.converged & (probability(fit.cost, measurements.freedom) > SUSPECT)
+        if strict and sure.any():
+            sure &= (measurements.magnitude_T > OUTSTANDING * measurements.sigma_T).sum(axis=1) >= SURE_BEACONS
+            distance = np.linalg.norm(fit.position_m[:, None] - self.model.centre_m, axis=2)
+            sure &= (distance > SURE_RADII * self.model.reach_m).all(axis=1)
+        return np.asarray(sure)
+
+    def _search(self, quick: kernel.Kernel, measurements: Measurements) -> Solutions:
+        """Search all of the space by the kernel."""
+        side = np.zeros(4)
+        if self.half_space is not None:
+            side = np.append(self.half_space.normal, self.half_space.normal @ self.half_space.point_m)
+        position, rotation, found, widening, evaluations = quick.search(
+            measurements.field_T, measurements.sigma_T, half_space=side, most_evaluations=MOST_EVALUATIONS
+        )
+        solutions = _unsolved(self._polished(measurements, position[:, 0], rotation[:, 0]))
+        solutions.covariance_widening[:] = widening
+        solutions.bounded[:] = (evaluations >= MOST_EVALUATIONS) | ~solutions.best.converged
+        two = np.flatnonzero(found == 2)
+        if len(two):
+            rival = self._polished(measurements.take(two), position[two, 1], rotation[two, 1])
+            solutions.rival.put(two, rival)
+            solutions.contested[two] = rival.cost - solutions.best.cost[two] < RIVAL_COST
+        none = np.flatnonzero(found == 0)
+        solutions.best.put(none, _nowhere(len(none)))
+        return solutions
+
+    def _search_shell(self, measurements: Measurements, known: Fit) -> Solutions:
+        """Search the shell of one epoch; a pose that is known already competes."""
+        found = self.from_shell(measurements)
+        if probability(found.cost[:1], measurements.freedom)[0] < SUSPECT:
+            found = self.from_shell(measurements, candidates=4 * CANDIDATES)
+        found = self._distinct(_sorted(stacked([found, known])), measurements)
+        solutions = _unsolved(found.take(np.array([0])))
+        if len(found.cost) > 1:
+            solutions.rival.put(np.array([0]), found.take(np.array([1])))
+            solutions.contested[0] = found.cost[1] - found.cost[0] < RIVAL_COST
         return solutions
 
     def from_magnitudes(self, measurements: Measurements) -> Fit:
@@ -208,16 +260,18 @@ class Constellation:
         rough = fit_pose(
             self.model, measurements, position_m, rotation, model_error=ROBUST_MODEL_ERROR, tolerance=ROUGH_TOLERANCE
         )
-        fit = fit_pose(self.model, measurements, rough.position_m, rough.rotation)
+        return self._polished(measurements, rough.position_m, rough.rotation)
+
+    def _polished(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
+        """Fit without model error, with more iterations where that has not converged."""
+        fit = fit_pose(self.model, measurements, position_m, rotation)
         left = np.flatnonzero(~fit.converged & np.isfinite(fit.cost))
         if len(left):
             some = fit.take(left)
-            fit.put(
-                left,
-                fit_pose(
-                    self.model, measurements.take(left), some.position_m, some.rotation, iterations=MORE_ITERATIONS
-                ),
+            more = fit_pose(
+                self.model, measurements.take(left), some.position_m, some.rotation, iterations=MORE_ITERATIONS
             )
+            fit.put(left, more)
         return fit
 
     def at(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
@@ -248,12 +302,13 @@ class Constellation:
                 kept.append(int(i))
         return fits.take(np.array(kept if kept else [0], dtype=np.intp))
 
-    def _reflect(self, measurements: Measurements, best: Fit, rival: Fit, contested: NDArray[np.bool_]) -> None:
+    def _reflect(self, measurements: Measurements, solutions: Solutions) -> None:
         """Try the images in the beacons' plane: the side where the sensor must be decides, else they are rivals.
 
-        The arguments are changed in place.
+        The solutions are changed in place.
         """
         assert self.mirror is not None
+        best, rival, contested = solutions.best, solutions.rival, solutions.contested
         image = self.mirror.image(best)
         if self.mirror.exact:
             other = self.mirror.image(rival)
@@ -269,12 +324,14 @@ class Constellation:
         kept = best.take(swap)
         best.put(swap, image.take(swap))
         image.put(swap, kept)
+        solutions.covariance_widening[swap] = self.mirror.reflected(solutions.covariance_widening[swap])
         open_rows = np.flatnonzero(likely & (here == there))
         rival.put(open_rows, image.take(open_rows))
         contested[open_rows] = True
 
-    def _sided(self, best: Fit, rival: Fit, contested: NDArray[np.bool_]) -> Solutions:
+    def _sided(self, solutions: Solutions) -> Solutions:
         """Let the half-space decide between rivals."""
+        best, rival, contested = solutions.best, solutions.rival, solutions.contested
         right, other = self.inside(best.position_m), self.inside(rival.position_m)
         swap = np.flatnonzero(contested & ~right & other)
         kept = best.take(swap)
@@ -282,7 +339,7 @@ class Constellation:
         rival.put(swap, kept)
         decided = contested & (right != other)
         outside = ~(right | (contested & other))
-        return Solutions(best, rival, contested & ~decided, outside, bounded=~best.converged & np.isfinite(best.cost))
+        return replace(solutions, contested=contested & ~decided, outside=outside)
 
 
 def audible(measurements: Measurements) -> NDArray[np.bool_]:
@@ -318,6 +375,19 @@ def _nowhere(count: int) -> Fit:
         np.full(count, np.inf),
         np.zeros((count, 6, 6)),
         np.zeros(count, dtype=bool),
+    )
+
+
+def _unsolved(best: Fit) -> Solutions:
+    """Return fits as solutions that have no rivals yet."""
+    count = len(best.cost)
+    return Solutions(
+        best=best,
+        rival=best.take(np.arange(count)),
+        contested=np.zeros(count, dtype=bool),
+        outside=np.zeros(count, dtype=bool),
+        bounded=~best.converged & np.isfinite(best.cost),
+        covariance_widening=np.zeros((count, 6, 6)),
     )
 
 

@@ -202,6 +202,8 @@ class Locator:
 
         def build(fit: Fit, which: NDArray[np.intp], status: list[Status], others: list[Pose | None]) -> list[Pose]:
             covariance = second_order_covariance(model, measurements.take(which), fit.position_m, fit.rotation)
+            if fit is solutions.best:
+                covariance += solutions.covariance_widening
             weak = self._weak(model, measurements.take(which), fit, covariance)
             quaternions = Rotation.from_matrix(fit.rotation, assume_valid=True).as_quat(canonical=True)
             return [

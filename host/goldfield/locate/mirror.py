@@ -44,15 +44,19 @@ class Mirror:
 
     def image(self, fit: Fit) -> Fit:
         """Images of poses, with the same cost and the reflected information."""
-        both = np.zeros((6, 6))
-        both[:3, :3], both[3:, 3:] = self.reflection, self.turn
         return Fit(
             self.point_m + (fit.position_m - self.point_m) @ self.reflection.T,
             self.turn @ fit.rotation,
             fit.cost.copy(),
-            both @ fit.information @ both.T,
+            self.reflected(fit.information),
             fit.converged.copy(),
         )
+
+    def reflected(self, matrix: FloatArray) -> FloatArray:
+        """Information or covariance, shape (e, 6, 6), of the images of poses."""
+        both = np.zeros((6, 6))
+        both[:3, :3], both[3:, 3:] = self.reflection, self.turn
+        return np.asarray(both @ matrix @ both.T)
 
 
 def find_mirror(model: FieldModel) -> Mirror | None:

@@ -263,9 +263,10 @@ def test_model_error_admits_a_site_that_is_not_quite_as_the_file_says():
     assert 0.2 < bench.normalised_error(error, covariance).mean() < 1.2
 
 
-def test_far_away_is_weak():
+def test_far_away_is_weak_and_further_away_fails():
     site = bench.prigge_cube()
     rng = np.random.default_rng(49)
-    run = bench.trials(site, np.array([[9.0, 9.0, 3.0]]), rng)
-    (pose,) = Locator(site).locate_many(bench.fields_of(site, run))
-    assert pose.status in (Status.WEAK, Status.AMBIGUOUS)
+    run = bench.trials(site, np.array([[3.8, 3.8, 2.0], [9.0, 9.0, 3.0]]), rng)
+    weak, failed = Locator(site).locate_many(bench.fields_of(site, run))
+    assert weak.status in (Status.WEAK, Status.AMBIGUOUS)
+    assert failed.status is Status.FAILED  # .01 mG a beacon, of .0625 mG of noise

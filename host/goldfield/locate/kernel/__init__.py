@@ -33,6 +33,8 @@ typedef struct {
 void gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *, double *);
 void gf_fit(const gf_coils_t *, size_t, const double *, const double *, double, size_t, double, double *, double *,
             double *, double *, uint8_t *);
+void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double *,
+               double *, uint8_t *, double *, uint32_t *);
 void gf_faults(const gf_coils_t *, size_t, const double *, const double *, const double *, const double *, double,
                double, double *, int32_t *, double *);
 void gf_covariance(const gf_coils_t *, size_t, const double *, const double *, const double *, const double *, double,
@@ -146,6 +148,52 @@ class Kernel:
             _ffi.from_buffer("uint8_t[]", converged, require_writable=True),
         )
         return position, turn, cost, information, converged
+
+    def search(
+        self,
+        field_T: FloatArray,
+        sigma_T: FloatArray,
+        *,
+        half_space: FloatArray,
+        most_evaluations: int,
+        model_error: float = 0.0,
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.intp], FloatArray, NDArray[np.intp]]:
+        """Search the best pose of each epoch and a rival with no prior, from complete vectors; see kernel.h.
+
+        Parameters
+        ----------
+        half_space : ndarray, shape (4,)
+            Unit normal of the half-space and the least component along it; zeros allow all positions.
+
+        Returns
+        -------
+        position_m : ndarray, shape (e, 2, 3)
+        rotation : ndarray, shape (e, 2, 3, 3)
+        found : ndarray of int, shape (e,)
+            How many of the two there are.
+        widening : ndarray, shape (e, 6, 6)
+            What the covariance of the best lacks because its valley bends.
+        evaluations : ndarray of int, shape (e,)
+        """
+        count = len(field_T)
+        position, rotation = np.zeros((count, 2, 3)), np.zeros((count, 2, 3, 3))
+        found, evaluations = np.empty(count, dtype=np.uint8), np.empty(count, dtype=np.uint32)
+        widening = np.empty((count, 6, 6))
+        self._library.gf_search(
+            self._coils,
+            count,
+            _given(field_T),
+            _given(sigma_T),
+            model_error,
+            _given(half_space),
+            most_evaluations,
+            _filled(position),
+            _filled(rotation),
+            _ffi.from_buffer("uint8_t[]", found, require_writable=True),
+            _filled(widening),
+            _ffi.from_buffer("uint32_t[]", evaluations, require_writable=True),
+        )
+        return position, rotation, found.astype(np.intp), widening, evaluations.astype(np.intp)
 
     def faults(
         self,

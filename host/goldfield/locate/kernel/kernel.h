@@ -49,6 +49,16 @@ void gf_fit(const gf_coils_t *coils, size_t epochs, const double *field_T, const
             size_t iterations, double tolerance, double *position_m, double *rotation, double *cost,
             double *information, uint8_t *converged);
 
+/* Search of the best pose with no prior, from complete vectors, and of a rival (goldfield.locate.constellation). The
+ * best is the global minimum of the cost as far as could be found out within most_evaluations; those on the right side
+ * of the half-space, the unit normal and the least component along it, go before others (a normal and component of 0
+ * allow all). A rival is another minimum within a cost of 15 of the best that no low way joins with it. Out:
+ * position_m (e x 2 x 3), rotation (e x 2 x 3 x 3), best and rival; found (e), how many of the two there are; widening
+ * (e x 6 x 6), to be added to the covariance of the best because its valley bends; evaluations (e). */
+void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
+               const double half_space[4], size_t most_evaluations, double *position_m, double *rotation, uint8_t *found,
+               double *widening, uint32_t *evaluations);
+
 /* Statistics of each beacon's faults around fitted poses (goldfield.locate.integrity, which derives them).
  * least_eigenvalue is as in gf_covariance(); least_share is the part of a variance that must be left in the residuals
  * for a fault to show. Out, e x n each: drop, its degrees of freedom, and scale. Bound: one evaluation of the field an

@@ -1,0 +1,275 @@
+#include <math.h>
+#include <string.h>
+
+#include "candidates.h"
+#include "walk.h"
+
+/* Relative errors of the model, one after another: strong, curved beacons no longer dominate at first. */
+static const double softness[] = {0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4};
+#define STAGES (sizeof softness / sizeof softness[0])
+
+#define STAGE_TRIALS 8
+#define STAGE_ENOUGH 1e-2
+#define FINAL_TRIALS 120
+#define FINAL_ENOUGH 1e-6
+
+#define MOST_MINIMA 12
+
+/* Two poses are one minimum below these: squared distance in standard deviations, and turn in rad. */
+#define SAME_DISTANCE2 1.0
+#define SAME_PORTION   1e-3
+#define SAME_TURN      1e-2
+
+/* A rival this near, in parts of the range and in rad, widens the covariance instead. */
+#define NEAR_PORTION 0.05
+#define NEAR_TURN    0.2
+
+/* A way between two minima is low if the cost stays within this of the best. */
+#define LOW_PASS 9.0
+
+/* Only minima within this of the best are rivals. */
+#define RIVAL_COST 15.0
+
+/* A search looks around a pose within this many radii of the start coil's centre. */
+#define NEAR_RADII 3.0
+
+typedef struct {
+    gf_epoch_t epoch;
+    const double *half_space; /* unit normal and the least component along it; a normal of 0 allows all */
+    double model_error;
+    size_t coil; /* the start coil */
+    size_t count;
+    gf_minimum_t minima[MOST_MINIMA]; /* those on the right side first, then by cost */
+} search_t;
+
+static bool is_inside(const search_t *search, const gf_pose_t *pose) {
+    const double *const h = search->half_space;
+    return h[0] * pose->position_m[0] + h[1] * pose->position_m[1] + h[2] * pose->position_m[2] >= h[3];
+}
+
+static double nearest_coil(const gf_coils_t *coils, const gf_pose_t *pose) {
+    double least = INFINITY;
+    for (size_t i = 0; i < coils->count; ++i) {
+        double square = 0.0;
+        for (size_t k = 0; k < 3; ++k) {
+            const double offset = pose->position_m[k] - coils->centre_m[k][i];
+            square += offset * offset;
+        }
+        least = fmin(least, square);
+    }
+    return sqrt(least);
+}
+
+static bool is_near(const gf_coils_t *coils, const gf_pose_t *a, const gf_pose_t *b, double portion, double turn) {
+    double d[6];
+    gf_difference(a, b, d);
+    const double shift = sqrt(d[0] * d[0] + d[1] * d[1] + d[2] * d[2]);
+    const double angle = sqrt(d[3] * d[3] + d[4] * d[4] + d[5] * d[5]);
+    return shift < portion * nearest_coil(coils, a) && angle < turn;
+}
+
+static bool is_same(const search_t *search, const gf_minimum_t *a, const gf_minimum_t *b) {
+    double d[6];
+    gf_difference(&a->pose, &b->pose, d);
+    return gf_form((const double(*)[6])a->squares.normal, d) < SAME_DISTANCE2 ||
+           is_near(search->epoch.coils, &a->pose, &b->pose, SAME_PORTION, SAME_TURN);
+}
+
+static bool is_better(const search_t *search, const gf_minimum_t *a, const gf_minimum_t *b) {
+    const bool inside = is_inside(search, &a->pose);
+    return inside == is_inside(search, &b->pose) ? a->squares.cost < b->squares.cost : inside;
+}
+
+/* Keep a minimum in its rank unless it is known. Returns whether it is new. */
+static bool keep(search_t *search, const gf_minimum_t *found) {
+    gf_minimum_t *const minima = search->minima;
+    if (!isfinite(found->squares.cost)) {
+        return false;
+    }
+    for (size_t i = 0; i < search->count; ++i) {
+        if (!is_same(search, &minima[i], found)) {
+            continue;
+        }
+        if (!is_better(search, found, &minima[i])) {
+            return false;
+        }
+        memmove(&minima[i], &minima[i + 1], (search->count - i - 1) * sizeof minima[0]);
+        --search->count;
+        break;
+    }
+    if (search->count == MOST_MINIMA) {
+        if (!is_better(search, found, &minima[MOST_MINIMA - 1])) {
+            return false;
+        }
+        --search->count;
+    }
+    size_t rank = search->count++;
+    for (; rank > 0 && is_better(search, found, &minima[rank - 1]); --rank) {
+        minima[rank] = minima[rank - 1];
+    }
+    minima[rank] = *found;
+    return true;
+}
+
+/* Whether an error of the model is small beside the noise of every coil. */
+static bool is_stiff(const gf_epoch_t *epoch, double error) {
+    for (size_t i = 0; i < epoch->coils->count; ++i) {
+        const double variance = 1.0 / (epoch->sigma_T[i] * epoch->sigma_T[i]);
+        if (epoch->weight[i] > 0.0 && epoch->weight[i] < 0.9 * variance && error > 0.0) {
+            return false;
+        }
+    }
+    return true;
+}
+
+/* Descend through the stages of softness from this one on, then to the end. */
+static bool refine(search_t *search, const gf_pose_t *pose, size_t stage) {
+    gf_minimum_t at = {.pose = *pose};
+    for (; stage < STAGES && softness[stage] > search->model_error; ++stage) {
+        gf_soften(&search->epoch, softness[stage]);
+        if (is_stiff(&search->epoch, softness[stage])) {
+            break;
+        }
+        gf_descend(&search->epoch, STAGE_TRIALS, STAGE_ENOUGH, &at);
+    }
+    gf_soften(&search->epoch, search->model_error);
+    gf_descend(&search->epoch, FINAL_TRIALS, FINAL_ENOUGH, &at);
+    return keep(search, &at);
+}
+
+/* Poses where the start coil's field is the same but for its direction: through its plane, its centre and its axis. */
+static void try_images(search_t *search, const gf_pose_t *pose) {
+    static const double along[3] = {-1.0, -1.0, 1.0};
+    static const double across[3] = {1.0, -1.0, -1.0};
+    const gf_coils_t *const coils = search->epoch.coils;
+    double offset[3];
+    double height = 0.0;
+    for (size_t k = 0; k < 3; ++k) {
+        offset[k] = pose->position_m[k] - coils->centre_m[k][search->coil];
+        height += offset[k] * coils->axis[k][search->coil];
+    }
+    for (size_t image = 0; image < 3; ++image) {
+        gf_pose_t there;
+        for (size_t k = 0; k < 3; ++k) {
+            const double up = height * coils->axis[k][search->coil];
+            there.position_m[k] = coils->centre_m[k][search->coil] + along[image] * up +
+                                  across[image] * (offset[k] - up);
+        }
+        gf_soften(&search->epoch, 0.1);
+        gf_align(&search->epoch, &there);
+        (void)refine(search, &there, 0);
+    }
+}
+
+/* Look around a pose in 14 directions, the axes and diagonals of a cube, at three distances. */
+static void try_star(search_t *search, const gf_pose_t *pose) {
+    static const double lengths[3] = {0.1, 0.3, 0.8};
+    const double radius = search->epoch.coils->radius_m[search->coil];
+    for (size_t ray = 0; ray < 14; ++ray) {
+        double direction[3];
+        for (size_t k = 0; k < 3; ++k) {
+            const double sign = (ray >> (ray < 6 ? 0 : k)) & 1U ? 1.0 : -1.0;
+            direction[k] = ray >= 6 ? 0.57735026918962576 * sign : ray / 2 == k ? sign : 0.0;
+        }
+        for (size_t length = 0; length < 3; ++length) {
+            gf_pose_t there = *pose;
+            for (size_t k = 0; k < 3; ++k) {
+                there.position_m[k] += radius * lengths[length] * direction[k];
+            }
+            gf_soften(&search->epoch, 0.1);
+            gf_align(&search->epoch, &there);
+            (void)refine(search, &there, 0);
+        }
+    }
+}
+
+static void explore(search_t *search) {
+    gf_pose_t candidates[GF_CANDIDATES];
+    search->coil = gf_start_coil(&search->epoch);
+    const size_t count = gf_candidates(&search->epoch, search->coil, candidates);
+    for (size_t i = 0; i < count; ++i) {
+        (void)refine(search, &candidates[i], 0);
+    }
+    for (size_t i = 0; i < 2 && i < search->count; ++i) {
+        const gf_pose_t pose = search->minima[i].pose;
+        try_images(search, &pose);
+    }
+    if (search->count > 0) {
+        const gf_pose_t pose = search->minima[0].pose;
+        double square = 0.0;
+        for (size_t k = 0; k < 3; ++k) {
+            const double offset = pose.position_m[k] - search->epoch.coils->centre_m[k][search->coil];
+            square += offset * offset;
+        }
+        if (sqrt(square) < NEAR_RADII * search->epoch.coils->radius_m[search->coil]) {
+            try_star(search, &pose);
+        }
+    }
+}
+
+/* Walk both ways from the best minimum, again from a better one if that is found, and widen its covariance. */
+static void walk(search_t *search, gf_width_t *width) {
+    for (size_t round = 0; round < 4; ++round) {
+        const gf_minimum_t from = search->minima[0];
+        gf_soften(&search->epoch, search->model_error);
+        gf_begin_width(&search->epoch, &from, width);
+        for (size_t side = 0; side < 2; ++side) {
+            gf_pose_t beyond;
+            if (gf_walk(&search->epoch, &from, side == 0 ? 1.0 : -1.0, width, &beyond)) {
+                (void)refine(search, &beyond, STAGES);
+            }
+        }
+        if (memcmp(&from.pose, &search->minima[0].pose, sizeof from.pose) == 0) {
+            break;
+        }
+    }
+}
+
+/* The first minimum that is neither joined with the best nor so near that its covariance takes it in. */
+static size_t find_rival(search_t *search, gf_width_t *width) {
+    const gf_minimum_t *const best = &search->minima[0];
+    gf_soften(&search->epoch, search->model_error);
+    for (size_t i = 1; i < search->count; ++i) {
+        const gf_minimum_t *const other = &search->minima[i];
+        if (other->squares.cost > best->squares.cost + RIVAL_COST ||
+            is_inside(search, &other->pose) != is_inside(search, &best->pose)) {
+            continue;
+        }
+        if (is_near(search->epoch.coils, &best->pose, &other->pose, NEAR_PORTION, NEAR_TURN)) {
+            gf_widen(width, &other->pose, other->squares.cost);
+        } else if (!gf_joined(&search->epoch, best, other, best->squares.cost + LOW_PASS, width)) {
+            return i;
+        }
+    }
+    return search->count;
+}
+
+static void put(const gf_minimum_t *minimum, double *position_m, double *rotation) {
+    memcpy(position_m, minimum->pose.position_m, sizeof minimum->pose.position_m);
+    memcpy(rotation, minimum->pose.rotation, sizeof minimum->pose.rotation);
+}
+
+void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
+               const double half_space[4], size_t most_evaluations, double *position_m, double *rotation,
+               uint8_t *found, double *widening, uint32_t *evaluations) {
+    const size_t n = coils->count;
+    for (size_t e = 0; e < epochs; ++e) {
+        search_t search = {.epoch = {.coils = coils, .most_evaluations = most_evaluations},
+                           .half_space = half_space,
+                           .model_error = model_error};
+        gf_width_t width = {.cost = 0.0};
+        search.epoch.field_T = field_T + 3 * n * e;
+        search.epoch.sigma_T = sigma_T + n * e;
+        explore(&search);
+        size_t rival = search.count;
+        if (search.count > 0) {
+            walk(&search, &width);
+            rival = find_rival(&search, &width);
+            put(&search.minima[0], position_m + 6 * e, rotation + 18 * e);
+            put(&search.minima[rival < search.count ? rival : 0], position_m + 6 * e + 3, rotation + 18 * e + 9);
+        }
+        found[e] = search.count == 0 ? 0 : rival < search.count ? 2 : 1;
+        memcpy(widening + 36 * e, width.widening, sizeof width.widening);
+        evaluations[e] = (uint32_t)search.epoch.evaluations;
+    }
+}
