@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from goldfield.site.drive import Code
-from hil_sim.scenario.parts import CHIP_PERIOD_S, Beacon
+from hil_sim.scenario.parts import CHIP_PERIOD_S, Beacon, FrontEnd
 from hil_sim.scenario.scenario import Scenario
 from hil_sim.world.path import CoilGeometry
 
@@ -29,10 +29,19 @@ def site_toml(scenario: Scenario) -> str:
     if scenario.half_space is not None:
         point, normal = _toml(scenario.half_space.point), _toml(scenario.half_space.normal)
         lines.append(f"half_space = {{ point = {point}, normal = {normal} }}")
-    lines += ["", "[sensor]", f"noise_T = {scenario.sensor.sample_noise_T!r}"]
+    lines += ["", "[sensor]", f"noise_T = {scenario.sensor.sample_noise_T!r}", *_axes(scenario.sensor)]
+    lines += ["", "[survey]", "position_sd_m = 0.0", "axis_sd_rad = 0.0", "current_sd = 0.0"]
     for beacon in scenario.beacons:
         lines += _beacon(beacon, scenario)
     return "\n".join(lines) + "\n"
+
+
+def _axes(sensor: FrontEnd) -> list[str]:
+    """Return how well the sensor's axes are known: exactly, or as far off as those that nobody calibrated are."""
+    errors = (sensor.gain_error, sensor.misalignment_rad)
+    exact = sensor.calibration == "exact"
+    gain, axis = (0.0 if exact else float(np.sqrt((error**2).mean())) for error in errors)
+    return [f"gain_sd = {gain!r}", f"axis_sd_rad = {axis!r}"]
 
 
 def _beacon(beacon: Beacon, scenario: Scenario) -> list[str]:

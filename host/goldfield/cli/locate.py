@@ -42,6 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.view.terminal import PoseTable
 
     site = site_of(arguments)
+    options.tell_assumed(site)
     table, summary = PoseTable(), Summary()
     pose_of = _beside_body(site, arguments) if arguments.own_body else _location(site, arguments.track)
     for fields in read_fields(site, arguments.fields):

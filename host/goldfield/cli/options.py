@@ -8,7 +8,8 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, tell
+from goldfield.site import Site
 
 
 def add(
@@ -45,6 +46,12 @@ def required(value: str | None, name: str, metavar: str) -> str:
     if not value:
         raise UserError(f"{name} is missing: give {name} {metavar} or set {environment_name(name)}")
     return value
+
+
+def tell_assumed(site: Site) -> None:
+    """Say once, on stderr, what is assumed where the site file is silent; nothing if it is not."""
+    if site.assumed:
+        tell(f"the site file is silent, so this is assumed: {', '.join(site.assumed)} (0 says that it is exact)")
 
 
 def environment_name(option: str) -> str:

@@ -52,7 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
     site = options.required(arguments.site, "--site", "FILE")
     inputs = {"--site": site, "--log": where if kind == "log" else None, "--truth": arguments.truth}
     check_outputs({"--record": arguments.record, "--fields": arguments.fields}, inputs)
-    print_poses(arguments, kind, where, site_of(arguments))
+    known = site_of(arguments)
+    options.tell_assumed(known)
+    print_poses(arguments, kind, where, known)
     return 0
 
 

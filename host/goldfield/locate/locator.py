@@ -107,8 +107,8 @@ class Locator:
     def _tables(self, epochs: Sequence[Fields]) -> tuple[FloatArray, FloatArray]:
         """Put the fields in the order of the site's beacons; unknown ids and unusable noise are left out.
 
-        Fields, shape (e, beacons, 3), NaN where not measured, and their standard deviations with the site's model
-        error, shape (e, beacons).
+        Fields, shape (e, beacons, 3), NaN where not measured, and their standard deviations,
+        shape (e, beacons).
         """
         field = np.full((len(epochs), len(self.site.beacons), 3), np.nan)
         sigma = np.ones(field.shape[:2])
@@ -123,8 +123,6 @@ class Locator:
         usable = np.isfinite(sigma) & (sigma > 0.0)
         field[~(usable[:, :, None] & np.isfinite(field))] = np.nan
         sigma[~usable] = 1.0
-        if self.site.sensor.model_error > 0.0:
-            sigma = np.hypot(sigma, self.site.sensor.model_error * np.sqrt(np.nansum(field**2, axis=2)))
         return field, sigma
 
     def _grouped(

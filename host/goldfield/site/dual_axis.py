@@ -73,7 +73,7 @@ def of_site(site: Site) -> DualAxisSite:
             pair, order = _oriented(site, name, first, second)
             beacons.append(pair)
             rows.append(order)
-    rotating = RotatingSite(site.sensor.noise_T, tuple(beacons), site.sensor.model_error)
+    rotating = RotatingSite(site.sensor.noise_T, tuple(beacons))
     for pair in beacons:
         if pair.frame[:, 2] @ rotating.up <= 0.0:
             raise UserError(

@@ -42,13 +42,37 @@ class SensorSite:
     ----------
     noise_T : float
         Standard deviation of one chip's sample on one axis.
-    model_error : float
-        Part of its size by which a measured field may differ from the model (survey, currents, metal near by). It
-        adds to the noise of each beacon's field, so that strong beacons are not trusted beyond it.
+    gain_sd : float
+        Standard deviation of each axis's gain, relative.
+    axis_sd_rad : float
+        Standard deviation of the angle by which each axis leans towards each of the two others.
     """
 
     noise_T: float
-    model_error: float = 0.0
+    gain_sd: float = 0.0
+    axis_sd_rad: float = 0.0
+
+
+@dataclass(frozen=True)
+class Survey:
+    """How far a coil may be from what the site says of it: standard deviations, all independent, zero for an exact one.
+
+    Attributes
+    ----------
+    position_sd_m : float
+        Deviation of each coordinate of the centre.
+    axis_sd_rad : float
+        Deviation of the angle by which the coil is turned about its centre, about each axis of the site.
+    current_sd : float
+        Deviation of the current, relative; turns and area count with it, since they change the field alike.
+    """
+
+    position_sd_m: float = 0.0
+    axis_sd_rad: float = 0.0
+    current_sd: float = 0.0
+
+
+EXACT = Survey()
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +100,8 @@ class Beacon:
         Index of the Gold code; `goldfield.site.drive.NO_CODE` unless the beacon has just one.
     drive : Drive
         Everything else that tells the beacon from others, and how fast its coil follows.
+    survey : Survey
+        How well position, axis and current are known.
     """
 
     id: str
@@ -87,6 +113,7 @@ class Beacon:
     current_A: float
     code: int
     drive: Drive = NOTHING_ELSE
+    survey: Survey = EXACT
 
     @property
     def moment_A_m2(self) -> FloatArray:
@@ -119,6 +146,8 @@ class Site:
     alert_limit_m : float
         Largest error of a position that its user can bear: a pose is ``ok`` only if no fault of a single beacon could
         hide a larger one (`goldfield.Pose.protection_m`).
+    assumed : tuple of str
+        What the site file says nothing of and is assumed in its place, as ``"[survey] current_sd = 0.003"``.
     """
 
     name: str
@@ -130,6 +159,7 @@ class Site:
     access: str = "cdma"
     slots: int = 0
     alert_limit_m: float = ALERT_LIMIT_M
+    assumed: tuple[str, ...] = ()
 
     @property
     def chips(self) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
-from goldfield.site.model import ALERT_LIMIT_M, Beacon, HalfSpace, SensorSite, Site, area_vector
+from goldfield.site.model import ALERT_LIMIT_M, Beacon, HalfSpace, SensorSite, Site, Survey, area_vector
 
 
 def load(path: str | Path) -> Site:
@@ -35,7 +35,11 @@ def load(path: str | Path) -> Site:
     The table ``[sensor]`` describes the sensor:
 
     - ``noise_T``: standard deviation of one chip's sample on one axis, above 0;
-    - ``model_error``: optional, 0 to below 1: by what part of its size a field may differ from the model.
+    - ``gain_sd``, ``axis_sd_rad``: optional, how well the gains and directions of its axes are known (`SensorSite`).
+
+    The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
+    ``position_sd_m``, ``axis_sd_rad``, ``current_sd``; the same keys in a ``[[beacon]]`` count for that one instead.
+    What neither says is assumed (`ASSUMED_SURVEY`, `ASSUMED_GAIN_SD`, `ASSUMED_AXIS_SD_RAD`); 0 says that it is exact.
 
     Each table ``[[beacon]]`` describes one coil, in metres and in the site's frame:
 
@@ -70,33 +74,84 @@ def load(path: str | Path) -> Site:
 
 
 def _site(root: Table) -> Site:
-    root.allow("site", "sensor", "beacon")
+    root.allow("site", "sensor", "survey", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
+    survey = root.table("survey") if "survey" in root else None
     site.allow("name", "chip_period_s", "degree", "half_space", "access", "alert_limit_m", *SITE_KEYS)
-    sensor.allow("noise_T", "model_error")
+    if survey is not None:
+        survey.allow(*SURVEY_LIMITS)
     plan = read_plan(site)
-    beacons = tuple(_beacon(table, plan) for table in root.tables("beacon"))
+    beacons = tuple(_beacon(table, plan, survey) for table in root.tables("beacon"))
     _check_unique(root, beacons)
     return Site(
         name=site.text("name"),
         chip_period_s=plan.chip_period_s,
         degree=plan.degree,
         half_space=_half_space(site.table("half_space")) if "half_space" in site else None,
-        sensor=SensorSite(noise_T=sensor.positive("noise_T"), model_error=_model_error(sensor)),
+        sensor=_sensor(sensor),
         beacons=beacons,
         access=plan.access,
         slots=plan.slots,
         alert_limit_m=site.positive("alert_limit_m") if "alert_limit_m" in site else ALERT_LIMIT_M,
+        assumed=_assumed(root, sensor, survey),
     )
 
 
-def _model_error(sensor: Table) -> float:
-    if "model_error" not in sensor:
-        return 0.0
-    error = sensor.number("model_error")
-    if not 0.0 <= error < 1.0:
-        raise sensor.error("model_error", f"is {error:g}; it must be a part of the field, from 0 to below 1")
-    return error
+ASSUMED_SURVEY = Survey(position_sd_m=0.003, axis_sd_rad=0.005, current_sd=0.003)
+"""What is assumed of a beacon where the file is silent: a tape measure, a spirit level and a shunt of today do it."""
+
+ASSUMED_GAIN_SD = 0.003
+ASSUMED_AXIS_SD_RAD = 0.005
+"""What is assumed of the sensor's axes where the file is silent."""
+
+SURVEY_LIMITS = {"position_sd_m": (1.0, " m"), "axis_sd_rad": (0.5, " rad"), "current_sd": (0.5, "")}
+SENSOR_LIMITS = {"gain_sd": (0.5, ""), "axis_sd_rad": (0.5, " rad")}
+"""Least values that are refused, with their units: with errors this large the model holds nowhere."""
+
+SENSOR_KEYS = ("noise_T", *SENSOR_LIMITS)
+
+
+def _deviation(table: Table, key: str, limits: dict[str, tuple[float, str]]) -> float:
+    value, (limit, unit) = table.number(key), limits[key]
+    if not 0.0 <= value < limit:
+        raise table.error(key, f"is {value:g}; it is a standard deviation, from 0 to below {limit:g}{unit}")
+    return value
+
+
+def _sensor(table: Table) -> SensorSite:
+    if "model_error" in table:
+        raise table.error(
+            "model_error",
+            "is no longer a key: say how well the beacons are known in [survey] (position_sd_m, axis_sd_rad, "
+            "current_sd) and the sensor here (gain_sd, axis_sd_rad)",
+        )
+    table.allow(*SENSOR_KEYS)
+    return SensorSite(
+        noise_T=table.positive("noise_T"),
+        gain_sd=_deviation(table, "gain_sd", SENSOR_LIMITS) if "gain_sd" in table else ASSUMED_GAIN_SD,
+        axis_sd_rad=_deviation(table, "axis_sd_rad", SENSOR_LIMITS) if "axis_sd_rad" in table else ASSUMED_AXIS_SD_RAD,
+    )
+
+
+def _survey(beacon: Table, survey: Table | None) -> Survey:
+    """Return what the beacon's own table says, else ``[survey]``, else what is assumed."""
+    values = {}
+    for key in SURVEY_LIMITS:
+        table = beacon if key in beacon else survey
+        given = table is not None and key in table
+        values[key] = _deviation(table, key, SURVEY_LIMITS) if table and given else getattr(ASSUMED_SURVEY, key)
+    return Survey(**values)
+
+
+def _assumed(root: Table, sensor: Table, survey: Table | None) -> tuple[str, ...]:
+    beacons = root.tables("beacon")
+    silent = [
+        f"[survey] {key} = {getattr(ASSUMED_SURVEY, key):g}"
+        for key in SURVEY_LIMITS
+        if (survey is None or key not in survey) and any(key not in beacon for beacon in beacons)
+    ]
+    given = {"gain_sd": ASSUMED_GAIN_SD, "axis_sd_rad": ASSUMED_AXIS_SD_RAD}
+    return (*silent, *(f"[sensor] {key} = {value:g}" for key, value in given.items() if key not in sensor))
 
 
 def _half_space(table: Table) -> HalfSpace:
@@ -108,8 +163,8 @@ BEACON_KEYS = ("id", "position_m", "axis", "turns", "radius_m", "points_m", "cur
 DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "tau_s")
 
 
-def _beacon(table: Table, plan: Plan) -> Beacon:
-    table.allow(*BEACON_KEYS, *DRIVE_KEYS)
+def _beacon(table: Table, plan: Plan, survey: Table | None) -> Beacon:
+    table.allow(*BEACON_KEYS, *SURVEY_LIMITS, *DRIVE_KEYS)
     code, drive = read_drive(table, plan)
     current = table.number("current_A")
     if current == 0.0:
@@ -117,6 +172,7 @@ def _beacon(table: Table, plan: Plan) -> Beacon:
     if ("radius_m" in table) == ("points_m" in table):
         raise table.error("radius_m", "or points_m must be given, exactly one of them")
     given: dict[str, Any] = {"id": table.text("id"), "current_A": current, "code": code, "drive": drive}
+    given["survey"] = _survey(table, survey)
     if "radius_m" in table:
         return Beacon(
             **given,

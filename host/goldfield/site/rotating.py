@@ -73,13 +73,10 @@ class RotatingSite:
         Standard deviation of one sample on one axis.
     beacons : tuple of DualAxisBeacon
         Ids and frequencies are unique.
-    model_error : float
-        Relative error of the model, as in `goldfield.site.SensorSite`.
     """
 
     noise_T: float
     beacons: tuple[DualAxisBeacon, ...]
-    model_error: float = 0.0
 
     @property
     def position_m(self) -> FloatArray:
@@ -109,7 +106,7 @@ class RotatingSite:
 
     def first(self, count: int) -> RotatingSite:
         """Return the site with only the first beacons."""
-        return RotatingSite(self.noise_T, self.beacons[:count], self.model_error)
+        return RotatingSite(self.noise_T, self.beacons[:count])
 
 
 def load(path: str | Path) -> RotatingSite:

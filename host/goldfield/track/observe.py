@@ -111,8 +111,7 @@ class EpochObserver:
 
     Fields separated on [drives, 1] also contain a part of the ambient field's ramp while the sensor turns. Its shape
     over the beacons is known, its size is not: it is left out of what an observation tells by a variance along that
-    shape, as large as the fields say (``sweep_T_s``), else as the turn rate allows. The site's ``model_error`` adds to
-    the noise of each cycle as if it were new in each.
+    shape, as large as the fields say (``sweep_T_s``), else as the turn rate allows.
 
     Parameters
     ----------
@@ -152,8 +151,7 @@ class EpochObserver:
         names = [data.beacons[i] for i in taken]
         separation = self._separation(np.array([self._row[name] for name in names], dtype=np.intp))
         field = data.field_T[taken]
-        size = np.sqrt(np.nansum(field**2, axis=1))
-        sigma = np.hypot(data.sigma_T[taken], self._site.sensor.model_error * size)
+        sigma = data.sigma_T[taken]
         measured = np.isfinite(field)
         measured[[name in without for name in names]] = False
         ramp = (AMBIENT_T * rate_rad_s if data.sweep_T_s is None else data.sweep_T_s) * separation.sweep
@@ -191,8 +189,6 @@ class EpochObserver:
 
 class CycleObserver:
     """All samples of a cycle, or partial sums of them, as observations that tell velocity and turn rate as well.
-
-    The site's ``model_error`` is not in them: where it counts, separated fields serve (`EpochObserver`).
 
     Parameters
     ----------

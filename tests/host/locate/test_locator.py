@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -246,24 +244,7 @@ def test_what_ended_for_want_of_iterations_is_weak_and_never_inconsistent(monkey
         assert pose.status is Status.WEAK
 
 
-def test_model_error_admits_a_site_that_is_not_quite_as_the_file_says():
-    """Currents 1 % off: far above the noise. Told of it, the locator trusts strong beacons only so far."""
-    plain = bench.prigge_cube(2e-8)
-    rng = np.random.default_rng(50)
-    run = bench.trials(plain, bench.cube_positions(rng, 300), rng)
-    field = run.field_T * (1.0 + 0.01 * rng.normal(size=(300, 8, 1)))
-    epochs = bench.fields_of(plain, bench.Trials(run.position_m, run.rotation, field, run.sigma_T))
-    told = replace(plain, sensor=replace(plain.sensor, model_error=0.01))
-    naive, aware = Locator(plain).locate_many(epochs), Locator(told).locate_many(epochs)
-    assert sum(pose.status is Status.OK and not pose.excluded for pose in naive) < 30
-    assert sum(pose.status is Status.OK and not pose.excluded for pose in aware) > 290
-    assert 0.3 < np.mean([pose.residual**2 for pose in aware]) < 1.1  # only the strength is off, not the direction
-    error = np.array([pose.position_m for pose in aware]) - run.position_m
-    covariance = np.array([pose.position_cov_m2 for pose in aware])
-    assert 0.2 < bench.normalised_error(error, covariance).mean() < 1.2
-
-
-def test_far_away_is_weak_and_further_away_fails():
+def test_far_away_is_weak():
     site = bench.prigge_cube()
     rng = np.random.default_rng(49)
     run = bench.trials(site, np.array([[3.8, 3.8, 2.0], [9.0, 9.0, 3.0]]), rng)

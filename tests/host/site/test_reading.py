@@ -7,7 +7,7 @@ import pytest
 
 from goldfield.cli import main
 from goldfield.errors import UserError
-from goldfield.site import load
+from goldfield.site import SensorSite, Survey, load
 from tests.host.fake_sensor import SITE
 
 GOOD = """\
@@ -64,10 +64,62 @@ def test_a_site_as_it_is_meant(tmp_path):
     assert site.beacon("square") is square
 
 
-def test_model_error_is_optional(tmp_path):
-    assert load(write(tmp_path, GOOD)).sensor.model_error == 0.0
-    text = GOOD.replace("noise_T = 2.0e-7", "noise_T = 2.0e-7\nmodel_error = 0.02")
-    assert load(write(tmp_path, text)).sensor.model_error == 0.02
+def test_a_silent_file_is_not_taken_for_exact(tmp_path):
+    site = load(write(tmp_path, GOOD))
+    assert [beacon.survey for beacon in site.beacons] == [Survey(0.003, 0.005, 0.003)] * 2
+    assert (site.sensor.gain_sd, site.sensor.axis_sd_rad) == (0.003, 0.005)
+    assert site.assumed == (
+        "[survey] position_sd_m = 0.003",
+        "[survey] axis_sd_rad = 0.005",
+        "[survey] current_sd = 0.003",
+        "[sensor] gain_sd = 0.003",
+        "[sensor] axis_sd_rad = 0.005",
+    )
+
+
+def test_a_beacon_s_own_survey_counts_before_that_of_all_and_that_before_the_default(tmp_path):
+    text = GOOD.replace("[sensor]", "[survey]\nposition_sd_m = 0.01\ncurrent_sd = 0\n\n[sensor]\ngain_sd = 0.02")
+    text = text.replace("code = 2\n", "code = 2\nposition_sd_m = 0.0\naxis_sd_rad = 0.02\n")
+    site = load(write(tmp_path, text))
+    assert site.beacons[0].survey == Survey(0.0, 0.02, 0.0)
+    assert site.beacons[1].survey == Survey(0.01, 0.005, 0.0)
+    assert (site.sensor.gain_sd, site.sensor.axis_sd_rad) == (0.02, 0.005)
+    assert site.assumed == ("[survey] axis_sd_rad = 0.005", "[sensor] axis_sd_rad = 0.005")
+    every = text.replace("code = 1024", "code = 1024\naxis_sd_rad = 0.499").replace("gain_sd", "axis_sd_rad=0\ngain_sd")
+    assert load(write(tmp_path, every)).assumed == ()
+
+
+@pytest.mark.parametrize(("key", "limit"), [("position_sd_m", 1.0), ("axis_sd_rad", 0.5), ("current_sd", 0.5)])
+def test_errors_of_the_survey_have_limits(tmp_path, key, limit):
+    for place in ("[survey]\n{}\n\n[sensor]", "{}\n"):
+        old = "[sensor]" if "[" in place else "code = 1024\n"
+        for value in (0, float(np.nextafter(limit, 0.0))):
+            text = GOOD.replace(old, (old if place == "{}\n" else "") + place.format(f"{key} = {value!r}"))
+            assert getattr(load(write(tmp_path, text)).beacons[1].survey, key) == value
+        for value in (-1e-9, limit):
+            text = GOOD.replace(old, (old if place == "{}\n" else "") + place.format(f"{key} = {value!r}"))
+            with pytest.raises(UserError, match=f"{key} is .* from 0 to below {limit:g}"):
+                load(write(tmp_path, text))
+
+
+def test_site_and_sensor_in_python_are_exact_unless_told():
+    assert Survey() == Survey(0.0, 0.0, 0.0)
+    sensor = SensorSite(1e-9)
+    assert (sensor.gain_sd, sensor.axis_sd_rad) == (0.0, 0.0)
+
+
+def test_what_is_assumed_is_said_once(tmp_path, capsys):
+    table = tmp_path / "fields.csv"
+    table.write_text("epoch,t_s,beacon,bx_T,by_T,bz_T\n1,0,a,1e-7,0,0\n2,0.1,a,1e-7,0,0\n")
+    exact = "position_sd_m = 0\naxis_sd_rad = 0\ncurrent_sd = 0\n"
+    silent = write(tmp_path, GOOD)
+    assert main(["locate", "--site", str(silent), str(table)]) == 0
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "[survey] position_sd_m = 0.003, " in said
+    text = GOOD.replace("[sensor]", f"[survey]\n{exact}[sensor]\ngain_sd = 0\naxis_sd_rad = 0")
+    assert main(["locate", "--site", str(write(tmp_path, text)), str(table)]) == 0
+    assert capsys.readouterr().err == ""
 
 
 def test_the_patents_coil_has_the_moment_that_is_quoted():
@@ -78,13 +130,13 @@ FIRST = "[[beacon]] 1"
 BAD = [
     ("degree = 10", "degre = 10", "site.toml:4: [site]: degre is no known key", 'did you mean "degree"'),
     ("noise_T = 2.0e-7", "noise_t = 2.0e-7", "site.toml:8: [sensor]: noise_t", 'did you mean "noise_T"'),
-    (
-        "noise_T = 2.0e-7",
-        "noise_T = 2e-7\nmodel_error = 1",
-        "site.toml:9: [sensor]: model_error is 1",
-        "from 0 to below",
-    ),
-    ("noise_T = 2.0e-7", "noise_T = 2e-7\nmodel_error = -0.1", "site.toml:9: [sensor]: model_error", "from 0 to below"),
+    ("noise_T = 2.0e-7", "noise_T = 2e-7\nmodel_error = 0", "site.toml:9: [sensor]: model_error is no", "[survey]"),
+    ("noise_T = 2.0e-7", "noise_T = 2e-7\ngain_sd = 0.5", "site.toml:9: [sensor]: gain_sd is 0.5", "below 0.5"),
+    ("noise_T = 2.0e-7", "noise_T = 2e-7\ngain_sd = -0.1", "site.toml:9: [sensor]: gain_sd is -0.1", "from 0"),
+    ("noise_T = 2.0e-7", "noise_T = 2e-7\naxis_sd_rad = 0.5", "site.toml:9: [sensor]: axis_sd_rad", "below 0.5 rad"),
+    ("[sensor]", "[survey]\nposition_sd = 0\n[sensor]", "site.toml:8: [survey]: position_sd is", '"position_sd_m"'),
+    ("code = 2\n", "code = 2\ncurent_sd = 0\n", f"site.toml:18: {FIRST}: curent_sd", '"current_sd"'),
+    ("code = 2\n", "code = 2\ncurrent_sd = 'x'\n", f"site.toml:18: {FIRST}: current_sd must be", "finite number"),
     ("radius_m = 0.149", "radius = 0.149", f"site.toml:15: {FIRST}: radius", 'did you mean "radius_m"'),
     ("[sensor]", "[sensors]", "site.toml:7: sensors is no known key", 'did you mean "sensor"'),
     ("point = [0.0, 0.0, 2.7]", "pont = [0.0, 0.0, 2.7]", "site.toml:5: [site.half_space]: pont", '"point"'),

@@ -82,4 +82,4 @@ def locate_by_ellipse(site: RotatingSite, field_T: FloatArray, sigma_T: FloatArr
     weight = 1.0 / (sigma**2 + (START_MODEL_ERROR * np.linalg.norm(measured, axis=2)) ** 2)
     measurements = Measurements(measured, sigma)
     rough = fit_pose(model, measurements, position, wahba(modelled, measured, weight), model_error=START_MODEL_ERROR)
-    return fit_pose(model, measurements, rough.position_m, rough.rotation, model_error=site.model_error)
+    return fit_pose(model, measurements, rough.position_m, rough.rotation)
