@@ -14,7 +14,14 @@ from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.least_squares import Evaluate, State, minimise
 from goldfield.locate.rotations import orthonormal, turned
+from goldfield.locate.site_errors import SiteErrors
+from goldfield.locate.whitening import Correlated, Independent, Whitening, whitening_around
 from goldfield.types import FloatArray
+
+MOST_ROUNDS = 4
+SETTLED = 1e-2
+"""With errors of the site the components are whitened anew around what a fit has found, at most so often in all, and as
+long as the pose has moved by more than so many standard deviations, squared."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +72,32 @@ class Measurements:
     field_T : ndarray, shape (e, n, 3)
         Fields in the sensor's frame, one row a beacon of the model; NaN where nothing was measured.
     sigma_T : ndarray, shape (e, n)
-        Standard deviation of each component.
+        Standard deviation of each component: of the noise, and with errors of the site isotropic for these too
+        (`with_errors`), which is what a search needs that knows no pose.
+    noise_T : ndarray, shape (e, n), optional
+        Standard deviation of the noise alone; default: ``sigma_T``.
+    errors : SiteErrors, optional
+        Errors of the site and the sensor, which a final fit, its statistics and its covariance take into account.
     """
 
-    def __init__(self, field_T: FloatArray, sigma_T: FloatArray) -> None:
+    def __init__(
+        self,
+        field_T: FloatArray,
+        sigma_T: FloatArray,
+        noise_T: FloatArray | None = None,
+        errors: SiteErrors | None = None,
+    ) -> None:
         self.field_T = field_T
         self.sigma_T = sigma_T
+        self.noise_T = sigma_T if noise_T is None else noise_T
+        self.errors = errors
+
+    def with_errors(self, model: FieldModel, errors: SiteErrors | None) -> Measurements:
+        """Return the same with errors of the site of ``model`` and of the sensor; unchanged for none."""
+        if errors is None:
+            return self
+        sigma = np.hypot(self.noise_T, errors.isotropic(model, self.magnitude_T))
+        return Measurements(self.field_T, sigma, self.noise_T, errors)
 
     def __len__(self) -> int:
         """Return the number of epochs."""
@@ -129,19 +156,33 @@ class Measurements:
         sigma = np.sqrt(self.sigma_T**2 + (model_error * self.magnitude_T) ** 2)
         return np.where(self.measured, 1.0 / sigma[:, :, None], 0.0).swapaxes(1, 2)
 
+    def whitening(self, model: FieldModel, position_m: FloatArray, rotation: FloatArray) -> Whitening:
+        """Return the whitening of the components around poses, shapes (e, 3) and (e, 3, 3)."""
+        if self.errors is None:
+            return Independent(self.inverse_sigma())
+        return self._correlated(model, self.errors, position_m, rotation)
+
+    def _correlated(
+        self, model: FieldModel, errors: SiteErrors, position_m: FloatArray, rotation: FloatArray
+    ) -> Correlated:
+        noise = np.where(self.measured, self.noise_T[:, :, None], np.inf)
+        return whitening_around(model, errors, noise, position_m, rotation)
+
     def take(self, rows: NDArray[np.intp]) -> Measurements:
         """Return some of the epochs, also repeated ones."""
         if len(rows) == len(self) and (rows == np.arange(len(self))).all():
             return self
-        return Measurements(self.field_T[rows], self.sigma_T[rows])
+        return Measurements(self.field_T[rows], self.sigma_T[rows], self.noise_T[rows], self.errors)
 
     def of_beacons(self, rows: NDArray[np.intp]) -> Measurements:
         """Return the same epochs with only some of the beacons."""
-        return Measurements(self.field_T[:, rows], self.sigma_T[:, rows])
+        errors = None if self.errors is None else self.errors.subset(rows)
+        return Measurements(self.field_T[:, rows], self.sigma_T[:, rows], self.noise_T[:, rows], errors)
 
     def without(self, beacons: NDArray[np.bool_]) -> Measurements:
         """Return the same epochs without some beacons, mask of shape (e, n)."""
-        return Measurements(np.where(beacons[:, :, None], np.nan, self.field_T), self.sigma_T)
+        field = np.where(beacons[:, :, None], np.nan, self.field_T)
+        return Measurements(field, self.sigma_T, self.noise_T, self.errors)
 
 
 def fit_pose(
@@ -170,8 +211,8 @@ def fit_pose(
         Attitudes to start from, ``B_site = R B_sensor``.
     model_error : float
         Relative error of the model: the variance of a component is sigma^2 + (model_error |B|)^2 with the measured
-        |B|. A few per cent widen the basin of convergence (strong, curved beacons no longer dominate); the last fit
-        takes what is believed of the site.
+        |B|. A few per cent widen the basin of convergence (strong, curved beacons no longer dominate). The last fit
+        takes 0: then the errors of the site that the measurements carry count in full.
     iterations : int
         The most evaluations of the model in an epoch; see `least_squares.minimise`.
     tolerance : float
@@ -183,22 +224,64 @@ def fit_pose(
         The poses where the iteration ended; ``converged`` tells which ended by the tolerance.
     """
     quick = kernel.of(model)
+    errors = measurements.errors if model_error == 0.0 else None
     if quick is not None:
         return Fit(
             *quick.fit(
                 measurements.field_T,
-                measurements.sigma_T,
+                measurements.sigma_T if errors is None else measurements.noise_T,
                 position_m,
                 rotation,
+                errors=errors,
                 model_error=model_error,
                 iterations=iterations,
                 tolerance=tolerance,
             )
         )
+    if errors is not None:
+        return _fit_with_errors(model, measurements, errors, (position_m, rotation), iterations, tolerance)
     evaluate = _weighted_misfit(model, measurements, model_error)
     end = minimise(evaluate, _retract, (position_m, rotation), iterations=iterations, tolerance=tolerance)
     position, attitude = end.state
     return Fit(position, orthonormal(attitude), end.cost, end.normal, end.converged)
+
+
+def _fit_with_errors(
+    model: FieldModel, measurements: Measurements, errors: SiteErrors, start: State, iterations: int, tolerance: float
+) -> Fit:
+    """Fit with the covariance of the site's errors around the start, then around what is found, until that stays."""
+    count = len(measurements)
+    position, rotation = start[0].copy(), start[1].copy()
+    fits = Fit(position, rotation, np.empty(count), np.empty((count, 6, 6)), np.zeros(count, dtype=bool))
+    active = np.arange(count)
+    for _ in range(MOST_ROUNDS):
+        before = fits.position_m[active], fits.rotation[active]
+        some = measurements.take(active)
+        evaluate = _whitened_misfit(model, some, some._correlated(model, errors, *before))
+        end = minimise(evaluate, _retract, before, iterations=iterations, tolerance=tolerance)
+        fits.put(active, Fit(end.state[0], end.state[1], end.cost, end.normal, end.converged))
+        across = before[1] @ end.state[1].swapaxes(1, 2)
+        turn = 0.5 * np.stack([across[:, k - 2, k - 1] - across[:, k - 1, k - 2] for k in range(3)], axis=1)
+        shift = np.concatenate([end.state[0] - before[0], turn], axis=1)
+        active = active[np.einsum("ek,ekl,el->e", shift, end.normal, shift) > SETTLED]
+        if not len(active):
+            break
+    return Fit(fits.position_m, orthonormal(fits.rotation), fits.cost, fits.information, fits.converged)
+
+
+def _whitened_misfit(model: FieldModel, measurements: Measurements, whitening: Correlated) -> Evaluate:
+    """Return residuals and Jacobian as `_weighted_misfit` does, in the sensor's frame and whitened for all errors."""
+    measured = measurements.filled_T.swapaxes(1, 2)
+
+    def evaluate(state: State, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
+        position, attitude = state
+        jacobian, field = pose_jacobian(model, position)
+        back = attitude.swapaxes(1, 2)
+        some = whitening.take(rows)
+        residual = measured[rows] - back @ field
+        return some(residual[:, None])[:, 0], some(back[:, None] @ jacobian)
+
+    return evaluate
 
 
 def _weighted_misfit(model: FieldModel, measurements: Measurements, model_error: float) -> Evaluate:
@@ -254,25 +337,22 @@ def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray
 
 
 def whitened_jacobian(
-    model: FieldModel, position_m: FloatArray, rotation: FloatArray, weight: FloatArray
+    model: FieldModel, position_m: FloatArray, rotation: FloatArray, whitening: Whitening
 ) -> FloatArray:
-    """Return the Jacobian of the components in the sensor's frame over their standard deviations, shape (e, 6, 3n).
-
-    ``weight``, shape (e, 3, n), is that of `Measurements.inverse_sigma`.
-    """
+    """Return the whitened Jacobian of the components in the sensor's frame, shape (e, 6, 3n)."""
     jacobian, _ = pose_jacobian(model, position_m)
-    jacobian = rotation.swapaxes(1, 2)[:, None] @ jacobian
-    jacobian *= weight[:, None]
-    return jacobian.reshape(len(position_m), 6, -1)
+    return whitening(rotation.swapaxes(1, 2)[:, None] @ jacobian)
 
 
-def whitened_residual(model: FieldModel, measurements: Measurements, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Return the residuals and the modelled components, over their standard deviations, both of shape (e, 3n)."""
+def whitened_residual(
+    model: FieldModel, measurements: Measurements, fit: Fit, whitening: Whitening
+) -> tuple[FloatArray, FloatArray]:
+    """Return the whitened residuals, shape (e, 3n), and the modelled components, shape (e, 3, n), T."""
     field, _ = model.evaluate(fit.position_m.T)
-    weight = measurements.inverse_sigma()
-    modelled = (fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)) * weight
-    residual = measurements.filled_T.swapaxes(1, 2) * weight - modelled
-    return residual.reshape(len(measurements), -1), modelled.reshape(len(measurements), -1)
+    modelled = fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)
+    measured = measurements.filled_T.swapaxes(1, 2)
+    residual = whitening(measured[:, None]) - whitening(modelled[:, None])
+    return residual[:, 0], modelled
 
 
 def _retract(state: State, step: FloatArray) -> State:

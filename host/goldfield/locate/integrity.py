@@ -19,6 +19,7 @@ from goldfield.locate import kernel
 from goldfield.locate.constellation import Constellation, Solutions
 from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
 from goldfield.locate.uncertainty import UNOBSERVABLE, root_covariance
+from goldfield.locate.whitening import Whitening
 from goldfield.types import FloatArray
 
 FALSE_ALARM = 7e-4
@@ -86,17 +87,19 @@ def fault_statistics(
     if quick is not None:
         return quick.faults(
             measurements.field_T,
-            measurements.sigma_T,
+            measurements.noise_T,
             fit.position_m,
             fit.rotation,
+            errors=measurements.errors,
             least_eigenvalue=UNOBSERVABLE,
             least_share=DETECTABLE,
         )
-    residual, modelled = whitened_residual(model, measurements, fit)
-    gain, seen, vector = _redundancy(constellation, measurements, fit)
-    along = np.einsum("enck,enc->enk", vector, _by_beacon(residual[:, None])[..., 0])
+    whitening = measurements.whitening(model, fit.position_m, fit.rotation)
+    residual, modelled = whitened_residual(model, measurements, fit, whitening)
+    gain, seen, vector = _redundancy(constellation, whitening, fit)
+    along = np.einsum("enck,enc->enk", vector, whitening.by_beacon(residual[:, None])[..., 0])
     drop = np.where(seen, along**2 / np.where(seen, gain, 1.0), 0.0).sum(axis=2)
-    strength = np.einsum("enck,enc->enk", vector, _by_beacon(modelled[:, None])[..., 0])
+    strength = np.einsum("enck,enc->enk", vector, whitening.alone(modelled))
     shown = (strength**2 * gain).sum(axis=2)
     visible = shown > DETECTABLE * (strength**2).sum(axis=2)
     scale = np.where(visible, (strength * along).sum(axis=2) ** 2 / np.where(visible, shown, 1.0), 0.0)
@@ -149,12 +152,12 @@ def protection_level(constellation: Constellation, measurements: Measurements, f
     slope of a beacon is the position error over the root of the cost that its worst fault adds. Infinite if a fault
     of some beacon cannot show in the residuals.
     """
-    model, weight = constellation.model, measurements.inverse_sigma()
-    jacobian = whitened_jacobian(model, fit.position_m, fit.rotation, weight)
+    whitening = measurements.whitening(constellation.model, fit.position_m, fit.rotation)
+    jacobian = whitened_jacobian(constellation.model, fit.position_m, fit.rotation, whitening)
     root, _ = root_covariance(fit.information)
-    gain, seen, vector = _redundancy(constellation, measurements, fit)
+    gain, seen, vector = _redundancy(constellation, whitening, fit)
     influence = root[:, :3] @ (root.swapaxes(1, 2) @ jacobian)  # (e, 3, 3n): whitened component -> position
-    influence = _by_beacon(influence)  # (e, n, c, 3)
+    influence = whitening.by_beacon(influence)  # (e, n, c, 3)
     shown = np.einsum("encp,enck->enpk", influence, vector) / np.sqrt(np.where(seen, gain, 1.0))[:, :, None, :]
     slope = np.linalg.svd(np.where(seen[:, :, None, :], shown, 0.0), compute_uv=False)[..., 0]
     measured = measurements.measured.sum(axis=2)
@@ -167,24 +170,17 @@ def protection_level(constellation: Constellation, measurements: Measurements, f
 
 
 def _redundancy(
-    constellation: Constellation, measurements: Measurements, fit: Fit
+    constellation: Constellation, whitening: Whitening, fit: Fit
 ) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
     """Decompose the residuals' covariance of each beacon.
 
     Eigenvalues, shape (e, n, 3); which of them let a fault show; eigenvectors, shape (e, n, 3, 3).
     """
-    jacobian = whitened_jacobian(constellation.model, fit.position_m, fit.rotation, measurements.inverse_sigma())
+    jacobian = whitened_jacobian(constellation.model, fit.position_m, fit.rotation, whitening)
     root, _ = root_covariance(fit.information)
-    tangent = _by_beacon(root.swapaxes(1, 2) @ jacobian)  # (e, n, c, 6)
-    measured = measurements.measured
-    eye = np.eye(3) * measured[:, :, :, None]
-    gain, vector = np.linalg.eigh(eye - tangent @ tangent.swapaxes(2, 3))
+    tangent = whitening.by_beacon(root.swapaxes(1, 2) @ jacobian)  # (e, n, c, 6)
+    gain, vector = np.linalg.eigh(whitening.gram - tangent @ tangent.swapaxes(2, 3))
     return gain, gain > DETECTABLE, vector
-
-
-def _by_beacon(rows: FloatArray) -> FloatArray:
-    """Turn (e, k, 3n), components leading, into (e, n, 3, k)."""
-    return np.asarray(rows.reshape(len(rows), rows.shape[1], 3, -1).transpose(0, 3, 2, 1))
 
 
 def _costs_without_each(

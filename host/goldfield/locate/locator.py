@@ -13,6 +13,7 @@ from goldfield.field import FieldModel
 from goldfield.locate.constellation import Constellation, Solutions
 from goldfield.locate.fit import Fit, Measurements
 from goldfield.locate.integrity import alarm, exclude, protection_level
+from goldfield.locate.site_errors import errors_of
 from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import Site
 from goldfield.types import Fields, FloatArray, Pose, Status
@@ -45,6 +46,7 @@ class Locator:
         self.site = site
         self.model = FieldModel(site.beacons)
         self._all = Constellation(self.model, site.half_space)
+        self._errors = errors_of(site.beacons, site.sensor)
         self._row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
 
     def locate(self, fields: Fields) -> Pose:
@@ -98,8 +100,9 @@ class Locator:
             return float("nan")
         rows = np.array([self._row[name] for name in pose.used], dtype=np.intp)
         field, sigma = self._tables([fields])
-        measurements = Measurements(field[:, rows], sigma[:, rows])
         constellation = self._all.subset(rows)
+        errors = None if self._errors is None else self._errors.subset(rows)
+        measurements = Measurements(field[:, rows], sigma[:, rows]).with_errors(constellation.model, errors)
         rotation = Rotation.from_quat(pose.orientation_xyzw).as_matrix()
         fit = constellation.at(measurements, pose.position_m[None], rotation[None])
         return float(protection_level(constellation, measurements, fit)[0])
@@ -140,9 +143,13 @@ class Locator:
         for key, members in groups.items():
             rows = np.flatnonzero(np.frombuffer(key, dtype=bool))
             constellation = self._all.subset(rows) if len(rows) >= LEAST_BEACONS else None
+            errors = None if self._errors is None else self._errors.subset(rows)
             for first in range(0, len(members), BATCH):
                 some = members[first : first + BATCH]
-                yield some, rows, constellation, Measurements(field[some][:, rows], sigma[some][:, rows])
+                measurements = Measurements(field[some][:, rows], sigma[some][:, rows])
+                if constellation is not None:
+                    measurements = measurements.with_errors(constellation.model, errors)
+                yield some, rows, constellation, measurements
 
     def _names(self, rows: NDArray[np.intp]) -> tuple[str, ...]:
         return tuple(self.site.beacons[int(row)].id for row in rows)

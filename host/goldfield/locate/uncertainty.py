@@ -19,6 +19,8 @@ from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.fit import Measurements, whitened_jacobian
 from goldfield.locate.rotations import turned
+from goldfield.locate.site_errors import SiteErrors, errors_of
+from goldfield.locate.whitening import Independent, Whitening, whitening_around
 from goldfield.site import Site
 from goldfield.types import FloatArray
 
@@ -87,35 +89,50 @@ def second_order_covariance(
     if quick is not None:
         return quick.covariance(
             measurements.field_T,
-            measurements.sigma_T,
+            measurements.noise_T,
             position_m,
             rotation,
+            errors=measurements.errors,
             least_eigenvalue=UNOBSERVABLE,
             free_m2=FREE_POSITION_M2,
             free_rad2=FREE_TURN_RAD2,
         )
-    weight = measurements.inverse_sigma()
+    whitening = measurements.whitening(model, position_m, rotation)
     # In the sensor's frame, where the noise is: in the site's a turn would also turn the frame.
-    tangent = whitened_jacobian(model, position_m, rotation, weight)
+    tangent = whitened_jacobian(model, position_m, rotation, whitening)
     root, free = root_covariance(tangent @ tangent.swapaxes(1, 2))
     back = tangent.swapaxes(1, 2) @ root  # whitened derivatives along the principal axes: orthonormal columns
     # One standard deviation ahead and back along each axis, all in one evaluation: (axis and sign, epoch).
     count = len(position_m)
     step = np.concatenate([root, -root], axis=2).transpose(2, 0, 1).reshape(12 * count, 6)
     moved = np.tile(position_m, (12, 1)) + step[:, :3], turned(np.tile(rotation, (12, 1, 1)), step[:, 3:])
-    displaced = whitened_jacobian(model, *moved, np.tile(weight, (12, 1, 1))).reshape(2, 6, count, 6, -1)
+    displaced = whitened_jacobian(model, *moved, whitening.tiled(12)).reshape(2, 6, count, 6, -1)
     q = (0.5 * (root.swapaxes(1, 2) @ (displaced[0] - displaced[1])) @ back).swapaxes(0, 1)
     q = 0.5 * (q + q.swapaxes(1, 2))
     mean = np.einsum("eiik->ek", q)
     flat = q.reshape(len(q), 36, 6)
     second = 0.25 * (mean[:, :, None] * mean[:, None, :] + 2.0 * flat.swapaxes(1, 2) @ flat)
-    return np.asarray(root @ (np.eye(6) + second) @ root.swapaxes(1, 2) + free)
+    covariance = root @ (np.eye(6) + second) @ root.swapaxes(1, 2) + free
+    return np.asarray(covariance + _common_turn(measurements.errors))
+
+
+def _common_turn(errors: SiteErrors | None) -> FloatArray:
+    """Return the covariance, shape (6, 6), of the turn by which all axes of the sensor lean alike."""
+    variance = 0.0 if errors is None else errors.common_turn_rad2
+    return np.diag(np.repeat([0.0, variance], 3))
 
 
 def cramer_rao_bound(
-    site: Site, position_m: FloatArray, rotation: FloatArray | None = None, *, sigma_T: FloatArray | None = None
+    site: Site,
+    position_m: FloatArray,
+    rotation: FloatArray | None = None,
+    *,
+    sigma_T: FloatArray | None = None,
+    noise_only: bool = False,
 ) -> FloatArray:
     """Return the least covariance that any unbiased estimator of the pose can have.
+
+    The declared errors of the site and the sensor count as noise whose size is known.
 
     Parameters
     ----------
@@ -126,6 +143,8 @@ def cramer_rao_bound(
     sigma_T : ndarray, broadcast to shape (e, n, 3), optional
         Standard deviation of each component, infinite where there is no such axis. Default: the sensor's noise per
         sample over the square root of the number of chips.
+    noise_only : bool
+        Leave out the errors of the site and the sensor: the bound of a single noise, as papers quote it.
 
     Returns
     -------
@@ -135,10 +154,14 @@ def cramer_rao_bound(
     count = len(position_m)
     if sigma_T is None:
         sigma_T = np.array(site.sensor.noise_T / np.sqrt(site.chips))
-    weight = np.broadcast_to(1.0 / sigma_T, (count, len(site.beacons), 3)).swapaxes(1, 2)
+    sigma = np.broadcast_to(sigma_T, (count, len(site.beacons), 3))
     turn = np.broadcast_to(np.eye(3), (count, 3, 3)) if rotation is None else rotation
-    jacobian = whitened_jacobian(FieldModel(site.beacons), position_m, turn, weight)
-    return gauss_newton_covariance(jacobian @ jacobian.swapaxes(1, 2))
+    model, errors = FieldModel(site.beacons), None if noise_only else errors_of(site.beacons, site.sensor)
+    whitening: Whitening = Independent((1.0 / sigma).swapaxes(1, 2))
+    if errors is not None:
+        whitening = whitening_around(model, errors, sigma, position_m, turn)
+    jacobian = whitened_jacobian(model, position_m, turn, whitening)
+    return gauss_newton_covariance(jacobian @ jacobian.swapaxes(1, 2)) + _common_turn(errors)
 
 
 def dilution_of_precision(site: Site, position_m: FloatArray) -> FloatArray:
@@ -146,5 +169,5 @@ def dilution_of_precision(site: Site, position_m: FloatArray) -> FloatArray:
 
     Multiply by the standard deviation of a separated component for the error in metres.
     """
-    bound = cramer_rao_bound(site, position_m, sigma_T=np.array(1.0))
+    bound = cramer_rao_bound(site, position_m, sigma_T=np.array(1.0), noise_only=True)
     return np.asarray(np.sqrt(np.einsum("ekk->e", bound[:, :3, :3])))

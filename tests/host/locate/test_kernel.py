@@ -148,7 +148,16 @@ def test_a_hopeless_start_is_no_pose():
     run = bench.trials(site, bench.cube_positions(rng, 2), rng)
     quick = kernel.of(FieldModel(site.beacons))
     start = np.array([[np.nan, 0.0, 0.0], run.position_m[1]])
-    fitted = quick.fit(run.field_T, run.sigma_T, start, run.rotation, model_error=0.0, iterations=120, tolerance=1e-6)
+    fitted = quick.fit(
+        run.field_T,
+        run.sigma_T,
+        start,
+        run.rotation,
+        errors=None,
+        model_error=0.0,
+        iterations=120,
+        tolerance=1e-6,
+    )
     assert not np.isfinite(fitted[2][0])
     assert not fitted[4][0]
     assert fitted[4][1]

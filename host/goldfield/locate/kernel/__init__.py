@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
+from goldfield.locate.site_errors import SiteErrors
 from goldfield.types import FloatArray
 
 MOST_COILS = 64
@@ -30,20 +31,28 @@ typedef struct {
     double radius_m[64];
     double across[3];
 } gf_coils_t;
+typedef struct {
+    double position_sd_m[64];
+    double axis_sd_rad[64];
+    double current_sd[64];
+    double gain_sd;
+    double sensor_axis_sd_rad;
+} gf_errors_t;
 void gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *, double *);
-void gf_fit(const gf_coils_t *, size_t, const double *, const double *, double, size_t, double, double *, double *,
-            double *, double *, uint8_t *);
+void gf_fit(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, double, size_t, double,
+            double *, double *, double *, double *, uint8_t *);
 void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double *,
                double *, uint8_t *, double *, uint32_t *);
-void gf_faults(const gf_coils_t *, size_t, const double *, const double *, const double *, const double *, double,
-               double, double *, int32_t *, double *);
-void gf_covariance(const gf_coils_t *, size_t, const double *, const double *, const double *, const double *, double,
-                   double, double, double *);
+void gf_faults(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, const double *,
+               const double *, double, double, double *, int32_t *, double *);
+void gf_covariance(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, const double *,
+                   const double *, double, double, double, double *);
 """
 
 _ffi: Any = cffi.FFI()
 _ffi.cdef(DECLARATIONS)
 _kernels: WeakKeyDictionary[FieldModel, Kernel] = WeakKeyDictionary()
+_declared: WeakKeyDictionary[SiteErrors, Any] = WeakKeyDictionary()
 
 
 @cache
@@ -67,6 +76,7 @@ class Kernel:
     """The functions of kernel.h for one set of coils.
 
     Everywhere: e epochs, n coils; ``field_T``, shape (e, n, 3), NaN where not measured, and ``sigma_T``, shape (e, n).
+    With ``errors`` the components are whitened for those of the site and the sensor; ``sigma_T`` is the noise alone.
 
     Parameters
     ----------
@@ -125,6 +135,7 @@ class Kernel:
         position_m: FloatArray,
         rotation: FloatArray,
         *,
+        errors: SiteErrors | None,
         model_error: float,
         iterations: int,
         tolerance: float,
@@ -135,6 +146,7 @@ class Kernel:
         cost, information, converged = np.empty(count), np.empty((count, 6, 6)), np.empty(count, dtype=np.bool_)
         self._library.gf_fit(
             self._coils,
+            _errors(errors),
             count,
             _given(field_T),
             _given(sigma_T),
@@ -202,6 +214,7 @@ class Kernel:
         position_m: FloatArray,
         rotation: FloatArray,
         *,
+        errors: SiteErrors | None,
         least_eigenvalue: float,
         least_share: float,
     ) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
@@ -210,6 +223,7 @@ class Kernel:
         drop, freedom, scale = np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape)
         self._library.gf_faults(
             self._coils,
+            _errors(errors),
             len(field_T),
             _given(field_T),
             _given(sigma_T),
@@ -230,6 +244,7 @@ class Kernel:
         position_m: FloatArray,
         rotation: FloatArray,
         *,
+        errors: SiteErrors | None,
         least_eigenvalue: float,
         free_m2: float,
         free_rad2: float,
@@ -238,6 +253,7 @@ class Kernel:
         covariance = np.empty((len(field_T), 6, 6))
         self._library.gf_covariance(
             self._coils,
+            _errors(errors),
             len(field_T),
             _given(field_T),
             _given(sigma_T),
@@ -249,6 +265,19 @@ class Kernel:
             _filled(covariance),
         )
         return covariance
+
+
+def _errors(errors: SiteErrors | None) -> Any:
+    if errors is None:
+        return _ffi.NULL
+    if errors not in _declared:
+        declared = _ffi.new("gf_errors_t *")
+        for name in ("position_sd_m", "axis_sd_rad", "current_sd"):
+            values = getattr(errors, name)
+            getattr(declared, name)[0 : len(values)] = values.tolist()
+        declared.gain_sd, declared.sensor_axis_sd_rad = errors.gain_sd, errors.sensor_axis_sd_rad
+        _declared[errors] = declared
+    return _declared[errors]
 
 
 def _given(values: FloatArray) -> Any:

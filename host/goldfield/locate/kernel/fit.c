@@ -4,6 +4,7 @@
 #include <string.h>
 
 #include "linear.h"
+#include "whiten.h"
 
 /* Damping relative to the diagonal: at first, its least, after success, after failure, and where there is no hope
  * left. */
@@ -12,6 +13,11 @@
 #define EASED            0.1
 #define TIGHTENED        8.0
 #define HOPELESS_DAMPING 1e12
+
+/* How often components are whitened anew at most, and the square of a pose's shift, in its standard deviations, that
+ * changes their covariance too little to do so. */
+#define MOST_ROUNDS 4
+#define SETTLED     1e-2
 
 void gf_clear(gf_squares_t *squares) {
     memset(squares, 0, sizeof *squares);
@@ -86,6 +92,12 @@ typedef struct {
     double whitened[3 * GF_MOST_COILS]; /* measured components over their standard deviations */
 } pose_problem_t;
 
+typedef struct {
+    const gf_coils_t *coils;
+    gf_whitening_t whitening;
+    double whitened[3 * GF_MOST_COILS];
+} site_problem_t;
+
 static void evaluate_pose(const void *argument, const gf_pose_t *pose, gf_squares_t *squares) {
     const pose_problem_t *const problem = argument;
     gf_components_t components;
@@ -94,6 +106,82 @@ static void evaluate_pose(const void *argument, const gf_pose_t *pose, gf_square
     for (size_t c = 0; c < 3 * problem->coils->count; ++c) {
         gf_add(squares, 6, problem->whitened[c] - components.value[c], components.slope[c]);
     }
+}
+
+/* The same with errors of the site and the sensor: with V of gf_whitening_t, J' (1 - V V') J in place of J' J. */
+static void evaluate_with_errors(const void *argument, const gf_pose_t *pose, gf_squares_t *squares) {
+    const site_problem_t *const problem = argument;
+    const gf_whitening_t *const whitening = &problem->whitening;
+    const size_t n = problem->coils->count;
+    gf_components_t components;
+    gf_components(problem->coils, pose, whitening->weight, &components);
+    gf_whitened(n, whitening, &components);
+    gf_clear(squares);
+    double of_slope[GF_SHARED][6] = {{0.0}};
+    double of_residual[GF_SHARED] = {0.0};
+    for (size_t c = 0; c < 3 * n; ++c) {
+        const double residual = problem->whitened[c] - components.value[c];
+        gf_add(squares, 6, residual, components.slope[c]);
+        for (size_t k = 0; whitening->is_shared && k < GF_SHARED; ++k) {
+            const double v = whitening->shared[c][k];
+            of_residual[k] += v * residual;
+            for (size_t l = 0; l < 6; ++l) {
+                of_slope[k][l] += v * components.slope[c][l];
+            }
+        }
+    }
+    for (size_t k = 0; k < GF_SHARED; ++k) {
+        squares->cost -= of_residual[k] * of_residual[k];
+        for (size_t i = 0; i < 6; ++i) {
+            squares->gradient[i] -= of_slope[k][i] * of_residual[k];
+            for (size_t j = 0; j < 6; ++j) {
+                squares->normal[i][j] -= of_slope[k][i] * of_slope[k][j];
+            }
+        }
+    }
+}
+
+/* Square of a small shift of the pose in its standard deviations. */
+static double shift2(const gf_pose_t *from, const gf_pose_t *to, const double information[6][6]) {
+    double shift[6];
+    double sum = 0.0;
+    for (size_t k = 0; k < 3; ++k) {
+        const size_t l = (k + 1) % 3;
+        const size_t m = (k + 2) % 3;
+        shift[k] = to->position_m[k] - from->position_m[k];
+        shift[3 + k] = 0.0;
+        for (size_t c = 0; c < 3; ++c) {
+            shift[3 + k] += 0.5 *
+                            (to->rotation[m][c] * from->rotation[l][c] - to->rotation[l][c] * from->rotation[m][c]);
+        }
+    }
+    for (size_t k = 0; k < 6; ++k) {
+        for (size_t l = 0; l < 6; ++l) {
+            sum += shift[k] * information[k][l] * shift[l];
+        }
+    }
+    return sum;
+}
+
+static bool fit_with_errors(const gf_coils_t *coils, const gf_errors_t *errors, const double *field_T,
+                            const double *sigma_T, size_t iterations, double tolerance, gf_pose_t *pose,
+                            gf_squares_t *squares) {
+    site_problem_t problem;
+    bool near = false;
+    problem.coils = coils;
+    for (size_t round = 0; round < MOST_ROUNDS; ++round) {
+        const gf_pose_t before = *pose;
+        gf_whiten(coils, errors, field_T, sigma_T, pose, &problem.whitening);
+        for (size_t c = 0; c < 3 * coils->count; ++c) {
+            problem.whitened[c] = isfinite(field_T[c]) ? field_T[c] : 0.0;
+        }
+        gf_whiten_values(coils->count, &problem.whitening, problem.whitened);
+        near = gf_minimise(evaluate_with_errors, &problem, 6, iterations, tolerance, pose, squares);
+        if (!(shift2(&before, pose, (const double(*)[6])squares->normal) > SETTLED)) {
+            break;
+        }
+    }
+    return near;
 }
 
 /* One Newton step towards the nearest rotation: removes the rounding of many turns. */
@@ -111,22 +199,30 @@ static void straighten(double r[3][3]) {
     memcpy(r, out, sizeof out);
 }
 
-void gf_fit(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-            size_t iterations, double tolerance, double *position_m, double *rotation, double *cost,
-            double *information, uint8_t *converged) {
+static bool fit_plainly(const gf_coils_t *coils, const double *field_T, const double *sigma_T, double model_error,
+                        size_t iterations, double tolerance, gf_pose_t *pose, gf_squares_t *squares) {
+    pose_problem_t problem = {.coils = coils};
+    gf_weights(coils->count, field_T, sigma_T, model_error, problem.weight);
+    for (size_t c = 0; c < 3 * coils->count; ++c) {
+        problem.whitened[c] = isfinite(field_T[c]) ? problem.weight[c] * field_T[c] : 0.0;
+    }
+    return gf_minimise(evaluate_pose, &problem, 6, iterations, tolerance, pose, squares);
+}
+
+void gf_fit(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
+            const double *sigma_T, double model_error, size_t iterations, double tolerance, double *position_m,
+            double *rotation, double *cost, double *information, uint8_t *converged) {
     const size_t n = coils->count;
     for (size_t e = 0; e < epochs; ++e) {
         const double *const field = field_T + 3 * n * e;
-        pose_problem_t problem = {.coils = coils};
+        const double *const sigma = sigma_T + n * e;
         gf_pose_t pose;
         gf_squares_t squares;
-        gf_weights(n, field, sigma_T + n * e, model_error, problem.weight);
-        for (size_t c = 0; c < 3 * n; ++c) {
-            problem.whitened[c] = isfinite(field[c]) ? problem.weight[c] * field[c] : 0.0;
-        }
         memcpy(pose.position_m, position_m + 3 * e, sizeof pose.position_m);
         memcpy(pose.rotation, rotation + 9 * e, sizeof pose.rotation);
-        converged[e] = gf_minimise(evaluate_pose, &problem, 6, iterations, tolerance, &pose, &squares);
+        converged[e] = errors == NULL
+                           ? fit_plainly(coils, field, sigma, model_error, iterations, tolerance, &pose, &squares)
+                           : fit_with_errors(coils, errors, field, sigma, iterations, tolerance, &pose, &squares);
         straighten(pose.rotation);
         memcpy(position_m + 3 * e, pose.position_m, sizeof pose.position_m);
         memcpy(rotation + 9 * e, pose.rotation, sizeof pose.rotation);

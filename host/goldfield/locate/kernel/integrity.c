@@ -3,6 +3,7 @@
 
 #include "coils.h"
 #include "linear.h"
+#include "whiten.h"
 
 /* Split information into a root L of its inverse, L L' on what the measurements tell, and the directions that they
  * do not tell: those columns of root are zero and the unit vector is in free. */
@@ -35,12 +36,13 @@ static void split(const double information[6][6], double least_eigenvalue, doubl
     }
 }
 
-static void inform(size_t components, double slope[][6], double information[6][6]) {
+/* The information of whitened slopes; weighted are the same slopes, weighted for errors that components share. */
+static void inform(size_t components, double slope[][6], double weighted[][6], double information[6][6]) {
     memset(information, 0, 6 * sizeof information[0]);
     for (size_t c = 0; c < components; ++c) {
         for (size_t k = 0; k < 6; ++k) {
             for (size_t l = 0; l < 6; ++l) {
-                information[k][l] += slope[c][k] * slope[c][l];
+                information[k][l] += slope[c][k] * weighted[c][l];
             }
         }
     }
@@ -74,9 +76,9 @@ typedef struct {
 
 /* The statistics of one beacon from its residuals, the modelled components and the model's derivatives T along the
  * principal axes of the pose's error (tangent), all over the standard deviations. The covariance of its residuals is
- * 1 - T T'. */
+ * 1 - T T'; residuals and T are weighted for what all components share, which takes V V' (shared) from it too. */
 static fault_t fault_of(const double residual[3], const double modelled[3], const double tangent[3][6],
-                        const double measured[3], double least_share) {
+                        const double shared[3][GF_SHARED], const double measured[3], double least_share) {
     double covariance[3][6];
     double vector[3][6];
     fault_t fault = {0.0, 0.0, 0};
@@ -88,6 +90,9 @@ static fault_t fault_of(const double residual[3], const double modelled[3], cons
             double sum = i == j && measured[i] > 0.0 ? 1.0 : 0.0;
             for (size_t k = 0; k < 6; ++k) {
                 sum -= tangent[i][k] * tangent[j][k];
+            }
+            for (size_t k = 0; k < GF_SHARED; ++k) {
+                sum -= shared[i][k] * shared[j][k];
             }
             covariance[i][j] = sum;
         }
@@ -111,32 +116,75 @@ static fault_t fault_of(const double residual[3], const double modelled[3], cons
     return fault;
 }
 
-void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
-               const double *position_m, const double *rotation, double least_eigenvalue, double least_share,
-               double *drop, int32_t *freedom, double *scale) {
+/* What both statistics and covariance start from: whitened components around a pose, and the same slopes weighted
+ * for what all components share. Without errors the whitening only has weights. */
+typedef struct {
+    gf_whitening_t whitening;
+    gf_components_t components;
+    double weighted[3 * GF_MOST_COILS][6];
+} around_t;
+
+static void look(const gf_coils_t *coils, const gf_errors_t *errors, const around_t *around, const gf_pose_t *pose,
+                 gf_components_t *out) {
+    gf_components(coils, pose, around->whitening.weight, out);
+    if (errors != NULL) {
+        gf_whitened(coils->count, &around->whitening, out);
+    }
+}
+
+static void prepare(const gf_coils_t *coils, const gf_errors_t *errors, const double *field_T, const double *sigma_T,
+                    const gf_pose_t *pose, around_t *out) {
+    if (errors == NULL) {
+        memset(out->whitening.shared, 0, sizeof out->whitening.shared);
+        out->whitening.is_shared = false;
+        gf_weights(coils->count, field_T, sigma_T, 0.0, out->whitening.weight);
+    } else {
+        gf_whiten(coils, errors, field_T, sigma_T, pose, &out->whitening);
+    }
+    look(coils, errors, out, pose, &out->components);
+    memcpy(out->weighted, out->components.slope, sizeof out->weighted);
+    gf_unshare_slopes(coils->count, &out->whitening, out->weighted);
+}
+
+/* Measured minus modelled components, weighted. */
+static void compare(const gf_coils_t *coils, const gf_errors_t *errors, const double *field_T, const around_t *around,
+                    double *residual) {
+    const size_t n = coils->count;
+    const double *const weight = around->whitening.weight;
+    for (size_t c = 0; c < 3 * n; ++c) {
+        residual[c] = weight[c] > 0.0 ? weight[c] * field_T[c] : 0.0;
+    }
+    if (errors != NULL) {
+        gf_whiten_values(n, &around->whitening, residual);
+    }
+    for (size_t c = 0; c < 3 * n; ++c) {
+        residual[c] = weight[c] > 0.0 ? residual[c] - around->components.value[c] : 0.0;
+    }
+    gf_unshare_values(n, &around->whitening, residual);
+}
+
+void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
+               const double *sigma_T, const double *position_m, const double *rotation, double least_eigenvalue,
+               double least_share, double *drop, int32_t *freedom, double *scale) {
     const size_t n = coils->count;
     for (size_t e = 0; e < epochs; ++e) {
         const double *const field = field_T + 3 * n * e;
         const gf_pose_t pose = pose_of(position_m + 3 * e, rotation + 9 * e);
-        double weight[3 * GF_MOST_COILS];
+        around_t around;
         double information[6][6];
         double root[6][6];
         double free[6][6];
-        gf_components_t components;
-        gf_weights(n, field, sigma_T + n * e, 0.0, weight);
-        gf_components(coils, &pose, weight, &components);
-        inform(3 * n, components.slope, information);
+        double residual[3 * GF_MOST_COILS];
+        prepare(coils, errors, field, sigma_T + n * e, &pose, &around);
+        inform(3 * n, around.components.slope, around.weighted, information);
         split((const double(*)[6])information, least_eigenvalue, root, free);
-        transform(3 * n, components.slope, (const double(*)[6])root, components.slope);
+        transform(3 * n, around.weighted, (const double(*)[6])root, around.weighted);
+        compare(coils, errors, field, &around, residual);
         for (size_t i = 0; i < n; ++i) {
-            double residual[3];
-            for (size_t c = 0; c < 3; ++c) {
-                residual[c] = weight[3 * i + c] > 0.0
-                                  ? weight[3 * i + c] * field[3 * i + c] - components.value[3 * i + c]
-                                  : 0.0;
-            }
-            const fault_t fault = fault_of(residual, components.value + 3 * i,
-                                           (const double(*)[6])(components.slope + 3 * i), weight + 3 * i, least_share);
+            const fault_t fault = fault_of(residual + 3 * i, around.components.value + 3 * i,
+                                           (const double(*)[6])(around.weighted + 3 * i),
+                                           (const double(*)[GF_SHARED])(around.whitening.shared + 3 * i),
+                                           around.whitening.weight + 3 * i, least_share);
             drop[n * e + i] = fault.drop;
             freedom[n * e + i] = fault.freedom;
             scale[n * e + i] = fault.scale;
@@ -145,8 +193,8 @@ void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, co
 }
 
 /* q = half the second difference of the model along one principal axis and each other, as a pose error. */
-static void curve(const gf_coils_t *coils, const gf_pose_t *pose, const double *weight, const double root[6][6],
-                  double back[][6], size_t axis, double q[6][6]) {
+static void curve(const gf_coils_t *coils, const gf_errors_t *errors, const gf_pose_t *pose, const around_t *around,
+                  const double root[6][6], double back[][6], size_t axis, double q[6][6]) {
     gf_components_t ahead;
     gf_components_t behind;
     double step[6];
@@ -158,7 +206,7 @@ static void curve(const gf_coils_t *coils, const gf_pose_t *pose, const double *
         moved.position_m[k] += step[k];
     }
     gf_turn(moved.rotation, step + 3);
-    gf_components(coils, &moved, weight, &ahead);
+    look(coils, errors, around, &moved, &ahead);
     moved = *pose;
     for (size_t k = 0; k < 6; ++k) {
         step[k] = -step[k];
@@ -167,7 +215,7 @@ static void curve(const gf_coils_t *coils, const gf_pose_t *pose, const double *
         moved.position_m[k] += step[k];
     }
     gf_turn(moved.rotation, step + 3);
-    gf_components(coils, &moved, weight, &behind);
+    look(coils, errors, around, &moved, &behind);
 
     double change[6][6] = {{0.0}}; /* difference of the Jacobians, transposed, onto the tangent space */
     for (size_t c = 0; c < 3 * coils->count; ++c) {
@@ -213,28 +261,28 @@ static void second_order(double q[6][6][6], double out[6][6]) {
     }
 }
 
-void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
-                   const double *position_m, const double *rotation, double least_eigenvalue, double free_m2,
-                   double free_rad2, double *covariance) {
+void gf_covariance(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
+                   const double *sigma_T, const double *position_m, const double *rotation, double least_eigenvalue,
+                   double free_m2, double free_rad2, double *covariance) {
     const size_t n = coils->count;
     const double free_root[6] = {sqrt(free_m2),   sqrt(free_m2),   sqrt(free_m2),
                                  sqrt(free_rad2), sqrt(free_rad2), sqrt(free_rad2)};
+    /* All axes leaning alike are a turn of the sensor: nothing but the attitude tells of it. */
+    const double common = errors != NULL ? 0.5 * errors->sensor_axis_sd_rad * errors->sensor_axis_sd_rad : 0.0;
     for (size_t e = 0; e < epochs; ++e) {
         const gf_pose_t pose = pose_of(position_m + 3 * e, rotation + 9 * e);
-        double weight[3 * GF_MOST_COILS];
+        around_t around;
         double information[6][6];
         double root[6][6];
         double free[6][6];
         double q[6][6][6];
         double middle[6][6];
-        gf_components_t components;
-        gf_weights(n, field_T + 3 * n * e, sigma_T + n * e, 0.0, weight);
-        gf_components(coils, &pose, weight, &components);
-        inform(3 * n, components.slope, information);
+        prepare(coils, errors, field_T + 3 * n * e, sigma_T + n * e, &pose, &around);
+        inform(3 * n, around.components.slope, around.weighted, information);
         split((const double(*)[6])information, least_eigenvalue, root, free);
-        transform(3 * n, components.slope, (const double(*)[6])root, components.slope);
+        transform(3 * n, around.weighted, (const double(*)[6])root, around.weighted);
         for (size_t axis = 0; axis < 6; ++axis) {
-            curve(coils, &pose, weight, (const double(*)[6])root, components.slope, axis, q[axis]);
+            curve(coils, errors, &pose, &around, (const double(*)[6])root, around.weighted, axis, q[axis]);
         }
         second_order(q, middle);
         double product[6][6];
@@ -245,7 +293,7 @@ void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T
                 for (size_t m = 0; m < 6; ++m) {
                     sum += product[k][m] * root[l][m] + free_root[k] * free_root[l] * free[k][m] * free[l][m];
                 }
-                covariance[36 * e + 6 * k + l] = sum;
+                covariance[36 * e + 6 * k + l] = sum + (k == l && k >= 3 ? common : 0.0);
             }
         }
     }

@@ -8,10 +8,10 @@
  * Units are SI. Matrices are row-major and dense. n is the number of coils, e that of epochs.
  *
  *   field_T   e x n x 3   measured components in the sensor's frame; NaN where nothing was measured
- *   sigma_T   e x n       their standard deviations, positive and finite
+ *   sigma_T   e x n       their standard deviations, positive and finite; with errors the noise alone
  *   position_m  e x 3,    rotation  e x 3 x 3 with B_site = R B_sensor
  *
- * Memory: no heap, no globals; below 60 KiB of stack. Time: about 1 us for an evaluation of the field and a step of a
+ * Memory: no heap, no globals; below 80 KiB of stack. Time: about 1 us for an evaluation of the field and a step of a
  * fit with eight coils on a server's core of today. Bad input: a start or a measurement that is not finite gives
  * results that are not finite; counts outside their range are the caller's error and are not checked here.
  */
@@ -34,6 +34,16 @@ typedef struct {
     double across[3]; /* unit vector: off the plane of the coils */
 } gf_coils_t;
 
+/* Standard deviations of what the site says of each coil, and of the sensor's axes (goldfield.site.Survey and
+ * SensorSite). Functions take a null pointer where all is exact. */
+typedef struct {
+    double position_sd_m[GF_MOST_COILS];
+    double axis_sd_rad[GF_MOST_COILS];
+    double current_sd[GF_MOST_COILS]; /* relative */
+    double gain_sd;                   /* relative, of each axis of the sensor */
+    double sensor_axis_sd_rad;
+} gf_errors_t;
+
 /* Starts with no prior, from complete vectors: trilateration with |B| = 1.5 k/r^3, fit of log |B|, Wahba's problem
  * (goldfield.locate.starts and .wahba; patent, equations 6 to 8). Three errors beside the noise, all relative:
  * range_error in the simple ranges, magnitude_error in |B| (so absolute in its logarithm), vector_error in the vectors
@@ -42,12 +52,14 @@ void gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, co
                double magnitude_error, double vector_error, double *position_m, double *rotation);
 
 /* Least squares of position and attitude to the components (goldfield.locate.fit.fit_pose, Levenberg-Marquardt).
- * model_error is relative, beside the noise. In and out: position_m, rotation. Out: cost (e), the sum of squared
- * whitened residuals; information (e x 6 x 6) of position and of a small turn in the site's frame; converged (e), 0 or
- * 1. Bound: 1 + iterations evaluations of the field an epoch. */
-void gf_fit(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-            size_t iterations, double tolerance, double *position_m, double *rotation, double *cost,
-            double *information, uint8_t *converged);
+ * model_error is relative, beside the noise, and counts only where errors is null. With errors the components are
+ * whitened around the start, and up to three times again around what was found, until that stays.
+ * In and out: position_m, rotation. Out: cost (e), the sum of squared whitened residuals; information (e x 6 x 6) of
+ * position and of a small turn in the site's frame; converged (e), 0 or 1. Bound: 1 + iterations evaluations of the
+ * field an epoch, with errors four times 2 + iterations. */
+void gf_fit(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
+            const double *sigma_T, double model_error, size_t iterations, double tolerance, double *position_m,
+            double *rotation, double *cost, double *information, uint8_t *converged);
 
 /* Search of the best pose with no prior, from complete vectors, and of a rival (goldfield.locate.constellation). The
  * best is the global minimum of the cost as far as could be found out within most_evaluations; those on the right side
@@ -62,16 +74,17 @@ void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, co
 /* Statistics of each beacon's faults around fitted poses (goldfield.locate.integrity, which derives them).
  * least_eigenvalue is as in gf_covariance(); least_share is the part of a variance that must be left in the residuals
  * for a fault to show. Out, e x n each: drop, its degrees of freedom, and scale. Bound: one evaluation of the field an
- * epoch. */
-void gf_faults(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
-               const double *position_m, const double *rotation, double least_eigenvalue, double least_share,
-               double *drop, int32_t *freedom, double *scale);
+ * epoch, two with errors. */
+void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
+               const double *sigma_T, const double *position_m, const double *rotation, double least_eigenvalue,
+               double least_share, double *drop, int32_t *freedom, double *scale);
 
 /* Mean square error of fitted poses with second-order terms (goldfield.locate.uncertainty.second_order_covariance).
  * Directions whose eigenvalue of the information, scaled to a unit diagonal, is below least_eigenvalue get free_m2
- * and free_rad2 along them. Out: covariance (e x 6 x 6). Bound: 13 evaluations of the field an epoch. */
-void gf_covariance(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
-                   const double *position_m, const double *rotation, double least_eigenvalue, double free_m2,
-                   double free_rad2, double *covariance);
+ * and free_rad2 along them. Out: covariance (e x 6 x 6). Bound: 13 evaluations of the field an epoch, 14 with
+ * errors. */
+void gf_covariance(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
+                   const double *sigma_T, const double *position_m, const double *rotation, double least_eigenvalue,
+                   double free_m2, double free_rad2, double *covariance);
 
 #endif
