@@ -57,3 +57,9 @@ readme-figures: all ## Compare each figure that README.md quotes with what the c
 	@$(PYTHON) -m tests.bench.readme_figures
 
 .PHONY: readme-figures
+
+INTEGRITY ?=
+integrity-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure when the locator is wrong and says so (long; INTEGRITY="halls --poses 200 --seed 2")
+	@$(PYTHON) -m tests.bench.integrity_figures $(INTEGRITY)
+
+.PHONY: integrity-figures

@@ -1,0 +1,48 @@
+"""Print the integrity figures of the locator as it is: ``python -m tests.bench.integrity_figures [TABLE ...]``.
+
+Truth is independent of the host's field model: coils by magpylib, a steel rod by `integrity_rod`. Sites reach the
+locator through site files that say that they are exact, unless a table is about errors; --silent: that say nothing.
+A seed belongs to a purpose: take seed 1 to tune, and another one for figures that are quoted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Mapping
+
+from tests.bench import integrity_beacon_tables, integrity_room_tables
+from tests.bench.integrity_run import Run
+
+TABLES: Mapping[str, Callable[[Run], None]] = {
+    "systematic": integrity_room_tables.systematic_faults,
+    "faults": integrity_beacon_tables.single_faults,
+    "halls": integrity_room_tables.halls_of_few,
+    "survey": integrity_room_tables.declared_errors,
+    "risk": integrity_beacon_tables.risk,
+    "rod": integrity_room_tables.steel_rod,
+    "recovery": integrity_room_tables.recovery,
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Print the tables asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"some of {', '.join(TABLES)}; default: all")
+    parser.add_argument("--poses", type=int, default=1000, help="poses a row (default 1000)")
+    parser.add_argument("--epochs", type=int, default=10_000, help="epochs a row of the table of risks (default 10000)")
+    parser.add_argument("--seed", type=int, default=1, help="seed: 1, the default, is for tuning")
+    parser.add_argument("--silent", action="store_true", help="the site files say nothing of errors")
+    options = parser.parse_args(argv)
+    unknown = [name for name in options.tables if name not in TABLES]
+    if unknown:
+        parser.error(f"there is no table {', '.join(unknown)}; the tables are {', '.join(TABLES)}")
+    run = Run(options.poses, options.epochs, options.seed, options.silent)
+    print(f"Integrity figures: {run}")
+    for name in options.tables or TABLES:
+        TABLES[name](run)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
