@@ -81,8 +81,8 @@ def halls_of_few(run: Run) -> None:
 
 
 CENTIMETRE = Errors(0.01, DEGREE, 0.01)
-SUGGESTED = Errors(0.003, 0.005, 0.003)
-"""Default errors where a site file is silent: what the figures of half and twice the default are about."""
+DEFAULT = Errors(0.003, 0.005, 0.003, gain=0.003, sensor_axis_rad=0.005)
+"""What a silent site file is taken for; the truth is drawn with half of it, with it and with twice of it."""
 
 
 def _survey_rows() -> list[tuple[str, Errors | None, Errors, bool]]:
@@ -93,9 +93,9 @@ def _survey_rows() -> list[tuple[str, Errors | None, Errors, bool]]:
         ("1 cm, 1 deg, 1 %", CENTIMETRE, CENTIMETRE, True),
         ("sensor 1 %, .01 rad", sensor, sensor, False),
         ("nothing said, exact", None, Errors(), True),
-        ("nothing said, half", None, SUGGESTED.times(0.5), True),
-        ("nothing said, default", None, SUGGESTED, True),
-        ("nothing said, twice", None, SUGGESTED.times(2.0), True),
+        ("nothing said, half", None, DEFAULT.times(0.5), True),
+        ("nothing said, default", None, DEFAULT, True),
+        ("nothing said, twice", None, DEFAULT.times(2.0), True),
     ]
 
 
@@ -103,9 +103,11 @@ def declared_errors(run: Run) -> None:
     """Print what becomes of sites with errors of survey and sensor, said in the site file or not."""
     table = Table(
         "Errors of survey and sensor: really drawn for each pose anew",
-        f"default: {SUGGESTED.position_m * 1e3:g} mm, {SUGGESTED.axis_rad:g} rad, {SUGGESTED.current:.1%}; "
-        "nees: normalised error squared per axis (NEES/3), its mean and median;\n"
-        "rms error and bound (errors included, by differences of magpylib's fields), mm: `ok` and `unverified` poses",
+        f"default: {DEFAULT.position_m * 1e3:g} mm, {DEFAULT.axis_rad:g} rad, {DEFAULT.current:.1%}, sensor "
+        f"{DEFAULT.gain:.1%}, {DEFAULT.sensor_axis_rad:g} rad; nees: normalised error squared per axis\n"
+        "(NEES/3), its mean and median; "
+        "rms error and bound (errors included, by differences of\n"
+        "magpylib's fields), mm: of `ok` and `unverified` poses",
         (
             Column("said, and true", -22),
             Column("site", -12),
