@@ -57,14 +57,14 @@ def single_faults(run: Run) -> None:
     table = Table(
         "One and two faulty beacons, in halls at .2 mG and in the cube (8 beacons)",
         "seen: `inconsistent`, `failed` or a beacon left out; right: just the faulty ones left out, `ok` or\n"
-        "`unverified`; of `ok`: normalised error squared per axis above 8, error above 5 cm, largest error; hidden:\n"
-        f"nothing seen, `ok` or `unverified`, error above {100 * DISTANCE_M:g} cm; PL: protection_m of both",
+        "`unverified`; of `ok`: normalised error squared per axis above 8, error above 5 cm, largest error;\n"
+        f"hidden: nothing seen, `ok` or `unverified`, error above {100 * DISTANCE_M:g} cm; PL: protection_m of both",
         (
-            Column("place", -11),
-            Column("faults", -14),
+            Column("place", -10),
+            Column("faults", -12),
             POSES,
             Column("ok"),
-            Column("unveri"),
+            Column("unver"),
             Column("seen"),
             Column("right"),
             Column("nees>8"),
@@ -102,14 +102,39 @@ def single_faults(run: Run) -> None:
         )
 
 
+LIMITS_M = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0)
+
+
+def availability(run: Run) -> None:
+    """Print what share of sound poses has a protection level below each alert limit."""
+    table = Table(
+        "Availability: share, %, of sound poses that are `ok` or `unverified` with protection_m below a limit",
+        "PL: protection_m of these; no level: share of `ok` and `unverified` with an infinite protection_m, %",
+        (
+            Column("place", -11),
+            POSES,
+            *(Column(f"{1e3 * limit:g} mm", 8, 2) for limit in LIMITS_M),
+            Column("no level", 8, 2),
+            Column("PL med", 7, 3),
+        ),
+    )
+    places = ("cube 2 mG", "cube .2 mG", *(f"hall of {n}" for n in BEACONS))
+    for place in progress(places, "availability"):
+        outcome, _ = with_beacon_faults(run, run.rng("availability", place), run.poses, place, 0, [])
+        level = np.where(outcome.passed, outcome.protection_m, np.inf)
+        shares = [100.0 * float((level <= limit).mean()) for limit in LIMITS_M]
+        none = 100.0 * float((outcome.passed & np.isinf(outcome.protection_m)).mean())
+        table.row(place, len(outcome), *shares, none, median(outcome.protection_m[outcome.passed]))
+
+
 def risk(run: Run) -> None:
     """Print the integrity risk as aviation states it, with and without single faults."""
     table = Table(
         f"Integrity risk: errors beyond protection_m, {run.epochs} epochs a row",
-        "HMI: hazardously misleading, `ok` and beyond protection_m (or, while there is none, NEES/3 above 8);\n"
-        "95 %: upper limit of the risk by Clopper and Pearson, an epoch, and an hour with one independent epoch\n"
-        f"every {CORRELATION_S:g} s; one fault: of one beacon in every epoch, any kind; unveri: HMI of `unverified`;\n"
-        "PL/err: median of `ok`; PL: protection_m of `ok` and `unverified`, m; avail: share of `ok`",
+        "HMI: hazardously misleading, `ok` and beyond protection_m (or NEES/3 above 8, if that is infinite);\n"
+        "95 %: upper limit of the risk by Clopper and Pearson, an epoch, and an hour with one independent\n"
+        f"epoch every {CORRELATION_S:g} s; one fault: of one beacon in every epoch, any kind; unver: HMI of\n"
+        "`unverified`; PL/err: median of `ok`; PL: protection_m of both, m; avail: share of `ok`",
         (
             Column("place", -11),
             Column("faults", -6),
@@ -117,7 +142,7 @@ def risk(run: Run) -> None:
             Column("HMI", 5),
             Column("95 % epoch", 10, 1),
             Column("95 % hour", 10, 1),
-            Column("unveri"),
+            Column("unver"),
             Column("PL/err", 7, 1),
             Column("PL med", 7, 3),
             Column("PL 95%", 7, 3),

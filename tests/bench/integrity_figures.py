@@ -19,6 +19,7 @@ TABLES: Mapping[str, Callable[[Run], None]] = {
     "faults": integrity_beacon_tables.single_faults,
     "halls": integrity_room_tables.halls_of_few,
     "survey": integrity_room_tables.declared_errors,
+    "availability": integrity_beacon_tables.availability,
     "risk": integrity_beacon_tables.risk,
     "rod": integrity_room_tables.steel_rod,
     "recovery": integrity_room_tables.recovery,

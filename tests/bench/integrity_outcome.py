@@ -7,7 +7,6 @@ which an honest pose with few or weak beacons may well have.
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -40,7 +39,7 @@ class Outcome:
     error_m, nees : ndarray, shape (e,)
         Position error, and its normalised square per axis; NaN where the pose failed.
     protection_m : ndarray, shape (e,)
-        Protection level; NaN where the locator gives none.
+        Protection level; infinite where nothing is promised, NaN where the pose failed.
     excluded : ndarray of object, shape (e,)
         A frozenset of the beacons left out.
     named : ndarray of object, shape (e,)
@@ -88,8 +87,8 @@ class Outcome:
 
     @property
     def unprotected(self) -> BoolArray:
-        """Tell where a passed pose has a protection level and its error is beyond it."""
-        return np.asarray(self.passed & np.isfinite(self.protection_m) & (self.error_m > self.protection_m))
+        """Tell where a passed pose's error is beyond its protection level."""
+        return np.asarray(self.passed & (self.error_m > self.protection_m))
 
 
 def joined(parts: Iterable[Outcome]) -> Outcome:
@@ -113,15 +112,10 @@ def outcome_of(poses: Sequence[Pose], position_m: FloatArray) -> Outcome:
         np.array([str(pose.status) for pose in poses], dtype="U16"),
         np.linalg.norm(error, axis=1),
         nees,
-        np.array([_protection_m(pose) for pose in poses], dtype=float),
+        np.array([pose.protection_m for pose in poses], dtype=float),
         _objects(frozenset(pose.excluded) for pose in poses),
-        _objects(frozenset(str(finding.kind) for finding in getattr(pose, "findings", ())) for pose in poses),
+        _objects(frozenset(str(finding.kind) for finding in pose.findings) for pose in poses),
     )
-
-
-def _protection_m(pose: Pose) -> float:
-    level = getattr(pose, "protection_m", math.nan)
-    return math.nan if level is None else float(level)
 
 
 def _objects(values: Iterable[frozenset[str]]) -> NDArray[np.object_]:

@@ -41,11 +41,11 @@ def _systematic_run(fault: Systematic, site: Site, poses: int, rng: np.random.Ge
 
 def systematic_faults(run: Run) -> None:
     """Print what becomes of faults of the whole sensor, all currents or the site file, eight beacons."""
-    label = Column("Prigge's cube", -24)
+    label = Column("Prigge's cube", -22)
     for noise_T in (2e-7, 2e-8):
         title = f"Systematic faults, 8 beacons, {noise_T * 1e7:g} mG a sample"
-        note = STATUS_NOTE + "; named: poses that name it"
-        table = Table(title, note, (label, POSES, *STATUS_COLUMNS, *WRONG_COLUMNS, Column("named")))
+        note = STATUS_NOTE + ";\nnamed: poses that name it"
+        table = Table(title, note, (label, POSES, *STATUS_COLUMNS, *WRONG_COLUMNS, Column("named", 5)))
         for name, fault in progress(systematic().items(), title):
             site = cube(noise_T)
             trials = _systematic_run(fault, site, run.poses, run.rng("systematic", name, noise_T))
@@ -56,11 +56,11 @@ def systematic_faults(run: Run) -> None:
 
 def halls_of_few(run: Run) -> None:
     """Print what becomes of sound poses in halls of few coils, anywhere and within a radius of a coil."""
-    times = tuple(Column(heading, 7, 2) for heading in ("ms med", "ms 99%", "ms max"))
+    times = tuple(Column(heading, 5, 1) for heading in ("ms", "99 %", "worst"))
     table = Table(
         "Sound poses in halls of 10 x 10 x 3.5 m with random coils, .2 mG a sample",
-        STATUS_NOTE + ";\nms: processor time of up to 300 poses located one by one",
-        (Column("beacons, place", -18), POSES, *STATUS_COLUMNS, *WRONG_COLUMNS, *times),
+        STATUS_NOTE + ";\nnear: within a radius of a coil; ms: processor time of 300 poses one by one, median",
+        (Column("beacons", -8), POSES, *STATUS_COLUMNS, *WRONG_COLUMNS, *times),
     )
     rows = [(beacons, near) for near in (False, True) for beacons in (3, 4, 5, 6, 8, 12)]
     for beacons, near in progress(rows, "halls"):
@@ -74,7 +74,7 @@ def halls_of_few(run: Run) -> None:
             if len(spent) < 300:
                 spent += times_s(site, trials, 10)
         outcome = joined(parts)
-        label = f"{beacons}, {'near a coil' if near else 'anywhere'}"
+        label = f"{beacons}{' near' if near else ''}"
         ms = 1e3 * np.array(spent)
         cells: list[Cell] = [float(np.median(ms)), float(np.quantile(ms, 0.99)), float(ms.max())]
         table.row(label, *status_cells(outcome), *wrong_cells(outcome), *cells)
@@ -103,24 +103,23 @@ def declared_errors(run: Run) -> None:
     """Print what becomes of sites with errors of survey and sensor, said in the site file or not."""
     table = Table(
         "Errors of survey and sensor: really drawn for each pose anew",
-        f"default: {DEFAULT.position_m * 1e3:g} mm, {DEFAULT.axis_rad:g} rad, {DEFAULT.current:.1%}, sensor "
-        f"{DEFAULT.gain:.1%}, {DEFAULT.sensor_axis_rad:g} rad; nees: normalised error squared per axis\n"
-        "(NEES/3), its mean and median; "
-        "rms error and bound (errors included, by differences of\n"
+        f"default: {DEFAULT.position_m * 1e3:g} mm, {DEFAULT.axis_rad:g} rad, {DEFAULT.current:.1%}; sensor "
+        f"{DEFAULT.gain:.1%}, {DEFAULT.sensor_axis_rad:g} rad; nees: normalised error squared per axis,\n"
+        "NEES/3, its mean and median; rms error, and bound (these errors included, by differences of\n"
         "magpylib's fields), mm: of `ok` and `unverified` poses",
         (
-            Column("said, and true", -22),
-            Column("site", -12),
+            Column("said, and true", -21),
+            Column("site", -10),
             POSES,
-            Column("ok %", 7, 2),
-            Column("unveri"),
-            Column("incons"),
-            Column("nees", 7, 2),
+            Column("ok %", 6, 1),
+            Column("unver", 5),
+            Column("incon", 5),
+            Column("nees", 6, 2),
             Column("median", 6, 2),
-            Column("rms", 7, 1),
-            Column("bound", 7, 1),
+            Column("rms", 6, 1),
+            Column("bound", 6, 1),
             Column("ratio", 6, 3),
-            Column(">PL", 5),
+            Column(">PL", 4),
         ),
     )
     rows = []
@@ -131,7 +130,7 @@ def declared_errors(run: Run) -> None:
         try:
             outcome, bound = _survey_row(run, name, said, true, place)
         except KeysUnknown:
-            table.row(name, place, "keys not known", *[""] * 9)
+            table.row(name, place, "  keys not known", *[""] * 9)
             continue
         good = outcome.passed
         error, least = root_mean_square(outcome.error_m[good]), root_mean_square(bound[good])
@@ -175,11 +174,10 @@ ROD_DISTANCES_M = (0.02, 0.04, 0.08, 0.16, 0.32)
 def steel_rod(run: Run) -> None:
     """Print what becomes of poses with a rod beside the sensor, and of the same without it."""
     table = Table(
-        "A rod, 100 mm long and 10 mm thick, goes with the sensor, its surface at a distance from it; 8 beacons",
-        STATUS_NOTE
-        + f";\nrods of {ROD_SEEDS} seeds; dipoles of spheres, see integrity_rod.py; bad: `ok` or `unverified`"
-        "\nand beyond protection_m, or, while there is none, wrong by either rule; move: median error of no pose's own",
-        (Column("rod", -24), POSES, *STATUS_COLUMNS, *WRONG_COLUMNS, Column("bad", 5)),
+        "A rod, 100 mm long, 10 mm thick, goes with the sensor, its surface this far from it; 8 beacons",
+        STATUS_NOTE + f";\nrods of {ROD_SEEDS} seeds, see integrity_rod.py; bad: beyond protection_m, or `ok` without "
+        "a finite one\nand wrong by either rule",
+        (Column("rod", -22), POSES, *STATUS_COLUMNS, *WRONG_COLUMNS, Column("bad", 5)),
     )
     rows: list[tuple[str, Site, Material | None, float]] = []
     for noise_T in (2e-7, 2e-8):
@@ -213,11 +211,11 @@ def recovery(run: Run) -> None:
     """Print how soon a track is `ok` after all beacons were lost for 1 to 60 s."""
     trials = max(run.poses // 10, 1)
     table = Table(
-        "Recovery: all beacons lost for 1 to 60 s (logarithmically uniform) on a circle, then heard again; 8 beacons",
-        f"soon: `ok` within {SOON} cycles; wrong: of these, some `ok` pose after it off by more than "
-        f"{100 * ERROR_M:g} cm;\nin loss: `ok` poses more than a second into the loss; worst error after it, m",
+        "Recovery: on a circle all 8 beacons are lost for 1 to 60 s (logarithmically uniform), then return",
+        f"soon: `ok` within {SOON} cycles; wrong: some `ok` pose after it off by more than {100 * ERROR_M:g} cm;"
+        "\nin loss: `ok` poses more than a second into the loss; worst error after it, m",
         (
-            Column("motion, loss", -36),
+            Column("motion, loss", -39),
             Column("trials", 6),
             Column("soon", 6),
             Column("wrong", 6),

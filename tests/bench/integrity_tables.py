@@ -36,13 +36,12 @@ class Column:
         return text.ljust(-self.width) if self.width < 0 else text.rjust(self.width)
 
 
-LABEL = Column("", -24)
-POSES = Column("poses", 7)
-STATUS_COLUMNS = tuple(Column(name[:6]) for name in STATUSES)
-WRONG_COLUMNS = (Column("nees>8"), Column(">5cm"), Column(">PL", 5), Column("max m", 8, 3))
+POSES = Column("poses", 6)
+STATUS_COLUMNS = tuple(Column(name[:5], 5) for name in STATUSES)
+WRONG_COLUMNS = (Column("nees>8"), Column(">5cm"), Column(">PL", 5), Column("max m", 7, 3))
 STATUS_NOTE = """\
-poses by status (unveri: unverified, incons: inconsistent); of `ok`: normalised error squared per axis above 8,
-error above 5 cm, largest error; >PL: `ok` or `unverified`, error above protection_m (0 while there is none)"""
+poses by status (unver: unverified, incon: inconsistent); of `ok`: normalised error squared per axis
+above 8, error above 5 cm, largest error; >PL: `ok` or `unverified`, error above protection_m"""
 
 
 class Table:
