@@ -1,18 +1,21 @@
-"""A steel rod beside a sensor: a straight row of touching spheres, conducting and permeable, coupled as dipoles.
+"""A steel rod beside a sensor: a slender prolate spheroid, conducting and permeable.
 
-Each sphere answers to a uniform field as the exact quasi-static solution does (Jackson, 5.18; with w^2 = s mu_0 mu_r
-sigma a^2 at the Laplace variable s, u = w^2/(w coth w - 1) - 1),
+The moment of a spheroid of volume V in a uniform field H, along its axis (a) and across (t), is
 
-    m = alpha H,    alpha = -2 pi a^3 (u - 2 mu_r)/(u + mu_r),
+    m = V (mu_i - 1)/(1 + N_i (mu_i - 1)) H,    i = a, t,
 
-and stands in the field of the coils and of the other spheres' dipoles: m = alpha (H + A m). A is symmetric,
-A = V L V', so m = V [alpha/(1 - alpha L)] V' H. What a despreader sees of the response to a chip's edge is the response
-to a step at the end of the chip, when the sensor samples; later parts correlate with shifted codes, which are almost
-orthogonal. The step's response is the inverse Laplace transform of [...]/s (Talbot's contour: all poles are on the
-negative real axis).
+with the demagnetising factors N_i (Osborn 1945). Eddy currents make the permeability appear less; that of a long
+cylinder of radius b, exact with w^2 = s mu_0 mu_r sigma b^2 at the Laplace variable s, is taken:
 
-Nothing here is the host's: the product's conductor models are not used. Higher multipoles of neighbours and what the
-coils feel of the rod are left out: a real rod differs in figures, not in kind.
+    mu_a = 2 mu_r I_1(w)/(w I_0(w)),    mu_t = mu_r I_1(w)/(w I_1'(w)).
+
+So the static spheroid, the perfectly conducting one (mu_i = 0) and the endless cylinder are exact. Outside, a uniformly
+polarised prolate spheroid is exactly a line of dipoles between its foci, as dense as f^2 - z^2.
+
+What a despreader sees of the response to a chip's edge is the response to a step at the end of the chip, when the
+sensor samples; later parts correlate with shifted codes, which are almost orthogonal. It is the inverse Laplace
+transform of m/s, by Talbot's contour: all poles are on the negative real axis. The product's models of conductors are
+not used. Left out are the field's change of shape over the rod, of which a mean is taken, and what the coils feel.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ive
 
 from tests.bench.integrity_coils import Coils
 
@@ -30,6 +34,8 @@ MU_0 = 4e-7 * math.pi
 CHIP_S = 97.75e-6
 NODES = 24
 """Nodes of Talbot's contour: more lose digits to cancellation, fewer leave 1e-6."""
+POINTS = 24
+"""Dipoles that stand for the line of dipoles (Gauss and Legendre)."""
 
 
 @dataclass(frozen=True)
@@ -45,33 +51,48 @@ FERRITE = Material(0.0, 1000.0)
 """It is the worst case: no eddy current opposes the field that it draws in."""
 
 
-def sphere_response(s: complex, radius_m: float, material: Material) -> complex:
-    """Return alpha, m^3, the dipole moment of a sphere over the uniform field, at Laplace variables s."""
-    mu = material.permeability
-    squared = complex(s) * MU_0 * mu * material.conductivity_S_m * radius_m**2
-    w = np.sqrt(squared)
-    u = 2.0 + squared / 5.0 if abs(w) < 1e-3 else squared / (w / np.tanh(w) - 1.0) - 1.0
-    return complex(-2.0 * math.pi * radius_m**3 * (u - 2.0 * mu) / (u + mu))
+@dataclass(frozen=True)
+class Spheroid:
+    """A prolate spheroid: half its length, half its thickness (less), and its material."""
 
+    half_length_m: float
+    half_width_m: float
+    material: Material
 
-def step_response(radius_m: float, material: Material, coupling: FloatArray, time_s: float = CHIP_S) -> FloatArray:
-    """Return alpha/(1 - alpha coupling), m^3, at a time after a step of the field.
+    @property
+    def focus_m(self) -> float:
+        """Distance of each focus from the middle."""
+        return math.sqrt(self.half_length_m**2 - self.half_width_m**2)
 
-    Parameters
-    ----------
-    coupling : ndarray, shape (k,)
-        Eigenvalues of the coupling, 1/m^3; 0 for a sphere alone.
-    """
-    theta = np.arange(1, NODES) * math.pi / NODES
-    cot = 1.0 / np.tan(theta)
-    scale = 2.0 * NODES / (5.0 * time_s)
-    nodes = np.concatenate([[scale], scale * theta * (cot + 1j)])
-    weight = np.concatenate([[0.5], 1.0 + 1j * theta * (1.0 + cot**2) - 1j * cot])
-    total = np.zeros(len(coupling))
-    for s, factor in zip(nodes, weight, strict=True):
-        alpha = sphere_response(s, radius_m, material)
-        total += np.real(np.exp(s * time_s) * factor * alpha / (1.0 - alpha * coupling) / s)
-    return total * scale / NODES
+    @property
+    def factors(self) -> FloatArray:
+        """Demagnetising factors along and across."""
+        e = self.focus_m / self.half_length_m
+        along = (1.0 - e * e) / e**2 * (math.atanh(e) / e - 1.0)
+        return np.array([along, 0.5 * (1.0 - along)])
+
+    def polarisability(self, s: complex) -> NDArray[np.complex128]:
+        """Return the moments along and across over a uniform H, shape (2,), m^3, at a Laplace variable, 1/s."""
+        mu, conductivity = self.material.permeability, self.material.conductivity_S_m
+        w = np.sqrt(complex(s) * MU_0 * mu * conductivity) * self.half_width_m
+        apparent = np.full(2, mu, dtype=np.complex128)
+        if abs(w) > 1e-4:
+            ratio = ive(1, w) / ive(0, w)  # I_1' = I_0 - I_1/w
+            apparent = mu * np.array([2.0 * ratio / w, ratio / (w - ratio)])
+        volume = 4.0 / 3.0 * math.pi * self.half_length_m * self.half_width_m**2
+        return np.asarray(volume * (apparent - 1.0) / (1.0 + self.factors * (apparent - 1.0)))
+
+    def step_response(self, time_s: float = CHIP_S) -> FloatArray:
+        """Return the moments along and across a time after a step of H, over its height, shape (2,), m^3."""
+        theta = np.arange(1, NODES) * math.pi / NODES
+        cot = 1.0 / np.tan(theta)
+        scale = 2.0 * NODES / (5.0 * time_s)
+        nodes = np.concatenate([[scale], scale * theta * (cot + 1j)])
+        weight = np.concatenate([[0.5], 1.0 + 1j * theta * (1.0 + cot**2) - 1j * cot])
+        terms = [
+            np.exp(s * time_s) * factor * self.polarisability(s) / s for s, factor in zip(nodes, weight, strict=True)
+        ]
+        return np.real(np.sum(terms, axis=0)) * scale / NODES
 
 
 def dipole_tensors(offset_m: FloatArray) -> FloatArray:
@@ -87,15 +108,14 @@ class Rod:
 
     Attributes
     ----------
-    sphere_m : ndarray, shape (k, 3)
-        Centres of its spheres.
-    radius_m : float
-    material : Material
+    centre_m, along : ndarray, shape (3,)
+        Its middle and the unit vector of its axis.
+    body : Spheroid
     """
 
-    sphere_m: FloatArray
-    radius_m: float
-    material: Material
+    centre_m: FloatArray
+    along: FloatArray
+    body: Spheroid
 
     @classmethod
     def beside(
@@ -106,25 +126,33 @@ class Rod:
         diameter_m: float = 0.01,
         length_m: float = 0.1,
     ) -> Rod:
-        """Return a rod whose surface is at a distance from the sensor, anywhere around it, across the line to it."""
+        """Return a rod whose surface is at a distance from the sensor, anywhere around it, in any direction.
+
+        Its nearest point is anywhere along the middle half of its length.
+        """
         towards = rng.normal(size=3)
         towards /= np.linalg.norm(towards)
         along = np.cross(towards, rng.normal(size=3))
         along /= np.linalg.norm(along)
-        count = round(length_m / diameter_m)
-        place = (np.arange(count) - 0.5 * (count - 1)) * diameter_m
-        centre = (distance_m + 0.5 * diameter_m) * towards
-        return cls(centre + place[:, None] * along, 0.5 * diameter_m, material)
+        body = Spheroid(0.5 * length_m, 0.5 * diameter_m, material)
+        part = rng.uniform(-0.5, 0.5)
+        normal = np.array([part / body.half_length_m, math.sqrt(1.0 - part * part) / body.half_width_m])
+        normal /= np.linalg.norm(normal)
+        surface = np.array([part * body.half_length_m, math.sqrt(1.0 - part * part) * body.half_width_m])
+        sensor = surface + distance_m * normal  # along the axis, and away from it, seen from the middle
+        return cls(-(sensor[0] * along + sensor[1] * towards), along, body)
+
+    def points(self) -> tuple[FloatArray, FloatArray]:
+        """Return the places of the dipoles, shape (k, 3), in the sensor's frame, and their parts of the moment."""
+        place, weight = np.polynomial.legendre.leggauss(POINTS)
+        dense = weight * (1.0 - place**2)
+        return self.centre_m + self.body.focus_m * place[:, None] * self.along, dense / dense.sum()
 
     def moments(self, time_s: float = CHIP_S) -> FloatArray:
-        """Return the matrix from H at the spheres to their moments at the end of a chip, shape (3 k, 3 k), m^3."""
-        count = len(self.sphere_m)
-        apart = self.sphere_m[:, None] - self.sphere_m
-        tensor = np.zeros((count, count, 3, 3))
-        other = ~np.eye(count, dtype=bool)
-        tensor[other] = dipole_tensors(apart[other])
-        coupling, vector = np.linalg.eigh(tensor.swapaxes(1, 2).reshape(3 * count, 3 * count))
-        return np.asarray(vector * step_response(self.radius_m, self.material, coupling, time_s) @ vector.T)
+        """Return the matrix from the mean H to the rod's moment at the end of a chip, shape (3, 3), m^3."""
+        axial, across = self.body.step_response(time_s)
+        outer = np.outer(self.along, self.along)
+        return np.asarray(axial * outer + across * (np.eye(3) - outer))
 
     def added(self, coils: Coils, position_m: FloatArray, rotation: FloatArray) -> FloatArray:
         """Return the fields that the rod adds at the sensor, shape (e, n, 3), tesla in the site's frame.
@@ -134,11 +162,8 @@ class Rod:
         position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
             The sensor's poses; the rod goes with it.
         """
-        count = len(self.sphere_m)
-        beacons = coils.radius_m.shape[1]
-        place = position_m[:, None] + np.einsum("eij,kj->eki", rotation, self.sphere_m)
-        primary = np.stack([coils.field(place[:, k]) for k in range(count)], axis=2)  # (e, n, k, 3)
-        seen = np.einsum("eji,enkj->enki", rotation, primary).reshape(len(position_m), beacons, 3 * count)
-        moment = (seen @ self.moments()).reshape(len(position_m), beacons, count, 3)  # times mu_0
-        field = np.einsum("kij,enkj->eni", dipole_tensors(-self.sphere_m), moment)
-        return np.asarray(np.einsum("eij,enj->eni", rotation, field))
+        points, parts = self.points()
+        place = position_m[:, None] + np.einsum("eij,kj->eki", rotation, points)
+        primary = sum(part * coils.field(place[:, k]) for k, part in enumerate(parts))
+        effect = np.einsum("k,kij->ij", parts, dipole_tensors(-points)) @ self.moments()
+        return np.asarray(np.einsum("eij,jk,elk,enl->eni", rotation, effect, rotation, primary))
