@@ -130,7 +130,7 @@ def availability(run: Run) -> None:
 def risk(run: Run) -> None:
     """Print the integrity risk as aviation states it, with and without single faults."""
     table = Table(
-        f"Integrity risk: errors beyond protection_m, {run.epochs} epochs a row",
+        "Integrity risk: errors beyond protection_m, of epochs without and with one fault",
         "HMI: hazardously misleading, `ok` and beyond protection_m (or NEES/3 above 8, if that is infinite);\n"
         "95 %: upper limit of the risk by Clopper and Pearson, an epoch, and an hour with one independent\n"
         f"epoch every {CORRELATION_S:g} s; one fault: of one beacon in every epoch, any kind; unver: HMI of\n"
@@ -152,7 +152,8 @@ def risk(run: Run) -> None:
     places = ("cube 2 mG", "cube .2 mG", *(f"hall of {n}" for n in BEACONS))
     rows = [(place, count) for place in places for count in (0, 1)]
     for place, count in progress(rows, "risk"):
-        outcome, _ = with_beacon_faults(run, run.rng("risk", place, count), run.epochs, place, count, list(SINGLE))
+        epochs = run.faulty if count else run.epochs
+        outcome, _ = with_beacon_faults(run, run.rng("risk", place, count), epochs, place, count, list(SINGLE))
         leveled = np.isfinite(outcome.protection_m)
         wrong = outcome.unprotected | (outcome.wrong_by_covariance & ~leveled)
         hazards = int((wrong & outcome.ok).sum())

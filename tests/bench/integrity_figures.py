@@ -31,14 +31,16 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"some of {', '.join(TABLES)}; default: all")
     parser.add_argument("--poses", type=int, default=1000, help="poses a row (default 1000)")
-    parser.add_argument("--epochs", type=int, default=10_000, help="epochs a row of the table of risks (default 10000)")
+    parser.add_argument("--epochs", type=int, default=10_000, help="sound epochs a row of risks (default 10000)")
+    parser.add_argument("--faulty", type=int, help="epochs a row of risks with a fault (default: a tenth of the sound)")
     parser.add_argument("--seed", type=int, default=1, help="seed: 1, the default, is for tuning")
     parser.add_argument("--silent", action="store_true", help="the site files say nothing of errors")
     options = parser.parse_args(argv)
     unknown = [name for name in options.tables if name not in TABLES]
     if unknown:
         parser.error(f"there is no table {', '.join(unknown)}; the tables are {', '.join(TABLES)}")
-    run = Run(options.poses, options.epochs, options.seed, options.silent)
+    faulty = max(options.epochs // 10, 1) if options.faulty is None else options.faulty
+    run = Run(options.poses, options.epochs, faulty, options.seed, options.silent)
     print(f"Integrity figures: {run}")
     for name in options.tables or TABLES:
         TABLES[name](run)

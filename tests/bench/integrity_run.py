@@ -19,8 +19,10 @@ class Run:
 
     Attributes
     ----------
-    poses, epochs : int
-        Poses a row, and epochs a row of the table of risks.
+    poses : int
+        Poses a row.
+    epochs, faulty : int
+        Epochs a row of the table of risks, without and with a fault.
     seed : int
     silent : bool
         Whether site files say nothing of errors, where they would else say that there are none.
@@ -28,6 +30,7 @@ class Run:
 
     poses: int
     epochs: int
+    faulty: int
     seed: int
     silent: bool = False
 
