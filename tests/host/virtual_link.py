@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import heapq
 import itertools
+from dataclasses import astuple
 
 import can
 
 from goldfield.link.buses import BusSource
 from goldfield_protocol import Identifier, decode, encode
-from tests.host.fake_sensor import NODE
 
 ANSWER_S = 0.004
 """Virtual time that the sensor takes to answer."""
@@ -52,7 +52,7 @@ class VirtualLink(BusSource):
         return can.Message(timestamp=self.now_s, arbitration_id=identifier, data=data)
 
     def send(self, identifier, data):
-        message, number = decode(identifier, data), Identifier.unpack(identifier).index
+        message, (_, number, node) = decode(identifier, data), astuple(Identifier.unpack(identifier))
         self.requests.append((message.name, number))
         if self._deaf:
             self._deaf -= 1
@@ -60,4 +60,4 @@ class VirtualLink(BusSource):
         if message.name == "PARAM_SET":
             self.parameters[number] = int(message.signals["value_unsigned"])
         value = {"kind": 0, "status": 0, "value_unsigned": self.parameters.get(number, 0)}
-        self.deliver(encode("PARAM_VALUE", value, node=NODE, index=number), ANSWER_S)
+        self.deliver(encode("PARAM_VALUE", value, node=node, index=number), ANSWER_S)

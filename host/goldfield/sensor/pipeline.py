@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
 from goldfield.errors import UserError
 from goldfield.link.buses import Source
 from goldfield.link.reports import Report
+from goldfield.sensor.amendment import amended_fields, amended_pose
 from goldfield.sensor.location import location, needed_parameters
-from goldfield.sensor.options import Options
+from goldfield.sensor.options import Method, Options
 from goldfield.sensor.receiver import Recorder
 from goldfield.sensor.separation import Separation
 from goldfield.sensor.session import Session
+from goldfield.sensor.verdict import Verdict, judge
 from goldfield.site import Site
-from goldfield.types import Fields, Pose
+from goldfield.types import Fields, Finding, Pose
 from goldfield_protocol.parameters import counter_name
 
 
@@ -29,13 +32,16 @@ class Epoch:
     ----------
     pose : Pose
     fields : Fields
-        The separated fields, from which the host located (unless the sensor did).
+        The separated fields, from which the host located (unless the sensor did): without those of beacons whose
+        boards report a fault, and as they would be with the site's currents where the boards measure others.
     report : Report
         What arrived of the cycle, before separation.
     lost : int
         Messages of the cycle that did not arrive.
     notes : tuple of str
         What the sensor says was wrong with the cycle, as "not synchronised" or "3 chips lost"; empty: nothing.
+    findings : tuple of Finding
+        What the boards on the link say of themselves, as far as it is not as it should be; they are in the pose, too.
     """
 
     pose: Pose
@@ -43,6 +49,7 @@ class Epoch:
     report: Report
     lost: int
     notes: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
 
 
 class Sensor:
@@ -86,6 +93,7 @@ class Sensor:
         self.name = name
         self._source = source
         self._found = False
+        self._told: Counter[str] = Counter()
         self._options = Options() if options is None else options
         method = self._options.method
         self._session = Session(source, name, site, self._options.node, recorder, on_sensor=method is method.ON_SENSOR)
@@ -193,19 +201,54 @@ class Sensor:
         """The sensor's own error counters since its reset by name, those that are not zero."""
         return {counter_name(number): count for number, count in sorted(self._session.counters.items()) if count}
 
+    @property
+    def link_counts(self) -> dict[str, int]:
+        """What went wrong on the way of the sensor's messages, with how often; what never did is left out."""
+        counts = {
+            "messages came twice": self.repeated,
+            "messages came after their epoch": self.late,
+            "messages of unknown cycles": self.orphans,
+            "jumps of the cycle's number": self.restarts,
+        }
+        return {name: count for name, count in counts.items() if count}
+
+    @property
+    def board_counters(self) -> dict[int, dict[str, int]]:
+        """The error counters of every other board on the link since its reset, by node and name, without zeros."""
+        boards = self._session.health.counters
+        return {
+            node: {counter_name(number): count for number, count in sorted(counts.items())}
+            for node, counts in boards.items()
+            if node != self.node
+        }
+
+    @property
+    def told(self) -> Mapping[str, int]:
+        """What the boards on the link said of themselves, each sentence with the number of epochs that had it."""
+        return self._told
+
     def _epoch(self, report: Report) -> Epoch:
-        fields = self._separation.fields(report)
+        verdict = judge(self._session.health, report, self.site)
+        separated = self._separation.fields(report)
+        fields = amended_fields(separated, verdict)
+        if fields is not separated:  # the parts of the cycle cannot be amended
+            pose = self._locate(fields, replace(report, parts_T={}))
+        else:
+            pose = self._locate(fields, report)
+        self._told.update(finding.text for finding in verdict.findings)
         return Epoch(
-            pose=self._locate(fields, report),
+            pose=amended_pose(pose, verdict, used_all=self._options.method is Method.ON_SENSOR),
             fields=fields,
             report=report,
             lost=report.lost(expected_fields=len(self.site.codes)),
-            notes=tuple(_notes(report, self.site.chips)),
+            notes=tuple(_notes(report, verdict, self.site.chips)),
+            findings=verdict.findings,
         )
 
 
-def _notes(report: Report, chips: int) -> Iterator[str]:
-    """Say what the sensor says was wrong with the cycle."""
+def _notes(report: Report, verdict: Verdict, chips: int) -> Iterator[str]:
+    """Say what the boards say was wrong with the cycle."""
+    yield from verdict.notes
     if report.locked is False:
         yield "not synchronised"
     if report.chips is not None and report.chips < chips:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import can
@@ -24,6 +25,8 @@ USED = (
     "HEARTBEAT",
     "COUNTER",
     "PARAM_VALUE",
+    "SYNC",
+    "DRIVE_STATUS",
     *ON_SENSOR_POSE,
 )
 USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in USED}
@@ -51,6 +54,8 @@ class Receiver:
         The link's name, for error messages.
     recorder : Recorder, optional
         Gets every message received, whether it can be decoded or not.
+    listener : callable, optional
+        Is told of every message of the `USED` ones, before it is returned.
 
     Attributes
     ----------
@@ -58,11 +63,18 @@ class Receiver:
         Messages that the protocol's database does not explain.
     """
 
-    def __init__(self, source: Source, name: str, recorder: Recorder | None = None) -> None:
+    def __init__(
+        self,
+        source: Source,
+        name: str,
+        recorder: Recorder | None = None,
+        listener: Callable[[Message], None] | None = None,
+    ) -> None:
         self.name = name
         self.undecodable = 0
         self._source = source
         self._recorder = recorder
+        self._listener = listener
 
     @property
     def bad_frames(self) -> int:
@@ -97,8 +109,11 @@ class Receiver:
             message = None
         if message is None:
             self.undecodable += 1
-        elif message.name == "HEARTBEAT":
+            return None
+        if message.name == "HEARTBEAT":
             self._check_protocol(message)
+        if self._listener is not None:
+            self._listener(message)
         return message
 
     def _check_protocol(self, heartbeat: Message) -> None:

@@ -9,9 +9,10 @@ from goldfield.errors import SystemFailure, UserError, option
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.sensor.dialogue import Dialogue, Parameters
+from goldfield.sensor.health import Health
 from goldfield.sensor.receiver import ROLES, Receiver, Recorder
 from goldfield.site import Site
-from goldfield_protocol.messages import Message
+from goldfield_protocol.messages import Message, encode
 
 ROLE_SENSOR, ROLE_ANCHOR = 1, 3
 STATE_STARTING = 0
@@ -51,6 +52,8 @@ class Session:
         What the session reads.
     assembler : Assembler
         Its counters tell what went wrong on the way.
+    health : Health
+        What every board on the link last said of itself.
     counters : dict of int to int
         The sensor's own error counters since its reset, those that it told; `counter_name` names them.
     """
@@ -66,7 +69,9 @@ class Session:
     ) -> None:
         self.name = name
         self.node = node
-        self.receiver = Receiver(source, name, recorder)
+        self.health = Health(site.cycle_s)
+        self.health.node = node
+        self.receiver = Receiver(source, name, recorder, self.health.take)
         self.assembler = Assembler(silence_s=max(SHORTEST_SILENCE_S, 8.0 * site.cycle_s), on_sensor=on_sensor)
         self.counters: dict[int, int] = {}
         self._bus = source if isinstance(source, BusSource) else None
@@ -132,7 +137,7 @@ class Session:
             role = message.signals["role"] if message.name == "HEARTBEAT" else None
             if role == ROLE_SENSOR or (role == ROLE_ANCHOR and self._asked):
                 if self.node in (None, message.node):
-                    self.node = message.node
+                    self.node = self.health.node = message.node
                     return
                 heard.add(f"{ROLES[int(role)]} {message.node}")
             elif role == ROLE_ANCHOR:
@@ -173,6 +178,8 @@ class Session:
             message = None if raw is None else self.receiver.decoded(raw)
             if message is not None and self.node is None and message.name == "EPOCH":
                 self.node = message.node
+            if message is not None and message.name == "HEARTBEAT":
+                self._ask_who(message.node)
             if raw is not None and message is not None and message.node == self.node:
                 quiet_since = time.monotonic()
                 yield from self._take(message, raw.timestamp)
@@ -186,6 +193,12 @@ class Session:
 
     def _configure(self) -> bool:
         return self.dialogue.configure(self._site.codes, self._parameters)
+
+    def _ask_who(self, node: int) -> None:
+        """Ask a live board that drives a coil for what tells which beacon it is; its answers come among the others."""
+        if self._bus is not None:
+            for parameter in self.health.boards[node].unasked:
+                self._bus.send(*encode("PARAM_GET", {"reserved": 0}, node=node, index=parameter))
 
     def _take(self, message: Message, arrival_s: float) -> Iterator[Report]:
         """Take a message of the sensor."""

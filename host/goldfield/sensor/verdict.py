@@ -1,0 +1,233 @@
+"""What the boards say of themselves, as it counts for one epoch: beacons left out, currents, doubts, and sentences.
+
+Nothing here makes a pose better than its fields make it. Times are those of the sensor's reports (`Health`).
+
+The clock of a sensor that has lost the sync signal keeps its last period. The firmware calls it locked for 100 sync
+periods more (10 s; ``CHIP_CLOCK_HOLDOVER_CYCLES``), in which a drift of 0.05 ppm makes half a microsecond of a chip of
+98; a longer hold-over is not promised. A report that is not locked is so beyond hold-over by the board's own word, and
+its pose is inconsistent at once. During hold-over a pose keeps its status; only on CAN, where SYNC is heard, can the
+hold-over be told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from goldfield.link.reports import Report
+from goldfield.sensor.health import DRIVING, STATE_CLOCK_FALLBACK, STATE_FAULT, Board, Drive, Health
+from goldfield.site import Site
+from goldfield.types import Explanation, Finding
+
+SILENT_S = 2.5
+"""A board that was not heard for so long is silent: it has missed two heartbeats, and a beacon 25 reports besides."""
+HEARD_S = 0.5
+"""A board that was heard within so short a time is there; a `DRIVE_STATUS` of such an age tells the current of now."""
+EVENT_S = 3.0
+"""How long a second master, or a second board of one number, counts after it was last heard."""
+JUMP_S = 1.0
+"""How long a restart, or a jump of the cycles' numbers, is told."""
+SYNC_MISSED_S = 0.5
+"""So long after the last SYNC, of which ten come in a second, the clocks are in hold-over."""
+STEADY = 0.02
+"""A current that changes by a larger share from one sync period to the next has no one value in a cycle."""
+CURRENT_TOLD = 0.02
+"""A current that differs by a larger share from the site's is told."""
+CURRENT_USED = 0.002
+"""A current that differs by a smaller share is taken as the site's: the reports scatter by so much."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the boards' words mean for one epoch.
+
+    Attributes
+    ----------
+    out : tuple of str
+        Ids of the beacons whose fields do not count.
+    ratio : mapping of str to float
+        Measured current over the site's, positive, of the beacons where they differ.
+    findings : tuple of Finding
+        What is told, the gravest first.
+    inconsistent : bool
+        Whether no pose of this epoch can be relied on.
+    notes : tuple of str
+        What is worth a few words only.
+    """
+
+    out: tuple[str, ...] = ()
+    ratio: Mapping[str, float] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    inconsistent: bool = False
+    notes: tuple[str, ...] = ()
+
+
+def judge(health: Health, report: Report, site: Site) -> Verdict:
+    """Return what the boards' words, up to now, mean for the epoch that is handed out now.
+
+    Parameters
+    ----------
+    health : Health
+    report : Report
+        The sensor's report of the epoch.
+    site : Site
+        Its beacons have a plain code each, as `Site.codes` demands.
+    """
+    grave = list(_of_time(health, report))
+    beacons = [_of_beacon(health, beacon, board) for beacon, board in _boards_of(health, site)]
+    findings = [*grave, *(finding for one in beacons for finding in one.findings)]
+    findings += [*_of_sensor(health, report, site), *_of_others(health, site)]
+    holds_over = bool(health.masters) and health.now_s - max(health.masters.values()) > SYNC_MISSED_S
+    return Verdict(
+        out=tuple(name for one in beacons for name in one.out),
+        ratio={name: ratio for one in beacons for name, ratio in one.ratio.items()},
+        findings=tuple(findings),
+        inconsistent=bool(grave),
+        notes=("no SYNC, clocks in hold-over",) if holds_over else (),
+    )
+
+
+# ---- The time, and the sensor ----
+
+
+def _of_time(health: Health, report: Report) -> Iterator[Finding]:
+    """Yield what forbids to rely on any pose of the epoch."""
+    sensor = health.boards.get(health.node or 0)
+    masters = [node for node, heard_s in sorted(health.masters.items()) if health.now_s - heard_s < EVENT_S]
+    if len(masters) > 1:
+        yield _clock(f"nodes {_and(masters)} are both sync masters: set sync_master = 1 in one board only")
+    if sensor is None:
+        return
+    name = f"sensor {sensor.node}"
+    if _within(health, sensor.doubled_s, EVENT_S):
+        yield _clock(
+            f"cycles of {name} come twice and differently: two boards have the number {sensor.node}, or two sync "
+            "masters number its cycles"
+        )
+    if report.locked is False or (report.locked is None and sensor.locked is False):
+        yield _clock(f"the clock of {name} is not locked: check its sync wire or bus, and the sync master")
+    if _within(health, sensor.renumbered_s, JUMP_S):
+        yield _clock(f"the numbers of the cycles of {name} jumped: the sync master restarted, or there are two")
+    if sensor.state == STATE_CLOCK_FALLBACK:
+        yield _clock(f"{name} runs without its crystal: replace the board")
+
+
+def _of_sensor(health: Health, report: Report, site: Site) -> Iterator[Finding]:
+    """Yield what is only told of the sensor."""
+    sensor = health.boards.get(health.node or 0)
+    if sensor is not None and _within(health, sensor.restarted_s, JUMP_S):
+        yield _board((), f"sensor {sensor.node} restarted: check its power")
+    foreign = sorted(set(report.correlation_T) - set(site.codes))
+    if foreign:
+        yield _board((), f"the sensor reports code {foreign[0]}, which the site has not: check the site and the sensor")
+    elif report.announced is not None and report.announced < len(site.codes):
+        missing = tuple(b.id for b in site.beacons if b.code not in report.correlation_T)
+        yield _board(
+            missing,
+            f"the sensor reports {report.announced} of the site's {len(site.codes)} codes: its code list was changed",
+        )
+
+
+# ---- Beacons ----
+
+
+def _boards_of(health: Health, site: Site) -> Iterator[tuple[str, tuple[float, list[Board]]]]:
+    """Yield each beacon with its current in the site file and the boards that drive its code."""
+    by_code: dict[int, list[Board]] = {}
+    for board in health.boards.values():
+        if board.role in DRIVING and board.code is not None:
+            by_code.setdefault(board.code, []).append(board)
+    for beacon in site.beacons:
+        yield beacon.id, (beacon.current_A, by_code.get(beacon.code, []))
+
+
+def _of_beacon(health: Health, name: str, known: tuple[float, list[Board]]) -> Verdict:
+    """Return what the boards of one beacon say of it."""
+    site_A, boards = known
+    if not boards:
+        return Verdict()
+    if len(boards) > 1:
+        nodes = _and(sorted(board.node for board in boards))
+        text = f"nodes {nodes} both have the code of {name}: give each board its own code"
+        return Verdict(out=(name,), findings=(_board((name,), text),))
+    (board,) = boards
+    if health.now_s - board.heard_s > SILENT_S:
+        text = f"{name}'s board (node {board.node}) is silent: check its power and its cable"
+        return Verdict(findings=(_board((name,), text),))
+    complaint = _complaint(board)
+    if complaint is not None:
+        text = f"{name}'s board (node {board.node}) {complaint}"
+        return Verdict(out=(name,), findings=(_board((name,), text),))
+    drive = board.drive
+    if drive is None or health.now_s - drive.time_s > HEARD_S:
+        return Verdict()
+    ratio = abs(drive.current_A / site_A)
+    if abs(ratio - 1.0) <= CURRENT_USED:
+        return Verdict()
+    findings: tuple[Finding, ...] = ()
+    if abs(ratio - 1.0) > CURRENT_TOLD:
+        text = (
+            f"{name}'s board (node {board.node}) measures another current than the site's {abs(site_A):g} A, by "
+            f"{100.0 * (ratio - 1.0):+.0f} %: the measured one is used"
+        )
+        findings = (_board((name,), text, factor=ratio),)
+    return Verdict(ratio={name: ratio}, findings=findings)
+
+
+def _complaint(board: Board) -> str | None:
+    """Return why a beacon's field does not count, as its board tells; None if it does count."""
+    drive = board.drive
+    if drive is not None:
+        for fault, text in (
+            (drive.open_coil, "reports an open coil"),
+            (drive.over_current, "reports over-current"),
+            (drive.driver_fault, "reports a driver fault"),
+            (not drive.locked, "reports that its clock is not locked"),
+            (drive.target_A == 0.0, "drives no current: its amplitude is 0"),
+            (not drive.enabled, "reports that its bridge is off"),
+            (not _steady(drive, board.drive_before), "reports a current that is changing"),
+        ):
+            if fault:
+                return text
+    if board.state == STATE_CLOCK_FALLBACK:
+        return "runs without its crystal"
+    return "reports a fault" if board.state == STATE_FAULT and drive is None else None
+
+
+def _steady(drive: Drive, before: Drive | None) -> bool:
+    return before is None or abs(drive.current_A - before.current_A) <= STEADY * abs(drive.current_A)
+
+
+def _of_others(health: Health, site: Site) -> Iterator[Finding]:
+    """Yield what boards say of which it is not known which beacon of the site they are, and beacons without a board."""
+    driving = [board for _, board in sorted(health.boards.items()) if board.role in DRIVING]
+    codes = {board.code for board in driving}
+    for board in driving:
+        complaint = _complaint(board)
+        if board.unasked and complaint is not None and health.now_s - board.heard_s <= SILENT_S:
+            yield _board((), f"node {board.node}, a beacon, {complaint}")
+        if _within(health, board.doubled_s, EVENT_S) and board.node != health.node:
+            yield _board((), f"two boards have the number {board.node}, or its code was changed")
+    if health.now_s > SILENT_S and any(code in site.codes for code in codes):
+        for beacon in site.beacons:
+            if beacon.code not in codes:
+                yield _board((beacon.id,), f"no board with the code of {beacon.id} is heard: check its power and cable")
+
+
+# ---- Words ----
+
+
+def _within(health: Health, event_s: float | None, duration_s: float) -> bool:
+    return event_s is not None and health.now_s - event_s < duration_s
+
+
+def _clock(text: str) -> Finding:
+    return Finding(Explanation.CLOCK, (), text)
+
+
+def _board(beacons: tuple[str, ...], text: str, factor: float | None = None) -> Finding:
+    return Finding(Explanation.BOARD, beacons, text, factor=factor)
+
+
+def _and(numbers: list[int]) -> str:
+    return " and ".join(map(str, numbers))
