@@ -147,7 +147,8 @@ class Pose:
     position_m : ndarray, shape (3,)
         NaN when failed.
     orientation_xyzw : ndarray, shape (4,)
-        Unit quaternion of R, SciPy's order, w >= 0; NaN when failed.
+        Unit quaternion of R, SciPy's order; NaN when failed. w >= 0 where a pose stands for itself (`locate`) and in
+        the first pose of a source or a track; each later pose has the sign with which it is nearer to the one before.
     position_cov_m2 : ndarray, shape (3, 3)
         Covariance of the position in the site's frame.
     attitude_cov_rad2 : ndarray, shape (3, 3)

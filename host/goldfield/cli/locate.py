@@ -68,6 +68,7 @@ def _beside_body(site: Site, arguments: argparse.Namespace) -> Callable[[Fields]
     from goldfield.locate import Locator
     from goldfield.locate.own_body import OwnBody, locate_beside
     from goldfield.sensor.guard import guarded
+    from goldfield.sensor.location import Succession
 
     if arguments.track:
         raise UserError("--own-body and --track are both given: the tracker knows nothing of a body; leave one out")
@@ -76,5 +77,5 @@ def _beside_body(site: Site, arguments: argparse.Namespace) -> Callable[[Fields]
         body = OwnBody(site, conductors)
     except UserError as error:
         raise UserError(f"{arguments.own_body}: {error}") from error
-    locator = Locator(site)
-    return lambda fields: guarded(lambda epoch: locate_beside(locator, body, epoch), fields)
+    locator, succession = Locator(site), Succession()
+    return lambda fields: succession.follow(guarded(lambda epoch: locate_beside(locator, body, epoch), fields))

@@ -81,6 +81,11 @@ class FieldModel:
         """Return the number of coils."""
         return len(self.centre_m)
 
+    @property
+    def beacons(self) -> tuple[Beacon, ...]:
+        """The coils, as the site describes them."""
+        return self._beacons
+
     @cached_property
     def across(self) -> FloatArray:
         """Unit vector, shape (3,), along which the coils' places extend least: off their plane if they have one."""

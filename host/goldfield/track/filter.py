@@ -8,17 +8,21 @@ time, now too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any, Generic, overload
 
 import numpy as np
+from scipy.special import chdtri, gammaincc
 
 from goldfield.site import Site
+from goldfield.track.continuity import Hemisphere, joined, time_break
 from goldfield.track.estimate import SEARCH_TOLERANCE, TOLERANCE, Belief, Estimate, estimate
-from goldfield.track.motion import RATE, Agility
+from goldfield.track.faults import Judgement, judged
+from goldfield.track.motion import RATE, Agility, Observation, standing
 from goldfield.track.observe import EpochObserver, Observer, T
 from goldfield.track.report import Reporter
-from goldfield.types import Fields, FloatArray, Pose, Status
+from goldfield.types import Explanation, Fields, Finding, FloatArray, Pose, Status
 
 EVALUATIONS = 8
 """Bound of the field model's evaluations in an update: eight are enough where a plain filter fails (maths.md, 6)."""
@@ -26,11 +30,20 @@ EVALUATIONS = 8
 GATE = 1e-5
 """An epoch less likely than this contradicts the track, or one of its beacons is at fault."""
 
+BLAME = 1e-6
+"""A beacon is left out only if a cost as large as it takes away is less likely than this."""
+
+CLEAR = 25.0
+"""The pose without it is ``ok`` only if leaving out any other beacon costs more by this."""
+
+SILENCE = 1e-5
+"""Fields that noise alone exceeds with this probability say nothing: no beacon was heard."""
+
 GAP_S = 1.0
 """The track is given up after this time without an epoch that agrees."""
 
 PATIENCE = 3
-"""The track is given up at this many epochs in a row that contradict it."""
+"""The track is given up at this many epochs in a row that contradict it; at the first after a gap."""
 
 START = np.repeat([1.0, 1.0, 2.0, 2.0, 1e-4], 3)
 """Standard deviations of position (m), attitude, velocity, turn rate and ambient field around the located pose with
@@ -41,8 +54,31 @@ START_FACTOR = 2.0
 """The first pose's deviations are doubled: at ill-conditioned points Gauss-Newton is overconfident (maths.md, 3)."""
 
 
-Fused = tuple[Estimate, tuple[str, ...], tuple[str, ...]]
-"""An update, the beacons in it, and those left out."""
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """An update of the track with an epoch, and whether the epoch agrees with the site.
+
+    Attributes
+    ----------
+    outcome : Estimate
+    used, excluded : tuple of str
+        The beacons in it, and those left out.
+    judgement : Judgement
+        What the epoch says of the beacons that are in it.
+    whole : Judgement
+        What it says of all its beacons, at the same state.
+    doubt : str or None
+        Why the epoch does not agree with the site all the same.
+    findings : tuple of Finding
+    """
+
+    outcome: Estimate
+    used: tuple[str, ...]
+    excluded: tuple[str, ...]
+    judgement: Judgement
+    whole: Judgement
+    doubt: str | None = None
+    findings: tuple[Finding, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +95,15 @@ class Step:
         The belief before the epoch's measurements; None where a track starts or there is none.
     transition : ndarray, shape (15, 15), or None
         Transition from the previous step's errors to those of ``predicted``.
+    judgement : Judgement or None
+        What the epoch says of each beacon at the pose; None if it was not used.
     """
 
     pose: Pose
     belief: Belief | None
     predicted: Belief | None = None
     transition: FloatArray | None = None
+    judgement: Judgement | None = None
 
 
 class Tracker(Generic[T]):
@@ -106,8 +145,10 @@ class Tracker(Generic[T]):
         self._observer: Observer[Any] = EpochObserver(site) if observer is None else observer
         self._agility = Agility() if agility is None else agility
         self._reporter = Reporter(site)
+        self._hemisphere = Hemisphere()
         self._belief: Belief | None = None
-        self._time_s = self._agreed_s = -np.inf
+        self._last: Fused | None = None
+        self._time_s = self._agreed_s = self._heard_s = -math.inf
         self._contradictions = 0
         self._axes = 3
 
@@ -116,24 +157,80 @@ class Tracker(Generic[T]):
 
         Where a track cannot be started the pose and status are those of `locate`. While there is one:
 
-        - ``ok``: the data agree; ``excluded`` lists the beacon that had to be left out for that.
-        - ``weak``: they agree, or there are none, but the standard deviation is as large as `locate` calls weak.
-        - ``inconsistent``: they contradict the track; the pose is predicted and uses no beacon.
+        - ``ok``: the data agree with the track and the site; ``excluded`` lists the beacon that had to be left out.
+        - ``unverified``: they agree, but a fault of one beacon could hide an error above the site's alert limit.
+        - ``weak``: the standard deviation is as large as `locate` calls weak, or no beacon has been heard for a while:
+          the pose is then predicted, and after `GAP_S` the status is ``failed``.
+        - ``inconsistent``: the data contradict the track (the pose is predicted and uses no beacon) or the site.
+
+        Time that goes back, or stands still, starts a new track, which the pose's ``reason`` tells. An epoch without a
+        time is located by itself and leaves the track as it is.
         """
         return self.step(data).pose
 
     def step(self, data: T) -> Step:
         """Do what `update` does and return all that a smoother needs."""
+        if math.isfinite(data.time_s):
+            broken = time_break(self._time_s, data.time_s)
+            if broken is not None:
+                self._belief, self._heard_s = None, -math.inf
+                broken += ": a new track begins"
+            known = self._belief is not None and data.time_s - self._agreed_s <= GAP_S
+            step = self._go_on(data) if known else self._start(data)
+            self._time_s = data.time_s
+        else:
+            step = Step(self._observer.start(data)[0], None)
+            broken = "the time of the epoch is not known: it is no part of the track"
+        pose = self._hemisphere.follow(step.pose)
+        return replace(step, pose=replace(pose, reason=joined(pose.reason, broken)))
+
+    def pose_at(self, time_s: float) -> Pose | None:
+        """Return the pose at any time, with the uncertainty that the motion adds; None without a track.
+
+        Meant for the time between cycles and for now: the data of a cycle arrive half a cycle after its time tag or
+        later. The pose carries epoch -1, uses no beacon, and its residual is NaN. It is worth no more than that of the
+        last cycle.
+        """
+        if self._belief is None:
+            return None
+        belief = self._belief.after(time_s - self._time_s, self._agility)
+        last = self._last
+        pose = self._reporter.pose(
+            -1,
+            time_s,
+            belief,
+            status=Status.OK if last is not None and last.doubt is None else Status.INCONSISTENT,
+            axes=self._axes,
+            reason="the last epoch contradicts the track" if last is None else last.doubt,
+            protection_m=math.inf if last is None else last.judgement.protection_m(belief.covariance[:3, :3]),
+        )
+        return self._hemisphere.nearest(pose)
+
+    def _go_on(self, data: T) -> Step:
+        """Follow the track to the next epoch."""
+        assert self._belief is not None
         seconds = data.time_s - self._time_s
-        if self._belief is None or not seconds > 0.0 or not data.time_s - self._agreed_s <= GAP_S:
-            return self._start(data)
+        bridged = self._time_s > self._agreed_s and not self._contradictions
         predicted = self._belief.after(seconds, self._agility)
         transition = self._belief.state.transition(seconds)
-        self._time_s = data.time_s
-        found = self._fuse(predicted, data)
+        observation, heard = self._observation(data, predicted)
+        if self._silent(observation):
+            self._belief = predicted
+            pose = self._reporter.pose(
+                data.epoch,
+                data.time_s,
+                predicted,
+                status=Status.WEAK,
+                excluded=data.beacons,
+                reason=self._silence(data.time_s),
+            )
+            return Step(pose, predicted, predicted, transition)
+        self._heard_s = data.time_s
+        found = self._fuse(predicted, data, observation, heard)
+        self._last = found
         if found is None:
             self._contradictions += 1
-            if self._contradictions >= PATIENCE:
+            if bridged or self._contradictions >= PATIENCE:
                 return self._start(data)
             self._belief = predicted
             pose = self._reporter.pose(
@@ -142,60 +239,83 @@ class Tracker(Generic[T]):
                 predicted,
                 status=Status.INCONSISTENT,
                 excluded=data.beacons,
+                reason="the fields contradict the track: the pose is predicted from the epochs before",
             )
             return Step(pose, predicted, predicted, transition)
-        outcome, used, _ = found
-        if used:
-            self._contradictions = 0
-            self._agreed_s = data.time_s
-        self._belief = outcome.belief
-        return Step(self._pose(data, outcome.belief, found), outcome.belief, predicted, transition)
-
-    def pose_at(self, time_s: float) -> Pose | None:
-        """Return the pose at any time, with the uncertainty that the motion adds; None without a track.
-
-        Meant for the time between cycles and for now: the data of a cycle arrive half a cycle after its time tag or
-        later. The pose carries epoch -1, uses no beacon, and its residual is NaN.
-        """
-        if self._belief is None:
-            return None
-        belief = self._belief.after(time_s - self._time_s, self._agility)
-        return self._reporter.pose(-1, time_s, belief, axes=self._axes)
+        self._contradictions = 0
+        self._agreed_s = data.time_s
+        self._belief = found.outcome.belief
+        return Step(self._pose(data, self._belief, found), self._belief, predicted, transition, found.whole)
 
     def _start(self, data: T) -> Step:
         """Begin a track where `locate` puts the sensor; without one, pass on what `locate` says."""
         self._belief = None
+        vague = Belief(standing(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])), np.diag(START))
+        if self._silent(self._observation(data, vague)[0]):
+            nothing = Fields(data.epoch, data.time_s, (), np.empty((0, 3)), np.empty(0))
+            return Step(Pose.failed(nothing, excluded=data.beacons, reason=self._silence(data.time_s)), None)
+        self._heard_s = data.time_s
         located, state = self._observer.start(data)
-        if state is None or not np.isfinite(data.time_s):
+        if state is None:
             return Step(located, None)
-        found = self._fuse(Belief(state, np.diag(START)), data, START_EVALUATIONS, SEARCH_TOLERANCE)
+        prior = Belief(state, np.diag(START))
+        found = self._fuse(prior, data, *self._observation(data, prior), START_EVALUATIONS, SEARCH_TOLERANCE)
         if found is None:
             return Step(located, None)
         covariance = np.zeros((6, 6))
         covariance[:3, :3], covariance[3:, 3:] = located.position_cov_m2, located.attitude_cov_rad2
-        self._belief = found[0].belief.widened(covariance, START_FACTOR)
-        self._time_s = self._agreed_s = data.time_s
+        self._belief = found.outcome.belief.widened(covariance, START_FACTOR)
+        self._last = found
+        self._agreed_s = data.time_s
         self._contradictions = 0
-        return Step(self._pose(data, self._belief, found), self._belief)
+        return Step(self._pose(data, self._belief, found), self._belief, judgement=found.whole)
 
-    def _fuse(
-        self, prior: Belief, data: T, evaluations: int = EVALUATIONS, tolerance: float = TOLERANCE
-    ) -> Fused | None:
-        """Update with the data, or with all of them but one beacon's if only that agrees; None if nothing does."""
+    def _observation(
+        self, data: T, prior: Belief, without: tuple[str, ...] = ()
+    ) -> tuple[Observation, tuple[str, ...]]:
         rates = prior.root[RATE]
         rate = float(np.sqrt(prior.state.rate_rad_s @ prior.state.rate_rad_s + (rates * rates).sum()))
-        observation, heard = self._observer.observation(data, rate)
+        return self._observer.observation(data, rate, without)
+
+    def _silent(self, observation: Observation) -> bool:
+        """Tell whether an epoch holds nothing but noise."""
+        return not observation.count or observation.strength() <= float(chdtri(observation.count, SILENCE))
+
+    def _silence(self, time_s: float) -> str:
+        if not math.isfinite(self._heard_s):
+            return "no beacon has been heard"
+        return f"no beacon has been heard for {time_s - self._heard_s:.1f} s"
+
+    def _fuse(
+        self,
+        prior: Belief,
+        data: T,
+        observation: Observation,
+        heard: tuple[str, ...],
+        evaluations: int = EVALUATIONS,
+        tolerance: float = TOLERANCE,
+    ) -> Fused | None:
+        """Update with the data, or with all of them but one beacon's if only that agrees; None if nothing does."""
         self._axes = int(observation.seen.any(axis=(1, 2)).sum())
         whole = estimate(prior, observation, evaluations, tolerance)
-        if self._agrees(whole):
-            return whole, heard, ()
+        agrees = self._agrees(whole)
+        if agrees:
+            judgement = judged(observation, whole.belief.state, prior)
+            if not judgement.alarm:
+                return Fused(whole, heard, (), judgement, judgement)
+        costs: list[float] = []
         best: Fused | None = None
         for suspect in heard if len(heard) > 1 else ():
-            part, rest = self._observer.observation(data, rate, without=(suspect,))
+            part, rest = self._observation(data, prior, (suspect,))
             trial = estimate(prior, part, evaluations, tolerance)
-            if self._agrees(trial) and (best is None or trial.cost < best[0].cost):
-                best = trial, rest, (suspect,)
-        return best
+            if self._agrees(trial) and (best is None or trial.cost < best.outcome.cost):
+                state = trial.belief.state
+                best = Fused(trial, rest, (suspect,), judged(part, state, prior), judged(observation, state, prior))
+            costs.append(trial.cost)
+        if best is not None and len(heard) * gammaincc(1.5, (whole.cost - best.outcome.cost) / 2.0) <= BLAME:
+            clear = sum(cost < best.outcome.cost + CLEAR for cost in costs) == 1
+            return best if clear and not best.judgement.alarm else _doubted(best)
+        return _doubted(Fused(whole, heard, (), judgement, judgement)) if agrees else None
 
     def _agrees(self, outcome: Estimate) -> bool:
         side = self._site.half_space
@@ -203,13 +323,32 @@ class Tracker(Generic[T]):
         return inside and outcome.probable(GATE)
 
     def _pose(self, data: T, belief: Belief, found: Fused) -> Pose:
-        outcome, used, excluded = found
+        outcome, left_out = found.outcome, found.excluded
+        residuals = {name: found.whole.residuals[name] for name in left_out if name in found.whole.residuals}
         return self._reporter.pose(
             data.epoch,
             data.time_s,
             belief,
             residual=float(np.sqrt(outcome.cost / outcome.count)) if outcome.count else float("nan"),
-            used=used,
-            excluded=excluded,
+            status=Status.OK if found.doubt is None else Status.INCONSISTENT,
+            used=found.used,
+            excluded=left_out,
             axes=self._axes,
+            reason=joined(f"{left_out[0]} does not agree and was left out" if left_out else None, found.doubt),
+            protection_m=found.judgement.protection_m(belief.covariance[:3, :3]),
+            residuals=found.judgement.residuals | residuals,
+            findings=found.findings,
         )
+
+
+def _doubted(found: Fused) -> Fused:
+    """Return an update whose epoch does not agree with the site, with what may be said of that."""
+    judgement = found.judgement
+    scale = judgement.distortion[1]
+    if scale > 0.5 * judgement.cost and scale > judgement.drop.max():
+        text = (
+            f"all fields are {judgement.factor:.3g} times as large as the site says: check the sensor and the currents"
+        )
+        return replace(found, doubt=text, findings=(Finding(Explanation.STRENGTH, (), text, factor=judgement.factor),))
+    worst = judgement.beacons[int(np.argmax(judgement.drop))]
+    return replace(found, doubt=f"the fields do not agree with the site, those of {worst} least")

@@ -173,6 +173,18 @@ class Observation:
         expected = (self.seen @ in_sensor.T[:, :, None])[..., 0]
         return (self.values - expected).ravel(), (self.seen @ by_error).reshape(-1, SIZE)
 
+    def strength(self) -> float:
+        """Return what the numbers hold beside the ambient field: chi-square if there is nothing but noise.
+
+        Its degrees of freedom are then at most ``count``.
+        """
+        total, nodes = 0.0, len(self.times_s)
+        for seen, values in zip(self.seen, self.values, strict=True):
+            ambient = seen[:, -nodes:]
+            rest = values - ambient @ np.linalg.lstsq(ambient, values, rcond=None)[0] if ambient.any() else values
+            total += float(rest @ rest)
+        return total
+
 
 def skew(vector: FloatArray) -> FloatArray:
     """Return [v]x, shape (..., 3, 3), of vectors, shape (..., 3): the matrix of the cross product with v."""

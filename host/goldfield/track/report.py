@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -10,9 +12,10 @@ from scipy.spatial.transform import Rotation
 from goldfield.field import FieldModel
 from goldfield.locate.locator import WEAK_ATTITUDE_RAD, WEAK_POSITION
 from goldfield.site import Site
+from goldfield.track.continuity import joined
 from goldfield.track.estimate import Belief
 from goldfield.track.motion import POSITION, TURN, State
-from goldfield.types import FloatArray, Pose, Status
+from goldfield.types import Finding, FloatArray, Pose, Status
 
 
 class Reporter:
@@ -25,6 +28,7 @@ class Reporter:
 
     def __init__(self, site: Site) -> None:
         self._centres = FieldModel(site.beacons).centre_m
+        self._alert_limit_m = site.alert_limit_m
 
     def pose(
         self,
@@ -37,8 +41,12 @@ class Reporter:
         used: tuple[str, ...] = (),
         excluded: tuple[str, ...] = (),
         axes: int = 3,
+        reason: str | None = None,
+        protection_m: float = math.inf,
+        residuals: Mapping[str, float] | None = None,
+        findings: tuple[Finding, ...] = (),
     ) -> Pose:
-        """Return a belief as a pose; ``ok`` becomes ``weak`` where `locate` would call it so.
+        """Return a belief as a pose; ``ok`` becomes ``weak`` or ``unverified`` where `locate` would call it so.
 
         ``axes`` is the number of the sensor's axes: the turn about a single one is free and does not count.
         """
@@ -50,6 +58,16 @@ class Reporter:
             turn = np.sqrt(np.linalg.eigvalsh(attitude_cov)[1 if axes == 1 else 2])
             if worst > WEAK_POSITION * nearest or turn > WEAK_ATTITUDE_RAD:
                 status = Status.WEAK
+                reason = joined(
+                    reason, f"the beacons fix the position to {worst:.2g} m and the attitude to {turn:.2g} rad only"
+                )
+            elif not protection_m <= self._alert_limit_m:
+                status = Status.UNVERIFIED
+                hidden = f"{protection_m:.2g} m" if math.isfinite(protection_m) else "any size"
+                reason = joined(
+                    reason,
+                    f"a fault of one beacon could hide an error of {hidden} (the limit is {self._alert_limit_m:g} m)",
+                )
         return Pose(
             epoch=epoch,
             time_s=time_s,
@@ -61,6 +79,10 @@ class Reporter:
             status=status,
             used=used,
             excluded=excluded,
+            reason=reason,
+            protection_m=protection_m,
+            residuals=residuals or {},
+            findings=findings,
         )
 
     def again(self, pose: Pose, state: State, covariance: FloatArray) -> Pose:

@@ -13,6 +13,7 @@ from typing import Generic
 import numpy as np
 
 from goldfield.site import Site
+from goldfield.track.continuity import Hemisphere
 from goldfield.track.estimate import Belief
 from goldfield.track.filter import Step, Tracker
 from goldfield.track.observe import T
@@ -42,6 +43,7 @@ class FixedLagSmoother(Generic[T]):
         self._reporter = Reporter(site)
         self._tracker, self._lag = tracker, lag
         self._steps: deque[Step] = deque()
+        self._hemisphere = Hemisphere()
 
     def update(self, data: T) -> list[Pose]:
         """Take a cycle's data; return the poses that are now ready, oldest first: mostly one, several after a break.
@@ -56,13 +58,13 @@ class FixedLagSmoother(Generic[T]):
         if step.belief is None:
             return ready + self.finish()
         if len(self._steps) > self._lag:
-            ready.append(self._smoothed()[0])
+            ready.append(self._hemisphere.follow(self._smoothed()[0]))
             self._steps.popleft()
         return ready
 
     def finish(self) -> list[Pose]:
         """Return the poses of all epochs that are kept; the smoother is then empty."""
-        ready = self._smoothed()
+        ready = [self._hemisphere.follow(pose) for pose in self._smoothed()]
         self._steps.clear()
         return ready
 
