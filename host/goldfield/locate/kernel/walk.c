@@ -75,7 +75,7 @@ void gf_begin_width(gf_epoch_t *epoch, const gf_minimum_t *minimum, gf_width_t *
     width->from = minimum->pose;
     width->cost = minimum->squares.cost;
     memset(width->widening, 0, sizeof width->widening);
-    gf_covariance(epoch->coils, 1, epoch->field_T, epoch->sigma_T, minimum->pose.position_m,
+    gf_covariance(epoch->coils, NULL, 1, epoch->field_T, epoch->sigma_T, minimum->pose.position_m,
                   &minimum->pose.rotation[0][0], UNOBSERVABLE, FREE_M2, FREE_RAD2, &covariance[0][0]);
     epoch->evaluations += COVARIANCE_EVALUATIONS;
     if (!invert((const double(*)[6])covariance, width->information)) {
