@@ -105,7 +105,7 @@ static double loss_at(gf_epoch_t *epoch, const double position[3]) {
     return isfinite(loss) ? loss : INFINITY;
 }
 
-static void fill_sheet(gf_epoch_t *epoch, const frame_t *frame, size_t coil, double level, sheet_t *sheet) {
+static void enter_sheet(const gf_epoch_t *epoch, size_t coil, double level, sheet_t *sheet) {
     gf_level_set_t set;
     gf_level_set(epoch->coils->moment_A_m2[coil], epoch->coils->radius_m[coil], level, &set);
     sheet->around = set.around;
@@ -115,11 +115,30 @@ static void fill_sheet(gf_epoch_t *epoch, const frame_t *frame, size_t coil, dou
         sheet->rho[ring] = set.rho_m[ray];
         sheet->height[ring] = ring < GF_RAYS ? set.z_m[ray] : -set.z_m[ray];
         sheet->count[ring] = (size_t)fmin(fmax(steps, LEAST_AZIMUTHS), MOST_AZIMUTHS);
+    }
+}
+
+static void fill_sheet(gf_epoch_t *epoch, const frame_t *frame, sheet_t *sheet) {
+    for (size_t ring = 0; ring < RINGS; ++ring) {
         for (size_t azimuth = 0; azimuth < sheet->count[ring]; ++azimuth) {
             double position[3];
             place(frame, sheet, ring, azimuth, position);
             sheet->loss[ring][azimuth] = loss_at(epoch, position);
         }
+    }
+}
+
+void gf_spread(gf_epoch_t *epoch, size_t coil, gf_pose_t out[GF_SPREAD]) {
+    frame_t frame;
+    sheet_t sheet;
+    enter_frame(epoch->coils, coil, &frame);
+    enter_sheet(epoch, coil, strength(epoch, coil), &sheet);
+    gf_soften(epoch, COARSENESS);
+    for (size_t i = 0; i < GF_SPREAD; ++i) {
+        const size_t ring = i % RINGS;
+        const size_t azimuth = i / RINGS * sheet.count[ring] * RINGS / GF_SPREAD;
+        place(&frame, &sheet, ring, azimuth, out[i].position_m);
+        gf_align(epoch, &out[i]);
     }
 }
 
@@ -160,7 +179,8 @@ size_t gf_candidates(gf_epoch_t *epoch, size_t coil, gf_pose_t out[GF_CANDIDATES
         static const double sides[LEVELS] = {0.0, -1.0, 1.0};
         const double part = fmin(LEVEL_STEP * noise, 0.7);
         sheet_t sheet;
-        fill_sheet(epoch, &frame, coil, magnitude * (1.0 + sides[level] * part), &sheet);
+        enter_sheet(epoch, coil, magnitude * (1.0 + sides[level] * part), &sheet);
+        fill_sheet(epoch, &frame, &sheet);
         for (size_t ring = 0; ring < RINGS; ++ring) {
             for (size_t azimuth = 0; azimuth < sheet.count[ring]; ++azimuth) {
                 const double loss = sheet.loss[ring][azimuth];

@@ -8,12 +8,24 @@
 static const double softness[] = {0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4};
 #define STAGES (sizeof softness / sizeof softness[0])
 
+/* Trials at each stage, at the end of a descent, and more for the best on a ridge; what counts as no decrease. */
 #define STAGE_TRIALS 8
+#define LAST_TRIALS  150
 #define STAGE_ENOUGH 1e-2
-#define FINAL_TRIALS 120
+#define FINAL_TRIALS 40
 #define FINAL_ENOUGH 1e-6
 
 #define MOST_MINIMA 12
+
+/* One part in so many of the evaluations is left for the walks. */
+#define WALKS_SHARE 5
+
+/* Near a coil descents begin all over its level set, at this stage; two that come this near each other, in parts of the
+ * range and in rad, are one. */
+#define SPREAD_STAGE   2
+#define SPREAD_TRIALS  12
+#define SPREAD_PORTION 0.03
+#define SPREAD_TURN    0.1
 
 /* Two poses are one minimum below these: squared distance in standard deviations, and turn in rad. */
 #define SAME_DISTANCE2 1.0
@@ -27,10 +39,11 @@ static const double softness[] = {0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4};
 /* A way between two minima is low if the cost stays within this of the best. */
 #define LOW_PASS 9.0
 
-/* Only minima within this of the best are rivals. */
-#define RIVAL_COST 15.0
+/* Only minima within this of the best are rivals; further off than the second a descent is given up. */
+#define RIVAL_COST    15.0
+#define HOPELESS_COST 30.0
 
-/* A search looks around a pose within this many radii of the start coil's centre. */
+/* A pose is near the start coil within this many radii of its centre. */
 #define NEAR_RADII 3.0
 
 typedef struct {
@@ -47,17 +60,21 @@ static bool is_inside(const search_t *search, const gf_pose_t *pose) {
     return h[0] * pose->position_m[0] + h[1] * pose->position_m[1] + h[2] * pose->position_m[2] >= h[3];
 }
 
+static double distance_from(const gf_coils_t *coils, size_t coil, const gf_pose_t *pose) {
+    double square = 0.0;
+    for (size_t k = 0; k < 3; ++k) {
+        const double offset = pose->position_m[k] - coils->centre_m[k][coil];
+        square += offset * offset;
+    }
+    return sqrt(square);
+}
+
 static double nearest_coil(const gf_coils_t *coils, const gf_pose_t *pose) {
     double least = INFINITY;
     for (size_t i = 0; i < coils->count; ++i) {
-        double square = 0.0;
-        for (size_t k = 0; k < 3; ++k) {
-            const double offset = pose->position_m[k] - coils->centre_m[k][i];
-            square += offset * offset;
-        }
-        least = fmin(least, square);
+        least = fmin(least, distance_from(coils, i, pose));
     }
-    return sqrt(least);
+    return least;
 }
 
 static bool is_near(const gf_coils_t *coils, const gf_pose_t *a, const gf_pose_t *b, double portion, double turn) {
@@ -122,6 +139,12 @@ static bool is_stiff(const gf_epoch_t *epoch, double error) {
     return true;
 }
 
+/* Whether a soft minimum leads to nothing that matters: no stiffer cost is less, and this is far above the best. */
+static bool is_hopeless(const search_t *search, const gf_minimum_t *soft) {
+    return search->count > 0 && is_inside(search, &search->minima[0].pose) &&
+           soft->squares.cost > search->minima[0].squares.cost + HOPELESS_COST;
+}
+
 /* Descend through the stages of softness from this one on, then to the end. */
 static bool refine(search_t *search, const gf_pose_t *pose, size_t stage) {
     gf_minimum_t at = {.pose = *pose};
@@ -131,6 +154,9 @@ static bool refine(search_t *search, const gf_pose_t *pose, size_t stage) {
             break;
         }
         gf_descend(&search->epoch, STAGE_TRIALS, STAGE_ENOUGH, &at);
+        if (at.converged && is_hopeless(search, &at)) {
+            return false;
+        }
     }
     gf_soften(&search->epoch, search->model_error);
     gf_descend(&search->epoch, FINAL_TRIALS, FINAL_ENOUGH, &at);
@@ -161,24 +187,24 @@ static void try_images(search_t *search, const gf_pose_t *pose) {
     }
 }
 
-/* Look around a pose in 14 directions, the axes and diagonals of a cube, at three distances. */
-static void try_star(search_t *search, const gf_pose_t *pose) {
-    static const double lengths[3] = {0.1, 0.3, 0.8};
-    const double radius = search->epoch.coils->radius_m[search->coil];
-    for (size_t ray = 0; ray < 14; ++ray) {
-        double direction[3];
-        for (size_t k = 0; k < 3; ++k) {
-            const double sign = (ray >> (ray < 6 ? 0 : k)) & 1U ? 1.0 : -1.0;
-            direction[k] = ray >= 6 ? 0.57735026918962576 * sign : ray / 2 == k ? sign : 0.0;
+/* Descend from all over the start coil's level set, from this softness on; what comes near what an earlier start came
+ * to goes no further. */
+static void try_spread(search_t *search, size_t stage) {
+    gf_pose_t starts[GF_SPREAD];
+    gf_pose_t reached[GF_SPREAD];
+    size_t count = 0;
+    gf_spread(&search->epoch, search->coil, starts);
+    for (size_t i = 0; i < GF_SPREAD; ++i) {
+        gf_minimum_t at = {.pose = starts[i]};
+        bool known = false;
+        gf_soften(&search->epoch, softness[stage]);
+        gf_descend(&search->epoch, SPREAD_TRIALS, STAGE_ENOUGH, &at);
+        for (size_t k = 0; k < count && !known; ++k) {
+            known = is_near(search->epoch.coils, &reached[k], &at.pose, SPREAD_PORTION, SPREAD_TURN);
         }
-        for (size_t length = 0; length < 3; ++length) {
-            gf_pose_t there = *pose;
-            for (size_t k = 0; k < 3; ++k) {
-                there.position_m[k] += radius * lengths[length] * direction[k];
-            }
-            gf_soften(&search->epoch, 0.1);
-            gf_align(&search->epoch, &there);
-            (void)refine(search, &there, 0);
+        if (!known) {
+            reached[count++] = at.pose;
+            (void)refine(search, &at.pose, stage);
         }
     }
 }
@@ -194,24 +220,18 @@ static void explore(search_t *search) {
         const gf_pose_t pose = search->minima[i].pose;
         try_images(search, &pose);
     }
-    if (search->count > 0) {
-        const gf_pose_t pose = search->minima[0].pose;
-        double square = 0.0;
-        for (size_t k = 0; k < 3; ++k) {
-            const double offset = pose.position_m[k] - search->epoch.coils->centre_m[k][search->coil];
-            square += offset * offset;
-        }
-        if (sqrt(square) < NEAR_RADII * search->epoch.coils->radius_m[search->coil]) {
-            try_star(search, &pose);
-        }
+    if (search->count > 0 && distance_from(search->epoch.coils, search->coil, &search->minima[0].pose) <
+                                 NEAR_RADII * search->epoch.coils->radius_m[search->coil]) {
+        try_spread(search, SPREAD_STAGE);
     }
 }
 
 /* Walk both ways from the best minimum, again from a better one if that is found, and widen its covariance. */
 static void walk(search_t *search, gf_width_t *width) {
     for (size_t round = 0; round < 4; ++round) {
-        const gf_minimum_t from = search->minima[0];
         gf_soften(&search->epoch, search->model_error);
+        gf_descend(&search->epoch, LAST_TRIALS, FINAL_ENOUGH, &search->minima[0]);
+        const gf_minimum_t from = search->minima[0];
         gf_begin_width(&search->epoch, &from, width);
         for (size_t side = 0; side < 2; ++side) {
             gf_pose_t beyond;
@@ -254,13 +274,14 @@ void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, co
                uint8_t *found, double *widening, uint32_t *evaluations) {
     const size_t n = coils->count;
     for (size_t e = 0; e < epochs; ++e) {
-        search_t search = {.epoch = {.coils = coils, .most_evaluations = most_evaluations},
-                           .half_space = half_space,
-                           .model_error = model_error};
+        search_t search = {.epoch = {.coils = coils}, .half_space = half_space, .model_error = model_error};
         gf_width_t width = {.cost = 0.0};
         search.epoch.field_T = field_T + 3 * n * e;
         search.epoch.sigma_T = sigma_T + n * e;
+        search.epoch.most_evaluations = most_evaluations - most_evaluations / WALKS_SHARE;
         explore(&search);
+        const bool ended = search.epoch.evaluations >= search.epoch.most_evaluations;
+        search.epoch.most_evaluations = most_evaluations;
         size_t rival = search.count;
         if (search.count > 0) {
             walk(&search, &width);
@@ -270,6 +291,6 @@ void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, co
         }
         found[e] = search.count == 0 ? 0 : rival < search.count ? 2 : 1;
         memcpy(widening + 36 * e, width.widening, sizeof width.widening);
-        evaluations[e] = (uint32_t)search.epoch.evaluations;
+        evaluations[e] = (uint32_t)(ended ? most_evaluations : search.epoch.evaluations);
     }
 }
