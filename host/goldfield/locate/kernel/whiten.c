@@ -161,6 +161,8 @@ void gf_whiten(const gf_coils_t *coils, const gf_errors_t *errors, const double 
     }
     if (out->is_shared) {
         share(3 * n, out->shared);
+    } else {
+        memset(out->shared, 0, sizeof out->shared);
     }
 }
 
