@@ -16,6 +16,7 @@ from goldfield.locate.uncertainty import (
     gauss_newton_covariance,
     second_order_covariance,
 )
+from goldfield.locate.whitening import Independent
 from tests.bench import locate_trials as bench
 
 
@@ -43,7 +44,7 @@ def test_turned_is_scipys_rotation():
 def test_jacobian_agrees_with_finite_differences(cube):
     _, model, run = cube
     weight = Measurements(run.field_T, run.sigma_T).inverse_sigma()
-    ours = whitened_jacobian(model, run.position_m, run.rotation, weight)
+    ours = whitened_jacobian(model, run.position_m, run.rotation, Independent(weight))
 
     def modelled(position, rotation):
         return ((rotation.swapaxes(1, 2) @ model.field(position).swapaxes(1, 2)) * weight).reshape(len(position), -1)
@@ -131,8 +132,8 @@ def test_second_order_covariance_of_a_linear_problem_is_gauss_newtons(cube):
     """With next to no noise the model is linear over a standard deviation."""
     _, model, run = cube
     measurements = Measurements(run.field_T, run.sigma_T * 1e-6)
-    weight = measurements.inverse_sigma()
-    jacobian = whitened_jacobian(model, run.position_m, run.rotation, weight)
+    whitening = Independent(measurements.inverse_sigma())
+    jacobian = whitened_jacobian(model, run.position_m, run.rotation, whitening)
     plain = gauss_newton_covariance(jacobian @ jacobian.swapaxes(1, 2))
     honest = second_order_covariance(model, measurements, run.position_m, run.rotation)
     np.testing.assert_allclose(honest, plain, rtol=0, atol=1e-3 * np.abs(plain).max(axis=(1, 2)).max())

@@ -33,9 +33,6 @@ typedef struct {
 /* Take a relative error of the model into the weights, 1/(sigma^2 + (error |b|)^2). */
 void gf_soften(gf_epoch_t *epoch, double error);
 
-/* The squares at a pose; the cost is not finite once the evaluations are used up. */
-void gf_squares(gf_epoch_t *epoch, const gf_pose_t *pose, gf_squares_t *out);
-
 /* Descend from minimum->pose by at most this many trials; fills in the rest. tolerance is the decrease of the cost that
  * counts as none. */
 void gf_descend(gf_epoch_t *epoch, size_t trials, double tolerance, gf_minimum_t *minimum);
