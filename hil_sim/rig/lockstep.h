@@ -77,7 +77,8 @@ void rig_destroy(rig_t *rig); /* rig may be NULL. */
 /* The edge to create a board with. */
 const board_edge_t *rig_edge(rig_t *rig, unsigned board);
 
-/* Hand a board over; it is on the CAN bus from its power-on time on, in picoseconds. */
+/* Hand a board over; it is on the CAN bus from its power-on time on, in picoseconds. If it takes the place of another,
+ * which has lost its power, the bridges of that one are now off. */
 void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations,
                  int64_t power_on_ps);
 

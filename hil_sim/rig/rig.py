@@ -338,10 +338,14 @@ class Rig:
 
     def power_cycle_sensor(self, off_s: float, clock: Clock | None = None) -> None:
         """Take the sensor's power, and give it back after a time; it may come back with other oscillators."""
-        spec = replace(self._specs[SENSOR], power_on_ps=int(self._library.rig_now(self._rig)) + round(off_s * 1e12))
-        self._specs[SENSOR] = spec if clock is None else replace(spec, clock=clock)
-        self._boards[SENSOR].destroy()
-        self._boards[SENSOR] = self._slot(SENSOR, self._specs[SENSOR])
+        self.power_cycle(SENSOR, off_s, clock)
+
+    def power_cycle(self, board: int, off_s: float, clock: Clock | None = None) -> None:
+        """Take a board's power, and give it back after a time; it may come back with other oscillators."""
+        spec = replace(self._specs[board], power_on_ps=int(self._library.rig_now(self._rig)) + round(off_s * 1e12))
+        self._specs[board] = spec if clock is None else replace(spec, clock=clock)
+        self._boards[board].destroy()
+        self._boards[board] = self._slot(board, self._specs[board])
 
     # ---- End ----
 

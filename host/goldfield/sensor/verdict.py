@@ -75,7 +75,7 @@ def judge(health: Health, report: Report, site: Site) -> Verdict:
     """
     grave = list(_of_time(health, report))
     beacons = [_of_beacon(health, beacon, board) for beacon, board in _boards_of(health, site)]
-    findings = [*grave, *(finding for one in beacons for finding in one.findings)]
+    findings = [*grave, *_complaints(health, site), *(finding for one in beacons for finding in one.findings)]
     findings += [*_of_sensor(health, report, site), *_of_others(health, site)]
     holds_over = bool(health.masters) and health.now_s - max(health.masters.values()) > SYNC_MISSED_S
     return Verdict(
@@ -153,11 +153,10 @@ def _of_beacon(health: Health, name: str, known: tuple[float, list[Board]]) -> V
     (board,) = boards
     if health.now_s - board.heard_s > SILENT_S:
         text = f"{name}'s board (node {board.node}) is silent: check its power and its cable"
-        return Verdict(findings=(_board((name,), text),))
-    complaint = _complaint(board)
-    if complaint is not None:
-        text = f"{name}'s board (node {board.node}) {complaint}"
-        return Verdict(out=(name,), findings=(_board((name,), text),))
+        out = () if _complaint(board) is None else (name,)  # what it said last still holds
+        return Verdict(out, findings=(_board((name,), text),))
+    if _complaint(board) is not None:  # `_complaints` tells it
+        return Verdict(out=(name,))
     drive = board.drive
     if drive is None or health.now_s - drive.time_s > HEARD_S:
         return Verdict()
@@ -174,24 +173,41 @@ def _of_beacon(health: Health, name: str, known: tuple[float, list[Board]]) -> V
     return Verdict(ratio={name: ratio}, findings=findings)
 
 
+def _complaints(health: Health, site: Site) -> Iterator[Finding]:
+    """Yield what the boards of beacons complain of, each complaint once, with all who have it."""
+    who: dict[str, list[tuple[str, int]]] = {}
+    for name, (_, boards) in _boards_of(health, site):
+        if len(boards) == 1 and health.now_s - boards[0].heard_s <= SILENT_S:
+            complaint = _complaint(boards[0])
+            if complaint is not None:
+                who.setdefault(complaint, []).append((name, boards[0].node))
+    for complaint, told in who.items():
+        names = tuple(name for name, _ in told)
+        if len(told) == 1:
+            text = f"{names[0]}'s board (node {told[0][1]}) reports {complaint}"
+        else:
+            text = f"the boards of {', '.join(names[:-1])} and {names[-1]} report {complaint}"
+        yield _board(names, text)
+
+
 def _complaint(board: Board) -> str | None:
-    """Return why a beacon's field does not count, as its board tells; None if it does count."""
+    """Return what a beacon's board reports for which its field does not count; None if it does count."""
     drive = board.drive
     if drive is not None:
         for fault, text in (
-            (drive.open_coil, "reports an open coil"),
-            (drive.over_current, "reports over-current"),
-            (drive.driver_fault, "reports a driver fault"),
-            (not drive.locked, "reports that its clock is not locked"),
-            (drive.target_A == 0.0, "drives no current: its amplitude is 0"),
-            (not drive.enabled, "reports that its bridge is off"),
-            (not _steady(drive, board.drive_before), "reports a current that is changing"),
+            (drive.open_coil, "an open coil"),
+            (drive.over_current, "over-current"),
+            (drive.driver_fault, "a driver fault"),
+            (not drive.locked, "a clock that is not locked"),
+            (drive.target_A == 0.0, "an amplitude of 0 A"),
+            (not drive.enabled, "a bridge that is off"),
+            (not _steady(drive, board.drive_before), "a current that is changing"),
         ):
             if fault:
                 return text
     if board.state == STATE_CLOCK_FALLBACK:
-        return "runs without its crystal"
-    return "reports a fault" if board.state == STATE_FAULT and drive is None else None
+        return "a clock without its crystal"
+    return "a fault" if board.state == STATE_FAULT and drive is None else None
 
 
 def _steady(drive: Drive, before: Drive | None) -> bool:
@@ -205,7 +221,7 @@ def _of_others(health: Health, site: Site) -> Iterator[Finding]:
     for board in driving:
         complaint = _complaint(board)
         if board.unasked and complaint is not None and health.now_s - board.heard_s <= SILENT_S:
-            yield _board((), f"node {board.node}, a beacon, {complaint}")
+            yield _board((), f"node {board.node}, a beacon, reports {complaint}")
         if _within(health, board.doubled_s, EVENT_S) and board.node != health.node:
             yield _board((), f"two boards have the number {board.node}, or its code was changed")
     if health.now_s > SILENT_S and any(code in site.codes for code in codes):
