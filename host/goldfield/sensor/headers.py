@@ -10,7 +10,7 @@ CYCLE_MODULUS = 1 << 20
 STREAMS = 4
 """Streams of headers that are remembered."""
 RECENT = 8
-"""Headers whose times are remembered."""
+"""Headers whose times are remembered; one that is later by more cycles is of a sensor that restarted."""
 SAME_TIME_S = 1e-5
 """Times of one cycle that differ by less are one time: a header counts microseconds."""
 SAME_STREAM_CYCLES = 0.25
@@ -60,15 +60,21 @@ class Headers:
         for place, (own_cycle, own_time_s) in enumerate(self._streams):
             steps = _distance(cycle, own_cycle)
             if abs(time_s - own_time_s - steps * self.cycle_s) < SAME_STREAM_CYCLES * self.cycle_s:
+                if place == 0 and steps < -RECENT:
+                    return self._begin(Event.RESTARTED, cycle, time_s)
                 if place > 0 or steps > 0:
                     del self._streams[place]
                     self._streams.appendleft((cycle, time_s))
                 return Event.DOUBLED if doubled or place > 0 else Event.CONTINUED
         latest_s = self._streams[0][1] if self._streams else None
-        self._streams.appendleft((cycle, time_s))
         if latest_s is None:
-            return Event.CONTINUED
-        return Event.RESTARTED if time_s <= latest_s else Event.RENUMBERED
+            return self._begin(Event.CONTINUED, cycle, time_s)
+        return self._begin(Event.RESTARTED if time_s <= latest_s else Event.RENUMBERED, cycle, time_s)
+
+    def _begin(self, event: Event, cycle: int, time_s: float) -> Event:
+        self._streams.appendleft((cycle, time_s))
+        self._recent = {cycle: time_s}  # the numbers of before may come again
+        return event
 
 
 def _distance(cycle: int, reference: int) -> int:
