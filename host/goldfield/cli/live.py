@@ -18,7 +18,7 @@ from goldfield.sensor.options import Options, chosen_method
 from goldfield.sensor.pipeline import Epoch, Sensor
 from goldfield.sensor.sinks import Branch, Fanout, Part
 from goldfield.site import Site
-from goldfield.view.summary import LINK_COUNTS, Summary
+from goldfield.view.summary import Summary
 from goldfield.view.truth import Truth
 
 
@@ -63,8 +63,9 @@ def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> bool:
     except KeyboardInterrupt:
         pass  # the usual end of a live run
     finally:
-        summary.link = {name: getattr(sensor, name) for name in LINK_COUNTS}
+        summary.link = sensor.link_counts
         summary.counters = sensor.counters
+        summary.board_counters = sensor.board_counters
         summary.dropped = sinks.dropped
         if summary.epochs:
             text = summary.text(truth=bool(arguments.truth))

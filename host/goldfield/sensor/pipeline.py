@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
@@ -93,7 +92,6 @@ class Sensor:
         self.name = name
         self._source = source
         self._found = False
-        self._told: Counter[str] = Counter()
         self._options = Options() if options is None else options
         method = self._options.method
         self._session = Session(source, name, site, self._options.node, recorder, on_sensor=method is method.ON_SENSOR)
@@ -205,8 +203,10 @@ class Sensor:
     def link_counts(self) -> dict[str, int]:
         """What went wrong on the way of the sensor's messages, with how often; what never did is left out."""
         counts = {
-            "messages came twice": self.repeated,
-            "messages came after their epoch": self.late,
+            "corrupt frames": self.bad_frames,
+            "cycles missed in gaps": self.missed_cycles,
+            "messages that came twice": self.repeated,
+            "messages that came after their epoch": self.late,
             "messages of unknown cycles": self.orphans,
             "jumps of the cycle's number": self.restarts,
         }
@@ -222,11 +222,6 @@ class Sensor:
             if node != self.node
         }
 
-    @property
-    def told(self) -> Mapping[str, int]:
-        """What the boards on the link said of themselves, each sentence with the number of epochs that had it."""
-        return self._told
-
     def _epoch(self, report: Report) -> Epoch:
         verdict = judge(self._session.health, report, self.site)
         separated = self._separation.fields(report)
@@ -235,7 +230,6 @@ class Sensor:
             pose = self._locate(fields, replace(report, parts_T={}))
         else:
             pose = self._locate(fields, report)
-        self._told.update(finding.text for finding in verdict.findings)
         return Epoch(
             pose=amended_pose(pose, verdict, used_all=self._options.method is Method.ON_SENSOR),
             fields=fields,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,16 +13,6 @@ import numpy as np
 from goldfield.types import Explanation, Finding, FloatArray, Pose, Status
 from goldfield.view.terminal import WIDTH
 from goldfield.view.truth import NO_ERROR, PoseError
-
-LINK_COUNTS = {
-    "bad_frames": "corrupt frames",
-    "missed_cycles": "cycles missed in gaps",
-    "late": "messages late",
-    "repeated": "messages repeated",
-    "orphans": "messages of no known cycle",
-    "restarts": "jumps of the cycle number",
-}
-"""Counters of a link that the summary tells if they are not zero, with the words for them."""
 
 
 @dataclass
@@ -66,9 +57,11 @@ class Summary:
         Epochs that `add` was told of, and messages lost in all of them.
     statuses : Counter of Status
     link : dict of str to int
-        Counts of the link by the names of `LINK_COUNTS`.
+        What went wrong on the way of the sensor's messages, with how often.
     counters : dict of str to int
         The sensor's own error counters.
+    board_counters : dict of int to dict of str to int
+        The error counters of the other boards, by node.
     dropped : dict of str to int
         Epochs that each output which was too slow did not get.
     """
@@ -78,6 +71,7 @@ class Summary:
     statuses: Counter[Status] = field(default_factory=Counter)
     link: dict[str, int] = field(default_factory=dict)
     counters: dict[str, int] = field(default_factory=dict)
+    board_counters: dict[int, dict[str, int]] = field(default_factory=dict)
     dropped: dict[str, int] = field(default_factory=dict)
     _excluded: Counter[str] = field(default_factory=Counter)
     _found: dict[tuple[Explanation, tuple[str, ...]], _Found] = field(default_factory=dict)
@@ -134,13 +128,11 @@ class Summary:
         return f"{name} left out in {self._excluded[name]} of {self.epochs}"
 
     def _about_links(self) -> list[str]:
-        told = {"messages lost": self.lost_messages}
-        told |= {words: self.link.get(name, 0) for name, words in LINK_COUNTS.items()}
-        counted = [f"{count} {words}" for words, count in told.items() if count]
-        lines = ["the link: " + ", ".join(counted)] if counted else []
+        counts = {"messages lost": self.lost_messages, **self.link}
+        lines = [f"the link: {_counted(counts)}"] if any(counts.values()) else []
         if self.counters:
-            counted = [f"{count} {name}" for name, count in self.counters.items()]
-            lines.append("the sensor counted since its reset: " + ", ".join(counted))
+            lines.append(f"the sensor counted since its reset: {_counted(self.counters)}")
+        lines += [f"node {node} counted: {_counted(counters)}" for node, counters in self.board_counters.items()]
         lines += [f"{n} epochs were left out of {name}, which took them too slowly" for name, n in self.dropped.items()]
         return lines
 
@@ -155,6 +147,10 @@ def _summed_up(kind: Explanation, found: _Found) -> str:
     if kind is Explanation.CURRENT and found.factor:
         return f"the current of {names} fits better at {np.median(found.factor):.3f} of what the site says"
     return found.last.text
+
+
+def _counted(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
 
 
 def _rms(values: list[float]) -> float | None:

@@ -120,9 +120,11 @@ def test_the_summary_gives_an_example_of_reasons_that_differ():
 
 
 def test_counters_are_told_if_they_are_not_zero():
-    summary = Summary(link={"late": 3, "orphans": 0}, counters={"overrun": 2}, dropped={"FILE": 4})
+    link = {"messages that came twice": 3, "corrupt frames": 0}
+    summary = Summary(link=link, counters={"overrun": 2}, board_counters={7: {"resets": 1}}, dropped={"FILE": 4})
     assert summary.text(truth=False).splitlines()[1:] == [
-        "the link: 3 messages late",
+        "the link: 3 messages that came twice",
         "the sensor counted since its reset: 2 overrun",
+        "node 7 counted: 1 resets",
         "4 epochs were left out of FILE, which took them too slowly",
     ]

@@ -1,0 +1,167 @@
+"""What the boards of a bench say of themselves, while something is wrong with them: no wrong ``ok``, and how soon.
+
+The host sits on the CAN bus of host boards and talks to them, in virtual time.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from goldfield import site as sites
+from goldfield.sensor import dialogue as dialogues
+from goldfield.sensor import session as sessions
+from goldfield.sensor.pipeline import Sensor
+from goldfield.types import Status
+from goldfield_protocol import encode
+from goldfield_protocol.parameters import build_page, parse_page
+from hil_sim.rig import Rig
+from hil_sim.rig.boards import factory
+from hil_sim.scenario import load_scenario, site_toml
+from tests.hil.rig_link import RigLink
+
+POSITION_M = np.array([0.9, 1.2, 0.8])
+WRONG_M = 0.05
+BOOTED_S = 2.5
+
+
+@pytest.fixture
+def listen(monkeypatch, tmp_path, rig_kind):
+    """Return a function that lets a bench boot, some boards of it changed, and listens to its sensor on CAN."""
+    if rig_kind not in ("emulated", "host"):
+        pytest.fail("only simulated boards can be given faults: run with --goldfield-rig emulated or host")
+    rigs = []
+
+    def make(name="prigge8", pages=None, sensor_ppm=None, second_sensor=False):
+        scenario = load_scenario(name)
+        site_file = tmp_path / "site.toml"
+        site_file.write_text(site_toml(scenario))
+        host_boards = factory("host")
+
+        def board(spec, edge):
+            number = int.from_bytes(spec.unique_id[8:], "little")
+            if number in (pages or {}):
+                page = build_page({**parse_page(spec.parameter_page), **pages[number]})
+                spec = dataclasses.replace(spec, parameter_page=page)
+            if number == 0 and sensor_ppm is not None:
+                spec = dataclasses.replace(spec, clock=dataclasses.replace(spec.clock, crystal_ppm=sensor_ppm))
+            return host_boards(spec, edge)
+
+        rig = Rig(scenario, board)
+        others = [(Rig(scenario, "host", seed=7), scenario.sensor.node)] if second_sensor else []
+        rigs.extend([rig, *(other for other, _ in others)])
+        for each in rigs:
+            each.advance(BOOTED_S)
+        link = RigLink(rig, others)
+        monkeypatch.setattr(sessions, "time", link)
+        monkeypatch.setattr(dialogues, "time", link)
+        return rig, link, Sensor(link, name, sites.load(site_file))
+
+    yield make
+    for rig in rigs:
+        rig.close()
+
+
+def poses_of(sensor, count):
+    """Poses of the next cycles; none of those that are ok is wrong."""
+    epochs = sensor.epochs()
+    poses = [next(epochs).pose for _ in range(count)]
+    for pose in poses:
+        assert pose.status is not Status.OK or np.linalg.norm(pose.position_m - POSITION_M) < WRONG_M, pose
+    return poses
+
+
+def told_after_s(sensor, rig, text, most_cycles):
+    """Virtual time until the reason of a pose holds a text; no ok that is wrong comes before."""
+    begin_s, epochs = rig.now_s, sensor.epochs()
+    for _ in range(most_cycles):
+        pose = next(epochs).pose
+        assert pose.status is not Status.OK or np.linalg.norm(pose.position_m - POSITION_M) < WRONG_M, pose
+        if text in (pose.reason or ""):
+            return rig.now_s - begin_s
+    raise AssertionError(f"'{text}' was not told in {most_cycles} cycles")
+
+
+@pytest.mark.parametrize("name", ["prigge8", "prigge8can"])
+def test_a_sensor_whose_clock_is_400_ppm_off_is_never_ok(listen, name):
+    _, _, sensor = listen(name, sensor_ppm=400.0)
+    poses = poses_of(sensor, 20)
+    assert {pose.status for pose in poses} <= {Status.INCONSISTENT, Status.FAILED}
+    assert all("the clock of sensor 100 is not locked" in pose.reason for pose in poses)
+
+
+@pytest.mark.parametrize("name", ["prigge8", "prigge8can"])
+def test_two_masters(listen, name):
+    _, _, sensor = listen(name, pages={2: {"sync_master": 1}})
+    poses = poses_of(sensor, 20)
+    assert {pose.status for pose in poses} <= {Status.INCONSISTENT, Status.FAILED}
+    assert all("nodes 1 and 2 are both sync masters" in pose.reason for pose in poses)
+
+
+def test_two_sensors_of_one_number(listen):
+    _, _, sensor = listen(second_sensor=True)
+    poses = poses_of(sensor, 20)
+    assert {pose.status for pose in poses} <= {Status.INCONSISTENT, Status.FAILED}
+    assert all("two boards have the number 100" in pose.reason for pose in poses)
+
+
+@pytest.mark.parametrize(
+    ("fault", "text"),
+    [("coil_open", "an open coil"), ("sense_shorted", "over-current"), ("driver", "a driver fault")],
+)
+def test_a_beacon_with_a_fault_is_left_out_and_comes_back(listen, fault, text):
+    rig, link, sensor = listen()
+    poses_of(sensor, 8)
+    rig.fault(2, fault)
+    after_s = told_after_s(sensor, rig, f"b2's board (node 2) reports {text}", 4)
+    print(f"{fault}: told {after_s:.2f} s after it began")
+    assert after_s < 0.25
+    poses = poses_of(sensor, 5)
+    assert all("b2" in pose.excluded and len(pose.used) == 7 for pose in poses)
+    rig.fault(2, fault, False)
+    link.send(*encode("PARAM_SET", {"kind": 0, "value_unsigned": 3}, node=2, index=1))  # any PARAM_SET clears it
+    back = poses_of(sensor, 8)[-1]
+    assert (len(back.used), back.reason) == (8, None)
+
+
+def test_a_board_without_power_is_told(listen):
+    rig, _, sensor = listen()
+    poses_of(sensor, 8)
+    rig.power_cycle(3, 60.0)
+    assert abs(rig.coil_current_A(3)) > 1.0
+    after_s = told_after_s(sensor, rig, "b3's board (node 3) is silent", 30)
+    print(f"no power: told {after_s:.2f} s after it went")
+    assert 2.0 < after_s < 2.8
+    assert rig.coil_current_A(3) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("amplitude_A", [8.0, 9.0])
+def test_the_measured_current_is_the_beacons_current(listen, amplitude_A):
+    """A board that is set to another current than the site's, truly driven: the beacon serves all the same."""
+    rig, _, sensor = listen(pages={3: {"amplitude": amplitude_A}})
+    poses = poses_of(sensor, 20)[-8:]
+    assert abs(rig.coil_current_A(3)) == pytest.approx(amplitude_A, rel=0.01)
+    for pose in poses:
+        assert len(pose.used) == 8
+        assert pose.findings[0].factor == pytest.approx(amplitude_A / 10.0, rel=1e-3)
+        assert np.linalg.norm(pose.position_m - POSITION_M) < 0.03
+    assert np.mean([pose.residual for pose in poses]) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("name", "off_s"),
+    [("prigge8can", 12.0), *(pytest.param(name, 30.0, marks=pytest.mark.slow) for name in ("prigge8", "prigge8can"))],
+)
+def test_the_master_is_dead_for_longer_than_hold_over(listen, name, off_s):
+    rig, _, sensor = listen(name)
+    poses_of(sensor, 8)
+    begin_s = rig.now_s
+    rig.power_cycle(1, off_s)
+    held = poses_of(sensor, 90)  # 9 s of hold-over, without b1
+    assert all(pose.status is Status.OK and pose.excluded == ("b1",) for pose in held)
+    told_after_s(sensor, rig, "the clock of sensor 100 is not locked", 20)
+    print(f"master dead: told unlocked {rig.now_s - begin_s:.2f} s after it went")
+    assert 10.0 < rig.now_s - begin_s < 10.5
+    while rig.now_s < begin_s + off_s + 2.0:
+        poses_of(sensor, 1)
+    assert [pose.status for pose in poses_of(sensor, 3)] == [Status.OK] * 3
