@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+
+import numpy as np
 
 from goldfield.errors import tell
 from goldfield.link.reports import Report
@@ -14,11 +16,18 @@ from goldfield.sensor.guard import guarded
 from goldfield.sensor.on_sensor import on_sensor_parameters, on_sensor_pose
 from goldfield.sensor.options import Method
 from goldfield.site import Site
-from goldfield.track import PartsObserver, Tracker, cycle_of_parts
-from goldfield.track.continuity import Hemisphere, time_break
+from goldfield.track import EpochObserver, PartsObserver, Tracker, Witness, cycle_of_parts
+from goldfield.track.continuity import Hemisphere, joined, time_break
+from goldfield.track.estimate import Belief
+from goldfield.track.faults import judged
+from goldfield.track.motion import RATE, standing
 from goldfield.track.parts import PARTS, sensor_sends_parts
-from goldfield.types import Fields, Pose
+from goldfield.types import Fields, Finding, Pose, Status
 from goldfield_protocol.parameters import PARAMETERS
+
+UNKNOWN_MOTION = np.repeat([1.0, 1.0, 1.0, 1.0, 1e-4], 3)
+"""Standard deviations of pose, velocity (m/s), turn rate (rad/s) and ambient field with which an epoch that is located
+by itself is judged."""
 
 Location = Callable[[Fields, Report | None], Pose]
 """Makes the pose of the next epoch of its fields and, if there is one, the sensor's report that they come from."""
@@ -68,14 +77,62 @@ def _located(site: Site, method: Method) -> Location:
     if method is Method.ON_SENSOR:
         return lambda fields, report: _passed_on(site, fields, report)
     if method is Method.EACH:
-        return lambda fields, _: guarded(lambda epoch: locate(site, epoch), fields)
-    tracker = Tracker(site, PartsObserver(site))
+        each = _Each(site)
+        return lambda fields, _: guarded(each.pose, fields)
+    tracker, witness = Tracker(site, PartsObserver(site)), Witness(site)
 
     def track(fields: Fields, report: Report | None) -> Pose:
         parts = None if report is None else cycle_of_parts(site, report, fields.time_s)
-        return guarded(lambda _: tracker.update(fields if parts is None else parts), fields)
+
+        def pose(_: Fields) -> Pose:
+            step = tracker.step(fields if parts is None else parts, witness.named)
+            return _with_finding(step.pose, witness.update(step.judgement))
+
+        return guarded(pose, fields)
 
     return track
+
+
+class _Each:
+    """Locates every epoch by itself, but for a beacon that the history of the residuals names: it is left out."""
+
+    def __init__(self, site: Site) -> None:
+        self._site = site
+        self._witness = Witness(site)
+        self._observer = EpochObserver(site)
+
+    def pose(self, fields: Fields) -> Pose:
+        named = self._witness.named
+        pose = locate(self._site, without(fields, named))
+        judgement = None
+        if pose.status not in (Status.FAILED, Status.AMBIGUOUS) and all(finding.beacons for finding in pose.findings):
+            pose = replace(pose, excluded=(*pose.excluded, *(name for name in named if name in fields.beacons)))
+            state = standing(pose.position_m, pose.orientation_xyzw)
+            observation, _ = self._observer.observation(fields, UNKNOWN_MOTION[RATE].max())
+            judgement = judged(observation, state, Belief(state, np.diag(UNKNOWN_MOTION)))
+        return _with_finding(pose, self._witness.update(judgement))
+
+
+def without(fields: Fields, beacons: Sequence[str]) -> Fields:
+    """Return the fields of an epoch without some beacons."""
+    if not beacons:
+        return fields
+    kept = [place for place, name in enumerate(fields.beacons) if name not in beacons]
+    names = tuple(fields.beacons[place] for place in kept)
+    return replace(fields, beacons=names, field_T=fields.field_T[kept], sigma_T=fields.sigma_T[kept])
+
+
+def _with_finding(pose: Pose, finding: Finding | None) -> Pose:
+    """Return a pose with what the history knows; one that rests on the beacon that it names is inconsistent."""
+    if finding is None or pose.status is Status.FAILED:
+        return pose
+    doubted = set(finding.beacons) & set(pose.used) and pose.status in (Status.OK, Status.UNVERIFIED, Status.WEAK)
+    return replace(
+        pose,
+        status=Status.INCONSISTENT if doubted else pose.status,
+        reason=joined(finding.text, pose.reason),
+        findings=(finding, *pose.findings),
+    )
 
 
 def needed_parameters(site: Site, method: Method) -> Parameters:

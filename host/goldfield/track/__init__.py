@@ -11,6 +11,7 @@ from goldfield.track.motion import Agility
 from goldfield.track.observe import CycleData, CycleObserver, EpochObserver
 from goldfield.track.parts import PartsObserver, cycle_of_parts, sensor_sends_parts
 from goldfield.track.smoother import FixedLagSmoother
+from goldfield.track.witness import Witness
 from goldfield.types import Fields, Pose
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "MovingPose",
     "PartsObserver",
     "Tracker",
+    "Witness",
     "cycle_of_parts",
     "sensor_sends_parts",
     "tracked",

@@ -63,6 +63,8 @@ class Judgement:
         some fault cannot show.
     score, information : ndarray, shapes (n, 3) and (n, 3, 3)
         F'r and F'SF, of fields in tesla in the sensor's frame.
+    observation, state, prior
+        What was judged, where, and with what belief.
     """
 
     beacons: tuple[str, ...]
@@ -75,6 +77,9 @@ class Judgement:
     slope_m: float
     score: FloatArray
     information: FloatArray
+    observation: Observation
+    state: State
+    prior: Belief
 
     @property
     def alarm(self) -> bool:
@@ -161,6 +166,9 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
         slope_m=np.inf if hidden else float(np.linalg.svd(slopes, compute_uv=False).max()),
         score=score,
         information=information,
+        observation=observation,
+        state=state,
+        prior=prior,
     )
 
 

@@ -152,7 +152,7 @@ class Tracker(Generic[T]):
         self._contradictions = 0
         self._axes = 3
 
-    def update(self, data: T) -> Pose:
+    def update(self, data: T, without: tuple[str, ...] = ()) -> Pose:
         """Take a cycle's data and return the pose at its middle.
 
         Where a track cannot be started the pose and status are those of `locate`. While there is one:
@@ -164,11 +164,11 @@ class Tracker(Generic[T]):
         - ``inconsistent``: the data contradict the track (the pose is predicted and uses no beacon) or the site.
 
         Time that goes back, or stands still, starts a new track, which the pose's ``reason`` tells. An epoch without a
-        time is located by itself and leaves the track as it is.
+        time is located by itself and leaves the track as it is. ``without`` lists beacons that are left out.
         """
-        return self.step(data).pose
+        return self.step(data, without).pose
 
-    def step(self, data: T) -> Step:
+    def step(self, data: T, without: tuple[str, ...] = ()) -> Step:
         """Do what `update` does and return all that a smoother needs."""
         if math.isfinite(data.time_s):
             broken = time_break(self._time_s, data.time_s)
@@ -176,7 +176,7 @@ class Tracker(Generic[T]):
                 self._belief, self._heard_s = None, -math.inf
                 broken += ": a new track begins"
             known = self._belief is not None and data.time_s - self._agreed_s <= GAP_S
-            step = self._go_on(data) if known else self._start(data)
+            step = self._go_on(data, without) if known else self._start(data, without)
             self._time_s = data.time_s
         else:
             step = Step(self._observer.start(data)[0], None)
@@ -206,15 +206,14 @@ class Tracker(Generic[T]):
         )
         return self._hemisphere.nearest(pose)
 
-    def _go_on(self, data: T) -> Step:
+    def _go_on(self, data: T, without: tuple[str, ...]) -> Step:
         """Follow the track to the next epoch."""
         assert self._belief is not None
         seconds = data.time_s - self._time_s
         bridged = self._time_s > self._agreed_s and not self._contradictions
         predicted = self._belief.after(seconds, self._agility)
         transition = self._belief.state.transition(seconds)
-        observation, heard = self._observation(data, predicted)
-        if self._silent(observation):
+        if self._silent(self._observation(data, predicted)[0]):
             self._belief = predicted
             pose = self._reporter.pose(
                 data.epoch,
@@ -226,12 +225,12 @@ class Tracker(Generic[T]):
             )
             return Step(pose, predicted, predicted, transition)
         self._heard_s = data.time_s
-        found = self._fuse(predicted, data, observation, heard)
+        found = self._fuse(predicted, data, without)
         self._last = found
         if found is None:
             self._contradictions += 1
             if bridged or self._contradictions >= PATIENCE:
-                return self._start(data)
+                return self._start(data, without)
             self._belief = predicted
             pose = self._reporter.pose(
                 data.epoch,
@@ -247,7 +246,7 @@ class Tracker(Generic[T]):
         self._belief = found.outcome.belief
         return Step(self._pose(data, self._belief, found), self._belief, predicted, transition, found.whole)
 
-    def _start(self, data: T) -> Step:
+    def _start(self, data: T, without: tuple[str, ...]) -> Step:
         """Begin a track where `locate` puts the sensor; without one, pass on what `locate` says."""
         self._belief = None
         vague = Belief(standing(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0])), np.diag(START))
@@ -259,7 +258,7 @@ class Tracker(Generic[T]):
         if state is None:
             return Step(located, None)
         prior = Belief(state, np.diag(START))
-        found = self._fuse(prior, data, *self._observation(data, prior), START_EVALUATIONS, SEARCH_TOLERANCE)
+        found = self._fuse(prior, data, without, START_EVALUATIONS, SEARCH_TOLERANCE)
         if found is None:
             return Step(located, None)
         covariance = np.zeros((6, 6))
@@ -290,32 +289,38 @@ class Tracker(Generic[T]):
         self,
         prior: Belief,
         data: T,
-        observation: Observation,
-        heard: tuple[str, ...],
+        without: tuple[str, ...],
         evaluations: int = EVALUATIONS,
         tolerance: float = TOLERANCE,
     ) -> Fused | None:
         """Update with the data, or with all of them but one beacon's if only that agrees; None if nothing does."""
+        everything, heard = self._observation(data, prior)
+        observation = everything
+        if without:
+            observation, heard = self._observation(data, prior, without)
         self._axes = int(observation.seen.any(axis=(1, 2)).sum())
         whole = estimate(prior, observation, evaluations, tolerance)
         agrees = self._agrees(whole)
         if agrees:
             judgement = judged(observation, whole.belief.state, prior)
+            history = judged(everything, whole.belief.state, prior) if without else judgement
+            plain = Fused(whole, heard, without, judgement, history)
             if not judgement.alarm:
-                return Fused(whole, heard, (), judgement, judgement)
+                return plain
         costs: list[float] = []
         best: Fused | None = None
         for suspect in heard if len(heard) > 1 else ():
-            part, rest = self._observation(data, prior, (suspect,))
+            part, rest = self._observation(data, prior, (*without, suspect))
             trial = estimate(prior, part, evaluations, tolerance)
             if self._agrees(trial) and (best is None or trial.cost < best.outcome.cost):
                 state = trial.belief.state
-                best = Fused(trial, rest, (suspect,), judged(part, state, prior), judged(observation, state, prior))
+                left_out = (*without, suspect)
+                best = Fused(trial, rest, left_out, judged(part, state, prior), judged(everything, state, prior))
             costs.append(trial.cost)
         if best is not None and len(heard) * gammaincc(1.5, (whole.cost - best.outcome.cost) / 2.0) <= BLAME:
             clear = sum(cost < best.outcome.cost + CLEAR for cost in costs) == 1
             return best if clear and not best.judgement.alarm else _doubted(best)
-        return _doubted(Fused(whole, heard, (), judgement, judgement)) if agrees else None
+        return _doubted(plain) if agrees else None
 
     def _agrees(self, outcome: Estimate) -> bool:
         side = self._site.half_space
@@ -334,7 +339,7 @@ class Tracker(Generic[T]):
             used=found.used,
             excluded=left_out,
             axes=self._axes,
-            reason=joined(f"{left_out[0]} does not agree and was left out" if left_out else None, found.doubt),
+            reason=joined(f"{', '.join(left_out)} left out, not as the site says" if left_out else None, found.doubt),
             protection_m=found.judgement.protection_m(belief.covariance[:3, :3]),
             residuals=found.judgement.residuals | residuals,
             findings=found.findings,

@@ -1,0 +1,270 @@
+"""The history of the residuals as a witness: which beacon is no longer as the site says, and where it fits better.
+
+A single epoch does not see a beacon that was moved by 2 cm; twenty epochs do. Each epoch's `Judgement` leaves of the
+fields what no pose explains. A beacon that is off by d has the field -G d more, G its gradient at the sensor, so that
+each epoch adds to a linear least squares for d: h = E'F'r and H = E'(F'SF)E with E = -R'G, over the last epochs, the
+poses of all of them free. sum(h)' sum(H)^-1 sum(h) is chi-square with three degrees of freedom if the
+beacon is where the site says; one that is only as exact as its survey is granted that. Another current gives the same
+for one unknown. The pose does not know of it, so a beacon that was left out of the pose is watched in the same way.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from scipy.special import chdtri
+
+from goldfield.field import FieldModel
+from goldfield.site import Site
+from goldfield.track.faults import Judgement, judged
+from goldfield.types import Explanation, Finding, FloatArray
+
+RECENT_S, PATIENT_S = 2.0, 10.0
+"""Times over which the residuals are added up: a large error shows soon, a smaller one to patience."""
+
+STARTS = 20
+"""Moments within the shorter time from which they are added up, too. The sum that shows an error best begins where the
+error began: Page's cumulative sum with the size not known."""
+
+FALSE_ALARMS_PER_HOUR = 0.01
+"""Permitted rate of beacons that are named though all are as the site says."""
+
+CLEAR = 12.0
+"""A beacon is named only if it explains more of the cost than any other, by this; else none is."""
+
+LARGEST = 4.0
+"""Nor is it named if another beacon's own part of the cost is larger by so many standard deviations of chance."""
+
+SIMPLER = 12.0
+"""A current that explains as much as a place, less this, is the better explanation: it has two unknowns less."""
+
+UNEXPLAINED = 1e-6
+"""If what is left of a beacon's cost has less than this probability, neither place nor current explains it."""
+UNEXPLAINED_SHARE = 0.2
+"""Nor do they if this part of its cost is left: the field is linear only near the place that the site gives."""
+
+NEIGHBOURS = 2.0
+"""Errors of the survey show at a beacon up to so much larger than its own, through the pose and its neighbours."""
+
+LINEAR_M = 0.05
+"""Beyond such a shift the field is no longer linear in it, and is computed anew."""
+REFINEMENTS = 5
+SETTLED_M = 1e-4
+LEAST_INFORMATION = 1e-9
+"""Eigenvalues of the information below this part of the largest are rounding."""
+
+FIXED = 0.3
+"""A place is told if its standard deviation along the worst axis is below this part of the shift, or 2 cm."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """What epochs say together of the place (h, H) and the current of each of n beacons, and the sums beside.
+
+    ``drop`` and ``freedom`` are the cost of each beacon and its degrees of freedom, ``distance_m`` the sum of the
+    distances and ``epochs`` their number.
+    """
+
+    place: FloatArray
+    place_information: FloatArray
+    current: FloatArray
+    current_information: FloatArray
+    drop: FloatArray
+    freedom: FloatArray
+    distance_m: FloatArray
+    epochs: float = 1.0
+
+    def plus(self, other: _Evidence, sign: float = 1.0) -> _Evidence:
+        """Return the evidence of both, or with sign -1 without the other's."""
+        names = (field.name for field in fields(self))
+        return _Evidence(**{name: getattr(self, name) + sign * getattr(other, name) for name in names})
+
+
+class Witness:
+    """Watches the beacons of a site by what a sensor's epochs leave unexplained.
+
+    Parameters
+    ----------
+    site : Site
+
+    Attributes
+    ----------
+    finding : Finding or None
+        What is known at the moment: the one beacon that is not as the site says, ``moved`` (with its position, if the
+        epochs tell it), ``current``, ``reversed``, ``dead``, or ``beacon`` if nothing so simple explains it, as with
+        metal near it.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self.finding: Finding | None = None
+        self._site = site
+        self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
+        self._centres = FieldModel(site.beacons).centre_m
+        recent, patient = (max(round(seconds / site.cycle_s), 1) for seconds in (RECENT_S, PATIENT_S))
+        starts = np.linspace(1, recent, STARTS).round().astype(int).tolist()
+        self._windows: list[int] = sorted({*starts, patient})
+        self._recent: deque[Judgement] = deque(maxlen=recent)
+        self._totals: deque[_Evidence] = deque(maxlen=self._windows[-1] + 1)
+        level = FALSE_ALARMS_PER_HOUR * site.cycle_s / 3600.0 / len(site.beacons) / len(self._windows)
+        self._limit = float(chdtri(3.0, level))
+        self._wait = 0
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Id of the beacon that is not as the site says, if there is one."""
+        return () if self.finding is None else self.finding.beacons
+
+    def update(self, judgement: Judgement | None) -> Finding | None:
+        """Add an epoch; without a judgement, as of one that has no pose, nothing is learned. Return ``finding``."""
+        if judgement is None:
+            return self.finding
+        self._recent.append(judgement)
+        evidence = self._evidence(judgement)
+        self._totals.append(self._totals[-1].plus(evidence) if self._totals else evidence)
+        found = self._suspect([self._last(epochs) for epochs in self._windows])
+        self._wait -= 1
+        if found is None:
+            self.finding = None
+        elif self.named != (self._site.beacons[found[0]].id,) or self._wait <= 0:
+            self.finding = self._explained(*found)
+            self._wait = int(found[1].epochs)
+        return self.finding
+
+    def _last(self, epochs: int) -> _Evidence:
+        """Return the evidence of the last epochs."""
+        if len(self._totals) <= epochs:
+            return self._totals[-1]
+        return self._totals[-1].plus(self._totals[-1 - epochs], -1.0)
+
+    def _evidence(self, judgement: Judgement) -> _Evidence:
+        state, count = judgement.state, len(self._row)
+        rows = [self._row[name] for name in judgement.beacons]
+        field, gradient = judgement.observation.model.evaluate(state.position_m)  # (3, n), (3, 3, n)
+        back = state.rotation.T
+        shift = -(back @ gradient.transpose(2, 0, 1))  # (n, 3, 3)
+        along = field.T @ state.rotation  # (n, 3)
+        through = shift.swapaxes(1, 2) @ judgement.information
+        own = (judgement.information @ along[:, :, None])[:, :, 0]
+
+        def spread(values: FloatArray) -> FloatArray:
+            result = np.zeros((count, *values.shape[1:]))
+            result[rows] = values
+            return result
+
+        return _Evidence(
+            place=spread((shift.swapaxes(1, 2) @ judgement.score[:, :, None])[:, :, 0]),
+            place_information=spread(through @ shift),
+            current=spread((along * judgement.score).sum(axis=1)),
+            current_information=spread((along * own).sum(axis=1)),
+            drop=spread(judgement.drop),
+            freedom=spread(judgement.drop_freedom.astype(float)),
+            distance_m=np.linalg.norm(self._centres - state.position_m, axis=1),
+        )
+
+    def _suspect(self, windows: list[_Evidence]) -> tuple[int, _Evidence] | None:
+        """Return the row of the beacon that is not as the site says, and the window that shows it best; None if none.
+
+        ``plain`` is what each beacon takes away from the cost of each window, ``granted`` what is left of that for one
+        that is only as exact as its survey.
+        """
+        h = np.array([one.place for one in windows])
+        tolerance = np.array([self._tolerance_m(one.distance_m / one.epochs) for one in windows])
+        values, vectors = np.linalg.eigh(np.array([one.place_information for one in windows]))
+        seen = values > LEAST_INFORMATION * np.maximum(values[..., -1:], 1e-300)
+        values = np.where(seen, values, 1.0)
+        along2 = np.where(seen, np.einsum("wnck,wnc->wnk", vectors, h), 0.0) ** 2
+        plain = (along2 / values).sum(axis=2)
+        granted = (along2 / (values + (tolerance[:, :, None] * values) ** 2)).sum(axis=2)
+        shown = np.array([one.current_information for one in windows])
+        current = np.array([one.current for one in windows])
+        plain = np.maximum(plain, np.where(shown > 0.0, current**2 / np.where(shown > 0.0, shown, 1.0), 0.0))
+        largest = granted.max(axis=1)
+        place = int(np.argmax(largest[:-1]))
+        if largest[place] <= self._limit:
+            place = len(largest) - 1
+        of, row = windows[place], int(np.argmax(plain[place]))
+        clear = plain[place, row] > np.delete(plain[place], row).max(initial=0.0) + CLEAR
+        clear = clear and of.drop[row] > of.drop.max() - LARGEST * np.sqrt(2.0 * of.freedom[row])
+        return (row, of) if clear and granted[place, row] > self._limit else None
+
+    def _tolerance_m(self, distance: FloatArray) -> FloatArray:
+        """Return how far the survey lets beacons at mean distances, shape (n,), m, appear to be off."""
+        surveys = [beacon.survey for beacon in self._site.beacons]
+        position = np.array([survey.position_sd_m for survey in surveys])
+        axis = 0.5 * distance * np.array([survey.axis_sd_rad for survey in surveys])
+        current = distance / 3.0 * np.array([survey.current_sd for survey in surveys])
+        return np.asarray(NEIGHBOURS * np.sqrt(position**2 + axis**2 + current**2))
+
+    def _explained(self, row: int, of: _Evidence) -> Finding:
+        """Say what explains the fields of a beacon best."""
+        beacon = self._site.beacons[row]
+        whole, freedom = float(of.drop[row]), float(of.freedom[row])
+        shown = float(of.current_information[row])
+        part = float(of.current[row]) / shown if shown > 0.0 else 0.0
+        by_current = part**2 * shown
+        information = of.place_information[row]
+        shift = np.linalg.pinv(information, rcond=LEAST_INFORMATION, hermitian=True) @ of.place[row]
+        deviation_m = 1.0 / np.sqrt(max(float(np.linalg.eigvalsh(information)[0]), 1e-30))
+        by_place = float(shift @ of.place[row])
+        if np.linalg.norm(shift) > LINEAR_M:
+            shift, share = self._refined(row, shift, int(of.epochs))
+            by_place = share * whole
+        left = whole - max(by_place, by_current)
+        if left > chdtri(max(freedom - 3.0, 1.0), UNEXPLAINED) and left > UNEXPLAINED_SHARE * whole:
+            text = (
+                f"{beacon.id} is not as the site says, and neither a move nor its current explains it: metal near it?"
+            )
+            return Finding(Explanation.BEACON, (beacon.id,), text)
+        if by_current > by_place - SIMPLER:
+            return _current(beacon.id, 1.0 + part)
+        far = float(np.linalg.norm(shift))
+        if deviation_m > max(FIXED * far, 0.02):
+            return Finding(Explanation.MOVED, (beacon.id,), f"{beacon.id} was moved: the epochs do not tell where to")
+        place = beacon.position_m + shift
+        where = ", ".join(f"{value:.3f}" for value in place)
+        text = f"{beacon.id}: its position fits better at {where} m, {100.0 * far:.1f} cm from where the site has it"
+        return Finding(Explanation.MOVED, (beacon.id,), text, position_m=place)
+
+    def _refined(self, row: int, shift: FloatArray, epochs: int) -> tuple[FloatArray, float]:
+        """Fit the shift of a beacon to its fields, computed anew with it moved, over so many epochs or `RECENT_S`.
+
+        Return it with the share of the beacon's cost that it takes away.
+        """
+        beacon = self._site.beacons[row]
+        recent = list(self._recent)[-epochs:]
+        whole = max(sum(float(self._evidence(one).drop[row]) for one in recent), 1e-300)
+        best, explained = shift, 0.0
+        for _ in range(REFINEMENTS):
+            placed = replace(beacon, position_m=beacon.position_m + shift, points_m=_moved(beacon.points_m, shift))
+            total: _Evidence | None = None
+            for one in recent:
+                old = one.observation
+                model = FieldModel([placed if other.id == beacon.id else other for other in old.model.beacons])
+                now = self._evidence(judged(replace(old, model=model), one.state, one.prior))
+                total = now if total is None else total.plus(now)
+            assert total is not None
+            share = 1.0 - float(total.drop[row]) / whole
+            if share > explained:
+                best, explained = shift, share
+            inverse = np.linalg.pinv(total.place_information[row], rcond=LEAST_INFORMATION, hermitian=True)
+            step = inverse @ total.place[row]
+            if np.linalg.norm(step) < SETTLED_M:
+                break
+            shift = shift + step
+        return best, explained
+
+
+def _current(name: str, factor: float) -> Finding:
+    if abs(factor) < 0.1:
+        return Finding(Explanation.DEAD, (name,), f"{name} has no field: check its coil and its power", factor=0.0)
+    if factor < -0.5:
+        text = f"the field of {name} is reversed: check the coil's wires"
+        return Finding(Explanation.REVERSED, (name,), text, factor=factor)
+    text = f"the field of {name} is {factor:.3g} times the site's: check its current"
+    return Finding(Explanation.CURRENT, (name,), text, factor=factor)
+
+
+def _moved(points_m: FloatArray | None, shift: FloatArray) -> FloatArray | None:
+    return None if points_m is None else points_m + shift

@@ -1,0 +1,150 @@
+"""The history of the residuals names a beacon that is not as the site says; truth by magpylib."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from goldfield.access import Separator
+from goldfield.sensor.location import location, without
+from goldfield.sensor.options import Method
+from goldfield.site import Survey
+from goldfield.track import Tracker, Witness
+from goldfield.track.faults import Judgement
+from goldfield.types import Explanation, Fields, Status
+from tests.bench.locate_trials import prigge_cube
+from tests.bench.motion_trials import Room, circling
+
+NOISE_T = 2e-8
+SITE = prigge_cube(NOISE_T)
+IDS = tuple(beacon.id for beacon in SITE.beacons)
+SEPARATOR = Separator(10, SITE.codes, NOISE_T)
+ROW, CHANGED_AT = 4, 6
+STEP_M = np.array([0.012, -0.012, 0.0105])
+"""A step of 2 cm."""
+
+
+def epochs(fault, count, seed=1, speed=0.5, rate=0.5):
+    """Fields of a moving sensor; from `CHANGED_AT` on one beacon differs from the site."""
+    rng = np.random.default_rng(seed)
+    changed = list(SITE.beacons)
+    changed[ROW] = fault(changed[ROW])
+    rooms = Room(SITE), Room(replace(SITE, beacons=tuple(changed)))
+    flight = circling(rng, speed, rate)
+    result = []
+    for k in range(count):
+        samples = rooms[k >= CHANGED_AT].samples(flight, k * SITE.cycle_s, NOISE_T, rng)
+        separation = SEPARATOR.from_samples(samples)
+        result.append(Fields(k, k * SITE.cycle_s, IDS, separation.field_T, separation.sigma_T))
+    return result
+
+
+def moved(factor):
+    return lambda beacon: replace(beacon, position_m=beacon.position_m + factor * STEP_M)
+
+
+def fed(factor):
+    return lambda beacon: replace(beacon, current_A=factor * beacon.current_A)
+
+
+def watched(data, site=SITE):
+    """Findings of a tracker's epochs, as the pipeline makes them."""
+    tracker, witness = Tracker(site), Witness(site)
+    return [witness.update(tracker.step(fields, witness.named).judgement) for fields in data]
+
+
+@pytest.mark.parametrize("method", [Method.EACH, Method.TRACK])
+def test_a_beacon_moved_by_2_cm_is_named_within_2_s_and_left_out(method):
+    locate = location(SITE, method)
+    speed = 0.5 if method is Method.TRACK else 0.0
+    poses = [locate(fields, None) for fields in epochs(moved(1.0), CHANGED_AT + 21, speed=speed, rate=speed)]
+    assert not any(finding for pose in poses[:CHANGED_AT] for finding in pose.findings)
+    named = [pose.epoch for pose in poses if any(f.beacons == (IDS[ROW],) for f in pose.findings)]
+    assert named
+    assert named[0] - CHANGED_AT < 20
+    last = poses[-1]
+    assert last.status is Status.OK
+    assert last.excluded == (IDS[ROW],)
+    assert IDS[ROW] not in last.used
+    assert last.reason.startswith(f"{IDS[ROW]}: its position fits better at ")
+    assert last.findings[0].kind is Explanation.MOVED
+    assert np.linalg.norm(last.findings[0].position_m - SITE.beacons[ROW].position_m - STEP_M) < 3e-3
+    if method is Method.TRACK:
+        assert max(last.residuals, key=last.residuals.get) == IDS[ROW]
+
+
+def test_no_pose_that_rests_on_a_named_beacon_is_ok():
+    locate = location(SITE, Method.TRACK)
+    for fields in epochs(moved(1.0), CHANGED_AT + 15):
+        pose = locate(fields, None)
+        if pose.findings and set(pose.findings[0].beacons) & set(pose.used):
+            assert pose.status is Status.INCONSISTENT
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind", "factor"),
+    [
+        (fed(1.05), Explanation.CURRENT, 1.05),
+        (fed(-1.0), Explanation.REVERSED, -1.0),
+        (fed(0.0), Explanation.DEAD, 0.0),
+        (moved(15.0), Explanation.MOVED, None),
+    ],
+)
+def test_what_is_wrong_with_it(fault, kind, factor):
+    last = watched(epochs(fault, CHANGED_AT + 20))[-1]
+    assert (last.kind, last.beacons) == (kind, (IDS[ROW],))
+    if factor is not None:
+        assert last.factor == pytest.approx(factor, abs=0.02)
+    else:
+        assert np.linalg.norm(last.position_m - SITE.beacons[ROW].position_m - 15.0 * STEP_M) < 0.01
+
+
+def test_it_is_forgotten_once_the_beacon_is_as_before():
+    data = epochs(moved(1.0), CHANGED_AT + 12)
+    sound = epochs(moved(0.0), CHANGED_AT + 12 + 110, seed=2)
+    findings = watched([*data, *sound[CHANGED_AT + 12 :]])
+    assert findings[CHANGED_AT + 11] is not None
+    assert findings[-1] is None
+
+
+def test_sound_epochs_name_nobody_and_a_vague_survey_excuses_2_cm():
+    assert watched(epochs(moved(0.0), 60)) == [None] * 60
+    vague = replace(SITE, beacons=tuple(replace(beacon, survey=Survey(position_sd_m=0.01)) for beacon in SITE.beacons))
+    assert not any(watched(epochs(moved(1.0), CHANGED_AT + 20), vague))
+
+
+def test_both_sides_of_the_limit():
+    """One beacon's evidence alone, scaled to just below and just above the chi-square of the permitted rate."""
+    from scipy.stats import chi2
+
+    from goldfield.track.witness import FALSE_ALARMS_PER_HOUR, STARTS
+
+    tests_an_hour = 3600.0 / SITE.cycle_s * len(IDS) * (STARTS + 1)
+    limit = chi2.isf(FALSE_ALARMS_PER_HOUR / tests_an_hour, 3)
+    real: Judgement = Tracker(SITE).step(epochs(moved(0.0), 1)[0]).judgement
+    score = np.zeros((8, 3))
+    score[ROW] = [1.0, -2.0, 0.5]
+    size = score[ROW] @ np.linalg.solve(real.information[ROW], score[ROW])
+    drop = np.zeros(8)
+    for factor, found in ((0.999, False), (1.001, True)):
+        witness = Witness(SITE)
+        drop[ROW] = factor * limit
+        one = replace(real, score=score * np.sqrt(factor * limit / size), drop=drop)
+        assert (witness.update(one) is not None) == found
+
+
+def test_two_beacons_that_look_alike_are_not_named():
+    real = Tracker(SITE).step(epochs(moved(0.0), 1)[0]).judgement
+    score = np.zeros((8, 3))
+    for row in (1, 2):
+        vector = np.array([1.0, -2.0, 0.5])
+        score[row] = vector * np.sqrt(400.0 / (vector @ np.linalg.solve(real.information[row], vector)))
+    assert Witness(SITE).update(replace(real, score=score)) is None
+
+
+def test_without_leaves_out_rows():
+    fields = epochs(moved(0.0), 1)[0]
+    assert without(fields, ()) is fields
+    thinned = without(fields, (IDS[0], "nobody"))
+    assert thinned.beacons == IDS[1:]
+    np.testing.assert_array_equal(thinned.field_T, fields.field_T[1:])
