@@ -86,7 +86,7 @@ def _located(site: Site, method: Method) -> Location:
 
         def pose(_: Fields) -> Pose:
             step = tracker.step(fields if parts is None else parts, witness.named)
-            return _with_finding(step.pose, witness.update(step.judgement))
+            return with_finding(step.pose, witness.update(step.judgement))
 
         return guarded(pose, fields)
 
@@ -110,7 +110,7 @@ class _Each:
             state = standing(pose.position_m, pose.orientation_xyzw)
             observation, _ = self._observer.observation(fields, UNKNOWN_MOTION[RATE].max())
             judgement = judged(observation, state, Belief(state, np.diag(UNKNOWN_MOTION)))
-        return _with_finding(pose, self._witness.update(judgement))
+        return with_finding(pose, self._witness.update(judgement))
 
 
 def without(fields: Fields, beacons: Sequence[str]) -> Fields:
@@ -122,7 +122,7 @@ def without(fields: Fields, beacons: Sequence[str]) -> Fields:
     return replace(fields, beacons=names, field_T=fields.field_T[kept], sigma_T=fields.sigma_T[kept])
 
 
-def _with_finding(pose: Pose, finding: Finding | None) -> Pose:
+def with_finding(pose: Pose, finding: Finding | None) -> Pose:
     """Return a pose with what the history knows; one that rests on the beacon that it names is inconsistent."""
     if finding is None or pose.status is Status.FAILED:
         return pose

@@ -12,7 +12,7 @@ from goldfield.errors import UserError
 from goldfield.link.buses import Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
-from goldfield.sensor.location import location, needed_parameters
+from goldfield.sensor.location import location, needed_parameters, with_finding, without
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.receiver import Recorder
 from goldfield.sensor.separation import Separation
@@ -226,10 +226,15 @@ class Sensor:
         verdict = judge(self._session.health, report, self.site)
         separated = self._separation.fields(report)
         fields = amended_fields(separated, verdict)
-        if fields is not separated:  # the parts of the cycle cannot be amended
-            pose = self._locate(fields, replace(report, parts_T={}))
+        anchors = self._session.anchors
+        trusted = without(fields, anchors.named)
+        if trusted is not separated:  # the parts of the cycle cannot be amended
+            pose = self._locate(trusted, replace(report, parts_T={}))
         else:
-            pose = self._locate(fields, report)
+            pose = self._locate(trusted, report)
+        if trusted is not fields:
+            pose = replace(pose, excluded=(*pose.excluded, *anchors.named))
+        pose = with_finding(pose, anchors.finding)
         return Epoch(
             pose=amended_pose(pose, verdict, used_all=self._options.method is Method.ON_SENSOR),
             fields=fields,

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from goldfield.errors import SystemFailure, UserError, option
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
+from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.dialogue import Dialogue, Parameters
 from goldfield.sensor.health import Health
 from goldfield.sensor.receiver import ROLES, Receiver, Recorder
@@ -54,6 +55,8 @@ class Session:
         Its counters tell what went wrong on the way.
     health : Health
         What every board on the link last said of itself.
+    anchors : AnchorWatch
+        What the anchors on the link see of the beacons.
     counters : dict of int to int
         The sensor's own error counters since its reset, those that it told; `counter_name` names them.
     """
@@ -71,7 +74,8 @@ class Session:
         self.node = node
         self.health = Health(site.cycle_s)
         self.health.node = node
-        self.receiver = Receiver(source, name, recorder, self.health.take)
+        self.anchors = AnchorWatch(site)
+        self.receiver = Receiver(source, name, recorder, self._listen)
         self.assembler = Assembler(silence_s=max(SHORTEST_SILENCE_S, 8.0 * site.cycle_s), on_sensor=on_sensor)
         self.counters: dict[int, int] = {}
         self._bus = source if isinstance(source, BusSource) else None
@@ -193,6 +197,10 @@ class Session:
 
     def _configure(self) -> bool:
         return self.dialogue.configure(self._site.codes, self._parameters)
+
+    def _listen(self, message: Message) -> None:
+        self.health.take(message)
+        self.anchors.take(message)
 
     def _ask_who(self, node: int) -> None:
         """Ask a live board that drives a coil for what tells which beacon it is; its answers come among the others."""
