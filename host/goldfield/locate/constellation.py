@@ -44,8 +44,14 @@ SURE_RADII = 2.0
 MOST_EVALUATIONS = 10_000
 """Evaluations of the field that a search may take, 5 to 20 ms; the median is 600, near coils 2,000."""
 
+ROUGH_ITERATIONS = 40
+"""Evaluations for such a fit."""
+
 CANDIDATES = 8
-"""Candidates of the shell that are fitted."""
+"""Candidates of the shell that are fitted roughly."""
+
+FITTED = 4
+"""Those that are fitted to the end."""
 
 SILENCE = 1e-4
 """Fields are nothing but noise unless those without the strongest beacon are less likely than this to be noise.
@@ -114,11 +120,14 @@ class Constellation:
     model : FieldModel
     half_space : HalfSpace, optional
         Side of a plane where the sensor is known to be.
+    shell : Shell, optional
+        For the search without the kernel; made when first needed.
     """
 
-    def __init__(self, model: FieldModel, half_space: HalfSpace | None = None) -> None:
+    def __init__(self, model: FieldModel, half_space: HalfSpace | None = None, shell: Shell | None = None) -> None:
         self.model = model
         self.half_space = half_space
+        self._shell = Shell(model) if shell is None else shell
         self._subsets: dict[bytes, Constellation] = {}
 
     @cached_property
@@ -126,17 +135,14 @@ class Constellation:
         """Plane of the beacons, if they have one."""
         return find_mirror(self.model)
 
-    @cached_property
-    def _shell(self) -> Shell:
-        return Shell(self.model)
-
     def subset(self, rows: NDArray[np.intp]) -> Constellation:
         """Return the constellation of some of the beacons; remembered."""
         key = np.asarray(rows, dtype=np.int64).tobytes()
         if key not in self._subsets:
             if len(self._subsets) >= REMEMBERED:
                 self._subsets.clear()
-            self._subsets[key] = Constellation(self.model.subset(rows), self.half_space)
+            model = self.model.subset(rows)
+            self._subsets[key] = Constellation(model, self.half_space, Shell(model, self._shell, rows))
         return self._subsets[key]
 
     def solve(self, measurements: Measurements) -> Solutions:
@@ -252,21 +258,33 @@ class Constellation:
         if not len(best):
             return _nowhere(1)
         rotation = profiled_attitude(modelled[best], field, sigma)
-        repeated = measurements.take(np.zeros(len(best), dtype=np.intp))
-        return _sorted(self.refine(repeated, position[best], rotation))
+        rough = self._rough(measurements.take(np.zeros(len(best), dtype=np.intp)), position[best], rotation)
+        rough = _sorted(rough).take(np.arange(min(len(best), FITTED)))
+        repeated = measurements.take(np.zeros(len(rough.cost), dtype=np.intp))
+        return _sorted(self._polished(repeated, rough.position_m, rough.rotation))
 
     def refine(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
         """Fit from a rough start: first with model error, then without."""
-        rough = fit_pose(
-            self.model, measurements, position_m, rotation, model_error=ROBUST_MODEL_ERROR, tolerance=ROUGH_TOLERANCE
-        )
+        rough = self._rough(measurements, position_m, rotation)
         return self._polished(measurements, rough.position_m, rough.rotation)
 
+    def _rough(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
+        """Fit with model error, only so far that the stiff fit can go on."""
+        return fit_pose(
+            self.model,
+            measurements,
+            position_m,
+            rotation,
+            model_error=ROBUST_MODEL_ERROR,
+            iterations=ROUGH_ITERATIONS,
+            tolerance=ROUGH_TOLERANCE,
+        )
+
     def _polished(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
-        """Fit without model error, with more iterations where that has not converged."""
+        """Fit without model error, where the kernel does it with more iterations if it has not converged."""
         fit = fit_pose(self.model, measurements, position_m, rotation)
         left = np.flatnonzero(~fit.converged & np.isfinite(fit.cost))
-        if len(left):
+        if len(left) and kernel.of(self.model) is not None:
             some = fit.take(left)
             more = fit_pose(
                 self.model, measurements.take(left), some.position_m, some.rotation, iterations=MORE_ITERATIONS

@@ -35,10 +35,14 @@ class Shell:
     ----------
     model : FieldModel
         n coils.
+    whole : Shell, optional
+        Shell of coils of which these are some, given by their ``rows``: its fields are used again, since those of a
+        site with many coils take longer than the search.
     """
 
-    def __init__(self, model: FieldModel) -> None:
-        self._model = model
+    def __init__(self, model: FieldModel, whole: Shell | None = None, rows: NDArray[np.intp] | None = None) -> None:
+        self._model, self._whole = model, whole
+        self._rows = np.arange(len(model)) if rows is None else rows
         self._known: dict[int, tuple[FloatArray, FloatArray]] = {}
 
     def candidates(self, field_T: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -64,6 +68,9 @@ class Shell:
         return position[chosen], field[chosen]
 
     def _around(self, beacon: int) -> tuple[FloatArray, FloatArray]:
+        if self._whole is not None:
+            position, field = self._whole._around(int(self._rows[beacon]))
+            return position, field[:, self._rows]
         if beacon not in self._known:
             centre = self._model.centre_m
             nearest = 0.5 * float(self._model.reach_m[beacon])

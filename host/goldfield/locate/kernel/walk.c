@@ -20,9 +20,6 @@
 #define SLOW_RISE  0.7
 #define QUICK_RISE 3.0
 
-/* A covariance is widened only if it is too narrow by this factor: its second order takes care of less. */
-#define WORTHWHILE 2.0
-
 /* As goldfield.locate.uncertainty has them. */
 #define UNOBSERVABLE           1e-13
 #define FREE_M2                1e6
@@ -97,7 +94,7 @@ void gf_widen(gf_width_t *width, const gf_pose_t *pose, double cost) {
         nu += d[k] * along[k];
     }
     const double allowed = 3.0 * fmax(cost - width->cost, 1.0);
-    if (!(nu > WORTHWHILE * allowed) || !isfinite(nu)) {
+    if (!(nu > allowed) || !isfinite(nu)) {
         return;
     }
     const double added = 1.0 / allowed - 1.0 / nu;

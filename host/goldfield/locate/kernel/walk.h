@@ -16,7 +16,7 @@ typedef struct {
 void gf_begin_width(gf_epoch_t *epoch, const gf_minimum_t *minimum, gf_width_t *width);
 
 /* Widen so that a pose of this cost is no more improbable than its cost says: with nu = d' P^-1 d > 3 c, where c is the
- * rise of the cost, but at least 1, P += d d' (1/(3 c) - 1/nu). What is less than twice too narrow stays. */
+ * rise of the cost, but at least 1, P += d d' (1/(3 c) - 1/nu). */
 void gf_widen(gf_width_t *width, const gf_pose_t *pose, double cost);
 
 /* Walk along the least determined direction of position from a minimum, ahead (sign 1) or back (-1), until the cost has
