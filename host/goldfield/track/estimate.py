@@ -33,6 +33,27 @@ VAGUE = np.repeat([1.0, 1.0, 10.0, 10.0, 2e-4], 3)
 
 
 @dataclass(frozen=True, eq=False)
+class Fixed:
+    """The state's error in two parts: by noise and motion, and by errors of the site and the sensor that stay.
+
+    Attributes
+    ----------
+    noise : ndarray, shape (15, m)
+        Root of the first part's covariance.
+    sensitivity : ndarray, shape (15, k)
+        By how much each of the k errors, in standard deviations, moves the state (`goldfield.track.deviations`).
+    """
+
+    noise: FloatArray
+    sensitivity: FloatArray
+
+    @property
+    def spread(self) -> FloatArray:
+        """Covariance of the second part, shape (15, 15)."""
+        return np.asarray(self.sensitivity @ self.sensitivity.T)
+
+
+@dataclass(frozen=True, eq=False)
 class Belief:
     """A state with its uncertainty.
 
@@ -40,21 +61,29 @@ class Belief:
     ----------
     state : State
     root : ndarray, shape (15, m)
-        Its covariance is root times its transpose.
+        Root of the covariance with which the filter weights: if the site is exact, of the state's error.
+    fixed : Fixed or None
+        What the errors of the site do to the state, apart from noise; None if the site is exact.
     """
 
     state: State
     root: FloatArray
+    fixed: Fixed | None = None
 
     @property
     def covariance(self) -> FloatArray:
         """Covariance of the state's error, shape (15, 15)."""
-        return np.asarray(self.root @ self.root.T)
+        if self.fixed is None:
+            return np.asarray(self.root @ self.root.T)
+        return np.asarray(self.fixed.noise @ self.fixed.noise.T + self.fixed.spread)
 
     def after(self, seconds: float, agility: Agility) -> Belief:
         """Return what is believed some time later (or earlier)."""
-        together = np.hstack([self.state.transition(seconds) @ self.root, agility.noise_root(seconds)])
-        return Belief(self.state.after(seconds), compact(together))
+        transition, added = self.state.transition(seconds), agility.noise_root(seconds)
+        fixed = self.fixed
+        if fixed is not None:
+            fixed = Fixed(compact(np.hstack([transition @ fixed.noise, added])), transition @ fixed.sensitivity)
+        return Belief(self.state.after(seconds), compact(np.hstack([transition @ self.root, added])), fixed)
 
     def widened(self, covariance: FloatArray, factor: float) -> Belief:
         """Return the belief with the deviations of the pose multiplied and a covariance, shape (6, 6), added to it."""
@@ -63,7 +92,10 @@ class Belief:
         added = np.zeros((SIZE, 6))
         eigenvalue, vector = np.linalg.eigh(covariance)
         added[:6] = vector * np.sqrt(np.maximum(eigenvalue, 0.0))
-        return Belief(self.state, compact(np.hstack([scale * self.root, added])))
+        fixed = self.fixed
+        if fixed is not None:
+            fixed = Fixed(compact(np.hstack([scale * fixed.noise, added])), fixed.sensitivity)
+        return Belief(self.state, compact(np.hstack([scale * self.root, added])), fixed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +123,11 @@ class Estimate:
 
 
 def estimate(prior: Belief, observation: Observation, evaluations: int, tolerance: float = TOLERANCE) -> Estimate:
-    """Update a prior with an observation; the number of evaluations of the field model is bounded."""
+    """Update a prior with an observation; the number of evaluations of the field model is bounded.
+
+    Errors of the site and the sensor count as noise around the prior's state.
+    """
+    observation = observation.around(prior.state)
     u, offset, state = np.zeros(prior.root.shape[1]), np.zeros(SIZE), prior.state
     residual, jacobian = observation.residual(state)
     cost = float(residual @ residual)
@@ -128,16 +164,33 @@ def estimate(prior: Belief, observation: Observation, evaluations: int, toleranc
         else:
             damping = max(10.0 * damping, FIRST_DAMPING)
     root = np.linalg.solve(np.linalg.cholesky(normal), prior.root.T).T
-    root[TURN] = turn_jacobian(offset[TURN]) @ root[TURN]
-    return Estimate(Belief(state, root), cost, observation.count, used)
+    fixed = None
+    if observation.deviations is not None and observation.mixing is not None:
+        fixed = _fixed(prior, observation, jacobian, root)
+    for part in (root,) if fixed is None else (root, fixed.noise, fixed.sensitivity):
+        part[TURN] = turn_jacobian(offset[TURN]) @ part[TURN]
+    return Estimate(Belief(state, root, fixed), cost, observation.count, used)
+
+
+def _fixed(prior: Belief, observation: Observation, jacobian: FloatArray, root: FloatArray) -> Fixed:
+    """Return both parts of the error after an update that led to a root, jacobian being that of whitened numbers."""
+    assert observation.mixing is not None
+    effect = observation.mixing @ observation.effect(prior.state)
+    gain = root @ (root.T @ jacobian.T)
+    before = Fixed(prior.root, np.zeros((SIZE, effect.shape[1]))) if prior.fixed is None else prior.fixed
+    noise = np.hstack([before.noise - gain @ (jacobian @ before.noise), gain @ observation.mixing])
+    return Fixed(compact(noise), before.sensitivity - gain @ (jacobian @ before.sensitivity + effect))
 
 
 def second_order(belief: Belief, observation: Observation) -> Belief:
     """Return a belief of which an observation made all, widened by the second-order terms of the model.
 
+    Of a single observation the errors of the site are noise like any other: the belief that is returned has no others.
+
     As `goldfield.locate.uncertainty.second_order_covariance`, for all 15 unknowns; 31 evaluations of the field model.
     """
     root = compact(belief.root)
+    observation = observation.around(belief.state)
     _, jacobian = observation.residual(belief.state)
     back = jacobian @ root
     bends = np.empty((SIZE, SIZE, SIZE))

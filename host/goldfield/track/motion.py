@@ -7,12 +7,13 @@ angular velocity (rad/s, site's frame), ambient field (T, site's frame). The tru
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
+from goldfield.track.deviations import Deviations
 from goldfield.types import FloatArray
 
 SIZE = 15
@@ -135,6 +136,10 @@ class Observation:
     values : ndarray, shape (3, r)
     count : int
         Numbers that were measured.
+    deviations : Deviations or None
+        Errors of the site and the sensor; None if they are exact.
+    mixing : ndarray, shape (3 r, 3 r), or None
+        Matrix by which residuals and Jacobian are multiplied, so that they are uncorrelated with these errors too.
     """
 
     model: FieldModel
@@ -142,6 +147,23 @@ class Observation:
     seen: FloatArray
     values: FloatArray
     count: int
+    deviations: Deviations | None = None
+    mixing: FloatArray | None = None
+
+    def around(self, state: State) -> Observation:
+        """Return the observation whitened for the errors of the site and the sensor as they act near a state."""
+        if self.deviations is None:
+            return self
+        effect = self.effect(state)
+        if not np.isfinite(effect).all():  # on a wire
+            return self
+        covariance = np.eye(len(effect)) + effect @ effect.T
+        return replace(self, mixing=np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def effect(self, state: State) -> FloatArray:
+        """Return what each error adds to the numbers before they are whitened; see `Deviations.effect`."""
+        assert self.deviations is not None
+        return self.deviations.effect(self.model, self.seen, state.position_m, state.rotation)
 
     def residual(self, state: State) -> tuple[FloatArray, FloatArray]:
         """Return measured minus expected numbers, shape (3 r,), and the Jacobian of the expected, shape (3 r, 15).
@@ -171,7 +193,10 @@ class Observation:
         in_sensor = (back @ fields[..., None])[..., 0].reshape(-1, 3)
         by_error = (back @ change).reshape(-1, 3, SIZE).swapaxes(0, 1)
         expected = (self.seen @ in_sensor.T[:, :, None])[..., 0]
-        return (self.values - expected).ravel(), (self.seen @ by_error).reshape(-1, SIZE)
+        residual, jacobian = (self.values - expected).ravel(), (self.seen @ by_error).reshape(-1, SIZE)
+        if self.mixing is None:
+            return residual, jacobian
+        return self.mixing @ residual, self.mixing @ jacobian
 
     def strength(self) -> float:
         """Return what the numbers hold beside the ambient field: chi-square if there is nothing but noise.

@@ -15,7 +15,9 @@ from goldfield.access.of_site import SiteAccess
 from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
+from goldfield.locate.site_errors import errors_of
 from goldfield.site import Site
+from goldfield.track.deviations import Deviations
 from goldfield.track.estimate import SEARCH_TOLERANCE, VAGUE, Belief, estimate
 from goldfield.track.motion import Observation, State, standing
 from goldfield.types import Fields, FloatArray, Pose, Status
@@ -99,11 +101,15 @@ class Observer(Protocol[T_contra]):
 
 @dataclass(frozen=True, eq=False)
 class _Separation:
-    """What separated fields of one set of beacons see; ``sweep``, shape (n,), s: their error by a ramp of 1 T/s."""
+    """What separated fields of one set of beacons see; ``sweep``, shape (n,), s: their error by a ramp of 1 T/s.
+
+    ``deviations`` are those of the beacons; None if the site is exact.
+    """
 
     model: FieldModel
     seen: FloatArray
     sweep: FloatArray
+    deviations: Deviations | None
 
 
 class EpochObserver:
@@ -167,7 +173,8 @@ class EpochObserver:
         values -= shrink * (shape * values).sum(axis=1, keepdims=True)
         heard = tuple(name for name, axes in zip(names, measured, strict=True) if axes.any())
         times = self._site.cycle_s * self._times
-        return Observation(separation.model, times, seen, values, int(measured.sum())), heard
+        count = int(measured.sum())
+        return Observation(separation.model, times, seen, values, count, separation.deviations), heard
 
     def _separation(self, rows: NDArray[np.intp]) -> _Separation:
         key = rows.tobytes()
@@ -183,7 +190,7 @@ class EpochObserver:
             seen = Cycle(self._site.degree, (), EPOCH_NODES, templates).seen(weights)
             sweep = self._site.cycle_s * seen[:, -EPOCH_NODES:] @ self._times
             seen[:, -EPOCH_NODES:] = 0.0
-            self._separations[key] = _Separation(FieldModel(beacons), seen, sweep)
+            self._separations[key] = _Separation(FieldModel(beacons), seen, sweep, _deviations(self._site, rows))
         return self._separations[key]
 
 
@@ -207,6 +214,7 @@ class CycleObserver:
         self._model = FieldModel(site.beacons)
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._locator = Locator(site)
+        self._deviations = _deviations(site, np.arange(len(site.beacons)))
         cycle = Cycle(site.degree, site.codes, CYCLE_NODES, site_templates(site))
         self.weights: FloatArray | None = None if parts is None else cycle.part_weights(parts)
         self._reduction = Reduction(cycle, site.sensor.noise_T, self.weights)
@@ -257,7 +265,13 @@ class CycleObserver:
             np.where(measured[:, None, None], seen, 0.0),
             np.where(measured[:, None], numbers, 0.0),
             int(measured.sum()) * len(seen),
+            self._deviations,
         )
+
+
+def _deviations(site: Site, rows: NDArray[np.intp]) -> Deviations | None:
+    errors = errors_of(site.beacons, site.sensor)
+    return None if errors is None else Deviations(errors.subset(rows), rows, len(site.beacons))
 
 
 def _start(pose: Pose) -> tuple[Pose, State | None]:
