@@ -6,6 +6,7 @@
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 #include "core/pose/pose_covariance.h"
+#include "core/pose/pose_mirror.h"
 
 #define MICROTESLA        1e6f   /* Microtesla in a tesla. */
 #define UT_M3_PER_A_M2    0.1f   /* mu0 / (4 pi) in uT m^3 for each A m^2. */
@@ -13,36 +14,38 @@
 #define LEAST_EVALUATIONS 12u    /* Fewest evaluations that are worth the name of a fit. */
 #define RIVAL_COST        15.0f  /* Distance in cost of a rival: a pose so much worse is right in one case of e^7.5. */
 #define SUSPECT           2.326f /* Normal deviate, one-sided, beyond which a cost is suspect: 1 in 100. */
-#define IMPROBABLE        3.54f  /* Normal deviate beyond which a cost is improbable: 1 in 5,000. */
-#define FLAT              0.25f  /* Largest thickness over extent, and tilt, with which the mirror pose is tried. */
+#define ANY_NOISE         4.753f /* Normal deviate of the fields themselves, which noise exceeds in one of a million. */
+#define NEGATED           4.265f /* Normal deviate up to which the negated fields are explained: 1 in 100,000. */
+#define CLEARLY           25.0f  /* What the next best explanation must cost more for a beacon to be left out. */
 #define WEAK_POSITION     0.25f  /* Largest deviation of the position, over the distance to the nearest beacon. */
 #define WEAK_ATTITUDE_RAD 0.5f   /* Largest deviation of the attitude, rad; beyond either nothing linear holds. */
+#define MISSED            3.09f  /* Normal deviate of a fault that is missed once in 1,000. */
+#define ALARMED           5.03f  /* Root of the chi-square of pose_faults for one beacon. */
+#define NOISE_RADIUS      4.03f  /* Deviations that noise alone exceeds once in 1,000 in space. */
+#define LEAST_GAIN        0.3f   /* Least gain of an axis that one round of fitting the gains takes. */
+#define SAME_GAIN         0.06f  /* Largest difference of gains that are one strength. */
 #define GREATEST          1e15f  /* Largest field that is taken, uT; beyond it squares overflow. */
-
-/* Returns the chi-square that is exceeded with the probability of a normal deviate (Wilson and Hilferty, 1931). */
-static float chi_square(uint32_t freedom, float deviate) {
-    const float f = (float)freedom, part = 2.0f / (9.0f * f);
-    const float root = 1.0f - part + deviate * square_root(part);
-    return f * root * root * root;
-}
 
 static uint32_t freedom(const pose_problem_t *problem) {
     return 3u * problem->count - TRIANGLE_UNKNOWNS;
 }
 
 static bool explains(const pose_problem_t *problem, const pose_fit_t *fit, float deviate) {
-    return fit->cost <= chi_square(freedom(problem), deviate);
+    return fit->cost <= pose_faults_chi_square(freedom(problem), deviate);
 }
 
 /* ---- From site and fields to the problem ---- */
 
-static bool hear(const pose_beacon_t *beacon, const pose_field_t *measured, pose_heard_t *heard) {
+static bool hear(const pose_site_t *site, const pose_field_t *fields, uint32_t row, pose_heard_t *heard) {
+    const pose_beacon_t *beacon = &site->beacons[row];
+    const pose_field_t *measured = &fields[row];
     const float length2 = vector3_dot(beacon->axis, beacon->axis);
     for (uint32_t axis = 0; axis < 3u; axis++) {
         heard->field_uT[axis] = MICROTESLA * measured->field_T[axis];
         heard->loop.axis[axis] = beacon->axis[axis] * inverse_square_root(length2);
         heard->loop.centre_m[axis] = beacon->position_m[axis];
     }
+    heard->row = row;
     heard->magnitude_uT = square_root(vector3_dot(heard->field_uT, heard->field_uT));
     heard->sigma_uT = MICROTESLA * measured->sigma_T;
     heard->loop.k_uT_m3 = UT_M3_PER_A_M2 * beacon->moment_A_m2;
@@ -58,7 +61,7 @@ static void pose_problem(const pose_site_t *site, const pose_field_t *fields, po
     memset(work->origin_m, 0, sizeof work->origin_m);
     for (uint32_t i = 0; i < site->count && i < POSE_BEACONS_MAX; i++) {
         pose_heard_t *heard = &problem->heard[problem->count];
-        if (hear(&site->beacons[i], &fields[i], heard)) {
+        if (hear(site, fields, i, heard)) {
             problem->count++;
             if (heard->magnitude_uT > most) {
                 most = heard->magnitude_uT;
@@ -71,6 +74,7 @@ static void pose_problem(const pose_site_t *site, const pose_field_t *fields, po
     }
     vector3_subtract(site->half_space_point_m, work->origin_m, work->point_m);
     memcpy(work->normal, site->half_space_normal, sizeof work->normal);
+    work->alert_limit_m = site->alert_limit_m;
 }
 
 static bool inside(const pose_work_t *work, const pose_fit_t *fit) {
@@ -101,54 +105,6 @@ static bool different(const pose_problem_t *problem, const pose_fit_t *a, const 
     return vector3_dot(offset, offset) > 0.0025f * nearest2(problem, a->position_m) || overlap * overlap < 0.99f;
 }
 
-/* ---- The mirror ---- */
-
-/* Computes the plane of nearly coplanar coils that point across it: its unit normal, and as its point their mean.
- * Returns false if the coils are not such. */
-static bool mirror_plane(const pose_problem_t *problem, float point_m[3], float normal[3]) {
-    memset(point_m, 0, 3u * sizeof *point_m);
-    memset(normal, 0, 3u * sizeof *normal);
-    for (uint32_t i = 0; i < problem->count; i++) {
-        const loop_t *loop = &problem->heard[i].loop;
-        const float sign = vector3_dot(loop->axis, problem->heard[0].loop.axis) < 0.0f ? -1.0f : 1.0f;
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            point_m[axis] += loop->centre_m[axis] / (float)problem->count;
-            normal[axis] += sign * loop->axis[axis];
-        }
-    }
-    const float scale = inverse_square_root(vector3_dot(normal, normal));
-    float extent2 = 0.0f, thickness2 = 0.0f, least_cosine2 = 1.0f;
-    for (uint32_t axis = 0; axis < 3u; axis++) {
-        normal[axis] *= scale;
-    }
-    for (uint32_t i = 0; i < problem->count; i++) {
-        const loop_t *loop = &problem->heard[i].loop;
-        float offset[3];
-        vector3_subtract(loop->centre_m, point_m, offset);
-        const float height = vector3_dot(offset, normal), cosine = vector3_dot(loop->axis, normal),
-                    distance2 = vector3_dot(offset, offset);
-        thickness2 = height * height > thickness2 ? height * height : thickness2;
-        extent2 = distance2 > extent2 ? distance2 : extent2;
-        least_cosine2 = cosine * cosine < least_cosine2 ? cosine * cosine : least_cosine2;
-    }
-    return thickness2 <= FLAT * FLAT * extent2 && least_cosine2 >= 1.0f - FLAT * FLAT;
-}
-
-/* The image of a pose lies at p' = p - 2 (p - point) . n n. The sensor makes half a turn about n: the quaternion (n,
- * 0) before the attitude's. */
-static void reflect(const float point_m[3], const float n[3], const pose_fit_t *fit, pose_fit_t *image) {
-    float offset[3], turned[3];
-    const float *q = fit->quaternion;
-    vector3_subtract(fit->position_m, point_m, offset);
-    const float height = vector3_dot(offset, n);
-    vector3_cross(n, q, turned);
-    for (uint32_t axis = 0; axis < 3u; axis++) {
-        image->position_m[axis] = fit->position_m[axis] - 2.0f * height * n[axis];
-        image->quaternion[axis] = q[3] * n[axis] + turned[axis];
-    }
-    image->quaternion[3] = -vector3_dot(n, q);
-}
-
 /* ---- Result ---- */
 
 /* Returns whether the greatest eigenvalue of a symmetric matrix is beyond a limit: limit I - matrix then is not
@@ -161,25 +117,40 @@ static bool beyond(const float m[3][3], float limit) {
     return !(a > 0.0f && minor > 0.0f && determinant > 0.0f);
 }
 
-/* Puts the best fit, and whether it has a rival, into *pose. */
-static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
+/* Goes over to the mirror image of the best fit, if there is one that is better or on the right side. Returns whether
+ * both explain the fields. */
+static bool settle(pose_work_t *work, pose_t *pose) {
     const pose_problem_t *problem = &work->problem;
-    float point[3], normal[3], covariance[TRIANGLE_UNKNOWNS][TRIANGLE_UNKNOWNS];
-    if (mirror_plane(problem, point, normal)) {
-        reflect(point, normal, &work->best, &work->image);
-        pose->iterations += pose_fit(problem, POSE_MIRROR_EVALUATIONS, &work->image);
-        if (different(problem, &work->image, &work->best) && work->image.cost - work->best.cost < RIVAL_COST) {
-            const bool here = inside(work, &work->best), there = inside(work, &work->image);
-            contested = contested || here == there;
-            if (here == there ? work->image.cost < work->best.cost - 1.0f : there) {
-                work->best = work->image;
-            }
-        }
+    float point[3], normal[3];
+    if (!pose_mirror_plane(problem, point, normal)) {
+        return false;
     }
+    pose_mirror_reflect(point, normal, &work->best, &work->image);
+    pose->iterations += pose_fit(problem, POSE_MIRROR_EVALUATIONS, &work->image);
+    if (!different(problem, &work->image, &work->best) || work->image.cost - work->best.cost >= RIVAL_COST) {
+        return false;
+    }
+    const bool here = inside(work, &work->best), there = inside(work, &work->image);
+    if (here == there ? work->image.cost < work->best.cost - 1.0f : there) {
+        work->best = work->image;
+    }
+    return here == there;
+}
+
+static bool fail(pose_t *pose, pose_reason_t reason) {
+    pose->status = POSE_FAILED;
+    pose->reason = reason;
+    return true;
+}
+
+/* Puts the best fit into *pose. wrong says what is wrong with it, POSE_REASON_NONE if it explains the fields. Returns
+ * true: the pose is complete. */
+static bool conclude(pose_work_t *work, pose_reason_t wrong, bool contested, pose_t *pose) {
+    const pose_problem_t *problem = &work->problem;
     const pose_fit_t *best = &work->best;
+    float covariance[TRIANGLE_UNKNOWNS][TRIANGLE_UNKNOWNS];
     if (!pose_covariance(problem, best, covariance)) {
-        pose->status = POSE_FAILED;
-        return;
+        return fail(pose, POSE_REASON_NO_POSE);
     }
     const float sign = best->quaternion[3] < 0.0f ? -1.0f : 1.0f;
     for (uint32_t row = 0; row < 3u; row++) {
@@ -192,15 +163,26 @@ static void conclude(pose_work_t *work, bool contested, pose_t *pose) {
     for (uint32_t i = 0; i < 4u; i++) {
         pose->quaternion[i] = sign * best->quaternion[i];
     }
-    const uint32_t degrees = freedom(problem);
     const bool weak = beyond((const float(*)[3])pose->position_cov_m2,
                              WEAK_POSITION * WEAK_POSITION * nearest2(problem, best->position_m)) ||
                       beyond((const float(*)[3])pose->attitude_cov_rad2, WEAK_ATTITUDE_RAD * WEAK_ATTITUDE_RAD);
-    pose->residual = square_root(best->cost / (float)degrees);
-    pose->status = !explains(problem, best, IMPROBABLE) || !inside(work, best) ? POSE_INCONSISTENT
-                   : contested                                                 ? POSE_AMBIGUOUS
-                   : weak                                                      ? POSE_WEAK
-                                                                               : POSE_OK;
+    const float noise = square_root(pose_faults_greatest((const float(*)[3])pose->position_cov_m2));
+    pose->residual = square_root(best->cost / (float)freedom(problem));
+    pose->protection_m = work->faults.slope_m * (ALARMED + MISSED) + noise * NOISE_RADIUS;
+    pose->used = problem->count;
+    const bool unsafe = !(pose->protection_m <= work->alert_limit_m);
+    wrong = wrong == POSE_REASON_NONE && !inside(work, best) ? POSE_REASON_HALF_SPACE : wrong;
+    pose->status = wrong != POSE_REASON_NONE ? POSE_INCONSISTENT
+                   : contested               ? POSE_AMBIGUOUS
+                   : weak                    ? POSE_WEAK
+                   : unsafe                  ? POSE_UNVERIFIED
+                                             : POSE_OK;
+    pose->reason = wrong != POSE_REASON_NONE ? wrong
+                   : contested               ? POSE_REASON_RIVAL
+                   : weak                    ? POSE_REASON_WEAK
+                   : unsafe                  ? POSE_REASON_UNVERIFIED
+                                             : POSE_REASON_NONE;
+    return true;
 }
 
 /* Notes a fit with the noise alone. *rival becomes the least cost of another pose. */
@@ -216,12 +198,12 @@ static void note(pose_work_t *work, const pose_fit_t *fit, float *rival) {
 }
 
 /* Fits the candidates that are plausible with model error, or else the least implausible; the best goes into
- * work->best. Returns true if another pose explains the fields as well. */
-static bool fit_candidates(pose_work_t *work, uint32_t *iterations) {
+ * work->best. budget bounds the evaluations. Returns true if another pose explains the fields as well. */
+static bool fit_candidates(pose_work_t *work, uint32_t budget, uint32_t *iterations) {
     const pose_problem_t *problem = &work->problem;
     const pose_candidates_t *candidates = &work->candidates;
     pose_fit_t *fit = &work->other, *last_resort = &work->image;
-    uint32_t left = POSE_FIND_EVALUATIONS;
+    uint32_t left = budget;
     float rival = POSE_FIT_HOPELESS;
     work->best.cost = last_resort->cost = POSE_FIT_HOPELESS;
     for (uint32_t i = 0; i < candidates->count && left >= POSE_ROBUST_EVALUATIONS + LEAST_EVALUATIONS; i++) {
@@ -242,45 +224,235 @@ static bool fit_candidates(pose_work_t *work, uint32_t *iterations) {
         work->best = *last_resort;
         left -= pose_fit(problem, left, &work->best);
     }
-    *iterations += POSE_FIND_EVALUATIONS - left;
+    *iterations += budget - left;
     return rival - work->best.cost < RIVAL_COST;
 }
 
-static void begin(const pose_site_t *site, const pose_field_t *fields, pose_work_t *work, pose_t *pose) {
+/* Searches with no prior; the best fit goes into work->best. Returns true if another pose explains the fields as well.
+ */
+static bool search(pose_work_t *work, uint32_t directions, uint32_t budget, pose_t *pose) {
+    pose_search(&work->problem, directions, work->point_m, work->normal, &work->candidates);
+    return fit_candidates(work, budget, &pose->iterations);
+}
+
+/* Returns whether the fields are more than noise. */
+static bool audible(const pose_problem_t *problem) {
+    float energy = 0.0f;
+    for (uint32_t i = 0; i < problem->count; i++) {
+        const float ratio = problem->heard[i].magnitude_uT / problem->heard[i].sigma_uT;
+        energy += ratio * ratio;
+    }
+    return energy > pose_faults_chi_square(3u * problem->count, ANY_NOISE);
+}
+
+/* ---- Steps ---- */
+
+/* Step 1: the pose by all beacons. */
+static bool by_all(pose_work_t *work, pose_t *pose) {
+    const pose_problem_t *problem = &work->problem;
+    if (problem->count < POSE_BEACONS_LEAST) {
+        return fail(pose, POSE_REASON_FEW);
+    }
+    if (!audible(problem)) {
+        return fail(pose, POSE_REASON_NOISE);
+    }
+    if (work->known && problem->count >= ENOUGH_BEACONS) {
+        pose->iterations += pose_fit(problem, POSE_TRACK_EVALUATIONS, &work->best);
+        if (inside(work, &work->best) && pose_faults(problem, &work->best, &work->faults) && !work->faults.alarm) {
+            pose->tracked = true;
+            const bool contested = settle(work, pose);
+            return conclude(work, POSE_REASON_NONE, contested, pose);
+        }
+    }
+    work->contested = search(work, POSE_FIND_DIRECTIONS, POSE_FIND_EVALUATIONS, pose);
+    if (work->best.cost >= POSE_FIT_HOPELESS) {
+        return fail(pose, POSE_REASON_NO_POSE);
+    }
+    work->contested = settle(work, pose) || work->contested;
+    if (!pose_faults(problem, &work->best, &work->faults)) {
+        return fail(pose, POSE_REASON_NO_POSE);
+    }
+    if (!work->faults.alarm) {
+        return conclude(work, POSE_REASON_NONE, work->contested, pose);
+    }
+    work->full = work->best;
+    work->step = POSE_STEP_NEGATED;
+    return false;
+}
+
+static void negate(pose_problem_t *problem) {
+    for (uint32_t i = 0; i < problem->count; i++) {
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            problem->heard[i].field_uT[axis] *= -1.0f;
+        }
+    }
+}
+
+/* Returns to the pose by all beacons, which does not explain the fields. */
+static bool unexplained(pose_work_t *work, pose_reason_t reason, pose_t *pose) {
+    work->best = work->full;
+    if (!pose_faults(&work->problem, &work->best, &work->faults)) {
+        return fail(pose, POSE_REASON_NO_POSE);
+    }
+    return conclude(work, reason, false, pose);
+}
+
+/* Step 2: the negated fields. */
+static bool by_negated(pose_work_t *work, pose_t *pose) {
+    negate(&work->problem);
+    (void)search(work, POSE_FIND_DIRECTIONS, POSE_FIND_EVALUATIONS, pose);
+    const bool mirrored = explains(&work->problem, &work->best, NEGATED);
+    negate(&work->problem);
+    if (mirrored || work->problem.count < POSE_LEFT_OUT_LEAST) {
+        return unexplained(work, mirrored ? POSE_REASON_NEGATED : POSE_REASON_UNEXPLAINED, pose);
+    }
+    work->step = POSE_STEP_GAINS;
+    return false;
+}
+
+static void scale_axes(pose_problem_t *problem, const float scale[3]) {
+    for (uint32_t i = 0; i < problem->count; i++) {
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            problem->heard[i].field_uT[axis] *= scale[axis];
+        }
+    }
+}
+
+/* Step 3: another strength of all fields, or other gains of the sensor's axes. */
+static bool by_gains(pose_work_t *work, pose_t *pose) {
+    pose_problem_t *problem = &work->problem;
+    float total[3] = {1.0f, 1.0f, 1.0f};
+    work->best = work->full;
+    for (uint32_t round = 0; round < POSE_GAIN_ROUNDS && pose_faults(problem, &work->best, &work->faults); round++) {
+        float scale[3];
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            const float gain = 1.0f + work->faults.gain[axis];
+            scale[axis] = 1.0f / (gain > LEAST_GAIN ? gain < 1.0f / LEAST_GAIN ? gain : 1.0f / LEAST_GAIN : LEAST_GAIN);
+            total[axis] *= scale[axis];
+        }
+        scale_axes(problem, scale);
+        pose->iterations += pose_fit(problem, POSE_MIRROR_EVALUATIONS, &work->best);
+    }
+    const float back[3] = {1.0f / total[0], 1.0f / total[1], 1.0f / total[2]};
+    scale_axes(problem, back);
+    const float mean = (total[0] + total[1] + total[2]) / 3.0f;
+    bool same = true;
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        const float apart = total[axis] / mean - 1.0f;
+        same = same && apart < SAME_GAIN && apart > -SAME_GAIN;
+    }
+    work->next_cost = work->best.cost;
+    work->whole = !explains(problem, &work->best, NEGATED) ? POSE_REASON_UNEXPLAINED
+                  : same                                   ? POSE_REASON_STRENGTH
+                                                           : POSE_REASON_GAINS;
+    work->tried = 0;
+    work->rest.cost = POSE_FIT_HOPELESS;
+    work->step = POSE_STEP_WITHOUT;
+    if (explains(problem, &work->best, SUSPECT) || !pose_faults(problem, &work->full, &work->faults)) {
+        return unexplained(work, work->whole, pose);
+    }
+    return false;
+}
+
+/* Takes the beacon of a place out of the problem, or, called again, puts it back. */
+static void leave_out(pose_problem_t *problem, uint32_t place, bool out) {
+    const uint32_t last = out ? problem->count - 1u : problem->count;
+    const pose_heard_t heard = problem->heard[place];
+    problem->heard[place] = problem->heard[last];
+    problem->heard[last] = heard;
+    problem->count = out ? last : last + 1u;
+}
+
+/* Steps 4: without the most suspect beacon that has not been left out yet. */
+static bool without_one(pose_work_t *work, pose_t *pose) {
+    pose_problem_t *problem = &work->problem;
+    uint32_t place = 0;
+    for (uint32_t i = 1; i < problem->count; i++) {
+        place = work->faults.drop[i] > work->faults.drop[place] ? i : place;
+    }
+    work->faults.drop[place] = -1.0f; /* Drops are not below 0. */
+    leave_out(problem, place, true);
+    const bool contested = search(work, POSE_WITHOUT_DIRECTIONS, POSE_WITHOUT_EVALUATIONS, pose);
+    leave_out(problem, place, false);
+    if (work->best.cost < work->rest.cost) {
+        work->next_cost = work->rest.cost < work->next_cost ? work->rest.cost : work->next_cost;
+        work->rest = work->best;
+        work->rest_contested = contested;
+        work->left_out = place;
+    } else if (work->best.cost < work->next_cost) {
+        work->next_cost = work->best.cost;
+    }
+    work->tried++;
+    if (work->tried == problem->count || work->tried == POSE_LEFT_OUT_TRIED) {
+        work->step = POSE_STEP_DECIDE;
+    }
+    return false;
+}
+
+/* Step 5: whether one beacon is to be left out. */
+static bool decide(pose_work_t *work, pose_t *pose) {
+    pose_problem_t *problem = &work->problem;
+    for (uint32_t i = 0; i < problem->count && work->rest.cost < POSE_FIT_HOPELESS; i++) {
+        if (i != work->left_out) { /* From the best one's pose: a search may have missed it. */
+            work->other = work->rest;
+            leave_out(problem, i, true);
+            pose->iterations += pose_fit(problem, POSE_MIRROR_EVALUATIONS, &work->other);
+            leave_out(problem, i, false);
+            work->next_cost = work->other.cost < work->next_cost ? work->other.cost : work->next_cost;
+        }
+    }
+    leave_out(problem, work->left_out, true);
+    work->best = work->rest;
+    const bool contested = settle(work, pose) || work->rest_contested;
+    const bool agrees = explains(problem, &work->best, SUSPECT) && pose_faults(problem, &work->best, &work->faults) &&
+                        !work->faults.alarm;
+    if (agrees && work->next_cost - work->best.cost >= CLEARLY) {
+        (void)conclude(work, POSE_REASON_NONE, contested, pose);
+        pose->reason = pose->status == POSE_OK ? POSE_REASON_LEFT_OUT : pose->reason;
+        pose->left_out = problem->heard[problem->count].row;
+        return true;
+    }
+    leave_out(problem, work->left_out, false);
+    return unexplained(work, work->whole == POSE_REASON_UNEXPLAINED && agrees ? POSE_REASON_BEACON : work->whole, pose);
+}
+
+void pose_begin(const pose_site_t *site, const pose_field_t *fields, bool track, pose_work_t *work, pose_t *pose) {
     pose_problem(site, fields, work);
+    work->known = track && pose->status != POSE_FAILED;
+    if (work->known) {
+        vector3_subtract(pose->position_m, work->origin_m, work->best.position_m);
+        memcpy(work->best.quaternion, pose->quaternion, sizeof pose->quaternion);
+    }
+    work->step = POSE_STEP_ALL;
     pose->used = work->problem.count;
+    pose->left_out = POSE_NOBODY;
     pose->iterations = 0;
     pose->tracked = false;
 }
 
-static void search(pose_work_t *work, pose_t *pose) {
-    pose->status = POSE_FAILED;
-    if (work->problem.count >= POSE_BEACONS_LEAST) {
-        pose_search(&work->problem, work->point_m, work->normal, &work->candidates);
-        const bool contested = fit_candidates(work, &pose->iterations);
-        if (work->best.cost < POSE_FIT_HOPELESS) {
-            conclude(work, contested, pose);
-        }
+bool pose_step(pose_work_t *work, pose_t *pose) {
+    switch (work->step) {
+    case POSE_STEP_ALL:
+        return by_all(work, pose);
+    case POSE_STEP_NEGATED:
+        return by_negated(work, pose);
+    case POSE_STEP_GAINS:
+        return by_gains(work, pose);
+    case POSE_STEP_WITHOUT:
+        return without_one(work, pose);
+    default:
+        return decide(work, pose);
     }
 }
 
 void pose_find(const pose_site_t *site, const pose_field_t *fields, pose_work_t *work, pose_t *pose) {
-    begin(site, fields, work, pose);
-    search(work, pose);
+    pose_begin(site, fields, false, work, pose);
+    while (!pose_step(work, pose)) {
+    }
 }
 
 void pose_track(const pose_site_t *site, const pose_field_t *fields, pose_work_t *work, pose_t *pose) {
-    const bool known = pose->status != POSE_FAILED;
-    begin(site, fields, work, pose);
-    if (known && work->problem.count >= ENOUGH_BEACONS) {
-        vector3_subtract(pose->position_m, work->origin_m, work->best.position_m);
-        memcpy(work->best.quaternion, pose->quaternion, sizeof pose->quaternion);
-        pose->iterations += pose_fit(&work->problem, POSE_TRACK_EVALUATIONS, &work->best);
-        if (inside(work, &work->best) && explains(&work->problem, &work->best, IMPROBABLE)) {
-            pose->tracked = true;
-            conclude(work, false, pose);
-            return;
-        }
+    pose_begin(site, fields, true, work, pose);
+    while (!pose_step(work, pose)) {
     }
-    search(work, pose);
 }

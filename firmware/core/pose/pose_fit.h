@@ -31,6 +31,7 @@ typedef struct {
     float field_uT[3];  /* Its measured field in the sensor's frame. */
     float magnitude_uT; /* The length of that. */
     float sigma_uT;     /* Standard deviation of each component. */
+    uint32_t row;       /* Its row in the site's table. */
 } pose_heard_t;
 
 /* What is to be fitted. */

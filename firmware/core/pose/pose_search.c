@@ -66,15 +66,15 @@ static void place(const loop_t *loop, const float direction[3], float distance, 
     }
 }
 
-void pose_search(const pose_problem_t *problem, const float point_m[3], const float normal[3],
+void pose_search(const pose_problem_t *problem, uint32_t directions, const float point_m[3], const float normal[3],
                  pose_candidates_t *found) {
     const pose_heard_t *centre = &problem->heard[strongest(problem)];
     const float k = centre->loop.k_uT_m3 > 0.0f ? centre->loop.k_uT_m3 : -centre->loop.k_uT_m3;
     const float ratio = centre->magnitude_uT / k;
     float x = 1.0f, y = 0.0f;
     found->count = 0;
-    for (uint32_t i = 0; i < POSE_SEARCH_DIRECTIONS; i++) {
-        const float z = 1.0f - (2.0f * (float)i + 1.0f) / (float)POSE_SEARCH_DIRECTIONS;
+    for (uint32_t i = 0; i < directions; i++) {
+        const float z = 1.0f - (2.0f * (float)i + 1.0f) / (float)directions;
         const float across = square_root(1.0f - z * z);
         const float direction[3] = {across * x, across * y, z};
         const float turned = GOLDEN_COSINE * x - GOLDEN_SINE * y;

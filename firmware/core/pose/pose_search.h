@@ -3,7 +3,7 @@
  *
  * Method. The magnitude of the strongest field fixes the distance in each direction, |B| = k sqrt(1 + 3 cos^2) / r^3,
  * so that the unknown position lies on a shell around that beacon: a search in two dimensions, whatever the size of
- * the site. At each of POSE_SEARCH_DIRECTIONS points, evenly spread, Wahba's loss is what remains of the measured
+ * the site. At each of so many points, evenly spread, Wahba's loss is what remains of the measured
  * fields with the best attitude there; the best few points that are clearly apart are the candidates.
  *
  * Time: about 2,500 instructions a direction with 8 beacons; it grows with the number of beacons. pose.h has the
@@ -14,8 +14,7 @@
 
 #include "core/pose/pose_fit.h"
 
-#define POSE_SEARCH_DIRECTIONS 300u /* Directions that are tried: about 12 degrees from one to the next. */
-#define POSE_SEARCH_CANDIDATES 6u   /* Most candidates that are kept. */
+#define POSE_SEARCH_CANDIDATES 6u /* Most candidates that are kept. */
 
 typedef struct {
     float position_m[3];
@@ -27,9 +26,9 @@ typedef struct {
     pose_candidate_t candidates[POSE_SEARCH_CANDIDATES]; /* The best first. */
 } pose_candidates_t;
 
-/* Find candidates for a problem of at least one beacon. Those with (position - point) . normal < 0 are left out; with
- * normal 0 none is. */
-void pose_search(const pose_problem_t *problem, const float point_m[3], const float normal[3],
+/* Find candidates for a problem of at least one beacon in so many directions (300 are about 12 degrees apart). Those
+ * with (position - point) . normal < 0 are left out; with normal 0 none is. */
+void pose_search(const pose_problem_t *problem, uint32_t directions, const float point_m[3], const float normal[3],
                  pose_candidates_t *found);
 
 /* Compute the best attitude at a position. */

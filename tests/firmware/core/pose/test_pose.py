@@ -13,7 +13,7 @@ from hil_sim.clib import ROOT
 
 SIGMA_T = 2e-7 / np.sqrt(1023)  # 2 mG a sample
 STATUS = list(Status)
-OK, AMBIGUOUS, WEAK, INCONSISTENT, FAILED = range(5)
+OK, AMBIGUOUS, WEAK, INCONSISTENT, FAILED, UNVERIFIED = range(6)
 
 
 @pytest.fixture(scope="module")
@@ -61,11 +61,12 @@ def fields_at(site, position, rotation, sigma_T, rng):
 class Sensor:
     """The C functions with a site's table."""
 
-    def __init__(self, core, site):
+    def __init__(self, core, site, alert_limit_m=100.0):
         self.ffi, self.lib = core
         self.site = self.ffi.new("pose_site_t *")
         self.work = self.ffi.new("pose_work_t *")
         self.site.count = len(site.beacons)
+        self.site.alert_limit_m = alert_limit_m
         for row, b in zip(self.site.beacons, site.beacons, strict=False):
             row.position_m, row.axis = b.position_m.tolist(), b.axis.tolist()
             row.moment_A_m2, row.radius_m = float(np.linalg.norm(b.moment_A_m2)), b.radius_m

@@ -1,0 +1,258 @@
+#include "core/pose/pose_faults.h"
+
+#include <string.h>
+
+#include "core/math/quaternion.h"
+#include "core/math/roots.h"
+#include "core/math/vector3.h"
+
+#define N               TRIANGLE_UNKNOWNS
+#define WHOLE_DEVIATE   3.81f  /* Normal deviate of the whole cost's share of the false alarms. */
+#define LIMIT_BEACON    25.34f /* Chi-squares of the others' shares, as pose_faults.h lists them. */
+#define LIMIT_STRENGTH  19.77f
+#define LIMIT_COMMON    15.81f
+#define LIMIT_AXES      21.85f
+#define LIMIT_SKEWED    27.08f
+#define ROUNDING_MARGIN 0.3f  /* Variance of a direction that is tested, over that of the bound on rounding. */
+#define SQUARINGS       5u    /* Of a matrix, for its greatest eigenvalue: the 32nd root of a trace. */
+#define ENDLESS         1e30f /* Slope if a fault cannot show. */
+
+typedef float square_t[N][N];
+
+/* Sums for changes of the sensor's gains: one strength, two differences of its axes, three skews. */
+typedef struct {
+    square_t information; /* Gains by gains, and gains by pose (in units of its uncertainty). */
+    square_t cross;
+    float score[N];
+} gains_t;
+
+/* How the first three changes act on the three axes. */
+static const float DIAGONALS[3][3] = {{0.57735027f, 0.57735027f, 0.57735027f},
+                                      {0.70710678f, -0.70710678f, 0.0f},
+                                      {0.40824829f, 0.40824829f, -0.81649658f}};
+
+/* Computes how the six changes, symmetric matrices of norm 1, act on a field in the sensor's frame. */
+static void changed(const float b[3], float columns[N][3]) {
+    const float half = 0.70710678f;
+    const float skews[3][3] = {
+        {0.0f, half * b[2], half * b[1]}, {half * b[2], 0.0f, half * b[0]}, {half * b[1], half * b[0], 0.0f}};
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        for (uint32_t a = 0; a < 3u; a++) {
+            columns[a][axis] = DIAGONALS[a][axis] * b[axis];
+            columns[3u + a][axis] = skews[a][axis];
+        }
+    }
+}
+
+/* Computes a 3 x 3 Cholesky factor in place, in the lower triangle. Directions with less than least of variance get a
+ * diagonal of 0. Returns whether there are none. */
+static bool factor(float s[3][3], float least) {
+    bool shown = true;
+    for (uint32_t j = 0; j < 3u; j++) {
+        float pivot = s[j][j];
+        for (uint32_t k = 0; k < j; k++) {
+            pivot -= s[j][k] * s[j][k];
+        }
+        const bool seen = pivot > least;
+        shown = shown && seen;
+        s[j][j] = seen ? square_root(pivot) : 0.0f;
+        for (uint32_t i = j + 1u; i < 3u; i++) {
+            float sum = s[i][j];
+            for (uint32_t k = 0; k < j; k++) {
+                sum -= s[i][k] * s[j][k];
+            }
+            s[i][j] = seen ? sum / s[j][j] : 0.0f;
+        }
+    }
+    return shown;
+}
+
+/* Solves G x = y in place, G the factor, with 0 in the directions left out. */
+static void forward(const float g[3][3], float x[3]) {
+    for (uint32_t i = 0; i < 3u; i++) {
+        float sum = x[i];
+        for (uint32_t k = 0; k < i; k++) {
+            sum -= g[i][k] * x[k];
+        }
+        x[i] = g[i][i] > 0.0f ? sum / g[i][i] : 0.0f;
+    }
+}
+
+float pose_faults_greatest(const float matrix[3][3]) {
+    float m[3][3], scale = 1.0f, root = 1.0f;
+    memcpy(m, matrix, sizeof m);
+    float bound = m[0][0] + m[1][1] + m[2][2];
+    /* With t_k the traces of successive squares, each of the matrix over its trace, the bound is the product of the
+     * t_k^(1/2^k). */
+    for (uint32_t step = 0; step < SQUARINGS && bound > 0.0f; step++) {
+        const float trace = m[0][0] + m[1][1] + m[2][2];
+        float square[3][3];
+        for (uint32_t i = 0; i < 3u; i++) {
+            for (uint32_t j = 0; j < 3u; j++) {
+                square[i][j] = (m[i][0] * m[0][j] + m[i][1] * m[1][j] + m[i][2] * m[2][j]) / (trace * trace);
+            }
+        }
+        memcpy(m, square, sizeof m);
+        root = m[0][0] + m[1][1] + m[2][2];
+        for (uint32_t k = 0; k <= step; k++) {
+            root = square_root(root);
+        }
+        scale *= root;
+    }
+    return bound * scale;
+}
+
+/* Adds one beacon's part to the sums for the sensor's gains. */
+static void add_gains(const float modelled[3], const float attitude[3][3], const float tangent[3][N], const float r[3],
+                      gains_t *gains) {
+    float sensor[3], columns[N][3], site[N][3];
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        sensor[axis] = attitude[0][axis] * modelled[0] + attitude[1][axis] * modelled[1] +
+                       attitude[2][axis] * modelled[2];
+    }
+    changed(sensor, columns);
+    for (uint32_t a = 0; a < N; a++) {
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            site[a][axis] = vector3_dot(attitude[axis], columns[a]);
+        }
+        gains->score[a] += vector3_dot(site[a], r);
+        for (uint32_t k = 0; k < N; k++) {
+            gains->cross[a][k] += site[a][0] * tangent[0][k] + site[a][1] * tangent[1][k] + site[a][2] * tangent[2][k];
+        }
+        for (uint32_t b = 0; b <= a; b++) {
+            gains->information[a][b] += vector3_dot(site[a], site[b]);
+        }
+    }
+}
+
+/* Returns whether another strength, other gains or skewed axes would take away more of the cost than chance does. */
+static bool gains_alarm(gains_t *gains, float least) {
+    float drop = 0.0f;
+    bool alarm = false;
+    for (uint32_t a = 0; a < N; a++) {
+        const float all = gains->information[a][a];
+        for (uint32_t b = 0; b <= a; b++) {
+            float sum = gains->information[a][b];
+            for (uint32_t k = 0; k < N; k++) {
+                sum -= gains->cross[a][k] * gains->cross[b][k];
+            }
+            for (uint32_t k = 0; k < b; k++) {
+                sum -= gains->information[a][k] * gains->information[b][k];
+            }
+            const float diagonal = gains->information[b][b];
+            gains->information[a][b] = a == b            ? (sum > least * all ? square_root(sum) : 0.0f)
+                                       : diagonal > 0.0f ? sum / diagonal
+                                                         : 0.0f;
+        }
+        float score = gains->score[a];
+        for (uint32_t k = 0; k < a; k++) {
+            score -= gains->information[a][k] * gains->score[k];
+        }
+        const float pivot = gains->information[a][a];
+        gains->score[a] = pivot > 0.0f ? score / pivot : 0.0f;
+        drop += gains->score[a] * gains->score[a];
+        const float limit = a == 0u ? LIMIT_COMMON : a == 2u ? LIMIT_AXES : a == 5u ? LIMIT_SKEWED : ENDLESS;
+        alarm = alarm || drop > limit;
+    }
+    return alarm;
+}
+
+/* Computes the gains that take away most of the cost, after gains_alarm. */
+static void best_gains(const gains_t *gains, float gain[3]) {
+    float change[3];
+    for (uint32_t a = 3; a-- > 0u;) {
+        float sum = gains->score[a];
+        for (uint32_t b = a + 1u; b < 3u; b++) {
+            sum -= gains->information[b][a] * change[b];
+        }
+        change[a] = gains->information[a][a] > 0.0f ? sum / gains->information[a][a] : 0.0f;
+    }
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        gain[axis] = DIAGONALS[0][axis] * change[0] + DIAGONALS[1][axis] * change[1] + DIAGONALS[2][axis] * change[2];
+    }
+}
+
+/* Tests one beacon. r are its residuals, tangent its rows in units of the pose's uncertainty, modelled its whitened
+ * field. */
+static void test_beacon(const float r[3], const float tangent[3][N], const float modelled[3], const square_t l,
+                        float least, float *drop, pose_faults_t *faults) {
+    float s[3][3], e[3], influence[3][3], worst[3][3];
+    for (uint32_t i = 0; i < 3u; i++) {
+        for (uint32_t j = 0; j < 3u; j++) {
+            float sum = i == j ? 1.0f : 0.0f, moves = 0.0f;
+            for (uint32_t k = 0; k < N; k++) {
+                sum -= tangent[i][k] * tangent[j][k];
+                moves += l[i][k] * tangent[j][k];
+            }
+            s[i][j] = sum;
+            influence[i][j] = moves; /* What the whitened component j does to the position. */
+        }
+    }
+    float spread = 0.0f;
+    for (uint32_t i = 0; i < 3u; i++) {
+        spread += modelled[i] * vector3_dot(s[i], modelled);
+    }
+    const float along = vector3_dot(modelled, r);
+    if (spread > least * vector3_dot(modelled, modelled) && along * along > LIMIT_STRENGTH * spread) {
+        faults->alarm = true;
+    }
+    const bool shown = factor(s, least);
+    memcpy(e, r, sizeof e);
+    forward((const float(*)[3])s, e);
+    *drop = vector3_dot(e, e);
+    faults->alarm = faults->alarm || *drop > LIMIT_BEACON;
+    for (uint32_t i = 0; i < 3u; i++) {
+        forward((const float(*)[3])s, influence[i]);
+    }
+    for (uint32_t i = 0; i < 3u; i++) {
+        for (uint32_t j = 0; j < 3u; j++) {
+            worst[i][j] = vector3_dot(influence[i], influence[j]);
+        }
+    }
+    const float slope = shown ? square_root(pose_faults_greatest((const float(*)[3])worst)) : ENDLESS;
+    faults->slope_m = slope > faults->slope_m ? slope : faults->slope_m;
+}
+
+bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults) {
+    square_t l;
+    float attitude[3][3];
+    if (!triangle_invert(&fit->triangle, l)) {
+        return false;
+    }
+    gains_t gains;
+    memset(&gains, 0, sizeof gains);
+    quaternion_matrix(fit->quaternion, attitude);
+    const float least = POSE_FAULTS_SHOWN + ROUNDING_MARGIN * fit->rounding * fit->rounding;
+    faults->alarm = !(fit->cost <= pose_faults_chi_square(3u * problem->count - N, WHOLE_DEVIATE));
+    faults->slope_m = 0.0f;
+    for (uint32_t i = 0; i < problem->count; i++) {
+        const pose_heard_t *heard = &problem->heard[i];
+        const float weight = pose_fit_inverse_sigma(heard, 0.0f);
+        triangle_rows_t rows;
+        float field[3], modelled[3], r[3], tangent[3][N];
+        pose_fit_rows(heard, fit->position_m, weight, rows, field);
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            modelled[axis] = weight * field[axis];
+            r[axis] = weight * (vector3_dot(attitude[axis], heard->field_uT) - field[axis]);
+            for (uint32_t column = 0; column < N; column++) {
+                float sum = 0.0f;
+                for (uint32_t k = 0; k <= column; k++) {
+                    sum += rows[axis][k] * l[k][column];
+                }
+                tangent[axis][column] = sum;
+                r[axis] -= sum * fit->triangle.r[column][N]; /* What one more step would take away. */
+            }
+        }
+        add_gains(modelled, (const float(*)[3])attitude, (const float(*)[N])tangent, r, &gains);
+        test_beacon(r, (const float(*)[N])tangent, modelled, (const float(*)[N])l, least, &faults->drop[i], faults);
+    }
+    faults->alarm = gains_alarm(&gains, least) || faults->alarm;
+    best_gains(&gains, faults->gain);
+    return true;
+}
+
+float pose_faults_chi_square(uint32_t freedom, float deviate) {
+    const float f = (float)freedom, part = 2.0f / (9.0f * f);
+    const float root = 1.0f - part + deviate * square_root(part);
+    return f * root * root * root;
+}

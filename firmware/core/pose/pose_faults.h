@@ -1,0 +1,47 @@
+/* pose_faults.h: whether fitted fields agree with the site, and how far a fault that stays unseen can move the
+ * position: integrity as receivers of satellite navigation monitor it. The one call is pose_faults, after a fit.
+ *
+ * Method. Linear around the fit, with r_i the whitened residuals of beacon i, T_i its rows in units of the pose's own
+ * uncertainty, and S_i = I - T_i T_i' the covariance of r_i if all is right. The tests, each a part of the cost that
+ * another explanation would take away, with their shares of POSE_FAULTS_FALSE_ALARM:
+ *   whole cost, 3 n - 6 degrees of freedom                          0.1
+ *   one beacon wrong in any way: r_i' S_i^-1 r_i, three degrees     0.3
+ *   one beacon of another strength: along its field, one degree     0.2
+ *   all fields of another strength, one degree                      0.1
+ *   sensor's axes of unequal gain as well, three degrees            0.1
+ *   sensor's axes skewed as well, six degrees                       0.2
+ * The limits of single beacons are those of 16 beacons, whatever their number.
+ *
+ * Slope. The position error over the root of the cost that the worst fault of one beacon adds: an upper bound, 4 %
+ * above the greatest singular value. It is infinite if a fault of some beacon cannot show in the residuals.
+ *
+ * Limits. A direction of a beacon's residuals with less than POSE_FAULTS_SHOWN of its variance left is not tested:
+ * single precision has lost it. The host's limit is 1e-6.
+ *
+ * Time: about 3,000 instructions a beacon. Stack: 0.9 kB.
+ */
+#ifndef GOLDFIELD_POSE_FAULTS_H
+#define GOLDFIELD_POSE_FAULTS_H
+
+#include "core/pose/pose_fit.h"
+
+#define POSE_FAULTS_FALSE_ALARM 7e-4f /* Rate of sound cycles that are taken for faulty, of at most 16 beacons. */
+#define POSE_FAULTS_SHOWN       3e-6f /* Least share of variance in the residuals with which a fault can show. */
+
+typedef struct {
+    bool alarm;                   /* Fields and site do not agree. */
+    float drop[POSE_FIT_BEACONS]; /* Part of the cost that leaving out each beacon would take away. */
+    float gain[3];                /* Gains of the sensor's axes, less 1, that would explain the fields best. */
+    float slope_m;                /* Position error over the root of the cost by the worst fault of one beacon. */
+} pose_faults_t;
+
+/* Test a fit. Returns false, with *faults not set, if the measurements do not tell all six unknowns. */
+bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults);
+
+/* Returns the chi-square that is exceeded with the probability of a normal deviate (Wilson and Hilferty, 1931). */
+float pose_faults_chi_square(uint32_t freedom, float deviate);
+
+/* Returns an upper bound, at most 4 % too great, of the greatest eigenvalue of a symmetric matrix with none below 0. */
+float pose_faults_greatest(const float matrix[3][3]);
+
+#endif
