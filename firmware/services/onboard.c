@@ -4,11 +4,15 @@
 #include "core/math/vector3.h"
 #include "goldfield.h"
 
+#define NOBODY          255u     /* Value of left_out if no beacon is. */
+#define PROTECTION_MOST 1048575u /* Greatest value of protection: nothing is promised. */
+
 void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips,
                        const epoch_selection_t *selection) {
     onboard->chips = chips;
     onboard->active = parameters_unsigned(parameters, PARAMETER_POSE) == 1u;
     onboard->due = onboard->due && onboard->active;
+    onboard->busy = false;
     onboard->noise_T = parameters_float(parameters, PARAMETER_NOISE);
     onboard->pose.status = POSE_FAILED;
     uint16_t codes[EPOCH_CODES_MAX];
@@ -30,6 +34,7 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
         onboard->site.half_space_point_m[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + axis);
         onboard->site.half_space_normal[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + 3u + axis);
     }
+    onboard->site.alert_limit_m = parameters_float(parameters, PARAMETER_ALERT_LIMIT);
     /* With a code left out beacons would be taken for others. */
     const bool complete = selection->count == parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
     onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
@@ -90,7 +95,7 @@ static float root_of_trace(const float matrix[3][3]) {
 static void send(const onboard_t *onboard, node_t *node) {
     const pose_t *pose = &onboard->pose;
     const bool found = pose->status != POSE_FAILED;
-    const uint8_t cycle_low = onboard->cycle & 0xFu;
+    const uint8_t cycle_low = onboard->located & 0xFu;
     uint8_t data[8];
     const struct goldfield_pose_position_t position = {
         .x = found ? epoch_integer(pose->position_m[0], 1e-4f) : EPOCH_OUT_OF_RANGE,
@@ -123,18 +128,41 @@ static void send(const onboard_t *onboard, node_t *node) {
     };
     length = (uint8_t)goldfield_pose_quality_pack(data, &quality, sizeof data);
     node_send(node, NODE_BOTH, GOLDFIELD_POSE_QUALITY_FRAME_ID, 0, data, length);
+
+    const struct goldfield_pose_integrity_t integrity = {
+        .cycle_low = cycle_low,
+        .reason = (uint8_t)pose->reason,
+        .left_out = (uint8_t)(pose->left_out < NOBODY ? pose->left_out : NOBODY),
+        .protection = found ? clamped(pose->protection_m, 1e-3f, PROTECTION_MOST) : PROTECTION_MOST,
+    };
+    length = (uint8_t)goldfield_pose_integrity_pack(data, &integrity, sizeof data);
+    node_send(node, NODE_BOTH, GOLDFIELD_POSE_INTEGRITY_FRAME_ID, 0, data, length);
+}
+
+/* Begins the pose of the cycle taken. Returns whether there is anything to compute. */
+static bool begin(onboard_t *onboard) {
+    onboard->due = false;
+    onboard->located = onboard->cycle;
+    if (!onboard->separable) {
+        onboard->pose = (pose_t){.status = POSE_FAILED, .reason = POSE_REASON_NO_POSE, .left_out = POSE_NOBODY};
+        return false;
+    }
+    separate(onboard);
+    pose_begin(&onboard->site, onboard->fields, true, &onboard->work, &onboard->pose);
+    return true;
 }
 
 void onboard_step(onboard_t *onboard, node_t *node) {
-    if (!onboard->due) {
-        return;
+    if (!onboard->busy) {
+        if (!onboard->due) {
+            return;
+        }
+        onboard->busy = begin(onboard);
     }
-    onboard->due = false;
-    if (onboard->separable) {
-        separate(onboard);
-        pose_track(&onboard->site, onboard->fields, &onboard->work, &onboard->pose);
-    } else {
-        onboard->pose = (pose_t){.status = POSE_FAILED};
+    if (onboard->busy) {
+        onboard->busy = !pose_step(&onboard->work, &onboard->pose);
     }
-    send(onboard, node);
+    if (!onboard->busy) {
+        send(onboard, node);
+    }
 }

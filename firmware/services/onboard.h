@@ -1,17 +1,18 @@
-/* onboard.h: the sensor's own pose: from one cycle's plain correlations to POSE_POSITION, POSE_ATTITUDE and
- * POSE_QUALITY on both links. It is active with parameter pose = 1.
+/* onboard.h: the sensor's own pose: from one cycle's plain correlations to POSE_POSITION, POSE_ATTITUDE,
+ * POSE_QUALITY and POSE_INTEGRITY on both links. It is active with parameter pose = 1.
  *
  * Calls, in the order they are made
  *   1. onboard_configure  at start, and when a parameter has changed.
  *   2. onboard_take       with each whole cycle: it copies the cycle's sums while they are there.
- *   3. onboard_step       at once or later: it computes and sends. Until then a further cycle replaces the first.
+ *   3. onboard_step       at once, and again and again: each call does one step of the pose, the last one sends it. A
+ *                         cycle that is taken meanwhile waits; a further one replaces it.
  *
  * The beacon of place i in the code list is row i of the parameter beacons (docs/parameters.md); noise gives the
  * weights, and half_space resolves the mirror of coplanar coils. Lost chips scale the sums; saturated and lost ones
- * widen the noise by the part of the offset that no longer cancels. Each cycle that is computed gives three messages,
- * whatever happens; the status tells.
+ * widen the noise by the part of the offset that no longer cancels. Each cycle that is computed gives four messages,
+ * whatever happens; status and reason tell.
  *
- * Contexts: main only. Memory: 8.4 kB. Time: onboard_step takes as long as pose.h says, and about 25 instructions a
+ * Contexts: main only. Memory: 9.3 kB. Time: onboard_step takes as long as a step of pose.h, and about 25 instructions a
  * code and axis for the separation; without a cycle it takes nothing.
  */
 #ifndef GOLDFIELD_ONBOARD_H
@@ -25,13 +26,14 @@
 /* Private but for tests. */
 typedef struct {
     bool active, due; /* Poses are wanted; a cycle has been taken and not been computed. */
+    bool busy;        /* A pose has been begun and is not complete. */
     bool separable;   /* The code list can be separated. */
     float noise_T;    /* Standard deviation of a sample, T. */
     separation_t separation;
     pose_site_t site;
     float sums[EPOCH_AXES][EPOCH_CODES_MAX]; /* Correlations of the cycle taken, later its fields, T. */
     float mean[EPOCH_AXES];                  /* Its mean field, T. */
-    uint32_t cycle;                          /* Its number. */
+    uint32_t cycle, located;                 /* Its number, and that of the cycle whose pose is being computed. */
     uint32_t chips;                          /* N, the chips in a cycle. */
     uint32_t missing, saturated;             /* Chips of it without a sample, and with a saturated one. */
     pose_field_t fields[POSE_BEACONS_MAX];
@@ -48,7 +50,7 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
 void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
                   const epoch_selection_t *selection);
 
-/* Compute and send the pose of the cycle taken, if there is one. */
+/* Do one step of the pose of the cycle taken, if there is one, and send it when it is complete. */
 void onboard_step(onboard_t *onboard, node_t *node);
 
 #endif

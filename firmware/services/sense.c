@@ -10,8 +10,8 @@
 #define PART_STRIDE 1026u
 #define PART_PLAIN  1025u
 
-/* Messages of a cycle besides its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and three of the pose. */
-#define REPORT_BESIDE 6u
+/* Messages of a cycle besides its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and four of the pose. */
+#define REPORT_BESIDE 7u
 /* Messages of a part besides those of its codes: its plain sum. */
 #define PART_BESIDE 1u
 

@@ -270,9 +270,10 @@ static bool by_all(pose_work_t *work, pose_t *pose) {
     }
     work->contested = settle(work, pose) || work->contested;
     if (!pose_faults(problem, &work->best, &work->faults)) {
-        return fail(pose, POSE_REASON_NO_POSE);
-    }
-    if (!work->faults.alarm) {
+        if (explains(problem, &work->best, SUSPECT)) {
+            return fail(pose, POSE_REASON_NO_POSE);
+        }
+    } else if (!work->faults.alarm) {
         return conclude(work, POSE_REASON_NONE, work->contested, pose);
     }
     work->full = work->best;
@@ -348,8 +349,8 @@ static bool by_gains(pose_work_t *work, pose_t *pose) {
     work->tried = 0;
     work->rest.cost = POSE_FIT_HOPELESS;
     work->step = POSE_STEP_WITHOUT;
-    if (explains(problem, &work->best, SUSPECT) || !pose_faults(problem, &work->full, &work->faults)) {
-        return unexplained(work, work->whole, pose);
+    if (!pose_faults(problem, &work->full, &work->faults)) { /* It tells nothing of who is suspect. */
+        memset(work->faults.drop, 0, sizeof work->faults.drop);
     }
     return false;
 }

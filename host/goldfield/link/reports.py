@@ -32,7 +32,7 @@ LONGEST_GAP = 1000
 SHORTEST_SILENCE_S = 0.8
 """Messages of short cycles come in bursts through an operating system; each burst has numbers of all twenty bits."""
 
-ON_SENSOR_POSE = ("POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY")
+ON_SENSOR_POSE = ("POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY", "POSE_INTEGRITY")
 """What a sensor that computes its own pose sends after the fields of a cycle."""
 
 
