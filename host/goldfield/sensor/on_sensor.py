@@ -10,11 +10,76 @@ from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
 from goldfield.link.reports import ON_SENSOR_POSE, Report
 from goldfield.site import Site
-from goldfield.types import Fields, Pose, Status
+from goldfield.types import Explanation, Fields, Finding, Pose, Status
 from goldfield_protocol.parameters import PARAMETERS
 
-STATUS = (Status.OK, Status.AMBIGUOUS, Status.WEAK, Status.INCONSISTENT, Status.FAILED)
+STATUS = (Status.OK, Status.AMBIGUOUS, Status.WEAK, Status.INCONSISTENT, Status.FAILED, Status.UNVERIFIED)
 """The statuses, in the order of their numbers in ``POSE_QUALITY``."""
+
+MIRRORED = (
+    "the negated fields fit: the sensor's axes are left-handed or all coils are reversed; check the wiring of x, y, z"
+)
+
+FINDINGS = {
+    4: (Explanation.MIRRORED, MIRRORED),
+    12: (
+        Explanation.STRENGTH,
+        "fields of another strength fit: check the sensor's calibration and the currents of all beacons",
+    ),
+    13: (
+        Explanation.AXIS_GAIN,
+        "other gains of the sensor's axes fit: check the sensor's calibration, axis by axis",
+    ),
+}
+"""What explains the fields with all beacons, by the number of the reason in ``POSE_INTEGRITY``."""
+
+REASONS = {
+    1: "fewer than three beacons are heard",
+    2: "the fields are nothing but noise",
+    3: "the fields do not fix a pose",
+    5: "one beacon is not as the site says, and it is not clear which",
+    6: "no single beacon explains why the fields do not fit",
+    7: "the pose is outside the half-space of the site",
+    8: "another pose fits the fields as well",
+    9: "the beacons that are heard do not fix the pose",
+    10: "a fault of one beacon could hide an error above the alert limit",
+    **{number: text for number, (_, text) in FINDINGS.items()},
+}
+"""Sentences for the other numbers of ``POSE_INTEGRITY.reason``; 0 says nothing, and 11 names a beacon."""
+
+NOT_LEFT_OUT = 255
+"""Value of ``POSE_INTEGRITY.left_out`` if no beacon was left out."""
+
+NO_PROMISE_M = 1048.575
+"""Largest value of ``POSE_INTEGRITY.protection``: nothing is promised."""
+
+
+def reason_of(integrity: Mapping[str, float], names: tuple[str, ...]) -> str | None:
+    """Return the sentence that a ``POSE_INTEGRITY`` message stands for; None if there is nothing to say.
+
+    Parameters
+    ----------
+    integrity : mapping of str to float
+        Signals of the message.
+    names : tuple of str
+        Ids of the site's beacons, in the order of the sensor's table.
+
+    Examples
+    --------
+    >>> reason_of({"reason": 11.0, "left_out": 1.0}, ("b1", "b2"))
+    'b2 does not agree with the site and was left out'
+    >>> reason_of({"reason": 0.0, "left_out": 255.0}, ("b1", "b2")) is None
+    True
+    """
+    left_out = _left_out(integrity, names)
+    sentence = REASONS.get(int(integrity["reason"]))
+    blamed = " and ".join(f"{name} does not agree with the site and was left out" for name in left_out)
+    return "; ".join(part for part in (sentence, blamed) if part) or None
+
+
+def _left_out(integrity: Mapping[str, float], names: tuple[str, ...]) -> tuple[str, ...]:
+    row = int(integrity["left_out"])
+    return (names[row],) if row != NOT_LEFT_OUT and row < len(names) else ()
 
 
 def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:
@@ -37,6 +102,7 @@ def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:
         half = np.concatenate([site.half_space.point_m, site.half_space.normal])
     values: dict[str, list[int | float]] = {
         "noise": [float(site.sensor.noise_T)],
+        "alert_limit": [float(site.alert_limit_m)],
         "half_space": half.tolist(),
         "beacons": list(rows),
         "pose": [1],
@@ -62,15 +128,20 @@ def on_sensor_pose(site: Site, report: Report, fields: Fields) -> Pose:
         The fields of the same epoch.
     """
     if len(report.on_sensor_pose) < len(ON_SENSOR_POSE):
-        return Pose.failed(fields, excluded=fields.beacons)
-    position, attitude, quality = (report.on_sensor_pose[name] for name in ON_SENSOR_POSE)
-    status = STATUS[int(quality["status"])] if int(quality["status"]) < len(STATUS) else Status.FAILED
+        return Pose.failed(fields, excluded=fields.beacons, reason="messages of the sensor's pose were lost")
+    position, attitude, quality, integrity = (report.on_sensor_pose[name] for name in ON_SENSOR_POSE)
+    names = tuple(beacon.id for beacon in site.beacons)
+    number, sentence = int(quality["status"]), reason_of(integrity, names)
+    status = STATUS[number] if number < len(STATUS) else Status.FAILED
     quaternion = np.array([attitude[axis] for axis in "xyzw"])
     size = float(np.linalg.norm(quaternion))
     if status is Status.FAILED or size < 0.5:
-        return Pose.failed(fields, excluded=fields.beacons)
+        return Pose.failed(fields, excluded=fields.beacons, reason=sentence or "the sensor found no pose")
+    excluded = _left_out(integrity, names)
+    rest = tuple(name for name in names if name not in excluded)
     used = int(quality["used"])
-    names = tuple(beacon.id for beacon in site.beacons)
+    protection_m = float(integrity["protection"])
+    finding = FINDINGS.get(int(integrity["reason"]))
     return Pose(
         epoch=fields.epoch,
         time_s=fields.time_s,
@@ -80,5 +151,9 @@ def on_sensor_pose(site: Site, report: Report, fields: Fields) -> Pose:
         attitude_cov_rad2=np.eye(3) * quality["sigma_attitude"] ** 2 / 3.0,
         residual=quality["residual"],
         status=status,
-        used=names if used == len(names) else ("?",) * used,  # it tells how many, not which
+        used=rest if used == len(rest) else ("?",) * used,  # it tells how many, not which
+        excluded=excluded,
+        reason=sentence,
+        protection_m=protection_m if protection_m < NO_PROMISE_M - 1e-6 else np.inf,
+        findings=() if finding is None else (Finding(finding[0], (), finding[1]),),
     )

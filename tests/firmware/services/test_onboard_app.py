@@ -26,7 +26,7 @@ TABLE = {
     "code_list": CODES,
     "beacons": [float(x) for centre in CENTRES for x in (*centre, 0.0, 0.0, 2.0, MOMENT, 0.149)],
 }
-OWN = ["POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY"]
+OWN = ["POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY", "POSE_INTEGRITY"]
 
 
 def chips_of_field(codes: list[int]) -> np.ndarray:
@@ -63,6 +63,11 @@ def error_of(position: Any, attitude: Any) -> tuple[float, float]:
     return float(np.linalg.norm(off)), float((turn * ATTITUDE.inv()).magnitude())
 
 
+def poses_of(world: World) -> list[Any]:
+    """The messages of each cycle's pose, in the order of `OWN`."""
+    return list(zip(*(world.board.messages(name) for name in OWN), strict=True))
+
+
 def test_a_pose_follows_the_fields_of_each_cycle(make: Callable[..., World]) -> None:
     world = make(counts_of(chips_of_field(CODES)), **TABLE)
     world.run_cycles(10)
@@ -72,10 +77,12 @@ def test_a_pose_follows_the_fields_of_each_cycle(make: Callable[..., World]) -> 
         cycle = messages[start:end]
         assert [m.name for m in cycle] == ["EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", *["FIELD"] * 8, *OWN]
         assert all(m.signals["cycle_low"] == cycle[0].signals["cycle"] % 16 for m in cycle[1:])
-        quality = cycle[-1].signals
+        quality, integrity = cycle[-2].signals, cycle[-1].signals
+        assert (integrity["reason"], integrity["left_out"]) == (0, 255)
+        assert 0.02 < integrity["protection"] < 0.5
         assert (quality["status"], quality["tracked"], quality["used"]) == (0, 1, 8)
         assert 0.5 < quality["residual"] < 2.0
-        position, attitude = error_of(*cycle[-3:-1])
+        position, attitude = error_of(*cycle[-4:-2])
         assert position < 3.0 * quality["sigma_position"] < 0.03
         assert attitude < 3.0 * quality["sigma_attitude"] < 0.06
     # The cycle is over before its fields can leave: the pose comes within two blocks of them.
@@ -106,11 +113,45 @@ def test_a_cycle_without_a_pose_says_so(make: Callable[..., World], wrong: dict[
     codes = wrong.get("code_list", CODES)
     world = make(counts_of(chips_of_field(codes)), **(TABLE | wrong))
     world.run_cycles(8)
-    position, attitude, quality = (world.board.messages(name)[-1].signals for name in OWN)
+    position, attitude, quality, integrity = (world.board.messages(name)[-1].signals for name in OWN)
     assert quality["status"] == 4
     assert [position[axis] for axis in "xyz"] == pytest.approx([-52.4288] * 3)
     assert [attitude[axis] for axis in "xyzw"] == [0.0] * 4
     assert quality["used"] == (2 if "beacons" in wrong else 0)
+    assert integrity["reason"] == (1 if "beacons" in wrong else 3)
+
+
+def test_a_dead_beacon_is_left_out_and_told(make: Callable[..., World]) -> None:
+    """The steps of its exclusion take several turns of the main loop; each cycle gets its pose all the same."""
+    chips = chips_of_field(CODES)
+    coil = magpylib.current.Circle(diameter=0.298, current=190.0, position=CENTRES[5])
+    chips = chips - np.outer(gold_chips(CODES[5]), ATTITUDE.inv().apply(coil.getB(POSITION)))
+    world = make(counts_of(chips), **TABLE)
+    world.run_cycles(10)
+    rows = poses_of(world)
+    assert len(rows) >= 5
+    for row in rows:
+        position, attitude, quality, integrity = row
+        assert len({m.signals["cycle_low"] for m in row}) == 1
+        assert (quality.signals["status"], quality.signals["used"]) == (0, 7)
+        assert (integrity.signals["reason"], integrity.signals["left_out"]) == (11, 5)
+        assert error_of(position, attitude)[0] < 0.05
+
+
+@pytest.mark.parametrize("limit_m", [0.01, 0.5])
+def test_above_the_alert_limit_it_is_unverified(make: Callable[..., World], limit_m: float) -> None:
+    world = make(counts_of(chips_of_field(CODES)), **(TABLE | {"alert_limit": limit_m}))
+    world.run_cycles(8)
+    *_, quality, integrity = (world.board.messages(name)[-1].signals for name in OWN)
+    assert 0.01 < integrity["protection"] < 0.5
+    assert (quality["status"], integrity["reason"]) == ((5, 10) if limit_m == 0.01 else (0, 0))
+
+
+def test_reversed_axis_is_inconsistent_and_named(make: Callable[..., World]) -> None:
+    world = make(counts_of(chips_of_field(CODES) * [1.0, 1.0, -1.0]), **TABLE)
+    world.run_cycles(8)
+    *_, quality, integrity = (world.board.messages(name)[-1].signals for name in OWN)
+    assert (quality["status"], integrity["reason"]) == (3, 4)
 
 
 def test_saturated_chips_widen_the_uncertainty(make: Callable[..., World]) -> None:
@@ -139,7 +180,7 @@ def test_half_space_decides_between_the_images(make: Callable[..., World]) -> No
     ):
         world = make(counts, **(flat | {"half_space": half_space}))
         world.run_cycles(8)
-        position, _, quality = (world.board.messages(name)[-1].signals for name in OWN)
+        position, _, quality, _ = (world.board.messages(name)[-1].signals for name in OWN)
         assert (quality["status"], quality["used"]) == (status, 4)
         assert abs(position["z"]) == pytest.approx(POSITION[2], abs=0.05)
         if sign is not None:

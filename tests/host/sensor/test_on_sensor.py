@@ -20,7 +20,7 @@ STEP = 1.0 / 16384.0
 OWN_M = np.add(POSITION_M, [0.01, 0.0, 0.0])
 
 
-def pose_messages(cycle, status=0, used=8):
+def pose_messages(cycle, status=0, used=8, reason=0, left_out=255, protection=0.09):
     low = {"cycle_low": cycle % 16}
     position = dict(zip("xyz", map(float, OWN_M), strict=True))
     attitude = dict(zip("xyzw", (np.round(ATTITUDE.as_quat() / STEP) * STEP).tolist(), strict=True))
@@ -30,6 +30,7 @@ def pose_messages(cycle, status=0, used=8):
         encode("POSE_POSITION", position | low, node=NODE),
         encode("POSE_ATTITUDE", attitude | low, node=NODE),
         encode("POSE_QUALITY", quality | low, node=NODE),
+        encode("POSE_INTEGRITY", {"reason": reason, "left_out": left_out, "protection": protection} | low, node=NODE),
     ]
 
 
@@ -55,6 +56,10 @@ def test_messages_of_the_dbc_bit_by_bit():
     assert int.from_bytes(data, "little") == (
         15 | 3 << 4 | 1 << 7 | 64 << 8 | 200 << 15 | 125 << 23 | 5000 << 35 | 20 << 51
     )
+    signals = {"cycle_low": 15, "reason": 11, "left_out": 63, "protection": 0.25}
+    identifier, data = encode("POSE_INTEGRITY", signals, node=7)
+    assert identifier == 24 << 24 | 7
+    assert int.from_bytes(data, "little") == 15 | 11 << 4 | 63 << 8 | 250 << 16
 
 
 def test_a_log_with_the_sensors_poses(capsys, tmp_path):
@@ -88,6 +93,32 @@ def test_a_lost_pose_message_costs_that_epoch_only(capsys, tmp_path):
     assert lines[3]["used"] == ["?"] * 6
 
 
+def test_reason_beacon_left_out_and_protection(capsys, tmp_path):
+    names = [beacon.id for beacon in sites.load(SITE).beacons]
+    messages = [heartbeat()]
+    for cycle, told in enumerate(
+        (
+            {},
+            {"reason": 11, "left_out": 2, "used": 7},
+            {"status": 3, "reason": 4, "protection": 1048.575},
+            {"status": 4, "reason": 2},
+            {"status": 5, "reason": 10, "protection": 0.8},
+        ),
+        start=4,
+    ):
+        messages += cycle_messages(cycle) + pose_messages(cycle, **told)
+    _, lines, _ = run(capsys, tmp_path, messages, "--on-sensor")
+    assert [line["status"] for line in lines] == ["ok", "ok", "inconsistent", "failed", "unverified"]
+    assert [line["excluded"] for line in lines[:3]] == [[], [names[2]], []]
+    assert lines[1]["used"] == names[:2] + names[3:]
+    assert lines[0]["reason"] is None
+    assert lines[1]["reason"] == f"{names[2]} does not agree with the site and was left out"
+    assert "left-handed" in lines[2]["reason"]
+    assert lines[3]["reason"] == "the fields are nothing but noise"
+    assert "alert limit" in lines[4]["reason"]
+    assert [line["protection_m"] for line in lines] == [0.09, 0.09, None, None, 0.8]
+
+
 def test_a_sensor_without_poses(capsys, tmp_path):
     messages = [heartbeat(), *cycle_messages(4), *cycle_messages(5)]
     code, lines, _ = run(capsys, tmp_path, messages, "--on-sensor")
@@ -117,7 +148,8 @@ def test_the_table_from_the_site_is_that_of_the_rig(tmp_path):
         stored = page[name] if isinstance(page[name], list) else [page[name]]
         given = [values[PARAMETERS[name].identifier(i)] for i in range(len(stored))]
         np.testing.assert_allclose(given, stored, rtol=1e-6)
-    assert len(values) == 8 + 64
+    assert values[PARAMETERS["alert_limit"].identifier(0)] == 0.5  # the board's own default, too
+    assert len(values) == 9 + 64
 
 
 def test_a_live_sensor_that_knows_no_beacons_gets_them(tmp_path):
