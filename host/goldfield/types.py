@@ -164,7 +164,7 @@ class Pose:
         Why the pose is not worth more, or what was left out of it, as a sentence; None if there is nothing to say.
     protection_m : float
         Radius around the position that the error exceeds undetected only rarely if at most one beacon is not as the
-        site says (`goldfield.locate.integrity.protection_level`); infinite if nothing can be promised, NaN when failed.
+        site says (`goldfield.locate.protection`); infinite if nothing can be promised, NaN when failed.
     residuals : mapping of str to float
         Each beacon's normalised residual by its id, near 1 if the beacon is as the site says.
     findings : tuple of Finding

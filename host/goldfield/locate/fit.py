@@ -99,6 +99,10 @@ class Measurements:
         sigma = np.hypot(self.noise_T, errors.isotropic(model, self.magnitude_T))
         return Measurements(self.field_T, sigma, self.noise_T, errors)
 
+    def of_fields(self, field_T: FloatArray, factor: FloatArray | float = 1.0) -> Measurements:
+        """Return the same with other fields and ``factor`` times the standard deviations, broadcast to shape (e, n)."""
+        return Measurements(field_T, self.sigma_T * factor, self.noise_T * factor, self.errors)
+
     def __len__(self) -> int:
         """Return the number of epochs."""
         return len(self.field_T)

@@ -1,201 +1,182 @@
-"""Trust in a pose: tests of the residual, exclusion of beacons that are not as the site says, protection level.
+"""What is done about an epoch whose fields do not agree with the site: a rival explanation, exclusion, or neither.
 
-As in receiver-autonomous integrity monitoring. If model and noise are right the cost is chi-square with as many degrees
-of freedom as there are components beyond the unknowns. A fault of one beacon shows with more power in the part of the
-cost that leaving it out would take away, r_i' S_ii^-1 r_i, chi-square with three degrees, where r_i are the beacon's
-residuals and S = I - A P A' their covariance; and a fault of its strength (current, polarity, dead) in the part along
-its field a_i, (a_i' r_i)^2/(a_i' S_ii a_i), with one. The three tests share the permitted rate of false alarms.
+In this order:
+
+1. The negated fields: if a pose fits them, the sensor's axes are mirrored or all coils reversed.
+2. One beacon out, if five are heard, beside the explanations by the sensor: the better one is named.
+3. Two beacons out, if seven are heard and neither explains the epoch.
+
+A pose without a beacon is trusted only if the rest has a likely cost, if every other explanation costs `CLEAR` more,
+and if the rest passes the alarm. Everything else is inconsistent, with the reason.
 """
 
 from __future__ import annotations
 
-from functools import cache
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, gammaincc
+from scipy.special import chdtri
 
-from goldfield.locate import kernel
-from goldfield.locate.constellation import Constellation, Solutions
-from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
-from goldfield.locate.uncertainty import UNOBSERVABLE, root_covariance
-from goldfield.locate.whitening import Whitening
-from goldfield.types import FloatArray
+from goldfield.locate import sentences
+from goldfield.locate.beacon_faults import beacon_finding
+from goldfield.locate.constellation import Constellation, Solutions, probability
+from goldfield.locate.exclusion import LEAST_FOR_ONE, LEAST_FOR_TWO, Subsets, without_one, without_two
+from goldfield.locate.fault_statistics import alarm, fault_statistics
+from goldfield.locate.fit import Fit, Measurements, stacked
+from goldfield.locate.sensor_rivals import BY_CHANCE, SensorRival, mirrored, sensor_rivals
+from goldfield.types import Explanation, Finding
 
-FALSE_ALARM = 7e-4
-"""Permitted rate of epochs with nothing wrong that are taken for faulty."""
+CLEAR = 25.0
+"""Cost by which an explanation must be better than the next: 270,000 to one, which pays for what was tried."""
 
-SHARES = (0.1, 0.6, 0.3)
-"""Parts of it for the whole cost, for single beacons, and for their strengths: single faults are what happens."""
+SOUND_REST = 0.01
+"""Without the beacons that were left out, a cost as large as the rest's must be likelier than this."""
 
-MISSED_DETECTION = 1e-3
-"""Rate of faults at the edge of the protection level that stay undetected."""
+MOST_ALIKE = 2
+"""If more explanations than these fit about as well as the best, none is told."""
 
-BLAME = 1e-6
-"""A beacon is left out only if a cost as large as it takes away is less likely than this. An alarm with less evidence
-is most often noise, and then the pose with all beacons is the better one: it is kept and called inconsistent."""
-
-LEAST_BEACONS = 4
-"""Beacons that must remain: three leave too little to tell that the rest is sound."""
-
-DETECTABLE = 1e-6
-"""Part of a beacon's variance that must show in the residuals for a fault of it to be detectable at all."""
+LEAST_FREEDOM = 3
+"""Degrees of freedom that the rest must have, or it cannot be tested."""
 
 
-def alarm(constellation: Constellation, measurements: Measurements, fit: Fit) -> NDArray[np.bool_]:
-    """Tell which of e fitted epochs do not agree with the site; shape (e,)."""
-    drop, freedom, scale = fault_statistics(constellation, measurements, fit)
-    of_whole, of_single, of_strength = _limits(measurements.known.shape[1])
-    heard = measurements.known.sum(axis=1)
-    wrong = fit.cost > of_whole[np.maximum(measurements.freedom, 0)]
-    wrong |= (drop > of_single[heard[:, None], freedom]).any(axis=1)
-    wrong |= scale.max(axis=1) > of_strength[heard]
-    return np.asarray(wrong)
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """What became of an epoch that raised the alarm.
 
-
-@cache
-def _limits(beacons: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Chi-squares that sound epochs exceed at the permitted rates; infinite with no degree of freedom.
-
-    The first is the limit of the whole cost by its freedom, the second that of one beacon by the number of beacons
-    heard and its freedom, the third that of a beacon's strength by the number heard.
+    Attributes
+    ----------
+    findings : tuple of Finding
+        What explains the fields; several if they cannot be told apart.
+    reason : str
+    rest : Solutions or None
+        Poses of the trusted rest if beacons were left out; else None and the epoch is inconsistent.
+    left_out : ndarray of int
+        Rows of the beacons that were left out.
+    residuals : dict of int to float
+        Their normalised residuals, by row.
     """
-    whole, single, strength = (share * FALSE_ALARM for share in SHARES)
-    heard = np.maximum(np.arange(beacons + 1), 1)
-    of_whole = np.append(np.inf, chdtri(np.arange(1.0, 3 * beacons + 1), whole))
-    of_single = chdtri(np.array([1.0, 1.0, 2.0, 3.0]), single / heard[:, None])
-    of_single[:, 0] = np.inf
-    return np.asarray(of_whole), np.asarray(of_single), np.asarray(chdtri(1.0, strength / heard))
+
+    findings: tuple[Finding, ...]
+    reason: str
+    rest: Solutions | None
+    left_out: NDArray[np.intp]
+    residuals: dict[int, float]
 
 
-def fault_statistics(
-    constellation: Constellation, measurements: Measurements, fit: Fit
-) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
-    """Statistics of each beacon's faults, linear around the fit.
-
-    Returns
-    -------
-    drop : ndarray, shape (e, n)
-        Part of the cost that leaving out the beacon would take away; 0 where no fault of it can show.
-    freedom : ndarray of int, shape (e, n)
-        Its degrees of freedom.
-    scale : ndarray, shape (e, n)
-        Part of the cost that another strength of the beacon takes away; one degree of freedom, 0 where it cannot show.
-    """
-    model = constellation.model
-    quick = kernel.of(model)
-    if quick is not None:
-        return quick.faults(
-            measurements.field_T,
-            measurements.noise_T,
-            fit.position_m,
-            fit.rotation,
-            errors=measurements.errors,
-            least_eigenvalue=UNOBSERVABLE,
-            least_share=DETECTABLE,
-        )
-    whitening = measurements.whitening(model, fit.position_m, fit.rotation)
-    residual, modelled = whitened_residual(model, measurements, fit, whitening)
-    gain, seen, vector = _redundancy(constellation, whitening, fit)
-    along = np.einsum("enck,enc->enk", vector, whitening.by_beacon(residual[:, None])[..., 0])
-    drop = np.where(seen, along**2 / np.where(seen, gain, 1.0), 0.0).sum(axis=2)
-    strength = np.einsum("enck,enc->enk", vector, whitening.alone(modelled))
-    shown = (strength**2 * gain).sum(axis=2)
-    visible = shown > DETECTABLE * (strength**2).sum(axis=2)
-    scale = np.where(visible, (strength * along).sum(axis=2) ** 2 / np.where(visible, shown, 1.0), 0.0)
-    return drop, seen.sum(axis=2), scale
-
-
-def exclude(
-    constellation: Constellation, measurements: Measurements, cost: float
-) -> tuple[Solutions, NDArray[np.intp]] | None:
-    """Find the beacons of one inconsistent epoch without which it is consistent.
-
-    Leaves out one beacon after another, each time the one without which the rest agrees best, until the tests pass.
+def explain(
+    constellation: Constellation, measurements: Measurements, solutions: Solutions, names: Sequence[str]
+) -> Verdict:
+    """Explain one epoch that raised the alarm.
 
     Parameters
     ----------
-    cost : float
-        Cost of the pose with all beacons.
-
-    Returns
-    -------
+    constellation : Constellation
+        Of the beacons that were heard.
+    measurements : Measurements
+        The epoch.
     solutions : Solutions
-        Poses from the remaining beacons.
-    excluded : ndarray of int
-        Rows of the constellation.
-    None if no set of at least `LEAST_BEACONS` beacons agrees, or if it has nothing left to be tested with.
+        Poses with all beacons.
+    names : sequence of str
+        The beacons' ids.
     """
-    rows = np.arange(len(constellation.model))
-    while len(rows) > LEAST_BEACONS:
-        best_row, best_cost = -1, np.inf
-        for row, without in zip(rows, _costs_without_each(constellation, measurements, rows), strict=True):
-            if without < best_cost:
-                best_row, best_cost = int(row), without
-        if best_row < 0 or len(rows) * gammaincc(1.5, max(cost - best_cost, 0.0) / 2.0) > BLAME:
-            return None
-        cost = best_cost
-        rows = rows[rows != best_row]
-        rest, rest_measurements = constellation.subset(rows), measurements.of_beacons(rows)
-        if rest_measurements.freedom[0] < 3:
-            return None
-        solutions = rest.solve(rest_measurements)
-        if np.isfinite(solutions.best.cost[0]) and not alarm(rest, rest_measurements, solutions.best)[0]:
-            return solutions, np.setdiff1d(np.arange(len(constellation.model)), rows)
-    return None
+    heard = len(constellation.model)
+    cost = float(solutions.best.cost[0])
+    negated = mirrored(constellation, measurements, cost, CLEAR)
+    if negated is not None:
+        return _inconsistent([negated], negated.text)
+    if heard < LEAST_FOR_ONE:
+        return _few(constellation, measurements, solutions, heard)
+    poses = solutions.best if not solutions.contested[0] else stacked([solutions.best, solutions.rival])
+    ones = without_one(constellation, measurements, poses)
+    of_sensor = sensor_rivals(constellation, measurements, stacked([poses, ones.fit.take(np.arange(2))]))
+    verdict = _without(constellation, measurements, ones, of_sensor, names)
+    if verdict is None and heard >= LEAST_FOR_TWO:
+        verdict = _without(
+            constellation, measurements, without_two(constellation, measurements, ones), of_sensor, names
+        )
+    if verdict is None and of_sensor:
+        verdict = _inconsistent([of_sensor[0].finding], of_sensor[0].finding.text)
+    return verdict or _unknown(sentences.NOT_MENDED)
 
 
-def protection_level(constellation: Constellation, measurements: Measurements, fit: Fit) -> FloatArray:
-    """Radius, shape (e,), m, that the position error exceeds undetected with the probability `MISSED_DETECTION` only.
-
-    The largest over the beacons of slope times the least fault that is sure to be detected, and the noise on top. The
-    slope of a beacon is the position error over the root of the cost that its worst fault adds. Infinite if a fault
-    of some beacon cannot show in the residuals.
-    """
-    whitening = measurements.whitening(constellation.model, fit.position_m, fit.rotation)
-    jacobian = whitened_jacobian(constellation.model, fit.position_m, fit.rotation, whitening)
-    root, _ = root_covariance(fit.information)
-    gain, seen, vector = _redundancy(constellation, whitening, fit)
-    influence = root[:, :3] @ (root.swapaxes(1, 2) @ jacobian)  # (e, 3, 3n): whitened component -> position
-    influence = whitening.by_beacon(influence)  # (e, n, c, 3)
-    shown = np.einsum("encp,enck->enpk", influence, vector) / np.sqrt(np.where(seen, gain, 1.0))[:, :, None, :]
-    slope = np.linalg.svd(np.where(seen[:, :, None, :], shown, 0.0), compute_uv=False)[..., 0]
-    measured = measurements.measured.sum(axis=2)
-    slope = np.where(seen.sum(axis=2) < measured, np.inf, slope).max(axis=1)
-    beacons = np.maximum(measurements.known.sum(axis=1), 1)
-    threshold = np.sqrt(chdtri(3.0, SHARES[1] * FALSE_ALARM / beacons))
-    sure = threshold + np.sqrt(chdtri(1.0, 2.0 * MISSED_DETECTION))
-    largest = np.sqrt(np.linalg.eigvalsh(root[:, :3] @ root[:, :3].swapaxes(1, 2))[:, -1])
-    return np.asarray(slope * sure + largest * np.sqrt(chdtri(3.0, MISSED_DETECTION)))
+def _few(constellation: Constellation, measurements: Measurements, solutions: Solutions, heard: int) -> Verdict:
+    """Explain an epoch with too few beacons to leave one out."""
+    of_sensor = sensor_rivals(constellation, measurements, solutions.best)
+    if of_sensor and of_sensor[0].score + CLEAR < solutions.best.cost[0]:
+        return _inconsistent([of_sensor[0].finding], of_sensor[0].finding.text)
+    return _unknown(sentences.too_few(heard))
 
 
-def _redundancy(
-    constellation: Constellation, whitening: Whitening, fit: Fit
-) -> tuple[FloatArray, NDArray[np.bool_], FloatArray]:
-    """Decompose the residuals' covariance of each beacon.
+def _without(
+    constellation: Constellation,
+    measurements: Measurements,
+    subsets: Subsets,
+    of_sensor: list[SensorRival],
+    names: Sequence[str],
+) -> Verdict | None:
+    """Judge the best subset of beacons; None if it explains nothing, or less than the sensor does."""
+    left_out, cost = subsets.left_out[0], float(subsets.fit.cost[0])
+    kept = np.setdiff1d(np.arange(len(constellation.model)), left_out)
+    rest, thinned = constellation.subset(kept), measurements.of_beacons(kept)
+    freedom = thinned.freedom
+    if freedom[0] < LEAST_FREEDOM or not probability(np.array([cost]), freedom)[0] > SOUND_REST:
+        return None
+    removed = float(measurements.measured[0, left_out].sum())
+    score = cost + float(chdtri(removed, BY_CHANCE / len(subsets.left_out)))
+    if of_sensor and of_sensor[0].score < score - CLEAR:
+        return None
+    findings, residuals = _findings(constellation, measurements, subsets, 0, names)
+    alike = _alike(constellation, measurements, subsets, names)
+    alike += [rival.finding for rival in of_sensor[:1] if rival.score < score + CLEAR]
+    if len(alike) > MOST_ALIKE:
+        return _unknown(sentences.NOT_CLEAR)
+    if alike:
+        return _inconsistent(findings + alike, sentences.not_sure([f.text for f in findings + alike]))
+    solutions = _at_least(rest.solve(thinned), subsets.fit.take(np.array([0])))
+    if alarm(thinned, solutions.best.cost, fault_statistics(rest.model, thinned, solutions.best))[0]:
+        return None
+    return Verdict(tuple(findings), sentences.left_out([f.text for f in findings]), solutions, left_out, residuals)
 
-    Eigenvalues, shape (e, n, 3); which of them let a fault show; eigenvectors, shape (e, n, 3, 3).
-    """
-    jacobian = whitened_jacobian(constellation.model, fit.position_m, fit.rotation, whitening)
-    root, _ = root_covariance(fit.information)
-    tangent = whitening.by_beacon(root.swapaxes(1, 2) @ jacobian)  # (e, n, c, 6)
-    gain, vector = np.linalg.eigh(whitening.gram - tangent @ tangent.swapaxes(2, 3))
-    return gain, gain > DETECTABLE, vector
+
+def _at_least(solutions: Solutions, fit: Fit) -> Solutions:
+    """Put in the pose that exclusion found, should the search have missed it."""
+    if fit.cost[0] < solutions.best.cost[0] - 1.0:
+        solutions.best.put(np.array([0]), fit)
+    return solutions
 
 
-def _costs_without_each(
-    constellation: Constellation, measurements: Measurements, rows: NDArray[np.intp]
-) -> list[float]:
-    """Cost of the best pose without each of these beacons in turn."""
-    rest = constellation.subset(rows)
-    count = len(rows)
-    repeated = measurements.of_beacons(rows).take(np.zeros(count, dtype=np.intp))
-    thinned = repeated.without(np.eye(count, dtype=bool))
-    if thinned.complete:
-        return [float(cost) for cost in rest.from_magnitudes(thinned).cost]
-    costs = []
-    for left_out in range(count):
-        others = np.delete(rows, left_out)
-        found = constellation.subset(others).from_shell(measurements.of_beacons(others))
-        costs.append(float(found.cost[0]))
-    return costs
+def _alike(
+    constellation: Constellation, measurements: Measurements, subsets: Subsets, names: Sequence[str]
+) -> list[Finding]:
+    """Name what else fits about as well as the best subset, a few at most."""
+    others = np.flatnonzero(subsets.fit.cost[1:] < subsets.fit.cost[0] + CLEAR) + 1
+    named = {names[row] for row in subsets.left_out[0]}
+    findings = []
+    for other in others[: MOST_ALIKE + 1].tolist():
+        for finding in _findings(constellation, measurements, subsets, other, names)[0]:
+            if finding.beacons[0] not in named:
+                findings.append(finding)
+                named.add(finding.beacons[0])
+    return findings
+
+
+def _findings(
+    constellation: Constellation, measurements: Measurements, subsets: Subsets, which: int, names: Sequence[str]
+) -> tuple[list[Finding], dict[int, float]]:
+    """Name what is wrong with the beacons that a subset lacks, with their normalised residuals by row."""
+    findings, residuals = [], {}
+    fit = subsets.fit.take(np.array([which]))
+    for row in subsets.left_out[which].tolist():
+        finding, residuals[row] = beacon_finding(constellation.model, measurements, fit, row, names[row])
+        findings.append(finding)
+    return findings, residuals
+
+
+def _inconsistent(findings: Sequence[Finding], reason: str) -> Verdict:
+    return Verdict(tuple(findings), reason, None, np.array([], dtype=np.intp), {})
+
+
+def _unknown(reason: str) -> Verdict:
+    return _inconsistent([Finding(Explanation.UNKNOWN, (), reason)], reason)

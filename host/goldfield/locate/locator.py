@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
-from goldfield.locate.constellation import Constellation, Solutions
-from goldfield.locate.fit import Fit, Measurements
-from goldfield.locate.integrity import alarm, exclude, protection_level
+from goldfield.locate import sentences
+from goldfield.locate.constellation import Constellation, audible
+from goldfield.locate.fault_statistics import alarm, fault_statistics
+from goldfield.locate.fit import Measurements
+from goldfield.locate.integrity import Verdict, explain
+from goldfield.locate.poses import Judged, poses_of
 from goldfield.locate.site_errors import errors_of
-from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import Site
-from goldfield.types import Fields, FloatArray, Pose, Status
-
-WEAK_POSITION = 0.25
-"""A pose is weak if the standard deviation of its position along the worst axis exceeds this part of the distance to
-the nearest beacon: the field then changes its shape within the error and nothing computed from a linear model can be
-trusted."""
-
-WEAK_ATTITUDE_RAD = 0.5
-"""A pose is weak, too, if the standard deviation of its attitude exceeds this, 29 degrees; the free turn of a sensor
-with one axis does not count."""
+from goldfield.types import Fields, FloatArray, Pose
 
 LEAST_BEACONS = 3
 """With fewer beacons no pose is computed."""
@@ -54,12 +47,15 @@ class Locator:
 
         - ``failed``: fewer than three beacons, fewer components than unknowns, fields that are nothing but noise
           (`constellation.SILENCE`), or no finite solution; position NaN.
-        - ``inconsistent``: the residual is improbable (`integrity`) and the evidence is too weak to leave out a beacon,
-          or leaving out some does not mend it, or the only solution lies outside the site's half-space.
+        - ``inconsistent``: the fields do not agree with the site (`fault_statistics`) and leaving out one beacon or two
+          does not clearly mend it (`integrity`), or the only solution lies outside the site's half-space.
         - ``ambiguous``: another pose explains the fields as well; it is given as ``alternative``.
-        - ``weak``: the standard deviation exceeds `WEAK_POSITION` of the range or `WEAK_ATTITUDE_RAD`, or the search
-          came to the end of its evaluations.
+        - ``weak``: the standard deviation exceeds `poses.WEAK_POSITION` of the range or `poses.WEAK_ATTITUDE_RAD`, or
+          the search came to the end of its evaluations.
+        - ``unverified``: the protection level (`protection`) exceeds the site's alert limit.
         - ``ok``: none of these; ``excluded`` lists beacons that did not agree with the site and were left out.
+
+        Where several hold the first of them is told; ``reason`` says why.
         """
         return self.locate_many([fields])[0]
 
@@ -70,7 +66,8 @@ class Locator:
         for some, rows, constellation, measurements in self._grouped(epochs):
             members = [epochs[index] for index in some]
             if constellation is None:
-                located = [Pose.failed(fields, used=self._names(rows)) for fields in members]
+                reason = sentences.few_heard(len(rows), LEAST_BEACONS)
+                located = [Pose.failed(fields, used=self._names(rows), reason=reason) for fields in members]
             else:
                 located = self._locate(members, rows, constellation, measurements)
             poses.update(zip(some, located, strict=True))
@@ -88,24 +85,6 @@ class Locator:
                 best = constellation.solve(measurements).best
                 position[some] = np.where(np.isfinite(best.cost)[:, None], best.position_m, np.nan)
         return position
-
-    @np.errstate(all="ignore")
-    def protection_level_m(self, fields: Fields, pose: Pose) -> float:
-        """Return the radius, m, that the error of a located epoch exceeds undetected only rarely.
-
-        It is infinite if some beacon's fault could not be detected, and NaN if the pose failed; see
-        `integrity.protection_level`.
-        """
-        if pose.status is Status.FAILED:
-            return float("nan")
-        rows = np.array([self._row[name] for name in pose.used], dtype=np.intp)
-        field, sigma = self._tables([fields])
-        constellation = self._all.subset(rows)
-        errors = None if self._errors is None else self._errors.subset(rows)
-        measurements = Measurements(field[:, rows], sigma[:, rows]).with_errors(constellation.model, errors)
-        rotation = Rotation.from_quat(pose.orientation_xyzw).as_matrix()
-        fit = constellation.at(measurements, pose.position_m[None], rotation[None])
-        return float(protection_level(constellation, measurements, fit)[0])
 
     def _tables(self, epochs: Sequence[Fields]) -> tuple[FloatArray, FloatArray]:
         """Put the fields in the order of the site's beacons; unknown ids and unusable noise are left out.
@@ -162,101 +141,57 @@ class Locator:
         measurements: Measurements,
     ) -> list[Pose]:
         """Locate epochs that heard the same beacons, given by their rows."""
-        nothing = np.array([], dtype=np.intp)
+        names = self._names(rows)
         solutions = constellation.solve(measurements)
         solved = (measurements.freedom >= 0) & np.isfinite(solutions.best.cost)
-        poses = {int(e): Pose.failed(epochs[int(e)], used=self._names(rows)) for e in np.flatnonzero(~solved)}
+        poses = {
+            int(e): Pose.failed(epochs[int(e)], used=names, reason=self._no_pose(measurements, int(e)))
+            for e in np.flatnonzero(~solved)
+        }
         some = np.flatnonzero(solved)
         if len(some):
-            wrong = alarm(constellation, measurements.take(some), solutions.best.take(some))
-            trusted = ~wrong
-            for i in np.flatnonzero(wrong):
-                e = some[i : i + 1]
-                mended = exclude(constellation, measurements.take(e), float(solutions.best.cost[e[0]]))
-                if mended is None:
-                    trusted[i] = True  # with the alarm: inconsistent
-                    continue
-                other, excluded = mended
-                kept = np.delete(np.arange(len(rows)), excluded)
-                thinned = measurements.take(e).of_beacons(kept)
-                sound = np.array([False])
-                poses[int(e[0])] = self._poses([epochs[int(e[0])]], rows[kept], thinned, other, rows[excluded], sound)[
-                    0
-                ]
-            left = some[trusted]
-            if len(left):
-                members = [epochs[int(e)] for e in left]
-                found = self._poses(
-                    members, rows, measurements.take(left), solutions.take(left), nothing, wrong[trusted]
-                )
-                poses.update(zip((int(e) for e in left), found, strict=True))
+            given, found = measurements.take(some), solutions.take(some)
+            statistics = fault_statistics(constellation.model, given, found.best)
+            # A search that came to its end proves nothing by its cost.
+            wrong = np.flatnonzero(alarm(given, found.best.cost, statistics) & ~found.bounded)
+            verdicts = {}
+            for i in wrong.tolist():
+                one = np.array([i])
+                verdicts[i] = explain(constellation, given.take(one), found.take(one), names)
+            judged = Judged(self.site, constellation.model, names, given, found, statistics, verdicts)
+            located = poses_of([epochs[int(e)] for e in some], judged)
+            for i, verdict in verdicts.items():
+                if verdict.rest is not None:
+                    located[i] = self._pose_of_rest(epochs[int(some[i])], rows, given.take(np.array([i])), verdict)
+            poses.update(zip(some.tolist(), located, strict=True))
         return [poses[e] for e in range(len(epochs))]
 
-    def _poses(
-        self,
-        epochs: Sequence[Fields],
-        rows: NDArray[np.intp],
-        measurements: Measurements,
-        solutions: Solutions,
-        excluded: NDArray[np.intp],
-        wrong: NDArray[np.bool_],
-    ) -> list[Pose]:
-        model = self._all.subset(rows).model
-        used, left_out = self._names(rows), self._names(excluded)
-        freedom = measurements.freedom
-
-        def build(fit: Fit, which: NDArray[np.intp], status: list[Status], others: list[Pose | None]) -> list[Pose]:
-            covariance = second_order_covariance(model, measurements.take(which), fit.position_m, fit.rotation)
-            if fit is solutions.best:
-                covariance += solutions.covariance_widening
-            weak = self._weak(model, measurements.take(which), fit, covariance)
-            quaternions = Rotation.from_matrix(fit.rotation, assume_valid=True).as_quat(canonical=True)
-            return [
-                Pose(
-                    epoch=epochs[e].epoch,
-                    time_s=epochs[e].time_s,
-                    position_m=fit.position_m[i],
-                    orientation_xyzw=quaternions[i],
-                    position_cov_m2=covariance[i, :3, :3],
-                    attitude_cov_rad2=covariance[i, 3:, 3:],
-                    residual=float(np.sqrt(fit.cost[i] / freedom[e])) if freedom[e] > 0 else 0.0,
-                    status=Status.WEAK if weak[i] and status[i] is Status.OK else status[i],
-                    used=used,
-                    excluded=left_out,
-                    alternative=others[i],
-                )
-                for i, e in enumerate(which)
-            ]
-
-        status = [
-            Status.INCONSISTENT
-            if out or (bad and not capped)
-            else Status.AMBIGUOUS
-            if two
-            else Status.WEAK
-            if capped
-            else Status.OK
-            for bad, out, two, capped in zip(
-                wrong, solutions.outside, solutions.contested, solutions.bounded, strict=True
-            )
-        ]
-        others: list[Pose | None] = [None] * len(epochs)
-        contested = np.flatnonzero(solutions.contested)
-        if len(contested):
-            rivals = build(
-                solutions.rival.take(contested), contested, [status[e] for e in contested], [None] * len(contested)
-            )
-            for e, pose in zip(contested, rivals, strict=True):
-                others[e] = pose
-        return build(solutions.best, np.arange(len(epochs)), status, others)
+    def _pose_of_rest(
+        self, fields: Fields, rows: NDArray[np.intp], measurements: Measurements, verdict: Verdict
+    ) -> Pose:
+        """Return the pose of one epoch without the beacons that its verdict leaves out."""
+        assert verdict.rest is not None
+        kept = np.setdiff1d(np.arange(len(rows)), verdict.left_out)
+        thinned, model = measurements.of_beacons(kept), self._all.subset(rows[kept]).model
+        statistics = fault_statistics(model, thinned, verdict.rest.best)
+        judged = Judged(self.site, model, self._names(rows[kept]), thinned, verdict.rest, statistics, {})
+        (pose,) = poses_of([fields], judged)
+        left_out = {self._names(rows[[row]])[0]: residual for row, residual in verdict.residuals.items()}
+        return replace(
+            pose,
+            excluded=tuple(left_out),
+            reason=verdict.reason if pose.reason is None else f"{pose.reason}; {verdict.reason}",
+            residuals={**pose.residuals, **left_out},
+            findings=verdict.findings,
+        )
 
     @staticmethod
-    def _weak(model: FieldModel, measurements: Measurements, fit: Fit, covariance: FloatArray) -> NDArray[np.bool_]:
-        nearest = np.linalg.norm(fit.position_m[:, None] - model.centre_m, axis=2).min(axis=1)
-        shifts, turns = np.linalg.eigvalsh(np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]]))
-        worst = np.sqrt(shifts[:, 2])
-        turn = np.sqrt(np.where(measurements.axes == 1, turns[:, 1], turns[:, 2]))
-        return np.asarray((worst > WEAK_POSITION * nearest) | (turn > WEAK_ATTITUDE_RAD))
+    def _no_pose(measurements: Measurements, epoch: int) -> str:
+        """Say why an epoch has no pose."""
+        if measurements.freedom[epoch] < 0:
+            return sentences.few_components(int(measurements.count[epoch]), int(measurements.unknowns[epoch]))
+        heard = audible(measurements.take(np.array([epoch])))[0]
+        return sentences.NO_FIT if heard else sentences.NOISE
 
 
 @lru_cache(maxsize=8)

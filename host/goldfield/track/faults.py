@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from goldfield.locate.integrity import DETECTABLE, FALSE_ALARM, MISSED_DETECTION
+from goldfield.locate.fault_statistics import DETECTABLE, FALSE_ALARM
+from goldfield.locate.protection import MISSED_DETECTION
 from goldfield.track.estimate import Belief
 from goldfield.track.motion import SIZE, Observation, State
 from goldfield.types import FloatArray

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
-from goldfield.locate.locator import WEAK_ATTITUDE_RAD, WEAK_POSITION
+from goldfield.locate.poses import WEAK_ATTITUDE_RAD, WEAK_POSITION
 from goldfield.site import Site
 from goldfield.track.continuity import joined
 from goldfield.track.estimate import Belief

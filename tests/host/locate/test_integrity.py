@@ -59,15 +59,14 @@ def test_protection_level_covers_undetected_faults():
     site = bench.prigge_cube()
     rng = np.random.default_rng(55)
     run = bench.trials(site, bench.cube_positions(rng, 30, 0.8), rng)
-    locator = Locator(site)
     checked = 0
     for share in (0.98, 0.95, 0.9, 0.8):
         weaker = run.field_T.copy()
         weaker[:, 1] *= share
         epochs = bench.fields_of(site, bench.Trials(run.position_m, run.rotation, weaker, run.sigma_T))
-        for fields, pose, truth in zip(epochs, locator.locate_many(epochs), run.position_m, strict=True):
+        for pose, truth in zip(Locator(site).locate_many(epochs), run.position_m, strict=True):
             if pose.status is Status.OK and not pose.excluded:
-                assert np.linalg.norm(pose.position_m - truth) < locator.protection_level_m(fields, pose)
+                assert np.linalg.norm(pose.position_m - truth) < pose.protection_m
                 checked += 1
     assert checked >= 30
 
@@ -81,4 +80,5 @@ def test_protection_level_without_redundancy_is_infinite():
     for fields in bench.fields_of(site, run):
         pose = locator.locate(fields)
         assert pose.status is not Status.FAILED
-        assert locator.protection_level_m(fields, pose) == np.inf
+        assert pose.status is not Status.OK
+        assert pose.protection_m == np.inf

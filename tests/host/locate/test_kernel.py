@@ -12,7 +12,7 @@ from goldfield.field import FieldModel
 from goldfield.locate import Locator, kernel
 from goldfield.locate.constellation import Constellation
 from goldfield.locate.fit import Measurements
-from goldfield.locate.integrity import alarm, fault_statistics
+from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import HalfSpace
 from tests.bench import locate_trials as bench
@@ -70,7 +70,7 @@ def test_fits_from_the_same_start_agree(seed, count, kind):
 
     def everything():
         at = constellation.at(measurements, position, rotation)
-        statistics = fault_statistics(constellation, measurements, at)
+        statistics = fault_statistics(model, measurements, at)
         return at, statistics, second_order_covariance(model, measurements, position, rotation)
 
     quick, of_faults, covariance = everything()
@@ -82,10 +82,13 @@ def test_fits_from_the_same_start_agree(seed, count, kind):
     size = np.sqrt(np.einsum("ekk->ek", slow.information))
     relative = (quick.information - slow.information) / (size[:, :, None] * size[:, None, :])
     assert np.abs(relative).max() < 1e-8
-    np.testing.assert_array_equal(of_faults[1], of_faults_slow[1])
-    largest = 1.0 + of_faults_slow[0].max()
-    np.testing.assert_allclose(of_faults[0], of_faults_slow[0], rtol=1e-4, atol=1e-6 * largest)
-    np.testing.assert_allclose(of_faults[2], of_faults_slow[2], rtol=1e-4, atol=1e-6 * largest)
+    np.testing.assert_array_equal(of_faults.freedom, of_faults_slow.freedom)
+    np.testing.assert_array_equal(of_faults.distortion_freedom, of_faults_slow.distortion_freedom)
+    largest = 1.0 + of_faults_slow.drop.max()
+    for name in ("drop", "scale", "distortion"):
+        mine, reference = getattr(of_faults, name), getattr(of_faults_slow, name)
+        np.testing.assert_allclose(mine, reference, rtol=1e-4, atol=1e-6 * largest)
+    np.testing.assert_allclose(of_faults.slope, of_faults_slow.slope, rtol=1e-4)
     difference = scaled(covariance - covariance_slow, covariance_slow)
     assert np.abs(difference).max() < 1e-5
 
@@ -137,10 +140,11 @@ def test_alarms_are_the_same(numpy_only):
     bad = bench.with_fault("current", site, run, rng, 4)
     constellation, measurements = Constellation(FieldModel(site.beacons)), Measurements(bad.field_T, bad.sigma_T)
     fit = constellation.from_magnitudes(measurements)
-    quick = alarm(constellation, measurements, fit)
+    model = constellation.model
+    quick = alarm(measurements, fit.cost, fault_statistics(model, measurements, fit))
     numpy_only()
     assert 20 < quick.sum() < 200
-    np.testing.assert_array_equal(quick, alarm(constellation, measurements, fit))
+    np.testing.assert_array_equal(quick, alarm(measurements, fit.cost, fault_statistics(model, measurements, fit)))
 
 
 def test_a_hopeless_start_is_no_pose():

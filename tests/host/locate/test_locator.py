@@ -39,7 +39,9 @@ def test_cube_with_no_prior(noise, size):
     assert 0.8 < bench.normalised_error(error, position).mean() < 1.3
     assert 0.8 < bench.normalised_error(turn, attitude).mean() < 1.3
     assert np.mean([pose.residual**2 for pose in poses]) == pytest.approx(1.0, abs=0.06)
-    assert sum(pose.status is Status.OK for pose in poses) >= 0.95 * len(poses)
+    fitting = [pose for pose in poses if pose.status in (Status.OK, Status.UNVERIFIED)]
+    assert len(fitting) >= 0.95 * len(poses)
+    assert all((pose.status is Status.OK) == (pose.protection_m <= site.alert_limit_m) for pose in fitting)
     assert all(pose.orientation_xyzw[3] >= 0 for pose in poses)
 
 
@@ -62,7 +64,7 @@ def test_lattice_mirror_is_resolved_by_the_half_space():
     run = bench.nearest_only(site, bench.trials(site, bench.lattice_positions(rng, 150), rng))
     poses, error, bound, failed = judge(site, run)
     assert not failed.any()
-    assert all(pose.status in (Status.OK, Status.WEAK) for pose in poses)
+    assert all(pose.status in (Status.OK, Status.UNVERIFIED, Status.WEAK) for pose in poses)
     assert np.sqrt(np.mean(np.sum(error**2, axis=1) / bound**2)) < 1.15
 
 

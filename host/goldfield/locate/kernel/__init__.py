@@ -43,11 +43,21 @@ void gf_fit(const gf_coils_t *, const gf_errors_t *, size_t, const double *, con
             double *, double *, double *, double *, uint8_t *);
 void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double *,
                double *, uint8_t *, double *, uint32_t *);
+typedef struct {
+    double *drop;
+    int32_t *freedom;
+    double *scale;
+    double *slope;
+    double *distortion;
+    int32_t *distortion_freedom;
+} gf_fault_tables_t;
 void gf_faults(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, const double *,
-               const double *, double, double, double *, int32_t *, double *);
+               const double *, double, double, const gf_fault_tables_t *);
 void gf_covariance(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, const double *,
                    const double *, double, double, double, double *);
 """
+
+_FAULT_TABLES = ("drop", "freedom", "scale", "slope", "distortion", "distortion_freedom")
 
 _ffi: Any = cffi.FFI()
 _ffi.cdef(DECLARATIONS)
@@ -217,25 +227,30 @@ class Kernel:
         errors: SiteErrors | None,
         least_eigenvalue: float,
         least_share: float,
-    ) -> tuple[FloatArray, NDArray[np.intp], FloatArray]:
-        """Return what `integrity.fault_statistics` does: drop, freedom, scale, each of shape (e, n)."""
-        shape = field_T.shape[:2]
-        drop, freedom, scale = np.empty(shape), np.empty(shape, dtype=np.int32), np.empty(shape)
+    ) -> tuple[FloatArray, NDArray[np.intp], FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
+        """Return what `fault_statistics.fault_statistics` does, in its order."""
+        count, coils = field_T.shape[:2]
+        widths = (coils, coils, coils, coils, 3, 3)
+        kinds = (float, np.int32, float, float, float, np.int32)
+        tables: list[NDArray[Any]] = [np.empty((count, k), dtype=t) for k, t in zip(widths, kinds, strict=True)]
+        out = _ffi.new("gf_fault_tables_t *")
+        for name, table in zip(_FAULT_TABLES, tables, strict=True):
+            kind = "int32_t[]" if table.dtype == np.int32 else "double[]"
+            setattr(out, name, _ffi.from_buffer(kind, table, require_writable=True))
         self._library.gf_faults(
             self._coils,
             _errors(errors),
-            len(field_T),
+            count,
             _given(field_T),
             _given(sigma_T),
             _given(position_m),
             _given(rotation),
             least_eigenvalue,
             least_share,
-            _filled(drop),
-            _ffi.from_buffer("int32_t[]", freedom, require_writable=True),
-            _filled(scale),
+            out,
         )
-        return drop, freedom.astype(np.intp), scale
+        drop, freedom, scale, slope, distortion, distortion_freedom = tables
+        return drop, freedom.astype(np.intp), scale, slope, distortion, distortion_freedom.astype(np.intp)
 
     def covariance(
         self,

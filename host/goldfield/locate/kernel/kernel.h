@@ -68,16 +68,28 @@ void gf_fit(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, c
  * position_m (e x 2 x 3), rotation (e x 2 x 3 x 3), best and rival; found (e), how many of the two there are; widening
  * (e x 6 x 6), to be added to the covariance of the best because its valley bends; evaluations (e). */
 void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-               const double half_space[4], size_t most_evaluations, double *position_m, double *rotation, uint8_t *found,
-               double *widening, uint32_t *evaluations);
+               const double half_space[4], size_t most_evaluations, double *position_m, double *rotation,
+               uint8_t *found, double *widening, uint32_t *evaluations);
 
-/* Statistics of each beacon's faults around fitted poses (goldfield.locate.integrity, which derives them).
- * least_eigenvalue is as in gf_covariance(); least_share is the part of a variance that must be left in the residuals
- * for a fault to show. Out, e x n each: drop, its degrees of freedom, and scale. Bound: one evaluation of the field an
- * epoch, two with errors. */
+/* Where gf_faults() writes. */
+typedef struct {
+    double *drop;                /* e x n: part of the cost that leaving the beacon out takes away */
+    int32_t *freedom;            /* e x n: its degrees of freedom */
+    double *scale;               /* e x n: part of the cost that another strength of the beacon takes away */
+    double *slope;               /* e x n: the most that a fault moves the position over the root of the cost that it
+                                    adds, m; infinite if some fault adds nothing */
+    double *distortion;          /* e x 3: part of the cost that a distortion of the sensor takes away: one gain, one
+                                    gain an axis, any symmetric matrix */
+    int32_t *distortion_freedom; /* e x 3 */
+} gf_fault_tables_t;
+
+/* Statistics of faults around fitted poses, of each beacon and of the sensor (goldfield.locate.fault_statistics, which
+ * derives them). least_eigenvalue is as in gf_covariance(); least_share is the part of a variance that must be left in
+ * the residuals for a fault to show. Bound: one evaluation of the field an epoch, three with
+ * errors. */
 void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
                const double *sigma_T, const double *position_m, const double *rotation, double least_eigenvalue,
-               double least_share, double *drop, int32_t *freedom, double *scale);
+               double least_share, const gf_fault_tables_t *out);
 
 /* Mean square error of fitted poses with second-order terms (goldfield.locate.uncertainty.second_order_covariance).
  * Directions whose eigenvalue of the information, scaled to a unit diagonal, is below least_eigenvalue get free_m2

@@ -1,0 +1,133 @@
+"""What is wrong with one beacon, told from its field at the pose that the others give.
+
+The prediction h = R'B(p) has the covariance of the pose's error, J P J'; with it the simplest explanation that the
+beacon's three components admit is named: no field, the reversed field, a multiple of it, or another place.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import gammaincc
+
+from goldfield.field import FieldModel
+from goldfield.locate import sentences
+from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
+from goldfield.locate.uncertainty import gauss_newton_covariance
+from goldfield.locate.whitening import Independent
+from goldfield.types import Explanation, Finding, FloatArray
+
+ADMITTED = 1e-3
+"""An explanation of a beacon's field is admitted if its misfit is not less likely than this."""
+
+WELL_DETERMINED = 0.2
+"""A new place is told if its standard deviation is below this part of the way to it."""
+
+STEPS = 50
+"""The most steps of the search for the place."""
+
+
+def beacon_finding(
+    model: FieldModel, measurements: Measurements, fit: Fit, row: int, name: str
+) -> tuple[Finding, float]:
+    """Name what is wrong with a beacon that was left out of the pose of one epoch.
+
+    Parameters
+    ----------
+    model : FieldModel
+        All beacons.
+    measurements : Measurements
+        One epoch, all beacons.
+    fit : Fit
+        The pose from the others, with its information.
+    row : int
+        The beacon.
+    name : str
+        Its id.
+
+    Returns
+    -------
+    finding : Finding
+    residual : float
+        The beacon's normalised residual at this pose.
+    """
+    others, modelled = (part.reshape(3, -1)[:, row] for part in _of_one(model, measurements, fit))
+    weight = measurements.inverse_sigma()
+    heard = np.flatnonzero(weight[0, :, row] > 0.0)
+    slope = whitened_jacobian(model, fit.position_m, fit.rotation, Independent(weight)).reshape(6, 3, -1)[:, heard, row]
+    spread = slope.T @ gauss_newton_covariance(fit.information)[0] @ slope
+    measured, modelled = (others + modelled)[heard], modelled[heard]
+    freedom = len(heard)
+
+    def misfit(factor: float) -> float:
+        error = measured - factor * modelled
+        return float(error @ np.linalg.solve(np.eye(freedom) + factor**2 * spread, error))
+
+    def admitted(cost: float, degrees: int) -> bool:
+        return degrees > 0 and float(gammaincc(degrees / 2.0, cost / 2.0)) > ADMITTED
+
+    residual = float(np.sqrt(misfit(1.0) / freedom))
+    if admitted(misfit(0.0), freedom):
+        return Finding(Explanation.DEAD, (name,), sentences.dead(name), factor=0.0), residual
+    if admitted(misfit(-1.0), freedom):
+        return Finding(Explanation.REVERSED, (name,), sentences.turned_round(name), factor=-1.0), residual
+    factor = _factor(measured, modelled, spread)
+    if admitted(misfit(factor), freedom - 1):
+        return Finding(Explanation.CURRENT, (name,), sentences.current(name, factor), factor=factor), residual
+    place = _place(model, measurements, fit, row) if freedom == 3 else None
+    if place is not None:
+        distance = float(np.linalg.norm(place - model.centre_m[row]))
+        return Finding(Explanation.MOVED, (name,), sentences.moved(name, place, distance), position_m=place), residual
+    return Finding(Explanation.BEACON, (name,), sentences.other(name, residual)), residual
+
+
+def _of_one(model: FieldModel, measurements: Measurements, fit: Fit) -> tuple[FloatArray, FloatArray]:
+    weight = measurements.inverse_sigma()
+    residual, modelled = whitened_residual(model, measurements, fit, Independent(weight))
+    return residual[0], (modelled * weight)[0]
+
+
+def _factor(measured: FloatArray, modelled: FloatArray, spread: FloatArray) -> float:
+    """Factor of the modelled components by generalised least squares; its square is in the covariance, so twice."""
+    factor = 1.0
+    for _ in range(3):
+        weighted = np.linalg.solve(np.eye(len(modelled)) + factor**2 * spread, modelled)
+        factor = float(weighted @ measured / max(float(weighted @ modelled), 1e-300))
+    return factor
+
+
+def _place(model: FieldModel, measurements: Measurements, fit: Fit, row: int) -> FloatArray | None:
+    """Place, shape (3,), from which the beacon makes the field that was measured; None if it is not well determined.
+
+    Only the way from the beacon to the sensor counts, so that the beacon moved by d is the sensor moved by -d. The
+    pose's error and the noise decide how well the place is known.
+    """
+    one = model.subset(np.array([row]))
+    target = fit.rotation[0] @ measurements.filled_T[0, row]
+    position = fit.position_m[0].copy()
+    reach = float(np.linalg.norm(position - model.centre_m[row]))
+    size = float(np.linalg.norm(target))
+    for _ in range(STEPS):
+        field, gradient = (part[..., 0] for part in one.evaluate(position))
+        step = np.linalg.lstsq(gradient, target - field, rcond=1e-6)[0]
+        length = float(np.linalg.norm(step))
+        nearest = float(np.linalg.norm(position - model.centre_m[row]))
+        position = position + step * min(1.0, 0.2 * nearest / max(length, 1e-300))
+        if length < 1e-6 * nearest:
+            break
+    else:
+        return None
+    field, gradient = (part[..., 0] for part in one.evaluate(position))
+    if not np.linalg.norm(target - field) < 1e-6 * size:
+        return None
+    inverse = np.linalg.inv(gradient)
+    pose = gauss_newton_covariance(fit.information)[0]
+    # The place is p - x with B(x) = R b: p, the turn of b, and the noise of b.
+    turn = np.array([[0, target[2], -target[1]], [-target[2], 0, target[0]], [target[1], -target[0], 0]])
+    slope = np.hstack([np.eye(3), -inverse @ turn])
+    covariance = slope @ pose @ slope.T + measurements.sigma_T[0, row] ** 2 * inverse @ inverse.T
+    moved = fit.position_m[0] - position
+    deviation = float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+    way = float(np.linalg.norm(moved))
+    if not (deviation < WELL_DETERMINED * way and way < reach):
+        return None
+    return np.asarray(model.centre_m[row] + moved)

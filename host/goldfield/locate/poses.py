@@ -1,0 +1,176 @@
+"""From fitted and tested solutions to poses: covariance, protection level, status, and the reason in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from goldfield.field import FieldModel
+from goldfield.locate import sentences
+from goldfield.locate.constellation import Solutions
+from goldfield.locate.fault_statistics import FaultStatistics, fault_statistics
+from goldfield.locate.fit import Fit, Measurements
+from goldfield.locate.integrity import Verdict
+from goldfield.locate.protection import protection_level
+from goldfield.locate.uncertainty import second_order_covariance
+from goldfield.site import Site
+from goldfield.types import Fields, Finding, FloatArray, Pose, Status
+
+WEAK_POSITION = 0.25
+"""A pose is weak if the standard deviation of its position along the worst axis exceeds this part of the distance to
+the nearest beacon: the field then changes its shape within the error and nothing computed from a linear model can be
+trusted."""
+
+WEAK_ATTITUDE_RAD = 0.5
+"""A pose is weak, too, if the standard deviation of its attitude exceeds this, 29 degrees; the free turn of a sensor
+with one axis does not count."""
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Solutions of e epochs that heard the same n beacons, and what the tests said of them.
+
+    Attributes
+    ----------
+    site : Site
+    model : FieldModel
+        The n beacons.
+    names : tuple of str
+        Their ids.
+    measurements : Measurements
+    solutions : Solutions
+    statistics : FaultStatistics
+        Of the best poses.
+    verdicts : mapping of int to Verdict
+        Of the epochs that raised the alarm.
+    """
+
+    site: Site
+    model: FieldModel
+    names: tuple[str, ...]
+    measurements: Measurements
+    solutions: Solutions
+    statistics: FaultStatistics
+    verdicts: Mapping[int, Verdict]
+
+
+@dataclass(frozen=True)
+class _Figures:
+    """What is computed for the poses of e epochs at once."""
+
+    covariance: FloatArray  # (e, 6, 6)
+    protection_m: FloatArray  # (e,)
+    worst_beacon: NDArray[np.intp]  # (e,)
+    position_sd_m: FloatArray  # (e,), along the worst axis
+    turn_sd_rad: FloatArray  # (e,)
+    nearest_m: FloatArray  # (e,), of a beacon
+
+    @property
+    def weak(self) -> NDArray[np.bool_]:
+        far = self.position_sd_m > WEAK_POSITION * self.nearest_m
+        return np.asarray(far | (self.turn_sd_rad > WEAK_ATTITUDE_RAD))
+
+
+def poses_of(epochs: Sequence[Fields], judged: Judged) -> list[Pose]:
+    """Return the pose of each epoch."""
+    solutions = judged.solutions
+    figures = _figures(judged, judged.measurements, solutions.best, judged.statistics)
+    plain = ~(solutions.outside | solutions.contested | solutions.bounded | figures.weak)
+    plain &= figures.protection_m <= judged.site.alert_limit_m
+    plain[list(judged.verdicts)] = False
+    told = [_SOUND if sound else _told(judged, figures, e) for e, sound in enumerate(plain.tolist())]
+    alternatives: dict[int, Pose] = {}
+    contested = np.flatnonzero(solutions.contested)
+    if len(contested):
+        given, rival = judged.measurements.take(contested), solutions.rival.take(contested)
+        statistics = fault_statistics(judged.model, given, rival)
+        others = _figures(judged, given, rival, statistics)
+        rows = contested.tolist()
+        poses = _built(
+            [epochs[e] for e in rows], judged.names, given, rival, statistics, others, [told[e] for e in rows], {}
+        )
+        alternatives.update(zip(rows, poses, strict=True))
+    return _built(
+        epochs, judged.names, judged.measurements, solutions.best, judged.statistics, figures, told, alternatives
+    )
+
+
+def _figures(judged: Judged, measurements: Measurements, fit: Fit, statistics: FaultStatistics) -> _Figures:
+    covariance = second_order_covariance(judged.model, measurements, fit.position_m, fit.rotation)
+    protection_m, worst = protection_level(measurements, statistics, covariance[:, :3, :3])
+    nearest = np.linalg.norm(fit.position_m[:, None] - judged.model.centre_m, axis=2).min(axis=1)
+    shifts, turns = np.linalg.eigvalsh(np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]]))
+    turn = np.sqrt(np.where(measurements.axes == 1, turns[:, 1], turns[:, 2]))
+    return _Figures(covariance, protection_m, worst, np.sqrt(shifts[:, 2]), turn, nearest)
+
+
+@dataclass(frozen=True)
+class _Told:
+    """What is told of an epoch beside its figures."""
+
+    status: Status
+    reason: str | None = None
+    findings: tuple[Finding, ...] = ()
+
+
+_SOUND = _Told(Status.OK)
+
+
+def _told(judged: Judged, figures: _Figures, e: int) -> _Told:
+    """Return what is told of an epoch that is not plainly ok: the first that holds."""
+    solutions, limit = judged.solutions, judged.site.alert_limit_m
+    verdict = judged.verdicts.get(e)
+    if verdict is not None:
+        return _Told(Status.INCONSISTENT, verdict.reason, verdict.findings)
+    if solutions.outside[e]:
+        return _Told(Status.INCONSISTENT, sentences.OUTSIDE)
+    if solutions.contested[e]:
+        return _Told(Status.AMBIGUOUS, sentences.ambiguous(solutions.rival.position_m[e]))
+    if figures.weak[e]:
+        size = (figures.position_sd_m[e], figures.nearest_m[e], figures.turn_sd_rad[e])
+        return _Told(Status.WEAK, sentences.weak(*map(float, size)))
+    if solutions.bounded[e]:
+        return _Told(Status.WEAK, sentences.BOUNDED)
+    level, beacon = float(figures.protection_m[e]), judged.names[int(figures.worst_beacon[e])]
+    if level > limit:
+        return _Told(Status.UNVERIFIED, sentences.unverified(beacon, level, limit))
+    return _SOUND
+
+
+def _built(
+    epochs: Sequence[Fields],
+    names: tuple[str, ...],
+    measurements: Measurements,
+    fit: Fit,
+    statistics: FaultStatistics,
+    figures: _Figures,
+    told: Sequence[_Told],
+    alternatives: Mapping[int, Pose],
+) -> list[Pose]:
+    freedom = measurements.freedom
+    residual = np.sqrt(np.where(freedom > 0, fit.cost / np.maximum(freedom, 1), 0.0)).tolist()
+    quaternions = Rotation.from_matrix(fit.rotation, assume_valid=True).as_quat(canonical=True)
+    normalised, protection_m = statistics.normalised().tolist(), figures.protection_m.tolist()
+    return [
+        Pose(
+            epoch=fields.epoch,
+            time_s=fields.time_s,
+            position_m=fit.position_m[e],
+            orientation_xyzw=quaternions[e],
+            position_cov_m2=figures.covariance[e, :3, :3],
+            attitude_cov_rad2=figures.covariance[e, 3:, 3:],
+            residual=residual[e],
+            status=told[e].status,
+            used=names,
+            alternative=alternatives.get(e),
+            reason=told[e].reason,
+            protection_m=protection_m[e],
+            residuals=dict(zip(names, normalised[e], strict=True)),
+            findings=told[e].findings,
+        )
+        for e, fields in enumerate(epochs)
+    ]
