@@ -131,7 +131,8 @@ def _without(
     alike = _alike(constellation, measurements, subsets, names)
     alike += [rival.finding for rival in of_sensor[:1] if rival.score < score + CLEAR]
     if len(alike) > MOST_ALIKE:
-        return _unknown(sentences.NOT_CLEAR)
+        likelier = bool(of_sensor) and of_sensor[0].score < score
+        return None if likelier else _unknown(sentences.NOT_CLEAR)
     if alike:
         return _inconsistent(findings + alike, sentences.not_sure([f.text for f in findings + alike]))
     solutions = _at_least(rest.solve(thinned), subsets.fit.take(np.array([0])))
