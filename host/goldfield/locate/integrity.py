@@ -73,7 +73,7 @@ def explain(
     Parameters
     ----------
     constellation : Constellation
-        Of the beacons that were heard.
+        The beacons that were heard.
     measurements : Measurements
         The epoch.
     solutions : Solutions

@@ -44,9 +44,9 @@ class Judged:
     measurements : Measurements
     solutions : Solutions
     statistics : FaultStatistics
-        Of the best poses.
+        Those of the best poses.
     verdicts : mapping of int to Verdict
-        Of the epochs that raised the alarm.
+        Those of the epochs that raised the alarm.
     """
 
     site: Site

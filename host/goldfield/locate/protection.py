@@ -36,7 +36,7 @@ def protection_level(
     measurements : Measurements
         e epochs.
     statistics : FaultStatistics
-        Of their poses.
+        Those of their poses.
     position_cov_m2 : ndarray, shape (e, 3, 3)
         Covariance of the positions.
 
