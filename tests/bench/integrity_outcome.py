@@ -103,11 +103,7 @@ def outcome_of(poses: Sequence[Pose], position_m: FloatArray) -> Outcome:
     covariance = np.array([pose.position_cov_m2 for pose in poses]).reshape(-1, 3, 3)
     known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
     nees = np.full(len(poses), np.nan)
-    scale = 1.0 / np.sqrt(np.einsum("ekk->ek", covariance[known]))
-    whitened = np.linalg.solve(
-        covariance[known] * scale[:, :, None] * scale[:, None, :], (error[known] * scale)[..., None]
-    )
-    nees[known] = (error[known] * scale * whitened[..., 0]).sum(axis=1) / 3.0
+    nees[known] = [_nees(*one) for one in zip(error[known], covariance[known], strict=True)]
     return Outcome(
         np.array([str(pose.status) for pose in poses], dtype="U16"),
         np.linalg.norm(error, axis=1),
@@ -116,6 +112,18 @@ def outcome_of(poses: Sequence[Pose], position_m: FloatArray) -> Outcome:
         _objects(frozenset(pose.excluded) for pose in poses),
         _objects(frozenset(str(finding.kind) for finding in pose.findings) for pose in poses),
     )
+
+
+def _nees(error: FloatArray, covariance: FloatArray) -> float:
+    """Return the normalised error squared per axis, infinite if the covariance is none: not positive definite."""
+    variance = np.diag(covariance)
+    if not (variance > 0.0).all():
+        return np.inf
+    scale = 1.0 / np.sqrt(variance)
+    eigenvalue, vector = np.linalg.eigh(covariance * scale[:, None] * scale)
+    if eigenvalue[0] <= 0.0:
+        return np.inf
+    return float(((vector.T @ (error * scale)) ** 2 / eigenvalue).sum() / 3.0)
 
 
 def _objects(values: Iterable[frozenset[str]]) -> NDArray[np.object_]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import magpylib
 import numpy as np
 import pytest
@@ -194,6 +196,15 @@ def test_wrong_by_either_rule_on_both_sides():
     outcome = outcome_of(poses, np.zeros((5, 3)))
     assert outcome.wrong_by_covariance.tolist() == [False, True, False, False, False]
     assert outcome.wrong_by_distance.tolist() == [False, False, False, True, False]
+
+
+def test_the_normalised_error_knows_the_directions_and_a_covariance_that_is_none():
+    covariance = np.array([[4.0, 1.9, 0.0], [1.9, 1.0, 0.0], [0.0, 0.0, 9.0]])
+    given = [covariance, covariance - 2.0 * np.eye(3), np.zeros((3, 3))]
+    poses = [replace(pose(Status.OK, 1.0, 1.0), position_cov_m2=one) for one in given]
+    found = outcome_of(poses, np.zeros((3, 3))).nees
+    assert found[0] == pytest.approx(np.linalg.inv(covariance)[0, 0] / 3.0)
+    assert found[1:].tolist() == [np.inf, np.inf]
 
 
 def test_beacons_left_out_are_an_alarm():
