@@ -35,14 +35,14 @@ SURE_BEACONS = 6
 """Beacons that must stand out of the noise for the chain's answer to be taken without a search: fewer leave room for
 several answers."""
 
-OUTSTANDING = 10.0
+OUTSTANDING = 7.0
 """A beacon stands out of the noise if its field is this many standard deviations strong."""
 
-SURE_RADII = 2.0
+SURE_RADII = 1.5
 """Distance from every coil, in its radii, for the same: nearer the valleys of the cost bend."""
 
 MOST_EVALUATIONS = 10_000
-"""Evaluations of the field that a search may take, 5 to 20 ms; the median is 600, near coils 2,000."""
+"""Evaluations of the field that a search may take, 5 to 20 ms; the median is 600, near coils 2,500."""
 
 ROUGH_ITERATIONS = 40
 """Evaluations for such a fit."""

@@ -20,8 +20,9 @@ static const double softness[] = {0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4};
 /* One part in so many of the evaluations is left for the walks. */
 #define WALKS_SHARE 5
 
-/* Near a coil descents begin all over its level set, at this stage; two that come this near each other, in parts of the
- * range and in rad, are one. */
+/* Near a coil, and with so few coils that there are several answers, descents begin all over its level set, at this
+ * stage; two that come this near each other, in parts of the range and in rad, are one. */
+#define FEW_COILS      4
 #define SPREAD_STAGE   2
 #define SPREAD_TRIALS  12
 #define SPREAD_PORTION 0.03
@@ -220,8 +221,9 @@ static void explore(search_t *search) {
         const gf_pose_t pose = search->minima[i].pose;
         try_images(search, &pose);
     }
-    if (search->count > 0 && distance_from(search->epoch.coils, search->coil, &search->minima[0].pose) <
-                                 NEAR_RADII * search->epoch.coils->radius_m[search->coil]) {
+    if (search->count > 0 && (search->epoch.coils->count <= FEW_COILS ||
+                              distance_from(search->epoch.coils, search->coil, &search->minima[0].pose) <
+                                  NEAR_RADII * search->epoch.coils->radius_m[search->coil])) {
         try_spread(search, SPREAD_STAGE);
     }
 }

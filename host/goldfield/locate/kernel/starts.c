@@ -3,7 +3,7 @@
 #include <string.h>
 
 #include "fit.h"
-#include "linear.h"
+#include "wahba.h"
 
 /* Magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
 #define MU0_OVER_4PI (1.25663706127e-6 / (4.0 * 3.14159265358979323846))
@@ -58,43 +58,16 @@ static void evaluate_logarithms(const void *argument, const gf_pose_t *pose, gf_
     }
 }
 
-/* Wahba's problem by Davenport's matrix: the unit quaternion q of the rotation maximises q' K q. */
+/* The attitude at a position; weight has 3 n reciprocal standard deviations. */
 static void align(const gf_coils_t *coils, const double position_m[3], const double *field_T, const double *weight,
                   double rotation[3][3]) {
     gf_sources_t sources;
-    double h[3][3] = {{0.0}};
+    double inverse_variance[GF_MOST_COILS];
     gf_sources(coils, position_m, &sources);
     for (size_t i = 0; i < coils->count; ++i) {
-        const double w = weight[3 * i] * weight[3 * i];
-        for (size_t row = 0; w > 0.0 && row < 3; ++row) {
-            for (size_t column = 0; column < 3; ++column) {
-                h[row][column] += w * sources.field_T[row][i] * field_T[3 * i + column];
-            }
-        }
+        inverse_variance[i] = weight[3 * i] * weight[3 * i];
     }
-    const double trace = h[0][0] + h[1][1] + h[2][2];
-    double k[4][6] = {
-        {2.0 * h[0][0] - trace, h[0][1] + h[1][0], h[0][2] + h[2][0], h[2][1] - h[1][2]},
-        {h[0][1] + h[1][0], 2.0 * h[1][1] - trace, h[1][2] + h[2][1], h[0][2] - h[2][0]},
-        {h[0][2] + h[2][0], h[1][2] + h[2][1], 2.0 * h[2][2] - trace, h[1][0] - h[0][1]},
-        {h[2][1] - h[1][2], h[0][2] - h[2][0], h[1][0] - h[0][1], trace},
-    };
-    double vectors[4][6];
-    gf_eigen(4, k, vectors);
-    size_t best = 0;
-    for (size_t i = 1; i < 4; ++i) {
-        best = k[i][i] > k[best][best] ? i : best;
-    }
-    const double x = vectors[0][best];
-    const double y = vectors[1][best];
-    const double z = vectors[2][best];
-    const double w = vectors[3][best];
-    const double turned[3][3] = {
-        {1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)},
-        {2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)},
-        {2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)},
-    };
-    memcpy(rotation, turned, sizeof turned);
+    gf_attitude(coils->count, &sources, field_T, inverse_variance, rotation);
 }
 
 static void start(const gf_coils_t *coils, const double *field_T, const double *sigma_T, double range_error,
