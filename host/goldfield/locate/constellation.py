@@ -50,7 +50,7 @@ ROUGH_ITERATIONS = 40
 CANDIDATES = 8
 """Candidates of the shell that are fitted roughly."""
 
-FITTED = 4
+FITTED = 8
 """Those that are fitted to the end."""
 
 SILENCE = 1e-4
