@@ -54,7 +54,7 @@ static void add_coil(const gf_sources_t *s, size_t i, const double r[3], double 
 }
 
 /* The squares at a pose; the cost is not finite once the evaluations are used up. */
-static void squares_at(gf_epoch_t *epoch, const gf_pose_t *pose, gf_squares_t *out) {
+static void evaluate(gf_epoch_t *epoch, const gf_pose_t *pose, gf_squares_t *out) {
     gf_clear(out);
     if (epoch->evaluations >= epoch->most_evaluations) {
         out->cost = INFINITY;
@@ -114,7 +114,7 @@ void gf_descend(gf_epoch_t *epoch, size_t trials, double tolerance, gf_minimum_t
     gf_squares_t *const squares = &minimum->squares;
     double damping = FIRST_DAMPING;
     minimum->converged = false;
-    squares_at(epoch, &minimum->pose, squares);
+    evaluate(epoch, &minimum->pose, squares);
     for (size_t trial = 0; trial < trials && isfinite(squares->cost); ++trial) {
         double step[6];
         if (propose(epoch, squares, 0.0, step) && promise(squares, step) < tolerance) {
@@ -134,7 +134,7 @@ void gf_descend(gf_epoch_t *epoch, size_t trials, double tolerance, gf_minimum_t
         }
         gf_turn(there.rotation, step + 3);
         gf_squares_t next;
-        squares_at(epoch, &there, &next);
+        evaluate(epoch, &there, &next);
         if (next.cost <= squares->cost) {
             minimum->pose = there;
             *squares = next;

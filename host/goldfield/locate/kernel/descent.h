@@ -1,6 +1,6 @@
 /* Descent to a minimum of the cost of one epoch with complete vectors, as the search makes hundreds of.
  *
- * Fill in a gf_epoch_t once, gf_soften() it as wanted, then gf_descend() from poses or gf_cost() at them. In contrast
+ * Fill in a gf_epoch_t once, gf_soften() it as wanted, then gf_descend() from poses. In contrast
  * to gf_minimise() everything counts against one limit of evaluations, a plane can hold the position while the rest of
  * the pose gives way, and the end is where the undamped step promises little: the damped one does so too early on
  * ridges.
