@@ -42,7 +42,14 @@ class Deviations:
     rows: NDArray[np.intp]
     beacons: int
 
-    def effect(self, model: FieldModel, seen: FloatArray, position_m: FloatArray, rotation: FloatArray) -> FloatArray:
+    def effect(
+        self,
+        model: FieldModel,
+        seen: FloatArray,
+        position_m: FloatArray,
+        rotation: FloatArray,
+        ambient_T: FloatArray,
+    ) -> FloatArray:
         """Return what each error, in standard deviations, adds to an observation's numbers.
 
         Parameters
@@ -51,8 +58,10 @@ class Deviations:
             The n beacons.
         seen : ndarray, shape (3, r, (n + 1) k)
             `Observation.seen`.
-        position_m, rotation : ndarray, shapes (3,) and (3, 3)
-            Pose at mid-cycle: over a cycle the errors are taken for constant.
+        position_m, rotation : ndarray, shapes (k, 3) and (k, 3, 3)
+            Poses at the nodes of the cycle.
+        ambient_T : ndarray, shape (3,)
+            Ambient field in the site's frame: the sensor's errors distort it too while it turns.
 
         Returns
         -------
@@ -60,15 +69,17 @@ class Deviations:
             First the errors of the site's beacons, then those of the sensor.
         """
         count, numbers = len(model), seen.shape[1]
-        constant = seen.reshape(3, numbers, count + 1, -1)[:, :, :count].sum(axis=3)
-        of_beacons, field = effects_of_beacons(model, self.errors, position_m[None])
-        in_sensor, field = rotation.T @ of_beacons[0], field[0] @ rotation
+        by_node = seen.reshape(3, numbers, count + 1, -1)
+        of_beacons, field = effects_of_beacons(model, self.errors, position_m)
+        in_sensor = (rotation.swapaxes(1, 2)[:, None] @ of_beacons).transpose(2, 1, 0, 3)  # (3, n, k, 7)
+        fields = np.concatenate([field, np.broadcast_to(ambient_T, (len(field), 1, 3))], axis=1) @ rotation
+        fields = fields.swapaxes(0, 1).reshape(-1, 3)
         effect = np.zeros((3, numbers, OF_BEACON * self.beacons + OF_SENSOR))
-        columns = (OF_BEACON * self.rows[:, None] + np.arange(OF_BEACON)).ravel()
-        each = constant[..., None] * in_sensor.transpose(1, 0, 2)[:, None]
-        effect[:, :, columns] = each.reshape(3, numbers, -1)
         for axis in range(3):
             deviation = np.where(np.arange(3) == axis, self.errors.gain_sd, self.errors.sensor_axis_sd_rad)
             first = OF_BEACON * self.beacons + 3 * axis
-            effect[axis, :, first : first + 3] = constant[axis] @ field * deviation
+            effect[axis, :, first : first + 3] = seen[axis] @ fields * deviation
+            each = by_node[axis, :, :count].swapaxes(0, 1) @ in_sensor[axis]  # (n, r, 7)
+            for beacon, row in enumerate(self.rows):
+                effect[axis, :, OF_BEACON * row : OF_BEACON * (row + 1)] = each[beacon]
         return effect.reshape(3 * numbers, -1)

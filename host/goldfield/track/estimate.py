@@ -165,20 +165,18 @@ def estimate(prior: Belief, observation: Observation, evaluations: int, toleranc
             damping = max(10.0 * damping, FIRST_DAMPING)
     root = np.linalg.solve(np.linalg.cholesky(normal), prior.root.T).T
     fixed = None
-    if observation.deviations is not None and observation.mixing is not None:
-        fixed = _fixed(prior, observation, jacobian, root)
+    if observation.mixing is not None and observation.effect is not None:
+        fixed = _fixed(prior, observation.mixing, observation.effect, jacobian, root)
     for part in (root,) if fixed is None else (root, fixed.noise, fixed.sensitivity):
         part[TURN] = turn_jacobian(offset[TURN]) @ part[TURN]
     return Estimate(Belief(state, root, fixed), cost, observation.count, used)
 
 
-def _fixed(prior: Belief, observation: Observation, jacobian: FloatArray, root: FloatArray) -> Fixed:
+def _fixed(prior: Belief, mixing: FloatArray, effect: FloatArray, jacobian: FloatArray, root: FloatArray) -> Fixed:
     """Return both parts of the error after an update that led to a root, jacobian being that of whitened numbers."""
-    assert observation.mixing is not None
-    effect = observation.mixing @ observation.effect(prior.state)
     gain = root @ (root.T @ jacobian.T)
     before = Fixed(prior.root, np.zeros((SIZE, effect.shape[1]))) if prior.fixed is None else prior.fixed
-    noise = np.hstack([before.noise - gain @ (jacobian @ before.noise), gain @ observation.mixing])
+    noise = np.hstack([before.noise - gain @ (jacobian @ before.noise), gain @ mixing])
     return Fixed(compact(noise), before.sensitivity - gain @ (jacobian @ before.sensitivity + effect))
 
 

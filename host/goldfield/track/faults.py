@@ -125,6 +125,7 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
     prior : Belief
         What was believed before it, of which the motion alone is used.
     """
+    observation = observation.around(state)
     residual, jacobian = observation.residual(state)
     before = prior.state
     motion = [
@@ -181,7 +182,8 @@ def _columns(observation: Observation) -> FloatArray:
     columns = np.zeros((beacons, axes, axes, rows))
     for axis in range(axes):
         columns[:, axis, axis] = constant[axis].T
-    return columns.reshape(beacons, axes, axes * rows)
+    flat = columns.reshape(beacons, axes, axes * rows)
+    return flat if observation.mixing is None else flat @ observation.mixing.T
 
 
 def _distortion(

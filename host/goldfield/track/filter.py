@@ -295,6 +295,7 @@ class Tracker(Generic[T]):
     ) -> Fused | None:
         """Update with the data, or with all of them but one beacon's if only that agrees; None if nothing does."""
         everything, heard = self._observation(data, prior)
+        everything = everything.around(prior.state)
         observation = everything
         if without:
             observation, heard = self._observation(data, prior, without)

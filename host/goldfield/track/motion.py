@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
+from goldfield.locate.rotations import skew
 from goldfield.track.deviations import Deviations
 from goldfield.types import FloatArray
 
@@ -139,7 +140,10 @@ class Observation:
     deviations : Deviations or None
         Errors of the site and the sensor; None if they are exact.
     mixing : ndarray, shape (3 r, 3 r), or None
-        Matrix by which residuals and Jacobian are multiplied, so that they are uncorrelated with these errors too.
+        Matrix by which residuals and Jacobian are multiplied, so that they are uncorrelated with these errors too;
+        `around` sets it.
+    effect : ndarray, shape (3 r, k), or None
+        What each of the errors adds to the numbers, multiplied so; see `Deviations.effect`.
     """
 
     model: FieldModel
@@ -149,21 +153,22 @@ class Observation:
     count: int
     deviations: Deviations | None = None
     mixing: FloatArray | None = None
+    effect: FloatArray | None = None
 
     def around(self, state: State) -> Observation:
-        """Return the observation whitened for the errors of the site and the sensor as they act near a state."""
-        if self.deviations is None:
+        """Return the observation whitened for the errors of the site and the sensor as they act near a state.
+
+        One that is whitened already is returned as it is.
+        """
+        if self.deviations is None or self.mixing is not None:
             return self
-        effect = self.effect(state)
+        position = state.position_m + np.outer(self.times_s, state.velocity_m_s)
+        rotation = np.array([turn_matrix(time_s * state.rate_rad_s) @ state.rotation for time_s in self.times_s])
+        effect = self.deviations.effect(self.model, self.seen, position, rotation, state.ambient_T)
         if not np.isfinite(effect).all():  # on a wire
             return self
-        covariance = np.eye(len(effect)) + effect @ effect.T
-        return replace(self, mixing=np.linalg.inv(np.linalg.cholesky(covariance)))
-
-    def effect(self, state: State) -> FloatArray:
-        """Return what each error adds to the numbers before they are whitened; see `Deviations.effect`."""
-        assert self.deviations is not None
-        return self.deviations.effect(self.model, self.seen, state.position_m, state.rotation)
+        mixing = np.linalg.inv(np.linalg.cholesky(np.eye(len(effect)) + effect @ effect.T))
+        return replace(self, mixing=mixing, effect=mixing @ effect)
 
     def residual(self, state: State) -> tuple[FloatArray, FloatArray]:
         """Return measured minus expected numbers, shape (3 r,), and the Jacobian of the expected, shape (3 r, 15).
@@ -209,15 +214,6 @@ class Observation:
             rest = values - ambient @ np.linalg.lstsq(ambient, values, rcond=None)[0] if ambient.any() else values
             total += float(rest @ rest)
         return total
-
-
-def skew(vector: FloatArray) -> FloatArray:
-    """Return [v]x, shape (..., 3, 3), of vectors, shape (..., 3): the matrix of the cross product with v."""
-    result = np.zeros((*vector.shape, 3))
-    for row, column, source in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
-        result[..., row, column] = vector[..., source]
-        result[..., column, row] = -vector[..., source]
-    return result
 
 
 def turn_matrix(vector: FloatArray) -> FloatArray:

@@ -3,14 +3,16 @@
 The filter's steps of the last epochs are kept. When a new one comes, Rauch, Tung and Striebel's recursion runs back
 over them, on the errors of the predicted states, and the oldest goes out with all that the lag could add.
 
-What errors of the site do to the states goes back with the same gains, exactly. Beside it the covariance with which the
-filter weights counts them once more, as noise: the smoothed covariance is an upper bound, a tenth too large or so.
+The gains are those of the covariances with which the filter weights. With errors of the site the covariance that is
+reported has the filter's two parts (`goldfield.track.estimate.Fixed`), each carried back with these gains: what the
+errors do to the states exactly, noise and motion but for a correlation, which is none if the gains are the best ones.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Generic
 
 import numpy as np
@@ -19,6 +21,7 @@ from goldfield.site import Site
 from goldfield.track.continuity import Hemisphere
 from goldfield.track.estimate import Belief
 from goldfield.track.filter import Step, Tracker
+from goldfield.track.motion import State
 from goldfield.track.observe import T
 from goldfield.track.report import Reporter
 from goldfield.types import FloatArray, Pose
@@ -79,30 +82,53 @@ class FixedLagSmoother(Generic[T]):
 
     def _smoothed(self) -> list[Pose]:
         poses: list[Pose] = []
-        later: tuple[Belief, FloatArray, FloatArray, FloatArray] | None = None
-        moved: FloatArray | None = None
+        back: _Back | None = None
+        later: Step | None = None
         for step in reversed(self._steps):
             if step.belief is None:
                 return [step.pose]
-            state, covariance = step.belief.state, step.belief.root @ step.belief.root.T
-            fixed = None if step.belief.fixed is None else step.belief.fixed.sensitivity
-            reported = step.belief.covariance
-            if later is not None:
-                predicted, transition, error, change = later
-                gain = _divided(covariance @ transition.T, predicted.root @ predicted.root.T)
-                state = state.moved(gain @ error)
-                covariance = reported = covariance + gain @ change @ gain.T
-                if fixed is not None and moved is not None:
-                    fixed = fixed + gain @ moved
-                    reported = covariance + fixed @ fixed.T
-            poses.append(self._reporter.again(step.pose, state, reported))
-            if step.predicted is not None and step.transition is not None:
-                change = covariance - step.predicted.root @ step.predicted.root.T
-                later = step.predicted, step.transition, state.minus(step.predicted.state), change
-                moved = None
-                if fixed is not None and step.predicted.fixed is not None:
-                    moved = fixed - step.predicted.fixed.sensitivity
+            back = _Back.told(step.belief, later, back)
+            poses.append(self._reporter.again(step.pose, back.state, back.reported))
+            later = step
         return poses[::-1]
+
+
+@dataclass(frozen=True, eq=False)
+class _Back:
+    """What is believed of a step after all steps that follow; ``fixed`` is None if the site is exact."""
+
+    state: State
+    covariance: FloatArray
+    fixed: tuple[FloatArray, FloatArray] | None
+    """Covariance by noise and motion, and sensitivity to the errors of the site."""
+
+    @property
+    def reported(self) -> FloatArray:
+        if self.fixed is None:
+            return self.covariance
+        noise, sensitivity = self.fixed
+        return noise + sensitivity @ sensitivity.T
+
+    @staticmethod
+    def told(belief: Belief, later: Step | None, back: _Back | None) -> _Back:
+        """Return what is believed of a step by what is now believed of the next."""
+        covariance = belief.root @ belief.root.T
+        fixed = None if belief.fixed is None else (belief.fixed.noise @ belief.fixed.noise.T, belief.fixed.sensitivity)
+        if later is None or back is None or later.predicted is None or later.transition is None:
+            return _Back(belief.state, covariance, fixed)
+        predicted, onward = later.predicted, later.transition
+        before = predicted.root @ predicted.root.T
+        gain = _divided(covariance @ onward.T, before)
+        state = belief.state.moved(gain @ back.state.minus(predicted.state))
+        covariance = covariance + gain @ (back.covariance - before) @ gain.T
+        if fixed is None or back.fixed is None or predicted.fixed is None:
+            return _Back(state, covariance, None)
+        noise, sensitivity = fixed
+        kept = gain @ onward @ noise
+        moved = predicted.fixed.noise @ predicted.fixed.noise.T + back.fixed[0]
+        noise = noise - kept - kept.T + gain @ moved @ gain.T
+        sensitivity = sensitivity + gain @ (back.fixed[1] - predicted.fixed.sensitivity)
+        return _Back(state, covariance, (noise, sensitivity))
 
 
 def _divided(left: FloatArray, covariance: FloatArray) -> FloatArray:

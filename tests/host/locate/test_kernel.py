@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from goldfield.field import FieldModel
 from goldfield.locate import Locator, kernel
 from goldfield.locate.constellation import Constellation
-from goldfield.locate.fit import Measurements
 from goldfield.locate.fault_statistics import alarm, fault_statistics
+from goldfield.locate.fit import Measurements
 from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import HalfSpace
 from tests.bench import locate_trials as bench

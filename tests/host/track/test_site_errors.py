@@ -136,4 +136,5 @@ def test_parts_and_single_cycles_know_of_the_errors_too():
         position, _ = flight_poses(flight, 0.0)
         error = found.pose.position_m - position
         squares.append(error @ np.linalg.solve(found.pose.position_cov_m2, error) / 3.0)
+    print(squares)
     assert 0.4 < np.mean(squares) < 1.8
