@@ -19,6 +19,13 @@ access = "fdma"
 {{site}}
 [sensor]
 noise_T = {NOISE_T}
+gain_sd = 0.0
+axis_sd_rad = 0.0
+
+[survey]
+position_sd_m = 0.0
+axis_sd_rad = 0.0
+current_sd = 0.0
 """
 BEACON = """
 [[beacon]]
