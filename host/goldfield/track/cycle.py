@@ -8,6 +8,7 @@ import numpy as np
 
 from goldfield.site import Site
 from goldfield.track.estimate import SEARCH_TOLERANCE, VAGUE, Belief, Estimate, estimate, second_order
+from goldfield.track.faults import judged
 from goldfield.track.motion import State
 from goldfield.track.observe import CycleData, CycleObserver
 from goldfield.track.report import Reporter
@@ -55,16 +56,21 @@ class CycleLocator:
         if start is None:
             return MovingPose(pose, None, np.full((15, 15), np.nan))
         outcome = self.around(start, data)
-        probable = outcome.probable(IMPROBABLE)
         belief = outcome.belief
+        observation, _ = self._observer.observation(data, 0.0)
+        judgement = judged(observation, belief.state, Belief(belief.state, np.diag(VAGUE)))
+        agrees = outcome.probable(IMPROBABLE) and not judgement.alarm
         final = self._reporter.pose(
             data.epoch,
             data.time_s,
             belief,
             residual=float(np.sqrt(outcome.cost / outcome.count)),
-            status=Status.OK if probable else Status.INCONSISTENT,
+            status=Status.OK if agrees else Status.INCONSISTENT,
             used=data.beacons,
             axes=int(np.isfinite(data.data_T).any(axis=0).sum()),
+            reason=None if agrees else "the fields do not agree with the site",
+            protection_m=judgement.protection_m(belief.covariance[:3, :3]),
+            residuals=judgement.residuals,
         )
         return MovingPose(final, belief.state, belief.covariance)
 
