@@ -36,8 +36,9 @@ Location = Callable[[Fields, Report | None], Pose]
 class Succession:
     """Lets the poses of one source follow each other, however they are made.
 
-    Quaternions keep their hemisphere (`goldfield.track.continuity.Hemisphere`). Time that goes back or stands still
-    between two epochs is in the reason of the later pose, and the first time it is told on stderr.
+    Quaternions keep their hemisphere (`goldfield.track.continuity.Hemisphere`). Time that goes back between two
+    epochs is in the reason of the later pose, and the first time it is told on stderr; time that stands still is none
+    of its business, since a table of poses that were taken one by one may have the same in each.
     """
 
     def __init__(self) -> None:
@@ -47,7 +48,7 @@ class Succession:
 
     def follow(self, pose: Pose) -> Pose:
         """Return the next pose of the source as it follows those before."""
-        broken = time_break(self._time_s, pose.time_s)
+        broken = time_break(self._time_s, pose.time_s) if pose.time_s < self._time_s else None
         if math.isfinite(pose.time_s):
             self._time_s = pose.time_s
         if broken is not None:

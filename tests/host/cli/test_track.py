@@ -91,8 +91,8 @@ def test_a_defect_in_tracking_costs_the_epoch_only(tmp_path, capsys, monkeypatch
 
 def test_codes_that_cannot_be_separated_are_one_sentence(tmp_path, capsys):
     """Degree 5: 33 codes and an offset are more than 31 chips can tell apart."""
-    text = "[site]\nname = 'small'\nchip_period_s = 1e-4\ndegree = 5\n[sensor]\nnoise_T = 1e-7\ngain_sd = 0.0\naxis_sd_rad = 0.0\n"
-    text += "[survey]\nposition_sd_m = 0.0\naxis_sd_rad = 0.0\ncurrent_sd = 0.0\n"
+    text = "[site]\nname = 'small'\nchip_period_s = 1e-4\ndegree = 5\n[sensor]\nnoise_T = 1e-7\n"
+    text += "gain_sd = 0.0\naxis_sd_rad = 0.0\n[survey]\nposition_sd_m = 0.0\naxis_sd_rad = 0.0\ncurrent_sd = 0.0\n"
     rows = ["epoch,t_s,beacon,bx_T,by_T,bz_T"]
     moment = np.array([0.0, 0.0, 1.0])
     for code in range(33):
