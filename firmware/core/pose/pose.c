@@ -302,7 +302,9 @@ static bool unexplained(pose_work_t *work, pose_reason_t reason, pose_t *pose) {
 static bool by_negated(pose_work_t *work, pose_t *pose) {
     negate(&work->problem);
     (void)search(work, POSE_FIND_DIRECTIONS, POSE_FIND_EVALUATIONS, pose);
-    const bool mirrored = explains(&work->problem, &work->best, NEGATED);
+    work->next_cost = work->best.cost;
+    const bool mirrored = explains(&work->problem, &work->best, NEGATED) &&
+                          work->full.cost - work->best.cost >= CLEARLY;
     negate(&work->problem);
     if (mirrored || work->problem.count < POSE_LEFT_OUT_LEAST) {
         return unexplained(work, mirrored ? POSE_REASON_NEGATED : POSE_REASON_UNEXPLAINED, pose);
@@ -342,7 +344,7 @@ static bool by_gains(pose_work_t *work, pose_t *pose) {
         const float apart = total[axis] / mean - 1.0f;
         same = same && apart < SAME_GAIN && apart > -SAME_GAIN;
     }
-    work->next_cost = work->best.cost;
+    work->next_cost = work->best.cost < work->next_cost ? work->best.cost : work->next_cost;
     work->whole = !explains(problem, &work->best, NEGATED) ? POSE_REASON_UNEXPLAINED
                   : same                                   ? POSE_REASON_STRENGTH
                                                            : POSE_REASON_GAINS;

@@ -1,17 +1,24 @@
 /* pose.h: position and attitude of the sensor from the fields of one cycle, in single precision: the location of
  * host/goldfield/locate on the board itself.
  *
- * Calls: pose_find with no prior, or pose_track in each cycle, which starts from the pose before and finds the first
- * one, too.
+ * Calls: pose_begin, then pose_step until it returns true, so that a long computation does not hold up the board.
+ * pose_find and pose_track do it at once.
  *
  * Method. With no prior, the strongest beacon's magnitude gives a shell of candidates (pose_search), each with the
  * best attitude (wahba). They are fitted on all components, the best first, first with 3 % of model error, then with
  * the noise alone (pose_fit), until one explains the fields. Tracking starts the fit from the previous pose, and falls
- * back to the search when that does not explain the fields.
+ * back to the search when that does not explain the fields. If no pose passes the tests of pose_faults, each further
+ * step tries an explanation: the negated fields; other gains of the sensor's axes; one beacon after another left out,
+ * each time with a search of its own. A beacon is left out, and the pose may be ok, only with five or more heard, if
+ * the rest has p > .01 and passes the tests, and if the next best explanation costs 25 more.
+ *
+ * Differences from the host's location: one beacon is left out at most, not two; of more than 12 the most suspect 12
+ * are tried. The sensor's distortion is named as strength or gains only. Errors of the site are not part of the model.
+ * The search is not a global one: near a coil another pose may be missed. A fault in a direction with less than 3e-6 of
+ * its variance in the residuals counts as not detectable: close to a coil the status is more often unverified.
  *
  * Limits. Any mix of axes, moments and heights is allowed; coils are exact at any range. At least POSE_BEACONS_LEAST
- * beacons are needed. Sensors with fewer than three axes, exclusion of faulty beacons, and tests of single beacons are
- * not here but on the host.
+ * beacons are needed. Sensors with fewer than three axes are not here but on the host.
  *
  * Mirror. Coplanar coils that all point across their plane have an exact mirror pose, p mirrored and the sensor turned
  * half around the normal, with exactly the same fields. The half-space decides, if there is one; else the status is
@@ -28,7 +35,7 @@
  *   pose_track   162,000 instructions, at most 200,000 with the previous pose 0.1 m and 0.1 rad away; when it has to
  *                search, those of pose_find too.
  *
- * Memory: pose_work_t 4,092 bytes, pose_site_t 2,076, both the caller's; stack 2.7 kB.
+ * Memory: pose_work_t 5.1 kB, pose_site_t 2,080 bytes, both the caller's; stack 2.7 kB.
  */
 #ifndef GOLDFIELD_POSE_H
 #define GOLDFIELD_POSE_H

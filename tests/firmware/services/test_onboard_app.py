@@ -128,7 +128,7 @@ def test_a_dead_beacon_is_left_out_and_told(make: Callable[..., World]) -> None:
     chips = chips - np.outer(gold_chips(CODES[5]), ATTITUDE.inv().apply(coil.getB(POSITION)))
     world = make(counts_of(chips), **TABLE)
     world.run_cycles(10)
-    rows = poses_of(world)
+    rows = poses_of(world)[1:]  # The first cycle has few chips.
     assert len(rows) >= 5
     for row in rows:
         position, attitude, quality, integrity = row

@@ -8,11 +8,11 @@ from scipy.spatial.transform import Rotation
 from goldfield import site as sites
 from goldfield.locate import Locator
 from goldfield.locate.uncertainty import cramer_rao_bound
-from goldfield.types import Fields, Status
+from goldfield.sensor.on_sensor import STATUS
+from goldfield.types import Fields
 from hil_sim.clib import ROOT
 
 SIGMA_T = 2e-7 / np.sqrt(1023)  # 2 mG a sample
-STATUS = list(Status)
 OK, AMBIGUOUS, WEAK, INCONSISTENT, FAILED, UNVERIFIED = range(6)
 
 
@@ -137,7 +137,8 @@ def test_agreement_with_the_host_within_a_tenth_of_the_bound(core, cube, scale, 
         ratios.append(errors[0] / limit)
         assert own.residual == pytest.approx(pose.residual, abs=0.05)
     apart = np.array(apart)
-    same = np.mean([own == theirs for own, theirs in statuses])
+    # The protection level has a test of its own.
+    same = np.mean([own == theirs or {own, theirs} == {OK, UNVERIFIED} for own, theirs in statuses])
     print(f"scale {scale}, {sigma_T:.2g} T: failures {failed} of {count}, same status {same:.4f}")
     print(f"apart, position and attitude, at most {apart.max(axis=0)} of the bound")
     print(f"rms error over bound {np.sqrt(np.mean(np.square(ratios))):.3f}")
@@ -155,16 +156,18 @@ def test_covariance_as_the_hosts_and_true(core, cube):
     measured = fields_at(cube, position, rotation, SIGMA_T, rng)
     names, sigma = tuple(b.id for b in cube.beacons), np.full(8, SIGMA_T)
     host = Locator(cube).locate_many([Fields(e, 0.0, names, f, sigma) for e, f in enumerate(measured)])
-    sensor, normalised = Sensor(core, cube), []
+    sensor, normalised, alike = Sensor(core, cube), [], []
     for e, pose in enumerate(host):
         own = sensor.locate(measured[e], SIGMA_T)
         place, turn = covariance_of(own)
         if not pose.excluded:
-            np.testing.assert_allclose(place, pose.position_cov_m2, atol=0.05 * np.trace(pose.position_cov_m2))
-            np.testing.assert_allclose(turn, pose.attitude_cov_rad2, atol=0.05 * np.trace(pose.attitude_cov_rad2))
+            pairs = ((place, pose.position_cov_m2), (turn, pose.attitude_cov_rad2))
+            alike.append(all(np.abs(a - b).max() < 0.05 * np.trace(b) for a, b in pairs))
         error = position_of(own) - position[e]
         vector = (rotation_of(own) * rotation[e].inv()).as_rotvec()
         normalised.append([error @ np.linalg.solve(place, error) / 3, vector @ np.linalg.solve(turn, vector) / 3])
+    print(f"covariance as the host's: {np.mean(alike):.4f}")
+    assert np.mean(alike) > 0.98  # The host widens it along ridges that its search has walked.
     mean = np.mean(normalised, axis=0)
     print(f"mean normalised error squared: position {mean[0]:.2f}, attitude {mean[1]:.2f}")
     assert (mean > 0.8).all()
@@ -272,9 +275,6 @@ def test_what_cannot_be_located_says_so(core, cube):
         assert np.linalg.norm(position_of(pose) - position[0]) < 0.05
     assert sensor.locate(np.zeros((8, 3)), SIGMA_T).status == FAILED
     assert sensor.locate(rng.normal(0.0, 1e-6, (8, 3)), SIGMA_T).status == INCONSISTENT
-    swapped = measured.copy()
-    swapped[3] *= -1.0  # wrong polarity
-    assert sensor.locate(swapped, SIGMA_T).status == INCONSISTENT
 
 
 def test_noise_alone_and_huge_tables_end(core, cube):
@@ -288,4 +288,152 @@ def test_noise_alone_and_huge_tables_end(core, cube):
             assert np.isfinite(position_of(pose)).all()
             assert np.linalg.norm(list(pose.quaternion)) == pytest.approx(1.0, abs=1e-4)
             assert np.isfinite(covariance_of(pose)).all()
-        assert pose.iterations <= 220
+        assert pose.iterations <= 2 * 80 + 12 * 40 + 11 * 10 + 5 * 10 + 30
+
+
+NEGATED, BEACON, UNEXPLAINED, LEFT_OUT, STRENGTH, GAINS = 4, 5, 6, 11, 12, 13
+NOBODY = 2**32 - 1
+
+
+@pytest.fixture(scope="module")
+def trials(cube):
+    """300 poses in the cube with their fields without noise, and the noise."""
+    rng = np.random.default_rng(21)
+    position, rotation = inside(cube, 1.0, 300, rng)
+    clean = fields_at(cube, position, rotation, 0.0, rng)
+    return position, rotation, clean, rng.normal(0.0, SIGMA_T, clean.shape)
+
+
+def wrong_ok(pose, truth):
+    """Whether a pose is ok and wrong: beyond 5 cm and beyond its own uncertainty."""
+    if pose.status != OK:
+        return False
+    error = position_of(pose) - truth
+    normalised = error @ np.linalg.solve(covariance_of(pose)[0], error) / 3.0
+    return bool(np.linalg.norm(error) > 0.05 and normalised > 8.0)
+
+
+WHOLE_SENSOR = {
+    "axis reversed": np.diag([1.0, 1.0, -1.0]),
+    "axes swapped": np.eye(3)[[1, 0, 2]],
+    "coils reversed": -np.eye(3),
+    "gain 20 % up": 1.2 * np.eye(3),
+    "gain 20 % down": 0.8 * np.eye(3),
+    "gain of one axis": np.diag([1.2, 1.0, 1.0]),
+    "axis dead": np.diag([1.0, 1.0, 0.0]),
+}
+
+
+@pytest.mark.parametrize("fault", WHOLE_SENSOR)
+def test_a_fault_of_the_whole_sensor_is_never_ok(core, cube, trials, fault):
+    position, _, clean, noise = trials
+    sensor = Sensor(core, cube)
+    poses = [sensor.locate(fields, SIGMA_T) for fields in clean @ WHOLE_SENSOR[fault].T + noise]
+    assert not any(wrong_ok(pose, truth) for pose, truth in zip(poses, position, strict=True))
+    named = np.mean([pose.reason in (NEGATED, STRENGTH, GAINS) for pose in poses])
+    found = np.mean([pose.status == INCONSISTENT for pose in poses])
+    print(f"{fault}: inconsistent {found:.3f}, named {named:.3f}")
+    assert found > (0.95 if fault == "gain of one axis" else 0.999)  # Along z its fields may be too weak to show.
+    assert named > 0.95 or fault == "axis dead"
+
+
+def test_sound_poses_raise_no_alarm(core, cube):
+    rng = np.random.default_rng(22)
+    position, rotation = inside(cube, 1.5, 1500, rng)
+    sensor, counts = Sensor(core, cube), np.zeros(6, int)
+    for fields, truth in zip(fields_at(cube, position, rotation, SIGMA_T, rng), position, strict=True):
+        pose = sensor.locate(fields, SIGMA_T)
+        counts[pose.status] += 1
+        assert pose.left_out == NOBODY
+        assert np.linalg.norm(position_of(pose) - truth) < pose.protection_m
+    print(f"sound poses by status {counts.tolist()}")
+    assert counts[INCONSISTENT] <= 0.003 * 1500
+    assert counts[FAILED] == 0
+
+
+def with_fault(site, kind, row, position, rotation, clean):
+    """The fields with one beacon dead, reversed, 20 % strong or 0.3 m away."""
+    fields = clean.copy()
+    if kind == "moved":
+        b = site.beacons[row]
+        place = b.position_m + 0.3 * np.roll([1.0, 0.0, 0.0], row)
+        coil = magpylib.current.Circle(current=b.turns * b.current_A, diameter=2 * b.radius_m, position=place)
+        fields[row] = rotation.inv().apply(coil.getB(position))
+    else:
+        fields[row] *= {"dead": 0.0, "reversed": -1.0, "strong": 1.2}[kind]
+    return fields
+
+
+@pytest.mark.parametrize("kind", ["dead", "reversed", "strong", "moved"])
+def test_one_faulty_beacon_of_eight_is_left_out(core, cube, trials, kind):
+    position, rotation, clean, noise = trials
+    sensor, sigma_T = Sensor(core, cube), SIGMA_T / 10
+    right, wrong, others = 0, 0, 0
+    for e in range(150):
+        fields = with_fault(cube, kind, e % 8, position[e], rotation[e], clean[e]) + noise[e] / 10
+        pose = sensor.locate(fields, sigma_T)
+        right += pose.status != FAILED and pose.left_out == e % 8 and np.linalg.norm(position_of(pose) - position[e]) < 0.05
+        others += pose.left_out not in (e % 8, NOBODY)
+        wrong += wrong_ok(pose, position[e])
+        if pose.left_out != NOBODY:
+            assert pose.used == 7
+    print(f"{kind}: right {right} of 150, another left out {others}, wrong {wrong}")
+    assert (wrong, others) == (0, 0)
+    assert right >= 0.95 * 150
+
+
+@pytest.mark.parametrize(("heard", "left_out"), [(4, False), (5, True)])
+def test_one_is_left_out_of_five_not_of_four(core, cube, trials, heard, left_out):
+    position, rotation, clean, noise = trials
+    sensor = Sensor(core, cube)
+    sigma = np.where(np.isin(np.arange(8), [0, 3, 5, 6, 1][:heard]), SIGMA_T / 10, 0.0)
+    counts = []
+    for e in range(40):
+        fields = with_fault(cube, "reversed", 3, position[e], rotation[e], clean[e]) + noise[e] / 10
+        pose = sensor.locate(fields, sigma)
+        assert not wrong_ok(pose, position[e])
+        counts.append(pose.left_out == 3)
+    assert np.mean(counts) > 0.5 if left_out else not any(counts)
+
+
+def test_half_of_the_beacons_are_no_majority(core, cube, trials):
+    """Four of eight reversed: none is left out."""
+    position, _, clean, noise = trials
+    sensor = Sensor(core, cube)
+    signs = np.repeat([1.0, -1.0], 4)[:, None]
+    for e in range(60):
+        pose = sensor.locate(clean[e] * signs + noise[e], SIGMA_T)
+        assert pose.status != OK
+
+
+def test_noise_alone_fails_and_twice_the_limit_does_not(core, cube, trials):
+    """Fields of noise have 24 degrees of freedom; one of a million has more than 84."""
+    _, _, clean, noise = trials
+    sensor = Sensor(core, cube)
+    assert all(sensor.locate(fields, SIGMA_T).status == FAILED for fields in noise)
+    shape = clean[0] / np.linalg.norm(clean[0])
+    for energy, failed in ((65.0, True), (110.0, False)):
+        pose = sensor.locate(shape * SIGMA_T * np.sqrt(energy), SIGMA_T)
+        assert (pose.status == FAILED) == failed
+        assert (pose.reason == 2) == failed
+
+
+def test_protection_level_as_the_hosts(core, cube, trials):
+    position, _, clean, noise = trials
+    sensor, locator, ratios = Sensor(core, cube), Locator(cube), []
+    names, sigma = tuple(b.id for b in cube.beacons), np.full(8, SIGMA_T)
+    for e in range(60):
+        fields = Fields(e, 0.0, names, clean[e] + noise[e], sigma)
+        own = sensor.locate(fields.field_T, SIGMA_T)
+        host = locator.protection_level_m(fields, locator.locate(fields))
+        ratios.append(own.protection_m / host)
+    print(f"protection level over the host's: {np.percentile(ratios, [0, 50, 90])}")
+    assert 0.9 < np.median(ratios) < 1.2
+
+
+@pytest.mark.parametrize(("share", "status"), [(1.01, OK), (0.99, UNVERIFIED)])
+def test_both_sides_of_the_alert_limit(core, cube, trials, share, status):
+    _, _, clean, noise = trials
+    level = Sensor(core, cube).locate(clean[0] + noise[0], SIGMA_T).protection_m
+    pose = Sensor(core, cube, share * level).locate(clean[0] + noise[0], SIGMA_T)
+    assert pose.status == status
