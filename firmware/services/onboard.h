@@ -12,8 +12,8 @@
  * widen the noise by the part of the offset that no longer cancels. Each cycle that is computed gives four messages,
  * whatever happens; status and reason tell.
  *
- * Contexts: main only. Memory: 9.3 kB. Time: onboard_step takes as long as a step of pose.h, and about 25 instructions a
- * code and axis for the separation; without a cycle it takes nothing.
+ * Contexts: main only. Memory: 9.3 kB. Time: onboard_step takes as long as a step of pose.h, and about 25 instructions
+ * a code and axis for the separation; without a cycle it takes nothing.
  */
 #ifndef GOLDFIELD_ONBOARD_H
 #define GOLDFIELD_ONBOARD_H

@@ -79,7 +79,7 @@ static void forward(const float g[3][3], float x[3]) {
 }
 
 float pose_faults_greatest(const float matrix[3][3]) {
-    float m[3][3], scale = 1.0f, root = 1.0f;
+    float m[3][3], scale = 1.0f;
     memcpy(m, matrix, sizeof m);
     float bound = m[0][0] + m[1][1] + m[2][2];
     /* With t_k the traces of successive squares, each of the matrix over its trace, the bound is the product of the
@@ -93,7 +93,7 @@ float pose_faults_greatest(const float matrix[3][3]) {
             }
         }
         memcpy(m, square, sizeof m);
-        root = m[0][0] + m[1][1] + m[2][2];
+        float root = m[0][0] + m[1][1] + m[2][2];
         for (uint32_t k = 0; k <= step; k++) {
             root = square_root(root);
         }
@@ -159,7 +159,7 @@ static bool gains_alarm(gains_t *gains, float least) {
 
 /* Computes the gains that take away most of the cost, after gains_alarm. */
 static void best_gains(const gains_t *gains, float gain[3]) {
-    float change[3];
+    float change[3] = {0};
     for (uint32_t a = 3; a-- > 0u;) {
         float sum = gains->score[a];
         for (uint32_t b = a + 1u; b < 3u; b++) {

@@ -372,7 +372,8 @@ def test_one_faulty_beacon_of_eight_is_left_out(core, cube, trials, kind):
     for e in range(150):
         fields = with_fault(cube, kind, e % 8, position[e], rotation[e], clean[e]) + noise[e] / 10
         pose = sensor.locate(fields, sigma_T)
-        right += pose.status != FAILED and pose.left_out == e % 8 and np.linalg.norm(position_of(pose) - position[e]) < 0.05
+        near = pose.status != FAILED and np.linalg.norm(position_of(pose) - position[e]) < 0.05
+        right += near and pose.left_out == e % 8
         others += pose.left_out not in (e % 8, NOBODY)
         wrong += wrong_ok(pose, position[e])
         if pose.left_out != NOBODY:
@@ -398,7 +399,7 @@ def test_one_is_left_out_of_five_not_of_four(core, cube, trials, heard, left_out
 
 def test_half_of_the_beacons_are_no_majority(core, cube, trials):
     """Four of eight reversed: none is left out."""
-    position, _, clean, noise = trials
+    _, _, clean, noise = trials
     sensor = Sensor(core, cube)
     signs = np.repeat([1.0, -1.0], 4)[:, None]
     for e in range(60):
