@@ -420,7 +420,7 @@ def test_noise_alone_fails_and_twice_the_limit_does_not(core, cube, trials):
 
 
 def test_protection_level_as_the_hosts(core, cube, trials):
-    position, _, clean, noise = trials
+    _, _, clean, noise = trials
     sensor, locator, ratios = Sensor(core, cube), Locator(cube), []
     names, sigma = tuple(b.id for b in cube.beacons), np.full(8, SIGMA_T)
     for e in range(60):
