@@ -111,7 +111,7 @@ def test_two_sensors_of_one_number(listen):
 )
 def test_a_beacon_with_a_fault_is_left_out_and_comes_back(listen, fault, text):
     rig, link, sensor = listen()
-    poses_of(sensor, 8)
+    poses_of(sensor, 12)  # by then each beacon's code is known
     rig.fault(2, fault)
     after_s = told_after_s(sensor, rig, f"b2's board (node 2) reports {text}", 4)
     print(f"{fault}: told {after_s:.2f} s after it began")
@@ -126,7 +126,7 @@ def test_a_beacon_with_a_fault_is_left_out_and_comes_back(listen, fault, text):
 
 def test_a_board_without_power_is_told(listen):
     rig, _, sensor = listen()
-    poses_of(sensor, 8)
+    poses_of(sensor, 12)  # by then each beacon's code is known
     rig.power_cycle(3, 60.0)
     assert abs(rig.coil_current_A(3)) > 1.0
     after_s = told_after_s(sensor, rig, "b3's board (node 3) is silent", 30)

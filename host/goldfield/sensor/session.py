@@ -119,7 +119,10 @@ class Session:
         self.find()
         self.dialogue.check_degree(self._site.degree)
         self._parameters = parameters or {}
-        return self._configure()
+        changed = self._configure()
+        for node in self.health.boards:
+            self._ask_who(node)
+        return changed
 
     def find(self) -> None:
         """Wait for a live sensor's heartbeat.

@@ -135,12 +135,34 @@ def test_what_the_sensor_says_was_wrong_is_shown(tmp_path, capsys):
     path = write(tmp_path, candump([(0.1, m) for m in messages]))
     code, out, _ = run(capsys, "--log", path)
     assert code == 0
-    _, line, below, _, counted = out.splitlines()
-    assert line.endswith("  ok")
-    assert below.strip() == "not synchronised, 23 chips lost, 4 chips saturated"
+    words = " ".join(out.split())
+    assert "inconsistent, not synchronised, 23 chips lost, 4 chips saturated" in words.replace("inconsistent ", "inconsistent, ")
+    assert words.count("the clock of sensor 100 is not locked: check its sync wire") == 2
+    counted = out.splitlines()[-1]
     assert counted == "the sensor counted since its reset: 7 converter overruns, 78 of counter 77"
     (record,) = poses(run(capsys, "--log", path, "--json")[1])
     assert (record["chips"], record["saturated"], record["locked"]) == (1000, 4, False)
+    assert record["status"] == "inconsistent"
+    assert record["reason"].startswith("the clock of sensor 100 is not locked")
+
+
+def test_the_summary_tells_of_other_boards_and_of_the_way(tmp_path, capsys):
+    messages = [
+        heartbeat(),
+        heartbeat(node=2, role=0),
+        encode("COUNTER", {"counter": 12, "value": 3}, node=2, index=12),
+        encode("SYNC", {"cycle": 0, "chips": 1023, "chip_period": 97750.0}, node=2),
+        encode("SYNC", {"cycle": 0, "chips": 1023, "chip_period": 97750.0}, node=3),
+        *cycle_messages(0),
+        cycle_messages(0)[5],
+    ]
+    code, out, _ = run(capsys, "--log", write(tmp_path, candump([(0.1, m) for m in messages])))
+    assert code == 0
+    assert out.splitlines()[3:] == [
+        "on the way: 1 messages that came after their epoch",
+        "node 2 counted: 3 open coil",
+        "in 1 of 1 epochs: nodes 2 and 3 are both sync masters: set sync_master = 1 in one board only",
+    ]
 
 
 def test_codes_of_another_site_do_not_matter(tmp_path, capsys):
