@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from goldfield import site as sites
+from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
+from goldfield.sensor.opening import open_log
 from goldfield.sensor.pipeline import Sensor
 from goldfield.types import Status
 from goldfield_protocol import encode
@@ -32,7 +34,7 @@ def listen(monkeypatch, tmp_path, rig_kind):
         pytest.fail("only simulated boards can be given faults: run with --goldfield-rig emulated or host")
     rigs = []
 
-    def make(name="prigge8", pages=None, sensor_ppm=None, second_sensor=False):
+    def make(name="prigge8", pages=None, sensor_ppm=None, second_sensor=False, recorder=None):
         scenario = load_scenario(name)
         site_file = tmp_path / "site.toml"
         site_file.write_text(site_toml(scenario))
@@ -55,7 +57,7 @@ def listen(monkeypatch, tmp_path, rig_kind):
         link = RigLink(rig, others)
         monkeypatch.setattr(sessions, "time", link)
         monkeypatch.setattr(dialogues, "time", link)
-        return rig, link, Sensor(link, name, sites.load(site_file))
+        return rig, link, Sensor(link, name, sites.load(site_file), recorder=recorder)
 
     yield make
     for rig in rigs:
@@ -165,3 +167,16 @@ def test_the_master_is_dead_for_longer_than_hold_over(listen, name, off_s):
     while rig.now_s < begin_s + off_s + 2.0:
         poses_of(sensor, 1)
     assert [pose.status for pose in poses_of(sensor, 3)] == [Status.OK] * 3
+
+
+def test_a_recording_gives_the_same_verdicts(listen, tmp_path):
+    rig, _, sensor = listen(recorder=CandumpWriter(tmp_path / "run.log"))
+    live = poses_of(sensor, 12)
+    rig.fault(2, "coil_open")
+    live += poses_of(sensor, 4)
+    with open_log(tmp_path / "run.log", site=sensor.site) as recording:
+        again = {pose.epoch: pose for pose in recording.poses()}
+    for pose in live:
+        other = again[pose.epoch]
+        assert (pose.status, pose.reason, pose.excluded) == (other.status, other.reason, other.excluded)
+    assert "b2" in live[-1].excluded
