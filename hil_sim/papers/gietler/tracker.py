@@ -17,8 +17,9 @@ import numpy as np
 
 from goldfield.field.conductor import Parts
 from goldfield.field.conductor.explicit import ComplexArray
+from goldfield.locate.rotations import skew
 from goldfield.track.estimate import Belief, estimate
-from goldfield.track.motion import POSITION, SIZE, TURN, Agility, Observation, State, skew
+from goldfield.track.motion import POSITION, SIZE, TURN, Agility, Observation, State
 from goldfield.types import FloatArray
 
 EVALUATIONS = 30

@@ -7,6 +7,15 @@ import numpy as np
 from goldfield.types import FloatArray
 
 
+def skew(vector: FloatArray) -> FloatArray:
+    """Return [v]x, shape (..., 3, 3), of vectors, shape (..., 3): the matrix of the cross product with v."""
+    result = np.zeros((*vector.shape, 3))
+    for row, column, source in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
+        result[..., row, column] = vector[..., source]
+        result[..., column, row] = -vector[..., source]
+    return result
+
+
 def turned(rotation: FloatArray, vector: FloatArray) -> FloatArray:
     """Return exp([vector]x) R, shape (e, 3, 3): R turned by a rotation vector, shape (e, 3), of the site's frame."""
     angle2 = (vector * vector).sum(axis=1)

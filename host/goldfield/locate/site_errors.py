@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
+from goldfield.locate.rotations import skew
 from goldfield.site import Beacon, SensorSite
 from goldfield.site.model import EXACT
 from goldfield.types import FloatArray
@@ -93,7 +94,7 @@ def effects_of_beacons(model: FieldModel, errors: SiteErrors, position_m: FloatA
     """
     field, gradient = model.evaluate(position_m.T)
     field, gradient = field.transpose(1, 2, 0), gradient.transpose(2, 3, 0, 1)
-    turn = gradient @ cross_matrix(position_m[:, None] - model.centre_m) - cross_matrix(field)
+    turn = gradient @ skew(position_m[:, None] - model.centre_m) - skew(field)
     effect = np.empty((*field.shape, 7))
     effect[..., :3] = -errors.position_sd_m[:, None, None] * gradient
     effect[..., 3:6] = errors.axis_sd_rad[:, None, None] * turn
@@ -111,12 +112,3 @@ def effects_of_sensor(errors: SiteErrors, components_T: FloatArray) -> FloatArra
     effect[..., 0, 4], effect[..., 2, 4] = lean * z, lean * x
     effect[..., 1, 5], effect[..., 2, 5] = lean * z, lean * y
     return effect
-
-
-def cross_matrix(vector: FloatArray) -> FloatArray:
-    """Return [v]x, shape (..., 3, 3), of vectors, shape (..., 3)."""
-    result = np.zeros((*vector.shape, 3))
-    for row, column, source in ((2, 1, 0), (0, 2, 1), (1, 0, 2)):
-        result[..., row, column] = vector[..., source]
-        result[..., column, row] = -vector[..., source]
-    return result

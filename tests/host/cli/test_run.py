@@ -136,7 +136,9 @@ def test_what_the_sensor_says_was_wrong_is_shown(tmp_path, capsys):
     code, out, _ = run(capsys, "--log", path)
     assert code == 0
     words = " ".join(out.split())
-    assert "inconsistent, not synchronised, 23 chips lost, 4 chips saturated" in words.replace("inconsistent ", "inconsistent, ")
+    assert "inconsistent, not synchronised, 23 chips lost, 4 chips saturated" in words.replace(
+        "inconsistent ", "inconsistent, "
+    )
     assert words.count("the clock of sensor 100 is not locked: check its sync wire") == 2
     counted = out.splitlines()[-1]
     assert counted == "the sensor counted since its reset: 7 converter overruns, 78 of counter 77"
