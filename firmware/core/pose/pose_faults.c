@@ -14,7 +14,7 @@
 #define LIMIT_AXES      21.85f
 #define LIMIT_SKEWED    27.08f
 #define ROUNDING_MARGIN 0.3f  /* Variance of a direction that is tested, over that of the bound on rounding. */
-#define SQUARINGS       5u    /* Of a matrix, for its greatest eigenvalue: the 32nd root of a trace. */
+#define SQUARINGS       5u    /* A matrix is squared so often for its greatest eigenvalue: the 32nd root of a trace. */
 #define ENDLESS         1e30f /* Slope if a fault cannot show. */
 
 typedef float square_t[N][N];
