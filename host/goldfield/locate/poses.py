@@ -78,7 +78,7 @@ class _Figures:
 def poses_of(epochs: Sequence[Fields], judged: Judged) -> list[Pose]:
     """Return the pose of each epoch."""
     solutions = judged.solutions
-    figures = _figures(judged, judged.measurements, solutions.best, judged.statistics)
+    figures = _figures(judged, judged.measurements, solutions.best, judged.statistics, solutions.covariance_widening)
     plain = ~(solutions.outside | solutions.contested | solutions.bounded | figures.weak)
     plain &= figures.protection_m <= judged.site.alert_limit_m
     plain[list(judged.verdicts)] = False
@@ -88,7 +88,7 @@ def poses_of(epochs: Sequence[Fields], judged: Judged) -> list[Pose]:
     if len(contested):
         given, rival = judged.measurements.take(contested), solutions.rival.take(contested)
         statistics = fault_statistics(judged.model, given, rival)
-        others = _figures(judged, given, rival, statistics)
+        others = _figures(judged, given, rival, statistics, np.zeros((6, 6)))
         rows = contested.tolist()
         poses = _built(
             [epochs[e] for e in rows], judged.names, given, rival, statistics, others, [told[e] for e in rows], {}
@@ -99,8 +99,10 @@ def poses_of(epochs: Sequence[Fields], judged: Judged) -> list[Pose]:
     )
 
 
-def _figures(judged: Judged, measurements: Measurements, fit: Fit, statistics: FaultStatistics) -> _Figures:
-    covariance = second_order_covariance(judged.model, measurements, fit.position_m, fit.rotation)
+def _figures(
+    judged: Judged, measurements: Measurements, fit: Fit, statistics: FaultStatistics, widening: FloatArray
+) -> _Figures:
+    covariance = second_order_covariance(judged.model, measurements, fit.position_m, fit.rotation) + widening
     protection_m, worst = protection_level(measurements, statistics, covariance[:, :3, :3])
     nearest = np.linalg.norm(fit.position_m[:, None] - judged.model.centre_m, axis=2).min(axis=1)
     shifts, turns = np.linalg.eigvalsh(np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]]))
