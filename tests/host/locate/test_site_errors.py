@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from goldfield.field import FieldModel
 from goldfield.locate import Locator, kernel
 from goldfield.locate.constellation import Constellation
+from goldfield.locate.fault_statistics import fault_statistics
 from goldfield.locate.fit import Measurements, fit_pose
-from goldfield.locate.integrity import fault_statistics, protection_level
+from goldfield.locate.protection import protection_level
 from goldfield.locate.site_errors import errors_of
 from goldfield.locate.uncertainty import cramer_rao_bound, dilution_of_precision, second_order_covariance
 from goldfield.site import Survey
@@ -200,24 +201,28 @@ def test_the_kernel_and_numpy_agree(monkeypatch, spoiled, sensor):
     def everything():
         fit = fit_pose(model, measurements, run.position_m + 0.01, run.rotation)
         at = constellation.at(measurements, run.position_m, run.rotation)
-        drop, freedom, scale = fault_statistics(constellation, measurements, at)
+        told = fault_statistics(model, measurements, at)
         covariance = second_order_covariance(model, measurements, run.position_m, run.rotation)
-        return fit, at, drop, freedom, scale, covariance, protection_level(constellation, measurements, at)
+        level, _ = protection_level(measurements, told, covariance[:, :3, :3])
+        return fit, at, told, covariance, level
 
     assert kernel.of(model) is not None
-    fit, at, drop, freedom, scale, covariance, level = everything()
+    fit, at, told, covariance, level = everything()
     monkeypatch.setattr(kernel, "_library", lambda: None)
-    slow_fit, slow_at, *slow = everything()
+    slow_fit, slow_at, slow, slow_covariance, slow_level = everything()
     np.testing.assert_allclose(fit.position_m, slow_fit.position_m, atol=1e-5)
     np.testing.assert_allclose(fit.cost, slow_fit.cost, rtol=1e-4)
     np.testing.assert_allclose(at.cost, slow_at.cost, rtol=1e-8)
     size = np.sqrt(np.einsum("ekk->ek", slow_at.information))
     both = size[:, :, None] * size[:, None, :]
     np.testing.assert_allclose(at.information / both, slow_at.information / both, atol=1e-8)
-    np.testing.assert_array_equal(freedom, slow[1])
-    np.testing.assert_allclose(drop, slow[0], rtol=1e-5, atol=1e-7 * slow[0].max())
-    np.testing.assert_allclose(scale, slow[2], rtol=1e-5, atol=1e-7 * slow[0].max())
-    scale6 = np.sqrt(np.einsum("ekk->ek", slow[3]))
-    both = scale6[:, :, None] * scale6[:, None, :]
-    np.testing.assert_allclose(covariance / both, slow[3] / both, atol=1e-5)
-    np.testing.assert_allclose(level, slow[4], rtol=1e-6)
+    np.testing.assert_array_equal(told.freedom, slow.freedom)
+    np.testing.assert_array_equal(told.distortion_freedom, slow.distortion_freedom)
+    np.testing.assert_allclose(told.drop, slow.drop, rtol=1e-5, atol=1e-7 * slow.drop.max())
+    np.testing.assert_allclose(told.scale, slow.scale, rtol=1e-5, atol=1e-7 * slow.drop.max())
+    np.testing.assert_allclose(told.distortion, slow.distortion, rtol=1e-5, atol=1e-7 * slow.drop.max())
+    np.testing.assert_allclose(told.slope, slow.slope, rtol=1e-6)
+    scale = np.sqrt(np.einsum("ekk->ek", slow_covariance))
+    both = scale[:, :, None] * scale[:, None, :]
+    np.testing.assert_allclose(covariance / both, slow_covariance / both, atol=1e-5)
+    np.testing.assert_allclose(level, slow_level, rtol=1e-6)

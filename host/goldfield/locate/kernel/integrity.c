@@ -249,8 +249,13 @@ static void distort_all(const gf_coils_t *coils, const gf_errors_t *errors, cons
                         const around_t *around, double column[DISTORTIONS][3 * GF_MOST_COILS]) {
     const size_t n = coils->count;
     const double *const weight = around->whitening.weight;
-    gf_components_t plain; /* weighted, not whitened: distortions mix the components of one beacon, of one weight */
-    gf_components(coils, pose, weight, &plain);
+    double whole[3 * GF_MOST_COILS]; /* as if all components had been measured: a distortion mixes them */
+    gf_components_t plain;           /* weighted, not whitened: the components of one beacon have one weight */
+    for (size_t c = 0; c < 3 * n; ++c) {
+        const double *const of_one = weight + 3 * (c / 3);
+        whole[c] = fmax(of_one[0], fmax(of_one[1], of_one[2]));
+    }
+    gf_components(coils, pose, whole, &plain);
     for (size_t i = 0; i < n; ++i) {
         double one[3][DISTORTIONS];
         distort(plain.value + 3 * i, weight + 3 * i, one);

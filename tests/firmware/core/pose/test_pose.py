@@ -426,7 +426,7 @@ def test_protection_level_as_the_hosts(core, cube, trials):
     for e in range(60):
         fields = Fields(e, 0.0, names, clean[e] + noise[e], sigma)
         own = sensor.locate(fields.field_T, SIGMA_T)
-        host = locator.protection_level_m(fields, locator.locate(fields))
+        host = locator.locate(fields).protection_m
         ratios.append(own.protection_m / host)
     print(f"protection level over the host's: {np.percentile(ratios, [0, 50, 90])}")
     assert 0.9 < np.median(ratios) < 1.2
