@@ -69,7 +69,7 @@ class PoseTable:
     def header(self) -> str:
         """Return the line over the columns."""
         angles = f"{'roll':>5} {'pitch':>5} {'yaw':>5}" if self.truth else f"{'roll':>6} {'pitch':>6} {'yaw':>6}"
-        more = f"{'cm':>5} {'deg':>5}" if self.truth else f"{'n':>2}"
+        more = f"{'e cm':>5} {'e deg':>5}" if self.truth else f"{'n':>2}"
         return f"{'epoch':>6} {'x m':>7} {'y m':>7} {'z m':>7} {angles} {'sd cm':>5} {more} {'resid':>5}  status"
 
 
