@@ -20,7 +20,7 @@
 #define LEVEL_STEP 1.5
 
 #define LEVELS         3
-#define RINGS          (2 * GF_RAYS) /* From above the coil's outside over its axis to below its outside. */
+#define RINGS          ((size_t)2 * GF_RAYS) /* From above the coil's outside over its axis to below its outside. */
 #define MOST_AZIMUTHS  32
 #define LEAST_AZIMUTHS 4
 

@@ -241,8 +241,8 @@ static void walk(search_t *search, gf_width_t *width) {
                 (void)refine(search, &beyond, STAGES);
             }
         }
-        if (memcmp(&from.pose, &search->minima[0].pose, sizeof from.pose) == 0) {
-            break;
+        if (!(search->minima[0].squares.cost < from.squares.cost)) {
+            break; /* nothing better was found beyond */
         }
     }
 }
