@@ -135,8 +135,8 @@ static bool weakest(const gf_minimum_t *from, double step[6]) {
 bool gf_walk(gf_epoch_t *epoch, const gf_minimum_t *from, double sign, gf_width_t *width, gf_pose_t *out) {
     double step[6];
     double size = sign;
-    double highest = from->squares.cost;
     double before = from->squares.cost;
+    double highest = before;
     gf_minimum_t at = *from;
     if (!weakest(from, step)) {
         return false;
