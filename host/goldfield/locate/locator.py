@@ -18,7 +18,7 @@ from goldfield.locate.integrity import Verdict, explain
 from goldfield.locate.poses import Judged, poses_of
 from goldfield.locate.site_errors import errors_of
 from goldfield.site import Site
-from goldfield.types import Explanation, Fields, FloatArray, Pose
+from goldfield.types import Fields, FloatArray, Pose
 
 LEAST_BEACONS = 3
 """With fewer beacons no pose is computed."""
@@ -152,13 +152,12 @@ class Locator:
         if len(some):
             given, found = measurements.take(some), solutions.take(some)
             statistics = fault_statistics(constellation.model, given, found.best)
+            # A search that came to its end proves nothing by its cost.
+            wrong = np.flatnonzero(alarm(given, found.best.cost, statistics) & ~found.bounded)
             verdicts = {}
-            for i in np.flatnonzero(alarm(given, found.best.cost, statistics)).tolist():
+            for i in wrong.tolist():
                 one = np.array([i])
-                verdict = explain(constellation, given.take(one), found.take(one), names)
-                # A search that came to its end proves nothing by its cost: only an explanation counts then.
-                if not (found.bounded[i] and verdict.findings[0].kind is Explanation.UNKNOWN):
-                    verdicts[i] = verdict
+                verdicts[i] = explain(constellation, given.take(one), found.take(one), names)
             judged = Judged(self.site, constellation.model, names, given, found, statistics, verdicts)
             located = poses_of([epochs[int(e)] for e in some], judged)
             for i, verdict in verdicts.items():
