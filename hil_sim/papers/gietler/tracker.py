@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 
@@ -86,11 +86,17 @@ class EmitterObservation:
     body: EmitterBody
     field_A_m: ComplexArray
     sigma_A_m: FloatArray
+    mixing: ClassVar[None] = None
+    effect: ClassVar[None] = None
 
     @property
     def count(self) -> int:
         """Return how many real numbers were measured."""
         return 2 * self.field_A_m.size
+
+    def around(self, state: State) -> EmitterObservation:
+        """Return the observation itself: it has no errors beside its noise."""
+        return self
 
     def residual(self, state: State) -> tuple[FloatArray, FloatArray]:
         """Return measured minus expected numbers of unit variance, (18,), and the expected ones' Jacobian, (18, 15)."""
