@@ -78,34 +78,27 @@ def finite(text: str) -> float:
 
 def seconds(text: str) -> float:
     """Parse a duration greater than zero, for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is no number of seconds greater than zero")
-    return value
+    return _between(text, 0.0, 1e9, "number of seconds greater than zero")
 
 
 def metres(text: str) -> float:
     """Parse a length greater than zero, for argparse."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    if not 0.0 < value < 1e9:
-        raise argparse.ArgumentTypeError(f"{text} is no length in metres greater than zero")
-    return value
+    return _between(text, 0.0, 1e9, "length in metres greater than zero")
 
 
 def hertz(text: str) -> float:
     """Parse a frequency of more than 1 Hz, for argparse."""
+    return _between(text, 1.0, 1e6, "frequency of 1 to 1000000 Hz")
+
+
+def _between(text: str, least: float, most: float, what: str) -> float:
+    """Parse a number between two limits, which are not allowed themselves."""
     try:
         value = float(text)
     except ValueError:
-        value = float("nan")
-    if not 1.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"{text} is no frequency of 1 to 1000000 Hz")
+        value = math.nan
+    if not least < value < most:
+        raise argparse.ArgumentTypeError(f"{text} is no {what}")
     return value
 
 

@@ -390,3 +390,19 @@ def test_the_sensors_fields_are_those_of_magpylib():
     sizes = np.linalg.norm(beacon_fields(), axis=1)
     assert (sizes > 1e-7).all()
     assert (sizes < 52e-6).all()
+
+
+@pytest.mark.parametrize("limit", ["0", "-1", "nan", "x", "1e9"])
+def test_an_alert_limit_that_is_no_length_is_refused(capsys, limit):
+    with pytest.raises(SystemExit, match="2"):
+        main(["run", "--alert-limit", limit])
+    assert f"{limit} is no length in metres greater than zero" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("share", "status"), [(1.01, "ok"), (0.99, "unverified")])
+def test_both_sides_of_the_alert_limit_of_the_command_line(tmp_path, capsys, share, status):
+    path = write(tmp_path, log_of(range(1)))
+    (pose_,) = poses(run(capsys, "--log", path, "--json")[1])
+    (again,) = poses(run(capsys, "--log", path, "--json", "--alert-limit", share * pose_["protection_m"])[1])
+    assert again["status"] == status
+    assert (again["reason"] is None) == (status == "ok")
