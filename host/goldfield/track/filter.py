@@ -214,16 +214,7 @@ class Tracker(Generic[T]):
         predicted = self._belief.after(seconds, self._agility)
         transition = self._belief.state.transition(seconds)
         if self._silent(self._observation(data, predicted)[0]):
-            self._belief = predicted
-            pose = self._reporter.pose(
-                data.epoch,
-                data.time_s,
-                predicted,
-                status=Status.WEAK,
-                excluded=data.beacons,
-                reason=self._silence(data.time_s),
-            )
-            return Step(pose, predicted, predicted, transition)
+            return self._without_fields(data, predicted, transition, Status.WEAK, self._silence(data.time_s))
         self._heard_s = data.time_s
         found = self._fuse(predicted, data, without)
         self._last = found
@@ -231,20 +222,20 @@ class Tracker(Generic[T]):
             self._contradictions += 1
             if bridged or self._contradictions >= PATIENCE:
                 return self._start(data, without)
-            self._belief = predicted
-            pose = self._reporter.pose(
-                data.epoch,
-                data.time_s,
-                predicted,
-                status=Status.INCONSISTENT,
-                excluded=data.beacons,
-                reason="the fields contradict the track: the pose is predicted from the epochs before",
-            )
-            return Step(pose, predicted, predicted, transition)
+            reason = "the fields contradict the track: the pose is predicted from the epochs before"
+            return self._without_fields(data, predicted, transition, Status.INCONSISTENT, reason)
         self._contradictions = 0
         self._agreed_s = data.time_s
         self._belief = found.outcome.belief
         return Step(self._pose(data, self._belief, found), self._belief, predicted, transition, found.whole)
+
+    def _without_fields(self, data: T, predicted: Belief, transition: FloatArray, status: Status, reason: str) -> Step:
+        """Go on with what was predicted: nothing of this epoch's fields is used."""
+        self._belief = predicted
+        pose = self._reporter.pose(
+            data.epoch, data.time_s, predicted, status=status, excluded=data.beacons, reason=reason
+        )
+        return Step(pose, predicted, predicted, transition)
 
     def _start(self, data: T, without: tuple[str, ...]) -> Step:
         """Begin a track where `locate` puts the sensor; without one, pass on what `locate` says."""
