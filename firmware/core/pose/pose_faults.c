@@ -10,9 +10,9 @@
 #define WHOLE_DEVIATE   3.81f  /* Normal deviate of the whole cost's share of the false alarms. */
 #define LIMIT_BEACON    25.34f /* Chi-squares of the others' shares, as pose_faults.h lists them. */
 #define LIMIT_STRENGTH  19.77f
-#define LIMIT_COMMON    15.81f
+#define LIMIT_COMMON    14.50f
 #define LIMIT_AXES      21.85f
-#define LIMIT_SKEWED    27.08f
+#define LIMIT_SKEWED    28.68f
 #define ROUNDING_MARGIN 0.3f  /* Variance of a direction that is tested, over that of the bound on rounding. */
 #define SQUARINGS       5u    /* A matrix is squared so often for its greatest eigenvalue: the 32nd root of a trace. */
 #define ENDLESS         1e30f /* Slope if a fault cannot show. */

@@ -7,9 +7,9 @@
  *   whole cost, 3 n - 6 degrees of freedom                          0.1
  *   one beacon wrong in any way: r_i' S_i^-1 r_i, three degrees     0.3
  *   one beacon of another strength: along its field, one degree     0.2
- *   all fields of another strength, one degree                      0.1
+ *   all fields of another strength, one degree                      0.2
  *   sensor's axes of unequal gain as well, three degrees            0.1
- *   sensor's axes skewed as well, six degrees                       0.2
+ *   sensor's axes skewed as well, six degrees                       0.1
  * The limits of single beacons are those of 16 beacons, whatever their number.
  *
  * Slope. The position error over the root of the cost that the worst fault of one beacon adds: an upper bound, 4 %

@@ -1,10 +1,16 @@
 """What the pose is made of: attitude from vectors, least squares in square-root form, quaternions."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2, norm
+
+from goldfield.locate.fault_statistics import FALSE_ALARM, OF_SENSOR, OF_SINGLE, OF_STRENGTH, OF_WHOLE
+from hil_sim.clib import ROOT
 
 
 def random_rotations(count, seed):
@@ -106,3 +112,14 @@ def test_small_turns_are_of_the_sites_frame(core, vector):
     lib.quaternion_turn(quaternion, vector)
     error = (Rotation.from_quat(list(quaternion)) * (Rotation.from_rotvec(vector) * start).inv()).magnitude()
     assert error < 1e-6 + np.linalg.norm(vector) ** 3 / 11.0  # 2 atan(t/2) = t - t^3/12
+
+
+def test_the_limits_of_the_faults_are_those_of_the_hosts_shares():
+    """The host shares its false alarms by the number of beacons; the board takes the share of sixteen."""
+    source = (ROOT / "firmware/core/pose/pose_faults.c").read_text()
+    written = {name: float(value) for name, value in re.findall(r"#define (\w+) +([\d.]+)f", source)}
+    whole = norm.isf(OF_WHOLE * FALSE_ALARM)
+    beacon, strength = chi2.isf(OF_SINGLE * FALSE_ALARM / 16, 3), chi2.isf(OF_STRENGTH * FALSE_ALARM / 16, 1)
+    sensor = [chi2.isf(share * FALSE_ALARM, freedom) for share, freedom in zip(OF_SENSOR, (1, 3, 6), strict=True)]
+    names = ("WHOLE_DEVIATE", "LIMIT_BEACON", "LIMIT_STRENGTH", "LIMIT_COMMON", "LIMIT_AXES", "LIMIT_SKEWED")
+    assert [written[name] for name in names] == pytest.approx([whole, beacon, strength, *sensor], abs=0.01)
