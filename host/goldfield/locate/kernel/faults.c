@@ -1,72 +1,8 @@
 #include <math.h>
 #include <string.h>
 
-#include "coils.h"
+#include "around.h"
 #include "linear.h"
-#include "whiten.h"
-
-/* Split information into a root L of its inverse, L L' on what the measurements tell, and the directions that they
- * do not tell: those columns of root are zero and the unit vector is in free. */
-static void split(const double information[6][6], double least_eigenvalue, double root[6][6], double free[6][6]) {
-    double scale[6];
-    double scaled[6][6];
-    double vector[6][6];
-    for (size_t k = 0; k < 6; ++k) {
-        scale[k] = 1.0 / sqrt(information[k][k] + 1e-300);
-    }
-    for (size_t k = 0; k < 6; ++k) {
-        for (size_t l = 0; l < 6; ++l) {
-            scaled[k][l] = information[k][l] * scale[k] * scale[l];
-        }
-    }
-    gf_eigen(6, scaled, vector);
-    memset(free, 0, 6 * sizeof free[0]);
-    for (size_t l = 0; l < 6; ++l) {
-        const bool seen = scaled[l][l] > least_eigenvalue;
-        const double stretch = seen ? 1.0 / sqrt(scaled[l][l]) : 0.0;
-        double length2 = 0.0;
-        for (size_t k = 0; k < 6; ++k) {
-            const double along = scale[k] * vector[k][l];
-            root[k][l] = along * stretch;
-            length2 += along * along;
-        }
-        for (size_t k = 0; !seen && k < 6; ++k) {
-            free[k][l] = scale[k] * vector[k][l] / sqrt(length2);
-        }
-    }
-}
-
-/* The information of whitened slopes; weighted are the same slopes, weighted for errors that components share. */
-static void inform(size_t components, double slope[][6], double weighted[][6], double information[6][6]) {
-    memset(information, 0, 6 * sizeof information[0]);
-    for (size_t c = 0; c < components; ++c) {
-        for (size_t k = 0; k < 6; ++k) {
-            for (size_t l = 0; l < 6; ++l) {
-                information[k][l] += slope[c][k] * weighted[c][l];
-            }
-        }
-    }
-}
-
-/* Each row times a 6 x 6 matrix. */
-static void transform(size_t components, double slope[][6], const double by[6][6], double out[][6]) {
-    for (size_t c = 0; c < components; ++c) {
-        double sum[6] = {0.0};
-        for (size_t k = 0; k < 6; ++k) {
-            for (size_t l = 0; l < 6; ++l) {
-                sum[l] += slope[c][k] * by[k][l];
-            }
-        }
-        memcpy(out[c], sum, sizeof sum);
-    }
-}
-
-static gf_pose_t pose_of(const double *position_m, const double *rotation) {
-    gf_pose_t pose;
-    memcpy(pose.position_m, position_m, sizeof pose.position_m);
-    memcpy(pose.rotation, rotation, sizeof pose.rotation);
-    return pose;
-}
 
 typedef struct {
     double drop;
@@ -147,39 +83,9 @@ static fault_t fault_of(const double residual[3], const double modelled[3], cons
     return fault;
 }
 
-/* What both statistics and covariance start from: whitened components around a pose, and the same slopes weighted
- * for what all components share. Without errors the whitening only has weights. */
-typedef struct {
-    gf_whitening_t whitening;
-    gf_components_t components;
-    double weighted[3 * GF_MOST_COILS][6];
-} around_t;
-
-static void look(const gf_coils_t *coils, const gf_errors_t *errors, const around_t *around, const gf_pose_t *pose,
-                 gf_components_t *out) {
-    gf_components(coils, pose, around->whitening.weight, out);
-    if (errors != NULL) {
-        gf_whitened(coils->count, &around->whitening, out);
-    }
-}
-
-static void prepare(const gf_coils_t *coils, const gf_errors_t *errors, const double *field_T, const double *sigma_T,
-                    const gf_pose_t *pose, around_t *out) {
-    if (errors == NULL) {
-        memset(out->whitening.shared, 0, sizeof out->whitening.shared);
-        out->whitening.is_shared = false;
-        gf_weights(coils->count, field_T, sigma_T, 0.0, out->whitening.weight);
-    } else {
-        gf_whiten(coils, errors, field_T, sigma_T, pose, &out->whitening);
-    }
-    look(coils, errors, out, pose, &out->components);
-    memcpy(out->weighted, out->components.slope, sizeof out->weighted);
-    gf_unshare_slopes(coils->count, &out->whitening, out->weighted);
-}
-
 /* Measured minus modelled components, weighted. */
-static void compare(const gf_coils_t *coils, const gf_errors_t *errors, const double *field_T, const around_t *around,
-                    double *residual) {
+static void compare(const gf_coils_t *coils, const gf_errors_t *errors, const double *field_T,
+                    const gf_around_t *around, double *residual) {
     const size_t n = coils->count;
     const double *const weight = around->whitening.weight;
     for (size_t c = 0; c < 3 * n; ++c) {
@@ -246,7 +152,7 @@ static void eliminate(double shown[DISTORTIONS][DISTORTIONS], double along[DISTO
 
 /* The weighted columns of all distortions, one component a row, whitened as the residuals are. */
 static void distort_all(const gf_coils_t *coils, const gf_errors_t *errors, const gf_pose_t *pose,
-                        const around_t *around, double column[DISTORTIONS][3 * GF_MOST_COILS]) {
+                        const gf_around_t *around, double column[DISTORTIONS][3 * GF_MOST_COILS]) {
     const size_t n = coils->count;
     const double *const weight = around->whitening.weight;
     double whole[3 * GF_MOST_COILS]; /* as if all components had been measured: a distortion mixes them */
@@ -315,15 +221,15 @@ static void distortions_of(size_t components, const double *residual, double col
  * carry the change into the root: one Newton step, times (3 - T'W)/2, T whitened and W weighted besides. */
 static void straighten(size_t components, double tangent[][6], double weighted[][6], double root[6][6]) {
     double by[6][6];
-    inform(components, tangent, weighted, by);
+    gf_inform(components, tangent, weighted, by);
     for (size_t k = 0; k < 6; ++k) {
         for (size_t l = 0; l < 6; ++l) {
             by[k][l] = (k == l ? 1.5 : 0.0) - 0.5 * by[k][l];
         }
     }
-    transform(components, tangent, (const double(*)[6])by, tangent);
-    transform(components, weighted, (const double(*)[6])by, weighted);
-    transform(6, root, (const double(*)[6])by, root);
+    gf_transform(components, tangent, (const double(*)[6])by, tangent);
+    gf_transform(components, weighted, (const double(*)[6])by, weighted);
+    gf_transform(6, root, (const double(*)[6])by, root);
 }
 
 /* Take off what the pose explains: the fit has ended a little before the minimum. */
@@ -347,17 +253,17 @@ void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs
     const size_t n = coils->count;
     for (size_t e = 0; e < epochs; ++e) {
         const double *const field = field_T + 3 * n * e;
-        const gf_pose_t pose = pose_of(position_m + 3 * e, rotation + 9 * e);
-        around_t around;
+        const gf_pose_t pose = gf_pose_of(position_m + 3 * e, rotation + 9 * e);
+        gf_around_t around;
         double information[6][6];
         double root[6][6];
         double free[6][6];
         double residual[3 * GF_MOST_COILS];
-        prepare(coils, errors, field, sigma_T + n * e, &pose, &around);
-        inform(3 * n, around.components.slope, around.weighted, information);
-        split((const double(*)[6])information, least_eigenvalue, root, free);
-        transform(3 * n, around.components.slope, (const double(*)[6])root, around.components.slope);
-        transform(3 * n, around.weighted, (const double(*)[6])root, around.weighted);
+        gf_look_around(coils, errors, field, sigma_T + n * e, &pose, &around);
+        gf_inform(3 * n, around.components.slope, around.weighted, information);
+        gf_split((const double(*)[6])information, least_eigenvalue, root, free);
+        gf_transform(3 * n, around.components.slope, (const double(*)[6])root, around.components.slope);
+        gf_transform(3 * n, around.weighted, (const double(*)[6])root, around.weighted);
         straighten(3 * n, around.components.slope, around.weighted, root);
         compare(coils, errors, field, &around, residual);
         project(3 * n, around.components.slope, around.weighted, residual);
@@ -375,112 +281,5 @@ void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs
         distort_all(coils, errors, &pose, &around, column);
         distortions_of(3 * n, residual, column, around.weighted, (const double(*)[GF_SHARED])around.whitening.shared,
                        least_share, out->distortion + 3 * e, out->distortion_freedom + 3 * e);
-    }
-}
-
-/* q = half the second difference of the model along one principal axis and each other, as a pose error. */
-static void curve(const gf_coils_t *coils, const gf_errors_t *errors, const gf_pose_t *pose, const around_t *around,
-                  const double root[6][6], double back[][6], size_t axis, double q[6][6]) {
-    gf_components_t ahead;
-    gf_components_t behind;
-    double step[6];
-    gf_pose_t moved = *pose;
-    for (size_t k = 0; k < 6; ++k) {
-        step[k] = root[k][axis];
-    }
-    for (size_t k = 0; k < 3; ++k) {
-        moved.position_m[k] += step[k];
-    }
-    gf_turn(moved.rotation, step + 3);
-    look(coils, errors, around, &moved, &ahead);
-    moved = *pose;
-    for (size_t k = 0; k < 6; ++k) {
-        step[k] = -step[k];
-    }
-    for (size_t k = 0; k < 3; ++k) {
-        moved.position_m[k] += step[k];
-    }
-    gf_turn(moved.rotation, step + 3);
-    look(coils, errors, around, &moved, &behind);
-
-    double change[6][6] = {{0.0}}; /* difference of the Jacobians, transposed, onto the tangent space */
-    for (size_t c = 0; c < 3 * coils->count; ++c) {
-        for (size_t k = 0; k < 6; ++k) {
-            const double d = 0.5 * (ahead.slope[c][k] - behind.slope[c][k]);
-            for (size_t l = 0; l < 6; ++l) {
-                change[k][l] += d * back[c][l];
-            }
-        }
-    }
-    memset(q, 0, 6 * sizeof q[0]);
-    for (size_t k = 0; k < 6; ++k) {
-        for (size_t i = 0; i < 6; ++i) {
-            for (size_t l = 0; l < 6; ++l) {
-                q[i][l] += root[k][i] * change[k][l];
-            }
-        }
-    }
-}
-
-/* 1 + (m m' + 2 sum q q')/4 with q made symmetric in its two axes, m the sum of q over equal axes. */
-static void second_order(double q[6][6][6], double out[6][6]) {
-    double mean[6] = {0.0};
-    memset(out, 0, 6 * sizeof out[0]);
-    for (size_t i = 0; i < 6; ++i) {
-        for (size_t j = 0; j < 6; ++j) {
-            double both[6];
-            for (size_t k = 0; k < 6; ++k) {
-                both[k] = 0.5 * (q[i][j][k] + q[j][i][k]);
-                mean[k] += i == j ? both[k] : 0.0;
-            }
-            for (size_t k = 0; k < 6; ++k) {
-                for (size_t l = 0; l < 6; ++l) {
-                    out[k][l] += 0.5 * both[k] * both[l];
-                }
-            }
-        }
-    }
-    for (size_t k = 0; k < 6; ++k) {
-        for (size_t l = 0; l < 6; ++l) {
-            out[k][l] += 0.25 * mean[k] * mean[l] + (k == l ? 1.0 : 0.0);
-        }
-    }
-}
-
-void gf_covariance(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
-                   const double *sigma_T, const double *position_m, const double *rotation, double least_eigenvalue,
-                   double free_m2, double free_rad2, double *covariance) {
-    const size_t n = coils->count;
-    const double free_root[6] = {sqrt(free_m2),   sqrt(free_m2),   sqrt(free_m2),
-                                 sqrt(free_rad2), sqrt(free_rad2), sqrt(free_rad2)};
-    /* All axes leaning alike are a turn of the sensor: nothing but the attitude tells of it. */
-    const double common = errors != NULL ? 0.5 * errors->sensor_axis_sd_rad * errors->sensor_axis_sd_rad : 0.0;
-    for (size_t e = 0; e < epochs; ++e) {
-        const gf_pose_t pose = pose_of(position_m + 3 * e, rotation + 9 * e);
-        around_t around;
-        double information[6][6];
-        double root[6][6];
-        double free[6][6];
-        double q[6][6][6];
-        double middle[6][6];
-        prepare(coils, errors, field_T + 3 * n * e, sigma_T + n * e, &pose, &around);
-        inform(3 * n, around.components.slope, around.weighted, information);
-        split((const double(*)[6])information, least_eigenvalue, root, free);
-        transform(3 * n, around.weighted, (const double(*)[6])root, around.weighted);
-        for (size_t axis = 0; axis < 6; ++axis) {
-            curve(coils, errors, &pose, &around, (const double(*)[6])root, around.weighted, axis, q[axis]);
-        }
-        second_order(q, middle);
-        double product[6][6];
-        transform(6, root, (const double(*)[6])middle, product);
-        for (size_t k = 0; k < 6; ++k) {
-            for (size_t l = 0; l < 6; ++l) {
-                double sum = 0.0;
-                for (size_t m = 0; m < 6; ++m) {
-                    sum += product[k][m] * root[l][m] + free_root[k] * free_root[l] * free[k][m] * free[l][m];
-                }
-                covariance[36 * e + 6 * k + l] = sum + (k == l && k >= 3 ? common : 0.0);
-            }
-        }
     }
 }
