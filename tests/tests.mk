@@ -24,9 +24,10 @@ figures: all ## Measure and print the figures of the whole chain (several minute
 
 .PHONY: figures
 
-bench: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure the host's speed: location single and batched beside SciPy, filter update, start-up
+bench: all ## Measure speed: location beside SciPy, filter update, start-up, and each subcommand's time and memory
 	@$(PYTHON) -m tests.bench.locate_figures speed
 	@$(PYTHON) tests/bench/start_up.py
+	@$(PYTHON) -m tests.bench.command_costs
 
 .PHONY: bench
 
