@@ -1,7 +1,9 @@
-"""The sensors' motion, handed to the hot loop window by window."""
+"""The sensors' motion among the coils, handed to the hot loop window by window, and anew at every event."""
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from typing import Any
 
 import numpy as np
@@ -9,12 +11,15 @@ import numpy as np
 from goldfield.errors import SystemFailure, UserError
 from hil_sim.scenario import Scenario
 from hil_sim.world import path
+from hil_sim.world.sheet import BesideMetal, Metal, Source
 
 WINDOW_S = 1.0
 """Length of a window, whole quanta: the windows are the same whatever slices of time the rig is run in."""
 WINDOW_PS = round(WINDOW_S * 1e12)
 OVERLAP_S = 0.001
 """A window reaches so far beyond its ends: a converter may look a few microseconds ahead."""
+EVENT_STEP_PS = 10**9
+"""Events happen at whole milliseconds, which are whole quanta."""
 
 
 class PathWindows:
@@ -39,26 +44,36 @@ class PathWindows:
     def __init__(self, ffi: Any, library: Any, rig: Any, scenario: Scenario) -> None:
         self._ffi, self._library, self._rig = ffi, library, rig
         self._scenario = scenario
-        self._coils = [coil for beacon in scenario.beacons for coil in beacon.coils]
-        self._window = -1
+        self._events_ps = sorted(
+            {round(event.time_s * 1e12 / EVENT_STEP_PS) * EVENT_STEP_PS for event in scenario.events}
+        )
+        self._window, self._happened = -1, -1
         self.enter(0)
 
     def enter(self, now_ps: int) -> int:
-        """See that the rig has the window of a virtual time; return the window's end, ps."""
+        """See that the rig has the window of a virtual time; return when that ends or something happens, ps."""
         window = now_ps // WINDOW_PS
-        if window != self._window:
-            self._hand_over(window)
-            self._window = window
-        return (window + 1) * WINDOW_PS
+        happened = bisect_right(self._events_ps, now_ps)
+        if (window, happened) != (self._window, self._happened):
+            self._hand_over(window, happened)
+            self._window, self._happened = window, happened
+        return min([(window + 1) * WINDOW_PS, *self._events_ps[happened:]])
 
-    def _hand_over(self, window: int) -> None:
-        """Hand over the motion of one window; a sensor at rest keeps its first."""
+    def _hand_over(self, window: int, happened: int) -> None:
+        """Hand over the motion of one window after some events; a sensor at rest keeps its own until the next one."""
         start_s, stop_s = window * WINDOW_S - OVERLAP_S, (window + 1) * WINDOW_S + OVERLAP_S
-        for board in range(1 + len(self._scenario.beacons)):
-            if self._scenario.front_end(board) is None:
+        if happened != self._happened:
+            time_s = (self._events_ps[happened - 1] + EVENT_STEP_PS // 2) * 1e-12 if happened else -math.inf
+            self._now = self._scenario.at(time_s)
+            self._coils: list[Source] = [coil for beacon in self._now.beacons for coil in beacon.coils]
+            if sheets := self._scenario.sheets(time_s):
+                metal = Metal(sheets)
+                self._coils = [BesideMetal(coil, metal) for coil in self._coils]
+        for board in range(1 + len(self._now.beacons)):
+            if self._now.front_end(board) is None:
                 continue
-            motion = self._scenario.motion_of(board)
-            if motion.still and self._window >= 0:
+            motion = self._now.motion_of(board)
+            if motion.still and happened == self._happened:
                 continue
             try:
                 self._set(board, path.compute(self._coils, motion, start_s, stop_s))

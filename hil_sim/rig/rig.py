@@ -272,7 +272,6 @@ class Rig:
         The wire marks each cycle of degree 10 or 11, each second one of degree 9, ... each 32nd of degree 5 (sync.h).
         """
         self._check_sensor(board)
-        motion = self.scenario.motion_of(board)
         cycles = 1 << max(0, 10 - self.scenario.degree)
         times = self._ffi.new("int64_t[]", 1024)
         result: list[Truth] = []
@@ -284,8 +283,9 @@ class Rig:
                 return result
             for edge, (start, end) in enumerate(pairwise(times[0:available]), start=first):
                 for part in range(cycles):
-                    middle_ps = start + (end - start) * (part + 0.5) / cycles
-                    result.append(truth_at(motion, edge * cycles + part, 1e-12 * middle_ps))
+                    middle_s = 1e-12 * (start + (end - start) * (part + 0.5) / cycles)
+                    motion = self.scenario.at(middle_s).motion_of(board)
+                    result.append(truth_at(motion, edge * cycles + part, middle_s))
             self._truth_edges[board] += available - 1
 
     def watch_pins(self, watch: bool = True) -> None:

@@ -1,5 +1,6 @@
 """Scenario files: what the rig simulates, in TOML and SI units; ``scenarios/prigge8.toml`` is a commented example."""
 
+from hil_sim.scenario.events import Bring, Move
 from hil_sim.scenario.pages import parameter_page
 from hil_sim.scenario.parts import CONVERTER_COUNTS, Ambient, Beacon, Circuit, Clock, FrontEnd
 from hil_sim.scenario.reading import SCENARIOS, find, load, load_scenario
@@ -11,9 +12,11 @@ __all__ = [
     "SCENARIOS",
     "Ambient",
     "Beacon",
+    "Bring",
     "Circuit",
     "Clock",
     "FrontEnd",
+    "Move",
     "Scenario",
     "find",
     "load",

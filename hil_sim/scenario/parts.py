@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -193,6 +193,14 @@ class Beacon:
     def coils(self) -> tuple[CoilGeometry, ...]:
         """Its coils in the order of the board's channels."""
         return (self.geometry,) if self.second_coil is None else (self.geometry, self.second_coil)
+
+    def moved(self, by_m: FloatArray, sensor_stays: bool = False) -> Beacon:
+        """Return the beacon at another place, its sensor with it unless that stays."""
+        anchor = self.sensor
+        if anchor is not None and not sensor_stays:
+            anchor = replace(anchor, position_m=anchor.position_m + by_m)
+        second = None if self.second_coil is None else self.second_coil.moved(by_m)
+        return replace(self, geometry=self.geometry.moved(by_m), second_coil=second, sensor=anchor)
 
     @property
     def access(self) -> str:

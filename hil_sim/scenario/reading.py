@@ -14,6 +14,7 @@ from goldfield.errors import UserError
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
 from goldfield_protocol.parameters import PARAMETERS, ParameterError
+from hil_sim.scenario.events import read_events
 from hil_sim.scenario.pages import parameter_page
 from hil_sim.scenario.parts import (
     CHIP_PERIOD_S,
@@ -78,7 +79,7 @@ def load(path: str | Path) -> Scenario:
     root = read_table(path, "scenario")
     root.allow(
         *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
-        *("coil", "beacon"),
+        *("coil", "beacon", "event"),
     )
     sync = root.text("sync") if "sync" in root else "wire"
     if sync not in ("wire", "can"):
@@ -106,6 +107,7 @@ def load(path: str | Path) -> Scenario:
         slots=_between(root, "slots", 1, plan.chips) if "slots" in root else 0,
         degree=degree,
         sync=sync,
+        events=read_events(root),
     )
     _check_boards(root, scenario)
     return scenario

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from hil_sim.scenario.events import Bring, Event, Move
 from hil_sim.scenario.parts import DEGREE, Ambient, Beacon, FrontEnd, HalfSpace, Sensor
 from hil_sim.world.motion import Motion
+from hil_sim.world.sheet import Sheet
 
 
 @dataclass(frozen=True, eq=False)
@@ -13,6 +15,7 @@ class Scenario:
     """A whole scenario; board 0 is the sensor, board i the i-th beacon.
 
     ``sync`` is where the boards have their time from, ``wire`` or ``can``; with ``can`` there is no sync wire.
+    ``beacons`` are as they are before the first of the ``events``.
     """
 
     name: str
@@ -26,6 +29,21 @@ class Scenario:
     slots: int = 0
     degree: int = DEGREE
     sync: str = "wire"
+    events: tuple[Event, ...] = ()
+
+    def at(self, time_s: float) -> Scenario:
+        """Return the scenario with its beacons where they are at a virtual time."""
+        moves = [event for event in self.events if isinstance(event, Move) and event.time_s <= time_s]
+        if not moves:
+            return self
+        beacons = {beacon.id: beacon for beacon in self.beacons}
+        for move in moves:
+            beacons[move.beacon] = beacons[move.beacon].moved(move.by_m, move.sensor_stays)
+        return replace(self, beacons=tuple(beacons.values()))
+
+    def sheets(self, time_s: float) -> tuple[Sheet, ...]:
+        """Return the sheets of metal that are there at a virtual time."""
+        return tuple(event.sheet for event in self.events if isinstance(event, Bring) and event.time_s <= time_s)
 
     @property
     def chips(self) -> int:

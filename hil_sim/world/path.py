@@ -7,7 +7,7 @@ how the host models a coil.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import magpylib
@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from hil_sim.world.motion import Motion
+from hil_sim.world.sheet import Source
 
 FloatArray = NDArray[np.float64]
 
@@ -53,6 +54,11 @@ class CoilGeometry:
     axis: FloatArray
     points_m: FloatArray | None = None
 
+    def moved(self, by_m: FloatArray) -> CoilGeometry:
+        """Return the coil at another place."""
+        points = None if self.points_m is None else self.points_m + by_m
+        return replace(self, position_m=self.position_m + by_m, points_m=points)
+
     def field_per_ampere(self, positions_m: FloatArray) -> FloatArray:
         """Return B of one ampere, shape (n, 3), tesla, site's frame, at positions of shape (n, 3)."""
         if self.points_m is not None:
@@ -82,7 +88,7 @@ class Path:
     coefficients: FloatArray
 
 
-def columns(coils: Sequence[CoilGeometry], motion: Motion, times_s: FloatArray) -> FloatArray:
+def columns(coils: Sequence[Source], motion: Motion, times_s: FloatArray) -> FloatArray:
     """Return the columns of ``path.h``, shape (n, 3 coils + 9), at times of shape (n,).
 
     Raises
@@ -108,7 +114,7 @@ def _relative_error(spline: CubicSpline[np.float64], truth: FloatArray, times_s:
     return float(np.max(error / size))
 
 
-def compute(coils: Sequence[CoilGeometry], motion: Motion, start_s: float, stop_s: float) -> Path:
+def compute(coils: Sequence[Source], motion: Motion, start_s: float, stop_s: float) -> Path:
     """Compute the path between two times, as fine as `TOLERANCE` asks.
 
     Raises

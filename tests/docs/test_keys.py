@@ -11,7 +11,7 @@ import pytest
 from goldfield.site import drive
 from goldfield.site import reading as site_reading
 from hil_sim.clib import ROOT
-from hil_sim.scenario import reading
+from hil_sim.scenario import events, reading
 
 
 def documented(page: str) -> set[str]:
@@ -34,12 +34,14 @@ def test_every_key_of_a_scenario_is_explained() -> None:
     top = {"name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space"}
     ambient = {"earth_T", "mains", "impulses"}
     keys = top | ambient | {*reading.SENSOR_KEYS, *reading.BEACON_KEYS, *reading.COIL_KEYS, *reading.CLOCK_KEYS}
+    keys |= {*events.EVENT_KEYS}
     keys = keys - {"sensor"} | {"beacon.sensor"}
     assert documented("scenario.md") == keys
 
 
-def test_every_motion_is_explained() -> None:
+def test_every_motion_and_every_sheet_is_explained() -> None:
     text = (ROOT / "docs/scenario.md").read_text()
+    assert all(re.search(rf"\b{key}\b", text) for key in events.SHEET_KEYS)
     for kind, keys in reading.MOTION_KEYS.items():
         assert f'`"{kind}"`' in text
         assert all(f"`{key}`" in text for key in keys)

@@ -10,9 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from goldfield.errors import SystemFailure, UserError
+from hil_sim import scenario as scenarios
 from hil_sim.rig import Rig
 from hil_sim.world import path
-from tests.hil_sim.rig.fakes import FakeBoards, small
+from hil_sim.world.sheet import BesideMetal, Metal
+from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
 
 LINE = '"line"\nvelocity_m_per_s = [0.5, 0.2, 0.1]\nrate_rad_per_s = [0.0, 1.0, 0.5]'
 MOVING = {
@@ -285,3 +287,44 @@ def test_a_motion_through_a_wire_is_the_scenarios_fault(tmp_path):
 def test_unknown_boards_are_an_error(tmp_path):
     with pytest.raises(UserError, match="no boards of kind 'cardboard'; there are emulated, host"):
         Rig(small(tmp_path), "cardboard")
+
+
+EVENTS = """
+[[event]]
+time_s = 0.01234
+moves = "b"
+by_m = [0.1, 0.0, 0.2]
+
+[[event]]
+time_s = 0.02
+sheet = { centre_m = [0.5, 0.6, 0.1], normal = [0.0, 0.0, 1.0], side_m = 0.5 }
+"""
+
+
+@pytest.mark.parametrize("kind", ['"still"', LINE])
+def test_an_event_changes_the_field_from_its_moment_on(tmp_path, kind):
+    """The field of the coils' currents among moved coils and metal is the one at the sensor."""
+    file = write_scenario(tmp_path, kind=kind, bandwidth_Hz="0.0")  # no lag between current and field
+    file.write_text(file.read_text() + EVENTS)
+    scene = scenarios.load(file)
+    with Rig(scene, FakeBoards()) as rig:
+        for until_s, time_s in ((0.0119, 0.0), (0.0121, 0.015), (0.0199, 0.015), (0.0201, 1.0)):
+            rig.run_until(round(until_s * 1e12))
+            now, sheets = scene.at(time_s), scene.sheets(time_s)
+            coils = [beacon.geometry for beacon in now.beacons]
+            if sheets:
+                coils = [BesideMetal(coil, Metal(sheets)) for coil in coils]
+            columns = path.columns(coils, now.motion, np.array([rig.now_s]))[0]
+            current_A = [rig.coil_current_A(board) for board in (1, 2, 3)]
+            expected = current_A @ columns[:9].reshape(3, 3) + columns[9:].reshape(3, 3) @ [2e-5, 0.0, -4.5e-5]
+            np.testing.assert_allclose(rig.sensor_field_T(), expected, rtol=1e-5)
+            other = scene.at(1.0 if time_s == 0.0 else 0.0)
+            before = path.columns([beacon.geometry for beacon in other.beacons], now.motion, np.array([rig.now_s]))[0]
+            assert np.abs(columns[:9] - before[:9]).max() > 1e-2 * np.abs(columns[:9]).max()
+
+
+def test_slices_do_not_matter_to_events(tmp_path):
+    file = write_scenario(tmp_path, **MOVING)
+    file.write_text(file.read_text() + EVENTS)
+    scene = scenarios.load(file)
+    assert record(scene, [0.03]) == record(scene, [0.0011, 0.0122, 0.0125, 0.0199999, 0.03])

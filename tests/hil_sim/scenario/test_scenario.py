@@ -186,6 +186,62 @@ def test_a_beacon_overrides_the_coils_defaults_and_may_be_a_wire(tmp_path):
     assert "radius_m" not in site["beacon"][0]
 
 
+EVENTS = """
+[[event]]
+time_s = 2.0
+moves = "b"
+by_m = [0.01, 0.0, -0.02]
+
+[[event]]
+time_s = 3.0
+sheet = { centre_m = [0.0, 0.0, -0.3], normal = [0.0, 0.0, 2.0], side_m = 0.5 }
+"""
+
+
+def eventful(directory, text=EVENTS):
+    path = write_scenario(directory)
+    path.write_text(path.read_text() + text)
+    return scenario.load(path)
+
+
+def test_events(tmp_path):
+    loaded = eventful(tmp_path)
+    assert loaded.at(1.99) is loaded
+    moved = loaded.at(2.0)
+    np.testing.assert_allclose(moved.beacons[1].geometry.position_m, [1.01, 0.0, -0.02])
+    assert [moved.beacons[row] for row in (0, 2)] == [loaded.beacons[row] for row in (0, 2)]
+    assert loaded.sheets(2.99) == ()
+    (sheet,) = loaded.sheets(3.0)
+    assert sheet.normal.tolist() == [0.0, 0.0, 1.0]
+    assert scenario.site_toml(loaded) == scenario.site_toml(scenario.load(write_scenario(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('moves = "b"', 'moves = "d"', '[[event]] 1: moves is "d"; the beacons are a, b, c'),
+        ('moves = "b"\n', "", "[[event]] 1: moves is missing; give it, or sheet"),
+        ("time_s = 2.0", "time_s = -2.0", "[[event]] 1: time_s is -2; it must not be negative"),
+        ("time_s = 3.0", 'time_s = 3.0\nmoves = "b"', "[[event]] 2: sheet and moves are both given"),
+        ("time_s = 3.0", "time_s = 3.0\nby_m = [0, 0, 1]", "[[event]] 2: by_m is no known key"),
+        ("side_m = 0.5", "side_m = 0.0", "[[event]] 2: sheet: side_m is 0; it must be greater than zero"),
+        ("side_m = 0.5", "side_m = 0.5, thick_m = 1", "thick_m is no known key"),
+    ],
+)
+def test_what_is_wrong_with_an_event(tmp_path, old, new, words):
+    with pytest.raises(UserError, match=re.escape(words)):
+        eventful(tmp_path, EVENTS.replace(old, new))
+
+
+def test_an_anchor_is_moved_with_its_sensor_or_without():
+    anchor = scenario.load_scenario("anchors4").beacons[1]
+    by_m = np.array([0.01, 0.02, 0.03])
+    for stays, shift in ((False, by_m), (True, 0.0 * by_m)):
+        moved = anchor.moved(by_m, sensor_stays=stays)
+        np.testing.assert_allclose(moved.geometry.position_m, anchor.geometry.position_m + by_m)
+        np.testing.assert_allclose(moved.sensor.position_m, anchor.sensor.position_m + shift)
+
+
 WRONG = {
     "unknown key": (
         {"noise_T": "1e-7\nbandwith_Hz = 5.0"},
