@@ -9,8 +9,10 @@ tell it if the whole mast was moved, as far as they are strong enough.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
@@ -18,7 +20,8 @@ from goldfield.access.epoch import EpochSeparator
 from goldfield.field import FieldModel
 from goldfield.link.reports import Assembler
 from goldfield.locate import locate
-from goldfield.site import Site
+from goldfield.site import Beacon, Site
+from goldfield.track.witness import strength_finding
 from goldfield.types import Explanation, Fields, Finding, FloatArray, Status
 from goldfield_protocol.messages import Message
 
@@ -40,6 +43,19 @@ FALSE_ALARMS_PER_HOUR = 0.01
 
 CLEAR = 20.0
 """A beacon is named only if the changes at it and of it cost more, by this, than those of any other."""
+
+UNEXPLAINED = 1e-6
+"""A change of current explains the changes of all anchors if they leave a cost of more than this probability."""
+
+HEARD = 5.0
+"""A beacon whose mean field is weaker than so many standard deviations has no reference: it may be off."""
+UNSTEADY = 1e-6
+"""Nor has one whose fields scatter as much only with this probability: it may just be switched on."""
+ALIKE = 30.0
+"""Fields that differ from their reference by a chi-square above this do not go into it."""
+
+SILENT_CYCLES = 3
+"""An anchor that is so many cycles behind the others is silent: what it saw last does not count."""
 
 LEAST_SHIFT_M = 0.005
 """A shift below this is not told as one: metal near a coil looks the same."""
@@ -63,6 +79,7 @@ class AnchorWatch:
         self._site = site
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._anchors: dict[int, _Anchor] = {}
+        self._cycle = 0
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -77,42 +94,37 @@ class AnchorWatch:
             return
         anchor = self._anchors.get(message.node)
         if anchor is not None and anchor.take(message):
+            self._cycle = anchor.cycle
             self.finding = self._found()
 
     def _found(self) -> Finding | None:
-        """Judge the changes at all anchors."""
-        count = len(self._row)
-        windows = [anchor.changes() for anchor in self._anchors.values() if anchor.ready]
-        if not windows:
+        """Judge the changes at all anchors that speak, over the same time at each."""
+        anchors = [one for one in self._anchors.values() if one.ready and abs(self._cycle - one.cycle) < SILENT_CYCLES]
+        if not anchors:
             return None
-        anchors = [anchor for anchor in self._anchors.values() if anchor.ready]
-        cost = np.array([changes.cost for changes in windows])  # (anchors, n)
-        tests = 3600.0 / self._site.cycle_s * cost.size * len(anchors[0].starts)
-        if cost.max() <= chdtri(3.0, FALSE_ALARMS_PER_HOUR / tests):
+        starts = min(len(anchor.changes.cost) for anchor in anchors)
+        costs = np.array([anchor.changes.cost[:starts] for anchor in anchors])  # (anchors, starts, n)
+        tests = 3600.0 / self._site.cycle_s * costs[:, 0].size * len(anchors[0].starts)
+        if costs.max() <= chdtri(3.0, FALSE_ALARMS_PER_HOUR / tests):
             return None
+        start = int(costs.max(axis=(0, 2)).argmax())
+        cost = costs[:, start]
         touched = cost.sum(axis=0)
         for place, anchor in enumerate(anchors):
-            if anchor.own is not None:
-                touched[anchor.own] += np.delete(cost[place], anchor.own).sum()
+            touched[anchor.own] += np.delete(cost[place], anchor.own).sum()
         row = int(np.argmax(touched))
-        if count > 1 and touched[row] <= np.delete(touched, row).max() + CLEAR:
+        if len(touched) > 1 and touched[row] <= np.delete(touched, row).max() + CLEAR:
             return None
-        return self._explained(row, anchors, windows)
+        return self._explained(row, anchors, [anchor.changes.over(start) for anchor in anchors])
 
     def _explained(self, row: int, anchors: list[_Anchor], windows: list[_Changes]) -> Finding:
-        """Say where a beacon fits better; the field of each pair changes by -R' G d if its coil is shifted by d."""
+        """Say what explains the changed fields of a beacon: another current, else another place, else metal."""
         beacon = self._site.beacons[row]
-        information, score = np.zeros((3, 3)), np.zeros(3)
-        for anchor, changes in zip(anchors, windows, strict=True):
-            if anchor.place is None or not np.isfinite(changes.change_T[row]).all():
-                continue
-            position, rotation = anchor.place
-            _, gradient = FieldModel([beacon]).evaluate(position)
-            shift = -rotation.T @ gradient[:, :, 0]
-            information += shift.T @ shift / changes.variance_T2[row]
-            score += shift.T @ changes.change_T[row] / changes.variance_T2[row]
-        seen = np.linalg.eigvalsh(information)[0] > LEAST_SHIFT_M**-2
-        d = np.linalg.solve(information, score) if seen else np.zeros(3)
+        seen = [(a, w) for a, w in zip(anchors, windows, strict=True) if a.learned[row]]
+        part, left = _current_part(row, [changes for _, changes in seen])
+        if left <= chdtri(3.0 * len(seen) - 1.0, UNEXPLAINED):
+            return strength_finding(beacon.id, 1.0 + part)
+        d = _shift(beacon, row, seen)
         far = float(np.linalg.norm(d))
         what = f"anchors see that the fields of {beacon.id} have changed"
         if far < LEAST_SHIFT_M:
@@ -124,16 +136,70 @@ class AnchorWatch:
         return Finding(Explanation.MOVED, (beacon.id,), text, position_m=place)
 
 
-class _Changes:
-    """Change of each beacon's field at an anchor, shape (n, 3), T; its variance, T^2, and cost, both of shape (n,)."""
+def _current_part(row: int, windows: list[_Changes]) -> tuple[float, float]:
+    """Return by which part of itself a beacon's current would have changed, and the cost that this leaves."""
+    information = sum(float(w.mean_T[row] @ w.mean_T[row] / w.variance_T2[row]) for w in windows)
+    score = sum(float(w.mean_T[row] @ w.change_T[row] / w.variance_T2[row]) for w in windows)
+    part = score / max(information, 1e-300)
+    return part, sum(float(w.cost[row]) for w in windows) - part * score
 
-    def __init__(self, change_T: FloatArray, variance_T2: FloatArray) -> None:
-        self.change_T, self.variance_T2 = change_T, variance_T2
-        self.cost: FloatArray = np.nan_to_num((change_T**2).sum(axis=1) / variance_T2)
+
+def _shift(beacon: Beacon, row: int, seen: list[tuple[_Anchor, _Changes]]) -> FloatArray:
+    """Return by how much a beacon was moved, shape (3,), m; zero if the anchors do not tell it to `LEAST_SHIFT_M`.
+
+    The field of each pair changes by -R' G d if its coil is shifted by d.
+    """
+    information, score = np.zeros((3, 3)), np.zeros(3)
+    for anchor, changes in seen:
+        if anchor.place is None:
+            continue
+        position, rotation = anchor.place
+        _, gradient = FieldModel([beacon]).evaluate(position)
+        shift = -rotation.T @ gradient[:, :, 0]
+        information += shift.T @ shift / changes.variance_T2[row]
+        score += shift.T @ changes.change_T[row] / changes.variance_T2[row]
+    told = np.linalg.eigvalsh(information)[0] > LEAST_SHIFT_M**-2
+    return np.asarray(np.linalg.solve(information, score) if told else np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
+class _Changes:
+    """Changes of n beacons' fields at an anchor from their means; the latest fields are averaged over several times.
+
+    ``change_T`` has the shape (times, n, 3), ``variance_T2`` and the chi-square ``cost`` (times, n), ``mean_T`` (n, 3).
+    """
+
+    change_T: FloatArray
+    variance_T2: FloatArray
+    cost: FloatArray
+    mean_T: FloatArray
+
+    def over(self, time: int) -> _Changes:
+        """Return those of one time, without the leading axis."""
+        return _Changes(self.change_T[time], self.variance_T2[time], self.cost[time], self.mean_T)
 
 
 class _Anchor:
-    """One anchor: its reference and its latest fields; ``own`` is its beacon's row, ``place`` its sensor's pose."""
+    """One anchor: its references and its latest fields.
+
+    A reference is the mean of a beacon's fields over `REFERENCE_S` in which they agree and are not nothing; one that is
+    switched on later gets its reference then.
+
+    Attributes
+    ----------
+    cycle : int
+        The latest cycle.
+    learned : ndarray of bool, shape (n,)
+        Which beacons have a reference.
+    own : int
+        The row of its own beacon: the strongest.
+    place : (position, rotation) or None
+        The pose of its sensor; None: the beacons do not tell it.
+    changes : _Changes
+        The latest fields against the references; only if it is ``ready``.
+    """
+
+    changes: _Changes
 
     def __init__(self, site: Site) -> None:
         self._site = site
@@ -145,67 +211,90 @@ class _Anchor:
         )
         self.starts = np.unique(np.linspace(1, recent, 20).round().astype(int))
         self._recent: deque[FloatArray] = deque(maxlen=recent)
-        self._mean = np.full((len(site.beacons), 3), np.nan)
-        self._sigma_T = np.full(len(site.beacons), np.nan)
-        self._count = 0
-        self.own: int | None = None
+        n = len(site.beacons)
+        self._mean, self._square = np.zeros((n, 3)), np.zeros(n)
+        self._sigma_T = np.zeros(n)
+        self._count = np.zeros(n, dtype=int)
+        self.cycle, self.own = 0, 0
+        self.learned = np.zeros(n, dtype=bool)
         self.place: tuple[FloatArray, FloatArray] | None = None
 
     @property
     def ready(self) -> bool:
         """Whether there is a reference, and something to compare with it."""
-        return self._count >= self._least and bool(self._recent)
+        return bool(self._recent)
 
     def take(self, message: Message) -> bool:
-        """Take one of its messages; return whether it ended a cycle."""
+        """Take one of its messages; return whether that ended a cycle."""
         reports = list(self._assembler.feed(message, 0.0))
         for report in reports:
             whole = report.chips == self._site.chips and not report.saturated and report.locked is not False
             if report.complete and whole:
-                self._add(self._separator.fields(report))
+                fields = self._separator.fields(report)
+                if len(fields.beacons) == len(self._row):
+                    self._add(report.cycle, fields)
         return bool(reports)
 
-    def changes(self) -> _Changes:
-        """Return the change over the time, up to `RECENT_S`, that shows it best."""
-        latest = np.array(self._recent)[::-1]
-        means = np.cumsum(latest, axis=0) / np.arange(1, len(latest) + 1)[:, None, None]
-        best: _Changes | None = None
-        floor = DRIFT**2 * (self._mean**2).sum(axis=1)
-        for epochs in self.starts[self.starts <= len(latest)]:
-            variance = self._sigma_T**2 * (1.0 / epochs + 1.0 / self._count) + floor
-            found = _Changes(means[epochs - 1] - self._mean, variance)
-            if best is None or found.cost.max() > best.cost.max():
-                best = found
-        assert best is not None
-        return best
-
-    def _add(self, fields: Fields) -> None:
-        latest = np.full_like(self._mean, np.nan)
+    def _add(self, cycle: int, fields: Fields) -> None:
         rows = [self._row[name] for name in fields.beacons]
-        latest[rows] = fields.field_T
-        self._sigma_T[rows] = fields.sigma_T
-        if len(self._recent) == self._recent.maxlen or self._count < self._least:
-            # What leaves the latest ones goes into the reference, unless it differs from it.
-            old = latest if self._count < self._least else self._recent[0]
-            if self._count < self._least or not self._changed(old):
-                self._count = min(self._count + 1, self._longest)
-                self._mean = old if self._count == 1 else self._mean + (old - self._mean) / self._count
-            if self._count == self._least and self.own is None:
-                self._settle()
-                return
-        if self._count >= self._least and self.own is not None:
+        latest = np.empty_like(self._mean)
+        latest[rows], self._sigma_T[rows] = fields.field_T, fields.sigma_T
+        if abs(cycle - self.cycle) >= SILENT_CYCLES:
+            self._recent.clear()
+        self.cycle = cycle
+        if self.ready and len(self._recent) == self._recent.maxlen:
+            self._follow(self._recent[0])
+        self._learn(latest)
+        if self.learned.any():
             self._recent.append(latest)
+            self.changes = self._changes()
 
-    def _changed(self, fields_T: FloatArray) -> bool:
-        variance = self._sigma_T**2 + DRIFT**2 * (self._mean**2).sum(axis=1)
-        return bool(_Changes(fields_T - self._mean, variance).cost.max() > 30.0 or self.changes().cost.max() > 30.0)
+    def _learn(self, latest: FloatArray) -> None:
+        """Add fields to the references that are not complete; judge those that are complete now."""
+        new = ~self.learned
+        self._average(latest, new)
+        deviation = ((latest - self._mean) ** 2).sum(axis=1)
+        self._square[new] += (deviation * self._count / np.maximum(self._count - 1, 1))[new]
+        full = new & (self._count >= self._least)
+        if not full.any():
+            return
+        heard = (self._mean**2).sum(axis=1) > HEARD**2 * self._sigma_T**2 / self._least
+        noise = self._sigma_T**2 + self._floor()
+        steady = self._square < chdtri(3.0 * (self._least - 1), UNSTEADY) * noise
+        self.learned |= full & heard & steady
+        again = full & ~(heard & steady)
+        self._count[again], self._mean[again], self._square[again] = 0, 0.0, 0.0
+        if (full & self.learned).any():
+            self._recent.clear()
+            self._settle()
+
+    def _follow(self, old: FloatArray) -> None:
+        """Let what leaves the latest fields go into the reference of each beacon, unless it or they differ from it."""
+        cost = ((old - self._mean) ** 2).sum(axis=1) / (self._sigma_T**2 + self._floor())
+        alike = (cost <= ALIKE) & (self.changes.cost.max(axis=0) <= ALIKE)
+        self._average(old, self.learned & alike)
+
+    def _average(self, fields_T: FloatArray, which: NDArray[np.bool_]) -> None:
+        self._count[which] = np.minimum(self._count[which] + 1, self._longest)
+        self._mean[which] += (fields_T - self._mean)[which] / self._count[which, None]
+
+    def _floor(self) -> FloatArray:
+        return np.asarray(DRIFT**2 * (self._mean**2).sum(axis=1))
+
+    def _changes(self) -> _Changes:
+        latest = np.array(self._recent)[::-1]
+        epochs = self.starts[self.starts <= len(latest)]
+        change = np.cumsum(latest, axis=0)[epochs - 1] / epochs[:, None, None] - self._mean
+        variance = self._sigma_T**2 * (1.0 / epochs[:, None] + 1.0 / np.maximum(self._count, 1)) + self._floor()
+        cost = np.where(self.learned, (change**2).sum(axis=2) / variance, 0.0)
+        return _Changes(change, variance, cost, self._mean.copy())
 
     def _settle(self) -> None:
-        """Tell from the reference which beacon the anchor itself is, and where its sensor stands."""
-        self.own = int(np.nanargmax(np.nan_to_num(np.linalg.norm(self._mean, axis=1))))
-        measured = np.isfinite(self._mean).all(axis=1)
-        ids = tuple(beacon.id for beacon, known in zip(self._site.beacons, measured, strict=True) if known)
-        sigma = np.hypot(self._sigma_T / np.sqrt(self._count), DRIFT * np.linalg.norm(self._mean, axis=1))
-        pose = locate(self._site, Fields(0, 0.0, ids, self._mean[measured], sigma[measured]))
-        if pose.status is not Status.FAILED:
-            self.place = pose.position_m, Rotation.from_quat(pose.orientation_xyzw).as_matrix()
+        """Tell from the references which beacon the anchor itself is, and where its sensor stands."""
+        size = np.where(self.learned, np.linalg.norm(self._mean, axis=1), 0.0)
+        self.own = int(np.argmax(size))
+        ids = tuple(beacon.id for beacon, known in zip(self._site.beacons, self.learned, strict=True) if known)
+        sigma = np.hypot(self._sigma_T / np.sqrt(np.maximum(self._count, 1)), DRIFT * size)
+        pose = locate(self._site, Fields(0, 0.0, ids, self._mean[self.learned], sigma[self.learned]))
+        known = pose.status is not Status.FAILED
+        self.place = (pose.position_m, Rotation.from_quat(pose.orientation_xyzw).as_matrix()) if known else None

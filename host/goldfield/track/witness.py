@@ -218,7 +218,7 @@ class Witness:
             )
             return Finding(Explanation.BEACON, (beacon.id,), text)
         if by_current > by_place - SIMPLER:
-            return _current(beacon.id, 1.0 + part)
+            return strength_finding(beacon.id, 1.0 + part)
         far = float(np.linalg.norm(shift))
         if deviation_m > max(FIXED * far, 0.02):
             return Finding(Explanation.MOVED, (beacon.id,), f"{beacon.id} was moved: the epochs do not tell where to")
@@ -256,7 +256,8 @@ class Witness:
         return best, explained
 
 
-def _current(name: str, factor: float) -> Finding:
+def strength_finding(name: str, factor: float) -> Finding:
+    """Say what is wrong with a beacon whose field is a factor times the site's."""
     if abs(factor) < 0.1:
         return Finding(Explanation.DEAD, (name,), f"{name} has no field: check its coil and its power", factor=0.0)
     if factor < -0.5:

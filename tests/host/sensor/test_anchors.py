@@ -2,6 +2,7 @@
 
 import magpylib
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from goldfield.sensor.anchors import AnchorWatch
@@ -128,8 +129,47 @@ def test_sound_anchors_say_nothing_nor_does_a_drift_within_a_step_of_the_set_poi
     assert watched(BEFORE_T, BEFORE_T, after=60) == [None] * (REFERENCE + 60)
     drifted = fields(PLACES_M, SENSORS_M, current_A=(10.0, 10.002, 10.0, 10.0))
     assert watched(BEFORE_T, drifted) == [None] * (REFERENCE + AFTER)
-    jumped = fields(PLACES_M, SENSORS_M, current_A=(10.0, 10.1, 10.0, 10.0))
-    assert watched(BEFORE_T, jumped)[-1].beacons == ("a2",)
+
+
+@pytest.mark.parametrize(("current_A", "kind"), [(10.1, Explanation.CURRENT), (0.0, Explanation.DEAD)])
+def test_another_current_is_told_as_one(current_A, kind):
+    last = watched(BEFORE_T, fields(PLACES_M, SENSORS_M, current_A=(10.0, current_A, 10.0, 10.0)))[-1]
+    assert (last.kind, last.beacons) == (kind, ("a2",))
+    assert last.factor == pytest.approx(current_A / 10.0, abs=2e-3)
+
+
+def run(cycles, exact, silent=lambda anchor, cycle: False, seed=6):
+    """Findings after each cycle; ``exact`` tells the fields of a cycle."""
+    watch, rng, findings = AnchorWatch(SITE), np.random.default_rng(seed), []
+    for anchor in range(4):
+        watch.take(decode(*heartbeat(node=anchor + 1, role=3)))
+    for cycle in range(cycles):
+        for anchor in range(4):
+            if not silent(anchor, cycle):
+                for message in report(anchor, cycle, exact(cycle)[anchor], rng):
+                    watch.take(decode(*message))
+        findings.append(watch.finding)
+    return findings
+
+
+def test_a_beacon_that_is_switched_on_later_is_not_named_until_it_changes():
+    """It comes on amid the first reference, or long after it."""
+    off = fields(PLACES_M, SENSORS_M, current_A=(10.0, 0.0, 10.0, 10.0))
+    places = PLACES_M.copy()
+    places[ROW] += STEP_M
+    moved = fields(places, SENSORS_M)
+    for on in (13, 50):
+        found = run(on + 80, lambda cycle, on=on: off if cycle < on else BEFORE_T if cycle < on + 60 else moved)
+        assert found[: on + 60] == [None] * (on + 60)
+        assert found[-1].beacons == (IDS[ROW],)
+
+
+def test_an_anchor_that_lost_its_power_has_no_field():
+    """Its own sensor is silent, too, and what that saw last does not speak against it."""
+    off = fields(PLACES_M, SENSORS_M, current_A=(10.0, 0.0, 10.0, 10.0))
+    found = run(70, lambda cycle: off if cycle >= 40 else BEFORE_T, lambda anchor, cycle: anchor == ROW and cycle >= 40)
+    assert {finding.kind for finding in found[43:]} == {Explanation.DEAD}
+    assert {finding.beacons for finding in found[43:]} == {(IDS[ROW],)}
 
 
 def test_sensors_that_are_no_anchors_are_not_listened_to():
