@@ -1,12 +1,11 @@
-"""The tables of ``parameters.toml`` as C headers: ids of parameters and counters, and the firmware's own table."""
+"""The protocol's tables as C headers: ids of parameters and counters, the firmware's own parameters, and messages."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
+from goldfield_protocol.messages import shapes
 from goldfield_protocol.table import COUNTERS, PARAMETERS, ROLES, Parameter
-
-_HEAD = "/* Generated from parameters.toml. */\n"
 
 
 def ids_header() -> str:
@@ -41,8 +40,22 @@ def table_header() -> str:
     return _guarded("PARAMETER_TABLE_H", lines)
 
 
-def _guarded(guard: str, lines: list[str]) -> str:
-    return _HEAD + "\n".join([f"#ifndef {guard}", f"#define {guard}", *lines, "#endif"]) + "\n"
+def messages_header() -> str:
+    """Return ``message_table.h``: what the frames of each message have, which ``messages.c`` includes."""
+    entries = [
+        f"    [{type_}] = {{true, {shape.length}u, {shape.largest_index}u}},"
+        for type_, shape in sorted(shapes().items())
+    ]
+    lines = ["static const message_shape_t message_table[32] = {", *entries, "};"]
+    return _guarded("MESSAGE_TABLE_H", lines, "goldfield.dbc")
+
+
+def _guarded(guard: str, lines: list[str], source: str = "parameters.toml") -> str:
+    return (
+        f"/* Generated from {source}. */\n"
+        + "\n".join([f"#ifndef {guard}", f"#define {guard}", *lines, "#endif"])
+        + "\n"
+    )
 
 
 def _word(parameter: Parameter, value: int | float) -> str:

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import Enum
 from functools import cache
 from importlib import resources
 
@@ -105,6 +106,58 @@ def protocol_hash() -> int:
     return int.from_bytes(digest[:4], "little")
 
 
+class Mismatch(Enum):
+    """Why a frame is none of the database's messages, whatever its bytes are."""
+
+    FOREIGN = "foreign"
+    """No message has this type, or the message of this type has no such index: somebody else's frame."""
+    LENGTH = "length"
+    """The message of this type and index has another number of bytes."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """What every frame of one message has: how many bytes, and an index that is at most so large.
+
+    Parameters
+    ----------
+    length : int
+        Bytes of data.
+    largest_index : int
+        The attribute ``LargestIndex`` of the message.
+    """
+
+    length: int
+    largest_index: int
+
+
+@cache
+def shapes() -> Mapping[int, Shape]:
+    """Return the shape of each message by its type, 0..31; the firmware's table is generated from the same."""
+    found = {}
+    for message in database().messages:
+        assert message.dbc is not None
+        attribute = message.dbc.attributes.get("LargestIndex")
+        largest = int(attribute.value) if attribute is not None else 0
+        found[Identifier.unpack(message.frame_id).type] = Shape(message.length, largest)
+    return found
+
+
+def mismatch(identifier: int, length: int) -> Mismatch | None:
+    """Return why a data frame with a 29-bit identifier is no message; None if type, index and length are one's.
+
+    Examples
+    --------
+    >>> mismatch(0x0C000003, 5), mismatch(0x0C000003, 8), mismatch(0x08FE6E0B, 8)
+    (None, <Mismatch.LENGTH: 'length'>, <Mismatch.FOREIGN: 'foreign'>)
+    """
+    fields = Identifier.unpack(identifier)
+    shape = shapes().get(fields.type)
+    if shape is None or fields.index > shape.largest_index:
+        return Mismatch.FOREIGN
+    return None if length == shape.length else Mismatch.LENGTH
+
+
 def encode(name: str, signals: Mapping[str, float], *, node: int, index: int = 0) -> tuple[int, bytes]:
     """Pack a message.
 
@@ -134,14 +187,11 @@ def encode(name: str, signals: Mapping[str, float], *, node: int, index: int = 0
 
 
 def decode(identifier: int, data: bytes) -> Message | None:
-    """Unpack a message; None for a type that the DBC does not know or data of the wrong length."""
+    """Unpack a message; None for a frame that is none, as `mismatch` tells."""
+    if mismatch(identifier, len(data)) is not None:
+        return None
     fields = Identifier.unpack(identifier)
-    try:
-        message = database().get_message_by_frame_id(fields.type << TYPE_SHIFT)
-    except KeyError:
-        return None
-    if len(data) != message.length:
-        return None
+    message = database().get_message_by_frame_id(fields.type << TYPE_SHIFT)
     signals = message.decode(bytes(data), decode_choices=False, scaling=True)
     assert isinstance(signals, dict)
     return Message(message.name, fields.node, fields.index, {k: float(v) for k, v in signals.items()})  # type: ignore[arg-type]
