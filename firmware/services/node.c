@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "core/link/messages.h"
 #include "goldfield.h"
 #include "protocol_hash.h"
 #include "services/version.h"
@@ -142,9 +143,7 @@ static void answer_parameter(node_t *node, node_links_t link, uint32_t index, pa
 
 static void set_parameter(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
     struct goldfield_param_set_t set = {0};
-    if (goldfield_param_set_unpack(&set, frame->data, frame->length) < 0) {
-        return;
-    }
+    (void)goldfield_param_set_unpack(&set, frame->data, frame->length); /* receive() has seen to the length. */
     parameter_value_t value = {.kind = set.kind, .bits = set.value_unsigned};
     if (set.kind == PARAMETER_SIGNED) {
         memcpy(&value.bits, &set.value_signed, sizeof value.bits);
@@ -202,17 +201,23 @@ static void describe_parameter(node_t *node, node_links_t link, uint32_t index) 
 }
 
 static void receive(node_t *node, node_links_t link, const frame_t *frame) {
+    const message_fault_t fault = message_fault(frame->id, frame->length);
+    if (fault != MESSAGE_OK) {
+        uint32_t *const counter =
+            &node->counters[fault == MESSAGE_FOREIGN ? COUNTER_FOREIGN_FRAMES : COUNTER_WRONG_LENGTH];
+        *counter = add_saturated(*counter, 1u);
+        return;
+    }
     const uint32_t message = frame->id & ~((1u << PROTOCOL_TYPE_SHIFT) - 1u);
     const uint32_t index = frame->id >> PROTOCOL_INDEX_SHIFT & 0xFFFu;
     const uint32_t to = frame->id & PROTOCOL_NODE_MASK;
     const bool for_me = to == 0 || to == node->id;
     if (message == GOLDFIELD_SYNC_FRAME_ID) {
-        struct goldfield_sync_t sync;
-        if (goldfield_sync_unpack(&sync, frame->data, frame->length) >= 0) {
-            node->sync_received = true;
-            node->sync_cycle = sync.cycle;
-            node->sync_chips = sync.chips;
-        }
+        struct goldfield_sync_t sync = {0};
+        (void)goldfield_sync_unpack(&sync, frame->data, frame->length);
+        node->sync_received = true;
+        node->sync_cycle = sync.cycle;
+        node->sync_chips = sync.chips;
     } else if (message == GOLDFIELD_PARAM_SET_FRAME_ID && for_me) {
         set_parameter(node, link, index, frame);
     } else if (message == GOLDFIELD_PARAM_GET_FRAME_ID && for_me) {

@@ -22,7 +22,8 @@
  * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
  * the link they came from; a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a
  * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). SYNC is kept for the application. All
- * others are ignored, and so are PARAM_SET and SYNC of a wrong length.
+ * other messages are ignored. A frame that is no message by its index or its length (messages.h) is ignored and
+ * counted, whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).
  *
  * Time: node_step with nothing to do takes about 150 instructions. It is bounded by NODE_BYTES_A_STEP received bytes,
  * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 6.8 kB.

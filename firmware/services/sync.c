@@ -2,6 +2,7 @@
 
 #include <stddef.h>
 
+#include "core/link/messages.h"
 #include "goldfield.h"
 #include "protocol_hash.h"
 
@@ -76,10 +77,10 @@ static sync_seen_t *find(sync_link_t *link, uint32_t node, uint32_t cycle) {
 /* Notes a SYNC, sent or received. If one is sent twice, the second counts, as it does for its master. */
 static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_format_t *format,
                       const hal_stamp_t *stamp) {
-    struct goldfield_sync_t sync;
+    struct goldfield_sync_t sync = {0};
     chip_clock_mark_t mark;
-    if (goldfield_sync_unpack(&sync, stamp->frame.data, stamp->frame.length) < 0 || sync.chips != format->chips ||
-        !chip_clock_mark(clock, stamp->chip, stamp->ticks, &mark)) {
+    (void)goldfield_sync_unpack(&sync, stamp->frame.data, stamp->frame.length);
+    if (sync.chips != format->chips || !chip_clock_mark(clock, stamp->chip, stamp->ticks, &mark)) {
         return;
     }
     if (stamp->sent) {
@@ -94,10 +95,8 @@ static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_f
 
 static void take_follow_up(sync_link_t *link, chip_clock_t *clock, const sync_format_t *format,
                            const hal_frame_t *frame) {
-    struct goldfield_follow_up_t follow_up;
-    if (goldfield_follow_up_unpack(&follow_up, frame->data, frame->length) < 0) {
-        return;
-    }
+    struct goldfield_follow_up_t follow_up = {0};
+    (void)goldfield_follow_up_unpack(&follow_up, frame->data, frame->length);
     sync_seen_t *seen = find(link, frame->id & PROTOCOL_NODE_MASK, follow_up.cycle);
     if (seen == NULL) {
         return;
@@ -111,6 +110,9 @@ static void take_follow_up(sync_link_t *link, chip_clock_t *clock, const sync_fo
 void sync_link_serve(sync_link_t *link, chip_clock_t *clock, const sync_format_t *format, hal_t *hal) {
     hal_stamp_t stamp;
     for (uint32_t taken = 0; taken < SYNC_STAMPS_A_BLOCK && hal_can_stamp(hal, &stamp); taken++) {
+        if (message_fault(stamp.frame.id, stamp.frame.length) != MESSAGE_OK) {
+            continue; /* Somebody else's frame; the node counts it. */
+        }
         const bool is_sync = (stamp.frame.id & HAL_CAN_TYPE_MASK) == GOLDFIELD_SYNC_FRAME_ID;
         if (is_sync && (stamp.sent || link->follows)) {
             take_sync(link, clock, format, &stamp);

@@ -17,7 +17,14 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 KERNEL = "host/goldfield/locate/kernel"
 INCLUDE_PATHS = ("firmware", "hil_sim", KERNEL)
-GENERATED = {"goldfield.h", "protocol_hash.h", "parameter_ids.h", "parameter_table.h", "counter_ids.h", "message_table.h"}
+GENERATED = {
+    "goldfield.h",
+    "protocol_hash.h",
+    "parameter_ids.h",
+    "parameter_table.h",
+    "counter_ids.h",
+    "message_table.h",
+}
 """Headers that the build makes from the protocol's tables."""
 CONTRACTS = ("firmware/hal/hal.h", "firmware/boards/board.h")
 LONGEST = 60

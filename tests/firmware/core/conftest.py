@@ -18,6 +18,7 @@ HEADERS = (
     "core/drive/current.h",
     "core/drive/waveform.h",
     "core/link/frame.h",
+    "core/link/messages.h",
     "core/link/queue.h",
     "core/link/parameters.h",
     "core/math/quaternion.h",

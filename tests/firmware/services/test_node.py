@@ -7,7 +7,8 @@ from random import Random
 
 import pytest
 
-from goldfield_protocol import Message, encode, encode_frame, protocol_hash
+from goldfield_protocol import Identifier, Message, encode, encode_frame, protocol_hash
+from goldfield_protocol.messages import shapes
 from tests.firmware.host_rig import ANCHOR, BEACON, MS, PIN_ENABLE, SECOND, SENSOR, US, Board, Rig
 
 OK, UNKNOWN, OUT_OF_RANGE, WRONG_KIND = range(4)
@@ -100,17 +101,38 @@ def test_answer_goes_to_the_link_it_came_from(board: Board) -> None:
     assert [(m.node, m.index, m.signals["value_unsigned"]) for m in board.can_messages("PARAM_VALUE")] == [(9, 0, 9)]
 
 
-def test_messages_of_wrong_length_are_ignored(board: Board) -> None:
-    identifier, data = encode("PARAM_SET", set_value(5), node=9, index=1)
-    board.receive(encode_frame(identifier, data[:4]), MS)
-    identifier, data = encode("SYNC", {"cycle": 1, "chips": 1023, "chip_period": 0}, node=1)
-    board.receive(encode_frame(identifier, data[:3]), 2 * MS)
-    board.run(20 * MS)
-    assert not board.messages("PARAM_VALUE")
-
-
 def counters(board: Board) -> dict[int, float]:
     return {m.index: m.signals["value"] for m in board.messages("COUNTER")}
+
+
+@pytest.mark.parametrize("link", ["serial", "CAN"])
+def test_frames_of_others_are_ignored_and_counted(board: Board, link: str) -> None:
+    """Every type but HEARTBEAT's with every wrong length, and with a foreign index; the board keeps its parameters."""
+
+    def put(identifier: int, data: bytes, time: int) -> None:
+        if link == "serial":
+            board.receive(encode_frame(identifier, data), time)
+        else:
+            board.can_in(identifier, data, time)
+
+    time, lengths, indices = 2 * MS, 0, 0
+    for type_ in range(32):
+        for length in range(9):
+            good = type_ in shapes() and shapes()[type_].length == length
+            if not good:
+                put(Identifier(type_, 0, 9).pack(), bytes([0, *range(length)][:length]), time)
+                lengths += type_ in shapes()
+                indices += type_ not in shapes()
+                time += MS
+        if type_ in shapes() and shapes()[type_].largest_index < 4095:
+            put(Identifier(type_, 4095, 9).pack(), bytes(shapes()[type_].length), time)
+            indices += 1
+            time += MS
+    put(0x0C000009, bytes.fromhex("0055000000FFFFFF"), time)  # J1939's TSC1: the board is not to become node 85
+    Rig(board).run(1100 * MS)
+    assert not board.messages("PARAM_VALUE")
+    assert {m.node for m in board.messages()} == {9}
+    assert counters(board) == {15: indices, 16: lengths + 1}
 
 
 def test_damaged_bytes_cost_their_frame_and_are_counted(board: Board) -> None:
