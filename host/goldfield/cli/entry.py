@@ -22,6 +22,7 @@ from goldfield.errors import SystemFailure, UserError, tell
 COMMANDS = {
     "run": ("goldfield.cli.run", "live poses from a sensor"),
     "locate": ("goldfield.cli.locate", "poses from a table of fields"),
+    "ports": ("goldfield.cli.ports", "serial ports and CAN interfaces"),
     "samples": ("goldfield.cli.samples", "raw samples of a sensor"),
     "separate": ("goldfield.cli.separate", "field of each beacon from raw samples"),
 }
