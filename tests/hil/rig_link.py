@@ -7,6 +7,8 @@ from collections import deque
 import can
 
 from goldfield.link.buses import BusSource
+from goldfield_protocol import FrameDecoder, encode_frame
+from hil_sim.rig import Frame
 
 STEP_S = 0.02
 
@@ -61,3 +63,20 @@ class RigLink(BusSource):
         for rig, node in self._others:
             frames += [frame for frame in rig.can_read() if frame.identifier & 0xFFF == node]
         return frames
+
+
+class RigSerialLink(RigLink):
+    """The sensor's serial line in place of the bus."""
+
+    def __init__(self, rig):
+        self._decoder = FrameDecoder()
+        super().__init__(rig)
+
+    def send(self, identifier, data):
+        self.rig.serial_write(encode_frame(identifier, data))
+
+    def _frames(self):
+        return [
+            Frame(self.rig.now_s, 0, frame.identifier, frame.data)
+            for frame in self._decoder.feed(self.rig.serial_read())
+        ]

@@ -24,6 +24,8 @@ LEVELS = (
     ("locate",),
     ("track",),
     ("sensor",),
+    ("nodes",),
+    ("doctor",),
     ("view",),
     ("cli",),
 )

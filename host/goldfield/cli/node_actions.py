@@ -1,0 +1,192 @@
+"""What ``goldfield nodes`` does on an open link, and how it prints it."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from goldfield.cli.output import json_line, number
+from goldfield.errors import SystemFailure, UserError
+from goldfield.nodes.conversation import HEARD_S, Conversation
+from goldfield.nodes.elements import elements_of, parsed, shown
+from goldfield.nodes.roster import Node, Value
+from goldfield.view.terminal import WIDTH
+from goldfield_protocol.messages import protocol_hash
+from goldfield_protocol.parameters import PARAMETERS, Parameter, counter_name
+
+MOST_SHOWN = 16
+"""Elements of an array that the list of all parameters shows."""
+
+Asked = tuple[Parameter, Sequence[int], Sequence[Value]] | None
+"""The parameter that is named, its elements, and the values to set."""
+
+
+def checked(arguments: argparse.Namespace) -> Asked:
+    """Return what is asked of which parameter; `UserError` if there is none such, or a board would refuse a value."""
+    name = getattr(arguments, "name", None)
+    if name is None:
+        return None
+    parameter, elements = elements_of(name)
+    texts = getattr(arguments, "values", [])
+    if len(texts) > len(elements):
+        raise UserError(f"{name} got {len(texts)} values; it takes {len(elements)} at most")
+    if not texts:
+        return parameter, elements, ()
+    elements = elements[: len(texts)]
+    return parameter, elements, [parsed(parameter, *pair) for pair in zip(elements, texts, strict=True)]
+
+
+def print_list(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
+    """Print who is there."""
+    conversation.listen(arguments.seconds or HEARD_S)
+    nodes = sorted(conversation.roster.nodes.values(), key=lambda node: node.number)
+    if not nodes:
+        raise SystemFailure(f"{conversation.name}: no node was heard: check the power, the cable and the bit rate")
+    if arguments.json:
+        for node in nodes:
+            print(json_line(node_record(node)))
+        return
+    print(f"{'node':>4} {'role':7} {'state':14} {'version':8} {'current A':>12}  clock")
+    for node in nodes:
+        for line in _lines_of(node):
+            print(line)
+
+
+def node_record(node: Node) -> dict[str, Any]:
+    """Return what is known of a node, for JSON."""
+    return {
+        "node": node.number,
+        "role": node.role,
+        "state": node.state,
+        "version": node.version,
+        "protocol": None if node.protocol is None else f"{node.protocol:#010x}",
+        "same_protocol": node.same_protocol,
+        "locked": node.locked,
+        "phase_s": None if node.phase_s is None else number(node.phase_s),
+        "temperature_degC": node.temperature_degC,
+        "sync_master": node.syncs > 0,
+        "drives": [{"channel": channel, **asdict(drive)} for channel, drive in sorted(node.drives.items())],
+        "counters": {counter_name(index): count for index, count in sorted(node.counters.items())},
+    }
+
+
+def _lines_of(node: Node) -> Iterator[str]:
+    """Yield a line of the table, and below it what is worth saying."""
+    drive = node.drives.get(0)
+    current = "" if drive is None else f"{drive.current_A:.2f} of {drive.target_A:g}"
+    clock = {None: "-", True: "locked", False: "not locked"}[node.locked]
+    cells = (node.role or "?", node.state or "?", node.version or "?")
+    yield f"{node.number:4d} {cells[0]:7} {cells[1]:14} {cells[2]:8} {current or '-':>12}  {clock}"
+    for text in _words_of(node):
+        yield from textwrap.wrap(text, WIDTH, initial_indent=" " * 5, subsequent_indent=" " * 7)
+
+
+def _words_of(node: Node) -> Iterator[str]:
+    if node.syncs:
+        yield "sync master"
+    if not node.same_protocol:
+        yield (
+            f"speaks protocol {node.protocol:#010x} and this host {protocol_hash():#010x}: flash it with this "
+            f"version's firmware (make flash ROLE={node.role or 'beacon'})"
+        )
+    if node.contradictions:
+        yield f"two boards have the number {node.number}: give one another number (parameter node)"
+    for channel, drive in sorted(node.drives.items()):
+        if drive.complaints:
+            yield f"channel {channel} reports {', '.join(drive.complaints)}"
+    if node.counters:
+        yield "counted: " + ", ".join(f"{count} {counter_name(i)}" for i, count in sorted(node.counters.items()))
+
+
+def print_values(conversation: Conversation, arguments: argparse.Namespace, asked: Asked) -> None:
+    """Print the values of one parameter, or of all that the node's role uses."""
+    node = arguments.node
+    if asked is not None:
+        parameter, elements, _ = asked
+        values = _read(conversation, node, {parameter.name: elements})
+        _print_values(arguments, node, parameter, elements, values)
+        return
+    conversation.listen()
+    known = conversation.roster.nodes.get(node)
+    if known is None or known.role is None:
+        raise SystemFailure(f"{conversation.name}: node {node} was not heard: see who is there with goldfield nodes")
+    wanted = {p.name: range(p.count) for p in PARAMETERS.values() if known.role in p.roles and p.count <= MOST_SHOWN}
+    values = _read(conversation, node, wanted)
+    for name, elements in wanted.items():
+        _print_values(arguments, node, PARAMETERS[name], elements, values)
+
+
+def _read(
+    conversation: Conversation, node: int, wanted: Mapping[str, Sequence[int]]
+) -> Mapping[tuple[int, int], Value | None]:
+    """Return the values of elements; `SystemFailure` if any is not told."""
+    ids = [(node, PARAMETERS[name].identifier(e)) for name, elements in wanted.items() for e in elements]
+    values = conversation.read(ids)
+    missing = [label for label in ids if values.get(label) is None]
+    if missing:
+        why = (
+            "has no such parameter"
+            if missing[0] in values
+            else "does not answer: see who is there with goldfield nodes"
+        )
+        raise SystemFailure(f"{conversation.name}: node {node} {why}")
+    return values
+
+
+def _print_values(
+    arguments: argparse.Namespace,
+    node: int,
+    parameter: Parameter,
+    elements: Sequence[int],
+    values: Mapping[tuple[int, int], Value | None],
+) -> None:
+    told = [values[node, parameter.identifier(element)] for element in elements]
+    if arguments.json:
+        print(json_line(_record(node, parameter, elements, told)))
+        return
+    name = parameter.label(elements[0]) if len(elements) == 1 else parameter.name
+    print(f"{name} = {shown(parameter, elements, told)}  ({parameter.range_text})")
+
+
+def _record(node: int, parameter: Parameter, elements: Sequence[int], values: Sequence[Value | None]) -> dict[str, Any]:
+    low, high = parameter.low, parameter.high
+    return {
+        "node": node,
+        "parameter": parameter.name,
+        "elements": list(elements),
+        "values": [None if value is None else number(value) if isinstance(value, float) else value for value in values],
+        "units": [parameter.units[element % parameter.group] for element in elements],
+        "range": [low, high],
+        "at_start": parameter.at_start,
+    }
+
+
+def set_values(conversation: Conversation, arguments: argparse.Namespace, asked: Asked) -> None:
+    """Set elements of a parameter one after the other, and print what is in force."""
+    assert asked is not None
+    parameter, elements, wanted = asked
+    before = _read(conversation, arguments.node, {parameter.name: elements})
+    told = [
+        conversation.set(arguments.node, parameter.identifier(element), value, parameter.kind)
+        for element, value in zip(elements, wanted, strict=True)
+    ]
+    old = [before[arguments.node, parameter.identifier(element)] for element in elements]
+    if arguments.json:
+        print(json_line(_record(arguments.node, parameter, elements, told) | {"before": old}))
+        return
+    name = parameter.label(elements[0]) if len(elements) == 1 else parameter.name
+    print(f"{name} = {shown(parameter, elements, told)}, was {shown(parameter, elements, old)}")
+    if parameter.at_start:
+        print("it acts only if it is stored: the board reads it at its start, from its page (make flash)")
+    else:
+        print("it holds until the board's next reset: to keep it, store it in the board's page (make flash)")
+
+
+ACTIONS: dict[str | None, Callable[[Conversation, argparse.Namespace, Asked], None]] = {
+    None: print_list,
+    "get": print_values,
+    "set": set_values,
+}

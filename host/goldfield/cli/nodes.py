@@ -1,0 +1,66 @@
+"""``goldfield nodes``: who is on a link; parameters read and set by name.
+
+What takes long to import is imported by `run`, which is called when a node is to be spoken to.
+"""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from goldfield.cli import link_options, options
+from goldfield.errors import on_command_line, tell
+
+ONLY_ITS_OWN = "a serial line carries the messages of its own board only: to see the other boards, look on CAN (--can)"
+
+
+def command(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "nodes",
+        help="who is on a link; read and set parameters",
+        description="Lists the nodes of a link; or reads and sets parameters of one of them, by name.",
+    )
+    _add_common(parser, nested=False)
+    options.add(parser, "--seconds", metavar="N", what="how long to listen, default 2.2", kind=options.seconds)
+    actions = parser.add_subparsers(title="actions", metavar="ACTION", dest="action")
+    get = actions.add_parser("get", help="read parameters", description="Reads one parameter, or all of a node.")
+    put = actions.add_parser(
+        "set",
+        help="set a parameter",
+        description="Sets a parameter until the node's next reset; several values are those of successive elements.",
+    )
+    for action in (get, put):
+        _add_common(action, nested=True)
+        action.add_argument("node", metavar="NODE", type=options.node, help="number of the node")
+    get.add_argument("name", metavar="NAME", nargs="?", help="as amplitude or code_list[3]; none: all parameters")
+    put.add_argument("name", metavar="NAME", help="as amplitude or code_list[3]")
+    put.add_argument("values", metavar="VALUE", nargs="+", help="in SI units")
+    parser.set_defaults(run=run)
+
+
+def _add_common(parser: argparse.ArgumentParser, *, nested: bool) -> None:
+    link_options.add(parser, nested=nested)
+    if nested:
+        parser.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="one JSON object a line")
+    else:
+        options.add_json(parser)
+
+
+@on_command_line()
+def run(arguments: argparse.Namespace) -> int:
+    """Open the link and do what is asked."""
+    from contextlib import closing
+
+    from goldfield.cli import node_actions
+    from goldfield.nodes.conversation import Conversation, Tap
+    from goldfield.nodes.opening import open_link
+
+    kind, where = link_options.chosen(arguments)
+    action = node_actions.ACTIONS[arguments.action]
+    asked = node_actions.checked(arguments)  # before anything is opened
+    with closing(Tap(open_link(kind, where))) as tap:
+        action(Conversation(tap), arguments, asked)
+    if arguments.action is None and kind == "port" and not arguments.json:
+        tell(ONLY_ITS_OWN)
+    return 0

@@ -1,0 +1,174 @@
+"""The conversation with the nodes of a link: listen, read and set parameters.
+
+Whatever arrives meanwhile goes to the `Roster`, so that nothing is missed while an answer is awaited.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+
+import can
+
+from goldfield.errors import SystemFailure
+from goldfield.link.buses import BusSource
+from goldfield.nodes.roster import Roster, Value, decoded, value_of
+from goldfield_protocol.messages import Message, encode
+from goldfield_protocol.parameters import Kind, find_id, label_of
+
+TRIES = 3
+ANSWER_S = 1.0
+"""A board answers a request within a few milliseconds; a simulated one may run slower than the wall clock."""
+
+HEARD_S = 2.2
+"""Nodes send a heartbeat once a second: in this time each was heard twice."""
+PATIENCE_S = 10.0
+"""Longest wait for the first heartbeat."""
+
+REFUSALS = {
+    1: "has no such parameter",
+    2: "refuses the value",
+    3: "says that it is of another kind",
+    4: "never sets it",
+}
+
+
+class Tap(BusSource):
+    """A live link whose messages, both ways, are told to a roster; otherwise it is that link.
+
+    Parameters
+    ----------
+    link : BusSource
+    """
+
+    def __init__(self, link: BusSource) -> None:
+        self.name = link.name
+        self.roster = Roster()
+        self._link = link
+
+    @property
+    def bad_frames(self) -> int:
+        """Frames dropped as corrupt."""
+        return self._link.bad_frames
+
+    def receive(self, timeout_s: float) -> can.Message | None:
+        """Return the next message, None when none came in time."""
+        raw = self._link.receive(timeout_s)
+        if raw is not None:
+            self.roster.take(raw, time.monotonic())
+        return raw
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Send a message."""
+        self.roster.sent(identifier, data, time.monotonic())
+        self._link.send(identifier, data)
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self._link.close()
+
+
+class Conversation:
+    """Talks to the nodes of a link.
+
+    Parameters
+    ----------
+    tap : Tap
+    """
+
+    def __init__(self, tap: Tap) -> None:
+        self._tap = tap
+        self.roster = tap.roster
+
+    @property
+    def name(self) -> str:
+        """The link's name, for messages."""
+        return self._tap.name
+
+    def listen(self, seconds: float = HEARD_S, patience_s: float = PATIENCE_S) -> None:
+        """Listen for a time, and for longer while no node has sent a heartbeat: up to ``patience_s``, s."""
+        begin_s = time.monotonic()
+        first_s: float | None = None
+        while (now_s := time.monotonic()) < begin_s + max(seconds, patience_s):
+            if first_s is None and any(node.role is not None for node in self.roster.nodes.values()):
+                first_s = now_s
+            if first_s is not None and now_s >= max(begin_s + seconds, first_s):
+                return
+            self._tap.receive(min(0.1, seconds))
+
+    def read(self, wanted: Iterable[tuple[int, int]], tries: int = TRIES) -> dict[tuple[int, int], Value | None]:
+        """Read parameters of several nodes at once.
+
+        Parameters
+        ----------
+        wanted : iterable of (int, int)
+            Node, and id of the parameter.
+        tries : int
+            How often the ones that did not answer are asked, a second each.
+
+        Returns
+        -------
+        dict
+            The values that were told, None for a parameter that the node does not have; who did not answer is not in
+            it.
+        """
+        missing, found = dict.fromkeys(wanted), dict[tuple[int, int], Value | None]()
+        for _ in range(tries):
+            for node, parameter in missing:
+                self._tap.send(*encode("PARAM_GET", {"reserved": 0}, node=node, index=parameter))
+
+            def take(message: Message) -> bool:
+                key = message.node, message.index
+                if message.name == "PARAM_VALUE" and key in missing:
+                    found[key] = value_of(message)
+                    del missing[key]
+                return not missing
+
+            if self.wait(take, ANSWER_S) or not missing:
+                break
+        return found
+
+    def set(self, node: int, parameter: int, value: Value, kind: Kind) -> Value:
+        """Set a parameter, and return the value that is now in force.
+
+        Raises
+        ------
+        SystemFailure
+            If the node does not answer, or refuses.
+        """
+        signals: dict[str, float] = {"kind": kind, f"value_{kind.name.lower()}": value}
+        label = label_of(parameter)
+        answers: list[Message] = []
+
+        def take(message: Message) -> bool:
+            if (message.name, message.node, message.index) == ("PARAM_VALUE", node, parameter):
+                answers.append(message)
+            return bool(answers)
+
+        for _ in range(TRIES):
+            self._tap.send(*encode("PARAM_SET", signals, node=node, index=parameter))
+            if not self.wait(take, ANSWER_S):
+                continue
+            status = int(answers[0].signals["status"])
+            if status:
+                found = find_id(parameter)
+                known = f" (it takes {found[0].range_text})" if found is not None and status == 2 else ""
+                why = REFUSALS.get(status, f"answers with the status {status}")
+                raise SystemFailure(f"{self.name}: node {node} {why}: {label} = {value}{known}")
+            in_force = value_of(answers[0])
+            assert in_force is not None
+            return in_force
+        raise SystemFailure(
+            f"{self.name}: node {node} did not answer when {label} was to be set, in {TRIES} tries: see who is there "
+            "with goldfield nodes"
+        )
+
+    def wait(self, take: Callable[[Message], bool], seconds: float) -> bool:
+        """Hand what comes to a function until it returns True, or the time is over; return whether it did."""
+        deadline = time.monotonic() + seconds
+        while (remaining := deadline - time.monotonic()) > 0.0:
+            raw = self._tap.receive(remaining)
+            message = None if raw is None else decoded(raw)
+            if message is not None and take(message):
+                return True
+        return False

@@ -1,0 +1,237 @@
+"""Who is on a link, by what was heard: each node's latest words about itself, and requests of another host.
+
+A node whose heartbeat tells another protocol is listed with it, and nothing else of it is understood.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, deque
+from dataclasses import dataclass, field
+
+import can
+from cantools.database.errors import Error as DatabaseError
+
+from goldfield_protocol.messages import Message, database, decode, protocol_hash
+from goldfield_protocol.parameters import Kind
+
+ROLES = {0: "beacon", 1: "sensor", 2: "host", 3: "anchor"}
+STATES: dict[int, str] = {
+    int(number): str(name)
+    for number, name in (database().get_message_by_name("HEARTBEAT").get_signal_by_name("state").choices or {}).items()
+}
+STARTING = 0
+REQUESTS = ("PARAM_SET", "PARAM_GET", "PARAM_DESCRIBE")
+"""Messages that hosts send; the node in their identifier is the receiver's."""
+ECHO_S = 2.0
+"""A bus that hands a host its own messages does so within this time, s."""
+
+Value = int | float
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One channel of a coil driver: a `DRIVE_STATUS`."""
+
+    current_A: float
+    reference_A: float
+    target_A: float
+    over_current: bool
+    open_coil: bool
+    driver_fault: bool
+    enabled: bool
+    locked: bool
+    phase_s: float
+
+    @property
+    def complaints(self) -> list[str]:
+        """What is wrong with it, in words."""
+        said = (
+            (self.over_current, "over-current"),
+            (self.open_coil, "an open coil"),
+            (self.driver_fault, "a driver fault"),
+            (not self.locked, "a clock that is not locked"),
+            (self.target_A == 0.0, "an amplitude of 0 A"),
+            (self.target_A != 0.0 and not self.enabled, "a bridge that is off"),
+        )
+        return [text for wrong, text in said if wrong]
+
+
+@dataclass
+class Node:
+    """What one node number last said; None where nothing was heard of it.
+
+    Attributes
+    ----------
+    number : int
+    first_s, heard_s : float
+        Times of its first and its latest message, s.
+    messages : int
+        How many messages it sent.
+    role, state : str or None
+        As in ``HEARTBEAT``.
+    version : str or None
+        Version of its firmware.
+    protocol : int or None
+        Hash of the protocol that it speaks.
+    counters : dict of int to int
+        Its error counters that are not zero, by index.
+    drives : dict of int to Drive
+        Its coil drivers by channel.
+    locked : bool or None
+        Whether its chip clock follows the sync signal.
+    phase_s : float or None
+        Phase of that clock against the sync signal, s.
+    temperature_degC : float or None
+        Temperature of a sensor's processor.
+    syncs : int
+        ``SYNC`` messages that it sent: above 0 it is a sync master.
+    parameters : dict of int to int or float or None
+        Answers to reads by the parameter's id; None: it has no such parameter.
+    contradictions : int
+        Times that role, version or protocol changed without a restart: two boards have its number.
+    """
+
+    number: int
+    first_s: float
+    heard_s: float
+    messages: int = 0
+    role: str | None = None
+    state: str | None = None
+    version: str | None = None
+    protocol: int | None = None
+    counters: dict[int, int] = field(default_factory=dict)
+    drives: dict[int, Drive] = field(default_factory=dict)
+    locked: bool | None = None
+    phase_s: float | None = None
+    temperature_degC: float | None = None
+    syncs: int = 0
+    parameters: dict[int, Value | None] = field(default_factory=dict)
+    contradictions: int = 0
+
+    @property
+    def drives_coils(self) -> bool:
+        """Whether it is a beacon or an anchor."""
+        return self.role in ("beacon", "anchor")
+
+    @property
+    def same_protocol(self) -> bool:
+        """Whether nothing is known against its speaking this host's protocol."""
+        return self.protocol in (None, protocol_hash())
+
+
+class Roster:
+    """Takes every message of a link, and what this host sends.
+
+    Attributes
+    ----------
+    nodes : dict of int to Node
+        The nodes by number.
+    others : dict of str to int
+        Messages that no node of this protocol sends, by what they are.
+    requests_of_others : list of Message
+        Requests that this host did not send: another host speaks on the bus.
+    """
+
+    def __init__(self) -> None:
+        self.nodes: dict[int, Node] = {}
+        self.others: Counter[str] = Counter()
+        self.requests_of_others: list[Message] = []
+        self._sent: deque[tuple[float, int, bytes]] = deque(maxlen=1000)
+
+    def sent(self, identifier: int, data: bytes, now_s: float) -> None:
+        """Note a request of this host, which a bus may hand back."""
+        self._sent.append((now_s, identifier, data))
+
+    def take(self, raw: can.Message, now_s: float) -> None:
+        """Take the next message that came."""
+        if not raw.is_extended_id or raw.is_error_frame or raw.is_remote_frame or raw.is_fd:
+            self.others["frames that are no 29-bit data frames"] += 1
+            return
+        message = decoded(raw)
+        if message is None:
+            self.others["messages that the protocol does not explain"] += 1
+        elif message.name in REQUESTS:
+            self._take_request(message, raw.arbitration_id, bytes(raw.data), now_s)
+        elif message.node == 0:
+            self.others["messages of node 0, which is no node"] += 1
+        else:
+            node = self.nodes.setdefault(message.node, Node(message.node, now_s, now_s))
+            node.heard_s = now_s
+            node.messages += 1
+            if message.name == "HEARTBEAT":
+                _take_heartbeat(node, message)
+            elif node.same_protocol:
+                _take_message(node, message)
+
+    def _take_request(self, message: Message, identifier: int, data: bytes, now_s: float) -> None:
+        while self._sent and self._sent[0][0] < now_s - ECHO_S:
+            self._sent.popleft()
+        for place, (_, own, own_data) in enumerate(self._sent):
+            if (own, own_data) == (identifier, data):
+                del self._sent[place]
+                return
+        self.requests_of_others.append(message)
+
+
+def decoded(raw: can.Message) -> Message | None:
+    """Return a message that the protocol explains; None for any other."""
+    try:
+        return decode(raw.arbitration_id, bytes(raw.data))
+    except (DatabaseError, ValueError):
+        return None
+
+
+def _take_heartbeat(node: Node, message: Message) -> None:
+    signals = message.signals
+    version = ".".join(str(int(signals[f"version_{part}"])) for part in ("major", "minor", "patch"))
+    role = ROLES.get(int(signals["role"]))
+    protocol, before = int(signals["protocol_hash"]), (node.role, node.version, node.protocol)
+    if int(signals["state"]) == STARTING:
+        node.counters.clear()
+        node.parameters.clear()
+        node.drives.clear()
+        node.syncs = 0
+    elif node.role is not None and before != (role, version, protocol):
+        node.contradictions += 1
+    node.role, node.version, node.protocol = role, version, protocol
+    node.state = STATES.get(int(signals["state"]))
+
+
+def _take_message(node: Node, message: Message) -> None:
+    signals = message.signals
+    if message.name == "COUNTER":
+        node.counters[message.index] = int(signals["value"])
+    elif message.name == "DRIVE_STATUS":
+        node.drives[message.index] = _drive(message)
+        node.locked, node.phase_s = bool(signals["locked"]), signals["phase"] * 1e-9
+    elif message.name == "EPOCH_STATUS":
+        node.locked, node.phase_s = bool(signals["locked"]), signals["phase"] * 1e-9
+        node.temperature_degC = signals["temperature"]
+    elif message.name == "SYNC":
+        node.syncs += 1
+    elif message.name == "PARAM_VALUE":
+        node.parameters[message.index] = value_of(message)
+
+
+def _drive(message: Message) -> Drive:
+    signals = message.signals
+    return Drive(
+        current_A=signals["current"],
+        reference_A=signals["reference"],
+        target_A=signals["target"],
+        over_current=bool(signals["over_current"]),
+        open_coil=bool(signals["open_coil"]),
+        driver_fault=bool(signals["driver_fault"]),
+        enabled=bool(signals["enabled"]),
+        locked=bool(signals["locked"]),
+        phase_s=signals["phase"] * 1e-9,
+    )
+
+
+def value_of(answer: Message) -> Value | None:
+    """Return the value that a ``PARAM_VALUE`` tells; None if the node has no such parameter."""
+    if answer.signals["status"] == 1:
+        return None
+    kind = Kind(int(answer.signals["kind"]))
+    value = answer.signals[f"value_{kind.name.lower()}"]
+    return float(value) if kind is Kind.FLOAT else int(value)

@@ -1,0 +1,126 @@
+"""``goldfield nodes`` on the CAN bus and on the serial line of host boards, in virtual time."""
+
+import json
+
+import jsonschema
+import pytest
+
+from goldfield.cli import main
+from goldfield.nodes import conversation as conversations
+from goldfield.nodes import opening
+from hil_sim.clib import ROOT
+from hil_sim.rig import Rig
+from hil_sim.scenario import load_scenario
+from tests.hil.rig_link import RigLink, RigSerialLink
+
+BOOTED_S = 2.5
+
+
+def schema(name):
+    return json.loads((ROOT / f"docs/schema/{name}.schema.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def rig(rig_kind):
+    if rig_kind not in ("emulated", "host"):
+        pytest.fail("this test asks simulated boards: run it with --goldfield-rig emulated or host")
+    with Rig(load_scenario("prigge8can"), "host") as made:
+        made.advance(BOOTED_S)
+        yield made
+
+
+@pytest.fixture
+def nodes(rig, monkeypatch, capsys):
+    """Return a function that runs the command on the rig's bus or serial line: exit code, stdout, stderr."""
+
+    def run(*words, link=RigLink):
+        monkeypatch.setattr(opening, "open_link", lambda *_: made)
+        made = link(rig)
+        monkeypatch.setattr(conversations, "time", made)
+        option = "--can" if link is RigLink else "--port"
+        code = main(["nodes", option, "socketcan:can0", *words])
+        return (code, *capsys.readouterr())
+
+    return run
+
+
+def test_who_is_there(nodes):
+    code, out, _ = nodes("--json")
+    found = {line["node"]: line for line in map(json.loads, out.splitlines())}
+    assert code == 0
+    for line in found.values():
+        jsonschema.validate(line, schema("node"))
+    assert sorted(found) == [1, 2, 3, 4, 5, 6, 7, 8, 100]
+    assert {found[node]["role"] for node in range(1, 9)} == {"beacon"}
+    assert found[100]["role"] == "sensor"
+    assert [node for node in found if found[node]["sync_master"]] == [1]
+    for line in found.values():
+        assert (line["state"], line["locked"], line["same_protocol"]) == ("running", True, True)
+    (drive,) = found[3]["drives"]
+    assert drive["current_A"] == pytest.approx(10.0, rel=0.01)
+    assert (drive["target_A"], drive["enabled"], drive["open_coil"]) == (10.0, True, False)
+
+
+def test_the_table_fits_a_terminal_and_serial_shows_the_sensor_alone(nodes):
+    code, out, _ = nodes()
+    assert code == 0
+    assert all(len(line) <= 80 for line in out.splitlines())
+    assert "   1 beacon  running        0.1.0     10.00 of 10  locked\n     sync master\n" in out
+    code, out, told = nodes(link=RigSerialLink)
+    assert [line.split()[0] for line in out.splitlines()[1:] if not line.startswith("     ")] == ["100"]
+    assert "its own board only" in told
+
+
+@pytest.mark.parametrize("link", [RigLink, RigSerialLink])
+def test_a_parameter_is_read_with_its_unit_and_range(nodes, link):
+    assert nodes("get", "100", "alert_limit", link=link)[:2] == (0, "alert_limit = 0.5 m  (0 to 1000000 m)\n")
+    assert nodes("get", "100", "code_list[3]", link=link)[1] == "code_list[3] = 5  (0 to 2048)\n"
+
+
+def test_all_parameters_of_a_role_are_listed(nodes):
+    _, out, _ = nodes("get", "3")
+    assert "amplitude = 10 A  (0 to 15.9 A)\n" in out
+    assert "calibration" not in out
+
+
+def test_a_parameter_is_set_and_truly_acts(nodes, rig):
+    code, out, _ = nodes("set", "3", "amplitude", "8")
+    assert (code, out.splitlines()[0]) == (0, "amplitude = 8 A, was 10 A")
+    rig.advance(2.0)
+    assert abs(rig.coil_current_A(3)) == pytest.approx(8.0, rel=0.02)
+    line = json.loads(nodes("set", "3", "amplitude", "10", "--json")[1])
+    jsonschema.validate(line, schema("parameter"))
+    assert (line["values"], line["before"], line["units"]) == ([10.0], [8.0], ["A"])
+    nodes("set", "100", "code_list", "9", "8")
+    assert nodes("get", "100", "code_list[1]")[1].startswith("code_list[1] = 8 ")
+    nodes("set", "100", "code_list", "2", "3")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("set", "3", "amplitude", "16"), 2, "amplitude is 16 A; it must be 0 to 15.9 A"),
+        (("set", "3", "amplitude", "1", "2"), 2, "got 2 values; it takes 1 at most"),
+        (("get", "3", "amplitud"), 2, "nearest is 'amplitude'"),
+        (("get", "77", "amplitude"), 3, "node 77 does not answer"),
+        (("get", "77"), 3, "node 77 was not heard"),
+    ],
+)
+def test_what_cannot_be_done_is_one_sentence(nodes, words, code, said):
+    done, out, told = nodes(*words)
+    assert (done, out) == (code, "")
+    assert said in told
+    assert told.count("\n") == 1
+
+
+def test_nobody_there(nodes, rig, monkeypatch):
+    monkeypatch.setattr(rig, "can_read", list)
+    code, _, told = nodes()
+    assert code == 3
+    assert "no node was heard" in told
+
+
+@pytest.mark.parametrize("words", [["nodes"], ["nodes", "--port", "x", "--can", "a:b"], ["nodes", "--port", ""]])
+def test_one_link_must_be_given(words, capsys):
+    assert main(words) == 2
+    assert "--port" in capsys.readouterr().err
