@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.files.environment import switched_on
 
 COMMANDS = {
     "run": ("goldfield.cli.run", "live poses from a sensor"),
@@ -178,7 +179,7 @@ def _extras(entry_point: EntryPoint) -> str:
 
 
 def _complain(message: str, code: int) -> int:
-    if os.environ.get("GOLDFIELD_DEBUG") == "1":
+    if switched_on("GOLDFIELD_DEBUG"):
         traceback.print_exc()
     tell(" ".join(message.split()))
     return code

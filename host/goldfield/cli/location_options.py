@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 from dataclasses import replace
 
 from goldfield import site as sites
 from goldfield.cli import options
+from goldfield.files.environment import switched_on
 from goldfield.site import Site
 
 
@@ -16,7 +16,7 @@ def add_track(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--track",
         action="store_true",
-        default=os.environ.get("GOLDFIELD_TRACK", "") not in ("", "0"),
+        default=switched_on("GOLDFIELD_TRACK"),
         help="track the sensor: poses from this and the earlier epochs (environment: GOLDFIELD_TRACK)",
     )
 
@@ -26,7 +26,7 @@ def add_on_sensor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--on-sensor",
         action="store_true",
-        default=os.environ.get("GOLDFIELD_ON_SENSOR", "") not in ("", "0"),
+        default=switched_on("GOLDFIELD_ON_SENSOR"),
         help="print the poses that the sensor computes, once it has got the site's beacons "
         "(environment: GOLDFIELD_ON_SENSOR)",
     )

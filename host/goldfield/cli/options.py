@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from goldfield.errors import UserError, tell
+from goldfield.files.environment import switched_on
 from goldfield.site import Site
 
 
@@ -36,7 +37,7 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json",
         action="store_true",
-        default=os.environ.get("GOLDFIELD_JSON", "") not in ("", "0"),
+        default=switched_on("GOLDFIELD_JSON"),
         help="one JSON object a line on stdout (environment: GOLDFIELD_JSON)",
     )
 

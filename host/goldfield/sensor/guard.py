@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
 import traceback
 from collections.abc import Callable
 
 from goldfield.errors import UserError, tell
+from goldfield.files.environment import switched_on
 from goldfield.types import Fields, Pose
 
 
@@ -23,7 +23,7 @@ def guarded(method: Callable[[Fields], Pose], fields: Fields) -> Pose:
     except UserError:
         raise
     except Exception as error:
-        if os.environ.get("GOLDFIELD_DEBUG") == "1":
+        if switched_on("GOLDFIELD_DEBUG"):
             traceback.print_exc()
         tell(f"epoch {fields.epoch}: location failed unexpectedly ({type(error).__name__}: {error}): please report it")
         return Pose.failed(fields, excluded=fields.beacons)
