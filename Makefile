@@ -76,7 +76,7 @@ setup: $(BUILD)/venv.stamp $(BUILD)/arm-tools.stamp ## Python environment and cr
 all: setup $(PROTOCOL_HEADERS) $(FIRMWARE_IMAGES) $(HOST_LIBRARIES) ## Everything that runs: images, host boards, simulator
 
 run: all ## Main job: emulated boards, real image, poses beside the truth (SECONDS=20)
-	@$(PYTHON) -m hil_sim.demo --seconds $(SECONDS)
+	@$(PYTHON) -m hil_sim.demo --seconds $(or $(SECONDS),20)
 
 wheel: all ## Everything as one file for pip, in build/dist: host, simulator and the ARM images
 	@rm -rf $(BUILD)/dist

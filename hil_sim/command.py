@@ -11,8 +11,9 @@ import json
 import math
 import signal
 import sys
+import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -20,8 +21,10 @@ from typing import Any, TextIO
 from goldfield.cli import main as goldfield_main
 from goldfield.errors import UserError
 from goldfield.files.outputs import check_outputs
-from hil_sim.links.can_bridge import DEFAULT, CanBridge
+from hil_sim.links.can_bridge import CanBridge
+from hil_sim.links.port_name import PortName
 from hil_sim.links.pseudo_terminal import PseudoTerminal
+from hil_sim.links.read_command import read_command
 from hil_sim.rig import SENSOR, Rig
 from hil_sim.rig.boards import KINDS
 from hil_sim.scenario import Scenario, load_scenario, site_toml
@@ -29,6 +32,9 @@ from hil_sim.scenario import Scenario, load_scenario, site_toml
 SLICE_S = 0.005
 """Virtual time between two services of the links."""
 PROGRESS_S = 5.0
+LONGEST_S = 5e6
+"""Virtual time in which a run ends by itself: its picoseconds have 63 bits, which hold 106 days."""
+NO_CAN = "none"
 
 
 def command(subparsers: Any) -> None:
@@ -36,7 +42,7 @@ def command(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "hil",
         description="Runs a scenario in one virtual time. The first line tells the serial path and the CAN channel, "
-        "with --json those of anchors too, which else have a line each; "
+        "with --json those of anchors too, which else have a line each, and the command that reads the sensor; "
         "then one line of truth a cycle (--json) or a line of progress now and then.",
     )
     _add_arguments(parser)
@@ -44,7 +50,8 @@ def command(subparsers: Any) -> None:
 
 def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scenario", metavar="SCENARIO", help="a name in hil_sim/scenarios, or a file")
-    parser.add_argument("--seconds", type=_positive, metavar="N", help="virtual seconds; default: until interrupted")
+    seconds = _number(1e-3, LONGEST_S, "number of seconds")
+    parser.add_argument("--seconds", type=seconds, metavar="N", help="virtual seconds; default: until interrupted")
     parser.add_argument(
         "--boards",
         choices=KINDS,
@@ -54,33 +61,47 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, metavar="N", help="in place of the scenario's")
     parser.add_argument("--json", action="store_true", help="JSON lines")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the lines of truth there, and only there")
-    parser.add_argument("--site", type=Path, metavar="FILE", help="write the site file of this scenario there")
-    parser.add_argument("--pace", type=_not_negative, default=1.0, metavar="X", help=PACE_HELP)
-    parser.add_argument("--can", metavar="INTERFACE:CHANNEL", help=CAN_HELP)
+    parser.add_argument("--site", type=Path, metavar="FILE", help=SITE_HELP)
+    parser.add_argument("--pace", type=_pace, default=1.0, metavar="X", help=PACE_HELP)
+    parser.add_argument("--can", metavar="CHANNEL", default=NO_CAN, help=CAN_HELP)
+    parser.add_argument("--link", type=Path, metavar="PATH", help=LINK_HELP)
     parser.set_defaults(run=run)
 
 
-CAN_HELP = f"or none; default {DEFAULT}, or the next address that no other bench of this machine has"
+SITE_HELP = "write the site file of this scenario there; default: a file that is there as long as the bench runs"
+CAN_HELP = (
+    "own: a CAN channel of this bench alone, for programs of this machine; "
+    "INTERFACE:CHANNEL of python-can, as socketcan:vcan0; none (default)"
+)
 PACE_HELP = (
     "at most X virtual seconds in a second (default 1); 0: as fast as possible, and waiting for the reader of the port"
 )
+LINK_HELP = "a symbolic link to the serial port while the bench runs; those of anchors have their node added: PATH.NODE"
 
 
-def _positive(text: str) -> float:
-    value = _not_negative(text)
-    if value == 0.0:
-        raise argparse.ArgumentTypeError("must be greater than zero")
-    return value
+def _number(least: float, most: float, what: str) -> Callable[[str], float]:
+    """Return a parser of numbers between two limits, which are allowed."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= most:
+            raise argparse.ArgumentTypeError(f"'{text}' is no {what} of {least:g} to {most:.0f}")
+        return value
+
+    return parse
 
 
-def _not_negative(text: str) -> float:
+def _pace(text: str) -> float:
+    """Parse a pace: 0, or a speed at which the bench still does something within seconds."""
     try:
-        value = float(text)
+        if float(text) == 0.0:
+            return 0.0
     except ValueError:
-        value = math.nan
-    if not 0.0 <= value < math.inf:
-        raise argparse.ArgumentTypeError(f"'{text}' is no number from zero up")
-    return value
+        pass
+    return _number(1e-3, 1e6, "pace: give 0, or a number")(text)
 
 
 def _seed(text: str) -> int:
@@ -121,18 +142,21 @@ def run(arguments: argparse.Namespace) -> int:
     Raises
     ------
     UserError
-        Bad scenario or channel.
+        Bad scenario, channel or name.
     SystemFailure
-        A board stopped.
+        A board stopped, or the channel is gone.
     """
     scenario = load_scenario(arguments.scenario)
-    check_outputs({"--site": arguments.site, "--truth": arguments.truth}, {"SCENARIO": arguments.scenario})
-    if arguments.site is not None:
-        _write(arguments.site, site_toml(scenario))
+    outputs = {"--site": arguments.site, "--truth": arguments.truth, "--link": arguments.link}
+    check_outputs(outputs, {"SCENARIO": arguments.scenario})
     with ExitStack() as stack:
         stack.enter_context(_interrupted_by_termination())
+        site = arguments.site
+        if site is None:
+            site = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="goldfield-"))) / "site.toml"
+        _write(site, site_toml(scenario))
         bridge = None
-        if arguments.can != "none":
+        if arguments.can != NO_CAN:
             bridge = CanBridge(arguments.can)
             stack.callback(bridge.close)
         rig = stack.enter_context(Rig(scenario, arguments.boards, arguments.seed, host_on_can=bridge is not None))
@@ -140,19 +164,29 @@ def run(arguments: argparse.Namespace) -> int:
         for board in rig.sensing:
             terminals[board] = PseudoTerminal()
             stack.callback(terminals[board].close)
+        names = {board: _named(arguments.link, terminals[board], scenario, board, stack) for board in terminals}
         truth = sys.stdout if arguments.json else None
         if arguments.truth is not None:
             truth = stack.enter_context(_open_for_writing(arguments.truth))
-        channel = "none" if bridge is None else bridge.channel
-        _announce(arguments, scenario, channel, {board: terminal.path for board, terminal in terminals.items()})
+        channel = NO_CAN if bridge is None else bridge.channel
+        _announce(arguments, scenario, channel, names, site)
         pace = Pace(arguments.pace)
         try:
             _serve(arguments, rig, terminals, bridge, truth, pace)
         except KeyboardInterrupt:
             pass
         finally:
-            _summarise(arguments, rig, sum(terminal.lost for terminal in terminals.values()), pace)
+            _summarise(arguments, rig, sum(terminal.lost for terminal in terminals.values()), bridge, pace)
     return 0
+
+
+def _named(link: Path | None, terminal: PseudoTerminal, scenario: Scenario, board: int, stack: ExitStack) -> str:
+    """Give a board's port its stable name, if one is wanted; return the name by which it is told."""
+    if link is None:
+        return terminal.path
+    path = link if board == SENSOR else link.with_name(f"{link.name}.{scenario.beacons[board - 1].node}")
+    stack.callback(PortName(path, terminal.path).close)
+    return str(path)
 
 
 def _serve(
@@ -163,7 +197,7 @@ def _serve(
     truth: TextIO | None,
     pace: Pace,
 ) -> None:
-    end_s = math.inf if arguments.seconds is None else arguments.seconds
+    end_s = LONGEST_S if arguments.seconds is None else arguments.seconds
     slices = 0
     next_progress_s = PROGRESS_S
     while slices * SLICE_S < end_s:
@@ -179,18 +213,21 @@ def _serve(
         for board, terminal in terminals.items():
             terminal.write(rig.serial_read(board), wait=arguments.pace == 0.0)
         if bridge is not None:
-            bridge.to_host(rig.can_read())
+            bridge.to_host(rig)
         pace.wait(rig.now_s)
         if not arguments.json and rig.now_s >= next_progress_s:
             next_progress_s += PROGRESS_S
             print(f"{rig.now_s:8.1f} s, {rig.now_s / pace.elapsed_s:.2f} virtual seconds a second", flush=True)
 
 
-def _announce(arguments: argparse.Namespace, scenario: Scenario, channel: str, serial: Mapping[int, str]) -> None:
+def _announce(
+    arguments: argparse.Namespace, scenario: Scenario, channel: str, serial: Mapping[int, str], site: Path
+) -> None:
     anchors = {scenario.beacons[board - 1]: path for board, path in serial.items() if board != SENSOR}
+    reads = read_command("--port", str(Path(serial[SENSOR]).absolute()), site=site)
     if arguments.json:
         first: dict[str, Any] = {"serial": serial[SENSOR], "can": channel, "scenario": arguments.scenario}
-        first["boards"] = arguments.boards
+        first |= {"boards": arguments.boards, "read": reads}
         if anchors:
             first["anchors"] = {anchor.id: {"node": anchor.node, "serial": path} for anchor, path in anchors.items()}
         print(json.dumps(first), flush=True)
@@ -198,13 +235,19 @@ def _announce(arguments: argparse.Namespace, scenario: Scenario, channel: str, s
     print(f"serial {serial[SENSOR]}, CAN {channel}: {arguments.scenario} with {arguments.boards} boards", flush=True)
     for anchor, path in anchors.items():
         print(f"serial {path}: anchor {anchor.id}, node {anchor.node}", flush=True)
+    print(f"poses: {reads}", flush=True)
+    if channel != NO_CAN:
+        print(f"by CAN: {read_command('--can', channel, site=site)}", flush=True)
 
 
-def _summarise(arguments: argparse.Namespace, rig: Rig, lost: int, pace: Pace) -> None:
+def _summarise(arguments: argparse.Namespace, rig: Rig, lost: int, bridge: CanBridge | None, pace: Pace) -> None:
     elapsed_s = pace.elapsed_s
     line = f"{rig.now_s:.3f} virtual seconds in {elapsed_s:.3f} s: {rig.now_s / elapsed_s:.2f} virtual seconds a second"
     if lost:
         line += f"; {lost} serial bytes lost to a slow reader"
+    if bridge is not None:
+        line += f"; CAN: {bridge.taken} frames from outside, {bridge.refused} refused"
+        line += f", {bridge.lost} to outside lost" if bridge.lost else ""
     print(line, file=sys.stderr if arguments.json else sys.stdout, flush=True)
 
 
@@ -224,16 +267,18 @@ def _open_for_writing(path: Path) -> TextIO:
 
 @contextmanager
 def _interrupted_by_termination() -> Iterator[None]:
-    """Let SIGTERM end the run as Ctrl-C does."""
+    """Let SIGTERM, and a terminal that is closed, end the run as Ctrl-C does."""
 
     def interrupt(_number: int, _frame: object) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    wanted = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, interrupt) for number in wanted}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -6,7 +6,6 @@ pseudo-terminal, as a board and a host would. The truth of the simulated world g
 
 from __future__ import annotations
 
-import argparse
 import json
 import subprocess
 import sys
@@ -14,6 +13,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from goldfield.cli.entry import Parser
+from goldfield.cli.options import seconds
 from hil_sim.scenario import load_scenario, site_toml
 
 START_SECONDS = 3.0
@@ -22,9 +23,9 @@ START_SECONDS = 3.0
 
 def main(argv: list[str] | None = None) -> int:
     """Run the demonstration; returns the exit code of the part that failed, or 0."""
-    parser = argparse.ArgumentParser(prog="python -m hil_sim.demo", description=__doc__)
+    parser = Parser(prog="python -m hil_sim.demo", description=__doc__)
     parser.add_argument("--scenario", default="prigge8")
-    parser.add_argument("--seconds", type=float, default=20.0, help="virtual seconds of poses (default 20)")
+    parser.add_argument("--seconds", type=seconds, default=20.0, help="virtual seconds of poses (default 20)")
     parser.add_argument("--boards", choices=("emulated", "host"), default="emulated")
     options = parser.parse_args(argv)
 
@@ -44,7 +45,7 @@ def main(argv: list[str] | None = None) -> int:
                 if not first:
                     return rig.wait() or 3
                 links = json.loads(first)
-                print(f"sensor on {links['serial']}, CAN on {links['can']}", flush=True)
+                print(f"sensor on {links['serial']}", flush=True)
                 run = ["run", "--port", links["serial"], "--site", str(site), "--truth", str(truth)]
                 return subprocess.call(
                     [sys.executable, "-m", "goldfield", *run, "--seconds", str(options.seconds)],

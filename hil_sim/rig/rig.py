@@ -206,6 +206,11 @@ class Rig:
 
     # ---- Links ----
 
+    @property
+    def host_node(self) -> int:
+        """The number of the host's adapter among the senders of `Frame.board`: one beyond the last board's."""
+        return len(self._boards)
+
     def serial_read(self, board: int = SENSOR) -> bytes:
         """Take all bytes that a board has sent since the last call."""
         taken = []

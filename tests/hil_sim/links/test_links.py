@@ -1,27 +1,29 @@
-"""The bench's links to other processes: pseudo-terminal, CAN bus, and the command that serves them."""
+"""The bench's serial ports, and the command that serves its links."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import os
-import select
+import re
+import shlex
+import signal
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
-import can
 import numpy as np
 import pytest
 
+import goldfield
 from goldfield.errors import UserError
-from goldfield.link.can_channel import open_channel
 from hil_sim import command
 from hil_sim.clib import ROOT
-from hil_sim.links.can_bridge import CanBridge, own_channel
+from hil_sim.links.port_name import PortName
 from hil_sim.links.pseudo_terminal import WAITING_LIMIT, PseudoTerminal
-from hil_sim.rig import Frame, Rig
-from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
+from hil_sim.links.read_command import read_command
+from tests.hil_sim.rig.fakes import FakeBoards, write_scenario
 
 EVERY_BYTE = bytes(range(256))
 
@@ -108,66 +110,75 @@ def test_a_reader_that_leaves_while_the_bench_waits_does_not_hold_it(terminal):
     assert not terminal.opened
 
 
-def group(number):
-    """Return a multicast group of this process: several test runs of one machine must not hear each other."""
-    return f"239.{192 + number}.{os.getpid() >> 8 & 255}.{os.getpid() & 255}"
+# ---- Its name ----
 
 
-GROUP = group(0)
-CHANNEL = f"udp_multicast:{GROUP}"
+def test_a_name_leads_to_the_port_and_goes_with_it(tmp_path, terminal):
+    name = PortName(tmp_path / "port", terminal.path)
+    other = os.open(tmp_path / "port", os.O_RDWR | os.O_NOCTTY)
+    terminal.write(b"heard", wait=True)
+    assert read_exactly(other, 5) == b"heard"
+    os.close(other)
+    name.close()
+    assert not (tmp_path / "port").is_symlink()
 
 
-def test_two_benches_with_groups_of_their_own_do_not_hear_each_other():
-    """By itself Linux gives every bus the messages of all groups that the machine's programs have joined."""
-    here, there = CanBridge(CHANNEL), CanBridge(f"udp_multicast:{group(1)}")
-    host_here, host_there = open_channel("udp_multicast", GROUP), open_channel("udp_multicast", group(1))
-    there.to_host([Frame(0.1, 1, 0x21, b"there")])
-    here.to_host([Frame(0.1, 1, 0x11, b"here")])
-    for bus, mine in ((host_here, 0x11), (host_there, 0x21), (here._bus, 0x11), (there._bus, 0x21)):
-        assert bus.recv().arbitration_id == mine
-        assert bus.recv(0.0) is None
-    for bus in (here._bus, there._bus, host_here, host_there):
-        bus.shutdown()
+@pytest.mark.parametrize("left", ["/dev/pts/999999999", "own"])
+def test_what_a_killed_bench_left_is_replaced(tmp_path, terminal, left):
+    """Its terminal is gone, or its number was given to this bench."""
+    (tmp_path / "port").symlink_to(terminal.path if left == "own" else left)
+    name = PortName(tmp_path / "port", terminal.path)
+    assert str((tmp_path / "port").readlink()) == terminal.path
+    name.close()
+    assert list(tmp_path.iterdir()) == []
 
 
-def test_can_round_trip_over_multicast(tmp_path):
-    bridge = CanBridge(CHANNEL)
-    with (
-        open_channel("udp_multicast", GROUP) as other,
-        Rig(small(tmp_path), FakeBoards()) as rig,
-    ):
-        rig.advance(0.02)
-        frames = rig.can_read()
-        bridge.to_host(frames)
-        for frame in frames:
-            message = other.recv()
-            assert message is not None
-            assert (message.arbitration_id, bytes(message.data)) == (frame.identifier, frame.data)
-            assert message.is_extended_id
-        other.send(can.Message(arbitration_id=0x0C064001, data=b"\x12\x34", is_extended_id=True))
-        mine = []
-        while not mine:
-            select.select([bridge._bus.fileno()], [], [])
-            bridge.to_boards(rig)
-            rig.advance(0.001)
-            mine = [frame for frame in rig.can_read() if frame.board == 4]
-        # Its own frames came back to the bridge before this one, and went no further.
-        assert [(frame.identifier, frame.data) for frame in mine] == [(0x0C064001, b"\x12\x34")]
-    bridge.close()
+@pytest.mark.parametrize("target", ["/dev/null", "nowhere", "/dev/pts/999999999x", "the port of a living bench"])
+def test_no_other_link_is_replaced(tmp_path, terminal, target):
+    living, path = PseudoTerminal(), tmp_path / "port"
+    path.symlink_to(living.path if " " in target else target)
+    before = path.readlink()
+    with pytest.raises(UserError, match=rf"^--link {path}: there is a link of this name to {before} already: give an"):
+        PortName(path, terminal.path)
+    assert path.readlink() == before
+    living.close()
 
 
-def test_frames_that_nobody_acknowledged_stay_on_the_bench():
-    bridge = CanBridge(CHANNEL)
-    with open_channel("udp_multicast", GROUP) as other:
-        bridge.to_host([Frame(0.1, 1, 0x10, b"", acknowledged=False), Frame(0.2, 1, 0x11, b"x")])
-        assert other.recv().arbitration_id == 0x11
-    bridge.close()
+def test_no_file_or_folder_is_replaced(tmp_path, terminal):
+    (tmp_path / "file").write_text("precious")
+    for path in (tmp_path, tmp_path / "file"):
+        with pytest.raises(UserError, match=rf"^--link {path}: there is something of this name already: give another"):
+            PortName(path, terminal.path)
+    assert (tmp_path / "file").read_text() == "precious"
 
 
-@pytest.mark.parametrize("channel", ["vcan0", "socketcan:", ":can0", "no_such_interface:0"])
-def test_a_wrong_channel_is_an_error(channel):
-    with pytest.raises(UserError, match=r"CAN channel"):
-        CanBridge(channel)
+def test_a_name_that_is_another_benchs_by_now_stays(tmp_path, terminal):
+    path = tmp_path / "port"
+    name = PortName(path, terminal.path)
+    path.unlink()
+    path.symlink_to("/dev/pts/999999999")
+    name.close()
+    assert path.is_symlink()
+    path.unlink()
+    name.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_the_name_goes_however_the_bench_ends(tmp_path, number):
+    name = tmp_path / "port"
+    words = ["prigge8", "--boards", "host", "--link", str(name)]
+    with subprocess.Popen(
+        [sys.executable, "-m", "hil_sim.command", *words], stdout=subprocess.PIPE, text=True, cwd=ROOT
+    ) as bench:
+        first = bench.stdout.readline()
+        assert first.startswith(f"serial {name}, CAN none: prigge8")
+        assert name.is_symlink()
+        bench.stdout.readline()
+        bench.send_signal(number)
+        rest = bench.stdout.read()
+    assert bench.returncode == 0
+    assert "virtual seconds in" in rest
+    assert not name.is_symlink()
 
 
 # ---- The command ----
@@ -183,8 +194,9 @@ def hil(*arguments):
     ("arguments", "sentence"),
     [
         (["atlantis"], "there is no scenario 'atlantis'"),
-        (["prigge8", "--can", "can0"], "'can0' is no CAN channel"),
-        (["prigge8", "--seconds", "-1"], "--seconds: '-1' is no number from zero up"),
+        (["prigge8", "--can", "can0"], "--can can0: is no CAN channel: write own, INTERFACE:CHANNEL or none"),
+        (["prigge8", "--link", "/no/such/port"], "--link /no/such/port: cannot be made: No such file or directory"),
+        (["prigge8", "--truth", "a", "--link", "a"], "is the file of --truth and would be overwritten by --link"),
         (["prigge8", "--boards", "wood"], "invalid choice: 'wood'"),
         (
             ["prigge8", "--can", "none", "--boards", "host", "--truth", "/no/such/t"],
@@ -211,7 +223,7 @@ def test_json_lines(tmp_path, monkeypatch, capsys):
     code, output = run_command(tmp_path, monkeypatch, capsys, "--json", "--seconds", "0.0501")
     first, *lines = map(json.loads, output.out.splitlines())
     assert code == 0
-    assert first.keys() == {"serial", "can", "scenario", "boards"}
+    assert first.keys() == {"serial", "can", "scenario", "boards", "read"}
     assert first["serial"].startswith("/dev/")
     assert [line["cycle"] for line in lines] == list(range(len(lines)))
     assert len(lines) == 16  # 31 chips of 97.75 us each
@@ -237,6 +249,10 @@ def test_every_anchors_serial_port_is_told(tmp_path, monkeypatch, capsys):
     assert anchor.startswith("serial /dev/")
     assert anchor.endswith("anchor b, node 2")
     assert anchor.split()[1] != sensor.split()[1]
+    name = tmp_path / "port"
+    _, output = run_command(tmp_path, monkeypatch, capsys, "--seconds", "0.01", "--link", str(name), **options)
+    assert [line.split()[1].rstrip(",:") for line in output.out.splitlines()[:2]] == [str(name), f"{name}.2"]
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_truth_goes_to_a_file_and_only_there(tmp_path, monkeypatch, capsys):
@@ -254,12 +270,30 @@ def test_a_failing_board_ends_with_3(tmp_path, monkeypatch, capsys):
     assert "asked to stop" in output.err
 
 
-@pytest.mark.parametrize("seed", ["-1", str(1 << 63), "9" * 5000, "x", "1.5"])
-def test_a_seed_that_no_rig_has_is_refused(capsys, seed):
+OUTSIDE = [
+    *(("--seed", seed, "is no seed: seeds are 0 to 2^63 - 1") for seed in ("-1", str(1 << 63), "9" * 5000, "x", "1.5")),
+    *(("--pace", pace, "is no pace") for pace in ("-1", "1e-300", "9.99e-4", "1000001", "inf", "nan", "x", "")),
+    *(("--seconds", seconds, "is no number of") for seconds in ("-1", "0", "1e-300", "9e-4", "5000001", "nan", "inf")),
+]
+INSIDE = [("--pace", "0"), ("--pace", "0.001"), ("--pace", "1e6"), ("--seconds", "0.001"), ("--seconds", "5e6")]
+
+
+@pytest.mark.parametrize(("option", "value", "sentence"), OUTSIDE, ids=lambda text: text[:12])
+def test_a_value_that_no_bench_has_is_refused(capsys, option, value, sentence):
     with pytest.raises(SystemExit) as ended:
-        command.main(["prigge8", f"--seed={seed}"])
+        command.main(["prigge8", option, value])
     assert ended.value.code == 2
-    assert "is no seed: seeds are 0 to 2^63 - 1" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"argument {option}: '{value}' {sentence}" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(("option", "value"), INSIDE)
+def test_a_value_at_the_limit_is_taken(option, value):
+    parser = argparse.ArgumentParser()
+    command.command(parser.add_subparsers())
+    arguments = parser.parse_args(["hil", "prigge8", option, value])
+    assert getattr(arguments, option.removeprefix("--")) == float(value)
 
 
 def test_it_is_a_subcommand():
@@ -268,31 +302,54 @@ def test_it_is_a_subcommand():
     arguments = parser.parse_args(["hil", "prigge8", "--seconds", "3", "--seed", str((1 << 63) - 1)])
     assert arguments.seed == (1 << 63) - 1
     assert arguments.run is command.run
-    assert (arguments.pace, arguments.boards, arguments.can) == (1.0, "emulated", None)
+    assert (arguments.pace, arguments.boards, arguments.can) == (1.0, "emulated", "none")
 
 
-def test_benches_of_one_machine_have_a_can_channel_each(monkeypatch):
-    monkeypatch.setattr("hil_sim.links.can_bridge.DEFAULT", f"test{os.getpid()}:239.74.163.2")
-    (one, first), (two, second) = own_channel(), own_channel()
-    assert (one, two) == (f"test{os.getpid()}:239.74.163.2", f"test{os.getpid()}:239.74.163.3")
-    first.close()
-    again, third = own_channel()
-    assert again == one
-    second.close()
-    third.close()
-
-
-def test_no_channel_is_left(monkeypatch):
-    monkeypatch.setattr("hil_sim.links.can_bridge.MOST_BENCHES", 0)
-    with pytest.raises(UserError, match=r"^0 benches run on this machine, each with its CAN channel: --can none"):
-        own_channel()
-
-
-def test_the_default_channel_is_told(tmp_path, monkeypatch, capsys):
-    taken = []
-    monkeypatch.setattr(command, "CanBridge", lambda channel: taken.append(CanBridge(channel)) or taken[-1])
+def test_the_channel_is_told_and_no_bench_has_one_unasked(tmp_path, monkeypatch, capsys):
     _, output = run_command(tmp_path, monkeypatch, capsys, "--json", "--seconds", "0.01", can=())
-    assert json.loads(output.out.splitlines()[0])["can"] == taken[0].channel
+    assert json.loads(output.out.splitlines()[0])["can"] == "none"
+    _, output = run_command(tmp_path, monkeypatch, capsys, "--json", "--seconds", "0.01", can=("--can", "own"))
+    assert re.fullmatch(r"goldfield_loopback:239\.74\.\d+\.\d+:\d+", json.loads(output.out.splitlines()[0])["can"])
+    assert "; CAN: 0 frames from outside, 0 refused\n" in output.err
+
+
+def test_the_commands_that_read_it_are_told(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = ("--site", "a site.toml", "--link", "a port")
+    _, output = run_command(tmp_path, monkeypatch, capsys, "--seconds", "0.01", *names, can=("--can", "own"))
+    serial, poses, by_can, *_ = output.out.splitlines()
+    channel = re.match(r"serial a port, CAN (goldfield_loopback:\S+): ", serial)[1]
+    _, *words = shlex.split(poses.removeprefix("poses: "))
+    assert words == ["run", "--port", f"{tmp_path}/a port", "--site", f"{tmp_path}/a site.toml"]
+    _, *words = shlex.split(by_can.removeprefix("by CAN: "))
+    assert words == ["run", "--can", channel, "--site", f"{tmp_path}/a site.toml"]
+
+
+def test_the_program_is_named_so_that_a_shell_finds_it(tmp_path, monkeypatch):
+    mine = Path(sys.executable).with_name("goldfield")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert read_command(site=Path("/s")) == f"{mine} run --site /s"
+    (tmp_path / "goldfield").write_text("another")
+    (tmp_path / "goldfield").chmod(0o755)
+    assert read_command(site=Path("/s")) == f"{mine} run --site /s"
+    monkeypatch.setenv("PATH", str(mine.parent))
+    assert read_command(site=Path("/s")) == "goldfield run --site /s"
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "bin" / "python"))
+    assert read_command(site=Path("/s")) == f"{tmp_path}/bin/python -m goldfield run --site /s"
+
+
+def test_a_bench_without_a_site_option_has_a_site_file_while_it_runs(tmp_path, monkeypatch, capsys):
+    told = {}
+
+    def look(*_):
+        path = shlex.split(capsys.readouterr().out.splitlines()[1])[-1]
+        told[path] = goldfield.load_site(path)
+
+    monkeypatch.setattr(command, "_serve", look)
+    run_command(tmp_path, monkeypatch, capsys)
+    ((path, site),) = told.items()
+    assert site.name == "small"
+    assert not Path(path).parent.exists()
 
 
 def test_pace_never_runs_ahead(monkeypatch):
