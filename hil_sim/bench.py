@@ -153,6 +153,11 @@ class RealBench(Bench):
         """Return the next code cycles of the sensor."""
         return [next(self._reports) for _ in range(count)]
 
+    @property
+    def node(self) -> int | None:
+        """The sensor's node."""
+        return self._sensor.node
+
     def truth(self) -> dict[int, Truth]:
         """Return nothing: nobody knows where a real sensor is."""
         return {}

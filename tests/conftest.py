@@ -1,4 +1,4 @@
-"""What holds for every test: examples that are the same each time, no bound on time, and which tests are long."""
+"""What holds for every test: examples that are the same each time, no bound on time, which are long or simulate."""
 
 import signal
 from pathlib import Path
@@ -38,14 +38,19 @@ LONG = (
 )
 """Folders and files that `make check` leaves out: each of them takes many seconds."""
 
+ANY_BENCH = ("hil/test_poses.py",)
+"""Files of hil/ that judge whatever bench there is; the others need a simulated one."""
+
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Mark the tests of those places, before pytest selects by marks."""
-    places = [HERE / place for place in LONG]
-    missing = [str(place) for place in places if not place.exists()]
+    long, any_bench = ([HERE / place for place in places] for places in (LONG, ANY_BENCH))
+    missing = [str(place) for place in (*long, *any_bench) if not place.exists()]
     if missing:
         raise pytest.UsageError(f"tests/conftest.py names places that are not there: {', '.join(missing)}")
     for item in items:
-        if any(item.path.is_relative_to(place) for place in places):
+        if any(item.path.is_relative_to(place) for place in long):
             item.add_marker(pytest.mark.long)
+        if item.path.is_relative_to(HERE / "hil") and item.path not in any_bench:
+            item.add_marker(pytest.mark.simulated_bench)

@@ -37,7 +37,7 @@ def errors(pose, truth):
 @pytest.mark.parametrize(("degree", "boards", "cycles"), [(7, None, 100), (11, "host", 40), (9, "host", 40)])
 def test_poses_at_the_bound(tmp_path, rig_kind, degree, boards, cycles):
     """Host's and sensor's own poses of every cycle, against the truth and the Cramer-Rao bound of N samples."""
-    kind = boards or (rig_kind if rig_kind in ("emulated", "host") else "host")
+    kind = boards or rig_kind
     bench = SimulatedBench(scenario(tmp_path, degree), kind, tmp_path)
     try:
         bench.reports(cycles + 4)

@@ -24,21 +24,14 @@ def reports_of(stream):
 
 
 @pytest.fixture(scope="module")
-def simulated(open_bench, rig_kind):
-    if rig_kind not in ("emulated", "host"):
-        pytest.fail("this test compares simulated benches: run it with --goldfield-rig emulated or host")
-    return open_bench
-
-
-@pytest.fixture(scope="module")
-def serial(simulated):
-    bench = simulated("prigge8")
+def serial(open_bench):
+    bench = open_bench("prigge8")
     bench.reports(10)
     return bench
 
 
-def test_can_tells_the_same(simulated, serial):
-    can = simulated("prigge8", link="can")
+def test_can_tells_the_same(open_bench, serial):
+    can = open_bench("prigge8", link="can")
     by_can = fields_of(can.reports(10))
     by_serial = fields_of(reports_of(bytes(serial.stream))[0])
     common = sorted(by_can.keys() & by_serial.keys())
@@ -49,10 +42,10 @@ def test_can_tells_the_same(simulated, serial):
             np.testing.assert_array_equal(field, by_serial[cycle][code])
 
 
-def test_same_seed_same_bytes_in_any_slices(simulated):
+def test_same_seed_same_bytes_in_any_slices(open_bench):
     streams = []
     for slice_ms in (1, 10):
-        bench = simulated("prigge8")
+        bench = open_bench("prigge8")
         for _ in range(600 // slice_ms):
             bench.advance(slice_ms * 1e-3)
         streams.append(bytes(bench.stream))

