@@ -1,7 +1,8 @@
 # The ARM images. The very ELF files that the emulator loads are flashed.
 #   make firmware                  flash, RAM, core-coupled memory and worst-case stack of all images
 #   make flash ROLE=sensor         program a board through pyOCD (see README.md here); with NODE=n also its parameter page,
-#   make flash ROLE=beacon NODE=3 CODE=17 AMPLITUDE=10 SYNC_MASTER=1     which takes every parameter of docs/parameters.md in capitals
+#   make flash ROLE=beacon NODE=3 CODE=17 AMPLITUDE=10 SYNC_MASTER=1     which takes every parameter of docs/parameters.md in capitals;
+#   make flash ROLE=sensor PROBE=066D     where several probes are connected, the one whose unique id contains this
 ARM := arm-none-eabi-
 STM32 := firmware/boards/stm32f405
 STM32_OUT := $(BUILD)/firmware
@@ -52,14 +53,20 @@ STM32_PARAMETERS = $(eval STM32_PARAMETERS := $(foreach name,$(filter-out $(STM3
 STM32_PAGE := $(STM32_OUT)/parameters.bin
 PYOCD := $(VENV)/bin/pyocd
 PYOCD_TARGET := stm32f405rgtx
+PROBE ?=
 
-flash: firmware ## Program a board: ROLE=beacon, sensor or anchor, with NODE=n also its parameters
+# What is wrong with the command, or connected wrongly, is told before anything is built.
+flash-ready: $(BUILD)/venv.stamp
 	@case "$(ROLE)" in beacon|sensor|anchor) ;; *) echo "make flash needs ROLE=beacon, ROLE=sensor or ROLE=anchor"; exit 2;; esac
 	@test -z "$(strip $(STM32_PARAMETERS))" || test -n "$(filter NODE=%,$(STM32_PARAMETERS))" || { echo "make flash with parameters needs NODE=n as well"; exit 2; }
-	@test -z "$(strip $(STM32_PARAMETERS))" || $(PYTHON) -m goldfield_protocol.parameters $$(echo "$(strip $(STM32_PARAMETERS))" | tr A-Z a-z) -o $(STM32_PAGE)
-	@$(PYOCD) pack show 2>/dev/null | grep -q STM32F4xx_DFP || $(PYOCD) pack install stm32f405rgtx
-	@$(PYOCD) load --target $(PYOCD_TARGET) $(STM32_OUT)/$(ROLE).elf $(if $(strip $(STM32_PARAMETERS)),$(STM32_PAGE)@0x080E0000)
+	@$(PYTHON) firmware/tools/find_probe.py $(PYOCD) $(PROBE)
 
-.PHONY: firmware flash
+flash: flash-ready firmware ## Program a board: ROLE=beacon, sensor or anchor, with NODE=n also its parameters
+	@test -z "$(strip $(STM32_PARAMETERS))" || $(PYTHON) -m goldfield_protocol.parameters $$(echo "$(strip $(STM32_PARAMETERS))" | tr A-Z a-z) -o $(STM32_PAGE)
+	@$(PYOCD) pack show 2>/dev/null | grep -q STM32F4xx_DFP || $(PYOCD) pack install stm32f405rgtx || \
+		{ echo "ST's device pack could not be installed, which needs the network once: $(PYOCD) pack install stm32f405rgtx"; exit 1; }
+	@$(PYOCD) load $(if $(PROBE),--uid $(PROBE)) --target $(PYOCD_TARGET) $(STM32_OUT)/$(ROLE).elf $(if $(strip $(STM32_PARAMETERS)),$(STM32_PAGE)@0x080E0000)
+
+.PHONY: firmware flash flash-ready
 .SECONDARY: $(STM32_OBJECTS) $(STM32_MAINS:%.c=$(STM32_OUT)/%.o)
 -include $(STM32_OBJECTS:.o=.d) $(STM32_MAINS:%.c=$(STM32_OUT)/%.d)

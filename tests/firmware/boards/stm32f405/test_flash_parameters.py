@@ -1,5 +1,6 @@
-"""``make flash`` takes every parameter of a board, and nothing that the board would refuse."""
+"""``make flash`` takes every parameter of a board, and nothing that the board would refuse; a probe comes first."""
 
+import json
 import subprocess
 
 import pytest
@@ -14,14 +15,24 @@ def value_of(parameter):
     return ",".join([str(parameter.high)] * elements)
 
 
+def probes(*unique_ids, **more):
+    """What ``pyocd json --probes`` prints."""
+    boards = [{"unique_id": unique_id, "info": f"STM32 STLink {unique_id}"} for unique_id in unique_ids]
+    return json.dumps({"pyocd_version": "0.46.0", "status": 0, "boards": boards} | more)
+
+
+ONE_PROBE = probes("066DFF01")
+
+
 @pytest.fixture
 def flash(tmp_path):
     """Run ``make flash`` with a program in place of pyOCD that writes down its arguments, and the images as built."""
-    probe, told, page = tmp_path / "pyocd", tmp_path / "told", tmp_path / "page.bin"
-    probe.write_text(f'#!/bin/sh\necho "$@" >>"{told}"\necho STM32F4xx_DFP\n')
+    probe, told, page, listed = (tmp_path / name for name in ("pyocd", "told", "page.bin", "probes.json"))
+    probe.write_text(f'#!/bin/sh\n[ "$1" = json ] && exec cat "{listed}"\necho "$@" >>"{told}"\necho STM32F4xx_DFP\n')
     probe.chmod(0o755)
 
-    def run(*assignments):
+    def run(*assignments, probes=ONE_PROBE):
+        listed.write_text(probes)
         own = [f"PYOCD={probe}", f"STM32_PAGE={page}", "-o", "firmware"]
         done = subprocess.run(
             ["make", "-s", "flash", *own, *assignments], cwd=ROOT, capture_output=True, text=True, check=False
@@ -71,3 +82,42 @@ def test_a_mistyped_parameter_is_refused(flash):
     assert "error: there is no parameter 'amplitud'; the nearest is 'amplitude'" in done.stderr
     assert not loaded
     assert not page.exists()
+
+
+NOT_FLASHED = [
+    (
+        probes(),
+        (),
+        "no debug probe was found: connect one by USB (an ST-LINK, a J-Link or any CMSIS-DAP); one that is c",
+    ),
+    (ONE_PROBE, ("PROBE=0770",), "there is no debug probe 0770: give one of PROBE=066DFF01 (STM32 STLink 066DFF01)"),
+    (probes("066DFF01", "066DFF02"), ("PROBE=066D",), "2 debug probes are connected: give one of PROBE=066DFF01 ("),
+    (probes("066DFF01", "066DFF02"), (), "2 debug probes are connected: give one of PROBE=066DFF01 (STM32 STLink 066"),
+    (probes(status=1, error="no USB\nhere"), (), "the search for a debug probe failed: no USB here: plug the probe in"),
+    ("Traceback", (), "json --probes: does not list the debug probes: run it to see why"),
+    ("[]", (), "json --probes: does not list the debug probes: run it to see why"),
+    (
+        ONE_PROBE,
+        ("PYOCD=no/such/pyocd",),
+        "no/such/pyocd: No such file or directory: pyOCD programs boards, and make set",
+    ),
+]
+
+
+@pytest.mark.parametrize(("listed", "assignments", "sentence"), NOT_FLASHED)
+def test_no_probe_is_told_before_anything_is_built_or_flashed(flash, listed, assignments, sentence):
+    done, loaded, page = flash("ROLE=beacon", "NODE=3", *assignments, probes=listed)
+    assert done.returncode == 2
+    told, make = done.stderr.splitlines()
+    assert sentence in told
+    assert "flash-ready" in make
+    assert not loaded
+    assert not page.exists()
+
+
+def test_the_probe_is_named_and_the_one_of_several_used(flash):
+    done, loaded, _ = flash("ROLE=sensor")
+    assert done.stdout.splitlines()[0] == "debug probe: STM32 STLink 066DFF01, 066DFF01"
+    done, loaded, _ = flash("ROLE=sensor", "PROBE=FF02", probes=probes("066DFF01", "066DFF02"))
+    assert done.stdout.splitlines()[0] == "debug probe: STM32 STLink 066DFF02, 066DFF02"
+    assert loaded == "load --uid FF02 --target stm32f405rgtx build/firmware/sensor.elf"
