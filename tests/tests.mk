@@ -19,6 +19,11 @@ test-slow: all $(BUILD)/qemu.stamp ## All tests, the slow ones too
 
 .PHONY: test test-wheel test-fast test-long test-slow
 
+many-benches: all ## Two, then four benches beside a garbage sender for a minute each
+	@$(PYTHON) -m pytest tests/hil/test_many_benches.py -m slow -q -s
+
+.PHONY: many-benches
+
 figures: all ## Measure and print the figures of the whole chain (several minutes)
 	@$(PYTHON) tests/bench/chain_figures.py
 

@@ -110,7 +110,7 @@ class LoopbackBus(can.BusABC):
                 left_s = None if deadline is None else max(0.0, deadline - time.monotonic())
                 if not select.select([self._in], [], [], left_s)[0]:
                     break
-            elif (message := _unpack(datagram)) is not None:
+            elif (message := _unpack(datagram, self.channel)) is not None:
                 return message, False
             else:
                 self.bad_frames += 1
@@ -168,7 +168,7 @@ def _why(channel: tuple[str, int], error: OSError) -> str:
     return str(error.strerror)
 
 
-def _unpack(datagram: bytes) -> can.Message | None:
+def _unpack(datagram: bytes, channel: str) -> can.Message | None:
     """Return the frame of a datagram; None if it holds none, or one that no sender would have written so."""
     if len(datagram) != FRAME.size or any(datagram[PADDING]):
         return None
@@ -186,5 +186,5 @@ def _unpack(datagram: bytes) -> can.Message | None:
         is_error_frame=error,
         dlc=length,
         data=data[:known],
-        channel=INTERFACE,
+        channel=channel,
     )

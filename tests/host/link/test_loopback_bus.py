@@ -67,6 +67,7 @@ def test_a_datagram_of_a_frame_is_linux_can_frame(bench):
     throw(struct.pack("<IBBBB8s", 0x80000000 | 0x0C064001, 2, 0, 0, 0, b"\x12\x34"), bench)
     message = bench.recv()
     assert (message.arbitration_id, message.is_extended_id, bytes(message.data)) == (0x0C064001, True, b"\x12\x34")
+    assert message.channel == bench.channel
 
 
 GOOD = FRAME.pack(0x80000001, 2, b"ab")
