@@ -9,7 +9,7 @@ tell it if the whole mast was moved, as far as they are strong enough.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,7 +123,11 @@ class AnchorWatch:
         seen = [(a, w) for a, w in zip(anchors, windows, strict=True) if a.learned[row]]
         part, left = _current_part(row, [changes for _, changes in seen])
         if left <= chdtri(3.0 * len(seen) - 1.0, UNEXPLAINED):
-            return strength_finding(beacon.id, 1.0 + part)
+            found = strength_finding(beacon.id, 1.0 + part)
+            if found.kind is not Explanation.CURRENT:
+                return found
+            text = f"anchors see {found.factor:.3g} times the former field of {beacon.id}: check its current, or metal"
+            return replace(found, text=f"{text} is near")
         d = _shift(beacon, row, seen)
         far = float(np.linalg.norm(d))
         what = f"anchors see that the fields of {beacon.id} have changed"

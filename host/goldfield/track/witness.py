@@ -24,12 +24,16 @@ from goldfield.types import Explanation, Finding, FloatArray
 RECENT_S, PATIENT_S = 2.0, 10.0
 """Times over which the residuals are added up: a large error shows soon, a smaller one to patience."""
 
-STARTS = 20
-"""Moments within the shorter time from which they are added up, too. The sum that shows an error best begins where the
-error began: Page's cumulative sum with the size not known."""
+STARTS, EARLIER_STARTS = 20, 6
+"""Moments within the shorter time, and between it and the longer, from which they are added up, too. The sum that shows
+an error best begins where the error began: Page's cumulative sum with the size not known."""
 
 FALSE_ALARMS_PER_HOUR = 0.01
 """Permitted rate of beacons that are named though all are as the site says."""
+
+KEPT = 0.5
+"""A beacon that is named stays so as long as it explains more of the cost than this part of what it takes to be named:
+chance does not let it come and go."""
 
 CLEAR = 12.0
 """A beacon is named only if it explains more of the cost than any other, by this; else none is."""
@@ -104,7 +108,8 @@ class Witness:
         self._centres = FieldModel(site.beacons).centre_m
         recent, patient = (max(round(seconds / site.cycle_s), 1) for seconds in (RECENT_S, PATIENT_S))
         starts = np.linspace(1, recent, STARTS).round().astype(int).tolist()
-        self._windows: list[int] = sorted({*starts, patient})
+        earlier = np.geomspace(recent, patient, EARLIER_STARTS + 1).round().astype(int).tolist()
+        self._windows: list[int] = sorted({*starts, *earlier})
         self._recent: deque[Judgement] = deque(maxlen=recent)
         self._totals: deque[_Evidence] = deque(maxlen=self._windows[-1] + 1)
         level = FALSE_ALARMS_PER_HOUR * site.cycle_s / 3600.0 / len(site.beacons) / len(self._windows)
@@ -123,10 +128,13 @@ class Witness:
         self._recent.append(judgement)
         evidence = self._evidence(judgement)
         self._totals.append(self._totals[-1].plus(evidence) if self._totals else evidence)
-        found = self._suspect([self._last(epochs) for epochs in self._windows])
+        windows = [self._last(epochs) for epochs in self._windows]
+        plain, granted = self._costs(windows)
+        found = self._suspect(windows, plain, granted)
         self._wait -= 1
         if found is None:
-            self.finding = None
+            if self.finding is not None and granted[:, self._row[self.named[0]]].max() <= KEPT * self._limit:
+                self.finding = None
         elif self.named != (self._site.beacons[found[0]].id,) or self._wait <= 0:
             self.finding = self._explained(*found)
             self._wait = int(found[1].epochs)
@@ -163,11 +171,10 @@ class Witness:
             distance_m=np.linalg.norm(self._centres - state.position_m, axis=1),
         )
 
-    def _suspect(self, windows: list[_Evidence]) -> tuple[int, _Evidence] | None:
-        """Return the row of the beacon that is not as the site says, and the window that shows it best; None if none.
+    def _costs(self, windows: list[_Evidence]) -> tuple[FloatArray, FloatArray]:
+        """Return what each beacon takes away from the cost of each window, plain and granted, shape (windows, n).
 
-        ``plain`` is what each beacon takes away from the cost of each window, ``granted`` what is left of that for one
-        that is only as exact as its survey.
+        Granted is what is left of the plain one for a beacon that is only as exact as its survey.
         """
         h = np.array([one.place for one in windows])
         tolerance = np.array([self._tolerance_m(one.distance_m / one.epochs) for one in windows])
@@ -180,6 +187,12 @@ class Witness:
         shown = np.array([one.current_information for one in windows])
         current = np.array([one.current for one in windows])
         plain = np.maximum(plain, np.where(shown > 0.0, current**2 / np.where(shown > 0.0, shown, 1.0), 0.0))
+        return plain, granted
+
+    def _suspect(
+        self, windows: list[_Evidence], plain: FloatArray, granted: FloatArray
+    ) -> tuple[int, _Evidence] | None:
+        """Return the row of the beacon that is not as the site says and the window that shows it best; None if none."""
         largest = granted.max(axis=1)
         place = int(np.argmax(largest[:-1]))
         if largest[place] <= self._limit:

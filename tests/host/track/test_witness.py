@@ -11,6 +11,7 @@ from goldfield.sensor.options import Method
 from goldfield.site import Survey
 from goldfield.track import Tracker, Witness
 from goldfield.track.faults import Judgement
+from goldfield.track.witness import EARLIER_STARTS, FALSE_ALARMS_PER_HOUR, KEPT, STARTS
 from goldfield.types import Explanation, Fields, Status
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, circling
@@ -117,9 +118,7 @@ def test_both_sides_of_the_limit():
     """One beacon's evidence alone, scaled to just below and just above the chi-square of the permitted rate."""
     from scipy.stats import chi2
 
-    from goldfield.track.witness import FALSE_ALARMS_PER_HOUR, STARTS
-
-    tests_an_hour = 3600.0 / SITE.cycle_s * len(IDS) * (STARTS + 1)
+    tests_an_hour = 3600.0 / SITE.cycle_s * len(IDS) * (STARTS + EARLIER_STARTS)
     limit = chi2.isf(FALSE_ALARMS_PER_HOUR / tests_an_hour, 3)
     real: Judgement = Tracker(SITE).step(epochs(moved(0.0), 1)[0]).judgement
     score = np.zeros((8, 3))
@@ -131,6 +130,26 @@ def test_both_sides_of_the_limit():
         drop[ROW] = factor * limit
         one = replace(real, score=score * np.sqrt(factor * limit / size), drop=drop)
         assert (witness.update(one) is not None) == found
+
+
+def test_a_beacon_that_is_named_stays_so_down_to_half_of_what_named_it():
+    """Evidence that names it, and as much against it as leaves a part just above and just below the half."""
+    real = Tracker(SITE).step(epochs(moved(0.0), 1)[0]).judgement
+    score = np.zeros((8, 3))
+    score[ROW] = [1.0, -2.0, 0.5]
+    size = score[ROW] @ np.linalg.solve(real.information[ROW], score[ROW])
+    drop = np.zeros(8)
+    for part, kept in ((1.01, True), (0.99, False)):
+        witness = Witness(SITE)
+        limit = witness._limit
+        unit = np.sqrt(limit / size)
+        drop[ROW] = 1.1 * limit
+        assert witness.update(replace(real, score=1.04 * unit * score, drop=drop)) is not None
+        # Over the two epochs the cost is (sum of scores)^2 / 2, in the last one alone (second score)^2.
+        second = np.sqrt(2.0 * KEPT * part) - 1.04
+        assert second**2 < KEPT * 0.9
+        found = witness.update(replace(real, score=second * unit * score, drop=drop))
+        assert (found is not None) == kept
 
 
 def test_two_beacons_that_look_alike_are_not_named():
