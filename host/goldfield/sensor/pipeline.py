@@ -19,7 +19,7 @@ from goldfield.sensor.separation import Separation
 from goldfield.sensor.session import Session
 from goldfield.sensor.verdict import Verdict, judge
 from goldfield.site import Site
-from goldfield.types import Fields, Finding, Pose
+from goldfield.types import Explanation, Fields, Finding, Pose
 from goldfield_protocol.parameters import counter_name
 
 
@@ -226,15 +226,16 @@ class Sensor:
         verdict = judge(self._session.health, report, self.site)
         separated = self._separation.fields(report)
         fields = amended_fields(separated, verdict)
-        anchors = self._session.anchors
-        trusted = without(fields, anchors.named)
+        witnessed = _unexplained(self._session.anchors.finding, verdict)
+        named = () if witnessed is None else witnessed.beacons
+        trusted = without(fields, named)
         if trusted is not separated:  # the parts of the cycle cannot be amended
             pose = self._locate(trusted, replace(report, parts_T={}))
         else:
             pose = self._locate(trusted, report)
         if trusted is not fields:
-            pose = replace(pose, excluded=(*pose.excluded, *anchors.named))
-        pose = with_finding(pose, anchors.finding)
+            pose = replace(pose, excluded=(*pose.excluded, *named))
+        pose = with_finding(pose, witnessed)
         return Epoch(
             pose=amended_pose(pose, verdict, used_all=self._options.method is Method.ON_SENSOR),
             fields=fields,
@@ -243,6 +244,13 @@ class Sensor:
             notes=tuple(_notes(report, verdict, self.site.chips)),
             findings=verdict.findings,
         )
+
+
+def _unexplained(finding: Finding | None, verdict: Verdict) -> Finding | None:
+    """Return what anchors see, unless it is a current that the board measures: that is in the fields already."""
+    if finding is not None and finding.kind is Explanation.CURRENT and set(finding.beacons) <= verdict.ratio.keys():
+        return None
+    return finding
 
 
 def _notes(report: Report, verdict: Verdict, chips: int) -> Iterator[str]:
