@@ -5,25 +5,37 @@ from __future__ import annotations
 import contextlib
 import queue
 import threading
-from collections.abc import Iterator
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
 from typing import Protocol
 
 import can
 
-from goldfield.errors import SystemFailure, UserError, option
-from goldfield.link.can_channel import open_channel
+from goldfield.errors import SystemFailure, UserError, option, tell
+from goldfield.link.can_channel import open_channel, resynchronise
 from goldfield.link.recordings import CandumpReader
 from goldfield.link.serial_bus import SerialBus
+from goldfield.link.traffic import CORRUPT, GARBLED, added, kind_of, no_traffic
 
 CAN_BIT_RATE = 1_000_000
+
+LOOK_S = 0.1
+"""Longest wait of one look at a bus."""
+LOOKS = 20
+"""Most looks that are waited for before a bus counts as silent; an interface may wait longer than it is asked to."""
+ECHOES = 64
+"""Latest messages sent that may come back: udp_multicast hands a program what it sent itself."""
+RETRY_S = 0.5
+"""Time between attempts to open a link again."""
 
 
 class Source(Protocol):
     """A stream of messages."""
 
     @property
-    def bad_frames(self) -> int:
-        """Frames or lines that were dropped as corrupt."""
+    def traffic(self) -> Mapping[str, int]:
+        """What came and was no data frame with a 29-bit identifier, by the kinds of `goldfield.link.traffic`."""
         ...
 
     def receive(self, timeout_s: float) -> can.Message | None:
@@ -50,61 +62,157 @@ class BusSource:
         The bus; `close` shuts it down.
     name : str
         The link's name, for error messages.
+    shared : bool, optional
+        Whether other boards may be on the link, as on CAN; a serial line has one board.
+    listen_only : bool, optional
+        Nothing is ever sent: `send` raises.
+    reopen : callable, optional
+        Opens the bus again; it raises `UserError` or `can.CanError` as long as that is impossible. With it a link that
+        is gone is waited for, without end; else it ends the source.
+
+    Attributes
+    ----------
+    reconnections : int
+        How often the link was opened again.
     """
 
-    def __init__(self, bus: can.BusABC, name: str) -> None:
+    shared = False
+    listen_only = False
+    reconnects = False
+    reconnections = 0
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        name: str,
+        *,
+        shared: bool = False,
+        listen_only: bool = False,
+        reopen: Callable[[], can.BusABC] | None = None,
+    ) -> None:
         self.name = name
-        self._bus = bus
+        self.shared = shared
+        self.listen_only = listen_only
+        self.reconnects = reopen is not None
+        self._reopen = reopen
+        self._traffic = no_traffic()
+        self._sent: deque[tuple[int, bytes]] = deque(maxlen=ECHOES)
         self._queue: queue.SimpleQueue[can.Message | Exception] = queue.SimpleQueue()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._read, name=f"read {name}", daemon=True)
-        self._thread.start()
+        self._begin(bus)
 
     @property
-    def bad_frames(self) -> int:
-        """Frames dropped as corrupt; a CAN controller drops them itself, so 0 there."""
-        return self._bus.bad_frames if isinstance(self._bus, SerialBus) else 0
+    def traffic(self) -> Mapping[str, int]:
+        """What came and was no data frame with a 29-bit identifier; corrupt frames a CAN controller drops itself."""
+        return added(self._traffic, {CORRUPT: self._bus.bad_frames} if isinstance(self._bus, SerialBus) else {})
 
     def receive(self, timeout_s: float) -> can.Message | None:
-        """Return the next message, or None when none came in time; `UserError` after `close`."""
+        """Return the next message, or None when none came in time; `UserError` after `close`.
+
+        None is returned only when the link has been looked at after the time had passed, with nothing found: a process
+        that was stopped, with its computer or by a signal, takes what came meanwhile.
+        """
         if self._stop.is_set():
             raise UserError(_closed(self.name))
         try:
             item = self._queue.get(timeout=max(0.0, timeout_s))
         except queue.Empty:
-            return None
-        if isinstance(item, Exception):
+            found = self._found_by_looking()
+            if found is None:
+                return None
+            item = found
+        if not isinstance(item, Exception):
+            return item
+        if self._reopen is None:
             self._queue.put(item)
             raise SystemFailure(_sentence(self.name, item)) from item
-        return item
+        self._reconnect(item, self._reopen)
+        return None
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Send a message; `SystemFailure` if the link is gone."""
+        """Send a message; `SystemFailure` if the link is gone and is not waited for, or listens only."""
+        if self.listen_only:
+            raise SystemFailure(f"{self.name}: nothing is sent to a link that is only listened to")
+        self._sent.append((identifier, data))
         try:
             self._bus.send(can.Message(arbitration_id=identifier, is_extended_id=True, data=data), timeout=1.0)
         except (can.CanError, OSError) as error:
-            raise SystemFailure(_sentence(self.name, error)) from error
+            if self._reopen is None:
+                raise SystemFailure(_sentence(self.name, error)) from error
 
     def close(self) -> None:
         """Stop the thread and shut the bus down."""
         self._stop.set()
         self._thread.join(timeout=2.0)
+        self._shut_down()
+
+    def _begin(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        self._look = 0  # number of the look at the bus that is under way, or was the last one
+        self._empty_look = 0  # number of the latest one that found no message
+        self._thread = threading.Thread(target=self._read, args=(bus,), name=f"read {self.name}", daemon=True)
+        self._thread.start()
+
+    def _found_by_looking(self) -> can.Message | Exception | None:
+        """Return what the thread finds in a look that it begins after now; None for nothing."""
+        next_look = self._look + 1
+        for _ in range(LOOKS):
+            empty = self._empty_look >= next_look  # it comes first: what an earlier look found is in the queue
+            with contextlib.suppress(queue.Empty):
+                return self._queue.get(timeout=0.0 if empty else LOOK_S)
+            if empty:
+                break
+        return None
+
+    def _read(self, bus: can.BusABC) -> None:
+        while not self._stop.is_set():
+            self._look += 1
+            message = None
+            try:
+                message = bus.recv(timeout=LOOK_S)
+            except Exception as error:  # each vendor's interface raises its own kinds
+                if not _only_garbled(error):
+                    self._queue.put(error)
+                    return
+                self._traffic[GARBLED] += 1
+                resynchronise(bus)
+            if message is None:
+                self._empty_look = self._look
+                continue
+            kind = kind_of(message)
+            if kind is not None:
+                self._traffic[kind] += 1
+            elif not self._is_echo(message):
+                self._queue.put(message)
+
+    def _is_echo(self, message: can.Message) -> bool:
+        """Whether a message is one of this source, and has not come back before."""
+        try:
+            self._sent.remove((message.arbitration_id, bytes(message.data)))
+        except ValueError:
+            return False
+        return True
+
+    def _reconnect(self, error: Exception, reopen: Callable[[], can.BusABC]) -> None:
+        """Wait until the link can be opened again, and read on."""
+        tell(f"{_sentence(self.name, error)}; waiting for it")
+        if isinstance(self._bus, SerialBus):
+            self._traffic[CORRUPT] += self._bus.bad_frames
+        self._shut_down()
+        begin_s = time.monotonic()
+        while True:
+            try:
+                bus = reopen()
+                break
+            except (can.CanError, UserError):
+                time.sleep(RETRY_S)
+        self._begin(bus)
+        self.reconnections += 1
+        tell(f"{self.name}: is back after {time.monotonic() - begin_s:.1f} s")
+
+    def _shut_down(self) -> None:
         with contextlib.suppress(can.CanError, OSError):
             self._bus.shutdown()
-
-    def _read(self) -> None:
-        while not self._stop.is_set():
-            try:
-                message = self._bus.recv(timeout=0.2)
-            except Exception as error:  # whatever a vendor's interface raises ends this link, and is reported
-                self._queue.put(error)
-                return
-            if (
-                message is not None
-                and message.is_extended_id
-                and not (message.is_error_frame or message.is_remote_frame)
-            ):
-                self._queue.put(message)
 
 
 class LogSource:
@@ -114,17 +222,23 @@ class LogSource:
         self._reader = reader
         self._messages: Iterator[can.Message] = iter(reader)
         self._closed = False
+        self._traffic = no_traffic()
 
     @property
-    def bad_frames(self) -> int:
-        """Lines that are no message."""
-        return self._reader.bad_lines
+    def traffic(self) -> Mapping[str, int]:
+        """Lines that are no message, and frames that are no data frames with 29-bit identifiers."""
+        return added(self._traffic, {CORRUPT: self._reader.bad_lines})
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next message, None at the end; `UserError` after `close`."""
         if self._closed:
             raise UserError(_closed(self._reader.name))
-        return next(self._messages, None)
+        for message in self._messages:
+            kind = kind_of(message)
+            if kind is None:
+                return message
+            self._traffic[kind] += 1
+        return None
 
     def close(self) -> None:
         """Close the file."""
@@ -132,26 +246,41 @@ class LogSource:
         self._reader.close()
 
 
-def open_port(path: str) -> BusSource:
-    """Open a serial port; `UserError` if that fails."""
+def open_port(path: str, *, listen_only: bool = False, reconnect: bool = False) -> BusSource:
+    """Open a serial port; `UserError` if that fails. `BusSource` tells the options."""
+
+    def opened() -> can.BusABC:
+        return SerialBus(path, listen_only=listen_only)
+
     try:
-        return BusSource(SerialBus(path), path)
+        return BusSource(opened(), path, listen_only=listen_only, reopen=opened if reconnect else None)
     except can.CanError as error:
         raise UserError(f"{error}: check {option('port')}") from error
 
 
-def open_can(where: str) -> BusSource:
-    """Open ``INTERFACE:CHANNEL`` of python-can; `UserError` if that fails."""
+def open_can(where: str, *, listen_only: bool = False, reconnect: bool = False) -> BusSource:
+    """Open ``INTERFACE:CHANNEL`` of python-can; `UserError` if that fails. `BusSource` tells the options."""
     interface, separator, channel = where.partition(":")
     given = option("can", where)
     if not (interface and separator and channel):
         raise UserError(f"{given}: is not INTERFACE:CHANNEL, as in socketcan:can0 or udp_multicast:239.74.163.2")
     if interface not in can.VALID_INTERFACES:
         raise UserError(f"{given}: python-can knows no interface {interface}; it knows {_known_interfaces()}")
-    try:
-        return BusSource(open_channel(interface, channel, bitrate=CAN_BIT_RATE), where)
-    except Exception as error:  # each vendor's interface raises its own kinds
-        raise UserError(f"{given}: cannot be opened: {_one_line(error)}") from error
+
+    def opened() -> can.BusABC:
+        try:
+            return open_channel(interface, channel, listen_only=listen_only, bitrate=CAN_BIT_RATE)
+        except Exception as error:  # each vendor's interface raises its own kinds
+            raise UserError(f"{given}: cannot be opened: {_one_line(error)}") from error
+
+    return BusSource(opened(), where, shared=True, listen_only=listen_only, reopen=opened if reconnect else None)
+
+
+def _only_garbled(error: Exception) -> bool:
+    """Whether an interface could not read what had come, while the link itself is alive."""
+    if isinstance(error, can.CanError):
+        return error.__cause__ is not None and not isinstance(error.__cause__, OSError)
+    return isinstance(error, (ValueError, LookupError, TypeError, AttributeError))
 
 
 def _closed(name: str) -> str:

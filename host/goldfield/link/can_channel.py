@@ -16,7 +16,7 @@ MULTICAST_ALL = {socket.AF_INET: (socket.IPPROTO_IP, 49), socket.AF_INET6: (sock
 """Level and number of Linux's options IP_MULTICAST_ALL and IPV6_MULTICAST_ALL, which Python does not name."""
 
 
-def open_channel(interface: str, channel: str, **options: Any) -> can.BusABC:
+def open_channel(interface: str, channel: str, *, listen_only: bool = False, **options: Any) -> can.BusABC:
     """Open a python-can bus that hears its own channel and no other.
 
     python-can binds every ``udp_multicast`` bus to the same port of all addresses, and Linux then hands each of them
@@ -27,6 +27,8 @@ def open_channel(interface: str, channel: str, **options: Any) -> can.BusABC:
     ----------
     interface, channel : str
         Names that python-can knows, for example ``udp_multicast`` and ``239.74.163.2``.
+    listen_only : bool, optional
+        An adapter that can be told to acknowledge no frame either, as one of slcan, is told so.
     **options
         Further arguments of `can.Bus`.
 
@@ -39,11 +41,30 @@ def open_channel(interface: str, channel: str, **options: Any) -> can.BusABC:
     Exception
         Whatever python-can or a vendor's interface raises if there is no such bus.
     """
+    if listen_only and interface == "slcan":
+        options["listen_only"] = True
     bus = can.Bus(interface=interface, channel=channel, **options)
     if interface == "udp_multicast" and sys.platform == "linux":
         family = socket.AF_INET6 if ":" in channel else socket.AF_INET
         with socket.fromfd(bus.fileno(), family, socket.SOCK_DGRAM) as own:
             own.setsockopt(*MULTICAST_ALL[family], 0)
-        while bus.recv(timeout=0.0) is not None:
-            pass  # messages of other groups that came between the opening and the option
+        _drain(bus)
     return bus
+
+
+def resynchronise(bus: can.BusABC) -> None:
+    """Make a bus that could not read a line begin anew with the next; python-can's slcan would keep the line."""
+    line = getattr(bus, "_buffer", None)
+    if isinstance(line, bytearray):
+        line.clear()
+
+
+def _drain(bus: can.BusABC) -> None:
+    """Throw away messages of other groups that came between the opening and the option, readable or not."""
+    while True:
+        try:
+            if bus.recv(timeout=0.0) is None:
+                return
+        except can.CanOperationError as error:
+            if isinstance(error.__cause__, OSError):
+                raise

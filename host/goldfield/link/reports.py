@@ -25,6 +25,9 @@ FIELD_LIMIT_T = 524288e-10
 OFFSET_LIMIT_T = 524288e-9
 """An axis at or beyond the negative limit was not measured (framing.md)."""
 
+LONGEST_WAIT = 4096
+"""Most messages that wait for a header behind a silence: a cycle of 64 codes has 70, and thirds of it 270."""
+
 LONGEST_GAP = 1000
 """A cycle number that jumps further than so many cycles tells a restart, not a loss."""
 
@@ -98,8 +101,9 @@ class Assembler:
     Attributes
     ----------
     silence_s : float
-        After such a time without a message the low bits of a cycle say nothing any more: eight cycles, but not less
-        than `SHORTEST_SILENCE_S`.
+        After such a time without a message the low bits of a cycle say nothing by themselves: eight cycles, but not
+        less than `SHORTEST_SILENCE_S`. What comes then waits for the next header, whose number and time on the
+        sensor's own clock tell whether the sensor was silent, or its messages only came late.
     on_sensor : bool
         Whether the sensor's own poses are awaited too; else they are ignored.
     repeated : int
@@ -107,7 +111,7 @@ class Assembler:
     late : int
         Messages of cycles that were handed out already.
     orphans : int
-        Messages before the first header, or after a silence: nobody can tell their cycle.
+        Messages before the first header, or between a silence and the next one: nobody can tell their cycle.
     missed_cycles : int
         Cycles lost in gaps that were too long to hand out an empty report for each.
     restarts : int
@@ -126,6 +130,10 @@ class Assembler:
     """The parts of cycles by the cycle's low bits: they come before anything else of their cycle."""
     _newest: int | None = None
     _next: int | None = None
+    _header_s: float = float("-inf")
+    """Time of the latest header, on the sensor's clock."""
+    _waiting: list[Message] | None = None
+    """What came after a silence, and before the next header; None: there was no silence."""
     _last_time: float = float("-inf")
 
     def feed(self, message: Message, arrival_s: float) -> Iterator[Report]:
@@ -148,9 +156,33 @@ class Assembler:
         )
         if message.name not in awaited:
             return
-        if arrival_s - self._last_time > self.silence_s:
-            yield from self.end()
+        if arrival_s - self._last_time > self.silence_s and self._newest is not None:
+            self._waiting = []
         self._last_time = arrival_s
+        if self._waiting is not None:
+            if message.name != "EPOCH" and len(self._waiting) < LONGEST_WAIT:
+                self._waiting.append(message)
+                return
+            yield from self._end_silence(message)
+        yield from self._sort_in(message)
+
+    def _end_silence(self, message: Message) -> Iterator[Report]:
+        """Judge a silence by the message behind it, and take or give up what came in between."""
+        waiting, self._waiting = self._waiting or [], None
+        assert self._newest is not None
+        if message.name == "EPOCH" and message.signals["time"] >= self._header_s:
+            ahead = _distance(int(message.signals["cycle"]), self._newest)
+            if ahead in (0, 1):  # the sensor went on: only the way to here was held up
+                for late in waiting:
+                    yield from self._sort_in(late)
+                return
+            if 1 < ahead <= WINDOW:
+                self.orphans += len(waiting)
+                return
+        self.orphans += len(waiting)
+        yield from self.end()
+
+    def _sort_in(self, message: Message) -> Iterator[Report]:
         if message.name == "PART":
             parts = self._parts.setdefault(int(message.signals["cycle_low"]), {})
             self.repeated += message.index in parts
@@ -158,6 +190,7 @@ class Assembler:
             return
         if message.name == "EPOCH":
             cycle = int(message.signals["cycle"])
+            self._header_s = message.signals["time"]
             if self._newest is None or abs(_distance(cycle, self._newest)) > WINDOW:
                 yield from self.flush()
                 self._begin(cycle)
@@ -177,7 +210,10 @@ class Assembler:
         yield from self._ready()
 
     def flush(self) -> Iterator[Report]:
-        """Yield all open reports as they are."""
+        """Yield all open reports as they are; what still waits for a header is given up."""
+        if self._waiting:
+            self.orphans += len(self._waiting)
+            self._waiting = []
         if self._newest is not None:
             yield from self._hand_out(until=(self._newest + 1) % CYCLE_MODULUS)
 
@@ -194,6 +230,7 @@ class Assembler:
         """Yield all open reports; what follows may be of any cycle (the sensor restarts, or was silent)."""
         yield from self.flush()
         self._newest = None
+        self._waiting = None
         self._parts.clear()
 
     def _cycle_of(self, low: int) -> int:

@@ -11,6 +11,7 @@ from typing import Any
 import can
 import serial
 
+from goldfield.link.terminals import put_back, settings_of, whose_terminal
 from goldfield_protocol.framing import FrameDecoder, encode_frame
 
 BAUD_RATE = 2_000_000
@@ -34,31 +35,39 @@ class SerialBus(can.BusABC):
     channel : str
         Path of the port.
     baudrate : int
+    listen_only : bool
+        Nothing is ever sent.
 
     Raises
     ------
     can.CanInitializationError
-        If the port cannot be opened.
+        If the port cannot be opened, or is the terminal of a process.
 
     Notes
     -----
+    At the end the port is set to what it was set to before.
     A bad frame costs that frame only and is counted in `bad_frames`. A lost port raises `can.CanOperationError`.
     """
 
-    def __init__(self, channel: str, baudrate: int = BAUD_RATE, **kwargs: Any) -> None:
+    def __init__(self, channel: str, baudrate: int = BAUD_RATE, listen_only: bool = False, **kwargs: Any) -> None:
         self._port_name = channel
         self._decoder = FrameDecoder()
         self._received: deque[can.Message] = deque()
         self._in_step = False
+        self._listen_only = listen_only
+        whose = whose_terminal(channel)
+        if whose is not None:
+            raise can.CanInitializationError(f"{channel}: is {whose}, not the port of a board")
+        self._settings = settings_of(channel)
         try:
             self._port = serial.Serial(channel, baudrate, timeout=POLL_S, write_timeout=1.0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            self._is_shutdown = True  # nothing to close: keeps python-can from complaining about it
             raise can.CanInitializationError(f"{channel}: {_reason(error)}") from error
         self.channel_info = f"goldfield serial {channel}"
         self._can_protocol = can.CanProtocol.CAN_20
         super().__init__(channel=channel, **kwargs)
-        self._port.write(b"\0")  # ends a torn frame in the receiver
+        if not listen_only:
+            self._port.write(b"\0")  # ends a torn frame in the receiver
 
     @property
     def bad_frames(self) -> int:
@@ -67,6 +76,8 @@ class SerialBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a message; `can.CanOperationError` if the port is gone or takes no bytes for a second."""
+        if self._listen_only:
+            raise can.CanOperationError("the serial link is only listened to")
         if msg.is_remote_frame or msg.is_error_frame or msg.is_fd or not msg.is_extended_id:
             raise can.CanOperationError("the serial link carries extended data frames of up to 8 bytes only")
         try:
@@ -106,8 +117,10 @@ class SerialBus(can.BusABC):
         return int(self._port.fileno())
 
     def shutdown(self) -> None:
-        """Close the port."""
+        """Set the port to what it was set to before, and close it."""
         super().shutdown()
+        if self._port.is_open:
+            put_back(self._port.fileno(), self._settings)
         self._port.close()
 
     def _gone(self, error: Exception) -> can.CanOperationError:

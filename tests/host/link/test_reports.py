@@ -158,6 +158,49 @@ def test_a_silence_of_sixteen_cycles_without_a_header_joins_nothing():
     assert assembler.orphans == len(late)
 
 
+@pytest.mark.parametrize("cut", range(7))
+@pytest.mark.parametrize("parts", [False, True])
+def test_a_pause_of_the_reader_costs_no_cycle(cut, parts):
+    """A process that was stopped for 30 s, or a clock that was set forward: the arrivals jump, the sensor does not."""
+    vector = {"x": 0.0, "y": 0.0, "z": 0.0}
+    timed = []
+    for time_s, message in arrivals(range(3, 9)):
+        cycle = int(message.signals.get("cycle", -1))
+        if parts and cycle >= 0:
+            timed.append((time_s, decode(*encode("PART", vector | {"cycle_low": cycle % 16}, node=NODE, index=2))))
+        timed.append((time_s, message))
+    at = 2 * (8 if parts else 7) + cut
+    delayed = timed[:at] + [(time_s + 30.0, message) for time_s, message in timed[at:]]
+    assembler, reports = assemble(delayed)
+    assert [r.cycle for r in reports] == list(range(3, 9))
+    assert all(r.complete for r in reports)
+    assert all(len(r.parts_T) == parts for r in reports)
+    for report in reports:
+        assert_unmixed(report, report.cycle)
+    assert (assembler.orphans, assembler.late, assembler.restarts, assembler.missed_cycles) == (0, 0, 0, 0)
+
+
+def test_a_sensor_that_restarts_behind_a_silence_begins_anew():
+    """Its number is the next one by chance, but its clock has gone back."""
+    first, second = arrivals(range(3)), arrivals(range(3, 5))
+    again = [(t + 9.0, m) for t, m in second]
+    again = [
+        (
+            t,
+            decode(*encode("EPOCH", {"cycle": m.signals["cycle"], "time": 0.05}, node=NODE))
+            if m.name == "EPOCH"
+            else m,
+        )
+        for t, m in again
+    ]
+    assembler, reports = assemble([*first, *again])
+    assert [r.cycle for r in reports] == [0, 1, 2, 3, 4]
+    assert assembler.orphans == 0
+    late = [(t + 9.0, m) for t, m in first[15:]]  # fields of the cycle before, which nobody can tell from its own
+    assembler, reports = assemble([*first[:15], *late, *again])
+    assert assembler.orphans == len(late)
+
+
 def test_messages_before_the_first_header_are_orphans():
     assembler, reports = assemble(arrivals([8])[3:] + arrivals([9]))
     assert [r.cycle for r in reports] == [9]
