@@ -11,7 +11,7 @@ import can
 from goldfield.errors import UserError, tell
 
 CHANNEL = "goldfield"
-LINE = re.compile(rb"\((\d{1,12}\.\d{1,9})\) \S{1,64} ([0-9A-Fa-f]{8})#((?:[0-9A-Fa-f]{2}){0,8})(?: [RT])?\s*")
+LINE = re.compile(rb"\((\d{1,12}\.\d{1,9})\) (\S{1,64}) ([0-9A-Fa-f]{8})#((?:[0-9A-Fa-f]{2}){0,8})(?: [RT])?\s*")
 
 
 class CandumpReader:
@@ -49,16 +49,16 @@ class CandumpReader:
             # readline with a limit: a file without line ends must not fill the memory
             for line in iter(lambda: self._file.readline(200), b""):
                 match = LINE.fullmatch(line)
-                if match is None or int(match[2], 16) >= 1 << 29:
+                if match is None or int(match[3], 16) >= 1 << 29:
                     self.bad_lines += bool(line.strip())
                     continue
                 found = True
                 yield can.Message(
                     timestamp=float(match[1]),
-                    arbitration_id=int(match[2], 16),
+                    arbitration_id=int(match[3], 16),
                     is_extended_id=True,
-                    data=bytes.fromhex(match[3].decode()),
-                    channel=CHANNEL,
+                    data=bytes.fromhex(match[4].decode()),
+                    channel=match[2].decode(errors="replace"),
                 )
         if not found:
             raise UserError(
