@@ -5,7 +5,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
 
 import can
 
@@ -33,8 +36,15 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
         The source, as for `open_sensor`.
     site : Site
     """
-    choices = Options(chosen_method(arguments.track, arguments.on_sensor), arguments.node, arguments.seconds)
-    with contextlib.ExitStack() as stack:
+    choices = Options(
+        chosen_method(arguments.track, arguments.on_sensor),
+        arguments.node,
+        arguments.seconds,
+        channel=arguments.channel,
+        listen_only=arguments.listen_only,
+        reconnect=arguments.reconnect,
+    )
+    with terminated_like_interrupted(), contextlib.ExitStack() as stack:
         recorder = None
         if arguments.record:
             recorder = Branch(CandumpWriter(arguments.record), arguments.record, waits=kind == "log")
@@ -43,6 +53,23 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
     if stuck:
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
+
+
+@contextlib.contextmanager
+def terminated_like_interrupted() -> Iterator[None]:
+    """Make SIGTERM end the run as Ctrl-C does, with what is left written and a summary; only in the main thread."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def end_recording(recorder: Branch[can.Message]) -> None:

@@ -34,11 +34,17 @@ def add_site(parser: argparse.ArgumentParser) -> None:
 
 def add_json(parser: argparse.ArgumentParser) -> None:
     """Add ``--json``."""
+    add_switch(parser, "--json", what="one JSON object a line on stdout")
+
+
+def add_switch(parser: argparse.ArgumentParser, name: str, *, what: str) -> None:
+    """Add an option without a value, which the environment variable GOLDFIELD_NAME sets too."""
+    variable = environment_name(name)
     parser.add_argument(
-        "--json",
+        name,
         action="store_true",
-        default=switched_on("GOLDFIELD_JSON"),
-        help="one JSON object a line on stdout (environment: GOLDFIELD_JSON)",
+        default=switched_on(variable),
+        help=f"{what} (environment: {variable})",
     )
 
 

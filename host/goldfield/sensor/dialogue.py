@@ -6,9 +6,11 @@ import struct
 import time
 from collections.abc import Mapping, Sequence
 
+import can
+
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link.buses import BusSource
-from goldfield.sensor.receiver import Receiver
+from goldfield.sensor.receiver import Receiver, used_message
 from goldfield_protocol.messages import encode
 from goldfield_protocol.parameters import PARAMETERS, Kind, find_id, label_of
 
@@ -29,16 +31,24 @@ class Dialogue:
     Parameters
     ----------
     receiver : Receiver
-        Where the answers come from; whatever else arrives while an answer is awaited is lost to others.
+        Where the answers come from.
     bus : BusSource
         Takes the requests.
     node : int
+    keeps : bool, optional
+        Whether what else arrives while an answer is awaited is kept for `Receiver.put_back`; else it is lost to others.
+
+    Attributes
+    ----------
+    kept : list of can.Message
     """
 
-    def __init__(self, receiver: Receiver, bus: BusSource, node: int) -> None:
+    def __init__(self, receiver: Receiver, bus: BusSource, node: int, *, keeps: bool = False) -> None:
         self._receiver = receiver
         self._bus = bus
         self.node = node
+        self.kept: list[can.Message] = []
+        self._keeps = keeps
 
     def check_degree(self, degree: int) -> None:
         """Check that the sensor works with codes of the site's degree, which it reads once at its start.
@@ -73,25 +83,17 @@ class Dialogue:
         SystemFailure
             If the sensor does not answer or refuses.
         """
-        most = PARAMETERS["code_list"].count
-        if len(codes) > most:
-            raise UserError(f"the site has {len(codes)} beacons, a sensor reports {most} at most: split the site")
-        wanted: list[tuple[int, int | float]] = [
-            (PARAMETERS["code_list"].identifier(place), code) for place, code in enumerate(codes)
-        ]
-        wanted += [(PARAMETERS["code_count"].first, len(codes))]
-        wanted += [
-            (parameter, _single(value) if isinstance(value, float) else value)
-            for parameter, value in (parameters or {}).items()
-        ]
-        changes = [(parameter, value) for parameter, value in wanted if self.ask(parameter) != value]
-        for parameter, value in changes:
-            answer = self.ask(parameter, value)
-            if answer != value:
-                raise SystemFailure(
-                    f"{self._sensor} keeps parameter {label_of(parameter)} at {answer} instead of {value}"
-                )
+        wanted = wanted_parameters(codes, parameters)
+        changes = {parameter: value for parameter, value in wanted.items() if self.ask(parameter) != value}
+        for parameter, value in changes.items():
+            self.set(parameter, value)
         return bool(changes)
+
+    def set(self, parameter: int, value: int | float) -> None:
+        """Set a parameter; `SystemFailure` if the sensor does not answer, refuses, or keeps another value."""
+        answer = self.ask(parameter, value)
+        if answer != value:
+            raise SystemFailure(f"{self._sensor} keeps parameter {label_of(parameter)} at {answer} instead of {value}")
 
     def ask(self, parameter: int, value: int | float | None = None) -> int | float:
         """Read a parameter, or set it if a value is given, and return the sensor's answer.
@@ -121,9 +123,7 @@ class Dialogue:
                     f"{self._sensor} says that parameter {label_of(parameter)}{given} is "
                     f"{why}{_range_behind(parameter, status)}"
                 )
-            if "value_float" in answer:
-                return float(answer["value_float"])
-            return int(answer.get("value_unsigned", -1))
+            return value_of(answer)
         raise SystemFailure(
             f"{self._sensor} did not answer a request for parameter {label_of(parameter)} in {TRIES} tries"
         )
@@ -133,14 +133,49 @@ class Dialogue:
         wanted = "PARAM_VALUE", self.node, parameter
         deadline = time.monotonic() + ANSWER_S
         while (remaining := deadline - time.monotonic()) > 0.0:
-            message = self._receiver.receive(remaining)
-            if message is not None and (message.name, message.node, message.index) == wanted:
+            raw = self._receiver.receive_raw(remaining)
+            if raw is None:
+                continue
+            peeked = used_message(raw)
+            is_answer = peeked is not None and (peeked.name, peeked.node, peeked.index) == wanted
+            if self._keeps and not is_answer:
+                self.kept.append(raw)
+                continue
+            message = self._receiver.decoded(raw)
+            if message is not None and is_answer:
                 return message.signals
         return None
 
     @property
     def _sensor(self) -> str:
         return f"{self._receiver.name}: sensor {self.node}"
+
+
+def wanted_parameters(codes: Sequence[int], parameters: Parameters | None = None) -> dict[int, int | float]:
+    """Return what a sensor must have to report these codes, with further parameters: values by id, as it keeps them.
+
+    Raises
+    ------
+    UserError
+        If there are more codes than a sensor reports.
+    """
+    most = PARAMETERS["code_list"].count
+    if len(codes) > most:
+        raise UserError(f"the site has {len(codes)} beacons, a sensor reports {most} at most: split the site")
+    wanted: dict[int, int | float] = {
+        PARAMETERS["code_list"].identifier(place): code for place, code in enumerate(codes)
+    }
+    wanted[PARAMETERS["code_count"].first] = len(codes)
+    for parameter, value in (parameters or {}).items():
+        wanted[parameter] = _single(value) if isinstance(value, float) else value
+    return wanted
+
+
+def value_of(answer: Mapping[str, float]) -> int | float:
+    """Return the value that the signals of a `PARAM_VALUE` tell; -1 for a signed one, of which there is none."""
+    if "value_float" in answer:
+        return float(answer["value_float"])
+    return int(answer.get("value_unsigned", -1))
 
 
 def _range_behind(identifier: int, status: int) -> str:

@@ -21,6 +21,8 @@ def connect(
     node: int | None = None,
     track: bool = False,
     on_sensor: bool = False,
+    listen_only: bool = False,
+    reconnect: bool = False,
 ) -> Sensor:
     """Connect to a sensor board: find it, check that it suits the site, and make it report the site's beacons.
 
@@ -33,12 +35,16 @@ def connect(
     site : Site or path
         The site, or its file.
     node : int, optional
-        Node of the sensor, 1 to 4095; the first sensor heard if it is not given. A beacon with a sensor of its own, an
-        anchor, is read only if its node is given.
+        Node of the sensor, 1 to 4095; it must be given where there are several sensors. A beacon with a sensor of its
+        own, an anchor, is read only if its node is given.
     track : bool, optional
         Make a pose of an epoch and those before it, for a sensor in motion; else every epoch is located by itself.
     on_sensor : bool, optional
         Let the sensor board compute the poses; not together with ``track``.
+    listen_only : bool, optional
+        Send nothing, ever: for a bus on which a recording is replayed, or a sensor that another host has set up.
+    reconnect : bool, optional
+        Wait for a port that is gone and for a sensor that is silent, and go on; else they end the poses.
 
     Returns
     -------
@@ -48,8 +54,8 @@ def connect(
     Raises
     ------
     UserError
-        If the arguments contradict each other, the port or bus cannot be opened, the site file is wrong, or a board
-        does not suit the site or speaks another protocol.
+        If the arguments contradict each other, the port or bus cannot be opened, the site file is wrong, there are
+        several sensors to choose from, or the sensor does not suit the site or speaks another protocol.
     SystemFailure
         If no sensor is heard within 10 s (30 s if others are), or it does not answer.
 
@@ -65,7 +71,8 @@ def connect(
     goldfield.errors.UserError: no source is given: give one of port= and can=
     """
     kind, where = _only(port=port, can=can)
-    return open_sensor(kind, where, _site(site), Options(chosen_method(track, on_sensor), node))
+    options = Options(chosen_method(track, on_sensor), node, listen_only=listen_only, reconnect=reconnect)
+    return open_sensor(kind, where, _site(site), options)
 
 
 def open_log(
@@ -73,6 +80,7 @@ def open_log(
     *,
     site: Site | str | Path,
     node: int | None = None,
+    channel: str | None = None,
     track: bool = False,
     on_sensor: bool = False,
 ) -> Sensor:
@@ -82,6 +90,8 @@ def open_log(
     ----------
     path : path
         The log, as candump and ``goldfield run --record`` write it.
+    channel : str, optional
+        Channel of the sensor, as ``"can0"``, in a log of several buses.
     site, node, track, on_sensor
         As for `connect`. With ``on_sensor`` the poses are those that the sensor sent when it was recorded.
 
@@ -94,7 +104,7 @@ def open_log(
     ------
     UserError
         If the arguments contradict each other, or the log cannot be read; while reading, if it holds no message, no
-        cycle of a sensor, or messages of another protocol.
+        cycle of a sensor, several sensors to choose from, or messages of another protocol.
 
     Examples
     --------
@@ -106,7 +116,7 @@ def open_log(
     >>> poses[0].status.value, poses[0].position_m.round(1)
     ('ok', array([0.9, 1.2, 0.8]))
     """
-    return open_sensor("log", str(path), _site(site), Options(chosen_method(track, on_sensor), node))
+    return open_sensor("log", str(path), _site(site), Options(chosen_method(track, on_sensor), node, channel=channel))
 
 
 def open_sensor(
@@ -127,14 +137,15 @@ def open_sensor(
     """
     options = Options() if options is None else options
     options.check(site)
-    return Sensor(open_source(kind, where), where, site, options, recorder)
+    return Sensor(open_source(kind, where, options), where, site, options, recorder)
 
 
-def open_source(kind: str, where: str) -> Source:
-    """Open a source, with kind and place as for `open_sensor`; `UserError` if that fails."""
+def open_source(kind: str, where: str, options: Options) -> Source:
+    """Open a source, with kind, place and options as for `open_sensor`; `UserError` if that fails."""
     if kind == "log":
         return LogSource(CandumpReader(where))
-    return open_port(where) if kind == "port" else open_can(where)
+    opened = open_port if kind == "port" else open_can
+    return opened(where, listen_only=options.listen_only, reconnect=options.reconnect)
 
 
 def _site(site: Site | str | Path) -> Site:

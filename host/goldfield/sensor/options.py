@@ -53,11 +53,20 @@ class Options:
         Node of the sensor, 1 to 4095, which may be an anchor's; None: the first sensor that is heard, and no anchor.
     seconds : float or None
         Ends the epochs after so much time of the sensor; None: they go on until the log ends, or without end.
+    channel : str or None
+        Channel of the sensor in a log or on an interface that has several.
+    listen_only : bool
+        Nothing is ever sent: for a bus on which a recording is replayed, or that another host has set up.
+    reconnect : bool
+        A live link that is gone, and a sensor that is silent, are waited for; else they end the epochs.
     """
 
     method: Method = Method.EACH
     node: int | None = None
     seconds: float | None = None
+    channel: str | None = None
+    listen_only: bool = False
+    reconnect: bool = False
 
     def check(self, site: Site) -> None:
         """Check that the options suit a site.

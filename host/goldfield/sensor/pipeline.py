@@ -75,7 +75,8 @@ class Sensor:
     Raises
     ------
     UserError
-        If the site's codes cannot be separated, a node speaks another protocol, or a live sensor does not suit.
+        If the site's codes cannot be separated, there are several sensors to choose from, or a live sensor does not
+        suit or speaks another protocol.
     SystemFailure
         If no live sensor is heard, or it does not answer.
     """
@@ -94,7 +95,15 @@ class Sensor:
         self._found = False
         self._options = Options() if options is None else options
         method = self._options.method
-        self._session = Session(source, name, site, self._options.node, recorder, on_sensor=method is method.ON_SENSOR)
+        self._session = Session(
+            source,
+            name,
+            site,
+            self._options.node,
+            recorder,
+            on_sensor=method is method.ON_SENSOR,
+            channel=self._options.channel,
+        )
         try:
             self._separation = Separation(site)
             self._locate = location(site, method)
@@ -120,7 +129,8 @@ class Sensor:
         SystemFailure
             If a live link is lost, or the sensor silent for 10 s.
         UserError
-            If a node speaks another protocol, a recording holds no cycle of a sensor, or the sensor was closed.
+            If the sensor speaks another protocol, a recording holds no cycle of a sensor or several sensors to choose
+            from, or the sensor was closed.
         """
         for report in self.reports():
             self._found = True
@@ -166,7 +176,7 @@ class Sensor:
 
     @property
     def bad_frames(self) -> int:
-        """Frames so far that were dropped as corrupt, and messages that the protocol does not explain."""
+        """Frames so far that were dropped as damaged: corrupt, unreadable, of a wrong length or without a meaning."""
         return self._session.receiver.bad_frames
 
     @property
@@ -201,14 +211,15 @@ class Sensor:
 
     @property
     def link_counts(self) -> dict[str, int]:
-        """What went wrong on the way of the sensor's messages, with how often; what never did is left out."""
+        """What else came over the link, and what went wrong on the way, with how often; what never did is left out."""
         counts = {
-            "corrupt frames": self.bad_frames,
+            **self._session.receiver.traffic,
             "cycles missed in gaps": self.missed_cycles,
             "messages that came twice": self.repeated,
             "messages that came after their epoch": self.late,
             "messages of unknown cycles": self.orphans,
             "jumps of the cycle's number": self.restarts,
+            "parameters put back that another host had set": self._session.keeping.changes,
         }
         return {name: count for name, count in counts.items() if count}
 

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
 
 import can
 from cantools.database.errors import Error as DatabaseError
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, tell
 from goldfield.link.buses import Source
 from goldfield.link.reports import ON_SENSOR_POSE
-from goldfield_protocol.messages import Identifier, Message, database, decode, protocol_hash
+from goldfield.link.traffic import (
+    BY_MISMATCH,
+    DAMAGED,
+    MEANINGLESS,
+    OTHER_CHANNEL,
+    OTHER_PROTOCOL,
+    added,
+    no_traffic,
+)
+from goldfield_protocol.messages import Identifier, Message, database, decode, mismatch, protocol_hash
 
 ROLES = {0: "beacon", 1: "sensor", 2: "host", 3: "anchor"}
 """What a node is, by the number in its heartbeat."""
@@ -25,11 +35,14 @@ USED = (
     "HEARTBEAT",
     "COUNTER",
     "PARAM_VALUE",
+    "PARAM_SET",
     "SYNC",
     "DRIVE_STATUS",
     *ON_SENSOR_POSE,
 )
 USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in USED}
+TO_NODES = ("PARAM_SET",)
+"""Messages whose node is the receiver's, not the sender's."""
 
 
 class Recorder(Protocol):
@@ -59,8 +72,10 @@ class Receiver:
 
     Attributes
     ----------
-    undecodable : int
-        Messages that the protocol's database does not explain.
+    node : int or None
+        The node that is read: it must speak this host's protocol.
+    channel : str or None
+        Messages of other channels are left out; None: all are taken.
     """
 
     def __init__(
@@ -71,22 +86,49 @@ class Receiver:
         listener: Callable[[Message], None] | None = None,
     ) -> None:
         self.name = name
-        self.undecodable = 0
+        self.node: int | None = None
+        self.channel: str | None = None
+        self._traffic = no_traffic()
         self._source = source
         self._recorder = recorder
         self._listener = listener
+        self._ahead: deque[can.Message] = deque()
+        self._strangers: set[int] = set()
+        self._told: set[str] = set()
+
+    @property
+    def traffic(self) -> Mapping[str, int]:
+        """What came and is no message of boards with this host's protocol, by kind (`goldfield.link.traffic`)."""
+        return added(self._source.traffic, self._traffic)
 
     @property
     def bad_frames(self) -> int:
-        """Frames that the link dropped as corrupt, and messages that say nothing by the protocol's database."""
-        return self._source.bad_frames + self.undecodable
+        """Frames so far that were damaged: corrupt, unreadable, of a wrong length or without a meaning."""
+        counts = self.traffic
+        return sum(counts[kind] for kind in DAMAGED)
+
+    def tell_once(self, text: str) -> None:
+        """Tell the user something of the link, on stderr; the same text a second time is not told."""
+        if text not in self._told:
+            self._told.add(text)
+            tell(f"{self.name}: {text}")
+
+    def forget(self, text: str) -> None:
+        """Tell a text again the next time that `tell_once` gets it."""
+        self._told.discard(text)
 
     def receive_raw(self, timeout_s: float) -> can.Message | None:
         """Return the next message as it came, None when none came in time or, for a log, at its end."""
+        if self._ahead:
+            return self._ahead.popleft()
         raw = self._source.receive(timeout_s)
         if raw is not None and self._recorder is not None:
             self._recorder.write(raw)
         return raw
+
+    def put_back(self, messages: Iterable[can.Message]) -> None:
+        """Let messages that were received be received again, in their order, before all others."""
+        self._ahead.extendleft(reversed(list(messages)))
 
     def receive(self, timeout_s: float) -> Message | None:
         """Return the next message; None too for one that is not used."""
@@ -94,35 +136,67 @@ class Receiver:
         return None if raw is None else self.decoded(raw)
 
     def decoded(self, raw: can.Message) -> Message | None:
-        """Decode a message of the `USED` ones; None for any other.
+        """Decode a message of the `USED` ones; None for any other, which is counted if it is none of ours.
 
         Raises
         ------
         UserError
-            If it is the heartbeat of a node that speaks another protocol.
+            If it is the heartbeat of the node that is read, which speaks another protocol.
         """
-        if Identifier.unpack(raw.arbitration_id).type not in USED_TYPES:
+        if self.channel is not None and channel_of(raw) != self.channel:
+            self._traffic[OTHER_CHANNEL] += 1
             return None
-        try:
-            message = decode(raw.arbitration_id, bytes(raw.data))
-        except (DatabaseError, ValueError):
-            message = None
+        fault = mismatch(raw.arbitration_id, len(raw.data))
+        if fault is not None:
+            self._traffic[BY_MISMATCH[fault]] += 1
+            return None
+        message = used_message(raw)
         if message is None:
-            self.undecodable += 1
+            self._traffic[MEANINGLESS] += Identifier.unpack(raw.arbitration_id).type in USED_TYPES
             return None
         if message.name == "HEARTBEAT":
             self._check_protocol(message)
+        if message.node in self._strangers and message.name not in TO_NODES:
+            self._traffic[OTHER_PROTOCOL] += 1
+            return None
         if self._listener is not None:
             self._listener(message)
         return message
 
     def _check_protocol(self, heartbeat: Message) -> None:
-        theirs, ours = int(heartbeat.signals["protocol_hash"]), protocol_hash()
-        if theirs == ours:
+        fault = other_protocol(heartbeat)
+        if fault is None:
+            self._strangers.discard(heartbeat.node)
             return
-        role = ROLES.get(int(heartbeat.signals["role"]), "unknown")
-        version = ".".join(str(int(heartbeat.signals[f"version_{part}"])) for part in ("major", "minor", "patch"))
-        raise UserError(
-            f"{self.name}: node {heartbeat.node} ({role}, firmware {version}) speaks protocol {theirs:#010x} and this "
-            f"host {ours:#010x}: flash it with the {role} firmware of this host's version (make flash ROLE={role})"
-        )
+        if heartbeat.node == self.node:
+            raise UserError(f"{self.name}: {fault}")
+        self._strangers.add(heartbeat.node)
+        self.tell_once(f"{fault}; until then it is ignored")
+
+
+def channel_of(raw: can.Message) -> str | None:
+    """Return the channel that a message came on, None if its source tells none."""
+    return None if raw.channel is None else str(raw.channel)
+
+
+def used_message(raw: can.Message) -> Message | None:
+    """Decode a message of the `USED` ones; None for any other frame."""
+    if Identifier.unpack(raw.arbitration_id).type not in USED_TYPES:
+        return None
+    try:
+        return decode(raw.arbitration_id, bytes(raw.data))
+    except (DatabaseError, ValueError):
+        return None
+
+
+def other_protocol(heartbeat: Message) -> str | None:
+    """Return what to do with a node that speaks another protocol than this host; None if it speaks the same."""
+    theirs, ours = int(heartbeat.signals["protocol_hash"]), protocol_hash()
+    if theirs == ours:
+        return None
+    role = ROLES.get(int(heartbeat.signals["role"]), "unknown")
+    version = ".".join(str(int(heartbeat.signals[f"version_{part}"])) for part in ("major", "minor", "patch"))
+    return (
+        f"node {heartbeat.node} ({role}, firmware {version}) speaks protocol {theirs:#010x} and this "
+        f"host {ours:#010x}: flash it with the {role} firmware of this host's version (make flash ROLE={role})"
+    )

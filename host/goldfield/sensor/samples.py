@@ -17,6 +17,7 @@ from goldfield_protocol.messages import decode
 from goldfield_protocol.parameters import PARAMETERS
 
 SILENCE_S = 10.0
+WAIT_S = 0.5
 
 
 def sample_cycles(session: Session, site: Site) -> Generator[FloatArray]:
@@ -60,13 +61,16 @@ def _calibration(dialogue: Dialogue) -> Calibration:
 
 
 def _cycles(session: Session, assembler: ChipAssembler, calibration: Calibration) -> Iterator[FloatArray]:
-    heard = time.monotonic()
+    silent_s = 0.0
     while True:
-        raw = session.receiver.receive_raw(0.5)
+        begin_s = time.monotonic()
+        raw = session.receiver.receive_raw(WAIT_S)
         message = None if raw is None else decode(raw.arbitration_id, bytes(raw.data))
         if message is not None and message.node == session.node and message.name == "CHIP":
-            heard = time.monotonic()
+            silent_s = 0.0
             for sums in assembler.feed(message):
                 yield calibration.field_T(sums)
-        elif time.monotonic() - heard > SILENCE_S:
+            continue
+        silent_s += min(time.monotonic() - begin_s, WAIT_S)  # this process may have been stopped meanwhile
+        if silent_s > SILENCE_S:
             raise SystemFailure(f"{session.name}: sensor {session.node} sent no raw chip for {SILENCE_S:.0f} s")

@@ -5,17 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
+import can
+
 from goldfield.errors import SystemFailure, UserError, option
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.sensor.anchors import AnchorWatch
+from goldfield.sensor.census import ROLE_ANCHOR, ROLE_SENSOR, Census, Place
 from goldfield.sensor.dialogue import Dialogue, Parameters
 from goldfield.sensor.health import Health
-from goldfield.sensor.receiver import ROLES, Receiver, Recorder
+from goldfield.sensor.keeping import Keeping
+from goldfield.sensor.receiver import Receiver, Recorder
 from goldfield.site import Site
 from goldfield_protocol.messages import Message, encode
 
-ROLE_SENSOR, ROLE_ANCHOR = 1, 3
 STATE_STARTING = 0
 
 QUIET_S = 1.0
@@ -25,6 +28,13 @@ SILENCE_S = 10.0
 PATIENCE_S = 30.0
 """Longest wait for a heartbeat of the sensor while others are heard. Heartbeats come once a second, but simulated
 boards may run slower than the wall clock."""
+LOOK_AROUND_S = 1.2
+"""How long a bus that others share is listened to once a sensor was heard: each board has then sent a heartbeat."""
+LOOKED_AT = 5000
+"""Most messages of a recording that are looked at for sensors: a second of fifty boards."""
+WAIT_S = 0.5
+"""Longest wait for one message while a sensor is looked for. A wait counts for no more, however long it took: this
+process, or the whole computer, may have been stopped meanwhile."""
 
 
 class Session:
@@ -57,6 +67,8 @@ class Session:
         What every board on the link last said of itself.
     anchors : AnchorWatch
         What the anchors on the link see of the beacons.
+    keeping : Keeping
+        What the sensor was set to, and what others have changed of that.
     counters : dict of int to int
         The sensor's own error counters since its reset, those that it told; `counter_name` names them.
     """
@@ -69,19 +81,33 @@ class Session:
         node: int | None = None,
         recorder: Recorder | None = None,
         on_sensor: bool = False,
+        channel: str | None = None,
     ) -> None:
         self.name = name
-        self.node = node
         self.health = Health(site.cycle_s)
-        self.health.node = node
         self.anchors = AnchorWatch(site)
         self.receiver = Receiver(source, name, recorder, self._listen)
         self.assembler = Assembler(silence_s=max(SHORTEST_SILENCE_S, 8.0 * site.cycle_s), on_sensor=on_sensor)
+        self.keeping = Keeping(self.receiver)
         self.counters: dict[int, int] = {}
         self._bus = source if isinstance(source, BusSource) else None
         self._site = site
         self._asked = node is not None
+        self._channel = channel
         self._parameters: Parameters | None = None
+        self._quiet_s = 0.0
+        self._looked = False
+        self._reconnections = 0
+        self.node = node
+
+    @property
+    def node(self) -> int | None:
+        """The sensor's node; None until one was heard."""
+        return self._node
+
+    @node.setter
+    def node(self, node: int | None) -> None:
+        self._node = self.health.node = self.receiver.node = node
 
     @property
     def live(self) -> bool:
@@ -89,11 +115,19 @@ class Session:
         return self._bus is not None
 
     @property
+    def talks(self) -> bool:
+        """Whether the sensor can be asked and set; a live one may be listened to only."""
+        return self._bus is not None and not self._bus.listen_only
+
+    @property
     def dialogue(self) -> Dialogue:
         """The dialogue with the sensor; it must be live and found."""
+        return self._dialogue()
+
+    def _dialogue(self, *, keeps: bool = False) -> Dialogue:
         assert self._bus is not None
         assert self.node is not None
-        return Dialogue(self.receiver, self._bus, self.node)
+        return Dialogue(self.receiver, self._bus, self.node, keeps=keeps)
 
     def start(self, parameters: Parameters | None = None) -> bool:
         """Find a live sensor and make it report the site's codes, now and after each of its resets.
@@ -117,6 +151,8 @@ class Session:
             more beacons than a sensor reports.
         """
         self.find()
+        if not self.talks:
+            return False
         self.dialogue.check_degree(self._site.degree)
         self._parameters = parameters or {}
         changed = self._configure()
@@ -125,60 +161,59 @@ class Session:
         return changed
 
     def find(self) -> None:
-        """Wait for a live sensor's heartbeat.
+        """Wait for a live sensor's heartbeat; where it is only listened to, its reports count too.
 
         Raises
         ------
         SystemFailure
             If nothing is heard for `SILENCE_S`, or no sensor within `PATIENCE_S`.
         UserError
-            If a node speaks another protocol.
+            If there are several sensors to choose from, or the sensor speaks another protocol.
         """
-        heard: set[str] = set()
-        begin = heard_last = time.monotonic()
-        while time.monotonic() < min(heard_last + SILENCE_S, begin + PATIENCE_S):
-            message = self.receiver.receive(min(SILENCE_S, 0.5))
-            if message is None:
-                continue
-            heard_last = time.monotonic()
-            role = message.signals["role"] if message.name == "HEARTBEAT" else None
-            if role == ROLE_SENSOR or (role == ROLE_ANCHOR and self._asked):
-                if self.node in (None, message.node):
-                    self.node = self.health.node = message.node
-                    return
-                heard.add(f"{ROLES[int(role)]} {message.node}")
-            elif role == ROLE_ANCHOR:
-                heard.add(f"anchor {message.node} (to read it, give {option('node', message.node)})")
-            else:
-                heard.add(f"{message.name} of node {message.node}")
-        wanted = "a sensor" if self.node is None else f"sensor {self.node}"
-        bad_frames = self.receiver.bad_frames
-        if heard:
-            what = f"heard only {', '.join(sorted(heard)[:4])}"
-        elif bad_frames:
-            what = f"heard only {bad_frames} corrupt frames: check the wiring and that nothing else uses the link"
-        else:
-            what = "heard nothing: check the power, the cable and the port"
-        waited_s = time.monotonic() - begin
-        raise SystemFailure(f"{self.name}: no heartbeat of {wanted} in {waited_s:.0f} s; {what}")
+        census = Census(self.node, self._channel, by_reports=not self.talks)
+        kept: list[can.Message] = []
+        alone = self._asked or self._bus is None or not (self._bus.shared or self._bus.listen_only)
+        silent_s = waited_s = around_s = 0.0
+        while silent_s < SILENCE_S and waited_s < PATIENCE_S and around_s < LOOK_AROUND_S:
+            begin_s = time.monotonic()
+            raw = self.receiver.receive_raw(WAIT_S)
+            step_s = min(time.monotonic() - begin_s, WAIT_S)
+            if raw is not None:
+                kept.append(raw)
+            silent_s = silent_s + step_s if raw is None or census.take(raw) is None else 0.0
+            waited_s += step_s
+            if census.found and alone:
+                break
+            around_s += step_s if census.found or census.refused else 0.0
+        if not self._take_place(census.choose(self.name)):
+            for raw in kept:
+                self.receiver.decoded(raw)  # which counts what is none of ours
+            raise SystemFailure(self._nothing_found(census, waited_s))
+        self.receiver.put_back(kept)
 
     def reports(self) -> Iterator[Report]:
         """Yield the reports of the sensor's cycles, to the end of a log or without end.
 
+        Silence is what the link itself shows: time counts only while a message is waited for, and little of it each
+        time, so that neither a pause of this process nor one of who takes the reports is taken for one of the sensor.
+
         Raises
         ------
         SystemFailure
-            If a live link is lost or silent for `SILENCE_S`.
+            If a live link is lost or silent for `SILENCE_S`, and is not waited for.
         UserError
-            If a node speaks another protocol, or the first reports of a log are an anchor's that nobody asked for.
+            If the sensor speaks another protocol, a log has several to choose from, or the first reports of a log are
+            an anchor's that nobody asked for.
         """
-        quiet_since = time.monotonic()
+        self._look_through()
         while True:
+            begin_s = time.monotonic()
             try:
                 raw = self.receiver.receive_raw(QUIET_S)
             except SystemFailure:
                 yield from self.assembler.flush()
                 raise
+            step_s = min(time.monotonic() - begin_s, QUIET_S)
             if raw is None and not self.live:
                 yield from self.assembler.flush()
                 return
@@ -188,26 +223,93 @@ class Session:
             if message is not None and message.name == "HEARTBEAT":
                 self._ask_who(message.node)
             if raw is not None and message is not None and message.node == self.node:
-                quiet_since = time.monotonic()
+                self._heard_again()
                 yield from self._take(message, raw.timestamp)
             elif self.live:
                 # Nothing, or the other nodes of a bus.
-                quiet_s = time.monotonic() - quiet_since
-                if quiet_s > QUIET_S:
+                self._quiet_s += step_s
+                if self._quiet_s > QUIET_S:
                     yield from self.assembler.flush()
-                if quiet_s > SILENCE_S:
-                    raise SystemFailure(f"{self.name}: sensor {self.node} has been silent for {SILENCE_S:.0f} s")
+                self._judge_silence()
+
+    def _judge_silence(self) -> None:
+        """End the session if the sensor has been silent for too long, or say so if it is waited for."""
+        if self._quiet_s <= SILENCE_S:
+            return
+        text = f"sensor {self.node} has been silent for {SILENCE_S:.0f} s"
+        if self._bus is None or not self._bus.reconnects:
+            raise SystemFailure(f"{self.name}: {text}")
+        self.receiver.tell_once(f"{text}; waiting for it")
+
+    def _heard_again(self) -> None:
+        """Set the sensor again if it may have forgotten everything while the link was gone, or it was silent."""
+        reconnections = 0 if self._bus is None else self._bus.reconnections
+        if reconnections != self._reconnections or self._quiet_s > SILENCE_S:
+            if reconnections == self._reconnections:
+                self.receiver.forget(f"sensor {self.node} has been silent for {SILENCE_S:.0f} s; waiting for it")
+            self._reconnections = reconnections
+            if self._parameters is not None:
+                try:
+                    self._configure()
+                except SystemFailure as error:  # it is set when it says that it has started
+                    self.receiver.tell_once(f"the sensor is back but could not be set: {error}")
+        self._quiet_s = 0.0
+
+    def _look_through(self) -> None:
+        """Choose the sensor of a recording by its beginning; one that is only listened to is found already."""
+        if self.live or self._looked:
+            return
+        self._looked = True
+        census = Census(self.node, self._channel, by_reports=True)
+        kept: list[can.Message] = []
+        first_s: float | None = None
+        while len(kept) < LOOKED_AT and (raw := self.receiver.receive_raw(0.0)) is not None:
+            kept.append(raw)
+            message = census.take(raw)
+            if message is not None and message.name == "EPOCH":
+                first_s = raw.timestamp if first_s is None else first_s
+                if raw.timestamp - first_s > LOOK_AROUND_S:
+                    break
+        self.receiver.put_back(kept)
+        self._take_place(census.choose(self.name))
+        self.receiver.channel = self.receiver.channel or self._channel
+
+    def _take_place(self, place: Place | None) -> bool:
+        """Read the sensor at a place from now on; tells whether there is one."""
+        if place is None:
+            return False
+        self.node, self.receiver.channel = place.node, place.channel
+        return True
+
+    def _nothing_found(self, census: Census, waited_s: float) -> str:
+        wanted = "a sensor" if self.node is None else f"sensor {self.node}"
+        others = [f"{count} {kind}" for kind, count in self.receiver.traffic.items() if count]
+        if census.heard:
+            what = f"heard only {', '.join(sorted(census.heard)[:4])}"
+        elif others:
+            what = f"heard only {', '.join(others)}: check the wiring and that nothing else uses the link"
+        else:
+            what = "heard nothing: check the power, the cable and the port"
+        return f"{self.name}: no heartbeat of {wanted} in {waited_s:.0f} s; {what}"
 
     def _configure(self) -> bool:
+        self.keeping.begin(self.node, self._site.codes, self._parameters, self.health.now_s)
         return self.dialogue.configure(self._site.codes, self._parameters)
 
     def _listen(self, message: Message) -> None:
+        self.keeping.take(message, self.health.now_s)
+        if message.name == "PARAM_SET":
+            return
         self.health.take(message)
         self.anchors.take(message)
+        other = self.node not in (None, message.node) and not self._asked
+        if other and message.name == "HEARTBEAT" and message.signals["role"] == ROLE_SENSOR:
+            choice = option("node", message.node)
+            self.receiver.tell_once(f"sensor {message.node} is there too: {self.node} is read; {choice} reads it")
 
     def _ask_who(self, node: int) -> None:
         """Ask a live board that drives a coil for what tells which beacon it is; its answers come among the others."""
-        if self._bus is not None:
+        if self._bus is not None and self.talks:
             for parameter in self.health.boards[node].unasked:
                 self._bus.send(*encode("PARAM_GET", {"reserved": 0}, node=node, index=parameter))
 
@@ -226,3 +328,7 @@ class Session:
             self.counters.clear()
             if self._parameters is not None:
                 self._configure()
+        if self._parameters is not None and self.keeping.disturbed:
+            dialogue = self._dialogue(keeps=True)
+            self.keeping.put_back(dialogue, self.health.now_s)
+            self.receiver.put_back(dialogue.kept)

@@ -9,6 +9,7 @@ import pytest
 from goldfield import site as sites
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link.buses import open_can, open_port
+from goldfield.link.traffic import MEANINGLESS, OTHER_CHANNEL, OTHER_PROTOCOL, WRONG_LENGTH
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield.sensor.session import Session
@@ -175,7 +176,7 @@ def test_anchors_are_read_when_asked_for(virtual):
 
 def test_a_log_that_begins_with_an_anchors_reports():
     class Log:
-        bad_frames = 0
+        traffic = {}  # noqa: RUF012
 
         def __init__(self):
             messages = [*cycle_messages(4), *cycle_messages(5), heartbeat(role=3), *cycle_messages(6)]
@@ -199,11 +200,246 @@ def test_can_buses_carry_the_same():
     session.find()
     reports = session.reports()
     assert [next(reports).cycle, next(reports).cycle] == [4, 5]
-    sender.send(*heartbeat(node=3, role=0, hash_=1))
-    with pytest.raises(UserError, match=r"node 3 \(beacon.*ROLE=beacon"):
-        next(reports)
     sender.close()
     source.close()
+
+
+def test_a_beacon_with_another_protocol_is_told_and_ignored(virtual, capsys):
+    link, session = virtual()
+    foreign = [heartbeat(node=3, role=0, hash_=1), encode("COUNTER", {"counter": 2, "value": 9}, node=3, index=2)]
+    for message in [heartbeat(), *foreign, *cycle_messages(4), *foreign, *cycle_messages(5), *foreign]:
+        link.deliver(message)
+    session.find()
+    reports = session.reports()
+    assert [next(reports).cycle, next(reports).cycle] == [4, 5]
+    err = capsys.readouterr().err
+    assert err.count("node 3 (beacon, firmware 0.1.0) speaks protocol 0x00000001") == 1
+    assert "flash it with the beacon firmware of this host's version (make flash ROLE=beacon)" in err
+    assert session.receiver.traffic[OTHER_PROTOCOL] == 4
+    assert 3 not in session.health.boards
+    link.deliver(heartbeat(node=3, role=0))
+    link.deliver(heartbeat(hash_=5))
+    with pytest.raises(UserError, match=r"node 100 \(sensor, firmware 0.1.0\) speaks protocol 0x00000005"):
+        next(reports)
+    assert 3 in session.health.boards, "it has been flashed meanwhile"
+
+
+def test_of_two_sensors_one_is_chosen(virtual):
+    others = [heartbeat(node=7), heartbeat(node=3, role=0)]
+    link, session = virtual()
+    link.shared = True
+    for message in [heartbeat(), *others]:
+        link.deliver(message, after_s=0.9)
+    with pytest.raises(UserError, match=r"several sensors: sensor 7 \(node=7\), sensor 100 \(node=100\): choose one"):
+        session.find()
+    for node in (7, 100):
+        link, session = virtual(node=node)
+        link.shared = True
+        for message in [heartbeat(), *others]:
+            link.deliver(message)
+        session.find()
+        assert session.node == node
+
+
+def test_a_sensor_of_another_protocol_does_not_hide_one_that_can_be_read(virtual, capsys):
+    link, session = virtual()
+    link.shared = True
+    link.deliver(heartbeat(node=7, hash_=1))
+    link.deliver(heartbeat(), after_s=1.0)
+    session.find()
+    assert session.node == NODE
+    link, session = virtual(node=7)
+    link.deliver(heartbeat(node=7, hash_=1))
+    with pytest.raises(UserError, match=r"node 7 \(sensor.*make flash ROLE=sensor"):
+        session.find()
+
+
+def test_a_second_sensor_that_comes_later_is_told(virtual, capsys):
+    link, session = virtual()
+    for message in [heartbeat(), *cycle_messages(4), heartbeat(node=7), *cycle_messages(5), heartbeat(node=7)]:
+        link.deliver(message)
+    session.find()
+    reports = session.reports()
+    assert [next(reports).cycle, next(reports).cycle] == [4, 5]
+    assert next_or_none(reports) is None
+    assert capsys.readouterr().err == "goldfield: virtual: sensor 7 is there too: 100 is read; node=7 reads it\n"
+
+
+def next_or_none(reports):
+    try:
+        return next(reports)
+    except SystemFailure:
+        return None
+
+
+class LogOf:
+    """A recording with these messages: (identifier, data), or with a channel before them."""
+
+    traffic = {}  # noqa: RUF012
+
+    def __init__(self, messages):
+        self.left = []
+        for place, message in enumerate(messages):
+            channel, identifier, data = message if len(message) == 3 else (None, *message)
+            self.left.append(can.Message(0.01 * place, identifier, channel=channel, data=data))
+
+    def receive(self, timeout_s):
+        return self.left.pop(0) if self.left else None
+
+
+def interleaved(cycles, senders):
+    """Cycles of several sensors, each a (channel, node); that of another node has the number in its identifiers."""
+    for cycle in cycles:
+        for channel, node in senders:
+            for identifier, data in cycle_messages(cycle + 50 * (node != NODE) + 200 * (channel == "can1")):
+                yield channel, identifier & ~0xFFF | node, data
+
+
+def test_of_several_channels_and_nodes_in_a_log_one_is_chosen():
+    senders = [("can0", NODE), ("can1", NODE), ("can1", 7)]
+
+    def cycles(node=None, channel=None):
+        session = Session(LogOf(interleaved(range(3), senders)), "x.log", ROOM, node, channel=channel)
+        return [report.cycle for report in session.reports()], session
+
+    with pytest.raises(
+        UserError,
+        match=r"x.log: there are several sensors: sensor 100 on can0 \(channel=can0\), sensor 7 on can1 "
+        r"\(channel=can1 node=7\), sensor 100 on can1 \(channel=can1 node=100\): choose one",
+    ):
+        cycles()
+    got, session = cycles(channel="can0")
+    assert got == [0, 1, 2]
+    assert session.receiver.traffic[OTHER_CHANNEL] == 66
+    assert cycles(node=7)[0] == [250, 251, 252]
+    assert cycles(node=NODE, channel="can1")[0] == [200, 201, 202]
+    with pytest.raises(UserError, match=r"sensor 100 on can0 \(channel=can0\), sensor 100 on can1 \(channel=can1\)"):
+        cycles(node=NODE)
+    assert cycles(channel="can7")[0] == []
+
+
+def test_another_host_that_sets_the_sensor_is_told_and_undone(virtual, capsys):
+    link, session = virtual(parameters={28: 10})
+    link.deliver(heartbeat())
+    assert session.start() is True
+    foreign = [encode("PARAM_SET", {"kind": 0, "value_unsigned": 3}, node=NODE, index=5)]
+    foreign += [encode("PARAM_VALUE", {"kind": 0, "status": 0, "value_unsigned": 3}, node=NODE, index=5)]
+    link.parameters[5] = 3
+    link.requests.clear()
+    for message in [*cycle_messages(4), *foreign, *cycle_messages(5)]:
+        link.deliver(message)
+    reports = session.reports()
+    assert [next(reports).cycle, next(reports).cycle] == [4, 5]
+    assert link.requests == [("PARAM_SET", 5)]
+    assert link.parameters[5] == 8
+    assert session.keeping.changes == 1
+    err = capsys.readouterr().err
+    assert "another host sets parameters of sensor 100" in err
+    assert "another host has set code_count of sensor 100 to 3: put back to 8" in err
+
+
+def test_two_hosts_that_want_different_things_do_not_fight_for_ever(virtual, capsys):
+    link, session = virtual(parameters={28: 10})
+    link.deliver(heartbeat())
+    session.start()
+    link.requests.clear()
+    for cycle in range(20):
+        link.parameters[5] = 3
+        value = {"kind": 0, "status": 0, "value_unsigned": 3}
+        for message in [*cycle_messages(cycle), encode("PARAM_VALUE", value, node=NODE, index=5)]:
+            link.deliver(message, after_s=0.1 * cycle)
+    reports = session.reports()
+    assert [next(reports).cycle for _ in range(20)] == list(range(20))
+    assert next_or_none(reports) is None
+    assert link.requests == [("PARAM_SET", 5)] * 5
+    assert capsys.readouterr().err.count("this one has put it back 5 times") == 1
+
+
+def test_a_change_behind_our_back_shows_in_the_reports(virtual, capsys):
+    """Set on the serial port, while this host is on CAN: nobody hears it, but the reports have other codes."""
+    link, session = virtual(parameters={28: 10})
+    link.deliver(heartbeat())
+    session.start()
+    link.parameters[256 + 7] = 77
+    link.requests.clear()
+    codes = [*CODES[:-1], 77]
+    for cycle in range(20):
+        for identifier, data in cycle_messages(cycle):
+            field = identifier >> 24 == 5
+            moved = field and identifier >> 12 & 0xFFF == CODES[-1]
+            link.deliver((5 << 24 | codes[-1] << 12 | NODE, data) if moved else (identifier, data), 0.1 * cycle)
+    reports = session.reports()
+    while link.parameters[256 + 7] == 77:
+        next(reports)
+    assert link.parameters[256 + 7] == CODES[-1]
+    assert link.requests.count(("PARAM_SET", 256 + 7)) == 1
+    assert "another host has set code_list[7] of sensor 100 to 77: put back to 9" in capsys.readouterr().err
+
+
+class Stopped(VirtualLink):
+    """The process is stopped for 30 s when so many messages have come; they go on to come meanwhile."""
+
+    stop_after = -1
+
+    def receive(self, timeout_s):
+        self.stop_after -= 1
+        if self.stop_after == 0:
+            self.now_s += 30.0
+            return None  # the wait is over, and nobody has looked at the link yet
+        return super().receive(timeout_s)
+
+
+@pytest.mark.parametrize("at", range(30, 42))
+def test_half_a_minute_in_which_the_process_is_stopped_costs_no_cycle(monkeypatch, at):
+    link = Stopped()
+    monkeypatch.setattr(sessions, "time", link)
+    monkeypatch.setattr(dialogues, "time", link)
+    session = Session(link, "virtual", ROOM)
+    link.deliver(heartbeat())
+    session.find()
+    for cycle in range(320):
+        for place, message in enumerate(MESSAGES[cycle]):
+            link.deliver(message, after_s=0.1 * cycle + 1e-3 * place)
+    link.stop_after = at
+    reports = list(itertools.islice(session.reports(), 320))
+    assert [report.cycle for report in reports] == list(range(320))
+    assert sum(report.lost(8) for report in reports) == 0
+    assert (session.assembler.late, session.assembler.orphans) == (0, 0)
+
+
+MESSAGES = [cycle_messages(cycle) for cycle in range(320)]
+
+
+def test_a_silence_is_waited_for_and_the_sensor_set_again(virtual, capsys):
+    link, session = virtual(parameters={28: 10})
+    link.reconnects = True
+    link.deliver(heartbeat())
+    session.start()
+    for message in cycle_messages(4):
+        link.deliver(message)
+    for message in cycle_messages(5):
+        link.deliver(message, after_s=100.0)
+    reports = session.reports()
+    assert next(reports).cycle == 4
+    link.parameters[5] = 0
+    assert next(reports).cycle == 5
+    assert link.parameters[5] == 8
+    assert capsys.readouterr().err.count("sensor 100 has been silent for 10 s; waiting for it") == 1
+
+
+def test_nothing_is_ever_sent_to_a_bus_that_is_only_listened_to(virtual, monkeypatch):
+    monkeypatch.setattr(VirtualLink, "listen_only", True)
+    link, session = virtual()
+    for cycle in range(20):
+        for message in [*cycle_messages(cycle), heartbeat(node=3, role=0)]:
+            link.deliver(message, after_s=0.1 * cycle)
+    link.deliver(heartbeat(state=0), after_s=2.0)
+    assert session.start({9: 1}) is False
+    assert session.node == NODE
+    reports = session.reports()
+    assert [next(reports).cycle for _ in range(20)] == list(range(20))
+    assert next_or_none(reports) is None
+    assert link.requests == []
 
 
 def test_a_sensor_that_falls_silent_while_others_talk(virtual):
@@ -231,6 +467,9 @@ def test_a_message_of_the_wrong_length_is_counted():
     sender.send(identifier, b"\x03" + data[1:])  # there is no kind 3
     sender.send(*heartbeat())
     session.find()
+    while (message := session.receiver.receive(1.0)) is None or message.name != "HEARTBEAT":
+        pass
     assert session.receiver.bad_frames == 2
+    assert session.receiver.traffic[WRONG_LENGTH] == session.receiver.traffic[MEANINGLESS] == 1
     sender.close()
     source.close()

@@ -1,0 +1,129 @@
+"""Which sensors are on a link, and which of them is read: the only one, or the one that the user chose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import can
+
+from goldfield.errors import UserError, option
+from goldfield.sensor.receiver import ROLES, TO_NODES, channel_of, other_protocol, used_message
+from goldfield_protocol.messages import Message
+
+ROLE_SENSOR, ROLE_ANCHOR = 1, 3
+
+
+@dataclass(frozen=True)
+class Place:
+    """A node on a channel; a channel of None is the only one that the source has."""
+
+    channel: str | None
+    node: int
+
+
+class Census:
+    """Counts the sensors among the messages of a link.
+
+    Parameters
+    ----------
+    node : int, optional
+        The node that the user chose, which may be an anchor's.
+    channel : str, optional
+        The channel that the user chose.
+    by_reports : bool, optional
+        Whether a node that sends reports counts as a sensor though it has not told its role, as in a recording.
+
+    Attributes
+    ----------
+    heard : set of str
+        What else was heard, for an error message.
+    refused : str or None
+        What to do with a sensor that would count if it spoke this host's protocol.
+    """
+
+    def __init__(self, node: int | None = None, channel: str | None = None, *, by_reports: bool = False) -> None:
+        self.heard: set[str] = set()
+        self.refused: str | None = None
+        self._node = node
+        self._channel = channel
+        self._by_reports = by_reports
+        self._reporting: dict[Place, None] = {}
+        self._roles: dict[Place, int] = {}
+
+    def take(self, raw: can.Message) -> Message | None:
+        """Take a message; return it decoded if it is one of ours."""
+        message = used_message(raw)
+        if message is None or message.name in TO_NODES:
+            return None
+        place = Place(channel_of(raw), message.node)
+        if message.name == "EPOCH":
+            self._reporting[place] = None
+        if message.name == "HEARTBEAT":
+            self._take_heartbeat(place, message)
+        else:
+            self.heard.add(f"{message.name} of node {message.node}")
+        return message
+
+    @property
+    def found(self) -> tuple[Place, ...]:
+        """The sensors that can be read, the one that was heard first before the others."""
+        places = dict.fromkeys((*self._roles, *(self._reporting if self._by_reports else ())))
+        return tuple(place for place in places if self._chosen(place) and self._senses(place))
+
+    def choose(self, name: str) -> Place | None:
+        """Return the sensor that is read, None if none was found.
+
+        Parameters
+        ----------
+        name : str
+            The link's name.
+
+        Raises
+        ------
+        UserError
+            If there are several, or the only one speaks another protocol.
+        """
+        found = self.found
+        if not found and self.refused is not None:
+            raise UserError(f"{name}: {self.refused}")
+        if len(found) > 1:
+            raise UserError(f"{name}: there are several sensors: {', '.join(self._named(found))}: choose one")
+        return found[0] if found else None
+
+    def _named(self, places: tuple[Place, ...]) -> Iterator[str]:
+        """Yield each sensor with the options that choose it and no other."""
+        for place in sorted(places, key=lambda place: (place.channel or "", place.node)):
+            what = f"{ROLES.get(self._roles.get(place, ROLE_SENSOR), 'sensor')} {place.node}"
+            options = []
+            if sum(other.node == place.node for other in places) > 1 or len({p.channel for p in places}) > 1:
+                what += f" on {place.channel}"
+                options.append(option("channel", place.channel or ""))
+            if sum(other.channel == place.channel for other in places) > 1:
+                options.append(option("node", place.node))
+            yield f"{what} ({' '.join(options)})"
+
+    def _take_heartbeat(self, place: Place, heartbeat: Message) -> None:
+        role = int(heartbeat.signals["role"])
+        fault = other_protocol(heartbeat)
+        if fault is not None:
+            self._roles.pop(place, None)
+            self._reporting.pop(place, None)
+            if self._chosen(place) and (role == ROLE_SENSOR or self._node is not None):
+                self.refused = fault
+            self.heard.add(f"node {place.node}, which speaks another protocol")
+            return
+        self._roles[place] = role
+        if role == ROLE_ANCHOR and self._node is None:
+            self.heard.add(f"anchor {place.node} (to read it, give {option('node', place.node)})")
+        else:
+            self.heard.add(f"{ROLES[role]} {place.node}")
+
+    def _chosen(self, place: Place) -> bool:
+        return self._node in (None, place.node) and self._channel in (None, place.channel)
+
+    def _senses(self, place: Place) -> bool:
+        role = self._roles.get(place)
+        if role is None:
+            return self._by_reports and place in self._reporting
+        return role == ROLE_SENSOR or (role == ROLE_ANCHOR and self._node is not None)
