@@ -24,6 +24,7 @@ COMMANDS = {
     "run": ("goldfield.cli.run", "live poses from a sensor"),
     "locate": ("goldfield.cli.locate", "poses from a table of fields"),
     "ports": ("goldfield.cli.ports", "serial ports and CAN interfaces"),
+    "doctor": ("goldfield.cli.doctor", "what is wrong, and what to do"),
     "nodes": ("goldfield.cli.nodes", "who is on a link; read and set parameters"),
     "samples": ("goldfield.cli.samples", "raw samples of a sensor"),
     "separate": ("goldfield.cli.separate", "field of each beacon from raw samples"),

@@ -19,6 +19,8 @@ DETECTION_S = 3.0
 NO_BUSES = ("virtual", "udp_multicast", "socketcand", "serial", "goldfield_serial")
 """Interfaces of python-can that name channels without hardware behind them, ports again, or machines of the network."""
 
+NETWORK = Path("/sys/class/net")
+
 ADAPTERS = {
     (0x0403, None): "USB serial adapter (FTDI)",
     (0x10C4, 0xEA60): "USB serial adapter (CP210x)",
@@ -137,7 +139,17 @@ def _user() -> str:
         return "$USER"
 
 
-def can_interfaces(timeout_s: float = DETECTION_S, network: Path = Path("/sys/class/net")) -> list[CanInterface]:
+def kernel_can_interfaces(network: Path = NETWORK) -> list[CanInterface]:
+    """Return the CAN interfaces of the kernel, which lists its network interfaces in a folder."""
+    return [_of_kernel(path) for path in sorted(network.glob("*")) if _text(path / "type") == "280"]
+
+
+def kernel_can_errors(channel: str, network: Path = NETWORK) -> int:
+    """Return how many errors the kernel has counted on one of its CAN interfaces; 0 if it is none."""
+    return sum(int(_text(network / channel / "statistics" / f"{way}_errors") or 0) for way in ("rx", "tx"))
+
+
+def can_interfaces(timeout_s: float = DETECTION_S, network: Path = NETWORK) -> list[CanInterface]:
     """Return the CAN interfaces of this machine: those of the kernel, and those that vendors' libraries name.
 
     Parameters
@@ -147,7 +159,6 @@ def can_interfaces(timeout_s: float = DETECTION_S, network: Path = Path("/sys/cl
     network : path
         Where the kernel lists its network interfaces.
     """
-    kernel = [_of_kernel(path) for path in sorted(network.glob("*")) if _text(path / "type") == "280"]
     command = [sys.executable, "-m", "goldfield.link.can_detection", str(timeout_s), *NO_BUSES, "socketcan"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=timeout_s + 5.0, check=False)
@@ -155,7 +166,7 @@ def can_interfaces(timeout_s: float = DETECTION_S, network: Path = Path("/sys/cl
     except subprocess.TimeoutExpired:
         told = []
     named: Sequence[Sequence[str]] = json.loads(told[0]) if told else []
-    return kernel + [CanInterface(interface, channel, None) for interface, channel in named]
+    return kernel_can_interfaces(network) + [CanInterface(interface, channel, None) for interface, channel in named]
 
 
 def _of_kernel(path: Path) -> CanInterface:

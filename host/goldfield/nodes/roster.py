@@ -23,7 +23,9 @@ STARTING = 0
 REQUESTS = ("PARAM_SET", "PARAM_GET", "PARAM_DESCRIBE")
 """Messages that hosts send; the node in their identifier is the receiver's."""
 ECHO_S = 2.0
-"""A bus that hands a host its own messages does so within this time, s."""
+"""A bus that hands a host its own messages back does so within this time, s."""
+
+UNLOCKED = "a clock that is not locked"
 
 Value = int | float
 
@@ -49,7 +51,7 @@ class Drive:
             (self.over_current, "over-current"),
             (self.open_coil, "an open coil"),
             (self.driver_fault, "a driver fault"),
-            (not self.locked, "a clock that is not locked"),
+            (not self.locked, UNLOCKED),
             (self.target_A == 0.0, "an amplitude of 0 A"),
             (self.target_A != 0.0 and not self.enabled, "a bridge that is off"),
         )
@@ -166,11 +168,9 @@ class Roster:
     def _take_request(self, message: Message, identifier: int, data: bytes, now_s: float) -> None:
         while self._sent and self._sent[0][0] < now_s - ECHO_S:
             self._sent.popleft()
-        for place, (_, own, own_data) in enumerate(self._sent):
-            if (own, own_data) == (identifier, data):
-                del self._sent[place]
-                return
-        self.requests_of_others.append(message)
+        # A bus may hand a message back more than once: each adapter and bridge on it can.
+        if not any((own, own_data) == (identifier, data) for _, own, own_data in self._sent):
+            self.requests_of_others.append(message)
 
 
 def decoded(raw: can.Message) -> Message | None:

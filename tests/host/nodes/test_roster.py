@@ -59,12 +59,11 @@ def test_requests_of_another_host_are_told_from_echoes_of_our_own():
     roster = Roster()
     roster.sent(*request, 0.0)
     roster.take(raw(request), 0.1)
+    roster.take(raw(request), ECHO_S)
     assert roster.requests_of_others == []
-    roster.take(raw(request), 0.2)  # only one was ours
-    assert [message.index for message in roster.requests_of_others] == [5]
-    roster.sent(*request, 1.0)
-    roster.take(raw(request), 1.1 + ECHO_S)
-    assert len(roster.requests_of_others) == 2
+    roster.take(raw(encode("PARAM_SET", {"kind": 0, "value_unsigned": 4}, node=100, index=5)), 0.2)
+    roster.take(raw(request), 0.1 + ECHO_S)
+    assert [message.signals["value_unsigned"] for message in roster.requests_of_others] == [4, 3]
 
 
 @pytest.mark.parametrize(
