@@ -23,6 +23,7 @@ from goldfield.files.environment import switched_on
 COMMANDS = {
     "run": ("goldfield.cli.run", "live poses from a sensor"),
     "locate": ("goldfield.cli.locate", "poses from a table of fields"),
+    "monitor": ("goldfield.cli.monitor", "live health of a sensor and its beacons"),
     "ports": ("goldfield.cli.ports", "serial ports and CAN interfaces"),
     "doctor": ("goldfield.cli.doctor", "what is wrong, and what to do"),
     "nodes": ("goldfield.cli.nodes", "who is on a link; read and set parameters"),
