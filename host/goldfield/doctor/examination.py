@@ -10,6 +10,7 @@ from goldfield.doctor import boards, machine, poses
 from goldfield.doctor.checks import Check, Fault, sound, unjudged, wrong
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link.ports import kernel_can_errors
+from goldfield.link.traffic import DAMAGED, damaged
 from goldfield.nodes.conversation import Conversation, Tap
 from goldfield.nodes.roster import Node, Roster
 from goldfield.sensor.options import Options
@@ -64,7 +65,7 @@ class Examination:
         with closing(Tap(link)) as tap:
             silent = yield from self._of_link(tap)
         if silent:
-            yield machine.silence(self._kind, self._where, link.bad_frames)
+            yield machine.silence(self._kind, self._where, damaged(tap.others))
 
     def _of_link(self, tap: Tap) -> Generator[Check, None, bool]:
         """Yield what is found on an open link; return whether no node was heard."""
@@ -168,7 +169,7 @@ class Examination:
                 )
 
     def _corrupt_frames(self, tap: Tap, roster: Roster) -> Iterator[Check]:
-        bad, good = tap.bad_frames, sum(node.messages for node in roster.nodes.values())
+        bad, good = damaged(tap.others), sum(node.messages for node in roster.nodes.values())
         if bad > BAD_SHARE * (bad + good):
             yield wrong(
                 Fault.LINK,
@@ -176,8 +177,9 @@ class Examination:
                 f"{bad} of {bad + good} frames were corrupt",
                 "check cable, ground and adapter; that nothing else writes to this port",
             )
-        if roster.others:
-            said = ", ".join(f"{count} {what}" for what, count in sorted(roster.others.items()))
+        foreign = {kind: count for kind, count in tap.others.items() if count and kind not in DAMAGED}
+        if foreign:
+            said = ", ".join(f"{count} {kind}" for kind, count in foreign.items())
             yield unjudged("foreign traffic", f"{said}: left out")
 
     def _bus_errors(self) -> int:

@@ -72,3 +72,8 @@ def kind_of(message: can.Message) -> str | None:
 def added(*counts: Mapping[str, int]) -> dict[str, int]:
     """Return the sum of several counts, kind by kind."""
     return {kind: sum(count.get(kind, 0) for count in counts) for kind in KINDS}
+
+
+def damaged(counts: Mapping[str, int]) -> int:
+    """Return how many frames were damaged."""
+    return sum(counts.get(kind, 0) for kind in DAMAGED)

@@ -6,12 +6,13 @@ Whatever arrives meanwhile goes to the `Roster`, so that nothing is missed while
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 
 import can
 
 from goldfield.errors import SystemFailure
 from goldfield.link.buses import BusSource
+from goldfield.link.traffic import added
 from goldfield.nodes.roster import Roster, Value, decoded, value_of
 from goldfield_protocol.messages import Message, encode
 from goldfield_protocol.parameters import Kind, find_id, label_of
@@ -43,13 +44,19 @@ class Tap(BusSource):
 
     def __init__(self, link: BusSource) -> None:
         self.name = link.name
+        self.shared, self.listen_only, self.reconnects = link.shared, link.listen_only, link.reconnects
         self.roster = Roster()
         self._link = link
 
     @property
-    def bad_frames(self) -> int:
-        """Frames dropped as corrupt."""
-        return self._link.bad_frames
+    def traffic(self) -> Mapping[str, int]:
+        """What the link dropped, by kind; what it handed on and is no message of a node is in the roster's count."""
+        return self._link.traffic
+
+    @property
+    def others(self) -> dict[str, int]:
+        """All that came and is no message of a node, by the kinds of `goldfield.link.traffic`."""
+        return added(self._link.traffic, self.roster.others)
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next message, None when none came in time."""

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 import can
 from cantools.database.errors import Error as DatabaseError
 
-from goldfield_protocol.messages import Message, database, decode, protocol_hash
+from goldfield.link.traffic import BY_MISMATCH, MEANINGLESS, kind_of
+from goldfield_protocol.messages import Message, database, decode, mismatch, protocol_hash
 from goldfield_protocol.parameters import Kind
 
 ROLES = {0: "beacon", 1: "sensor", 2: "host", 3: "anchor"}
@@ -129,7 +130,7 @@ class Roster:
     nodes : dict of int to Node
         The nodes by number.
     others : dict of str to int
-        Messages that no node of this protocol sends, by what they are.
+        What came and is no message of a node, by the kinds of `goldfield.link.traffic`.
     requests_of_others : list of Message
         Requests that this host did not send: another host speaks on the bus.
     """
@@ -146,12 +147,10 @@ class Roster:
 
     def take(self, raw: can.Message, now_s: float) -> None:
         """Take the next message that came."""
-        if not raw.is_extended_id or raw.is_error_frame or raw.is_remote_frame or raw.is_fd:
-            self.others["frames that are no 29-bit data frames"] += 1
-            return
-        message = decoded(raw)
+        kind = kind_of(raw) or _kind_of_data_frame(raw)
+        message = None if kind is not None else decoded(raw)
         if message is None:
-            self.others["messages that the protocol does not explain"] += 1
+            self.others[kind or MEANINGLESS] += 1
         elif message.name in REQUESTS:
             self._take_request(message, raw.arbitration_id, bytes(raw.data), now_s)
         elif message.node == 0:
@@ -171,6 +170,12 @@ class Roster:
         # A bus may hand a message back more than once: each adapter and bridge on it can.
         if not any((own, own_data) == (identifier, data) for _, own, own_data in self._sent):
             self.requests_of_others.append(message)
+
+
+def _kind_of_data_frame(raw: can.Message) -> str | None:
+    """Return the kind of a frame that is no message by its identifier and length; None for one that may be."""
+    fault = mismatch(raw.arbitration_id, len(raw.data))
+    return None if fault is None else BY_MISMATCH[fault]
 
 
 def decoded(raw: can.Message) -> Message | None:

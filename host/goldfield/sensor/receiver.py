@@ -14,11 +14,11 @@ from goldfield.link.buses import Source
 from goldfield.link.reports import ON_SENSOR_POSE
 from goldfield.link.traffic import (
     BY_MISMATCH,
-    DAMAGED,
     MEANINGLESS,
     OTHER_CHANNEL,
     OTHER_PROTOCOL,
     added,
+    damaged,
     no_traffic,
 )
 from goldfield_protocol.messages import Identifier, Message, database, decode, mismatch, protocol_hash
@@ -104,8 +104,7 @@ class Receiver:
     @property
     def bad_frames(self) -> int:
         """Frames so far that were damaged: corrupt, unreadable, of a wrong length or without a meaning."""
-        counts = self.traffic
-        return sum(counts[kind] for kind in DAMAGED)
+        return damaged(self.traffic)
 
     def tell_once(self, text: str) -> None:
         """Tell the user something of the link, on stderr; the same text a second time is not told."""
