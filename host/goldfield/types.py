@@ -39,13 +39,16 @@ class Fields:
     Raises
     ------
     UserError
-        If the arrays' shapes are not those of as many beacons.
+        If the arrays' shapes are not those of as many beacons, or a beacon comes twice.
 
     Examples
     --------
     >>> Fields(0, 0.0, ("b1", "b2"), np.zeros((2, 3)), np.ones(3))
     Traceback (most recent call last):
     goldfield.errors.UserError: sigma_T= of Fields has the shape (3,): 2 beacons need (2,)
+    >>> Fields(0, 0.0, ("b1", "b1"), np.zeros((2, 3)), np.ones(2))
+    Traceback (most recent call last):
+    goldfield.errors.UserError: beacons= of Fields names b1 twice: a beacon has one row
     """
 
     epoch: int
@@ -56,12 +59,15 @@ class Fields:
     sweep_T_s: float | None = None
 
     def __post_init__(self) -> None:
-        """Check the shapes, so that no array reaches the search that is not as this class says."""
+        """Check shapes and names, so that nothing reaches the search that is not as this class says."""
         count = len(self.beacons)
         for name, shape in (("field_T", (count, 3)), ("sigma_T", (count,))):
             given = np.shape(getattr(self, name))
             if given != shape:
                 raise UserError(f"{name}= of Fields has the shape {given}: {count} beacons need {shape}")
+        if len(set(self.beacons)) < count:
+            twice = next(name for name in self.beacons if self.beacons.count(name) > 1)
+            raise UserError(f"beacons= of Fields names {twice} twice: a beacon has one row")
 
 
 class Status(StrEnum):

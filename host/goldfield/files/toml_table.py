@@ -140,6 +140,11 @@ class Table:
             raise self.error(key, f"must be a text in quotes, not {_kind(value)}")
         return value
 
+    def name(self, key: str) -> str:
+        """Return a required name: a text that is not empty, or a whole number, as text."""
+        value = self._required(key)
+        return str(value) if isinstance(value, int) and not isinstance(value, bool) else self.text(key)
+
     def integer(self, key: str) -> int:
         """Return a required whole number."""
         value = self._required(key)

@@ -34,7 +34,7 @@ def load(path: str | Path) -> Site:
 
     The table ``[sensor]`` describes the sensor:
 
-    - ``noise_T``: standard deviation of one chip's sample on one axis, above 0;
+    - ``noise_T``: standard deviation of one chip's sample on one axis, from `LEAST_NOISE_T` to below 1 T;
     - ``gain_sd``, ``axis_sd_rad``: optional, how well the gains and directions of its axes are known (`SensorSite`).
 
     The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
@@ -43,7 +43,7 @@ def load(path: str | Path) -> Site:
 
     Each table ``[[beacon]]`` describes one coil, in metres and in the site's frame:
 
-    - ``id``: text, different for each beacon;
+    - ``id``: text or a whole number, different for each beacon;
     - ``current_A``: amplitude, not 0; a negative current turns the moment round;
     - ``radius_m`` for a circular coil, which needs ``position_m`` (its centre), ``axis`` (its normal, of any length)
       and ``turns``; or
@@ -108,6 +108,9 @@ SURVEY_LIMITS = {"position_sd_m": (1.0, " m"), "axis_sd_rad": (0.5, " rad"), "cu
 SENSOR_LIMITS = {"gain_sd": (0.5, ""), "axis_sd_rad": (0.5, " rad")}
 """Least values that are refused, with their units: with errors this large the model holds nowhere."""
 
+LEAST_NOISE_T = 1e-16
+"""Least noise of a sample: no magnetometer comes near it, and beside errors of the site less of it is rounding."""
+
 SENSOR_KEYS = ("noise_T", *SENSOR_LIMITS)
 
 
@@ -126,8 +129,11 @@ def _sensor(table: Table) -> SensorSite:
             "current_sd) and the sensor here (gain_sd, axis_sd_rad)",
         )
     table.allow(*SENSOR_KEYS)
+    noise_T = table.positive("noise_T")
+    if not LEAST_NOISE_T <= noise_T < 1.0:
+        raise table.error("noise_T", f"is {noise_T:g}; it is in tesla, from {LEAST_NOISE_T:g} to below 1")
     return SensorSite(
-        noise_T=table.positive("noise_T"),
+        noise_T=noise_T,
         gain_sd=_deviation(table, "gain_sd", SENSOR_LIMITS) if "gain_sd" in table else ASSUMED_GAIN_SD,
         axis_sd_rad=_deviation(table, "axis_sd_rad", SENSOR_LIMITS) if "axis_sd_rad" in table else ASSUMED_AXIS_SD_RAD,
     )
@@ -171,7 +177,7 @@ def _beacon(table: Table, plan: Plan, survey: Table | None) -> Beacon:
         raise table.error("current_A", "is zero: a beacon without a field cannot be located from; leave the beacon out")
     if ("radius_m" in table) == ("points_m" in table):
         raise table.error("radius_m", "or points_m must be given, exactly one of them")
-    given: dict[str, Any] = {"id": table.text("id"), "current_A": current, "code": code, "drive": drive}
+    given: dict[str, Any] = {"id": table.name("id"), "current_A": current, "code": code, "drive": drive}
     given["survey"] = _survey(table, survey)
     if "radius_m" in table:
         return Beacon(

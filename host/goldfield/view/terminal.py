@@ -98,5 +98,8 @@ def roll_pitch_yaw_deg(orientation_xyzw: FloatArray) -> FloatArray:
 
 
 def _cell(value: float, width: int, decimals: int) -> str:
-    """Return a number in its column, a dash if there is none."""
-    return f"{value:{width}.{decimals}f}" if math.isfinite(value) else f"{'-':>{width}}"
+    """Return a number in its column, a dash if there is none; a large one with fewer decimals, or with an exponent."""
+    if not math.isfinite(value):
+        return f"{'-':>{width}}"
+    shown = (f"{value:{width}.{places}f}" for places in range(decimals, -1, -1))
+    return next((text for text in shown if len(text) <= width), f"{value:{width}.0e}")

@@ -64,6 +64,16 @@ def test_a_site_as_it_is_meant(tmp_path):
     assert site.beacon("square") is square
 
 
+def test_an_id_may_be_a_whole_number(tmp_path):
+    numbered = load(write(tmp_path, GOOD.replace('id = "square"', "id = 7")))
+    assert numbered.beacon("7").turns == load(write(tmp_path, GOOD)).beacon("square").turns
+    with pytest.raises(UserError, match='id is "7", which beacon 1 already has'):
+        load(write(tmp_path, GOOD.replace('id = "square"', "id = 7").replace('id = "a"', 'id = "7"')))
+    for wrong in ("1.5", "true", '""'):
+        with pytest.raises(UserError, match="id must be a text in quotes"):
+            load(write(tmp_path, GOOD.replace('id = "square"', f"id = {wrong}")))
+
+
 def test_a_silent_file_is_not_taken_for_exact(tmp_path):
     site = load(write(tmp_path, GOOD))
     assert [beacon.survey for beacon in site.beacons] == [Survey(0.003, 0.005, 0.003)] * 2
@@ -130,6 +140,8 @@ FIRST = "[[beacon]] 1"
 BAD = [
     ("degree = 10", "degre = 10", "site.toml:4: [site]: degre is no known key", 'did you mean "degree"'),
     ("noise_T = 2.0e-7", "noise_t = 2.0e-7", "site.toml:8: [sensor]: noise_t", 'did you mean "noise_T"'),
+    ("noise_T = 2.0e-7", "noise_T = 0.99e-16", "site.toml:8: [sensor]: noise_T is 9.9e-17", "from 1e-16 to below 1"),
+    ("noise_T = 2.0e-7", "noise_T = 1.0", "site.toml:8: [sensor]: noise_T is 1;", "from 1e-16 to below 1"),
     ("noise_T = 2.0e-7", "noise_T = 2e-7\nmodel_error = 0", "site.toml:9: [sensor]: model_error is no", "[survey]"),
     ("noise_T = 2.0e-7", "noise_T = 2e-7\ngain_sd = 0.5", "site.toml:9: [sensor]: gain_sd is 0.5", "below 0.5"),
     ("noise_T = 2.0e-7", "noise_T = 2e-7\ngain_sd = -0.1", "site.toml:9: [sensor]: gain_sd is -0.1", "from 0"),

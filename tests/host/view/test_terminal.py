@@ -44,6 +44,16 @@ def test_every_status_fits_80_columns(status):
     assert "no a beacon with a name b2, 12 lost" in " ".join(text.split())
 
 
+def test_numbers_of_any_size_keep_their_columns():
+    large = replace(
+        pose(3), position_m=np.array([-12345.678, 9.87e15, -4e-9]), position_cov_m2=np.eye(3) * 1e70, residual=30352.21
+    )
+    header, line = PoseTable().line(large).splitlines()
+    assert line.split()[1:4] == ["-12346", "1e+16", "-0.000"]
+    assert line.split()[7:10] == ["2e+37", "2", "30352"]
+    assert line.index("30352") + 5 == header.index("resid") + 5
+
+
 def test_with_the_truth_a_pose_fits_80_columns_too():
     table = PoseTable(truth=True)
     lines = table.line(pose(123456, Status.OK, excluded=("b2",)), PoseError(0.0123, 0.02)).splitlines()
