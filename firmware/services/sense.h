@@ -15,8 +15,9 @@
  *      sense_configure  main, when a parameter has changed: it acts from the next report on.
  *
  * Reports. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip clock cut short, and
- * one that main was too late for, is dropped and counted (counter 13). A report that finds no room in the queue of a
- * link is counted there, too, and that link then carries nothing of it: a report comes whole or not at all.
+ * one that main was too late for, is dropped, and counted (counter 13) unless the clock had not been locked before. A
+ * report that finds no room in the queue of a link is counted there, too, and that link then carries nothing of it: a
+ * report comes whole or not at all.
  *
  * Numbers and times. Cycles count from 0 at start, until SYNC tells the number of the cycle that the latest edge of
  * the sync wire began. EPOCH.time is the middle of the cycle in microseconds of the board's own chip clock since its

@@ -84,7 +84,10 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
         if (code_chip == 0u && expected == collector->family->length) {
             complete = skip_to(collector, expected); /* The last chips of the cycle are missing. */
         } else if (expected != code_chip || code_chip < epoch->despread.chip) {
-            drop(collector);
+            if (collector->began_locked) {
+                drop(collector);
+            }
+            collector->collecting = false; /* Otherwise the clock has only now found its master: nothing is lost. */
         } else if (code_chip > epoch->despread.chip) {
             complete = skip_to(collector, code_chip);
         }
@@ -101,6 +104,7 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
         epoch->saturated = 0;
         epoch->locked = true;
         collector->collecting = true;
+        collector->began_locked = locked;
     }
     if (!collector->collecting) {
         return complete;

@@ -63,13 +63,14 @@ typedef struct {
 typedef struct {
     epoch_t epochs[2];
     const gold_family_t *family;
-    uint32_t dropped; /* Cycles that began but could not be reported: the chip clock jumped and cut them short, or main
-                         was late. */
+    uint32_t dropped; /* Cycles that could not be reported: the chip clock jumped and cut them short though it was
+                         locked when they began, or main was late. */
     bool thirds;      /* Set by main, with degree 10 only: cycles that begin from now on come in parts. */
     /* Private. */
-    uint8_t filling; /* Which of the two the interrupt fills. */
-    bool collecting; /* The one being filled has seen chip 0. */
-    uint8_t ready;   /* The other one is main's while this is 1. */
+    uint8_t filling;   /* Which of the two the interrupt fills. */
+    bool collecting;   /* The one being filled has seen chip 0. */
+    bool began_locked; /* The chip clock was locked when the cycle being filled began. */
+    uint8_t ready;     /* The other one is main's while this is 1. */
 } epoch_collector_t;
 
 /* Prepare to collect cycles of this family's codes. */

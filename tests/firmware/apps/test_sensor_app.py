@@ -207,11 +207,9 @@ def test_locked_within_six_cycles_and_stays(settled: World) -> None:
     assert heartbeats[-1].signals["state"] == 3
 
 
-def test_cycle_cut_by_relabelling_is_dropped_and_counted(settled: World) -> None:
+def test_the_cycle_that_is_cut_when_the_clock_finds_its_master_is_no_loss(settled: World) -> None:
     # The sensor starts 3.1 ms before the master's cycle: the label jumps once, in the cycle under way.
-    assert settled.board.messages("COUNTER")
-    counters = {m.index: m.signals["value"] for m in settled.board.messages("COUNTER")}
-    assert counters == {13: 1}
+    assert not settled.board.messages("COUNTER")
     chips = {m.signals["chips"] for m in settled.board.messages("EPOCH_STATUS")}
     assert chips == {CHIPS}
 
@@ -294,7 +292,7 @@ def test_thirds_are_partial_correlations_and_change_no_field(settled: World, mak
     whole, thirds = last_epoch(settled.board), last_epoch(world.board)
     for name in ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD"):
         assert thirds[name] == whole[name]
-    assert {m.index: m.signals["value"] for m in world.board.messages("COUNTER")} == {13: 1}
+    assert not world.board.messages("COUNTER")
     assert not settled.board.messages("PART")
 
 

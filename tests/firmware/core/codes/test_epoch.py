@@ -82,13 +82,23 @@ def test_a_gap_across_the_end_drops_the_cycle(core, collector):
     assert lib.epoch_ready(collector).cycle == 2
 
 
-def test_a_jump_of_the_chip_clock_drops_the_cycle(core, collector):
+@pytest.mark.parametrize("thirds", [False, True])
+@pytest.mark.parametrize("lost_at", [None, 0, 1, 350, 399])
+def test_a_jump_of_the_chip_clock_drops_the_cycle(core, collector, lost_at, thirds):
+    """It is a loss only if the clock was locked when the cycle began: at the start it has yet to find its master."""
     ffi, lib = core
+    collector.thirds = thirds
     sample = ffi.new("int16_t[3]")
     labels = [*range(400), *range(700, N), *range(N)]
     for absolute, label in enumerate(labels):
-        lib.epoch_feed(collector, absolute, 0, label, sample, False, True)
-    assert collector.dropped == 1
+        lib.epoch_feed(collector, absolute, 0, label, sample, False, lost_at is None or absolute < lost_at)
+        if absolute < 400:
+            lib.epoch_release(collector)
+        elif absolute == 400 + N - 700:
+            assert collector.dropped == (0 if lost_at == 0 else 1)
+            assert lib.epoch_ready(collector) == ffi.NULL
+    if thirds:
+        return
     assert lib.epoch_ready(collector).first_chip == len(labels) - N
 
 
