@@ -216,6 +216,7 @@ static void receive(node_t *node, node_links_t link, const frame_t *frame) {
         struct goldfield_sync_t sync = {0};
         (void)goldfield_sync_unpack(&sync, frame->data, frame->length);
         node->sync_received = true;
+        node->sync_node = to;
         node->sync_cycle = sync.cycle;
         node->sync_chips = sync.chips;
     } else if (message == GOLDFIELD_PARAM_SET_FRAME_ID && for_me) {

@@ -69,6 +69,7 @@ typedef struct {
                                         * writes this. */
     bool parameters_changed;           /* A PARAM_SET was accepted; the application clears it. */
     bool sync_received;                /* A SYNC came; the application clears it. */
+    uint32_t sync_node;                /* The node that sent this SYNC. */
     uint32_t sync_cycle, sync_chips;   /* The cycle (20 bits) and the chips in a cycle that this SYNC told. */
     /* Private. */
     frame_decoder_t decoder;

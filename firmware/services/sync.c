@@ -28,18 +28,22 @@ void sync_clock_init(chip_clock_t *clock, const sync_format_t *format, bool foll
     (void)chip_clock_init(clock, &config); /* It cannot fail: all formats lie in its ranges. */
 }
 
-bool sync_number(chip_clock_t *clock, const sync_format_t *format, const sync_link_t *link, uint32_t chips,
-                 uint32_t cycle, uint32_t age_us) {
+sync_told_t sync_number(chip_clock_t *clock, const sync_format_t *format, const sync_link_t *link, uint32_t chips,
+                        uint32_t cycle, uint32_t age_us) {
     if (chips != format->chips) {
-        if (clock->config.follow && !link->follows) {
-            chip_clock_forget(clock, &chip_clock_wire);
-        }
-        return false;
+        return SYNC_OTHER_LENGTH;
     }
     if (clock->tracking && clock->config.follow && !link->follows && age_us < SYNC_FRESH_US) {
         chip_clock_number_cycle(clock, cycle / format->cycles);
+        return SYNC_NUMBERED;
     }
-    return true;
+    return SYNC_IDLE;
+}
+
+void sync_distrust(chip_clock_t *clock, const sync_link_t *link) {
+    if (clock->config.follow && !link->follows) {
+        chip_clock_forget(clock, &chip_clock_wire);
+    }
 }
 
 int32_t sync_phase(int32_t ticks) {

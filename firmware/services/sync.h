@@ -42,7 +42,9 @@
  *                                    second of the two counts on both sides.
  *   two masters                      A FOLLOW_UP belongs to the SYNC of its node and cycle. The chip clock stays with
  *                                    the master it has, and counts the other's edges as rejected (counter 10).
- *   another length of cycle          Such a SYNC is ignored, and counted (counter 14).
+ *                                    Of the two the one with the higher number steps back (timing.h).
+ *   another length of cycle          Such a SYNC is ignored, and counted (counter 14). A wire whose master has not told
+ *                                    its own number lately is then forgotten (timing.h).
  *
  * Contexts: sync_link_serve is called from plan, before chips are planned, which is the context of the chip clock;
  * sync_cycle, sync_chip, sync_format and sync_phase from any; the others from main.
@@ -59,6 +61,13 @@
 #define SYNC_SEEN           4u       /* SYNCs without FOLLOW_UP that are remembered. */
 #define SYNC_PERIODS_LATE   1  /* Largest delay of a SYNC on the bus, sync periods; a later one gets no FOLLOW_UP. */
 #define SYNC_STAMPS_A_BLOCK 8u /* Most stamps taken before a block is planned: as many as the board keeps. */
+
+/* What a SYNC was to a clock. */
+typedef enum {
+    SYNC_IDLE = 0,        /* It numbers nothing that this clock follows. */
+    SYNC_NUMBERED = 1,    /* It numbered the latest edge of the wire. */
+    SYNC_OTHER_LENGTH = 2 /* Its master's cycle has another length. */
+} sync_told_t;
 
 /* The values of the parameter sync_source. */
 enum { SYNC_BY_WIRE = 0, SYNC_BY_FIELD = 1, SYNC_BY_CAN = 2 };
@@ -107,10 +116,14 @@ static inline uint16_t sync_chip(const sync_format_t *format, const chip_clock_c
  * latest edge of the sync wire. The number is taken if the clock knows the master's edges (from the second edge on,
  * before it is locked) and the edge is younger than SYNC_FRESH_US: an older one means that the wire is silent and the
  * number belongs to an edge that was not seen. Nothing happens to a clock that follows messages on CAN: its numbers
- * come by FOLLOW_UP. Returns false if the master's cycle has another length. The clock then forgets the wire: as long
- * as such messages come it never locks. */
-bool sync_number(chip_clock_t *clock, const sync_format_t *format, const sync_link_t *link, uint32_t chips,
-                 uint32_t cycle, uint32_t age_us);
+ * come by FOLLOW_UP.
+ * Returns what the SYNC was. With SYNC_OTHER_LENGTH the clock is untouched; the caller decides (sync_distrust). */
+sync_told_t sync_number(chip_clock_t *clock, const sync_format_t *format, const sync_link_t *link, uint32_t chips,
+                        uint32_t cycle, uint32_t age_us);
+
+/* Let a clock that follows the wire forget it: its master may be the one of another cycle whose SYNC came, though its
+ * edges fit. As long as such messages come and this is called it never locks. */
+void sync_distrust(chip_clock_t *clock, const sync_link_t *link);
 
 /* Take all time stamps since the last call; from plan, before chips are planned. Costs about 1,100 instructions when a
  * FOLLOW_UP came, else 20. */
