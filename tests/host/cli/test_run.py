@@ -3,7 +3,6 @@
 import json
 import math
 import re
-import signal
 import subprocess
 import sys
 import threading
@@ -227,19 +226,6 @@ def test_a_pulled_cable_ends_the_run_with_what_came_before(capsys):
     assert whole == list(range(len(whole)))
     assert all(p["status"] == "ok" for p in poses(out)[: len(whole)])
     assert len(poses(out)) - len(whole) <= 1  # the cycle that was cut: whatever its fields tell
-
-
-def test_an_interrupt_is_the_usual_end():
-    with PtySensor(range(1000)) as sensor:
-        command = [sys.executable, "-m", "goldfield", "run", "--port", sensor.path, "--site", str(SITE), "--json"]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            assert process.stderr is not None
-            assert json.loads(process.stdout.readline())["epoch"] == 0
-            process.send_signal(signal.SIGINT)
-            _, message = process.communicate()
-            assert process.returncode == 0, message
-    assert re.fullmatch(r"\d+ epochs: \d+ ok\n", message)
 
 
 def test_another_protocol_live_and_in_a_log(tmp_path, capsys):

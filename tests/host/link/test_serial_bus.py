@@ -3,6 +3,7 @@
 import contextlib
 import os
 import pty
+import termios
 import tty
 
 import can
@@ -113,3 +114,16 @@ def test_ports_that_cannot_be_opened(tmp_path):
 def test_a_port_in_use_is_refused():
     with line() as (_, path, _), SerialBus(path), pytest.raises(can.CanInitializationError, match="in use"):
         SerialBus(path)
+
+
+def test_a_port_is_left_as_it_was_found():
+    """A pseudo-terminal as a shell has it: lines, echo, and another speed."""
+    master, slave = pty.openpty()
+    before = termios.tcgetattr(slave)
+    assert before[3] & termios.ECHO
+    bus = SerialBus(os.ttyname(slave))
+    assert not termios.tcgetattr(slave)[3] & termios.ECHO
+    bus.shutdown()
+    assert termios.tcgetattr(slave) == before
+    os.close(master)
+    os.close(slave)
