@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
+from enum import Enum
 
 _on_command_line: ContextVar[bool] = ContextVar("on_command_line", default=False)
 
@@ -18,9 +19,45 @@ class SystemFailure(Exception):
     """The boards or the link to them failed; the CLI prints it as one line and exits with 3."""
 
 
-def tell(message: str) -> None:
-    """Print a line for the user on stderr; one that is full or closed must end neither the run nor a thread of it."""
-    if sys.stderr is not None:
+class Loudness(Enum):
+    """How much is told on stderr."""
+
+    QUIET = -1
+    """Failures alone."""
+    USUAL = 0
+    VERBOSE = 1
+    """Tracebacks, and the log of python-can, too."""
+
+
+_loudness = Loudness.USUAL
+
+
+def loudness() -> Loudness:
+    """Return how much is told."""
+    return _loudness
+
+
+def set_loudness(wanted: Loudness) -> None:
+    """Say how much is told from now on, in every thread."""
+    global _loudness
+    _loudness = wanted
+    if wanted is Loudness.VERBOSE:
+        import logging  # takes time that most runs need not spend
+
+        logging.basicConfig(level=logging.DEBUG, format="goldfield: %(name)s: %(message)s")
+
+
+def tell(message: str, *, failure: bool = False) -> None:
+    """Print a line for the user on stderr; one that is full or closed must end neither the run nor a thread of it.
+
+    Parameters
+    ----------
+    message : str
+        A sentence.
+    failure : bool
+        It says what failed: it is told however quiet the rest is.
+    """
+    if sys.stderr is not None and (failure or _loudness is not Loudness.QUIET):
         with suppress(OSError):
             print(f"goldfield: {message}", file=sys.stderr, flush=True)
 

@@ -1,4 +1,4 @@
-"""Print how long ``goldfield --version`` takes beside ``import numpy``: user time of the process, in pairs.
+"""Print how long ``goldfield --help`` takes beside ``import numpy``: user time of the process, in pairs.
 
 ``python tests/bench/start_up.py``; the goal is a ratio of at most 1.5.
 """
@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 
 PAIRS = 15
-GOLDFIELD = [str(Path(sys.executable).with_name("goldfield")), "--version"]
+GOLDFIELD = [str(Path(sys.executable).with_name("goldfield")), "--help"]
 NUMPY = [sys.executable, "-c", "import numpy"]
 
 
@@ -27,7 +27,7 @@ def main():
     ratio = statistics.median(ours / numpys for ours, numpys in pairs)
     ours, numpys = (statistics.median(times) for times in zip(*pairs, strict=True))
     print(
-        f"goldfield --version: {ours * 1e3:.0f} ms of user time, import numpy: {numpys * 1e3:.0f} ms; "
+        f"goldfield --help: {ours * 1e3:.0f} ms of user time, import numpy: {numpys * 1e3:.0f} ms; "
         f"ratio {ratio:.2f} (median of {PAIRS} pairs; goal: at most 1.5)"
     )
 

@@ -17,7 +17,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
-from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.errors import Loudness, SystemFailure, UserError, loudness, set_loudness, tell
 from goldfield.files.environment import switched_on
 
 COMMANDS = {
@@ -28,6 +28,7 @@ COMMANDS = {
     "doctor": ("goldfield.cli.doctor", "what is wrong, and what to do"),
     "nodes": ("goldfield.cli.nodes", "who is on a link; read and set parameters"),
     "samples": ("goldfield.cli.samples", "raw samples of a sensor"),
+    "completion": ("goldfield.cli.completion", "completion for bash or zsh"),
     "separate": ("goldfield.cli.separate", "field of each beacon from raw samples"),
 }
 """Each subcommand of this package: the module whose function ``command`` adds its parser, and its line of help."""
@@ -38,7 +39,24 @@ COMMAND_GROUP = "goldfield.commands"
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one line."""
+    """A parser whose complaint is one line, and which knows ``-q`` and ``-v`` wherever they stand."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        if "-" in self.prefix_chars and self.add_help:
+            for letter, loudness, text in (
+                ("q", Loudness.QUIET, "tell on stderr what failed, and nothing else"),
+                ("v", Loudness.VERBOSE, "tell more on stderr: tracebacks, and the log of python-can"),
+            ):
+                self.add_argument(
+                    f"-{letter}",
+                    f"--{loudness.name.lower()}",
+                    dest="loudness",
+                    action="store_const",
+                    const=loudness,
+                    default=argparse.SUPPRESS,
+                    help=text,
+                )
 
     def error(self, message: str) -> NoReturn:
         """Print the complaint and exit with 2."""
@@ -64,7 +82,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _outcome(words: list[str]) -> int:
     """Run a command, tell what went wrong, and return the exit code."""
     try:
-        arguments = build_parser(words[0] if words else None).parse_args(words)
+        arguments = build_parser(_called(words)).parse_args(words)
+        set_loudness(getattr(arguments, "loudness", Loudness.USUAL))
         return int(arguments.run(arguments))
     except UserError as error:
         return _complain(str(error), EXIT_USAGE)
@@ -84,6 +103,11 @@ def _outcome(words: list[str]) -> int:
         )
 
 
+def _called(words: list[str]) -> str | None:
+    """Return the first word that is not ``-q`` or ``-v``: the name of the subcommand, or an option such as --help."""
+    return next((word for word in words if word not in ("-q", "--quiet", "-v", "--verbose")), None)
+
+
 def _flushed(code: int) -> int:
     """Write out what is buffered and return the exit code; Python itself would end with 120 if that fails."""
     for stream in (sys.stdout, sys.stderr):
@@ -99,15 +123,17 @@ def _flushed(code: int) -> int:
 
 
 class _Version(argparse.Action):
-    """Print the installed version, which takes time to look up, and exit."""
+    """Print the installed version and the hash of the protocol, which take time to look up, and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """See `argparse.Action`."""
-        print(f"goldfield {version('goldfield')}")
+        from goldfield_protocol.messages import protocol_hash  # reads the table of all messages
+
+        print(f"goldfield {version('goldfield')}, protocol {protocol_hash():#010x}")
         parser.exit()
 
 
-def build_parser(called: str | None = None) -> argparse.ArgumentParser:
+def build_parser(called: str | None = None, *, every: bool = False) -> argparse.ArgumentParser:
     """Build the parser.
 
     Parameters
@@ -115,13 +141,15 @@ def build_parser(called: str | None = None) -> argparse.ArgumentParser:
     called : str, optional
         First word of the command line. The subcommand of this name is loaded; of the others the parser knows the name
         and the line of help only. Other packages are not searched for a word that this package knows.
+    every : bool
+        Load every subcommand.
     """
     parser = Parser(prog="goldfield", description="Indoor position and attitude from coded magnetic fields.")
-    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show version and protocol, and exit")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, (module, summary) in COMMANDS.items():
-        if name == called:
-            import_module(module).command(subparsers)
+        if every or name == called:
+            import_module(module).command(_Summarised(subparsers, summary))
         else:
             subparsers.add_parser(name, help=summary, add_help=False)
     if called in COMMANDS or called == "--version":
@@ -129,11 +157,25 @@ def build_parser(called: str | None = None) -> argparse.ArgumentParser:
     for entry_point in entry_points(group=COMMAND_GROUP):
         if entry_point.name in subparsers.choices:
             continue
-        if entry_point.name == called:
-            _add_foreign(subparsers, entry_point)
+        if every or entry_point.name == called:
+            _add_foreign(_Summarised(subparsers, _summary(entry_point) if every else ""), entry_point)
         else:
             subparsers.add_parser(entry_point.name, help=_summary(entry_point), add_help=False)
     return parser
+
+
+class _Summarised:
+    """The subparsers of the command, each with a line of help, without which it would be in no list."""
+
+    def __init__(self, subparsers: Any, summary: str) -> None:
+        self._subparsers = subparsers
+        self._summary = summary
+        self.choices = subparsers.choices
+
+    def add_parser(self, name: str, **options: Any) -> argparse.ArgumentParser:
+        """Add a subcommand."""
+        parser: argparse.ArgumentParser = self._subparsers.add_parser(name, **{"help": self._summary, **options})
+        return parser
 
 
 def _summary(entry_point: EntryPoint) -> str:
@@ -181,7 +223,7 @@ def _extras(entry_point: EntryPoint) -> str:
 
 
 def _complain(message: str, code: int) -> int:
-    if switched_on("GOLDFIELD_DEBUG"):
+    if switched_on("GOLDFIELD_DEBUG") or loudness() is Loudness.VERBOSE:
         traceback.print_exc()
-    tell(" ".join(message.split()))
+    tell(" ".join(message.split()), failure=True)
     return code

@@ -7,13 +7,15 @@ import re
 import signal
 import subprocess
 import sys
-from importlib.metadata import entry_points
+from importlib.metadata import entry_points, version
 from pathlib import Path
 
 import pytest
 
+from goldfield import errors
 from goldfield.cli import main
 from goldfield.cli.entry import COMMANDS, build_parser
+from goldfield_protocol import protocol_hash
 from hil_sim.clib import ROOT
 
 LIST_MODULES = """
@@ -37,8 +39,69 @@ def modules_of(*arguments):
 @pytest.mark.parametrize("word", ["--version", "--help"])
 def test_neither_version_nor_help_imports_a_numerical_package_or_a_subcommand(word):
     modules = modules_of(word)
-    assert not modules & {"numpy", "scipy", "can", "cantools", "cffi", "rich", "hil_sim.command"}
+    assert not modules & {"numpy", "scipy", "cffi", "rich", "shtab", "hil_sim.command"}
     assert not modules & {module for module, _ in COMMANDS.values()}
+    # The hash of the protocol, which the version tells, is computed from the table of messages.
+    assert bool(modules & {"can", "cantools"}) == (word == "--version")
+
+
+def test_the_version_tells_the_protocol(capsys):
+    with pytest.raises(SystemExit):
+        main(["--version"])
+    assert capsys.readouterr().out == f"goldfield {version('goldfield')}, protocol {protocol_hash():#010x}\n"
+
+
+COMPLETE = """
+source /dev/stdin
+COMP_WORDS=("$@")
+COMP_CWORD=$(($# - 1))
+_shtab_goldfield 2>/dev/null
+printf '%s\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (["mon"], {"monitor"}),
+        (["hi"], {"hil"}),
+        (["nodes", "ge"], {"get"}),
+        (["doctor", "--si"], {"--site"}),
+        (["completion", ""], {"bash", "zsh"}),
+    ],
+)
+def test_bash_completes_commands_options_and_choices(words, found, capsys):
+    assert main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    command = ["bash", "-c", COMPLETE, "bash", "goldfield", *words]
+    done = subprocess.run(command, input=script, capture_output=True, text=True, check=True)
+    assert set(done.stdout.split()) == found
+
+
+def test_zsh_gets_every_subcommand(capsys):
+    assert main(["completion", "zsh"]) == 0
+    script = capsys.readouterr().out
+    assert script.startswith("#compdef goldfield")
+    assert all(f"    {name}:" in script for name in (*COMMANDS, "hil", "paper"))
+
+
+@pytest.mark.parametrize(
+    "words", [["-q", "nodes", "--port", "/dev/nowhere"], ["nodes", "--port", "/dev/nowhere", "-q"]]
+)
+def test_quiet_leaves_failures(words, capsys):
+    assert main(words) == 2
+    assert capsys.readouterr().err == "goldfield: /dev/nowhere: there is no such port: check --port\n"
+    errors.tell("a note")
+    assert capsys.readouterr().err == ""
+    errors.tell("a failure", failure=True)
+    assert capsys.readouterr().err == "goldfield: a failure\n"
+
+
+def test_verbose_adds_the_traceback(capsys):
+    assert main(["nodes", "--port", "/dev/nowhere", "-v"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+    assert main(["nodes", "--port", "/dev/nowhere"]) == 2  # the next call is as loud as usual
+    assert "Traceback" not in capsys.readouterr().err
 
 
 def test_the_help_of_run_imports_run_alone():
