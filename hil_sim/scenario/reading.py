@@ -297,7 +297,7 @@ def _beacon(table: Table, defaults: Defaults) -> Beacon:
     geometry = _geometry(table, source)
     highest = (plan.chips - 1) // 2
     return Beacon(
-        id=table.text("id"),
+        id=table.label("id"),
         node=_between(table, "node", int(NODE.low), int(NODE.high)),
         code=_between(table, "code", 0, 1 << plan.degree) if "code" in table else None,
         sync_master="sync_master" in table and table.flag("sync_master"),

@@ -11,57 +11,61 @@ from typing import Any
 
 import numpy as np
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, printable
+from goldfield.files.inputs import name_of, read_bounded
 from goldfield.types import FloatArray
 
 LARGEST = 1e30
 """Beyond any quantity here; squares and cubes of smaller numbers do not overflow."""
 
+LARGEST_WHOLE = 10**18
+"""Beyond any count, index or seed here."""
 
-def text_lines(path: Path, what: str) -> list[str]:
-    """Read a text file into lines.
+LARGEST_FILE = 4_000_000
+"""Bytes; what is larger takes longer than seconds to read."""
+
+CLOSE = 0.6
+"""Likeness from which on a known key may be what was meant by an unknown one, of 0 to 1 (difflib)."""
+
+
+def read_text(path: Path, what: str) -> str:
+    """Read a text file of at most `LARGEST_FILE` bytes; ``-`` is stdin.
 
     Raises
     ------
     UserError
-        If it is missing, a directory, unreadable, empty or no UTF-8 text.
+        If it is missing, a directory, unreadable, too large, empty or no UTF-8 text.
     """
-    try:
-        raw = path.read_bytes()
-    except FileNotFoundError as error:
-        raise UserError(f"{path}: there is no such {what}: check the path") from error
-    except IsADirectoryError as error:
-        raise UserError(f"{path}: is a directory, not a {what}: give the file") from error
-    except OSError as error:
-        raise UserError(f"{path}: the {what} cannot be read: {error.strerror}") from error
+    raw, name = read_bounded(path, what, LARGEST_FILE), name_of(path)
     if not raw.strip():
-        raise UserError(f"{path}: the {what} is empty")
+        raise UserError(f"{name}: the {what} is empty")
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = raw[: error.start].count(b"\n") + 1
-        raise UserError(f"{path}:{line}: is no text (byte {error.start} is not UTF-8): give a {what}") from error
+        raise UserError(f"{name}:{line}: is no text (byte {error.start} is not UTF-8): give a {what}") from error
     if "\0" in text:
         line = text[: text.index("\0")].count("\n") + 1
-        raise UserError(f"{path}:{line}: is no text (it holds a zero byte): give a {what}")
-    return text.splitlines()
+        raise UserError(f"{name}:{line}: is no text (it holds a zero byte): give a {what}")
+    return text
 
 
 def read_table(path: Path, what: str) -> Table:
-    """Read a TOML file.
+    """Read a TOML file, or with ``-`` stdin.
 
     Raises
     ------
     UserError
-        If the file cannot be read (`text_lines`) or is no TOML.
+        If the file cannot be read (`read_text`) or is no TOML.
     """
-    lines = text_lines(path, what)
+    text, name = read_text(path, what), name_of(path)
     try:
-        return Table(tomllib.loads("\n".join(lines)), path=path, lines=lines)
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: is no valid TOML: {error}") from error
+        # A line of TOML ends at a line feed, and nowhere else: str.splitlines knows ten other ends.
+        return Table(tomllib.loads(text), path=Path(name), lines=text.split("\n"))
     except RecursionError as error:
-        raise UserError(f"{path}: is nested too deeply for a {what}") from error
+        raise UserError(f"{name}: is nested too deeply for a {what}") from error
+    except ValueError as error:  # TOMLDecodeError is one, a number of thousands of digits another
+        raise UserError(f"{name}: is no valid TOML: {error}") from error
 
 
 class Table:
@@ -101,13 +105,14 @@ class Table:
         return UserError(f"{place}: {table}{key} {complaint}")
 
     def allow(self, *keys: str) -> None:
-        """Refuse any other key, naming the nearest known one."""
+        """Refuse any other key, naming the known one that is like it, or all of them."""
         for key in self._values:
             if key in keys:
                 continue
             folded = {known.lower(): known for known in keys}
-            near = difflib.get_close_matches(key.lower(), list(folded), n=1, cutoff=0.0)
-            raise self.error(key, f'is no known key; did you mean "{folded[near[0]]}"?')
+            near = difflib.get_close_matches(key.lower(), list(folded), n=1, cutoff=CLOSE)
+            known = f'did you mean "{folded[near[0]]}"?' if near else f"the keys here are {', '.join(keys)}"
+            raise self.error(key, f"is no known key; {known}")
 
     def table(self, key: str) -> Table:
         """Return a required table."""
@@ -140,15 +145,22 @@ class Table:
             raise self.error(key, f"must be a text in quotes, not {_kind(value)}")
         return value
 
-    def name(self, key: str) -> str:
-        """Return a required name: a text that is not empty, or a whole number, as text."""
+    def label(self, key: str) -> str:
+        """Return a required name: a text without control characters and outer spaces, or a whole number as a text."""
         value = self._required(key)
-        return str(value) if isinstance(value, int) and not isinstance(value, bool) else self.text(key)
+        if isinstance(value, int) and not isinstance(value, bool):
+            return str(self.integer(key))
+        text = self.text(key)
+        if not text.isprintable() or text != text.strip():
+            raise self.error(
+                key, f'is "{printable(text[:40])}": leave out control characters, and spaces at its begin and end'
+            )
+        return text
 
     def integer(self, key: str) -> int:
-        """Return a required whole number."""
+        """Return a required whole number of at most 18 digits."""
         value = self._required(key)
-        if not isinstance(value, int) or isinstance(value, bool):
+        if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= LARGEST_WHOLE:
             raise self.error(key, f"must be a whole number, not {_kind(value)}")
         return value
 
@@ -236,10 +248,12 @@ def _is_vector(value: object) -> bool:
 
 def _kind(value: object) -> str:
     if isinstance(value, str):
-        return f'the text "{value}"' if len(value) <= 40 else "a long text"
+        return f'the text "{printable(value)}"' if len(value) <= 40 else "a long text"
     if isinstance(value, bool):
         return "true or false"
     if isinstance(value, dict):
         return "a table"
+    if isinstance(value, int) and abs(value) >= LARGEST_WHOLE:
+        return "one of more than 18 digits"
     shown = repr(value)
     return shown if len(shown) <= 60 else f"{shown[:57]}..."

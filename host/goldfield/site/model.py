@@ -154,6 +154,8 @@ class Site:
         hide a larger one (`goldfield.Pose.protection_m`).
     assumed : tuple of str
         What the site file says nothing of and is assumed in its place, as ``"[survey] current_sd = 0.003"``.
+    doubts : tuple of str
+        Sentences on values that are unusual, as lengths in millimetres are.
     """
 
     name: str
@@ -166,6 +168,7 @@ class Site:
     slots: int = 0
     alert_limit_m: float = ALERT_LIMIT_M
     assumed: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def chips(self) -> int:

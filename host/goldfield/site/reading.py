@@ -13,6 +13,7 @@ import numpy as np
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
 from goldfield.site.model import ALERT_LIMIT_M, Beacon, HalfSpace, SensorSite, Site, Survey, area_vector
+from goldfield.site.plausible import check_extent, check_place, checked
 
 
 def load(path: str | Path) -> Site:
@@ -34,7 +35,7 @@ def load(path: str | Path) -> Site:
 
     The table ``[sensor]`` describes the sensor:
 
-    - ``noise_T``: standard deviation of one chip's sample on one axis, from `LEAST_NOISE_T` to below 1 T;
+    - ``noise_T``: standard deviation of one chip's sample on one axis, above 0;
     - ``gain_sd``, ``axis_sd_rad``: optional, how well the gains and directions of its axes are known (`SensorSite`).
 
     The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
@@ -43,7 +44,7 @@ def load(path: str | Path) -> Site:
 
     Each table ``[[beacon]]`` describes one coil, in metres and in the site's frame:
 
-    - ``id``: text or a whole number, different for each beacon;
+    - ``id``: text or whole number, different for each beacon;
     - ``current_A``: amplitude, not 0; a negative current turns the moment round;
     - ``radius_m`` for a circular coil, which needs ``position_m`` (its centre), ``axis`` (its normal, of any length)
       and ``turns``; or
@@ -80,20 +81,26 @@ def _site(root: Table) -> Site:
     site.allow("name", "chip_period_s", "degree", "half_space", "access", "alert_limit_m", *SITE_KEYS)
     if survey is not None:
         survey.allow(*SURVEY_LIMITS)
+    doubts: list[str] = []
     plan = read_plan(site)
-    beacons = tuple(_beacon(table, plan, survey) for table in root.tables("beacon"))
-    _check_unique(root, beacons)
+    checked(site, "chip_period_s", plan.chip_period_s, doubts)
+    tables = root.tables("beacon")
+    beacons = tuple(_beacon(table, plan, survey, doubts) for table in tables)
+    _check_unique(tables, beacons)
+    check_extent(tables, beacons, doubts)
+    limit_m = site.positive("alert_limit_m") if "alert_limit_m" in site else ALERT_LIMIT_M
     return Site(
         name=site.text("name"),
         chip_period_s=plan.chip_period_s,
         degree=plan.degree,
         half_space=_half_space(site.table("half_space")) if "half_space" in site else None,
-        sensor=_sensor(sensor),
+        sensor=_sensor(sensor, doubts),
         beacons=beacons,
         access=plan.access,
         slots=plan.slots,
-        alert_limit_m=site.positive("alert_limit_m") if "alert_limit_m" in site else ALERT_LIMIT_M,
-        assumed=_assumed(root, sensor, survey),
+        alert_limit_m=checked(site, "alert_limit_m", limit_m, doubts),
+        assumed=_assumed(tables, sensor, survey),
+        doubts=tuple(doubts),
     )
 
 
@@ -108,9 +115,6 @@ SURVEY_LIMITS = {"position_sd_m": (1.0, " m"), "axis_sd_rad": (0.5, " rad"), "cu
 SENSOR_LIMITS = {"gain_sd": (0.5, ""), "axis_sd_rad": (0.5, " rad")}
 """Least values that are refused, with their units: with errors this large the model holds nowhere."""
 
-LEAST_NOISE_T = 1e-16
-"""Least noise of a sample: no magnetometer comes near it, and beside errors of the site less of it is rounding."""
-
 SENSOR_KEYS = ("noise_T", *SENSOR_LIMITS)
 
 
@@ -121,7 +125,7 @@ def _deviation(table: Table, key: str, limits: dict[str, tuple[float, str]]) -> 
     return value
 
 
-def _sensor(table: Table) -> SensorSite:
+def _sensor(table: Table, doubts: list[str]) -> SensorSite:
     if "model_error" in table:
         raise table.error(
             "model_error",
@@ -129,11 +133,8 @@ def _sensor(table: Table) -> SensorSite:
             "current_sd) and the sensor here (gain_sd, axis_sd_rad)",
         )
     table.allow(*SENSOR_KEYS)
-    noise_T = table.positive("noise_T")
-    if not LEAST_NOISE_T <= noise_T < 1.0:
-        raise table.error("noise_T", f"is {noise_T:g}; it is in tesla, from {LEAST_NOISE_T:g} to below 1")
     return SensorSite(
-        noise_T=noise_T,
+        noise_T=checked(table, "noise_T", table.positive("noise_T"), doubts),
         gain_sd=_deviation(table, "gain_sd", SENSOR_LIMITS) if "gain_sd" in table else ASSUMED_GAIN_SD,
         axis_sd_rad=_deviation(table, "axis_sd_rad", SENSOR_LIMITS) if "axis_sd_rad" in table else ASSUMED_AXIS_SD_RAD,
     )
@@ -149,8 +150,7 @@ def _survey(beacon: Table, survey: Table | None) -> Survey:
     return Survey(**values)
 
 
-def _assumed(root: Table, sensor: Table, survey: Table | None) -> tuple[str, ...]:
-    beacons = root.tables("beacon")
+def _assumed(beacons: list[Table], sensor: Table, survey: Table | None) -> tuple[str, ...]:
     silent = [
         f"[survey] {key} = {getattr(ASSUMED_SURVEY, key):g}"
         for key in SURVEY_LIMITS
@@ -169,26 +169,30 @@ BEACON_KEYS = ("id", "position_m", "axis", "turns", "radius_m", "points_m", "cur
 DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "tau_s")
 
 
-def _beacon(table: Table, plan: Plan, survey: Table | None) -> Beacon:
+def _beacon(table: Table, plan: Plan, survey: Table | None, doubts: list[str]) -> Beacon:
     table.allow(*BEACON_KEYS, *SURVEY_LIMITS, *DRIVE_KEYS)
     code, drive = read_drive(table, plan)
     current = table.number("current_A")
     if current == 0.0:
         raise table.error("current_A", "is zero: a beacon without a field cannot be located from; leave the beacon out")
+    checked(table, "current_A", current, doubts)
     if ("radius_m" in table) == ("points_m" in table):
         raise table.error("radius_m", "or points_m must be given, exactly one of them")
-    given: dict[str, Any] = {"id": table.name("id"), "current_A": current, "code": code, "drive": drive}
+    given: dict[str, Any] = {"id": table.label("id"), "current_A": current, "code": code, "drive": drive}
     given["survey"] = _survey(table, survey)
+    if "position_m" in table:
+        check_place(table, "position_m", table.vector("position_m"))
     if "radius_m" in table:
         return Beacon(
             **given,
             position_m=table.vector("position_m"),
             axis=table.direction("axis"),
-            turns=table.positive("turns"),
-            radius_m=table.positive("radius_m"),
+            turns=checked(table, "turns", table.positive("turns"), doubts),
+            radius_m=checked(table, "radius_m", table.positive("radius_m"), doubts),
             points_m=None,
         )
     points = table.vectors("points_m")
+    check_place(table, "points_m", points)
     area = area_vector(points)
     length = float(np.linalg.norm(area))
     extent = float(np.max(np.ptp(points, axis=0)))
@@ -203,14 +207,13 @@ def _beacon(table: Table, plan: Plan, survey: Table | None) -> Beacon:
         **given,
         position_m=table.vector("position_m") if "position_m" in table else points.mean(axis=0),
         axis=axis,
-        turns=table.positive("turns") if "turns" in table else 1.0,
+        turns=checked(table, "turns", table.positive("turns"), doubts) if "turns" in table else 1.0,
         radius_m=None,
         points_m=points,
     )
 
 
-def _check_unique(root: Table, beacons: tuple[Beacon, ...]) -> None:
-    tables = root.tables("beacon")
+def _check_unique(tables: list[Table], beacons: tuple[Beacon, ...]) -> None:
     ids: dict[str, int] = {}
     codes: dict[int, str] = {}
     waves: dict[tuple[int, str], str] = {}

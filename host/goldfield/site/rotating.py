@@ -164,7 +164,7 @@ def _beacon(table: Table) -> DualAxisBeacon:
     if upright is None:
         raise table.error("y_axis", "is not at right angles to x_axis (more than 1 degree off): the coils must cross")
     return DualAxisBeacon(
-        id=table.name("id"),
+        id=table.label("id"),
         position_m=table.vector("position_m"),
         x_axis=x,
         y_axis=upright,
