@@ -1,28 +1,46 @@
-"""Recordings in candump's log format: ``(seconds.micros) channel ID#DATA``, readable by can-utils and SavvyCAN."""
+"""Recordings of messages: read in the formats that CAN tools write, written in candump's, which all of them read."""
 
 from __future__ import annotations
 
-import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import can
 
-from goldfield.errors import UserError, tell
+from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.files.inputs import STREAM, name_of, open_input, reason_of
+from goldfield.files.outputs import OutputFile
+from goldfield.link.candump import NoFrame
+from goldfield.link.log_formats import DAMAGE, frames
+from goldfield_protocol.messages import Identifier, database
 
 CHANNEL = "goldfield"
-LINE = re.compile(rb"\((\d{1,12}\.\d{1,9})\) (\S{1,64}) ([0-9A-Fa-f]{8})#((?:[0-9A-Fa-f]{2}){0,8})(?: [RT])?\s*")
+
+HELD = 5000
+"""Messages that are held back until the first cycle tells which channel has a sensor: of more than a minute."""
+
+OTHER_FORMATS = (".asc", ".blf", ".csv", ".db", ".gz", ".mcap", ".mf4", ".trc")
 
 
 class CandumpReader:
-    """Messages of a recorded log.
+    """Messages of a recording in any format that `frames` knows, of one channel: the first one with a sensor.
+
+    Parameters
+    ----------
+    path : path
+        ``-`` is stdin.
 
     Attributes
     ----------
     name : str
         The path, for messages.
     bad_lines : int
-        Lines so far that are no message of ours: torn, corrupt, or with an 11-bit identifier.
+        Lines so far that cannot be read: torn or corrupt.
+    foreign : int
+        Frames so far that are none of ours: with an 11-bit identifier, remote, error and FD frames.
+    others : Counter of str
+        Messages so far of other channels, which are left out.
 
     Raises
     ------
@@ -31,44 +49,90 @@ class CandumpReader:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
-        self.name = str(path)
+        self.name = name_of(path)
         self.bad_lines = 0
-        try:
-            self._file = self._path.open("rb")
-        except FileNotFoundError as error:
-            raise UserError(f"{path}: there is no such log: check the path") from error
-        except IsADirectoryError as error:
-            raise UserError(f"{path}: is a directory, not a log: give a candump log") from error
-        except OSError as error:
-            raise UserError(f"{path}: the log cannot be read: {error.strerror}") from error
+        self.foreign = 0
+        self.others: Counter[str] = Counter()
+        self._path = str(path)
+        self._first_bad: int | None = None
+        self._count = 0
+        self._told = False
+        self._file = open_input(path, "log")
 
     def __iter__(self) -> Iterator[can.Message]:
         found = False
-        with self._file:
-            # readline with a limit: a file without line ends must not fill the memory
-            for line in iter(lambda: self._file.readline(200), b""):
-                match = LINE.fullmatch(line)
-                if match is None or int(match[3], 16) >= 1 << 29:
-                    self.bad_lines += bool(line.strip())
-                    continue
-                found = True
-                yield can.Message(
-                    timestamp=float(match[1]),
-                    arbitration_id=int(match[3], 16),
-                    is_extended_id=True,
-                    data=bytes.fromhex(match[4].decode()),
-                    channel=match[2].decode(errors="replace"),
-                )
+        for message in self._of_one_channel(self._messages()):
+            found = True
+            yield message
+        self.close()
         if not found:
             raise UserError(
-                f"{self._path}:1: the log holds no message like '(1.500000) can0 01000064#0011223344556677': "
-                "give a candump log"
+                f"{self.name}:1: the log holds no message like '(1.500000) can0 01000064#0011223344556677': "
+                "give a log of candump, or an .asc, .blf, .csv, .db, .mf4 or .trc file"
             )
 
     def close(self) -> None:
-        """Close the file, which the end of the log does too."""
-        self._file.close()
+        """Close the file, which the end of the log does too, and tell what could not be read."""
+        if self._path != STREAM:
+            self._file.close()
+        if self._told or not self._count:
+            return
+        self._told = True
+        if self.bad_lines:
+            lines = "1 line" if self.bad_lines == 1 else f"{self.bad_lines} lines"
+            tell(f"{self.name}: {lines} could not be read and were left out (first: number {self._first_bad})")
+        for channel, count in self.others.items():
+            tell(
+                f"{self.name}: {count} messages of the channel {channel} were left out, since a sensor was heard on "
+                f"another one first: to read {channel}, give a log of it alone"
+            )
+
+    def _messages(self) -> Iterator[can.Message]:
+        """Yield the messages of all channels, and count what else there is."""
+        try:
+            for number, frame in enumerate(frames(self._path, self._file), start=1):
+                if isinstance(frame, can.Message):
+                    self._count += 1
+                    yield frame
+                elif frame is NoFrame.FOREIGN:
+                    self.foreign += 1
+                else:
+                    self.bad_lines += 1
+                    self._first_bad = self._first_bad or number
+        except DAMAGE:
+            tell(f"{self.name}: is damaged or was cut off behind {self._count} messages, which are used")
+        except OSError as error:
+            raise SystemFailure(f"{self.name}: the log cannot be read any further: {reason_of(error)}") from error
+
+    def _of_one_channel(self, messages: Iterator[can.Message]) -> Iterator[can.Message]:
+        held: list[can.Message] = []
+        chosen: str | None = None
+        for message in messages:
+            if chosen is not None:
+                if str(message.channel) == chosen:
+                    yield message
+                else:
+                    self.others[str(message.channel)] += 1
+                continue
+            held.append(message)
+            if _is_header(message):
+                chosen = str(message.channel)
+            if chosen is not None or len(held) > HELD:
+                for early in held:
+                    if chosen is None or str(early.channel) == chosen:
+                        yield early
+                    else:
+                        self.others[str(early.channel)] += 1
+                held.clear()
+        yield from held
+
+
+HEADER = Identifier.unpack(database().get_message_by_name("EPOCH").frame_id).type
+
+
+def _is_header(message: can.Message) -> bool:
+    """Tell whether a message is the header of a cycle, which every sensor sends and nobody else."""
+    return message.arbitration_id & ~0xFFF == Identifier(HEADER, 0, 0).pack() and len(message.data) == 8
 
 
 class CandumpWriter:
@@ -77,25 +141,28 @@ class CandumpWriter:
     A failing disk (full, removed) ends the recording with a message on stderr, cuts a torn last line off and lets the
     run go on.
 
+    Parameters
+    ----------
+    path : path
+        ``-`` is stdout.
+    force : bool
+        Whether a file that holds something may be replaced, which its first message does.
+
     Raises
     ------
     UserError
-        If the file cannot be made, or holds something already.
+        If the file cannot be made, holds something already, or has the name of another format.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
-        self._size = 0
+    def __init__(self, path: str | Path, *, force: bool = False) -> None:
+        if Path(path).suffix.lower() in OTHER_FORMATS:
+            raise UserError(f"{path}: recordings are logs of candump: give a name that ends in .log")
+        self._file = OutputFile(path, "the recording", live=True, force=force)
+        self._name = "stdout" if str(path) == STREAM else str(path)
         self.failed = False
-        try:
-            if self._path.is_file() and self._path.stat().st_size > 0:
-                raise UserError(f"{path}: exists and is not empty: give a new file to record into, or remove it")
-            self._file = self._path.open("wb", buffering=0)
-        except OSError as error:
-            raise UserError(f"{path}: cannot be recorded into: {error.strerror}") from error
 
     def write(self, message: can.Message) -> None:
-        """Append a message."""
+        """Append a message; `BrokenPipeError` if nobody reads stdout any more."""
         if self.failed:
             return
         line = b"(%.6f) %b %08X#%b\n" % (
@@ -105,21 +172,13 @@ class CandumpWriter:
             bytes(message.data).hex().upper().encode(),
         )
         try:
-            written = self._file.write(line)
-            if written != len(line):
-                raise OSError(0, f"only {written} of {len(line)} bytes were taken (disk full?)")
-            self._size += len(line)
-        except OSError as error:
-            self._give_up(error)
+            self._file.write(line)
+        except SystemFailure as error:
+            self.failed = True
+            why = error.__cause__
+            reason = str(error) if why is None else reason_of(why)
+            tell(f"{self._name}: recording stopped after {self._file.size} bytes: {reason}; the run goes on")
 
     def close(self) -> None:
         """End the recording."""
         self._file.close()
-
-    def _give_up(self, error: OSError) -> None:
-        self.failed = True
-        tell(f"{self._path}: recording stopped after {self._size} bytes: {error.strerror}; the run goes on")
-        try:
-            self._file.truncate(self._size)
-        except OSError:
-            return  # a device such as /dev/full; what was written before stands

@@ -77,9 +77,9 @@ def test_paths_that_are_no_log(tmp_path):
         CandumpReader(tmp_path / "none")
     with pytest.raises(UserError, match="is a directory"):
         CandumpReader(tmp_path)
-    with pytest.raises(UserError, match="cannot be recorded into"):
+    with pytest.raises(UserError, match="the recording cannot be written"):
         CandumpWriter(tmp_path / "none" / "x.log")
-    with pytest.raises(UserError, match="cannot be recorded into"):
+    with pytest.raises(UserError, match="the recording cannot be written"):
         CandumpWriter(tmp_path)
 
 

@@ -1,0 +1,211 @@
+"""Formats of CAN logs, told apart by their first bytes, and their messages: candump's own, and those of python-can."""
+
+from __future__ import annotations
+
+import base64
+import codecs
+import gzip
+import io
+import logging
+import zlib
+from collections.abc import Callable, Iterator
+from typing import Any, BinaryIO, cast
+
+import can
+
+from goldfield.errors import UserError
+from goldfield.files.inputs import STREAM
+from goldfield.link.candump import NoFrame, parse
+
+HEAD = 256
+"""Bytes at the begin of a file that tell its format."""
+
+LONGEST_LINE = 1000
+"""Bytes; candump prints 64 of a CAN FD frame in 250."""
+
+PATIENCE = 4_000_000
+"""Bytes without any message after which a file, or /dev/zero, is no log."""
+
+UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+Frames = Iterator[can.Message | NoFrame]
+
+
+class _Damaged(Exception):
+    """The rest of a file cannot be read."""
+
+
+DAMAGE = (_Damaged, EOFError, zlib.error, gzip.BadGzipFile, UnicodeError)
+"""What reading raises where a file is damaged or torn."""
+
+
+def frames(path: str, file: BinaryIO) -> Frames:
+    """Yield the messages of a log of any format, and a `NoFrame` for whatever else is in it.
+
+    Parameters
+    ----------
+    path : str
+        Where the file is; ``-`` is stdin.
+    file : file
+        The same, open to be read.
+
+    Raises
+    ------
+    UserError
+        If the format needs a package that is not installed, or a file in place of a stream.
+    DAMAGE
+        Where the rest cannot be read.
+    """
+    stream = cast(io.BufferedReader, file)
+    packed = stream.peek(HEAD)[:2] == b"\x1f\x8b"
+    if packed:
+        stream = io.BufferedReader(gzip.GzipFile(fileobj=stream))
+    head = stream.peek(HEAD)[:HEAD]
+    if head.startswith(b"LOGG"):
+        return _of_reader(lambda: can.BLFReader(stream))
+    if head.startswith(b"SQLite format 3\0"):
+        _need_file(path, packed, "a database")
+        return _of_reader(lambda: can.SqliteReader(path))
+    if head.startswith(b"MDF "):
+        _need_file(path, packed, "an MF4 file")
+        return _of_reader(lambda: _mf4_reader(path))
+    encoding = "utf-16" if head.startswith(UTF_16) else "utf-8-sig"
+    text = head.decode(encoding, "ignore").lstrip().lower()
+    if text.startswith("date "):
+        return _of_lines(stream, encoding, can.ASCReader)
+    if text.startswith((";$fileversion", ";   ", ";#####")):
+        return _of_lines(stream, encoding, can.TRCReader)
+    if text.startswith("timestamp,arbitration_id"):
+        return _of_csv(stream, encoding)
+    return _of_candump(stream, encoding)
+
+
+def _need_file(path: str, packed: bool, what: str) -> None:
+    if packed or path == STREAM:
+        raise UserError(f"{path}: holds {what}, which cannot be read from a stream: unpack it into a file first")
+
+
+def _mf4_reader(path: str) -> can.MF4Reader:
+    try:
+        return can.MF4Reader(path)
+    except NotImplementedError as error:
+        raise UserError(
+            f"{path}: an MF4 file needs the package asammdf: install it with pip install 'goldfield[mf4]'"
+        ) from error
+
+
+def _of_reader(make: Callable[[], Any]) -> Frames:
+    """Yield the messages of a binary format; what python-can's reader raises ends it."""
+    try:
+        with make() as reader:
+            for message in reader:
+                yield message if _is_used(message) else NoFrame.FOREIGN
+    except UserError:
+        raise
+    except Exception as error:  # each format raises its own kinds at what is torn
+        raise _Damaged from error
+
+
+def _is_used(message: can.Message) -> bool:
+    return (
+        message.is_extended_id
+        and not (message.is_error_frame or message.is_remote_frame or message.is_fd)
+        and len(message.data) <= 8
+    )
+
+
+def _of_candump(stream: BinaryIO, encoding: str) -> Frames:
+    barren = 0
+    frame: can.Message | NoFrame = NoFrame.UNREADABLE
+    for line in _lines(stream, encoding):
+        if line.strip() and not (frame is NoFrame.FOREIGN and line[:1] == b"\t"):  # candump -e explains an error frame
+            frame = parse(line)
+            yield frame
+            barren = -PATIENCE if isinstance(frame, can.Message) else barren + len(line)
+        if barren > PATIENCE:
+            return
+
+
+def _lines(stream: BinaryIO, encoding: str) -> Iterator[bytes]:
+    """Yield lines; one without an end, as of /dev/zero, comes in pieces."""
+    if encoding == "utf-16":
+        text = io.TextIOWrapper(stream, encoding="utf-16", errors="replace", newline="\n")
+        yield from (line.encode("ascii", "replace") for line in iter(lambda: text.readline(LONGEST_LINE), ""))
+        return
+    first = stream.readline(LONGEST_LINE).removeprefix(codecs.BOM_UTF8)
+    if first:
+        yield first
+        yield from iter(lambda: stream.readline(LONGEST_LINE), b"")
+
+
+class _TextLines:
+    """Lines for a text reader of python-can, which begins again behind a line that it cannot read."""
+
+    def __init__(self, text: Iterator[str]) -> None:
+        self._text = text
+        self._first: str | None = None
+
+    def read(self) -> str:
+        """Make this a file in the eyes of python-can."""
+        raise NotImplementedError
+
+    write = read
+
+    def close(self) -> None:
+        """Leave the file to who opened it."""
+
+    def begin_again(self) -> None:
+        """Give an empty line first, which a reader takes for the header."""
+        self._first = "\n"
+
+    def __iter__(self) -> _TextLines:
+        return self
+
+    def __next__(self) -> str:
+        if self._first is not None:
+            first, self._first = self._first, None
+            return first
+        return next(self._text)
+
+
+def _of_lines(stream: BinaryIO, encoding: str, make: Callable[[Any], Any]) -> Frames:
+    """Yield the messages of a text format of python-can; a line that its reader cannot read costs that line."""
+    text = io.TextIOWrapper(stream, encoding=encoding, errors="replace")
+    lines = _TextLines(iter(lambda: text.readline(LONGEST_LINE), ""))
+    reader = make(lines)
+    while True:
+        try:
+            for message in reader:
+                yield message if _is_used(message) else NoFrame.FOREIGN
+            return
+        except (ValueError, IndexError, KeyError, TypeError, OverflowError):
+            yield NoFrame.UNREADABLE
+            lines.begin_again()
+
+
+def _of_csv(stream: BinaryIO, encoding: str) -> Frames:
+    """Yield the messages of python-can's CSV; each line stands for itself."""
+    text = io.TextIOWrapper(stream, encoding=encoding, errors="replace", newline="\n")
+    text.readline(LONGEST_LINE)
+    for line in iter(lambda: text.readline(LONGEST_LINE), ""):
+        cells = line.strip().split(",")
+        if cells == [""]:
+            continue
+        try:
+            time_s, identifier, extended, remote, error, _, data = cells
+            message = can.Message(
+                timestamp=float(time_s),
+                arbitration_id=int(identifier, 16),
+                is_extended_id=extended == "1",
+                is_remote_frame=remote == "1",
+                is_error_frame=error == "1",
+                data=base64.b64decode(data, validate=True) if remote != "1" else None,
+                check=True,
+            )
+        except ValueError:
+            yield NoFrame.UNREADABLE
+            continue
+        yield message if _is_used(message) else NoFrame.FOREIGN
+
+
+logging.getLogger("can.io").addHandler(logging.NullHandler())  # what a reader leaves out is counted here
