@@ -13,7 +13,8 @@ from collections.abc import Iterator
 import can
 
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
-from goldfield.errors import tell
+from goldfield.errors import EXIT_FAILED, tell
+from goldfield.files.inputs import STREAM
 from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.sensor.opening import open_sensor
@@ -25,8 +26,13 @@ from goldfield.view.summary import Summary
 from goldfield.view.truth import Truth
 
 
-def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site) -> None:
+def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site) -> int:
     """Print a line for every epoch of a source, and a summary however it ends.
+
+    Returns
+    -------
+    int
+        The exit code: 0, or 3 if a recording or a table could not be written to the end.
 
     Parameters
     ----------
@@ -45,14 +51,16 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
         reconnect=arguments.reconnect,
     )
     with terminated_like_interrupted(), contextlib.ExitStack() as stack:
-        recorder = None
+        recorder = writer = None
         if arguments.record:
-            recorder = Branch(CandumpWriter(arguments.record), arguments.record, waits=kind == "log")
+            writer = CandumpWriter(arguments.record, force=arguments.force)
+            recorder = Branch(writer, arguments.record, waits=kind == "log", essential=arguments.record == STREAM)
             stack.callback(end_recording, recorder)
-        stuck = _print_epochs(arguments, stack.enter_context(open_sensor(kind, where, site, choices, recorder)))
-    if stuck:
+        sinks = _print_epochs(arguments, stack.enter_context(open_sensor(kind, where, site, choices, recorder)))
+    if sinks.stuck:
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
+    return EXIT_FAILED if sinks.failed or (writer is not None and writer.failed) else 0
 
 
 @contextlib.contextmanager
@@ -79,8 +87,8 @@ def end_recording(recorder: Branch[can.Message]) -> None:
         tell(f"{recorder.name}: {recorder.dropped} messages are missing in it, because the disk was too slow")
 
 
-def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> bool:
-    """Print the epochs and the summary; return whether an interrupt left a sink stuck, as by a pipe nobody reads."""
+def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> Fanout[Epoch]:
+    """Print the epochs and the summary; return the sinks, of which an interrupt may have left one stuck."""
     summary = Summary()
     sinks = _sinks(arguments, sensor, summary)
     try:
@@ -97,16 +105,16 @@ def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> bool:
         if summary.epochs:
             text = summary.text(truth=bool(arguments.truth))
             print(text, file=sys.stderr if arguments.json or sinks.stuck else sys.stdout, flush=True)
-    return sinks.stuck
+    return sinks
 
 
 def _sinks(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch]:
     """Return the sinks that the command line asks for: the lines on stdout, and perhaps a table of fields."""
     truth = Truth(arguments.truth) if arguments.truth else None
     line_of = (json_record_line if arguments.json else table_line)(truth is not None)
-    fields = FieldsWriter(arguments.fields) if arguments.fields else None
+    fields = FieldsWriter(arguments.fields, force=arguments.force) if arguments.fields else None
     sinks: Fanout[Epoch] = Fanout(waits=not sensor.live)
     sinks.add(PoseLines(line_of, summary, truth), "the lines on stdout", essential=True)
     if fields is not None:
-        sinks.add(Part(fields, lambda epoch: epoch.fields), arguments.fields)
+        sinks.add(Part(fields, lambda epoch: epoch.fields), arguments.fields, essential=arguments.fields == STREAM)
     return sinks

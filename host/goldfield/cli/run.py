@@ -23,7 +23,11 @@ def command(subparsers: Any) -> None:
     for name, metavar, what in (
         ("--port", "PATH", "serial port of the sensor"),
         ("--can", "INTERFACE:CHANNEL", "python-can interface and channel, as socketcan:can0"),
-        ("--log", "FILE", "candump log instead of a sensor"),
+        (
+            "--log",
+            "FILE",
+            "recording instead of a sensor: of candump, or .asc, .blf, .csv, .db, .mf4, .trc; - is stdin",
+        ),
     ):
         parser.add_argument(
             name,
@@ -37,6 +41,7 @@ def command(subparsers: Any) -> None:
     options.add_json(parser)
     options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
     options.add(parser, "--fields", metavar="FILE", what="write the separated fields to a table for goldfield locate")
+    options.add_force(parser)
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
     options.add(parser, "--truth", metavar="FILE", what="the simulator's truth, to compare with")
     options.add(parser, "--node", metavar="N", what="node of the sensor, where there are several", kind=options.node)
@@ -54,11 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
     kind, where = _choose_source(arguments)
     site = options.required(arguments.site, "--site", "FILE")
     inputs = {"--site": site, "--log": where if kind == "log" else None, "--truth": arguments.truth}
-    check_outputs({"--record": arguments.record, "--fields": arguments.fields}, inputs)
+    check_outputs({"--record": arguments.record, "--fields": arguments.fields}, inputs, force=arguments.force)
     known = site_of(arguments)
     options.tell_assumed(known)
-    print_poses(arguments, kind, where, known)
-    return 0
+    return print_poses(arguments, kind, where, known)
 
 
 def _choose_source(arguments: argparse.Namespace) -> tuple[str, str]:

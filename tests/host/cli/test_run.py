@@ -359,7 +359,7 @@ def test_rotation_angle(angle):
 
 def test_a_full_disk_does_not_stop_the_run(tmp_path, capsys):
     code, out, err = run(capsys, "--log", write(tmp_path, log_of(range(2))), "--json", "--record", "/dev/full")
-    assert code == 0
+    assert code == 3
     assert len(poses(out)) == 2
     assert "recording stopped after 0 bytes: No space left on device; the run goes on" in err
 
