@@ -8,6 +8,9 @@ from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from enum import Enum
 
+EXIT_USAGE, EXIT_FAILED, EXIT_INTERRUPTED = 2, 3, 130
+"""Exit codes of the command line for what the exceptions of this module say, and for an interrupt."""
+
 _on_command_line: ContextVar[bool] = ContextVar("on_command_line", default=False)
 
 
@@ -58,8 +61,24 @@ def tell(message: str, *, failure: bool = False) -> None:
         It says what failed: it is told however quiet the rest is.
     """
     if sys.stderr is not None and (failure or _loudness is not Loudness.QUIET):
-        with suppress(OSError):
-            print(f"goldfield: {message}", file=sys.stderr, flush=True)
+        with suppress(OSError, ValueError):  # ValueError: a stream that was closed
+            print(f"goldfield: {printable(message)}", file=sys.stderr, flush=True)
+
+
+def printable(text: str) -> str:
+    r"""Return a text that others wrote with an escape for whatever would act on a terminal in place of being shown.
+
+    Every text of a file, a link or a command line goes through this function before it is printed: `tell` does it for
+    the sentences that it is given.
+
+    Examples
+    --------
+    >>> printable("hall\x1b[2J\nleft"), printable("Hörsaal 3")
+    ('hall\\x1b[2J\\nleft', 'Hörsaal 3')
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
 
 
 def option(name: str, value: object = "") -> str:

@@ -18,7 +18,8 @@ IMPORTS = [item for module, path in MODULES.items() for item in imports(module, 
 LEVELS = (
     ("errors",),
     ("types",),
-    ("files", "link"),
+    ("files",),
+    ("link",),
     ("site",),
     ("access", "field"),
     ("locate",),
@@ -31,7 +32,7 @@ LEVELS = (
 )
 """Parts of goldfield, lowest first. A part imports itself and lower ones; parts of one level do not know each other.
 
-The files and the links are both lowest: a link knows no file and no site, and a site knows no link.
+The files are lowest, since a recording of a link is one; a link knows no site, and a site knows no link.
 """
 
 LEVEL = {part: level for level, parts in enumerate(LEVELS) for part in parts}
@@ -96,7 +97,8 @@ def test_every_part_of_goldfield_has_a_level():
         ("goldfield.field.model", "goldfield.access.cdma", True),
         ("goldfield.access.cdma", "goldfield.field.model", True),
         ("goldfield.access.epoch", "goldfield.link.reports", False),
-        ("goldfield.link.buses", "goldfield.files.csv_table", True),
+        ("goldfield.link.recordings", "goldfield.files.outputs", False),
+        ("goldfield.files.outputs", "goldfield.link.recordings", True),
         ("goldfield.site.reading", "goldfield.link.buses", True),
         ("goldfield.types", "goldfield.errors.UserError", False),
         ("goldfield.errors", "goldfield.types.Pose", True),

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from goldfield.errors import UserError
-from goldfield.files.csv_table import Row, read_table
+from goldfield.errors import UserError, tell
+from goldfield.files.csv_table import Plausibility, Row, read_table
+from goldfield.files.inputs import name_of
 from goldfield.site import Site
 from goldfield.types import FloatArray
 
@@ -44,12 +44,14 @@ def read_cycles(site: Site, path: str) -> Iterator[ChipCycle]:
     samples = np.empty((site.chips, 3))
     place: FloatArray | None = None
     count = 0
+    plausibility = Plausibility()
     for row in read_table(path, COLUMNS, PLACE):
         chip = row.whole("chip")
         expected = count % site.chips
         if chip not in (expected, count):
             raise row.error("chip", f"is {chip} where {expected} follows: give every chip in order from chip 0")
         samples[expected] = [row.field(column) for column in COLUMNS[1:]]
+        plausibility.check(row, COLUMNS[1:])
         here = place_of(row)
         if expected and here is not None and place is not None and (here != place).any():
             raise row.error(PLACE[0], "to z_m differ from the row before: one place a cycle")
@@ -59,9 +61,9 @@ def read_cycles(site: Site, path: str) -> Iterator[ChipCycle]:
             yield ChipCycle(samples, place)
     cycles, rest = divmod(count, site.chips)
     if cycles == 0:
-        raise UserError(f"{path}: has {count} chips, fewer than a cycle's {site.chips} (degree {site.degree})")
+        raise UserError(f"{name_of(path)}: has {count} chips, fewer than a cycle's {site.chips} (degree {site.degree})")
     if rest:
-        print(f"goldfield: {path}: the last {rest} chips are no whole cycle and were left out", file=sys.stderr)
+        tell(f"{name_of(path)}: the last {rest} chips are no whole cycle and were left out")
 
 
 def place_of(row: Row) -> FloatArray | None:

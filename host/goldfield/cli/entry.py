@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import io
 import os
 import sys
 import traceback
@@ -17,7 +18,18 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
 
-from goldfield.errors import Loudness, SystemFailure, UserError, loudness, set_loudness, tell
+from goldfield.errors import (
+    EXIT_FAILED,
+    EXIT_INTERRUPTED,
+    EXIT_USAGE,
+    Loudness,
+    SystemFailure,
+    UserError,
+    loudness,
+    printable,
+    set_loudness,
+    tell,
+)
 from goldfield.files.environment import switched_on
 
 COMMANDS = {
@@ -32,9 +44,6 @@ COMMANDS = {
     "separate": ("goldfield.cli.separate", "field of each beacon from raw samples"),
 }
 """Each subcommand of this package: the module whose function ``command`` adds its parser, and its line of help."""
-EXIT_USAGE = 2
-EXIT_FAILED = 3
-EXIT_INTERRUPTED = 130
 COMMAND_GROUP = "goldfield.commands"
 
 
@@ -60,7 +69,7 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the complaint and exit with 2."""
-        self.exit(EXIT_USAGE, f"{self.prog}: {message}; see {self.prog} --help\n")
+        self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -72,6 +81,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     # A stream that was closed before the start is None, for which print would take stdout.
     sys.stdout = sys.stdout or Path(os.devnull).open("w")  # noqa: SIM115 - stays open to the end
     sys.stderr = sys.stderr or Path(os.devnull).open("w")  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Who reads a pipe gets each line at once, and a letter that the terminal does not have is no error.
+        sys.stdout.reconfigure(line_buffering=True, errors="backslashreplace")
     try:
         code = _outcome(sys.argv[1:] if argv is None else list(argv))
     except SystemExit as end:  # of a parser: help, version or a complaint
@@ -93,6 +105,8 @@ def _outcome(words: list[str]) -> int:
         return 0  # The reader of our output went away, as in "| head": that ends us, and is no error.
     except OSError as error:
         return _complain(f"the system refused to read or write: {error}", EXIT_FAILED)
+    except MemoryError:
+        return _complain("the memory does not hold what was asked for: give less", EXIT_FAILED)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
     except Exception as error:

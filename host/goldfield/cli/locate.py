@@ -10,6 +10,7 @@ from goldfield.cli import options
 from goldfield.cli.location_options import add_alert_limit, add_track, site_of
 from goldfield.cli.output import json_line, pose_record
 from goldfield.errors import UserError
+from goldfield.files.outputs import check_outputs
 from goldfield.sensor.fields_table import COLUMNS, read_fields
 from goldfield.site import Site
 from goldfield.types import Fields, Pose
@@ -20,7 +21,8 @@ def command(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "locate",
         description=f"A pose for every epoch of a CSV table with the columns {','.join(COLUMNS)}[,sigma_T] "
-        "(sensor frame; an empty cell is an axis that was not measured; the rows of an epoch follow each other).",
+        "(sensor frame; an empty cell is an axis that was not measured; the rows of an epoch follow each other); "
+        "- is stdin.",
     )
     parser.add_argument("fields", metavar="FIELDS.csv", help="table of fields")
     options.add_site(parser)
@@ -41,6 +43,8 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.view.summary import Summary
     from goldfield.view.terminal import PoseTable
 
+    inputs = {"--site": arguments.site, "FIELDS.csv": arguments.fields, "--own-body": arguments.own_body}
+    check_outputs({}, inputs)
     site = site_of(arguments)
     options.tell_assumed(site)
     table, summary = PoseTable(), Summary()

@@ -48,6 +48,11 @@ def add_switch(parser: argparse.ArgumentParser, name: str, *, what: str) -> None
     )
 
 
+def add_force(parser: argparse.ArgumentParser) -> None:
+    """Add ``--force``, for a command that writes files."""
+    parser.add_argument("--force", action="store_true", help="overwrite files that are not empty")
+
+
 def required(value: str | None, name: str, metavar: str) -> str:
     """Return the value of an option that must be given."""
     if not value:
@@ -56,9 +61,16 @@ def required(value: str | None, name: str, metavar: str) -> str:
 
 
 def tell_assumed(site: Site) -> None:
-    """Say once, on stderr, what is assumed where the site file is silent; nothing if it is not."""
+    """Say once, on stderr, what is assumed where the site file is silent, and what in it is doubtful."""
+    tell_doubts(site)
     if site.assumed:
         tell(f"the site file is silent, so this is assumed: {', '.join(site.assumed)} (0 says that it is exact)")
+
+
+def tell_doubts(site: Site) -> None:
+    """Say once, on stderr, which values of the site file are unusual."""
+    for doubt in site.doubts:
+        tell(doubt)
 
 
 def environment_name(option: str) -> str:
@@ -111,13 +123,13 @@ def _between(text: str, least: float, most: float, what: str) -> float:
 
 def count(text: str) -> int:
     """Parse a number of at least 1, for argparse."""
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 100_000):
+    if not (text.isascii() and text.isdigit() and len(text) <= 6 and 1 <= int(text) <= 100_000):
         raise argparse.ArgumentTypeError(f"{text} is no whole number of 1 to 100000")
     return int(text)
 
 
 def node(text: str) -> int:
     """Parse a node number, for argparse."""
-    if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 4095):
+    if not (text.isascii() and text.isdigit() and len(text) <= 4 and 1 <= int(text) <= 4095):
         raise argparse.ArgumentTypeError(f"{text} is no node: nodes are 1 to 4095")
     return int(text)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
-import sys
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,8 @@ from goldfield.access.of_site import SiteAccess, SiteCycle
 from goldfield.cli import options
 from goldfield.cli.chips_file import COLUMNS, read_cycles
 from goldfield.cli.output import elements, json_line, number
-from goldfield.errors import UserError
+from goldfield.errors import UserError, tell
+from goldfield.files.inputs import name_of
 from goldfield.files.outputs import check_outputs
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.site import Site
@@ -46,31 +46,29 @@ def command(subparsers: Any) -> None:
         "--unknown-rise", action="store_true", help="find the time constants of the coils in place of tau_s of the site"
     )
     options.add(parser, "--fields", metavar="FILE", what="write the fields to a table for goldfield locate")
+    options.add_force(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Print a line for every cycle."""
     path = options.required(arguments.site, "--site", "FILE")
-    check_outputs({"--fields": arguments.fields}, {"--site": path, "SAMPLES.csv": arguments.samples})
+    inputs = {"--site": path, "SAMPLES.csv": arguments.samples}
+    check_outputs({"--fields": arguments.fields}, inputs, force=arguments.force)
     site = sites.load(path)
+    options.tell_doubts(site)
     if arguments.harmonics is not None and arguments.mains is None:
         raise UserError("--harmonics is given without --mains: give the frequency of the mains too")
     try:
         access = SiteAccess(site, arguments.mains, arguments.harmonics or 1, arguments.unknown_rise)
     except UserError as error:
-        raise UserError(f"{arguments.site}: {error}") from error
+        raise UserError(f"{name_of(path)}: {error}") from error
     if not access.has_offset:
-        print(
-            f"goldfield: {arguments.site}: every chip belongs to a beacon's slot, so the ambient field stays in the "
-            "field of each beacon; leave one slot without a beacon to measure it",
-            file=sys.stderr,
+        tell(
+            f"{name_of(path)}: every chip belongs to a beacon's slot, so the ambient field stays in the "
+            "field of each beacon; leave one slot without a beacon to measure it"
         )
-    with contextlib.ExitStack() as stack:
-        writer = None
-        if arguments.fields:
-            writer = FieldsWriter(arguments.fields)
-            stack.callback(writer.close)
+    with _fields_writer(arguments) as writer:
         for number_of, chips in enumerate(read_cycles(site, arguments.samples)):
             cycle = access.cycle(chips.samples_T)
             if writer is not None:
@@ -80,6 +78,13 @@ def run(arguments: argparse.Namespace) -> int:
             else:
                 print(_table(site, number_of, cycle))
     return 0
+
+
+def _fields_writer(arguments: argparse.Namespace) -> AbstractContextManager[FieldsWriter | None]:
+    """Return the table of ``--fields``, which is there when all cycles are in it; None if it is not asked for."""
+    if not arguments.fields:
+        return nullcontext()
+    return FieldsWriter(arguments.fields, live=False, force=arguments.force)
 
 
 def _fields(site: Site, number_of: int, separation: Separation) -> Fields:

@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, printable, tell
+from goldfield.files.inputs import name_of, open_input, reason_of
 
 LARGEST = 1e6
 """Beyond any field in tesla, time in seconds excepted; keeps squares and sums of what is read finite."""
+
+UNLIKELY_T = 0.01
+"""Beyond any field that a sensor of magnetic fields measures, T: its column is in another unit."""
+
+MILLIGAUSS_T = 1e-7
+
+LONGEST_LINE = 100_000
+"""Characters; a longer line is none of a table."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +75,20 @@ class Row:
             raise self.error(column, f"is {shown(text)} tesla, beyond any field")
         return value
 
+    def doubt(self, column: str) -> str | None:
+        """Return a sentence on a field that no sensor measures, None if it is likely."""
+        text = self.cells[column].strip()
+        value = abs(float(text)) if text else 0.0
+        if not value > UNLIKELY_T:
+            return None
+        return str(
+            self.error(
+                column,
+                f"is {value:g} T, more than a sensor measures: give tesla (in milligauss it would be "
+                f"{value * MILLIGAUSS_T:g} T, in nanotesla {value * 1e-9:g} T)",
+            )
+        )
+
     def _number(self, text: str, column: str) -> float:
         try:
             value = float(text)
@@ -75,10 +99,23 @@ class Row:
         return value
 
 
+class Plausibility:
+    """Tells, once a table, of a field in its columns that is in another unit than tesla."""
+
+    def __init__(self) -> None:
+        self._told = False
+
+    def check(self, row: Row, columns: Iterable[str]) -> None:
+        """Look at the fields of a row; `Row.field` has checked that they are numbers."""
+        for column in columns:
+            if not self._told and (doubt := row.doubt(column)) is not None:
+                tell(doubt)
+                self._told = True
+
+
 def shown(text: str) -> str:
     """Quote a text for a message, cut and without control characters."""
-    clean = "".join(c if c.isprintable() else "?" for c in text[:41])
-    return f'"{clean[:40]}..."' if len(text) > 40 else f'"{clean}"'
+    return f'"{printable(text[:40])}..."' if len(text) > 40 else f'"{printable(text)}"'
 
 
 def read_table(path: str | Path, required: tuple[str, ...], optional: tuple[str, ...] = ()) -> Iterator[Row]:
@@ -89,19 +126,15 @@ def read_table(path: str | Path, required: tuple[str, ...], optional: tuple[str,
     UserError
         If the file is missing, empty, no text, or has other columns.
     """
-    path = Path(path)
+    name = Path(name_of(path))
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            yield from _rows(path, file, required, optional)
-    except FileNotFoundError as error:
-        raise UserError(f"{path}: there is no such file: check the path") from error
-    except IsADirectoryError as error:
-        raise UserError(f"{path}: is a directory: give a CSV file") from error
+        with io.TextIOWrapper(open_input(path, "CSV file"), encoding="utf-8-sig", newline="\n") as file:
+            yield from _rows(name, file, required, optional)
     except OSError as error:
-        raise UserError(f"{path}: cannot be read: {error.strerror}") from error
+        raise UserError(f"{name}: cannot be read: {reason_of(error)}") from error
     except UnicodeDecodeError as error:
         raise UserError(
-            f"{path}: is no text (byte {error.object[error.start]:#04x} is not UTF-8): give a CSV file"
+            f"{name}: is no text (byte {error.object[error.start]:#04x} is not UTF-8): give a CSV file"
         ) from error
 
 
@@ -155,10 +188,19 @@ def _rows(path: Path, file: TextIO, required: tuple[str, ...], optional: tuple[s
 
 def _lines(path: Path, file: TextIO) -> Iterator[tuple[int, list[str]]]:
     """Yield the lines that are not empty with their numbers."""
-    reader = csv.reader(file, strict=True)
+    reader = csv.reader(_bounded(path, file), strict=True)
     try:
         for cells in reader:
             if any(cell.strip() for cell in cells):
                 yield reader.line_num, cells
     except csv.Error as error:
-        raise UserError(f"{path}:{reader.line_num}: is no CSV: {error}") from error
+        why = "a carriage return stands within a line" if "new-line" in str(error) else error
+        raise UserError(f"{path}:{reader.line_num}: is no CSV: {why}") from error
+
+
+def _bounded(path: Path, file: TextIO) -> Iterator[str]:
+    """Yield the lines, which end at a line feed only; one without an end, as of /dev/zero, must not fill the memory."""
+    for number, line in enumerate(iter(lambda: file.readline(LONGEST_LINE + 1), ""), start=1):
+        if len(line) > LONGEST_LINE:
+            raise UserError(f"{path}:{number}: is a line of more than {LONGEST_LINE} characters: give a CSV file")
+        yield line

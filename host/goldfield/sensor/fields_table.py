@@ -3,23 +3,31 @@
 from __future__ import annotations
 
 import csv
-import errno
 import io
 import math
-import os
+from collections import OrderedDict
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 
 from goldfield.errors import UserError
-from goldfield.files.csv_table import Row, read_groups
+from goldfield.files.csv_table import Plausibility, Row, read_table
+from goldfield.files.inputs import name_of
+from goldfield.files.outputs import OutputFile
 from goldfield.site import Site
 from goldfield.types import Fields
 
 COLUMNS = ("epoch", "t_s", "beacon", "bx_T", "by_T", "bz_T")
 SIGMA_COLUMN = "sigma_T"
+
+LEAST_SIGMA_T, LARGEST_SIGMA_T = 1e-18, 1e-3
+"""What a sigma lies between, T: smaller ones have no finite weight, larger ones are in another unit."""
+
+REMEMBERED = 100_000
+"""Epochs among which rows that are out of order are looked for."""
 
 
 def read_fields(site: Site, path: str | Path) -> Iterator[Fields]:
@@ -31,7 +39,8 @@ def read_fields(site: Site, path: str | Path) -> Iterator[Fields]:
         Knows the beacons; where the table has no ``sigma_T`` its noise per sample tells that of a field.
     path : path
         A CSV file with the columns ``epoch,t_s,beacon,bx_T,by_T,bz_T`` and perhaps ``sigma_T``: fields in the sensor's
-        frame, tesla. An empty cell is an axis that was not measured. The rows of an epoch follow each other.
+        frame, tesla. An empty cell is an axis that was not measured. The rows of an epoch follow each other. An epoch's
+        number may come again later, as after a restart of the sensor. ``-`` is stdin.
 
     Yields
     ------
@@ -52,62 +61,113 @@ def read_fields(site: Site, path: str | Path) -> Iterator[Fields]:
     >>> len(epochs), epochs[0].beacons[:2], epochs[0].field_T.shape
     (10, ('b1', 'b2'), (8, 3))
     """
-    for rows in read_groups(path, "epoch", COLUMNS, (SIGMA_COLUMN,)):
+    plausibility = Plausibility()
+    for rows in _epochs(path):
         yield _fields(site, rows)
+        for row in rows:
+            plausibility.check(row, COLUMNS[3:])
 
 
 class FieldsWriter:
-    """Writes the fields of epochs to a table, each epoch at once and whole: what a full disk tears off is cut away.
+    """Writes the fields of epochs to a table that `read_fields` reads, each epoch whole.
 
     Parameters
     ----------
     path : path
-        A new file, or one that is overwritten.
+        ``-`` is stdout.
+    live, force : bool
+        As for `OutputFile`: a live table grows epoch by epoch, another one is in its place after `close`.
 
     Raises
     ------
     UserError
-        If the file cannot be made or written.
+        If the file cannot be made, or holds something already.
+    SystemFailure
+        If it cannot be written.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self._path = Path(path)
-        try:
-            self._file = self._path.open("wb", buffering=0)
-        except OSError as error:
-            raise self._failure(error) from error
-        self._size = 0
-        self._write([[*COLUMNS, SIGMA_COLUMN]])
+    def __init__(self, path: str | Path, *, live: bool = True, force: bool = False) -> None:
+        self._file = OutputFile(path, "the fields", live=live, force=force)
+        self._header = _lines([[*COLUMNS, SIGMA_COLUMN]])
+        if not force:
+            self._write(b"")
 
     def write(self, fields: Fields) -> None:
-        """Append one epoch; without a known time it is left out, since the table needs one."""
+        """Append one epoch; without a known time it is left out, since the table needs one, as is an endless sigma."""
         if not math.isfinite(fields.time_s):
             return
         rows = []
         for beacon, field, sigma in zip(fields.beacons, fields.field_T, fields.sigma_T, strict=True):
-            components = [repr(float(value)) if math.isfinite(value) else "" for value in field]
-            rows.append([str(fields.epoch), repr(float(fields.time_s)), beacon, *components, repr(float(sigma))])
-        self._write(rows)
+            if LEAST_SIGMA_T < sigma < LARGEST_SIGMA_T:
+                components = [repr(float(value)) if math.isfinite(value) else "" for value in field]
+                rows.append([str(fields.epoch), repr(float(fields.time_s)), beacon, *components, repr(float(sigma))])
+        if rows:
+            self._write(_lines(rows))
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file and keep it."""
         self._file.close()
 
-    def _write(self, rows: list[list[str]]) -> None:
-        text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows(rows)
-        data = text.getvalue().encode()
-        try:
-            if self._file.write(data) != len(data):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        except OSError as error:
-            with suppress(OSError):  # a device such as /dev/full cannot be cut
-                self._file.truncate(self._size)
-            raise self._failure(error) from error
-        self._size += len(data)
+    def discard(self) -> None:
+        """Close the file and, unless it is live, drop it."""
+        self._file.discard()
 
-    def _failure(self, error: OSError) -> UserError:
-        return UserError(f"{self._path}: the fields cannot be written: {error.strerror}")
+    def __enter__(self) -> Self:
+        """Return the writer itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Keep the file, or discard it after an error."""
+        self.close() if kind is None else self.discard()
+
+    def _write(self, lines: bytes) -> None:
+        header, self._header = self._header, b""
+        self._file.write(header + lines)
+
+
+def _lines(rows: list[list[str]]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()
+
+
+def _epochs(path: str | Path) -> Iterator[list[Row]]:
+    """Yield the rows of each epoch.
+
+    A sensor that restarts counts from 0 again, and its number of twenty bits wraps: that an epoch comes again is no
+    fault, unless it is the one of before, at the same time with other beacons: then the rows are out of order.
+    """
+    rows: list[Row] = []
+    seen: OrderedDict[tuple[int, str], frozenset[str]] = OrderedDict()
+    for row in read_table(path, COLUMNS, (SIGMA_COLUMN,)):
+        if rows and _begins_another(rows, row):
+            _check_order(seen, rows)
+            yield rows
+            rows = []
+        rows.append(row)
+    if not rows:
+        raise UserError(f"{name_of(path)}: has a header but no rows")
+    _check_order(seen, rows)
+    yield rows
+
+
+def _begins_another(rows: list[Row], row: Row) -> bool:
+    """Tell whether a row belongs to another epoch than the rows before it; a restart may come to the same number."""
+    if row.whole("epoch") != rows[0].whole("epoch"):
+        return True
+    return row.cells["t_s"] != rows[0].cells["t_s"] and row.cells["beacon"] in {r.cells["beacon"] for r in rows}
+
+
+def _check_order(seen: OrderedDict[tuple[int, str], frozenset[str]], rows: list[Row]) -> None:
+    key = rows[0].whole("epoch"), rows[0].cells["t_s"]
+    beacons = frozenset(row.cells["beacon"] for row in rows)
+    if key in seen and not seen[key] & beacons:
+        raise rows[0].error("epoch", f"{key[0]} comes again after another one: sort the rows by epoch")
+    seen[key] = beacons
+    if len(seen) > REMEMBERED:
+        seen.popitem(last=False)
 
 
 def _fields(site: Site, rows: list[Row]) -> Fields:
@@ -122,15 +182,22 @@ def _fields(site: Site, rows: list[Row]) -> Fields:
             raise row.error("t_s", f"differs from the {time_s:g} of the same epoch's first row (line {rows[0].line})")
         beacon = row.text("beacon")
         if beacon not in known:
-            raise row.error("beacon", f"{beacon!r} is not in the site {site.name!r}: it has {', '.join(known[:10])}")
+            more = "" if len(known) <= 10 else f" and {len(known) - 10} more"
+            raise row.error(
+                "beacon", f"{beacon!r} is not in the site {site.name!r}: it has {', '.join(known[:10])}{more}"
+            )
         if beacon in beacons:
             raise row.error("beacon", f"{beacon!r} comes twice in the epoch")
         beacons.append(beacon)
         field[place] = [row.field(column) for column in COLUMNS[3:]]
         if row.cells.get(SIGMA_COLUMN, "").strip():
             sigma[place] = row.number(SIGMA_COLUMN)
-            if not 0.0 < sigma[place] < 1.0:
-                raise row.error(SIGMA_COLUMN, f"is {sigma[place]:g}; it must be greater than zero and below 1 T")
+            if not LEAST_SIGMA_T < sigma[place] < LARGEST_SIGMA_T:
+                hint = f" (in nanotesla it would be {sigma[place] * 1e-9:g} T)" if sigma[place] > 0.0 else ""
+                raise row.error(
+                    SIGMA_COLUMN,
+                    f"is {sigma[place]:g}; it must be greater than zero and below {LARGEST_SIGMA_T:g} T{hint}",
+                )
         else:
             sigma[place] = default_sigma
     return Fields(rows[0].whole("epoch"), time_s, tuple(beacons), field, sigma)

@@ -92,6 +92,8 @@ class Branch(Generic[T]):
         Items that the sink did not get because it was too slow, or stuck at the end.
     stuck : bool
         True if the sink has not come to its end after `close`.
+    failed : bool
+        True if the sink has raised an error.
     """
 
     def __init__(
@@ -106,6 +108,7 @@ class Branch(Generic[T]):
         # A SimpleQueue, whose lock an interrupt cannot leave locked, as it can that of a Queue.
         self._queue: queue.SimpleQueue[T | _End] = queue.SimpleQueue()
         self._error: Exception | None = None
+        self.failed = False
         self._closed = False
         self._ended = False  # is_alive would not do: a join that is interrupted makes it False at once
         self._thread = threading.Thread(target=self._feed, name=name, daemon=True)
@@ -155,6 +158,7 @@ class Branch(Generic[T]):
             else:
                 self._sink.write(item)
         except Exception as error:  # whatever a sink raises must not end the others
+            self.failed = True
             if self._essential:
                 self._error = self._error or error
             else:
@@ -225,6 +229,11 @@ class Fanout(Generic[T]):
     def stuck(self) -> bool:
         """Whether a sink has not come to its end, though it was closed: its thread lives on."""
         return any(branch.stuck for branch in self._branches)
+
+    @property
+    def failed(self) -> bool:
+        """Whether a sink has raised an error: what it writes is not whole."""
+        return any(branch.failed for branch in self._branches)
 
     @property
     def dropped(self) -> dict[str, int]:

@@ -177,7 +177,7 @@ BAD_FIELDS = [
     ([FIELD_COLUMNS, GOOD_ROW, "0,0.1,b2,0,0,0"], ":3: t_s differs from the 0 of the same epoch's first row (line 2)"),
     ([FIELD_COLUMNS, "0,0.0,b9,0,0,0"], ":2: beacon 'b9' is not in the site 'prigge8': it has b1, b2"),
     ([FIELD_COLUMNS, GOOD_ROW, GOOD_ROW], ":3: beacon 'b1' comes twice"),
-    ([FIELD_COLUMNS, GOOD_ROW, "1,0.1,b1,0,0,0", GOOD_ROW], ":4: epoch 0 comes again"),
+    ([FIELD_COLUMNS, GOOD_ROW, "1,0.1,b1,0,0,0", "0,0.0,b2,0,0,0"], ":4: epoch 0 comes again"),
     ([FIELD_COLUMNS + ",sigma_T", GOOD_ROW + ",0"], ":2: sigma_T is 0"),
     ([FIELD_COLUMNS, '0,0.0,"b1,0,0,0'], "is no CSV"),
     (b"\x00\x01\x02\xff\xfe" * 100, "is no text"),
@@ -186,8 +186,8 @@ BAD_FIELDS = [
 SAMPLE_COLUMNS = "chip,bx_T,by_T,bz_T"
 BAD_SAMPLES = [
     ([SAMPLE_COLUMNS], "has 0 chips, fewer than a cycle's 1023"),
-    ([SAMPLE_COLUMNS, "0,1,2,3"], "has 1 chips, fewer than a cycle's 1023"),
-    ([SAMPLE_COLUMNS, "0,1,2,3", "2,1,2,3"], ":3: chip is 2 where 1 follows"),
+    ([SAMPLE_COLUMNS, "0,1e-6,2e-6,3e-6"], "has 1 chips, fewer than a cycle's 1023"),
+    ([SAMPLE_COLUMNS, "0,1e-6,2e-6,3e-6", "2,1e-6,2e-6,3e-6"], ":3: chip is 2 where 1 follows"),
     ([SAMPLE_COLUMNS, "1,1,2,3"], ":2: chip is 1 where 0 follows"),
     ([FIELD_COLUMNS], 'table.csv:1: "epoch" is no column'),
 ]
@@ -221,7 +221,7 @@ def test_no_table_ends_in_a_traceback(tmp_path, capsys, content):
 
 
 def test_paths_that_are_no_table(tmp_path, capsys):
-    for path, words in ((tmp_path / "none.csv", "there is no such file"), (tmp_path, "is a directory")):
+    for path, words in ((tmp_path / "none.csv", "there is no such CSV file"), (tmp_path, "is a directory")):
         assert main(["locate", "--site", str(SITE), str(path)]) == 2
         assert words in capsys.readouterr().err
 

@@ -6,7 +6,7 @@ import signal
 import numpy as np
 import pytest
 
-from goldfield import Fields, UserError, load_site, read_fields
+from goldfield import Fields, SystemFailure, load_site, read_fields
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.sensor.sinks import Fanout
 from tests.host.fake_sensor import SITE
@@ -45,5 +45,5 @@ def test_whole_epochs_are_left_and_it_is_told_once(tmp_path, capsys):
 
 
 def test_a_table_that_cannot_be_begun_is_refused():
-    with pytest.raises(UserError, match=r"^/dev/full: the fields cannot be written: No space left on device$"):
+    with pytest.raises(SystemFailure, match=r"^/dev/full: the fields cannot be written: No space left on device$"):
         FieldsWriter("/dev/full")
