@@ -10,6 +10,7 @@ import numpy as np
 
 from goldfield import site as sites
 from goldfield.access.cdma import Separation
+from goldfield.access.nuisance import SEARCH_HZ
 from goldfield.access.of_site import SiteAccess, SiteCycle
 from goldfield.cli import options
 from goldfield.cli.chips_file import COLUMNS, read_cycles
@@ -57,8 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     check_outputs({"--fields": arguments.fields}, inputs, force=arguments.force)
     site = sites.load(path)
     options.tell_doubts(site)
-    if arguments.harmonics is not None and arguments.mains is None:
-        raise UserError("--harmonics is given without --mains: give the frequency of the mains too")
+    _check_mains(site, arguments.mains, arguments.harmonics)
     try:
         access = SiteAccess(site, arguments.mains, arguments.harmonics or 1, arguments.unknown_rise)
     except UserError as error:
@@ -78,6 +78,31 @@ def run(arguments: argparse.Namespace) -> int:
             else:
                 print(_table(site, number_of, cycle))
     return 0
+
+
+def _check_mains(site: Site, mains_Hz: float | None, harmonics: int | None) -> None:
+    """Check that a hum and its multiples can be told from what samples at the chips' rate alias them to.
+
+    Raises
+    ------
+    UserError
+        If one is at half the chips' rate or above, or they leave too few chips for the beacons.
+    """
+    if mains_Hz is None:
+        if harmonics is not None:
+            raise UserError("--harmonics is given without --mains: give the frequency of the mains too")
+        return
+    half_Hz = 0.5 / site.chip_period_s
+    if mains_Hz + SEARCH_HZ >= half_Hz:
+        raise UserError(
+            f"--mains {mains_Hz:g}: is not below {half_Hz:g} Hz, half the rate of the chips: samples cannot tell it"
+        )
+    most = min(int(half_Hz / (mains_Hz + SEARCH_HZ)), (site.chips - 1 - len(site.beacons)) // 2)
+    if harmonics is not None and harmonics > most:
+        raise UserError(
+            f"--harmonics {harmonics}: with --mains {mains_Hz:g} and {site.chips} chips of {site.chip_period_s:g} s at "
+            f"most {max(most, 1)} can be taken out"
+        )
 
 
 def _fields_writer(arguments: argparse.Namespace) -> AbstractContextManager[FieldsWriter | None]:
