@@ -16,11 +16,12 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from goldfield.cli import main as goldfield_main
+from goldfield.cli.options import add_force
 from goldfield.errors import UserError
-from goldfield.files.outputs import check_outputs
+from goldfield.files.outputs import OutputFile, check_outputs, write_file
 from hil_sim.links.can_bridge import CanBridge
 from hil_sim.links.port_name import PortName
 from hil_sim.links.pseudo_terminal import PseudoTerminal
@@ -62,6 +63,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="JSON lines")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the lines of truth there, and only there")
     parser.add_argument("--site", type=Path, metavar="FILE", help=SITE_HELP)
+    add_force(parser)
     parser.add_argument("--pace", type=_pace, default=1.0, metavar="X", help=PACE_HELP)
     parser.add_argument("--can", metavar="CHANNEL", default=NO_CAN, help=CAN_HELP)
     parser.add_argument("--link", type=Path, metavar="PATH", help=LINK_HELP)
@@ -148,13 +150,13 @@ def run(arguments: argparse.Namespace) -> int:
     """
     scenario = load_scenario(arguments.scenario)
     outputs = {"--site": arguments.site, "--truth": arguments.truth, "--link": arguments.link}
-    check_outputs(outputs, {"SCENARIO": arguments.scenario})
+    check_outputs(outputs, {"SCENARIO": arguments.scenario}, force=arguments.force)
     with ExitStack() as stack:
         stack.enter_context(_interrupted_by_termination())
         site = arguments.site
         if site is None:
             site = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="goldfield-"))) / "site.toml"
-        _write(site, site_toml(scenario))
+        write_file(site, site_toml(scenario).encode(), "the site file", force=arguments.force)
         bridge = None
         if arguments.can != NO_CAN:
             bridge = CanBridge(arguments.can)
@@ -165,14 +167,15 @@ def run(arguments: argparse.Namespace) -> int:
             terminals[board] = PseudoTerminal()
             stack.callback(terminals[board].close)
         names = {board: _named(arguments.link, terminals[board], scenario, board, stack) for board in terminals}
-        truth = sys.stdout if arguments.json else None
+        tell_truth: Callable[[str], None] | None = _print_line if arguments.json else None
         if arguments.truth is not None:
-            truth = stack.enter_context(_open_for_writing(arguments.truth))
+            file = stack.enter_context(OutputFile(arguments.truth, "the truth", live=True, force=arguments.force))
+            tell_truth = _line_writer(file)
         channel = NO_CAN if bridge is None else bridge.channel
         _announce(arguments, scenario, channel, names, site)
         pace = Pace(arguments.pace)
         try:
-            _serve(arguments, rig, terminals, bridge, truth, pace)
+            _serve(arguments, rig, terminals, bridge, tell_truth, pace)
         except KeyboardInterrupt:
             pass
         finally:
@@ -194,7 +197,7 @@ def _serve(
     rig: Rig,
     terminals: Mapping[int, PseudoTerminal],
     bridge: CanBridge | None,
-    truth: TextIO | None,
+    tell_truth: Callable[[str], None] | None,
     pace: Pace,
 ) -> None:
     end_s = LONGEST_S if arguments.seconds is None else arguments.seconds
@@ -208,8 +211,8 @@ def _serve(
         slices += 1
         rig.run_until(round(min(slices * SLICE_S, end_s) * 1e12))
         for line in rig.truth():  # before the messages: who has read a cycle finds its truth
-            if truth is not None:
-                print(json.dumps(line.as_dict()), file=truth, flush=True)
+            if tell_truth is not None:
+                tell_truth(json.dumps(line.as_dict()))
         for board, terminal in terminals.items():
             terminal.write(rig.serial_read(board), wait=arguments.pace == 0.0)
         if bridge is not None:
@@ -251,18 +254,13 @@ def _summarise(arguments: argparse.Namespace, rig: Rig, lost: int, bridge: CanBr
     print(line, file=sys.stderr if arguments.json else sys.stdout, flush=True)
 
 
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write the site file to {path}: {error.strerror}") from error
+def _print_line(line: str) -> None:
+    print(line, flush=True)
 
 
-def _open_for_writing(path: Path) -> TextIO:
-    try:
-        return path.open("w", encoding="utf-8")
-    except OSError as error:
-        raise UserError(f"cannot write the truth to {path}: {error.strerror}") from error
+def _line_writer(file: OutputFile) -> Callable[[str], None]:
+    """Return what appends a line to a file, which ends the run if the file cannot be written."""
+    return lambda line: file.write(f"{line}\n".encode())
 
 
 @contextmanager
