@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pkgutil import resolve_name
 
 from goldfield.errors import SystemFailure
+from goldfield.files.outputs import check_outputs
 
 
 def action(name: str) -> Callable[[argparse.Namespace], int]:
@@ -25,6 +26,8 @@ def action(name: str) -> Callable[[argparse.Namespace], int]:
             raise SystemFailure(
                 f'the experiment cannot be loaded ({error}): install its packages with pip install "goldfield[sim]"'
             ) from error
+        figure, force = getattr(arguments, "figure", None), getattr(arguments, "force", False)
+        check_outputs({"--figure": figure}, {"--site": getattr(arguments, "site", None)}, force=force)
         return int(function(arguments))
 
     return run

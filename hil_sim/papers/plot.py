@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield.files.outputs import write_file
 from goldfield.types import FloatArray
 
 if TYPE_CHECKING:
@@ -51,19 +54,21 @@ def curves(axes: Axes, x: FloatArray, lines: Mapping[str, FloatArray], xlabel: s
 
 
 def save(figure: Figure, path: str) -> None:
-    """Write a figure.
+    """Write a figure, whole or not at all; `actions.action` has checked that it may replace what is there.
 
     Raises
     ------
     UserError
-        If the file cannot be written or its name ends in no known format.
+        If the file cannot be made or its name ends in no known format.
+    SystemFailure
+        If it cannot be written.
     """
+    picture = io.BytesIO()
     try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise UserError(f"{path}: the picture cannot be written: {error.strerror}") from error
+        figure.savefig(picture, dpi=120, format=Path(path).suffix.removeprefix(".") or "png")
     except ValueError as error:
         raise UserError(f"{path}: the picture cannot be written: {error}: give a name that ends in .png") from error
+    write_file(path, picture.getvalue(), "the picture", force=True)
 
 
 def _finish(axes: Axes) -> None:

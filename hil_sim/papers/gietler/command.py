@@ -6,6 +6,7 @@ import argparse
 import math
 from typing import Any
 
+from goldfield.cli.options import add_force
 from hil_sim.papers.actions import action
 
 
@@ -43,6 +44,7 @@ def _add(actions: Any, name: str, what: str) -> argparse.ArgumentParser:
     parser: argparse.ArgumentParser = actions.add_parser(name, help=what, description=what)
     parser.add_argument("--json", action="store_true", help="one JSON object a line")
     parser.add_argument("--figure", metavar="FILE.png", help="draw it")
+    add_force(parser)
     parser.set_defaults(run=action(f"gietler.reports:run_{name}"))
     return parser
 

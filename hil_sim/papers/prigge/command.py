@@ -26,5 +26,6 @@ def command(subparsers: Any) -> None:
     options.add(
         parser, "--figure", metavar="FILE", what="draw waveforms and spectra (FIG. 1 to 4) into a PNG, PDF or SVG"
     )
+    options.add_force(parser)
     options.add_json(parser)
     parser.set_defaults(run=action("prigge.report:run"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from goldfield.cli.options import add_json, count, finite
+from goldfield.cli.options import add_force, add_json, count, finite
 from hil_sim.papers.actions import action
 from hil_sim.papers.zheng.columns import COLUMNS_HELP
 
@@ -71,6 +71,7 @@ def _add_survey(actions: Any) -> None:
     )
     survey.add_argument("samples", metavar="SAMPLES.csv")
     survey.add_argument("--map", required=True, metavar="MAP.csv", help="to write: point,x_m,y_m,z_m,beacon,strength_T")
+    add_force(survey)
     _add_separation(survey)
     _add_site(survey)
     survey.set_defaults(run=action("zheng.survey:run"))
@@ -99,6 +100,7 @@ def _add_simulate(actions: Any) -> None:
     kind = simulate.add_mutually_exclusive_group(required=True)
     kind.add_argument("--grid", action="store_true", help="level, at the places of a survey, every 0.5 m")
     kind.add_argument("--targets", type=count, metavar="N", help="at random places")
+    add_force(simulate)
     simulate.add_argument("--tilt-deg", type=positive, metavar="D", help="turned, tilted up to so much")
     _add_site(simulate)
     _add_world(simulate)
@@ -110,6 +112,7 @@ def _add_room(parser: argparse.ArgumentParser, *, runs: int, beacons: int) -> No
     _add_world(parser)
     parser.add_argument("--runs", type=count, default=runs, metavar="N", help=f"places, or repetitions; default {runs}")
     parser.add_argument("--figure", metavar="FILE.png", help="also draw it")
+    add_force(parser)
     add_json(parser)
 
 

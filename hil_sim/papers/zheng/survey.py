@@ -8,6 +8,7 @@ import numpy as np
 
 from goldfield.cli.chips_file import PLACE
 from goldfield.errors import UserError
+from goldfield.files.outputs import check_outputs
 from goldfield.types import FloatArray
 from hil_sim.papers.zheng import sites
 from hil_sim.papers.zheng.methods import map_file
@@ -18,6 +19,8 @@ from hil_sim.papers.zheng.windows import read_windows
 
 def run(arguments: argparse.Namespace) -> int:
     """Build and save a map; windows at one place make one point."""
+    inputs = {"SAMPLES.csv": arguments.samples, "--site": arguments.site}
+    check_outputs({"--map": arguments.map}, inputs, force=arguments.force)
     site = sites.measured_site(arguments, 3)
     names = tuple(beacon.id for beacon in sites.dual_axis_beacons(site).beacons)
     strengths: dict[tuple[float, ...], list[FloatArray]] = {}
@@ -29,6 +32,6 @@ def run(arguments: argparse.Namespace) -> int:
             raise UserError(f"{arguments.samples}: window {window.window} lacks samples: leave it out of the survey")
         strengths.setdefault(tuple(window.place_m.tolist()), []).append(strength)
     means = np.array([np.mean(of_place, axis=0) for of_place in strengths.values()])
-    map_file.save(FingerprintMap(names, np.array(list(strengths)), means), arguments.map)
+    map_file.save(FingerprintMap(names, np.array(list(strengths)), means), arguments.map, force=arguments.force)
     print(f"{arguments.map}: {len(strengths)} points, {len(names)} beacons")
     return 0

@@ -7,37 +7,37 @@ the beacon's id, and the root mean square of |B| over a turn. Every point has ev
 from __future__ import annotations
 
 import csv
+import io
 from pathlib import Path
 
 import numpy as np
 
 from goldfield.errors import UserError
 from goldfield.files.csv_table import Row, read_table
+from goldfield.files.outputs import write_file
 from hil_sim.papers.zheng.methods.fingerprint import NEIGHBOURS, FingerprintMap
 
 COLUMNS = ("point", "x_m", "y_m", "z_m", "beacon", "strength_T")
 
 
-def save(fingerprints: FingerprintMap, path: str | Path) -> None:
-    """Write a map; what was there is replaced.
+def save(fingerprints: FingerprintMap, path: str | Path, *, force: bool = False) -> None:
+    """Write a map; the errors are those of `goldfield.files.outputs.OutputFile`.
 
-    Raises
-    ------
-    UserError
-        If the file cannot be written.
+    Parameters
+    ----------
+    fingerprints : FingerprintMap
+    path : path
+    force : bool
+        Whether it may replace a file that holds something.
     """
-    try:
-        with Path(path).open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(COLUMNS)
-            for point, (place, strengths) in enumerate(
-                zip(fingerprints.position_m, fingerprints.strength_T, strict=True)
-            ):
-                where = [repr(float(value)) for value in place]
-                for beacon, strength in zip(fingerprints.beacons, strengths, strict=True):
-                    writer.writerow([point, *where, beacon, repr(float(strength))])
-    except OSError as error:
-        raise UserError(f"{path}: the map cannot be written: {error.strerror}") from error
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for point, (place, strengths) in enumerate(zip(fingerprints.position_m, fingerprints.strength_T, strict=True)):
+        where = [repr(float(value)) for value in place]
+        for beacon, strength in zip(fingerprints.beacons, strengths, strict=True):
+            writer.writerow([point, *where, beacon, repr(float(strength))])
+    write_file(path, text.getvalue().encode(), "the map", force=force)
 
 
 def load(path: str | Path, beacons: tuple[str, ...]) -> FingerprintMap:
