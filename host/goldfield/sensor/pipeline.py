@@ -15,6 +15,7 @@ from goldfield.sensor.amendment import amended_fields, amended_pose
 from goldfield.sensor.location import location, needed_parameters, with_finding, without
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.receiver import Recorder
+from goldfield.sensor.recorded_cycle import RecordedCycle
 from goldfield.sensor.separation import Separation
 from goldfield.sensor.session import Session
 from goldfield.sensor.verdict import Verdict, judge
@@ -141,7 +142,10 @@ class Sensor:
     def reports(self) -> Iterator[Report]:
         """Yield what arrived of each code cycle, neither separated nor located; otherwise as `epochs`."""
         first = math.nan
+        recorded = None if self.live else RecordedCycle(self.name, self.site)
         for report in self._session.reports():
+            if recorded is not None:
+                recorded.check(report)
             yield report
             if math.isnan(first):
                 first = report.time_s
