@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,18 +12,14 @@ from goldfield.files.inputs import STREAM, name_of, open_input, reason_of
 from goldfield.files.outputs import OutputFile
 from goldfield.link.candump import NoFrame
 from goldfield.link.log_formats import DAMAGE, frames
-from goldfield_protocol.messages import Identifier, database
 
 CHANNEL = "goldfield"
-
-HELD = 5000
-"""Messages that are held back until the first cycle tells which channel has a sensor: of more than a minute."""
 
 OTHER_FORMATS = (".asc", ".blf", ".csv", ".db", ".gz", ".mcap", ".mf4", ".trc")
 
 
 class CandumpReader:
-    """Messages of a recording in any format that `frames` knows, of one channel: the first one with a sensor.
+    """Messages of a recording in any format that `frames` knows, each with its channel.
 
     Parameters
     ----------
@@ -39,8 +34,6 @@ class CandumpReader:
         Lines so far that cannot be read: torn or corrupt.
     foreign : int
         Frames so far that are none of ours: with an 11-bit identifier, remote, error and FD frames.
-    others : Counter of str
-        Messages so far of other channels, which are left out.
 
     Raises
     ------
@@ -52,7 +45,6 @@ class CandumpReader:
         self.name = name_of(path)
         self.bad_lines = 0
         self.foreign = 0
-        self.others: Counter[str] = Counter()
         self._path = str(path)
         self._first_bad: int | None = None
         self._count = 0
@@ -60,12 +52,9 @@ class CandumpReader:
         self._file = open_input(path, "log")
 
     def __iter__(self) -> Iterator[can.Message]:
-        found = False
-        for message in self._of_one_channel(self._messages()):
-            found = True
-            yield message
+        yield from self._messages()
         self.close()
-        if not found:
+        if not self._count:
             raise UserError(
                 f"{self.name}:1: the log holds no message like '(1.500000) can0 01000064#0011223344556677': "
                 "give a log of candump, or an .asc, .blf, .csv, .db, .mf4 or .trc file"
@@ -81,11 +70,6 @@ class CandumpReader:
         if self.bad_lines:
             lines = "1 line" if self.bad_lines == 1 else f"{self.bad_lines} lines"
             tell(f"{self.name}: {lines} could not be read and were left out (first: number {self._first_bad})")
-        for channel, count in self.others.items():
-            tell(
-                f"{self.name}: {count} messages of the channel {channel} were left out, since a sensor was heard on "
-                f"another one first: to read {channel}, give a log of it alone"
-            )
 
     def _messages(self) -> Iterator[can.Message]:
         """Yield the messages of all channels, and count what else there is."""
@@ -103,36 +87,6 @@ class CandumpReader:
             tell(f"{self.name}: is damaged or was cut off behind {self._count} messages, which are used")
         except OSError as error:
             raise SystemFailure(f"{self.name}: the log cannot be read any further: {reason_of(error)}") from error
-
-    def _of_one_channel(self, messages: Iterator[can.Message]) -> Iterator[can.Message]:
-        held: list[can.Message] = []
-        chosen: str | None = None
-        for message in messages:
-            if chosen is not None:
-                if str(message.channel) == chosen:
-                    yield message
-                else:
-                    self.others[str(message.channel)] += 1
-                continue
-            held.append(message)
-            if _is_header(message):
-                chosen = str(message.channel)
-            if chosen is not None or len(held) > HELD:
-                for early in held:
-                    if chosen is None or str(early.channel) == chosen:
-                        yield early
-                    else:
-                        self.others[str(early.channel)] += 1
-                held.clear()
-        yield from held
-
-
-HEADER = Identifier.unpack(database().get_message_by_name("EPOCH").frame_id).type
-
-
-def _is_header(message: can.Message) -> bool:
-    """Tell whether a message is the header of a cycle, which every sensor sends and nobody else."""
-    return message.arbitration_id & ~0xFFF == Identifier(HEADER, 0, 0).pack() and len(message.data) == 8
 
 
 class CandumpWriter:
