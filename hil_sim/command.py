@@ -20,7 +20,6 @@ from typing import Any
 
 from goldfield.cli import main as goldfield_main
 from goldfield.cli.options import add_force
-from goldfield.errors import UserError
 from goldfield.files.outputs import OutputFile, check_outputs, write_file
 from hil_sim.links.can_bridge import CanBridge
 from hil_sim.links.port_name import PortName

@@ -33,9 +33,9 @@ def run(arguments: argparse.Namespace) -> int:
     kind, where = link_options.chosen(arguments)
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
 
-    from goldfield.cli.entry import EXIT_FAILED  # the entry imports this module
     from goldfield.cli.output import json_line
     from goldfield.doctor.examination import Examination
+    from goldfield.errors import EXIT_FAILED  # the entry imports this module
 
     faults = 0
     for check in Examination(kind, where, site, arguments.node).checks():

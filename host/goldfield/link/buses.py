@@ -16,7 +16,7 @@ from goldfield.errors import SystemFailure, UserError, option, tell
 from goldfield.link.can_channel import open_channel, resynchronise
 from goldfield.link.recordings import CandumpReader
 from goldfield.link.serial_bus import SerialBus
-from goldfield.link.traffic import CORRUPT, GARBLED, added, kind_of, no_traffic
+from goldfield.link.traffic import CORRUPT, FOREIGN, GARBLED, added, kind_of, no_traffic
 
 CAN_BIT_RATE = 1_000_000
 
@@ -227,7 +227,7 @@ class LogSource:
     @property
     def traffic(self) -> Mapping[str, int]:
         """Lines that are no message, and frames that are no data frames with 29-bit identifiers."""
-        return added(self._traffic, {CORRUPT: self._reader.bad_lines})
+        return added(self._traffic, {CORRUPT: self._reader.bad_lines, FOREIGN: self._reader.foreign})
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next message, None at the end; `UserError` after `close`."""
