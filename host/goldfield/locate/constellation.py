@@ -229,22 +229,24 @@ class Constellation:
         The steps: positions from 1.5 k/r^3, then from log |B|, attitudes by Wahba's problem, a fit with model error,
         a fit without.
         """
+        return self.refine(measurements, *self.starts(measurements))
+
+    def starts(self, measurements: Measurements) -> tuple[FloatArray, FloatArray]:
+        """Return positions, shape (e, 3), by magnitudes, and attitudes, shape (e, 3, 3), by Wahba's problem, not fitted."""
         quick = kernel.of(self.model)
         if quick is not None:
-            start = quick.starts(
+            return quick.starts(
                 measurements.field_T,
                 measurements.sigma_T,
                 range_error=SIMPLE_RANGE_ERROR,
                 magnitude_error=MAGNITUDE_ERROR,
                 vector_error=ROBUST_MODEL_ERROR,
             )
-            return self.refine(measurements, *start)
         magnitude, sigma, known = measurements.magnitude_T, measurements.sigma_T, measurements.known
         position = simple_magnitudes(self.model, magnitude, sigma, known)
         position = log_magnitudes(self.model, magnitude, sigma, known, position)
         weight = measurements.inverse_sigma(ROBUST_MODEL_ERROR)[:, 0] ** 2
-        rotation = wahba(self.model.field(position), measurements.filled_T, weight)
-        return self.refine(measurements, position, rotation)
+        return position, wahba(self.model.field(position), measurements.filled_T, weight)
 
     def from_shell(self, measurements: Measurements, candidates: int = CANDIDATES) -> Fit:
         """Search the shell of one epoch and fit its best candidates; the best comes first."""

@@ -11,16 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from goldfield.field import FieldModel
 from goldfield.locate import sentences
 from goldfield.locate.constellation import Constellation, probability
+from goldfield.locate.distorted import Distorted, fit_distorted
 from goldfield.locate.fault_statistics import DISTORTIONS
-from goldfield.locate.fit import Fit, Measurements, pose_jacobian, stacked
-from goldfield.locate.least_squares import Evaluate, State, minimise
-from goldfield.locate.rotations import turned
+from goldfield.locate.fit import Fit, Measurements
 from goldfield.types import Explanation, Finding, FloatArray
 
 EXPLAINS = 1e-5
@@ -44,15 +41,18 @@ SAME_FACTOR = 0.01
 """Relative difference of a factor from that of a unit that may be noise."""
 
 FACTORS = np.concatenate(
-    [np.geomspace(0.1, 10.0, 25), *([size, 1.0 / size, size**3, size**-3] for size in UNITS.values())]
+    [np.geomspace(0.1, 10.0, 13), *([size, 1.0 / size, size**3, size**-3] for size in UNITS.values())]
 )
 """Factors of all fields from which the search for the right one starts."""
 
 STARTS = 4
 """Best starts that are fitted with a distortion."""
 
-SILENT = 4.0
-"""An axis whose components have a root mean square below this many standard deviations may be dead."""
+ROUGHNESS = 0.1
+"""Model error of the fit that finds the best of them: it compares poses that are nearly right."""
+
+ROUGH_ITERATIONS = 10
+"""Evaluations of that fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,131 +92,50 @@ def sensor_rivals(constellation: Constellation, measurements: Measurements, pose
     heard = int(measurements.known.sum())
     if heard < LEAST_FOR_ONE_FACTOR or not measurements.complete:
         return []
-    starts, strengths = _starts(constellation, measurements, poses)
-    found = []
-    factor = _fitted(constellation.model, measurements, starts, strengths, DISTORTIONS[:1])
-    found.append(_rival(measurements, factor, 1, 1))
+    model = constellation.model
+    position, rotation = _starts(constellation, measurements, poses)
+    factor = fit_distorted(model, measurements, position, rotation, basis=DISTORTIONS[:1]).best()
+    found = [_rival(measurements, factor, 1, 1)]
     if heard >= LEAST_FOR_ANY:
-        starts, strengths = _with_dead_axes(constellation, measurements, starts, strengths)
-        whole = _fitted(constellation.model, measurements, starts, strengths, DISTORTIONS)
+        whole = fit_distorted(model, measurements, position, rotation, basis=DISTORTIONS).best()
         found.append(_rival(measurements, whole, len(DISTORTIONS), 1))
-        if found[-1] is not None:
-            for axis in np.eye(3):
-                # From the pose of any distortion, which is near that of the right one.
-                one = whole.distortion[None] * np.outer(axis, axis) + np.diag(1.0 - axis)
-                found.append(
-                    _rival(
-                        measurements,
-                        _fitted(
-                            constellation.model,
-                            measurements,
-                            whole.pose,
-                            one,
-                            axis[None, :, None] * axis[None, None, :],
-                        ),
-                        1,
-                        3,
-                    )
-                )
+        for axis in np.eye(3) if found[-1] is not None else []:
+            # From the pose of any distortion, which is near that of the right one.
+            other, along = np.diag(1.0 - axis), np.outer(axis, axis)[None]
+            gain = fit_distorted(model, measurements, whole.position_m, whole.rotation, basis=along, fixed=other)
+            found.append(_rival(measurements, gain, 1, 3))
     return sorted((rival for rival in found if rival is not None), key=lambda rival: rival.score)
 
 
-@dataclass(frozen=True)
-class _Distorted:
-    """A pose, ``Fit`` of one, with the sensor's distortion S, shape (3, 3), and their cost."""
-
-    pose: Fit
-    distortion: FloatArray
-    cost: float
-
-
-def _starts(constellation: Constellation, measurements: Measurements, poses: Fit) -> tuple[Fit, FloatArray]:
-    """Return the poses and distortions, shape (s, 3, 3), to start from: those given, and the best by any factor."""
+def _starts(constellation: Constellation, measurements: Measurements, poses: Fit) -> tuple[FloatArray, FloatArray]:
+    """Return positions and attitudes to start from: those given, and the best by any factor of all fields."""
     repeated = measurements.take(np.zeros(len(FACTORS), dtype=np.intp))
     scaled = repeated.of_fields(repeated.field_T / FACTORS[:, None, None], 1.0 / FACTORS[:, None])
-    chain = constellation.from_magnitudes(scaled)
-    best = np.argsort(np.where(np.isfinite(chain.cost), chain.cost, np.inf))[:STARTS]
-    given = np.flatnonzero(np.isfinite(poses.cost))[:STARTS]
-    factor = np.concatenate([FACTORS[best], np.ones(len(given))])
-    return stacked([chain.take(best), poses.take(given)]), factor[:, None, None] * np.eye(3)
-
-
-def _with_dead_axes(
-    constellation: Constellation, measurements: Measurements, starts: Fit, strengths: FloatArray
-) -> tuple[Fit, FloatArray]:
-    """Add, for an axis that shows next to nothing, the pose of a sensor without it."""
-    whitened = measurements.filled_T[0] / measurements.sigma_T[0][:, None]
-    size = np.sqrt((whitened**2).sum(axis=0) / measurements.known.sum())
-    silent = np.flatnonzero(size < SILENT)
-    if len(silent) != 1:
-        return starts, strengths
-    field = measurements.field_T.copy()
-    field[:, :, silent] = np.nan
-    pose = constellation.solve(measurements.of_fields(field)).best
-    if not np.isfinite(pose.cost[0]):
-        return starts, strengths
-    dead = np.eye(3)
-    dead[silent, silent] = 0.0
-    return stacked([starts, pose]), np.concatenate([strengths, dead[None]])
-
-
-def _fitted(
-    model: FieldModel, measurements: Measurements, starts: Fit, distortion: FloatArray, basis: FloatArray
-) -> _Distorted:
-    """Fit pose and distortion, S moving along the basis, shape (k, 3, 3), from each start; the best of them."""
-    count = len(starts.cost)
-    repeated = measurements.take(np.zeros(count, dtype=np.intp))
-    end = minimise(
-        _distorted_misfit(model, repeated, basis),
-        lambda state, step: _retract(state, step, basis),
-        (starts.position_m, starts.rotation, distortion),
-        iterations=60,
-        tolerance=1e-3,
-    )
-    best = int(np.argmin(np.where(np.isfinite(end.cost), end.cost, np.inf)))
-    position, rotation, fitted = (part[best : best + 1] for part in end.state)
-    pose = Fit(
+    position, rotation = constellation.starts(scaled)
+    rough = fit_distorted(
+        constellation.model,
+        measurements,
         position,
         rotation,
-        end.cost[best : best + 1],
-        end.normal[best : best + 1, :6, :6],
-        end.converged[best : best + 1],
+        basis=DISTORTIONS[:1],
+        model_error=ROUGHNESS,
+        iterations=ROUGH_ITERATIONS,
+    ).best(STARTS)
+    given = np.flatnonzero(np.isfinite(poses.cost))[:STARTS]
+    return (
+        np.concatenate([rough.position_m, poses.position_m[given]]),
+        np.concatenate([rough.rotation, poses.rotation[given]]),
     )
-    return _Distorted(pose, fitted[0], float(end.cost[best]))
 
 
-def _distorted_misfit(model: FieldModel, measurements: Measurements, basis: FloatArray) -> Evaluate:
-    weight = measurements.inverse_sigma()
-    measured = measurements.filled_T.swapaxes(1, 2)
-
-    def evaluate(state: State, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
-        position, rotation, distortion = state
-        w = weight[rows]
-        slope, field = pose_jacobian(model, position)
-        back = rotation.swapaxes(1, 2)
-        seen = back @ field
-        of_pose = (distortion @ back)[:, None] @ slope
-        of_distortion = basis @ seen[:, None]
-        jacobian = np.concatenate([of_pose, of_distortion], axis=1) * w[:, None]
-        residual = (measured[rows] - distortion @ seen) * w
-        return residual.reshape(len(rows), -1), jacobian.reshape(len(rows), 6 + len(basis), -1)
-
-    return evaluate
-
-
-def _retract(state: State, step: FloatArray, basis: FloatArray) -> State:
-    position, rotation, distortion = state
-    change = np.einsum("ek,kij->eij", step[:, 6:], basis)
-    return position + step[:, :3], turned(rotation, step[:, 3:6]), distortion + change
-
-
-def _rival(measurements: Measurements, fitted: _Distorted, unknowns: int, tried: int) -> SensorRival | None:
+def _rival(measurements: Measurements, fitted: Distorted, unknowns: int, tried: int) -> SensorRival | None:
     """Judge a fit: None if it does not explain the epoch."""
     freedom = np.maximum(measurements.freedom - unknowns, 0)
-    if not probability(np.array([fitted.cost]), freedom)[0] > EXPLAINS:
+    if not probability(fitted.cost, freedom)[0] > EXPLAINS:
         return None
-    score = fitted.cost + float(chdtri(float(unknowns), BY_CHANCE / tried))
-    return SensorRival(_named(fitted.distortion, unknowns, tried), fitted.cost, score)
+    cost = float(fitted.cost[0])
+    score = cost + float(chdtri(float(unknowns), BY_CHANCE / tried))
+    return SensorRival(_named(fitted.distortion[0], unknowns, tried), cost, score)
 
 
 def _named(distortion: FloatArray, unknowns: int, tried: int) -> Finding:

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from goldfield.field import FieldModel
 from goldfield.locate import Locator, kernel
 from goldfield.locate.constellation import Constellation
-from goldfield.locate.fault_statistics import alarm, fault_statistics
+from goldfield.locate.distorted import fit_distorted
+from goldfield.locate.fault_statistics import DISTORTIONS, alarm, fault_statistics
 from goldfield.locate.fit import Measurements
 from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import HalfSpace
@@ -120,6 +121,24 @@ def test_searches_end_at_the_same_pose(numpy_only, noise, spoiled):
         assert added.min() > -1e-3
         assert added.max() < (1e-3 if noise == 2e-8 else 1.0)
         assert mine.residual == pytest.approx(reference.residual, rel=1e-5)
+
+
+@pytest.mark.parametrize("which", [slice(0, 1), slice(0, 6)], ids=["one gain", "any"])
+def test_fits_of_a_distorted_sensor_agree_and_find_it(numpy_only, which):
+    rng = np.random.default_rng(11)
+    site = random_room(rng, 7)
+    run, measurements = measured(site, rng, 1)
+    distortion = np.diag([1.3, 0.9, 0.7]) if which.stop == 6 else 1.2 * np.eye(3)
+    seen = measurements.of_fields(measurements.field_T @ distortion)
+    model = FieldModel(site.beacons)
+    starts = run.position_m + 0.1 * rng.normal(size=(4, 3)), np.repeat(run.rotation, 4, axis=0)
+    quick = fit_distorted(model, seen, *starts, basis=DISTORTIONS[which]).best()
+    numpy_only()
+    slow = fit_distorted(model, seen, *starts, basis=DISTORTIONS[which]).best()
+    np.testing.assert_allclose(quick.cost, slow.cost, rtol=1e-3)
+    np.testing.assert_allclose(quick.distortion, slow.distortion, atol=1e-4)
+    np.testing.assert_allclose(slow.distortion[0], distortion, atol=0.02)
+    assert np.linalg.norm(quick.position_m - run.position_m) < 0.01
 
 
 def test_starts_are_those_of_the_steps(numpy_only):

@@ -41,6 +41,8 @@ typedef struct {
 void gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *, double *);
 void gf_fit(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, double, size_t, double,
             double *, double *, double *, double *, uint8_t *);
+void gf_fit_distorted(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t,
+                      const double *, size_t, double, double *, double *, double *, double *);
 void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double *,
                double *, uint8_t *, double *, uint32_t *);
 typedef struct {
@@ -170,6 +172,44 @@ class Kernel:
             _ffi.from_buffer("uint8_t[]", converged, require_writable=True),
         )
         return position, turn, cost, information, converged
+
+    def fit_distorted(
+        self,
+        field_T: FloatArray,
+        sigma_T: FloatArray,
+        position_m: FloatArray,
+        rotation: FloatArray,
+        *,
+        fixed: FloatArray,
+        basis: FloatArray,
+        model_error: float,
+        iterations: int,
+        tolerance: float,
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Fit a sensor that distorts; returns position, attitude, cost, distortion of shape (e, 3, 3).
+
+        The distortion moves from ``fixed``, shape (3, 3), along ``basis``, shape (k, 3, 3); see kernel.h.
+        """
+        count = len(field_T)
+        position, turn = np.array(position_m, dtype=float, order="C"), np.array(rotation, dtype=float, order="C")
+        cost, distortion = np.empty(count), np.empty((count, 3, 3))
+        self._library.gf_fit_distorted(
+            self._coils,
+            count,
+            _given(field_T),
+            _given(sigma_T),
+            model_error,
+            _given(fixed),
+            len(basis),
+            _given(basis),
+            iterations,
+            tolerance,
+            _filled(position),
+            _filled(turn),
+            _filled(cost),
+            _filled(distortion),
+        )
+        return position, turn, cost, distortion
 
     def search(
         self,

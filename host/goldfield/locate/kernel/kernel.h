@@ -61,6 +61,15 @@ void gf_fit(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, c
             const double *sigma_T, double model_error, size_t iterations, double tolerance, double *position_m,
             double *rotation, double *cost, double *information, uint8_t *converged);
 
+/* The same fit, without errors of the site, of a sensor that distorts: b = S R'B with the symmetric S = fixed + sum of
+ * f_k basis_k (goldfield.locate.sensor_rivals). fixed is 3 x 3, basis count x 3 x 3, count 1 to 6. At each pose the
+ * factors f that fit best are found by linear equations, so that no start is needed for them. Each coil's field is
+ * known whole or not at all. In and out: position_m, rotation. Out: cost, distortion S (e x 3 x 3). Bound: 2 +
+ * iterations evaluations of the field an epoch. */
+void gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+                      double model_error, const double *fixed, size_t count, const double *basis, size_t iterations,
+                      double tolerance, double *position_m, double *rotation, double *cost, double *distortion);
+
 /* Search of the best pose with no prior, from complete vectors, and of a rival (goldfield.locate.constellation). The
  * best is the global minimum of the cost as far as could be found out within most_evaluations; those on the right side
  * of the half-space, the unit normal and the least component along it, go before others (a normal and component of 0
