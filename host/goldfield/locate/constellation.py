@@ -44,6 +44,13 @@ SURE_RADII = 1.5
 MOST_EVALUATIONS = 10_000
 """Evaluations of the field that a search may take, 5 to 20 ms; the median is 600, near coils 2,500."""
 
+SECOND_EVALUATIONS = 4_000
+"""The same for a search that a first one has called for: of the negated fields, or of those without a beacon."""
+
+UNFIT, UNFIT_COMPONENT = 50.0, 5.0
+"""Fields do not fit a pose whose cost, even with model error, exceeds the first and as much a component as the second:
+sound data cost a component about 1."""
+
 ROUGH_ITERATIONS = 40
 """Evaluations for such a fit."""
 
@@ -145,23 +152,24 @@ class Constellation:
             self._subsets[key] = Constellation(model, self.half_space, Shell(model, self._shell, rows))
         return self._subsets[key]
 
-    def solve(self, measurements: Measurements) -> Solutions:
+    def solve(self, measurements: Measurements, most_evaluations: int = MOST_EVALUATIONS) -> Solutions:
         """Find the poses of e epochs with no prior.
 
         The chain of magnitudes is quick, and its answer is taken where it is shown to be right (`_sure`). Elsewhere
         the pose is searched: by the kernel, or for coils given by their wire and sensors without three axes in the
-        shell of the strongest beacon. Where the fields are nothing but noise the cost is infinite.
+        shell of the strongest beacon. Where the fields are nothing but noise the cost is infinite. A search by the
+        kernel ends at ``most_evaluations``.
         """
         heard = audible(measurements)
         if heard.all():
-            return self._solve_heard(measurements)
+            return self._solve_heard(most_evaluations, measurements)
         solutions = _unsolved(_nowhere(len(measurements)))
         rows = np.flatnonzero(heard)
         if len(rows):
-            solutions.put(rows, self._solve_heard(measurements.take(rows)))
+            solutions.put(rows, self._solve_heard(most_evaluations, measurements.take(rows)))
         return solutions
 
-    def _solve_heard(self, measurements: Measurements) -> Solutions:
+    def _solve_heard(self, most_evaluations: int, measurements: Measurements) -> Solutions:
         """Find the poses of epochs that are more than noise."""
         quick = kernel.of(self.model) if measurements.complete else None
         if measurements.complete and len(self.model) >= (4 if quick is None else SURE_BEACONS):
@@ -170,7 +178,7 @@ class Constellation:
             solutions = _unsolved(_nowhere(len(measurements)))
         further = np.flatnonzero(~self._sure(measurements, solutions.best, strict=quick is not None))
         if len(further) and quick is not None:
-            solutions.put(further, self._search(quick, measurements.take(further)))
+            solutions.put(further, self._search(measurements.take(further), most_evaluations))
         else:
             for e in further:
                 one = np.array([e])
@@ -191,23 +199,46 @@ class Constellation:
             sure &= (distance > SURE_RADII * self.model.reach_m).all(axis=1)
         return np.asarray(sure)
 
-    def _search(self, quick: kernel.Kernel, measurements: Measurements) -> Solutions:
-        """Search all of the space by the kernel."""
+    def searched(
+        self, measurements: Measurements, most_evaluations: int
+    ) -> tuple[FloatArray, FloatArray, NDArray[np.intp], FloatArray, NDArray[np.intp]] | None:
+        """Search all of space for the poses of e epochs; None without the kernel, whose `Kernel.search` tells more."""
+        quick = kernel.of(self.model)
+        if quick is None:
+            return None
         side = np.zeros(4)
         if self.half_space is not None:
             side = np.append(self.half_space.normal, self.half_space.normal @ self.half_space.point_m)
-        position, rotation, found, widening, evaluations = quick.search(
-            measurements.field_T, measurements.sigma_T, half_space=side, most_evaluations=MOST_EVALUATIONS
+        return quick.search(
+            measurements.field_T,
+            measurements.sigma_T,
+            half_space=side,
+            most_evaluations=most_evaluations,
+            hopeless_cost=self.unfit,
         )
-        solutions = _unsolved(self._polished(measurements, position[:, 0], rotation[:, 0]))
+
+    @property
+    def unfit(self) -> float:
+        """Cost that sound fields do not reach."""
+        return UNFIT + UNFIT_COMPONENT * 3 * len(self.model)
+
+    def _search(self, measurements: Measurements, most_evaluations: int) -> Solutions:
+        """Return the best poses of the search and their rivals, fitted to the end."""
+        found = self.searched(measurements, most_evaluations)
+        assert found is not None
+        position, rotation, count, widening, evaluations = found
+        unfit = self.unfit
+        best = self._polished(measurements, position[:, 0], rotation[:, 0])
+        self._further(measurements, best, np.flatnonzero(~best.converged & (best.cost < unfit)))
+        solutions = _unsolved(best)
         solutions.covariance_widening[:] = widening
-        solutions.bounded[:] = (evaluations >= MOST_EVALUATIONS) | ~solutions.best.converged
-        two = np.flatnonzero(found == 2)
+        solutions.bounded[:] = (evaluations >= most_evaluations) | (~best.converged & (best.cost < unfit))
+        two = np.flatnonzero(count == 2)
         if len(two):
             rival = self._polished(measurements.take(two), position[two, 1], rotation[two, 1])
             solutions.rival.put(two, rival)
             solutions.contested[two] = rival.cost - solutions.best.cost[two] < RIVAL_COST
-        none = np.flatnonzero(found == 0)
+        none = np.flatnonzero(count == 0)
         solutions.best.put(none, _nowhere(len(none)))
         return solutions
 
@@ -232,7 +263,7 @@ class Constellation:
         return self.refine(measurements, *self.starts(measurements))
 
     def starts(self, measurements: Measurements) -> tuple[FloatArray, FloatArray]:
-        """Return positions, shape (e, 3), by magnitudes, and attitudes, shape (e, 3, 3), by Wahba's problem, not fitted."""
+        """Return positions, shape (e, 3), by magnitudes, and attitudes, shape (e, 3, 3), by Wahba's problem."""
         quick = kernel.of(self.model)
         if quick is not None:
             return quick.starts(
@@ -283,16 +314,15 @@ class Constellation:
         )
 
     def _polished(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
-        """Fit without model error, where the kernel does it with more iterations if it has not converged."""
-        fit = fit_pose(self.model, measurements, position_m, rotation)
-        left = np.flatnonzero(~fit.converged & np.isfinite(fit.cost))
-        if len(left) and kernel.of(self.model) is not None:
-            some = fit.take(left)
-            more = fit_pose(
-                self.model, measurements.take(left), some.position_m, some.rotation, iterations=MORE_ITERATIONS
-            )
-            fit.put(left, more)
-        return fit
+        """Fit without model error."""
+        return fit_pose(self.model, measurements, position_m, rotation)
+
+    def _further(self, measurements: Measurements, fit: Fit, rows: NDArray[np.intp]) -> None:
+        """Fit some of the poses with more iterations, in place."""
+        if len(rows):
+            position, rotation = fit.position_m[rows], fit.rotation[rows]
+            some = measurements.take(rows)
+            fit.put(rows, fit_pose(self.model, some, position, rotation, iterations=MORE_ITERATIONS))
 
     def at(self, measurements: Measurements, position_m: FloatArray, rotation: FloatArray) -> Fit:
         """Return cost and information at given poses, not fitted."""

@@ -1,7 +1,7 @@
 """Exclusion: the one or two beacons without which the rest of an epoch agrees.
 
 Every beacon, and if need be every pair, is left out in turn; the rest is fitted from a few poses that the whole and the
-other subsets gave, so that the work is bounded: some five fits a beacon, and as many a pair.
+other subsets gave, so that the work is bounded: some five rough fits a beacon, six a pair, and a few fits to the end.
 """
 
 from __future__ import annotations
@@ -12,14 +12,25 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.locate.constellation import Constellation
-from goldfield.locate.fit import Fit, Measurements, stacked
+from goldfield.locate.constellation import ROBUST_MODEL_ERROR, ROUGH_TOLERANCE, Constellation
+from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
+from goldfield.types import FloatArray
 
 LEAST_FOR_ONE, LEAST_FOR_TWO = 5, 7
 """Beacons that must be heard to leave out one, and two: the rest must be a clear majority that can still be tested."""
 
 POOL = 3
-"""Poses from which each subset is fitted beside its own."""
+"""Subsets whose poses are starts for all the others: a fit that ended in the wrong valley is found out."""
+
+CLEAR = 25.0
+"""Cost by which an explanation must be better than the next: 270,000 to one, which pays for what was tried."""
+
+ROUGH_ITERATIONS, FINAL_ITERATIONS = 15, 120
+"""The most evaluations of a fit with model error, which compares the subsets, and of one without."""
+
+
+SUBSET_EVALUATIONS = 1000
+"""Evaluations of the search of a subset's pose, where no subset fits the poses that are known."""
 
 
 @dataclass(frozen=True)
@@ -40,31 +51,77 @@ class Subsets:
 
 def without_one(constellation: Constellation, measurements: Measurements, poses: Fit) -> Subsets:
     """Fit one epoch without each of its beacons in turn, from given poses and from those of the other subsets."""
-    single = np.arange(len(constellation.model))[:, None]
-    return _without(constellation, measurements, single, poses)
+    count = len(constellation.model)
+    usable = np.flatnonzero(np.isfinite(poses.cost))
+    starts = poses.take(np.tile(usable, count))
+    return _without(constellation, measurements, np.arange(count)[:, None], starts)
 
 
 def without_two(constellation: Constellation, measurements: Measurements, ones: Subsets) -> Subsets:
-    """Fit one epoch without each pair of its beacons, from the poses that leaving out one of them gave."""
+    """Fit one epoch without each pair of its beacons, from the poses that leaving out either of them gave."""
     pairs = np.array(list(combinations(range(len(constellation.model)), 2)), dtype=np.intp)
-    return _without(constellation, measurements, pairs, ones.fit.take(np.arange(min(POOL, len(ones.left_out)))))
+    rank = np.argsort(ones.left_out[:, 0])
+    return _without(constellation, measurements, pairs, ones.fit.take(rank[pairs].ravel()))
 
 
 def _without(
-    constellation: Constellation, measurements: Measurements, left_out: NDArray[np.intp], poses: Fit
+    constellation: Constellation, measurements: Measurements, left_out: NDArray[np.intp], starts: Fit
 ) -> Subsets:
+    """Fit without each of s subsets, from as many starts each, subset by subset, and from the chain of magnitudes.
+
+    Rough fits compare the subsets. Only those that may still cost as little as the best are fitted to the end, because
+    a cost with model error is less than one without; the others keep their rough pose and cost.
+    """
     count = len(left_out)
     mask = np.zeros((count, len(constellation.model)), dtype=bool)
     mask[np.arange(count)[:, None], left_out] = True
     thinned = measurements.take(np.zeros(count, dtype=np.intp)).without(mask)
-    chain = thinned.complete
-    best = constellation.from_magnitudes(thinned) if chain else _solved(constellation, measurements, mask)
-    best = _better_from(constellation, thinned, best, poses)
-    order = np.argsort(np.where(np.isfinite(best.cost), best.cost, np.inf))
-    # The poses of the best subsets are starts for the others: a fit that ended in the wrong valley is found out.
-    best = _better_from(constellation, thinned, best, best.take(order[:POOL]))
-    order = np.argsort(np.where(np.isfinite(best.cost), best.cost, np.inf))
+    if thinned.complete:
+        best = _rough(constellation, thinned, *constellation.starts(thinned))
+    else:
+        best = _solved(constellation, measurements, mask)
+    best = _better_from(constellation, thinned, best, starts)
+    if left_out.shape[1] == 1 and thinned.complete and not (best.cost < constellation.unfit).any():
+        best = _better_from(constellation, thinned, best, _searched(constellation, thinned, best))
+    best = _better_from(constellation, thinned, best, best.take(np.tile(_order(best)[:POOL], count)))
+    done = _order(best)[:POOL]
+    _finish(constellation, thinned, best, done)
+    left = np.setdiff1d(np.flatnonzero(best.cost < best.cost[done].min() + CLEAR), done)
+    _finish(constellation, thinned, best, left)
+    order = _order(best)
     return Subsets(left_out[order], best.take(order))
+
+
+def _searched(constellation: Constellation, thinned: Measurements, otherwise: Fit) -> Fit:
+    """Search all of space for each subset's pose: near coils the chain of magnitudes fails."""
+    found = constellation.searched(thinned, SUBSET_EVALUATIONS)
+    if found is None:
+        return otherwise
+    return constellation.at(thinned, found[0][:, 0], found[1][:, 0])
+
+
+def _order(fits: Fit) -> NDArray[np.intp]:
+    return np.argsort(np.where(np.isfinite(fits.cost), fits.cost, np.inf))
+
+
+def _rough(constellation: Constellation, measurements: Measurements, position: FloatArray, rotation: FloatArray) -> Fit:
+    return fit_pose(
+        constellation.model,
+        measurements,
+        position,
+        rotation,
+        model_error=ROBUST_MODEL_ERROR,
+        iterations=ROUGH_ITERATIONS,
+        tolerance=ROUGH_TOLERANCE,
+    )
+
+
+def _finish(constellation: Constellation, measurements: Measurements, fits: Fit, rows: NDArray[np.intp]) -> None:
+    """Fit some of the poses without model error, in place."""
+    if len(rows):
+        position, rotation = fits.position_m[rows], fits.rotation[rows]
+        some = measurements.take(rows)
+        fits.put(rows, fit_pose(constellation.model, some, position, rotation, iterations=FINAL_ITERATIONS))
 
 
 def _solved(constellation: Constellation, measurements: Measurements, mask: NDArray[np.bool_]) -> Fit:
@@ -76,17 +133,16 @@ def _solved(constellation: Constellation, measurements: Measurements, mask: NDAr
     return stacked(found)
 
 
-def _better_from(constellation: Constellation, thinned: Measurements, best: Fit, poses: Fit) -> Fit:
-    """Fit every subset from every pose too and keep what costs less."""
-    usable = poses.take(np.flatnonzero(np.isfinite(poses.cost)))
-    subsets, starts = len(best.cost), len(usable.cost)
-    if not starts:
+def _better_from(constellation: Constellation, thinned: Measurements, best: Fit, starts: Fit) -> Fit:
+    """Fit every subset roughly from its starts too and keep what costs less."""
+    subsets = len(best.cost)
+    each = len(starts.cost) // subsets
+    if not each:
         return best
-    which = np.repeat(np.arange(subsets), starts)
-    start = usable.take(np.tile(np.arange(starts), subsets))
-    fitted = constellation.refine(thinned.take(which), start.position_m, start.rotation)
-    cost = np.where(np.isfinite(fitted.cost), fitted.cost, np.inf).reshape(subsets, starts)
-    chosen = fitted.take(np.arange(subsets) * starts + cost.argmin(axis=1))
+    which = np.repeat(np.arange(subsets), each)
+    fitted = _rough(constellation, thinned.take(which), starts.position_m, starts.rotation)
+    cost = np.where(np.isfinite(fitted.cost), fitted.cost, np.inf).reshape(subsets, each)
+    chosen = fitted.take(np.arange(subsets) * each + cost.argmin(axis=1))
     better = np.flatnonzero(~(best.cost <= chosen.cost) & np.isfinite(chosen.cost))
     result = best.take(np.arange(subsets))
     result.put(better, chosen.take(better))

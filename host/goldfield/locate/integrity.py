@@ -6,8 +6,8 @@ In this order:
 2. One beacon out, if five are heard, beside the explanations by the sensor: the better one is named.
 3. Two beacons out, if seven are heard and neither explains the epoch.
 
-A pose without a beacon is trusted only if the rest has a likely cost, if every other explanation costs `CLEAR` more,
-and if the rest passes the alarm. Everything else is inconsistent, with the reason.
+A pose without a beacon is trusted only if the rest has a likely cost, if every other explanation costs
+`exclusion.CLEAR` more, and if the rest passes the alarm. Everything else is inconsistent, with the reason.
 """
 
 from __future__ import annotations
@@ -21,15 +21,12 @@ from scipy.special import chdtri
 
 from goldfield.locate import sentences
 from goldfield.locate.beacon_faults import beacon_finding
-from goldfield.locate.constellation import Constellation, Solutions, probability
-from goldfield.locate.exclusion import LEAST_FOR_ONE, LEAST_FOR_TWO, Subsets, without_one, without_two
+from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, Solutions, probability
+from goldfield.locate.exclusion import CLEAR, LEAST_FOR_ONE, LEAST_FOR_TWO, Subsets, without_one, without_two
 from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.fit import Fit, Measurements, stacked
 from goldfield.locate.sensor_rivals import BY_CHANCE, SensorRival, mirrored, sensor_rivals
 from goldfield.types import Explanation, Finding
-
-CLEAR = 25.0
-"""Cost by which an explanation must be better than the next: 270,000 to one, which pays for what was tried."""
 
 SOUND_REST = 0.01
 """Without the beacons that were left out, a cost as large as the rest's must be likelier than this."""
@@ -135,7 +132,7 @@ def _without(
         return None if likelier else _unknown(sentences.NOT_CLEAR)
     if alike:
         return _inconsistent(findings + alike, sentences.not_sure([f.text for f in findings + alike]))
-    solutions = _at_least(rest.solve(thinned), subsets.fit.take(np.array([0])))
+    solutions = _at_least(rest.solve(thinned, SECOND_EVALUATIONS), subsets.fit.take(np.array([0])))
     if alarm(thinned, solutions.best.cost, fault_statistics(rest.model, thinned, solutions.best))[0]:
         return None
     return Verdict(tuple(findings), sentences.left_out([f.text for f in findings]), solutions, left_out, residuals)

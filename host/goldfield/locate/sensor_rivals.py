@@ -14,7 +14,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from goldfield.locate import sentences
-from goldfield.locate.constellation import Constellation, probability
+from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, probability
 from goldfield.locate.distorted import Distorted, fit_distorted
 from goldfield.locate.fault_statistics import DISTORTIONS
 from goldfield.locate.fit import Fit, Measurements
@@ -48,6 +48,12 @@ FACTORS = np.concatenate(
 STARTS = 4
 """Best starts that are fitted with a distortion."""
 
+MOST_UNEQUAL = 10.0
+"""Gains in a greater ratio than this are no sensor's, unless one of its axes is silent."""
+
+SILENT = 4.0
+"""An axis is silent if its components have a root mean square below this many standard deviations."""
+
 ROUGHNESS = 0.1
 """Model error of the fit that finds the best of them: it compares poses that are nearly right."""
 
@@ -75,7 +81,7 @@ class SensorRival:
 def mirrored(constellation: Constellation, measurements: Measurements, cost: float, margin: float) -> Finding | None:
     """Search one epoch's pose from the negated fields; a finding if they fit and cost less by ``margin``."""
     negated = measurements.of_fields(-measurements.field_T)
-    best = constellation.solve(negated).best
+    best = constellation.solve(negated, SECOND_EVALUATIONS).best
     if not (probability(best.cost, measurements.freedom)[0] > EXPLAINS and best.cost[0] + margin < cost):
         return None
     return Finding(Explanation.MIRRORED, (), sentences.MIRRORED, factor=-1.0)
@@ -98,13 +104,21 @@ def sensor_rivals(constellation: Constellation, measurements: Measurements, pose
     found = [_rival(measurements, factor, 1, 1)]
     if heard >= LEAST_FOR_ANY:
         whole = fit_distorted(model, measurements, position, rotation, basis=DISTORTIONS).best()
-        found.append(_rival(measurements, whole, len(DISTORTIONS), 1))
+        found.append(_rival(measurements, whole, len(DISTORTIONS), 1) if _plausible(measurements, whole) else None)
         for axis in np.eye(3) if found[-1] is not None else []:
             # From the pose of any distortion, which is near that of the right one.
             other, along = np.diag(1.0 - axis), np.outer(axis, axis)[None]
             gain = fit_distorted(model, measurements, whole.position_m, whole.rotation, basis=along, fixed=other)
             found.append(_rival(measurements, gain, 1, 3))
     return sorted((rival for rival in found if rival is not None), key=lambda rival: rival.score)
+
+
+def _plausible(measurements: Measurements, fitted: Distorted) -> bool:
+    """Tell whether a distortion is one that a sensor may have: five beacons often agree with some other."""
+    gain = np.abs(np.linalg.eigvalsh(fitted.distortion[0]))
+    whitened = measurements.filled_T[0] / measurements.sigma_T[0][:, None]
+    silent = (whitened**2).sum(axis=0) < SILENT**2 * measurements.known.sum()
+    return bool(gain.max() < MOST_UNEQUAL * gain.min() or silent.any())
 
 
 def _starts(constellation: Constellation, measurements: Measurements, poses: Fit) -> tuple[FloatArray, FloatArray]:

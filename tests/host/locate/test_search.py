@@ -168,3 +168,20 @@ def test_a_search_keeps_to_the_side_of_the_half_space():
         assert (found == 1).all()
     _, _, found, *_ = quick.search(run.field_T, run.sigma_T, half_space=np.zeros(4), most_evaluations=10_000)
     assert (found == 2).all()
+
+
+def test_a_search_gives_up_where_nothing_fits_and_still_gives_a_pose():
+    site, rng = bench.prigge_cube(), np.random.default_rng(9)
+    sound = bench.trials(site, bench.cube_positions(rng, 5), rng)
+    wrong = sound.field_T * np.where(np.arange(8) < 3, -1.0, 1.0)[:, None]
+    quick = kernel.of(FieldModel(site.beacons))
+    spent = {}
+    for name, field in (("sound", sound.field_T), ("wrong", wrong)):
+        for limit in (170.0, np.inf):
+            position, _, found, _, spent[name, limit] = quick.search(
+                field, sound.sigma_T, half_space=np.zeros(4), most_evaluations=10_000, hopeless_cost=limit
+            )
+            assert (found > 0).all()
+            assert np.isfinite(position).all()
+            assert name == "wrong" or np.abs(position[:, 0] - sound.position_m).max() < 0.05
+    assert (spent["wrong", 170.0] < 0.7 * spent["wrong", np.inf]).all()

@@ -43,8 +43,8 @@ void gf_fit(const gf_coils_t *, const gf_errors_t *, size_t, const double *, con
             double *, double *, double *, double *, uint8_t *);
 void gf_fit_distorted(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t,
                       const double *, size_t, double, double *, double *, double *, double *);
-void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double *,
-               double *, uint8_t *, double *, uint32_t *);
+void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double,
+               double *, double *, uint8_t *, double *, uint32_t *);
 typedef struct {
     double *drop;
     int32_t *freedom;
@@ -218,6 +218,7 @@ class Kernel:
         *,
         half_space: FloatArray,
         most_evaluations: int,
+        hopeless_cost: float = float("inf"),
         model_error: float = 0.0,
     ) -> tuple[FloatArray, FloatArray, NDArray[np.intp], FloatArray, NDArray[np.intp]]:
         """Search the best pose of each epoch and a rival with no prior, from complete vectors; see kernel.h.
@@ -226,6 +227,9 @@ class Kernel:
         ----------
         half_space : ndarray, shape (4,)
             Unit normal of the half-space and the least component along it; zeros allow all positions.
+        most_evaluations : int
+        hopeless_cost : float
+            A descent ends where it costs more, even with a relative error of the model.
 
         Returns
         -------
@@ -249,6 +253,7 @@ class Kernel:
             model_error,
             _given(half_space),
             most_evaluations,
+            hopeless_cost,
             _filled(position),
             _filled(rotation),
             _ffi.from_buffer("uint8_t[]", found, require_writable=True),

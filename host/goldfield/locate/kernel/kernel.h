@@ -73,12 +73,14 @@ void gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *fiel
 /* Search of the best pose with no prior, from complete vectors, and of a rival (goldfield.locate.constellation). The
  * best is the global minimum of the cost as far as could be found out within most_evaluations; those on the right side
  * of the half-space, the unit normal and the least component along it, go before others (a normal and component of 0
- * allow all). A rival is another minimum within a cost of 15 of the best that no low way joins with it. Out:
+ * allow all). A rival is another minimum within a cost of 15 of the best that no low way joins with it. Where
+ * even with a relative error of the model the cost is above hopeless_cost, a descent is given up; if all are, the best
+ * of them is fitted to the end and nothing else is sought. Out:
  * position_m (e x 2 x 3), rotation (e x 2 x 3 x 3), best and rival; found (e), how many of the two there are; widening
  * (e x 6 x 6), to be added to the covariance of the best because its valley bends; evaluations (e). */
 void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-               const double half_space[4], size_t most_evaluations, double *position_m, double *rotation,
-               uint8_t *found, double *widening, uint32_t *evaluations);
+               const double half_space[4], size_t most_evaluations, double hopeless_cost, double *position_m,
+               double *rotation, uint8_t *found, double *widening, uint32_t *evaluations);
 
 /* Where gf_faults() writes. */
 typedef struct {

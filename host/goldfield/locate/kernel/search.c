@@ -44,6 +44,10 @@ static const double softness[] = {0.1, 0.03, 0.01, 3e-3, 1e-3, 3e-4, 1e-4};
 #define RIVAL_COST    15.0
 #define HOPELESS_COST 30.0
 
+/* A descent that has not ended at this stage or beyond leads to nothing, too, at so many times the hopeless cost. */
+#define UNENDED_STAGE 2
+#define UNENDED_TIMES 100.0
+
 /* A pose is near the start coil within this many radii of its centre. */
 #define NEAR_RADII 3.0
 
@@ -51,7 +55,9 @@ typedef struct {
     gf_epoch_t epoch;
     const double *half_space; /* unit normal and the least component along it; a normal of 0 allows all */
     double model_error;
-    size_t coil; /* the start coil */
+    double hopeless_cost;
+    gf_minimum_t hopeless; /* the best of those above this cost; its own cost is infinite if there is none */
+    size_t coil;           /* the start coil */
     size_t count;
     gf_minimum_t minima[MOST_MINIMA]; /* those on the right side first, then by cost */
 } search_t;
@@ -140,10 +146,22 @@ static bool is_stiff(const gf_epoch_t *epoch, double error) {
     return true;
 }
 
-/* Whether a soft minimum leads to nothing that matters: no stiffer cost is less, and this is far above the best. */
-static bool is_hopeless(const search_t *search, const gf_minimum_t *soft) {
+/* Whether a soft minimum leads to nothing that matters: no stiffer cost is less, and this is above what data that fit
+ * anywhere cost, or far above the best. */
+static bool is_hopeless(search_t *search, const gf_minimum_t *soft) {
+    if (soft->squares.cost > search->hopeless_cost) {
+        if (soft->squares.cost < search->hopeless.squares.cost) {
+            search->hopeless = *soft;
+        }
+        return true;
+    }
     return search->count > 0 && is_inside(search, &search->minima[0].pose) &&
            soft->squares.cost > search->minima[0].squares.cost + HOPELESS_COST;
+}
+
+static bool is_given_up(search_t *search, const gf_minimum_t *at, size_t stage) {
+    const bool far = stage >= UNENDED_STAGE && at->squares.cost > UNENDED_TIMES * search->hopeless_cost;
+    return (at->converged || far) && is_hopeless(search, at);
 }
 
 /* Descend through the stages of softness from this one on, then to the end. */
@@ -155,7 +173,7 @@ static bool refine(search_t *search, const gf_pose_t *pose, size_t stage) {
             break;
         }
         gf_descend(&search->epoch, STAGE_TRIALS, STAGE_ENOUGH, &at);
-        if (at.converged && is_hopeless(search, &at)) {
+        if (is_given_up(search, &at, stage)) {
             return false;
         }
     }
@@ -197,9 +215,9 @@ static void try_spread(search_t *search, size_t stage) {
     gf_spread(&search->epoch, search->coil, starts);
     for (size_t i = 0; i < GF_SPREAD; ++i) {
         gf_minimum_t at = {.pose = starts[i]};
-        bool known = false;
         gf_soften(&search->epoch, softness[stage]);
         gf_descend(&search->epoch, SPREAD_TRIALS, STAGE_ENOUGH, &at);
+        bool known = is_given_up(search, &at, stage);
         for (size_t k = 0; k < count && !known; ++k) {
             known = is_near(search->epoch.coils, &reached[k], &at.pose, SPREAD_PORTION, SPREAD_TURN);
         }
@@ -225,6 +243,11 @@ static void explore(search_t *search) {
                               distance_from(search->epoch.coils, search->coil, &search->minima[0].pose) <
                                   NEAR_RADII * search->epoch.coils->radius_m[search->coil])) {
         try_spread(search, SPREAD_STAGE);
+    }
+    if (search->count == 0 && isfinite(search->hopeless.squares.cost)) {
+        gf_soften(&search->epoch, search->model_error);
+        gf_descend(&search->epoch, FINAL_TRIALS, FINAL_ENOUGH, &search->hopeless);
+        (void)keep(search, &search->hopeless);
     }
 }
 
@@ -272,22 +295,28 @@ static void put(const gf_minimum_t *minimum, double *position_m, double *rotatio
 }
 
 void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-               const double half_space[4], size_t most_evaluations, double *position_m, double *rotation,
-               uint8_t *found, double *widening, uint32_t *evaluations) {
+               const double half_space[4], size_t most_evaluations, double hopeless_cost, double *position_m,
+               double *rotation, uint8_t *found, double *widening, uint32_t *evaluations) {
     const size_t n = coils->count;
     for (size_t e = 0; e < epochs; ++e) {
-        search_t search = {.epoch = {.coils = coils}, .half_space = half_space, .model_error = model_error};
+        search_t search = {.epoch = {.coils = coils},
+                           .half_space = half_space,
+                           .model_error = model_error,
+                           .hopeless_cost = hopeless_cost};
         gf_width_t width = {.cost = 0.0};
         search.epoch.field_T = field_T + 3 * n * e;
         search.epoch.sigma_T = sigma_T + n * e;
         search.epoch.most_evaluations = most_evaluations - most_evaluations / WALKS_SHARE;
+        search.hopeless.squares.cost = INFINITY;
         explore(&search);
         const bool ended = search.epoch.evaluations >= search.epoch.most_evaluations;
         search.epoch.most_evaluations = most_evaluations;
         size_t rival = search.count;
         if (search.count > 0) {
-            walk(&search, &width);
-            rival = find_rival(&search, &width);
+            if (!(search.minima[0].squares.cost > hopeless_cost)) {
+                walk(&search, &width);
+                rival = find_rival(&search, &width);
+            }
             put(&search.minima[0], position_m + 6 * e, rotation + 18 * e);
             put(&search.minima[rival < search.count ? rival : 0], position_m + 6 * e + 3, rotation + 18 * e + 9);
         }
