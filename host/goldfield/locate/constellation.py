@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ from goldfield.locate import kernel
 from goldfield.locate.field_shell_search import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.mirror import Mirror, find_mirror
+from goldfield.locate.solutions import Solutions, nowhere, unsolved
 from goldfield.locate.starts import MAGNITUDE_ERROR, SIMPLE_RANGE_ERROR, log_magnitudes, simple_magnitudes
 from goldfield.locate.wahba import wahba
 from goldfield.site import HalfSpace
@@ -74,51 +75,6 @@ REMEMBERED = 32
 """Subsets of beacons whose searches are kept ready: a few megabytes each once their shells were needed."""
 
 
-@dataclass(frozen=True)
-class Solutions:
-    """Best pose of each of e epochs and the rival that the measurements cannot tell from it.
-
-    Attributes
-    ----------
-    best, rival : Fit
-    contested : ndarray of bool, shape (e,)
-        True where there is a rival; else its row repeats the best pose.
-    outside : ndarray of bool, shape (e,)
-        True where even the best pose is on the wrong side of the half-space.
-    bounded : ndarray of bool, shape (e,)
-        True where the search came to the end of its evaluations: a better pose may exist, and a large cost proves
-        nothing.
-    covariance_widening : ndarray, shape (e, 6, 6)
-        To be added to the covariance of the best pose (m, rad in the site's frame): what it lacks because the valley
-        of the cost bends or has several minima close together.
-    """
-
-    best: Fit
-    rival: Fit
-    contested: NDArray[np.bool_]
-    outside: NDArray[np.bool_]
-    bounded: NDArray[np.bool_]
-    covariance_widening: FloatArray
-
-    def put(self, rows: NDArray[np.intp], other: Solutions) -> None:
-        """Replace some of the epochs, in place."""
-        self.best.put(rows, other.best)
-        self.rival.put(rows, other.rival)
-        self.contested[rows], self.outside[rows], self.bounded[rows] = other.contested, other.outside, other.bounded
-        self.covariance_widening[rows] = other.covariance_widening
-
-    def take(self, rows: NDArray[np.intp]) -> Solutions:
-        """Return some of the epochs."""
-        return Solutions(
-            self.best.take(rows),
-            self.rival.take(rows),
-            self.contested[rows],
-            self.outside[rows],
-            self.bounded[rows],
-            self.covariance_widening[rows],
-        )
-
-
 class Constellation:
     """Beacons that are heard together.
 
@@ -163,7 +119,7 @@ class Constellation:
         heard = audible(measurements)
         if heard.all():
             return self._solve_heard(most_evaluations, measurements)
-        solutions = _unsolved(_nowhere(len(measurements)))
+        solutions = unsolved(nowhere(len(measurements)))
         rows = np.flatnonzero(heard)
         if len(rows):
             solutions.put(rows, self._solve_heard(most_evaluations, measurements.take(rows)))
@@ -173,9 +129,9 @@ class Constellation:
         """Find the poses of epochs that are more than noise."""
         quick = kernel.of(self.model) if measurements.complete else None
         if measurements.complete and len(self.model) >= (4 if quick is None else SURE_BEACONS):
-            solutions = _unsolved(self.from_magnitudes(measurements))
+            solutions = unsolved(self.from_magnitudes(measurements))
         else:
-            solutions = _unsolved(_nowhere(len(measurements)))
+            solutions = unsolved(nowhere(len(measurements)))
         further = np.flatnonzero(~self._sure(measurements, solutions.best, strict=quick is not None))
         if len(further) and quick is not None:
             solutions.put(further, self._search(measurements.take(further), most_evaluations))
@@ -230,7 +186,7 @@ class Constellation:
         unfit = self.unfit
         best = self._polished(measurements, position[:, 0], rotation[:, 0])
         self._further(measurements, best, np.flatnonzero(~best.converged & (best.cost < unfit)))
-        solutions = _unsolved(best)
+        solutions = unsolved(best)
         solutions.covariance_widening[:] = widening
         solutions.bounded[:] = (evaluations >= most_evaluations) | (~best.converged & (best.cost < unfit))
         two = np.flatnonzero(count == 2)
@@ -239,7 +195,7 @@ class Constellation:
             solutions.rival.put(two, rival)
             solutions.contested[two] = rival.cost - solutions.best.cost[two] < RIVAL_COST
         none = np.flatnonzero(count == 0)
-        solutions.best.put(none, _nowhere(len(none)))
+        solutions.best.put(none, nowhere(len(none)))
         return solutions
 
     def _search_shell(self, measurements: Measurements, known: Fit) -> Solutions:
@@ -248,7 +204,7 @@ class Constellation:
         if probability(found.cost[:1], measurements.freedom)[0] < SUSPECT:
             found = self.from_shell(measurements, candidates=4 * CANDIDATES)
         found = self._distinct(_sorted(stacked([found, known])), measurements)
-        solutions = _unsolved(found.take(np.array([0])))
+        solutions = unsolved(found.take(np.array([0])))
         if len(found.cost) > 1:
             solutions.rival.put(np.array([0]), found.take(np.array([1])))
             solutions.contested[0] = found.cost[1] - found.cost[0] < RIVAL_COST
@@ -284,12 +240,12 @@ class Constellation:
         field, sigma = measurements.field_T[0], measurements.sigma_T[0]
         position, modelled = self._shell.candidates(field)
         if not len(position):
-            return _nowhere(1)
+            return nowhere(1)
         loss = np.where(self.inside(position), profiled_loss(modelled, field, sigma), np.inf)
         apart = 2.0 / candidates * np.linalg.norm(position[:, None] - self.model.centre_m, axis=2).min(axis=1)
         best = best_apart(position, loss, candidates, apart)
         if not len(best):
-            return _nowhere(1)
+            return nowhere(1)
         rotation = profiled_attitude(modelled[best], field, sigma)
         rough = self._rough(measurements.take(np.zeros(len(best), dtype=np.intp)), position[best], rotation)
         rough = _sorted(rough).take(np.arange(min(len(best), FITTED)))
@@ -416,29 +372,6 @@ def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:
     """
     finite = np.where(np.isfinite(cost), cost, np.inf)
     return np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, finite / 2.0), np.isfinite(cost) * 1.0)
-
-
-def _nowhere(count: int) -> Fit:
-    return Fit(
-        np.full((count, 3), np.nan),
-        np.broadcast_to(np.eye(3), (count, 3, 3)).copy(),
-        np.full(count, np.inf),
-        np.zeros((count, 6, 6)),
-        np.zeros(count, dtype=bool),
-    )
-
-
-def _unsolved(best: Fit) -> Solutions:
-    """Return fits as solutions that have no rivals yet."""
-    count = len(best.cost)
-    return Solutions(
-        best=best,
-        rival=best.take(np.arange(count)),
-        contested=np.zeros(count, dtype=bool),
-        outside=np.zeros(count, dtype=bool),
-        bounded=~best.converged & np.isfinite(best.cost),
-        covariance_widening=np.zeros((count, 6, 6)),
-    )
 
 
 def _sorted(fits: Fit) -> Fit:

@@ -12,7 +12,7 @@ A pose without a beacon is trusted only if the rest has a likely cost, if every 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,11 +21,12 @@ from scipy.special import chdtri
 
 from goldfield.locate import sentences
 from goldfield.locate.beacon_faults import beacon_finding
-from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, Solutions, probability
+from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, probability
 from goldfield.locate.exclusion import CLEAR, LEAST_FOR_ONE, LEAST_FOR_TWO, Subsets, without_one, without_two
 from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.fit import Fit, Measurements, stacked
 from goldfield.locate.sensor_rivals import BY_CHANCE, SensorRival, mirrored, sensor_rivals
+from goldfield.locate.solutions import Solutions
 from goldfield.types import Explanation, Finding
 
 SOUND_REST = 0.01
@@ -124,12 +125,13 @@ def _without(
     score = cost + float(chdtri(removed, BY_CHANCE / len(subsets.left_out)))
     if of_sensor and of_sensor[0].score < score - CLEAR:
         return None
-    findings, residuals = _findings(constellation, measurements, subsets, 0, names)
-    alike = _alike(constellation, measurements, subsets, names)
-    alike += [rival.finding for rival in of_sensor[:1] if rival.score < score + CLEAR]
-    if len(alike) > MOST_ALIKE:
+    others = _others_alike(subsets)
+    sensor_alike = [rival.finding for rival in of_sensor[:1] if rival.score < score + CLEAR]
+    if len(others) + len(sensor_alike) > MOST_ALIKE:
         likelier = bool(of_sensor) and of_sensor[0].score < score
         return None if likelier else _unknown(sentences.NOT_CLEAR)
+    findings, residuals = _findings(constellation, measurements, subsets, dict.fromkeys(left_out.tolist(), 0), names)
+    alike = [*_findings(constellation, measurements, subsets, others, names)[0], *sensor_alike]
     if alike:
         return _inconsistent(findings + alike, sentences.not_sure([f.text for f in findings + alike]))
     solutions = _at_least(rest.solve(thinned, SECOND_EVALUATIONS), subsets.fit.take(np.array([0])))
@@ -145,28 +147,28 @@ def _at_least(solutions: Solutions, fit: Fit) -> Solutions:
     return solutions
 
 
-def _alike(
-    constellation: Constellation, measurements: Measurements, subsets: Subsets, names: Sequence[str]
-) -> list[Finding]:
-    """Name what else fits about as well as the best subset, a few at most."""
+def _others_alike(subsets: Subsets) -> dict[int, int]:
+    """Return the beacons that subsets lack which fit about as well as the best, and the first such subset of each."""
     others = np.flatnonzero(subsets.fit.cost[1:] < subsets.fit.cost[0] + CLEAR) + 1
-    named = {names[row] for row in subsets.left_out[0]}
-    findings = []
-    for other in others[: MOST_ALIKE + 1].tolist():
-        for finding in _findings(constellation, measurements, subsets, other, names)[0]:
-            if finding.beacons[0] not in named:
-                findings.append(finding)
-                named.add(finding.beacons[0])
-    return findings
+    found: dict[int, int] = {}
+    for which in others[: MOST_ALIKE + 1].tolist():
+        for row in subsets.left_out[which].tolist():
+            if row not in subsets.left_out[0]:
+                found.setdefault(row, which)
+    return found
 
 
 def _findings(
-    constellation: Constellation, measurements: Measurements, subsets: Subsets, which: int, names: Sequence[str]
+    constellation: Constellation,
+    measurements: Measurements,
+    subsets: Subsets,
+    without: Mapping[int, int],
+    names: Sequence[str],
 ) -> tuple[list[Finding], dict[int, float]]:
-    """Name what is wrong with the beacons that a subset lacks, with their normalised residuals by row."""
+    """Name what is wrong with beacons, given with the subset without them; their normalised residuals by row."""
     findings, residuals = [], {}
-    fit = subsets.fit.take(np.array([which]))
-    for row in subsets.left_out[which].tolist():
+    for row, which in without.items():
+        fit = subsets.fit.take(np.array([which]))
         finding, residuals[row] = beacon_finding(constellation.model, measurements, fit, row, names[row])
         findings.append(finding)
     return findings, residuals

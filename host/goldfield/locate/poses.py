@@ -11,11 +11,11 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.locate import sentences
-from goldfield.locate.constellation import Solutions
 from goldfield.locate.fault_statistics import FaultStatistics, fault_statistics
 from goldfield.locate.fit import Fit, Measurements
 from goldfield.locate.integrity import Verdict
 from goldfield.locate.protection import protection_level
+from goldfield.locate.solutions import Solutions
 from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import Site
 from goldfield.types import Fields, Finding, FloatArray, Pose, Status
