@@ -29,7 +29,7 @@ ROUGH_ITERATIONS, FINAL_ITERATIONS = 15, 120
 """The most evaluations of a fit with model error, which compares the subsets, and of one without."""
 
 
-SUBSET_EVALUATIONS = 1000
+SUBSET_EVALUATIONS = 600
 """Evaluations of the search of a subset's pose, where no subset fits the poses that are known."""
 
 
