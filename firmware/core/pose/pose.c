@@ -19,9 +19,6 @@
 #define CLEARLY           25.0f  /* What the next best explanation must cost more for a beacon to be left out. */
 #define WEAK_POSITION     0.25f  /* Largest deviation of the position, over the distance to the nearest beacon. */
 #define WEAK_ATTITUDE_RAD 0.5f   /* Largest deviation of the attitude, rad; beyond either nothing linear holds. */
-#define MISSED            3.09f  /* Normal deviate of a fault that is missed once in 1,000. */
-#define ALARMED           5.03f  /* Root of the chi-square of pose_faults for one beacon. */
-#define NOISE_RADIUS      4.03f  /* Deviations that noise alone exceeds once in 1,000 in space. */
 #define LEAST_GAIN        0.3f   /* Least gain of an axis that one round of fitting the gains takes. */
 #define SAME_GAIN         0.06f  /* Largest difference of gains that are one strength. */
 #define GREATEST          1e15f  /* Largest field that is taken, uT; beyond it squares overflow. */
@@ -166,9 +163,8 @@ static bool conclude(pose_work_t *work, pose_reason_t wrong, bool contested, pos
     const bool weak = beyond((const float(*)[3])pose->position_cov_m2,
                              WEAK_POSITION * WEAK_POSITION * nearest2(problem, best->position_m)) ||
                       beyond((const float(*)[3])pose->attitude_cov_rad2, WEAK_ATTITUDE_RAD * WEAK_ATTITUDE_RAD);
-    const float noise = square_root(pose_faults_greatest((const float(*)[3])pose->position_cov_m2));
     pose->residual = square_root(best->cost / (float)freedom(problem));
-    pose->protection_m = work->faults.slope_m * (ALARMED + MISSED) + noise * NOISE_RADIUS;
+    pose->protection_m = work->faults.level_m;
     pose->used = problem->count;
     const bool unsafe = !(pose->protection_m <= work->alert_limit_m);
     wrong = wrong == POSE_REASON_NONE && !inside(work, best) ? POSE_REASON_HALF_SPACE : wrong;

@@ -69,9 +69,10 @@ class FaultStatistics:
         Its degrees of freedom.
     scale : ndarray, shape (e, n)
         Part of the cost that another strength of the beacon takes away; one degree of freedom, 0 where it cannot show.
-    slope : ndarray, shape (e, n)
-        The most that a fault of the beacon moves the position over the root of the cost that it adds, m; infinite
-        where some fault of it adds nothing, 0 where the beacon was not heard.
+    separation_m : ndarray, shape (e, n, 3)
+        The position less that without the beacon, along the directions in which a fault of the beacon can show.
+    separation_cov_m2 : ndarray, shape (e, n, 3, 3)
+        Its covariance if all is sound: what the position without the beacon has more than that with it.
     distortion : ndarray, shape (e, 3)
         Part of the cost that a distortion of the sensor takes away, with the first 1, 3 and 6 of `DISTORTIONS`.
     distortion_freedom : ndarray of int, shape (e, 3)
@@ -80,7 +81,8 @@ class FaultStatistics:
     drop: FloatArray
     freedom: NDArray[np.intp]
     scale: FloatArray
-    slope: FloatArray
+    separation_m: FloatArray
+    separation_cov_m2: FloatArray
     distortion: FloatArray
     distortion_freedom: NDArray[np.intp]
 
@@ -90,7 +92,8 @@ class FaultStatistics:
             self.drop[rows],
             self.freedom[rows],
             self.scale[rows],
-            self.slope[rows],
+            self.separation_m[rows],
+            self.separation_cov_m2[rows],
             self.distortion[rows],
             self.distortion_freedom[rows],
         )
@@ -176,11 +179,9 @@ def fault_statistics(model: FieldModel, measurements: Measurements, fit: Fit) ->
 
     influence = np.einsum("epk,enck->enpc", root[:, :3], tangent)  # component -> position
     move = np.where(seen[:, :, None, :], influence @ vector / np.sqrt(safe)[:, :, None, :], 0.0)
-    hidden = seen.sum(axis=2) < measurements.measured.sum(axis=2)
-    slope = np.where(hidden, np.inf, np.linalg.svd(move, compute_uv=False)[..., 0])
-    return FaultStatistics(
-        drop, seen.sum(axis=2), scale, slope, *_distortion_statistics(residual, rows, modelled, whitening)
-    )
+    separation = np.einsum("enpk,enk->enp", move, along / np.sqrt(safe))
+    distortion = _distortion_statistics(residual, rows, modelled, whitening)
+    return FaultStatistics(drop, seen.sum(axis=2), scale, separation, move @ move.swapaxes(2, 3), *distortion)
 
 
 def _distortion_statistics(

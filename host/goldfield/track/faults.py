@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from goldfield.locate.fault_statistics import DETECTABLE, FALSE_ALARM
-from goldfield.locate.protection import MISSED_DETECTION
+from goldfield.locate.protection import level_of
 from goldfield.track.estimate import Belief
 from goldfield.track.motion import SIZE, Observation, State
 from goldfield.types import FloatArray
@@ -59,9 +59,10 @@ class Judgement:
         freedom and one.
     factor : float
         By what the fields are larger than the site says, as far as the epoch tells.
-    slope_m : float
-        Largest position error that a fault of one beacon makes, over the root of the cost that it adds; infinite if
-        some fault cannot show.
+    separation_m, separation_cov_m2 : ndarray, shapes (n, 3) and (n, 3, 3)
+        The epoch's position by itself less that without the beacon, and the covariance of this.
+    hidden : ndarray of bool, shape (n,)
+        Whether some fault of the beacon cannot show.
     score, information : ndarray, shapes (n, 3) and (n, 3, 3)
         F'r and F'SF, of fields in tesla in the sensor's frame.
     observation, state, prior
@@ -75,7 +76,9 @@ class Judgement:
     drop_freedom: NDArray[np.intp]
     distortion: tuple[float, float]
     factor: float
-    slope_m: float
+    separation_m: FloatArray
+    separation_cov_m2: FloatArray
+    hidden: NDArray[np.bool_]
     score: FloatArray
     information: FloatArray
     observation: Observation
@@ -105,13 +108,13 @@ class Judgement:
     def protection_m(self, position_cov_m2: FloatArray) -> float:
         """Return the radius that the error of a position of this covariance exceeds undetected only rarely.
 
-        It is `goldfield.locate.integrity.protection_level` of the epoch's beacons by themselves: a track of the past
-        protects from a new fault, but not from one that lasts. Only the part of the noise is that of the track.
+        It is `goldfield.locate.protection` for the epoch's beacons by themselves: a track of the past protects from a
+        new fault, but not from one that lasts. Only the part of the noise is that of the track.
         """
-        beacons = max(int((self.drop_freedom > 0).sum()), 1)
-        sure = np.sqrt(chdtri(3.0, SINGLE * FALSE_ALARM / beacons)) + np.sqrt(chdtri(1.0, 2.0 * MISSED_DETECTION))
-        largest = np.sqrt(max(float(np.linalg.eigvalsh(position_cov_m2)[-1]), 0.0))
-        return float(self.slope_m * sure + largest * np.sqrt(chdtri(3.0, MISSED_DETECTION)))
+        level, _ = level_of(
+            self.separation_m[None], self.separation_cov_m2[None], self.hidden[None], position_cov_m2[None]
+        )
+        return float(level[0])
 
 
 def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
@@ -154,8 +157,7 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
     safe = np.where(seen, gain, 1.0)
     along = np.einsum("nck,nc->nk", vector, score / size)
     influence = root[:3] @ np.linalg.solve(factor.T, through.swapaxes(1, 2) / size[:, None, :])  # (n, 3, c)
-    slopes = np.where(seen[:, None], influence @ vector / np.sqrt(safe)[:, None], 0.0)
-    hidden = bool((seen.sum(axis=1) < measured.sum(axis=1)).any()) or not measured.any()
+    move = np.where(seen[:, None], influence @ vector / np.sqrt(safe)[:, None], 0.0)
     distortion, strength = _distortion(observation, state, columns, half, rest)
     return Judgement(
         beacons=tuple(beacon.id for beacon in observation.model.beacons),
@@ -165,7 +167,9 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
         drop_freedom=seen.sum(axis=1),
         distortion=distortion,
         factor=strength,
-        slope_m=np.inf if hidden else float(np.linalg.svd(slopes, compute_uv=False).max()),
+        separation_m=np.einsum("npk,nk->np", move, along / np.sqrt(safe)),
+        separation_cov_m2=move @ move.swapaxes(1, 2),
+        hidden=(seen.sum(axis=1) < measured.sum(axis=1)) | ~measured.any(),
         score=score,
         information=information,
         observation=observation,

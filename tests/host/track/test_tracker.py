@@ -243,6 +243,7 @@ def test_beacons_of_another_site_and_useless_noise_are_ignored():
 def test_the_other_side_of_a_plane_is_no_place_for_a_track():
     floor = [beacon for beacon in SITE.beacons if beacon.position_m[2] == 0.0]
     below = site_of(floor, HalfSpace(np.zeros(3), np.array([0.0, 0.0, -1.0])), NOISE_T)
+    below = replace(below, alert_limit_m=0.1)
     above = replace(below, half_space=HalfSpace(np.zeros(3), np.array([0.0, 0.0, 1.0])))
     unknown = replace(below, half_space=None)
     rows = [IDS.index(beacon.id) for beacon in floor]

@@ -49,7 +49,8 @@ typedef struct {
     double *drop;
     int32_t *freedom;
     double *scale;
-    double *slope;
+    double *separation_m;
+    double *separation_cov_m2;
     double *distortion;
     int32_t *distortion_freedom;
 } gf_fault_tables_t;
@@ -59,7 +60,7 @@ void gf_covariance(const gf_coils_t *, const gf_errors_t *, size_t, const double
                    const double *, double, double, double, double *);
 """
 
-_FAULT_TABLES = ("drop", "freedom", "scale", "slope", "distortion", "distortion_freedom")
+_FAULT_TABLES = ("drop", "freedom", "scale", "separation_m", "separation_cov_m2", "distortion", "distortion_freedom")
 
 _ffi: Any = cffi.FFI()
 _ffi.cdef(DECLARATIONS)
@@ -272,12 +273,12 @@ class Kernel:
         errors: SiteErrors | None,
         least_eigenvalue: float,
         least_share: float,
-    ) -> tuple[FloatArray, NDArray[np.intp], FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
+    ) -> tuple[FloatArray, NDArray[np.intp], FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
         """Return what `fault_statistics.fault_statistics` does, in its order."""
         count, coils = field_T.shape[:2]
-        widths = (coils, coils, coils, coils, 3, 3)
-        kinds = (float, np.int32, float, float, float, np.int32)
-        tables: list[NDArray[Any]] = [np.empty((count, k), dtype=t) for k, t in zip(widths, kinds, strict=True)]
+        shapes = ((coils,), (coils,), (coils,), (coils, 3), (coils, 3, 3), (3,), (3,))
+        kinds = (float, np.int32, float, float, float, float, np.int32)
+        tables: list[NDArray[Any]] = [np.empty((count, *k), dtype=t) for k, t in zip(shapes, kinds, strict=True)]
         out = _ffi.new("gf_fault_tables_t *")
         for name, table in zip(_FAULT_TABLES, tables, strict=True):
             kind = "int32_t[]" if table.dtype == np.int32 else "double[]"
@@ -294,8 +295,8 @@ class Kernel:
             least_share,
             out,
         )
-        drop, freedom, scale, slope, distortion, distortion_freedom = tables
-        return drop, freedom.astype(np.intp), scale, slope, distortion, distortion_freedom.astype(np.intp)
+        drop, freedom, scale, separation, spread, distortion, distortion_freedom = tables
+        return drop, freedom.astype(np.intp), scale, separation, spread, distortion, distortion_freedom.astype(np.intp)
 
     def covariance(
         self,

@@ -7,43 +7,26 @@
 typedef struct {
     double drop;
     double scale;
-    double slope;
     int32_t freedom;
+    double separation[3];
+    double spread[3][3];
 } fault_t;
-
-/* Largest eigenvalue of the covariance of the columns of move, 3 x k: the square of the longest way that a unit vector
- * of k elements moves the position. */
-static double longest2(double move[3][3]) {
-    double square[3][6] = {{0.0}};
-    double vector[3][6];
-    for (size_t i = 0; i < 3; ++i) {
-        for (size_t j = 0; j < 3; ++j) {
-            for (size_t k = 0; k < 3; ++k) {
-                square[i][j] += move[i][k] * move[j][k];
-            }
-        }
-    }
-    gf_eigen(3, square, vector);
-    return fmax(square[0][0], fmax(square[1][1], square[2][2]));
-}
 
 /* The statistics of one beacon from its residuals, the modelled components and the model's derivatives T along the
  * principal axes of the pose's error (tangent), all over the standard deviations. The covariance of its residuals is
  * 1 - T T'; residuals and T are weighted for what all components share, which takes V V' (shared) from it too. The
- * first three rows of root take the principal axes to the position. */
+ * first three rows of root take the principal axes to the position. A unit of the residual along an eigenvector, over
+ * its deviation, moves the position by a column; their sums are the separation from the pose without the beacon. */
 static fault_t fault_of(const double residual[3], const double modelled[3], const double tangent[3][6],
                         const double shared[3][GF_SHARED], const double root[6][6], const double measured[3],
                         double least_share) {
     double covariance[3][6];
     double vector[3][6];
-    double move[3][3] = {{0.0}}; /* position by a fault of one in the cost, one column an eigenvector */
-    fault_t fault = {0.0, 0.0, 0.0, 0};
+    fault_t fault = {0};
     double along_field = 0.0;
     double shown = 0.0;
     double strength2 = 0.0;
-    int32_t components = 0;
     for (size_t i = 0; i < 3; ++i) {
-        components += measured[i] > 0.0 ? 1 : 0;
         for (size_t j = 0; j < 3; ++j) {
             double sum = i == j && measured[i] > 0.0 ? 1.0 : 0.0;
             for (size_t k = 0; k < 6; ++k) {
@@ -62,13 +45,20 @@ static fault_t fault_of(const double residual[3], const double modelled[3], cons
         const double s = vector[0][k] * modelled[0] + vector[1][k] * modelled[1] + vector[2][k] * modelled[2];
         if (gain > least_share) {
             const double unit = 1.0 / sqrt(gain);
+            double move[3] = {0.0};
             fault.drop += r * r / gain;
             fault.freedom += 1;
             for (size_t l = 0; l < 6; ++l) {
                 const double along = unit * (vector[0][k] * tangent[0][l] + vector[1][k] * tangent[1][l] +
                                              vector[2][k] * tangent[2][l]);
                 for (size_t i = 0; i < 3; ++i) {
-                    move[i][k] += root[i][l] * along;
+                    move[i] += root[i][l] * along;
+                }
+            }
+            for (size_t i = 0; i < 3; ++i) {
+                fault.separation[i] += unit * r * move[i];
+                for (size_t j = 0; j < 3; ++j) {
+                    fault.spread[i][j] += move[i] * move[j];
                 }
             }
         }
@@ -79,7 +69,6 @@ static fault_t fault_of(const double residual[3], const double modelled[3], cons
     if (shown > least_share * strength2) {
         fault.scale = along_field * along_field / shown;
     }
-    fault.slope = fault.freedom < components ? INFINITY : sqrt(longest2(move));
     return fault;
 }
 
@@ -275,7 +264,8 @@ void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs
             out->drop[n * e + i] = fault.drop;
             out->freedom[n * e + i] = fault.freedom;
             out->scale[n * e + i] = fault.scale;
-            out->slope[n * e + i] = fault.slope;
+            memcpy(out->separation_m + 3 * (n * e + i), fault.separation, sizeof fault.separation);
+            memcpy(out->separation_cov_m2 + 9 * (n * e + i), fault.spread, sizeof fault.spread);
         }
         double column[DISTORTIONS][3 * GF_MOST_COILS];
         distort_all(coils, errors, &pose, &around, column);

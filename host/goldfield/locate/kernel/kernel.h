@@ -87,8 +87,8 @@ typedef struct {
     double *drop;                /* e x n: part of the cost that leaving the beacon out takes away */
     int32_t *freedom;            /* e x n: its degrees of freedom */
     double *scale;               /* e x n: part of the cost that another strength of the beacon takes away */
-    double *slope;               /* e x n: the most that a fault moves the position over the root of the cost that it
-                                    adds, m; infinite if some fault adds nothing */
+    double *separation_m;        /* e x n x 3: the position less that without the beacon */
+    double *separation_cov_m2;   /* e x n x 3 x 3: covariance of this */
     double *distortion;          /* e x 3: part of the cost that a distortion of the sensor takes away: one gain, one
                                     gain an axis, any symmetric matrix */
     int32_t *distortion_freedom; /* e x 3 */
