@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from goldfield.field import FieldModel
 from goldfield.locate.fit import whitened_jacobian
+from goldfield.locate.protection import MISSED_DETECTION
 from goldfield.locate.whitening import Independent
 from goldfield.site import Site
 from tests.bench.locate_trials import Trials
@@ -22,8 +24,21 @@ LEAST_GAIN = 1e-6
 """Part of a fault that must show in the residuals: where less does the level is infinite or the fault enormous."""
 
 
-def worst_faults(site: Site, trials: Trials) -> FloatArray:
-    """Return the worst fault that adds 1 to the cost of each epoch, shape (e, n, 3), T, in the sensor's frame."""
+TWO_SIDED = float(-ndtri(0.5 * MISSED_DETECTION))
+"""Standard deviations that a normal number exceeds, of either sign, as often as a fault may be missed."""
+
+
+def worst_faults(site: Site, trials: Trials) -> tuple[FloatArray, FloatArray]:
+    """Return the worst faults, and what no protection level can be below.
+
+    Returns
+    -------
+    fault_T : ndarray, shape (e, n, 3)
+        The worst fault that adds 1 to the cost of each epoch, T, in the sensor's frame.
+    floor_m : ndarray, shape (e,)
+        `TWO_SIDED` times the largest standard deviation of the position without one beacon: a pose whose residuals are
+        none at all may be as far off as this by a fault.
+    """
     count, beacons = trials.sigma_T.shape
     weight = np.broadcast_to(1.0 / trials.sigma_T[:, None], (count, 3, beacons))
     jacobian = whitened_jacobian(FieldModel(site.beacons), trials.position_m, trials.rotation, Independent(weight))
@@ -34,9 +49,11 @@ def worst_faults(site: Site, trials: Trials) -> FloatArray:
     influence = rows @ covariance[:, None]
     gain, vector = np.linalg.eigh(np.eye(3) - influence @ rows.swapaxes(2, 3))
     root = vector / np.sqrt(np.maximum(gain, LEAST_GAIN))[..., None, :]
-    _, size, direction = np.linalg.svd(influence[..., :3].swapaxes(2, 3) @ root)
+    move = influence[..., :3].swapaxes(2, 3) @ root
+    _, size, direction = np.linalg.svd(move)
     epoch, worst = np.arange(count), size[..., 0].argmax(axis=1)
-    faults = np.zeros((count, beacons, 3))
+    fault = np.zeros((count, beacons, 3))
     chosen = root[epoch, worst] @ direction[epoch, worst, 0][..., None]
-    faults[epoch, worst] = trials.sigma_T[epoch, worst, None] * chosen[..., 0]
-    return faults
+    fault[epoch, worst] = trials.sigma_T[epoch, worst, None] * chosen[..., 0]
+    without = covariance[:, None, :3, :3] + move @ move.swapaxes(2, 3)
+    return fault, TWO_SIDED * np.sqrt(np.linalg.eigvalsh(without)[..., -1].max(axis=1))

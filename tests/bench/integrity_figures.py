@@ -11,7 +11,7 @@ import argparse
 import sys
 from collections.abc import Callable, Mapping
 
-from tests.bench import integrity_beacon_tables, integrity_room_tables
+from tests.bench import integrity_beacon_tables, integrity_risk_tables, integrity_room_tables
 from tests.bench.integrity_run import Run
 
 TABLES: Mapping[str, Callable[[Run], None]] = {
@@ -20,7 +20,8 @@ TABLES: Mapping[str, Callable[[Run], None]] = {
     "halls": integrity_room_tables.halls_of_few,
     "survey": integrity_room_tables.declared_errors,
     "availability": integrity_beacon_tables.availability,
-    "risk": integrity_beacon_tables.risk,
+    "risk": integrity_risk_tables.risk,
+    "adversary": integrity_risk_tables.adversary,
     "rod": integrity_room_tables.steel_rod,
     "recovery": integrity_room_tables.recovery,
 }

@@ -96,3 +96,15 @@ def progress(rows: Iterable[Row], what: str) -> Iterator[Row]:
     for number, row in enumerate(some):
         print(f"{what}: {number} of {len(some)}, {time.monotonic() - began:.0f} s", file=sys.stderr, flush=True)
         yield row
+
+
+_SAY_EVERY_S = 10.0
+_said = {"at": 0.0}
+
+
+def within(what: str, done: int, of: int) -> None:
+    """Say on stderr how far the work of one row is, every 10 s at most."""
+    now = time.monotonic()
+    if now - _said["at"] > _SAY_EVERY_S:
+        _said["at"] = now
+        print(f"{what}: {done} of {of}", file=sys.stderr, flush=True)

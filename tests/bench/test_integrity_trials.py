@@ -11,15 +11,25 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 from goldfield.errors import UserError
+from goldfield.field import FieldModel
+from goldfield.locate.fit import Measurements, fit_pose
 from goldfield.site import load
 from goldfield.types import Pose, Status
 from hil_sim.world.boundary_elements import PERFECT_CONDUCTOR, BoundaryElements, Surface, sphere_surface
 from hil_sim.world.sphere import Sphere
-from tests.bench import integrity_beacon_tables, integrity_figures, integrity_room_tables, integrity_sites
+from tests.bench import (
+    integrity_beacon_tables,
+    integrity_figures,
+    integrity_risk_tables,
+    integrity_room_tables,
+    integrity_sites,
+)
+from tests.bench.integrity_adversary import TWO_SIDED, worst_faults
 from tests.bench.integrity_coils import Coils, measured
 from tests.bench.integrity_faults import SINGLE, faulty_rows, systematic, with_faults
 from tests.bench.integrity_outcome import outcome_of
 from tests.bench.integrity_risk import per_hour, upper_limit
+from tests.bench.integrity_risk_tables import Histogram
 from tests.bench.integrity_rod import MU_0, STEEL, Material, Rod, Spheroid, dipole_tensors
 from tests.bench.integrity_sites import EXACT, Errors, KeysUnknown, cube, hall, places, told, wire_distance
 from tests.bench.integrity_survey import bound_m, really
@@ -373,11 +383,47 @@ def test_the_bound_with_errors_is_reached_by_weighted_least_squares(errors):
     assert error == pytest.approx(bound_m(site, position[:1], rotation[:1], sigma, errors)[0], rel=0.06)
 
 
+# ---- the worst faults ----
+
+
+def test_the_worst_fault_adds_one_to_the_cost_and_moves_the_position_most():
+    site, rng = cube(2e-8), np.random.default_rng(31)
+    position = cube_positions(rng, 20)
+    sound = measured(Coils.of(site, 20).field(position), position, 1e-12, rng)  # all but without noise
+    trials = replace(sound, sigma_T=np.full((20, 8), 1e-10))
+    fault, floor = worst_faults(site, trials)
+    assert (np.abs(fault).sum(axis=2) > 0.0).sum(axis=1).tolist() == [1] * 20
+    model = FieldModel(site.beacons)
+
+    def fitted(field_T):
+        return fit_pose(model, Measurements(field_T, trials.sigma_T), position, trials.rotation)
+
+    bad = fitted(trials.field_T + 3.0 * fault)
+    assert np.allclose(bad.cost, 9.0, rtol=0.05)
+    moved = np.linalg.norm(bad.position_m - position, axis=1) / 3.0
+    assert (moved < floor / TWO_SIDED).all()
+    for _ in range(20):
+        other = rng.normal(size=fault.shape) * (fault != 0.0) * 1e-9
+        some = fitted(trials.field_T + other)
+        size = np.sqrt(some.cost)
+        assert (np.linalg.norm(some.position_m - position, axis=1) / size < 1.05 * moved).all()
+
+
+def test_quantiles_of_a_histogram_are_right_to_a_hundredth():
+    values = np.random.default_rng(32).lognormal(sigma=2.0, size=10_000)
+    told = Histogram()
+    for part in np.split(values, 10):
+        told.add(part)
+    for share in (0.05, 0.5, 0.95):
+        assert told.quantile(share) == pytest.approx(np.quantile(values, share), rel=0.015)
+    assert np.isnan(Histogram().quantile(0.5))
+
+
 # ---- the program ----
 
 
 def test_every_table_fits_a_hundred_columns(capsys, monkeypatch):
-    for module in (integrity_beacon_tables, integrity_room_tables):
+    for module in (integrity_beacon_tables, integrity_risk_tables, integrity_room_tables):
         monkeypatch.setattr(module, "progress", lambda rows, what: [])
     assert integrity_figures.main([]) == 0
     lines = capsys.readouterr().out.splitlines()
