@@ -14,10 +14,10 @@ from goldfield.types import FloatArray
 ALERT_LIMIT_M = 0.5
 """Default of the alert limit, m.
 
-Sound poses with a protection level below it, of 200 each: in halls of 10 x 10 x 4 m with coils of any place, axis and
-strength and fields known to 0.2 mG over the root of the chips, 40 % with 4 beacons, 49 % with 5, 76 % with 6, 97 % with
-8; in a cube of 2 m at 2 mG 54, 89, 99.5 and 99.5 %, at 0.2 mG 99 % and more. Half of it would leave 80 to 90 % with 8
-beacons in the halls; twice as much 58 % with 4, where one beacon's fault cannot be told from a pose elsewhere anyway.
+Sound poses with a protection level below it, of 400 each: in halls of 10 x 10 x 3.5 m with coils of any place, axis and
+strength and fields known to 0.2 mG over the root of the chips, 60 % with 4 beacons, 77 % with 5, 91 % with 6, 98 % with
+8, 99 % with 12; in a cube of 2 m with eight all of them. Half of it would leave about 92 % with 8 beacons in the halls;
+twice as much 75 % with 4, where one beacon's fault cannot be told from a pose elsewhere anyway.
 """
 
 
