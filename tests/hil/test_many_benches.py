@@ -173,14 +173,17 @@ def test_a_minute_beside_a_garbage_sender(count, tmp_path):
         for bench in benches:
             bench.terminate()
         ends = [bench.communicate()[1] for bench in benches]
+    alarms = []
     for seed, (out, err) in enumerate(outputs):
+        assert readers[seed].returncode == 0, err
         lines = [json.loads(line) for line in out.splitlines()]
         epochs = [line["epoch"] for line in lines]
-        ok = sum(line["status"] == "ok" for line in lines)
+        alarms += (bad := [(seed, line["epoch"], line["reason"]) for line in lines if line["status"] != "ok"])
+        ok = len(lines) - len(bad)
         print(f"\nbench {seed} of {count} by {links[seed][0]}: {ok} of {len(lines)} ok; {ends[seed].strip()}")
-        assert readers[seed].returncode == 0, err
         assert epochs == list(range(epochs[0], epochs[0] + len(epochs)))
         assert len(epochs) == pytest.approx(10 * SECONDS, abs=1)
         assert sum(line["lost"] for line in lines) == 0
-        assert len(lines) - ok <= 3 * len(lines) / GRANTED
         assert int(re.search(r"CAN: \d+ frames from outside, (\d+) refused", ends[seed])[1]) == thrown > 0
+    print(*alarms, sep="\n")
+    assert len(alarms) <= 2 + 3 * count * 10 * SECONDS / GRANTED
