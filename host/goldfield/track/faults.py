@@ -129,7 +129,7 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
         What was believed before it, of which the motion alone is used.
     """
     observation = observation.around(state)
-    residual, jacobian = observation.residual(state)
+    residual, jacobian, field = observation.linearised(state)
     before = prior.state
     motion = [
         state.velocity_m_s - before.velocity_m_s,
@@ -158,7 +158,7 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
     along = np.einsum("nck,nc->nk", vector, score / size)
     influence = root[:3] @ np.linalg.solve(factor.T, through.swapaxes(1, 2) / size[:, None, :])  # (n, 3, c)
     move = np.where(seen[:, None], influence @ vector / np.sqrt(safe)[:, None], 0.0)
-    distortion, strength = _distortion(observation, state, columns, half, rest)
+    distortion, strength = _distortion(field, columns, half, rest)
     return Judgement(
         beacons=tuple(beacon.id for beacon in observation.model.beacons),
         cost=float(innovation @ rest),
@@ -191,12 +191,14 @@ def _columns(observation: Observation) -> FloatArray:
 
 
 def _distortion(
-    observation: Observation, state: State, columns: FloatArray, half: FloatArray, rest: FloatArray
+    in_sensor: FloatArray, columns: FloatArray, half: FloatArray, rest: FloatArray
 ) -> tuple[tuple[float, float], float]:
-    """Return the costs that a distorting sensor, and one factor, take away, and the factor."""
-    field, _ = observation.model.evaluate(state.position_m)
-    in_sensor = field.T @ state.rotation  # (n, 3)
-    ways = np.einsum("kcd,nd,ncr->kr", _SYMMETRIC, in_sensor, columns)
+    """Return the costs that a distorting sensor, and one factor, take away, and the factor.
+
+    ``in_sensor``, shape (n, 3), are the beacons' fields in the sensor's frame.
+    """
+    changed = in_sensor @ _SYMMETRIC  # (6, n, 3): the matrices are their own transposes
+    ways = changed.reshape(len(changed), -1) @ columns.reshape(-1, columns.shape[2])
     ways = np.vstack([ways, ways[:3].sum(axis=0)])
     through = ways @ half.T
     shown, found = ways @ ways.T - through @ through.T, ways @ rest

@@ -213,10 +213,11 @@ class Tracker(Generic[T]):
         bridged = self._time_s > self._agreed_s and not self._contradictions
         predicted = self._belief.after(seconds, self._agility)
         transition = self._belief.state.transition(seconds)
-        if self._silent(self._observation(data, predicted)[0]):
+        told = self._observation(data, predicted)
+        if self._silent(told[0]):
             return self._without_fields(data, predicted, transition, Status.WEAK, self._silence(data.time_s))
         self._heard_s = data.time_s
-        found = self._fuse(predicted, data, without)
+        found = self._fuse(predicted, data, told, without)
         self._last = found
         if found is None:
             self._contradictions += 1
@@ -249,7 +250,8 @@ class Tracker(Generic[T]):
         if state is None:
             return Step(located, None)
         prior = Belief(state, np.diag(START))
-        found = self._fuse(prior, data, without, START_EVALUATIONS, SEARCH_TOLERANCE)
+        told = self._observation(data, prior)
+        found = self._fuse(prior, data, told, without, START_EVALUATIONS, SEARCH_TOLERANCE)
         if found is None:
             return Step(located, None)
         covariance = np.zeros((6, 6))
@@ -280,12 +282,16 @@ class Tracker(Generic[T]):
         self,
         prior: Belief,
         data: T,
+        told: tuple[Observation, tuple[str, ...]],
         without: tuple[str, ...],
         evaluations: int = EVALUATIONS,
         tolerance: float = TOLERANCE,
     ) -> Fused | None:
-        """Update with the data, or with all of them but one beacon's if only that agrees; None if nothing does."""
-        everything, heard = self._observation(data, prior)
+        """Update with the data, or with all of them but one beacon's if only that agrees; None if nothing does.
+
+        ``told`` is what all of the data tell, and the beacons in it.
+        """
+        everything, heard = told
         everything = everything.around(prior.state)
         observation = everything
         if without:

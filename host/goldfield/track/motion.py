@@ -130,7 +130,7 @@ class Observation:
     model : FieldModel
         n beacons.
     times_s : ndarray, shape (k,)
-        Nodes of the cycle, from its middle.
+        Nodes of the cycle, from its middle, which is one of them: their number is odd.
     seen : ndarray, shape (3, r, (n + 1) k)
         What the numbers of each axis see of the fields at the nodes; the node runs fastest, the ambient field comes
         last. Rows of zeros where nothing was measured.
@@ -171,7 +171,11 @@ class Observation:
         return replace(self, mixing=mixing, effect=mixing @ effect)
 
     def residual(self, state: State) -> tuple[FloatArray, FloatArray]:
-        """Return measured minus expected numbers, shape (3 r,), and the Jacobian of the expected, shape (3 r, 15).
+        """Return measured minus expected numbers, shape (3 r,), and the Jacobian of the expected, shape (3 r, 15)."""
+        return self.linearised(state)[:2]
+
+    def linearised(self, state: State) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what `residual` does, and the beacons' fields at mid-cycle in the sensor's frame, shape (n, 3).
 
         At a node the field of beacon i is h = R' B_i(p) in the sensor's frame, and
         dh = R' (G_i dp + B_i x d_theta): R' [G_i, tau G_i, [B_i]x Exp(w tau), [B_i]x tau J(w tau)] of the errors at
@@ -199,9 +203,10 @@ class Observation:
         by_error = (back @ change).reshape(-1, 3, SIZE).swapaxes(0, 1)
         expected = (self.seen @ in_sensor.T[:, :, None])[..., 0]
         residual, jacobian = (self.values - expected).ravel(), (self.seen @ by_error).reshape(-1, SIZE)
+        middle = field[:, nodes // 2].T @ state.rotation
         if self.mixing is None:
-            return residual, jacobian
-        return self.mixing @ residual, self.mixing @ jacobian
+            return residual, jacobian, middle
+        return self.mixing @ residual, self.mixing @ jacobian, middle
 
     def strength(self) -> float:
         """Return what the numbers hold beside the ambient field: chi-square if there is nothing but noise.

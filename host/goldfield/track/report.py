@@ -54,8 +54,8 @@ class Reporter:
         position_cov, attitude_cov = covariance[POSITION, POSITION], covariance[TURN, TURN]
         if status is Status.OK:
             nearest = np.linalg.norm(belief.state.position_m - self._centres, axis=1).min()
-            worst = np.sqrt(np.linalg.eigvalsh(position_cov)[-1])
-            turn = np.sqrt(np.linalg.eigvalsh(attitude_cov)[1 if axes == 1 else 2])
+            shifts, turns = np.sqrt(np.linalg.eigvalsh(np.stack([position_cov, attitude_cov])))
+            worst, turn = shifts[2], turns[1 if axes == 1 else 2]
             if worst > WEAK_POSITION * nearest or turn > WEAK_ATTITUDE_RAD:
                 status = Status.WEAK
                 reason = joined(
