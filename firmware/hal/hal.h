@@ -207,6 +207,13 @@ uint64_t hal_microseconds(hal_t *hal);
 /* Returns the temperature of the processor, 0.1 degC; a sensor's is at most one cycle old. */
 int16_t hal_temperature(const hal_t *hal);
 
+/* Switch the board's LED, which hal_chips_start() switches on. */
+void hal_led(hal_t *hal, bool on);
+
+/* Switch both bridges off, then restart the board as its reset pin does. It may return: the caller then has nothing
+ * more to do than to leave its turn of the main loop. */
+void hal_reset(hal_t *hal);
+
 /* Read the chip's unique number. */
 void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]);
 

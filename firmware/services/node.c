@@ -9,6 +9,13 @@
 
 #define TEXT_CHARACTERS 7u /* Characters in one PARAM_TEXT. */
 
+enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2 }; /* Indices of COMMAND. */
+
+#define HALF_BYTES   (HAL_UNIQUE_ID_BYTES / 2u)
+#define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */
+#define RESET_US     50000u /* Time from the answer to the reset: the answer is out by then, behind a full queue too. */
+#define MICROSECONDS 1000000u
+
 /* ---- Sending ---- */
 
 uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index) {
@@ -200,6 +207,58 @@ static void describe_parameter(node_t *node, node_links_t link, uint32_t index) 
     }
 }
 
+/* Returns a half of the unique id, the first byte lowest. */
+static uint64_t identity_half(const node_t *node, uint32_t which) {
+    uint8_t unique[HAL_UNIQUE_ID_BYTES];
+    hal_unique_id(node->hal, unique);
+    uint64_t half = 0;
+    for (uint32_t i = HALF_BYTES; i-- > 0;) {
+        half = half << 8 | unique[which * HALF_BYTES + i];
+    }
+    return half;
+}
+
+static void tell_identity(node_t *node, node_links_t link) {
+    const uint64_t halves[2] = {identity_half(node, 0), identity_half(node, 1)};
+    for (uint32_t i = 0; i < 2; i++) {
+        const struct goldfield_identity_t identity = {.half = halves[i], .tag = (uint16_t)(halves[0] ^ halves[1])};
+        uint8_t data[8];
+        (void)goldfield_identity_pack(data, &identity, sizeof data);
+        node_send(node, link, GOLDFIELD_IDENTITY_FRAME_ID, i, data, sizeof data);
+    }
+}
+
+static void take_command(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
+    struct goldfield_command_t command = {0};
+    const uint64_t own = identity_half(node, 0) ^ identity_half(node, 1);
+    (void)goldfield_command_unpack(&command, frame->data, frame->length); /* receive() has seen to the length. */
+    if (command.board != 0 && command.board != own) {
+        return;
+    }
+    if (index == COMMAND_IDENTITY) {
+        tell_identity(node, link);
+        return;
+    }
+    const uint64_t now_us = hal_microseconds(node->hal);
+    struct goldfield_command_answer_t answer = {.status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE};
+    if (index == COMMAND_BLINK) {
+        node->blinking = true;
+        node->blink_end_us = now_us + (uint64_t)command.argument * MICROSECONDS;
+    } else if (index == COMMAND_RESET) {
+        if (command.board == own && (frame->id & PROTOCOL_NODE_MASK) == node->id) {
+            node->resetting = true;
+            node->reset_us = now_us + RESET_US;
+        } else {
+            answer.status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
+        }
+    } else {
+        answer.status = GOLDFIELD_COMMAND_ANSWER_STATUS_UNKNOWN_CHOICE;
+    }
+    uint8_t data[8];
+    const uint8_t length = (uint8_t)goldfield_command_answer_pack(data, &answer, sizeof data);
+    node_send(node, link, GOLDFIELD_COMMAND_ANSWER_FRAME_ID, index, data, length);
+}
+
 static void receive(node_t *node, node_links_t link, const frame_t *frame) {
     const message_fault_t fault = message_fault(frame->id, frame->length);
     if (fault != MESSAGE_OK) {
@@ -226,6 +285,8 @@ static void receive(node_t *node, node_links_t link, const frame_t *frame) {
         answer_parameter(node, link, index, parameters_get(&node->parameters, index, &value));
     } else if (message == GOLDFIELD_PARAM_DESCRIBE_FRAME_ID && for_me) {
         describe_parameter(node, link, index);
+    } else if (message == GOLDFIELD_COMMAND_FRAME_ID && for_me) {
+        take_command(node, link, index, frame);
     }
 }
 
@@ -298,4 +359,11 @@ void node_step(node_t *node) {
     }
     drain_serial(node);
     drain_can(node, now_us);
+    if (node->blinking) {
+        node->blinking = now_us < node->blink_end_us;
+        hal_led(node->hal, !node->blinking || now_us / BLINK_US % 2u == 0u);
+    }
+    if (node->resetting && now_us >= node->reset_us) {
+        hal_reset(node->hal);
+    }
 }

@@ -21,9 +21,10 @@
  *
  * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
  * the link they came from; a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a
- * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). SYNC is kept for the application. All
- * other messages are ignored. A frame that is no message by its index or its length (messages.h) is ignored and
- * counted, whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).
+ * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). COMMAND lets the board tell its
+ * unique id, blink with its LED, or reset itself (framing.md, "Commands"). SYNC is kept for the application. All other
+ * messages are ignored. A frame that is no message by its index or its length (messages.h) is ignored and counted,
+ * whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).
  *
  * Time: node_step with nothing to do takes about 150 instructions. It is bounded by NODE_BYTES_A_STEP received bytes,
  * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 6.8 kB.
@@ -76,8 +77,12 @@ typedef struct {
     queue_t serial, can;
     frame_t serial_messages[NODE_QUEUE_MESSAGES], can_messages[NODE_QUEUE_MESSAGES];
     uint64_t heartbeat_us; /* Time of the latest heartbeat. */
-    uint64_t can_us;       /* Latest time at which CAN took a message, or had none to take. */
-    bool can_dead;         /* CAN took none for too long: one message at a time is queued to try it. */
+    bool blinking;         /* The LED blinks, until blink_end_us. */
+    uint64_t blink_end_us;
+    bool resetting; /* A reset was accepted, and comes at reset_us. */
+    uint64_t reset_us;
+    uint64_t can_us; /* Latest time at which CAN took a message, or had none to take. */
+    bool can_dead;   /* CAN took none for too long: one message at a time is queued to try it. */
 } node_t;
 
 /* Load the parameters and say hello: a heartbeat leaves on serial by polling before anything else is touched, so that

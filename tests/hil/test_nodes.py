@@ -11,6 +11,7 @@ from goldfield.nodes import opening
 from hil_sim.clib import ROOT
 from hil_sim.rig import Rig
 from hil_sim.scenario import load_scenario
+from tests.firmware.host_rig import PIN_ENABLE
 from tests.hil.rig_link import RigLink, RigSerialLink
 
 BOOTED_S = 2.5
@@ -94,6 +95,38 @@ def test_a_parameter_is_set_and_truly_acts(nodes, rig):
     nodes("set", "100", "code_list", "9", "8")
     assert nodes("get", "100", "code_list[1]")[1].startswith("code_list[1] = 8 ")
     nodes("set", "100", "code_list", "2", "3")
+
+
+@pytest.mark.parametrize("link", [RigLink, RigSerialLink])
+def test_a_board_is_told_by_its_unique_id_and_blinks(nodes, link):
+    lines = [json.loads(line) for line in nodes("--json", link=link)[1].splitlines()]
+    ids = [line["unique_ids"] for line in lines]
+    assert all(len(own) == 1 for own in ids)
+    assert len({own[0] for own in ids}) == len(lines)
+    code, out, _ = nodes("identify", "100", "--for", "3", link=link)
+    assert (code, out) == (0, "the LED of node 100 blinks for 3 s\n")
+
+
+def test_a_reset_leaves_no_bridge_on_and_the_beacon_comes_back(nodes, rig):
+    assert abs(rig.coil_current_A(5)) > 1.0
+    rig.watch_pins()
+    code, out, _ = nodes("reset", "5")
+    assert (code, out) == (0, "node 5 has restarted\n")
+    changes = rig.pin_changes(5)
+    rig.watch_pins(False)
+    levels = {int(pin): bool(level) for pin, level in zip(changes["pin"], changes["level"], strict=True)}
+    assert levels[PIN_ENABLE] is False
+    rig.advance(0.02)
+    assert rig.coil_current_A(5) == pytest.approx(0.0, abs=0.01)
+    rig.advance(6.0)
+    drives = {line["node"]: line["drives"] for line in map(json.loads, nodes("--json")[1].splitlines())}
+    assert drives[5][0]["current_A"] == pytest.approx(10.0, rel=0.02)
+
+
+def test_another_board_is_not_reset(nodes):
+    code, _, told = nodes("reset", "5", "--id", "0" * 24)
+    assert code == 2
+    assert "name one of them with --id" in told
 
 
 @pytest.mark.parametrize(

@@ -199,15 +199,42 @@ static void application_step(board_t *board) {
     }
 }
 
+static void start(board_t *board) {
+    board->powered = true;
+    host_pin_write(&board->hal, PIN_LED, true);
+    application_start(board);
+}
+
+/* Does what the reset pin does: outputs go off, and whatever the board has not sent yet is lost. Time, the levels of
+ * the inputs, and what is still under way from outside stay. */
+static void restart(board_t *board) {
+    hal_t *hal = &board->hal;
+    if (hal->mailbox_count > 0 && hal->edge.can_abort) {
+        hal->edge.can_abort(hal->edge.context, hal->mailbox_head, hal->now_ps);
+    }
+    for (unsigned pin = PIN_BRIDGE_1; pin <= PIN_ENABLE; pin++) {
+        host_pin_write(hal, pin, false);
+    }
+    hal->reset_wanted = false;
+    hal->power_on_ps = hal->now_ps;
+    memset(&hal->engine, 0, sizeof hal->engine);
+    memset(&hal->transmitter, 0, sizeof hal->transmitter);
+    memset(&hal->counters, 0, sizeof hal->counters);
+    hal->received_count = hal->frames_count = hal->mailbox_count = hal->stamps_count = 0;
+}
+
 static void application(board_t *board) {
     hal_t *hal = &board->hal;
     if (!board->powered) {
-        board->powered = true;
-        host_pin_write(hal, PIN_LED, true);
-        application_start(board);
+        start(board);
     }
     hal->awake = false;
     application_step(board);
+    if (hal->reset_wanted) {
+        restart(board);
+        start(board);
+        application_step(board);
+    }
     hal->idle_tick = host_tick(hal) + IDLE_TICKS;
 }
 

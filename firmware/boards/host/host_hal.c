@@ -141,6 +141,15 @@ int16_t hal_temperature(const hal_t *hal) {
     return (int16_t)(tenths < 0 ? tenths - 0.5 : tenths + 0.5);
 }
 
+void hal_led(hal_t *hal, bool on) {
+    host_pin_write(hal, PIN_LED, !on);
+}
+
+void hal_reset(hal_t *hal) {
+    hal_drive_enable(hal, false);
+    hal->reset_wanted = true;
+}
+
 void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]) {
     memcpy(id, hal->config.unique_id, HAL_UNIQUE_ID_BYTES);
 }

@@ -84,6 +84,7 @@ struct hal {
     int64_t power_on_ps;
     int64_t now_ps;
     uint64_t tick_q32; /* Length of a tick, ps times 2^32. */
+    bool reset_wanted; /* The application has asked for a reset, which comes at the end of its turn. */
     bool awake;        /* There was an interrupt since the main loop last ran. */
     int64_t idle_tick; /* The latest end of the present sleep. */
     engine_t engine;

@@ -83,6 +83,22 @@ hal_t *board_start(void) {
     return hal;
 }
 
+void hal_led(hal_t *hal, bool on) {
+    (void)hal;
+    GPIOC->BSRR = on ? 1u << (12 + 16) : 1u << 12; /* It hangs between pin and supply. */
+}
+
+/* No interrupt may come between, since one of them switches the bridges on. */
+void hal_reset(hal_t *hal) {
+    (void)interrupts_off();
+    hal_drive_enable(hal, false);
+    memory_barrier();
+    SCB->AIRCR = SCB_AIRCR_SYSRESETREQ;
+    memory_barrier();
+    for (;;)
+        ; /* The reset comes within a few cycles. */
+}
+
 void hal_counters(const hal_t *hal, hal_counters_t *counters) {
     *counters = hal->counters;
 }

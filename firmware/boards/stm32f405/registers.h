@@ -312,6 +312,8 @@ typedef struct {
 } SCB_registers;
 #define SCB                ((SCB_registers *)0xE000ED00u)
 #define SCB_CPACR_FPU_FULL (15u << 20)
+/* The system resets; the upper half is the key without which nothing is written (PM0214, 4.4.5). */
+#define SCB_AIRCR_SYSRESETREQ (0x05FAu << 16 | 1u << 2)
 
 /* Positions of the interrupts in the vector table (RM0090, table 62). */
 enum {

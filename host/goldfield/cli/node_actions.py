@@ -10,7 +10,7 @@ from typing import Any
 
 from goldfield.cli.output import json_line, number
 from goldfield.errors import SystemFailure, UserError
-from goldfield.nodes.conversation import HEARD_S, Conversation
+from goldfield.nodes.conversation import BLINK, HEARD_S, RESET, Conversation
 from goldfield.nodes.elements import elements_of, parsed, shown
 from goldfield.nodes.roster import Node, Value
 from goldfield.view.terminal import WIDTH
@@ -19,6 +19,9 @@ from goldfield_protocol.parameters import PARAMETERS, Parameter, counter_name
 
 MOST_SHOWN = 16
 """Elements of an array that the list of all parameters shows."""
+
+RESTART_S = 5.0
+"""A board's first heartbeat after a reset is waited for so long, s."""
 
 Asked = tuple[Parameter, Sequence[int], Sequence[Value]] | None
 """The parameter that is named, its elements, and the values to set."""
@@ -42,6 +45,7 @@ def checked(arguments: argparse.Namespace) -> Asked:
 def print_list(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
     """Print who is there."""
     conversation.listen(arguments.seconds or HEARD_S)
+    conversation.identities()
     nodes = sorted(conversation.roster.nodes.values(), key=lambda node: node.number)
     if not nodes:
         raise SystemFailure(f"{conversation.name}: no node was heard: check the power, the cable and the bit rate")
@@ -64,6 +68,7 @@ def node_record(node: Node) -> dict[str, Any]:
         "version": node.version,
         "protocol": None if node.protocol is None else f"{node.protocol:#010x}",
         "same_protocol": node.same_protocol,
+        "unique_ids": node.unique_ids,
         "locked": node.locked,
         "phase_s": None if node.phase_s is None else number(node.phase_s),
         "temperature_degC": node.temperature_degC,
@@ -92,7 +97,8 @@ def _words_of(node: Node) -> Iterator[str]:
             f"speaks protocol {node.protocol:#010x} and this host {protocol_hash():#010x}: flash it with this "
             f"version's firmware (make flash ROLE={node.role or 'beacon'})"
         )
-    if node.contradictions:
+    yield from (f"unique id {unique_id}" for unique_id in node.unique_ids)
+    if node.contradictions or len(node.unique_ids) > 1:
         yield f"two boards have the number {node.number}: give one another number (parameter node)"
     for channel, drive in sorted(node.drives.items()):
         if drive.complaints:
@@ -185,8 +191,44 @@ def set_values(conversation: Conversation, arguments: argparse.Namespace, asked:
         print("it holds until the board's next reset: to keep it, store it in the board's page (make flash)")
 
 
+def identify(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
+    """Let a board blink."""
+    conversation.command(arguments.node, BLINK, min(arguments.blink_s, 0xFFFF))
+    if arguments.json:
+        print(json_line({"node": arguments.node, "blinks_s": arguments.blink_s}))
+    else:
+        print(f"the LED of node {arguments.node} blinks for {arguments.blink_s} s")
+
+
+def reset(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
+    """Restart a board, and wait until it says that it has."""
+    number = arguments.node
+    conversation.identities(number)
+    node = conversation.roster.nodes.get(number)
+    found = node.unique_ids if node is not None else []
+    if node is None or not found:
+        raise SystemFailure(
+            f"{conversation.name}: node {number} does not answer: see who is there with goldfield nodes"
+        )
+    wanted = found[0] if arguments.unique_id is None else arguments.unique_id.lower()
+    if wanted not in found or (len(found) > 1 and arguments.unique_id is None):
+        raise UserError(f"node {number} is {' and '.join(found)}: name one of them with --id")
+    restarts = node.restarts
+    conversation.command(number, RESET, board=wanted)
+    if not conversation.wait(lambda _: node.restarts > restarts, RESTART_S):
+        raise SystemFailure(
+            f"{conversation.name}: node {number} took the reset, and was not heard since: power it off and on"
+        )
+    if arguments.json:
+        print(json_line({"node": number, "unique_id": wanted, "reset": True}))
+    else:
+        print(f"node {number} has restarted")
+
+
 ACTIONS: dict[str | None, Callable[[Conversation, argparse.Namespace, Asked], None]] = {
     None: print_list,
     "get": print_values,
     "set": set_values,
+    "identify": identify,
+    "reset": reset,
 }

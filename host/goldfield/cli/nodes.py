@@ -1,4 +1,4 @@
-"""``goldfield nodes``: who is on a link; parameters read and set by name.
+"""``goldfield nodes``: who is on a link; parameters by name; a board that blinks or restarts.
 
 What takes long to import is imported by `run`, which is called when a node is to be spoken to.
 """
@@ -30,7 +30,15 @@ def command(subparsers: Any) -> None:
         help="set a parameter",
         description="Sets a parameter until the node's next reset; several values are those of successive elements.",
     )
-    for action in (get, put):
+    blink = actions.add_parser("identify", help="let a node blink", description="Lets the LED of a board blink.")
+    blink.add_argument("--for", dest="blink_s", metavar="N", type=options.count, default=10, help="seconds, default 10")
+    reset = actions.add_parser(
+        "reset",
+        help="restart a node",
+        description="Switches a board's coils off and restarts it; --id names one of two boards with one number.",
+    )
+    reset.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
+    for action in (get, put, blink, reset):
         _add_common(action, nested=True)
         action.add_argument("node", metavar="NODE", type=options.node, help="number of the node")
     get.add_argument("name", metavar="NAME", nargs="?", help="as amplitude or code_list[3]; none: all parameters")

@@ -35,7 +35,7 @@ def firmware(roster: Roster) -> Iterator[Check]:
             nodes=(node.number,),
         )
     for node in nodes:
-        if node.contradictions:
+        if node.contradictions or len(node.unique_ids) > 1:
             yield wrong(
                 Fault.NUMBERS,
                 "numbers",

@@ -34,6 +34,24 @@ REFUSALS = {
 }
 
 
+IDENTITY, BLINK, RESET = 0, 1, 2
+"""Numbers of the commands, the index of ``COMMAND``."""
+IDENTITY_S = 0.5
+"""How long the nodes are waited for that have yet to tell their unique ids, s."""
+
+
+def board_of(unique_id: str) -> int:
+    """Return what names a board in a ``COMMAND``: the exclusive or of the halves of its unique id.
+
+    Examples
+    --------
+    >>> hex(board_of("0102030405060000000000ff"))
+    '0xf90504030201'
+    """
+    whole = bytes.fromhex(unique_id)
+    return int.from_bytes(whole[:6], "little") ^ int.from_bytes(whole[6:], "little")
+
+
 class Tap(BusSource):
     """A live link whose messages, both ways, are told to a roster; otherwise it is that link.
 
@@ -169,6 +187,52 @@ class Conversation:
             f"{self.name}: node {node} did not answer when {label} was to be set, in {TRIES} tries: see who is there "
             "with goldfield nodes"
         )
+
+    def identities(self, node: int = 0, tries: int = TRIES) -> None:
+        """Let a node, or all (0), tell the unique ids of their processors to the roster."""
+
+        def known(_: Message | None = None) -> bool:
+            asked = [one for one in self.roster.nodes.values() if node in (0, one.number) and one.same_protocol]
+            return bool(asked) and all(one.unique_ids for one in asked)
+
+        for _ in range(tries):
+            if not known():
+                self._tap.send(*encode("COMMAND", {"board": 0, "argument": 0}, node=node, index=IDENTITY))
+                self.wait(known, IDENTITY_S)
+
+    def command(self, node: int, command: int, argument: int = 0, board: str | None = None) -> None:
+        """Give a node a command, `BLINK` or `RESET`.
+
+        Parameters
+        ----------
+        node, command, argument : int
+            ``argument``: seconds to blink.
+        board : str, optional
+            Unique id of the board that is meant, which a reset must name.
+
+        Raises
+        ------
+        SystemFailure
+            If the node does not answer, or refuses.
+        """
+        signals = {"board": 0 if board is None else board_of(board), "argument": argument}
+        answers: list[Message] = []
+
+        def take(message: Message) -> bool:
+            if (message.name, message.node, message.index) == ("COMMAND_ANSWER", node, command):
+                answers.append(message)
+            return bool(answers)
+
+        for _ in range(TRIES):
+            self._tap.send(*encode("COMMAND", signals, node=node, index=command))
+            if self.wait(take, ANSWER_S):
+                break
+        else:
+            raise SystemFailure(
+                f"{self.name}: node {node} did not answer in {TRIES} tries: see who is there with goldfield nodes"
+            )
+        if answers[0].signals["status"]:
+            raise SystemFailure(f"{self.name}: node {node} refuses the command: flash it with this version's firmware")
 
     def wait(self, take: Callable[[Message], bool], seconds: float) -> bool:
         """Hand what comes to a function until it returns True, or the time is over; return whether it did."""

@@ -21,7 +21,7 @@ STATES: dict[int, str] = {
     for number, name in (database().get_message_by_name("HEARTBEAT").get_signal_by_name("state").choices or {}).items()
 }
 STARTING = 0
-REQUESTS = ("PARAM_SET", "PARAM_GET", "PARAM_DESCRIBE")
+REQUESTS = ("PARAM_SET", "PARAM_GET", "PARAM_DESCRIBE", "COMMAND")
 """Messages that hosts send; the node in their identifier is the receiver's."""
 ECHO_S = 2.0
 """A bus that hands a host its own messages back does so within this time, s."""
@@ -90,6 +90,10 @@ class Node:
         ``SYNC`` messages that it sent: above 0 it is a sync master.
     parameters : dict of int to int or float or None
         Answers to reads by the parameter's id; None: it has no such parameter.
+    halves : dict of int to dict of int to int
+        The two halves of its unique id by the tag that they have in common: `unique_ids` joins them.
+    restarts : int
+        Heartbeats that told a start.
     contradictions : int
         Times that role, version or protocol changed without a restart: two boards have its number.
     """
@@ -109,7 +113,15 @@ class Node:
     temperature_degC: float | None = None
     syncs: int = 0
     parameters: dict[int, Value | None] = field(default_factory=dict)
+    halves: dict[int, dict[int, int]] = field(default_factory=dict)
+    restarts: int = 0
     contradictions: int = 0
+
+    @property
+    def unique_ids(self) -> list[str]:
+        """Unique ids of the processors that have this number, 24 hexadecimal digits each: two if it is taken twice."""
+        whole = [halves for halves in self.halves.values() if len(halves) == 2]
+        return sorted((halves[0].to_bytes(6, "little") + halves[1].to_bytes(6, "little")).hex() for halves in whole)
 
     @property
     def drives_coils(self) -> bool:
@@ -196,6 +208,7 @@ def _take_heartbeat(node: Node, message: Message) -> None:
         node.parameters.clear()
         node.drives.clear()
         node.syncs = 0
+        node.restarts += 1
     elif node.role is not None and before != (role, version, protocol):
         node.contradictions += 1
     node.role, node.version, node.protocol = role, version, protocol
@@ -214,6 +227,8 @@ def _take_message(node: Node, message: Message) -> None:
         node.temperature_degC = signals["temperature"]
     elif message.name == "SYNC":
         node.syncs += 1
+    elif message.name == "IDENTITY" and message.index in (0, 1):
+        node.halves.setdefault(int(signals["tag"]), {})[message.index] = int(signals["half"])
     elif message.name == "PARAM_VALUE":
         node.parameters[message.index] = value_of(message)
 

@@ -42,6 +42,8 @@ void hal_counters(const hal_t *h, hal_counters_t *c) { (void)h; *c = (hal_counte
 uint64_t hal_microseconds(hal_t *h) { return h->us; }
 int16_t hal_temperature(const hal_t *h) { (void)h; return 250; }
 hal_burst_t hal_burst_timing(void) { return (hal_burst_t){14672, 216}; }
+void hal_led(hal_t *h, bool on) { (void)h; (void)on; }
+void hal_reset(hal_t *h) { (void)h; }
 void hal_unique_id(const hal_t *h, uint8_t id[12]) { (void)h; for (int i = 0; i < 12; i++) id[i] = 0; }
 const uint8_t *hal_parameter_page(const hal_t *h) { (void)h; return page; }
 void hal_watchdog_kick(hal_t *h) { (void)h; }

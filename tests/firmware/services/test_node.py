@@ -9,7 +9,20 @@ import pytest
 
 from goldfield_protocol import Identifier, Message, encode, encode_frame, protocol_hash
 from goldfield_protocol.messages import shapes
-from tests.firmware.host_rig import ANCHOR, BEACON, MS, PIN_ENABLE, SECOND, SENSOR, US, Board, Rig
+from tests.firmware.host_rig import (
+    ANCHOR,
+    BEACON,
+    MS,
+    PIN_ENABLE,
+    PIN_LED,
+    SECOND,
+    SENSOR,
+    US,
+    Board,
+    Coil,
+    Rig,
+    beacon,
+)
 
 OK, UNKNOWN, OUT_OF_RANGE, WRONG_KIND = range(4)
 INTERNAL, SLOW = 1, 2
@@ -221,3 +234,103 @@ def test_frames_leave_one_mailbox_after_the_other_and_are_repeated_on_error() ->
     board.run(SECOND + 100 * MS)
     assert counters(board) == {2: 1}
     board.close()
+
+
+IDENTITY, BLINK, RESET = 0, 1, 2
+UNIQUE = bytes(range(12))
+"""Unique id of the boards of these tests."""
+NAMED = int.from_bytes(UNIQUE[:6], "little") ^ int.from_bytes(UNIQUE[6:], "little")
+
+
+def command(
+    board: Board, index: int, *, named: int = 0, argument: int = 0, node: int = 9, time: int = 100 * MS
+) -> None:
+    board.send_serial("COMMAND", {"board": named, "argument": argument}, node, index, time)
+
+
+def statuses(board: Board) -> list[tuple[int, float]]:
+    return [(m.index, m.signals["status"]) for m in board.messages("COMMAND_ANSWER")]
+
+
+@pytest.mark.parametrize(("named", "told"), [(0, 2), (NAMED, 2), (NAMED + 1, 0)])
+def test_a_board_tells_its_unique_id_unless_another_is_meant(board: Board, named: int, told: int) -> None:
+    board.run(100 * MS)
+    command(board, IDENTITY, named=named, node=0)
+    board.run(200 * MS)
+    halves = {m.index: m.signals for m in board.messages("IDENTITY")}
+    assert len(halves) == told
+    if told:
+        whole = b"".join(int(halves[i]["half"]).to_bytes(6, "little") for i in (0, 1))
+        assert whole == UNIQUE
+        assert {int(half["tag"]) for half in halves.values()} == {NAMED & 0xFFFF}
+
+
+def test_a_board_blinks_for_the_time_that_it_was_told(board: Board) -> None:
+    board.run(100 * MS)
+    before = len(board.edges(PIN_LED, False))
+    command(board, BLINK, argument=2)
+    board.run(4 * SECOND)
+    on, off = (board.edges(PIN_LED, level) for level in (False, True))
+    assert len(on) - before in (8, 9)  # it hangs between pin and supply: low is on
+    assert 2 * SECOND < max(*on, *off) < 2 * SECOND + 200 * MS
+    assert board.level[PIN_LED] is False
+    assert statuses(board) == [(BLINK, OK)]
+
+
+def test_blinking_stops_at_once(board: Board) -> None:
+    board.run(100 * MS)
+    command(board, BLINK, argument=60)
+    command(board, BLINK, argument=0, time=500 * MS)
+    board.run(2 * SECOND)
+    assert max(board.edges(PIN_LED, True)) < 600 * MS
+    assert board.level[PIN_LED] is False
+
+
+@pytest.mark.parametrize(
+    ("named", "node", "answer"), [(NAMED, 9, [(RESET, OK)]), (0, 9, [(RESET, 2)]), (NAMED, 0, [(RESET, 2)])]
+)
+def test_a_reset_must_name_its_board(board: Board, named: int, node: int, answer: list[tuple[int, int]]) -> None:
+    board.run(1100 * MS)
+    command(board, RESET, named=named, node=node, time=1100 * MS)
+    board.run(1500 * MS)
+    assert statuses(board) == answer
+    states = [m.signals["state"] for m in board.messages("HEARTBEAT")]
+    assert states.count(0) - 1 == (answer == [(RESET, OK)])
+    board.run(3 * SECOND)
+    assert board.can_messages("HEARTBEAT")[-1].node == 9
+
+
+def test_a_command_for_another_board_and_one_of_the_wrong_length_are_ignored(board: Board) -> None:
+    board.run(100 * MS)
+    command(board, RESET, named=NAMED + 1)
+    identifier, _ = encode("COMMAND", {"board": NAMED, "argument": 0}, node=9, index=RESET)
+    board.receive(encode_frame(identifier, NAMED.to_bytes(6, "little")), 150 * MS)
+    board.run(500 * MS)
+    assert statuses(board) == []
+    command(board, 7, time=500 * MS)
+    board.run(600 * MS)
+    assert statuses(board) == [(7, 1)]
+
+
+@pytest.mark.parametrize("emulated", [False, True])
+def test_a_beacon_that_drives_its_coil_resets_with_the_bridge_off(emulated: bool) -> None:
+    page = {"node": 9, "code": 2, "amplitude": 5.0, "sync_master": 1}
+    board = beacon(Coil(), parameters=page, emulated=emulated)
+    try:
+        board.run(2 * SECOND)
+        assert board.level[PIN_ENABLE]
+        command(board, RESET, named=NAMED, time=2 * SECOND)
+        board.run(2 * SECOND + 100 * MS)
+        off = [time for time in board.edges(PIN_ENABLE, False) if time > 2 * SECOND]
+        assert 50 * MS < off[0] - 2 * SECOND < 60 * MS  # the answer goes out first
+        starts = [time for time in board.edges(PIN_LED) if time > 2 * SECOND]
+        assert off[0] <= starts[0]
+        on = [time for time in board.edges(PIN_ENABLE) if time > 2 * SECOND]
+        assert all(time > starts[0] for time in on)
+        assert statuses(board) == [(RESET, OK)]
+        assert [m.signals["state"] for m in board.messages("HEARTBEAT")].count(0) == 2
+        board.run(4 * SECOND)
+        assert board.level[PIN_ENABLE]
+        assert board.messages("DRIVE_STATUS")[-1].signals["current"] == pytest.approx(5.0, rel=0.02)
+    finally:
+        board.close()
