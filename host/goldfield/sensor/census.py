@@ -50,6 +50,7 @@ class Census:
         self._by_reports = by_reports
         self._reporting: dict[Place, None] = {}
         self._roles: dict[Place, int] = {}
+        self._strangers: set[Place] = set()
 
     def take(self, raw: can.Message) -> Message | None:
         """Take a message; return it decoded if it is one of ours."""
@@ -69,7 +70,7 @@ class Census:
     def found(self) -> tuple[Place, ...]:
         """The sensors that can be read, the one that was heard first before the others."""
         places = dict.fromkeys((*self._roles, *(self._reporting if self._by_reports else ())))
-        return tuple(place for place in places if self._chosen(place) and self._senses(place))
+        return tuple(place for place in places if self._readable(place))
 
     def choose(self, name: str) -> Place | None:
         """Return the sensor that is read, None if none was found.
@@ -107,12 +108,12 @@ class Census:
         role = int(heartbeat.signals["role"])
         fault = other_protocol(heartbeat)
         if fault is not None:
-            self._roles.pop(place, None)
-            self._reporting.pop(place, None)
+            self._strangers.add(place)
             if self._chosen(place) and (role == ROLE_SENSOR or self._node is not None):
                 self.refused = fault
             self.heard.add(f"node {place.node}, which speaks another protocol")
             return
+        self._strangers.discard(place)
         self._roles[place] = role
         if role == ROLE_ANCHOR and self._node is None:
             self.heard.add(f"anchor {place.node} (to read it, give {option('node', place.node)})")
@@ -121,6 +122,9 @@ class Census:
 
     def _chosen(self, place: Place) -> bool:
         return self._node in (None, place.node) and self._channel in (None, place.channel)
+
+    def _readable(self, place: Place) -> bool:
+        return self._chosen(place) and self._senses(place) and place not in self._strangers
 
     def _senses(self, place: Place) -> bool:
         role = self._roles.get(place)

@@ -142,12 +142,12 @@ class Receiver:
         UserError
             If it is the heartbeat of the node that is read, which speaks another protocol.
         """
-        if self.channel is not None and channel_of(raw) != self.channel:
-            self._traffic[OTHER_CHANNEL] += 1
-            return None
         fault = mismatch(raw.arbitration_id, len(raw.data))
         if fault is not None:
             self._traffic[BY_MISMATCH[fault]] += 1
+            return None
+        if self.channel is not None and channel_of(raw) != self.channel:
+            self._traffic[OTHER_CHANNEL] += 1
             return None
         message = used_message(raw)
         if message is None:

@@ -21,7 +21,7 @@ import pytest
 from goldfield.cli import main
 from goldfield.link import buses
 from goldfield_protocol import encode_frame
-from tests.host.fake_sensor import CODES, NODE, SITE, PtySensor, candump, cycle_messages, heartbeat, log_of
+from tests.host.fake_sensor import CODES, CYCLE_S, NODE, SITE, PtySensor, candump, cycle_messages, heartbeat, log_of
 
 J1939 = ["(0.1) can0 08FE6E0B#0102030405060708", "(0.1) can0 0C000003#0055000000FFFFFF", "(0.1) can0 18DAF110#0102"]
 
@@ -53,6 +53,17 @@ def test_foreign_frames_in_a_log_cost_nothing_and_are_counted(tmp_path, capsys):
     code, out, err = run(capsys, "--log", path, "--json")
     assert (code, epochs(out)) == (0, [0, 1, 2])
     assert "the link: 2 foreign frames, 1 messages of a wrong length" in err
+
+
+@pytest.mark.parametrize(("before", "printed"), [(0, 0), (9, 0), (20, 20)])
+def test_a_sensor_with_another_protocol_in_a_log_is_refused(tmp_path, capsys, before, printed):
+    """Before any pose, if its heartbeat comes in the first second, as it does on a bus."""
+    stranger = candump([((before + 0.5) * CYCLE_S, heartbeat(hash_=1))])
+    path = tmp_path / "a.log"
+    path.write_text(log_of(range(before)) + stranger + log_of(range(before, before + 2)))
+    code, out, err = run(capsys, "--log", path, "--json")
+    assert (code, len(out.splitlines())) == (2, printed)
+    assert "make flash ROLE=sensor" in err
 
 
 def test_two_buses_in_one_log(tmp_path, capsys):
