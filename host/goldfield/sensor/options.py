@@ -50,7 +50,7 @@ class Options:
     ----------
     method : Method
     node : int or None
-        Node of the sensor, 1 to 4095, which may be an anchor's; None: the first sensor that is heard, and no anchor.
+        Node of the sensor, 1 to 4095, which may be an anchor's; None: the only sensor there is, and no anchor.
     seconds : float or None
         Ends the epochs after so much time of the sensor; None: they go on until the log ends, or without end.
     channel : str or None

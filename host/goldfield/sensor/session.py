@@ -48,11 +48,13 @@ class Session:
         The link's name, for error messages.
     site : Site
     node : int, optional
-        The sensor's node, which may be an anchor's; None: the first sensor that is heard, and no anchor.
+        The sensor's node, which may be an anchor's; None: the only sensor there is, and no anchor.
     recorder : Recorder, optional
         Gets every message received.
     on_sensor : bool, optional
         Whether a cycle's report waits for the pose that the sensor computed itself.
+    channel : str, optional
+        The sensor's channel, where the source has several.
 
     Attributes
     ----------
