@@ -139,11 +139,15 @@ def _lines(stream: BinaryIO, encoding: str) -> Iterator[bytes]:
 
 
 class _TextLines:
-    """Lines for a text reader of python-can, which begins again behind a line that it cannot read."""
+    """Lines for a text reader of python-can, which begins again behind a line that it cannot read.
+
+    A last line without an end is torn, and left out: python-can would read half of its last byte as a whole one.
+    """
 
     def __init__(self, text: Iterator[str]) -> None:
         self._text = text
         self._first: str | None = None
+        self.torn = False
 
     def read(self) -> str:
         """Make this a file in the eyes of python-can."""
@@ -165,7 +169,11 @@ class _TextLines:
         if self._first is not None:
             first, self._first = self._first, None
             return first
-        return next(self._text)
+        line = next(self._text)
+        if not line.endswith("\n"):
+            self.torn = True
+            raise StopIteration
+        return line
 
 
 def _of_lines(stream: BinaryIO, encoding: str, make: Callable[[Any], Any]) -> Frames:
@@ -177,6 +185,8 @@ def _of_lines(stream: BinaryIO, encoding: str, make: Callable[[Any], Any]) -> Fr
         try:
             for message in reader:
                 yield message if _is_used(message) else NoFrame.FOREIGN
+            if lines.torn:
+                yield NoFrame.UNREADABLE
             return
         except (ValueError, IndexError, KeyError, TypeError, OverflowError):
             yield NoFrame.UNREADABLE
@@ -192,13 +202,14 @@ def _of_csv(stream: BinaryIO, encoding: str) -> Frames:
         if cells == [""]:
             continue
         try:
-            time_s, identifier, extended, remote, error, _, data = cells
+            time_s, identifier, extended, remote, error, length, data = cells
             message = can.Message(
                 timestamp=float(time_s),
                 arbitration_id=int(identifier, 16),
                 is_extended_id=extended == "1",
                 is_remote_frame=remote == "1",
                 is_error_frame=error == "1",
+                dlc=int(length),
                 data=base64.b64decode(data, validate=True) if remote != "1" else None,
                 check=True,
             )
