@@ -181,7 +181,15 @@ def test_a_bad_line_in_the_middle_costs_that_line(tmp_path, suffix):
         for message in MESSAGES:
             writer.on_message_received(message)
     lines = path.read_text().splitlines(keepends=True)
-    path.write_text("".join([*lines[:-10], "1,2,zzz\n" if suffix == ".csv" else "   1  1.000 DT  1 02000064 Rx -  8    7C ZZ 80\n", *lines[-10:]]))
+    path.write_text(
+        "".join(
+            [
+                *lines[:-10],
+                "1,2,zzz\n" if suffix == ".csv" else "   1  1.000 DT  1 02000064 Rx -  8    7C ZZ 80\n",
+                *lines[-10:],
+            ]
+        )
+    )
     reader, found = read(path)
     assert found == WANTED
     assert reader.bad_lines == 1
