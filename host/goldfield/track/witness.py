@@ -194,7 +194,7 @@ class Witness:
     ) -> tuple[int, _Evidence] | None:
         """Return the row of the beacon that is not as the site says and the window that shows it best; None if none."""
         largest = granted.max(axis=1)
-        place = int(np.argmax(largest[:-1]))
+        place = int(np.argmax(largest[:-1])) if len(largest) > 1 else 0  # cycles of minutes have one window
         if largest[place] <= self._limit:
             place = len(largest) - 1
         of, row = windows[place], int(np.argmax(plain[place]))
