@@ -35,6 +35,8 @@ from hil_sim.world.path import CoilGeometry
 
 FloatArray = NDArray[np.float64]
 
+LONGEST_NAME = 250
+"""Letters: the system refuses to look for a file of a longer name."""
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 HARMONICS = 16
 AMPLITUDE, NODE = PARAMETERS["amplitude"], PARAMETERS["node"]
@@ -53,10 +55,10 @@ def find(name: str) -> Path:
     UserError
         If there is none.
     """
-    if Path(name).suffix == ".toml" or Path(name).is_file():
+    if Path(name).suffix == ".toml" or (len(name) <= LONGEST_NAME and Path(name).is_file()):
         return Path(name)
-    path = SCENARIOS / f"{name}.toml"
-    if not path.is_file():
+    path = SCENARIOS / f"{name[:LONGEST_NAME]}.toml"
+    if len(name) > LONGEST_NAME or not path.is_file():
         known = ", ".join(sorted(file.stem for file in SCENARIOS.glob("*.toml")))
         raise UserError(f"there is no scenario '{name}'; there are {known}; or give the path of a .toml file")
     return path

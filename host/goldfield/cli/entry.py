@@ -45,6 +45,7 @@ COMMANDS = {
 }
 """Each subcommand of this package: the module whose function ``command`` adds its parser, and its line of help."""
 COMMAND_GROUP = "goldfield.commands"
+LONGEST_COMPLAINT = 600
 
 
 class Parser(argparse.ArgumentParser):
@@ -69,6 +70,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the complaint and exit with 2."""
+        if len(message) > LONGEST_COMPLAINT:  # a word of thousands of letters is in it
+            message = f"{message[: LONGEST_COMPLAINT // 2]} ... {message[-LONGEST_COMPLAINT // 2 :]}"
         self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
 
 

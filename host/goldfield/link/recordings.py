@@ -86,7 +86,8 @@ class CandumpReader:
         except DAMAGE:
             tell(f"{self.name}: is damaged or was cut off behind {self._count} messages, which are used")
         except OSError as error:
-            raise SystemFailure(f"{self.name}: the log cannot be read any further: {reason_of(error)}") from error
+            kind = SystemFailure if self._count else UserError
+            raise kind(f"{self.name}: the log cannot be read any further: {reason_of(error)}") from error
 
 
 class CandumpWriter:

@@ -1,0 +1,111 @@
+"""Streams that are files, pipes, full or of another alphabet: each in a process of its own, as a shell starts it."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+
+import pytest
+
+from hil_sim.clib import ROOT
+from tests.host.fake_sensor import CHIPS, SITE, beacon_fields
+
+EXAMPLES = ROOT / "docs" / "examples"
+FIELDS, LOG = EXAMPLES / "fields.csv", EXAMPLES / "recording.log"
+GOLDFIELD = [sys.executable, "-m", "goldfield"]
+
+
+def run(*words, **streams):
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE} | streams
+    return subprocess.run([*GOLDFIELD, *map(str, words)], check=False, text=True, **streams)
+
+
+def test_a_table_from_stdin_and_a_site_from_stdin():
+    with FIELDS.open() as table:
+        piped = run("locate", "--site", SITE, "-", "--json", stdin=table)
+    with SITE.open() as site:
+        again = run("locate", "--site", "-", FIELDS, "--json", stdin=site)
+    assert (piped.returncode, len(piped.stdout.splitlines())) == (0, 10)
+    assert again.stdout == piped.stdout
+
+
+def test_a_pose_comes_as_soon_as_its_epoch_is_whole():
+    lines = FIELDS.read_text().splitlines(keepends=True)
+    command = [*GOLDFIELD, "locate", "--site", str(SITE), "-", "--json"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdin.write("".join(lines[:10]))
+        process.stdin.flush()
+        assert json.loads(process.stdout.readline())["status"] == "ok"  # the pipe is still open
+        process.stdin.close()
+        assert process.wait() == 0
+
+
+def test_fields_of_a_recording_through_a_pipe():
+    line = f'"$0" -m goldfield run --site {SITE} --log - --fields - --json < {LOG} 2> /dev/null |'
+    line += f' "$0" -m goldfield locate --site {SITE} - --json'
+    done = subprocess.run(["sh", "-c", line, sys.executable], check=False, text=True, capture_output=True)
+    direct = run("run", "--site", SITE, "--log", LOG, "--json")
+    assert done.returncode == 0
+    located, live = ([json.loads(text) for text in out.splitlines()] for out in (done.stdout, direct.stdout))
+    assert [pose["position_m"] for pose in located] == [pose["position_m"] for pose in live]
+
+
+def test_a_recording_on_stdout_is_the_recording():
+    done = run("run", "--site", SITE, "--log", LOG, "--record", "-")
+    assert done.returncode == 0
+    assert [line.split()[2] for line in done.stdout.splitlines()] == [
+        line.split()[2] for line in LOG.read_text().splitlines()
+    ]
+    assert "epochs: " in done.stderr
+
+
+def test_an_input_that_is_the_output_of_the_shell(tmp_path):
+    table = tmp_path / "fields.csv"
+    table.write_text(FIELDS.read_text())
+    with table.open("a") as out:
+        done = run("locate", "--site", SITE, table, stdout=out)
+    assert done.returncode == 2
+    assert "is the file of FIELDS.csv, and stdout goes into it" in done.stderr
+    assert table.read_text() == FIELDS.read_text()
+
+
+def test_letters_that_the_terminal_does_not_have(tmp_path):
+    site, table = tmp_path / "site.toml", tmp_path / "fields.csv"
+    site.write_text(SITE.read_text().replace('"b1"', '"Tür"'), encoding="utf-8")
+    table.write_text(FIELDS.read_text().replace(",b1,", ",Tür,").replace("e-0", "e-1", 3), encoding="utf-8")
+    environment = os.environ | {"PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "LC_ALL": "C"}
+    done = run("locate", "--site", site, table, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def limited():
+    resource.setrlimit(resource.RLIMIT_FSIZE, (600, 600))
+
+
+def test_a_full_disk_leaves_the_old_table_and_tells(tmp_path):
+    samples, table = tmp_path / "samples.csv", tmp_path / "fields.csv"
+    rows = [f"{i}," + ",".join(repr(float(v)) for v in row) for i, row in enumerate(CHIPS @ beacon_fields())]
+    samples.write_text("\n".join(["chip,bx_T,by_T,bz_T", *rows]))
+    table.write_text("a day of work\n")
+    words = ["separate", "--site", SITE, samples, "--fields", table, "--force"]
+    done = run(*words, preexec_fn=limited)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1].startswith(f"goldfield: {table}: the fields cannot be written: ")
+    assert table.read_text() == "a day of work\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["fields.csv", "samples.csv"]
+    assert run(*words).returncode == 0
+    assert table.read_text().startswith("epoch,t_s,beacon,")
+
+
+@pytest.mark.parametrize("option", ["--record", "--fields"])
+def test_a_full_disk_ends_a_recording_at_a_whole_message_and_not_the_run(tmp_path, option):
+    target = tmp_path / "out.log"
+    done = run("run", "--site", SITE, "--log", LOG, "--json", option, target, preexec_fn=limited)
+    assert done.returncode == 3
+    assert len(done.stdout.splitlines()) == len(run("run", "--site", SITE, "--log", LOG, "--json").stdout.splitlines())
+    assert target.read_bytes() == b"" or target.read_bytes().endswith(b"\n")
+    assert "the run goes on" in done.stderr
