@@ -30,6 +30,7 @@ LONG = (
     "firmware/services",
     "hil",
     "hil_sim/papers/gietler",
+    "host/cli/test_hostile_streams.py",
     "host/locate/test_locator.py",
     "host/locate/test_own_body.py",
     "host/sensor/test_on_sensor.py",

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import stat
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,10 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from goldfield.errors import UserError
+from goldfield.files.inputs import name_of, open_input, reason_of
 from goldfield.link.reports import CYCLE_MODULUS
 from goldfield.types import FloatArray, Pose
 
 POLL_S = 0.01
+LONGEST_READ = 1 << 20
+"""Bytes that are read at once, and of a line at most: /dev/zero has no end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +48,7 @@ class Truth:
     Parameters
     ----------
     path : path
+        ``-`` is stdin.
     wait_s : float
         Longest wait for a cycle's line (and for the file), seconds; it is halved after each line that did not come.
 
@@ -53,7 +59,7 @@ class Truth:
     """
 
     def __init__(self, path: str | Path, wait_s: float = 1.0) -> None:
-        self._path = Path(path)
+        self._path = Path(name_of(path))
         self._wait_s = wait_s
         self._cycles: dict[int, tuple[FloatArray, FloatArray]] = {}
         self._pending = b""
@@ -61,14 +67,14 @@ class Truth:
         deadline = time.monotonic() + wait_s
         while True:
             try:
-                self._file = self._path.open("rb")
-                return
-            except FileNotFoundError as error:
-                if time.monotonic() > deadline:
-                    raise UserError(f"{path}: there is no such truth file: check the path") from error
+                self._file = open_input(path, "truth file")
+                break
+            except UserError as error:
+                if not isinstance(error.__cause__, FileNotFoundError) or time.monotonic() > deadline:
+                    raise
                 time.sleep(POLL_S)
-            except OSError as error:
-                raise UserError(f"{path}: the truth file cannot be read: {error.strerror}") from error
+        if stat.S_ISFIFO(os.fstat(self._file.fileno()).st_mode):
+            os.set_blocking(self._file.fileno(), False)  # a pipe that has nothing yet is a file that will grow
 
     def error_of(self, pose: Pose) -> PoseError:
         """Compare a pose with the truth of its cycle; NaN if that does not come in time."""
@@ -96,11 +102,23 @@ class Truth:
             time.sleep(POLL_S)
 
     def _read(self) -> None:
-        *lines, self._pending = (self._pending + self._file.read()).split(b"\n")
+        """Read what has been written since."""
+        while self._read_some() == LONGEST_READ:
+            pass
+
+    def _read_some(self) -> int:
+        try:
+            new = self._file.read(LONGEST_READ) or b""
+        except OSError as error:
+            raise UserError(f"{self._path}: the truth file cannot be read: {reason_of(error)}") from error
+        *lines, self._pending = (self._pending + new).split(b"\n")
+        if len(self._pending) > LONGEST_READ:
+            raise UserError(f"{self._path}:{self._line + 1}: is a line that no truth file has: check the path")
         for line in lines:
             self._line += 1
             if line.strip():
                 self._enter(line)
+        return len(new)
 
     def _enter(self, line: bytes) -> None:
         try:
