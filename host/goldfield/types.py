@@ -60,6 +60,7 @@ class Fields:
 
     def __post_init__(self) -> None:
         """Check shapes and names, so that nothing reaches the search that is not as this class says."""
+        object.__setattr__(self, "beacons", tuple(self.beacons))  # a list would do, too
         count = len(self.beacons)
         for name, shape in (("field_T", (count, 3)), ("sigma_T", (count,))):
             given = np.shape(getattr(self, name))

@@ -131,3 +131,12 @@ def test_fields_of_the_wrong_shape_are_refused_in_a_sentence(field, sigma):
         goldfield.UserError, match=r"^(field|sigma)_T= of Fields has the shape \(.*\): 3 beacons need \("
     ):
         goldfield.Fields(0, 0.0, ("b1", "b2", "b3"), np.zeros(field), np.ones(sigma))
+
+
+def test_fields_take_a_list_of_names_and_refuse_one_that_comes_twice():
+    names = ["b1", "b2", "b3"]
+    fields = goldfield.Fields(0, 0.0, names, np.zeros((3, 3)), np.ones(3))
+    assert fields.beacons == ("b1", "b2", "b3")
+    assert goldfield.locate(goldfield.load_site(SITE), fields).status == "failed"
+    with pytest.raises(goldfield.UserError, match=r"^beacons= of Fields names b1 twice"):
+        goldfield.Fields(0, 0.0, [*names, "b1"], np.zeros((4, 3)), np.ones(4))
