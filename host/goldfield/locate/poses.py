@@ -138,7 +138,7 @@ def _told(judged: Judged, figures: _Figures, e: int) -> _Told:
     if solutions.bounded[e]:
         return _Told(Status.WEAK, sentences.BOUNDED)
     level, beacon = float(figures.protection_m[e]), judged.names[int(figures.worst_beacon[e])]
-    if level > limit:
+    if not level <= limit:  # a limit that is no number allows nothing
         return _Told(Status.UNVERIFIED, sentences.unverified(beacon, level, limit))
     return _SOUND
 

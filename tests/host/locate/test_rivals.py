@@ -137,3 +137,4 @@ def test_above_the_alert_limit_a_pose_is_unverified():
     assert (above.status, below.status) == (Status.UNVERIFIED, Status.OK)
     assert f"could hide an error of {level:.2f} m; the alert limit is" in above.reason
     assert below.reason is None
+    assert Locator(replace(site, alert_limit_m=np.nan)).locate(fields).status is Status.UNVERIFIED
