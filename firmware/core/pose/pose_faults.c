@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "core/math/chi_square.h"
 #include "core/math/quaternion.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
@@ -14,9 +15,8 @@
 #define LIMIT_AXES      21.85f
 #define LIMIT_SKEWED    28.68f
 #define ROUNDING_MARGIN 0.3f  /* Variance of a direction that is tested, over that of the bound on rounding. */
-#define ENDLESS         1e30f /* Level if a fault cannot show. */
-#define MISSED          3.09f /* Normal deviate of POSE_FAULTS_MISSED. */
-#define UNLUCKY         5.20f /* Normal deviate of POSE_FAULTS_UNLUCKY. */
+#define SQUARINGS       5u    /* A matrix is squared so often for its greatest eigenvalue: the 32nd root of a trace. */
+#define ENDLESS         1e30f /* Slope if a fault cannot show. */
 
 typedef float square_t[N][N];
 
@@ -79,35 +79,28 @@ static void forward(const float g[3][3], float x[3]) {
     }
 }
 
-/* Returns the quantile of a chi-square by Wilson and Hilferty (1931). */
-static float chi_square(float freedom, float deviate) {
-    const float part = 2.0f / (9.0f * freedom);
-    const float root = 1.0f - part + deviate * square_root(part);
-    return freedom * root * root * root;
-}
-
-/* Returns the length that a normal vector exceeds with the probability of a normal deviate: its square taken for a
- * chi-square, scaled and shifted, of the same first three cumulants. */
-static float radius(const float mean[3], const float covariance[3][3], float deviate) {
-    const float size = vector3_dot(mean, mean) + covariance[0][0] + covariance[1][1] + covariance[2][2];
-    float part[3][3], along[3], second = 0.0f, third = 0.0f; /* All over the size, or squares would underflow. */
-    for (uint32_t i = 0; i < 3u; i++) {
-        along[i] = vector3_dot(covariance[i], mean) / size;
-        for (uint32_t j = 0; j < 3u; j++) {
-            part[i][j] = covariance[i][j] / size;
+float pose_faults_greatest(const float matrix[3][3]) {
+    float m[3][3], scale = 1.0f;
+    memcpy(m, matrix, sizeof m);
+    float bound = m[0][0] + m[1][1] + m[2][2];
+    /* With t_k the traces of successive squares, each of the matrix over its trace, the bound is the product of the
+     * t_k^(1/2^k). */
+    for (uint32_t step = 0; step < SQUARINGS && bound > 0.0f; step++) {
+        const float trace = m[0][0] + m[1][1] + m[2][2];
+        float square[3][3];
+        for (uint32_t i = 0; i < 3u; i++) {
+            for (uint32_t j = 0; j < 3u; j++) {
+                square[i][j] = (m[i][0] * m[0][j] + m[i][1] * m[1][j] + m[i][2] * m[2][j]) / (trace * trace);
+            }
         }
-    }
-    for (uint32_t i = 0; i < 3u; i++) {
-        second += 2.0f * mean[i] * along[i] / size;
-        third += 3.0f * along[i] * along[i] / size;
-        for (uint32_t j = 0; j < 3u; j++) {
-            second += part[i][j] * part[i][j];
-            third += part[i][j] * vector3_dot(part[i], part[j]);
+        memcpy(m, square, sizeof m);
+        float root = m[0][0] + m[1][1] + m[2][2];
+        for (uint32_t k = 0; k <= step; k++) {
+            root = square_root(root);
         }
+        scale *= root;
     }
-    const float freedom = second * second * second / (third * third);
-    const float above = chi_square(freedom, deviate) - freedom;
-    return square_root(size * (1.0f + square_root(second / freedom) * above));
+    return bound * scale;
 }
 
 /* Adds one beacon's part to the sums for the sensor's gains. */
@@ -180,11 +173,11 @@ static void best_gains(const gains_t *gains, float gain[3]) {
     }
 }
 
-/* Tests one beacon. r are its residuals, tangent its rows in units of the pose's uncertainty l, modelled its whitened
- * field, covariance that of the position. */
+/* Tests one beacon. r are its residuals, tangent its rows in units of the pose's uncertainty, modelled its whitened
+ * field. */
 static void test_beacon(const float r[3], const float tangent[3][N], const float modelled[3], const square_t l,
-                        const float covariance[3][3], float least, float *drop, pose_faults_t *faults) {
-    float s[3][3], e[3], influence[3][3], separation[3], without[3][3];
+                        float least, float *drop, pose_faults_t *faults) {
+    float s[3][3], e[3], influence[3][3], worst[3][3];
     for (uint32_t i = 0; i < 3u; i++) {
         for (uint32_t j = 0; j < 3u; j++) {
             float sum = i == j ? 1.0f : 0.0f, moves = 0.0f;
@@ -213,18 +206,17 @@ static void test_beacon(const float r[3], const float tangent[3][N], const float
         forward((const float(*)[3])s, influence[i]);
     }
     for (uint32_t i = 0; i < 3u; i++) {
-        separation[i] = vector3_dot(influence[i], e);
         for (uint32_t j = 0; j < 3u; j++) {
-            without[i][j] = covariance[i][j] + vector3_dot(influence[i], influence[j]);
+            worst[i][j] = vector3_dot(influence[i], influence[j]);
         }
     }
-    const float level = shown ? radius(separation, (const float(*)[3])without, MISSED) : ENDLESS;
-    faults->level_m = level > faults->level_m ? level : faults->level_m;
+    const float slope = shown ? square_root(pose_faults_greatest((const float(*)[3])worst)) : ENDLESS;
+    faults->slope_m = slope > faults->slope_m ? slope : faults->slope_m;
 }
 
 bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults) {
     square_t l;
-    float attitude[3][3], covariance[3][3];
+    float attitude[3][3];
     if (!triangle_invert(&fit->triangle, l)) {
         return false;
     }
@@ -232,17 +224,8 @@ bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faul
     memset(&gains, 0, sizeof gains);
     quaternion_matrix(fit->quaternion, attitude);
     const float least = POSE_FAULTS_SHOWN + ROUNDING_MARGIN * fit->rounding * fit->rounding;
-    faults->alarm = !(fit->cost <= pose_faults_chi_square(3u * problem->count - N, WHOLE_DEVIATE));
-    for (uint32_t i = 0; i < 3u; i++) {
-        for (uint32_t j = 0; j < 3u; j++) {
-            covariance[i][j] = 0.0f;
-            for (uint32_t k = 0; k < N; k++) {
-                covariance[i][j] += l[i][k] * l[j][k];
-            }
-        }
-    }
-    const float none[3] = {0};
-    faults->level_m = radius(none, (const float(*)[3])covariance, UNLUCKY);
+    faults->alarm = !(fit->cost <= chi_square_limit(pose_problem_freedom(problem), WHOLE_DEVIATE));
+    faults->slope_m = 0.0f;
     for (uint32_t i = 0; i < problem->count; i++) {
         const pose_heard_t *heard = &problem->heard[i];
         const float weight = pose_fit_inverse_sigma(heard, 0.0f);
@@ -262,14 +245,9 @@ bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faul
             }
         }
         add_gains(modelled, (const float(*)[3])attitude, (const float(*)[N])tangent, r, &gains);
-        test_beacon(r, (const float(*)[N])tangent, modelled, (const float(*)[N])l, (const float(*)[3])covariance, least,
-                    &faults->drop[i], faults);
+        test_beacon(r, (const float(*)[N])tangent, modelled, (const float(*)[N])l, least, &faults->drop[i], faults);
     }
     faults->alarm = gains_alarm(&gains, least) || faults->alarm;
     best_gains(&gains, faults->gain);
     return true;
-}
-
-float pose_faults_chi_square(uint32_t freedom, float deviate) {
-    return chi_square((float)freedom, deviate);
 }

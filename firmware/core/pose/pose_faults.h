@@ -12,10 +12,8 @@
  *   sensor's axes skewed as well, six degrees                       0.1
  * The limits of single beacons are those of 16 beacons, whatever their number.
  *
- * Level. Whatever fault beacon i has, the position is off by what it differs from that without the beacon, which the
- * residuals tell, and by the error of that one. The level is the greatest radius that the sum of the two exceeds with a
- * probability of POSE_FAULTS_MISSED, over all beacons, and that the noise alone exceeds with POSE_FAULTS_UNLUCKY. It is
- * infinite if a fault of some beacon cannot show in the residuals.
+ * Slope. The position error over the root of the cost that the worst fault of one beacon adds: an upper bound, 4 %
+ * above the greatest singular value. It is infinite if a fault of some beacon cannot show in the residuals.
  *
  * Limits. A direction of a beacon's residuals with less than POSE_FAULTS_SHOWN of its variance left is not tested:
  * single precision has lost it. The host's limit is 1e-6.
@@ -28,21 +26,19 @@
 #include "core/pose/pose_fit.h"
 
 #define POSE_FAULTS_FALSE_ALARM 7e-4f /* Rate of sound cycles that are taken for faulty, of at most 16 beacons. */
-#define POSE_FAULTS_MISSED      1e-3f /* Rate of errors beyond the level with the worst fault of one beacon. */
-#define POSE_FAULTS_UNLUCKY     1e-7f /* Rate of errors beyond the level without a fault. */
 #define POSE_FAULTS_SHOWN       3e-6f /* Least share of variance in the residuals with which a fault can show. */
 
 typedef struct {
     bool alarm;                   /* Fields and site do not agree. */
-    float drop[POSE_FIT_BEACONS]; /* Part of the cost that leaving out each beacon would take away. */
+    float drop[POSE_BEACONS_MAX]; /* Part of the cost that leaving out each beacon would take away. */
     float gain[3];                /* Gains of the sensor's axes, less 1, that would explain the fields best. */
-    float level_m;                /* Protection level: 1e30 if it has no bound. */
+    float slope_m;                /* Position error over the root of the cost by the worst fault of one beacon. */
 } pose_faults_t;
 
 /* Test a fit. Returns false, with *faults not set, if the measurements do not tell all six unknowns. */
 bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults);
 
-/* Returns the chi-square that is exceeded with the probability of a normal deviate (Wilson and Hilferty, 1931). */
-float pose_faults_chi_square(uint32_t freedom, float deviate);
+/* Returns an upper bound, at most 4 % too great, of the greatest eigenvalue of a symmetric matrix with none below 0. */
+float pose_faults_greatest(const float matrix[3][3]);
 
 #endif

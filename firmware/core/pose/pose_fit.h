@@ -19,26 +19,10 @@
 #include <stdint.h>
 
 #include "core/math/triangle.h"
-#include "core/pose/loop_field.h"
+#include "core/pose/pose_problem.h"
 
-#define POSE_FIT_BEACONS  64u   /* Most beacons that are fitted: as many as a sensor reports codes. */
 #define POSE_FIT_ROUNDING 1e-6f /* Error of a field by rounding, relative to its size. */
 #define POSE_FIT_ROBUST   0.03f /* Model error of a first fit: from rough starts it ends in the right valley. */
-
-/* One beacon that was heard. */
-typedef struct {
-    loop_t loop;        /* Its coil, with the centre relative to the origin. */
-    float field_uT[3];  /* Its measured field in the sensor's frame. */
-    float magnitude_uT; /* The length of that. */
-    float sigma_uT;     /* Standard deviation of each component. */
-    uint32_t row;       /* Its row in the site's table. */
-} pose_heard_t;
-
-/* What is to be fitted. */
-typedef struct {
-    uint32_t count; /* Beacons heard. */
-    pose_heard_t heard[POSE_FIT_BEACONS];
-} pose_problem_t;
 
 typedef struct {
     float position_m[3];

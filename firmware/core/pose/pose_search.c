@@ -66,8 +66,7 @@ static void place(const loop_t *loop, const float direction[3], float distance, 
     }
 }
 
-void pose_search(const pose_problem_t *problem, uint32_t directions, const float point_m[3], const float normal[3],
-                 pose_candidates_t *found) {
+void pose_search(const pose_problem_t *problem, uint32_t directions, pose_candidates_t *found) {
     const pose_heard_t *centre = &problem->heard[strongest(problem)];
     const float k = centre->loop.k_uT_m3 > 0.0f ? centre->loop.k_uT_m3 : -centre->loop.k_uT_m3;
     const float ratio = centre->magnitude_uT / k;
@@ -83,7 +82,6 @@ void pose_search(const pose_problem_t *problem, uint32_t directions, const float
         const float cosine = vector3_dot(direction, centre->loop.axis);
         float distance = inverse_cube_root(ratio * inverse_square_root(1.0f + 3.0f * cosine * cosine));
         pose_candidate_t candidate;
-        float from_point[3];
         place(&centre->loop, direction, distance, candidate.position_m);
         if (distance < NEAR * centre->loop.radius_m) {
             float field[3];
@@ -91,8 +89,7 @@ void pose_search(const pose_problem_t *problem, uint32_t directions, const float
             distance *= inverse_cube_root(centre->magnitude_uT * inverse_square_root(vector3_dot(field, field)));
             place(&centre->loop, direction, distance, candidate.position_m);
         }
-        vector3_subtract(candidate.position_m, point_m, from_point);
-        if (vector3_dot(from_point, normal) < 0.0f) {
+        if (!pose_problem_inside(problem, candidate.position_m)) {
             continue;
         }
         wahba_t wahba;

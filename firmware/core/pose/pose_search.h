@@ -12,7 +12,7 @@
 #ifndef GOLDFIELD_POSE_SEARCH_H
 #define GOLDFIELD_POSE_SEARCH_H
 
-#include "core/pose/pose_fit.h"
+#include "core/pose/pose_problem.h"
 
 #define POSE_SEARCH_CANDIDATES 6u /* Most candidates that are kept. */
 
@@ -27,9 +27,8 @@ typedef struct {
 } pose_candidates_t;
 
 /* Find candidates for a problem of at least one beacon in so many directions (300 are about 12 degrees apart). Those
- * with (position - point) . normal < 0 are left out; with normal 0 none is. */
-void pose_search(const pose_problem_t *problem, uint32_t directions, const float point_m[3], const float normal[3],
-                 pose_candidates_t *found);
+ * outside the half-space are left out. */
+void pose_search(const pose_problem_t *problem, uint32_t directions, pose_candidates_t *found);
 
 /* Compute the best attitude at a position. */
 void pose_search_attitude(const pose_problem_t *problem, const float position_m[3], float quaternion[4]);

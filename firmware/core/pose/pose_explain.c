@@ -1,0 +1,169 @@
+#include "core/pose/pose_explain.h"
+
+#include <string.h>
+
+#define NEGATED    4.265f /* Normal deviate up to which the negated fields are explained: 1 in 100,000. */
+#define CLEARLY    25.0f  /* What the next best explanation must cost more for a beacon to be left out. */
+#define LEAST_GAIN 0.3f   /* Least gain of an axis that one round of fitting the gains takes. */
+#define SAME_GAIN  0.06f  /* Largest difference of gains that are one strength. */
+
+static void note_next(pose_explain_t *explain, float cost) {
+    explain->next_cost = cost < explain->next_cost ? cost : explain->next_cost;
+}
+
+/* Returns to the pose by all beacons, which does not explain the fields. Returns true: the pose is complete. */
+static bool unexplained(pose_solver_t *solver, pose_explain_t *explain, pose_reason_t reason, pose_t *pose) {
+    if (pose_faults(&solver->problem, &explain->full, &explain->faults)) {
+        pose_result(&solver->problem, &explain->full, &explain->faults, reason, false, pose);
+    } else {
+        pose_fail(pose, POSE_REASON_NO_POSE);
+    }
+    return true;
+}
+
+void pose_explain_begin(pose_solver_t *solver, pose_explain_t *explain) {
+    explain->full = solver->best;
+    explain->stage = POSE_EXPLAIN_NEGATED;
+    pose_problem_negate(&solver->problem);
+    pose_solve_begin(solver, POSE_FIND_DIRECTIONS, POSE_FIND_EVALUATIONS);
+}
+
+static bool after_negated(pose_solver_t *solver, pose_explain_t *explain, pose_t *pose) {
+    pose_problem_t *problem = &solver->problem;
+    explain->next_cost = solver->best.cost;
+    const bool mirrored = pose_solve_explains(problem, &solver->best, NEGATED) &&
+                          explain->full.cost - solver->best.cost >= CLEARLY;
+    pose_problem_negate(problem);
+    if (mirrored || problem->count < POSE_LEFT_OUT_LEAST) {
+        return unexplained(solver, explain, mirrored ? POSE_REASON_NEGATED : POSE_REASON_UNEXPLAINED, pose);
+    }
+    explain->stage = POSE_EXPLAIN_GAINS;
+    return false;
+}
+
+/* Fits the gains of the sensor's axes; the fit goes into solver->best. *same becomes whether they are one strength. */
+static void fit_gains(pose_solver_t *solver, pose_explain_t *explain, bool *same, uint32_t *evaluations) {
+    pose_problem_t *problem = &solver->problem;
+    pose_fit_t *fit = &solver->best;
+    float total[3] = {1.0f, 1.0f, 1.0f};
+    *fit = explain->full;
+    for (uint32_t round = 0; round < POSE_GAIN_ROUNDS && pose_faults(problem, fit, &explain->faults); round++) {
+        float scale[3];
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            const float gain = 1.0f + explain->faults.gain[axis];
+            scale[axis] = 1.0f / (gain > LEAST_GAIN ? gain < 1.0f / LEAST_GAIN ? gain : 1.0f / LEAST_GAIN : LEAST_GAIN);
+            total[axis] *= scale[axis];
+        }
+        pose_problem_scale(problem, scale);
+        *evaluations += pose_fit(problem, POSE_NEAR_EVALUATIONS, fit);
+    }
+    const float back[3] = {1.0f / total[0], 1.0f / total[1], 1.0f / total[2]};
+    pose_problem_scale(problem, back);
+    const float mean = (total[0] + total[1] + total[2]) / 3.0f;
+    *same = true;
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        const float apart = total[axis] / mean - 1.0f;
+        *same = *same && apart < SAME_GAIN && apart > -SAME_GAIN;
+    }
+}
+
+/* Begins the search without the most suspect beacon that has not been left out yet. */
+static void begin_without(pose_solver_t *solver, pose_explain_t *explain) {
+    explain->place = 0;
+    for (uint32_t i = 1; i < solver->problem.count; i++) {
+        explain->place = explain->faults.drop[i] > explain->faults.drop[explain->place] ? i : explain->place;
+    }
+    explain->faults.drop[explain->place] = -1.0f; /* Drops are not below 0. */
+    pose_problem_leave_out(&solver->problem, explain->place, true);
+    pose_solve_begin(solver, POSE_WITHOUT_DIRECTIONS, POSE_WITHOUT_EVALUATIONS);
+    explain->stage = POSE_EXPLAIN_WITHOUT;
+}
+
+/* Tries another strength of all fields, or other gains of the sensor's axes. */
+static bool by_gains(pose_solver_t *solver, pose_explain_t *explain, pose_t *pose) {
+    pose_problem_t *problem = &solver->problem;
+    bool same;
+    fit_gains(solver, explain, &same, &pose->iterations);
+    note_next(explain, solver->best.cost);
+    explain->whole = !pose_solve_explains(problem, &solver->best, NEGATED) ? POSE_REASON_UNEXPLAINED
+                     : same                                                ? POSE_REASON_STRENGTH
+                                                                           : POSE_REASON_GAINS;
+    explain->tried = 0;
+    explain->rest.cost = POSE_FIT_HOPELESS;
+    if (!pose_faults(problem, &explain->full, &explain->faults)) { /* It tells nothing of who is suspect. */
+        memset(explain->faults.drop, 0, sizeof explain->faults.drop);
+    }
+    begin_without(solver, explain);
+    return false;
+}
+
+static bool after_without(pose_solver_t *solver, pose_explain_t *explain) {
+    pose_problem_leave_out(&solver->problem, explain->place, false);
+    if (solver->best.cost < explain->rest.cost) {
+        note_next(explain, explain->rest.cost);
+        explain->rest = solver->best;
+        explain->rest_contested = solver->contested;
+        explain->left_out = explain->place;
+    } else {
+        note_next(explain, solver->best.cost);
+    }
+    explain->tried++;
+    if (explain->tried < solver->problem.count && explain->tried < POSE_LEFT_OUT_TRIED) {
+        begin_without(solver, explain);
+    } else {
+        explain->place = 0;
+        explain->stage = explain->rest.cost < POSE_FIT_HOPELESS ? POSE_EXPLAIN_RIVALS : POSE_EXPLAIN_DECIDE;
+    }
+    return false;
+}
+
+/* Fits the rest without the next beacon from the pose of the best rest. */
+static bool by_rivals(pose_solver_t *solver, pose_explain_t *explain, pose_t *pose) {
+    pose_problem_t *problem = &solver->problem;
+    if (explain->place != explain->left_out) {
+        solver->other = explain->rest;
+        pose_problem_leave_out(problem, explain->place, true);
+        pose->iterations += pose_fit(problem, POSE_NEAR_EVALUATIONS, &solver->other);
+        pose_problem_leave_out(problem, explain->place, false);
+        note_next(explain, solver->other.cost);
+    }
+    explain->place++;
+    explain->stage = explain->place < problem->count ? POSE_EXPLAIN_RIVALS : POSE_EXPLAIN_DECIDE;
+    return false;
+}
+
+static bool decide(pose_solver_t *solver, pose_explain_t *explain, pose_t *pose) {
+    pose_problem_t *problem = &solver->problem;
+    bool agrees = false;
+    if (explain->rest.cost < POSE_FIT_HOPELESS) {
+        pose_problem_leave_out(problem, explain->left_out, true);
+        solver->best = explain->rest;
+        const bool contested = pose_solve_mirror(solver, &pose->iterations) || explain->rest_contested;
+        agrees = pose_solve_explains(problem, &solver->best, POSE_SOLVE_SUSPECT) &&
+                 pose_faults(problem, &solver->best, &explain->faults) && !explain->faults.alarm;
+        if (agrees && explain->next_cost - solver->best.cost >= CLEARLY) {
+            pose_result(problem, &solver->best, &explain->faults, POSE_REASON_NONE, contested, pose);
+            pose->reason = pose->status == POSE_OK ? POSE_REASON_LEFT_OUT : pose->reason;
+            pose->left_out = problem->heard[problem->count].row;
+            return true;
+        }
+        pose_problem_leave_out(problem, explain->left_out, false);
+    }
+    const bool one = explain->whole == POSE_REASON_UNEXPLAINED && agrees;
+    return unexplained(solver, explain, one ? POSE_REASON_BEACON : explain->whole, pose);
+}
+
+bool pose_explain_step(pose_solver_t *solver, pose_explain_t *explain, pose_t *pose) {
+    switch (explain->stage) {
+    case POSE_EXPLAIN_NEGATED:
+        return after_negated(solver, explain, pose);
+    case POSE_EXPLAIN_GAINS:
+        return by_gains(solver, explain, pose);
+    case POSE_EXPLAIN_WITHOUT:
+        return after_without(solver, explain);
+    case POSE_EXPLAIN_RIVALS:
+        return by_rivals(solver, explain, pose);
+    default:
+        return decide(solver, explain, pose);
+    }
+}
