@@ -41,7 +41,7 @@ static bool begin(pose_work_t *work, pose_t *pose) {
 /* After the search with all beacons. */
 static bool by_all(pose_work_t *work, pose_t *pose) {
     pose_solver_t *solver = &work->solver;
-    const pose_problem_t *problem = &solver->problem;
+    pose_problem_t *problem = &solver->problem;
     pose_faults_t *faults = &work->explain.faults;
     if (solver->best.cost >= POSE_FIT_HOPELESS) {
         pose_fail(pose, POSE_REASON_NO_POSE);

@@ -11,7 +11,7 @@ typedef float square_t[N][N];
 typedef float second_t[N][N][N]; /* [axis][unknown i][component k along the ridge's own axes] */
 
 /* Multiplies rows by L, which is upper triangular. */
-static void principal(const triangle_rows_t rows, const square_t l, float result[3][N]) {
+static void principal(const float rows[3][TRIANGLE_COLUMNS], const square_t l, float result[3][N]) {
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < N; column++) {
             float sum = 0.0f;
@@ -26,18 +26,21 @@ static void principal(const triangle_rows_t rows, const square_t l, float result
 /* Computes the rows at the pose moved by sign times a column of L. turn is the rotation of that column: seen in a
  * frame that turns with the sensor the noise stays as it is. */
 static void moved(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, uint32_t axis, float sign,
-                  const float turn[3][3], float weight, triangle_rows_t back) {
+                  const float turn[3][3], triangle_rows_t back) {
     float position[3], field[3];
     triangle_rows_t rows;
     for (uint32_t i = 0; i < 3u; i++) {
         position[i] = fit->position_m[i] + sign * l[i][axis];
     }
-    pose_fit_rows(heard, position, weight, rows, field);
+    pose_fit_model(heard, position, rows, field);
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < N; column++) {
             back[row][column] = turn[0][row] * rows[0][column] + turn[1][row] * rows[1][column] +
                                 turn[2][row] * rows[2][column];
         }
+    }
+    for (uint32_t column = 0; column < N; column++) {
+        pose_weights_whiten(heard, &back[0][column], &back[1][column], &back[2][column]);
     }
 }
 
@@ -51,16 +54,15 @@ static void turns_of(const square_t l, float sign, float turns[N][3][3]) {
     }
 }
 
-static void add_beacon(const pose_heard_t *heard, const pose_fit_t *fit, const square_t l, const float there[N][3][3],
-                       const float opposite[N][3][3], second_t q) {
-    const float weight = pose_fit_inverse_sigma(heard, 0.0f);
-    triangle_rows_t here, ahead, behind;
-    float field[3], along[3][N], change[3][N];
-    pose_fit_rows(heard, fit->position_m, weight, here, field);
-    principal((const float(*)[TRIANGLE_COLUMNS])here, l, along);
+/* Adds one beacon's part to q. rows are its own, without what the sensor's errors explain. */
+static void add_beacon(const pose_heard_t *heard, const pose_fit_t *fit, const float rows[3][TRIANGLE_COLUMNS],
+                       const square_t l, const float there[N][3][3], const float opposite[N][3][3], second_t q) {
+    triangle_rows_t ahead, behind;
+    float along[3][N], change[3][N];
+    principal(rows, l, along);
     for (uint32_t axis = 0; axis < N; axis++) {
-        moved(heard, fit, l, axis, 1.0f, there[axis], weight, ahead);
-        moved(heard, fit, l, axis, -1.0f, opposite[axis], weight, behind);
+        moved(heard, fit, l, axis, 1.0f, there[axis], ahead);
+        moved(heard, fit, l, axis, -1.0f, opposite[axis], behind);
         for (uint32_t row = 0; row < 3u; row++) {
             for (uint32_t column = 0; column < N; column++) {
                 ahead[row][column] = 0.5f * (ahead[row][column] - behind[row][column]);
@@ -101,22 +103,10 @@ static void inflation(second_t q, square_t result) {
     }
 }
 
-bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, square_t covariance) {
-    square_t l, inner, half;
+/* Computes L inner L' with turn_rad2 on the variances of the attitude. Returns whether it is any knowledge. */
+static bool sandwich(const square_t l, const square_t inner, float turn_rad2, square_t covariance) {
+    square_t half;
     bool told = true;
-    if (!triangle_invert(&fit->triangle, l)) {
-        return false;
-    }
-    float there[N][3][3], opposite[N][3][3];
-    turns_of((const float(*)[N])l, 1.0f, there);
-    turns_of((const float(*)[N])l, -1.0f, opposite);
-    second_t q;
-    memset(q, 0, sizeof q);
-    for (uint32_t i = 0; i < problem->count; i++) {
-        add_beacon(&problem->heard[i], fit, (const float(*)[N])l, (const float(*)[3][3])there,
-                   (const float(*)[3][3])opposite, q);
-    }
-    inflation(q, inner);
     for (uint32_t row = 0; row < N; row++) {
         for (uint32_t column = 0; column < N; column++) {
             float sum = 0.0f;
@@ -132,10 +122,37 @@ bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit, squar
             for (uint32_t k = column; k < N; k++) {
                 sum += half[row][k] * l[column][k];
             }
-            covariance[row][column] = sum;
+            covariance[row][column] = sum + (row == column && row >= 3u ? turn_rad2 : 0.0f);
         }
         /* The comparisons are false for what is not a number. */
         told = told && covariance[row][row] > 0.0f && covariance[row][row] < BEYOND;
     }
     return told;
+}
+
+bool pose_covariance(pose_problem_t *problem, const pose_fit_t *fit, square_t covariance) {
+    square_t l, inner;
+    if (!triangle_invert(&fit->triangle, l)) {
+        return false;
+    }
+    float there[N][3][3], opposite[N][3][3], attitude[3][3];
+    turns_of((const float(*)[N])l, 1.0f, there);
+    turns_of((const float(*)[N])l, -1.0f, opposite);
+    second_t q;
+    memset(q, 0, sizeof q);
+    quaternion_matrix(fit->quaternion, attitude);
+    pose_weights_at(problem, fit->position_m);
+    for (uint32_t i = 0; i < problem->count; i++) {
+        const pose_heard_t *heard = &problem->heard[i];
+        triangle_rows_t rows;
+        float effects[3][NUISANCE_UNKNOWNS], field[3];
+        pose_fit_rows(problem, heard, fit->position_m, (const float(*)[3])attitude, rows, effects, field);
+        nuisance_predict(&fit->sensor, effects, rows);
+        add_beacon(heard, fit, (const float(*)[TRIANGLE_COLUMNS])rows, (const float(*)[N])l,
+                   (const float(*)[3][3])there, (const float(*)[3][3])opposite, q);
+    }
+    inflation(q, inner);
+    /* All axes that lean alike are a turn of the sensor: nothing but the attitude tells of it. */
+    return sandwich((const float(*)[N])l, (const float(*)[N])inner, 0.5f * problem->axis_sd_rad * problem->axis_sd_rad,
+                    covariance);
 }

@@ -9,16 +9,19 @@
  *   covariance = L (I + (m m' + 2 sum_ai q_ai q_ai') / 4) L'.
  * The host computes the same in host/goldfield/locate/uncertainty.py.
  *
- * Time: about 12,300 instructions a beacon. Stack: 2 kB.
+ * J is without what the sensor's errors explain of it; the turn by which all axes of the sensor lean alike is added.
+ *
+ * Time: about 14,500 instructions a beacon. Stack: 2 kB.
  */
 #ifndef GOLDFIELD_POSE_COVARIANCE_H
 #define GOLDFIELD_POSE_COVARIANCE_H
 
 #include "core/pose/pose_fit.h"
 
-/* Compute the covariance of the position (m) and a small turn in the site's frame (rad).
+/* Compute the covariance of the position (m) and a small turn in the site's frame (rad), of a fit by pose_fit. The
+ * problem's weights become those around it.
  * Returns false, with a meaningless covariance, if the measurements do not tell all six. */
-bool pose_covariance(const pose_problem_t *problem, const pose_fit_t *fit,
+bool pose_covariance(pose_problem_t *problem, const pose_fit_t *fit,
                      float covariance[TRIANGLE_UNKNOWNS][TRIANGLE_UNKNOWNS]);
 
 #endif

@@ -8,8 +8,9 @@
 #include "core/math/vector3.h"
 
 #define N               TRIANGLE_UNKNOWNS
-#define WHOLE_DEVIATE   3.81f  /* Normal deviate of the whole cost's share of the false alarms. */
-#define LIMIT_BEACON    25.34f /* Chi-squares of the others' shares, as pose_faults.h lists them. */
+#define ALL             (N + NUISANCE_UNKNOWNS) /* Pose, then the sensor's errors. */
+#define WHOLE_DEVIATE   3.81f                   /* Normal deviate of the whole cost's share of the false alarms. */
+#define LIMIT_BEACON    25.34f                  /* Chi-squares of the others' shares, as pose_faults.h lists them. */
 #define LIMIT_STRENGTH  19.77f
 #define LIMIT_COMMON    14.50f
 #define LIMIT_AXES      21.85f
@@ -22,10 +23,16 @@ typedef float square_t[N][N];
 
 /* Sums for changes of the sensor's gains: one strength, two differences of its axes, three skews. */
 typedef struct {
-    square_t information; /* Gains by gains, and gains by pose (in units of its uncertainty). */
-    square_t cross;
+    square_t information; /* Gains by gains, and gains by what is fitted (in units of its uncertainty). */
+    float cross[N][ALL];
     float score[N];
 } gains_t;
+
+/* One beacon at the fit: whitened residuals after the fit, its rows in units of the uncertainty of all that is fitted,
+ * and its field, as the model has it, in the site's frame. */
+typedef struct {
+    float r[3], tangent[3][ALL], field_uT[3];
+} seen_t;
 
 /* How the first three changes act on the three axes. */
 static const float DIAGONALS[3][3] = {{0.57735027f, 0.57735027f, 0.57735027f},
@@ -104,21 +111,22 @@ float pose_faults_greatest(const float matrix[3][3]) {
 }
 
 /* Adds one beacon's part to the sums for the sensor's gains. */
-static void add_gains(const float modelled[3], const float attitude[3][3], const float tangent[3][N], const float r[3],
-                      gains_t *gains) {
+static void add_gains(const pose_heard_t *heard, const seen_t *seen, const float attitude[3][3], gains_t *gains) {
     float sensor[3], columns[N][3], site[N][3];
     for (uint32_t axis = 0; axis < 3u; axis++) {
-        sensor[axis] = attitude[0][axis] * modelled[0] + attitude[1][axis] * modelled[1] +
-                       attitude[2][axis] * modelled[2];
+        sensor[axis] = attitude[0][axis] * seen->field_uT[0] + attitude[1][axis] * seen->field_uT[1] +
+                       attitude[2][axis] * seen->field_uT[2];
     }
     changed(sensor, columns);
     for (uint32_t a = 0; a < N; a++) {
         for (uint32_t axis = 0; axis < 3u; axis++) {
             site[a][axis] = vector3_dot(attitude[axis], columns[a]);
         }
-        gains->score[a] += vector3_dot(site[a], r);
-        for (uint32_t k = 0; k < N; k++) {
-            gains->cross[a][k] += site[a][0] * tangent[0][k] + site[a][1] * tangent[1][k] + site[a][2] * tangent[2][k];
+        pose_weights_whiten(heard, &site[a][0], &site[a][1], &site[a][2]);
+        gains->score[a] += vector3_dot(site[a], seen->r);
+        for (uint32_t k = 0; k < ALL; k++) {
+            gains->cross[a][k] += site[a][0] * seen->tangent[0][k] + site[a][1] * seen->tangent[1][k] +
+                                  site[a][2] * seen->tangent[2][k];
         }
         for (uint32_t b = 0; b <= a; b++) {
             gains->information[a][b] += vector3_dot(site[a], site[b]);
@@ -134,7 +142,7 @@ static bool gains_alarm(gains_t *gains, float least) {
         const float all = gains->information[a][a];
         for (uint32_t b = 0; b <= a; b++) {
             float sum = gains->information[a][b];
-            for (uint32_t k = 0; k < N; k++) {
+            for (uint32_t k = 0; k < ALL; k++) {
                 sum -= gains->cross[a][k] * gains->cross[b][k];
             }
             for (uint32_t k = 0; k < b; k++) {
@@ -173,32 +181,40 @@ static void best_gains(const gains_t *gains, float gain[3]) {
     }
 }
 
-/* Tests one beacon. r are its residuals, tangent its rows in units of the pose's uncertainty, modelled its whitened
- * field. */
-static void test_beacon(const float r[3], const float tangent[3][N], const float modelled[3], const square_t l,
-                        float least, float *drop, pose_faults_t *faults) {
-    float s[3][3], e[3], influence[3][3], worst[3][3];
+/* Computes S_i = 1 - T T', and what the whitened components do to the position, a row for each of its axes. */
+static void spread_and_influence(const seen_t *seen, const square_t l, float s[3][3], float influence[3][3]) {
     for (uint32_t i = 0; i < 3u; i++) {
         for (uint32_t j = 0; j < 3u; j++) {
             float sum = i == j ? 1.0f : 0.0f, moves = 0.0f;
+            for (uint32_t k = 0; k < ALL; k++) {
+                sum -= seen->tangent[i][k] * seen->tangent[j][k];
+            }
             for (uint32_t k = 0; k < N; k++) {
-                sum -= tangent[i][k] * tangent[j][k];
-                moves += l[i][k] * tangent[j][k];
+                moves += l[i][k] * seen->tangent[j][k];
             }
             s[i][j] = sum;
-            influence[i][j] = moves; /* What the whitened component j does to the position. */
+            influence[i][j] = moves;
         }
     }
+}
+
+/* Tests one beacon. *drop becomes what leaving it out would take away of the cost. */
+static void test_beacon(const pose_heard_t *heard, const seen_t *seen, const square_t l, float least, float *drop,
+                        pose_faults_t *faults) {
+    float s[3][3], e[3], influence[3][3], worst[3][3];
+    float modelled[3] = {seen->field_uT[0], seen->field_uT[1], seen->field_uT[2]};
+    pose_weights_whiten(heard, &modelled[0], &modelled[1], &modelled[2]);
+    spread_and_influence(seen, l, s, influence);
     float spread = 0.0f;
     for (uint32_t i = 0; i < 3u; i++) {
         spread += modelled[i] * vector3_dot(s[i], modelled);
     }
-    const float along = vector3_dot(modelled, r);
+    const float along = vector3_dot(modelled, seen->r);
     if (spread > least * vector3_dot(modelled, modelled) && along * along > LIMIT_STRENGTH * spread) {
         faults->alarm = true;
     }
     const bool shown = factor(s, least);
-    memcpy(e, r, sizeof e);
+    memcpy(e, seen->r, sizeof e);
     forward((const float(*)[3])s, e);
     *drop = vector3_dot(e, e);
     faults->alarm = faults->alarm || *drop > LIMIT_BEACON;
@@ -214,7 +230,28 @@ static void test_beacon(const float r[3], const float tangent[3][N], const float
     faults->slope_m = slope > faults->slope_m ? slope : faults->slope_m;
 }
 
-bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults) {
+/* Looks at one beacon: see seen_t. */
+static void look(const pose_problem_t *problem, const pose_heard_t *heard, const pose_fit_t *fit,
+                 const float attitude[3][3], const square_t l, seen_t *seen) {
+    triangle_rows_t rows;
+    float effects[3][NUISANCE_UNKNOWNS];
+    pose_fit_rows(problem, heard, fit->position_m, attitude, rows, effects, seen->field_uT);
+    nuisance_predict(&fit->sensor, effects, rows);
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        seen->r[axis] = rows[axis][N];
+        for (uint32_t column = 0; column < N; column++) {
+            float sum = 0.0f;
+            for (uint32_t k = 0; k <= column; k++) {
+                sum += rows[axis][k] * l[k][column];
+            }
+            seen->tangent[axis][column] = sum;
+            seen->r[axis] -= sum * fit->triangle.r[column][N]; /* What one more step would take away. */
+        }
+        memcpy(&seen->tangent[axis][N], effects[axis], sizeof effects[axis]);
+    }
+}
+
+bool pose_faults(pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults) {
     square_t l;
     float attitude[3][3];
     if (!triangle_invert(&fit->triangle, l)) {
@@ -223,29 +260,16 @@ bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faul
     gains_t gains;
     memset(&gains, 0, sizeof gains);
     quaternion_matrix(fit->quaternion, attitude);
+    pose_weights_at(problem, fit->position_m);
     const float least = POSE_FAULTS_SHOWN + ROUNDING_MARGIN * fit->rounding * fit->rounding;
     faults->alarm = !(fit->cost <= chi_square_limit(pose_problem_freedom(problem), WHOLE_DEVIATE));
     faults->slope_m = 0.0f;
     for (uint32_t i = 0; i < problem->count; i++) {
         const pose_heard_t *heard = &problem->heard[i];
-        const float weight = pose_fit_inverse_sigma(heard, 0.0f);
-        triangle_rows_t rows;
-        float field[3], modelled[3], r[3], tangent[3][N];
-        pose_fit_rows(heard, fit->position_m, weight, rows, field);
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            modelled[axis] = weight * field[axis];
-            r[axis] = weight * (vector3_dot(attitude[axis], heard->field_uT) - field[axis]);
-            for (uint32_t column = 0; column < N; column++) {
-                float sum = 0.0f;
-                for (uint32_t k = 0; k <= column; k++) {
-                    sum += rows[axis][k] * l[k][column];
-                }
-                tangent[axis][column] = sum;
-                r[axis] -= sum * fit->triangle.r[column][N]; /* What one more step would take away. */
-            }
-        }
-        add_gains(modelled, (const float(*)[3])attitude, (const float(*)[N])tangent, r, &gains);
-        test_beacon(r, (const float(*)[N])tangent, modelled, (const float(*)[N])l, least, &faults->drop[i], faults);
+        seen_t seen;
+        look(problem, heard, fit, (const float(*)[3])attitude, (const float(*)[N])l, &seen);
+        add_gains(heard, &seen, (const float(*)[3])attitude, &gains);
+        test_beacon(heard, &seen, (const float(*)[N])l, least, &faults->drop[i], faults);
     }
     faults->alarm = gains_alarm(&gains, least) || faults->alarm;
     best_gains(&gains, faults->gain);

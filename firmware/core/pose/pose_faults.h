@@ -1,16 +1,14 @@
 /* pose_faults.h: whether fitted fields agree with the site, and how far a fault that stays unseen can move the
  * position: integrity as receivers of satellite navigation monitor it. The one call is pose_faults, after a fit.
  *
- * Method. Linear around the fit, with r_i the whitened residuals of beacon i, T_i its rows in units of the pose's own
- * uncertainty, and S_i = I - T_i T_i' the covariance of r_i if all is right. The tests, each a part of the cost that
- * another explanation would take away, with their shares of POSE_FAULTS_FALSE_ALARM:
- *   whole cost, 3 n - 6 degrees of freedom                          0.1
- *   one beacon wrong in any way: r_i' S_i^-1 r_i, three degrees     0.3
- *   one beacon of another strength: along its field, one degree     0.2
- *   all fields of another strength, one degree                      0.2
- *   sensor's axes of unequal gain as well, three degrees            0.1
- *   sensor's axes skewed as well, six degrees                       0.1
- * The limits of single beacons are those of 16 beacons, whatever their number.
+ * Method. Linear around the fit, with r_i the whitened residuals of beacon i, T_i its rows in units of the uncertainty
+ * of the pose and of the sensor's errors, which are fitted with it, and S_i = I - T_i T_i' the covariance of r_i if all
+ * is right. The tests, each a part of the cost that another explanation would take away, with their shares of
+ * POSE_FAULTS_FALSE_ALARM: whole cost, 3 n - 6 degrees of freedom                          0.1 one beacon wrong in any
+ * way: r_i' S_i^-1 r_i, three degrees     0.3 one beacon of another strength: along its field, one degree     0.2 all
+ * fields of another strength, one degree                      0.2 sensor's axes of unequal gain as well, three degrees
+ * 0.1 sensor's axes skewed as well, six degrees                       0.1 The limits of single beacons are those of 16
+ * beacons, whatever their number.
  *
  * Slope. The position error over the root of the cost that the worst fault of one beacon adds: an upper bound, 4 %
  * above the greatest singular value. It is infinite if a fault of some beacon cannot show in the residuals.
@@ -18,7 +16,7 @@
  * Limits. A direction of a beacon's residuals with less than POSE_FAULTS_SHOWN of its variance left is not tested:
  * single precision has lost it. The host's limit is 1e-6.
  *
- * Time: about 3,000 instructions a beacon. Stack: 0.9 kB.
+ * Time: about 5,500 instructions a beacon. Stack: 1.2 kB.
  */
 #ifndef GOLDFIELD_POSE_FAULTS_H
 #define GOLDFIELD_POSE_FAULTS_H
@@ -35,8 +33,9 @@ typedef struct {
     float slope_m;                /* Position error over the root of the cost by the worst fault of one beacon. */
 } pose_faults_t;
 
-/* Test a fit. Returns false, with *faults not set, if the measurements do not tell all six unknowns. */
-bool pose_faults(const pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults);
+/* Test a fit by pose_fit; the problem's weights become those around it. Returns false, with *faults not set, if the
+ * measurements do not tell all six unknowns. */
+bool pose_faults(pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults);
 
 /* Returns an upper bound, at most 4 % too great, of the greatest eigenvalue of a symmetric matrix with none below 0. */
 float pose_faults_greatest(const float matrix[3][3]);

@@ -6,6 +6,8 @@
 
 /* Least promise of a step, in cost, after which a fit goes on: 3 % of a deviation. The step itself is taken. */
 #define TOLERANCE     1e-3f
+#define ROUGHLY       1.0f   /* The same with weights of another place than the end. */
+#define ROUNDS        3u     /* Most times that the weights are taken again. */
 #define DAMPING_FAR   1e-3f  /* Damping of the first step from a rough start. */
 #define DAMPING_NEAR  1e-6f  /* Damping of the first step from a good start. */
 #define DAMPING_LEAST 1e-9f  /* Least damping of all steps but the last. */
@@ -13,45 +15,66 @@
 #define DAMPING_MOST  1e8f   /* Damping with which a fit ends, since no step lowers the cost any more: rounding. */
 #define GRAIN         3e-7f  /* Rounding of a field and of what is compared with it, relative. */
 
-float pose_fit_inverse_sigma(const pose_heard_t *heard, float model_error) {
-    const float relative2 = model_error * model_error + POSE_FIT_ROUNDING * POSE_FIT_ROUNDING;
-    return inverse_square_root(heard->sigma_uT * heard->sigma_uT +
-                               relative2 * heard->magnitude_uT * heard->magnitude_uT);
-}
-
-void pose_fit_rows(const pose_heard_t *heard, const float position_m[3], float inverse_sigma, triangle_rows_t rows,
-                   float field_uT[3]) {
+void pose_fit_model(const pose_heard_t *heard, const float position_m[3], triangle_rows_t rows, float field_uT[3]) {
     float gradient[3][3];
     loop_field_and_gradient(&heard->loop, position_m, field_uT, gradient);
-    const float x = inverse_sigma * field_uT[0], y = inverse_sigma * field_uT[1], z = inverse_sigma * field_uT[2];
+    const float x = field_uT[0], y = field_uT[1], z = field_uT[2];
     const float turn[3][3] = {{0.0f, -z, y}, {z, 0.0f, -x}, {-y, x, 0.0f}};
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < 3u; column++) {
-            rows[row][column] = inverse_sigma * gradient[row][column];
+            rows[row][column] = gradient[row][column];
             rows[row][3u + column] = turn[row][column];
         }
     }
 }
 
-static void evaluate(const pose_problem_t *problem, float model_error, pose_fit_t *fit) {
+/* Computes the whitened rows of one beacon, the residual in the seventh column. */
+static void whitened_rows(const pose_heard_t *heard, const float position_m[3], const float attitude[3][3],
+                          triangle_rows_t rows, float field_uT[3]) {
+    pose_fit_model(heard, position_m, rows, field_uT);
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        rows[axis][TRIANGLE_UNKNOWNS] = vector3_dot(attitude[axis], heard->field_uT) - field_uT[axis];
+    }
+    for (uint32_t column = 0; column < TRIANGLE_COLUMNS; column++) {
+        pose_weights_whiten(heard, &rows[0][column], &rows[1][column], &rows[2][column]);
+    }
+}
+
+void pose_fit_rows(const pose_problem_t *problem, const pose_heard_t *heard, const float position_m[3],
+                   const float attitude[3][3], triangle_rows_t rows, float effects[3][NUISANCE_UNKNOWNS],
+                   float field_uT[3]) {
+    whitened_rows(heard, position_m, attitude, rows, field_uT);
+    pose_weights_sensor(problem, heard, attitude, effects);
+}
+
+/* Returns a bound of a beacon's field in standard deviations of its most exact component. */
+static float signal(const pose_heard_t *heard) {
+    const float x = heard->whitening[0], y = heard->whitening[2], z = heard->whitening[5];
+    return heard->magnitude_uT * (x > y ? x > z ? x : z : y > z ? y : z);
+}
+
+static void evaluate(const pose_problem_t *problem, bool nuisance, pose_fit_t *fit) {
     float attitude[3][3];
     quaternion_matrix(fit->quaternion, attitude);
     triangle_init(&fit->triangle);
+    nuisance_init(&fit->sensor);
     fit->cost = 0.0f;
     float greatest = 0.0f;
     for (uint32_t i = 0; i < problem->count; i++) {
         const pose_heard_t *heard = &problem->heard[i];
-        const float weight = pose_fit_inverse_sigma(heard, model_error);
         triangle_rows_t rows;
         float field[3];
-        pose_fit_rows(heard, fit->position_m, weight, rows, field);
+        whitened_rows(heard, fit->position_m, (const float(*)[3])attitude, rows, field);
+        if (nuisance) {
+            float effects[3][NUISANCE_UNKNOWNS];
+            pose_weights_sensor(problem, heard, (const float(*)[3])attitude, effects);
+            nuisance_eliminate(&fit->sensor, effects, rows);
+        }
         for (uint32_t axis = 0; axis < 3u; axis++) {
-            const float residual = weight * (vector3_dot(attitude[axis], heard->field_uT) - field[axis]);
-            rows[axis][TRIANGLE_UNKNOWNS] = residual;
-            fit->cost += residual * residual;
+            fit->cost += rows[axis][TRIANGLE_UNKNOWNS] * rows[axis][TRIANGLE_UNKNOWNS];
         }
         triangle_add(&fit->triangle, rows);
-        greatest = weight * heard->magnitude_uT > greatest ? weight * heard->magnitude_uT : greatest;
+        greatest = signal(heard) > greatest ? signal(heard) : greatest;
     }
     fit->rounding = GRAIN * greatest;
     if (!(fit->cost < POSE_FIT_HOPELESS)) { /* True also for what is not a number. */
@@ -69,21 +92,26 @@ static float decrement(const triangle_t *triangle) {
     return sum;
 }
 
-static uint32_t minimise(const pose_problem_t *problem, float model_error, float damping, uint32_t limit,
+static bool settled(const pose_fit_t *fit, float tolerance) {
+    return decrement(&fit->triangle) < tolerance + fit->rounding * fit->rounding;
+}
+
+/* Goes on from an evaluated fit until the promise of a step is below tolerance, with at most limit evaluations. Returns
+ * how many it took. */
+static uint32_t minimise(const pose_problem_t *problem, bool nuisance, float damping, float tolerance, uint32_t limit,
                          pose_fit_t *fit) {
+    uint32_t evaluations = 0;
     fit->converged = false;
-    evaluate(problem, model_error, fit);
-    uint32_t evaluations = 1;
     while (!fit->converged && fit->cost < POSE_FIT_HOPELESS && damping < DAMPING_MOST && evaluations < limit) {
         float step[TRIANGLE_UNKNOWNS];
         pose_fit_t trial = *fit;
-        fit->converged = decrement(&fit->triangle) < TOLERANCE + fit->rounding * fit->rounding;
+        fit->converged = settled(fit, tolerance);
         triangle_solve(&fit->triangle, fit->converged ? DAMPING_LAST : damping, step);
         for (uint32_t axis = 0; axis < 3u; axis++) {
             trial.position_m[axis] += step[axis];
         }
         quaternion_turn(trial.quaternion, step + 3);
-        evaluate(problem, model_error, &trial);
+        evaluate(problem, nuisance, &trial);
         evaluations++;
         if (trial.cost <= fit->cost + 2.0f * fit->rounding * square_root(fit->cost)) {
             trial.converged = fit->converged;
@@ -96,10 +124,30 @@ static uint32_t minimise(const pose_problem_t *problem, float model_error, float
     return evaluations;
 }
 
-uint32_t pose_fit(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
-    return minimise(problem, 0.0f, DAMPING_NEAR, limit, fit);
+uint32_t pose_fit(pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
+    const bool nuisance = pose_fit_has_nuisance(problem);
+    float tolerance = problem->exact_beacons ? TOLERANCE : ROUGHLY;
+    uint32_t evaluations = 0;
+    for (uint32_t round = 0;; round++) {
+        pose_weights_at(problem, fit->position_m);
+        evaluate(problem, nuisance, fit);
+        evaluations++;
+        if (round > 0u && (settled(fit, TOLERANCE) || round == ROUNDS || evaluations >= limit)) {
+            return evaluations;
+        }
+        if (problem->exact_beacons) {
+            return evaluations + minimise(problem, nuisance, DAMPING_NEAR, tolerance, limit - evaluations, fit);
+        }
+        if (evaluations + 1u >= limit) {
+            return evaluations;
+        }
+        evaluations += minimise(problem, nuisance, DAMPING_NEAR, tolerance, limit - evaluations - 1u, fit);
+        tolerance = TOLERANCE;
+    }
 }
 
-uint32_t pose_fit_robust(const pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
-    return minimise(problem, POSE_FIT_ROBUST, DAMPING_FAR, limit, fit);
+uint32_t pose_fit_robust(pose_problem_t *problem, uint32_t limit, pose_fit_t *fit) {
+    pose_weights_rough(problem, POSE_FIT_ROBUST);
+    evaluate(problem, false, fit);
+    return 1u + minimise(problem, false, DAMPING_FAR, TOLERANCE, limit - 1u, fit);
 }

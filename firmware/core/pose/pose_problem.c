@@ -21,6 +21,9 @@ static bool hear(const pose_site_t *site, const pose_field_t *fields, uint32_t r
         heard->loop.centre_m[axis] = beacon->position_m[axis];
     }
     heard->row = row;
+    heard->position_sd_m = beacon->position_sd_m;
+    heard->axis_sd_rad = beacon->axis_sd_rad;
+    heard->current_sd = beacon->current_sd;
     heard->magnitude_uT = square_root(vector3_dot(heard->field_uT, heard->field_uT));
     heard->sigma_uT = MICROTESLA * measured->sigma_T;
     heard->loop.k_uT_m3 = UT_M3_PER_A_M2 * beacon->moment_A_m2;
@@ -32,11 +35,14 @@ static bool hear(const pose_site_t *site, const pose_field_t *fields, uint32_t r
 void pose_problem(const pose_site_t *site, const pose_field_t *fields, pose_problem_t *problem) {
     float most = 0.0f;
     problem->count = 0;
+    problem->exact_beacons = true;
     memset(problem->origin_m, 0, sizeof problem->origin_m);
     for (uint32_t i = 0; i < site->count && i < POSE_BEACONS_MAX; i++) {
         pose_heard_t *heard = &problem->heard[problem->count];
         if (hear(site, fields, i, heard)) {
             problem->count++;
+            problem->exact_beacons = problem->exact_beacons && !(heard->position_sd_m > 0.0f) &&
+                                     !(heard->axis_sd_rad > 0.0f) && !(heard->current_sd > 0.0f);
             if (heard->magnitude_uT > most) {
                 most = heard->magnitude_uT;
                 memcpy(problem->origin_m, site->beacons[i].position_m, sizeof problem->origin_m);
@@ -49,6 +55,8 @@ void pose_problem(const pose_site_t *site, const pose_field_t *fields, pose_prob
     vector3_subtract(site->half_space_point_m, problem->origin_m, problem->point_m);
     memcpy(problem->normal, site->half_space_normal, sizeof problem->normal);
     problem->alert_limit_m = site->alert_limit_m;
+    problem->gain_sd = site->gain_sd;
+    problem->axis_sd_rad = site->axis_sd_rad;
 }
 
 uint32_t pose_problem_freedom(const pose_problem_t *problem) {

@@ -2,8 +2,8 @@
  * what the other modules of this folder work on: the beacons that were heard, in metres relative to an origin near the
  * sensor, and in microtesla, where single precision does best. The call is pose_problem, once for each pose.
  *
- * Units: those of the names; the problem's positions are relative to origin_m. Memory: pose_site_t 2.1 kB,
- * pose_problem_t 3.9 kB.
+ * Units: those of the names; the problem's positions are relative to origin_m. Memory: pose_site_t 2.9 kB,
+ * pose_problem_t 6.2 kB.
  */
 #ifndef GOLDFIELD_POSE_PROBLEM_H
 #define GOLDFIELD_POSE_PROBLEM_H
@@ -20,6 +20,7 @@ typedef struct {
     float axis[3];     /* Direction of the moment, of any length but 0. */
     float moment_A_m2; /* Current times turns times area; 0: it is not there; negative: it points against the axis. */
     float radius_m;    /* Radius of the coil; 0: it is a dipole. */
+    float position_sd_m, axis_sd_rad, current_sd; /* Standard deviations of position, axis and moment (relative). */
 } pose_beacon_t;
 
 /* What the sensor knows of its surroundings. */
@@ -29,6 +30,7 @@ typedef struct {
     float half_space_point_m[3];
     float half_space_normal[3]; /* The sensor is where (p - point) . normal >= 0. 0: there is no half-space. */
     float alert_limit_m;        /* Largest protection level of a pose that is ok, m. */
+    float gain_sd, axis_sd_rad; /* Standard deviations of the gains (relative) and directions of the sensor's axes. */
 } pose_site_t;
 
 typedef struct {
@@ -41,7 +43,9 @@ typedef struct {
     loop_t loop;        /* Its coil, with the centre relative to the origin. */
     float field_uT[3];  /* Its measured field in the sensor's frame. */
     float magnitude_uT; /* The length of that. */
-    float sigma_uT;     /* Standard deviation of each component. */
+    float sigma_uT;     /* Standard deviation of each component by noise. */
+    float position_sd_m, axis_sd_rad, current_sd;
+    float whitening[6]; /* Its weights (pose_weights): a lower triangle, row by row. */
     uint32_t row;       /* Its row in the site's table. */
 } pose_heard_t;
 
@@ -49,7 +53,9 @@ typedef struct {
     float origin_m[3];           /* Origin of the problem's coordinates: the strongest beacon. */
     float point_m[3], normal[3]; /* The half-space in these coordinates; normal 0: there is none. */
     float alert_limit_m;
-    uint32_t count; /* Beacons heard. */
+    float gain_sd, axis_sd_rad; /* Of the sensor. */
+    bool exact_beacons;         /* No beacon has any declared error. */
+    uint32_t count;             /* Beacons heard. */
     pose_heard_t heard[POSE_BEACONS_MAX];
 } pose_problem_t;
 

@@ -40,7 +40,7 @@ static void judge(const pose_problem_t *problem, const pose_fit_t *fit, pose_rea
                                              : POSE_REASON_NONE;
 }
 
-void pose_result(const pose_problem_t *problem, const pose_fit_t *fit, const pose_faults_t *faults, pose_reason_t wrong,
+void pose_result(pose_problem_t *problem, const pose_fit_t *fit, const pose_faults_t *faults, pose_reason_t wrong,
                  bool contested, pose_t *pose) {
     float covariance[TRIANGLE_UNKNOWNS][TRIANGLE_UNKNOWNS];
     if (!pose_covariance(problem, fit, covariance)) {

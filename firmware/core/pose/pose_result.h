@@ -62,7 +62,7 @@ typedef struct {
 /* Put a fit and the tests of it into *pose; left_out, iterations and tracked stay. wrong says what is wrong with it,
  * POSE_REASON_NONE if it explains the fields; contested, that another pose explains them as well. The pose fails if
  * the measurements do not tell all six unknowns. */
-void pose_result(const pose_problem_t *problem, const pose_fit_t *fit, const pose_faults_t *faults, pose_reason_t wrong,
+void pose_result(pose_problem_t *problem, const pose_fit_t *fit, const pose_faults_t *faults, pose_reason_t wrong,
                  bool contested, pose_t *pose);
 
 /* Make a pose failed, with the reason. */

@@ -74,6 +74,10 @@ class Sensor:
         for row, b in zip(self.site.beacons, site.beacons, strict=False):
             row.position_m, row.axis = b.position_m.tolist(), b.axis.tolist()
             row.moment_A_m2, row.radius_m = float(np.linalg.norm(b.moment_A_m2)), b.radius_m
+            survey = b.survey
+            row.position_sd_m, row.axis_sd_rad = survey.position_sd_m, survey.axis_sd_rad
+            row.current_sd = survey.current_sd
+        self.site.gain_sd, self.site.axis_sd_rad = site.sensor.gain_sd, site.sensor.axis_sd_rad
         if site.half_space is not None:
             self.site.half_space_point_m = site.half_space.point_m.tolist()
             self.site.half_space_normal = site.half_space.normal.tolist()

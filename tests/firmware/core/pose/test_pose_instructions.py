@@ -50,7 +50,7 @@ void one_loop_field_and_gradient(void) {
     loop_field_and_gradient(&work.solver.problem.heard[1].loop, work.solver.best.position_m, field, gradient);
 }
 void one_loop_field(void) { loop_field(&work.solver.problem.heard[1].loop, work.solver.best.position_m, field); }
-void one_pose_fit_rows(void) { pose_fit_rows(&work.solver.problem.heard[1], work.solver.best.position_m, 160.0f, rows, field); }
+void one_pose_fit_model(void) { pose_fit_model(&work.solver.problem.heard[1], work.solver.best.position_m, rows, field); }
 void one_triangle_add(void) { triangle_add(&triangle, rows); }
 void one_triangle_solve(void) { triangle_solve(&work.solver.best.triangle, 1e-3f, step); }
 void one_wahba_add(void) { wahba_add(&sum, field, work.solver.problem.heard[1].field_uT, 1.0f); }
@@ -149,12 +149,14 @@ def site():
     return sites.load(ROOT / "host/sites/prigge8.toml")
 
 
-def load_site(machine, site):
+def load_site(machine, site, declared=(0.0, 0.0, 0.0), sensor=(0.0, 0.0)):
+    """Write the table with what each beacon (place, axis, current) and the sensor (gain, axis) are declared to be off."""
     table = b"".join(
-        struct.pack("<8f", *b.position_m, *b.axis, np.linalg.norm(b.moment_A_m2), b.radius_m) for b in site.beacons
+        struct.pack("<11f", *b.position_m, *b.axis, np.linalg.norm(b.moment_A_m2), b.radius_m, *declared)
+        for b in site.beacons
     )
-    free = struct.pack("<6f", *[0.0] * 6) + struct.pack("<f", 100.0)  # No half-space, and the alert limit.
-    machine.write("site", struct.pack("<I", len(site.beacons)) + table.ljust(64 * 32, b"\0") + free)
+    rest = struct.pack("<9f", *[0.0] * 6, 100.0, *sensor)  # No half-space, the alert limit, the sensor.
+    machine.write("site", struct.pack("<I", len(site.beacons)) + table.ljust(64 * 44, b"\0") + rest)
 
 
 def fields(site, position, rotation, rng):
@@ -209,7 +211,7 @@ def test_each_part_within_what_its_header_says(machine, site):
     machine.write("fields", fields(site, np.array([0.9, 1.2, 0.8]), Rotation.random(random_state=rng), rng))
     machine.call("find")
     bounds = {
-        **{"loop_field": 180, "loop_field_and_gradient": 320, "pose_fit_rows": 420, "triangle_add": 900},
+        **{"loop_field": 180, "loop_field_and_gradient": 320, "pose_fit_model": 420, "triangle_add": 900},
         **{"triangle_solve": 2200, "wahba_add": 80, "wahba_loss": 350, "wahba_rotation": 500, "quaternion_matrix": 60},
         **{"quaternion_turn": 100, "pose_covariance": 8 * 13_000, "evaluation": 8 * 1_500, "pose_search": 300 * 2_500},
         "pose_faults": 8 * 3_000,
