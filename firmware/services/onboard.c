@@ -29,12 +29,18 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
         }
         beacon->moment_A_m2 = parameters_float(parameters, row + 6u);
         beacon->radius_m = parameters_float(parameters, row + 7u);
+        const uint32_t survey = PARAMETER_SURVEY + PARAMETER_SURVEY_STRIDE * i;
+        beacon->position_sd_m = parameters_float(parameters, survey);
+        beacon->axis_sd_rad = parameters_float(parameters, survey + 1u);
+        beacon->current_sd = parameters_float(parameters, survey + 2u);
     }
     for (uint32_t axis = 0; axis < 3u; axis++) {
         onboard->site.half_space_point_m[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + axis);
         onboard->site.half_space_normal[axis] = parameters_float(parameters, PARAMETER_HALF_SPACE + 3u + axis);
     }
     onboard->site.alert_limit_m = parameters_float(parameters, PARAMETER_ALERT_LIMIT);
+    onboard->site.gain_sd = parameters_float(parameters, PARAMETER_GAIN_SD);
+    onboard->site.axis_sd_rad = parameters_float(parameters, PARAMETER_AXIS_SD);
     /* With a code left out beacons would be taken for others. */
     const bool complete = selection->count == parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
     onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;

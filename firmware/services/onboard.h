@@ -7,12 +7,12 @@
  *   3. onboard_step       at once, and again and again: each call does one step of the pose, the last one sends it. A
  *                         cycle that is taken meanwhile waits; a further one replaces it.
  *
- * The beacon of place i in the code list is row i of the parameter beacons (docs/parameters.md); noise gives the
- * weights, and half_space resolves the mirror of coplanar coils. Lost chips scale the sums; saturated and lost ones
- * widen the noise by the part of the offset that no longer cancels. Each cycle that is computed gives four messages,
- * whatever happens; status and reason tell.
+ * The beacon of place i in the code list is row i of the parameter beacons (docs/parameters.md), row i of survey
+ * says how well it is known; these, noise, gain_sd and axis_sd give the weights, and half_space resolves the mirror of
+ * coplanar coils. Lost chips scale the sums; saturated and lost ones widen the noise by the part of the offset that no
+ * longer cancels. Each cycle that is computed gives four messages, whatever happens; status and reason tell.
  *
- * Contexts: main only. Memory: 9.3 kB. Time: onboard_step takes as long as a step of pose.h, and about 25 instructions
+ * Contexts: main only. Memory: 14 kB. Time: onboard_step takes as long as a step of pose.h, and about 25 instructions
  * a code and axis for the separation; without a cycle it takes nothing.
  */
 #ifndef GOLDFIELD_ONBOARD_H
@@ -42,7 +42,8 @@ typedef struct {
 } onboard_t;
 
 /* Read the parameters and forget the pose that tracking starts from. chips is the number of chips in a cycle. A
- * selection that left out a code of the list makes every pose fail. Costs the reading of 8 parameters for each code. */
+ * selection that left out a code of the list makes every pose fail. Costs the reading of 11 parameters for each code.
+ */
 void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips,
                        const epoch_selection_t *selection);
 

@@ -35,7 +35,7 @@
  * 34 is more than 31 chips tell apart. Poses (parameter pose) take up to 12 ms with no prior, 1.2 ms from the pose
  * before; cycles that end meanwhile are dropped.
  *
- * Memory: 62 kB.
+ * Memory: 67 kB.
  *
  * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,300 instructions, with parts
  * 14,300 (16,800 when following the field); with degree 10 a report of 8 codes takes 67,000. The parts of a cycle take

@@ -10,6 +10,7 @@ import numpy as np
 from goldfield_protocol.parameters import Value, build_page
 from hil_sim.scenario.parts import DEGREE, Beacon, FrontEnd
 from hil_sim.scenario.scenario import Scenario
+from hil_sim.scenario.site_file import axis_deviations
 
 
 def parameter_page(scenario: Scenario, board: int) -> bytes:
@@ -40,11 +41,15 @@ def parameter_page(scenario: Scenario, board: int) -> bytes:
 
 def _sensor(scenario: Scenario) -> Mapping[str, Value]:
     sensor, half = scenario.sensor, scenario.half_space
+    gain_sd, axis_sd = axis_deviations(sensor)
     surroundings: dict[str, Value] = {
         "pose": 1,
         "noise": sensor.sample_noise_T,
         "half_space": [0.0] * 6 if half is None else [*half.point.tolist(), *half.normal.tolist()],
         "beacons": [value for beacon in scenario.beacons for value in _beacon_row(beacon)],
+        "survey": [0.0] * 3 * len(scenario.beacons),
+        "gain_sd": gain_sd,
+        "axis_sd": axis_sd,
     }
     return {
         **(surroundings if sensor.pose else {}),

@@ -36,11 +36,16 @@ def site_toml(scenario: Scenario) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _axes(sensor: FrontEnd) -> list[str]:
-    """Return how well the sensor's axes are known: exactly, or as far off as those that nobody calibrated are."""
+def axis_deviations(sensor: FrontEnd) -> tuple[float, float]:
+    """Return how well gains and directions of the sensor's axes are known: exactly, or as if nobody calibrated them."""
     errors = (sensor.gain_error, sensor.misalignment_rad)
     exact = sensor.calibration == "exact"
     gain, axis = (0.0 if exact else float(np.sqrt((error**2).mean())) for error in errors)
+    return gain, axis
+
+
+def _axes(sensor: FrontEnd) -> list[str]:
+    gain, axis = axis_deviations(sensor)
     return [f"gain_sd = {gain!r}", f"axis_sd_rad = {axis!r}"]
 
 

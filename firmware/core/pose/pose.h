@@ -9,7 +9,8 @@
  * pose_faults, pose_explain says what is wrong, and leaves out one faulty beacon.
  *
  * Differences from the host's location: one beacon is left out at most, not two; of more than 12 the most suspect 12
- * are tried. The sensor's distortion is named as strength or gains only. Errors of the site are not part of the model.
+ * are tried. The sensor's distortion is named as strength or gains only. Errors
+ * of the sensor are taken at the measured field, and a rough start knows no pose to take the errors of the site at.
  * The search is not a global one: near a coil another pose may be missed. A fault in a direction with less than 3e-6 of
  * its variance in the residuals counts as not detectable: close to a coil the status is more often unverified.
  *
@@ -25,14 +26,15 @@
  * coil, rounding can make it a fifth).
  *
  * Time (Cortex-M4, gcc 12 -O3, counted in Unicorn by tests/firmware/core/pose/test_pose_instructions.py, 8 beacons in
- * a cube). Every loop is bounded; time grows with the number of beacons heard.
- *   pose_find    980,000 instructions when a pose explains the fields.
- *   pose_track   186,000 instructions, at most 200,000 with the previous pose 0.1 m and 0.1 rad away; when it has to
- *                search, those of pose_find too.
- *   pose_step    at most 1,000,000 instructions, 6 ms at an instruction a cycle and 168 MHz; all steps together, when
- *                nothing explains the fields, 11,000,000, 66 ms.
+ * a cube). Every loop is bounded; time grows with the number of beacons heard. In brackets: with declared errors.
+ *   pose_find    1,020,000 instructions (1,100,000) when a pose explains the fields.
+ *   pose_track   237,000 instructions (424,000), at most 252,000 (455,000) with the previous pose 0.1 m and 0.1 rad
+ *                away; when it has to search, those of pose_find too.
+ *   pose_step    at most 950,000 instructions (1,830,000, 11 ms at an instruction a cycle and 168 MHz); all steps
+ *                together, when nothing explains the fields, 12,000,000, 70 ms (17,600,000, 105 ms: longer than a cycle
+ *                of 100 ms, so that one may be skipped).
  *
- * Memory: pose_work_t 5.1 kB, pose_site_t 2,080 bytes, both the caller's; stack 2.7 kB.
+ * Memory: pose_work_t 9.0 kB, pose_site_t 2,856 bytes, both the caller's; stack 2.9 kB.
  */
 #ifndef GOLDFIELD_POSE_H
 #define GOLDFIELD_POSE_H

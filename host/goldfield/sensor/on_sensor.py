@@ -9,7 +9,7 @@ import numpy as np
 from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
 from goldfield.link.reports import ON_SENSOR_POSE, Report
-from goldfield.site import Site
+from goldfield.site import Beacon, Site
 from goldfield.types import Explanation, Fields, Finding, Pose, Status
 from goldfield_protocol.parameters import PARAMETERS
 
@@ -105,6 +105,9 @@ def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:
         "alert_limit": [float(site.alert_limit_m)],
         "half_space": half.tolist(),
         "beacons": list(rows),
+        "survey": [deviation for beacon in site.beacons for deviation in _deviations(beacon)],
+        "gain_sd": [site.sensor.gain_sd],
+        "axis_sd": [site.sensor.axis_sd_rad],
         "pose": [1],
     }
     return {
@@ -112,6 +115,10 @@ def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:
         for name, elements in values.items()
         for element, value in enumerate(elements)
     }
+
+
+def _deviations(beacon: Beacon) -> tuple[float, float, float]:
+    return beacon.survey.position_sd_m, beacon.survey.axis_sd_rad, beacon.survey.current_sd
 
 
 def on_sensor_pose(site: Site, report: Report, fields: Fields) -> Pose:

@@ -24,6 +24,9 @@ TABLE = {
     "noise": NOISE_T,
     "code_count": 8,
     "code_list": CODES,
+    "survey": [0.0] * 24,
+    "gain_sd": 0.0,
+    "axis_sd": 0.0,
     "beacons": [float(x) for centre in CENTRES for x in (*centre, 0.0, 0.0, 2.0, MOMENT, 0.149)],
 }
 OWN = ["POSE_POSITION", "POSE_ATTITUDE", "POSE_QUALITY", "POSE_INTEGRITY"]

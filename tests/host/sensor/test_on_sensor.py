@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from goldfield import site as sites
 from goldfield.cli import main
 from goldfield.sensor.on_sensor import on_sensor_parameters
+from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD, ASSUMED_SURVEY
 from goldfield_protocol import encode
 from goldfield_protocol.parameters import PARAMETERS, parse_page
 from hil_sim.scenario import SCENARIOS, load_scenario, parameter_page, site_toml
@@ -144,12 +145,34 @@ def test_the_table_from_the_site_is_that_of_the_rig(tmp_path):
     path.write_text(site_toml(scenario))
     page = parse_page(parameter_page(scenario, 0))
     values = on_sensor_parameters(sites.load(path))
-    for name in ("pose", "noise", "half_space", "beacons"):
+    for name in ("pose", "noise", "half_space", "beacons", "survey", "gain_sd", "axis_sd"):
         stored = page[name] if isinstance(page[name], list) else [page[name]]
         given = [values[PARAMETERS[name].identifier(i)] for i in range(len(stored))]
         np.testing.assert_allclose(given, stored, rtol=1e-6)
     assert values[PARAMETERS["alert_limit"].identifier(0)] == 0.5  # the board's own default, too
-    assert len(values) == 9 + 64
+    assert len(values) == 11 + (8 + 3) * 8
+
+
+def test_the_declared_errors_of_each_beacon_reach_the_sensor(tmp_path):
+    text = SITE.read_text().replace("current_sd = 0.0", "current_sd = 0.02").replace("gain_sd = 0.0", "gain_sd = 0.004")
+    path = tmp_path / "site.toml"
+    path.write_text(text.replace('id = "b2"', 'id = "b2"\nposition_sd_m = 0.03'))
+    site = sites.load(path)
+    values = on_sensor_parameters(site)
+    row = [beacon.id for beacon in site.beacons].index("b2")
+    declared = [values[PARAMETERS["survey"].identifier(3 * row + i)] for i in range(3)]
+    assert declared == [0.03, 0.0, 0.02]
+    assert values[PARAMETERS["survey"].identifier(0)] == 0.0
+    assert values[PARAMETERS["gain_sd"].first] == 0.004
+    assert values[PARAMETERS["axis_sd"].first] == 0.0
+
+
+def test_a_board_assumes_what_the_host_assumes():
+    """The defaults of a board without a page are those of a site file that is silent."""
+    survey = ASSUMED_SURVEY
+    assert PARAMETERS["survey"].default == (survey.position_sd_m, survey.axis_sd_rad, survey.current_sd)
+    assert PARAMETERS["gain_sd"].default == (ASSUMED_GAIN_SD,)
+    assert PARAMETERS["axis_sd"].default == (ASSUMED_AXIS_SD_RAD,)
 
 
 def test_a_live_sensor_that_knows_no_beacons_gets_them(tmp_path):

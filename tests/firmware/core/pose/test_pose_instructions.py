@@ -171,9 +171,15 @@ def fields(site, position, rotation, rng):
     return b"".join(struct.pack("<4f", *field, SIGMA_T) for field in measured)
 
 
-def test_no_prior_within_two_million_tracking_within_200000(machine, site):
+DEFAULT = {"declared": (0.003, 0.005, 0.003), "sensor": (0.003, 0.005)}
+
+
+@pytest.mark.parametrize(
+    ("errors", "find_limit", "track_limit"), [({}, 1_100_000, 260_000), (DEFAULT, 1_300_000, 500_000)]
+)
+def test_no_prior_and_tracking_within_their_bounds(machine, site, errors, find_limit, track_limit):
     rng = np.random.default_rng(11)
-    load_site(machine, site)
+    load_site(machine, site, **errors)
     centres = np.array([b.position_m for b in site.beacons])
     low, high = centres.min(axis=0), centres.max(axis=0)
     found, tracked, lost, stack = [], [], [], 0
@@ -199,22 +205,22 @@ def test_no_prior_within_two_million_tracking_within_200000(machine, site):
     for name, counts in (("find", found), ("track", tracked)):
         print(f"{name}: median {np.median(counts):.0f}, most {max(counts)} instructions")
     print(f"lost and found again: {lost}; stack {stack}; memory {memory}")
-    assert max(found + lost) <= 2_000_000
+    assert max(found + lost) <= find_limit
     assert len(lost) <= 2
-    assert max(tracked) <= 200_000
+    assert max(tracked) <= track_limit
     assert stack <= 3000
 
 
 def test_each_part_within_what_its_header_says(machine, site):
     rng = np.random.default_rng(12)
-    load_site(machine, site)
+    load_site(machine, site, **DEFAULT)
     machine.write("fields", fields(site, np.array([0.9, 1.2, 0.8]), Rotation.random(random_state=rng), rng))
     machine.call("find")
     bounds = {
         **{"loop_field": 180, "loop_field_and_gradient": 320, "pose_fit_model": 420, "triangle_add": 900},
         **{"triangle_solve": 2200, "wahba_add": 80, "wahba_loss": 350, "wahba_rotation": 500, "quaternion_matrix": 60},
-        **{"quaternion_turn": 100, "pose_covariance": 8 * 13_000, "evaluation": 8 * 1_500, "pose_search": 300 * 2_500},
-        "pose_faults": 8 * 3_000,
+        **{"quaternion_turn": 100, "pose_covariance": 8 * 16_000, "evaluation": 8 * 5_000, "pose_search": 300 * 2_500},
+        "pose_faults": 8 * 7_000,
         **{"separation_init": 500, "separation_apply": 300},
     }
     counts = {name: machine.call(f"one_{name}")[0] for name in bounds}
@@ -222,10 +228,11 @@ def test_each_part_within_what_its_header_says(machine, site):
     assert {name: n for name, n in counts.items() if n > bounds[name]} == {}
 
 
-def test_no_step_takes_longer_than_the_first(machine, site):
+@pytest.mark.parametrize(("errors", "most"), [({}, 12_000_000), (DEFAULT, 18_000_000)])
+def test_no_step_takes_longer_than_12_ms(machine, site, errors, most):
     """Nothing explains the fields: negated fields, gains and every beacon left out are tried, a step each."""
     rng = np.random.default_rng(13)
-    load_site(machine, site)
+    load_site(machine, site, **errors)
     steps, totals = [], []
     for _ in range(15):
         noise = rng.normal(size=(8, 3)) * 10.0 ** rng.uniform(-8, -4, (8, 1))
@@ -240,5 +247,5 @@ def test_no_step_takes_longer_than_the_first(machine, site):
     print(
         f"nothing explains it: a step at most {max(steps)}, in all median {np.median(totals):.0f}, most {max(totals)}"
     )
-    assert max(steps) <= 2_000_000
-    assert max(totals) <= 12_000_000
+    assert max(steps) <= (2_000_000 if errors else 1_000_000)  # 12 and 6 ms
+    assert max(totals) <= most
