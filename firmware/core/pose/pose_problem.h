@@ -53,7 +53,7 @@ typedef struct {
     float origin_m[3];           /* Origin of the problem's coordinates: the strongest beacon. */
     float point_m[3], normal[3]; /* The half-space in these coordinates; normal 0: there is none. */
     float alert_limit_m;
-    float gain_sd, axis_sd_rad; /* Of the sensor. */
+    float gain_sd, axis_sd_rad; /* The sensor's. */
     bool exact_beacons;         /* No beacon has any declared error. */
     uint32_t count;             /* Beacons heard. */
     pose_heard_t heard[POSE_BEACONS_MAX];

@@ -8,8 +8,8 @@ static float noise2(const pose_heard_t *heard) {
     return heard->sigma_uT * heard->sigma_uT + rounding * rounding;
 }
 
-/* Of a dipole, the gradient's Frobenius norm is about 4 |B| / r, a turn's effect about 1.7 |B|, and |B| about
- * 1.5 k / r^3. */
+/* A dipole's gradient has a Frobenius norm of about 4 |B| / r, the effect of a turn is about 1.7 |B|, and |B| is
+ * about 1.5 k / r^3. */
 void pose_weights_rough(pose_problem_t *problem, float model_error) {
     const float sensor2 = problem->gain_sd * problem->gain_sd + 2.0f * problem->axis_sd_rad * problem->axis_sd_rad;
     for (uint32_t i = 0; i < problem->count; i++) {
@@ -86,7 +86,7 @@ void pose_weights_at(pose_problem_t *problem, const float position_m[3]) {
 void pose_weights_sensor(const pose_problem_t *problem, const pose_heard_t *heard, const float attitude[3][3],
                          float effects[3][POSE_WEIGHTS_SENSOR]) {
     const float *b = heard->field_uT;
-    const float gain = problem->gain_sd, lean = 0.70710678f * problem->axis_sd_rad; /* Of each axis of a pair. */
+    const float gain = problem->gain_sd, lean = 0.70710678f * problem->axis_sd_rad; /* That of each axis of a pair. */
     for (uint32_t row = 0; row < 3u; row++) {
         const float *r = attitude[row];
         for (uint32_t axis = 0; axis < 3u; axis++) {

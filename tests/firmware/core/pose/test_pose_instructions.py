@@ -50,7 +50,9 @@ void one_loop_field_and_gradient(void) {
     loop_field_and_gradient(&work.solver.problem.heard[1].loop, work.solver.best.position_m, field, gradient);
 }
 void one_loop_field(void) { loop_field(&work.solver.problem.heard[1].loop, work.solver.best.position_m, field); }
-void one_pose_fit_model(void) { pose_fit_model(&work.solver.problem.heard[1], work.solver.best.position_m, rows, field); }
+void one_pose_fit_model(void) {
+    pose_fit_model(&work.solver.problem.heard[1], work.solver.best.position_m, rows, field);
+}
 void one_triangle_add(void) { triangle_add(&triangle, rows); }
 void one_triangle_solve(void) { triangle_solve(&work.solver.best.triangle, 1e-3f, step); }
 void one_wahba_add(void) { wahba_add(&sum, field, work.solver.problem.heard[1].field_uT, 1.0f); }
@@ -150,7 +152,7 @@ def site():
 
 
 def load_site(machine, site, declared=(0.0, 0.0, 0.0), sensor=(0.0, 0.0)):
-    """Write the table with what each beacon (place, axis, current) and the sensor (gain, axis) are declared to be off."""
+    """Write the table, with the deviations of each beacon (place, axis, current) and the sensor (gain, axis)."""
     table = b"".join(
         struct.pack("<11f", *b.position_m, *b.axis, np.linalg.norm(b.moment_A_m2), b.radius_m, *declared)
         for b in site.beacons
