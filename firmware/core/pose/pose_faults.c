@@ -16,8 +16,9 @@
 #define LIMIT_AXES      21.85f
 #define LIMIT_SKEWED    28.68f
 #define ROUNDING_MARGIN 0.3f  /* Variance of a direction that is tested, over that of the bound on rounding. */
-#define SQUARINGS       5u    /* A matrix is squared so often for its greatest eigenvalue: the 32nd root of a trace. */
-#define ENDLESS         1e30f /* Slope if a fault cannot show. */
+#define ENDLESS         1e30f /* Level if a fault cannot show. */
+#define MISSED          3.09f /* Normal deviate of POSE_FAULTS_MISSED. */
+#define UNLUCKY         5.20f /* Normal deviate of POSE_FAULTS_UNLUCKY. */
 
 typedef float square_t[N][N];
 
@@ -86,28 +87,28 @@ static void forward(const float g[3][3], float x[3]) {
     }
 }
 
-float pose_faults_greatest(const float matrix[3][3]) {
-    float m[3][3], scale = 1.0f;
-    memcpy(m, matrix, sizeof m);
-    float bound = m[0][0] + m[1][1] + m[2][2];
-    /* With t_k the traces of successive squares, each of the matrix over its trace, the bound is the product of the
-     * t_k^(1/2^k). */
-    for (uint32_t step = 0; step < SQUARINGS && bound > 0.0f; step++) {
-        const float trace = m[0][0] + m[1][1] + m[2][2];
-        float square[3][3];
-        for (uint32_t i = 0; i < 3u; i++) {
-            for (uint32_t j = 0; j < 3u; j++) {
-                square[i][j] = (m[i][0] * m[0][j] + m[i][1] * m[1][j] + m[i][2] * m[2][j]) / (trace * trace);
-            }
+/* Returns the length that a normal vector exceeds with the probability of a normal deviate: its square taken for a
+ * chi-square, scaled and shifted, of the same first three cumulants. */
+static float radius(const float mean[3], const float covariance[3][3], float deviate) {
+    const float size = vector3_dot(mean, mean) + covariance[0][0] + covariance[1][1] + covariance[2][2];
+    float part[3][3], along[3], second = 0.0f, third = 0.0f; /* All over the size, or squares would underflow. */
+    for (uint32_t i = 0; i < 3u; i++) {
+        along[i] = vector3_dot(covariance[i], mean) / size;
+        for (uint32_t j = 0; j < 3u; j++) {
+            part[i][j] = covariance[i][j] / size;
         }
-        memcpy(m, square, sizeof m);
-        float root = m[0][0] + m[1][1] + m[2][2];
-        for (uint32_t k = 0; k <= step; k++) {
-            root = square_root(root);
-        }
-        scale *= root;
     }
-    return bound * scale;
+    for (uint32_t i = 0; i < 3u; i++) {
+        second += 2.0f * mean[i] * along[i] / size;
+        third += 3.0f * along[i] * along[i] / size;
+        for (uint32_t j = 0; j < 3u; j++) {
+            second += part[i][j] * part[i][j];
+            third += part[i][j] * vector3_dot(part[i], part[j]);
+        }
+    }
+    const float freedom = second * second * second / (third * third);
+    const float above = chi_square_limit(freedom, deviate) - freedom;
+    return square_root(size * (1.0f + square_root(second / freedom) * above));
 }
 
 /* Adds one beacon's part to the sums for the sensor's gains. */
@@ -198,10 +199,11 @@ static void spread_and_influence(const seen_t *seen, const square_t l, float s[3
     }
 }
 
-/* Tests one beacon. *drop becomes what leaving it out would take away of the cost. */
-static void test_beacon(const pose_heard_t *heard, const seen_t *seen, const square_t l, float least, float *drop,
-                        pose_faults_t *faults) {
-    float s[3][3], e[3], influence[3][3], worst[3][3];
+/* Tests one beacon. covariance is that of the position; *drop becomes what leaving the beacon out would take away of
+ * the cost. */
+static void test_beacon(const pose_heard_t *heard, const seen_t *seen, const square_t l, const float covariance[3][3],
+                        float least, float *drop, pose_faults_t *faults) {
+    float s[3][3], e[3], influence[3][3], separation[3], without[3][3];
     float modelled[3] = {seen->field_uT[0], seen->field_uT[1], seen->field_uT[2]};
     pose_weights_whiten(heard, &modelled[0], &modelled[1], &modelled[2]);
     spread_and_influence(seen, l, s, influence);
@@ -222,12 +224,13 @@ static void test_beacon(const pose_heard_t *heard, const seen_t *seen, const squ
         forward((const float(*)[3])s, influence[i]);
     }
     for (uint32_t i = 0; i < 3u; i++) {
+        separation[i] = vector3_dot(influence[i], e);
         for (uint32_t j = 0; j < 3u; j++) {
-            worst[i][j] = vector3_dot(influence[i], influence[j]);
+            without[i][j] = covariance[i][j] + vector3_dot(influence[i], influence[j]);
         }
     }
-    const float slope = shown ? square_root(pose_faults_greatest((const float(*)[3])worst)) : ENDLESS;
-    faults->slope_m = slope > faults->slope_m ? slope : faults->slope_m;
+    const float level = shown ? radius(separation, (const float(*)[3])without, MISSED) : ENDLESS;
+    faults->level_m = level > faults->level_m ? level : faults->level_m;
 }
 
 /* Looks at one beacon: see seen_t. */
@@ -253,7 +256,7 @@ static void look(const pose_problem_t *problem, const pose_heard_t *heard, const
 
 bool pose_faults(pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *faults) {
     square_t l;
-    float attitude[3][3];
+    float attitude[3][3], covariance[3][3];
     if (!triangle_invert(&fit->triangle, l)) {
         return false;
     }
@@ -262,14 +265,23 @@ bool pose_faults(pose_problem_t *problem, const pose_fit_t *fit, pose_faults_t *
     quaternion_matrix(fit->quaternion, attitude);
     pose_weights_at(problem, fit->position_m);
     const float least = POSE_FAULTS_SHOWN + ROUNDING_MARGIN * fit->rounding * fit->rounding;
-    faults->alarm = !(fit->cost <= chi_square_limit(pose_problem_freedom(problem), WHOLE_DEVIATE));
-    faults->slope_m = 0.0f;
+    faults->alarm = !(fit->cost <= chi_square_limit((float)pose_problem_freedom(problem), WHOLE_DEVIATE));
+    for (uint32_t i = 0; i < 3u; i++) {
+        for (uint32_t j = 0; j < 3u; j++) {
+            covariance[i][j] = 0.0f;
+            for (uint32_t k = 0; k < N; k++) {
+                covariance[i][j] += l[i][k] * l[j][k];
+            }
+        }
+    }
+    const float none[3] = {0};
+    faults->level_m = radius(none, (const float(*)[3])covariance, UNLUCKY);
     for (uint32_t i = 0; i < problem->count; i++) {
         const pose_heard_t *heard = &problem->heard[i];
         seen_t seen;
         look(problem, heard, fit, (const float(*)[3])attitude, (const float(*)[N])l, &seen);
         add_gains(heard, &seen, (const float(*)[3])attitude, &gains);
-        test_beacon(heard, &seen, (const float(*)[N])l, least, &faults->drop[i], faults);
+        test_beacon(heard, &seen, (const float(*)[N])l, (const float(*)[3])covariance, least, &faults->drop[i], faults);
     }
     faults->alarm = gains_alarm(&gains, least) || faults->alarm;
     best_gains(&gains, faults->gain);

@@ -69,7 +69,7 @@ bool pose_problem_audible(const pose_problem_t *problem) {
         const float ratio = problem->heard[i].magnitude_uT / problem->heard[i].sigma_uT;
         energy += ratio * ratio;
     }
-    return energy > chi_square_limit(3u * problem->count, ANY_NOISE);
+    return energy > chi_square_limit(3.0f * (float)problem->count, ANY_NOISE);
 }
 
 bool pose_problem_inside(const pose_problem_t *problem, const float position_m[3]) {

@@ -5,9 +5,6 @@
 
 #define WEAK_POSITION     0.25f /* Largest deviation of the position, over the distance to the nearest beacon. */
 #define WEAK_ATTITUDE_RAD 0.5f  /* Largest deviation of the attitude, rad; beyond either nothing linear holds. */
-#define MISSED            3.09f /* Normal deviate of a fault that is missed once in 1,000. */
-#define ALARMED           5.03f /* Root of the chi-square of pose_faults for one beacon. */
-#define NOISE_RADIUS      4.03f /* Deviations that noise alone exceeds once in 1,000 in space. */
 
 /* Returns whether the greatest eigenvalue of a symmetric matrix is beyond a limit: limit I - matrix then is not
  * positive definite (Sylvester). */
@@ -58,9 +55,8 @@ void pose_result(pose_problem_t *problem, const pose_fit_t *fit, const pose_faul
     for (uint32_t i = 0; i < 4u; i++) {
         pose->quaternion[i] = sign * fit->quaternion[i];
     }
-    const float noise = square_root(pose_faults_greatest((const float(*)[3])pose->position_cov_m2));
     pose->residual = square_root(fit->cost / (float)pose_problem_freedom(problem));
-    pose->protection_m = faults->slope_m * (ALARMED + MISSED) + noise * NOISE_RADIUS;
+    pose->protection_m = faults->level_m;
     pose->used = problem->count;
     judge(problem, fit, wrong, contested, pose);
 }

@@ -10,7 +10,7 @@
 #define RIVAL_COST        15.0f /* Distance in cost of a rival: a pose so much worse is right in one case of e^7.5. */
 
 bool pose_solve_explains(const pose_problem_t *problem, const pose_fit_t *fit, float deviate) {
-    return fit->cost <= chi_square_limit(pose_problem_freedom(problem), deviate);
+    return fit->cost <= chi_square_limit((float)pose_problem_freedom(problem), deviate);
 }
 
 /* Returns whether two fits are different poses: apart by a twentieth of the distance to the nearest beacon, or by 0.2
