@@ -129,11 +129,6 @@ class Witness:
         evidence = self._evidence(judgement)
         self._totals.append(self._totals[-1].plus(evidence) if self._totals else evidence)
         windows = [self._last(epochs) for epochs in self._windows]
-        if self.finding is not None and self._as_before(self.finding, windows):
-            self.finding, self._wait = None, 0
-            self._totals.clear()
-            self._recent.clear()
-            return None
         plain, granted = self._costs(windows)
         found = self._suspect(windows, plain, granted)
         self._wait -= 1
@@ -144,25 +139,6 @@ class Witness:
             self.finding = self._explained(*found)
             self._wait = int(found[1].epochs)
         return self.finding
-
-    def _as_before(self, finding: Finding, windows: list[_Evidence]) -> bool:
-        """Tell whether the latest epochs contradict what was found as clearly as it takes to name a beacon.
-
-        Only of what is linear: a current, or a place near the site's.
-        """
-        row = self._row[finding.beacons[0]]
-        recent = windows[: STARTS // 2]
-        if finding.position_m is not None:
-            shift = finding.position_m - self._site.beacons[row].position_m
-            if np.linalg.norm(shift) > LINEAR_M:
-                return False
-            gains = [2.0 * shift @ one.place[row] - shift @ one.place_information[row] @ shift for one in recent]
-        elif finding.factor is not None:
-            part = finding.factor - 1.0
-            gains = [part * (2.0 * one.current[row] - part * one.current_information[row]) for one in recent]
-        else:
-            return False
-        return bool(min(gains) < -self._limit)
 
     def _last(self, epochs: int) -> _Evidence:
         """Return the evidence of the last epochs."""
