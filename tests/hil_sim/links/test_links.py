@@ -200,7 +200,7 @@ def hil(*arguments):
         (["prigge8", "--boards", "wood"], "invalid choice: 'wood'"),
         (
             ["prigge8", "--can", "none", "--boards", "host", "--truth", "/no/such/t"],
-            "cannot write the truth to /no/such/t",
+            "/no/such/t: the truth cannot be written",
         ),
     ],
 )

@@ -13,4 +13,4 @@ def test_the_site_file_is_written_before_the_bench_runs(tmp_path):
 
 def test_a_site_file_that_cannot_be_written_is_said(tmp_path, capsys):
     assert command.main(["prigge8", "--boards", "host", "--site", str(tmp_path)]) == 2
-    assert f"cannot write the site file to {tmp_path}: Is a directory" in capsys.readouterr().err
+    assert f"{tmp_path}: the site file cannot be written: Is a directory" in capsys.readouterr().err
