@@ -14,9 +14,10 @@ import can
 
 from goldfield.errors import SystemFailure, UserError, option, tell
 from goldfield.link.can_channel import open_channel, resynchronise
+from goldfield.link.loopback_bus import LoopbackBus
 from goldfield.link.recordings import CandumpReader
 from goldfield.link.serial_bus import SerialBus
-from goldfield.link.traffic import CORRUPT, FOREIGN, GARBLED, added, kind_of, no_traffic
+from goldfield.link.traffic import CORRUPT, GARBLED, added, kind_of, no_traffic
 
 CAN_BIT_RATE = 1_000_000
 
@@ -104,7 +105,7 @@ class BusSource:
     @property
     def traffic(self) -> Mapping[str, int]:
         """What came and was no data frame with a 29-bit identifier; corrupt frames a CAN controller drops itself."""
-        return added(self._traffic, {CORRUPT: self._bus.bad_frames} if isinstance(self._bus, SerialBus) else {})
+        return added(self._traffic, _bad_frames(self._bus))
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next message, or None when none came in time; `UserError` after `close`.
@@ -196,8 +197,7 @@ class BusSource:
     def _reconnect(self, error: Exception, reopen: Callable[[], can.BusABC]) -> None:
         """Wait until the link can be opened again, and read on."""
         tell(f"{_sentence(self.name, error)}; waiting for it")
-        if isinstance(self._bus, SerialBus):
-            self._traffic[CORRUPT] += self._bus.bad_frames
+        self._traffic = added(self._traffic, _bad_frames(self._bus))
         self._shut_down()
         begin_s = time.monotonic()
         while True:
@@ -222,23 +222,17 @@ class LogSource:
         self._reader = reader
         self._messages: Iterator[can.Message] = iter(reader)
         self._closed = False
-        self._traffic = no_traffic()
 
     @property
     def traffic(self) -> Mapping[str, int]:
         """Lines that are no message, and frames that are no data frames with 29-bit identifiers."""
-        return added(self._traffic, {CORRUPT: self._reader.bad_lines, FOREIGN: self._reader.foreign})
+        return self._reader.traffic
 
     def receive(self, timeout_s: float) -> can.Message | None:
         """Return the next message, None at the end; `UserError` after `close`."""
         if self._closed:
             raise UserError(_closed(self._reader.name))
-        for message in self._messages:
-            kind = kind_of(message)
-            if kind is None:
-                return message
-            self._traffic[kind] += 1
-        return None
+        return next(self._messages, None)
 
     def close(self) -> None:
         """Close the file."""
@@ -274,6 +268,13 @@ def open_can(where: str, *, listen_only: bool = False, reconnect: bool = False) 
             raise UserError(f"{given}: cannot be opened: {_one_line(error)}") from error
 
     return BusSource(opened(), where, shared=True, listen_only=listen_only, reopen=opened if reconnect else None)
+
+
+def _bad_frames(bus: can.BusABC) -> dict[str, int]:
+    """Return what a bus of ours dropped itself; python-can's own raise it, or do not tell."""
+    if isinstance(bus, SerialBus):
+        return {CORRUPT: bus.bad_frames}
+    return {GARBLED: bus.bad_frames} if isinstance(bus, LoopbackBus) else {}
 
 
 def _only_garbled(error: Exception) -> bool:

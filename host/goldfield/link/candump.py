@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime
-from enum import Enum, auto
 
 import can
+
+from goldfield.link.traffic import CORRUPT, ELEVEN_BIT, ERROR, FD, REMOTE
 
 TIME = rb"\((?P<time>[^()]{1,40})\)"
 LOGGED = re.compile(
@@ -28,50 +29,46 @@ PRINTED_DATA = re.compile(rb"(?P<bytes>(?:[0-9A-Fa-f]{2}(?:\s+|$)){0,8})(?:'.*'?
 COLOUR = re.compile(rb"\x1b\[[0-9;]*m")
 
 STANDARD_DIGITS = 3
+LONGEST = 8
+"""Bytes of a frame that is not one of CAN FD."""
 ERROR_FLAG, REMOTE_FLAG = 1 << 29, 1 << 30
 
 
-class NoFrame(Enum):
-    """What a line can be beside a message."""
+def parse(line: bytes) -> can.Message | str:
+    """Return the message of a line, or what it is in its place: a kind of `goldfield.link.traffic`.
 
-    FOREIGN = auto()
-    """A frame that goldfield does not use: 11-bit, remote, error, or of CAN FD."""
-    UNREADABLE = auto()
-    """No line of candump, or one that is torn."""
-
-
-def parse(line: bytes) -> can.Message | NoFrame:
-    """Return the message of a line, or why there is none.
+    A line that is none of candump's, or torn, is `CORRUPT`.
 
     Examples
     --------
     >>> parse(b"(1.500000) can0 2000064#7C00").arbitration_id
     33554532
     >>> parse(b"  can0  7A1   [2]  11 22")
-    <NoFrame.FOREIGN: 1>
+    'frames with 11-bit identifiers'
     """
     line = COLOUR.sub(b"", line).strip()
     logged = LOGGED.fullmatch(line)
     found = logged or PRINTED.fullmatch(line)
     if found is None:
-        return NoFrame.UNREADABLE
+        return CORRUPT
     time_s = _time_s(found["time"])
     if time_s is None:
-        return NoFrame.UNREADABLE
+        return CORRUPT
     identifier, text = int(found["id"], 16), found["data"]
-    if (
-        len(found["id"]) <= STANDARD_DIGITS
-        or identifier & (ERROR_FLAG | REMOTE_FLAG)
-        or text[:1] in (b"#", b"R", b"r")  # FD, or remote
-        or (logged is None and int(found["length"] or 0) > 8)
-    ):
-        return NoFrame.FOREIGN
+    if identifier & ERROR_FLAG:
+        return ERROR
+    if text.startswith(b"#") or (logged is None and int(found["length"] or 0) > LONGEST):
+        return FD
+    if len(found["id"]) <= STANDARD_DIGITS:
+        return ELEVEN_BIT
+    if identifier & REMOTE_FLAG or text[:1] in (b"R", b"r"):
+        return REMOTE
     data = (LOGGED_DATA if logged else PRINTED_DATA).fullmatch(text)
     if data is None:
-        return NoFrame.UNREADABLE
+        return CORRUPT
     content = bytes.fromhex(data["bytes"].replace(b".", b"").decode("ascii"))
     if logged is None and found["length"] is not None and len(content) != int(found["length"]):
-        return NoFrame.UNREADABLE
+        return CORRUPT
     return can.Message(
         timestamp=time_s,
         arbitration_id=identifier & 0x1FFFFFFF,

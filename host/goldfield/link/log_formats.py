@@ -15,7 +15,8 @@ import can
 
 from goldfield.errors import UserError
 from goldfield.files.inputs import STREAM
-from goldfield.link.candump import NoFrame, parse
+from goldfield.link.candump import LONGEST, parse
+from goldfield.link.traffic import CORRUPT, ERROR, FD, kind_of
 
 HEAD = 256
 """Bytes at the begin of a file that tell its format."""
@@ -28,7 +29,7 @@ PATIENCE = 4_000_000
 
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
-Frames = Iterator[can.Message | NoFrame]
+Frames = Iterator[can.Message | str]
 
 
 class _Damaged(Exception):
@@ -40,7 +41,7 @@ DAMAGE = (_Damaged, EOFError, zlib.error, gzip.BadGzipFile, UnicodeError)
 
 
 def frames(path: str, file: BinaryIO) -> Frames:
-    """Yield the messages of a log of any format, and a `NoFrame` for whatever else is in it.
+    """Yield the messages of a log of any format, and for whatever else is in it its kind, as `candump.parse`.
 
     Parameters
     ----------
@@ -99,26 +100,23 @@ def _of_reader(make: Callable[[], Any]) -> Frames:
     try:
         with make() as reader:
             for message in reader:
-                yield message if _is_used(message) else NoFrame.FOREIGN
+                yield _kind_of(message) or message
     except UserError:
         raise
     except Exception as error:  # each format raises its own kinds at what is torn
         raise _Damaged from error
 
 
-def _is_used(message: can.Message) -> bool:
-    return (
-        message.is_extended_id
-        and not (message.is_error_frame or message.is_remote_frame or message.is_fd)
-        and len(message.data) <= 8
-    )
+def _kind_of(message: can.Message) -> str | None:
+    """Return the kind of a frame that is no message of ours; some formats do not tell that a frame is of CAN FD."""
+    return FD if len(message.data) > LONGEST else kind_of(message)
 
 
 def _of_candump(stream: BinaryIO, encoding: str) -> Frames:
     barren = 0
-    frame: can.Message | NoFrame = NoFrame.UNREADABLE
+    frame: can.Message | str = CORRUPT
     for line in _lines(stream, encoding):
-        if line.strip() and not (frame is NoFrame.FOREIGN and line[:1] == b"\t"):  # candump -e explains an error frame
+        if line.strip() and not (frame == ERROR and line[:1] == b"\t"):  # candump -e explains an error frame
             frame = parse(line)
             yield frame
             barren = -PATIENCE if isinstance(frame, can.Message) else barren + len(line)
@@ -184,12 +182,12 @@ def _of_lines(stream: BinaryIO, encoding: str, make: Callable[[Any], Any]) -> Fr
     while True:
         try:
             for message in reader:
-                yield message if _is_used(message) else NoFrame.FOREIGN
+                yield _kind_of(message) or message
             if lines.torn:
-                yield NoFrame.UNREADABLE
+                yield CORRUPT
             return
         except (ValueError, IndexError, KeyError, TypeError, OverflowError):
-            yield NoFrame.UNREADABLE
+            yield CORRUPT
             lines.begin_again()
 
 
@@ -214,9 +212,9 @@ def _of_csv(stream: BinaryIO, encoding: str) -> Frames:
                 check=True,
             )
         except ValueError:
-            yield NoFrame.UNREADABLE
+            yield CORRUPT
             continue
-        yield message if _is_used(message) else NoFrame.FOREIGN
+        yield _kind_of(message) or message
 
 
 logging.getLogger("can.io").addHandler(logging.NullHandler())  # what a reader leaves out is counted here

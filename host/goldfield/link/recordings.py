@@ -10,8 +10,8 @@ import can
 from goldfield.errors import SystemFailure, UserError, tell
 from goldfield.files.inputs import STREAM, name_of, open_input, reason_of
 from goldfield.files.outputs import OutputFile
-from goldfield.link.candump import NoFrame
 from goldfield.link.log_formats import DAMAGE, frames
+from goldfield.link.traffic import CORRUPT, no_traffic
 
 CHANNEL = "goldfield"
 
@@ -30,10 +30,8 @@ class CandumpReader:
     ----------
     name : str
         The path, for messages.
-    bad_lines : int
-        Lines so far that cannot be read: torn or corrupt.
-    foreign : int
-        Frames so far that are none of ours: with an 11-bit identifier, remote, error and FD frames.
+    traffic : dict of str to int
+        What came so far and is no data frame with a 29-bit identifier, by kind (`goldfield.link.traffic`).
 
     Raises
     ------
@@ -43,8 +41,7 @@ class CandumpReader:
 
     def __init__(self, path: str | Path) -> None:
         self.name = name_of(path)
-        self.bad_lines = 0
-        self.foreign = 0
+        self.traffic = no_traffic()
         self._path = str(path)
         self._first_bad: int | None = None
         self._count = 0
@@ -67,8 +64,9 @@ class CandumpReader:
         if self._told or not self._count:
             return
         self._told = True
-        if self.bad_lines:
-            lines = "1 line" if self.bad_lines == 1 else f"{self.bad_lines} lines"
+        bad_lines = self.traffic[CORRUPT]
+        if bad_lines:
+            lines = "1 line" if bad_lines == 1 else f"{bad_lines} lines"
             tell(f"{self.name}: {lines} could not be read and were left out (first: number {self._first_bad})")
 
     def _messages(self) -> Iterator[can.Message]:
@@ -78,10 +76,9 @@ class CandumpReader:
                 if isinstance(frame, can.Message):
                     self._count += 1
                     yield frame
-                elif frame is NoFrame.FOREIGN:
-                    self.foreign += 1
-                else:
-                    self.bad_lines += 1
+                    continue
+                self.traffic[frame] += 1
+                if frame == CORRUPT:
                     self._first_bad = self._first_bad or number
         except DAMAGE:
             tell(f"{self.name}: is damaged or was cut off behind {self._count} messages, which are used")

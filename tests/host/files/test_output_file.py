@@ -11,6 +11,7 @@ from goldfield import Fields, load_site, read_fields
 from goldfield.errors import SystemFailure, UserError
 from goldfield.files.outputs import OutputFile, check_outputs, write_file
 from goldfield.link.recordings import CandumpReader, CandumpWriter
+from goldfield.link.traffic import CORRUPT
 from goldfield.sensor.fields_table import FieldsWriter
 from tests.host.fake_sensor import SITE
 from tests.host.link.test_log_formats import MESSAGES
@@ -176,7 +177,7 @@ def test_a_recording_that_is_killed_at_any_moment_opens_and_has_all_messages(tmp
         os.close(reading)
         reader = CandumpReader(path)
         kept = list(reader)
-        assert reader.bad_lines <= 1
+        assert reader.traffic[CORRUPT] <= 1
         assert len(kept) >= int(told) + 1
         assert kept[-1].timestamp >= 0.001 * int(told) - 1e-6
 

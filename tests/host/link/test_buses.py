@@ -15,6 +15,7 @@ from can.interfaces.udp_multicast.utils import pack_message
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link import buses
 from goldfield.link.buses import BusSource, LogSource, open_can, open_port
+from goldfield.link.recordings import CandumpReader
 from goldfield.link.traffic import CORRUPT, ELEVEN_BIT, ERROR, FD, GARBLED, REMOTE
 from goldfield_protocol import encode_frame
 
@@ -56,17 +57,18 @@ def counted(source):
 
 
 @pytest.mark.parametrize("kind", OTHERS)
-def test_frames_that_are_never_ours_are_counted_by_kind(kind):
+def test_frames_that_are_never_ours_are_counted_by_kind(kind, tmp_path):
     source = BusSource(ScriptedBus(OTHERS[kind], OTHERS[kind], GOOD), "bus")
     assert source.receive(5.0) is GOOD
     assert counted(source) == {kind: 2}
     source.close()
 
-    class Reader(list):
-        name, bad_lines = "x.log", 0
-
-    log = LogSource(Reader([OTHERS[kind], GOOD, OTHERS[kind]]))
-    assert [log.receive(0.0), log.receive(0.0)] == [GOOD, None]
+    with can.Logger(tmp_path / "x.log") as writer:
+        for message in (OTHERS[kind], GOOD, OTHERS[kind]):
+            writer.on_message_received(message)
+    log = LogSource(CandumpReader(tmp_path / "x.log"))
+    first = log.receive(0.0)
+    assert (first.arbitration_id, first.data, log.receive(0.0)) == (GOOD.arbitration_id, GOOD.data, None)
     assert counted(log) == {kind: 2}
 
 

@@ -8,8 +8,9 @@ import can
 import pytest
 
 from goldfield.errors import UserError
-from goldfield.link.candump import NoFrame, parse
+from goldfield.link.candump import parse
 from goldfield.link.recordings import CandumpReader, CandumpWriter
+from goldfield.link.traffic import CORRUPT, ELEVEN_BIT, ERROR, FD, REMOTE
 from tests.host.fake_sensor import cycle_messages, heartbeat
 
 START_S = 1795817432.676801
@@ -25,6 +26,10 @@ def read(path):
     reader = CandumpReader(path)
     messages = list(reader)
     return reader, [(m.arbitration_id, bytes(m.data)) for m in messages]
+
+
+def counted(reader):
+    return {kind: count for kind, count in reader.traffic.items() if count}
 
 
 def hex_of(message, separator=""):
@@ -60,7 +65,7 @@ def test_every_spelling_of_candump_gives_the_same_messages(tmp_path, capsys, spe
     path.write_text("".join(SPELLINGS[spelling](m, m.timestamp) + "\n" for m in MESSAGES))
     reader, found = read(path)
     assert found == WANTED
-    assert (reader.bad_lines, reader.foreign, capsys.readouterr().err) == (0, 0, "")
+    assert (counted(reader), capsys.readouterr().err) == ({}, "")
 
 
 LOGGED = "".join(SPELLINGS["-L"](m, m.timestamp) + "\n" for m in MESSAGES)
@@ -80,7 +85,7 @@ def test_every_encoding_under_any_name(tmp_path, encoding, name):
     (tmp_path / name).write_bytes(ENCODINGS[encoding])
     reader, found = read(tmp_path / name)
     assert found == WANTED
-    assert reader.bad_lines == 0
+    assert counted(reader) == {}
 
 
 @pytest.mark.parametrize("suffix", [".asc", ".blf", ".csv", ".db", ".trc", ".log"])
@@ -92,7 +97,7 @@ def test_what_python_can_writes(tmp_path, suffix):
         writer.on_message_received(can.Message(timestamp=START_S + 1.0, arbitration_id=0x123, is_extended_id=False))
     reader, found = read(path)
     assert found == WANTED
-    assert (reader.bad_lines, reader.foreign) == (0, 1)
+    assert counted(reader) == {ELEVEN_BIT: 1}
     if suffix not in (".db",):
         (tmp_path / "packed").write_bytes(gzip.compress(path.read_bytes()))
         assert read(tmp_path / "packed")[1] == WANTED
@@ -111,18 +116,18 @@ def test_mf4_needs_a_package_that_is_named(tmp_path, monkeypatch):
         read(tmp_path / "a.mf4")
 
 
-OTHERS = [
-    "(0.1) can0 123#DEADBEEF",
-    "(0.1) can0 20000004#0001000000000000",
-    "(0.1) can0 18DAF110#R8",
-    "(0.1) can0 18DAF110#R",
-    "(0.1) can0 7A1##1" + "00" * 64,
-    "(0.1) can0 18DAF110##1" + "00" * 12,
-    " (0.1)  can0  123   [4]  DE AD BE EF",
-    " (0.1)  can0  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME",
-    " (0.1)  can0  18DAF110   [8]  remote request",
-    " (0.1)  can0  18DAF110  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B",
-]
+OTHERS = {
+    "(0.1) can0 123#DEADBEEF": ELEVEN_BIT,
+    "(0.1) can0 20000004#0001000000000000": ERROR,
+    "(0.1) can0 18DAF110#R8": REMOTE,
+    "(0.1) can0 18DAF110#R": REMOTE,
+    "(0.1) can0 7A1##1" + "00" * 64: FD,
+    "(0.1) can0 18DAF110##1" + "00" * 12: FD,
+    " (0.1)  can0  123   [4]  DE AD BE EF": ELEVEN_BIT,
+    " (0.1)  can0  20000004   [8]  00 01 00 00 00 00 00 00   ERRORFRAME": ERROR,
+    " (0.1)  can0  18DAF110   [8]  remote request": REMOTE,
+    " (0.1)  can0  18DAF110  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B": FD,
+}
 TORN = [
     "(0.1) can0 02000064#7C008",
     "(0.1) can0 02000064",
@@ -139,10 +144,10 @@ TORN = [
 
 @pytest.mark.parametrize("line", OTHERS)
 def test_other_traffic_is_no_corruption(tmp_path, capsys, line):
-    assert parse(line.encode()) is NoFrame.FOREIGN
+    assert parse(line.encode()) == OTHERS[line]
     (tmp_path / "a.log").write_text(LOGGED + line + "\n" + LOGGED)
     reader, found = read(tmp_path / "a.log")
-    assert (found, reader.foreign, reader.bad_lines) == (WANTED * 2, 1, 0)
+    assert (found, counted(reader)) == (WANTED * 2, {OTHERS[line]: 1})
     assert capsys.readouterr().err == ""
 
 
@@ -150,7 +155,7 @@ def test_other_traffic_is_no_corruption(tmp_path, capsys, line):
 def test_lines_that_cannot_be_read_are_counted_and_told(tmp_path, capsys, line):
     (tmp_path / "a.log").write_text(LOGGED + line + "\n" + line + "\n" + LOGGED)
     reader, found = read(tmp_path / "a.log")
-    assert (found, reader.foreign, reader.bad_lines) == (WANTED * 2, 0, 2)
+    assert (found, counted(reader)) == (WANTED * 2, {CORRUPT: 2})
     number = len(MESSAGES) + 1
     assert f"a.log: 2 lines could not be read and were left out (first: number {number})\n" in capsys.readouterr().err
 
@@ -192,7 +197,7 @@ def test_a_bad_line_in_the_middle_costs_that_line(tmp_path, suffix):
     )
     reader, found = read(path)
     assert found == WANTED
-    assert reader.bad_lines == 1
+    assert counted(reader) == {CORRUPT: 1}
 
 
 def test_an_endless_file_is_no_log():

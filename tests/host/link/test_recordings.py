@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from goldfield.errors import UserError
 from goldfield.link.recordings import CandumpReader, CandumpWriter
+from goldfield.link.traffic import CORRUPT
 
 MESSAGES = [
     can.Message(timestamp=1795371886.387772, arbitration_id=0x08000064, data=bytes(range(8))),
@@ -51,7 +52,7 @@ def test_garbage_costs_only_its_lines(tmp_path_factory, garbage):
     read = [key(m) for m in reader]
     assert read[:2] == [key(m) for m in MESSAGES]
     assert read[-2:] == [key(m) for m in MESSAGES]
-    assert reader.bad_lines >= (len(read) == 4 and bool(garbage.strip()))
+    assert reader.traffic[CORRUPT] >= (len(read) == 4 and bool(garbage.strip()))
 
 
 def test_a_torn_last_line_is_counted(tmp_path):
@@ -60,7 +61,7 @@ def test_a_torn_last_line_is_counted(tmp_path):
     path.write_bytes(path.read_bytes()[:-20])
     reader = CandumpReader(path)
     assert [key(m) for m in reader] == [key(MESSAGES[0])]
-    assert reader.bad_lines == 1
+    assert reader.traffic[CORRUPT] == 1
 
 
 @pytest.mark.parametrize(
@@ -112,7 +113,7 @@ def test_a_full_disk_stops_the_recording_but_neither_the_run_nor_what_was_writte
     reader = CandumpReader(path)
     assert [m.arbitration_id for m in reader] == list(range(len(path.read_bytes().splitlines())))
     assert path.stat().st_size > 400
-    assert reader.bad_lines == 0
+    assert reader.traffic[CORRUPT] == 0
 
 
 def test_a_message_is_in_the_file_as_soon_as_it_is_written(tmp_path):
