@@ -20,7 +20,7 @@ from typing import Any
 
 from goldfield.cli import main as goldfield_main
 from goldfield.cli.options import add_force
-from goldfield.files.outputs import OutputFile, check_outputs, write_file
+from goldfield.files.outputs import OutputFile, check_outputs, holds, write_file
 from hil_sim.links.can_bridge import CanBridge
 from hil_sim.links.port_name import PortName
 from hil_sim.links.pseudo_terminal import PseudoTerminal
@@ -148,14 +148,17 @@ def run(arguments: argparse.Namespace) -> int:
         A board stopped, or the channel is gone.
     """
     scenario = load_scenario(arguments.scenario)
-    outputs = {"--site": arguments.site, "--truth": arguments.truth, "--link": arguments.link}
-    check_outputs(outputs, {"SCENARIO": arguments.scenario}, force=arguments.force)
+    site_file = site_toml(scenario).encode()
+    force_site = arguments.force or (arguments.site is not None and holds(arguments.site, site_file))
+    check_outputs({"--site": arguments.site}, {"SCENARIO": arguments.scenario}, force=force_site)
+    outputs = {"--truth": arguments.truth, "--link": arguments.link}
+    check_outputs(outputs, {"SCENARIO": arguments.scenario, "--site": arguments.site}, force=arguments.force)
     with ExitStack() as stack:
         stack.enter_context(_interrupted_by_termination())
         site = arguments.site
         if site is None:
             site = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="goldfield-"))) / "site.toml"
-        write_file(site, site_toml(scenario).encode(), "the site file", force=arguments.force)
+        write_file(site, site_file, "the site file", force=force_site)
         bridge = None
         if arguments.can != NO_CAN:
             bridge = CanBridge(arguments.can)
@@ -171,9 +174,9 @@ def run(arguments: argparse.Namespace) -> int:
             file = stack.enter_context(OutputFile(arguments.truth, "the truth", live=True, force=arguments.force))
             tell_truth = _line_writer(file)
         channel = NO_CAN if bridge is None else bridge.channel
-        _announce(arguments, scenario, channel, names, site)
         pace = Pace(arguments.pace)
         try:
+            _announce(arguments, scenario, channel, names, site)
             _serve(arguments, rig, terminals, bridge, tell_truth, pace)
         except KeyboardInterrupt:
             pass

@@ -12,6 +12,9 @@ from goldfield.errors import UserError, tell
 from goldfield.files.environment import switched_on
 from goldfield.site import Site
 
+MOST_DOUBTS = 3
+"""Unusual values of a site file that are told one by one."""
+
 
 def add(
     parser: argparse.ArgumentParser, name: str, *, metavar: str, what: str, kind: Callable[[str], Any] = str
@@ -68,9 +71,11 @@ def tell_assumed(site: Site) -> None:
 
 
 def tell_doubts(site: Site) -> None:
-    """Say once, on stderr, which values of the site file are unusual."""
-    for doubt in site.doubts:
+    """Say once, on stderr, which values of the site file are unusual: the first few, since often all are alike."""
+    for doubt in site.doubts[:MOST_DOUBTS]:
         tell(doubt)
+    if len(site.doubts) > MOST_DOUBTS:
+        tell(f"{len(site.doubts) - MOST_DOUBTS} more values of the site file are unusual")
 
 
 def environment_name(option: str) -> str:

@@ -275,6 +275,16 @@ def write_file(path: str | Path, data: bytes, what: str, *, force: bool = False)
         file.write(data)
 
 
+def holds(path: str | Path, data: bytes) -> bool:
+    """Tell whether a regular file holds exactly these bytes: to write them again replaces nothing."""
+    status = _status(str(path))
+    if status is None or not stat.S_ISREG(status.st_mode) or status.st_size != len(data):
+        return False
+    with suppress(OSError):
+        return Path(path).read_bytes() == data
+    return False
+
+
 def _locked(file: BinaryIO, name: str) -> BinaryIO:
     """Claim a file for this program, as long as it is open."""
     try:

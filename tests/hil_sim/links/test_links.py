@@ -284,7 +284,8 @@ def test_a_value_that_no_bench_has_is_refused(capsys, option, value, sentence):
         command.main(["prigge8", option, value])
     assert ended.value.code == 2
     said = capsys.readouterr().err
-    assert f"argument {option}: '{value}' {sentence}" in said
+    assert f"argument {option}: '{value[:100]}" in said
+    assert f"' {sentence}" in said
     assert said.count("\n") == 1
 
 

@@ -6,6 +6,7 @@ process; the few that need streams or signals of their own are in `test_hostile_
 
 import itertools
 import os
+import re
 import shutil
 
 import pytest
@@ -142,6 +143,17 @@ def test_an_unusual_number_is_told(room, tmp_path, capsys, key, value, words):
     code, captured = outcome(capsys, ["locate", "--site", tmp_path / "site.toml", room / "fields.csv"])
     assert code == 0
     assert words in captured.err
+
+
+@pytest.mark.parametrize(("unusual", "lines", "rest"), [(3, 3, ""), (4, 3, "1 more values of the site file are")])
+def test_many_unusual_numbers_are_told_in_few_lines(room, tmp_path, capsys, unusual, lines, rest):
+    begin, *beacons = GOOD_SITE.split("[[beacon]]")
+    beacons[:unusual] = [re.sub(r"current_A = .*", "current_A = 500.0", beacon) for beacon in beacons[:unusual]]
+    (tmp_path / "site.toml").write_text("[[beacon]]".join([begin, *beacons]))
+    code, captured = outcome(capsys, ["locate", "--site", tmp_path / "site.toml", room / "fields.csv"])
+    assert code == 0
+    assert captured.err.count("which is unusual") == lines
+    assert ("more values" in captured.err, rest in captured.err) == (bool(rest), True)
 
 
 TEXTS = {

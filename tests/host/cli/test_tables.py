@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from goldfield.cli import main
 from goldfield.cli.entry import _complain, build_parser
+from goldfield_protocol import protocol_hash
 from tests.host.fake_sensor import ATTITUDE, CHIPS, POSITION_M, SITE, beacon_fields
 
 FIELD_COLUMNS = "epoch,t_s,beacon,bx_T,by_T,bz_T"
@@ -296,7 +297,7 @@ def test_usage_errors_are_one_line(arguments, words):
 
 def test_version_and_a_reader_that_goes_away(tmp_path):
     done = subprocess.run([sys.executable, "-m", "goldfield", "--version"], capture_output=True, text=True, check=True)
-    assert done.stdout == "goldfield 0.1.0\n"
+    assert done.stdout == f"goldfield 0.1.0, protocol {protocol_hash():#010x}\n"
     path = tmp_path / "many.csv"
     path.write_text("\n".join([FIELD_COLUMNS, *(f"{i},0,b1,,," for i in range(20000))]))
     command = [sys.executable, "-m", "goldfield", "locate", "--site", str(SITE), str(path), "--json"]

@@ -97,8 +97,8 @@ def test_codes_that_cannot_be_separated_are_one_sentence(tmp_path, capsys):
     moment = np.array([0.0, 0.0, 1.0])
     for code in range(33):
         place = np.array([0.5 * (code % 6), 0.5 * (code // 6), 0.1 * (code % 5)])
-        text += f"[[beacon]]\nid = 'x{code}'\nposition_m = {place.tolist()}\naxis = [0.0, 0.0, 1.0]\nturns = 1\n"
-        text += f"radius_m = 0.01\ncurrent_A = {1 / (np.pi * 1e-4)!r}\ncode = {code}\n"
+        text += f"[[beacon]]\nid = 'x{code}'\nposition_m = {place.tolist()}\naxis = [0.0, 0.0, 1.0]\nturns = 100\n"
+        text += f"radius_m = 0.01\ncurrent_A = {1 / (np.pi * 1e-2)!r}\ncode = {code}\n"
         offset = np.array([1.2, 1.3, 1.1]) - place
         distance = np.linalg.norm(offset)
         field = 1e-7 * (3 * offset * (moment @ offset) / distance**2 - moment) / distance**3
@@ -150,12 +150,8 @@ def test_parts_are_used_where_they_came_whole(tmp_path, capsys, monkeypatch):
     assert {line["status"] for line in lines} == {"ok"}
     assert rms_error(lines[3:]) < 0.02
     kinds = dict(seen)
-    assert {epoch for epoch, kind in kinds.items() if kind == "Fields"} == {
-        0,
-        5,
-        8,
-    }  # 0: its EPOCH first tells the log's sensor
-    assert {kind for epoch, kind in kinds.items() if epoch not in (0, 5, 8)} == {"CycleData"}
+    assert {epoch for epoch, kind in kinds.items() if kind == "Fields"} == {5, 8}
+    assert {kind for epoch, kind in kinds.items() if epoch not in (5, 8)} == {"CycleData"}
     path.write_text(log_of(range(12)))
     assert main(["run", "--site", str(SITE), "--log", str(path), "--json", "--track"]) == 0
     assert [line["status"] for line in poses(capsys)] == ["ok"] * 12
