@@ -7,34 +7,15 @@ command's line in ``goldfield --help``. Also ``python -m hil_sim.command``.
 from __future__ import annotations
 
 import argparse
-import json
 import math
-import signal
 import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from goldfield.cli import main as goldfield_main
 from goldfield.cli.options import add_force
-from goldfield.files.outputs import OutputFile, check_outputs, holds, write_file
-from hil_sim.links.can_bridge import CanBridge
-from hil_sim.links.port_name import PortName
-from hil_sim.links.pseudo_terminal import PseudoTerminal
-from hil_sim.links.read_command import read_command
-from hil_sim.rig import SENSOR, Rig
-from hil_sim.rig.boards import KINDS
-from hil_sim.scenario import Scenario, load_scenario, site_toml
-
-SLICE_S = 0.005
-"""Virtual time between two services of the links."""
-PROGRESS_S = 5.0
-LONGEST_S = 5e6
-"""Virtual time in which a run ends by itself: its picoseconds have 63 bits, which hold 106 days."""
-NO_CAN = "none"
+from hil_sim import KINDS, LONGEST_S, NO_CAN
 
 
 def command(subparsers: Any) -> None:
@@ -111,174 +92,11 @@ def _seed(text: str) -> int:
     return int(text)
 
 
-class Pace:
-    """Keeps virtual time from running ahead of the wall clock.
-
-    Parameters
-    ----------
-    factor : float
-        Virtual seconds a second; 0: no limit.
-    """
-
-    def __init__(self, factor: float) -> None:
-        self._factor = factor
-        self._start = time.monotonic()
-
-    @property
-    def elapsed_s(self) -> float:
-        """Wall time since the start."""
-        return time.monotonic() - self._start
-
-    def wait(self, virtual_s: float) -> None:
-        """Sleep until the wall clock has caught up."""
-        if self._factor > 0.0:
-            ahead = virtual_s / self._factor - self.elapsed_s
-            if ahead > 0.0:
-                time.sleep(ahead)
-
-
 def run(arguments: argparse.Namespace) -> int:
-    """Run the bench until its time is over or it is interrupted.
+    """Run the bench."""
+    from hil_sim.links.serve import serve  # heavy: only when a bench is wanted
 
-    Raises
-    ------
-    UserError
-        Bad scenario, channel or name.
-    SystemFailure
-        A board stopped, or the channel is gone.
-    """
-    scenario = load_scenario(arguments.scenario)
-    site_file = site_toml(scenario).encode()
-    force_site = arguments.force or (arguments.site is not None and holds(arguments.site, site_file))
-    check_outputs({"--site": arguments.site}, {"SCENARIO": arguments.scenario}, force=force_site)
-    outputs = {"--truth": arguments.truth, "--link": arguments.link}
-    check_outputs(outputs, {"SCENARIO": arguments.scenario, "--site": arguments.site}, force=arguments.force)
-    with ExitStack() as stack:
-        stack.enter_context(_interrupted_by_termination())
-        site = arguments.site
-        if site is None:
-            site = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="goldfield-"))) / "site.toml"
-        write_file(site, site_file, "the site file", force=force_site)
-        bridge = None
-        if arguments.can != NO_CAN:
-            bridge = CanBridge(arguments.can)
-            stack.callback(bridge.close)
-        rig = stack.enter_context(Rig(scenario, arguments.boards, arguments.seed, host_on_can=bridge is not None))
-        terminals = {}
-        for board in rig.sensing:
-            terminals[board] = PseudoTerminal()
-            stack.callback(terminals[board].close)
-        names = {board: _named(arguments.link, terminals[board], scenario, board, stack) for board in terminals}
-        tell_truth: Callable[[str], None] | None = _print_line if arguments.json else None
-        if arguments.truth is not None:
-            file = stack.enter_context(OutputFile(arguments.truth, "the truth", live=True, force=arguments.force))
-            tell_truth = _line_writer(file)
-        channel = NO_CAN if bridge is None else bridge.channel
-        pace = Pace(arguments.pace)
-        try:
-            _announce(arguments, scenario, channel, names, site)
-            _serve(arguments, rig, terminals, bridge, tell_truth, pace)
-        except KeyboardInterrupt:
-            pass
-        finally:
-            _summarise(arguments, rig, sum(terminal.lost for terminal in terminals.values()), bridge, pace)
-    return 0
-
-
-def _named(link: Path | None, terminal: PseudoTerminal, scenario: Scenario, board: int, stack: ExitStack) -> str:
-    """Give a board's port its stable name, if one is wanted; return the name by which it is told."""
-    if link is None:
-        return terminal.path
-    path = link if board == SENSOR else link.with_name(f"{link.name}.{scenario.beacons[board - 1].node}")
-    stack.callback(PortName(path, terminal.path).close)
-    return str(path)
-
-
-def _serve(
-    arguments: argparse.Namespace,
-    rig: Rig,
-    terminals: Mapping[int, PseudoTerminal],
-    bridge: CanBridge | None,
-    tell_truth: Callable[[str], None] | None,
-    pace: Pace,
-) -> None:
-    end_s = LONGEST_S if arguments.seconds is None else arguments.seconds
-    slices = 0
-    next_progress_s = PROGRESS_S
-    while slices * SLICE_S < end_s:
-        for board, terminal in terminals.items():
-            rig.serial_write(terminal.read(), board)
-        if bridge is not None:
-            bridge.to_boards(rig)
-        slices += 1
-        rig.run_until(round(min(slices * SLICE_S, end_s) * 1e12))
-        for line in rig.truth():  # before the messages: who has read a cycle finds its truth
-            if tell_truth is not None:
-                tell_truth(json.dumps(line.as_dict()))
-        for board, terminal in terminals.items():
-            terminal.write(rig.serial_read(board), wait=arguments.pace == 0.0)
-        if bridge is not None:
-            bridge.to_host(rig)
-        pace.wait(rig.now_s)
-        if not arguments.json and rig.now_s >= next_progress_s:
-            next_progress_s += PROGRESS_S
-            print(f"{rig.now_s:8.1f} s, {rig.now_s / pace.elapsed_s:.2f} virtual seconds a second", flush=True)
-
-
-def _announce(
-    arguments: argparse.Namespace, scenario: Scenario, channel: str, serial: Mapping[int, str], site: Path
-) -> None:
-    anchors = {scenario.beacons[board - 1]: path for board, path in serial.items() if board != SENSOR}
-    reads = read_command("--port", str(Path(serial[SENSOR]).absolute()), site=site)
-    if arguments.json:
-        first: dict[str, Any] = {"serial": serial[SENSOR], "can": channel, "scenario": arguments.scenario}
-        first |= {"boards": arguments.boards, "read": reads}
-        if anchors:
-            first["anchors"] = {anchor.id: {"node": anchor.node, "serial": path} for anchor, path in anchors.items()}
-        print(json.dumps(first), flush=True)
-        return
-    print(f"serial {serial[SENSOR]}, CAN {channel}: {arguments.scenario} with {arguments.boards} boards", flush=True)
-    for anchor, path in anchors.items():
-        print(f"serial {path}: anchor {anchor.id}, node {anchor.node}", flush=True)
-    print(f"poses: {reads}", flush=True)
-    if channel != NO_CAN:
-        print(f"by CAN: {read_command('--can', channel, site=site)}", flush=True)
-
-
-def _summarise(arguments: argparse.Namespace, rig: Rig, lost: int, bridge: CanBridge | None, pace: Pace) -> None:
-    elapsed_s = pace.elapsed_s
-    line = f"{rig.now_s:.3f} virtual seconds in {elapsed_s:.3f} s: {rig.now_s / elapsed_s:.2f} virtual seconds a second"
-    if lost:
-        line += f"; {lost} serial bytes lost to a slow reader"
-    if bridge is not None:
-        line += f"; CAN: {bridge.taken} frames from outside, {bridge.refused} refused"
-        line += f", {bridge.lost} to outside lost" if bridge.lost else ""
-    print(line, file=sys.stderr if arguments.json else sys.stdout, flush=True)
-
-
-def _print_line(line: str) -> None:
-    print(line, flush=True)
-
-
-def _line_writer(file: OutputFile) -> Callable[[str], None]:
-    """Return what appends a line to a file, which ends the run if the file cannot be written."""
-    return lambda line: file.write(f"{line}\n".encode())
-
-
-@contextmanager
-def _interrupted_by_termination() -> Iterator[None]:
-    """Let SIGTERM, and a terminal that is closed, end the run as Ctrl-C does."""
-
-    def interrupt(_number: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    wanted = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, interrupt) for number in wanted}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    return serve(arguments)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -26,8 +26,8 @@ import pytest
 
 from goldfield import site as sites
 from goldfield.errors import SystemFailure, UserError, option
+from hil_sim import KINDS
 from hil_sim.bench import Bench, RealBench, SimulatedBench
-from hil_sim.rig.boards import KINDS
 
 RIG_OPTION, SITE_OPTION = "--goldfield-rig", "--goldfield-site"
 RIGS = "emulated, host, serial:PATH or can:INTERFACE:CHANNEL"

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from goldfield.errors import SystemFailure, UserError
-from hil_sim import clib
+from hil_sim import KINDS, clib
 from hil_sim.emulator import Configuration, Emulator
 from hil_sim.emulator.emulator import LIBRARY as EMULATOR_LIBRARY
 from hil_sim.scenario import Clock
 
 HOST_LIBRARY = "libgf_hostboard.so"
-KINDS = ("emulated", "host")
 
 
 @dataclass(frozen=True)

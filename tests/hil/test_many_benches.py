@@ -20,9 +20,9 @@ from goldfield.locate import locate
 from goldfield.types import Status
 from goldfield_protocol import FrameDecoder, decode, encode
 from hil_sim.clib import ROOT
-from hil_sim.command import SLICE_S
 from hil_sim.links.can_bridge import OWN, CanBridge
 from hil_sim.links.pseudo_terminal import PseudoTerminal
+from hil_sim.links.serve import SLICE_S
 from hil_sim.rig import Rig
 from hil_sim.scenario import load_scenario, site_toml
 from tests.hil.garbage_sender import AT_A_CHANNEL, GarbageSender

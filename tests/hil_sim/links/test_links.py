@@ -20,6 +20,7 @@ import goldfield
 from goldfield.errors import UserError
 from hil_sim import command
 from hil_sim.clib import ROOT
+from hil_sim.links import serve
 from hil_sim.links.port_name import PortName
 from hil_sim.links.pseudo_terminal import WAITING_LIMIT, PseudoTerminal
 from hil_sim.links.read_command import read_command
@@ -346,7 +347,7 @@ def test_a_bench_without_a_site_option_has_a_site_file_while_it_runs(tmp_path, m
         path = shlex.split(capsys.readouterr().out.splitlines()[1])[-1]
         told[path] = goldfield.load_site(path)
 
-    monkeypatch.setattr(command, "_serve", look)
+    monkeypatch.setattr(serve, "_serve", look)
     run_command(tmp_path, monkeypatch, capsys)
     ((path, site),) = told.items()
     assert site.name == "small"
@@ -355,9 +356,9 @@ def test_a_bench_without_a_site_option_has_a_site_file_while_it_runs(tmp_path, m
 
 def test_pace_never_runs_ahead(monkeypatch):
     clock = [100.0]
-    monkeypatch.setattr(command.time, "monotonic", lambda: clock[0])
-    monkeypatch.setattr(command.time, "sleep", lambda seconds: clock.__setitem__(0, clock[0] + seconds))
-    pace = command.Pace(2.0)
+    monkeypatch.setattr(serve.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(serve.time, "sleep", lambda seconds: clock.__setitem__(0, clock[0] + seconds))
+    pace = serve.Pace(2.0)
     for slice_number in range(1, 101):
         pace.wait(0.01 * slice_number)
         assert pace.elapsed_s >= 0.01 * slice_number / 2.0 - 1e-9

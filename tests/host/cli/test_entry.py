@@ -110,8 +110,17 @@ def test_the_help_of_run_imports_run_alone():
     assert not modules & {"scipy.signal", "scipy.stats", "matplotlib", "hil_sim.command", "goldfield.cli.separate"}
 
 
-def test_separation_needs_no_signal_package():
-    assert "scipy.signal" not in modules_of("separate", "--help")
+@pytest.mark.parametrize("name", [*COMMANDS, "hil", "paper"])
+def test_the_help_of_no_command_imports_what_it_works_with(name):
+    assert not modules_of(name, "--help") & {"scipy", "matplotlib", "unicorn", "magpylib", "hil_sim.rig", "can"}
+
+
+def test_separation_needs_no_signal_package(tmp_path):
+    modules = modules_of(
+        "separate", "--site", str(ROOT / "host" / "sites" / "prigge8.toml"), str(tmp_path / "none.csv")
+    )
+    assert "goldfield.access.of_site" in modules
+    assert "scipy.signal" not in modules
 
 
 def test_the_help_lists_every_subcommand_with_a_line(capsys):
