@@ -161,7 +161,7 @@ def test_faults_beyond_the_declared_errors_are_found_and_errors_within_are_not()
     assert (sound.freedom == 3).all()
     assert sound.drop.mean() == pytest.approx(3.0, abs=0.15)  # means of chi-square with as many degrees
     assert sound.scale.mean() == pytest.approx(1.0, abs=0.1)
-    for mean, degrees in zip(sound.distortion.mean(axis=0), (1, 3, 6), strict=True):
+    for mean, degrees in zip(sound.distortion.mean(axis=0)[:3], (1, 3, 6), strict=True):
         assert mean == pytest.approx(degrees, abs=4.0 * np.sqrt(2.0 * degrees / len(position)))
     weak = run.field_T.copy()
     weak[:, 2] *= 0.7

@@ -61,9 +61,10 @@ def silent_statistics():
         np.zeros(shape),
         np.full(shape, 3),
         np.zeros(shape),
-        np.zeros(shape),
-        np.zeros((1, 3)),
-        np.array([[1, 3, 6]]),
+        np.zeros((*shape, 3)),
+        np.zeros((*shape, 3, 3)),
+        np.zeros((1, 4)),
+        np.array([[1, 3, 6, 1]]),
     )
 
 
@@ -76,6 +77,7 @@ def silent_statistics():
         ("gain", chi2.isf(0.2 * FALSE_ALARM, 1)),
         ("gains", chi2.isf(0.1 * FALSE_ALARM, 3)),
         ("distortion", chi2.isf(0.1 * FALSE_ALARM, 6)),
+        ("axis", chi2.isf(0.3 * FALSE_ALARM / 3, 1)),
     ],
 )
 @pytest.mark.parametrize(("share", "alarmed"), [(0.999, False), (1.001, True)])
@@ -89,7 +91,7 @@ def test_each_test_of_the_alarm(test, limit, share, alarmed):
     elif test == "strength":
         statistics.scale[0, 4] = value
     else:
-        statistics.distortion[0, ["gain", "gains", "distortion"].index(test)] = value
+        statistics.distortion[0, ["gain", "gains", "distortion", "axis"].index(test)] = value
     assert alarm(measurements, cost, statistics).tolist() == [alarmed]
 
 

@@ -276,7 +276,7 @@ class Kernel:
     ) -> tuple[FloatArray, NDArray[np.intp], FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.intp]]:
         """Return what `fault_statistics.fault_statistics` does, in its order."""
         count, coils = field_T.shape[:2]
-        shapes = ((coils,), (coils,), (coils,), (coils, 3), (coils, 3, 3), (3,), (3,))
+        shapes = ((coils,), (coils,), (coils,), (coils, 3), (coils, 3, 3), (4,), (4,))
         kinds = (float, np.int32, float, float, float, float, np.int32)
         tables: list[NDArray[Any]] = [np.empty((count, *k), dtype=t) for k, t in zip(shapes, kinds, strict=True)]
         out = _ffi.new("gf_fault_tables_t *")

@@ -91,6 +91,32 @@ static void compare(const gf_coils_t *coils, const gf_errors_t *errors, const do
 
 #define DISTORTIONS 6 /* Elements of a symmetric matrix. */
 
+/* The largest part of the cost that the gain of one axis takes away; its degrees of freedom, 1 or 0. The gain of one
+ * axis is a sum of the one gain and the two differences of gains; square2 is the square of the one gain's column, which
+ * what shows of an axis is held against: an axis that is not there leaves rounding only. */
+static double largest_of_axes(const double shown[DISTORTIONS][DISTORTIONS], const double along[DISTORTIONS],
+                              double square2, double least_share, int32_t *freedom) {
+    static const double axes[3][3] = {
+        {1.0 / 3.0, 0.5, 1.0 / 6.0}, {1.0 / 3.0, -0.5, 1.0 / 6.0}, {1.0 / 3.0, 0.0, -1.0 / 3.0}};
+    double largest = 0.0;
+    *freedom = 0;
+    for (size_t axis = 0; axis < 3; ++axis) {
+        double product = 0.0;
+        double left = 0.0;
+        for (size_t k = 0; k < 3; ++k) {
+            product += axes[axis][k] * along[k];
+            for (size_t l = 0; l < 3; ++l) {
+                left += axes[axis][k] * axes[axis][l] * shown[k][l];
+            }
+        }
+        if (left > least_share * square2) {
+            largest = fmax(largest, product * product / left);
+            *freedom = 1;
+        }
+    }
+    return largest;
+}
+
 /* What a beacon's components change by with each element of S in b = (1 + S) R'B: one gain, two differences of gains,
  * three angles between axes. */
 static void distort(const double modelled[3], const double measured[3], double column[3][DISTORTIONS]) {
@@ -167,8 +193,8 @@ static void distort_all(const gf_coils_t *coils, const gf_errors_t *errors, cons
 
 /* The statistics of the sensor from all residuals, its columns and tangents. */
 static void distortions_of(size_t components, const double *residual, double column[DISTORTIONS][3 * GF_MOST_COILS],
-                           double tangent[][6], const double shared[][GF_SHARED], double least_share, double drop[3],
-                           int32_t freedom[3]) {
+                           double tangent[][6], const double shared[][GF_SHARED], double least_share, double drop[4],
+                           int32_t freedom[4]) {
     double shown[DISTORTIONS][DISTORTIONS];
     double explained[DISTORTIONS][6] = {{0.0}};
     double spread[DISTORTIONS][GF_SHARED] = {{0.0}};
@@ -203,6 +229,7 @@ static void distortions_of(size_t components, const double *residual, double col
             }
         }
     }
+    drop[3] = largest_of_axes((const double(*)[DISTORTIONS])shown, along, square[0], least_share, &freedom[3]);
     eliminate(shown, along, square, least_share, drop, freedom);
 }
 
@@ -270,6 +297,6 @@ void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs
         double column[DISTORTIONS][3 * GF_MOST_COILS];
         distort_all(coils, errors, &pose, &around, column);
         distortions_of(3 * n, residual, column, around.weighted, (const double(*)[GF_SHARED])around.whitening.shared,
-                       least_share, out->distortion + 3 * e, out->distortion_freedom + 3 * e);
+                       least_share, out->distortion + 4 * e, out->distortion_freedom + 4 * e);
     }
 }

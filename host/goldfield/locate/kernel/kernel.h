@@ -89,9 +89,10 @@ typedef struct {
     double *scale;               /* e x n: part of the cost that another strength of the beacon takes away */
     double *separation_m;        /* e x n x 3: the position less that without the beacon */
     double *separation_cov_m2;   /* e x n x 3 x 3: covariance of this */
-    double *distortion;          /* e x 3: part of the cost that a distortion of the sensor takes away: one gain, one
-                                    gain an axis, any symmetric matrix */
-    int32_t *distortion_freedom; /* e x 3 */
+    double *distortion;          /* e x 4: part of the cost that a distortion of the sensor takes away: one gain, one
+                                    gain an axis, any symmetric matrix, and the gain of that one axis whose part is
+                                    the largest */
+    int32_t *distortion_freedom; /* e x 4 */
 } gf_fault_tables_t;
 
 /* Statistics of faults around fitted poses, of each beacon and of the sensor (goldfield.locate.fault_statistics, which
