@@ -56,7 +56,11 @@ ROUGH_ITERATIONS = 40
 """Evaluations for such a fit."""
 
 CANDIDATES = 8
-"""Candidates of the shell that are fitted roughly."""
+"""Candidates of the shell that are fitted roughly; four times as many, and then all that the evaluations allow, where
+the best of them is not likely: in a cube of eight coils some poses of a sensor with one axis need more than 128."""
+
+CANDIDATE_EVALUATIONS = 20
+"""Evaluations that such a fit takes."""
 
 FITTED = 8
 """Those that are fitted to the end."""
@@ -138,7 +142,8 @@ class Constellation:
         else:
             for e in further:
                 one = np.array([e])
-                solutions.put(one, self._search_shell(measurements.take(one), solutions.best.take(one)))
+                known = solutions.best.take(one)
+                solutions.put(one, self._search_shell(measurements.take(one), known, most_evaluations))
         if self.mirror is not None:
             self._reflect(measurements, solutions)
         return self._sided(solutions)
@@ -198,11 +203,13 @@ class Constellation:
         solutions.best.put(none, nowhere(len(none)))
         return solutions
 
-    def _search_shell(self, measurements: Measurements, known: Fit) -> Solutions:
-        """Search the shell of one epoch; a pose that is known already competes."""
-        found = self.from_shell(measurements)
-        if probability(found.cost[:1], measurements.freedom)[0] < SUSPECT:
-            found = self.from_shell(measurements, candidates=4 * CANDIDATES)
+    def _search_shell(self, measurements: Measurements, known: Fit, most_evaluations: int) -> Solutions:
+        """Search the shell of one epoch, further if nothing likely is found; a pose that is known already competes."""
+        most = most_evaluations // CANDIDATE_EVALUATIONS
+        for candidates in sorted({CANDIDATES, min(4 * CANDIDATES, most), most}):
+            found = self.from_shell(measurements, candidates)
+            if not probability(found.cost[:1], measurements.freedom)[0] < SUSPECT:
+                break
         found = self._distinct(_sorted(stacked([found, known])), measurements)
         solutions = unsolved(found.take(np.array([0])))
         if len(found.cost) > 1:

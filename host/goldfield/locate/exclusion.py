@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from goldfield.locate.constellation import ROBUST_MODEL_ERROR, ROUGH_TOLERANCE, Constellation
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
+from goldfield.locate.solutions import nowhere
 from goldfield.types import FloatArray
 
 LEAST_FOR_ONE, LEAST_FOR_TWO = 5, 7
@@ -31,6 +32,9 @@ ROUGH_ITERATIONS, FINAL_ITERATIONS = 15, 120
 
 SUBSET_EVALUATIONS = 600
 """Evaluations of the search of a subset's pose, where no subset fits the poses that are known."""
+
+MOST_SEARCHED = 12
+"""Subsets of sensors without three axes whose poses are searched; more begin from the poses that are known."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +82,10 @@ def _without(
     thinned = measurements.take(np.zeros(count, dtype=np.intp)).without(mask)
     if thinned.complete:
         best = _rough(constellation, thinned, *constellation.starts(thinned))
-    else:
+    elif count <= MOST_SEARCHED:
         best = _solved(constellation, measurements, mask)
+    else:
+        best = nowhere(count)
     best = _better_from(constellation, thinned, best, starts)
     if left_out.shape[1] == 1 and thinned.complete and not (best.cost < constellation.unfit).any():
         best = _better_from(constellation, thinned, best, _searched(constellation, thinned, best))
@@ -129,7 +135,8 @@ def _solved(constellation: Constellation, measurements: Measurements, mask: NDAr
     found = []
     for row in mask:
         kept = np.flatnonzero(~row)
-        found.append(constellation.subset(kept).solve(measurements.of_beacons(kept)).best)
+        thinned = measurements.of_beacons(kept)
+        found.append(constellation.subset(kept).solve(thinned, SUBSET_EVALUATIONS).best)
     return stacked(found)
 
 

@@ -62,6 +62,11 @@ class Verdict:
     left_out: NDArray[np.intp]
     residuals: dict[int, float]
 
+    @property
+    def unknown(self) -> bool:
+        """True if nothing explains the epoch."""
+        return [finding.kind for finding in self.findings] == [Explanation.UNKNOWN]
+
 
 def explain(
     constellation: Constellation, measurements: Measurements, solutions: Solutions, names: Sequence[str]
@@ -81,7 +86,8 @@ def explain(
     """
     heard = len(constellation.model)
     cost = float(solutions.best.cost[0])
-    negated = mirrored(constellation, measurements, cost, CLEAR)
+    # With fewer than three axes the negated fields are those of a sensor that is turned round.
+    negated = mirrored(constellation, measurements, cost, CLEAR) if measurements.axes[0] == 3 else None
     if negated is not None:
         return _inconsistent([negated], negated.text)
     if heard < LEAST_FOR_ONE:

@@ -51,7 +51,8 @@ class Locator:
           does not clearly mend it (`integrity`), or the only solution lies outside the site's half-space.
         - ``ambiguous``: another pose explains the fields as well; it is given as ``alternative``.
         - ``weak``: the standard deviation exceeds `poses.WEAK_POSITION` of the range or `poses.WEAK_ATTITUDE_RAD`, or
-          the search came to the end of its evaluations.
+          the search came to the end of its evaluations, or nothing explains the fields of a sensor without three axes,
+          for which the search is not global.
         - ``unverified``: the protection level (`protection`) exceeds the site's alert limit.
         - ``ok``: none of these; ``excluded`` lists beacons that did not agree with the site and were left out.
 
@@ -157,7 +158,12 @@ class Locator:
             verdicts = {}
             for i in wrong.tolist():
                 one = np.array([i])
-                verdicts[i] = explain(constellation, given.take(one), found.take(one), names)
+                verdict = explain(constellation, given.take(one), found.take(one), names)
+                if verdict.unknown and not given.complete:
+                    # The search for sensors without three axes may miss the best pose, and no rival fits either.
+                    found.bounded[i], found.contested[i] = True, False
+                else:
+                    verdicts[i] = verdict
             judged = Judged(self.site, constellation.model, names, given, found, statistics, verdicts)
             located = poses_of([epochs[int(e)] for e in some], judged)
             for i, verdict in verdicts.items():

@@ -8,10 +8,11 @@ from pathlib import Path
 import cffi
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from goldfield import load_site
 from goldfield.field import FieldModel
-from goldfield.locate import Locator, kernel
+from goldfield.locate import Locator, kernel, sentences
 from goldfield.locate.constellation import Constellation
 from goldfield.locate.fit import Measurements, fit_pose
 from goldfield.locate.uncertainty import second_order_covariance
@@ -113,6 +114,33 @@ def test_inputs_that_went_wrong(name, truth, cost):
     assert pose.status is not Status.OK or len(poses) == 1
     if name == "wrong_ok_3":
         assert pose.status is Status.AMBIGUOUS
+
+
+def one_axis(noise_T, count, distort=0.0):
+    """Epochs of a sensor with the axis z alone, at a place in the cube where few descents lead to the right pose."""
+    site, rng = bench.prigge_cube(noise_T), np.random.default_rng(31)
+    position = np.repeat([[0.9, 1.2, 0.8]], count, axis=0)
+    truth = bench.magpylib_fields(site, position)
+    turn = Rotation.from_rotvec([0.3, -0.2, 1.1]).as_matrix()
+    sigma = noise_T / np.sqrt(1023)
+    field = truth @ turn * rng.uniform(1.0 - distort, 1.0 + distort, size=(count, 8, 1))
+    field += sigma * rng.normal(size=field.shape)
+    field[:, :, :2] = np.nan
+    names = tuple(beacon.id for beacon in site.beacons)
+    return site, position[0], [Fields(e, 0.1 * e, names, b, np.full(8, sigma)) for e, b in enumerate(field)]
+
+
+def test_sound_fields_of_one_axis_are_never_inconsistent():
+    site, truth, epochs = one_axis(2e-7, 6)
+    for pose in Locator(site).locate_many(epochs):
+        assert pose.status in (Status.OK, Status.UNVERIFIED)
+        assert np.linalg.norm(pose.position_m - truth) < 0.1
+
+
+def test_what_nothing_explains_of_one_axis_is_weak_since_the_search_is_not_global():
+    site, _, epochs = one_axis(2e-7, 3, distort=0.5)
+    for pose in Locator(site).locate_many(epochs):
+        assert (pose.status, pose.reason) == (Status.WEAK, sentences.BOUNDED)
 
 
 LEVEL_SET = """
