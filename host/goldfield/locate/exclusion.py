@@ -1,7 +1,8 @@
 """Exclusion: the one or two beacons without which the rest of an epoch agrees.
 
-Every beacon, and if need be every pair, is left out in turn; the rest is fitted from a few poses that the whole and the
-other subsets gave, so that the work is bounded: some five rough fits a beacon, six a pair, and a few fits to the end.
+Every beacon, and if need be every pair of the likeliest, is left out in turn; the rest is fitted from a few poses that
+the whole and the other subsets gave, so that the work is bounded: some five rough fits a beacon, six a pair, and a few
+fits to the end. `searched_without_one` looks further, for a poses' search a subset.
 """
 
 from __future__ import annotations
@@ -34,7 +35,11 @@ SUBSET_EVALUATIONS = 600
 """Evaluations of the search of a subset's pose, where no subset fits the poses that are known."""
 
 MOST_SEARCHED = 12
-"""Subsets of sensors without three axes whose poses are searched; more begin from the poses that are known."""
+"""Subsets whose poses are searched; more begin from the poses that are known: one beacon of many spoils no start."""
+
+MOST_IN_PAIRS = 12
+"""Beacons of which all pairs are left out: those without which the rest costs the least; the first of them goes with
+every other beacon, too."""
 
 
 @dataclass(frozen=True)
@@ -47,10 +52,13 @@ class Subsets:
         Rows of the k beacons that each subset lacks.
     fit : Fit
         The s poses.
+    hopeless : bool
+        True if no subset fits its pose even with model error.
     """
 
     left_out: NDArray[np.intp]
     fit: Fit
+    hopeless: bool
 
 
 def without_one(constellation: Constellation, measurements: Measurements, poses: Fit) -> Subsets:
@@ -62,48 +70,67 @@ def without_one(constellation: Constellation, measurements: Measurements, poses:
 
 
 def without_two(constellation: Constellation, measurements: Measurements, ones: Subsets) -> Subsets:
-    """Fit one epoch without each pair of its beacons, from the poses that leaving out either of them gave."""
-    pairs = np.array(list(combinations(range(len(constellation.model)), 2)), dtype=np.intp)
-    rank = np.argsort(ones.left_out[:, 0])
-    return _without(constellation, measurements, pairs, ones.fit.take(rank[pairs].ravel()))
+    """Fit one epoch without each pair of its likeliest beacons, from the poses that leaving out either gave."""
+    every = combinations(range(len(ones.left_out)), 2)
+    ranks = np.array([(a, b) for a, b in every if a == 0 or b < MOST_IN_PAIRS], dtype=np.intp)
+    return _without(constellation, measurements, ones.left_out[ranks, 0], ones.fit.take(ranks.ravel()))
+
+
+def searched_without_one(constellation: Constellation, measurements: Measurements, ones: Subsets) -> Subsets:
+    """Search all of space for the pose of each subset, too: near coils the chain of magnitudes fails.
+
+    Sensors without three axes, and more than `MOST_SEARCHED` subsets, keep what they have.
+    """
+    thinned = _thinned(measurements, ones.left_out)
+    within = len(ones.left_out) <= MOST_SEARCHED and thinned.complete
+    found = constellation.searched(thinned, SUBSET_EVALUATIONS) if within else None
+    if found is None:
+        return ones
+    best = _rough(constellation, thinned, found[0][:, 0], found[1][:, 0])
+    return _ended(constellation, thinned, _better_from(constellation, thinned, best, ones.fit), ones.left_out)
 
 
 def _without(
     constellation: Constellation, measurements: Measurements, left_out: NDArray[np.intp], starts: Fit
 ) -> Subsets:
-    """Fit without each of s subsets, from as many starts each, subset by subset, and from the chain of magnitudes.
-
-    Rough fits compare the subsets. Only those that may still cost as little as the best are fitted to the end, because
-    a cost with model error is less than one without; the others keep their rough pose and cost.
-    """
+    """Fit without each of s subsets, from as many starts each, subset by subset, and from the chain of magnitudes."""
+    thinned = _thinned(measurements, left_out)
     count = len(left_out)
-    mask = np.zeros((count, len(constellation.model)), dtype=bool)
-    mask[np.arange(count)[:, None], left_out] = True
-    thinned = measurements.take(np.zeros(count, dtype=np.intp)).without(mask)
     if thinned.complete:
         best = _rough(constellation, thinned, *constellation.starts(thinned))
     elif count <= MOST_SEARCHED:
-        best = _solved(constellation, measurements, mask)
+        best = _solved(constellation, measurements, left_out)
     else:
         best = nowhere(count)
-    best = _better_from(constellation, thinned, best, starts)
-    if left_out.shape[1] == 1 and thinned.complete and not (best.cost < constellation.unfit).any():
-        best = _better_from(constellation, thinned, best, _searched(constellation, thinned, best))
+    return _ended(constellation, thinned, _better_from(constellation, thinned, best, starts), left_out)
+
+
+def _thinned(measurements: Measurements, left_out: NDArray[np.intp]) -> Measurements:
+    """Return the epoch once without each of s subsets."""
+    count = len(left_out)
+    mask = np.zeros((count, measurements.known.shape[1]), dtype=bool)
+    mask[np.arange(count)[:, None], left_out] = True
+    return measurements.take(np.zeros(count, dtype=np.intp)).without(mask)
+
+
+def _ended(constellation: Constellation, thinned: Measurements, best: Fit, left_out: NDArray[np.intp]) -> Subsets:
+    """Let the subsets share their best poses, and end those fits that matter.
+
+    Rough fits compare the subsets. Only those that may still cost as little as the best are fitted to the end, because
+    a cost with model error is less than one without; the others keep their rough pose and cost. If no subset fits even
+    with model error all keep it.
+    """
+    count = len(left_out)
     best = _better_from(constellation, thinned, best, best.take(np.tile(_order(best)[:POOL], count)))
-    done = _order(best)[:POOL]
-    _finish(constellation, thinned, best, done)
-    left = np.setdiff1d(np.flatnonzero(best.cost < best.cost[done].min() + CLEAR), done)
-    _finish(constellation, thinned, best, left)
+    hopeless = not (best.cost < constellation.unfit).any()
+    if not hopeless:
+        done = _order(best)[:POOL]
+        _finish(constellation, thinned, best, done)
+        likely = best.cost < best.cost[done].min() + CLEAR
+        likely[done] = False
+        _finish(constellation, thinned, best, np.flatnonzero(likely))
     order = _order(best)
-    return Subsets(left_out[order], best.take(order))
-
-
-def _searched(constellation: Constellation, thinned: Measurements, otherwise: Fit) -> Fit:
-    """Search all of space for each subset's pose: near coils the chain of magnitudes fails."""
-    found = constellation.searched(thinned, SUBSET_EVALUATIONS)
-    if found is None:
-        return otherwise
-    return constellation.at(thinned, found[0][:, 0], found[1][:, 0])
+    return Subsets(left_out[order], best.take(order), hopeless)
 
 
 def _order(fits: Fit) -> NDArray[np.intp]:
@@ -130,11 +157,11 @@ def _finish(constellation: Constellation, measurements: Measurements, fits: Fit,
         fits.put(rows, fit_pose(constellation.model, some, position, rotation, iterations=FINAL_ITERATIONS))
 
 
-def _solved(constellation: Constellation, measurements: Measurements, mask: NDArray[np.bool_]) -> Fit:
+def _solved(constellation: Constellation, measurements: Measurements, left_out: NDArray[np.intp]) -> Fit:
     """Search the pose of each subset: where the chain of magnitudes cannot be used."""
     found = []
-    for row in mask:
-        kept = np.flatnonzero(~row)
+    for rows in left_out:
+        kept = np.delete(np.arange(len(constellation.model)), rows)
         thinned = measurements.of_beacons(kept)
         found.append(constellation.subset(kept).solve(thinned, SUBSET_EVALUATIONS).best)
     return stacked(found)

@@ -22,7 +22,15 @@ from scipy.special import chdtri
 from goldfield.locate import sentences
 from goldfield.locate.beacon_faults import beacon_finding
 from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, probability
-from goldfield.locate.exclusion import CLEAR, LEAST_FOR_ONE, LEAST_FOR_TWO, Subsets, without_one, without_two
+from goldfield.locate.exclusion import (
+    CLEAR,
+    LEAST_FOR_ONE,
+    LEAST_FOR_TWO,
+    Subsets,
+    searched_without_one,
+    without_one,
+    without_two,
+)
 from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.fit import Fit, Measurements, stacked
 from goldfield.locate.sensor_rivals import BY_CHANCE, SensorRival, mirrored, sensor_rivals
@@ -95,6 +103,8 @@ def explain(
     poses = solutions.best if not solutions.contested[0] else stacked([solutions.best, solutions.rival])
     ones = without_one(constellation, measurements, poses)
     of_sensor = sensor_rivals(constellation, measurements, stacked([poses, ones.fit.take(np.arange(2))]))
+    if ones.hopeless and not of_sensor:
+        ones = searched_without_one(constellation, measurements, ones)
     verdict = _without(constellation, measurements, ones, of_sensor, names)
     if verdict is None and heard >= LEAST_FOR_TWO:
         verdict = _without(
