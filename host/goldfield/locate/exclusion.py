@@ -137,14 +137,20 @@ def _order(fits: Fit) -> NDArray[np.intp]:
     return np.argsort(np.where(np.isfinite(fits.cost), fits.cost, np.inf))
 
 
-def _rough(constellation: Constellation, measurements: Measurements, position: FloatArray, rotation: FloatArray) -> Fit:
+def _rough(
+    constellation: Constellation,
+    measurements: Measurements,
+    position: FloatArray,
+    rotation: FloatArray,
+    iterations: int = ROUGH_ITERATIONS,
+) -> Fit:
     return fit_pose(
         constellation.model,
         measurements,
         position,
         rotation,
         model_error=ROBUST_MODEL_ERROR,
-        iterations=ROUGH_ITERATIONS,
+        iterations=iterations,
         tolerance=ROUGH_TOLERANCE,
     )
 
@@ -168,15 +174,17 @@ def _solved(constellation: Constellation, measurements: Measurements, left_out: 
 
 
 def _better_from(constellation: Constellation, thinned: Measurements, best: Fit, starts: Fit) -> Fit:
-    """Fit every subset roughly from its starts too and keep what costs less."""
+    """Fit every subset roughly from the best of its starts too and keep what costs less."""
     subsets = len(best.cost)
     each = len(starts.cost) // subsets
     if not each:
         return best
-    which = np.repeat(np.arange(subsets), each)
-    fitted = _rough(constellation, thinned.take(which), starts.position_m, starts.rotation)
-    cost = np.where(np.isfinite(fitted.cost), fitted.cost, np.inf).reshape(subsets, each)
-    chosen = fitted.take(np.arange(subsets) * each + cost.argmin(axis=1))
+    if each > 1:
+        which = np.repeat(np.arange(subsets), each)
+        there = _rough(constellation, thinned.take(which), starts.position_m, starts.rotation, iterations=0)
+        cost = np.where(np.isfinite(there.cost), there.cost, np.inf).reshape(subsets, each)
+        starts = starts.take(np.arange(subsets) * each + cost.argmin(axis=1))
+    chosen = _rough(constellation, thinned, starts.position_m, starts.rotation)
     better = np.flatnonzero(~(best.cost <= chosen.cost) & np.isfinite(chosen.cost))
     result = best.take(np.arange(subsets))
     result.put(better, chosen.take(better))
