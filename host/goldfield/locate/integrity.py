@@ -132,7 +132,7 @@ def _without(
 ) -> Verdict | None:
     """Judge the best subset of beacons; None if it explains nothing, or less than the sensor does."""
     left_out, cost = subsets.left_out[0], float(subsets.fit.cost[0])
-    kept = np.setdiff1d(np.arange(len(constellation.model)), left_out)
+    kept = np.delete(np.arange(len(constellation.model)), left_out)
     rest, thinned = constellation.subset(kept), measurements.of_beacons(kept)
     freedom = thinned.freedom
     if freedom[0] < LEAST_FREEDOM or not probability(np.array([cost]), freedom)[0] > SOUND_REST:

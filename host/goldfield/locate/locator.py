@@ -177,7 +177,7 @@ class Locator:
     ) -> Pose:
         """Return the pose of one epoch without the beacons that its verdict leaves out."""
         assert verdict.rest is not None
-        kept = np.setdiff1d(np.arange(len(rows)), verdict.left_out)
+        kept = np.delete(np.arange(len(rows)), verdict.left_out)
         thinned, model = measurements.of_beacons(kept), self._all.subset(rows[kept]).model
         statistics = fault_statistics(model, thinned, verdict.rest.best)
         judged = Judged(self.site, model, self._names(rows[kept]), thinned, verdict.rest, statistics, {})
