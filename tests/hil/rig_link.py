@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections import deque
 
 import can
 
 from goldfield.link.buses import BusSource
 from goldfield_protocol import FrameDecoder, encode_frame
+from goldfield_protocol.parameters import build_page, parse_page
 from hil_sim.rig import Frame
+from hil_sim.rig.boards import factory
 
 STEP_S = 0.02
 
@@ -80,3 +83,23 @@ class RigSerialLink(RigLink):
             Frame(self.rig.now_s, 0, frame.identifier, frame.data)
             for frame in self._decoder.feed(self.rig.serial_read())
         ]
+
+
+def altered_boards(pages=None, sensor_ppm=None):
+    """Return what makes host boards of which some differ from the scenario.
+
+    ``pages`` maps the place of a board (0 is the sensor) to parameters that its page has in place of the scenario's;
+    ``sensor_ppm`` is the deviation of the sensor's crystal.
+    """
+    host_boards = factory("host")
+
+    def board(spec, edge):
+        number = int.from_bytes(spec.unique_id[8:], "little")
+        if number in (pages or {}):
+            page = build_page({**parse_page(spec.parameter_page), **pages[number]})
+            spec = dataclasses.replace(spec, parameter_page=page)
+        if number == 0 and sensor_ppm is not None:
+            spec = dataclasses.replace(spec, clock=dataclasses.replace(spec.clock, crystal_ppm=sensor_ppm))
+        return host_boards(spec, edge)
+
+    return board

@@ -3,8 +3,6 @@
 The host sits on the CAN bus of host boards and talks to them, in virtual time.
 """
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -16,11 +14,9 @@ from goldfield.sensor.opening import open_log
 from goldfield.sensor.pipeline import Sensor
 from goldfield.types import Status
 from goldfield_protocol import encode
-from goldfield_protocol.parameters import build_page, parse_page
 from hil_sim.rig import Rig
-from hil_sim.rig.boards import factory
 from hil_sim.scenario import load_scenario, site_toml
-from tests.hil.rig_link import RigLink
+from tests.hil.rig_link import RigLink, altered_boards
 
 POSITION_M = np.array([0.9, 1.2, 0.8])
 WRONG_M = 0.05
@@ -36,18 +32,7 @@ def listen(monkeypatch, tmp_path):
         scenario = load_scenario(name)
         site_file = tmp_path / "site.toml"
         site_file.write_text(site_toml(scenario))
-        host_boards = factory("host")
-
-        def board(spec, edge):
-            number = int.from_bytes(spec.unique_id[8:], "little")
-            if number in (pages or {}):
-                page = build_page({**parse_page(spec.parameter_page), **pages[number]})
-                spec = dataclasses.replace(spec, parameter_page=page)
-            if number == 0 and sensor_ppm is not None:
-                spec = dataclasses.replace(spec, clock=dataclasses.replace(spec.clock, crystal_ppm=sensor_ppm))
-            return host_boards(spec, edge)
-
-        rig = Rig(scenario, board)
+        rig = Rig(scenario, altered_boards(pages, sensor_ppm))
         others = [(Rig(scenario, "host", seed=7), scenario.sensor.node)] if second_sensor else []
         rigs.extend([rig, *(other for other, _ in others)])
         for each in rigs:

@@ -3,7 +3,6 @@
 The host sits on the CAN bus or on the sensor's serial line, in virtual time.
 """
 
-import dataclasses
 import json
 
 import can
@@ -20,12 +19,11 @@ from goldfield.nodes import conversation as conversations
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield_protocol import encode
-from goldfield_protocol.parameters import build_page, parse_page
+from goldfield_protocol.parameters import parse_page
 from hil_sim.clib import ROOT
 from hil_sim.rig import Rig
-from hil_sim.rig.boards import factory
 from hil_sim.scenario import load_scenario, site_toml
-from tests.hil.rig_link import RigLink, RigSerialLink
+from tests.hil.rig_link import RigLink, RigSerialLink, altered_boards
 
 BOOTED_S = 2.5
 BUS, LINE = RigLink, RigSerialLink
@@ -51,18 +49,7 @@ def bench(monkeypatch, tmp_path, rig_kind):
         if changed is not None:
             scenario_file.write_text(replaced(SCENARIO, changed))
             scenario = load_scenario(str(scenario_file))
-        host_boards = factory("host")
-
-        def board(spec, edge):
-            number = int.from_bytes(spec.unique_id[8:], "little")
-            if number in (pages or {}):
-                page = build_page({**parse_page(spec.parameter_page), **pages[number]})
-                spec = dataclasses.replace(spec, parameter_page=page)
-            if number == 0 and sensor_ppm is not None:
-                spec = dataclasses.replace(spec, clock=dataclasses.replace(spec.clock, crystal_ppm=sensor_ppm))
-            return host_boards(spec, edge)
-
-        rig = Rig(scenario, board)
+        rig = Rig(scenario, altered_boards(pages, sensor_ppm))
         rigs.append(rig)
         for number in off:
             rig.power_cycle(number, 1000.0)
