@@ -24,7 +24,8 @@ from tests.hil.rig_link import RigLink
 EVENT_S = 8.0
 STEP_M = np.array([0.012, -0.012, 0.0105])
 """A step of 2 cm."""
-WRONG_M = 0.05
+WRONG_NEES = 8.0
+"""Squared error in standard deviations over its three dimensions: what noise exceeds in no run of this length."""
 
 
 @pytest.fixture
@@ -52,13 +53,20 @@ def listen(monkeypatch, tmp_path, rig_kind):
         rig.close()
 
 
+def is_wrong(pose, position_m):
+    """Tell whether a pose is off by more than it promises: its protection level, or its covariance."""
+    error = pose.position_m - position_m
+    nees = error @ np.linalg.solve(pose.position_cov_m2, error) / 3
+    return np.linalg.norm(error) > pose.protection_m or nees > WRONG_NEES
+
+
 def poses_until(rig, sensor, until_s):
     """Poses with the virtual times, s after the event, at which they came; none that is ok is wrong."""
     told, epochs = [], sensor.epochs()
     position_m = rig.scenario.motion.position_m
     while rig.now_s < EVENT_S + until_s:
         pose = next(epochs).pose
-        assert pose.status is not Status.OK or np.linalg.norm(pose.position_m - position_m) < WRONG_M, pose
+        assert pose.status is not Status.OK or not is_wrong(pose, position_m), pose
         told.append((rig.now_s - EVENT_S, pose))
     return told
 
