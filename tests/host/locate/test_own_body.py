@@ -184,7 +184,7 @@ def test_a_turned_box_is_the_box_seen_from_a_turned_sensor():
 
 BAD = [
     ("shape", 'shape = "cone"', "shape is", "ball and box"),
-    ("radius_m", "edges_m = [1, 1, 1]", "edges_m is no known key", '"radius_m"'),
+    ("radius_m", "edges_m = [1, 1, 1]", "edges_m is no known key", "relative_permeability, radius_m"),
     ("radius_m", "radius_m = 0.19", "centre_m puts the sensor", "a sixth"),
     ("conductivity_S_m", "conductivity_S_m = 0", "conductivity_S_m is 0", "greater than zero"),
     ("relative_permeability", "relative_permeability = 0.5", "relative_permeability is 0.5", "at least 1"),
