@@ -9,7 +9,11 @@ import numpy as np
 import pytest
 
 from goldfield import site as sites
+from goldfield.field import FieldModel
 from goldfield.locate import Locator
+from goldfield.locate.constellation import Constellation
+from goldfield.locate.exclusion import without_one, without_two
+from goldfield.locate.fit import Measurements
 from goldfield.sensor.fields_table import read_fields
 from goldfield.types import Explanation, Status
 from tests.bench import locate_trials as bench
@@ -106,6 +110,35 @@ def test_two_beacons_are_left_out_of_seven_and_not_of_six(beacons, excluded):
     poses = Locator(site).locate_many(bench.fields_of(site, faulty))
     left_out = sum(set(pose.excluded) == {"b1", "b4"} for pose in poses)
     assert left_out >= 5 if excluded else all(pose.status is not Status.OK for pose in poses)
+
+
+def of_many(count, faulty):
+    """A site of 48 coils, and epochs at places between them with these reversed."""
+    rng = np.random.default_rng(77)
+    site = bench.site_of([bench.loop_beacon(i, rng.uniform(0, 6, 3), rng.normal(size=3)) for i in range(48)])
+    run = bench.trials(site, rng.uniform(2, 4, (count, 3)), rng)
+    for row in faulty:
+        run = bench.with_fault("polarity", site, run, rng, row)
+    return site, run
+
+
+def test_of_48_beacons_the_reversed_one_is_left_out():
+    site, run = of_many(5, [7])
+    for pose, truth in zip(Locator(site).locate_many(bench.fields_of(site, run)), run.position_m, strict=True):
+        assert pose.status in (Status.OK, Status.UNVERIFIED)
+        assert pose.excluded == ("b7",)
+        assert np.linalg.norm(pose.position_m - truth) < 0.1
+
+
+def test_of_48_beacons_the_likeliest_pairs_are_tried_and_no_others():
+    site, run = of_many(3, [7, 30])
+    constellation = Constellation(FieldModel(site.beacons))
+    for field, sigma in zip(run.field_T, run.sigma_T, strict=True):
+        measurements = Measurements(field[None], sigma[None])
+        ones = without_one(constellation, measurements, constellation.solve(measurements).best)
+        pairs = without_two(constellation, measurements, ones)
+        assert len(pairs.left_out) == 66 + 36  # all of twelve, and the first with each of the others
+        assert set(pairs.left_out[0].tolist()) == {7, 30}
 
 
 @pytest.mark.parametrize(
