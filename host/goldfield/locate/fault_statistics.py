@@ -41,7 +41,8 @@ OF_SENSOR = (0.2, 0.1, 0.1)
 OF_AXIS = 0.3
 """Part of it for the gain of one axis, beyond the others, which it overlaps: 8 of 10,000 sound epochs in the cube of
 eight beacons raise an alarm in all. Where one beacon is strong and all others are weak, a gain 20 % off shows by little
-more than the limit for one degree of freedom and the right axis; the test of all three gains misses twice as many."""
+more than the limit for one degree of freedom and the right axis, if at all: of 12,000 such epochs this test misses 1 %,
+the others alone 1.7 %."""
 
 DETECTABLE = 1e-9
 """Part of a fault's variance that must show in the residuals for the fault to be detectable at all; above rounding."""
