@@ -5,10 +5,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import signal
 import sys
-import threading
-from collections.abc import Iterator
 
 import can
 
@@ -50,7 +47,7 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
         listen_only=arguments.listen_only,
         reconnect=arguments.reconnect,
     )
-    with terminated_like_interrupted(), contextlib.ExitStack() as stack:
+    with contextlib.ExitStack() as stack:
         recorder = writer = None
         if arguments.record:
             writer = CandumpWriter(arguments.record, force=arguments.force)
@@ -61,23 +58,6 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
     return EXIT_FAILED if sinks.failed or (writer is not None and writer.failed) else 0
-
-
-@contextlib.contextmanager
-def terminated_like_interrupted() -> Iterator[None]:
-    """Make SIGTERM end the run as Ctrl-C does, with what is left written and a summary; only in the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def end_recording(recorder: Branch[can.Message]) -> None:

@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 
@@ -109,3 +110,33 @@ def test_a_full_disk_ends_a_recording_at_a_whole_message_and_not_the_run(tmp_pat
     assert len(done.stdout.splitlines()) == len(run("run", "--site", SITE, "--log", LOG, "--json").stdout.splitlines())
     assert target.read_bytes() == b"" or target.read_bytes().endswith(b"\n")
     assert "the run goes on" in done.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_a_signal_leaves_no_half_of_a_table(tmp_path, number):
+    """Whatever the command: here `separate`, which has written a cycle and waits for more."""
+    rows = [f"{i}," + ",".join(repr(float(v)) for v in row) for i, row in enumerate(CHIPS @ beacon_fields())]
+    words = [*GOLDFIELD, "separate", "--site", str(SITE), "--fields", str(tmp_path / "fields.csv"), "--json", "-"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as it:
+        it.stdin.write("\n".join(["chip,bx_T,by_T,bz_T", *rows, *rows[:1], ""]))
+        it.stdin.flush()
+        assert json.loads(it.stdout.readline())
+        it.send_signal(number)
+        assert it.wait() == 130
+        assert it.stderr.read() == ""
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_interrupt_before_anything_is_loaded_is_no_traceback():
+    program = """
+import sys
+class Slow:
+    def find_spec(self, name, *_):
+        if name == "goldfield.cli.entry":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Slow())
+from goldfield.cli import main
+sys.exit(main(["ports"]))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "")
