@@ -77,9 +77,10 @@ class Belief:
             return np.asarray(self.root @ self.root.T)
         return np.asarray(self.fixed.noise @ self.fixed.noise.T + self.fixed.spread)
 
-    def after(self, seconds: float, agility: Agility) -> Belief:
-        """Return what is believed some time later (or earlier)."""
-        transition, added = self.state.transition(seconds), agility.noise_root(seconds)
+    def after(self, seconds: float, agility: Agility, transition: FloatArray | None = None) -> Belief:
+        """Return what is believed some time later (or earlier); ``transition`` is the state's, if it is at hand."""
+        transition = self.state.transition(seconds) if transition is None else transition
+        added = agility.noise_root(seconds)
         fixed = self.fixed
         if fixed is not None:
             fixed = Fixed(compact(np.hstack([transition @ fixed.noise, added])), transition @ fixed.sensitivity)
@@ -205,7 +206,7 @@ def second_order(belief: Belief, observation: Observation) -> Belief:
 
 def compact(root: FloatArray) -> FloatArray:
     """Return a root of the same covariance with 15 columns."""
-    return np.asarray(np.linalg.qr(root.T)[1].T)
+    return np.asarray(np.linalg.qr(root.T, mode="r")).T
 
 
 @lru_cache(maxsize=256)

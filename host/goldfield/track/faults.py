@@ -10,8 +10,9 @@ histories of it may be added up (`goldfield.track.witness`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,11 +55,6 @@ class Judgement:
         Part of the cost that leaving out the beacon would take away.
     drop_freedom : ndarray of int, shape (n,)
         Its degrees of freedom; 0 where no fault of the beacon can show.
-    distortion : tuple of float
-        Parts of the cost that a distortion by the sensor, and one factor in all fields, take away; six degrees of
-        freedom and one.
-    factor : float
-        By what the fields are larger than the site says, as far as the epoch tells.
     separation_m, separation_cov_m2 : ndarray, shapes (n, 3) and (n, 3, 3)
         The epoch's position by itself less that without the beacon, and the covariance of this.
     hidden : ndarray of bool, shape (n,)
@@ -67,6 +63,8 @@ class Judgement:
         F'r and F'SF, of fields in tesla in the sensor's frame.
     observation, state, prior
         What was judged, where, and with what belief.
+    field_T, gradient_T_m : ndarray, shapes (n, 3) and (n, 3, 3)
+        The beacons' fields and gradients that the site lets expect there, as `Observation.linearised` returns them.
     """
 
     beacons: tuple[str, ...]
@@ -74,8 +72,6 @@ class Judgement:
     freedom: int
     drop: FloatArray
     drop_freedom: NDArray[np.intp]
-    distortion: tuple[float, float]
-    factor: float
     separation_m: FloatArray
     separation_cov_m2: FloatArray
     hidden: NDArray[np.bool_]
@@ -84,6 +80,42 @@ class Judgement:
     observation: Observation
     state: State
     prior: Belief
+    field_T: FloatArray
+    gradient_T_m: FloatArray
+    _columns: FloatArray
+    _half: FloatArray
+    _rest: FloatArray
+
+    @cached_property
+    def strength(self) -> tuple[float, float]:
+        """Part of the cost that one factor in all fields takes away, of one degree of freedom, and the factor.
+
+        The factor is by what the fields are larger than the site says, as far as the epoch tells.
+        """
+        way = self._ways(_SYMMETRIC[:3].sum(axis=0, keepdims=True))[0]
+        through = self._half @ way
+        shown, found, whole = float(way @ way - through @ through), float(way @ self._rest), float(way @ way)
+        if shown <= DETECTABLE * (whole if whole > 0.0 else 1.0):
+            return 0.0, 1.0
+        return found**2 / shown, 1.0 + found / shown
+
+    @cached_property
+    def distortion(self) -> float:
+        """Part of the cost that a distortion by the sensor takes away, of six degrees of freedom."""
+        ways = self._ways(_SYMMETRIC)
+        through = ways @ self._half.T
+        shown, found = ways @ ways.T - through @ through.T, ways @ self._rest
+        size = np.sqrt((ways * ways).sum(axis=1))
+        size = np.where(size > 0.0, size, 1.0)
+        gain, vector = np.linalg.eigh(shown / np.outer(size, size))
+        seen = gain > DETECTABLE
+        along = vector.T @ (found / size)
+        return float((np.where(seen, along, 0.0) ** 2 / np.where(seen, gain, 1.0)).sum())
+
+    def _ways(self, matrices: FloatArray) -> FloatArray:
+        """Return what distortions by symmetric matrices, shape (k, 3, 3), add to the numbers, shape (k, 3 r)."""
+        changed = self.field_T @ matrices  # (k, n, 3)
+        return np.asarray(changed.reshape(len(matrices), -1) @ self._columns.reshape(-1, self._columns.shape[2]))
 
     @property
     def alarm(self) -> bool:
@@ -92,18 +124,16 @@ class Judgement:
         return (
             self.cost > limit.whole
             or bool((self.drop > limit.single[self.drop_freedom]).any())
-            or self.distortion[0] > limit.sensor
-            or self.distortion[1] > limit.strength
+            # These are parts of the cost and take time: they are not asked for where the whole is no more
+            or (self.cost > limit.strength and self.strength[0] > limit.strength)
+            or (self.cost > limit.sensor and self.distortion > limit.sensor)
         )
 
     @property
     def residuals(self) -> dict[str, float]:
         """Normalised residual of each beacon that can be judged, near 1 if it is as the site says."""
-        return {
-            name: float(np.sqrt(drop / freedom))
-            for name, drop, freedom in zip(self.beacons, self.drop, self.drop_freedom, strict=True)
-            if freedom
-        }
+        told = zip(self.beacons, self.drop.tolist(), self.drop_freedom.tolist(), strict=True)
+        return {name: math.sqrt(drop / freedom) for name, drop, freedom in told if freedom}
 
     def protection_m(self, position_cov_m2: FloatArray) -> float:
         """Return the radius that the error of a position of this covariance exceeds undetected only rarely.
@@ -129,7 +159,7 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
         What was believed before it, of which the motion alone is used.
     """
     observation = observation.around(state)
-    residual, jacobian, field = observation.linearised(state)
+    residual, jacobian, field, gradient = observation.linearised(state)
     before = prior.state
     motion = [
         state.velocity_m_s - before.velocity_m_s,
@@ -137,11 +167,13 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
         state.ambient_T - before.ambient_T,
     ]
     root = np.zeros((SIZE, UNKNOWNS + prior.root.shape[1]))
-    root[:UNKNOWNS, :UNKNOWNS] = VAGUE_POSE * np.eye(UNKNOWNS)
+    root.flat[: UNKNOWNS * root.shape[1] : root.shape[1] + 1] = VAGUE_POSE
     root[UNKNOWNS:, UNKNOWNS:] = prior.root[UNKNOWNS:]
     spread = jacobian @ root
-    factor = np.linalg.cholesky(spread.T @ spread + np.eye(spread.shape[1]))
-    half = np.linalg.solve(factor, spread.T)  # S = I - half' half
+    square = spread.T @ spread
+    square.flat[:: len(square) + 1] += 1.0
+    inverse = np.linalg.inv(np.linalg.cholesky(square))
+    half = inverse @ spread.T  # S = I - half' half
     innovation = residual + jacobian[:, UNKNOWNS:] @ np.concatenate(motion)
     rest = innovation - half.T @ (half @ innovation)
     columns = _columns(observation)  # (n, 3, rows)
@@ -149,68 +181,49 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
     information = columns @ columns.swapaxes(1, 2) - through @ through.swapaxes(1, 2)
     score = columns @ rest
 
-    size = np.sqrt(np.einsum("ncr,ncr->nc", columns, columns))
+    size = np.sqrt((columns * columns).sum(axis=2))
     measured = size > 0.0
-    size = np.where(measured, size, 1.0)
+    size[~measured] = 1.0
     gain, vector = np.linalg.eigh(information / (size[:, :, None] * size[:, None, :]))
     seen = gain > DETECTABLE
-    safe = np.where(seen, gain, 1.0)
-    along = np.einsum("nck,nc->nk", vector, score / size)
-    influence = root[:3] @ np.linalg.solve(factor.T, through.swapaxes(1, 2) / size[:, None, :])  # (n, 3, c)
-    move = np.where(seen[:, None], influence @ vector / np.sqrt(safe)[:, None], 0.0)
-    distortion, strength = _distortion(field, columns, half, rest)
+    degrees = seen.sum(axis=1)
+    # The eigenvectors over the roots of their eigenvalues, none where nothing shows
+    scaled = vector * np.where(seen, 1.0 / np.sqrt(np.where(seen, gain, 1.0)), 0.0)[:, None]
+    along = ((score / size)[:, None] @ scaled)[:, 0]
+    influence = (root[:3] @ inverse.T) @ through.swapaxes(1, 2) / size[:, None]  # (n, 3, c)
+    move = influence @ scaled
     return Judgement(
         beacons=tuple(beacon.id for beacon in observation.model.beacons),
         cost=float(innovation @ rest),
         freedom=observation.count - UNKNOWNS,
-        drop=np.where(seen, along**2 / safe, 0.0).sum(axis=1),
-        drop_freedom=seen.sum(axis=1),
-        distortion=distortion,
-        factor=strength,
-        separation_m=np.einsum("npk,nk->np", move, along / np.sqrt(safe)),
+        drop=(along * along).sum(axis=1),
+        drop_freedom=degrees,
+        separation_m=(move @ along[:, :, None])[:, :, 0],
         separation_cov_m2=move @ move.swapaxes(1, 2),
-        hidden=(seen.sum(axis=1) < measured.sum(axis=1)) | ~measured.any(),
+        hidden=(degrees < measured.sum(axis=1)) | ~measured.any(),
         score=score,
         information=information,
         observation=observation,
         state=state,
         prior=prior,
+        field_T=field,
+        gradient_T_m=gradient,
+        _columns=columns,
+        _half=half,
+        _rest=rest,
     )
 
 
 def _columns(observation: Observation) -> FloatArray:
     """Return what a constant field of each beacon adds to the numbers, by component, shape (n, 3, 3 r)."""
     beacons, nodes = len(observation.model), len(observation.times_s)
-    axes, rows = observation.seen.shape[:2]
-    constant = observation.seen[:, :, : beacons * nodes].reshape(axes, rows, beacons, nodes).sum(axis=3)
-    columns = np.zeros((beacons, axes, axes, rows))
-    for axis in range(axes):
+    rows = observation.seen.shape[1]
+    constant = observation.seen[:, :, : beacons * nodes].reshape(3, rows, beacons, nodes).sum(axis=3)
+    columns = np.zeros((beacons, 3, 3, rows))
+    for axis in range(3):
         columns[:, axis, axis] = constant[axis].T
-    flat = columns.reshape(beacons, axes, axes * rows)
+    flat = columns.reshape(beacons, 3, 3 * rows)
     return flat if observation.mixing is None else flat @ observation.mixing.T
-
-
-def _distortion(
-    in_sensor: FloatArray, columns: FloatArray, half: FloatArray, rest: FloatArray
-) -> tuple[tuple[float, float], float]:
-    """Return the costs that a distorting sensor, and one factor, take away, and the factor.
-
-    ``in_sensor``, shape (n, 3), are the beacons' fields in the sensor's frame.
-    """
-    changed = in_sensor @ _SYMMETRIC  # (6, n, 3): the matrices are their own transposes
-    ways = changed.reshape(len(changed), -1) @ columns.reshape(-1, columns.shape[2])
-    ways = np.vstack([ways, ways[:3].sum(axis=0)])
-    through = ways @ half.T
-    shown, found = ways @ ways.T - through @ through.T, ways @ rest
-    size = np.sqrt((ways * ways).sum(axis=1))
-    size = np.where(size > 0.0, size, 1.0)
-    gain, vector = np.linalg.eigh((shown / np.outer(size, size))[:6, :6])
-    seen = gain > DETECTABLE
-    along = vector.T @ (found / size)[:6]
-    of_sensor = float((np.where(seen, along, 0.0) ** 2 / np.where(seen, gain, 1.0)).sum())
-    if shown[6, 6] <= DETECTABLE * size[6] ** 2:
-        return (of_sensor, 0.0), 1.0
-    return (of_sensor, float(found[6] ** 2 / shown[6, 6])), 1.0 + float(found[6] / shown[6, 6])
 
 
 @dataclass(frozen=True)

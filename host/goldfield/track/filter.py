@@ -182,7 +182,9 @@ class Tracker(Generic[T]):
             step = Step(self._observer.start(data)[0], None)
             broken = "the time of the epoch is not known: it is no part of the track"
         pose = self._hemisphere.follow(step.pose)
-        return replace(step, pose=replace(pose, reason=joined(pose.reason, broken)))
+        if broken is not None:
+            pose = replace(pose, reason=joined(pose.reason, broken))
+        return step if pose is step.pose else replace(step, pose=pose)
 
     def pose_at(self, time_s: float) -> Pose | None:
         """Return the pose at any time, with the uncertainty that the motion adds; None without a track.
@@ -211,8 +213,8 @@ class Tracker(Generic[T]):
         assert self._belief is not None
         seconds = data.time_s - self._time_s
         bridged = self._time_s > self._agreed_s and not self._contradictions
-        predicted = self._belief.after(seconds, self._agility)
         transition = self._belief.state.transition(seconds)
+        predicted = self._belief.after(seconds, self._agility, transition)
         told = self._observation(data, predicted)
         if self._silent(told[0]):
             return self._without_fields(data, predicted, transition, Status.WEAK, self._silence(data.time_s))
@@ -327,7 +329,8 @@ class Tracker(Generic[T]):
 
     def _pose(self, data: T, belief: Belief, found: Fused) -> Pose:
         outcome, left_out = found.outcome, found.excluded
-        residuals = {name: found.whole.residuals[name] for name in left_out if name in found.whole.residuals}
+        whole = found.whole.residuals if left_out else {}
+        residuals = {name: whole[name] for name in left_out if name in whole}
         return self._reporter.pose(
             data.epoch,
             data.time_s,
@@ -347,11 +350,9 @@ class Tracker(Generic[T]):
 def _doubted(found: Fused) -> Fused:
     """Return an update whose epoch does not agree with the site, with what may be said of that."""
     judgement = found.judgement
-    scale = judgement.distortion[1]
+    scale, factor = judgement.strength
     if scale > 0.5 * judgement.cost and scale > judgement.drop.max():
-        text = (
-            f"all fields are {judgement.factor:.3g} times as large as the site says: check the sensor and the currents"
-        )
-        return replace(found, doubt=text, findings=(Finding(Explanation.STRENGTH, (), text, factor=judgement.factor),))
+        text = f"all fields are {factor:.3g} times as large as the site says: check the sensor and the currents"
+        return replace(found, doubt=text, findings=(Finding(Explanation.STRENGTH, (), text, factor=factor),))
     worst = judgement.beacons[int(np.argmax(judgement.drop))]
     return replace(found, doubt=f"the fields do not agree with the site, those of {worst} least")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,6 +20,9 @@ from goldfield.types import FloatArray
 
 SIZE = 15
 IDENTITY: FloatArray = np.eye(3)
+UNIT_CROSSES: FloatArray = skew(IDENTITY)
+"""[v]x of the unit vectors: [v]x is the sum of these, each times its component of v."""
+
 POSITION, TURN, VELOCITY, RATE, AMBIENT = (slice(first, first + 3) for first in range(0, SIZE, 3))
 
 
@@ -78,11 +82,11 @@ class State:
 
     def transition(self, seconds: float) -> FloatArray:
         """Return how a small error goes on, shape (15, 15)."""
-        turn = seconds * self.rate_rad_s
+        turn, by_rate = _turns(self.rate_rad_s, np.array([seconds]))
         result = np.eye(SIZE)
         result[POSITION, VELOCITY] = seconds * IDENTITY
-        result[TURN, TURN] = turn_matrix(turn)
-        result[TURN, RATE] = seconds * turn_jacobian(turn)
+        result[TURN, TURN] = turn[0]
+        result[TURN, RATE] = by_rate[0]
         return result
 
 
@@ -110,15 +114,19 @@ class Agility:
         Integrated white noise, per axis sigma^2 [[dt^3/3, dt^2/2], [dt^2/2, dt]] of (position, velocity): with s the
         root of sigma^2 dt the root is s [[dt/sqrt(12), dt/2], [0, 1]].
         """
-        span = abs(seconds)
-        result = np.zeros((SIZE, SIZE))
+        steady, growing = self._noise_roots
+        return np.asarray(math.sqrt(abs(seconds)) * (steady + seconds * growing))
+
+    @cached_property
+    def _noise_roots(self) -> tuple[FloatArray, FloatArray]:
+        """The two parts of `noise_root` over the root of the time, of which the second goes with the time, too."""
+        steady, growing = np.zeros((2, SIZE, SIZE))
         for place, speed, sigma in ((POSITION, VELOCITY, self.acceleration), (TURN, RATE, self.angular_acceleration)):
-            unit = sigma * np.sqrt(span) * IDENTITY
-            result[place, place] = seconds / np.sqrt(12.0) * unit
-            result[place, speed] = 0.5 * seconds * unit
-            result[speed, speed] = unit
-        result[AMBIENT, AMBIENT] = self.ambient * np.sqrt(span) * IDENTITY
-        return result
+            steady[speed, speed] = sigma * IDENTITY
+            growing[place, place] = sigma / math.sqrt(12.0) * IDENTITY
+            growing[place, speed] = 0.5 * sigma * IDENTITY
+        steady[AMBIENT, AMBIENT] = self.ambient * IDENTITY
+        return steady, growing
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +170,8 @@ class Observation:
         """
         if self.deviations is None or self.mixing is not None:
             return self
-        position = state.position_m + np.outer(self.times_s, state.velocity_m_s)
-        rotation = np.array([turn_matrix(time_s * state.rate_rad_s) @ state.rotation for time_s in self.times_s])
+        position = state.position_m + self.times_s[:, None] * state.velocity_m_s
+        rotation = _turns(state.rate_rad_s, self.times_s)[0] @ state.rotation
         effect = self.deviations.effect(self.model, self.seen, position, rotation, state.ambient_T)
         if not np.isfinite(effect).all():  # on a wire
             return self
@@ -174,71 +182,90 @@ class Observation:
         """Return measured minus expected numbers, shape (3 r,), and the Jacobian of the expected, shape (3 r, 15)."""
         return self.linearised(state)[:2]
 
-    def linearised(self, state: State) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return what `residual` does, and the beacons' fields at mid-cycle in the sensor's frame, shape (n, 3).
+    def linearised(self, state: State) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return what `residual` does, and the beacons' fields and gradients at mid-cycle in the sensor's frame.
+
+        Their shapes are (n, 3) and (n, 3, 3); the gradient is R'G, its columns are along the site's axes.
 
         At a node the field of beacon i is h = R' B_i(p) in the sensor's frame, and
         dh = R' (G_i dp + B_i x d_theta): R' [G_i, tau G_i, [B_i]x Exp(w tau), [B_i]x tau J(w tau)] of the errors at
         mid-cycle, J the left Jacobian of rotations.
         """
         nodes, beacons = len(self.times_s), len(self.model)
-        points = state.position_m + np.outer(self.times_s, state.velocity_m_s)
+        points = state.position_m + self.times_s[:, None] * state.velocity_m_s
         field, gradient = self.model.evaluate(points.T)  # (3, k, n), (3, 3, k, n)
-        fields = np.empty((beacons + 1, nodes, 3))
-        fields[:beacons] = field.transpose(2, 1, 0)
-        fields[beacons] = state.ambient_T
-        change = np.zeros((beacons + 1, nodes, 3, SIZE))
-        change[:beacons, :, :, POSITION] = gradient.transpose(3, 2, 0, 1)
-        change[:, :, :, VELOCITY] = self.times_s[:, None, None] * change[:, :, :, POSITION]
-        change[beacons, :, :, AMBIENT] = IDENTITY
-        turns = np.outer(self.times_s, state.rate_rad_s)
-        both = [_turn_and_jacobian(turn) for turn in turns]
-        now = np.array([turn for turn, _ in both])
-        by_rate = self.times_s[:, None, None] * np.array([jacobian for _, jacobian in both])
-        across = skew(fields)
-        change[..., TURN] = across @ now
-        change[..., RATE] = across @ by_rate
+        now, by_rate = _turns(state.rate_rad_s, self.times_s)
         back = (now @ state.rotation).swapaxes(1, 2)
-        in_sensor = (back @ fields[..., None])[..., 0].reshape(-1, 3)
-        by_error = (back @ change).reshape(-1, 3, SIZE).swapaxes(0, 1)
-        expected = (self.seen @ in_sensor.T[:, :, None])[..., 0]
-        residual, jacobian = (self.values - expected).ravel(), (self.seen @ by_error).reshape(-1, SIZE)
-        middle = field[:, nodes // 2].T @ state.rotation
-        if self.mixing is None:
-            return residual, jacobian, middle
-        return self.mixing @ residual, self.mixing @ jacobian, middle
+        fields = np.empty((nodes, 3, beacons + 1))
+        fields[:, :, :beacons] = field.swapaxes(0, 1)
+        fields[:, :, beacons] = state.ambient_T
+        in_sensor = (back @ fields).swapaxes(1, 2)  # (k, n + 1, 3)
+        slope = back @ gradient.transpose(2, 0, 1, 3).reshape(nodes, 3, -1)
+        slope = slope.reshape(nodes, 3, 3, beacons).transpose(1, 3, 0, 2)  # (3, n, k, 3)
+        # R' Exp' [B]x = [h]x R' Exp', of which the turn's part is [h]x R', since Exp' Exp = 1
+        turned = np.empty((nodes, 3, 6))
+        turned[:, :, :3] = state.rotation.T
+        turned[:, :, 3:] = back @ by_rate
+        across = in_sensor @ (UNIT_CROSSES.reshape(9, 3) @ turned).reshape(nodes, 3, 18)
+        across = across.reshape(nodes, beacons + 1, 3, 6).transpose(2, 1, 0, 3)
+        change = np.zeros((3, beacons + 1, nodes, SIZE + 1))  # the last column is the field itself
+        change[:, :beacons, :, POSITION] = slope
+        change[:, :beacons, :, VELOCITY] = self.times_s[:, None] * slope
+        change[..., TURN], change[..., RATE] = across[..., :3], across[..., 3:]
+        change[:, beacons, :, AMBIENT] = back.swapaxes(0, 1)
+        change[..., SIZE] = in_sensor.T
+        seen = self.seen @ change.reshape(3, -1, SIZE + 1)
+        seen[..., SIZE] -= self.values
+        told = seen.reshape(-1, SIZE + 1)
+        if self.mixing is not None:
+            told = self.mixing @ told
+        middle = nodes // 2
+        return -told[:, SIZE], told[:, :SIZE], in_sensor[middle, :beacons], slope[:, :, middle].swapaxes(0, 1)
 
     def strength(self) -> float:
         """Return what the numbers hold beside the ambient field: chi-square if there is nothing but noise.
 
         Its degrees of freedom are then at most ``count``.
         """
-        total, nodes = 0.0, len(self.times_s)
-        for seen, values in zip(self.seen, self.values, strict=True):
-            ambient = seen[:, -nodes:]
-            rest = values - ambient @ np.linalg.lstsq(ambient, values, rcond=None)[0] if ambient.any() else values
+        ambient = self.seen[:, :, -len(self.times_s) :]
+        if not ambient.any():
+            return float((self.values * self.values).sum())
+        total = 0.0
+        for seen, values in zip(ambient, self.values, strict=True):
+            rest = values - seen @ np.linalg.lstsq(seen, values, rcond=None)[0]
             total += float(rest @ rest)
         return total
 
 
 def turn_matrix(vector: FloatArray) -> FloatArray:
     """Return the rotation by a rotation vector, shape (3,): Rodrigues' formula, shape (3, 3)."""
-    return _series(vector, *_coefficients(vector)[:2])
+    return _series(vector, *_coefficients(float(vector @ vector))[:2])
 
 
 def turn_jacobian(vector: FloatArray) -> FloatArray:
     """Return the left Jacobian J of rotations, shape (3, 3): Exp(v + dv) = Exp(J dv) Exp(v) for small dv."""
-    return _series(vector, *_coefficients(vector)[1:])
+    return _series(vector, *_coefficients(float(vector @ vector))[1:])
 
 
-def _turn_and_jacobian(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    first, second, third = _coefficients(vector)
-    return _series(vector, first, second), _series(vector, second, third)
+def _turns(rate_rad_s: FloatArray, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return Exp(w tau) and tau J(w tau) at times tau, shape (k,): shapes (k, 3, 3).
+
+    Both are sums of I, [w]x and [w]x^2, of which only the coefficients depend on the time.
+    """
+    rate2 = float(rate_rad_s @ rate_rad_s)
+    terms = []
+    for tau in times_s.tolist():
+        first, second, third = _coefficients(rate2 * tau * tau)
+        terms.append((1.0, first * tau, second * tau * tau))
+        terms.append((tau, second * tau * tau, third * tau**3))
+    cross = skew(rate_rad_s)
+    powers = np.array([IDENTITY, cross, cross @ cross]).reshape(3, 9)
+    both = (np.array(terms) @ powers).reshape(-1, 2, 3, 3)
+    return both[:, 0], both[:, 1]
 
 
-def _coefficients(vector: FloatArray) -> tuple[float, float, float]:
-    """Return sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 of a vector's length x."""
-    angle2 = float(vector @ vector)
+def _coefficients(angle2: float) -> tuple[float, float, float]:
+    """Return sin(x)/x, (1 - cos x)/x^2 and (x - sin x)/x^3 of an angle x, given its square."""
     if angle2 < 1e-6:
         return 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0, (1.0 - angle2 / 20.0) / 6.0
     angle = math.sqrt(angle2)

@@ -11,9 +11,10 @@ for one unknown. The pose does not know of it, so a beacon that was left out of 
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from goldfield.field import FieldModel
@@ -63,27 +64,55 @@ FIXED = 0.3
 """A place is told if its standard deviation along the worst axis is below this part of the shift, or 2 cm."""
 
 
+NUMBERS = 18
+"""Numbers in the evidence of a beacon."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Evidence:
-    """What epochs say together of the place (h, H) and the current of each of n beacons, and the sums beside.
+    """What epochs say together of each of n beacons, as numbers that add up, shape (..., n, `NUMBERS`)."""
 
-    ``drop`` and ``freedom`` are the cost of each beacon and its degrees of freedom, ``distance_m`` the sum of the
-    distances and ``epochs`` their number.
-    """
+    numbers: FloatArray
 
-    place: FloatArray
-    place_information: FloatArray
-    current: FloatArray
-    current_information: FloatArray
-    drop: FloatArray
-    freedom: FloatArray
-    distance_m: FloatArray
-    epochs: float = 1.0
+    @property
+    def place(self) -> FloatArray:
+        """h, shape (..., n, 3)."""
+        return self.numbers[..., :3]
 
-    def plus(self, other: _Evidence, sign: float = 1.0) -> _Evidence:
-        """Return the evidence of both, or with sign -1 without the other's."""
-        names = (field.name for field in fields(self))
-        return _Evidence(**{name: getattr(self, name) + sign * getattr(other, name) for name in names})
+    @property
+    def place_information(self) -> FloatArray:
+        """H, shape (..., n, 3, 3)."""
+        return self.numbers[..., 3:12].reshape(*self.numbers.shape[:-1], 3, 3)
+
+    @property
+    def current(self) -> FloatArray:
+        """What h is for the current, shape (..., n)."""
+        return self.numbers[..., 12]
+
+    @property
+    def current_information(self) -> FloatArray:
+        """What H is for the current, shape (..., n)."""
+        return self.numbers[..., 13]
+
+    @property
+    def drop(self) -> FloatArray:
+        """Cost of each beacon, shape (..., n)."""
+        return self.numbers[..., 14]
+
+    @property
+    def freedom(self) -> FloatArray:
+        """Degrees of freedom of the cost, shape (..., n)."""
+        return self.numbers[..., 15]
+
+    @property
+    def epochs(self) -> FloatArray:
+        """Number of epochs, shape (..., n), the same for each beacon."""
+        return self.numbers[..., 16]
+
+    @property
+    def mean_distance_m(self) -> FloatArray:
+        """Mean distance from the sensor, shape (..., n)."""
+        return np.asarray(self.numbers[..., 17] / self.epochs)
 
 
 class Witness:
@@ -109,11 +138,18 @@ class Witness:
         recent, patient = (max(round(seconds / site.cycle_s), 1) for seconds in (RECENT_S, PATIENT_S))
         starts = np.linspace(1, recent, STARTS).round().astype(int).tolist()
         earlier = np.geomspace(recent, patient, EARLIER_STARTS + 1).round().astype(int).tolist()
-        self._windows: list[int] = sorted({*starts, *earlier})
+        self._windows: NDArray[np.intp] = np.array(sorted({*starts, *earlier}))
         self._recent: deque[Judgement] = deque(maxlen=recent)
-        self._totals: deque[_Evidence] = deque(maxlen=self._windows[-1] + 1)
+        # Sums from the first epoch on: those of the last epochs in a ring, zeros where there were none yet
+        self._totals = np.zeros((self._windows[-1] + 1, len(site.beacons), NUMBERS))
+        self._place = 0
         level = FALSE_ALARMS_PER_HOUR * site.cycle_s / 3600.0 / len(site.beacons) / len(self._windows)
         self._limit = float(chdtri(3.0, level))
+        surveys = [beacon.survey for beacon in site.beacons]
+        self._tolerance2 = np.array([survey.position_sd_m**2 for survey in surveys])
+        self._tolerance2_by_distance2 = np.array(
+            [(0.5 * survey.axis_sd_rad) ** 2 + (survey.current_sd / 3.0) ** 2 for survey in surveys]
+        )
         self._wait = 0
 
     @property
@@ -126,9 +162,9 @@ class Witness:
         if judgement is None:
             return self.finding
         self._recent.append(judgement)
-        evidence = self._evidence(judgement)
-        self._totals.append(self._totals[-1].plus(evidence) if self._totals else evidence)
-        windows = [self._last(epochs) for epochs in self._windows]
+        windows = self._with(self._evidence(judgement))
+        if self.finding is None and self._unsuspicious(windows):
+            return None
         plain, granted = self._costs(windows)
         found = self._suspect(windows, plain, granted)
         self._wait -= 1
@@ -137,78 +173,78 @@ class Witness:
                 self.finding = None
         elif self.named != (self._site.beacons[found[0]].id,) or self._wait <= 0:
             self.finding = self._explained(*found)
-            self._wait = int(found[1].epochs)
+            self._wait = int(found[1].epochs[0])
         return self.finding
 
-    def _last(self, epochs: int) -> _Evidence:
-        """Return the evidence of the last epochs."""
-        if len(self._totals) <= epochs:
-            return self._totals[-1]
-        return self._totals[-1].plus(self._totals[-1 - epochs], -1.0)
+    def _with(self, evidence: _Evidence) -> _Evidence:
+        """Add an epoch's evidence; return that of all windows, which lead its shape."""
+        last, self._place = self._place, (self._place + 1) % len(self._totals)
+        self._totals[self._place] = self._totals[last] + evidence.numbers
+        return _Evidence(self._totals[self._place] - self._totals[self._place - self._windows])
 
     def _evidence(self, judgement: Judgement) -> _Evidence:
-        state, count = judgement.state, len(self._row)
-        rows = [self._row[name] for name in judgement.beacons]
-        field, gradient = judgement.observation.model.evaluate(state.position_m)  # (3, n), (3, 3, n)
-        back = state.rotation.T
-        shift = -(back @ gradient.transpose(2, 0, 1))  # (n, 3, 3)
-        along = field.T @ state.rotation  # (n, 3)
-        through = shift.swapaxes(1, 2) @ judgement.information
+        along, slope = judgement.field_T, judgement.gradient_T_m.swapaxes(1, 2)  # E' = -slope
+        through = slope @ judgement.information
         own = (judgement.information @ along[:, :, None])[:, :, 0]
+        told = np.empty((len(along), NUMBERS))
+        told[:, :3] = -(slope @ judgement.score[:, :, None])[:, :, 0]
+        told[:, 3:12] = (through @ judgement.gradient_T_m).reshape(-1, 9)
+        told[:, 12] = (along * judgement.score).sum(axis=1)
+        told[:, 13] = (along * own).sum(axis=1)
+        told[:, 14] = judgement.drop
+        told[:, 15] = judgement.drop_freedom
+        numbers = np.zeros((len(self._row), NUMBERS))
+        numbers[[self._row[name] for name in judgement.beacons]] = told
+        numbers[:, 16] = 1.0
+        numbers[:, 17] = np.linalg.norm(self._centres - judgement.state.position_m, axis=1)
+        return _Evidence(numbers)
 
-        def spread(values: FloatArray) -> FloatArray:
-            result = np.zeros((count, *values.shape[1:]))
-            result[rows] = values
-            return result
+    def _unsuspicious(self, windows: _Evidence) -> bool:
+        """Tell quickly that no beacon can be named, as in nearly all epochs of a sound site.
 
-        return _Evidence(
-            place=spread((shift.swapaxes(1, 2) @ judgement.score[:, :, None])[:, :, 0]),
-            place_information=spread(through @ shift),
-            current=spread((along * judgement.score).sum(axis=1)),
-            current_information=spread((along * own).sum(axis=1)),
-            drop=spread(judgement.drop),
-            freedom=spread(judgement.drop_freedom.astype(float)),
-            distance_m=np.linalg.norm(self._centres - state.position_m, axis=1),
-        )
+        With `LEAST_INFORMATION` of H's trace, r, on the diagonal each part of the granted cost, along one eigenvector,
+        is lowered, but not below half, since those with eigenvalues below r do not count in `_costs`: the cost that
+        is granted is at most twice the one that is computed here.
+        """
+        information = windows.place_information
+        tolerance2 = self._granted_m2(windows.mean_distance_m)
+        weakened = information + tolerance2[..., None, None] * (information @ information)
+        trace = np.einsum("...kk", information)
+        weakened += (LEAST_INFORMATION * trace + 1e-300)[..., None, None] * np.eye(3)
+        place = windows.place
+        cost = (place * np.linalg.solve(weakened, place[..., None])[..., 0]).sum(axis=-1)
+        return bool(2.0 * cost.max() <= self._limit)
 
-    def _costs(self, windows: list[_Evidence]) -> tuple[FloatArray, FloatArray]:
+    def _costs(self, windows: _Evidence) -> tuple[FloatArray, FloatArray]:
         """Return what each beacon takes away from the cost of each window, plain and granted, shape (windows, n).
 
         Granted is what is left of the plain one for a beacon that is only as exact as its survey.
         """
-        h = np.array([one.place for one in windows])
-        tolerance = np.array([self._tolerance_m(one.distance_m / one.epochs) for one in windows])
-        values, vectors = np.linalg.eigh(np.array([one.place_information for one in windows]))
+        tolerance2 = self._granted_m2(windows.mean_distance_m)
+        values, vectors = np.linalg.eigh(windows.place_information)
         seen = values > LEAST_INFORMATION * np.maximum(values[..., -1:], 1e-300)
         values = np.where(seen, values, 1.0)
-        along2 = np.where(seen, np.einsum("wnck,wnc->wnk", vectors, h), 0.0) ** 2
+        along2 = np.where(seen, np.einsum("wnck,wnc->wnk", vectors, windows.place), 0.0) ** 2
         plain = (along2 / values).sum(axis=2)
-        granted = (along2 / (values + (tolerance[:, :, None] * values) ** 2)).sum(axis=2)
-        shown = np.array([one.current_information for one in windows])
-        current = np.array([one.current for one in windows])
+        granted = (along2 / (values + tolerance2[:, :, None] * values**2)).sum(axis=2)
+        shown, current = windows.current_information, windows.current
         plain = np.maximum(plain, np.where(shown > 0.0, current**2 / np.where(shown > 0.0, shown, 1.0), 0.0))
         return plain, granted
 
-    def _suspect(
-        self, windows: list[_Evidence], plain: FloatArray, granted: FloatArray
-    ) -> tuple[int, _Evidence] | None:
+    def _suspect(self, windows: _Evidence, plain: FloatArray, granted: FloatArray) -> tuple[int, _Evidence] | None:
         """Return the row of the beacon that is not as the site says and the window that shows it best; None if none."""
         largest = granted.max(axis=1)
         place = int(np.argmax(largest[:-1])) if len(largest) > 1 else 0  # cycles of minutes have one window
         if largest[place] <= self._limit:
             place = len(largest) - 1
-        of, row = windows[place], int(np.argmax(plain[place]))
+        of, row = _Evidence(windows.numbers[place]), int(np.argmax(plain[place]))
         clear = plain[place, row] > np.delete(plain[place], row).max(initial=0.0) + CLEAR
         clear = clear and of.drop[row] > of.drop.max() - LARGEST * np.sqrt(2.0 * of.freedom[row])
         return (row, of) if clear and granted[place, row] > self._limit else None
 
-    def _tolerance_m(self, distance: FloatArray) -> FloatArray:
-        """Return how far the survey lets beacons at mean distances, shape (n,), m, appear to be off."""
-        surveys = [beacon.survey for beacon in self._site.beacons]
-        position = np.array([survey.position_sd_m for survey in surveys])
-        axis = 0.5 * distance * np.array([survey.axis_sd_rad for survey in surveys])
-        current = distance / 3.0 * np.array([survey.current_sd for survey in surveys])
-        return np.asarray(NEIGHBOURS * np.sqrt(position**2 + axis**2 + current**2))
+    def _granted_m2(self, distance_m: FloatArray) -> FloatArray:
+        """Return the square of how far the survey lets beacons at mean distances, shape (..., n), appear to be off."""
+        return np.asarray(NEIGHBOURS**2 * (self._tolerance2 + self._tolerance2_by_distance2 * distance_m**2))
 
     def _explained(self, row: int, of: _Evidence) -> Finding:
         """Say what explains the fields of a beacon best."""
@@ -222,7 +258,7 @@ class Witness:
         deviation_m = 1.0 / np.sqrt(max(float(np.linalg.eigvalsh(information)[0]), 1e-30))
         by_place = float(shift @ of.place[row])
         if np.linalg.norm(shift) > LINEAR_M:
-            shift, share = self._refined(row, shift, int(of.epochs))
+            shift, share = self._refined(row, shift, int(of.epochs[0]))
             by_place = share * whole
         left = whole - max(by_place, by_current)
         if left > chdtri(max(freedom - 3.0, 1.0), UNEXPLAINED) and left > UNEXPLAINED_SHARE * whole:
@@ -251,13 +287,12 @@ class Witness:
         best, explained = shift, 0.0
         for _ in range(REFINEMENTS):
             placed = replace(beacon, position_m=beacon.position_m + shift, points_m=_moved(beacon.points_m, shift))
-            total: _Evidence | None = None
+            total = _Evidence(np.zeros((len(self._row), NUMBERS)))
             for one in recent:
                 old = one.observation
                 model = FieldModel([placed if other.id == beacon.id else other for other in old.model.beacons])
                 now = self._evidence(judged(replace(old, model=model), one.state, one.prior))
-                total = now if total is None else total.plus(now)
-            assert total is not None
+                total = _Evidence(total.numbers + now.numbers)
             share = 1.0 - float(total.drop[row]) / whole
             if share > explained:
                 best, explained = shift, share
