@@ -166,14 +166,7 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
         state.rate_rad_s - before.rate_rad_s,
         state.ambient_T - before.ambient_T,
     ]
-    root = np.zeros((SIZE, UNKNOWNS + prior.root.shape[1]))
-    root.flat[: UNKNOWNS * root.shape[1] : root.shape[1] + 1] = VAGUE_POSE
-    root[UNKNOWNS:, UNKNOWNS:] = prior.root[UNKNOWNS:]
-    spread = jacobian @ root
-    square = spread.T @ spread
-    square.flat[:: len(square) + 1] += 1.0
-    inverse = np.linalg.inv(np.linalg.cholesky(square))
-    half = inverse @ spread.T  # S = I - half' half
+    root, inverse, half = _belief(prior, jacobian)
     innovation = residual + jacobian[:, UNKNOWNS:] @ np.concatenate(motion)
     rest = innovation - half.T @ (half @ innovation)
     columns = _columns(observation)  # (n, 3, rows)
@@ -212,6 +205,22 @@ def judged(observation: Observation, state: State, prior: Belief) -> Judgement:
         _half=half,
         _rest=rest,
     )
+
+
+def _belief(prior: Belief, jacobian: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the root of what is believed of the state, and what makes S = I - half' half of it.
+
+    With the spread H root of the numbers by the state, half is L^-1 spread' and L L' = I + spread' spread; the second
+    matrix is L^-1.
+    """
+    root = np.zeros((SIZE, UNKNOWNS + prior.root.shape[1]))
+    root.flat[: UNKNOWNS * root.shape[1] : root.shape[1] + 1] = VAGUE_POSE
+    root[UNKNOWNS:, UNKNOWNS:] = prior.root[UNKNOWNS:]
+    spread = jacobian @ root
+    square = spread.T @ spread
+    square.flat[:: len(square) + 1] += 1.0
+    inverse = np.linalg.inv(np.linalg.cholesky(square))
+    return root, inverse, inverse @ spread.T
 
 
 def _columns(observation: Observation) -> FloatArray:
