@@ -98,8 +98,20 @@ def test_a_wrong_code_is_named_with_the_right_one(bench):
     assert "goldfield nodes set 3 code 4" in check.advice
 
 
-def test_a_code_that_another_board_drives(bench):
-    assert faults(examined(bench(pages={3: {"code": 3}}))) == [(Fault.CODE, (3,), ("b3",))]
+@pytest.mark.parametrize(("node", "code", "beacons"), [(3, 3, ("b2", "b3")), (3, 5, ("b4", "b3"))])
+def test_a_code_that_two_boards_drive_is_blamed_on_neither(bench, node, code, beacons):
+    """What they say does not tell which of the two is wrong, the one of the smaller number or the other."""
+    checks = examined(bench(pages={node: {"code": code}}))
+    assert faults(checks) == [(Fault.CODE, (min(node, code - 1), max(node, code - 1)), beacons)]
+    (check,) = (check for check in checks if check.fault)
+    assert "and no board drives the code 4 of b3" in check.text
+    assert "goldfield nodes identify" in check.advice
+    assert "goldfield nodes set NODE code 4" in check.advice
+
+
+def test_a_site_file_of_another_degree_is_one_fault(bench):
+    checks = examined(bench(site=("degree = 10", "degree = 9")))
+    assert faults(checks) == [(Fault.SITE, (*range(1, 9), 100), ())]
 
 
 def test_a_wrong_code_seen_from_a_serial_line_is_a_beacon_without_a_field(bench):

@@ -104,7 +104,7 @@ def codes(roster: Roster, site: Site) -> Iterator[Check]:
         nodes_of.setdefault(int(node.parameters.get(CODE) or 0), []).append(node.number)
     missing = [beacon for beacon in site.beacons if beacon.code not in nodes_of]
     strange = [(code, numbers[0]) for code, numbers in nodes_of.items() if code not in site.codes]
-    spare = [(code, number) for code, numbers in nodes_of.items() if code in site.codes for number in numbers[1:]]
+    shared = [(b, numbers) for b in site.beacons if len(numbers := tuple(nodes_of.get(b.code, ()))) > 1]
     if len(missing) > 1 and 2 * len(missing) >= len(site.beacons) and len(strange) >= 2:
         yield wrong(
             Fault.SITE,
@@ -116,40 +116,40 @@ def codes(roster: Roster, site: Site) -> Iterator[Check]:
             beacons=tuple(beacon.id for beacon in missing),
         )
         return
-    yield from _single_codes(missing, strange, spare)
-    if not missing and not strange and not spare:
+    only = missing[0] if len(missing) == len(strange) + len(shared) == 1 else None
+    for code, number in strange:
+        yield _wrong_code(f"node {number} drives the code {code}, which is no beacon's", (number,), only)
+    for beacon, numbers in shared:
+        yield _wrong_code(f"nodes {_and(numbers)} drive the code {beacon.code} of {beacon.id}", numbers, only, beacon)
+    for beacon in missing:
+        if only is None:
+            yield wrong(
+                Fault.OFF,
+                f"beacon {beacon.id}",
+                f"no board with the code {beacon.code} of {beacon.id} is heard",
+                "check the board's power and its cable to the bus",
+                beacons=(beacon.id,),
+            )
+    if not missing and not strange and not shared:
         yield sound("codes", f"each of the site's {len(site.beacons)} codes is driven by one board")
 
 
-def _single_codes(
-    missing: Sequence[Beacon], strange: Sequence[tuple[int, int]], spare: Sequence[tuple[int, int]]
-) -> Iterator[Check]:
-    lost = list(missing)
-    for code, number in (*strange, *spare):
-        beacon = lost.pop(0) if lost and len(missing) == len(strange) + len(spare) == 1 else None
-        shared = (code, number) in spare
-        text = f"node {number} drives the code {code}, which " + (
-            "another board drives" if shared else "is no beacon's"
+def _wrong_code(text: str, nodes: tuple[int, ...], missing: Beacon | None, shared: Beacon | None = None) -> Check:
+    """Return the check of a board with the code of another beacon, or of several of which all but one have.
+
+    ``missing`` is the beacon whose board it must be, if that is known, and ``shared`` the one whose code several have.
+    """
+    if missing is not None:
+        text += f", and no board drives the code {missing.code} of {missing.id}"
+    wanted = "CODE" if missing is None else str(missing.code)
+    board = f"give the board its beacon's code: goldfield nodes set {nodes[0]} code {wanted}; make flash stores it"
+    if shared is not None:  # who of them is right is not told by what they say
+        board = (
+            f"see by goldfield nodes identify {nodes[0]} which of them is not at {shared.id}, and give that board its "
+            f"own beacon's code: goldfield nodes set NODE code {wanted}; make flash stores it"
         )
-        if beacon is not None:
-            text += f", and no board drives the code {beacon.code} of {beacon.id}"
-        wanted = beacon.code if beacon is not None else "CODE"
-        yield wrong(
-            Fault.CODE,
-            "codes",
-            text,
-            f"give the board its beacon's code: goldfield nodes set {number} code {wanted}; make flash stores it",
-            nodes=(number,),
-            beacons=() if beacon is None else (beacon.id,),
-        )
-    for beacon in lost:
-        yield wrong(
-            Fault.OFF,
-            f"beacon {beacon.id}",
-            f"no board with the code {beacon.code} of {beacon.id} is heard",
-            "check the board's power and its cable to the bus",
-            beacons=(beacon.id,),
-        )
+    beacons = tuple(beacon.id for beacon in (shared, missing) if beacon is not None)
+    return wrong(Fault.CODE, "codes", text, board, nodes=nodes, beacons=beacons)
 
 
 def drives(roster: Roster, site: Site) -> Iterator[Check]:
@@ -209,17 +209,18 @@ def _current(number: int, beacon: Beacon, current_A: float) -> Iterator[Check]:
 
 
 def degrees(roster: Roster, site: Site) -> Iterator[Check]:
-    """Yield boards that work with codes of another degree than the site's."""
-    for node in in_order(roster):
-        degree = node.parameters.get(DEGREE)
-        if degree is not None and degree != site.degree:
-            yield wrong(
-                Fault.SITE,
-                "degree",
-                f"node {node.number} works with codes of degree {degree}, the site file says {site.degree}",
-                "correct the site file's degree, or store the parameter degree in every board",
-                nodes=(node.number,),
-            )
+    """Yield boards that work with codes of another degree than the site's, together those of one degree."""
+    told = [(node.number, node.parameters.get(DEGREE)) for node in in_order(roster)]
+    for wrong_degree in sorted({int(degree) for _, degree in told if degree not in (None, site.degree)}):
+        numbers = tuple(number for number, degree in told if degree == wrong_degree)
+        who = f"node {numbers[0]} works" if len(numbers) == 1 else f"nodes {_and(numbers)} work"
+        yield wrong(
+            Fault.SITE,
+            "degree",
+            f"{who} with codes of degree {wrong_degree}, the site file says {site.degree}",
+            "correct the site file's degree, or store the parameter degree in every board",
+            nodes=numbers,
+        )
 
 
 def hosts(roster: Roster) -> Check:
