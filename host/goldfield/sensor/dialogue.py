@@ -67,8 +67,8 @@ class Dialogue:
                 "correct the site's degree, or store the parameter degree in every board"
             )
 
-    def configure(self, codes: Sequence[int], parameters: Parameters | None = None) -> bool:
-        """Make the sensor report these codes; tells whether anything had to be set.
+    def changes(self, codes: Sequence[int], parameters: Parameters | None = None) -> dict[int, int | float]:
+        """Return what has to be set so that the sensor reports these codes: values by the parameter's id.
 
         Parameters
         ----------
@@ -84,7 +84,11 @@ class Dialogue:
             If the sensor does not answer or refuses.
         """
         wanted = wanted_parameters(codes, parameters)
-        changes = {parameter: value for parameter, value in wanted.items() if self.ask(parameter) != value}
+        return {parameter: value for parameter, value in wanted.items() if self.ask(parameter) != value}
+
+    def configure(self, codes: Sequence[int], parameters: Parameters | None = None) -> bool:
+        """Make the sensor report these codes, as `changes`; tells whether anything had to be set."""
+        changes = self.changes(codes, parameters)
         for parameter, value in changes.items():
             self.set(parameter, value)
         return bool(changes)
