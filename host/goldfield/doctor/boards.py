@@ -49,7 +49,10 @@ def firmware(roster: Roster) -> Iterator[Check]:
 
 
 def timing(roster: Roster, *, whole_bus: bool) -> Iterator[Check]:
-    """Yield what is wrong with the clocks; who is the master is known only where every board is heard."""
+    """Yield what is wrong with the clocks; who is the master is known only where every board is heard.
+
+    A board is one by its sync signals or by its parameter, which it reads at its start.
+    """
     nodes = [node for node in in_order(roster) if node.same_protocol]
     masters = [node.number for node in nodes if node.syncs or node.parameters.get(SYNC_MASTER) == 1]
     if len(masters) > 1:
@@ -177,15 +180,16 @@ def _of_coil(node: Node, channel: int, beacon: Beacon | None) -> Iterator[Check]
     if drive.target_A == 0.0:
         yield wrong(
             Fault.OFF,
-            name,
+            "coil",
             f"{name} has an amplitude of 0 A: its coil is off",
-            f"goldfield nodes set {node.number} amplitude AMPERES; make flash stores it",
+            f"goldfield nodes set {node.number} amplitude "
+            f"{'AMPERES' if beacon is None else f'{abs(beacon.current_A):g}'}; make flash stores it",
             **about,
         )
     elif complaints and drive.locked:
         yield wrong(
             Fault.DRIVE,
-            name,
+            "coil",
             f"{name} reports {', '.join(complaints)} on channel {channel}",
             "check coil, cable and supply; to start it again set any parameter, as its amplitude",
             **about,

@@ -224,7 +224,8 @@ def _of_others(health: Health, site: Site) -> Iterator[Finding]:
             yield _board((), f"node {board.node}, a beacon, reports {complaint}")
         if _within(health, board.doubled_s, EVENT_S) and board.node != health.node:
             yield _board((), f"two boards have the number {board.node}, or its code was changed")
-    if health.now_s > SILENT_S and any(code in site.codes for code in codes):
+    untold = any(board.unasked for board in driving)  # a board that has yet to tell its code may be any beacon's
+    if health.now_s > SILENT_S and not untold and any(code in site.codes for code in codes):
         for beacon in site.beacons:
             if beacon.code not in codes:
                 yield _board((beacon.id,), f"no board with the code of {beacon.id} is heard: check its power and cable")

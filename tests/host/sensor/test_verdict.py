@@ -272,6 +272,14 @@ def test_a_beacon_whose_board_was_never_heard():
     assert texts(verdict) == [f"no board with the code of {IDS[-1]} is heard: check its power and cable"]
 
 
+def test_a_board_that_has_yet_to_tell_its_code_may_be_the_one_that_is_missing():
+    bus = Bus(codes=CODES[:-1])
+    bus.say(heartbeat(node=8, role=0))
+    assert texts(bus.run(30)) == []
+    bus.say(answer(8, CODE, 500), answer(8, WAVEFORM, 0))
+    assert texts(bus.judge()) == [f"no board with the code of {IDS[-1]} is heard: check its power and cable"]
+
+
 def test_two_boards_with_one_code(bus):
     bus.say(answer(4, CODE, CODES[1]))
     verdict = bus.judge()
