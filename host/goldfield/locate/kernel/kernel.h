@@ -74,8 +74,8 @@ void gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *fiel
  * best is the global minimum of the cost as far as could be found out within most_evaluations; those on the right side
  * of the half-space, the unit normal and the least component along it, go before others (a normal and component of 0
  * allow all). A rival is another minimum within a cost of 15 of the best that no low way joins with it. Where
- * even with a relative error of the model the cost is above hopeless_cost, a descent is given up; if all are, the best
- * of them is fitted to the end and nothing else is sought. Out:
+ * even with a relative error of the model the cost is above hopeless_cost, a descent is given up; if nothing costs
+ * less, the candidates are fitted to the end all the same and neither a rival nor the valley's bend is sought. Out:
  * position_m (e x 2 x 3), rotation (e x 2 x 3 x 3), best and rival; found (e), how many of the two there are; widening
  * (e x 6 x 6), to be added to the covariance of the best because its valley bends; evaluations (e). */
 void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,

@@ -56,8 +56,7 @@ typedef struct {
     const double *half_space; /* unit normal and the least component along it; a normal of 0 allows all */
     double model_error;
     double hopeless_cost;
-    gf_minimum_t hopeless; /* the best of those above this cost; its own cost is infinite if there is none */
-    size_t coil;           /* the start coil */
+    size_t coil; /* the start coil */
     size_t count;
     gf_minimum_t minima[MOST_MINIMA]; /* those on the right side first, then by cost */
 } search_t;
@@ -148,18 +147,13 @@ static bool is_stiff(const gf_epoch_t *epoch, double error) {
 
 /* Whether a soft minimum leads to nothing that matters: no stiffer cost is less, and this is above what data that fit
  * anywhere cost, or far above the best. */
-static bool is_hopeless(search_t *search, const gf_minimum_t *soft) {
-    if (soft->squares.cost > search->hopeless_cost) {
-        if (soft->squares.cost < search->hopeless.squares.cost) {
-            search->hopeless = *soft;
-        }
-        return true;
-    }
-    return search->count > 0 && is_inside(search, &search->minima[0].pose) &&
-           soft->squares.cost > search->minima[0].squares.cost + HOPELESS_COST;
+static bool is_hopeless(const search_t *search, const gf_minimum_t *soft) {
+    return soft->squares.cost > search->hopeless_cost ||
+           (search->count > 0 && is_inside(search, &search->minima[0].pose) &&
+            soft->squares.cost > search->minima[0].squares.cost + HOPELESS_COST);
 }
 
-static bool is_given_up(search_t *search, const gf_minimum_t *at, size_t stage) {
+static bool is_given_up(const search_t *search, const gf_minimum_t *at, size_t stage) {
     const bool far = stage >= UNENDED_STAGE && at->squares.cost > UNENDED_TIMES * search->hopeless_cost;
     return (at->converged || far) && is_hopeless(search, at);
 }
@@ -244,10 +238,12 @@ static void explore(search_t *search) {
                                   NEAR_RADII * search->epoch.coils->radius_m[search->coil])) {
         try_spread(search, SPREAD_STAGE);
     }
-    if (search->count == 0 && isfinite(search->hopeless.squares.cost)) {
-        gf_soften(&search->epoch, search->model_error);
-        gf_descend(&search->epoch, FINAL_TRIALS, FINAL_ENOUGH, &search->hopeless);
-        (void)keep(search, &search->hopeless);
+    if (search->count == 0 || search->minima[0].squares.cost > search->hopeless_cost) {
+        /* Nothing fits; the pose that fits best is wanted all the same, as a track's start. */
+        search->hopeless_cost = INFINITY;
+        for (size_t i = 0; i < count; ++i) {
+            (void)refine(search, &candidates[i], 0);
+        }
     }
 }
 
@@ -307,7 +303,6 @@ void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, co
         search.epoch.field_T = field_T + 3 * n * e;
         search.epoch.sigma_T = sigma_T + n * e;
         search.epoch.most_evaluations = most_evaluations - most_evaluations / WALKS_SHARE;
-        search.hopeless.squares.cost = INFINITY;
         explore(&search);
         const bool ended = search.epoch.evaluations >= search.epoch.most_evaluations;
         search.epoch.most_evaluations = most_evaluations;
