@@ -11,7 +11,10 @@ from goldfield.errors import UserError
 LINKS = {
     "port": ("PATH", "serial port of the sensor"),
     "can": ("INTERFACE:CHANNEL", "python-can interface and channel, as socketcan:can0"),
-    "log": ("FILE", "recording instead of a link"),
+    "log": (
+        "FILE",
+        "recording instead of a sensor: of candump, or .asc, .blf, .csv, .db, .mf4, .trc; - is stdin",
+    ),
 }
 
 
@@ -45,7 +48,7 @@ def chosen(arguments: argparse.Namespace) -> tuple[str, str]:
     if len(given) != 1:
         wanted = [f"--{name} {LINKS[name][0]}" for name in names]
         raise UserError(
-            f"{'no link is' if not given else 'more than one link is'} given: give one of "
+            f"{'no source is' if not given else 'more than one source is'} given: give one of "
             f"{', '.join(wanted[:-1])} and {wanted[-1]}"
         )
     ((kind, where),) = given.items()

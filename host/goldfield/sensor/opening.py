@@ -127,7 +127,7 @@ def open_sensor(
     Parameters
     ----------
     kind : str
-        One of `goldfield.sensor.options.SOURCES`.
+        ``"port"``, a serial port, ``"can"``, a CAN bus, or ``"log"``, a recording.
     where : str
         Path of the port or the log, or ``INTERFACE:CHANNEL``.
     site : Site

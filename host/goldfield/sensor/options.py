@@ -11,9 +11,6 @@ from goldfield.site import Site
 LAST_NODE = 4095
 """The largest node that the twelve bits of a message's identifier hold; 0 is no node."""
 
-SOURCES = ("port", "can", "log")
-"""Kinds of sources: a serial port, a CAN bus, a recording."""
-
 
 class Method(StrEnum):
     """How the pose of an epoch is made."""
