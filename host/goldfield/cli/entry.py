@@ -53,6 +53,8 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
+        self.helpful = self.prog
+        """The command whose ``--help`` a complaint names: what a subcommand left over is complained of by the whole."""
         if "-" in self.prefix_chars and self.add_help:
             for letter, loudness, text in (
                 ("q", Loudness.QUIET, "tell on stderr what failed, and nothing else"),
@@ -72,7 +74,7 @@ class Parser(argparse.ArgumentParser):
         """Print the complaint and exit with 2."""
         if len(message) > LONGEST_COMPLAINT:  # a word of thousands of letters is in it
             message = f"{message[: LONGEST_COMPLAINT // 2]} ... {message[-LONGEST_COMPLAINT // 2 :]}"
-        self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)}; see {self.prog} --help\n")
+        self.exit(EXIT_USAGE, f"{self.prog}: {printable(message)}; see {self.helpful} --help\n")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -169,15 +171,16 @@ def build_parser(called: str | None = None, *, every: bool = False) -> argparse.
             import_module(module).command(_Summarised(subparsers, summary))
         else:
             subparsers.add_parser(name, help=summary, add_help=False)
-    if called in COMMANDS or called == "--version":
-        return parser
-    for entry_point in entry_points(group=COMMAND_GROUP):
+    known = called in COMMANDS or called == "--version"
+    for entry_point in () if known else entry_points(group=COMMAND_GROUP):
         if entry_point.name in subparsers.choices:
             continue
         if every or entry_point.name == called:
             _add_foreign(_Summarised(subparsers, _summary(entry_point) if every else ""), entry_point)
         else:
             subparsers.add_parser(entry_point.name, help=_summary(entry_point), add_help=False)
+    if called in subparsers.choices:
+        parser.helpful = subparsers.choices[called].prog
     return parser
 
 

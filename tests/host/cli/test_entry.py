@@ -235,3 +235,11 @@ def test_a_can_channel_that_cannot_be_opened_is_one_line():
     done = ended(["run", "--site", ROOM, "--can", "udp_multicast:192.0.2.1"], stderr=subprocess.PIPE)
     assert done.returncode == 2
     assert re.fullmatch(r"goldfield: --can udp_multicast:192\.0\.2\.1: cannot be opened: .*\n", done.stderr)
+
+
+@pytest.mark.parametrize("command", ["doctor", "nodes", "hil"])
+def test_an_option_that_a_command_does_not_have_points_to_the_help_of_that_command(command, capsys):
+    with pytest.raises(SystemExit) as end:
+        main([command, "--nope", *["prigge8"] * (command == "hil")])
+    assert end.value.code == 2
+    assert capsys.readouterr().err == f"goldfield: unrecognized arguments: --nope; see goldfield {command} --help\n"

@@ -117,7 +117,9 @@ def test_a_signal_leaves_no_half_of_a_table(tmp_path, number):
     """Whatever the command: here `separate`, which has written a cycle and waits for more."""
     rows = [f"{i}," + ",".join(repr(float(v)) for v in row) for i, row in enumerate(CHIPS @ beacon_fields())]
     words = [*GOLDFIELD, "separate", "--site", str(SITE), "--fields", str(tmp_path / "fields.csv"), "--json", "-"]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as it:
+    with subprocess.Popen(
+        words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as it:
         it.stdin.write("\n".join(["chip,bx_T,by_T,bz_T", *rows, *rows[:1], ""]))
         it.stdin.flush()
         assert json.loads(it.stdout.readline())
