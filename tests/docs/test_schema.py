@@ -61,6 +61,21 @@ def test_run_prints_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert lines[-1]["lost"] == 1
 
 
+def test_run_writes_a_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, path = tmp_path / "run.log", tmp_path / "summary.json"
+    lines = log_of(range(3), [heartbeat()]).splitlines(keepends=True)
+    log.write_text("".join([*lines[:-1], "(9.0) can0 123#11\n", "(9.1) can0 456#\n"]))
+    words = ["run", "--log", str(log), "--site", str(SITE), "--summary", str(path)]
+    assert main([*words, "--json"]) == 0
+    assert len(lines_of(capsys)) == 3
+    (summary,) = [json.loads(line) for line in path.read_text().splitlines()]
+    validator("summary").validate(summary)
+    assert (summary["epochs"], summary["statuses"], summary["lost"]) == (3, {"ok": 3}, 1)
+    assert summary["link"] == {"frames with 11-bit identifiers": 2}
+    assert main(words) == 2, "it is not overwritten"
+    assert "--force" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("options", [[], ["--mains", "50"], ["--unknown-rise"]])
 def test_separate_prints_cycles(options: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "samples.csv"

@@ -6,12 +6,15 @@ import argparse
 import contextlib
 import os
 import sys
+from collections.abc import Iterator
 
 import can
 
+from goldfield.cli.output import json_line
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
 from goldfield.errors import EXIT_FAILED, tell
 from goldfield.files.inputs import STREAM
+from goldfield.files.outputs import OutputFile
 from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.sensor.opening import open_sensor
@@ -53,7 +56,11 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
             writer = CandumpWriter(arguments.record, force=arguments.force)
             recorder = Branch(writer, arguments.record, waits=kind == "log", essential=arguments.record == STREAM)
             stack.callback(end_recording, recorder)
-        sinks = _print_epochs(arguments, stack.enter_context(open_sensor(kind, where, site, choices, recorder)))
+        summary = Summary()
+        if arguments.summary:
+            stack.enter_context(_written_at_the_end(summary, arguments.summary, force=arguments.force))
+        sensor = stack.enter_context(open_sensor(kind, where, site, choices, recorder))
+        sinks = _print_epochs(arguments, sensor, summary)
     if sinks.stuck:
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
@@ -67,9 +74,22 @@ def end_recording(recorder: Branch[can.Message]) -> None:
         tell(f"{recorder.name}: {recorder.dropped} messages are missing in it, because the disk was too slow")
 
 
-def _print_epochs(arguments: argparse.Namespace, sensor: Sensor) -> Fanout[Epoch]:
+@contextlib.contextmanager
+def _written_at_the_end(summary: Summary, path: str, *, force: bool) -> Iterator[None]:
+    """Write a summary as JSON to a file however the run ends, if there was an epoch; it must be writable before."""
+    file = OutputFile(path, "the summary", force=force)
+    try:
+        yield
+    finally:
+        if summary.epochs:
+            file.write(f"{json_line(summary.record())}\n".encode())
+            file.close()
+        else:
+            file.discard()
+
+
+def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch]:
     """Print the epochs and the summary; return the sinks, of which an interrupt may have left one stuck."""
-    summary = Summary()
     sinks = _sinks(arguments, sensor, summary)
     try:
         with sinks:

@@ -26,6 +26,7 @@ def command(subparsers: Any) -> None:
     options.add_json(parser)
     options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
     options.add(parser, "--fields", metavar="FILE", what="write the separated fields to a table for goldfield locate")
+    options.add(parser, "--summary", metavar="FILE", what="write the summary as a JSON object, at the end")
     options.add_force(parser)
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
     options.add(parser, "--truth", metavar="FILE", what="the simulator's truth, to compare with")
@@ -44,7 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     kind, where = link_options.chosen(arguments)
     site = options.required(arguments.site, "--site", "FILE")
     inputs = {"--site": site, "--log": where if kind == "log" else None, "--truth": arguments.truth}
-    check_outputs({"--record": arguments.record, "--fields": arguments.fields}, inputs, force=arguments.force)
+    outputs = {"--record": arguments.record, "--fields": arguments.fields, "--summary": arguments.summary}
+    check_outputs(outputs, inputs, force=arguments.force)
     known = site_of(arguments)
     options.tell_assumed(known)
     return print_poses(arguments, kind, where, known)

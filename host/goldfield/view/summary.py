@@ -7,6 +7,7 @@ import textwrap
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -108,6 +109,21 @@ class Summary:
         elif truth:
             lines.append("no ok pose could be compared with the truth")
         return "\n".join(part for line in lines for part in textwrap.wrap(line, WIDTH, subsequent_indent="  "))
+
+    def record(self) -> dict[str, Any]:
+        """Return the counts under the keys of ``goldfield run --summary``, without what never happened."""
+        return {
+            "epochs": self.epochs,
+            "statuses": {status.value: count for status, count in self.statuses.items() if count},
+            "excluded": dict(self._excluded),
+            "lost": self.lost_messages,
+            "link": self.link,
+            "counters": self.counters,
+            "board_counters": {str(node): counters for node, counters in self.board_counters.items()},
+            "dropped": self.dropped,
+            "position_rms_m": _rms(self._position_m),
+            "attitude_rms_rad": _rms(self._attitude_rad),
+        }
 
     def _about_beacons(self) -> list[str]:
         lines: list[str] = []
