@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import errno
 import io
 import os
 import sys
@@ -31,6 +32,7 @@ from goldfield.errors import (
     tell,
 )
 from goldfield.files.environment import switched_on
+from goldfield.files.inputs import reason_of
 
 COMMANDS = {
     "run": ("goldfield.cli.run", "live poses from a sensor"),
@@ -109,7 +111,7 @@ def _outcome(words: list[str]) -> int:
     except BrokenPipeError:
         return 0  # The reader of our output went away, as in "| head": that ends us, and is no error.
     except OSError as error:
-        return _complain(f"the system refused to read or write: {error}", EXIT_FAILED)
+        return _complain(_refused(error), EXIT_FAILED)
     except MemoryError:
         return _complain("the memory does not hold what was asked for: give less", EXIT_FAILED)
     except KeyboardInterrupt:
@@ -120,6 +122,15 @@ def _outcome(words: list[str]) -> int:
             "output of the same command under GOLDFIELD_DEBUG=1",
             EXIT_FAILED,
         )
+
+
+def _refused(error: OSError) -> str:
+    """Return what the system refused; an error without a file is of a stream, and one of a full disk of the output."""
+    if error.filename is not None:
+        return f"{error.filename}: cannot be read or written: {reason_of(error)}"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return f"the output cannot be written: {reason_of(error)}: make room, or write to another place"
+    return f"the system refused to read or write: {reason_of(error)}"
 
 
 def _called(words: list[str]) -> str | None:

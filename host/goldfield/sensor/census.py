@@ -33,6 +33,8 @@ class Census:
         The channel that the user chose.
     by_reports : bool, optional
         Whether a node that sends reports counts as a sensor though it has not told its role, as in a recording.
+    live : bool, optional
+        Whether the nodes are there, and can be flashed; else they are those of a recording.
 
     Attributes
     ----------
@@ -42,12 +44,15 @@ class Census:
         What to do with a sensor that would count if it spoke this host's protocol.
     """
 
-    def __init__(self, node: int | None = None, channel: str | None = None, *, by_reports: bool = False) -> None:
+    def __init__(
+        self, node: int | None = None, channel: str | None = None, *, by_reports: bool = False, live: bool = True
+    ) -> None:
         self.heard: set[str] = set()
         self.refused: str | None = None
         self._node = node
         self._channel = channel
         self._by_reports = by_reports
+        self._live = live
         self._reporting: dict[Place, None] = {}
         self._roles: dict[Place, int] = {}
         self._strangers: set[Place] = set()
@@ -106,7 +111,7 @@ class Census:
 
     def _take_heartbeat(self, place: Place, heartbeat: Message) -> None:
         role = int(heartbeat.signals["role"])
-        fault = other_protocol(heartbeat)
+        fault = other_protocol(heartbeat, live=self._live)
         if fault is not None:
             self._strangers.add(place)
             if self._chosen(place) and (role == ROLE_SENSOR or self._node is not None):

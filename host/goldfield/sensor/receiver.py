@@ -10,7 +10,7 @@ import can
 from cantools.database.errors import Error as DatabaseError
 
 from goldfield.errors import UserError, tell
-from goldfield.link.buses import Source
+from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import ON_SENSOR_POSE
 from goldfield.link.traffic import (
     BY_MISMATCH,
@@ -90,6 +90,7 @@ class Receiver:
         self.channel: str | None = None
         self._traffic = no_traffic()
         self._source = source
+        self._live = isinstance(source, BusSource)
         self._recorder = recorder
         self._listener = listener
         self._ahead: deque[can.Message] = deque()
@@ -163,14 +164,14 @@ class Receiver:
         return message
 
     def _check_protocol(self, heartbeat: Message) -> None:
-        fault = other_protocol(heartbeat)
+        fault = other_protocol(heartbeat, live=self._live)
         if fault is None:
             self._strangers.discard(heartbeat.node)
             return
         if heartbeat.node == self.node:
             raise UserError(f"{self.name}: {fault}")
         self._strangers.add(heartbeat.node)
-        self.tell_once(f"{fault}; until then it is ignored")
+        self.tell_once(f"{fault}; until then it is ignored" if self._live else f"{fault}; here it is ignored")
 
 
 def channel_of(raw: can.Message) -> str | None:
@@ -188,14 +189,16 @@ def used_message(raw: can.Message) -> Message | None:
         return None
 
 
-def other_protocol(heartbeat: Message) -> str | None:
-    """Return what to do with a node that speaks another protocol than this host; None if it speaks the same."""
+def other_protocol(heartbeat: Message, *, live: bool) -> str | None:
+    """Return what to do with a node, or a recording of it, of another protocol than this host's; None if it is this."""
     theirs, ours = int(heartbeat.signals["protocol_hash"]), protocol_hash()
     if theirs == ours:
         return None
     role = ROLES.get(int(heartbeat.signals["role"]), "unknown")
     version = ".".join(str(int(heartbeat.signals[f"version_{part}"])) for part in ("major", "minor", "patch"))
-    return (
-        f"node {heartbeat.node} ({role}, firmware {version}) speaks protocol {theirs:#010x} and this "
-        f"host {ours:#010x}: flash it with the {role} firmware of this host's version (make flash ROLE={role})"
+    what = (
+        f"node {heartbeat.node} ({role}, firmware {version}) speaks protocol {theirs:#010x} and this host {ours:#010x}"
     )
+    if not live:
+        return f"{what}: read the recording with the version of goldfield that made it"
+    return f"{what}: flash it with the {role} firmware of this host's version (make flash ROLE={role})"

@@ -271,7 +271,7 @@ class Session:
         if self.live or self._looked:
             return
         self._looked = True
-        census = Census(self.node, self._channel, by_reports=True)
+        census = Census(self.node, self._channel, by_reports=True, live=False)
         kept: list[can.Message] = []
         first_s: float | None = None
         while len(kept) < LOOKED_AT and (raw := self.receiver.receive_raw(0.0)) is not None:

@@ -142,3 +142,13 @@ sys.exit(main(["ports"]))
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (130, "")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is always full")  # noqa: PTH110
+@pytest.mark.parametrize("words", [("completion", "bash"), ("locate", "--site", SITE, FIELDS)])
+def test_a_full_stdout_is_called_the_output(words):
+    with open("/dev/full", "w") as full:  # noqa: PTH123
+        done = run(*words, stdout=full)
+    assert done.returncode == 3
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("goldfield: the output cannot be written: No space left on device")
