@@ -10,9 +10,10 @@ from typing import Any
 
 from goldfield.cli.output import json_line, number
 from goldfield.errors import SystemFailure, UserError
+from goldfield.link.requests import Value
 from goldfield.nodes.conversation import BLINK, HEARD_S, RESET, Conversation
 from goldfield.nodes.elements import elements_of, parsed, shown
-from goldfield.nodes.roster import Node, Value
+from goldfield.nodes.roster import Node
 from goldfield.view.terminal import WIDTH
 from goldfield_protocol.messages import protocol_hash
 from goldfield_protocol.parameters import PARAMETERS, Parameter, counter_name

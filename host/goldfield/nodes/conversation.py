@@ -12,27 +12,17 @@ import can
 
 from goldfield.errors import SystemFailure
 from goldfield.link.buses import BusSource
+from goldfield.link.requests import ANSWER_S, UNKNOWN, Value, read_request, refusal, set_request, value_of
 from goldfield.link.traffic import added
-from goldfield.nodes.roster import Roster, Value, decoded, value_of
+from goldfield.nodes.roster import Roster, decoded
 from goldfield_protocol.messages import Message, encode
-from goldfield_protocol.parameters import Kind, find_id, label_of
+from goldfield_protocol.parameters import Kind, label_of
 
 TRIES = 3
-ANSWER_S = 1.0
-"""A board answers a request within a few milliseconds; a simulated one may run slower than the wall clock."""
-
 HEARD_S = 2.2
 """Nodes send a heartbeat once a second: in this time each was heard twice."""
 PATIENCE_S = 10.0
 """Longest wait for the first heartbeat."""
-
-REFUSALS = {
-    1: "has no such parameter",
-    2: "refuses the value",
-    3: "says that it is of another kind",
-    4: "never sets it",
-}
-
 
 IDENTITY, BLINK, RESET = 0, 1, 2
 """Numbers of the commands, the index of ``COMMAND``."""
@@ -140,12 +130,13 @@ class Conversation:
         missing, found = dict.fromkeys(wanted), dict[tuple[int, int], Value | None]()
         for _ in range(tries):
             for node, parameter in missing:
-                self._tap.send(*encode("PARAM_GET", {"reserved": 0}, node=node, index=parameter))
+                self._tap.send(*read_request(node, parameter))
 
             def take(message: Message) -> bool:
                 key = message.node, message.index
                 if message.name == "PARAM_VALUE" and key in missing:
-                    found[key] = value_of(message)
+                    unknown = message.signals["status"] == UNKNOWN
+                    found[key] = None if unknown else value_of(message.signals)
                     del missing[key]
                 return not missing
 
@@ -161,8 +152,6 @@ class Conversation:
         SystemFailure
             If the node does not answer, or refuses.
         """
-        signals: dict[str, float] = {"kind": kind, f"value_{kind.name.lower()}": value}
-        label = label_of(parameter)
         answers: list[Message] = []
 
         def take(message: Message) -> bool:
@@ -171,21 +160,16 @@ class Conversation:
             return bool(answers)
 
         for _ in range(TRIES):
-            self._tap.send(*encode("PARAM_SET", signals, node=node, index=parameter))
+            self._tap.send(*set_request(node, parameter, value, kind))
             if not self.wait(take, ANSWER_S):
                 continue
-            status = int(answers[0].signals["status"])
-            if status:
-                found = find_id(parameter)
-                known = f" (it takes {found[0].range_text})" if found is not None and status == 2 else ""
-                why = REFUSALS.get(status, f"answers with the status {status}")
-                raise SystemFailure(f"{self.name}: node {node} {why}: {label} = {value}{known}")
-            in_force = value_of(answers[0])
-            assert in_force is not None
-            return in_force
+            refused = refusal(answers[0].signals, parameter, value)
+            if refused is not None:
+                raise SystemFailure(f"{self.name}: node {node} {refused}")
+            return value_of(answers[0].signals)
         raise SystemFailure(
-            f"{self.name}: node {node} did not answer when {label} was to be set, in {TRIES} tries: see who is there "
-            "with goldfield nodes"
+            f"{self.name}: node {node} did not answer when {label_of(parameter)} was to be set, in {TRIES} tries: see "
+            "who is there with goldfield nodes"
         )
 
     def identities(self, node: int = 0, tries: int = TRIES) -> None:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from goldfield.errors import UserError
-from goldfield.nodes.roster import Value
+from goldfield.link.requests import Value
 from goldfield_protocol.parameters import Kind, Parameter, ParameterError
 from goldfield_protocol.table import find
 

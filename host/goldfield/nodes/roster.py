@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import can
 from cantools.database.errors import Error as DatabaseError
 
+from goldfield.link.requests import UNKNOWN, Value, value_of
 from goldfield.link.traffic import BY_MISMATCH, MEANINGLESS, kind_of
 from goldfield_protocol.messages import Message, database, decode, mismatch, protocol_hash
-from goldfield_protocol.parameters import Kind
 
 ROLES = {0: "beacon", 1: "sensor", 2: "host", 3: "anchor"}
 STATES: dict[int, str] = {
@@ -27,8 +27,6 @@ ECHO_S = 2.0
 """A bus that hands a host its own messages back does so within this time, s."""
 
 UNLOCKED = "a clock that is not locked"
-
-Value = int | float
 
 
 @dataclass(frozen=True)
@@ -230,7 +228,7 @@ def _take_message(node: Node, message: Message) -> None:
     elif message.name == "IDENTITY" and message.index in (0, 1):
         node.halves.setdefault(int(signals["tag"]), {})[message.index] = int(signals["half"])
     elif message.name == "PARAM_VALUE":
-        node.parameters[message.index] = value_of(message)
+        node.parameters[message.index] = None if signals["status"] == UNKNOWN else value_of(signals)
 
 
 def _drive(message: Message) -> Drive:
@@ -246,12 +244,3 @@ def _drive(message: Message) -> Drive:
         locked=bool(signals["locked"]),
         phase_s=signals["phase"] * 1e-9,
     )
-
-
-def value_of(answer: Message) -> Value | None:
-    """Return the value that a ``PARAM_VALUE`` tells; None if the node has no such parameter."""
-    if answer.signals["status"] == 1:
-        return None
-    kind = Kind(int(answer.signals["kind"]))
-    value = answer.signals[f"value_{kind.name.lower()}"]
-    return float(value) if kind is Kind.FLOAT else int(value)

@@ -14,7 +14,8 @@ from typing import Protocol
 import can
 
 from goldfield.errors import SystemFailure
-from goldfield.sensor.dialogue import ANSWER_S, TRIES
+from goldfield.link.requests import ANSWER_S
+from goldfield.sensor.dialogue import TRIES
 from goldfield_protocol.messages import Message, decode, encode
 
 NO_FURTHER = 3

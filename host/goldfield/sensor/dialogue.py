@@ -10,17 +10,11 @@ import can
 
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link.buses import BusSource
+from goldfield.link.requests import ANSWER_S, read_request, refusal, set_request, value_of
 from goldfield.sensor.receiver import Receiver, used_message
-from goldfield_protocol.messages import encode
-from goldfield_protocol.parameters import PARAMETERS, Kind, find_id, label_of
-
-OUT_OF_RANGE = 2
-PARAM_STATUS = {1: "unknown", OUT_OF_RANGE: "out of range", 3: "of the wrong kind", 4: "read-only"}
+from goldfield_protocol.parameters import PARAMETERS, Kind, label_of
 
 TRIES = 5
-ANSWER_S = 1.0
-"""A board answers a request within a few milliseconds; a simulated one may run slower than the wall clock."""
-
 Parameters = Mapping[int, int | float]
 """Values by the parameter's id; unsigned or single precision by their type."""
 
@@ -108,25 +102,19 @@ class Dialogue:
             If the sensor does not answer or refuses.
         """
         if value is None:
-            request = encode("PARAM_GET", {"reserved": 0}, node=self.node, index=parameter)
+            request = read_request(self.node, parameter)
         else:
-            signals: dict[str, float] = {"kind": Kind.UNSIGNED, "value_unsigned": value}
-            if isinstance(value, float):
-                signals = {"kind": Kind.FLOAT, "value_float": value}
-            request = encode("PARAM_SET", signals, node=self.node, index=parameter)
+            request = set_request(
+                self.node, parameter, value, Kind.FLOAT if isinstance(value, float) else Kind.UNSIGNED
+            )
         for _ in range(TRIES):
             self._bus.send(*request)
             answer = self._answer(parameter)
             if answer is None:
                 continue
-            status = int(answer["status"])
-            if status:
-                why = PARAM_STATUS.get(status, f"of status {status}")
-                given = "" if value is None else f" = {value}"
-                raise SystemFailure(
-                    f"{self._sensor} says that parameter {label_of(parameter)}{given} is "
-                    f"{why}{_range_behind(parameter, status)}"
-                )
+            refused = refusal(answer, parameter, value)
+            if refused is not None:
+                raise SystemFailure(f"{self._sensor} {refused}")
             return value_of(answer)
         raise SystemFailure(
             f"{self._sensor} did not answer a request for parameter {label_of(parameter)} in {TRIES} tries"
@@ -173,19 +161,6 @@ def wanted_parameters(codes: Sequence[int], parameters: Parameters | None = None
     for parameter, value in (parameters or {}).items():
         wanted[parameter] = _single(value) if isinstance(value, float) else value
     return wanted
-
-
-def value_of(answer: Mapping[str, float]) -> int | float:
-    """Return the value that the signals of a `PARAM_VALUE` tell; -1 for a signed one, of which there is none."""
-    if "value_float" in answer:
-        return float(answer["value_float"])
-    return int(answer.get("value_unsigned", -1))
-
-
-def _range_behind(identifier: int, status: int) -> str:
-    """Return the range in parentheses if that is what the sensor objects to."""
-    found = find_id(identifier)
-    return f" ({found[0].range_text})" if found is not None and status == OUT_OF_RANGE else ""
 
 
 def _single(value: float) -> float:

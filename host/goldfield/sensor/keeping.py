@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from goldfield.errors import SystemFailure
-from goldfield.sensor.dialogue import Dialogue, Parameters, value_of, wanted_parameters
+from goldfield.link.requests import value_of
+from goldfield.sensor.dialogue import Dialogue, Parameters, wanted_parameters
 from goldfield.sensor.receiver import Receiver
 from goldfield_protocol.messages import Message
 from goldfield_protocol.parameters import PARAMETERS, label_of
