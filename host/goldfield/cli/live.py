@@ -12,7 +12,7 @@ import can
 
 from goldfield.cli.output import json_line
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
-from goldfield.errors import EXIT_FAILED, tell
+from goldfield.errors import EXIT_FAILED, Loudness, loudness, tell
 from goldfield.files.inputs import STREAM
 from goldfield.files.outputs import OutputFile
 from goldfield.link.recordings import CandumpWriter
@@ -103,8 +103,10 @@ def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summar
         summary.board_counters = sensor.board_counters
         summary.dropped = sinks.dropped
         if summary.epochs:
-            text = summary.text(truth=bool(arguments.truth))
-            print(text, file=sys.stderr if arguments.json or sinks.stuck else sys.stdout, flush=True)
+            aside = arguments.json or sinks.stuck
+            if not aside or loudness() is not Loudness.QUIET:
+                text = summary.text(truth=bool(arguments.truth))
+                print(text, file=sys.stderr if aside else sys.stdout, flush=True)
     return sinks
 
 

@@ -77,6 +77,12 @@ class Census:
         places = dict.fromkeys((*self._roles, *(self._reporting if self._by_reports else ())))
         return tuple(place for place in places if self._readable(place))
 
+    @property
+    def unchosen(self) -> str:
+        """The nodes with reports that the user did not choose, with their channels, for an error message."""
+        others = [p for p in self._reporting if not self._chosen(p) and p not in self._strangers]
+        return ", ".join(f"node {p.node}" + (f" on {p.channel}" if p.channel else "") for p in others)
+
     def choose(self, name: str) -> Place | None:
         """Return the sensor that is read, None if none was found.
 

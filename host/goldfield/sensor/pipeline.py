@@ -137,7 +137,9 @@ class Sensor:
             self._found = True
             yield self._epoch(report)
         if not self._found and not self.live:
-            raise UserError(f"{self.name}: holds no cycle of a sensor")
+            others = self._session.unchosen
+            chosen = f"the sensor that was chosen, but of {others}" if others else "a sensor"
+            raise UserError(f"{self.name}: holds no cycle of {chosen}")
 
     def reports(self) -> Iterator[Report]:
         """Yield what arrived of each code cycle, neither separated nor located; otherwise as `epochs`."""

@@ -71,6 +71,8 @@ class Session:
         What the anchors on the link see of the beacons.
     keeping : Keeping
         What the sensor was set to, and what others have changed of that.
+    unchosen : str
+        The sensors of a recording which has none that the user chose; empty otherwise.
     counters : dict of int to int
         The sensor's own error counters since its reset, those that it told; `counter_name` names them.
     """
@@ -99,6 +101,7 @@ class Session:
         self._parameters: Parameters | None = None
         self._quiet_s = 0.0
         self._looked = False
+        self.unchosen = ""
         self._reconnections = 0
         self.node = node
 
@@ -282,7 +285,8 @@ class Session:
                 if raw.timestamp - first_s > LOOK_AROUND_S:
                     break
         self.receiver.put_back(kept)
-        self._take_place(census.choose(self.name))
+        if not self._take_place(census.choose(self.name)):
+            self.unchosen = census.unchosen
         self.receiver.channel = self.receiver.channel or self._channel
 
     def _take_place(self, place: Place | None) -> bool:

@@ -93,6 +93,23 @@ def test_two_sensors_in_one_log(tmp_path, capsys):
     assert epochs(run(capsys, "--log", path, "--json", "--node", 7)[1]) == [50, 51, 52]
 
 
+@pytest.mark.parametrize("choice", [("--node", 5), ("--channel", "can7")])
+def test_a_sensor_that_is_not_in_a_log_and_the_one_that_is(tmp_path, capsys, choice):
+    path = tmp_path / "one.log"
+    path.write_text(log_of(range(3)))
+    code, out, err = run(capsys, "--log", path, *choice)
+    assert (code, out) == (2, "")
+    assert err == f"goldfield: {path}: holds no cycle of the sensor that was chosen, but of node 100 on can0\n"
+
+
+def test_a_quiet_run_keeps_its_summary_off_stderr(tmp_path, capsys):
+    path = tmp_path / "one.log"
+    path.write_text(log_of(range(3)))
+    code, out, err = run(capsys, "--log", path, "--json", "-q")
+    assert (code, epochs(out), err) == (0, [0, 1, 2], "")
+    assert "3 epochs: 3 ok" in run(capsys, "--log", path, "-q")[1]
+
+
 def test_listening_sends_nothing(line, capsys):
     """Neither at the start nor later, though the board has a code less in its list, and says that it has started."""
     os.set_blocking(line.master, False)
