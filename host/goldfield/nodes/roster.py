@@ -13,9 +13,9 @@ from cantools.database.errors import Error as DatabaseError
 
 from goldfield.link.requests import UNKNOWN, Value, value_of
 from goldfield.link.traffic import BY_MISMATCH, MEANINGLESS, kind_of
+from goldfield.sensor.receiver import ROLES
 from goldfield_protocol.messages import Message, database, decode, mismatch, protocol_hash
 
-ROLES = {0: "beacon", 1: "sensor", 2: "host", 3: "anchor"}
 STATES: dict[int, str] = {
     int(number): str(name)
     for number, name in (database().get_message_by_name("HEARTBEAT").get_signal_by_name("state").choices or {}).items()
