@@ -148,7 +148,7 @@ def _flushed(code: int) -> int:
             if isinstance(error, KeyboardInterrupt):
                 code = EXIT_INTERRUPTED
             elif stream is sys.stdout and code == 0 and not isinstance(error, BrokenPipeError):
-                code = _complain(f"the output cannot be written: {error.strerror}", EXIT_FAILED)
+                code = _complain(_refused(error), EXIT_FAILED)
     return code
 
 
