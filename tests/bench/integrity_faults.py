@@ -87,7 +87,7 @@ def systematic() -> Mapping[str, Systematic]:
             found[f"gain of {name} {factor - 1:+.0%}"] = Systematic("axis_gain", _axes(*gains))
     for name, unit in (("feet", 1.0 / FOOT_M), ("cm", 100.0), ("mm", 1000.0)):
         found[f"positions in {name}"] = Systematic("units", unit=unit)
-    for name, unit in (("feet", 1.0 / FOOT_M), ("cm", 100.0), ("mm", 1000.0)):
+    for name, unit in (("feet", 1.0 / FOOT_M), ("cm", 100.0)):  # radii in mm are refused by the reader of site files
         found[f"all lengths in {name}"] = Systematic("units", unit=unit, radii=True)
     return found
 

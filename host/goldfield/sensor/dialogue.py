@@ -61,8 +61,8 @@ class Dialogue:
                 "correct the site's degree, or store the parameter degree in every board"
             )
 
-    def changes(self, codes: Sequence[int], parameters: Parameters | None = None) -> dict[int, int | float]:
-        """Return what has to be set so that the sensor reports these codes: values by the parameter's id.
+    def configure(self, codes: Sequence[int], parameters: Parameters | None = None) -> bool:
+        """Make the sensor report these codes; tells whether anything had to be set.
 
         Parameters
         ----------
@@ -78,11 +78,7 @@ class Dialogue:
             If the sensor does not answer or refuses.
         """
         wanted = wanted_parameters(codes, parameters)
-        return {parameter: value for parameter, value in wanted.items() if self.ask(parameter) != value}
-
-    def configure(self, codes: Sequence[int], parameters: Parameters | None = None) -> bool:
-        """Make the sensor report these codes, as `changes`; tells whether anything had to be set."""
-        changes = self.changes(codes, parameters)
+        changes = {parameter: value for parameter, value in wanted.items() if self.ask(parameter) != value}
         for parameter, value in changes.items():
             self.set(parameter, value)
         return bool(changes)

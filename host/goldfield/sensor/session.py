@@ -158,18 +158,9 @@ class Session:
         self.find()
         if not self.talks:
             return False
-        # What comes meanwhile from a sensor that is set already belongs to its poses, as in a recording of them.
-        dialogue = self._dialogue(keeps=True)
-        dialogue.check_degree(self._site.degree)
+        self.dialogue.check_degree(self._site.degree)
         self._parameters = parameters or {}
-        changed = bool(dialogue.changes(self._site.codes, self._parameters))
-        if changed:
-            for raw in dialogue.kept:  # cycles of other codes: they are heard, which tells the time, and not read
-                self.receiver.decoded(raw)
-            self._configure()
-        else:
-            self._begin_keeping()
-            self.receiver.put_back(dialogue.kept)
+        changed = self._configure()
         for node in self.health.boards:
             self._ask_who(node)
         return changed
@@ -307,11 +298,8 @@ class Session:
             what = "heard nothing: check the power, the cable and the port"
         return f"{self.name}: no heartbeat of {wanted} in {waited_s:.0f} s; {what}"
 
-    def _begin_keeping(self) -> None:
-        self.keeping.begin(self.node, self._site.codes, self._parameters, self.health.now_s)
-
     def _configure(self) -> bool:
-        self._begin_keeping()
+        self.keeping.begin(self.node, self._site.codes, self._parameters, self.health.now_s)
         return self.dialogue.configure(self._site.codes, self._parameters)
 
     def _listen(self, message: Message) -> None:

@@ -59,21 +59,6 @@ def test_a_sensor_that_is_set_already_is_left_alone():
         source.close()
 
 
-@pytest.mark.parametrize(("code", "first"), [(CODES[-1], 0), (999, 3)])
-def test_cycles_from_before_the_start_are_read_if_the_sensor_was_set_already(virtual, code, first):
-    """Else those before it was set are of other codes. A recording of the session has the same cycles."""
-    parameters = {5: 8, 28: 10, **{256 + i: c for i, c in enumerate((*CODES[:-1], code))}}
-    link, session = virtual(parameters=parameters)
-    for message in (heartbeat(), *cycle_messages(0), *cycle_messages(1)):
-        link.deliver(message)
-    for message in cycle_messages(2):
-        link.deliver(message, 0.006)  # while the sensor is asked
-    for message in (*cycle_messages(3), *cycle_messages(4)):
-        link.deliver(message, 5.0)
-    assert session.start() == (first > 0)
-    assert [report.cycle for report in itertools.islice(session.reports(), 5 - first)] == list(range(first, 5))
-
-
 def test_a_sensor_that_restarts_is_set_again():
     with PtySensor(range(4)) as sensor:
         source, session = connect(sensor)

@@ -33,6 +33,7 @@ CORE_BITS = {
     "SYSTICK_CTRL_TICKINT": 1 << 1,
     "SYSTICK_CTRL_CLKSOURCE": 1 << 2,
     "SCB_CPACR_FPU_FULL": 0xF << 20,
+    "SCB_AIRCR_SYSRESETREQ": 0x05FA << 16 | 1 << 2,  # with the key without which AIRCR is not written
 }
 # How registers.h names what the SVD numbers or names otherwise.
 PREFIXES = {"DMA": "DMA2", "TIM": "TIM1", "ADC": "ADC1", "USART": "USART1", "CAN": "CAN1"}
