@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from goldfield_protocol import protocol_hash
 from hil_sim.clib import LIBRARIES, ROOT
 from tests.host.fake_sensor import ATTITUDE, POSITION_M, SITE, beacon_fields, heartbeat, log_of
 
@@ -122,7 +123,8 @@ def test_nothing_of_the_checkout_is_seen_there(installation):
 
 def test_the_version_is_one(installation):
     numbers = [line.split()[2].rstrip("u") for line in VERSION_H.read_text().splitlines() if "#define VERSION_" in line]
-    assert installation.run("goldfield", "--version")[0] == f"goldfield {'.'.join(numbers)}\n"
+    said = installation.run("goldfield", "--version")[0]
+    assert said == f"goldfield {'.'.join(numbers)}, protocol {protocol_hash():#010x}\n"
 
 
 def test_locate_finds_the_pose_with_the_kernel_and_without(installation):
@@ -179,7 +181,7 @@ def test_without_the_packages_of_the_simulator_it_tells_what_to_install(installa
     with taken_away(installation.packages / "elftools"):
         complaint = installation.run("goldfield", "hil", "prigge8", "--boards", "host", code=3)[1]
     assert complaint.count("\n") == 1
-    assert "pip install 'goldfield[plot,sim]'" in complaint
+    assert "pip install 'goldfield[mf4,plot,sim]' brings what it needs" in complaint
 
 
 def test_the_pytest_of_another_project_sees_nothing_of_goldfield(installation):

@@ -14,7 +14,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points, version
+from importlib.metadata import Distribution, EntryPoint, distribution, entry_points, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NoReturn
@@ -116,6 +116,8 @@ def _outcome(words: list[str]) -> int:
         return _complain("the memory does not hold what was asked for: give less", EXIT_FAILED)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
+    except ModuleNotFoundError as error:  # of a package that only some commands need
+        return _complain(f"a package is missing: {error}{_extras(distribution('goldfield'))}", EXIT_FAILED)
     except Exception as error:
         return _complain(
             f"unexpected {type(error).__name__}: {error}; this is a defect of goldfield: please report it with the "
@@ -232,7 +234,7 @@ def _add_foreign(subparsers: Any, entry_point: EntryPoint) -> None:
         entry_point.load()(subparsers)
         reason = "it adds no subcommand of this name"
     except ModuleNotFoundError as error:
-        reason = f"{type(error).__name__}: {error}{_extras(entry_point)}"
+        reason = f"{type(error).__name__}: {error}{_extras(getattr(entry_point, 'dist', None))}"
     except Exception as error:
         reason = f"{type(error).__name__}: {error}"
     if name in subparsers.choices:
@@ -246,9 +248,8 @@ def _add_foreign(subparsers: Any, entry_point: EntryPoint) -> None:
     broken.set_defaults(run=unavailable)
 
 
-def _extras(entry_point: EntryPoint) -> str:
-    """Return how to install everything that the package of a subcommand can use, if it names any extras."""
-    package = getattr(entry_point, "dist", None)
+def _extras(package: Distribution | None) -> str:
+    """Return how to install everything that a package can use, if it names any extras."""
     extras = package.metadata.get_all("Provides-Extra") if package else None
     return f"; pip install '{package.name}[{','.join(extras)}]' brings what it needs" if package and extras else ""
 
