@@ -8,7 +8,7 @@ test: test-fast test-long ## All tests but the slow ones
 test-wheel: all ## Build the wheel, install it alone and use it outside the tree
 	@$(PYTHON) -m pytest tests/packaging -q -s
 
-test-fast: all $(BUILD)/qemu.stamp ## The tests that take little time: two minutes in all
+test-fast: all $(BUILD)/qemu.stamp ## The tests that take little time: four minutes in all
 	@$(PYTEST) -m "not slow and not long"
 
 test-long: all $(BUILD)/qemu.stamp ## The tests that take more

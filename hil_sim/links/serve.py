@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
-import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +74,6 @@ def serve(arguments: argparse.Namespace) -> int:
     same = arguments.site is not None and holds(arguments.site, site_file)
     check_outputs(outputs | {"--site": None if same else arguments.site}, {}, force=arguments.force)
     with ExitStack() as stack:
-        stack.enter_context(_interrupted_by_termination())
         site = arguments.site
         if site is None:
             site = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="goldfield-"))) / "site.toml"
@@ -184,19 +182,3 @@ def _print_line(line: str) -> None:
 def _line_writer(file: OutputFile) -> Callable[[str], None]:
     """Return what appends a line to a file, which ends the run if the file cannot be written."""
     return lambda line: file.write(f"{line}\n".encode())
-
-
-@contextmanager
-def _interrupted_by_termination() -> Iterator[None]:
-    """Let SIGTERM, and a terminal that is closed, end the run as Ctrl-C does."""
-
-    def interrupt(_number: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    wanted = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is not signal.SIG_IGN]
-    before = {number: signal.signal(number, interrupt) for number in wanted}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -8,7 +8,7 @@ from typing import Any
 
 from goldfield import site as sites
 from goldfield.cli import link_options, options
-from goldfield.errors import on_command_line
+from goldfield.errors import EXIT_FAILED, on_command_line
 
 
 def command(subparsers: Any) -> None:
@@ -35,7 +35,6 @@ def run(arguments: argparse.Namespace) -> int:
 
     from goldfield.cli.output import json_line
     from goldfield.doctor.examination import Examination
-    from goldfield.errors import EXIT_FAILED  # the entry imports this module
 
     faults = 0
     for check in Examination(kind, where, site, arguments.node).checks():

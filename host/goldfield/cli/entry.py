@@ -47,6 +47,8 @@ COMMANDS = {
 }
 """Each subcommand of this package: the module whose function ``command`` adds its parser, and its line of help."""
 COMMAND_GROUP = "goldfield.commands"
+OWN_PACKAGES = ("goldfield", "hil_sim")
+"""What begins so is part of every installation; other packages are needed by some commands only."""
 LONGEST_COMPLAINT = 600
 
 
@@ -116,9 +118,9 @@ def _outcome(words: list[str]) -> int:
         return _complain("the memory does not hold what was asked for: give less", EXIT_FAILED)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
-    except ModuleNotFoundError as error:  # of a package that only some commands need
-        return _complain(f"a package is missing: {error}{_extras(distribution('goldfield'))}", EXIT_FAILED)
     except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith(OWN_PACKAGES):
+            return _complain(f"a package is missing: {error}{_extras(distribution('goldfield'))}", EXIT_FAILED)
         return _complain(
             f"unexpected {type(error).__name__}: {error}; this is a defect of goldfield: please report it with the "
             "output of the same command under GOLDFIELD_DEBUG=1",

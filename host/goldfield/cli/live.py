@@ -29,11 +29,6 @@ from goldfield.view.truth import Truth
 def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site) -> int:
     """Print a line for every epoch of a source, and a summary however it ends.
 
-    Returns
-    -------
-    int
-        The exit code: 0, or 3 if a recording or a table could not be written to the end.
-
     Parameters
     ----------
     arguments : argparse.Namespace
@@ -41,6 +36,11 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
     kind, where : str
         The source, as for `open_sensor`.
     site : Site
+
+    Returns
+    -------
+    int
+        The exit code: 0, or 3 if a recording or a table could not be written to the end.
     """
     choices = Options(
         chosen_method(arguments.track, arguments.on_sensor),

@@ -108,10 +108,6 @@ class FieldsWriter:
         """Close the file and keep it."""
         self._file.close()
 
-    def discard(self) -> None:
-        """Close the file and, unless it is live, drop it."""
-        self._file.discard()
-
     def __enter__(self) -> Self:
         """Return the writer itself."""
         return self
@@ -120,7 +116,7 @@ class FieldsWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """Keep the file, or discard it after an error."""
-        self.close() if kind is None else self.discard()
+        self._file.__exit__(kind, error, trace)
 
     def _write(self, lines: bytes) -> None:
         header, self._header = self._header, b""

@@ -245,3 +245,16 @@ def test_an_option_that_a_command_does_not_have_points_to_the_help_of_that_comma
         main([command, "--nope", *["prigge8"] * (command == "hil")])
     assert end.value.code == 2
     assert capsys.readouterr().err == f"goldfield: unrecognized arguments: --nope; see goldfield {command} --help\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("elftools", "a package is missing"), ("goldfield.nowhere", "a defect"), ("hil_sim.nowhere", "a defect")],
+)
+def test_only_packages_of_others_are_to_be_installed(capsys, monkeypatch, name, words):
+    def fails(_):
+        raise ModuleNotFoundError(f"No module named '{name}'", name=name)
+
+    monkeypatch.setattr("goldfield.cli.locate.run", fails)
+    assert main(["locate", "fields.csv"]) == 3
+    assert words in capsys.readouterr().err
