@@ -21,7 +21,6 @@ from goldfield.types import FloatArray
 RIDGE = 1e-12
 """Relative addition to the diagonal of the linear equations: distortions that look alike share what the fields tell."""
 
-
 TOLERANCE = 1e-3
 """A fit ends when its next step promises to lower the cost by less."""
 

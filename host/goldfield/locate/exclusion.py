@@ -2,7 +2,7 @@
 
 Every beacon, and if need be every pair of the likeliest, is left out in turn; the rest is fitted from a few poses that
 the whole and the other subsets gave, so that the work is bounded: some five rough fits a beacon, six a pair, and a few
-fits to the end. `searched_without_one` looks further, for a poses' search a subset.
+fits to the end. `searched_without_one` looks further: it searches all of space for the pose of each subset.
 """
 
 from __future__ import annotations
@@ -29,7 +29,6 @@ CLEAR = 25.0
 
 ROUGH_ITERATIONS, FINAL_ITERATIONS = 15, 120
 """The most evaluations of a fit with model error, which compares the subsets, and of one without."""
-
 
 SUBSET_EVALUATIONS = 600
 """Evaluations of the search of a subset's pose, where no subset fits the poses that are known."""
