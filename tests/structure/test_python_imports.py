@@ -23,7 +23,7 @@ LEVELS = (
     ("site",),
     ("access", "field"),
     ("locate",),
-    ("track",),
+    ("track", "survey", "calibration", "planning"),
     ("sensor",),
     ("nodes",),
     ("doctor",),
