@@ -1,4 +1,4 @@
-"""The options that name a link: ``--port``, ``--can``, and for what can also be replayed ``--log``."""
+"""The options that name a link, ``--port``, ``--can``, ``--log``, and those that say how a sensor on it is read."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 
 from goldfield.cli import options
 from goldfield.errors import UserError
+from goldfield.sensor.options import Method, Options
 
 LINKS = {
     "port": ("PATH", "serial port of the sensor"),
@@ -55,3 +56,24 @@ def chosen(arguments: argparse.Namespace) -> tuple[str, str]:
     if not where:
         raise UserError(f"--{kind} is empty: give a value")
     return kind, where
+
+
+def add_reading(parser: argparse.ArgumentParser, *, channel: bool = True) -> None:
+    """Add the options that say how a sensor is read; ``channel``: the source may have several channels."""
+    options.add(parser, "--node", metavar="N", what="node of the sensor, where there are several", kind=options.node)
+    if channel:
+        options.add(parser, "--channel", metavar="NAME", what="channel of the sensor, in a log of several buses")
+    options.add_switch(parser, "--listen-only", what="send nothing, ever: for a bus on which a recording is replayed")
+    options.add_switch(parser, "--reconnect", what="wait for a port that is gone or a sensor that is silent, and go on")
+
+
+def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Options:
+    """Return what the options of `add_reading`, and ``--seconds`` where a command has it, say."""
+    return Options(
+        method,
+        arguments.node,
+        getattr(arguments, "seconds", None),
+        channel=getattr(arguments, "channel", None),
+        listen_only=arguments.listen_only,
+        reconnect=arguments.reconnect,
+    )

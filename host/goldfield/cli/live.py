@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import can
 
+from goldfield.cli import link_options
 from goldfield.cli.output import json_line
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
 from goldfield.errors import EXIT_FAILED, Loudness, loudness, tell
@@ -18,7 +19,7 @@ from goldfield.files.outputs import OutputFile
 from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.sensor.opening import open_sensor
-from goldfield.sensor.options import Options, chosen_method
+from goldfield.sensor.options import chosen_method
 from goldfield.sensor.pipeline import Epoch, Sensor
 from goldfield.sensor.sinks import Branch, Fanout, Part
 from goldfield.site import Site
@@ -42,14 +43,7 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
     int
         The exit code: 0, or 3 if a recording or a table could not be written to the end.
     """
-    choices = Options(
-        chosen_method(arguments.track, arguments.on_sensor),
-        arguments.node,
-        arguments.seconds,
-        channel=arguments.channel,
-        listen_only=arguments.listen_only,
-        reconnect=arguments.reconnect,
-    )
+    choices = link_options.reading(arguments, chosen_method(arguments.track, arguments.on_sensor))
     with contextlib.ExitStack() as stack:
         recorder = writer = None
         if arguments.record:

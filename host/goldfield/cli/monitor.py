@@ -23,11 +23,11 @@ def command(subparsers: Any) -> None:
     )
     link_options.add(parser, log=True)
     options.add_site(parser)
-    options.add(parser, "--node", metavar="N", what="node of the sensor (else the first one heard)", kind=options.node)
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
     options.add(
         parser, "--every", metavar="N", what="time from one look to the next, default 1 s", kind=options.seconds
     )
+    link_options.add_reading(parser)
     options.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -40,17 +40,15 @@ def run(arguments: argparse.Namespace) -> int:
 
     from goldfield.cli.output import json_line  # heavy: only when a sensor is looked at
     from goldfield.sensor.opening import open_sensor
-    from goldfield.sensor.options import Options
     from goldfield.view.monitor import Monitor, RosterRecorder
 
     recorder = RosterRecorder()
-    choices = Options(node=arguments.node, seconds=arguments.seconds)
     monitor = Monitor(site, where, recorder.roster)
     line_of = (lambda: json_line(monitor.record())) if arguments.json else monitor.line
     show = Screen(monitor.table) if sys.stdout.isatty() and not arguments.json else Lines(line_of)
     cycles, number = max(1, round((arguments.every or 1.0) / site.cycle_s)), 0
     try:
-        with open_sensor(kind, where, site, choices, recorder) as sensor:
+        with open_sensor(kind, where, site, link_options.reading(arguments), recorder) as sensor:
             for number, epoch in enumerate(sensor.epochs(), start=1):
                 monitor.node = sensor.node
                 monitor.add(epoch)

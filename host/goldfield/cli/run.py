@@ -30,10 +30,7 @@ def command(subparsers: Any) -> None:
     options.add_force(parser)
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
     options.add(parser, "--truth", metavar="FILE", what="the simulator's truth, to compare with")
-    options.add(parser, "--node", metavar="N", what="node of the sensor, where there are several", kind=options.node)
-    options.add(parser, "--channel", metavar="NAME", what="channel of the sensor, in a log of several buses")
-    options.add_switch(parser, "--listen-only", what="send nothing, ever: for a bus on which a recording is replayed")
-    options.add_switch(parser, "--reconnect", what="wait for a port that is gone or a sensor that is silent, and go on")
+    link_options.add_reading(parser)
     parser.set_defaults(run=run)
 
 

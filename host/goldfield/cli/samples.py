@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from goldfield import site as sites
-from goldfield.cli import options
+from goldfield.cli import link_options, options
 from goldfield.cli.chips_file import COLUMNS, PLACE
 from goldfield.errors import on_command_line
 
@@ -35,14 +35,14 @@ def command(subparsers: Any) -> None:
         metavar=("X", "Y", "Z"),
         help=f"where the sensor stands, m: added as the columns {','.join(PLACE)}, for goldfield paper zheng survey",
     )
-    options.add(parser, "--node", metavar="N", kind=options.node, what="node of the sensor (else the first one heard)")
+    link_options.add_reading(parser, channel=False)
     parser.set_defaults(run=run)
 
 
 @on_command_line()
 def run(arguments: argparse.Namespace) -> int:
     """Print the samples."""
-    from goldfield.link.buses import open_port  # heavy: only when there is a sensor
+    from goldfield.sensor.opening import open_source  # heavy: only when there is a sensor
     from goldfield.sensor.samples import sample_cycles
     from goldfield.sensor.session import Session
 
@@ -50,8 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
     port = options.required(arguments.port, "--port", "PATH")
     rows = csv.writer(sys.stdout, lineterminator="\n")
     place = [repr(value) for value in arguments.at or []]
-    with closing(open_port(port)) as source:
-        session = Session(source, port, site, arguments.node)
+    choices = link_options.reading(arguments)
+    with closing(open_source("port", port, choices)) as source:
+        session = Session(source, port, site, choices.node)
         rows.writerow(COLUMNS + (PLACE if place else ()))
         with closing(sample_cycles(session, site)) as cycles:
             for samples in islice(cycles, arguments.cycles or 1):

@@ -9,15 +9,14 @@ import numpy as np
 
 from goldfield.errors import SystemFailure
 from goldfield.link.chips import Calibration, ChipAssembler
-from goldfield.sensor.dialogue import Dialogue
-from goldfield.sensor.session import Session
+from goldfield.sensor.health import STATE_STARTING
+from goldfield.sensor.session import SILENCE_S, WAIT_S, Session
 from goldfield.site import Site
 from goldfield.types import FloatArray
-from goldfield_protocol.messages import decode
+from goldfield_protocol.messages import Message, decode
 from goldfield_protocol.parameters import PARAMETERS
 
-SILENCE_S = 10.0
-WAIT_S = 0.5
+STREAM = PARAMETERS["stream"].first
 
 
 def sample_cycles(session: Session, site: Site) -> Generator[FloatArray]:
@@ -37,40 +36,92 @@ def sample_cycles(session: Session, site: Site) -> Generator[FloatArray]:
     Raises
     ------
     SystemFailure
-        If no sensor is heard, or it does not answer, or sends no sample for `SILENCE_S`.
+        If no sensor is heard, or it does not answer, or sends no sample for `SILENCE_S` and is not waited for.
     UserError
         If a node speaks another protocol, or the sensor works with codes of another degree than the site's.
     """
     session.find()
-    dialogue = session.dialogue
-    dialogue.check_degree(site.degree)
-    calibration = _calibration(dialogue)
-    stream = PARAMETERS["stream"].first
-    before = dialogue.ask(stream)
-    dialogue.ask(stream, 1)
+    calibration = _calibration(session, site)
+    stream = _Stream(session)
     try:
-        yield from _cycles(session, ChipAssembler(site.chips), calibration)
+        yield from _cycles(stream, ChipAssembler(site.chips), calibration)
     finally:
-        dialogue.ask(stream, before)
+        stream.end()
 
 
-def _calibration(dialogue: Dialogue) -> Calibration:
-    zero = [dialogue.ask(PARAMETERS[f"zero_{axis}"].first) for axis in "xyz"]
-    matrix = [dialogue.ask(PARAMETERS["calibration"].identifier(element)) for element in range(9)]
+def _calibration(session: Session, site: Site) -> Calibration:
+    """Return the sensor's own calibration; where it is only listened to, that of a sensor without one."""
+    if not session.talks:
+        session.receiver.tell_once(
+            "the sensor is only listened to, so its calibration is unknown: that of the parameters' defaults is taken"
+        )
+        zero = [PARAMETERS[f"zero_{axis}"].default[0] for axis in "xyz"]
+        matrix = list(PARAMETERS["calibration"].default)
+    else:
+        dialogue = session.dialogue
+        dialogue.check_degree(site.degree)
+        zero = [dialogue.ask(PARAMETERS[f"zero_{axis}"].first) for axis in "xyz"]
+        matrix = [dialogue.ask(PARAMETERS["calibration"].identifier(element)) for element in range(9)]
     return Calibration(np.array(zero, dtype=np.float64), np.array(matrix, dtype=np.float64).reshape(3, 3))
 
 
-def _cycles(session: Session, assembler: ChipAssembler, calibration: Calibration) -> Iterator[FloatArray]:
-    silent_s = 0.0
+class _Stream:
+    """The stream of raw chips: switched on, and on again where the sensor may have forgotten it; at the end as before.
+
+    A sensor that is only listened to is left as it is: it streams if that is stored in it, or another host has set it.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self.session = session
+        self._reconnections = session.reconnections
+        self._before = session.dialogue.ask(STREAM) if session.talks else None
+        self.begin()
+
+    def begin(self) -> None:
+        """Switch it on."""
+        if self._before is not None:
+            self.session.dialogue.ask(STREAM, 1)
+
+    def take(self, message: Message) -> None:
+        """Take any message of the sensor, which may tell that it has restarted or is back after the link was gone."""
+        reconnections, self._reconnections = self._reconnections, self.session.reconnections
+        started = message.name == "HEARTBEAT" and message.signals["state"] == STATE_STARTING
+        if started or reconnections != self._reconnections:
+            self.begin_again()
+
+    def begin_again(self) -> None:
+        """Switch it on; a sensor that does not answer yet is tried again later."""
+        try:
+            self.begin()
+        except SystemFailure as error:
+            if not self.session.waits:
+                raise
+            self.session.receiver.tell_once(f"the sensor's samples could not be switched on: {error}")
+
+    def end(self) -> None:
+        """Leave the sensor as it was found."""
+        if self._before is not None:
+            self.session.dialogue.ask(STREAM, self._before)
+
+
+def _cycles(stream: _Stream, assembler: ChipAssembler, calibration: Calibration) -> Iterator[FloatArray]:
+    session, silent_s = stream.session, 0.0
     while True:
         begin_s = time.monotonic()
         raw = session.receiver.receive_raw(WAIT_S)
         message = None if raw is None else decode(raw.arbitration_id, bytes(raw.data))
-        if message is not None and message.node == session.node and message.name == "CHIP":
-            silent_s = 0.0
-            for sums in assembler.feed(message):
-                yield calibration.field_T(sums)
-            continue
+        if message is not None and message.node == session.node:
+            stream.take(message)
+            if message.name == "CHIP":
+                silent_s = 0.0
+                for sums in assembler.feed(message):
+                    yield calibration.field_T(sums)
+                continue
         silent_s += min(time.monotonic() - begin_s, WAIT_S)  # this process may have been stopped meanwhile
         if silent_s > SILENCE_S:
-            raise SystemFailure(f"{session.name}: sensor {session.node} sent no raw chip for {SILENCE_S:.0f} s")
+            text = f"sensor {session.node} sent no raw chip for {SILENCE_S:.0f} s"
+            if not session.waits:
+                raise SystemFailure(f"{session.name}: {text}")
+            session.receiver.tell_once(f"{text}; waiting for it")
+            silent_s = 0.0
+            stream.begin_again()

@@ -13,13 +13,11 @@ from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.census import ROLE_ANCHOR, ROLE_SENSOR, Census, Place
 from goldfield.sensor.dialogue import Dialogue, Parameters
-from goldfield.sensor.health import Health
+from goldfield.sensor.health import STATE_STARTING, Health
 from goldfield.sensor.keeping import Keeping
 from goldfield.sensor.receiver import Receiver, Recorder
 from goldfield.site import Site
 from goldfield_protocol.messages import Message, encode
-
-STATE_STARTING = 0
 
 QUIET_S = 1.0
 """Silence of a live sensor after which its incomplete reports are handed out."""
@@ -123,6 +121,16 @@ class Session:
     def talks(self) -> bool:
         """Whether the sensor can be asked and set; a live one may be listened to only."""
         return self._bus is not None and not self._bus.listen_only
+
+    @property
+    def waits(self) -> bool:
+        """Whether a link that is gone and a sensor that is silent are waited for."""
+        return self._bus is not None and self._bus.reconnects
+
+    @property
+    def reconnections(self) -> int:
+        """How often the link was opened again."""
+        return 0 if self._bus is None else self._bus.reconnections
 
     @property
     def dialogue(self) -> Dialogue:
@@ -242,17 +250,16 @@ class Session:
         if self._quiet_s <= SILENCE_S:
             return
         text = f"sensor {self.node} has been silent for {SILENCE_S:.0f} s"
-        if self._bus is None or not self._bus.reconnects:
+        if not self.waits:
             raise SystemFailure(f"{self.name}: {text}")
         self.receiver.tell_once(f"{text}; waiting for it")
 
     def _heard_again(self) -> None:
         """Set the sensor again if it may have forgotten everything while the link was gone, or it was silent."""
-        reconnections = 0 if self._bus is None else self._bus.reconnections
-        if reconnections != self._reconnections or self._quiet_s > SILENCE_S:
-            if reconnections == self._reconnections:
+        if self.reconnections != self._reconnections or self._quiet_s > SILENCE_S:
+            if self.reconnections == self._reconnections:
                 self.receiver.forget(f"sensor {self.node} has been silent for {SILENCE_S:.0f} s; waiting for it")
-            self._reconnections = reconnections
+            self._reconnections = self.reconnections
             if self._parameters is not None:
                 try:
                     self._configure()

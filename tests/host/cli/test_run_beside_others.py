@@ -110,7 +110,19 @@ def test_a_quiet_run_keeps_its_summary_off_stderr(tmp_path, capsys):
     assert "3 epochs: 3 ok" in run(capsys, "--log", path, "-q")[1]
 
 
-def test_listening_sends_nothing(line, capsys):
+def test_a_monitor_chooses_a_channel_too(tmp_path, capsys):
+    near, far = (log_of(range(first, first + 3)).splitlines() for first in (0, 40))
+    path = tmp_path / "two.log"
+    path.write_text("\n".join([*near, *(line.replace("can0", "can1") for line in far)]))
+    words = ["monitor", "--log", str(path), "--site", str(SITE), "--json"]
+    assert main(words) == 2
+    assert "sensor 100 on can1 (--channel can1): choose one" in capsys.readouterr().err
+    assert main([*words, "--channel", "can1"]) == 0
+    assert json.loads(capsys.readouterr().out)["t_s"] == pytest.approx(42.5 * CYCLE_S)
+
+
+@pytest.mark.parametrize("command", ["run", "monitor"])
+def test_listening_sends_nothing(line, capsys, command):
     """Neither at the start nor later, though the board has a code less in its list, and says that it has started."""
     os.set_blocking(line.master, False)
     stop = threading.Event()
@@ -127,16 +139,19 @@ def test_listening_sends_nothing(line, capsys):
 
     thread = threading.Thread(target=play)
     thread.start()
-    code, out, err = run(capsys, "--port", line.path, "--listen-only", "--seconds", 0.3, "--json")
+    words = ["--port", line.path, "--listen-only", "--seconds", "0.3", "--json"]
+    code = main([command, "--site", str(SITE), *words])
     stop.set()
     thread.join()
+    out, err = capsys.readouterr()
     assert code == 0, err
-    assert len(epochs(out)) >= 3
+    assert len(out.splitlines()) >= (3 if command == "run" else 1)
     with pytest.raises(BlockingIOError):
         os.read(line.master, 1)
 
 
-def test_a_pulled_cable_is_waited_for(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize("command", ["run", "monitor"])
+def test_a_pulled_cable_is_waited_for(tmp_path, capsys, monkeypatch, command):
     port = tmp_path / "port"
     with PtySensor(range(3), hang_up=True) as first, PtySensor(range(20, 30)) as second:
         port.symlink_to(first.path)
@@ -146,12 +161,17 @@ def test_a_pulled_cable_is_waited_for(tmp_path, capsys, monkeypatch):
             port.symlink_to(second.path)
 
         monkeypatch.setattr(buses, "time", SimpleNamespace(sleep=sleep, monotonic=lambda: 0.0))
-        code, out, err = run(capsys, "--port", port, "--reconnect", "--seconds", 2.5, "--json")
+        words = ["--port", str(port), "--reconnect", "--seconds", "2.5", "--json"]
+        code = main([command, "--site", str(SITE), *words])
         assert [second.parameters[256 + i] for i in range(8)] == list(CODES), "it is a fresh one"
+    out, err = capsys.readouterr()
     assert code == 0
-    got = epochs(out)
-    assert got[0] == 0
-    assert got[-5:] == list(range(20, 25))
+    if command == "run":
+        got = epochs(out)
+        assert got[0] == 0
+        assert got[-5:] == list(range(20, 25))
+    else:
+        assert json.loads(out.splitlines()[-1])["t_s"] == pytest.approx(24.5 * CYCLE_S)
     assert re.search("the port is gone .*; waiting for it\n.* is back after", err)
 
 

@@ -7,8 +7,9 @@ from goldfield.cli import main
 from goldfield.link.chips import Calibration, ChipAssembler
 from goldfield_protocol import encode
 from goldfield_protocol.messages import decode
-from tests.host.fake_sensor import CHIPS, EARTH_T, NODE, SITE, PtySensor, beacon_fields
+from tests.host.fake_sensor import CHIPS, EARTH_T, NODE, SITE, PtySensor, beacon_fields, heartbeat
 
+SET = "PARAM_SET"
 ZERO = np.array([2050.0, 2040.0, 2048.5])
 MATRIX = np.array([[1.0e-7, 1e-9, 0.0], [0.0, 0.98e-7, 2e-9], [0.0, 0.0, 1.03e-7]])
 
@@ -104,6 +105,63 @@ def test_the_command_prints_what_separate_reads(tmp_path, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 2
     assert '"status": "ok"' in lines[0]
+
+
+def test_a_sensor_that_is_only_listened_to_is_asked_nothing(capsys):
+    """Its stream is on already; its calibration is not known."""
+
+    class Stored(Streaming):
+        def _serve(self):
+            for cycle in range(3):
+                for message in (heartbeat(), *chip_messages(cycle, self.sums)):
+                    self._send(message)
+            super()._serve()
+
+    with Stored() as sensor:
+        assert main(["samples", "--port", sensor.path, "--site", str(SITE), "--listen-only"]) == 0
+        assert sensor.requests == []
+        sums = sensor.sums
+    out, err = capsys.readouterr()
+    rows = np.genfromtxt(out.splitlines(), delimiter=",", skip_header=1)
+    np.testing.assert_allclose(rows[:, 1:], sums / 8.0 * 400e-6 / 4096, atol=1e-15)
+    assert err.endswith("its calibration is unknown: that of the parameters' defaults is taken\n")
+
+
+def test_the_stream_is_switched_on_again_after_a_restart(capsys):
+    """A sensor that starts has forgotten it: without power for a moment, or behind a port that was gone."""
+
+    class Restarting(Streaming):
+        def _answer(self, frame):
+            message = decode(frame.identifier, frame.data)
+            super()._answer(frame)
+            if message.name == "PARAM_SET" and message.signals["value_unsigned"] and self.requests.count(SET) == 1:
+                self.parameters[4] = 0
+                self._send(heartbeat(state=0))
+
+    with Restarting() as sensor:
+        assert main(["samples", "--port", sensor.path, "--site", str(SITE), "--cycles", "4"]) == 0
+        assert sensor.requests[-4:] == ["PARAM_GET", SET, SET, SET]
+    assert len(capsys.readouterr().out.splitlines()) == 1 + 4 * 1023
+
+
+def test_a_silent_sensor_is_waited_for(capsys, monkeypatch):
+    monkeypatch.setattr("goldfield.sensor.samples.SILENCE_S", 0.2)
+
+    class Late(Streaming):
+        """The first time that it is switched on it sends nothing."""
+
+        def _answer(self, frame):
+            sums = self.sums
+            if decode(frame.identifier, frame.data).name == SET and SET not in self.requests:
+                self.sums = sums[:0]
+            super()._answer(frame)
+            self.sums = sums
+
+    with Late() as sensor:
+        assert main(["samples", "--port", sensor.path, "--site", str(SITE), "--reconnect"]) == 0
+    out, err = capsys.readouterr()
+    assert len(out.splitlines()) == 1 + 1023
+    assert "sent no raw chip for 0 s; waiting for it" in err
 
 
 def test_the_place_of_a_survey_is_in_every_row(capsys):
