@@ -25,7 +25,7 @@ from typing import Any
 import pytest
 
 from goldfield import site as sites
-from goldfield.errors import SystemFailure, UserError, option
+from goldfield.errors import SystemFailure, UserError, counted, option
 from hil_sim import KINDS
 from hil_sim.bench import Bench, RealBench, SimulatedBench
 
@@ -79,7 +79,9 @@ def pytest_sessionstart(session: pytest.Session) -> None:
     except (UserError, SystemFailure) as error:
         sentence = str(error).removesuffix(f": check {option('port')}")  # an option that pytest has not
         raise pytest.UsageError(f"{RIG_OPTION} {config.getoption(RIG_OPTION)}: {sentence}") from error
-    config.stash[FOUND] = f"sensor {bench.node}, {len(bench.site.beacons)} beacons of the site {bench.site.name}"
+    config.stash[FOUND] = (
+        f"sensor {bench.node}, {counted(len(bench.site.beacons), 'beacons')} of the site {bench.site.name}"
+    )
 
 
 def pytest_report_header(config: pytest.Config) -> list[str]:

@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from goldfield.errors import counted
 from goldfield.files.outputs import OutputFile, check_outputs, holds, write_file
 from hil_sim import LONGEST_S, NO_CAN
 from hil_sim.links.can_bridge import CanBridge
@@ -168,9 +169,9 @@ def _summarise(arguments: argparse.Namespace, rig: Rig, lost: int, bridge: CanBr
     elapsed_s = pace.elapsed_s
     line = f"{rig.now_s:.3f} virtual seconds in {elapsed_s:.3f} s: {rig.now_s / elapsed_s:.2f} virtual seconds a second"
     if lost:
-        line += f"; {lost} serial bytes lost to a slow reader"
+        line += f"; {counted(lost, 'serial bytes lost')} to a slow reader"
     if bridge is not None:
-        line += f"; CAN: {bridge.taken} frames from outside, {bridge.refused} refused"
+        line += f"; CAN: {counted(bridge.taken, 'frames from outside')}, {bridge.refused} refused"
         line += f", {bridge.lost} to outside lost" if bridge.lost else ""
     print(line, file=sys.stderr if arguments.json else sys.stdout, flush=True)
 

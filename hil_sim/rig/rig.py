@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, counted
 from hil_sim import clib
 from hil_sim.rig import config as rig_config
 from hil_sim.rig.boards import Board, BoardFactory, BoardSpec, address, factory
@@ -339,7 +339,9 @@ class Rig:
     def _check_coil(self, board: int, coil: int) -> None:
         coils = 0 if board == SENSOR else len(self.scenario.beacons[board - 1].coils)
         if not 0 <= coil < coils:
-            raise UserError(f"{self.board_name(board)} has {coils} coils: there is no coil {coil}, counted from 0")
+            raise UserError(
+                f"{self.board_name(board)} has {counted(coils, 'coils')}: there is no coil {coil}, counted from 0"
+            )
 
     def power_cycle_sensor(self, off_s: float, clock: Clock | None = None) -> None:
         """Take the sensor's power, and give it back after a time; it may come back with other oscillators."""

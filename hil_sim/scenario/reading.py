@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
 from goldfield_protocol.parameters import PARAMETERS, ParameterError
@@ -273,7 +273,7 @@ def _motion(table: Table) -> Motion:
             raise table.error("times_s", "must be at least two times that increase")
         for key, value in (("positions_m", positions), ("rotation_vectors_rad", rotations)):
             if len(value) != len(times):
-                raise table.error(key, f"has {len(value)} entries; times_s has {len(times)}: give one each")
+                raise table.error(key, f"has {counted(len(value), 'values')}; times_s has {len(times)}: give one each")
         return Waypoints(times, positions, rotations)
     position, rotation = table.vector("position_m"), _vector(table, "rotation_vector_rad")
     if kind == "still":

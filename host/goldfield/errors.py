@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -79,6 +80,28 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def counted(count: int, phrase: str) -> str:
+    """Return a number with what it counts, a phrase in the plural that is put into the singular for 1.
+
+    The first noun loses its s, a second one behind "or" too, and the verb follows.
+
+    Examples
+    --------
+    >>> counted(2, "messages of other channels"), counted(1, "messages of other channels")
+    ('2 messages of other channels', '1 message of other channels')
+    >>> counted(1, "garbled lines or datagrams"), counted(1, "frames were corrupt"), counted(0, "bus errors")
+    ('1 garbled line or datagram', '1 frame was corrupt', '0 bus errors')
+    """
+    if count == 1:
+        phrase = _PLURAL.sub(lambda noun: noun[0].replace("s or ", " or ")[:-1], phrase, count=1)
+        phrase = re.sub(r"\b(?:were|are|have|need)\b", lambda verb: _SINGULAR[verb[0]], phrase, count=1)
+    return f"{count} {phrase}"
+
+
+_PLURAL = re.compile(r"\b[a-z]+[^sui\W]s\b(?: or [a-z]+s\b)?")
+_SINGULAR = {"were": "was", "are": "is", "have": "has", "need": "needs"}
 
 
 def option(name: str, value: object = "") -> str:

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 
 FloatArray = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class Fields:
         for name, shape in (("field_T", (count, 3)), ("sigma_T", (count,))):
             given = np.shape(getattr(self, name))
             if given != shape:
-                raise UserError(f"{name}= of Fields has the shape {given}: {count} beacons need {shape}")
+                raise UserError(f"{name}= of Fields has the shape {given}: {counted(count, 'beacons need')} {shape}")
         if len(set(self.beacons)) < count:
             twice = next(name for name in self.beacons if self.beacons.count(name) > 1)
             raise UserError(f"beacons= of Fields names {twice} twice: a beacon has one row")

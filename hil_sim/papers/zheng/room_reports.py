@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from goldfield.cli.output import json_line, number
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.types import FloatArray
 from hil_sim.papers import plot
 from hil_sim.papers.zheng import room_options, sites
@@ -66,7 +66,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
         for record in records:
             print(json_line(record))
     else:
-        print(_about(room, f"{arguments.runs} places"))
+        print(_about(room, counted(arguments.runs, "places")))
         _print_compared(records)
         failed = max(int(np.isnan(result.printed_deg).sum()) for result in results if result.printed_deg is not None)
         print(
@@ -133,7 +133,9 @@ def run_range(arguments: argparse.Namespace) -> int:
             print(json_line({"distance_m": float(metres), "rms_deg": float(degrees)}))
         print(json_line({"limit_deg": arguments.limit_deg, "range_m": last}))
     else:
-        print(_about(room, f"{arguments.runs} directions {arguments.polar_deg:g} deg from z at each distance"))
+        print(
+            _about(room, f"{counted(arguments.runs, 'directions')} {arguments.polar_deg:g} deg from z at each distance")
+        )
         print(f"{'distance m':>10} {'rms error of the direction, deg':>32} {'variance, deg^2':>16}")
         for metres, degrees in zip(distance, error, strict=True):
             print(f"{metres:10.0f} {degrees:32.2f} {degrees**2:16.2f}")
@@ -177,7 +179,7 @@ def run_stability(arguments: argparse.Namespace) -> int:
     room = room_options.room(arguments, 3)
     result = stability(room, arguments.hours, np.array(STILL_M), arguments.runs, arguments.ageing_per_day)
     if not arguments.json:
-        print(_about(room, f"{arguments.runs} runs of {arguments.hours:g} h, one estimate a minute"))
+        print(_about(room, f"{counted(arguments.runs, 'runs')} of {arguments.hours:g} h, one estimate a minute"))
         print(f"the currents drift by up to {100.0 * result.drive_range:.2f} % (first run)")
         print(
             f"{'algorithm':26s} {'mean error':>12} {'slope a day':>13} {'+-':>10} {'one run':>10}  consistent with zero"

@@ -7,6 +7,7 @@ import csv
 import io
 
 from goldfield.cli.chips_file import PLACE
+from goldfield.errors import counted
 from goldfield.files.outputs import check_outputs, write_file
 from hil_sim.papers.zheng import room_options
 from hil_sim.papers.zheng.columns import SAMPLES
@@ -26,5 +27,5 @@ def run(arguments: argparse.Namespace) -> int:
         for time_s, field in zip(times, rows, strict=True):
             writer.writerow([window, *(repr(float(value)) for value in (time_s, *field, *place))])
     write_file(arguments.samples, text.getvalue().encode(), "the samples", force=arguments.force)
-    print(f"{arguments.samples}: {len(places)} windows of {len(times)} samples")
+    print(f"{arguments.samples}: {counted(len(places), 'windows')} of {len(times)} samples")
     return 0

@@ -7,7 +7,7 @@ import argparse
 import numpy as np
 
 from goldfield.cli.chips_file import PLACE
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.files.outputs import check_outputs
 from goldfield.types import FloatArray
 from hil_sim.papers.zheng import sites
@@ -33,5 +33,5 @@ def run(arguments: argparse.Namespace) -> int:
         strengths.setdefault(tuple(window.place_m.tolist()), []).append(strength)
     means = np.array([np.mean(of_place, axis=0) for of_place in strengths.values()])
     map_file.save(FingerprintMap(names, np.array(list(strengths)), means), arguments.map, force=arguments.force)
-    print(f"{arguments.map}: {len(strengths)} points, {len(names)} beacons")
+    print(f"{arguments.map}: {counted(len(strengths), 'points')}, {counted(len(names), 'beacons')}")
     return 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goldfield.errors import UserError, tell
+from goldfield.errors import UserError, counted, tell
 from goldfield.files.csv_table import Plausibility, Row, read_table
 from goldfield.files.inputs import name_of
 from goldfield.site import Site
@@ -61,9 +61,11 @@ def read_cycles(site: Site, path: str) -> Iterator[ChipCycle]:
             yield ChipCycle(samples, place)
     cycles, rest = divmod(count, site.chips)
     if cycles == 0:
-        raise UserError(f"{name_of(path)}: has {count} chips, fewer than a cycle's {site.chips} (degree {site.degree})")
+        raise UserError(
+            f"{name_of(path)}: has {counted(count, 'chips')}, fewer than a cycle's {site.chips} (degree {site.degree})"
+        )
     if rest:
-        tell(f"{name_of(path)}: the last {rest} chips are no whole cycle and were left out")
+        tell(f"{name_of(path)}: is no whole number of cycles: at its end {counted(rest, 'chips were left out')}")
 
 
 def place_of(row: Row) -> FloatArray | None:

@@ -13,7 +13,7 @@ import can
 from goldfield.cli import link_options
 from goldfield.cli.output import json_line
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
-from goldfield.errors import EXIT_FAILED, Loudness, loudness, tell
+from goldfield.errors import EXIT_FAILED, Loudness, counted, loudness, tell
 from goldfield.files.inputs import STREAM
 from goldfield.files.outputs import OutputFile
 from goldfield.link.recordings import CandumpWriter
@@ -65,7 +65,9 @@ def end_recording(recorder: Branch[can.Message]) -> None:
     """Close a recording, and tell how much of it is missing."""
     recorder.close()
     if recorder.dropped:
-        tell(f"{recorder.name}: {recorder.dropped} messages are missing in it, because the disk was too slow")
+        tell(
+            f"{recorder.name}: {counted(recorder.dropped, 'messages are missing')} in it, because the disk was too slow"
+        )
 
 
 @contextlib.contextmanager

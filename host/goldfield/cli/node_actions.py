@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from goldfield.cli.output import json_line, number
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.requests import Value
 from goldfield.nodes.conversation import BLINK, HEARD_S, RESET, Conversation
 from goldfield.nodes.elements import elements_of, parsed, shown
@@ -105,7 +105,7 @@ def _words_of(node: Node) -> Iterator[str]:
         if drive.complaints:
             yield f"channel {channel} reports {', '.join(drive.complaints)}"
     if node.counters:
-        yield "counted: " + ", ".join(f"{count} {counter_name(i)}" for i, count in sorted(node.counters.items()))
+        yield "counted: " + ", ".join(counted(count, counter_name(i)) for i, count in sorted(node.counters.items()))
 
 
 def print_values(conversation: Conversation, arguments: argparse.Namespace, asked: Asked) -> None:

@@ -8,7 +8,7 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-from goldfield.errors import UserError, tell
+from goldfield.errors import UserError, counted, tell
 from goldfield.files.environment import switched_on
 from goldfield.site import Site
 
@@ -75,7 +75,7 @@ def tell_doubts(site: Site) -> None:
     for doubt in site.doubts[:MOST_DOUBTS]:
         tell(doubt)
     if len(site.doubts) > MOST_DOUBTS:
-        tell(f"{len(site.doubts) - MOST_DOUBTS} more values of the site file are unusual")
+        tell(counted(len(site.doubts) - MOST_DOUBTS, "more values of the site file are unusual"))
 
 
 def environment_name(option: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from goldfield.doctor.checks import Check, Fault, sound, unjudged, wrong
+from goldfield.errors import counted
 from goldfield.nodes.roster import UNLOCKED, Node, Roster
 from goldfield.site import Beacon, Site
 from goldfield_protocol.messages import protocol_hash
@@ -134,7 +135,7 @@ def codes(roster: Roster, site: Site) -> Iterator[Check]:
                 beacons=(beacon.id,),
             )
     if not missing and not strange and not shared:
-        yield sound("codes", f"each of the site's {len(site.beacons)} codes is driven by one board")
+        yield sound("codes", f"each of {counted(len(site.beacons), 'codes of the site')} is driven by one board")
 
 
 def _wrong_code(text: str, nodes: tuple[int, ...], missing: Beacon | None, shared: Beacon | None = None) -> Check:
@@ -169,7 +170,7 @@ def drives(roster: Roster, site: Site) -> Iterator[Check]:
             "currents", "no beacon's board is heard on this link: codes and currents show in the fields alone"
         )
     elif not faults:
-        yield sound("currents", f"{len(coils)} coils are driven as the site file says")
+        yield sound("currents", counted(len(coils), "coils are driven as the site file says"))
 
 
 def _of_coil(node: Node, channel: int, beacon: Beacon | None) -> Iterator[Check]:
@@ -234,7 +235,9 @@ def hosts(roster: Roster) -> Check:
         return sound("hosts", "no other host spoke on this link")
     setting = tuple(sorted({request.node for request in requests if request.name == "PARAM_SET"}))
     if not setting:
-        return unjudged("hosts", f"another host asked nodes for parameters, {len(requests)} times, and set none")
+        return unjudged(
+            "hosts", f"another host asked nodes for parameters, {counted(len(requests), 'times')}, and set none"
+        )
     return wrong(
         Fault.HOSTS,
         "hosts",

@@ -8,7 +8,7 @@ from itertools import islice
 
 from goldfield.doctor import boards, machine, poses
 from goldfield.doctor.checks import Check, Fault, sound, unjudged, wrong
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.ports import kernel_can_errors
 from goldfield.link.traffic import DAMAGED, damaged
 from goldfield.nodes.conversation import Conversation, Tap
@@ -92,7 +92,7 @@ class Examination:
             yield wrong(
                 Fault.LINK,
                 "CAN",
-                f"the interface counted {self._bus_errors() - errors} bus errors",
+                f"the interface counted {counted(self._bus_errors() - errors, 'bus errors')}",
                 "check termination",
             )
         yield boards.hosts(roster)
@@ -159,7 +159,7 @@ class Examination:
         for node in boards.in_order(roster):
             old = before.get(node.number, {})
             grown = {index: count - old.get(index, 0) for index, count in node.counters.items()}
-            said = [f"{count} {counter_name(index)}" for index, count in sorted(grown.items()) if count > 0]
+            said = [counted(count, counter_name(index)) for index, count in sorted(grown.items()) if count > 0]
             if said and old:
                 yield wrong(
                     Fault.LINK,
@@ -175,12 +175,12 @@ class Examination:
             yield wrong(
                 Fault.LINK,
                 "link",
-                f"{bad} of {bad + good} frames were corrupt",
+                f"of {counted(bad + good, 'frames')} {bad} {'was' if bad == 1 else 'were'} corrupt",
                 "check cable, ground and adapter; that nothing else writes to this port",
             )
         foreign = {kind: count for kind, count in tap.others.items() if count and kind not in DAMAGED}
         if foreign:
-            said = ", ".join(f"{count} {kind}" for kind, count in foreign.items())
+            said = ", ".join(counted(count, kind) for kind, count in foreign.items())
             yield unjudged("foreign traffic", f"{said}: left out")
 
     def _bus_errors(self) -> int:

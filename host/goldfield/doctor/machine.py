@@ -12,7 +12,7 @@ import can
 import serial
 
 from goldfield.doctor.checks import Check, Fault, sound, wrong
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.link.buses import BusSource
 from goldfield.link.ports import kernel_can_interfaces, permission_problem
 from goldfield.link.serial_bus import BAUD_RATE
@@ -116,7 +116,7 @@ def silence(kind: str, where: str, bad_frames: int) -> Check:
             _not_right(where) if bad_frames or _carries_bytes(where) else _nothing(where, "; TX and RX may be swapped")
         )
     if bad_frames:
-        text = f"{bad_frames} frames were corrupt and none was right"
+        text = f"{counted(bad_frames, 'frames were corrupt')} and none was right"
         return wrong(Fault.LINK, "CAN", text, "check bit rate and termination")
     return _nothing(where, ", the bit rate of 1 Mbit/s and the termination")
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from goldfield.doctor.checks import Check, Fault, sound, unjudged, wrong
+from goldfield.errors import counted
 from goldfield.sensor.pipeline import Epoch
 from goldfield.sensor.strength import Strength, Strengths, mean_strengths
 from goldfield.site import Site
@@ -85,7 +86,7 @@ def judged(view: Seen, site: Site, known: Sequence[Check]) -> Iterator[Check]:
         yield unjudged("poses", "no pose fits: mend what is named here, then look again")
     else:
         said = ", ".join(f"{count} {status.value}" for status, count in statuses.most_common())
-        yield sound("poses", f"{len(view.epochs)} epochs: {said}")
+        yield sound("poses", f"{counted(len(view.epochs), 'epochs')}: {said}")
     yield from _sound_beacons(view, named | {beacon for check in faults for beacon in check.beacons})
 
 
@@ -104,7 +105,7 @@ def _samples(view: Seen) -> Iterator[Check]:
         yield wrong(
             Fault.LINK,
             "link",
-            f"{lost} messages of {count} cycles were lost",
+            f"of {counted(count, 'cycles')} {counted(lost, 'messages were lost')}",
             "check the adapter, its cable and what else uses the link",
         )
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TextIO
 
-from goldfield.errors import UserError, printable, tell
+from goldfield.errors import UserError, counted, printable, tell
 from goldfield.files.inputs import name_of, open_input, reason_of
 
 LARGEST = 1e6
@@ -182,7 +182,7 @@ def _rows(path: Path, file: TextIO, required: tuple[str, ...], optional: tuple[s
             raise UserError(f"{path}:{line}: the column {name} is missing: its columns are {wanted}")
     for line, cells in lines:
         if len(cells) != len(columns):
-            raise UserError(f"{path}:{line}: has {len(cells)} cells where the header has {len(columns)}")
+            raise UserError(f"{path}:{line}: has {counted(len(cells), 'cells')} where the header has {len(columns)}")
         yield Row(path, line, dict(zip(columns, cells, strict=True)))
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import can
 
-from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.errors import SystemFailure, UserError, counted, tell
 from goldfield.files.inputs import STREAM, name_of, open_input, reason_of
 from goldfield.files.outputs import OutputFile
 from goldfield.link.log_formats import DAMAGE, frames
@@ -66,8 +66,8 @@ class CandumpReader:
         self._told = True
         bad_lines = self.traffic[CORRUPT]
         if bad_lines:
-            lines = "1 line" if bad_lines == 1 else f"{bad_lines} lines"
-            tell(f"{self.name}: {lines} could not be read and were left out (first: number {self._first_bad})")
+            said = counted(bad_lines, "lines could not be read and were left out")
+            tell(f"{self.name}: {said} (first: number {self._first_bad})")
 
     def _messages(self) -> Iterator[can.Message]:
         """Yield the messages of all channels, and count what else there is."""
@@ -81,7 +81,8 @@ class CandumpReader:
                 if frame == CORRUPT:
                     self._first_bad = self._first_bad or number
         except DAMAGE:
-            tell(f"{self.name}: is damaged or was cut off behind {self._count} messages, which are used")
+            said = f"is damaged or was cut off behind {counted(self._count, 'messages')}"
+            tell(f"{self.name}: {said}: what comes before is used")
         except OSError as error:
             kind = SystemFailure if self._count else UserError
             raise kind(f"{self.name}: the log cannot be read any further: {reason_of(error)}") from error
@@ -129,7 +130,9 @@ class CandumpWriter:
             self.failed = True
             why = error.__cause__
             reason = str(error) if why is None else reason_of(why)
-            tell(f"{self._name}: recording stopped after {self._file.size} bytes: {reason}; the run goes on")
+            tell(
+                f"{self._name}: recording stopped after {counted(self._file.size, 'bytes')}: {reason}; the run goes on"
+            )
 
     def close(self) -> None:
         """End the recording."""

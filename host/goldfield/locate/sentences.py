@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from goldfield.errors import counted
 from goldfield.types import FloatArray
 
 MIRRORED = (
@@ -112,7 +113,7 @@ def few_heard(heard: int, least: int) -> str:
 
 def few_components(count: int, unknowns: int) -> str:
     """Say that there are fewer numbers than unknowns."""
-    return f"{count} components were measured, a pose needs {unknowns}"
+    return f"{counted(count, 'components were measured')}, a pose needs {unknowns}"
 
 
 def ambiguous(place: FloatArray) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.link.buses import Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
@@ -276,6 +276,6 @@ def _notes(report: Report, verdict: Verdict, chips: int) -> Iterator[str]:
     if report.locked is False:
         yield "not synchronised"
     if report.chips is not None and report.chips < chips:
-        yield f"{chips - report.chips} chips lost"
+        yield counted(chips - report.chips, "chips lost")
     if report.saturated:
-        yield f"{report.saturated} chips saturated"
+        yield counted(report.saturated, "chips saturated")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import can
 
-from goldfield.errors import SystemFailure, UserError, option
+from goldfield.errors import SystemFailure, UserError, counted, option
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.sensor.anchors import AnchorWatch
@@ -296,7 +296,7 @@ class Session:
 
     def _nothing_found(self, census: Census, waited_s: float) -> str:
         wanted = "a sensor" if self.node is None else f"sensor {self.node}"
-        others = [f"{count} {kind}" for kind, count in self.receiver.traffic.items() if count]
+        others = [counted(count, kind) for kind, count in self.receiver.traffic.items() if count]
         if census.heard:
             what = f"heard only {', '.join(sorted(census.heard)[:4])}"
         elif others:

@@ -12,6 +12,7 @@ from typing import Any
 import can
 import numpy as np
 
+from goldfield.errors import counted
 from goldfield.nodes.roster import Node, Roster
 from goldfield.sensor.pipeline import Epoch
 from goldfield.sensor.strength import Strength, Strengths, mean_strengths
@@ -154,8 +155,8 @@ class Monitor:
         clock = _clock(beat.locked) + ("" if phase is None else f", phase {phase * 1e9:+.0f} ns")
         lines = [
             f"{head[: WIDTH - 12]:{WIDTH - 12}}{beat.time_s:10.1f} s",
-            f"{_figure(beat.cycles_per_s, 1)} cycles/s; {beat.lost} messages lost ({beat.lost_in_all} in all), "
-            f"{beat.lost_chips} chips lost, {beat.saturated} saturated",
+            f"{_figure(beat.cycles_per_s, 1)} cycles/s; {counted(beat.lost, 'messages lost')} "
+            f"({beat.lost_in_all} in all), {counted(beat.lost_chips, 'chips lost')}, {beat.saturated} saturated",
             f"clock {clock}" + ("" if degrees is None else f"; {degrees:.1f} degC"),
             f"poses: {_statuses(beat.statuses)}; residual {_figure(beat.residual, 2)}",
             HEADER,
@@ -182,7 +183,7 @@ class Monitor:
     def _counted(self) -> Iterator[str]:
         for number, node in sorted(self._roster.nodes.items()):
             if node.counters:
-                said = ", ".join(f"{count} {counter_name(index)}" for index, count in sorted(node.counters.items()))
+                said = ", ".join(counted(count, counter_name(index)) for index, count in sorted(node.counters.items()))
                 yield f"node {number} counted since its reset: {said}"
 
     # ---- As a record ----

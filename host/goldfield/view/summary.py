@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from goldfield.errors import counted
 from goldfield.types import Explanation, Finding, FloatArray, Pose, Status
 from goldfield.view.terminal import WIDTH
 from goldfield.view.truth import NO_ERROR, PoseError
@@ -97,13 +98,13 @@ class Summary:
     def text(self, truth: bool) -> str:
         """Return the summary as lines of at most 80 columns."""
         counts = [f"{self.statuses[status]} {status.value}" for status in Status if self.statuses[status]]
-        lines = [f"{self.epochs} epochs: {', '.join(counts) or 'none'}"]
+        lines = [f"{counted(self.epochs, 'epochs')}: {', '.join(counts) or 'none'}"]
         lines += self._about_beacons()
         lines += self._about_links()
         position, attitude = _rms(self._position_m), _rms(self._attitude_rad)
         if position is not None and attitude is not None:
             lines.append(
-                f"rms error of {len(self._position_m)} ok poses: position {position * 100.0:.2f} cm, "
+                f"rms error of {counted(len(self._position_m), 'ok poses')}: position {position * 100.0:.2f} cm, "
                 f"attitude {math.degrees(attitude):.2f} deg"
             )
         elif truth:
@@ -149,7 +150,10 @@ class Summary:
         if self.counters:
             lines.append(f"the sensor counted since its reset: {_counted(self.counters)}")
         lines += [f"node {node} counted: {_counted(counters)}" for node, counters in self.board_counters.items()]
-        lines += [f"{n} epochs were left out of {name}, which took them too slowly" for name, n in self.dropped.items()]
+        lines += [
+            f"{counted(n, 'epochs were left out')} of {name}, which took them too slowly"
+            for name, n in self.dropped.items()
+        ]
         return lines
 
 
@@ -166,7 +170,7 @@ def _summed_up(kind: Explanation, found: _Found) -> str:
 
 
 def _counted(counts: Mapping[str, int]) -> str:
-    return ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    return ", ".join(counted(count, name) for name, count in counts.items() if count)
 
 
 def _rms(values: list[float]) -> float | None:

@@ -145,7 +145,7 @@ def test_an_unusual_number_is_told(room, tmp_path, capsys, key, value, words):
     assert words in captured.err
 
 
-@pytest.mark.parametrize(("unusual", "lines", "rest"), [(3, 3, ""), (4, 3, "1 more values of the site file are")])
+@pytest.mark.parametrize(("unusual", "lines", "rest"), [(3, 3, ""), (4, 3, "1 more value of the site file is")])
 def test_many_unusual_numbers_are_told_in_few_lines(room, tmp_path, capsys, unusual, lines, rest):
     begin, *beacons = GOOD_SITE.split("[[beacon]]")
     beacons[:unusual] = [re.sub(r"current_A = .*", "current_A = 500.0", beacon) for beacon in beacons[:unusual]]
@@ -153,7 +153,7 @@ def test_many_unusual_numbers_are_told_in_few_lines(room, tmp_path, capsys, unus
     code, captured = outcome(capsys, ["locate", "--site", tmp_path / "site.toml", room / "fields.csv"])
     assert code == 0
     assert captured.err.count("which is unusual") == lines
-    assert ("more values" in captured.err, rest in captured.err) == (bool(rest), True)
+    assert ("more value" in captured.err, rest in captured.err) == (bool(rest), True)
 
 
 TEXTS = {
@@ -200,7 +200,7 @@ def test_texts_of_a_site_file_that_are_sound(tmp_path, capsys, text):
     (tmp_path / "fields.csv").write_text("\n".join(rows))
     code, captured = outcome(capsys, ["locate", "--site", tmp_path / "site.toml", tmp_path / "fields.csv"])
     assert code == 0, captured.err
-    assert "1 epochs: 1 ok" in captured.out
+    assert "1 epoch: 1 ok" in captured.out
 
 
 # Tables.

@@ -96,7 +96,7 @@ def test_lost_messages_show_and_the_rest_is_used(tmp_path, capsys):
     assert (second["lost"], len(second["used"])) == (1, 7)
     assert third["lost"] == 1
     assert third["t_s"] == pytest.approx(2.5 * 1023 * 97.75e-6, abs=1e-5)
-    assert "2 messages lost, 1 corrupt frames" in " ".join(err.split())
+    assert "2 messages lost, 1 corrupt frame" in " ".join(err.split())
 
 
 def test_an_epoch_without_anything_still_has_its_line(tmp_path, capsys):
@@ -158,9 +158,9 @@ def test_the_summary_tells_of_other_boards_and_of_the_way(tmp_path, capsys):
     ]
     code, out, _ = run(capsys, "--log", write(tmp_path, candump([(0.1, m) for m in messages])))
     assert code == 0
-    assert " ".join(out.partition("1 epochs")[2].split()) == (
+    assert " ".join(out.partition("1 epoch")[2].split()) == (
         ": 1 inconsistent in 1 of 1: nodes 2 and 3 are both sync masters: set sync_master = 1 in one board only "
-        "the link: 1 messages that came after their epoch node 2 counted: 3 open coil"
+        "the link: 1 message that came after their epoch node 2 counted: 3 open coil"
     )
 
 

@@ -136,7 +136,7 @@ def test_separate_with_chips_counted_on_an_unmeasured_axis_and_a_rest(tmp_path, 
     (line,) = [json.loads(text, parse_constant=no_constants) for text in captured.out.splitlines()]
     assert line["offset_T"][1] is None
     assert all(f["b_T"][1] is None and f["b_T"][0] is not None for f in line["fields"])
-    assert "the last 977 chips are no whole cycle" in captured.err
+    assert "at its end 977 chips were left out" in captured.err
 
 
 def site_of(tmp_path, codes):
@@ -187,7 +187,7 @@ BAD_FIELDS = [
 SAMPLE_COLUMNS = "chip,bx_T,by_T,bz_T"
 BAD_SAMPLES = [
     ([SAMPLE_COLUMNS], "has 0 chips, fewer than a cycle's 1023"),
-    ([SAMPLE_COLUMNS, "0,1e-6,2e-6,3e-6"], "has 1 chips, fewer than a cycle's 1023"),
+    ([SAMPLE_COLUMNS, "0,1e-6,2e-6,3e-6"], "has 1 chip, fewer than a cycle's 1023"),
     ([SAMPLE_COLUMNS, "0,1e-6,2e-6,3e-6", "2,1e-6,2e-6,3e-6"], ":3: chip is 2 where 1 follows"),
     ([SAMPLE_COLUMNS, "1,1,2,3"], ":2: chip is 1 where 0 follows"),
     ([FIELD_COLUMNS], 'table.csv:1: "epoch" is no column'),

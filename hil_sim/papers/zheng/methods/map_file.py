@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.files.csv_table import Row, read_table
 from goldfield.files.outputs import write_file
 from hil_sim.papers.zheng.methods.fingerprint import NEIGHBOURS, FingerprintMap
@@ -76,7 +76,7 @@ def load(path: str | Path, beacons: tuple[str, ...]) -> FingerprintMap:
             if beacon not in of_point:
                 raise last[point].error("point", f'{point} has no row for the beacon "{beacon}": measure it, too')
     if len(places) < NEIGHBOURS:
-        raise UserError(f"{path}: has {len(places)} points; the algorithms need at least {NEIGHBOURS}")
+        raise UserError(f"{path}: has {counted(len(places), 'points')}; the algorithms need at least {NEIGHBOURS}")
     return FingerprintMap(
         beacons,
         np.array(list(places.values())),

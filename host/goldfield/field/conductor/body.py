@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.constants import mu_0
 
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.types import FloatArray
 
 PIECES = 12
@@ -142,7 +142,7 @@ def ball(centre_m: FloatArray, radius_m: float, material: Material, pieces: int 
 def _cube(pieces: int) -> tuple[FloatArray, NDArray[np.intp]]:
     """Return the corners on the surface of the cube from -1 to 1 and triangles, outward."""
     if pieces < 2:
-        raise UserError(f"an edge is cut into {pieces} pieces: give at least 2")
+        raise UserError(f"an edge is cut into {counted(pieces, 'pieces')}: give at least 2")
     index: dict[tuple[int, int, int], int] = {}
     triangles = []
     for axis in range(3):
