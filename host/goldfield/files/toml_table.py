@@ -58,7 +58,25 @@ def read_table(path: Path, what: str) -> Table:
     UserError
         If the file cannot be read (`read_text`) or is no TOML.
     """
-    text, name = read_text(path, what), name_of(path)
+    return parse_table(read_text(path, what), name_of(path), what)
+
+
+def parse_table(text: str, name: str, what: str) -> Table:
+    """Parse the text of a TOML file.
+
+    Parameters
+    ----------
+    text : str
+    name : str
+        What messages call the file.
+    what : str
+        What kind of file it is, for messages.
+
+    Raises
+    ------
+    UserError
+        If it is no TOML.
+    """
     try:
         # A line of TOML ends at a line feed, and nowhere else: str.splitlines knows ten other ends.
         return Table(tomllib.loads(text), path=Path(name), lines=text.split("\n"))

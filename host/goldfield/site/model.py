@@ -40,7 +40,7 @@ class HalfSpace:
         return bool((position_m - self.point_m) @ self.normal >= 0.0)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SensorSite:
     """The sensor as the site file describes it.
 
@@ -52,11 +52,15 @@ class SensorSite:
         Standard deviation of each axis's gain, relative.
     axis_sd_rad : float
         Standard deviation of the angle by which each axis leans towards each of the two others.
+    axes : ndarray, shape (3, 3), or None
+        Row j is the direction of axis j times its gain: axis j reads ``axes[j] @ B`` of a field B in the sensor's
+        frame. The matrix may be left-handed. None: the identity.
     """
 
     noise_T: float
     gain_sd: float = 0.0
     axis_sd_rad: float = 0.0
+    axes: FloatArray | None = None
 
 
 @dataclass(frozen=True)

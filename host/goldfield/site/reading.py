@@ -14,6 +14,7 @@ from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
 from goldfield.site.model import ALERT_LIMIT_M, Beacon, HalfSpace, SensorSite, Site, Survey, area_vector
 from goldfield.site.plausible import check_extent, check_place, checked
+from goldfield.types import FloatArray
 
 
 def load(path: str | Path) -> Site:
@@ -36,6 +37,7 @@ def load(path: str | Path) -> Site:
     The table ``[sensor]`` describes the sensor:
 
     - ``noise_T``: standard deviation of one chip's sample on one axis, above 0;
+    - ``axes``: optional, three rows: the direction of each axis times its gain, in the sensor's frame (`SensorSite`);
     - ``gain_sd``, ``axis_sd_rad``: optional, how well the gains and directions of its axes are known (`SensorSite`).
 
     The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
@@ -71,10 +73,11 @@ def load(path: str | Path) -> Site:
         If the file cannot be read or is no TOML, or if any value is missing, unknown, of the wrong type or out of
         range; the sentence names file, line and key.
     """
-    return _site(read_table(Path(path), "site file"))
+    return site_of(read_table(Path(path), "site file"))
 
 
-def _site(root: Table) -> Site:
+def site_of(root: Table) -> Site:
+    """Read and check a site file that is parsed already; see `load`."""
     root.allow("site", "sensor", "survey", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
     survey = root.table("survey") if "survey" in root else None
@@ -115,7 +118,10 @@ SURVEY_LIMITS = {"position_sd_m": (1.0, " m"), "axis_sd_rad": (0.5, " rad"), "cu
 SENSOR_LIMITS = {"gain_sd": (0.5, ""), "axis_sd_rad": (0.5, " rad")}
 """Least values that are refused, with their units: with errors this large the model holds nowhere."""
 
-SENSOR_KEYS = ("noise_T", *SENSOR_LIMITS)
+SENSOR_KEYS = ("noise_T", "axes", *SENSOR_LIMITS)
+
+LARGEST_CONDITION = 100.0
+"""Largest ratio of what the sensor's axes read of a field along its best and its worst direction: more is a mistake."""
 
 
 def _deviation(table: Table, key: str, limits: dict[str, tuple[float, str]]) -> float:
@@ -137,7 +143,18 @@ def _sensor(table: Table, doubts: list[str]) -> SensorSite:
         noise_T=checked(table, "noise_T", table.positive("noise_T"), doubts),
         gain_sd=_deviation(table, "gain_sd", SENSOR_LIMITS) if "gain_sd" in table else ASSUMED_GAIN_SD,
         axis_sd_rad=_deviation(table, "axis_sd_rad", SENSOR_LIMITS) if "axis_sd_rad" in table else ASSUMED_AXIS_SD_RAD,
+        axes=_axes(table) if "axes" in table else None,
     )
+
+
+def _axes(table: Table) -> FloatArray:
+    axes = table.vectors("axes")
+    if len(axes) != 3:
+        raise table.error("axes", f"has {len(axes)} rows; give three: what each axis of the sensor reads")
+    largest, *_, least = np.linalg.svd(axes, compute_uv=False)
+    if not least * LARGEST_CONDITION >= largest > 0.0:
+        raise table.error("axes", "are nearly in one plane, or one of them reads almost nothing: no field can be told")
+    return axes
 
 
 def _survey(beacon: Table, survey: Table | None) -> Survey:

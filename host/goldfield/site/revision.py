@@ -1,0 +1,195 @@
+"""A site file with new values: they are written where the old ones stood, and all else stays as its author wrote it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, MutableMapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tomlkit
+from tomlkit.items import Array, Float, Integer, Item, Table, Trivia
+
+from goldfield.errors import UserError
+from goldfield.files.inputs import name_of
+from goldfield.files.toml_table import parse_table, read_text
+from goldfield.site.model import Beacon, Survey
+from goldfield.site.reading import site_of
+from goldfield.types import FloatArray
+
+WIRE_DIGITS = 12
+"""Decimals of the metres to which the points of a moved wire are written: a picometre is below everything."""
+
+PLAIN = (1e-5, 1e9)
+"""Sizes of numbers that are written without an exponent, unless the number that they replace has one."""
+
+
+@dataclass(frozen=True)
+class BeaconRevision:
+    """What is new of a beacon; None stays as it is.
+
+    Attributes
+    ----------
+    position_m : ndarray, shape (3,), or None
+        Centre of the coil.
+    axis : ndarray, shape (3,), or None
+        Unit vector.
+    current_A : float or None
+    survey : Survey or None
+        All three standard deviations.
+    """
+
+    position_m: FloatArray | None = None
+    axis: FloatArray | None = None
+    current_A: float | None = None
+    survey: Survey | None = None
+
+
+@dataclass(frozen=True)
+class SensorRevision:
+    """What is new of the sensor; None stays as it is.
+
+    Attributes
+    ----------
+    axes : ndarray, shape (3, 3), or None
+    gain_sd, axis_sd_rad : float or None
+    """
+
+    axes: FloatArray | None = None
+    gain_sd: float | None = None
+    axis_sd_rad: float | None = None
+
+
+def revised(path: Path, beacons: Mapping[str, BeaconRevision], sensor: SensorRevision | None = None) -> str:
+    """Return the text of a site file with new values.
+
+    Comments, blank lines, the order of keys and the style of numbers stay; a key that the file does not have comes to
+    the end of its table. Tables ``[[beacon]]`` between which other tables stand are brought together. A coil that is
+    given by its wire moves and turns as a rigid body, by the smallest rotation from its old axis to the new one.
+
+    Parameters
+    ----------
+    path : Path
+        The file to revise; it is not written.
+    beacons : mapping of str to BeaconRevision
+        By the beacon's id.
+    sensor : SensorRevision, optional
+
+    Returns
+    -------
+    str
+        A file from which `load` reads the new values: bit for bit, but for an axis, which is scaled to length 1 once
+        more, and for the place and axis that a wire tells (`WIRE_DIGITS`).
+
+    Raises
+    ------
+    UserError
+        If the file is no site file, has no beacon of such an id, or the new values are none that a site can have.
+    """
+    text, name = read_text(path, "site file"), name_of(path)
+    old = {beacon.id: beacon for beacon in site_of(parse_table(text, name, "site file")).beacons}
+    for unknown in beacons.keys() - old.keys():
+        raise UserError(f'{name}: no beacon has the id "{unknown}"; there are {", ".join(old)}')
+    document: Any = tomlkit.parse(text)
+    for table in document["beacon"]:
+        beacon_id = str(table["id"])
+        if beacon_id in beacons:
+            _revise_beacon(table, old[beacon_id], beacons[beacon_id])
+    for key, value in _given(sensor).items():
+        _put(document["sensor"], key, value)
+    result = tomlkit.dumps(document)
+    site_of(parse_table(result, f"{name}, revised", "site file"))
+    return result
+
+
+def _given(revision: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass that are not None; nothing of None."""
+    if revision is None:
+        return {}
+    values = {field.name: getattr(revision, field.name) for field in fields(revision)}
+    return {key: value for key, value in values.items() if value is not None}
+
+
+def _revise_beacon(table: MutableMapping[str, Any], old: Beacon, revision: BeaconRevision) -> None:
+    values = _given(revision)
+    survey = values.pop("survey", None)
+    if "points_m" in table and ("position_m" in values or "axis" in values):
+        position, axis = values.get("position_m", old.position_m), values.get("axis", old.axis)
+        assert old.points_m is not None
+        moved = position + (old.points_m - old.position_m) @ smallest_rotation(old.axis, axis).T
+        _put(table, "points_m", moved.round(WIRE_DIGITS))
+        # A wire tells its place and axis; only where the file tells them too there is something to revise.
+        values = {key: value for key, value in values.items() if key in table or key == "current_A"}
+    for key, value in {**values, **_given(survey)}.items():
+        _put(table, key, value)
+
+
+def smallest_rotation(old: FloatArray, new: FloatArray) -> FloatArray:
+    """Return the rotation matrix of the smallest angle that turns one unit vector into another.
+
+    For opposite vectors it is half a turn about one of the axes at right angles to them.
+
+    Parameters
+    ----------
+    old, new : ndarray, shape (3,)
+
+    Examples
+    --------
+    >>> smallest_rotation(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])) @ [1.0, 0.0, 0.0]
+    array([ 0.,  0., -1.])
+    """
+    cosine = float(old @ new)
+    if cosine > -0.5:
+        x, y, z = np.cross(old, new)
+        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + cosine))
+    # Far apart: half a turn about an axis at right angles to the old one and near the plane of both, then the rest.
+    away = new - cosine * old
+    if np.linalg.norm(away) < 1e-8:
+        away = np.eye(3)[np.argmin(np.abs(old))]
+        away = away - (away @ old) * old
+    normal = np.cross(old, away / np.linalg.norm(away))
+    half = 2.0 * np.outer(normal, normal) / (normal @ normal) - np.eye(3)
+    return np.asarray(smallest_rotation(-old, new) @ half)
+
+
+def _put(table: MutableMapping[str, Any], key: str, value: float | FloatArray) -> None:
+    """Set a key of a table; a new one stands behind the last key, before the comments that lead to the next table."""
+    if key in table:
+        table[key] = _renewed(table[key], value)
+        return
+    body = table.value.body if isinstance(table, Table) else []
+    tail = []
+    while body and body[-1][0] is None:
+        tail.append(body.pop())
+    table[key] = _renewed(None, value)
+    body.extend(reversed(tail))
+
+
+def _renewed(old: Any, value: float | FloatArray) -> Any:
+    """Return a number, or a list of numbers at any depth, in the style of the one that it replaces."""
+    if np.ndim(value) == 0:
+        return _number(old, float(value))
+    values = np.asarray(value, dtype=np.float64)
+    if isinstance(old, Array) and len(old) == len(values):
+        for index, part in enumerate(values):
+            old[index] = _renewed(old[index], part)
+        return old
+    new = tomlkit.array()
+    new.extend([_renewed(None, part) for part in values])
+    return new.multiline(values.ndim > 1)
+
+
+def _number(old: Any, value: float) -> Item:
+    """Return a number; the old one itself, digits and all, where it has the value already."""
+    if isinstance(old, Integer | Float) and float(old) == value:
+        return old
+    written = old.as_string() if isinstance(old, Integer | Float) else ""
+    if isinstance(old, Integer) and value.is_integer() and abs(value) < PLAIN[1]:
+        return Integer(int(value), Trivia(), str(int(value)))
+    exponent = "e" in written.lower() or not (value == 0.0 or PLAIN[0] <= abs(value) < PLAIN[1])
+    style = np.format_float_scientific if exponent else np.format_float_positional
+    raw = re.sub(r"e\+?(-?)0*(?=\d)", r"e\1", style(value, unique=True, trim="0"))
+    return Float(value, Trivia(), raw)
