@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import gammaincc
 
 from goldfield.field import FieldModel
-from goldfield.locate import sentences
+from goldfield.locate import kernel, sentences
 from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
 from goldfield.locate.uncertainty import gauss_newton_covariance
 from goldfield.locate.whitening import Independent
@@ -107,7 +107,7 @@ def _place(model: FieldModel, measurements: Measurements, fit: Fit, row: int) ->
     reach = float(np.linalg.norm(position - model.centre_m[row]))
     size = float(np.linalg.norm(target))
     for _ in range(STEPS):
-        field, gradient = (part[..., 0] for part in one.evaluate(position))
+        field, gradient = (part[..., 0] for part in kernel.evaluate(one, position))
         step = np.linalg.lstsq(gradient, target - field, rcond=1e-6)[0]
         length = float(np.linalg.norm(step))
         nearest = float(np.linalg.norm(position - model.centre_m[row]))
@@ -116,7 +116,7 @@ def _place(model: FieldModel, measurements: Measurements, fit: Fit, row: int) ->
             break
     else:
         return None
-    field, gradient = (part[..., 0] for part in one.evaluate(position))
+    field, gradient = (part[..., 0] for part in kernel.evaluate(one, position))
     if not np.linalg.norm(target - field) < 1e-6 * size:
         return None
     inverse = np.linalg.inv(gradient)

@@ -330,7 +330,7 @@ def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray
         Derivative of component c of beacon i by unknown k: position (T/m), then rotation vector (T/rad).
     field_T : ndarray, shape (e, 3, n)
     """
-    field, gradient = model.evaluate(position_m.T)
+    field, gradient = kernel.evaluate(model, position_m.T)
     jacobian = np.zeros((len(position_m), 6, 3, len(model)))
     jacobian[:, :3] = gradient.transpose(2, 1, 0, 3)
     x, y, z = field
@@ -352,7 +352,7 @@ def whitened_residual(
     model: FieldModel, measurements: Measurements, fit: Fit, whitening: Whitening
 ) -> tuple[FloatArray, FloatArray]:
     """Return the whitened residuals, shape (e, 3n), and the modelled components, shape (e, 3, n), T."""
-    field, _ = model.evaluate(fit.position_m.T)
+    field, _ = kernel.evaluate(model, fit.position_m.T)
     modelled = fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)
     measured = measurements.filled_T.swapaxes(1, 2)
     residual = whitening(measured[:, None]) - whitening(modelled[:, None])

@@ -79,12 +79,16 @@ def errors_of(beacons: tuple[Beacon, ...], sensor: SensorSite) -> SiteErrors | N
     return None if exact else errors
 
 
-def effects_of_beacons(model: FieldModel, errors: SiteErrors, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def effects_of_beacons(
+    model: FieldModel, errors: SiteErrors, position_m: FloatArray, evaluated: tuple[FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
     """Return what the beacons' errors, in standard deviations, do to their fields.
 
     Parameters
     ----------
     position_m : ndarray, shape (e, 3)
+    evaluated : pair of ndarray
+        Fields and gradients there, as `FieldModel.evaluate` returns them.
 
     Returns
     -------
@@ -92,7 +96,7 @@ def effects_of_beacons(model: FieldModel, errors: SiteErrors, position_m: FloatA
         Change of a field's component by place (3), turn (3) and current, in the site's frame, T.
     field_T : ndarray, shape (e, n, 3)
     """
-    field, gradient = model.evaluate(position_m.T)
+    field, gradient = evaluated
     field, gradient = field.transpose(1, 2, 0), gradient.transpose(2, 3, 0, 1)
     turn = gradient @ skew(position_m[:, None] - model.centre_m) - skew(field)
     effect = np.empty((*field.shape, 7))

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
+from goldfield.locate import kernel
 from goldfield.locate.site_errors import SiteErrors, effects_of_beacons, effects_of_sensor
 from goldfield.types import FloatArray
 
@@ -135,7 +136,7 @@ def whitening_around(
         Standard deviation of each component by noise alone; infinite where nothing was measured.
     position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
     """
-    effect, field = effects_of_beacons(model, errors, position_m)
+    effect, field = effects_of_beacons(model, errors, position_m, kernel.evaluate(model, position_m.T))
     back = rotation.swapaxes(1, 2)[:, None]
     effect = back @ effect
     measured = np.isfinite(noise_T)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
+from goldfield.locate import kernel
 from goldfield.locate.site_errors import SiteErrors, effects_of_beacons
 from goldfield.types import FloatArray
 
@@ -70,7 +71,8 @@ class Deviations:
         """
         count, numbers = len(model), seen.shape[1]
         by_node = seen.reshape(3, numbers, count + 1, -1)
-        of_beacons, field = effects_of_beacons(model, self.errors, position_m)
+        evaluated = kernel.evaluate(model, position_m.T)
+        of_beacons, field = effects_of_beacons(model, self.errors, position_m, evaluated)
         in_sensor = (rotation.swapaxes(1, 2)[:, None] @ of_beacons).transpose(2, 1, 0, 3)  # (3, n, k, 7)
         fields = np.concatenate([field, np.broadcast_to(ambient_T, (len(field), 1, 3))], axis=1) @ rotation
         fields = fields.swapaxes(0, 1).reshape(-1, 3)

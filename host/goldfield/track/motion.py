@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
+from goldfield.locate import kernel
 from goldfield.locate.rotations import skew
 from goldfield.track.deviations import Deviations
 from goldfield.types import FloatArray
@@ -193,7 +194,7 @@ class Observation:
         """
         nodes, beacons = len(self.times_s), len(self.model)
         points = state.position_m + self.times_s[:, None] * state.velocity_m_s
-        field, gradient = self.model.evaluate(points.T)  # (3, k, n), (3, 3, k, n)
+        field, gradient = kernel.evaluate(self.model, points.T)  # (3, k, n), (3, 3, k, n)
         now, by_rate = _turns(state.rate_rad_s, self.times_s)
         back = (now @ state.rotation).swapaxes(1, 2)
         fields = np.empty((nodes, 3, beacons + 1))

@@ -193,3 +193,17 @@ def test_more_coils_than_the_kernel_takes_are_left_to_numpy():
     beacons = [bench.loop_beacon(i, (0.5 * i, 0.0, 0.0)) for i in range(kernel.MOST_COILS + 1)]
     assert kernel.of(FieldModel(beacons)) is None
     assert kernel.of(FieldModel(beacons[:-1])) is not None
+
+
+@pytest.mark.parametrize("kind", ["exact", "dipole"])
+def test_field_and_gradient_at_points_are_those_of_the_model(kind, numpy_only):
+    rng = np.random.default_rng(8)
+    model = FieldModel(random_room(rng, 5).beacons, kind)
+    points = rng.uniform(-1.0, 3.0, size=(3, 2, 4))
+    field, gradient = kernel.evaluate(model, points)
+    numpy_only()
+    for found, right in zip((field, gradient), kernel.evaluate(model, points), strict=True):
+        assert found.shape == right.shape
+        assert not np.array_equal(found, right)  # it was the kernel that found it
+        assert found == pytest.approx(right, rel=1e-9, abs=1e-12 * np.abs(right).max())
+    assert kernel.evaluate(model, points[:, 0, 0])[0].shape == (3, 5)

@@ -38,6 +38,7 @@ typedef struct {
     double gain_sd;
     double sensor_axis_sd_rad;
 } gf_errors_t;
+void gf_evaluate(const gf_coils_t *, size_t, const double *, double *, double *);
 void gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *, double *);
 void gf_fit(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, double, size_t, double,
             double *, double *, double *, double *, uint8_t *);
@@ -64,6 +65,7 @@ _FAULT_TABLES = ("drop", "freedom", "scale", "separation_m", "separation_cov_m2"
 
 _ffi: Any = cffi.FFI()
 _ffi.cdef(DECLARATIONS)
+_DOUBLES = _ffi.typeof("double[]")
 _kernels: WeakKeyDictionary[FieldModel, Kernel] = WeakKeyDictionary()
 _declared: WeakKeyDictionary[SiteErrors, Any] = WeakKeyDictionary()
 
@@ -78,11 +80,18 @@ def _library() -> Any | None:
 def of(model: FieldModel) -> Kernel | None:
     """Return the kernel for these coils; None if it is not built, or for coils given by their wire or too many."""
     library = _library()
-    if library is None or not 0 < len(model) <= MOST_COILS or len(model.wire_points_m):
+    if library is None:
         return None
-    if model not in _kernels:
-        _kernels[model] = Kernel(library, model)
-    return _kernels[model]
+    known = _kernels.get(model)
+    if known is None and 0 < len(model) <= MOST_COILS and not len(model.wire_points_m):
+        known = _kernels[model] = Kernel(library, model)
+    return known
+
+
+def evaluate(model: FieldModel, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what ``model.evaluate`` does of real points, shape (3, ...), by the kernel where there is one."""
+    quick = of(model)
+    return model.evaluate(point_m) if quick is None else quick.evaluate(point_m)
 
 
 class Kernel:
@@ -110,6 +119,14 @@ class Kernel:
         self._coils.moment_A_m2[0 : len(model)] = size.tolist()
         self._coils.radius_m[0 : len(model)] = model.loop_radius_m.tolist()
         self._coils.across[0:3] = model.across.tolist()
+
+    def evaluate(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return field and gradient at points as `FieldModel.evaluate` does."""
+        shape = (*point_m.shape[1:], self._coils.count)
+        field, gradient = np.empty((3, *shape)), np.empty((3, 3, *shape))
+        points = point_m.reshape(3, -1).T
+        self._library.gf_evaluate(self._coils, len(points), _given(points), _filled(field), _filled(gradient))
+        return field, gradient
 
     def starts(
         self,
@@ -342,8 +359,8 @@ def _errors(errors: SiteErrors | None) -> Any:
 
 
 def _given(values: FloatArray) -> Any:
-    return _ffi.from_buffer("double[]", np.ascontiguousarray(values, dtype=np.float64))
+    return _ffi.from_buffer(_DOUBLES, np.ascontiguousarray(values, dtype=np.float64))
 
 
 def _filled(values: FloatArray) -> Any:
-    return _ffi.from_buffer("double[]", values, require_writable=True)
+    return _ffi.from_buffer(_DOUBLES, values, require_writable=True)

@@ -1,6 +1,7 @@
 #include "coils.h"
 
 #include <math.h>
+#include <string.h>
 
 /* Twice the magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
 #define STRENGTH (2.0 * 1.25663706127e-6 / (4.0 * 3.14159265358979323846))
@@ -125,6 +126,23 @@ void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_
         out->gradient_T_m[3][i] = d * (ax * ry + rx * ay) + s * rx * ry - t * ax * ay;
         out->gradient_T_m[4][i] = d * (ax * rz + rx * az) + s * rx * rz - t * ax * az;
         out->gradient_T_m[5][i] = d * (ay * rz + ry * az) + s * ry * rz - t * ay * az;
+    }
+}
+
+void gf_evaluate(const gf_coils_t *coils, size_t points, const double *position_m, double *field_T,
+                 double *gradient_T_m) {
+    static const size_t row_of[3][3] = {{0, 3, 4}, {3, 1, 5}, {4, 5, 2}}; /* of the symmetric gradient */
+    const size_t bytes = coils->count * sizeof field_T[0];
+    for (size_t p = 0; p < points; ++p) {
+        gf_sources_t sources;
+        gf_sources(coils, position_m + 3 * p, &sources);
+        for (size_t i = 0; i < 3; ++i) {
+            memcpy(field_T + (i * points + p) * coils->count, sources.field_T[i], bytes);
+            for (size_t j = 0; j < 3; ++j) {
+                double *const out = gradient_T_m + ((3 * i + j) * points + p) * coils->count;
+                memcpy(out, sources.gradient_T_m[row_of[i][j]], bytes);
+            }
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 /* Location in double precision: the hot path of goldfield.locate, one epoch after another without an interpreter.
- * gf_starts() gives poses to start from, gf_fit() the fitted ones; gf_faults() and gf_covariance() judge those.
+ * gf_evaluate() is the field model itself. gf_starts() gives poses to start from, gf_fit() the fitted ones; gf_faults()
+ * and gf_covariance() judge those.
  *
  * Python calls the functions of this header through cffi (goldfield/locate/kernel/__init__.py). Each does what a NumPy
  * function of goldfield.locate does, which stays as its reference and as the fallback where this library is not built;
@@ -43,6 +44,11 @@ typedef struct {
     double gain_sd;                   /* relative, of each axis of the sensor */
     double sensor_axis_sd_rad;
 } gf_errors_t;
+
+/* Field and gradient of every coil at some points of the site's frame (goldfield.field.FieldModel.evaluate). position_m
+ * is points x 3. Out: field_T (3 x points x n), gradient_T_m (3 x 3 x points x n); not finite on a wire. */
+void gf_evaluate(const gf_coils_t *coils, size_t points, const double *position_m, double *field_T,
+                 double *gradient_T_m);
 
 /* Starts with no prior, from complete vectors: trilateration with |B| = 1.5 k/r^3, fit of log |B|, Wahba's problem
  * (goldfield.locate.starts and .wahba; patent, equations 6 to 8). Three errors beside the noise, all relative:
