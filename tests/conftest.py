@@ -1,4 +1,4 @@
-"""What holds for every test: examples that are the same each time, no bound on time, which are long or simulate."""
+"""What holds for every test: examples that are the same each time, no bound on time, and the marks that follow."""
 
 import signal
 from pathlib import Path
@@ -55,3 +55,5 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.long)
         if item.path.is_relative_to(HERE / "hil") and item.path not in any_bench:
             item.add_marker(pytest.mark.simulated_bench)
+        if "rig_kind" in item.fixturenames:  # of its own, or through another fixture
+            item.add_marker(pytest.mark.both_boards)

@@ -1,9 +1,7 @@
 # `make check test` runs each test once. The wheel has a target of its own.
 PYTEST := $(PYTHON) -m pytest -n 2 -q --ignore=tests/packaging
 
-test: test-fast test-long ## All tests but the slow ones
-	@echo "end to end again, on host boards"
-	@$(PYTHON) -m pytest tests/hil --goldfield-rig host -q
+test: test-fast test-long test-host-boards ## All tests but the slow ones
 
 test-wheel: all ## Build the wheel, install it alone and use it outside the tree
 	@$(PYTHON) -m pytest tests/packaging -q -s
@@ -14,10 +12,13 @@ test-fast: all $(BUILD)/qemu.stamp ## The tests that take little time: four minu
 test-long: all $(BUILD)/qemu.stamp ## The tests that take more
 	@$(PYTEST) -m "long and not slow"
 
+test-host-boards: all ## End to end on host boards what depends on the boards, also what is slow on emulated ones
+	@$(PYTEST) tests/hil --goldfield-rig host -m both_boards
+
 test-slow: all $(BUILD)/qemu.stamp ## All tests, the slow ones too
 	@$(PYTEST)
 
-.PHONY: test test-wheel test-fast test-long test-slow
+.PHONY: test test-wheel test-fast test-long test-host-boards test-slow
 
 many-benches: all ## Two, then four benches beside a garbage sender for a minute each
 	@$(PYTHON) -m pytest tests/hil/test_many_benches.py -m slow -q -s

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from hil_sim.clib import ROOT
+from hil_sim.demo import main
 
 NO_NETWORK = ["unshare", "-rn"]
 """A network name space of its own: its loopback interface is down."""
@@ -28,7 +29,9 @@ def test_it_needs_no_network():
 
 
 @pytest.mark.parametrize("seconds", ["nan", "0", "-1", "x", ""])
-def test_seconds_that_are_none_are_told_in_a_sentence(seconds):
-    done = demo("--seconds", seconds)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert re.fullmatch(r"python -m hil_sim\.demo: argument --seconds: .* is no number of seconds .*\n", done.stderr)
+def test_seconds_that_are_none_are_told_in_a_sentence(capsys, seconds):
+    with pytest.raises(SystemExit) as end:
+        main(["--seconds", seconds])
+    told = capsys.readouterr()
+    assert (end.value.code, told.out) == (2, "")
+    assert re.fullmatch(r"python -m hil_sim\.demo: argument --seconds: .* is no number of seconds .*\n", told.err)

@@ -12,20 +12,19 @@ import pytest
 
 import goldfield
 
-KILLS = 50
 CYCLE_S = 0.1
 MOST_LOST_S = 0.2
 
 
-@pytest.mark.slow
-def test_every_recording_of_a_killed_run_opens(tmp_path):
-    rng = np.random.default_rng(50)
+@pytest.mark.parametrize("kills", [5, pytest.param(50, marks=pytest.mark.slow)])
+def test_every_recording_of_a_killed_run_opens(tmp_path, kills):
+    rng = np.random.default_rng(kills)
     site = tmp_path / "site.toml"
     words = ["hil", "prigge8", "--boards", "host", "--json", "--site", str(site), "--truth", str(tmp_path / "truth")]
     with subprocess.Popen([sys.executable, "-m", "goldfield", *words], stdout=subprocess.PIPE, text=True) as bench:
         try:
             port = json.loads(bench.stdout.readline())["serial"]
-            for place in range(KILLS):
+            for place in range(kills):
                 path = tmp_path / f"{place}.log"
                 printed = killed_run(port, site, path, int(rng.integers(1, 7)), rng.uniform(0.0, CYCLE_S))
                 with goldfield.open_log(path, site=site) as log:

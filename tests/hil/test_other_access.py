@@ -1,5 +1,7 @@
 """Time slots, square waves and superposed codes on the boards: sampled raw, separated on the host, located as ever."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -11,6 +13,7 @@ from goldfield.types import Fields
 from goldfield_protocol.framing import FrameDecoder, encode_frame
 from goldfield_protocol.messages import decode, encode
 from goldfield_protocol.parameters import PARAMETERS
+from hil_sim.bench import SimulatedBench
 
 PARAM_STREAM = PARAMETERS["stream"].first
 
@@ -28,21 +31,25 @@ def cycles_of(rig, node, seconds):
     return cycles
 
 
+def recorded(scenario, boards, directory):
+    """Return the site, the sensor's calibration, eight raw cycles and the truth of a bench."""
+    with contextlib.closing(SimulatedBench(scenario, boards, directory)) as bench:
+        rig, sensor = bench.rig, bench.scenario.sensor
+        rig.advance(1.5)  # soft start: 1023 driven chips
+        rig.serial_read()
+        request = encode("PARAM_SET", {"kind": 0, "value_unsigned": 1}, node=sensor.node, index=PARAM_STREAM)
+        rig.serial_write(encode_frame(*request))
+        cycles = cycles_of(rig, sensor.node, 1.05)[-8:]
+        return bench.site, Calibration(*sensor.correction()), cycles, rig.truth()[-1]
+
+
 @pytest.mark.parametrize(("scenario", "boards"), [("slots8", "host"), ("tones8", "host"), ("superposed", "emulated")])
-def test_pose_with_another_access(open_bench, scenario, boards):
-    bench = open_bench(scenario, boards=boards)
-    rig, sensor = bench.rig, bench.scenario.sensor
-    rig.advance(1.5)  # soft start: 1023 driven chips
-    rig.serial_read()
-    request = encode("PARAM_SET", {"kind": 0, "value_unsigned": 1}, node=sensor.node, index=PARAM_STREAM)
-    rig.serial_write(encode_frame(*request))
-    cycles = cycles_of(rig, sensor.node, 1.05)[-8:]
+def test_pose_with_another_access(tmp_path, scenario, boards):
+    site, calibration, cycles, truth = recorded(scenario, boards, tmp_path)
     assert len(cycles) == 8
     assert all(np.isfinite(sums).all() for sums in cycles)
 
-    site = bench.site
-    access, calibration = SiteAccess(site), Calibration(*sensor.correction())
-    truth = rig.truth()[-1]
+    access = SiteAccess(site)
     separations = [access.from_samples(calibration.field_T(sums)) for sums in cycles]
     fields = np.array([separation.field_T for separation in separations])
     sigma = separations[0].sigma_T
