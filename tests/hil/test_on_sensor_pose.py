@@ -18,14 +18,13 @@ FREEDOM = 3 * 8 - 6
 
 
 @pytest.fixture(scope="module")
-def bench(open_bench):
-    return open_bench("prigge8")
+def bench(recorded):
+    return recorded.bench
 
 
 @pytest.fixture(scope="module")
 def pairs(bench):
     """(host's pose, sensor's pose) of each cycle."""
-    bench.reports(CYCLES + 2)
     assembler, separator, found = Assembler(on_sensor=True), EpochSeparator(bench.site), []
     for frame in FrameDecoder().feed(bytes(bench.stream)):
         message = decode(frame.identifier, frame.data)
@@ -76,8 +75,8 @@ def test_it_is_near_the_truth(bench, pairs):
     assert rms_rad < np.radians(2.0)
 
 
-def test_the_can_bus_carries_the_same_poses(bench, pairs):
-    received = [decode(frame.identifier, frame.data) for frame in bench.rig.can_read()]
+def test_the_can_bus_carries_the_same_poses(recorded, pairs):
+    received = [decode(frame.identifier, frame.data) for frame in recorded.can_frames]
     poses = [m.signals for m in received if m is not None and m.name == "POSE_POSITION"]
     assert len(poses) >= CYCLES
     sent = [report.on_sensor_pose["POSE_POSITION"] for _, _, report in pairs]
