@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from goldfield.field.dipole import dipole
 from goldfield.field.loop import loop
+from goldfield.field.metal import MetalField
 from goldfield.field.polyline import polyline
 from goldfield.site import Beacon
 from goldfield.types import FloatArray
@@ -43,6 +44,8 @@ class FieldModel:
         Radii of circular coils; 0 for coils that are taken for dipoles, NaN for those given by their wire.
     wire_points_m : ndarray, shape (m, 3)
         Corners of all coils that are given by their wire.
+    metal : MetalField or None
+        What metal in the room adds; it is part of all fields.
     """
 
     def __init__(self, beacons: Sequence[Beacon], kind: Kind = "exact") -> None:
@@ -77,6 +80,10 @@ class FieldModel:
         self.reach_m: FloatArray = np.array([_reach(beacon) for beacon in beacons], dtype=float)
         self._wire_far2 = (FAR_FROM_WIRE * self.reach_m[self._wires]) ** 2
 
+        self.metal: MetalField | None = None
+        if any(beacon.metal is not None for beacon in beacons):
+            self.metal = MetalField(beacons, self.field)
+
     def __len__(self) -> int:
         """Return the number of coils."""
         return len(self.centre_m)
@@ -108,6 +115,13 @@ class FieldModel:
         gradient_T_m : ndarray, shape (3, 3, ..., n)
             Row i, column j: dB_i/dp_j.
         """
+        field, gradient = self._evaluate_coils(point_m)
+        if self.metal is not None:
+            of_metal = self.metal.evaluate(point_m)
+            field, gradient = field + of_metal[0], gradient + of_metal[1]
+        return field, gradient
+
+    def _evaluate_coils(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         point = point_m[..., None]
         if len(self._loops) == len(self):
             return loop(point - self._shaped(self._centre, point), *self._loop_arguments(point))

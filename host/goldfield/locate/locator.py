@@ -104,6 +104,8 @@ class Locator:
             field[target] = np.array([epochs[index].field_T for index in members])[:, given]
             sigma[target] = np.array([epochs[index].sigma_T for index in members])[:, given]
         usable = np.isfinite(sigma) & (sigma > 0.0)
+        if self.site.metal is not None:
+            sigma = np.hypot(sigma, [beacon.unknown_T for beacon in self.site.beacons])
         field[~(usable[:, :, None] & np.isfinite(field))] = np.nan
         sigma[~usable] = 1.0
         return field, sigma

@@ -68,6 +68,7 @@ class _Figures:
     position_sd_m: FloatArray  # (e,), along the worst axis
     turn_sd_rad: FloatArray  # (e,)
     nearest_m: FloatArray  # (e,), of a beacon
+    strange: NDArray[np.bool_]  # (e,), outside the room in which the metal was learned
 
     @property
     def weak(self) -> NDArray[np.bool_]:
@@ -80,7 +81,7 @@ def poses_of(epochs: Sequence[Fields], judged: Judged) -> list[Pose]:
     solutions = judged.solutions
     figures = _figures(judged, judged.measurements, solutions.best, judged.statistics, solutions.covariance_widening)
     plain = ~(solutions.outside | solutions.contested | solutions.bounded | figures.weak)
-    plain &= figures.protection_m <= judged.site.alert_limit_m
+    plain &= (figures.protection_m <= judged.site.alert_limit_m) & ~figures.strange
     plain[list(judged.verdicts)] = False
     told = [_SOUND if sound else _told(judged, figures, e) for e, sound in enumerate(plain.tolist())]
     alternatives: dict[int, Pose] = {}
@@ -107,7 +108,10 @@ def _figures(
     nearest = np.linalg.norm(fit.position_m[:, None] - judged.model.centre_m, axis=2).min(axis=1)
     shifts, turns = np.linalg.eigvalsh(np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]]))
     turn = np.sqrt(np.where(measurements.axes == 1, turns[:, 1], turns[:, 2]))
-    return _Figures(covariance, protection_m, worst, np.sqrt(shifts[:, 2]), turn, nearest)
+    metal = judged.model.metal
+    strange = np.zeros(len(nearest), dtype=bool) if metal is None else ~metal.learned(fit.position_m)
+    protection_m = np.where(strange, np.inf, protection_m)
+    return _Figures(covariance, protection_m, worst, np.sqrt(shifts[:, 2]), turn, nearest, strange)
 
 
 @dataclass(frozen=True)
@@ -137,6 +141,8 @@ def _told(judged: Judged, figures: _Figures, e: int) -> _Told:
         return _Told(Status.WEAK, sentences.weak(*map(float, size)))
     if solutions.bounded[e]:
         return _Told(Status.WEAK, sentences.BOUNDED)
+    if figures.strange[e]:
+        return _Told(Status.UNVERIFIED, sentences.STRANGE)
     level, beacon = float(figures.protection_m[e]), judged.names[int(figures.worst_beacon[e])]
     if not level <= limit:  # a limit that is no number allows nothing
         return _Told(Status.UNVERIFIED, sentences.unverified(beacon, level, limit))

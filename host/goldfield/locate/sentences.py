@@ -15,6 +15,11 @@ MIRRORED = (
 
 OUTSIDE = "the only pose that fits is on the wrong side of the half-space: check [site] half_space"
 
+STRANGE = (
+    "the pose is outside the room in which the metal was learned ([metal] walked_m): walk there and survey again, "
+    "or take the pose with care"
+)
+
 BOUNDED = "the search came to its end before it could show that no other pose fits better"
 
 NOISE = "the fields are nothing but noise: check that the beacons are on and that the sensor hears them"

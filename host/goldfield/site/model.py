@@ -9,6 +9,7 @@ import numpy as np
 
 from goldfield.errors import UserError
 from goldfield.site.drive import NO_CODE, NOTHING_ELSE, Drive
+from goldfield.site.metal import BeaconMetal, Metal
 from goldfield.types import FloatArray
 
 ALERT_LIMIT_M = 0.5
@@ -112,6 +113,8 @@ class Beacon:
         Everything else that tells the beacon from others, and how fast its coil follows.
     survey : Survey
         How well position, axis and current are known.
+    metal : BeaconMetal or None
+        What metal in the room adds to the coil's field.
     """
 
     id: str
@@ -124,6 +127,7 @@ class Beacon:
     code: int
     drive: Drive = NOTHING_ELSE
     survey: Survey = EXACT
+    metal: BeaconMetal | None = None
 
     @property
     def moment_A_m2(self) -> FloatArray:
@@ -132,6 +136,11 @@ class Beacon:
             return self.turns * self.current_A * area_vector(self.points_m)
         assert self.radius_m is not None
         return self.turns * self.current_A * math.pi * self.radius_m**2 * self.axis
+
+    @property
+    def unknown_T(self) -> float:
+        """Standard deviation of each component of the field through metal that is not described, T."""
+        return 0.0 if self.metal is None else abs(self.current_A) * self.metal.metal.sd_T_A
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,6 +169,8 @@ class Site:
         What the site file says nothing of and is assumed in its place, as ``"[survey] current_sd = 0.003"``.
     doubts : tuple of str
         Sentences on values that are unusual, as lengths in millimetres are.
+    metal : Metal or None
+        The metal of the room, as far as a survey has learned it; each beacon has its own part of it.
     """
 
     name: str
@@ -173,6 +184,7 @@ class Site:
     alert_limit_m: float = ALERT_LIMIT_M
     assumed: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
+    metal: Metal | None = None
 
     @property
     def chips(self) -> int:

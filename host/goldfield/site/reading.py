@@ -12,6 +12,8 @@ import numpy as np
 
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
+from goldfield.site.metal import Metal
+from goldfield.site.metal_keys import BEACON_KEY, read_beacon_metal, read_metal
 from goldfield.site.model import ALERT_LIMIT_M, Beacon, HalfSpace, SensorSite, Site, Survey, area_vector
 from goldfield.site.plausible import check_extent, check_place, checked
 from goldfield.types import FloatArray
@@ -43,6 +45,9 @@ def load(path: str | Path) -> Site:
     The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
     ``position_sd_m``, ``axis_sd_rad``, ``current_sd``; the same keys in a ``[[beacon]]`` count for that one instead.
     What neither says is assumed (`ASSUMED_SURVEY`, `ASSUMED_GAIN_SD`, `ASSUMED_AXIS_SD_RAD`); 0 says that it is exact.
+
+    The optional table ``[metal]`` and ``metal_T_A`` of each beacon say what metal in the room adds to the fields
+    (`goldfield.site.metal_keys`); a survey writes them.
 
     Each table ``[[beacon]]`` describes one coil, in metres and in the site's frame:
 
@@ -78,7 +83,7 @@ def load(path: str | Path) -> Site:
 
 def site_of(root: Table) -> Site:
     """Read and check a site file that is parsed already; see `load`."""
-    root.allow("site", "sensor", "survey", "beacon")
+    root.allow("site", "sensor", "survey", "metal", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
     survey = root.table("survey") if "survey" in root else None
     site.allow("name", "chip_period_s", "degree", "half_space", "access", "alert_limit_m", *SITE_KEYS)
@@ -88,7 +93,8 @@ def site_of(root: Table) -> Site:
     plan = read_plan(site)
     checked(site, "chip_period_s", plan.chip_period_s, doubts)
     tables = root.tables("beacon")
-    beacons = tuple(_beacon(table, plan, survey, doubts) for table in tables)
+    metal = read_metal(root.table("metal")) if "metal" in root else None
+    beacons = tuple(_beacon(table, plan, survey, metal, doubts) for table in tables)
     _check_unique(tables, beacons)
     check_extent(tables, beacons, doubts)
     limit_m = site.positive("alert_limit_m") if "alert_limit_m" in site else ALERT_LIMIT_M
@@ -104,6 +110,7 @@ def site_of(root: Table) -> Site:
         alert_limit_m=checked(site, "alert_limit_m", limit_m, doubts),
         assumed=_assumed(tables, sensor, survey),
         doubts=tuple(doubts),
+        metal=metal,
     )
 
 
@@ -186,8 +193,8 @@ BEACON_KEYS = ("id", "position_m", "axis", "turns", "radius_m", "points_m", "cur
 DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "tau_s")
 
 
-def _beacon(table: Table, plan: Plan, survey: Table | None, doubts: list[str]) -> Beacon:
-    table.allow(*BEACON_KEYS, *SURVEY_LIMITS, *DRIVE_KEYS)
+def _beacon(table: Table, plan: Plan, survey: Table | None, metal: Metal | None, doubts: list[str]) -> Beacon:
+    table.allow(*BEACON_KEYS, *SURVEY_LIMITS, *DRIVE_KEYS, BEACON_KEY)
     code, drive = read_drive(table, plan)
     current = table.number("current_A")
     if current == 0.0:
@@ -197,6 +204,7 @@ def _beacon(table: Table, plan: Plan, survey: Table | None, doubts: list[str]) -
         raise table.error("radius_m", "or points_m must be given, exactly one of them")
     given: dict[str, Any] = {"id": table.label("id"), "current_A": current, "code": code, "drive": drive}
     given["survey"] = _survey(table, survey)
+    given["metal"] = read_beacon_metal(table, metal)
     if "position_m" in table:
         check_place(table, "position_m", table.vector("position_m"))
     if "radius_m" in table:

@@ -132,6 +132,7 @@ class EpochObserver:
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._model = FieldModel(site.beacons)
         self._locator = Locator(site)
+        self._unknown_T = np.array([beacon.unknown_T for beacon in site.beacons])
         self._times = node_times(EPOCH_NODES)
         self._templates = site_templates(site)
         self._separations: dict[bytes, _Separation] = {}
@@ -157,7 +158,7 @@ class EpochObserver:
         names = [data.beacons[i] for i in taken]
         separation = self._separation(np.array([self._row[name] for name in names], dtype=np.intp))
         field = data.field_T[taken]
-        sigma = data.sigma_T[taken]
+        sigma = np.hypot(data.sigma_T[taken], self._unknown_T[[self._row[name] for name in names]])
         measured = np.isfinite(field)
         measured[[name in without for name in names]] = False
         ramp = (AMBIENT_T * rate_rad_s if data.sweep_T_s is None else data.sweep_T_s) * separation.sweep

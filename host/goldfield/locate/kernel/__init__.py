@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
+from goldfield.field.metal import MetalField
 from goldfield.locate.site_errors import SiteErrors
 from goldfield.types import FloatArray
 
@@ -24,12 +25,22 @@ MOST_COILS = 64
 
 DECLARATIONS = """
 typedef struct {
+    double centre_m[3];
+    double radius_m;
+    size_t degree;
+    const double *sums;
+    size_t bodies;
+    double body_m[8][3];
+    const double *moment_A_m2;
+} gf_metal_t;
+typedef struct {
     size_t count;
     double centre_m[3][64];
     double axis[3][64];
     double moment_A_m2[64];
     double radius_m[64];
     double across[3];
+    const gf_metal_t *metal;
 } gf_coils_t;
 typedef struct {
     double position_sd_m[64];
@@ -119,6 +130,9 @@ class Kernel:
         self._coils.moment_A_m2[0 : len(model)] = size.tolist()
         self._coils.radius_m[0 : len(model)] = model.loop_radius_m.tolist()
         self._coils.across[0:3] = model.across.tolist()
+        if model.metal is not None:
+            self._metal = _metal(model.metal)
+            self._coils.metal = self._metal[0]
 
     def evaluate(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return field and gradient at points as `FieldModel.evaluate` does."""
@@ -356,6 +370,18 @@ def _errors(errors: SiteErrors | None) -> Any:
         declared.gain_sd, declared.sensor_axis_sd_rad = errors.gain_sd, errors.sensor_axis_sd_rad
         _declared[errors] = declared
     return _declared[errors]
+
+
+def _metal(field: MetalField) -> tuple[Any, Any, Any]:
+    """Return a ``gf_metal_t`` and the memory that it points to, which must live as long."""
+    metal, out = field.metal, _ffi.new("gf_metal_t *")
+    sums, moment = _given(field.sums), _given(field.moment_A_m2)
+    out.centre_m[0:3] = metal.centre_m.tolist()
+    out.radius_m, out.degree, out.bodies = metal.radius_m, metal.degree, len(metal.body_m)
+    for row, place in zip(out.body_m, metal.body_m, strict=False):
+        row[0:3] = place.tolist()
+    out.sums, out.moment_A_m2 = sums, moment
+    return out, sums, moment
 
 
 def _given(values: FloatArray) -> Any:

@@ -3,6 +3,8 @@
 #include <math.h>
 #include <string.h>
 
+#include "metal.h"
+
 /* Twice the magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
 #define STRENGTH (2.0 * 1.25663706127e-6 / (4.0 * 3.14159265358979323846))
 
@@ -126,6 +128,9 @@ void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_
         out->gradient_T_m[3][i] = d * (ax * ry + rx * ay) + s * rx * ry - t * ax * ay;
         out->gradient_T_m[4][i] = d * (ax * rz + rx * az) + s * rx * rz - t * ax * az;
         out->gradient_T_m[5][i] = d * (ay * rz + ry * az) + s * ry * rz - t * ay * az;
+    }
+    if (coils->metal) {
+        gf_add_metal(coils->metal, n, position_m, out->field_T, out->gradient_T_m);
     }
 }
 

@@ -25,6 +25,22 @@
 /* Coils of one site; the wrapper leaves larger ones to NumPy. */
 #define GF_MOST_COILS 64
 
+/* Highest degree of the metal's polynomials, and most of its bodies (goldfield.site.metal). */
+#define GF_MOST_DEGREE 5
+#define GF_MOST_BODIES 8
+
+/* What metal in the room adds to the fields of n coils (goldfield.field.metal.MetalField): polynomials about a centre,
+ * and bodies with a moment for each coil. */
+typedef struct {
+    double centre_m[3];
+    double radius_m;
+    size_t degree;      /* 0: no polynomials */
+    const double *sums; /* 9 x degree^2 x n: field, then gradient as xx, yy, zz, xy, xz, yz, by the harmonics */
+    size_t bodies;
+    double body_m[GF_MOST_BODIES][3];
+    const double *moment_A_m2; /* bodies x 3 x n */
+} gf_metal_t;
+
 /* Circular coils, as loops or, with radius 0, as dipoles (a loop of radius 0 at the same moment is a dipole). */
 typedef struct {
     size_t count;
@@ -32,7 +48,8 @@ typedef struct {
     double axis[3][GF_MOST_COILS];     /* unit vector along the moment */
     double moment_A_m2[GF_MOST_COILS]; /* positive */
     double radius_m[GF_MOST_COILS];
-    double across[3]; /* unit vector: off the plane of the coils */
+    double across[3];        /* unit vector: off the plane of the coils */
+    const gf_metal_t *metal; /* null if there is none */
 } gf_coils_t;
 
 /* Standard deviations of what the site says of each coil, and of the sensor's axes (goldfield.site.Survey and
