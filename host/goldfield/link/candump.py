@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 
 import can
 
+from goldfield.link.marks import is_mark
 from goldfield.link.traffic import CORRUPT, ELEVEN_BIT, ERROR, FD, REMOTE
 
 TIME = rb"\((?P<time>[^()]{1,40})\)"
@@ -37,7 +38,8 @@ ERROR_FLAG, REMOTE_FLAG = 1 << 29, 1 << 30
 def parse(line: bytes) -> can.Message | str:
     """Return the message of a line, or what it is in its place: a kind of `goldfield.link.traffic`.
 
-    A line that is none of candump's, or torn, is `CORRUPT`.
+    A message is a data frame or a mark (`goldfield.link.marks`). A line that is none of candump's, or torn, is
+    `CORRUPT`.
 
     Examples
     --------
@@ -62,7 +64,7 @@ def parse(line: bytes) -> can.Message | str:
     if len(found["id"]) <= STANDARD_DIGITS:
         return ELEVEN_BIT
     if identifier & REMOTE_FLAG or text[:1] in (b"R", b"r"):
-        return REMOTE
+        return _remote(time_s, identifier, found["channel"])
     data = (LOGGED_DATA if logged else PRINTED_DATA).fullmatch(text)
     if data is None:
         return CORRUPT
@@ -76,6 +78,18 @@ def parse(line: bytes) -> can.Message | str:
         data=content,
         channel=found["channel"].decode("ascii", "replace"),
     )
+
+
+def _remote(time_s: float, identifier: int, channel: bytes) -> can.Message | str:
+    """Return a remote frame that is a mark; any other is of the kind `REMOTE`."""
+    message = can.Message(
+        timestamp=time_s,
+        arbitration_id=identifier & 0x1FFFFFFF,
+        is_extended_id=True,
+        is_remote_frame=True,
+        channel=channel.decode("ascii", "replace"),
+    )
+    return message if is_mark(message) else REMOTE
 
 
 def _time_s(text: bytes | None) -> float | None:

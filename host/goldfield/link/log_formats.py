@@ -16,6 +16,7 @@ import can
 from goldfield.errors import UserError
 from goldfield.files.inputs import STREAM
 from goldfield.link.candump import LONGEST, parse
+from goldfield.link.marks import is_mark
 from goldfield.link.traffic import CORRUPT, ERROR, FD, kind_of
 
 HEAD = 256
@@ -109,6 +110,8 @@ def _of_reader(make: Callable[[], Any]) -> Frames:
 
 def _kind_of(message: can.Message) -> str | None:
     """Return the kind of a frame that is no message of ours; some formats do not tell that a frame is of CAN FD."""
+    if is_mark(message):
+        return None
     return FD if len(message.data) > LONGEST else kind_of(message)
 
 

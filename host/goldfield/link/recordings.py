@@ -118,12 +118,8 @@ class CandumpWriter:
         """Append a message; `BrokenPipeError` if nobody reads stdout any more."""
         if self.failed:
             return
-        line = b"(%.6f) %b %08X#%b\n" % (
-            message.timestamp,
-            CHANNEL.encode(),
-            message.arbitration_id,
-            bytes(message.data).hex().upper().encode(),
-        )
+        content = "R" if message.is_remote_frame else bytes(message.data).hex().upper()
+        line = f"({message.timestamp:.6f}) {CHANNEL} {message.arbitration_id:08X}#{content}\n".encode()
         try:
             self._file.write(line)
         except SystemFailure as error:

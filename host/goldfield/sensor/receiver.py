@@ -11,6 +11,7 @@ from cantools.database.errors import Error as DatabaseError
 
 from goldfield.errors import UserError, tell
 from goldfield.link.buses import BusSource, Source
+from goldfield.link.marks import mark
 from goldfield.link.reports import ON_SENSOR_POSE
 from goldfield.link.traffic import (
     BY_MISMATCH,
@@ -66,7 +67,7 @@ class Receiver:
     name : str
         The link's name, for error messages.
     recorder : Recorder, optional
-        Gets every message received, whether it can be decoded or not.
+        Gets every message received, whether it can be decoded or not, and the marks between them.
     listener : callable, optional
         Is told of every message of the `USED` ones, before it is returned.
 
@@ -96,6 +97,7 @@ class Receiver:
         self._ahead: deque[can.Message] = deque()
         self._strangers: set[int] = set()
         self._told: set[str] = set()
+        self._marks: list[int | None] = []
 
     @property
     def traffic(self) -> Mapping[str, int]:
@@ -123,8 +125,15 @@ class Receiver:
             return self._ahead.popleft()
         raw = self._source.receive(timeout_s)
         if raw is not None and self._recorder is not None:
+            for node in self._marks:
+                self._recorder.write(mark(node, raw.timestamp))
+            self._marks.clear()
             self._recorder.write(raw)
         return raw
+
+    def mark(self, node: int | None) -> None:
+        """Note in the recording that the reports of a node are read from the next message on; None: nobody's."""
+        self._marks.append(node)
 
     def put_back(self, messages: Iterable[can.Message]) -> None:
         """Let messages that were received be received again, in their order, before all others."""

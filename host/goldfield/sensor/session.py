@@ -9,6 +9,7 @@ import can
 
 from goldfield.errors import SystemFailure, UserError, counted, option
 from goldfield.link.buses import BusSource, Source
+from goldfield.link.marks import is_mark, reads
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.census import ROLE_ANCHOR, ROLE_SENSOR, Census, Place
@@ -30,6 +31,8 @@ LOOK_AROUND_S = 1.2
 """How long a bus that others share is listened to once a sensor was heard: each board has then sent a heartbeat."""
 LOOKED_AT = 5000
 """Most messages of a recording that are looked at for sensors: a second of fifty boards."""
+LOOKED_THROUGH = 200_000
+"""Most messages that a recording may have before the mark from which on its sensor is read: forty seconds of them."""
 WAIT_S = 0.5
 """Longest wait for one message while a sensor is looked for. A wait counts for no more, however long it took: this
 process, or the whole computer, may have been stopped meanwhile."""
@@ -99,6 +102,7 @@ class Session:
         self._parameters: Parameters | None = None
         self._quiet_s = 0.0
         self._looked = False
+        self._reads = True
         self.unchosen = ""
         self._reconnections = 0
         self.node = node
@@ -163,12 +167,15 @@ class Session:
             If a node speaks another protocol, the sensor works with another degree than the site's, or the site has
             more beacons than a sensor reports.
         """
-        self.find()
         if not self.talks:
+            self.find()
             return False
+        self.receiver.mark(None)
+        self.find()
         self.dialogue.check_degree(self._site.degree)
         self._parameters = parameters or {}
         changed = self._configure()
+        self.receiver.mark(self.node)
         for node in self.health.boards:
             self._ask_who(node)
         return changed
@@ -230,7 +237,12 @@ class Session:
             if raw is None and not self.live:
                 yield from self.assembler.flush()
                 return
+            if raw is not None and not self.live and is_mark(raw):
+                self._reads = reads(raw)
+                continue
             message = None if raw is None else self.receiver.decoded(raw)
+            if not self._reads:
+                continue
             if message is not None and self.node is None and message.name == "EPOCH":
                 self.node = message.node
             if message is not None and message.name == "HEARTBEAT":
@@ -262,7 +274,7 @@ class Session:
             self._reconnections = self.reconnections
             if self._parameters is not None:
                 try:
-                    self._configure()
+                    self._configure_again()
                 except SystemFailure as error:  # it is set when it says that it has started
                     self.receiver.tell_once(f"the sensor is back but could not be set: {error}")
         self._quiet_s = 0.0
@@ -275,13 +287,23 @@ class Session:
         census = Census(self.node, self._channel, by_reports=True, live=False)
         kept: list[can.Message] = []
         first_s: float | None = None
-        while len(kept) < LOOKED_AT and (raw := self.receiver.receive_raw(0.0)) is not None:
+        paused: can.Message | None = None
+        begun = False
+        while len(kept) < (LOOKED_AT if paused is None else LOOKED_THROUGH):
+            raw = self.receiver.receive_raw(0.0)
+            if raw is None:
+                break
             kept.append(raw)
+            if is_mark(raw):
+                paused, begun = None if begun or reads(raw) else raw, begun or reads(raw)
+                continue
             message = census.take(raw)
-            if message is not None and message.name == "EPOCH":
+            if message is not None and message.name == "EPOCH" and paused is None:
                 first_s = raw.timestamp if first_s is None else first_s
                 if raw.timestamp - first_s > LOOK_AROUND_S:
                     break
+        if paused is not None:  # the run ended before it read anything: what it heard is read all the same
+            kept.remove(paused)
         self.receiver.put_back(kept)
         if not self._take_place(census.choose(self.name)):
             self.unchosen = census.unchosen
@@ -308,6 +330,14 @@ class Session:
     def _configure(self) -> bool:
         self.keeping.begin(self.node, self._site.codes, self._parameters, self.health.now_s)
         return self.dialogue.configure(self._site.codes, self._parameters)
+
+    def _configure_again(self) -> None:
+        """Set the sensor in the middle of a run; a recording marks that what it reports meanwhile is not read."""
+        self.receiver.mark(None)
+        try:
+            self._configure()
+        finally:
+            self.receiver.mark(self.node)
 
     def _listen(self, message: Message) -> None:
         self.keeping.take(message, self.health.now_s)
@@ -340,7 +370,7 @@ class Session:
             yield from self.assembler.end()
             self.counters.clear()
             if self._parameters is not None:
-                self._configure()
+                self._configure_again()
         if self._parameters is not None and self.keeping.disturbed:
             dialogue = self._dialogue(keeps=True)
             self.keeping.put_back(dialogue, self.health.now_s)

@@ -9,6 +9,7 @@ import pytest
 
 from goldfield.errors import UserError
 from goldfield.link.candump import parse
+from goldfield.link.marks import is_mark, mark, reads
 from goldfield.link.recordings import CandumpReader, CandumpWriter
 from goldfield.link.traffic import CORRUPT, ELEVEN_BIT, ERROR, FD, REMOTE
 from tests.host.fake_sensor import cycle_messages, heartbeat
@@ -114,6 +115,25 @@ def test_mf4_needs_a_package_that_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(sys.modules["can.io.mf4"], "asammdf", None)
     with pytest.raises(UserError, match=r"needs the package asammdf: install it with pip install 'goldfield\[mf4\]'"):
         read(tmp_path / "a.mf4")
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".db"])
+def test_marks_are_messages_in_every_format_that_has_remote_frames(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    marks = [mark(None, START_S), mark(100, START_S + 1.0)]
+    with can.Logger(str(path)) as logger:
+        for message in (marks[0], *MESSAGES[:3], marks[1], *MESSAGES[3:]):
+            logger.on_message_received(message)
+    reader = CandumpReader(path)
+    messages = list(reader)
+    assert [(place, reads(m)) for place, m in enumerate(messages) if is_mark(m)] == [(0, False), (4, True)]
+    assert [(m.arbitration_id, bytes(m.data)) for m in messages if not is_mark(m)] == WANTED
+    assert counted(reader) == {}
+
+
+def test_a_printed_mark_is_one(tmp_path):
+    assert is_mark(parse(b" (0.1)  can0  02000064   [0]  remote request"))
+    assert parse(b"(0.1) can0 02001064#R") == REMOTE, "no EPOCH has the index 1"
 
 
 OTHERS = {

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from types import SimpleNamespace
 
 import can
 import pytest
@@ -9,9 +10,11 @@ import pytest
 from goldfield import site as sites
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link.buses import open_can, open_port
+from goldfield.link.marks import is_mark, mark, reads
 from goldfield.link.traffic import MEANINGLESS, OTHER_CHANNEL, OTHER_PROTOCOL, WRONG_LENGTH
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
+from goldfield.sensor.receiver import Receiver
 from goldfield.sensor.session import Session
 from goldfield_protocol import encode
 from tests.host.fake_sensor import CODES, NODE, SITE, PtySensor, cycle_messages, heartbeat
@@ -285,6 +288,53 @@ class LogOf:
 
     def receive(self, timeout_s):
         return self.left.pop(0) if self.left else None
+
+
+def recorded(cycles, marks):
+    """What is read of a recording with marks before some of its cycles: the node that is read, or None."""
+    source = LogOf([])
+    for cycle in cycles:
+        source.left += [mark(marks[cycle], 0.01 * len(source.left))] if cycle in marks else []
+        source.left += [can.Message(0.01 * len(source.left), i, data=data) for i, data in cycle_messages(cycle)]
+    session = Session(source, "x.log", ROOM)
+    return [report.cycle for report in session.reports()]
+
+
+@pytest.mark.parametrize(
+    ("marks", "wanted"),
+    [
+        ({}, [0, 1, 2, 3, 4, 5]),
+        ({0: None, 2: NODE}, [2, 3, 4, 5]),
+        ({0: None, 1: NODE, 3: None, 4: NODE}, [1, 2, 3, 4, 5]),
+        ({0: None}, [0, 1, 2, 3, 4, 5]),
+        ({0: None, 2: NODE, 4: None}, [2, 3]),
+    ],
+    ids=["none", "looked for first", "set again: cycle 3 is empty", "killed before it read", "killed while set again"],
+)
+def test_a_replay_reads_what_the_run_read(marks, wanted):
+    assert recorded(range(6), marks) == wanted
+
+
+def test_a_mark_that_does_not_come_is_not_waited_for(monkeypatch):
+    """A file of a stranger, which is larger than the memory."""
+    monkeypatch.setattr(sessions, "LOOKED_THROUGH", 20)
+    assert recorded(range(6), {0: None, 4: NODE}) == list(range(6))
+
+
+def test_a_run_marks_where_it_reads(virtual):
+    link, session = virtual(parameters={28: 10})
+    kept = []
+    session.receiver = Receiver(link, "virtual", SimpleNamespace(write=kept.append), session._listen)
+    for message in (heartbeat(), *cycle_messages(0)):
+        link.deliver(message)
+    for cycle in (1, 2):
+        for message in cycle_messages(cycle):
+            link.deliver(message, after_s=5.0 + cycle)
+    session.start()
+    assert [report.cycle for report in itertools.islice(session.reports(), 2)] == [1, 2]
+    marks = [place for place, message in enumerate(kept) if is_mark(message)]
+    assert [reads(kept[place]) for place in marks] == [False, True]
+    assert (marks[0], kept[marks[1] + 1].arbitration_id) == (0, cycle_messages(1)[0][0])
 
 
 def interleaved(cycles, senders):
