@@ -210,6 +210,10 @@ class Table:
             raise self.error(key, f"must be a list of finite numbers, not {_kind(value)}")
         return np.array(value, dtype=np.float64)
 
+    def is_list(self, key: str) -> bool:
+        """Tell whether the value of a key, if there is one, is a list."""
+        return isinstance(self._values.get(key), list)
+
     def vector(self, key: str) -> FloatArray:
         """Return a required vector, shape (3,)."""
         value = self._required(key)

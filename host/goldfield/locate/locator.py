@@ -16,6 +16,7 @@ from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.fit import Measurements
 from goldfield.locate.integrity import Verdict, explain
 from goldfield.locate.poses import Judged, poses_of
+from goldfield.locate.sensor_axes import axes_of
 from goldfield.locate.site_errors import errors_of
 from goldfield.site import Site
 from goldfield.types import Fields, FloatArray, Pose
@@ -40,6 +41,7 @@ class Locator:
         self.model = FieldModel(site.beacons)
         self._all = Constellation(self.model, site.half_space)
         self._errors = errors_of(site.beacons, site.sensor)
+        self._axes = axes_of(site.sensor)
         self._row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
 
     def locate(self, fields: Fields) -> Pose:
@@ -90,7 +92,7 @@ class Locator:
     def _tables(self, epochs: Sequence[Fields]) -> tuple[FloatArray, FloatArray]:
         """Put the fields in the order of the site's beacons; unknown ids and unusable noise are left out.
 
-        Fields, shape (e, beacons, 3), NaN where not measured, and their standard deviations,
+        Fields in the sensor's frame, shape (e, beacons, 3), NaN where not measured, and their standard deviations,
         shape (e, beacons).
         """
         field = np.full((len(epochs), len(self.site.beacons), 3), np.nan)
@@ -104,10 +106,12 @@ class Locator:
             field[target] = np.array([epochs[index].field_T for index in members])[:, given]
             sigma[target] = np.array([epochs[index].sigma_T for index in members])[:, given]
         usable = np.isfinite(sigma) & (sigma > 0.0)
-        if self.site.metal is not None:
-            sigma = np.hypot(sigma, [beacon.unknown_T for beacon in self.site.beacons])
         field[~(usable[:, :, None] & np.isfinite(field))] = np.nan
         sigma[~usable] = 1.0
+        if self._axes is not None:
+            field, sigma = self._axes.components(field), self._axes.noise_ratio * sigma
+        if self.site.metal is not None:
+            sigma = np.hypot(sigma, [beacon.unknown_T for beacon in self.site.beacons])
         return field, sigma
 
     def _grouped(

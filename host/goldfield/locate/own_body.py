@@ -130,12 +130,14 @@ def locate_beside(locator: Locator, body: OwnBody, fields: Fields) -> Pose:
     known = {beacon.id: row for row, beacon in enumerate(locator.site.beacons)}
     given = [index for index, name in enumerate(fields.beacons) if name in known]
     rows = [known[fields.beacons[index]] for index in given]
+    axes = np.eye(3) if locator.site.sensor.axes is None else locator.site.sensor.axes
     if pose.status is Status.FAILED:
         return pose
     for _ in range(ROUNDS):
         rotation = Rotation.from_quat(pose.orientation_xyzw)
         corrected = fields.field_T.copy()
-        corrected[given] -= body.secondary(pose.position_m, rotation.as_matrix())[rows]
+        added = body.secondary(pose.position_m, rotation.as_matrix())[rows] @ axes.T
+        corrected[given, : len(axes)] -= added
         last, pose = pose, locator.locate(dataclasses.replace(fields, field_T=corrected))
         if pose.status is Status.FAILED:
             return pose

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate.rotations import skew
+from goldfield.locate.sensor_axes import axes_of
 from goldfield.site import Beacon, SensorSite
 from goldfield.site.model import EXACT
 from goldfield.types import FloatArray
@@ -33,6 +34,8 @@ class SiteErrors:
     ----------
     position_sd_m, axis_sd_rad, current_sd : ndarray, shape (n,)
     gain_sd, sensor_axis_sd_rad : float
+    noise_shape : ndarray, shape (3, 3), or None
+        Covariance of the noise of a field's components over their variance (`SensorAxes`); None: the identity.
     """
 
     position_sd_m: FloatArray
@@ -40,6 +43,7 @@ class SiteErrors:
     current_sd: FloatArray
     gain_sd: float
     sensor_axis_sd_rad: float
+    noise_shape: FloatArray | None = None
 
     @property
     def common_turn_rad2(self) -> float:
@@ -49,7 +53,7 @@ class SiteErrors:
     def subset(self, rows: NDArray[np.intp]) -> SiteErrors:
         """Return the errors of some of the beacons."""
         each = (self.position_sd_m[rows], self.axis_sd_rad[rows], self.current_sd[rows])
-        return SiteErrors(*each, self.gain_sd, self.sensor_axis_sd_rad)
+        return SiteErrors(*each, self.gain_sd, self.sensor_axis_sd_rad, self.noise_shape)
 
     def isotropic(self, model: FieldModel, magnitude_T: FloatArray) -> FloatArray:
         """Return a standard deviation of each component by these errors, from magnitudes alone, T, shape (e, n).
@@ -66,7 +70,8 @@ class SiteErrors:
 
 
 def errors_of(beacons: tuple[Beacon, ...], sensor: SensorSite) -> SiteErrors | None:
-    """Return the errors that a site declares; None if everything is exact."""
+    """Return the errors that a site declares; None if everything is exact and noise alike on all axes."""
+    axes = axes_of(sensor)
     surveys = [beacon.survey for beacon in beacons]
     errors = SiteErrors(
         np.array([survey.position_sd_m for survey in surveys]),
@@ -74,9 +79,10 @@ def errors_of(beacons: tuple[Beacon, ...], sensor: SensorSite) -> SiteErrors | N
         np.array([survey.current_sd for survey in surveys]),
         sensor.gain_sd,
         sensor.axis_sd_rad,
+        None if axes is None else axes.noise_shape,
     )
     exact = all(survey == EXACT for survey in surveys) and not (sensor.gain_sd or sensor.axis_sd_rad)
-    return None if exact else errors
+    return None if exact and axes is None else errors
 
 
 def effects_of_beacons(

@@ -19,6 +19,7 @@ from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.fit import Measurements, whitened_jacobian
 from goldfield.locate.rotations import turned
+from goldfield.locate.sensor_axes import axes_of
 from goldfield.locate.site_errors import SiteErrors, errors_of
 from goldfield.locate.whitening import Independent, Whitening, whitening_around
 from goldfield.site import Site
@@ -153,7 +154,9 @@ def cramer_rao_bound(
     """
     count = len(position_m)
     if sigma_T is None:
-        sigma_T = np.array(site.sensor.noise_T / np.sqrt(site.chips))
+        axes = axes_of(site.sensor)
+        ratio = 1.0 if axes is None else axes.noise_ratio
+        sigma_T = np.array(ratio * site.sensor.noise_T / np.sqrt(site.chips))
     sigma = np.broadcast_to(sigma_T, (count, len(site.beacons), 3))
     turn = np.broadcast_to(np.eye(3), (count, 3, 3)) if rotation is None else rotation
     model, errors = FieldModel(site.beacons), None if noise_only else errors_of(site.beacons, site.sensor)

@@ -133,7 +133,8 @@ def whitening_around(
     Parameters
     ----------
     noise_T : ndarray, shape (e, n, 3)
-        Standard deviation of each component by noise alone; infinite where nothing was measured.
+        Standard deviation of each component by noise alone; infinite where nothing was measured. Where the errors have
+        a ``noise_shape``, it comes on top of this.
     position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
     """
     effect, field = effects_of_beacons(model, errors, position_m, kernel.evaluate(model, position_m.T))
@@ -142,7 +143,10 @@ def whitening_around(
     measured = np.isfinite(noise_T)
     both = measured[..., :, None] & measured[..., None, :]
     covariance = np.where(both, effect @ effect.swapaxes(2, 3), 0.0)
-    covariance += np.eye(3) * np.where(measured, noise_T, 1.0)[..., None] ** 2
+    noise = np.where(measured, noise_T, 1.0)
+    covariance += np.eye(3) * noise[..., None] ** 2
+    if errors.noise_shape is not None:
+        covariance += np.where(both, noise[..., None] * (errors.noise_shape - np.eye(3)) * noise[..., None, :], 0.0)
     factor = np.where(both, _inverse_factor(covariance), 0.0)
     if not (errors.gain_sd or errors.sensor_axis_sd_rad):
         return Correlated(factor)

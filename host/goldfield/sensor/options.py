@@ -71,12 +71,18 @@ class Options:
         Raises
         ------
         UserError
-            If there is no such node, or the sensor is to compute poses from beacons that a board cannot separate.
+            If there is no such node, or the sensor is to compute poses from beacons that a board cannot separate, or
+            with axes of which a board does not know.
         """
         if self.node is not None and not 1 <= self.node <= LAST_NODE:
             raise UserError(f"{option('node', self.node)}: is no node: nodes are 1 to {LAST_NODE}")
         if self.method is not Method.ON_SENSOR:
             return
+        if site.sensor.axes is not None or site.sensor.noise_ratio is not None:
+            raise UserError(
+                f"site {site.name}: a sensor that computes its own pose takes what its axes read for the field and "
+                f"knows no axes and no noise of each, as [sensor] of the site file has: leave out {option('on_sensor')}"
+            )
         own_codes = site.access == "cdma" and len(set(site.codes)) == len(site.beacons)
         code_v = (
             site.chips + 1

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
+from goldfield.locate.sensor_axes import axes_of
 from goldfield.sensor.pipeline import Epoch
 from goldfield.site import Site
 from goldfield.types import FloatArray, Status
@@ -52,6 +53,7 @@ class Strengths:
     def __init__(self, site: Site) -> None:
         self._site = site
         self._model = FieldModel(site.beacons)
+        self._axes = axes_of(site.sensor)
 
     def of(self, epoch: Epoch) -> dict[str, Strength]:
         """Return each beacon's strength in an epoch by its id.
@@ -69,6 +71,8 @@ class Strengths:
         for row, beacon in enumerate(self._site.beacons):
             nothing = np.full(3, np.nan)
             measured = separated.get(beacon.id, epoch.report.correlation_T.get(beacon.code, nothing))
+            if self._axes is not None:
+                measured = self._axes.components(measured)
             wanted = nothing if expected is None else expected[row]
             found[beacon.id] = Strength(
                 measured_T=float(np.linalg.norm(measured)),

@@ -48,20 +48,24 @@ class SensorSite:
     Attributes
     ----------
     noise_T : float
-        Standard deviation of one chip's sample on one axis.
+        Standard deviation of one chip's sample on one axis; of axes that differ the root mean square.
     gain_sd : float
         Standard deviation of each axis's gain, relative.
     axis_sd_rad : float
         Standard deviation of the angle by which each axis leans towards each of the two others.
-    axes : ndarray, shape (3, 3), or None
+    axes : ndarray, shape (k, 3), or None
         Row j is the direction of axis j times its gain: axis j reads ``axes[j] @ B`` of a field B in the sensor's
-        frame. The matrix may be left-handed. None: the identity.
+        frame. Three axes may be left-handed. The frame of a sensor with fewer is that of its axes: the first is x, the
+        second in the plane of x and y. None: the identity.
+    noise_ratio : ndarray, shape (k,), or None
+        Noise of each axis over ``noise_T``. None: alike.
     """
 
     noise_T: float
     gain_sd: float = 0.0
     axis_sd_rad: float = 0.0
     axes: FloatArray | None = None
+    noise_ratio: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ def load(path: str | Path) -> Site:
 
     The table ``[sensor]`` describes the sensor:
 
-    - ``noise_T``: standard deviation of one chip's sample on one axis, above 0;
-    - ``axes``: optional, three rows: the direction of each axis times its gain, in the sensor's frame (`SensorSite`);
+    - ``noise_T``: standard deviation of one chip's sample on one axis, above 0, or a list of one for each axis;
+    - ``axes``: optional, a row an axis: its direction times its gain, in the sensor's frame (`SensorSite`);
     - ``gain_sd``, ``axis_sd_rad``: optional, how well the gains and directions of its axes are known (`SensorSite`).
 
     The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
@@ -146,19 +146,44 @@ def _sensor(table: Table, doubts: list[str]) -> SensorSite:
             "current_sd) and the sensor here (gain_sd, axis_sd_rad)",
         )
     table.allow(*SENSOR_KEYS)
+    axes = _axes(table) if "axes" in table else None
+    noise_T, noise_ratio = _noise(table, 3 if axes is None else len(axes), doubts)
     return SensorSite(
-        noise_T=checked(table, "noise_T", table.positive("noise_T"), doubts),
+        noise_T=noise_T,
         gain_sd=_deviation(table, "gain_sd", SENSOR_LIMITS) if "gain_sd" in table else ASSUMED_GAIN_SD,
         axis_sd_rad=_deviation(table, "axis_sd_rad", SENSOR_LIMITS) if "axis_sd_rad" in table else ASSUMED_AXIS_SD_RAD,
-        axes=_axes(table) if "axes" in table else None,
+        axes=axes,
+        noise_ratio=noise_ratio,
     )
+
+
+def _noise(table: Table, axes: int, doubts: list[str]) -> tuple[float, FloatArray | None]:
+    """Return the noise of an axis, and that of each over it if they differ."""
+    if not table.is_list("noise_T"):
+        return checked(table, "noise_T", table.positive("noise_T"), doubts), None
+    each = table.numbers("noise_T")
+    if len(each) != axes:
+        raise table.error("noise_T", f"has {len(each)} numbers; give one for all axes of the sensor, or {axes}")
+    for value in each.tolist():
+        if value <= 0.0:
+            raise table.error("noise_T", f"has {value:g}; noise is greater than zero")
+        checked(table, "noise_T", value, doubts)
+    noise_T = float(np.sqrt(np.mean(each**2)))
+    return noise_T, each / noise_T
 
 
 def _axes(table: Table) -> FloatArray:
     axes = table.vectors("axes")
-    if len(axes) != 3:
-        raise table.error("axes", f"has {len(axes)} rows; give three: what each axis of the sensor reads")
-    largest, *_, least = np.linalg.svd(axes, compute_uv=False)
+    count = len(axes)
+    if count > 3:
+        raise table.error("axes", f"has {count} rows; give one for each axis of the sensor, at most three")
+    if count < 3 and np.triu(axes, 1).any():
+        raise table.error(
+            "axes",
+            "are those of a sensor with fewer than three axes, whose first one is x and whose second one is in the "
+            "plane of x and y: give [[a, 0, 0]] or [[a, 0, 0], [b, c, 0]]",
+        )
+    largest, *_, least = np.linalg.svd(axes, compute_uv=False) if count > 1 else np.abs(axes[0, :1]).repeat(2)
     if not least * LARGEST_CONDITION >= largest > 0.0:
         raise table.error("axes", "are nearly in one plane, or one of them reads almost nothing: no field can be told")
     return axes

@@ -53,7 +53,7 @@ class SensorRevision:
 
     Attributes
     ----------
-    axes : ndarray, shape (3, 3), or None
+    axes : ndarray, shape (k, 3), or None
     gain_sd, axis_sd_rad : float or None
     """
 

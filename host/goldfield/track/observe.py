@@ -15,6 +15,7 @@ from goldfield.access.of_site import SiteAccess
 from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
+from goldfield.locate.sensor_axes import axes_of
 from goldfield.locate.site_errors import errors_of
 from goldfield.site import Site
 from goldfield.track.deviations import Deviations
@@ -132,6 +133,7 @@ class EpochObserver:
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._model = FieldModel(site.beacons)
         self._locator = Locator(site)
+        self._axes = axes_of(site.sensor)
         self._unknown_T = np.array([beacon.unknown_T for beacon in site.beacons])
         self._times = node_times(EPOCH_NODES)
         self._templates = site_templates(site)
@@ -158,13 +160,16 @@ class EpochObserver:
         names = [data.beacons[i] for i in taken]
         separation = self._separation(np.array([self._row[name] for name in names], dtype=np.intp))
         field = data.field_T[taken]
-        sigma = np.hypot(data.sigma_T[taken], self._unknown_T[[self._row[name] for name in names]])
+        sigma = data.sigma_T[taken, None]
+        if self._axes is not None:
+            field, sigma = self._axes.components(field), sigma * self._axes.noise_of_each
+        sigma = np.hypot(sigma, self._unknown_T[[self._row[name] for name in names], None])
         measured = np.isfinite(field)
         measured[[name in without for name in names]] = False
         ramp = (AMBIENT_T * rate_rad_s if data.sweep_T_s is None else data.sweep_T_s) * separation.sweep
         # Whitening of the covariance diag(sigma^2) + ramp ramp': with c = ramp/sigma the inverse root is
         # (I - c c' (1 - 1/sqrt(1 + c'c))/c'c) diag(1/sigma), for each axis over what was measured on it.
-        weight = np.where(measured, 1.0 / sigma[:, None], 0.0).T
+        weight = np.where(measured, 1.0 / sigma, 0.0).T
         shape = weight * ramp
         size2 = np.maximum((shape * shape).sum(axis=1), 1e-12)
         shrink = ((1.0 - 1.0 / np.sqrt(1.0 + size2)) / size2)[:, None] * shape
@@ -215,6 +220,7 @@ class CycleObserver:
         self._model = FieldModel(site.beacons)
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._locator = Locator(site)
+        self._axes = axes_of(site.sensor)
         self._deviations = _deviations(site, np.arange(len(site.beacons)))
         cycle = Cycle(site.degree, site.codes, CYCLE_NODES, site_templates(site))
         self.weights: FloatArray | None = None if parts is None else cycle.part_weights(parts)
@@ -230,15 +236,16 @@ class CycleObserver:
     def start(self, data: CycleData) -> tuple[Pose, State | None]:
         """See `Observer.start`: from the fields at mid-cycle; then the motion from their slopes, loosely weighted."""
         numbers = self._parabola @ self._reduction.numbers(data.data_T)
-        measured = np.isfinite(numbers).all(axis=0)
-        size = np.linalg.norm(np.where(measured, numbers, 0.0), axis=1)
+        heard = np.isfinite(numbers).all(axis=0)
+        size = np.linalg.norm(np.where(heard, numbers, 0.0), axis=1)
         sigma = np.hypot(self._parabola_sigma, START_MODEL_ERROR * size)
         count = len(self._row)
         fields = Fields(data.epoch, data.time_s, tuple(self._row), numbers[:count], sigma[:count])
         pose, state = _start(self._locator.locate(fields))
         if state is None:
             return pose, None
-        ambient = state.rotation @ np.where(measured, numbers[count], 0.0)
+        ambient = self._components(numbers[count])
+        ambient = state.rotation @ np.where(np.isfinite(ambient), ambient, 0.0)
         near = State(state.position_m, state.rotation, state.velocity_m_s, state.rate_rad_s, ambient)
         loose = self._observation((numbers / sigma[:, None]).T, self._parabola @ self._reduction.seen / sigma[:, None])
         return pose, estimate(Belief(near, np.diag(VAGUE)), loose, START_EVALUATIONS, SEARCH_TOLERANCE).belief.state
@@ -258,16 +265,23 @@ class CycleObserver:
         return observation, tuple(name for name in self._row if name not in without and observation.count)
 
     def _observation(self, numbers: FloatArray, seen: FloatArray) -> Observation:
-        """Return numbers, shape (3, r), as an observation; an axis with a NaN is not measured."""
+        """Return numbers of the axes, shape (3, r), as an observation; an axis with a NaN is not measured."""
+        numbers, weight = self._components(numbers.T).T, np.ones(3)
+        if self._axes is not None:  # the noise of components is no longer 1, as that of readings was
+            weight = 1.0 / self._axes.noise_of_each
         measured = np.asarray(np.isfinite(numbers).all(axis=1))
         return Observation(
             self._model,
             self._times,
-            np.where(measured[:, None, None], seen, 0.0),
-            np.where(measured[:, None], numbers, 0.0),
+            np.where(measured[:, None, None], weight[:, None, None] * seen, 0.0),
+            np.where(measured[:, None], weight[:, None] * numbers, 0.0),
             int(measured.sum()) * len(seen),
             self._deviations,
         )
+
+    def _components(self, readings: FloatArray) -> FloatArray:
+        """Return components in the sensor's frame, of readings, both of shape (..., 3)."""
+        return readings if self._axes is None else self._axes.components(readings)
 
 
 def _deviations(site: Site, rows: NDArray[np.intp]) -> Deviations | None:

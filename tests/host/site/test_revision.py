@@ -236,7 +236,8 @@ def test_beacons_among_other_tables_are_brought_together(tmp_path):
         ({"door": BeaconRevision(survey=Survey(2.0))}, None, "position_sd_m is 2;"),
         ({"door": BeaconRevision(np.array([0.0, np.nan, 0.0]))}, None, "hall.toml"),
         ({}, SensorRevision(axes=np.ones((3, 3))), "axes are nearly in one plane"),
-        ({}, SensorRevision(axes=np.ones((2, 3))), "axes has 2 rows"),
+        ({}, SensorRevision(axes=np.ones((4, 3))), "axes has 4 rows"),
+        ({}, SensorRevision(axes=np.ones((2, 3))), "give [[a, 0, 0]] or [[a, 0, 0], [b, c, 0]]"),
     ],
 )
 def test_values_that_no_site_can_have_are_refused(path, beacons, sensor, words):

@@ -48,6 +48,7 @@ typedef struct {
     double current_sd[64];
     double gain_sd;
     double sensor_axis_sd_rad;
+    double noise_shape[3][3];
 } gf_errors_t;
 void gf_evaluate(const gf_coils_t *, size_t, const double *, double *, double *);
 void gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *, double *);
@@ -368,6 +369,8 @@ def _errors(errors: SiteErrors | None) -> Any:
             values = getattr(errors, name)
             getattr(declared, name)[0 : len(values)] = values.tolist()
         declared.gain_sd, declared.sensor_axis_sd_rad = errors.gain_sd, errors.sensor_axis_sd_rad
+        shape = np.eye(3) if errors.noise_shape is None else errors.noise_shape
+        declared.noise_shape = shape.tolist()
         _declared[errors] = declared
     return _declared[errors]
 

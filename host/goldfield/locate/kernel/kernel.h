@@ -60,6 +60,8 @@ typedef struct {
     double current_sd[GF_MOST_COILS]; /* relative */
     double gain_sd;                   /* relative, of each axis of the sensor */
     double sensor_axis_sd_rad;
+    double noise_shape[3][3]; /* covariance of the noise of a coil's components over their variance; the identity unless
+                               * the sensor's axes have different gains or lean (goldfield.locate.sensor_axes) */
 } gf_errors_t;
 
 /* Field and gradient of every coil at some points of the site's frame (goldfield.field.FieldModel.evaluate). position_m

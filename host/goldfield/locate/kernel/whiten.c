@@ -139,7 +139,9 @@ void gf_whiten(const gf_coils_t *coils, const gf_errors_t *errors, const double 
         for (size_t c = 0; c < 3; ++c) {
             const size_t row = 3 * i + c;
             out->weight[row] = isfinite(field_T[row]) ? 1.0 : 0.0;
-            covariance[c][c] += sigma_T[i] * sigma_T[i];
+            for (size_t k = 0; k < 3; ++k) {
+                covariance[c][k] += errors->noise_shape[c][k] * (sigma_T[i] * sigma_T[i]);
+            }
             h[c] = pose->rotation[0][c] * sources.field_T[0][i] + pose->rotation[1][c] * sources.field_T[1][i] +
                    pose->rotation[2][c] * sources.field_T[2][i];
         }
