@@ -1,0 +1,1 @@
+"""Survey: finds beacons and sensor as they are from what a sensor measured, by bundle adjustment."""

@@ -1,0 +1,188 @@
+"""What goes into a survey and what comes out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from goldfield.site import Site
+from goldfield.types import Fields, FloatArray
+
+
+class Free(StrEnum):
+    """Kinds of parameters that a survey can estimate."""
+
+    POSITION = "position"
+    """Where each coil stands."""
+    AXIS = "axis"
+    """Where each coil points."""
+    CURRENT = "current"
+    """How strong each coil is."""
+    GAIN = "gain"
+    """Gain of each axis of the sensor."""
+    TILT = "tilt"
+    """How far the sensor's axes are from right angles."""
+    OFFSET = "offset"
+    """A constant vector, in the sensor's frame, in every measured field."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownPoint:
+    """Where the sensor really was in an epoch.
+
+    Attributes
+    ----------
+    epoch : int
+        Number of the epoch, as in `Fields`.
+    position_m : ndarray, shape (3,)
+        In the site's frame; NaN for a coordinate that is not known.
+    sigma_m : float
+        Standard deviation of each known coordinate.
+    """
+
+    epoch: int
+    position_m: FloatArray
+    sigma_m: float
+
+
+@dataclass(frozen=True)
+class Distance:
+    """A measured distance between the centres of two beacons."""
+
+    beacons: tuple[str, str]
+    distance_m: float
+    sd_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """A measured place of a beacon's centre: NaN for a coordinate that was not measured, as for a mere height."""
+
+    beacon: str
+    position_m: FloatArray
+    sd_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """A measured direction of a beacon's axis, a unit vector, each of its two turns with the deviation ``sd_rad``."""
+
+    beacon: str
+    axis: FloatArray
+    sd_rad: float
+
+
+@dataclass(frozen=True)
+class Current:
+    """A measured current of a beacon; ``sd`` is relative."""
+
+    beacon: str
+    current_A: float
+    sd: float
+
+
+Known = Distance | Place | Direction | Current
+"""What is known of beacons by another measurement than that of their fields."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnchorFields:
+    """What the sensor of an anchor measured of the other beacons: it stands where its own beacon does.
+
+    Attributes
+    ----------
+    beacon : str
+        Id of the anchor's own beacon.
+    fields : Fields
+        Fields in the frame of the anchor's sensor, averaged; the own beacon's is not used.
+    """
+
+    beacon: str
+    fields: Fields
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyData:
+    """Everything that was measured.
+
+    Attributes
+    ----------
+    epochs : tuple of Fields
+        What the sensor measured on its walk; their numbers are unique.
+    points : tuple of KnownPoint
+        Where it was in some of these epochs.
+    known : tuple of Known
+    anchors : tuple of AnchorFields
+    """
+
+    epochs: tuple[Fields, ...]
+    points: tuple[KnownPoint, ...] = ()
+    known: tuple[Known, ...] = ()
+    anchors: tuple[AnchorFields, ...] = ()
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """An estimated number: its value, its standard deviation, and the value of before, in the unit of its name."""
+
+    value: float
+    sd: float
+    before: float
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """An epoch that does not agree with the others.
+
+    Attributes
+    ----------
+    epoch : int
+    beacons : tuple of str
+        Beacons whose fields are wrong in it; empty if no single one explains it.
+    residual : float
+        Root of its weighted mean square residual; sound ones are near 1.
+    """
+
+    epoch: int
+    beacons: tuple[str, ...]
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class SurveyResult:
+    """A survey: the site as it was found to be.
+
+    Attributes
+    ----------
+    site : Site
+        With the positions, axes and currents that were found, and their standard deviations.
+    axes : ndarray, shape (3, 3), or None
+        What the sensor makes of a field: reading = axes @ field in its frame; None if it was not estimated.
+    parameters : mapping of str to Parameter
+        Everything that was estimated.
+    covariance : ndarray, shape (6 n, 6 n)
+        Covariance of all beacons, six rows each: position (m), turn about each axis of the site (rad), logarithm of the
+        current; the turn about the coil's own axis is no parameter and the covariance singular along it. Rows of what
+        was not estimated are zero.
+    residual_before, residual_after : float
+        Roots of the weighted mean square residual over the sound epochs: of the site as it was, and as it was found.
+    outliers : tuple of Outlier
+    advice : tuple of str
+        Sentences: through what origin, direction and scale are known, and what to measure next to gain most.
+    position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
+        Pose of each epoch; NaN for outliers.
+    """
+
+    site: Site
+    axes: FloatArray | None
+    parameters: Mapping[str, Parameter]
+    covariance: FloatArray
+    residual_before: float
+    residual_after: float
+    outliers: tuple[Outlier, ...]
+    advice: tuple[str, ...]
+    position_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    rotation: FloatArray = field(default_factory=lambda: np.empty((0, 3, 3)))
