@@ -158,15 +158,12 @@ class SurveyResult:
     Attributes
     ----------
     site : Site
-        With the positions, axes and currents that were found, and their standard deviations.
-    axes : ndarray, shape (3, 3), or None
-        What the sensor makes of a field: reading = axes @ field in its frame; None if it was not estimated.
+        With the positions, axes, currents and axes of the sensor that were found, and their standard deviations.
     parameters : mapping of str to Parameter
         Everything that was estimated.
     covariance : ndarray, shape (6 n, 6 n)
-        Covariance of all beacons, six rows each: position (m), turn about each axis of the site (rad), logarithm of the
-        current; the turn about the coil's own axis is no parameter and the covariance singular along it. Rows of what
-        was not estimated are zero.
+        Covariance of all beacons, six rows each: position (m), turns about two vectors across the axis
+        (`goldfield.survey.parameters.across`, rad), logarithm of the current. Rows of what was not estimated are zero.
     residual_before, residual_after : float
         Roots of the weighted mean square residual over the sound epochs: of the site as it was, and as it was found.
     outliers : tuple of Outlier
@@ -177,7 +174,6 @@ class SurveyResult:
     """
 
     site: Site
-    axes: FloatArray | None
     parameters: Mapping[str, Parameter]
     covariance: FloatArray
     residual_before: float

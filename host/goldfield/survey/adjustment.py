@@ -1,0 +1,226 @@
+"""The adjustment: Levenberg and Marquardt on the whole cost, over what all epochs have in common and all poses at once.
+
+The cost is the sum over epochs of a loss of their chi-square s, the squares of the deviations of known points from the
+poses, of a weak tie of each pose to the room, of what was known before and of what was measured beside. The loss is s,
+or Cauchy's c log(1 + s/c) with c twice the number of components: an epoch that fits nowhere then pulls at nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.field import FieldModel
+from goldfield.site import Site
+from goldfield.survey.constraints import Constraints
+from goldfield.survey.equations import (
+    Equations,
+    Group,
+    Readings,
+    anchor_equations,
+    derivatives,
+    walk_equations,
+)
+from goldfield.survey.parameters import Prior, State, beacons_of
+from goldfield.types import FloatArray
+
+STAGES = (0.15, 0.05, 0.02, 0.005, 0.0)
+"""Relative errors of the model, one fit after another: first all fields count alike, whatever their strength, so that
+a site that is 20 cm wrong fits somewhere; each fit starts where the one before ended."""
+LOSS_SCALE = 2.0
+"""Scale of Cauchy's loss over the number of an epoch's components."""
+MOST_STEPS = 60
+ROUGH_PROGRESS, FINE_PROGRESS = 1e-3, 1e-7
+"""A fit ends when a step promises to lower the cost by less than this part of it, and of 1 at the least."""
+ANCHOR_MODEL_ERROR = 0.002
+"""Relative error of the model at an anchor: the gain of its sensor, and its sensor beside the centre of its coil."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """Everything that an adjustment takes as given.
+
+    Attributes
+    ----------
+    site : Site
+    axes : ndarray, shape (3, 3)
+        The sensor's axes as the site says.
+    prior : Prior
+    readings : Readings
+        Of the e epochs.
+    point_m, point_weight : ndarray, shape (e, 3)
+        Known coordinates of the sensor, and reciprocal standard deviations; 0 for those that are not known.
+    room_m, room_sd_m : ndarray, shape (3,), and float
+        Middle of the room, and how far from it the sensor may be.
+    constraints : Constraints
+    anchors : Readings
+        Of the a anchors, one epoch each; that of the own beacon is not measured.
+    anchor_rows : list of int
+        The beacon where each stands.
+    """
+
+    site: Site
+    axes: FloatArray
+    prior: Prior
+    readings: Readings
+    point_m: FloatArray
+    point_weight: FloatArray
+    room_m: FloatArray
+    room_sd_m: float
+    constraints: Constraints
+    anchors: Readings
+    anchor_rows: list[int]
+
+    def of_epochs(self, rows: NDArray[np.bool_]) -> Problem:
+        """Return the problem with some of the epochs."""
+        readings = Readings(self.readings.field_T[rows], self.readings.sigma_T[rows])
+        return replace(
+            self, readings=readings, point_m=self.point_m[rows], point_weight=self.point_weight[rows]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """The cost of a state and its normal equations.
+
+    Attributes
+    ----------
+    cost : float
+    squares : ndarray, shape (e,)
+        Chi-square of each epoch, that of a known point not counted.
+    anchor_squares : ndarray, shape (a,)
+    by_beacon : ndarray, shape (e, n)
+        Chi-square of each beacon's field.
+    equations : Equations
+    """
+
+    cost: float
+    squares: FloatArray
+    anchor_squares: FloatArray
+    by_beacon: FloatArray
+    equations: Equations
+
+
+@np.errstate(all="ignore")  # a step far off may overflow: a cost that is not finite is not accepted
+def evaluate(problem: Problem, state: State, model_error: float = 0.0, *, robust: bool = False) -> Evaluation:
+    """Return the cost and the normal equations of a state."""
+    model = FieldModel(beacons_of(problem.site, state))
+    readings = problem.readings
+    parts = derivatives(model, state, problem.axes, readings.field_T, state.sensor_m, state.rotation)
+    weight = readings.weight(model_error)
+    by_beacon = ((parts.residual * weight) ** 2).sum(axis=2)
+    squares = by_beacon.sum(axis=1)
+    loss, share = _loss(squares, readings.count, robust)
+    common, gradient, walk = walk_equations(parts, weight * np.sqrt(share)[:, None, None])
+    off = problem.point_weight * (problem.point_m - state.sensor_m)
+    away = (problem.room_m - state.sensor_m) / problem.room_sd_m
+    tie = problem.point_weight**2 + problem.room_sd_m**-2
+    walk.own[:, [0, 1, 2], [0, 1, 2]] += tie
+    walk.gradient[:, :3] += problem.point_weight * off + away / problem.room_sd_m
+    cost = float(loss.sum() + (off * off).sum() + (away * away).sum())
+    groups, anchor_squares = [walk], np.empty(0)
+    if problem.anchor_rows:
+        anchor_loss, anchor_squares, extra, extra_gradient, group = _anchors(problem, model, state, model_error, robust)
+        cost += anchor_loss
+        common, gradient = common + extra, gradient + extra_gradient
+        groups.append(group)
+    known, slopes = problem.constraints.rows(state)
+    before = problem.prior.residual(state)
+    cost += float(known @ known + before @ before)
+    common = common + slopes.T @ slopes + np.diag(problem.prior.sd**-2)
+    gradient = gradient + slopes.T @ known - before / problem.prior.sd
+    equations = _only(problem.prior.free, common, gradient, groups)
+    return Evaluation(cost, squares, anchor_squares, by_beacon, equations)
+
+
+def _loss(squares: FloatArray, count: FloatArray, robust: bool) -> tuple[FloatArray, FloatArray]:
+    """Return the loss of each epoch, and its derivative by the chi-square."""
+    if not robust:
+        return squares, np.ones(len(squares))
+    scale = LOSS_SCALE * np.maximum(count, 1.0)
+    return scale * np.log1p(squares / scale), 1.0 / (1.0 + squares / scale)
+
+
+def _anchors(
+    problem: Problem, model: FieldModel, state: State, model_error: float, robust: bool
+) -> tuple[float, FloatArray, FloatArray, FloatArray, Group]:
+    """Return what the anchors add: loss, chi-squares, common matrix, common gradient and their group."""
+    place = state.position_m[problem.anchor_rows]
+    sound = replace(state, terms=np.zeros_like(state.terms), offset_T=np.zeros(3))
+    parts = derivatives(model, sound, np.eye(3), problem.anchors.field_T, place, state.anchor_rotation)
+    weight = problem.anchors.weight(float(np.hypot(model_error, ANCHOR_MODEL_ERROR)))
+    heard = weight > 0.0  # at its own centre a coil's field has no use
+    parts = type(parts)(
+        np.where(heard, parts.residual, 0.0),
+        *(np.where(heard[..., None], values, 0.0) for values in (parts.pose, parts.beacon, parts.sensor)),
+    )
+    squares = ((parts.residual * weight) ** 2).sum(axis=(1, 2))
+    loss, share = _loss(squares, problem.anchors.count, robust)
+    weighted = weight * np.sqrt(share)[:, None, None]
+    common, gradient, group = anchor_equations(parts, weighted, problem.anchor_rows)
+    return float(loss.sum()), squares, common, gradient, group
+
+
+def _only(
+    free: NDArray[np.bool_], common: FloatArray, gradient: FloatArray, groups: Sequence[Group]
+) -> Equations:
+    """Return the equations of the parameters that are free."""
+    return Equations(
+        common[np.ix_(free, free)],
+        gradient[free],
+        tuple(Group(group.own, group.cross[:, :, free], group.gradient) for group in groups),
+    )
+
+
+def adjust(
+    problem: Problem,
+    state: State,
+    model_error: float = 0.0,
+    *,
+    robust: bool = False,
+    progress: float = FINE_PROGRESS,
+    told: Callable[[float], None] | None = None,
+) -> tuple[State, Evaluation]:
+    """Minimise the cost from a state near by.
+
+    Parameters
+    ----------
+    problem : Problem
+    state : State
+    model_error : float
+        Relative error of the model: the variance of a component is sigma^2 + (model_error |B|)^2.
+    robust : bool
+        Whether the loss of an epoch is Cauchy's.
+    progress : float
+        The iteration ends when a step promises less, as a part of the cost.
+    told : callable, optional
+        Is given the cost after each step.
+
+    Returns
+    -------
+    state : State
+    evaluation : Evaluation
+        There.
+    """
+    now = evaluate(problem, state, model_error, robust=robust)
+    damping = 1e-4
+    for _ in range(MOST_STEPS):
+        common, (poses, *others), promise = now.equations.step(damping)
+        whole = np.zeros(len(problem.prior.free))
+        whole[problem.prior.free] = common
+        anchors = others[0] if others else np.empty((0, 3))
+        trial = state.moved(whole, poses, anchors)
+        then = evaluate(problem, trial, model_error, robust=robust)
+        if then.cost <= now.cost:
+            state, now = trial, then
+            damping = max(0.1 * damping, 1e-9)
+            if told is not None:
+                told(now.cost)
+        else:
+            damping *= 8.0
+        if promise < progress * max(now.cost, 1.0) or damping > 1e9:
+            break
+    return state, now

@@ -1,0 +1,264 @@
+"""The normal equations of an adjustment, and their solution with the poses eliminated (Schur complement).
+
+A component c of the reading of a beacon's field B is y_c = b_c . B + o_c, where b_c is row c of (I + E) A R'. With
+m_c = b_c' G, the gradient G of the field and q the sensor seen from the coil, its derivatives are: by the sensor's place
+m_c, by its turn b_c x B, by the coil's place -m_c, by the coil's turn m_c x q - b_c x B, by the logarithm of the current
+b_c . B, and by E_cd the component d of A R' B.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from goldfield.field import FieldModel
+from goldfield.survey.parameters import BEACON, COLUMNS, ROWS, SENSOR, TERMS, State, across
+from goldfield.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Measured fields of e epochs.
+
+    Attributes
+    ----------
+    field_T : ndarray, shape (e, n, 3)
+        In the sensor's frame; 0 where not measured.
+    sigma_T : ndarray, shape (e, n, 3)
+        Standard deviations; infinite where not measured.
+    """
+
+    field_T: FloatArray
+    sigma_T: FloatArray
+
+    def weight(self, model_error: float) -> FloatArray:
+        """Return reciprocal standard deviations, with a relative error of the model, shape (e, n, 3)."""
+        size2 = (self.field_T**2).sum(axis=2, keepdims=True)
+        return np.asarray(1.0 / np.sqrt(self.sigma_T**2 + model_error**2 * size2))
+
+    @property
+    def count(self) -> FloatArray:
+        """Number of measured components of each epoch, shape (e,)."""
+        return np.asarray(np.isfinite(self.sigma_T).sum(axis=(1, 2)), dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Residuals of e epochs and their derivatives, not whitened.
+
+    Attributes
+    ----------
+    residual : ndarray, shape (e, n, 3)
+        Measured less modelled.
+    pose : ndarray, shape (e, n, 3, 6)
+        Derivatives of the model by shift and turn of the sensor.
+    beacon : ndarray, shape (e, n, 3, 6)
+        By the parameters of the beacon.
+    sensor : ndarray, shape (e, n, 3, 9)
+        By those of the sensor.
+    """
+
+    residual: FloatArray
+    pose: FloatArray
+    beacon: FloatArray
+    sensor: FloatArray
+
+
+def derivatives(
+    model: FieldModel, state: State, axes: FloatArray, field_T: FloatArray, point_m: FloatArray, rotation: FloatArray
+) -> Derivatives:
+    """Return residuals and derivatives.
+
+    Parameters
+    ----------
+    model : FieldModel
+        The beacons as the state has them.
+    state : State
+    axes : ndarray, shape (3, 3)
+        The sensor's axes as the site says, A.
+    field_T : ndarray, shape (e, n, 3)
+    point_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
+        Poses of the sensor.
+    """
+    field, gradient = model.evaluate(np.ascontiguousarray(point_m.T))
+    field, gradient = field.transpose(1, 2, 0), gradient.transpose(2, 3, 0, 1)  # (e, n, 3), (e, n, 3, 3)
+    bare = axes @ rotation.swapaxes(1, 2)
+    rows = (state.matrix() @ bare)[:, None]  # (e, 1, c, 3)
+    slope = rows @ gradient
+    turn = _cross(rows, field[:, :, None])
+    arm = (point_m[:, None] - state.position_m)[:, :, None]
+    reading = (rows @ field[..., None])[..., 0]
+    beacon = np.empty((*field.shape, BEACON))
+    beacon[..., :3] = -slope
+    beacon[..., 3:5] = (_cross(slope, arm) - turn) @ across(state.axis).swapaxes(1, 2)
+    beacon[..., 5] = reading
+    sensor = np.zeros((*field.shape, SENSOR))
+    sensor[:, :, ROWS, np.arange(TERMS)] = (bare[:, None] @ field[..., None])[..., 0][:, :, COLUMNS]
+    sensor[:, :, :, TERMS:] = np.eye(3)
+    return Derivatives(
+        field_T - reading - state.offset_T, np.concatenate([slope, turn], axis=3), beacon, sensor
+    )
+
+
+def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return cross products along the last axis; much quicker than `numpy.cross` on small arrays."""
+    (a, b, c), (x, y, z) = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)
+    return np.stack([b * z - c * y, c * x - a * z, a * y - b * x], axis=-1)
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Normal equations of epochs, each with k unknowns of its own.
+
+    Attributes
+    ----------
+    own : ndarray, shape (e, k, k)
+    cross : ndarray, shape (e, k, g)
+        Between an epoch's own and the common unknowns.
+    gradient : ndarray, shape (e, k)
+    """
+
+    own: FloatArray
+    cross: FloatArray
+    gradient: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Equations:
+    """Normal equations: of the g common unknowns, and of groups of epochs.
+
+    Attributes
+    ----------
+    common : ndarray, shape (g, g)
+    gradient : ndarray, shape (g,)
+    groups : tuple of Group
+    """
+
+    common: FloatArray
+    gradient: FloatArray
+    groups: tuple[Group, ...]
+
+    def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray, FloatArray]]]:
+        """Eliminate the epochs.
+
+        Returns
+        -------
+        matrix, vector : ndarray, shapes (g, g) and (g,)
+            The reduced equations.
+        parts : list of (ndarray, ndarray, ndarray)
+            What is needed to find the epochs' own unknowns again: L^-T, L^-1 C and L^-1 gradient.
+        """
+        matrix = self.common + np.diag(damping * np.diag(self.common))
+        vector, parts = self.gradient.copy(), []
+        for group in self.groups:
+            size = group.own.shape[1]
+            diagonal = np.einsum("ekk->ek", group.own)
+            own = group.own + (damping * diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300)[
+                ..., None
+            ] * np.eye(size)
+            back = np.linalg.inv(np.linalg.cholesky(own))
+            crossed = back @ group.cross
+            known = (back @ group.gradient[..., None])[..., 0]
+            flat = crossed.reshape(-1, crossed.shape[2])
+            matrix = matrix - flat.T @ flat
+            vector = vector - flat.T @ known.ravel()
+            parts.append((back.swapaxes(1, 2), crossed, known))
+        return matrix, vector, parts
+
+    def step(self, damping: float) -> tuple[FloatArray, list[FloatArray], float]:
+        """Return the damped step of the common unknowns, that of each group, and the decrease that it promises."""
+        matrix, vector, parts = self.reduced(damping)
+        common = solved(matrix, vector)
+        steps = [(back @ (known - crossed @ common)[..., None])[..., 0] for back, crossed, known in parts]
+        promise = float(self.gradient @ common)
+        for group, step in zip(self.groups, steps, strict=True):
+            promise += float((group.gradient * step).sum())
+        return common, steps, promise
+
+
+def solved(matrix: FloatArray, vector: FloatArray) -> FloatArray:
+    """Solve symmetric equations whose unknowns have different units; those without any information stay 0."""
+    scale = _scale(matrix)
+    return np.asarray(scale * np.linalg.solve(_unit(matrix, scale), scale * vector))
+
+
+def inverse(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of an information matrix; rows of unknowns without any information are 0."""
+    scale = _scale(matrix)
+    return np.asarray(scale[:, None] * np.linalg.inv(_unit(matrix, scale)) * scale)
+
+
+def _scale(matrix: FloatArray) -> FloatArray:
+    diagonal = np.diag(matrix)
+    return np.asarray(np.where(diagonal > 0.0, 1.0 / np.sqrt(np.maximum(diagonal, 1e-300)), 0.0))
+
+
+def _unit(matrix: FloatArray, scale: FloatArray) -> FloatArray:
+    unit = scale[:, None] * matrix * scale
+    return np.asarray(unit + np.diag(np.where(scale > 0.0, 1e-13, 1.0)))
+
+
+def walk_equations(parts: Derivatives, weight: FloatArray) -> tuple[FloatArray, FloatArray, Group]:
+    """Return the normal equations of the sensor's epochs: common matrix, common gradient, and their group.
+
+    Parameters
+    ----------
+    parts : Derivatives
+    weight : ndarray, shape (e, n, 3)
+        Root of the weight of each component.
+    """
+    epochs, beacons = weight.shape[:2]
+    residual = parts.residual * weight
+    pose, beacon, sensor = (values * weight[..., None] for values in (parts.pose, parts.beacon, parts.sensor))
+    count = BEACON * beacons
+    size = count + SENSOR
+    common, gradient = np.zeros((size, size)), np.zeros(size)
+    by_beacon = beacon.transpose(1, 0, 2, 3).reshape(beacons, -1, BEACON)
+    sensor_too = sensor.transpose(1, 0, 2, 3).reshape(beacons, -1, SENSOR)
+    of_beacons = by_beacon.swapaxes(1, 2) @ by_beacon
+    for i in range(beacons):
+        place = slice(BEACON * i, BEACON * (i + 1))
+        common[place, place] = of_beacons[i]
+    common[:count, count:] = (by_beacon.swapaxes(1, 2) @ sensor_too).reshape(count, SENSOR)
+    common[count:, :count] = common[:count, count:].T
+    flat = sensor.reshape(-1, SENSOR)
+    common[count:, count:] = flat.T @ flat
+    gradient[:count] = np.einsum("encp,enc->np", beacon, residual).ravel()
+    gradient[count:] = flat.T @ residual.ravel()
+    of_pose = pose.reshape(epochs, -1, 6).swapaxes(1, 2)
+    cross = np.empty((epochs, 6, size))
+    cross[:, :, :count] = (pose.swapaxes(2, 3) @ beacon).transpose(0, 2, 1, 3).reshape(epochs, 6, count)
+    cross[:, :, count:] = of_pose @ sensor.reshape(epochs, -1, SENSOR)
+    own = of_pose @ of_pose.swapaxes(1, 2)
+    own_gradient = (of_pose @ residual.reshape(epochs, -1, 1))[..., 0]
+    return common, gradient, Group(own, cross, own_gradient)
+
+
+def anchor_equations(
+    parts: Derivatives, weight: FloatArray, beacon_rows: list[int]
+) -> tuple[FloatArray, FloatArray, Group]:
+    """Return the normal equations of anchors, each with its attitude as its own unknown.
+
+    Parameters
+    ----------
+    parts : Derivatives
+        One epoch an anchor.
+    weight : ndarray, shape (a, n, 3)
+    beacon_rows : list of int
+        The beacon where each anchor's sensor stands.
+    """
+    anchors, beacons = weight.shape[:2]
+    size = BEACON * beacons + SENSOR
+    residual = (parts.residual * weight).reshape(anchors, -1)
+    common = np.zeros((anchors, beacons, 3, size))
+    for i in range(beacons):
+        common[:, i, :, BEACON * i : BEACON * (i + 1)] = parts.beacon[:, i]
+    for a, row in enumerate(beacon_rows):
+        common[a, :, :, BEACON * row : BEACON * row + 3] += parts.pose[a, :, :, :3]
+    common = (common * weight[..., None]).reshape(anchors, -1, size)
+    turn = (parts.pose[..., 3:] * weight[..., None]).reshape(anchors, -1, 3)
+    back = turn.swapaxes(1, 2)
+    flat = common.reshape(-1, size)
+    group = Group(back @ turn, back @ common, (back @ residual[..., None])[..., 0])
+    return flat.T @ flat, flat.T @ residual.ravel(), group

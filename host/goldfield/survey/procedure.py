@@ -1,0 +1,268 @@
+"""The survey from beginning to end: rough poses, graduated fits, outliers, the last fit, and what came out of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri, gammaincc
+
+from goldfield.errors import SystemFailure, UserError
+from goldfield.field import FieldModel
+from goldfield.locate.fit import fit_pose
+from goldfield.site import Site
+from goldfield.survey.adjustment import FINE_PROGRESS, ROUGH_PROGRESS, STAGES, Evaluation, Problem, adjust, evaluate
+from goldfield.survey.constraints import Constraints
+from goldfield.survey.data import AnchorFields, Free, SurveyData, SurveyResult
+from goldfield.survey.equations import Readings, inverse
+from goldfield.survey.outcome import Solution, found_site, outliers_of, parameters_of
+from goldfield.survey.parameters import BEACON, SENSOR, State, default_free, prior_of, start_of
+from goldfield.survey.starts import anchor_attitudes, measurements_of, rough_poses, searched_poses
+from goldfield.types import Fields, FloatArray
+
+UNLIKELY = 1e-5
+"""An epoch is an outlier if its residual is less likely than this."""
+WIDENED, REFUSED = 1.5, 9.0
+"""Median chi-square over the degrees of freedom: from the first on the standard deviations of the fields are widened,
+from the second on nothing fits and the survey is refused."""
+LEAST_SOUND = 0.5
+"""Part of the epochs that must agree."""
+ROUNDS = 3
+"""How often epochs are judged anew."""
+
+Progress = Callable[[str, float], None]
+"""(what is being done, part of the whole that is done) -> None."""
+
+
+def survey(
+    site: Site, data: SurveyData, free: frozenset[Free] | None = None, progress: Progress | None = None
+) -> SurveyResult:
+    """Find beacons and sensor as they are.
+
+    Parameters
+    ----------
+    site : Site
+        As it is thought to be: what its ``[survey]`` and ``[sensor]`` say counts as a measurement.
+    data : SurveyData
+    free : set of Free, optional
+        What is estimated; by default everything that the site does not call exact, and no offset.
+    progress : callable, optional
+        Is told what is being done.
+
+    Returns
+    -------
+    SurveyResult
+
+    Raises
+    ------
+    UserError
+        If there is nothing to estimate, or too little was measured.
+    SystemFailure
+        If no survey fits what was measured.
+    """
+    free = default_free(site) if free is None else free
+    if not free:
+        raise UserError(
+            f'the site "{site.name}" says that everything is exact, so there is nothing to estimate: say with --free '
+            "what is to be found, or give standard deviations in its [survey]"
+        )
+    problem = _problem(site, data, free)
+    tell_progress = progress if progress is not None else (lambda what, part: None)
+    state = start_of(site, len(data.epochs), len(data.anchors))
+    tell_progress("rough poses", 0.0)
+    if data.epochs:
+        state = rough_poses(problem, state)
+    if data.anchors:
+        state = replace(state, anchor_rotation=anchor_attitudes(problem, state))
+    solution = _solved(problem, state, tell_progress)
+    tell_progress("uncertainty", 0.95)
+    site = found_site(solution)
+    count = BEACON * len(site.beacons)
+    gone = ~solution.sound
+    return SurveyResult(
+        site=site,
+        parameters=parameters_of(solution, free),
+        covariance=solution.covariance[:count, :count],
+        residual_before=solution.residual_before,
+        residual_after=solution.residual_after,
+        outliers=outliers_of(solution, site, data.epochs),
+        advice=(),
+        position_m=np.where(gone[:, None], np.nan, solution.state.sensor_m),
+        rotation=np.where(gone[:, None, None], np.nan, solution.state.rotation),
+    )
+
+
+def _problem(site: Site, data: SurveyData, free: frozenset[Free]) -> Problem:
+    row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
+    readings = _readings(data.epochs, row)
+    anchors = _readings(tuple(anchor.fields for anchor in data.anchors), row, data.anchors)
+    components = readings.count.sum() + anchors.count.sum()
+    if components < 1:
+        raise UserError("nothing was measured: give a table of fields, a recording, or anchors")
+    number = {fields.epoch: index for index, fields in enumerate(data.epochs)}
+    point, weight = np.zeros((len(data.epochs), 3)), np.zeros((len(data.epochs), 3))
+    for known in data.points:
+        index = number[known.epoch]
+        measured = np.isfinite(known.position_m)
+        point[index, measured], weight[index, measured] = known.position_m[measured], 1.0 / known.sigma_m
+    centre = np.array([beacon.position_m for beacon in site.beacons])
+    low, high = centre.min(axis=0), centre.max(axis=0)
+    size = float(np.linalg.norm(high - low)) + 10.0 * float(FieldModel(site.beacons).reach_m.max())
+    count = BEACON * len(site.beacons) + SENSOR
+    return Problem(
+        site=site,
+        axes=np.eye(3) if site.sensor.axes is None else site.sensor.axes,
+        prior=prior_of(site, free, start_of(site, 0, 0)),
+        readings=readings,
+        point_m=point,
+        point_weight=weight,
+        room_m=0.5 * (low + high),
+        room_sd_m=2.0 * size,
+        constraints=Constraints(data.known, row, np.array([beacon.current_A for beacon in site.beacons]), count),
+        anchors=anchors,
+        anchor_rows=[row[anchor.beacon] for anchor in data.anchors],
+    )
+
+
+def _readings(
+    epochs: tuple[Fields, ...], row: dict[str, int], anchors: tuple[AnchorFields, ...] = ()
+) -> Readings:
+    """Put the fields in the order of the site's beacons; an anchor's own beacon is left out."""
+    field = np.zeros((len(epochs), len(row), 3))
+    sigma = np.full(field.shape, np.inf)
+    for index, fields in enumerate(epochs):
+        rows = [row[name] for name in fields.beacons]
+        usable = np.isfinite(fields.field_T) & (np.isfinite(fields.sigma_T) & (fields.sigma_T > 0.0))[:, None]
+        field[index, rows] = np.where(usable, fields.field_T, 0.0)
+        sigma[index, rows] = np.where(usable, fields.sigma_T[:, None], np.inf)
+    for index, anchor in enumerate(anchors):
+        field[index, row[anchor.beacon]], sigma[index, row[anchor.beacon]] = 0.0, np.inf
+    return Readings(field, sigma)
+
+
+def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
+    """Adjust through the stages, find the outliers, and adjust the rest once more without any robust loss."""
+    for place, model_error in enumerate(STAGES):
+        last = model_error == 0.0
+        progress(f"fit with a model error of {100.0 * model_error:g} %", 0.1 + 0.1 * place)
+        state, now = adjust(
+            problem, state, model_error, robust=True, progress=FINE_PROGRESS if last else ROUGH_PROGRESS
+        )
+    for place in range(ROUNDS):
+        lost = ~_likely(now.squares, problem.readings.count)
+        if not lost.any():
+            break
+        progress(f"search for {int(lost.sum())} epochs that do not fit", 0.6 + 0.08 * place)
+        tried = searched_poses(problem, state, np.flatnonzero(lost))
+        squares = evaluate(problem, tried).squares
+        better = lost & (squares < now.squares - 1.0)
+        if not better.any():
+            break
+        state = replace(
+            state,
+            sensor_m=np.where(better[:, None], tried.sensor_m, state.sensor_m),
+            rotation=np.where(better[:, None, None], tried.rotation, state.rotation),
+        )
+        state, now = adjust(problem, state, robust=True)
+    widened = _widening(problem, now)
+    if widened > 1.0:
+        problem = replace(
+            problem, readings=Readings(problem.readings.field_T, widened * problem.readings.sigma_T)
+        )
+        state, now = adjust(problem, state, robust=True)
+    sound = _likely(now.squares, problem.readings.count)
+    for _ in range(ROUNDS):
+        _check_sound(sound)
+        progress(f"last fit of {int(sound.sum())} epochs", 0.9)
+        kept, last_evaluation = adjust(problem.of_epochs(sound), state.of_epochs(sound))
+        state = _put(state, kept, sound)
+        still = _likely(last_evaluation.squares, problem.readings.count[sound])
+        if still.all():
+            break
+        sound[np.flatnonzero(sound)[~still]] = False
+    matrix, _, _ = last_evaluation.equations.reduced()
+    covariance = np.zeros((len(problem.prior.free),) * 2)
+    covariance[np.ix_(problem.prior.free, problem.prior.free)] = inverse(matrix)
+    return Solution(
+        problem,
+        state,
+        sound,
+        last_evaluation,
+        evaluate(problem, state).squares,
+        covariance,
+        widened,
+        *_residuals(problem, state, sound, last_evaluation),
+    )
+
+
+def _put(state: State, some: State, rows: NDArray[np.bool_]) -> State:
+    """Return the state of some epochs, with the poses of the others."""
+    position, rotation = state.sensor_m.copy(), state.rotation.copy()
+    position[rows], rotation[rows] = some.sensor_m, some.rotation
+    return replace(some, sensor_m=position, rotation=rotation)
+
+
+def _likely(squares: FloatArray, count: FloatArray) -> NDArray[np.bool_]:
+    """Tell which epochs, shape (e,), have a chi-square that noise explains; those without redundancy have none."""
+    freedom = count - 6.0
+    finite = np.where(np.isfinite(squares), squares, np.inf)
+    return np.asarray((freedom > 0.0) & (gammaincc(np.maximum(freedom, 1.0) / 2.0, finite / 2.0) > UNLIKELY))
+
+
+def _widening(problem: Problem, now: Evaluation) -> float:
+    """Return by what the fields' deviations must be multiplied so that the usual epoch fits.
+
+    Raises
+    ------
+    SystemFailure
+        If the usual epoch is far from fitting.
+    """
+    freedom = problem.readings.count - 6.0
+    some = freedom > 0.0
+    if not some.any():
+        return 1.0
+    usual = float(np.median(now.squares[some] / chdtri(freedom[some], 0.5)))
+    if not usual < REFUSED:
+        raise SystemFailure(_refusal(problem, now, usual))
+    return float(np.sqrt(usual)) if usual > WIDENED else 1.0
+
+
+def _refusal(problem: Problem, now: Evaluation, usual: float) -> str:
+    """Say that nothing fits, and which beacon fits worst."""
+    measured = np.isfinite(problem.readings.sigma_T).any(axis=2)
+    size = np.where(measured, now.by_beacon, np.nan)
+    heard = measured.any(axis=0)
+    each = np.full(len(heard), -np.inf)
+    each[heard] = np.nanmedian(size[:, heard], axis=0)
+    worst = problem.site.beacons[int(np.argmax(each))].id
+    return (
+        f"no survey fits the fields: the usual epoch has a residual of {np.sqrt(usual):.3g}, where a sound one has 1; "
+        f"{worst} fits worst: check its entry in the site file, whether [survey] and [sensor] allow for how wrong the "
+        "site may be, sigma_T, and whether metal is near"
+    )
+
+
+def _check_sound(sound: NDArray[np.bool_]) -> None:
+    if len(sound) and sound.mean() < LEAST_SOUND:
+        raise SystemFailure(
+            f"only {int(sound.sum())} of {len(sound)} epochs agree with each other: walk again slowly, away from "
+            "metal, or check sigma_T"
+        )
+
+
+def _residuals(problem: Problem, state: State, sound: NDArray[np.bool_], last: Evaluation) -> tuple[float, float]:
+    """Return the normalised residuals of the sound epochs with the site as it was, and as it was found."""
+    freedom = float((problem.readings.count[sound] - 6.0).sum())
+    if freedom <= 0.0:
+        anchors = float(problem.anchors.count.sum())
+        value = float(np.sqrt(last.anchor_squares.sum() / max(anchors - 3.0 * len(problem.anchor_rows), 1.0)))
+        return float("nan"), value
+    some = problem.of_epochs(sound)
+    start = replace(problem.prior.start, sensor_m=state.sensor_m[sound], rotation=state.rotation[sound])
+    fit = fit_pose(
+        FieldModel(problem.site.beacons), measurements_of(some, start, 0.0), start.sensor_m, start.rotation
+    )
+    before = float(np.sqrt(fit.cost[np.isfinite(fit.cost)].sum() / freedom))
+    return before, float(np.sqrt(last.squares.sum() / freedom))

@@ -1,0 +1,191 @@
+"""Seeded surveys: a site that is not as its file says, a walk through it, and how near the survey comes to the truth.
+
+The truth's fields are magpylib's, independent of the host's model.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
+
+from goldfield.site import HalfSpace, Site
+from goldfield.survey.data import AnchorFields, KnownPoint, SurveyData, SurveyResult
+from goldfield.survey.parameters import BEACON, across, turn_between
+from goldfield.types import Fields
+from tests.bench.integrity_coils import Coils
+from tests.bench.integrity_sites import Errors, told
+from tests.bench.locate_trials import CHIPS, ceiling_lattice, loop_beacon, prigge_cube, site_of
+
+FloatArray = NDArray[np.float64]
+
+ASTRAY = Errors(position_m=0.2 / math.sqrt(3.0), axis_rad=math.radians(10.0) / math.sqrt(2.0), current=0.03)
+"""How wrong the site's file is: 20 cm, 10 degrees and 3 % as roots of the mean square."""
+POINT_SD_M = 0.002
+
+
+@dataclass(frozen=True)
+class Room:
+    """A room to walk in: the site as it is thought to be, and the box within which the sensor moves."""
+
+    site: Site
+    low_m: FloatArray
+    high_m: FloatArray
+
+
+def cube(noise_T: float = 2e-8) -> Room:
+    """Return Prigge and How's cube, walked in its inner half."""
+    return Room(prigge_cube(noise_T), np.array([0.35, 0.35, 0.25]), np.array([1.8, 1.8, 1.5]))
+
+
+def lattice(noise_T: float = 2e-8) -> Room:
+    """Return 4 x 4 coils under a ceiling at 2.7 m, 3 m apart."""
+    beacons = [loop_beacon(4 * i + j, (3.0 * i, 3.0 * j, 2.7)) for i in range(4) for j in range(4)]
+    below = HalfSpace(np.array([0.0, 0.0, 2.7]), np.array([0.0, 0.0, -1.0]))
+    return Room(site_of(beacons, below, noise_T), np.array([0.3, 0.3, 0.6]), np.array([8.7, 8.7, 1.9]))
+
+
+def walk(room: Room, rng: np.random.Generator, epochs: int) -> tuple[FloatArray, FloatArray]:
+    """Return positions and attitudes of a sensor in a hand that is led all through a room at .5 m/s, ten epochs a second."""
+    corners = max(epochs // 20, 4)
+    knots = room.low_m + (room.high_m - room.low_m) * rng.uniform(size=(corners, 3))
+    time = np.linspace(0.0, 1.0, epochs)
+    path = CubicSpline(np.linspace(0.0, 1.0, corners), knots)(time)
+    turn = CubicSpline(np.linspace(0.0, 1.0, corners), 1.2 * rng.normal(size=(corners, 3)))(time)
+    return np.clip(path, room.low_m - 0.15, room.high_m + 0.15), Rotation.from_rotvec(turn).as_matrix()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A survey to be made, and the truth.
+
+    Attributes
+    ----------
+    site : Site
+        What the file says.
+    data : SurveyData
+    coils : Coils
+        What is true, one row.
+    sensor : ndarray, shape (3, 3)
+        What the sensor makes of a field.
+    position_m, rotation : ndarray
+        True poses of the epochs.
+    corrupted : ndarray of bool, shape (e,)
+    """
+
+    site: Site
+    data: SurveyData
+    coils: Coils
+    sensor: FloatArray
+    position_m: FloatArray
+    rotation: FloatArray
+    corrupted: NDArray[np.bool_]
+
+
+def fields_of(names: tuple[str, ...], field_T: FloatArray, sigma_T: float, first: int = 0) -> tuple[Fields, ...]:
+    return tuple(
+        Fields(first + e, 0.1 * e, names, values, np.full(len(names), sigma_T)) for e, values in enumerate(field_T)
+    )
+
+
+def measured(
+    coils: Coils, position_m: FloatArray, rotation: FloatArray, sensor: FloatArray, sigma_T: float, rng: np.random.Generator
+) -> FloatArray:
+    """Return what a sensor at poses reads of the true coils, shape (e, n, 3)."""
+    many = Coils(*(np.repeat(part, len(position_m), axis=0) for part in
+                   (coils.position_m, coils.axis, coils.radius_m, coils.ampere_turns)))
+    seen = np.einsum("ij,ekj,enk->eni", sensor, rotation.swapaxes(1, 2), many.field(position_m))
+    return seen + sigma_T * rng.normal(size=seen.shape)
+
+
+def trial(
+    room: Room,
+    seed: int,
+    *,
+    epochs: int = 600,
+    points: int = 10,
+    corrupted: float = 0.0,
+    errors: Errors = ASTRAY,
+    anchors: bool = False,
+) -> Trial:
+    """Draw a survey: the true site around the file's, a walk, known points in it, and corrupted epochs.
+
+    A corrupted epoch has one to three beacons with fields of another place and attitude.
+    """
+    rng = np.random.default_rng(seed)
+    site = told(room.site, errors)
+    coils = Coils.of(site, 1)
+    coils = coils.moved(errors.position_m * rng.normal(size=coils.axis.shape))
+    coils = coils.turned(errors.axis_rad * rng.normal(size=coils.axis.shape))
+    coils = coils.scaled(np.exp(errors.current * rng.normal(size=coils.radius_m.shape)))
+    sensor = np.eye(3) + np.where(np.eye(3, dtype=bool), errors.gain, errors.sensor_axis_rad) * rng.normal(size=(3, 3))
+    sigma = site.sensor.noise_T / np.sqrt(CHIPS)
+    position, rotation = walk(room, rng, epochs)
+    standing = room.low_m + (room.high_m - room.low_m) * rng.uniform(size=(points, 3))
+    which = np.linspace(0, epochs - 1, points).round().astype(int) if points else np.empty(0, dtype=int)
+    position[which] = standing
+    field = measured(coils, position, rotation, sensor, sigma, rng)
+    wrong = rng.uniform(size=epochs) < corrupted
+    wrong[which] = False
+    for e in np.flatnonzero(wrong):
+        some = rng.choice(len(site.beacons), size=rng.integers(1, 4), replace=False)
+        field[e, some] = field[rng.integers(epochs), some] @ Rotation.random(rng=rng).as_matrix()
+    names = tuple(beacon.id for beacon in site.beacons)
+    known = tuple(
+        KnownPoint(int(e), place + POINT_SD_M * rng.normal(size=3), POINT_SD_M)
+        for e, place in zip(which, standing, strict=True)
+    )
+    witnesses: tuple[AnchorFields, ...] = ()
+    if anchors:
+        attitudes = Rotation.random(len(names), rng=rng).as_matrix()
+        seen = measured(coils, coils.position_m[0], attitudes, np.eye(3), sigma / np.sqrt(100.0), rng)
+        seen[np.arange(len(names)), np.arange(len(names))] = np.nan
+        seen *= 1.0 + 1e-3 * rng.normal(size=(len(names), 1, 1))
+        witnesses = tuple(
+            AnchorFields(name, Fields(a, 0.0, names, seen[a], np.full(len(names), sigma / 10.0)))
+            for a, name in enumerate(names)
+        )
+    data = SurveyData(fields_of(names, field, sigma), known, (), witnesses)
+    return Trial(site, data, coils, sensor, position, rotation, wrong)
+
+
+def errors_of(result: SurveyResult, truth: Trial) -> FloatArray:
+    """Return how far what was found is from the truth, in the order of the covariance, shape (6 n,)."""
+    found = result.site.beacons
+    axis = np.array([beacon.axis for beacon in found])
+    turn = np.einsum("nij,nj->ni", across(axis), turn_between(truth.coils.axis[0], axis))
+    strength = np.log([b.turns * b.current_A for b in found]) - np.log(truth.coils.ampere_turns[0])
+    place = np.array([beacon.position_m for beacon in found]) - truth.coils.position_m[0]
+    return np.column_stack([place, turn, strength]).ravel()
+
+
+@dataclass(frozen=True)
+class Score:
+    """Errors of a survey: roots of the mean square over its beacons (m), and what they should be."""
+
+    rms_m: float
+    bound_m: float
+    nees: float
+
+
+def score(result: SurveyResult, truth: Trial) -> Score:
+    """Compare a survey with the truth; the normalised square of all errors is per degree of freedom."""
+    error = errors_of(result, truth)
+    places = np.arange(len(error)).reshape(-1, BEACON)[:, :3].ravel()
+    free = np.diag(result.covariance) > 0.0
+    part = result.covariance[np.ix_(free, free)]
+    scale = 1.0 / np.sqrt(np.diag(part))
+    normal = np.linalg.solve(scale[:, None] * part * scale, scale * error[free])
+    count = len(places) / 3.0
+    return Score(
+        float(np.sqrt((error[places] ** 2).sum() / count)),
+        float(np.sqrt(np.diag(result.covariance)[places].sum() / count)),
+        float((scale * error[free]) @ normal / free.sum()),
+    )
+
+
+__all__ = ["ASTRAY", "ceiling_lattice", "cube", "lattice", "replace", "score", "trial"]
