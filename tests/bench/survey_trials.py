@@ -50,7 +50,7 @@ def lattice(noise_T: float = 2e-8) -> Room:
 
 
 def walk(room: Room, rng: np.random.Generator, epochs: int) -> tuple[FloatArray, FloatArray]:
-    """Return positions and attitudes of a sensor in a hand that is led all through a room at .5 m/s, ten epochs a second."""
+    """Return positions and attitudes of a sensor that a hand leads through a room, ten epochs a second."""
     corners = max(epochs // 20, 4)
     knots = room.low_m + (room.high_m - room.low_m) * rng.uniform(size=(corners, 3))
     time = np.linspace(0.0, 1.0, epochs)
@@ -93,11 +93,20 @@ def fields_of(names: tuple[str, ...], field_T: FloatArray, sigma_T: float, first
 
 
 def measured(
-    coils: Coils, position_m: FloatArray, rotation: FloatArray, sensor: FloatArray, sigma_T: float, rng: np.random.Generator
+    coils: Coils,
+    position_m: FloatArray,
+    rotation: FloatArray,
+    sensor: FloatArray,
+    sigma_T: float,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """Return what a sensor at poses reads of the true coils, shape (e, n, 3)."""
-    many = Coils(*(np.repeat(part, len(position_m), axis=0) for part in
-                   (coils.position_m, coils.axis, coils.radius_m, coils.ampere_turns)))
+    many = Coils(
+        *(
+            np.repeat(part, len(position_m), axis=0)
+            for part in (coils.position_m, coils.axis, coils.radius_m, coils.ampere_turns)
+        )
+    )
     seen = np.einsum("ij,ekj,enk->eni", sensor, rotation.swapaxes(1, 2), many.field(position_m))
     return seen + sigma_T * rng.normal(size=seen.shape)
 

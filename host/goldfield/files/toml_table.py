@@ -175,6 +175,18 @@ class Table:
             )
         return text
 
+    def labels(self, key: str) -> list[str]:
+        """Return a required list of at least one name, each a text or a whole number."""
+        value = self._required(key)
+        if not isinstance(value, list) or not value:
+            raise self.error(key, f"must be a list of names, not {_kind(value)}")
+        return [
+            Table(
+                {key: item}, path=self._path, lines=self._lines, name=self._name, header_line=self._header_line
+            ).label(key)
+            for item in value
+        ]
+
     def integer(self, key: str) -> int:
         """Return a required whole number of at most 18 digits."""
         value = self._required(key)

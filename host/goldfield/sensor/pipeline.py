@@ -141,6 +141,19 @@ class Sensor:
             chosen = f"the sensor that was chosen, but of {others}" if others else "a sensor"
             raise UserError(f"{self.name}: holds no cycle of {chosen}")
 
+    def fields(self) -> Iterator[Fields]:
+        """Yield the separated fields of each code cycle, not located, with no cycle that anybody calls wrong.
+
+        They are those of `Epoch`: without beacons whose boards report a fault, at the site's currents. The errors are
+        those of `epochs`.
+        """
+        for report in self.reports():
+            self._found = True
+            verdict = judge(self._session.health, report, self.site)
+            fields = amended_fields(self._separation.fields(report), verdict)
+            if len(fields.beacons) and not any(_notes(report, verdict, self.site.chips)):
+                yield fields
+
     def reports(self) -> Iterator[Report]:
         """Yield what arrived of each code cycle, neither separated nor located; otherwise as `epochs`."""
         first = math.nan

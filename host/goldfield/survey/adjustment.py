@@ -77,9 +77,7 @@ class Problem:
     def of_epochs(self, rows: NDArray[np.bool_]) -> Problem:
         """Return the problem with some of the epochs."""
         readings = Readings(self.readings.field_T[rows], self.readings.sigma_T[rows])
-        return replace(
-            self, readings=readings, point_m=self.point_m[rows], point_weight=self.point_weight[rows]
-        )
+        return replace(self, readings=readings, point_m=self.point_m[rows], point_weight=self.point_weight[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,9 +162,7 @@ def _anchors(
     return float(loss.sum()), squares, common, gradient, group
 
 
-def _only(
-    free: NDArray[np.bool_], common: FloatArray, gradient: FloatArray, groups: Sequence[Group]
-) -> Equations:
+def _only(free: NDArray[np.bool_], common: FloatArray, gradient: FloatArray, groups: Sequence[Group]) -> Equations:
     """Return the equations of the parameters that are free."""
     return Equations(
         common[np.ix_(free, free)],

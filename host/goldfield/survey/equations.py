@@ -1,9 +1,9 @@
 """The normal equations of an adjustment, and their solution with the poses eliminated (Schur complement).
 
 A component c of the reading of a beacon's field B is y_c = b_c . B + o_c, where b_c is row c of (I + E) A R'. With
-m_c = b_c' G, the gradient G of the field and q the sensor seen from the coil, its derivatives are: by the sensor's place
-m_c, by its turn b_c x B, by the coil's place -m_c, by the coil's turn m_c x q - b_c x B, by the logarithm of the current
-b_c . B, and by E_cd the component d of A R' B.
+m_c = b_c' G, the gradient G of the field and q the sensor seen from the coil, its derivatives are: by the sensor's
+place m_c, by its turn b_c x B, by the coil's place -m_c, by the coil's turn m_c x q - b_c x B, by the logarithm of the
+current b_c . B, and by E_cd the component d of A R' B.
 """
 
 from __future__ import annotations
@@ -96,9 +96,7 @@ def derivatives(
     sensor = np.zeros((*field.shape, SENSOR))
     sensor[:, :, ROWS, np.arange(TERMS)] = (bare[:, None] @ field[..., None])[..., 0][:, :, COLUMNS]
     sensor[:, :, :, TERMS:] = np.eye(3)
-    return Derivatives(
-        field_T - reading - state.offset_T, np.concatenate([slope, turn], axis=3), beacon, sensor
-    )
+    return Derivatives(field_T - reading - state.offset_T, np.concatenate([slope, turn], axis=3), beacon, sensor)
 
 
 def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
@@ -124,6 +122,11 @@ class Group:
     gradient: FloatArray
 
 
+Eliminated = tuple[FloatArray, FloatArray, FloatArray]
+"""What is needed to find the epochs' own unknowns again, with L L' their damped matrix: L^-T, L^-1 cross and
+L^-1 gradient."""
+
+
 @dataclass(frozen=True, eq=False)
 class Equations:
     """Normal equations: of the g common unknowns, and of groups of epochs.
@@ -139,15 +142,15 @@ class Equations:
     gradient: FloatArray
     groups: tuple[Group, ...]
 
-    def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray, FloatArray]]]:
+    def reduced(self, damping: float = 0.0) -> tuple[FloatArray, FloatArray, list[Eliminated]]:
         """Eliminate the epochs.
 
         Returns
         -------
         matrix, vector : ndarray, shapes (g, g) and (g,)
             The reduced equations.
-        parts : list of (ndarray, ndarray, ndarray)
-            What is needed to find the epochs' own unknowns again: L^-T, L^-1 C and L^-1 gradient.
+        parts : list of Eliminated
+            One of each group.
         """
         matrix = self.common + np.diag(damping * np.diag(self.common))
         vector, parts = self.gradient.copy(), []

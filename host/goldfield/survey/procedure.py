@@ -14,6 +14,7 @@ from goldfield.field import FieldModel
 from goldfield.locate.fit import fit_pose
 from goldfield.site import Site
 from goldfield.survey.adjustment import FINE_PROGRESS, ROUGH_PROGRESS, STAGES, Evaluation, Problem, adjust, evaluate
+from goldfield.survey.advice import advice_of
 from goldfield.survey.constraints import Constraints
 from goldfield.survey.data import AnchorFields, Free, SurveyData, SurveyResult
 from goldfield.survey.equations import Readings, inverse
@@ -88,7 +89,7 @@ def survey(
         residual_before=solution.residual_before,
         residual_after=solution.residual_after,
         outliers=outliers_of(solution, site, data.epochs),
-        advice=(),
+        advice=advice_of(solution, data),
         position_m=np.where(gone[:, None], np.nan, solution.state.sensor_m),
         rotation=np.where(gone[:, None, None], np.nan, solution.state.rotation),
     )
@@ -126,9 +127,7 @@ def _problem(site: Site, data: SurveyData, free: frozenset[Free]) -> Problem:
     )
 
 
-def _readings(
-    epochs: tuple[Fields, ...], row: dict[str, int], anchors: tuple[AnchorFields, ...] = ()
-) -> Readings:
+def _readings(epochs: tuple[Fields, ...], row: dict[str, int], anchors: tuple[AnchorFields, ...] = ()) -> Readings:
     """Put the fields in the order of the site's beacons; an anchor's own beacon is left out."""
     field = np.zeros((len(epochs), len(row), 3))
     sigma = np.full(field.shape, np.inf)
@@ -168,9 +167,7 @@ def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
         state, now = adjust(problem, state, robust=True)
     widened = _widening(problem, now)
     if widened > 1.0:
-        problem = replace(
-            problem, readings=Readings(problem.readings.field_T, widened * problem.readings.sigma_T)
-        )
+        problem = replace(problem, readings=Readings(problem.readings.field_T, widened * problem.readings.sigma_T))
         state, now = adjust(problem, state, robust=True)
     sound = _likely(now.squares, problem.readings.count)
     for _ in range(ROUNDS):
@@ -245,7 +242,7 @@ def _refusal(problem: Problem, now: Evaluation, usual: float) -> str:
 
 
 def _check_sound(sound: NDArray[np.bool_]) -> None:
-    if len(sound) and sound.mean() < LEAST_SOUND:
+    if sound.size and sound.mean() < LEAST_SOUND:
         raise SystemFailure(
             f"only {int(sound.sum())} of {len(sound)} epochs agree with each other: walk again slowly, away from "
             "metal, or check sigma_T"
@@ -261,8 +258,6 @@ def _residuals(problem: Problem, state: State, sound: NDArray[np.bool_], last: E
         return float("nan"), value
     some = problem.of_epochs(sound)
     start = replace(problem.prior.start, sensor_m=state.sensor_m[sound], rotation=state.rotation[sound])
-    fit = fit_pose(
-        FieldModel(problem.site.beacons), measurements_of(some, start, 0.0), start.sensor_m, start.rotation
-    )
+    fit = fit_pose(FieldModel(problem.site.beacons), measurements_of(some, start, 0.0), start.sensor_m, start.rotation)
     before = float(np.sqrt(fit.cost[np.isfinite(fit.cost)].sum() / freedom))
     return before, float(np.sqrt(last.squares.sum() / freedom))

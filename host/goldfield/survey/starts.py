@@ -34,9 +34,7 @@ def measurements_of(problem: Problem, state: State, model_error: float) -> Measu
     size2 = (field * field).sum(axis=2)
     sigma = np.sqrt(np.where(measured, readings.sigma_T**2, np.inf).min(axis=2) + (model_error**2) * size2)
     usable = np.isfinite(sigma)
-    return Measurements(
-        np.where(measured & usable[..., None], field, np.nan), np.where(usable, sigma, 1.0)
-    )
+    return Measurements(np.where(measured & usable[..., None], field, np.nan), np.where(usable, sigma, 1.0))
 
 
 def rough_poses(problem: Problem, state: State) -> State:
@@ -48,7 +46,7 @@ def rough_poses(problem: Problem, state: State) -> State:
     places = np.concatenate(
         [_nearest(grid, strength, measurements, some) for some in _batches(len(measurements))]
     )  # (e, BEST, 3)
-    known = (problem.point_weight > 0.0).all(axis=1)
+    known = np.asarray((problem.point_weight > 0.0).all(axis=1))
     places[known] = problem.point_m[known][:, None]
     best: Fit | None = None
     for k in range(places.shape[1]):
@@ -63,9 +61,8 @@ def rough_poses(problem: Problem, state: State) -> State:
             best.put(better, fit.take(better))
     assert best is not None
     position = np.where(known[:, None], problem.point_m, best.position_m)
-    far = ~np.isfinite(position).all(axis=1) | (
-        np.linalg.norm(position - problem.room_m, axis=1) > 3.0 * problem.room_sd_m
-    )
+    away = np.where(np.isfinite(position), np.abs(position - problem.room_m), np.inf)
+    far = np.asarray(away.max(axis=1) > 3.0 * problem.room_sd_m)
     position[far] = places[far, 0]
     rotation = np.where(np.isfinite(best.rotation).all(axis=(1, 2))[:, None, None], best.rotation, np.eye(3))
     return _posed(state, position, rotation)
@@ -145,9 +142,7 @@ def _inside(problem: Problem, position_m: FloatArray) -> NDArray[np.bool_]:
     return np.asarray((position_m - side.point_m) @ side.normal >= 0.0)
 
 
-def _nearest(
-    grid: FloatArray, strength: FloatArray, measurements: Measurements, rows: NDArray[np.intp]
-) -> FloatArray:
+def _nearest(grid: FloatArray, strength: FloatArray, measurements: Measurements, rows: NDArray[np.intp]) -> FloatArray:
     """Return the points of the grid whose strengths are most like those of some epochs, shape (r, BEST, 3)."""
     size, sigma = measurements.magnitude_T[rows], measurements.sigma_T[rows]
     loud = measurements.known[rows] & (size > LOUD * sigma)

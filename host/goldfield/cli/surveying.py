@@ -1,0 +1,171 @@
+"""What ``goldfield survey`` does: it gathers what was measured, adjusts, writes the new site file, and reports."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from goldfield import site as sites
+from goldfield.cli import link_options, options
+from goldfield.cli.output import json_line, number
+from goldfield.errors import Loudness, UserError, loudness
+from goldfield.files.outputs import check_outputs, write_file
+from goldfield.sensor.fields_table import read_fields
+from goldfield.site import Site
+from goldfield.site.revision import BeaconRevision, SensorRevision, revised
+from goldfield.survey import Free, SurveyData, SurveyResult, procedure, survey
+from goldfield.survey.data import AnchorFields
+from goldfield.survey.known_files import read_known, read_points
+from goldfield.types import Fields
+
+MOST_OUTLIERS = 10
+"""Outliers that the table for people names one by one."""
+
+
+def make_survey(arguments: argparse.Namespace) -> int:
+    """Survey, write the new site file, and print what was found."""
+    path = options.required(arguments.site, "--site", "FILE")
+    out = options.required(arguments.out, "--out", "NEW.toml")
+    tables = [_named(text) for text in arguments.anchor]
+    inputs = {"--site": path, "FIELDS.csv": arguments.fields, "--log": arguments.log}
+    inputs |= {"--points": arguments.points, "--known": arguments.known}
+    inputs |= {f"--anchor {name}": table for name, table in tables}
+    check_outputs({"--out": out}, inputs, force=arguments.force)
+    site = sites.load(path)
+    options.tell_doubts(site)
+    known = read_known(arguments.known, site) if arguments.known else ()
+    anchors = tuple(_anchor(site, name, table) for name, table in tables)
+    free = None if arguments.free is None else frozenset(Free(kind) for kind in arguments.free)
+    epochs = _epochs(arguments, site, anchors)
+    points = read_points(arguments.points, epochs) if arguments.points else ()
+    with _progress() as told:
+        result = survey(site, SurveyData(epochs, points, known, anchors), free, told)
+    text = revised(Path(path), *revisions(site, result))
+    write_file(out, text.encode(), "the new site file", force=arguments.force)
+    print(json_line(record(result)) if arguments.json else table_of(site, result))
+    return 0
+
+
+def _named(text: str) -> tuple[str, str]:
+    name, equals, table = text.partition("=")
+    if not (name and equals and table):
+        raise UserError(f"--anchor {text}: is no ID=FIELDS.csv: give the beacon's id and the table of its sensor")
+    return name, table
+
+
+def _anchor(site: Site, name: str, path: str) -> AnchorFields:
+    """Read what the sensor of an anchor measured, averaged over its epochs."""
+    ids = [beacon.id for beacon in site.beacons]
+    if name not in ids:
+        raise UserError(f'--anchor {name}={path}: the site has no beacon "{name}"; it has {", ".join(ids)}')
+    weight, total = np.zeros(len(ids)), np.zeros((len(ids), 3))
+    for fields in read_fields(site, path):
+        for beacon, field, sigma in zip(fields.beacons, fields.field_T, fields.sigma_T, strict=True):
+            if np.isfinite(field).all():
+                row = ids.index(beacon)
+                weight[row] += sigma**-2
+                total[row] += field * sigma**-2
+    rows = np.flatnonzero(weight > 0.0)
+    mean = total[rows] / weight[rows, None]
+    return AnchorFields(name, Fields(0, 0.0, tuple(ids[row] for row in rows), mean, weight[rows] ** -0.5))
+
+
+def _epochs(arguments: argparse.Namespace, site: Site, anchors: Sequence[AnchorFields]) -> tuple[Fields, ...]:
+    """Return the epochs of the table, the recording or the sensor; none if there are but anchors."""
+    links = [kind for kind in ("port", "can", "log") if getattr(arguments, kind) is not None]
+    if arguments.fields:
+        if links:
+            raise UserError(f"FIELDS.csv and --{links[0]} are both given: give one of them")
+        return tuple(read_fields(site, arguments.fields))
+    if not links and anchors:
+        return ()
+    if not links:
+        raise UserError("nothing was measured: give FIELDS.csv, --log FILE, --port PATH or --anchor ID=FIELDS.csv")
+    from goldfield.sensor.opening import open_sensor  # heavy: only when a sensor is read
+    from goldfield.sensor.options import Options
+
+    kind, where = link_options.chosen(arguments)
+    with open_sensor(kind, where, site, Options(node=arguments.node, seconds=arguments.seconds)) as sensor:
+        return tuple(sensor.fields())
+
+
+@contextmanager
+def _progress() -> Iterator[procedure.Progress]:
+    """Show on stderr what is being done, if that is a terminal."""
+    quiet = not sys.stderr.isatty() or loudness() is Loudness.QUIET
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
+        task = bar.add_task("survey", total=1.0)
+
+        def told(what: str, part: float) -> None:
+            bar.update(task, description=what, completed=part)
+
+        yield told
+
+
+def revisions(site: Site, result: SurveyResult) -> tuple[dict[str, BeaconRevision], SensorRevision | None]:
+    """Return what is new in the site file: what was estimated, with its deviations."""
+    beacons = {}
+    for old, new in zip(site.beacons, result.site.beacons, strict=True):
+        beacons[old.id] = BeaconRevision(
+            position_m=new.position_m if f"{old.id}.x_m" in result.parameters else None,
+            axis=new.axis if f"{old.id}.axis_x" in result.parameters else None,
+            current_A=new.current_A if f"{old.id}.current_A" in result.parameters else None,
+            survey=new.survey,
+        )
+    sensor = result.site.sensor
+    gain, tilt = "sensor.gain_x" in result.parameters, "sensor.tilt_xy_rad" in result.parameters
+    if not (gain or tilt):
+        return beacons, None
+    return beacons, SensorRevision(
+        axes=sensor.axes, gain_sd=sensor.gain_sd if gain else None, axis_sd_rad=sensor.axis_sd_rad if tilt else None
+    )
+
+
+def record(result: SurveyResult) -> dict[str, Any]:
+    """Return the result under the keys of ``goldfield survey --json``."""
+    return {
+        "residual_before": number(result.residual_before),
+        "residual_after": number(result.residual_after),
+        "parameters": {
+            name: {"value": one.value, "sd": one.sd, "before": one.before} for name, one in result.parameters.items()
+        },
+        "outliers": [
+            {"epoch": one.epoch, "beacons": list(one.beacons), "residual": number(one.residual)}
+            for one in result.outliers
+        ],
+        "advice": list(result.advice),
+    }
+
+
+def table_of(site: Site, result: SurveyResult) -> str:
+    """Return what was found for people: how far each beacon was off, how well it is known now, and what to do next."""
+    lines = [
+        f"{'beacon':<12}{'x_m':>10}{'y_m':>10}{'z_m':>10}{'sd_mm':>8}{'moved_mm':>10}{'turned_deg':>12}{'current':>10}"
+    ]
+    for old, new in zip(site.beacons, result.site.beacons, strict=True):
+        moved = 1e3 * float(np.linalg.norm(new.position_m - old.position_m))
+        turned = np.rad2deg(np.arccos(np.clip(old.axis @ new.axis, -1.0, 1.0)))
+        place = "".join(f"{value:>10.4f}" for value in new.position_m)
+        deviation = 1e3 * np.sqrt(3.0) * new.survey.position_sd_m
+        ratio = 100.0 * (new.current_A / old.current_A - 1.0)
+        lines.append(f"{old.id:<12}{place}{deviation:>8.2f}{moved:>10.1f}{turned:>12.2f}{ratio:>+9.2f}%")
+    for name, one in result.parameters.items():
+        if name.startswith("sensor."):
+            lines.append(f"{name} = {one.value:.6g} +- {one.sd:.2g}")
+    before = "" if np.isnan(result.residual_before) else f", {result.residual_before:.3g} before"
+    lines.append(f"residual {result.residual_after:.3g}{before} (1: the noise alone)")
+    for outlier in result.outliers[:MOST_OUTLIERS]:
+        of = f" of {', '.join(outlier.beacons)}" if outlier.beacons else ""
+        lines.append(f"epoch {outlier.epoch}: the fields{of} do not agree (residual {outlier.residual:.3g}): left out")
+    if len(result.outliers) > MOST_OUTLIERS:
+        lines.append(f"{len(result.outliers) - MOST_OUTLIERS} more epochs do not agree and were left out")
+    return "\n".join([*lines, *result.advice])
