@@ -144,10 +144,9 @@ def _readings(epochs: tuple[Fields, ...], row: dict[str, int], anchors: tuple[An
 def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
     """Adjust through the stages, find the outliers, and adjust the rest once more without any robust loss."""
     for place, model_error in enumerate(STAGES):
-        last = model_error == 0.0
         progress(f"fit with a model error of {100.0 * model_error:g} %", 0.1 + 0.1 * place)
         state, now = adjust(
-            problem, state, model_error, robust=True, progress=FINE_PROGRESS if last else ROUGH_PROGRESS
+            problem, state, model_error, robust=True, progress=ROUGH_PROGRESS if model_error else FINE_PROGRESS
         )
     for place in range(ROUNDS):
         lost = ~_likely(now.squares, problem.readings.count)
@@ -170,28 +169,36 @@ def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
         problem = replace(problem, readings=Readings(problem.readings.field_T, widened * problem.readings.sigma_T))
         state, now = adjust(problem, state, robust=True)
     sound = _likely(now.squares, problem.readings.count)
-    for _ in range(ROUNDS):
-        _check_sound(sound)
-        progress(f"last fit of {int(sound.sum())} epochs", 0.9)
-        kept, last_evaluation = adjust(problem.of_epochs(sound), state.of_epochs(sound))
-        state = _put(state, kept, sound)
-        still = _likely(last_evaluation.squares, problem.readings.count[sound])
-        if still.all():
-            break
-        sound[np.flatnonzero(sound)[~still]] = False
-    matrix, _, _ = last_evaluation.equations.reduced()
+    state, sound, last = _last_fit(problem, state, sound, progress)
+    matrix, _, _ = last.equations.reduced()
     covariance = np.zeros((len(problem.prior.free),) * 2)
     covariance[np.ix_(problem.prior.free, problem.prior.free)] = inverse(matrix)
     return Solution(
         problem,
         state,
         sound,
-        last_evaluation,
+        last,
         evaluate(problem, state).squares,
         covariance,
         widened,
-        *_residuals(problem, state, sound, last_evaluation),
+        *_residuals(problem, state, sound, last),
     )
+
+
+def _last_fit(
+    problem: Problem, state: State, sound: NDArray[np.bool_], progress: Progress
+) -> tuple[State, NDArray[np.bool_], Evaluation]:
+    """Adjust the sound epochs without a robust loss; those that turn out to be unsound are left out, and so on."""
+    for place in range(ROUNDS):
+        _check_sound(sound)
+        progress(f"last fit of {int(sound.sum())} epochs", 0.9)
+        kept, last = adjust(problem.of_epochs(sound), state.of_epochs(sound))
+        state = _put(state, kept, sound)
+        still = _likely(last.squares, problem.readings.count[sound])
+        if still.all() or place == ROUNDS - 1:
+            break
+        sound[np.flatnonzero(sound)[~still]] = False
+    return state, sound, last
 
 
 def _put(state: State, some: State, rows: NDArray[np.bool_]) -> State:
@@ -230,7 +237,7 @@ def _refusal(problem: Problem, now: Evaluation, usual: float) -> str:
     """Say that nothing fits, and which beacon fits worst."""
     measured = np.isfinite(problem.readings.sigma_T).any(axis=2)
     size = np.where(measured, now.by_beacon, np.nan)
-    heard = measured.any(axis=0)
+    heard = np.asarray(measured.any(axis=0))
     each = np.full(len(heard), -np.inf)
     each[heard] = np.nanmedian(size[:, heard], axis=0)
     worst = problem.site.beacons[int(np.argmax(each))].id
@@ -242,7 +249,7 @@ def _refusal(problem: Problem, now: Evaluation, usual: float) -> str:
 
 
 def _check_sound(sound: NDArray[np.bool_]) -> None:
-    if sound.size and sound.mean() < LEAST_SOUND:
+    if 0 < LEAST_SOUND * sound.size > sound.sum():
         raise SystemFailure(
             f"only {int(sound.sum())} of {len(sound)} epochs agree with each other: walk again slowly, away from "
             "metal, or check sigma_T"

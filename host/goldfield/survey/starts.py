@@ -62,9 +62,10 @@ def rough_poses(problem: Problem, state: State) -> State:
     assert best is not None
     position = np.where(known[:, None], problem.point_m, best.position_m)
     away = np.where(np.isfinite(position), np.abs(position - problem.room_m), np.inf)
-    far = np.asarray(away.max(axis=1) > 3.0 * problem.room_sd_m)
+    far = np.flatnonzero(away.max(axis=1) > 3.0 * problem.room_sd_m)
     position[far] = places[far, 0]
-    rotation = np.where(np.isfinite(best.rotation).all(axis=(1, 2))[:, None, None], best.rotation, np.eye(3))
+    whole = np.asarray(np.isfinite(best.rotation).all(axis=(1, 2)))
+    rotation = np.where(whole[:, None, None], best.rotation, np.eye(3))
     return _posed(state, position, rotation)
 
 
