@@ -39,10 +39,14 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
         default=KINDS[0],
         help="emulated: they run the ARM image (default)",
     )
-    parser.add_argument("--seed", type=_seed, metavar="N", help="in place of the scenario's")
+    parser.add_argument(
+        "--seed", type=_seed, metavar="N", help="in place of the scenario's; walks and errors of installation follow it"
+    )
     parser.add_argument("--json", action="store_true", help="JSON lines")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the lines of truth there, and only there")
     parser.add_argument("--site", type=Path, metavar="FILE", help=SITE_HELP)
+    parser.add_argument("--true-site", type=Path, metavar="FILE", help=TRUE_SITE_HELP)
+    parser.add_argument("--points", type=Path, metavar="FILE", help=POINTS_HELP)
     add_force(parser)
     parser.add_argument("--pace", type=_pace, default=1.0, metavar="X", help=PACE_HELP)
     parser.add_argument("--can", metavar="CHANNEL", default=NO_CAN, help=CAN_HELP)
@@ -51,6 +55,9 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 SITE_HELP = "write the site file of this scenario there; default: a file that is there as long as the bench runs"
+SEED_HELP = "in place of the scenario's; walks and errors of installation without a seed of their own follow it"
+TRUE_SITE_HELP = "write the site file of the bench that is there: where beacons and axes really are"
+POINTS_HELP = "write the cycles that stand at known points there, as a table for goldfield survey --points"
 CAN_HELP = (
     "own: a CAN channel of this bench alone, for programs of this machine; "
     "INTERFACE:CHANNEL of python-can, as socketcan:vcan0; none (default)"

@@ -7,24 +7,27 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from goldfield.errors import counted
+from goldfield.errors import UserError, counted
 from goldfield.files.outputs import OutputFile, check_outputs, holds, write_file
 from hil_sim import LONGEST_S, NO_CAN
 from hil_sim.links.can_bridge import CanBridge
 from hil_sim.links.port_name import PortName
 from hil_sim.links.pseudo_terminal import PseudoTerminal
 from hil_sim.links.read_command import read_command
-from hil_sim.rig import SENSOR, Rig
-from hil_sim.scenario import Scenario, load_scenario, site_toml
+from hil_sim.rig import SENSOR, Rig, Truth, point_row
+from hil_sim.rig.known_points import HEADER
+from hil_sim.scenario import Scenario, load_scenario, site_toml, true_site_toml
 
 SLICE_S = 0.005
 """Virtual time between two services of the links."""
 PROGRESS_S = 5.0
+FILES = ("site", "true_site", "truth", "points", "link")
+"""The options that name a file to write."""
 
 
 class Pace:
@@ -68,17 +71,11 @@ def serve(arguments: argparse.Namespace) -> int:
     SystemFailure
         A board stopped, or the channel is gone.
     """
-    scenario = load_scenario(arguments.scenario)
-    outputs = {"--site": arguments.site, "--truth": arguments.truth, "--link": arguments.link}
-    check_outputs(outputs, {"SCENARIO": arguments.scenario}, force=True)
-    site_file = site_toml(scenario).encode()
-    same = arguments.site is not None and holds(arguments.site, site_file)
-    check_outputs(outputs | {"--site": None if same else arguments.site}, {}, force=arguments.force)
+    scenario = load_scenario(arguments.scenario, arguments.seed)
+    if arguments.points is not None and not scenario.visits:
+        raise UserError(f"--points: the scenario {scenario.name} has no [[known_point]] at which a walk stands still")
     with ExitStack() as stack:
-        site = arguments.site
-        if site is None:
-            site = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="goldfield-"))) / "site.toml"
-        write_file(site, site_file, "the site file", force=arguments.force or same)
+        site = _write_sites(arguments, scenario, stack)
         bridge = None
         if arguments.can != NO_CAN:
             bridge = CanBridge(arguments.can)
@@ -89,10 +86,7 @@ def serve(arguments: argparse.Namespace) -> int:
             terminals[board] = PseudoTerminal()
             stack.callback(terminals[board].close)
         names = {board: _named(arguments.link, terminals[board], scenario, board, stack) for board in terminals}
-        tell_truth: Callable[[str], None] | None = _print_line if arguments.json else None
-        if arguments.truth is not None:
-            file = stack.enter_context(OutputFile(arguments.truth, "the truth", live=True, force=arguments.force))
-            tell_truth = _line_writer(file)
+        tell_truth = _truth_tellers(arguments, scenario, stack)
         channel = NO_CAN if bridge is None else bridge.channel
         pace = Pace(arguments.pace)
         try:
@@ -103,6 +97,45 @@ def serve(arguments: argparse.Namespace) -> int:
         finally:
             _summarise(arguments, rig, sum(terminal.lost for terminal in terminals.values()), bridge, pace)
     return 0
+
+
+def _write_sites(arguments: argparse.Namespace, scenario: Scenario, stack: ExitStack) -> Path:
+    """Write the site files, and return where the host's is; one that is there already may be the same."""
+    outputs = {f"--{name.replace('_', '-')}": getattr(arguments, name) for name in FILES}
+    check_outputs(outputs, {"SCENARIO": arguments.scenario}, force=True)
+    texts = {"--site": site_toml(scenario).encode(), "--true-site": true_site_toml(scenario).encode()}
+    same = {option for option, text in texts.items() if outputs[option] is not None and holds(outputs[option], text)}
+    check_outputs(outputs | dict.fromkeys(same), {}, force=arguments.force)
+    if arguments.true_site is not None:
+        forced = arguments.force or "--true-site" in same
+        write_file(arguments.true_site, texts["--true-site"], "the true site file", force=forced)
+    site: Path | None = arguments.site
+    if site is None:
+        site = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="goldfield-"))) / "site.toml"
+    write_file(site, texts["--site"], "the site file", force=arguments.force or "--site" in same)
+    return site
+
+
+def _truth_tellers(
+    arguments: argparse.Namespace, scenario: Scenario, stack: ExitStack
+) -> list[Callable[[Truth], None]]:
+    """Return who is told each cycle's truth: its line, wherever it goes, and the table of known points."""
+    tellers: list[Callable[[Truth], None]] = []
+    if arguments.truth is not None:
+        lines = stack.enter_context(OutputFile(arguments.truth, "the truth", live=True, force=arguments.force))
+        tellers.append(lambda truth: lines.write(f"{json.dumps(truth.as_dict())}\n".encode()))
+    elif arguments.json:
+        tellers.append(lambda truth: print(json.dumps(truth.as_dict()), flush=True))
+    if arguments.points is not None:
+        table = stack.enter_context(OutputFile(arguments.points, "the points", live=True, force=arguments.force))
+        table.write(f"{HEADER}\n".encode())
+
+        def tell_point(truth: Truth) -> None:
+            if row := point_row(scenario, truth):
+                table.write(f"{row}\n".encode())
+
+        tellers.append(tell_point)
+    return tellers
 
 
 def _named(link: Path | None, terminal: PseudoTerminal, scenario: Scenario, board: int, stack: ExitStack) -> str:
@@ -119,7 +152,7 @@ def _serve(
     rig: Rig,
     terminals: Mapping[int, PseudoTerminal],
     bridge: CanBridge | None,
-    tell_truth: Callable[[str], None] | None,
+    tell_truth: Sequence[Callable[[Truth], None]],
     pace: Pace,
 ) -> None:
     end_s = LONGEST_S if arguments.seconds is None else arguments.seconds
@@ -132,9 +165,9 @@ def _serve(
             bridge.to_boards(rig)
         slices += 1
         rig.run_until(round(min(slices * SLICE_S, end_s) * 1e12))
-        for line in rig.truth():  # before the messages: who has read a cycle finds its truth
-            if tell_truth is not None:
-                tell_truth(json.dumps(line.as_dict()))
+        for truth in rig.truth():  # before the messages: who has read a cycle finds its truth
+            for tell in tell_truth:
+                tell(truth)
         for board, terminal in terminals.items():
             terminal.write(rig.serial_read(board), wait=arguments.pace == 0.0)
         if bridge is not None:
@@ -174,12 +207,3 @@ def _summarise(arguments: argparse.Namespace, rig: Rig, lost: int, bridge: CanBr
         line += f"; CAN: {counted(bridge.taken, 'frames from outside')}, {bridge.refused} refused"
         line += f", {bridge.lost} to outside lost" if bridge.lost else ""
     print(line, file=sys.stderr if arguments.json else sys.stdout, flush=True)
-
-
-def _print_line(line: str) -> None:
-    print(line, flush=True)
-
-
-def _line_writer(file: OutputFile) -> Callable[[str], None]:
-    """Return what appends a line to a file, which ends the run if the file cannot be written."""
-    return lambda line: file.write(f"{line}\n".encode())

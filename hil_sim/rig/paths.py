@@ -11,7 +11,7 @@ import numpy as np
 from goldfield.errors import SystemFailure, UserError
 from hil_sim.scenario import Scenario
 from hil_sim.world import path
-from hil_sim.world.sheet import BesideMetal, Metal, Source
+from hil_sim.world.metal import BesideMetal, Metal, Source
 
 WINDOW_S = 1.0
 """Length of a window, whole quanta: the windows are the same whatever slices of time the rig is run in."""
@@ -66,8 +66,8 @@ class PathWindows:
             time_s = (self._events_ps[happened - 1] + EVENT_STEP_PS // 2) * 1e-12 if happened else -math.inf
             self._now = self._scenario.at(time_s)
             self._coils: list[Source] = [coil for beacon in self._now.beacons for coil in beacon.coils]
-            if sheets := self._scenario.sheets(time_s):
-                metal = Metal(sheets)
+            if bodies := self._scenario.metal_at(time_s):
+                metal = Metal(bodies)
                 self._coils = [BesideMetal(coil, metal) for coil in self._coils]
         for board in range(1 + len(self._now.beacons)):
             if self._now.front_end(board) is None:

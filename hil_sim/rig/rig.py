@@ -106,7 +106,7 @@ class Rig:
         try:
             self._make = make
             self._connect()
-            self._paths = PathWindows(self._ffi, self._library, self._rig, scenario)
+            self._paths = PathWindows(self._ffi, self._library, self._rig, scenario.installed)
             for board in range(len(self._boards)):
                 if scenario.sync != "wire" or (board == SENSOR and not scenario.sensor.sync_wire):
                     self.fault(board, "sync_wire_cut")
@@ -120,7 +120,7 @@ class Rig:
     # ---- Building ----
 
     def _create(self, host_on_can: bool, threads: int) -> Any:
-        config, _boards = rig_config.build(self._ffi, self.scenario, self.seed)
+        config, _boards = rig_config.build(self._ffi, self.scenario.installed, self.seed)
         config.threads, config.host_on_can = threads, host_on_can
         rig = self._library.rig_create(config)
         if rig == self._ffi.NULL:
@@ -289,7 +289,7 @@ class Rig:
             for edge, (start, end) in enumerate(pairwise(times[0:available]), start=first):
                 for part in range(cycles):
                     middle_s = 1e-12 * (start + (end - start) * (part + 0.5) / cycles)
-                    motion = self.scenario.at(middle_s).motion_of(board)
+                    motion = self.scenario.installed.at(middle_s).motion_of(board)
                     result.append(truth_at(motion, edge * cycles + part, middle_s))
             self._truth_edges[board] += available - 1
 

@@ -1,13 +1,15 @@
 """Scenario files: what the rig simulates, in TOML and SI units; ``scenarios/prigge8.toml`` is a commented example."""
 
 from hil_sim.scenario.events import Bring, Move
+from hil_sim.scenario.installation import Installation
 from hil_sim.scenario.pages import parameter_page
-from hil_sim.scenario.parts import CONVERTER_COUNTS, Ambient, Beacon, Circuit, Clock, FrontEnd
+from hil_sim.scenario.parts import CHIP_PERIOD_S, CONVERTER_COUNTS, Ambient, Beacon, Circuit, Clock, FrontEnd
 from hil_sim.scenario.reading import SCENARIOS, find, load, load_scenario
 from hil_sim.scenario.scenario import Scenario
-from hil_sim.scenario.site_file import site_toml
+from hil_sim.scenario.site_file import site_toml, true_site_toml
 
 __all__ = [
+    "CHIP_PERIOD_S",
     "CONVERTER_COUNTS",
     "SCENARIOS",
     "Ambient",
@@ -16,6 +18,7 @@ __all__ = [
     "Circuit",
     "Clock",
     "FrontEnd",
+    "Installation",
     "Move",
     "Scenario",
     "find",
@@ -23,4 +26,5 @@ __all__ = [
     "load_scenario",
     "parameter_page",
     "site_toml",
+    "true_site_toml",
 ]

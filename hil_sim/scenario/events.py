@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.files.toml_table import Table
+from hil_sim.scenario.bodies import SHEET_KEYS, read_sheet
 from hil_sim.world.sheet import Sheet
 
 EVENT_KEYS = ("time_s", "moves", "by_m", "sensor_stays", "sheet")
-SHEET_KEYS = ("centre_m", "normal", "side_m")
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +71,7 @@ def _event(table: Table, beacons: list[str]) -> Event:
         table.allow("time_s", "sheet")
         inner = table.table("sheet")
         inner.allow(*SHEET_KEYS)
-        sheet = Sheet(inner.vector("centre_m"), inner.direction("normal"), inner.positive("side_m"))
-        return Bring(time_s, sheet)
+        return Bring(time_s, read_sheet(inner))
     if "moves" not in table:
         raise table.error("moves", "is missing; give it, or sheet")
     beacon = table.text("moves")

@@ -40,14 +40,14 @@ def parameter_page(scenario: Scenario, board: int) -> bytes:
 
 
 def _sensor(scenario: Scenario) -> Mapping[str, Value]:
-    sensor, half = scenario.sensor, scenario.half_space
-    gain_sd, axis_sd = axis_deviations(sensor)
+    sensor, half, errors = scenario.sensor, scenario.half_space, scenario.installation
+    gain_sd, axis_sd = axis_deviations(scenario)
     surroundings: dict[str, Value] = {
         "pose": 1,
         "noise": sensor.sample_noise_T,
         "half_space": [0.0] * 6 if half is None else [*half.point.tolist(), *half.normal.tolist()],
         "beacons": [value for beacon in scenario.beacons for value in _beacon_row(beacon)],
-        "survey": [0.0] * 3 * len(scenario.beacons),
+        "survey": [errors.position_sd_m, errors.axis_sd_rad, errors.current_sd] * len(scenario.beacons),
         "gain_sd": gain_sd,
         "axis_sd": axis_sd,
     }

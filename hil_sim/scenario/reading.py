@@ -14,7 +14,9 @@ from goldfield.errors import UserError, counted
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
 from goldfield_protocol.parameters import PARAMETERS, ParameterError
+from hil_sim.scenario.bodies import read_installation, read_metal
 from hil_sim.scenario.events import read_events
+from hil_sim.scenario.motions import read_motion
 from hil_sim.scenario.pages import parameter_page
 from hil_sim.scenario.parts import (
     CHIP_PERIOD_S,
@@ -30,7 +32,7 @@ from hil_sim.scenario.parts import (
     Sensor,
 )
 from hil_sim.scenario.scenario import Scenario
-from hil_sim.world.motion import Line, Motion, Still, Waypoints
+from hil_sim.scenario.values import ZERO, between, not_negative, number, seed_of, vector
 from hil_sim.world.path import CoilGeometry
 
 FloatArray = NDArray[np.float64]
@@ -44,7 +46,6 @@ CODES_MAX = PARAMETERS["codes"].rows
 """Superposed codes of a beacon, a limit of the boards."""
 SQUARE_TOLERANCE = 1e-3
 """Cosine of the angle between crossed coils that still counts as none: coils that lean more would couple."""
-ZERO = np.zeros(3)
 
 
 def find(name: str) -> Path:
@@ -64,13 +65,19 @@ def find(name: str) -> Path:
     return path
 
 
-def load_scenario(name: str) -> Scenario:
+def load_scenario(name: str, seed: int | None = None) -> Scenario:
     """Read the scenario of a name or a path; see `find` and `load`."""
-    return load(find(name))
+    return load(find(name), seed)
 
 
-def load(path: str | Path) -> Scenario:
+def load(path: str | Path, seed: int | None = None) -> Scenario:
     """Read and check a scenario file.
+
+    Parameters
+    ----------
+    path : str or Path
+    seed : int, optional
+        In place of the file's, which is also that of walk and installation where they have none of their own.
 
     Raises
     ------
@@ -81,35 +88,39 @@ def load(path: str | Path) -> Scenario:
     root = read_table(path, "scenario")
     root.allow(
         *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
-        *("coil", "beacon", "event"),
+        *("coil", "beacon", "event", "metal", "installation", "known_point"),
     )
     sync = root.text("sync") if "sync" in root else "wire"
     if sync not in ("wire", "can"):
         raise root.error("sync", f'is "{sync}"; it must be "wire" or "can"')
     coil = root.table("coil") if "coil" in root else Table({}, path=path, lines=())
     coil.allow(*COIL_KEYS)
-    seed = root.integer("seed")
-    if not 0 <= seed < 1 << 63:
-        raise root.error("seed", "must lie in 0 to 2^63 - 1")
+    own_seed = seed_of(root)
+    seed = own_seed if seed is None else seed
     degree = root.integer("degree") if "degree" in root else DEGREE
     if degree not in DEGREES:
         raise root.error("degree", f"is {degree}; codes exist for {', '.join(map(str, DEGREES))}")
     plan = Plan("cdma", degree, CHIP_PERIOD_S)
     sensor = _sensor(root.table("sensor"))
     defaults = Defaults(coil, root.table("sensor"), plan)
+    installation = read_installation(root, seed)
+    motion, visits = read_motion(root, seed, plan.chips * CHIP_PERIOD_S)
     scenario = Scenario(
         name=root.text("name"),
         seed=seed,
-        power_on_spread_s=_not_negative(root, "power_on_spread_s", 0.02),
+        power_on_spread_s=not_negative(root, "power_on_spread_s", 0.02),
         half_space=_half_space(root.table("half_space")) if "half_space" in root else None,
         ambient=_ambient(root.table("ambient")) if "ambient" in root else Ambient(ZERO, None, Impulses()),
         sensor=sensor,
-        motion=_motion(root.table("motion")),
+        motion=motion,
         beacons=tuple(_beacon(table, defaults) for table in root.tables("beacon")),
-        slots=_between(root, "slots", 1, plan.chips) if "slots" in root else 0,
+        slots=between(root, "slots", 1, plan.chips) if "slots" in root else 0,
         degree=degree,
         sync=sync,
         events=read_events(root),
+        metal=read_metal(root),
+        installation=installation,
+        visits=visits,
     )
     _check_boards(root, scenario)
     return scenario
@@ -126,11 +137,6 @@ FRONT_END_KEYS = (
 )
 SENSOR_KEYS = ("node", "bandwidth_Hz", "stream", "pose", "sync_wire", *FRONT_END_KEYS, *CLOCK_KEYS)
 ANCHOR_KEYS = ("position_m", "rotation_vector_rad", *FRONT_END_KEYS)
-MOTION_KEYS = {
-    "still": ("position_m", "rotation_vector_rad"),
-    "line": ("position_m", "rotation_vector_rad", "velocity_m_per_s", "rate_rad_per_s"),
-    "waypoints": ("times_s", "positions_m", "rotation_vectors_rad"),
-}
 BEACON_KEYS = (
     *("id", "node", "code", "codes", "slot", "periods", "rotating_periods", "second_axis"),
     *("sync_master", "position_m", "points_m", "sensor", *COIL_KEYS, *CLOCK_KEYS),
@@ -155,31 +161,9 @@ def _source(table: Table, defaults: Table) -> Callable[[str], Table]:
     return source
 
 
-def _number(table: Table, key: str, default: float) -> float:
-    return table.number(key) if key in table else default
-
-
-def _vector(table: Table, key: str) -> FloatArray:
-    return table.vector(key) if key in table else ZERO
-
-
-def _not_negative(table: Table, key: str, default: float) -> float:
-    value = _number(table, key, default)
-    if value < 0.0:
-        raise table.error(key, f"is {value:g}; it must not be negative")
-    return value
-
-
-def _between(table: Table, key: str, low: int, high: int) -> int:
-    value = table.integer(key)
-    if not low <= value <= high:
-        raise table.error(key, f"is {value}; it must lie in {low} to {high}")
-    return value
-
-
 def _clock(table: Table) -> Clock:
-    internal = _number(table, "internal_ppm", 0.0)
-    crystal = _number(table, "crystal_ppm", 0.0)
+    internal = number(table, "internal_ppm", 0.0)
+    crystal = number(table, "crystal_ppm", 0.0)
     for key, value, limit in (("crystal_ppm", crystal, 5e3), ("internal_ppm", internal, 5e4)):
         if abs(value) > limit:
             raise table.error(key, f"is {value:g}; it must lie within +-{limit:g}")
@@ -187,7 +171,7 @@ def _clock(table: Table) -> Clock:
         crystal_ppm=crystal,
         internal_ppm=internal,
         crystal_dead="crystal_dead" in table and table.flag("crystal_dead"),
-        temperature_degC=_number(table, "temperature_degC", 25.0),
+        temperature_degC=number(table, "temperature_degC", 25.0),
     )
 
 
@@ -209,17 +193,17 @@ def _ambient(table: Table) -> Ambient:
             frequency_Hz=inner.positive("frequency_Hz"),
             amplitude_T=inner.vector("amplitude_T"),
             harmonics=harmonics,
-            phase_rad=_number(inner, "phase_rad", 0.0),
+            phase_rad=number(inner, "phase_rad", 0.0),
         )
     if "impulses" in table:
         inner = table.table("impulses")
         inner.allow("rate_Hz", "amplitude_T", "decay_s")
         impulses = Impulses(
-            rate_Hz=_not_negative(inner, "rate_Hz", 0.0),
+            rate_Hz=not_negative(inner, "rate_Hz", 0.0),
             amplitude_T=inner.number("amplitude_T"),
             decay_s=inner.positive("decay_s") if "decay_s" in inner else Impulses.decay_s,
         )
-    return Ambient(earth_T=_vector(table, "earth_T"), mains=mains, impulses=impulses)
+    return Ambient(earth_T=vector(table, "earth_T"), mains=mains, impulses=impulses)
 
 
 def _front_end(table: Table, defaults: Table) -> dict[str, Any]:
@@ -229,13 +213,13 @@ def _front_end(table: Table, defaults: Table) -> dict[str, Any]:
     if calibration not in ("exact", "nominal"):
         raise source("calibration").error("calibration", f'is "{calibration}"; it must be "exact" or "nominal"')
     return {
-        "noise_T": _not_negative(source("noise_T"), "noise_T", 0.0),
-        "converter_noise_LSB": _not_negative(source("converter_noise_LSB"), "converter_noise_LSB", 0.5),
-        "bandwidth_Hz": _not_negative(defaults, "bandwidth_Hz", 0.0),
+        "noise_T": not_negative(source("noise_T"), "noise_T", 0.0),
+        "converter_noise_LSB": not_negative(source("converter_noise_LSB"), "converter_noise_LSB", 0.5),
+        "bandwidth_Hz": not_negative(defaults, "bandwidth_Hz", 0.0),
         "range_T": source("range_T").positive("range_T"),
-        "gain_error": _vector(source("gain_error"), "gain_error"),
-        "misalignment_rad": _vector(source("misalignment_rad"), "misalignment_rad"),
-        "offset_T": _vector(source("offset_T"), "offset_T"),
+        "gain_error": vector(source("gain_error"), "gain_error"),
+        "misalignment_rad": vector(source("misalignment_rad"), "misalignment_rad"),
+        "offset_T": vector(source("offset_T"), "offset_T"),
         "calibration": calibration,
     }
 
@@ -244,11 +228,11 @@ def _sensor(table: Table) -> Sensor:
     table.allow(*SENSOR_KEYS)
     return Sensor(
         **_front_end(table, table),
-        node=_between(table, "node", int(NODE.low), int(NODE.high)),
+        node=between(table, "node", int(NODE.low), int(NODE.high)),
         clock=_clock(table),
-        stream=_between(table, "stream", 0, 1) if "stream" in table else 0,
+        stream=between(table, "stream", 0, 1) if "stream" in table else 0,
         sync_wire=table.flag("sync_wire") if "sync_wire" in table else True,
-        pose=_between(table, "pose", 0, 1) if "pose" in table else 1,
+        pose=between(table, "pose", 0, 1) if "pose" in table else 1,
     )
 
 
@@ -257,28 +241,8 @@ def _anchor(table: Table, defaults: Table) -> Anchor:
     return Anchor(
         **_front_end(table, defaults),
         position_m=table.vector("position_m"),
-        rotation_vector_rad=_vector(table, "rotation_vector_rad"),
+        rotation_vector_rad=vector(table, "rotation_vector_rad"),
     )
-
-
-def _motion(table: Table) -> Motion:
-    kind = table.text("kind")
-    if kind not in MOTION_KEYS:
-        raise table.error("kind", f'is "{kind}"; it must be one of {", ".join(MOTION_KEYS)}')
-    table.allow("kind", *MOTION_KEYS[kind])
-    if kind == "waypoints":
-        times = table.numbers("times_s")
-        positions, rotations = table.vectors("positions_m"), table.vectors("rotation_vectors_rad")
-        if len(times) < 2 or np.any(np.diff(times) <= 0.0):
-            raise table.error("times_s", "must be at least two times that increase")
-        for key, value in (("positions_m", positions), ("rotation_vectors_rad", rotations)):
-            if len(value) != len(times):
-                raise table.error(key, f"has {counted(len(value), 'values')}; times_s has {len(times)}: give one each")
-        return Waypoints(times, positions, rotations)
-    position, rotation = table.vector("position_m"), _vector(table, "rotation_vector_rad")
-    if kind == "still":
-        return Still(position, rotation)
-    return Line(position, rotation, _vector(table, "velocity_m_per_s"), _vector(table, "rate_rad_per_s"))
 
 
 def _beacon(table: Table, defaults: Defaults) -> Beacon:
@@ -300,15 +264,15 @@ def _beacon(table: Table, defaults: Defaults) -> Beacon:
     highest = (plan.chips - 1) // 2
     return Beacon(
         id=table.label("id"),
-        node=_between(table, "node", int(NODE.low), int(NODE.high)),
-        code=_between(table, "code", 0, 1 << plan.degree) if "code" in table else None,
+        node=between(table, "node", int(NODE.low), int(NODE.high)),
+        code=between(table, "code", 0, 1 << plan.degree) if "code" in table else None,
         sync_master="sync_master" in table and table.flag("sync_master"),
         clock=_clock(table),
         circuit=Circuit(**values),
         geometry=geometry,
-        slot=_between(table, "slot", 0, plan.chips - 1) if "slot" in table else None,
-        periods=_between(table, "periods", 1, highest) if "periods" in table else None,
-        rotating_periods=_between(table, "rotating_periods", 1, highest) if "rotating_periods" in table else None,
+        slot=between(table, "slot", 0, plan.chips - 1) if "slot" in table else None,
+        periods=between(table, "periods", 1, highest) if "periods" in table else None,
+        rotating_periods=between(table, "rotating_periods", 1, highest) if "rotating_periods" in table else None,
         second_coil=_second_coil(table, geometry),
         codes=_codes(table, plan) if "codes" in table else (),
         sensor=_anchor(table.table("sensor"), defaults.sensor) if "sensor" in table else None,

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from hil_sim.scenario.events import Bring, Event, Move
+from hil_sim.scenario.installation import EXACT, Installation, draw
 from hil_sim.scenario.parts import DEGREE, Ambient, Beacon, FrontEnd, HalfSpace, Sensor
+from hil_sim.world.metal import Body
 from hil_sim.world.motion import Motion
-from hil_sim.world.sheet import Sheet
+from hil_sim.world.walk import Visit
 
 
 @dataclass(frozen=True, eq=False)
@@ -15,7 +18,8 @@ class Scenario:
     """A whole scenario; board 0 is the sensor, board i the i-th beacon.
 
     ``sync`` is where the boards have their time from, ``wire`` or ``can``; with ``can`` there is no sync wire.
-    ``beacons`` are as they are before the first of the ``events``.
+    ``beacons`` and ``sensor`` are as the site file and the boards' parameters have them, `installed` as they are, both
+    before the first of the ``events``. ``metal`` is there from the start, ``visits`` are the walk's to known points.
     """
 
     name: str
@@ -30,6 +34,15 @@ class Scenario:
     degree: int = DEGREE
     sync: str = "wire"
     events: tuple[Event, ...] = ()
+    metal: tuple[Body, ...] = ()
+    installation: Installation = EXACT
+    visits: tuple[Visit, ...] = ()
+
+    @cached_property
+    def installed(self) -> Scenario:
+        """The bench that is really there, whose own installation is exact."""
+        beacons, sensor = draw(self.installation, self.beacons, self.sensor)
+        return replace(self, beacons=beacons, sensor=sensor, installation=EXACT)
 
     def at(self, time_s: float) -> Scenario:
         """Return the scenario with its beacons where they are at a virtual time."""
@@ -41,9 +54,10 @@ class Scenario:
             beacons[move.beacon] = beacons[move.beacon].moved(move.by_m, move.sensor_stays)
         return replace(self, beacons=tuple(beacons.values()))
 
-    def sheets(self, time_s: float) -> tuple[Sheet, ...]:
-        """Return the sheets of metal that are there at a virtual time."""
-        return tuple(event.sheet for event in self.events if isinstance(event, Bring) and event.time_s <= time_s)
+    def metal_at(self, time_s: float) -> tuple[Body, ...]:
+        """Return the metal that is there at a virtual time."""
+        brought = [event.sheet for event in self.events if isinstance(event, Bring) and event.time_s <= time_s]
+        return (*self.metal, *brought)
 
     @property
     def chips(self) -> int:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from hil_sim.world.metal import Source
 from hil_sim.world.motion import Motion
-from hil_sim.world.sheet import Source
 
 FloatArray = NDArray[np.float64]
 

@@ -1,17 +1,15 @@
-"""Sheets of metal among coils: thin squares that no flux passes, each as a grid of square current loops.
+"""Sheets of metal: thin squares that no flux passes, each as a grid of square current loops.
 
 The eddy currents of a sheet of some tenths of a metre die out in milliseconds (1 mm of aluminium, 0.3 m: 4 ms), and a
-chip lasts a tenth of one: within a chip the sheet is as good as a perfect conductor. The currents i of the cells follow
-from M i = -B, where B is the coil's field through the middles of the cells, and M i that of the cells themselves. The
-earth's field passes. The outer wires lie a quarter of a cell inside the rim, which makes the moment that a uniform
+chip lasts a tenth of one: within a chip the sheet is as good as a perfect conductor, and the field through the middle
+of each cell vanishes. The outer wires lie a quarter of a cell inside the rim, which makes the moment that a uniform
 field induces right to 1 %.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import magpylib
 import numpy as np
@@ -23,14 +21,6 @@ magnets: Any = magpylib  # it carries no types
 
 CELLS = 12
 """Cells along a side of a sheet."""
-
-
-class Source(Protocol):
-    """Anything with a field in proportion to one current."""
-
-    def field_per_ampere(self, positions_m: FloatArray) -> FloatArray:
-        """Return B of one ampere, shape (n, 3), tesla, site's frame, at positions of shape (n, 3)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,46 +50,12 @@ class Sheet:
         square = 0.5 * pitch_m * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]])
         return np.asarray(self.centre_m + (np.stack([x, y], axis=1)[:, None] + square) @ axes)
 
+    def fields(self, positions_m: FloatArray) -> FloatArray:
+        """Return B of each cell as a loop of one ampere; see `hil_sim.world.metal.Body`."""
+        loops = [magnets.current.Polyline(vertices=loop, current=1.0) for loop in self.cells()]
+        return np.asarray(magnets.getB(loops, positions_m, squeeze=False)).reshape(len(loops), len(positions_m), 3)
 
-class Metal:
-    """All sheets together; each feels the others.
-
-    Parameters
-    ----------
-    sheets : sequence of Sheet
-        At least one.
-    """
-
-    def __init__(self, sheets: Sequence[Sheet]) -> None:
-        corners = np.concatenate([sheet.cells() for sheet in sheets])
-        self._loops = [magnets.current.Polyline(vertices=loop, current=1.0) for loop in corners]
-        self._middle_m = corners[:, :4].mean(axis=1)
-        self._normal = np.repeat([sheet.normal for sheet in sheets], CELLS**2, axis=0)
-        through = np.einsum("jic,ic->ij", self._field(self._middle_m), self._normal)
-        self._inverse = np.linalg.inv(through)
-
-    def currents(self, source: Source) -> FloatArray:
-        """Return the current of each cell for one ampere in a source."""
-        through = (source.field_per_ampere(self._middle_m) * self._normal).sum(axis=1)
-        return np.asarray(-self._inverse @ through)
-
-    def field(self, currents: FloatArray, positions_m: FloatArray) -> FloatArray:
-        """Return B, shape (n, 3), tesla, of currents in the cells."""
-        return np.asarray(np.einsum("j,jnc->nc", currents, self._field(positions_m)))
-
-    def _field(self, positions_m: FloatArray) -> FloatArray:
-        """Return B of each cell at each position, shape (cells, n, 3), for one ampere."""
-        return np.asarray(magnets.getB(self._loops, positions_m, squeeze=False)).reshape(-1, len(positions_m), 3)
-
-
-class BesideMetal:
-    """A source and what the metal beside it adds to its field."""
-
-    def __init__(self, source: Source, metal: Metal) -> None:
-        self._source, self._metal = source, metal
-        self._currents = metal.currents(source)
-
-    def field_per_ampere(self, positions_m: FloatArray) -> FloatArray:
-        """See `Source.field_per_ampere`."""
-        added = self._metal.field(self._currents, positions_m)
-        return np.asarray(self._source.field_per_ampere(positions_m) + added)
+    def conditions(self) -> tuple[FloatArray, FloatArray]:
+        """Return the middles of the cells, and the normal; see `hil_sim.world.metal.Body`."""
+        middles = self.cells()[:, :4].mean(axis=1)
+        return middles, np.tile(self.normal, (len(middles), 1))

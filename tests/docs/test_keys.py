@@ -11,7 +11,7 @@ import pytest
 from goldfield.site import drive, metal_keys
 from goldfield.site import reading as site_reading
 from hil_sim.clib import ROOT
-from hil_sim.scenario import events, reading
+from hil_sim.scenario import bodies, events, installation, motions, reading
 
 
 def documented(page: str) -> set[str]:
@@ -35,15 +35,16 @@ def test_every_key_of_a_scenario_is_explained() -> None:
     top = {"name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space"}
     ambient = {"earth_T", "mains", "impulses"}
     keys = top | ambient | {*reading.SENSOR_KEYS, *reading.BEACON_KEYS, *reading.COIL_KEYS, *reading.CLOCK_KEYS}
-    keys |= {*events.EVENT_KEYS}
+    keys |= {*events.EVENT_KEYS, *installation.INSTALLATION_KEYS, *motions.KNOWN_POINT_KEYS}
+    keys |= {"shape"}.union(*bodies.METAL_KEYS.values())
     keys = keys - {"sensor"} | {"beacon.sensor"}
     assert documented("scenario.md") == keys
 
 
 def test_every_motion_and_every_sheet_is_explained() -> None:
     text = (ROOT / "docs/scenario.md").read_text()
-    assert all(re.search(rf"\b{key}\b", text) for key in events.SHEET_KEYS)
-    for kind, keys in reading.MOTION_KEYS.items():
+    assert all(re.search(rf"\b{key}\b", text) for key in bodies.SHEET_KEYS)
+    for kind, keys in motions.MOTION_KEYS.items():
         assert f'`"{kind}"`' in text
         assert all(f"`{key}`" in text for key in keys)
 

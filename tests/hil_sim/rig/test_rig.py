@@ -13,7 +13,7 @@ from goldfield.errors import SystemFailure, UserError
 from hil_sim import scenario as scenarios
 from hil_sim.rig import Rig
 from hil_sim.world import path
-from hil_sim.world.sheet import BesideMetal, Metal
+from hil_sim.world.metal import BesideMetal, Metal
 from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
 
 LINE = '"line"\nvelocity_m_per_s = [0.5, 0.2, 0.1]\nrate_rad_per_s = [0.0, 1.0, 0.5]'
@@ -310,7 +310,7 @@ def test_an_event_changes_the_field_from_its_moment_on(tmp_path, kind):
     with Rig(scene, FakeBoards()) as rig:
         for until_s, time_s in ((0.0119, 0.0), (0.0121, 0.015), (0.0199, 0.015), (0.0201, 1.0)):
             rig.run_until(round(until_s * 1e12))
-            now, sheets = scene.at(time_s), scene.sheets(time_s)
+            now, sheets = scene.at(time_s), scene.metal_at(time_s)
             coils = [beacon.geometry for beacon in now.beacons]
             if sheets:
                 coils = [BesideMetal(coil, Metal(sheets)) for coil in coils]

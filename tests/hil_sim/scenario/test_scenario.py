@@ -210,8 +210,8 @@ def test_events(tmp_path):
     moved = loaded.at(2.0)
     np.testing.assert_allclose(moved.beacons[1].geometry.position_m, [1.01, 0.0, -0.02])
     assert [moved.beacons[row] for row in (0, 2)] == [loaded.beacons[row] for row in (0, 2)]
-    assert loaded.sheets(2.99) == ()
-    (sheet,) = loaded.sheets(3.0)
+    assert loaded.metal_at(2.99) == ()
+    (sheet,) = loaded.metal_at(3.0)
     assert sheet.normal.tolist() == [0.0, 0.0, 1.0]
     assert scenario.site_toml(loaded) == scenario.site_toml(scenario.load(write_scenario(tmp_path)))
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from hil_sim.world.metal import BesideMetal, Metal
 from hil_sim.world.path import CoilGeometry
-from hil_sim.world.sheet import BesideMetal, Metal, Sheet
+from hil_sim.world.sheet import Sheet
 
 UP = np.array([0.0, 0.0, 1.0])
 TILTED = np.array([0.6, 0.0, 0.8])
@@ -31,7 +32,7 @@ def moment(sheet, source):
     """Magnetic moment of what a source induces in a sheet, from its field far away on the axis."""
     far_m = 100.0 * sheet.side_m
     metal = Metal([sheet])
-    field = metal.field(metal.currents(source), (sheet.centre_m + far_m * sheet.normal)[None, :])[0]
+    field = metal.field(metal.strengths(source), (sheet.centre_m + far_m * sheet.normal)[None, :])[0]
     return field * 2.0 * np.pi * far_m**3 / MU_0
 
 
