@@ -72,10 +72,12 @@ def axis_deviations(scenario: Scenario) -> tuple[float, float]:
     """Return how well gains and directions of the sensor's axes are known.
 
     They are off by the errors of installation, and if nobody calibrated them also by what a calibration takes out.
+    Three axes lean by angles that are drawn, where a site file's deviation is that of six: its square is a half.
     """
     sensor, errors = scenario.sensor, scenario.installation
     exact = sensor.calibration == "exact"
-    pairs = ((sensor.gain_error, errors.sensor_gain_sd), (sensor.misalignment_rad, errors.sensor_axis_sd_rad))
+    lean_rad = errors.sensor_axis_sd_rad / math.sqrt(2.0)
+    pairs = ((sensor.gain_error, errors.sensor_gain_sd), (sensor.misalignment_rad, lean_rad))
     gain, axis = (math.hypot(0.0 if exact else float(np.sqrt((left**2).mean())), drawn) for left, drawn in pairs)
     return gain, axis
 

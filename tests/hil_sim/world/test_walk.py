@@ -40,7 +40,7 @@ def test_a_walk_stays_in_its_room_within_its_tilt():
     assert np.all((ROOM.low_m <= positions) & (positions <= ROOM.high_m))
     assert np.all(np.ptp(positions, axis=0) > 0.7 * (ROOM.high_m - ROOM.low_m))
     lean = np.arccos(rotations.as_matrix()[:, 2, 2])
-    assert 0.2 < lean.max() < 0.8  # at stops 0.4; on the way the shortest turn may lean further
+    assert 0.2 < lean.max() < 0.8  # at stops 0.4; between them the shortest turn may lean further
     heading = Rotation.from_quat(rotations.as_quat()).as_euler("zyx")[:, 0]
     assert np.ptp(heading) > 4.0
 
