@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from goldfield.errors import UserError, counted
+from goldfield.errors import UserError
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
 from goldfield_protocol.parameters import PARAMETERS, ParameterError

@@ -8,5 +8,6 @@ room which beacons may share a code.
 from goldfield.planning.grid import Grid
 from goldfield.planning.maps import Maps
 from goldfield.planning.request import Request, Settings
+from goldfield.planning.spreading import plan
 
-__all__ = ["Grid", "Maps", "Request", "Settings"]
+__all__ = ["Grid", "Maps", "Request", "Settings", "plan"]

@@ -84,6 +84,15 @@ class Grid:
                 break
             edge[min(open_axes, key=edge.__getitem__)] *= 2
         starts = (range(0, n, e) for n, e in zip(self.shape, edge, strict=True))
-        return [
-            (slice(i, i + edge[0]), slice(j, j + edge[1]), slice(k, k + edge[2])) for i, j, k in product(*starts)
-        ]
+        return [(slice(i, i + edge[0]), slice(j, j + edge[1]), slice(k, k + edge[2])) for i, j, k in product(*starts)]
+
+
+def extent(x_m: FloatArray, y_m: FloatArray) -> tuple[float, float, float, float]:
+    """Return the edges x0, x1, y0, y1 of the cells around a grid's points, m; a single one has a cell of a metre."""
+    (x0, x1), (y0, y1) = _edges(x_m), _edges(y_m)
+    return x0, x1, y0, y1
+
+
+def _edges(axis_m: FloatArray) -> tuple[float, float]:
+    half = 0.5 * (axis_m[1] - axis_m[0]) if len(axis_m) > 1 else 0.5
+    return float(axis_m[0] - half), float(axis_m[-1] + half)

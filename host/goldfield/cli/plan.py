@@ -1,0 +1,217 @@
+"""``goldfield plan``: how well a sensor could be located everywhere in a box, before anything is installed."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from goldfield import site as sites
+from goldfield.cli import options
+from goldfield.cli.output import json_line
+from goldfield.errors import Loudness, UserError, loudness
+from goldfield.files.outputs import check_outputs, write_file
+from goldfield.site import Site
+
+KINDS = (".npz", ".png", ".html")
+"""Ends of names by which an output's format is chosen."""
+
+
+def command(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "plan",
+        description="Cramer-Rao bound on position and attitude, protection level, ambiguity, and the beacons that "
+        "matter, at every point of a grid in a box; for a site or a lattice of equal beacons.",
+    )
+    options.add_site(parser)
+    options.add(parser, "--lattice", metavar="FILE", what="lattice file (TOML) in place of a site file")
+    parser.add_argument(
+        "--box",
+        nargs=6,
+        type=options.finite,
+        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+        help="two opposite corners of the box, m, the lower first",
+    )
+    parser.add_argument("--step", type=options.metres, metavar="METRES", help="distance of the grid's points")
+    parser.add_argument(
+        "--out",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="write the maps: .npz (arrays), .png (picture) or .html (page of its own); may be given several times",
+    )
+    options.add_force(parser)
+    parser.add_argument("--floor", metavar="IMAGE", help="floor plan (PNG or JPEG) that is drawn beneath the maps")
+    parser.add_argument(
+        "--floor-extent",
+        nargs=4,
+        type=options.finite,
+        metavar=("X0", "Y0", "X1", "Y1"),
+        help="where the floor plan's lower left and upper right corners are, m (default: those of the box)",
+    )
+    _add_settings(parser)
+    options.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--best", type=options.count, default=8, metavar="K", help="size of the best-K set of beacons (default: 8)"
+    )
+    parser.add_argument(
+        "--truncation",
+        type=_part,
+        default=0.01,
+        metavar="PART",
+        help="leave far beacons out as long as no bound becomes larger by more than this part (default: 0.01; 0 takes "
+        "all of them everywhere)",
+    )
+    parser.add_argument(
+        "--conflict",
+        type=options.finite,
+        default=40.0,
+        metavar="DB",
+        help="two beacons may share a code if each is weaker by so much where the other is used (default: 40)",
+    )
+    options.add(
+        parser,
+        "--workers",
+        metavar="N",
+        kind=options.count,
+        what="processes of this machine that compute (default: one for each core)",
+    )
+    options.add(
+        parser,
+        "--scheduler",
+        metavar="ADDRESS",
+        what="address of a Dask scheduler whose workers compute instead, such as tcp://10.0.0.1:8786",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compute the maps, write them, and print their summary."""
+    _check_files(arguments)
+    site = _site_of(arguments)
+    if arguments.box is None or arguments.step is None:
+        raise UserError("--box or --step is missing: give --box X0 Y0 Z0 X1 Y1 Z1, the corners, and --step METRES")
+    from goldfield.planning import Grid, Request, Settings, plan  # heavy: only when a plan is wanted
+
+    box = np.array(arguments.box)
+    grid = Grid.of_box(box[:3], box[3:], arguments.step)
+    request = Request(
+        site, grid, Settings(min(arguments.best, len(site.beacons)), arguments.truncation, arguments.conflict)
+    )
+    floor = _floor_of(arguments)
+    workers = arguments.workers or os.cpu_count() or 1
+    with _progress(len(grid)) as progress:
+        maps = plan(request, workers=workers, scheduler=arguments.scheduler, progress=progress)
+    for path in arguments.out:
+        write_file(path, _written(path, maps, floor), "the plan", force=arguments.force)
+    summary = maps.summary()
+    print(json_line(summary) if arguments.json else _text(summary))
+    return 0
+
+
+def _check_files(arguments: argparse.Namespace) -> None:
+    """Refuse what cannot be written before anything is computed."""
+    inputs = {"--site": arguments.site, "--lattice": arguments.lattice, "--floor": arguments.floor}
+    outputs: dict[str, str | Path | None] = {
+        f"--out {count}" if count > 1 else "--out": path for count, path in enumerate(arguments.out, start=1)
+    }
+    for path in arguments.out:
+        if not path.lower().endswith(KINDS):
+            raise UserError(f"--out {path}: the name's end tells the format: give one of {', '.join(KINDS)}")
+        folder = Path(path).parent
+        if not os.access(folder, os.W_OK):
+            raise UserError(f"--out {path}: the folder {folder} cannot be written: make it, or give another")
+    check_outputs(outputs, inputs, force=arguments.force)
+
+
+def _site_of(arguments: argparse.Namespace) -> Site:
+    if arguments.site and arguments.lattice:
+        raise UserError("--site and --lattice are both given: a plan is of one of them; leave one out")
+    if arguments.lattice:
+        from goldfield.planning import lattice
+
+        return lattice.load(arguments.lattice)
+    site = sites.load(options.required(arguments.site, "--site", "FILE"))
+    options.tell_assumed(site)
+    return site
+
+
+def _floor_of(arguments: argparse.Namespace) -> Any:
+    """Load the floor plan, if one is given."""
+    if arguments.floor is None:
+        if arguments.floor_extent is not None:
+            raise UserError("--floor-extent is given without --floor: give the image, too")
+        return None
+    from goldfield.planning.floor import load
+
+    box = arguments.box
+    return load(arguments.floor, arguments.floor_extent or [box[0], box[1], box[3], box[4]])
+
+
+def _written(path: str, maps: Any, floor: Any) -> bytes:
+    """Return the bytes of an output, by the end of its name."""
+    if path.lower().endswith(".npz"):
+        from goldfield.planning.table import npz
+
+        return npz(maps)
+    if path.lower().endswith(".png"):
+        from goldfield.planning.picture import png
+
+        return png(maps, floor)
+    from goldfield.planning.page import html
+
+    return html(maps, floor)
+
+
+def _part(text: str) -> float:
+    """Parse a part of one, for argparse."""
+    value = options.finite(text)
+    if not 0.0 <= value < 1.0:
+        raise argparse.ArgumentTypeError(f"{text} is no part of 0 to below 1")
+    return value
+
+
+@contextmanager
+def _progress(points: int) -> Iterator[Callable[[int], None]]:
+    """Show on a terminal how far the computation is; yields what is called with the points that are done."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    shown = console.is_terminal and loudness() is not Loudness.QUIET
+    with Progress(*columns, console=console, transient=True, disable=not shown) as progress:
+        task = progress.add_task("points", total=points)
+        yield lambda done: progress.advance(task, done)
+
+
+def _text(summary: dict[str, Any]) -> str:
+    """Return the summary for people."""
+
+    def row(name: str, key: str, unit: str, factor: float = 1.0) -> str:
+        values = [summary[key][which] for which in ("median", "p95", "worst")]
+        shown = ["unbounded" if value is None else f"{factor * value:.3g} {unit}" for value in values]
+        return f"{name:18}" + "".join(f"{text:>14}" for text in shown)
+
+    lines = [
+        f"{summary['points']} points, {summary['beacons']} beacons",
+        f"{'':18}{'median':>14}{'95 %':>14}{'worst':>14}",
+        row("position bound", "position_m", "cm", 100.0),
+        row("attitude bound", "attitude_rad", "deg", 180.0 / np.pi),
+        row("protection level", "protection_m", "cm", 100.0),
+        f"ambiguous {100 * summary['ambiguous']:.3g} % of the points, weak {100 * summary['weak']:.3g} %",
+        f"{summary['codes']} codes are enough for the {summary['beacons']} beacons",
+    ]
+    if summary["truncation"] != 0.0:
+        part = "unbounded" if summary["truncation"] is None else f"{100 * summary['truncation']:.2g} %"
+        lines.append(f"far beacons are left out: the bounds are too large by at most {part}")
+    return "\n".join(lines)
