@@ -51,7 +51,8 @@ def png(maps: Maps, floor: Floor | None = None) -> bytes:
             images[0], ax=panels[:, column], label=label, location="bottom", aspect=30.0, fraction=0.05, extend="max"
         )
         low, high = layer.scale(maps.figures)
-        bar.set_ticks(np.geomspace(low, high, TICKS), labels=[f"{tick:.3g}" for tick in np.geomspace(low, high, TICKS)])
+        ticks = np.geomspace(low, high, TICKS).tolist()
+        bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
         bar.ax.minorticks_off()
     figure.suptitle(_title(maps), fontsize=9)
     buffer = io.BytesIO()

@@ -63,7 +63,7 @@ class TileEngine:
     def __init__(self, request: Request) -> None:
         self._request = request
         site = request.site
-        self._model, self._sigma = FieldModel(site.beacons), noise_of(site)
+        self.model, self._sigma = FieldModel(site.beacons), noise_of(site)
         self._errors = errors_of(site.beacons, site.sensor)
         exact = self._errors is None or not (self._errors.gain_sd or self._errors.sensor_axis_sd_rad)
         self._distortions = (
@@ -76,7 +76,7 @@ class TileEngine:
     def compute(self, tile: Tile) -> TileResult:
         """Compute a tile."""
         point, settings = self._request.grid.points(tile), self._request.settings
-        ranking = ranked(self._model, self._sigma, point.min(axis=0), point.max(axis=0))
+        ranking = ranked(self.model, self._sigma, point.min(axis=0), point.max(axis=0))
         near, field, column, joint, truncation = self._told(point, ranking)
         information = gram(column)
         influence, weight = contributions(column, joint.covariance)
@@ -97,7 +97,7 @@ class TileEngine:
             protection_beacon=ranking.order[beacon].astype(np.int32),
             dilution_m_T=np.where(broken, np.inf, self._dilution(near, point)),
             best=places,
-            best_position_sd_m=np.where(broken, np.inf, self._of_best(column, best, near)),
+            best_position_sd_m=np.where(broken, np.inf, self._of_best(column, best)),
             weak=broken | self._weak(near, point, joint),
             ambiguous=~broken & ambiguous(near, point, field, weight),
             truncation=np.where(broken, 0.0, truncation),
@@ -114,7 +114,7 @@ class TileEngine:
         probes = np.linspace(0, len(point) - 1, PROBES).astype(np.intp)
         count = most if tolerance == 0.0 else self._count(point[probes], ranking, min(FEWEST, most))
         while True:
-            near = self._near(ranking, count)
+            near = self.near(ranking, count)
             field, column, _ = near.columns(point)
             joint = joint_covariance(gram(column), near.distortion)
             truncation = ranking.error_with(count, point, joint.covariance)
@@ -123,16 +123,17 @@ class TileEngine:
                 return near, field, column, joint, truncation
             count = self._count(point[worst[[truncation[worst].argmax()]]], ranking, min(most, count + 4))
 
-    def _near(self, ranking: Ranking, count: int) -> Neighbourhood:
+    def near(self, ranking: Ranking, count: int) -> Neighbourhood:
+        """Return the first beacons of a ranking."""
         rows = ranking.order[:count]
         errors = None if self._errors is None else self._errors.subset(rows)
         half_space = self._request.site.half_space
-        return Neighbourhood(self._model.subset(rows), self._sigma[rows], errors, self._distortions[0], half_space)
+        return Neighbourhood(self.model.subset(rows), self._sigma[rows], errors, self._distortions[0], half_space)
 
     def _count(self, point: FloatArray, ranking: Ranking, count: int) -> int:
         """Return how many beacons points need, at least ``count``, until what the others tell is within tolerance."""
         while count < len(ranking):
-            near = self._near(ranking, count)
+            near = self.near(ranking, count)
             joint = joint_covariance(gram(near.columns(point)[1]), near.distortion)
             told = np.asarray(np.isfinite(joint.covariance).all(axis=(1, 2)))  # not inside a wire
             if not joint.free[told].any():
@@ -164,11 +165,10 @@ class TileEngine:
         nearest = np.linalg.norm(point[:, None] - near.model.centre_m, axis=2).min(axis=1)
         return np.asarray(~told | (shift > WEAK_POSITION * nearest) | (turn2 > WEAK_ATTITUDE_RAD**2))
 
-    @staticmethod
-    def _of_best(column: FloatArray, best: NDArray[np.intp], near: Neighbourhood) -> FloatArray:
-        chosen = np.take_along_axis(column, best[:, :, None, None], axis=1)
-        joint = joint_covariance(gram(chosen), near.distortion)
-        return np.asarray(np.sqrt(np.einsum("ekk->e", joint.covariance[:, :3, :3] + joint.free[:, :3, :3])))
+    def _of_best(self, column: FloatArray, best: NDArray[np.intp]) -> FloatArray:
+        """Return the bound on the position from the best-K sets alone."""
+        information = gram(np.take_along_axis(column, best[:, :, None, None], axis=1))
+        return self._bounds(information, joint_covariance(information, self._distortions[0]))[0]
 
     @staticmethod
     def _dilution(near: Neighbourhood, point: FloatArray) -> FloatArray:
