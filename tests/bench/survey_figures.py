@@ -1,4 +1,4 @@
-"""How near surveys come to the truth, ten seeds each: ``python -m tests.bench.survey_figures [NAME ...] [--seeds N]``.
+"""How near a survey comes to the truth, ten seeds each: ``python -m tests.bench.survey_figures [NAME ...]``.
 
 A row tells the root of the mean square error of the beacons' places over all seeds, the bound (the covariance that the
 survey claims), their ratio, the normalised square of all errors per degree of freedom, and how many surveys failed and

@@ -217,8 +217,8 @@ def walk_equations(parts: Derivatives, weight: FloatArray) -> tuple[FloatArray, 
     count = BEACON * beacons
     size = count + SENSOR
     common, gradient = np.zeros((size, size)), np.zeros(size)
-    by_beacon = beacon.transpose(1, 0, 2, 3).reshape(beacons, -1, BEACON)
-    sensor_too = sensor.transpose(1, 0, 2, 3).reshape(beacons, -1, SENSOR)
+    by_beacon = beacon.transpose(1, 0, 2, 3).reshape(beacons, 3 * epochs, BEACON)
+    sensor_too = sensor.transpose(1, 0, 2, 3).reshape(beacons, 3 * epochs, SENSOR)
     of_beacons = by_beacon.swapaxes(1, 2) @ by_beacon
     for i in range(beacons):
         place = slice(BEACON * i, BEACON * (i + 1))
@@ -229,12 +229,12 @@ def walk_equations(parts: Derivatives, weight: FloatArray) -> tuple[FloatArray, 
     common[count:, count:] = flat.T @ flat
     gradient[:count] = np.einsum("encp,enc->np", beacon, residual).ravel()
     gradient[count:] = flat.T @ residual.ravel()
-    of_pose = pose.reshape(epochs, -1, 6).swapaxes(1, 2)
+    of_pose = pose.reshape(epochs, 3 * beacons, 6).swapaxes(1, 2)
     cross = np.empty((epochs, 6, size))
     cross[:, :, :count] = (pose.swapaxes(2, 3) @ beacon).transpose(0, 2, 1, 3).reshape(epochs, 6, count)
-    cross[:, :, count:] = of_pose @ sensor.reshape(epochs, -1, SENSOR)
+    cross[:, :, count:] = of_pose @ sensor.reshape(epochs, 3 * beacons, SENSOR)
     own = of_pose @ of_pose.swapaxes(1, 2)
-    own_gradient = (of_pose @ residual.reshape(epochs, -1, 1))[..., 0]
+    own_gradient = (of_pose @ residual.reshape(epochs, 3 * beacons, 1))[..., 0]
     return common, gradient, Group(own, cross, own_gradient)
 
 

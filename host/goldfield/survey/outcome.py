@@ -16,7 +16,7 @@ from goldfield.survey.data import Free, Outlier, Parameter
 from goldfield.survey.parameters import BEACON, COLUMNS, ROWS, TERMS, State, across, beacons_of
 from goldfield.types import Fields, FloatArray
 
-MOST_SEARCHED = 200
+MOST_SEARCHED = 60
 """Outliers in which the wrong beacon is looked for; the others are told by their residual alone."""
 
 

@@ -148,10 +148,12 @@ def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
         state, now = adjust(
             problem, state, model_error, robust=True, progress=ROUGH_PROGRESS if model_error else FINE_PROGRESS
         )
+    searched = np.zeros(len(state.sensor_m), dtype=bool)
     for place in range(ROUNDS):
-        lost = ~_likely(now.squares, problem.readings.count)
+        lost = ~(_likely(now.squares, problem.readings.count) | searched)
         if not lost.any():
             break
+        searched |= lost
         progress(f"search for {int(lost.sum())} epochs that do not fit", 0.6 + 0.08 * place)
         tried = searched_poses(problem, state, np.flatnonzero(lost))
         squares = evaluate(problem, tried).squares

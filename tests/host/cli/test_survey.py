@@ -1,0 +1,100 @@
+"""``goldfield survey``: from tables to a new site file, and what it says of bad input."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from goldfield import site as sites
+from goldfield.cli import main
+from goldfield.sensor.fields_table import FieldsWriter
+from tests.bench.integrity_sites import text_of
+from tests.bench.survey_trials import ASTRAY, cube, trial
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory):
+    """A folder with site.toml, fields.csv, points.csv and an anchor's table, and the truth."""
+    folder = tmp_path_factory.mktemp("room")
+    made = trial(cube(), 1, epochs=120, points=6, anchors=True)
+    (folder / "site.toml").write_text("# The workshop, measured by pacing.\n" + text_of(made.site, ASTRAY))
+    for name, epochs in (("fields.csv", made.data.epochs), ("b3.csv", [made.data.anchors[3].fields])):
+        with FieldsWriter(folder / name) as table:
+            for fields in epochs:
+                table.write(fields)
+    rows = [f"{one.epoch}," + ",".join(map(str, one.position_m)) for one in made.data.points]
+    (folder / "points.csv").write_text("\n".join(["epoch,x_m,y_m,z_m", *rows]) + "\n")
+    return folder, made
+
+
+def arguments(folder, out, *more):
+    tables = [str(folder / "fields.csv"), "--points", str(folder / "points.csv")]
+    return ["survey", "--site", str(folder / "site.toml"), *tables, "--out", str(out), *more]
+
+
+def test_a_new_site_file_is_written_that_locate_takes(room, tmp_path, capsys):
+    folder, made = room
+    out = tmp_path / "new.toml"
+    assert main(arguments(folder, out, "--json", "--anchor", f"b3={folder / 'b3.csv'}")) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    result = json.loads(line)
+    assert set(result) == {"residual_before", "residual_after", "parameters", "outliers", "advice"}
+    assert result["residual_before"] > 10.0 > 1.2 > result["residual_after"]
+    assert result["parameters"]["b0.x_m"].keys() == {"value", "sd", "before"}
+    assert out.read_text().startswith("# The workshop, measured by pacing.\n[site]\n")
+    new = sites.load(out)
+    error = np.linalg.norm([b.position_m for b in new.beacons] - made.coils.position_m[0], axis=1)
+    assert error.max() < 0.03
+    assert new.beacons[0].position_m[0] == result["parameters"]["b0.x_m"]["value"]
+    assert 0.0 < new.beacons[0].survey.position_sd_m < 0.02
+    assert new.beacons[0].survey.axis_sd_rad < 0.05
+    assert main(["locate", "--site", str(out), str(folder / "fields.csv"), "--json"]) == 0
+    statuses = [json.loads(line)["status"] for line in capsys.readouterr().out.splitlines()]
+    assert statuses.count("ok") > 100
+
+
+def test_a_table_for_people_ends_with_advice(room, tmp_path, capsys):
+    folder, _ = room
+    assert main(arguments(folder, tmp_path / "new.toml", "--free", "position, axis,current")) == 0
+    out = capsys.readouterr().out
+    assert out.splitlines()[0].split()[:5] == ["beacon", "x_m", "y_m", "z_m", "sd_mm"]
+    assert "the origin is known to" in out
+    assert "measure " in out
+
+
+@pytest.mark.parametrize(
+    ("more", "complaint"),
+    [
+        (["--anchor", "b9=x.csv"], 'the site has no beacon "b9"'),
+        (["--anchor", "b3"], "is no ID=FIELDS.csv"),
+        (["--log", "x.log"], "FIELDS.csv and --log are both given"),
+    ],
+)
+def test_bad_options_are_told(room, tmp_path, capsys, more, complaint):
+    folder, _ = room
+    assert main(arguments(folder, tmp_path / "new.toml", *more)) == 2
+    assert complaint in capsys.readouterr().err
+
+
+def test_an_unknown_kind_is_told(room, tmp_path, capsys):
+    folder, _ = room
+    with pytest.raises(SystemExit) as end:
+        main(arguments(folder, tmp_path / "new.toml", "--free", "position,spin"))
+    assert end.value.code == 2
+    assert "spin is none of position, axis" in capsys.readouterr().err
+
+
+def test_nothing_measured_is_told(room, tmp_path, capsys):
+    folder, _ = room
+    assert main(["survey", "--site", str(folder / "site.toml"), "--out", str(tmp_path / "new.toml")]) == 2
+    assert "nothing was measured" in capsys.readouterr().err
+
+
+def test_what_does_not_fit_is_no_new_site(room, tmp_path, capsys):
+    folder, _ = room
+    out = tmp_path / "new.toml"
+    assert main(arguments(folder, out, "--free", "position")) == 3
+    assert "no survey fits the fields" in capsys.readouterr().err
+    assert not out.exists()
