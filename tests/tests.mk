@@ -67,6 +67,12 @@ readme-figures: all ## Compare each figure that README.md quotes with what the c
 
 .PHONY: readme-figures
 
+SURVEY ?=
+survey-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure how near a survey comes to the truth (long; SURVEY="cube-10 --seeds 3")
+	@$(PYTHON) -m tests.bench.survey_figures $(SURVEY)
+
+.PHONY: survey-figures
+
 INTEGRITY ?=
 integrity-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure when the locator is wrong and says so (long; INTEGRITY="halls --poses 200 --seed 2")
 	@$(PYTHON) -m tests.bench.integrity_figures $(INTEGRITY)

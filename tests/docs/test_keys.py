@@ -49,7 +49,7 @@ def test_every_motion_and_every_sheet_is_explained() -> None:
         assert all(f"`{key}`" in text for key in keys)
 
 
-COMMANDS = ("run", "locate", "separate", "samples", "hil")
+COMMANDS = ("run", "locate", "separate", "samples", "survey", "hil")
 
 
 def options_of(command: str) -> set[str]:

@@ -50,14 +50,14 @@ class Problem:
         The sensor's axes as the site says.
     prior : Prior
     readings : Readings
-        Of the e epochs.
+        Those of the e epochs.
     point_m, point_weight : ndarray, shape (e, 3)
         Known coordinates of the sensor, and reciprocal standard deviations; 0 for those that are not known.
     room_m, room_sd_m : ndarray, shape (3,), and float
         Middle of the room, and how far from it the sensor may be.
     constraints : Constraints
     anchors : Readings
-        Of the a anchors, one epoch each; that of the own beacon is not measured.
+        Those of the a anchors, one epoch each; that of the own beacon is not measured.
     anchor_rows : list of int
         The beacon where each stands.
     """

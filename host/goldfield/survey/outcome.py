@@ -31,11 +31,11 @@ class Solution:
     state : State
     sound : ndarray of bool, shape (e,)
     last : Evaluation
-        Of the sound epochs, on which the result rests.
+        That of the sound epochs, on which the result rests.
     squares : ndarray, shape (e,)
         Chi-square of each epoch, outliers too.
     covariance : ndarray, shape (6 n + 9, 6 n + 9)
-        Of the common parameters; 0 for those that were not estimated.
+        That of the common parameters; 0 for those that were not estimated.
     widened : float
         Factor by which the deviations were widened.
     residual_before, residual_after : float
