@@ -3,8 +3,8 @@
 `check_outputs` is called before anything is opened. `OutputFile` is then the one way in which a file is written:
 
 - a table, a site or a picture is written beside its place and renamed at the end, so that it is there whole or not;
-- a recording (``live``) grows in its place record by record, each handed to the system at once, and a record that a
-  full disk tears is cut away.
+- a recording (``live``) grows in its place record by record, each handed to the system at once and to the disk within
+  a second, and a record that a full disk tears is cut away.
 
 In both the path ``-`` is stdout; what the program prints meanwhile goes to stderr.
 """
@@ -24,6 +24,7 @@ from types import TracebackType
 from typing import BinaryIO, Self, TextIO
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield.files.durable import Durable
 from goldfield.files.inputs import STREAM, open_pipe_end, reason_of
 
 STREAMS = {0: "stdin", 1: "stdout", 2: "stderr"}
@@ -156,6 +157,7 @@ class OutputFile:
         self._live = live
         self._beside: Path | None = None
         self._stdout: TextIO | None = None
+        self._durable: Durable | None = None
         if self._name == STREAM:
             self._name = "stdout"
             self._file = self._take_stdout()
@@ -165,6 +167,8 @@ class OutputFile:
         try:
             self._place = Path(path).resolve()  # a link stays one, and what it points at is written
             self._file = self._open(force)
+            if live and stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+                self._durable = Durable(self._file, self._place.parent)
         except UserError:
             raise
         except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a zero byte in the path
@@ -176,7 +180,7 @@ class OutputFile:
         Raises
         ------
         SystemFailure
-            If the disk is full or gone; what was written before stands, to the end of the last record.
+            If the disk is full, gone or broken; what was written before stands, to the end of the last record.
         BrokenPipeError
             If nobody reads stdout any more.
         """
@@ -186,6 +190,8 @@ class OutputFile:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if self._stdout is not None:
                 self._file.flush()
+            if self._durable is not None:
+                self._durable.note()
         except BrokenPipeError:
             raise
         except OSError as error:
@@ -197,7 +203,7 @@ class OutputFile:
             self._settle()
 
     def close(self) -> None:
-        """End the file and keep it; `SystemFailure` if it cannot be put in its place."""
+        """End the file and keep it; `SystemFailure` if it cannot be put in its place or on the disk."""
         if self._stdout is not None:
             sys.stdout, self._stdout = self._stdout, None
             return
@@ -205,6 +211,11 @@ class OutputFile:
             if self._beside is not None and not self._live:
                 os.fsync(self._file.fileno())
                 self._settle()
+            durable, self._durable = self._durable, None
+            if durable is not None:
+                durable.close()
+        except OSError as error:
+            raise self._failure(error) from error
         finally:
             self.discard()
 
@@ -213,6 +224,9 @@ class OutputFile:
         if self._stdout is not None:
             self.close()
         elif self._name != "stdout":
+            with suppress(OSError):
+                if self._durable is not None:
+                    self._durable.close()
             with suppress(OSError):
                 self._file.close()
             if self._beside is not None:

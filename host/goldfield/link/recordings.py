@@ -89,7 +89,9 @@ class CandumpReader:
 
 
 class CandumpWriter:
-    """Writes a log so that a crash loses nothing: every message is handed to the system at once.
+    """Writes a log so that a crash loses nothing, and a power cut little.
+
+    Every message is handed to the system at once, and to the disk within a second (`goldfield.files.durable`).
 
     A failing disk (full, removed) ends the recording with a message on stderr, cuts a torn last line off and lets the
     run go on.
@@ -131,5 +133,9 @@ class CandumpWriter:
             )
 
     def close(self) -> None:
-        """End the recording."""
-        self._file.close()
+        """End the recording, of which the disk may fail to take the last part."""
+        try:
+            self._file.close()
+        except SystemFailure as error:
+            self.failed = True
+            tell(str(error))

@@ -1,14 +1,17 @@
 """Outputs are whole or not there, overwrite only by force, and lose nothing that was written when they are cut."""
 
+import errno
 import os
 import random
 import signal
+import threading
 
 import numpy as np
 import pytest
 
 from goldfield import Fields, load_site, read_fields
 from goldfield.errors import SystemFailure, UserError
+from goldfield.files import durable
 from goldfield.files.outputs import OutputFile, check_outputs, write_file
 from goldfield.link.recordings import CandumpReader, CandumpWriter
 from goldfield.link.traffic import CORRUPT
@@ -209,3 +212,73 @@ def test_an_endless_sigma_is_left_out_of_the_table(tmp_path):
         writer.write(Fields(1, 0.1, ("b1", "b2"), np.full((2, 3), 1e-7), np.array([np.inf, 1e-9])))
     (epoch,) = read_fields(load_site(SITE), tmp_path / "f.csv")
     assert epoch.beacons == ("b2",)
+
+
+def test_a_live_file_is_handed_to_the_disk_without_holding_the_writer_up(tmp_path, monkeypatch):
+    """Every `SYNC_S` while something is written; a disk that takes for ever holds only the sync itself up."""
+    monkeypatch.setattr(durable, "SYNC_S", 0.001)
+    begun, go_on, sizes = threading.Event(), threading.Event(), []
+
+    def fdatasync(descriptor):
+        sizes.append(os.fstat(descriptor).st_size)
+        begun.set()
+        assert go_on.wait(30.0)
+
+    monkeypatch.setattr(os, "fdatasync", fdatasync)
+    with OutputFile(tmp_path / "a.log", "the recording", live=True) as file:
+        file.write(b"one\n")
+        assert begun.wait(30.0)
+        file.write(b"two\n")  # while the disk is at work
+        assert (tmp_path / "a.log").read_bytes() == b"one\ntwo\n"
+        go_on.set()
+    assert (sizes[0], sizes[-1]) == (4, 8), "the rest follows at the end at the latest"
+
+
+def test_nothing_is_synced_while_nothing_is_written(tmp_path, monkeypatch):
+    looks = threading.Semaphore(0)
+
+    class Stop(threading.Event):
+        def wait(self, timeout=None):
+            looks.release()
+            return super().wait(0.001)
+
+    syncs = []
+    monkeypatch.setattr(durable.threading, "Event", Stop)
+    monkeypatch.setattr(os, "fdatasync", syncs.append)
+    file = OutputFile(tmp_path / "a.log", "the recording", live=True)
+    file.write(b"one\n")
+    for _ in range(20):
+        looks.acquire()
+    file.close()
+    assert len(syncs) == 1
+
+
+@pytest.mark.parametrize("at", ["the next record", "the end"])
+def test_a_disk_that_fails_to_keep_what_it_took_is_told(tmp_path, monkeypatch, capsys, at):
+    failed = threading.Event()
+
+    def fdatasync(_):
+        failed.set()
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(durable, "SYNC_S", 0.001 if at == "the next record" else 1000.0)
+    monkeypatch.setattr(os, "fdatasync", fdatasync)
+    writer = CandumpWriter(tmp_path / "a.log")
+    writer.write(MESSAGES[0])
+    if at == "the next record":
+        assert failed.wait(30.0)
+        while not writer.failed:  # the thread has yet to keep the error
+            writer.write(MESSAGES[1])
+    writer.close()
+    assert writer.failed
+    assert "Input/output error" in capsys.readouterr().err
+
+
+def test_a_file_system_without_sync_is_written_all_the_same(tmp_path, monkeypatch):
+    def fdatasync(_):
+        raise OSError(errno.EINVAL, os.strerror(errno.EINVAL))
+
+    monkeypatch.setattr(os, "fdatasync", fdatasync)
+    with OutputFile(tmp_path / "a.log", "the recording", live=True) as file:
+        file.write(b"one\n")
+    assert (tmp_path / "a.log").read_bytes() == b"one\n"
