@@ -7,6 +7,7 @@ import codecs
 import gzip
 import io
 import logging
+import sys
 import zlib
 from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO, cast
@@ -88,12 +89,19 @@ def _need_file(path: str, packed: bool, what: str) -> None:
 
 
 def _mf4_reader(path: str) -> can.MF4Reader:
+    sys.unraisablehook = _told_unless_asammdf
     try:
         return can.MF4Reader(path)
     except NotImplementedError as error:
         raise UserError(
             f"{path}: an MF4 file needs the package asammdf: install it with pip install 'goldfield[mf4]'"
         ) from error
+
+
+def _told_unless_asammdf(unraisable: sys.UnraisableHookArgs) -> None:
+    """Tell an error in a destructor, but of asammdf, whose half-open files of what is damaged fail in theirs."""
+    if not str(getattr(unraisable.object, "__module__", "")).startswith("asammdf"):
+        sys.__unraisablehook__(unraisable)
 
 
 def _of_reader(make: Callable[[], Any]) -> Frames:

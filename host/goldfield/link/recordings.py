@@ -46,11 +46,14 @@ class CandumpReader:
         self._first_bad: int | None = None
         self._count = 0
         self._told = False
+        self._damaged = False
         self._file = open_input(path, "log")
 
     def __iter__(self) -> Iterator[can.Message]:
         yield from self._messages()
         self.close()
+        if not self._count and self._damaged:
+            raise UserError(f"{self.name}: is damaged or was cut off, and no message can be read: give another log")
         if not self._count:
             raise UserError(
                 f"{self.name}:1: the log holds no message like '(1.500000) can0 01000064#0011223344556677': "
@@ -81,6 +84,9 @@ class CandumpReader:
                 if frame == CORRUPT:
                     self._first_bad = self._first_bad or number
         except DAMAGE:
+            self._damaged = True
+            if not self._count:
+                return
             said = f"is damaged or was cut off behind {counted(self._count, 'messages')}"
             tell(f"{self.name}: {said}: what comes before is used")
         except OSError as error:

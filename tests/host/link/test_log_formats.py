@@ -1,7 +1,9 @@
 """Recordings in the spellings of candump and the formats of python-can: each gives the same messages."""
 
 import gzip
+import importlib.util
 import re
+import subprocess
 import sys
 
 import can
@@ -12,7 +14,7 @@ from goldfield.link.candump import parse
 from goldfield.link.marks import is_mark, mark, reads
 from goldfield.link.recordings import CandumpReader, CandumpWriter
 from goldfield.link.traffic import CORRUPT, ELEVEN_BIT, ERROR, FD, REMOTE
-from tests.host.fake_sensor import cycle_messages, heartbeat
+from tests.host.fake_sensor import SITE, cycle_messages, heartbeat
 
 START_S = 1795817432.676801
 FRAMES = [heartbeat(), *cycle_messages(124), *cycle_messages(125)]
@@ -89,7 +91,11 @@ def test_every_encoding_under_any_name(tmp_path, encoding, name):
     assert counted(reader) == {}
 
 
-@pytest.mark.parametrize("suffix", [".asc", ".blf", ".csv", ".db", ".trc", ".log"])
+HAS_ASAMMDF = importlib.util.find_spec("asammdf") is not None
+MF4 = pytest.param(".mf4", marks=pytest.mark.skipif(not HAS_ASAMMDF, reason="asammdf (the extra mf4) is not installed"))
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".csv", ".db", ".trc", ".log", MF4])
 def test_what_python_can_writes(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     with can.Logger(path) as writer:
@@ -99,7 +105,7 @@ def test_what_python_can_writes(tmp_path, suffix):
     reader, found = read(path)
     assert found == WANTED
     assert counted(reader) == {ELEVEN_BIT: 1}
-    if suffix not in (".db",):
+    if suffix not in (".db", ".mf4"):
         (tmp_path / "packed").write_bytes(gzip.compress(path.read_bytes()))
         assert read(tmp_path / "packed")[1] == WANTED
 
@@ -115,6 +121,22 @@ def test_mf4_needs_a_package_that_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(sys.modules["can.io.mf4"], "asammdf", None)
     with pytest.raises(UserError, match=r"needs the package asammdf: install it with pip install 'goldfield\[mf4\]'"):
         read(tmp_path / "a.mf4")
+
+
+@pytest.mark.skipif(not HAS_ASAMMDF, reason="asammdf (the extra mf4) is not installed")
+@pytest.mark.parametrize("share", [0.2, 0.5, 0.95])
+def test_a_torn_mf4_is_refused_in_a_sentence(tmp_path, share):
+    """It has its tables at the end; what asammdf says of it in its destructors does not reach the terminal."""
+    with can.Logger(tmp_path / "a.mf4") as writer:
+        for message in MESSAGES * 50:
+            writer.on_message_received(message)
+    whole = (tmp_path / "a.mf4").read_bytes()
+    (tmp_path / "a.mf4").write_bytes(whole[: int(share * len(whole))])
+    words = ["run", "--log", str(tmp_path / "a.mf4"), "--site", str(SITE)]
+    done = subprocess.run([sys.executable, "-m", "goldfield", *words], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    said = "is damaged or was cut off, and no message can be read: give another log"
+    assert done.stderr == f"goldfield: {tmp_path / 'a.mf4'}: {said}\n"
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".csv", ".db"])
