@@ -6,11 +6,17 @@ from pathlib import Path
 import pytest
 
 from goldfield_protocol.c_tables import table_header
+from goldfield_protocol.messages import database
 from goldfield_protocol.parameters import COUNTERS, PARAMETERS, Kind, ParameterError, counter_name, find_id, label_of
 from goldfield_protocol.parameters_doc import page
 from goldfield_protocol.table import ROLES
 
 PAGE = Path(__file__).parents[2] / "docs" / "parameters.md"
+
+
+def test_the_roles_are_those_of_the_heartbeat():
+    named = database().get_message_by_name("HEARTBEAT").get_signal_by_name("role").choices
+    assert {number: str(name) for number, name in named.items()} == {n: r for r, n in ROLES.items()} | {2: "host"}
 
 
 def test_the_page_in_the_docs_is_what_the_generator_prints():

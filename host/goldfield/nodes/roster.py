@@ -11,16 +11,11 @@ from dataclasses import dataclass, field
 import can
 from cantools.database.errors import Error as DatabaseError
 
+from goldfield.link.heartbeat import ROLES, STATE_STARTING, STATES
 from goldfield.link.requests import UNKNOWN, Value, value_of
 from goldfield.link.traffic import BY_MISMATCH, MEANINGLESS, kind_of
-from goldfield.sensor.receiver import ROLES
-from goldfield_protocol.messages import Message, database, decode, mismatch, protocol_hash
+from goldfield_protocol.messages import Message, decode, mismatch, protocol_hash
 
-STATES: dict[int, str] = {
-    int(number): str(name)
-    for number, name in (database().get_message_by_name("HEARTBEAT").get_signal_by_name("state").choices or {}).items()
-}
-STARTING = 0
 REQUESTS = ("PARAM_SET", "PARAM_GET", "PARAM_DESCRIBE", "COMMAND")
 """Messages that hosts send; the node in their identifier is the receiver's."""
 ECHO_S = 2.0
@@ -201,7 +196,7 @@ def _take_heartbeat(node: Node, message: Message) -> None:
     version = ".".join(str(int(signals[f"version_{part}"])) for part in ("major", "minor", "patch"))
     role = ROLES.get(int(signals["role"]))
     protocol, before = int(signals["protocol_hash"]), (node.role, node.version, node.protocol)
-    if int(signals["state"]) == STARTING:
+    if int(signals["state"]) == STATE_STARTING:
         node.counters.clear()
         node.parameters.clear()
         node.drives.clear()

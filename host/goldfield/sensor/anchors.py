@@ -18,14 +18,13 @@ from scipy.special import chdtri
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.field import FieldModel
+from goldfield.link.heartbeat import ROLE_ANCHOR
 from goldfield.link.reports import Assembler
 from goldfield.locate import locate
 from goldfield.site import Beacon, Site
 from goldfield.track.witness import strength_finding
 from goldfield.types import Explanation, Fields, Finding, FloatArray, Status
 from goldfield_protocol.messages import Message
-
-ROLE_ANCHOR = 3
 
 REFERENCE_S = 2.0
 """Time over which an anchor's fields are averaged before anything is compared with them."""

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import can
 
 from goldfield.errors import UserError, option
-from goldfield.sensor.receiver import ROLES, TO_NODES, channel_of, other_protocol, used_message
+from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, ROLES
+from goldfield.sensor.receiver import TO_NODES, channel_of, other_protocol, used_message
 from goldfield_protocol.messages import Message
-
-ROLE_SENSOR, ROLE_ANCHOR = 1, 3
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,7 @@ class Census:
     def _named(self, places: tuple[Place, ...]) -> Iterator[str]:
         """Yield each sensor with the options that choose it and no other."""
         for place in sorted(places, key=lambda place: (place.channel or "", place.node)):
-            what = f"{ROLES.get(self._roles.get(place, ROLE_SENSOR), 'sensor')} {place.node}"
+            what = f"{ROLES[self._roles.get(place, ROLE_SENSOR)]} {place.node}"
             options = []
             if sum(other.node == place.node for other in places) > 1 or len({p.channel for p in places}) > 1:
                 what += f" on {place.channel}"

@@ -9,14 +9,10 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
+from goldfield.link.heartbeat import DRIVING, STATE_STARTING
 from goldfield.sensor.headers import Event, Headers
 from goldfield_protocol.messages import Message
 from goldfield_protocol.parameters import PARAMETERS
-
-ROLE_BEACON, ROLE_SENSOR, ROLE_ANCHOR = 0, 1, 3
-STATE_STARTING, STATE_FAULT, STATE_CLOCK_FALLBACK = 0, 4, 5
-DRIVING = (ROLE_BEACON, ROLE_ANCHOR)
-"""Roles of boards that drive a coil."""
 
 LONGEST_STEP_S = 0.5
 """The clock goes on by so much at most from one header to the next: in a longer gap nobody was heard, not one board."""

@@ -11,6 +11,7 @@ from cantools.database.errors import Error as DatabaseError
 
 from goldfield.errors import UserError, tell
 from goldfield.link.buses import BusSource, Source
+from goldfield.link.heartbeat import ROLES
 from goldfield.link.marks import mark
 from goldfield.link.reports import ON_SENSOR_POSE
 from goldfield.link.traffic import (
@@ -23,9 +24,6 @@ from goldfield.link.traffic import (
     no_traffic,
 )
 from goldfield_protocol.messages import Identifier, Message, database, decode, mismatch, protocol_hash
-
-ROLES = {0: "beacon", 1: "sensor", 2: "host", 3: "anchor"}
-"""What a node is, by the number in its heartbeat."""
 
 USED = (
     "EPOCH",
@@ -203,7 +201,7 @@ def other_protocol(heartbeat: Message, *, live: bool) -> str | None:
     theirs, ours = int(heartbeat.signals["protocol_hash"]), protocol_hash()
     if theirs == ours:
         return None
-    role = ROLES.get(int(heartbeat.signals["role"]), "unknown")
+    role = ROLES[int(heartbeat.signals["role"])]
     version = ".".join(str(int(heartbeat.signals[f"version_{part}"])) for part in ("major", "minor", "patch"))
     what = (
         f"node {heartbeat.node} ({role}, firmware {version}) speaks protocol {theirs:#010x} and this host {ours:#010x}"

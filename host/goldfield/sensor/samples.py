@@ -9,7 +9,7 @@ import numpy as np
 
 from goldfield.errors import SystemFailure
 from goldfield.link.chips import Calibration, ChipAssembler
-from goldfield.sensor.health import STATE_STARTING
+from goldfield.link.heartbeat import STATE_STARTING
 from goldfield.sensor.session import SILENCE_S, WAIT_S, Session
 from goldfield.site import Site
 from goldfield.types import FloatArray

@@ -9,12 +9,13 @@ import can
 
 from goldfield.errors import SystemFailure, UserError, counted, option
 from goldfield.link.buses import BusSource, Source
+from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, STATE_STARTING
 from goldfield.link.marks import is_mark, reads
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.sensor.anchors import AnchorWatch
-from goldfield.sensor.census import ROLE_ANCHOR, ROLE_SENSOR, Census, Place
+from goldfield.sensor.census import Census, Place
 from goldfield.sensor.dialogue import Dialogue, Parameters
-from goldfield.sensor.health import STATE_STARTING, Health
+from goldfield.sensor.health import Health
 from goldfield.sensor.keeping import Keeping
 from goldfield.sensor.receiver import Receiver, Recorder
 from goldfield.site import Site

@@ -14,8 +14,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from goldfield.link.heartbeat import DRIVING, STATE_CLOCK_FALLBACK, STATE_FAULT
 from goldfield.link.reports import Report
-from goldfield.sensor.health import DRIVING, STATE_CLOCK_FALLBACK, STATE_FAULT, Board, Drive, Health
+from goldfield.sensor.health import Board, Drive, Health
 from goldfield.site import Site
 from goldfield.types import Explanation, Finding
 
