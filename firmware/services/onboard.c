@@ -12,7 +12,7 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
     onboard->chips = chips;
     onboard->active = parameters_unsigned(parameters, PARAMETER_POSE) == 1u;
     onboard->due = onboard->due && onboard->active;
-    onboard->busy = false;
+    pose_live_forget(&onboard->live);
     onboard->noise_T = parameters_float(parameters, PARAMETER_NOISE);
     onboard->pose.status = POSE_FAILED;
     uint16_t codes[EPOCH_CODES_MAX];
@@ -44,25 +44,6 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
     /* With a code left out beacons would be taken for others. */
     const bool complete = selection->count == parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
     onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
-}
-
-void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
-                  const epoch_selection_t *selection) {
-    if (!onboard->active || cycle->missing >= cycle->chips) {
-        return;
-    }
-    onboard->cycle = cycle->cycle;
-    onboard->missing = cycle->missing;
-    onboard->saturated = cycle->saturated;
-    epoch_offset(cycle, calibration, onboard->mean);
-    for (uint32_t i = 0; i < selection->count; i++) {
-        float field[EPOCH_AXES];
-        epoch_field(cycle, calibration, selection, i, field);
-        for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
-            onboard->sums[axis][i] = field[axis];
-        }
-    }
-    onboard->due = true;
 }
 
 static void separate(onboard_t *onboard) {
@@ -98,10 +79,9 @@ static float root_of_trace(const float matrix[3][3]) {
     return square_root(matrix[0][0] + matrix[1][1] + matrix[2][2]);
 }
 
-static void send(const onboard_t *onboard, node_t *node) {
-    const pose_t *pose = &onboard->pose;
+static void send(const pose_t *pose, uint32_t cycle, node_t *node) {
     const bool found = pose->status != POSE_FAILED;
-    const uint8_t cycle_low = onboard->located & 0xFu;
+    const uint8_t cycle_low = cycle & 0xFu;
     uint8_t data[8];
     const struct goldfield_pose_position_t position = {
         .x = found ? epoch_integer(pose->position_m[0], 1e-4f) : EPOCH_OUT_OF_RANGE,
@@ -145,30 +125,59 @@ static void send(const onboard_t *onboard, node_t *node) {
     node_send(node, NODE_BOTH, GOLDFIELD_POSE_INTEGRITY_FRAME_ID, 0, data, length);
 }
 
-/* Begins the pose of the cycle taken. Returns whether there is anything to compute. */
-static bool begin(onboard_t *onboard) {
+void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
+                  const epoch_selection_t *selection) {
+    if (!onboard->active || cycle->missing >= cycle->chips) {
+        return;
+    }
+    if (onboard->due) {
+        const pose_t late = {.status = POSE_FAILED, .reason = POSE_REASON_LATE, .left_out = POSE_NOBODY};
+        send(&late, onboard->cycle, node);
+    }
+    onboard->cycle = cycle->cycle;
+    onboard->missing = cycle->missing;
+    onboard->saturated = cycle->saturated;
+    epoch_offset(cycle, calibration, onboard->mean);
+    for (uint32_t i = 0; i < selection->count; i++) {
+        float field[EPOCH_AXES];
+        epoch_field(cycle, calibration, selection, i, field);
+        for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
+            onboard->sums[axis][i] = field[axis];
+        }
+    }
+    onboard->due = true;
+}
+
+/* Begins the pose of the cycle taken. */
+static void begin(onboard_t *onboard, node_t *node) {
     onboard->due = false;
     onboard->located = onboard->cycle;
     if (!onboard->separable) {
         onboard->pose = (pose_t){.status = POSE_FAILED, .reason = POSE_REASON_NO_POSE, .left_out = POSE_NOBODY};
-        return false;
+        send(&onboard->pose, onboard->located, node);
+        return;
     }
     separate(onboard);
-    pose_begin(&onboard->site, onboard->fields, true, &onboard->work, &onboard->pose);
-    return true;
+    pose_live_begin(&onboard->live, &onboard->site, onboard->fields, &onboard->pose);
+}
+
+/* Does one step of whatever comes first. Returns whether there was anything to do. */
+static bool step(onboard_t *onboard, node_t *node) {
+    if (onboard->live.busy) {
+        if (pose_live_step(&onboard->live, &onboard->pose)) {
+            send(&onboard->pose, onboard->located, node);
+        }
+        return true;
+    }
+    if (onboard->due) {
+        begin(onboard, node);
+        return true;
+    }
+    return pose_live_spare(&onboard->live);
 }
 
 void onboard_step(onboard_t *onboard, node_t *node) {
-    if (!onboard->busy) {
-        if (!onboard->due) {
-            return;
-        }
-        onboard->busy = begin(onboard);
-    }
-    if (onboard->busy) {
-        onboard->busy = !pose_step(&onboard->work, &onboard->pose);
-    }
-    if (!onboard->busy) {
-        send(onboard, node);
+    const uint64_t start_us = hal_microseconds(node->hal);
+    while (step(onboard, node) && hal_microseconds(node->hal) - start_us < ONBOARD_TURN_US) {
     }
 }

@@ -4,29 +4,32 @@
  * Calls, in the order they are made
  *   1. onboard_configure  at start, and when a parameter has changed.
  *   2. onboard_take       with each whole cycle: it copies the cycle's sums while they are there.
- *   3. onboard_step       at once, and again and again: each call does one step of the pose, the last one sends it. A
- *                         cycle that is taken meanwhile waits; a further one replaces it.
+ *   3. onboard_step       at once, and again and again: each call does some steps of the pose, the last one sends it,
+ *                         and further ones review fields that do not agree with the site (pose_live.h).
  *
  * The beacon of place i in the code list is row i of the parameter beacons (docs/parameters.md), row i of survey
  * says how well it is known; these, noise, gain_sd and axis_sd give the weights, and half_space resolves the mirror of
  * coplanar coils. Lost chips scale the sums; saturated and lost ones widen the noise by the part of the offset that no
- * longer cancels. Each cycle that is computed gives four messages, whatever happens; status and reason tell.
+ * longer cancels. Each cycle that is taken gives four messages, whatever happens; status and reason tell. A cycle that
+ * is taken while the pose of another is computed waits; if a further one comes before that is done, as with cycles of a
+ * few milliseconds or dozens of beacons, the one that waits is answered as failed, and late is its reason.
  *
- * Contexts: main only. Memory: 14 kB. Time: onboard_step takes as long as a step of pose.h, and about 25 instructions
- * a code and axis for the separation; without a cycle it takes nothing.
+ * Contexts: main only. Memory: 24 kB. Time: a call begins no step after ONBOARD_TURN_US; the last one takes as long as
+ * a step of pose.h. The separation takes about 25 instructions a code and axis. With nothing to do a call takes none.
  */
 #ifndef GOLDFIELD_ONBOARD_H
 #define GOLDFIELD_ONBOARD_H
 
 #include "core/codes/epoch.h"
 #include "core/codes/separation.h"
-#include "core/pose/pose.h"
+#include "core/pose/pose_live.h"
 #include "services/node.h"
+
+#define ONBOARD_TURN_US 2000u /* Time in a call after which it begins no further step: a block takes 3 ms. */
 
 /* Private but for tests. */
 typedef struct {
     bool active, due; /* Poses are wanted; a cycle has been taken and not been computed. */
-    bool busy;        /* A pose has been begun and is not complete. */
     bool separable;   /* The code list can be separated. */
     float noise_T;    /* Standard deviation of a sample, T. */
     separation_t separation;
@@ -37,7 +40,7 @@ typedef struct {
     uint32_t chips;                          /* N, the chips in a cycle. */
     uint32_t missing, saturated;             /* Chips of it without a sample, and with a saturated one. */
     pose_field_t fields[POSE_BEACONS_MAX];
-    pose_work_t work;
+    pose_live_t live;
     pose_t pose;
 } onboard_t;
 
@@ -47,11 +50,12 @@ typedef struct {
 void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips,
                        const epoch_selection_t *selection);
 
-/* Take a whole cycle, if active and if it has any sample. Costs about 250 instructions a code. */
-void onboard_take(onboard_t *onboard, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
+/* Take a whole cycle, if active and if it has any sample; one that waits is answered. Costs about 250 instructions a
+ * code. */
+void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
                   const epoch_selection_t *selection);
 
-/* Do one step of the pose of the cycle taken, if there is one, and send it when it is complete. */
+/* Do steps of the pose of the cycle taken, if there is one, and send it when it is complete; else of the review. */
 void onboard_step(onboard_t *onboard, node_t *node);
 
 #endif

@@ -135,7 +135,7 @@ static void report(sense_t *sense, node_links_t links, const epoch_sums_t *cycle
         length = (uint8_t)goldfield_field_pack(data, &field, sizeof data);
         node_send(node, links, GOLDFIELD_FIELD_FRAME_ID, sense->selection.codes[i].code, data, length);
     }
-    onboard_take(&sense->onboard, cycle, &sense->calibration, &sense->selection);
+    onboard_take(&sense->onboard, node, cycle, &sense->calibration, &sense->selection);
 }
 
 static void send_part(sense_t *sense, node_links_t links, const epoch_sums_t *part, uint32_t code,

@@ -20,6 +20,18 @@ static bool track(pose_work_t *work, pose_t *pose) {
     return true;
 }
 
+/* Begins the search with all beacons. */
+static bool begin_all(pose_work_t *work) {
+    pose_solve_begin(&work->solver, POSE_FIND_DIRECTIONS, POSE_FIND_EVALUATIONS);
+    work->stage = POSE_STEP_ALL;
+    return false;
+}
+
+static void start_from(const pose_t *pose, pose_solver_t *solver) {
+    vector3_subtract(pose->position_m, solver->problem.origin_m, solver->best.position_m);
+    memcpy(solver->best.quaternion, pose->quaternion, sizeof pose->quaternion);
+}
+
 static bool begin(pose_work_t *work, pose_t *pose) {
     const pose_problem_t *problem = &work->solver.problem;
     if (problem->count < POSE_BEACONS_LEAST) {
@@ -33,9 +45,43 @@ static bool begin(pose_work_t *work, pose_t *pose) {
     if (work->known && problem->count >= POSE_ENOUGH_BEACONS && track(work, pose)) {
         return true;
     }
-    pose_solve_begin(&work->solver, POSE_FIND_DIRECTIONS, POSE_FIND_EVALUATIONS);
-    work->stage = POSE_STEP_ALL;
-    return false;
+    if (work->known) {
+        start_from(pose, &work->solver);
+    }
+    if (work->later && work->verdict.row != POSE_NOBODY &&
+        pose_explain_again(&work->solver, &work->explain, work->verdict.row, work->known, pose)) {
+        work->stage = POSE_STEP_AGAIN;
+        return false;
+    }
+    return begin_all(work);
+}
+
+/* After the search without the beacon of the verdict, and while the pose without it is compared with others. */
+static bool by_verdict(pose_work_t *work, pose_t *pose) {
+    if (!pose_explain_step(&work->solver, &work->explain, pose)) {
+        return false;
+    }
+    if (work->explain.refuted) {
+        pose->tracked = false;
+        return begin_all(work);
+    }
+    work->alarmed = true;
+    return true;
+}
+
+/* No pose is good. */
+static bool by_nothing(pose_work_t *work, pose_t *pose) {
+    if (!work->later) {
+        pose_explain_begin(&work->solver, &work->explain);
+        work->stage = POSE_STEP_EXPLAIN;
+        return false;
+    }
+    work->alarmed = true;
+    work->explain.again = false;
+    work->explain.full = work->solver.best;
+    pose_explain_whole(&work->solver, &work->explain,
+                       work->verdict.row == POSE_NOBODY ? work->verdict.reason : POSE_REASON_PENDING, pose);
+    return true;
 }
 
 /* After the search with all beacons. */
@@ -57,18 +103,21 @@ static bool by_all(pose_work_t *work, pose_t *pose) {
         pose_result(problem, &solver->best, faults, POSE_REASON_NONE, contested, pose);
         return true;
     }
-    pose_explain_begin(solver, &work->explain);
-    work->stage = POSE_STEP_EXPLAIN;
-    return false;
+    return by_nothing(work, pose);
 }
 
-void pose_begin(const pose_site_t *site, const pose_field_t *fields, bool track, pose_work_t *work, pose_t *pose) {
+void pose_begin(const pose_site_t *site, const pose_field_t *fields, bool track, const pose_verdict_t *verdict,
+                pose_work_t *work, pose_t *pose) {
     pose_solver_t *solver = &work->solver;
     pose_problem(site, fields, &solver->problem);
     work->known = track && pose->status != POSE_FAILED;
+    work->later = verdict != NULL;
+    if (verdict != NULL) {
+        work->verdict = *verdict;
+    }
+    work->alarmed = false;
     if (work->known) {
-        vector3_subtract(pose->position_m, solver->problem.origin_m, solver->best.position_m);
-        memcpy(solver->best.quaternion, pose->quaternion, sizeof pose->quaternion);
+        start_from(pose, solver);
     }
     solver->stage = POSE_SOLVE_DONE;
     work->stage = POSE_STEP_BEGIN;
@@ -78,6 +127,24 @@ void pose_begin(const pose_site_t *site, const pose_field_t *fields, bool track,
     pose->tracked = false;
 }
 
+void pose_review(const pose_work_t *work, pose_work_t *review, pose_t *pose) {
+    *review = *work;
+    pose_solver_t *solver = &review->solver;
+    pose_explain_t *explain = &review->explain;
+    *pose = (pose_t){.left_out = POSE_NOBODY};
+    if (explain->again) {
+        if (explain->agreed) {
+            pose_problem_leave_out(&solver->problem, explain->left_out, false);
+        }
+        pose->iterations = pose_fit(&solver->problem, POSE_NEAR_EVALUATIONS, &solver->best);
+    }
+    pose->used = solver->problem.count;
+    solver->stage = POSE_SOLVE_DONE;
+    review->stage = POSE_STEP_BEGIN;
+    review->later = false;
+    (void)by_nothing(review, pose);
+}
+
 bool pose_step(pose_work_t *work, pose_t *pose) {
     if (!pose_solve_step(&work->solver, &pose->iterations)) {
         return false;
@@ -85,6 +152,8 @@ bool pose_step(pose_work_t *work, pose_t *pose) {
     switch (work->stage) {
     case POSE_STEP_BEGIN:
         return begin(work, pose);
+    case POSE_STEP_AGAIN:
+        return by_verdict(work, pose);
     case POSE_STEP_ALL:
         return by_all(work, pose);
     default:
@@ -93,13 +162,13 @@ bool pose_step(pose_work_t *work, pose_t *pose) {
 }
 
 void pose_find(const pose_site_t *site, const pose_field_t *fields, pose_work_t *work, pose_t *pose) {
-    pose_begin(site, fields, false, work, pose);
+    pose_begin(site, fields, false, NULL, work, pose);
     while (!pose_step(work, pose)) {
     }
 }
 
 void pose_track(const pose_site_t *site, const pose_field_t *fields, pose_work_t *work, pose_t *pose) {
-    pose_begin(site, fields, true, work, pose);
+    pose_begin(site, fields, true, NULL, work, pose);
     while (!pose_step(work, pose)) {
     }
 }

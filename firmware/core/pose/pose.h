@@ -2,11 +2,13 @@
  * host/goldfield/locate on the board itself.
  *
  * Calls: pose_begin, then pose_step until it returns true, so that a long computation does not hold up the board.
- * pose_find and pose_track do it at once.
+ * pose_find and pose_track do it at once. A board that is to have the pose of each cycle in time calls pose_live.h.
  *
  * Method. With no prior, pose_solve finds the pose that explains the fields best. Tracking starts a fit from the
  * previous pose, and falls back to the search when that does not explain the fields. If no pose passes the tests of
- * pose_faults, pose_explain says what is wrong, and leaves out one faulty beacon.
+ * pose_faults, pose_explain says what is wrong, and leaves out one faulty beacon. That takes longer than all the rest:
+ * with a verdict of a cycle before, pose_begin makes it be left for later, and the pose is inconsistent unless the
+ * fields agree without the beacon of that verdict.
  *
  * Differences from the host's location: one beacon is left out at most, not two; of more than 12 the most suspect 12
  * are tried. The sensor's distortion is named as strength or gains only. Errors
@@ -30,11 +32,13 @@
  *   pose_find    1,020,000 instructions (1,100,000) when a pose explains the fields.
  *   pose_track   237,000 instructions (424,000), at most 252,000 (455,000) with the previous pose 0.1 m and 0.1 rad
  *                away; when it has to search, those of pose_find too.
- *   pose_step    at most 950,000 instructions (1,830,000, 11 ms at an instruction a cycle and 168 MHz); all steps
- *                together, when nothing explains the fields, 12,000,000, 70 ms (17,600,000, 105 ms: longer than a cycle
- *                of 100 ms, so that one may be skipped).
+ *   pose_step    at most 850,000 instructions (910,000, 5.4 ms at an instruction a cycle and 168 MHz).
+ *   pose_live    when nothing explains the fields 2,400,000 a cycle (3,200,000, 19 ms), with one beacon left out by the
+ *                verdict of a cycle before 2,200,000 (5,100,000, 30 ms); a review 9,900,000 (14,400,000, 86 ms), which
+ *                in the time that poses leave of cycles of 100 ms takes two of them.
  *
  * Memory: pose_work_t 9.0 kB, pose_site_t 2,856 bytes, both the caller's; stack 2.9 kB.
+
  */
 #ifndef GOLDFIELD_POSE_H
 #define GOLDFIELD_POSE_H
@@ -45,19 +49,34 @@
 #define POSE_TRACK_EVALUATIONS 14u  /* Most evaluations in the fit from the previous pose. */
 #define POSE_STEPS_MOST        128u /* Most steps of a pose. */
 
-typedef enum { POSE_STEP_BEGIN, POSE_STEP_ALL, POSE_STEP_EXPLAIN } pose_stage_t;
+typedef enum { POSE_STEP_BEGIN, POSE_STEP_AGAIN, POSE_STEP_ALL, POSE_STEP_EXPLAIN } pose_stage_t;
+
+/* What the explanation of one cycle's fields came to, for later cycles. */
+typedef struct {
+    uint32_t row;         /* Row of the beacon that was left out, or POSE_NOBODY. */
+    pose_reason_t reason; /* Why no pose was good; POSE_REASON_PENDING if nothing is known. */
+} pose_verdict_t;
 
 /* Memory of one pose, from pose_begin to its last pose_step; its contents need not live from pose to pose. */
 typedef struct {
     pose_solver_t solver; /* With the problem. */
     pose_explain_t explain;
+    pose_verdict_t verdict;
     pose_stage_t stage; /* What comes after the search that is under way. */
-    bool known;         /* solver.best holds the previous pose. */
+    bool known;         /* There is a previous pose; at first it is in solver.best. */
+    bool later;         /* What is wrong with the fields is not explained here. */
+    bool alarmed;       /* The fields of all beacons do not agree with the site. */
 } pose_work_t;
 
 /* Begin a pose. fields has one entry for each beacon of the site, site->count of them; fields that are not finite count
- * as not heard. With track, *pose is the previous pose: it is where the first step starts, unless it failed. */
-void pose_begin(const pose_site_t *site, const pose_field_t *fields, bool track, pose_work_t *work, pose_t *pose);
+ * as not heard. With track, *pose is the previous pose: it is where the first step starts, unless it failed. With
+ * a verdict, which is copied, fields that do not agree with the site are left for pose_review; it is NULL otherwise. */
+void pose_begin(const pose_site_t *site, const pose_field_t *fields, bool track, const pose_verdict_t *verdict,
+                pose_work_t *work, pose_t *pose);
+
+/* Begin to explain the fields of a complete pose that was alarmed, by steps of its own. *pose becomes what it would
+ * have been without a verdict. */
+void pose_review(const pose_work_t *work, pose_work_t *review, pose_t *pose);
 
 /* Do the next step. Returns true when *pose is complete, at the latest with step POSE_STEPS_MOST. It never fails but
  * by status. */

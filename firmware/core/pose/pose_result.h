@@ -41,7 +41,9 @@ typedef enum {
     POSE_REASON_UNVERIFIED = 10, /* The protection level is above the alert limit. */
     POSE_REASON_LEFT_OUT = 11,   /* The pose is good; one beacon was left out. */
     POSE_REASON_STRENGTH = 12,   /* Fields of another strength fit: the sensor's gain, or all currents. */
-    POSE_REASON_GAINS = 13       /* Axes of the sensor with other gains fit. */
+    POSE_REASON_GAINS = 13,      /* Axes of the sensor with other gains fit. */
+    POSE_REASON_PENDING = 14,    /* The fields and the site do not agree; what is wrong is still being computed. */
+    POSE_REASON_LATE = 15        /* There was no time to compute a pose. */
 } pose_reason_t;
 
 typedef struct {

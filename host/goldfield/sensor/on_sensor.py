@@ -43,6 +43,8 @@ REASONS = {
     8: "another pose fits the fields as well",
     9: "the beacons that are heard do not fix the pose",
     10: "a fault of one beacon could hide an error above the alert limit",
+    14: "the fields do not agree with the site, and the sensor is still computing what is wrong",
+    15: "the sensor had no time to compute a pose",
     **{number: text for number, (_, text) in FINDINGS.items()},
 }
 """Sentences for the other numbers of ``POSE_INTEGRITY.reason``; 0 says nothing, and 11 names a beacon."""

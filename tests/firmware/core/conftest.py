@@ -27,6 +27,7 @@ HEADERS = (
     "core/pose/wahba.h",
     "core/pose/pose.h",
     "core/pose/pose_covariance.h",
+    "core/pose/pose_live.h",
 )
 
 

@@ -125,15 +125,22 @@ def test_a_cycle_without_a_pose_says_so(make: Callable[..., World], wrong: dict[
 
 
 def test_a_dead_beacon_is_left_out_and_told(make: Callable[..., World]) -> None:
-    """The steps of its exclusion take several turns of the main loop; each cycle gets its pose all the same."""
+    """Its exclusion takes many turns of the main loop; each cycle gets its pose, and says what is known by then."""
     chips = chips_of_field(CODES)
     coil = magpylib.current.Circle(diameter=0.298, current=190.0, position=CENTRES[5])
     chips = chips - np.outer(gold_chips(CODES[5]), ATTITUDE.inv().apply(coil.getB(POSITION)))
     world = make(counts_of(chips), **TABLE)
     world.run_cycles(10)
-    rows = poses_of(world)[1:]  # The first cycle has few chips.
-    assert len(rows) >= 5
-    for row in rows:
+    rows = poses_of(world)
+    assert len(rows) == len(world.board.messages("EPOCH"))
+    reasons = [integrity.signals["reason"] for *_, integrity in rows]
+    told = reasons.index(11)
+    assert reasons[0] == 14
+    assert set(reasons[1:told]) <= {14, 5}  # 5: what the few chips of the first cycle tell.
+    assert told <= 4
+    assert reasons[told:] == [11] * (len(reasons) - told)
+    assert all(quality.signals["status"] == 3 for *_, quality, _ in rows[:told])
+    for row in rows[told:]:
         position, attitude, quality, integrity = row
         assert len({m.signals["cycle_low"] for m in row}) == 1
         assert (quality.signals["status"], quality.signals["used"]) == (0, 7)
