@@ -28,6 +28,7 @@ HEADERS = (
     "core/pose/pose.h",
     "core/pose/pose_covariance.h",
     "core/pose/pose_live.h",
+    "core/pose/pose_mirror.h",
 )
 
 

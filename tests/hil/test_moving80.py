@@ -1,0 +1,125 @@
+"""A sensor in motion that sends the parts of its cycles: tracked better than by whole cycles, near the bound."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from goldfield.access.epoch import EpochSeparator
+from goldfield.access.sweep import SweepRepair
+from goldfield.locate import locate
+from goldfield.track import CycleLocator, PartsObserver, Tracker, cycle_of_parts
+from goldfield_protocol import FrameDecoder, decode, encode, encode_frame
+from goldfield_protocol.parameters import PARAMETERS
+from hil_sim.bench import SimulatedBench
+from hil_sim.clib import ROOT
+from tests.bench.locate_trials import prigge_cube
+from tests.bench.motion_trials import Room, cycle_bound, straight
+
+NOISE_T = 2e-7
+CYCLES = 80
+SETTLING = 5
+RATE_RAD_S = np.array([0.6, 0.0, 0.8])
+RADIUS_M = 0.5
+SPEED_M_S = 1.0
+
+
+def circle(time_s):
+    """Positions, m, shape (t, 3), and velocities on a level circle inside the cube."""
+    angle = np.asarray(time_s)[:, None] * SPEED_M_S / RADIUS_M
+    ahead = np.hstack([np.cos(angle), np.sin(angle), 0.0 * angle])
+    aside = np.hstack([-np.sin(angle), np.cos(angle), 0.0 * angle])
+    return np.array([1.0, 1.1, 0.8]) + RADIUS_M * ahead, SPEED_M_S * aside
+
+
+def waypoints():
+    """Return a flight at 1 m/s along the circle, turning at 1 rad/s about a fixed axis."""
+    times = np.arange(0.0, 12.0, 0.01)
+    turns = Rotation.from_rotvec(np.outer(times, RATE_RAD_S)) * Rotation.from_rotvec([0.3, -0.2, 1.1])
+    return times, circle(times)[0], turns.as_rotvec()
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory, rig_kind):
+    """(bench, reports) of a sensor that was asked for parts."""
+    text = (ROOT / "hil_sim/scenarios/prigge8.toml").read_text()
+    start, end = text.index("[motion]"), text.index("[coil]")
+    times, positions, turns = waypoints()
+    motion = f'[motion]\nkind = "waypoints"\ntimes_s = {times.tolist()}\npositions_m = {positions.tolist()}\n'
+    motion += f"rotation_vectors_rad = {turns.tolist()}\n\n"
+    directory = tmp_path_factory.mktemp("moving")
+    path = directory / "moving8.toml"
+    path.write_text(text[:start] + motion + text[end:])
+    bench = SimulatedBench(str(path), rig_kind, directory)
+    parts = {"kind": 0, "value_unsigned": 3}
+    node = bench.scenario.sensor.node
+    bench.rig.serial_write(encode_frame(*encode("PARAM_SET", parts, node=node, index=PARAMETERS["parts"].first)))
+    bench.reports(5)
+    yield bench, bench.reports(CYCLES)
+    bench.rig.close()
+
+
+@pytest.fixture(scope="module")
+def poses(flight):
+    """Poses of each cycle: (one cycle alone by its fields, by its parts; tracked by fields, by parts)."""
+    bench, reports = flight
+    separator, sweep = EpochSeparator(bench.site), SweepRepair(bench.site)
+    whole, in_parts = Tracker(bench.site), Tracker(bench.site, PartsObserver(bench.site))
+    alone = CycleLocator(bench.site, 3)
+    result = []
+    for report in reports:
+        fields = sweep.repaired(separator.fields(report), report.offset_T)
+        cycle = cycle_of_parts(bench.site, report, fields.time_s)
+        assert cycle is not None
+        single = locate(bench.site, separator.fields(report))
+        result.append((single, alone.locate(cycle).pose, whole.update(fields), in_parts.update(cycle)))
+    return result
+
+
+def over_bound(bench, poses):
+    """Root of the mean square of the position errors, m, and of the same over the bound of one cycle's samples."""
+    truth, room, errors, ratios = bench.truth(), Room(prigge_cube(NOISE_T)), [], []
+    for pose in poses:
+        true = truth[pose.epoch]
+        turn = Rotation.from_quat(true.orientation_xyzw)
+        bound = cycle_bound(room, straight(true.position_m, turn, circle([true.time_s])[1][0], RATE_RAD_S), NOISE_T)
+        errors.append(np.linalg.norm(pose.position_m - true.position_m))
+        ratios.append(errors[-1] / bound)
+    return np.sqrt(np.mean(np.square(errors))), np.sqrt(np.mean(np.square(ratios)))
+
+
+def test_every_cycle_has_its_parts_and_they_add_up(flight):
+    bench, reports = flight
+    for report in reports:
+        assert report.complete
+        assert len(report.parts_T) == 3 * 9
+        for code in bench.site.codes:
+            total = sum(report.parts_T[1026 * part + code] for part in range(3))
+            np.testing.assert_allclose(total, report.correlation_T[code], atol=2.1e-10)
+        total = sum(report.parts_T[1026 * part + 1025] for part in range(3))
+        np.testing.assert_allclose(total, report.offset_T, atol=7e-10)
+
+
+def test_the_sensors_own_poses_go_on_and_nothing_is_lost(flight):
+    bench, reports = flight
+    decoded = [decode(frame.identifier, frame.data) for frame in FrameDecoder().feed(bytes(bench.stream))]
+    messages = [message for message in decoded if message is not None]
+    own = [m.signals for m in messages if m.name == "POSE_QUALITY"][-CYCLES:]
+    cycles = [int(signals["cycle_low"]) for signals in own]
+    assert (reports[-1].cycle - cycles[-1]) % 16 <= 1  # That of the last report may be on its way.
+    assert (np.diff(cycles) % 16 == 1).all()
+    assert all(signals["status"] != 4 for signals in own)  # failed
+    counters = {m.index: m.signals["value"] for m in messages if m.name == "COUNTER"}
+    assert counters.get(13, 0) <= 1  # the cycle that the first synchronisation cut short
+    assert 4 not in counters
+
+
+def test_parts_are_near_the_bound_and_better_than_whole_cycles(flight, poses):
+    bench, _ = flight
+    figures = {}
+    for name, kind in (("fields", 0), ("parts", 1), ("fields, tracked", 2), ("parts, tracked", 3)):
+        error, ratio = over_bound(bench, [of_cycle[kind] for of_cycle in poses[SETTLING:]])
+        figures[name] = ratio
+        print(f"{name}: rms {1e3 * error:.2f} mm, {ratio:.3f} times the bound of one cycle's samples")
+    assert figures["parts"] < 1.15
+    assert figures["parts"] < 0.7 * figures["fields"]
+    assert figures["parts, tracked"] < 1.0
