@@ -16,7 +16,7 @@ from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, cycle_bound, straight
 
 NOISE_T = 2e-7
-CYCLES = 40
+CYCLES = 80
 SETTLING = 5
 RATE_RAD_S = np.array([0.6, 0.0, 0.8])
 RADIUS_M = 0.5

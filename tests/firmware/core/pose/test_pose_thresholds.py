@@ -12,12 +12,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from goldfield import site as sites
-from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.types import Fields
 from hil_sim.clib import ROOT
 from tests.firmware.core.pose.test_pose import (
-    AMBIGUOUS,
     FAILED,
     GAINS,
     INCONSISTENT,
@@ -27,14 +25,12 @@ from tests.firmware.core.pose.test_pose import (
     OK,
     STRENGTH,
     UNEXPLAINED,
-    UNVERIFIED,
     WEAK,
     Sensor,
     covariance_of,
     fields_at,
     inside,
     lattice,
-    position_of,
 )
 
 SIGMA_T = 2e-8 / np.sqrt(1023)
@@ -358,7 +354,7 @@ def test_images_of_coils_flat_to_a_quarter(core, thickness, tilt, flat):
     problem.count = 4
     for row, (x, y) in enumerate([(1, 0), (-1, 0), (0, 1), (0, -1)]):
         across = np.sqrt(1.0 - thickness**2) * np.array([x, y, 0.0])
-        problem.heard[row].loop.centre_m = (across + [5.0, 6.0, 7.0 + thickness * (1 if x else -1)]).tolist()
+        problem.heard[row].loop.centre_m = (across + np.array([5.0, 6.0, 7.0 + thickness * (1 if x else -1)])).tolist()
         problem.heard[row].loop.axis = [tilt * x, tilt * y, float(np.sqrt(1.0 - tilt**2))]
     assert bool(lib.pose_mirror_plane(problem, point, normal)) == flat
     assert list(normal) == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
