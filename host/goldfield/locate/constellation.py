@@ -11,6 +11,7 @@ from scipy.special import chdtri, gammaincc
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
+from goldfield.locate.budget import LEAST_EVALUATIONS
 from goldfield.locate.field_shell_search import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.mirror import Mirror, find_mirror
@@ -42,8 +43,9 @@ OUTSTANDING = 7.0
 SURE_RADII = 1.5
 """Distance from every coil, in its radii, for the same: nearer the valleys of the cost bend."""
 
-MOST_EVALUATIONS = 10_000
-"""Evaluations of the field that a search may take, 5 to 20 ms; the median is 600, near coils 2,500."""
+MOST_EVALUATIONS = LEAST_EVALUATIONS
+"""Evaluations of the field that a search may take if the budget of an epoch allows; the median is 600, near coils
+2,500."""
 
 SECOND_EVALUATIONS = 4_000
 """The same for a search that a first one has called for: of the negated fields, or of those without a beacon."""
@@ -112,24 +114,28 @@ class Constellation:
             self._subsets[key] = Constellation(model, self.half_space, Shell(model, self._shell, rows))
         return self._subsets[key]
 
-    def solve(self, measurements: Measurements, most_evaluations: int = MOST_EVALUATIONS) -> Solutions:
+    def solve(
+        self, measurements: Measurements, most_evaluations: int = MOST_EVALUATIONS, *, at_any_cost: bool = True
+    ) -> Solutions:
         """Find the poses of e epochs with no prior.
 
         The chain of magnitudes is quick, and its answer is taken where it is shown to be right (`_sure`). Elsewhere
         the pose is searched: by the kernel, or for coils given by their wire and sensors without three axes in the
-        shell of the strongest beacon. Where the fields are nothing but noise the cost is infinite. A search by the
-        kernel ends at ``most_evaluations``.
+        shell of the strongest beacon. Where the fields are nothing but noise the cost is infinite. A search ends at
+        ``most_evaluations``, or with the budget. Where fields fit nowhere the pose that fits best is searched, too, if
+        it is wanted ``at_any_cost``.
         """
         heard = audible(measurements)
+        most = measurements.affordable(len(self.model), most_evaluations)
         if heard.all():
-            return self._solve_heard(most_evaluations, measurements)
+            return self._solve_heard(measurements, most, at_any_cost)
         solutions = unsolved(nowhere(len(measurements)))
         rows = np.flatnonzero(heard)
         if len(rows):
-            solutions.put(rows, self._solve_heard(most_evaluations, measurements.take(rows)))
+            solutions.put(rows, self._solve_heard(measurements.take(rows), most, at_any_cost))
         return solutions
 
-    def _solve_heard(self, most_evaluations: int, measurements: Measurements) -> Solutions:
+    def _solve_heard(self, measurements: Measurements, most_evaluations: int, at_any_cost: bool) -> Solutions:
         """Find the poses of epochs that are more than noise."""
         quick = kernel.of(self.model) if measurements.complete else None
         if measurements.complete and len(self.model) >= (4 if quick is None else SURE_BEACONS):
@@ -138,7 +144,7 @@ class Constellation:
             solutions = unsolved(nowhere(len(measurements)))
         further = np.flatnonzero(~self._sure(measurements, solutions.best, strict=quick is not None))
         if len(further) and quick is not None:
-            solutions.put(further, self._search(measurements.take(further), most_evaluations))
+            solutions.put(further, self._search(measurements.take(further), most_evaluations, at_any_cost))
         else:
             for e in further:
                 one = np.array([e])
@@ -161,7 +167,7 @@ class Constellation:
         return np.asarray(sure)
 
     def searched(
-        self, measurements: Measurements, most_evaluations: int
+        self, measurements: Measurements, most_evaluations: int, *, at_any_cost: bool
     ) -> tuple[FloatArray, FloatArray, NDArray[np.intp], FloatArray, NDArray[np.intp]] | None:
         """Search all of space for the poses of e epochs; None without the kernel, whose `Kernel.search` tells more."""
         quick = kernel.of(self.model)
@@ -170,29 +176,33 @@ class Constellation:
         side = np.zeros(4)
         if self.half_space is not None:
             side = np.append(self.half_space.normal, self.half_space.normal @ self.half_space.point_m)
-        return quick.search(
+        most = measurements.affordable(len(self.model), most_evaluations)
+        found = quick.search(
             measurements.field_T,
             measurements.sigma_T,
             half_space=side,
-            most_evaluations=most_evaluations,
+            most_evaluations=most,
             hopeless_cost=self.unfit,
+            at_any_cost=at_any_cost,
         )
+        measurements.spend(int(found[-1].sum()), len(self.model))
+        return found
 
     @property
     def unfit(self) -> float:
         """Cost that sound fields do not reach."""
         return UNFIT + UNFIT_COMPONENT * 3 * len(self.model)
 
-    def _search(self, measurements: Measurements, most_evaluations: int) -> Solutions:
+    def _search(self, measurements: Measurements, most_evaluations: int, at_any_cost: bool) -> Solutions:
         """Return the best poses of the search and their rivals, fitted to the end."""
-        found = self.searched(measurements, most_evaluations)
+        found = self.searched(measurements, most_evaluations, at_any_cost=at_any_cost)
         assert found is not None
         position, rotation, count, widening, evaluations = found
         unfit = self.unfit
         best = self._polished(measurements, position[:, 0], rotation[:, 0])
         self._further(measurements, best, np.flatnonzero(~best.converged & (best.cost < unfit)))
         solutions = unsolved(best)
-        solutions.covariance_widening[:] = widening
+        solutions.covariance_widening[:], solutions.evaluations[:] = widening, evaluations
         solutions.bounded[:] = (evaluations >= most_evaluations) | (~best.converged & (best.cost < unfit))
         two = np.flatnonzero(count == 2)
         if len(two):
@@ -229,13 +239,15 @@ class Constellation:
         """Return positions, shape (e, 3), by magnitudes, and attitudes, shape (e, 3, 3), by Wahba's problem."""
         quick = kernel.of(self.model)
         if quick is not None:
-            return quick.starts(
+            *start, evaluations = quick.starts(
                 measurements.field_T,
                 measurements.sigma_T,
                 range_error=SIMPLE_RANGE_ERROR,
                 magnitude_error=MAGNITUDE_ERROR,
                 vector_error=ROBUST_MODEL_ERROR,
             )
+            measurements.spend(evaluations, len(self.model))
+            return start[0], start[1]
         magnitude, sigma, known = measurements.magnitude_T, measurements.sigma_T, measurements.known
         position = simple_magnitudes(self.model, magnitude, sigma, known)
         position = log_magnitudes(self.model, magnitude, sigma, known, position)

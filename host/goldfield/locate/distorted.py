@@ -81,8 +81,9 @@ def fit_distorted(
     repeated = measurements.take(np.zeros(len(position_m), dtype=np.intp))
     fixed = np.zeros((3, 3)) if fixed is None else fixed
     quick = kernel.of(model)
+    iterations = repeated.affordable(len(model), iterations)
     if quick is not None:
-        position, attitude, cost, distortion = quick.fit_distorted(
+        position, attitude, cost, distortion, evaluations = quick.fit_distorted(
             repeated.field_T,
             repeated.sigma_T,
             position_m,
@@ -96,8 +97,9 @@ def fit_distorted(
     else:
         problem = _Problem(model, repeated, fixed, basis, model_error)
         end = minimise(problem, _retract, (position_m, rotation), iterations=iterations, tolerance=TOLERANCE)
-        (position, attitude), cost = end.state, end.cost
+        (position, attitude), cost, evaluations = end.state, end.cost, end.evaluations
         distortion = problem.solve(end.state, np.arange(len(position)))[0]
+    measurements.spend(evaluations, len(model))
     return Distorted(position, attitude, np.where(np.isfinite(cost), cost, np.inf), distortion)
 
 

@@ -34,7 +34,8 @@ SUBSET_EVALUATIONS = 600
 """Evaluations of the search of a subset's pose, where no subset fits the poses that are known."""
 
 MOST_SEARCHED = 12
-"""Subsets whose poses are searched; more begin from the poses that are known: one beacon of many spoils no start."""
+"""Subsets whose poses are searched. Subsets of more beacons begin from the poses that are known: one beacon of many
+spoils no start."""
 
 MOST_IN_PAIRS = 12
 """Beacons of which all pairs are left out: those without which the rest costs the least; the first of them goes with
@@ -78,11 +79,12 @@ def without_two(constellation: Constellation, measurements: Measurements, ones: 
 def searched_without_one(constellation: Constellation, measurements: Measurements, ones: Subsets) -> Subsets:
     """Search all of space for the pose of each subset, too: near coils the chain of magnitudes fails.
 
-    Sensors without three axes, and more than `MOST_SEARCHED` subsets, keep what they have.
+    Sensors without three axes, more than `MOST_SEARCHED` subsets, and epochs whose budget ends keep what they have.
     """
     thinned = _thinned(measurements, ones.left_out)
     within = len(ones.left_out) <= MOST_SEARCHED and thinned.complete
-    found = constellation.searched(thinned, SUBSET_EVALUATIONS) if within else None
+    within &= thinned.affordable(len(constellation.model), SUBSET_EVALUATIONS) == SUBSET_EVALUATIONS
+    found = constellation.searched(thinned, SUBSET_EVALUATIONS, at_any_cost=False) if within else None
     if found is None:
         return ones
     best = _rough(constellation, thinned, found[0][:, 0], found[1][:, 0])
@@ -92,10 +94,15 @@ def searched_without_one(constellation: Constellation, measurements: Measurement
 def _without(
     constellation: Constellation, measurements: Measurements, left_out: NDArray[np.intp], starts: Fit
 ) -> Subsets:
-    """Fit without each of s subsets, from as many starts each, subset by subset, and from the chain of magnitudes."""
+    """Fit without each of s subsets, from as many starts each, subset by subset, and from the chain of magnitudes.
+
+    Of more than `MOST_SEARCHED` beacons the starts are enough.
+    """
     thinned = _thinned(measurements, left_out)
     count = len(left_out)
-    if thinned.complete:
+    if len(constellation.model) > MOST_SEARCHED:
+        best = nowhere(count)
+    elif thinned.complete:
         best = _rough(constellation, thinned, *constellation.starts(thinned))
     elif count <= MOST_SEARCHED:
         best = _solved(constellation, measurements, left_out)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
+from goldfield.locate.budget import Budget
 from goldfield.locate.least_squares import Evaluate, State, minimise
 from goldfield.locate.rotations import orthonormal, turned
 from goldfield.locate.site_errors import SiteErrors
@@ -78,6 +79,8 @@ class Measurements:
         Standard deviation of the noise alone; default: ``sigma_T``.
     errors : SiteErrors, optional
         Errors of the site and the sensor, which a final fit, its statistics and its covariance take into account.
+    budget : Budget, optional
+        What fits of these measurements, and of all that are taken from them, may cost; default: no bound but their own.
     """
 
     def __init__(
@@ -86,22 +89,39 @@ class Measurements:
         sigma_T: FloatArray,
         noise_T: FloatArray | None = None,
         errors: SiteErrors | None = None,
+        budget: Budget | None = None,
     ) -> None:
         self.field_T = field_T
         self.sigma_T = sigma_T
         self.noise_T = sigma_T if noise_T is None else noise_T
         self.errors = errors
+        self.budget = budget
 
     def with_errors(self, model: FieldModel, errors: SiteErrors | None) -> Measurements:
         """Return the same with errors of the site of ``model`` and of the sensor; unchanged for none."""
         if errors is None:
             return self
         sigma = np.hypot(self.noise_T, errors.isotropic(model, self.magnitude_T))
-        return Measurements(self.field_T, sigma, self.noise_T, errors)
+        return Measurements(self.field_T, sigma, self.noise_T, errors, self.budget)
 
     def of_fields(self, field_T: FloatArray, factor: FloatArray | float = 1.0) -> Measurements:
         """Return the same with other fields and ``factor`` times the standard deviations, broadcast to shape (e, n)."""
-        return Measurements(field_T, self.sigma_T * factor, self.noise_T * factor, self.errors)
+        return Measurements(field_T, self.sigma_T * factor, self.noise_T * factor, self.errors, self.budget)
+
+    def within(self, budget: Budget) -> Measurements:
+        """Return the same with a budget."""
+        return Measurements(self.field_T, self.sigma_T, self.noise_T, self.errors, budget)
+
+    def affordable(self, coils: int, most: int) -> int:
+        """Return how many evaluations of so many coils each epoch may take, at most as many as are asked for."""
+        if self.budget is None:
+            return most
+        return min(most, self.budget.evaluations(coils) // max(len(self), 1))
+
+    def spend(self, evaluations: int, coils: int) -> None:
+        """Take what was done off the budget, if there is one."""
+        if self.budget is not None:
+            self.budget.spend(evaluations, coils)
 
     def __len__(self) -> int:
         """Return the number of epochs."""
@@ -176,17 +196,17 @@ class Measurements:
         """Return some of the epochs, also repeated ones."""
         if len(rows) == len(self) and (rows == np.arange(len(self))).all():
             return self
-        return Measurements(self.field_T[rows], self.sigma_T[rows], self.noise_T[rows], self.errors)
+        return Measurements(self.field_T[rows], self.sigma_T[rows], self.noise_T[rows], self.errors, self.budget)
 
     def of_beacons(self, rows: NDArray[np.intp]) -> Measurements:
         """Return the same epochs with only some of the beacons."""
         errors = None if self.errors is None else self.errors.subset(rows)
-        return Measurements(self.field_T[:, rows], self.sigma_T[:, rows], self.noise_T[:, rows], errors)
+        return Measurements(self.field_T[:, rows], self.sigma_T[:, rows], self.noise_T[:, rows], errors, self.budget)
 
     def without(self, beacons: NDArray[np.bool_]) -> Measurements:
         """Return the same epochs without some beacons, mask of shape (e, n)."""
         field = np.where(beacons[:, :, None], np.nan, self.field_T)
-        return Measurements(field, self.sigma_T, self.noise_T, self.errors)
+        return Measurements(field, self.sigma_T, self.noise_T, self.errors, self.budget)
 
 
 def fit_pose(
@@ -218,7 +238,8 @@ def fit_pose(
         |B|. A few per cent widen the basin of convergence (strong, curved beacons no longer dominate). The last fit
         takes 0: then the errors of the site that the measurements carry count in full.
     iterations : int
-        The most evaluations of the model in an epoch; see `least_squares.minimise`.
+        The most evaluations of the model in an epoch; see `least_squares.minimise`. They are fewer where the budget of
+        the measurements ends.
     tolerance : float
         An epoch ends when its next step promises to lower the cost by less; see `least_squares.minimise`.
 
@@ -229,23 +250,25 @@ def fit_pose(
     """
     quick = kernel.of(model)
     errors = measurements.errors if model_error == 0.0 else None
+    iterations = measurements.affordable(len(model), iterations)
     if quick is not None:
-        return Fit(
-            *quick.fit(
-                measurements.field_T,
-                measurements.sigma_T if errors is None else measurements.noise_T,
-                position_m,
-                rotation,
-                errors=errors,
-                model_error=model_error,
-                iterations=iterations,
-                tolerance=tolerance,
-            )
+        position, turn, cost, information, converged, evaluations = quick.fit(
+            measurements.field_T,
+            measurements.sigma_T if errors is None else measurements.noise_T,
+            position_m,
+            rotation,
+            errors=errors,
+            model_error=model_error,
+            iterations=iterations,
+            tolerance=tolerance,
         )
+        measurements.spend(evaluations, len(model))
+        return Fit(position, turn, cost, information, converged)
     if errors is not None:
         return _fit_with_errors(model, measurements, errors, (position_m, rotation), iterations, tolerance)
     evaluate = _weighted_misfit(model, measurements, model_error)
     end = minimise(evaluate, _retract, (position_m, rotation), iterations=iterations, tolerance=tolerance)
+    measurements.spend(end.evaluations, len(model))
     position, attitude = end.state
     return Fit(position, orthonormal(attitude), end.cost, end.normal, end.converged)
 
@@ -263,6 +286,7 @@ def _fit_with_errors(
         some = measurements.take(active)
         evaluate = _whitened_misfit(model, some, some._correlated(model, errors, *before))
         end = minimise(evaluate, _retract, before, iterations=iterations, tolerance=tolerance)
+        measurements.spend(end.evaluations + len(active), len(model))
         fits.put(active, Fit(end.state[0], end.state[1], end.cost, end.normal, end.converged))
         across = before[1] @ end.state[1].swapaxes(1, 2)
         turn = 0.5 * np.stack([across[:, k - 2, k - 1] - across[:, k - 1, k - 2] for k in range(3)], axis=1)

@@ -86,7 +86,7 @@ def explain(
     constellation : Constellation
         The beacons that were heard.
     measurements : Measurements
-        The epoch.
+        The epoch, with its budget: if that ends nothing is explained.
     solutions : Solutions
         Poses with all beacons.
     names : sequence of str
@@ -110,6 +110,8 @@ def explain(
         verdict = _without(
             constellation, measurements, without_two(constellation, measurements, ones), of_sensor, names
         )
+    if measurements.budget is not None and measurements.budget.spent:
+        return _unknown(sentences.NOT_EXPLAINED)  # whatever was found, something better may exist
     if verdict is None and of_sensor:
         verdict = _inconsistent([of_sensor[0].finding], of_sensor[0].finding.text)
     return verdict or _unknown(sentences.NOT_MENDED)

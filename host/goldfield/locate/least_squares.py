@@ -32,12 +32,15 @@ class Minimum:
     normal : ndarray, shape (e, k, k)
         Normal matrix at the end: the inverse of the Gauss-Newton covariance.
     converged : ndarray of bool, shape (e,)
+    evaluations : int
+        Of all problems together.
     """
 
     state: State
     cost: FloatArray
     normal: FloatArray
     converged: NDArray[np.bool_]
+    evaluations: int
 
 
 @np.errstate(all="ignore")  # a trial far off may overflow: a cost that is not finite is not accepted
@@ -62,6 +65,7 @@ def minimise(
     converged = np.zeros(count, dtype=bool)
     diagonal = np.arange(normal.shape[1])
     active = everyone[~done]
+    evaluations = count
     for _ in range(iterations):
         if not len(active):
             break
@@ -74,6 +78,7 @@ def minimise(
         near = promise < tolerance
         trial = retract(tuple(part[active] for part in state), step)
         residual, jacobian = evaluate(trial, active)
+        evaluations += len(active)
         trial_cost = np.einsum("em,em->e", residual, residual)
         better = trial_cost <= cost[active]
         chosen = active[better]
@@ -88,4 +93,4 @@ def minimise(
         converged[active[near]] = True
         stuck = damping[active] > 1e12
         active = active[~(near | stuck)]
-    return Minimum(state=state, cost=cost, normal=normal, converged=converged)
+    return Minimum(state=state, cost=cost, normal=normal, converged=converged, evaluations=evaluations)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate import sentences
+from goldfield.locate.budget import Budget
 from goldfield.locate.constellation import Constellation, audible
 from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.fit import Measurements
@@ -163,19 +164,31 @@ class Locator:
             wrong = np.flatnonzero(alarm(given, found.best.cost, statistics) & ~found.bounded)
             verdicts = {}
             for i in wrong.tolist():
-                one = np.array([i])
-                verdict = explain(constellation, given.take(one), found.take(one), names)
+                one, budget = np.array([i]), Budget(len(rows))
+                budget.spend(int(found.evaluations[i]), len(rows))
+                verdict = explain(constellation, given.take(one).within(budget), found.take(one), names)
                 if verdict.unknown and not given.complete:
                     # The search for sensors without three axes may miss the best pose, and no rival fits either.
                     found.bounded[i], found.contested[i] = True, False
                 else:
                     verdicts[i] = verdict
-            judged = Judged(self.site, constellation.model, names, given, found, statistics, verdicts)
-            located = poses_of([epochs[int(e)] for e in some], judged)
             for i, verdict in verdicts.items():
                 if verdict.rest is not None:
-                    located[i] = self._pose_of_rest(epochs[int(some[i])], rows, given.take(np.array([i])), verdict)
-            poses.update(zip(some.tolist(), located, strict=True))
+                    e = int(some[i])
+                    poses[e] = self._pose_of_rest(epochs[e], rows, given.take(np.array([i])), verdict)
+            whole = np.array([i for i, e in enumerate(some.tolist()) if e not in poses], dtype=np.intp)
+            told = {k: verdicts[i] for k, i in enumerate(whole.tolist()) if i in verdicts}
+            judged = Judged(
+                self.site,
+                constellation.model,
+                names,
+                given.take(whole),
+                found.take(whole),
+                statistics.take(whole),
+                told,
+            )
+            some = some[whole]
+            poses.update(zip(some.tolist(), poses_of([epochs[int(e)] for e in some], judged), strict=True))
         return [poses[e] for e in range(len(epochs))]
 
     def _pose_of_rest(

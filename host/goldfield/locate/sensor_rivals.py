@@ -81,7 +81,7 @@ class SensorRival:
 def mirrored(constellation: Constellation, measurements: Measurements, cost: float, margin: float) -> Finding | None:
     """Search one epoch's pose from the negated fields; a finding if they fit and cost less by ``margin``."""
     negated = measurements.of_fields(-measurements.field_T)
-    best = constellation.solve(negated, SECOND_EVALUATIONS).best
+    best = constellation.solve(negated, SECOND_EVALUATIONS, at_any_cost=False).best
     if not (probability(best.cost, measurements.freedom)[0] > EXPLAINS and best.cost[0] + margin < cost):
         return None
     return Finding(Explanation.MIRRORED, (), sentences.MIRRORED, factor=-1.0)

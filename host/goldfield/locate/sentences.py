@@ -30,6 +30,10 @@ NOT_MENDED = (
     "no pose fits the fields, and leaving out one beacon or two does not mend it: check the site file and noise_T"
 )
 
+NOT_EXPLAINED = (
+    "no pose fits the fields, and the search for the reason came to its end: check noise_T and the site file"
+)
+
 NOT_CLEAR = "no pose fits the fields, and several explanations fit about alike: check noise_T and the site file"
 
 

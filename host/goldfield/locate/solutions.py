@@ -28,6 +28,8 @@ class Solutions:
     covariance_widening : ndarray, shape (e, 6, 6)
         To be added to the covariance of the best pose (m, rad in the site's frame): what it lacks because the valley
         of the cost bends or has several minima close together.
+    evaluations : ndarray of int, shape (e,)
+        Evaluations of the field that the search took; 0 where none was needed.
     """
 
     best: Fit
@@ -36,13 +38,14 @@ class Solutions:
     outside: NDArray[np.bool_]
     bounded: NDArray[np.bool_]
     covariance_widening: FloatArray
+    evaluations: NDArray[np.intp]
 
     def put(self, rows: NDArray[np.intp], other: Solutions) -> None:
         """Replace some of the epochs, in place."""
         self.best.put(rows, other.best)
         self.rival.put(rows, other.rival)
         self.contested[rows], self.outside[rows], self.bounded[rows] = other.contested, other.outside, other.bounded
-        self.covariance_widening[rows] = other.covariance_widening
+        self.covariance_widening[rows], self.evaluations[rows] = other.covariance_widening, other.evaluations
 
     def take(self, rows: NDArray[np.intp]) -> Solutions:
         """Return some of the epochs."""
@@ -53,6 +56,7 @@ class Solutions:
             self.outside[rows],
             self.bounded[rows],
             self.covariance_widening[rows],
+            self.evaluations[rows],
         )
 
 
@@ -77,4 +81,5 @@ def unsolved(best: Fit) -> Solutions:
         outside=np.zeros(count, dtype=bool),
         bounded=~best.converged & np.isfinite(best.cost),
         covariance_widening=np.zeros((count, 6, 6)),
+        evaluations=np.zeros(count, dtype=np.intp),
     )

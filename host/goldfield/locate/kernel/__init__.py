@@ -51,12 +51,13 @@ typedef struct {
     double noise_shape[3][3];
 } gf_errors_t;
 void gf_evaluate(const gf_coils_t *, size_t, const double *, double *, double *);
-void gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *, double *);
-void gf_fit(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, double, size_t, double,
-            double *, double *, double *, double *, uint8_t *);
-void gf_fit_distorted(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t,
-                      const double *, size_t, double, double *, double *, double *, double *);
-void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double,
+size_t gf_starts(const gf_coils_t *, size_t, const double *, const double *, double, double, double, double *,
+                 double *);
+size_t gf_fit(const gf_coils_t *, const gf_errors_t *, size_t, const double *, const double *, double, size_t, double,
+              double *, double *, double *, double *, uint8_t *);
+size_t gf_fit_distorted(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t,
+                        const double *, size_t, double, double *, double *, double *, double *);
+void gf_search(const gf_coils_t *, size_t, const double *, const double *, double, const double *, size_t, double, bool,
                double *, double *, uint8_t *, double *, uint32_t *);
 typedef struct {
     double *drop;
@@ -151,16 +152,18 @@ class Kernel:
         range_error: float,
         magnitude_error: float,
         vector_error: float,
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, int]:
         """Position and attitude with no prior, from complete vectors: `starts` and `wahba` one after another.
 
         Returns
         -------
         position_m : ndarray, shape (e, 3)
         rotation : ndarray, shape (e, 3, 3)
+        evaluations : int
+            Of the field, in all.
         """
         position, rotation = np.empty((len(field_T), 3)), np.empty((len(field_T), 3, 3))
-        self._library.gf_starts(
+        evaluations = self._library.gf_starts(
             self._coils,
             len(field_T),
             _given(field_T),
@@ -171,7 +174,7 @@ class Kernel:
             _filled(position),
             _filled(rotation),
         )
-        return position, rotation
+        return position, rotation, int(evaluations)
 
     def fit(
         self,
@@ -184,12 +187,12 @@ class Kernel:
         model_error: float,
         iterations: int,
         tolerance: float,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]:
-        """Fit as `fit.fit_pose` does; returns position, attitude, cost, information, converged."""
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_], int]:
+        """Fit as `fit.fit_pose` does; returns position, attitude, cost, information, converged, evaluations in all."""
         count = len(field_T)
         position, turn = np.array(position_m, dtype=float, order="C"), np.array(rotation, dtype=float, order="C")
         cost, information, converged = np.empty(count), np.empty((count, 6, 6)), np.empty(count, dtype=np.bool_)
-        self._library.gf_fit(
+        evaluations = self._library.gf_fit(
             self._coils,
             _errors(errors),
             count,
@@ -204,7 +207,7 @@ class Kernel:
             _filled(information),
             _ffi.from_buffer("uint8_t[]", converged, require_writable=True),
         )
-        return position, turn, cost, information, converged
+        return position, turn, cost, information, converged, int(evaluations)
 
     def fit_distorted(
         self,
@@ -218,15 +221,15 @@ class Kernel:
         model_error: float,
         iterations: int,
         tolerance: float,
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Fit a sensor that distorts; returns position, attitude, cost, distortion of shape (e, 3, 3).
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int]:
+        """Fit a sensor that distorts; returns position, attitude, cost, distortion of shape (e, 3, 3), evaluations.
 
         The distortion moves from ``fixed``, shape (3, 3), along ``basis``, shape (k, 3, 3); see kernel.h.
         """
         count = len(field_T)
         position, turn = np.array(position_m, dtype=float, order="C"), np.array(rotation, dtype=float, order="C")
         cost, distortion = np.empty(count), np.empty((count, 3, 3))
-        self._library.gf_fit_distorted(
+        evaluations = self._library.gf_fit_distorted(
             self._coils,
             count,
             _given(field_T),
@@ -242,7 +245,7 @@ class Kernel:
             _filled(cost),
             _filled(distortion),
         )
-        return position, turn, cost, distortion
+        return position, turn, cost, distortion, int(evaluations)
 
     def search(
         self,
@@ -252,6 +255,7 @@ class Kernel:
         half_space: FloatArray,
         most_evaluations: int,
         hopeless_cost: float = float("inf"),
+        at_any_cost: bool = True,
         model_error: float = 0.0,
     ) -> tuple[FloatArray, FloatArray, NDArray[np.intp], FloatArray, NDArray[np.intp]]:
         """Search the best pose of each epoch and a rival with no prior, from complete vectors; see kernel.h.
@@ -263,11 +267,14 @@ class Kernel:
         most_evaluations : int
         hopeless_cost : float
             A descent ends where it costs more, even with a relative error of the model.
+        at_any_cost : bool
+            Whether the best pose is wanted even if it costs more.
 
         Returns
         -------
         position_m : ndarray, shape (e, 2, 3)
         rotation : ndarray, shape (e, 2, 3, 3)
+            NaN where nothing was found.
         found : ndarray of int, shape (e,)
             How many of the two there are.
         widening : ndarray, shape (e, 6, 6)
@@ -275,7 +282,7 @@ class Kernel:
         evaluations : ndarray of int, shape (e,)
         """
         count = len(field_T)
-        position, rotation = np.zeros((count, 2, 3)), np.zeros((count, 2, 3, 3))
+        position, rotation = np.full((count, 2, 3), np.nan), np.full((count, 2, 3, 3), np.nan)
         found, evaluations = np.empty(count, dtype=np.uint8), np.empty(count, dtype=np.uint32)
         widening = np.empty((count, 6, 6))
         self._library.gf_search(
@@ -287,6 +294,7 @@ class Kernel:
             _given(half_space),
             most_evaluations,
             hopeless_cost,
+            at_any_cost,
             _filled(position),
             _filled(rotation),
             _ffi.from_buffer("uint8_t[]", found, require_writable=True),

@@ -24,35 +24,6 @@ void gf_soften(gf_epoch_t *epoch, double error) {
     }
 }
 
-/* Residuals and slopes in the site's frame, where the three components of a coil have one weight: r = R b - B,
- * dB = G dp + B x d_theta. Only the upper half of the normal matrix is summed. */
-static void add_coil(const gf_sources_t *s, size_t i, const double r[3], double w, gf_squares_t *out) {
-    const double x = s->field_T[0][i];
-    const double y = s->field_T[1][i];
-    const double z = s->field_T[2][i];
-    const double xx = s->gradient_T_m[0][i];
-    const double yy = s->gradient_T_m[1][i];
-    const double zz = s->gradient_T_m[2][i];
-    const double xy = s->gradient_T_m[3][i];
-    const double xz = s->gradient_T_m[4][i];
-    const double yz = s->gradient_T_m[5][i];
-    const double slope[3][6] = {
-        {xx, xy, xz, 0.0, -z, y},
-        {xy, yy, yz, z, 0.0, -x},
-        {xz, yz, zz, -y, x, 0.0},
-    };
-    for (size_t c = 0; c < 3; ++c) {
-        out->cost += w * r[c] * r[c];
-        for (size_t k = 0; k < 6; ++k) {
-            const double weighted = w * slope[c][k];
-            out->gradient[k] += weighted * r[c];
-            for (size_t l = k; l < 6; ++l) {
-                out->normal[k][l] += weighted * slope[c][l];
-            }
-        }
-    }
-}
-
 /* The squares at a pose; the cost is not finite once the evaluations are used up. */
 static void evaluate(gf_epoch_t *epoch, const gf_pose_t *pose, gf_squares_t *out) {
     gf_clear(out);
@@ -61,25 +32,7 @@ static void evaluate(gf_epoch_t *epoch, const gf_pose_t *pose, gf_squares_t *out
         return;
     }
     ++epoch->evaluations;
-    gf_sources_t sources;
-    gf_sources(epoch->coils, pose->position_m, &sources);
-    for (size_t i = 0; i < epoch->coils->count; ++i) {
-        if (!(epoch->weight[i] > 0.0)) {
-            continue;
-        }
-        const double *const b = epoch->field_T + 3 * i;
-        double r[3];
-        for (size_t k = 0; k < 3; ++k) {
-            const double *const row = pose->rotation[k];
-            r[k] = row[0] * b[0] + row[1] * b[1] + row[2] * b[2] - sources.field_T[k][i];
-        }
-        add_coil(&sources, i, r, epoch->weight[i], out);
-    }
-    for (size_t k = 0; k < 6; ++k) {
-        for (size_t l = 0; l < k; ++l) {
-            out->normal[k][l] = out->normal[l][k];
-        }
-    }
+    gf_add_vectors(out, epoch->coils, pose, epoch->field_T, epoch->weight);
 }
 
 /* The step of Levenberg and Marquardt. */

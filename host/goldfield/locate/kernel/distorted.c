@@ -20,7 +20,7 @@ typedef struct {
 typedef struct {
     gf_components_t components;
     double column[3 * GF_MOST_COILS][6]; /* of each distortion, whitened */
-    double square[6][6];                 /* of the columns */
+    double factor[6][6];                 /* of their squares: gf_factor() */
     double matrix[3][3];                 /* S */
 } distorted_t;
 
@@ -30,16 +30,18 @@ static void multiply(const double matrix[3][3], const double *vector, double out
     }
 }
 
-static bool solve_distortion(const distorted_problem_t *problem, const gf_pose_t *pose, distorted_t *out) {
+/* count is that of the problem: where it is a constant, the compiler unrolls the loops. */
+static inline bool solve_distortion(const distorted_problem_t *problem, size_t count, const gf_pose_t *pose,
+                                    distorted_t *out) {
     double along[6] = {0.0};
-    double factor[6] = {0.0};
-    memset(out->square, 0, sizeof out->square);
+    double gain[6] = {0.0};
+    double square[6][6] = {{0.0}};
     gf_components(problem->coils, pose, problem->weight, &out->components);
     for (size_t first = 0; first < 3 * problem->coils->count; first += 3) {
         double part[3];
         const double *const value = out->components.value + first;
         multiply(problem->fixed, value, part);
-        for (size_t k = 0; k < problem->count; ++k) {
+        for (size_t k = 0; k < count; ++k) {
             double column[3];
             multiply(problem->basis[k], value, column);
             for (size_t c = 0; c < 3; ++c) {
@@ -48,21 +50,24 @@ static bool solve_distortion(const distorted_problem_t *problem, const gf_pose_t
             }
         }
         for (size_t c = first; c < first + 3; ++c) {
-            for (size_t k = 0; k < problem->count; ++k) {
-                for (size_t l = 0; l < problem->count; ++l) {
-                    out->square[k][l] += out->column[c][k] * out->column[c][l];
+            for (size_t k = 0; k < count; ++k) {
+                for (size_t l = 0; l <= k; ++l) {
+                    square[k][l] += out->column[c][k] * out->column[c][l];
                 }
             }
         }
     }
-    for (size_t k = 0; k < problem->count; ++k) {
-        out->square[k][k] *= 1.0 + RIDGE;
+    for (size_t k = 0; k < count; ++k) {
+        square[k][k] *= 1.0 + RIDGE;
     }
-    const bool solved = gf_solve(problem->count, (const double(*)[6])out->square, along, factor);
+    const bool solved = gf_factor(count, (const double(*)[6])square, out->factor);
+    if (solved) {
+        gf_substitute(count, (const double(*)[6])out->factor, along, gain);
+    }
     memcpy(out->matrix, problem->fixed, sizeof out->matrix);
-    for (size_t k = 0; k < problem->count; ++k) {
+    for (size_t k = 0; k < count; ++k) {
         for (size_t c = 0; c < 9; ++c) {
-            out->matrix[c / 3][c % 3] += factor[k] * problem->basis[k][c / 3][c % 3];
+            out->matrix[c / 3][c % 3] += gain[k] * problem->basis[k][c / 3][c % 3];
         }
     }
     return solved;
@@ -70,31 +75,28 @@ static bool solve_distortion(const distorted_problem_t *problem, const gf_pose_t
 
 /* Variable projection as Kaufman has it: the slopes lose what the distortions can take up, J' (1 - Q Q') J. The
  * residuals have nothing along the columns already. */
-static void project(const distorted_problem_t *problem, const distorted_t *at, double of_slope[6][6],
-                    gf_squares_t *squares) {
+static inline void project(size_t count, const distorted_t *at, double of_slope[6][6], gf_squares_t *squares) {
     for (size_t l = 0; l < 6; ++l) {
         double along[6];
         double taken[6];
-        for (size_t k = 0; k < problem->count; ++k) {
+        for (size_t k = 0; k < count; ++k) {
             along[k] = of_slope[k][l];
         }
-        if (!gf_solve(problem->count, (const double(*)[6])at->square, along, taken)) {
-            return;
-        }
+        gf_substitute(count, (const double(*)[6])at->factor, along, taken);
         for (size_t m = 0; m < 6; ++m) {
-            for (size_t k = 0; k < problem->count; ++k) {
+            for (size_t k = 0; k < count; ++k) {
                 squares->normal[m][l] -= of_slope[k][m] * taken[k];
             }
         }
     }
 }
 
-static void evaluate_distorted(const void *argument, const gf_pose_t *pose, gf_squares_t *squares) {
-    const distorted_problem_t *const problem = argument;
+static inline void evaluate(const distorted_problem_t *problem, size_t count, const gf_pose_t *pose,
+                            gf_squares_t *squares) {
     distorted_t at;
     double of_slope[6][6] = {{0.0}};
     gf_clear(squares);
-    if (!solve_distortion(problem, pose, &at)) {
+    if (!solve_distortion(problem, count, pose, &at)) {
         squares->cost = INFINITY;
         return;
     }
@@ -108,20 +110,32 @@ static void evaluate_distorted(const void *argument, const gf_pose_t *pose, gf_s
                 for (size_t r = 0; r < 3; ++r) {
                     slope[l] += at.matrix[c][r] * at.components.slope[first + r][l];
                 }
-                for (size_t k = 0; k < problem->count; ++k) {
+                for (size_t k = 0; k < count; ++k) {
                     of_slope[k][l] += at.column[first + c][k] * slope[l];
                 }
             }
             gf_add(squares, 6, problem->whitened[first + c] - value[c], slope);
         }
     }
-    project(problem, &at, of_slope, squares);
+    project(count, &at, of_slope, squares);
 }
 
-void gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
-                      double model_error, const double *fixed, size_t count, const double *basis, size_t iterations,
-                      double tolerance, double *position_m, double *rotation, double *cost, double *distortion) {
+static void evaluate_distorted(const void *argument, const gf_pose_t *pose, gf_squares_t *squares) {
+    const distorted_problem_t *const problem = argument;
+    if (problem->count == 1) {
+        evaluate(problem, 1, pose, squares);
+    } else if (problem->count == 6) {
+        evaluate(problem, 6, pose, squares);
+    } else {
+        evaluate(problem, problem->count, pose, squares);
+    }
+}
+
+size_t gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+                        double model_error, const double *fixed, size_t count, const double *basis, size_t iterations,
+                        double tolerance, double *position_m, double *rotation, double *cost, double *distortion) {
     const size_t n = coils->count;
+    size_t evaluations = epochs; /* one more for the distortion at the end of each */
     distorted_problem_t problem = {.coils = coils, .count = count};
     memcpy(problem.fixed, fixed, sizeof problem.fixed);
     memcpy(problem.basis, basis, count * sizeof problem.basis[0]);
@@ -136,11 +150,12 @@ void gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *fiel
         for (size_t c = 0; c < 3 * n; ++c) {
             problem.whitened[c] = isfinite(field[c]) ? problem.weight[c] * field[c] : 0.0;
         }
-        (void)gf_minimise(evaluate_distorted, &problem, 6, iterations, tolerance, &pose, &squares);
-        (void)solve_distortion(&problem, &pose, &at);
+        (void)gf_minimise(evaluate_distorted, &problem, 6, iterations, tolerance, &pose, &squares, &evaluations);
+        (void)solve_distortion(&problem, count, &pose, &at);
         memcpy(position_m + 3 * e, pose.position_m, sizeof pose.position_m);
         memcpy(rotation + 9 * e, pose.rotation, sizeof pose.rotation);
         memcpy(distortion + 9 * e, at.matrix, sizeof at.matrix);
         cost[e] = squares.cost;
     }
+    return evaluations;
 }

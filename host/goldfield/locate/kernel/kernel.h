@@ -19,6 +19,7 @@
 #ifndef GF_LOCATE_KERNEL_H
 #define GF_LOCATE_KERNEL_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -72,40 +73,42 @@ void gf_evaluate(const gf_coils_t *coils, size_t points, const double *position_
 /* Starts with no prior, from complete vectors: trilateration with |B| = 1.5 k/r^3, fit of log |B|, Wahba's problem
  * (goldfield.locate.starts and .wahba; patent, equations 6 to 8). Three errors beside the noise, all relative:
  * range_error in the simple ranges, magnitude_error in |B| (so absolute in its logarithm), vector_error in the vectors
- * of Wahba's problem. Out: position_m, rotation. Bound: 50 evaluations of the field an epoch. */
-void gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double range_error,
-               double magnitude_error, double vector_error, double *position_m, double *rotation);
+ * of Wahba's problem. Out: position_m, rotation. Bound: 30 evaluations of the field an epoch. Returns how many it took.
+ */
+size_t gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+                 double range_error, double magnitude_error, double vector_error, double *position_m, double *rotation);
 
 /* Least squares of position and attitude to the components (goldfield.locate.fit.fit_pose, Levenberg-Marquardt).
  * model_error is relative, beside the noise, and counts only where errors is null. With errors the components are
  * whitened around the start, and up to three times again around what was found, until that stays.
  * In and out: position_m, rotation. Out: cost (e), the sum of squared whitened residuals; information (e x 6 x 6) of
  * position and of a small turn in the site's frame; converged (e), 0 or 1. Bound: 1 + iterations evaluations of the
- * field an epoch, with errors four times 2 + iterations. */
-void gf_fit(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
-            const double *sigma_T, double model_error, size_t iterations, double tolerance, double *position_m,
-            double *rotation, double *cost, double *information, uint8_t *converged);
+ * field an epoch, with errors four times 2 + iterations. Returns how many it took. */
+size_t gf_fit(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
+              const double *sigma_T, double model_error, size_t iterations, double tolerance, double *position_m,
+              double *rotation, double *cost, double *information, uint8_t *converged);
 
 /* The same fit, without errors of the site, of a sensor that distorts: b = S R'B with the symmetric S = fixed + sum of
  * f_k basis_k (goldfield.locate.sensor_rivals). fixed is 3 x 3, basis count x 3 x 3, count 1 to 6. At each pose the
  * factors f that fit best are found by linear equations, so that no start is needed for them. Each coil's field is
  * known whole or not at all. In and out: position_m, rotation. Out: cost, distortion S (e x 3 x 3). Bound: 2 +
- * iterations evaluations of the field an epoch. */
-void gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
-                      double model_error, const double *fixed, size_t count, const double *basis, size_t iterations,
-                      double tolerance, double *position_m, double *rotation, double *cost, double *distortion);
+ * iterations evaluations of the field an epoch. Returns how many it took. */
+size_t gf_fit_distorted(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+                        double model_error, const double *fixed, size_t count, const double *basis, size_t iterations,
+                        double tolerance, double *position_m, double *rotation, double *cost, double *distortion);
 
 /* Search of the best pose with no prior, from complete vectors, and of a rival (goldfield.locate.constellation). The
  * best is the global minimum of the cost as far as could be found out within most_evaluations; those on the right side
  * of the half-space, the unit normal and the least component along it, go before others (a normal and component of 0
  * allow all). A rival is another minimum within a cost of 15 of the best that no low way joins with it. Where
  * even with a relative error of the model the cost is above hopeless_cost, a descent is given up; if nothing costs
- * less, the candidates are fitted to the end all the same and neither a rival nor the valley's bend is sought. Out:
- * position_m (e x 2 x 3), rotation (e x 2 x 3 x 3), best and rival; found (e), how many of the two there are; widening
- * (e x 6 x 6), to be added to the covariance of the best because its valley bends; evaluations (e). */
+ * less, neither a rival nor the valley's bend is sought, and the candidates are fitted to the end all the same if the
+ * best pose is wanted at any cost. Out: position_m (e x 2 x 3), rotation (e x 2 x 3 x 3), best
+ * and rival; found (e), how many of the two there are; widening (e x 6 x 6), to be added to the covariance of the best
+ * because its valley bends; evaluations (e). */
 void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-               const double half_space[4], size_t most_evaluations, double hopeless_cost, double *position_m,
-               double *rotation, uint8_t *found, double *widening, uint32_t *evaluations);
+               const double half_space[4], size_t most_evaluations, double hopeless_cost, bool at_any_cost,
+               double *position_m, double *rotation, uint8_t *found, double *widening, uint32_t *evaluations);
 
 /* Where gf_faults() writes. */
 typedef struct {

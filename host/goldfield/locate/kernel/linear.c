@@ -7,8 +7,7 @@
 /* Part of the matrix's norm that an element off the diagonal may keep. */
 #define ROUNDING 1e-17
 
-bool gf_solve(size_t n, const double a[][6], const double b[], double x[]) {
-    double l[GF_MOST_UNKNOWNS][GF_MOST_UNKNOWNS];
+static inline bool factor(size_t n, const double a[][6], double l[][6]) {
     for (size_t i = 0; i < n; ++i) {
         for (size_t j = 0; j <= i; ++j) {
             double sum = a[i][j];
@@ -24,6 +23,10 @@ bool gf_solve(size_t n, const double a[][6], const double b[], double x[]) {
             }
         }
     }
+    return true;
+}
+
+static inline void substitute(size_t n, const double l[][6], const double b[], double x[]) {
     for (size_t i = 0; i < n; ++i) {
         double sum = b[i];
         for (size_t k = 0; k < i; ++k) {
@@ -38,6 +41,29 @@ bool gf_solve(size_t n, const double a[][6], const double b[], double x[]) {
         }
         x[i] = sum * l[i][i];
     }
+}
+
+/* The compiler unrolls the loops of these where it knows how long they are. */
+bool gf_factor(size_t n, const double a[][6], double l[][6]) {
+    return n == 6 ? factor(6, a, l) : n == 3 ? factor(3, a, l) : factor(n, a, l);
+}
+
+void gf_substitute(size_t n, const double l[][6], const double b[], double x[]) {
+    if (n == 6) {
+        substitute(6, l, b, x);
+    } else if (n == 3) {
+        substitute(3, l, b, x);
+    } else {
+        substitute(n, l, b, x);
+    }
+}
+
+bool gf_solve(size_t n, const double a[][6], const double b[], double x[]) {
+    double l[GF_MOST_UNKNOWNS][GF_MOST_UNKNOWNS];
+    if (!gf_factor(n, a, l)) {
+        return false;
+    }
+    gf_substitute(n, (const double(*)[6])l, b, x);
     return true;
 }
 

@@ -11,6 +11,11 @@
  * finite. */
 bool gf_solve(size_t n, const double a[][6], const double b[], double x[]);
 
+/* The same in two steps, for several right-hand sides: the Cholesky factor of a, its diagonal inverted, and x by
+ * substitution. */
+bool gf_factor(size_t n, const double a[][6], double l[][6]);
+void gf_substitute(size_t n, const double l[][6], const double b[], double x[]);
+
 /* Eigenvalues and eigenvectors of a symmetric n x n matrix by Jacobi's rotations: afterwards the diagonal of a holds
  * the values, the columns of v the vectors. At most 20 sweeps; six are usual. */
 void gf_eigen(size_t n, double a[][6], double v[][6]);

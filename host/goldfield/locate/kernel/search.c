@@ -56,6 +56,7 @@ typedef struct {
     const double *half_space; /* unit normal and the least component along it; a normal of 0 allows all */
     double model_error;
     double hopeless_cost;
+    bool at_any_cost;
     size_t coil; /* the start coil */
     size_t count;
     gf_minimum_t minima[MOST_MINIMA]; /* those on the right side first, then by cost */
@@ -238,7 +239,7 @@ static void explore(search_t *search) {
                                   NEAR_RADII * search->epoch.coils->radius_m[search->coil])) {
         try_spread(search, SPREAD_STAGE);
     }
-    if (search->count == 0 || search->minima[0].squares.cost > search->hopeless_cost) {
+    if (search->at_any_cost && (search->count == 0 || search->minima[0].squares.cost > search->hopeless_cost)) {
         /* Nothing fits; the pose that fits best is wanted all the same, as a track's start. */
         search->hopeless_cost = INFINITY;
         for (size_t i = 0; i < count; ++i) {
@@ -291,14 +292,15 @@ static void put(const gf_minimum_t *minimum, double *position_m, double *rotatio
 }
 
 void gf_search(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double model_error,
-               const double half_space[4], size_t most_evaluations, double hopeless_cost, double *position_m,
-               double *rotation, uint8_t *found, double *widening, uint32_t *evaluations) {
+               const double half_space[4], size_t most_evaluations, double hopeless_cost, bool at_any_cost,
+               double *position_m, double *rotation, uint8_t *found, double *widening, uint32_t *evaluations) {
     const size_t n = coils->count;
     for (size_t e = 0; e < epochs; ++e) {
         search_t search = {.epoch = {.coils = coils},
                            .half_space = half_space,
                            .model_error = model_error,
-                           .hopeless_cost = hopeless_cost};
+                           .hopeless_cost = hopeless_cost,
+                           .at_any_cost = at_any_cost};
         gf_width_t width = {.cost = 0.0};
         search.epoch.field_T = field_T + 3 * n * e;
         search.epoch.sigma_T = sigma_T + n * e;

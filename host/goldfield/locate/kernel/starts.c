@@ -70,8 +70,9 @@ static void align(const gf_coils_t *coils, const double position_m[3], const dou
     gf_attitude(coils->count, &sources, field_T, inverse_variance, rotation);
 }
 
-static void start(const gf_coils_t *coils, const double *field_T, const double *sigma_T, double range_error,
-                  double magnitude_error, double vector_error, gf_pose_t *pose) {
+/* Returns the evaluations of the field that it took. */
+static size_t start(const gf_coils_t *coils, const double *field_T, const double *sigma_T, double range_error,
+                    double magnitude_error, double vector_error, gf_pose_t *pose) {
     const size_t n = coils->count;
     magnitudes_t ranges = {.coils = coils};
     magnitudes_t logarithms = {.coils = coils};
@@ -104,18 +105,24 @@ static void start(const gf_coils_t *coils, const double *field_T, const double *
         pose->position_m[k] = middle[k] / total + 0.3 * nearest * coils->across[k];
     }
     gf_squares_t squares;
-    (void)gf_minimise(evaluate_ranges, &ranges, 3, ITERATIONS, TOLERANCE, pose, &squares);
-    (void)gf_minimise(evaluate_logarithms, &logarithms, 3, ITERATIONS, TOLERANCE, pose, &squares);
+    size_t without_field = 0;
+    size_t evaluations = 1; /* for the attitude */
+    (void)gf_minimise(evaluate_ranges, &ranges, 3, ITERATIONS, TOLERANCE, pose, &squares, &without_field);
+    (void)gf_minimise(evaluate_logarithms, &logarithms, 3, ITERATIONS, TOLERANCE, pose, &squares, &evaluations);
     align(coils, pose->position_m, field_T, weight, pose->rotation);
+    return evaluations;
 }
 
-void gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T, double range_error,
-               double magnitude_error, double vector_error, double *position_m, double *rotation) {
+size_t gf_starts(const gf_coils_t *coils, size_t epochs, const double *field_T, const double *sigma_T,
+                 double range_error, double magnitude_error, double vector_error, double *position_m,
+                 double *rotation) {
+    size_t evaluations = 0;
     for (size_t e = 0; e < epochs; ++e) {
         gf_pose_t pose = {{0.0}, {{0.0}}};
-        start(coils, field_T + 3 * coils->count * e, sigma_T + coils->count * e, range_error, magnitude_error,
-              vector_error, &pose);
+        evaluations += start(coils, field_T + 3 * coils->count * e, sigma_T + coils->count * e, range_error,
+                             magnitude_error, vector_error, &pose);
         memcpy(position_m + 3 * e, pose.position_m, sizeof pose.position_m);
         memcpy(rotation + 9 * e, pose.rotation, sizeof pose.rotation);
     }
+    return evaluations;
 }
