@@ -51,6 +51,10 @@ RANGES = {
         "T", 1e-16, 1e-3, (1e-15, 2e-5), {"milligauss": 1e-7, "gauss": 1e-4, "microtesla": 1e-6, "nanotesla": 1e-9}
     ),
     "radius_m": Range("m", 1e-4, 100.0, (1e-3, 10.0), LENGTHS),
+    "sides_m": Range("m", 1e-4, 100.0, (1e-3, 10.0), LENGTHS),
+    "length_m": Range("m", 1e-5, 100.0, (1e-4, 10.0), LENGTHS),
+    "pitch_m": Range("m", 1e-6, 10.0, (1e-5, 0.2), LENGTHS),
+    "layer_pitch_m": Range("m", 1e-6, 10.0, (1e-5, 0.2), LENGTHS),
     "current_A": Range("A", 1e-9, 1e4, (1e-6, 200.0), {"milliamperes": 1e-3}),
     "turns": Range("turns", 1e-3, 1e6, (0.1, 1e5)),
     "alert_limit_m": Range("m", 1e-6, 1e4, (1e-3, 20.0), LENGTHS),

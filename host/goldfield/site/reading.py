@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from goldfield.files.toml_table import Table, read_table
+from goldfield.site.coil_shapes import SHAPE_KEYS, placed, wire_of
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
 from goldfield.site.metal import Metal
 from goldfield.site.metal_keys import BEACON_KEY, read_beacon_metal, read_metal
@@ -56,7 +57,10 @@ def load(path: str | Path) -> Site:
     - ``radius_m`` for a circular coil, which needs ``position_m`` (its centre), ``axis`` (its normal, of any length)
       and ``turns``; or
     - ``points_m`` for a coil given by its wire, at least three points in the direction of a positive current;
-      ``position_m``, ``axis`` and ``turns`` (default 1) may then be left out: the wire tells them;
+      ``position_m``, ``axis`` and ``turns`` (default 1) may then be left out: the wire tells them; or
+    - ``shape`` for a coil as people make them, ``"rectangle"``, ``"square_spiral"``, ``"round_spiral"`` or
+      ``"solenoid"``, with ``position_m``, ``axis``, optionally ``angle_rad`` about it, and the sizes that
+      `goldfield.site.coil_shapes` needs;
     - ``code`` for cdma: index of a Gold code, 0 to 2^degree, different for each beacon; or ``codes``, several at
       once: a list of ``{code, degree, offset, hold}``, each with the last three optional (`Code`);
     - ``slot`` for tdma: 0 to slots - 1;
@@ -219,25 +223,39 @@ DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "tau_s")
 
 
 def _beacon(table: Table, plan: Plan, survey: Table | None, metal: Metal | None, doubts: list[str]) -> Beacon:
-    table.allow(*BEACON_KEYS, *SURVEY_LIMITS, *DRIVE_KEYS, BEACON_KEY)
+    table.allow(*BEACON_KEYS, *SHAPE_KEYS, *SURVEY_LIMITS, *DRIVE_KEYS, BEACON_KEY)
     code, drive = read_drive(table, plan)
     current = table.number("current_A")
     if current == 0.0:
         raise table.error("current_A", "is zero: a beacon without a field cannot be located from; leave the beacon out")
     checked(table, "current_A", current, doubts)
-    if ("radius_m" in table) == ("points_m" in table):
-        raise table.error("radius_m", "or points_m must be given, exactly one of them")
+    drawn = wire_of(table, doubts) if "shape" in table else None
+    if drawn is None and ("radius_m" in table) == ("points_m" in table):
+        raise table.error("radius_m", "or points_m must be given, exactly one of them; or shape")
     given: dict[str, Any] = {"id": table.label("id"), "current_A": current, "code": code, "drive": drive}
     given["survey"] = _survey(table, survey)
     given["metal"] = read_beacon_metal(table, metal)
     if "position_m" in table:
         check_place(table, "position_m", table.vector("position_m"))
+    if drawn is not None:
+        position, axis = table.vector("position_m"), table.direction("axis")
+        return Beacon(
+            **given,
+            position_m=position,
+            axis=axis,
+            turns=_turns(table, doubts) if table.text("shape") == "rectangle" else 1.0,
+            radius_m=None,
+            points_m=placed(drawn, position, axis, table.number("angle_rad") if "angle_rad" in table else 0.0),
+        )
+    for key in SHAPE_KEYS:
+        if key in table:
+            raise table.error(key, "is only for a coil with a shape: leave it out")
     if "radius_m" in table:
         return Beacon(
             **given,
             position_m=table.vector("position_m"),
             axis=table.direction("axis"),
-            turns=checked(table, "turns", table.positive("turns"), doubts),
+            turns=_turns(table, doubts),
             radius_m=checked(table, "radius_m", table.positive("radius_m"), doubts),
             points_m=None,
         )
@@ -257,10 +275,14 @@ def _beacon(table: Table, plan: Plan, survey: Table | None, metal: Metal | None,
         **given,
         position_m=table.vector("position_m") if "position_m" in table else points.mean(axis=0),
         axis=axis,
-        turns=checked(table, "turns", table.positive("turns"), doubts) if "turns" in table else 1.0,
+        turns=_turns(table, doubts) if "turns" in table else 1.0,
         radius_m=None,
         points_m=points,
     )
+
+
+def _turns(table: Table, doubts: list[str]) -> float:
+    return checked(table, "turns", table.positive("turns"), doubts)
 
 
 def _check_unique(tables: list[Table], beacons: tuple[Beacon, ...]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, MutableMapping
 from dataclasses import dataclass, fields
@@ -15,12 +16,16 @@ from tomlkit.items import Array, Float, Integer, Item, Table, Trivia
 from goldfield.errors import UserError
 from goldfield.files.inputs import name_of
 from goldfield.files.toml_table import parse_table, read_text
+from goldfield.site.coil_shapes import angle_of, frame, smallest_rotation
 from goldfield.site.model import Beacon, Survey
 from goldfield.site.reading import site_of
 from goldfield.types import FloatArray
 
 WIRE_DIGITS = 12
 """Decimals of the metres to which the points of a moved wire are written: a picometre is below everything."""
+
+SAME_ANGLE_RAD = 1e-12
+"""A turn of a coil about its axis by less is none."""
 
 PLAIN = (1e-5, 1e9)
 """Sizes of numbers that are written without an exponent, unless the number that they replace has one."""
@@ -67,7 +72,8 @@ def revised(path: Path, beacons: Mapping[str, BeaconRevision], sensor: SensorRev
 
     Comments, blank lines, the order of keys and the style of numbers stay; a key that the file does not have comes to
     the end of its table. Tables ``[[beacon]]`` between which other tables stand are brought together. A coil that is
-    given by its wire moves and turns as a rigid body, by the smallest rotation from its old axis to the new one.
+    given by its wire or its shape moves and turns as a rigid body, by the smallest rotation from its old axis to the
+    new one.
 
     Parameters
     ----------
@@ -122,37 +128,14 @@ def _revise_beacon(table: MutableMapping[str, Any], old: Beacon, revision: Beaco
         _put(table, "points_m", moved.round(WIRE_DIGITS))
         # A wire tells its place and axis; only where the file tells them too there is something to revise.
         values = {key: value for key, value in values.items() if key in table or key == "current_A"}
+    if "shape" in table and "axis" in values:
+        given = float(table.get("angle_rad", 0.0))
+        rotation = smallest_rotation(old.axis, values["axis"]) @ frame(old.axis, given)
+        angle = angle_of(rotation)
+        if abs(math.remainder(angle - given, math.tau)) > SAME_ANGLE_RAD:
+            values["angle_rad"] = angle
     for key, value in {**values, **_given(survey)}.items():
         _put(table, key, value)
-
-
-def smallest_rotation(old: FloatArray, new: FloatArray) -> FloatArray:
-    """Return the rotation matrix of the smallest angle that turns one unit vector into another.
-
-    For opposite vectors it is half a turn about one of the axes at right angles to them.
-
-    Parameters
-    ----------
-    old, new : ndarray, shape (3,)
-
-    Examples
-    --------
-    >>> smallest_rotation(np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])) @ [1.0, 0.0, 0.0]
-    array([ 0.,  0., -1.])
-    """
-    cosine = float(old @ new)
-    if cosine > -0.5:
-        x, y, z = np.cross(old, new)
-        cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + cosine))
-    # Far apart: half a turn about an axis at right angles to the old one and near the plane of both, then the rest.
-    away = new - cosine * old
-    if np.linalg.norm(away) < 1e-8:
-        away = np.eye(3)[np.argmin(np.abs(old))]
-        away = away - (away @ old) * old
-    normal = np.cross(old, away / np.linalg.norm(away))
-    half = 2.0 * np.outer(normal, normal) / (normal @ normal) - np.eye(3)
-    return np.asarray(smallest_rotation(-old, new) @ half)
 
 
 def _put(table: MutableMapping[str, Any], key: str, value: float | FloatArray) -> None:

@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.errors import UserError
 from goldfield.site import Survey, load
-from goldfield.site.revision import BeaconRevision, SensorRevision, revised, smallest_rotation
+from goldfield.site.coil_shapes import smallest_rotation
+from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 
 SITE = """\
 # The hall, measured on Monday.
