@@ -35,8 +35,9 @@ from goldfield.types import FloatArray
 STEPS = 4
 """Evaluations of an image: its own place, and three Gauss-Newton steps from there."""
 
-APART_M = 1e-3
-"""An image that is nearer is the pose itself."""
+APART, APART_TURN = 0.05, 0.2
+"""An image that the fit has brought nearer to the pose itself than this part of the distance to the nearest beacon, and
+whose attitude has no component that differs by more than the second, is no other pose, as in the locator's search."""
 
 FARTHEST_STEP = 0.5
 """Longest step of the fit over the distance to the nearest beacon: beyond it the linear model means nothing."""
@@ -106,7 +107,7 @@ def ambiguous(near: Neighbourhood, point_m: FloatArray, field_T: FloatArray, wei
     for likely, reflection, turn in candidates:
         image = middle + (reflection @ away[:, :, None])[:, :, 0]
         open_question = near.inside(image) | ~near.inside(point_m)
-        rows = np.flatnonzero(likely & open_question & ~found & (np.linalg.norm(image - point_m, axis=1) > APART_M))
+        rows = np.flatnonzero(likely & open_question & ~found)
         if len(rows):
             turned_frame = np.tile(np.eye(3), (len(rows), 1, 1)) if turn is None else turn[rows]
             found[rows] = _fits(near, field_T[:, rows], image[rows], turned_frame, point_m[rows])
@@ -130,9 +131,10 @@ def _fits(
         if near.distortion is not None:  # what the sensor's errors explain of the residuals costs only their prior
             known = distortion_covariance(information[:, 6:, 6:], near.distortion)
             cost = cost - np.einsum("ek,ekl,el->e", slope[:, 6:], known, slope[:, 6:])
-        apart = np.linalg.norm(position - point_m, axis=1) > APART_M
-        fits |= (cost < RIVAL_COST) & apart & (near.inside(position) | ~near.inside(point_m))
         range_m = np.linalg.norm(position[:, None] - near.model.centre_m, axis=2).min(axis=1)
+        apart = np.linalg.norm(position - point_m, axis=1) > APART * range_m
+        apart |= np.abs(turn - np.eye(3)).max(axis=(1, 2)) > APART_TURN
+        fits |= (cost < RIVAL_COST) & apart & (near.inside(position) | ~near.inside(point_m))
         length = np.linalg.norm(step[:, :3], axis=1)
         factor = np.minimum(1.0, FARTHEST_STEP * range_m / np.maximum(length, 1e-300))[:, None]
         step = np.where(np.isfinite(step), factor * step, 0.0)

@@ -168,7 +168,8 @@ def _by_dask(request: Request, batches: Batches, address: str) -> Results:
         try:
             sent = client.scatter(request, broadcast=True)
             ahead = islice(rest, AHEAD * workers)
-            running = dask.as_completed([client.submit(compute_batch, sent, batch, pure=False) for batch in ahead])
+            first = [client.submit(compute_batch, sent, batch, pure=False) for batch in ahead]
+            running = dask.as_completed(first, loop=client.loop)
             for future in running:
                 results = future.result()
                 future.release()
