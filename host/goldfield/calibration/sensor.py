@@ -1,0 +1,195 @@
+"""Calibration of a sensor that was turned by hand: gains and directions of its axes, and its offset.
+
+The sensor reads A S R' B of a field B: A, upper triangular, are its axes times their gains, R its attitude, and S what
+its turning leaves of a cycle's mean (`turn.smear`). The triangle fixes the sensor's frame: x is the first axis, and the
+second lies in the plane of x and y. Unknown are A, the offset, the earth's field, what the site says wrongly of its
+beacons (within its declared deviations), and the pose of every cycle; the poses are eliminated cycle by cycle (Schur),
+the rest is solved by Levenberg and Marquardt. The earth's field tells offset and axes up to a scale, the beacons the
+scale, as far as their currents and places are known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from goldfield.calibration.adjustment import Adjustment, State
+from goldfield.calibration.turn import Turn
+from goldfield.errors import UserError
+from goldfield.locate import Locator
+from goldfield.site import Site
+from goldfield.types import FloatArray
+
+START_GAIN_SD, START_AXIS_SD_RAD = 0.03, 0.03
+"""How far an axis may be off while the poses are sought with which the adjustment starts."""
+FEWEST_CYCLES = 20
+OUTLIER = 12.0
+"""A cycle is left out whose residuals, in deviations of its chi-square, are this many too large."""
+BAD_FIT = 3.0
+"""Largest ratio of the residuals to the noise with which a calibration is still one."""
+ENOUGH = 5e-3
+"""Standard deviation of an axis beyond which the calibration is called weak."""
+UPPER = np.triu_indices(3)
+"""Rows and columns of the six elements of A."""
+NAMES = ("gain of x", "lean of x toward y", "lean of x toward z", "gain of y", "lean of y toward z", "gain of z")
+
+
+@dataclass(frozen=True, eq=False)
+class SensorCalibration:
+    """What was found.
+
+    Attributes
+    ----------
+    axes : ndarray, shape (3, 3)
+        Upper triangular: axis j reads ``axes[j] @ B`` of a field B in the sensor's frame.
+    axes_sd : ndarray, shape (3, 3)
+        Standard deviation of each element; 0 below the diagonal.
+    covariance : ndarray, shape (6, 6)
+        Covariance of the elements of the upper triangle, row by row.
+    relative_sd : float
+        Standard deviation of the gains among each other: what the common gain, which the site limits, leaves out.
+    offset_T, offset_sd_T : ndarray, shape (3,), or None
+        What the axes read where there is no field; None if the recording has no mean fields.
+    earth_T : float or None
+        Magnitude of the constant field that was found beside the beacons.
+    residual : float
+        Root mean square of the residuals over their noise.
+    cycles, used : int
+        Cycles with a pose, and those of them that were used.
+    outliers : tuple of int
+        Epochs that were left out as they do not fit.
+    weak : str or None
+        What is known badly, and what to do; None: nothing.
+    """
+
+    axes: FloatArray
+    axes_sd: FloatArray
+    covariance: FloatArray
+    relative_sd: float
+    offset_T: FloatArray | None
+    offset_sd_T: FloatArray | None
+    earth_T: float | None
+    residual: float
+    cycles: int
+    used: int
+    outliers: tuple[int, ...]
+    weak: str | None
+
+    @property
+    def gain_sd(self) -> float:
+        """Root mean square of the deviations of the gains: for a site's ``gain_sd``."""
+        return float(np.sqrt(np.mean(np.diag(self.axes_sd) ** 2)))
+
+    @property
+    def axis_sd_rad(self) -> float:
+        """Root mean square of the deviations of the leaning: for a site's ``axis_sd_rad``, which means six angles."""
+        return float(np.sqrt(0.5 * np.mean(self.axes_sd[np.triu_indices(3, 1)] ** 2)))
+
+
+def calibrate_sensor(site: Site, turn: Turn) -> SensorCalibration:
+    """Calibrate a sensor from the recording of it being turned.
+
+    Parameters
+    ----------
+    site : Site
+        Its deviations say how far the beacons may be off.
+    turn : Turn
+
+    Raises
+    ------
+    UserError
+        If there are too few cycles with a pose, or no sensor of three axes explains the recording.
+    """
+    turn, state = _start(site, turn)
+    adjustment = Adjustment(site, turn)
+    for _ in range(2):  # the second time with the rates of better attitudes
+        adjustment = adjustment.at_rates(state.rotation)
+        state = adjustment.solve(state, robust=True)
+    kept = _fitting(adjustment, state)
+    outliers = tuple(turn.epoch[~kept].tolist())
+    adjustment, state = adjustment.take(kept), state.take(kept)
+    if len(state.rotation) < FEWEST_CYCLES:
+        raise UserError(
+            f"only {len(state.rotation)} of {len(turn)} cycles fit one sensor: check site file and sensor, record anew"
+        )
+    adjustment = adjustment.with_mean_noise(state)
+    state = adjustment.solve(state, robust=False)
+    return _result(adjustment, state, len(turn), outliers)
+
+
+def _start(site: Site, turn: Turn) -> tuple[Turn, State]:
+    """Return the cycles with a pose, and the poses."""
+    sensor = replace(
+        site.sensor,
+        gain_sd=max(site.sensor.gain_sd, START_GAIN_SD),
+        axis_sd_rad=max(site.sensor.axis_sd_rad, START_AXIS_SD_RAD),
+    )
+    poses = Locator(replace(site, sensor=sensor)).locate_many(turn.fields(site))
+    found = np.array([bool(np.isfinite(pose.position_m).all()) for pose in poses], dtype=bool)
+    if found.sum() < FEWEST_CYCLES:
+        raise UserError(
+            f"{int(found.sum())} cycles of the recording have a pose, and a calibration needs {FEWEST_CYCLES}: turn "
+            "the sensor by hand for a minute where it hears its beacons"
+        )
+    located = [pose for pose, sound in zip(poses, found, strict=True) if sound]
+    rotation = Rotation.from_quat([pose.orientation_xyzw for pose in located]).as_matrix()
+    state = State.at_poses(np.array([pose.position_m for pose in located]), rotation, len(site.beacons))
+    return turn.take(found), state.with_earth(turn.take(found).mean_T)
+
+
+def _fitting(adjustment: Adjustment, state: State) -> NDArray[np.bool_]:
+    """Tell of each cycle whether it fits as well as most do, or as well as the noise lets expect."""
+    chi2, count = adjustment.chi_squares(state)
+    ratio = chi2 / count
+    usual = max(1.0, float(np.median(ratio)))
+    return np.asarray(ratio < usual * (1.0 + OUTLIER * np.sqrt(2.0 / count)))
+
+
+def _result(adjustment: Adjustment, state: State, cycles: int, outliers: tuple[int, ...]) -> SensorCalibration:
+    residual = adjustment.residual(state)
+    if residual > BAD_FIT:
+        raise UserError(
+            f"the best fit leaves {residual:.1f} times the noise: something else is wrong than the sensor's axes (a "
+            "beacon that was moved, metal near by, a site file of another room); see goldfield doctor"
+        )
+    covariance = adjustment.covariance(state) * max(1.0, residual) ** 2
+    of_axes = covariance[:6, :6]
+    axes_sd = np.zeros((3, 3))
+    axes_sd[UPPER] = np.sqrt(np.diag(of_axes))
+    gains = np.array([0, 3, 5])
+    differ = np.eye(3) - 1.0 / 3.0
+    relative = differ @ of_axes[np.ix_(gains, gains)] @ differ
+    knows = adjustment.knows_mean
+    return SensorCalibration(
+        axes=state.axes,
+        axes_sd=axes_sd,
+        covariance=of_axes,
+        relative_sd=math.sqrt(float(np.trace(relative)) / 3.0),
+        offset_T=state.offset_T if knows else None,
+        offset_sd_T=np.sqrt(np.diag(covariance)[6:9]) if knows else None,
+        earth_T=float(np.linalg.norm(state.earth_T)) if knows else None,
+        residual=residual,
+        cycles=cycles,
+        used=len(state.rotation),
+        outliers=outliers,
+        weak=_weakness(np.sqrt(np.diag(of_axes)), relative, knows),
+    )
+
+
+def _weakness(sd: FloatArray, relative: FloatArray, knows_mean: bool) -> str | None:
+    if math.sqrt(float(np.trace(relative)) / 3.0) > ENOUGH or sd[[1, 2, 4]].max() > ENOUGH:
+        worst = int(np.argmax(sd))
+        return (
+            f"the {NAMES[worst]} is known to {100.0 * sd[worst]:.2g} % only: turn the sensor further, so that each "
+            "axis points up, down and to all sides"
+        )
+    if sd[[0, 3, 5]].max() > ENOUGH:
+        return (
+            f"the common gain is known to {100.0 * sd[[0, 3, 5]].mean():.2g} % only, as the site's currents and places "
+            "are: survey the site, or measure the currents"
+        )
+    return None if knows_mean else "the offset is not known: a table of fields has no mean fields, a recording has"
