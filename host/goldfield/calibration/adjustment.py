@@ -51,16 +51,17 @@ class State:
     rotation: FloatArray
 
     @staticmethod
-    def at_poses(position_m: FloatArray, rotation: FloatArray, beacons: int) -> State:
-        """Return a start from poses, with a perfect sensor and an exact site."""
-        return State(np.eye(3), np.zeros(3), np.zeros(3), np.zeros((beacons, OF_BEACON)), position_m, rotation)
+    def at_poses(axes: FloatArray, position_m: FloatArray, rotation: FloatArray, beacons: int) -> State:
+        """Return a start from poses, with the sensor as it is known, and an exact site."""
+        return State(axes, np.zeros(3), np.zeros(3), np.zeros((beacons, OF_BEACON)), position_m, rotation)
 
     def with_earth(self, mean_T: FloatArray) -> State:
         """Return the state with offset and earth's field from the cycles' means, shape (k, 3), NaN where unknown."""
         known = np.isfinite(mean_T).all(axis=1)
         if not known.any():
             return self
-        columns = np.concatenate([np.swapaxes(self.rotation[known], 1, 2), np.tile(np.eye(3), (known.sum(), 1, 1))], 2)
+        seen = self.axes @ np.swapaxes(self.rotation[known], 1, 2)
+        columns = np.concatenate([seen, np.tile(np.eye(3), (known.sum(), 1, 1))], axis=2)
         solution = np.linalg.lstsq(columns.reshape(-1, 6), mean_T[known].ravel(), rcond=None)[0]
         return replace(self, earth_T=solution[:3], offset_T=solution[3:])
 
@@ -102,11 +103,13 @@ class Adjustment:
     site : Site
     turn : Turn
         Each cycle with a pose.
+    axes : ndarray, shape (3, 3)
+        About what the sensor's matrix is.
     """
 
-    def __init__(self, site: Site, turn: Turn) -> None:
+    def __init__(self, site: Site, turn: Turn, axes: FloatArray) -> None:
         surveys = [beacon.survey for beacon in site.beacons]
-        self._turn = turn
+        self._turn, self._axes = turn, axes
         self._model = FieldModel(site.beacons)
         self._errors = SiteErrors(
             np.array([survey.position_sd_m for survey in surveys]),
@@ -140,7 +143,7 @@ class Adjustment:
 
     def _with(self, turn: Turn | None = None, smear: FloatArray | None = None) -> Adjustment:
         other = object.__new__(Adjustment)
-        other._model, other._errors = self._model, self._errors
+        other._model, other._errors, other._axes = self._model, self._errors, self._axes
         other._turn = self._turn if turn is None else turn
         other._smear = self._smear if smear is None else smear
         return other
@@ -232,7 +235,7 @@ class Adjustment:
 
     def _prior(self, state: State) -> tuple[FloatArray, FloatArray]:
         """Return the weights of the common unknowns before anything was measured, and how far they are from it."""
-        off = np.concatenate([(state.axes - np.eye(3))[UPPER], state.offset_T, state.earth_T, state.beacons.ravel()])
+        off = np.concatenate([(state.axes - self._axes)[UPPER], state.offset_T, state.earth_T, state.beacons.ravel()])
         weight = np.ones_like(off)
         weight[:6] = 1.0 / AXES_SD**2
         weight[6:SENSOR] = 0.0 if self.knows_mean else 1.0

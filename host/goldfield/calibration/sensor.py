@@ -1,8 +1,9 @@
 """Calibration of a sensor that was turned by hand: gains and directions of its axes, and its offset.
 
 The sensor reads A S R' B of a field B: A, upper triangular, are its axes times their gains, R its attitude, and S what
-its turning leaves of a cycle's mean (`turn.smear`). The triangle fixes the sensor's frame: x is the first axis, and the
-second lies in the plane of x and y. Unknown are A, the offset, the earth's field, what the site says wrongly of its
+its turning leaves of a cycle's mean (`turn.smear`). The triangle fixes the sensor's frame: z is the third axis, and the
+second lies in the plane of y and z. Where the site tells axes already, the frame is theirs: they are A0 Q with Q a
+rotation, and A Q is found. Unknown are A, the offset, the earth's field, what the site says wrongly of its
 beacons (within its declared deviations), and the pose of every cycle; the poses are eliminated cycle by cycle (Schur),
 the rest is solved by Levenberg and Marquardt. The earth's field tells offset and axes up to a scale, the beacons the
 scale, as far as their currents and places are known.
@@ -15,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
 from goldfield.calibration.adjustment import Adjustment, State
@@ -35,6 +37,7 @@ ENOUGH = 5e-3
 """Standard deviation of an axis beyond which the calibration is called weak."""
 UPPER = np.triu_indices(3)
 """Rows and columns of the six elements of A."""
+GAINS, LEANS = [0, 3, 5], [1, 2, 4]
 NAMES = ("gain of x", "lean of x toward y", "lean of x toward z", "gain of y", "lean of y toward z", "gain of z")
 
 
@@ -45,11 +48,11 @@ class SensorCalibration:
     Attributes
     ----------
     axes : ndarray, shape (3, 3)
-        Upper triangular: axis j reads ``axes[j] @ B`` of a field B in the sensor's frame.
+        Axis j reads ``axes[j] @ B`` of a field B in the sensor's frame; upper triangular unless the site has ``axes``.
     axes_sd : ndarray, shape (3, 3)
-        Standard deviation of each element; 0 below the diagonal.
+        Standard deviation of each element; 0 below the diagonal of a triangle.
     covariance : ndarray, shape (6, 6)
-        Covariance of the elements of the upper triangle, row by row.
+        Covariance of the elements of the triangle A, row by row.
     relative_sd : float
         Standard deviation of the gains among each other: what the common gain, which the site limits, leaves out.
     offset_T, offset_sd_T : ndarray, shape (3,), or None
@@ -82,12 +85,12 @@ class SensorCalibration:
     @property
     def gain_sd(self) -> float:
         """Root mean square of the deviations of the gains: for a site's ``gain_sd``."""
-        return float(np.sqrt(np.mean(np.diag(self.axes_sd) ** 2)))
+        return float(np.sqrt(np.mean(np.diag(self.covariance)[GAINS])))
 
     @property
     def axis_sd_rad(self) -> float:
         """Root mean square of the deviations of the leaning: for a site's ``axis_sd_rad``, which means six angles."""
-        return float(np.sqrt(0.5 * np.mean(self.axes_sd[np.triu_indices(3, 1)] ** 2)))
+        return float(np.sqrt(0.5 * np.mean(np.diag(self.covariance)[LEANS])))
 
 
 def calibrate_sensor(site: Site, turn: Turn) -> SensorCalibration:
@@ -104,8 +107,9 @@ def calibrate_sensor(site: Site, turn: Turn) -> SensorCalibration:
     UserError
         If there are too few cycles with a pose, or no sensor of three axes explains the recording.
     """
-    turn, state = _start(site, turn)
-    adjustment = Adjustment(site, turn)
+    triangle, frame = _triangle(site.sensor.axes)
+    turn, state = _start(site, turn, triangle, frame)
+    adjustment = Adjustment(site, turn, triangle)
     for _ in range(2):  # the second time with the rates of better attitudes
         adjustment = adjustment.at_rates(state.rotation)
         state = adjustment.solve(state, robust=True)
@@ -118,10 +122,22 @@ def calibrate_sensor(site: Site, turn: Turn) -> SensorCalibration:
         )
     adjustment = adjustment.with_mean_noise(state)
     state = adjustment.solve(state, robust=False)
-    return _result(adjustment, state, len(turn), outliers)
+    return _result(adjustment, state, frame, len(turn), outliers)
 
 
-def _start(site: Site, turn: Turn) -> tuple[Turn, State]:
+def _triangle(axes: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Return the axes that a site tells as an upper triangle and a rotation, ``triangle @ rotation``."""
+    if axes is None:
+        return np.eye(3), np.eye(3)
+    if len(axes) < 3:
+        raise UserError(f"a sensor of {len(axes)} axes cannot be calibrated by turning it: it takes three")
+    triangle, rotation = rq(axes)
+    sign = np.sign(np.diag(triangle))
+    sign[0] *= np.linalg.det(rotation) * np.prod(sign)  # left-handed axes: x is negative, and the rotation is none else
+    return np.asarray(triangle * sign, dtype=np.float64), np.asarray(sign[:, None] * rotation, dtype=np.float64)
+
+
+def _start(site: Site, turn: Turn, triangle: FloatArray, frame: FloatArray) -> tuple[Turn, State]:
     """Return the cycles with a pose, and the poses."""
     sensor = replace(
         site.sensor,
@@ -137,7 +153,8 @@ def _start(site: Site, turn: Turn) -> tuple[Turn, State]:
         )
     located = [pose for pose, sound in zip(poses, found, strict=True) if sound]
     rotation = Rotation.from_quat([pose.orientation_xyzw for pose in located]).as_matrix()
-    state = State.at_poses(np.array([pose.position_m for pose in located]), rotation, len(site.beacons))
+    position_m = np.array([pose.position_m for pose in located])
+    state = State.at_poses(triangle, position_m, rotation @ frame.T, len(site.beacons))
     return turn.take(found), state.with_earth(turn.take(found).mean_T)
 
 
@@ -149,7 +166,9 @@ def _fitting(adjustment: Adjustment, state: State) -> NDArray[np.bool_]:
     return np.asarray(ratio < usual * (1.0 + OUTLIER * np.sqrt(2.0 / count)))
 
 
-def _result(adjustment: Adjustment, state: State, cycles: int, outliers: tuple[int, ...]) -> SensorCalibration:
+def _result(
+    adjustment: Adjustment, state: State, frame: FloatArray, cycles: int, outliers: tuple[int, ...]
+) -> SensorCalibration:
     residual = adjustment.residual(state)
     if residual > BAD_FIT:
         raise UserError(
@@ -158,14 +177,15 @@ def _result(adjustment: Adjustment, state: State, cycles: int, outliers: tuple[i
         )
     covariance = adjustment.covariance(state) * max(1.0, residual) ** 2
     of_axes = covariance[:6, :6]
-    axes_sd = np.zeros((3, 3))
-    axes_sd[UPPER] = np.sqrt(np.diag(of_axes))
-    gains = np.array([0, 3, 5])
+    effects = np.zeros((3, 3, 6))  # each element of the result by each of the triangle
+    for number, (row, column) in enumerate(zip(*UPPER, strict=True)):
+        effects[row, :, number] = frame[column]
+    axes_sd = np.sqrt(np.einsum("ijp,pq,ijq->ij", effects, of_axes, effects))
     differ = np.eye(3) - 1.0 / 3.0
-    relative = differ @ of_axes[np.ix_(gains, gains)] @ differ
+    relative = differ @ of_axes[np.ix_(GAINS, GAINS)] @ differ
     knows = adjustment.knows_mean
     return SensorCalibration(
-        axes=state.axes,
+        axes=state.axes @ frame,
         axes_sd=axes_sd,
         covariance=of_axes,
         relative_sd=math.sqrt(float(np.trace(relative)) / 3.0),
@@ -181,15 +201,15 @@ def _result(adjustment: Adjustment, state: State, cycles: int, outliers: tuple[i
 
 
 def _weakness(sd: FloatArray, relative: FloatArray, knows_mean: bool) -> str | None:
-    if math.sqrt(float(np.trace(relative)) / 3.0) > ENOUGH or sd[[1, 2, 4]].max() > ENOUGH:
+    if math.sqrt(float(np.trace(relative)) / 3.0) > ENOUGH or sd[LEANS].max() > ENOUGH:
         worst = int(np.argmax(sd))
         return (
             f"the {NAMES[worst]} is known to {100.0 * sd[worst]:.2g} % only: turn the sensor further, so that each "
             "axis points up, down and to all sides"
         )
-    if sd[[0, 3, 5]].max() > ENOUGH:
+    if sd[GAINS].max() > ENOUGH:
         return (
-            f"the common gain is known to {100.0 * sd[[0, 3, 5]].mean():.2g} % only, as the site's currents and places "
+            f"the common gain is known to {100.0 * sd[GAINS].mean():.2g} % only, as the site's currents and places "
             "are: survey the site, or measure the currents"
         )
     return None if knows_mean else "the offset is not known: a table of fields has no mean fields, a recording has"

@@ -40,6 +40,7 @@ COMMANDS = {
     "monitor": ("goldfield.cli.monitor", "live health of a sensor and its beacons"),
     "ports": ("goldfield.cli.ports", "serial ports and CAN interfaces"),
     "doctor": ("goldfield.cli.doctor", "what is wrong, and what to do"),
+    "calibrate": ("goldfield.cli.calibrate", "what sensor and coils are really like"),
     "nodes": ("goldfield.cli.nodes", "who is on a link; parameters, blink, reset"),
     "samples": ("goldfield.cli.samples", "raw samples of a sensor"),
     "completion": ("goldfield.cli.completion", "completion for bash or zsh"),

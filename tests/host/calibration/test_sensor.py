@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from goldfield.calibration.sensor import calibrate_sensor
 from goldfield.errors import UserError
@@ -79,6 +80,24 @@ def test_without_means_there_is_no_offset(tmp_path):
     assert (found.offset_T, found.offset_sd_T, found.earth_T) == (None, None, None)
     assert "the offset is not known" in found.weak
     assert nees(found, recording) < 28.0
+
+
+@pytest.mark.parametrize("hand", [1.0, -1.0])
+def test_the_frame_is_that_of_the_axes_that_the_site_has(tmp_path, hand):
+    """The sensor is mounted askew, or left-handed, and the site says how, but for a few percent."""
+    recording = record(tmp_path, 7)
+    mounting = Rotation.from_rotvec([0.9, -0.4, 2.0]).as_matrix() @ np.diag([1.0, 1.0, hand])
+    true = mounting @ recording.axes  # its axes read so much of a field in the frame that the recording has
+    told = true + 0.01 * np.random.default_rng(1).normal(size=(3, 3))
+    turn = replace(
+        recording.turn, field_T=recording.turn.field_T @ mounting.T, mean_T=recording.turn.mean_T @ mounting.T
+    )
+    site = replace(recording.site, sensor=replace(recording.site.sensor, axes=told))
+    found = calibrate_sensor(site, turn)
+    # Readings tell a matrix up to a rotation of the frame: A A' is what they tell.
+    np.testing.assert_allclose(found.axes @ found.axes.T, true @ true.T, atol=1e-3)
+    turned = np.linalg.solve(told, found.axes)
+    assert np.abs(turned - np.eye(3)).max() < 0.05
 
 
 def test_turning_about_one_axis_alone_is_weak(tmp_path):

@@ -1,0 +1,200 @@
+"""The work of ``goldfield calibrate``: recordings in, calibrations out, to stdout, files and the board."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from goldfield import site as sites
+from goldfield.calibration.coils import CoilCalibration, calibrate_coils
+from goldfield.calibration.kept import KeptSensor, checked_id, corrected, keep, load_kept
+from goldfield.calibration.sensor import SensorCalibration, calibrate_sensor
+from goldfield.calibration.turn import Turn, turn_of_fields, turn_of_reports
+from goldfield.cli import board_calibration, link_options, options
+from goldfield.cli.chips_file import read_cycles
+from goldfield.cli.output import elements, json_line, number
+from goldfield.errors import UserError, tell
+from goldfield.files.outputs import check_outputs, write_file
+from goldfield.link.reports import Report
+from goldfield.sensor.fields_table import read_fields
+from goldfield.sensor.opening import open_sensor
+from goldfield.sensor.options import Options
+from goldfield.sensor.pipeline import Sensor
+from goldfield.site import Site
+from goldfield.site.revision import SensorRevision, revised
+from goldfield.types import FloatArray
+
+LIVE_S = 60.0
+PROGRESS_S = 10.0
+
+
+def sensor(arguments: argparse.Namespace) -> int:
+    """Calibrate a sensor."""
+    path = options.required(arguments.site, "--site", "FILE")
+    kind, where = ("fields", arguments.fields) if arguments.fields else link_options.chosen(arguments)
+    live = kind in ("port", "can")
+    if arguments.write and not live:
+        raise UserError("--write needs the board: give --port or --can in place of a recording")
+    if arguments.sensors and not live and not arguments.unique_id:
+        raise UserError("--sensors needs --unique-id with a recording: goldfield nodes tells a board's")
+    unique_id = checked_id(arguments.unique_id) if arguments.unique_id else None
+    recording = None if live else where
+    check_outputs({"--out": arguments.out}, {"--site": path, "the recording": recording}, force=arguments.force)
+    site = sites.load(path)
+    options.tell_assumed(site)
+    if kind == "fields":
+        node, turn = arguments.node, turn_of_fields(site, read_fields(site, where))
+    else:
+        node, turn = _record(arguments, kind, where, site, live)
+    found = calibrate_sensor(site, turn)
+    record = sensor_record(found)
+    before = None
+    if live and (arguments.write or arguments.sensors):
+        before = board_calibration.read(kind, where, node)
+        unique_id = before.unique_id
+    if before is not None:
+        record["unique_id"] = unique_id
+        zero, matrix = corrected(before.zero, before.matrix, found.axes, found.offset_T)
+        if arguments.write:
+            board_calibration.write(kind, where, before.node, zero, matrix)
+        record["written"] = bool(arguments.write)
+    if arguments.sensors and unique_id is not None:
+        values = (None, None) if before is None else (zero, matrix)
+        offset_T = np.full(3, np.nan) if found.offset_T is None else found.offset_T
+        keep(Path(arguments.sensors), KeptSensor(unique_id, found.axes, offset_T, *_deviations(found), *values))
+    if arguments.out:
+        # What is written to the board needs no undoing by the host.
+        axes = found.axes if not arguments.write else None if site.sensor.axes is None else np.eye(3)
+        text = revised(Path(path), {}, SensorRevision(axes, *_deviations(found)))
+        write_file(arguments.out, text.encode(), "the site file", force=arguments.force)
+    print(json_line(record) if arguments.json else _sensor_text(found, record))
+    return 0
+
+
+def _deviations(found: SensorCalibration) -> tuple[float, float]:
+    return found.gain_sd, found.axis_sd_rad
+
+
+def _record(arguments: argparse.Namespace, kind: str, where: str, site: Site, live: bool) -> tuple[int | None, Turn]:
+    seconds = arguments.seconds if arguments.seconds is not None else LIVE_S if live else None
+    with open_sensor(kind, where, site, Options(node=arguments.node, seconds=seconds)) as opened:
+        turn = turn_of_reports(site, _with_progress(opened, seconds if live else None))
+        return opened.node, turn
+
+
+def _with_progress(opened: Sensor, seconds: float | None) -> Iterator[Report]:
+    first: float | None = None
+    told_s = 0.0
+    for report in opened.reports():
+        if seconds is not None and np.isfinite(report.time_s):
+            first = report.time_s if first is None else first
+            if report.time_s - first >= told_s + PROGRESS_S:
+                told_s += PROGRESS_S
+                tell(f"{told_s:.0f} of {seconds:.0f} s: go on turning the sensor, each axis up, down and to all sides")
+        yield report
+
+
+def sensor_record(found: SensorCalibration) -> dict[str, Any]:
+    """Return a sensor's calibration under the keys of ``goldfield calibrate sensor --json``."""
+    return {
+        "status": "ok" if found.weak is None else "weak",
+        "reason": found.weak,
+        "axes": [elements(row) for row in found.axes],
+        "axes_sd": [elements(row) for row in found.axes_sd],
+        "gain_sd": number(found.gain_sd),
+        "relative_gain_sd": number(found.relative_sd),
+        "axis_sd_rad": number(found.axis_sd_rad),
+        "offset_T": None if found.offset_T is None else elements(found.offset_T),
+        "offset_sd_T": None if found.offset_sd_T is None else elements(found.offset_sd_T),
+        "earth_T": None if found.earth_T is None else number(found.earth_T),
+        "residual": number(found.residual),
+        "cycles": found.cycles,
+        "used": found.used,
+        "outliers": list(found.outliers),
+    }
+
+
+def _sensor_text(found: SensorCalibration, record: dict[str, Any]) -> str:
+    def row(values: FloatArray) -> str:
+        return " ".join(f"{value:10.6f}" for value in values)
+
+    lines = [f"{found.used} of {found.cycles} cycles, residual {found.residual:.2f} of the noise"]
+    lines.append(f"{'axis':<6} {'what it reads of a field':<32}   {'standard deviation':<32}")
+    for name, axis, sd in zip("xyz", found.axes, found.axes_sd, strict=True):
+        lines.append(f"{name:<6} {row(axis)}   {row(sd)}")
+    if found.offset_T is not None and found.offset_sd_T is not None and found.earth_T is not None:
+        values = " ".join(f"{value * 1e9:.1f}" for value in found.offset_T)
+        lines.append(f"offset {values} nT, +-{found.offset_sd_T.max() * 1e9:.1f}; earth {found.earth_T * 1e6:.2f} uT")
+    if found.weak is not None:
+        lines.append(f"weak: {found.weak}")
+    if record.get("written"):
+        lines.append(f"written to board {record['unique_id']}: {board_calibration.HOLDS}")
+    return "\n".join(lines)
+
+
+def coils(arguments: argparse.Namespace) -> int:
+    """Calibrate the coils."""
+    path = options.required(arguments.site, "--site", "FILE")
+    check_outputs({}, {"--site": path, "SAMPLES.csv": arguments.samples})
+    site = sites.load(path)
+    options.tell_doubts(site)
+    cycles = list(read_cycles(site, arguments.samples))
+    places = [cycle.place_m for cycle in cycles if cycle.place_m is not None]
+    if any((place != places[0]).any() for place in places):
+        raise UserError(f"{arguments.samples}: the sensor stood in several places: give the cycles of one")
+    place = np.array(arguments.at) if arguments.at else places[0] if places else None
+    found = calibrate_coils(site, np.array([cycle.samples_T for cycle in cycles]), place)
+    if arguments.json:
+        for coil in found:
+            print(json_line(coil_record(coil)))
+    else:
+        print(_coils_text(found))
+    return 0
+
+
+def coil_record(coil: CoilCalibration) -> dict[str, Any]:
+    """Return a coil's calibration under the keys of ``goldfield calibrate coils --json``."""
+    return {
+        "beacon": coil.beacon,
+        "b_T": elements(coil.field_T),
+        "tau_s": number(coil.tau_s),
+        "tau_sd_s": None if coil.tau_sd_s is None else number(coil.tau_sd_s),
+        "tau_below_s": number(coil.tau_below_s),
+        "reversed": coil.reversed,
+    }
+
+
+def _coils_text(found: list[CoilCalibration]) -> str:
+    width = max(6, *(len(coil.beacon) for coil in found))
+    lines = [f"{'beacon':<{width}} {'tau/us':>10} {'+-':>8}  polarity"]
+    for coil in found:
+        tau = (
+            f"{coil.tau_s * 1e6:10.2f} {coil.tau_sd_s * 1e6:8.2f}"
+            if coil.tau_sd_s is not None
+            else (f"{'below':>10} {coil.tau_below_s * 1e6:8.2f}")
+        )
+        polarity = {None: "not known: give --at", True: "reversed", False: "as the site says"}[coil.reversed]
+        lines.append(f"{coil.beacon:<{width}} {tau}  {polarity}")
+    return "\n".join(lines)
+
+
+def restore(arguments: argparse.Namespace) -> int:
+    """Give a board what was kept of it."""
+    kind, where = link_options.chosen(arguments)
+    kept = load_kept(Path(arguments.sensors))
+    board = board_calibration.read(kind, where, arguments.node)
+    found = kept.get(board.unique_id)
+    if found is None or found.zero is None or found.calibration is None:
+        raise UserError(
+            f"{arguments.sensors}: has no values for the board {board.unique_id} (node {board.node}): calibrate it"
+        )
+    board_calibration.write(kind, where, board.node, found.zero, found.calibration)
+    print(f"written to board {board.unique_id}, node {board.node}: {board_calibration.HOLDS}")
+    return 0
+
+
+ACTIONS: dict[str, Callable[[argparse.Namespace], int]] = {"sensor": sensor, "coils": coils, "restore": restore}
