@@ -159,8 +159,10 @@ class Adjustment:
         The last row of a cycle is that of its mean. A value that was not measured has zeros.
         """
         turn, beacons = self._turn, len(self._model)
-        effect, field = effects_of_beacons(self._model, self._errors, state.position_m[rows])
-        gradient = self._model.evaluate(state.position_m[rows].T)[1].transpose(2, 3, 0, 1)
+        position = state.position_m[rows]
+        evaluated = self._model.evaluate(position.T)
+        effect, field = effects_of_beacons(self._model, self._errors, position, evaluated)
+        gradient = evaluated[1].transpose(2, 3, 0, 1)
         field = field + np.einsum("kncs,ns->knc", effect, state.beacons)
         field = np.concatenate([field, np.broadcast_to(state.earth_T, (len(field), 1, 3))], axis=1)
         to_sensor = np.swapaxes(state.rotation[rows], 1, 2)
