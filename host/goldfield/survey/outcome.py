@@ -54,7 +54,7 @@ class Solution:
 
 def found_site(solution: Solution) -> Site:
     """Return the site as it was found, with the deviations that `locate` uses: roots of means over directions."""
-    problem, sd = solution.problem, np.sqrt(np.diag(solution.covariance))
+    problem, sd = solution.problem, np.sqrt(np.diag(_without_common_gain(solution)))
     beacons: list[Beacon] = []
     for i, beacon in enumerate(beacons_of(problem.site, solution.state)):
         own, free = sd[BEACON * i : BEACON * (i + 1)], problem.prior.free[BEACON * i : BEACON * (i + 1)]
@@ -73,6 +73,19 @@ def found_site(solution: Solution) -> Site:
     if free[0] or free[3]:
         sensor = replace(sensor, axes=solution.state.matrix() @ problem.axes)
     return replace(problem.site, beacons=tuple(beacons), sensor=sensor, assumed=())
+
+
+def _without_common_gain(solution: Solution) -> FloatArray:
+    """Return the covariance for a known mean of the sensor's gains.
+
+    A common gain and all currents change the fields alike, so that the fields tell but their product, and a pose asks
+    for no more: the deviation of the product is that of the currents alone.
+    """
+    mean = np.zeros(len(solution.covariance))
+    mean[BEACON * len(solution.state.axis) :][:3] = 1.0 / 3.0
+    shared = solution.covariance @ mean
+    variance = float(mean @ shared)
+    return solution.covariance - np.outer(shared, shared) / variance if variance > 0.0 else solution.covariance
 
 
 def parameters_of(solution: Solution, free: frozenset[Free]) -> dict[str, Parameter]:

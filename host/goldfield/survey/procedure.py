@@ -114,7 +114,7 @@ def _problem(site: Site, data: SurveyData, free: frozenset[Free]) -> Problem:
     count = BEACON * len(site.beacons) + SENSOR
     return Problem(
         site=site,
-        axes=np.eye(3) if site.sensor.axes is None else site.sensor.axes,
+        axes=_axes(site),
         prior=prior_of(site, free, start_of(site, 0, 0)),
         readings=readings,
         point_m=point,
@@ -125,6 +125,14 @@ def _problem(site: Site, data: SurveyData, free: frozenset[Free]) -> Problem:
         anchors=anchors,
         anchor_rows=[row[anchor.beacon] for anchor in data.anchors],
     )
+
+
+def _axes(site: Site) -> FloatArray:
+    """Return what the site says of the sensor's axes, shape (3, 3); an axis that the sensor does not have is one."""
+    result = np.eye(3)
+    if site.sensor.axes is not None:
+        result[: len(site.sensor.axes)] = site.sensor.axes
+    return result
 
 
 def _readings(epochs: tuple[Fields, ...], row: dict[str, int], anchors: tuple[AnchorFields, ...] = ()) -> Readings:
