@@ -118,12 +118,12 @@ def revisions(site: Site, result: SurveyResult) -> tuple[dict[str, BeaconRevisio
         beacons[old.id] = BeaconRevision(
             position_m=new.position_m if f"{old.id}.x_m" in result.parameters else None,
             axis=new.axis if f"{old.id}.axis_x" in result.parameters else None,
-            current_A=new.current_A if f"{old.id}.current_A" in result.parameters else None,
+            current_A=new.current_A if new.current_A != old.current_A else None,
             survey=new.survey,
         )
     sensor = result.site.sensor
     gain, tilt = "sensor.gain_x" in result.parameters, "sensor.tilt_xy_rad" in result.parameters
-    if not (gain or tilt):
+    if sensor.axes is site.sensor.axes:
         return beacons, None
     return beacons, SensorRevision(
         axes=sensor.axes, gain_sd=sensor.gain_sd if gain else None, axis_sd_rad=sensor.axis_sd_rad if tilt else None

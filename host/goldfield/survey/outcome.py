@@ -88,14 +88,17 @@ def _without_common_gain(solution: Solution) -> FloatArray:
     return solution.covariance - np.outer(shared, shared) / variance if variance > 0.0 else solution.covariance
 
 
-def parameters_of(solution: Solution, free: frozenset[Free]) -> dict[str, Parameter]:
-    """Return everything that was estimated, by names such as ``b1.x_m``, ``b1.axis_x`` and ``sensor.gain_x``."""
+def parameters_of(site: Site, solution: Solution, free: frozenset[Free]) -> dict[str, Parameter]:
+    """Return everything that was estimated, by names such as ``b1.x_m``, ``b1.axis_x`` and ``sensor.gain_x``.
+
+    ``site`` is what the file said before.
+    """
     problem, state, prior = solution.problem, solution.state, solution.problem.prior
     sd = np.sqrt(np.diag(solution.covariance))
     result: dict[str, Parameter] = {}
     after = beacons_of(problem.site, state)
     two = across(state.axis)
-    for i, (old, new) in enumerate(zip(problem.site.beacons, after, strict=True)):
+    for i, (old, new) in enumerate(zip(site.beacons, after, strict=True)):
         first = BEACON * i
         for k, letter in enumerate("xyz"):
             if prior.free[first]:

@@ -20,6 +20,7 @@ from goldfield.survey.data import AnchorFields, Free, SurveyData, SurveyResult
 from goldfield.survey.equations import Readings, inverse
 from goldfield.survey.outcome import Solution, found_site, outliers_of, parameters_of
 from goldfield.survey.parameters import BEACON, SENSOR, State, default_free, prior_of, start_of
+from goldfield.survey.reversals import reversals_in_words, right_way_round
 from goldfield.survey.starts import anchor_attitudes, measurements_of, rough_poses, searched_poses
 from goldfield.types import Fields, FloatArray
 
@@ -75,21 +76,25 @@ def survey(
     tell_progress("rough poses", 0.0)
     if data.epochs:
         state = rough_poses(problem, state)
+        turned = right_way_round(site, problem, state)
+        if turned is not site:
+            problem = _problem(turned, data, free)
+            state = rough_poses(problem, state)
     if data.anchors:
         state = replace(state, anchor_rotation=anchor_attitudes(problem, state))
     solution = _solved(problem, state, tell_progress)
     tell_progress("uncertainty", 0.95)
-    site = found_site(solution)
-    count = BEACON * len(site.beacons)
+    found = found_site(solution)
+    count = BEACON * len(found.beacons)
     gone = ~solution.sound
     return SurveyResult(
-        site=site,
-        parameters=parameters_of(solution, free),
+        site=found,
+        parameters=parameters_of(site, solution, free),
         covariance=solution.covariance[:count, :count],
         residual_before=solution.residual_before,
         residual_after=solution.residual_after,
-        outliers=outliers_of(solution, site, data.epochs),
-        advice=advice_of(solution, data),
+        outliers=outliers_of(solution, found, data.epochs),
+        advice=(*reversals_in_words(site, found), *advice_of(solution, data)),
         position_m=np.where(gone[:, None], np.nan, solution.state.sensor_m),
         rotation=np.where(gone[:, None, None], np.nan, solution.state.rotation),
     )

@@ -209,3 +209,20 @@ def test_derivatives_are_those_of_differences():
         back = parts_of(state.moved(np.zeros(size), -poses, np.zeros((0, 3))))
         slope = (back.residual - there.residual) / (2.0 * step)
         assert slope == pytest.approx(here.pose[..., k], rel=1e-4, abs=1e-5 * np.abs(slope).max())
+
+
+def test_a_reversed_coil_and_left_handed_axes_are_found_and_said():
+    made = trial(cube(), 1, epochs=100, points=6)
+    site = made.site
+    wrong = replace(site.beacons[2], current_A=-site.beacons[2].current_A)
+    reversed_site = replace(site, beacons=(*site.beacons[:2], wrong, *site.beacons[3:]))
+    result = survey(reversed_site, made.data)
+    assert result.advice[0].startswith("b2 is reversed: its current has the other sign")
+    assert result.site.beacons[2].current_A * site.beacons[2].current_A > 0.0
+    assert result.parameters["b2.current_A"].before == wrong.current_A
+    assert score(result, made).rms_m < 0.02
+    mirrored = tuple(replace(fields, field_T=fields.field_T * [1.0, 1.0, -1.0]) for fields in made.data.epochs)
+    result = survey(site, replace(made.data, epochs=mirrored))
+    assert result.advice[0] == "the axes of the sensor are left-handed: axes in the new site file say so"
+    assert result.site.sensor.axes == pytest.approx(-np.eye(3))
+    assert score(result, made).rms_m < 0.02
