@@ -51,6 +51,13 @@ def command(subparsers: Any) -> None:
     options.add(parser, "--out", metavar="NEW.toml", what="the new site file")
     options.add(parser, "--node", metavar="N", what="node of the sensor, where there are several", kind=options.node)
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
+    options.add(
+        parser,
+        "--enough",
+        metavar="METRES",
+        what="live: walk until the beacons are known so well (default: until walking on gains little)",
+        kind=options.metres,
+    )
     options.add_json(parser)
     options.add_force(parser)
     parser.set_defaults(run=run)

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from goldfield import site as sites
-from goldfield.cli import link_options, options
+from goldfield.cli import link_options, options, survey_live
 from goldfield.cli.output import json_line, number
 from goldfield.errors import Loudness, UserError, loudness
 from goldfield.files.outputs import check_outputs, write_file
@@ -44,10 +44,16 @@ def make_survey(arguments: argparse.Namespace) -> int:
     known = read_known(arguments.known, site) if arguments.known else ()
     anchors = tuple(_anchor(site, name, table) for name, table in tables)
     free = None if arguments.free is None else frozenset(Free(kind) for kind in arguments.free)
-    epochs = _epochs(arguments, site, anchors)
-    points = read_points(arguments.points, epochs) if arguments.points else ()
-    with _progress() as told:
-        result = survey(site, SurveyData(epochs, points, known, anchors), free, told)
+
+    def survey_of(epochs: Sequence[Fields], most: int | None = None) -> SurveyResult:
+        points = read_points(arguments.points, epochs) if arguments.points else ()
+        marked = {point.epoch for point in points}
+        every = 1 if most is None else -(-len(epochs) // most)
+        epochs = [fields for index, fields in enumerate(epochs) if index % every == 0 or fields.epoch in marked]
+        with _progress() as told:
+            return survey(site, SurveyData(tuple(epochs), points, known, anchors), free, told)
+
+    result = survey_of(_epochs(arguments, site, anchors, survey_of))
     text = revised(Path(path), *revisions(site, result))
     write_file(out, text.encode(), "the new site file", force=arguments.force)
     print(json_line(record(result)) if arguments.json else table_of(site, result))
@@ -78,7 +84,9 @@ def _anchor(site: Site, name: str, path: str) -> AnchorFields:
     return AnchorFields(name, Fields(0, 0.0, tuple(ids[row] for row in rows), mean, weight[rows] ** -0.5))
 
 
-def _epochs(arguments: argparse.Namespace, site: Site, anchors: Sequence[AnchorFields]) -> tuple[Fields, ...]:
+def _epochs(
+    arguments: argparse.Namespace, site: Site, anchors: Sequence[AnchorFields], survey_of: survey_live.Survey
+) -> tuple[Fields, ...]:
     """Return the epochs of the table, the recording or the sensor; none if there are but anchors."""
     links = [kind for kind in ("port", "can", "log") if getattr(arguments, kind) is not None]
     if arguments.fields:
@@ -94,7 +102,7 @@ def _epochs(arguments: argparse.Namespace, site: Site, anchors: Sequence[AnchorF
 
     kind, where = link_options.chosen(arguments)
     with open_sensor(kind, where, site, Options(node=arguments.node, seconds=arguments.seconds)) as sensor:
-        return tuple(sensor.fields())
+        return survey_live.walk(sensor.fields(), survey_of, arguments.enough) if sensor.live else tuple(sensor.fields())
 
 
 @contextmanager

@@ -31,6 +31,8 @@ WORTH = 0.95
 MOSTLY = 0.8
 """A source is named alone if it knows this part of what is known."""
 SITE = "the site file"
+SPREAD = 2.0
+"""A site whose beacons are spread over less than so many of their radii has neither direction nor scale of its own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,20 +60,19 @@ def advice_of(solution: Solution, data: SurveyData) -> tuple[str, ...]:
     if not free[:, 0].any():
         return ()
     origin, direction, scale = _modes(solution)
-    size = _size(solution)
-    lines = [
-        _sentence("the origin", [origin[k] for k in range(3)], solution, data, "mm", 1e3, "a known point"),
-        _sentence(
-            "the direction of the site", direction, solution, data, "degrees", np.rad2deg(1.0), "three known points"
-        ),
-        _sentence("its scale", [scale], solution, data, "%", 100.0, "one distance between beacons"),
-    ]
+    model = FieldModel(solution.problem.site.beacons)
+    lines = [_sentence("the origin", origin, solution, data, "mm", 1e3, "a known point")]
+    if _size(solution) > SPREAD * model.reach_m.max():
+        remedy = "three known points"
+        lines += [
+            _sentence("the direction of the site", direction, solution, data, "degrees", np.rad2deg(1.0), remedy),
+            _sentence("its scale", [scale], solution, data, "%", 100.0, "one distance between beacons"),
+        ]
     if solution.widened > 1.0:
         lines.append(
             f"the fields scatter {solution.widened:.2g} times as much as sigma_T says: all deviations were widened so"
         )
-    lines += _worst(solution, size)
-    model = FieldModel(solution.problem.site.beacons)
+    lines += _worst(solution)
     if solution.problem.site.half_space is None and find_mirror(model) is not None and data.epochs:
         lines.append(
             "all beacons are about in one plane, so that poses may be mirror images in it; the beacons are right all "
@@ -165,7 +166,7 @@ def _sentence(
     return f"{what} is known to {size}, {only}through {name}" + ("" if measured else f": give {remedy}")
 
 
-def _worst(solution: Solution, size: float) -> Iterator[str]:
+def _worst(solution: Solution) -> Iterator[str]:
     """Name the beacon that is known worst, if it stands out."""
     variance = np.diag(solution.covariance)[: BEACON * len(solution.state.axis)].reshape(-1, BEACON)
     deviation = np.sqrt(variance[:, :3].sum(axis=1))

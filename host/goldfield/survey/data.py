@@ -182,3 +182,9 @@ class SurveyResult:
     advice: tuple[str, ...]
     position_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     rotation: FloatArray = field(default_factory=lambda: np.empty((0, 3, 3)))
+
+    @property
+    def deviation_m(self) -> float:
+        """Standard deviation of a beacon's place, root of the mean square over the beacons, all three coordinates."""
+        variance = np.diag(self.covariance).reshape(len(self.site.beacons), -1)[:, :3]
+        return float(np.sqrt(variance.sum() / len(variance)))

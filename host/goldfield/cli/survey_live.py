@@ -1,0 +1,76 @@
+"""The walk of a live survey: it is surveyed on the way, and told when walking on gains little."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+import numpy as np
+
+from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.survey import SurveyResult
+from goldfield.types import Fields
+
+FIRST, GROWTH = 100, 1.5
+"""Epochs before the first look, ten seconds, and by what they grow from one to the next."""
+MOST_EPOCHS = 300
+"""Epochs of a look on the way: they are taken evenly, so that it takes a second or two."""
+GAINED = 0.93
+"""Walking on is worth while as long as a look leaves less than this part of the deviation of the one before."""
+
+
+class Survey(Protocol):
+    """A survey of epochs, or of at most so many of them beside those at known points."""
+
+    def __call__(self, epochs: Sequence[Fields], most: int | None = None) -> SurveyResult:
+        """Survey."""
+        ...
+
+
+def walk(fields: Iterable[Fields], survey: Survey, enough_m: float | None) -> tuple[Fields, ...]:
+    """Gather epochs until the beacons are known well enough, walking on gains little, or Ctrl-C.
+
+    Parameters
+    ----------
+    fields : iterable of Fields
+        From a sensor.
+    survey : Survey
+        It may fail as long as too little was measured, or known points are still to be written down: that is told.
+    enough_m : float or None
+        Deviation of the beacons that is enough, m; None: as good as walking makes it.
+    """
+    epochs: list[Fields] = []
+    due, before = FIRST, np.inf
+    try:
+        for one in fields:
+            epochs.append(one)
+            if len(epochs) < due:
+                continue
+            due = round(GROWTH * due)
+            now = _look(epochs, survey)
+            if enough_m is not None and now <= enough_m:
+                tell(f"that is enough: {1e3 * enough_m:g} mm were asked for")
+                break
+            if enough_m is None and np.isfinite(now) and now > GAINED * before:
+                tell("that is enough: walking on in this way gains little")
+                break
+            before = now
+    except KeyboardInterrupt:
+        tell(f"the walk ends with {len(epochs)} epochs")
+    return tuple(epochs)
+
+
+def _look(epochs: Sequence[Fields], survey: Survey) -> float:
+    """Survey what there is, tell it, and return the beacons' deviation; infinite if nothing fits yet."""
+    last = epochs[-1].epoch
+    try:
+        result = survey(epochs, MOST_EPOCHS)
+    except (SystemFailure, UserError) as error:
+        tell(f"epoch {last}: walk on: {error}")
+        return np.inf
+    now = result.deviation_m
+    left_out = f", {len(result.outliers)} epochs left out" if result.outliers else ""
+    tell(f"epoch {last}: the beacons are known to {1e3 * now:.2g} mm by {len(epochs)} epochs{left_out}")
+    if result.advice:
+        tell(result.advice[-1])
+    return now
