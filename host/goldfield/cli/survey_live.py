@@ -70,7 +70,7 @@ def _look(epochs: Sequence[Fields], survey: Survey) -> float:
         return np.inf
     now = result.deviation_m
     left_out = f", {len(result.outliers)} epochs left out" if result.outliers else ""
-    tell(f"epoch {last}: the beacons are known to {1e3 * now:.2g} mm by {len(epochs)} epochs{left_out}")
+    tell(f"epoch {last}: the beacons are known to {1e3 * now:.3g} mm by {len(epochs)} epochs{left_out}")
     if result.advice:
         tell(result.advice[-1])
     return now

@@ -75,8 +75,8 @@ def advice_of(solution: Solution, data: SurveyData) -> tuple[str, ...]:
     lines += _worst(solution)
     if solution.problem.site.half_space is None and find_mirror(model) is not None and data.epochs:
         lines.append(
-            "all beacons are about in one plane, so that poses may be mirror images in it; the beacons are right all "
-            "the same: give half_space in the site file"
+            "all beacons are about in one plane or around one point, so that poses may be mirror images; the beacons "
+            "are right all the same: give half_space in the site file"
         )
     lines += _next(solution)
     return tuple(lines)
@@ -191,7 +191,7 @@ def _next(solution: Solution) -> list[str]:
         then = np.sqrt(max(variance - gain, 0.0) / len(solution.state.axis))
         if then < WORTH * now:
             lines.append(
-                f"measure {text}: the beacons are then known to {1e3 * then:.2g} mm instead of {1e3 * now:.2g}"
+                f"measure {text}: the beacons are then known to {1e3 * then:.3g} mm instead of {1e3 * now:.3g}"
             )
     return lines
 
