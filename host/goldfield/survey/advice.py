@@ -28,6 +28,8 @@ MOST_PAIRS, MOST_PLACES = 500, 60
 """Pairs of beacons and epochs that are tried for it."""
 WORTH = 0.95
 """Something is worth measuring if it leaves less than this part of the beacons' deviation."""
+UNFIT = 5.0
+"""Something known does not fit if it is so many of its standard deviations off."""
 MOSTLY = 0.8
 """A source is named alone if it knows this part of what is known."""
 SITE = "the site file"
@@ -68,6 +70,7 @@ def advice_of(solution: Solution, data: SurveyData) -> tuple[str, ...]:
             _sentence("the direction of the site", direction, solution, data, "degrees", np.rad2deg(1.0), remedy),
             _sentence("its scale", [scale], solution, data, "%", 100.0, "one distance between beacons"),
         ]
+    lines += _misfits(solution, data)
     if solution.widened > 1.0:
         lines.append(
             f"the fields scatter {solution.widened:.2g} times as much as sigma_T says: all deviations were widened so"
@@ -164,6 +167,25 @@ def _sentence(
     size = f"{factor * _deviation(worst, solution):.2g} {unit}"
     measured = name.startswith(("the known points", "the distance", "the measured"))
     return f"{what} is known to {size}, {only}through {name}" + ("" if measured else f": give {remedy}")
+
+
+def _misfits(solution: Solution, data: SurveyData) -> Iterator[str]:
+    """Name known points that were left out, and what else is known and does not fit."""
+    number = {fields.epoch: row for row, fields in enumerate(data.epochs)}
+    for point in data.points:
+        row = number[point.epoch]
+        if solution.sound[row] and not solution.problem.point_weight[row].any():
+            off = point.position_m - solution.state.sensor_m[row]
+            size = float(np.linalg.norm(off[np.isfinite(off)]))
+            yield (
+                f"the known point of epoch {point.epoch} is {size:.3g} m from where the fields and the other points "
+                "put the sensor: it was left out; check it"
+            )
+    for one in data.known:
+        residual, _ = solution.problem.constraints.one(one, solution.state)
+        size = float(np.abs(residual).max(initial=0.0))
+        if size > UNFIT:
+            yield f"{_name(one)} does not fit, by {size:.3g} of its standard deviations: check it"
 
 
 def _worst(solution: Solution) -> Iterator[str]:

@@ -31,6 +31,10 @@ WIDENED, REFUSED = 1.5, 9.0
 from the second on nothing fits and the survey is refused."""
 LEAST_SOUND = 0.5
 """Part of the epochs that must agree."""
+WRONG_POINT = float(chdtri(3.0, UNLIKELY))
+"""Square of a known point's deviation, in standard deviations, from which on it does not fit."""
+MOST_WRONG_POINTS = 5
+"""Known points that may be left out since they do not fit."""
 ROUNDS = 3
 """How often epochs are judged anew."""
 
@@ -170,6 +174,9 @@ def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
         progress(f"search for {int(lost.sum())} epochs that do not fit", 0.6 + 0.08 * place)
         tried = searched_poses(problem, state, np.flatnonzero(lost))
         squares = evaluate(problem, tried).squares
+        elsewhere = lost & _likely(squares, problem.readings.count) & (_off_points(problem, tried) > WRONG_POINT)
+        weight = np.where(elsewhere[:, None], 0.0, problem.point_weight)
+        problem = replace(problem, point_weight=weight)
         better = lost & (squares < now.squares - 1.0)
         if not better.any():
             break
@@ -184,7 +191,7 @@ def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
         problem = replace(problem, readings=Readings(problem.readings.field_T, widened * problem.readings.sigma_T))
         state, now = adjust(problem, state, robust=True)
     sound = _likely(now.squares, problem.readings.count)
-    state, sound, last = _last_fit(problem, state, sound, progress)
+    problem, state, sound, last = _last_fit(problem, state, sound, progress)
     matrix, _, _ = last.equations.reduced()
     covariance = np.zeros((len(problem.prior.free),) * 2)
     covariance[np.ix_(problem.prior.free, problem.prior.free)] = inverse(matrix)
@@ -202,18 +209,33 @@ def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
 
 def _last_fit(
     problem: Problem, state: State, sound: NDArray[np.bool_], progress: Progress
-) -> tuple[State, NDArray[np.bool_], Evaluation]:
-    """Adjust the sound epochs without a robust loss; those that turn out to be unsound are left out, and so on."""
-    for place in range(ROUNDS):
+) -> tuple[Problem, State, NDArray[np.bool_], Evaluation]:
+    """Adjust the sound epochs without a robust loss; those that turn out to be unsound are left out, and so on.
+
+    The known point that fits worst is left out, too, if it does not fit: its weight in the problem is then 0.
+    """
+    for place in range(ROUNDS + MOST_WRONG_POINTS):
         _check_sound(sound)
         progress(f"last fit of {int(sound.sum())} epochs", 0.9)
         kept, last = adjust(problem.of_epochs(sound), state.of_epochs(sound))
         state = _put(state, kept, sound)
         still = _likely(last.squares, problem.readings.count[sound])
-        if still.all() or place == ROUNDS - 1:
+        off = _off_points(problem, state) * sound
+        wrong = int(np.argmax(off)) if len(off) and off.max() > WRONG_POINT else None
+        if still.all() and wrong is None:
             break
-        sound[np.flatnonzero(sound)[~still]] = False
-    return state, sound, last
+        if not still.all() and place < ROUNDS:
+            sound[np.flatnonzero(sound)[~still]] = False
+        elif wrong is not None:
+            weight = problem.point_weight.copy()
+            weight[wrong] = 0.0
+            problem = replace(problem, point_weight=weight)
+    return problem, state, sound, last
+
+
+def _off_points(problem: Problem, state: State) -> FloatArray:
+    """Return the squares of the deviations of the poses from known points, in standard deviations, shape (e,)."""
+    return np.asarray(((problem.point_weight * (problem.point_m - state.sensor_m)) ** 2).sum(axis=1))
 
 
 def _put(state: State, some: State, rows: NDArray[np.bool_]) -> State:

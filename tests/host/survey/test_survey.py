@@ -10,11 +10,12 @@ import pytest
 from goldfield.errors import SystemFailure, UserError
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
+from goldfield.site import load
 from goldfield.survey import Free, SurveyData, survey
 from goldfield.survey.data import Current, Direction, Distance, Place
 from goldfield.survey.equations import derivatives
 from goldfield.survey.parameters import BEACON, SENSOR, beacons_of, start_of
-from tests.bench.integrity_sites import Errors, told
+from tests.bench.integrity_sites import Errors, text_of, told
 from tests.bench.survey_trials import ASTRAY, cube, errors_of, fields_of, lattice, measured, score, trial
 
 SIGMA_T = 2e-8 / np.sqrt(1023)
@@ -225,4 +226,33 @@ def test_a_reversed_coil_and_left_handed_axes_are_found_and_said():
     result = survey(site, replace(made.data, epochs=mirrored))
     assert result.advice[0] == "the axes of the sensor are left-handed: axes in the new site file say so"
     assert result.site.sensor.axes == pytest.approx(-np.eye(3))
+    assert score(result, made).rms_m < 0.02
+
+
+def test_a_wrong_point_is_named_and_left_out():
+    made = trial(cube(), 1, epochs=100, points=7)
+    slip = replace(made.data.points[3], position_m=made.data.points[3].position_m + np.array([0, 0.5, 0]))
+    points = (*made.data.points[:3], slip, *made.data.points[4:])
+    result = survey(made.site, replace(made.data, points=points))
+    (line,) = [line for line in result.advice if "known point of" in line]
+    assert line.startswith(f"the known point of epoch {slip.epoch} is 0.499 m from")
+    assert score(result, made).rms_m < 0.02
+    assert not any("known point of" in line for line in survey(made.site, made.data).advice)
+
+
+def test_a_wrong_distance_is_told():
+    made = trial(cube(), 1, epochs=100, points=7)
+    far = np.linalg.norm(made.coils.position_m[0, 0] - made.coils.position_m[0, 7])
+    right, wrong = (Distance(("b0", "b7"), float(far) + off, 0.02) for off in (0.0, 0.3))
+    advice = survey(made.site, replace(made.data, known=(wrong,))).advice
+    assert any("the distance from b0 to b7 does not fit" in line for line in advice)
+    advice = survey(made.site, replace(made.data, known=(right,))).advice
+    assert not any("does not fit" in line for line in advice)
+
+
+def test_a_site_file_that_says_nothing_of_its_errors_may_be_far_off(tmp_path):
+    made = trial(cube(), 1, epochs=100, points=7)
+    silent = tmp_path / "site.toml"
+    silent.write_text(text_of(cube().site, None))
+    result = survey(load(silent), made.data)
     assert score(result, made).rms_m < 0.02
