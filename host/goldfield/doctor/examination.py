@@ -13,6 +13,7 @@ from goldfield.link.ports import kernel_can_errors
 from goldfield.link.traffic import DAMAGED, damaged
 from goldfield.nodes.conversation import Conversation, Tap
 from goldfield.nodes.roster import Node, Roster
+from goldfield.sensor.health import MANY_EDGES, SYNC_REJECTED
 from goldfield.sensor.options import Options
 from goldfield.sensor.pipeline import Epoch, Sensor
 from goldfield.site import Site
@@ -160,7 +161,16 @@ class Examination:
             old = before.get(node.number, {})
             grown = {index: count - old.get(index, 0) for index, count in node.counters.items()}
             said = [counted(count, counter_name(index)) for index, count in sorted(grown.items()) if count > 0]
-            if said and old:
+            if grown.get(SYNC_REJECTED, 0) >= 2 * MANY_EDGES and old:
+                edges = counted(grown[SYNC_REJECTED], "edges of the sync wire at wrong times")
+                yield wrong(
+                    Fault.MASTERS,
+                    "sync wire",
+                    f"node {node.number} found {edges}",
+                    "set sync_master = 1 in one board only, or look for what disturbs the wire",
+                    nodes=(node.number,),
+                )
+            elif said and old:
                 yield wrong(
                     Fault.LINK,
                     f"node {node.number}",

@@ -12,7 +12,12 @@ from dataclasses import dataclass, field
 from goldfield.link.heartbeat import DRIVING, STATE_STARTING
 from goldfield.sensor.headers import Event, Headers
 from goldfield_protocol.messages import Message
-from goldfield_protocol.parameters import PARAMETERS
+from goldfield_protocol.parameters import COUNTERS, PARAMETERS
+
+SYNC_REJECTED = next(counter.index for counter in COUNTERS if counter.name == "sync edges rejected")
+MANY_EDGES = 3
+"""Edges of the sync wire that a board rejects from one heartbeat to the next, a second, if they come regularly. A
+second master makes 5 of degree 11 and 10 of any other; a clock that changes to another master rejects 3, once."""
 
 LONGEST_STEP_S = 0.5
 """The clock goes on by so much at most from one header to the next: in a longer gap nobody was heard, not one board."""
@@ -60,6 +65,8 @@ class Board:
         two boards spoke in its name.
     locked : bool or None
         Whether its clock is locked, by its latest `EPOCH_STATUS`.
+    disturbed_s : float or None
+        Latest time at which it told, not for the first time, that it rejects `MANY_EDGES` of the sync wire a second.
     """
 
     node: int
@@ -74,6 +81,8 @@ class Board:
     renumbered_s: float | None = None
     doubled_s: float | None = None
     locked: bool | None = None
+    disturbed_s: float | None = None
+    disturbed_before: bool = False
 
     @property
     def code(self) -> int | None:
@@ -129,7 +138,7 @@ class Health:
         elif message.name == "HEARTBEAT":
             self._take_heartbeat(board, message)
         elif message.name == "COUNTER":
-            board.counters[message.index] = int(message.signals["value"])
+            self._take_counter(board, message.index, int(message.signals["value"]))
         elif message.name == "DRIVE_STATUS" and message.index == 0:
             board.drive_before, board.drive = board.drive, _drive(message, self.now_s)
         elif message.name == "PARAM_VALUE" and message.index in ASKED:
@@ -165,6 +174,14 @@ class Health:
         if identity in identities and identities[identity] < latest:
             board.doubled_s = self.now_s
         identities[identity] = self.now_s
+
+    def _take_counter(self, board: Board, index: int, value: int) -> None:
+        if index == SYNC_REJECTED:
+            disturbed = value - board.counters.get(index, value) >= MANY_EDGES
+            if disturbed and board.disturbed_before:
+                board.disturbed_s = self.now_s
+            board.disturbed_before = disturbed
+        board.counters[index] = value
 
     def _take_parameter(self, board: Board, message: Message) -> None:
         known = not message.signals["status"]

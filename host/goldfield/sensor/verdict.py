@@ -77,7 +77,7 @@ def judge(health: Health, report: Report, site: Site) -> Verdict:
     grave = list(_of_time(health, report))
     beacons = [_of_beacon(health, beacon, board) for beacon, board in _boards_of(health, site)]
     findings = [*grave, *_complaints(health, site), *(finding for one in beacons for finding in one.findings)]
-    findings += [*_of_sensor(health, report, site), *_of_others(health, site)]
+    findings += [*_of_wire(health), *_of_sensor(health, report, site), *_of_others(health, site)]
     holds_over = bool(health.masters) and health.now_s - max(health.masters.values()) > SYNC_MISSED_S
     return Verdict(
         out=tuple(name for one in beacons for name in one.out),
@@ -111,6 +111,16 @@ def _of_time(health: Health, report: Report) -> Iterator[Finding]:
         yield _clock(f"the numbers of the cycles of {name} jumped: the sync master restarted, or there are two")
     if sensor.state == STATE_CLOCK_FALLBACK:
         yield _clock(f"{name} runs without its crystal: replace the board")
+
+
+def _of_wire(health: Health) -> Iterator[Finding]:
+    """Yield who finds edges on the sync wire that are not its master's: the only trace of a second one without CAN."""
+    nodes = [node for node, board in sorted(health.boards.items()) if _within(health, board.disturbed_s, EVENT_S)]
+    if nodes:
+        yield _clock(
+            f"edges of the sync wire come at wrong times all along, as node {_and(nodes)} counts: set sync_master = 1 "
+            "in one board only, or look for what disturbs the wire"
+        )
 
 
 def _of_sensor(health: Health, report: Report, site: Site) -> Iterator[Finding]:

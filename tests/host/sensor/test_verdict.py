@@ -136,6 +136,36 @@ def test_two_masters_count_until_one_is_silent_for_three_seconds(bus):
     assert bus.run(1) == Verdict()
 
 
+@pytest.mark.parametrize(("a_second", "told"), [(2, False), (3, True), (10, True)])
+@pytest.mark.parametrize("node", [NODE, 4])
+def test_edges_of_a_second_master_on_the_wire_are_told_after_two_seconds(bus, a_second, told, node):
+    """By the count of any board; it costs no status, since the wire may also be disturbed."""
+    verdicts_of = []
+    for second in range(4):
+        bus.say(rejected(node, 7 + a_second * second))
+        verdicts_of.append(bus.run(10))
+    assert [bool(verdict.findings) for verdict in verdicts_of] == [False, False, told, told]
+    assert not any(verdict.inconsistent for verdict in verdicts_of)
+    if told:
+        assert texts(verdicts_of[-1])[0].startswith(
+            f"edges of the sync wire come at wrong times all along, as node {node}"
+        )
+        bus.say(rejected(node, 7 + a_second * 3))
+        bus.run(math.ceil(verdicts.EVENT_S / CYCLE_S) - 10)
+        assert bus.run(1).findings == ()
+
+
+def test_edges_that_are_rejected_once_are_not_told(bus):
+    """A clock that changes to another master rejects three, a disturbance any number."""
+    for count in (0, 500, 500, 510, 510):
+        bus.say(rejected(NODE, count))
+        assert bus.run(10).findings == ()
+
+
+def rejected(node, count):
+    return encode("COUNTER", {"counter": 10, "value": count}, node=node, index=10)
+
+
 def test_two_sensors_of_one_number_count_while_both_are_heard(bus):
     bus.header(3, time_s=3.5 * CYCLE_S + 0.01)
     verdict = bus.judge()

@@ -117,6 +117,22 @@ def test_outliers_are_rejected_and_counted(core, seed, ppm):
     assert abs(simulation.phase_errors(edges[0], period, 7 * N)).max() < 0.2 * MICROSECOND
 
 
+@pytest.mark.parametrize("ppm", [-40.0, 0.0, 15.0])
+def test_all_edges_of_a_second_master_are_rejected_and_counted(core, ppm):
+    """Which of the two is followed, their first edges decide: it stays so, and the count shows the other one."""
+    edges, period = edges_of(5e6, 0.0, 40)
+    others, other_period = edges_of(5e6 + 0.3 * N * NOMINAL, ppm, 40)
+    simulation = Simulation(core)
+    simulation.run(12 * CYCLE_BLOCKS, sorted(edges + others))
+    assert simulation.clock.locked
+    rejected, from_chip = simulation.clock.edges_rejected, len(simulation.planned)
+    simulation.run(20 * CYCLE_BLOCKS, sorted(edges + others))
+    assert simulation.clock.locked
+    assert simulation.clock.edges_rejected - rejected in (19, 20, 21)
+    errors = [simulation.phase_errors(e[0], p, from_chip) for e, p in ((edges, period), (others, other_period))]
+    assert min(abs(error).max() for error in errors) < 0.2 * MICROSECOND
+
+
 def test_a_bouncing_wire_locks_from_the_start(core):
     edges, period = edges_of(3e6, -80, 12)
     bounced = sorted(edges + [edge + 5 * MICROSECOND for edge in edges])
