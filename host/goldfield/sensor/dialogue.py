@@ -84,10 +84,18 @@ class Dialogue:
         return bool(changes)
 
     def set(self, parameter: int, value: int | float) -> None:
-        """Set a parameter; `SystemFailure` if the sensor does not answer, refuses, or keeps another value."""
-        answer = self.ask(parameter, value)
-        if answer != value:
-            raise SystemFailure(f"{self._sensor} keeps parameter {label_of(parameter)} at {answer} instead of {value}")
+        """Set a parameter; `SystemFailure` if the sensor does not answer, refuses, or keeps another value.
+
+        It is set again if the answer tells another value, as where another host has set it at the same time.
+        """
+        for _ in range(TRIES):
+            answer = self.ask(parameter, value)
+            if answer == value:
+                return
+        raise SystemFailure(
+            f"{self._sensor} keeps parameter {label_of(parameter)} at {answer} instead of {value}, {TRIES} times: end "
+            "what else sets it"
+        )
 
     def ask(self, parameter: int, value: int | float | None = None) -> int | float:
         """Read a parameter, or set it if a value is given, and return the sensor's answer.

@@ -17,6 +17,8 @@ from goldfield_protocol.parameters import PARAMETERS, label_of
 
 ROUNDS = 5
 """Times that parameters are put back; then two hosts want different things, and each would undo the other's."""
+CALM_S = 10.0
+"""Time after giving up in which nothing is put back; each time twice as long. The other host may end meanwhile."""
 SETTLED_S = 1.0
 """Time after which reports are of what the sensor was set to; those under way may be of what it was before."""
 
@@ -43,6 +45,8 @@ class Keeping:
         self._changed: dict[int, int | float] = {}
         self._codes: frozenset[int] = frozenset()
         self._rounds = 0
+        self._calm_s = CALM_S
+        self._gave_up_s: float | None = None
         self._set_s = 0.0
         self._suspicious = False
         self._trusts = False
@@ -53,6 +57,7 @@ class Keeping:
         self._wanted = wanted_parameters(codes, parameters)
         self._changed.clear()
         self._suspicious = self._trusts = False
+        self._gave_up_s = None
 
     @property
     def disturbed(self) -> bool:
@@ -61,6 +66,10 @@ class Keeping:
 
     def take(self, message: Message, now_s: float) -> None:
         """Take any message of the link."""
+        if self._gave_up_s is not None:
+            if now_s - self._gave_up_s < self._calm_s:
+                return
+            self._gave_up_s, self._rounds, self._calm_s = None, 0, 2.0 * self._calm_s
         if message.name == "PARAM_SET":
             if self._wanted and message.node in (0, self._node):
                 self._receiver.tell_once(f"another host sets parameters of sensor {self._node}")
@@ -88,7 +97,7 @@ class Keeping:
                 "of them, or let it only listen"
             )
             self._changed.clear()
-            self._suspicious, self._trusts = False, True
+            self._suspicious, self._gave_up_s = False, now_s
             return
         self._set_s = now_s
         try:

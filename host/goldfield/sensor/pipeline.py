@@ -156,7 +156,7 @@ class Sensor:
 
     def reports(self) -> Iterator[Report]:
         """Yield what arrived of each code cycle, neither separated nor located; otherwise as `epochs`."""
-        first = math.nan
+        first = latest = math.nan
         recorded = None if self.live else RecordedCycle(self.name, self.site)
         for report in self._session.reports():
             if recorded is not None:
@@ -164,6 +164,9 @@ class Sensor:
             yield report
             if math.isnan(first):
                 first = report.time_s
+            elif report.time_s < latest:  # the sensor's clock began again
+                first += report.time_s - latest - self.site.cycle_s
+            latest = latest if math.isnan(report.time_s) else report.time_s
             seconds = self._options.seconds
             # To the nearest cycle; the first one counts.
             if seconds is not None and report.time_s - first >= seconds - 1.5 * self.site.cycle_s:

@@ -102,6 +102,16 @@ def test_a_sensor_that_is_not_in_a_log_and_the_one_that_is(tmp_path, capsys, cho
     assert err == f"goldfield: {path}: holds no cycle of the sensor that was chosen, but of node 100 on can0\n"
 
 
+def test_seconds_go_on_behind_a_restart_of_the_sensor(tmp_path, capsys):
+    """Its clock begins again, at 0 or at any other time that is less."""
+    path = tmp_path / "one.log"
+    messages = [m for cycle in range(300, 305) for m in cycle_messages(cycle)]
+    messages += [m for cycle in range(305, 340) for m in cycle_messages(cycle, time_s=(cycle - 304.5) * CYCLE_S)]
+    path.write_text(candump((0.009 * place, message) for place, message in enumerate(messages)))
+    code, out, _ = run(capsys, "--log", path, "--json", "--seconds", 2)
+    assert (code, epochs(out)) == (0, list(range(300, 320)))
+
+
 def test_a_quiet_run_keeps_its_summary_off_stderr(tmp_path, capsys):
     path = tmp_path / "one.log"
     path.write_text(log_of(range(3)))

@@ -405,6 +405,46 @@ def test_two_hosts_that_want_different_things_do_not_fight_for_ever(virtual, cap
     assert capsys.readouterr().err.count("this one has put it back 5 times") == 1
 
 
+def test_what_is_left_of_another_host_is_put_back_when_it_has_ended(virtual, capsys):
+    """It wins, since it goes on for longer; ten seconds after giving up the sensor is looked at again, once."""
+    link, session = virtual(parameters={28: 10})
+    link.deliver(heartbeat())
+    session.start()
+    link.requests.clear()
+    for cycle in range(300):
+        value = {"kind": 0, "status": 0, "value_unsigned": 7}
+        foreign = [encode("PARAM_VALUE", value, node=NODE, index=5)] if 20 <= cycle < 40 else []
+        for message in [*cycle_messages(cycle, codes=CODES[: 8 if cycle < 20 else 7]), *foreign]:
+            link.deliver(message, after_s=0.1 * cycle)
+    reports = session.reports()
+    put_back = []
+    for cycle in range(300):
+        before = len(link.requests)
+        if 20 <= cycle < 150:
+            link.parameters[5] = 7
+        assert next(reports).cycle == cycle
+        put_back += [cycle for name, number in link.requests[before:] if (name, number) == ("PARAM_SET", 5)]
+    assert put_back[:5] == [20, 21, 22, 23, 24]
+    assert 120 <= put_back[5] < 130, "ten seconds after it gave up"
+    assert link.parameters[5] == 8
+
+
+def test_a_value_that_another_host_overwrites_is_set_again(virtual):
+    """The answer to its request comes in the place of ours."""
+    link, session = virtual(parameters={28: 10})
+    link.deliver(heartbeat())
+    session.find()
+    for _ in range(2):
+        link.deliver(encode("PARAM_VALUE", {"kind": 0, "status": 0, "value_unsigned": 7}, node=NODE, index=5))
+    session.dialogue.set(5, 8)
+    assert link.requests == [("PARAM_SET", 5)] * 3
+    link, session = virtual(node=NODE)
+    for _ in range(5):
+        link.deliver(encode("PARAM_VALUE", {"kind": 0, "status": 0, "value_unsigned": 7}, node=NODE, index=5))
+    with pytest.raises(SystemFailure, match=r"keeps parameter code_count at 7 instead of 8, 5 times: end what else"):
+        session.dialogue.set(5, 8)
+
+
 def test_a_change_behind_our_back_shows_in_the_reports(virtual, capsys):
     """Set on the serial port, while this host is on CAN: nobody hears it, but the reports have other codes."""
     link, session = virtual(parameters={28: 10})
