@@ -61,19 +61,24 @@ def reversed3():
     return case, measurements, ones
 
 
-def judged(reversed3, costs=(), of_sensor=None):
-    """The verdict if the subsets after the best cost so much, and a rival by the sensor scores so much.
+def judged(reversed3, costs=(), of_sensor=None, rest=0.0):
+    """The verdict if rest and the subsets after the best cost so much, and a rival by the sensor scores so much.
 
     A rival's score is given relative to that of the best subset.
     """
     case, measurements, ones = reversed3
     cost = np.full(8, 1e6)
-    cost[0] = 0.0
+    cost[0] = rest
     cost[1 : 1 + len(costs)] = costs
     subsets = replace(ones, fit=replace(ones.fit, cost=cost))
     score = float(chi2.isf(1e-4 / 8, 3))
     rivals = [] if of_sensor is None else [SensorRival(OF_SENSOR, 0.0, score + of_sensor)]
     return integrity._without(case.constellation, measurements, subsets, rivals, NAMES)
+
+
+@pytest.mark.parametrize(("share", "sound"), [(0.995, True), (1.005, False)])
+def test_the_rest_must_be_likelier_than_one_in_a_hundred(reversed3, share, sound):
+    assert (judged(reversed3, rest=share * chi2.isf(0.01, 15)) is not None) == sound
 
 
 @pytest.mark.parametrize(
