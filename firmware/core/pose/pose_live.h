@@ -21,7 +21,7 @@
 
 /* Private but for tests, and busy. */
 typedef struct {
-    pose_work_t work, review; /* Of the latest cycle, and of the one that is being explained. */
+    pose_work_t work, review; /* For the latest cycle, and for the one that is being explained. */
     pose_t reviewed;
     pose_verdict_t verdict;
     uint32_t age, review_age; /* Poses begun after the one that the verdict is from, and the review. */

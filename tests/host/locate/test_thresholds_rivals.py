@@ -247,7 +247,7 @@ def test_a_fault_of_a_beacon_is_named_if_its_misfit_is_likelier_than_one_in_a_th
 
 
 def test_a_new_place_is_told_if_it_is_known_to_a_fifth_of_the_way():
-    """Of ever worse poses. What the pose's error does to the place is by differences of the search itself."""
+    """The poses are ever worse. What the pose's error does to the place is by differences of the search itself."""
     case = Case(108)
     moved = list(case.site.beacons)
     moved[3] = replace(moved[3], position_m=moved[3].position_m + np.array([0.15, -0.1, 0.2]))
