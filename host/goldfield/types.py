@@ -39,7 +39,8 @@ class Fields:
     Raises
     ------
     UserError
-        If the arrays' shapes are not those of as many beacons, or a beacon comes twice.
+        If the arrays' shapes are not those of as many beacons, they hold anything but real numbers, or a beacon comes
+        twice.
 
     Examples
     --------
@@ -63,12 +64,26 @@ class Fields:
         object.__setattr__(self, "beacons", tuple(self.beacons))  # a list would do, too
         count = len(self.beacons)
         for name, shape in (("field_T", (count, 3)), ("sigma_T", (count,))):
-            given = np.shape(getattr(self, name))
-            if given != shape:
-                raise UserError(f"{name}= of Fields has the shape {given}: {counted(count, 'beacons need')} {shape}")
+            values = np.asarray(getattr(self, name))
+            if values.shape != shape:
+                needed = f"{counted(count, 'beacons need')} {shape}"
+                raise UserError(f"{name}= of Fields has the shape {values.shape}: {needed}")
+            if count and values.dtype.kind not in "fiu":
+                raise UserError(f"{name}= of Fields holds {values.dtype.name} values: it needs real numbers, in tesla")
+            object.__setattr__(self, name, values)  # a list would do, too
         if len(set(self.beacons)) < count:
             twice = next(name for name in self.beacons if self.beacons.count(name) > 1)
             raise UserError(f"beacons= of Fields names {twice} twice: a beacon has one row")
+
+
+LARGEST_T, LEAST_SIGMA_T = 1e3, 1e-15
+"""No field that is measured is stronger, and no sensor has less noise: beyond these, numbers lose all their digits."""
+
+
+def usable_components(field_T: FloatArray, sigma_T: FloatArray) -> NDArray[np.bool_]:
+    """Tell which components, shape (..., n, 3), are measurements: finite, possible, and of a known deviation."""
+    known = np.isfinite(sigma_T) & (sigma_T > 0.0) & (sigma_T <= LARGEST_T)
+    return known[..., None] & (np.abs(field_T) <= LARGEST_T)
 
 
 class Status(StrEnum):

@@ -33,7 +33,7 @@ from goldfield.locate.exclusion import (
 )
 from goldfield.locate.fault_statistics import alarm, fault_statistics
 from goldfield.locate.fit import Fit, Measurements, stacked
-from goldfield.locate.sensor_rivals import BY_CHANCE, SensorRival, mirrored, sensor_rivals
+from goldfield.locate.sensor_rivals import BY_CHANCE, SensorRival, mirrored, nearly_one_factor, sensor_rivals
 from goldfield.locate.solutions import Solutions
 from goldfield.types import Explanation, Finding
 
@@ -114,7 +114,7 @@ def explain(
         return _unknown(sentences.NOT_EXPLAINED)  # whatever was found, something better may exist
     if verdict is None and of_sensor:
         verdict = _inconsistent([of_sensor[0].finding], of_sensor[0].finding.text)
-    return verdict or _unknown(sentences.NOT_MENDED)
+    return verdict or _nearly(constellation, measurements, solutions) or _unknown(sentences.NOT_MENDED)
 
 
 def _few(constellation: Constellation, measurements: Measurements, solutions: Solutions, heard: int) -> Verdict:
@@ -122,7 +122,13 @@ def _few(constellation: Constellation, measurements: Measurements, solutions: So
     of_sensor = sensor_rivals(constellation, measurements, solutions.best)
     if of_sensor and of_sensor[0].score + CLEAR < solutions.best.cost[0]:
         return _inconsistent([of_sensor[0].finding], of_sensor[0].finding.text)
-    return _unknown(sentences.too_few(heard))
+    return _nearly(constellation, measurements, solutions) or _unknown(sentences.too_few(heard))
+
+
+def _nearly(constellation: Constellation, measurements: Measurements, solutions: Solutions) -> Verdict | None:
+    """Tell of one factor that explains most of the fields."""
+    finding = nearly_one_factor(constellation, measurements, solutions.best)
+    return None if finding is None else _inconsistent([finding], finding.text)
 
 
 def _without(

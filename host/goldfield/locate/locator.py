@@ -20,7 +20,7 @@ from goldfield.locate.poses import Judged, poses_of
 from goldfield.locate.sensor_axes import axes_of
 from goldfield.locate.site_errors import errors_of
 from goldfield.site import Site
-from goldfield.types import Fields, FloatArray, Pose
+from goldfield.types import LEAST_SIGMA_T, Fields, FloatArray, Pose, usable_components
 
 LEAST_BEACONS = 3
 """With fewer beacons no pose is computed."""
@@ -106,9 +106,9 @@ class Locator:
             target = np.array(members)[:, None], np.array([self._row[names[index]] for index in given], dtype=np.intp)
             field[target] = np.array([epochs[index].field_T for index in members])[:, given]
             sigma[target] = np.array([epochs[index].sigma_T for index in members])[:, given]
-        usable = np.isfinite(sigma) & (sigma > 0.0)
-        field[~(usable[:, :, None] & np.isfinite(field))] = np.nan
-        sigma[~usable] = 1.0
+        usable = usable_components(field, sigma)
+        field[~usable] = np.nan
+        sigma = np.where(usable.any(axis=2), np.maximum(sigma, LEAST_SIGMA_T), 1.0)
         if self._axes is not None:
             field, sigma = self._axes.components(field), self._axes.noise_ratio * sigma
         if self.site.metal is not None:

@@ -37,6 +37,13 @@ UNITS = {
 }
 """Units of length, m, that a file may be in instead of metres."""
 
+GAUSS = 1e4
+"""Gauss in a tesla."""
+
+NEARLY, FAR_FROM_ONE = 0.02, 2.0
+"""One factor of all fields is told, though it does not explain them within the noise, if it leaves less than this part
+of the cost and is larger than the second or smaller than its reciprocal: fields and noise may be in different units."""
+
 SAME_FACTOR = 0.01
 """Relative difference of a factor from that of a unit that may be noise."""
 
@@ -113,6 +120,25 @@ def sensor_rivals(constellation: Constellation, measurements: Measurements, pose
     return sorted((rival for rival in found if rival is not None), key=lambda rival: rival.score)
 
 
+def nearly_one_factor(constellation: Constellation, measurements: Measurements, poses: Fit) -> Finding | None:
+    """Return the factor of all fields that explains most of one epoch though not all of it, if there is one.
+
+    Parameters
+    ----------
+    poses : Fit
+        The best poses of the fields as they are.
+    """
+    if int(measurements.known.sum()) < LEAST_FOR_ONE_FACTOR or not measurements.complete:
+        return None
+    position, rotation = _starts(constellation, measurements, poses)
+    fitted = fit_distorted(constellation.model, measurements, position, rotation, basis=DISTORTIONS[:1]).best()
+    factor = float(fitted.distortion[0, 0, 0])
+    if not fitted.cost[0] < NEARLY * poses.cost[0] or 1.0 / FAR_FROM_ONE < factor < FAR_FROM_ONE:
+        return None
+    told = _factor(factor)
+    return Finding(told.kind, (), sentences.nearly(told.text), factor=factor)
+
+
 def _plausible(measurements: Measurements, fitted: Distorted) -> bool:
     """Tell whether a distortion is one that a sensor may have: five beacons often agree with some other."""
     gain = np.abs(np.linalg.eigvalsh(fitted.distortion[0]))
@@ -168,6 +194,8 @@ def _factor(factor: float) -> Finding:
     """Name one factor of all fields: mirrored if it is negative, a unit of length, else a gain."""
     if factor < 0.0:
         return Finding(Explanation.MIRRORED, (), sentences.MIRRORED, factor=factor)
+    if abs(np.log(factor / GAUSS)) < SAME_FACTOR:
+        return Finding(Explanation.UNITS, (), sentences.gauss(factor), factor=factor)
     for unit, size in UNITS.items():
         # Radii in the same units: the field goes with 1/length; radii in metres: with 1/length^3.
         for power, what in ((1, "positions and radii"), (3, "positions")):

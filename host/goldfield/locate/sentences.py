@@ -53,6 +53,19 @@ def units(what: str, said: str, real: str, factor: float) -> str:
     )
 
 
+def gauss(factor: float) -> str:
+    """Say that the fields are in gauss."""
+    return (
+        f"all fields are {factor:.3g} times those of the site file, as if they were in gauss and taken for tesla: "
+        "check the units"
+    )
+
+
+def nearly(text: str) -> str:
+    """Say what explains most of the fields, but not within the noise."""
+    return f"no pose fits the fields within noise_T, but nearly: {text}"
+
+
 def axis_gain(axis: str, factor: float) -> str:
     """Say that one axis of the sensor has another gain."""
     if abs(factor) < 0.02:

@@ -176,7 +176,7 @@ class Observation:
         effect = self.deviations.effect(self.model, self.seen, position, rotation, state.ambient_T)
         if not np.isfinite(effect).all():  # on a wire
             return self
-        mixing = np.linalg.inv(np.linalg.cholesky(np.eye(len(effect)) + effect @ effect.T))
+        mixing = _inverse_root(effect)
         return replace(self, mixing=mixing, effect=mixing @ effect)
 
     def residual(self, state: State) -> tuple[FloatArray, FloatArray]:
@@ -236,6 +236,16 @@ class Observation:
             rest = values - seen @ np.linalg.lstsq(seen, values, rcond=None)[0]
             total += float(rest @ rest)
         return total
+
+
+def _inverse_root(effect: FloatArray) -> FloatArray:
+    """Return a matrix W, shape (m, m), with W (I + E E') W' = I for effects E, shape (m, k)."""
+    try:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(np.eye(len(effect)) + effect @ effect.T)))
+    except np.linalg.LinAlgError:  # the noise is nothing beside the effects: slower, but nothing is rounded off
+        across, size, _ = np.linalg.svd(effect)
+        size = np.append(size, np.zeros(max(len(effect) - len(size), 0)))
+        return np.asarray((across / np.sqrt(1.0 + size * size)).T)
 
 
 def turn_matrix(vector: FloatArray) -> FloatArray:

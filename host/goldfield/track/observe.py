@@ -21,7 +21,7 @@ from goldfield.site import Site
 from goldfield.track.deviations import Deviations
 from goldfield.track.estimate import SEARCH_TOLERANCE, VAGUE, Belief, estimate
 from goldfield.track.motion import Observation, State, standing
-from goldfield.types import Fields, FloatArray, Pose, Status
+from goldfield.types import LEAST_SIGMA_T, Fields, FloatArray, Pose, Status, usable_components
 
 EPOCH_NODES = 3
 CYCLE_NODES = 7
@@ -151,8 +151,8 @@ class EpochObserver:
         self, data: Fields, rate_rad_s: float, without: Sequence[str] = ()
     ) -> tuple[Observation, tuple[str, ...]]:
         """See `Observer.observation`; beacons that the site has not are left out, and fields without a usable sigma."""
-        usable = np.isfinite(data.field_T).any(axis=1) & np.isfinite(data.sigma_T) & (data.sigma_T > 0.0)
-        taken = [i for i, name in enumerate(data.beacons) if usable[i] and name in self._row]
+        usable = usable_components(data.field_T, data.sigma_T)
+        taken = [i for i, name in enumerate(data.beacons) if usable[i].any() and name in self._row]
         taken.sort(key=lambda i: self._row[data.beacons[i]])
         if not taken:
             nothing = np.zeros((3, 0, EPOCH_NODES * (len(self._row) + 1)))
@@ -160,7 +160,8 @@ class EpochObserver:
         names = [data.beacons[i] for i in taken]
         separation = self._separation(np.array([self._row[name] for name in names], dtype=np.intp))
         field = data.field_T[taken]
-        sigma = data.sigma_T[taken, None]
+        field = np.where(usable[taken], field, np.nan)
+        sigma = np.maximum(data.sigma_T[taken, None], LEAST_SIGMA_T)
         if self._axes is not None:
             field, sigma = self._axes.components(field), sigma * self._axes.noise_of_each
         sigma = np.hypot(sigma, self._unknown_T[[self._row[name] for name in names], None])
