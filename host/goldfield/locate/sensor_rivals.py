@@ -37,8 +37,8 @@ UNITS = {
 }
 """Units of length, m, that a file may be in instead of metres."""
 
-GAUSS = 1e4
-"""Gauss in a tesla."""
+GAUSS, ABOUT_GAUSS = 1e4, 0.05
+"""Gauss in a tesla, and the relative difference of a factor from that: no unit of length has one near it."""
 
 NEARLY, FAR_FROM_ONE = 0.02, 2.0
 """One factor of all fields is told, though it does not explain them within the noise, if it leaves less than this part
@@ -194,7 +194,7 @@ def _factor(factor: float) -> Finding:
     """Name one factor of all fields: mirrored if it is negative, a unit of length, else a gain."""
     if factor < 0.0:
         return Finding(Explanation.MIRRORED, (), sentences.MIRRORED, factor=factor)
-    if abs(np.log(factor / GAUSS)) < SAME_FACTOR:
+    if abs(np.log(factor / GAUSS)) < ABOUT_GAUSS:
         return Finding(Explanation.UNITS, (), sentences.gauss(factor), factor=factor)
     for unit, size in UNITS.items():
         # Radii in the same units: the field goes with 1/length; radii in metres: with 1/length^3.
