@@ -356,6 +356,8 @@ class Constellation:
 
     def _sided(self, solutions: Solutions) -> Solutions:
         """Let the half-space decide between rivals."""
+        if self.half_space is None:
+            return solutions
         best, rival, contested = solutions.best, solutions.rival, solutions.contested
         right, other = self.inside(best.position_m), self.inside(rival.position_m)
         swap = np.flatnonzero(contested & ~right & other)

@@ -158,7 +158,7 @@ class Locator:
         }
         some = np.flatnonzero(solved)
         if len(some):
-            given, found = measurements.take(some), solutions.take(some)
+            given, found = measurements.take(some), solutions if solved.all() else solutions.take(some)
             statistics = fault_statistics(constellation.model, given, found.best)
             # A search that came to its end proves nothing by its cost.
             wrong = np.flatnonzero(alarm(given, found.best.cost, statistics) & ~found.bounded)
@@ -176,19 +176,12 @@ class Locator:
                 if verdict.rest is not None:
                     e = int(some[i])
                     poses[e] = self._pose_of_rest(epochs[e], rows, given.take(np.array([i])), verdict)
-            whole = np.array([i for i, e in enumerate(some.tolist()) if e not in poses], dtype=np.intp)
-            told = {k: verdicts[i] for k, i in enumerate(whole.tolist()) if i in verdicts}
-            judged = Judged(
-                self.site,
-                constellation.model,
-                names,
-                given.take(whole),
-                found.take(whole),
-                statistics.take(whole),
-                told,
-            )
-            some = some[whole]
-            poses.update(zip(some.tolist(), poses_of([epochs[int(e)] for e in some], judged), strict=True))
+            judged = Judged(self.site, constellation.model, names, given, found, statistics, verdicts)
+            whole = [i for i, e in enumerate(some.tolist()) if e not in poses]
+            if len(whole) < len(some):
+                judged = judged.take(np.array(whole, dtype=np.intp))
+            some = some[whole].tolist()
+            poses.update(zip(some, poses_of([epochs[e] for e in some], judged) if some else [], strict=True))
         return [poses[e] for e in range(len(epochs))]
 
     def _pose_of_rest(

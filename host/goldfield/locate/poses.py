@@ -57,6 +57,18 @@ class Judged:
     statistics: FaultStatistics
     verdicts: Mapping[int, Verdict]
 
+    def take(self, rows: NDArray[np.intp]) -> Judged:
+        """Return some of the epochs."""
+        return Judged(
+            self.site,
+            self.model,
+            self.names,
+            self.measurements.take(rows),
+            self.solutions.take(rows),
+            self.statistics.take(rows),
+            {k: self.verdicts[i] for k, i in enumerate(rows.tolist()) if i in self.verdicts},
+        )
+
 
 @dataclass(frozen=True)
 class _Figures:
