@@ -22,8 +22,8 @@ from goldfield.types import Fields, Finding, FloatArray, Pose, Status
 
 WEAK_POSITION = 0.25
 """A pose is weak if the standard deviation of its position along the worst axis exceeds this part of the distance to
-the nearest beacon: the field then changes its shape within the error and nothing computed from a linear model can be
-trusted."""
+the nearest coil (`FieldModel.nearest_m`): the field then changes its shape within the error and nothing computed from
+a linear model can be trusted."""
 
 WEAK_ATTITUDE_RAD = 0.5
 """A pose is weak, too, if the standard deviation of its attitude exceeds this, 29 degrees; the free turn of a sensor
@@ -79,7 +79,7 @@ class _Figures:
     worst_beacon: NDArray[np.intp]  # (e,)
     position_sd_m: FloatArray  # (e,), along the worst axis
     turn_sd_rad: FloatArray  # (e,)
-    nearest_m: FloatArray  # (e,), of a beacon
+    nearest_m: FloatArray  # (e,), `FieldModel.nearest_m`
     strange: NDArray[np.bool_]  # (e,), outside the room in which the metal was learned
 
     @property
@@ -117,7 +117,7 @@ def _figures(
 ) -> _Figures:
     covariance = second_order_covariance(judged.model, measurements, fit.position_m, fit.rotation) + widening
     protection_m, worst = protection_level(measurements, statistics, covariance[:, :3, :3])
-    nearest = np.linalg.norm(fit.position_m[:, None] - judged.model.centre_m, axis=2).min(axis=1)
+    nearest = judged.model.nearest_m(fit.position_m)
     shifts, turns = np.linalg.eigvalsh(np.stack([covariance[:, :3, :3], covariance[:, 3:, 3:]]))
     turn = np.sqrt(np.where(measurements.axes == 1, turns[:, 1], turns[:, 2]))
     metal = judged.model.metal

@@ -148,7 +148,7 @@ def weak(deviation_m: float, nearest_m: float, deviation_rad: float) -> str:
     """Say that the fields do not fix the pose."""
     return (
         f"the standard deviation is {deviation_m:.2g} m and {deviation_rad:.2g} rad along the worst axes, "
-        f"{nearest_m:.2g} m from the nearest beacon: the beacons heard do not fix the pose"
+        f"{nearest_m:.2g} m from the nearest coil: the beacons heard do not fix the pose"
     )
 
 

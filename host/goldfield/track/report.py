@@ -27,7 +27,7 @@ class Reporter:
     """
 
     def __init__(self, site: Site) -> None:
-        self._centres = FieldModel(site.beacons).centre_m
+        self._model = FieldModel(site.beacons)
         self._alert_limit_m = site.alert_limit_m
 
     def pose(
@@ -53,7 +53,7 @@ class Reporter:
         covariance = belief.covariance
         position_cov, attitude_cov = covariance[POSITION, POSITION], covariance[TURN, TURN]
         if status is Status.OK:
-            nearest = np.linalg.norm(belief.state.position_m - self._centres, axis=1).min()
+            nearest = self._model.nearest_m(belief.state.position_m[None])[0]
             shifts, turns = np.sqrt(np.linalg.eigvalsh(np.stack([position_cov, attitude_cov])))
             worst, turn = shifts[2], turns[1 if axes == 1 else 2]
             if worst > WEAK_POSITION * nearest or turn > WEAK_ATTITUDE_RAD:
