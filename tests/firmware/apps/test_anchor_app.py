@@ -42,6 +42,7 @@ class Anchor:
     def __init__(self, *, ppm: float = 0.0, power_on: int = 0, emulated: bool = False, **parameters: object) -> None:
         self.broken_from = 1 << 62
         self.others: list[Anchor] = []
+        self._present = (-1, -1), 0.0  # how much the board has done by now, and the current since then
         stored = {
             "amplitude": AMPLITUDE_A,
             "code_count": len(CODES),
@@ -53,13 +54,25 @@ class Anchor:
 
     def amperes(self, time: int) -> float:
         """The coil follows its bridge at once; a time that the board has not lived through yet is as its present."""
+        if time >= self.broken_from:
+            return 0.0
+        pins = self.board.pins
+        if pins and time < pins[-1][0]:
+            return self._driven(time)
+        seen = len(pins), len(self.board.analog[0])
+        if seen != self._present[0]:
+            self._present = seen, self._driven(time)
+        return self._present[1]
+
+    def _driven(self, time: int) -> float:
+        """The reference with the sign of the bridge at that time, if the driver is enabled at present."""
 
         def level(pin: int) -> bool:
             return next(
                 (new for when, number, new in reversed(self.board.pins) if number == pin and when <= time), False
             )
 
-        if not self.board.level.get(PIN_ENABLE) or time >= self.broken_from:
+        if not self.board.level.get(PIN_ENABLE):
             return 0.0
         return (int(level(PIN_BRIDGE_1)) - int(level(PIN_BRIDGE_2))) * self.board.analog[0][-1][1] / 3.3 * 16.0
 
