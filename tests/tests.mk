@@ -20,7 +20,11 @@ test-host-boards: all ## End to end on host boards what depends on the boards, a
 test-slow: all $(BUILD)/qemu.stamp ## All tests, the slow ones too
 	@$(PYTEST)
 
-.PHONY: test test-wheel test-fast test-long test-host-boards test-slow
+COSTS ?= tests -m "not slow"
+test-costs: all $(BUILD)/qemu.stamp ## The dearest tests by processor time (COSTS="tests/host -m long")
+	@$(PYTEST) -p tests.bench.cpu_costs $(COSTS)
+
+.PHONY: test test-wheel test-fast test-long test-host-boards test-slow test-costs
 
 many-benches: all ## Two, then four benches beside a garbage sender for a minute each
 	@$(PYTHON) -m pytest tests/hil/test_many_benches.py -m slow -q -s
