@@ -22,6 +22,14 @@ def run(*words, **streams):
     return subprocess.run([*GOLDFIELD, *map(str, words)], check=False, text=True, **streams)
 
 
+@pytest.fixture(scope="module")
+def poses_of_log():
+    """The lines that the recording's poses are, told without a pipe or a full disk."""
+    done = run("run", "--site", SITE, "--log", LOG, "--json")
+    assert done.returncode == 0
+    return done.stdout.splitlines()
+
+
 def test_a_table_from_stdin_and_a_site_from_stdin():
     with FIELDS.open() as table:
         piped = run("locate", "--site", SITE, "-", "--json", stdin=table)
@@ -44,13 +52,12 @@ def test_a_pose_comes_as_soon_as_its_epoch_is_whole():
         assert process.wait() == 0
 
 
-def test_fields_of_a_recording_through_a_pipe():
+def test_fields_of_a_recording_through_a_pipe(poses_of_log):
     line = f'"$0" -m goldfield run --site {SITE} --log - --fields - --json < {LOG} 2> /dev/null |'
     line += f' "$0" -m goldfield locate --site {SITE} - --json'
     done = subprocess.run(["sh", "-c", line, sys.executable], check=False, text=True, capture_output=True)
-    direct = run("run", "--site", SITE, "--log", LOG, "--json")
     assert done.returncode == 0
-    located, live = ([json.loads(text) for text in out.splitlines()] for out in (done.stdout, direct.stdout))
+    located, live = ([json.loads(text) for text in lines] for lines in (done.stdout.splitlines(), poses_of_log))
     assert [pose["position_m"] for pose in located] == [pose["position_m"] for pose in live]
 
 
@@ -103,11 +110,11 @@ def test_a_full_disk_leaves_the_old_table_and_tells(tmp_path):
 
 
 @pytest.mark.parametrize("option", ["--record", "--fields"])
-def test_a_full_disk_ends_a_recording_at_a_whole_message_and_not_the_run(tmp_path, option):
+def test_a_full_disk_ends_a_recording_at_a_whole_message_and_not_the_run(tmp_path, poses_of_log, option):
     target = tmp_path / "out.log"
     done = run("run", "--site", SITE, "--log", LOG, "--json", option, target, preexec_fn=limited)
     assert done.returncode == 3
-    assert len(done.stdout.splitlines()) == len(run("run", "--site", SITE, "--log", LOG, "--json").stdout.splitlines())
+    assert len(done.stdout.splitlines()) == len(poses_of_log)
     assert target.read_bytes() == b"" or target.read_bytes().endswith(b"\n")
     assert "the run goes on" in done.stderr
 
