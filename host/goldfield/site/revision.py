@@ -42,6 +42,8 @@ class BeaconRevision:
     axis : ndarray, shape (3,), or None
         Unit vector.
     current_A : float or None
+    tau_s : float or None
+        Time constant with which the current follows a step.
     survey : Survey or None
         All three standard deviations.
     """
@@ -49,6 +51,7 @@ class BeaconRevision:
     position_m: FloatArray | None = None
     axis: FloatArray | None = None
     current_A: float | None = None
+    tau_s: float | None = None
     survey: Survey | None = None
 
 
@@ -127,7 +130,7 @@ def _revise_beacon(table: MutableMapping[str, Any], old: Beacon, revision: Beaco
         moved = position + (old.points_m - old.position_m) @ smallest_rotation(old.axis, axis).T
         _put(table, "points_m", moved.round(WIRE_DIGITS))
         # A wire tells its place and axis; only where the file tells them too there is something to revise.
-        values = {key: value for key, value in values.items() if key in table or key == "current_A"}
+        values = {key: value for key, value in values.items() if key in table or key in ("current_A", "tau_s")}
     if "shape" in table and "axis" in values:
         given = float(table.get("angle_rad", 0.0))
         rotation = smallest_rotation(old.axis, values["axis"]) @ frame(old.axis, given)
