@@ -53,6 +53,11 @@ track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a mov
 
 .PHONY: track-figures
 
+calibration-figures: all ## Measure what calibrating a sensor by hand reaches (ten minutes; CALIBRATION="--seeds 3")
+	@$(PYTHON) -m tests.bench.calibration_figures $(CALIBRATION)
+
+.PHONY: calibration-figures
+
 field-sync-figures: all ## Measure synchronisation by the field alone: cold starts by hundreds, a dropout (several minutes)
 	@$(PYTHON) -m pytest tests/firmware/core/timing/test_acquire.py -k "thousand or hundreds" -q -s
 	@$(PYTHON) -m pytest tests/hil/test_field_synchronisation.py -k "hundred or ten_seconds" -q -s

@@ -57,7 +57,11 @@ def _add_coils(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("samples", metavar="SAMPLES.csv", help="table of samples; - is stdin")
     options.add_site(parser)
     parser.add_argument("--at", type=options.finite, nargs=3, metavar=("X", "Y", "Z"), help="where the sensor stood, m")
+    parser.add_argument(
+        "--out", metavar="FILE", help="write the site file with tau_s, and the current of reversed coils negated"
+    )
     options.add_json(parser)
+    options.add_force(parser)
 
 
 @on_command_line()

@@ -25,7 +25,7 @@ from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Options
 from goldfield.sensor.pipeline import Sensor
 from goldfield.site import Site
-from goldfield.site.revision import SensorRevision, revised
+from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 from goldfield.types import FloatArray
 
 LIVE_S = 60.0
@@ -139,7 +139,8 @@ def _sensor_text(found: SensorCalibration, record: dict[str, Any]) -> str:
 def coils(arguments: argparse.Namespace) -> int:
     """Calibrate the coils."""
     path = options.required(arguments.site, "--site", "FILE")
-    check_outputs({}, {"--site": path, "SAMPLES.csv": arguments.samples})
+    inputs = {"--site": path, "SAMPLES.csv": arguments.samples}
+    check_outputs({"--out": arguments.out}, inputs, force=arguments.force)
     site = sites.load(path)
     options.tell_doubts(site)
     cycles = list(read_cycles(site, arguments.samples))
@@ -148,12 +149,22 @@ def coils(arguments: argparse.Namespace) -> int:
         raise UserError(f"{arguments.samples}: the sensor stood in several places: give the cycles of one")
     place = np.array(arguments.at) if arguments.at else places[0] if places else None
     found = calibrate_coils(site, np.array([cycle.samples_T for cycle in cycles]), place)
+    if arguments.out:
+        revisions = {coil.beacon: _revision(site, coil) for coil in found}
+        write_file(arguments.out, revised(Path(path), revisions).encode(), "the site file", force=arguments.force)
     if arguments.json:
         for coil in found:
             print(json_line(coil_record(coil)))
     else:
         print(_coils_text(found))
     return 0
+
+
+def _revision(site: Site, coil: CoilCalibration) -> BeaconRevision:
+    """Return what is new of a beacon: a time constant that is seen, or none if the file has one, and the polarity."""
+    beacon = site.beacon(coil.beacon)
+    tau_s = coil.tau_s if coil.tau_s or beacon.drive.tau_s else None
+    return BeaconRevision(current_A=-beacon.current_A if coil.reversed else None, tau_s=tau_s)
 
 
 def coil_record(coil: CoilCalibration) -> dict[str, Any]:
