@@ -95,43 +95,41 @@ class _Normal:
     pose_right: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
 class Adjustment:
-    """The residuals of a recording, and their minimum.
+    """The residuals of a recording, and their minimum; `adjustment_of` makes one.
 
-    Parameters
+    Attributes
     ----------
-    site : Site
-    turn : Turn
-        Each cycle with a pose.
+    model : FieldModel
+    errors : SiteErrors
+        Deviations of the beacons.
     axes : ndarray, shape (3, 3)
         About what the sensor's matrix is.
+    turn : Turn
+        Each cycle with a pose.
+    smear : ndarray, shape (k, 3, 3)
+        What turning leaves of the mean of each cycle.
     """
 
-    def __init__(self, site: Site, turn: Turn, axes: FloatArray) -> None:
-        surveys = [beacon.survey for beacon in site.beacons]
-        self._turn, self._axes = turn, axes
-        self._model = FieldModel(site.beacons)
-        self._errors = SiteErrors(
-            np.array([survey.position_sd_m for survey in surveys]),
-            np.array([survey.axis_sd_rad for survey in surveys]),
-            np.array([survey.current_sd for survey in surveys]),
-            0.0,
-            0.0,
-        )
-        self._smear = np.tile(np.eye(3), (len(turn), 1, 1))
+    model: FieldModel
+    errors: SiteErrors
+    axes: FloatArray
+    turn: Turn
+    smear: FloatArray
 
     @property
     def knows_mean(self) -> bool:
         """Whether the recording tells the mean field of its cycles."""
-        return bool(np.isfinite(self._turn.mean_T).all(axis=1).any())
+        return bool(np.isfinite(self.turn.mean_T).all(axis=1).any())
 
     def at_rates(self, rotation: FloatArray) -> Adjustment:
         """Return the adjustment with the angular rates that attitudes, shape (k, 3, 3), tell."""
-        return self._with(smear=smear(self._turn, rotation))
+        return replace(self, smear=smear(self.turn, rotation))
 
     def take(self, rows: NDArray[np.bool_]) -> Adjustment:
         """Return the adjustment of some of the cycles."""
-        return self._with(turn=self._turn.take(rows), smear=self._smear[rows])
+        return replace(self, turn=self.turn.take(rows), smear=self.smear[rows])
 
     def with_mean_noise(self, state: State) -> Adjustment:
         """Return the adjustment with the noise that the means have: other fields than the earth's are in them, too."""
@@ -139,14 +137,7 @@ class Adjustment:
             return self
         residual = np.concatenate([self._residuals(state, rows)[0][:, -1] for rows in self._chunks(state)])
         larger = max(1.0, float(np.sqrt(np.nanmean(residual**2))))
-        return self._with(turn=replace(self._turn, mean_sigma_T=self._turn.mean_sigma_T * larger))
-
-    def _with(self, turn: Turn | None = None, smear: FloatArray | None = None) -> Adjustment:
-        other = object.__new__(Adjustment)
-        other._model, other._errors, other._axes = self._model, self._errors, self._axes
-        other._turn = self._turn if turn is None else turn
-        other._smear = self._smear if smear is None else smear
-        return other
+        return replace(self, turn=replace(self.turn, mean_sigma_T=self.turn.mean_sigma_T * larger))
 
     # ---- Residuals ----
 
@@ -158,15 +149,15 @@ class Adjustment:
 
         The last row of a cycle is that of its mean. A value that was not measured has zeros.
         """
-        turn, beacons = self._turn, len(self._model)
+        turn, beacons = self.turn, len(self.model)
         position = state.position_m[rows]
-        evaluated = self._model.evaluate(position.T)
-        effect, field = effects_of_beacons(self._model, self._errors, position, evaluated)
+        evaluated = self.model.evaluate(position.T)
+        effect, field = effects_of_beacons(self.model, self.errors, position, evaluated)
         gradient = evaluated[1].transpose(2, 3, 0, 1)
         field = field + np.einsum("kncs,ns->knc", effect, state.beacons)
         field = np.concatenate([field, np.broadcast_to(state.earth_T, (len(field), 1, 3))], axis=1)
         to_sensor = np.swapaxes(state.rotation[rows], 1, 2)
-        smeared = self._smear[rows] @ to_sensor
+        smeared = self.smear[rows] @ to_sensor
         seen = np.einsum("kij,knj->kni", smeared, field)
         reading = seen @ state.axes.T
         reading[:, -1] += state.offset_T
@@ -195,7 +186,7 @@ class Adjustment:
         """Return the sum of squares of each cycle, shape (k,), and its number of values beyond the pose's six."""
         parts = [self._residuals(state, rows)[0] for rows in self._chunks(state)]
         squares = np.concatenate([(part**2).sum(axis=(1, 2)) for part in parts])
-        measured = np.isfinite(self._turn.field_T).sum(axis=(1, 2)) + np.isfinite(self._turn.mean_T).sum(axis=1)
+        measured = np.isfinite(self.turn.field_T).sum(axis=(1, 2)) + np.isfinite(self.turn.mean_T).sum(axis=1)
         return squares, np.maximum(measured - 6, 1)
 
     def residual(self, state: State) -> float:
@@ -206,7 +197,7 @@ class Adjustment:
     # ---- Solution ----
 
     def _normal(self, state: State, robust: bool) -> _Normal:
-        size = SENSOR + OF_BEACON * len(self._model)
+        size = SENSOR + OF_BEACON * len(self.model)
         common, right = np.zeros((size, size)), np.zeros(size)
         cost, poses, mixeds, rights = 0.0, [], [], []
         for rows in self._chunks(state):
@@ -237,7 +228,7 @@ class Adjustment:
 
     def _prior(self, state: State) -> tuple[FloatArray, FloatArray]:
         """Return the weights of the common unknowns before anything was measured, and how far they are from it."""
-        off = np.concatenate([(state.axes - self._axes)[UPPER], state.offset_T, state.earth_T, state.beacons.ravel()])
+        off = np.concatenate([(state.axes - self.axes)[UPPER], state.offset_T, state.earth_T, state.beacons.ravel()])
         weight = np.ones_like(off)
         weight[:6] = 1.0 / AXES_SD**2
         weight[6:SENSOR] = 0.0 if self.knows_mean else 1.0
@@ -286,3 +277,16 @@ class Adjustment:
         size = np.sqrt(np.maximum(np.diag(reduced), 1e-300))
         inverse = np.linalg.pinv(reduced / np.outer(size, size), rcond=1e-14, hermitian=True)
         return np.asarray((inverse / np.outer(size, size))[:SENSOR, :SENSOR])
+
+
+def adjustment_of(site: Site, turn: Turn, axes: FloatArray) -> Adjustment:
+    """Return the adjustment of a recording on a site, with axes of about this matrix, at rest in each cycle."""
+    surveys = [beacon.survey for beacon in site.beacons]
+    errors = SiteErrors(
+        np.array([survey.position_sd_m for survey in surveys]),
+        np.array([survey.axis_sd_rad for survey in surveys]),
+        np.array([survey.current_sd for survey in surveys]),
+        0.0,
+        0.0,
+    )
+    return Adjustment(FieldModel(site.beacons), errors, axes, turn, np.tile(np.eye(3), (len(turn), 1, 1)))

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
-from goldfield.calibration.adjustment import Adjustment, State
+from goldfield.calibration.adjustment import Adjustment, State, adjustment_of
 from goldfield.calibration.turn import Turn
 from goldfield.errors import UserError
 from goldfield.locate import Locator
@@ -109,7 +109,7 @@ def calibrate_sensor(site: Site, turn: Turn) -> SensorCalibration:
     """
     triangle, frame = _triangle(site.sensor.axes)
     turn, state = _start(site, turn, triangle, frame)
-    adjustment = Adjustment(site, turn, triangle)
+    adjustment = adjustment_of(site, turn, triangle)
     for _ in range(2):  # the second time with the rates of better attitudes
         adjustment = adjustment.at_rates(state.rotation)
         state = adjustment.solve(state, robust=True)
