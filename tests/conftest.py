@@ -30,6 +30,7 @@ LONG = (
     "firmware/services",
     "hil",
     "hil_sim/papers/gietler",
+    "host/calibration/test_sensor.py",
     "host/cli/test_hostile_streams.py",
     "host/locate/test_locator.py",
     "host/locate/test_own_body.py",

@@ -81,6 +81,8 @@ def main() -> None:
     """Print a line for each noise and site."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--noise", choices=NOISE, action="append", help="only this one")
+    parser.add_argument("--site", choices=SITES, action="append", help="only this one")
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--each", action="store_true", help="print every seed")
     arguments = parser.parse_args()
@@ -89,11 +91,11 @@ def main() -> None:
         f"{'noise':<7} {'site':<9} {'common':>7} {'(sd)':>7} {'relative':>8} {'(sd)':>6} {'lean':>6} {'(sd)':>6} "
         f"{'largest':>8} {'NEES':>5} {'offset':>7} {'(sd)':>5} {'resid':>5} {'cpu/s':>5}"
     )
-    for noise, noise_text in NOISE.items():
-        for site, errors in SITES.items():
+    for noise in arguments.noise or NOISE:
+        for site in arguments.site or SITES:
             with tempfile.TemporaryDirectory() as directory:
                 seeds = range(1, arguments.seeds + 1)
-                runs = [one(Path(directory), errors, noise_text, seed, arguments.seconds) for seed in seeds]
+                runs = [one(Path(directory), SITES[site], NOISE[noise], seed, arguments.seconds) for seed in seeds]
             if arguments.each:
                 for run in runs:
                     print(json.dumps(run))

@@ -70,7 +70,6 @@ def calibrate(directory, capsys, *more):
     return json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.long
 def test_a_sensor_is_calibrated_and_its_board_told(bench, capsys):
     """Gains and axes to 1e-3; the board that was told reads the field itself; the file gives it the same again."""
     true_site = (bench / "true.toml").read_text()
