@@ -14,7 +14,7 @@ import numpy as np
 from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.output import json_line
-from goldfield.errors import Loudness, UserError, loudness
+from goldfield.errors import Loudness, UserError, loudness, tell
 from goldfield.files.outputs import check_outputs, write_file
 from goldfield.site import Site
 
@@ -55,6 +55,12 @@ def command(subparsers: Any) -> None:
         metavar=("X0", "Y0", "X1", "Y1"),
         help="where the floor plan's lower left and upper right corners are, m (default: those of the box)",
     )
+    parser.add_argument(
+        "--optimise",
+        metavar="FILE",
+        help="improve places, axes or currents as this optimisation file (TOML) says; the maps are those of the result",
+    )
+    parser.add_argument("--site-out", metavar="FILE", help="write the site that --optimise found (TOML)")
     _add_settings(parser)
     options.add_json(parser)
     parser.set_defaults(run=run)
@@ -109,28 +115,71 @@ def run(arguments: argparse.Namespace) -> int:
     )
     floor = _floor_of(arguments)
     workers = arguments.workers or os.cpu_count() or 1
+    if arguments.optimise:
+        return _optimised(arguments, request, floor, workers)
     with _progress(len(grid)) as progress:
         maps = plan(request, workers=workers, scheduler=arguments.scheduler, progress=progress)
-    for path in arguments.out:
-        write_file(path, _written(path, maps, floor), "the plan", force=arguments.force)
     summary = maps.summary()
+    _write(arguments, maps, floor)
     print(json_line(summary) if arguments.json else _text(summary))
     return 0
 
 
+def _optimised(arguments: argparse.Namespace, request: Any, floor: Any, workers: int) -> int:
+    """Optimise, write the result and its maps, and print both summaries."""
+    from goldfield.planning import optimise_file
+    from goldfield.planning.optimise import optimise
+    from goldfield.planning.site_text import site_text
+
+    if arguments.scheduler:
+        raise UserError(
+            "--scheduler and --optimise are both given: the optimisation runs on this machine; leave one out"
+        )
+    wishes = optimise_file.load(arguments.optimise)
+    site_text(request.site)  # what cannot be written is told before the work
+    outcome = optimise(request, wishes, workers=workers, told=tell)
+    if arguments.site_out:
+        write_file(arguments.site_out, site_text(outcome.site).encode(), "the site", force=arguments.force)
+    _write(arguments, outcome.after, floor)
+    before, after = outcome.before.summary(), outcome.after.summary()
+    reached = wishes.target_m is None or outcome.figure_after_m <= wishes.target_m
+    if arguments.json:
+        print(json_line({**after, "before": before, "target_reached": reached}))
+    else:
+        print(f"before:\n{_text(before)}\n\nafter:\n{_text(after)}")
+        if wishes.target_m is not None and not reached:
+            print(
+                f"the target of {100.0 * wishes.target_m:.3g} cm is not reached: allow more power, regions or beacons"
+            )
+    return 0
+
+
+def _write(arguments: argparse.Namespace, maps: Any, floor: Any) -> None:
+    for path in arguments.out:
+        write_file(path, _written(path, maps, floor), "the plan", force=arguments.force)
+
+
 def _check_files(arguments: argparse.Namespace) -> None:
     """Refuse what cannot be written before anything is computed."""
-    inputs = {"--site": arguments.site, "--lattice": arguments.lattice, "--floor": arguments.floor}
+    inputs = {
+        "--site": arguments.site,
+        "--lattice": arguments.lattice,
+        "--floor": arguments.floor,
+        "--optimise": arguments.optimise,
+    }
     outputs: dict[str, str | Path | None] = {
         f"--out {count}" if count > 1 else "--out": path for count, path in enumerate(arguments.out, start=1)
     }
     for path in arguments.out:
         if not path.lower().endswith(KINDS):
             raise UserError(f"--out {path}: the name's end tells the format: give one of {', '.join(KINDS)}")
+    for path in [*arguments.out, *([arguments.site_out] if arguments.site_out else [])]:
         folder = Path(path).parent
         if not os.access(folder, os.W_OK):
-            raise UserError(f"--out {path}: the folder {folder} cannot be written: make it, or give another")
-    check_outputs(outputs, inputs, force=arguments.force)
+            raise UserError(f"{path}: the folder {folder} cannot be written: make it, or give another")
+    if arguments.site_out and not arguments.optimise:
+        raise UserError("--site-out is given without --optimise: there is no new site to write")
+    check_outputs({**outputs, "--site-out": arguments.site_out}, inputs, force=arguments.force)
 
 
 def _site_of(arguments: argparse.Namespace) -> Site:

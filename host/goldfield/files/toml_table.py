@@ -163,6 +163,13 @@ class Table:
             raise self.error(key, f"must be a text in quotes, not {_kind(value)}")
         return value
 
+    def texts(self, key: str) -> list[str]:
+        """Return a required list of strings, at least one."""
+        value = self._required(key)
+        if not isinstance(value, list) or not value or not all(isinstance(item, str) for item in value):
+            raise self.error(key, f"must be a list of texts in quotes, not {_kind(value)}")
+        return value
+
     def label(self, key: str) -> str:
         """Return a required name: a text without control characters and outer spaces, or a whole number as a text."""
         value = self._required(key)
