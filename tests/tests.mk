@@ -87,3 +87,12 @@ integrity-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure when the loc
 	@$(PYTHON) -m tests.bench.integrity_figures $(INTEGRITY)
 
 .PHONY: integrity-figures
+
+PLAN ?=
+plan-figures: $(BUILD)/venv.stamp ## Measure a plan of 1,000 beacons and 10^6 points: time, memory, cores, Dask (long; PLAN="--points 20000")
+	@$(PYTHON) -m tests.bench.plan_figures $(PLAN)
+
+plan-map: $(BUILD)/venv.stamp ## Draw docs/plan.png: what a plan of a hall looks like
+	@$(PYTHON) -m tests.bench.plan_map
+
+.PHONY: plan-figures plan-map

@@ -86,6 +86,15 @@ def test_separate_prints_cycles(options: list[str], tmp_path: Path, capsys: pyte
     assert ("mains_Hz" in line, "tau_s" in line["fields"][0]) == ("--mains" in options, "--unknown-rise" in options)
 
 
+def test_plan_prints_a_room(capsys: pytest.CaptureFixture[str]) -> None:
+    box = ["--box", "0", "0", "0", "40", "1", "1", "--step", "2", "--workers", "1"]  # parts of it are out of hearing
+    assert main(["plan", "--site", str(SITE), *box, "--json"]) == 0
+    (line,) = lines_of(capsys)
+    validator("plan").validate(line)
+    assert 0.0 < line["weak"] < 1.0
+    assert line["position_m"].keys() == {"median", "p95", "worst"}
+
+
 def test_hil_prints_a_bench_and_its_truth(capsys: pytest.CaptureFixture[str]) -> None:
     command = ["hil", "anchors4", "--boards", "host", "--can", "none", "--pace", "0", "--seconds", "0.3", "--json"]
     assert main(command) == 0

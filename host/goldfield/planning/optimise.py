@@ -1,10 +1,11 @@
 """Where beacons should be: places, axes and currents for the least position bound under constraints.
 
 From the start an exchange moves single beacons to the places of a coarse grid in the allowed regions as long as that
-helps; then all that is free is refined together by sequential quadratic programming (Kraft, 1988; SciPy's SLSQP) on the
-objective of `goldfield.planning.objective`, from the result of the exchange and from the start itself. What is found is
-a local optimum of that objective. The start itself competes by the figure that was asked for, and with the points that
-are weak or ambiguous: so the result is never worse than the start, and no claim is made that it is the best there is.
+helps. All that is free is refined together by sequential quadratic programming (Kraft, 1988; SciPy's SLSQP) on the
+objective of `goldfield.planning.objective`: from the start itself, from the result of the exchange and, if axes are
+free, from axes that lean. Each result is a local optimum of that objective. The start competes by the figure that was
+asked for, and by the number of points that are weak or ambiguous; where less power is wished, all its currents are
+weakened alike. So the result is never worse than that start, and no claim is made that it is the best there is.
 """
 
 from __future__ import annotations
