@@ -24,7 +24,7 @@ def conflicts_of_tile(
     field_T : ndarray, shape (3, e, n)
         Fields of the beacons that are computed, in the order of the ranking.
     ranking : Ranking
-        Of the others the upper bound of the field counts.
+        Beacons that are not computed count with the upper bounds of their fields.
     best : ndarray of int, shape (e, K)
         Columns of the best-K sets.
     least_ratio : float

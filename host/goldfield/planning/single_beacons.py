@@ -31,7 +31,7 @@ def contributions(columns: FloatArray, covariance: FloatArray) -> tuple[FloatArr
     columns : ndarray, shape (e, n, 3, k)
         Whitened.
     covariance : ndarray, shape (e, k, k)
-        Of pose and distortion.
+        Joint covariance of pose and distortion.
 
     Returns
     -------

@@ -225,7 +225,7 @@ def test_beacons_out_of_hearing_leave_a_pose_weak_and_a_place_in_a_wire_without_
 
 @pytest.mark.parametrize("limit", ["position", "attitude"])
 def test_weak_begins_at_the_locators_limits(limit):
-    """Of noise alone the deviations grow as it does: the noise that just reaches a limit is known from the bound."""
+    """With noise alone the deviations grow as it does: the noise that just reaches a limit is known from the bound."""
     site = cube(sensor=SensorSite(2e-7))
     site = replace(site, beacons=tuple(replace(one, survey=EXACT) for one in site.beacons))
     point = np.array([1.0, 1.1, 0.9]) if limit == "position" else np.array([4.2, 1.0, 0.9])
