@@ -245,11 +245,12 @@ def _progress(points: int) -> Iterator[Callable[[int], None]]:
 
 def _text(summary: dict[str, Any]) -> str:
     """Return the summary for people."""
+    from goldfield.planning.layers import shown
 
     def row(name: str, key: str, unit: str, factor: float = 1.0) -> str:
         values = [summary[key][which] for which in ("median", "p95", "worst")]
-        shown = ["unbounded" if value is None else f"{factor * value:.3g} {unit}" for value in values]
-        return f"{name:18}" + "".join(f"{text:>14}" for text in shown)
+        cells = ["unbounded" if value is None else f"{shown(factor * value)} {unit}" for value in values]
+        return f"{name:18}" + "".join(f"{cell:>14}" for cell in cells)
 
     lines = [
         f"{summary['points']} points, {summary['beacons']} beacons",

@@ -13,6 +13,19 @@ DECADES = 3.0
 """Most decades that a scale shows: what is beyond has the colour of its end."""
 
 
+def shown(value: float) -> str:
+    """Return a figure for people: three digits, all of a larger whole number, no exponent.
+
+    Examples
+    --------
+    >>> shown(0.01234), shown(98.76), shown(4321.0), shown(np.inf)
+    ('0.0123', '98.8', '4321', 'unbounded')
+    """
+    if not np.isfinite(value):
+        return "unbounded"
+    return f"{value:.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+
+
 @dataclass(frozen=True)
 class Layer:
     """A figure that is drawn as a map.

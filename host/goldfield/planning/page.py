@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from goldfield.planning.floor import Floor
 from goldfield.planning.grid import extent
-from goldfield.planning.layers import LAYERS, MORE_LAYERS, Layer
+from goldfield.planning.layers import LAYERS, MORE_LAYERS, Layer, shown
 from goldfield.planning.maps import Maps
 
 MOST_POINTS = 300_000
@@ -113,7 +113,7 @@ def _heights(maps: Maps) -> Json:
         row = [f"{z:g} m"]
         for layer in LAYERS:
             values = layer.values(maps.figures)[:, :, k]
-            row += [_shown(float(np.median(values))), _shown(float(values.max()))]
+            row += [shown(float(np.median(values))), shown(float(values.max()))]
         row += [f"{100 * mark[:, :, k].mean():.3g}" for mark in (maps.figures.ambiguous, maps.figures.weak)]
         rows.append(row)
     return {"names": names, "rows": rows}
@@ -126,10 +126,6 @@ def _floor(floor: Floor) -> Json:
 
 def _base64(array: NDArray[Any]) -> str:
     return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
-
-
-def _shown(value: float) -> str:
-    return f"{value:.3g}" if math.isfinite(value) else "unbounded"
 
 
 def _finite(value: float) -> float | None:

@@ -13,7 +13,7 @@ from matplotlib.image import AxesImage
 
 from goldfield.planning.floor import Floor
 from goldfield.planning.grid import extent
-from goldfield.planning.layers import LAYERS, Layer
+from goldfield.planning.layers import LAYERS, Layer, shown
 from goldfield.planning.maps import Maps
 
 MOST_HEIGHTS = 3
@@ -52,7 +52,7 @@ def png(maps: Maps, floor: Floor | None = None) -> bytes:
         )
         low, high = layer.scale(maps.figures)
         ticks = np.geomspace(low, high, TICKS).tolist()
-        bar.set_ticks(ticks, labels=[f"{tick:.3g}" for tick in ticks])
+        bar.set_ticks(ticks, labels=[shown(tick) for tick in ticks])
         bar.ax.minorticks_off()
     figure.suptitle(_title(maps), fontsize=9)
     buffer = io.BytesIO()
