@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from goldfield.access.of_site import SiteAccess
 from goldfield.access.rise import filtered
 from goldfield.access.waveform import site_templates
+from goldfield.errors import UserError
 from goldfield.site import Site
 from goldfield.types import FloatArray
 
@@ -45,7 +46,17 @@ def eddy_frequencies(site: Site) -> FloatArray:
 
     They are those of the tones where all drives are sines; else two a decade, from the slowest change of a drive to
     ten radians a chip.
+
+    Raises
+    ------
+    UserError
+        If the phases of tones are unknown.
     """
+    if any(beacon.drive.frequency_Hz is not None for beacon in site.beacons):
+        raise UserError(
+            f'site {site.name}: with phase = "unknown" nothing tells which part of a tone is in phase with '
+            "a current, so eddy currents cannot be predicted: leave out --own-body"
+        )
     periods = [beacon.drive.periods for beacon in site.beacons if beacon.drive.periods is not None]
     if periods and not site.beacons[0].drive.square:
         return np.array(sorted(set(periods))) / site.cycle_s

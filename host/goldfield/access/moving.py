@@ -122,10 +122,10 @@ class Cycle:
     """
 
     def __init__(self, degree: int, codes: Sequence[int], nodes: int, templates: FloatArray | None = None) -> None:
-        chips = (1 << degree) - 1
+        chips = (1 << degree) - 1 if templates is None else len(templates)
         self.times: FloatArray = node_times(nodes)
         basis = _lagrange(self.times, sample_times(chips))
-        self._codes: FloatArray = code_matrix(degree, codes).astype(np.float64)
+        self._codes: FloatArray = code_matrix(degree, codes).astype(np.float64) if codes else np.empty((chips, 0))
         carriers = np.hstack([self._codes if templates is None else templates, np.ones((chips, 1))])
         self.design: FloatArray = (carriers[:, :, None] * basis[:, None, :]).reshape(chips, -1)
 

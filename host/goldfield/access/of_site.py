@@ -27,11 +27,14 @@ class SiteCycle:
         Frequency of the hum that was taken out.
     tau_s : ndarray, shape (n,), or None
         Time constants of the coils, if they were unknown.
+    phase_rad : ndarray, shape (n,), or None
+        Phases of the tones, -pi to pi, if they were unknown.
     """
 
     separation: Separation
     mains_Hz: float | None
     tau_s: FloatArray | None
+    phase_rad: FloatArray | None = None
 
 
 class SiteAccess:

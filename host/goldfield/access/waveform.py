@@ -50,11 +50,18 @@ def tone_template(chips: int, periods: int, square: bool = False, wave: str = "c
     return np.asarray(np.sign(np.cos(turn)) if square else np.cos(turn))
 
 
+def free_tone_template(chips: int, turns_a_sample: float) -> FloatArray:
+    """Return a cosine of any frequency, shape (N,): a tone whose phase is unknown, as if it were 0."""
+    return np.asarray(np.cos(2.0 * np.pi * turns_a_sample * np.arange(chips)))
+
+
 def beacon_template(site: Site, beacon: Beacon, rise: bool = True) -> FloatArray:
     """Return the template of one beacon of a site, shape (N,), with its coil's rise or without."""
     drive = beacon.drive
     if drive.slot is not None:
         ideal = slot_template(site.chips, site.slots, drive.slot)
+    elif drive.frequency_Hz is not None:
+        ideal = free_tone_template(site.chips, drive.frequency_Hz * site.chip_period_s)
     elif drive.periods is not None:
         ideal = tone_template(site.chips, drive.periods, drive.square, drive.wave)
     else:

@@ -15,6 +15,7 @@ from goldfield.types import FloatArray
 
 COLUMNS = ("chip", "bx_T", "by_T", "bz_T")
 PLACE = ("x_m", "y_m", "z_m")
+REFERENCE = "reference"
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,10 +28,13 @@ class ChipCycle:
         One row a chip; NaN where a sample is missing.
     place_m : ndarray, shape (3,), or None
         Where the table says the sensor stood.
+    reference : ndarray, shape (N,), or None
+        The channel that recorded the currents, if the table has one.
     """
 
     samples_T: FloatArray
     place_m: FloatArray | None
+    reference: FloatArray | None = None
 
 
 def read_cycles(site: Site, path: str) -> Iterator[ChipCycle]:
@@ -41,28 +45,31 @@ def read_cycles(site: Site, path: str) -> Iterator[ChipCycle]:
     UserError
         With file, line and column of whatever is wrong, and if there is no whole cycle.
     """
-    samples = np.empty((site.chips, 3))
+    samples, reference = np.empty((site.chips, 3)), np.empty(site.chips)
     place: FloatArray | None = None
     count = 0
     plausibility = Plausibility()
-    for row in read_table(path, COLUMNS, PLACE):
+    for row in read_table(path, COLUMNS, (*PLACE, REFERENCE)):
         chip = row.whole("chip")
         expected = count % site.chips
         if chip not in (expected, count):
             raise row.error("chip", f"is {chip} where {expected} follows: give every chip in order from chip 0")
         samples[expected] = [row.field(column) for column in COLUMNS[1:]]
         plausibility.check(row, COLUMNS[1:])
+        if REFERENCE in row.cells:
+            reference[expected] = row.field(REFERENCE)
         here = place_of(row)
         if expected and here is not None and place is not None and (here != place).any():
             raise row.error(PLACE[0], "to z_m differ from the row before: one place a cycle")
         place = here
         count += 1
         if count % site.chips == 0:
-            yield ChipCycle(samples, place)
+            yield ChipCycle(samples, place, reference if REFERENCE in row.cells else None)
     cycles, rest = divmod(count, site.chips)
     if cycles == 0:
+        length = f"degree {site.degree}" if site.degree else "samples"
         raise UserError(
-            f"{name_of(path)}: has {counted(count, 'chips')}, fewer than a cycle's {site.chips} (degree {site.degree})"
+            f"{name_of(path)}: has {counted(count, 'chips')}, fewer than a cycle's {site.chips} ({length})"
         )
     if rest:
         tell(f"{name_of(path)}: is no whole number of cycles: at its end {counted(rest, 'chips were left out')}")

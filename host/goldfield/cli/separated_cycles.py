@@ -12,6 +12,7 @@ from goldfield import site as sites
 from goldfield.access.cdma import Separation
 from goldfield.access.nuisance import SEARCH_HZ
 from goldfield.access.of_site import SiteAccess, SiteCycle
+from goldfield.access.tones import ToneAccess
 from goldfield.cli import options
 from goldfield.cli.chips_file import read_cycles
 from goldfield.cli.output import elements, json_line, number
@@ -32,7 +33,7 @@ def separate(arguments: argparse.Namespace) -> int:
     options.tell_doubts(site)
     _check_mains(site, arguments.mains, arguments.harmonics)
     try:
-        access = SiteAccess(site, arguments.mains, arguments.harmonics or 1, arguments.unknown_rise)
+        access = _access(site, arguments)
     except UserError as error:
         raise UserError(f"{name_of(path)}: {error}") from error
     if not access.has_offset:
@@ -42,7 +43,10 @@ def separate(arguments: argparse.Namespace) -> int:
         )
     with _fields_writer(arguments) as writer:
         for number_of, chips in enumerate(read_cycles(site, arguments.samples)):
-            cycle = access.cycle(chips.samples_T)
+            if isinstance(access, ToneAccess):
+                cycle = access.cycle(chips.samples_T, chips.reference)
+            else:
+                cycle = access.cycle(chips.samples_T)
             if writer is not None:
                 writer.write(_fields(site, number_of, cycle.separation))
             if arguments.json:
@@ -50,6 +54,15 @@ def separate(arguments: argparse.Namespace) -> int:
             else:
                 print(_table(site, number_of, cycle))
     return 0
+
+
+def _access(site: Site, arguments: argparse.Namespace) -> SiteAccess | ToneAccess:
+    harmonics = arguments.harmonics or 1
+    if all(beacon.drive.frequency_Hz is None for beacon in site.beacons):
+        return SiteAccess(site, arguments.mains, harmonics, arguments.unknown_rise)
+    if arguments.unknown_rise:
+        raise UserError("--unknown-rise finds no coil's rise from tones of unknown phase: leave it out")
+    return ToneAccess(site, arguments.mains, harmonics)
 
 
 def _check_mains(site: Site, mains_Hz: float | None, harmonics: int | None) -> None:
@@ -99,7 +112,7 @@ def _fields(site: Site, number_of: int, separation: Separation) -> Fields:
 def cycle_record(site: Site, number_of: int, cycle: SiteCycle) -> dict[str, Any]:
     """Return a separated cycle under the keys of ``goldfield separate --json``.
 
-    ``mains_Hz`` and each beacon's ``tau_s`` are there if they were asked for.
+    ``mains_Hz`` and each beacon's ``tau_s`` are there if they were asked for, ``phase_rad`` if it was unknown.
     """
     separation = cycle.separation
     record: dict[str, Any] = {"cycle": number_of, "offset_T": elements(separation.offset_T)}
@@ -112,6 +125,9 @@ def cycle_record(site: Site, number_of: int, cycle: SiteCycle) -> dict[str, Any]
     if cycle.tau_s is not None:
         for entry, tau in zip(record["fields"], cycle.tau_s, strict=True):
             entry["tau_s"] = number(tau)
+    if cycle.phase_rad is not None:
+        for entry, phase in zip(record["fields"], cycle.phase_rad, strict=True):
+            entry["phase_rad"] = number(phase)
     return record
 
 

@@ -7,10 +7,15 @@ from dataclasses import dataclass
 from goldfield.files.toml_table import Table
 
 ACCESS = ("cdma", "tdma", "fdma")
-SITE_KEYS = {"slots": "tdma", "tone": "fdma"}
+SITE_KEYS = {"slots": "tdma", "tone": "fdma", "phase": "fdma", "samples": "fdma"}
 """Keys of the site and the access they belong to."""
 
 TONES = ("sine", "square")
+
+PHASES = ("known", "unknown")
+
+SAMPLES = (8, 200_000)
+"""Least and most samples in a window of tones with unknown phases; more than these take gigabytes."""
 
 WAVES = ("cosine", "sine")
 """Phases of an alternating current: two coils at one place, one with each, make a rotating field."""
@@ -66,6 +71,10 @@ class Drive:
         True drives the sign of the cosine in its place, as a bridge without planned set-points does.
     tau_s : float
         Time constant with which the current of the coil follows a step; with 0 it follows at once.
+    frequency_Hz : float or None
+        Frequency of a tone of unknown phase (FDMA), which need not have whole periods in a cycle.
+    phase_rad : float
+        Which of two opposite phases is meant: the one nearer to this (`goldfield.access.tones`).
     """
 
     codes: tuple[Code, ...] = ()
@@ -74,6 +83,8 @@ class Drive:
     wave: str = "cosine"
     square: bool = False
     tau_s: float = 0.0
+    frequency_Hz: float | None = None
+    phase_rad: float = 0.0
 
 
 NOTHING_ELSE = Drive()
@@ -93,6 +104,10 @@ class Plan:
         Number of time slots of a cycle (TDMA), else 0.
     square : bool
         True if tones are square waves (FDMA).
+    free : bool
+        True if tones have any frequency and an unknown phase (FDMA).
+    samples : int
+        Samples of a window, for these tones, in place of a degree; else 0.
     """
 
     access: str
@@ -100,43 +115,74 @@ class Plan:
     chip_period_s: float
     slots: int = 0
     square: bool = False
+    free: bool = False
+    samples: int = 0
 
     @property
     def chips(self) -> int:
-        """Chips in a cycle, N."""
-        return (1 << self.degree) - 1
+        """Chips in a cycle, N, or samples in a window."""
+        return self.samples or (1 << self.degree) - 1
 
 
 def read_plan(site: Table) -> Plan:
-    """Read ``degree, chip_period_s``, optionally ``access``, for TDMA ``slots``, for FDMA ``tone``.
+    """Read ``degree, chip_period_s``, optionally ``access``, for TDMA ``slots``, for FDMA ``tone, phase, samples``.
 
     Raises
     ------
     UserError
         If any value is missing or out of range.
     """
-    degree = site.integer("degree")
-    if degree not in DEGREES:
-        raise site.error("degree", f"is {degree}; Gold codes exist here for {', '.join(map(str, DEGREES))}")
+    samples = _samples(site) if "samples" in site else 0
+    degree = 0 if samples else _degree(site)
     access = site.text("access") if "access" in site else "cdma"
     if access not in ACCESS:
         raise site.error("access", f'is "{access}"; beacons are told apart by {", ".join(ACCESS)}')
     for key, owner in SITE_KEYS.items():
         if key in site and access != owner:
             raise site.error(key, f'belongs to access = "{owner}", but the access here is "{access}": leave it out')
+    phase = site.text("phase") if "phase" in site else "known"
+    if phase not in PHASES:
+        raise site.error("phase", f'is "{phase}"; phases are {" or ".join(PHASES)}')
+    if samples and phase == "known":
+        raise site.error("samples", 'is for tones with phase = "unknown": give the degree in its place')
     chip_period_s = site.positive("chip_period_s")
     if access != "tdma":
         tone = site.text("tone") if "tone" in site else "sine"
         if tone not in TONES:
             raise site.error("tone", f'is "{tone}"; tones are {" or ".join(TONES)}')
-        return Plan(access, degree, chip_period_s, square=tone == "square")
+        if tone == "square" and phase == "unknown":
+            raise site.error("tone", 'is "square", but only sines have one phase: leave out phase')
+        return Plan(access, degree, chip_period_s, square=tone == "square", free=phase == "unknown", samples=samples)
     slots, chips = site.integer("slots"), (1 << degree) - 1
     if not 1 <= slots <= chips:
         raise site.error("slots", f"is {slots}; a cycle of {chips} chips has 1 to {chips} slots")
     return Plan(access, degree, chip_period_s, slots)
 
 
-BEACON_KEYS = {"code": "cdma", "codes": "cdma", "slot": "tdma", "frequency_Hz": "fdma", "wave": "fdma"}
+def _degree(site: Table) -> int:
+    degree = site.integer("degree")
+    if degree not in DEGREES:
+        raise site.error("degree", f"is {degree}; Gold codes exist here for {', '.join(map(str, DEGREES))}")
+    return degree
+
+
+def _samples(site: Table) -> int:
+    samples, (least, most) = site.integer("samples"), SAMPLES
+    if "degree" in site:
+        raise site.error("samples", "and degree are both given: a window has so many samples, leave out degree")
+    if not least <= samples <= most:
+        raise site.error("samples", f"is {samples}; a window has {least} to {most} samples")
+    return samples
+
+
+BEACON_KEYS = {
+    "code": "cdma",
+    "codes": "cdma",
+    "slot": "tdma",
+    "frequency_Hz": "fdma",
+    "wave": "fdma",
+    "phase_rad": "fdma",
+}
 """Keys of a beacon and the access they belong to."""
 
 
@@ -160,6 +206,12 @@ def read_drive(table: Table, plan: Plan) -> tuple[int, Drive]:
         if not 0 <= slot < plan.slots:
             raise table.error("slot", f"is {slot}; the site has the slots 0 to {plan.slots - 1}")
         return NO_CODE, Drive(slot=slot, tau_s=tau_s)
+    if plan.free:
+        return NO_CODE, _free_tone(table, plan)
+    if "phase_rad" in table:
+        raise table.error(
+            "phase_rad", 'is for tones of unknown phase: leave it out, or write phase = "unknown" in [site]'
+        )
     if plan.access == "fdma":
         return NO_CODE, Drive(periods=_periods(table, plan), wave=_wave(table, plan), square=plan.square, tau_s=tau_s)
     if "codes" in table:
@@ -207,6 +259,16 @@ def _periods(table: Table, plan: Plan) -> int:
             f"such as {periods / cycle_s:.6g} Hz",
         )
     return periods
+
+
+def _free_tone(table: Table, plan: Plan) -> Drive:
+    for key in ("wave", "tau_s"):
+        if key in table:
+            raise table.error(key, "is of no use for a tone of unknown phase: leave it out")
+    frequency, half = table.positive("frequency_Hz"), 0.5 / plan.chip_period_s
+    if frequency >= half:
+        raise table.error("frequency_Hz", f"is {frequency:g}; it is below {half:g} Hz, half the rate of the samples")
+    return Drive(frequency_Hz=frequency, phase_rad=table.number("phase_rad") if "phase_rad" in table else 0.0)
 
 
 def _wave(table: Table, plan: Plan) -> str:

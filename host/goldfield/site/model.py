@@ -157,7 +157,7 @@ class Site:
     chip_period_s : float
         Duration of a chip.
     degree : int
-        Degree of the Gold codes: a cycle has ``2**degree - 1`` chips.
+        Degree of the Gold codes: a cycle has ``2**degree - 1`` chips; 0 where ``samples`` says how many.
     half_space : HalfSpace or None
     sensor : SensorSite
     beacons : tuple of Beacon
@@ -175,6 +175,8 @@ class Site:
         Sentences on values that are unusual, as lengths in millimetres are.
     metal : Metal or None
         The metal of the room, as far as a survey has learned it; each beacon has its own part of it.
+    samples : int
+        Samples of a window of tones of unknown phase, of one ``chip_period_s`` each; 0: ``degree`` says how many.
     """
 
     name: str
@@ -189,11 +191,12 @@ class Site:
     assumed: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     metal: Metal | None = None
+    samples: int = 0
 
     @property
     def chips(self) -> int:
-        """Chips in a cycle, N."""
-        return (1 << self.degree) - 1
+        """Chips in a cycle, N, or samples in a window."""
+        return self.samples or (1 << self.degree) - 1
 
     @property
     def cycle_s(self) -> float:

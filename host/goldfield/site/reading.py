@@ -32,16 +32,16 @@ def load(path: str | Path) -> Site:
       (frequencies);
     - ``slots``: only for tdma, and needed there: the number of time slots in a cycle, 1 to the number of its chips;
     - ``tone``: only for fdma: ``"sine"`` (the default) or ``"square"``;
-    - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the side of the plane
-      to which the normal points, which decides between a pose and its mirror image;
+    - ``phase``: only for fdma: ``"known"`` (the default) or ``"unknown"`` (`goldfield.access.tones`); ``samples``, how
+      many make a window, may then stand in place of ``degree``;
+    - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the normal's side;
     - ``alert_limit_m``: optional, above 0: a pose whose error could be larger through a fault of one beacon is not
       ``ok`` but ``unverified`` (`ALERT_LIMIT_M`).
 
     The table ``[sensor]`` describes the sensor:
 
     - ``noise_T``: standard deviation of one chip's sample on one axis, above 0, or a list of one for each axis;
-    - ``axes``: optional, a row an axis: its direction times its gain, in the sensor's frame (`SensorSite`);
-    - ``gain_sd``, ``axis_sd_rad``: optional, how well the gains and directions of its axes are known (`SensorSite`).
+    - ``axes``, ``gain_sd``, ``axis_sd_rad``: optional, its axes, and how well gains and directions of these are known.
 
     The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
     ``position_sd_m``, ``axis_sd_rad``, ``current_sd``; the same keys in a ``[[beacon]]`` count for that one instead.
@@ -58,14 +58,14 @@ def load(path: str | Path) -> Site:
       and ``turns``; or
     - ``points_m`` for a coil given by its wire, at least three points in the direction of a positive current;
       ``position_m``, ``axis`` and ``turns`` (default 1) may then be left out: the wire tells them; or
-    - ``shape`` for a coil as people make them, ``"rectangle"``, ``"square_spiral"``, ``"round_spiral"`` or
-      ``"solenoid"``, with ``position_m``, ``axis``, optionally ``angle_rad`` about it, and the sizes that
-      `goldfield.site.coil_shapes` needs;
+    - ``shape`` for a coil as people make them, one of `goldfield.site.coil_shapes.SHAPES`, with ``position_m``,
+      ``axis``, optionally ``angle_rad`` about it, and its sizes;
     - ``code`` for cdma: index of a Gold code, 0 to 2^degree, different for each beacon; or ``codes``, several at
       once: a list of ``{code, degree, offset, hold}``, each with the last three optional (`Code`);
     - ``slot`` for tdma: 0 to slots - 1;
     - ``frequency_Hz`` for fdma, a whole number of periods in a cycle, and optionally ``wave``, ``"cosine"`` (the
-      default) or ``"sine"``: two beacons may share a frequency, not a frequency and a wave;
+      default) or ``"sine"``: two beacons may share a frequency, not a frequency and a wave; with unknown phases any
+      frequency, and optionally ``phase_rad``;
     - ``tau_s``: optional, time constant with which the coil's current follows a step, 0 to ten chips.
 
     Parameters
@@ -111,6 +111,7 @@ def site_of(root: Table) -> Site:
         beacons=beacons,
         access=plan.access,
         slots=plan.slots,
+        samples=plan.samples,
         alert_limit_m=checked(site, "alert_limit_m", limit_m, doubts),
         assumed=_assumed(tables, sensor, survey),
         doubts=tuple(doubts),
@@ -219,7 +220,7 @@ def _half_space(table: Table) -> HalfSpace:
 
 
 BEACON_KEYS = ("id", "position_m", "axis", "turns", "radius_m", "points_m", "current_A")
-DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "tau_s")
+DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "phase_rad", "tau_s")
 
 
 def _beacon(table: Table, plan: Plan, survey: Table | None, metal: Metal | None, doubts: list[str]) -> Beacon:
