@@ -53,7 +53,9 @@ def beacon_finding(
     others, modelled = (part.reshape(3, -1)[:, row] for part in _of_one(model, measurements, fit))
     weight = measurements.inverse_sigma()
     heard = np.flatnonzero(weight[0, :, row] > 0.0)
-    slope = whitened_jacobian(model, fit.position_m, fit.rotation, Independent(weight)).reshape(6, 3, -1)[:, heard, row]
+    slope = whitened_jacobian(model, fit.position_m, fit.rotation, Independent(weight), measurements.levers).reshape(
+        6, 3, -1
+    )[:, heard, row]
     spread = slope.T @ gauss_newton_covariance(fit.information)[0] @ slope
     measured, modelled = (others + modelled)[heard], modelled[heard]
     freedom = len(heard)

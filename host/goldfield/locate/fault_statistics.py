@@ -154,7 +154,7 @@ def limits_of(beacons: int) -> Limits:
 def fault_statistics(model: FieldModel, measurements: Measurements, fit: Fit) -> FaultStatistics:
     """Compute the statistics of faults of fitted poses; the kernel in C does it where it knows the coils."""
     quick = kernel.of(model)
-    if quick is not None:
+    if quick is not None and measurements.levers is None:
         return FaultStatistics(
             *quick.faults(
                 measurements.field_T,
@@ -168,7 +168,7 @@ def fault_statistics(model: FieldModel, measurements: Measurements, fit: Fit) ->
         )
     whitening = measurements.whitening(model, fit.position_m, fit.rotation)
     residual, modelled = whitened_residual(model, measurements, fit, whitening)
-    jacobian = whitened_jacobian(model, fit.position_m, fit.rotation, whitening)
+    jacobian = whitened_jacobian(model, fit.position_m, fit.rotation, whitening, measurements.levers)
     root, _ = root_covariance(fit.information)
     rows = root.swapaxes(1, 2) @ jacobian  # (e, 6, 3n): orthonormal, but for the rounding that one Newton step removes
     straight = 1.5 * np.eye(6) - 0.5 * rows @ rows.swapaxes(1, 2)

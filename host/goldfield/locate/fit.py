@@ -15,6 +15,7 @@ from goldfield.locate import kernel
 from goldfield.locate.budget import Budget
 from goldfield.locate.least_squares import Evaluate, State, minimise
 from goldfield.locate.rotations import orthonormal, turned
+from goldfield.locate.sensor_axes import Levers
 from goldfield.locate.site_errors import SiteErrors
 from goldfield.locate.whitening import Correlated, Independent, Whitening, whitening_around
 from goldfield.types import FloatArray
@@ -122,6 +123,11 @@ class Measurements:
         """Take what was done off the budget, if there is one."""
         if self.budget is not None:
             self.budget.spend(evaluations, coils)
+
+    @property
+    def levers(self) -> Levers | None:
+        """Where the axes of the sensor read; None: all at one point."""
+        return None if self.errors is None else self.errors.levers
 
     def __len__(self) -> int:
         """Return the number of epochs."""
@@ -251,7 +257,7 @@ def fit_pose(
     quick = kernel.of(model)
     errors = measurements.errors if model_error == 0.0 else None
     iterations = measurements.affordable(len(model), iterations)
-    if quick is not None:
+    if quick is not None and (errors is None or errors.levers is None):
         position, turn, cost, information, converged, evaluations = quick.fit(
             measurements.field_T,
             measurements.sigma_T if errors is None else measurements.noise_T,
@@ -303,11 +309,10 @@ def _whitened_misfit(model: FieldModel, measurements: Measurements, whitening: C
 
     def evaluate(state: State, rows: NDArray[np.intp]) -> tuple[FloatArray, FloatArray]:
         position, attitude = state
-        jacobian, field = pose_jacobian(model, position)
-        back = attitude.swapaxes(1, 2)
+        jacobian, field = sensor_jacobian(model, position, attitude, measurements.levers)
         some = whitening.take(rows)
-        residual = measured[rows] - back @ field
-        return some(residual[:, None])[:, 0], some(back[:, None] @ jacobian)
+        residual = measured[rows] - field
+        return some(residual[:, None])[:, 0], some(jacobian)
 
     return evaluate
 
@@ -364,20 +369,48 @@ def pose_jacobian(model: FieldModel, position_m: FloatArray) -> tuple[FloatArray
     return jacobian, field.swapaxes(0, 1)
 
 
+def sensor_jacobian(
+    model: FieldModel, position_m: FloatArray, rotation: FloatArray, levers: Levers | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return Jacobian and fields as `pose_jacobian` does, in the sensor's frame, read where its axes are.
+
+    At the place p + R l the field also changes as a turn moves the place: by G (d_theta x R l).
+    """
+    back = rotation.swapaxes(1, 2)
+    if levers is None:
+        jacobian, field = pose_jacobian(model, position_m)
+        return back[:, None] @ jacobian, back @ field
+    total, read = np.zeros((len(position_m), 6, 3, len(model))), np.zeros((len(position_m), 3, len(model)))
+    for lever, part in zip(levers.lever_m, levers.part, strict=True):
+        arm = rotation @ lever
+        jacobian, field = pose_jacobian(model, position_m + arm)
+        shift = np.cross(np.eye(3)[:, None], arm)  # by a turn about each axis: shape (3, e, 3)
+        jacobian[:, 3:] += np.einsum("kel,elcn->ekcn", shift, jacobian[:, :3])
+        total += (part @ back)[:, None] @ jacobian
+        read += part @ back @ field
+    return total, read
+
+
 def whitened_jacobian(
-    model: FieldModel, position_m: FloatArray, rotation: FloatArray, whitening: Whitening
+    model: FieldModel,
+    position_m: FloatArray,
+    rotation: FloatArray,
+    whitening: Whitening,
+    levers: Levers | None = None,
 ) -> FloatArray:
     """Return the whitened Jacobian of the components in the sensor's frame, shape (e, 6, 3n)."""
-    jacobian, _ = pose_jacobian(model, position_m)
-    return whitening(rotation.swapaxes(1, 2)[:, None] @ jacobian)
+    return whitening(sensor_jacobian(model, position_m, rotation, levers)[0])
 
 
 def whitened_residual(
     model: FieldModel, measurements: Measurements, fit: Fit, whitening: Whitening
 ) -> tuple[FloatArray, FloatArray]:
     """Return the whitened residuals, shape (e, 3n), and the modelled components, shape (e, 3, n), T."""
-    field, _ = kernel.evaluate(model, fit.position_m.T)
-    modelled = fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)
+    if measurements.levers is None:
+        field, _ = kernel.evaluate(model, fit.position_m.T)
+        modelled = fit.rotation.swapaxes(1, 2) @ field.swapaxes(0, 1)
+    else:
+        _, modelled = sensor_jacobian(model, fit.position_m, fit.rotation, measurements.levers)
     measured = measurements.filled_T.swapaxes(1, 2)
     residual = whitening(measured[:, None]) - whitening(modelled[:, None])
     return residual[:, 0], modelled

@@ -75,3 +75,41 @@ def axes_of(sensor: SensorSite) -> SensorAxes | None:
     inverse, shape = np.full((3, 3), np.nan), np.eye(3)
     inverse[:count, :count], shape[:count, :count] = inner, covariance / variance
     return SensorAxes(inverse, count, float(np.sqrt(variance)), shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Levers:
+    """The places at which the axes of a sensor read; `levers_of` makes them of a site file.
+
+    The components are B = sum over places of ``part[g] @ B(place g)``, with parts that sum up to the identity.
+
+    Attributes
+    ----------
+    lever_m : ndarray, shape (g, 3)
+        From the sensor's reference point, in its frame.
+    part : ndarray, shape (g, 3, 3)
+    """
+
+    lever_m: FloatArray
+    part: FloatArray
+
+    @property
+    def reach_m(self) -> float:
+        """Length of the longest lever."""
+        return float(np.linalg.norm(self.lever_m, axis=1).max())
+
+
+def levers_of(sensor: SensorSite) -> Levers | None:
+    """Return the places at which a site's sensor reads; None if all its axes read at the reference point."""
+    if sensor.lever_m is None:
+        return None
+    count = len(sensor.lever_m)
+    axes = np.eye(3)
+    if sensor.axes is not None:
+        axes[:count] = sensor.axes
+    lever = np.zeros((3, 3))
+    lever[:count] = sensor.lever_m
+    places, place_of = np.unique(lever, axis=0, return_inverse=True)
+    part = np.zeros((len(places), 3, 3))
+    np.add.at(part, place_of.ravel(), np.linalg.inv(axes).T[:, :, None] * axes[:, None, :])
+    return Levers(places, part)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate.rotations import skew
-from goldfield.locate.sensor_axes import axes_of
+from goldfield.locate.sensor_axes import Levers, axes_of, levers_of
 from goldfield.site import Beacon, SensorSite
 from goldfield.site.model import EXACT
 from goldfield.types import FloatArray
@@ -36,6 +36,8 @@ class SiteErrors:
     gain_sd, sensor_axis_sd_rad : float
     noise_shape : ndarray, shape (3, 3), or None
         Covariance of the noise of a field's components over their variance (`SensorAxes`); None: the identity.
+    levers : Levers or None
+        Where the sensor's axes read, which is known: fits model it, a search takes it for an error.
     """
 
     position_sd_m: FloatArray
@@ -44,6 +46,7 @@ class SiteErrors:
     gain_sd: float
     sensor_axis_sd_rad: float
     noise_shape: FloatArray | None = None
+    levers: Levers | None = None
 
     @property
     def common_turn_rad2(self) -> float:
@@ -53,7 +56,7 @@ class SiteErrors:
     def subset(self, rows: NDArray[np.intp]) -> SiteErrors:
         """Return the errors of some of the beacons."""
         each = (self.position_sd_m[rows], self.axis_sd_rad[rows], self.current_sd[rows])
-        return SiteErrors(*each, self.gain_sd, self.sensor_axis_sd_rad, self.noise_shape)
+        return SiteErrors(*each, self.gain_sd, self.sensor_axis_sd_rad, self.noise_shape, self.levers)
 
     def isotropic(self, model: FieldModel, magnitude_T: FloatArray) -> FloatArray:
         """Return a standard deviation of each component by these errors, from magnitudes alone, T, shape (e, n).
@@ -64,14 +67,17 @@ class SiteErrors:
         moment = np.linalg.norm(model.moment_A_m2, axis=1)
         with np.errstate(divide="ignore"):
             range_m = np.maximum((1.5e-7 * moment / magnitude_T) ** (1.0 / 3.0), model.reach_m)
-        of_beacon = (4.0 * self.position_sd_m / range_m) ** 2 + 3.0 * self.axis_sd_rad**2 + self.current_sd**2
+        moved_m = self.position_sd_m
+        if self.levers is not None:
+            moved_m = np.hypot(moved_m, self.levers.reach_m / np.sqrt(3.0))
+        of_beacon = (4.0 * moved_m / range_m) ** 2 + 3.0 * self.axis_sd_rad**2 + self.current_sd**2
         of_sensor = self.gain_sd**2 + 2.0 * self.sensor_axis_sd_rad**2
         return np.asarray(magnitude_T * np.sqrt((of_beacon + of_sensor) / 3.0))
 
 
 def errors_of(beacons: tuple[Beacon, ...], sensor: SensorSite) -> SiteErrors | None:
-    """Return the errors that a site declares; None if everything is exact and noise alike on all axes."""
-    axes = axes_of(sensor)
+    """Return the errors that a site declares; None if all is exact and the sensor's axes are alike, at one point."""
+    axes, levers = axes_of(sensor), levers_of(sensor)
     surveys = [beacon.survey for beacon in beacons]
     errors = SiteErrors(
         np.array([survey.position_sd_m for survey in surveys]),
@@ -80,9 +86,10 @@ def errors_of(beacons: tuple[Beacon, ...], sensor: SensorSite) -> SiteErrors | N
         sensor.gain_sd,
         sensor.axis_sd_rad,
         None if axes is None else axes.noise_shape,
+        levers,
     )
     exact = all(survey == EXACT for survey in surveys) and not (sensor.gain_sd or sensor.axis_sd_rad)
-    return None if exact and axes is None else errors
+    return None if exact and axes is None and levers is None else errors
 
 
 def effects_of_beacons(

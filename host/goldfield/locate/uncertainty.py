@@ -19,7 +19,7 @@ from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.fit import Measurements, whitened_jacobian
 from goldfield.locate.rotations import turned
-from goldfield.locate.sensor_axes import axes_of
+from goldfield.locate.sensor_axes import axes_of, levers_of
 from goldfield.locate.site_errors import SiteErrors, errors_of
 from goldfield.locate.whitening import Independent, Whitening, whitening_around
 from goldfield.site import Site
@@ -87,7 +87,7 @@ def second_order_covariance(
         Mean square error of position (m) and a small rotation in the site's frame (rad); positive definite.
     """
     quick = kernel.of(model)
-    if quick is not None:
+    if quick is not None and measurements.levers is None:
         return quick.covariance(
             measurements.field_T,
             measurements.noise_T,
@@ -100,14 +100,14 @@ def second_order_covariance(
         )
     whitening = measurements.whitening(model, position_m, rotation)
     # In the sensor's frame, where the noise is: in the site's a turn would also turn the frame.
-    tangent = whitened_jacobian(model, position_m, rotation, whitening)
+    tangent = whitened_jacobian(model, position_m, rotation, whitening, measurements.levers)
     root, free = root_covariance(tangent @ tangent.swapaxes(1, 2))
     back = tangent.swapaxes(1, 2) @ root  # whitened derivatives along the principal axes: orthonormal columns
     # One standard deviation ahead and back along each axis, all in one evaluation: (axis and sign, epoch).
     count = len(position_m)
     step = np.concatenate([root, -root], axis=2).transpose(2, 0, 1).reshape(12 * count, 6)
     moved = np.tile(position_m, (12, 1)) + step[:, :3], turned(np.tile(rotation, (12, 1, 1)), step[:, 3:])
-    displaced = whitened_jacobian(model, *moved, whitening.tiled(12)).reshape(2, 6, count, 6, -1)
+    displaced = whitened_jacobian(model, *moved, whitening.tiled(12), measurements.levers).reshape(2, 6, count, 6, -1)
     q = (0.5 * (root.swapaxes(1, 2) @ (displaced[0] - displaced[1])) @ back).swapaxes(0, 1)
     q = 0.5 * (q + q.swapaxes(1, 2))
     mean = np.einsum("eiik->ek", q)
@@ -163,7 +163,7 @@ def cramer_rao_bound(
     whitening: Whitening = Independent((1.0 / sigma).swapaxes(1, 2))
     if errors is not None:
         whitening = whitening_around(model, errors, sigma, position_m, turn)
-    jacobian = whitened_jacobian(model, position_m, turn, whitening)
+    jacobian = whitened_jacobian(model, position_m, turn, whitening, levers_of(site.sensor))
     return gauss_newton_covariance(jacobian @ jacobian.swapaxes(1, 2)) + _common_turn(errors)
 
 

@@ -103,6 +103,10 @@ class _Each:
         self._observer = EpochObserver(site)
 
     def pose(self, fields: Fields) -> Pose:
+        if (
+            self._site.sensor.lever_m is not None
+        ):  # the history takes all axes to be at one point: it would blame beacons
+            return locate(self._site, fields)
         named = self._witness.named
         pose = locate(self._site, without(fields, named))
         judgement = None

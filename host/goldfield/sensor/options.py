@@ -78,10 +78,11 @@ class Options:
             raise UserError(f"{option('node', self.node)}: is no node: nodes are 1 to {LAST_NODE}")
         if self.method is not Method.ON_SENSOR:
             return
-        if site.sensor.axes is not None or site.sensor.noise_ratio is not None:
+        told = (site.sensor.axes, site.sensor.noise_ratio, site.sensor.lever_m)
+        if any(part is not None for part in told):
             raise UserError(
                 f"site {site.name}: a sensor that computes its own pose takes what its axes read for the field and "
-                f"knows no axes and no noise of each, as [sensor] of the site file has: leave out {option('on_sensor')}"
+                f"knows no axes, levers or noise of each, as the site file has them: leave out {option('on_sensor')}"
             )
         own_codes = site.access == "cdma" and len(set(site.codes)) == len(site.beacons)
         code_v = (

@@ -59,6 +59,8 @@ class SensorSite:
         second in the plane of x and y. None: the identity.
     noise_ratio : ndarray, shape (k,), or None
         Noise of each axis over ``noise_T``. None: alike.
+    lever_m : ndarray, shape (k, 3), or None
+        Where each axis reads, from the sensor's reference point, in its frame. None: all at that point.
     """
 
     noise_T: float
@@ -66,6 +68,7 @@ class SensorSite:
     axis_sd_rad: float = 0.0
     axes: FloatArray | None = None
     noise_ratio: FloatArray | None = None
+    lever_m: FloatArray | None = None
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ def load(path: str | Path) -> Site:
     The table ``[sensor]`` describes the sensor:
 
     - ``noise_T``: standard deviation of one chip's sample on one axis, above 0, or a list of one for each axis;
-    - ``axes``, ``gain_sd``, ``axis_sd_rad``: optional, its axes, and how well gains and directions of these are known.
+    - ``axes``, ``lever_m``, ``gain_sd``, ``axis_sd_rad``: optional, see `SensorSite`.
 
     The optional table ``[survey]`` says how well position, axis and current of all beacons are known (`Survey`):
     ``position_sd_m``, ``axis_sd_rad``, ``current_sd``; the same keys in a ``[[beacon]]`` count for that one instead.
@@ -130,7 +130,10 @@ SURVEY_LIMITS = {"position_sd_m": (1.0, " m"), "axis_sd_rad": (0.5, " rad"), "cu
 SENSOR_LIMITS = {"gain_sd": (0.5, ""), "axis_sd_rad": (0.5, " rad")}
 """Least values that are refused, with their units: with errors this large the model holds nowhere."""
 
-SENSOR_KEYS = ("noise_T", "axes", *SENSOR_LIMITS)
+SENSOR_KEYS = ("noise_T", "axes", "lever_m", *SENSOR_LIMITS)
+
+LONGEST_LEVER_M = 0.3
+"""The search takes all axes to be at one point and finds no pose where their levers are not small against the room."""
 
 LARGEST_CONDITION = 100.0
 """Largest ratio of what the sensor's axes read of a field along its best and its worst direction: more is a mistake."""
@@ -159,7 +162,19 @@ def _sensor(table: Table, doubts: list[str]) -> SensorSite:
         axis_sd_rad=_deviation(table, "axis_sd_rad", SENSOR_LIMITS) if "axis_sd_rad" in table else ASSUMED_AXIS_SD_RAD,
         axes=axes,
         noise_ratio=noise_ratio,
+        lever_m=_levers(table, 3 if axes is None else len(axes)) if "lever_m" in table else None,
     )
+
+
+def _levers(table: Table, axes: int) -> FloatArray | None:
+    """Return where the axes read; None if it is the reference point."""
+    lever = table.vectors("lever_m")
+    if len(lever) != axes:
+        raise table.error("lever_m", f"has {len(lever)} rows; the sensor has {axes} axes: give the place of each")
+    longest = float(np.linalg.norm(lever, axis=1).max())
+    if longest >= LONGEST_LEVER_M:
+        raise table.error("lever_m", f"has one of {longest:g} m; levers are below {LONGEST_LEVER_M:g} m")
+    return lever if longest > 0.0 else None
 
 
 def _noise(table: Table, axes: int, doubts: list[str]) -> tuple[float, FloatArray | None]:

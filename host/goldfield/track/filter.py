@@ -20,7 +20,7 @@ from goldfield.track.continuity import Hemisphere, joined, time_break
 from goldfield.track.estimate import SEARCH_TOLERANCE, TOLERANCE, Belief, Estimate, estimate
 from goldfield.track.faults import Judgement, judged
 from goldfield.track.motion import RATE, Agility, Observation, standing
-from goldfield.track.observe import EpochObserver, Observer, T
+from goldfield.track.observe import EpochObserver, Observer, T, check_levers
 from goldfield.track.report import Reporter
 from goldfield.types import Explanation, Fields, Finding, FloatArray, Pose, Status
 
@@ -120,7 +120,7 @@ class Tracker(Generic[T]):
     Raises
     ------
     UserError
-        If the beacons of the site cannot be told apart.
+        If the beacons of the site cannot be told apart, or the sensor's axes are not at one point.
 
     Examples
     --------
@@ -141,6 +141,7 @@ class Tracker(Generic[T]):
     def __init__(self, site: Site, observer: Observer[T], agility: Agility | None = None) -> None: ...
 
     def __init__(self, site: Site, observer: Observer[Any] | None = None, agility: Agility | None = None) -> None:
+        check_levers(site)
         self._site = site
         self._observer: Observer[Any] = EpochObserver(site) if observer is None else observer
         self._agility = Agility() if agility is None else agility

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from goldfield.access.moving import Cycle, Reduction, node_times, separation_weights
 from goldfield.access.of_site import SiteAccess
 from goldfield.access.waveform import site_templates
+from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.locate.sensor_axes import axes_of
@@ -111,6 +112,21 @@ class _Separation:
     seen: FloatArray
     sweep: FloatArray
     deviations: Deviations | None
+
+
+def check_levers(site: Site) -> None:
+    """Check that the sensor's axes read at one point, as what the data of a moving sensor tell is modelled.
+
+    Raises
+    ------
+    UserError
+        If they do not.
+    """
+    if site.sensor.lever_m is not None:
+        raise UserError(
+            f"site {site.name}: a track takes all axes of the sensor to be at one point, but [sensor] has lever_m: "
+            "leave out --track, or lever_m if it is small"
+        )
 
 
 class EpochObserver:
@@ -218,6 +234,7 @@ class CycleObserver:
     """
 
     def __init__(self, site: Site, parts: int | None = None) -> None:
+        check_levers(site)
         self._model = FieldModel(site.beacons)
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._locator = Locator(site)
