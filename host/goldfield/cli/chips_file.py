@@ -68,9 +68,7 @@ def read_cycles(site: Site, path: str) -> Iterator[ChipCycle]:
     cycles, rest = divmod(count, site.chips)
     if cycles == 0:
         length = f"degree {site.degree}" if site.degree else "samples"
-        raise UserError(
-            f"{name_of(path)}: has {counted(count, 'chips')}, fewer than a cycle's {site.chips} ({length})"
-        )
+        raise UserError(f"{name_of(path)}: has {counted(count, 'chips')}, fewer than a cycle's {site.chips} ({length})")
     if rest:
         tell(f"{name_of(path)}: is no whole number of cycles: at its end {counted(rest, 'chips were left out')}")
 
