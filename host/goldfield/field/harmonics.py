@@ -120,3 +120,28 @@ def field_norms(degree: int) -> FloatArray:
     factor: FloatArray = 1.0 / np.sqrt(np.array(squares))
     factor.flags.writeable = False
     return factor
+
+
+def harmonic_fields(point: FloatArray, degree: int) -> FloatArray:
+    """Return the fields of the harmonics from degree 1 on, each of a root mean square of 1 over the unit sphere.
+
+    Parameters
+    ----------
+    point : ndarray, shape (3, ...)
+        Without unit.
+    degree : int
+        1 or more.
+
+    Returns
+    -------
+    field : ndarray, shape (3, (degree + 1)^2 - 1, ...)
+
+    Examples
+    --------
+    Those of degree 1 are constant:
+
+    >>> harmonic_fields(np.array([0.3, 0.2, 0.1]), 1).T.round(12).tolist()
+    [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    """
+    sums = derivative_matrices(degree)[:, 1:, : degree**2] * field_norms(degree)[:, None]
+    return np.asarray(np.einsum("akt,t...->ak...", sums, harmonic_values(point, degree - 1)))

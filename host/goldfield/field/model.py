@@ -115,13 +115,14 @@ class FieldModel:
         gradient_T_m : ndarray, shape (3, 3, ..., n)
             Row i, column j: dB_i/dp_j.
         """
-        field, gradient = self._evaluate_coils(point_m)
+        field, gradient = self.evaluate_coils(point_m)
         if self.metal is not None:
             of_metal = self.metal.evaluate(point_m)
             field, gradient = field + of_metal[0], gradient + of_metal[1]
         return field, gradient
 
-    def _evaluate_coils(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def evaluate_coils(self, point_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the same of the coils alone, without what metal adds."""
         point = point_m[..., None]
         if len(self._loops) == len(self):
             return loop(point - self._shaped(self._centre, point), *self._loop_arguments(point))

@@ -153,7 +153,10 @@ def _anchors(
     heard = weight > 0.0  # at its own centre a coil's field has no use
     parts = type(parts)(
         np.where(heard, parts.residual, 0.0),
-        *(np.where(heard[..., None], values, 0.0) for values in (parts.pose, parts.beacon, parts.sensor)),
+        *(
+            np.where(heard[..., None], values, 0.0)
+            for values in (parts.pose, parts.beacon, parts.sensor, parts.harmonics, parts.bodies)
+        ),
     )
     squares = ((parts.residual * weight) ** 2).sum(axis=(1, 2))
     loss, share = _loss(squares, problem.anchors.count, robust)

@@ -11,8 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
+from goldfield.survey.metal import effects_of_bodies, effects_of_harmonics
 from goldfield.survey.parameters import BEACON, COLUMNS, ROWS, SENSOR, TERMS, State, across
 from goldfield.types import FloatArray
 
@@ -57,12 +59,18 @@ class Derivatives:
         By the parameters of the beacon.
     sensor : ndarray, shape (e, n, 3, 9)
         By those of the sensor.
+    harmonics : ndarray, shape (e, n, 3, C)
+        By the metal's polynomials of the beacon.
+    bodies : ndarray, shape (e, n, 3, 9 k)
+        By the metal's bodies.
     """
 
     residual: FloatArray
     pose: FloatArray
     beacon: FloatArray
     sensor: FloatArray
+    harmonics: FloatArray
+    bodies: FloatArray
 
 
 def derivatives(
@@ -81,8 +89,11 @@ def derivatives(
     point_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
         Poses of the sensor.
     """
-    field, gradient = model.evaluate(np.ascontiguousarray(point_m.T))
+    point = np.ascontiguousarray(point_m.T)
+    field, gradient = model.evaluate(point)
+    of_coil = (field, gradient) if model.metal is None else model.evaluate_coils(point)
     field, gradient = field.transpose(1, 2, 0), gradient.transpose(2, 3, 0, 1)  # (e, n, 3), (e, n, 3, 3)
+    coil_field, coil_gradient = of_coil[0].transpose(1, 2, 0), of_coil[1].transpose(2, 3, 0, 1)
     bare = axes @ rotation.swapaxes(1, 2)
     rows = (state.matrix() @ bare)[:, None]  # (e, 1, c, 3)
     slope = rows @ gradient
@@ -90,13 +101,22 @@ def derivatives(
     arm = (point_m[:, None] - state.position_m)[:, :, None]
     reading = (rows @ field[..., None])[..., 0]
     beacon = np.empty((*field.shape, BEACON))
-    beacon[..., :3] = -slope
-    beacon[..., 3:5] = (_cross(slope, arm) - turn) @ across(state.axis).swapaxes(1, 2)
+    by_coil = rows @ coil_gradient
+    beacon[..., :3] = -by_coil
+    by_turn = _cross(by_coil, arm) - _cross(rows, coil_field[:, :, None])
+    beacon[..., 3:5] = by_turn @ across(state.axis).swapaxes(1, 2)
     beacon[..., 5] = reading
     sensor = np.zeros((*field.shape, SENSOR))
     sensor[:, :, ROWS, np.arange(TERMS)] = (bare[:, None] @ field[..., None])[..., 0][:, :, COLUMNS]
     sensor[:, :, :, TERMS:] = np.eye(3)
-    return Derivatives(field_T - reading - state.offset_T, np.concatenate([slope, turn], axis=3), beacon, sensor)
+    return Derivatives(
+        field_T - reading - state.offset_T,
+        np.concatenate([slope, turn], axis=3),
+        beacon,
+        sensor,
+        rows @ effects_of_harmonics(state.metal, np.exp(state.log_current), point_m),
+        rows @ effects_of_bodies(state.metal, model, point_m),
+    )
 
 
 def _cross(left: FloatArray, right: FloatArray) -> FloatArray:
@@ -163,7 +183,7 @@ class Equations:
             back = np.linalg.inv(np.linalg.cholesky(own))
             crossed = back @ group.cross
             known = (back @ group.gradient[..., None])[..., 0]
-            flat = crossed.reshape(-1, crossed.shape[2])
+            flat = crossed.reshape(crossed.shape[0] * crossed.shape[1], crossed.shape[2])
             matrix = matrix - flat.T @ flat
             vector = vector - flat.T @ known.ravel()
             parts.append((back.swapaxes(1, 2), crossed, known))
@@ -202,6 +222,15 @@ def _unit(matrix: FloatArray, scale: FloatArray) -> FloatArray:
     return np.asarray(unit + np.diag(np.where(scale > 0.0, 1e-13, 1.0)))
 
 
+def _order(beacons: int, harmonics: int, bodies: int) -> NDArray[np.intp]:
+    """Return where the common unknowns stand while those of a beacon are together, then those of sensor and bodies."""
+    width = BEACON + harmonics
+    blocks = np.arange(beacons * width).reshape(beacons, width)
+    shared = beacons * width + np.arange(SENSOR + bodies)
+    parts = (blocks[:, :BEACON].ravel(), shared[:SENSOR], blocks[:, BEACON:].ravel(), shared[SENSOR:])
+    return np.concatenate(parts)
+
+
 def walk_equations(parts: Derivatives, weight: FloatArray) -> tuple[FloatArray, FloatArray, Group]:
     """Return the normal equations of the sensor's epochs: common matrix, common gradient, and their group.
 
@@ -213,29 +242,33 @@ def walk_equations(parts: Derivatives, weight: FloatArray) -> tuple[FloatArray, 
     """
     epochs, beacons = weight.shape[:2]
     residual = parts.residual * weight
-    pose, beacon, sensor = (values * weight[..., None] for values in (parts.pose, parts.beacon, parts.sensor))
-    count = BEACON * beacons
-    size = count + SENSOR
+    pose = parts.pose * weight[..., None]
+    own_part = np.concatenate([parts.beacon, parts.harmonics], axis=3) * weight[..., None]
+    shared = np.concatenate([parts.sensor, parts.bodies], axis=3) * weight[..., None]
+    width, rest = own_part.shape[3], shared.shape[3]
+    count = width * beacons
+    size = count + rest
     common, gradient = np.zeros((size, size)), np.zeros(size)
-    by_beacon = beacon.transpose(1, 0, 2, 3).reshape(beacons, 3 * epochs, BEACON)
-    sensor_too = sensor.transpose(1, 0, 2, 3).reshape(beacons, 3 * epochs, SENSOR)
+    by_beacon = own_part.transpose(1, 0, 2, 3).reshape(beacons, 3 * epochs, width)
+    shared_too = shared.transpose(1, 0, 2, 3).reshape(beacons, 3 * epochs, rest)
     of_beacons = by_beacon.swapaxes(1, 2) @ by_beacon
     for i in range(beacons):
-        place = slice(BEACON * i, BEACON * (i + 1))
+        place = slice(width * i, width * (i + 1))
         common[place, place] = of_beacons[i]
-    common[:count, count:] = (by_beacon.swapaxes(1, 2) @ sensor_too).reshape(count, SENSOR)
+    common[:count, count:] = (by_beacon.swapaxes(1, 2) @ shared_too).reshape(count, rest)
     common[count:, :count] = common[:count, count:].T
-    flat = sensor.reshape(-1, SENSOR)
+    flat = shared.reshape(-1, rest)
     common[count:, count:] = flat.T @ flat
-    gradient[:count] = np.einsum("encp,enc->np", beacon, residual).ravel()
+    gradient[:count] = np.einsum("encp,enc->np", own_part, residual).ravel()
     gradient[count:] = flat.T @ residual.ravel()
     of_pose = pose.reshape(epochs, 3 * beacons, 6).swapaxes(1, 2)
     cross = np.empty((epochs, 6, size))
-    cross[:, :, :count] = (pose.swapaxes(2, 3) @ beacon).transpose(0, 2, 1, 3).reshape(epochs, 6, count)
-    cross[:, :, count:] = of_pose @ sensor.reshape(epochs, 3 * beacons, SENSOR)
+    cross[:, :, :count] = (pose.swapaxes(2, 3) @ own_part).transpose(0, 2, 1, 3).reshape(epochs, 6, count)
+    cross[:, :, count:] = of_pose @ shared.reshape(epochs, 3 * beacons, rest)
     own = of_pose @ of_pose.swapaxes(1, 2)
     own_gradient = (of_pose @ residual.reshape(epochs, 3 * beacons, 1))[..., 0]
-    return common, gradient, Group(own, cross, own_gradient)
+    order = _order(beacons, parts.harmonics.shape[3], parts.bodies.shape[3])
+    return common[np.ix_(order, order)], gradient[order], Group(own, cross[:, :, order], own_gradient)
 
 
 def anchor_equations(
@@ -252,11 +285,15 @@ def anchor_equations(
         The beacon where each anchor's sensor stands.
     """
     anchors, beacons = weight.shape[:2]
-    size = BEACON * beacons + SENSOR
+    harmonics = parts.harmonics.shape[3]
+    first = BEACON * beacons + SENSOR
+    size = first + harmonics * beacons + parts.bodies.shape[3]
     residual = (parts.residual * weight).reshape(anchors, -1)
     common = np.zeros((anchors, beacons, 3, size))
     for i in range(beacons):
         common[:, i, :, BEACON * i : BEACON * (i + 1)] = parts.beacon[:, i]
+        common[:, i, :, first + harmonics * i : first + harmonics * (i + 1)] = parts.harmonics[:, i]
+    common[..., first + harmonics * beacons :] = parts.bodies
     for a, row in enumerate(beacon_rows):
         common[a, :, :, BEACON * row : BEACON * row + 3] += parts.pose[a, :, :, :3]
     common = (common * weight[..., None]).reshape(anchors, -1, size)

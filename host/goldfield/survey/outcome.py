@@ -72,7 +72,8 @@ def found_site(solution: Solution) -> Site:
         sensor = replace(sensor, axis_sd_rad=float(own[3:TERMS].max() / np.sqrt(2.0)))
     if free[0] or free[3]:
         sensor = replace(sensor, axes=solution.state.matrix() @ problem.axes)
-    return replace(problem.site, beacons=tuple(beacons), sensor=sensor, assumed=())
+    metal = beacons[0].metal.metal if beacons[0].metal is not None else None
+    return replace(problem.site, beacons=tuple(beacons), sensor=sensor, assumed=(), metal=metal)
 
 
 def _without_common_gain(solution: Solution) -> FloatArray:

@@ -2,8 +2,8 @@
 
 The vector of what all epochs have in common holds six numbers a beacon, its place (m), the turn of its coil (rad, three
 numbers about the site's axes of which the part along the coil's axis does nothing and is left out) as two turns across
-the axis, and the logarithm of its current; then the sensor's six terms of gain and tilt, its offset and the lever arms
-of its axes. The sensor reads
+the axis, and the logarithm of its current; then the sensor's six terms of gain and tilt, and its offset; then metal
+(`goldfield.survey.metal`). The sensor reads
 
     y = (I + E) A R' B + o,
 
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from goldfield.locate.rotations import orthonormal, turned
 from goldfield.site import Beacon, Site
 from goldfield.survey.data import Free
+from goldfield.survey.metal import MetalState, no_metal
 from goldfield.types import FloatArray
 
 BEACON = 6
@@ -55,6 +56,7 @@ class State:
         Pose of the sensor in each epoch.
     anchor_rotation : ndarray, shape (a, 3, 3)
         Attitude of each anchor's sensor.
+    metal : MetalState
     """
 
     position_m: FloatArray
@@ -65,6 +67,7 @@ class State:
     sensor_m: FloatArray
     rotation: FloatArray
     anchor_rotation: FloatArray
+    metal: MetalState
 
     def matrix(self) -> FloatArray:
         """Return I + E, shape (3, 3)."""
@@ -77,13 +80,13 @@ class State:
 
         Parameters
         ----------
-        common : ndarray, shape (6 n + 9,)
+        common : ndarray, shape (g,)
         poses : ndarray, shape (e, 6)
             Shift and turn, in the site's frame.
         anchors : ndarray, shape (a, 3)
         """
         count = len(self.position_m)
-        of_beacons, of_sensor = common[: BEACON * count].reshape(count, BEACON), common[BEACON * count :]
+        of_beacons, of_sensor = common[: BEACON * count].reshape(count, BEACON), common[BEACON * count :][:SENSOR]
         turn = np.einsum("nji,nj->ni", across(self.axis), of_beacons[:, 3:5])
         axis = np.einsum("nij,nj->ni", turned(np.broadcast_to(np.eye(3), (count, 3, 3)).copy(), turn), self.axis)
         return State(
@@ -95,6 +98,7 @@ class State:
             self.sensor_m + poses[:, :3],
             orthonormal(turned(self.rotation, poses[:, 3:])),
             orthonormal(turned(self.anchor_rotation, anchors)),
+            self.metal.moved(common[BEACON * count + SENSOR :]),
         )
 
     def of_epochs(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> State:
@@ -118,8 +122,8 @@ def turn_between(before: FloatArray, after: FloatArray) -> FloatArray:
     return np.asarray(normal * (angle / np.maximum(sine, 1e-300))[:, None])
 
 
-def start_of(site: Site, epochs: int, anchors: int) -> State:
-    """Return the state that the site describes, with poses at the origin."""
+def start_of(site: Site, epochs: int, anchors: int, metal: MetalState | None = None) -> State:
+    """Return the state that the site describes, with poses at the origin and metal as given."""
     return State(
         position_m=np.array([beacon.position_m for beacon in site.beacons]),
         axis=np.array([beacon.axis for beacon in site.beacons]),
@@ -129,6 +133,7 @@ def start_of(site: Site, epochs: int, anchors: int) -> State:
         sensor_m=np.zeros((epochs, 3)),
         rotation=np.broadcast_to(np.eye(3), (epochs, 3, 3)).copy(),
         anchor_rotation=np.broadcast_to(np.eye(3), (anchors, 3, 3)).copy(),
+        metal=no_metal(len(site.beacons)) if metal is None else metal,
     )
 
 
@@ -136,7 +141,7 @@ def beacons_of(site: Site, state: State) -> tuple[Beacon, ...]:
     """Return the beacons as a state has them: coils given by their wire are moved and turned as they are."""
     turn = turn_between(np.array([beacon.axis for beacon in site.beacons]), state.axis)
     rotation = turned(np.broadcast_to(np.eye(3), (len(turn), 3, 3)).copy(), turn)
-    return tuple(
+    coils = tuple(
         replace(
             beacon,
             position_m=state.position_m[i],
@@ -148,6 +153,7 @@ def beacons_of(site: Site, state: State) -> tuple[Beacon, ...]:
         )
         for i, beacon in enumerate(site.beacons)
     )
+    return coils if state.metal.is_none else state.metal.added_to(site.beacons, coils, state.metal.metal())
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,9 +162,9 @@ class Prior:
 
     Attributes
     ----------
-    free : ndarray of bool, shape (6 n + 9,)
+    free : ndarray of bool, shape (g,)
         The parameters that are estimated.
-    sd : ndarray, shape (6 n + 9,)
+    sd : ndarray, shape (g,)
         Their standard deviations; infinite for what is not estimated.
     start : State
         The values that they are around.
@@ -169,11 +175,12 @@ class Prior:
     start: State
 
     def residual(self, state: State) -> FloatArray:
-        """Return the deviations from what was known over their standard deviations, shape (6 n + 9,)."""
+        """Return the deviations from what was known over their standard deviations, shape (g,)."""
         turn = np.einsum("nij,nj->ni", across(state.axis), turn_between(self.start.axis, state.axis))
         of_beacons = np.column_stack([state.position_m - self.start.position_m, turn, state.log_current])
         of_sensor = np.concatenate([state.terms, state.offset_T])
-        return np.concatenate([of_beacons.ravel(), of_sensor]) / self.sd
+        of_metal = state.metal.vector() - self.start.metal.vector()
+        return np.concatenate([of_beacons.ravel(), of_sensor, of_metal]) / self.sd
 
 
 def default_free(site: Site) -> frozenset[Free]:
@@ -189,8 +196,10 @@ def default_free(site: Site) -> frozenset[Free]:
     return frozenset(kind for kind, is_free in uncertain.items() if is_free)
 
 
-def prior_of(site: Site, free: frozenset[Free], start: State) -> Prior:
-    """Return what the site knows; a kind that is to be found and is called exact everywhere is taken as unknown.
+def prior_of(site: Site, free: frozenset[Free], start: State, field_T: FloatArray) -> Prior:
+    """Return what the site knows; ``field_T`` is as in `MetalState.sd`.
+
+    A kind that is to be found and is called exact everywhere is taken as unknown.
 
     So is one that is merely assumed, since the file is silent: the assumption is that of a careful survey.
     """
@@ -214,5 +223,5 @@ def prior_of(site: Site, free: frozenset[Free], start: State) -> Prior:
     tilt = of_kind(Free.TILT, "[sensor] axis_sd_rad", lean, UNKNOWN_TILT_RAD)
     offset = of_kind(Free.OFFSET, "offset", np.zeros(3), UNKNOWN_OFFSET_T)
     of_beacons = np.column_stack([position, position, position, axis, axis, current])
-    sd = np.concatenate([of_beacons.ravel(), gain, tilt, offset])
+    sd = np.concatenate([of_beacons.ravel(), gain, tilt, offset, start.metal.sd(field_T)])
     return Prior(np.isfinite(sd), sd, start)

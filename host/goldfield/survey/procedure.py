@@ -18,8 +18,9 @@ from goldfield.survey.advice import advice_of
 from goldfield.survey.constraints import Constraints
 from goldfield.survey.data import AnchorFields, Free, SurveyData, SurveyResult
 from goldfield.survey.equations import Readings, inverse
+from goldfield.survey.metal import MetalState
 from goldfield.survey.outcome import Solution, found_site, outliers_of, parameters_of
-from goldfield.survey.parameters import BEACON, SENSOR, State, default_free, prior_of, start_of
+from goldfield.survey.parameters import BEACON, State, default_free, prior_of, start_of
 from goldfield.survey.reversals import reversals_in_words, right_way_round
 from goldfield.survey.starts import anchor_attitudes, measurements_of, rough_poses, searched_poses
 from goldfield.types import Fields, FloatArray
@@ -74,20 +75,63 @@ def survey(
             f'the site "{site.name}" says that everything is exact, so there is nothing to estimate: say with --free '
             "what is to be found, or give standard deviations in its [survey]"
         )
-    problem = _problem(site, data, free)
+    solution = solve(site, data, free, progress=progress)
+    return result_of(site, solution, data, free)
+
+
+def solve(
+    site: Site,
+    data: SurveyData,
+    free: frozenset[Free],
+    *,
+    metal: MetalState | None = None,
+    start: State | None = None,
+    judged: bool = True,
+    progress: Progress | None = None,
+) -> Solution:
+    """Adjust everything.
+
+    Parameters
+    ----------
+    site, data, free
+        As in `survey`.
+    metal : MetalState, optional
+        Unknowns of metal, with the values to start from.
+    start : State, optional
+        Beacons, sensor and poses to start from, near the truth; by default those of the site, and rough poses.
+    judged : bool
+        Whether outliers are left out, and a survey that does not fit is refused; if not, all epochs count as sound and
+        nothing is told of the uncertainty.
+    progress : callable, optional
+
+    Raises
+    ------
+    UserError, SystemFailure
+        As in `survey`.
+    """
+    problem = problem_of(site, data, free, metal)
     tell_progress = progress if progress is not None else (lambda what, part: None)
-    state = start_of(site, len(data.epochs), len(data.anchors))
-    tell_progress("rough poses", 0.0)
-    if data.epochs:
-        state = rough_poses(problem, state)
-        turned = right_way_round(site, problem, state)
-        if turned is not site:
-            problem = _problem(turned, data, free)
+    if start is None:
+        stages: tuple[float, ...] = STAGES
+        state = start_of(site, len(data.epochs), len(data.anchors), metal)
+        tell_progress("rough poses", 0.0)
+        if data.epochs:
             state = rough_poses(problem, state)
-    if data.anchors:
-        state = replace(state, anchor_rotation=anchor_attitudes(problem, state))
-    solution = _solved(problem, state, tell_progress)
-    tell_progress("uncertainty", 0.95)
+            turned = right_way_round(site, problem, state)
+            if turned is not site:
+                problem = problem_of(turned, data, free, metal)
+                state = rough_poses(problem, state)
+        if data.anchors:
+            state = replace(state, anchor_rotation=anchor_attitudes(problem, state))
+    else:
+        state = replace(start, metal=problem.prior.start.metal)
+        stages = STAGES[-3:]
+    state, now = _through_stages(problem, state, stages, tell_progress)
+    return _judged(problem, state, now, tell_progress) if judged else _unjudged(problem, state, now)
+
+
+def result_of(site: Site, solution: Solution, data: SurveyData, free: frozenset[Free]) -> SurveyResult:
+    """Return what is told of an adjustment; ``site`` is as it was before."""
     found = found_site(solution)
     count = BEACON * len(found.beacons)
     gone = ~solution.sound
@@ -104,7 +148,8 @@ def survey(
     )
 
 
-def _problem(site: Site, data: SurveyData, free: frozenset[Free]) -> Problem:
+def problem_of(site: Site, data: SurveyData, free: frozenset[Free], metal: MetalState | None = None) -> Problem:
+    """Return everything that an adjustment takes as given."""
     row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
     readings = _readings(data.epochs, row)
     anchors = _readings(tuple(anchor.fields for anchor in data.anchors), row, data.anchors)
@@ -120,11 +165,12 @@ def _problem(site: Site, data: SurveyData, free: frozenset[Free]) -> Problem:
     centre = np.array([beacon.position_m for beacon in site.beacons])
     low, high = centre.min(axis=0), centre.max(axis=0)
     size = float(np.linalg.norm(high - low)) + 10.0 * float(FieldModel(site.beacons).reach_m.max())
-    count = BEACON * len(site.beacons) + SENSOR
+    prior = prior_of(site, free, start_of(site, 0, 0, metal), _size_of(readings))
+    count = len(prior.sd)
     return Problem(
         site=site,
         axes=_axes(site),
-        prior=prior_of(site, free, start_of(site, 0, 0)),
+        prior=prior,
         readings=readings,
         point_m=point,
         point_weight=weight,
@@ -144,6 +190,12 @@ def _axes(site: Site) -> FloatArray:
     return result
 
 
+def _size_of(readings: Readings) -> FloatArray:
+    """Return the root of the mean square of each beacon's fields, shape (n,)."""
+    measured = np.isfinite(readings.sigma_T).any(axis=2).sum(axis=0)
+    return np.asarray(np.sqrt((readings.field_T**2).sum(axis=(0, 2)) / np.maximum(measured, 1)))
+
+
 def _readings(epochs: tuple[Fields, ...], row: dict[str, int], anchors: tuple[AnchorFields, ...] = ()) -> Readings:
     """Put the fields in the order of the site's beacons; an anchor's own beacon is left out."""
     field = np.zeros((len(epochs), len(row), 3))
@@ -158,13 +210,26 @@ def _readings(epochs: tuple[Fields, ...], row: dict[str, int], anchors: tuple[An
     return Readings(field, sigma)
 
 
-def _solved(problem: Problem, state: State, progress: Progress) -> Solution:
-    """Adjust through the stages, find the outliers, and adjust the rest once more without any robust loss."""
-    for place, model_error in enumerate(STAGES):
+def _through_stages(
+    problem: Problem, state: State, stages: tuple[float, ...], progress: Progress
+) -> tuple[State, Evaluation]:
+    """Adjust through the stages, with a robust loss."""
+    for place, model_error in enumerate(stages):
         progress(f"fit with a model error of {100.0 * model_error:g} %", 0.1 + 0.1 * place)
         state, now = adjust(
             problem, state, model_error, robust=True, progress=ROUGH_PROGRESS if model_error else FINE_PROGRESS
         )
+    return state, now
+
+
+def _unjudged(problem: Problem, state: State, now: Evaluation) -> Solution:
+    sound = np.ones(len(state.sensor_m), dtype=bool)
+    none = np.zeros((len(problem.prior.free),) * 2)
+    return Solution(problem, state, sound, now, now.squares, none, 1.0, np.nan, np.nan)
+
+
+def _judged(problem: Problem, state: State, now: Evaluation, progress: Progress) -> Solution:
+    """Find the outliers, and adjust the rest once more without any robust loss."""
     searched = np.zeros(len(state.sensor_m), dtype=bool)
     for place in range(ROUNDS):
         lost = ~(_likely(now.squares, problem.readings.count) | searched)

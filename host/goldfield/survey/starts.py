@@ -73,14 +73,14 @@ def searched_poses(problem: Problem, state: State, rows: NDArray[np.intp]) -> St
     """Return the state with poses of some epochs found anew, by the search of all of space that `locate` makes."""
     model = FieldModel(beacons_of(problem.site, state))
     measurements = measurements_of(problem, state, 0.0).take(rows)
-    fit = _located(Constellation(model, problem.site.half_space), measurements)
+    fit = located(Constellation(model, problem.site.half_space), measurements)
     found = np.isfinite(fit.cost)
     position, rotation = state.sensor_m.copy(), state.rotation.copy()
     position[rows[found]], rotation[rows[found]] = fit.position_m[found], fit.rotation[found]
     return _posed(state, position, rotation)
 
 
-def _located(whole: Constellation, measurements: Measurements) -> Fit:
+def located(whole: Constellation, measurements: Measurements) -> Fit:
     """Return the best poses of epochs that need not have heard the same beacons."""
     best = Fit(
         np.zeros((len(measurements), 3)),
@@ -118,6 +118,7 @@ def _posed(state: State, position_m: FloatArray, rotation: FloatArray) -> State:
         np.asarray(position_m, dtype=np.float64),
         np.asarray(rotation, dtype=np.float64),
         state.anchor_rotation,
+        state.metal,
     )
 
 
