@@ -14,6 +14,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from goldfield.site import HalfSpace, Site
+from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD
 from goldfield.survey.data import AnchorFields, KnownPoint, SurveyData, SurveyResult
 from goldfield.survey.parameters import BEACON, across, turn_between
 from goldfield.types import Fields
@@ -153,7 +154,9 @@ def trial(
         attitudes = Rotation.random(len(names), rng=rng).as_matrix()
         seen = measured(coils, coils.position_m[0], attitudes, np.eye(3), sigma / np.sqrt(100.0), rng)
         seen[np.arange(len(names)), np.arange(len(names))] = np.nan
-        seen *= 1.0 + 1e-3 * rng.normal(size=(len(names), 1, 1))
+        size = np.where(np.eye(3, dtype=bool), ASSUMED_GAIN_SD, ASSUMED_AXIS_SD_RAD)
+        gains = np.eye(3) + size * rng.normal(size=(len(names), 3, 3))
+        seen = np.einsum("aij,anj->ani", gains, seen)
         witnesses = tuple(
             AnchorFields(name, Fields(a, 0.0, names, seen[a], np.full(len(names), sigma / 10.0)))
             for a, name in enumerate(names)

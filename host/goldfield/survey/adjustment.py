@@ -24,7 +24,7 @@ from goldfield.survey.equations import (
     derivatives,
     walk_equations,
 )
-from goldfield.survey.parameters import Prior, State, beacons_of
+from goldfield.survey.parameters import TERMS, Prior, State, beacons_of, matrix_of
 from goldfield.types import FloatArray
 
 STAGES = (0.15, 0.05, 0.02, 0.005, 0.0)
@@ -35,8 +35,11 @@ LOSS_SCALE = 2.0
 MOST_STEPS = 60
 ROUGH_PROGRESS, FINE_PROGRESS = 1e-3, 1e-7
 """A fit ends when a step promises to lower the cost by less than this part of it, and of 1 at the least."""
-ANCHOR_MODEL_ERROR = 0.002
-"""Relative error of the model at an anchor: the gain of its sensor, and its sensor beside the centre of its coil."""
+ANCHOR_MODEL_ERROR, LEAST_ANCHOR_ERROR = 0.002, 2e-4
+"""Relative error of the model at an anchor, as its sensor beside the centre of its coil: what is assumed first, and the
+least that is taken from how well the anchors fit."""
+TERM_PLACES = np.arange(3, 3 + TERMS)
+"""Where the terms of an anchor's sensor stand among its own unknowns: behind its turn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,6 +63,10 @@ class Problem:
         Those of the a anchors, one epoch each; that of the own beacon is not measured.
     anchor_rows : list of int
         The beacon where each stands.
+    anchor_sd : ndarray, shape (6,)
+        Standard deviations of the terms of each anchor's sensor.
+    anchor_error : float
+        Relative error of the model at an anchor.
     """
 
     site: Site
@@ -73,6 +80,8 @@ class Problem:
     constraints: Constraints
     anchors: Readings
     anchor_rows: list[int]
+    anchor_sd: FloatArray
+    anchor_error: float = ANCHOR_MODEL_ERROR
 
     def of_epochs(self, rows: NDArray[np.bool_]) -> Problem:
         """Return the problem with some of the epochs."""
@@ -107,7 +116,7 @@ def evaluate(problem: Problem, state: State, model_error: float = 0.0, *, robust
     """Return the cost and the normal equations of a state."""
     model = FieldModel(beacons_of(problem.site, state))
     readings = problem.readings
-    parts = derivatives(model, state, problem.axes, readings.field_T, state.sensor_m, state.rotation)
+    parts = derivatives(model, state, problem.axes, readings.field_T, state.sensor_m, state.rotation, state.matrix())
     weight = readings.weight(model_error)
     by_beacon = ((parts.residual * weight) ** 2).sum(axis=2)
     squares = by_beacon.sum(axis=1)
@@ -121,7 +130,8 @@ def evaluate(problem: Problem, state: State, model_error: float = 0.0, *, robust
     cost = float(loss.sum() + (off * off).sum() + (away * away).sum())
     groups, anchor_squares = [walk], np.empty(0)
     if problem.anchor_rows:
-        anchor_loss, anchor_squares, extra, extra_gradient, group = _anchors(problem, model, state, model_error, robust)
+        anchor_loss, each, extra, extra_gradient, group = _anchors(problem, model, state, model_error, robust)
+        anchor_squares = each.sum(axis=(1, 2))
         cost += anchor_loss
         common, gradient = common + extra, gradient + extra_gradient
         groups.append(group)
@@ -145,11 +155,12 @@ def _loss(squares: FloatArray, count: FloatArray, robust: bool) -> tuple[FloatAr
 def _anchors(
     problem: Problem, model: FieldModel, state: State, model_error: float, robust: bool
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, Group]:
-    """Return what the anchors add: loss, chi-squares, common matrix, common gradient and their group."""
+    """Return what the anchors add: loss, chi-square of each component, common matrix, gradient and their group."""
     place = state.position_m[problem.anchor_rows]
-    sound = replace(state, terms=np.zeros_like(state.terms), offset_T=np.zeros(3))
-    parts = derivatives(model, sound, np.eye(3), problem.anchors.field_T, place, state.anchor_rotation)
-    weight = problem.anchors.weight(float(np.hypot(model_error, ANCHOR_MODEL_ERROR)))
+    sound = replace(state, offset_T=np.zeros(3))
+    matrix = matrix_of(state.anchor_terms)
+    parts = derivatives(model, sound, np.eye(3), problem.anchors.field_T, place, state.anchor_rotation, matrix)
+    weight = problem.anchors.weight(float(np.hypot(model_error, problem.anchor_error)))
     heard = weight > 0.0  # at its own centre a coil's field has no use
     parts = type(parts)(
         np.where(heard, parts.residual, 0.0),
@@ -158,11 +169,43 @@ def _anchors(
             for values in (parts.pose, parts.beacon, parts.sensor, parts.harmonics, parts.bodies)
         ),
     )
-    squares = ((parts.residual * weight) ** 2).sum(axis=(1, 2))
-    loss, share = _loss(squares, problem.anchors.count, robust)
+    squares = (parts.residual * weight) ** 2
+    loss, share = _loss(squares.sum(axis=(1, 2)), problem.anchors.count, robust)
     weighted = weight * np.sqrt(share)[:, None, None]
     common, gradient, group = anchor_equations(parts, weighted, problem.anchor_rows)
-    return float(loss.sum()), squares, common, gradient, group
+    before = state.anchor_terms / problem.anchor_sd
+    group.own[:, TERM_PLACES, TERM_PLACES] += problem.anchor_sd**-2
+    group.gradient[:, TERM_PLACES] -= before / problem.anchor_sd
+    return float(loss.sum() + (before * before).sum()), squares, common, gradient, group
+
+
+def anchor_error(problem: Problem, state: State, covariance: FloatArray) -> float:
+    """Return the relative error of the model at the anchors with which they fit as they should.
+
+    Their chi-square is expected to be the number of their components less what they fit themselves: three turns and
+    six terms each, as far as the terms are not known before, and their part of the common parameters, which is the
+    trace of their information times the covariance. Each component counts for the part that the model's error has in
+    its variance.
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (g, g)
+        That of the common parameters.
+    """
+    model = FieldModel(beacons_of(problem.site, state))
+    _, squares, common, gradient, group = _anchors(problem, model, state, 0.0, robust=False)
+    every = np.ones(len(common), dtype=bool)
+    information, _, _ = _only(every, common, gradient, [group]).reduced()
+    known = np.linalg.inv(group.own)[:, TERM_PLACES, TERM_PLACES] * problem.anchor_sd**-2
+    own = (3.0 + TERMS) * len(squares) - float(known.sum())
+    count = problem.anchors.count.sum()
+    redundancy = max((count - own - float((information * covariance).sum())) / count, 0.05)
+    # The part of each component's variance that is the model's: a component of mere noise says nothing of it.
+    heard = np.isfinite(problem.anchors.sigma_T)
+    noise = np.where(heard, problem.anchors.sigma_T, 0.0) * problem.anchors.weight(problem.anchor_error)
+    part = np.where(heard, 1.0 - noise**2, 0.0)
+    factor = np.sqrt((part * squares).sum() / max(redundancy * part.sum(), 1e-300))
+    return float(np.clip(problem.anchor_error * factor, LEAST_ANCHOR_ERROR, 10.0 * ANCHOR_MODEL_ERROR))
 
 
 def _only(free: NDArray[np.bool_], common: FloatArray, gradient: FloatArray, groups: Sequence[Group]) -> Equations:
@@ -210,7 +253,7 @@ def adjust(
         common, (poses, *others), promise = now.equations.step(damping)
         whole = np.zeros(len(problem.prior.free))
         whole[problem.prior.free] = common
-        anchors = others[0] if others else np.empty((0, 3))
+        anchors = others[0] if others else np.empty((0, 3 + TERMS))
         trial = state.moved(whole, poses, anchors)
         then = evaluate(problem, trial, model_error, robust=robust)
         if then.cost <= now.cost:

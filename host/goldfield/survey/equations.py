@@ -74,7 +74,13 @@ class Derivatives:
 
 
 def derivatives(
-    model: FieldModel, state: State, axes: FloatArray, field_T: FloatArray, point_m: FloatArray, rotation: FloatArray
+    model: FieldModel,
+    state: State,
+    axes: FloatArray,
+    field_T: FloatArray,
+    point_m: FloatArray,
+    rotation: FloatArray,
+    matrix: FloatArray,
 ) -> Derivatives:
     """Return residuals and derivatives.
 
@@ -88,6 +94,8 @@ def derivatives(
     field_T : ndarray, shape (e, n, 3)
     point_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
         Poses of the sensor.
+    matrix : ndarray, shape (3, 3) or (e, 3, 3)
+        I + E.
     """
     point = np.ascontiguousarray(point_m.T)
     field, gradient = model.evaluate(point)
@@ -95,7 +103,7 @@ def derivatives(
     field, gradient = field.transpose(1, 2, 0), gradient.transpose(2, 3, 0, 1)  # (e, n, 3), (e, n, 3, 3)
     coil_field, coil_gradient = of_coil[0].transpose(1, 2, 0), of_coil[1].transpose(2, 3, 0, 1)
     bare = axes @ rotation.swapaxes(1, 2)
-    rows = (state.matrix() @ bare)[:, None]  # (e, 1, c, 3)
+    rows = (matrix @ bare)[:, None]  # (e, 1, c, 3)
     slope = rows @ gradient
     turn = _cross(rows, field[:, :, None])
     arm = (point_m[:, None] - state.position_m)[:, :, None]
@@ -274,7 +282,7 @@ def walk_equations(parts: Derivatives, weight: FloatArray) -> tuple[FloatArray, 
 def anchor_equations(
     parts: Derivatives, weight: FloatArray, beacon_rows: list[int]
 ) -> tuple[FloatArray, FloatArray, Group]:
-    """Return the normal equations of anchors, each with its attitude as its own unknown.
+    """Return the normal equations of anchors, each with attitude and terms of its sensor as its own unknowns.
 
     Parameters
     ----------
@@ -297,8 +305,9 @@ def anchor_equations(
     for a, row in enumerate(beacon_rows):
         common[a, :, :, BEACON * row : BEACON * row + 3] += parts.pose[a, :, :, :3]
     common = (common * weight[..., None]).reshape(anchors, -1, size)
-    turn = (parts.pose[..., 3:] * weight[..., None]).reshape(anchors, -1, 3)
-    back = turn.swapaxes(1, 2)
+    own = np.concatenate([parts.pose[..., 3:], parts.sensor[..., :TERMS]], axis=3)
+    own = (own * weight[..., None]).reshape(anchors, 3 * beacons, 3 + TERMS)
+    back = own.swapaxes(1, 2)
     flat = common.reshape(-1, size)
-    group = Group(back @ turn, back @ common, (back @ residual[..., None])[..., 0])
+    group = Group(back @ own, back @ common, (back @ residual[..., None])[..., 0])
     return flat.T @ flat, flat.T @ residual.ravel(), group

@@ -226,7 +226,7 @@ class _Choice:
         axes = [np.arange(a - AROUND * edge, b + AROUND * edge, spacing) for a, b in zip(low, high, strict=True)]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         near = np.linalg.norm(grid[:, None] - everything, axis=2).min(axis=1)
-        return grid[near > max(APART * edge, 0.5 * spacing)]
+        return np.asarray(grid[near > max(APART * edge, 0.5 * spacing)])
 
     def left_T_A(self, best: _Candidate) -> float:
         """Return what the candidate leaves of the metal's field, T/A: what the epochs kept out show beyond noise."""

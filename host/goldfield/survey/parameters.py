@@ -57,6 +57,8 @@ class State:
     anchor_rotation : ndarray, shape (a, 3, 3)
         Attitude of each anchor's sensor.
     metal : MetalState
+    anchor_terms : ndarray, shape (a, 6)
+        Its E.
     """
 
     position_m: FloatArray
@@ -68,12 +70,11 @@ class State:
     rotation: FloatArray
     anchor_rotation: FloatArray
     metal: MetalState
+    anchor_terms: FloatArray
 
     def matrix(self) -> FloatArray:
         """Return I + E, shape (3, 3)."""
-        result = np.eye(3)
-        result[ROWS, COLUMNS] += self.terms
-        return result
+        return matrix_of(self.terms)
 
     def moved(self, common: FloatArray, poses: FloatArray, anchors: FloatArray) -> State:
         """Return the state after a step.
@@ -83,7 +84,8 @@ class State:
         common : ndarray, shape (g,)
         poses : ndarray, shape (e, 6)
             Shift and turn, in the site's frame.
-        anchors : ndarray, shape (a, 3)
+        anchors : ndarray, shape (a, 9)
+            Turn, in the site's frame, and terms.
         """
         count = len(self.position_m)
         of_beacons, of_sensor = common[: BEACON * count].reshape(count, BEACON), common[BEACON * count :][:SENSOR]
@@ -97,13 +99,21 @@ class State:
             self.offset_T + of_sensor[TERMS:],
             self.sensor_m + poses[:, :3],
             orthonormal(turned(self.rotation, poses[:, 3:])),
-            orthonormal(turned(self.anchor_rotation, anchors)),
+            orthonormal(turned(self.anchor_rotation, anchors[:, :3])),
             self.metal.moved(common[BEACON * count + SENSOR :]),
+            self.anchor_terms + anchors[:, 3:],
         )
 
     def of_epochs(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> State:
         """Return the state with some of the epochs."""
         return replace(self, sensor_m=self.sensor_m[rows], rotation=self.rotation[rows])
+
+
+def matrix_of(terms: FloatArray) -> FloatArray:
+    """Return I + E, shape (..., 3, 3), of terms, shape (..., 6)."""
+    result = np.zeros((*terms.shape[:-1], 3, 3)) + np.eye(3)
+    result[..., ROWS, COLUMNS] += terms
+    return result
 
 
 def across(axis: FloatArray) -> FloatArray:
@@ -134,6 +144,7 @@ def start_of(site: Site, epochs: int, anchors: int, metal: MetalState | None = N
         rotation=np.broadcast_to(np.eye(3), (epochs, 3, 3)).copy(),
         anchor_rotation=np.broadcast_to(np.eye(3), (anchors, 3, 3)).copy(),
         metal=no_metal(len(site.beacons)) if metal is None else metal,
+        anchor_terms=np.zeros((anchors, TERMS)),
     )
 
 

@@ -13,7 +13,17 @@ from goldfield.errors import SystemFailure, UserError
 from goldfield.field import FieldModel
 from goldfield.locate.fit import fit_pose
 from goldfield.site import Site
-from goldfield.survey.adjustment import FINE_PROGRESS, ROUGH_PROGRESS, STAGES, Evaluation, Problem, adjust, evaluate
+from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD
+from goldfield.survey.adjustment import (
+    FINE_PROGRESS,
+    ROUGH_PROGRESS,
+    STAGES,
+    Evaluation,
+    Problem,
+    adjust,
+    anchor_error,
+    evaluate,
+)
 from goldfield.survey.advice import advice_of
 from goldfield.survey.constraints import Constraints
 from goldfield.survey.data import AnchorFields, Free, SurveyData, SurveyResult
@@ -36,6 +46,9 @@ WRONG_POINT = float(chdtri(3.0, UNLIKELY))
 """Square of a known point's deviation, in standard deviations, from which on it does not fit."""
 MOST_WRONG_POINTS = 5
 """Known points that may be left out since they do not fit."""
+ANCHOR_ROUNDS, SETTLED = 6, 0.1
+"""How often the model's error at the anchors is estimated from how well they fit, at most, and the relative change of
+it that ends that."""
 ROUNDS = 3
 """How often epochs are judged anew."""
 
@@ -179,7 +192,15 @@ def problem_of(site: Site, data: SurveyData, free: frozenset[Free], metal: Metal
         constraints=Constraints(data.known, row, np.array([beacon.current_A for beacon in site.beacons]), count),
         anchors=anchors,
         anchor_rows=[row[anchor.beacon] for anchor in data.anchors],
+        anchor_sd=_anchor_sd(site),
     )
+
+
+def _anchor_sd(site: Site) -> FloatArray:
+    """Return how well the terms of an anchor's sensor are known, shape (6,): no better than a usual sensor's."""
+    gain = max(site.sensor.gain_sd, ASSUMED_GAIN_SD)
+    tilt = np.sqrt(2.0) * max(site.sensor.axis_sd_rad, ASSUMED_AXIS_SD_RAD)
+    return np.array([gain, gain, gain, tilt, tilt, tilt])
 
 
 def _axes(site: Site) -> FloatArray:
@@ -257,9 +278,14 @@ def _judged(problem: Problem, state: State, now: Evaluation, progress: Progress)
         state, now = adjust(problem, state, robust=True)
     sound = _likely(now.squares, problem.readings.count)
     problem, state, sound, last = _last_fit(problem, state, sound, progress)
-    matrix, _, _ = last.equations.reduced()
-    covariance = np.zeros((len(problem.prior.free),) * 2)
-    covariance[np.ix_(problem.prior.free, problem.prior.free)] = inverse(matrix)
+    covariance = _covariance(problem, last)
+    for _ in range(ANCHOR_ROUNDS if problem.anchor_rows else 0):
+        before = problem.anchor_error
+        problem = replace(problem, anchor_error=anchor_error(problem, state, covariance))
+        problem, state, sound, last = _last_fit(problem, state, sound, progress)
+        covariance = _covariance(problem, last)
+        if abs(problem.anchor_error - before) < SETTLED * before:
+            break
     return Solution(
         problem,
         state,
@@ -270,6 +296,15 @@ def _judged(problem: Problem, state: State, now: Evaluation, progress: Progress)
         widened,
         *_residuals(problem, state, sound, last),
     )
+
+
+def _covariance(problem: Problem, last: Evaluation) -> FloatArray:
+    """Return the covariance of the common parameters, 0 for those that are not estimated."""
+    free = problem.prior.free
+    matrix, _, _ = last.equations.reduced()
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(free, free)] = inverse(matrix)
+    return covariance
 
 
 def _last_fit(

@@ -119,6 +119,7 @@ def _posed(state: State, position_m: FloatArray, rotation: FloatArray) -> State:
         np.asarray(rotation, dtype=np.float64),
         state.anchor_rotation,
         state.metal,
+        state.anchor_terms,
     )
 
 

@@ -187,15 +187,17 @@ def test_derivatives_are_those_of_differences():
     measured_T = np.zeros((3, 8, 3))
 
     def parts_of(one):
-        return derivatives(FieldModel(beacons_of(site, one)), one, axes, measured_T, one.sensor_m, one.rotation)
+        return derivatives(
+            FieldModel(beacons_of(site, one)), one, axes, measured_T, one.sensor_m, one.rotation, one.matrix()
+        )
 
     here = parts_of(state)
     size, step = BEACON * 8 + SENSOR, 1e-6
     for k in (0, 1, 2, 3, 4, 5, 6 * 7 + 2, 6 * 7 + 4, size - 9, size - 6, size - 5, size - 1):
         common = np.zeros(size)
         common[k] = step
-        there = parts_of(state.moved(common, np.zeros((3, 6)), np.zeros((0, 3))))
-        back = parts_of(state.moved(-common, np.zeros((3, 6)), np.zeros((0, 3))))
+        there = parts_of(state.moved(common, np.zeros((3, 6)), np.zeros((0, 9))))
+        back = parts_of(state.moved(-common, np.zeros((3, 6)), np.zeros((0, 9))))
         slope = (back.residual - there.residual) / (2.0 * step)
         expected = np.zeros_like(slope)
         if k < BEACON * 8:
@@ -206,8 +208,8 @@ def test_derivatives_are_those_of_differences():
     for k in range(6):
         poses = np.zeros((3, 6))
         poses[:, k] = step
-        there = parts_of(state.moved(np.zeros(size), poses, np.zeros((0, 3))))
-        back = parts_of(state.moved(np.zeros(size), -poses, np.zeros((0, 3))))
+        there = parts_of(state.moved(np.zeros(size), poses, np.zeros((0, 9))))
+        back = parts_of(state.moved(np.zeros(size), -poses, np.zeros((0, 9))))
         slope = (back.residual - there.residual) / (2.0 * step)
         assert slope == pytest.approx(here.pose[..., k], rel=1e-4, abs=1e-5 * np.abs(slope).max())
 
