@@ -104,6 +104,7 @@ class Session:
         self._quiet_s = 0.0
         self._looked = False
         self._reads = True
+        self._skipped = 0
         self.unchosen = ""
         self._reconnections = 0
         self.node = node
@@ -237,12 +238,16 @@ class Session:
             step_s = min(time.monotonic() - begin_s, QUIET_S)
             if raw is None and not self.live:
                 yield from self.assembler.flush()
+                if self._skipped:
+                    said = counted(self._skipped, "messages of the sensor were")
+                    self.receiver.tell_once(f"{said} not read at the end, where it was being set")
                 return
             if raw is not None and not self.live and is_mark(raw):
-                self._reads = reads(raw)
+                self._reads, self._skipped = reads(raw), 0
                 continue
             message = None if raw is None else self.receiver.decoded(raw)
             if not self._reads:
+                self._skipped += message is not None and message.node == self.node
                 continue
             if message is not None and self.node is None and message.name == "EPOCH":
                 self.node = message.node

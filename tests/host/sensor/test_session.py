@@ -315,6 +315,14 @@ def test_a_replay_reads_what_the_run_read(marks, wanted):
     assert recorded(range(6), marks) == wanted
 
 
+def test_what_a_replay_does_not_read_at_the_end_is_told(capsys):
+    recorded(range(6), {0: None, 2: NODE, 5: None})
+    said = "goldfield: x.log: 11 messages of the sensor were not read at the end, where it was being set\n"
+    assert capsys.readouterr().err == said
+    recorded(range(6), {0: None, 2: NODE, 4: None, 5: NODE})
+    assert capsys.readouterr().err == ""
+
+
 def test_a_mark_that_does_not_come_is_not_waited_for(monkeypatch):
     """A file of a stranger, which is larger than the memory."""
     monkeypatch.setattr(sessions, "LOOKED_THROUGH", 20)
