@@ -235,17 +235,14 @@ def fit_pose(
         The n beacons.
     measurements : Measurements
         The e epochs.
-    position_m : ndarray, shape (e, 3)
-        Positions to start from, m.
-    rotation : ndarray, shape (e, 3, 3)
-        Attitudes to start from, ``B_site = R B_sensor``.
+    position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
+        Positions, m, and attitudes, ``B_site = R B_sensor``, to start from.
     model_error : float
         Relative error of the model: the variance of a component is sigma^2 + (model_error |B|)^2 with the measured
         |B|. A few per cent widen the basin of convergence (strong, curved beacons no longer dominate). The last fit
         takes 0: then the errors of the site that the measurements carry count in full.
     iterations : int
-        The most evaluations of the model in an epoch; see `least_squares.minimise`. They are fewer where the budget of
-        the measurements ends.
+        The most evaluations of the model in an epoch, as far as the budget goes; see `least_squares.minimise`.
     tolerance : float
         An epoch ends when its next step promises to lower the cost by less; see `least_squares.minimise`.
 

@@ -33,7 +33,7 @@ class Minimum:
         Normal matrix at the end: the inverse of the Gauss-Newton covariance.
     converged : ndarray of bool, shape (e,)
     evaluations : int
-        Of all problems together.
+        How often all problems together were evaluated.
     """
 
     state: State

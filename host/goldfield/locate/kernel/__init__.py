@@ -160,7 +160,7 @@ class Kernel:
         position_m : ndarray, shape (e, 3)
         rotation : ndarray, shape (e, 3, 3)
         evaluations : int
-            Of the field, in all.
+            How often the field was evaluated in all.
         """
         position, rotation = np.empty((len(field_T), 3)), np.empty((len(field_T), 3, 3))
         evaluations = self._library.gf_starts(
