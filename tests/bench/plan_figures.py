@@ -23,6 +23,9 @@ import psutil
 from distributed import LocalCluster
 
 SPACING_M, HEIGHT_M = 4.5, 3.0
+STEP_M, HEIGHTS = 0.275, 4
+"""With these a hall of a thousand beacons has a million points."""
+
 LARGEST_DIFFERENCE = 1e-12
 
 
@@ -103,9 +106,12 @@ def main():
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         lattice, beacons, (wide, long) = lattice_file(folder, given.beacons)
-        step = (4.0 * wide * long / given.points) ** 0.5  # four heights
-        box = ["0", "0", "0.5", f"{wide:.6f}", f"{long:.6f}", f"{0.5 + 3.0 * step:.6f}"]
-        words = ["--lattice", str(lattice), "--box", *box, "--step", f"{step:.6f}"]
+        area = given.points / HEIGHTS * STEP_M**2
+        part = min(1.0, (area / (wide * long)) ** 0.5)  # a few points are of the hall's middle
+        low = [0.5 * (1.0 - part) * wide, 0.5 * (1.0 - part) * long, 0.5]
+        high = [low[0] + part * wide, low[1] + part * long, 0.5 + (HEIGHTS - 1) * STEP_M]
+        box = [f"{value:.6f}" for value in (*low, *high)]
+        words = ["--lattice", str(lattice), "--box", *box, "--step", str(STEP_M)]
         ways = {"1 process": ["--workers", "1"], "2 processes": ["--workers", "2"]}
         results = {way: measured([*words, *more], folder / f"{way[0]}.npz") for way, more in ways.items()}
         with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
@@ -113,7 +119,7 @@ def main():
             address = ["--scheduler", cluster.scheduler_address]
             results["2 Dask workers"] = measured([*words, *address], folder / "dask.npz", workers)
     first = results["1 process"]
-    print(f"{beacons} beacons, {first[3]['position_sd_m'].size} points, step {step:.3f} m: {first[4].strip()}")
+    print(f"{beacons} beacons, {first[3]['position_sd_m'].size} points, step {STEP_M} m: {first[4].strip()}")
     worst = 0.0
     for way, (seconds, largest, together, arrays, _) in results.items():
         apart = difference(first[3], arrays)
