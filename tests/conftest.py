@@ -38,6 +38,7 @@ LONG = (
     "host/planning",
     "host/sensor/test_on_sensor.py",
     "host/site/test_dual_axis.py",
+    "host/survey/test_metal.py",
     "host/survey/test_survey.py",
     "host/track",
 )

@@ -96,3 +96,8 @@ plan-map: $(BUILD)/venv.stamp ## Draw docs/plan.png: what a plan of a hall looks
 	@$(PYTHON) -m tests.bench.plan_map
 
 .PHONY: plan-figures plan-map
+
+metal-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure what learning the metal of a room gains (half an hour)
+	@$(PYTHON) -m tests.bench.metal_figures
+
+.PHONY: metal-figures

@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,10 @@ from goldfield.errors import Loudness, UserError, loudness
 from goldfield.files.outputs import check_outputs, write_file
 from goldfield.sensor.fields_table import read_fields
 from goldfield.site import Site
+from goldfield.site.metal import Metal
 from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 from goldfield.survey import Free, SurveyData, SurveyResult, procedure, survey
-from goldfield.survey.data import AnchorFields
+from goldfield.survey.data import AnchorFields, MetalFound
 from goldfield.survey.known_files import read_known, read_points
 from goldfield.types import Fields
 
@@ -54,7 +56,7 @@ def make_survey(arguments: argparse.Namespace) -> int:
             return survey(site, SurveyData(tuple(epochs), points, known, anchors), free, told)
 
     result = survey_of(_epochs(arguments, site, anchors, survey_of))
-    text = revised(Path(path), *revisions(site, result))
+    text = revised(Path(path), *revisions(site, result), metal=_new_metal(site, result))
     write_file(out, text.encode(), "the new site file", force=arguments.force)
     print(json_line(record(result)) if arguments.json else table_of(site, result))
     return 0
@@ -128,6 +130,7 @@ def revisions(site: Site, result: SurveyResult) -> tuple[dict[str, BeaconRevisio
             axis=new.axis if f"{old.id}.axis_x" in result.parameters else None,
             current_A=new.current_A if new.current_A != old.current_A else None,
             survey=new.survey,
+            metal_T_A=new.metal.harmonics_T_A if new.metal is not None and len(new.metal.harmonics_T_A) else None,
         )
     sensor = result.site.sensor
     gain, tilt = "sensor.gain_x" in result.parameters, "sensor.tilt_xy_rad" in result.parameters
@@ -136,6 +139,13 @@ def revisions(site: Site, result: SurveyResult) -> tuple[dict[str, BeaconRevisio
     return beacons, SensorRevision(
         axes=sensor.axes, gain_sd=sensor.gain_sd if gain else None, axis_sd_rad=sensor.axis_sd_rad if tilt else None
     )
+
+
+def _new_metal(site: Site, result: SurveyResult) -> Metal | None:
+    """Return the metal that takes the place of what the site file says; None if that stays."""
+    if result.site.metal is not None or site.metal is None:
+        return result.site.metal
+    return replace(site.metal, degree=0, body_m=np.empty((0, 3)), polarisability_A_m2_T=np.empty((0, 3, 3)), sd_T_A=0.0)
 
 
 def record(result: SurveyResult) -> dict[str, Any]:
@@ -151,7 +161,29 @@ def record(result: SurveyResult) -> dict[str, Any]:
             for one in result.outliers
         ],
         "advice": list(result.advice),
+        "metal": None if result.metal is None else _metal_record(result.site.metal, result.metal),
     }
+
+
+def _metal_record(metal: Metal | None, found: MetalFound) -> dict[str, Any]:
+    return {
+        "degree": 0 if metal is None else metal.degree,
+        "bodies_m": [] if metal is None else metal.body_m.tolist(),
+        "sd_T_A": 0.0 if metal is None else metal.sd_T_A,
+        "residual_without": number(found.residual_without),
+        "residual_with": number(found.residual_with),
+    }
+
+
+def _metal_line(metal: Metal | None, found: MetalFound) -> str:
+    kept_out = f"the residual of epochs that were kept out is {found.residual_with:.3g}, without it "
+    kept_out += f"{found.residual_without:.3g} (1: the noise alone)"
+    if metal is None:
+        return f"no metal was found that explains more: the residual of epochs kept out is {found.residual_without:.3g}"
+    count = len(metal.body_m)
+    parts = ["a body"] if count == 1 else [f"{count} bodies"] if count else []
+    parts += [f"polynomials of degree {metal.degree}"] if metal.degree else []
+    return f"metal: {' and '.join(parts)}; {kept_out}"
 
 
 def table_of(site: Site, result: SurveyResult) -> str:
@@ -169,6 +201,8 @@ def table_of(site: Site, result: SurveyResult) -> str:
     for name, one in result.parameters.items():
         if name.startswith("sensor."):
             lines.append(f"{name} = {one.value:.6g} +- {one.sd:.2g}")
+    if result.metal is not None:
+        lines.append(_metal_line(result.site.metal, result.metal))
     before = "" if np.isnan(result.residual_before) else f", {result.residual_before:.3g} before"
     lines.append(f"residual {result.residual_after:.3g}{before} (1: the noise alone)")
     for outlier in result.outliers[:MOST_OUTLIERS]:

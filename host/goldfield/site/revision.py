@@ -17,6 +17,7 @@ from goldfield.errors import UserError
 from goldfield.files.inputs import name_of
 from goldfield.files.toml_table import parse_table, read_text
 from goldfield.site.coil_shapes import angle_of, frame, smallest_rotation
+from goldfield.site.metal import Metal
 from goldfield.site.model import Beacon, Survey
 from goldfield.site.reading import site_of
 from goldfield.types import FloatArray
@@ -26,6 +27,9 @@ WIRE_DIGITS = 12
 
 SAME_ANGLE_RAD = 1e-12
 """A turn of a coil about its axis by less is none."""
+
+SIX_ROWS, SIX_COLUMNS = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
+"""Where the six numbers of a polarisability stand in its matrix: xx, yy, zz, xy, xz, yz."""
 
 PLAIN = (1e-5, 1e9)
 """Sizes of numbers that are written without an exponent, unless the number that they replace has one."""
@@ -42,17 +46,20 @@ class BeaconRevision:
     axis : ndarray, shape (3,), or None
         Unit vector.
     current_A : float or None
-    tau_s : float or None
-        Time constant with which the current follows a step.
     survey : Survey or None
         All three standard deviations.
+    tau_s : float or None
+        Time constant with which the current follows a step.
+    metal_T_A : ndarray, shape (C,), or None
+        Coefficients of what metal adds.
     """
 
     position_m: FloatArray | None = None
     axis: FloatArray | None = None
     current_A: float | None = None
-    tau_s: float | None = None
     survey: Survey | None = None
+    tau_s: float | None = None
+    metal_T_A: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -70,7 +77,12 @@ class SensorRevision:
     axis_sd_rad: float | None = None
 
 
-def revised(path: Path, beacons: Mapping[str, BeaconRevision], sensor: SensorRevision | None = None) -> str:
+def revised(
+    path: Path,
+    beacons: Mapping[str, BeaconRevision],
+    sensor: SensorRevision | None = None,
+    metal: Metal | None = None,
+) -> str:
     """Return the text of a site file with new values.
 
     Comments, blank lines, the order of keys and the style of numbers stay; a key that the file does not have comes to
@@ -85,6 +97,8 @@ def revised(path: Path, beacons: Mapping[str, BeaconRevision], sensor: SensorRev
     beacons : mapping of str to BeaconRevision
         By the beacon's id.
     sensor : SensorRevision, optional
+    metal : Metal, optional
+        Takes the place of a table ``[metal]``; each revision of a beacon then has ``metal_T_A``.
 
     Returns
     -------
@@ -108,9 +122,41 @@ def revised(path: Path, beacons: Mapping[str, BeaconRevision], sensor: SensorRev
             _revise_beacon(table, old[beacon_id], beacons[beacon_id])
     for key, value in _given(sensor).items():
         _put(document["sensor"], key, value)
+    if metal is not None:
+        _put_metal(document, metal)
     result = tomlkit.dumps(document)
     site_of(parse_table(result, f"{name}, revised", "site file"))
     return result
+
+
+def _put_metal(document: Any, metal: Metal) -> None:
+    """Write the table ``[metal]``: in place of an old one, else before the first beacon."""
+    table = tomlkit.table()
+    if metal.degree == 0:
+        for beacon in document["beacon"]:
+            beacon.pop("metal_T_A", None)
+    else:
+        table["degree"] = metal.degree
+        _put(table, "centre_m", metal.centre_m)
+        _put(table, "radius_m", metal.radius_m)
+    _put(table, "sd_T_A", metal.sd_T_A)
+    if len(metal.walked_m):
+        _put(table, "walked_m", metal.walked_m)
+    bodies = tomlkit.aot()
+    for place, matrix in zip(metal.body_m, metal.polarisability_A_m2_T, strict=True):
+        body = tomlkit.table()
+        _put(body, "position_m", place)
+        _put(body, "polarisability_A_m2_T", matrix[SIX_ROWS, SIX_COLUMNS])
+        bodies.append(body)
+    if len(bodies):
+        table["body"] = bodies
+    if "metal" in document:
+        document["metal"] = table
+        return
+    # tomlkit appends; the beacons are taken out and put back behind the new table.
+    beacons = document.pop("beacon")
+    document["metal"] = table
+    document["beacon"] = beacons
 
 
 def _given(revision: Any) -> dict[str, Any]:
@@ -130,7 +176,9 @@ def _revise_beacon(table: MutableMapping[str, Any], old: Beacon, revision: Beaco
         moved = position + (old.points_m - old.position_m) @ smallest_rotation(old.axis, axis).T
         _put(table, "points_m", moved.round(WIRE_DIGITS))
         # A wire tells its place and axis; only where the file tells them too there is something to revise.
-        values = {key: value for key, value in values.items() if key in table or key in ("current_A", "tau_s")}
+        values = {
+            key: value for key, value in values.items() if key in table or key in ("current_A", "tau_s", "metal_T_A")
+        }
     if "shape" in table and "axis" in values:
         given = float(table.get("angle_rad", 0.0))
         rotation = smallest_rotation(old.axis, values["axis"]) @ frame(old.axis, given)

@@ -153,6 +153,20 @@ class Outlier:
     residual: float
 
 
+@dataclass(frozen=True)
+class MetalFound:
+    """What epochs that were kept out say of the metal that was learned from the others: residuals, 1 for noise alone.
+
+    Attributes
+    ----------
+    residual_without, residual_with : float
+        Of the site without any metal, and with what was learned.
+    """
+
+    residual_without: float
+    residual_with: float
+
+
 @dataclass(frozen=True, eq=False)
 class SurveyResult:
     """A survey: the site as it was found to be.
@@ -173,6 +187,8 @@ class SurveyResult:
         Sentences: through what origin, direction and scale are known, and what to measure next to gain most.
     position_m, rotation : ndarray, shapes (e, 3) and (e, 3, 3)
         Pose of each epoch; NaN for outliers.
+    metal : MetalFound or None
+        None unless the field was free.
     """
 
     site: Site
@@ -190,3 +206,5 @@ class SurveyResult:
         """Standard deviation of a beacon's place, root of the mean square over the beacons, all three coordinates."""
         variance = np.diag(self.covariance).reshape(len(self.site.beacons), -1)[:, :3]
         return float(np.sqrt(variance.sum() / len(variance)))
+
+    metal: MetalFound | None = None

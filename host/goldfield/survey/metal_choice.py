@@ -21,7 +21,7 @@ from goldfield.field.dipole import dipole
 from goldfield.locate.constellation import Constellation
 from goldfield.site import Site
 from goldfield.site.metal import MOST_DEGREE
-from goldfield.survey.data import Free, SurveyData, SurveyResult
+from goldfield.survey.data import Free, MetalFound, SurveyData, SurveyResult
 from goldfield.survey.metal import MetalState, effects_of_bodies, no_metal, symmetric
 from goldfield.survey.outcome import Solution
 from goldfield.survey.parameters import beacons_of
@@ -103,7 +103,8 @@ def survey_with_metal(
     best = choice.best()
     tell("last fit", 0.9)
     solution = solve(bare, data, free, metal=best.metal)
-    result = result_of(site, solution, data, free)
+    found = MetalFound(float(np.sqrt(choice.plain.excess())), float(np.sqrt(best.excess())))
+    result = replace(result_of(bare, solution, data, free), metal=found)
     if best.metal.is_none:
         return result
     sound = solution.state.sensor_m[solution.sound]
@@ -126,13 +127,14 @@ class _Choice:
         )
         self._kept_out = _some(data.epochs, self._out)
         self._done = 0.0
+        self.plain = self._candidate(no_metal(len(site.beacons)), None, "no metal")
 
     def _numbers(self, which: NDArray[np.bool_]) -> set[int]:
         return {fields.epoch for fields in _some(self._data.epochs, which)}
 
     def best(self) -> _Candidate:
         """Return the best candidate."""
-        plain = self._candidate(no_metal(len(self._site.beacons)), None, "no metal")
+        plain = self.plain
         best, seen = plain, None
         for degree in range(FIRST_DEGREE, MOST_DEGREE + 1):
             state = self._polynomials(plain, degree)

@@ -1,6 +1,8 @@
 """A revised site file: what is new is read from it bit for bit, what is old stays as its author wrote it."""
 
 import difflib
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from goldfield.errors import UserError
 from goldfield.site import Survey, load
 from goldfield.site.coil_shapes import smallest_rotation
+from goldfield.site.metal import Metal
 from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 
 SITE = """\
@@ -245,3 +248,36 @@ def test_values_that_no_site_can_have_are_refused(path, beacons, sensor, words):
     with pytest.raises(UserError) as caught:
         revised(path, beacons, sensor)
     assert words in str(caught.value)
+
+
+def test_metal_is_written_and_taken_away(tmp_path: Path) -> None:
+    """A table [metal] comes before the beacons, takes the place of an old one, and leaves with degree 0."""
+    path = tmp_path / "hall.toml"
+    path.write_text(SITE)
+    metal = Metal(
+        np.array([0.1, 0.2, 0.3]),
+        1.5,
+        1,
+        np.array([[3.0, 0.0, 1.0]]),
+        np.diag([1.0, 2.0, 3.0])[None],
+        2e-10,
+        np.eye(3)[:0],
+    )
+    coefficients = np.array([1e-9, -2e-9, 3.5e-10])
+    ids = [beacon.id for beacon in load(path).beacons]
+    text = revised(path, {name: BeaconRevision(metal_T_A=coefficients) for name in ids}, metal=metal)
+    assert text.index("[metal]") < text.index("[[beacon]]")
+    path.write_text(text)
+    site = load(path)
+    assert site.metal is not None
+    assert site.metal.degree == 1
+    assert site.metal.polarisability_A_m2_T.tolist() == metal.polarisability_A_m2_T.tolist()
+    assert site.metal.sd_T_A == 2e-10
+    assert all(beacon.metal is not None for beacon in site.beacons)
+    assert site.beacons[0].metal.harmonics_T_A.tolist() == coefficients.tolist()  # type: ignore[union-attr]
+    bare = replace(metal, degree=0, body_m=np.empty((0, 3)), polarisability_A_m2_T=np.empty((0, 3, 3)), sd_T_A=0.0)
+    path.write_text(revised(path, {}, metal=bare))
+    after = load(path)
+    assert after.metal is not None
+    assert len(after.metal.body_m) == 0
+    assert "metal_T_A" not in path.read_text()

@@ -1,0 +1,167 @@
+"""A survey that learns metal: derivatives against differences, rooms whose metal is of another kind than is fitted."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import goldfield
+from goldfield import cli
+from goldfield.errors import SystemFailure
+from goldfield.field import FieldModel
+from goldfield.locate import Locator
+from goldfield.site import Site
+from goldfield.survey import Free, SurveyData, survey
+from goldfield.survey.adjustment import evaluate
+from goldfield.survey.metal import MetalState, effects_of_bodies, effects_of_harmonics, no_metal
+from goldfield.survey.metal_choice import walked_room
+from goldfield.survey.parameters import beacons_of, start_of
+from goldfield.survey.procedure import problem_of
+from tests.bench.integrity_sites import EXACT, text_of
+from tests.bench.metal_trials import MetalTrial, metal_trial
+
+FIELD = frozenset({Free.FIELD})
+
+
+def _state(site: Site, degree: int = 3, bodies: int = 2) -> MetalState:
+    rng = np.random.default_rng(5)
+    count = (degree + 1) ** 2 - 1
+    return MetalState(
+        np.array([1.0, 1.1, 0.9]),
+        1.2,
+        degree,
+        2e-9 * rng.normal(size=(len(site.beacons), count)),
+        np.array([[-0.5, 1.0, 1.2], [2.6, 1.8, 0.4]])[:bodies],
+        1e5 * rng.normal(size=(bodies, 6)),
+    )
+
+
+def test_effects_are_those_of_differences() -> None:
+    """Each unknown of metal is moved a little; the fields of the model change as the effects say."""
+    site = metal_trial("none", 1, epochs=120, later=40).site
+    metal = _state(site)
+    point = np.random.default_rng(6).uniform(0.4, 1.7, (9, 3))
+    start = replace(
+        start_of(site, 0, 0, metal), log_current=0.1 * np.random.default_rng(7).normal(size=len(site.beacons))
+    )
+
+    def field(values: MetalState) -> np.ndarray:
+        return FieldModel(beacons_of(site, replace(start, metal=values))).field(point)
+
+    bare = FieldModel([replace(beacon, metal=None) for beacon in beacons_of(site, start)])
+    of_bodies = effects_of_bodies(metal, bare, point)
+    of_harmonics = effects_of_harmonics(metal, np.exp(start.log_current), point)
+    count = metal.harmonics_T.size
+    for unknown in (0, 7, count - 1, *range(count, metal.size)):
+        step = np.zeros(metal.size)
+        step[unknown] = 1e-10 if unknown < count else 1e-6 if (unknown - count) % 9 < 3 else 1.0
+        slope = (field(metal.moved(step)) - field(metal.moved(-step))) / (2.0 * step[unknown])
+        expected = np.zeros_like(slope)
+        if unknown < count:
+            beacon, coefficient = divmod(unknown, metal.harmonics_T.shape[1])
+            expected[:, beacon] = of_harmonics[:, beacon, :, coefficient]
+        else:
+            expected = of_bodies[..., unknown - count]
+        np.testing.assert_allclose(slope, expected, rtol=0.0, atol=1e-5 * np.abs(expected).max())
+
+
+def test_the_gradient_of_the_cost_is_that_of_differences() -> None:
+    """The whole chain from unknowns of metal to the normal equations, poses and beacons free as well."""
+    trial = metal_trial("spheres", 1, epochs=120, later=40)
+    free = frozenset({Free.FIELD, Free.POSITION, Free.CURRENT})
+    problem = problem_of(trial.site, trial.data, free, _state(trial.site))
+    rng = np.random.default_rng(8)
+    start = replace(
+        start_of(trial.site, len(trial.data.epochs), 0, _state(trial.site)),
+        sensor_m=rng.uniform(0.5, 1.6, (len(trial.data.epochs), 3)),
+    )
+    now = evaluate(problem, start, 0.05)
+    gradient = np.zeros(len(problem.prior.free))
+    gradient[problem.prior.free] = now.equations.gradient
+    first = len(gradient) - start.metal.size
+    scale = 1.0 / np.sqrt(np.diag(now.equations.common))
+    steps = np.zeros(len(gradient))
+    steps[problem.prior.free] = 1e-4 * scale
+    nothing = np.zeros((len(trial.data.epochs), 6)), np.empty((0, 9))
+    for unknown in (first, first + 40, len(gradient) - 18, len(gradient) - 12, len(gradient) - 1):
+        move = np.zeros(len(gradient))
+        move[unknown] = steps[unknown]
+        costs = [evaluate(problem, start.moved(sign * move, *nothing), 0.05).cost for sign in (1.0, -1.0)]
+        slope = (costs[1] - costs[0]) / (2.0 * steps[unknown])
+        assert slope == pytest.approx(2.0 * gradient[unknown], rel=1e-3, abs=2e-2 / steps[unknown])
+
+
+def _errors_m(site: Site, trial: MetalTrial) -> np.ndarray:
+    poses = Locator(site).locate_many(trial.later)
+    return np.array([np.linalg.norm(pose.position_m - true) for pose, true in zip(poses, trial.later_m, strict=True)])
+
+
+def test_plates_are_learned_from_a_walk() -> None:
+    """Sheets beside the room: poses five times nearer to the truth, and their covariances can be believed."""
+    trial = metal_trial("plates", 3)
+    result = survey(trial.site, trial.data, FIELD)
+    before, after = np.median(_errors_m(trial.site, trial)), np.median(_errors_m(result.site, trial))
+    assert before > 3e-3
+    assert after < before / 5.0
+    poses = Locator(result.site).locate_many(trial.later)
+    nees = [
+        (pose.position_m - true) @ np.linalg.solve(pose.position_cov_m2, pose.position_m - true) / 3.0
+        for pose, true in zip(poses, trial.later_m, strict=True)
+    ]
+    assert 0.5 < np.median(nees) < 1.5  # 0.79 for noise alone
+    assert result.metal is not None
+    assert result.metal.residual_with < 0.2 * result.metal.residual_without
+
+
+def test_without_metal_nothing_is_lost() -> None:
+    trial = metal_trial("none", 2)
+    result = survey(trial.site, trial.data, FIELD)
+    assert result.site.metal is None
+    np.testing.assert_allclose(_errors_m(result.site, trial), _errors_m(trial.site, trial), rtol=0.0, atol=1e-9)
+
+
+def test_too_short_a_walk_is_refused() -> None:
+    trial = metal_trial("none", 1, epochs=99, later=40)
+    with pytest.raises(SystemFailure, match="a walk of at least 100 epochs, and there are 99"):
+        survey(trial.site, SurveyData(trial.data.epochs), FIELD)
+
+
+def test_the_walked_room_holds_the_walk_and_little_more() -> None:
+    points = np.random.default_rng(3).uniform((0.0, 0.0, 1.0), (2.0, 2.0, 1.0), (200, 3))  # flat
+    corners = walked_room(points, 1.0)
+    assert len(corners) <= 42
+    assert np.linalg.matrix_rank(corners - corners.mean(axis=0)) == 3
+    assert (corners.min(axis=0) >= points.min(axis=0) - 0.0501).all()
+    assert (corners.max(axis=0) <= points.max(axis=0) + 0.0501).all()
+
+
+def test_no_metal_has_no_unknowns() -> None:
+    assert no_metal(8).is_none
+    assert no_metal(8).vector().shape == (0,)
+
+
+def test_the_command_writes_what_locate_applies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """From table and site file to a new site file, through the command line; comments stay."""
+    trial = metal_trial("spheres", 1, epochs=200, later=60)
+    site = tmp_path / "room.toml"
+    site.write_text(f"# my hall\n{text_of(trial.site, EXACT)}")
+    table = tmp_path / "walk.csv"
+    rows = ["epoch,t_s,beacon,bx_T,by_T,bz_T,sigma_T"]
+    for fields in trial.data.epochs:
+        for name, b, sigma in zip(fields.beacons, fields.field_T.tolist(), fields.sigma_T.tolist(), strict=True):
+            rows.append(f"{fields.epoch},{fields.time_s},{name},{b[0]!r},{b[1]!r},{b[2]!r},{sigma!r}")
+    table.write_text("\n".join(rows) + "\n")
+    out = tmp_path / "new.toml"
+    arguments = ["survey", "--site", str(site), str(table), "--free", "field", "--out", str(out), "--json"]
+    assert cli.main(arguments) == 0
+    told = json.loads(capsys.readouterr().out)["metal"]
+    assert told["residual_with"] < 0.3 * told["residual_without"]
+    assert out.read_text().startswith("# my hall\n")
+    new = goldfield.load_site(out)
+    assert new.metal is not None
+    assert len(new.metal.body_m) == len(told["bodies_m"])
+    assert np.median(_errors_m(new, trial)) < 0.3 * np.median(_errors_m(trial.site, trial))
