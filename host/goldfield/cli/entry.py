@@ -45,7 +45,7 @@ COMMANDS = {
     "samples": ("goldfield.cli.samples", "raw samples of a sensor"),
     "completion": ("goldfield.cli.completion", "completion for bash or zsh"),
     "separate": ("goldfield.cli.separate", "field of each beacon from raw samples"),
-    "survey": ("goldfield.cli.survey", "where beacons really are, how strong, and how the sensor's axes lie"),
+    "survey": ("goldfield.cli.survey", "beacons and sensor as they are, from a walk"),
     "plan": ("goldfield.cli.plan", "accuracy everywhere in a room, before anything is installed"),
 }
 """Each subcommand of this package: the module whose function ``command`` adds its parser, and its line of help."""
