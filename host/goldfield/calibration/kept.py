@@ -64,8 +64,8 @@ def corrected(
 
     >>> axes, offset_T = np.diag([1.02, 1.0, 1.0]), np.array([1e-6, 0.0, 0.0])
     >>> zero, matrix = corrected(np.full(3, 2048.0), 1e-7 * np.eye(3), axes, offset_T)
-    >>> zero.round(6).tolist(), matrix[0].tolist()
-    ([2058.0, 2048.0, 2048.0], [9.803921568627451e-08, 0.0, 0.0])
+    >>> zero.round(6).tolist(), (1e7 * matrix[0]).round(6).tolist()
+    ([2058.0, 2048.0, 2048.0], [0.980392, 0.0, 0.0])
     """
     shift = np.zeros(3) if offset_T is None else np.linalg.solve(matrix, np.nan_to_num(offset_T))
     return zero + shift, np.asarray(np.linalg.solve(axes, matrix))
