@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from goldfield.errors import counted
 from goldfield.files.toml_table import Table
 from hil_sim.scenario.values import FloatArray, not_negative, positive, seed_of, vector
 from hil_sim.world.motion import Line, Motion, Still, Waypoints
@@ -75,7 +76,7 @@ def _waypoints(table: Table) -> Waypoints:
         raise table.error("times_s", "must be at least two times that increase")
     for key, value in (("positions_m", positions), ("rotation_vectors_rad", rotations)):
         if len(value) != len(times):
-            raise table.error(key, f"has {len(value)} entries; times_s has {len(times)}: give one each")
+            raise table.error(key, f"has {counted(len(value), 'entries')}; times_s has {len(times)}: give one each")
     return Waypoints(times, positions, rotations)
 
 

@@ -95,9 +95,15 @@ def counted(count: int, phrase: str) -> str:
     ('1 garbled line or datagram', '1 frame was corrupt', '0 bus errors')
     """
     if count == 1:
-        phrase = _PLURAL.sub(lambda noun: noun[0].replace("s or ", " or ")[:-1], phrase, count=1)
+        phrase = _PLURAL.sub(lambda nouns: " or ".join(map(_singular, nouns[0].split(" or "))), phrase, count=1)
         phrase = re.sub(r"\b(?:were|are|have|need)\b", lambda verb: _SINGULAR[verb[0]], phrase, count=1)
     return f"{count} {phrase}"
+
+
+def _singular(noun: str) -> str:
+    if noun == "axes":
+        return "axis"
+    return f"{noun[:-3]}y" if noun.endswith("ies") else noun[:-1]
 
 
 _PLURAL = re.compile(r"\b[a-z]+[^sui\W]s\b(?: or [a-z]+s\b)?")

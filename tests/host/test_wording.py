@@ -36,6 +36,14 @@ NEVER_ONE = {
     "{len(room.site.beacons)} beacons": "those of a paper",
     "{len(grid)} fingerprints": "a grid",
     "{len(periods)} tones": "all that fit",
+    "of {len(turn)} cycles": "all that were recorded",
+    "of {found.cycles} cycles": "all that were recorded",
+    "of {len(sound)} epochs": "all that were walked",
+    "{count} bodies": "one is told by another word",
+    "{len(site.beacons)} beacons are too many": "more than are optimised",
+    "{len(codes)} beacons are more than codes": "more than there are codes",
+    "needs {count} finite numbers": "three at least",
+    "stands {len(bodies)} times": "more than are allowed",
 }
 """Counts that are never 1 where they are told, with the reason."""
 
@@ -51,6 +59,9 @@ NEVER_ONE = {
         ("beacons need", "beacon needs"),
         ("SYNC of another master", "SYNC of another master"),
         ("clock fallback", "clock fallback"),
+        ("axes", "axis"),
+        ("entries", "entry"),
+        ("bad entries or lines", "bad entry or line"),
     ],
 )
 def test_one_is_told_in_the_singular_and_any_other_number_as_it_stands(phrase, one):

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.calibration.adjustment import Adjustment, State, adjustment_of
 from goldfield.calibration.turn import Turn
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.locate import Locator
 from goldfield.site import Site
 from goldfield.types import FloatArray
@@ -130,7 +130,7 @@ def _triangle(axes: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     if axes is None:
         return np.eye(3), np.eye(3)
     if len(axes) < 3:
-        raise UserError(f"a sensor of {len(axes)} axes cannot be calibrated by turning it: it takes three")
+        raise UserError(f"a sensor of {counted(len(axes), 'axes')} cannot be calibrated by turning it: it takes three")
     triangle, rotation = rq(axes)
     sign = np.sign(np.diag(triangle))
     sign[0] *= np.linalg.det(rotation) * np.prod(sign)  # left-handed axes: x is negative, and the rotation is none else

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.errors import SystemFailure, UserError, counted, tell
 from goldfield.survey import SurveyResult
 from goldfield.types import Fields
 
@@ -56,7 +56,7 @@ def walk(fields: Iterable[Fields], survey: Survey, enough_m: float | None) -> tu
                 break
             before = now
     except KeyboardInterrupt:
-        tell(f"the walk ends with {len(epochs)} epochs")
+        tell(f"the walk ends with {counted(len(epochs), 'epochs')}")
     return tuple(epochs)
 
 
@@ -69,8 +69,8 @@ def _look(epochs: Sequence[Fields], survey: Survey) -> float:
         tell(f"epoch {last}: walk on: {error}")
         return np.inf
     now = result.deviation_m
-    left_out = f", {len(result.outliers)} epochs left out" if result.outliers else ""
-    tell(f"epoch {last}: the beacons are known to {1e3 * now:.3g} mm by {len(epochs)} epochs{left_out}")
+    left_out = f", {counted(len(result.outliers), 'epochs left out')}" if result.outliers else ""
+    tell(f"epoch {last}: the beacons are known to {1e3 * now:.3g} mm by {counted(len(epochs), 'epochs')}{left_out}")
     if result.advice:
         tell(result.advice[-1])
     return now

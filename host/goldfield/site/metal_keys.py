@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from goldfield.errors import counted
 from goldfield.files.toml_table import Table
 from goldfield.site.metal import MOST_BODIES, MOST_DEGREE, BeaconMetal, Metal, harmonic_count
 
@@ -45,7 +46,9 @@ def _polarisability(body: Table) -> np.ndarray:
     body.allow("position_m", "polarisability_A_m2_T")
     values = body.numbers("polarisability_A_m2_T")
     if len(values) != 6:
-        raise body.error("polarisability_A_m2_T", f"has {len(values)} numbers: it needs six, xx, yy, zz, xy, xz and yz")
+        raise body.error(
+            "polarisability_A_m2_T", f"has {counted(len(values), 'numbers')}: it needs six, xx, yy, zz, xy, xz and yz"
+        )
     xx, yy, zz, xy, xz, yz = values
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
@@ -62,6 +65,7 @@ def read_beacon_metal(table: Table, metal: Metal | None) -> BeaconMetal | None:
     values = table.numbers(BEACON_KEY)
     if len(values) != count:
         raise table.error(
-            BEACON_KEY, f"has {len(values)} coefficients: [metal] degree = {metal.degree} needs {count} of them"
+            BEACON_KEY,
+            f"has {counted(len(values), 'coefficients')}: [metal] degree = {metal.degree} needs {count} of them",
         )
     return BeaconMetal(metal, values)

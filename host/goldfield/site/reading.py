@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from goldfield.errors import counted
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.coil_shapes import SHAPE_KEYS, placed, wire_of
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
@@ -28,15 +29,13 @@ def load(path: str | Path) -> Site:
     - ``name``: text;
     - ``chip_period_s``: duration of a chip, above 0;
     - ``degree``: degree of the Gold codes, 5, 6, 7, 9, 10 or 11: a cycle has 2^degree - 1 chips;
-    - ``access``: how beacons are told apart, ``"cdma"`` (codes, the default), ``"tdma"`` (time slots) or ``"fdma"``
-      (frequencies);
+    - ``access``: how beacons are told apart: ``"cdma"``, codes (the default), ``"tdma"``, slots, or ``"fdma"``, tones;
     - ``slots``: only for tdma, and needed there: the number of time slots in a cycle, 1 to the number of its chips;
     - ``tone``: only for fdma: ``"sine"`` (the default) or ``"square"``;
     - ``phase``: only for fdma: ``"known"`` (the default) or ``"unknown"`` (`goldfield.access.tones`); ``samples``, how
       many make a window, may then stand in place of ``degree``;
     - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the normal's side;
-    - ``alert_limit_m``: optional, above 0: a pose whose error could be larger through a fault of one beacon is not
-      ``ok`` but ``unverified`` (`ALERT_LIMIT_M`).
+    - ``alert_limit_m``: optional, above 0: poses that one faulty beacon could put further off are ``unverified``.
 
     The table ``[sensor]`` describes the sensor:
 
@@ -47,8 +46,7 @@ def load(path: str | Path) -> Site:
     ``position_sd_m``, ``axis_sd_rad``, ``current_sd``; the same keys in a ``[[beacon]]`` count for that one instead.
     What neither says is assumed (`ASSUMED_SURVEY`, `ASSUMED_GAIN_SD`, `ASSUMED_AXIS_SD_RAD`); 0 says that it is exact.
 
-    The optional table ``[metal]`` and ``metal_T_A`` of each beacon say what metal in the room adds to the fields
-    (`goldfield.site.metal_keys`); a survey writes them.
+    ``[metal]`` and ``metal_T_A`` of a beacon, optional, say what metal adds to the fields (`site.metal_keys`).
 
     Each table ``[[beacon]]`` describes one coil, in metres and in the site's frame:
 
@@ -170,7 +168,10 @@ def _levers(table: Table, axes: int) -> FloatArray | None:
     """Return where the axes read; None if it is the reference point."""
     lever = table.vectors("lever_m")
     if len(lever) != axes:
-        raise table.error("lever_m", f"has {len(lever)} rows; the sensor has {axes} axes: give the place of each")
+        raise table.error(
+            "lever_m",
+            f"has {counted(len(lever), 'rows')}; the sensor has {counted(axes, 'axes')}: give the place of each",
+        )
     longest = float(np.linalg.norm(lever, axis=1).max())
     if longest >= LONGEST_LEVER_M:
         raise table.error("lever_m", f"has one of {longest:g} m; levers are below {LONGEST_LEVER_M:g} m")
@@ -183,7 +184,9 @@ def _noise(table: Table, axes: int, doubts: list[str]) -> tuple[float, FloatArra
         return checked(table, "noise_T", table.positive("noise_T"), doubts), None
     each = table.numbers("noise_T")
     if len(each) != axes:
-        raise table.error("noise_T", f"has {len(each)} numbers; give one for all axes of the sensor, or {axes}")
+        raise table.error(
+            "noise_T", f"has {counted(len(each), 'numbers')}; give one for all axes of the sensor, or {axes}"
+        )
     for value in each.tolist():
         if value <= 0.0:
             raise table.error("noise_T", f"has {value:g}; noise is greater than zero")
@@ -196,7 +199,7 @@ def _axes(table: Table) -> FloatArray:
     axes = table.vectors("axes")
     count = len(axes)
     if count > 3:
-        raise table.error("axes", f"has {count} rows; give one for each axis of the sensor, at most three")
+        raise table.error("axes", f"has {counted(count, 'rows')}; give one for each axis of the sensor, at most three")
     if count < 3 and np.triu(axes, 1).any():
         raise table.error(
             "axes",

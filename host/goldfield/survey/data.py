@@ -160,7 +160,7 @@ class MetalFound:
     Attributes
     ----------
     residual_without, residual_with : float
-        Of the site without any metal, and with what was learned.
+        Those of the site without any metal, and with what was learned.
     """
 
     residual_without: float

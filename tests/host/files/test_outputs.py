@@ -40,7 +40,7 @@ CLASHES = [
 def test_an_output_that_is_an_input_is_refused_and_nothing_is_lost(
     folder, capsys, monkeypatch, words, file, reads, writes
 ):
-    monkeypatch.setattr("hil_sim.links.serve.load_scenario", lambda name: None)
+    monkeypatch.setattr("hil_sim.links.serve.load_scenario", lambda name, seed: None)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert main(words) == 2
     sentence = f"{file}: is the file of {reads} and would be overwritten by {writes}: give another\n"

@@ -147,7 +147,7 @@ def test_every_command_s_poses_know_them_and_tracks_refuse_them():
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        ("lever_m = [[0, 0, 0.01]]", "lever_m has 1 rows; the sensor has 3 axes"),
+        ("lever_m = [[0, 0, 0.01]]", "lever_m has 1 row; the sensor has 3 axes"),
         ("lever_m = [[0, 0, 0.3], [0, 0, 0], [0, 0, 0]]", "lever_m has one of 0.3 m; levers are below 0.3 m"),
     ],
 )
