@@ -72,7 +72,7 @@ class Options:
         ------
         UserError
             If there is no such node, or the sensor is to compute poses from beacons that a board cannot separate, or
-            with axes of which a board does not know.
+            with axes or metal of which a board does not know.
         """
         if self.node is not None and not 1 <= self.node <= LAST_NODE:
             raise UserError(f"{option('node', self.node)}: is no node: nodes are 1 to {LAST_NODE}")
@@ -83,6 +83,11 @@ class Options:
             raise UserError(
                 f"site {site.name}: a sensor that computes its own pose takes what its axes read for the field and "
                 f"knows no axes, levers or noise of each, as the site file has them: leave out {option('on_sensor')}"
+            )
+        if site.metal is not None:
+            raise UserError(
+                f"site {site.name}: a sensor that computes its own pose does not know what metal adds to the fields "
+                f"([metal] of the site file): leave out {option('on_sensor')}"
             )
         own_codes = site.access == "cdma" and len(set(site.codes)) == len(site.beacons)
         code_v = (

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from goldfield.errors import UserError
 from goldfield.locate import Locator
+from goldfield.sensor.options import Method, Options
 from goldfield.site import Beacon, SensorSite, Site
 from goldfield.site.metal import BeaconMetal, Metal
 from goldfield.types import Fields, Status
@@ -98,3 +100,9 @@ def test_a_site_with_the_same_metal_elsewhere_is_another() -> None:
     moved = replace(_metal(), body_m=BODY[None] + [0.0, 0.3, 0.0])
     there, elsewhere = (_errors(_site(metal), epochs, position) for metal in (_metal(), moved))
     assert np.median(elsewhere) > 3.0 * np.median(there)
+
+
+def test_a_sensor_that_computes_its_own_pose_knows_no_metal() -> None:
+    with pytest.raises(UserError, match=r"does not know what metal adds to the fields \(\[metal\] of the site file\)"):
+        Options(method=Method.ON_SENSOR).check(_site(_metal()))
+    Options(method=Method.ON_SENSOR).check(_site(None))
