@@ -40,7 +40,8 @@ def test_a_new_site_file_is_written_that_locate_takes(room, tmp_path, capsys):
     assert main(arguments(folder, out, "--json", "--anchor", f"b3={folder / 'b3.csv'}")) == 0
     (line,) = capsys.readouterr().out.splitlines()
     result = json.loads(line)
-    assert set(result) == {"residual_before", "residual_after", "parameters", "outliers", "advice"}
+    assert set(result) == {"residual_before", "residual_after", "parameters", "outliers", "advice", "metal"}
+    assert result["metal"] is None
     assert result["residual_before"] > 10.0 > 1.2 > result["residual_after"]
     assert result["parameters"]["b0.x_m"].keys() == {"value", "sd", "before"}
     assert out.read_text().startswith("# The workshop, measured by pacing.\n[site]\n")
