@@ -25,7 +25,8 @@ from goldfield.survey.data import Free, MetalFound, SurveyData, SurveyResult
 from goldfield.survey.metal import MetalState, effects_of_bodies, no_metal, symmetric
 from goldfield.survey.outcome import Solution
 from goldfield.survey.parameters import beacons_of
-from goldfield.survey.procedure import Progress, problem_of, result_of, solve
+from goldfield.survey.problem import problem_of
+from goldfield.survey.procedure import Progress, result_of, solve
 from goldfield.survey.starts import located, measurements_of
 from goldfield.types import Fields, FloatArray
 

@@ -13,7 +13,6 @@ from goldfield.errors import SystemFailure, UserError
 from goldfield.field import FieldModel
 from goldfield.locate.fit import fit_pose
 from goldfield.site import Site
-from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD
 from goldfield.survey.adjustment import (
     FINE_PROGRESS,
     ROUGH_PROGRESS,
@@ -25,15 +24,15 @@ from goldfield.survey.adjustment import (
     evaluate,
 )
 from goldfield.survey.advice import advice_of
-from goldfield.survey.constraints import Constraints
-from goldfield.survey.data import AnchorFields, Free, SurveyData, SurveyResult
+from goldfield.survey.data import Free, SurveyData, SurveyResult
 from goldfield.survey.equations import Readings, inverse
 from goldfield.survey.metal import MetalState
 from goldfield.survey.outcome import Solution, found_site, outliers_of, parameters_of
-from goldfield.survey.parameters import BEACON, State, default_free, prior_of, start_of
+from goldfield.survey.parameters import BEACON, State, default_free, start_of
+from goldfield.survey.problem import problem_of
 from goldfield.survey.reversals import reversals_in_words, right_way_round
 from goldfield.survey.starts import anchor_attitudes, measurements_of, rough_poses, searched_poses
-from goldfield.types import Fields, FloatArray
+from goldfield.types import FloatArray
 
 UNLIKELY = 1e-5
 """An epoch is an outlier if its residual is less likely than this."""
@@ -159,76 +158,6 @@ def result_of(site: Site, solution: Solution, data: SurveyData, free: frozenset[
         position_m=np.where(gone[:, None], np.nan, solution.state.sensor_m),
         rotation=np.where(gone[:, None, None], np.nan, solution.state.rotation),
     )
-
-
-def problem_of(site: Site, data: SurveyData, free: frozenset[Free], metal: MetalState | None = None) -> Problem:
-    """Return everything that an adjustment takes as given."""
-    row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
-    readings = _readings(data.epochs, row)
-    anchors = _readings(tuple(anchor.fields for anchor in data.anchors), row, data.anchors)
-    components = readings.count.sum() + anchors.count.sum()
-    if components < 1:
-        raise UserError("nothing was measured: give a table of fields, a recording, or anchors")
-    number = {fields.epoch: index for index, fields in enumerate(data.epochs)}
-    point, weight = np.zeros((len(data.epochs), 3)), np.zeros((len(data.epochs), 3))
-    for known in data.points:
-        index = number[known.epoch]
-        measured = np.isfinite(known.position_m)
-        point[index, measured], weight[index, measured] = known.position_m[measured], 1.0 / known.sigma_m
-    centre = np.array([beacon.position_m for beacon in site.beacons])
-    low, high = centre.min(axis=0), centre.max(axis=0)
-    size = float(np.linalg.norm(high - low)) + 10.0 * float(FieldModel(site.beacons).reach_m.max())
-    prior = prior_of(site, free, start_of(site, 0, 0, metal), _size_of(readings))
-    count = len(prior.sd)
-    return Problem(
-        site=site,
-        axes=_axes(site),
-        prior=prior,
-        readings=readings,
-        point_m=point,
-        point_weight=weight,
-        room_m=0.5 * (low + high),
-        room_sd_m=2.0 * size,
-        constraints=Constraints(data.known, row, np.array([beacon.current_A for beacon in site.beacons]), count),
-        anchors=anchors,
-        anchor_rows=[row[anchor.beacon] for anchor in data.anchors],
-        anchor_sd=_anchor_sd(site),
-    )
-
-
-def _anchor_sd(site: Site) -> FloatArray:
-    """Return how well the terms of an anchor's sensor are known, shape (6,): no better than a usual sensor's."""
-    gain = max(site.sensor.gain_sd, ASSUMED_GAIN_SD)
-    tilt = np.sqrt(2.0) * max(site.sensor.axis_sd_rad, ASSUMED_AXIS_SD_RAD)
-    return np.array([gain, gain, gain, tilt, tilt, tilt])
-
-
-def _axes(site: Site) -> FloatArray:
-    """Return what the site says of the sensor's axes, shape (3, 3); an axis that the sensor does not have is one."""
-    result = np.eye(3)
-    if site.sensor.axes is not None:
-        result[: len(site.sensor.axes)] = site.sensor.axes
-    return result
-
-
-def _size_of(readings: Readings) -> FloatArray:
-    """Return the root of the mean square of each beacon's fields, shape (n,)."""
-    measured = np.isfinite(readings.sigma_T).any(axis=2).sum(axis=0)
-    return np.asarray(np.sqrt((readings.field_T**2).sum(axis=(0, 2)) / np.maximum(measured, 1)))
-
-
-def _readings(epochs: tuple[Fields, ...], row: dict[str, int], anchors: tuple[AnchorFields, ...] = ()) -> Readings:
-    """Put the fields in the order of the site's beacons; an anchor's own beacon is left out."""
-    field = np.zeros((len(epochs), len(row), 3))
-    sigma = np.full(field.shape, np.inf)
-    for index, fields in enumerate(epochs):
-        rows = [row[name] for name in fields.beacons]
-        usable = np.isfinite(fields.field_T) & (np.isfinite(fields.sigma_T) & (fields.sigma_T > 0.0))[:, None]
-        field[index, rows] = np.where(usable, fields.field_T, 0.0)
-        sigma[index, rows] = np.where(usable, fields.sigma_T[:, None], np.inf)
-    for index, anchor in enumerate(anchors):
-        field[index, row[anchor.beacon]], sigma[index, row[anchor.beacon]] = 0.0, np.inf
-    return Readings(field, sigma)
 
 
 def _through_stages(

@@ -20,7 +20,7 @@ from goldfield.survey.adjustment import evaluate
 from goldfield.survey.metal import MetalState, effects_of_bodies, effects_of_harmonics, no_metal
 from goldfield.survey.metal_choice import walked_room
 from goldfield.survey.parameters import beacons_of, start_of
-from goldfield.survey.procedure import problem_of
+from goldfield.survey.problem import problem_of
 from tests.bench.integrity_sites import EXACT, text_of
 from tests.bench.metal_trials import MetalTrial, metal_trial
 
