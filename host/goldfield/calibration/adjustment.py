@@ -239,6 +239,8 @@ class Adjustment:
         normal, damping = self._normal(state, robust), 1e-6
         for _ in range(ROUNDS):
             common, each = self._step(normal, damping)
+            if not (np.isfinite(common).all() and np.isfinite(each).all()):
+                break
             trial = state.stepped(common, each)
             after = self._normal(trial, robust)
             if after.cost <= normal.cost:
@@ -265,7 +267,10 @@ class Adjustment:
         return reduced, right, inverse
 
     def _step(self, normal: _Normal, damping: float) -> tuple[FloatArray, FloatArray]:
+        """Return the step of the common unknowns and of the poses; NaN where the equations have overflowed."""
         reduced, right, inverse = self._reduced(normal, damping)
+        if not np.isfinite(reduced).all():
+            return np.full_like(right, np.nan), np.full_like(normal.pose_right, np.nan)
         size = np.sqrt(np.maximum(np.diag(normal.common), 1e-300))
         common = np.linalg.lstsq(reduced / np.outer(size, size), right / size, rcond=1e-14)[0] / size
         rest = normal.pose_right - normal.mixed @ common

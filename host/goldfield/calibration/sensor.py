@@ -33,6 +33,8 @@ OUTLIER = 12.0
 """A cycle is left out whose residuals, in deviations of its chi-square, are this many too large."""
 BAD_FIT = 3.0
 """Largest ratio of the residuals to the noise with which a calibration is still one."""
+DEAD = 0.02
+"""Gain of an axis, over that of the best, below which it is no axis: a sensor is known to a few per cent before."""
 ENOUGH = 5e-3
 """Standard deviation of an axis beyond which the calibration is called weak."""
 UPPER = np.triu_indices(3)
@@ -93,6 +95,7 @@ class SensorCalibration:
         return float(np.sqrt(0.5 * np.mean(np.diag(self.covariance)[LEANS])))
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # the poses of fields that are wrong can run away
 def calibrate_sensor(site: Site, turn: Turn) -> SensorCalibration:
     """Calibrate a sensor from the recording of it being turned.
 
@@ -174,6 +177,11 @@ def _result(
         raise UserError(
             f"the best fit leaves {residual:.1f} times the noise: something else is wrong than the sensor's axes (a "
             "beacon that was moved, metal near by, a site file of another room); see goldfield doctor"
+        )
+    size = np.linalg.norm(state.axes, axis=1)
+    if not size.min() > DEAD * size.max():
+        raise UserError(
+            f"axis {'xyz'[int(np.argmin(size))]} of the sensor reads almost nothing of any field: check its wiring"
         )
     covariance = adjustment.covariance(state) * max(1.0, residual) ** 2
     of_axes = covariance[:6, :6]
