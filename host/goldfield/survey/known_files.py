@@ -23,6 +23,10 @@ POINT_SIGMA_M = 0.002
 """Deviation of a known coordinate where the table does not tell it: a tape measure and a mark on the floor."""
 LARGEST_M = 1e4
 """Beyond any coordinate of an indoor site."""
+DEVIATIONS = {"sd_m": (1e-6, 10.0, " m"), "sd_rad": (1e-6, 1.0, " rad"), "sd": (1e-6, 1.0, "")}
+"""Least and largest standard deviation that a measurement has, with its unit, by its key."""
+LARGEST_RATIO = 10.0
+"""By how much a measured current may differ from that of the site file: more is another unit."""
 
 
 def read_points(path: str | Path, epochs: Sequence[Fields]) -> tuple[KnownPoint, ...]:
@@ -81,8 +85,9 @@ def _sigma(row: Row) -> float:
     if not row.cells.get("sigma_m", "").strip():
         return POINT_SIGMA_M
     value = row.number("sigma_m")
-    if not 1e-6 <= value <= 10.0:
-        raise row.error("sigma_m", f"is {value:g}; a standard deviation is 0.000001 to 10 m")
+    least, most, unit = DEVIATIONS["sd_m"]
+    if not least <= value <= most:
+        raise row.error("sigma_m", f"is {value:g}; a standard deviation is {least:f} to {most:g}{unit}")
     return value
 
 
@@ -126,30 +131,48 @@ def _distance(table: Table, site: Site) -> Distance:
         raise table.error("between", "must name two different beacons")
     for name in names:
         _check(table, "between", name, site)
-    return Distance((names[0], names[1]), table.positive("m"), table.positive("sd_m"))
+    return Distance((names[0], names[1]), _length(table, table.positive("m")), _deviation(table, "sd_m"))
 
 
 def _height(table: Table, site: Site) -> Place:
     table.allow("beacon", "m", "sd_m")
-    return Place(_beacon(table, site), np.array([np.nan, np.nan, table.number("m")]), table.positive("sd_m"))
+    return Place(_beacon(table, site), np.array([np.nan, np.nan, _length(table, table.number("m"))]), _deviation(table, "sd_m"))
 
 
 def _position(table: Table, site: Site) -> Place:
     table.allow("beacon", "m", "sd_m")
-    return Place(_beacon(table, site), table.vector("m"), table.positive("sd_m"))
+    place = np.array([_length(table, value) for value in table.vector("m").tolist()])
+    return Place(_beacon(table, site), place, _deviation(table, "sd_m"))
 
 
 def _direction(table: Table, site: Site) -> Direction:
     table.allow("beacon", "axis", "sd_rad")
-    return Direction(_beacon(table, site), table.direction("axis"), table.positive("sd_rad"))
+    return Direction(_beacon(table, site), table.direction("axis"), _deviation(table, "sd_rad"))
 
 
 def _current(table: Table, site: Site) -> Current:
     table.allow("beacon", "A", "sd")
     name, value = _beacon(table, site), table.number("A")
-    if value * site.beacon(name).current_A <= 0.0:
+    ratio = value / site.beacon(name).current_A
+    if ratio <= 0.0:
         raise table.error("A", f"is {value:g} and has not the sign of {name}'s current in the site file")
-    return Current(name, value, table.positive("sd"))
+    if not 1.0 / LARGEST_RATIO <= ratio <= LARGEST_RATIO:
+        before = site.beacon(name).current_A
+        raise table.error("A", f"is {value:g}, and the site file says {before:g} A of {name}: give amperes")
+    return Current(name, value, _deviation(table, "sd"))
+
+
+def _length(table: Table, value: float) -> float:
+    if abs(value) > LARGEST_M:
+        raise table.error("m", f"is {value:g}, far outside of any room: give metres")
+    return value
+
+
+def _deviation(table: Table, key: str) -> float:
+    value, (least, most, unit) = table.number(key), DEVIATIONS[key]
+    if not least <= value <= most:
+        raise table.error(key, f"is {value:g}; a standard deviation is {least:f} to {most:g}{unit}")
+    return value
 
 
 def _beacon(table: Table, site: Site) -> str:
