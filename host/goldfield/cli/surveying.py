@@ -37,6 +37,7 @@ def make_survey(arguments: argparse.Namespace) -> int:
     path = options.required(arguments.site, "--site", "FILE")
     out = options.required(arguments.out, "--out", "NEW.toml")
     tables = [_named(text) for text in arguments.anchor]
+    _check_anchors(tables)
     inputs = {"--site": path, "FIELDS.csv": arguments.fields, "--log": arguments.log}
     inputs |= {"--points": arguments.points, "--known": arguments.known}
     inputs |= {f"--anchor {name}": table for name, table in tables}
@@ -67,6 +68,15 @@ def _named(text: str) -> tuple[str, str]:
     if not (name and equals and table):
         raise UserError(f"--anchor {text}: is no ID=FIELDS.csv: give the beacon's id and the table of its sensor")
     return name, table
+
+
+def _check_anchors(tables: Sequence[tuple[str, str]]) -> None:
+    """Refuse a beacon or a table that is given twice: it would count as two measurements."""
+    for part in (0, 1):
+        named = [table[part] for table in tables]
+        twice = next((name for name in named if named.count(name) > 1), None)
+        if twice is not None:
+            raise UserError(f"--anchor names {twice} twice: give the table of each anchor's own sensor, once")
 
 
 def _anchor(site: Site, name: str, path: str) -> AnchorFields:

@@ -136,7 +136,9 @@ def _distance(table: Table, site: Site) -> Distance:
 
 def _height(table: Table, site: Site) -> Place:
     table.allow("beacon", "m", "sd_m")
-    return Place(_beacon(table, site), np.array([np.nan, np.nan, _length(table, table.number("m"))]), _deviation(table, "sd_m"))
+    return Place(
+        _beacon(table, site), np.array([np.nan, np.nan, _length(table, table.number("m"))]), _deviation(table, "sd_m")
+    )
 
 
 def _position(table: Table, site: Site) -> Place:

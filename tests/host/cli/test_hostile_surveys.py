@@ -3,13 +3,16 @@
 As in `test_hostile`: one sentence, never a traceback, never an answer that rests on what cannot be.
 """
 
+import re
+
 import pytest
 
 from goldfield.sensor.fields_table import FieldsWriter
 from tests.bench.integrity_sites import text_of
 from tests.bench.survey_trials import ASTRAY, cube, trial
 from tests.host.calibration.turning import record
-from tests.host.cli.test_hostile import check_refused
+from tests.host.cli.test_hostile import GOOD_SITE, SAMPLES, check_refused, outcome
+from tests.host.cli.test_plan import BOX, LATTICE
 
 
 @pytest.fixture(scope="module")
@@ -20,6 +23,19 @@ def turned(tmp_path_factory):
     with FieldsWriter(folder / "fields.csv", live=False) as table:
         for fields in recording.turn.fields(recording.site):
             table.write(fields)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def walked(tmp_path_factory):
+    """A folder with a site, the fields of a short walk, and what an anchor measured."""
+    folder = tmp_path_factory.mktemp("walked")
+    made = trial(cube(), 1, epochs=20, points=4, anchors=True)
+    (folder / "site.toml").write_text(text_of(made.site, ASTRAY))
+    for name, epochs in (("fields.csv", made.data.epochs), ("b3.csv", [made.data.anchors[3].fields])):
+        with FieldsWriter(folder / name) as table:
+            for fields in epochs:
+                table.write(fields)
     return folder
 
 
@@ -46,3 +62,96 @@ def test_a_sensor_is_not_calibrated_from_wrong_fields(turned, tmp_path, capsys, 
         capsys, ["calibrate", "sensor", "--site", turned / "site.toml", "--fields", fields], codes=(2, 3)
     )
     assert any(part in told for part in ("the best fit leaves", "cycles fit one sensor", "reads almost nothing"))
+
+
+NO_WALKS = {
+    "zeros": (lambda c: [*c[:3], "0", "0", "0", *c[6:]], "do not stand out of their noise"),
+    "teslas taken for microteslas": (lambda c: [*c[:3], *(1e-6 * float(x) for x in c[3:6]), *c[6:]], "in tesla"),
+    "one beacon": (lambda c: c if c[2] == "b0" else None, "of more than 1 beacon: "),
+    "two beacons": (lambda c: c if c[2] in ("b0", "b7") else None, "of more than 2 beacons: "),
+}
+
+
+@pytest.mark.parametrize("walk", NO_WALKS)
+def test_nothing_is_surveyed_from_fields_that_tell_nothing(walked, tmp_path, capsys, walk):
+    change, words = NO_WALKS[walk]
+    fields = changed(walked / "fields.csv", tmp_path / "f.csv", change)
+    told = check_refused(capsys, ["survey", "--site", walked / "site.toml", fields, "--out", tmp_path / "new.toml"])
+    assert words in told
+    assert not (tmp_path / "new.toml").exists()
+
+
+SENSORS = {
+    "lever_m = [[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]": "all axes of the sensor to be at one point",
+    "axes = [[1, 0, 0]]": "axes has 1 row: a survey takes a sensor of three axes",
+}
+
+
+@pytest.mark.parametrize("line", SENSORS)
+def test_a_sensor_that_a_survey_does_not_model_is_refused(walked, tmp_path, capsys, line):
+    site = tmp_path / "site.toml"
+    site.write_text((walked / "site.toml").read_text().replace("[sensor]", f"[sensor]\n{line}"))
+    words = ["survey", "--site", site, walked / "fields.csv", "--out", tmp_path / "new.toml"]
+    assert SENSORS[line] in check_refused(capsys, words)
+
+
+@pytest.mark.parametrize("other", ["b3", "b4"])
+def test_an_anchor_is_given_once(walked, tmp_path, capsys, other):
+    table = walked / "b3.csv"
+    words = ["survey", "--site", walked / "site.toml", walked / "fields.csv", "--out", tmp_path / "new.toml"]
+    told = check_refused(capsys, [*words, "--anchor", f"b3={table}", "--anchor", f"{other}={table}"])
+    assert "twice: give the table of each anchor's own sensor, once" in told
+
+
+SITE_LINES = {
+    "position_sd_m = 1e-300": "nothing is known so well: write 0",
+    "[metal]\n[[metal.body]]\nposition_m = PLACE\npolarisability_A_m2_T = [1, 1, 1, 0, 0, 0]": "the centre of a beacon",
+}
+
+
+@pytest.mark.parametrize("lines", SITE_LINES)
+def test_a_site_that_cannot_be_is_refused(tmp_path, capsys, lines):
+    place = re.search(r"position_m = (.*)", GOOD_SITE)[1]
+    (tmp_path / "site.toml").write_text(GOOD_SITE + "\n" + lines.replace("PLACE", place) + "\n")
+    assert SITE_LINES[lines] in check_refused(capsys, ["locate", "--site", tmp_path / "site.toml", "fields.csv"])
+
+
+@pytest.mark.parametrize("value", ["0", "1e-6"])
+def test_no_time_constant_is_told_of_samples_without_a_beacon(tmp_path, capsys, value):
+    rows = [f"{chip},{value},{value},{value}" for chip in range(1023)]
+    (tmp_path / "samples.csv").write_text("\n".join([SAMPLES[0], *rows]) + "\n")
+    (tmp_path / "site.toml").write_text(GOOD_SITE)
+    words = ["calibrate", "coils", tmp_path / "samples.csv", "--site", tmp_path / "site.toml"]
+    assert "no beacon is heard in the samples" in check_refused(capsys, words)
+
+
+MILLIMETRES = {
+    "spacing_m": ("spacing_m = [1.7, 1.7]", "spacing_m = [2500, 2500]", "that is 2.5 m"),
+    "radius_m": ("radius_m = 0.149", "radius_m = 149", "that is 0.149 m"),
+    "current_A": ("current_A = 10.0", "current_A = 10001", "that is 10.001 A"),
+    "noise_T": ("noise_T = 2e-8", "noise_T = 0.2", "milligauss, that is 2e-08 T"),
+    "height_m": ("height_m = 2.7", "height_m = 2700", "from the nearest beacon, where none is heard: give metres"),
+    "a deviation": ("noise_T", "gain_sd = 1e-300\nnoise_T", "nothing is known so well"),
+}
+
+
+@pytest.mark.parametrize("key", MILLIMETRES)
+def test_a_lattice_in_other_units_is_refused(tmp_path, capsys, key):
+    old, new, words = MILLIMETRES[key]
+    (tmp_path / "lattice.toml").write_text(LATTICE.replace(old, new))
+    assert words in check_refused(capsys, ["plan", "--lattice", tmp_path / "lattice.toml", *BOX, "--workers", "1"])
+
+
+def test_an_unusual_lattice_is_told(tmp_path, capsys):
+    (tmp_path / "lattice.toml").write_text(LATTICE.replace("radius_m = 0.149", "radius_m = 14.9"))
+    code, captured = outcome(capsys, ["plan", "--lattice", tmp_path / "lattice.toml", *BOX, "--workers", "1"])
+    assert code == 0
+    assert "14.9 m, which is unusual; if it is in millimetres" in captured.err
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("step", ["1e-300", "1e-5"])
+def test_a_grid_of_too_many_points_is_refused(tmp_path, capsys, step):
+    (tmp_path / "lattice.toml").write_text(LATTICE)
+    words = ["plan", "--lattice", tmp_path / "lattice.toml", *BOX[:-1], step]
+    assert "points in the box: at most" in check_refused(capsys, words)

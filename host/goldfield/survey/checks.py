@@ -1,0 +1,46 @@
+"""What a survey cannot start from: a sensor that it does not model, and epochs from which nothing follows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from goldfield.errors import UserError, counted
+from goldfield.site import Site
+from goldfield.survey.equations import Readings
+
+LEAST_STRENGTH = 5.0
+"""Strongest field of an epoch over its noise, root mean square of its axes, below which the epoch tells next to
+nothing; noise alone makes 3 with a thousand beacons."""
+
+
+def check_sensor(site: Site) -> None:
+    """Refuse a sensor that a survey does not model: one with levers, or of fewer than three axes."""
+    if site.sensor.lever_m is not None:
+        raise UserError(
+            f"site {site.name}: a survey takes all axes of the sensor to be at one point, but [sensor] has lever_m: "
+            "leave it out if it is small"
+        )
+    if site.sensor.axes is not None and len(site.sensor.axes) < 3:
+        raise UserError(
+            f"site {site.name}: [sensor] axes has {counted(len(site.sensor.axes), 'rows')}: a survey takes a sensor "
+            "of three axes"
+        )
+
+
+def check_epochs(readings: Readings) -> None:
+    """Refuse epochs of too few beacons, or of nothing but noise; none at all are no concern of this check."""
+    measured = np.isfinite(readings.sigma_T)
+    if not len(measured):
+        return
+    if not (readings.count > 6.0).any():
+        heard = int(measured.any(axis=2).sum(axis=1).max())
+        raise UserError(
+            f"no epoch has the fields of more than {counted(heard, 'beacons')}: a pose alone takes two, so that a "
+            "survey takes three or more at once"
+        )
+    strength = np.where(measured, readings.field_T / readings.sigma_T, 0.0)
+    if not np.median(np.sqrt((strength**2).mean(axis=2)).max(axis=1)) > LEAST_STRENGTH:
+        raise UserError(
+            "the fields of most epochs do not stand out of their noise: check that the beacons run, that fields are "
+            "in tesla, and sigma_T"
+        )
