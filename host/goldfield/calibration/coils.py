@@ -33,6 +33,8 @@ LARGEST_REMAINDER = math.exp(-0.1)
 """Largest e: a time constant of ten chips, as in a site file."""
 SEEN = 3.0
 """Deviations from zero from which on a time constant is told, else only what it is below."""
+HEARD, EXACT = 6.0, 1e-9
+"""Size of a field over its noise, and over the largest sample, that at least one beacon must exceed."""
 FEWEST_SIGNED = 3
 """Beacons from which on the attitude tells whether all are reversed."""
 CLEAR = 0.5
@@ -89,6 +91,7 @@ def calibrate_coils(site: Site, samples_T: FloatArray, place_m: FloatArray | Non
     if not np.isfinite(samples).all():
         raise UserError("some chips are missing in every cycle: record more cycles")
     fields, remainders, deviations, noise_T = _rises(site_templates(site, rise=False), samples)
+    _check_heard(fields, samples, noise_T)
     signs = _signs(site, fields, noise_T, place_m)
     result = []
     for row, beacon in enumerate(site.beacons):
@@ -106,6 +109,15 @@ def calibrate_coils(site: Site, samples_T: FloatArray, place_m: FloatArray | Non
             )
         )
     return result
+
+
+def _check_heard(fields: FloatArray, samples_T: FloatArray, noise_T: float) -> None:
+    """Refuse samples in which no beacon is heard: what is found in a constant or in noise is nobody's."""
+    least = max(HEARD * noise_T / math.sqrt(len(samples_T)), EXACT * float(np.abs(samples_T).max()))
+    if not float(np.linalg.norm(fields, axis=1).max()) > least:
+        raise UserError(
+            "no beacon is heard in the samples: check that the beacons run, and that the site file has their codes"
+        )
 
 
 def _tau(remainder: float) -> float:
