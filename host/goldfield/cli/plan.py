@@ -17,6 +17,8 @@ from goldfield.cli.output import json_line
 from goldfield.errors import Loudness, UserError, loudness, tell
 from goldfield.files.outputs import check_outputs, write_file
 from goldfield.site import Site
+from goldfield.site.plausible import EXTENT
+from goldfield.types import FloatArray
 
 KINDS = (".npz", ".png", ".html")
 """Ends of names by which an output's format is chosen."""
@@ -110,6 +112,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     box = np.array(arguments.box)
     grid = Grid.of_box(box[:3], box[3:], arguments.step)
+    _check_near(site, box[:3], box[3:])
     request = Request(
         site, grid, Settings(min(arguments.best, len(site.beacons)), arguments.truncation, arguments.conflict)
     )
@@ -188,10 +191,22 @@ def _site_of(arguments: argparse.Namespace) -> Site:
     if arguments.lattice:
         from goldfield.planning import lattice
 
-        return lattice.load(arguments.lattice)
+        site = lattice.load(arguments.lattice)
+        options.tell_doubts(site)
+        return site
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
     options.tell_assumed(site)
     return site
+
+
+def _check_near(site: Site, low_m: FloatArray, high_m: FloatArray) -> None:
+    """Refuse a box that no beacon reaches: one of box and site is in another unit."""
+    places = np.array([beacon.position_m for beacon in site.beacons])
+    gap = float(np.linalg.norm(places - np.clip(places, low_m, high_m), axis=1).min())
+    if gap > EXTENT.usual[1]:
+        raise UserError(
+            f"--box is {gap:g} m from the nearest beacon, where none is heard: give metres in --box and in the file"
+        )
 
 
 def _floor_of(arguments: argparse.Namespace) -> Any:

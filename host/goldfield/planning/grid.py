@@ -54,9 +54,10 @@ class Grid:
             axis = "xyz"[int((high_m < low_m).argmax())]
             raise UserError(f"{option('box')} has its second corner below its first in {axis}: give x0 y0 z0 x1 y1 z1")
         count = np.floor((high_m - low_m) / step_m + 1e-9) + 1.0
-        if count.prod() > MOST_POINTS:
+        points = float(count[0]) * float(count[1]) * float(count[2])  # infinite without a word where it overflows
+        if points > MOST_POINTS:
             raise UserError(
-                f"{option('step', f'{step_m:g}')} makes {count.prod():.3g} points in the box: at most {MOST_POINTS} "
+                f"{option('step', f'{step_m:g}')} makes {points:.3g} points in the box: at most {MOST_POINTS} "
                 "are computed; give a larger step"
             )
         return cls(*(low + step_m * np.arange(int(n)) for low, n in zip(low_m, count, strict=True)))

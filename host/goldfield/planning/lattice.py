@@ -9,7 +9,8 @@ import numpy as np
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site import Beacon, HalfSpace, SensorSite, Site
 from goldfield.site.model import Survey
-from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD, ASSUMED_SURVEY
+from goldfield.site.plausible import EXTENT, check_place, checked
+from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD, ASSUMED_SURVEY, LEAST_DEVIATION
 from goldfield.types import FloatArray
 
 LATTICE_KEYS = ("count", "spacing_m", "height_m", "origin_m", "side", "axis", "turns", "radius_m", "current_A")
@@ -50,18 +51,20 @@ def load(path: str | Path) -> Site:
     lattice, sensor = root.table("lattice"), root.table("sensor")
     survey = _survey(root.table("survey")) if "survey" in root else ASSUMED_SURVEY
     sensor.allow(*SENSOR_KEYS)
-    beacons, half_space = _beacons(lattice, survey)
+    doubts: list[str] = []
+    beacons, half_space = _beacons(lattice, survey, doubts)
     return Site(
         name=Path(path).stem,
         chip_period_s=CHIP_PERIOD_S,
         degree=_degree(sensor),
         half_space=half_space,
         sensor=SensorSite(
-            sensor.positive("noise_T"),
+            checked(sensor, "noise_T", sensor.positive("noise_T"), doubts),
             _deviation(sensor, "gain_sd", ASSUMED_GAIN_SD),
             _deviation(sensor, "axis_sd_rad", ASSUMED_AXIS_SD_RAD),
         ),
         beacons=beacons,
+        doubts=tuple(doubts),
     )
 
 
@@ -81,10 +84,12 @@ def _deviation(table: Table, key: str, assumed: float) -> float:
     value = table.number(key) if key in table else assumed
     if not 0.0 <= value < 1.0:
         raise table.error(key, f"is {value:g}; it is a standard deviation, from 0 to below 1")
+    if 0.0 < value < LEAST_DEVIATION:
+        raise table.error(key, f"is {value:g}; nothing is known so well: write 0 for what is exact")
     return value
 
 
-def _beacons(table: Table, survey: Survey) -> tuple[tuple[Beacon, ...], HalfSpace | None]:
+def _beacons(table: Table, survey: Survey, doubts: list[str]) -> tuple[tuple[Beacon, ...], HalfSpace | None]:
     table.allow(*LATTICE_KEYS)
     count = table.numbers("count")
     if count.shape != (2,) or (count < 1).any() or (count % 1 != 0).any() or count.prod() > MOST_BEACONS:
@@ -92,12 +97,19 @@ def _beacons(table: Table, survey: Survey) -> tuple[tuple[Beacon, ...], HalfSpac
     spacing = _pair(table, "spacing_m")
     if (spacing <= 0.0).any():
         raise table.error("spacing_m", "must be above zero")
+    widest = float(spacing[count > 1].max(initial=0.0))
+    if widest > EXTENT.most:
+        raise table.error("spacing_m", f"has {widest:g} m, farther than any field reaches{EXTENT.hint(widest)}")
     origin = _pair(table, "origin_m") if "origin_m" in table else np.zeros(2)
     height, side = table.number("height_m"), table.text("side") if "side" in table else "below"
     if side not in SIDES:
         raise table.error("side", f'is "{side}"; the sensor is {", ".join(SIDES)} of the lattice')
     axis = table.direction("axis") if "axis" in table else np.array([0.0, 0.0, 1.0])
-    turns, radius, current = table.positive("turns"), table.positive("radius_m"), table.positive("current_A")
+    turns, radius, current = (
+        checked(table, key, table.positive(key), doubts) for key in ("turns", "radius_m", "current_A")
+    )
+    check_place(table, "height_m", np.array([height]))
+    check_place(table, "origin_m", origin)
     beacons = tuple(
         Beacon(
             id=f"b{i}-{j}",
