@@ -10,6 +10,8 @@ from goldfield.site.metal import MOST_BODIES, MOST_DEGREE, BeaconMetal, Metal, h
 
 KEYS = ("degree", "centre_m", "radius_m", "sd_T_A", "walked_m", "body")
 BEACON_KEY = "metal_T_A"
+LEAST_GAP_M = 1e-3
+"""Least distance of a body from the centre of a coil: at the centre itself its answer has no limit."""
 SMALLEST_ROOM = 1e-3
 """Least extent of the corners of ``walked_m`` off any plane, over their largest extent."""
 
@@ -40,6 +42,13 @@ def read_metal(table: Table) -> Metal:
         sd_T_A=sd_T_A,
         walked_m=walked,
     )
+
+
+def check_bodies(table: Table, metal: Metal, centre_m: np.ndarray) -> None:
+    """Refuse a body in the centre of a coil; ``centre_m``, shape (n, 3), are those of all beacons."""
+    for body, place in zip(table.tables("body") if len(metal.body_m) else [], metal.body_m, strict=True):
+        if np.linalg.norm(centre_m - place, axis=1).min() < LEAST_GAP_M:
+            raise body.error("position_m", "is the centre of a beacon's coil, where no metal can be: move the body")
 
 
 def _polarisability(body: Table) -> np.ndarray:

@@ -15,7 +15,7 @@ from goldfield.files.toml_table import Table, read_table
 from goldfield.site.coil_shapes import SHAPE_KEYS, placed, wire_of
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
 from goldfield.site.metal import Metal
-from goldfield.site.metal_keys import BEACON_KEY, read_beacon_metal, read_metal
+from goldfield.site.metal_keys import BEACON_KEY, check_bodies, read_beacon_metal, read_metal
 from goldfield.site.model import ALERT_LIMIT_M, Beacon, HalfSpace, SensorSite, Site, Survey, area_vector
 from goldfield.site.plausible import check_extent, check_place, checked
 from goldfield.types import FloatArray
@@ -99,6 +99,8 @@ def site_of(root: Table) -> Site:
     beacons = tuple(_beacon(table, plan, survey, metal, doubts) for table in tables)
     _check_unique(tables, beacons)
     check_extent(tables, beacons, doubts)
+    if metal is not None:
+        check_bodies(root.table("metal"), metal, np.array([beacon.position_m for beacon in beacons]))
     limit_m = site.positive("alert_limit_m") if "alert_limit_m" in site else ALERT_LIMIT_M
     return Site(
         name=site.text("name"),
@@ -128,6 +130,9 @@ SURVEY_LIMITS = {"position_sd_m": (1.0, " m"), "axis_sd_rad": (0.5, " rad"), "cu
 SENSOR_LIMITS = {"gain_sd": (0.5, ""), "axis_sd_rad": (0.5, " rad")}
 """Least values that are refused, with their units: with errors this large the model holds nowhere."""
 
+LEAST_DEVIATION = 1e-12
+"""Least standard deviation but 0: the squares of much smaller ones leave the range of numbers."""
+
 SENSOR_KEYS = ("noise_T", "axes", "lever_m", *SENSOR_LIMITS)
 
 LONGEST_LEVER_M = 0.3
@@ -141,6 +146,8 @@ def _deviation(table: Table, key: str, limits: dict[str, tuple[float, str]]) -> 
     value, (limit, unit) = table.number(key), limits[key]
     if not 0.0 <= value < limit:
         raise table.error(key, f"is {value:g}; it is a standard deviation, from 0 to below {limit:g}{unit}")
+    if 0.0 < value < LEAST_DEVIATION:
+        raise table.error(key, f"is {value:g}; nothing is known so well: write 0 for what is exact")
     return value
 
 
