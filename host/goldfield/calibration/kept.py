@@ -90,9 +90,14 @@ def load_kept(path: Path) -> dict[str, KeptSensor]:
     return found
 
 
+def kept_before(path: Path) -> dict[str, KeptSensor]:
+    """Return what a file keeps already; nothing if it is empty or not there."""
+    return load_kept(path) if path.exists() and path.stat().st_size else {}
+
+
 def keep(path: Path, kept: KeptSensor) -> None:
     """Write a sensor to a file, in place of what that says of the same board; other sensors stay."""
-    sensors = load_kept(path) if path.exists() and path.stat().st_size else {}
+    sensors = kept_before(path)
     sensors[kept.unique_id] = kept
     write_file(path, _text(sensors.values()).encode(), "the file of sensors", force=True)
 

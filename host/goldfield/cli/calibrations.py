@@ -11,14 +11,14 @@ import numpy as np
 
 from goldfield import site as sites
 from goldfield.calibration.coils import CoilCalibration, calibrate_coils
-from goldfield.calibration.kept import KeptSensor, checked_id, corrected, keep, load_kept
+from goldfield.calibration.kept import KeptSensor, checked_id, corrected, keep, kept_before, load_kept
 from goldfield.calibration.sensor import SensorCalibration, calibrate_sensor
 from goldfield.calibration.turn import Turn, turn_of_fields, turn_of_reports
 from goldfield.cli import board_calibration, link_options, options
 from goldfield.cli.chips_file import read_cycles
 from goldfield.cli.output import elements, json_line, number
 from goldfield.errors import UserError, tell
-from goldfield.files.outputs import check_outputs, write_file
+from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.link.reports import Report
 from goldfield.sensor.fields_table import read_fields
 from goldfield.sensor.opening import open_sensor
@@ -43,7 +43,12 @@ def sensor(arguments: argparse.Namespace) -> int:
         raise UserError("--sensors needs --unique-id with a recording: goldfield nodes tells a board's")
     unique_id = checked_id(arguments.unique_id) if arguments.unique_id else None
     recording = None if live else where
-    check_outputs({"--out": arguments.out}, {"--site": path, "the recording": recording}, force=arguments.force)
+    inputs = {"--site": path, "the recording": recording, "--sensors": arguments.sensors}
+    check_outputs({"--out": arguments.out}, inputs, force=arguments.force)
+    check_writable(arguments.out, "the site file")
+    check_writable(arguments.sensors, "the file of sensors")
+    if arguments.sensors:
+        kept_before(Path(arguments.sensors))  # a broken one is told before the sensor is turned or the board written
     site = sites.load(path)
     options.tell_assumed(site)
     if kind == "fields":
@@ -141,6 +146,7 @@ def coils(arguments: argparse.Namespace) -> int:
     path = options.required(arguments.site, "--site", "FILE")
     inputs = {"--site": path, "SAMPLES.csv": arguments.samples}
     check_outputs({"--out": arguments.out}, inputs, force=arguments.force)
+    check_writable(arguments.out, "the site file")
     site = sites.load(path)
     options.tell_doubts(site)
     cycles = list(read_cycles(site, arguments.samples))

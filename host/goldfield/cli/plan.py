@@ -15,7 +15,7 @@ from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.output import json_line
 from goldfield.errors import Loudness, UserError, loudness, tell
-from goldfield.files.outputs import check_outputs, write_file
+from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.site import Site
 from goldfield.site.plausible import EXTENT
 from goldfield.types import FloatArray
@@ -183,6 +183,9 @@ def _check_files(arguments: argparse.Namespace) -> None:
     if arguments.site_out and not arguments.optimise:
         raise UserError("--site-out is given without --optimise: there is no new site to write")
     check_outputs({**outputs, "--site-out": arguments.site_out}, inputs, force=arguments.force)
+    check_writable(arguments.site_out, "the site")
+    for path in arguments.out:
+        check_writable(path, "the plan")
 
 
 def _site_of(arguments: argparse.Namespace) -> Site:

@@ -18,7 +18,7 @@ from goldfield import site as sites
 from goldfield.cli import link_options, options, survey_live
 from goldfield.cli.output import json_line, number
 from goldfield.errors import Loudness, UserError, loudness
-from goldfield.files.outputs import check_outputs, write_file
+from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.sensor.fields_table import read_fields
 from goldfield.site import Site
 from goldfield.site.metal import Metal
@@ -42,6 +42,7 @@ def make_survey(arguments: argparse.Namespace) -> int:
     inputs |= {"--points": arguments.points, "--known": arguments.known}
     inputs |= {f"--anchor {name}": table for name, table in tables}
     check_outputs({"--out": out}, inputs, force=arguments.force)
+    check_writable(out, "the new site file")
     site = sites.load(path)
     options.tell_doubts(site)
     known = read_known(arguments.known, site) if arguments.known else ()

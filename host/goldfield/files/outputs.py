@@ -1,6 +1,7 @@
 """Files that a command writes: a mistyped option must not cost a file, nor a full disk or a crash what was written.
 
-`check_outputs` is called before anything is opened. `OutputFile` is then the one way in which a file is written:
+`check_outputs` is called before anything is opened, `check_writable` before long work. `OutputFile` is then the one way
+in which a file is written:
 
 - a table, a site or a picture is written beside its place and renamed at the end, so that it is there whole or not;
 - a recording (``live``) grows in its place record by record, each handed to the system at once and to the disk within
@@ -77,6 +78,38 @@ def check_outputs(
     for one in written:
         if not force and one.path != STREAM:
             _refuse_filled(one.path, one.option)
+
+
+def check_writable(path: str | Path | None, what: str) -> None:
+    """Check, before the work that leads to it, that a file can be written at its end.
+
+    Parameters
+    ----------
+    path : path or None
+        None and an empty path are an option that was not given.
+    what : str
+        What the file will hold, as for `OutputFile`.
+
+    Raises
+    ------
+    UserError
+        If the path is a directory, or in none that can be written, or no path.
+    """
+    if not path or str(path) == STREAM:
+        return
+    try:
+        place = Path(os.path.realpath(path))
+        try:
+            is_directory = stat.S_ISDIR(place.stat().st_mode)
+        except FileNotFoundError:
+            is_directory = False
+            reason = errno.ENOENT if not place.parent.is_dir() else errno.EACCES
+            if not os.access(place.parent, os.W_OK):
+                raise OSError(reason, os.strerror(reason)) from None
+        if is_directory:
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    except (OSError, RuntimeError, ValueError) as error:  # a name that is too long, a zero byte in it
+        raise UserError(f"{path}: {what} cannot be written: {reason_of(error)}") from error
 
 
 @dataclass(frozen=True)

@@ -155,3 +155,33 @@ def test_a_grid_of_too_many_points_is_refused(tmp_path, capsys, step):
     (tmp_path / "lattice.toml").write_text(LATTICE)
     words = ["plan", "--lattice", tmp_path / "lattice.toml", *BOX[:-1], step]
     assert "points in the box: at most" in check_refused(capsys, words)
+
+
+ID = "0102030405060708090a0b0c"
+PLACES = ["nowhere/new", "folder", "x" * 300, "a\0b"]
+WRITERS = {
+    "the site of survey": ["survey", "--site", "site.toml", "fields.csv", "--out"],
+    "the site of calibrate sensor": ["calibrate", "sensor", "--site", "site.toml", "--fields", "fields.csv", "--out"],
+    "the kept sensor": ["calibrate", "sensor", "--site", "site.toml", "--fields", "x", "--unique-id", ID, "--sensors"],
+    "the site of calibrate coils": ["calibrate", "coils", "fields.csv", "--site", "site.toml", "--out"],
+    "the map": ["plan", "--site", "site.toml", *BOX, "--out"],
+    "the better site": ["plan", "--site", "site.toml", *BOX, "--optimise", "site.toml", "--site-out"],
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("writer", WRITERS)
+def test_a_place_that_cannot_be_written_is_told_before_the_work(tmp_path, monkeypatch, capsys, writer, place):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "site.toml").write_text("no site: whoever reads it says so")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder.png").mkdir()
+    end = ".png" if writer == "the map" else ""
+    assert "cannot be written" in check_refused(capsys, [*WRITERS[writer], place + end])
+
+
+def test_a_broken_file_of_sensors_is_told_before_the_work(turned, tmp_path, capsys):
+    (tmp_path / "sensors.toml").write_text("no sensors")
+    words = ["calibrate", "sensor", "--site", tmp_path / "nowhere.toml", "--fields", turned / "fields.csv"]
+    more = ["--unique-id", ID, "--sensors", tmp_path / "sensors.toml"]
+    assert "sensors.toml: is no valid TOML" in check_refused(capsys, [*words, *more])
