@@ -43,13 +43,18 @@ class Grid:
         Raises
         ------
         UserError
-            If the corners are the wrong way round or there are more than `MOST_POINTS`.
+            If corners or step are none, the corners are the wrong way round, or there are more than `MOST_POINTS`.
 
         Examples
         --------
         >>> Grid.of_box(np.zeros(3), np.array([1.0, 0.5, 0.0]), 0.25).shape
         (5, 3, 1)
         """
+        low_m, high_m = np.asarray(low_m, dtype=np.float64), np.asarray(high_m, dtype=np.float64)
+        if low_m.shape != (3,) or high_m.shape != (3,) or not np.isfinite([low_m, high_m]).all():
+            raise UserError(f"{option('box')} needs two corners of three finite coordinates each")
+        if not step_m > 0.0:
+            raise UserError(f"{option('step', f'{step_m:g}')} is no distance greater than zero")
         if (high_m < low_m).any():
             axis = "xyz"[int((high_m < low_m).argmax())]
             raise UserError(f"{option('box')} has its second corner below its first in {axis}: give x0 y0 z0 x1 y1 z1")

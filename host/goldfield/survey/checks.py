@@ -6,6 +6,7 @@ import numpy as np
 
 from goldfield.errors import UserError, counted
 from goldfield.site import Site
+from goldfield.survey.data import Distance, Place, SurveyData
 from goldfield.survey.equations import Readings
 
 LEAST_STRENGTH = 5.0
@@ -25,6 +26,28 @@ def check_sensor(site: Site) -> None:
             f"site {site.name}: [sensor] axes has {counted(len(site.sensor.axes), 'rows')}: a survey takes a sensor "
             "of three axes"
         )
+
+
+def check_data(site: Site, data: SurveyData) -> None:
+    """Refuse points and known values of what is not there, or with a deviation that is none."""
+    ids = {beacon.id for beacon in site.beacons}
+    named = [anchor.beacon for anchor in data.anchors]
+    for known in data.known:
+        named += known.beacons if isinstance(known, Distance) else [known.beacon]
+        sd = known.sd_m if isinstance(known, Distance | Place) else getattr(known, "sd_rad", getattr(known, "sd", 0.0))
+        if not (np.isfinite(sd) and sd > 0.0):
+            raise UserError(f"known= of SurveyData has a deviation of {sd:g}: give one greater than zero")
+    unknown = next((name for name in named if name not in ids), None)
+    if unknown is not None:
+        raise UserError(f'known= or anchors= of SurveyData name "{unknown}", which the site does not have')
+    epochs = {fields.epoch for fields in data.epochs}
+    for point in data.points:
+        if point.epoch not in epochs:
+            raise UserError(f"points= of SurveyData name epoch {point.epoch}, which is not among epochs=")
+        if np.shape(point.position_m) != (3,) or not (np.isfinite(point.sigma_m) and point.sigma_m > 0.0):
+            raise UserError(
+                f"points= of SurveyData: that of epoch {point.epoch} needs three coordinates, and a sigma_m above zero"
+            )
 
 
 def check_epochs(readings: Readings) -> None:

@@ -9,7 +9,7 @@ from goldfield.field import FieldModel
 from goldfield.site import Site
 from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD
 from goldfield.survey.adjustment import Problem
-from goldfield.survey.checks import check_epochs, check_sensor
+from goldfield.survey.checks import check_data, check_epochs, check_sensor
 from goldfield.survey.constraints import Constraints
 from goldfield.survey.data import AnchorFields, Free, SurveyData
 from goldfield.survey.equations import Readings
@@ -21,6 +21,7 @@ from goldfield.types import Fields, FloatArray
 def problem_of(site: Site, data: SurveyData, free: frozenset[Free], metal: MetalState | None = None) -> Problem:
     """Return everything that an adjustment takes as given; UserError if too little was measured."""
     check_sensor(site)
+    check_data(site, data)
     row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
     readings = _readings(data.epochs, row)
     anchors = _readings(tuple(anchor.fields for anchor in data.anchors), row, data.anchors)

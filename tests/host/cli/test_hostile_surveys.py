@@ -5,9 +5,15 @@ As in `test_hostile`: one sentence, never a traceback, never an answer that rest
 
 import re
 
+import numpy as np
 import pytest
 
-from goldfield.sensor.fields_table import FieldsWriter
+from goldfield import site as sites
+from goldfield.errors import UserError
+from goldfield.planning import Grid
+from goldfield.sensor.fields_table import FieldsWriter, read_fields
+from goldfield.survey import SurveyData, survey
+from goldfield.survey.data import AnchorFields, Distance, KnownPoint
 from tests.bench.integrity_sites import text_of
 from tests.bench.survey_trials import ASTRAY, cube, trial
 from tests.host.calibration.turning import record
@@ -185,3 +191,31 @@ def test_a_broken_file_of_sensors_is_told_before_the_work(turned, tmp_path, caps
     words = ["calibrate", "sensor", "--site", tmp_path / "nowhere.toml", "--fields", turned / "fields.csv"]
     more = ["--unique-id", ID, "--sensors", tmp_path / "sensors.toml"]
     assert "sensors.toml: is no valid TOML" in check_refused(capsys, [*words, *more])
+
+
+MISUSES = {
+    "a point of no epoch": {"points": (KnownPoint(999, np.zeros(3), 0.01),)},
+    "a point without deviation": {"points": (KnownPoint(0, np.zeros(3), 0.0),)},
+    "a point in the plane": {"points": (KnownPoint(0, np.zeros(2), 0.01),)},
+    "a distance to no beacon": {"known": (Distance(("b0", "zz"), 1.0, 0.1),)},
+    "a distance without deviation": {"known": (Distance(("b0", "b1"), 1.0, 0.0),)},
+}
+
+
+@pytest.mark.parametrize("misuse", MISUSES)
+def test_data_that_cannot_be_surveyed_are_refused(walked, misuse):
+    site = sites.load(walked / "site.toml")
+    epochs = tuple(read_fields(site, walked / "fields.csv"))
+    with pytest.raises(UserError, match="of SurveyData"):
+        survey(site, SurveyData(epochs, **MISUSES[misuse]))
+    with pytest.raises(UserError, match='of SurveyData name "zz"'):
+        survey(site, SurveyData(epochs, anchors=(AnchorFields("zz", epochs[0]),)))
+
+
+GRIDS = [([np.nan] * 3, 1.0), ([0.0, 0.0], 1.0), ([0.0] * 3, 0.0), ([0.0] * 3, -1.0)]
+
+
+@pytest.mark.parametrize(("low_m", "step_m"), GRIDS)
+def test_a_grid_that_is_none_is_refused(low_m, step_m):
+    with pytest.raises(UserError, match=r"box|step"):
+        Grid.of_box(np.array(low_m), np.ones(3), step_m)
