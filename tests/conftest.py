@@ -21,6 +21,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 HERE = Path(__file__).parent
 LONG = (
     "bench",
+    "docs/test_new_room.py",
     "firmware/apps",
     "firmware/boards",
     "firmware/core/pose/test_pose_instructions.py",

@@ -97,6 +97,11 @@ plan-map: $(BUILD)/venv.stamp ## Draw docs/plan.png: what a plan of a hall looks
 
 .PHONY: plan-figures plan-map
 
+new-room-picture: all ## Run the commands of docs/new_room.md and draw docs/new_room.png (three minutes)
+	@$(PYTHON) -m tests.bench.new_room_picture
+
+.PHONY: new-room-picture
+
 metal-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure what learning the metal of a room gains (half an hour)
 	@$(PYTHON) -m tests.bench.metal_figures
 
