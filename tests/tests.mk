@@ -76,9 +76,9 @@ readme-figures: all ## Compare each figure that README.md quotes with what the c
 
 .PHONY: readme-figures
 
-SURVEY ?=
-survey-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure how near a survey comes to the truth (long; SURVEY="cube-10 --seeds 3")
-	@$(PYTHON) -m tests.bench.survey_figures $(SURVEY)
+SURVEYS ?=
+survey-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure how near a survey comes to the truth (long; SURVEYS="cube-10 --seeds 3")
+	@$(PYTHON) -m tests.bench.survey_figures $(SURVEYS)
 
 .PHONY: survey-figures
 

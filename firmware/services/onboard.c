@@ -177,6 +177,9 @@ static bool step(onboard_t *onboard, node_t *node) {
 }
 
 void onboard_step(onboard_t *onboard, node_t *node) {
+    if (!onboard->due && !pose_live_at_work(&onboard->live)) {
+        return;
+    }
     const uint64_t start_us = hal_microseconds(node->hal);
     while (step(onboard, node) && hal_microseconds(node->hal) - start_us < ONBOARD_TURN_US) {
     }

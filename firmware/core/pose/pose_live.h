@@ -37,6 +37,11 @@ void pose_live_begin(pose_live_t *live, const pose_site_t *site, const pose_fiel
 /* Do the next step of the pose. Returns true when *pose is complete. */
 bool pose_live_step(pose_live_t *live, pose_t *pose);
 
+/* Whether there is a pose or a review to go on with. */
+static inline bool pose_live_at_work(const pose_live_t *live) {
+    return live->busy || live->reviewing;
+}
+
 /* Do a step of the review, if there is one. Returns whether there was. */
 bool pose_live_spare(pose_live_t *live);
 

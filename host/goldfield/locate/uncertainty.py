@@ -45,6 +45,8 @@ def root_covariance(information: FloatArray) -> tuple[FloatArray, FloatArray]:
     free : ndarray, shape (e, 6, 6)
         Covariance of the unobservable directions: zero if all is observable.
     """
+    # Inside a wire nothing is finite. It tells nothing: a decomposition of what is no number may not come to an end.
+    information = np.where(np.isfinite(information).all(axis=(1, 2), keepdims=True), information, 0.0)
     scale = 1.0 / np.sqrt(np.einsum("ekk->ek", information) + 1e-300)
     eigenvalue, vector = np.linalg.eigh(information * scale[:, :, None] * scale[:, None, :])
     seen = eigenvalue > UNOBSERVABLE

@@ -129,7 +129,7 @@ def test_a_written_site_is_the_same_when_it_is_read(tmp_path):
     path.write_text(site_text(site))
     read = load_file(path)
     assert read is not site
-    assert (read.name, read.alert_limit_m, read.sensor, read.assumed) == (site.name, 0.2, site.sensor, ())
+    assert (read.name, read.alert_limit_m, vars(read.sensor), read.assumed) == (site.name, 0.2, vars(site.sensor), ())
     assert read.half_space.normal.tolist() == site.half_space.normal.tolist()
     for one, other in zip(read.beacons, site.beacons, strict=True):
         assert (one.id, one.code, one.turns, one.radius_m) == (other.id, other.code, other.turns, other.radius_m)
