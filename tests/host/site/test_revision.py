@@ -15,6 +15,7 @@ from goldfield.errors import UserError
 from goldfield.site import Survey, load
 from goldfield.site.coil_shapes import smallest_rotation
 from goldfield.site.metal import Metal
+from goldfield.site.reading import LEAST_DEVIATION
 from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 
 SITE = """\
@@ -64,7 +65,13 @@ DIRECTIONS = (arrays(np.float64, 3, elements=st.floats(-1.0, 1.0)).filter(lambda
     lambda v: v / np.linalg.norm(v)
 )
 CURRENTS = st.floats(1e-6, 200.0) | st.floats(-200.0, -1e-6)
-SURVEYS = st.builds(Survey, st.floats(0.0, 0.9), st.floats(0.0, 0.4), st.floats(0.0, 0.4))
+
+
+def deviations(limit):
+    return st.just(0.0) | st.floats(LEAST_DEVIATION, limit)
+
+
+SURVEYS = st.builds(Survey, deviations(0.9), deviations(0.4), deviations(0.4))
 REVISIONS = st.builds(
     BeaconRevision,
     st.none() | COORDINATES,
@@ -73,9 +80,7 @@ REVISIONS = st.builds(
     st.none() | SURVEYS,
 )
 AXES = arrays(np.float64, (3, 3), elements=st.floats(-0.2, 0.2)).map(lambda part: part + np.diag([1.0, -1.1, 0.9]))
-SENSORS = st.builds(
-    SensorRevision, st.none() | AXES, st.none() | st.floats(0.0, 0.49), st.none() | st.floats(0.0, 0.49)
-)
+SENSORS = st.builds(SensorRevision, st.none() | AXES, st.none() | deviations(0.49), st.none() | deviations(0.49))
 
 
 @pytest.fixture(scope="module")
