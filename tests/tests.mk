@@ -102,7 +102,7 @@ new-room-picture: all ## Run the commands of docs/new_room.md and draw docs/new_
 
 .PHONY: new-room-picture
 
-metal-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure what learning the metal of a room gains (half an hour)
+metal-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure what learning the metal of a room gains (long)
 	@$(PYTHON) -m tests.bench.metal_figures
 
 .PHONY: metal-figures

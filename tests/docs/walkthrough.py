@@ -8,7 +8,6 @@ import re
 import shlex
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -20,8 +19,6 @@ from goldfield import load_site
 from hil_sim.clib import ROOT
 
 PAGE = ROOT / "docs/new_room.md"
-PATIENCE_S = 120.0
-"""How long a bench may take to show its port, on a machine that does much else."""
 
 
 def blocks(language: str) -> list[str]:
@@ -87,15 +84,13 @@ def _run(command: str, folder: Path) -> str:
 
 def _start(command: str, folder: Path, bench: ExitStack) -> None:
     words = [*_words(command), "--pace", "0"]
-    process = subprocess.Popen(words, cwd=folder, env=_environment(), stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(words, cwd=folder, env=_environment(), stdout=subprocess.PIPE, text=True)
     bench.callback(process.wait)
     bench.callback(process.terminate)
     port = folder / "sensor"
-    deadline = time.monotonic() + PATIENCE_S
-    while not port.exists():
-        if process.poll() is not None or time.monotonic() > deadline:
-            raise RuntimeError(f"{command}: there is no port {port}")
-        time.sleep(0.05)
+    assert process.stdout is not None
+    if not process.stdout.readline().startswith("serial ") or not port.exists():  # its first line: the bench is there
+        raise RuntimeError(f"{command}: there is no port {port}")
     bench.callback(os.close, os.open(port, os.O_RDWR | os.O_NOCTTY))
 
 

@@ -139,10 +139,12 @@ def _optimised(arguments: argparse.Namespace, request: Any, floor: Any, workers:
             "--scheduler and --optimise are both given: the optimisation runs on this machine; leave one out"
         )
     wishes = optimise_file.load(arguments.optimise)
-    site_text(request.site)  # what cannot be written is told before the work
+    if not arguments.site:
+        site_text(request.site)  # what cannot be written is told before the work
     outcome = optimise(request, wishes, workers=workers, told=tell)
     if arguments.site_out:
-        write_file(arguments.site_out, site_text(outcome.site).encode(), "the site", force=arguments.force)
+        text = _revised(arguments.site, outcome.site) if arguments.site else site_text(outcome.site)
+        write_file(arguments.site_out, text.encode(), "the site", force=arguments.force)
     _write(arguments, outcome.after, floor)
     before, after = outcome.before.summary(), outcome.after.summary()
     reached = wishes.target_m is None or outcome.figure_after_m <= wishes.target_m
@@ -155,6 +157,14 @@ def _optimised(arguments: argparse.Namespace, request: Any, floor: Any, workers:
                 f"the target of {100.0 * wishes.target_m:.3g} cm is not reached: allow more power, regions or beacons"
             )
     return 0
+
+
+def _revised(path: str, site: Site) -> str:
+    """Return the site file with new places, axes and currents; all else stays as its author wrote it."""
+    from goldfield.site.revision import BeaconRevision, revised  # heavy: only when a site is written
+
+    beacons = {one.id: BeaconRevision(one.position_m, one.axis, one.current_A) for one in site.beacons}
+    return revised(Path(path), beacons)
 
 
 def _write(arguments: argparse.Namespace, maps: Any, floor: Any) -> None:

@@ -6,7 +6,6 @@ import argparse
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from goldfield.errors import Loudness, UserError, loudness
 from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.sensor.fields_table import read_fields
 from goldfield.site import Site
-from goldfield.site.metal import Metal
+from goldfield.site.metal import Metal, no_metal
 from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 from goldfield.survey import Free, SurveyData, SurveyResult, procedure, survey
 from goldfield.survey.data import AnchorFields, MetalFound
@@ -156,7 +155,7 @@ def _new_metal(site: Site, result: SurveyResult) -> Metal | None:
     """Return the metal that takes the place of what the site file says; None if that stays."""
     if result.site.metal is not None or site.metal is None:
         return result.site.metal
-    return replace(site.metal, degree=0, body_m=np.empty((0, 3)), polarisability_A_m2_T=np.empty((0, 3, 3)), sd_T_A=0.0)
+    return no_metal()
 
 
 def record(result: SurveyResult) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from goldfield.errors import UserError
 from goldfield.field.dipole import dipole
 from goldfield.field.harmonics import derivative_matrices, field_norms, harmonic_values
 from goldfield.site import Beacon
-from goldfield.site.metal import Metal
+from goldfield.site.metal import COLUMNS, ROWS, Metal
 from goldfield.types import FloatArray
 
 
@@ -69,7 +69,7 @@ class MetalField:
             scaled = (point_m - self.metal.centre_m[spread]) / self.metal.radius_m
             both = np.einsum("t...,ctn->c...n", harmonic_values(scaled, self.metal.degree - 1), self.sums)
             field += both[:3]
-            for row, (i, j) in enumerate(GRADIENT_ORDER, start=3):
+            for row, (i, j) in enumerate(zip(ROWS, COLUMNS, strict=True), start=3):
                 gradient[i, j] += both[row]
                 if i != j:
                     gradient[j, i] += both[row]
@@ -87,15 +87,11 @@ class MetalField:
         return np.asarray((outside <= 1e-9 * self.metal.radius_m).all(axis=1))
 
 
-GRADIENT_ORDER = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-"""Rows and columns of a symmetric gradient, in the order in which the kernel keeps them."""
-
-
 def _sums(coefficients: FloatArray, degree: int, radius_m: float) -> FloatArray:
     """Return `MetalField.sums` of coefficients of shape (n, (degree + 1)^2)."""
     if degree == 0:
         return np.zeros((9, 0, len(coefficients)))
     derivative = derivative_matrices(degree)
     field = np.stack([coefficients @ derivative[a] for a in range(3)])
-    slopes = np.stack([field[i] @ derivative[j] / radius_m for i, j in GRADIENT_ORDER])
+    slopes = np.stack([field[i] @ derivative[j] / radius_m for i, j in zip(ROWS, COLUMNS, strict=True)])
     return np.ascontiguousarray(np.concatenate([field, slopes])[:, :, : degree**2].transpose(0, 2, 1))

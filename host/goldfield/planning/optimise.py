@@ -125,6 +125,8 @@ def _doubtful(maps: Maps) -> int:
 def _check(site: Site, wishes: Wishes) -> None:
     if len(site.beacons) > MOST_BEACONS:
         raise UserError(f"{len(site.beacons)} beacons are too many to optimise: give at most {MOST_BEACONS}")
+    if site.metal is not None:
+        raise UserError("the site has [metal], learned with the beacons where they are: leave it out to move them")
     for beacon in site.beacons:
         if beacon.radius_m is None:
             raise UserError(f'beacon "{beacon.id}" is given by its wire: only circular coils can be optimised')

@@ -22,6 +22,23 @@ MOST_BODIES = 8
 """Largest number of bodies."""
 
 
+ROWS, COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
+"""Where the six numbers of a symmetric matrix stand: xx, yy, zz, xy, xz, yz."""
+
+
+def symmetric(numbers: FloatArray) -> FloatArray:
+    """Return symmetric matrices, shape (k, 3, 3), of their six numbers, shape (k, 6).
+
+    Examples
+    --------
+    >>> symmetric(np.array([[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]])).tolist()
+    [[[1.0, 4.0, 5.0], [4.0, 2.0, 6.0], [5.0, 6.0, 3.0]]]
+    """
+    result = np.empty((len(numbers), 3, 3))
+    result[:, ROWS, COLUMNS] = result[:, COLUMNS, ROWS] = numbers
+    return result
+
+
 def harmonic_count(degree: int) -> int:
     """Return how many harmonic polynomials there are from degree 1 to this one.
 
@@ -91,6 +108,17 @@ class Metal:
             raise UserError(f"body_m= of Metal has {bodies} bodies: at most {MOST_BODIES} are allowed")
         if not np.array_equal(self.polarisability_A_m2_T, self.polarisability_A_m2_T.swapaxes(1, 2)):
             raise UserError("polarisability_A_m2_T= of Metal must be symmetric: a body without loss has no other")
+
+    @property
+    def is_nothing(self) -> bool:
+        """Whether nothing is added and nothing is unknown."""
+        return self.degree == 0 and len(self.body_m) == 0 and self.sd_T_A == 0.0
+
+
+def no_metal() -> Metal:
+    """Return metal that adds nothing."""
+    none = np.empty((0, 3))
+    return Metal(np.zeros(3), 1.0, 0, none, np.empty((0, 3, 3)), 0.0, none)
 
 
 @dataclass(frozen=True, eq=False)

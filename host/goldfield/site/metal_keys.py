@@ -6,7 +6,7 @@ import numpy as np
 
 from goldfield.errors import counted
 from goldfield.files.toml_table import Table
-from goldfield.site.metal import MOST_BODIES, MOST_DEGREE, BeaconMetal, Metal, harmonic_count
+from goldfield.site.metal import MOST_BODIES, MOST_DEGREE, BeaconMetal, Metal, harmonic_count, symmetric
 
 KEYS = ("degree", "centre_m", "radius_m", "sd_T_A", "walked_m", "body")
 BEACON_KEY = "metal_T_A"
@@ -58,8 +58,7 @@ def _polarisability(body: Table) -> np.ndarray:
         raise body.error(
             "polarisability_A_m2_T", f"has {counted(len(values), 'numbers')}: it needs six, xx, yy, zz, xy, xz and yz"
         )
-    xx, yy, zz, xy, xz, yz = values
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    return np.asarray(symmetric(values[None])[0])
 
 
 def read_beacon_metal(table: Table, metal: Metal | None) -> BeaconMetal | None:

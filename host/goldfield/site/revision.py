@@ -17,7 +17,7 @@ from goldfield.errors import UserError
 from goldfield.files.inputs import name_of
 from goldfield.files.toml_table import parse_table, read_text
 from goldfield.site.coil_shapes import angle_of, frame, smallest_rotation
-from goldfield.site.metal import Metal
+from goldfield.site.metal import COLUMNS, ROWS, Metal
 from goldfield.site.model import Beacon, Survey
 from goldfield.site.reading import site_of
 from goldfield.types import FloatArray
@@ -27,9 +27,6 @@ WIRE_DIGITS = 12
 
 SAME_ANGLE_RAD = 1e-12
 """A turn of a coil about its axis by less is none."""
-
-SIX_ROWS, SIX_COLUMNS = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-"""Where the six numbers of a polarisability stand in its matrix: xx, yy, zz, xy, xz, yz."""
 
 PLAIN = (1e-5, 1e9)
 """Sizes of numbers that are written without an exponent, unless the number that they replace has one."""
@@ -130,12 +127,15 @@ def revised(
 
 
 def _put_metal(document: Any, metal: Metal) -> None:
-    """Write the table ``[metal]``: in place of an old one, else before the first beacon."""
+    """Write the table ``[metal]``: in place of an old one, else before the first beacon. Nothing takes it away."""
     table = tomlkit.table()
     if metal.degree == 0:
         for beacon in document["beacon"]:
             beacon.pop("metal_T_A", None)
-    else:
+    if metal.is_nothing:
+        document.pop("metal", None)
+        return
+    if metal.degree:
         table["degree"] = metal.degree
         _put(table, "centre_m", metal.centre_m)
         _put(table, "radius_m", metal.radius_m)
@@ -146,7 +146,7 @@ def _put_metal(document: Any, metal: Metal) -> None:
     for place, matrix in zip(metal.body_m, metal.polarisability_A_m2_T, strict=True):
         body = tomlkit.table()
         _put(body, "position_m", place)
-        _put(body, "polarisability_A_m2_T", matrix[SIX_ROWS, SIX_COLUMNS])
+        _put(body, "polarisability_A_m2_T", matrix[ROWS, COLUMNS])
         bodies.append(body)
     if len(bodies):
         table["body"] = bodies

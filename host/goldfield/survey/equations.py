@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
+from goldfield.site.metal import COLUMNS, ROWS
 from goldfield.survey.metal import effects_of_bodies, effects_of_harmonics
-from goldfield.survey.parameters import BEACON, COLUMNS, ROWS, SENSOR, TERMS, State, across
+from goldfield.survey.parameters import BEACON, SENSOR, TERMS, State, across
 from goldfield.types import FloatArray
 
 

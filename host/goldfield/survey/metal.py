@@ -17,14 +17,11 @@ from goldfield.field import FieldModel
 from goldfield.field.dipole import dipole
 from goldfield.field.harmonics import harmonic_fields
 from goldfield.site import Beacon
-from goldfield.site.metal import BeaconMetal, Metal, harmonic_count
+from goldfield.site.metal import BeaconMetal, Metal, harmonic_count, symmetric
 from goldfield.types import FloatArray
 
 BODY = 9
 """Unknowns of a body."""
-ROWS, COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-"""Where the numbers of a polarisability stand in its matrix."""
-
 RELATIVE_HARMONIC = 0.1
 """Standard deviation of a coefficient before the survey, over the root of the mean square of the beacon's fields."""
 BODY_SD_M = 0.3
@@ -116,13 +113,6 @@ class MetalState:
 def no_metal(beacons: int) -> MetalState:
     """Return the state without any unknowns."""
     return MetalState(np.zeros(3), 1.0, 0, np.empty((beacons, 0)), np.empty((0, 3)), np.empty((0, 6)))
-
-
-def symmetric(numbers: FloatArray) -> FloatArray:
-    """Return symmetric matrices, shape (k, 3, 3), of their six numbers."""
-    result = np.empty((len(numbers), 3, 3))
-    result[:, ROWS, COLUMNS] = result[:, COLUMNS, ROWS] = numbers
-    return result
 
 
 def effects_of_harmonics(metal: MetalState, strength: FloatArray, point_m: FloatArray) -> FloatArray:

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.special import chdtri
 
-from goldfield.errors import SystemFailure
+from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.field.dipole import dipole
 from goldfield.locate.constellation import Constellation
 from goldfield.site import Site
-from goldfield.site.metal import MOST_DEGREE
+from goldfield.site.metal import MOST_DEGREE, harmonic_count, symmetric
 from goldfield.survey.data import Free, MetalFound, SurveyData, SurveyResult
-from goldfield.survey.metal import MetalState, effects_of_bodies, no_metal, symmetric
+from goldfield.survey.metal import MetalState, effects_of_bodies, no_metal
 from goldfield.survey.outcome import Solution
 from goldfield.survey.parameters import beacons_of
 from goldfield.survey.problem import problem_of
@@ -96,7 +96,7 @@ def survey_with_metal(
     tell = progress if progress is not None else (lambda what, part: None)
     bare = replace(site, metal=None, beacons=tuple(replace(beacon, metal=None) for beacon in site.beacons))
     if len(data.epochs) < 4 * PIECES:
-        raise SystemFailure(
+        raise UserError(
             f"metal is learned from a walk of at least {4 * PIECES} epochs, and there are {len(data.epochs)}: walk "
             "through the whole room"
         )
@@ -199,7 +199,7 @@ class _Choice:
         low, high = np.quantile(walked, 0.01, axis=0), np.quantile(walked, 0.99, axis=0)
         centre = 0.5 * (low + high)
         radius = float(np.quantile(np.linalg.norm(walked - centre, axis=1), 0.95))
-        count = (degree + 1) ** 2 - 1
+        count = harmonic_count(degree)
         none = np.empty((0, 3)), np.empty((0, 6))
         return MetalState(centre, radius, degree, np.zeros((len(self._site.beacons), count)), *none)
 

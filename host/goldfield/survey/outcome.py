@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from goldfield.locate import Locator
 from goldfield.site import Beacon, Site
+from goldfield.site.metal import COLUMNS, ROWS
 from goldfield.site.model import Survey
 from goldfield.survey.adjustment import Evaluation, Problem
 from goldfield.survey.data import Free, Outlier, Parameter
-from goldfield.survey.parameters import BEACON, COLUMNS, ROWS, TERMS, State, across, beacons_of
+from goldfield.survey.parameters import BEACON, TERMS, State, across, beacons_of
 from goldfield.types import Fields, FloatArray
 
 MOST_SEARCHED = 60

@@ -21,15 +21,15 @@ from numpy.typing import NDArray
 
 from goldfield.locate.rotations import orthonormal, turned
 from goldfield.site import Beacon, Site
+from goldfield.site.metal import COLUMNS, ROWS
 from goldfield.survey.data import Free
 from goldfield.survey.metal import MetalState, no_metal
 from goldfield.types import FloatArray
 
 BEACON = 6
 """Parameters of a beacon."""
-ROWS, COLUMNS = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-"""Where the sensor's terms stand in E: the gains, then the tilts xy, xz and yz."""
 TERMS = len(ROWS)
+"""Terms of the sensor, the upper triangle of E: the gains, then the tilts xy, xz and yz."""
 SENSOR = TERMS + 3
 """Parameters of the sensor: its terms and its offset."""
 

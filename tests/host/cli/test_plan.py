@@ -106,6 +106,22 @@ def test_a_lattice_is_planned_and_improved(lattice, tmp_path, capsys):
     assert again["position_m"]["worst"] == pytest.approx(after["position_m"]["worst"], rel=1e-9)
 
 
+def test_an_optimised_site_file_keeps_what_its_author_wrote(tmp_path, capsys):
+    """Comments and the time constant stay; a site whose metal was learned is not moved about."""
+    own, wishes, better = tmp_path / "own.toml", tmp_path / "wishes.toml", tmp_path / "better.toml"
+    own.write_text("# my hall\n" + SITE.read_text())
+    wishes.write_text('[optimise]\nfree = ["position"]\n[[region]]\nlow_m = [-1, -1, -1]\nhigh_m = [4, 4, 4]\n')
+    words = ["plan", "--site", str(own), "--box", "0.9", "0.9", "0.9", "1", "1", "1", "--step", "1", "--workers", "1"]
+    words += ["--optimise", str(wishes), "--site-out", str(better)]
+    assert main(words) == 0
+    assert better.read_text().startswith("# my hall\n")
+    assert better.read_text() != own.read_text()
+    own.write_text(own.read_text().replace("[[beacon]]", "[metal]\nsd_T_A = 1e-10\n\n[[beacon]]", 1))
+    capsys.readouterr()
+    assert main([*words, "--force"]) == 2
+    assert "the site has [metal]" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [

@@ -100,6 +100,8 @@ def test_a_site_with_the_same_metal_elsewhere_is_another() -> None:
     moved = replace(_metal(), body_m=BODY[None] + [0.0, 0.3, 0.0])
     there, elsewhere = (_errors(_site(metal), epochs, position) for metal in (_metal(), moved))
     assert np.median(elsewhere) > 3.0 * np.median(there)
+    suspected = [pose.status is not Status.OK or pose.excluded for pose in Locator(_site(moved)).locate_many(epochs)]
+    assert np.mean(suspected) > 0.9
 
 
 def test_a_sensor_that_computes_its_own_pose_knows_no_metal() -> None:

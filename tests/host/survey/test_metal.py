@@ -11,7 +11,7 @@ import pytest
 
 import goldfield
 from goldfield import cli
-from goldfield.errors import SystemFailure
+from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.site import Site
@@ -126,7 +126,7 @@ def test_without_metal_nothing_is_lost() -> None:
 
 def test_too_short_a_walk_is_refused() -> None:
     trial = metal_trial("none", 1, epochs=99, later=40)
-    with pytest.raises(SystemFailure, match="a walk of at least 100 epochs, and there are 99"):
+    with pytest.raises(UserError, match="a walk of at least 100 epochs, and there are 99"):
         survey(trial.site, SurveyData(trial.data.epochs), FIELD)
 
 

@@ -6,8 +6,7 @@
 #include "level_set.h"
 #include "wahba.h"
 
-#define TWO_PI       6.28318530717958647692
-#define MU0_OVER_4PI 1.00000000055e-7
+#define TWO_PI 6.28318530717958647692
 
 /* Relative change of the fields between neighbouring points, taken as an error: no narrow valley may be missed. */
 #define COARSENESS 0.3

@@ -5,9 +5,6 @@
 
 #include "metal.h"
 
-/* Twice the magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
-#define STRENGTH (2.0 * 1.25663706127e-6 / (4.0 * 3.14159265358979323846))
-
 /* Enough steps of the arithmetic-geometric mean for points 1e-8 radii from a wire. */
 #define MEAN_STEPS 9
 
@@ -105,7 +102,7 @@ void gf_sources(const gf_coils_t *coils, const double position_m[3], gf_sources_
         const double j11 = (1.0 - at->tau[i] * u) * over;
         const double i20 = (u * i10 + (w2 / 3.0) * j11) / at->product2[i];
         const double q21 = (j11 / 3.0 + i20) / u;
-        const double strength = STRENGTH * coils->moment_A_m2[i];
+        const double strength = 2.0 * GF_MU0_OVER_4PI * coils->moment_A_m2[i];
         const double h = at->height[i];
         const double f = strength * (i10 - 2.0 * at->rho2[i] * j11);
         const double g = strength * 2.0 * h * j11;

@@ -26,6 +26,9 @@
 /* Coils of one site; the wrapper leaves larger ones to NumPy. */
 #define GF_MOST_COILS 64
 
+/* The magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
+#define GF_MU0_OVER_4PI (1.25663706127e-6 / (4.0 * 3.14159265358979323846))
+
 /* Highest degree of the metal's polynomials, and most of its bodies (goldfield.site.metal). */
 #define GF_MOST_DEGREE 5
 #define GF_MOST_BODIES 8

@@ -6,8 +6,7 @@
 
 #include "coils.h"
 
-#define PI           3.14159265358979323846
-#define MU0_OVER_4PI 1.00000000055e-7
+#define PI 3.14159265358979323846
 
 /* Halvings of the logarithm of a distance whose ends are a ratio of 1e9 apart: 1e9^(2^-14) = 1.0013. */
 #define HALVINGS      14
@@ -46,7 +45,7 @@ void gf_level_set(double moment_A_m2, double radius_m, double magnitude_T, gf_le
     coil.moment_A_m2[0] = moment_A_m2;
     coil.radius_m[0] = radius_m;
     /* Beyond this the field is below the level in every direction: |B| <= 2 k/r^3 far away. */
-    const double furthest = 2.0 * radius_m + 2.0 * cbrt(2.0 * MU0_OVER_4PI * moment_A_m2 / magnitude_T);
+    const double furthest = 2.0 * radius_m + 2.0 * cbrt(2.0 * GF_MU0_OVER_4PI * moment_A_m2 / magnitude_T);
     double last = 0.5 * PI;
     out->around = false;
     if (radius_m > 0.0) {

@@ -2,9 +2,6 @@
 
 #include <math.h>
 
-/* The magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
-#define STRENGTH (1.25663706127e-6 / (4.0 * 3.14159265358979323846))
-
 #define MOST_TERMS (GF_MOST_DEGREE * GF_MOST_DEGREE)
 
 /* Place of the real part of a harmonic among all: degree l, order m. The imaginary part follows. */
@@ -65,7 +62,7 @@ static void add_body(const double body_m[3], const double *moment_A_m2, size_t n
     const double y = position_m[1] - body_m[1];
     const double z = position_m[2] - body_m[2];
     const double over = 1.0 / (x * x + y * y + z * z);
-    const double k3 = STRENGTH * over * sqrt(over);
+    const double k3 = GF_MU0_OVER_4PI * over * sqrt(over);
     const double k5 = 3.0 * k3 * over;
     for (size_t i = 0; i < n; ++i) {
         const double mx = moment_A_m2[i];

@@ -5,9 +5,6 @@
 #include "fit.h"
 #include "wahba.h"
 
-/* Magnetic constant over 4 pi, T m/A (CODATA 2022, as SciPy gives it). */
-#define MU0_OVER_4PI (1.25663706127e-6 / (4.0 * 3.14159265358979323846))
-
 #define LEAST_MAGNITUDE_T 1e-30
 #define ITERATIONS        25
 #define TOLERANCE         1e-2 /* a tenth of a standard deviation: the fit that follows does better anyway */
@@ -88,7 +85,7 @@ static size_t start(const gf_coils_t *coils, const double *field_T, const double
         const double *const b = field_T + 3 * i;
         const double magnitude = fmax(sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]), LEAST_MAGNITUDE_T);
         const double noise = sigma_T[i] / magnitude;
-        const double range = cbrt(1.5 * MU0_OVER_4PI * coils->moment_A_m2[i] / magnitude);
+        const double range = cbrt(1.5 * GF_MU0_OVER_4PI * coils->moment_A_m2[i] / magnitude);
         ranges.target[i] = range;
         ranges.weight[i] = 1.0 / (range * hypot(range_error, noise / 3.0));
         logarithms.target[i] = log(magnitude);
