@@ -13,6 +13,8 @@ second differences are taken one standard deviation apart, so that they are thos
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from goldfield.field import FieldModel
@@ -86,7 +88,8 @@ def second_order_covariance(
     Returns
     -------
     covariance : ndarray, shape (e, 6, 6)
-        Mean square error of position (m) and a small rotation in the site's frame (rad); positive definite.
+        Mean square error of position (m) and a small rotation in the site's frame (rad); positive definite. Where the
+        model is not finite one standard deviation away, as on a wire, it is that of a pose of which nothing is told.
     """
     quick = kernel.of(model)
     if quick is not None and measurements.levers is None:
@@ -113,10 +116,12 @@ def second_order_covariance(
     q = (0.5 * (root.swapaxes(1, 2) @ (displaced[0] - displaced[1])) @ back).swapaxes(0, 1)
     q = 0.5 * (q + q.swapaxes(1, 2))
     mean = np.einsum("eiik->ek", q)
-    flat = q.reshape(len(q), 36, 6)
-    second = 0.25 * (mean[:, :, None] * mean[:, None, :] + 2.0 * flat.swapaxes(1, 2) @ flat)
-    covariance = root @ (np.eye(6) + second) @ root.swapaxes(1, 2) + free
-    return np.asarray(covariance + _common_turn(measurements.errors))
+    bends = np.concatenate([0.5 * mean[:, None], math.sqrt(0.5) * q.reshape(count, 36, 6)], axis=1)
+    shown = np.concatenate([root, root @ bends.swapaxes(1, 2)], axis=2)  # a sum of squares, however large they are
+    covariance = shown @ shown.swapaxes(1, 2) + free
+    told = np.isfinite(covariance).all(axis=(1, 2), keepdims=True)
+    nothing = np.diag(np.repeat([FREE_POSITION_M2, FREE_TURN_RAD2], 3))
+    return np.asarray(np.where(told, covariance, nothing) + _common_turn(measurements.errors))
 
 
 def _common_turn(errors: SiteErrors | None) -> FloatArray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -13,7 +15,8 @@ from goldfield.locate import Locator, kernel
 from goldfield.locate.constellation import Constellation
 from goldfield.locate.distorted import fit_distorted
 from goldfield.locate.fault_statistics import DISTORTIONS, alarm, fault_statistics
-from goldfield.locate.fit import Measurements
+from goldfield.locate.fit import Fit, Measurements
+from goldfield.locate.site_errors import errors_of
 from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.site import HalfSpace
 from tests.bench import locate_trials as bench
@@ -207,3 +210,30 @@ def test_field_and_gradient_at_points_are_those_of_the_model(kind, numpy_only):
         assert not np.array_equal(found, right)  # it was the kernel that found it
         assert found == pytest.approx(right, rel=1e-9, abs=1e-12 * np.abs(right).max())
     assert kernel.evaluate(model, points[:, 0, 0])[0].shape == (3, 5)
+
+
+@pytest.mark.parametrize("quick", [True, False])
+def test_the_uncertainty_of_a_pose_on_a_wire_is_finite(numpy_only, quick):
+    """The model has no value on the wire itself: nothing is told there, and nothing fails."""
+    if not quick:
+        numpy_only()
+    site, rng = bench.prigge_cube(), np.random.default_rng(65)
+    first = site.beacons[0]
+    off = np.concatenate([[0.0], 10.0 ** np.arange(-16.0, -5.0, 0.05)])
+    around = rng.uniform(0.0, 2.0 * np.pi, size=len(off))
+    ring = first.radius_m + off * np.cos(around)
+    position = first.position_m + np.stack([ring, np.zeros(len(off)), off * np.sin(around)], axis=1)
+    run, model = bench.trials(site, bench.cube_positions(rng, len(off)), rng), FieldModel(site.beacons)
+    with np.errstate(all="ignore"):
+        fitted = np.flatnonzero(np.isfinite(model.field(position)).all(axis=(1, 2)))  # a fit ends nowhere else
+        assert 0 < len(fitted) < len(off)
+        errors = errors_of(site.beacons, replace(site.sensor, gain_sd=0.03, axis_sd_rad=0.03))
+        measurements = Measurements(run.field_T, run.sigma_T, errors=errors).take(fitted)
+        pose = position[fitted], run.rotation[fitted]
+        covariance = second_order_covariance(model, measurements, *pose)
+        nothing = np.zeros(len(fitted)), np.zeros((len(fitted), 6, 6)), np.ones(len(fitted), dtype=bool)
+        statistics = fault_statistics(model, measurements, Fit(*pose, *nothing))
+    assert np.isfinite(covariance).all()
+    assert (np.einsum("ekk->ek", covariance) >= 0.0).all()
+    assert np.isfinite(statistics.drop).all()
+    assert np.isfinite(statistics.separation_cov_m2).all()

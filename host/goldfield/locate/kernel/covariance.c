@@ -1,4 +1,5 @@
 #include <math.h>
+#include <stdbool.h>
 #include <string.h>
 
 #include "around.h"
@@ -72,6 +73,17 @@ static void second_order(double q[6][6][6], double out[6][6]) {
     }
 }
 
+/* Tell nothing of a pose whose covariance is not finite: the model is not one standard deviation away, as on a wire. */
+static void free_what_is_not_told(const double free_root[6], double covariance[36]) {
+    bool told = true;
+    for (size_t k = 0; k < 36; ++k) {
+        told = told && isfinite(covariance[k]);
+    }
+    for (size_t k = 0; !told && k < 36; ++k) {
+        covariance[k] = k % 7 == 0 ? free_root[k / 7] * free_root[k / 7] : 0.0;
+    }
+}
+
 void gf_covariance(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs, const double *field_T,
                    const double *sigma_T, const double *position_m, const double *rotation, double least_eigenvalue,
                    double free_m2, double free_rad2, double *covariance) {
@@ -104,8 +116,12 @@ void gf_covariance(const gf_coils_t *coils, const gf_errors_t *errors, size_t ep
                 for (size_t m = 0; m < 6; ++m) {
                     sum += product[k][m] * root[l][m] + free_root[k] * free_root[l] * free[k][m] * free[l][m];
                 }
-                covariance[36 * e + 6 * k + l] = sum + (k == l && k >= 3 ? common : 0.0);
+                covariance[36 * e + 6 * k + l] = sum;
             }
+        }
+        free_what_is_not_told(free_root, covariance + 36 * e);
+        for (size_t k = 3; k < 6; ++k) {
+            covariance[36 * e + 7 * k] += common;
         }
     }
 }
