@@ -19,7 +19,8 @@ static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CH
     drive_current(&anchor->drive, chip, count);
 }
 
-static void on_fault(void *context) {
+static void on_fault(void *context, hal_fault_t fault) {
+    (void)fault;
     anchor_t *anchor = context;
     drive_fault(&anchor->drive);
 }

@@ -14,7 +14,8 @@ static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CH
     drive_current(&beacon->drive, chip, count);
 }
 
-static void on_fault(void *context) {
+static void on_fault(void *context, hal_fault_t fault) {
+    (void)fault;
     beacon_t *beacon = context;
     drive_fault(&beacon->drive);
 }

@@ -79,6 +79,13 @@ typedef struct {
 /* Returns the times of the board's bursts. [any] */
 hal_burst_t hal_burst_timing(void);
 
+/* Why the board switched the drive off by itself. */
+typedef enum {
+    HAL_FAULT_DRIVER = 0, /* The drivers' fault input is active: hardware has switched the bridges off. */
+    HAL_FAULT_STALE = 1,  /* No coil current was converted for two chips while the drive was on. */
+    HAL_FAULT_CLOCK = 2   /* The crystal stopped while running. */
+} hal_fault_t;
+
 typedef struct {
     void *context; /* What every handler gets as its first argument. */
 
@@ -95,8 +102,9 @@ typedef struct {
      * microseconds before the end of the chip (an anchor: just before its burst). */
     void (*current)(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 
-    /* Interrupt: the driver's fault input went active. The board has already disabled the drive. */
-    void (*fault)(void *context);
+    /* Interrupt: the board has switched the drive off by itself, for this reason. It stays off until
+     * hal_drive_enable() is told to enable it again. */
+    void (*fault)(void *context, hal_fault_t fault);
 
     /* Interrupt: the sync input rose, ticks (0..period-1) after the start of the chip. */
     void (*sync)(void *context, uint32_t chip, uint16_t ticks);
@@ -119,9 +127,13 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events);
 
 /* ---- Coil drive (beacon, anchor) ---- */
 
-/* [any] Enable both bridges, or switch them off. Off acts at once (one register write), whatever the plan says.
- * Bridges and set-points change as planned, together at a chip's start. */
-void hal_drive_enable(hal_t *hal, bool enable);
+/* [any] Enable both bridges, or switch them off. Off acts at once, whatever the plan says.
+ * Bridges and set-points change as planned, together at a chip's start.
+ * Returns whether the bridges are now as asked: they cannot be enabled while the drivers' fault input is active. */
+bool hal_drive_enable(hal_t *hal, bool enable);
+
+/* [any] Returns whether the drivers' fault input is active now. */
+bool hal_drive_fault(const hal_t *hal);
 
 /* ---- Links ---- */
 

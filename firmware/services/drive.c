@@ -110,7 +110,10 @@ void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANN
         for (uint32_t channel = 0; channel < drive->channels; channel++) {
             current_start(&drive->current[channel]);
         }
-        hal_drive_enable(drive->node->hal, true);
+        if (!hal_drive_enable(drive->node->hal, true)) {
+            drive_fault(drive); /* The input was active before its edge could tell. */
+            return;
+        }
         drive->phase = DRIVE_ON;
     }
 }

@@ -90,7 +90,7 @@ static void pin_changed(hal_t *hal, uint32_t pin, bool level) {
         if (falling) {
             host_pin_write(hal, PIN_ENABLE, false);
             if (hal->engine.running && hal->engine.events.fault) {
-                hal->engine.events.fault(hal->engine.events.context);
+                hal->engine.events.fault(hal->engine.events.context, HAL_FAULT_DRIVER);
             }
             hal->awake = true;
         }

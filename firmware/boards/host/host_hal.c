@@ -35,13 +35,19 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     events->plan(events->context, 0, &engine->plan[0]);
     events->plan(events->context, 1, &engine->plan[1]);
     if (!hal->fault_level && events->fault) {
-        events->fault(events->context); /* It was active before the start. */
+        events->fault(events->context, HAL_FAULT_DRIVER); /* It was active before the start. */
     }
     host_pin_write(hal, PIN_LED, false);
 }
 
-void hal_drive_enable(hal_t *hal, bool enable) {
-    host_pin_write(hal, PIN_ENABLE, enable);
+bool hal_drive_fault(const hal_t *hal) {
+    return !hal->fault_level;
+}
+
+bool hal_drive_enable(hal_t *hal, bool enable) {
+    const bool on = enable && !hal_drive_fault(hal);
+    host_pin_write(hal, PIN_ENABLE, on);
+    return on == enable;
 }
 
 /* ---- Serial ---- */

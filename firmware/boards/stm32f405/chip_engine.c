@@ -229,11 +229,17 @@ void ADC_Handler(void) {
 void EXTI15_10_Handler(void) {
     GPIOC->BSRR = PIN_RESET(9);
     EXTI->PR = 1u << 10;
-    board.events.fault(board.events.context);
+    board.events.fault(board.events.context, HAL_FAULT_DRIVER);
     board.woken = true;
 }
 
-void hal_drive_enable(hal_t *hal, bool enable) {
+bool hal_drive_fault(const hal_t *hal) {
     (void)hal;
-    GPIOC->BSRR = enable ? PIN_SET(9) : PIN_RESET(9);
+    return (GPIOC->IDR & 1u << 10) == 0;
+}
+
+bool hal_drive_enable(hal_t *hal, bool enable) {
+    const bool on = enable && !hal_drive_fault(hal);
+    GPIOC->BSRR = on ? PIN_SET(9) : PIN_RESET(9);
+    return on == enable;
 }

@@ -30,7 +30,7 @@ struct hal { uint64_t us; } hal;
 uint8_t page[HAL_PARAMETER_PAGE_BYTES] = {1};
 hal_events_t events;
 void hal_chips_start(hal_t *h, hal_role_t role, const hal_events_t *e) { (void)h; (void)role; events = *e; }
-void hal_drive_enable(hal_t *h, bool enable) { (void)h; (void)enable; }
+bool hal_drive_enable(hal_t *h, bool enable) { (void)h; (void)enable; return true; }
 bool hal_serial_write(hal_t *h, const uint8_t *bytes, size_t count) { (void)h; (void)bytes; (void)count; return true; }
 void hal_serial_write_polled(hal_t *h, const uint8_t *bytes, size_t count) { (void)h; (void)bytes; (void)count; }
 size_t hal_serial_read(hal_t *h, uint8_t *bytes, size_t capacity) { (void)h; (void)bytes; (void)capacity; return 0; }

@@ -93,7 +93,8 @@ static void sync(void *context, uint32_t chip, uint16_t ticks) {
     probe.syncs++;
 }
 
-static void fault(void *context) {
+static void fault(void *context, hal_fault_t fault_cause) {
+    (void)fault_cause;
     (void)context;
 }
 
