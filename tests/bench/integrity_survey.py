@@ -51,7 +51,7 @@ def bound_m(site: Site, position_m: FloatArray, rotation: FloatArray, sigma_T: f
     """
     coils = Coils.of(site, len(position_m))
     field = coils.field(position_m)
-    wanted = np.concatenate([_slopes(coils, position_m), _turns(field)], axis=3)  # (e, n, 3, 6)
+    wanted = np.concatenate([slopes(coils, position_m), turns(field)], axis=3)  # (e, n, 3, 6)
     parts = [errors.position_m * wanted[..., :3], errors.axis_rad * _axes(coils, position_m)]
     own = np.concatenate([*parts, errors.current * field[..., None]], axis=3)
     count, beacons = field.shape[:2]
@@ -68,7 +68,7 @@ def bound_m(site: Site, position_m: FloatArray, rotation: FloatArray, sigma_T: f
     return np.sqrt(np.einsum("ekk->e", least[:, :3, :3]))
 
 
-def _slopes(coils: Coils, position_m: FloatArray) -> FloatArray:
+def slopes(coils: Coils, position_m: FloatArray) -> FloatArray:
     """Derivatives of the fields by the position, shape (e, n, 3, 3), column j along axis j."""
     steps = STEP_M * np.eye(3)
     ends = [coils.field(position_m + step) - coils.field(position_m - step) for step in steps]
@@ -82,7 +82,7 @@ def _axes(coils: Coils, position_m: FloatArray) -> FloatArray:
     return np.stack(ends, axis=3) / (2.0 * STEP_RAD)
 
 
-def _turns(field_T: FloatArray) -> FloatArray:
+def turns(field_T: FloatArray) -> FloatArray:
     """Derivatives of what a sensor measures by its turn, in the site's frame, shape (e, n, 3, 3)."""
     return np.stack([np.cross(field_T, axis) for axis in np.eye(3)], axis=3)
 

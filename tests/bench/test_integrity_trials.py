@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
+from scipy.stats import norm
 
 from goldfield.errors import UserError
 from goldfield.field import FieldModel
@@ -27,13 +28,14 @@ from tests.bench import (
 from tests.bench.integrity_adversary import TWO_SIDED, worst_faults
 from tests.bench.integrity_coils import Coils, measured
 from tests.bench.integrity_faults import SINGLE, faulty_rows, systematic, with_faults
+from tests.bench.integrity_floor import FALSE_ALARMS, fault_size, fewest_missed
 from tests.bench.integrity_outcome import outcome_of
 from tests.bench.integrity_risk import per_hour, upper_limit
 from tests.bench.integrity_risk_tables import Histogram
 from tests.bench.integrity_rod import MU_0, STEEL, Material, Rod, Spheroid, dipole_tensors
-from tests.bench.integrity_sites import EXACT, Errors, KeysUnknown, cube, hall, places, told, wire_distance
+from tests.bench.integrity_sites import EXACT, Errors, KeysUnknown, cube, hall, places, sigma_of, told, wire_distance
 from tests.bench.integrity_survey import bound_m, really
-from tests.bench.locate_trials import bound_of, cube_positions, magpylib_fields
+from tests.bench.locate_trials import Trials, bound_of, cube_positions, magpylib_fields
 
 
 def room(seed, count=5):
@@ -441,3 +443,27 @@ def test_rows_of_a_table_are_printed(capsys):
 def test_an_unknown_table_is_refused():
     with pytest.raises(SystemExit):
         integrity_figures.main(["everything"])
+
+
+def test_the_best_test_of_an_axis_gain_misses_as_often_as_computed():
+    """By brute force: the gain is fitted beside the pose to thousands of noises, linear around the truth."""
+    site, rng = cube(2e-7), np.random.default_rng(31)
+    gain = np.diag([1.0, 1.2, 1.0])
+    position = cube_positions(rng, 400)
+    run = measured(Coils.of(site, 400).field(position), position, sigma_of(site), rng, gain)
+    hardest = np.argmin(fault_size(site, run, gain), keepdims=True)
+    one = Trials(*(getattr(run, part)[hardest] for part in ("position_m", "rotation", "field_T", "sigma_T")))
+    model = FieldModel(site.beacons)
+    seen = model.field(one.position_m)[0] @ one.rotation[0]
+    columns = [(seen @ (gain - np.eye(3))).ravel()]
+    for k in range(3):
+        step = 1e-6 * np.eye(3)[k]
+        shifted = model.field(one.position_m + step)[0] - model.field(one.position_m - step)[0]
+        columns.append((shifted @ one.rotation[0] / 2e-6).ravel())
+        columns.append(np.cross(seen, np.eye(3)[k]).ravel())
+    design = np.stack(columns, axis=1) / one.sigma_T[0, 0]
+    estimate = np.linalg.pinv(design)[0]
+    found = (1.0 + estimate @ rng.normal(size=(len(design), 20_000))) / np.linalg.norm(estimate)
+    missed = (found < norm.isf(FALSE_ALARMS)).mean()
+    assert 0.02 < missed < 0.98
+    assert fewest_missed(site, one, gain) == pytest.approx(missed, abs=0.015)
