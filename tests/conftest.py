@@ -14,9 +14,10 @@ settings.register_profile(
 )
 settings.load_profile("goldfield")
 
-# A shell lets what it starts in the background ignore interrupts, and a program hands that on to the programs that it
-# starts: tests that interrupt one of them need the usual.
+# A shell lets what it starts in the background ignore interrupts, and nohup the end of its terminal; a program hands
+# that on to the programs that it starts: tests that interrupt one of them need the usual.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 HERE = Path(__file__).parent
 LONG = (
