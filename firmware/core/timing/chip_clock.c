@@ -2,7 +2,9 @@
 
 #define FRACTION_BITS     32 /* Fractional bits of positions and periods. */
 #define ONE               (INT64_C(1) << FRACTION_BITS)
-#define MESSAGE_TICKS_MAX (1 << 26) /* Largest time in a message, 0.4 s: its products stay below 2^63. */
+#define HELD_CYCLES_MAX   1000u       /* Cycles after which the drift is left alone: long after the lock. */
+#define DRIFT_MAX         (ONE / 600) /* Largest drift that is believed, 1 ppm/s: more is an outlier. */
+#define MESSAGE_TICKS_MAX (1 << 26)   /* Largest time in a message, 0.4 s: its products stay below 2^63. */
 
 const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6};
 const chip_clock_source_t chip_clock_link = {.gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16};
@@ -41,6 +43,19 @@ bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
     return true;
 }
 
+/* A cycle begins without an edge in the one before: the period drifts on as it did. The filter's estimate is that of
+ * alpha / beta cycles ago. */
+static void hold_over(chip_clock_t *clock, uint32_t cycles) {
+    const int64_t lag = cycles == 2u ? (4 * clock->memory - 2) / 6 : 0;
+    set_period(clock, (int64_t)clock->period + clock->drift * (1 + lag));
+    const int64_t slope = clock->drift < 0 ? -clock->drift : clock->drift;
+    const int64_t moved = (slope * clock->config.chips >> FRACTION_BITS / 2) * cycles * cycles / 2;
+    if (moved > (int64_t)clock->source.lock_ticks << FRACTION_BITS / 2 || cycles > CHIP_CLOCK_HOLDOVER_CYCLES) {
+        clock->locked = false;
+        clock->good_edges = 0;
+    }
+}
+
 chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
     clock->target += clock->period + ((uint64_t)(int64_t)clock->detune_ticks << FRACTION_BITS);
     /* The shift rounds down to whole ticks. */
@@ -62,9 +77,9 @@ chip_clock_chip_t chip_clock_plan(chip_clock_t *clock) {
     if (clock->code_chip == clock->config.chips) {
         clock->code_chip = 0;
         clock->cycle++;
-        if (clock->config.follow && clock->cycle - clock->edge_cycle > CHIP_CLOCK_HOLDOVER_CYCLES) {
-            clock->locked = false;
-            clock->good_edges = 0;
+        const uint32_t missed = clock->cycle - clock->edge_cycle;
+        if (clock->tracking && missed > 1u && missed <= HELD_CYCLES_MAX) {
+            hold_over(clock, missed);
         }
     }
     return planned;
@@ -117,6 +132,21 @@ static void acquire(chip_clock_t *clock, uint64_t edge) {
     clock->good_edges = 0;
     clock->candidate_edges = 0;
     clock->memory = 2;
+    clock->drift = 0;
+    clock->drift_edges = 0;
+}
+
+/* Takes the change of the settled period in so many cycles. */
+static void learn_drift(chip_clock_t *clock, int64_t change, int32_t cycles) {
+    const int64_t told = change / cycles;
+    if (clock->drift_edges < CHIP_CLOCK_DRIFT_CYCLES) {
+        clock->drift_edges++;
+    }
+    clock->drift += ((told < -DRIFT_MAX  ? -DRIFT_MAX
+                      : told > DRIFT_MAX ? DRIFT_MAX
+                                         : told) -
+                     clock->drift) /
+                    clock->drift_edges;
 }
 
 /* Returns ticks of the master as own ones, with 32 fractional bits. */
@@ -205,6 +235,9 @@ static bool take_edge(chip_clock_t *clock, uint64_t position, int32_t since, int
     const int64_t before = (int64_t)clock->period, edges = clock->memory, divisor = edges * (edges + 1);
     set_period(clock, before + residual * 6 / divisor / ((int64_t)cycles * chips));
     clock->target += (uint64_t)(residual * (4 * edges - 2) / divisor + ((int64_t)clock->period - before) * ahead);
+    if (clock->memory == clock->source.memory_edges) {
+        learn_drift(clock, (int64_t)clock->period - before, cycles);
+    }
     clock->edge_cycle = cycle;
     clock->candidate_edges = 0;
     if (phase > clock->source.lock_ticks || phase < -clock->source.lock_ticks) {

@@ -46,9 +46,15 @@
  *      edge in one cycle, are rejected and counted. Three rejected edges whole cycles apart, with no good one between,
  *      mean that the master has moved: phase and period are taken from them, the label jumps again, the lock is lost.
  *   3. Locked. The clock locks after three edges in succession with the phase within the source's lock_ticks. It loses
- *      the lock when the phase of an edge is not within them, and CHIP_CLOCK_HOLDOVER_CYCLES after the last edge.
- *      Until then, and after it, the clock keeps the last period (hold-over).
- * A master (follow = false) runs at the nominal period, is always locked, and ignores edges.
+ *      the lock when the phase of an edge is not within them, and at the end of hold-over.
+ *
+ * Hold-over. While edges are missing the clock runs on with the last period, and lets it go on changing as it did: the
+ * drift of the two oscillators against each other is the mean change of the period, over the last
+ * CHIP_CLOCK_DRIFT_CYCLES edges. What no edge tells is whether a drift goes on: an oven that is switched off ends it.
+ * So the lock ends as soon as the learnt drift, begun or ended with the last edge, could have moved the phase by
+ * lock_ticks (n cycles move it by drift n^2 / 2), and CHIP_CLOCK_HOLDOVER_CYCLES after the last edge in any case. A
+ * drift of d ppm/s that nothing showed before adds d t^2 / 2 microseconds in t seconds: 0.05 ppm/s make 2.5 us in the
+ * longest hold-over. A master (follow = false) runs at the nominal period, is always locked, and ignores edges.
  *
  * Contexts: chip_clock_plan, _edge, _mark, _message, _jump, _correct, _compare and _at are called from one interrupt
  * priority. Main may read locked and phase_ticks. chip_clock_number_cycle is called from either.
@@ -65,7 +71,8 @@
 #define CHIP_CLOCK_LOCK_EDGES      3u   /* Edges in succession with a good phase that make the lock. */
 #define CHIP_CLOCK_SEARCH_PPM      300  /* Largest difference of two clocks, ppm: two crystals of +-100, and reserve. */
 #define CHIP_CLOCK_SEARCH_CYCLES   4u   /* Most cycles between two edges of a search: three edges may be missing. */
-#define CHIP_CLOCK_HOLDOVER_CYCLES 100u /* Cycles of hold-over: 10 s, in which 0.05 ppm of drift makes 0.5 us. */
+#define CHIP_CLOCK_HOLDOVER_CYCLES 100u /* Most cycles of hold-over: 10 s, in which 0.01 ppm/s make 0.5 us. */
+#define CHIP_CLOCK_DRIFT_CYCLES    32   /* Edges over which the drift is averaged. */
 
 typedef struct {
     uint16_t chips;         /* Chips in a cycle, 31..2047. */
@@ -109,6 +116,7 @@ typedef struct {
                             minus the edge of the source that is followed. */
     uint32_t edges_rejected; /* Edges rejected since the start; the count stops at its maximum. */
     uint64_t period;         /* Estimate of the master's chip, own ticks with 32 fractional bits. */
+    int64_t drift;           /* Its change in a cycle. */
     int16_t detune_ticks;    /* Written by the owner: planned chips are so many ticks longer than the estimate, so that
                                 the phase slides (acquire.h). */
     /* Private. Positions are own ticks with 32 fractional bits modulo 2^64; only differences below 12 s are formed. */
@@ -119,6 +127,7 @@ typedef struct {
     uint16_t code_chip;          /* Its place in the cycle. */
     uint8_t good_edges;          /* Edges in succession with a good phase, at most CHIP_CLOCK_LOCK_EDGES. */
     uint8_t memory;              /* Edges that the gains stand for now. */
+    uint8_t drift_edges;         /* Edges that the drift stands for, at most CHIP_CLOCK_DRIFT_CYCLES. */
     uint8_t candidate_edges;     /* Edges whole cycles apart that led to the candidate; 0: there is none. */
     bool tracking;               /* Phase and period are known. */
     bool compared;               /* phase_ticks comes from a wire that is not followed. */

@@ -2,9 +2,9 @@
 
 Nothing here makes a pose better than its fields make it. Times are those of the sensor's reports (`Health`).
 
-The clock of a sensor that has lost the sync signal keeps its last period. The firmware calls it locked for 100 sync
-periods more (10 s; ``CHIP_CLOCK_HOLDOVER_CYCLES``), in which a drift of 0.05 ppm makes half a microsecond of a chip of
-98; a longer hold-over is not promised. A report that is not locked is so beyond hold-over by the board's own word, and
+The clock of a sensor that has lost the sync signal goes on as it last went, its drift with it. The firmware calls it
+locked until the drift that it has learnt could move it by half a microsecond, and at most 100 sync periods (10 s;
+``firmware/core/timing/chip_clock.h``); a longer hold-over is not promised. A report that is not locked is so beyond hold-over by the board's own word, and
 its pose is inconsistent at once. During hold-over a pose keeps its status; only on CAN, where SYNC is heard, can the
 hold-over be told.
 """

@@ -323,3 +323,50 @@ def test_slews_at_most_half_a_chip(core, phase):
     simulation.run(3 * CYCLE_BLOCKS, edges)
     # Half a chip in steps of 422 or 478 ticks is at most 20 chips, and one more with the rest.
     assert sum(ticks in (MINIMUM, MAXIMUM) for _, _, ticks in simulation.planned) <= 20
+
+
+def drifting_edges(start, cycles, ppm, ppm_per_s, until=None):
+    """Edges of a master whose rate drifts against the follower's, for good or until a cycle, in the follower's ticks."""
+    index = np.arange(cycles)
+    drifted = index if until is None else np.minimum(index, until)
+    rate = 1e-6 * (ppm + 0.1 * ppm_per_s * drifted)
+    return start + np.concatenate([[0.0], np.cumsum(N * NOMINAL * (1.0 + rate))])
+
+
+HEARD = 60
+
+
+def lock_lost_and_error(core, true, cycles, seed):
+    """Return when the lock ended, cycles after the last edge heard, and the phase error at each later cycle, ticks."""
+    rng = np.random.default_rng(seed)
+    simulation = Simulation(core)
+    heard = true[:HEARD] + rng.uniform(-0.5, 0.5, HEARD)
+    simulation.run((HEARD + 1) * CYCLE_BLOCKS, heard.tolist())
+    assert simulation.clock.locked
+    lost = None
+    for _ in range(cycles):
+        simulation.run(CYCLE_BLOCKS, [])
+        if lost is None and not simulation.clock.locked:
+            lost = (simulation.now() - true[HEARD - 1]) / (N * NOMINAL)
+    begins = np.array([s for s, (_, c, _) in zip(simulation.starts, simulation.planned, strict=False) if c == 0])
+    near = np.abs(begins[:, None] - true[None, HEARD:]).argmin(axis=0)
+    return lost, (begins[near] - true[HEARD:])[: cycles - 2]
+
+
+@pytest.mark.parametrize("ends", [False, True])
+@pytest.mark.parametrize("ppm_per_s", [0.2, -0.1])
+def test_the_lock_ends_before_a_learnt_drift_can_move_the_phase_by_half_a_microsecond(core, ppm_per_s, ends):
+    """Whether the drift goes on or ends with the last edge; the limit is that of the worse of the two."""
+    true = drifting_edges(2e6, 140, 20.0, ppm_per_s, until=HEARD if ends else None)
+    lost, error = lock_lost_and_error(core, true, 50, 3)
+    allowed = 10.0 * np.sqrt(2.0 * 0.5 / abs(ppm_per_s))  # d t^2 / 2 = .5 us, in cycles
+    assert 0.7 * allowed < lost < 1.4 * allowed
+    assert abs(error[: int(lost)]).max() < 0.75 * MICROSECOND
+
+
+@pytest.mark.parametrize("ppm_per_s", [0.2, -0.1])
+def test_a_drift_that_goes_on_is_held_for_ten_seconds(core, ppm_per_s):
+    true = drifting_edges(2e6, 180, -30.0, ppm_per_s)
+    _, error = lock_lost_and_error(core, true, 100, 7)
+    undone = 0.5 * abs(ppm_per_s) * 10.0**2 * MICROSECOND  # what the drift would move without
+    assert abs(error).max() < 0.25 * undone
