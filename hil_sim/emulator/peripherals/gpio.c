@@ -54,13 +54,28 @@ static unsigned mode(const port_t *port, unsigned pin) {
     return field(port->model.value[MODER / 4], 2 * pin, 2);
 }
 
+static unsigned alternate(const port_t *port, unsigned pin) {
+    return field(port->model.value[(pin < 8 ? AFRL : AFRH) / 4], 4 * (pin % 8), 4);
+}
+
+/* What the port does to a pin: its own output, or an alternate function's. */
+static pin_output_t output(const port_t *port, unsigned pin) {
+    const chip_t *const chip = port->model.chip;
+    const uint16_t bit = (uint16_t)(1u << pin);
+    pin_output_t driven = OUTPUT_OFF;
+    if (mode(port, pin) == MODE_OUTPUT) {
+        driven = port->model.value[ODR / 4] & bit ? OUTPUT_HIGH : OUTPUT_LOW;
+    } else if (mode(port, pin) == MODE_ALTERNATE && chip->signals.pin_output != NULL) {
+        driven = chip->signals.pin_output(chip, port->number * 16 + pin, alternate(port, pin));
+    }
+    return driven == OUTPUT_HIGH && (port->model.value[OTYPER / 4] & bit) != 0 ? OUTPUT_OFF : driven;
+}
+
 static bool compute_level(const port_t *port, unsigned pin) {
     const uint16_t bit = (uint16_t)(1u << pin);
-    if (mode(port, pin) == MODE_OUTPUT) {
-        const bool high = (port->model.value[ODR / 4] & bit) != 0;
-        if (!high || (port->model.value[OTYPER / 4] & bit) == 0) {
-            return high;
-        }
+    const pin_output_t driven = output(port, pin);
+    if (driven != OUTPUT_OFF) {
+        return driven == OUTPUT_HIGH;
     }
     if (port->driven & bit) {
         return (port->outside & bit) != 0;
@@ -98,7 +113,7 @@ static void update(port_t *port, uint16_t pins, int64_t time_ps) {
         }
         const bool level = compute_level(port, pin), was = (port->level & bit) != 0;
         port->level = (uint16_t)(level ? port->level | bit : port->level & ~bit);
-        if (mode(port, pin) == MODE_OUTPUT) {
+        if (mode(port, pin) == MODE_OUTPUT || output(port, pin) != OUTPUT_OFF) {
             report(port, pin, level, time_ps);
         } else {
             release(port, pin, level, time_ps);
@@ -204,9 +219,16 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
     if (locked_changed(port, offset, value, bits, offset == AFRH ? 8 : 0)) {
         return;
     }
+    const bool routes = (offset == MODER || offset >= AFRL) && value != old;
+    if (routes) {
+        model->chip->signals.pin_routing(model->chip, false);
+    }
     model->value[offset / 4] = value;
-    if (offset < AFRL && offset != OSPEEDR) {
+    if (offset != OSPEEDR) {
         update(port, 0xFFFF, now);
+    }
+    if (routes) {
+        model->chip->signals.pin_routing(model->chip, true);
     }
 }
 
@@ -219,6 +241,7 @@ static void restart(model_t *model) {
         port->level = (uint16_t)(level ? port->level | 1u << pin : port->level & ~(1u << pin));
         release(port, pin, level, machine_now(model->machine));
     }
+    model->chip->signals.pin_routing(model->chip, true);
 }
 
 void gpio_create(chip_t *chip) {
@@ -255,12 +278,19 @@ bool chip_pin_is_alternate(const chip_t *chip, unsigned pin, unsigned af) {
         return false;
     }
     const port_t *const port = &chip->gpio->port[pin / 16];
-    return mode(port, pin % 16) == MODE_ALTERNATE &&
-           field(port->model.value[(pin % 16 < 8 ? AFRL : AFRH) / 4], 4 * (pin % 8), 4) == af;
+    return mode(port, pin % 16) == MODE_ALTERNATE && alternate(port, pin % 16) == af;
 }
 
 bool chip_pin_is_analog(const chip_t *chip, unsigned pin) {
     return pin / 16 < GPIO_COUNT && mode(&chip->gpio->port[pin / 16], pin % 16) == MODE_ANALOG;
+}
+
+bool chip_pin_level(const chip_t *chip, unsigned pin) {
+    return (chip->gpio->port[pin / 16].level >> pin % 16 & 1u) != 0;
+}
+
+void chip_pin_driven(chip_t *chip, unsigned pin, int64_t time_ps) {
+    update(&chip->gpio->port[pin / 16], (uint16_t)(1u << pin % 16), time_ps);
 }
 
 void gpio_pin_in(machine_t *machine, unsigned pin, bool level, int64_t time_ps) {

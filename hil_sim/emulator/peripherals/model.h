@@ -194,9 +194,18 @@ typedef enum {
 
 /* ---- Signals from models that do not know who listens. Each listener enters itself when it is created. ---- */
 enum { CHIP_PIN_LISTENERS = 2 };
+/* What a peripheral's output does to a pin. */
+typedef enum { OUTPUT_OFF, OUTPUT_LOW, OUTPUT_HIGH } pin_output_t;
 typedef void (*pin_edge_t)(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
 typedef struct {
     pin_edge_t pin_edge[CHIP_PIN_LISTENERS]; /* GPIO: a pin's level changed. EXTI, then the timers. */
+    /* GPIO: what the alternate function af drives a pin to. The timers; other peripherals drive nothing here, since
+     * their bytes and frames have edges of their own. */
+    pin_output_t (*pin_output)(const chip_t *chip, unsigned pin, unsigned af);
+    /* GPIO: modes or alternate functions of pins are about to change (done is false), or have changed. The timers. */
+    void (*pin_routing)(chip_t *chip, bool done);
+    /* RCC: the clock security system found the crystal dead. TIM1 and TIM8, whose second source of a break it is. */
+    void (*clock_failed)(chip_t *chip);
     /* A timer or EXTI: an edge of a trigger of the analog-to-digital converters. */
     void (*convert)(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps);
     /* A timer or EXTI: a rising edge of a trigger of the digital-to-analog converter. */
@@ -270,6 +279,8 @@ void flash_create(chip_t *chip);
 void gpio_create(chip_t *chip);
 bool chip_pin_is_alternate(const chip_t *chip, unsigned pin, unsigned af);
 bool chip_pin_is_analog(const chip_t *chip, unsigned pin);
+bool chip_pin_level(const chip_t *chip, unsigned pin);
+void chip_pin_driven(chip_t *chip, unsigned pin, int64_t time_ps); /* What signals.pin_output says of it has changed. */
 /* exti.c */
 void exti_create(chip_t *chip);
 /* dma.c, dma_stream.c, dma_map.c */

@@ -1,8 +1,11 @@
 /* tim.c: timers 1 to 14, counting up (RM0090 chapters 17 to 20): registers, interrupts, DMA requests (see tim.h). Using
- * what is not modelled is a violation: counting down and centre-aligned, encoder, gated and external-clock modes, ETR,
- * break, commutation, outputs to pins.
+ * what is not modelled is a violation: counting down and centre-aligned, encoder, gated and external-clock modes, ETR.
  */
 #include "emulator/peripherals/tim.h"
+
+/* The break's line is the one before the update's, the commutation's request the one behind the trigger's. */
+#define BREAK_IRQ(t)   ((t)->what->irq_update - 1)
+#define COM_REQUEST(t) ((t)->what->advanced ? (dma_source_t)((t)->what->dma_trigger + 1) : DMA_NONE)
 
 void tim_interrupt(tim_t *t) {
     const uint32_t active = t->model.value[TIM_SR / 4] & t->model.value[TIM_DIER / 4];
@@ -10,8 +13,9 @@ void tim_interrupt(tim_t *t) {
     chip_irq_shared(t->model.chip, t->what->irq_update, &t->update_line,
                     separate ? (active & UIF) != 0 : (active & 0x5Fu) != 0);
     if (separate) {
+        chip_irq_shared(t->model.chip, BREAK_IRQ(t), &t->break_line, (active & BIF) != 0);
         chip_irq_shared(t->model.chip, t->what->irq_channels, &t->channel_line, (active & 0x1Eu) != 0);
-        chip_irq_shared(t->model.chip, t->what->irq_trigger, &t->trigger_line, (active & TIF) != 0);
+        chip_irq_shared(t->model.chip, t->what->irq_trigger, &t->trigger_line, (active & (TIF | COMIF)) != 0);
     }
 }
 
@@ -39,14 +43,12 @@ static void check_modes(tim_t *t, uint32_t offset, uint32_t value) {
     const char *missing = NULL;
     if (offset == TIM_CR1 && (value & 0x70u) != 0) {
         missing = "counting down or centre-aligned";
-    } else if (offset == TIM_CR2 && (value & 0x85u) != 0) {
-        missing = "preloaded control bits and the exclusive-or input";
+    } else if (offset == TIM_CR2 && (value & 0x80u) != 0) {
+        missing = "the exclusive-or input";
     } else if (offset == TIM_SMCR &&
                ((value & 0xFF00u) != 0 || ((value & 7u) != 0 && (value & 7u) != 4 && (value & 7u) != 6) ||
                 ((value & 7u) != 0 && (value & 0x70u) == 0x70u))) {
         missing = "slave modes other than reset and trigger, and the external trigger";
-    } else if (offset == TIM_BDTR && (value & 0x1000u) != 0) {
-        missing = "break";
     } else if ((offset == TIM_CCMR1 || offset == TIM_CCMR2) && ((value & 3u) == 3 || (value & 0x300u) == 0x300u)) {
         missing = "capture from TRC";
     } else if (offset == TIM_OR && value != 0) {
@@ -57,9 +59,19 @@ static void check_modes(tim_t *t, uint32_t offset, uint32_t value) {
     }
 }
 
+void tim_commutate(tim_t *t) {
+    tim_take_modes(t, true);
+    t->model.value[TIM_SR / 4] |= COMIF;
+    tim_interrupt(t);
+    tim_pulse_dma(t, 13, COM_REQUEST(t));
+}
+
 static void generate(tim_t *t, uint32_t value, int64_t tick) {
-    if (value & 0xA0u) {
-        model_missing(&t->model, "commutation and break (EGR)");
+    if (value & COMIF) { /* The events have the places of their flags. */
+        tim_commutate(t);
+    }
+    if (value & BIF) {
+        tim_break(t, machine_now(t->model.machine));
     }
     if (value & 1u) {
         tim_restart_counter(t, tick);
@@ -128,8 +140,8 @@ static void write_dier(tim_t *t, uint32_t value) {
     for (unsigned i = 0; i < 7; i++) { /* A request that waits falls with its enable bit. */
         const dma_source_t source = i == 0   ? t->what->dma_update
                                     : i < 5  ? t->what->dma_channel[i - 1]
-                                    : i == 6 ? t->what->dma_trigger
-                                             : DMA_NONE;
+                                    : i == 5 ? COM_REQUEST(t)
+                                             : t->what->dma_trigger;
         if ((gone >> (8 + i) & 1u) != 0 && source != DMA_NONE) {
             dma_line(t->model.chip, source, false);
         }
@@ -137,20 +149,11 @@ static void write_dier(tim_t *t, uint32_t value) {
     tim_interrupt(t);
 }
 
-/* CCER and BDTR: what reaches the outputs. */
-static void write_outputs(tim_t *t, uint32_t offset, uint32_t value) {
-    const uint32_t old = t->model.value[offset / 4];
-    if (offset == TIM_BDTR && field(old, 8, 2) != 0 && ((old ^ value) & 0xFFu) != 0) {
-        machine_violation(t->model.machine, "%s_BDTR: DTG is locked until reset", model_name(&t->model));
-        value = (value & ~0xFFu) | (old & 0xFFu);
-    }
-    t->model.value[offset / 4] = value;
-    for (unsigned i = 0; i < t->what->channels; i++) {
-        if (!tim_is_capture(t, i)) {
-            tim_set_reference(t, i, t->reference[i], machine_now(t->model.machine));
-        }
-    }
-    tim_check_pins(t);
+static void write_smcr(tim_t *t, uint32_t value) {
+    tim_before_change(t->model.chip); /* Masters that nobody listened to have made no events. */
+    t->model.value[TIM_SMCR / 4] = value;
+    tim_connect_slaves(t->model.chip);
+    tim_after_change(t->model.chip);
 }
 
 static void write_arr(tim_t *t, uint32_t value, int64_t tick) {
@@ -188,7 +191,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
         write_cr1(t, value, tick);
         break;
     case TIM_SR:
-        model->value[TIM_SR / 4] &= value;
+        model->value[TIM_SR / 4] &= value | (t->breaking ? BIF : 0);
         tim_interrupt(t);
         break;
     case TIM_EGR:
@@ -202,8 +205,12 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
         tim_write_channel_mode(t, offset, value);
         break;
     case TIM_CCER:
+    case TIM_CR2:
+        model->value[offset / 4] = tim_unlocked(t, offset, value);
+        tim_take_modes(t, false);
+        break;
     case TIM_BDTR:
-        write_outputs(t, offset, value);
+        tim_write_bdtr(t, value, machine_now(model->machine));
         break;
     case TIM_CNT:
         t->base_count = value;
@@ -214,10 +221,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
         write_arr(t, value, tick);
         break;
     case TIM_SMCR:
-        tim_before_change(model->chip); /* Masters that nobody listened to have made no events. */
-        model->value[TIM_SMCR / 4] = value;
-        tim_connect_slaves(model->chip);
-        tim_after_change(model->chip);
+        write_smcr(t, value);
         break;
     case TIM_DMAR:
         burst_write(t, value);
@@ -271,6 +275,7 @@ static void restart(model_t *model) {
     tim_load(t);
     t->repetition = 0;
     tim_channels_restart(t);
+    tim_outputs_restart(t);
     tim_connect_slaves(model->chip);
     tim_interrupt(t);
 }
@@ -289,12 +294,21 @@ void tim_after_change(chip_t *chip) {
     }
 }
 
+/* Only the advanced timers have a break. */
+static void clock_failed(chip_t *chip) {
+    tim_clock_failed(chip->tim[0]);
+    tim_clock_failed(chip->tim[7]);
+}
+
 void tim_create(chip_t *chip) {
     struct storage {
         tim_t tim[TIM_COUNT];
         model_description_t description[TIM_COUNT];
     } *const storage = chip_allocate(chip, sizeof *storage);
     chip_listen_to_pins(chip, tim_pin_edge);
+    chip->signals.pin_output = tim_pin_output;
+    chip->signals.pin_routing = tim_pin_routing;
+    chip->signals.clock_failed = clock_failed;
     for (unsigned i = 0; i < TIM_COUNT; i++) {
         tim_t *const t = &storage->tim[i];
         const tim_description_t *const what = &tim_descriptions[i];
@@ -303,6 +317,7 @@ void tim_create(chip_t *chip) {
         t->clock = what->bus == BUS_APB2 ? &chip->timer2 : &chip->timer1;
         tim_counter_init(t);
         tim_channels_init(t);
+        tim_outputs_init(t);
         storage->description[i] = (model_description_t){.name = what->name,
                                                         .base = what->base,
                                                         .size = 0x400,

@@ -3,6 +3,8 @@
  *     tim.c            registers, interrupts, DMA requests
  *     tim_counter.c    the counter, its updates, the next moment that somebody observes
  *     tim_channels.c   compare and capture
+ *     tim_outputs.c    what the channels drive pins and converters' triggers with; dead time
+ *     tim_break.c      main output enable, break, locked bits
  *     tim_slave.c      TRGO: timers that trigger converters and one another
  *     tim_registers.c  register tables and pins
  */
@@ -40,9 +42,20 @@ enum {
 #define ARPE 0x80u
 #define CCDS 8u /* TIM_CR2: compare and capture requests go out at the update. */
 /* TIM_SR */
-#define UIF 1u
-#define TIF 0x40u
-#define MOE 0x8000u /* TIM_BDTR */
+#define UIF   1u
+#define COMIF 0x20u
+#define TIF   0x40u
+#define BIF   0x80u
+/* TIM_CR2 */
+#define CCPC 1u /* Modes and enables of channels with a complementary output act from the commutation event on. */
+#define CCUS 4u /* A rising trigger is such an event, too. */
+/* TIM_BDTR */
+#define OSSI 0x0400u
+#define OSSR 0x0800u
+#define BKE  0x1000u
+#define BKP  0x2000u
+#define AOE  0x4000u
+#define MOE  0x8000u
 
 typedef struct {
     const char *name;
@@ -58,8 +71,10 @@ typedef struct {
     uint8_t master[4]; /* Timer number behind ITR0..3; 0: none. */
 } tim_description_t;
 
+/* The first two index the outputs of a channel. */
+enum { TIM_PIN_CHANNEL, TIM_PIN_COMPLEMENT, TIM_PIN_BREAK };
 typedef struct {
-    uint8_t pin, timer, alternate, channel; /* The channel counts from 0. */
+    uint8_t pin, timer, alternate, channel, role; /* The channel counts from 0; a break input has none. */
 } tim_pin_t;
 
 extern const tim_description_t tim_descriptions[TIM_COUNT];
@@ -74,10 +89,20 @@ struct tim {
     int64_t base_tick, base_count; /* The counter has base_count at base_tick. */
     int64_t marked;                /* Counter values up to this one have been compared since the last overflow. */
     uint32_t prescaler, reload, compare[4], repetition; /* Active (shadow) values. */
-    bool reference[4], output[4];                       /* OCxREF, and OCx behind polarity and enables. */
-    bool silent_trigger;                                /* The violation of a trigger that never comes was recorded. */
-    uint16_t slaves;                                    /* Timers that listen to its TRGO: bit 0 is TIM1. */
-    machine_event_t event;                              /* The next moment that somebody observes. */
+    uint32_t modes[2], enables; /* CCMR1, CCMR2 and CCER as they act: with CCPC, later than they are written. */
+    bool reference[4];          /* OCxREF. */
+    pin_output_t output[4][2];  /* OCx, OCxN behind enables, polarity and dead time. */
+    uint8_t wired[2];           /* Channels whose OCx, OCxN is the alternate function of a pin. */
+    struct {
+        tim_t *timer;
+        unsigned channel;
+        int64_t until_ps; /* Both outputs stay inactive until then. */
+        machine_event_t end;
+    } dead[4];
+    bool breaking, broken, bdtr_written; /* The break input is active; a break took MOE, which is still off. */
+    bool silent_trigger;                 /* The violation of a trigger that never comes was recorded. */
+    uint16_t slaves;                     /* Timers that listen to its TRGO: bit 0 is TIM1. */
+    machine_event_t event;               /* The next moment that somebody observes. */
     struct {
         tim_t *timer;
         unsigned input;
@@ -85,19 +110,26 @@ struct tim {
         machine_event_t filter;
     } input[4];
     uint8_t edges[4]; /* Captured edges that the prescaler has swallowed. */
-    bool update_line, channel_line, trigger_line;
+    bool update_line, channel_line, trigger_line, break_line;
     unsigned burst_index;      /* Registers of the DMA burst that are done, */
     dma_source_t burst_source; /* and the request that it answers. */
 };
 
 static inline uint32_t tim_mode_bits(const tim_t *t, unsigned channel) {
-    return field(t->model.value[(channel < 2 ? TIM_CCMR1 : TIM_CCMR2) / 4], 8 * (channel % 2), 8);
+    return field(t->modes[channel / 2], 8 * (channel % 2), 8);
 }
 static inline bool tim_is_capture(const tim_t *t, unsigned channel) {
     return (tim_mode_bits(t, channel) & 3u) != 0;
 }
 static inline unsigned tim_enable_bits(const tim_t *t, unsigned channel) {
-    return field(t->model.value[TIM_CCER / 4], 4 * channel, 4);
+    return field(t->enables, 4 * channel, 4);
+}
+static inline unsigned tim_compare_mode(const tim_t *t, unsigned channel) {
+    return field(tim_mode_bits(t, channel), 4, 3);
+}
+/* Whether the outputs of an advanced timer are on; others have no such switch. */
+static inline bool tim_outputs_on(const tim_t *t) {
+    return !t->what->advanced || (t->model.value[TIM_BDTR / 4] & MOE) != 0;
 }
 static inline unsigned tim_master_mode(const tim_t *t) {
     return field(t->model.value[TIM_CR2 / 4], 4, 3);
@@ -128,6 +160,7 @@ void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source);
 /* A compare's or capture's request goes out now, or with CCDS at the next update. */
 bool tim_asks_at_update(const tim_t *t);
 void tim_channel_dma(tim_t *t, unsigned channel);
+void tim_commutate(tim_t *t); /* The commutation event. */
 
 /* tim_counter.c */
 void tim_counter_init(tim_t *t);
@@ -143,13 +176,32 @@ void tim_rebase(tim_t *t, int64_t tick); /* Before the counter's rule changes: i
 void tim_pin_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps); /* Listens to GPIO. */
 void tim_channels_init(tim_t *t);
 void tim_channels_restart(tim_t *t);
-void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps); /* OCxREF and what follows from it. */
 void tim_evaluate_reference(tim_t *t, unsigned channel, bool match, int64_t count, int64_t time_ps);
 bool tim_channel_heard(const tim_t *t, unsigned channel); /* Whether a converter waits for this compare. */
+/* CCMR1, CCMR2, CCER or CR2 was written, or a commutation event comes: what acts from now on. */
+void tim_take_modes(tim_t *t, bool commutation);
 void tim_compare_match(tim_t *t, unsigned channel, int64_t tick);
 void tim_capture(tim_t *t, unsigned channel, int64_t time_ps);
-void tim_check_pins(tim_t *t);
 void tim_write_channel_mode(tim_t *t, uint32_t offset, uint32_t value);
+
+/* tim_outputs.c */
+void tim_outputs_init(tim_t *t);
+void tim_outputs_restart(tim_t *t);
+/* OCxREF has changed: with both outputs of the channel on, the dead time begins. */
+void tim_reference_changed(tim_t *t, unsigned channel, int64_t time_ps);
+void tim_refresh_output(tim_t *t, unsigned channel, int64_t time_ps); /* Anything else that outputs follow from. */
+void tim_outputs_idle(tim_t *t, int64_t time_ps);                     /* MOE has fallen. */
+pin_output_t tim_pin_output(const chip_t *chip, unsigned pin, unsigned af);
+void tim_pin_routing(chip_t *chip, bool done);
+
+/* tim_break.c */
+void tim_break_input(tim_t *t, int64_t time_ps);    /* The level of the break input may have changed. */
+void tim_clock_failed(tim_t *t);                    /* A break that the clock security system asks for. */
+void tim_break(tim_t *t, int64_t time_ps);          /* A break: MOE falls. */
+void tim_update_enables(tim_t *t, int64_t time_ps); /* At an update: AOE. */
+void tim_write_bdtr(tim_t *t, uint32_t value, int64_t time_ps);
+/* A write with the bits put back that LOCK protects; changing one of them is a violation. */
+uint32_t tim_unlocked(tim_t *t, uint32_t offset, uint32_t value);
 
 /* tim_slave.c */
 void tim_trgo(tim_t *t, bool rising, bool pulse, int64_t time_ps); /* TRGO rose or fell; a pulse does both at once. */

@@ -1,34 +1,26 @@
 /* tim_channels.c: compare (output references, what a match sets off) and capture (inputs, filters).
  *
- * Outputs go to converters' triggers only, not to pins. A capture without filter has no synchroniser delay (two to
+ * A capture without filter has no synchroniser delay (two to
  * three ticks on silicon).
  */
 #include "emulator/peripherals/tim.h"
 
 /* ---- Compare ---- */
 
-void tim_set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps) {
-    chip_t *const chip = t->model.chip;
+/* OCxREF, and what follows from it. */
+static void set_reference(tim_t *t, unsigned channel, bool level, int64_t time_ps) {
     if (t->reference[channel] != level) {
         t->reference[channel] = level;
+        tim_reference_changed(t, channel, time_ps);
         if (tim_master_mode(t) == 4 + channel) {
             tim_trgo(t, level, false, time_ps);
-        }
-    }
-    const unsigned enable = tim_enable_bits(t, channel);
-    const bool driven = (enable & 1u) != 0 && (!t->what->advanced || (t->model.value[TIM_BDTR / 4] & MOE) != 0);
-    const bool output = driven && (t->reference[channel] != ((enable & 2u) != 0));
-    if (t->output[channel] != output) {
-        t->output[channel] = output;
-        if (t->what->first_channel_trigger != TRIGGER_NONE) {
-            chip->signals.convert(chip, (trigger_t)(t->what->first_channel_trigger + channel), output, time_ps);
         }
     }
 }
 
 void tim_evaluate_reference(tim_t *t, unsigned channel, bool match, int64_t count, int64_t time_ps) {
     bool level = t->reference[channel];
-    switch (field(tim_mode_bits(t, channel), 4, 3)) {
+    switch (tim_compare_mode(t, channel)) {
     case 1:
         level = match ? true : level;
         break;
@@ -53,7 +45,7 @@ void tim_evaluate_reference(tim_t *t, unsigned channel, bool match, int64_t coun
     default:
         break;
     }
-    tim_set_reference(t, channel, level, time_ps);
+    set_reference(t, channel, level, time_ps);
 }
 
 bool tim_channel_heard(const tim_t *t, unsigned channel) {
@@ -68,17 +60,14 @@ void tim_compare_match(tim_t *t, unsigned channel, int64_t tick) {
     if (channel == 0 && tim_master_mode(t) == 3) {
         tim_trgo(t, true, true, time_ps);
     }
-    if (tim_channel_heard(t, channel) && !t->silent_trigger) {
-        const bool driven = (tim_enable_bits(t, channel) & 1u) != 0 &&
-                            (!t->what->advanced || (t->model.value[TIM_BDTR / 4] & MOE) != 0);
-        if (!driven || field(tim_mode_bits(t, channel), 4, 3) == 0) {
-            t->silent_trigger = true;
-            machine_violation(
-                t->model.machine,
-                "%s: a converter waits for CC%u, but OC%u never changes: it needs an OC%uM other than frozen, CC%uE%s",
-                model_name(&t->model), channel + 1, channel + 1, channel + 1, channel + 1,
-                t->what->advanced ? " and MOE" : "");
-        }
+    if (tim_channel_heard(t, channel) && !t->silent_trigger && !t->broken &&
+        ((tim_enable_bits(t, channel) & 1u) == 0 || !tim_outputs_on(t) || tim_compare_mode(t, channel) == 0)) {
+        t->silent_trigger = true;
+        machine_violation(
+            t->model.machine,
+            "%s: a converter waits for CC%u, but OC%u never changes: it needs an OC%uM other than frozen, CC%uE%s",
+            model_name(&t->model), channel + 1, channel + 1, channel + 1, channel + 1,
+            t->what->advanced ? " and MOE" : "");
     }
     tim_interrupt(t);
     tim_channel_dma(t, channel);
@@ -168,6 +157,12 @@ void tim_pin_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
         if (!t->model.clocked || t->model.in_reset || !chip_pin_is_alternate(chip, pin, tim_pins[i].alternate)) {
             continue;
         }
+        if (tim_pins[i].role != TIM_PIN_CHANNEL) {
+            if (tim_pins[i].role == TIM_PIN_BREAK) {
+                tim_break_input(t, time_ps);
+            }
+            continue;
+        }
         const unsigned input = tim_pins[i].channel;
         t->input[input].raw = level;
         const int64_t ticks = filter_ticks(t, input);
@@ -185,18 +180,36 @@ void tim_pin_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
 
 /* ---- Registers ---- */
 
-void tim_check_pins(tim_t *t) {
-    for (unsigned i = 0; i < tim_pin_count; i++) {
-        const unsigned channel = tim_pins[i].channel;
-        if (tim_pins[i].timer == tim_number(t) && (tim_enable_bits(t, channel) & 1u) != 0 &&
-            !tim_is_capture(t, channel) &&
-            chip_pin_is_alternate(t->model.chip, tim_pins[i].pin, tim_pins[i].alternate)) {
-            model_missing(&t->model, "compare outputs to pins");
+/* Bits of a channel that CCPC preloads: OCxM, and CCxE with CCxNE. */
+static uint32_t preloaded(const tim_t *t, unsigned channel, uint32_t bits) {
+    return (t->model.value[TIM_CR2 / 4] & CCPC) != 0 && channel < 3 && !tim_is_capture(t, channel) ? bits : 0;
+}
+
+void tim_take_modes(tim_t *t, bool commutation) {
+    for (unsigned i = 0; i < t->what->channels; i++) {
+        const unsigned shift = 8 * (i % 2), was = tim_compare_mode(t, i);
+        const uint32_t modes = (0xFFu & ~(commutation ? 0 : preloaded(t, i, 0x70))) << shift;
+        const uint32_t enables = (0xFu & ~(commutation ? 0 : preloaded(t, i, 5))) << 4 * i;
+        uint32_t *const acting = &t->modes[i / 2];
+        *acting = (*acting & ~modes) | (t->model.value[TIM_CCMR1 / 4 + i / 2] & modes);
+        t->enables = (t->enables & ~enables) | (t->model.value[TIM_CCER / 4] & enables);
+        const int64_t now = machine_now(t->model.machine);
+        if (tim_is_capture(t, i)) {
+            tim_refresh_output(t, i, now);
+            continue;
         }
+        if ((tim_mode_bits(t, i) & 8u) == 0) { /* OCxPE off: active at once. */
+            t->compare[i] = t->model.value[TIM_CCR1 / 4 + i];
+        }
+        if (tim_compare_mode(t, i) < 6 || was == 0 || was >= 6) { /* Else PWM waits for the next comparison. */
+            tim_evaluate_reference(t, i, false, tim_position(t, tim_now_tick(t)), now);
+        }
+        tim_refresh_output(t, i, now);
     }
 }
 
 void tim_write_channel_mode(tim_t *t, uint32_t offset, uint32_t value) {
+    value = tim_unlocked(t, offset, value);
     const uint32_t old = t->model.value[offset / 4];
     for (unsigned i = 0; i < 2; i++) {
         const unsigned channel = (offset == TIM_CCMR1 ? 0 : 2) + i;
@@ -207,15 +220,7 @@ void tim_write_channel_mode(tim_t *t, uint32_t offset, uint32_t value) {
         }
     }
     t->model.value[offset / 4] = value;
-    for (unsigned i = 0; i < 2; i++) {
-        const unsigned channel = (offset == TIM_CCMR1 ? 0 : 2) + i;
-        if (channel < t->what->channels && !tim_is_capture(t, channel)) {
-            if ((value >> (8 * i) & 8u) == 0) { /* OCxPE off: active at once. */
-                t->compare[channel] = t->model.value[TIM_CCR1 / 4 + channel];
-            }
-            tim_evaluate_reference(t, channel, false, tim_position(t, tim_now_tick(t)), machine_now(t->model.machine));
-        }
-    }
+    tim_take_modes(t, false);
 }
 
 void tim_channels_init(tim_t *t) {
@@ -227,10 +232,11 @@ void tim_channels_init(tim_t *t) {
 }
 
 void tim_channels_restart(tim_t *t) {
+    t->modes[0] = t->modes[1] = t->enables = 0;
     for (unsigned i = 0; i < 4; i++) {
         machine_cancel(t->model.machine, &t->input[i].filter);
         t->input[i].level = t->input[i].raw = false;
-        t->reference[i] = t->output[i] = false;
+        t->reference[i] = false;
         t->edges[i] = 0;
     }
 }

@@ -42,9 +42,12 @@ static void update_event(tim_t *t, int64_t tick, bool by_software) {
         t->model.value[TIM_CR1 / 4] &= ~CEN;
     }
     for (unsigned i = 0; i < t->what->channels; i++) {
-        if (!tim_is_capture(t, i) && field(tim_mode_bits(t, i), 4, 3) >= 6) {
+        if (!tim_is_capture(t, i) && tim_compare_mode(t, i) >= 6) {
             tim_evaluate_reference(t, i, false, 0, time_ps);
         }
+    }
+    if (happens) {
+        tim_update_enables(t, time_ps);
     }
     const unsigned master_mode = tim_master_mode(t);
     if (happens && (master_mode == 2 || (by_software && master_mode == 0))) {
@@ -131,7 +134,9 @@ void tim_plan(tim_t *t) {
     const uint32_t dier = t->model.value[TIM_DIER / 4];
     const unsigned master_mode = tim_trgo_heard(t) ? tim_master_mode(t) : 0;
     const uint32_t channel_bits = tim_asks_at_update(t) ? 0x2u : 0x202u;
-    bool update = (dier & 0x101u) != 0 || master_mode == 2 || (tim_asks_at_update(t) && (dier & 0x1E00u) != 0);
+    const bool automatic = (t->model.value[TIM_BDTR / 4] & (AOE | MOE)) == AOE;
+    bool update = (dier & 0x101u) != 0 || master_mode == 2 || automatic ||
+                  (tim_asks_at_update(t) && (dier & 0x1E00u) != 0);
     int64_t tick = INT64_MAX;
     const int64_t over = overflow_tick(t), last = last_count(t);
     bool later = false; /* An observed compare lies beyond the overflow. */
@@ -139,11 +144,14 @@ void tim_plan(tim_t *t) {
         if (tim_is_capture(t, i)) {
             continue;
         }
-        const bool heard = tim_channel_heard(t, i) || master_mode == 4 + i;
+        const unsigned mode = tim_compare_mode(t, i);
+        const bool moves = mode != 0 && mode != 4 && mode != 5, /* Neither frozen nor forced. */
+            wired = moves && ((t->wired[TIM_PIN_CHANNEL] | t->wired[TIM_PIN_COMPLEMENT]) >> i & 1u) != 0,
+                   heard = wired || tim_channel_heard(t, i) || master_mode == 4 + i;
         if (!heard && (dier & (channel_bits << i)) == 0 && !(i == 0 && master_mode == 3)) {
             continue;
         }
-        update = update || (heard && field(tim_mode_bits(t, i), 4, 3) >= 6);
+        update = update || (heard && mode >= 6);
         if (t->compare[i] > t->marked && t->compare[i] <= last) {
             const int64_t at = t->compare[i] > t->base_count
                                    ? t->base_tick + (t->compare[i] - t->base_count) * tim_step(t)

@@ -280,23 +280,42 @@ const tim_description_t tim_descriptions[TIM_COUNT] = {
 };
 
 #define PIN(port, number) (uint8_t)((port - 'A') * 16 + number)
+#define CHANNEL(port, number, timer, alternate, channel)                                                               \
+    { PIN(port, number), timer, alternate, channel, TIM_PIN_CHANNEL }
+#define COMPLEMENT(port, number, timer, alternate, channel)                                                            \
+    { PIN(port, number), timer, alternate, channel, TIM_PIN_COMPLEMENT }
+#define BREAK(port, number, timer, alternate)                                                                          \
+    { PIN(port, number), timer, alternate, 0, TIM_PIN_BREAK }
 const tim_pin_t tim_pins[] = {
-    {PIN('A', 8), 1, 1, 0},  {PIN('E', 9), 1, 1, 0},   {PIN('A', 9), 1, 1, 1},  {PIN('E', 11), 1, 1, 1},
-    {PIN('A', 10), 1, 1, 2}, {PIN('E', 13), 1, 1, 2},  {PIN('A', 11), 1, 1, 3}, {PIN('E', 14), 1, 1, 3},
-    {PIN('A', 0), 2, 1, 0},  {PIN('A', 5), 2, 1, 0},   {PIN('A', 15), 2, 1, 0}, {PIN('A', 1), 2, 1, 1},
-    {PIN('B', 3), 2, 1, 1},  {PIN('A', 2), 2, 1, 2},   {PIN('B', 10), 2, 1, 2}, {PIN('A', 3), 2, 1, 3},
-    {PIN('B', 11), 2, 1, 3}, {PIN('A', 6), 3, 2, 0},   {PIN('B', 4), 3, 2, 0},  {PIN('C', 6), 3, 2, 0},
-    {PIN('A', 7), 3, 2, 1},  {PIN('B', 5), 3, 2, 1},   {PIN('C', 7), 3, 2, 1},  {PIN('B', 0), 3, 2, 2},
-    {PIN('C', 8), 3, 2, 2},  {PIN('B', 1), 3, 2, 3},   {PIN('C', 9), 3, 2, 3},  {PIN('B', 6), 4, 2, 0},
-    {PIN('D', 12), 4, 2, 0}, {PIN('B', 7), 4, 2, 1},   {PIN('D', 13), 4, 2, 1}, {PIN('B', 8), 4, 2, 2},
-    {PIN('D', 14), 4, 2, 2}, {PIN('B', 9), 4, 2, 3},   {PIN('D', 15), 4, 2, 3}, {PIN('A', 0), 5, 2, 0},
-    {PIN('H', 10), 5, 2, 0}, {PIN('A', 1), 5, 2, 1},   {PIN('H', 11), 5, 2, 1}, {PIN('A', 2), 5, 2, 2},
-    {PIN('H', 12), 5, 2, 2}, {PIN('A', 3), 5, 2, 3},   {PIN('I', 0), 5, 2, 3},  {PIN('C', 6), 8, 3, 0},
-    {PIN('I', 5), 8, 3, 0},  {PIN('C', 7), 8, 3, 1},   {PIN('I', 6), 8, 3, 1},  {PIN('C', 8), 8, 3, 2},
-    {PIN('I', 7), 8, 3, 2},  {PIN('C', 9), 8, 3, 3},   {PIN('I', 2), 8, 3, 3},  {PIN('A', 2), 9, 3, 0},
-    {PIN('E', 5), 9, 3, 0},  {PIN('A', 3), 9, 3, 1},   {PIN('E', 6), 9, 3, 1},  {PIN('B', 8), 10, 3, 0},
-    {PIN('F', 6), 10, 3, 0}, {PIN('B', 9), 11, 3, 0},  {PIN('F', 7), 11, 3, 0}, {PIN('B', 14), 12, 9, 0},
-    {PIN('H', 6), 12, 9, 0}, {PIN('B', 15), 12, 9, 1}, {PIN('H', 9), 12, 9, 1}, {PIN('A', 6), 13, 9, 0},
-    {PIN('F', 8), 13, 9, 0}, {PIN('A', 7), 14, 9, 0},  {PIN('F', 9), 14, 9, 0},
+    CHANNEL('A', 8, 1, 1, 0),     CHANNEL('E', 9, 1, 1, 0),    CHANNEL('A', 9, 1, 1, 1),
+    CHANNEL('E', 11, 1, 1, 1),    CHANNEL('A', 10, 1, 1, 2),   CHANNEL('E', 13, 1, 1, 2),
+    CHANNEL('A', 11, 1, 1, 3),    CHANNEL('E', 14, 1, 1, 3),   CHANNEL('A', 0, 2, 1, 0),
+    CHANNEL('A', 5, 2, 1, 0),     CHANNEL('A', 15, 2, 1, 0),   CHANNEL('A', 1, 2, 1, 1),
+    CHANNEL('B', 3, 2, 1, 1),     CHANNEL('A', 2, 2, 1, 2),    CHANNEL('B', 10, 2, 1, 2),
+    CHANNEL('A', 3, 2, 1, 3),     CHANNEL('B', 11, 2, 1, 3),   CHANNEL('A', 6, 3, 2, 0),
+    CHANNEL('B', 4, 3, 2, 0),     CHANNEL('C', 6, 3, 2, 0),    CHANNEL('A', 7, 3, 2, 1),
+    CHANNEL('B', 5, 3, 2, 1),     CHANNEL('C', 7, 3, 2, 1),    CHANNEL('B', 0, 3, 2, 2),
+    CHANNEL('C', 8, 3, 2, 2),     CHANNEL('B', 1, 3, 2, 3),    CHANNEL('C', 9, 3, 2, 3),
+    CHANNEL('B', 6, 4, 2, 0),     CHANNEL('D', 12, 4, 2, 0),   CHANNEL('B', 7, 4, 2, 1),
+    CHANNEL('D', 13, 4, 2, 1),    CHANNEL('B', 8, 4, 2, 2),    CHANNEL('D', 14, 4, 2, 2),
+    CHANNEL('B', 9, 4, 2, 3),     CHANNEL('D', 15, 4, 2, 3),   CHANNEL('A', 0, 5, 2, 0),
+    CHANNEL('H', 10, 5, 2, 0),    CHANNEL('A', 1, 5, 2, 1),    CHANNEL('H', 11, 5, 2, 1),
+    CHANNEL('A', 2, 5, 2, 2),     CHANNEL('H', 12, 5, 2, 2),   CHANNEL('A', 3, 5, 2, 3),
+    CHANNEL('I', 0, 5, 2, 3),     CHANNEL('C', 6, 8, 3, 0),    CHANNEL('I', 5, 8, 3, 0),
+    CHANNEL('C', 7, 8, 3, 1),     CHANNEL('I', 6, 8, 3, 1),    CHANNEL('C', 8, 8, 3, 2),
+    CHANNEL('I', 7, 8, 3, 2),     CHANNEL('C', 9, 8, 3, 3),    CHANNEL('I', 2, 8, 3, 3),
+    CHANNEL('A', 2, 9, 3, 0),     CHANNEL('E', 5, 9, 3, 0),    CHANNEL('A', 3, 9, 3, 1),
+    CHANNEL('E', 6, 9, 3, 1),     CHANNEL('B', 8, 10, 3, 0),   CHANNEL('F', 6, 10, 3, 0),
+    CHANNEL('B', 9, 11, 3, 0),    CHANNEL('F', 7, 11, 3, 0),   CHANNEL('B', 14, 12, 9, 0),
+    CHANNEL('H', 6, 12, 9, 0),    CHANNEL('B', 15, 12, 9, 1),  CHANNEL('H', 9, 12, 9, 1),
+    CHANNEL('A', 6, 13, 9, 0),    CHANNEL('F', 8, 13, 9, 0),   CHANNEL('A', 7, 14, 9, 0),
+    CHANNEL('F', 9, 14, 9, 0),    COMPLEMENT('A', 7, 1, 1, 0), COMPLEMENT('B', 13, 1, 1, 0),
+    COMPLEMENT('E', 8, 1, 1, 0),  COMPLEMENT('B', 0, 1, 1, 1), COMPLEMENT('B', 14, 1, 1, 1),
+    COMPLEMENT('E', 10, 1, 1, 1), COMPLEMENT('B', 1, 1, 1, 2), COMPLEMENT('B', 15, 1, 1, 2),
+    COMPLEMENT('E', 12, 1, 1, 2), COMPLEMENT('A', 5, 8, 3, 0), COMPLEMENT('A', 7, 8, 3, 0),
+    COMPLEMENT('H', 13, 8, 3, 0), COMPLEMENT('B', 0, 8, 3, 1), COMPLEMENT('B', 14, 8, 3, 1),
+    COMPLEMENT('H', 14, 8, 3, 1), COMPLEMENT('B', 1, 8, 3, 2), COMPLEMENT('B', 15, 8, 3, 2),
+    COMPLEMENT('H', 15, 8, 3, 2), BREAK('A', 6, 1, 1),         BREAK('B', 12, 1, 1),
+    BREAK('E', 15, 1, 1),         BREAK('A', 6, 8, 3),         BREAK('I', 4, 8, 3),
 };
 const unsigned tim_pin_count = sizeof tim_pins / sizeof tim_pins[0];

@@ -64,6 +64,9 @@ void tim_slave_trigger(tim_t *t, int64_t time_ps) {
     default:
         break;
     }
+    if (t->what->advanced && (t->model.value[TIM_CR2 / 4] & CCUS) != 0) {
+        tim_commutate(t);
+    }
     tim_interrupt(t);
     tim_pulse_dma(t, 14, t->what->dma_trigger);
     tim_plan(t);

@@ -268,7 +268,7 @@ def test_dma_burst_through_dmar(fast_chip: Bench) -> None:
 
 MAP = [  # A sample of RM0090 tables 42 and 43: controller, stream, channel, line
     (1, 0, 2, "TIM4_CH1"), (1, 1, 3, "TIM2_UP"), (1, 1, 3, "TIM2_CH3"), (1, 1, 7, "TIM6_UP"),
-    (1, 2, 1, "TIM7_UP"), (1, 2, 5, "TIM3_UP"), (1, 2, 4, "UART4_RX"), (1, 3, 4, "USART3_TX"),
+    (1, 2, 1, "TIM7_UP"), (1, 2, 5, "TIM3_UP"), (1, 2, 4, "UART4_RX"), (1, 1, 4, "USART3_RX"), (1, 3, 4, "USART3_TX"),
     (1, 4, 7, "USART3_TX"), (1, 5, 4, "USART2_RX"), (1, 5, 7, "DAC1"), (1, 6, 7, "DAC2"),
     (1, 6, 4, "USART2_TX"), (1, 6, 6, "TIM5_UP"), (1, 7, 3, "TIM2_CH4"), (1, 7, 4, "UART5_TX"),
     (1, 0, 4, "UART5_RX"), (1, 4, 4, "UART4_TX"), (2, 0, 0, "ADC1"), (2, 4, 0, "ADC1"), (2, 2, 1, "ADC2"),
