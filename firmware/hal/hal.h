@@ -135,6 +135,20 @@ bool hal_drive_enable(hal_t *hal, bool enable);
 /* [any] Returns whether the drivers' fault input is active now. */
 bool hal_drive_fault(const hal_t *hal);
 
+#define HAL_SUPPLY_PER_COUNT 0.0390625f /* Voltage for a count of the supply, V: 160 V in 4096. */
+
+/* What the board measures beside the currents, converter counts 0..4095, each at most one block old. A temperature is
+ * that of a thermistor (10 kOhm at 25 degC, B 3950) to ground, below 10 kOhm to the converter's reference: fewer counts
+ * are warmer, 2048 is 25 degC, next to 0 a short and next to 4095 an open wire. */
+typedef struct {
+    uint16_t supply;             /* Supply of the bridges, HAL_SUPPLY_PER_COUNT. */
+    uint16_t coil[HAL_CHANNELS]; /* Temperature of each channel's coil. */
+    uint16_t driver;             /* Temperature of the driver. */
+} hal_monitor_t;
+
+/* [any] Read the latest values. They are 0 until hal_chips_start() and for one block after it. */
+void hal_monitor(const hal_t *hal, hal_monitor_t *monitor);
+
 /* ---- Links ---- */
 
 typedef struct {
