@@ -5,14 +5,19 @@
 #include "rig/array.h"
 #include "world/noise.h"
 
-enum { PIN_FIELD_X = 1 };
+enum { PIN_FIELD_X = 1, PIN_SUPPLY = 32, PIN_DRIVER_TEMPERATURE = 34 };
+
+static const double supply_V_per_V = 3.3 / 160.0; /* Divider of the supply: 160 V is the converter's full scale. */
+static const double glowing_degC = 200.0;         /* Temperature of what the faults make hot. */
+static const double converter_V = 3.3;            /* What a thermistor that is not there leaves. */
 
 typedef struct {
-    unsigned bridge_1, bridge_2, current;
+    unsigned bridge_1, bridge_2, current, temperature;
 } channel_pins_t;
 
-static const channel_pins_t channel_pins[RIG_COILS] = {{.bridge_1 = 38, .bridge_2 = 39, .current = 0},
-                                                       {.bridge_1 = 36, .bridge_2 = 37, .current = 6}};
+static const channel_pins_t channel_pins[RIG_COILS] = {
+    {.bridge_1 = 38, .bridge_2 = 39, .current = 0, .temperature = 33},
+    {.bridge_1 = 36, .bridge_2 = 37, .current = 6, .temperature = 35}};
 
 static void keep_change(rig_pin_change_t **changes, size_t *count, size_t *capacity, rig_pin_change_t change) {
     *changes = array_reserve(*changes, capacity, *count + 1, sizeof **changes);
@@ -56,8 +61,17 @@ static double on_analog_in(void *context, unsigned pin, int64_t time_ps) {
         if (pin == channel_pins[i].current) {
             return coil_sense(&slot->coil[i], slot->seed, noise_stream(NOISE_CURRENT_SENSE, slot->number, i), time_ps);
         }
+        if (pin == channel_pins[i].temperature) {
+            return thermistor_volts(slot->coil_hot[i] ? glowing_degC : coil_temperature(&slot->coil[i], time_ps));
+        }
     }
-    return 0.0;
+    if (slot->coils > 0 && pin == PIN_SUPPLY) {
+        return supply_V_per_V * coil_bus(&slot->coil[0], time_ps);
+    }
+    if (slot->coils > 0 && pin == PIN_DRIVER_TEMPERATURE) {
+        return thermistor_volts(slot->driver_hot ? glowing_degC : slot->coil[0].config.ambient_degC);
+    }
+    return slot->coils > 0 && pin == channel_pins[1].temperature ? converter_V : 0.0;
 }
 
 static void on_uart_out(void *context, unsigned uart, uint8_t byte, int64_t time_ps) {

@@ -4,8 +4,8 @@
  * coils, serial line and lists, and its converters read them. lockstep.c empties the lists between two steps.
  *
  * Pins (boards/pinout.md), with i the channel: bridge inputs PC6/PC7 and PC4/PC5, set-points DAC channel 1 + i, current
- * senses PA0 and PA6; PC9 enables both bridges, PC10 is their fault; PC8 and PA10 are the sync wire's ends; the field
- * is on PA1 to PA3.
+ * senses PA0 and PA6, coil thermistors PC1 and PC3; PC0 is the supply and PC2 the driver's thermistor; PC9 enables both
+ * bridges, PC10 is their fault; PC8 and PA10 are the sync wire's ends; the field is on PA1 to PA3.
  *
  * During a step only the thread that runs the board touches its slot; others look at its coils as sensing.h says.
  */
@@ -45,7 +45,8 @@ typedef struct {
     coil_t *coil; /* The first of its coils. */
     bool senses;  /* sensing is in use. */
     sensing_t sensing;
-    bool sync_cut; /* Fault: its sync input is not connected. */
+    bool sync_cut;                        /* Fault: its sync input is not connected. */
+    bool coil_hot[RIG_COILS], driver_hot; /* Faults. */
     serial_line_t serial;
     board_slot_request_t *requests; /* Requests not yet handed to the bus, in order of time. */
     size_t request_count, request_capacity;

@@ -11,6 +11,12 @@ SET_POINT_A_PER_V = 16.0 / 3.3
 REFERENCE_V = 3.3
 """Supply that the boards' converters refer to, and the scales of driver and current sense (``pinout.md``)."""
 
+SAME_IN_C = (
+    *("source_Ohm", "reference_offset_A", "asymmetry", "dc_error_A", "dead_time_s", "driver_delay_s"),
+    *("driver_limit_A", "ambient_degC", "thermal_resistance_K_per_W", "heat_capacity_J_per_K", "shorted_fraction"),
+)
+"""Fields that a `Circuit` and ``coil_config_t`` have in common."""
+
 CAN_BITS_PER_SECOND, BAUD = 1_000_000, 2_000_000
 
 
@@ -40,6 +46,8 @@ def _fill_coil(coil: Any, circuit: Circuit, lag_s: float) -> None:
     coil.supply_V, coil.lag_s = circuit.supply_V, lag_s
     coil.reference_A_per_V = SET_POINT_A_PER_V * (1.0 + circuit.reference_gain_error)
     coil.sense_V_per_A, coil.sense_noise_V = sense, circuit.sense_noise_A * sense
+    for key in SAME_IN_C:
+        setattr(coil, key, getattr(circuit, key))
 
 
 def _fill_front_end(front_end: Any, sensor: FrontEnd) -> None:

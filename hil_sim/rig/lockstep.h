@@ -67,7 +67,13 @@ typedef enum {
     RIG_FAULT_DRIVER = 0,        /* The driver pulls its fault output low (one for both channels). */
     RIG_FAULT_COIL_OPEN = 1,     /* The coil's wire is broken. */
     RIG_FAULT_SENSE_SHORTED = 2, /* The coil's current sense output lies at 0 V. */
-    RIG_FAULT_SYNC_WIRE_CUT = 3  /* The board's sync input stays low. */
+    RIG_FAULT_SYNC_WIRE_CUT = 3, /* The board's sync input stays low. */
+    RIG_FAULT_COIL_SHORTED = 4,  /* Turns of the coil are shorted (coil_config_t.shorted_fraction). */
+    RIG_FAULT_DRIVER_RUNAWAY = 5,
+    RIG_FAULT_DRIVER_STUCK = 6, /* A half of the bridge is shorted: full supply, whatever inputs and enable say. */
+    RIG_FAULT_SENSE_HELD = 7,   /* The coil's current sense output stays where it is. */
+    RIG_FAULT_COIL_HOT = 8,     /* The coil's thermistor is at 200 degC. */
+    RIG_FAULT_DRIVER_HOT = 9    /* The driver's is. */
 } rig_fault_t;
 
 /* A rig without boards. Returns NULL if the configuration breaks a rule above or there is no memory. */
@@ -130,5 +136,11 @@ void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3]);
 
 /* Make or mend a fault. coil counts for the faults of a coil alone, and must be there then. */
 void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active);
+
+/* Change the voltage, without load, of the supply of a board's coils. */
+void rig_supply(rig_t *rig, unsigned board, double volts);
+
+/* Returns the temperature of a coil's copper at the present, degC; the coil must be there. */
+double rig_coil_temperature(const rig_t *rig, unsigned board, unsigned coil);
 
 #endif

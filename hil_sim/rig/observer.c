@@ -73,22 +73,41 @@ void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3]) {
     sensing_field(&rig->slot[board].sensing, rig_now(rig), field_T);
 }
 
+double rig_coil_temperature(const rig_t *rig, unsigned board, unsigned coil) {
+    return coil_temperature(&rig->slot[board].coil[coil], rig_now(rig));
+}
+
+void rig_supply(rig_t *rig, unsigned board, double volts) {
+    board_slot_t *const slot = &rig->slot[board];
+    for (unsigned i = 0; i < slot->coils; ++i) {
+        coil_supply(&slot->coil[i], volts, rig_now(rig) + slot->lead_ps);
+    }
+}
+
 void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active) {
+    static const coil_fault_t of_coil[] = {
+        [RIG_FAULT_COIL_OPEN] = COIL_OPEN,        [RIG_FAULT_SENSE_SHORTED] = COIL_SENSE_LOW,
+        [RIG_FAULT_COIL_SHORTED] = COIL_SHORTED,  [RIG_FAULT_DRIVER_RUNAWAY] = COIL_RUNAWAY,
+        [RIG_FAULT_DRIVER_STUCK] = COIL_STUCK_ON, [RIG_FAULT_SENSE_HELD] = COIL_SENSE_HELD,
+    };
     board_slot_t *const slot = &rig->slot[board];
     const int64_t time_ps = rig_now(rig) + slot->lead_ps;
     switch (fault) {
     case RIG_FAULT_DRIVER:
         slot->operations->pin_in(slot->instance, BOARD_PIN_FAULT, !active, time_ps);
         break;
-    case RIG_FAULT_COIL_OPEN:
-        coil_open(&slot->coil[coil], active, time_ps);
-        break;
-    case RIG_FAULT_SENSE_SHORTED:
-        slot->coil[coil].sense_shorted = active;
-        break;
     case RIG_FAULT_SYNC_WIRE_CUT:
         slot->sync_cut = active;
         slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, false, time_ps);
+        break;
+    case RIG_FAULT_COIL_HOT:
+        slot->coil_hot[coil] = active;
+        break;
+    case RIG_FAULT_DRIVER_HOT:
+        slot->driver_hot = active;
+        break;
+    default:
+        coil_fault(&slot->coil[coil], of_coil[fault], active, time_ps);
         break;
     }
 }

@@ -10,6 +10,7 @@ import numpy as np
 
 from goldfield.errors import SystemFailure, UserError
 from hil_sim.scenario import Scenario
+from hil_sim.scenario.events import Event
 from hil_sim.world import path
 from hil_sim.world.metal import BesideMetal, Metal, Source
 
@@ -20,6 +21,11 @@ OVERLAP_S = 0.001
 """A window reaches so far beyond its ends: a converter may look a few microseconds ahead."""
 EVENT_STEP_PS = 10**9
 """Events happen at whole milliseconds, which are whole quanta."""
+
+
+def event_ps(event: Event) -> int:
+    """Return the virtual time at which an event happens, ps: a whole millisecond."""
+    return round(event.time_s * 1e12 / EVENT_STEP_PS) * EVENT_STEP_PS
 
 
 class PathWindows:
@@ -44,9 +50,7 @@ class PathWindows:
     def __init__(self, ffi: Any, library: Any, rig: Any, scenario: Scenario) -> None:
         self._ffi, self._library, self._rig = ffi, library, rig
         self._scenario = scenario
-        self._events_ps = sorted(
-            {round(event.time_s * 1e12 / EVENT_STEP_PS) * EVENT_STEP_PS for event in scenario.events}
-        )
+        self._events_ps = sorted({event_ps(event) for event in scenario.events})
         self._window, self._happened = -1, -1
         self.enter(0)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,18 +17,19 @@ from goldfield.errors import SystemFailure, UserError, counted
 from hil_sim import clib
 from hil_sim.rig import config as rig_config
 from hil_sim.rig.boards import Board, BoardFactory, BoardSpec, address, factory
-from hil_sim.rig.paths import PathWindows
+from hil_sim.rig.paths import PathWindows, event_ps
 from hil_sim.rig.truth import Truth, truth_at
-from hil_sim.scenario import Clock, Scenario, parameter_page
+from hil_sim.scenario import COIL_FAULTS, Clock, Scenario, Strike, Supply, parameter_page
 
 FloatArray = NDArray[np.float64]
 
 LIBRARY = "libgf_rig.so"
 SENSOR = 0
-FAULTS = ("driver", "coil_open", "sense_shorted", "sync_wire_cut")
+FAULTS = (
+    *("driver", "coil_open", "sense_shorted", "sync_wire_cut", "coil_shorted", "driver_runaway"),
+    *("driver_stuck", "sense_held", "coil_hot", "driver_hot"),
+)
 """The faults that a board can be given, in the order of ``rig_fault_t``."""
-COIL_FAULTS = ("coil_open", "sense_shorted")
-"""The faults that strike one coil of a board."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +109,8 @@ class Rig:
             self._make = make
             self._connect()
             self._paths = PathWindows(self._ffi, self._library, self._rig, scenario.installed)
+            electrical = [event for event in scenario.events if isinstance(event, Supply | Strike)]
+            self._electrical = deque(sorted(electrical, key=lambda event: event.time_s))
             for board in range(len(self._boards)):
                 if scenario.sync != "wire" or (board == SENSOR and not scenario.sensor.sync_wire):
                     self.fault(board, "sync_wire_cut")
@@ -176,12 +180,22 @@ class Rig:
     def run_until(self, until_ps: int) -> None:
         """Run up to a virtual time in picoseconds, rounded down to a whole quantum; see `advance`."""
         while True:
-            stop_ps = min(until_ps, self._paths.enter(int(self._library.rig_now(self._rig))))
+            now_ps = int(self._library.rig_now(self._rig))
+            stop_ps = min(until_ps, self._paths.enter(now_ps))
+            while self._electrical and event_ps(self._electrical[0]) <= now_ps:
+                self._happen(self._electrical.popleft())
             status = self._library.rig_run(self._rig, stop_ps)
             if status != self._library.RIG_OK:
                 raise SystemFailure(self._complaint(status))
             if stop_ps >= until_ps:
                 return
+
+    def _happen(self, event: Supply | Strike) -> None:
+        board = 1 + [beacon.id for beacon in self.scenario.beacons].index(event.beacon)
+        if isinstance(event, Supply):
+            self.set_supply_V(board, event.supply_V)
+        else:
+            self.fault(board, event.fault, not event.mended, event.coil)
 
     def board_name(self, board: int) -> str:
         """Return the name of a board for messages: "the sensor" or "beacon b3"."""
@@ -310,6 +324,16 @@ class Rig:
         """Return the current in a beacon's coil (1: the second of a dual-axis beacon) at the present."""
         self._check_coil(board, coil)
         return float(self._library.rig_coil_current(self._rig, board, coil))
+
+    def coil_temperature_degC(self, board: int, coil: int = 0) -> float:
+        """Return the temperature of the copper of a beacon's coil at the present."""
+        self._check_coil(board, coil)
+        return float(self._library.rig_coil_temperature(self._rig, board, coil))
+
+    def set_supply_V(self, board: int, volts: float) -> None:
+        """Change the voltage of the supply of a beacon's coils, without load, from the present on."""
+        self._check_coil(board, 0)
+        self._library.rig_supply(self._rig, board, volts)
 
     def sensor_field_T(self, board: int = SENSOR) -> FloatArray:
         """Return the field at a board's sensor at the present, shape (3,), its frame, before its front end."""

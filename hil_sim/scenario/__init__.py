@@ -1,6 +1,6 @@
 """Scenario files: what the rig simulates, in TOML and SI units; ``scenarios/prigge8.toml`` is a commented example."""
 
-from hil_sim.scenario.events import Bring, Move
+from hil_sim.scenario.events import BOARD_FAULTS, COIL_FAULTS, Bring, Move, Strike, Supply
 from hil_sim.scenario.installation import Installation
 from hil_sim.scenario.pages import parameter_page
 from hil_sim.scenario.parts import CHIP_PERIOD_S, CONVERTER_COUNTS, Ambient, Beacon, Circuit, Clock, FrontEnd
@@ -9,7 +9,9 @@ from hil_sim.scenario.scenario import Scenario
 from hil_sim.scenario.site_file import site_toml, true_site_toml
 
 __all__ = [
+    "BOARD_FAULTS",
     "CHIP_PERIOD_S",
+    "COIL_FAULTS",
     "CONVERTER_COUNTS",
     "SCENARIOS",
     "Ambient",
@@ -21,6 +23,8 @@ __all__ = [
     "Installation",
     "Move",
     "Scenario",
+    "Strike",
+    "Supply",
     "find",
     "load",
     "load_scenario",

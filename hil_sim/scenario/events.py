@@ -1,4 +1,4 @@
-"""What happens to a bench while it runs, which no site file knows: a beacon is moved, metal is brought in."""
+"""What happens to a bench while it runs: a beacon is moved, metal is brought in, a supply sags, something breaks."""
 
 from __future__ import annotations
 
@@ -9,9 +9,16 @@ from numpy.typing import NDArray
 
 from goldfield.files.toml_table import Table
 from hil_sim.scenario.bodies import SHEET_KEYS, read_sheet
+from hil_sim.scenario.values import between
 from hil_sim.world.sheet import Sheet
 
-EVENT_KEYS = ("time_s", "moves", "by_m", "sensor_stays", "sheet")
+EVENT_KEYS = ("time_s", "moves", "by_m", "sensor_stays", "sheet", "beacon", "supply_V", "fault", "coil", "mended")
+COIL_FAULTS = (
+    *("coil_open", "sense_shorted", "coil_shorted", "driver_runaway", "driver_stuck", "sense_held", "coil_hot"),
+)
+"""Faults of one coil with its driver and its current sense."""
+BOARD_FAULTS = ("driver", "sync_wire_cut", "driver_hot")
+"""Faults of a beacon's board as a whole."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +50,27 @@ class Bring:
     sheet: Sheet
 
 
-Event = Move | Bring
+@dataclass(frozen=True)
+class Supply:
+    """The voltage of the supply of a beacon's coils changes."""
+
+    time_s: float
+    beacon: str
+    supply_V: float
+
+
+@dataclass(frozen=True)
+class Strike:
+    """Something of a beacon breaks, a name of `COIL_FAULTS` or `BOARD_FAULTS`, or is mended."""
+
+    time_s: float
+    beacon: str
+    fault: str
+    coil: int = 0
+    mended: bool = False
+
+
+Event = Move | Bring | Supply | Strike
 
 
 def read_events(root: Table) -> tuple[Event, ...]:
@@ -72,9 +99,33 @@ def _event(table: Table, beacons: list[str]) -> Event:
         inner = table.table("sheet")
         inner.allow(*SHEET_KEYS)
         return Bring(time_s, read_sheet(inner))
+    if "beacon" in table:
+        return _electrical(table, time_s, beacons)
     if "moves" not in table:
-        raise table.error("moves", "is missing; give it, or sheet")
-    beacon = table.text("moves")
-    if beacon not in beacons:
-        raise table.error("moves", f'is "{beacon}"; the beacons are {", ".join(beacons)}')
+        raise table.error("moves", "is missing; give it, or sheet, or beacon")
+    table.allow("time_s", "moves", "by_m", "sensor_stays")
+    beacon = _known(table, "moves", beacons)
     return Move(time_s, beacon, table.vector("by_m"), "sensor_stays" in table and table.flag("sensor_stays"))
+
+
+def _known(table: Table, key: str, beacons: list[str]) -> str:
+    beacon = table.text(key)
+    if beacon not in beacons:
+        raise table.error(key, f'is "{beacon}"; the beacons are {", ".join(beacons)}')
+    return beacon
+
+
+def _electrical(table: Table, time_s: float, beacons: list[str]) -> Supply | Strike:
+    beacon = _known(table, "beacon", beacons)
+    if "supply_V" in table:
+        table.allow("time_s", "beacon", "supply_V")
+        return Supply(time_s, beacon, table.positive("supply_V"))
+    if "fault" not in table:
+        raise table.error("fault", "is missing; give it, or supply_V")
+    fault = table.text("fault")
+    if fault not in COIL_FAULTS + BOARD_FAULTS:
+        raise table.error("fault", f'is "{fault}"; there are {", ".join(COIL_FAULTS + BOARD_FAULTS)}')
+    of_coil = ("coil",) if fault in COIL_FAULTS else ()
+    table.allow("time_s", "beacon", "fault", "mended", *of_coil)
+    coil = between(table, "coil", 0, 1) if "coil" in table else 0
+    return Strike(time_s, beacon, fault, coil, "mended" in table and table.flag("mended"))

@@ -36,6 +36,17 @@ class Circuit:
         Relative errors of the driver's set-point and of the current sense.
     sense_noise_A : float
         Standard deviation of one look at the current.
+    source_Ohm : float
+        Resistance of the supply; it takes back what the coil gives.
+    reference_offset_A, asymmetry, dc_error_A : float
+        What the driver adds to the magnitude that it is asked for; by which share a positive current is larger and a
+        negative one smaller; what it adds to the current while its bridge drives.
+    dead_time_s, driver_delay_s, driver_limit_A : float
+        Time for which the bridge is off after a change; lateness of its loop; its own limit, 0: none.
+    ambient_degC, thermal_resistance_K_per_W, heat_capacity_J_per_K : float
+        Surroundings of the coil, whose resistance is that at 20 degC; thermal resistance 0: it stays at the ambient's.
+    shorted_fraction : float
+        Share of the turns that the fault ``coil_shorted`` takes away.
     """
 
     current_A: float
@@ -45,6 +56,17 @@ class Circuit:
     reference_gain_error: float = 0.0
     sense_gain_error: float = 0.0
     sense_noise_A: float = 0.005
+    source_Ohm: float = 0.0
+    reference_offset_A: float = 0.0
+    asymmetry: float = 0.0
+    dc_error_A: float = 0.0
+    dead_time_s: float = 0.0
+    driver_delay_s: float = 0.0
+    driver_limit_A: float = 0.0
+    ambient_degC: float = 20.0
+    thermal_resistance_K_per_W: float = 0.0
+    heat_capacity_J_per_K: float = 0.0
+    shorted_fraction: float = 0.5
 
 
 @dataclass(frozen=True)

@@ -131,6 +131,10 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
 CLOCK_KEYS = tuple(field.name for field in fields(Clock))
 CIRCUIT_KEYS = tuple(field.name for field in fields(Circuit))
 COIL_KEYS = (*CIRCUIT_KEYS, "turns", "radius_m", "axis")
+CIRCUIT_NOT_NEGATIVE = (
+    *("source_Ohm", "dead_time_s", "driver_delay_s", "driver_limit_A"),
+    *("thermal_resistance_K_per_W", "heat_capacity_J_per_K", "shorted_fraction"),
+)
 CIRCUIT_REQUIRED = ("current_A", "inductance_H", "resistance_Ohm", "supply_V")
 FRONT_END_KEYS = (
     *("noise_T", "converter_noise_LSB", "range_T", "gain_error", "misalignment_rad", "offset_T", "calibration"),
@@ -252,6 +256,15 @@ def _beacon(table: Table, defaults: Defaults) -> Beacon:
     for key in ("inductance_H", "resistance_Ohm", "supply_V"):
         if values[key] <= 0.0:
             raise source(key).error(key, f"is {values[key]:g}; it must be greater than zero")
+    for key in CIRCUIT_NOT_NEGATIVE:
+        if values.get(key, 0.0) < 0.0:
+            raise source(key).error(key, f"is {values[key]:g}; it must not be negative")
+    if values.get("shorted_fraction", 0.0) >= 1.0:
+        raise source("shorted_fraction").error("shorted_fraction", "is 1 or more; some turns must be left")
+    if values.get("thermal_resistance_K_per_W", 0.0) > 0.0 and values.get("heat_capacity_J_per_K", 0.0) == 0.0:
+        raise source("thermal_resistance_K_per_W").error(
+            "thermal_resistance_K_per_W", "needs a heat_capacity_J_per_K above 0: without one the coil has no time"
+        )
     if not AMPLITUDE.low <= values["current_A"] <= AMPLITUDE.high:
         limits = f"the boards drive {AMPLITUDE.low:g} to {AMPLITUDE.high:g} A"
         raise source("current_A").error("current_A", f"is {values['current_A']:g}; {limits}")

@@ -1,18 +1,32 @@
 /* coil.h: a beacon's coil and its driver.
  *
- * coil_init() makes a coil at rest; coil_input(), coil_enable(), coil_reference() and coil_open() change what drives
- * it, in order of time; coil_current(), coil_lagged() and coil_sense() look at it.
+ * coil_init() makes a coil at rest; coil_input(), coil_enable(), coil_reference(), coil_supply() and coil_fault()
+ * change what drives it, in order of time; coil_current(), coil_lagged(), coil_sense(), coil_bus() and
+ * coil_temperature() look at it.
  *
  * The driver is an H-bridge with a fast current loop. Bridge inputs (1, 2) = (high, low) ask for +set-point, (low,
  * high) for -set-point, equal inputs for zero; with the bridge disabled the diodes put the supply against the current
- * until it is zero. The set-point is the reference voltage times reference_A_per_V. Until the current has arrived, the
- * bridge gives all it has:
+ * until it is zero. The set-point is the reference voltage times reference_A_per_V, plus reference_offset_A; a driver
+ * may do more in one direction than in the other (asymmetry), and dc_error_A adds to what it makes in either. Until the
+ * current has arrived, the bridge gives all it has:
  *
- *     L di/dt = +-V - R i      i(t) = +-V/R + (i0 -+ V/R) exp(-t R/L)       (Kirchhoff; +-V toward the target)
+ *     L di/dt = +-V - (R + Rs) i      i(t) = lim + (i0 - lim) exp(-t/T),  lim = +-V/(R + Rs),  T = L/(R + Rs)
  *
- * then the loop holds it. Each change of an input starts a segment of this form, so current and lagged current are
- * exact at any time. The lagged current is the current through a first-order low-pass of lag_s (the sensor's
- * bandwidth), solved in the same closed form.
+ * (Kirchhoff; +-V toward the target), then the loop holds it; a current that is held but that a sagging supply no
+ * longer carries falls to lim. Rs is the resistance of the supply. It takes what the coil gives back when the current
+ * is driven down (fly-back), so that the bridge's voltage is then V + Rs |i|. For dead_time_s after each change of an
+ * input both halves of the bridge are off, and the diodes conduct as when it is disabled. A loop that acts
+ * driver_delay_s late overshoots by (V - R |i|) delay / L, which a shorted coil makes large.
+ *
+ * The copper has resistance_Ohm at 20 degC and 0.393 % more for each kelvin above. The coil's temperature follows
+ *
+ *     C dT/dt = R i^2 - (T - ambient) / Rth
+ *
+ * with R as of the last change of an input; thermal_resistance_K_per_W 0 keeps the coil at the ambient's.
+ *
+ * Each change of an input starts a segment of this form, so current and lagged current are exact at any time. The
+ * lagged current is the current through a first-order low-pass of lag_s (the sensor's bandwidth), solved in the same
+ * closed form.
  *
  * One thread changes a coil, another may look at its past at the same time: the reader uses a head that it got before
  * (coil_t.head), and segments are not rewritten as long as no more than COIL_CHANGES_MAX changes happen in one quantum
@@ -39,38 +53,74 @@ typedef struct {
     double sense_V_per_A;     /* 0.103125 V/A and the sense amplifier's gain error. */
     double sense_noise_V;     /* Standard deviation of one look at the sense output. */
     double lag_s;             /* Time constant of the low-pass of the sensor that looks; 0: there is none. */
+    /* All of these may be 0. */
+    double source_Ohm;         /* Resistance of the supply, Rs. */
+    double reference_offset_A; /* Adds to the magnitude of the set-point, unless the reference is 0 V. */
+    double asymmetry;          /* The set-point is (1 + this) larger for positive currents, (1 - this) for negative. */
+    double dc_error_A;         /* Adds to the current that the loop holds while the bridge drives. */
+    double dead_time_s;
+    double driver_delay_s;
+    double driver_limit_A; /* The driver's own limit of the current, whatever the loop does; 0: it has none. */
+    double ambient_degC;
+    double thermal_resistance_K_per_W; /* Of the coil to the ambient; 0: the coil has the ambient's temperature. */
+    double heat_capacity_J_per_K;      /* Of the coil; above 0 if the thermal resistance is. */
+    double shorted_fraction;           /* Share of the turns that COIL_SHORTED takes away, 0..1, without 1. */
 } coil_config_t;
+
+/* What may be wrong with a coil, its driver or its current sense. */
+typedef enum {
+    COIL_OPEN = 0,    /* No current can flow. */
+    COIL_SHORTED = 1, /* Turns are shorted: inductance (1 - f)^2, resistance (1 - f). They do not couple to the rest. */
+    COIL_RUNAWAY = 2, /* The driver's loop is gone: an enabled bridge gives the full supply in the asked direction. */
+    COIL_STUCK_ON = 3, /* A half of the bridge is shorted: the full supply, positive, whatever inputs and enable say. */
+    COIL_SENSE_LOW = 4,  /* The sense output lies at 0 V. */
+    COIL_SENSE_HELD = 5, /* The sense output stays where it was when somebody last looked. */
+    COIL_FAULTS = 6
+} coil_fault_t;
+
+#define COIL_PIECES 4 /* Most pieces of a segment: down by the diodes, zero, toward the target, held. */
+
+/* One law of the current, in force between two ages of its segment. */
+typedef struct {
+    double since_s, until_s;
+    double current_A; /* Current at the piece's start. */
+    double lagged_A;  /* Lagged current at the piece's start. */
+    double limit_A;   /* Where the current tends to. */
+    bool held;        /* It stays at current_A. */
+} coil_piece_t;
 
 typedef struct {
     int64_t start_ps;
-    double current_A; /* Current at the start. */
-    double lagged_A;  /* Lagged current at the start. */
-    double limit_A;   /* Where the supply alone would bring the current: +-V/R. */
-    double target_A;  /* Where the loop holds it. */
-    double reach_s;   /* Time from the start to the arrival at the target; infinite if the current never arrives. */
-    double lagged_at_reach_A;
+    double slow_s; /* Time constant of the current, T. */
+    double full_A; /* Where the supply alone would bring the current. */
+    double copper_Ohm, inductance_H, supply_V;
+    double dead_s;  /* Until then both halves of the bridge are off. */
+    unsigned count; /* Pieces; the last is in force for ever. */
+    coil_piece_t piece[COIL_PIECES];
 } coil_segment_t;
 
 typedef struct {
     coil_config_t config;
-    double time_constant_s; /* L/R. */
     bool input1, input2, enabled;
-    bool open;          /* Fault: no current can flow. */
-    bool sense_shorted; /* Fault: the sense output lies at 0 V. */
+    bool fault[COIL_FAULTS];
+    double supply_V; /* The supply's present voltage without load. */
     double set_point_A;
-    uint64_t head;    /* Number of the latest segment. */
-    unsigned changes; /* Segments since it was last set to 0. */
+    double temperature_degC; /* As of the latest segment's start. */
+    double sense_V;          /* What was last seen at the sense output. */
+    uint64_t head;           /* Number of the latest segment. */
+    unsigned changes;        /* Segments since it was last set to 0. */
     coil_segment_t segments[COIL_HISTORY];
 } coil_t;
 
 /* Make a coil without current, its bridge disabled. */
 void coil_init(coil_t *coil, const coil_config_t *config);
 
-/* A bridge input, number 1 or 2; the bridge's enable; the reference voltage; the fault of a broken wire. */
+/* A bridge input, number 1 or 2; the bridge's enable; the reference voltage; the supply's voltage; a fault. */
 void coil_input(coil_t *coil, unsigned number, bool level, int64_t time_ps);
 void coil_enable(coil_t *coil, bool enabled, int64_t time_ps);
 void coil_reference(coil_t *coil, double volts, int64_t time_ps);
-void coil_open(coil_t *coil, bool open, int64_t time_ps);
+void coil_supply(coil_t *coil, double volts, int64_t time_ps);
+void coil_fault(coil_t *coil, coil_fault_t fault, bool active, int64_t time_ps);
 
 /* Returns the current at a time, ampere, as seen from the present; times after the last change are included. */
 double coil_current(const coil_t *coil, int64_t time_ps);
@@ -78,7 +128,17 @@ double coil_current(const coil_t *coil, int64_t time_ps);
 /* Returns the lagged current at a time not before the history, ampere, looking no further than segment head. */
 double coil_lagged(const coil_t *coil, uint64_t head, int64_t time_ps);
 
-/* Returns the volts at the sense output: 1.65 V + gain * current + noise; stream is the noise's (noise.h). */
-double coil_sense(const coil_t *coil, uint64_t seed, uint64_t stream, int64_t time_ps);
+/* Returns the volts at the sense output: 1.65 V + gain * current + noise; stream is the noise's (noise.h). A coil that
+ * warms up takes its present resistance into account from here on, if it has not for 10 ms. */
+double coil_sense(coil_t *coil, uint64_t seed, uint64_t stream, int64_t time_ps);
+
+/* Returns the volts of the supply at the bridge at the present: with its load, and with the fly-back. */
+double coil_bus(const coil_t *coil, int64_t time_ps);
+
+/* Returns the temperature of the copper at the present, degC. */
+double coil_temperature(const coil_t *coil, int64_t time_ps);
+
+/* Returns the volts of a thermistor (10 kOhm at 25 degC, B 3950) to ground below 10 kOhm to 3.3 V. */
+double thermistor_volts(double temperature_degC);
 
 #endif

@@ -328,3 +328,34 @@ def test_slices_do_not_matter_to_events(tmp_path):
     file.write_text(file.read_text() + EVENTS)
     scene = scenarios.load(file)
     assert record(scene, [0.03]) == record(scene, [0.0011, 0.0122, 0.0125, 0.0199999, 0.03])
+
+
+def test_a_supply_sags_and_a_coil_breaks_when_the_scenario_says(tmp_path):
+    events = """
+    [[event]]
+    time_s = 0.01
+    beacon = "b"
+    supply_V = 0.9
+    [[event]]
+    time_s = 0.02
+    beacon = "c"
+    fault = "coil_open"
+    [[event]]
+    time_s = 0.03
+    beacon = "c"
+    fault = "coil_open"
+    mended = true
+    """
+    path = write_scenario(tmp_path)
+    path.write_text(path.read_text() + events)
+    with Rig(scenarios.load(path), FakeBoards(still=True)) as rig:
+        rig.advance(0.0099)
+        assert rig.coil_current_A(2) == pytest.approx(10.0)
+        rig.advance(0.0101)
+        assert rig.coil_current_A(2) == pytest.approx(0.9 / 0.15, abs=0.01)
+        assert rig.coil_current_A(3) == pytest.approx(10.0)
+        rig.advance(0.005)
+        assert rig.coil_current_A(3) == 0.0
+        rig.advance(0.01)
+        assert rig.coil_current_A(3) == pytest.approx(10.0)
+        assert rig.coil_temperature_degC(1) == 20.0

@@ -220,7 +220,11 @@ def test_events(tmp_path):
     ("old", "new", "words"),
     [
         ('moves = "b"', 'moves = "d"', '[[event]] 1: moves is "d"; the beacons are a, b, c'),
-        ('moves = "b"\n', "", "[[event]] 1: moves is missing; give it, or sheet"),
+        ('moves = "b"\n', "", "[[event]] 1: moves is missing; give it, or sheet, or beacon"),
+        ('moves = "b"\n', 'beacon = "d"\n', '[[event]] 1: beacon is "d"; the beacons are a, b, c'),
+        ('moves = "b"\n', 'beacon = "b"\n', "[[event]] 1: fault is missing; give it, or supply_V"),
+        ('moves = "b"\n', 'beacon = "b"\nfault = "rain"\n', '[[event]] 1: fault is "rain"; there are coil_open'),
+        ('moves = "b"\n', 'beacon = "b"\nsupply_V = -1\n', "[[event]] 1: by_m is no known key"),
         ("time_s = 2.0", "time_s = -2.0", "[[event]] 1: time_s is -2; it must not be negative"),
         ("time_s = 3.0", 'time_s = 3.0\nmoves = "b"', "[[event]] 2: sheet and moves are both given"),
         ("time_s = 3.0", "time_s = 3.0\nby_m = [0, 0, 1]", "[[event]] 2: by_m is no known key"),

@@ -29,6 +29,7 @@ def make(lib, **changes):
         sense_V_per_A=0.103125,
         sense_noise_V=0.0,
         lag_s=LAG,
+        ambient_degC=20.0,
     )
     coil = ffi.new("coil_t *")
     library.coil_init(coil, ffi.new("coil_config_t *", values | changes))
@@ -106,12 +107,12 @@ def test_open_coil_has_no_current(lib):
     library.coil_reference(coil, 3.3, 0)
     library.coil_enable(coil, True, 0)
     drive(library, coil, 1, 0)
-    library.coil_open(coil, True, 10**9)
+    library.coil_fault(coil, library.COIL_OPEN, True, 10**9)
     assert library.coil_current(coil, 10**9 - 1) == pytest.approx(16.0)
     assert library.coil_current(coil, 10**9) == 0.0
     drive(library, coil, -1, 2 * 10**9)
     assert library.coil_current(coil, 3 * 10**9) == 0.0
-    library.coil_open(coil, False, 4 * 10**9)
+    library.coil_fault(coil, library.COIL_OPEN, False, 4 * 10**9)
     assert library.coil_current(coil, 5 * 10**9) == pytest.approx(-16.0)
 
 
@@ -124,7 +125,7 @@ def test_sense_voltage_and_its_noise(lib):
     volts = np.array([library.coil_sense(coil, 5, 9, 10**9 + 10**6 * k) for k in range(4000)])
     assert volts.mean() == pytest.approx(1.65 + 16.0 * 0.103125, abs=4e-3 / np.sqrt(4000))
     assert volts.std() == pytest.approx(1e-3, rel=0.05)
-    coil.sense_shorted = True
+    library.coil_fault(coil, library.COIL_SENSE_LOW, True, 10**9)
     assert library.coil_sense(coil, 5, 9, 2 * 10**9) == 0.0
 
 
