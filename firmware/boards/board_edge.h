@@ -26,6 +26,9 @@ typedef struct {
     uint8_t data[8]; /* The data; bytes beyond length mean nothing. */
 } board_frame_t;
 
+/* The pull inside the chip at a pin, some 40 kOhm. */
+typedef enum { BOARD_PULL_NONE, BOARD_PULL_UP, BOARD_PULL_DOWN } board_pull_t;
+
 /* What a board calls outside. All are called from inside the board's run function, with times that never decrease
  * within one board, except that analog_in times may lie a few microseconds ahead of the last pin_out (a scan
  * sequence). A call that is NULL is not connected. */
@@ -33,6 +36,10 @@ typedef struct {
     void *context;
     /* The output level of a pin changed (push-pull; a pin switched to output reports its level). */
     void (*pin_out)(void *context, unsigned pin, bool level, int64_t time_ps);
+    /* The board lets go of a pin, or changes the pull of one that it does not drive. Which level the pin takes from now
+     * on is the outside's to decide: its own pull if there is one (stronger than the chip's), else the chip's, else
+     * either level. At power-on every pin is released without pull, and no call says so. */
+    void (*pin_release)(void *context, unsigned pin, board_pull_t pull, int64_t time_ps);
     /* The output of DAC channel 1 or 2 changed, volts. */
     void (*analog_out)(void *context, unsigned channel, double volts, int64_t time_ps);
     /* Returns the volts on a pin at the moment when the converter's sample-and-hold opens. They need not be clamped,

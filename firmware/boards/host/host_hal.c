@@ -12,8 +12,10 @@ int64_t host_tick(const hal_t *hal) {
 }
 
 void host_pin_write(hal_t *hal, unsigned pin, bool level) {
-    if (hal->pin_out[pin] != level) {
+    const uint64_t bit = UINT64_C(1) << pin;
+    if (hal->pin_out[pin] != level || (hal->pins_driven & bit) == 0) {
         hal->pin_out[pin] = level;
+        hal->pins_driven |= bit;
         if (hal->edge.pin_out) {
             hal->edge.pin_out(hal->edge.context, pin, level, hal->now_ps);
         }

@@ -88,7 +88,8 @@ struct hal {
     bool awake;        /* There was an interrupt since the main loop last ran. */
     int64_t idle_tick; /* The latest end of the present sleep. */
     engine_t engine;
-    bool pin_out[64];             /* The levels that the outside has been told. */
+    bool pin_out[64];             /* The levels that the outside has been told, */
+    uint64_t pins_driven;         /* of these pins: the others float since power-on. */
     bool fault_level, sync_level; /* The levels of the two inputs. */
     transmitter_t transmitter;
     uint8_t received[RECEIVE_BYTES];
