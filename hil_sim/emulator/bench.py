@@ -26,6 +26,7 @@ class Edge:
     """What the chip did to the outside, in order of time, each with its time in picoseconds."""
 
     pins: list[tuple[int, bool, int]] = field(default_factory=list)
+    released: list[tuple[int, str, int]] = field(default_factory=list)
     volts: list[tuple[int, float, int]] = field(default_factory=list)
     samples: list[tuple[int, int]] = field(default_factory=list)
     sent: list[tuple[int, int, int]] = field(default_factory=list)
@@ -65,6 +66,10 @@ class Bench:
         self._alive = [
             ffi.callback("void(void *, unsigned, bool, int64_t)", lambda _, p, v, t: self.edge.pins.append((p, v, t))),
             ffi.callback(
+                "void(void *, unsigned, board_pull_t, int64_t)",
+                lambda _, p, pull, t: self.edge.released.append((p, ("none", "up", "down")[pull], t)),
+            ),
+            ffi.callback(
                 "void(void *, unsigned, double, int64_t)", lambda _, c, v, t: self.edge.volts.append((c, v, t))
             ),
             ffi.callback("double(void *, unsigned, int64_t)", analog_in),
@@ -74,7 +79,7 @@ class Bench:
             ffi.callback("void(void *, unsigned, const board_frame_t *, int64_t)", frame_out),
             ffi.callback("void(void *, unsigned, int64_t)", lambda _, b, t: self.edge.aborts.append((b, t))),
         ]
-        names = ("pin_out", "analog_out", "analog_in", "uart_out", "can_request", "can_abort")
+        names = ("pin_out", "pin_release", "analog_out", "analog_in", "uart_out", "can_request", "can_abort")
         for name, callback in zip(names, self._alive, strict=True):
             setattr(edge, name, callback)
         self.operations = self.lib.machine_bench_operations

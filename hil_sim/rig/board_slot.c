@@ -24,8 +24,13 @@ static void keep_change(rig_pin_change_t **changes, size_t *count, size_t *capac
     (*changes)[(*count)++] = change;
 }
 
-static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps) {
-    board_slot_t *const slot = context;
+/* A pin's level at what it is wired to. */
+static void set_level(board_slot_t *slot, unsigned pin, bool level, int64_t time_ps) {
+    const uint64_t bit = UINT64_C(1) << pin % 64;
+    if (((slot->levels & bit) != 0) == level) {
+        return;
+    }
+    slot->levels ^= bit;
     const rig_pin_change_t change = {
         .time_ps = time_ps, .board = (uint16_t)slot->number, .pin = (uint8_t)pin, .level = level};
     bool wired = pin == BOARD_PIN_ENABLE || pin == BOARD_PIN_SYNC_OUT;
@@ -42,6 +47,40 @@ static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps)
     }
     if (wired && slot->watch) {
         keep_change(&slot->changes, &slot->change_count, &slot->change_capacity, change);
+    }
+}
+
+static void on_pin_out(void *context, unsigned pin, bool level, int64_t time_ps) {
+    board_slot_t *const slot = context;
+    slot->driven |= UINT64_C(1) << pin % 64;
+    set_level(slot, pin, level, time_ps);
+}
+
+static void on_pin_release(void *context, unsigned pin, board_pull_t pull, int64_t time_ps) {
+    board_slot_t *const slot = context;
+    const bool pulled_down = !slot->pull_downs_lost && (pin == BOARD_PIN_ENABLE || pin == BOARD_PIN_SYNC_OUT);
+    const uint64_t chance = noise_bits(slot->seed, noise_stream(NOISE_FLOATING, slot->number, pin), slot->releases++);
+    slot->driven &= ~(UINT64_C(1) << pin % 64);
+    set_level(slot, pin, !pulled_down && (pull == BOARD_PULL_NONE ? (chance & 1u) != 0 : pull == BOARD_PULL_UP),
+              time_ps);
+}
+
+void board_slot_power_lost(board_slot_t *slot, int64_t time_ps) {
+    for (unsigned i = 0; i < slot->coils; ++i) {
+        on_pin_release(slot, channel_pins[i].bridge_1, BOARD_PULL_NONE, time_ps);
+        on_pin_release(slot, channel_pins[i].bridge_2, BOARD_PULL_NONE, time_ps);
+    }
+    on_pin_release(slot, BOARD_PIN_ENABLE, BOARD_PULL_NONE, time_ps);
+    on_pin_release(slot, BOARD_PIN_SYNC_OUT, BOARD_PULL_NONE, time_ps);
+}
+
+void board_slot_lose_pull_downs(board_slot_t *slot, bool lost, int64_t time_ps) {
+    static const unsigned pins[] = {BOARD_PIN_ENABLE, BOARD_PIN_SYNC_OUT};
+    slot->pull_downs_lost = lost;
+    for (unsigned i = 0; i < sizeof pins / sizeof pins[0]; ++i) {
+        if ((slot->driven >> pins[i] & 1u) == 0) {
+            on_pin_release(slot, pins[i], BOARD_PULL_NONE, time_ps);
+        }
     }
 }
 
@@ -102,6 +141,7 @@ void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const r
     slot->edge = (board_edge_t){
         .context = slot,
         .pin_out = on_pin_out,
+        .pin_release = on_pin_release,
         .analog_out = on_analog_out,
         .analog_in = on_analog_in,
         .uart_out = on_uart_out,
@@ -111,6 +151,7 @@ void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const r
     for (unsigned i = 0; i < config->coils; ++i) {
         coil_init(&coil[i], &config->coil[i]);
     }
+    board_slot_power_lost(slot, 0); /* As long as it has none. */
 }
 
 void board_slot_free(board_slot_t *slot) {

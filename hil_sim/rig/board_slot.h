@@ -7,6 +7,9 @@
  * senses PA0 and PA6, coil thermistors PC1 and PC3; PC0 is the supply and PC2 the driver's thermistor; PC9 enables both
  * bridges, PC10 is their fault; PC8 and PA10 are the sync wire's ends; the field is on PA1 to PA3.
  *
+ * A pin that the board has let go of takes the level of its pull-down outside (the enable and the sync output have
+ * one), else of the chip's pull, else either level, drawn from the rig's seed.
+ *
  * During a step only the thread that runs the board touches its slot; others look at its coils as sensing.h says.
  */
 #ifndef GOLDFIELD_BOARD_SLOT_H
@@ -47,6 +50,9 @@ typedef struct {
     sensing_t sensing;
     bool sync_cut;                        /* Fault: its sync input is not connected. */
     bool coil_hot[RIG_COILS], driver_hot; /* Faults. */
+    bool pull_downs_lost;                 /* Fault: the pull-downs outside are not there. */
+    uint64_t levels, driven;              /* By pin: its level, and whether the board drives it. */
+    uint64_t releases;                    /* Pins that were let go of so far. */
     serial_line_t serial;
     board_slot_request_t *requests; /* Requests not yet handed to the bus, in order of time. */
     size_t request_count, request_capacity;
@@ -61,6 +67,12 @@ typedef struct {
  * slot has. */
 void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config,
                      coil_t *coil);
+
+/* The board has no power: its pins float. */
+void board_slot_power_lost(board_slot_t *slot, int64_t time_ps);
+
+/* Make or mend the fault of pull-downs that are not there. */
+void board_slot_lose_pull_downs(board_slot_t *slot, bool lost, int64_t time_ps);
 
 /* Free what the slot holds; the board and the coils are the caller's. */
 void board_slot_free(board_slot_t *slot);

@@ -227,10 +227,8 @@ const board_edge_t *rig_edge(rig_t *rig, unsigned board) {
 void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations,
                  int64_t power_on_ps) {
     board_slot_t *const slot = &rig->slot[board];
-    if (slot->instance != NULL) { /* The board before it has lost its power: its bridges are off. */
-        for (unsigned i = 0; i < slot->coils; i++) {
-            coil_enable(&slot->coil[i], false, rig_now(rig) + slot->lead_ps);
-        }
+    if (slot->instance != NULL) { /* The board before it is gone. */
+        board_slot_power_lost(slot, rig_now(rig) + slot->lead_ps);
     }
     slot->instance = instance;
     slot->operations = operations;

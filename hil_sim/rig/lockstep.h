@@ -73,7 +73,9 @@ typedef enum {
     RIG_FAULT_DRIVER_STUCK = 6, /* A half of the bridge is shorted: full supply, whatever inputs and enable say. */
     RIG_FAULT_SENSE_HELD = 7,   /* The coil's current sense output stays where it is. */
     RIG_FAULT_COIL_HOT = 8,     /* The coil's thermistor is at 200 degC. */
-    RIG_FAULT_DRIVER_HOT = 9    /* The driver's is. */
+    RIG_FAULT_DRIVER_HOT = 9,   /* The driver's is. */
+    /* The pull-downs at the board's enable and sync output are not connected: released, these pins float. */
+    RIG_FAULT_PULL_DOWNS_LOST = 10
 } rig_fault_t;
 
 /* A rig without boards. Returns NULL if the configuration breaks a rule above or there is no memory. */
@@ -84,7 +86,7 @@ void rig_destroy(rig_t *rig); /* rig may be NULL. */
 const board_edge_t *rig_edge(rig_t *rig, unsigned board);
 
 /* Hand a board over; it is on the CAN bus from its power-on time on, in picoseconds. If it takes the place of another,
- * which has lost its power, the bridges of that one are now off. */
+ * which has lost its power, the outputs of that one float now. */
 void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations,
                  int64_t power_on_ps);
 

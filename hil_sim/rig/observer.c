@@ -100,6 +100,9 @@ void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, boo
         slot->sync_cut = active;
         slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, false, time_ps);
         break;
+    case RIG_FAULT_PULL_DOWNS_LOST:
+        board_slot_lose_pull_downs(slot, active, time_ps);
+        break;
     case RIG_FAULT_COIL_HOT:
         slot->coil_hot[coil] = active;
         break;

@@ -27,7 +27,7 @@ LIBRARY = "libgf_rig.so"
 SENSOR = 0
 FAULTS = (
     *("driver", "coil_open", "sense_shorted", "sync_wire_cut", "coil_shorted", "driver_runaway"),
-    *("driver_stuck", "sense_held", "coil_hot", "driver_hot"),
+    *("driver_stuck", "sense_held", "coil_hot", "driver_hot", "pull_downs_lost"),
 )
 """The faults that a board can be given, in the order of ``rig_fault_t``."""
 

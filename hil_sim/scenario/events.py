@@ -17,7 +17,7 @@ COIL_FAULTS = (
     *("coil_open", "sense_shorted", "coil_shorted", "driver_runaway", "driver_stuck", "sense_held", "coil_hot"),
 )
 """Faults of one coil with its driver and its current sense."""
-BOARD_FAULTS = ("driver", "sync_wire_cut", "driver_hot")
+BOARD_FAULTS = ("driver", "sync_wire_cut", "driver_hot", "pull_downs_lost")
 """Faults of a beacon's board as a whole."""
 
 

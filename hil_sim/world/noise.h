@@ -14,7 +14,13 @@
 
 #include <stdint.h>
 
-typedef enum { NOISE_CHIP = 1, NOISE_CONVERTER = 2, NOISE_CURRENT_SENSE = 3, NOISE_IMPULSE = 4 } noise_purpose_t;
+typedef enum {
+    NOISE_CHIP = 1,
+    NOISE_CONVERTER = 2,
+    NOISE_CURRENT_SENSE = 3,
+    NOISE_IMPULSE = 4,
+    NOISE_FLOATING = 5
+} noise_purpose_t;
 
 /* Returns the stream of a purpose, a board and an axis (or other part, 0..255). */
 uint64_t noise_stream(noise_purpose_t purpose, unsigned board, unsigned part);

@@ -16,7 +16,7 @@ enum {
     REGISTERS = 10
 };
 enum { MODE_INPUT, MODE_OUTPUT, MODE_ALTERNATE, MODE_ANALOG };
-enum { PULL_NONE, PULL_UP, PULL_DOWN };
+enum { TOLD_LOW = BOARD_PULL_DOWN + 1, TOLD_HIGH };
 
 #define PORT_REGISTERS(moder, ospeedr, pupdr)                                                                          \
     {                                                                                                                  \
@@ -39,8 +39,7 @@ typedef struct {
     unsigned number;
     uint16_t driven, outside; /* Pins driven from outside, and their levels. */
     uint16_t level;           /* Level of every pin, as seen with the input buffer on. */
-    uint16_t reported;        /* Pins whose output level was reported as high ... */
-    uint16_t known;           /* ... of those that were reported at all. */
+    uint8_t told[16];         /* What the outside knows of a pin: its board_pull_t while it is released, or: */
     uint16_t locked;
     unsigned lock_step;
     uint16_t lock_pins;
@@ -71,35 +70,38 @@ static pin_output_t output(const port_t *port, unsigned pin) {
     return driven == OUTPUT_HIGH && (port->model.value[OTYPER / 4] & bit) != 0 ? OUTPUT_OFF : driven;
 }
 
+/* The register's codes are those of board_pull_t; the reserved one is a violation when it is written. */
+static board_pull_t pull(const port_t *port, unsigned pin) {
+    const uint32_t code = field(port->model.value[PUPDR / 4], 2 * pin, 2);
+    return mode(port, pin) == MODE_ANALOG || code > BOARD_PULL_DOWN ? BOARD_PULL_NONE : (board_pull_t)code;
+}
+
+/* A pin that nobody drives and nothing pulls reads low; on silicon it may read anything. */
 static bool compute_level(const port_t *port, unsigned pin) {
     const uint16_t bit = (uint16_t)(1u << pin);
     const pin_output_t driven = output(port, pin);
-    if (driven != OUTPUT_OFF) {
+    if (driven == OUTPUT_LOW || driven == OUTPUT_HIGH) {
         return driven == OUTPUT_HIGH;
     }
     if (port->driven & bit) {
         return (port->outside & bit) != 0;
     }
-    return field(port->model.value[PUPDR / 4], 2 * pin, 2) == PULL_UP;
+    return pull(port, pin) == BOARD_PULL_UP;
 }
 
-static void report(port_t *port, unsigned pin, bool level, int64_t time_ps) {
-    const chip_t *const chip = port->model.chip;
-    const uint16_t bit = (uint16_t)(1u << pin);
-    if ((port->known & bit) == 0 || ((port->reported & bit) != 0) != level) {
-        port->known |= bit;
-        port->reported = (uint16_t)(level ? port->reported | bit : port->reported & ~bit);
-        if (chip->edge->pin_out) {
-            chip->edge->pin_out(chip->edge->context, port->number * 16 + pin, level, time_ps);
-        }
+/* Tell the outside what the chip does to a pin, if it does not know. */
+static void tell(port_t *port, unsigned pin, int64_t time_ps) {
+    const board_edge_t *const edge = port->model.chip->edge;
+    const pin_output_t driven = output(port, pin);
+    const uint8_t now = driven == OUTPUT_LOW ? TOLD_LOW : driven == OUTPUT_HIGH ? TOLD_HIGH : (uint8_t)pull(port, pin);
+    if (driven == OUTPUT_UNSEEN || port->told[pin] == now) {
+        return;
     }
-}
-
-/* A pin that is no output any more: the outside sees what it floats or is pulled to. */
-static void release(port_t *port, unsigned pin, bool level, int64_t time_ps) {
-    if (port->known >> pin & 1u) {
-        report(port, pin, level, time_ps);
-        port->known = (uint16_t)(port->known & ~(1u << pin));
+    port->told[pin] = now;
+    if (now >= TOLD_LOW && edge->pin_out) {
+        edge->pin_out(edge->context, port->number * 16 + pin, now == TOLD_HIGH, time_ps);
+    } else if (now < TOLD_LOW && edge->pin_release) {
+        edge->pin_release(edge->context, port->number * 16 + pin, (board_pull_t)now, time_ps);
     }
 }
 
@@ -113,11 +115,7 @@ static void update(port_t *port, uint16_t pins, int64_t time_ps) {
         }
         const bool level = compute_level(port, pin), was = (port->level & bit) != 0;
         port->level = (uint16_t)(level ? port->level | bit : port->level & ~bit);
-        if (mode(port, pin) == MODE_OUTPUT || output(port, pin) != OUTPUT_OFF) {
-            report(port, pin, level, time_ps);
-        } else {
-            release(port, pin, level, time_ps);
-        }
+        tell(port, pin, time_ps);
         if (level != was) {
             for (unsigned i = 0; i < CHIP_PIN_LISTENERS && chip->signals.pin_edge[i] != NULL; i++) {
                 chip->signals.pin_edge[i](chip, port->number * 16 + pin, level, time_ps);
@@ -239,7 +237,7 @@ static void restart(model_t *model) {
     for (unsigned pin = 0; pin < 16; pin++) { /* Silent inside: whoever listens there is in reset too. */
         const bool level = compute_level(port, pin);
         port->level = (uint16_t)(level ? port->level | 1u << pin : port->level & ~(1u << pin));
-        release(port, pin, level, machine_now(model->machine));
+        tell(port, pin, machine_now(model->machine));
     }
     model->chip->signals.pin_routing(model->chip, true);
 }

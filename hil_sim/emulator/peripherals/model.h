@@ -194,13 +194,13 @@ typedef enum {
 
 /* ---- Signals from models that do not know who listens. Each listener enters itself when it is created. ---- */
 enum { CHIP_PIN_LISTENERS = 2 };
-/* What a peripheral's output does to a pin. */
-typedef enum { OUTPUT_OFF, OUTPUT_LOW, OUTPUT_HIGH } pin_output_t;
+/* What a peripheral's output does to a pin. OUTPUT_UNSEEN: it has no model, or its bytes and frames have edges of their
+ * own. */
+typedef enum { OUTPUT_OFF, OUTPUT_LOW, OUTPUT_HIGH, OUTPUT_UNSEEN } pin_output_t;
 typedef void (*pin_edge_t)(chip_t *chip, unsigned pin, bool level, int64_t time_ps);
 typedef struct {
     pin_edge_t pin_edge[CHIP_PIN_LISTENERS]; /* GPIO: a pin's level changed. EXTI, then the timers. */
-    /* GPIO: what the alternate function af drives a pin to. The timers; other peripherals drive nothing here, since
-     * their bytes and frames have edges of their own. */
+    /* GPIO: what the alternate function af drives a pin to. The timers. */
     pin_output_t (*pin_output)(const chip_t *chip, unsigned pin, unsigned af);
     /* GPIO: modes or alternate functions of pins are about to change (done is false), or have changed. The timers. */
     void (*pin_routing)(chip_t *chip, bool done);

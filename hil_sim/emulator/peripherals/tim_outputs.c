@@ -136,11 +136,11 @@ void tim_outputs_idle(tim_t *t, int64_t time_ps) {
 pin_output_t tim_pin_output(const chip_t *chip, unsigned pin, unsigned af) {
     for (unsigned i = 0; i < tim_pin_count; i++) {
         const tim_pin_t *const p = &tim_pins[i];
-        if (p->pin == pin && p->alternate == af && p->role != TIM_PIN_BREAK) {
-            return chip->tim[p->timer - 1]->output[p->channel][p->role];
+        if (p->pin == pin && p->alternate == af) {
+            return p->role == TIM_PIN_BREAK ? OUTPUT_OFF : chip->tim[p->timer - 1]->output[p->channel][p->role];
         }
     }
-    return OUTPUT_OFF;
+    return OUTPUT_UNSEEN;
 }
 
 void tim_pin_routing(chip_t *chip, bool done) {

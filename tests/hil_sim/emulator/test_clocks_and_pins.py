@@ -240,9 +240,43 @@ def test_reset_releases_the_outputs(fast_chip: Bench) -> None:
     chip.write(GPIOC, 1 << 18)
     chip.write(GPIOC + 0x18, 1 << 9)
     chip.run(MICROSECOND)
+    chip.edge.released.clear()
     chip.lib.machine_bench_reset(chip.machine)
-    assert [level for _, level, _ in chip.edge.pins] == [False, True, False]
-    assert chip.edge.pins[-1][2] == chip.now
+    assert [level for _, level, _ in chip.edge.pins] == [False, True]
+    assert chip.edge.released == [(41, "none", chip.now)]
+
+
+@pytest.mark.parametrize(("code", "pull"), [(0, "none"), (1, "up"), (2, "down")])
+def test_pins_that_nothing_drives_are_released(fast_chip: Bench, code: int, pull: str) -> None:
+    """Input, analog, a timer's alternate function with the output off, open drain at 1; each tells its pull."""
+    chip = fast_chip
+
+    def drive() -> None:
+        chip.write(GPIOC, 1 << 12)
+
+    drive()
+    assert chip.edge.pins == [(38, False, chip.now)]
+    chip.write(GPIOC + 0x0C, code << 12)
+    chip.write(GPIOC, 0)
+    drive()
+    chip.write(GPIOC, 3 << 12)
+    drive()
+    chip.alternate("C", 6, 3)
+    drive()
+    chip.write(GPIOC + 4, 1 << 6)
+    chip.write(GPIOC + 0x18, 1 << 6)
+    assert [row[:2] for row in chip.edge.released] == [(38, pull), (38, "none"), (38, pull), (38, pull)]
+    chip.alternate("C", 6, 8)  # USART6_TX: its bytes tell what it does
+    assert len(chip.edge.released) == 4
+
+
+def test_a_pull_alone_is_told(fast_chip: Bench) -> None:
+    chip = fast_chip
+    chip.edge.released.clear()
+    chip.write(GPIOC + 0x0C, 1 << 12)
+    chip.write(GPIOC + 0x0C, 2 << 12)
+    assert [row[:2] for row in chip.edge.released] == [(38, "up"), (38, "down")]
+    assert chip.edge.pins == []
 
 
 def test_open_drain_reads_what_the_wire_is(fast_chip: Bench) -> None:
@@ -259,4 +293,5 @@ def test_open_drain_reads_what_the_wire_is(fast_chip: Bench) -> None:
     chip.run(1000)
     chip.write(GPIOC + 0x18, 1 << 19)
     assert chip.read(GPIOC + 0x10) == 0
-    assert [level for _, level, _ in chip.edge.pins] == [True, False, True, False]
+    assert [level for _, level, _ in chip.edge.pins] == [False]
+    assert chip.edge.released[-1][:2] == (35, "up")

@@ -279,6 +279,21 @@ def test_faults(tmp_path):
         rig.close()
 
 
+def test_the_enable_needs_its_pull_down(tmp_path):
+    """Before power-on no pin of a board is driven: only the pull-down keeps the bridge off."""
+    on = {False: 0, True: 0}
+    for lost in on:
+        for seed in range(16):
+            with Rig(small(tmp_path, power_on_spread_s="0.0"), FakeBoards(), seed) as rig:
+                rig.watch_pins()
+                if lost:
+                    rig.fault(1, "pull_downs_lost")
+                changes = rig.pin_changes(1)
+                on[lost] += changes[changes["pin"] == ENABLE]["level"].tolist() == [True]
+    assert on[False] == 0
+    assert 3 <= on[True] <= 13
+
+
 def test_a_motion_through_a_wire_is_the_scenarios_fault(tmp_path):
     with pytest.raises(UserError, match="scenario small: the sensor runs through a coil's wire"):
         Rig(small(tmp_path, position_m="[0.149, 0.0, 0.0]", rotation_vector_rad="[0.0, 0.0, 0.0]"), FakeBoards())
