@@ -64,7 +64,7 @@ bool adc_common_request(adc_t *adc) {
         return true;
     }
     dma_line(adc->common.chip, DMA_ADC1, true);
-    return !wants_dma(adc) || adc->no_more_requests;
+    return !wants_dma(adc) || adc->no_more_requests || adc->common.chip->lines.stream[DMA_ADC1] != NULL;
 }
 
 uint32_t adc_common_read(adc_t *adc) {

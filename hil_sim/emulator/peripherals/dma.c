@@ -125,6 +125,8 @@ static void enable(dma_stream_t *s) {
         return;
     }
     s->reload = s->value[SNDTR / 4];
+    s->item_ps = dma_item_time(s);
+    s->turns = 0;
     s->peripheral_step = (cr & PINC) == 0 ? 0 : (cr & PINCOS) ? 4 : s->psize;
     s->peripheral_offset = s->memory_offset = 0;
     s->memory_left = s->reload * s->psize;
@@ -239,6 +241,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
 
 static void restart(model_t *model) {
     dma_t *const dma = (dma_t *)model;
+    dma_arbiter_restart(dma);
     for (unsigned i = 0; i < 8; i++) {
         dma_stream_t *const s = &dma->stream[i];
         dma_disable(s);
@@ -279,6 +282,7 @@ void dma_create(chip_t *chip) {
         dma_t *const dma = chip_allocate(chip, sizeof *dma);
         chip->dma[i] = dma;
         dma->number = i;
+        dma_arbiter_init(dma);
         for (unsigned n = 0; n < 8; n++) {
             dma_stream_t *const s = &dma->stream[n];
             s->dma = dma;

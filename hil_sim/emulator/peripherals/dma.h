@@ -1,6 +1,7 @@
 /* dma.h: between the parts of the DMA controllers' model (RM0090 chapter 10).
  *
  *     dma.c         registers, flags, what a stream may be set to
+ *     dma_arbiter.c whose request a controller serves, and when
  *     dma_stream.c  how a stream moves items
  *     dma_map.c     which request lines reach which stream
  */
@@ -30,7 +31,7 @@ typedef struct dma_stream {
     dma_t *dma;
     uint32_t *value; /* The stream's six registers. */
     unsigned number, irq;
-    bool enabled, busy, line;
+    bool enabled, line;
     const dma_cell_t *cell;
     /* Latched when EN is set. */
     unsigned direction, psize, msize; /* Sizes in bytes. */
@@ -38,11 +39,13 @@ typedef struct dma_stream {
     bool direct;
     unsigned threshold;
     uint32_t reload, peripheral_step;
+    int64_t item_ps; /* Time that the controller is busy with an item. */
     /* Moving. */
     uint32_t peripheral_offset, memory_offset, memory_left; /* Bytes. */
     bool memory_target;                                     /* Buffer that the memory side works on. */
     uint8_t fifo[16];
     unsigned fifo_count;
+    unsigned turns; /* Items since its request last fell. */
     machine_event_t done;
 } dma_stream_t;
 
@@ -50,6 +53,9 @@ struct dma {
     model_t model;
     unsigned number; /* 0: DMA1 */
     dma_stream_t stream[8];
+    bool serving, waiting; /* An item is being moved; another request waits for the end of an item. */
+    int64_t busy_until_ps;
+    machine_event_t next;
 };
 
 /* dma.c */
@@ -62,8 +68,14 @@ void dma_disable(dma_stream_t *s);
 void dma_bus_error(dma_stream_t *s, const char *what,
                    uint32_t address); /* A transfer error: says so, stops the stream, raises TEIF. */
 void dma_fill(dma_stream_t *s);
-void dma_drain(dma_stream_t *s);                   /* FIFO to memory. */
-void dma_serve(chip_t *chip, dma_source_t source); /* Transfer as long as the line asks. */
+void dma_drain(dma_stream_t *s);                         /* FIFO to memory. */
+void dma_transfer(dma_stream_t *s, dma_source_t source); /* Move an item. */
+
+/* dma_arbiter.c */
+void dma_arbiter_init(dma_t *dma);
+void dma_arbiter_restart(dma_t *dma);
+void dma_serve(chip_t *chip, dma_source_t source); /* A request came, or its stream was enabled. */
+int64_t dma_item_time(const dma_stream_t *s);
 
 /* dma_map.c */
 const dma_cell_t *dma_cell(unsigned controller, unsigned channel, unsigned stream);

@@ -1,8 +1,5 @@
-/* dma_stream.c: how a stream moves items.
- *
- * A transfer takes no time: it happens at the moment of its request, so streams never wait for each other and
- * priorities (PL) have no effect. On silicon it takes some ten AHB cycles. Memory-to-memory transfers end as a whole,
- * when their event comes.
+/* dma_stream.c: how a stream moves items. Memory-to-memory transfers end as a whole, when their event comes, and do not
+ * take part in the arbitration.
  */
 #include "emulator/peripherals/dma.h"
 
@@ -126,7 +123,7 @@ static void count(dma_stream_t *s, dma_source_t source) {
     dma_raise(s, TCIF);
 }
 
-static void transfer(dma_stream_t *s, dma_source_t source) {
+void dma_transfer(dma_stream_t *s, dma_source_t source) {
     uint32_t value = 0;
     if (s->direction == PERIPHERAL_TO_MEMORY) {
         if (!peripheral_access(s, false, &value)) {
@@ -159,29 +156,6 @@ static void transfer(dma_stream_t *s, dma_source_t source) {
     }
 }
 
-void dma_serve(chip_t *chip, dma_source_t source) {
-    dma_stream_t *const s = chip->lines.stream[source];
-    if (s == NULL || s->busy) {
-        return;
-    }
-    s->busy = true;
-    for (unsigned turns = 0; s->enabled && chip->lines.high[source]; turns++) {
-        if (turns == 64) { /* A line that no transfer lowers. */
-            machine_violation(
-                chip->machine,
-                "%s stream %u: its request stays high whatever it transfers; does PAR 0x%08X belong to it?",
-                dma_name(s), s->number, (unsigned)s->value[SPAR / 4]);
-            dma_disable(s);
-            break;
-        }
-        if (chip->lines.pulse[source]) {
-            chip->lines.high[source] = false;
-        }
-        transfer(s, source);
-    }
-    s->busy = false;
-}
-
 static void copy_memory(void *context, int64_t time_ps) {
     dma_stream_t *const s = context;
     (void)time_ps;
@@ -203,22 +177,4 @@ static void copy_memory(void *context, int64_t time_ps) {
 
 void dma_stream_init(dma_stream_t *s) {
     machine_event_init(&s->done, copy_memory, s);
-}
-
-/* ---- Request lines ---- */
-
-void dma_line(chip_t *chip, dma_source_t source, bool level) {
-    chip->lines.pulse[source] = false;
-    if (chip->lines.high[source] != level) {
-        chip->lines.high[source] = level;
-        if (level) {
-            dma_serve(chip, source);
-        }
-    }
-}
-
-void dma_line_pulse(chip_t *chip, dma_source_t source) {
-    chip->lines.pulse[source] = true;
-    chip->lines.high[source] = true;
-    dma_serve(chip, source);
 }

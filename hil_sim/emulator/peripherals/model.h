@@ -149,6 +149,7 @@ typedef struct {
     bool high[DMA_SOURCES];
     bool pulse[DMA_SOURCES];                /* Falls when served. */
     struct dma_stream *stream[DMA_SOURCES]; /* The enabled stream that listens, or NULL. */
+    dma_source_t served;                    /* The request that an item is being moved for, else DMA_NONE. */
 } dma_lines_t;
 
 /* ---- Signals that start conversions ---- */
@@ -283,7 +284,7 @@ bool chip_pin_level(const chip_t *chip, unsigned pin);
 void chip_pin_driven(chip_t *chip, unsigned pin, int64_t time_ps); /* What signals.pin_output says of it has changed. */
 /* exti.c */
 void exti_create(chip_t *chip);
-/* dma.c, dma_stream.c, dma_map.c */
+/* dma.c, dma_arbiter.c, dma_stream.c, dma_map.c */
 void dma_create(chip_t *chip);
 dma_source_t dma_source(const char *name); /* DMA_NONE if there is no such line. */
 void dma_line(chip_t *chip, dma_source_t source, bool level);

@@ -21,8 +21,9 @@ void tim_interrupt(tim_t *t) {
 
 void tim_pulse_dma(tim_t *t, unsigned enable_bit, dma_source_t source) {
     if ((t->model.value[TIM_DIER / 4] >> enable_bit & 1u) != 0 && source != DMA_NONE) {
-        t->burst_index = 0;
-        t->burst_source = source;
+        if (source == t->burst_source) {
+            t->burst_index = 0; /* A new event begins a new burst. */
+        }
         dma_line_pulse(t->model.chip, source);
     }
 }
@@ -94,6 +95,7 @@ static void generate(tim_t *t, uint32_t value, int64_t tick) {
 }
 
 static uint32_t burst_register(tim_t *t) {
+    t->burst_source = t->model.chip->lines.served;
     const uint32_t dcr = t->model.value[TIM_DCR / 4];
     const uint32_t offset = 4 * (field(dcr, 0, 5) + t->burst_index);
     t->burst_index = t->burst_index == field(dcr, 8, 5) ? 0 : t->burst_index + 1;

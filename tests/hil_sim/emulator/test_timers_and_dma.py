@@ -29,6 +29,12 @@ def stream(
     chip.write(base, control | 1)
 
 
+def pulse(chip: Bench, line: str) -> None:
+    """A request, and the time to serve it."""
+    assert chip.lib.machine_bench_dma_pulse(chip.machine, line.encode())
+    chip.run(0.2 * MICROSECOND)
+
+
 def flags(chip: Bench, controller: int, n: int) -> int:
     return chip.read(controller + 4 * (n // 4)) >> (0, 6, 16, 22)[n % 4] & 0x3D
 
@@ -261,6 +267,7 @@ def test_dma_burst_through_dmar(fast_chip: Bench) -> None:
     chip.write(TIM1 + DCR, 3 << 8 | ARR // 4)
     chip.write(TIM1 + DIER, 1 << 8)
     chip.write(TIM1 + EGR, 1)
+    chip.run(MICROSECOND)
     assert [chip.read(TIM1 + r) for r in (ARR, RCR, CCR1, CCR1 + 4)] == [500, 0, 200, 300]
 
 
@@ -292,7 +299,7 @@ def test_request_map(fast_chip: Bench, controller: int, n: int, channel: int, li
             assert chip.lib.machine_bench_dma_pulse(chip.machine, other.encode())
     count = base + 0x14 + 0x18 * n
     assert chip.read(count) == 9
-    assert chip.lib.machine_bench_dma_pulse(chip.machine, line.encode())
+    pulse(chip, line)
     assert chip.read(count) == 8
     assert chip.read(TIM3 + CCR1) == 0x55
 
@@ -303,7 +310,7 @@ def test_half_and_full_transfer(fast_chip: Bench) -> None:
     stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | TCIE | HTIE, 4, TIM3 + CNT, SRAM)
     seen = []
     for _ in range(4):
-        assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
+        pulse(chip, "TIM6_UP")
         seen.append((flags(chip, DMA1, 1), chip.irq(12), chip.read(DMA1 + 0x2C)))
     assert seen == [(0, False, 3), (0x10, True, 2), (0x10, True, 1), (0x30, True, 0)]
     assert chip.read(SRAM + 4) == 0xBEEFBEEF
@@ -317,7 +324,7 @@ def test_double_buffer_and_its_free_address(fast_chip: Bench) -> None:
     stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | DBM | CIRC, 2, TIM3 + CNT, SRAM, second=SRAM + 0x100)
     for value in range(1, 7):
         chip.write(TIM3 + CNT, value)
-        assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
+        pulse(chip, "TIM6_UP")
         assert bool(chip.read(DMA1 + 0x28) & CT) == (value in (2, 3, 6))
         if value == 3:
             chip.write(DMA1 + 0x34, SRAM + 0x200)  # M0AR, while buffer 1 is in use
@@ -332,9 +339,9 @@ def test_memory_side_is_prefetched(fast_chip: Bench) -> None:
     chip.write(SRAM, 0x00020001)
     stream(chip, DMA1, 1, 7 << 25 | HALVES | MINC | TO_PERIPHERAL, 2, TIM3 + CCR1, SRAM)
     chip.write(SRAM, 0x00990098)
-    assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
+    pulse(chip, "TIM6_UP")
     assert chip.read(TIM3 + CCR1) == 1
-    assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
+    pulse(chip, "TIM6_UP")
     assert chip.read(TIM3 + CCR1) == 0x99
 
 
@@ -344,7 +351,7 @@ def test_fifo_packs_and_flushes(fast_chip: Bench) -> None:
     stream(chip, DMA1, 1, control, 6, TIM3 + CNT, SRAM, fifo=0x20 | 4 | 1)  # Threshold a half: 8 bytes
     for value in range(1, 7):
         chip.write(TIM3 + CNT, value)
-        assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM6_UP")
+        pulse(chip, "TIM6_UP")
         if value == 3:
             assert chip.read(SRAM) == 0
             assert chip.read(DMA1 + 0x3C) >> 3 & 7 == 1
@@ -402,7 +409,7 @@ def test_core_coupled_memory_is_out_of_reach(
     chip = fast_chip
     stream(chip, DMA2, 5, 6 << 25 | WORDS | MINC | 1 << 2 | control, 4, peripheral, memory, fifo=fifo)
     if control in (TO_PERIPHERAL, TO_MEMORY):
-        assert chip.lib.machine_bench_dma_pulse(chip.machine, b"TIM1_UP")
+        pulse(chip, "TIM1_UP")
     chip.run(MICROSECOND)
     assert flags(chip, DMA2, 5) & 8
     assert chip.irq(68)
@@ -444,3 +451,76 @@ def test_timer_request_without_reader_waits(fast_chip: Bench) -> None:
     stream(chip, DMA1, 1, 7 << 25 | HALVES, 4, TIM3 + CNT, SRAM)
     assert chip.read(DMA1 + 0x2C) == 4
     chip.run(MILLISECOND)
+
+
+# ---- Arbitration, bus time, the erratum ----
+
+LINES = {1: "TIM1_CH1", 2: "TIM1_CH2", 5: "TIM1_UP", 6: "TIM1_CH3"}  # Channel 6 of DMA2
+
+
+def ticks_of_edges(chip: Bench, begin: int) -> list[tuple[int, int]]:
+    """Pins of port C and the AHB cycles after which they rose."""
+    return [(pin - 32, round((time - begin) * 168e6 / 1e12)) for pin, high, time in chip.edge.pins if high]
+
+
+@pytest.mark.parametrize("priorities", [{1: 0, 2: 0, 5: 0, 6: 0}, {1: 0, 2: 1, 5: 3, 6: 2}, {1: 1, 2: 3, 5: 0, 6: 1}])
+@pytest.mark.parametrize("first", [1, 6])
+def test_simultaneous_requests_are_served_one_after_another(
+    fast_chip: Bench, priorities: dict[int, int], first: int
+) -> None:
+    """The first meets an idle controller; of those that wait the highest PL is next, of equals the lowest stream."""
+    chip = fast_chip
+    chip.write(GPIOC, 0x1555)
+    for n, priority in priorities.items():
+        chip.write(SRAM + 4 * n, 1 << n)
+        control = 6 << 25 | priority << 16 | WORDS | TO_PERIPHERAL
+        stream(chip, DMA2, n, control, 1, GPIOC + 0x18, SRAM + 4 * n)
+    begin = chip.now
+    for n in [first, *(n for n in priorities if n != first)]:
+        assert chip.lib.machine_bench_dma_pulse(chip.machine, LINES[n].encode())
+    chip.run(MICROSECOND)
+    waiting = sorted((n for n in priorities if n != first), key=lambda n: (-priorities[n], n))
+    assert ticks_of_edges(chip, begin) == [(n, 8 * i) for i, n in enumerate([first, *waiting])]
+
+
+@pytest.mark.parametrize(
+    ("controller", "peripheral", "fifo", "cycles"),
+    [(DMA2, TIM1 + CCR1, 0x21, 11), (DMA2, TIM1 + CCR1, 0x25, 8), (DMA1, TIM3 + CCR1, 0x21, 15)],
+)
+def test_time_of_an_item(fast_chip: Bench, controller: int, peripheral: int, fifo: int, cycles: int) -> None:
+    """Two items asked for at once, of two streams: the second is there when the first one's time is over."""
+    chip = fast_chip
+    streams = {DMA2: ((1, 6, "TIM1_CH1"), (2, 6, "TIM1_CH2")), DMA1: ((1, 7, "TIM6_UP"), (4, 1, "TIM7_UP"))}[controller]
+    for n, channel, _ in streams:
+        stream(chip, controller, n, channel << 25 | HALVES | TO_PERIPHERAL, 8, peripheral, SRAM, fifo=fifo)
+    begin = chip.now
+    for _, _, line in streams:
+        assert chip.lib.machine_bench_dma_pulse(chip.machine, line.encode())
+    count = controller + 0x14 + 0x18 * streams[1][0]
+    chip.run_to(begin + cycles * 1e12 / 168e6 - 1000)
+    assert chip.read(count) == 8
+    chip.run_to(begin + cycles * 1e12 / 168e6 + 1000)
+    assert chip.read(count) == 7
+
+
+def test_the_two_controllers_do_not_wait_for_each_other(fast_chip: Bench) -> None:
+    chip = fast_chip
+    stream(chip, DMA1, 1, 7 << 25 | HALVES | TO_PERIPHERAL, 8, TIM3 + CCR1, SRAM)
+    stream(chip, DMA2, 5, 6 << 25 | HALVES | TO_PERIPHERAL, 8, TIM1 + CCR1, SRAM)
+    for line in (b"TIM6_UP", b"TIM1_UP"):
+        assert chip.lib.machine_bench_dma_pulse(chip.machine, line)
+    assert [chip.read(DMA1 + 0x2C), chip.read(DMA2 + 0x8C)] == [7, 7]
+
+
+def test_a_burst_is_not_disturbed_by_another_request_of_its_timer(fast_chip: Bench) -> None:
+    chip = fast_chip
+    for i, value in enumerate((500, 0, 200, 300)):
+        chip.write(SRAM + 2 * i, value, 2)
+    chip.write(SRAM + 0x40, 77)
+    stream(chip, DMA2, 5, 6 << 25 | HALVES | MINC | TO_PERIPHERAL, 4, TIM1 + DMAR, SRAM)
+    stream(chip, DMA2, 6, 6 << 25 | 3 << 16 | HALVES | TO_PERIPHERAL, 1, TIM1 + CCR1 + 12, SRAM + 0x40)
+    chip.write(TIM1 + DCR, 3 << 8 | ARR // 4)
+    chip.write(TIM1 + DIER, 1 << 8 | 1 << 11)
+    chip.write(TIM1 + EGR, 1 | 8)
+    chip.run(MICROSECOND)
+    assert [chip.read(TIM1 + r) for r in (ARR, RCR, CCR1, CCR1 + 4, CCR1 + 12)] == [500, 0, 200, 300, 77]
