@@ -99,6 +99,55 @@ static bool reachable(dma_stream_t *s) {
     return true;
 }
 
+/* Which bus a stream's peripheral is on. Memories do not count: they are only read or written again. */
+typedef enum { ON_MEMORY, ON_APB, ON_AHB } port_bus_t;
+static port_bus_t port_bus(const dma_stream_t *s) {
+    const uint32_t address = s->value[SPAR / 4];
+    const bool memory = address < 0x40000000u || (address >= 0x60000000u && address < 0xA0000000u);
+    return memory ? ON_MEMORY : address < 0x40020000u ? ON_APB : ON_AHB;
+}
+
+/* ES0182, "DMA2 data corruption when managing AHB and APB peripherals in a concurrent way". ST limits it to AHB
+ * peripherals with a FIFO; boards have shown it on GPIO as well, so all of them count. */
+static void check_erratum(const dma_stream_t *s) {
+    const port_bus_t mine = port_bus(s);
+    for (unsigned i = 0; i < 8 && s->dma->number == 1 && mine != ON_MEMORY; i++) {
+        const dma_stream_t *const other = &s->dma->stream[i];
+        if (other != s && other->enabled && port_bus(other) != ON_MEMORY && port_bus(other) != mine) {
+            machine_violation(s->dma->model.machine,
+                              "DMA2 stream %u serves the %s peripheral 0x%08X while stream %u serves the %s peripheral "
+                              "0x%08X: concurrent transfers to both buses can corrupt data (errata ES0182)",
+                              s->number, mine == ON_AHB ? "AHB" : "APB", (unsigned)s->value[SPAR / 4], other->number,
+                              mine == ON_AHB ? "APB" : "AHB", (unsigned)other->value[SPAR / 4]);
+        }
+    }
+}
+
+/* Listen to the request lines that CHSEL selects, and serve those that are high. */
+static void connect(dma_stream_t *s) {
+    chip_t *const chip = s->dma->model.chip;
+    const uint32_t cr = s->value[SCR / 4];
+    s->cell = dma_cell(s->dma->number, field(cr, 25, 3), s->number);
+    if (s->cell->source[0] == DMA_NONE || s->cell->source[0] == DMA_OTHER) {
+        machine_violation(chip->machine, "%s stream %u: CHSEL %u selects %s", dma_name(s), s->number, field(cr, 25, 3),
+                          s->cell->source[0] == DMA_NONE ? "no request line" : "a peripheral that has no model");
+    }
+    if (s->direction == MEMORY_TO_PERIPHERAL) {
+        dma_fill(s); /* Preloaded as soon as EN is set. */
+    }
+    for (unsigned i = 0; i < 3 && s->cell->source[i] != DMA_NONE; i++) {
+        dma_stream_t **const listener = &chip->lines.stream[s->cell->source[i]];
+        if (*listener != NULL) {
+            machine_violation(chip->machine, "%s stream %u: its request line is already served by %s stream %u",
+                              dma_name(s), s->number, dma_name(*listener), (*listener)->number);
+        }
+        *listener = s;
+    }
+    for (unsigned i = 0; i < 3 && s->cell->source[i] != DMA_NONE; i++) {
+        dma_serve(chip, s->cell->source[i]);
+    }
+}
+
 static void enable(dma_stream_t *s) {
     chip_t *const chip = s->dma->model.chip;
     const uint32_t cr = s->value[SCR / 4], fcr = s->value[SFCR / 4];
@@ -135,30 +184,13 @@ static void enable(dma_stream_t *s) {
     if (!reachable(s)) {
         return;
     }
+    check_erratum(s);
     if (s->direction == MEMORY_TO_MEMORY) {
         machine_schedule(chip->machine, &s->done,
                          machine_now(chip->machine) + (int64_t)(s->reload * MEMORY_CYCLES * chip->hclk.period_ps));
         return;
     }
-    s->cell = dma_cell(s->dma->number, field(cr, 25, 3), s->number);
-    if (s->cell->source[0] == DMA_NONE || s->cell->source[0] == DMA_OTHER) {
-        machine_violation(chip->machine, "%s stream %u: CHSEL %u selects %s", dma_name(s), s->number, field(cr, 25, 3),
-                          s->cell->source[0] == DMA_NONE ? "no request line" : "a peripheral that has no model");
-    }
-    if (s->direction == MEMORY_TO_PERIPHERAL) {
-        dma_fill(s); /* Preloaded as soon as EN is set. */
-    }
-    for (unsigned i = 0; i < 3 && s->cell->source[i] != DMA_NONE; i++) {
-        dma_stream_t **const listener = &chip->lines.stream[s->cell->source[i]];
-        if (*listener != NULL) {
-            machine_violation(chip->machine, "%s stream %u: its request line is already served by %s stream %u",
-                              dma_name(s), s->number, dma_name(*listener), (*listener)->number);
-        }
-        *listener = s;
-    }
-    for (unsigned i = 0; i < 3 && s->cell->source[i] != DMA_NONE; i++) {
-        dma_serve(chip, s->cell->source[i]);
-    }
+    connect(s);
 }
 
 static void write_control(dma_stream_t *s, uint32_t value) {

@@ -524,3 +524,26 @@ def test_a_burst_is_not_disturbed_by_another_request_of_its_timer(fast_chip: Ben
     chip.write(TIM1 + EGR, 1 | 8)
     chip.run(MICROSECOND)
     assert [chip.read(TIM1 + r) for r in (ARR, RCR, CCR1, CCR1 + 4, CCR1 + 12)] == [500, 0, 200, 300, 77]
+
+
+ON_AHB, ON_APB = GPIOC + 0x18, TIM1 + CCR1
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "corrupts"),
+    [(ON_AHB, ON_APB, True), (ON_APB, ON_AHB, True), (ON_APB, ON_APB, False), (ON_AHB, ON_AHB, False)],
+)
+def test_dma2_on_both_buses_is_loud(fast_chip: Bench, first: int, second: int, corrupts: bool) -> None:
+    """ES0182, DMA2 data corruption when managing AHB and APB peripherals in a concurrent way."""
+    chip = fast_chip
+    stream(chip, DMA2, 5, 6 << 25 | WORDS | TO_PERIPHERAL, 2, first, SRAM)
+    stream(chip, DMA2, 1, 6 << 25 | WORDS | TO_PERIPHERAL, 2, second, SRAM)
+    if corrupts:
+        chip.expect("concurrent transfers to both buses can corrupt data (errata ES0182)")
+
+
+def test_dma2_on_both_buses_in_turn(fast_chip: Bench) -> None:
+    chip = fast_chip
+    stream(chip, DMA2, 5, 6 << 25 | WORDS | TO_PERIPHERAL, 1, ON_AHB, SRAM)
+    pulse(chip, "TIM1_UP")
+    stream(chip, DMA2, 1, 6 << 25 | WORDS | TO_PERIPHERAL, 2, ON_APB, SRAM)
