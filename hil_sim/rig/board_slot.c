@@ -16,8 +16,8 @@ typedef struct {
 } channel_pins_t;
 
 static const channel_pins_t channel_pins[RIG_COILS] = {
-    {.bridge_1 = 38, .bridge_2 = 39, .current = 0, .temperature = 33},
-    {.bridge_1 = 36, .bridge_2 = 37, .current = 6, .temperature = 35}};
+    {.bridge_1 = 29, .bridge_2 = 30, .current = 0, .temperature = 33},
+    {.bridge_1 = 16, .bridge_2 = 17, .current = 36, .temperature = 35}};
 
 static void keep_change(rig_pin_change_t **changes, size_t *count, size_t *capacity, rig_pin_change_t change) {
     *changes = array_reserve(*changes, capacity, *count + 1, sizeof **changes);
@@ -63,6 +63,11 @@ static void on_pin_release(void *context, unsigned pin, board_pull_t pull, int64
     slot->driven &= ~(UINT64_C(1) << pin % 64);
     set_level(slot, pin, !pulled_down && (pull == BOARD_PULL_NONE ? (chance & 1u) != 0 : pull == BOARD_PULL_UP),
               time_ps);
+}
+
+void board_slot_driver_fault(board_slot_t *slot, bool active, int64_t time_ps) {
+    slot->operations->pin_in(slot->instance, BOARD_PIN_FAULT, !active, time_ps);
+    slot->operations->pin_in(slot->instance, BOARD_PIN_FAULT_TOO, !active, time_ps);
 }
 
 void board_slot_power_lost(board_slot_t *slot, int64_t time_ps) {

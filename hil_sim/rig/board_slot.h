@@ -3,9 +3,10 @@
  * board_slot_init() makes the edge with which the board is created; from then on the board's outputs act on the slot's
  * coils, serial line and lists, and its converters read them. lockstep.c empties the lists between two steps.
  *
- * Pins (boards/pinout.md), with i the channel: bridge inputs PC6/PC7 and PC4/PC5, set-points DAC channel 1 + i, current
- * senses PA0 and PA6, coil thermistors PC1 and PC3; PC0 is the supply and PC2 the driver's thermistor; PC9 enables both
- * bridges, PC10 is their fault; PC8 and PA10 are the sync wire's ends; the field is on PA1 to PA3.
+ * Pins (boards/pinout.md), with i the channel: bridge inputs PB13/PB14 and PB0/PB1, set-points DAC channel 1 + i,
+ * current senses PA0 and PC4, coil thermistors PC1 and PC3; PC0 is the supply and PC2 the driver's thermistor; PB15
+ * enables both bridges, their fault is one wire on PB12 and PA6; PA7 and PC6 are the sync wire's ends; the field is on
+ * PA1 to PA3, serial is USART3.
  *
  * A pin that the board has let go of takes the level of its pull-down outside (the enable and the sync output have
  * one), else of the chip's pull, else either level, drawn from the rig's seed.
@@ -21,11 +22,12 @@
 #include "world/sensing.h"
 
 enum {
-    BOARD_PIN_SYNC_IN = 10,
-    BOARD_PIN_SYNC_OUT = 40,
-    BOARD_PIN_ENABLE = 41,
-    BOARD_PIN_FAULT = 42,
-    BOARD_SERIAL_PORT = 1
+    BOARD_PIN_SYNC_IN = 38,
+    BOARD_PIN_SYNC_OUT = 7,
+    BOARD_PIN_ENABLE = 31,
+    BOARD_PIN_FAULT = 28,
+    BOARD_PIN_FAULT_TOO = 6,
+    BOARD_SERIAL_PORT = 3
 };
 
 /* What the board asked of the CAN bus. */
@@ -67,6 +69,9 @@ typedef struct {
  * slot has. */
 void board_slot_init(board_slot_t *slot, unsigned number, uint64_t seed, const rig_board_config_t *config,
                      coil_t *coil);
+
+/* The drivers' fault wire is low (active) or pulled up. */
+void board_slot_driver_fault(board_slot_t *slot, bool active, int64_t time_ps);
 
 /* The board has no power: its pins float. */
 void board_slot_power_lost(board_slot_t *slot, int64_t time_ps);

@@ -235,7 +235,7 @@ void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_oper
     can_bus_join(rig->bus, board, power_on_ps);
     operations->pin_in(instance, BOARD_PIN_SYNC_IN, false, 0);
     if (board != RIG_SENSOR) {
-        operations->pin_in(instance, BOARD_PIN_FAULT, true, 0);
+        board_slot_driver_fault(slot, false, 0);
     }
 }
 

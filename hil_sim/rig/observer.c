@@ -94,7 +94,7 @@ void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, boo
     const int64_t time_ps = rig_now(rig) + slot->lead_ps;
     switch (fault) {
     case RIG_FAULT_DRIVER:
-        slot->operations->pin_in(slot->instance, BOARD_PIN_FAULT, !active, time_ps);
+        board_slot_driver_fault(slot, active, time_ps);
         break;
     case RIG_FAULT_SYNC_WIRE_CUT:
         slot->sync_cut = active;

@@ -22,10 +22,14 @@ FFI, LIBRARY = load("build/libgf_hostboard.so", ["boards/host/host_board.h"])
 
 BEACON, SENSOR, ANCHOR = 0, 1, 3
 IMAGES = {BEACON: "beacon.elf", SENSOR: "sensor.elf", ANCHOR: "anchor.elf"}
-PIN_CURRENT, PIN_FIELD, PIN_SYNC_IN = (0, 6), (1, 2, 3), 10
-PINS_BRIDGE = ((38, 39), (36, 37))
+PIN_CURRENT, PIN_FIELD, PIN_SYNC_IN = (0, 36), (1, 2, 3), 38
+PINS_BRIDGE = ((29, 30), (16, 17))
 """Inputs 1 and 2 of each channel's bridge."""
-PIN_BRIDGE_1, PIN_BRIDGE_2, PIN_SYNC_OUT, PIN_ENABLE, PIN_FAULT, PIN_LED = 38, 39, 40, 41, 42, 44
+PIN_BRIDGE_1, PIN_BRIDGE_2, PIN_SYNC_OUT, PIN_ENABLE, PIN_LED = 29, 30, 7, 31, 20
+PIN_FAULT, PIN_FAULT_TOO = 28, 6
+"""The two ends of one wire."""
+SERIAL_PORT = 3
+PULL_UP = 1
 
 US = 10**6
 MS = 10**9
@@ -120,13 +124,14 @@ class Board:
         edge = FFI.new("board_edge_t *")
         self._keep = [
             FFI.callback("void(void *, unsigned, bool, int64_t)", self._pin_out),
+            FFI.callback("void(void *, unsigned, board_pull_t, int64_t)", self._pin_release),
             FFI.callback("void(void *, unsigned, double, int64_t)", self._analog_out),
             FFI.callback("void(void *, unsigned, uint8_t, int64_t)", self._uart_out),
             FFI.callback("void(void *, unsigned, const board_frame_t *, int64_t)", self._can_request),
         ]
-        edge.pin_out, edge.analog_out, edge.uart_out = self._keep[:3]
+        edge.pin_out, edge.pin_release, edge.analog_out, edge.uart_out = self._keep[:4]
         if self.can:
-            edge.can_request = self._keep[3]
+            edge.can_request = self._keep[4]
         if self.volts is not None:
             volts = self.volts
             sample = FFI.callback("double(void *, unsigned, int64_t)", lambda _, pin, time: volts(pin, time))
@@ -146,11 +151,17 @@ class Board:
         self.pins.append((time, pin, level))
         self.level[pin] = level
 
+    def _pin_release(self, _: Any, pin: int, pull: int, time: int) -> None:
+        """Pins that float are low: enable and sync output by the pull-downs of the pinout, the rest by decree."""
+        level = pull == PULL_UP and pin not in (PIN_ENABLE, PIN_SYNC_OUT)
+        if self.level.get(pin, level) != level:
+            self._pin_out(None, pin, level, time)
+
     def _analog_out(self, _: Any, channel: int, volts: float, time: int) -> None:
         self.analog[channel - 1].append((time, volts))
 
     def _uart_out(self, _: Any, port: int, byte: int, time: int) -> None:
-        assert port == 1
+        assert port == SERIAL_PORT
         self.serial.append((time, byte))
 
     def _can_request(self, _: Any, mailbox: int, frame: Any, time: int) -> None:
@@ -183,7 +194,8 @@ class Board:
         assert ok, FFI.string(self.operations.report(self.handle)).decode()
 
     def pin(self, pin: int, level: bool, time: int) -> None:
-        self.operations.pin_in(self.handle, pin, level, time)
+        for end in (PIN_FAULT, PIN_FAULT_TOO) if pin == PIN_FAULT else (pin,):
+            self.operations.pin_in(self.handle, end, level, time)
 
     def sync_pulse(self, time: int) -> None:
         self.pin(PIN_SYNC_IN, True, time)
@@ -192,7 +204,7 @@ class Board:
     def receive(self, stream: bytes, time: int, baud: int = 2_000_000) -> None:
         """Bytes arrive back to back from a time on."""
         for i, byte in enumerate(stream):
-            self.operations.uart_in(self.handle, 1, byte, baud, time + (i + 1) * 5 * US)
+            self.operations.uart_in(self.handle, SERIAL_PORT, byte, baud, time + (i + 1) * 5 * US)
 
     def send_serial(self, name: str, signals: Mapping[str, float], node: int, index: int, time: int) -> None:
         identifier, data = encode(name, signals, node=node, index=index)

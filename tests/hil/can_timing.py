@@ -12,8 +12,8 @@ from hil_sim.scenario import Clock
 
 FloatArray = NDArray[np.float64]
 
-BRIDGE = (38, 39)
-"""PC6, PC7."""
+BRIDGE = (29, 30)
+"""PB13, PB14."""
 CHIP_S = 16422 / 168e6
 
 

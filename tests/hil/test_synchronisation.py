@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-BRIDGE = (38, 39)  # PC6, PC7
+BRIDGE = (29, 30)  # PB13, PB14
 CHIP_S = 16422 / 168e6
 
 

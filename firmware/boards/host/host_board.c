@@ -201,19 +201,21 @@ static void application_step(board_t *board) {
 
 static void start(board_t *board) {
     board->powered = true;
-    host_pin_write(&board->hal, PIN_LED, true);
+    host_pin_write(&board->hal, PIN_LED, false);
     application_start(board);
 }
 
 /* Does what the reset pin does: outputs go off, and whatever the board has not sent yet is lost. Time, the levels of
  * the inputs, and what is still under way from outside stay. */
 static void restart(board_t *board) {
+    static const unsigned outputs[] = {PIN_ENABLE,       PIN_SYNC_OUT, PIN_BRIDGE_0,
+                                       PIN_BRIDGE_0 + 1, PIN_BRIDGE_1, PIN_BRIDGE_1 + 1};
     hal_t *hal = &board->hal;
     if (hal->mailbox_count > 0 && hal->edge.can_abort) {
         hal->edge.can_abort(hal->edge.context, hal->mailbox_head, hal->now_ps);
     }
-    for (unsigned pin = PIN_BRIDGE_1; pin <= PIN_ENABLE; pin++) {
-        host_pin_write(hal, pin, false);
+    for (unsigned i = 0; i < sizeof outputs / sizeof outputs[0]; i++) {
+        host_pin_write(hal, outputs[i], false);
     }
     hal->reset_wanted = false;
     hal->power_on_ps = hal->now_ps;

@@ -39,7 +39,7 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     if (!hal->fault_level && events->fault) {
         events->fault(events->context, HAL_FAULT_DRIVER); /* It was active before the start. */
     }
-    host_pin_write(hal, PIN_LED, false);
+    host_pin_write(hal, PIN_LED, true);
 }
 
 bool hal_drive_fault(const hal_t *hal) {
@@ -150,7 +150,7 @@ int16_t hal_temperature(const hal_t *hal) {
 }
 
 void hal_led(hal_t *hal, bool on) {
-    host_pin_write(hal, PIN_LED, !on);
+    host_pin_write(hal, PIN_LED, on);
 }
 
 void hal_reset(hal_t *hal) {

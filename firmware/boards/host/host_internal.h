@@ -12,20 +12,20 @@
 
 /* Pins, numbered port * 16 + pin (boards/pinout.md). */
 enum {
-    PIN_CURRENT_0 = 0, /* PA0 */
-    PIN_FIELD_X = 1,   /* PA1; y and z follow. */
-    PIN_CURRENT_1 = 6, /* PA6 */
-    PIN_SYNC_IN = 10,  /* PA10 */
-    PIN_BRIDGE_1 = 36, /* PC4: input 1 of channel 1's bridge; input 2 follows. */
-    PIN_BRIDGE_0 = 38, /* PC6: input 1 of channel 0's bridge; input 2 follows. */
-    PIN_SYNC_OUT = 40, /* PC8 */
-    PIN_ENABLE = 41,   /* PC9 */
-    PIN_FAULT = 42,    /* PC10 */
-    PIN_LED = 44       /* PC12, between pin and supply: low is on. */
+    PIN_CURRENT_0 = 0,  /* PA0 */
+    PIN_FIELD_X = 1,    /* PA1; y and z follow. */
+    PIN_SYNC_OUT = 7,   /* PA7 */
+    PIN_BRIDGE_1 = 16,  /* PB0: input 1 of channel 1's bridge; input 2 follows. */
+    PIN_LED = 20,       /* PB4 */
+    PIN_FAULT = 28,     /* PB12, on one wire with PA6. */
+    PIN_BRIDGE_0 = 29,  /* PB13: input 1 of channel 0's bridge; input 2 follows. */
+    PIN_ENABLE = 31,    /* PB15 */
+    PIN_CURRENT_1 = 36, /* PC4 */
+    PIN_SYNC_IN = 38    /* PC6 */
 };
 
 enum {
-    SERIAL_PORT = 1,       /* USART1. */
+    SERIAL_PORT = 3,       /* USART3. */
     SERIAL_BAUD = 2000000, /* Bits a second on it. */
     MAILBOXES = 3,         /* Mailboxes of the CAN controller. */
     RECEIVE_BYTES = 1024,  /* Received bytes that may wait for main. */

@@ -267,13 +267,13 @@ def test_a_board_tells_its_unique_id_unless_another_is_meant(board: Board, named
 
 def test_a_board_blinks_for_the_time_that_it_was_told(board: Board) -> None:
     board.run(100 * MS)
-    before = len(board.edges(PIN_LED, False))
+    before = len(board.edges(PIN_LED))
     command(board, BLINK, argument=2)
     board.run(4 * SECOND)
-    on, off = (board.edges(PIN_LED, level) for level in (False, True))
-    assert len(on) - before in (8, 9)  # it hangs between pin and supply: low is on
+    on, off = (board.edges(PIN_LED, level) for level in (True, False))
+    assert len(on) - before in (8, 9)
     assert 2 * SECOND < max(*on, *off) < 2 * SECOND + 200 * MS
-    assert board.level[PIN_LED] is False
+    assert board.level[PIN_LED] is True
     assert statuses(board) == [(BLINK, OK)]
 
 
@@ -282,8 +282,8 @@ def test_blinking_stops_at_once(board: Board) -> None:
     command(board, BLINK, argument=60)
     command(board, BLINK, argument=0, time=500 * MS)
     board.run(2 * SECOND)
-    assert max(board.edges(PIN_LED, True)) < 600 * MS
-    assert board.level[PIN_LED] is False
+    assert max(board.edges(PIN_LED, False)) < 600 * MS
+    assert board.level[PIN_LED] is True
 
 
 @pytest.mark.parametrize(

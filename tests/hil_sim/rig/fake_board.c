@@ -33,7 +33,7 @@ struct board {
 
 static void say(board_t *board, const void *bytes, size_t count) {
     for (size_t i = 0; i < count; ++i) {
-        board->edge.uart_out(board->edge.context, 1, ((const uint8_t *)bytes)[i], board->now_ps);
+        board->edge.uart_out(board->edge.context, 3, ((const uint8_t *)bytes)[i], board->now_ps);
     }
 }
 
@@ -45,14 +45,14 @@ static void drive_chip(board_t *board) {
     board->lfsr = (board->lfsr >> 1) ^ ((board->lfsr & 1u) != 0 ? 0xB400u : 0u);
     const bool positive = board->config.still || (board->lfsr & 1u) != 0;
     if (board->chip == 0 || positive != board->positive) {
-        edge->pin_out(edge->context, 38, positive, board->now_ps);
-        edge->pin_out(edge->context, 39, !positive, board->now_ps);
+        edge->pin_out(edge->context, 29, positive, board->now_ps);
+        edge->pin_out(edge->context, 30, !positive, board->now_ps);
         board->positive = positive;
     }
 }
 
 static void turn_chip(const board_t *board) {
-    static const unsigned bridge[2] = {38, 36};
+    static const unsigned bridge[2] = {29, 16};
     const board_edge_t *const edge = &board->edge;
     const double angle = 2.0 * 3.14159265358979323846 * board->config.periods * (double)(board->chip % FAKE_CYCLE) /
                          FAKE_CYCLE;
@@ -70,7 +70,7 @@ static void start_chip(board_t *board) {
         return;
     }
     if (board->chip == 0) {
-        edge->pin_out(edge->context, 41, true, board->now_ps);
+        edge->pin_out(edge->context, 31, true, board->now_ps);
     }
     if (board->config.periods > 0) {
         turn_chip(board);
@@ -78,7 +78,7 @@ static void start_chip(board_t *board) {
         drive_chip(board);
     }
     if (board->chip % FAKE_CYCLE <= 1) {
-        edge->pin_out(edge->context, 40, board->chip % FAKE_CYCLE == 0, board->now_ps);
+        edge->pin_out(edge->context, 7, board->chip % FAKE_CYCLE == 0, board->now_ps);
     }
     if (board->chip % FAKE_CYCLE == 5) {
         board_frame_t frame = {.id = board->config.can_id, .extended = true, .length = 8};
@@ -108,7 +108,7 @@ static void take_event(board_t *board) {
         fake_sample_t *const sample = &board->samples[board->sample_count++];
         *sample = (fake_sample_t){.time_ps = board->now_ps};
         for (unsigned i = 0; i < (board->config.senses ? 3u : 2u); ++i) {
-            sample->volts[i] = edge->analog_in(edge->context, board->config.senses ? 1 + i : 6 * i, board->now_ps);
+            sample->volts[i] = edge->analog_in(edge->context, board->config.senses ? 1 + i : 36 * i, board->now_ps);
         }
     }
     if (board->event++ == last) {
@@ -178,10 +178,10 @@ static void add(board_t *board, input_t input) {
 }
 
 static void pin_in(board_t *board, unsigned pin, bool level, int64_t time_ps) {
-    if (pin == 10 && time_ps > 0) {
+    if (pin == 38 && time_ps > 0) {
         add(board, (input_t){.time_ps = time_ps, .kind = INPUT_SYNC, .value = level});
-    } else if (pin == 42 && !level) {
-        board->edge.pin_out(board->edge.context, 41, false, time_ps);
+    } else if (pin == 28 && !level) {
+        board->edge.pin_out(board->edge.context, 31, false, time_ps);
     }
 }
 

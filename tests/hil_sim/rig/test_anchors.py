@@ -14,7 +14,7 @@ from hil_sim.world import path
 from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
 
 QUANTUM_PS = 20 * 10**6
-BRIDGE_1 = 38
+BRIDGE_1 = 29
 FULL_A, TAU_S = 120.0 / 0.15, 1.9e-4 / 0.15
 QUIET = "0.0\nconverter_noise_LSB = 0.0"
 PLACES = {1: [0.4, 0.1, 0.2], 2: [1.0, 0.0, 0.7], 3: [0.2, 1.3, -0.1]}

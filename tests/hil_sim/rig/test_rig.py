@@ -22,7 +22,7 @@ MOVING = {
     "earth_T": "[2e-5, 0.0, -4.5e-5]\nmains = { frequency_Hz = 50.0, amplitude_T = [1e-8, 0.0, 0.0] }\n"
     "impulses = { rate_Hz = 300.0, amplitude_T = 1e-6 }",
 }
-BRIDGE_1, SYNC_OUT, ENABLE = 38, 40, 41
+BRIDGE_1, SYNC_OUT, ENABLE = 29, 7, 31
 BYTE_PS = 5 * 10**6
 CAN_BIT_PS = 10**6
 

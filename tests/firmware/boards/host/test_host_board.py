@@ -63,7 +63,7 @@ def test_coil_currents_are_sampled_once_a_chip_just_before_its_end() -> None:
     board = Board(BEACON, MASTER, volts=sampled, ppm=-70.0)
     board.run(50 * MS)
     board.close()
-    assert [p for _, p in sampled.times[:4]] == [0, 6, 0, 6]
+    assert [p for _, p in sampled.times[:4]] == [0, 36, 0, 36]
     both = np.array([t for t, _ in sampled.times]).reshape(-1, 2)
     times = both[:, 0]
     assert (both[:, 1] == times).all()
@@ -99,7 +99,7 @@ def test_power_on_later() -> None:
     assert not board.pins
     assert not board.serial
     board.run(31 * MS)
-    assert board.pins[0] == (30 * MS, PIN_LED, True)
+    assert board.pins[0] == (30 * MS, PIN_LED, False)
     assert board.serial[0][0] == pytest.approx(30 * MS + 5 * US, abs=1)
     board.close()
 
