@@ -37,7 +37,7 @@
  * tick a cycle at 20 ticks of jitter, is what 10 s of hold-over multiply by 100.
  *
  * What may go wrong
- *   SYNC or FOLLOW_UP lost, bus off  The cycle has no edge, as with a missing edge of the wire: hold-over, at most 10 s.
+ *   SYNC or FOLLOW_UP lost, bus off  The cycle has no edge, as with a missing edge of the wire: hold-over.
  *   SYNC sent twice                  Its master saw an error in the very last bit, which receivers do not see. The
  *                                    second of the two counts on both sides.
  *   two masters                      A FOLLOW_UP belongs to the SYNC of its node and cycle. The chip clock stays with
