@@ -70,6 +70,8 @@ class SimulatedBench(Bench):
         The site file is written there.
     link : str
         Whether the sensor is read at its serial port, ``"serial"``, or on the CAN bus, ``"can"``.
+    cycles_per_instruction : float or str
+        How many cycles an instruction takes on emulated boards (1 to 100), or ``m4``: by class of instruction.
 
     Attributes
     ----------
@@ -82,12 +84,19 @@ class SimulatedBench(Bench):
         Takes the serial stream apart.
     """
 
-    def __init__(self, scenario: str, boards: str, directory: Path, link: str = "serial") -> None:
+    def __init__(
+        self,
+        scenario: str,
+        boards: str,
+        directory: Path,
+        link: str = "serial",
+        cycles_per_instruction: float | str = 1.0,
+    ) -> None:
         self.scenario = load_scenario(scenario)
         path = directory / "site.toml"
         path.write_text(site_toml(self.scenario))
         self.site = sites.load(path)
-        self.rig = Rig(self.scenario, boards)
+        self.rig = Rig(self.scenario, boards, cycles_per_instruction=cycles_per_instruction)
         self.link = link
         self.stream = bytearray()
         self.decoder = FrameDecoder()

@@ -16,6 +16,7 @@ from typing import Any
 from goldfield.cli import main as goldfield_main
 from goldfield.cli.options import add_force
 from hil_sim import KINDS, LONGEST_S, NO_CAN
+from hil_sim.cycles import add_cycles
 
 
 def command(subparsers: Any) -> None:
@@ -42,6 +43,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seed", type=_seed, metavar="N", help="in place of the scenario's; walks and errors of installation follow it"
     )
+    add_cycles(parser)
     parser.add_argument("--json", action="store_true", help="JSON lines")
     parser.add_argument("--truth", type=Path, metavar="FILE", help="write the lines of truth there, and only there")
     parser.add_argument("--site", type=Path, metavar="FILE", help=SITE_HELP)

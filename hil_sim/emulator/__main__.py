@@ -7,6 +7,7 @@ import json
 import sys
 from pathlib import Path
 
+from hil_sim.cycles import add_cycles
 from hil_sim.emulator.emulator import PICOSECONDS, BadImageError, Configuration, Emulator
 
 SLICE_PS = PICOSECONDS // 100
@@ -27,6 +28,7 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--internal-ppm", type=float, default=0.0, help="error of the internal oscillator")
     parser.add_argument("--crystal-dead", action="store_true", help="the crystal never starts")
     parser.add_argument("--tolerant", action="store_true", help="report violations at the end instead of stopping")
+    add_cycles(parser)
     parser.add_argument(
         "--probe", action="append", default=[], metavar="FUNCTION", help="count a function's instructions"
     )
@@ -50,7 +52,8 @@ def execute(options: argparse.Namespace) -> int:
         if uart == options.uart:
             output.write(bytes((byte,)))
 
-    configuration = Configuration(
+    configuration = Configuration.with_cycles(
+        options.cycles_per_instruction,
         crystal_ppm=options.crystal_ppm,
         internal_ppm=options.internal_ppm,
         crystal_dead=options.crystal_dead,

@@ -16,8 +16,9 @@ void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t addr
     cpu->deadline = 0;
 }
 
-static void access_begin(cpu_t *cpu, uint32_t address) {
-    cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
+static void access_begin(cpu_t *cpu, uint32_t address, bool write) {
+    cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_access_cycle(cpu));
+    cpu->work += cycles_bus(&cpu->cycles, address, write);
     if (cpu->access_executed == cpu->executed && cpu->fault.exception == 0 && code_is_single_transfer(cpu)) {
         /* Unicorn splits an access that is not aligned. */
         machine_violation(cpu->machine, "unaligned access near 0x%08x", (unsigned)address);
@@ -32,7 +33,7 @@ static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *use
     cpu_t *const cpu = window->cpu;
     const uint32_t address = window->base + (uint32_t)offset;
     uint32_t value = 0;
-    access_begin(cpu, address);
+    access_begin(cpu, address, false);
     if (window->base != PRIVATE_BUS_BASE) {
         if (!machine_core_read(cpu->machine, address, size, &value)) {
             core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
@@ -49,7 +50,7 @@ static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t val
     const bus_window_t *const window = user;
     cpu_t *const cpu = window->cpu;
     const uint32_t address = window->base + (uint32_t)offset;
-    access_begin(cpu, address);
+    access_begin(cpu, address, true);
     if (window->base != PRIVATE_BUS_BASE) {
         if (!machine_core_write(cpu->machine, address, size, (uint32_t)value)) {
             core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);

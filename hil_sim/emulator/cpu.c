@@ -47,6 +47,7 @@ static void reset(cpu_t *cpu) {
     cpu_set_register(cpu, UC_ARM_REG_SP, vectors[0] & ~3u);
     cpu_set_register(cpu, UC_ARM_REG_LR, 0xFFFFFFFFu);
     cpu->pc = vectors[1] & ~1u;
+    cpu->cycles.expected = cpu->pc;
     cpu->it_state = 0;
 }
 
@@ -58,7 +59,8 @@ static void pass_sleep(cpu_t *cpu) {
         return;
     }
     const int64_t next = machine_next_event(cpu->machine);
-    cpu->skipped = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) - cpu->executed;
+    cpu->skipped = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) -
+                   (cpu->work >> CYCLE_SHIFT);
 }
 
 board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
@@ -113,6 +115,10 @@ static void clock_changed(void *processor, double hz) {
     cpu->deadline = 0;
 }
 
+static void flash_access(void *processor, uint32_t acr) {
+    cycles_flash_changed(&((cpu_t *)processor)->cycles, acr);
+}
+
 static void attention(void *processor) {
     ((cpu_t *)processor)->deadline = 0;
 }
@@ -132,6 +138,11 @@ cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size) {
     }
     cpu->machine = machine;
     cpu->stack_low = UINT32_MAX;
+    if (!cycles_init(&cpu->cycles, &machine->config)) {
+        snprintf(error, error_size, "no memory for a processor");
+        cpu_destroy(cpu);
+        return NULL;
+    }
     const uc_err result = execution_create(cpu);
     if (result != UC_ERR_OK) {
         snprintf(error, error_size, "Unicorn cannot start a Cortex-M4: %s", uc_strerror(result));
@@ -143,6 +154,7 @@ cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size) {
     systick_create(cpu);
     machine->processor = (machine_processor_t){.irq = irq,
                                                .clock = clock_changed,
+                                               .flash_access = flash_access,
                                                .attention = attention,
                                                .program_counter = program_counter,
                                                .processor = cpu};
@@ -153,6 +165,7 @@ void cpu_destroy(cpu_t *cpu) {
     if (cpu->uc != NULL) {
         uc_close(cpu->uc);
     }
+    cycles_free(&cpu->cycles);
     free(cpu->report);
     free(cpu);
 }

@@ -45,6 +45,7 @@ bool emulator_load(board_t *board, uint32_t address, const uint8_t *bytes, size_
     }
     memcpy(((machine_t *)board)->flash + (address - FLASH_BASE), bytes, count);
     uc_ctl_flush_tb(cpu_of(board)->uc);
+    cycles_flash_changed(&cpu_of(board)->cycles, 0);
     return true;
 }
 

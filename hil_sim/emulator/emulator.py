@@ -12,7 +12,7 @@ from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
 from goldfield.errors import UserError
-from hil_sim import clib
+from hil_sim import CYCLES_BY_CLASS, MOST_CYCLES, clib
 
 LIBRARY = "libgf_emulator.so"
 FLASH = range(0x08000000, 0x08100000)
@@ -40,6 +40,10 @@ class Configuration:
         Temperature of the die, degrees Celsius.
     strict : bool
         A violation (``machine.h``) stops the board; else it is only recorded.
+    cycles_per_instruction : float
+        What each instruction takes, 1 to 100, in steps of 1/256.
+    cycles_by_class : bool
+        Instead, costs by class of instruction, with flash and buses (``cycles.h``).
     """
 
     crystal_ppm: float = 0.0
@@ -48,6 +52,15 @@ class Configuration:
     unique_id: bytes = bytes(12)
     temperature_degc: float = 25.0
     strict: bool = True
+    cycles_per_instruction: float = 1.0
+    cycles_by_class: bool = False
+
+    @classmethod
+    def with_cycles(cls, cycles: float | str, **others: Any) -> Configuration:
+        """Return a configuration whose instructions take a number of cycles, or `hil_sim.CYCLES_BY_CLASS`."""
+        if cycles == CYCLES_BY_CLASS:
+            return cls(cycles_by_class=True, **others)
+        return cls(cycles_per_instruction=float(cycles), **others)
 
 
 @dataclass(frozen=True)
@@ -188,6 +201,10 @@ class Emulator:
         settings = asdict(configuration or Configuration())
         if len(settings["unique_id"]) != 12:
             raise ValueError(f"a unique id has 12 bytes, not {len(settings['unique_id'])}")
+        if not 1.0 <= settings["cycles_per_instruction"] <= MOST_CYCLES:
+            raise ValueError(
+                f"an instruction takes 1 to {MOST_CYCLES:g} cycles, not {settings['cycles_per_instruction']}"
+            )
         config = ffi.new("emulator_config_t *", {**settings, "unique_id": list(settings["unique_id"])})
         message = ffi.new("char[]", 256)
         self._board = self._library.emulator_create(config, edge_pointer, power_on_ps, message, 256)

@@ -149,6 +149,8 @@ void exception_enter(cpu_t *cpu, unsigned exception) {
     memcpy(&handler, vector, sizeof handler);
     cpu->pc = handler & ~1u;
     cpu->it_state = 0;
+    cpu->work += cycles_exception(&cpu->cycles, true, floating_point);
+    cpu->cycles.expected = cpu->pc;
     if ((handler & 1u) == 0) {
         exception_fault(cpu, &(fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVSTATE});
     }
@@ -232,6 +234,8 @@ void exception_return(cpu_t *cpu, uint32_t exc_return) {
     const uint32_t new_stack = (stack + size) | ((frame[FRAME_XPSR] & XPSR_ALIGNED) != 0 ? 4u : 0u);
     cpu_set_register(cpu, process_stack ? UC_ARM_REG_PSP : UC_ARM_REG_SP, new_stack);
     restore_registers(cpu, frame, process_stack, floating_point);
+    cpu->work += cycles_exception(&cpu->cycles, false, floating_point);
+    cpu->cycles.expected = cpu->pc;
     cpu->asleep = to_thread && nvic_active_count(&cpu->nvic) == 0 && (cpu->system.scr & SCR_SLEEP_ON_EXIT) != 0;
 }
 

@@ -1,6 +1,6 @@
 /* execution.c: how a deadline is met exactly and cheaply.
  *
- * One code hook runs before each instruction and compares executed with deadline (a call and a compare, 5 to 10 ns).
+ * One code hook runs before each instruction and compares work with deadline (a call and a compare, 5 to 10 ns).
  * All else happens when the deadline is reached, in attend(): events fire there, without leaving Unicorn; only
  * exceptions, sleep and the end of a run leave it. A block hook that counts whole blocks would save most of these
  * calls, but Unicorn translates a block with its hooks once and for all, so the blocks near a deadline could not be
@@ -72,7 +72,8 @@ static bool must_leave(cpu_t *cpu, uint32_t address) {
     }
     if (!every_instruction) {
         const int64_t next = machine_next_event(machine);
-        cpu->deadline = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) - cpu->skipped;
+        const uint64_t cycle = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps);
+        cpu->deadline = (cycle - cpu->skipped) << CYCLE_SHIFT;
     }
     return false;
 }
@@ -89,15 +90,36 @@ static __attribute__((noinline)) bool attend(cpu_t *cpu, uint32_t address) {
     return true;
 }
 
+static inline void begin(cpu_t *cpu, uint32_t address, uint32_t cost) {
+    cpu->history[cpu->executed % HISTORY] = address;
+    cpu->executed++;
+    cpu->begun = cpu->work;
+    cpu->work += cost;
+}
+
 static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void *user) {
     (void)uc;
     (void)size;
     cpu_t *const cpu = user;
-    if (cpu->executed >= cpu->deadline && attend(cpu, (uint32_t)address)) {
+    if (cpu->work >= cpu->deadline && attend(cpu, (uint32_t)address)) {
         return;
     }
-    cpu->history[cpu->executed % HISTORY] = (uint32_t)address;
-    cpu->executed++;
+    begin(cpu, (uint32_t)address, cpu->cycles.instruction);
+}
+
+/* The same where instructions differ in their costs. A branch's refill delays the instruction that it leads to. */
+static void on_instruction_by_class(uc_engine *uc, uint64_t address, uint32_t size, void *user) {
+    (void)uc;
+    cpu_t *const cpu = user;
+    if ((uint32_t)address != cpu->cycles.expected) {
+        cpu->work += cpu->cycles.refill;
+        cpu->cycles.expected = (uint32_t)address;
+    }
+    if (cpu->work >= cpu->deadline && attend(cpu, (uint32_t)address)) {
+        return;
+    }
+    cpu->cycles.expected += size;
+    begin(cpu, (uint32_t)address, cycles_of(&cpu->cycles, cpu->machine, (uint32_t)address));
 }
 
 static void on_interrupt(uc_engine *uc, uint32_t number, void *user) {
@@ -123,7 +145,7 @@ static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int
 static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, const char *what) {
     const uint32_t address = cpu->bad_address;
     core_bus_fault(cpu, exception, cfsr, address);
-    cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_cycle(cpu) - 1u);
+    cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_access_cycle(cpu));
     if ((cfsr & CFSR_BFARVALID) != 0) {
         machine_violation(cpu->machine, "%s 0x%08x", what, (unsigned)address);
     } else {
@@ -271,8 +293,10 @@ uc_err execution_create(cpu_t *cpu) {
     if (error == UC_ERR_OK) {
         error = core_bus_map(cpu);
     }
+    void (*const hook)(uc_engine *, uint64_t, uint32_t, void *) = cpu->cycles.table != NULL ? on_instruction_by_class
+                                                                                            : on_instruction;
     if (error == UC_ERR_OK) {
-        error = uc_hook_add(cpu->uc, &cpu->code_hook, UC_HOOK_CODE, (void *)on_instruction, cpu, 1, 0);
+        error = uc_hook_add(cpu->uc, &cpu->code_hook, UC_HOOK_CODE, (void *)hook, cpu, 1, 0);
     }
     if (error == UC_ERR_OK) {
         error = uc_hook_add(cpu->uc, &cpu->interrupt_hook, UC_HOOK_INTR, (void *)on_interrupt, cpu, 1, 0);

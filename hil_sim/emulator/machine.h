@@ -59,6 +59,9 @@ int64_t machine_now(const machine_t *machine);
  * clock changes. */
 void machine_set_core_clock(machine_t *machine, double hz);
 
+/* The flash is read with the wait states, prefetch and caches of this value of FLASH_ACR from now on. */
+void machine_set_flash_access(machine_t *machine, uint32_t acr);
+
 /* A callback at an exact time. Events fire in order of time, those of equal times in order of scheduling, each before
  * the first instruction that starts at or after its time. The struct belongs to the model and must stay where it is
  * while it is pending. */

@@ -1,5 +1,6 @@
 #include "emulator/machine_bench.h"
 
+#include "emulator/cycles.h"
 #include "emulator/inputs.h"
 #include "emulator/machine_internal.h"
 #include "emulator/peripherals/model.h"
@@ -40,6 +41,10 @@ bool machine_bench_reset_requested(machine_t *machine, uint32_t *flags) {
 
 void machine_bench_reset(machine_t *machine) {
     machine_reset_peripherals(machine);
+}
+
+unsigned machine_bench_class_cycles(uint16_t first, uint16_t second) {
+    return cycles_of_class(first, second);
 }
 
 uint64_t machine_bench_violations(const machine_t *machine) {

@@ -40,6 +40,9 @@ double machine_bench_timer_clock(const machine_t *machine, const char *name);
  * "USART1_TX". Returns false if there is no such line. */
 bool machine_bench_dma_pulse(machine_t *machine, const char *source);
 
+/* Cycles of an instruction by its class (cycles.h). */
+unsigned machine_bench_class_cycles(uint16_t first, uint16_t second);
+
 uint64_t machine_bench_violations(const machine_t *machine);
 void machine_bench_forget_violations(machine_t *machine);
 

@@ -15,6 +15,12 @@ void machine_set_core_clock(machine_t *machine, double hz) {
     }
 }
 
+void machine_set_flash_access(machine_t *machine, uint32_t acr) {
+    if (machine->processor.processor != NULL) {
+        machine->processor.flash_access(machine->processor.processor, acr);
+    }
+}
+
 void machine_event_init(machine_event_t *event, void (*fire)(void *context, int64_t time_ps), void *context) {
     *event = (machine_event_t){.fire = fire, .context = context, .heap_index = -1};
 }

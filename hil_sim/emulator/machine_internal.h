@@ -39,6 +39,7 @@
 typedef struct {
     void (*irq)(void *processor, unsigned position, bool level);
     void (*clock)(void *processor, double hz);
+    void (*flash_access)(void *processor, uint32_t acr);
     /* The next event became earlier, or stop_requested or reset_requested was set. */
     void (*attention)(void *processor);
     uint32_t (*program_counter)(const void *processor);

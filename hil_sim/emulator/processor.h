@@ -4,10 +4,10 @@
  * counts), exceptions.h (entry, return, faults), systick.h and system_control.h (the core's own registers), core_bus.h
  * (what lies at which address), execution.h (Unicorn), cpu.h (life, reset and the run of a processor).
  *
- * Time. executed counts instructions, skipped the cycles asleep; the instruction about to run starts at cycle executed
- * + skipped. An instruction takes one cycle; one whose condition fails inside an IT block takes none (Unicorn does not
- * report it). Nothing happens to the machine before executed reaches deadline (execution.c); whoever makes something
- * due earlier sets deadline to 0.
+ * Time. executed counts instructions, work what they cost (cycles.h), skipped the cycles asleep; the instruction about
+ * to run starts at cycle work + skipped. An instruction whose condition fails inside an IT block costs nothing (Unicorn
+ * does not report it). Nothing happens to the machine before work reaches deadline (execution.c); whoever makes
+ * something due earlier sets deadline to 0.
  */
 #ifndef GOLDFIELD_PROCESSOR_H
 #define GOLDFIELD_PROCESSOR_H
@@ -15,6 +15,7 @@
 #include <unicorn/unicorn.h>
 
 #include "emulator/core_clock.h"
+#include "emulator/cycles.h"
 #include "emulator/machine_internal.h"
 #include "emulator/nvic.h"
 
@@ -79,8 +80,12 @@ typedef enum { LEAVE_NOTHING, LEAVE_STOPPED, LEAVE_EXCEPTION } leave_t;
 
 struct cpu {
     /* What the code hook touches at each instruction. */
-    uint64_t executed, deadline;
+    uint64_t executed; /* Instructions. */
+    uint64_t work;     /* Cost of all instructions, 2^-CYCLE_SHIFT cycles. */
+    uint64_t begun;    /* work when the last instruction began. */
+    uint64_t deadline; /* In units of work. */
     uint32_t history[HISTORY];
+    cycles_t cycles;
 
     machine_t *machine;
     uc_engine *uc;
@@ -131,7 +136,15 @@ void cpu_halt(cpu_t *cpu, const char *reason);
 
 /* The cycle at which the instruction about to run starts. */
 static inline uint64_t cpu_cycle(const cpu_t *cpu) {
-    return cpu->executed + cpu->skipped;
+    return (cpu->work >> CYCLE_SHIFT) + cpu->skipped;
+}
+
+/* The awake cycles before the instruction that runs, and the cycle at which it started: its accesses are there. */
+static inline uint64_t cpu_awake_cycle(const cpu_t *cpu) {
+    return cpu->begun >> CYCLE_SHIFT;
+}
+static inline uint64_t cpu_access_cycle(const cpu_t *cpu) {
+    return cpu_awake_cycle(cpu) + cpu->skipped;
 }
 
 #endif

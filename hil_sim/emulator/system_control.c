@@ -19,14 +19,14 @@ static bool cycle_counter_runs(const system_control_t *system) {
 
 static uint32_t cycle_counter(const cpu_t *cpu) {
     const system_control_t *const system = &cpu->system;
-    return cycle_counter_runs(system) ? (uint32_t)(cpu->executed - 1u - system->dwt_origin) : system->dwt_stopped;
+    return cycle_counter_runs(system) ? (uint32_t)(cpu_awake_cycle(cpu) - system->dwt_origin) : system->dwt_stopped;
 }
 
 static void cycle_counter_set(cpu_t *cpu, uint32_t demcr, uint32_t dwt_control, uint32_t count) {
     cpu->system.demcr = demcr;
     cpu->system.dwt_control = dwt_control;
     cpu->system.dwt_stopped = count;
-    cpu->system.dwt_origin = cpu->executed - 1u - count;
+    cpu->system.dwt_origin = cpu_awake_cycle(cpu) - count;
 }
 
 /* ---- System control block ---- */
@@ -287,7 +287,7 @@ bool system_control_read(cpu_t *cpu, uint32_t address, unsigned width, uint32_t 
                (address >= 0xE000ED28u && address < 0xE000ED2Cu && word_read(cpu, address & ~3u, value) &&
                 (*value = *value >> (8u * (address & 3u)) & (width == 1 ? 0xFFu : 0xFFFFu), true));
     }
-    return systick_read(cpu, address, cpu_cycle(cpu) - 1u, value) || word_read(cpu, address, value);
+    return systick_read(cpu, address, cpu_access_cycle(cpu), value) || word_read(cpu, address, value);
 }
 
 bool system_control_write(cpu_t *cpu, uint32_t address, unsigned width, uint32_t value) {
@@ -305,7 +305,7 @@ bool system_control_write(cpu_t *cpu, uint32_t address, unsigned width, uint32_t
         return is_trace(address) || (address >= 0xE000ED28u && address < 0xE000ED2Cu &&
                                      word_write(cpu, address & ~3u, value << (8u * (address & 3u))));
     }
-    return systick_write(cpu, address, cpu_cycle(cpu) - 1u, value) || word_write(cpu, address, value);
+    return systick_write(cpu, address, cpu_access_cycle(cpu), value) || word_write(cpu, address, value);
 }
 
 void system_control_reset(cpu_t *cpu) {

@@ -80,7 +80,14 @@ def serve(arguments: argparse.Namespace) -> int:
         if arguments.can != NO_CAN:
             bridge = CanBridge(arguments.can)
             stack.callback(bridge.close)
-        rig = stack.enter_context(Rig(scenario, arguments.boards, arguments.seed, host_on_can=bridge is not None))
+        rig = Rig(
+            scenario,
+            arguments.boards,
+            arguments.seed,
+            host_on_can=bridge is not None,
+            cycles_per_instruction=arguments.cycles_per_instruction,
+        )
+        stack.enter_context(rig)
         terminals = {}
         for board in rig.sensing:
             terminals[board] = PseudoTerminal()

@@ -113,6 +113,8 @@ class EmulatedBoards:
     ----------
     images : path, optional
         Directory with ``beacon.elf``, ``sensor.elf`` and ``anchor.elf``; by default the images that were built.
+    cycles_per_instruction : float or str
+        How many cycles an instruction takes, or ``m4``; see `hil_sim.emulator.Configuration.with_cycles`.
 
     Raises
     ------
@@ -120,13 +122,15 @@ class EmulatedBoards:
         If the images or the emulator were not built.
     """
 
-    def __init__(self, images: str | Path | None = None) -> None:
+    def __init__(self, images: str | Path | None = None, cycles_per_instruction: float | str = 1.0) -> None:
+        self._cycles = cycles_per_instruction
         self._images = clib.built("firmware/sensor.elf").parent if images is None else Path(images)
         clib.load_built(EMULATOR_LIBRARY)
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
         """See `BoardFactory`; raises UserError if the image cannot be read."""
-        configuration = Configuration(
+        configuration = Configuration.with_cycles(
+            self._cycles,
             crystal_ppm=spec.clock.crystal_ppm,
             internal_ppm=spec.clock.internal_ppm,
             crystal_dead=spec.clock.crystal_dead,
@@ -149,17 +153,21 @@ class EmulatedBoards:
         )
 
 
-def factory(kind: str) -> BoardFactory:
+def factory(kind: str, cycles_per_instruction: float | str = 1.0) -> BoardFactory:
     """Return the factory of ``emulated`` or ``host`` boards.
 
     Raises
     ------
     UserError
-        Unknown kind, or its library is not built.
+        Unknown kind, its library is not built, or host boards are asked for cycles that they do not count.
     """
     if kind not in KINDS:
         raise UserError(f"there are no boards of kind '{kind}'; there are {', '.join(KINDS)}")
     try:
-        return EmulatedBoards() if kind == "emulated" else HostBoards()
+        if kind == "emulated":
+            return EmulatedBoards(cycles_per_instruction=cycles_per_instruction)
+        if cycles_per_instruction != 1.0:
+            raise UserError("host boards count no cycles: leave out --cycles-per-instruction, or use --boards emulated")
+        return HostBoards()
     except FileNotFoundError as error:
         raise UserError(str(error)) from error

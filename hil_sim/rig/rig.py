@@ -68,6 +68,8 @@ class Rig:
         Seed of all random draws, in place of the scenario's.
     host_on_can : bool
         The host's adapter is on the CAN bus: it acknowledges, and `can_read` and `can_write` work.
+    cycles_per_instruction : float or str
+        How many cycles an instruction takes on emulated boards (1 to 100), or ``m4``: by class of instruction.
     threads : int, optional
         Default: two, or one if this machine has one processor.
 
@@ -89,6 +91,7 @@ class Rig:
         seed: int | None = None,
         *,
         host_on_can: bool = True,
+        cycles_per_instruction: float | str = 1.0,
         threads: int | None = None,
     ) -> None:
         self.scenario = scenario
@@ -96,7 +99,7 @@ class Rig:
         self._ffi: Any
         self._library: Any
         try:
-            make = factory(boards) if isinstance(boards, str) else boards
+            make = factory(boards, cycles_per_instruction) if isinstance(boards, str) else boards
             self._ffi, self._library = clib.load_built(LIBRARY)
         except FileNotFoundError as error:
             raise UserError(str(error)) from error

@@ -39,6 +39,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
             machine_violation(model->machine, "FLASH_ACR: a cache may be reset only while it is disabled");
         }
         model->value[ACR / 4] = value;
+        machine_set_flash_access(model->machine, value);
         rcc_check_limits(model->chip);
         return;
     case KEYR:
@@ -67,6 +68,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
 }
 
 static void restart(model_t *model) {
+    machine_set_flash_access(model->machine, 0);
     ((flash_t *)model)->keys = 0;
     ((flash_t *)model)->key_error = false;
 }
