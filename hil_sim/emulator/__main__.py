@@ -27,7 +27,11 @@ def arguments(argv: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--crystal-ppm", type=float, default=0.0, help="error of the crystal")
     parser.add_argument("--internal-ppm", type=float, default=0.0, help="error of the internal oscillator")
     parser.add_argument("--crystal-dead", action="store_true", help="the crystal never starts")
-    parser.add_argument("--tolerant", action="store_true", help="report violations at the end instead of stopping")
+    parser.add_argument(
+        "--tolerant",
+        action="store_true",
+        help="report violations and faults at the end instead of stopping; faults enter their handlers",
+    )
     add_cycles(parser)
     parser.add_argument(
         "--probe", action="append", default=[], metavar="FUNCTION", help="count a function's instructions"
@@ -58,6 +62,7 @@ def execute(options: argparse.Namespace) -> int:
         internal_ppm=options.internal_ppm,
         crystal_dead=options.crystal_dead,
         strict=not options.tolerant,
+        stop_at_fault=not options.tolerant,
     )
     with Emulator(options.image, configuration, parameter_page=page, uart_out=uart_out) as board:
         for function in options.probe:
@@ -76,7 +81,7 @@ def execute(options: argparse.Namespace) -> int:
             if options.probe:
                 counts["probes"] = {name: vars(probe) for name, probe in board.probes().items()}
             print(json.dumps(counts), file=sys.stderr)
-        if not alive or statistics.violations:
+        if not alive or statistics.violations or statistics.faults:
             print(board.report(), end="", file=sys.stderr)
             return 3
     return 0

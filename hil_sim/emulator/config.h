@@ -12,6 +12,7 @@ typedef struct {
     uint8_t unique_id[12];   /* The chip's unique identification, as at 0x1FFF7A10. */
     double temperature_degc; /* The die's temperature, which the internal sensor shows. */
     bool strict;             /* A violation (machine.h) stops the board with BOARD_FAULT; else it is only recorded. */
+    bool stop_at_fault;      /* So does a fault of the processor; else the board enters its handler. */
     double cycles_per_instruction; /* What each instruction takes, in steps of 1/256; 0 is taken as 1. */
     bool cycles_by_class;          /* Instead: costs by class of instruction, flash and buses counted (cycles.h). */
 } emulator_config_t;

@@ -1,10 +1,14 @@
 #include "emulator/core_bus.h"
 
 #include "emulator/code_view.h"
+#include "emulator/it_block.h"
+#include "emulator/protection.h"
 #include "emulator/system_control.h"
 
 #define PRIVATE_BUS_BASE 0xE0000000u
 #define PRIVATE_BUS_SIZE 0x00100000u
+
+#define ACTLR_NO_WRITE_BUFFER 2u /* DISDEFWBUF */
 
 /* The instruction goes on (Unicorn cannot abandon it here), and the fault is taken after it, with its address. */
 void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address) {
@@ -16,12 +20,36 @@ void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t addr
     cpu->deadline = 0;
 }
 
+/* A store goes through the write buffer: its error comes behind it, and no register says where it went. */
+void core_bus_store_fault(cpu_t *cpu, uint32_t address) {
+    uint16_t opcode = 0;
+    const uint32_t last = code_last_address(cpu);
+    if ((cpu->system.actlr & ACTLR_NO_WRITE_BUFFER) != 0 || !code_opcode_at(cpu, last, &opcode)) {
+        core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
+        return;
+    }
+    core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_IMPRECISERR, address);
+    cpu->fault.pc = last + thumb_size(opcode);
+    cpu->fault.it_state = it_block_advance(cpu->fault.it_state);
+}
+
+/* The memory protection unit judges what goes to peripherals. */
+static bool admitted(cpu_t *cpu, const bus_window_t *window, uint32_t address, unsigned size, mpu_access_t access) {
+    if (window->base == PRIVATE_BUS_BASE || protection_allows(cpu, address, size, access)) {
+        return true;
+    }
+    machine_fault(cpu->machine, "%u-byte %s 0x%08x, which the memory protection unit forbids", size,
+                  access == MPU_WRITE ? "write to" : "read of", (unsigned)address);
+    core_bus_fault(cpu, EXCEPTION_MEMORY_FAULT, CFSR_DACCVIOL | CFSR_MMARVALID, address);
+    return false;
+}
+
 static void access_begin(cpu_t *cpu, uint32_t address, bool write) {
     cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_access_cycle(cpu));
     cpu->work += cycles_bus(&cpu->cycles, address, write);
     if (cpu->access_executed == cpu->executed && cpu->fault.exception == 0 && code_is_single_transfer(cpu)) {
         /* Unicorn splits an access that is not aligned. */
-        machine_violation(cpu->machine, "unaligned access near 0x%08x", (unsigned)address);
+        machine_fault(cpu->machine, "unaligned access near 0x%08x", (unsigned)address);
         core_bus_fault(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNALIGNED, address);
     }
     cpu->access_executed = cpu->executed;
@@ -34,12 +62,15 @@ static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *use
     const uint32_t address = window->base + (uint32_t)offset;
     uint32_t value = 0;
     access_begin(cpu, address, false);
+    if (!admitted(cpu, window, address, size, MPU_READ)) {
+        return 0;
+    }
     if (window->base != PRIVATE_BUS_BASE) {
         if (!machine_core_read(cpu->machine, address, size, &value)) {
             core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
         }
     } else if (!system_control_read(cpu, address, size, &value)) {
-        machine_violation(cpu->machine, "%u-byte read of unknown core register 0x%08x", size, (unsigned)address);
+        machine_fault(cpu->machine, "%u-byte read of unknown core register 0x%08x", size, (unsigned)address);
         core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
     }
     return value;
@@ -51,12 +82,15 @@ static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t val
     cpu_t *const cpu = window->cpu;
     const uint32_t address = window->base + (uint32_t)offset;
     access_begin(cpu, address, true);
+    if (!admitted(cpu, window, address, size, MPU_WRITE)) {
+        return;
+    }
     if (window->base != PRIVATE_BUS_BASE) {
         if (!machine_core_write(cpu->machine, address, size, (uint32_t)value)) {
-            core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
+            core_bus_store_fault(cpu, address);
         }
     } else if (!system_control_write(cpu, address, size, (uint32_t)value)) {
-        machine_violation(cpu->machine, "%u-byte write to unknown core register 0x%08x", size, (unsigned)address);
+        machine_fault(cpu->machine, "%u-byte write to unknown core register 0x%08x", size, (unsigned)address);
         core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
     }
 }

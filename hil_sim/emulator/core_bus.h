@@ -11,4 +11,8 @@ uc_err core_bus_map(cpu_t *cpu);
  * abandon it inside an access. */
 void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address);
 
+/* The same for a store that met a bus error: it went through the write buffer, unless ACTLR.DISDEFWBUF switches that
+ * off, so the fault comes behind the instruction and no register tells the address. */
+void core_bus_store_fault(cpu_t *cpu, uint32_t address);
+
 #endif

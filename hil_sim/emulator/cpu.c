@@ -7,6 +7,7 @@
 #include "emulator/code_view.h"
 #include "emulator/exceptions.h"
 #include "emulator/execution.h"
+#include "emulator/protection.h"
 #include "emulator/system_control.h"
 #include "emulator/systick.h"
 
@@ -73,6 +74,10 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
         }
         if (machine->reset_requested) {
             reset(cpu);
+        }
+        if (cpu->rules_changed) {
+            cpu->rules_changed = false;
+            protection_apply(cpu);
         }
         const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
         machine_fire(machine, time < until_ps ? time : until_ps - 1);

@@ -64,12 +64,14 @@ static const char *emulator_report(const board_t *board) {
     const system_control_t *const system = &cpu->system;
     snprintf(text, REPORT_SIZE,
              "%s at %.9f s: PC 0x%08x, LR 0x%08x, SP 0x%08x, xPSR 0x%08x\n"
-             "fault status: CFSR 0x%08x, HFSR 0x%08x, BFAR 0x%08x; %llu instructions, %llu violations\n%s",
+             "fault status: CFSR 0x%08x, HFSR 0x%08x, BFAR 0x%08x, MMFAR 0x%08x; %llu instructions, "
+             "%llu violations, %llu faults\n%s",
              cpu->halted ? "stopped" : "running", (double)machine->now_ps * 1e-12,
              (unsigned)machine->processor.program_counter(cpu), (unsigned)cpu_register(cpu, UC_ARM_REG_LR),
              (unsigned)cpu_register(cpu, UC_ARM_REG_SP), (unsigned)cpu_register(cpu, UC_ARM_REG_XPSR),
-             (unsigned)system->cfsr, (unsigned)system->hfsr, (unsigned)system->bfar, (unsigned long long)cpu->executed,
-             (unsigned long long)machine->violations, machine->report);
+             (unsigned)system->cfsr, (unsigned)system->hfsr, (unsigned)system->bfar, (unsigned)system->mmfar,
+             (unsigned long long)cpu->executed, (unsigned long long)machine->violations,
+             (unsigned long long)machine->faults, machine->report);
     return text;
 }
 
@@ -101,6 +103,7 @@ void emulator_stats(const board_t *board, emulator_stats_t *stats) {
         .cycles = cpu_cycle(cpu),
         .sleep_cycles = cpu->skipped,
         .violations = ((const machine_t *)board)->violations,
+        .faults = ((const machine_t *)board)->faults,
         .stack_low = cpu->stack_low,
     };
 }

@@ -17,6 +17,7 @@ typedef struct {
     uint64_t cycles;       /* Core cycles, asleep or not. */
     uint64_t sleep_cycles; /* Those of them in WFI or WFE. */
     uint64_t violations;   /* See machine.h. */
+    uint64_t faults;       /* The same: those that the processor's handlers took. */
     uint32_t stack_low;    /* Lowest main stack pointer at an exception entry; 0xFFFFFFFF before the first. */
 } emulator_stats_t;
 

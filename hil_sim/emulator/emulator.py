@@ -40,6 +40,8 @@ class Configuration:
         Temperature of the die, degrees Celsius.
     strict : bool
         A violation (``machine.h``) stops the board; else it is only recorded.
+    stop_at_fault : bool
+        A fault of the processor stops the board; else its program's handler is entered. A lock-up always stops it.
     cycles_per_instruction : float
         What each instruction takes, 1 to 100, in steps of 1/256.
     cycles_by_class : bool
@@ -52,6 +54,7 @@ class Configuration:
     unique_id: bytes = bytes(12)
     temperature_degc: float = 25.0
     strict: bool = True
+    stop_at_fault: bool = True
     cycles_per_instruction: float = 1.0
     cycles_by_class: bool = False
 
@@ -72,6 +75,7 @@ class Statistics:
     cycles: int
     sleep_cycles: int
     violations: int
+    faults: int
     stack_low: int
 
     def summary(self) -> dict[str, int | float]:

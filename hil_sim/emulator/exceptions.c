@@ -10,6 +10,7 @@
 
 #include "emulator/it_block.h"
 #include "emulator/probes.h"
+#include "emulator/protection.h"
 
 #define CONTROL_UNPRIVILEGED   1u
 #define CONTROL_PROCESS_STACK  2u
@@ -100,6 +101,31 @@ static void become_handler(cpu_t *cpu, uint32_t xpsr, uint32_t control) {
     refresh_mode(cpu, xpsr);
 }
 
+/* Which exception is entered in place of one whose frame could not be stacked; its own frame is not stacked again.
+ * HardFault and NMI are entered all the same (ARMv7-M manual, B1.5.8 and B1.5.15). */
+static unsigned stacking_failed(cpu_t *cpu, unsigned exception, bool bus_error, uint32_t stack) {
+    const unsigned fault = bus_error ? EXCEPTION_BUS_FAULT : EXCEPTION_MEMORY_FAULT;
+    machine_fault(cpu->machine, "frame of exception %u at 0x%08x, %s", exception, (unsigned)stack,
+                  bus_error ? "where there is no RAM" : "which the memory protection unit forbids");
+    cpu->system.cfsr |= bus_error ? CFSR_STKERR : CFSR_MSTKERR;
+    if (exception <= EXCEPTION_HARD_FAULT) {
+        return exception;
+    }
+    const bool enabled = (cpu->system.shcsr >> (12u + fault) & 1u) != 0; /* MEMFAULTENA is bit 16. */
+    if (!enabled) {
+        cpu->system.hfsr |= HFSR_FORCED;
+    }
+    const int own = nvic_group_priority(&cpu->nvic, nvic_priority(&cpu->nvic, exception));
+    if (enabled && nvic_group_priority(&cpu->nvic, nvic_priority(&cpu->nvic, fault)) >= own) {
+        nvic_pend(&cpu->nvic, fault); /* The exception itself goes first. */
+        return exception;
+    }
+    if (exception == EXCEPTION_SVCALL) {
+        nvic_pend(&cpu->nvic, exception);
+    }
+    return enabled ? fault : (unsigned)EXCEPTION_HARD_FAULT;
+}
+
 void exception_enter(cpu_t *cpu, unsigned exception) {
     static const int saved[] = {UC_ARM_REG_R0, UC_ARM_REG_R1, UC_ARM_REG_R2,   UC_ARM_REG_R3,     UC_ARM_REG_R12,
                                 UC_ARM_REG_LR, UC_ARM_REG_SP, UC_ARM_REG_XPSR, UC_ARM_REG_CONTROL};
@@ -117,19 +143,23 @@ void exception_enter(cpu_t *cpu, unsigned exception) {
     frame[FRAME_XPSR] = (xpsr & ~(IT_BLOCK_XPSR | XPSR_ALIGNED)) | XPSR_THUMB | it_block_to_xpsr(cpu->it_state) |
                         (align ? XPSR_ALIGNED : 0);
 
+    const bool from_handler = (xpsr & XPSR_EXCEPTION) != 0;
+    const bool privileged = from_handler || (control & CONTROL_UNPRIVILEGED) == 0;
     uint8_t *const memory = stack_memory(cpu, new_stack, size);
+    if (memory == NULL || !protection_allows_frame(cpu, new_stack, size, MPU_WRITE, privileged)) {
+        exception = stacking_failed(cpu, exception, memory == NULL, new_stack);
+    } else {
+        memcpy(memory, frame, sizeof frame);
+        if (floating_point) {
+            save_floating_point(cpu, memory);
+        }
+    }
     const uint8_t *const vector = machine_memory(cpu->machine, cpu->system.vtor + 4u * exception, 4);
-    if (memory == NULL || vector == NULL) {
-        cpu_halt(cpu, memory == NULL ? "lockup: the stack pointer is outside of RAM at an exception"
-                                     : "lockup: the vector table is outside of memory");
+    if (vector == NULL) {
+        cpu_halt(cpu, "lockup: the vector table is outside of memory");
         return;
     }
-    memcpy(memory, frame, sizeof frame);
-    if (floating_point) {
-        save_floating_point(cpu, memory);
-    }
 
-    const bool from_handler = (xpsr & XPSR_EXCEPTION) != 0;
     const bool process_stack = !from_handler && (control & CONTROL_PROCESS_STACK) != 0;
     const uint32_t exc_return = 0xFFFFFFE1u | (floating_point ? 0 : RETURN_BASIC_FRAME) |
                                 (from_handler ? 0 : RETURN_THREAD) | (process_stack ? RETURN_PROCESS_STACK : 0);
@@ -157,8 +187,8 @@ void exception_enter(cpu_t *cpu, unsigned exception) {
 }
 
 static void invalid_return(cpu_t *cpu, uint32_t exc_return) {
-    machine_violation(cpu->machine, "exception return with value 0x%08x does not fit the processor's state",
-                      (unsigned)exc_return);
+    machine_fault(cpu->machine, "exception return with value 0x%08x does not fit the processor's state",
+                  (unsigned)exc_return);
     exception_fault(cpu, &(fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVPC});
 }
 
@@ -198,6 +228,13 @@ static void restore_registers(cpu_t *cpu, uint32_t frame[FRAME_WORDS], bool proc
     cpu->pc = frame[FRAME_PC] & ~1u;
 }
 
+static void unstacking_failed(cpu_t *cpu, bool bus_error, uint32_t stack) {
+    machine_fault(cpu->machine, "exception return to a frame at 0x%08x, %s", (unsigned)stack,
+                  bus_error ? "where there is no RAM" : "which the memory protection unit forbids");
+    exception_fault(cpu, &(fault_t){.exception = bus_error ? EXCEPTION_BUS_FAULT : EXCEPTION_MEMORY_FAULT,
+                                    .cfsr = bus_error ? CFSR_UNSTKERR : CFSR_MUNSTKERR});
+}
+
 void exception_return(cpu_t *cpu, uint32_t exc_return) {
     const unsigned exception = cpu_register(cpu, UC_ARM_REG_IPSR) & XPSR_EXCEPTION;
     const bool to_thread = (exc_return & RETURN_THREAD) != 0;
@@ -212,8 +249,9 @@ void exception_return(cpu_t *cpu, uint32_t exc_return) {
     const uint32_t size = floating_point ? EXTENDED_FRAME : BASIC_FRAME;
     const uint32_t stack = cpu_register(cpu, process_stack ? UC_ARM_REG_PSP : UC_ARM_REG_SP);
     const uint8_t *const memory = stack_memory(cpu, stack, size);
-    if (memory == NULL) {
-        cpu_halt(cpu, "lockup: the stack pointer is outside of RAM at an exception return");
+    const bool privileged = !to_thread || (cpu_register(cpu, UC_ARM_REG_CONTROL) & CONTROL_UNPRIVILEGED) == 0;
+    if (memory == NULL || !protection_allows_frame(cpu, stack, size, MPU_READ, privileged)) {
+        unstacking_failed(cpu, memory == NULL, stack);
         return;
     }
     uint32_t frame[FRAME_WORDS];
@@ -262,6 +300,15 @@ void exception_fault(cpu_t *cpu, const fault_t *fault) {
     cpu->system.hfsr |= fault->hfsr;
     if ((fault->cfsr & CFSR_BFARVALID) != 0) {
         cpu->system.bfar = fault->address;
+    }
+    if ((fault->cfsr & CFSR_MMARVALID) != 0) {
+        cpu->system.mmfar = fault->address;
+    }
+    if ((fault->cfsr & CFSR_IMPRECISERR) != 0) { /* Asynchronous: it waits for its turn. */
+        const bool enabled = (cpu->system.shcsr >> (12u + EXCEPTION_BUS_FAULT) & 1u) != 0;
+        cpu->system.hfsr |= enabled ? 0 : HFSR_FORCED;
+        nvic_pend(&cpu->nvic, enabled ? EXCEPTION_BUS_FAULT : EXCEPTION_HARD_FAULT);
+        return;
     }
     exception_synchronous(cpu, fault->exception);
 }

@@ -13,6 +13,7 @@
 #include "emulator/exceptions.h"
 #include "emulator/it_block.h"
 #include "emulator/probes.h"
+#include "emulator/protection.h"
 
 #define OPCODE_WFI   0xBF30u
 #define OPCODE_WFE   0xBF20u
@@ -43,8 +44,8 @@ static bool must_leave(cpu_t *cpu, uint32_t address) {
     machine_t *const machine = cpu->machine;
     const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
     cpu->deadline = 0;
-    const bool over = time >= cpu->until_ps || cpu->fault.exception != 0 || machine->stop_requested ||
-                      machine->reset_requested;
+    const bool over = time >= cpu->until_ps || cpu->fault.exception != 0 || cpu->rules_changed ||
+                      machine->stop_requested || machine->reset_requested;
     if (over && may_leave(cpu, address)) {
         return true; /* cpu_run() fires what is due before the end. */
     }
@@ -61,8 +62,8 @@ static bool must_leave(cpu_t *cpu, uint32_t address) {
                                    .cfsr = CFSR_NOCP,
                                    .pc = address,
                                    .it_state = code_it_state_at(cpu, address)};
-            machine_violation(machine, "floating-point instruction at 0x%08x while CPACR does not enable the unit",
-                              (unsigned)address);
+            machine_fault(machine, "floating-point instruction at 0x%08x while CPACR does not enable the unit",
+                          (unsigned)address);
             return may_leave(cpu, address);
         }
     }
@@ -131,12 +132,11 @@ static void on_interrupt(uc_engine *uc, uint32_t number, void *user) {
 
 static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user) {
     (void)uc;
-    (void)size;
-    (void)value;
-    (void)type;
     cpu_t *const cpu = user;
     cpu->bad_address = (uint32_t)address;
-    return false;
+    cpu->forbidden = false;
+    const bool protected = type == UC_MEM_READ_PROT || type == UC_MEM_WRITE_PROT || type == UC_MEM_FETCH_PROT;
+    return protected && protection_admits(cpu, type, (uint32_t)address, (unsigned)size, (uint64_t)value);
 }
 
 /* ---- After Unicorn returned ---- */
@@ -146,10 +146,10 @@ static void instruction_failed(cpu_t *cpu, unsigned exception, uint32_t cfsr, co
     const uint32_t address = cpu->bad_address;
     core_bus_fault(cpu, exception, cfsr, address);
     cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_access_cycle(cpu));
-    if ((cfsr & CFSR_BFARVALID) != 0) {
-        machine_violation(cpu->machine, "%s 0x%08x", what, (unsigned)address);
+    if ((cfsr & (CFSR_BFARVALID | CFSR_MMARVALID)) != 0) {
+        machine_fault(cpu->machine, "%s 0x%08x", what, (unsigned)address);
     } else {
-        machine_violation(cpu->machine, "%s", what);
+        machine_fault(cpu->machine, "%s", what);
     }
 }
 
@@ -169,13 +169,24 @@ static bool allow_code_in_sram(cpu_t *cpu) {
         return false;
     }
     cpu->sram_executable = true;
+    if (cpu->system.mpu.applied) {
+        protection_apply(cpu);
+        return true;
+    }
     return uc_mem_protect(cpu->uc, SRAM_BASE, SRAM_SIZE, UC_PROT_ALL) == UC_ERR_OK;
 }
 
 static void fetch_failed(cpu_t *cpu, uint32_t pc) {
+    if (cpu->forbidden) {
+        cpu->fault = (fault_t){
+            .exception = EXCEPTION_MEMORY_FAULT, .cfsr = CFSR_IACCVIOL, .pc = cpu->pc, .it_state = cpu->it_state};
+        machine_fault(cpu->machine, "instruction fetch from 0x%08x, which the memory protection unit forbids",
+                      (unsigned)pc);
+        return;
+    }
     cpu->fault = (fault_t){
         .exception = EXCEPTION_BUS_FAULT, .cfsr = CFSR_IBUSERR, .pc = cpu->pc, .it_state = cpu->it_state};
-    machine_violation(cpu->machine, "instruction fetch from 0x%08x, where there is no memory", (unsigned)pc);
+    machine_fault(cpu->machine, "instruction fetch from 0x%08x, where there is no memory", (unsigned)pc);
 }
 
 static void exception_left(cpu_t *cpu) {
@@ -227,6 +238,12 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
         exception_left(cpu);
         return;
     }
+    const bool forbidden = cpu->forbidden && (error == UC_ERR_READ_PROT || error == UC_ERR_WRITE_PROT);
+    if (forbidden) {
+        instruction_failed(cpu, EXCEPTION_MEMORY_FAULT, CFSR_DACCVIOL | CFSR_MMARVALID,
+                           "access that the memory protection unit forbids, to");
+        return;
+    }
     switch (error) {
     case UC_ERR_OK:
         hint_left(cpu, OPCODE_WFI);
@@ -243,15 +260,15 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
         instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "read of unmapped address");
         break;
     case UC_ERR_WRITE_UNMAPPED:
-        instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to unmapped address");
-        break;
     case UC_ERR_WRITE_PROT:
-        instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, "write to read-only address");
+        instruction_failed(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID,
+                           error == UC_ERR_WRITE_PROT ? "write to read-only address" : "write to unmapped address");
+        core_bus_store_fault(cpu, cpu->bad_address);
         break;
     case UC_ERR_FETCH_UNMAPPED:
     case UC_ERR_FETCH_PROT: {
         const uint32_t pc = take_state(cpu);
-        if (!allow_code_in_sram(cpu)) {
+        if (cpu->forbidden || !allow_code_in_sram(cpu)) {
             fetch_failed(cpu, pc);
         }
         break;
@@ -259,7 +276,7 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
     case UC_ERR_EXCEPTION:
         take_state(cpu);
         cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT, .cfsr = CFSR_INVSTATE, .pc = cpu->pc};
-        machine_violation(cpu->machine, "branch to 0x%08x without the Thumb bit", (unsigned)cpu->pc);
+        machine_fault(cpu->machine, "branch to 0x%08x without the Thumb bit", (unsigned)cpu->pc);
         break;
     default:
         cpu_halt(cpu, uc_strerror(error));
@@ -276,6 +293,7 @@ void execution_run(cpu_t *cpu) {
     cpu->resume_executed = cpu->executed;
     cpu->access_executed = UINT64_MAX;
     cpu->leave = LEAVE_NOTHING;
+    cpu->forbidden = false;
     cpu->deadline = 0;
     left_unicorn(cpu, uc_emu_start(cpu->uc, cpu->pc | 1u, 0, 0, 0));
 }

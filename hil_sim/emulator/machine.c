@@ -115,7 +115,7 @@ void machine_irq(machine_t *machine, unsigned position, bool level) {
     }
 }
 
-/* ---- Violations ---- */
+/* ---- Violations and faults ---- */
 
 static void report_append(machine_t *machine, const char *format, va_list arguments) {
     const size_t room = MACHINE_REPORT_SIZE - machine->report_length;
@@ -133,19 +133,14 @@ static void __attribute__((format(printf, 2, 3))) report_print(machine_t *machin
     va_end(arguments);
 }
 
-void machine_violation(machine_t *machine, const char *format, ...) {
-    machine->violations++;
-    machine->stop_requested = machine->stop_requested || machine->config.strict;
+static void record(machine_t *machine, const char *kind, const char *format, va_list arguments) {
     const machine_processor_t *const processor = &machine->processor;
-    report_print(machine, "violation at %.9f s", (double)machine->now_ps * 1e-12);
+    report_print(machine, "%s at %.9f s", kind, (double)machine->now_ps * 1e-12);
     if (processor->processor != NULL) {
         report_print(machine, ", PC 0x%08x", (unsigned)processor->program_counter(processor->processor));
     }
     report_print(machine, ": ");
-    va_list arguments;
-    va_start(arguments, format);
     report_append(machine, format, arguments);
-    va_end(arguments);
     const machine_access_t *const access = &machine->last_access;
     if (access->width != 0) {
         report_print(machine, " (last peripheral access: %u-byte %s 0x%08x, value 0x%x, at %.9f s)", access->width,
@@ -156,4 +151,22 @@ void machine_violation(machine_t *machine, const char *format, ...) {
     if (machine->stop_requested && processor->processor != NULL) {
         processor->attention(processor->processor);
     }
+}
+
+void machine_violation(machine_t *machine, const char *format, ...) {
+    machine->violations++;
+    machine->stop_requested = machine->stop_requested || machine->config.strict;
+    va_list arguments;
+    va_start(arguments, format);
+    record(machine, "violation", format, arguments);
+    va_end(arguments);
+}
+
+void machine_fault(machine_t *machine, const char *format, ...) {
+    machine->faults++;
+    machine->stop_requested = machine->stop_requested || machine->config.stop_at_fault;
+    va_list arguments;
+    va_start(arguments, format);
+    record(machine, "fault", format, arguments);
+    va_end(arguments);
 }

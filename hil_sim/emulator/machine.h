@@ -100,9 +100,13 @@ uint32_t machine_reset_flags(const machine_t *machine);
 bool machine_bus_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_bus_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
 
-/* ---- Violations ---- */
+/* ---- Violations and faults ---- */
 
 /* Record a sentence, with the time, the program counter and the last peripheral access. */
 void machine_violation(machine_t *machine, const char *format, ...) __attribute__((format(printf, 2, 3)));
+
+/* The same for what the processor answers with one of its fault exceptions. It stops the board only under
+ * emulator_config_t.stop_at_fault: the program's handler is to be seen at work. */
+void machine_fault(machine_t *machine, const char *format, ...) __attribute__((format(printf, 2, 3)));
 
 #endif

@@ -50,32 +50,32 @@ static peripheral_t *find(const machine_t *machine, uint32_t address, unsigned w
     return offset < peripheral->size && width <= peripheral->size - offset ? peripheral : NULL;
 }
 
-static bool peripheral_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value) {
+/* A bus error: the processor's is a fault that its program handles, another master's a violation. */
+typedef void (*bus_error_t)(machine_t *machine, const char *format, ...) __attribute__((format(printf, 2, 3)));
+
+static bool peripheral_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value, bus_error_t error) {
     *value = 0;
     peripheral_t *const peripheral = find(machine, address, width);
     if (peripheral == NULL) {
-        machine_violation(machine, "%u-byte read of unmapped address 0x%08x", width, (unsigned)address);
+        error(machine, "%u-byte read of unmapped address 0x%08x", width, (unsigned)address);
         return false;
     }
     if ((address & (width - 1u)) != 0) {
-        machine_violation(machine, "unaligned %u-byte read of 0x%08x in %s", width, (unsigned)address,
-                          peripheral->name);
+        error(machine, "unaligned %u-byte read of 0x%08x in %s", width, (unsigned)address, peripheral->name);
         return false;
     }
     *value = peripheral->read(peripheral, address - peripheral->base, width);
     return true;
 }
 
-static bool peripheral_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value) {
+static bool peripheral_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value, bus_error_t error) {
     peripheral_t *const peripheral = find(machine, address, width);
     if (peripheral == NULL) {
-        machine_violation(machine, "%u-byte write of 0x%x to unmapped address 0x%08x", width, (unsigned)value,
-                          (unsigned)address);
+        error(machine, "%u-byte write of 0x%x to unmapped address 0x%08x", width, (unsigned)value, (unsigned)address);
         return false;
     }
     if ((address & (width - 1u)) != 0) {
-        machine_violation(machine, "unaligned %u-byte write to 0x%08x in %s", width, (unsigned)address,
-                          peripheral->name);
+        error(machine, "unaligned %u-byte write to 0x%08x in %s", width, (unsigned)address, peripheral->name);
         return false;
     }
     peripheral->write(peripheral, address - peripheral->base, value, width);
@@ -84,7 +84,7 @@ static bool peripheral_write(machine_t *machine, uint32_t address, unsigned widt
 
 bool machine_core_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value) {
     machine->last_access = (machine_access_t){.address = address, .width = width, .time_ps = machine->now_ps};
-    const bool done = peripheral_read(machine, address, width, value);
+    const bool done = peripheral_read(machine, address, width, value, machine_fault);
     machine->last_access.value = *value;
     return done;
 }
@@ -92,7 +92,7 @@ bool machine_core_read(machine_t *machine, uint32_t address, unsigned width, uin
 bool machine_core_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value) {
     machine->last_access = (machine_access_t){
         .address = address, .value = value, .width = width, .write = true, .time_ps = machine->now_ps};
-    return peripheral_write(machine, address, width, value);
+    return peripheral_write(machine, address, width, value, machine_fault);
 }
 
 static uint8_t *within(uint8_t *memory, uint32_t base, uint32_t size, uint32_t address, size_t count) {
@@ -127,7 +127,7 @@ uint8_t *machine_memory(machine_t *machine, uint32_t address, size_t count) {
 bool machine_bus_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value) {
     const uint8_t *const memory = shared_memory(machine, address, width);
     if (memory == NULL) {
-        return peripheral_read(machine, address, width, value);
+        return peripheral_read(machine, address, width, value, machine_violation);
     }
     *value = 0;
     memcpy(value, memory, width); /* Both are little-endian. */
@@ -137,7 +137,7 @@ bool machine_bus_read(machine_t *machine, uint32_t address, unsigned width, uint
 bool machine_bus_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value) {
     uint8_t *const memory = shared_memory(machine, address, width);
     if (memory == NULL) {
-        return peripheral_write(machine, address, width, value);
+        return peripheral_write(machine, address, width, value, machine_violation);
     }
     if (address >> 24 != SRAM_BASE >> 24) {
         machine_violation(machine, "%u-byte bus master write to read-only address 0x%08x", width, (unsigned)address);

@@ -62,7 +62,7 @@ struct machine {
     int64_t now_ps;
     double core_hz;
     machine_processor_t processor;
-    bool stop_requested; /* There was a violation under strict. */
+    bool stop_requested; /* A violation or a fault stops the board. */
     bool reset_requested;
     uint32_t reset_flags;
 
@@ -81,7 +81,7 @@ struct machine {
     machine_input_t *free_inputs, *all_inputs;
 
     machine_access_t last_access;
-    uint64_t violations;
+    uint64_t violations, faults;
     char *report; /* Violations as text, one a line; MACHINE_REPORT_SIZE. */
     size_t report_length;
 };

@@ -1,8 +1,9 @@
 /* processor.h: the state of the Cortex-M4F inside the emulator, for the files that make it up and for nobody else.
  *
- * From the bottom up: nvic.h (which exception comes first), code_view.h (the program as bytes), probes.h (instruction
- * counts), exceptions.h (entry, return, faults), systick.h and system_control.h (the core's own registers), core_bus.h
- * (what lies at which address), execution.h (Unicorn), cpu.h (life, reset and the run of a processor).
+ * From the bottom up: nvic.h (which exception comes first), mpu.h (which access is allowed), code_view.h (the program
+ * as bytes), probes.h (instruction counts), exceptions.h (entry, return, faults), systick.h and system_control.h (the
+ * core's own registers), protection.h (what is forbidden), core_bus.h (what lies at which address), execution.h
+ * (Unicorn), cpu.h (life, reset and the run of a processor).
  *
  * Time. executed counts instructions, work what they cost (cycles.h), skipped the cycles asleep; the instruction about
  * to run starts at cycle work + skipped. An instruction whose condition fails inside an IT block costs nothing (Unicorn
@@ -17,19 +18,28 @@
 #include "emulator/core_clock.h"
 #include "emulator/cycles.h"
 #include "emulator/machine_internal.h"
+#include "emulator/mpu.h"
 #include "emulator/nvic.h"
 
 /* Fault status bits. */
-#define CFSR_IBUSERR    (1u << 8)
-#define CFSR_PRECISERR  (1u << 9)
-#define CFSR_BFARVALID  (1u << 15)
-#define CFSR_UNDEFINSTR (1u << 16)
-#define CFSR_INVSTATE   (1u << 17)
-#define CFSR_INVPC      (1u << 18)
-#define CFSR_NOCP       (1u << 19)
-#define CFSR_UNALIGNED  (1u << 24)
-#define HFSR_FORCED     (1u << 30)
-#define HFSR_DEBUGEVT   (1u << 31)
+#define CFSR_IACCVIOL    (1u << 0)
+#define CFSR_DACCVIOL    (1u << 1)
+#define CFSR_MUNSTKERR   (1u << 3)
+#define CFSR_MSTKERR     (1u << 4)
+#define CFSR_MMARVALID   (1u << 7)
+#define CFSR_IBUSERR     (1u << 8)
+#define CFSR_PRECISERR   (1u << 9)
+#define CFSR_IMPRECISERR (1u << 10)
+#define CFSR_UNSTKERR    (1u << 11)
+#define CFSR_STKERR      (1u << 12)
+#define CFSR_BFARVALID   (1u << 15)
+#define CFSR_UNDEFINSTR  (1u << 16)
+#define CFSR_INVSTATE    (1u << 17)
+#define CFSR_INVPC       (1u << 18)
+#define CFSR_NOCP        (1u << 19)
+#define CFSR_UNALIGNED   (1u << 24)
+#define HFSR_FORCED      (1u << 30)
+#define HFSR_DEBUGEVT    (1u << 31)
 
 #define PROBES  8u
 #define HISTORY 8u /* Addresses kept of the last instructions; power of 2, more than 5 (the longest IT block). */
@@ -49,6 +59,7 @@ typedef struct {
     uint64_t dwt_origin;  /* Awake cycles at which CYCCNT was 0. */
     uint32_t dwt_stopped; /* CYCCNT while it does not run. */
     systick_t systick;
+    mpu_t mpu;
 } system_control_t;
 
 /* A function whose instructions are counted. */
@@ -64,7 +75,7 @@ typedef struct {
 typedef struct {
     unsigned exception;  /* 0: there is no fault. */
     uint32_t cfsr, hfsr; /* Status bits to set. */
-    uint32_t address;    /* Address for BFAR. */
+    uint32_t address;    /* Address for BFAR or MMFAR. */
     uint32_t pc;         /* Where the handler returns to. */
     uint8_t it_state;    /* ITSTATE there. */
 } fault_t;
@@ -120,6 +131,8 @@ struct cpu {
     uint64_t entered_at[NVIC_EXCEPTIONS], inside[NVIC_EXCEPTIONS];
 
     uint32_t bad_address;     /* Address of the access that Unicorn could not do. */
+    bool forbidden;           /* It was the memory protection unit that forbade it. */
+    bool rules_changed;       /* That unit's rules: Unicorn's pages follow before the next instruction. */
     uint64_t access_executed; /* Count at the last peripheral access: several by one instruction are looked at. */
 
     bus_window_t windows[3];

@@ -137,17 +137,11 @@ static bool constant(uint32_t address, uint32_t *value) {
     static const struct {
         uint32_t address, value;
     } constants[] = {
-        {0xE000E004, 2},          {0xE000ED00, CPUID_M4},
-        {0xE000ED40, 0x00000030}, {0xE000ED44, 0x00000200},
-        {0xE000ED48, 0x00100000}, {0xE000ED4C, 0},
-        {0xE000ED50, 0x00100030}, {0xE000ED54, 0},
-        {0xE000ED58, 0x01000000}, {0xE000ED5C, 0},
-        {0xE000ED60, 0x01141110}, {0xE000ED64, 0x02112000},
-        {0xE000ED68, 0x21232231}, {0xE000ED6C, 0x01111131},
-        {0xE000ED70, 0x01310132}, {0xE000ED90, 0x00000800},
-        {0xE000ED94, 0},          {0xE000EDF0, 0},
-        {0xE000EF3C, 0},          {0xE000EF40, 0x10110021},
-        {0xE000EF44, 0x11000011}, {0xE0042000, DBGMCU_IDCODE},
+        {0xE000E004, 2},          {0xE000ED00, CPUID_M4},   {0xE000ED40, 0x00000030}, {0xE000ED44, 0x00000200},
+        {0xE000ED48, 0x00100000}, {0xE000ED4C, 0},          {0xE000ED50, 0x00100030}, {0xE000ED54, 0},
+        {0xE000ED58, 0x01000000}, {0xE000ED5C, 0},          {0xE000ED60, 0x01141110}, {0xE000ED64, 0x02112000},
+        {0xE000ED68, 0x21232231}, {0xE000ED6C, 0x01111131}, {0xE000ED70, 0x01310132}, {0xE000EDF0, 0},
+        {0xE000EF3C, 0},          {0xE000EF40, 0x10110021}, {0xE000EF44, 0x11000011}, {0xE0042000, DBGMCU_IDCODE},
     };
     for (unsigned i = 0; i < sizeof constants / sizeof constants[0]; i++) {
         if (constants[i].address == address) {
@@ -202,7 +196,7 @@ static bool word_read(cpu_t *cpu, uint32_t address, uint32_t *value) {
     default:
         break;
     }
-    if (constant(address, value)) {
+    if (constant(address, value) || mpu_read(&cpu->system.mpu, address, value)) {
         return true;
     }
     *value = 0;
@@ -253,15 +247,18 @@ static bool word_write(cpu_t *cpu, uint32_t address, uint32_t value) {
     case 0xE0001004:
         cycle_counter_set(cpu, system->demcr, system->dwt_control, value);
         return true;
-    case 0xE000ED94:
     case 0xE000EF3C:
         if (value != 0) {
-            machine_violation(cpu->machine, "%s is not modelled: 0x%08x written",
-                              address == 0xE000ED94 ? "the memory protection unit" : "FPDSCR", (unsigned)value);
+            machine_violation(cpu->machine, "FPDSCR is not modelled: 0x%08x written", (unsigned)value);
         }
         return true;
     default:
         break;
+    }
+    bool changed = false;
+    if (mpu_write(&system->mpu, address, value, &changed)) {
+        cpu->rules_changed = cpu->rules_changed || changed;
+        return true;
     }
     uint32_t ignored;
     return constant(address, &ignored) || is_trace(address);
@@ -310,6 +307,7 @@ bool system_control_write(cpu_t *cpu, uint32_t address, unsigned width, uint32_t
 
 void system_control_reset(cpu_t *cpu) {
     machine_cancel(cpu->machine, &cpu->system.systick.event);
-    cpu->system = (system_control_t){.ccr = 0x200u, .fpccr = FPCCR_ASPEN_LSPEN};
+    cpu->rules_changed = cpu->system.mpu.applied;
+    cpu->system = (system_control_t){.mpu.applied = cpu->system.mpu.applied, .ccr = 0x200u, .fpccr = FPCCR_ASPEN_LSPEN};
     systick_create(cpu);
 }

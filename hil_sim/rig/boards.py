@@ -136,6 +136,7 @@ class EmulatedBoards:
             crystal_dead=spec.clock.crystal_dead,
             unique_id=spec.unique_id,
             temperature_degc=spec.clock.temperature_degC,
+            stop_at_fault=False,
         )
         emulator = Emulator(
             self._images / f"{spec.role}.elf",

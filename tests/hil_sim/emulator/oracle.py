@@ -24,8 +24,13 @@ def build(directory: Path, *sources: Path) -> Path:
 
 
 def load(image: Path, *, strict: bool = False, argument: int = 0) -> Emulator:
-    """Make a board that tolerates violations, as QEMU would. The program finds the argument at 0xE0000."""
-    return Emulator(image, Configuration(strict=strict), parameter_page=struct.pack("<I", argument))
+    """Make a board that tolerates violations and handles faults, as QEMU would, or stops at either.
+
+    The program finds the argument at 0xE0000.
+    """
+    return Emulator(
+        image, Configuration(strict=strict, stop_at_fault=strict), parameter_page=struct.pack("<I", argument)
+    )
 
 
 def words(data: bytes) -> list[int]:

@@ -8,6 +8,16 @@
 
 volatile uint32_t ticks;
 
+void unexpected_handler(void);
+
+/* With argument 13 it fails itself: the processor locks up. */
+void hard_fault_handler(void) {
+    if (ARGUMENT == 13) {
+        __asm volatile("udf #1");
+    }
+    unexpected_handler();
+}
+
 void systick_handler(void) {
     ticks++;
 }

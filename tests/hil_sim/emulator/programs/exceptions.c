@@ -119,6 +119,7 @@ void usage_fault_handler(void) __attribute__((alias("hard_fault_handler")));
 void bus_fault_handler(void) __attribute__((alias("hard_fault_handler")));
 
 static void faults(void) {
+    REGISTER(0xE000E008u) = 2u; /* No write buffer, as QEMU has none: stores fault precisely. */
     __asm volatile("udf #7");
     __asm volatile("udf.w #1027");
     __asm volatile("ldr r0, [%0]\n str r0, [%0, #4]" ::"r"(0x60000000u) : "r0", "memory");

@@ -1,0 +1,40 @@
+/* mpu.h: the memory protection unit (ARMv7-M architecture reference manual, B3.5): eight regions with subregions.
+ *
+ * mpu_read() and mpu_write() are its registers; mpu_allows() judges an access, and mpu_apply() lets Unicorn stop at the
+ * pages in which something is forbidden, upon each change.
+ *
+ * Enforced are the core's accesses to peripherals, its reads, writes and fetches in memories, and the frames of
+ * exceptions. Unicorn protects pages of 1 KB: where rules change within one, writes and fetches are judged by their
+ * exact address, but reads are all allowed; a read is judged once a page until the rules change, and so is a fetch,
+ * when its code is translated. An unprivileged program is judged in memories only where a page is restricted for the
+ * privileged too. Not enforced: memory attributes (TEX, S, C, B), LDRT and STRT. The private peripheral bus is always
+ * open.
+ */
+#ifndef GOLDFIELD_MPU_H
+#define GOLDFIELD_MPU_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+enum { MPU_REGIONS = 8 };
+
+typedef enum { MPU_READ, MPU_WRITE, MPU_FETCH } mpu_access_t;
+
+typedef struct {
+    uint32_t control, number;
+    uint32_t base[MPU_REGIONS], attributes[MPU_REGIONS]; /* RBAR's address, RASR. */
+    bool applied;                                        /* Unicorn's pages have rules. */
+} mpu_t;
+
+/* Registers at 0xE000ED90..0xE000EDB8. Return false if there is none; *changed: the rules did. */
+bool mpu_read(const mpu_t *mpu, uint32_t address, uint32_t *value);
+bool mpu_write(mpu_t *mpu, uint32_t address, uint32_t value, bool *changed);
+
+static inline bool mpu_enabled(const mpu_t *mpu) {
+    return (mpu->control & 1u) != 0;
+}
+
+/* Whether the rules allow an access to one address, for a privileged program or any. */
+bool mpu_allows(const mpu_t *mpu, uint32_t address, mpu_access_t access, bool privileged);
+
+#endif
