@@ -52,16 +52,20 @@ static void reset(cpu_t *cpu) {
     cpu->it_state = 0;
 }
 
-/* Asleep: skip to the next event or the end of the run. The core wakes for an exception that would preempt if
- * PRIMASK were clear. */
+/* Skip to the next event or the end of the run. */
+static void pass_time(cpu_t *cpu) {
+    const int64_t next = machine_next_event(cpu->machine);
+    cpu->skipped = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) -
+                   (cpu->work >> CYCLE_SHIFT);
+}
+
+/* Asleep: the core wakes for an exception that would preempt if PRIMASK were clear. */
 static void pass_sleep(cpu_t *cpu) {
     if (exception_preempts(cpu, false)) {
         cpu->asleep = false;
         return;
     }
-    const int64_t next = machine_next_event(cpu->machine);
-    cpu->skipped = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) -
-                   (cpu->work >> CYCLE_SHIFT);
+    pass_time(cpu);
 }
 
 board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
@@ -88,7 +92,9 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
             machine->now_ps = until_ps > machine->now_ps ? until_ps : machine->now_ps;
             return BOARD_OK;
         }
-        if (cpu->fault.exception != 0) {
+        if (machine->held_in_reset) {
+            pass_time(cpu);
+        } else if (cpu->fault.exception != 0) {
             const fault_t fault = cpu->fault;
             cpu->fault = (fault_t){0};
             cpu->pc = fault.pc;
@@ -110,6 +116,12 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
 static void irq(void *processor, unsigned position, bool level) {
     cpu_t *const cpu = processor;
     nvic_line(&cpu->nvic, position, level);
+    cpu->deadline = 0;
+}
+
+static void nmi(void *processor) {
+    cpu_t *const cpu = processor;
+    nvic_pend(&cpu->nvic, EXCEPTION_NMI);
     cpu->deadline = 0;
 }
 
@@ -158,6 +170,7 @@ cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size) {
     core_clock_set(&cpu->clock, 0, internal_clock(machine));
     systick_create(cpu);
     machine->processor = (machine_processor_t){.irq = irq,
+                                               .nmi = nmi,
                                                .clock = clock_changed,
                                                .flash_access = flash_access,
                                                .attention = attention,

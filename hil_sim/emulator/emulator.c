@@ -95,6 +95,14 @@ const board_operations_t emulator_operations = {
     .destroy = emulator_destroy,
 };
 
+void emulator_crystal(board_t *board, bool alive, int64_t time_ps) {
+    inputs_crystal(board, alive, time_ps);
+}
+
+void emulator_supply(board_t *board, double volts, int64_t time_ps) {
+    inputs_supply(board, volts, time_ps);
+}
+
 void emulator_stats(const board_t *board, emulator_stats_t *stats) {
     const cpu_t *const cpu = cpu_of(board);
     *stats = (emulator_stats_t){

@@ -39,6 +39,11 @@ bool emulator_load(board_t *board, uint32_t address, const uint8_t *bytes, size_
 
 extern const board_operations_t emulator_operations;
 
+/* The crystal stops, or oscillates again, from a time on. */
+void emulator_crystal(board_t *board, bool alive, int64_t time_ps);
+/* The chip's supply, 3.3 V from power-on, has this voltage from a time on. */
+void emulator_supply(board_t *board, double volts, int64_t time_ps);
+
 void emulator_stats(const board_t *board, emulator_stats_t *stats);
 
 /* Count the instructions of a function from now on. Returns false beyond 8 functions. */

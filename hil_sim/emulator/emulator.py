@@ -32,12 +32,20 @@ class Configuration:
     ----------
     crystal_ppm, internal_ppm : float
         Errors of the 8 MHz crystal and of the 16 MHz internal oscillator, parts per million.
+    crystal_ppm_per_K, crystal_ppm_per_s : float
+        What the crystal's error grows by with temperature and with time, from virtual time 0 on.
     crystal_dead : bool
         The crystal never starts.
     unique_id : bytes
         Twelve bytes.
-    temperature_degc : float
-        Temperature of the die, degrees Celsius.
+    temperature_degc, temperature_K_per_s : float
+        Temperature of die and crystal at virtual time 0, degrees Celsius, and how fast it rises.
+    memory_seed : int
+        What the memories hold at power-on follows it; 0: zeros.
+    option_bytes : int
+        The option bytes as FLASH_OPTCR shows them; BOR_LEV is in bits 2 and 3.
+    revision : int
+        REV_ID of the silicon: 0x1000 is revision A, 0x1001 Z, 0x1003 1, 0x1007 2.
     strict : bool
         A violation (``machine.h``) stops the board; else it is only recorded.
     stop_at_fault : bool
@@ -50,9 +58,15 @@ class Configuration:
 
     crystal_ppm: float = 0.0
     internal_ppm: float = 0.0
+    crystal_ppm_per_K: float = 0.0
+    crystal_ppm_per_s: float = 0.0
     crystal_dead: bool = False
     unique_id: bytes = bytes(12)
     temperature_degc: float = 25.0
+    temperature_K_per_s: float = 0.0
+    memory_seed: int = 1
+    option_bytes: int = 0x0FFFAAED
+    revision: int = 0x1007
     strict: bool = True
     stop_at_fault: bool = True
     cycles_per_instruction: float = 1.0
@@ -242,6 +256,14 @@ class Emulator:
     def uart_in(self, uart: int, byte: int, baud: int, time_ps: int) -> None:
         """Let a byte arrive at a serial port; its stop bit ends at time_ps."""
         self._operations.uart_in(self._board, uart, byte, baud, time_ps)
+
+    def crystal(self, alive: bool, time_ps: int = 0) -> None:
+        """Let the crystal stop, or oscillate again, from a time on that may be past: at once."""
+        self._library.emulator_crystal(self._board, alive, time_ps)
+
+    def supply(self, volts: float, time_ps: int = 0) -> None:
+        """Set the chip's supply from a time on; it is 3.3 V from power-on."""
+        self._library.emulator_supply(self._board, volts, time_ps)
 
     def statistics(self) -> Statistics:
         """Return the counts since reset."""

@@ -261,6 +261,9 @@ void exception_return(cpu_t *cpu, uint32_t exc_return) {
         return;
     }
     nvic_deactivate(&cpu->nvic, exception);
+    if (exception == EXCEPTION_NMI && cpu->machine->nmi_level) {
+        nvic_pend(&cpu->nvic, EXCEPTION_NMI);
+    }
     probes_leave_exception(cpu);
     cpu->event_register = true;
     if (exception != EXCEPTION_NMI) {

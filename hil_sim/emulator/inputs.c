@@ -5,7 +5,7 @@
 #include "emulator/machine_internal.h"
 #include "emulator/peripherals/outside.h"
 
-typedef enum { INPUT_PIN, INPUT_UART, INPUT_CAN, INPUT_CAN_SENT } input_kind_t;
+typedef enum { INPUT_PIN, INPUT_UART, INPUT_CAN, INPUT_CAN_SENT, INPUT_CRYSTAL, INPUT_SUPPLY } input_kind_t;
 
 struct machine_input {
     machine_event_t event;
@@ -13,7 +13,8 @@ struct machine_input {
     machine_input_t *next_free, *next;
     input_kind_t kind;
     unsigned number; /* Pin, serial port or mailbox. */
-    bool flag;       /* Level, or sent. */
+    bool flag;       /* Level, sent, or alive. */
+    double volts;
     uint8_t byte;
     uint32_t baud;
     board_frame_t frame;
@@ -37,6 +38,12 @@ static void arrive(void *context, int64_t time_ps) {
         break;
     case INPUT_CAN_SENT:
         can_frame_sent(machine, copy.number, copy.flag, time_ps);
+        break;
+    case INPUT_CRYSTAL:
+        rcc_crystal_in(machine, copy.flag);
+        break;
+    case INPUT_SUPPLY:
+        pwr_supply_in(machine, copy.volts);
         break;
     }
 }
@@ -79,6 +86,14 @@ void inputs_can(board_t *board, const board_frame_t *frame, int64_t time_ps) {
 
 void inputs_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CAN_SENT, .number = mailbox, .flag = ok}, time_ps);
+}
+
+void inputs_crystal(board_t *board, bool alive, int64_t time_ps) {
+    post(board, &(machine_input_t){.kind = INPUT_CRYSTAL, .flag = alive}, time_ps);
+}
+
+void inputs_supply(board_t *board, double volts, int64_t time_ps) {
+    post(board, &(machine_input_t){.kind = INPUT_SUPPLY, .volts = volts}, time_ps);
 }
 
 void inputs_destroy(machine_t *machine) {

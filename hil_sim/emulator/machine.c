@@ -54,6 +54,7 @@ machine_t *machine_create(const emulator_config_t *config, const board_edge_t *e
         return NULL;
     }
     write_factory_bytes(machine);
+    machine_forget_memories(machine);
     return machine;
 }
 
@@ -75,6 +76,7 @@ void machine_destroy(machine_t *machine) {
 
 void machine_reset_peripherals(machine_t *machine) {
     memset(machine->irq_level, 0, sizeof machine->irq_level);
+    machine->nmi_level = false;
     for (unsigned i = 0; i < machine->peripheral_count; i++) {
         if (machine->peripherals[i]->reset != NULL) {
             machine->peripherals[i]->reset(machine->peripherals[i]);
@@ -88,6 +90,43 @@ void machine_reset_request(machine_t *machine, uint32_t csr_flags) {
     if (machine->processor.processor != NULL) {
         machine->processor.attention(machine->processor.processor);
     }
+}
+
+void machine_hold_in_reset(machine_t *machine) {
+    machine->held_in_reset = true;
+    machine_reset_request(machine, 0);
+}
+
+void machine_release_reset(machine_t *machine, uint32_t csr_flags) {
+    machine->held_in_reset = false;
+    machine_reset_request(machine, csr_flags);
+}
+
+/* The next of a sequence of random words (SplitMix64). */
+static uint64_t random_word(uint64_t *state) {
+    uint64_t word = *state += 0x9E3779B97F4A7C15u;
+    word = (word ^ word >> 30) * 0xBF58476D1CE4E5B9u;
+    word = (word ^ word >> 27) * 0x94D049BB133111EBu;
+    return word ^ word >> 31;
+}
+
+static void scramble(uint8_t *memory, size_t size, uint64_t *state) {
+    for (size_t i = 0; i < size; i += sizeof *state) {
+        const uint64_t word = random_word(state);
+        memcpy(memory + i, &word, sizeof word);
+    }
+}
+
+void machine_forget_memories(machine_t *machine) {
+    if (machine->config.memory_seed == 0) {
+        return;
+    }
+    uint64_t state = machine->config.memory_seed ^ (uint64_t)machine->now_ps;
+    for (size_t i = 0; i < sizeof machine->config.unique_id; i++) {
+        state = random_word(&state) ^ machine->config.unique_id[i];
+    }
+    scramble(machine->sram, SRAM_SIZE, &state);
+    scramble(machine->ccm, CCM_SIZE, &state);
 }
 
 uint32_t machine_reset_flags(const machine_t *machine) {
@@ -112,6 +151,14 @@ void machine_irq(machine_t *machine, unsigned position, bool level) {
     machine->irq_level[position >> 5] ^= bit;
     if (machine->processor.processor != NULL) {
         machine->processor.irq(machine->processor.processor, position, level);
+    }
+}
+
+void machine_nmi(machine_t *machine, bool level) {
+    const bool risen = level && !machine->nmi_level;
+    machine->nmi_level = level;
+    if (risen && machine->processor.processor != NULL) {
+        machine->processor.nmi(machine->processor.processor);
     }
 }
 

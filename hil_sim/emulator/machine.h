@@ -83,12 +83,23 @@ void machine_cancel(machine_t *machine, machine_event_t *event);
 
 /* ---- Interrupts and resets ---- */
 
+/* The level of the request line to the NMI. The handler is entered again as long as it is high. */
+void machine_nmi(machine_t *machine, bool level);
+
 /* The level of a peripheral's request line to the NVIC; position as in RM0090 table 62, 0 being WWDG. */
 void machine_irq(machine_t *machine, unsigned position, bool level);
 
 /* A watchdog or the core asks for a system reset, which happens before the next instruction. csr_flags are the bits to
  * set in RCC_CSR. */
 void machine_reset_request(machine_t *machine, uint32_t csr_flags);
+
+/* The supply is too low: the chip stays in reset, from now on until it is released with the flags for RCC_CSR. */
+void machine_hold_in_reset(machine_t *machine);
+void machine_release_reset(machine_t *machine, uint32_t csr_flags);
+
+/* SRAM and core-coupled memory lose what they held: they read as random words, which the configuration's memory_seed,
+ * the unique id and the time decide. Without a seed they keep it. */
+void machine_forget_memories(machine_t *machine);
 
 /* Returns the flags of the requests that led to this reset, 0 at power-on. RCC asks, inside its reset function. */
 uint32_t machine_reset_flags(const machine_t *machine);

@@ -4,6 +4,7 @@
 #include "emulator/inputs.h"
 #include "emulator/machine_internal.h"
 #include "emulator/peripherals/model.h"
+#include "emulator/peripherals/outside.h"
 #include "emulator/peripherals/peripherals.h"
 
 machine_t *machine_bench_create(const emulator_config_t *config, const board_edge_t *edge) {
@@ -55,6 +56,22 @@ void machine_bench_forget_violations(machine_t *machine) {
     machine->violations = 0;
     machine->report_length = 0;
     machine->report[0] = '\0';
+}
+
+bool machine_bench_nmi(const machine_t *machine) {
+    return machine->nmi_level;
+}
+
+bool machine_bench_held(const machine_t *machine) {
+    return machine->held_in_reset;
+}
+
+void machine_bench_crystal(machine_t *machine, bool alive) {
+    rcc_crystal_in(machine, alive);
+}
+
+void machine_bench_supply(machine_t *machine, double volts) {
+    pwr_supply_in(machine, volts);
 }
 
 double machine_bench_core_clock(const machine_t *machine) {

@@ -30,6 +30,13 @@ bool machine_bench_reset_requested(machine_t *machine, uint32_t *flags);
 /* What the processor does upon a reset request: every model's reset. */
 void machine_bench_reset(machine_t *machine);
 
+/* Level of the request line to the NMI; whether the supply holds the chip in reset. */
+bool machine_bench_nmi(const machine_t *machine);
+bool machine_bench_held(const machine_t *machine);
+/* As emulator_crystal() and emulator_supply() do it, now. */
+void machine_bench_crystal(machine_t *machine, bool alive);
+void machine_bench_supply(machine_t *machine, double volts);
+
 /* Clocks in Hz, crystal error included: the core's, and those of a peripheral, named as in the SVD: of its bus, and of
  * the timers on that bus. Return 0 if there is no such peripheral. */
 double machine_bench_core_clock(const machine_t *machine);

@@ -38,6 +38,7 @@
 /* What the machine asks of a processor. Every call may come from inside an access or an event. */
 typedef struct {
     void (*irq)(void *processor, unsigned position, bool level);
+    void (*nmi)(void *processor);
     void (*clock)(void *processor, double hz);
     void (*flash_access)(void *processor, uint32_t acr);
     /* The next event became earlier, or stop_requested or reset_requested was set. */
@@ -64,6 +65,7 @@ struct machine {
     machine_processor_t processor;
     bool stop_requested; /* A violation or a fault stops the board. */
     bool reset_requested;
+    bool held_in_reset;
     uint32_t reset_flags;
 
     peripheral_t *peripherals[MACHINE_PERIPHERALS];
@@ -71,6 +73,7 @@ struct machine {
     /* Index + 1 of the peripheral that starts or lies in each granule of the two peripheral areas. */
     uint8_t *directory;
     uint32_t irq_level[3];
+    bool nmi_level;
 
     uint8_t *flash, *sram, *ccm, *system_memory;
 

@@ -6,7 +6,8 @@
 #include "emulator/systick.h"
 
 #define CPUID_M4          0x410FC241u
-#define DBGMCU_IDCODE     0x10076413u
+#define DEVICE_ID         0x6413u
+#define DEFAULT_REVISION  0x1007u
 #define AIRCR_KEY         0x05FAu
 #define DEMCR_TRACE       (1u << 24)
 #define FPCCR_ASPEN_LSPEN 0xC0000000u
@@ -141,7 +142,7 @@ static bool constant(uint32_t address, uint32_t *value) {
         {0xE000ED48, 0x00100000}, {0xE000ED4C, 0},          {0xE000ED50, 0x00100030}, {0xE000ED54, 0},
         {0xE000ED58, 0x01000000}, {0xE000ED5C, 0},          {0xE000ED60, 0x01141110}, {0xE000ED64, 0x02112000},
         {0xE000ED68, 0x21232231}, {0xE000ED6C, 0x01111131}, {0xE000ED70, 0x01310132}, {0xE000EDF0, 0},
-        {0xE000EF3C, 0},          {0xE000EF40, 0x10110021}, {0xE000EF44, 0x11000011}, {0xE0042000, DBGMCU_IDCODE},
+        {0xE000EF3C, 0},          {0xE000EF40, 0x10110021}, {0xE000EF44, 0x11000011},
     };
     for (unsigned i = 0; i < sizeof constants / sizeof constants[0]; i++) {
         if (constants[i].address == address) {
@@ -187,6 +188,11 @@ static bool word_read(cpu_t *cpu, uint32_t address, uint32_t *value) {
     case 0xE000EDFC:
         *value = cpu->system.demcr;
         return true;
+    case 0xE0042000: {
+        const uint32_t revision = cpu->machine->config.revision;
+        *value = (revision != 0 ? revision : DEFAULT_REVISION) << 16 | DEVICE_ID;
+        return true;
+    }
     case 0xE0001000:
         *value = 0x40000000u | cpu->system.dwt_control;
         return true;
@@ -261,7 +267,7 @@ static bool word_write(cpu_t *cpu, uint32_t address, uint32_t value) {
         return true;
     }
     uint32_t ignored;
-    return constant(address, &ignored) || is_trace(address);
+    return constant(address, &ignored) || is_trace(address) || address == 0xE0042000u;
 }
 
 static bool is_handler_priority(uint32_t address) {

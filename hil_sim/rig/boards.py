@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,8 @@ from hil_sim.emulator.emulator import LIBRARY as EMULATOR_LIBRARY
 from hil_sim.scenario import Clock
 
 HOST_LIBRARY = "libgf_hostboard.so"
+ONLY_EMULATED = ("crystal_dead", "crystal_stops_s", "crystal_ppm_per_K", "crystal_ppm_per_s", "temperature_K_per_s")
+"""Keys of `Clock` that only an emulated board can follow."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +90,9 @@ class HostBoards:
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
         """See `BoardFactory`; raises UserError for a clock that such a board cannot have."""
         ffi, library = self._ffi, self._library
-        if spec.clock.crystal_dead:
-            raise UserError("host boards cannot simulate crystal_dead: use --boards emulated, or remove the key")
+        for key in ONLY_EMULATED:
+            if getattr(spec.clock, key) != getattr(Clock(), key):
+                raise UserError(f"host boards cannot simulate {key}: use --boards emulated, or remove the key")
         config = ffi.new("host_board_config_t *")
         config.role = getattr(library, f"HAL_ROLE_{spec.role.upper()}")
         config.crystal_ppm = spec.clock.crystal_ppm
@@ -133,9 +137,12 @@ class EmulatedBoards:
             self._cycles,
             crystal_ppm=spec.clock.crystal_ppm,
             internal_ppm=spec.clock.internal_ppm,
+            crystal_ppm_per_K=spec.clock.crystal_ppm_per_K,
+            crystal_ppm_per_s=spec.clock.crystal_ppm_per_s,
             crystal_dead=spec.clock.crystal_dead,
             unique_id=spec.unique_id,
             temperature_degc=spec.clock.temperature_degC,
+            temperature_K_per_s=spec.clock.temperature_K_per_s,
             stop_at_fault=False,
         )
         emulator = Emulator(
@@ -145,6 +152,8 @@ class EmulatedBoards:
             parameter_page=spec.parameter_page,
             power_on_ps=spec.power_on_ps,
         )
+        if math.isfinite(spec.clock.crystal_stops_s):
+            emulator.crystal(False, round(spec.clock.crystal_stops_s * 1e12))
         return Board(
             instance=emulator.board,
             operations=emulator.operations,

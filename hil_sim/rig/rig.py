@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from goldfield.errors import SystemFailure, UserError, counted
 from hil_sim import clib
+from hil_sim.emulator import Emulator
 from hil_sim.rig import config as rig_config
 from hil_sim.rig.boards import Board, BoardFactory, BoardSpec, address, factory
 from hil_sim.rig.paths import PathWindows, event_ps
@@ -358,6 +359,26 @@ class Rig:
         if kind in COIL_FAULTS:
             self._check_coil(board, coil)
         self._library.rig_fault(self._rig, board, coil, FAULTS.index(kind), active)
+
+    def crystal(self, board: int, alive: bool) -> None:
+        """Let an emulated board's crystal stop, or oscillate again, at the present.
+
+        Raises
+        ------
+        UserError
+            If it is no emulated board.
+        """
+        self._emulator(board).crystal(alive)
+
+    def supply(self, board: int, volts: float) -> None:
+        """Set the supply of an emulated board's chip, 3.3 V before, at the present; see `crystal`."""
+        self._emulator(board).supply(volts)
+
+    def _emulator(self, board: int) -> Emulator:
+        emulator = self._boards[board].keep
+        if not isinstance(emulator, Emulator):
+            raise UserError(f"{self.board_name(board)} is no emulated board: it has neither a crystal nor a supply")
+        return emulator
 
     def _check_sensor(self, board: int) -> None:
         if board not in self.sensing:

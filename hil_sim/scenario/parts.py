@@ -77,16 +77,24 @@ class Clock:
     ----------
     crystal_ppm, internal_ppm : float
         Errors of crystal and internal oscillator.
+    crystal_ppm_per_K, crystal_ppm_per_s : float
+        What the crystal's error grows by with temperature and time, from virtual time 0 on (emulated boards).
     crystal_dead : bool
         The crystal never starts (emulated boards).
-    temperature_degC : float
-        Temperature of the processor.
+    crystal_stops_s : float
+        Virtual time at which the crystal stops for good; infinite: it does not (emulated boards).
+    temperature_degC, temperature_K_per_s : float
+        Temperature of processor and crystal at virtual time 0, and how fast it rises (the rise: emulated boards).
     """
 
     crystal_ppm: float = 0.0
     internal_ppm: float = 0.0
+    crystal_ppm_per_K: float = 0.0
+    crystal_ppm_per_s: float = 0.0
     crystal_dead: bool = False
+    crystal_stops_s: float = math.inf
     temperature_degC: float = 25.0
+    temperature_K_per_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -168,14 +169,23 @@ def _source(table: Table, defaults: Table) -> Callable[[str], Table]:
 def _clock(table: Table) -> Clock:
     internal = number(table, "internal_ppm", 0.0)
     crystal = number(table, "crystal_ppm", 0.0)
-    for key, value, limit in (("crystal_ppm", crystal, 5e3), ("internal_ppm", internal, 5e4)):
+    rates = {key: number(table, key, 0.0) for key in ("crystal_ppm_per_K", "crystal_ppm_per_s", "temperature_K_per_s")}
+    limits = {"crystal_ppm_per_K": 100.0, "crystal_ppm_per_s": 100.0, "temperature_K_per_s": 10.0}
+    checked = {"crystal_ppm": (crystal, 5e3), "internal_ppm": (internal, 5e4)}
+    checked |= {key: (value, limits[key]) for key, value in rates.items()}
+    for key, (value, limit) in checked.items():
         if abs(value) > limit:
             raise table.error(key, f"is {value:g}; it must lie within +-{limit:g}")
+    stops = number(table, "crystal_stops_s", math.inf)
+    if stops < 0.0:
+        raise table.error("crystal_stops_s", f"is {stops:g}; it must not be negative")
     return Clock(
         crystal_ppm=crystal,
         internal_ppm=internal,
         crystal_dead="crystal_dead" in table and table.flag("crystal_dead"),
+        crystal_stops_s=stops,
         temperature_degC=number(table, "temperature_degC", 25.0),
+        **rates,
     )
 
 

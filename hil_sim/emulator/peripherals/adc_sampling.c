@@ -1,13 +1,12 @@
 /* adc_sampling.c: channels and pins, volts to codes, times of a conversion.
  *
- * The converters' clock is PCLK2 divided by ADCPRE. A result is round(volts / 3.3 * 4096), clamped.
+ * The converters' clock is PCLK2 divided by ADCPRE. A result is round(volts / supply * 4096), clamped.
  */
 #include "emulator/peripherals/adc.h"
 
 #include <math.h>
 
 #define INTERNAL_SAMPLING_PS 10e6
-#define REFERENCE_V          3.3
 #define ADC_LIMIT_HZ         36e6
 
 static uint32_t common(const unit_t *u) {
@@ -80,7 +79,7 @@ static double internal_volts(unit_t *u, unsigned channel) {
         machine_violation(u->model.machine, "ADC1: channel %u needs 10 us of sampling, got %.3f us", channel,
                           sampling_ps * 1e-6);
     }
-    return battery ? 1.65 : channel == 17 ? 1.21 : 0.76 + 0.0025 * (u->model.chip->config->temperature_degc - 25);
+    return battery ? 1.65 : channel == 17 ? 1.21 : 0.76 + 0.0025 * (chip_temperature_degc(u->model.chip) - 25);
 }
 
 uint32_t adc_sample(unit_t *u, unsigned channel, int64_t opens_ps) {
@@ -98,6 +97,6 @@ uint32_t adc_sample(unit_t *u, unsigned channel, int64_t opens_ps) {
         }
         volts = chip->edge->analog_in ? chip->edge->analog_in(chip->edge->context, pin, opens_ps) : 0;
     }
-    const double code = floor(volts / REFERENCE_V * 4096 + 0.5);
+    const double code = floor(volts / chip_supply_V(chip) * 4096 + 0.5);
     return code < 0 || isnan(code) ? 0 : code > 4095 ? 4095 : (uint32_t)code;
 }

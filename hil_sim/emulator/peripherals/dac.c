@@ -28,7 +28,6 @@ enum {
 #define DMAEN              0x1000u
 #define UNDERRUN_INTERRUPT 0x2000u
 #define UNDERRUN           0x2000u
-#define REFERENCE_V        3.3
 
 static const register_layout_t registers[] = {
     {"CR", CR, 0, 0x3FFF3FFF, ACCESS_RW},
@@ -81,7 +80,8 @@ static void report(channel_t *c, int64_t time_ps) {
                           4 + c->number);
     }
     if (edge->analog_out) {
-        edge->analog_out(edge->context, c->number + 1, REFERENCE_V * reg(model, DOR1 + 4 * c->number) / 4096, time_ps);
+        edge->analog_out(edge->context, c->number + 1,
+                         chip_supply_V(model->chip) * reg(model, DOR1 + 4 * c->number) / 4096, time_ps);
     }
 }
 

@@ -26,6 +26,7 @@ static void interrupts(exti_t *exti) {
     for (unsigned line = 0; line < 5; line++) {
         machine_irq(machine, 6 + line, (active >> line & 1u) != 0);
     }
+    machine_irq(machine, 1, (active >> 16 & 1u) != 0); /* The voltage detector. */
     machine_irq(machine, 23, (active & 0x03E0u) != 0);
     machine_irq(machine, 40, (active & 0xFC00u) != 0);
 }
@@ -56,6 +57,12 @@ static void pin_edge(chip_t *chip, unsigned pin, bool level, int64_t time_ps) {
     if ((selected >> line & 1u) != 0 &&
         field(reg(&exti->syscfg, EXTICR1 + 4 * (line / 4)), 4 * (line % 4), 4) == pin / 16) {
         edge(exti, line, time_ps);
+    }
+}
+
+void exti_line(chip_t *chip, unsigned line, bool rising, int64_t time_ps) {
+    if ((reg(&chip->exti->exti, rising ? RTSR : FTSR) >> line & 1u) != 0) {
+        edge(chip->exti, line, time_ps);
     }
 }
 

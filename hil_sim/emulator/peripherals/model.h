@@ -211,6 +211,8 @@ typedef struct {
     void (*convert)(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps);
     /* A timer or EXTI: a rising edge of a trigger of the digital-to-analog converter. */
     void (*output)(chip_t *chip, trigger_t trigger, int64_t time_ps);
+    /* RCC: the clock security system found the crystal stopped. The timers with a break input. */
+    void (*clock_failed)(chip_t *chip, int64_t time_ps);
     /* DMA: the last transfer that a line asked for (NDTR became 0). The analog-to-digital converters. */
     void (*last_transfer)(chip_t *chip, dma_source_t source);
 } chip_signals_t;
@@ -271,9 +273,13 @@ const char *model_name(const model_t *model);
 void rcc_create(chip_t *chip);
 void rcc_check_limits(chip_t *chip); /* A violation if wait states or voltage scale no longer suffice. */
 double rcc_lsi_hz(const chip_t *chip);
+double chip_temperature_degc(const chip_t *chip); /* Of the die, now. */
 bool rcc_pll_ready(const chip_t *chip);
 void rcc_force_lsi(chip_t *chip); /* The independent watchdog runs: its oscillator does, until reset. */
 /* pwr.c, flash.c */
+double chip_supply_V(const chip_t *chip);           /* The chip's supply, which its converters refer to. */
+unsigned flash_brown_out_level(const chip_t *chip); /* BOR_LEV of the option bytes: 0 is level 3, 3 is off. */
+bool flash_hardware_watchdog(const chip_t *chip);   /* WDG_SW is 0: the independent watchdog starts by itself. */
 void pwr_create(chip_t *chip);
 void flash_create(chip_t *chip);
 /* gpio.c; pins are numbered as in board_edge.h, af is the alternate function. */
@@ -284,6 +290,7 @@ bool chip_pin_level(const chip_t *chip, unsigned pin);
 void chip_pin_driven(chip_t *chip, unsigned pin, int64_t time_ps); /* What signals.pin_output says of it has changed. */
 /* exti.c */
 void exti_create(chip_t *chip);
+void exti_line(chip_t *chip, unsigned line, bool rising, int64_t time_ps); /* An internal line, 16 to 22. */
 /* dma.c, dma_arbiter.c, dma_stream.c, dma_map.c */
 void dma_create(chip_t *chip);
 dma_source_t dma_source(const char *name); /* DMA_NONE if there is no such line. */

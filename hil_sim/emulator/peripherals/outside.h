@@ -19,4 +19,10 @@ void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_p
 /* can_transmit.c: the frame of a mailbox is through (ok), or failed. */
 void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_ps);
 
+/* rcc.c: the crystal stops, or oscillates again. */
+void rcc_crystal_in(machine_t *machine, bool alive);
+
+/* pwr.c: the supply has this voltage from now on. */
+void pwr_supply_in(machine_t *machine, double volts);
+
 #endif

@@ -2,10 +2,15 @@
 #include "emulator/peripherals/rcc.h"
 
 /* Typical start-up and lock times of the data sheet. */
-#define HSI_START_PS 2200000
-#define HSE_START_PS 2000000000
-#define PLL_LOCK_PS  100000000
-#define LSI_START_PS 15000000
+#define HSI_START_PS   2200000
+#define HSE_START_PS   2000000000
+#define PLL_LOCK_PS    100000000
+#define LSI_START_PS   15000000
+#define DRIFT_PS       10000000000 /* The crystal's drift is followed in steps of this length. */
+#define CSSF           (1u << 7)
+#define PINRSTF        (1u << 26)
+#define PORRSTF        (1u << 27)
+#define POWER_ON_FLAGS 0x0E000000u /* BORRSTF, PINRSTF, PORRSTF. */
 
 static const register_layout_t registers[] = {
     {"CR", CR, 0x00000083, 0x0F0FFFFB, ACCESS_RW},
@@ -80,6 +85,54 @@ static void pll_start(rcc_t *rcc) {
     machine_schedule(rcc->model.machine, &rcc->pll, machine_now(rcc->model.machine) + PLL_LOCK_PS);
 }
 
+/* RM0090 7.2.7: the clock security system. Everything that the crystal drives falls back to the internal oscillator. */
+static void crystal_lost(rcc_t *rcc) {
+    chip_t *const chip = rcc->model.chip;
+    uint32_t *const cr = &rcc->model.value[CR / 4], *const cfgr = &rcc->model.value[CFGR / 4];
+    const unsigned used = field(*cfgr, 2, 2);
+    const bool pll_on_hse = (reg(&rcc->model, PLLCFGR) >> 22 & 1u) != 0;
+    *cr &= ~(HSEON | HSERDY);
+    if (used == 1 || (used == 2 && pll_on_hse)) {
+        if (used == 2) {
+            *cr &= ~(PLLON | PLLRDY);
+            machine_cancel(chip->machine, &rcc->pll);
+        }
+        *cr |= HSION | HSIRDY; /* Its start-up of 2 us is left out. */
+        *cfgr &= ~0xFu;
+        rcc_update_clocks(rcc);
+    }
+    rcc->model.value[CIR / 4] |= CSSF;
+    machine_nmi(chip->machine, true);
+    if (chip->signals.clock_failed != NULL) {
+        chip->signals.clock_failed(chip, machine_now(chip->machine));
+    }
+}
+
+/* The crystal is watched once it was ready. */
+static bool loss_is_seen(const rcc_t *rcc) {
+    const uint32_t watched = CSSON | HSERDY;
+    return rcc->crystal_stopped && (reg(&rcc->model, CR) & watched) == watched;
+}
+
+void rcc_crystal_in(machine_t *machine, bool alive) {
+    rcc_t *const rcc = chip_of(machine)->rcc;
+    const uint32_t cr = reg(&rcc->model, CR);
+    if (rcc->crystal_stopped == !alive) {
+        return;
+    }
+    rcc->crystal_stopped = !alive;
+    if (!alive) {
+        machine_cancel(machine, &rcc->hse);
+    } else if ((cr & HSEON) != 0 && (cr & HSERDY) == 0 && !rcc->model.chip->config->crystal_dead) {
+        machine_schedule(machine, &rcc->hse, machine_now(machine) + HSE_START_PS);
+    }
+    if (loss_is_seen(rcc)) {
+        crystal_lost(rcc);
+    } else {
+        rcc_update_clocks(rcc);
+    }
+}
+
 static void write_cr(rcc_t *rcc, uint32_t value) {
     machine_t *const machine = rcc->model.machine;
     const emulator_config_t *const config = rcc->model.chip->config;
@@ -115,7 +168,7 @@ static void write_cr(rcc_t *rcc, uint32_t value) {
     if ((value & HSEON) && !(old & HSEON)) {
         if (value & HSEBYP) {
             machine_violation(machine, "RCC_CR: HSEBYP set, but the board has a crystal: no clock arrives");
-        } else if (!config->crystal_dead) {
+        } else if (!config->crystal_dead && !rcc->crystal_stopped) {
             machine_schedule(machine, &rcc->hse, now + HSE_START_PS);
         }
     } else if (!(value & HSEON)) {
@@ -133,6 +186,9 @@ static void write_cr(rcc_t *rcc, uint32_t value) {
     } else if (!(value & PLLI2SON)) {
         machine_cancel(machine, &rcc->plli2s);
         *cr &= ~PLLI2SRDY;
+    }
+    if (loss_is_seen(rcc)) {
+        crystal_lost(rcc);
     }
 }
 
@@ -175,6 +231,7 @@ static void set(model_t *model, uint32_t offset, uint32_t value) {
         return;
     case CIR:
         model->value[CIR / 4] = (value & 0x3F00u) | (old & 0xBFu & ~(value >> 16));
+        machine_nmi(model->machine, (reg(model, CIR) & CSSF) != 0);
         interrupts(rcc);
         return;
     case BDCR:
@@ -243,6 +300,12 @@ static void lsi_ready(void *context, int64_t time_ps) {
     flag(rcc, 0);
 }
 
+static void drift(void *context, int64_t time_ps) {
+    rcc_t *const rcc = context;
+    machine_schedule(rcc->model.machine, &rcc->drift, time_ps + DRIFT_PS);
+    rcc_trim_clocks(rcc);
+}
+
 void rcc_force_lsi(chip_t *chip) {
     chip->rcc->lsi_forced = true;
     chip->rcc->model.value[CSR / 4] |= 2u;
@@ -260,12 +323,20 @@ static void restart(model_t *model) {
         machine_cancel(chip->machine, events[i]);
     }
     /* Every reset drives the NRST pin; flags stay until RMVF. */
-    rcc->reset_flags |= rcc->powered_on ? 1u << 26 | machine_reset_flags(chip->machine) : 0x0E000000u;
+    const uint32_t causes = machine_reset_flags(chip->machine);
+    if (!rcc->powered_on || (causes & PORRSTF) != 0) {
+        rcc->reset_flags = POWER_ON_FLAGS;
+    } else {
+        rcc->reset_flags |= PINRSTF | causes;
+    }
     rcc->powered_on = true;
     rcc->lsi_forced = false;
     model->value[CSR / 4] = rcc->reset_flags;
     rcc_close_gates(rcc);
     rcc_update_clocks(rcc);
+    if (rcc_drifts(chip->config) && rcc->drift.heap_index < 0) {
+        machine_schedule(chip->machine, &rcc->drift, (machine_now(chip->machine) / DRIFT_PS + 1) * DRIFT_PS);
+    }
 }
 
 void rcc_create(chip_t *chip) {
@@ -286,5 +357,6 @@ void rcc_create(chip_t *chip) {
     machine_event_init(&rcc->pll, pll_ready, rcc);
     machine_event_init(&rcc->plli2s, plli2s_ready, rcc);
     machine_event_init(&rcc->lsi, lsi_ready, rcc);
+    machine_event_init(&rcc->drift, drift, rcc);
     model_attach(chip, &rcc->model, &description);
 }

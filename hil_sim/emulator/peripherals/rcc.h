@@ -30,6 +30,7 @@ enum {
 #define HSEON        (1u << 16)
 #define HSERDY       (1u << 17)
 #define HSEBYP       (1u << 18)
+#define CSSON        (1u << 19)
 #define PLLON        (1u << 24)
 #define PLLRDY       (1u << 25)
 #define PLLI2SON     (1u << 26)
@@ -43,7 +44,9 @@ struct rcc {
     machine_event_t hsi, hse, pll, plli2s, lsi; /* Their oscillator becomes ready. */
     uint32_t reset_flags;
     bool powered_on;
-    bool lsi_forced; /* The independent watchdog keeps its oscillator on. */
+    bool crystal_stopped;  /* It oscillated, or would have. */
+    machine_event_t drift; /* Time to follow the crystal's drift. */
+    bool lsi_forced;       /* The independent watchdog keeps its oscillator on. */
     model_t *gated[RCC_GATES];
 };
 
@@ -52,6 +55,10 @@ struct rcc {
 double rcc_pll_input(const rcc_t *rcc, bool nominal);
 /* Work out the domains, the core's clock and the limits anew, as the system clock or a divider has changed. */
 void rcc_update_clocks(rcc_t *rcc);
+/* The crystal's frequency moved by parts in a million: the same, but every clock keeps its phase. */
+void rcc_trim_clocks(rcc_t *rcc);
+/* Whether the crystal's frequency changes with time. */
+bool rcc_drifts(const emulator_config_t *config);
 
 /* rcc_gates.c */
 void rcc_write_enable(rcc_t *rcc, uint32_t offset, uint32_t value);

@@ -1,10 +1,18 @@
 /* rcc_clocks.c: frequencies (see rcc.h). Limits: data sheet DS8626 table 14 and 5.3.9 ff. at 3.3 V. */
 #include "emulator/peripherals/rcc.h"
 
-#define PICOSECONDS 1e12
-#define HSI_HZ      16e6
-#define HSE_HZ      8e6
-#define LSI_HZ      32e3
+#include <math.h>
+
+#define PICOSECONDS  1e12
+#define HSI_HZ       16e6
+#define HSE_HZ       8e6
+#define LSI_HZ       32e3
+#define DRIFT_STEP_S 0.01 /* As DRIFT_PS of rcc.c: the middle of a step stands for the whole. */
+
+/* A PLL whose input stopped runs on at its oscillator's lower end: on an STM32F407 about a twentieth of 168 MHz. A core
+ * on a crystal that stopped stands still; 1 Hz keeps its time finite. */
+#define FREE_RUNNING 20.0
+#define STANDSTILL   1.0
 
 /* What the limits depend on, in the registers of FLASH and PWR. */
 enum { FLASH_ACR = 0x00, PWR_CR = 0x00 };
@@ -19,11 +27,31 @@ static unsigned apb_divider(uint32_t bits) {
     return bits < 4 ? 1u : 2u << (bits - 4u);
 }
 
-double rcc_pll_input(const rcc_t *rcc, bool nominal) {
+bool rcc_drifts(const emulator_config_t *config) {
+    return config->crystal_ppm_per_s != 0 || config->crystal_ppm_per_K * config->temperature_K_per_s != 0;
+}
+
+static double crystal_ppm(const rcc_t *rcc) {
     const emulator_config_t *const config = rcc->model.chip->config;
+    if (!rcc_drifts(config)) {
+        return config->crystal_ppm;
+    }
+    const double time_s = (double)machine_now(rcc->model.machine) / PICOSECONDS;
+    const double middle_s = (floor(time_s / DRIFT_STEP_S + 1e-6) + 0.5) * DRIFT_STEP_S;
+    return config->crystal_ppm +
+           middle_s * (config->crystal_ppm_per_s + config->crystal_ppm_per_K * config->temperature_K_per_s);
+}
+
+double chip_temperature_degc(const chip_t *chip) {
+    const double time_s = (double)machine_now(chip->machine) / PICOSECONDS;
+    return chip->config->temperature_degc + chip->config->temperature_K_per_s * time_s;
+}
+
+double rcc_pll_input(const rcc_t *rcc, bool nominal) {
     const bool hse = (reg(&rcc->model, PLLCFGR) >> 22 & 1u) != 0;
-    const double error = nominal ? 0 : 1e-6 * (hse ? config->crystal_ppm : config->internal_ppm);
-    return (hse ? HSE_HZ : HSI_HZ) * (1 + error);
+    const double error = nominal ? 0 : 1e-6 * (hse ? crystal_ppm(rcc) : rcc->model.chip->config->internal_ppm);
+    const double input = (hse ? HSE_HZ : HSI_HZ) * (1 + error);
+    return hse && rcc->crystal_stopped && !nominal ? input / FREE_RUNNING : input;
 }
 
 static double pll_output(const rcc_t *rcc, bool nominal) {
@@ -36,7 +64,7 @@ static double system_clock(const rcc_t *rcc, bool nominal) {
     const emulator_config_t *const config = rcc->model.chip->config;
     switch (field(reg(&rcc->model, CFGR), 2, 2)) {
     case 1:
-        return HSE_HZ * (nominal ? 1 : 1 + 1e-6 * config->crystal_ppm);
+        return nominal ? HSE_HZ : rcc->crystal_stopped ? STANDSTILL : HSE_HZ * (1 + 1e-6 * crystal_ppm(rcc));
     case 2:
         return pll_output(rcc, nominal);
     default:
@@ -44,12 +72,14 @@ static double system_clock(const rcc_t *rcc, bool nominal) {
     }
 }
 
-static void domain_set(clock_domain_t *domain, int64_t now, double hz, double nominal) {
+/* A switched clock starts anew with the switch; one that is only trimmed goes on from the present tick's start. */
+static void domain_set(clock_domain_t *domain, int64_t now, double hz, double nominal, bool trim) {
     if (domain->hz == hz) {
         return;
     }
-    domain->anchor_tick = domain->period_ps > 0 ? clock_tick(domain, now) : 0;
-    domain->anchor_ps = now;
+    const int64_t tick = domain->period_ps > 0 ? clock_tick(domain, now) : 0;
+    domain->anchor_ps = trim ? clock_time(domain, tick) : now;
+    domain->anchor_tick = tick;
     domain->hz = hz;
     domain->nominal_hz = nominal;
     domain->period_ps = PICOSECONDS / hz;
@@ -59,11 +89,14 @@ void rcc_check_limits(chip_t *chip) {
     const double hz = chip->hclk.nominal_hz;
     const unsigned wait_states = reg(chip->flash, FLASH_ACR) & 7u;
     const unsigned scale = (reg(chip->pwr, PWR_CR) & PWR_VOS) != 0 ? 1 : 2;
-    const unsigned needed = (unsigned)((hz - 1.0) / 30e6);
+    /* RM0090 table 10: how fast the flash is at a supply. */
+    const double supply = chip_supply_V(chip);
+    const double step = supply >= 2.7 ? 30e6 : supply >= 2.4 ? 24e6 : supply >= 2.1 ? 22e6 : 20e6;
+    const unsigned needed = (unsigned)((hz - 1.0) / step);
     if (wait_states < needed) {
         machine_violation(chip->machine,
-                          "FLASH_ACR: LATENCY %u is too few wait states for HCLK %.0f Hz at 3.3 V, which needs %u",
-                          wait_states, hz, needed);
+                          "FLASH_ACR: LATENCY %u is too few wait states for HCLK %.0f Hz at %.2f V, which needs %u",
+                          wait_states, hz, supply, needed);
     }
     if (hz > (scale == 1 ? 168e6 : 144e6)) {
         machine_violation(chip->machine, "RCC: HCLK %.0f Hz is above the limit of regulator scale %u", hz, scale);
@@ -76,7 +109,7 @@ void rcc_check_limits(chip_t *chip) {
     }
 }
 
-void rcc_update_clocks(rcc_t *rcc) {
+static void set_clocks(rcc_t *rcc, bool trim) {
     chip_t *const chip = rcc->model.chip;
     const uint32_t cfgr = reg(&rcc->model, CFGR);
     const unsigned ahb = ahb_divider(cfgr), apb1 = apb_divider(field(cfgr, 10, 3)),
@@ -87,14 +120,22 @@ void rcc_update_clocks(rcc_t *rcc) {
         return;
     }
     tim_before_change(chip);
-    domain_set(&chip->hclk, now, hclk, nominal);
-    domain_set(&chip->pclk1, now, hclk / apb1, nominal / apb1);
-    domain_set(&chip->pclk2, now, hclk / apb2, nominal / apb2);
-    domain_set(&chip->timer1, now, hclk / apb1 * (apb1 == 1 ? 1 : 2), nominal / apb1 * (apb1 == 1 ? 1 : 2));
-    domain_set(&chip->timer2, now, hclk / apb2 * (apb2 == 1 ? 1 : 2), nominal / apb2 * (apb2 == 1 ? 1 : 2));
+    domain_set(&chip->hclk, now, hclk, nominal, trim);
+    domain_set(&chip->pclk1, now, hclk / apb1, nominal / apb1, trim);
+    domain_set(&chip->pclk2, now, hclk / apb2, nominal / apb2, trim);
+    domain_set(&chip->timer1, now, hclk / apb1 * (apb1 == 1 ? 1 : 2), nominal / apb1 * (apb1 == 1 ? 1 : 2), trim);
+    domain_set(&chip->timer2, now, hclk / apb2 * (apb2 == 1 ? 1 : 2), nominal / apb2 * (apb2 == 1 ? 1 : 2), trim);
     machine_set_core_clock(chip->machine, hclk);
     rcc_check_limits(chip);
     tim_after_change(chip);
+}
+
+void rcc_update_clocks(rcc_t *rcc) {
+    set_clocks(rcc, false);
+}
+
+void rcc_trim_clocks(rcc_t *rcc) {
+    set_clocks(rcc, true);
 }
 
 double rcc_lsi_hz(const chip_t *chip) {

@@ -97,6 +97,11 @@ static void iwdg_restart(model_t *model) {
     w->running = w->unlocked = false;
     w->prescaler = 0;
     w->reload = 0xFFF;
+    if (flash_hardware_watchdog(model->chip)) {
+        rcc_force_lsi(model->chip);
+        w->running = true;
+        refresh(w);
+    }
 }
 
 /* ---- Window watchdog ---- */

@@ -28,6 +28,7 @@ def test_time_is_that_of_the_oscillator(image: Path) -> None:
     ends = []
     for ppm in (0.0, 10_000.0):
         with Emulator(image, Configuration(internal_ppm=ppm), parameter_page=bytes((1, 0, 0, 0))) as board:
+            board.run(3 * MILLISECOND)  # Before, RAM holds anything.
             while oracle.word(board, "ticks") < 100:
                 board.run(board.now_ps + MILLISECOND // 100)
             ends.append(board.now_ps)

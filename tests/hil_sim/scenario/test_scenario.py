@@ -277,6 +277,14 @@ WRONG = {
     ),
     "no TOML": ({"seed": "= 3"}, "is no valid TOML"),
     "crystal": ({"crystal_ppm": "1e5"}, r"crystal_ppm is 100000; it must lie within \+-5000"),
+    "drift": (
+        {"crystal_ppm": "20.0\ncrystal_ppm_per_s = 101.0"},
+        r"crystal_ppm_per_s is 101; it must lie within \+-100",
+    ),
+    "warming": (
+        {"crystal_ppm": "20.0\ntemperature_K_per_s = -11.0"},
+        r"temperature_K_per_s is -11; it must lie within",
+    ),
     "half wire": ({"code": "2\npoints_m = [[0, 0, 0], [1, 0, 0]]"}, "points_m encloses no area"),
 }
 

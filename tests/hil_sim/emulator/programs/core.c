@@ -91,6 +91,7 @@ static void working(void) /* For slices: interrupts, IT blocks and sleep in a mi
 static void core_coupled(void) /* Both ends of the 64 KB at 0x10000000: words, bytes, a pair of words. */
 {
     REGISTER(0x10000000u) = 0x11223344u;
+    REGISTER(0x1000FFFCu) = 0;
     *(volatile uint8_t *)0x1000FFFFu = 0xA5;
     __asm volatile("strd %0, %1, [%2]" ::"r"(7), "r"(8), "r"(0x10008000u) : "memory");
     note(REGISTER(0x10000000u));
@@ -124,6 +125,9 @@ int main(void) {
         REGISTER(0x60000000u) = 1;
         break; /* No external memory. */
     case 8:
+        for (uint32_t *word = (uint32_t *)0x20018000u; word < (uint32_t *)0x20020000u; word++) {
+            *word = 0;
+        }
         ((void (*)(void))0x20018001u)();
         break; /* Zeros: MOVS r0, r0 until the end of RAM. */
     case 9:

@@ -1,0 +1,50 @@
+"""What only emulated boards can show: how a rig makes them, and what happens to their crystals and supplies."""
+
+import pytest
+
+from goldfield.errors import UserError
+from hil_sim.rig import Rig
+from tests.hil_sim.rig.fakes import FakeBoards, small
+
+
+@pytest.mark.parametrize(
+    "key", ["crystal_dead = true", "crystal_stops_s = 0.1", "crystal_ppm_per_s = 0.1", "temperature_K_per_s = 0.1"]
+)
+def test_host_boards_refuse_what_they_cannot_follow(tmp_path, key):
+    with pytest.raises(UserError, match=f"host boards cannot simulate {key.split()[0]}: use --boards emulated"):
+        Rig(small(tmp_path, crystal_ppm=f"20.0\n{key}"), "host")
+
+
+def test_host_boards_count_no_cycles(tmp_path):
+    with pytest.raises(UserError, match="host boards count no cycles: leave out --cycles-per-instruction"):
+        Rig(small(tmp_path), "host", cycles_per_instruction=1.5)
+
+
+def test_fake_boards_have_no_crystal(tmp_path):
+    with Rig(small(tmp_path), FakeBoards()) as rig, pytest.raises(UserError, match="beacon a is no emulated board"):
+        rig.crystal(1, False)
+
+
+def test_a_slower_core_sleeps_less(tmp_path):
+    """Boot and a first block, at 1 and at 2 cycles an instruction."""
+    shares = []
+    for cycles in (1.0, 2.0):
+        with Rig(small(tmp_path), "emulated", cycles_per_instruction=cycles) as rig:
+            rig.advance(0.05)
+            shares.append(rig.statistics(1)["sleep_share"])
+    assert shares[0] > shares[1]
+
+
+@pytest.mark.parametrize("by_scenario", [True, False])
+def test_a_crystal_stops_while_the_board_runs(tmp_path, by_scenario):
+    """From then on the board has a clock of a twentieth, or what the firmware falls back to, 16 MHz."""
+    keys = {"crystal_ppm": "20.0\ncrystal_stops_s = 0.02"} if by_scenario else {}
+    with Rig(small(tmp_path, **keys), "emulated") as rig:
+        board = 0 if by_scenario else 1
+        rig.advance(0.02)
+        if not by_scenario:
+            rig.crystal(board, False)
+        before = rig.statistics(board)["cycles"]
+        rig.advance(0.01)
+        cycles = rig.statistics(board)["cycles"] - before
+    assert cycles == pytest.approx(84e3, rel=0.02) or cycles == pytest.approx(160e3, rel=0.02)
