@@ -40,6 +40,8 @@ class Configuration:
         Twelve bytes.
     temperature_degc, temperature_K_per_s : float
         Temperature of die and crystal at virtual time 0, degrees Celsius, and how fast it rises.
+    dac_load_Ohm : float
+        Resistance from each analog output to ground; 0: outputs are ideal (``peripherals/dac.c``).
     memory_seed : int
         What the memories hold at power-on follows it; 0: zeros.
     option_bytes : int
@@ -64,6 +66,7 @@ class Configuration:
     unique_id: bytes = bytes(12)
     temperature_degc: float = 25.0
     temperature_K_per_s: float = 0.0
+    dac_load_Ohm: float = 0.0
     memory_seed: int = 1
     option_bytes: int = 0x0FFFAAED
     revision: int = 0x1007

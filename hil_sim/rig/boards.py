@@ -119,6 +119,8 @@ class EmulatedBoards:
         Directory with ``beacon.elf``, ``sensor.elf`` and ``anchor.elf``; by default the images that were built.
     cycles_per_instruction : float or str
         How many cycles an instruction takes, or ``m4``; see `hil_sim.emulator.Configuration.with_cycles`.
+    **traits
+        Fields of `hil_sim.emulator.Configuration` that all boards share, as ``dac_load_Ohm`` and ``option_bytes``.
 
     Raises
     ------
@@ -126,8 +128,10 @@ class EmulatedBoards:
         If the images or the emulator were not built.
     """
 
-    def __init__(self, images: str | Path | None = None, cycles_per_instruction: float | str = 1.0) -> None:
-        self._cycles = cycles_per_instruction
+    def __init__(
+        self, images: str | Path | None = None, cycles_per_instruction: float | str = 1.0, **traits: Any
+    ) -> None:
+        self._cycles, self._traits = cycles_per_instruction, traits
         self._images = clib.built("firmware/sensor.elf").parent if images is None else Path(images)
         clib.load_built(EMULATOR_LIBRARY)
 
@@ -144,6 +148,7 @@ class EmulatedBoards:
             temperature_degc=spec.clock.temperature_degC,
             temperature_K_per_s=spec.clock.temperature_K_per_s,
             stop_at_fault=False,
+            **self._traits,
         )
         emulator = Emulator(
             self._images / f"{spec.role}.elf",

@@ -97,6 +97,12 @@ static void listen(adc_t *adc) {
 
 /* ---- Registers ---- */
 
+static bool any_on(const adc_t *adc) {
+    return ((reg(&adc->unit[0].model, ADC_CR2) | reg(&adc->unit[1].model, ADC_CR2) |
+             reg(&adc->unit[2].model, ADC_CR2)) &
+            ADON) != 0;
+}
+
 static void write_cr2(unit_t *u, uint32_t value) {
     machine_t *const machine = u->model.machine;
     const uint32_t old = reg(&u->model, ADC_CR2);
@@ -105,6 +111,9 @@ static void write_cr2(unit_t *u, uint32_t value) {
         u->stable_ps = machine_now(machine) + STABILISATION_PS;
     } else if (!(value & ADON) && (old & ADON)) {
         adc_stop(u);
+        if (!any_on(adc_of(u))) {
+            adc_common_forget(adc_of(u));
+        }
     }
     if ((value & DMA) == 0) {
         dma_line(u->model.chip, u->request, false);

@@ -74,6 +74,7 @@ struct adc {
     uint16_t queue[8]; /* Results that wait for the common data register. */
     unsigned queued;
     bool no_more_requests;
+    bool order_lost; /* An overrun left a converter with a result that nobody fetched. */
 };
 
 static inline adc_t *adc_of(const unit_t *u) {
@@ -131,6 +132,11 @@ bool adc_common_keep(adc_t *adc, uint32_t result);
 bool adc_common_request(adc_t *adc);
 uint32_t adc_common_read(adc_t *adc);
 void adc_common_forget(adc_t *adc);
+/* A result of converters that go together was lost. */
+void adc_common_overrun(adc_t *adc);
+/* A conversion starts: if there was an overrun and the converters were not started over, the order of what DMA fetches
+ * is shifted by up to two results, which is a violation. */
+void adc_common_check_order(adc_t *adc);
 /* DMA moved the last item that a request line asked for. */
 void adc_last_transfer(chip_t *chip, dma_source_t source);
 

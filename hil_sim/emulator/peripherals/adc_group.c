@@ -88,6 +88,9 @@ void adc_start_regular(unit_t *u, int64_t time_ps) {
                           model_name(&u->model));
         return;
     }
+    if (adc_by_common(u)) {
+        adc_common_check_order(adc_of(u));
+    }
     if ((reg(&u->model, ADC_CR1) & DISCEN) == 0) {
         u->index = 0;
     }
@@ -153,6 +156,9 @@ static void watchdog(unit_t *u, activity_t group, unsigned channel, uint32_t val
 static void overrun(unit_t *u) {
     machine_violation(u->model.machine, "%s: overrun, a result was lost (OVR)", model_name(&u->model));
     u->model.value[ADC_SR / 4] |= OVR;
+    if (adc_by_common(u)) {
+        adc_common_overrun(adc_of(u));
+    }
     dma_line(u->model.chip, u->request, false);
 }
 

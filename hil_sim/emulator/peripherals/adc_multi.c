@@ -92,7 +92,32 @@ uint32_t adc_common_read(adc_t *adc) {
 
 void adc_common_forget(adc_t *adc) {
     adc->queued = 0;
-    adc->no_more_requests = false;
+    adc->no_more_requests = adc->order_lost = false;
+}
+
+/* RM0090 13.9: after an overrun the EOC bit of one converter may stay set, as its data register holds a valid result.
+ * Which one is not told: it follows the configuration's seed and the time. */
+void adc_common_overrun(adc_t *adc) {
+    adc->order_lost = true;
+}
+
+void adc_common_check_order(adc_t *adc) {
+    if (!adc->order_lost) {
+        return;
+    }
+    const machine_t *const machine = adc->common.machine;
+    const uint64_t seed = adc->common.chip->config->memory_seed + (uint64_t)machine_now(machine) / 1000u;
+    const unsigned left = (unsigned)((seed * 0x9E3779B97F4A7C15u) >> 33) % 3u;
+    adc->order_lost = false;
+    adc->queued = 0;
+    for (unsigned i = 0; i < left; i++) {
+        (void)adc_common_keep(adc, reg(&adc->unit[2u - i].model, ADC_DR));
+    }
+    machine_violation(
+        adc->common.machine,
+        "ADC1: converting after an overrun without starting the converters over (ADON, or DMA in ADC_CCR): "
+        "the order of the results may be shifted, here by %u",
+        left);
 }
 
 /* RM0090 13.8.1: without DDS no request follows the last transfer. */

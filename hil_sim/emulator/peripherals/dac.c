@@ -1,10 +1,15 @@
 /* dac.c: the two-channel digital-to-analog converter (RM0090 chapter 14).
  *
  * What is in the holding register goes to the output one APB1 cycle after it was written (TEN 0), three after a
- * timer or pin trigger, one after a software trigger; the buffer's settling belongs to the outside. A hardware
+ * timer or pin trigger, one after a software trigger. A hardware
  * trigger takes what both channels hold and then asks for DMA, so what DMA brings is for the next trigger. A trigger
  * that finds the request before still waiting is an underrun: requests stop until DMAUDR is cleared. Using what is not
- * modelled is a violation: noise and triangle waves. */
+ * modelled is a violation: noise and triangle waves.
+ *
+ * Where the configuration states a load (data sheet DS8626, 5.3.24): without its buffer the output is a source of 15
+ * kOhm; with it the output reaches from 0.2 V to 0.2 V below the supply, and a load below 5 kOhm is a violation. The
+ * outside sees a new value in three steps, 1, 2 and 3 us after the update: those of an exponential that comes within 4
+ * counts of a full change in 3 us. A value meanwhile starts from the step before it. */
 #include "emulator/peripherals/model.h"
 
 enum {
@@ -23,6 +28,7 @@ enum {
     SR = 0x34
 };
 #define EN                 1u
+#define BOFF               2u /* The output buffer is off. */
 #define TEN                4u
 #define TSEL               0x38u
 #define DMAEN              0x1000u
@@ -46,13 +52,22 @@ static const register_layout_t registers[] = {
     {"SR", SR, 0, 0x20002000, ACCESS_RW},
 };
 
+#define SOURCE_OHM     15e3
+#define BUFFER_V       0.2
+#define SMALLEST_OHM   5e3
+#define STEP_PS        1000000
+#define SETTLING_STEPS 3
+#define STEP_REMAINS   0.0992 /* (4 / 4096)^(1/3): what a step leaves of the difference. */
+
 typedef struct {
     struct dac *dac;
     unsigned number;        /* 0: channel 1 */
     uint32_t holding, next; /* next: what the update brings to the output. */
-    bool reported;
+    bool reported, complained;
     bool irq;
-    machine_event_t update;
+    machine_event_t update, settle;
+    double volts, target; /* What the outside was told, and where it goes. */
+    unsigned steps;       /* Steps to the target that are left. */
 } channel_t;
 
 typedef struct dac {
@@ -71,6 +86,34 @@ static bool underrun(const channel_t *c) {
     return (reg(&c->dac->model, SR) >> (16 * c->number) & UNDERRUN) != 0;
 }
 
+/* What a voltage of the converter becomes at its pin. */
+static double loaded(channel_t *c, double volts) {
+    const chip_t *const chip = c->dac->model.chip;
+    const double load = chip->config->dac_load_Ohm, highest = chip_supply_V(chip) - BUFFER_V;
+    if ((control(c) & BOFF) != 0) {
+        return volts * load / (load + SOURCE_OHM);
+    }
+    if (load < SMALLEST_OHM && !c->complained) {
+        c->complained = true;
+        machine_violation(chip->machine, "DAC: channel %u drives %.0f Ohm with its buffer, which needs 5 kOhm or more",
+                          c->number + 1, load);
+    }
+    return volts < BUFFER_V ? BUFFER_V : volts > highest ? highest : volts;
+}
+
+static void settle(void *context, int64_t time_ps) {
+    channel_t *const c = context;
+    const board_edge_t *const edge = c->dac->model.chip->edge;
+    c->steps--;
+    c->volts = c->steps == 0 ? c->target : c->target + (c->volts - c->target) * STEP_REMAINS;
+    if (edge->analog_out) {
+        edge->analog_out(edge->context, c->number + 1, c->volts, time_ps);
+    }
+    if (c->steps != 0) {
+        machine_schedule(c->dac->model.machine, &c->settle, time_ps + STEP_PS);
+    }
+}
+
 static void report(channel_t *c, int64_t time_ps) {
     model_t *const model = &c->dac->model;
     const board_edge_t *const edge = model->chip->edge;
@@ -79,9 +122,13 @@ static void report(channel_t *c, int64_t time_ps) {
         machine_violation(model->machine, "DAC: channel %u drives PA%u, which is not in analog mode", c->number + 1,
                           4 + c->number);
     }
-    if (edge->analog_out) {
-        edge->analog_out(edge->context, c->number + 1,
-                         chip_supply_V(model->chip) * reg(model, DOR1 + 4 * c->number) / 4096, time_ps);
+    const double volts = chip_supply_V(model->chip) * reg(model, DOR1 + 4 * c->number) / 4096;
+    if (model->chip->config->dac_load_Ohm > 0) {
+        c->target = loaded(c, volts);
+        c->steps = SETTLING_STEPS;
+        machine_schedule(model->machine, &c->settle, time_ps + STEP_PS);
+    } else if (edge->analog_out) {
+        edge->analog_out(edge->context, c->number + 1, volts, time_ps);
     }
 }
 
@@ -102,6 +149,8 @@ static void release(channel_t *c) {
         edge->analog_out(edge->context, c->number + 1, 0, machine_now(c->dac->model.machine));
     }
     c->reported = false;
+    c->volts = 0;
+    machine_cancel(c->dac->model.machine, &c->settle);
 }
 
 static void schedule(channel_t *c, int64_t time_ps, unsigned cycles, uint32_t next) {
@@ -298,6 +347,7 @@ void dac_create(chip_t *chip) {
         dac->channel[i].dac = dac;
         dac->channel[i].number = i;
         machine_event_init(&dac->channel[i].update, update, &dac->channel[i]);
+        machine_event_init(&dac->channel[i].settle, settle, &dac->channel[i]);
     }
     model_attach(chip, &dac->model, &description);
 }

@@ -281,3 +281,61 @@ def test_switching_off_releases_the_pin(chip: Bench) -> None:
     chip.run(MICROSECOND)
     chip.write(DAC + CR, 0)
     assert [(c, v) for c, v, _ in chip.edge.volts] == [(1, 0.0), (1, 1.65), (1, 0.0)]
+
+
+# ---- What stands behind the pin (data sheet DS8626, 5.3.24) ----
+
+BOFF = 2
+
+
+def settled(load_Ohm: float, control: int, code: int) -> tuple[list[tuple[float, int]], str]:
+    """Return what the outside was told of a value, each with its time after the update, and the report."""
+    chip = Bench(dac_load_Ohm=load_Ohm)
+    chip.full_speed()
+    chip.analog_pin("A", 4)
+    chip.write(DAC + CR, control | EN)
+    chip.run(10 * MICROSECOND)
+    chip.edge.volts.clear()
+    begin = chip.now
+    chip.write(DAC + DHR12R1, code)
+    chip.run(10 * MICROSECOND)
+    told = [(volts, time - begin) for channel, volts, time in chip.edge.volts if channel == 1]
+    report = chip.report
+    chip.close()
+    return told, report
+
+
+@pytest.mark.parametrize(
+    ("load_Ohm", "control", "code", "volts"),
+    [
+        (10e3, BOFF, 2048, 1.65 * 10 / 25),  # 15 kOhm and 10 kOhm: 40 %.
+        (15e6, BOFF, 2048, 1.65 * 15e6 / 15.015e6),
+        (10e3, 0, 2048, 1.65),
+        (10e3, 0, 249, 249 * 3.3 / 4096),  # Just above .2 V,
+        (10e3, 0, 100, 0.2),  # and below.
+        (10e3, 0, 3847, 3847 * 3.3 / 4096),  # Just below 3.1 V,
+        (10e3, 0, 4095, 3.1),  # and above.
+    ],
+)
+def test_source_and_range(load_Ohm: float, control: int, code: int, volts: float) -> None:
+    told, report = settled(load_Ohm, control, code)
+    assert told[-1][0] == pytest.approx(volts, rel=1e-9)
+    assert not report
+
+
+def test_settling() -> None:
+    """Three steps of 1 us; after the second a hundredth of the change is left, after the third nothing."""
+    told, _ = settled(10e3, 0, 2048)
+    assert [round(time / MICROSECOND, 1) for _, time in told] == [1.0, 2.0, 3.0]
+    rest = [(1.65 - volts) / (1.65 - 0.2) for volts, _ in told]
+    assert rest == pytest.approx([0.0992, 0.0992**2, 0.0], abs=1e-6)
+
+
+def test_too_heavy_a_load_for_the_buffer() -> None:
+    assert not settled(5e3, 0, 2048)[1]
+    assert "channel 1 drives 4999 Ohm with its buffer, which needs 5 kOhm or more" in settled(4999.0, 0, 2048)[1]
+
+
+def test_without_a_stated_load_outputs_are_ideal() -> None:
+    told, _ = settled(0.0, 0, 100)
+    assert [volts for volts, _ in told] == [100 * 3.3 / 4096]
