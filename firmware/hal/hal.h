@@ -213,6 +213,56 @@ typedef enum {
 /* Returns what the board runs on. */
 hal_clock_t hal_clock(const hal_t *hal);
 
+/* ---- What outlives a reset ---- */
+
+/* Why the board started. */
+typedef enum {
+    HAL_RESET_POWER_ON = 0,  /* Power came on. What was remembered is lost. */
+    HAL_RESET_BROWN_OUT = 1, /* The supply of the processor dipped. What was remembered may be lost. */
+    HAL_RESET_PIN = 2,       /* The reset pin was pulled: by a button, a debug probe or another chip. */
+    HAL_RESET_SOFTWARE = 3,  /* hal_reset() was called, or a debug probe asked for it. */
+    HAL_RESET_WATCHDOG = 4,  /* The watchdog was not kicked in time: the firmware hung or crashed. */
+    HAL_RESET_WINDOW = 5,   /* The window watchdog, which this firmware does not start, was not kicked in its window. */
+    HAL_RESET_LOW_POWER = 6 /* A sleep mode was entered that the option bytes forbid. */
+} hal_reset_cause_t;
+
+#define HAL_RESET_CAUSES 7u /* How many causes there are. */
+#define HAL_CRASH_STACK  8u /* Words of the stack that a crash keeps. */
+
+/* The last moment of a program that ended in a fault. The registers are those of the ARMv7-M manual (B3.2). */
+typedef struct {
+    uint32_t exception;              /* Number of the exception: 3 to 6 are faults, from 16 on interrupts; 0: none. */
+    uint32_t pc, lr;                 /* The interrupted program stood there; 0 if the stack did not take them. */
+    uint32_t sp;                     /* Its stack pointer at the exception's entry. */
+    uint32_t cfsr, hfsr;             /* Fault status registers. */
+    uint32_t address;                /* The address that could not be accessed; 0 if the processor does not know it. */
+    uint32_t stack[HAL_CRASH_STACK]; /* What lay above the exception's frame; of a stack that ran over, its far end. */
+    bool stack_overflow;             /* The stack ran over its end. */
+} hal_crash_t;
+
+typedef struct {
+    hal_reset_cause_t cause;           /* Why the board started this time. */
+    uint32_t uptime_s;                 /* How long it had run before, s; 0 if it does not know. */
+    uint32_t stalled;                  /* What was noted last before the watchdog struck (hal_note_stalled). */
+    uint32_t counts[HAL_RESET_CAUSES]; /* Resets since power-on by their causes, this one among them. */
+    hal_crash_t crash;                 /* The fault that the last run ended with; exception is 0 if there was none. */
+} hal_reset_t;
+
+/* Note for the next run which parts stand still (a bit each, services/liveness.h), as the watchdog may strike soon;
+ * 0: all move. */
+void hal_note_stalled(hal_t *hal, uint32_t stalled);
+
+/* Returns why the board started and what became of its last run. It does not change until the next reset. */
+const hal_reset_t *hal_last_reset(const hal_t *hal);
+
+#define HAL_RETAINED_WORDS 16u /* Words that outlive a reset. */
+
+/* Returns HAL_RETAINED_WORDS words for the services, which outlive every reset but loss of power: they are 0 after
+ * power-on, and otherwise what was written last, even an instant before the watchdog struck. */
+uint32_t *hal_retained(hal_t *hal);
+
+/* ---- Counters and clocks ---- */
+
 /* Events since reset. */
 typedef struct {
     uint32_t serial_overruns;    /* Received bytes that were lost. */
@@ -220,7 +270,7 @@ typedef struct {
     uint32_t can_overruns;       /* Received frames that were lost. */
     uint32_t late_blocks;        /* Blocks that repeated an old plan. */
     uint32_t converter_overruns; /* Overruns of the sensor's converters, whose samples are lost. */
-    uint32_t watchdog_resets;    /* 1 if the watchdog caused the last reset. */
+    uint32_t watchdog_resets;    /* Resets by the watchdog since power-on. */
 } hal_counters_t;
 
 /* Read the counters. */

@@ -208,7 +208,7 @@ def report(elf: Path) -> Image:
         line.split()[2]: int(line.split()[0], 16) for line in run("nm", str(elf)).splitlines() if len(line.split()) == 3
     }
     reserved = symbols["stack_top"] - symbols["stack_bottom"]
-    core_memory = symbols["core_memory_end"] - symbols["core_memory_start"]
+    core_memory = sum(symbols[f"{part}_end"] - symbols[f"{part}_start"] for part in ("core_memory", "retained"))
     return Image(
         flash=text + data,
         ram=data + bss - core_memory,

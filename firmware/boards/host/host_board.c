@@ -218,6 +218,9 @@ static void restart(board_t *board) {
         host_pin_write(hal, outputs[i], false);
     }
     hal->reset_wanted = false;
+    hal->reset.cause = HAL_RESET_SOFTWARE;
+    hal->reset.counts[HAL_RESET_SOFTWARE]++;
+    hal->reset.uptime_s = (uint32_t)(hal_microseconds(hal) / 1000000u);
     hal->power_on_ps = hal->now_ps;
     memset(&hal->engine, 0, sizeof hal->engine);
     memset(&hal->transmitter, 0, sizeof hal->transmitter);
@@ -348,6 +351,8 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
     hal->config = *config;
     hal->power_on_ps = power_on_ps;
     hal->now_ps = power_on_ps < 0 ? power_on_ps : 0;
+    hal->reset.cause = HAL_RESET_POWER_ON;
+    hal->reset.counts[HAL_RESET_POWER_ON] = 1;
     hal->fault_level = true; /* The input is pulled up. */
     hal->tick_q32 = (uint64_t)(4294967296.0 * 1e12 / (HAL_TICKS_PER_SECOND * (1.0 + config->crystal_ppm * 1e-6)) + 0.5);
     return board;

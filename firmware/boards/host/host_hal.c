@@ -158,6 +158,19 @@ void hal_reset(hal_t *hal) {
     hal->reset_wanted = true;
 }
 
+void hal_note_stalled(hal_t *hal, uint32_t stalled) {
+    (void)hal;
+    (void)stalled; /* No watchdog strikes here. */
+}
+
+const hal_reset_t *hal_last_reset(const hal_t *hal) {
+    return &hal->reset;
+}
+
+uint32_t *hal_retained(hal_t *hal) {
+    return hal->retained;
+}
+
 void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]) {
     memcpy(id, hal->config.unique_id, HAL_UNIQUE_ID_BYTES);
 }

@@ -102,6 +102,8 @@ struct hal {
     hal_stamp_t stamps[STAMPS];
     uint32_t stamps_head, stamps_count;
     hal_counters_t counters;
+    hal_reset_t reset; /* This, and what the services keep, outlive a reset. */
+    uint32_t retained[HAL_RETAINED_WORDS];
     input_t *inputs; /* What waits for its time, sorted by time; equal times in order of arrival. */
     size_t inputs_head, inputs_count, inputs_capacity;
 };

@@ -60,8 +60,7 @@ static void watchdog_start(void) {
 hal_t *board_start(void) {
     hal_t *hal = &board;
     hal->whole = (RCC->CR & RCC_CR_HSIRDY) != 0; /* The processor runs on it. */
-    hal->counters.watchdog_resets = (RCC->CSR & RCC_CSR_WDGRSTF) != 0 ? 1u : 0u;
-    RCC->CSR |= RCC_CSR_RMVF;
+    reset_start(hal);
     hal->clock = clock_start();
 
     RCC->AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA1EN |
@@ -114,8 +113,8 @@ const uint8_t *hal_parameter_page(const hal_t *hal) {
 }
 
 void hal_watchdog_kick(hal_t *hal) {
-    (void)hal;
     IWDG->KR = IWDG_KR_KEY_RELOAD;
+    reset_note_uptime(hal);
 }
 
 /* With interrupts off, one that comes between the look at woken and WFI still ends WFI; it is served when they are on

@@ -39,7 +39,7 @@ $(STM32_OUT)/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/s
 # For the tests on QEMU before 8.0, which has the core-coupled memory right behind the RAM: the same objects, linked for that address.
 $(STM32_OUT)/qemu/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld
 	@mkdir -p $(@D)
-	@sed 's/0x10000000, LENGTH/0x20020000, LENGTH/' $(STM32)/stm32f405.ld >$(@:.elf=.ld)
+	@sed -E 's/0x1000(0000|FE00), LENGTH/0x2002\1, LENGTH/' $(STM32)/stm32f405.ld >$(@:.elf=.ld)
 	@$(ARM)gcc $(STM32_LINK) -T $(@:.elf=.ld) -o $@ $(filter %.o,$^)
 
 firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## All images, with their flash, RAM and worst-case stack

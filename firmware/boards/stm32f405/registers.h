@@ -52,7 +52,13 @@ typedef struct {
 #define RCC_APB2ENR_ADC3EN   (1u << 10)
 #define RCC_APB2ENR_SYSCFGEN (1u << 14)
 #define RCC_CSR_RMVF         (1u << 24)
+#define RCC_CSR_BORRSTF      (1u << 25)
+#define RCC_CSR_PADRSTF      (1u << 26) /* RM0090 calls it PINRSTF. */
+#define RCC_CSR_PORRSTF      (1u << 27)
+#define RCC_CSR_SFTRSTF      (1u << 28)
 #define RCC_CSR_WDGRSTF      (1u << 29) /* RM0090 calls it IWDGRSTF. */
+#define RCC_CSR_WWDGRSTF     (1u << 30)
+#define RCC_CSR_LPWRRSTF     (1u << 31)
 
 typedef struct {
     volatile uint32_t ACR;
@@ -312,6 +318,10 @@ typedef struct {
 } SCB_registers;
 #define SCB                ((SCB_registers *)0xE000ED00u)
 #define SCB_CPACR_FPU_FULL (15u << 20)
+#define SCB_CFSR_MSTKERR   (1u << 4) /* The frame of an exception met a memory protection region. */
+#define SCB_CFSR_MMARVALID (1u << 7)
+#define SCB_CFSR_STKERR    (1u << 12) /* The frame of an exception met a bus fault. */
+#define SCB_CFSR_BFARVALID (1u << 15)
 /* The system resets; the upper half is the key without which nothing is written (PM0214, 4.4.5). */
 #define SCB_AIRCR_SYSRESETREQ (0x05FAu << 16 | 1u << 2)
 

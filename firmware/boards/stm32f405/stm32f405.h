@@ -2,6 +2,7 @@
  *
  *   interrupts.c   the one board that handlers see, and how a handler is switched on
  *   clock.c        clock tree, waits with time-outs, microseconds, tick
+ *   reset.c        why the board started, and what outlives a reset
  *   serial.c       USART1 with DMA both ways
  *   converters.c   the sensor's burst, coil currents, temperature
  *   chip_engine.c  TIM1, TIM8, DMA to pins and DAC, blocks, sync
@@ -115,6 +116,21 @@ static inline void memory_barrier(void) {
 bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries);
 hal_clock_t clock_start(void);
 void clock_start_tick(hal_clock_t clock);
+
+/* ---- crash.c ---- */
+
+#define STACK_GUARD_BYTES 4096u /* How far below its end an access still tells that the stack ran over. */
+
+/* ---- reset.c ---- */
+
+/* Find out why the board started, before anybody asks. Called once. */
+void reset_start(hal_t *hal);
+
+/* Write into the diary how long the board has run. */
+void reset_note_uptime(hal_t *hal);
+
+/* Keep a crash for the next run. */
+void reset_crash(const hal_crash_t *crash);
 
 /* ---- serial.c ---- */
 

@@ -33,6 +33,10 @@ CORE_BITS = {
     "SYSTICK_CTRL_TICKINT": 1 << 1,
     "SYSTICK_CTRL_CLKSOURCE": 1 << 2,
     "SCB_CPACR_FPU_FULL": 0xF << 20,
+    "SCB_CFSR_MSTKERR": 1 << 4,  # ARMv7-M ARM, table B3-19: MMFSR is the lowest byte of CFSR
+    "SCB_CFSR_MMARVALID": 1 << 7,
+    "SCB_CFSR_STKERR": 1 << 8 + 4,  # BFSR is the second byte
+    "SCB_CFSR_BFARVALID": 1 << 8 + 7,
     "SCB_AIRCR_SYSRESETREQ": 0x05FA << 16 | 1 << 2,  # with the key without which AIRCR is not written
 }
 # How registers.h names what the SVD numbers or names otherwise.
