@@ -5,11 +5,12 @@
 #include "core/link/messages.h"
 #include "goldfield.h"
 #include "protocol_hash.h"
+#include "services/reset_report.h"
 #include "services/version.h"
 
 #define TEXT_CHARACTERS 7u /* Characters in one PARAM_TEXT. */
 
-enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2 }; /* Indices of COMMAND. */
+enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2, COMMAND_LAST_RESET = 3 }; /* Indices of COMMAND. */
 
 #define HALF_BYTES   (HAL_UNIQUE_ID_BYTES / 2u)
 #define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */
@@ -228,6 +229,17 @@ static void tell_identity(node_t *node, node_links_t link) {
     }
 }
 
+static void tell_last_reset(node_t *node, node_links_t links) {
+    const hal_reset_t *reset = hal_last_reset(node->hal);
+    for (uint32_t item = 0; item < RESET_REPORT_ITEMS; item++) {
+        uint8_t data[8];
+        const uint8_t length = reset_report_pack(reset, item, data);
+        if (length > 0) {
+            node_send(node, links, GOLDFIELD_RESET_REPORT_FRAME_ID, item, data, length);
+        }
+    }
+}
+
 static void take_command(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
     struct goldfield_command_t command = {0};
     const uint64_t own = identity_half(node, 0) ^ identity_half(node, 1);
@@ -237,6 +249,10 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
     }
     if (index == COMMAND_IDENTITY) {
         tell_identity(node, link);
+        return;
+    }
+    if (index == COMMAND_LAST_RESET) {
+        tell_last_reset(node, link);
         return;
     }
     const uint64_t now_us = hal_microseconds(node->hal);
@@ -344,6 +360,7 @@ void node_start(node_t *node, hal_t *hal, hal_role_t role) {
     const size_t count = frame_encode(&hello, encoded);
     hal_serial_write_polled(hal, encoded, count);
     (void)queue_push(&node->can, &hello);
+    tell_last_reset(node, NODE_BOTH);
     node->heartbeat_us = hal_microseconds(hal);
     node->can_us = node->heartbeat_us;
 }

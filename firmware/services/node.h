@@ -22,9 +22,9 @@
  * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
  * the link they came from; a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a
  * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). COMMAND lets the board tell its
- * unique id, blink with its LED, or reset itself (framing.md, "Commands"). SYNC is kept for the application. All other
- * messages are ignored. A frame that is no message by its index or its length (messages.h) is ignored and counted,
- * whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).
+ * unique id or its last reset, blink with its LED, or reset itself (framing.md, "Commands"). SYNC is kept for the
+ * application. All other messages are ignored. A frame that is no message by its index or its length (messages.h) is
+ * ignored and counted, whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).
  *
  * Time: node_step with nothing to do takes about 150 instructions. It is bounded by NODE_BYTES_A_STEP received bytes,
  * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 6.8 kB.
@@ -86,7 +86,8 @@ typedef struct {
 } node_t;
 
 /* Load the parameters and say hello: a heartbeat leaves on serial by polling before anything else is touched, so that
- * even a crippled machine is heard; the same goes into the queue of CAN. The state is then NODE_STARTING. */
+ * even a crippled machine is heard; the same goes into the queue of CAN, and behind both what the board knows of its
+ * last reset. The state is then NODE_STARTING. */
 void node_start(node_t *node, hal_t *hal, hal_role_t role);
 
 /* Do one turn: kick the watchdog, take received messages, send heartbeat and counters if they are due, and hand the

@@ -236,7 +236,7 @@ def test_frames_leave_one_mailbox_after_the_other_and_are_repeated_on_error() ->
     board.close()
 
 
-IDENTITY, BLINK, RESET = 0, 1, 2
+IDENTITY, BLINK, RESET, LAST_RESET = range(4)
 UNIQUE = bytes(range(12))
 """Unique id of the boards of these tests."""
 NAMED = int.from_bytes(UNIQUE[:6], "little") ^ int.from_bytes(UNIQUE[6:], "little")
@@ -310,6 +310,29 @@ def test_a_command_for_another_board_and_one_of_the_wrong_length_are_ignored(boa
     command(board, 7, time=500 * MS)
     board.run(600 * MS)
     assert statuses(board) == [(7, 1)]
+
+
+def reset_reports(messages: list[Message]) -> list[tuple[int, dict[str, float]]]:
+    """Index and signals that are not 0."""
+    return [(m.index, {k: v for k, v in m.signals.items() if v}) for m in messages]
+
+
+def test_a_board_tells_after_its_start_and_when_asked_why_it_started(board: Board) -> None:
+    begun = [(0, {}), (1, {"item": 1, "resets_power_on": 1})]
+    Rig(board).run(100 * MS)
+    assert reset_reports(board.messages("RESET_REPORT")) == begun
+    assert reset_reports(board.can_messages("RESET_REPORT")) == begun
+    assert board.messages()[0].name == board.can_messages()[0].name == "HEARTBEAT"
+    command(board, LAST_RESET, node=0, time=100 * MS)
+    board.run(2100 * MS)
+    assert reset_reports(board.messages("RESET_REPORT")) == begun * 2
+    command(board, RESET, named=NAMED, time=2100 * MS)
+    board.run(2300 * MS)
+    assert reset_reports(board.messages("RESET_REPORT"))[4:] == [
+        (0, {"cause": 3, "uptime": 2}),
+        (1, {"item": 1, "resets_power_on": 1, "resets_software": 1}),
+    ]
+    assert statuses(board) == [(RESET, OK)]
 
 
 @pytest.mark.parametrize("emulated", [False, True])
