@@ -55,6 +55,10 @@ def test_who_is_there(nodes):
     assert [node for node in found if found[node]["sync_master"]] == [1]
     for line in found.values():
         assert (line["state"], line["locked"], line["same_protocol"]) == ("running", True, True)
+        assert line["last_reset"] == {
+            **{"cause": "power_on", "uptime_s": 0, "stalled": [], "text": "", "crash": None},
+            "counts": {"power_on": 1},
+        }
     (drive,) = found[3]["drives"]
     assert drive["current_A"] == pytest.approx(10.0, rel=0.01)
     assert (drive["target_A"], drive["enabled"], drive["open_coil"]) == (10.0, True, False)

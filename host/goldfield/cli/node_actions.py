@@ -10,9 +10,12 @@ from typing import Any
 
 from goldfield.cli.output import json_line, number
 from goldfield.errors import SystemFailure, UserError, counted
+from goldfield.link.heartbeat import ROLES
 from goldfield.link.requests import Value
 from goldfield.nodes.conversation import BLINK, HEARD_S, RESET, Conversation
 from goldfield.nodes.elements import elements_of, parsed, shown
+from goldfield.nodes.elf_lines import ElfLines
+from goldfield.nodes.last_reset import LastReset, words_of
 from goldfield.nodes.roster import Node
 from goldfield.view.terminal import WIDTH
 from goldfield_protocol.messages import protocol_hash
@@ -45,22 +48,30 @@ def checked(arguments: argparse.Namespace) -> Asked:
 
 def print_list(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
     """Print who is there."""
+    images = [ElfLines(path) for path in arguments.elf]
     conversation.listen(arguments.seconds or HEARD_S)
     conversation.identities()
+    conversation.last_resets()
     nodes = sorted(conversation.roster.nodes.values(), key=lambda node: node.number)
     if not nodes:
         raise SystemFailure(f"{conversation.name}: no node was heard: check the power, the cable and the bit rate")
     if arguments.json:
         for node in nodes:
-            print(json_line(node_record(node)))
+            print(json_line(node_record(node, _image_of(node, images))))
         return
     print(f"{'node':>4} {'role':7} {'state':14} {'version':8} {'current A':>12}  clock")
     for node in nodes:
-        for line in _lines_of(node):
+        for line in _lines_of(node, _image_of(node, images)):
             print(line)
 
 
-def node_record(node: Node) -> dict[str, Any]:
+def _image_of(node: Node, images: Sequence[ElfLines]) -> ElfLines | None:
+    """Return the program of a node: the file that is named after its role, else one that is named after none."""
+    named = [image for image in images if image.role == node.role]
+    return next(iter(named or [image for image in images if image.role not in ROLES.values()]), None)
+
+
+def node_record(node: Node, image: ElfLines | None = None) -> dict[str, Any]:
     """Return what is known of a node, for JSON."""
     return {
         "node": node.number,
@@ -75,22 +86,44 @@ def node_record(node: Node) -> dict[str, Any]:
         "temperature_degC": node.temperature_degC,
         "sync_master": node.syncs > 0,
         "drives": [{"channel": channel, **asdict(drive)} for channel, drive in sorted(node.drives.items())],
+        "last_reset": None if node.last_reset is None else _reset_record(node.last_reset, image),
         "counters": {counter_name(index): count for index, count in sorted(node.counters.items())},
     }
 
 
-def _lines_of(node: Node) -> Iterator[str]:
+def _reset_record(reset: LastReset, image: ElfLines | None) -> dict[str, Any]:
+    crash = reset.crash
+    record = {
+        "cause": reset.cause,
+        "uptime_s": reset.uptime_s,
+        "stalled": list(reset.stalled),
+        "counts": dict(reset.counts),
+        "text": ". ".join(words_of(reset, image)),
+        "crash": None,
+    }
+    if crash is not None:
+        record["crash"] = {
+            "fault": crash.fault,
+            "exception": crash.exception,
+            "stack_overflow": crash.stack_overflow,
+            "registers": {name: f"{value:#010x}" for name, value in crash.registers.items()},
+            "place": None if image is None else image.place(crash.registers.get("pc", 0) & ~1),
+        }
+    return record
+
+
+def _lines_of(node: Node, image: ElfLines | None) -> Iterator[str]:
     """Yield a line of the table, and below it what is worth saying."""
     drive = node.drives.get(0)
     current = "" if drive is None else f"{drive.current_A:.2f} of {drive.target_A:g}"
     clock = {None: "-", True: "locked", False: "not locked"}[node.locked]
     cells = (node.role or "?", node.state or "?", node.version or "?")
     yield f"{node.number:4d} {cells[0]:7} {cells[1]:14} {cells[2]:8} {current or '-':>12}  {clock}"
-    for text in _words_of(node):
+    for text in _words_of(node, image):
         yield from textwrap.wrap(text, WIDTH, initial_indent=" " * 5, subsequent_indent=" " * 7)
 
 
-def _words_of(node: Node) -> Iterator[str]:
+def _words_of(node: Node, image: ElfLines | None) -> Iterator[str]:
     if node.syncs:
         yield "sync master"
     if not node.same_protocol:
@@ -104,6 +137,8 @@ def _words_of(node: Node) -> Iterator[str]:
     for channel, drive in sorted(node.drives.items()):
         if drive.complaints:
             yield f"channel {channel} reports {', '.join(drive.complaints)}"
+    if node.last_reset is not None:
+        yield from words_of(node.last_reset, image)
     if node.counters:
         yield "counted: " + ", ".join(counted(count, counter_name(i)) for i, count in sorted(node.counters.items()))
 

@@ -23,6 +23,13 @@ def command(subparsers: Any) -> None:
     )
     _add_common(parser, nested=False)
     options.add(parser, "--seconds", metavar="N", what="how long to listen, default 2.2", kind=options.seconds)
+    parser.add_argument(
+        "--elf",
+        metavar="FILE",
+        action="append",
+        default=[],
+        help="ELF file that was flashed, to name the line of a crash; once for each role",
+    )
     actions = parser.add_subparsers(title="actions", metavar="ACTION", dest="action")
     get = actions.add_parser("get", help="read parameters", description="Reads one parameter, or all of a node.")
     put = actions.add_parser(

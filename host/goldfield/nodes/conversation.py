@@ -14,7 +14,7 @@ from goldfield.errors import SystemFailure
 from goldfield.link.buses import BusSource
 from goldfield.link.requests import ANSWER_S, UNKNOWN, Value, read_request, refusal, set_request, value_of
 from goldfield.link.traffic import added
-from goldfield.nodes.roster import Roster, decoded
+from goldfield.nodes.roster import Node, Roster, decoded
 from goldfield_protocol.messages import Message, encode
 from goldfield_protocol.parameters import Kind, label_of
 
@@ -24,10 +24,10 @@ HEARD_S = 2.2
 PATIENCE_S = 10.0
 """Longest wait for the first heartbeat."""
 
-IDENTITY, BLINK, RESET = 0, 1, 2
+IDENTITY, BLINK, RESET, LAST_RESET = 0, 1, 2, 3
 """Numbers of the commands, the index of ``COMMAND``."""
 IDENTITY_S = 0.5
-"""How long the nodes are waited for that have yet to tell their unique ids, s."""
+"""How long the nodes are waited for that have yet to tell their unique ids or their last resets, s."""
 
 
 def board_of(unique_id: str) -> int:
@@ -174,14 +174,22 @@ class Conversation:
 
     def identities(self, node: int = 0, tries: int = TRIES) -> None:
         """Let a node, or all (0), tell the unique ids of their processors to the roster."""
+        self._ask(IDENTITY, lambda one: bool(one.unique_ids), node, tries)
+
+    def last_resets(self, tries: int = TRIES) -> None:
+        """Let all nodes tell the roster why they started."""
+        self._ask(LAST_RESET, lambda one: one.last_reset is not None and one.last_reset.whole, 0, tries)
+
+    def _ask(self, command: int, told: Callable[[Node], bool], node: int, tries: int) -> None:
+        """Give a command until all that are asked, or one of them, have told what it is for."""
 
         def known(_: Message | None = None) -> bool:
             asked = [one for one in self.roster.nodes.values() if node in (0, one.number) and one.same_protocol]
-            return bool(asked) and all(one.unique_ids for one in asked)
+            return bool(asked) and all(told(one) for one in asked)
 
         for _ in range(tries):
             if not known():
-                self._tap.send(*encode("COMMAND", {"board": 0, "argument": 0}, node=node, index=IDENTITY))
+                self._tap.send(*encode("COMMAND", {"board": 0, "argument": 0}, node=node, index=command))
                 self.wait(known, IDENTITY_S)
 
     def command(self, node: int, command: int, argument: int = 0, board: str | None = None) -> None:

@@ -6,6 +6,7 @@ A node whose heartbeat tells another protocol is listed with it, and nothing els
 from __future__ import annotations
 
 from collections import Counter, deque
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import can
@@ -14,6 +15,8 @@ from cantools.database.errors import Error as DatabaseError
 from goldfield.link.heartbeat import ROLES, STATE_STARTING, STATES
 from goldfield.link.requests import UNKNOWN, Value, value_of
 from goldfield.link.traffic import BY_MISMATCH, MEANINGLESS, kind_of
+from goldfield.nodes.last_reset import NAME as RESET_REPORT
+from goldfield.nodes.last_reset import LastReset, last_reset
 from goldfield_protocol.messages import Message, decode, mismatch, protocol_hash
 
 REQUESTS = ("PARAM_SET", "PARAM_GET", "PARAM_DESCRIBE", "COMMAND")
@@ -85,6 +88,8 @@ class Node:
         Answers to reads by the parameter's id; None: it has no such parameter.
     halves : dict of int to dict of int to int
         The two halves of its unique id by the tag that they have in common: `unique_ids` joins them.
+    reset_items : dict of int to dict of str to float
+        What it told of its last reset, by the item: `last_reset` joins them.
     restarts : int
         Heartbeats that told a start.
     contradictions : int
@@ -107,6 +112,7 @@ class Node:
     syncs: int = 0
     parameters: dict[int, Value | None] = field(default_factory=dict)
     halves: dict[int, dict[int, int]] = field(default_factory=dict)
+    reset_items: dict[int, Mapping[str, float]] = field(default_factory=dict)
     restarts: int = 0
     contradictions: int = 0
 
@@ -115,6 +121,11 @@ class Node:
         """Unique ids of the processors that have this number, 24 hexadecimal digits each: two if it is taken twice."""
         whole = [halves for halves in self.halves.values() if len(halves) == 2]
         return sorted((halves[0].to_bytes(6, "little") + halves[1].to_bytes(6, "little")).hex() for halves in whole)
+
+    @property
+    def last_reset(self) -> LastReset | None:
+        """Why it started, and how its last run ended; None if it has not told."""
+        return last_reset(self.reset_items)
 
     @property
     def drives_coils(self) -> bool:
@@ -200,6 +211,7 @@ def _take_heartbeat(node: Node, message: Message) -> None:
         node.counters.clear()
         node.parameters.clear()
         node.drives.clear()
+        node.reset_items.clear()
         node.syncs = 0
         node.restarts += 1
     elif node.role is not None and before != (role, version, protocol):
@@ -222,6 +234,10 @@ def _take_message(node: Node, message: Message) -> None:
         node.syncs += 1
     elif message.name == "IDENTITY" and message.index in (0, 1):
         node.halves.setdefault(int(signals["tag"]), {})[message.index] = int(signals["half"])
+    elif message.name == RESET_REPORT:
+        if message.index == 0:
+            node.reset_items.clear()  # A new report begins.
+        node.reset_items[message.index] = signals
     elif message.name == "PARAM_VALUE":
         node.parameters[message.index] = None if signals["status"] == UNKNOWN else value_of(signals)
 
