@@ -10,7 +10,7 @@
 
 #define TEXT_CHARACTERS 7u /* Characters in one PARAM_TEXT. */
 
-enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2, COMMAND_LAST_RESET = 3 }; /* Indices of COMMAND. */
+enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2, COMMAND_LAST_RESET = 4 }; /* Indices of COMMAND. */
 
 #define HALF_BYTES   (HAL_UNIQUE_ID_BYTES / 2u)
 #define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */

@@ -24,7 +24,7 @@ HEARD_S = 2.2
 PATIENCE_S = 10.0
 """Longest wait for the first heartbeat."""
 
-IDENTITY, BLINK, RESET, LAST_RESET = 0, 1, 2, 3
+IDENTITY, BLINK, RESET, LAST_RESET = 0, 1, 2, 4
 """Numbers of the commands, the index of ``COMMAND``."""
 IDENTITY_S = 0.5
 """How long the nodes are waited for that have yet to tell their unique ids or their last resets, s."""

@@ -236,7 +236,7 @@ def test_frames_leave_one_mailbox_after_the_other_and_are_repeated_on_error() ->
     board.close()
 
 
-IDENTITY, BLINK, RESET, LAST_RESET = range(4)
+IDENTITY, BLINK, RESET, LAST_RESET = 0, 1, 2, 4
 UNIQUE = bytes(range(12))
 """Unique id of the boards of these tests."""
 NAMED = int.from_bytes(UNIQUE[:6], "little") ^ int.from_bytes(UNIQUE[6:], "little")
