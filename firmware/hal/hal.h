@@ -83,7 +83,8 @@ hal_burst_t hal_burst_timing(void);
 typedef enum {
     HAL_FAULT_DRIVER = 0, /* The drivers' fault input is active: hardware has switched the bridges off. */
     HAL_FAULT_STALE = 1,  /* No coil current was converted for two chips while the drive was on. */
-    HAL_FAULT_CLOCK = 2   /* The crystal stopped while running. */
+    HAL_FAULT_CLOCK = 2,  /* The crystal stopped while running: hal_clock() is no longer HAL_CLOCK_CRYSTAL. */
+    HAL_FAULT_SUPPLY = 3  /* The processor's own supply fell below 2.7 V. */
 } hal_fault_t;
 
 typedef struct {
@@ -210,7 +211,7 @@ typedef enum {
     HAL_CLOCK_SLOW = 2      /* The PLL did not lock: 16 MHz, links only; hal_chips_start() does nothing. */
 } hal_clock_t;
 
-/* Returns what the board runs on. */
+/* Returns what the board runs on: it changes from the crystal to the internal oscillator if the crystal stops. */
 hal_clock_t hal_clock(const hal_t *hal);
 
 /* ---- What outlives a reset ---- */
@@ -236,7 +237,8 @@ typedef struct {
     uint32_t sp;                     /* Its stack pointer at the exception's entry. */
     uint32_t cfsr, hfsr;             /* Fault status registers. */
     uint32_t address;                /* The address that could not be accessed; 0 if the processor does not know it. */
-    uint32_t stack[HAL_CRASH_STACK]; /* What lay above the exception's frame; of a stack that ran over, its far end. */
+    uint32_t stack[HAL_CRASH_STACK]; /* What lay above the exception's frame; of a stack that ran over, its latest
+                                        return addresses. */
     bool stack_overflow;             /* The stack ran over its end. */
 } hal_crash_t;
 
@@ -271,6 +273,7 @@ typedef struct {
     uint32_t late_blocks;        /* Blocks that repeated an old plan. */
     uint32_t converter_overruns; /* Overruns of the sensor's converters, whose samples are lost. */
     uint32_t watchdog_resets;    /* Resets by the watchdog since power-on. */
+    uint32_t supply_dips;        /* How often the processor's supply fell below 2.7 V. */
 } hal_counters_t;
 
 /* Read the counters. */

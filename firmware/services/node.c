@@ -98,6 +98,7 @@ static void collect_counters(node_t *node) {
     counters[COUNTER_LATE_BLOCKS] = board.late_blocks;
     counters[COUNTER_CONVERTER_OVERRUNS] = board.converter_overruns;
     counters[COUNTER_WATCHDOG_RESETS] = board.watchdog_resets;
+    counters[COUNTER_SUPPLY_DIPS] = board.supply_dips;
     counters[COUNTER_CLOCK_FALLBACKS] = hal_clock(node->hal) != HAL_CLOCK_CRYSTAL;
     counters[COUNTER_MESSAGES_LOST] = add_saturated(add_saturated(node->serial.lost, node->can.lost),
                                                     node->stream_lost);

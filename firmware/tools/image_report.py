@@ -31,6 +31,7 @@ HANDLERS: Mapping[str, str] = {
     "TIM1_CC_Handler": "on_sync",
     "ADC_Handler": "on_current",
     "EXTI15_10_Handler": "on_fault",
+    "PVD_Handler": "on_fault",
 }
 """Which handler in the application's file a function of the board calls through `hal_events_t`."""
 
@@ -38,8 +39,9 @@ ABSENT: Mapping[str, tuple[str, ...]] = {"beacon": ("on_samples",), "sensor": ("
 """Handlers that an application does not have; the board then never calls them (`hal_chips_start`)."""
 
 PRIORITIES: tuple[tuple[str, ...], ...] = (
+    ("NMI_Handler",),
     ("CAN1_TX_Handler", "CAN1_RX1_Handler"),
-    ("ADC_Handler", "EXTI15_10_Handler"),
+    ("ADC_Handler", "EXTI15_10_Handler", "PVD_Handler"),
     (
         "CAN1_RX0_Handler",
         "CAN1_SCE_Handler",

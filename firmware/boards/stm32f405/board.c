@@ -61,6 +61,7 @@ hal_t *board_start(void) {
     hal_t *hal = &board;
     hal->whole = (RCC->CR & RCC_CR_HSIRDY) != 0; /* The processor runs on it. */
     reset_start(hal);
+    guards_start();
     hal->clock = clock_start();
 
     RCC->AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA1EN |
@@ -76,6 +77,7 @@ hal_t *board_start(void) {
      * chip engine: it must not change while a channel is on. */
     DAC->CR = DAC_CR_EN1 | DAC_CR_BOFF1 | DAC_CR_TSEL1_TIM8 | DAC_CR_EN2 | DAC_CR_BOFF2 | DAC_CR_TSEL2_TIM8;
     clock_start_tick(hal->clock);
+    alarms_start(hal);
     serial_start(hal);
     can_start(hal);
     SCB->SHPR3 = (uint32_t)PRIORITY_TICK << 28;

@@ -6,17 +6,24 @@
  *   APB2      84 MHz: USART1; converters at 84 / 4 = 21 MHz
  *   APB1      42 MHz: CAN, DAC; TIM2 at 84 MHz
  * If the PLL does not lock either, everything runs at the 16 MHz the chip starts with, undivided. A crystal that dies
- * later stops the core; the watchdog has an oscillator of its own, resets, and the board comes back on the internal
- * oscillator. Voltage scale 1, needed at 168 MHz, is this chip's reset value.
+ * later is noticed by the clock security system (alarms.c). Voltage scale 1, needed at 168 MHz, is this chip's reset
+ * value.
+ *
+ * The flash is read ahead but on the first silicon, revision A, where reading ahead fails (ES0182). That
+ * revision tells the device id of another family (ES0182), so only a known id counts as a later one.
  */
 
 #include "boards/stm32f405/stm32f405.h"
 
 /* Tries of waiting for the crystal, 20 ms at 16 MHz; a crystal takes 2 ms (data sheet, table 37). */
-#define CRYSTAL_TRIES    50000u
-#define SWITCH_TRIES     10000u    /* Tries of waiting for a switch, 4 ms; the PLL takes 0.3 ms. */
-#define SLOW_HZ          16000000u /* Clock without the PLL, Hz. */
-#define TICKS_PER_SECOND 100u      /* Wake-ups of hal_wait() a second before the chip engine runs. */
+#define CRYSTAL_TRIES 50000u
+#define SWITCH_TRIES  10000u    /* Tries of waiting for a switch, 4 ms; the PLL takes 0.3 ms. */
+#define SLOW_HZ       16000000u /* Clock without the PLL, Hz. */
+/* What DBGMCU_IDCODE tells (RM0090, 38.6.1). */
+#define DEVICE_MASK      0xFFFu
+#define DEVICE_F405      0x413u
+#define REVISION_A       0x1000u
+#define TICKS_PER_SECOND 100u /* Wake-ups of hal_wait() a second before the chip engine runs. */
 
 bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries) {
     while (tries-- > 0) {
@@ -26,31 +33,50 @@ bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, u
     return false;
 }
 
-hal_clock_t clock_start(void) {
-    RCC->CR |= RCC_CR_HSEON;
-    const bool crystal = wait_for(&RCC->CR, RCC_CR_HSERDY, RCC_CR_HSERDY, CRYSTAL_TRIES);
-    if (!crystal)
-        RCC->CR &= ~RCC_CR_HSEON;
+/* Returns the flash's settings for 168 MHz. */
+static uint32_t flash_settings(void) {
+    const uint32_t id = DBG->DBGMCU_IDCODE;
+    const bool reads_ahead = (id & DEVICE_MASK) == DEVICE_F405 && id >> 16 != REVISION_A;
+    return FLASH_ACR_LATENCY_5 | FLASH_ACR_ICEN | FLASH_ACR_DCEN | (reads_ahead ? FLASH_ACR_PRFTEN : 0u);
+}
 
+/* Starts the PLL from the crystal or from the internal oscillator, and switches to it. Returns whether it locked. */
+static bool run_on_pll(bool crystal) {
     const uint32_t divide = crystal ? 4u : 8u, multiply = 168u, usb = 7u;
     const uint32_t reserved = RCC->PLLCFGR & 0xF0000000u; /* They must keep their reset value. */
     RCC->PLLCFGR = reserved | divide | multiply << 6 | usb << 24 | (crystal ? RCC_PLLCFGR_PLLSRC : 0u);
     RCC->CR |= RCC_CR_PLLON;
     if (!wait_for(&RCC->CR, RCC_CR_PLLRDY, RCC_CR_PLLRDY, SWITCH_TRIES)) {
         RCC->CR &= ~RCC_CR_PLLON;
-        return HAL_CLOCK_SLOW;
+        return false;
     }
 
-    FLASH->ACR = FLASH_ACR_LATENCY_5 | FLASH_ACR_PRFTEN | FLASH_ACR_ICEN | FLASH_ACR_DCEN;
+    FLASH->ACR = flash_settings();
     if (!wait_for(&FLASH->ACR, 7u, FLASH_ACR_LATENCY_5, SWITCH_TRIES))
-        return HAL_CLOCK_SLOW;
+        return false;
     RCC->CFGR |= RCC_CFGR_PPRE1_DIV4 | RCC_CFGR_PPRE2_DIV2; /* This comes before the switch: no bus may run too fast. */
     RCC->CFGR |= RCC_CFGR_SW1;
     if (!wait_for(&RCC->CFGR, RCC_CFGR_SWS0 | RCC_CFGR_SWS1, RCC_CFGR_SWS1, SWITCH_TRIES)) {
         RCC->CFGR &= ~(RCC_CFGR_SW1 | RCC_CFGR_PPRE1_DIV4 | RCC_CFGR_PPRE2_DIV2);
-        return HAL_CLOCK_SLOW;
+        return false;
     }
+    return true;
+}
+
+hal_clock_t clock_start(void) {
+    RCC->CR |= RCC_CR_HSEON;
+    const bool crystal = wait_for(&RCC->CR, RCC_CR_HSERDY, RCC_CR_HSERDY, CRYSTAL_TRIES);
+    if (!crystal)
+        RCC->CR &= ~RCC_CR_HSEON;
+    if (!run_on_pll(crystal))
+        return HAL_CLOCK_SLOW;
     return crystal ? HAL_CLOCK_CRYSTAL : HAL_CLOCK_INTERNAL;
+}
+
+/* The hardware has switched the crystal and its PLL off (RM0090, 7.2.7). */
+bool clock_fall_back(hal_t *hal) {
+    hal->clock = HAL_CLOCK_INTERNAL;
+    return run_on_pll(false);
 }
 
 void clock_start_tick(hal_clock_t clock) {

@@ -19,6 +19,7 @@
 enum { FRAME_LR = 5, FRAME_PC = 6, FRAME_XPSR = 7 };
 
 extern uint32_t stack_bottom, stack_top;
+extern const uint32_t text_start, text_end;
 
 static void say(const char *text, uint32_t value) {
     uint8_t line[24];
@@ -49,19 +50,26 @@ static bool ran_over(const hal_crash_t *crash) {
            (crash->address < bottom && crash->address >= bottom - STACK_GUARD_BYTES);
 }
 
-/* Takes from the stack what the processor pushed, and what lay above. A frame that is not wholly inside tells nothing;
- * the far end of the stack, which holds the latest calls, then still does. */
+/* Takes from the stack what the processor pushed, if all of it lies inside, and what lies above. */
 static void read_stack(hal_crash_t *crash, const uint32_t *frame, uint32_t exc_return) {
-    const uint32_t *above = &stack_bottom;
-    if (frame >= &stack_bottom && frame + FRAME_WORDS <= &stack_top) {
-        crash->lr = frame[FRAME_LR];
-        crash->pc = frame[FRAME_PC];
-        above = frame + ((exc_return & EXC_RETURN_BASIC) != 0 ? FRAME_WORDS : FRAME_WORDS_FP);
-        above += (frame[FRAME_XPSR] & XPSR_ALIGNED) != 0 ? 1u : 0u;
-        crash->sp = (uint32_t)above;
-    }
+    if (frame < &stack_bottom || frame + FRAME_WORDS > &stack_top)
+        return;
+    crash->lr = frame[FRAME_LR];
+    crash->pc = frame[FRAME_PC];
+    const uint32_t *above = frame + ((exc_return & EXC_RETURN_BASIC) != 0 ? FRAME_WORDS : FRAME_WORDS_FP);
+    above += (frame[FRAME_XPSR] & XPSR_ALIGNED) != 0 ? 1u : 0u;
+    crash->sp = (uint32_t)above;
     for (unsigned i = 0; i < HAL_CRASH_STACK && above + i < &stack_top; i++)
         crash->stack[i] = above[i];
+}
+
+/* Takes from the far end of a stack that ran over the words that may be return addresses: they tell who called whom. */
+static void read_calls(hal_crash_t *crash) {
+    unsigned found = 0;
+    for (const uint32_t *word = &stack_bottom; word < &stack_top && found < HAL_CRASH_STACK; word++) {
+        if ((*word & 1u) != 0 && *word >= (uint32_t)&text_start && *word < (uint32_t)&text_end)
+            crash->stack[found++] = *word;
+    }
 }
 
 __attribute__((noreturn, used)) static void crash(const uint32_t *frame, uint32_t exception, uint32_t exc_return) {
@@ -79,6 +87,8 @@ __attribute__((noreturn, used)) static void crash(const uint32_t *frame, uint32_
                                                              : 0u;
     crash.stack_overflow = ran_over(&crash);
     read_stack(&crash, frame, exc_return);
+    if (crash.stack_overflow)
+        read_calls(&crash);
     reset_crash(&crash);
     reset_note_uptime(&board);
     say_all(&crash);

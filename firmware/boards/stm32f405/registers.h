@@ -28,6 +28,7 @@ typedef struct {
 #define RCC_CR_HSIRDY        (1u << 1)
 #define RCC_CR_HSEON         (1u << 16)
 #define RCC_CR_HSERDY        (1u << 17)
+#define RCC_CR_CSSON         (1u << 19)
 #define RCC_CR_PLLON         (1u << 24)
 #define RCC_CR_PLLRDY        (1u << 25)
 #define RCC_PLLCFGR_PLLSRC   (1u << 22) /* 1: crystal. */
@@ -36,6 +37,8 @@ typedef struct {
 #define RCC_CFGR_SWS1        (1u << 3)
 #define RCC_CFGR_PPRE1_DIV4  (5u << 10)
 #define RCC_CFGR_PPRE2_DIV2  (4u << 13)
+#define RCC_CIR_CSSF         (1u << 7)
+#define RCC_CIR_CSSC         (1u << 23)
 #define RCC_AHB1ENR_GPIOAEN  (1u << 0)
 #define RCC_AHB1ENR_GPIOBEN  (1u << 1)
 #define RCC_AHB1ENR_GPIOCEN  (1u << 2)
@@ -43,6 +46,7 @@ typedef struct {
 #define RCC_AHB1ENR_DMA2EN   (1u << 22)
 #define RCC_APB1ENR_TIM2EN   (1u << 0)
 #define RCC_APB1ENR_CAN1EN   (1u << 25)
+#define RCC_APB1ENR_PWREN    (1u << 28)
 #define RCC_APB1ENR_DACEN    (1u << 29)
 #define RCC_APB2ENR_TIM1EN   (1u << 0)
 #define RCC_APB2ENR_TIM8EN   (1u << 1)
@@ -69,6 +73,23 @@ typedef struct {
 #define FLASH_ACR_PRFTEN    (1u << 8)
 #define FLASH_ACR_ICEN      (1u << 9)
 #define FLASH_ACR_DCEN      (1u << 10)
+
+typedef struct {
+    volatile uint32_t CR, CSR;
+} PWR_registers;
+#define PWR ((PWR_registers *)0x40007000u)
+
+#define PWR_CR_PVDE    (1u << 4)
+#define PWR_CR_PLS_2V7 (5u << 5)
+
+/* ---- Debugging ---- */
+
+typedef struct {
+    volatile uint32_t DBGMCU_IDCODE, DBGMCU_CR, DBGMCU_APB1_FZ;
+} DBG_registers;
+#define DBG ((DBG_registers *)0xE0042000u)
+
+#define DBG_DBGMCU_APB1_FZ_DBG_IWDEG_STOP (1u << 12) /* RM0090 calls it DBG_IWDG_STOP. */
 
 /* ---- Pins ---- */
 
@@ -318,15 +339,29 @@ typedef struct {
 } SCB_registers;
 #define SCB                ((SCB_registers *)0xE000ED00u)
 #define SCB_CPACR_FPU_FULL (15u << 20)
-#define SCB_CFSR_MSTKERR   (1u << 4) /* The frame of an exception met a memory protection region. */
-#define SCB_CFSR_MMARVALID (1u << 7)
-#define SCB_CFSR_STKERR    (1u << 12) /* The frame of an exception met a bus fault. */
-#define SCB_CFSR_BFARVALID (1u << 15)
+/* Faults that have an exception of their own, rather than the hard fault. */
+#define SCB_SHCSR_MEMFAULTENA (1u << 16)
+#define SCB_SHCSR_BUSFAULTENA (1u << 17)
+#define SCB_SHCSR_USGFAULTENA (1u << 18)
+#define SCB_CFSR_MSTKERR      (1u << 4) /* The frame of an exception met a memory protection region. */
+#define SCB_CFSR_MMARVALID    (1u << 7)
+#define SCB_CFSR_STKERR       (1u << 12) /* The frame of an exception met a bus fault. */
+#define SCB_CFSR_BFARVALID    (1u << 15)
 /* The system resets; the upper half is the key without which nothing is written (PM0214, 4.4.5). */
 #define SCB_AIRCR_SYSRESETREQ (0x05FAu << 16 | 1u << 2)
 
+typedef struct {
+    volatile uint32_t TYPE, CTRL, RNR, RBAR, RASR;
+} MPU_registers;
+#define MPU                 ((MPU_registers *)0xE000ED90u)
+#define MPU_CTRL_ENABLE     (1u << 0)
+#define MPU_CTRL_PRIVDEFENA (1u << 2) /* What no region covers has the default map. */
+#define MPU_RASR_ENABLE     (1u << 0)
+#define MPU_RASR_XN         (1u << 28) /* No instruction is fetched from there. */
+
 /* Positions of the interrupts in the vector table (RM0090, table 62). */
 enum {
+    IRQ_PVD = 1,
     IRQ_ADC = 18,
     IRQ_CAN1_TX = 19,
     IRQ_CAN1_RX0 = 20,

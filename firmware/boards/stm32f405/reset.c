@@ -11,7 +11,7 @@
  * After power-on everything is 0 but the count of that power-on.
  *
  * A power-on sets the flags of brown-out and pin as well, and every reset of the chip itself pulls the pin (RM0090,
- * 6.3.21 and figure 4): the flags are looked at from the most telling to the least.
+ * 7.1.1 and 7.3.21): the flags are looked at from the most telling to the least.
  */
 
 #include <string.h>

@@ -21,7 +21,7 @@ typedef struct {
 __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
     .stack = &stack_top,
     .reset = Reset_Handler,
-    .nmi = Fault_Handler,
+    .nmi = NMI_Handler,
     .hard_fault = Fault_Handler,
     .memory_fault = Fault_Handler,
     .bus_fault = Fault_Handler,
@@ -32,7 +32,9 @@ __attribute__((section(".vectors"), used)) static const vectors_t vectors = {
     .tick = SysTick_Handler,
     .irq =
         {
-            [0 ... IRQ_ADC - 1] = Fault_Handler,
+            [IRQ_PVD - 1] = Fault_Handler,
+            [IRQ_PVD] = PVD_Handler,
+            [IRQ_PVD + 1 ... IRQ_ADC - 1] = Fault_Handler,
             [IRQ_ADC] = ADC_Handler,
             [IRQ_CAN1_TX] = CAN1_TX_Handler,
             [IRQ_CAN1_RX0] = CAN1_RX0_Handler,

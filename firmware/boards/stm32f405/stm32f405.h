@@ -8,13 +8,15 @@
  *   chip_engine.c  TIM1, TIM8, DMA to pins and DAC, blocks, sync
  *   can.c          CAN1
  *   board.c        pins, watchdog, and what is not the others'
+ *   guards.c       memory protection
+ *   alarms.c       crystal or supply fails while the board runs
  *   crash.c        fault report over serial, then reset
  *   startup.c      vector table, reset, .data and .bss
  * A file calls only those above it in this list. Functions are declared below by file.
  *
  * Priorities (a lower number preempts)
  *   0   time stamps of CAN frames
- *   1   coil currents, temperature and driver fault
+ *   1   coil currents, temperature, driver fault, and alarms
  *   2   every other handler
  *   3   the 10 ms tick
  * The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a handler has more than two instructions
@@ -115,11 +117,23 @@ static inline void memory_barrier(void) {
  * happen. */
 bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries);
 hal_clock_t clock_start(void);
+
+/* Go on without the crystal, which has stopped: 0.3 ms at 16 MHz, then as if it had never started. Returns false if the
+ * PLL does not lock. */
+bool clock_fall_back(hal_t *hal);
 void clock_start_tick(hal_clock_t clock);
 
-/* ---- crash.c ---- */
+/* ---- guards.c ---- */
 
-#define STACK_GUARD_BYTES 4096u /* How far below its end an access still tells that the stack ran over. */
+#define STACK_GUARD_BYTES 4096u /* How far below the stack an access meets its guard. */
+
+/* Forbid what the program never does, so that it is a fault. */
+void guards_start(void);
+
+/* ---- alarms.c ---- */
+
+/* Watch the supply, and the crystal if the board runs on it. */
+void alarms_start(const hal_t *hal);
 
 /* ---- reset.c ---- */
 
@@ -167,8 +181,10 @@ void can_start(const hal_t *hal);
 
 /* The vector table's entries. */
 void Reset_Handler(void);
+void NMI_Handler(void);
 void Fault_Handler(void);
 void SysTick_Handler(void);
+void PVD_Handler(void);
 void ADC_Handler(void);
 void CAN1_TX_Handler(void);
 void CAN1_RX0_Handler(void);

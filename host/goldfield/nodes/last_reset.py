@@ -191,7 +191,7 @@ def _crash_words(crash: Crash, image: Image | None) -> str:
 
 
 def _latest_calls(crash: Crash, image: Image) -> str:
-    """Return where the calls at the end of a stack that ran over return to, which tells whose they are."""
+    """Return where the latest calls of a stack that ran over return to, which tells whose they are."""
     held = (crash.registers.get(f"stack_{i}", 0) for i in range(8))
     calls = dict.fromkeys(place for word in held if word & 1 and (place := image.place(word & ~1)))
     return f" below {', '.join(calls)}" if calls else ""

@@ -18,6 +18,7 @@ from goldfield_protocol import FrameDecoder, decode, protocol_hash
 
 ROOT = Path(__file__).resolve().parents[4]
 OUT = ROOT / "build" / "firmware"
+BOARD = "firmware/boards/stm32f405"
 ROLES = {"beacon": 0, "sensor": 1, "anchor": 3}
 
 specification = importlib.util.spec_from_file_location("image_report", ROOT / "firmware" / "tools" / "image_report.py")
@@ -232,8 +233,8 @@ def test_crash_report(qemu_elf, qemu, tmp_path):
     assert pc == address
     assert main <= lr < main + 256
     assert cfsr == 1 << 16  # UNDEFINSTR
-    assert hfsr == 1 << 30  # FORCED
-    assert ipsr == 3
+    assert hfsr == 0
+    assert ipsr == 6  # the usage fault's own exception
     # A receiver of frames loses nothing but the report.
     decoder = FrameDecoder()
     assert len(list(decoder.feed(machine.serial))) >= 1
@@ -246,3 +247,30 @@ def test_a_stack_that_runs_over_is_a_fault_with_a_report(qemu_elf, qemu, tmp_pat
     machine = qemu(path)
     machine.run_until(lambda: CRASH.search(machine.serial))
     assert CRASH.search(machine.serial)[1] == b"00000000"
+
+
+@pytest.mark.parametrize("role", ["beacon"], indirect=True)  # The guards are the board's, whatever the role.
+@pytest.mark.parametrize(
+    ("how", "cfsr", "ipsr"),
+    [
+        (3, 0x8200, 5),  # a bus fault: nothing is at that address
+        (4, 0x10000, 6),  # no instruction
+        (6, 0x82, 4),  # a stack that runs over meets its guard
+        (7, 0x82, 4),  # a null pointer
+        (8, 0x82, 4),  # a write to flash
+        (9, 0x01, 4),  # code in RAM
+    ],
+)
+def test_guards_on_a_processor_of_somebody_elses(how, cfsr, ipsr, qemu_elf, qemu, tmp_path):
+    script = qemu_elf.with_suffix(".ld") if qemu_elf.parent.name == "qemu" else ROOT / BOARD / "stm32f405.ld"
+    objects = map(str, sorted((OUT / BOARD).glob("*.o")))
+    cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-O1", "-std=c11"]
+    options = [f"-DHOW={how}u", "-DRUN_US=1000u", f"-I{ROOT / 'firmware'}", "-nostartfiles", "--specs=nano.specs"]
+    source, path = Path(__file__).parent / "reset_probe.c", tmp_path / "probe.elf"
+    command = ["arm-none-eabi-gcc", *cpu, *options, "-T", str(script), str(source), *objects, "-o", str(path)]
+    subprocess.run([*command, "-Wl,--gc-sections"], check=True)
+    machine = qemu(path)
+    machine.run_until(lambda: CRASH.search(machine.serial))
+    _, _, told_cfsr, hfsr, told_ipsr = (int(v, 16) for v in CRASH.search(machine.serial).groups())
+    # The frame of an overflow cannot be pushed either (MSTKERR).
+    assert (told_cfsr & ~0x10, hfsr, told_ipsr) == (cfsr, 0, ipsr)

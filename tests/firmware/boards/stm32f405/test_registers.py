@@ -16,7 +16,7 @@ import pytest
 
 HEADER = Path(__file__).resolve().parents[4] / "firmware" / "boards" / "stm32f405" / "registers.h"
 
-# ARMv7-M Architecture Reference Manual, tables B3-4, B3-7 and B3-8: the SVD has no core registers but the NVIC's.
+# ARMv7-M Architecture Reference Manual, tables B3-4, B3-7, B3-8 and B3-11: the SVD has of the core the NVIC only.
 CORE = {
     "SYSTICK": (0xE000E010, {"CTRL": 0x0, "LOAD": 0x4, "VAL": 0x8, "CALIB": 0xC}),
     "SCB": (
@@ -27,12 +27,20 @@ CORE = {
             **{"BFAR": 0x38, "AFSR": 0x3C, "CPACR": 0x88},
         },
     ),
+    "MPU": (0xE000ED90, {"TYPE": 0x0, "CTRL": 0x4, "RNR": 0x8, "RBAR": 0xC, "RASR": 0x10}),
 }
 CORE_BITS = {
     "SYSTICK_CTRL_ENABLE": 1 << 0,
     "SYSTICK_CTRL_TICKINT": 1 << 1,
     "SYSTICK_CTRL_CLKSOURCE": 1 << 2,
     "SCB_CPACR_FPU_FULL": 0xF << 20,
+    "SCB_SHCSR_MEMFAULTENA": 1 << 16,  # B3.2.13
+    "SCB_SHCSR_BUSFAULTENA": 1 << 17,
+    "SCB_SHCSR_USGFAULTENA": 1 << 18,
+    "MPU_CTRL_ENABLE": 1 << 0,  # B3.5.5
+    "MPU_CTRL_PRIVDEFENA": 1 << 2,
+    "MPU_RASR_ENABLE": 1 << 0,  # B3.5.9
+    "MPU_RASR_XN": 1 << 28,
     "SCB_CFSR_MSTKERR": 1 << 4,  # ARMv7-M ARM, table B3-19: MMFSR is the lowest byte of CFSR
     "SCB_CFSR_MMARVALID": 1 << 7,
     "SCB_CFSR_STKERR": 1 << 8 + 4,  # BFSR is the second byte
@@ -175,7 +183,7 @@ def test_bits(header):
             register = svd()["DMA2"][1]["LISR" if stream < 4 else "HISR"][1]
             assert value == sum(1 << bit for field, (bit, _) in register.items() if field.endswith(f"IF{stream}")), name
             continue
-        peripheral, register, field = re.fullmatch(r"(C_ADC|[A-Z]+\d?)_([A-Z0-9]+)_(\w+)", name).groups()
+        peripheral, register, field = re.fullmatch(r"(C_ADC|[A-Z]+\d?)_(DBGMCU_APB1_FZ|[A-Z0-9]+)_(\w+)", name).groups()
         registers = svd()[PREFIXES.get(peripheral, peripheral)][1]
         layouts = [
             fields for r, (_, fields) in registers.items() if r in (register, register + "_Output", register + "_Input")

@@ -1,0 +1,63 @@
+/* alarms.c: the two things that may fail below the processor while it runs, and what is done at once.
+ *
+ *   crystal   The clock security system notices within a few microseconds that the crystal stopped; the hardware then
+ *             goes on at 16 MHz from the internal oscillator, with the PLL off, and raises the non-maskable interrupt.
+ *             The bridges go off, and the PLL is started anew from the internal oscillator: from then on the board is
+ *             one whose crystal never started (HAL_CLOCK_INTERNAL). The chips of that third of a millisecond are too
+ *             long. If the PLL does not lock either, the board restarts.
+ *   supply    The voltage detector notices that the supply falls below 2.7 V, less than what the processor needs at
+ *             168 MHz. The bridges go off, and the dip is counted. The brown-out reset (option bytes, set by make
+ *             flash) strikes at about the same voltage; without it this alarm is all there is.
+ *
+ * The non-maskable interrupt may come in the middle of any handler. It touches the bridges and the clocks only, and
+ * leaves what the application is to hear to the supply's handler, whose priority is that of the drive.
+ */
+
+#include "boards/stm32f405/stm32f405.h"
+
+#define EXTI_PVD (1u << 16) /* The line of the voltage detector. */
+
+static volatile bool crystal_lost; /* The application has yet to hear of it. */
+
+static void tell(hal_fault_t fault) {
+    if (board.events.fault != NULL)
+        board.events.fault(board.events.context, fault);
+    board.woken = true;
+}
+
+void alarms_start(const hal_t *hal) {
+    RCC->APB1ENR |= RCC_APB1ENR_PWREN;
+    EXTI->RTSR |= EXTI_PVD; /* The detector's output rises when the supply falls. */
+    EXTI->IMR |= EXTI_PVD;
+    interrupt_enable(IRQ_PVD, PRIORITY_DRIVE);
+    /* A peripheral answers a few cycles after its clock is on (ES0182): reading it back and the lines above take
+     * longer. */
+    (void)RCC->APB1ENR;
+    PWR->CR |= PWR_CR_PLS_2V7 | PWR_CR_PVDE;
+    if (hal->clock == HAL_CLOCK_CRYSTAL)
+        RCC->CR |= RCC_CR_CSSON;
+}
+
+void NMI_Handler(void) {
+    hal_drive_enable(&board, false);
+    if ((RCC->CIR & RCC_CIR_CSSF) == 0)
+        return; /* It has no other source on this chip. */
+    RCC->CIR = RCC_CIR_CSSC; /* No other interrupt of the clocks is enabled there. */
+    if (!clock_fall_back(&board))
+        hal_reset(&board);
+    crystal_lost = true;
+    NVIC->ISPR[IRQ_PVD / 32] = 1u << (IRQ_PVD % 32);
+}
+
+void PVD_Handler(void) {
+    if ((EXTI->PR & EXTI_PVD) != 0) {
+        EXTI->PR = EXTI_PVD;
+        hal_drive_enable(&board, false);
+        board.counters.supply_dips++;
+        tell(HAL_FAULT_SUPPLY);
+    }
+    if (crystal_lost) {
+        crystal_lost = false;
+        tell(HAL_FAULT_CLOCK);
+    }
+}
