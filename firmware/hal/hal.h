@@ -19,8 +19,10 @@
  * plan: the chip edges of that block are wrong, which hal_counters_t.late_blocks counts once a block.
  *
  * Contexts. "Main" is the loop around hal_wait(); "interrupt" is any handler of hal_events_t. All handlers run at one
- * priority except fault and current, which preempt the others; a handler is never re-entered. Functions are callable
- * from main only, unless they say otherwise or are marked [any].
+ * priority except fault and current, which share a higher one and preempt the others; a handler is never re-entered.
+ * What must happen at once or at a known time does not wait for them: bridges go off in hardware or in an interrupt
+ * above all handlers, and the edges of the sync wire and frames of CAN are stamped above them, so that plan() may take
+ * several chips. Functions are callable from main only, unless they say otherwise or are marked [any].
  */
 #ifndef GOLDFIELD_HAL_H
 #define GOLDFIELD_HAL_H
@@ -82,9 +84,10 @@ hal_burst_t hal_burst_timing(void);
 /* Why the board switched the drive off by itself. */
 typedef enum {
     HAL_FAULT_DRIVER = 0, /* The drivers' fault input is active: hardware has switched the bridges off. */
-    HAL_FAULT_STALE = 1,  /* No coil current was converted for two chips while the drive was on. */
-    HAL_FAULT_CLOCK = 2,  /* The crystal stopped while running: hal_clock() is no longer HAL_CLOCK_CRYSTAL. */
-    HAL_FAULT_SUPPLY = 3  /* The processor's own supply fell below 2.7 V. */
+    /* For two chips no coil current was converted, or the chips' edges stood still, while the drive was on. */
+    HAL_FAULT_STALE = 1,
+    HAL_FAULT_CLOCK = 2, /* The crystal stopped while running: hal_clock() is no longer HAL_CLOCK_CRYSTAL. */
+    HAL_FAULT_SUPPLY = 3 /* The processor's own supply fell below 2.7 V. */
 } hal_fault_t;
 
 typedef struct {
@@ -104,7 +107,8 @@ typedef struct {
     void (*current)(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 
     /* Interrupt: the board has switched the drive off by itself, for this reason. It stays off until
-     * hal_drive_enable() is told to enable it again. */
+     * hal_drive_enable() is told to enable it again. An active fault input is told also if the drive was off, and once:
+     * it is told again when it comes after the drive was enabled the next time. */
     void (*fault)(void *context, hal_fault_t fault);
 
     /* Interrupt: the sync input rose, ticks (0..period-1) after the start of the chip. */
@@ -129,8 +133,10 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events);
 /* ---- Coil drive (beacon, anchor) ---- */
 
 /* [any] Enable both bridges, or switch them off. Off acts at once, whatever the plan says.
- * Bridges and set-points change as planned, together at a chip's start.
- * Returns whether the bridges are now as asked: they cannot be enabled while the drivers' fault input is active. */
+ * Bridges and set-points change as planned, together at a chip's start. Enabled bridges stay so for two chips beyond
+ * each current(), as long as the chips' edges come as well; then the board switches them off (HAL_FAULT_STALE).
+ * Returns whether the bridges are now as asked: they cannot be enabled while the drivers' fault input is active, nor
+ * before the chip engine runs. */
 bool hal_drive_enable(hal_t *hal, bool enable);
 
 /* [any] Returns whether the drivers' fault input is active now. */
@@ -147,7 +153,7 @@ typedef struct {
     uint16_t driver;             /* Temperature of the driver. */
 } hal_monitor_t;
 
-/* [any] Read the latest values. They are 0 until hal_chips_start() and for one block after it. */
+/* [any] Read the latest values. They are 0 until the first current(), and stay 0 on a sensor. */
 void hal_monitor(const hal_t *hal, hal_monitor_t *monitor);
 
 /* ---- Links ---- */

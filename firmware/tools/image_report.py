@@ -27,10 +27,10 @@ CORE_MEMORY_BYTES = 64 * 1024
 
 HANDLERS: Mapping[str, str] = {
     f"{ENGINE}:plan_block": "on_plan",
-    "DMA2_Stream5_Handler": "on_samples",
-    "TIM1_CC_Handler": "on_sync",
+    "DMA2_Stream1_Handler": "on_samples",
+    "PendSV_Handler": "on_sync",
     "ADC_Handler": "on_current",
-    "EXTI15_10_Handler": "on_fault",
+    "TIM1_BRK_TIM9_Handler": "on_fault",
     "PVD_Handler": "on_fault",
 }
 """Which handler in the application's file a function of the board calls through `hal_events_t`."""
@@ -40,16 +40,16 @@ ABSENT: Mapping[str, tuple[str, ...]] = {"beacon": ("on_samples",), "sensor": ("
 
 PRIORITIES: tuple[tuple[str, ...], ...] = (
     ("NMI_Handler",),
-    ("CAN1_TX_Handler", "CAN1_RX1_Handler"),
-    ("ADC_Handler", "EXTI15_10_Handler", "PVD_Handler"),
+    ("TIM7_Handler",),
+    ("CAN1_TX_Handler", "CAN1_RX1_Handler", "TIM8_CC_Handler"),
+    ("ADC_Handler", "TIM1_BRK_TIM9_Handler", "TIM8_BRK_TIM12_Handler", "PVD_Handler"),
     (
         "CAN1_RX0_Handler",
         "CAN1_SCE_Handler",
-        "TIM1_CC_Handler",
-        "USART1_Handler",
-        "DMA2_Stream2_Handler",
-        "DMA2_Stream5_Handler",
-        "DMA2_Stream7_Handler",
+        "DMA1_Stream1_Handler",
+        "DMA1_Stream3_Handler",
+        "DMA2_Stream1_Handler",
+        "PendSV_Handler",
     ),
     ("SysTick_Handler",),
 )

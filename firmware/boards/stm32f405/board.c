@@ -13,6 +13,8 @@
 enum { MODE_OUTPUT = 1, MODE_ALTERNATE = 2, MODE_ANALOG = 3 };
 enum { PULL_NONE = 0, PULL_UP = 1, PULL_DOWN = 2 };
 enum { SPEED_HIGH = 2 };
+/* Alternate functions of the pins, by peripheral (data sheet, table 9). */
+enum { TIM1_FUNCTION = 1, TIM3_FUNCTION = 2, TIM8_FUNCTION = 3, USART3_FUNCTION = 7, CAN1_FUNCTION = 9 };
 
 static void change(volatile uint32_t *address, uint32_t mask, uint32_t value) {
     *address = (*address & ~mask) | value;
@@ -29,22 +31,30 @@ static void pin_alternate(GPIO_registers *port, unsigned pin, uint32_t function,
     pin_mode(port, pin, MODE_ALTERNATE, pull);
 }
 
+/* Sets up all pins but those that a timer drives. What a pin is for is in pinout.md. */
 static void pins_start(void) {
-    GPIOC->BSRR = 0x3F0u << 16 | 1u << 12; /* Drives (PC4 to PC9) and LED are off before they are outputs. */
-    for (unsigned pin = 4; pin <= 9; pin++) {
-        change(&GPIOC->OSPEEDR, 3u << (2 * pin), (uint32_t)SPEED_HIGH << (2 * pin));
-        pin_mode(GPIOC, pin, MODE_OUTPUT, PULL_NONE);
-    }
-    pin_mode(GPIOC, 12, MODE_OUTPUT, PULL_NONE);
-    pin_mode(GPIOC, 10, 0, PULL_UP);
-    SYSCFG->EXTICR3 = SYSCFG_EXTICR3_EXTI10_PORTC;
-    for (unsigned pin = 0; pin <= 6; pin++)
+    for (unsigned pin = 0; pin <= 5; pin++)
         pin_mode(GPIOA, pin, MODE_ANALOG, PULL_NONE);
-    pin_alternate(GPIOA, 10, 1, PULL_DOWN); /* TIM1_CH3, pulled so that it is quiet without a sync wire. */
-    pin_alternate(GPIOB, 6, 7, PULL_NONE);
-    pin_alternate(GPIOB, 7, 7, PULL_UP);
-    pin_alternate(GPIOB, 8, 9, PULL_UP); /* The pull-up is recessive without a transceiver. */
-    pin_alternate(GPIOB, 9, 9, PULL_NONE);
+    for (unsigned pin = 0; pin <= 4; pin++)
+        pin_mode(GPIOC, pin, MODE_ANALOG, PULL_NONE);
+    pin_alternate(GPIOA, 6, TIM8_FUNCTION, PULL_UP);
+    pin_alternate(GPIOB, 12, TIM1_FUNCTION, PULL_UP);
+    pin_alternate(GPIOC, 6, TIM8_FUNCTION, PULL_DOWN); /* It is quiet without a sync wire. */
+    pin_alternate(GPIOB, 8, CAN1_FUNCTION, PULL_UP);   /* The pull-up is recessive without a transceiver. */
+    pin_alternate(GPIOB, 9, CAN1_FUNCTION, PULL_NONE);
+    pin_alternate(GPIOB, 10, USART3_FUNCTION, PULL_NONE);
+    pin_alternate(GPIOB, 11, USART3_FUNCTION, PULL_UP);
+    GPIOB->BSRR = 1u << (4 + 16); /* The LED is off before its pin is an output. */
+    pin_mode(GPIOB, 4, MODE_OUTPUT, PULL_NONE);
+}
+
+/* Gives the timers their outputs, which are low by then. */
+static void output_pins_start(void) {
+    pin_alternate(GPIOA, 7, TIM3_FUNCTION, PULL_NONE);
+    pin_alternate(GPIOB, 0, TIM8_FUNCTION, PULL_NONE);
+    pin_alternate(GPIOB, 1, TIM8_FUNCTION, PULL_NONE);
+    for (unsigned pin = 13; pin <= 15; pin++)
+        pin_alternate(GPIOB, pin, TIM1_FUNCTION, PULL_NONE);
 }
 
 /* Starts the watchdog with 500 ms at the nominal 32 kHz of its oscillator, which may run at 17 to 47 kHz. */
@@ -66,13 +76,17 @@ hal_t *board_start(void) {
 
     RCC->AHB1ENR |= RCC_AHB1ENR_GPIOAEN | RCC_AHB1ENR_GPIOBEN | RCC_AHB1ENR_GPIOCEN | RCC_AHB1ENR_DMA1EN |
                     RCC_AHB1ENR_DMA2EN;
-    RCC->APB1ENR |= RCC_APB1ENR_TIM2EN | RCC_APB1ENR_CAN1EN | RCC_APB1ENR_DACEN;
-    RCC->APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_USART1EN | RCC_APB2ENR_ADC1EN |
-                    RCC_APB2ENR_ADC2EN | RCC_APB2ENR_ADC3EN | RCC_APB2ENR_SYSCFGEN;
+    RCC->APB1ENR |= RCC_APB1ENR_TIM2EN | RCC_APB1ENR_TIM3EN | RCC_APB1ENR_TIM7EN | RCC_APB1ENR_USART3EN |
+                    RCC_APB1ENR_CAN1EN | RCC_APB1ENR_DACEN;
+    RCC->APB2ENR |= RCC_APB2ENR_TIM1EN | RCC_APB2ENR_TIM8EN | RCC_APB2ENR_ADC1EN | RCC_APB2ENR_ADC2EN |
+                    RCC_APB2ENR_ADC3EN;
     (void)RCC->APB2ENR; /* A peripheral answers two cycles after its clock is on (ES0182). */
 
     watchdog_start();
     pins_start();
+    bridge_start();
+    sync_wire_start();
+    output_pins_start();
     /* The outputs are unbuffered, since the buffer does not reach 0 V. The trigger is chosen now and switched on by the
      * chip engine: it must not change while a channel is on. */
     DAC->CR = DAC_CR_EN1 | DAC_CR_BOFF1 | DAC_CR_TSEL1_TIM8 | DAC_CR_EN2 | DAC_CR_BOFF2 | DAC_CR_TSEL2_TIM8;
@@ -80,13 +94,13 @@ hal_t *board_start(void) {
     alarms_start(hal);
     serial_start(hal);
     can_start(hal);
-    SCB->SHPR3 = (uint32_t)PRIORITY_TICK << 28;
+    SCB->SHPR3 = (uint32_t)PRIORITY_TICK << 28 | (uint32_t)PRIORITY_NORMAL << 20; /* SysTick and PendSV. */
     return hal;
 }
 
 void hal_led(hal_t *hal, bool on) {
     (void)hal;
-    GPIOC->BSRR = on ? 1u << (12 + 16) : 1u << 12; /* It hangs between pin and supply. */
+    GPIOB->BSRR = on ? 1u << 4 : 1u << (4 + 16);
 }
 
 /* No interrupt may come between, since one of them switches the bridges on. */

@@ -6,19 +6,35 @@
  *   16 MHz       1        16 = 1 + 12 + 3     81.3 %
  *
  * Stamped frames (hal.h) come through FIFO 1, alone there, so that its interrupt tells of no others. That interrupt
- * and the mailboxes' have the highest priority and first of all look at the chip timer; only interrupts_off() (at most
- * 40 instructions) holds them up.
+ * and the mailboxes' have a priority above all that takes long, and first of all look at the chip timer; only each
+ * other, the sync wire's stamp and interrupts_off() (at most 40 instructions) hold them up.
  *
  * The controller leaves the bus on 256 errors and comes back by itself (ABOM). It joins the bus when it has seen 11
  * recessive bits. Nobody waits for that: without a bus, hal_can_send() returns false and the rest of the board runs.
  */
 
+#include "boards/board.h"
 #include "boards/stm32f405/stm32f405.h"
+
+#define RECEIVE_BUFFER 32u /* Received frames that may wait for main: 3.5 ms of the shortest with 8 bytes. */
+#define STAMPS         8u  /* Stamped frames that may wait (hal.h). */
 
 #define MODE_TRIES 10000u /* Tries of waiting for the controller to change its mode. */
 /* A frame is valid for its transmitter at the end of the last bit of its end of frame, for receivers at that of the
  * last but one (Bosch, CAN 2.0, part B, 5; ISO 11898-1): they stamp one bit of 1 us early. */
 #define RECEIVED_EARLY_TICKS (HAL_TICKS_PER_SECOND / 1000000u)
+
+/* No DMA touches it. */
+static struct {
+    volatile uint32_t put, taken; /* Frames since reset: put in by the interrupt, taken by main. */
+    bool off;                     /* The controller is off the bus. */
+    hal_frame_t frames[RECEIVE_BUFFER];
+    hal_frame_t mailbox[3];          /* The frame that was handed to each mailbox. */
+    uint32_t stamp_put, stamp_taken; /* Stamps since reset, from the stamping interrupts to plan. */
+    hal_stamp_t stamps[STAMPS];
+    uint32_t stamped_put, stamped_taken; /* Frames since reset that were received there, to main. */
+    hal_frame_t stamped[STAMPS];
+} can BOARD_CORE_MEMORY;
 
 #define BIT_TIMING(divide, before, behind, jump)                                                                       \
     (((jump)-1u) << 24 | ((behind)-1u) << 20 | ((before)-1u) << 16 | ((divide)-1u))
@@ -57,12 +73,13 @@ void can_start(const hal_t *hal) {
 }
 
 bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
+    (void)hal;
     const uint32_t status = CAN1->TSR;
     if ((status & (CAN_TSR_TME0 | CAN_TSR_TME1 | CAN_TSR_TME2)) == 0 || (CAN1->MSR & CAN_MSR_INAK) != 0 ||
         frame->length > 8)
         return false;
     const uint32_t number = (status & CAN_TSR_CODE) >> 24;
-    hal->can_mailbox[number] = *frame;
+    can.mailbox[number] = *frame;
     memory_barrier();
     CAN_mailbox_registers *mailbox = &CAN1->T[number];
     const uint8_t *d = frame->data;
@@ -74,30 +91,30 @@ bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
 }
 
 static void stamp(const hal_frame_t *frame, bool sent, chip_time_t now) {
-    const uint32_t put = board.can_stamp_put;
-    if ((TIM1->CR1 & TIM_CR1_CEN) == 0 || put - __atomic_load_n(&board.can_stamp_taken, __ATOMIC_ACQUIRE) == CAN_STAMPS)
+    const uint32_t put = can.stamp_put;
+    if ((TIM1->CR1 & TIM_CR1_CEN) == 0 || put - __atomic_load_n(&can.stamp_taken, __ATOMIC_ACQUIRE) == STAMPS)
         return;
-    board.can_stamps[put % CAN_STAMPS] = (hal_stamp_t){
-        .frame = *frame, .sent = sent, .chip = now.chip, .ticks = now.ticks};
-    __atomic_store_n(&board.can_stamp_put, put + 1u, __ATOMIC_RELEASE);
+    can.stamps[put % STAMPS] = (hal_stamp_t){.frame = *frame, .sent = sent, .chip = now.chip, .ticks = now.ticks};
+    __atomic_store_n(&can.stamp_put, put + 1u, __ATOMIC_RELEASE);
 }
 
 bool hal_can_stamp(hal_t *hal, hal_stamp_t *stamp) {
-    const uint32_t taken = hal->can_stamp_taken;
-    if (taken == __atomic_load_n(&hal->can_stamp_put, __ATOMIC_ACQUIRE))
+    (void)hal;
+    const uint32_t taken = can.stamp_taken;
+    if (taken == __atomic_load_n(&can.stamp_put, __ATOMIC_ACQUIRE))
         return false;
-    *stamp = hal->can_stamps[taken % CAN_STAMPS];
-    __atomic_store_n(&hal->can_stamp_taken, taken + 1u, __ATOMIC_RELEASE);
+    *stamp = can.stamps[taken % STAMPS];
+    __atomic_store_n(&can.stamp_taken, taken + 1u, __ATOMIC_RELEASE);
     return true;
 }
 
 /* A mailbox has become free, and main may have more. When two have before this looks, nobody knows when the first
  * ended. */
 void CAN1_TX_Handler(void) {
-    const chip_time_t now = chip_now(&board);
+    const chip_time_t now = chip_now();
     const uint32_t status = CAN1->TSR, ended = status & (CAN_TSR_RQCP0 | CAN_TSR_RQCP1 | CAN_TSR_RQCP2);
     CAN1->TSR = ended;
-    const hal_frame_t *frame = &board.can_mailbox[ended == CAN_TSR_RQCP0 ? 0 : ended == CAN_TSR_RQCP1 ? 1 : 2];
+    const hal_frame_t *frame = &can.mailbox[ended == CAN_TSR_RQCP0 ? 0 : ended == CAN_TSR_RQCP1 ? 1 : 2];
     const bool one = ended == CAN_TSR_RQCP0 || ended == CAN_TSR_RQCP1 || ended == CAN_TSR_RQCP2;
     const bool sent = (status & ended << 1) != 0; /* TXOK lies beside RQCP. */
     if (one && sent && hal_can_stamped(frame->id))
@@ -117,7 +134,7 @@ static void copy_frame(hal_frame_t *frame, uint32_t identifier, uint32_t control
 
 /* A stamped frame has come. When a second one is there before this looks, nobody knows when the first ended. */
 void CAN1_RX1_Handler(void) {
-    chip_time_t now = chip_now(&board);
+    chip_time_t now = chip_now();
     const uint32_t status = CAN1->RF1R;
     if ((status & CAN_RF1R_RFOM1) != 0 || (status & CAN_RF1R_FMP1) == 0)
         return; /* The last release is still on its way. */
@@ -126,10 +143,10 @@ void CAN1_RX1_Handler(void) {
     now.ticks += RECEIVED_EARLY_TICKS;
     if ((status & CAN_RF1R_FMP1) == 1)
         stamp(&frame, false, now);
-    const uint32_t put = board.can_stamped_put;
-    if (put - __atomic_load_n(&board.can_stamped_taken, __ATOMIC_ACQUIRE) < CAN_STAMPS) {
-        board.can_stamped[put % CAN_STAMPS] = frame;
-        __atomic_store_n(&board.can_stamped_put, put + 1u, __ATOMIC_RELEASE);
+    const uint32_t put = can.stamped_put;
+    if (put - __atomic_load_n(&can.stamped_taken, __ATOMIC_ACQUIRE) < STAMPS) {
+        can.stamped[put % STAMPS] = frame;
+        __atomic_store_n(&can.stamped_put, put + 1u, __ATOMIC_RELEASE);
     } else {
         board.counters.can_overruns++;
     }
@@ -144,10 +161,10 @@ void CAN1_RX0_Handler(void) {
     const uint32_t status = CAN1->RF0R;
     if ((status & CAN_RF0R_RFOM0) != 0 || (status & CAN_RF0R_FMP0) == 0)
         return; /* The last release is still on its way. */
-    if (board.can_put - board.can_taken < CAN_RECEIVE_BUFFER) {
-        hal_frame_t *frame = &board.can_frames[board.can_put % CAN_RECEIVE_BUFFER];
+    if (can.put - can.taken < RECEIVE_BUFFER) {
+        hal_frame_t *frame = &can.frames[can.put % RECEIVE_BUFFER];
         copy_frame(frame, CAN1->RI0R, CAN1->RDT0R, CAN1->RDL0R, CAN1->RDH0R);
-        board.can_put++;
+        can.put++;
     } else {
         board.counters.can_overruns++;
     }
@@ -158,16 +175,17 @@ void CAN1_RX0_Handler(void) {
 }
 
 bool hal_can_receive(hal_t *hal, hal_frame_t *frame) {
-    const uint32_t taken = hal->can_stamped_taken;
-    if (taken != __atomic_load_n(&hal->can_stamped_put, __ATOMIC_ACQUIRE)) {
-        *frame = hal->can_stamped[taken % CAN_STAMPS];
-        __atomic_store_n(&hal->can_stamped_taken, taken + 1u, __ATOMIC_RELEASE);
+    (void)hal;
+    const uint32_t taken = can.stamped_taken;
+    if (taken != __atomic_load_n(&can.stamped_put, __ATOMIC_ACQUIRE)) {
+        *frame = can.stamped[taken % STAMPS];
+        __atomic_store_n(&can.stamped_taken, taken + 1u, __ATOMIC_RELEASE);
         return true;
     }
-    if (hal->can_put == hal->can_taken)
+    if (can.put == can.taken)
         return false;
-    *frame = hal->can_frames[hal->can_taken % CAN_RECEIVE_BUFFER];
-    hal->can_taken++;
+    *frame = can.frames[can.taken % RECEIVE_BUFFER];
+    can.taken++;
     return true;
 }
 
@@ -177,9 +195,9 @@ void CAN1_SCE_Handler(void) {
     if (code != 0 && code != CAN_ESR_LEC)
         board.counters.can_errors++;
     const bool off = (status & CAN_ESR_BOFF) != 0;
-    if (off && !board.can_off)
+    if (off && !can.off)
         board.counters.can_errors++;
-    board.can_off = off;
+    can.off = off;
     CAN1->ESR = CAN_ESR_LEC;
     CAN1->MSR = CAN_MSR_ERRI;
 }

@@ -2,24 +2,29 @@
  *
  * A conversion takes 15 + 12 cycles of 21 MHz, 216 ticks of the chip timer; a start takes up to 3 cycles (24 ticks).
  * The three converters run together, in the mode "regular simultaneous and injected simultaneous" (RM0090, 13.9.7):
- * the regular groups are the burst, the injected ones currents and temperature.
- *   burst          (sensor, anchor) It takes 8 x 216 ticks from TIM1's compare 1 at count 14540 and ends at
+ * the regular group is the burst, the injected one the currents and what is monitored.
+ *   burst          (sensor, anchor) It takes 8 x 216 ticks from TIM3's compare 1 at count 14540 and ends at
  *                  16268..16292, 0.77 to 0.92 us before the nominal end of the chip. Each converter has one axis;
  *                  after each conversion DMA fetches three half-words (axis 0, 1, 2) from the common data register.
- *   coil currents  (beacon, anchor) Channel 0 is on ADC1, channel 1 on ADC2, at one moment, from TIM8's compare 2
- *                  (ADC3 converts for nobody). A beacon's are at count 15640 and done by 15890, inside the shortest
- *                  chip, so that the interrupt belongs to that chip. An anchor's are at 14240, done by 14490, before
- *                  its burst.
+ *   coil currents  (beacon, anchor) Channel 0 is on ADC1, channel 1 on ADC2, at one moment, in the second of two
+ *                  conversions that TIM3's compare 4 starts. A beacon's are at count 15640 and done by 15880, inside
+ *                  the shortest chip. An anchor's are at 14240, done by 14480, before its burst.
+ *   monitor        (beacon, anchor) The first of the two takes the coils' temperatures, on ADC1 and ADC2, and the
+ *                  supply, on ADC3, which takes the driver's temperature beside the currents.
  *   temperature    Channel 16 on ADC1 takes 480 + 12 cycles (3936 ticks), started by software in the first quarter of
  *                  a chip, when nothing else converts, and done by count 8200. For this one conversion it takes the
- *                  coil current's place in the injected group. Converters that run together must sample equally long:
+ *                  place of the injected group, whose trigger is off meanwhile: a start by software beside an armed
+ *                  trigger is nothing that RM0090 describes. Converters that run together must sample equally long:
  *                  ADC2 and ADC3 look at pins meanwhile, for nobody.
  *
  * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's
  * counter tells whether it is there: 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the
- * end of the shortest chip), 24 or more is a burst missed. Then, or after an overrun, which stops DMA, the stream is
- * stopped, and blocks read 0 (saturated) until it starts again at the beginning of the buffer, in the first chip of an
- * even block.
+ * end of the shortest chip), 24 or more is a burst missed. And each converter's own data register still holds its last
+ * conversion, so the last three half-words must be these, in the order of the converters: otherwise the axes are
+ * exchanged. Then, or after an overrun, which stops DMA, the stream is stopped, and blocks read 0 (saturated) until it
+ * starts again at the beginning of the buffer, in the first chip of an even block. What the common data register gives
+ * next after an overrun is not written anywhere: the converters are reset before they start again, so that the first
+ * is that of ADC1, as after power-on.
  */
 
 #include <string.h>
@@ -38,20 +43,28 @@
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
 _Static_assert(CURRENT_START == 15640u && CURRENT_START_ANCHOR == 14240u, "and the currents");
 
-/* Chooses the injected channel of each converter. A group of one conversion uses the last of its four places. */
-static void inject(uint32_t first, uint32_t second, uint32_t third) {
-    ADC1->JSQR = first << 15;
-    ADC2->JSQR = second << 15;
-    ADC3->JSQR = third << 15;
+/* Channels of the injected group: those of the monitor, and beside the last of them the currents (pinout.md). */
+enum { CURRENT_0 = 0, CURRENT_1 = 14, SUPPLY = 10, COIL_0 = 11, COIL_1 = 13, DRIVER = 12, PROCESSOR = 16 };
+
+/* Chooses two injected channels of a converter: they use the last of four places. */
+static void inject(ADC_registers *adc, uint32_t first, uint32_t second) {
+    adc->JSQR = 1u << 20 | first << 10 | second << 15;
 }
 
 static void inject_currents(void) {
-    inject(0, 6, 3);
+    inject(ADC1, COIL_0, CURRENT_0);
+    inject(ADC2, COIL_1, CURRENT_1);
+    inject(ADC3, SUPPLY, DRIVER);
 }
 
+/* One conversion uses the last place. ADC2 and ADC3 look at channels that they do not need otherwise. */
 static void inject_temperature(void) {
-    inject(16, 4, 0);
+    ADC1->JSQR = PROCESSOR << 15;
+    ADC2->JSQR = DRIVER << 15;
+    ADC3->JSQR = COIL_0 << 15;
 }
+
+#define CURRENT_TRIGGER (ADC_CR2_JEXTSEL_TIM3_CC4 | ADC_CR2_JEXTEN_RISING)
 
 /* Sets up eight ranks of one channel. */
 static void scan(ADC_registers *adc, uint32_t channel) {
@@ -59,7 +72,6 @@ static void scan(ADC_registers *adc, uint32_t channel) {
     adc->SQR3 = five | channel << 25;
     adc->SQR2 = channel | channel << 5;
     adc->SQR1 = (HAL_BURST - 1u) << 20;
-    adc->CR1 = ADC_CR1_SCAN;
 }
 
 static void samples_start(const hal_t *hal) {
@@ -78,28 +90,27 @@ static void samples_stop(void) {
     DMA2->S[0].CR &= ~DMA_S0CR_EN;
 }
 
-/* The triggers are the rising edges of compare outputs that go to no pin: PWM mode 2 rises at the compare. */
+/* The triggers are the rising edges of compare outputs that go to no pin: PWM mode 2 rises at the compare. TIM3 counts
+ * every second tick. */
 static void triggers_start(const hal_t *hal) {
-    TIM1->CCR1 = BURST_START;
-    TIM1->CCMR1_Output = TIM_CCMR1_OC1M_PWM2 | TIM_CCMR1_OC1PE;
-    TIM1->CCER |= TIM_CCER_CC1E;
-    TIM1->BDTR = TIM_BDTR_MOE;
-    TIM8->CCR2 = hal_role_samples(hal->role) ? CURRENT_START_ANCHOR : CURRENT_START;
-    TIM8->CCMR1_Output = TIM_CCMR1_OC2M_PWM2;
-    TIM8->CCER = TIM_CCER_CC2E;
-    TIM8->BDTR = TIM_BDTR_MOE;
+    const uint32_t current = hal_role_samples(hal->role) ? CURRENT_START_ANCHOR : CURRENT_START;
+    TIM3->CCR1 = BURST_START / 2u;
+    TIM3->CCR4 = (current - CONVERSION_TICKS) / 2u;
+    TIM3->CCER |= TIM_CCER_CC1E | TIM_CCER_CC4E;
 }
 
-void converters_start(const hal_t *hal) {
+/* Sets all converters up, from their reset state. */
+static void converters_setup(const hal_t *hal) {
     const bool samples = hal_role_samples(hal->role), drives = hal_role_drives(hal->role);
-    triggers_start(hal);
     C_ADC->CCR = C_ADC_CCR_ADCPRE_DIV4 | C_ADC_CCR_TSVREFE | C_ADC_CCR_MULT_TRIPLE_COMBINED |
                  (samples ? C_ADC_CCR_DDS : 0u);
     /* What is sampled and measured takes 15 cycles (1), the temperature's group 480 (7). */
-    ADC1->SMPR1 = 7u << 18;
+    ADC1->SMPR1 = 1u << 3 | 7u << 18;
     ADC1->SMPR2 = 1u << 0 | 1u << 3;
-    ADC2->SMPR2 = 1u << 6 | 7u << 12 | 1u << 18;
-    ADC3->SMPR2 = 7u << 0 | 1u << 9;
+    ADC2->SMPR1 = 7u << 6 | 1u << 9 | 1u << 12;
+    ADC2->SMPR2 = 1u << 6;
+    ADC3->SMPR1 = 1u << 0 | 7u << 3 | 1u << 6;
+    ADC3->SMPR2 = 1u << 9;
     inject_currents();
     if (samples) {
         scan(ADC1, 1);
@@ -107,12 +118,27 @@ void converters_start(const hal_t *hal) {
         scan(ADC3, 3);
         samples_start(hal);
     }
-    ADC1->CR1 |= ADC_CR1_JEOCIE;
+    ADC1->CR1 = ADC_CR1_SCAN | ADC_CR1_JEOCIE;
+    ADC2->CR1 = ADC_CR1_SCAN;
+    ADC3->CR1 = ADC_CR1_SCAN;
     ADC2->CR2 = ADC_CR2_ADON;
     ADC3->CR2 = ADC_CR2_ADON;
-    /* The converters are stable 3 us later; the first trigger comes 80 us later. */
-    ADC1->CR2 = ADC_CR2_ADON | (samples ? ADC_CR2_EXTSEL_TIM1_CC1 | ADC_CR2_EXTEN_RISING : 0u) |
-                (drives ? ADC_CR2_JEXTSEL_TIM8_CC2 | ADC_CR2_JEXTEN_RISING : 0u);
+    /* The converters are stable 3 us later; the first trigger comes 40 us later at least. */
+    ADC1->CR2 = ADC_CR2_ADON | (samples ? ADC_CR2_EXTSEL_TIM3_CC1 | ADC_CR2_EXTEN_RISING : 0u) |
+                (drives ? CURRENT_TRIGGER : 0u);
+}
+
+void converters_start(hal_t *hal) {
+    hal->sampling = true;
+    triggers_start(hal);
+    converters_setup(hal);
+}
+
+/* Starts the converters again from the state that they have after power-on, in the first half of a chip. */
+static void converters_restart(const hal_t *hal) {
+    RCC->APB2RSTR |= RCC_APB2RSTR_ADCRST;
+    RCC->APB2RSTR &= ~RCC_APB2RSTR_ADCRST;
+    converters_setup(hal);
 }
 
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
@@ -121,39 +147,60 @@ bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
         hal->temperature_due = false;
         hal->temperature_count = (uint16_t)ADC1->JDR1;
         inject_currents();
+        if (hal_role_drives(hal->role))
+            ADC1->CR2 |= CURRENT_TRIGGER;
         return false;
     }
-    count[0] = (uint16_t)ADC1->JDR1;
-    count[1] = (uint16_t)ADC2->JDR1;
+    hal->monitor = (hal_monitor_t){
+        .supply = (uint16_t)ADC3->JDR1,
+        .coil = {(uint16_t)ADC1->JDR1, (uint16_t)ADC2->JDR1},
+        .driver = (uint16_t)ADC3->JDR2,
+    };
+    count[0] = (uint16_t)ADC1->JDR2;
+    count[1] = (uint16_t)ADC2->JDR2;
     return true;
 }
 
-void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
-    const bool before_burst = now.ticks < CHIP_RELOAD_TICKS;
-    bool idle = true;
-    if (hal_role_samples(hal->role)) {
-        const DMA_stream_registers *stream = &DMA2->S[0];
-        const uint32_t position = now.chip - hal->first_chip + (hal->block & 1u) * HAL_BLOCK_CHIPS;
-        const uint32_t behind = (stream->NDTR + position * CHIP_SAMPLES) % BUFFER_SAMPLES;
-        const bool overrun = (C_ADC->CSR & (C_ADC_CSR_OVR1 | C_ADC_CSR_OVR2 | C_ADC_CSR_OVR3)) != 0;
-        if (hal->sampling && (overrun || (before_burst && behind >= CHIP_SAMPLES))) {
-            samples_stop();
-            hal->sampling = false;
-            hal->counters.converter_overruns++;
-        }
-        if (!hal->sampling) {
-            memset(&hal->samples[finished & 1u], 0, sizeof hal->samples[0]);
-            if (before_burst && position == 0 && (stream->CR & DMA_S0CR_EN) == 0) {
-                ADC1->SR = 0;
-                ADC2->SR = 0;
-                ADC3->SR = 0;
-                samples_start(hal);
-                hal->sampling = true;
-            }
-        }
-        idle = hal->sampling && behind == 0;
+void hal_monitor(const hal_t *hal, hal_monitor_t *monitor) {
+    *monitor = hal->monitor;
+}
+
+/* Returns whether the latest burst, the one before a position in the buffer, lies there in the order of the axes. */
+static bool in_order(const hal_t *hal, uint32_t position) {
+    const uint32_t before = (position + RING_CHIPS - 1u) % RING_CHIPS;
+    const uint16_t *last = hal->samples[before / HAL_BLOCK_CHIPS][before % HAL_BLOCK_CHIPS][HAL_BURST - 1u];
+    return last[0] == ADC1->DR && last[1] == ADC2->DR && last[2] == ADC3->DR;
+}
+
+/* Checks the samples at a block boundary, and starts them again if they are not in step. Returns whether no burst
+ * runs. */
+static bool check_samples(hal_t *hal, uint32_t finished, chip_time_t now) {
+    const bool before_burst = now.ticks < MIDDLE_TICKS;
+    const uint32_t position = now.chip - hal->first_chip + (hal->block & 1u) * HAL_BLOCK_CHIPS;
+    const uint32_t behind = (DMA2->S[0].NDTR + position * CHIP_SAMPLES) % BUFFER_SAMPLES;
+    const bool overrun = (C_ADC->CSR & (C_ADC_CSR_OVR1 | C_ADC_CSR_OVR2 | C_ADC_CSR_OVR3)) != 0;
+    const bool missed = before_burst && behind >= CHIP_SAMPLES;
+    const bool exchanged = before_burst && behind == 0 && !in_order(hal, position);
+    if (hal->sampling && (overrun || missed || exchanged)) {
+        samples_stop();
+        hal->sampling = false;
+        hal->counters.converter_overruns++;
     }
-    if (idle && now.ticks < CHIP_RELOAD_TICKS / 2u) {
+    if (!hal->sampling) {
+        memset(&hal->samples[finished & 1u], 0, sizeof hal->samples[0]);
+        if (before_burst && position == 0 && (DMA2->S[0].CR & DMA_S0CR_EN) == 0) {
+            converters_restart(hal);
+            hal->sampling = true;
+        }
+        return false;
+    }
+    return behind == 0;
+}
+
+void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
+    const bool idle = !hal_role_samples(hal->role) || check_samples(hal, finished, now);
+    if (idle && now.ticks < MIDDLE_TICKS / 2u) {
+        ADC1->CR2 &= ~ADC_CR2_JEXTEN_RISING;
         inject_temperature();
         hal->temperature_due = true;
         ADC1->CR2 |= ADC_CR2_JSWSTART;

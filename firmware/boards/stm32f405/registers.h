@@ -45,16 +45,18 @@ typedef struct {
 #define RCC_AHB1ENR_DMA1EN   (1u << 21)
 #define RCC_AHB1ENR_DMA2EN   (1u << 22)
 #define RCC_APB1ENR_TIM2EN   (1u << 0)
+#define RCC_APB1ENR_TIM3EN   (1u << 1)
+#define RCC_APB1ENR_TIM7EN   (1u << 5)
+#define RCC_APB1ENR_USART3EN (1u << 18)
 #define RCC_APB1ENR_CAN1EN   (1u << 25)
 #define RCC_APB1ENR_PWREN    (1u << 28)
 #define RCC_APB1ENR_DACEN    (1u << 29)
 #define RCC_APB2ENR_TIM1EN   (1u << 0)
 #define RCC_APB2ENR_TIM8EN   (1u << 1)
-#define RCC_APB2ENR_USART1EN (1u << 4)
 #define RCC_APB2ENR_ADC1EN   (1u << 8)
 #define RCC_APB2ENR_ADC2EN   (1u << 9)
 #define RCC_APB2ENR_ADC3EN   (1u << 10)
-#define RCC_APB2ENR_SYSCFGEN (1u << 14)
+#define RCC_APB2RSTR_ADCRST  (1u << 8) /* All converters. */
 #define RCC_CSR_RMVF         (1u << 24)
 #define RCC_CSR_BORRSTF      (1u << 25)
 #define RCC_CSR_PADRSTF      (1u << 26) /* RM0090 calls it PINRSTF. */
@@ -101,13 +103,6 @@ typedef struct {
 #define GPIOC ((GPIO_registers *)0x40020800u)
 
 typedef struct {
-    volatile uint32_t MEMRM, PMC, EXTICR1, EXTICR2, EXTICR3, EXTICR4;
-} SYSCFG_registers;
-#define SYSCFG ((SYSCFG_registers *)0x40013800u)
-
-#define SYSCFG_EXTICR3_EXTI10_PORTC (2u << 8)
-
-typedef struct {
     volatile uint32_t IMR, EMR, RTSR, FTSR, SWIER, PR;
 } EXTI_registers;
 #define EXTI ((EXTI_registers *)0x40013C00u)
@@ -141,48 +136,74 @@ typedef struct {
 #define DMA_S0CR_PL_HIGH           (2u << 16)
 #define DMA_S0CR_PL_VERY_HIGH      (3u << 16)
 #define DMA_S0CR_CHSEL_4           (4u << 25)
+#define DMA_S0CR_CHSEL_5           (5u << 25)
 #define DMA_S0CR_CHSEL_6           (6u << 25)
 #define DMA_S0CR_CHSEL_7           (7u << 25)
 
-#define DMA_LISR_TCIF2 (1u << 21)
-#define DMA_HISR_HTIF5 (1u << 10)
-#define DMA_HISR_TCIF5 (1u << 11)
-#define DMA_HISR_TEIF7 (1u << 25)
-#define DMA_HISR_TCIF7 (1u << 27)
+#define DMA_LISR_HTIF1 (1u << 10)
+#define DMA_LISR_TCIF1 (1u << 11)
+#define DMA_LISR_TEIF3 (1u << 25)
+#define DMA_LISR_TCIF3 (1u << 27)
 /* All five flags of a stream. */
 #define DMA_LIFCR_STREAM0 0x0000003Du
+#define DMA_LIFCR_STREAM1 0x00000F40u
 #define DMA_LIFCR_STREAM2 0x003D0000u
+#define DMA_LIFCR_STREAM3 0x0F400000u
 #define DMA_HIFCR_STREAM4 0x0000003Du
 #define DMA_HIFCR_STREAM5 0x00000F40u
-#define DMA_HIFCR_STREAM7 0x0F400000u
 
 /* ---- Timers ---- */
 
 typedef struct {
     volatile uint32_t CR1, CR2, SMCR, DIER, SR, EGR, CCMR1_Output, CCMR2_Output, CCER, CNT, PSC, ARR, RCR, CCR1, CCR2,
-        CCR3, CCR4, BDTR;
+        CCR3, CCR4, BDTR, DCR, DMAR;
 } TIM_registers;
 #define TIM1 ((TIM_registers *)0x40010000u)
 #define TIM8 ((TIM_registers *)0x40010400u)
 #define TIM2 ((TIM_registers *)0x40000000u) /* 32 bits wide; has neither RCR nor BDTR. */
+#define TIM3 ((TIM_registers *)0x40000400u) /* Has neither RCR nor BDTR. */
+#define TIM7 ((TIM_registers *)0x40001400u) /* Counts only: it has no channels. */
 
 #define TIM_CR1_CEN              (1u << 0)
+#define TIM_CR1_URS              (1u << 2) /* Only the end of the count is an update to tell of, not UG. */
+#define TIM_CR1_OPM              (1u << 3)
 #define TIM_CR1_ARPE             (1u << 7)
-#define TIM_CR2_MMS_UPDATE       (2u << 4)
+#define TIM_CR2_MMS_OC4REF       (7u << 4)
 #define TIM_SMCR_SMS_RESET       (4u << 0)
-#define TIM_DIER_CC3IE           (1u << 3)
+#define TIM_DIER_UIE             (1u << 0)
+#define TIM_DIER_CC1IE           (1u << 1)
+#define TIM_DIER_BIE             (1u << 7)
 #define TIM_DIER_UDE             (1u << 8)
 #define TIM_DIER_CC4DE           (1u << 12)
+#define TIM_SR_UIF               (1u << 0)
+#define TIM_SR_BIF               (1u << 7)
 #define TIM_EGR_UG               (1u << 0)
+#define TIM_CCMR1_CC1S_TI1       (1u << 0)
+#define TIM_CCMR1_IC1F_8_SAMPLES (3u << 4)
 #define TIM_CCMR1_OC1PE          (1u << 3)
+#define TIM_CCMR1_OC1M_PWM1      (6u << 4)
 #define TIM_CCMR1_OC1M_PWM2      (7u << 4)
-#define TIM_CCMR1_OC2M_PWM2      (7u << 12)
-#define TIM_CCMR2_CC3S_TI3       (1u << 0)
-#define TIM_CCMR2_IC3F_8_SAMPLES (3u << 4)
+#define TIM_CCMR1_OC2PE          (1u << 11)
+#define TIM_CCMR1_OC2M_PWM1      (6u << 12)
+#define TIM_CCMR2_OC3PE          (1u << 3)
+#define TIM_CCMR2_OC3M_ACTIVE    (5u << 4)
+#define TIM_CCMR2_OC3M_PWM1      (6u << 4)
+#define TIM_CCMR2_OC4M_PWM1      (6u << 12)
+#define TIM_CCMR2_OC4M_PWM2      (7u << 12)
 #define TIM_CCER_CC1E            (1u << 0)
+#define TIM_CCER_CC1NE           (1u << 2)
 #define TIM_CCER_CC2E            (1u << 4)
-#define TIM_CCER_CC3E            (1u << 8)
+#define TIM_CCER_CC2NE           (1u << 6)
+#define TIM_CCER_CC3NE           (1u << 10)
+#define TIM_CCER_CC4E            (1u << 12)
+#define TIM_BDTR_LOCK_3          (3u << 8)
+#define TIM_BDTR_OSSI            (1u << 10)
+#define TIM_BDTR_BKE             (1u << 12)
 #define TIM_BDTR_MOE             (1u << 15)
+#define TIM_DCR_DBA_ARR          (11u << 0) /* The register where a burst begins, by its number. */
+#define TIM_DCR_DBA_CCR2         (14u << 0)
+#define TIM_DCR_DBL_2            (1u << 8) /* The registers of a burst, less one. */
+#define TIM_DCR_DBL_4            (3u << 8)
 
 /* ---- Converters ---- */
 
@@ -198,10 +219,10 @@ typedef struct {
 #define ADC_CR1_JEOCIE           (1u << 7)
 #define ADC_CR1_SCAN             (1u << 8)
 #define ADC_CR2_ADON             (1u << 0)
-#define ADC_CR2_JEXTSEL_TIM8_CC2 (12u << 16)
+#define ADC_CR2_JEXTSEL_TIM3_CC4 (5u << 16)
 #define ADC_CR2_JEXTEN_RISING    (1u << 20)
 #define ADC_CR2_JSWSTART         (1u << 22)
-#define ADC_CR2_EXTSEL_TIM1_CC1  (0u << 24)
+#define ADC_CR2_EXTSEL_TIM3_CC1  (7u << 24)
 #define ADC_CR2_EXTEN_RISING     (1u << 28)
 
 typedef struct {
@@ -238,19 +259,16 @@ typedef struct {
 typedef struct {
     volatile uint32_t SR, DR, BRR, CR1, CR2, CR3, GTPR;
 } USART_registers;
-#define USART1 ((USART_registers *)0x40011000u)
+#define USART3 ((USART_registers *)0x40004800u)
 
-#define USART_SR_ORE     (1u << 3)
-#define USART_SR_RXNE    (1u << 5)
-#define USART_SR_TXE     (1u << 7)
-#define USART_CR1_RE     (1u << 2)
-#define USART_CR1_TE     (1u << 3)
-#define USART_CR1_IDLEIE (1u << 4)
-#define USART_CR1_UE     (1u << 13)
-#define USART_CR1_OVER8  (1u << 15)
-#define USART_CR3_EIE    (1u << 0)
-#define USART_CR3_DMAR   (1u << 6)
-#define USART_CR3_DMAT   (1u << 7)
+#define USART_SR_ORE    (1u << 3)
+#define USART_SR_TXE    (1u << 7)
+#define USART_CR1_RE    (1u << 2)
+#define USART_CR1_TE    (1u << 3)
+#define USART_CR1_UE    (1u << 13)
+#define USART_CR1_OVER8 (1u << 15)
+#define USART_CR3_DMAR  (1u << 6)
+#define USART_CR3_DMAT  (1u << 7)
 
 typedef struct {
     volatile uint32_t TIR, TDTR, TDLR, TDHR;
@@ -347,6 +365,7 @@ typedef struct {
 #define SCB_CFSR_MMARVALID    (1u << 7)
 #define SCB_CFSR_STKERR       (1u << 12) /* The frame of an exception met a bus fault. */
 #define SCB_CFSR_BFARVALID    (1u << 15)
+#define SCB_ICSR_PENDSVSET (1u << 28)
 /* The system resets; the upper half is the key without which nothing is written (PM0214, 4.4.5). */
 #define SCB_AIRCR_SYSRESETREQ (0x05FAu << 16 | 1u << 2)
 
@@ -362,17 +381,18 @@ typedef struct {
 /* Positions of the interrupts in the vector table (RM0090, table 62). */
 enum {
     IRQ_PVD = 1,
+    IRQ_DMA1_STREAM1 = 12,
+    IRQ_DMA1_STREAM3 = 14,
     IRQ_ADC = 18,
     IRQ_CAN1_TX = 19,
     IRQ_CAN1_RX0 = 20,
     IRQ_CAN1_RX1 = 21,
     IRQ_CAN1_SCE = 22,
-    IRQ_TIM1_CC = 27,
-    IRQ_USART1 = 37,
-    IRQ_EXTI15_10 = 40,
-    IRQ_DMA2_STREAM2 = 58,
-    IRQ_DMA2_STREAM5 = 68,
-    IRQ_DMA2_STREAM7 = 70,
+    IRQ_TIM1_BRK_TIM9 = 24,
+    IRQ_TIM8_BRK_TIM12 = 43,
+    IRQ_TIM8_CC = 46,
+    IRQ_TIM7 = 55,
+    IRQ_DMA2_STREAM1 = 57,
     IRQ_COUNT = 82
 };
 

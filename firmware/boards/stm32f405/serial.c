@@ -1,7 +1,9 @@
-/* serial.c: USART1 at 2,000,000 baud on PB6 and PB7, DMA both ways.
+/* serial.c: USART3 at 2,000,000 baud on PB10 and PB11, DMA1 both ways.
  *
- * Out, main fills a ring; stream 7 sends the longest piece in one run, and its interrupt starts the next. In, stream 2
- * fills a ring for ever, and main takes what is there at each wake; the end of a burst (line idle) wakes main at once.
+ * Out, main fills a ring; stream 3 sends the longest piece in one run, and its interrupt starts the next. In, stream 1
+ * fills a ring for ever, and main takes what is there at each wake: at least once a block, and when half of the ring is
+ * full. The USART itself interrupts nobody. Its flags of an idle line and of errors go by reading SR and then DR, and
+ * whoever reads DR may take a byte away from DMA that came between the two: here only DMA reads it.
  * All positions count bytes since reset (32 bits, wrapping), so that full and empty differ and losses show.
  */
 
@@ -18,28 +20,23 @@ static uint32_t smaller(uint32_t a, uint32_t b) {
 }
 
 void serial_start(hal_t *hal) {
-    /* With the PLL it is 84 MHz / (16 x 2.625), without 16 MHz / (8 x 1), which needs 8-fold oversampling. Both are
-     * exact. */
-    const bool slow = hal->clock == HAL_CLOCK_SLOW;
-    USART1->BRR = slow ? 0x10u : 0x2Au;
-    USART1->CR3 = USART_CR3_DMAR | USART_CR3_DMAT | USART_CR3_EIE;
-    const uint32_t enable = (slow ? USART_CR1_OVER8 : 0u) | USART_CR1_UE | USART_CR1_TE | USART_CR1_RE;
-    USART1->CR1 = enable;
+    /* With the PLL it is 42 MHz / (8 x 2.625), without 16 MHz / (8 x 1). Both are exact. */
+    USART3->BRR = hal->clock == HAL_CLOCK_SLOW ? 0x10u : 0x25u;
+    USART3->CR3 = USART_CR3_DMAR | USART_CR3_DMAT;
+    USART3->CR1 = USART_CR1_OVER8 | USART_CR1_UE | USART_CR1_TE | USART_CR1_RE;
 
-    DMA_stream_registers *in = &DMA2->S[2];
-    DMA2->LIFCR = DMA_LIFCR_STREAM2;
-    in->PAR = (uint32_t)&USART1->DR;
+    DMA_stream_registers *in = &DMA1->S[1];
+    DMA1->LIFCR = DMA_LIFCR_STREAM1;
+    in->PAR = (uint32_t)&USART3->DR;
     in->M0AR = (uint32_t)hal->receive;
     in->NDTR = SERIAL_RECEIVE_BUFFER;
-    in->CR = DMA_S0CR_CHSEL_4 | DMA_S0CR_PL_MEDIUM | DMA_S0CR_MINC | DMA_S0CR_CIRC | DMA_S0CR_TCIE;
+    in->CR = DMA_S0CR_CHSEL_4 | DMA_S0CR_PL_MEDIUM | DMA_S0CR_MINC | DMA_S0CR_CIRC | DMA_S0CR_HTIE | DMA_S0CR_TCIE;
     in->CR |= DMA_S0CR_EN;
 
-    DMA2->S[7].PAR = (uint32_t)&USART1->DR;
+    DMA1->S[3].PAR = (uint32_t)&USART3->DR;
 
-    USART1->CR1 = enable | USART_CR1_IDLEIE;
-    interrupt_enable(IRQ_USART1, PRIORITY_NORMAL);
-    interrupt_enable(IRQ_DMA2_STREAM2, PRIORITY_NORMAL);
-    interrupt_enable(IRQ_DMA2_STREAM7, PRIORITY_NORMAL);
+    interrupt_enable(IRQ_DMA1_STREAM1, PRIORITY_NORMAL);
+    interrupt_enable(IRQ_DMA1_STREAM3, PRIORITY_NORMAL);
 }
 
 /* ---- Out ---- */
@@ -50,8 +47,8 @@ static void send_piece(hal_t *hal) {
     hal->sending = smaller(hal->written - hal->sent, HAL_SERIAL_BUFFER - position);
     if (hal->sending == 0)
         return;
-    DMA_stream_registers *out = &DMA2->S[7];
-    DMA2->HIFCR = DMA_HIFCR_STREAM7;
+    DMA_stream_registers *out = &DMA1->S[3];
+    DMA1->LIFCR = DMA_LIFCR_STREAM3;
     out->M0AR = (uint32_t)&hal->transmit[position];
     out->NDTR = hal->sending;
     out->CR = DMA_S0CR_CHSEL_4 | DMA_S0CR_MINC | DMA_S0CR_DIR_TO_PERIPHERAL | DMA_S0CR_TCIE | DMA_S0CR_TEIE;
@@ -60,10 +57,10 @@ static void send_piece(hal_t *hal) {
 }
 
 /* A flag that was just cleared may still raise its interrupt once: both handlers look first. */
-void DMA2_Stream7_Handler(void) {
-    if ((DMA2->HISR & (DMA_HISR_TCIF7 | DMA_HISR_TEIF7)) == 0)
+void DMA1_Stream3_Handler(void) {
+    if ((DMA1->LISR & (DMA_LISR_TCIF3 | DMA_LISR_TEIF3)) == 0)
         return;
-    DMA2->HIFCR = DMA_HIFCR_STREAM7;
+    DMA1->LIFCR = DMA_LIFCR_STREAM3;
     board.sent += board.sending;
     send_piece(&board);
     board.woken = true;
@@ -88,57 +85,54 @@ bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count) {
 /* DMA pauses while its request is masked, and goes on where it was. */
 void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count) {
     (void)hal;
-    USART1->CR3 &= ~USART_CR3_DMAT;
+    USART3->CR3 &= ~USART_CR3_DMAT;
     for (size_t i = 0; i < count; i++) {
-        wait_for(&USART1->SR, USART_SR_TXE, USART_SR_TXE, BYTE_TRIES);
-        USART1->DR = bytes[i];
+        wait_for(&USART3->SR, USART_SR_TXE, USART_SR_TXE, BYTE_TRIES);
+        USART3->DR = bytes[i];
     }
-    wait_for(&USART1->SR, USART_SR_TXE, USART_SR_TXE, BYTE_TRIES);
-    USART1->CR3 |= USART_CR3_DMAT;
+    wait_for(&USART3->SR, USART_SR_TXE, USART_SR_TXE, BYTE_TRIES);
+    USART3->CR3 |= USART_CR3_DMAT;
 }
 
 /* ---- In ---- */
 
-void DMA2_Stream2_Handler(void) {
-    if ((DMA2->LISR & DMA_LISR_TCIF2) == 0)
+void DMA1_Stream1_Handler(void) {
+    const uint32_t flags = DMA1->LISR & (DMA_LISR_HTIF1 | DMA_LISR_TCIF1);
+    if (flags == 0)
         return;
-    DMA2->LIFCR = DMA_LIFCR_STREAM2;
-    board.receive_wraps++;
+    DMA1->LIFCR = flags;
+    board.receive_wraps += (flags & DMA_LISR_TCIF1) != 0 ? 1u : 0u;
     board.woken = true;
 }
 
-/* The line is idle, or there was a receive error. The flags go by reading SR and then DR; a byte that waits is left to
- * DMA, whose read of DR clears them as well. */
-void USART1_Handler(void) {
-    const uint32_t status = USART1->SR;
-    if ((status & USART_SR_RXNE) == 0)
-        (void)USART1->DR;
-    if ((status & USART_SR_ORE) != 0)
-        board.counters.serial_overruns++;
-    board.woken = true;
+/* Counts an overrun once. Its flag stays up until DMA reads the next byte behind this reading of SR. */
+static void look_for_overrun(hal_t *hal) {
+    const bool overrun = (USART3->SR & USART_SR_ORE) != 0;
+    if (overrun && !hal->receive_overrun)
+        hal->counters.serial_overruns++;
+    hal->receive_overrun = overrun;
 }
 
 /* Returns the bytes since reset that arrived. A wrap whose interrupt is still pending counts. */
 static uint32_t received(const hal_t *hal) {
     const uint32_t primask = interrupts_off();
-    uint32_t left = DMA2->S[2].NDTR;
+    uint32_t left = DMA1->S[1].NDTR;
     uint32_t wraps = hal->receive_wraps;
-    if ((DMA2->LISR & DMA_LISR_TCIF2) != 0) {
+    if ((DMA1->LISR & DMA_LISR_TCIF1) != 0) {
         wraps++;
-        left = DMA2->S[2].NDTR;
+        left = DMA1->S[1].NDTR;
     }
     interrupts_restore(primask);
     return wraps * SERIAL_RECEIVE_BUFFER + SERIAL_RECEIVE_BUFFER - left;
 }
 
 size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity) {
-    if ((DMA2->S[2].CR & DMA_S0CR_EN) == 0)
+    if ((DMA1->S[1].CR & DMA_S0CR_EN) == 0)
         return 0; /* Nothing receives. */
+    look_for_overrun(hal);
     const uint32_t waiting = received(hal) - hal->taken;
     if (waiting > SERIAL_RECEIVE_BUFFER) { /* It was overwritten: start afresh with what comes now. */
-        const uint32_t primask = interrupts_off();
         hal->counters.serial_overruns += waiting;
-        interrupts_restore(primask);
         hal->taken += waiting;
         return 0;
     }

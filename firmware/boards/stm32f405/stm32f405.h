@@ -3,9 +3,10 @@
  *   interrupts.c   the one board that handlers see, and how a handler is switched on
  *   clock.c        clock tree, waits with time-outs, microseconds, tick
  *   reset.c        why the board started, and what outlives a reset
- *   serial.c       USART1 with DMA both ways
- *   converters.c   the sensor's burst, coil currents, temperature
- *   chip_engine.c  TIM1, TIM8, DMA to pins and DAC, blocks, sync
+ *   serial.c       USART3 with DMA both ways
+ *   bridge.c       outputs to the bridges: on, off, break, two chips without a current
+ *   converters.c   the sensor's burst, coil currents, temperatures, supply
+ *   chip_engine.c  timers, DMA to their preloads and to the DAC, blocks, sync
  *   can.c          CAN1
  *   board.c        pins, watchdog, and what is not the others'
  *   guards.c       memory protection
@@ -15,22 +16,24 @@
  * A file calls only those above it in this list. Functions are declared below by file.
  *
  * Priorities (a lower number preempts)
- *   0   time stamps of CAN frames
- *   1   coil currents, temperature, driver fault, and alarms
- *   2   every other handler
- *   3   the 10 ms tick
+ *   0   the end of two chips without a current: bridges off
+ *   1   time stamps of CAN frames and of the sync wire
+ *   2   coil currents, temperature, faults of the drive, and alarms
+ *   3   every other handler
+ *   4   the 10 ms tick
  * The core's erratum 776924 (VDIV and VSQRT with lazy stacking) asks that a handler has more than two instructions
  * before its return: all have.
  *
  * DMA streams, by priority; no stream is shared
- *   DMA2 stream 5   chip edges                   very high
- *   DMA2 stream 4   chip periods                 high
- *   DMA2 stream 0   samples                      high
- *   DMA2 stream 2   serial in                    medium
- *   DMA2 stream 7   serial out                   low
- *   DMA1 stream 5   set-points to the DAC        alone; DMA1 reaches neither GPIO nor APB2
- * The erratum "DMA2 data corruption when managing AHB and APB peripherals in a concurrent way" (ES0182) can write the
- * same word twice to an AHB peripheral, which is harmless to BSRR.
+ *   DMA2 stream 4   periods, bridge of channel 0   very high
+ *   DMA2 stream 1   bridge of channel 1            very high
+ *   DMA2 stream 0   samples                        high
+ *   DMA1 stream 2   sync wire                      very high
+ *   DMA1 stream 5   set-points to the DAC          very high
+ *   DMA1 stream 1   serial in                      medium
+ *   DMA1 stream 3   serial out                     low
+ * The erratum "DMA2 data corruption when managing AHB and APB peripherals in a concurrent way" (ES0182) does not apply:
+ * DMA2 serves APB2 only, and DMA1 APB1 only.
  */
 #ifndef STM32F405_BOARD_H
 #define STM32F405_BOARD_H
@@ -40,11 +43,29 @@
 
 #define RING_CHIPS            (2u * HAL_BLOCK_CHIPS) /* Chips in the chip engine's buffers: two blocks. */
 #define SERIAL_RECEIVE_BUFFER 2048u                  /* Received bytes that may wait for main: 10 ms. */
-#define CAN_RECEIVE_BUFFER    32u /* Received frames that may wait for main: 3.5 ms of the shortest with 8 bytes. */
-#define CAN_STAMPS            8u  /* Stamped frames that may wait (hal.h). */
 
 /* Priorities of the interrupts, as above. */
-enum { PRIORITY_STAMP = 0, PRIORITY_DRIVE = 1, PRIORITY_NORMAL = 2, PRIORITY_TICK = 3 };
+enum { PRIORITY_OFF = 0, PRIORITY_STAMP = 1, PRIORITY_DRIVE = 2, PRIORITY_NORMAL = 3, PRIORITY_TICK = 4 };
+
+/* A moment of the chip engine. */
+typedef struct {
+    uint32_t chip;  /* Absolute chip. */
+    uint32_t ticks; /* Ticks since it started. */
+} chip_time_t;
+
+/* What a chip's edge needs, as DMA brings it: preloads of TIM1 from ARR on, and of TIM8 from CCR2 on. */
+typedef struct {
+    uint16_t reload;     /* Length of the chip less one tick. */
+    uint16_t repetition; /* RCR lies between: 0. */
+    uint16_t inputs[2];  /* Compares of the bridge's inputs of channel 0. */
+} edge_t;
+typedef struct {
+    uint16_t inputs[2]; /* Compares of the bridge's inputs of channel 1. */
+} edge_8_t;
+#define EDGE_ITEMS   (sizeof(edge_t) / sizeof(uint16_t)) /* Transfers for each chip. */
+#define EDGE_8_ITEMS (sizeof(edge_8_t) / sizeof(uint16_t))
+
+#define SYNC_STAMPS 4u /* Stamped edges of the sync wire that may wait. */
 
 struct hal {
     hal_clock_t clock;
@@ -59,18 +80,25 @@ struct hal {
     uint32_t time_low, time_high; /* The latest reading of hal_microseconds(). */
 
     /* chip_engine.c */
-    uint32_t block;                  /* The running block, as far as the block interrupt has come. */
-    volatile uint32_t first_chip;    /* Its first chip: 31 * block, odd when block is odd. */
-    uint32_t words[RING_CHIPS];      /* Read by DMA: words for BSRR. */
-    uint32_t periods[RING_CHIPS];    /* Read by DMA: values for ARR. */
-    uint32_t set_points[RING_CHIPS]; /* Read by DMA: words for DHR12RD. */
-    hal_plan_t plan;                 /* The plan that the application fills. */
+    uint32_t block;                   /* The running block, as far as the block interrupt has come. */
+    volatile uint32_t first_chip;     /* Its first chip: 31 * block, odd when block is odd. */
+    edge_t edges[RING_CHIPS];         /* Read by DMA. */
+    edge_8_t edges_8[RING_CHIPS];     /* Read by DMA. */
+    uint16_t sync_levels[RING_CHIPS]; /* Read by DMA: compares of the sync wire. */
+    uint32_t set_points[RING_CHIPS];  /* Read by DMA: words for DHR12RD. */
+    uint32_t sync_put, sync_taken;    /* Edges since reset: put in by the stamping interrupt, taken by PendSV. */
+    chip_time_t sync_stamps[SYNC_STAMPS];
+    hal_plan_t plan; /* The plan that the application fills. */
+
+    /* bridge.c */
+    uint32_t faults; /* Faults that are not yet told: bit 1 << hal_fault_t. */
 
     /* converters.c */
     bool sampling;                 /* The samples in the buffer are complete and in step. */
     volatile bool temperature_due; /* The injected conversion is that of the temperature. JSQR says so, too, but would
                                       have to be read in each chip. */
     uint16_t temperature_count;    /* Its latest result, counts; 0: there is none. */
+    hal_monitor_t monitor;         /* The latest results. */
     hal_samples_t samples[2];      /* Written by DMA: the even and the odd block. */
 
     /* serial.c */
@@ -78,18 +106,9 @@ struct hal {
     volatile uint32_t sending;       /* Bytes in the running transfer. */
     volatile uint32_t receive_wraps; /* How often DMA has filled the receive buffer. */
     uint32_t taken;                  /* Bytes since reset that main took. */
+    bool receive_overrun;            /* The USART's flag was up when main looked last. */
     uint8_t transmit[HAL_SERIAL_BUFFER];
     uint8_t receive[SERIAL_RECEIVE_BUFFER];
-
-    /* can.c */
-    volatile uint32_t can_put, can_taken; /* Frames since reset: put in by the interrupt, taken by main. */
-    bool can_off;                         /* The controller is off the bus. */
-    hal_frame_t can_frames[CAN_RECEIVE_BUFFER];
-    hal_frame_t can_mailbox[3];              /* The frame that was handed to each mailbox. */
-    uint32_t can_stamp_put, can_stamp_taken; /* Stamps since reset, from the stamping interrupts to plan. */
-    hal_stamp_t can_stamps[CAN_STAMPS];
-    uint32_t can_stamped_put, can_stamped_taken; /* Frames since reset that were received there, to main. */
-    hal_frame_t can_stamped[CAN_STAMPS];
 };
 
 /* ---- interrupts.c ---- */
@@ -150,16 +169,26 @@ void reset_crash(const hal_crash_t *crash);
 
 void serial_start(hal_t *hal);
 
+/* ---- bridge.c ---- */
+
+/* Drive all outputs to the bridges low, with the channels of TIM1 and TIM8 as they will be. Call it when the break
+ * inputs are theirs, and before the outputs are. */
+void bridge_start(void);
+
+/* Have a break of TIM1 or TIM8 tell fault(), once. */
+void bridge_arm(void);
+
+/* Switch the bridges off and have fault() called at PRIORITY_DRIVE; callable from any context, NMI among them. */
+void bridge_trip(hal_fault_t cause);
+
+/* Leave the bridges on for two chips from now. */
+void bridge_watch(void);
+
 /* ---- converters.c ---- */
 
-#define CHIP_RELOAD_TICKS 8000u /* When DMA fetches the next chip's period (CC4), ticks after each chip's start. */
+#define MIDDLE_TICKS 8000u /* The middle of a chip, ticks after its start: nothing converts, no edge is near. */
 
-typedef struct {
-    uint32_t chip;  /* Absolute chip. */
-    uint32_t ticks; /* Ticks since it started. */
-} chip_time_t;
-
-void converters_start(const hal_t *hal);
+void converters_start(hal_t *hal);
 
 /* Take the result of injected conversions that have ended. Returns true if the counts are those of the coil currents,
  * false if it was the temperature. */
@@ -171,9 +200,12 @@ void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
 
 /* ---- chip_engine.c ---- */
 
-/* Read the chip engine's time, from handlers of normal priority or higher only: the block interrupt must not run to
- * its end meanwhile. Costs about 40 instructions. Returns the present. */
-chip_time_t chip_now(const hal_t *hal);
+/* Drive the sync wire low. */
+void sync_wire_start(void);
+
+/* Read the chip engine's time; callable from any context. Costs about 30 instructions, and up to 100 ticks more right
+ * behind a chip's middle. Returns the present. */
+chip_time_t chip_now(void);
 
 /* ---- can.c ---- */
 
@@ -190,11 +222,13 @@ void CAN1_TX_Handler(void);
 void CAN1_RX0_Handler(void);
 void CAN1_RX1_Handler(void);
 void CAN1_SCE_Handler(void);
-void TIM1_CC_Handler(void);
-void USART1_Handler(void);
-void EXTI15_10_Handler(void);
-void DMA2_Stream2_Handler(void);
-void DMA2_Stream5_Handler(void);
-void DMA2_Stream7_Handler(void);
+void PendSV_Handler(void);
+void TIM1_BRK_TIM9_Handler(void);
+void TIM7_Handler(void);
+void TIM8_BRK_TIM12_Handler(void);
+void TIM8_CC_Handler(void);
+void DMA1_Stream1_Handler(void);
+void DMA1_Stream3_Handler(void);
+void DMA2_Stream1_Handler(void);
 
 #endif

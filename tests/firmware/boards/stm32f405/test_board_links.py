@@ -34,7 +34,7 @@ class Board:
         self._board = self._ffi.cast("board_t *", self.emulator.board)
 
     def _uart_out(self, _, uart, byte, _time_ps):
-        assert uart == 1
+        assert uart == 3
         self.serial += bytes([byte])
 
     def _can_request(self, _, mailbox, frame, time_ps):
@@ -53,7 +53,7 @@ class Board:
 
     def send_serial(self, data, at_ms):
         for i, byte in enumerate(data):
-            self.emulator.uart_in(1, byte, 2_000_000, int(at_ms * MS) + (i + 1) * BYTE_PS)
+            self.emulator.uart_in(3, byte, 2_000_000, int(at_ms * MS) + (i + 1) * BYTE_PS)
 
     def send_can(self, identifier, data, at_ms):
         frame = self._ffi.new("board_frame_t *", {"id": identifier, "extended": True, "length": len(data)})
@@ -113,6 +113,20 @@ def test_serial_input_at_full_rate_loses_nothing(board, role):
     b.send_serial(burst, 30.0)
     b.run(90)
     assert len(values(b.serial_messages())) == questions
+
+
+@pytest.mark.parametrize("role", ["beacon", "sensor"])
+def test_serial_input_behind_a_pause_of_any_length_loses_nothing(board, role):
+    """An idle line of a byte's length is where a handler that reads DR would take the next byte away from DMA."""
+    b = board(role)
+    b.run(30)
+    frame, at_ms, count = encode_frame(*GET_NODE), 31.0, 0
+    for pause_ns in range(4900, 5900, 12):
+        b.send_serial(frame, at_ms)
+        at_ms += len(frame) * 0.005 + pause_ns * 1e-6
+        count += 1
+    b.run(at_ms + 20)
+    assert len(values(b.serial_messages())) == count
 
 
 def test_without_a_can_bus_serial_runs_and_errors_are_counted(board):

@@ -1,12 +1,13 @@
 """Chips, set-points, samples, coil currents and sync capture of the real driver in the emulator.
 
-All against a plan known beforehand. Time zero is the moment the LED pin falls, which the driver does together with the
+All against a plan known beforehand. Time zero is the moment the LED pin rises, which the driver does together with the
 start of the chip timer.
 """
 
 import bisect
 import itertools
 import random
+import re
 import struct
 import subprocess
 from pathlib import Path
@@ -19,12 +20,20 @@ from hil_sim.emulator.emulator import LIBRARY, Configuration, Emulator
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[3]
 BOARD = "firmware/boards/stm32f405"
-SENSOR, MASK_INTERRUPTS, STALL, LOSE_SAMPLES, HANG_ONCE, ANCHOR = 1, 2, 4, 8, 16, 32
-PA0, PA1, PA6, PA10, PC4, PC5, PC6, PC7, PC8, PC12 = 0, 1, 6, 10, 36, 37, 38, 39, 40, 44
+SENSOR, MASK_INTERRUPTS, STALL, LOSE_SAMPLES, HANG_ONCE, ANCHOR, DISABLED, RETRY = (1 << n for n in range(8))
+LONG_BLOCKS, STOP_CURRENT, STOP_EDGES, STOP_EDGES_8, STOP_SET_POINTS = range(1, 6)
+STOP_CHIPS, HANG_CURRENT, EXCHANGE_SAMPLES, SOFTWARE_FAULT = range(6, 10)
+PA0, PA1, PA6, PA7 = 0, 1, 6, 7
+PB0, PB1, PB4, PB12, PB13, PB14, PB15 = 16, 17, 20, 28, 29, 30, 31
+PC0, PC1, PC2, PC3, PC4, PC6 = 32, 33, 34, 35, 36, 38
+BRIDGES = (PB13, PB14, PB0, PB1)
+OUTPUTS = (*BRIDGES, PA7)
+MONITOR = {PC1: 0, PC3: 200, PC0: 400, PC2: 600}  # Counts above the chip's own, by pin.
 TICK_PS = 1e12 / 168e6
 FIELDS = (
     *("hal", "mode", "planned", "plan_out_of_order", "samples_right", "samples_wrong", "blocks_lost"),
-    *("samples_out_of_order", "sampled", "currents_right", "currents_wrong", "syncs"),
+    *("samples_out_of_order", "sampled", "currents_right", "currents_wrong", "monitors_right", "monitors_wrong"),
+    *("enabled", "refused", "fault_driver", "fault_stale", "fault_clock", "fault_line", "temperature", "happened"),
 )
 COUNTERS = ("serial_overruns", "can_errors", "can_overruns", "late_blocks", "converter_overruns", "watchdog_resets")
 CHIPS = 700
@@ -61,7 +70,7 @@ def set_points(chip):
 class Bench:
     """A board with the probe image; every conversion's volts tell chip, number in the chip, and axis."""
 
-    def __init__(self, image, mode, **configuration):
+    def __init__(self, image, mode, happens=0, **configuration):
         self.mode = mode
         self.starts = [0, *itertools.accumulate(period(c, mode) for c in range(CHIPS + 200))]
         self.zero_ps = None
@@ -81,11 +90,11 @@ class Bench:
             image,
             Configuration(**configuration),
             edge=int(self._ffi.cast("uintptr_t", edge)),
-            parameter_page=bytes([mode]) + bytes(1023),
+            parameter_page=bytes([mode, happens]) + bytes(1022),
         )
 
     def _pin_out(self, _, pin, level, time_ps):
-        if pin == PC12 and not level:
+        if pin == PB4 and level:
             self.zero_ps = time_ps
         if self.zero_ps is not None:
             self.edges.append((time_ps, pin, bool(level)))
@@ -102,10 +111,10 @@ class Bench:
         if ticks < 14000:  # Converted beside the temperature, for nobody.
             return 0.0
         number = sum(1 for p, c, *_ in self.conversions[-60:] if (p, c) == (pin, chip))
-        if pin == PA1 + 2 and ticks < 14500:  # Beside an anchor's currents.
-            return 0.0
         self.conversions.append((pin, chip, number, ticks))
-        if pin == PA6:
+        if pin in MONITOR:
+            return (chip % 3000 + 100.25 + MONITOR[pin]) * 3.3 / 4096
+        if pin == PC4:
             return ((chip * 8 * 5) % 4000 + 70.25) * 3.3 / 4096
         axis = max(pin - PA1, 0)
         return (((chip * 8 + number) * 5 + axis * 1000) % 4000 + 50.25) * 3.3 / 4096
@@ -120,14 +129,33 @@ class Bench:
         end = self.zero_ps + int((self.starts[chips] + 1000) * TICK_PS)
         return self.board.run(end)
 
+    def pulse(self, pin, chip, ticks, length_ps):
+        """Bring a rising edge at a time of a chip, and a falling edge later."""
+        time_ps = self.zero_ps + round((self.starts[chip] + ticks) * TICK_PS)
+        assert self.board.run(time_ps - 1_000_000), self.board.report()
+        self.board.pin_in(pin, True, time_ps)
+        self.board.pin_in(pin, False, time_ps + length_ps)
+
+    def fault(self, low, pins=(PB12, PA6)):
+        """Pull the fault wire, now."""
+        for pin in pins:
+            self.board.pin_in(pin, not low, self.board.now_ps)
+
+    def levels(self, pin):
+        """Return [(chip, ticks, level)] of all edges of a pin."""
+        edges = [((time - self.zero_ps) / TICK_PS, level) for time, number, level in self.edges if number == pin]
+        chips = [bisect.bisect_right(self.starts, ticks) - 1 for ticks, _ in edges]
+        return [(c, ticks - self.starts[c], level) for c, (ticks, level) in zip(chips, edges, strict=True)]
+
     def probe(self):
         address = self.board.symbols["probe"]
-        words = struct.unpack("<12I", self.board.memory(address, 48))
-        result = dict(zip(FIELDS, words, strict=True))
-        syncs = struct.unpack("<128I", self.board.memory(address + 48, 512))
-        result["edges"] = list(zip(syncs[:64], syncs[64:], strict=True))[: result["syncs"]]
-        result |= zip(COUNTERS, struct.unpack("<6I", self.board.memory(address + 560, 24)), strict=True)
-        result["temperature"] = struct.unpack("<i", self.board.memory(address + 584, 4))[0]
+        words = struct.unpack("<168I", self.board.memory(address, 4 * 168))
+        result = dict(zip(FIELDS, words[:21], strict=True))
+        result["temperature"] -= (result["temperature"] >> 31) << 32
+        result["ports"] = [words[21 + 4 * port : 25 + 4 * port] for port in range(3)]
+        result["syncs"] = words[33]
+        result["edges"] = list(zip(words[34:98], words[98:162], strict=True))[: result["syncs"]]
+        result |= zip(COUNTERS, words[162:], strict=True)
         return result
 
 
@@ -135,8 +163,8 @@ class Bench:
 def bench(image):
     benches = []
 
-    def make(mode, **configuration):
-        benches.append(Bench(image, mode, **configuration))
+    def make(mode, happens=0, **configuration):
+        benches.append(Bench(image, mode, happens, **configuration))
         return benches[-1]
 
     yield make
@@ -146,18 +174,18 @@ def bench(image):
 
 def expected_levels(chip):
     first, second = drive(chip, 0), drive(chip, 1)
-    return {PC6: first == 1, PC7: first == 2, PC4: second == 1, PC5: second == 2, PC8: chip % 100 == 7}
+    return {PB13: first == 1, PB14: first == 2, PB0: second == 1, PB1: second == 2, PA7: chip % 100 == 7}
 
 
 def edges_by_chip(bench):
-    """Return {chip: {pin: level}} and the ticks behind the chip's start of every edge on the planned pins."""
+    """Return {chip: {pin: level}} and (chip, pin, ticks behind the chip's start) of every edge on the planned pins."""
     result, offsets = {}, []
     for time_ps, pin, level in bench.edges:
-        if pin in (PC4, PC5, PC6, PC7, PC8):
+        if pin in OUTPUTS:
             ticks = (time_ps - bench.zero_ps) / TICK_PS
             chip = bisect.bisect_right(bench.starts, ticks + 100) - 1
             result.setdefault(chip, {})[pin] = level
-            offsets.append((chip, ticks - bench.starts[chip]))
+            offsets.append((chip, pin, ticks - bench.starts[chip]))
     return result, offsets
 
 
@@ -166,13 +194,16 @@ def test_every_edge_of_every_chip(bench, mode):
     b = bench(mode)
     assert b.run(CHIPS), b.board.report()
     changes, offsets = edges_by_chip(b)
-    for chip in range(1, CHIPS):
+    for chip in range(3, CHIPS):  # The drive is enabled in chip 0 or 1.
         before, now = expected_levels(chip - 1), expected_levels(chip)
         assert changes.get(chip, {}) == {pin: level for pin, level in now.items() if before[pin] != level}, chip
-    # Behind the timer by the same time in every chip: no jitter against the board's own clock.
-    behind = [ticks for chip, ticks in offsets if chip >= 1]
-    assert max(behind) - min(behind) < 1.0
-    assert 0 <= min(behind) < 40
+    # Behind the timer by the same time in every chip, but for the tick by which slaves at half the clock may differ.
+    for pins, jitter in (((PB13, PB14), 0.5), ((PB0, PB1), 0.5), ((PA7,), 2.5)):
+        behind = [ticks for chip, pin, ticks in offsets if chip >= 3 and pin in pins]
+        print(f"edges {min(behind):.1f} to {max(behind):.1f} ticks behind the chip's start")
+        assert max(behind) - min(behind) < jitter
+        assert min(behind) >= 0
+        assert max(behind) < 40
 
 
 @pytest.mark.parametrize("mode", [0, MASK_INTERRUPTS, ANCHOR])
@@ -194,7 +225,7 @@ def test_every_set_point_changes_with_its_chip(bench, mode):
             if chip >= 0:
                 behind.append(ticks - b.starts[chip])
         assert {c: n for c, n in seen.items() if c < CHIPS} == truth
-    bridges = [ticks for chip, ticks in edges_by_chip(b)[1] if chip >= 1]
+    bridges = [ticks for chip, pin, ticks in edges_by_chip(b)[1] if chip >= 3 and pin in BRIDGES]
     print(
         f"bridges {max(bridges):.1f}, set-points {min(behind):.1f} to {max(behind):.1f} ticks behind the chip's start"
     )
@@ -209,11 +240,13 @@ def test_currents_belong_to_their_chip(bench, mode):
     result = b.probe()
     assert result["currents_wrong"] == 0
     assert result["currents_right"] in (CHIPS - 1, CHIPS)
+    assert result["monitors_wrong"] == 0
+    assert result["monitors_right"] == result["currents_right"]
     assert result["plan_out_of_order"] == result["late_blocks"] == 0
     assert abs(result["temperature"] - 410) <= 10
-    early, late = (14240, 14540) if mode & ANCHOR else (15640, 15900)
-    taken = {pin: [(c, t) for p, c, _, t in b.conversions if p == pin] for pin in (PA0, PA6)}
-    assert taken[PA0] == taken[PA6]  # At one moment.
+    early, late = (14240, 14500) if mode & ANCHOR else (15640, 15900)
+    taken = {pin: [(c, t) for p, c, _, t in b.conversions if p == pin] for pin in (PA0, PC4)}
+    assert taken[PA0] == taken[PC4]  # At one moment.
     assert [chip for chip, _ in taken[PA0][:CHIPS]] == list(range(CHIPS))
     assert all(early < ticks < late - 12 * 8 for _, ticks in taken[PA0])
 
@@ -236,24 +269,27 @@ def test_samples_belong_to_their_chip(bench, mode):
         assert max(ends) <= 16422
 
 
-@pytest.mark.parametrize("mode", [0, MASK_INTERRUPTS, SENSOR])
-def test_sync_edges(bench, mode):
-    b = bench(mode)
+@pytest.mark.parametrize(
+    ("mode", "happens"), [(0, 0), (MASK_INTERRUPTS, 0), (SENSOR, 0), (0, LONG_BLOCKS), (SENSOR, LONG_BLOCKS)]
+)
+def test_sync_edges(bench, mode, happens):
+    """The number of the chip and the tick are right wherever the edge lies, under block handlers of 3 chips, too."""
+    b = bench(mode, happens)
     assert b.run(1), b.board.report()
     random.seed(7)
     truth = []
-    for chip in range(5, 5 + 60 * 11, 11):
-        # Around chip boundaries, around count 4000 and 8000 where the driver changes its mind, and anywhere.
-        ticks = random.choice([-3, 0, 5, 30, 3990, 4010, 7990, 8010, random.randrange(16000), 16300])
-        truth.append(b.starts[chip] + ticks)
-        time_ps = b.zero_ps + round(truth[-1] * TICK_PS)
-        assert b.board.run(time_ps - 1_000_000), b.board.report()
-        b.board.pin_in(PA10, True, time_ps)
-        b.board.pin_in(PA10, False, time_ps + 90_000_000)
+    for chip in (c for c in range(5, CHIPS - 20) if c % 31 == 0 or (c % 31 in (7, 15, 23) and c % 2)):
+        # Around chip boundaries, around the middle, and anywhere.
+        ticks = random.choice([-3, 0, 5, 30, 3990, 7950, 7990, 8010, 8090, random.randrange(16000), 16300])
+        truth.append((b.starts[chip] + ticks, chip, ticks))
+    for _, chip, ticks in truth:
+        b.pulse(PC6, chip, ticks, 20_000_000)
     assert b.run(CHIPS), b.board.report()
-    edges = b.probe()["edges"]
+    result = b.probe()
+    assert result["late_blocks"] == 0
+    edges = result["edges"]
     assert len(edges) == len(truth)
-    late = [b.starts[chip] + ticks - true for (chip, ticks), true in zip(edges, truth, strict=True)]
+    late = [b.starts[chip] + ticks - true[0] for (chip, ticks), true in zip(edges, truth, strict=True)]
     assert all(ticks < period(chip, mode) for chip, ticks in edges)
     # The input filter's eight samples and the synchroniser; time zero a few instructions before the timer starts.
     assert min(late) > -20
@@ -262,14 +298,14 @@ def test_sync_edges(bench, mode):
 
 
 def test_a_plan_that_comes_a_block_late_is_counted_once(bench):
-    b = bench(SENSOR | STALL)
+    b = bench(ANCHOR | STALL)
     assert b.run(CHIPS), b.board.report()
     result = b.probe()
     assert result["late_blocks"] == 1
     assert result["plan_out_of_order"] == result["samples_out_of_order"] == 0
     assert result["samples_wrong"] == 0
     changes, _ = edges_by_chip(b)
-    for chip in itertools.chain(range(1, 20 * 31), range(21 * 31 + 1, CHIPS)):
+    for chip in itertools.chain(range(3, 20 * 31), range(21 * 31 + 1, CHIPS)):
         before, now = expected_levels(chip - 1), expected_levels(chip)
         assert changes.get(chip, {}) == {pin: level for pin, level in now.items() if before[pin] != level}, chip
 
@@ -290,3 +326,133 @@ def test_a_watchdog_reset_is_told(bench):
     assert b.probe()["watchdog_resets"] == 0
     assert b.board.run(700_000_000_000), b.board.report()
     assert b.probe()["watchdog_resets"] == 1
+
+
+def test_the_image_sets_the_pins_of_the_pinout(bench):
+    """Each pin of pinout.md has its mode, its alternate function and its pull; no other pin is an output."""
+    b = bench(0)
+    assert b.run(1), b.board.report()
+    ports = b.probe()["ports"]
+    table = (ROOT / "firmware" / "boards" / "pinout.md").read_text()
+    rows = re.findall(r"^\| P([A-C])(\d+) \| \w+ \| [\w, ]+ \| (.+) \| (\w+)(?: \(AF(\d+)\))? \|$", table, re.M)
+    named = set()
+    for letter, digits, signal, function, alternate in rows:
+        port, number = "ABC".index(letter), int(digits)
+        named.add((port, number))
+        moder, pupdr, low, high = ports[port]
+        mode = moder >> 2 * number & 3
+        assert mode == (2 if alternate else 1 if function == "GPIO" else 3), (letter, number)
+        if alternate:
+            assert (high if number >= 8 else low) >> 4 * (number % 8) & 15 == int(alternate)
+        if signal.endswith("pull-up"):
+            assert pupdr >> 2 * number & 3 == 1
+    for port in range(3):
+        for number in range(16):
+            if (port, number) not in named and (port, number) not in ((0, 13), (0, 14), (0, 15), (1, 3)):  # Debug port.
+                assert ports[port][0] >> 2 * number & 3 == 0, (port, number)
+
+
+def test_outputs_are_low_until_the_drive_is_enabled_and_enable_follows(bench):
+    b = bench(DISABLED)
+    assert b.run(50), b.board.report()
+    assert not any(level for pin in (*BRIDGES, PB15) for _, _, level in b.levels(pin))
+    assert any(level for _, _, level in b.levels(PA7)), "the sync wire does not ask for the drive"
+    assert b.probe()["currents_right"] >= 49, "currents are measured with the drive off"
+
+
+def test_a_fault_of_the_drivers_switches_off_in_hardware_and_is_a_level(bench):
+    b = bench(RETRY)
+    assert b.run(100), b.board.report()
+    assert b.levels(PB15)[-1][2]
+    before = b.board.now_ps
+    b.fault(True)
+    assert b.run(200), b.board.report()
+    off = [time for time, pin, level in b.edges if pin == PB15 and not level and time >= before]
+    assert len(off) == 1
+    assert off[0] - before < 1e12 / 168e6 * 2, "no instruction comes between"
+    assert not [1 for time, pin, level in b.edges if pin in (*BRIDGES, PB15) and level and time > off[0]]
+    result = b.probe()
+    assert (result["fault_driver"], result["fault_stale"]) == (1, 0), "it is told once, however long it lasts"
+    assert result["fault_line"] == 1
+    assert result["refused"] >= 2
+    assert result["enabled"] == 1
+    b.fault(False)
+    assert b.run(300), b.board.report()
+    result = b.probe()
+    assert result["enabled"] == 2
+    assert result["fault_line"] == 0
+    assert b.levels(PB15)[-1][2]
+    b.fault(True)
+    assert b.run(400), b.board.report()
+    assert b.probe()["fault_driver"] == 2
+
+
+@pytest.mark.parametrize("pins", [(PB12,), (PA6,)])
+def test_either_break_input_alone_switches_both_bridges_off(bench, pins):
+    b = bench(0)
+    assert b.run(100), b.board.report()
+    b.fault(True, pins)
+    assert b.run(104), b.board.report()
+    assert not b.levels(PB15)[-1][2]
+    assert not [1 for pin in BRIDGES for chip, _, level in b.levels(pin) if level and chip > 101]
+    assert b.probe()["fault_driver"] == 1
+
+
+def test_a_fault_before_the_start_is_told_and_keeps_the_drive_off(bench):
+    b = bench(RETRY)
+    b.fault(True)
+    assert b.run(100), b.board.report()
+    result = b.probe()
+    assert (result["fault_driver"], result["enabled"]) == (1, 0)
+    assert not any(level for pin in (*BRIDGES, PB15) for _, _, level in b.levels(pin))
+
+
+@pytest.mark.parametrize("happens", [STOP_CURRENT, STOP_EDGES, STOP_EDGES_8, STOP_SET_POINTS, STOP_CHIPS, HANG_CURRENT])
+@pytest.mark.parametrize("mode", [0, ANCHOR])
+def test_what_stands_still_is_off_within_two_chips(bench, mode, happens):
+    b = bench(mode, happens, strict=False)
+    b.run(9 * 31)  # The plan of block 10 is made when block 9 begins.
+    assert b.levels(PB15)[-1][2]
+    b.board.run(b.board.now_ps + 25 * 100_000_000)
+    chip, ticks, level = b.levels(PB15)[-1]
+    assert not level
+    assert chip + ticks / 16422 - b.probe()["happened"] < 4, "two chips behind the last current that was in step"
+    expected = 0 if happens == HANG_CURRENT else 1
+    assert b.probe()["fault_stale"] == expected, "told, unless the one to tell hangs"
+
+
+def test_nothing_is_told_of_a_drive_that_is_off(bench):
+    b = bench(DISABLED, STOP_CURRENT, strict=False)
+    assert b.run(400), b.board.report()
+    result = b.probe()
+    assert result["fault_driver"] == result["fault_stale"] == result["fault_clock"] == 0
+
+
+def test_a_drive_that_is_enabled_without_currents_is_off_after_two_chips(bench):
+    b = bench(RETRY, STOP_CURRENT, strict=False)
+    assert b.run(330), b.board.report()
+    result = b.probe()
+    assert result["fault_stale"] >= 2
+    edges = [(chip + ticks / 16422, level) for chip, ticks, level in b.levels(PB15) if chip > 9 * 31]
+    on = [off - on for (on, up), (off, _) in itertools.pairwise(edges) if up]
+    assert len(on) >= 1
+    assert max(on) < 2.2
+
+
+def test_a_trip_of_the_board_tells_its_cause(bench):
+    b = bench(0, SOFTWARE_FAULT)
+    assert b.run(9 * 31 + 2), b.board.report()
+    result = b.probe()
+    assert (result["fault_driver"], result["fault_stale"], result["fault_clock"]) == (0, 0, 1)
+    assert not b.levels(PB15)[-1][2]
+
+
+@pytest.mark.parametrize("mode", [SENSOR, ANCHOR])
+def test_exchanged_axes_are_noticed(bench, mode):
+    b = bench(mode, EXCHANGE_SAMPLES)
+    assert b.run(CHIPS), b.board.report()
+    result = b.probe()
+    assert result["converter_overruns"] == 1
+    assert result["samples_wrong"] == 0
+    assert 1 <= result["blocks_lost"] <= 3
+    assert result["samples_right"] == (result["sampled"] - result["blocks_lost"]) * 31 * 24
