@@ -211,8 +211,6 @@ typedef struct {
     void (*convert)(chip_t *chip, trigger_t trigger, bool rising, int64_t time_ps);
     /* A timer or EXTI: a rising edge of a trigger of the digital-to-analog converter. */
     void (*output)(chip_t *chip, trigger_t trigger, int64_t time_ps);
-    /* RCC: the clock security system found the crystal stopped. The timers with a break input. */
-    void (*clock_failed)(chip_t *chip, int64_t time_ps);
     /* DMA: the last transfer that a line asked for (NDTR became 0). The analog-to-digital converters. */
     void (*last_transfer)(chip_t *chip, dma_source_t source);
 } chip_signals_t;

@@ -104,7 +104,7 @@ static void crystal_lost(rcc_t *rcc) {
     rcc->model.value[CIR / 4] |= CSSF;
     machine_nmi(chip->machine, true);
     if (chip->signals.clock_failed != NULL) {
-        chip->signals.clock_failed(chip, machine_now(chip->machine));
+        chip->signals.clock_failed(chip);
     }
 }
 
