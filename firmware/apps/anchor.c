@@ -20,9 +20,8 @@ static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CH
 }
 
 static void on_fault(void *context, hal_fault_t fault) {
-    (void)fault;
     anchor_t *anchor = context;
-    drive_fault(&anchor->drive);
+    drive_fault(&anchor->drive, fault);
 }
 
 static void on_sync(void *context, uint32_t chip, uint16_t ticks) {

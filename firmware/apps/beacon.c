@@ -15,9 +15,8 @@ static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CH
 }
 
 static void on_fault(void *context, hal_fault_t fault) {
-    (void)fault;
     beacon_t *beacon = context;
-    drive_fault(&beacon->drive);
+    drive_fault(&beacon->drive, fault);
 }
 
 static void on_sync(void *context, uint32_t chip, uint16_t ticks) {

@@ -2,7 +2,13 @@
 
 #include <string.h>
 
+#include "core/drive/thermistor.h"
 #include "goldfield.h"
+#include "services/drive_report.h"
+
+#define MONITORED_BLOCK 4u    /* With the plan of this block the board's first measurements are there (hal.h). */
+#define MONITORED_BLOCK 4u    /* With the plan of this block the boards' first measurements are there (hal.h). */
+#define THERMISTOR_OPEN 4000u /* More counts than a thermistor at -40 degC gives: it is not connected. */
 
 static void drive_stop(drive_t *drive) {
     drive->phase = DRIVE_IDLE; /* It comes first: the current interrupt now keeps its hands off. */
@@ -12,18 +18,59 @@ static void drive_stop(drive_t *drive) {
     }
 }
 
-/* Returns whether one driven channel at least is in a state. */
-static bool any(const drive_t *drive, current_state_t state) {
-    return drive->current[0].state == state || (drive->channels == 2u && drive->current[1].state == state);
-}
-
 /* Returns whether all driven channels are in a state. */
 static bool all(const drive_t *drive, current_state_t state) {
     return drive->current[0].state == state && (drive->channels == 1u || drive->current[1].state == state);
 }
 
 static bool faulty(const drive_t *drive) {
-    return drive->no_waveform || drive->driver_fault || any(drive, CURRENT_FAULT);
+    return drive->no_waveform || !latch_open(&drive->latch);
+}
+
+/* Returns whether the zero of each driven channel's sense is known. */
+static bool ready(const drive_t *drive) {
+    return current_ready(&drive->current[0]) && (drive->channels == 1u || current_ready(&drive->current[1]));
+}
+
+/* ---- Protection ---- */
+
+/* Switches the drive off, and latches why; the first cause stays. */
+static void trip(drive_t *drive, cause_t cause, uint32_t channel) {
+    hal_drive_enable(drive->node->hal, false);
+    drive->phase = DRIVE_IDLE;
+    if (drive->latch.cause == CAUSE_NONE) {
+        drive->channel = (uint8_t)channel;
+        drive->over_current += cause == CAUSE_OVER_CURRENT;
+        drive->open_coil += cause == CAUSE_OPEN_COIL;
+    }
+    latch_set(&drive->latch, cause);
+}
+
+static bool hot(uint16_t count, uint16_t limit) {
+    return limit > 0u && (count < limit || count > THERMISTOR_OPEN);
+}
+
+/* Returns what is wrong with fault input, supply or temperatures now. */
+static cause_t standing(const drive_t *drive, uint32_t *channel) {
+    hal_monitor_t monitor;
+    hal_monitor(drive->node->hal, &monitor);
+    *channel = DRIVE_COMMON;
+    if (hal_drive_fault(drive->node->hal)) {
+        return CAUSE_DRIVER;
+    }
+    if (drive->planned < MONITORED_BLOCK || drive->settings.amplitude_A == 0.0f) {
+        return CAUSE_NONE; /* Nothing is measured yet, or there may be nothing to measure. */
+    }
+    for (uint32_t c = 0; c < drive->channels; c++) {
+        if (hot(monitor.coil[c], drive->limits.coil_hot)) {
+            *channel = c;
+            return CAUSE_COIL_HOT;
+        }
+    }
+    return hot(monitor.driver, drive->limits.driver_hot) ? CAUSE_DRIVER_HOT
+           : monitor.supply < drive->limits.supply_low   ? CAUSE_SUPPLY_LOW
+           : monitor.supply > drive->limits.supply_high  ? CAUSE_SUPPLY_HIGH
+                                                         : CAUSE_NONE;
 }
 
 /* ---- Interrupts ---- */
@@ -32,18 +79,17 @@ static bool faulty(const drive_t *drive) {
  * not driven. */
 static void plan_channel(drive_t *drive, hal_plan_t *plan, uint32_t block, uint32_t channel, uint32_t first,
                          const uint16_t positions[HAL_BLOCK_CHIPS]) {
-    const uint32_t reference = drive->current[channel].reference;
+    current_t *const current = &drive->current[channel];
     const int16_t *const levels = drive->levels[channel];
     int16_t *const asked = drive->blocks[block & 1u].asked[channel];
     uint32_t driven = 0;
-    for (uint32_t i = first; i < HAL_BLOCK_CHIPS; i++) {
-        const int32_t level = levels[positions[i]];
-        const uint32_t size = (uint32_t)(level < 0 ? -level : level);
-        const uint32_t set_point = (size * reference + WAVEFORM_ONE / 2u) / WAVEFORM_ONE;
+    for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
+        const int32_t level = i < first ? 0 : levels[positions[i]];
+        const int16_t set_point = current_set_point(current, level);
         const uint32_t bridge = level > 0 ? HAL_DRIVE_POSITIVE : level < 0 ? HAL_DRIVE_NEGATIVE : HAL_DRIVE_OFF;
-        plan->set_point[channel][i] = (uint16_t)set_point;
+        plan->set_point[channel][i] = (uint16_t)(set_point < 0 ? -set_point : set_point);
         plan->drive[i] = (uint8_t)(plan->drive[i] | bridge << HAL_DRIVE_BITS * channel);
-        asked[i] = (int16_t)(level < 0 ? -(int32_t)set_point : (int32_t)set_point);
+        asked[i] = set_point;
         driven |= (uint32_t)(level != 0) << i;
     }
     drive->blocks[block & 1u].driven[channel] = driven;
@@ -52,11 +98,12 @@ static void plan_channel(drive_t *drive, hal_plan_t *plan, uint32_t block, uint3
 void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
     timing_t *const timing = drive->timing;
     timing_serve(timing, drive->node->hal);
+    drive->planned = block;
     if (drive->sync_blocks > 0u) {
         drive->sync_blocks--;
         drive->sync_due |= drive->sync_blocks == 0u;
     }
-    const bool allowed = drive->wanted && timing->clock.locked && !faulty(drive);
+    const bool allowed = drive->wanted && timing->clock.locked && !faulty(drive) && ready(drive);
     if (!allowed && drive->phase != DRIVE_IDLE) {
         drive_stop(drive);
     }
@@ -82,46 +129,50 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
             }
         }
     }
-    memset(drive->blocks[block & 1u].driven, 0, sizeof drive->blocks[0].driven);
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
         plan_channel(drive, plan, block, channel, first, positions);
     }
 }
 
-static void trip(drive_t *drive, const current_t *current) {
-    hal_drive_enable(drive->node->hal, false);
-    drive->phase = DRIVE_IDLE;
-    drive->over_current += current->fault == CURRENT_FAULT_OVER;
-    drive->open_coil += current->fault == CURRENT_FAULT_OPEN;
+/* The bridges go on with the first driven chip. */
+static void switch_on(drive_t *drive) {
+    for (uint32_t channel = 0; channel < drive->channels; channel++) {
+        current_start(&drive->current[channel]);
+    }
+    if (!hal_drive_enable(drive->node->hal, true)) {
+        trip(drive, CAUSE_DRIVER, DRIVE_COMMON); /* The input was active before anybody looked. */
+        return;
+    }
+    drive->phase = DRIVE_ON;
+    latch_on(&drive->latch, true);
 }
 
 void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
-    if (drive->phase == DRIVE_ON) {
-        const uint32_t block = chip / HAL_BLOCK_CHIPS, i = chip - block * HAL_BLOCK_CHIPS;
-        const drive_block_t *const planned = &drive->blocks[block & 1u];
-        for (uint32_t channel = 0; channel < drive->channels; channel++) {
-            const bool driven = (planned->driven[channel] >> i & 1u) != 0u;
-            if (driven && !current_sample(&drive->current[channel], planned->asked[channel][i], count[channel])) {
-                trip(drive, &drive->current[channel]);
-                return;
-            }
+    const uint32_t block = chip / HAL_BLOCK_CHIPS, i = chip - block * HAL_BLOCK_CHIPS;
+    const drive_block_t *const planned = &drive->blocks[block & 1u];
+    const bool on = drive->phase == DRIVE_ON;
+    for (uint32_t channel = 0; channel < drive->channels; channel++) {
+        const bool driven = on && (planned->driven[channel] >> i & 1u) != 0u;
+        const int16_t asked = driven ? planned->asked[channel][i] : 0;
+        const cause_t cause = current_sample(&drive->current[channel], driven, asked, count[channel]);
+        if (cause != CAUSE_NONE) {
+            trip(drive, cause, channel);
         }
-    } else if (drive->phase == DRIVE_ARMED && (int32_t)(chip + 1 - drive->start_chip) >= 0 && !faulty(drive)) {
-        for (uint32_t channel = 0; channel < drive->channels; channel++) {
-            current_start(&drive->current[channel]);
-        }
-        if (!hal_drive_enable(drive->node->hal, true)) {
-            drive_fault(drive); /* The input was active before its edge could tell. */
-            return;
-        }
-        drive->phase = DRIVE_ON;
+    }
+    uint32_t channel;
+    const cause_t cause = standing(drive, &channel);
+    if (cause != CAUSE_NONE) {
+        trip(drive, cause, channel);
+    }
+    if (drive->phase == DRIVE_ARMED && (int32_t)(chip + 1 - drive->start_chip) >= 0 && !faulty(drive)) {
+        switch_on(drive);
     }
 }
 
-void drive_fault(drive_t *drive) {
-    hal_drive_enable(drive->node->hal, false);
-    drive->phase = DRIVE_IDLE;
-    drive->driver_fault = true;
+void drive_fault(drive_t *drive, hal_fault_t fault) {
+    static const uint8_t causes[] = {
+        [HAL_FAULT_DRIVER] = CAUSE_DRIVER, [HAL_FAULT_STALE] = CAUSE_STALE, [HAL_FAULT_CLOCK] = CAUSE_CLOCK};
+    trip(drive, (cause_t)causes[fault], DRIVE_COMMON);
 }
 
 /* ---- Main ---- */
@@ -149,6 +200,12 @@ static drive_settings_t read_settings(const node_t *node) {
         .amplitude_A = parameters_float(&node->parameters, PARAMETER_AMPLITUDE),
         .over_current_A = parameters_float(&node->parameters, PARAMETER_OVER_CURRENT),
         .open_fraction = parameters_float(&node->parameters, PARAMETER_OPEN_COIL),
+        .rms_A = parameters_float(&node->parameters, PARAMETER_RMS_CURRENT),
+        .rms_s = parameters_float(&node->parameters, PARAMETER_RMS_TIME),
+        .supply_low_V = parameters_float(&node->parameters, PARAMETER_SUPPLY_LOW),
+        .supply_high_V = parameters_float(&node->parameters, PARAMETER_SUPPLY_HIGH),
+        .coil_hot_degC = parameters_float(&node->parameters, PARAMETER_COIL_HOT),
+        .driver_hot_degC = parameters_float(&node->parameters, PARAMETER_DRIVER_HOT),
     };
     for (uint32_t place = 0; place < PARAMETER_CODES_ROWS; place++) {
         settings.waveform.codes[place] = read_code(node, place);
@@ -156,14 +213,11 @@ static drive_settings_t read_settings(const node_t *node) {
     return settings;
 }
 
-_Static_assert(sizeof(waveform_config_t) == (5u + 4u * WAVEFORM_CODES) * sizeof(uint32_t),
+_Static_assert(sizeof(drive_settings_t) == sizeof(waveform_config_t) + 9u * sizeof(float) &&
+                   sizeof(waveform_config_t) == (5u + 4u * WAVEFORM_CODES) * sizeof(uint32_t),
                "words without gaps: equal if their bytes are");
 _Static_assert(WAVEFORM_CHANNELS == HAL_CHANNELS && WAVEFORM_CODES == PARAMETER_CODES_ROWS, "one and the same");
-
-static bool same(const drive_settings_t *a, const drive_settings_t *b) {
-    return memcmp(&a->waveform, &b->waveform, sizeof a->waveform) == 0 && a->amplitude_A == b->amplitude_A &&
-           a->over_current_A == b->over_current_A && a->open_fraction == b->open_fraction;
-}
+_Static_assert(WAVEFORM_ONE == CURRENT_ONE, "levels are handed on as they are");
 
 /* Writes the levels of all chips, while wanted is false and the drive is idle: the planner then looks at no level. */
 static void write_waveform(drive_t *drive) {
@@ -173,31 +227,63 @@ static void write_waveform(drive_t *drive) {
     if (drive->no_waveform) {
         return;
     }
+    int16_t one_size = 0;
+    drive->several_levels = false;
     for (uint32_t t = 0; t < drive->timing->clock.config.chips; t++) {
         int16_t level[WAVEFORM_CHANNELS];
         waveform_next(&waveform, level);
         drive->levels[0][t] = level[0];
         drive->levels[1][t] = level[1];
+        const int16_t size = (int16_t)(level[0] < 0 ? -level[0] : level[0]);
+        drive->several_levels |= size != 0 && one_size != 0 && size != one_size;
+        one_size = size != 0 ? size : one_size;
     }
+}
+
+static uint16_t supply_count(float volts) {
+    const float count = volts / HAL_SUPPLY_PER_COUNT;
+    return (uint16_t)(count < (float)HAL_SAMPLE_MAX ? count : (float)HAL_SAMPLE_MAX);
+}
+
+static drive_limits_t limits_of(const drive_settings_t *settings) {
+    return (drive_limits_t){
+        .supply_low = supply_count(settings->supply_low_V),
+        .supply_high = supply_count(settings->supply_high_V),
+        .coil_hot = settings->coil_hot_degC > 0.0f ? thermistor_count(settings->coil_hot_degC) : (uint16_t)0u,
+        .driver_hot = settings->driver_hot_degC > 0.0f ? thermistor_count(settings->driver_hot_degC) : (uint16_t)0u,
+    };
 }
 
 static void apply_settings(drive_t *drive) {
     drive->wanted = false;
     drive_stop(drive);
     drive->settings = read_settings(drive->node);
+    drive->limits = limits_of(&drive->settings);
     write_waveform(drive);
     const current_config_t config = {
         .sense_A = HAL_CURRENT_PER_COUNT,
         .reference_A = HAL_REFERENCE_PER_COUNT,
         .amplitude_A = drive->settings.amplitude_A,
-        .over_current_A = drive->settings.over_current_A,
         .open_fraction = drive->settings.open_fraction,
+        .several_levels = drive->several_levels,
+        .guard =
+            {
+                .over_current_A = drive->settings.over_current_A,
+                .rms_A = drive->settings.rms_A,
+                .rms_chips = drive->settings.rms_s * ((float)HAL_TICKS_PER_SECOND / (float)HAL_CHIP_TICKS),
+            },
     };
     const bool configured = current_configure(&drive->current[0], &config) &&
                             current_configure(&drive->current[1], &config);
-    drive->driver_fault = false;
     drive->wanted = configured && !drive->no_waveform && drive->settings.amplitude_A > 0.0f &&
                     hal_clock(drive->node->hal) == HAL_CLOCK_CRYSTAL;
+}
+
+/* Somebody asks to clear what is latched: node.h has seen to it that it is not in vain. */
+static void clear(drive_t *drive) {
+    if (latch_clear(&drive->latch, hal_microseconds(drive->node->hal))) {
+        apply_settings(drive);
+    }
 }
 
 node_state_t drive_state(const drive_t *drive) {
@@ -216,29 +302,6 @@ node_state_t drive_state(const drive_t *drive) {
     return !drive->wanted || all(drive, CURRENT_HOLDING) ? NODE_RUNNING : NODE_SOFT_START;
 }
 
-static int16_t milliamperes(float amperes) {
-    return (int16_t)node_clamp((int32_t)(amperes * 1000.0f + (amperes < 0.0f ? -0.5f : 0.5f)), INT16_MAX);
-}
-
-static void send_status(drive_t *drive, uint32_t channel) {
-    const current_t *current = &drive->current[channel];
-    const bool on = drive->phase == DRIVE_ON;
-    const struct goldfield_drive_status_t status = {
-        .current = milliamperes(on ? current->measured_A : 0.0f),
-        .reference = milliamperes(on ? (float)current->reference * HAL_REFERENCE_PER_COUNT : 0.0f),
-        .target = milliamperes(drive->settings.amplitude_A),
-        .over_current = current->fault == CURRENT_FAULT_OVER,
-        .open_coil = current->fault == CURRENT_FAULT_OPEN,
-        .driver_fault = drive->driver_fault,
-        .enabled = on,
-        .locked = drive->timing->clock.locked,
-        .phase = (int16_t)node_clamp(sync_phase(drive->timing->clock.phase_ticks), 1023),
-    };
-    uint8_t data[8];
-    const uint8_t length = (uint8_t)goldfield_drive_status_pack(data, &status, sizeof data);
-    node_send(drive->node, NODE_BOTH, GOLDFIELD_DRIVE_STATUS_FRAME_ID, channel, data, length);
-}
-
 static void send_sync(drive_t *drive) {
     const struct goldfield_sync_t sync = {
         .cycle = drive->sync_cycle & SYNC_CYCLE_MASK,
@@ -254,29 +317,37 @@ void drive_start(drive_t *drive, node_t *node, timing_t *timing) {
     memset(drive, 0, sizeof *drive);
     drive->node = node;
     drive->timing = timing;
+    drive->channel = DRIVE_COMMON;
+    const bool watchdog = hal_last_reset(node->hal)->cause == HAL_RESET_WATCHDOG;
+    latch_start(&drive->latch, hal_retained(node->hal), watchdog, hal_microseconds(node->hal));
     apply_settings(drive);
 }
 
 void drive_configure(drive_t *drive) {
     const drive_settings_t settings = read_settings(drive->node);
-    if (!same(&settings, &drive->settings) || faulty(drive)) {
+    if (memcmp(&settings, &drive->settings, sizeof settings) != 0) {
         apply_settings(drive);
     }
 }
 
 void drive_step(drive_t *drive) {
     node_t *const node = drive->node;
+    if (drive->phase != DRIVE_ON) {
+        latch_on(&drive->latch, false);
+    }
+    latch_step(&drive->latch, hal_microseconds(node->hal));
+    if (node->clear_wanted) {
+        node->clear_wanted = false;
+        clear(drive);
+    }
+    uint32_t channel;
+    node->clear_refused = drive->latch.locked_out || standing(drive, &channel) != CAUSE_NONE;
     if (drive->sync_due) {
         drive->sync_due = false;
         send_sync(drive);
     }
     sync_link_answer(&drive->timing->link, node);
-    if (drive->cycles_reported != drive->cycles) {
-        drive->cycles_reported = drive->cycles;
-        for (uint32_t channel = 0; channel < drive->channels; channel++) {
-            send_status(drive, channel);
-        }
-    }
+    drive_report(drive);
     node->counters[COUNTER_OVER_CURRENT] = drive->over_current;
     node->counters[COUNTER_OPEN_COIL] = drive->open_coil;
 }

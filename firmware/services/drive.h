@@ -6,26 +6,31 @@
  *   1. drive_start      main, once, before the chip engine starts.
  *   2. drive_plan       interrupt, once a block: it plans the lengths of the next 31 chips from chip_clock, the bridge
  *                       polarities and set-points from the waveform and the current loops, and a master's sync wire.
- *      drive_current    interrupt, once a driven chip: it gives each channel to current_sample. Over-current or an
- *                       open coil of one channel switches both bridges off within that chip.
- *      drive_fault      interrupt, on the drivers' fault input: it switches the bridges off.
+ *      drive_current    interrupt, once a chip, driven or not, bridge on or off: it gives each channel to
+ *                       current_sample, and looks at supply and temperatures. What is wrong with one channel switches
+ *                       both bridges off within that chip.
+ *      drive_fault      interrupt: the board has switched the bridges off by itself.
  *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, and DRIVE_STATUS,
  *                       once a sync period (sync.h: a cycle, or about 0.1 s of shorter ones).
  *      drive_state      main, to tell the board's state.
  *      drive_configure  main, when a parameter has changed.
  *
+ * Protection. Whatever switches the drive off is one of cause.h, and is latched as latch.h says: no parameter ends it,
+ * but the command to clear alone (framing.md), which is refused as long as the fault input is active, the supply is out
+ * of its range, something is hot, or the drive is locked out. DRIVE_HEALTH (drive_report.h) tells the cause.
+ *
  * States (HEARTBEAT.state)
  *   starting        No cycle has been planned yet.
  *   syncing         The chip clock is not locked; the bridge is off.
- *   soft_start      The clock is locked. The bridge goes on at the next sync period that is planned (at most a period
- *                   and two blocks away), and the current rises for 0.1 s.
+ *   soft_start      The clock is locked. When the zero of the current sense is known (25 ms after the start) the bridge
+ *                   goes on at the next sync period that is planned (at most a period and two blocks away), and the
+ *                   current rises for 0.1 s.
  *   running         The current is at its amplitude. With amplitude 0 and a locked clock the state is running, too,
  *                   with the bridge off.
- *   fault           There was over-current, an open coil or a driver fault, or the waveform does not exist
- *                   (waveform.h). The bridge stays off until a PARAM_SET is accepted, whether it changes a value or
- *                   not.
- *   clock_fallback  The crystal failed: 1 % off frequency nobody could follow, so the bridge stays off for good.
- * Loss of lock switches the bridge off at once and leads to syncing; from there the drive goes on as after a start.
+ *   fault           The drive was switched off for a cause that is latched, or has yet to wait after it; or the
+ * waveform does not exist (waveform.h), until a parameter makes one that does. clock_fallback  The crystal failed: 1 %
+ * off frequency nobody could follow, so the bridge stays off for good. Loss of lock switches the bridge off at once and
+ * leads to syncing; from there the drive goes on as after a start.
  *
  * The master (parameter sync_master, read once at start with degree) runs free from cycle 0. The sync wire is high for
  * the first chip of a sync period. SYNC with the cycle's number leaves on both links after that edge, at most two
@@ -37,18 +42,8 @@
  * A pulse is driven, and its current measured, only in its slot. The soft start then takes 1023 driven chips, that is
  * as many cycles as there are slots.
  *
- * DRIVE_STATUS has index 0 for channel 0; with a rotating field there is one of index 1, too. While the bridges are
- * off current and reference are 0 A.
- *   target                   is the amplitude parameter: the current at level 1, the peak of the waveform (superposed
- *                            codes reach it where all agree).
- *   current                  is that peak as the loop measures it (current.h: the driver's gain from all chips, times
- *                            the set-point), not a mean of magnitudes.
- *   reference                is the set-point of level 1.
- *   over_current, open_coil  are the channel's own faults.
- *   driver_fault, enabled    are common to both channels.
- *
- * A PARAM_SET that changes the waveform or one of its numbers, the amplitude, over_current or open_coil stops the
- * drive and starts it softly again.
+ * A PARAM_SET that changes the waveform or one of its numbers, the amplitude or a limit of the protection stops the
+ * drive, and starts it softly again unless a cause is latched.
  *
  * Memory: 8.8 kB.
  *
@@ -60,6 +55,7 @@
 #define GOLDFIELD_DRIVE_H
 
 #include "core/drive/current.h"
+#include "core/drive/latch.h"
 #include "core/drive/waveform.h"
 #include "hal/hal.h"
 #include "services/node.h"
@@ -81,6 +77,9 @@ typedef struct {
     float amplitude_A;    /* Current at level 1, A. */
     float over_current_A; /* Magnitude of current beyond which the drive trips, A. */
     float open_fraction;  /* Least share of the current asked for; below it the coil counts as open. */
+    float rms_A, rms_s;   /* Largest root mean square of the current, and over which time. */
+    float supply_low_V, supply_high_V;
+    float coil_hot_degC, driver_hot_degC; /* 0: not watched. */
 } drive_settings_t;
 
 /* A block as it was planned, for the interrupt that measures it. */
@@ -88,6 +87,14 @@ typedef struct {
     uint32_t driven[HAL_CHANNELS];                /* Bit i is set if chip i is driven. */
     int16_t asked[HAL_CHANNELS][HAL_BLOCK_CHIPS]; /* Set-point of each chip, counts with the bridge's sign. */
 } drive_block_t;
+
+/* The limits of what is measured beside the currents, converter counts. */
+typedef struct {
+    uint16_t supply_low, supply_high;
+    uint16_t coil_hot, driver_hot; /* Fewer are hotter; 0: not watched. */
+} drive_limits_t;
+
+#define DRIVE_COMMON HAL_CHANNELS /* The channel of a cause that is not one channel's. */
 
 /* Private but for tests. */
 typedef struct {
@@ -97,13 +104,19 @@ typedef struct {
     uint32_t channels; /* Channels driven, 1 or 2. It changes only while the drive is idle, as do levels. */
     drive_settings_t settings;
     int16_t levels[HAL_CHANNELS][DRIVE_CHIPS_MAX]; /* Level of each chip of the sync period (WAVEFORM_ONE is 1). */
-    volatile bool wanted;    /* Set by main: the settings are complete, the amplitude is not 0, the clock is good. */
-    bool no_waveform;        /* The settings make no waveform. */
-    drive_block_t blocks[2]; /* The even and the odd block: one is planned while the other runs. */
-    volatile uint8_t phase;  /* A drive_phase_t. */
+    volatile bool wanted;      /* Set by main: the settings are complete, the amplitude is not 0, the clock is good. */
+    bool no_waveform;          /* The settings make no waveform. */
+    bool several_levels;       /* Its levels, 0 left aside, have several sizes. */
+    drive_block_t blocks[2];   /* The even and the odd block: one is planned while the other runs. */
+    volatile uint8_t phase;    /* A drive_phase_t. */
+    volatile uint32_t planned; /* The block that was planned last. */
     volatile uint32_t start_chip; /* Absolute chip with which the drive begins. Chip 0 has none before it that could
                                      switch on, so that a master starts with chip 1. */
-    volatile bool driver_fault;   /* The drivers' fault input went active. */
+    latch_t latch;
+    volatile uint8_t channel; /* The channel of the latched cause, or DRIVE_COMMON. */
+    drive_limits_t limits;
+    uint64_t health_us;                        /* When DRIVE_HEALTH was sent last, */
+    uint8_t health_told;                       /* and what it told that is worth an answer at once. */
     volatile uint32_t over_current, open_coil; /* Events since reset. */
     volatile uint32_t cycles;                  /* Sync periods begun, as planned. */
     uint32_t cycles_reported;                  /* The value of cycles when DRIVE_STATUS was sent last. */
@@ -120,7 +133,7 @@ void drive_start(drive_t *drive, node_t *node, timing_t *timing);
 /* The interrupts that hal_events_t has as plan, current and fault. Nobody else plans chips of this clock. */
 void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan);
 void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
-void drive_fault(drive_t *drive);
+void drive_fault(drive_t *drive, hal_fault_t fault);
 
 /* Send the messages that are due and write the node's counters: one turn of the main loop, before node_step. */
 void drive_step(drive_t *drive);
@@ -128,8 +141,7 @@ void drive_step(drive_t *drive);
 /* Returns the board's state as the drive sees it. */
 node_state_t drive_state(const drive_t *drive);
 
-/* Read the parameters again. If one of the drive has changed, or the drive is in a fault, it stops and starts softly
- * with the new ones. */
+/* Read the parameters again. If one of the drive has changed it stops, and starts softly with the new ones. */
 void drive_configure(drive_t *drive);
 
 #endif

@@ -10,7 +10,8 @@
 
 #define TEXT_CHARACTERS 7u /* Characters in one PARAM_TEXT. */
 
-enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2, COMMAND_LAST_RESET = 4 }; /* Indices of COMMAND. */
+/* Indices of COMMAND. */
+enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2, COMMAND_CLEAR = 3, COMMAND_LAST_RESET = 4 };
 
 #define HALF_BYTES   (HAL_UNIQUE_ID_BYTES / 2u)
 #define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */
@@ -257,14 +258,21 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
         return;
     }
     const uint64_t now_us = hal_microseconds(node->hal);
+    const bool named = command.board == own && (frame->id & PROTOCOL_NODE_MASK) == node->id;
     struct goldfield_command_answer_t answer = {.status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE};
     if (index == COMMAND_BLINK) {
         node->blinking = true;
         node->blink_end_us = now_us + (uint64_t)command.argument * MICROSECONDS;
     } else if (index == COMMAND_RESET) {
-        if (command.board == own && (frame->id & PROTOCOL_NODE_MASK) == node->id) {
+        if (named) {
             node->resetting = true;
             node->reset_us = now_us + RESET_US;
+        } else {
+            answer.status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
+        }
+    } else if (index == COMMAND_CLEAR) {
+        if (named && !node->clear_refused) {
+            node->clear_wanted = true;
         } else {
             answer.status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
         }

@@ -22,9 +22,10 @@
  * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
  * the link they came from; a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a
  * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). COMMAND lets the board tell its
- * unique id or its last reset, blink with its LED, or reset itself (framing.md, "Commands"). SYNC is kept for the
- * application. All other messages are ignored. A frame that is no message by its index or its length (messages.h) is
- * ignored and counted, whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).
+ * unique id or its last reset, blink with its LED, reset itself, or clear what keeps its drive off (framing.md,
+ * "Commands"). SYNC is kept for the application. All other messages are ignored. A frame that is no message by its
+ * index or its length (messages.h) is ignored and counted, whatever type it has (COUNTER_FOREIGN_FRAMES,
+ * COUNTER_WRONG_LENGTH).
  *
  * Time: node_step with nothing to do takes about 150 instructions. It is bounded by NODE_BYTES_A_STEP received bytes,
  * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 6.8 kB.
@@ -69,6 +70,8 @@ typedef struct {
     uint32_t stream_lost;              /* Messages that the application lost on its way to node_serial_write(); it
                                         * writes this. */
     bool parameters_changed;           /* A PARAM_SET was accepted; the application clears it. */
+    bool clear_refused;                /* A COMMAND to clear would be in vain now; the application writes it. */
+    bool clear_wanted;                 /* A COMMAND to clear was accepted; the application clears it. */
     bool sync_received;                /* A SYNC came; the application clears it. */
     uint32_t sync_node;                /* The node that sent this SYNC. */
     uint32_t sync_cycle, sync_chips;   /* The cycle (20 bits) and the chips in a cycle that this SYNC told. */

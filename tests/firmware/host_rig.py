@@ -25,6 +25,7 @@ IMAGES = {BEACON: "beacon.elf", SENSOR: "sensor.elf", ANCHOR: "anchor.elf"}
 PIN_CURRENT, PIN_FIELD, PIN_SYNC_IN = (0, 36), (1, 2, 3), 38
 PINS_BRIDGE = ((29, 30), (16, 17))
 """Inputs 1 and 2 of each channel's bridge."""
+PIN_SUPPLY, PIN_COIL_TEMPERATURE, PIN_DRIVER_TEMPERATURE = 32, (33, 35), 34
 PIN_BRIDGE_1, PIN_BRIDGE_2, PIN_SYNC_OUT, PIN_ENABLE, PIN_LED = 29, 30, 7, 31, 20
 PIN_FAULT, PIN_FAULT_TOO = 28, 6
 """The two ends of one wire."""
@@ -138,6 +139,16 @@ class Board:
             self._keep.append(sample)
             edge.analog_in = sample
         return edge
+
+    def fail(self, what: str, active: bool = True) -> None:
+        """Let something of a host board fail, or mend it: ``MAIN_HANGS`` or ``CURRENT_STOPS``."""
+        LIBRARY.host_board_fail(self.handle, getattr(LIBRARY, f"HOST_FAILURE_{what}"), active)
+
+    def clear(self, time: int, node: int = 1, board: int | None = None) -> None:
+        """Ask the board on serial to clear what keeps its drive off."""
+        halves = (int.from_bytes(self.unique_id[i : i + 6], "little") for i in (0, 6))
+        own = next(halves) ^ next(halves)
+        self.send_serial("COMMAND", {"board": own if board is None else board, "argument": 0}, node, 3, time)
 
     def close(self) -> None:
         if self.emulated:
@@ -269,18 +280,23 @@ class Rig:
 class Coil:
     """A coil that follows its bridge at once: the driver makes the reference's amperes with a gain, if enabled.
 
-    ``extra_A`` and ``broken_from`` make it misbehave from a time on.
+    ``extra_A``, ``stray_A`` and ``broken_from`` make it misbehave from a time on; the stray current flows whatever the
+    bridge does.
     """
 
     gain: float = 1.0
     extra_A: float = 0.0
     extra_from: int = 1 << 62
     broken_from: int = 1 << 62
+    stray_A: float = 0.0
+    stray_from: int = 1 << 62
     channel: int = 0
     board: Board | None = None
 
     def amperes(self, time: int) -> float:
         board = self.board
+        if time >= self.stray_from:
+            return self.stray_A
         if board is None or not board.level.get(PIN_ENABLE) or time >= self.broken_from:
             return 0.0
         positive, negative = (bool(board.level.get(pin)) for pin in PINS_BRIDGE[self.channel])
@@ -289,11 +305,16 @@ class Coil:
         return (int(positive) - int(negative)) * (self.gain * reference + extra)
 
 
-def beacon(coil: Coil, second: Coil | None = None, **options: Any) -> Board:
-    """A beacon board with its coil, or its two; other analog inputs lie at mid-scale."""
+def beacon(
+    coil: Coil, second: Coil | None = None, pins: Mapping[int, Callable[[int], float]] | None = None, **options: Any
+) -> Board:
+    """A beacon board with its coil, or its two; other analog inputs give ``pins[pin](time)`` or lie at mid-scale."""
+    others = pins or {}
     coils = [coil] if second is None else [coil, second]
 
     def volts(pin: int, time: int) -> float:
+        if pin in others:
+            return others[pin](time)
         channel = PIN_CURRENT.index(pin) if pin in PIN_CURRENT else len(coils)
         return 1.65 + (0.103125 * coils[channel].amperes(time) if channel < len(coils) else 0.0)
 

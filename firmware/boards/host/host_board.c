@@ -201,13 +201,14 @@ static void application_step(board_t *board) {
 
 static void start(board_t *board) {
     board->powered = true;
+    board->hal.kick_tick = host_tick(&board->hal);
     host_pin_write(&board->hal, PIN_LED, false);
     application_start(board);
 }
 
 /* Does what the reset pin does: outputs go off, and whatever the board has not sent yet is lost. Time, the levels of
  * the inputs, and what is still under way from outside stay. */
-static void restart(board_t *board) {
+static void restart(board_t *board, hal_reset_cause_t cause) {
     static const unsigned outputs[] = {PIN_ENABLE,       PIN_SYNC_OUT, PIN_BRIDGE_0,
                                        PIN_BRIDGE_0 + 1, PIN_BRIDGE_1, PIN_BRIDGE_1 + 1};
     hal_t *hal = &board->hal;
@@ -218,13 +219,14 @@ static void restart(board_t *board) {
         host_pin_write(hal, outputs[i], false);
     }
     hal->reset_wanted = false;
-    hal->reset.cause = HAL_RESET_SOFTWARE;
-    hal->reset.counts[HAL_RESET_SOFTWARE]++;
+    hal->reset.cause = cause;
+    hal->reset.counts[cause]++;
     hal->reset.uptime_s = (uint32_t)(hal_microseconds(hal) / 1000000u);
     hal->power_on_ps = hal->now_ps;
     memset(&hal->engine, 0, sizeof hal->engine);
     memset(&hal->transmitter, 0, sizeof hal->transmitter);
     memset(&hal->counters, 0, sizeof hal->counters);
+    hal->counters.watchdog_resets = hal->reset.counts[HAL_RESET_WATCHDOG];
     hal->received_count = hal->frames_count = hal->mailbox_count = hal->stamps_count = 0;
 }
 
@@ -234,22 +236,25 @@ static void application(board_t *board) {
         start(board);
     }
     hal->awake = false;
+    if (hal->failed[HOST_FAILURE_MAIN_HANGS]) {
+        return;
+    }
     application_step(board);
     if (hal->reset_wanted) {
-        restart(board);
+        restart(board, HAL_RESET_SOFTWARE);
         start(board);
         application_step(board);
     }
     hal->idle_tick = host_tick(hal) + IDLE_TICKS;
 }
 
-typedef enum { NEXT_ENGINE, NEXT_BYTE, NEXT_INPUT, NEXT_IDLE } next_t;
+typedef enum { NEXT_ENGINE, NEXT_BYTE, NEXT_INPUT, NEXT_IDLE, NEXT_WATCHDOG } next_t;
 
 /* Tells what comes next and when. At equal times the order is that of next_t: chips first, so that an edge at a chip's
  * start belongs to that chip. */
 static next_t next_event(const hal_t *hal, int64_t *time_ps) {
-    next_t next = NEXT_IDLE;
-    *time_ps = time_of(hal, hal->idle_tick);
+    next_t next = hal->failed[HOST_FAILURE_MAIN_HANGS] ? NEXT_WATCHDOG : NEXT_IDLE;
+    *time_ps = time_of(hal, next == NEXT_IDLE ? hal->idle_tick : hal->kick_tick + WATCHDOG_TICKS);
     if (hal->inputs_count > 0 && hal->inputs[hal->inputs_head].time_ps <= *time_ps) {
         *time_ps = hal->inputs[hal->inputs_head].time_ps;
         next = NEXT_INPUT;
@@ -287,6 +292,10 @@ static board_status_t board_run(board_t *board, int64_t until_ps) {
             break;
         case NEXT_IDLE:
             hal->awake = true;
+            break;
+        case NEXT_WATCHDOG:
+            restart(board, HAL_RESET_WATCHDOG);
+            start(board);
             break;
         }
         if (hal->awake) {
@@ -356,6 +365,12 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
     hal->fault_level = true; /* The input is pulled up. */
     hal->tick_q32 = (uint64_t)(4294967296.0 * 1e12 / (HAL_TICKS_PER_SECOND * (1.0 + config->crystal_ppm * 1e-6)) + 0.5);
     return board;
+}
+
+void host_board_fail(board_t *board, host_failure_t failure, bool active) {
+    board->hal.failed[failure] = active;
+    board->hal.awake = true;
+    board->hal.idle_tick = host_tick(&board->hal);
 }
 
 const board_operations_t host_board_operations = {

@@ -11,8 +11,8 @@
  * frames in ticks.
  *
  * What it does not keep: instructions take no time. Handlers and the main loop's iteration run at the instant of their
- * event. So there are no late blocks, converter overruns or watchdog resets here, and hal_wait() and board_start() do
- * not exist (the main loop is run from outside).
+ * event. So there are no late blocks and converter overruns here, and hal_wait() and board_start() do not exist (the
+ * main loop is run from outside). What a board cannot do to itself, host_board_fail() does to it.
  *
  * Contexts: boards share nothing. Each may run in its own thread, one board in one thread at a time. Memory: one
  * allocation a board of about 60 KiB, and one for the inputs that wait for their time, which grows with them.
@@ -26,6 +26,15 @@
 /* Make a board that gets power at power_on_ps; its application starts at that moment. config and edge are copied;
  * edge->context must outlive the board. Returns NULL if there is no memory or crystal_ppm is out of range. */
 board_t *host_board_create(const host_board_config_t *config, const board_edge_t *edge, int64_t power_on_ps);
+
+typedef enum {
+    HOST_FAILURE_MAIN_HANGS = 0,    /* The main loop does nothing; after a reset the application starts, and hangs. */
+    HOST_FAILURE_CURRENT_STOPS = 1, /* Coil currents are not converted any more. */
+    HOST_FAILURES = 2
+} host_failure_t;
+
+/* Make something fail, or mend it, at the board's present. */
+void host_board_fail(board_t *board, host_failure_t failure, bool active);
 
 /* How the outside acts on the board. run() costs a few microseconds of this machine for a chip and always returns
  * BOARD_OK; report() is empty. A pin, a port or a mailbox that the board does not have is ignored. */

@@ -3,6 +3,8 @@
 
 #include <math.h>
 
+#define STALE_CHIPS 2u /* Chips without a measurement after which the drive goes off (hal.h). */
+
 /* ---- Converters ---- */
 
 static uint16_t convert(const hal_t *hal, unsigned pin) {
@@ -11,6 +13,17 @@ static uint16_t convert(const hal_t *hal, unsigned pin) {
     }
     const double count = floor(hal->edge.analog_in(hal->edge.context, pin, hal->now_ps) * (4096.0 / 3.3) + 0.5);
     return count >= HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count > 0 ? (uint16_t)count : 0; /* 0 for what is not a number. */
+}
+
+/* Converts the currents, and with them what changes more slowly. */
+static void measure(hal_t *hal) {
+    engine_t *engine = &hal->engine;
+    engine->current[0] = convert(hal, PIN_CURRENT_0);
+    engine->current[1] = convert(hal, PIN_CURRENT_1);
+    engine->monitor.supply = convert(hal, PIN_SUPPLY);
+    engine->monitor.coil[0] = convert(hal, PIN_COIL_TEMPERATURE_0);
+    engine->monitor.coil[1] = convert(hal, PIN_COIL_TEMPERATURE_1);
+    engine->monitor.driver = convert(hal, PIN_DRIVER_TEMPERATURE);
 }
 
 /* ---- Chip engine ---- */
@@ -93,12 +106,24 @@ static void start_chip(hal_t *hal) {
     }
 }
 
+/* A chip has ended: without a measurement in it and in the one before, the drive goes off. */
+static void check_stale(hal_t *hal) {
+    engine_t *engine = &hal->engine;
+    if (hal_role_drives(engine->role) && hal->pin_out[PIN_ENABLE] && ++engine->unmeasured == STALE_CHIPS) {
+        host_pin_write(hal, PIN_ENABLE, false);
+        if (engine->events.fault) {
+            engine->events.fault(engine->events.context, HAL_FAULT_STALE);
+        }
+    }
+}
+
 void host_engine_event(hal_t *hal) {
     engine_t *engine = &hal->engine;
     const uint32_t event = engine->event++;
     if (event == 0 || event == last_event(engine)) {
         if (event > 0) {
             next_chip(engine);
+            check_stale(hal);
         }
         engine->event = 1;
         start_chip(hal);
@@ -107,10 +132,12 @@ void host_engine_event(hal_t *hal) {
             engine->samples[engine->chip_in_block][event - current_events(engine) - 1][axis] = convert(
                 hal, PIN_FIELD_X + axis);
         }
+    } else if (hal->failed[HOST_FAILURE_CURRENT_STOPS]) {
+        return;
     } else if (event == 1) {
-        engine->current[0] = convert(hal, PIN_CURRENT_0);
-        engine->current[1] = convert(hal, PIN_CURRENT_1);
+        measure(hal);
     } else {
+        engine->unmeasured = 0;
         engine->events.current(engine->events.context, engine->chip, engine->current);
     }
 }

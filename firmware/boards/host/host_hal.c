@@ -48,8 +48,15 @@ bool hal_drive_fault(const hal_t *hal) {
 
 bool hal_drive_enable(hal_t *hal, bool enable) {
     const bool on = enable && !hal_drive_fault(hal);
+    if (on && !hal->pin_out[PIN_ENABLE]) {
+        hal->engine.unmeasured = 0;
+    }
     host_pin_write(hal, PIN_ENABLE, on);
     return on == enable;
+}
+
+void hal_monitor(const hal_t *hal, hal_monitor_t *monitor) {
+    *monitor = hal->engine.monitor;
 }
 
 /* ---- Serial ---- */
@@ -180,5 +187,5 @@ const uint8_t *hal_parameter_page(const hal_t *hal) {
 }
 
 void hal_watchdog_kick(hal_t *hal) {
-    (void)hal; /* A main loop that hangs hangs its caller, who sees it without a watchdog. */
+    hal->kick_tick = host_tick(hal);
 }

@@ -8,7 +8,7 @@
 #include <stddef.h>
 
 #include "boards/board_edge.h"
-#include "boards/host/host_config.h"
+#include "boards/host/host_board.h"
 
 /* Pins, numbered port * 16 + pin (boards/pinout.md). */
 enum {
@@ -20,6 +20,10 @@ enum {
     PIN_FAULT = 28,     /* PB12, on one wire with PA6. */
     PIN_BRIDGE_0 = 29,  /* PB13: input 1 of channel 0's bridge; input 2 follows. */
     PIN_ENABLE = 31,    /* PB15 */
+    PIN_SUPPLY = 32,             /* PC0: supply of the bridges. */
+    PIN_COIL_TEMPERATURE_0 = 33, /* PC1 */
+    PIN_DRIVER_TEMPERATURE = 34, /* PC2 */
+    PIN_COIL_TEMPERATURE_1 = 35, /* PC3 */
     PIN_CURRENT_1 = 36, /* PC4 */
     PIN_SYNC_IN = 38    /* PC6 */
 };
@@ -41,6 +45,7 @@ enum {
     SAMPLE_TICKS = 15 * 8,     /* Time from the start of a conversion to the end of its sampling. */
     CONVERSION_TICKS = 27 * 8, /* A whole conversion. */
     BURST_MARGIN_TICKS = 84,   /* Time from the last conversion's end to the planned end of the chip, 0.5 us. */
+    WATCHDOG_TICKS = 84000000, /* The watchdog strikes so long after it was last kicked, 500 ms. */
     IDLE_TICKS = 1680000       /* The longest sleep before the chip engine runs, 10 ms. */
 };
 
@@ -68,6 +73,8 @@ typedef struct {
     int64_t chip_start;               /* The tick at which it began. */
     uint32_t event;                   /* The next event within the chip: host_engine.c numbers them. */
     uint16_t current[HAL_CHANNELS];   /* The conversions that end shortly. */
+    hal_monitor_t monitor;            /* What is measured together with them. */
+    uint32_t unmeasured;              /* Chips without such a conversion while the drive is on. */
     uint16_t set_point[HAL_CHANNELS]; /* The set-points that the outside has been told. */
     hal_samples_t samples;            /* The samples of the block so far. */
 } engine_t;
@@ -87,6 +94,8 @@ struct hal {
     bool reset_wanted; /* The application has asked for a reset, which comes at the end of its turn. */
     bool awake;        /* There was an interrupt since the main loop last ran. */
     int64_t idle_tick; /* The latest end of the present sleep. */
+    int64_t kick_tick; /* The watchdog was last kicked. */
+    bool failed[HOST_FAILURES];
     engine_t engine;
     bool pin_out[64];             /* The levels that the outside has been told, */
     uint64_t pins_driven;         /* of these pins: the others float since power-on. */

@@ -1,16 +1,26 @@
 #include "core/drive/current.h"
 
-#define MID_SCALE     2048     /* Count of the sense at 0 A. */
-#define MAGNITUDE_MAX 2046u    /* Largest magnitude that is measured, counts; beyond lie the rails. */
-#define REFERENCE_MAX 4095.0f  /* Largest set-point, counts. */
-#define KEPT          0.875f   /* Share of the old sums that is kept block after block. */
-#define ADAPTED       0.25f    /* Largest change of the reference from that of a driver without error. */
-#define ONE           65536.0f /* The factor 1 with 16 fractional bits. */
+#include <string.h>
+
+#define MID_SCALE       2048   /* Count of the sense at 0 A, nominally. */
+#define REFERENCE_MAX   4095   /* Largest set-point, counts. */
+#define KEPT_RAMPING    0.875f /* Share of the old sums that is kept block after block. */
+#define KEPT_HOLDING    0.96875f
+#define PRIOR           4.0f     /* Chips that asked for nothing and got nothing. */
+#define ADAPTED         0.25f    /* Largest change of the set-point from that of a driver without error. */
+#define OFFSET_SHARE    0.1f     /* Largest offset, of the amplitude. */
+#define ONE             65536.0f /* The factor 1 with 16 fractional bits. */
+#define FINE            16       /* Parts of a count in which set-points are planned. */
+#define SHORT_COUNTS    6        /* A chip may be so much short, counts of sense, */
+#define SHORT_SHIFT     6        /* and 1/64; */
+#define LEFT_OUT_SHIFT  3        /* short by 1/8 more it does not count. */
+#define SHORT_AMPLITUDE 0.995f   /* Share of the target below which headroom is lost. */
+#define SHORT_BLOCKS    33u      /* Blocks for which that is told: a cycle of degree 10. */
 
 bool current_configure(current_t *current, const current_config_t *config) {
     /* The comparisons are written so that a value that is not a number fails. */
     if (!(config->sense_A > 0.0f && config->reference_A > 0.0f && config->amplitude_A >= 0.0f &&
-          config->over_current_A >= 0.0f && config->open_fraction >= 0.0f && config->open_fraction <= 1.0f)) {
+          config->open_fraction >= 0.0f && config->open_fraction <= 1.0f)) {
         return false;
     }
     const float scale = config->reference_A / config->sense_A;
@@ -18,124 +28,215 @@ bool current_configure(current_t *current, const current_config_t *config) {
           scale <= 8.0f)) {
         return false;
     }
-    const float limit = config->over_current_A / config->sense_A;
+    guard_t guard = current->guard;
+    if (!guard_configure(&guard, &config->guard, config->sense_A, config->reference_A)) {
+        return false;
+    }
     const float least_A = config->amplitude_A > 4.0f * CURRENT_OPEN_MINIMUM_A ? 0.25f * config->amplitude_A
                                                                               : CURRENT_OPEN_MINIMUM_A;
-    const float open_above = config->open_fraction > 0.0f ? least_A / config->reference_A : REFERENCE_MAX;
+    const float open_above = config->open_fraction > 0.0f ? least_A / config->reference_A : (float)REFERENCE_MAX;
     *current = (current_t){
         .state = CURRENT_OFF,
-        .fault = CURRENT_FAULT_NONE,
+        .zero = current->zero,
+        .zeros = current->zeros,
+        .guard = guard,
         .config = *config,
-        .open_above = (uint16_t)(open_above < REFERENCE_MAX ? open_above : REFERENCE_MAX),
-        .over_count = limit < (float)MAGNITUDE_MAX ? (uint16_t)limit : (uint16_t)MAGNITUDE_MAX,
+        .open_above = (uint16_t)(open_above < (float)REFERENCE_MAX ? open_above : (float)REFERENCE_MAX),
+        .open_share = (uint32_t)(config->open_fraction * ONE),
     };
     return true;
 }
 
-/* The state is written last: the interrupt acts on it. */
+bool current_ready(const current_t *current) {
+    return current->zeros >= CURRENT_ZERO_CHIPS;
+}
+
+/* The state is written last: the interrupts act on it. */
 static void set_state(current_t *current, current_state_t state) {
     __atomic_store_n(&current->state, (uint8_t)state, __ATOMIC_RELEASE);
 }
 
 void current_start(current_t *current) {
-    if (current->state != CURRENT_OFF || current->fault != CURRENT_FAULT_NONE) {
+    if (current->state != CURRENT_OFF) {
         return;
+    }
+    memset(current->line, 0, sizeof current->line);
+    for (uint32_t i = 0; i < 2u; i++) {
+        current->line[i].gain = current->config.reference_A / current->config.sense_A;
+        current->line[i].gain_q = (uint32_t)(current->line[i].gain * ONE);
     }
     current->reference = 0;
     current->measured_A = 0.0f;
+    current->dc_A = 0.0f;
     current->target_A = 0.0f;
-    current->count = 0.0f;
-    current->asked = 0.0f;
-    current->came = 0.0f;
-    current->product = 0.0f;
-    current->square = 0.0f;
-    current->block_asked = 0;
-    current->block_came = 0;
-    current->block_product = 0;
-    current->block_square = 0;
     current->chips = 0;
-    current->open_scale = 0;
+    current->headroom_lost = false;
+    current->fell_short = false;
+    current->short_blocks = 0;
     set_state(current, CURRENT_RAMPING);
 }
 
 void current_stop(current_t *current) {
-    if (current->fault == CURRENT_FAULT_NONE) {
+    if (current->state != CURRENT_FAULT) {
         set_state(current, CURRENT_OFF);
     }
     current->reference = 0;
+    current->line[0].scale = 0;
+    current->line[1].scale = 0;
+    current->headroom_lost = false;
 }
 
-void current_clear(current_t *current) {
-    set_state(current, CURRENT_OFF);
-    current->fault = CURRENT_FAULT_NONE;
-}
-
-static bool trip(current_t *current, current_fault_t fault) {
-    current->fault = (uint8_t)fault;
-    current->reference = 0;
-    set_state(current, CURRENT_FAULT);
-    return false;
-}
-
-/* Adds the sums of the block to those that forget. */
-static void gather(current_t *current) {
-    current->count = KEPT * current->count + (float)current->chips;
-    current->asked = KEPT * current->asked + (float)current->block_asked;
-    current->came = KEPT * current->came + (float)current->block_came;
-    current->product = KEPT * current->product + (float)current->block_product;
-    current->square = KEPT * current->square + (float)current->block_square;
-    current->block_asked = 0;
-    current->block_came = 0;
-    current->block_product = 0;
-    current->block_square = 0;
-    current->chips = 0;
+int16_t current_set_point(current_t *current, int32_t level) {
+    current_line_t *const line = &current->line[level < 0];
+    const uint32_t size = (uint32_t)(level < 0 ? -level : level), scale = line->scale;
+    if (size == 0 || scale == 0) {
+        return 0;
+    }
+    const int32_t wanted = (int32_t)(size * scale / CURRENT_ONE) - line->shift + line->carry;
+    int32_t count = (wanted + FINE / 2) >> 4;
+    if (count < 0 || count > REFERENCE_MAX) {
+        current->fell_short |= count > 0;
+        count = count < 0 ? 0 : REFERENCE_MAX;
+        line->carry = 0;
+    } else {
+        line->carry = wanted - count * FINE;
+    }
+    return (int16_t)(level < 0 ? -count : count);
 }
 
 static float within(float value, float low, float high) {
     return value < low ? low : value > high ? high : value;
 }
 
+/* Adds the sums of the block to those that forget; a direction that had no chip forgets nothing. */
+static void gather(current_line_t *line, float kept) {
+    if (line->block_count == 0) {
+        return;
+    }
+    line->count = kept * line->count + (float)line->block_count;
+    line->asked = kept * line->asked + (float)line->block_asked;
+    line->came = kept * line->came + (float)line->block_came;
+    line->product = kept * line->product + (float)line->block_product;
+    line->square = kept * line->square + (float)line->block_square;
+    line->block_count = line->block_asked = line->block_came = line->block_product = line->block_square = 0;
+}
+
+/* Fits the line of a direction, and the set-point that it needs for the target. */
+static void fit(current_t *current, current_line_t *line, float sign) {
+    const current_config_t *const config = &current->config;
+    const float nominal = config->reference_A / config->sense_A; /* Counts of sense for one of reference. */
+    const float n = line->count + PRIOR, spread = n * line->square - line->asked * line->asked;
+    const float zero = sign * current->zero;
+    const float came = line->came - zero * line->count, product = line->product - zero * line->asked;
+    if (!config->several_levels) {
+        line->gain = line->square > 0.0f ? product / line->square : nominal;
+        line->offset = 0.0f;
+    } else {
+        line->gain = spread > 0.0f ? (n * product - line->asked * came) / spread : nominal;
+        line->offset = (came - line->gain * line->asked) / n;
+    }
+    const float gain = within(line->gain, nominal / (1.0f + ADAPTED), nominal / (1.0f - ADAPTED));
+    const float most = OFFSET_SHARE * config->amplitude_A / config->sense_A;
+    const float offset = within(line->offset, -most, most);
+    line->gain_q = (uint32_t)(gain * ONE);
+    line->offset_q = (int32_t)(offset + zero);
+    const float limit = (float)(REFERENCE_MAX * FINE);
+    line->shift = (int32_t)(offset / gain * (float)FINE);
+    line->scale = (uint32_t)within(current->target_A / (gain * config->sense_A) * (float)FINE + 0.5f, 0.0f, limit);
+}
+
+/* Tells what came of the block, with the set-points that were in force, and plans the next ones. */
 static void end_block(current_t *current) {
     const current_config_t *const config = &current->config;
-    gather(current);
-    const float nominal = config->reference_A / config->sense_A; /* Counts of sense for one of reference. */
-    const float n = current->count + 1.0f, spread = n * current->square - current->asked * current->asked;
-    const float estimated = spread > 0.0f ? (n * current->product - current->asked * current->came) / spread : nominal;
-    const float gain = within(estimated, nominal / (1.0f + ADAPTED), nominal / (1.0f - ADAPTED));
-    current->measured_A = (float)current->reference * estimated * config->sense_A;
-    current->open_scale = (uint32_t)(gain * config->open_fraction * ONE);
-
+    const bool holding = current->state == CURRENT_HOLDING;
     const float next = current->target_A + config->amplitude_A / (float)CURRENT_RAMP_BLOCKS;
     const bool arrived = next >= config->amplitude_A * 0.99999f; /* 33 thirty-thirds may fall short of one. */
+    float level[2] = {0.0f, 0.0f};
     current->target_A = arrived ? config->amplitude_A : next;
-    current->reference = (uint16_t)within(current->target_A / (gain * config->sense_A) + 0.5f, 0.0f, REFERENCE_MAX);
+    uint32_t reference = 0;
+    for (uint32_t i = 0; i < 2u; i++) {
+        current_line_t *const line = &current->line[i];
+        const float set_point = (float)((int32_t)line->scale - line->shift) / (float)FINE;
+        gather(line, holding ? KEPT_HOLDING : KEPT_RAMPING);
+        fit(current, line, i == 0 ? 1.0f : -1.0f);
+        if (line->count > 0.0f) {
+            const uint32_t count = (uint32_t)((int32_t)line->scale - line->shift + FINE / 2) / FINE;
+            level[i] = (set_point * line->gain + line->offset) * config->sense_A;
+            reference = count > reference ? count : reference;
+        }
+    }
+    const bool both = current->line[0].count > 0.0f && current->line[1].count > 0.0f;
+    current->measured_A = both ? 0.5f * (level[0] + level[1]) : level[0] + level[1];
+    current->dc_A = both ? 0.5f * (level[0] - level[1]) : 0.0f;
+    current->reference = (uint16_t)reference;
+    if (holding && (current->fell_short || current->measured_A < SHORT_AMPLITUDE * current->target_A)) {
+        current->short_blocks = SHORT_BLOCKS;
+    }
+    current->headroom_lost = current->short_blocks > 0u;
+    current->short_blocks = (uint8_t)(current->short_blocks - current->headroom_lost);
+    current->fell_short = false;
+    current->chips = 0;
     current->state = arrived ? CURRENT_HOLDING : CURRENT_RAMPING;
 }
 
-bool current_sample(current_t *current, int16_t set_point, uint16_t count) {
-    if (current->fault != CURRENT_FAULT_NONE) {
-        return false;
+/* A chip without current tells the zero of the sense; the first after a driven one may still see the current fall. */
+static void take_zero(current_t *current, int32_t came) {
+    if (current->quiet < UINT16_MAX) {
+        current->quiet++;
     }
-    if (current->state == CURRENT_OFF) {
+    if (current->quiet > 1u) {
+        if (current->zeros < CURRENT_ZERO_CHIPS) {
+            current->zeros++;
+        }
+        current->zero += ((float)came - current->zero) / (float)current->zeros;
+    }
+}
+
+/* Returns whether the coil is open, and keeps the chip for the line. */
+static bool take_driven(current_t *current, uint32_t asked, bool negative, int32_t came) {
+    current_line_t *const line = &current->line[negative];
+    const int32_t along = negative ? -came : came;
+    const int32_t expected = (int32_t)(asked * line->gain_q >> 16) + line->offset_q;
+    const int32_t least = (int32_t)((uint32_t)(expected > 0 ? expected : 0) * current->open_share >> 16);
+    if (asked > current->open_above && along < least) {
         return true;
     }
-    const int32_t came = (int32_t)count - MID_SCALE;
-    const uint32_t magnitude = (uint32_t)(came < 0 ? -came : came);
-    if (magnitude > current->over_count) {
-        return trip(current, CURRENT_FAULT_OVER);
+    const bool holding = current->state == CURRENT_HOLDING;
+    const int32_t allowed = (expected >> SHORT_SHIFT) + SHORT_COUNTS, missing = expected - along;
+    current->fell_short |= holding && missing > allowed;
+    if (!holding || missing <= allowed + (expected >> LEFT_OUT_SHIFT)) {
+        line->block_count++;
+        line->block_asked += (int32_t)asked;
+        line->block_came += along;
+        line->block_product += (int32_t)asked * along;
+        line->block_square += (int32_t)(asked * asked);
     }
-    const uint32_t asked = (uint32_t)(set_point < 0 ? -set_point : set_point);
-    const int32_t along = set_point < 0 ? -came : came, least = (int32_t)(asked * current->open_scale >> 16);
-    if (asked > current->open_above && along < least) {
-        return trip(current, CURRENT_FAULT_OPEN);
-    }
-    current->block_asked += set_point;
-    current->block_came += came;
-    current->block_product += set_point * came;
-    current->block_square += set_point * set_point;
     current->chips++;
     if (current->chips == CURRENT_BLOCK_CHIPS) {
         end_block(current);
     }
-    return true;
+    return false;
+}
+
+cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint16_t count) {
+    const int32_t came = (int32_t)count - MID_SCALE;
+    const uint32_t asked = (uint32_t)(set_point < 0 ? -set_point : set_point);
+    cause_t cause = guard_sample(&current->guard, asked, came); /* In a fault, too: its mean square goes on. */
+    if (current->state == CURRENT_FAULT) {
+        return CAUSE_NONE;
+    }
+    if (cause == CAUSE_NONE) {
+        if (!driven) {
+            take_zero(current, came);
+            return CAUSE_NONE;
+        }
+        current->quiet = 0;
+        if (current->state == CURRENT_OFF || !take_driven(current, asked, set_point < 0, came)) {
+            return CAUSE_NONE;
+        }
+        cause = CAUSE_OPEN_COIL;
+    }
+    current->reference = 0;
+    set_state(current, CURRENT_FAULT);
+    return cause;
 }

@@ -8,6 +8,7 @@ import crcmod.predefined
 import numpy as np
 import pytest
 
+from goldfield_protocol.messages import database
 from tests.firmware.host_rig import (
     CHIPS,
     MS,
@@ -27,6 +28,9 @@ from tests.firmware.host_rig import (
     gold_chips,
 )
 
+CAUSES = [
+    str(name) for name in database().get_message_by_name("DRIVE_HEALTH").get_signal_by_name("cause").choices.values()
+]
 CHIP = round(chip_seconds(0) * 1e12)
 MASTER = {"node": 1, "code": 2, "amplitude": 8.0, "sync_master": 1}
 FOLLOWER = {"node": 2, "code": 1018, "amplitude": 8.0}
@@ -225,12 +229,16 @@ def test_driver_fault_switches_off_at_once(boards: list[Board]) -> None:
     assert status(board)["enabled"] == 0
 
 
-def test_new_amplitude_ends_a_fault(boards: list[Board]) -> None:
+def test_a_clear_and_not_a_new_amplitude_ends_a_fault(boards: list[Board]) -> None:
     board = master(boards)
     board.pin(PIN_FAULT, False, 500 * MS)
     board.pin(PIN_FAULT, True, 510 * MS)
     board.send_serial("PARAM_SET", {"kind": 2, "value_float": 5.0}, 1, 2, 700 * MS)
-    board.run(1100 * MS)
+    board.run(1600 * MS)
+    assert len(board.edges(PIN_ENABLE)) == 1
+    assert status(board)["driver_fault"] == 1
+    board.clear(1600 * MS)
+    board.run(2100 * MS)
     assert len(board.edges(PIN_ENABLE)) == 2
     report = status(board)
     assert report["driver_fault"] == 0
@@ -365,11 +373,11 @@ def test_a_rotating_field_of_two_sinusoids(boards: list[Board], degree: int, per
 
 
 @pytest.mark.parametrize(
-    ("coil", "flag"),
-    [(Coil(broken_from=500 * MS), "open_coil"), (Coil(extra_A=6.0, extra_from=500 * MS), "over_current")],
+    ("coil", "causes"),
+    [(Coil(broken_from=500 * MS), {"open_coil"}), (Coil(extra_A=6.0, extra_from=500 * MS), {"over_current", "excess"})],
 )
 @pytest.mark.parametrize("channel", [0, 1])
-def test_a_fault_of_either_coil_stops_both(boards: list[Board], coil: Coil, flag: str, channel: int) -> None:
+def test_a_fault_of_either_coil_stops_both(boards: list[Board], coil: Coil, causes: set[str], channel: int) -> None:
     coils = [Coil(), Coil()]
     coils[channel] = Coil(broken_from=coil.broken_from, extra_A=coil.extra_A, extra_from=coil.extra_from)
     board = beacon(*coils, parameters={**MASTER, "waveform": 3, "periods": 20})
@@ -379,7 +387,9 @@ def test_a_fault_of_either_coil_stops_both(boards: list[Board], coil: Coil, flag
     # Half a period has 25.6 chips; near its ends the current is too small to judge.
     assert 500 * MS <= off <= 500 * MS + 26 * CHIP
     reports = statuses(board)
-    assert [reports[c][flag] for c in (0, 1)] == [int(c == channel) for c in (0, 1)]
+    health = {m.index: CAUSES[int(m.signals["cause"])] for m in board.messages("DRIVE_HEALTH")}
+    assert health[channel] in causes
+    assert health[1 - channel] == "none"
     assert all(report["enabled"] == 0 and report["current"] == 0 for report in reports.values())
     assert board.messages("HEARTBEAT")[-1].signals["state"] == 4
 

@@ -16,6 +16,8 @@ HEADERS = (
     "core/codes/separation.h",
     "core/timing/chip_clock.h",
     "core/drive/current.h",
+    "core/drive/latch.h",
+    "core/drive/thermistor.h",
     "core/drive/waveform.h",
     "core/link/frame.h",
     "core/link/messages.h",

@@ -168,7 +168,7 @@ def test_bytes_at_another_rate_are_lost_and_counted(board: Board) -> None:
 
 def test_bad_page_is_ignored_and_counted() -> None:
     page = bytearray(b"GFP1\x01\x00\x00\x00" + b"\0" * 8)
-    board = Board(BEACON, bytes(page))
+    board = Board(BEACON, bytes(page), volts=lambda pin, time: 1.65)
     board.run(1100 * MS)
     assert counters(board) == {9: 1}
     board.close()
