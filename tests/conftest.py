@@ -32,6 +32,8 @@ LONG = (
     "firmware/services",
     "hil",
     "hil_sim/papers/gietler",
+    "hil_sim/world/test_reference_circuit.py",
+    "hil_sim/world/test_reference_sensor.py",
     "host/calibration/test_sensor.py",
     "host/cli/test_hostile_streams.py",
     "host/cli/test_plan.py",

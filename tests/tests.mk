@@ -11,13 +11,13 @@ test-wheel: all ## Build the wheel, install it alone and use it outside the tree
 test-fast: all $(BUILD)/qemu.stamp ## The tests that take little time: four minutes in all
 	@$(PYTEST) -m "not slow and not long"
 
-test-long: all $(BUILD)/qemu.stamp ## The tests that take more
+test-long: all $(BUILD)/qemu.stamp $(BUILD)/ngspice.stamp ## The tests that take more
 	@$(PYTEST) -m "long and not slow"
 
 test-host-boards: all ## End to end on host boards what depends on the boards, also what is slow on emulated ones
 	@$(PYTEST) tests/hil --goldfield-rig host -m both_boards
 
-test-slow: all $(BUILD)/qemu.stamp ## All tests, the slow ones too
+test-slow: all $(BUILD)/qemu.stamp $(BUILD)/ngspice.stamp ## All tests, the slow ones too
 	@$(PYTEST)
 
 COSTS ?= tests -m "not slow"
@@ -106,3 +106,11 @@ metal-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure what learning th
 	@$(PYTHON) -m tests.bench.metal_figures
 
 .PHONY: metal-figures
+
+circuit-figures: all $(BUILD)/ngspice.stamp ## Measure the reference circuit in ngspice beside the plant: docs/hardware/figures.md and edges.png (minutes)
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.circuit_figures
+
+circuit-diagrams: $(BUILD)/venv.stamp ## Draw the reference circuit: docs/hardware/driver.svg and sensor.svg
+	@$(PYTHON) -m tests.bench.circuit_diagrams
+
+.PHONY: circuit-figures circuit-diagrams
