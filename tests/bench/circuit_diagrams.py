@@ -239,7 +239,7 @@ LOGIC = (
 def logic(sheet: Sheet) -> None:
     """Draw logic, dead time, and over-current."""
     sheet.text(20, 1220, "Logic", kind="head")
-    sheet.box(20, 1240, "U8", "GAL22V10, 5 V", (120, 44))
+    sheet.box(20, 1240, "U8", "ATF1502AS, 5 V", (120, 44))
     sheet.box(20, 1300, "U9", "74LVC1G123", (120, 44))
     sheet.box(20, 1360, "U10", "74LVC14, 1k, 470 pF, BAT54", (170, 44))
     for k, line in enumerate(LOGIC):
@@ -274,14 +274,14 @@ def logic(sheet: Sheet) -> None:
     sheet.net(405, 1560, "limit")
     sheet.ground(400, 1620)
     sheet.amplifier(620, 1530, "U7B", "TLV3502")
-    sheet.net(510, 1415, "3.3 V")
-    sheet.resistor(510, 1445, "R38", "18.2k", upright=True)
-    sheet.resistor(510, 1545, "R39", "2.0k", upright=True)
-    sheet.wire((510, 1475), (510, 1515))
-    sheet.dot(510, 1515)
-    sheet.wire((510, 1515), (580, 1515))
-    sheet.ground(510, 1575)
-    sheet.net(585, 1560, "PC2", left=True)
+    sheet.net(480, 1497, "3.3 V")
+    sheet.resistor(480, 1530, "R38", "18.2k", upright=True)
+    sheet.resistor(480, 1590, "R39", "2.0k", upright=True)
+    sheet.dot(480, 1560)
+    sheet.wire((480, 1560), (545, 1560), (545, 1515), (580, 1515))
+    sheet.ground(480, 1620)
+    sheet.wire((580, 1545), (572, 1545), (572, 1575))
+    sheet.net(568, 1583, "PC2")
     sheet.net(660, 1530, "hot")
     sheet.box(720, 1570, "U15", "74LVC1G74: latch", (120, 60))
     sheet.net(720, 1590, "set: trip_a | trip_b | hot", left=True)
@@ -298,7 +298,7 @@ def logic(sheet: Sheet) -> None:
 
 
 def sensor(sheet: Sheet) -> None:
-    """Draw one axis of the sensor, and what else hangs on the board's pins."""
+    """Draw one axis of the sensor."""
     sheet.text(20, 30, "Sensor: one axis of three", kind="head")
     sheet.box(30, 70, "B1", "HMC1001 (z); HMC1002 (x, y)", (190, 90))
     sheet.net(30, 90, "8 V", left=True)
@@ -314,14 +314,21 @@ def sensor(sheet: Sheet) -> None:
     sheet.net(330, 165, "ref: ref165")
     sheet.resistor(430, 115, "R52", "1.6k")
     sheet.wire((380, 115), (400, 115))
-    sheet.wire((460, 115), (620, 115))
+    sheet.wire((460, 115), (640, 115))
     sheet.capacitor(490, 145, "C51", "1 nF", upright=True)
     sheet.ground(490, 175)
     sheet.dot(490, 115)
     sheet.diode(560, 85, "D51", "BAT54", turn=-90)
     sheet.net(560, 52, "3.3 V")
     sheet.dot(560, 115)
-    sheet.net(620, 115, "PA1, PA2, PA3")
+    sheet.diode(600, 145, "D52", "BAT54", turn=-90)
+    sheet.ground(600, 175)
+    sheet.dot(600, 115)
+    sheet.net(640, 115, "PA1, PA2, PA3")
+
+
+def board(sheet: Sheet) -> None:
+    """Draw pull-downs, thermometers, the divider of the supply, and CAN."""
     sheet.text(20, 230, "Board: pulls, thermometers, supply, CAN", kind="head")
     for k, (part, value, net) in enumerate(
         (
@@ -375,6 +382,7 @@ def main() -> int:
         part(driver)
     front = Sheet(960, 560)
     sensor(front)
+    board(front)
     for name, sheet in (("driver", driver), ("sensor", front)):
         (FOLDER / f"{name}.svg").write_text(sheet.svg(), encoding="utf-8")
         print(f"wrote docs/hardware/{name}.svg")

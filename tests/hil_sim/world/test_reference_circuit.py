@@ -84,10 +84,14 @@ def test_the_edges_keep_near_the_plant(lib, played):
 
 
 def test_no_half_bridge_shoots_through(played):
-    """Charging the transistors' capacitances shows 50 A in a shunt for nanoseconds; without dead time, 200 A."""
+    """Without dead time the transistors' 200 A are passed and the latch trips.
+
+    What charges the transistors' capacitances shows some 50 A in a shunt for nanoseconds, and a body diode that is
+    still conducting when the other transistor comes on shows some 90 A.
+    """
     for name in ("chips", "lower", "zero"):
         trace = played(name)
-        assert max(trace.shunt_a_V.max(), trace.shunt_b_V.max()) < 0.8  # 80 A
+        assert max(trace.shunt_a_V.max(), trace.shunt_b_V.max()) < 1.2  # 120 A
         assert trace.fault_V.min() > 3.0
 
 
