@@ -102,8 +102,10 @@ new-room-picture: all ## Run the commands of docs/new_room.md and draw docs/new_
 
 .PHONY: new-room-picture
 
-metal-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure what learning the metal of a room gains (long)
-	@$(PYTHON) -m tests.bench.metal_figures
+METAL ?=
+metal-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure what learning the metal of a room gains (ten minutes; METAL="plates --seeds 1")
+	@$(PYTHON) -m tests.bench.metal_figures $(METAL)
+	@$(PYTHON) -m tests.bench.metal_moved
 
 .PHONY: metal-figures
 

@@ -7,12 +7,14 @@ are magpylib's.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import magpylib
 import numpy as np
+from scipy.interpolate import CubicSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from goldfield.site import Site
@@ -91,8 +93,11 @@ def _beside(rng: np.random.Generator, room: Room, side: int, gap_m: float) -> tu
     return place, inward
 
 
-def metal_of(kind: str, rng: np.random.Generator, room: Room) -> Added:
-    """Return the metal of a room: ``plates``, ``beams``, ``spheres`` or ``none``, 25 to 60 cm outside the beacons."""
+def metal_of(kind: str, rng: np.random.Generator, room: Room, moved_m: tuple[float, float] = (0.0, 0.0)) -> Added:
+    """Return the metal of a room: ``plates``, ``beams``, ``spheres`` or ``none``, 25 to 60 cm outside the beacons.
+
+    The first of plates stands ``moved_m`` from where it would: so far into the room, and so far along its wall.
+    """
     sides = rng.permutation(4)
     if kind == "none":
         return lambda loop, positions_m: np.zeros((len(positions_m), 3))
@@ -101,6 +106,9 @@ def metal_of(kind: str, rng: np.random.Generator, room: Room) -> Added:
         for side in sides[:3]:
             place, inward = _beside(rng, room, int(side), rng.uniform(0.25, 0.6))
             normal = inward + 0.2 * rng.normal(size=3)
+            if not sheets:
+                along = np.cross([0.0, 0.0, 1.0], inward)
+                place = place + moved_m[0] * inward + moved_m[1] * along
             sheets.append(Sheet(place, normal / np.linalg.norm(normal), rng.uniform(0.7, 1.1)))
         return _of_bodies(sheets)
     if kind == "spheres":
@@ -143,10 +151,38 @@ class MetalTrial:
     share: float
 
 
+def _slow_walk(room: Room, rng: np.random.Generator, epochs: int) -> tuple[FloatArray, FloatArray]:
+    """Return poses in the walked room at about 20 cm/s."""
+    corners = max(epochs // 60, 4)
+    time, knots = np.linspace(0.0, 1.0, epochs), np.linspace(0.0, 1.0, corners)
+    path = PchipInterpolator(knots, room.low_m + (room.high_m - room.low_m) * rng.uniform(size=(corners, 3)))(time)
+    turn = CubicSpline(knots, 1.2 * rng.normal(size=(corners, 3)))(time)
+    return path, Rotation.from_rotvec(turn).as_matrix()
+
+
+@dataclass(frozen=True)
+class Move:
+    """The first of the plates is moved before one of the later epochs: so far into the room, and along its wall."""
+
+    before: int
+    inward_m: float
+    along_m: float
+
+
 def metal_trial(
-    kind: str, seed: int, *, epochs: int = 400, points: int = 0, errors: Errors = EXACT, later: int = 200
+    kind: str,
+    seed: int,
+    *,
+    epochs: int = 400,
+    points: int = 0,
+    errors: Errors = EXACT,
+    later: int = 200,
+    move: Move | None = None,
 ) -> MetalTrial:
-    """Draw a room, a walk and later epochs."""
+    """Draw a room, a walk and later epochs.
+
+    With a ``move`` the later walk is slow, so that a cycle's mean is the field of its middle, as trackers expect.
+    """
     rng = np.random.default_rng([seed, *kind.encode()])
     room = cube()
     site = told(room.site, errors)
@@ -155,16 +191,21 @@ def metal_trial(
     coils = coils.turned(errors.axis_rad * rng.normal(size=coils.axis.shape))
     coils = coils.scaled(np.exp(errors.current * rng.normal(size=coils.radius_m.shape)))
     loops = [Loop(*row) for row in zip(coils.position_m[0], coils.axis[0], coils.radius_m[0].tolist(), strict=True)]
+    again = copy.deepcopy(rng)
     added = metal_of(kind, rng, room)
     position, rotation = walk(room, rng, epochs)
     which = np.linspace(0, epochs - 1, points).round().astype(int)
     known = tuple(
         KnownPoint(int(e), position[e] + POINT_SD_M * rng.normal(size=3), POINT_SD_M) for e in which if points
     )
-    more, turns = walk(room, rng, max(later, 40))
+    more, turns = walk(room, rng, max(later, 40)) if move is None else _slow_walk(room, rng, later)
     everywhere, attitude = np.vstack([position, more]), np.concatenate([rotation, turns])
     pure = np.stack([loop.field_per_ampere(everywhere) for loop in loops], axis=1)
     extra = np.stack([added(loop, everywhere) for loop in loops], axis=1)
+    if move is not None:
+        changed = metal_of(kind, again, room, (move.inward_m, move.along_m))
+        after = slice(epochs + move.before, None)
+        extra[after] = np.stack([changed(loop, everywhere[after]) for loop in loops], axis=1)
     field = coils.ampere_turns[0][:, None] * (pure + extra)
     sigma = float(site.sensor.noise_T / np.sqrt(CHIPS))
     seen = np.einsum("eji,enj->eni", attitude, field) + sigma * rng.normal(size=field.shape)

@@ -153,7 +153,7 @@ class Outlier:
     residual: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class MetalFound:
     """What epochs that were kept out say of the metal that was learned from the others: residuals, 1 for noise alone.
 
@@ -161,10 +161,16 @@ class MetalFound:
     ----------
     residual_without, residual_with : float
         Those of the site without any metal, and with what was learned.
+    unseen_T : float
+        Standard deviation of each component of a beacon's field below which metal would not be told from noise.
+    without : Site
+        The site as it was found without any metal.
     """
 
     residual_without: float
     residual_with: float
+    unseen_T: float
+    without: Site
 
 
 @dataclass(frozen=True, eq=False)

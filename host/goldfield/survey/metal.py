@@ -9,7 +9,7 @@ a body answers otherwise when a beacon is moved is left out: bodies are weak and
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -17,13 +17,13 @@ from goldfield.field import FieldModel
 from goldfield.field.dipole import dipole
 from goldfield.field.harmonics import harmonic_fields
 from goldfield.site import Beacon
-from goldfield.site.metal import BeaconMetal, Metal, harmonic_count, symmetric
+from goldfield.site.metal import BeaconMetal, Metal, symmetric
 from goldfield.types import FloatArray
 
 BODY = 9
 """Unknowns of a body."""
 RELATIVE_HARMONIC = 0.1
-"""Standard deviation of a coefficient before the survey, over the root of the mean square of the beacon's fields."""
+"""`MetalState.relative_sd` where nothing is known of it."""
 BODY_SD_M = 0.3
 POLARISABILITY_SD = 1e6
 """Standard deviations of a body's place, and of its polarisability, A m^2/T: that of an iron ball of 46 cm radius."""
@@ -44,6 +44,9 @@ class MetalState:
     body_m : ndarray, shape (k, 3)
     polarisability : ndarray, shape (k, 6)
         A m^2/T.
+    relative_sd : ndarray, shape (degree,) or ()
+        Standard deviation of the coefficients of each degree before the survey, over the root of the mean square of
+        the beacon's fields.
     """
 
     centre_m: FloatArray
@@ -52,6 +55,7 @@ class MetalState:
     harmonics_T: FloatArray
     body_m: FloatArray
     polarisability: FloatArray
+    relative_sd: FloatArray = field(default_factory=lambda: np.array(RELATIVE_HARMONIC))
 
     @property
     def is_none(self) -> bool:
@@ -86,7 +90,9 @@ class MetalState:
         field_T : ndarray, shape (n,)
             Root of the mean square of each beacon's measured fields.
         """
-        harmonics = np.repeat(RELATIVE_HARMONIC * field_T, harmonic_count(self.degree))
+        every = np.broadcast_to(self.relative_sd, self.degree)
+        relative = np.repeat(every, 2 * np.arange(1, self.degree + 1) + 1)
+        harmonics = np.outer(field_T, relative).ravel()
         body = np.array([BODY_SD_M] * 3 + [POLARISABILITY_SD] * 6)
         return np.concatenate([harmonics, np.tile(body, len(self.body_m))])
 

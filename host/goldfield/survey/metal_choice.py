@@ -23,7 +23,8 @@ from goldfield.site import Site
 from goldfield.site.metal import MOST_DEGREE, harmonic_count, symmetric
 from goldfield.survey.data import Free, MetalFound, SurveyData, SurveyResult
 from goldfield.survey.metal import MetalState, effects_of_bodies, no_metal
-from goldfield.survey.outcome import Solution
+from goldfield.survey.metal_rest import completed, trusted
+from goldfield.survey.outcome import Solution, found_site
 from goldfield.survey.parameters import beacons_of
 from goldfield.survey.problem import problem_of
 from goldfield.survey.procedure import Progress, result_of, solve
@@ -75,12 +76,17 @@ class _Candidate:
 
     def better_than(self, other: _Candidate) -> bool:
         """Tell whether it explains the epochs that were kept out better by more than chance."""
+        gain, needed = self.gain_over(other)
+        return gain > needed
+
+    def gain_over(self, other: _Candidate) -> tuple[float, float]:
+        """Return by how much the logarithm of the usual chi-square is less, and by how much it is if not by chance."""
         gain = other.score - self.score
         gain = gain[np.isfinite(gain)]
         if len(gain) < 2:
-            return False
+            return 0.0, np.inf
         chance = float(gain.std(ddof=1) / np.sqrt(len(gain)))
-        return bool(gain.mean() > max(SURE * chance, WORTH))
+        return float(gain.mean()), max(SURE * chance, WORTH)
 
 
 def survey_with_metal(
@@ -104,14 +110,20 @@ def survey_with_metal(
     best = choice.best()
     tell("last fit", 0.9)
     solution = solve(bare, data, free, metal=best.metal)
-    found = MetalFound(float(np.sqrt(choice.plain.excess())), float(np.sqrt(best.excess())))
+    if not best.metal.is_none:
+        whole = choice.completed(best)
+        if not best.better_than(whole):
+            solution, best = completed(bare, data, free, solution, choice.around(best)), whole
+    without = float(np.sqrt(choice.plain.excess()))
+    found = MetalFound(without, float(np.sqrt(best.excess())), choice.unseen_T, found_site(choice.plain.solution))
     result = replace(result_of(bare, solution, data, free), metal=found)
     if best.metal.is_none:
         return result
     sound = solution.state.sensor_m[solution.sound]
-    metal = solution.state.metal.metal(choice.left_T_A(best), walked_room(sound, solution.state.metal.radius_m))
+    metal = solution.state.metal.metal(0.0, walked_room(sound, solution.state.metal.radius_m))
     beacons = solution.state.metal.added_to(bare.beacons, result.site.beacons, metal)
-    return replace(result, site=replace(result.site, beacons=beacons, metal=metal))
+    mapped = replace(result.site, beacons=beacons, metal=metal)
+    return replace(result, site=trusted(mapped, solution, found.residual_with))
 
 
 class _Choice:
@@ -127,8 +139,14 @@ class _Choice:
             points=tuple(point for point in data.points if point.epoch in self._numbers(~self._out)),
         )
         self._kept_out = _some(data.epochs, self._out)
-        self._done = 0.0
+        self._done, self._needed = 0.0, np.inf
         self.plain = self._candidate(no_metal(len(site.beacons)), None, "no metal")
+
+    @property
+    def unseen_T(self) -> float:
+        """What metal may add to each component unnoticed: what the polynomial that tells most needs to gain."""
+        sigma = float(np.median(np.concatenate([fields.sigma_T for fields in self._kept_out])))
+        return float(np.sqrt(np.expm1(self._needed))) * sigma
 
     def _numbers(self, which: NDArray[np.bool_]) -> set[int]:
         return {fields.epoch for fields in _some(self._data.epochs, which)}
@@ -138,8 +156,9 @@ class _Choice:
         plain = self.plain
         best, seen = plain, None
         for degree in range(FIRST_DEGREE, MOST_DEGREE + 1):
-            state = self._polynomials(plain, degree)
+            state = self.polynomials(plain, degree)
             found = self._candidate(state, plain.solution, f"polynomials of degree {degree}")
+            self._needed = min(self._needed, found.gain_over(plain)[1])
             seen = found if degree == SEEN_DEGREE else seen
             if found.better_than(best):
                 best = found
@@ -174,18 +193,30 @@ class _Choice:
             return None
         alone = best
         for degree in range(FIRST_DEGREE, LAST_HYBRID + 1):
-            state = self._polynomials(plain, degree)
+            state = self.polynomials(plain, degree)
             state = replace(state, body_m=alone.metal.body_m, polarisability=alone.metal.polarisability)
             found = self._candidate(state, alone.solution, f"bodies and polynomials of degree {degree}")
             if found.better_than(best):
                 best = found
         return best
 
+    def completed(self, best: _Candidate) -> _Candidate:
+        """Return the candidate with what its metal leaves (`completed`)."""
+        self._tell("what the metal leaves", 0.85)
+        return self._of(completed(self._site, self._part, self._free, best.solution, self.around(best)))
+
+    def around(self, best: _Candidate) -> MetalState:
+        """Return metal with the centre and the radius of a candidate's polynomials, which it may be without."""
+        return best.metal if best.metal.degree else self.polynomials(self.plain, MOST_DEGREE)
+
     def _candidate(self, metal: MetalState, start: Solution | None, name: str) -> _Candidate:
         self._done = min(self._done + 0.05, 0.85)
         self._tell(name, self._done)
         state = None if start is None else start.state
-        solution = solve(self._site, self._part, self._free, metal=metal, start=state, judged=False)
+        return self._of(solve(self._site, self._part, self._free, metal=metal, start=state, judged=False))
+
+    def _of(self, solution: Solution) -> _Candidate:
+        """Judge a solution by the epochs that are kept out."""
         problem = problem_of(self._site, SurveyData(self._kept_out), self._free)
         measurements = measurements_of(problem, solution.state, 0.0)
         model = FieldModel(beacons_of(self._site, solution.state))
@@ -193,7 +224,7 @@ class _Choice:
         squares = np.where(np.isfinite(fit.cost), fit.cost, np.nan)
         return _Candidate(solution, squares, 3.0 * measurements.known.sum(axis=1) - 6.0)
 
-    def _polynomials(self, plain: _Candidate, degree: int) -> MetalState:
+    def polynomials(self, plain: _Candidate, degree: int) -> MetalState:
         """Return polynomials around what was walked."""
         walked = plain.solution.state.sensor_m
         low, high = np.quantile(walked, 0.01, axis=0), np.quantile(walked, 0.99, axis=0)
@@ -230,12 +261,6 @@ class _Choice:
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         near = np.linalg.norm(grid[:, None] - everything, axis=2).min(axis=1)
         return np.asarray(grid[near > max(APART * edge, 0.5 * spacing)])
-
-    def left_T_A(self, best: _Candidate) -> float:
-        """Return what the candidate leaves of the metal's field, T/A: what the epochs kept out show beyond noise."""
-        sigma = float(np.median(np.concatenate([fields.sigma_T for fields in self._kept_out])))
-        current = float(np.median([abs(beacon.current_A) for beacon in self._site.beacons]))
-        return float(np.sqrt(max(best.excess() - 1.0, 0.0))) * sigma / current
 
 
 def _some(epochs: tuple[Fields, ...], which: NDArray[np.bool_]) -> tuple[Fields, ...]:

@@ -207,12 +207,12 @@ def _judged(problem: Problem, state: State, now: Evaluation, progress: Progress)
         state, now = adjust(problem, state, robust=True)
     sound = _likely(now.squares, problem.readings.count)
     problem, state, sound, last = _last_fit(problem, state, sound, progress)
-    covariance = _covariance(problem, last)
+    covariance = covariance_of(problem, last)
     for _ in range(ANCHOR_ROUNDS if problem.anchor_rows else 0):
         before = problem.anchor_error
         problem = replace(problem, anchor_error=anchor_error(problem, state, covariance))
         problem, state, sound, last = _last_fit(problem, state, sound, progress)
-        covariance = _covariance(problem, last)
+        covariance = covariance_of(problem, last)
         if abs(problem.anchor_error - before) < SETTLED * before:
             break
     return Solution(
@@ -227,7 +227,7 @@ def _judged(problem: Problem, state: State, now: Evaluation, progress: Progress)
     )
 
 
-def _covariance(problem: Problem, last: Evaluation) -> FloatArray:
+def covariance_of(problem: Problem, last: Evaluation) -> FloatArray:
     """Return the covariance of the common parameters, 0 for those that are not estimated."""
     free = problem.prior.free
     matrix, _, _ = last.equations.reduced()
@@ -247,7 +247,7 @@ def _last_fit(
         _check_sound(sound)
         progress(f"last fit of {int(sound.sum())} epochs", 0.9)
         kept, last = adjust(problem.of_epochs(sound), state.of_epochs(sound))
-        state = _put(state, kept, sound)
+        state = with_poses(state, kept, sound)
         still = _likely(last.squares, problem.readings.count[sound])
         off = _off_points(problem, state) * sound
         wrong = int(np.argmax(off)) if len(off) and off.max() > WRONG_POINT else None
@@ -267,7 +267,7 @@ def _off_points(problem: Problem, state: State) -> FloatArray:
     return np.asarray(((problem.point_weight * (problem.point_m - state.sensor_m)) ** 2).sum(axis=1))
 
 
-def _put(state: State, some: State, rows: NDArray[np.bool_]) -> State:
+def with_poses(state: State, some: State, rows: NDArray[np.bool_]) -> State:
     """Return the state of some epochs, with the poses of the others."""
     position, rotation = state.sensor_m.copy(), state.rotation.copy()
     position[rows], rotation[rows] = some.sensor_m, some.rotation
