@@ -49,6 +49,12 @@ def command(subparsers: Any) -> None:
         what=f"what is found, of {','.join(KINDS)} (default: what the site file does not call exact)",
     )
     options.add(parser, "--out", metavar="NEW.toml", what="the new site file")
+    options.add(
+        parser,
+        "--map",
+        metavar="FILE.png",
+        what="draw what no pose explains of the walk's fields, by place and by beacon, before and after",
+    )
     options.add(parser, "--node", metavar="N", what="node of the sensor, where there are several", kind=options.node)
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
     options.add(

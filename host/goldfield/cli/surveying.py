@@ -40,8 +40,10 @@ def make_survey(arguments: argparse.Namespace) -> int:
     inputs = {"--site": path, "FIELDS.csv": arguments.fields, "--log": arguments.log}
     inputs |= {"--points": arguments.points, "--known": arguments.known}
     inputs |= {f"--anchor {name}": table for name, table in tables}
-    check_outputs({"--out": out}, inputs, force=arguments.force)
+    check_outputs({"--out": out, "--map": arguments.map}, inputs, force=arguments.force)
     check_writable(out, "the new site file")
+    if arguments.map:
+        _check_map(arguments)
     site = sites.load(path)
     options.tell_doubts(site)
     known = read_known(arguments.known, site) if arguments.known else ()
@@ -56,11 +58,33 @@ def make_survey(arguments: argparse.Namespace) -> int:
         with _progress() as told:
             return survey(site, SurveyData(tuple(epochs), points, known, anchors), free, told)
 
-    result = survey_of(_epochs(arguments, site, anchors, survey_of))
+    walk = _epochs(arguments, site, anchors, survey_of)
+    result = survey_of(walk)
     text = revised(Path(path), *revisions(site, result), metal=_new_metal(site, result))
     write_file(out, text.encode(), "the new site file", force=arguments.force)
+    if arguments.map:
+        write_file(arguments.map, _residual_map(site, result, walk), "the residual map", force=arguments.force)
     print(json_line(record(result)) if arguments.json else table_of(site, result))
     return 0
+
+
+def _check_map(arguments: argparse.Namespace) -> None:
+    """Refuse, before the survey, a map that could not be written."""
+    if not arguments.map.lower().endswith(".png"):
+        raise UserError(f"--map {arguments.map}: the residual map is a picture: give a name that ends with .png")
+    links = (arguments.fields, arguments.log, arguments.port, arguments.can)
+    if not any(link is not None for link in links):
+        raise UserError("--map draws the residuals of a walk, and there is none: give FIELDS.csv, --log or --port")
+    check_writable(arguments.map, "the residual map")
+
+
+def _residual_map(site: Site, result: SurveyResult, walk: Sequence[Fields]) -> bytes:
+    """Return the picture of what the fields leave: without and with metal, else with the old and the new site."""
+    from goldfield.survey.metal_picture import png  # heavy: only when something is drawn
+
+    if result.metal is not None and result.site.metal is not None:
+        return png(result.metal.without, result.site, walk, ("surveyed without metal", "surveyed with metal"))
+    return png(site, result.site, walk, ("site file", "surveyed"))
 
 
 def _named(text: str) -> tuple[str, str]:
@@ -182,18 +206,32 @@ def _metal_record(metal: Metal | None, found: MetalFound) -> dict[str, Any]:
         "sd_T_A": 0.0 if metal is None else metal.sd_T_A,
         "residual_without": number(found.residual_without),
         "residual_with": number(found.residual_with),
+        "unseen_T": number(found.unseen_T),
     }
 
 
-def _metal_line(metal: Metal | None, found: MetalFound) -> str:
+def _metal_lines(result: SurveyResult, found: MetalFound) -> list[str]:
+    """Say what metal was found; or, as plainly, that it was looked for and is not told from noise."""
+    metal = result.site.metal
+    if metal is None:
+        unseen = f"{1e9 * found.unseen_T:.2g} nT"
+        lines = [
+            "metal was looked for and not told from noise: the residual of epochs that were kept out is "
+            f"{found.residual_without:.3g} without it (1: the noise alone), and no metal that was tried makes it less "
+            f"by more than chance; metal that adds less than about {unseen} to a component would not have shown"
+        ]
+        if result.parameters:
+            lines.append(
+                "what such metal adds is then in the places, axes and currents that were found: believe changes of "
+                "these only as far as metal can be ruled out, or survey with a steadier sensor or a longer walk"
+            )
+        return lines
     kept_out = f"the residual of epochs that were kept out is {found.residual_with:.3g}, without it "
     kept_out += f"{found.residual_without:.3g} (1: the noise alone)"
-    if metal is None:
-        return f"no metal was found that explains more: the residual of epochs kept out is {found.residual_without:.3g}"
     count = len(metal.body_m)
     parts = ["a body"] if count == 1 else [f"{count} bodies"] if count else []
     parts += [f"polynomials of degree {metal.degree}"] if metal.degree else []
-    return f"metal: {' and '.join(parts)}; {kept_out}"
+    return [f"metal: {' and '.join(parts)}; {kept_out}"]
 
 
 def table_of(site: Site, result: SurveyResult) -> str:
@@ -212,7 +250,7 @@ def table_of(site: Site, result: SurveyResult) -> str:
         if name.startswith("sensor."):
             lines.append(f"{name} = {one.value:.6g} +- {one.sd:.2g}")
     if result.metal is not None:
-        lines.append(_metal_line(result.site.metal, result.metal))
+        lines += _metal_lines(result, result.metal)
     before = "" if np.isnan(result.residual_before) else f", {result.residual_before:.3g} before"
     lines.append(f"residual {result.residual_after:.3g}{before} (1: the noise alone)")
     for outlier in result.outliers[:MOST_OUTLIERS]:
