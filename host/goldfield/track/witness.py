@@ -133,6 +133,7 @@ class Witness:
     def __init__(self, site: Site) -> None:
         self.finding: Finding | None = None
         self._site = site
+        self._or_metal = "" if site.metal is None else "; or metal was moved since it was learned ([metal])"
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._centres = FieldModel(site.beacons).centre_m
         recent, patient = (max(round(seconds / site.cycle_s), 1) for seconds in (RECENT_S, PATIENT_S))
@@ -264,16 +265,19 @@ class Witness:
         if left > chdtri(max(freedom - 3.0, 1.0), UNEXPLAINED) and left > UNEXPLAINED_SHARE * whole:
             text = (
                 f"{beacon.id} is not as the site says, and neither a move nor its current explains it: metal near it?"
+                f"{self._or_metal}"
             )
             return Finding(Explanation.BEACON, (beacon.id,), text)
         if by_current > by_place - SIMPLER:
             return strength_finding(beacon.id, 1.0 + part)
         far = float(np.linalg.norm(shift))
         if deviation_m > max(FIXED * far, 0.02):
-            return Finding(Explanation.MOVED, (beacon.id,), f"{beacon.id} was moved: the epochs do not tell where to")
+            text = f"{beacon.id} was moved: the epochs do not tell where to{self._or_metal}"
+            return Finding(Explanation.MOVED, (beacon.id,), text)
         place = beacon.position_m + shift
         where = ", ".join(f"{value:.3f}" for value in place)
         text = f"{beacon.id}: its position fits better at {where} m, {100.0 * far:.1f} cm from where the site has it"
+        text += self._or_metal
         return Finding(Explanation.MOVED, (beacon.id,), text, position_m=place)
 
     def _refined(self, row: int, shift: FloatArray, epochs: int) -> tuple[FloatArray, float]:

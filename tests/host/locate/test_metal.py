@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.errors import UserError
 from goldfield.locate import Locator
+from goldfield.sensor.location import location
 from goldfield.sensor.options import Method, Options
 from goldfield.site import Beacon, SensorSite, Site
 from goldfield.site.metal import BeaconMetal, Metal
@@ -37,7 +38,9 @@ def _metal(sd_T_A: float = 0.0, walked_m: np.ndarray | None = None) -> Metal:
     return Metal(np.zeros(3), 1.0, 0, BODY[None], POLARISABILITY[None], sd_T_A, walked)
 
 
-def _epochs(count: int, seed: int) -> tuple[list[Fields], np.ndarray]:
+def _epochs(
+    count: int, seed: int, body_m: np.ndarray = BODY, noise_T: float = NOISE_T
+) -> tuple[list[Fields], np.ndarray]:
     rng = np.random.default_rng(seed)
     position = rng.uniform(0.4, 1.6, (count, 3))
     turn = Rotation.random(count, rng=rng)
@@ -46,10 +49,10 @@ def _epochs(count: int, seed: int) -> tuple[list[Fields], np.ndarray]:
         coil = magpylib.current.Circle(diameter=0.3, current=200.0)
         coil.rotate(Rotation.align_vectors(beacon.axis[None], np.array([[0.0, 0.0, 1.0]]))[0])
         coil.position = beacon.position_m
-        answer = magpylib.misc.Dipole(moment=POLARISABILITY @ coil.getB(BODY), position=BODY)
+        answer = magpylib.misc.Dipole(moment=POLARISABILITY @ coil.getB(body_m), position=body_m)
         columns.append((coil.getB(position) + answer.getB(position)).reshape(-1, 3))
     field = np.stack(columns, axis=1)
-    measured = np.einsum("eji,enj->eni", turn.as_matrix(), field) + NOISE_T * rng.normal(size=field.shape)
+    measured = np.einsum("eji,enj->eni", turn.as_matrix(), field) + noise_T * rng.normal(size=field.shape)
     names = tuple(f"b{i}" for i in range(8))
     return [Fields(e, 0.1 * e, names, measured[e], np.full(8, NOISE_T)) for e in range(count)], position
 
@@ -102,6 +105,29 @@ def test_a_site_with_the_same_metal_elsewhere_is_another() -> None:
     assert np.median(elsewhere) > 3.0 * np.median(there)
     suspected = [pose.status is not Status.OK or pose.excluded for pose in Locator(_site(moved)).locate_many(epochs)]
     assert np.mean(suspected) > 0.9
+
+
+@pytest.mark.parametrize("method", [Method.EACH, Method.TRACK])
+@pytest.mark.parametrize("moved_m", [0.0, 0.02, 0.1])
+def test_metal_that_was_moved_since_is_said_within_ten_seconds(moved_m: float, method: Method) -> None:
+    """The first epochs are those of the survey's room; in a place at rest, since the history of a track is told."""
+    before, _ = _epochs(1, 5, noise_T=0.0)
+    after, _ = _epochs(1, 5, BODY + np.array([0.0, moved_m, 0.0]), noise_T=0.0)
+    rng = np.random.default_rng(6)
+    locate = location(_site(_metal()), method)
+    said = []
+    for e in range(200):
+        still = (before if e < 100 else after)[0]
+        field = still.field_T + NOISE_T * rng.normal(size=still.field_T.shape)
+        fields = replace(still, epoch=e, time_s=0.1 * e, field_T=field)
+        pose = locate(fields, None)
+        word = pose.status is Status.INCONSISTENT or bool(pose.excluded or pose.findings)
+        said.append(pose.reason or "" if word else None)
+    assert said[:100] == [None] * 100
+    words = [word for word in said[100:] if word is not None]
+    assert bool(words) == (moved_m > 0.0)
+    if moved_m == 0.02:
+        assert any("or metal was moved since it was learned" in word for word in words)
 
 
 def test_a_sensor_that_computes_its_own_pose_knows_no_metal() -> None:
