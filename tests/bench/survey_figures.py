@@ -2,7 +2,8 @@
 
 A row tells the root of the mean square error of the beacons' places over all seeds, the bound (the covariance that the
 survey claims), their ratio, the normalised square of all errors per degree of freedom, and how many surveys failed and
-said so. Then for poses afterwards: their error with the surveyed site over that with the true one.
+said so. Then for poses afterwards, on the surveyed site: the root of the mean square error of their places, its bound
+(by noise and by the covariance of the survey, `tests.bench.survey_poses`), and the ratio.
 """
 
 from __future__ import annotations
@@ -14,8 +15,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from goldfield.errors import SystemFailure
-from goldfield.survey import SurveyResult, survey
+from goldfield.locate import Locator
+from goldfield.survey import SurveyResult
+from goldfield.survey.outcome import Solution
+from goldfield.survey.parameters import default_free
+from goldfield.survey.procedure import result_of, solve
 from tests.bench.integrity_sites import Errors
+from tests.bench.survey_poses import PoseScore, poses_afterwards
 from tests.bench.survey_trials import ASTRAY, Room, Score, Trial, cube, lattice, score, trial
 
 CHAIN = Errors(position_m=0.01, axis_rad=np.deg2rad(1.0).item(), current=0.01, gain=0.01, sensor_axis_rad=0.01)
@@ -51,9 +57,9 @@ CASES = {
 }
 
 
-def attempt(case: Case, seed: int) -> tuple[Trial, SurveyResult | None]:
-    """Make one survey; None if it fails and says so."""
-    made = trial(
+def made_of(case: Case, seed: int) -> Trial:
+    """Draw what is to be surveyed."""
+    return trial(
         case.room,
         seed,
         epochs=case.epochs,
@@ -62,10 +68,16 @@ def attempt(case: Case, seed: int) -> tuple[Trial, SurveyResult | None]:
         anchors=case.anchors,
         errors=case.errors,
     )
+
+
+def attempt(made: Trial) -> tuple[Solution, SurveyResult] | None:
+    """Make one survey; None if it fails and says so."""
+    free = default_free(made.site)
     try:
-        return made, survey(made.site, made.data)
+        solution = solve(made.site, made.data, free)
     except SystemFailure:
-        return made, None
+        return None
+    return solution, result_of(made.site, solution, made.data, free)
 
 
 def summary(scores: list[Score]) -> tuple[float, float, float]:
@@ -82,26 +94,41 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=10)
     arguments = parser.parse_args()
     print(
-        f"{'case':<24}{'rms_mm':>8}{'bound_mm':>10}{'ratio':>7}{'nees':>7}{'failed':>8}{'missed':>8}{'s':>7}",
+        f"{'case':<24}{'rms_mm':>8}{'bound_mm':>10}{'ratio':>7}{'nees':>7}{'failed':>8}{'missed':>8}"
+        f"{'pose_mm':>9}{'bound_mm':>10}{'ratio':>7}{'lost':>6}{'s':>7}",
         flush=True,
     )
     for name in arguments.names or CASES:
-        scores, failed, missed, start = [], 0, 0, time.process_time()
-        for seed in range(arguments.seeds):
-            made, result = attempt(CASES[name], seed)
-            if result is None:
-                failed += 1
-                continue
-            scores.append(score(result, made))
-            out = {outlier.epoch for outlier in result.outliers}
-            missed += len(set(np.flatnonzero(made.corrupted).tolist()) - out)
-        rms, bound, nees = summary(scores) if scores else (np.nan, np.nan, np.nan)
-        spent = (time.process_time() - start) / arguments.seeds
-        print(
-            f"{name:<24}{1e3 * rms:>8.2f}{1e3 * bound:>10.2f}{rms / bound:>7.2f}{nees:>7.2f}{failed:>8}{missed:>8}"
-            f"{spent:>7.1f}",
-            flush=True,
-        )
+        print(f"{name:<24}{row(CASES[name], arguments.seeds)}", flush=True)
+
+
+def row(case: Case, seeds: int) -> str:
+    """Return what all seeds of a case have come to."""
+    scores: list[Score] = []
+    poses: list[PoseScore] = []
+    failed, missed, spent = 0, 0, 0.0
+    for seed in range(seeds):
+        made = made_of(case, seed)
+        start = time.process_time()
+        outcome = attempt(made)
+        spent += time.process_time() - start
+        if outcome is None:
+            failed += 1
+            continue
+        solution, result = outcome
+        scores.append(score(result, made))
+        poses.append(poses_afterwards(case.room, made, solution, Locator(result.site), seed))
+        out = {outlier.epoch for outlier in result.outliers}
+        missed += len(set(np.flatnonzero(made.corrupted).tolist()) - out)
+    rms, bound, nees = summary(scores) if scores else (np.nan, np.nan, np.nan)
+    pose, least = (
+        1e3 * float(np.sqrt(np.mean([getattr(one, name) for one in poses]))) if poses else np.nan
+        for name in ("square_m2", "bound_m2")
+    )
+    return (
+        f"{1e3 * rms:>8.2f}{1e3 * bound:>10.2f}{rms / bound:>7.2f}{nees:>7.2f}{failed:>8}{missed:>8}"
+        f"{pose:>9.2f}{least:>10.2f}{pose / least:>7.2f}{sum(one.lost for one in poses):>6}{spent / seeds:>7.1f}"
+    )
 
 
 if __name__ == "__main__":

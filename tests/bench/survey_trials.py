@@ -27,6 +27,8 @@ FloatArray = NDArray[np.float64]
 ASTRAY = Errors(position_m=0.2 / math.sqrt(3.0), axis_rad=math.radians(10.0) / math.sqrt(2.0), current=0.03)
 """How wrong the site's file is: 20 cm, 10 degrees and 3 % as roots of the mean square."""
 POINT_SD_M = 0.002
+ANCHOR_PLACE_SD_M = 1e-4
+"""How far an anchor's sensor stands from the centre of its coil, along each axis, as boards are made."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +154,8 @@ def trial(
     witnesses: tuple[AnchorFields, ...] = ()
     if anchors:
         attitudes = Rotation.random(len(names), rng=rng).as_matrix()
-        seen = measured(coils, coils.position_m[0], attitudes, np.eye(3), sigma / np.sqrt(100.0), rng)
+        place = coils.position_m[0] + ANCHOR_PLACE_SD_M * rng.normal(size=(len(names), 3))
+        seen = measured(coils, place, attitudes, np.eye(3), sigma / np.sqrt(100.0), rng)
         seen[np.arange(len(names)), np.arange(len(names))] = np.nan
         size = np.where(np.eye(3, dtype=bool), ASSUMED_GAIN_SD, ASSUMED_AXIS_SD_RAD)
         gains = np.eye(3) + size * rng.normal(size=(len(names), 3, 3))
@@ -166,13 +169,24 @@ def trial(
 
 
 def errors_of(result: SurveyResult, truth: Trial) -> FloatArray:
-    """Return how far what was found is from the truth, in the order of the covariance, shape (6 n,)."""
+    """Return how far what was found is from the truth, in the order of the covariance, shape (6 n,).
+
+    The covariance is linear, and fields do not tell how a whole site is turned: without known points that is known to
+    degrees only, and the square of a few degrees, as a shift of beacons metres apart, is more than their distances are
+    off. The error is therefore the linear effect of the turn of the whole site, which is taken as a rotation vector,
+    and what is left once the truth is turned as the site was found. A turn of milliradians makes no difference.
+    """
     found = result.site.beacons
-    axis = np.array([beacon.axis for beacon in found])
-    turn = np.einsum("nij,nj->ni", across(axis), turn_between(truth.coils.axis[0], axis))
+    place, true_place = np.array([beacon.position_m for beacon in found]), truth.coils.position_m[0]
+    axis, middle = np.array([beacon.axis for beacon in found]), place.mean(axis=0)
+    arm, true_arm = place - middle, true_place - true_place.mean(axis=0)
+    rotation = Rotation.align_vectors(arm, true_arm)[0]
+    vector = rotation.as_rotvec()
+    shape = arm - rotation.apply(true_arm)
+    turn = turn_between(rotation.apply(truth.coils.axis[0]), axis) + vector
     strength = np.log([b.turns * b.current_A for b in found]) - np.log(truth.coils.ampere_turns[0])
-    place = np.array([beacon.position_m for beacon in found]) - truth.coils.position_m[0]
-    return np.column_stack([place, turn, strength]).ravel()
+    shift = shape + np.cross(vector, arm) + middle - true_place.mean(axis=0)
+    return np.column_stack([shift, np.einsum("nij,nj->ni", across(axis), turn), strength]).ravel()
 
 
 @dataclass(frozen=True)

@@ -184,8 +184,8 @@ def anchor_error(problem: Problem, state: State, covariance: FloatArray) -> floa
 
     Their chi-square is expected to be the number of their components less what they fit themselves: three turns and
     six terms each, as far as the terms are not known before, and their part of the common parameters, which is the
-    trace of their information times the covariance. Each component counts for the part that the model's error has in
-    its variance.
+    trace of their information times the covariance. The step is Fisher's scoring of the variance: each component counts
+    for the part that the model's error has in its own, so that one step about finds it, from above or from below.
 
     Parameters
     ----------
@@ -204,7 +204,8 @@ def anchor_error(problem: Problem, state: State, covariance: FloatArray) -> floa
     heard = np.isfinite(problem.anchors.sigma_T)
     noise = np.where(heard, problem.anchors.sigma_T, 0.0) * problem.anchors.weight(problem.anchor_error)
     part = np.where(heard, 1.0 - noise**2, 0.0)
-    factor = np.sqrt((part * squares).sum() / max(redundancy * part.sum(), 1e-300))
+    excess = float((part * (squares - redundancy)).sum()) / max(redundancy * float((part**2).sum()), 1e-300)
+    factor = np.sqrt(max(1.0 + excess, 0.0))
     return float(np.clip(problem.anchor_error * factor, LEAST_ANCHOR_ERROR, 10.0 * ANCHOR_MODEL_ERROR))
 
 

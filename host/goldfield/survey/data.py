@@ -186,6 +186,8 @@ class SurveyResult:
     covariance : ndarray, shape (6 n, 6 n)
         Covariance of all beacons, six rows each: position (m), turns about two vectors across the axis
         (`goldfield.survey.parameters.across`, rad), logarithm of the current. Rows of what was not estimated are zero.
+        It is linear: where the turn of the whole site is known to degrees only, which is so without known points, it
+        holds for distances and other things that a turn leaves as they are, and for places once the turn is known.
     residual_before, residual_after : float
         Roots of the weighted mean square residual over the sound epochs: of the site as it was, and as it was found.
     outliers : tuple of Outlier

@@ -42,7 +42,7 @@ def problem_of(site: Site, data: SurveyData, free: frozenset[Free], metal: Metal
     count = len(prior.sd)
     return Problem(
         site=site,
-        axes=_axes(site),
+        axes=axes_of(site),
         prior=prior,
         readings=readings,
         point_m=point,
@@ -63,7 +63,7 @@ def _anchor_sd(site: Site) -> FloatArray:
     return np.array([gain, gain, gain, tilt, tilt, tilt])
 
 
-def _axes(site: Site) -> FloatArray:
+def axes_of(site: Site) -> FloatArray:
     """Return what the site says of the sensor's axes, shape (3, 3); an axis that the sensor does not have is one."""
     result = np.eye(3)
     if site.sensor.axes is not None:

@@ -14,7 +14,9 @@ from goldfield.site import load
 from goldfield.survey import Free, SurveyData, survey
 from goldfield.survey.data import Current, Direction, Distance, Place
 from goldfield.survey.equations import derivatives
-from goldfield.survey.parameters import BEACON, SENSOR, beacons_of, start_of
+from goldfield.survey.parameters import BEACON, SENSOR, beacons_of, default_free, start_of
+from goldfield.survey.procedure import solve
+from tests.bench import survey_trials
 from tests.bench.integrity_sites import Errors, text_of, told
 from tests.bench.survey_trials import ASTRAY, cube, errors_of, fields_of, lattice, measured, score, trial
 
@@ -120,6 +122,24 @@ def test_anchors_alone_tell_the_shape():
     off = distances(place) - distances(truth)
     assert np.abs(off).max() < 0.05  # the scale is that of the currents, 3 % each
     assert any("origin" in line and "site file" in line for line in result.advice)
+
+
+def test_the_deviations_of_anchors_alone_hold_although_the_whole_site_is_turned_by_degrees():
+    """The turn of the whole site is known through the file alone, and its square is more than the shape is off."""
+    nees = []
+    for seed in range(5):
+        made = trial(cube(), seed, epochs=0, points=0, anchors=True)
+        nees.append(score(survey(made.site, made.data), made).nees)
+    assert 0.6 < np.mean(nees) < 1.4
+
+
+@pytest.mark.parametrize(("off_m", "least", "most"), [(0.0, 0.0, 2.1e-4), (2e-3, 8e-4, 3e-3)])
+def test_how_far_the_model_is_off_at_anchors_is_told_by_how_they_fit(monkeypatch, off_m, least, most):
+    """A sensor that stands 2 mm beside its coil's centre sees fields about 2 mm times 3 / 1900 mm off."""
+    monkeypatch.setattr(survey_trials, "ANCHOR_PLACE_SD_M", off_m)
+    made = trial(cube(), 0, epochs=0, points=0, anchors=True)
+    solution = solve(made.site, made.data, default_free(made.site))
+    assert least < solution.problem.anchor_error < most
 
 
 def test_a_site_that_denies_its_errors_is_refused_in_words():
