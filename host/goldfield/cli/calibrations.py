@@ -41,6 +41,10 @@ def sensor(arguments: argparse.Namespace) -> int:
         raise UserError("--write needs the board: give --port or --can in place of a recording")
     if arguments.sensors and not live and not arguments.unique_id:
         raise UserError("--sensors needs --unique-id with a recording: goldfield nodes tells a board's")
+    if kind == "fields":
+        options.tell_idle(arguments, ("--seconds",), "--fields")
+    if live or not arguments.sensors:
+        options.tell_idle(arguments, ("--unique-id",), "--port or --can" if live else "a recording without --sensors")
     unique_id = checked_id(arguments.unique_id) if arguments.unique_id else None
     recording = None if live else where
     inputs = {"--site": path, "the recording": recording, "--sensors": arguments.sensors}

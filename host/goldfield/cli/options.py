@@ -63,6 +63,15 @@ def required(value: str | None, name: str, metavar: str) -> str:
     return value
 
 
+def tell_idle(arguments: argparse.Namespace, names: tuple[str, ...], where: str) -> None:
+    """Say which options of a command line have no effect, such as ("--seconds",) with "FIELDS.csv"."""
+    given = [name for name in names if getattr(arguments, name.lstrip("-").replace("-", "_"))]
+    told = [name for name in given if not os.environ.get(environment_name(name))]
+    if told:
+        verb = "has" if len(told) == 1 else "have"
+        tell(f"{' and '.join(told)} {verb} no effect with {where}")
+
+
 def tell_assumed(site: Site) -> None:
     """Say once, on stderr, what is assumed where the site file is silent, and what in it is doubtful."""
     tell_doubts(site)

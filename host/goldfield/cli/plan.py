@@ -14,7 +14,7 @@ import numpy as np
 from goldfield import site as sites
 from goldfield.cli import options
 from goldfield.cli.output import json_line
-from goldfield.errors import Loudness, UserError, loudness, tell
+from goldfield.errors import Loudness, UserError, loudness, on_command_line, tell
 from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.site import Site
 from goldfield.site.plausible import EXTENT
@@ -102,6 +102,7 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
     )
 
 
+@on_command_line()
 def run(arguments: argparse.Namespace) -> int:
     """Compute the maps, write them, and print their summary."""
     _check_files(arguments)
@@ -118,6 +119,8 @@ def run(arguments: argparse.Namespace) -> int:
     )
     floor = _floor_of(arguments)
     workers = arguments.workers or os.cpu_count() or 1
+    if arguments.scheduler:
+        options.tell_idle(arguments, ("--workers",), "--scheduler")
     if arguments.optimise:
         return _optimised(arguments, request, floor, workers)
     with _progress(len(grid)) as progress:

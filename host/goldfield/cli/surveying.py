@@ -128,8 +128,10 @@ def _epochs(
     if arguments.fields:
         if links:
             raise UserError(f"FIELDS.csv and --{links[0]} are both given: give one of them")
+        options.tell_idle(arguments, ("--node", "--seconds", "--enough"), "FIELDS.csv")
         return tuple(read_fields(site, arguments.fields))
     if not links and anchors:
+        options.tell_idle(arguments, ("--node", "--seconds", "--enough"), "--anchor alone")
         return ()
     if not links:
         raise UserError("nothing was measured: give FIELDS.csv, --log FILE, --port PATH or --anchor ID=FIELDS.csv")
@@ -137,6 +139,8 @@ def _epochs(
     from goldfield.sensor.options import Options
 
     kind, where = link_options.chosen(arguments)
+    if kind == "log":
+        options.tell_idle(arguments, ("--enough",), "--log")
     with open_sensor(kind, where, site, Options(node=arguments.node, seconds=arguments.seconds)) as sensor:
         return survey_live.walk(sensor.fields(), survey_of, arguments.enough) if sensor.live else tuple(sensor.fields())
 

@@ -12,6 +12,8 @@ from goldfield.types import FloatArray
 
 FREE = ("position", "axis", "current")
 FIGURES = {"p95": 0.95, "worst": 1.0}
+LEAST_POWER, MOST_POWER = 1e-4, 1e4
+"""Between which ``power`` lies: all currents a hundred times smaller or larger than those of the start."""
 KEYS = ("free", "figure", "target_m", "power", "most_current_A")
 
 
@@ -79,11 +81,16 @@ def load(path: str | Path) -> Wishes:
     figure = table.text("figure") if "figure" in table else "p95"
     if figure not in FIGURES:
         raise table.error("figure", f'is "{figure}": it must be {" or ".join(FIGURES)}')
+    power = table.positive("power") if "power" in table else 1.0
+    if not LEAST_POWER <= power <= MOST_POWER:
+        raise table.error(
+            "power", f"is {power:g}: give the sum of the squared currents over that of the start, 1e-4 to 1e4"
+        )
     return Wishes(
         free=_free(table),
         figure=figure,
         target_m=table.positive("target_m") if "target_m" in table else None,
-        power=table.positive("power") if "power" in table else 1.0,
+        power=power,
         most_current_A=table.positive("most_current_A") if "most_current_A" in table else np.inf,
         regions=tuple(_region(region) for region in root.tables("region")),
     )

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 
+from goldfield.errors import UserError, option
 from goldfield.planning.grid import Grid
 from goldfield.site import Site
 
@@ -28,6 +31,23 @@ class Settings:
     truncation: float = 0.01
     conflict_dB: float = 40.0
 
+    def __post_init__(self) -> None:
+        """Refuse what is no setting."""
+        if not (_is_whole(self.best) and self.best >= 1):
+            raise UserError(f"{option('best', self.best)} is no whole number of at least 1")
+        if not (_is_real(self.truncation) and 0.0 <= self.truncation < 1.0):
+            raise UserError(f"{option('truncation', self.truncation)} is no part of 0 to below 1")
+        if not (_is_real(self.conflict_dB) and math.isfinite(self.conflict_dB)):
+            raise UserError(f"{option('conflict_dB', self.conflict_dB)} is no finite number of decibels")
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
 
 @dataclass(frozen=True, eq=False)
 class Request:
@@ -43,3 +63,13 @@ class Request:
     site: Site
     grid: Grid
     settings: Settings = field(default_factory=Settings)
+
+    def __post_init__(self) -> None:
+        """Refuse other types."""
+        for name, value, kind in (
+            ("site", self.site, Site),
+            ("grid", self.grid, Grid),
+            ("settings", self.settings, Settings),
+        ):
+            if not isinstance(value, kind):
+                raise UserError(f"{name}= of Request is a {kind.__name__}, not {value!r:.60}")

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from goldfield.errors import SystemFailure, option
+from goldfield.errors import SystemFailure, UserError, option
 from goldfield.planning.codes import merged, shared_codes
 from goldfield.planning.grid import Tile
 from goldfield.planning.maps import Figures, Maps
@@ -60,9 +60,13 @@ def plan(
 
     Raises
     ------
+    UserError
+        If the request is none.
     SystemFailure
         If the scheduler does not answer or has no workers, or a worker dies.
     """
+    if not isinstance(request, Request):
+        raise UserError(f"plan() takes a Request of site, grid and settings, not {request!r:.60}")
     figures = Figures.empty(request.grid.shape, request.settings.best)
     conflicts: list[dict[tuple[int, int], float]] = []
     tiles = request.grid.tiles()

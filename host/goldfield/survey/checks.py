@@ -2,16 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 
 from goldfield.errors import UserError, counted
 from goldfield.site import Site
-from goldfield.survey.data import Distance, Place, SurveyData
+from goldfield.survey.anchor_tables import check_anchor_tables
+from goldfield.survey.data import Distance, Free, Place, SurveyData
 from goldfield.survey.equations import Readings
 
 LEAST_STRENGTH = 5.0
 """Strongest field of an epoch over its noise, root mean square of its axes, below which the epoch tells next to
 nothing; noise alone makes 3 with a thousand beacons."""
+
+
+def check_arguments(site: object, data: object, free: object) -> None:
+    """Refuse arguments of other types than `survey` takes."""
+    if not isinstance(site, Site):
+        raise UserError(f"survey() takes a Site, not {site!r:.60}: goldfield.load_site(path) returns one")
+    if not isinstance(data, SurveyData):
+        raise UserError(f"survey() takes the measurements as a SurveyData, not {data!r:.60}")
+    if free is not None and not (isinstance(free, Set | list | tuple) and all(isinstance(one, Free) for one in free)):
+        raise UserError(f"free= of survey() is a set of Free, such as {{Free.POSITION}}, not {free!r:.60}")
 
 
 def check_sensor(site: Site) -> None:
@@ -40,6 +53,7 @@ def check_data(site: Site, data: SurveyData) -> None:
     unknown = next((name for name in named if name not in ids), None)
     if unknown is not None:
         raise UserError(f'known= or anchors= of SurveyData name "{unknown}", which the site does not have')
+    check_anchor_tables(site, data.anchors)
     epochs = {fields.epoch for fields in data.epochs}
     for point in data.points:
         if point.epoch not in epochs:

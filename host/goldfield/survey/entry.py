@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from goldfield.site import Site
 from goldfield.survey import procedure
+from goldfield.survey.checks import check_arguments
 from goldfield.survey.data import Free, SurveyData, SurveyResult
 from goldfield.survey.metal_choice import survey_with_metal
+from goldfield.survey.repeats import counted_once
 
 
 def survey(
@@ -13,8 +15,11 @@ def survey(
 ) -> SurveyResult:
     """Find beacons and sensor as they are, and with `Free.FIELD` the metal of the room.
 
-    See `goldfield.survey.procedure.survey` for the parameters and errors.
+    Epochs that repeat another one to the last digit count once. See `goldfield.survey.procedure.survey` for the
+    parameters and errors.
     """
+    check_arguments(site, data, free)
+    once = counted_once(data)
     if free is not None and Free.FIELD in free:
-        return survey_with_metal(site, data, free, progress)
-    return procedure.survey(site, data, free, progress)
+        return once.all_told(survey_with_metal(site, once.data, free, progress))
+    return once.all_told(procedure.survey(site, once.data, free, progress))

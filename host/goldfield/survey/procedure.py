@@ -32,6 +32,7 @@ from goldfield.survey.parameters import BEACON, State, default_free, start_of
 from goldfield.survey.problem import problem_of
 from goldfield.survey.reversals import reversals_in_words, right_way_round
 from goldfield.survey.starts import anchor_attitudes, measurements_of, rough_poses, searched_poses
+from goldfield.survey.surprises import surprises
 from goldfield.types import FloatArray
 
 UNLIKELY = 1e-5
@@ -154,7 +155,7 @@ def result_of(site: Site, solution: Solution, data: SurveyData, free: frozenset[
         residual_before=solution.residual_before,
         residual_after=solution.residual_after,
         outliers=outliers_of(solution, found, data.epochs),
-        advice=(*reversals_in_words(site, found), *advice_of(solution, data)),
+        advice=(*reversals_in_words(site, found), *surprises(solution), *advice_of(solution, data)),
         position_m=np.where(gone[:, None], np.nan, solution.state.sensor_m),
         rotation=np.where(gone[:, None, None], np.nan, solution.state.rotation),
     )

@@ -131,8 +131,8 @@ def test_an_optimised_site_file_keeps_what_its_author_wrote(tmp_path, capsys):
         ([*HERE, "--out", "plan.pdf"], "give one of .npz, .png, .html"),
         ([*HERE, "--out", "/nowhere/plan.npz"], "the folder /nowhere cannot be written"),
         ([*HERE, "--site-out", "x.toml"], "--site-out is given without --optimise"),
-        ([*HERE, "--box", "0", "0", "0", "1", "1", "-1"], "second corner below its first in z"),
-        ([*HERE, "--step", "1e-6"], "at most 20000000 are computed"),
+        ([*HERE, "--box", "0", "0", "0", "1", "1", "-1"], "--box has its second corner below its first in z"),
+        ([*HERE, "--step", "1e-6"], "--step 1e-06 makes"),
         (["plan", "--lattice", "nowhere.toml", *BOX], "there is no such lattice file"),
     ],
 )

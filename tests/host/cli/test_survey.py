@@ -79,6 +79,12 @@ def test_bad_options_are_told(room, tmp_path, capsys, more, complaint):
     assert complaint in capsys.readouterr().err
 
 
+def test_options_without_effect_are_told(room, tmp_path, capsys):
+    folder, _ = room
+    assert main(arguments(folder, tmp_path / "new.toml", "--seconds", "20", "--enough", "0.01")) == 0
+    assert "goldfield: --seconds and --enough have no effect with FIELDS.csv" in capsys.readouterr().err.splitlines()
+
+
 def test_an_unknown_kind_is_told(room, tmp_path, capsys):
     folder, _ = room
     with pytest.raises(SystemExit) as end:

@@ -114,6 +114,8 @@ def test_a_start_that_breaks_a_constraint_is_refused(site, changes, words):
         ("[optimise]\n[[region]]\nlow_m=[0,0,1]\nhigh_m=[1,1,0]", r":4: \[\[region\]\] 1: high_m is below low_m"),
         ("[optimise]\n", "region is missing"),
         ("[optimise]\ntarget_m = 0\n", r"target_m is 0; it must be greater"),
+        ("[optimise]\npower = 1e-300\n[[region]]\nlow_m=[0,0,0]\nhigh_m=[1,1,1]", r"power is 1e-300: .* 1e-4 to 1e4"),
+        ("[optimise]\npower = 1e5\n[[region]]\nlow_m=[0,0,0]\nhigh_m=[1,1,1]", r"power is 100000: give the sum"),
     ],
 )  # fmt: skip
 def test_files_that_make_no_sense_are_refused(tmp_path, text, words):

@@ -1,0 +1,58 @@
+"""Whether what an anchor measured was given for the right anchor: told by the strengths of the fields.
+
+Strengths do not depend on how a sensor is turned. They are compared with those at the place of each beacon, which the
+site file knows to some decimetres.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from goldfield.errors import UserError
+from goldfield.field import FieldModel
+from goldfield.site import Site
+from goldfield.survey.data import AnchorFields
+from goldfield.types import FloatArray
+
+MISFIT = 0.7
+"""Root of the mean square logarithm of measured over modelled strengths, from which on a table does not fit its
+anchor: a factor of two. A beacon 20 cm and 10 degrees off, two metres away, makes 0.35."""
+ELSEWHERE = 0.4
+"""It is that of another anchor if its misfit there is less than this part of it."""
+LEAST = 3
+"""Strengths that must be compared."""
+
+
+def check_anchor_tables(site: Site, anchors: tuple[AnchorFields, ...]) -> None:
+    """Refuse a table that fits at another beacon than at its own."""
+    if not anchors:
+        return
+    places = np.array([beacon.position_m for beacon in site.beacons])
+    with np.errstate(all="ignore"):  # in the middle of a coil, whose own field is not compared
+        modelled = np.linalg.norm(FieldModel(site.beacons).field(places), axis=2)
+    row = {beacon.id: index for index, beacon in enumerate(site.beacons)}
+    for anchor in anchors:
+        own = row[anchor.beacon]
+        misfit = _misfits(anchor, own, modelled, row)
+        best = int(np.argmin(misfit))
+        if misfit[own] > MISFIT and misfit[best] < ELSEWHERE * misfit[own]:
+            raise UserError(
+                f"the fields of the anchor {anchor.beacon} are those of a sensor at {site.beacons[best].id}: give each "
+                "anchor the table of its own sensor"
+            )
+
+
+def _misfits(anchor: AnchorFields, own: int, modelled: FloatArray, row: dict[str, int]) -> FloatArray:
+    """Return how badly the strengths fit at the place of each beacon, shape (n,); infinite if too few tell."""
+    measured = np.full(len(modelled), np.nan)
+    for name, field, sigma in zip(anchor.fields.beacons, anchor.fields.field_T, anchor.fields.sigma_T, strict=True):
+        size = float(np.linalg.norm(field))
+        if np.isfinite(size) and size > 3.0 * sigma:
+            measured[row[name]] = size
+    measured[own] = np.nan
+    result = np.full(len(modelled), np.inf)
+    for place, strength in enumerate(modelled):
+        told = np.isfinite(measured) & (np.arange(len(measured)) != place)
+        if told.sum() >= LEAST:
+            result[place] = np.sqrt(np.mean(np.log(measured[told] / strength[told]) ** 2))
+    return result

@@ -1,0 +1,90 @@
+"""What a survey says of data and site files that are not what they are taken for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from goldfield.errors import UserError
+from goldfield.survey import SurveyData, survey
+from goldfield.survey.data import AnchorFields
+from tests.bench.survey_trials import cube, trial
+
+
+@pytest.fixture(scope="module")
+def walked():
+    return trial(cube(), 1, epochs=60, points=6, anchors=True)
+
+
+def with_beacon(site, index, **changes):
+    beacons = list(site.beacons)
+    beacons[index] = replace(beacons[index], **changes)
+    return replace(site, beacons=tuple(beacons))
+
+
+def test_a_current_far_from_the_site_file_is_named_with_what_to_check(walked):
+    wrong = with_beacon(walked.site, 3, current_A=0.8 * walked.site.beacons[3].current_A)
+    (line,) = [line for line in survey(wrong, walked.data).advice if "from the site file" in line]
+    assert line.startswith("the current of b3 is up to ")
+    assert "check current_A, turns, radius_m and its driver, or allow for more in current_sd" in line
+
+
+def test_a_place_far_from_the_site_file_is_named(walked):
+    beacon = walked.site.beacons[5]
+    wrong = with_beacon(walked.site, 5, position_m=beacon.position_m + np.array([0.9, 0.0, 0.0]))
+    lines = [line for line in survey(wrong, walked.data).advice if line.startswith("the place of ")]
+    assert len(lines) == 1
+    assert "the place of b5 is up to" in lines[0]
+    assert "check position_m" in lines[0]
+
+
+def test_nothing_is_named_where_the_file_is_as_wrong_as_it_says(walked):
+    assert not [line for line in survey(walked.site, walked.data).advice if "from the site file" in line]
+
+
+def test_a_sensor_far_from_its_calibration_is_named(walked):
+    sensor = replace(walked.site.sensor, gain_sd=1e-3, axis_sd_rad=1e-3)
+    stretched = tuple(
+        replace(fields, field_T=fields.field_T * np.array([1.0, 1.03, 1.0])) for fields in walked.data.epochs
+    )
+    result = survey(replace(walked.site, sensor=sensor), SurveyData(stretched, walked.data.points))
+    assert any(line.startswith("the gain of the sensor's y axis is") and "gain_sd" in line for line in result.advice)
+
+
+def test_the_same_epoch_many_times_counts_once(walked):
+    few = SurveyData(walked.data.epochs[:40], tuple(p for p in walked.data.points if p.epoch < 40))
+    again = tuple(replace(fields, epoch=1000 + fields.epoch, time_s=fields.time_s + 60.0) for fields in few.epochs)
+    once, twice = survey(walked.site, few), survey(walked.site, replace(few, epochs=(*again, *few.epochs)))
+    assert twice.deviation_m == pytest.approx(once.deviation_m, rel=1e-6)
+    assert twice.advice[0].startswith("40 epochs have the very fields of another one")
+    assert twice.position_m.shape == (80, 3)
+    np.testing.assert_array_equal(twice.position_m[:40], twice.position_m[40:])
+
+
+def test_fields_that_never_change_are_refused(walked):
+    stuck = tuple(replace(walked.data.epochs[0], epoch=number) for number in range(30))
+    with pytest.raises(UserError, match=r"all 30 epochs have the same fields.* stuck"):
+        survey(walked.site, SurveyData(stuck))
+
+
+def test_the_table_of_another_anchor_is_refused(walked):
+    first, second, *others = walked.data.anchors
+    swapped = (AnchorFields(first.beacon, second.fields), AnchorFields(second.beacon, first.fields), *others)
+    with pytest.raises(UserError, match="the fields of the anchor b0 are those of a sensor at b1"):
+        survey(walked.site, SurveyData((), (), (), swapped))
+    survey(walked.site, SurveyData((), (), (), walked.data.anchors))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (lambda made: ("x", made.data), r"takes a Site, not 'x': goldfield.load_site"),
+        (lambda made: (made.site, made.data.epochs[:1]), "takes the measurements as a SurveyData"),
+        (lambda made: (made.site, made.data, {"position"}), r"free= of survey\(\) is a set of Free"),
+    ],
+)
+def test_arguments_of_other_types_are_refused_in_a_sentence(walked, arguments, words):
+    with pytest.raises(UserError, match=words):
+        survey(*arguments(walked))
