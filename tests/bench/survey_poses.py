@@ -49,7 +49,7 @@ def poses_afterwards(room: Room, truth: Trial, solution: Solution, found: Locato
     place = np.array([pose.position_m for pose in poses])
     have = np.isfinite(place).all(axis=1)
     square = ((place - position)[have] ** 2).sum(axis=1)
-    bound = _bound(solution, field, sigma, position, rotation)[have]
+    bound = _bound(solution, field, sigma, position, rotation.swapaxes(1, 2))[have]
     return PoseScore(float(square.mean()), float(bound.mean()), int((~have).sum()))
 
 

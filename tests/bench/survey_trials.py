@@ -76,7 +76,7 @@ class Trial:
     sensor : ndarray, shape (3, 3)
         What the sensor makes of a field.
     position_m, rotation : ndarray
-        True poses of the epochs.
+        True poses of the epochs; the rotations take the site's frame to the sensor's.
     corrupted : ndarray of bool, shape (e,)
     """
 
@@ -103,7 +103,7 @@ def measured(
     sigma_T: float,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return what a sensor at poses reads of the true coils, shape (e, n, 3)."""
+    """Return what a sensor reads of the true coils, shape (e, n, 3); ``rotation`` takes the site's frame to its own."""
     many = Coils(
         *(
             np.repeat(part, len(position_m), axis=0)

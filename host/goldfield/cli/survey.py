@@ -8,7 +8,7 @@ from typing import Any
 from goldfield.cli import link_options, options
 from goldfield.errors import on_command_line
 
-KINDS = ("position", "axis", "current", "gain", "tilt", "offset", "field")
+KINDS = ("position", "axis", "current", "gain", "tilt", "offset", "lever", "field")
 
 
 def command(subparsers: Any) -> None:

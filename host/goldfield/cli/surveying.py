@@ -172,10 +172,13 @@ def revisions(site: Site, result: SurveyResult) -> tuple[dict[str, BeaconRevisio
         )
     sensor = result.site.sensor
     gain, tilt = "sensor.gain_x" in result.parameters, "sensor.tilt_xy_rad" in result.parameters
-    if sensor.axes is site.sensor.axes:
+    if sensor.axes is site.sensor.axes and sensor.lever_m is site.sensor.lever_m:
         return beacons, None
     return beacons, SensorRevision(
-        axes=sensor.axes, gain_sd=sensor.gain_sd if gain else None, axis_sd_rad=sensor.axis_sd_rad if tilt else None
+        axes=None if sensor.axes is site.sensor.axes else sensor.axes,
+        lever_m=None if sensor.lever_m is site.sensor.lever_m else sensor.lever_m,
+        gain_sd=sensor.gain_sd if gain else None,
+        axis_sd_rad=sensor.axis_sd_rad if tilt else None,
     )
 
 

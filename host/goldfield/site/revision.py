@@ -67,11 +67,13 @@ class SensorRevision:
     ----------
     axes : ndarray, shape (k, 3), or None
     gain_sd, axis_sd_rad : float or None
+    lever_m : ndarray, shape (k, 3), or None
     """
 
     axes: FloatArray | None = None
     gain_sd: float | None = None
     axis_sd_rad: float | None = None
+    lever_m: FloatArray | None = None
 
 
 def revised(

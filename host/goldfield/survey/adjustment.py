@@ -157,7 +157,7 @@ def _anchors(
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, Group]:
     """Return what the anchors add: loss, chi-square of each component, common matrix, gradient and their group."""
     place = state.position_m[problem.anchor_rows]
-    sound = replace(state, offset_T=np.zeros(3))
+    sound = replace(state, offset_T=np.zeros(3), lever_m=np.zeros((3, 3)))
     matrix = matrix_of(state.anchor_terms)
     parts = derivatives(model, sound, np.eye(3), problem.anchors.field_T, place, state.anchor_rotation, matrix)
     weight = problem.anchors.weight(float(np.hypot(model_error, problem.anchor_error)))

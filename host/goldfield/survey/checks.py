@@ -28,12 +28,7 @@ def check_arguments(site: object, data: object, free: object) -> None:
 
 
 def check_sensor(site: Site) -> None:
-    """Refuse a sensor that a survey does not model: one with levers, or of fewer than three axes."""
-    if site.sensor.lever_m is not None:
-        raise UserError(
-            f"site {site.name}: a survey takes all axes of the sensor to be at one point, but [sensor] has lever_m: "
-            "leave it out if it is small"
-        )
+    """Refuse a sensor that a survey does not model: one of fewer than three axes."""
     if site.sensor.axes is not None and len(site.sensor.axes) < 3:
         raise UserError(
             f"site {site.name}: [sensor] axes has {counted(len(site.sensor.axes), 'rows')}: a survey takes a sensor "

@@ -27,6 +27,8 @@ class Free(StrEnum):
     """How far the sensor's axes are from right angles."""
     OFFSET = "offset"
     """A constant vector, in the sensor's frame, in every measured field."""
+    LEVER = "lever"
+    """Where each axis of the sensor reads, from its reference point."""
     FIELD = "field"
     """What metal in the room adds to each coil's field."""
 

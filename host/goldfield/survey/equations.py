@@ -3,12 +3,13 @@
 A component c of the reading of a beacon's field B is y_c = b_c . B + o_c, where b_c is row c of (I + E) A R'. With
 m_c = b_c' G, the gradient G of the field and q the sensor seen from the coil, its derivatives are: by the sensor's
 place m_c, by its turn b_c x B, by the coil's place -m_c, by the coil's turn m_c x q - b_c x B, by the logarithm of the
-current b_c . B, and by E_cd the component d of A R' B.
+current b_c . B, and by E_cd the component d of A R' B. All is taken where the axis reads, at p + R lever_c: by the
+lever the derivative is m_c R, and that by the turn has (R lever_c) x m_c, too.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from goldfield.field import FieldModel
 from goldfield.site.metal import COLUMNS, ROWS
 from goldfield.survey.metal import effects_of_bodies, effects_of_harmonics
-from goldfield.survey.parameters import BEACON, SENSOR, TERMS, State, across
+from goldfield.survey.parameters import BEACON, LEVER, OFFSET, SENSOR, TERMS, State, across
 from goldfield.types import FloatArray
 
 
@@ -58,7 +59,7 @@ class Derivatives:
         Derivatives of the model by shift and turn of the sensor.
     beacon : ndarray, shape (e, n, 3, 6)
         By the parameters of the beacon.
-    sensor : ndarray, shape (e, n, 3, 9)
+    sensor : ndarray, shape (e, n, 3, 18)
         By those of the sensor.
     harmonics : ndarray, shape (e, n, 3, C)
         By the metal's polynomials of the beacon.
@@ -83,7 +84,7 @@ def derivatives(
     rotation: FloatArray,
     matrix: FloatArray,
 ) -> Derivatives:
-    """Return residuals and derivatives.
+    """Return residuals and derivatives; a sensor with levers takes three times as long as one without.
 
     Parameters
     ----------
@@ -98,6 +99,27 @@ def derivatives(
     matrix : ndarray, shape (3, 3) or (e, 3, 3)
         I + E.
     """
+    arm = rotation @ state.lever_m.T  # (e, 3, axis)
+    if not state.lever_m.any():
+        return _at(model, state, axes, field_T, point_m, rotation, matrix, arm)
+    each = [_at(model, state, axes, field_T, point_m + arm[:, :, c], rotation, matrix, arm) for c in range(3)]
+    names = [field.name for field in fields(Derivatives)]
+    return Derivatives(
+        *(np.stack([getattr(one, name)[:, :, c] for c, one in enumerate(each)], axis=2) for name in names)
+    )
+
+
+def _at(
+    model: FieldModel,
+    state: State,
+    axes: FloatArray,
+    field_T: FloatArray,
+    point_m: FloatArray,
+    rotation: FloatArray,
+    matrix: FloatArray,
+    lever_arm_m: FloatArray,
+) -> Derivatives:
+    """Return the same as if all axes read at the points; the columns of ``lever_arm_m``, (e, 3, 3), are R lever."""
     point = np.ascontiguousarray(point_m.T)
     field, gradient = model.evaluate(point)
     of_coil = (field, gradient) if model.metal is None else model.evaluate_coils(point)
@@ -106,7 +128,7 @@ def derivatives(
     bare = axes @ rotation.swapaxes(1, 2)
     rows = (matrix @ bare)[:, None]  # (e, 1, c, 3)
     slope = rows @ gradient
-    turn = _cross(rows, field[:, :, None])
+    turn = _cross(rows, field[:, :, None]) + _cross(lever_arm_m.swapaxes(1, 2)[:, None], slope)
     arm = (point_m[:, None] - state.position_m)[:, :, None]
     reading = (rows @ field[..., None])[..., 0]
     beacon = np.empty((*field.shape, BEACON))
@@ -117,7 +139,10 @@ def derivatives(
     beacon[..., 5] = reading
     sensor = np.zeros((*field.shape, SENSOR))
     sensor[:, :, ROWS, np.arange(TERMS)] = (bare[:, None] @ field[..., None])[..., 0][:, :, COLUMNS]
-    sensor[:, :, :, TERMS:] = np.eye(3)
+    sensor[:, :, :, OFFSET] = np.eye(3)
+    by_lever = slope @ rotation[:, None]
+    for c in range(3):
+        sensor[:, :, c, LEVER][..., 3 * c : 3 * c + 3] = by_lever[:, :, c]
     return Derivatives(
         field_T - reading - state.offset_T,
         np.concatenate([slope, turn], axis=3),

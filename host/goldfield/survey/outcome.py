@@ -14,7 +14,7 @@ from goldfield.site.metal import COLUMNS, ROWS
 from goldfield.site.model import Survey
 from goldfield.survey.adjustment import Evaluation, Problem
 from goldfield.survey.data import Free, Outlier, Parameter
-from goldfield.survey.parameters import BEACON, TERMS, State, across, beacons_of
+from goldfield.survey.parameters import BEACON, LEVER, OFFSET, TERMS, State, across, beacons_of
 from goldfield.types import Fields, FloatArray
 
 MOST_SEARCHED = 60
@@ -35,7 +35,7 @@ class Solution:
         That of the sound epochs, on which the result rests.
     squares : ndarray, shape (e,)
         Chi-square of each epoch, outliers too.
-    covariance : ndarray, shape (6 n + 9, 6 n + 9)
+    covariance : ndarray, shape (6 n + 18, 6 n + 18), and more with metal
         That of the common parameters; 0 for those that were not estimated.
     widened : float
         Factor by which the deviations were widened.
@@ -73,6 +73,8 @@ def found_site(solution: Solution) -> Site:
         sensor = replace(sensor, axis_sd_rad=float(own[3:TERMS].max() / np.sqrt(2.0)))
     if free[0] or free[3]:
         sensor = replace(sensor, axes=solution.state.matrix() @ problem.axes)
+    if problem.prior.free[BEACON * len(beacons) :][LEVER].any():
+        sensor = replace(sensor, lever_m=solution.state.lever_m)
     metal = beacons[0].metal.metal if beacons[0].metal is not None else None
     return replace(problem.site, beacons=tuple(beacons), sensor=sensor, assumed=(), metal=metal)
 
@@ -113,10 +115,10 @@ def parameters_of(site: Site, solution: Solution, free: frozenset[Free]) -> dict
         if prior.free[first + 5]:
             size = abs(new.current_A) * sd[first + 5]
             result[f"{old.id}.current_A"] = _parameter(new.current_A, size, old.current_A)
-    return {**result, **_of_sensor(state, sd[BEACON * len(after) :], free)}
+    return {**result, **_of_sensor(state, prior.start, sd[BEACON * len(after) :], free)}
 
 
-def _of_sensor(state: State, sd: FloatArray, free: frozenset[Free]) -> dict[str, Parameter]:
+def _of_sensor(state: State, start: State, sd: FloatArray, free: frozenset[Free]) -> dict[str, Parameter]:
     result = {}
     for k in range(TERMS):
         kind = Free.GAIN if ROWS[k] == COLUMNS[k] else Free.TILT
@@ -127,7 +129,10 @@ def _of_sensor(state: State, sd: FloatArray, free: frozenset[Free]) -> dict[str,
             result[f"sensor.{kind.value}_{letters}{unit}"] = _parameter(base + state.terms[k], sd[k], base)
     if Free.OFFSET in free:
         for k, letter in enumerate("xyz"):
-            result[f"sensor.offset_{letter}_T"] = _parameter(state.offset_T[k], sd[TERMS + k], 0.0)
+            result[f"sensor.offset_{letter}_T"] = _parameter(state.offset_T[k], sd[OFFSET][k], 0.0)
+    if Free.LEVER in free:
+        for k, name in enumerate(f"sensor.lever_{axis}_{letter}_m" for axis in "xyz" for letter in "xyz"):
+            result[name] = _parameter(state.lever_m.flat[k], sd[LEVER][k], start.lever_m.flat[k])
     return result
 
 

@@ -2,10 +2,10 @@
 
 The vector of what all epochs have in common holds six numbers a beacon, its place (m), the turn of its coil (rad, three
 numbers about the site's axes of which the part along the coil's axis does nothing and is left out) as two turns across
-the axis, and the logarithm of its current; then the sensor's six terms of gain and tilt, and its offset; then metal
-(`goldfield.survey.metal`). The sensor reads
+the axis, and the logarithm of its current; then the sensor's six terms of gain and tilt, its offset, and its levers;
+then metal (`goldfield.survey.metal`). Axis j of a sensor at p reads component j of
 
-    y = (I + E) A R' B + o,
+    y = (I + E) A R' B(p + R lever_j) + o,
 
 with A as the site says and E an upper triangle: three gains on its diagonal and three tilts above it. A lower triangle
 would be a turn of the sensor, which no measurement tells from one of its attitude: the body's frame is the one in which
@@ -30,12 +30,14 @@ BEACON = 6
 """Parameters of a beacon."""
 TERMS = len(ROWS)
 """Terms of the sensor, the upper triangle of E: the gains, then the tilts xy, xz and yz."""
-SENSOR = TERMS + 3
-"""Parameters of the sensor: its terms and its offset."""
+OFFSET, LEVER = slice(TERMS, TERMS + 3), slice(TERMS + 3, TERMS + 12)
+"""Where the offset and the levers, one axis after another, stand among the parameters of the sensor."""
+SENSOR = LEVER.stop
+"""Parameters of the sensor: its terms, its offset and its levers."""
 
 UNKNOWN_POSITION_M, UNKNOWN_AXIS_RAD, UNKNOWN_CURRENT = 0.3, 0.25, 0.1
 """Standard deviations of what is to be found and of which the site says nothing, or that it is exact."""
-UNKNOWN_GAIN, UNKNOWN_TILT_RAD, UNKNOWN_OFFSET_T = 0.05, 0.05, 1e-6
+UNKNOWN_GAIN, UNKNOWN_TILT_RAD, UNKNOWN_OFFSET_T, UNKNOWN_LEVER_M = 0.05, 0.05, 1e-6, 0.03
 """The same for the sensor."""
 
 
@@ -59,6 +61,8 @@ class State:
     metal : MetalState
     anchor_terms : ndarray, shape (a, 6)
         Its E.
+    lever_m : ndarray, shape (3, 3)
+        Where each axis of the sensor reads, a row each, from its reference point and in its frame.
     """
 
     position_m: FloatArray
@@ -71,6 +75,7 @@ class State:
     anchor_rotation: FloatArray
     metal: MetalState
     anchor_terms: FloatArray
+    lever_m: FloatArray
 
     def matrix(self) -> FloatArray:
         """Return I + E, shape (3, 3)."""
@@ -96,12 +101,13 @@ class State:
             axis / np.linalg.norm(axis, axis=1, keepdims=True),
             self.log_current + of_beacons[:, 5],
             self.terms + of_sensor[:TERMS],
-            self.offset_T + of_sensor[TERMS:],
+            self.offset_T + of_sensor[OFFSET],
             self.sensor_m + poses[:, :3],
             orthonormal(turned(self.rotation, poses[:, 3:])),
             orthonormal(turned(self.anchor_rotation, anchors[:, :3])),
             self.metal.moved(common[BEACON * count + SENSOR :]),
             self.anchor_terms + anchors[:, 3:],
+            self.lever_m + of_sensor[LEVER].reshape(3, 3),
         )
 
     def of_epochs(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> State:
@@ -145,6 +151,7 @@ def start_of(site: Site, epochs: int, anchors: int, metal: MetalState | None = N
         anchor_rotation=np.broadcast_to(np.eye(3), (anchors, 3, 3)).copy(),
         metal=no_metal(len(site.beacons)) if metal is None else metal,
         anchor_terms=np.zeros((anchors, TERMS)),
+        lever_m=np.zeros((3, 3)) if site.sensor.lever_m is None else site.sensor.lever_m,
     )
 
 
@@ -189,13 +196,14 @@ class Prior:
         """Return the deviations from what was known over their standard deviations, shape (g,)."""
         turn = np.einsum("nij,nj->ni", across(state.axis), turn_between(self.start.axis, state.axis))
         of_beacons = np.column_stack([state.position_m - self.start.position_m, turn, state.log_current])
-        of_sensor = np.concatenate([state.terms, state.offset_T])
+        lever = (state.lever_m - self.start.lever_m).ravel()
+        of_sensor = np.concatenate([state.terms, state.offset_T, lever])
         of_metal = state.metal.vector() - self.start.metal.vector()
         return np.concatenate([of_beacons.ravel(), of_sensor, of_metal]) / self.sd
 
 
 def default_free(site: Site) -> frozenset[Free]:
-    """Return the kinds that the site does not call exact; an offset is not among them."""
+    """Return the kinds that the site does not call exact; offset and levers are not among them."""
     surveys = [beacon.survey for beacon in site.beacons]
     uncertain = {
         Free.POSITION: any(survey.position_sd_m for survey in surveys),
@@ -233,6 +241,7 @@ def prior_of(site: Site, free: frozenset[Free], start: State, field_T: FloatArra
     lean = np.sqrt(2.0) * np.full(3, site.sensor.axis_sd_rad)  # the lean of either axis towards the other adds up
     tilt = of_kind(Free.TILT, "[sensor] axis_sd_rad", lean, UNKNOWN_TILT_RAD)
     offset = of_kind(Free.OFFSET, "offset", np.zeros(3), UNKNOWN_OFFSET_T)
+    lever = of_kind(Free.LEVER, "lever_m", np.zeros(9), UNKNOWN_LEVER_M)
     of_beacons = np.column_stack([position, position, position, axis, axis, current])
-    sd = np.concatenate([of_beacons.ravel(), gain, tilt, offset, start.metal.sd(field_T)])
+    sd = np.concatenate([of_beacons.ravel(), gain, tilt, offset, lever, start.metal.sd(field_T)])
     return Prior(np.isfinite(sd), sd, start)

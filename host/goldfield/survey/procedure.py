@@ -26,12 +26,13 @@ from goldfield.survey.adjustment import (
 from goldfield.survey.advice import advice_of
 from goldfield.survey.data import Free, SurveyData, SurveyResult
 from goldfield.survey.equations import Readings, inverse
+from goldfield.survey.levers import untold_levers
 from goldfield.survey.metal import MetalState
 from goldfield.survey.outcome import Solution, found_site, outliers_of, parameters_of
 from goldfield.survey.parameters import BEACON, State, default_free, start_of
 from goldfield.survey.problem import problem_of
 from goldfield.survey.reversals import reversals_in_words, right_way_round
-from goldfield.survey.starts import anchor_attitudes, measurements_of, rough_poses, searched_poses
+from goldfield.survey.starts import anchor_attitudes, levers_alone, measurements_of, rough_poses, searched_poses
 from goldfield.survey.surprises import surprises
 from goldfield.types import FloatArray
 
@@ -155,7 +156,12 @@ def result_of(site: Site, solution: Solution, data: SurveyData, free: frozenset[
         residual_before=solution.residual_before,
         residual_after=solution.residual_after,
         outliers=outliers_of(solution, found, data.epochs),
-        advice=(*reversals_in_words(site, found), *surprises(solution), *advice_of(solution, data)),
+        advice=(
+            *reversals_in_words(site, found),
+            *surprises(solution),
+            *untold_levers(solution),
+            *advice_of(solution, data),
+        ),
         position_m=np.where(gone[:, None], np.nan, solution.state.sensor_m),
         rotation=np.where(gone[:, None, None], np.nan, solution.state.rotation),
     )
@@ -332,6 +338,8 @@ def _residuals(problem: Problem, state: State, sound: NDArray[np.bool_], last: E
         return float("nan"), value
     some = problem.of_epochs(sound)
     start = replace(problem.prior.start, sensor_m=state.sensor_m[sound], rotation=state.rotation[sound])
-    fit = fit_pose(FieldModel(problem.site.beacons), measurements_of(some, start, 0.0), start.sensor_m, start.rotation)
+    measurements = measurements_of(some, start, 0.0)
+    measurements.errors = levers_alone(problem.site)
+    fit = fit_pose(FieldModel(problem.site.beacons), measurements, start.sensor_m, start.rotation)
     before = float(np.sqrt(fit.cost[np.isfinite(fit.cost)].sum() / freedom))
     return before, float(np.sqrt(last.squares.sum() / freedom))

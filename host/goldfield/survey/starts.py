@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.locate.constellation import Constellation
 from goldfield.locate.fit import Fit, Measurements, fit_pose
+from goldfield.locate.sensor_axes import levers_of
+from goldfield.locate.site_errors import SiteErrors
 from goldfield.locate.wahba import wahba
+from goldfield.site import Site
 from goldfield.survey.adjustment import STAGES, Problem
 from goldfield.survey.parameters import State, beacons_of
 from goldfield.types import FloatArray
@@ -35,6 +40,12 @@ def measurements_of(problem: Problem, state: State, model_error: float) -> Measu
     sigma = np.sqrt(np.where(measured, readings.sigma_T**2, np.inf).min(axis=2) + (model_error**2) * size2)
     usable = np.isfinite(sigma)
     return Measurements(np.where(measured & usable[..., None], field, np.nan), np.where(usable, sigma, 1.0))
+
+
+def levers_alone(site: Site) -> SiteErrors | None:
+    """Return the levers that a site has as a pose's fit takes them, all else taken for exact; None if it has none."""
+    levers, exact = levers_of(site.sensor), np.zeros(len(site.beacons))
+    return None if levers is None else SiteErrors(exact, exact, exact, 0.0, 0.0, levers=levers)
 
 
 def rough_poses(problem: Problem, state: State) -> State:
@@ -109,17 +120,10 @@ def anchor_attitudes(problem: Problem, state: State) -> FloatArray:
 
 
 def _posed(state: State, position_m: FloatArray, rotation: FloatArray) -> State:
-    return State(
-        state.position_m,
-        state.axis,
-        state.log_current,
-        state.terms,
-        state.offset_T,
-        np.asarray(position_m, dtype=np.float64),
-        np.asarray(rotation, dtype=np.float64),
-        state.anchor_rotation,
-        state.metal,
-        state.anchor_terms,
+    return replace(
+        state,
+        sensor_m=np.asarray(position_m, dtype=np.float64),
+        rotation=np.asarray(rotation, dtype=np.float64),
     )
 
 

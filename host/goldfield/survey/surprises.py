@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from goldfield.errors import counted
 from goldfield.survey.outcome import Solution
-from goldfield.survey.parameters import BEACON, SENSOR, TERMS
+from goldfield.survey.parameters import BEACON, LEVER, OFFSET, SENSOR
 from goldfield.types import FloatArray
 
 FAR = 5.0
@@ -49,8 +49,10 @@ def surprises(solution: Solution) -> Iterator[str]:
                 f"the angle between the sensor's axes {axes} is {sensor[3 + k]:.2g} of its standard deviations from "
                 "what the site file says: check axes of [sensor], or allow for more in its axis_sd_rad"
             )
-    if sensor[TERMS:].max() > FAR:
+    if sensor[OFFSET].max() > FAR:
         yield "the offset in the sensor's frame is far beyond 1 uT: check the sensor's zero"
+    if sensor[LEVER].max() > FAR:
+        yield "an axis of the sensor reads 15 cm or more from where lever_m says: check lever_m and the known points"
 
 
 def _of_beacons(solution: Solution, what: str, size: FloatArray, far: NDArray[np.intp], check: str, key: str) -> str:

@@ -88,7 +88,6 @@ def test_nothing_is_surveyed_from_fields_that_tell_nothing(walked, tmp_path, cap
 
 
 SENSORS = {
-    "lever_m = [[0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]": "all axes of the sensor to be at one point",
     "axes = [[1, 0, 0]]": "axes has 1 row: a survey takes a sensor of three axes",
 }
 

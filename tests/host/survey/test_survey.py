@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from goldfield.errors import SystemFailure, UserError
 from goldfield.field import FieldModel
@@ -202,6 +203,8 @@ def test_derivatives_are_those_of_differences():
         start_of(site, 3, 0),
         sensor_m=np.array([0.5, 0.6, 0.7]) + rng.uniform(size=(3, 3)),
         terms=0.02 * rng.normal(size=6),
+        lever_m=0.05 * rng.normal(size=(3, 3)),
+        rotation=Rotation.random(3, rng=rng).as_matrix(),
     )
     axes = np.eye(3) + 0.1 * rng.normal(size=(3, 3))
     measured_T = np.zeros((3, 8, 3))
@@ -213,7 +216,23 @@ def test_derivatives_are_those_of_differences():
 
     here = parts_of(state)
     size, step = BEACON * 8 + SENSOR, 1e-6
-    for k in (0, 1, 2, 3, 4, 5, 6 * 7 + 2, 6 * 7 + 4, size - 9, size - 6, size - 5, size - 1):
+    for k in (
+        0,
+        1,
+        2,
+        3,
+        4,
+        5,
+        6 * 7 + 2,
+        6 * 7 + 4,
+        size - 18,
+        size - 15,
+        size - 14,
+        size - 11,
+        size - 9,
+        size - 4,
+        size - 1,
+    ):
         common = np.zeros(size)
         common[k] = step
         there = parts_of(state.moved(common, np.zeros((3, 6)), np.zeros((0, 9))))
