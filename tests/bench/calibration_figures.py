@@ -28,8 +28,8 @@ SITES = {
     "exact": "",
     "surveyed": "position_sd_m = 0.003\naxis_sd_rad = 0.005\ncurrent_sd = 0.003\n",
 }
-"""Errors of installation besides the sensor's. With "exact" the boards' currents are still off by the steps of their
-set-points, some 0.02 %."""
+"""Errors of installation besides the sensor's. With "exact" the mains of the bench still leave a constant part in each
+beacon's field, since a cycle is five of their periods: at 0.2 mG it is what limits the common gain."""
 NOISE = {"2 mG": "noise_T = 2.0e-7", "0.2 mG": "noise_T = 2.0e-8\nconverter_noise_LSB = 0.05"}
 
 

@@ -16,10 +16,13 @@ from goldfield.types import FloatArray
 
 AXES_SD = 0.3
 """Standard deviation of each element of the sensor's matrix before anything was measured."""
-OF_BEACON = 7
-"""Errors of a beacon: place (3), turn (3), current; in standard deviations of the site's survey."""
+OF_BEACON = 10
+"""Errors of a beacon: place (3), turn (3), current, in standard deviations of the site's survey; then what is added to
+its field all the time (3), in `Adjustment.constant_T`."""
 SENSOR = 12
 """Unknowns that are no beacon's and no cycle's: six of the axes, the offset, the earth's field."""
+PROBE_T = 1e-9
+"""Unit in which the size of constant parts is sought; it stands for no size of its own."""
 ROUNDS, TOLERANCE = 30, 1e-4
 """Most steps, and the gain in chi-square below which they end."""
 CHUNK = 100
@@ -37,8 +40,8 @@ class State:
         Upper triangular.
     offset_T, earth_T : ndarray, shape (3,)
         Sensor's and site's frame.
-    beacons : ndarray, shape (n, 7)
-        Errors in standard deviations, as of `effects_of_beacons`.
+    beacons : ndarray, shape (n, 10)
+        Errors in standard deviations, as of `effects_of_beacons`, then those of the constant part.
     position_m : ndarray, shape (k, 3)
     rotation : ndarray, shape (k, 3, 3)
     """
@@ -110,6 +113,10 @@ class Adjustment:
         Each cycle with a pose.
     smear : ndarray, shape (k, 3, 3)
         What turning leaves of the mean of each cycle.
+    constant_T : float
+        Standard deviation of what is added to each component of a beacon's field all the time, in the site's frame.
+        The mains do it where a cycle is a whole number of their periods: what they leave in a beacon's correlation is
+        then the same in each cycle, and looks like another gain.
     """
 
     model: FieldModel
@@ -117,6 +124,7 @@ class Adjustment:
     axes: FloatArray
     turn: Turn
     smear: FloatArray
+    constant_T: float = 0.0
 
     @property
     def knows_mean(self) -> bool:
@@ -139,6 +147,31 @@ class Adjustment:
         larger = max(1.0, float(np.sqrt(np.nanmean(residual**2))))
         return replace(self, turn=replace(self.turn, mean_sigma_T=self.turn.mean_sigma_T * larger))
 
+    def with_constants(self, state: State) -> Adjustment:
+        """Return the adjustment with the size of constant parts that the residuals of a solution without them tell.
+
+        Let s be the derivative of half the cost by the constant parts of one unit, and K its covariance for white
+        noise, all else unknown eliminated. With constant parts of deviation d it is K + d^2 K K, so that s' K^-1 s has
+        the mean rank + d^2 trace K, the noise being that of the residuals.
+        """
+        probe = replace(self, constant_T=PROBE_T)
+        normal = probe._normal(state, robust=False)
+        reduced, right, _ = probe._reduced(normal, 0.0)
+        size = len(right)
+        constant = (np.arange(size) >= SENSOR) & ((np.arange(size) - SENSOR) % OF_BEACON >= OF_BEACON - 3)
+        reduced[constant, constant] -= 1.0  # the prior of the probe
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
+        unit, right = scale[:, None] * reduced * scale, scale * right
+        across = unit[np.ix_(constant, ~constant)] @ np.linalg.pinv(unit[np.ix_(~constant, ~constant)], rcond=1e-12)
+        known = unit[np.ix_(constant, constant)] - across @ unit[np.ix_(~constant, constant)]
+        score = right[constant] - across @ right[~constant]
+        value, vector = np.linalg.eigh(known)
+        some = value > 1e-6
+        noise2 = max(1.0, self.residual(state)) ** 2
+        excess = float(((vector.T @ score)[some] ** 2 / value[some]).sum()) / noise2 - int(some.sum())
+        information = float((value[some] @ (vector[:, some] ** 2).T / scale[constant] ** 2).sum())
+        return replace(self, constant_T=PROBE_T * float(np.sqrt(max(excess, 0.0) / information)))
+
     # ---- Residuals ----
 
     def _chunks(self, state: State) -> list[slice]:
@@ -153,6 +186,8 @@ class Adjustment:
         position = state.position_m[rows]
         evaluated = self.model.evaluate(position.T)
         effect, field = effects_of_beacons(self.model, self.errors, position, evaluated)
+        constant = np.broadcast_to(self.constant_T * np.eye(3), (*effect.shape[:2], 3, 3))
+        effect = np.concatenate([effect, constant], axis=3)
         gradient = evaluated[1].transpose(2, 3, 0, 1)
         field = field + np.einsum("kncs,ns->knc", effect, state.beacons)
         field = np.concatenate([field, np.broadcast_to(state.earth_T, (len(field), 1, 3))], axis=1)

@@ -125,6 +125,8 @@ def calibrate_sensor(site: Site, turn: Turn) -> SensorCalibration:
         )
     adjustment = adjustment.with_mean_noise(state)
     state = adjustment.solve(state, robust=False)
+    adjustment = adjustment.with_constants(state)
+    state = adjustment.solve(state, robust=False)
     return _result(adjustment, state, frame, len(turn), outliers)
 
 

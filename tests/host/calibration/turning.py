@@ -26,8 +26,21 @@ class Recording:
     offset_T: np.ndarray
 
 
-def record(directory, seed, *, cycles=150, noise_T=2e-8, installation="", rate_rad_per_s=1.0, motion=None, sway_m=0.01):
+def record(
+    directory,
+    seed,
+    *,
+    cycles=150,
+    noise_T=2e-8,
+    installation="",
+    rate_rad_per_s=1.0,
+    motion=None,
+    sway_m=0.01,
+    constant_T=0.0,
+):
     """Record cycles of 0.1 s on the bench prigge8 with errors of installation; noise is that of a chip's sample.
+
+    ``constant_T`` is the deviation of what is added to each beacon's field in the room all the time, as by the mains.
 
     Each axis of the sensor has a gain and a direction that are off by a percent, and an offset of a microtesla.
     """
@@ -52,6 +65,7 @@ def record(directory, seed, *, cycles=150, noise_T=2e-8, installation="", rate_r
         for beacon in bench.installed.beacons
     ]
     fields = [current_A * coil.field_per_ampere(positions) for coil, current_A in coils]
+    fields = [field + constant_T * random.normal(size=3) for field in fields]
     fields.append(np.tile(EARTH_T, (len(positions), 1)))
     seen = np.stack([rotations.inv().apply(field) @ axes.T for field in fields], axis=1)
     means = np.einsum("kmnc,m->knc", seen.reshape(cycles, len(MOMENTS), -1, 3), 0.5 * MOMENT_WEIGHTS)
