@@ -125,6 +125,7 @@ def calibrate_sensor(site: Site, turn: Turn) -> SensorCalibration:
         )
     adjustment = adjustment.with_mean_noise(state)
     state = adjustment.solve(state, robust=False)
+    _check_fit(adjustment.residual(state))
     adjustment = adjustment.with_constants(state)
     state = adjustment.solve(state, robust=False)
     return _result(adjustment, state, frame, len(turn), outliers)
@@ -171,15 +172,19 @@ def _fitting(adjustment: Adjustment, state: State) -> NDArray[np.bool_]:
     return np.asarray(ratio < usual * (1.0 + OUTLIER * np.sqrt(2.0 / count)))
 
 
-def _result(
-    adjustment: Adjustment, state: State, frame: FloatArray, cycles: int, outliers: tuple[int, ...]
-) -> SensorCalibration:
-    residual = adjustment.residual(state)
+def _check_fit(residual: float) -> None:
+    """Refuse a fit that leaves too much, before constant parts of the fields could explain it."""
     if residual > BAD_FIT:
         raise UserError(
             f"the best fit leaves {residual:.1f} times the noise: something else is wrong than the sensor's axes (a "
             "beacon that was moved, metal near by, a site file of another room); see goldfield doctor"
         )
+
+
+def _result(
+    adjustment: Adjustment, state: State, frame: FloatArray, cycles: int, outliers: tuple[int, ...]
+) -> SensorCalibration:
+    residual = adjustment.residual(state)
     size = np.linalg.norm(state.axes, axis=1)
     if not size.min() > DEAD * size.max():
         raise UserError(
