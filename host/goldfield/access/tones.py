@@ -99,7 +99,9 @@ class ToneAccess:
         return np.asarray((waves[:, 0] - 1j * waves[:, 1]) * np.exp(-2j * np.pi * begun)[:, None])
 
     def _phase_of_current(self, access: TemplateAccess, reference: FloatArray) -> FloatArray:
-        """Return the phases of a reference channel's tones, shape (n,); NaN where it holds none."""
+        """Return the phases of a reference channel's tones, shape (n,); NaN where it holds none, or no value at all."""
+        if not np.isfinite(reference).any():
+            return np.full(len(self._turns), np.nan)
         alone = np.full((len(reference), 3), np.nan)
         alone[:, 0] = reference
         coefficients, variance = access.coefficients(alone)

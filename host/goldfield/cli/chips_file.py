@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -16,6 +17,8 @@ from goldfield.types import FloatArray
 COLUMNS = ("chip", "bx_T", "by_T", "bz_T")
 PLACE = ("x_m", "y_m", "z_m")
 REFERENCE = "reference"
+LARGEST_REFERENCE = 1e100
+"""Largest value of the reference channel, in any unit; its squares stay finite."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +60,7 @@ def read_cycles(site: Site, path: str) -> Iterator[ChipCycle]:
         samples[expected] = [row.field(column) for column in COLUMNS[1:]]
         plausibility.check(row, COLUMNS[1:])
         if REFERENCE in row.cells:
-            reference[expected] = row.field(REFERENCE)
+            reference[expected] = _reference(row)
         here = place_of(row)
         if expected and here is not None and place is not None and (here != place).any():
             raise row.error(PLACE[0], "to z_m differ from the row before: one place a cycle")
@@ -87,3 +90,13 @@ def place_of(row: Row) -> FloatArray | None:
     if len(given) < len(PLACE):
         raise UserError(f"{row.path}: has {','.join(given)} but not all of {','.join(PLACE)}")
     return np.array([row.number(column) for column in PLACE])
+
+
+def _reference(row: Row) -> float:
+    """Return a value of the reference channel, in any unit, such as counts of a converter; NaN if the cell is empty."""
+    if not row.cells[REFERENCE].strip() or row.cells[REFERENCE].strip().lower() == "nan":
+        return math.nan
+    value = row.number(REFERENCE)
+    if abs(value) > LARGEST_REFERENCE:
+        raise row.error(REFERENCE, f"is {value:g}, beyond {LARGEST_REFERENCE:g}: give it in a larger unit")
+    return value

@@ -41,10 +41,13 @@ def separate(arguments: argparse.Namespace) -> int:
             f"{name_of(path)}: every chip belongs to a beacon's slot, so the ambient field stays in the "
             "field of each beacon; leave one slot without a beacon to measure it"
         )
+    told: set[str] = set()
     with _fields_writer(arguments) as writer:
         for number_of, chips in enumerate(read_cycles(site, arguments.samples)):
             if isinstance(access, ToneAccess):
                 cycle = access.cycle(chips.samples_T, chips.reference)
+                if chips.reference is not None:
+                    _tell_unheard(site, number_of, cycle.phase_rad, told)
             else:
                 cycle = access.cycle(chips.samples_T)
             if writer is not None:
@@ -54,6 +57,22 @@ def separate(arguments: argparse.Namespace) -> int:
             else:
                 print(_table(site, number_of, cycle))
     return 0
+
+
+def _tell_unheard(site: Site, number_of: int, phase_rad: FloatArray | None, told: set[str]) -> None:
+    """Say, once a beacon, that the reference does not hold its tone, so that it has no field."""
+    phases = np.zeros(len(site.beacons)) if phase_rad is None else phase_rad
+    unheard = [
+        beacon.id
+        for beacon, phase in zip(site.beacons, phases, strict=True)
+        if np.isnan(phase) and beacon.id not in told
+    ]
+    if unheard:
+        told.update(unheard)
+        tell(
+            f"cycle {number_of}: reference does not hold the tone of {', '.join(unheard)}, which then has no field: "
+            "check that channel and frequency_Hz"
+        )
 
 
 def _access(site: Site, arguments: argparse.Namespace) -> SiteAccess | ToneAccess:

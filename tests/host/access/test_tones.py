@@ -142,6 +142,34 @@ def test_a_tone_that_the_reference_does_not_hold_has_no_field(site):
     assert separation.sigma_T[1] == math.inf
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+@pytest.mark.parametrize("value", ["", "nan", "0", "1"])
+def test_a_reference_without_any_tone_is_said(tmp_path, capsys, value):
+    path, table = tmp_path / "site.toml", tmp_path / "samples.csv"
+    path.write_text(site_text())
+    site = load(path)
+    samples = tones(bench.magpylib_fields(site, np.array([[0.9, 1.2, 0.7]]))[0], np.zeros(8), 0)
+    rows = [f"{chip},{x},{y},{z},{value}" for chip, (x, y, z) in enumerate(samples.tolist())]
+    table.write_text("\n".join(["chip,bx_T,by_T,bz_T,reference", *rows]) + "\n")
+    assert main(["separate", "--site", str(path), str(table), "--json"]) == 0
+    captured = capsys.readouterr()
+    assert "cycle 0: reference does not hold the tone of " in captured.err
+    assert {entry["b_T"][0] for entry in json.loads(captured.out)["fields"]} == {None}
+
+
+def test_a_reference_in_counts_of_a_converter_is_one(tmp_path, capsys):
+    path, table = tmp_path / "site.toml", tmp_path / "samples.csv"
+    path.write_text(site_text())
+    site = load(path)
+    truth = bench.magpylib_fields(site, np.array([[0.9, 1.2, 0.7]]))[0]
+    samples, counts = tones(truth, np.zeros(8), 0), 1e9 * tones(np.ones((8, 3)), np.zeros(8), 0)[:, 0]
+    rows = [f"{k},{x},{y},{z},{c}" for k, ((x, y, z), c) in enumerate(zip(samples.tolist(), counts, strict=True))]
+    table.write_text("\n".join(["chip,bx_T,by_T,bz_T,reference", *rows]) + "\n")
+    assert main(["separate", "--site", str(path), str(table), "--json"]) == 0
+    fields = [entry["b_T"] for entry in json.loads(capsys.readouterr().out)["fields"]]
+    np.testing.assert_allclose(fields, truth, rtol=1e-3, atol=1e-12)
+
+
 def test_missing_samples_and_a_missing_axis(site):
     rng = np.random.default_rng(7)
     samples = tones([FIELD_T], [0.3], rng=rng)
