@@ -6,8 +6,11 @@ to the same sensor again, whatever its node or port is by then.
 
 from __future__ import annotations
 
+import fcntl
+import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -96,10 +99,29 @@ def kept_before(path: Path) -> dict[str, KeptSensor]:
 
 
 def keep(path: Path, kept: KeptSensor) -> None:
-    """Write a sensor to a file, in place of what that says of the same board; other sensors stay."""
-    sensors = kept_before(path)
-    sensors[kept.unique_id] = kept
-    write_file(path, _text(sensors.values()).encode(), "the file of sensors", force=True)
+    """Write a sensor to a file, in place of what that says of the same board; other sensors stay.
+
+    Several boards may be calibrated at once: their folder is locked meanwhile, so that each finds what the others kept.
+    """
+    with _one_at_a_time(path.absolute().parent):
+        sensors = kept_before(path)
+        sensors[kept.unique_id] = kept
+        write_file(path, _text(sensors.values()).encode(), "the file of sensors", force=True)
+
+
+@contextmanager
+def _one_at_a_time(folder: Path) -> Iterator[None]:
+    try:
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError:  # a folder that cannot be read: what is wrong is told when the file is written
+        yield
+        return
+    try:
+        with suppress(OSError):  # some network folders have no locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
 
 
 def checked_id(text: str) -> str:

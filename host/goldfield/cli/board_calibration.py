@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, tell
 from goldfield.nodes import opening
 from goldfield.nodes.conversation import Conversation, Tap
 from goldfield.types import FloatArray
@@ -65,9 +65,39 @@ def read(kind: str, where: str, node: int | None) -> BoardCalibration:
         return BoardCalibration(number, ids[0], numbers[:3], numbers[3:].reshape(3, 3))
 
 
-def write(kind: str, where: str, node: int, zero: FloatArray, matrix: FloatArray) -> None:
-    """Set a board's zero and matrix; `SystemFailure` if it refuses or does not answer."""
+def write(kind: str, where: str, before: BoardCalibration, zero: FloatArray, matrix: FloatArray) -> None:
+    """Set a board's zero and matrix: all twelve numbers, or none.
+
+    A board has no way to take them at once. If it refuses one or does not answer, or at Ctrl-C, it is given back what
+    it had ``before``: part of a calibration is worse than none.
+
+    Raises
+    ------
+    SystemFailure
+        If the board refuses or does not answer.
+    """
     with closing(Tap(opening.open_link(kind, where))) as tap:
         conversation = Conversation(tap)
-        for (parameter, element), value in zip(_elements(), [*zero, *matrix.ravel()], strict=True):
-            conversation.set(node, parameter.identifier(element), float(value), parameter.kind)
+        try:
+            _set(conversation, before.node, zero, matrix)
+        except BaseException:
+            _give_back(conversation, before)
+            raise
+
+
+def _give_back(conversation: Conversation, before: BoardCalibration) -> None:
+    try:
+        _set(conversation, before.node, before.zero, before.matrix)
+    except (SystemFailure, KeyboardInterrupt):
+        tell(
+            f"node {before.node} may have part of a new calibration, and could not be given its old one: reset it, or "
+            "calibrate it again",
+            failure=True,
+        )
+    else:
+        tell(f"node {before.node} has its old calibration again", failure=True)
+
+
+def _set(conversation: Conversation, node: int, zero: FloatArray, matrix: FloatArray) -> None:
+    for (parameter, element), value in zip(_elements(), [*zero, *matrix.ravel()], strict=True):
+        conversation.set(node, parameter.identifier(element), float(value), parameter.kind)

@@ -68,13 +68,14 @@ def sensor(arguments: argparse.Namespace) -> int:
     if before is not None:
         record["unique_id"] = unique_id
         zero, matrix = corrected(before.zero, before.matrix, found.axes, found.offset_T)
-        if arguments.write:
-            board_calibration.write(kind, where, before.node, zero, matrix)
         record["written"] = bool(arguments.write)
     if arguments.sensors and unique_id is not None:
         values = (None, None) if before is None else (zero, matrix)
         offset_T = np.full(3, np.nan) if found.offset_T is None else found.offset_T
         keep(Path(arguments.sensors), KeptSensor(unique_id, found.axes, offset_T, *_deviations(found), *values))
+    if arguments.write and before is not None:  # only once the values are kept: a reset of the board loses them
+        board_calibration.write(kind, where, before, zero, matrix)
+        tell(f"board {before.unique_id}, node {before.node}, has the new calibration")
     if arguments.out:
         # What is written to the board needs no undoing by the host.
         axes = found.axes if not arguments.write else None if site.sensor.axes is None else np.eye(3)
@@ -213,7 +214,7 @@ def restore(arguments: argparse.Namespace) -> int:
         raise UserError(
             f"{arguments.sensors}: has no values for the board {board.unique_id} (node {board.node}): calibrate it"
         )
-    board_calibration.write(kind, where, board.node, found.zero, found.calibration)
+    board_calibration.write(kind, where, board, found.zero, found.calibration)
     print(f"written to board {board.unique_id}, node {board.node}: {board_calibration.HOLDS}")
     return 0
 

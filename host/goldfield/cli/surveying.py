@@ -61,10 +61,12 @@ def make_survey(arguments: argparse.Namespace) -> int:
     walk = _epochs(arguments, site, anchors, survey_of)
     result = survey_of(walk)
     text = revised(Path(path), *revisions(site, result), metal=_new_metal(site, result))
-    write_file(out, text.encode(), "the new site file", force=arguments.force)
-    if arguments.map:
-        write_file(arguments.map, _residual_map(site, result, walk), "the residual map", force=arguments.force)
-    print(json_line(record(result)) if arguments.json else table_of(site, result))
+    try:
+        write_file(out, text.encode(), "the new site file", force=arguments.force)
+        if arguments.map:
+            write_file(arguments.map, _residual_map(site, result, walk), "the residual map", force=arguments.force)
+    finally:  # a walk must not be lost with a full disk
+        print(json_line(record(result)) if arguments.json else table_of(site, result))
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -16,6 +17,13 @@ AXES = np.array([[1.01, 0.002, -0.003], [0.0, 0.99, 0.004], [0.0, 0.0, 1.02]])
 
 def kept(unique_id, **values):
     return KeptSensor(unique_id, AXES, np.array([1e-6, 2e-6, 3e-6]), 1e-3, 2e-4, **values)
+
+
+def test_several_boards_are_kept_at_once_and_none_is_lost(tmp_path):
+    ids = [f"{number:024x}" for number in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(lambda unique_id: keep(tmp_path / "sensors.toml", kept(unique_id)), ids))
+    assert set(load_kept(tmp_path / "sensors.toml")) == set(ids)
 
 
 def test_a_corrected_board_reads_the_field():
