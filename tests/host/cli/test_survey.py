@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from goldfield import site as sites
-from goldfield.cli import main
+from goldfield.cli import main, surveying
+from goldfield.errors import SystemFailure
 from goldfield.sensor.fields_table import FieldsWriter
 from tests.bench.integrity_sites import text_of
 from tests.bench.survey_trials import ASTRAY, cube, trial
@@ -83,6 +84,18 @@ def test_options_without_effect_are_told(room, tmp_path, capsys):
     folder, _ = room
     assert main(arguments(folder, tmp_path / "new.toml", "--seconds", "20", "--enough", "0.01")) == 0
     assert "goldfield: --seconds and --enough have no effect with FIELDS.csv" in capsys.readouterr().err.splitlines()
+
+
+def test_a_full_disk_does_not_lose_what_was_found(room, tmp_path, capsys, monkeypatch):
+    def full(path, data, what, *, force=False):
+        raise SystemFailure(f"{path}: {what} cannot be written: No space left on device")
+
+    monkeypatch.setattr(surveying, "write_file", full)
+    folder, _ = room
+    assert main(arguments(folder, tmp_path / "new.toml", "--json")) == 3
+    captured = capsys.readouterr()
+    assert "the new site file cannot be written: No space left" in captured.err
+    assert "b0.x_m" in json.loads(captured.out)["parameters"]
 
 
 def test_an_unknown_kind_is_told(room, tmp_path, capsys):
