@@ -58,6 +58,7 @@ typedef struct {
  * present; earlier times act at once. */
 typedef struct board board_t;
 typedef enum { BOARD_OK = 0, BOARD_FAULT = 1 } board_status_t;
+enum { BOARD_CAN_LISTENS = 3 }; /* In place of a mailbox. */
 
 typedef struct {
     /* Run up to (not including) until_ps. It is exact: run(10 ms) equals ten run(1 ms). Returns BOARD_FAULT if the
@@ -75,6 +76,10 @@ typedef struct {
     /* The frame of the board's own mailbox has been transmitted at time_ps (ok: the end of end of frame), or has failed
      * for want of an acknowledging node. */
     void (*can_sent)(board_t *board, unsigned mailbox, bool ok, int64_t time_ps);
+    /* A bit error destroyed a frame on the network, and the delimiter of the error flag ended at time_ps. mailbox is
+     * the board's own that was sending, or BOARD_CAN_LISTENS. NULL: the board counts no errors; a frame of its own then
+     * fails by can_sent. */
+    void (*can_error)(board_t *board, unsigned mailbox, int64_t time_ps);
     /* Returns why the board stopped, or the violations so far; NUL-terminated, valid until the next call. */
     const char *(*report)(const board_t *board);
     /* Free the board; NULL does nothing. */

@@ -91,6 +91,7 @@ const board_operations_t emulator_operations = {
     .uart_in = inputs_uart,
     .can_in = inputs_can,
     .can_sent = inputs_can_sent,
+    .can_error = inputs_can_error,
     .report = emulator_report,
     .destroy = emulator_destroy,
 };

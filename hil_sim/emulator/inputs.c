@@ -5,7 +5,15 @@
 #include "emulator/machine_internal.h"
 #include "emulator/peripherals/outside.h"
 
-typedef enum { INPUT_PIN, INPUT_UART, INPUT_CAN, INPUT_CAN_SENT, INPUT_CRYSTAL, INPUT_SUPPLY } input_kind_t;
+typedef enum {
+    INPUT_PIN,
+    INPUT_UART,
+    INPUT_CAN,
+    INPUT_CAN_SENT,
+    INPUT_CAN_ERROR,
+    INPUT_CRYSTAL,
+    INPUT_SUPPLY
+} input_kind_t;
 
 struct machine_input {
     machine_event_t event;
@@ -38,6 +46,9 @@ static void arrive(void *context, int64_t time_ps) {
         break;
     case INPUT_CAN_SENT:
         can_frame_sent(machine, copy.number, copy.flag, time_ps);
+        break;
+    case INPUT_CAN_ERROR:
+        can_error_in(machine, copy.number, time_ps);
         break;
     case INPUT_CRYSTAL:
         rcc_crystal_in(machine, copy.flag);
@@ -86,6 +97,10 @@ void inputs_can(board_t *board, const board_frame_t *frame, int64_t time_ps) {
 
 void inputs_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CAN_SENT, .number = mailbox, .flag = ok}, time_ps);
+}
+
+void inputs_can_error(board_t *board, unsigned mailbox, int64_t time_ps) {
+    post(board, &(machine_input_t){.kind = INPUT_CAN_ERROR, .number = mailbox}, time_ps);
 }
 
 void inputs_crystal(board_t *board, bool alive, int64_t time_ps) {

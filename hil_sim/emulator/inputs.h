@@ -13,6 +13,7 @@ void inputs_uart(board_t *board, unsigned uart, uint8_t byte, uint32_t baud, int
 void inputs_can(board_t *board, const board_frame_t *frame, int64_t time_ps);
 void inputs_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps);
 
+void inputs_can_error(board_t *board, unsigned mailbox, int64_t time_ps);
 /* The crystal stops, or oscillates again. */
 void inputs_crystal(board_t *board, bool alive, int64_t time_ps);
 /* The chip's supply (VDD, VDDA) has this voltage from a time on; 3.3 V from power-on. */

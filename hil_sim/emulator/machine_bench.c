@@ -140,6 +140,7 @@ const board_operations_t machine_bench_operations = {
     .uart_in = inputs_uart,
     .can_in = inputs_can,
     .can_sent = inputs_can_sent,
+    .can_error = inputs_can_error,
     .report = bench_report,
     .destroy = bench_destroy,
 };

@@ -1,5 +1,6 @@
 #include "rig/can_bus.h"
 
+#include <math.h>
 #include <stdlib.h>
 
 #include "rig/array.h"
@@ -11,6 +12,7 @@ enum {
     END_OF_FRAME_BITS = 7,
     INTERFRAME_BITS = 3,
     ERROR_BITS = 14, /* Active error flag and delimiter. */
+    FIRST_WRONG_BIT = 50,
     STUFFED_BITS_MAX = 1 + 32 + 6 + 64 + CRC_BITS
 };
 static const uint16_t crc_polynomial = 0x4599; /* x^15 + x^14 + x^10 + x^8 + x^7 + x^4 + x^3 + 1 */
@@ -31,6 +33,10 @@ struct can_bus {
     size_t count, capacity;
     int64_t idle_ps; /* The bus is free from here on. */
     can_statistics_t statistics;
+    double error_probability;
+    uint64_t random; /* State of the sequence that draws errors. */
+    unsigned corrupt;
+    int64_t delay_ps;
 };
 
 /* ---- Length of a frame ---- */
@@ -227,6 +233,42 @@ static bool anybody_else(const can_bus_t *bus, unsigned sender, int64_t time_ps)
     return false;
 }
 
+/* ---- Bit errors ---- */
+
+void can_bus_errors(can_bus_t *bus, double probability, uint64_t seed) {
+    bus->error_probability = probability;
+    bus->random = seed;
+}
+
+void can_bus_corrupt(can_bus_t *bus, unsigned frames) {
+    bus->corrupt = frames;
+}
+
+void can_bus_delay(can_bus_t *bus, int64_t delay_ps) {
+    bus->delay_ps = delay_ps;
+}
+
+/* Uniform in 0 (excluded) to 1: SplitMix64. */
+static double draw(can_bus_t *bus) {
+    uint64_t word = bus->random += 0x9E3779B97F4A7C15u;
+    word = (word ^ word >> 30) * 0xBF58476D1CE4E5B9u;
+    word = (word ^ word >> 27) * 0x94D049BB133111EBu;
+    return ((double)((word ^ word >> 31) >> 11) + 1.0) * 0x1p-53;
+}
+
+/* Where in a frame of so many bits the first wrong bit is; 0: nowhere. */
+static unsigned wrong_bit(can_bus_t *bus, unsigned bits) {
+    unsigned wrong = 0;
+    if (bus->corrupt > 0) {
+        --bus->corrupt;
+        wrong = bits / 2u;
+    } else if (bus->error_probability > 0.0) {
+        const double until = log(draw(bus)) / log1p(-bus->error_probability); /* Right bits before the first wrong. */
+        wrong = until < (double)bits ? (unsigned)until + 1u : 0u;
+    }
+    return wrong != 0 && wrong < FIRST_WRONG_BIT ? (unsigned)FIRST_WRONG_BIT : wrong;
+}
+
 void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *context) {
     int64_t start_ps;
     while (bus->count > 0 && (start_ps = next_start(bus)) < until_ps) {
@@ -241,15 +283,21 @@ void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *
             bits += ERROR_BITS - END_OF_FRAME_BITS - 1; /* From the slot on, in place of delimiter and end of frame. */
             ++bus->statistics.unacknowledged;
         }
+        const unsigned wrong = wrong_bit(bus, bits);
+        if (wrong != 0) {
+            bits = wrong + ERROR_BITS;
+            ++bus->statistics.errors;
+        }
         const int64_t end_ps = start_ps + bus->bit_ps * bits;
         const can_transfer_t transfer = {
             .node = request.node,
             .mailbox = request.mailbox,
             .frame = request.frame,
             .start_ps = start_ps,
-            .valid_ps = end_ps - bus->bit_ps,
+            .valid_ps = end_ps - bus->bit_ps + bus->delay_ps,
             .end_ps = end_ps,
-            .acknowledged = acknowledged,
+            .acknowledged = acknowledged && wrong == 0,
+            .destroyed = wrong != 0,
         };
         bus->idle_ps = transfer.end_ps + bus->bit_ps * INTERFRAME_BITS;
         bus->statistics.busy_ps += bus->idle_ps - start_ps;

@@ -12,8 +12,11 @@
  * bus it fails: after the acknowledgement slot come an error flag (6 bits) and its delimiter (8 bits); the sender is
  * told and decides itself whether to try again.
  *
- * Source: ISO 11898-1:2015, 10.4 (frames), 10.5 (stuffing), 10.6 (errors); frame validation. Left out: bit errors on
- * the wire, delays of transceivers and cable, the sample point (the same for all nodes of one bit timing),
+ * Source: ISO 11898-1:2015, 10.4 (frames), 10.5 (stuffing), 10.6 (errors); frame validation. Bit errors come at a
+ * seeded rate (can_bus_errors) or to chosen frames (can_bus_corrupt): all nodes see one, an error flag of 6 bits and a
+ * delimiter of 8 follow it. They strike from a frame's 50th bit on, so that nobody hears of one before a shortest frame
+ * would have ended. can_bus_delay() lets receivers hear later than the sender: transceivers and cable, .1 to .25 us
+ * on a short bus. Left out: the sample point (the same for all nodes of one bit timing),
  * error-passive nodes' suspended transmission, differences of the nodes' bit clocks. Two nodes that send the same
  * identifier at once (forbidden by 10.4.2.2) are counted; the lower node goes first.
  *
@@ -41,6 +44,7 @@ typedef struct {
     int64_t valid_ps; /* Receivers have the frame. */
     int64_t end_ps;   /* The sender is through. */
     bool acknowledged;
+    bool destroyed; /* By a bit error; end_ps is that of the error flag's delimiter. */
 } can_transfer_t;
 
 /* Called for each transfer, in order of time, from inside can_bus_run(). */
@@ -48,7 +52,8 @@ typedef void (*can_deliver_t)(void *context, const can_transfer_t *transfer);
 
 typedef struct {
     uint64_t frames;         /* Transfers, failed ones included. */
-    uint64_t unacknowledged; /* Transfers that failed. */
+    uint64_t unacknowledged; /* Transfers that failed for want of a listener. */
+    uint64_t errors;         /* Transfers that a bit error destroyed. */
     uint64_t collisions;     /* Two nodes sent the same identifier. */
     int64_t busy_ps;         /* Sum of frames and interframe spaces. */
 } can_statistics_t;
@@ -66,6 +71,15 @@ void can_bus_request(can_bus_t *bus, unsigned node, unsigned mailbox, const boar
 
 /* Withdraw the latest request of a mailbox, unless its frame has started by then. */
 void can_bus_abort(can_bus_t *bus, unsigned node, unsigned mailbox, int64_t time_ps);
+
+/* Each bit is wrong with this probability from now on; the seed decides which. 0: none is. */
+void can_bus_errors(can_bus_t *bus, double probability, uint64_t seed);
+
+/* Destroy the next frames, so many. */
+void can_bus_corrupt(can_bus_t *bus, unsigned frames);
+
+/* Receivers have a frame so many picoseconds later than without transceivers and cable. */
+void can_bus_delay(can_bus_t *bus, int64_t delay_ps);
 
 /* Start every frame that starts before until_ps, and deliver it (its end may lie later). */
 void can_bus_run(can_bus_t *bus, int64_t until_ps, can_deliver_t deliver, void *context);

@@ -33,11 +33,21 @@ static void deliver(void *context, const can_transfer_t *transfer) {
     rig_t *const rig = context;
     for (unsigned board = 0; board < rig->slots; ++board) {
         board_slot_t *const slot = &rig->slot[board];
-        if (board == transfer->node) {
+        if (transfer->destroyed && slot->operations->can_error != NULL) {
+            slot->operations->can_error(slot->instance,
+                                        board == transfer->node ? transfer->mailbox : (unsigned)BOARD_CAN_LISTENS,
+                                        transfer->end_ps);
+        } else if (board == transfer->node) {
             slot->operations->can_sent(slot->instance, transfer->mailbox, transfer->acknowledged, transfer->end_ps);
         } else if (transfer->acknowledged) {
             slot->operations->can_in(slot->instance, &transfer->frame, transfer->valid_ps);
         }
+    }
+    if (transfer->destroyed) {
+        if (transfer->node == rig->slots) { /* The host's adapter tries again. */
+            can_bus_request(rig->bus, transfer->node, transfer->mailbox, &transfer->frame, transfer->end_ps);
+        }
+        return;
     }
     if (rig->config.host_on_can) {
         if (rig->transfer_first > 0 && rig->transfer_first + rig->transfer_count == rig->transfer_capacity) {

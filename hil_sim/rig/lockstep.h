@@ -115,6 +115,10 @@ void rig_serial_write(rig_t *rig, unsigned board, const uint8_t *bytes, size_t c
 bool rig_can_read(rig_t *rig, can_transfer_t *transfer);
 /* The host's adapter asks to send. Returns false if it is not on the bus. */
 bool rig_can_write(rig_t *rig, const board_frame_t *frame);
+/* Bit errors and delay of the bus from now on: see can_bus.h. */
+void rig_can_errors(rig_t *rig, double probability, uint64_t seed);
+void rig_can_corrupt(rig_t *rig, unsigned frames);
+void rig_can_delay(rig_t *rig, int64_t delay_ps);
 void rig_can_statistics(const rig_t *rig, can_statistics_t *statistics);
 
 /* ---- What an observer of the bench sees, between two runs ---- */

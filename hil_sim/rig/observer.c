@@ -30,6 +30,18 @@ bool rig_can_write(rig_t *rig, const board_frame_t *frame) {
     return rig->config.host_on_can;
 }
 
+void rig_can_errors(rig_t *rig, double probability, uint64_t seed) {
+    can_bus_errors(rig->bus, probability, seed);
+}
+
+void rig_can_corrupt(rig_t *rig, unsigned frames) {
+    can_bus_corrupt(rig->bus, frames);
+}
+
+void rig_can_delay(rig_t *rig, int64_t delay_ps) {
+    can_bus_delay(rig->bus, delay_ps);
+}
+
 void rig_can_statistics(const rig_t *rig, can_statistics_t *statistics) {
     can_bus_statistics(rig->bus, statistics);
 }

@@ -31,6 +31,8 @@ FAULTS = (
     *("driver_stuck", "sense_held", "coil_hot", "driver_hot", "pull_downs_lost"),
 )
 """The faults that a board can be given, in the order of ``rig_fault_t``."""
+CAN_COUNTS = ("frames", "unacknowledged", "errors", "collisions", "busy_ps")
+"""The members of ``can_statistics_t``."""
 
 
 @dataclass(frozen=True)
@@ -274,11 +276,39 @@ class Rig:
         if not self._library.rig_can_write(self._rig, self._ffi.new("board_frame_t *", fields)):
             raise UserError("the host's adapter is not on the rig's CAN bus")
 
+    def can_errors(self, probability: float) -> None:
+        """Let each bit on the bus be wrong with a probability from now on; the rig's seed decides which.
+
+        Raises
+        ------
+        UserError
+            If it is no probability below 1.
+        """
+        if not 0.0 <= probability < 1.0:
+            raise UserError(f"the probability of a wrong bit is 0 to below 1, not {probability:g}")
+        self._library.rig_can_errors(self._rig, probability, self.seed)
+
+    def can_corrupt(self, frames: int) -> None:
+        """Destroy the next frames on the bus, so many, each by a wrong bit in its middle."""
+        self._library.rig_can_corrupt(self._rig, frames)
+
+    def can_delay(self, seconds: float) -> None:
+        """Let receivers have each frame later by transceivers and cable: .1 to .25 us on a short bus, 0 by default.
+
+        Raises
+        ------
+        UserError
+            If it is negative or above 1 us, a bit.
+        """
+        if not 0.0 <= seconds <= 1e-6:
+            raise UserError(f"a CAN bus delays a frame by 0 to 1 us, not {seconds * 1e6:g} us")
+        self._library.rig_can_delay(self._rig, round(seconds * 1e12))
+
     def can_statistics(self) -> dict[str, int]:
-        """Return the bus's counts: frames, unacknowledged, collisions, busy_ps."""
+        """Return the bus's counts: frames, unacknowledged, errors, collisions, busy_ps."""
         statistics = self._ffi.new("can_statistics_t *")
         self._library.rig_can_statistics(self._rig, statistics)
-        return {name: int(getattr(statistics, name)) for name in ("frames", "unacknowledged", "collisions", "busy_ps")}
+        return {name: int(getattr(statistics, name)) for name in CAN_COUNTS}
 
     # ---- What an observer sees ----
 

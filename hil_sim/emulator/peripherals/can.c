@@ -107,28 +107,70 @@ void can_interrupts(can_t *c) {
 
 /* ---- Errors ---- */
 
+enum { WARNING = 96, PASSIVE = 128, BUS_OFF = 256 };
+#define RECOVERY_BITS (128 * 11)
+
 void can_errors(can_t *c, unsigned code) {
     uint32_t *const esr = can_value(c, ESR);
-    const unsigned transmit = field(*esr, 16, 8), receive = field(*esr, 24, 8);
     const uint32_t old = *esr;
-    const unsigned worst = transmit > receive ? transmit : receive;
-    *esr = (*esr & 0xFFFF0000u) | code << 4 | (worst >= 96 ? 1u : 0) | (worst >= 128 ? 2u : 0);
+    const unsigned worst = c->transmit_errors > c->receive_errors ? c->transmit_errors : c->receive_errors;
+    *esr = (c->receive_errors & 0xFFu) << 24 | (c->transmit_errors & 0xFFu) << 16 | code << 4 |
+           (worst >= WARNING ? 1u : 0) | (worst >= PASSIVE ? 2u : 0) | (c->bus_off ? BOFF : 0);
     const uint32_t ier = reg(&c->model, IER), risen = *esr & ~old;
-    if (((ier & 0x100u) && (risen & 1u)) || ((ier & 0x200u) && (risen & 2u)) || ((ier & 0x800u) && code != 0)) {
+    if (((ier & 0x100u) && (risen & 1u)) || ((ier & 0x200u) && (risen & 2u)) || ((ier & 0x400u) && (risen & BOFF)) ||
+        ((ier & 0x800u) && code != 0)) {
         *can_value(c, MSR) |= ERRI;
     }
 }
 
-void can_count_transmit(can_t *c, int step) {
-    int count = (int)field(reg(&c->model, ESR), 16, 8) + step;
-    count = count < 0 ? 0 : count > 128 ? 128 : count;
-    *can_value(c, ESR) = (reg(&c->model, ESR) & ~0x00FF0000u) | (uint32_t)count << 16;
+/* Off the bus for 128 times 11 recessive bits: of an idle bus, as frames meanwhile are not looked at. With ABOM the
+ * count begins now, else when the program leaves initialisation mode. */
+static void go_off(can_t *c) {
+    machine_t *const machine = c->model.machine;
+    c->bus_off = true;
+    can_leave_bus(c, machine_now(machine));
+    if ((reg(&c->model, MCR) & ABOM) != 0) {
+        machine_schedule(machine, &c->recover,
+                         machine_now(machine) + llround(RECOVERY_BITS * 1e12 / can_bit_rate(c, false)));
+    }
 }
 
-void can_count_receive(can_t *c, int step) {
-    int count = (int)field(reg(&c->model, ESR), 24, 8) + step;
-    count = count < 0 ? 0 : count > 128 ? 128 : count;
-    *can_value(c, ESR) = (reg(&c->model, ESR) & ~0xFF000000u) | (uint32_t)count << 24;
+static void come_back(can_t *c) {
+    c->bus_off = false;
+    c->transmit_errors = c->receive_errors = 0;
+    can_errors(c, 0);
+}
+
+static void recovered(void *context, int64_t time_ps) {
+    can_t *const c = context;
+    come_back(c);
+    can_submit(c, time_ps);
+    can_interrupts(c);
+}
+
+void can_transmit_failed(can_t *c, bool acknowledge_missing) {
+    if (!acknowledge_missing || c->transmit_errors < PASSIVE) {
+        c->transmit_errors += 8;
+    }
+    if (acknowledge_missing && c->transmit_errors > PASSIVE) {
+        c->transmit_errors = PASSIVE;
+    }
+    if (c->transmit_errors >= BUS_OFF && !c->bus_off) {
+        go_off(c);
+    }
+}
+
+void can_transmit_succeeded(can_t *c) {
+    c->transmit_errors -= c->transmit_errors > 0 ? 1u : 0;
+}
+
+void can_receive_failed(can_t *c) {
+    c->receive_errors += c->receive_errors < PASSIVE ? 1u : 0;
+}
+
+/* RM0090 32.9.2: a receiver that was error passive goes back to 120. */
+void can_receive_succeeded(can_t *c) {
+    c->receive_errors = c->receive_errors >= PASSIVE ? 120u : c->receive_errors - (c->receive_errors > 0 ? 1u : 0);
 }
 
 /* ---- Modes ---- */
@@ -153,6 +195,10 @@ static void mode_reached(void *context, int64_t time_ps) {
     uint32_t *const msr = can_value(c, MSR);
     const uint32_t mcr = reg(&c->model, MCR), old = *msr;
     *msr &= ~(INAK | SLAK);
+    if ((mcr & (INRQ | SLEEP)) == 0 && c->bus_off) {
+        machine_cancel(c->model.machine, &c->recover);
+        come_back(c);
+    }
     *msr |= mcr & INRQ ? INAK : mcr & SLEEP ? SLAK : 0;
     if ((*msr & ~old & SLAK) != 0 && (reg(&c->model, IER) & 0x20000u)) {
         *msr |= SLAKI;
@@ -190,7 +236,7 @@ static void write_control(can_t *c, uint32_t word) {
             model_missing(&c->model, "a network on CAN2");
         }
         check_timing(c);
-        wait = llround(11 * 1e12 / can_bit_rate(c, false));
+        wait = llround((c->bus_off ? RECOVERY_BITS : 11) * 1e12 / can_bit_rate(c, false));
     }
     machine_schedule(machine, &c->mode, now + wait);
 }
@@ -267,6 +313,9 @@ static uint32_t get(model_t *model, uint32_t offset) {
 static void restart(model_t *model) {
     can_t *const c = (can_t *)model;
     machine_cancel(model->machine, &c->mode);
+    machine_cancel(model->machine, &c->recover);
+    c->bus_off = false;
+    c->transmit_errors = c->receive_errors = 0;
     can_transmit_restart(c);
     can_receive_restart(c);
     can_interrupts(c);
@@ -302,6 +351,7 @@ void can_create(chip_t *chip) {
         chip->can[i] = c;
         c->number = i;
         machine_event_init(&c->mode, mode_reached, c);
+        machine_event_init(&c->recover, recovered, c);
         can_transmit_init(c);
         can_receive_init(c);
         model_attach(chip, &c->model, &descriptions[i]);

@@ -36,6 +36,7 @@ enum {
 #define RFLM         8u
 #define NART         0x10u
 #define AWUM         0x20u
+#define ABOM         0x40u
 #define TTCM         0x80u
 #define MASTER_RESET 0x8000u
 /* MSR */
@@ -44,6 +45,8 @@ enum {
 #define ERRI  4u
 #define WKUI  8u
 #define SLAKI 0x10u
+/* ESR */
+#define BOFF 4u
 /* BTR */
 #define LBKM       0x40000000u
 #define SILM       0x80000000u
@@ -68,7 +71,10 @@ struct can {
     received_t fifo[2][3];
     uint64_t orders;
     board_frame_t arriving;
+    unsigned transmit_errors, receive_errors;
+    bool bus_off;
     machine_event_t mode;    /* A change of mode is through. */
+    machine_event_t recover; /* The end of bus-off, if the controller ends it by itself. */
     machine_event_t arrival; /* The frame in arriving is through. */
 };
 
@@ -76,23 +82,29 @@ static inline uint32_t *can_value(can_t *c, uint32_t offset) {
     return &c->model.value[offset / 4];
 }
 static inline bool can_running(const can_t *c) {
-    return c->model.clocked && (reg(&c->model, MSR) & (INAK | SLAK)) == 0;
+    return c->model.clocked && !c->bus_off && (reg(&c->model, MSR) & (INAK | SLAK)) == 0;
 }
 
 /* can.c */
 double can_bit_rate(const can_t *c, bool nominal); /* bit/s; nominal: with a perfect crystal. */
 bool can_rate_fits(const can_t *c);                /* Whether this controller understands the network's bits. */
 bool can_has_pin(const can_t *c, bool transmit);
-void can_interrupts(can_t *c);               /* A flag or an enable has changed. */
-void can_errors(can_t *c, unsigned code);    /* Last error code, warning and passive flags, from the counters. */
-void can_count_transmit(can_t *c, int step); /* Error counters. */
-void can_count_receive(can_t *c, int step);
+void can_interrupts(can_t *c);            /* A flag or an enable has changed. */
+void can_errors(can_t *c, unsigned code); /* Last error code, warning and passive flags, from the counters. */
+/* Error counters (ISO 11898-1, 12.1.4.2). A missing acknowledge does not take an error-passive transmitter further; a
+ * bit error does, and above 255 the controller is off the bus. */
+void can_transmit_failed(can_t *c, bool acknowledge_missing);
+void can_transmit_succeeded(can_t *c);
+void can_receive_failed(can_t *c);
+void can_receive_succeeded(can_t *c);
 
 /* can_transmit.c */
 void can_transmit_init(can_t *c);
 void can_transmit_restart(can_t *c);
 /* Hand over to the network whatever may go now. */
 void can_submit(can_t *c, int64_t time_ps);
+/* The controller went off the bus: what it asked for is withdrawn, and waits for its return. */
+void can_leave_bus(can_t *c, int64_t time_ps);
 void can_withdraw(can_t *c, unsigned mailbox, int64_t time_ps);
 void can_write_mailbox(can_t *c, uint32_t offset, uint32_t word);
 uint32_t can_transmit_status(const can_t *c); /* TSR with CODE and LOW. */

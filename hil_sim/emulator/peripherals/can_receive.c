@@ -74,7 +74,7 @@ static void arrived(void *context, int64_t time_ps) {
     if (!can_running(c)) {
         return;
     }
-    can_count_receive(c, -1);
+    can_receive_succeeded(c);
     can_errors(c, 0);
     can_accept(c, &c->arriving);
     can_interrupts(c);
@@ -106,7 +106,7 @@ void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_p
             c->arriving = *frame;
             machine_schedule(machine, &c->arrival, next_quantum(c, time_ps));
         } else {
-            can_count_receive(c, 1);
+            can_receive_failed(c);
             can_errors(c, 1);
         }
     }

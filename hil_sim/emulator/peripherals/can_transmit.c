@@ -2,7 +2,8 @@
  *
  * A request goes to the edge, and the network answers when the frame is through (can_frame_sent). By identifier (TXFP
  * 0) every waiting mailbox is handed over and the network arbitrates; in order of request (TXFP 1) one at a time. A
- * frame without acknowledge counts 8 transmit errors up to 128 (error passive): so a lone node never goes bus-off.
+ * frame without acknowledge counts 8 transmit errors up to 128 (error passive): so a lone node never goes bus-off. A
+ * bit error goes on to 256, bus-off, where requests wait for the controller's return.
  */
 #include "emulator/peripherals/can.h"
 #include "emulator/peripherals/outside.h"
@@ -10,6 +11,7 @@
 #include <math.h>
 #include <string.h>
 
+enum { FORM_ERROR = 2, BIT_ERROR = 4, SUSPENDED_BITS = 8 }; /* LEC: form, recessive bit. */
 #define ERROR_FRAME_BITS                                                                                               \
     23 /* Flag, delimiter, intermission, suspended transmission of an error-passive node rounded. */
 
@@ -64,7 +66,7 @@ void can_submit(can_t *c, int64_t time_ps) {
         } else if (!can_rate_fits(c)) {
             machine_schedule(c->model.machine, &first->retry,
                              time_ps + llround(ERROR_FRAME_BITS * 1e12 / NETWORK_HZ)); /* Nobody understands it. */
-            can_count_transmit(c, 8);
+            can_transmit_failed(c, true); /* Never off the bus: a choice that keeps the model simple. */
             can_errors(c, 5);
         } else if (edge->can_request && c->number == 0) {
             edge->can_request(edge->context, first->number, &frame, time_ps);
@@ -92,7 +94,11 @@ void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_
     if (mailbox > 2 || !c->mailbox[mailbox].submitted) {
         return; /* Withdrawn meanwhile. */
     }
-    can_count_transmit(c, ok ? -1 : 8);
+    if (ok) {
+        can_transmit_succeeded(c);
+    } else {
+        can_transmit_failed(c, true);
+    }
     can_errors(c, ok ? 0 : 3);
     if (ok) {
         finish(c, mailbox, 2u);
@@ -103,6 +109,46 @@ void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_
     }
     can_submit(c, time_ps);
     can_interrupts(c);
+}
+
+/* RM0090 32.7.6: every node saw the error. A sender tries again after the interframe space, an error-passive one eight
+ * bits later. */
+void can_error_in(machine_t *machine, unsigned mailbox, int64_t time_ps) {
+    can_t *const c = chip_of(machine)->can[0];
+    if (mailbox >= BOARD_CAN_LISTENS) {
+        if (can_running(c) && can_has_pin(c, false) && (reg(&c->model, BTR) & LBKM) == 0) {
+            can_receive_failed(c);
+            can_errors(c, FORM_ERROR);
+            can_interrupts(c);
+        }
+        return;
+    }
+    if (!c->mailbox[mailbox].submitted) {
+        return; /* Withdrawn meanwhile. */
+    }
+    const bool passive = c->transmit_errors >= 128;
+    can_transmit_failed(c, false);
+    can_errors(c, BIT_ERROR);
+    if ((reg(&c->model, MCR) & NART) != 0) {
+        finish(c, mailbox, 8u);
+    } else if (!c->bus_off) {
+        machine_schedule(machine, &c->mailbox[mailbox].retry,
+                         time_ps + (passive ? llround(SUSPENDED_BITS * 1e12 / NETWORK_HZ) : 0));
+    }
+    can_submit(c, time_ps);
+    can_interrupts(c);
+}
+
+void can_leave_bus(can_t *c, int64_t time_ps) {
+    const board_edge_t *const edge = c->model.chip->edge;
+    for (unsigned n = 0; n < 3; n++) {
+        mailbox_t *const m = &c->mailbox[n];
+        if (m->submitted && edge->can_abort && c->number == 0 && m->retry.heap_index < 0) {
+            edge->can_abort(edge->context, n, time_ps);
+        }
+        machine_cancel(c->model.machine, &m->retry);
+        m->submitted = false;
+    }
 }
 
 void can_withdraw(can_t *c, unsigned n, int64_t time_ps) {

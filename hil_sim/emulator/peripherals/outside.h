@@ -19,6 +19,10 @@ void can_frame_in(machine_t *machine, const board_frame_t *frame, int64_t time_p
 /* can_transmit.c: the frame of a mailbox is through (ok), or failed. */
 void can_frame_sent(machine_t *machine, unsigned mailbox, bool ok, int64_t time_ps);
 
+/* can_transmit.c: a frame on the network was destroyed by a bit error, its own mailbox's or another node's
+ * (BOARD_CAN_LISTENS), and the error flag's delimiter ended. */
+void can_error_in(machine_t *machine, unsigned mailbox, int64_t time_ps);
+
 /* rcc.c: the crystal stops, or oscillates again. */
 void rcc_crystal_in(machine_t *machine, bool alive);
 

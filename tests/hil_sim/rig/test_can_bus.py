@@ -210,3 +210,53 @@ def test_collisions_are_counted(lib):
     lib[1].can_bus_statistics(bus.bus, statistics)
     assert statistics.collisions == 1
     assert [node for node, *_ in bus.seen] == [1, 2]
+
+
+# ---- Bit errors and delay ----
+
+
+def test_a_corrupted_frame_ends_with_an_error_flag(lib):
+    bus = Bus(lib)
+    bits = bus.request(0, 0x500, 0) // BIT
+    bus.request(1, 0x600, 10)
+    lib[1].can_bus_corrupt(bus.bus, 1)
+    bus.run(10**12)
+    wrong = max(50, bits // 2)
+    assert bus.seen[0] == (0, 0x500, 0, (wrong + 14) * BIT, False)
+    assert bus.seen[1][:3] == (1, 0x600, (wrong + 14 + 3) * BIT)
+    assert bus.seen[1][4]
+    statistics = lib[0].new("can_statistics_t *")
+    lib[1].can_bus_statistics(bus.bus, statistics)
+    assert (statistics.errors, statistics.unacknowledged, statistics.frames) == (1, 0, 2)
+
+
+@pytest.mark.parametrize("probability", [1e-3, 1e-2])
+def test_bit_errors_come_at_their_rate_and_follow_their_seed(lib, probability):
+    runs = []
+    for seed in (1, 1, 2):
+        bus = Bus(lib)
+        lib[1].can_bus_errors(bus.bus, probability, seed)
+        for turn in range(2000):
+            bits = bus.request(0, 0x500, turn * 10**9) // BIT
+            bus.run((turn + 1) * 10**9)
+        runs.append([ended[4] for ended in bus.seen])
+    assert runs[0] == runs[1] != runs[2]
+    expected = 2000 * (1 - (1 - probability) ** bits)
+    assert abs(runs[0].count(False) - expected) < 4 * np.sqrt(expected)
+
+
+def test_no_errors_unless_asked_for(lib):
+    bus = Bus(lib)
+    for turn in range(200):
+        bus.request(0, 0x500, turn * 10**9)
+    bus.run(10**12)
+    assert all(ended[4] for ended in bus.seen)
+
+
+def test_transceivers_delay_receivers_and_not_the_sender(lib):
+    bus = Bus(lib)
+    lib[1].can_bus_delay(bus.bus, 250_000)
+    end = bus.request(0, 0x500, 0)
+    bus.run(10**12)
+    assert bus.valid_ps == [end - BIT + 250_000]
+    assert bus.seen[0][3] == end

@@ -48,3 +48,30 @@ def test_a_crystal_stops_while_the_board_runs(tmp_path, by_scenario):
         rig.advance(0.01)
         cycles = rig.statistics(board)["cycles"] - before
     assert cycles == pytest.approx(84e3, rel=0.02) or cycles == pytest.approx(160e3, rel=0.02)
+
+
+def test_frames_are_destroyed_as_many_as_asked(tmp_path):
+    """A destroyed frame reaches nobody; fake boards, which count no errors, learn that theirs failed."""
+    with Rig(small(tmp_path), FakeBoards()) as rig:
+        rig.advance(0.005)
+        before = len(rig.can_read())
+        rig.can_corrupt(2)
+        rig.can_delay(2e-7)
+        rig.advance(0.005)
+        counts = rig.can_statistics()
+        assert counts["errors"] == 2
+        assert before + len(rig.can_read()) == counts["frames"] - 2
+        with pytest.raises(UserError, match="0 to below 1"):
+            rig.can_errors(1.0)
+        with pytest.raises(UserError, match="0 to 1 us, not 2 us"):
+            rig.can_delay(2e-6)
+
+
+def test_the_hosts_frames_are_sent_again(tmp_path):
+    with Rig(small(tmp_path), FakeBoards()) as rig:
+        rig.advance(0.005)
+        rig.can_read()
+        rig.can_corrupt(5)  # The host's has the lowest identifier: it is among them.
+        rig.can_write(1, b"host")
+        rig.advance(0.005)
+        assert [frame.data for frame in rig.can_read() if frame.board == rig.host_node] == [b"host"]
