@@ -120,6 +120,12 @@ static void write_cr2(unit_t *u, uint32_t value) {
         u->no_more_requests = false;
     }
     listen(adc_of(u));
+    if ((value & JSWSTART) && field(value, 20, 2) != 0) {
+        machine_violation(machine,
+                          "%s: JSWSTART while an external trigger of the injected group is armed (JEXTEN): the next "
+                          "trigger may convert another channel",
+                          model_name(&u->model));
+    }
     if ((value & JSWSTART) && !adc_follows(u, INJECTED)) {
         adc_start_injected(u, machine_now(machine));
     }
