@@ -138,8 +138,6 @@ static void streams_start(const hal_t *hal) {
     stream_start(&DMA1->S[2], &TIM3->CCR2, hal->sync_levels, RING_CHIPS, DMA_S0CR_CHSEL_5 | HALF_WORDS);
     stream_start(&DMA1->S[5], &DAC->DHR12RD, hal->set_points, RING_CHIPS, DMA_S0CR_CHSEL_7 | WORDS);
     TIM1->DIER |= TIM_DIER_CC4DE;
-    TIM8->DIER |= TIM_DIER_UDE | TIM_DIER_CC1IE;
-    TIM3->DIER |= TIM_DIER_UDE;
 }
 
 /* Puts an entry of the rings, of those that are for two chips ahead, into the preloads. */
@@ -171,6 +169,24 @@ void sync_wire_start(void) {
     TIM3->CCER = TIM_CCER_CC2E;
 }
 
+/* Starts the counters together, to a few ticks in chip 0. The slaves' levels of chip 0 appear now and not before: one
+ * is the sync wire. Their requests are on only behind that, which is an update, too. */
+static void counters_start(hal_t *hal) {
+    const uint32_t primask = interrupts_off();
+    hal_led(hal, true);
+    TIM1->CR1 = TIM_CR1_ARPE | TIM_CR1_CEN;
+    TIM3->EGR = TIM_EGR_UG;
+    TIM3->CR1 = TIM_CR1_CEN;
+    TIM8->EGR = TIM_EGR_UG;
+    TIM8->CR1 = TIM_CR1_CEN;
+    TIM3->SR = 0;
+    TIM8->SR = 0;
+    TIM3->DIER |= TIM_DIER_UDE;
+    TIM8->DIER |= TIM_DIER_UDE | TIM_DIER_CC1IE;
+    preload_slaves(hal, RING_CHIPS - 1u); /* For chip 1. */
+    interrupts_restore(primask);
+}
+
 void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     if (hal->clock == HAL_CLOCK_SLOW)
         return;
@@ -184,15 +200,10 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     TIM1->CCR2 = hal->edges[RING_CHIPS - 1u].inputs[1];
     preload_slaves(hal, RING_CHIPS - 2u);
     TIM1->EGR = TIM_EGR_UG; /* The preloads become shadows, for chip 0. */
-    TIM8->EGR = TIM_EGR_UG;
-    TIM3->EGR = TIM_EGR_UG;
+    TIM1->SR = 0;
     /* Without a trigger the DAC's outputs have followed at once. */
     DAC->CR |= DAC_CR_TEN1 | DAC_CR_TEN2 | DAC_CR_DMAEN1;
-    preload_slaves(hal, RING_CHIPS - 1u); /* For chip 1. */
     plan_block(hal, 1);
-    TIM1->SR = 0;
-    TIM8->SR = 0;
-    TIM3->SR = 0;
     streams_start(hal);
     if (hal_role_drives(role))
         bridge_arm();
@@ -200,12 +211,7 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     interrupt_enable(IRQ_DMA2_STREAM1, PRIORITY_NORMAL);
     interrupt_enable(IRQ_TIM8_CC, PRIORITY_STAMP);
     interrupt_enable(IRQ_ADC, PRIORITY_DRIVE);
-    const uint32_t primask = interrupts_off(); /* The counters start together, to a few ticks in chip 0. */
-    hal_led(hal, true);
-    TIM1->CR1 = TIM_CR1_ARPE | TIM_CR1_CEN;
-    TIM8->CR1 = TIM_CR1_CEN;
-    TIM3->CR1 = TIM_CR1_CEN;
-    interrupts_restore(primask);
+    counters_start(hal);
 }
 
 /* A block boundary has come. The flags of stream 1 alternate: half at the start of odd blocks, complete at that of
