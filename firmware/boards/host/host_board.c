@@ -89,6 +89,7 @@ static void pin_changed(hal_t *hal, uint32_t pin, bool level) {
         hal->fault_level = level;
         if (falling) {
             host_pin_write(hal, PIN_ENABLE, false);
+            host_bridges_write(hal);
             if (hal->engine.running && hal->engine.events.fault) {
                 hal->engine.events.fault(hal->engine.events.context, HAL_FAULT_DRIVER);
             }

@@ -84,14 +84,11 @@ static void set_point_write(hal_t *hal, unsigned channel, uint16_t count) {
 }
 
 static void start_chip(hal_t *hal) {
-    static const unsigned bridges[HAL_CHANNELS] = {PIN_BRIDGE_0, PIN_BRIDGE_1};
     engine_t *engine = &hal->engine;
     const hal_plan_t *plan = &engine->plan[engine->block & 1];
     const uint32_t drive = plan->drive[engine->chip_in_block];
+    host_bridges_write(hal);
     for (unsigned channel = 0; channel < HAL_CHANNELS; channel++) {
-        const uint32_t bridge = drive >> HAL_DRIVE_BITS * channel & 3u;
-        host_pin_write(hal, bridges[channel], bridge == HAL_DRIVE_POSITIVE);
-        host_pin_write(hal, bridges[channel] + 1, bridge == HAL_DRIVE_NEGATIVE);
         if (hal_role_drives(engine->role)) {
             set_point_write(hal, channel, plan->set_point[channel][engine->chip_in_block]);
         }

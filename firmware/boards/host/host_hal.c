@@ -22,6 +22,18 @@ void host_pin_write(hal_t *hal, unsigned pin, bool level) {
     }
 }
 
+void host_bridges_write(hal_t *hal) {
+    static const unsigned bridges[HAL_CHANNELS] = {PIN_BRIDGE_0, PIN_BRIDGE_1};
+    const engine_t *engine = &hal->engine;
+    const bool on = engine->running && hal->pin_out[PIN_ENABLE];
+    const uint32_t drive = on ? engine->plan[engine->block & 1].drive[engine->chip_in_block] : 0u;
+    for (unsigned channel = 0; channel < HAL_CHANNELS; channel++) {
+        const uint32_t bridge = drive >> HAL_DRIVE_BITS * channel & 3u;
+        host_pin_write(hal, bridges[channel], bridge == HAL_DRIVE_POSITIVE);
+        host_pin_write(hal, bridges[channel] + 1, bridge == HAL_DRIVE_NEGATIVE);
+    }
+}
+
 /* ---- Chip engine and drive ---- */
 
 void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
@@ -52,6 +64,7 @@ bool hal_drive_enable(hal_t *hal, bool enable) {
         hal->engine.unmeasured = 0;
     }
     host_pin_write(hal, PIN_ENABLE, on);
+    host_bridges_write(hal);
     return on == enable;
 }
 

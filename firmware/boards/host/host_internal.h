@@ -123,6 +123,9 @@ int64_t host_tick(const hal_t *hal);
 /* Set an output, and tell the outside if its level changes. */
 void host_pin_write(hal_t *hal, unsigned pin, bool level);
 
+/* Gives the bridges' inputs the levels of the present chip, or, with the drive off, none: they follow the enable. */
+void host_bridges_write(hal_t *hal);
+
 /* Returns the tick at which the engine's next event is due. */
 int64_t host_engine_tick(const engine_t *engine);
 
