@@ -37,7 +37,7 @@ struct {
     uint32_t currents_right, currents_wrong;
     uint32_t monitors_right, monitors_wrong;
     uint32_t enabled, refused, faults[3], fault_line;
-    uint32_t temperature, happened;
+    uint32_t temperature, happened, received;
     uint32_t ports[3][4]; /* MODER, PUPDR, AFRL, AFRH of GPIOA to GPIOC. */
     uint32_t syncs, sync_chip[SYNCS], sync_ticks[SYNCS];
     hal_counters_t counters;
@@ -202,6 +202,9 @@ int main(void) {
                 happens = NOTHING;
             }
         }
+        uint8_t bytes[64];
+        for (size_t count; (count = hal_serial_read(probe.hal, bytes, sizeof bytes)) > 0;)
+            probe.received += (uint32_t)count;
         probe.fault_line = hal_drive_fault(probe.hal);
         if (probe.mode & MASK_INTERRUPTS) { /* Interrupts late by up to 40 us, most of the time. */
             __asm volatile("cpsid i" ::: "memory");

@@ -115,20 +115,6 @@ def test_serial_input_at_full_rate_loses_nothing(board, role):
     assert len(values(b.serial_messages())) == questions
 
 
-@pytest.mark.parametrize("role", ["beacon", "sensor"])
-def test_serial_input_behind_a_pause_of_any_length_loses_nothing(board, role):
-    """An idle line of a byte's length is where a handler that reads DR would take the next byte away from DMA."""
-    b = board(role)
-    b.run(30)
-    frame, at_ms, count = encode_frame(*GET_NODE), 31.0, 0
-    for pause_ns in range(4900, 5900, 12):
-        b.send_serial(frame, at_ms)
-        at_ms += len(frame) * 0.005 + pause_ns * 1e-6
-        count += 1
-    b.run(at_ms + 20)
-    assert len(values(b.serial_messages())) == count
-
-
 def test_without_a_can_bus_serial_runs_and_errors_are_counted(board):
     b = board("sensor", bus=False)
     b.run(1350)

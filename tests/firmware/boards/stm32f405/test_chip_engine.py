@@ -33,7 +33,17 @@ TICK_PS = 1e12 / 168e6
 FIELDS = (
     *("hal", "mode", "planned", "plan_out_of_order", "samples_right", "samples_wrong", "blocks_lost"),
     *("samples_out_of_order", "sampled", "currents_right", "currents_wrong", "monitors_right", "monitors_wrong"),
-    *("enabled", "refused", "fault_driver", "fault_stale", "fault_clock", "fault_line", "temperature", "happened"),
+    *(
+        "enabled",
+        "refused",
+        "fault_driver",
+        "fault_stale",
+        "fault_clock",
+        "fault_line",
+        "temperature",
+        "happened",
+        "received",
+    ),
 )
 COUNTERS = ("serial_overruns", "can_errors", "can_overruns", "late_blocks", "converter_overruns", "watchdog_resets")
 CHIPS = 700
@@ -149,13 +159,13 @@ class Bench:
 
     def probe(self):
         address = self.board.symbols["probe"]
-        words = struct.unpack("<168I", self.board.memory(address, 4 * 168))
-        result = dict(zip(FIELDS, words[:21], strict=True))
+        words = struct.unpack("<169I", self.board.memory(address, 4 * 169))
+        result = dict(zip(FIELDS, words[:22], strict=True))
         result["temperature"] -= (result["temperature"] >> 31) << 32
-        result["ports"] = [words[21 + 4 * port : 25 + 4 * port] for port in range(3)]
-        result["syncs"] = words[33]
-        result["edges"] = list(zip(words[34:98], words[98:162], strict=True))[: result["syncs"]]
-        result |= zip(COUNTERS, words[162:], strict=True)
+        result["ports"] = [words[22 + 4 * port : 26 + 4 * port] for port in range(3)]
+        result["syncs"] = words[34]
+        result["edges"] = list(zip(words[35:99], words[99:163], strict=True))[: result["syncs"]]
+        result |= zip(COUNTERS, words[163:], strict=True)
         return result
 
 
@@ -296,6 +306,22 @@ def test_sync_edges(bench, mode, happens):
     assert min(late) > -20
     assert max(late) < 20
     assert max(late) - min(late) <= 2
+
+
+def test_serial_input_under_long_handlers_loses_nothing(bench):
+    """Bursts of 80 bytes, with an idle line before, while block handlers of 300 us hold everything up."""
+    b = bench(0, LONG_BLOCKS)
+    assert b.run(1), b.board.report()
+    sent = 0
+    for block in range(2, 42):
+        start = b.zero_ps + round(block * 31 * 16415 * TICK_PS) + block * 120_000
+        assert b.board.run(start), b.board.report()
+        for i in range(80):
+            b.board.uart_in(3, i, 2_000_000, start + (0 if i == 0 else 20 + 5 * i) * 1_000_000)
+        sent += 80
+    assert b.board.run(start + 5_000_000_000), b.board.report()
+    result = b.probe()
+    assert (result["received"], result["serial_overruns"]) == (sent, 0)
 
 
 def test_a_plan_that_comes_a_block_late_is_counted_once(bench):
