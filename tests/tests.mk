@@ -48,6 +48,11 @@ location-map: $(BUILD)/venv.stamp ## Draw docs/location.png: error map, error ag
 
 .PHONY: location-map
 
+drive-figures: all ## Measure how exact a beacon's current is, by waveform and error of its driver (DRIVE="--hours 1": does it trip?)
+	@$(PYTHON) -m tests.bench.drive_figures $(DRIVE)
+
+.PHONY: drive-figures
+
 track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a moving sensor (several minutes)
 	@$(PYTHON) -m tests.bench.track_figures
 

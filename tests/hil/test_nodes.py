@@ -131,6 +131,28 @@ def test_another_board_is_not_reset(nodes):
     assert "name one of them with --id" in told
 
 
+def test_a_beacon_that_was_switched_off_says_why_and_drives_again_when_it_is_cleared(nodes, rig):
+    rig.fault(4, "driver")
+    rig.advance(1.5)
+    _, out, _ = nodes()
+    told = " ".join(out.split())
+    assert "channel 0 is off: the driver pulled its fault pin; when that is mended: goldfield nodes clear 4" in told
+    code, _, told = nodes("clear", "4")
+    assert code == 3
+    assert "node 4 keeps its drive off, as the cause lasts" in told
+    nodes("set", "4", "amplitude", "10")
+    assert rig.coil_current_A(4) == 0.0
+    rig.fault(4, "driver", active=False)
+    rig.advance(0.1)
+    code, out, _ = nodes("clear", "4")
+    assert (code, out) == (0, "node 4 may drive again: after repeated faults it waits a while before it does\n")
+    rig.advance(1.5)
+    (line,) = [line for line in map(json.loads, nodes("--json")[1].splitlines()) if line["node"] == 4]
+    jsonschema.validate(line, schema("node"))
+    assert line["health"][0]["cause"] == "none"
+    assert line["drives"][0]["enabled"]
+
+
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [

@@ -6,7 +6,7 @@
 #define REFERENCE_MAX   4095   /* Largest set-point, counts. */
 #define KEPT_RAMPING    0.875f /* Share of the old sums that is kept block after block. */
 #define KEPT_HOLDING    0.96875f
-#define PRIOR           4.0f     /* Chips that asked for nothing and got nothing. */
+#define PRIOR           1.0f     /* Chips that asked for nothing and got nothing. */
 #define ADAPTED         0.25f    /* Largest change of the set-point from that of a driver without error. */
 #define OFFSET_SHARE    0.1f     /* Largest offset, of the amplitude. */
 #define ONE             65536.0f /* The factor 1 with 16 fractional bits. */

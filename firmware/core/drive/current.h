@@ -18,8 +18,8 @@
  * line through what was asked (s, counts of set-point) and what came in that direction (y, counts of sense) by least
  * squares, with old chips forgotten; y = gain s + offset. After every CURRENT_BLOCK_CHIPS driven chips
  *   each sum = kept * itself + that over the block, of 1, s, y, s y, s s; kept 7/8 in the ramp and 31/32 after it;
- *   gain   = (n Ssy - Ss Sy) / (n Sss - Ss Ss),   n = S1 + 4,   offset = (Sy - gain Ss) / n;
- * and a chip of level l asks for (|l| target - offset) / gain. The 4 in n are chips that asked for nothing and got
+ *   gain   = (n Ssy - Ss Sy) / (n Sss - Ss Ss),   n = S1 + 1,   offset = (Sy - gain Ss) / n;
+ * and a chip of level l asks for (|l| target - offset) / gain. The 1 in n is a chip that asked for nothing and got
  * nothing. A waveform whose levels all have one size, as those of one code, cannot tell an offset from a gain and need
  * not: gain = Ssy / Sss, offset = 0. The gain stays within a quarter of a driver's without error, the offset within a
  * tenth of the amplitude. The error falls to 1/e in 25 ms of the ramp and in 0.1 s later on.

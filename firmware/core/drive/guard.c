@@ -13,7 +13,6 @@ bool guard_configure(guard_t *guard, const guard_config_t *config, float sense_A
     }
     const float limit = config->over_current_A / sense_A, mean = config->rms_A / sense_A;
     guard->over_count = limit < (float)MAGNITUDE_MAX ? (uint16_t)limit : (uint16_t)MAGNITUDE_MAX;
-    guard->before = 0;
     guard->excess_scale = (uint32_t)(EXCESS * ONE * reference_A / sense_A);
     guard->excess_count = (uint32_t)(EXCESS_A / sense_A);
     guard->heat_limit = mean > 0.0f ? mean * mean : NO_LIMIT;

@@ -34,7 +34,8 @@ typedef struct {
     float heat, heat_limit, heat_share;
 } guard_t;
 
-/* Take a configuration; reference_A is at most 8 times sense_A. The mean square stays as it is: what is hot stays hot.
+/* Take a configuration; reference_A is at most 8 times sense_A. The mean square stays as it is, since what is hot stays
+ * hot, and so does what the chip before asked for, whose current may still fall.
  * Returns false, with nothing done, if a value is out of range or not a number. */
 bool guard_configure(guard_t *guard, const guard_config_t *config, float sense_A, float reference_A);
 

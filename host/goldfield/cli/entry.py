@@ -41,7 +41,7 @@ COMMANDS = {
     "ports": ("goldfield.cli.ports", "serial ports and CAN interfaces"),
     "doctor": ("goldfield.cli.doctor", "what is wrong, and what to do"),
     "calibrate": ("goldfield.cli.calibrate", "what sensor and coils are really like"),
-    "nodes": ("goldfield.cli.nodes", "who is on a link; parameters, blink, reset"),
+    "nodes": ("goldfield.cli.nodes", "who is on a link; parameters, blink, reset, clear"),
     "samples": ("goldfield.cli.samples", "raw samples of a sensor"),
     "completion": ("goldfield.cli.completion", "completion for bash or zsh"),
     "separate": ("goldfield.cli.separate", "field of each beacon from raw samples"),

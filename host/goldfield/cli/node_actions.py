@@ -12,7 +12,7 @@ from goldfield.cli.output import json_line, number
 from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.heartbeat import ROLES
 from goldfield.link.requests import Value
-from goldfield.nodes.conversation import BLINK, HEARD_S, RESET, Conversation
+from goldfield.nodes.conversation import BLINK, CLEAR, HEARD_S, RESET, Conversation
 from goldfield.nodes.elements import elements_of, parsed, shown
 from goldfield.nodes.elf_lines import ElfLines
 from goldfield.nodes.last_reset import LastReset, words_of
@@ -87,6 +87,7 @@ def node_record(node: Node, image: ElfLines | None = None) -> dict[str, Any]:
         "sync_master": node.syncs > 0,
         "drives": [{"channel": channel, **asdict(drive)} for channel, drive in sorted(node.drives.items())],
         "last_reset": None if node.last_reset is None else _reset_record(node.last_reset, image),
+        "health": [{"channel": channel, **asdict(health)} for channel, health in sorted(node.health.items())],
         "counters": {counter_name(index): count for index, count in sorted(node.counters.items())},
     }
 
@@ -139,8 +140,18 @@ def _words_of(node: Node, image: ElfLines | None) -> Iterator[str]:
             yield f"channel {channel} reports {', '.join(drive.complaints)}"
     if node.last_reset is not None:
         yield from words_of(node.last_reset, image)
+    yield from _kept_off(node)
+    for channel, health in sorted(node.health.items()):
+        if health.headroom_lost:
+            yield f"channel {channel} does not reach its current: its supply is too low, or its amplitude too high"
     if node.counters:
         yield "counted: " + ", ".join(counted(count, counter_name(i)) for i, count in sorted(node.counters.items()))
+
+
+def _kept_off(node: Node) -> Iterator[str]:
+    for channel, health in sorted(node.health.items()):
+        if health.reason is not None:
+            yield f"channel {channel} is off: {health.reason}; {health.remedy(node.number)}"
 
 
 def print_values(conversation: Conversation, arguments: argparse.Namespace, asked: Asked) -> None:
@@ -225,6 +236,9 @@ def set_values(conversation: Conversation, arguments: argparse.Namespace, asked:
         print("it acts only if it is stored: the board reads it at its start, from its page (make flash)")
     else:
         print("it holds until the board's next reset: to keep it, store it in the board's page (make flash)")
+    known = conversation.roster.nodes.get(arguments.node)
+    for text in _kept_off(known) if known is not None else ():
+        print(text)
 
 
 def identify(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
@@ -236,8 +250,8 @@ def identify(conversation: Conversation, arguments: argparse.Namespace, _: Asked
         print(f"the LED of node {arguments.node} blinks for {arguments.blink_s} s")
 
 
-def reset(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
-    """Restart a board, and wait until it says that it has."""
+def _meant(conversation: Conversation, arguments: argparse.Namespace) -> tuple[Node, str]:
+    """Return the node that is meant, and the unique id of its board."""
     number = arguments.node
     conversation.identities(number)
     node = conversation.roster.nodes.get(number)
@@ -249,9 +263,26 @@ def reset(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -
     wanted = found[0] if arguments.unique_id is None else arguments.unique_id.lower()
     if wanted not in found or (len(found) > 1 and arguments.unique_id is None):
         raise UserError(f"node {number} is {' and '.join(found)}: name one of them with --id")
-    restarts = node.restarts
+    return node, wanted
+
+
+def clear_cause(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
+    """Let a beacon's drive go on."""
+    _node, wanted = _meant(conversation, arguments)
+    conversation.command(arguments.node, CLEAR, board=wanted)
+    if arguments.json:
+        print(json_line({"node": arguments.node, "unique_id": wanted, "cleared": True}))
+    else:
+        print(f"node {arguments.node} may drive again: after repeated faults it waits a while before it does")
+
+
+def reset(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
+    """Restart a board, and wait until it says that it has."""
+    number = arguments.node
+    meant, wanted = _meant(conversation, arguments)
+    restarts = meant.restarts
     conversation.command(number, RESET, board=wanted)
-    if not conversation.wait(lambda _: node.restarts > restarts, RESTART_S):
+    if not conversation.wait(lambda _: meant.restarts > restarts, RESTART_S):
         raise SystemFailure(
             f"{conversation.name}: node {number} took the reset, and was not heard since: power it off and on"
         )
@@ -267,4 +298,5 @@ ACTIONS: dict[str | None, Callable[[Conversation, argparse.Namespace, Asked], No
     "set": set_values,
     "identify": identify,
     "reset": reset,
+    "clear": clear_cause,
 }

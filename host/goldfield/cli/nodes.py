@@ -1,4 +1,4 @@
-"""``goldfield nodes``: who is on a link; parameters by name; a board that blinks or restarts.
+"""``goldfield nodes``: who is on a link; parameters by name; a board that blinks, restarts, or drives again.
 
 What takes long to import is imported by `run`, which is called when a node is to be spoken to.
 """
@@ -45,7 +45,13 @@ def command(subparsers: Any) -> None:
         description="Switches a board's coils off and restarts it; --id names one of two boards with one number.",
     )
     reset.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
-    for action in (get, put, blink, reset):
+    clear = actions.add_parser(
+        "clear",
+        help="let a beacon drive again",
+        description="Clears the cause for which a beacon's drive is off; --id names one of two boards with one number.",
+    )
+    clear.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
+    for action in (get, put, blink, reset, clear):
         _add_common(action, nested=True)
         action.add_argument("node", metavar="NODE", type=options.node, help="number of the node")
     get.add_argument("name", metavar="NAME", nargs="?", help="as amplitude or code_list[3]; none: all parameters")

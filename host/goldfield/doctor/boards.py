@@ -178,6 +178,7 @@ def _of_coil(node: Node, channel: int, beacon: Beacon | None) -> Iterator[Check]
     name = f"node {node.number}" + (f" ({beacon.id})" if beacon is not None else "")
     about: dict[str, Any] = {"nodes": (node.number,), "beacons": () if beacon is None else (beacon.id,)}
     complaints = [text for text in drive.complaints if text != UNLOCKED]
+    health = node.health.get(channel)
     if drive.target_A == 0.0:
         yield wrong(
             Fault.OFF,
@@ -187,14 +188,20 @@ def _of_coil(node: Node, channel: int, beacon: Beacon | None) -> Iterator[Check]
             f"{'AMPERES' if beacon is None else f'{abs(beacon.current_A):g}'}; make flash stores it",
             **about,
         )
+    elif health is not None and health.reason is not None:
+        text = f"{name} keeps channel {channel} off: {health.reason}"
+        yield wrong(Fault.DRIVE, "coil", text, health.remedy(node.number), **about)
     elif complaints and drive.locked:
         yield wrong(
             Fault.DRIVE,
             "coil",
             f"{name} reports {', '.join(complaints)} on channel {channel}",
-            "check coil, cable and supply; to start it again set any parameter, as its amplitude",
+            f"check coil, cable and supply; then goldfield nodes clear {node.number}",
             **about,
         )
+    elif health is not None and health.headroom_lost:
+        text = f"{name} does not reach its current on channel {channel}: {drive.current_A:.2f} of {drive.target_A:g} A"
+        yield wrong(Fault.DRIVE, "coil", text, "raise its supply, or lower its amplitude", **about)
     elif beacon is not None and drive.enabled:
         yield from _current(node.number, beacon, drive.current_A)
 

@@ -24,8 +24,10 @@ HEARD_S = 2.2
 PATIENCE_S = 10.0
 """Longest wait for the first heartbeat."""
 
-IDENTITY, BLINK, RESET, LAST_RESET = 0, 1, 2, 4
+IDENTITY, BLINK, RESET, CLEAR, LAST_RESET = 0, 1, 2, 3, 4
 """Numbers of the commands, the index of ``COMMAND``."""
+REFUSED = 2
+"""Status of a command that a node knows and does not carry out."""
 IDENTITY_S = 0.5
 """How long the nodes are waited for that have yet to tell their unique ids or their last resets, s."""
 
@@ -193,14 +195,14 @@ class Conversation:
                 self.wait(known, IDENTITY_S)
 
     def command(self, node: int, command: int, argument: int = 0, board: str | None = None) -> None:
-        """Give a node a command, `BLINK` or `RESET`.
+        """Give a node a command: `BLINK`, `RESET`, or `CLEAR` what keeps its drive off.
 
         Parameters
         ----------
         node, command, argument : int
             ``argument``: seconds to blink.
         board : str, optional
-            Unique id of the board that is meant, which a reset must name.
+            Unique id of the board that is meant, which a reset and a clear must name.
 
         Raises
         ------
@@ -222,6 +224,11 @@ class Conversation:
         else:
             raise SystemFailure(
                 f"{self.name}: node {node} did not answer in {TRIES} tries: see who is there with goldfield nodes"
+            )
+        if answers[0].signals["status"] == REFUSED and command == CLEAR:
+            raise SystemFailure(
+                f"{self.name}: node {node} keeps its drive off, as the cause lasts or was met too often: see it with "
+                "goldfield nodes, and mend it"
             )
         if answers[0].signals["status"]:
             raise SystemFailure(f"{self.name}: node {node} refuses the command: flash it with this version's firmware")

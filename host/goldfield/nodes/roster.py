@@ -15,6 +15,7 @@ from cantools.database.errors import Error as DatabaseError
 from goldfield.link.heartbeat import ROLES, STATE_STARTING, STATES
 from goldfield.link.requests import UNKNOWN, Value, value_of
 from goldfield.link.traffic import BY_MISMATCH, MEANINGLESS, kind_of
+from goldfield.nodes.drive_health import DriveHealth, health_of
 from goldfield.nodes.last_reset import NAME as RESET_REPORT
 from goldfield.nodes.last_reset import LastReset, last_reset
 from goldfield_protocol.messages import Message, decode, mismatch, protocol_hash
@@ -76,6 +77,8 @@ class Node:
         Its error counters that are not zero, by index.
     drives : dict of int to Drive
         Its coil drivers by channel.
+    health : dict of int to DriveHealth
+        How they fare, by channel.
     locked : bool or None
         Whether its chip clock follows the sync signal.
     phase_s : float or None
@@ -106,6 +109,7 @@ class Node:
     protocol: int | None = None
     counters: dict[int, int] = field(default_factory=dict)
     drives: dict[int, Drive] = field(default_factory=dict)
+    health: dict[int, DriveHealth] = field(default_factory=dict)
     locked: bool | None = None
     phase_s: float | None = None
     temperature_degC: float | None = None
@@ -212,6 +216,7 @@ def _take_heartbeat(node: Node, message: Message) -> None:
         node.parameters.clear()
         node.drives.clear()
         node.reset_items.clear()
+        node.health.clear()
         node.syncs = 0
         node.restarts += 1
     elif node.role is not None and before != (role, version, protocol):
@@ -227,6 +232,8 @@ def _take_message(node: Node, message: Message) -> None:
     elif message.name == "DRIVE_STATUS":
         node.drives[message.index] = _drive(message)
         node.locked, node.phase_s = bool(signals["locked"]), signals["phase"] * 1e-9
+    elif message.name == "DRIVE_HEALTH":
+        node.health[message.index] = health_of(message)
     elif message.name == "EPOCH_STATUS":
         node.locked, node.phase_s = bool(signals["locked"]), signals["phase"] * 1e-9
         node.temperature_degC = signals["temperature"]

@@ -180,7 +180,7 @@ def test_a_sagging_supply_is_told_as_on_silicon(make: Callable[..., Board]) -> N
 
 
 def test_a_hung_main_loop_is_not_energised_for_ever_as_on_silicon(make: Callable[..., Board]) -> None:
-    """Whenever the drive is on, main hangs, and the watchdog strikes 0.5 s later: it waits longer, and then for ever."""
+    """Whenever the drive is on, main hangs, and the watchdog strikes 0.5 s later: it waits longer, then for ever."""
     board = make()
     board.run(400 * MS)
     assert len(board.edges(PIN_ENABLE)) == 1

@@ -4,9 +4,11 @@ import can
 import pytest
 
 from goldfield.errors import UserError
+from goldfield.nodes.drive_health import CAUSES
 from goldfield.nodes.elements import elements_of, parsed, shown
 from goldfield.nodes.roster import ECHO_S, Roster
 from goldfield_protocol import encode
+from goldfield_protocol.messages import database
 from tests.host.fake_sensor import cycle_messages, heartbeat
 
 
@@ -33,6 +35,39 @@ def test_a_node_is_what_it_last_said():
 def test_a_restart_forgets_what_was_counted():
     counter = encode("COUNTER", {"counter": 5, "value": 7}, node=100, index=5)
     assert roster_of(counter, heartbeat(state=0)).nodes[100].counters == {}
+
+
+HEALTH = {
+    **{"cause": 7, "locked_out": 0, "headroom_lost": 0, "trips": 2, "wait": 1, "supply": 95.0},
+    **{"coil_temperature": 121.5, "driver_temperature": 40.0, "rms": 8.0, "direct": 0.003},
+}
+
+
+def test_how_a_drive_fares_is_told_in_words_with_what_to_do():
+    health = roster_of(heartbeat(), encode("DRIVE_HEALTH", HEALTH, node=100)).nodes[100].health[0]
+    assert (health.cause, health.trips, health.wait_s) == ("coil_hot", 2, 1)
+    assert (health.supply_V, health.coil_degC, health.driver_degC) == (95.0, 121.5, 40.0)
+    assert health.reason is not None
+    assert "warmer than the parameter coil_hot" in health.reason
+    assert health.remedy(5) == "when that is mended: goldfield nodes clear 5"
+
+
+def test_every_cause_of_the_protocol_has_words():
+    signal = database().get_message_by_name("DRIVE_HEALTH").get_signal_by_name("cause")
+    assert {"none", *CAUSES} == {str(name) for name in signal.choices.values()}
+
+
+def test_a_drive_that_is_locked_out_needs_its_power_taken():
+    message = encode("DRIVE_HEALTH", {**HEALTH, "locked_out": 1, "trips": 5}, node=100)
+    health = roster_of(heartbeat(), message).nodes[100].health[0]
+    assert "5 times in a row" in health.remedy(5)
+    assert "power the board off" in health.remedy(5)
+
+
+def test_nothing_keeps_a_healthy_drive_off():
+    message = encode("DRIVE_HEALTH", {**HEALTH, "cause": 0}, node=100)
+    assert roster_of(heartbeat(), message).nodes[100].health[0].reason is None
+    assert roster_of(message, heartbeat(state=0)).nodes[100].health == {}
 
 
 def test_of_a_node_with_another_protocol_nothing_else_is_understood():

@@ -303,6 +303,16 @@ def test_current_with_the_bridge_off_is_a_fault(core):
         assert lib.current_sample(loop, False, 0, count) == cause, count
 
 
+def test_a_current_that_still_falls_after_a_new_configuration_is_no_fault(core):
+    """A parameter stops the drive a few microseconds before the chip is measured."""
+    _, lib = core
+    loop = running(core)
+    assert lib.current_sample(loop, True, 2560, 2048 + 1280) == 0
+    assert lib.current_configure(loop, core[0].addressof(loop, "config"))
+    assert lib.current_sample(loop, False, 0, 2048 + 1280) == 0
+    assert lib.current_sample(loop, False, 0, 2048 + 1280) == EXCESS
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_current_far_above_what_was_asked_is_a_fault(core, sign):
     """Beyond 1.375 times what this chip or the one before asked for, and half an ampere."""
