@@ -4,9 +4,9 @@ Nothing here makes a pose better than its fields make it. Times are those of the
 
 The clock of a sensor that has lost the sync signal goes on as it last went, its drift with it. The firmware calls it
 locked until the drift that it has learnt could move it by half a microsecond, and at most 100 sync periods (10 s;
-``firmware/core/timing/chip_clock.h``); a longer hold-over is not promised. A report that is not locked is so beyond hold-over by the board's own word, and
-its pose is inconsistent at once. During hold-over a pose keeps its status; only on CAN, where SYNC is heard, can the
-hold-over be told.
+``firmware/core/timing/chip_clock.h``); a longer hold-over is not promised. A report that is not locked is so beyond
+hold-over by the board's own word, and its pose is inconsistent at once. During hold-over a pose keeps its status; only
+on CAN, where SYNC is heard, can the hold-over be told.
 """
 
 from __future__ import annotations

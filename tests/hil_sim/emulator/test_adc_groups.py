@@ -378,6 +378,8 @@ def test_order_after_an_overrun_when_only_its_flag_is_cleared() -> None:
         chip.expect("the order of the results may be shifted")
         chip.close()
     assert orders == {(1, 2, 3, 1, 2, 3), (3, 1, 2, 3, 1, 2), (3, 2, 1, 2, 3, 1)}
+
+
 def test_software_start_beside_an_armed_trigger_is_doubtful(chip: Bench) -> None:
     """The next trigger may convert another channel; without the external trigger nothing is wrong."""
     injected(chip, ADC1, 1)
@@ -387,5 +389,3 @@ def test_software_start_beside_an_armed_trigger_is_doubtful(chip: Bench) -> None
     chip.change(ADC1 + AC2, RISING)
     chip.change(ADC1 + AC2, JSWSTART)
     chip.expect("ADC1: JSWSTART while an external trigger of the injected group is armed (JEXTEN)")
-
-

@@ -1,5 +1,7 @@
 """A crystal that stops and a supply that falls while a beacon drives its coil: the flashable image in the emulator."""
 
+from itertools import pairwise
+
 import pytest
 
 from hil_sim.emulator.emulator import Configuration, Emulator
@@ -48,7 +50,7 @@ def test_a_board_that_lost_its_crystal_keeps_its_baud_rate(driving):
     times = [t for t, _ in driving.serial]
     driving.run(3 * SECOND)
     late = [t for t, _ in driving.serial[len(times) :]]
-    steps = [b - a for a, b in zip(late, late[1:], strict=False)]
+    steps = [b - a for a, b in pairwise(late)]
     assert min(steps) == pytest.approx(5 * US, rel=1e-3)
 
 

@@ -326,7 +326,7 @@ def test_slews_at_most_half_a_chip(core, phase):
 
 
 def drifting_edges(start, cycles, ppm, ppm_per_s, until=None):
-    """Edges of a master whose rate drifts against the follower's, for good or until a cycle, in the follower's ticks."""
+    """Edges of a master whose rate drifts against the follower's, for good or until a cycle, in ticks of the latter."""
     index = np.arange(cycles)
     drifted = index if until is None else np.minimum(index, until)
     rate = 1e-6 * (ppm + 0.1 * ppm_per_s * drifted)
