@@ -203,7 +203,8 @@ class _Choice:
     def completed(self, best: _Candidate) -> _Candidate:
         """Return the candidate with what its metal leaves (`completed`)."""
         self._tell("what the metal leaves", 0.85)
-        return self._of(completed(self._site, self._part, self._free, best.solution, self.around(best)))
+        around = self.around(best)
+        return self._of(completed(self._site, self._part, self._free, best.solution, around, robust=True))
 
     def around(self, best: _Candidate) -> MetalState:
         """Return metal with the centre and the radius of a candidate's polynomials, which it may be without."""

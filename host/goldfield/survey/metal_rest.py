@@ -49,7 +49,15 @@ TOLERANCE = 0.01
 MOST_DOUBLINGS = 30
 
 
-def completed(site: Site, data: SurveyData, free: frozenset[Free], solution: Solution, start: MetalState) -> Solution:
+def completed(
+    site: Site,
+    data: SurveyData,
+    free: frozenset[Free],
+    solution: Solution,
+    start: MetalState,
+    *,
+    robust: bool = False,
+) -> Solution:
     """Return an adjustment with polynomials of the highest degree beside the metal that it has.
 
     Parameters
@@ -60,6 +68,8 @@ def completed(site: Site, data: SurveyData, free: frozenset[Free], solution: Sol
         With metal; its sound epochs, and deviations as they were widened, are taken over.
     start : MetalState
         With the centre and the radius of the polynomials.
+    robust : bool
+        For a solution in which no outliers were looked for.
     """
     problem, state = _with_polynomials(site, data, free, solution, start)
     sound, count = solution.sound, harmonic_count(MOST_DEGREE)
@@ -68,7 +78,8 @@ def completed(site: Site, data: SurveyData, free: frozenset[Free], solution: Sol
     degree = np.repeat(np.arange(MOST_DEGREE), 2 * np.arange(1, MOST_DEGREE + 1) + 1)
     size = problem.prior.sd[own].reshape(-1, count) / FIRST_RELATIVE
     for _ in range(MOST_ROUNDS):
-        kept, last = adjust(problem.of_epochs(sound), state.of_epochs(sound), progress=ROUGH_PROGRESS)
+        some = problem.of_epochs(sound), state.of_epochs(sound)
+        kept, last = adjust(*some, robust=robust, progress=ROUGH_PROGRESS)
         state = with_poses(state, kept, sound)
         covariance = covariance_of(problem, last)
         square = (state.metal.harmonics_T**2 + np.diag(covariance)[own].reshape(size.shape)) / size**2
