@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "services/drive_report.h"
+
 /* ---- Interrupts ---- */
 
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
@@ -52,6 +54,7 @@ void anchor_start(anchor_t *anchor, hal_t *hal) {
 void anchor_step(anchor_t *anchor) {
     node_t *node = &anchor->node;
     drive_step(&anchor->drive);
+    drive_report(&anchor->drive);
     sense_step(&anchor->sense);
     node->state = drive_state(&anchor->drive);
     node_step(node);

@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "services/drive_report.h"
+
 /* ---- Interrupts ---- */
 
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
@@ -45,6 +47,7 @@ void beacon_start(beacon_t *beacon, hal_t *hal) {
 void beacon_step(beacon_t *beacon) {
     node_t *node = &beacon->node;
     drive_step(&beacon->drive);
+    drive_report(&beacon->drive);
     node->state = drive_state(&beacon->drive);
     node_step(node);
     if (node->parameters_changed) {

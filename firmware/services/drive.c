@@ -4,7 +4,6 @@
 
 #include "core/drive/thermistor.h"
 #include "goldfield.h"
-#include "services/drive_report.h"
 
 #define MONITORED_BLOCK 4u    /* With the plan of this block the board's first measurements are there (hal.h). */
 #define MONITORED_BLOCK 4u    /* With the plan of this block the boards' first measurements are there (hal.h). */
@@ -347,7 +346,6 @@ void drive_step(drive_t *drive) {
         send_sync(drive);
     }
     sync_link_answer(&drive->timing->link, node);
-    drive_report(drive);
     node->counters[COUNTER_OVER_CURRENT] = drive->over_current;
     node->counters[COUNTER_OPEN_COIL] = drive->open_coil;
 }

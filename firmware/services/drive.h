@@ -10,8 +10,9 @@
  *                       current_sample, and looks at supply and temperatures. What is wrong with one channel switches
  *                       both bridges off within that chip.
  *      drive_fault      interrupt: the board has switched the bridges off by itself.
- *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, and DRIVE_STATUS,
- *                       once a sync period (sync.h: a cycle, or about 0.1 s of shorter ones).
+ *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, once a sync period
+ *                       (sync.h: a cycle, or about 0.1 s of shorter ones), and clears what it is told to. drive_report
+ *                       (drive_report.h) follows it.
  *      drive_state      main, to tell the board's state.
  *      drive_configure  main, when a parameter has changed.
  *

@@ -62,8 +62,8 @@ typedef struct {
     double driver_delay_s;
     double driver_limit_A; /* The driver's own limit of the current, whatever the loop does; 0: it has none. */
     double ambient_degC;
-    double thermal_resistance_K_per_W; /* Of the coil to the ambient; 0: the coil has the ambient's temperature. */
-    double heat_capacity_J_per_K;      /* Of the coil; above 0 if the thermal resistance is. */
+    double thermal_resistance_K_per_W; /* From coil to ambient; 0: the coil has the ambient's temperature. */
+    double heat_capacity_J_per_K;      /* The coil's; above 0 if the thermal resistance is. */
     double shorted_fraction;           /* Share of the turns that COIL_SHORTED takes away, 0..1, without 1. */
 } coil_config_t;
 

@@ -27,12 +27,6 @@
  * edge->context must outlive the board. Returns NULL if there is no memory or crystal_ppm is out of range. */
 board_t *host_board_create(const host_board_config_t *config, const board_edge_t *edge, int64_t power_on_ps);
 
-typedef enum {
-    HOST_FAILURE_MAIN_HANGS = 0,    /* The main loop does nothing; after a reset the application starts, and hangs. */
-    HOST_FAILURE_CURRENT_STOPS = 1, /* Coil currents are not converted any more. */
-    HOST_FAILURES = 2
-} host_failure_t;
-
 /* Make something fail, or mend it, at the board's present. */
 void host_board_fail(board_t *board, host_failure_t failure, bool active);
 

@@ -14,4 +14,11 @@ typedef struct {
     uint8_t parameter_page[HAL_PARAMETER_PAGE_BYTES];
 } host_board_config_t;
 
+/* What can be made to fail in a running board (host_board_fail). */
+typedef enum {
+    HOST_FAILURE_MAIN_HANGS = 0,    /* The main loop does nothing; after a reset the application starts, and hangs. */
+    HOST_FAILURE_CURRENT_STOPS = 1, /* Coil currents are not converted any more. */
+    HOST_FAILURES = 2
+} host_failure_t;
+
 #endif

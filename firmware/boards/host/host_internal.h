@@ -8,7 +8,7 @@
 #include <stddef.h>
 
 #include "boards/board_edge.h"
-#include "boards/host/host_board.h"
+#include "boards/host/host_config.h"
 
 /* Pins, numbered port * 16 + pin (boards/pinout.md). */
 enum {

@@ -78,8 +78,9 @@ typedef enum { CURRENT_OFF = 0, CURRENT_RAMPING = 1, CURRENT_HOLDING = 2, CURREN
 /* What is known of one direction; private. */
 typedef struct {
     float count, asked, came, product, square; /* The sums that forget, counts of set-point and of sense. */
-    int32_t block_count, block_asked, block_came, block_product, block_square; /* Of the block, at most 31 * 4095^2. */
-    float gain, offset;                                                        /* The line, counts of sense. */
+    int32_t block_count, block_asked, block_came, block_product,
+        block_square;        /* Those of the block, at most 31 * 4095^2. */
+    float gain, offset;      /* The line, counts of sense. */
     uint32_t gain_q;         /* The gain within its limits, 16 fractional bits. */
     int32_t offset_q;        /* The offset and the zero of the sense, counts. */
     volatile uint32_t scale; /* Set-point of level 1 without the offset, 1/16 counts. */
