@@ -74,6 +74,20 @@ void tim_update_enables(tim_t *t, int64_t time_ps) {
     }
 }
 
+/* RM0090, note to the table of output control bits: what belongs to outputs that are not used must be clear. */
+static void check_unused(const tim_t *t) {
+    for (unsigned i = 0; i < t->what->channels; i++) {
+        const unsigned enable = tim_enable_bits(t, i),
+                       idle = field(t->model.value[TIM_CR2 / 4], 8 + 2 * i, i < 3 ? 2 : 1);
+        if (!tim_is_capture(t, i) && (enable & 5u) == 0 && ((enable & 0xAu) != 0 || idle != 0)) {
+            machine_violation(t->model.machine,
+                              "%s_BDTR: MOE set while channel %u has neither CCxE nor CCxNE, but a polarity or idle "
+                              "level",
+                              model_name(&t->model), i + 1);
+        }
+    }
+}
+
 void tim_write_bdtr(tim_t *t, uint32_t value, int64_t time_ps) {
     const uint32_t old = t->model.value[TIM_BDTR / 4];
     value = tim_unlocked(t, TIM_BDTR, value);
@@ -90,6 +104,9 @@ void tim_write_bdtr(tim_t *t, uint32_t value, int64_t time_ps) {
     value &= t->breaking ? ~MOE : ~0u;
     const bool falls = tim_outputs_on(t) && (value & MOE) == 0;
     t->model.value[TIM_BDTR / 4] = value;
+    if ((value & ~old & MOE) != 0) {
+        check_unused(t);
+    }
     if (falls) {
         tim_outputs_idle(t, time_ps);
     } else {

@@ -94,6 +94,8 @@ def test_output_control_bits(
     chip.write(TIM1 + BDTR, moe * MOE | ossi * OSSI | ossr * OSSR)
     other = {"low": "high", "high": "low", "off": "off"} if inverted else {x: x for x in ("low", "high", "off")}
     assert [drives(chip, PA8), drives(chip, PB13)] == [other[oc1], other[oc1n]]
+    if moe and inverted and not main and not complement:
+        chip.expect("has neither CCxE nor CCxNE")
 
 
 def test_preloaded_compares_act_at_the_update(fast_chip: Bench) -> None:
@@ -415,6 +417,17 @@ def test_converters_by_compare(fast_chip: Bench, injected: bool, selection: int,
         chip.run(2 * MICROSECOND)
         assert len(chip.edge.samples) == (number >= channel), number
     chip.write(0x40012000, 0)
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "loud"), [(CCER, 2, True), (CCER, 8, True), (CR2, 1 << 14, True), (CCER, 0xB, False)]
+)
+def test_what_unused_outputs_must_keep_clear(fast_chip: Bench, register: int, value: int, loud: bool) -> None:
+    chip = fast_chip
+    chip.write(TIM1 + register, value)
+    chip.write(TIM1 + BDTR, MOE)
+    if loud:
+        chip.expect("has neither CCxE nor CCxNE, but a polarity or idle level")
 
 
 # ---- Commutation ----
