@@ -53,7 +53,8 @@ struct dma {
     model_t model;
     unsigned number; /* 0: DMA1 */
     dma_stream_t stream[8];
-    bool serving, waiting; /* An item is being moved; another request waits for the end of an item. */
+    bool serving, asked; /* An item is being moved; it has brought about a request. */
+    bool waiting;        /* Requests wait for the end of an item. */
     int64_t busy_until_ps;
     machine_event_t next;
 };

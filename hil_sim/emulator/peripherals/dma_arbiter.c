@@ -69,32 +69,43 @@ static void serve(dma_stream_t *s, dma_source_t source) {
     s->dma->busy_until_ps = machine_now(chip->machine) + s->item_ps;
 }
 
-static void arbitrate(dma_t *dma) {
+/* Serve a stream that asks, or let it wait. alone: no other stream asked when it did, so that only what the item brings
+ * about can be next. */
+static void arbitrate(dma_t *dma, dma_stream_t *s, bool alone) {
     machine_t *const machine = dma->model.machine;
-    while (!dma->serving && !dma->waiting) {
-        dma_stream_t *const s = choose(dma);
-        if (s == NULL) {
-            return;
-        }
-        if (machine_now(machine) < dma->busy_until_ps) {
-            dma->waiting = true;
-            machine_schedule(machine, &dma->next, dma->busy_until_ps);
-            return;
-        }
+    if (machine_now(machine) >= dma->busy_until_ps) {
+        dma->asked = false;
         serve(s, request_of(s));
+        if (alone && !dma->asked && request_of(s) == DMA_NONE) {
+            return;
+        }
+        if (choose(dma) == NULL) {
+            return;
+        }
     }
+    dma->waiting = true;
+    machine_schedule(machine, &dma->next, dma->busy_until_ps);
 }
 
 static void item_done(void *context, int64_t time_ps) {
     dma_t *const dma = context;
     (void)time_ps;
     dma->waiting = false;
-    arbitrate(dma);
+    dma_stream_t *const s = choose(dma);
+    if (s != NULL) {
+        arbitrate(dma, s, false);
+    }
 }
 
 void dma_serve(chip_t *chip, dma_source_t source) {
-    if (chip->lines.stream[source] != NULL) {
-        arbitrate(chip->lines.stream[source]->dma);
+    dma_stream_t *const s = chip->lines.stream[source];
+    if (s == NULL || !chip->lines.high[source]) {
+        return;
+    }
+    if (s->dma->serving) {
+        s->dma->asked = true;
+    } else if (!s->dma->waiting) {
+        arbitrate(s->dma, s, true);
     }
 }
 
