@@ -35,7 +35,8 @@ void core_bus_store_fault(cpu_t *cpu, uint32_t address) {
 
 /* The memory protection unit judges what goes to peripherals. */
 static bool admitted(cpu_t *cpu, const bus_window_t *window, uint32_t address, unsigned size, mpu_access_t access) {
-    if (window->base == PRIVATE_BUS_BASE || protection_allows(cpu, address, size, access)) {
+    if (!mpu_enabled(&cpu->system.mpu) || window->base == PRIVATE_BUS_BASE ||
+        protection_allows(cpu, address, size, access)) {
         return true;
     }
     machine_fault(cpu->machine, "%u-byte %s 0x%08x, which the memory protection unit forbids", size,
@@ -46,8 +47,13 @@ static bool admitted(cpu_t *cpu, const bus_window_t *window, uint32_t address, u
 
 static void access_begin(cpu_t *cpu, uint32_t address, bool write) {
     cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_access_cycle(cpu));
-    cpu->work += cycles_bus(&cpu->cycles, address, write);
-    if (cpu->access_executed == cpu->executed && cpu->fault.exception == 0 && code_is_single_transfer(cpu)) {
+    const bool another = cpu->access_executed == cpu->executed;
+    if (cpu->cycles.table != NULL) {
+        const uint32_t cost = cycles_bus(&cpu->cycles, address, write);
+        cpu->work += cost;
+        cpu->access_cost = cost + (another ? cpu->access_cost : 0);
+    }
+    if (another && cpu->fault.exception == 0 && code_is_single_transfer(cpu)) {
         /* Unicorn splits an access that is not aligned. */
         machine_fault(cpu->machine, "unaligned access near 0x%08x", (unsigned)address);
         core_bus_fault(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNALIGNED, address);

@@ -56,7 +56,7 @@ static void reset(cpu_t *cpu) {
 static void pass_time(cpu_t *cpu) {
     const int64_t next = machine_next_event(cpu->machine);
     cpu->skipped = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) -
-                   (cpu->work >> CYCLE_SHIFT);
+                   (cpu_work(cpu) >> CYCLE_SHIFT);
 }
 
 /* Asleep: the core wakes for an exception that would preempt if PRIMASK were clear. */

@@ -1,7 +1,7 @@
 /* execution.c: how a deadline is met exactly and cheaply.
  *
- * One code hook runs before each instruction and compares work with deadline (a call and a compare, 5 to 10 ns).
- * All else happens when the deadline is reached, in attend(): events fire there, without leaving Unicorn; only
+ * One code hook runs before each instruction and compares executed, or work, with deadline (a call and a compare, 5 to
+ * 10 ns). All else happens when the deadline is reached, in attend(): events fire there, without leaving Unicorn; only
  * exceptions, sleep and the end of a run leave it. A block hook that counts whole blocks would save most of these
  * calls, but Unicorn translates a block with its hooks once and for all, so the blocks near a deadline could not be
  * stepped through without discarding them; and accesses need the program counter, which the code hook keeps.
@@ -75,6 +75,10 @@ static bool must_leave(cpu_t *cpu, uint32_t address) {
         const int64_t next = machine_next_event(machine);
         const uint64_t cycle = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps);
         cpu->deadline = (cycle - cpu->skipped) << CYCLE_SHIFT;
+        if (cpu->cycles.table == NULL) {
+            const uint64_t cost = cpu->cycles.instruction;
+            cpu->deadline = cost == CYCLE ? cycle - cpu->skipped : (cpu->deadline + cost - 1u) / cost;
+        }
     }
     return false;
 }
@@ -91,21 +95,15 @@ static __attribute__((noinline)) bool attend(cpu_t *cpu, uint32_t address) {
     return true;
 }
 
-static inline void begin(cpu_t *cpu, uint32_t address, uint32_t cost) {
-    cpu->history[cpu->executed % HISTORY] = address;
-    cpu->executed++;
-    cpu->begun = cpu->work;
-    cpu->work += cost;
-}
-
 static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void *user) {
     (void)uc;
     (void)size;
     cpu_t *const cpu = user;
-    if (cpu->work >= cpu->deadline && attend(cpu, (uint32_t)address)) {
+    if (cpu->executed >= cpu->deadline && attend(cpu, (uint32_t)address)) {
         return;
     }
-    begin(cpu, (uint32_t)address, cpu->cycles.instruction);
+    cpu->history[cpu->executed % HISTORY] = (uint32_t)address;
+    cpu->executed++;
 }
 
 /* The same where instructions differ in their costs. A branch's refill delays the instruction that it leads to. */
@@ -120,7 +118,9 @@ static void on_instruction_by_class(uc_engine *uc, uint64_t address, uint32_t si
         return;
     }
     cpu->cycles.expected += size;
-    begin(cpu, (uint32_t)address, cycles_of(&cpu->cycles, cpu->machine, (uint32_t)address));
+    cpu->history[cpu->executed % HISTORY] = (uint32_t)address;
+    cpu->executed++;
+    cpu->work += cycles_of(&cpu->cycles, cpu->machine, (uint32_t)address);
 }
 
 static void on_interrupt(uc_engine *uc, uint32_t number, void *user) {

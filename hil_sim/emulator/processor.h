@@ -5,10 +5,10 @@
  * core's own registers), protection.h (what is forbidden), core_bus.h (what lies at which address), execution.h
  * (Unicorn), cpu.h (life, reset and the run of a processor).
  *
- * Time. executed counts instructions, work what they cost (cycles.h), skipped the cycles asleep; the instruction about
- * to run starts at cycle work + skipped. An instruction whose condition fails inside an IT block costs nothing (Unicorn
- * does not report it). Nothing happens to the machine before work reaches deadline (execution.c); whoever makes
- * something due earlier sets deadline to 0.
+ * Time. executed counts instructions, cpu_work() what they cost (cycles.h), skipped the cycles asleep; the instruction
+ * about to run starts at cycle work + skipped. An instruction whose condition fails inside an IT block costs nothing
+ * (Unicorn does not report it). Nothing happens to the machine before executed or work reaches deadline (execution.c);
+ * whoever makes something due earlier sets deadline to 0.
  */
 #ifndef GOLDFIELD_PROCESSOR_H
 #define GOLDFIELD_PROCESSOR_H
@@ -92,9 +92,8 @@ typedef enum { LEAVE_NOTHING, LEAVE_STOPPED, LEAVE_EXCEPTION } leave_t;
 struct cpu {
     /* What the code hook touches at each instruction. */
     uint64_t executed; /* Instructions. */
-    uint64_t work;     /* Cost of all instructions, 2^-CYCLE_SHIFT cycles. */
-    uint64_t begun;    /* work when the last instruction began. */
-    uint64_t deadline; /* In units of work. */
+    uint64_t deadline; /* In instructions; where their costs differ, in units of work. */
+    uint64_t work;     /* Where costs differ: that of all instructions, 2^-CYCLE_SHIFT cycles. */
     uint32_t history[HISTORY];
     cycles_t cycles;
 
@@ -134,6 +133,7 @@ struct cpu {
     bool forbidden;           /* It was the memory protection unit that forbade it. */
     bool rules_changed;       /* That unit's rules: Unicorn's pages follow before the next instruction. */
     uint64_t access_executed; /* Count at the last peripheral access: several by one instruction are looked at. */
+    uint32_t access_cost;     /* What that instruction's accesses have cost so far. */
 
     bus_window_t windows[3];
     uc_hook code_hook, interrupt_hook, memory_hook, probe_hooks[PROBES];
@@ -147,16 +147,19 @@ void cpu_set_register(cpu_t *cpu, int unicorn_register, uint32_t value);
 /* Stop the board for good, and record the reason as a violation. */
 void cpu_halt(cpu_t *cpu, const char *reason);
 
+/* What the instructions so far have cost, 2^-CYCLE_SHIFT cycles. */
+static inline uint64_t cpu_work(const cpu_t *cpu) {
+    return cpu->cycles.table != NULL ? cpu->work : cpu->executed * cpu->cycles.instruction;
+}
+
 /* The cycle at which the instruction about to run starts. */
 static inline uint64_t cpu_cycle(const cpu_t *cpu) {
-    return (cpu->work >> CYCLE_SHIFT) + cpu->skipped;
+    return (cpu_work(cpu) >> CYCLE_SHIFT) + cpu->skipped;
 }
 
 /* The awake cycles before the instruction that runs, and the cycle at which it started: its accesses are there. */
-static inline uint64_t cpu_awake_cycle(const cpu_t *cpu) {
-    return cpu->begun >> CYCLE_SHIFT;
-}
-static inline uint64_t cpu_access_cycle(const cpu_t *cpu) {
+uint64_t cpu_awake_cycle(cpu_t *cpu);
+static inline uint64_t cpu_access_cycle(cpu_t *cpu) {
     return cpu_awake_cycle(cpu) + cpu->skipped;
 }
 

@@ -18,7 +18,7 @@ static bool cycle_counter_runs(const system_control_t *system) {
     return (system->demcr & DEMCR_TRACE) != 0 && (system->dwt_control & 1u) != 0;
 }
 
-static uint32_t cycle_counter(const cpu_t *cpu) {
+static uint32_t cycle_counter(cpu_t *cpu) {
     const system_control_t *const system = &cpu->system;
     return cycle_counter_runs(system) ? (uint32_t)(cpu_awake_cycle(cpu) - system->dwt_origin) : system->dwt_stopped;
 }
