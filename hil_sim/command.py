@@ -16,7 +16,7 @@ from typing import Any
 from goldfield.cli import main as goldfield_main
 from goldfield.cli.options import add_force
 from hil_sim import KINDS, LONGEST_S, NO_CAN
-from hil_sim.cycles import add_cycles
+from hil_sim.options import add_cycles
 
 
 def command(subparsers: Any) -> None:

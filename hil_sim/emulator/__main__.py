@@ -7,8 +7,8 @@ import json
 import sys
 from pathlib import Path
 
-from hil_sim.cycles import add_cycles
 from hil_sim.emulator.emulator import PICOSECONDS, BadImageError, Configuration, Emulator
+from hil_sim.options import add_cycles
 
 SLICE_PS = PICOSECONDS // 100
 

@@ -129,7 +129,8 @@ uint32_t cycles_look_up(cycles_t *cycles, machine_t *machine, uint32_t address) 
     uint32_t cost = cycles_of_class(code[0], code[1]) * CYCLE;
     if (in_flash) {
         cost += size / 2u * cycles->line + (loads_literal(code[0]) ? cycles->literal : 0);
-        cycles->table[(address & (FLASH_SIZE - 1u)) / 2u] = (uint16_t)(cost > UINT16_MAX ? UINT16_MAX : cost);
+        cost = cost > UINT16_MAX ? UINT16_MAX : cost;
+        cycles->table[(address & (FLASH_SIZE - 1u)) / 2u] = (uint16_t)cost;
     }
     return cost;
 }

@@ -21,5 +21,5 @@ uint64_t cpu_awake_cycle(cpu_t *cpu) {
     }
     const uint32_t address = cpu->history[(cpu->executed - 1u) % HISTORY];
     const uint32_t accesses = cpu->access_executed == cpu->executed ? cpu->access_cost : 0;
-    return (cpu->work - cycles_of(&cpu->cycles, cpu->machine, address) - accesses) >> CYCLE_SHIFT;
+    return (cpu->work - cycles_look_up(&cpu->cycles, cpu->machine, address) - accesses) >> CYCLE_SHIFT;
 }

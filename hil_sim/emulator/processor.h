@@ -109,6 +109,8 @@ struct cpu {
     uint32_t pc;
     uint8_t it_state;
     bool asleep, event_register, halted, sram_executable;
+    bool forbidden;     /* It was the memory protection unit that forbade the access at bad_address. */
+    bool rules_changed; /* That unit's rules: Unicorn's pages follow before the next instruction. */
     fault_t fault; /* Found by an access or by the check before an instruction; taken before the next instruction. */
 
     /* Why Unicorn was left. */
@@ -130,10 +132,8 @@ struct cpu {
     uint64_t entered_at[NVIC_EXCEPTIONS], inside[NVIC_EXCEPTIONS];
 
     uint32_t bad_address;     /* Address of the access that Unicorn could not do. */
-    bool forbidden;           /* It was the memory protection unit that forbade it. */
-    bool rules_changed;       /* That unit's rules: Unicorn's pages follow before the next instruction. */
+    uint32_t access_cost;     /* What the accesses of the last instruction that made some have cost. */
     uint64_t access_executed; /* Count at the last peripheral access: several by one instruction are looked at. */
-    uint32_t access_cost;     /* What that instruction's accesses have cost so far. */
 
     bus_window_t windows[3];
     uc_hook code_hook, interrupt_hook, memory_hook, probe_hooks[PROBES];

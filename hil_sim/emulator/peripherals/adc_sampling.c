@@ -97,6 +97,6 @@ uint32_t adc_sample(unit_t *u, unsigned channel, int64_t opens_ps) {
         }
         volts = chip->edge->analog_in ? chip->edge->analog_in(chip->edge->context, pin, opens_ps) : 0;
     }
-    const double code = floor(volts / chip_supply_V(chip) * 4096 + 0.5);
+    const double code = floor(volts / chip->supply_V * 4096 + 0.5);
     return code < 0 || isnan(code) ? 0 : code > 4095 ? 4095 : (uint32_t)code;
 }

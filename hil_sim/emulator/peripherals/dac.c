@@ -89,7 +89,7 @@ static bool underrun(const channel_t *c) {
 /* What a voltage of the converter becomes at its pin. */
 static double loaded(channel_t *c, double volts) {
     const chip_t *const chip = c->dac->model.chip;
-    const double load = chip->config->dac_load_Ohm, highest = chip_supply_V(chip) - BUFFER_V;
+    const double load = chip->config->dac_load_Ohm, highest = chip->supply_V - BUFFER_V;
     if ((control(c) & BOFF) != 0) {
         return volts * load / (load + SOURCE_OHM);
     }
@@ -122,7 +122,7 @@ static void report(channel_t *c, int64_t time_ps) {
         machine_violation(model->machine, "DAC: channel %u drives PA%u, which is not in analog mode", c->number + 1,
                           4 + c->number);
     }
-    const double volts = chip_supply_V(model->chip) * reg(model, DOR1 + 4 * c->number) / 4096;
+    const double volts = model->chip->supply_V * reg(model, DOR1 + 4 * c->number) / 4096;
     if (model->chip->config->dac_load_Ohm > 0) {
         c->target = loaded(c, volts);
         c->steps = SETTLING_STEPS;

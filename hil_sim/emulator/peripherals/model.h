@@ -229,6 +229,7 @@ struct chip {
     tim_t *tim[TIM_COUNT]; /* TIM1 first. */
     adc_t *adc;
     model_t *pwr, *flash, *dac;
+    double supply_V; /* The chip's supply, which its converters refer to. */
     usart_t *usart[USART_COUNT];
     can_t *can[2];
     dma_lines_t lines;
@@ -271,11 +272,10 @@ const char *model_name(const model_t *model);
 void rcc_create(chip_t *chip);
 void rcc_check_limits(chip_t *chip); /* A violation if wait states or voltage scale no longer suffice. */
 double rcc_lsi_hz(const chip_t *chip);
-double chip_temperature_degc(const chip_t *chip); /* Of the die, now. */
+double chip_temperature_degc(const chip_t *chip); /* The die is this warm now. */
 bool rcc_pll_ready(const chip_t *chip);
 void rcc_force_lsi(chip_t *chip); /* The independent watchdog runs: its oscillator does, until reset. */
 /* pwr.c, flash.c */
-double chip_supply_V(const chip_t *chip);           /* The chip's supply, which its converters refer to. */
 unsigned flash_brown_out_level(const chip_t *chip); /* BOR_LEV of the option bytes: 0 is level 3, 3 is off. */
 bool flash_hardware_watchdog(const chip_t *chip);   /* WDG_SW is 0: the independent watchdog starts by itself. */
 void pwr_create(chip_t *chip);

@@ -17,7 +17,7 @@ enum { CR = 0x00, CSR = 0x04 };
 #define BORRSTF    (1u << 25)
 #define PORRSTF    (1u << 27)
 
-enum { DETECTOR_LINE = 16 }; /* Of EXTI. */
+enum { DETECTOR_LINE = 16 }; /* EXTI has the detector there. */
 
 static const register_layout_t registers[] = {
     {"CR", CR, 0x00004000, 0x000043FF, ACCESS_RW},
@@ -26,14 +26,9 @@ static const register_layout_t registers[] = {
 
 typedef struct {
     model_t model;
-    double volts;
     bool held, power_lost; /* In reset by the supply; it fell so low that memories forget. */
     bool low;              /* PVDO */
 } pwr_t;
-
-double chip_supply_V(const chip_t *chip) {
-    return ((const pwr_t *)chip->pwr)->volts;
-}
 
 /* Below the first it resets, from the second on it starts. */
 static void reset_thresholds(const chip_t *chip, double *falling, double *rising) {
@@ -47,11 +42,11 @@ static void watch_reset(pwr_t *pwr) {
     chip_t *const chip = pwr->model.chip;
     double falling, rising;
     reset_thresholds(chip, &falling, &rising);
-    pwr->power_lost = pwr->power_lost || pwr->volts < POWER_DOWN;
-    if (!pwr->held && pwr->volts < falling) {
+    pwr->power_lost = pwr->power_lost || pwr->model.chip->supply_V < POWER_DOWN;
+    if (!pwr->held && pwr->model.chip->supply_V < falling) {
         pwr->held = true;
         machine_hold_in_reset(chip->machine);
-    } else if (pwr->held && pwr->volts >= rising) {
+    } else if (pwr->held && pwr->model.chip->supply_V >= rising) {
         pwr->held = false;
         if (pwr->power_lost) {
             machine_forget_memories(chip->machine);
@@ -67,7 +62,7 @@ static void watch_voltage(pwr_t *pwr) {
                                         {2.66, 2.76}, {2.84, 2.93}, {2.99, 3.10}, {3.09, 3.21}};
     const uint32_t cr = reg(&pwr->model, CR);
     const double *const level = levels[field(cr, 5, 3)];
-    const bool low = (cr & PVDE) != 0 && pwr->volts < level[pwr->low ? 1 : 0];
+    const bool low = (cr & PVDE) != 0 && pwr->model.chip->supply_V < level[pwr->low ? 1 : 0];
     if (low != pwr->low) {
         pwr->low = low;
         exti_line(pwr->model.chip, DETECTOR_LINE, low, machine_now(pwr->model.machine));
@@ -76,7 +71,7 @@ static void watch_voltage(pwr_t *pwr) {
 
 void pwr_supply_in(machine_t *machine, double volts) {
     pwr_t *const pwr = (pwr_t *)chip_of(machine)->pwr;
-    pwr->volts = volts;
+    pwr->model.chip->supply_V = volts;
     watch_reset(pwr);
     watch_voltage(pwr);
     if (!pwr->held) {
@@ -121,7 +116,7 @@ void pwr_create(chip_t *chip) {
                                                     .set = set,
                                                     .restart = restart};
     pwr_t *const pwr = chip_allocate(chip, sizeof *pwr);
-    pwr->volts = NOMINAL_V;
+    chip->supply_V = NOMINAL_V;
     chip->pwr = &pwr->model;
     model_attach(chip, &pwr->model, &description);
 }

@@ -90,7 +90,7 @@ void rcc_check_limits(chip_t *chip) {
     const unsigned wait_states = reg(chip->flash, FLASH_ACR) & 7u;
     const unsigned scale = (reg(chip->pwr, PWR_CR) & PWR_VOS) != 0 ? 1 : 2;
     /* RM0090 table 10: how fast the flash is at a supply. */
-    const double supply = chip_supply_V(chip);
+    const double supply = chip->supply_V;
     const double step = supply >= 2.7 ? 30e6 : supply >= 2.4 ? 24e6 : supply >= 2.1 ? 22e6 : 20e6;
     const unsigned needed = (unsigned)((hz - 1.0) / step);
     if (wait_states < needed) {

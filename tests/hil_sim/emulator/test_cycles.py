@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from hil_sim.cycles import cycles
 from hil_sim.emulator import Configuration, Emulator
 from hil_sim.emulator.bench import library
+from hil_sim.options import cycles
 from tests.hil_sim.emulator import oracle
 
 COSTS = {  # Table 3-1 and 7-1; the unfavourable end of what depends on data.

@@ -1,5 +1,6 @@
-/* Faults, one after the other: the handler notes what the processor tells of each, then the program goes on at `resume`.
- * Each fault makes six notes: exception, CFSR, HFSR, its address register (0: none is valid), the stacked PC, and r0. */
+/* Faults, one after the other: the handler notes what the processor tells of each, then the program goes on at
+ * `resume`. Each fault makes six notes: exception, CFSR, HFSR, its address register (0: none is valid), the stacked PC,
+ * and r0. */
 #include "runtime.h"
 
 #define ACTLR       REGISTER(0xE000E008u)
@@ -39,7 +40,8 @@ __attribute__((used)) void fault_seen(uint32_t *frame) {
 }
 
 __attribute__((naked)) void hard_fault_handler(void) {
-    __asm volatile("tst lr, #4\n ite eq\n mrseq r0, msp\n mrsne r0, psp\n push {r4, lr}\n bl fault_seen\n pop {r4, pc}");
+    __asm volatile(
+        "tst lr, #4\n ite eq\n mrseq r0, msp\n mrsne r0, psp\n push {r4, lr}\n bl fault_seen\n pop {r4, pc}");
 }
 void memory_fault_handler(void) __attribute__((alias("hard_fault_handler")));
 void bus_fault_handler(void) __attribute__((alias("hard_fault_handler")));
