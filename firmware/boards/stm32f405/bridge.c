@@ -100,7 +100,7 @@ void TIM1_BRK_TIM9_Handler(void) {
     bridge_off();
     TIM1->DIER &= ~TIM_DIER_BIE;
     TIM8->DIER &= ~TIM_DIER_BIE;
-    for (uint32_t cause = HAL_FAULT_DRIVER; cause <= HAL_FAULT_CLOCK; cause++) {
+    for (uint32_t cause = 0; faults >> cause != 0; cause++) {
         if ((faults >> cause & 1u) != 0 && board.events.fault != NULL)
             board.events.fault(board.events.context, (hal_fault_t)cause);
     }
