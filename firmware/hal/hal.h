@@ -169,6 +169,9 @@ typedef struct {
 /* Queue bytes for the serial port, all or none. Costs one copy. Returns false if they do not fit now. */
 bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count);
 
+/* Returns how many bytes of hal_serial_write() wait, those that are being sent included. */
+uint32_t hal_serial_waiting(const hal_t *hal);
+
 /* Send bytes by polling, without interrupts or DMA, for the first heartbeat and for crash reports. It gives up after a
  * bounded wait for each byte. */
 void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count);

@@ -88,6 +88,10 @@ bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count) {
     return true;
 }
 
+uint32_t hal_serial_waiting(const hal_t *hal) {
+    return hal->transmitter.count;
+}
+
 void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count) {
     /* No instruction takes time here, so the bytes leave after the call: at the same moments as on the chip. */
     (void)hal_serial_write(hal, bytes, count);

@@ -82,6 +82,10 @@ bool hal_serial_write(hal_t *hal, const uint8_t *bytes, size_t count) {
     return true;
 }
 
+uint32_t hal_serial_waiting(const hal_t *hal) {
+    return hal->written - hal->sent;
+}
+
 /* DMA pauses while its request is masked, and goes on where it was. */
 void hal_serial_write_polled(hal_t *hal, const uint8_t *bytes, size_t count) {
     (void)hal;

@@ -47,6 +47,7 @@ void hal_reset(hal_t *h) { (void)h; }
 void hal_unique_id(const hal_t *h, uint8_t id[12]) { (void)h; for (int i = 0; i < 12; i++) id[i] = 0; }
 const uint8_t *hal_parameter_page(const hal_t *h) { (void)h; return page; }
 void hal_watchdog_kick(hal_t *h) { (void)h; }
+uint32_t hal_serial_waiting(const hal_t *h) { (void)h; return 0; }
 void hal_note_stalled(hal_t *h, uint32_t stalled) { (void)h; (void)stalled; }
 const hal_reset_t *hal_last_reset(const hal_t *h) { static const hal_reset_t r; (void)h; return &r; }
 uint32_t *hal_retained(hal_t *h) { static uint32_t words[HAL_RETAINED_WORDS]; (void)h; return words; }
