@@ -65,7 +65,8 @@ flash: flash-ready firmware ## Program a board: ROLE=beacon, sensor or anchor, w
 	@test -z "$(strip $(STM32_PARAMETERS))" || $(PYTHON) -m goldfield_protocol.parameters $$(echo "$(strip $(STM32_PARAMETERS))" | tr A-Z a-z) -o $(STM32_PAGE)
 	@$(PYOCD) pack show 2>/dev/null | grep -q STM32F4xx_DFP || $(PYOCD) pack install stm32f405rgtx || \
 		{ echo "ST's device pack could not be installed, which needs the network once: $(PYOCD) pack install stm32f405rgtx"; exit 1; }
-	@$(PYOCD) load $(if $(PROBE),--uid $(PROBE)) --target $(PYOCD_TARGET) $(STM32_OUT)/$(ROLE).elf $(if $(strip $(STM32_PARAMETERS)),$(STM32_PAGE)@0x080E0000)
+	@$(PYTHON) firmware/tools/program_board.py $(PYOCD) $(if $(PROBE),--uid $(PROBE)) --target $(PYOCD_TARGET) \
+		$(STM32_OUT)/$(ROLE).elf $(if $(strip $(STM32_PARAMETERS)),$(STM32_PAGE))
 
 .PHONY: firmware flash flash-ready
 .SECONDARY: $(STM32_OBJECTS) $(STM32_MAINS:%.c=$(STM32_OUT)/%.o)

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+import sys
 
 import pytest
 
@@ -24,21 +25,76 @@ def probes(*unique_ids, **more):
 ONE_PROBE = probes("066DFF01")
 
 
+IDCODE, FLASH_SIZE, CPUID, OPTKEYR, OPTCR = 0xE0042000, 0x1FFF7A20, 0xE000ED00, 0x40023C08, 0x40023C14
+CHIP = {IDCODE: 0x10076413, FLASH_SIZE: 0x04000000, CPUID: 0x410FC241, 0x40023C0C: 0, OPTCR: 0x0FFFAAED}
+
+PYOCD = """#!{python}
+import json, re, sys
+from pathlib import Path
+here = Path("{here}")
+words = sys.argv[1:]
+if words[0] == "json":
+    print((here / "probes.json").read_text())
+elif words[0] == "pack":
+    print("STM32F4xx_DFP")
+else:
+    with (here / "told").open("a") as told:
+        print(*words, file=told)
+if words[0] == "commander":
+    state = json.loads((here / "chip.json").read_text())
+    if state["dead"]:
+        sys.exit("No ACK received")
+    chip = {{int(a): v for a, v in state["words"].items()}}
+    for command in (words[i + 1].split() for i, word in enumerate(words) if word == "-c"):
+        if command[0] == "read32":
+            address = int(command[1], 0)
+            print(f"{{address:08x}}:  {{chip[address]:08x}}    |....|")
+        elif command[0] == "write32":
+            address, value = int(command[1], 0), int(command[2], 0)
+            state["written"].append([address, value])
+            if address == {optcr} and state["keeps_options"]:
+                chip[address] = value & ~2
+        elif command[0] == "savemem":
+            address, count = int(command[1], 0), int(command[2])
+            from elftools.elf.elffile import ELFFile
+            loaded = [w for w in (here / "told").read_text().splitlines() if w.startswith("load")][-1].split()
+            data = b""
+            for name in loaded:
+                if name.endswith(".elf"):
+                    with open(name, "rb") as file:
+                        for s in ELFFile(file).iter_segments():
+                            if s["p_paddr"] == address and s["p_filesz"]:
+                                data = s.data()
+                elif "@" in name and int(name.partition("@")[2], 0) == address:
+                    data = Path(name.partition("@")[0]).read_bytes()
+            data = bytearray(data[:count])
+            if state["wrong_byte"] is not None and address == 0x08000000:
+                data[state["wrong_byte"]] ^= 1
+            Path(command[3]).write_bytes(data)
+    state["words"] = chip
+    (here / "chip.json").write_text(json.dumps(state))
+"""
+
+
 @pytest.fixture
 def flash(tmp_path):
     """Run ``make flash`` with a program in place of pyOCD that writes down its arguments, and the images as built."""
     probe, told, page, listed = (tmp_path / name for name in ("pyocd", "told", "page.bin", "probes.json"))
-    probe.write_text(f'#!/bin/sh\n[ "$1" = json ] && exec cat "{listed}"\necho "$@" >>"{told}"\necho STM32F4xx_DFP\n')
+    probe.write_text(PYOCD.format(python=sys.executable, here=tmp_path, optcr=OPTCR))
     probe.chmod(0o755)
 
-    def run(*assignments, probes=ONE_PROBE):
+    def run(*assignments, probes=ONE_PROBE, chip=(), **state):
         listed.write_text(probes)
+        usual = {"words": CHIP | dict(chip), "dead": False, "keeps_options": True, "wrong_byte": None, "written": []}
+        (tmp_path / "chip.json").write_text(json.dumps(usual | state))
         own = [f"PYOCD={probe}", f"STM32_PAGE={page}", "-o", "firmware"]
         done = subprocess.run(
             ["make", "-s", "flash", *own, *assignments], cwd=ROOT, capture_output=True, text=True, check=False
         )
-        loaded = told.read_text().splitlines()[-1] if told.exists() else ""
-        return done, loaded, page
+        lines = told.read_text().splitlines() if told.exists() else []
+        loaded = [line for line in lines if line.startswith("load")]
+        done.written = json.loads((tmp_path / "chip.json").read_text())["written"]
+        return done, loaded[-1] if loaded else "", page
 
     return run
 
@@ -121,3 +177,66 @@ def test_the_probe_is_named_and_the_one_of_several_used(flash):
     done, loaded, _ = flash("ROLE=sensor", "PROBE=FF02", probes=probes("066DFF01", "066DFF02"))
     assert done.stdout.splitlines()[0] == "debug probe: STM32 STLink 066DFF02, 066DFF02"
     assert loaded == "load --uid FF02 --target stm32f405rgtx build/firmware/sensor.elf"
+
+
+def test_the_chip_is_named_the_flash_compared_and_the_brown_out_level_set(flash):
+    done, _, _ = flash("ROLE=beacon", "NODE=3")
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    assert "chip: STM32F405, device id 0x413, revision 0x1007, 1024 kB of flash" in lines
+    assert any(line.startswith("verified: ") for line in lines)
+    assert lines[-1] == "option bytes: brown-out reset set to level 3 (2.7 V); it acts from the next power-on"
+    wanted = 0x0FFFAAE0  # all but the level and the lock as before
+    assert done.written == [
+        *([OPTKEYR, 0x08192A3B], [OPTKEYR, 0x4C5D6E7F], [OPTCR, wanted], [OPTCR, wanted | 2], [OPTCR, wanted | 1])
+    ]
+
+
+def test_option_bytes_that_are_right_are_left_alone(flash):
+    done, _, _ = flash("ROLE=beacon", chip={OPTCR: 0x0FFFAAE1})
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "option bytes: brown-out reset at level 3 (2.7 V) already"
+    assert done.written == []
+
+
+@pytest.mark.parametrize(
+    ("chip", "sentence"),
+    [
+        ({IDCODE: 0x10016419}, "the chip's device id is 0x419 and its core 0xc24; those of an STM32F405 are 0x413 and"),
+        (
+            {IDCODE: 0x20006411, CPUID: 0x412FC230},
+            "the chip's device id is 0x411 and its core 0xc23; those of an STM32",
+        ),
+        (
+            {FLASH_SIZE: 0x02000000},
+            "the chip has 512 kB of flash, and the parameter page needs 1024 kB: take an STM32F",
+        ),
+    ],
+)
+def test_another_chip_is_not_programmed(flash, chip, sentence):
+    done, loaded, _ = flash("ROLE=beacon", chip=chip)
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert not loaded
+    assert done.written == []
+
+
+def test_the_first_silicon_is_told(flash):
+    done, loaded, _ = flash("ROLE=beacon", chip={IDCODE: 0x10006411})
+    assert done.returncode == 0, done.stderr
+    assert "device id 0x411, revision 0x1000, which reads its flash without prefetch" in done.stdout
+    assert loaded
+
+
+@pytest.mark.parametrize(
+    ("state", "sentence"),
+    [
+        ({"dead": True}, "pyOCD cannot reach the chip (No ACK received): check the board's power and the wires SWDIO"),
+        ({"wrong_byte": 16}, "the flash differs from build/firmware/beacon.elf at 0x08000010: program it again"),
+        ({"keeps_options": False}, "the chip did not take the brown-out level (FLASH_OPTCR 0x0fffaaed): power it off"),
+    ],
+)
+def test_what_does_not_work_is_told(flash, state, sentence):
+    done, _, _ = flash("ROLE=beacon", **state)
+    assert done.returncode == 2
+    assert sentence in done.stderr
