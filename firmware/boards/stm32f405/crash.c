@@ -65,10 +65,13 @@ static void read_stack(hal_crash_t *crash, const uint32_t *frame, uint32_t exc_r
 
 /* Takes from the far end of a stack that ran over the words that may be return addresses: they tell who called whom. */
 static void read_calls(hal_crash_t *crash) {
-    unsigned found = 0;
-    for (const uint32_t *word = &stack_bottom; word < &stack_top && found < HAL_CRASH_STACK; word++) {
-        if ((*word & 1u) != 0 && *word >= (uint32_t)&text_start && *word < (uint32_t)&text_end)
-            crash->stack[found++] = *word;
+    const uint32_t *const bottom = &stack_bottom;
+    const uint32_t words = ((uint32_t)&stack_top - (uint32_t)&stack_bottom) / sizeof *bottom;
+    uint32_t found = 0;
+    for (uint32_t i = 0; i < words && found < HAL_CRASH_STACK; i++) {
+        const uint32_t word = bottom[i];
+        if ((word & 1u) != 0 && word >= (uint32_t)&text_start && word < (uint32_t)&text_end)
+            crash->stack[found++] = word;
     }
 }
 
