@@ -9,16 +9,19 @@
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     anchor_t *anchor = context;
     drive_plan(&anchor->drive, block, plan);
+    liveness_moved(&anchor->node.liveness, LIVENESS_BLOCKS);
 }
 
 static void on_samples(void *context, uint32_t block, const hal_samples_t *samples) {
     anchor_t *anchor = context;
     sense_samples(&anchor->sense, block, samples, NULL);
+    liveness_moved(&anchor->node.liveness, LIVENESS_SAMPLES);
 }
 
 static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
     anchor_t *anchor = context;
     drive_current(&anchor->drive, chip, count);
+    liveness_moved(&anchor->node.liveness, LIVENESS_CURRENTS);
 }
 
 static void on_fault(void *context, hal_fault_t fault) {

@@ -9,11 +9,13 @@
 static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     beacon_t *beacon = context;
     drive_plan(&beacon->drive, block, plan);
+    liveness_moved(&beacon->node.liveness, LIVENESS_BLOCKS);
 }
 
 static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
     beacon_t *beacon = context;
     drive_current(&beacon->drive, chip, count);
+    liveness_moved(&beacon->node.liveness, LIVENESS_CURRENTS);
 }
 
 static void on_fault(void *context, hal_fault_t fault) {

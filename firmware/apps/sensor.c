@@ -18,11 +18,13 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
         plan->period_ticks[i] = chip_clock_plan(&timing->clock).period_ticks;
         plan->drive[i] = HAL_DRIVE_OFF;
     }
+    liveness_moved(&sensor->node.liveness, LIVENESS_BLOCKS);
 }
 
 static void on_samples(void *context, uint32_t block, const hal_samples_t *samples) {
     sensor_t *sensor = context;
     sense_samples(&sensor->sense, block, samples, sensor->timing.by_field ? sensor->acquire : NULL);
+    liveness_moved(&sensor->node.liveness, LIVENESS_SAMPLES);
 }
 
 static void on_sync(void *context, uint32_t chip, uint16_t ticks) {

@@ -45,7 +45,9 @@ node_links_t node_room(const node_t *node, uint32_t messages) {
 bool node_serial_write(node_t *node, const frame_t *frame) {
     uint8_t encoded[FRAME_ENCODED_MAX];
     const size_t count = frame_encode(frame, encoded);
-    return hal_serial_write(node->hal, encoded, count);
+    const bool written = hal_serial_write(node->hal, encoded, count);
+    node->serial_written += written ? (uint32_t)count : 0u;
+    return written;
 }
 
 int32_t node_clamp(int32_t value, int32_t limit) {
@@ -80,6 +82,15 @@ static void drain_can(node_t *node, uint64_t now_us) {
             queue_drop(&node->can);
         }
     }
+}
+
+/* The port lives if it has sent something since the last look, or has nothing to send. */
+static void watch_serial(node_t *node) {
+    const uint32_t waiting = hal_serial_waiting(node->hal), sent = node->serial_written - waiting;
+    if (waiting == 0 || sent != node->serial_sent) {
+        liveness_moved(&node->liveness, LIVENESS_LINK);
+    }
+    node->serial_sent = sent;
 }
 
 /* ---- Heartbeat ---- */
@@ -372,10 +383,10 @@ void node_start(node_t *node, hal_t *hal, hal_role_t role) {
     tell_last_reset(node, NODE_BOTH);
     node->heartbeat_us = hal_microseconds(hal);
     node->can_us = node->heartbeat_us;
+    liveness_start(&node->liveness, hal, role);
 }
 
 void node_step(node_t *node) {
-    hal_watchdog_kick(node->hal);
     receive_serial(node);
     receive_can(node);
     const uint64_t now_us = hal_microseconds(node->hal);
@@ -385,6 +396,10 @@ void node_step(node_t *node) {
     }
     drain_serial(node);
     drain_can(node, now_us);
+    if (liveness_due(&node->liveness, now_us)) {
+        watch_serial(node);
+        liveness_step(&node->liveness, now_us);
+    }
     if (node->blinking) {
         node->blinking = now_us < node->blink_end_us;
         hal_led(node->hal, !node->blinking || now_us / BLINK_US % 2u == 0u);

@@ -38,6 +38,7 @@
 #include "core/link/queue.h"
 #include "counter_ids.h"
 #include "hal/hal.h"
+#include "services/liveness.h"
 
 #define NODE_QUEUE_MESSAGES 128u     /* Messages that the queue of each link holds. */
 #define NODE_HEARTBEAT_US   1000000u /* Time from one heartbeat to the next, us. */
@@ -73,12 +74,15 @@ typedef struct {
     bool clear_refused;                /* A COMMAND to clear would be in vain now; the application writes it. */
     bool clear_wanted;                 /* A COMMAND to clear was accepted; the application clears it. */
     bool sync_received;                /* A SYNC came; the application clears it. */
+    liveness_t liveness;               /* The application tells it what moves. */
     uint32_t sync_node;                /* The node that sent this SYNC. */
     uint32_t sync_cycle, sync_chips;   /* The cycle (20 bits) and the chips in a cycle that this SYNC told. */
     /* Private. */
     frame_decoder_t decoder;
     queue_t serial, can;
     frame_t serial_messages[NODE_QUEUE_MESSAGES], can_messages[NODE_QUEUE_MESSAGES];
+    uint32_t serial_written,
+        serial_sent;       /* Bytes given to the serial port, and sent by it when it was last looked at. */
     uint64_t heartbeat_us; /* Time of the latest heartbeat. */
     bool blinking;         /* The LED blinks, until blink_end_us. */
     uint64_t blink_end_us;
@@ -93,8 +97,8 @@ typedef struct {
  * last reset. The state is then NODE_STARTING. */
 void node_start(node_t *node, hal_t *hal, hal_role_t role);
 
-/* Do one turn: kick the watchdog, take received messages, send heartbeat and counters if they are due, and hand the
- * queues to the board. */
+/* Do one turn: take received messages, send heartbeat and counters if they are due, hand the queues to the board, and
+ * feed the watchdog if everything moves (liveness.h). */
 void node_step(node_t *node);
 
 /* Queue a message of this node on the given links. message is its *_FRAME_ID of build/protocol/goldfield.h, index is

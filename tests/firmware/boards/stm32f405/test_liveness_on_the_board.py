@@ -1,0 +1,153 @@
+"""Something of a beacon stops while it drives its coil: the coil goes off within the watchdog's time.
+
+After the restart the board says what stood still.
+
+The image is the application's and the board's own code, with a main that stops one thing once.
+"""
+
+import subprocess
+
+import pytest
+
+from goldfield.nodes.last_reset import PARTS
+from goldfield_protocol import FrameDecoder, decode
+from goldfield_protocol.parameters import build_page
+from tests.firmware import host_rig
+from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, ROOT, Coil, beacon
+
+OUT = ROOT / "build/firmware"
+BOARD = "firmware/boards/stm32f405"
+NOTHING, HANG_MAIN, HANG_INTERRUPT, MASK_INTERRUPT, STOP_TIMER, STOP_STREAM, STOP_ADC, STOP_BURSTS = range(8)
+ADC, CAN1_TX, CAN1_RX0, CAN1_RX1, TIM1_CC, USART1, EXTI15_10, DMA2_STREAM2, DMA2_STREAM5, DMA2_STREAM7 = (
+    *(18, 19, 20, 21, 27, 37, 40),
+    *(58, 68, 70),
+)
+DMA2 = 16
+INJECT, WATCHDOG, BLOCK = 700 * MS, 500 * MS, 4 * MS
+PERIOD = 15 * MS  # what moved just before it stopped counts once more
+WATCHDOG_CAUSE = 4
+CONVERTER_OVERRUNS = 6
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory):
+    made = {}
+    for role in ("beacon", "anchor"):
+        path = tmp_path_factory.mktemp("probe") / f"{role}.elf"
+        folders = (f"{OUT}/firmware/{part}" for part in ("core", "services", "apps", "boards"))
+        objects = [str(o) for folder in folders for o in sorted((ROOT / folder).rglob("*.o"))]
+        cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-O2", "-std=c11"]
+        options = [f"-D{role.upper()}", f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'build/protocol'}", "-nostartfiles"]
+        link = ["--specs=nano.specs", "-Wl,--gc-sections", "-T", str(ROOT / BOARD / "stm32f405.ld"), "-o", str(path)]
+        source = str(ROOT / "tests" / BOARD / "fault_probe.c")
+        protocol = str(OUT / "protocol/goldfield.o")
+        subprocess.run(["arm-none-eabi-gcc", *cpu, *options, source, *objects, protocol, *link], check=True)
+        made[role] = path
+    return made
+
+
+@pytest.fixture
+def driving(images, monkeypatch):
+    boards = []
+
+    def make(kind, which=0, role="beacon"):
+        page = bytearray(build_page({"node": 9, "code": 2, "amplitude": 5.0, "sync_master": 1}).ljust(8192, b"\xff"))
+        page[-2:] = kind, which
+        monkeypatch.setitem(host_rig.IMAGES, BEACON, str(images[role]))
+        boards.append(beacon(Coil(), parameters=bytes(page), emulated=True))
+        boards[-1].run(INJECT - MS)
+        assert boards[-1].level[PIN_ENABLE]
+        return boards[-1]
+
+    yield make
+    for board in boards:
+        board.close()
+
+
+@pytest.fixture
+def lenient(monkeypatch):
+    """Let a board go on that loses a conversion because nobody fetches the one before."""
+    exact = host_rig.Configuration
+    monkeypatch.setattr(host_rig, "Configuration", lambda **settings: exact(**settings | {"strict": False}))
+
+
+def was_injected(board):
+    address = board._emulator.symbols["injected"]
+    return int.from_bytes(board._emulator.memory(address, 4), "little") != 0
+
+
+def last_report(board):
+    """Return the reports of a restart: cause, and what stood still."""
+    frames = FrameDecoder().feed(bytes(byte for _, byte in board.serial))  # a reset tears a frame
+    messages = (decode(frame.identifier, frame.data) for frame in frames)
+    found = [m.signals for m in messages if m.name == "RESET_REPORT" and m.index == 0]
+    assert len(found) == 2, "the board has not restarted once"
+    stalled = int(found[1]["stalled"])
+    return found[1]["cause"], {part for bit, part in enumerate(PARTS) if stalled >> bit & 1}
+
+
+def assert_restart(board, stalled):
+    board.run(INJECT + 4 * BLOCK)
+    assert was_injected(board)
+    board.run(INJECT + WATCHDOG + PERIOD + 3 * BLOCK)
+    off = [time for time in board.edges(PIN_ENABLE, False) if time > INJECT]
+    assert off[0] <= INJECT + WATCHDOG + PERIOD + 2 * BLOCK
+    board.run(INJECT + WATCHDOG + PERIOD + 30 * MS)
+    cause, still = last_report(board)
+    assert cause == WATCHDOG_CAUSE
+    assert still >= stalled
+    assert bool(still) == bool(stalled)
+
+
+def test_a_board_of_which_nothing_stops_goes_on(driving):
+    board = driving(NOTHING)
+    board.run(2000 * MS)
+    assert board.level[PIN_ENABLE]
+    assert [m.signals["cause"] for m in board.messages("RESET_REPORT") if m.index == 0] == [0]
+
+
+def test_a_main_loop_that_hangs(driving):
+    assert_restart(driving(HANG_MAIN), set())
+
+
+@pytest.mark.parametrize(
+    "irq", [ADC, CAN1_TX, CAN1_RX0, CAN1_RX1, TIM1_CC, USART1, EXTI15_10, DMA2_STREAM2, DMA2_STREAM5, DMA2_STREAM7]
+)
+def test_an_interrupt_handler_that_hangs(driving, irq):
+    """The main loop does not run any more, and nobody notes anything."""
+    assert_restart(driving(HANG_INTERRUPT, irq), set())
+
+
+@pytest.mark.parametrize(("irq", "part"), [(ADC, "coil currents"), (DMA2_STREAM5, "blocks")])
+def test_an_interrupt_that_comes_no_more(driving, irq, part, lenient):
+    assert_restart(driving(MASK_INTERRUPT, irq), {part})
+
+
+def test_a_serial_port_that_sends_no_more(driving):
+    assert_restart(driving(MASK_INTERRUPT, DMA2_STREAM7), {"serial link"})
+
+
+@pytest.mark.parametrize(("timer", "parts"), [(1, {"blocks"}), (8, {"coil currents"}), (2, set())])
+def test_a_timer_that_stops(driving, timer, parts):
+    """Timer 2 is the clock, without which nothing is noted either."""
+    assert_restart(driving(STOP_TIMER, timer), parts)
+
+
+def test_the_stream_of_the_edges_that_stops(driving):
+    """A stream that is switched off raises its flag, which nobody clears: the handler comes for ever, main no more."""
+    assert_restart(driving(STOP_STREAM, DMA2 + 5), set())
+
+
+def test_a_converter_that_stops(driving):
+    assert_restart(driving(STOP_ADC, 1), {"coil currents"})
+
+
+def test_an_anchor_whose_samples_stop(driving):
+    assert_restart(driving(STOP_BURSTS, 1, role="anchor"), {"samples"})
+
+
+def test_a_stream_of_samples_that_stops_is_started_again(driving, lenient):
+    board = driving(STOP_STREAM, DMA2 + 0, role="anchor")
+    board.run(INJECT + 1500 * MS)
+    assert board.level[PIN_ENABLE]
+    assert [m.signals["value"] for m in board.messages("COUNTER") if m.index == CONVERTER_OVERRUNS] == [1, 1]
