@@ -41,7 +41,7 @@ void alarms_start(const hal_t *hal) {
 void NMI_Handler(void) {
     hal_drive_enable(&board, false);
     if ((RCC->CIR & RCC_CIR_CSSF) == 0)
-        return; /* It has no other source on this chip. */
+        return;              /* It has no other source on this chip. */
     RCC->CIR = RCC_CIR_CSSC; /* No other interrupt of the clocks is enabled there. */
     if (!clock_fall_back(&board))
         hal_reset(&board);

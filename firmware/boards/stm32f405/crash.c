@@ -18,7 +18,7 @@
 
 enum { FRAME_LR = 5, FRAME_PC = 6, FRAME_XPSR = 7 };
 
-extern uint32_t stack_bottom, stack_top;
+extern uint32_t stack_bottom[], stack_top[];
 extern const uint32_t text_start, text_end;
 
 static void say(const char *text, uint32_t value) {
@@ -45,31 +45,30 @@ static void say_all(const hal_crash_t *crash) {
 /* A frame that could not be pushed, an address just below the stack, or a stack pointer that has left it: the stack
  * ran over. The address counts only if its register is valid. */
 static bool ran_over(const hal_crash_t *crash) {
-    const uint32_t bottom = (uint32_t)&stack_bottom;
+    const uint32_t bottom = (uint32_t)stack_bottom;
     return (crash->cfsr & (SCB_CFSR_MSTKERR | SCB_CFSR_STKERR)) != 0 || crash->sp < bottom ||
            (crash->address < bottom && crash->address >= bottom - STACK_GUARD_BYTES);
 }
 
 /* Takes from the stack what the processor pushed, if all of it lies inside, and what lies above. */
 static void read_stack(hal_crash_t *crash, const uint32_t *frame, uint32_t exc_return) {
-    if (frame < &stack_bottom || frame + FRAME_WORDS > &stack_top)
+    if (frame < stack_bottom || frame + FRAME_WORDS > stack_top)
         return;
     crash->lr = frame[FRAME_LR];
     crash->pc = frame[FRAME_PC];
     const uint32_t *above = frame + ((exc_return & EXC_RETURN_BASIC) != 0 ? FRAME_WORDS : FRAME_WORDS_FP);
     above += (frame[FRAME_XPSR] & XPSR_ALIGNED) != 0 ? 1u : 0u;
     crash->sp = (uint32_t)above;
-    for (unsigned i = 0; i < HAL_CRASH_STACK && above + i < &stack_top; i++)
+    for (unsigned i = 0; i < HAL_CRASH_STACK && above + i < stack_top; i++)
         crash->stack[i] = above[i];
 }
 
 /* Takes from the far end of a stack that ran over the words that may be return addresses: they tell who called whom. */
 static void read_calls(hal_crash_t *crash) {
-    const uint32_t *const bottom = &stack_bottom;
-    const uint32_t words = ((uint32_t)&stack_top - (uint32_t)&stack_bottom) / sizeof *bottom;
+    const uint32_t words = ((uint32_t)stack_top - (uint32_t)stack_bottom) / sizeof stack_bottom[0];
     uint32_t found = 0;
     for (uint32_t i = 0; i < words && found < HAL_CRASH_STACK; i++) {
-        const uint32_t word = bottom[i];
+        const uint32_t word = stack_bottom[i];
         if ((word & 1u) != 0 && word >= (uint32_t)&text_start && word < (uint32_t)&text_end)
             crash->stack[found++] = word;
     }
