@@ -8,6 +8,7 @@ import pytest
 
 from goldfield import site as sites
 from goldfield.link.recordings import CandumpWriter
+from goldfield.nodes.conversation import CLEAR, board_of
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield.sensor.opening import open_log
@@ -108,8 +109,10 @@ def test_a_beacon_with_a_fault_is_left_out_and_comes_back(listen, fault, text):
     poses = poses_of(sensor, 5)
     assert all("b2" in pose.excluded and len(pose.used) == 7 for pose in poses)
     rig.fault(2, fault, False)
-    link.send(*encode("PARAM_SET", {"kind": 0, "value_unsigned": 3}, node=2, index=1))  # any PARAM_SET clears it
-    back = poses_of(sensor, 8)[-1]
+    poses_of(sensor, 1)  # The mended measurement, supply or pin has been seen.
+    named = {"board": board_of(rig._specs[2].unique_id.hex()), "argument": 0}
+    link.send(*encode("COMMAND", named, node=2, index=CLEAR))  # Nothing but this brings it back.
+    back = poses_of(sensor, 20)[-1]
     assert (len(back.used), back.reason) == (8, None)
 
 
