@@ -91,7 +91,10 @@ def test_a_sensor_is_calibrated_and_its_board_told(bench, capsys):
     assert both_sd_T.max() < 0.1 * np.abs(true_offset_T).max()
     written = tomllib.loads((bench / "calibrated.toml").read_text())["sensor"]
     np.testing.assert_array_equal(written["axes"], again["axes"])
-    assert written["gain_sd"] == again["gain_sd"] < 5e-4
+    # The mains leave a part in the beacons' fields that looks like a common gain: the deviation has to tell of it.
+    assert written["gain_sd"] == again["gain_sd"] < 1e-3
+    gain = np.diag(again["axes"]) - 1.0
+    assert np.abs(gain).max() < 4.0 * np.hypot(told["gain_sd"], again["gain_sd"])
     _is_restored(bench, capsys, told["unique_id"])
 
 
