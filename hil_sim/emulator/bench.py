@@ -163,7 +163,7 @@ class Bench:
         self.write(flash, 0x705)
         self.write(rcc, 0x10083)
         self.run(2.5 * MILLISECOND)
-        self.write(rcc + 4, 0x20000000 | 8 | 336 << 6 | 1 << 22 | 7 << 24)
+        self.write(rcc + 4, 0x20000000 | 12 | 336 << 6 | 1 << 22 | 7 << 24)
         self.change(rcc, 1 << 24)
         self.run(0.2 * MILLISECOND)
         self.write(rcc + 8, 5 << 10 | 4 << 13 | 2)

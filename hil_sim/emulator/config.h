@@ -6,7 +6,7 @@
 #include <stdint.h>
 
 typedef struct {
-    double crystal_ppm;       /* Error of this board's 8 MHz crystal, parts in a million. */
+    double crystal_ppm;       /* Error of this board's 12 MHz crystal, parts in a million. */
     double internal_ppm;      /* Error of its 16 MHz internal oscillator, the same (10,000 is 1 %). */
     double crystal_ppm_per_K; /* What its error grows by with the temperature, */
     double crystal_ppm_per_s; /* and with time, from virtual time 0 on: ageing, and warming that is not modelled. */

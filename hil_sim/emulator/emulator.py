@@ -31,7 +31,7 @@ class Configuration:
     Attributes
     ----------
     crystal_ppm, internal_ppm : float
-        Errors of the 8 MHz crystal and of the 16 MHz internal oscillator, parts per million.
+        Errors of the 12 MHz crystal and of the 16 MHz internal oscillator, parts per million.
     crystal_ppm_per_K, crystal_ppm_per_s : float
         What the crystal's error grows by with temperature and with time, from virtual time 0 on.
     crystal_dead : bool

@@ -1,10 +1,10 @@
 /* clock.c: the clock tree and everything that is time.
  *
- *   PLL in    2 MHz: crystal 8 MHz / 4, or internal oscillator 16 MHz / 8
+ *   PLL in    2 MHz: crystal 12 MHz / 6 (pyboard v1.1), or internal oscillator 16 MHz / 8
  *   PLL       336 MHz, x 168
  *   core      168 MHz, / 2: core, AHB, chip timer TIM1 (APB2 timers run at twice APB2)
- *   APB2      84 MHz: USART1; converters at 84 / 4 = 21 MHz
- *   APB1      42 MHz: CAN, DAC; TIM2 at 84 MHz
+ *   APB2      84 MHz: converters at 84 / 4 = 21 MHz
+ *   APB1      42 MHz: CAN, DAC, USART3; TIM2 at 84 MHz
  * If the PLL does not lock either, everything runs at the 16 MHz the chip starts with, undivided. A crystal that dies
  * later is noticed by the clock security system (alarms.c). Voltage scale 1, needed at 168 MHz, is this chip's reset
  * value.
@@ -42,7 +42,7 @@ static uint32_t flash_settings(void) {
 
 /* Starts the PLL from the crystal or from the internal oscillator, and switches to it. Returns whether it locked. */
 static bool run_on_pll(bool crystal) {
-    const uint32_t divide = crystal ? 4u : 8u, multiply = 168u, usb = 7u;
+    const uint32_t divide = crystal ? 6u : 8u, multiply = 168u, usb = 7u;
     const uint32_t reserved = RCC->PLLCFGR & 0xF0000000u; /* They must keep their reset value. */
     RCC->PLLCFGR = reserved | divide | multiply << 6 | usb << 24 | (crystal ? RCC_PLLCFGR_PLLSRC : 0u);
     RCC->CR |= RCC_CR_PLLON;

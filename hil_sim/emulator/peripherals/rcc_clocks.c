@@ -5,7 +5,7 @@
 
 #define PICOSECONDS  1e12
 #define HSI_HZ       16e6
-#define HSE_HZ       8e6
+#define HSE_HZ       12e6
 #define LSI_HZ       32e3
 #define DRIFT_STEP_S 0.01 /* As DRIFT_PS of rcc.c: the middle of a step stands for the whole. */
 

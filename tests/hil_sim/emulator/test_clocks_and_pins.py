@@ -60,7 +60,7 @@ def test_clock_limits(chip: Bench, latency: int, cfgr: int, sentence: str) -> No
     chip.write(FLASH, latency)
     chip.write(RCC, 0x10083)
     chip.run(2.5 * MILLISECOND)
-    chip.write(RCC + 4, 0x27405408 & ~0x3FFF | 8 | 336 << 6 & 0x7FC0 | 0x20000000)
+    chip.write(RCC + 4, 0x27405408 & ~0x3FFF | 12 | 336 << 6 & 0x7FC0 | 0x20000000)
     chip.change(RCC, 1 << 24)
     chip.run(MILLISECOND)
     chip.write(RCC + 8, cfgr)
@@ -86,7 +86,7 @@ def test_switch_waits_for_the_clock(chip: Bench) -> None:
     assert chip.read(RCC + 8) & 0xC == 0
     chip.run(2.1 * MILLISECOND)
     assert chip.read(RCC + 8) & 0xC == 4
-    assert core_clock(chip) == 8e6
+    assert core_clock(chip) == 12e6
 
 
 def test_access_without_clock_and_too_soon(chip: Bench) -> None:

@@ -45,7 +45,7 @@ static void clocks(void) {
     R(RCC) |= 1u << 16;
     while (!(R(RCC) & 1u << 17)) {
     }
-    R(RCC + 4) = 0x20000000u | 7u << 24 | 1u << 22 | 336u << 6 | 8u;
+    R(RCC + 4) = 0x20000000u | 7u << 24 | 1u << 22 | 336u << 6 | 12u;
     R(RCC) |= 1u << 24;
     while (!(R(RCC) & 1u << 25)) {
     }
