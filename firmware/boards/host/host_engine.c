@@ -108,6 +108,7 @@ static void check_stale(hal_t *hal) {
     engine_t *engine = &hal->engine;
     if (hal_role_drives(engine->role) && hal->pin_out[PIN_ENABLE] && ++engine->unmeasured == STALE_CHIPS) {
         host_pin_write(hal, PIN_ENABLE, false);
+        host_bridges_write(hal);
         if (engine->events.fault) {
             engine->events.fault(engine->events.context, HAL_FAULT_STALE);
         }

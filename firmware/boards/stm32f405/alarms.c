@@ -9,21 +9,13 @@
  *             168 MHz. The bridges go off, and the dip is counted. The brown-out reset (option bytes, set by make
  *             flash) strikes at about the same voltage; without it this alarm is all there is.
  *
- * The non-maskable interrupt may come in the middle of any handler. It touches the bridges and the clocks only, and
- * leaves what the application is to hear to the supply's handler, whose priority is that of the drive.
+ * The non-maskable interrupt may come in the middle of any handler. It touches the bridges and the clocks only;
+ * bridge_trip() leaves what the application is to hear to a handler of the drive's priority.
  */
 
 #include "boards/stm32f405/stm32f405.h"
 
 #define EXTI_PVD (1u << 16) /* The line of the voltage detector. */
-
-static volatile bool crystal_lost; /* The application has yet to hear of it. */
-
-static void tell(hal_fault_t fault) {
-    if (board.events.fault != NULL)
-        board.events.fault(board.events.context, fault);
-    board.woken = true;
-}
 
 void alarms_start(const hal_t *hal) {
     RCC->APB1ENR |= RCC_APB1ENR_PWREN;
@@ -39,25 +31,18 @@ void alarms_start(const hal_t *hal) {
 }
 
 void NMI_Handler(void) {
-    hal_drive_enable(&board, false);
+    bridge_trip(HAL_FAULT_CLOCK);
     if ((RCC->CIR & RCC_CIR_CSSF) == 0)
         return;              /* It has no other source on this chip. */
     RCC->CIR = RCC_CIR_CSSC; /* No other interrupt of the clocks is enabled there. */
     if (!clock_fall_back(&board))
         hal_reset(&board);
-    crystal_lost = true;
-    NVIC->ISPR[IRQ_PVD / 32] = 1u << (IRQ_PVD % 32);
 }
 
 void PVD_Handler(void) {
     if ((EXTI->PR & EXTI_PVD) != 0) {
         EXTI->PR = EXTI_PVD;
-        hal_drive_enable(&board, false);
         board.counters.supply_dips++;
-        tell(HAL_FAULT_SUPPLY);
-    }
-    if (crystal_lost) {
-        crystal_lost = false;
-        tell(HAL_FAULT_CLOCK);
+        bridge_trip(HAL_FAULT_SUPPLY);
     }
 }

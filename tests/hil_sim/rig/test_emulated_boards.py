@@ -37,7 +37,10 @@ def test_a_slower_core_sleeps_less(tmp_path):
 
 @pytest.mark.parametrize("by_scenario", [True, False])
 def test_a_crystal_stops_while_the_board_runs(tmp_path, by_scenario):
-    """From then on the board has a clock of a twentieth, or what the firmware falls back to, 16 MHz."""
+    """The firmware notices, and starts its PLL anew from the internal oscillator, which takes a third of a millisecond.
+
+    Unnoticed, the clock would be a twentieth of 168 MHz.
+    """
     keys = {"crystal_ppm": "20.0\ncrystal_stops_s = 0.02"} if by_scenario else {}
     with Rig(small(tmp_path, **keys), "emulated") as rig:
         board = 0 if by_scenario else 1
@@ -47,7 +50,7 @@ def test_a_crystal_stops_while_the_board_runs(tmp_path, by_scenario):
         before = rig.statistics(board)["cycles"]
         rig.advance(0.01)
         cycles = rig.statistics(board)["cycles"] - before
-    assert cycles == pytest.approx(84e3, rel=0.02) or cycles == pytest.approx(160e3, rel=0.02)
+    assert 168e6 * (0.01 - 5e-4) < cycles < 168e6 * 0.01
 
 
 def test_frames_are_destroyed_as_many_as_asked(tmp_path):

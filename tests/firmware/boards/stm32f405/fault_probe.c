@@ -53,7 +53,7 @@ static void hang_interrupt(uint32_t irq) {
 }
 
 static void stop(uint32_t kind, uint32_t which) {
-    static TIM_registers *const timers[] = {0, TIM1, TIM2, 0, 0, 0, 0, 0, TIM8};
+    static TIM_registers *const timers[] = {0, TIM1, TIM2, TIM3, 0, 0, 0, 0, TIM8};
     static ADC_registers *const converters[] = {0, ADC1, ADC2, ADC3};
     DMA_stream_registers *stream = which < 16u ? &DMA1->S[which & 7u] : &DMA2->S[which & 7u];
     switch (kind) {
@@ -77,8 +77,8 @@ static void stop(uint32_t kind, uint32_t which) {
         stream->CR &= ~DMA_S0CR_EN;
         break;
     case STOP_ADC:
-        injected = converters[which]->CR2 & (ADC_CR2_EXTEN_RISING | ADC_CR2_JEXTEN_RISING);
-        converters[which]->CR2 &= ~(ADC_CR2_EXTEN_RISING | ADC_CR2_JEXTEN_RISING); /* Nothing triggers it any more. */
+        injected = converters[which]->CR2 & ADC_CR2_ADON;
+        converters[which]->CR2 &= ~ADC_CR2_ADON;
         break;
     case STOP_BURSTS: /* The currents go on. */
         injected = converters[which]->CR2 & ADC_CR2_EXTEN_RISING;
