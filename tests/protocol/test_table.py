@@ -82,7 +82,7 @@ def test_ids_are_told_by_name():
     assert label_of(258) == "code_list[2]"
     assert label_of(512 + 16 * 63 + 7) == "beacons[63][7]"
     assert label_of(50) == "50"
-    assert find_id(40) is None
+    assert find_id(49) is None
     assert find_id(320 + 4) is None  # between two rows
     assert counter_name(0) == "serial frames dropped"
     assert counter_name(99) == "of counter 99"

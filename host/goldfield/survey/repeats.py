@@ -65,7 +65,7 @@ def counted_once(data: SurveyData) -> CountedOnce:
     rows = sorted(first.values())
     if len(rows) == 1 < len(keys) and np.any(data.epochs[0].field_T != 0.0):
         raise UserError(
-            f"all {len(keys)} epochs have the same fields, to the last digit: check whether the sensor or its log was "
+            f"all of {counted(len(keys), 'epochs')} have the same fields, to the last digit: check whether the sensor or its log was "
             "stuck, and walk through the room with it"
         )
     place = {row: index for index, row in enumerate(rows)}

@@ -214,7 +214,7 @@ def test_bad_usage_ends_with_2_and_a_sentence(arguments, sentence):
 
 def run_command(tmp_path, monkeypatch, capsys, *options, boards=None, scenario=None, can=("--can", "none")):
     """The command in this process, on fake boards."""
-    monkeypatch.setattr("hil_sim.rig.rig.factory", lambda kind: boards or FakeBoards())
+    monkeypatch.setattr("hil_sim.rig.rig.factory", lambda kind, cycles: boards or FakeBoards())
     path = scenario or write_scenario(tmp_path)
     code = command.main([str(path), *can, "--pace", "0", *options])
     return code, capsys.readouterr()

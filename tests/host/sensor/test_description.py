@@ -42,9 +42,12 @@ class BoardLink:
         self._lost = lost
         self._decoder = FrameDecoder()
         self._serial_read = self._can_read = 0
-        self._now = 100 * MS  # An image takes some of them to start.
+        self._now = 0
         self._waiting: deque[can.Message] = deque()
-        board.run(self._now)
+        while self._now < 100 * MS:  # An image takes some of them to start, and its first messages must get away.
+            self._now += MS
+            board.run(self._now)
+            self._collect()
 
     def send(self, identifier: int, data: bytes) -> None:
         self.asked += 1
