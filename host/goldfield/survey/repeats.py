@@ -65,8 +65,8 @@ def counted_once(data: SurveyData) -> CountedOnce:
     rows = sorted(first.values())
     if len(rows) == 1 < len(keys) and np.any(data.epochs[0].field_T != 0.0):
         raise UserError(
-            f"all of {counted(len(keys), 'epochs')} have the same fields, to the last digit: check whether the sensor or its log was "
-            "stuck, and walk through the room with it"
+            f"all of {counted(len(keys), 'epochs')} have the same fields, to the last digit: check whether the sensor "
+            "or its log was stuck, and walk through the room with it"
         )
     place = {row: index for index, row in enumerate(rows)}
     epochs = tuple(data.epochs[row] for row in rows)

@@ -65,7 +65,7 @@ def test_the_same_epoch_many_times_counts_once(walked):
 
 def test_fields_that_never_change_are_refused(walked):
     stuck = tuple(replace(walked.data.epochs[0], epoch=number) for number in range(30))
-    with pytest.raises(UserError, match=r"all 30 epochs have the same fields.* stuck"):
+    with pytest.raises(UserError, match=r"all of 30 epochs have the same fields.* stuck"):
         survey(walked.site, SurveyData(stuck))
 
 
