@@ -12,20 +12,20 @@
 
 /* Pins, numbered port * 16 + pin (boards/pinout.md). */
 enum {
-    PIN_CURRENT_0 = 0,  /* PA0 */
-    PIN_FIELD_X = 1,    /* PA1; y and z follow. */
-    PIN_SYNC_OUT = 7,   /* PA7 */
-    PIN_BRIDGE_1 = 16,  /* PB0: input 1 of channel 1's bridge; input 2 follows. */
-    PIN_LED = 20,       /* PB4 */
-    PIN_FAULT = 28,     /* PB12, on one wire with PA6. */
-    PIN_BRIDGE_0 = 29,  /* PB13: input 1 of channel 0's bridge; input 2 follows. */
-    PIN_ENABLE = 31,    /* PB15 */
+    PIN_CURRENT_0 = 0,           /* PA0 */
+    PIN_FIELD_X = 1,             /* PA1; y and z follow. */
+    PIN_SYNC_OUT = 7,            /* PA7 */
+    PIN_BRIDGE_1 = 16,           /* PB0: input 1 of channel 1's bridge; input 2 follows. */
+    PIN_LED = 20,                /* PB4 */
+    PIN_FAULT = 28,              /* PB12, on one wire with PA6. */
+    PIN_BRIDGE_0 = 29,           /* PB13: input 1 of channel 0's bridge; input 2 follows. */
+    PIN_ENABLE = 31,             /* PB15 */
     PIN_SUPPLY = 32,             /* PC0: supply of the bridges. */
     PIN_COIL_TEMPERATURE_0 = 33, /* PC1 */
     PIN_DRIVER_TEMPERATURE = 34, /* PC2 */
     PIN_COIL_TEMPERATURE_1 = 35, /* PC3 */
-    PIN_CURRENT_1 = 36, /* PC4 */
-    PIN_SYNC_IN = 38    /* PC6 */
+    PIN_CURRENT_1 = 36,          /* PC4 */
+    PIN_SYNC_IN = 38             /* PC6 */
 };
 
 enum {

@@ -365,7 +365,7 @@ typedef struct {
 #define SCB_CFSR_MMARVALID    (1u << 7)
 #define SCB_CFSR_STKERR       (1u << 12) /* The frame of an exception met a bus fault. */
 #define SCB_CFSR_BFARVALID    (1u << 15)
-#define SCB_ICSR_PENDSVSET (1u << 28)
+#define SCB_ICSR_PENDSVSET    (1u << 28)
 /* The system resets; the upper half is the key without which nothing is written (PM0214, 4.4.5). */
 #define SCB_AIRCR_SYSRESETREQ (0x05FAu << 16 | 1u << 2)
 
