@@ -212,9 +212,16 @@ static drive_settings_t read_settings(const node_t *node) {
     return settings;
 }
 
-_Static_assert(sizeof(drive_settings_t) == sizeof(waveform_config_t) + 9u * sizeof(float) &&
-                   sizeof(waveform_config_t) == (5u + 4u * WAVEFORM_CODES) * sizeof(uint32_t),
+_Static_assert(sizeof(waveform_config_t) == (5u + 4u * WAVEFORM_CODES) * sizeof(uint32_t),
                "words without gaps: equal if their bytes are");
+
+static bool same(const drive_settings_t *a, const drive_settings_t *b) {
+    return memcmp(&a->waveform, &b->waveform, sizeof a->waveform) == 0 && a->amplitude_A == b->amplitude_A &&
+           a->over_current_A == b->over_current_A && a->open_fraction == b->open_fraction && a->rms_A == b->rms_A &&
+           a->rms_s == b->rms_s && a->supply_low_V == b->supply_low_V && a->supply_high_V == b->supply_high_V &&
+           a->coil_hot_degC == b->coil_hot_degC && a->driver_hot_degC == b->driver_hot_degC;
+}
+
 _Static_assert(WAVEFORM_CHANNELS == HAL_CHANNELS && WAVEFORM_CODES == PARAMETER_CODES_ROWS, "one and the same");
 _Static_assert(WAVEFORM_ONE == CURRENT_ONE, "levels are handed on as they are");
 
@@ -324,7 +331,7 @@ void drive_start(drive_t *drive, node_t *node, timing_t *timing) {
 
 void drive_configure(drive_t *drive) {
     const drive_settings_t settings = read_settings(drive->node);
-    if (memcmp(&settings, &drive->settings, sizeof settings) != 0) {
+    if (!same(&settings, &drive->settings)) {
         apply_settings(drive);
     }
 }
