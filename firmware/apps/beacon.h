@@ -11,8 +11,8 @@
  * Memory: 17 kB.
  *
  * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel and, in brackets,
- * for a rotating field: plan of a block takes 3,400 (4,400) instructions, current 98 (155), once in 31 chips 205
- * (372), main with nothing to do 170.
+ * for a rotating field: plan of a block takes 4,600 (6,500) instructions, current 250 (320), once in 31 chips 590
+ * (680), main with nothing to do 280.
  */
 #ifndef GOLDFIELD_BEACON_H
 #define GOLDFIELD_BEACON_H
@@ -31,7 +31,7 @@ typedef struct {
 } beacon_t;
 
 /* Say hello, read the parameters, prepare the waveform and start the chip engine. *beacon and *hal must live for ever.
- * Costs about 143,000 instructions, with a rotating field of 2047 chips 280,000 (1.6 ms). */
+ * Costs about 210,000 instructions, with a rotating field of 2047 chips 360,000 (2.1 ms). */
 void beacon_start(beacon_t *beacon, hal_t *hal);
 
 /* Run one turn of the main loop. */

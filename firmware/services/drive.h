@@ -49,8 +49,8 @@
  * Memory: 8.8 kB.
  *
  * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel and, in brackets,
- * for a rotating field: drive_plan takes 3,400 (4,400) instructions a block, drive_current 98 (155), once in 31 chips
- * 205 (372).
+ * for a rotating field: drive_plan takes 4,600 (6,500) instructions a block, drive_current 250 (320), once in 31 chips
+ * 590 (680).
  */
 #ifndef GOLDFIELD_DRIVE_H
 #define GOLDFIELD_DRIVE_H

@@ -181,8 +181,14 @@ class Board:
         self.requests.append((time, mailbox, frame.id, bytes(frame.data[0 : frame.length])))
 
     def edges(self, pin: int, level: bool = True) -> list[int]:
-        """Times at which a pin went to a level."""
-        return [time for time, number, new in self.pins if number == pin and new == level]
+        """Times at which a pin went to a level; it is low until the board first drives it."""
+        times, before = [], False
+        for time, number, new in self.pins:
+            if number == pin:
+                if new == level != before:
+                    times.append(time)
+                before = new
+        return times
 
     def messages(self, name: str | None = None) -> list[Message]:
         """Messages on the serial port so far, all or of one kind; any damaged frame is an error."""

@@ -160,7 +160,8 @@ static void end_block(current_t *current) {
         gather(line, holding ? KEPT_HOLDING : KEPT_RAMPING);
         fit(current, line, i == 0 ? 1.0f : -1.0f);
         if (line->count > 0.0f) {
-            const uint32_t count = (uint32_t)((int32_t)line->scale - line->shift + FINE / 2) / FINE;
+            const int32_t wanted = ((int32_t)line->scale - line->shift + FINE / 2) / FINE;
+            const uint32_t count = (uint32_t)(wanted < 0 ? 0 : wanted > REFERENCE_MAX ? REFERENCE_MAX : wanted);
             level[i] = (set_point * line->gain + line->offset) * config->sense_A;
             reference = count > reference ? count : reference;
         }

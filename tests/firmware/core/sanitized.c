@@ -84,12 +84,24 @@ static void currents(void) {
     for (uint32_t i = 0; i < 100; i++) {
         current_t loop;
         const float amplitude = (float)(noise() % 17u), limit = (float)(noise() % 20u);
-        if (current_configure(
-                &loop, &(current_config_t){0.0078125f, 0.00390625f, amplitude, limit, (float)(noise() % 3u) / 2.0f})) {
+        const current_config_t config = {
+            .sense_A = 0.0078125f,
+            .reference_A = 0.00390625f,
+            .amplitude_A = amplitude,
+            .open_fraction = (float)(noise() % 3u) / 2.0f,
+            .several_levels = i % 2u == 0u,
+            .guard = {.over_current_A = limit, .rms_A = (float)(noise() % 20u), .rms_chips = 1000.0f},
+        };
+        memset(&loop, 0, sizeof loop);
+        if (current_configure(&loop, &config)) {
+            for (uint32_t t = 0; t < 300 && i % 5u != 0u; t++) {
+                (void)current_sample(&loop, false, 0, 2048);
+            }
             current_start(&loop);
             for (uint32_t t = 0; t < 3000; t++) {
-                const int32_t set_point = (int32_t)(noise() % 8191u) - 4095;
-                (void)current_sample(&loop, (int16_t)set_point,
+                const int32_t set_point = i % 2u == 0u ? (int32_t)(noise() % 8191u) - 4095
+                                                       : current_set_point(&loop, (int32_t)(noise() % 2u) * 2 - 1);
+                (void)current_sample(&loop, noise() % 7u != 0u, (int16_t)set_point,
                                      (uint16_t)(i % 3u == 0u ? (int32_t)noise() : 2048 + set_point / 2));
                 REQUIRE(loop.reference <= 4095);
             }
