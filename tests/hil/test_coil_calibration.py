@@ -18,11 +18,11 @@ CYCLES = 4
 
 @pytest.mark.parametrize("bandwidth_Hz", [2000.0, 3500.0])
 def test_a_low_pass_is_found_as_the_time_constant_of_every_coil(tmp_path, bandwidth_Hz):
-    """The supply is so large that the swing of the current takes a microsecond of a chip's 98."""
+    """The inductance is so small that the swing of the current takes a microsecond of a chip's 98."""
     text = scenario.find("prigge8").read_text()
     for old, new in (
         ("bandwidth_Hz = 100e3", f"bandwidth_Hz = {bandwidth_Hz}"),
-        ("supply_V = 120.0", "supply_V = 4000.0"),
+        ("inductance_H = 1.9e-4", "inductance_H = 5.7e-6"),
         ("pose = 1", "stream = 1\npose = 0"),
     ):
         assert old in text

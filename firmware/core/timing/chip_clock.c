@@ -47,8 +47,9 @@ bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config) {
  * alpha / beta cycles ago. */
 static void hold_over(chip_clock_t *clock, uint32_t cycles) {
     const int64_t lag = cycles == 2u ? (4 * clock->memory - 2) / 6 : 0;
-    set_period(clock, (int64_t)clock->period + clock->drift * (1 + lag));
-    const int64_t slope = clock->drift < 0 ? -clock->drift : clock->drift;
+    const int64_t drift = clock->drift_edges == CHIP_CLOCK_DRIFT_CYCLES ? clock->drift : 0;
+    set_period(clock, (int64_t)clock->period + drift * (1 + lag));
+    const int64_t slope = drift < 0 ? -drift : drift;
     const int64_t moved = (slope * clock->config.chips >> FRACTION_BITS / 2) * cycles * cycles / 2;
     if (moved > (int64_t)clock->source.lock_ticks << FRACTION_BITS / 2 || cycles > CHIP_CLOCK_HOLDOVER_CYCLES) {
         clock->locked = false;

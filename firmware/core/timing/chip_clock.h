@@ -50,11 +50,12 @@
  *
  * Hold-over. While edges are missing the clock runs on with the last period, and lets it go on changing as it did: the
  * drift of the two oscillators against each other is the mean change of the period, over the last
- * CHIP_CLOCK_DRIFT_CYCLES edges. What no edge tells is whether a drift goes on: an oven that is switched off ends it.
- * So the lock ends as soon as the learnt drift, begun or ended with the last edge, could have moved the phase by
- * lock_ticks (n cycles move it by drift n^2 / 2), and CHIP_CLOCK_HOLDOVER_CYCLES after the last edge in any case. A
- * drift of d ppm/s that nothing showed before adds d t^2 / 2 microseconds in t seconds: 0.05 ppm/s make 2.5 us in the
- * longest hold-over. A master (follow = false) runs at the nominal period, is always locked, and ignores edges.
+ * CHIP_CLOCK_DRIFT_CYCLES edges; it is taken for none until there were so many. What no edge tells is whether a drift
+ * goes on: an oven that is switched off ends it. So the lock ends as soon as the learnt drift, begun or ended with the
+ * last edge, could have moved the phase by lock_ticks (n cycles move it by drift n^2 / 2), and
+ * CHIP_CLOCK_HOLDOVER_CYCLES after the last edge in any case. A drift of d ppm/s that nothing showed before adds d t^2
+ * / 2 microseconds in t seconds: 0.05 ppm/s make 2.5 us in the longest hold-over. A master (follow = false) runs at the
+ * nominal period, is always locked, and ignores edges.
  *
  * Contexts: chip_clock_plan, _edge, _mark, _message, _jump, _correct, _compare and _at are called from one interrupt
  * priority. Main may read locked and phase_ticks. chip_clock_number_cycle is called from either.
