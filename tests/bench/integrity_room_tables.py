@@ -42,18 +42,18 @@ def _systematic_run(fault: Systematic, site: Site, poses: int, rng: np.random.Ge
 
 def systematic_faults(run: Run) -> None:
     """Print what becomes of faults of the whole sensor, all currents or the site file, eight beacons."""
-    label = Column("Prigge's cube", -22)
+    label = Column("Prigge's cube", -20)
     for noise_T in (2e-7, 2e-8):
         title = f"Systematic faults, 8 beacons, {noise_T * 1e7:g} mG a sample"
-        note = STATUS_NOTE + ";\nnamed: poses that name it; least: `ok` that the best test of one axis' gain leaves"
-        last = Column("named", 5), Column("least", 5, 1)
-        table = Table(title, note, (label, POSES, *STATUS_COLUMNS, *WRONG_COLUMNS, *last))
+        note = STATUS_NOTE + ";\nnamed: poses that name it; min: `ok` that the best test of one axis' gain leaves"
+        last = Column("named", 5), Column("min", 3)
+        table = Table(title, note, (label, Column("poses", 5), *STATUS_COLUMNS, *WRONG_COLUMNS, *last))
         for name, fault in progress(systematic().items(), title):
             site = cube(noise_T)
             trials = _systematic_run(fault, site, run.poses, run.rng("systematic", name, noise_T))
             outcome = judged(run.told(fault.tells(site)), trials)
             named = sum(fault.kind in kinds for kinds in outcome.named)
-            least = fewest_missed(site, trials, fault.sensor) if fault.kind == "axis_gain" else float("nan")
+            least = str(round(fewest_missed(site, trials, fault.sensor))) if fault.kind == "axis_gain" else "-"
             table.row(name, *status_cells(outcome), *wrong_cells(outcome), named, least)
 
 
