@@ -1,7 +1,5 @@
 """bxCAN's error management (RM0090 32.7.6, ISO 11898-1 12.1.4): counters, warning, error passive, bus-off, recovery."""
 
-from collections.abc import Iterator
-
 import pytest
 
 from hil_sim.emulator.bench import MICROSECOND, Bench
@@ -16,13 +14,8 @@ RECOVERY = 128 * 11 * MICROSECOND
 
 
 @pytest.fixture
-def chip() -> Iterator[Bench]:
-    bench = Bench()
-    bench.full_speed()
-    yield bench
-    report = bench.report
-    bench.close()
-    assert not report
+def chip(fast_chip: Bench) -> Bench:
+    return fast_chip
 
 
 def error(chip: Bench, mailbox: int = LISTENS, count: int = 1) -> None:
