@@ -86,6 +86,34 @@ def usable_components(field_T: FloatArray, sigma_T: FloatArray) -> NDArray[np.bo
     return known[..., None] & (np.abs(field_T) <= LARGEST_T)
 
 
+@dataclass(frozen=True, eq=False)
+class Block:
+    """What a sensor knows of some successive chips, in its own frame: their samples or sums of them; docs/blocks.md.
+
+    Attributes
+    ----------
+    cycle : int
+        Number of the code cycle of the first sample.
+    chip : int
+        Code chip of the first sample, 0 to N - 1; a block may run into the next cycle.
+    time_s : float
+        Time of the last sample, which is the end of its chip, on the sensor's clock.
+    chips : int
+        How many successive chips the block has.
+    data_T : ndarray, shape (chips, 3) or (c + 1, 3)
+        The samples, one row a chip, if ``sampled``; else the sums, in tesla, of samples times code for each of the
+        site's c codes in the order of ``site.codes``, and last the plain sum. NaN on an axis that was not measured.
+    sampled : bool
+    """
+
+    cycle: int
+    chip: int
+    time_s: float
+    chips: int
+    data_T: FloatArray
+    sampled: bool = False
+
+
 class Status(StrEnum):
     """What a pose is worth; where several hold, the last of them is told."""
 
