@@ -1,0 +1,5 @@
+"""A pose from every block of chips: the filter of docs/blocks.md in NumPy, for every kind of site."""
+
+from goldfield.track.blocks.filter import BlockFilter, Tracked
+
+__all__ = ["BlockFilter", "Tracked"]

@@ -1,0 +1,220 @@
+"""What a block tells, in one form for every kind of site: sums on the templates, and their Gram matrices (docs/blocks.md).
+
+`BlockEquations` knows a site: its templates, the codes that a sensor board correlates with, and the sensor's axes. It
+turns a `Block`, of samples or of sums, into a `NormalForm`, which is all that the filter, the start and the integrity
+take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.access.gold import code_matrix
+from goldfield.access.waveform import site_templates
+from goldfield.errors import UserError
+from goldfield.site import Site
+from goldfield.site.drive import NO_CODE
+from goldfield.types import LARGEST_T, Block, FloatArray
+
+REMEMBERED = 1100
+"""Blocks whose matrices are kept: a cycle of degree 10 has 1023 places to begin."""
+
+PIVOT = 1e-9
+"""Eigenvalues of a Gram matrix below this part of its largest are rounding: such columns depend on others."""
+
+
+@dataclass(frozen=True, eq=False)
+class NormalForm:
+    """A block as the filter takes it: S = G0 h + G1 h' + noise, for n beacons and, last, the ambient field.
+
+    The noise of the sums has the covariance ``gram`` between rows and the inverse of ``weight`` between components.
+
+    Attributes
+    ----------
+    sums_T : ndarray, shape (n + 1, 3)
+        Components in the sensor's frame; 0 along what was not measured.
+    gram, moment : ndarray, shape (n + 1, n + 1)
+        C' C, and C' diag(tau) C with the times from the middle of the block, s. Zero for a beacon that is left out.
+    weight : ndarray, shape (3, 3)
+        Inverse covariance of a sample's components in the sensor's frame, 1/T^2; of less rank if axes are missing.
+    end_s : float
+        Time from the middle of the block to its last sample.
+    """
+
+    sums_T: FloatArray
+    gram: FloatArray
+    moment: FloatArray
+    weight: FloatArray
+    end_s: float
+
+    def without(self, rows: NDArray[np.intp]) -> NormalForm:
+        """Return what the block tells of the others if the fields of some beacons are unknown."""
+        if not len(rows):
+            return self
+        kept = np.ones(len(self.gram), dtype=bool)
+        kept[rows] = False
+        across = np.zeros_like(self.gram)
+        out = np.ix_(rows, rows)
+        across[:, rows] = self.gram[:, rows] @ np.linalg.pinv(self.gram[out], rcond=PIVOT, hermitian=True)
+        across[rows] = 0.0
+        both = np.outer(kept, kept)
+        return replace(
+            self,
+            sums_T=np.where(kept[:, None], self.sums_T - across @ self.sums_T, 0.0),
+            gram=np.where(both, self.gram - across @ self.gram, 0.0),
+            moment=np.where(both, self.moment - across @ self.moment, 0.0),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Columns:
+    """The matrices of the blocks that begin at one chip; ``reduced`` brings sums or samples to the normal form."""
+
+    reduced: FloatArray
+    gram: FloatArray
+    moment: FloatArray
+
+
+class BlockEquations:
+    """Makes the normal forms of a site's blocks.
+
+    Parameters
+    ----------
+    site : Site
+
+    Attributes
+    ----------
+    columns : ndarray, shape (N, n + 1)
+        Templates of the beacons, and ones.
+
+    Raises
+    ------
+    UserError
+        If the site is of a kind that no block filter can follow: `check_followed`.
+    """
+
+    def __init__(self, site: Site) -> None:
+        check_followed(site)
+        self._site = site
+        ones = np.ones((site.chips, 1))
+        self.columns: FloatArray = np.hstack([site_templates(site), ones])
+        self._codes: FloatArray | None = None
+        if all(beacon.code != NO_CODE for beacon in site.beacons):
+            self._codes = np.hstack([code_matrix(site.degree, site.codes).astype(np.float64), ones])
+        sensor = site.sensor
+        self._axes = np.eye(3) if sensor.axes is None else sensor.axes
+        ratio = np.ones(len(self._axes)) if sensor.noise_ratio is None else sensor.noise_ratio
+        self._noise_T = sensor.noise_T * ratio
+        self._known: dict[tuple[int, int, bool], _Columns] = {}
+        self._heads: dict[bytes, tuple[FloatArray, FloatArray]] = {}
+
+    def form(self, block: Block) -> NormalForm | None:
+        """Return the normal form of a block; None if it holds no data.
+
+        Samples of which a component is missing are left out, an axis that has none is not measured.
+
+        Raises
+        ------
+        UserError
+            If the shape of the data is not that of so many chips or codes, the first chip is none of the cycle, or
+            sums come for a site whose beacons have not one plain code each.
+        """
+        data = self._checked(block)
+        usable = np.abs(data) <= LARGEST_T
+        axes = usable.any(axis=0)
+        axes[len(self._axes) :] = False
+        if not axes.any():
+            return None
+        rows = usable[:, axes].all(axis=1)
+        if rows.all():
+            columns = self._columns(block.chip, block.chips, block.sampled)
+        elif block.sampled and rows.any():
+            columns = self._of_some(block.chip, block.chips, rows)
+            data = data[rows]
+        else:
+            return None
+        components, weight = self._read(axes)
+        half = 0.5 * (block.chips - 1) * self._site.chip_period_s
+        return NormalForm((columns.reduced @ data[:, axes]) @ components.T, columns.gram, columns.moment, weight, half)
+
+    def _checked(self, block: Block) -> FloatArray:
+        """Return the data of a block that is as the type says."""
+        codes = self._codes
+        if not block.sampled and codes is None:
+            self._site.codes  # noqa: B018  (says which beacon has no plain code)
+        rows = block.chips if block.sampled or codes is None else codes.shape[1]
+        data = np.asarray(block.data_T, dtype=np.float64)
+        if block.chips < 1 or data.shape != (rows, 3):
+            what = "samples, one a chip" if block.sampled else "sums, one a code and the plain one"
+            raise UserError(f"data_T= of Block has the shape {data.shape}: {block.chips} chips need ({rows}, 3), {what}")
+        if not 0 <= block.chip < self._site.chips:
+            raise UserError(f"chip= of Block is {block.chip}: the cycle has the chips 0 to {self._site.chips - 1}")
+        return data
+
+    def _columns(self, chip: int, chips: int, sampled: bool) -> _Columns:
+        key = (chip, chips, sampled)
+        known = self._known.get(key)
+        if known is None:
+            if len(self._known) >= REMEMBERED:
+                self._known.clear()
+            known = self._known[key] = self._of_some(chip, chips, None, sampled)
+        return known
+
+    def _of_some(self, chip: int, chips: int, rows: NDArray[np.bool_] | None, sampled: bool = True) -> _Columns:
+        """Compute the matrices, of all samples or of some of them."""
+        place = (chip + np.arange(chips)) % self._site.chips
+        tau = (np.arange(chips) - 0.5 * (chips - 1)) * self._site.chip_period_s
+        if rows is not None:
+            place, tau = place[rows], tau[rows]
+        columns = self.columns[place]
+        late = tau[:, None] * columns
+        if sampled or self._codes is None:
+            return _Columns(columns.T.copy(), columns.T @ columns, columns.T @ late)
+        codes = self._codes[place]
+        through = codes.T @ columns
+        back = through.T @ np.linalg.pinv(codes.T @ codes, rcond=PIVOT, hermitian=True)
+        return _Columns(back, back @ through, back @ (codes.T @ late))
+
+    def _read(self, axes: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
+        """Return what makes components of the readings of some axes, shape (3, k), and the weight of a sample's."""
+        key = axes.tobytes()
+        if key not in self._heads:
+            taken = axes[: len(self._axes)]
+            rows, noise = self._axes[taken], self._noise_T[taken]
+            whitened = rows / noise[:, None]
+            self._heads[key] = np.linalg.pinv(rows), whitened.T @ whitened
+        return self._heads[key]
+
+
+def check_followed(site: Site) -> None:
+    """Check that the samples of a site's beacons are known at each chip, and that the sensor reads at one point.
+
+    Raises
+    ------
+    UserError
+        If they are not.
+    """
+    if site.sensor.lever_m is not None:
+        raise UserError(
+            f"site {site.name}: poses from blocks take all axes of the sensor to be at one point, but [sensor] has "
+            "lever_m: locate whole cycles, or leave out lever_m if it is small"
+        )
+    if any(beacon.drive.frequency_Hz is not None for beacon in site.beacons):
+        raise UserError(
+            f"site {site.name}: poses from blocks need to know each beacon's signal at each chip, but the phases of its "
+            'tones are unknown: locate whole windows, or give tones of phase = "known"'
+        )
+
+
+def combined(forms: Sequence[NormalForm]) -> NormalForm:
+    """Return several blocks of a sensor that hardly moves as one, without what their times say of the motion."""
+    first = forms[0]
+    if len(forms) == 1:
+        return first
+    gram = np.sum([form.gram for form in forms], axis=0)
+    sums = np.sum([form.sums_T for form in forms], axis=0)
+    return NormalForm(sums, gram, np.zeros_like(gram), first.weight, first.end_s)
