@@ -16,17 +16,37 @@ that it does not serve (``serves(model)`` tells). `BlockFilter` takes either:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from goldfield.field import FieldModel
 from goldfield.track.blocks.equations import NormalForm
-from goldfield.track.blocks.state import Motion
+from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion, added, transition
+from goldfield.track.blocks.update import observed, reference, taken_by
 from goldfield.types import FloatArray
 
 AGILITIES: FloatArray = np.array([[0.05, 0.1], [0.5, 1.0], [2.0, 4.0], [8.0, 15.0]])
 """Agilities of acceleration and turn, m/s^2 and rad/s^2 per root hertz, one row a filter."""
+
+MEMORY_S = 0.15
+"""Time after which the likelihood of a block counts a third."""
+
+GATE = 1e-5
+"""A block less likely than this is refused by a filter."""
+
+BEHIND = 3.0
+"""By how much less likely a filter is taken to be than the one whose copy it has just become."""
+
+START_VELOCITY_M_S, START_RATE_RAD_S, START_OFFSET_T = 3.0, 4.0, 5e-6
+"""Standard deviations of what a start does not know, each axis."""
+
+REMEMBERED = 64
+"""Distances in time whose noise is kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,20 +104,90 @@ class Bank:
 
     def __init__(self, model: FieldModel, agilities: FloatArray = AGILITIES) -> None:
         self._model, self._agilities = model, agilities
-        self.mismatch, self.refused = 0.0, 0
+        self.refused = 0
+        self._best = len(agilities) - 1
+        self._likelihood = np.zeros(len(agilities))
+        self._added: dict[float, FloatArray] = {}
+
+    @property
+    def mismatch(self) -> float:
+        """Discounted -2 log likelihood of the filter that is output."""
+        return -2.0 * float(self._likelihood[self._best])
 
     def start(self, start: Start) -> None:
         """Begin a track; what was known before is forgotten."""
-        raise NotImplementedError
+        count = len(self._agilities)
+        nothing = np.zeros((count, 3))
+        self._motion = Motion(
+            np.tile(start.position_m, (count, 1)),
+            np.tile(start.rotation, (count, 1, 1)),
+            nothing,
+            nothing,
+            np.tile(start.ambient_T, (count, 1)),
+            nothing,
+        )
+        covariance = np.zeros((SIZE, SIZE))
+        covariance[:6, :6] = start.pose_cov
+        covariance[VELOCITY, VELOCITY] = START_VELOCITY_M_S**2 * np.eye(3)
+        covariance[RATE, RATE] = START_RATE_RAD_S**2 * np.eye(3)
+        covariance[AMBIENT, AMBIENT] = start.ambient_cov_T2
+        covariance[OFFSET, OFFSET] = START_OFFSET_T**2 * np.eye(3)
+        self._covariance = np.tile(covariance, (count, 1, 1))
+        self._likelihood[:] = 0.0
+        self._best, self.refused = count - 1, 0
 
     def update(self, form: NormalForm, seconds: float) -> bool:
         """Go on by some seconds to the middle of a block and take it; False if all filters refuse it."""
-        raise NotImplementedError
+        self.predict(seconds)
+        block = observed(form, reference(self._model, self._motion.taken(self._best)))
+        update = taken_by(self._motion, self._covariance, block)
+        agrees = update.surprise <= _gate(block.rank)
+        if not agrees.any():
+            self.refused += 1
+            return False
+        self.refused = 0
+        likelihood = self._likelihood * math.exp(-abs(seconds) / MEMORY_S)
+        self._likelihood = likelihood - 0.5 * (update.surprise + update.log_spread)
+        self._motion = self._motion.moved(np.where(agrees[:, None], update.change, 0.0))
+        gain = np.where(agrees[:, None, None], update.gain, 0.0)
+        self._covariance -= gain @ gain.swapaxes(1, 2)
+        self._best = int(np.argmax(np.where(agrees, self._likelihood, -np.inf)))
+        self._seed(np.flatnonzero(~agrees))
+        return True
+
+    def _seed(self, rows: NDArray[np.intp]) -> None:
+        """Let filters that have lost the sensor go on from the best one."""
+        if len(rows):
+            of = np.arange(len(self._agilities))
+            of[rows] = self._best
+            self._motion, self._covariance = self._motion.taken(of), self._covariance[of]
+            self._likelihood[rows] = self._likelihood[self._best] - BEHIND
 
     def predict(self, seconds: float) -> None:
         """Go on by some seconds without a block."""
-        raise NotImplementedError
+        onward = transition(self._motion.rate_rad_s, seconds)
+        self._covariance = onward @ self._covariance @ onward.swapaxes(1, 2) + self._noise(seconds)
+        self._motion = self._motion.after(seconds)
+
+    def _noise(self, seconds: float) -> FloatArray:
+        """Return what time adds to the covariances; blocks mostly come at the same distance."""
+        if seconds not in self._added:
+            if len(self._added) > REMEMBERED:
+                self._added.clear()
+            self._added[seconds] = added(self._agilities, seconds)
+        return self._added[seconds]
 
     def output(self, seconds: float = 0.0) -> Estimate:
         """Return what the best filter believes of the moment so many seconds after the middle of the last block."""
-        raise NotImplementedError
+        motion, covariance = self._motion.taken(self._best), self._covariance[self._best]
+        if seconds:
+            onward = transition(motion.rate_rad_s, seconds)
+            covariance = onward @ covariance @ onward.T + added(self._agilities[self._best], seconds)
+            motion = motion.after(seconds)
+        return Estimate(motion, covariance)
+
+
+@cache
+def _gate(rank: int) -> float:
+    """Return the surprise that a block which is as described exceeds with the probability `GATE`."""
+    return float(chdtri(rank, GATE)) if rank else 0.0

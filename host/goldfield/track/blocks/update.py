@@ -1,0 +1,198 @@
+"""What a block says of the nine observed numbers, and how filters take it (docs/blocks.md, "Update").
+
+The numbers z are position, a small rotation and the ambient field as the sensor sees it, a = e + R b, all in the site's
+frame. `observed` turns a block into their information around a reference; `taken_by` updates any number of filters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from goldfield.field import FieldModel
+from goldfield.locate import kernel
+from goldfield.locate.rotations import skew
+from goldfield.track.blocks.equations import NormalForm
+from goldfield.track.blocks.state import AMBIENT, OFFSET, Motion, rotation_vector
+from goldfield.types import FloatArray
+
+OBSERVED, MOVING = 9, 6
+"""Observed numbers, and numbers of the motion, velocity and turn rate, that shift them within a block."""
+
+MOTION = slice(6, 12)
+"""Velocity and turn rate among the errors of the state."""
+
+SMALL_PIVOT = 1e-6
+"""A pivot below this part of its own diagonal says nothing that others do not say."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The fields at a motion, in the site's frame.
+
+    Attributes
+    ----------
+    motion : Motion
+        Of one moment, the middle of a block.
+    field_T : ndarray, shape (n + 1, 3)
+        Of the beacons, and last what the sensor sees of ambient field and offset, a = e + R b.
+    slope_T_s : ndarray, shape (n + 1, 3)
+        How they change in the sensor's frame, turned into the site's.
+    jacobian : ndarray, shape (n + 1, 3, 9)
+        Of the fields by the observed numbers.
+    """
+
+    motion: Motion
+    field_T: FloatArray
+    slope_T_s: FloatArray
+    jacobian: FloatArray
+
+    def residual(self, form: NormalForm) -> FloatArray:
+        """Return what the motion leaves of a block's sums, in the site's frame, shape (n + 1, 3)."""
+        expected = form.gram @ self.field_T + form.moment @ self.slope_T_s
+        return np.asarray(form.sums_T @ self.motion.rotation.T - expected)
+
+    def weight(self, form: NormalForm) -> FloatArray:
+        """Return the inverse covariance of a sample's components in the site's frame, shape (3, 3)."""
+        return np.asarray(self.motion.rotation @ form.weight @ self.motion.rotation.T)
+
+
+def reference(model: FieldModel, motion: Motion) -> Reference:
+    """Compute the fields at a motion."""
+    field, gradient = kernel.evaluate(model, motion.position_m)
+    count = len(model)
+    fields = np.empty((count + 1, 3))
+    fields[:count], fields[count] = field.T, motion.ambient_T
+    jacobian = np.zeros((count + 1, 3, OBSERVED))
+    jacobian[:count, :, :3] = gradient.transpose(2, 0, 1)
+    jacobian[:, :, 3:6] = skew(fields)
+    jacobian[count, :, 6:] = np.eye(3)
+    # - w x B = [B]x w
+    slope = jacobian[:, :, :3] @ motion.velocity_m_s + jacobian[:, :, 3:6] @ motion.rate_rad_s
+    fields[count] += motion.rotation @ motion.offset_T
+    return Reference(motion, fields, slope, jacobian)
+
+
+@dataclass(frozen=True, eq=False)
+class Observed:
+    """What a block says of the observed numbers.
+
+    Attributes
+    ----------
+    motion : Motion
+        The reference.
+    root : ndarray, shape (9, 9)
+        Lower triangular U with L = U U' the information; columns of zeros where nothing is said.
+    by_motion : ndarray, shape (9, 6)
+        U^-1 K: what errors of velocity and turn rate add to the scores.
+    score : ndarray, shape (9,)
+        U^-1 g of the reference.
+    rank : int
+    """
+
+    motion: Motion
+    root: FloatArray
+    by_motion: FloatArray
+    score: FloatArray
+    rank: int
+
+
+def observed(form: NormalForm, around: Reference) -> Observed:
+    """Turn a block into what it says around a reference."""
+    count = len(around.field_T)
+    jacobian = around.jacobian.reshape(-1, OBSERVED)
+    weighted = (around.weight(form) @ around.jacobian).reshape(-1, OBSERVED)
+    through = np.empty((count, 3, OBSERVED + MOVING + 1))
+    through[..., :OBSERVED] = (form.gram @ around.jacobian.reshape(count, -1)).reshape(-1, 3, OBSERVED)
+    moving = np.ascontiguousarray(around.jacobian[..., :MOVING]).reshape(count, -1)
+    through[..., OBSERVED:-1] = (form.moment @ moving).reshape(-1, 3, MOVING)
+    through[..., -1] = around.residual(form)
+    told = weighted.T @ through.reshape(len(jacobian), -1)
+    root, rest, rank = _root(told[:, :OBSERVED], told[:, OBSERVED:])
+    return Observed(around.motion, root, rest[:, :-1], rest[:, -1], rank)
+
+
+def _root(information: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray, int]:
+    """Return U and U^-1 times the right side with L = U U', small pivots left out, and how many are left."""
+    diagonal = np.diag(information)
+    try:
+        root = np.linalg.cholesky(information)
+        if (np.square(np.diag(root)) > SMALL_PIVOT * diagonal).all():
+            return root, np.linalg.solve(root, right), OBSERVED
+    except np.linalg.LinAlgError:
+        pass
+    root, done, rank = np.zeros_like(information), np.zeros_like(right), 0
+    left, rest = information.copy(), right.copy()
+    for column in range(OBSERVED):
+        pivot = left[column, column]
+        if not pivot > SMALL_PIVOT * diagonal[column]:
+            continue
+        root[column:, column] = left[column:, column] / np.sqrt(pivot)
+        done[column] = rest[column] / root[column, column]
+        left -= np.outer(root[:, column], root[:, column])
+        rest -= np.outer(root[:, column], done[column])
+        rank += 1
+    return root, done, rank
+
+
+@dataclass(frozen=True, eq=False)
+class Update:
+    """Updates of k filters by one block.
+
+    Attributes
+    ----------
+    change : ndarray, shape (k, 18)
+        By which the states move.
+    gain : ndarray, shape (k, 18, 9)
+        The covariances lose ``gain @ gain'``.
+    surprise : ndarray, shape (k,)
+        Chi-square with the block's rank as degrees of freedom if all is as described.
+    log_spread : ndarray, shape (k,)
+        Logarithm of the determinant of the scores' covariance.
+    """
+
+    change: FloatArray
+    gain: FloatArray
+    surprise: FloatArray
+    log_spread: FloatArray
+
+
+def taken_by(motion: Motion, covariance: FloatArray, block: Observed) -> Update:
+    """Compute the updates of k filters, given by their motions and covariances, shape (k, 18, 18)."""
+    turn = block.motion.rotation
+    through = np.empty((*covariance.shape[:-1], OBSERVED + MOVING))
+    through[..., :6] = covariance[..., :6]
+    through[..., 6:9] = covariance[..., AMBIENT] + covariance[..., OFFSET] @ turn.T
+    through[..., 9:] = covariance[..., MOTION]
+    seen = np.vstack([block.root, block.by_motion.T])
+    whitened = through @ seen  # P A'
+    inner = np.empty((len(covariance), OBSERVED + MOVING, OBSERVED))
+    inner[:, :6] = whitened[:, :6]
+    inner[:, 6:9] = whitened[:, AMBIENT] + turn @ whitened[:, OFFSET]
+    inner[:, 9:] = whitened[:, MOTION]
+    spread = seen.T @ inner
+    spread[:, range(OBSERVED), range(OBSERVED)] += 1.0
+    factor = np.linalg.cholesky(spread)
+    inverse = np.linalg.inv(factor)
+    score = block.score - apart(motion, block.motion) @ seen
+    normal = (inverse @ score[..., None])[..., 0]
+    gain = whitened @ inverse.swapaxes(1, 2)
+    return Update(
+        (gain @ normal[..., None])[..., 0],
+        gain,
+        (normal * normal).sum(axis=1),
+        2.0 * np.log(factor[:, range(OBSERVED), range(OBSERVED)]).sum(axis=1),
+    )
+
+
+def apart(motion: Motion, other: Motion) -> FloatArray:
+    """Return the observed numbers, velocity and turn rate of motions less those of another, shape (k, 15)."""
+    result = np.empty((len(motion.position_m), OBSERVED + MOVING))
+    result[:, :3] = motion.position_m - other.position_m
+    result[:, 3:6] = rotation_vector(motion.rotation @ other.rotation.T)
+    offset = (motion.offset_T - other.offset_T) @ other.rotation.T
+    result[:, 6:9] = motion.ambient_T - other.ambient_T + offset
+    result[:, 9:12] = motion.velocity_m_s - other.velocity_m_s
+    result[:, 12:] = motion.rate_rad_s - other.rate_rad_s
+    return result
