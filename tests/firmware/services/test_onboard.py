@@ -52,7 +52,8 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     source.write_text(HARNESS)
     core = [str(path) for path in sorted((ROOT / "build/core/firmware/core").glob("*/*.o"))]
     includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]
-    sources = [str(ROOT / path) for path in ("firmware/services/onboard.c", "build/protocol/goldfield.c")]
+    services = ("firmware/services/onboard.c", "firmware/services/pose_report.c")
+    sources = [str(ROOT / path) for path in (*services, "build/protocol/goldfield.c")]
     command = ["gcc", "-std=c11", "-shared", "-fPIC", *includes, str(source), *sources, *core, "-o", str(library)]
     subprocess.run(command, check=True)
     return library
