@@ -154,8 +154,8 @@ class Assembler:
             "PART",
             *(ON_SENSOR_POSE if self.on_sensor else ()),
         )
-        if message.name not in awaited:
-            return
+        if message.name not in awaited or (message.name in ON_SENSOR_POSE and message.index):
+            return  # a pose with an index is that of a block
         if arrival_s - self._last_time > self.silence_s and self._newest is not None:
             self._waiting = []
         self._last_time = arrival_s

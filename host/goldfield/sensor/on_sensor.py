@@ -8,9 +8,10 @@ import numpy as np
 
 from goldfield.access.waveform import site_templates
 from goldfield.field import FieldModel
-from goldfield.link.reports import ON_SENSOR_POSE, Report
+from goldfield.link.reports import CYCLE_MODULUS, LOW_MODULUS, ON_SENSOR_POSE, Report
 from goldfield.site import Beacon, Site
 from goldfield.types import Explanation, Fields, Finding, Pose, Status
+from goldfield_protocol.messages import Message
 from goldfield_protocol.parameters import PARAMETERS
 
 STATUS = (Status.OK, Status.AMBIGUOUS, Status.WEAK, Status.INCONSISTENT, Status.FAILED, Status.UNVERIFIED)
@@ -52,6 +53,9 @@ REASONS = {
 NOT_LEFT_OUT = 255
 """Value of ``POSE_INTEGRITY.left_out`` if no beacon was left out."""
 
+CLOCK_TOLERANCE = 1e-3
+"""Largest difference, relative, of a cycle on the sensor's clock from the nominal one that is believed."""
+
 NO_PROMISE_M = 1048.575
 """Largest value of ``POSE_INTEGRITY.protection``: nothing is promised."""
 
@@ -84,8 +88,10 @@ def _left_out(integrity: Mapping[str, float], names: tuple[str, ...]) -> tuple[s
     return (names[row],) if row != NOT_LEFT_OUT and row < len(names) else ()
 
 
-def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:
+def on_sensor_parameters(site: Site, pose_blocks: int = 0) -> Mapping[int, int | float]:
     """Return the parameters, by id, with which a sensor computes its pose on a site whose codes it reports.
+
+    With ``pose_blocks`` it also follows its own motion, and tells a pose after every so many blocks of 31 chips.
 
     A coil given by its wire becomes the circle of its area, which is its field from a few diameters on. A coil that
     follows its code slowly becomes as much weaker as its part in the correlation is, so that the sensor need not know
@@ -111,6 +117,7 @@ def on_sensor_parameters(site: Site) -> Mapping[int, int | float]:
         "gain_sd": [site.sensor.gain_sd],
         "axis_sd": [site.sensor.axis_sd_rad],
         "pose": [1],
+        "pose_blocks": [pose_blocks],
     }
     return {
         PARAMETERS[name].identifier(element): value
@@ -138,7 +145,12 @@ def on_sensor_pose(site: Site, report: Report, fields: Fields) -> Pose:
     """
     if len(report.on_sensor_pose) < len(ON_SENSOR_POSE):
         return Pose.failed(fields, excluded=fields.beacons, reason="messages of the sensor's pose were lost")
-    position, attitude, quality, integrity = (report.on_sensor_pose[name] for name in ON_SENSOR_POSE)
+    return _pose_of(site, report.on_sensor_pose, fields)
+
+
+def _pose_of(site: Site, messages: Mapping[str, Mapping[str, float]], fields: Fields) -> Pose:
+    """Return the pose that the four messages tell, with the epoch, time and beacons of ``fields``."""
+    position, attitude, quality, integrity = (messages[name] for name in ON_SENSOR_POSE)
     names = tuple(beacon.id for beacon in site.beacons)
     number, sentence = int(quality["status"]), reason_of(integrity, names)
     status = STATUS[number] if number < len(STATUS) else Status.FAILED
@@ -166,3 +178,75 @@ def on_sensor_pose(site: Site, report: Report, fields: Fields) -> Pose:
         protection_m=protection_m if protection_m < NO_PROMISE_M - 1e-6 else np.inf,
         findings=() if finding is None else (Finding(finding[0], (), finding[1]),),
     )
+
+
+class OnSensorTrack:
+    """Poses that a sensor tells at the ends of blocks (parameter ``pose_blocks``), put together from its messages.
+
+    A pose is stamped with the end of its block, on the sensor's clock: by the number and the time of the latest
+    ``EPOCH``, and the chip that the index of its messages tells. Poses before the first ``EPOCH`` are left out.
+
+    Parameters
+    ----------
+    site : Site
+
+    Attributes
+    ----------
+    lost : int
+        Poses of which some messages are missing.
+    """
+
+    def __init__(self, site: Site) -> None:
+        self.lost = 0
+        self._site = site
+        self._cycle_s = site.cycle_s
+        self._epoch: tuple[int, float] | None = None
+        self._block = 0, 0
+        self._messages: dict[str, Mapping[str, float]] = {}
+
+    def feed(self, message: Message) -> Pose | None:
+        """Return the pose that this message completes, if it does; others than those of blocks' poses are ignored.
+
+        Parameters
+        ----------
+        message : Message
+            Every message of the sensor, in order of arrival.
+
+        Returns
+        -------
+        Pose or None
+            With the number of the cycle of the block's last chip as ``epoch``.
+        """
+        if message.name == "EPOCH":
+            self._begin_cycle(int(message.signals["cycle"]), message.signals["time"])
+        if message.name not in ON_SENSOR_POSE or not message.index:
+            return None
+        block = message.index, int(message.signals["cycle_low"])
+        if block != self._block or message.name in self._messages:
+            self.lost += bool(self._messages)
+            self._messages.clear()
+        self._block = block
+        self._messages[message.name] = message.signals
+        if len(self._messages) < len(ON_SENSOR_POSE):
+            return None
+        messages, self._messages = self._messages, {}
+        return self._stamped(messages)
+
+    def _begin_cycle(self, cycle: int, time_s: float) -> None:
+        if self._epoch is not None and cycle == (self._epoch[0] + 1) % CYCLE_MODULUS:
+            length_s = time_s - self._epoch[1]
+            if abs(length_s / self._site.cycle_s - 1.0) < CLOCK_TOLERANCE:
+                self._cycle_s = length_s
+        self._epoch = cycle, time_s
+
+    def _stamped(self, messages: Mapping[str, Mapping[str, float]]) -> Pose | None:
+        if self._epoch is None:
+            return None
+        cycle, middle_s = self._epoch
+        (index, low), half = self._block, LOW_MODULUS // 2
+        ahead = (low - cycle + half) % LOW_MODULUS - half
+        time_s = middle_s + self._cycle_s * (ahead + index / self._site.chips - 0.5)
+        names = tuple(beacon.id for beacon in self._site.beacons)
+        unknown = np.full(len(names), np.nan)
+        fields = Fields((cycle + ahead) % CYCLE_MODULUS, time_s, names, np.full((len(names), 3), np.nan), unknown)
+        return _pose_of(self._site, messages, fields)
