@@ -58,6 +58,8 @@ void anchor_step(anchor_t *anchor) {
     node_t *node = &anchor->node;
     drive_step(&anchor->drive);
     drive_report(&anchor->drive);
+    while (sense_block(&anchor->sense) != NULL) { /* It is sent, and nobody else takes it. */
+    }
     sense_step(&anchor->sense);
     node->state = drive_state(&anchor->drive);
     node_step(node);

@@ -88,6 +88,8 @@ void sensor_start(sensor_t *sensor, acquire_t *acquire, hal_t *hal) {
 
 void sensor_step(sensor_t *sensor) {
     node_t *node = &sensor->node;
+    while (sense_block(&sensor->sense) != NULL) { /* It is sent, and nobody else takes it. */
+    }
     sense_step(&sensor->sense);
     node->state = state(sensor);
     node_step(node);

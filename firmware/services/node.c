@@ -386,6 +386,11 @@ void node_start(node_t *node, hal_t *hal, hal_role_t role) {
     liveness_start(&node->liveness, hal, role);
 }
 
+void node_flush(node_t *node) {
+    drain_serial(node);
+    drain_can(node, hal_microseconds(node->hal));
+}
+
 void node_step(node_t *node) {
     receive_serial(node);
     receive_can(node);

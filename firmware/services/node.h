@@ -5,6 +5,7 @@
  *   1. node_start         once, before anything else is started.
  *   2. node_step          once a turn of the main loop.
  *      node_send          whenever a message is to leave; node_room tells first whether several fit together.
+ *      node_flush         when what was queued cannot wait for the turn's end.
  *      node_serial_write  for a stream that goes past the queue; node_identifier tells its identifiers.
  *
  * Links. Serial and CAN carry the same messages (protocol/framing.md). node_send() puts a message into the queue of
@@ -104,6 +105,9 @@ void node_step(node_t *node);
 /* Queue a message of this node on the given links. message is its *_FRAME_ID of build/protocol/goldfield.h, index is
  * below 4096, data has at most 8 bytes. A message that finds a queue full is lost there, and counted. */
 void node_send(node_t *node, node_links_t links, uint32_t message, uint32_t index, const uint8_t *data, uint8_t length);
+
+/* Hand the queues to the board at once, as far as it takes them; node_step does so, too. */
+void node_flush(node_t *node);
 
 /* Returns the links that have room for so many more messages; a dead CAN bus does not count as full. */
 node_links_t node_room(const node_t *node, uint32_t messages);

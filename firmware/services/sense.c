@@ -17,22 +17,25 @@
 
 /* ---- Interrupts ---- */
 
-/* Marks the sample axis by axis: a saturated one says so, the others keep their value. */
-static void mark_saturated(const uint16_t burst[HAL_BURST][HAL_AXES], int16_t shown[HAL_AXES]) {
+/* Returns a bit for each axis with a saturated conversion: 1 x, 2 y, 4 z. */
+static uint32_t saturated_axes(const uint16_t burst[HAL_BURST][HAL_AXES]) {
+    uint32_t axes = 0;
     for (uint32_t axis = 0; axis < HAL_AXES; axis++) {
         for (uint32_t i = 0; i < HAL_BURST; i++) {
             if (burst[i][axis] == 0 || burst[i][axis] >= HAL_SAMPLE_MAX) {
-                shown[axis] = INT16_MIN;
+                axes |= 1u << axis;
             }
         }
     }
+    return axes;
 }
 
-static void stream_chip(sense_t *sense, uint32_t cycle, uint16_t code_chip, const uint16_t burst[HAL_BURST][HAL_AXES],
-                        const int16_t sample[HAL_AXES], bool saturated) {
-    int16_t shown[HAL_AXES] = {sample[0], sample[1], sample[2]};
-    if (saturated) {
-        mark_saturated(burst, shown);
+/* Sends a chip; an axis of it that is saturated says so, the others keep their value. */
+static void stream_chip(sense_t *sense, uint32_t cycle, uint16_t code_chip, const int16_t sample[HAL_AXES],
+                        uint32_t saturated) {
+    int16_t shown[HAL_AXES];
+    for (uint32_t axis = 0; axis < HAL_AXES; axis++) {
+        shown[axis] = (saturated >> axis & 1u) != 0u ? INT16_MIN : sample[axis];
     }
     const struct goldfield_chip_t message = {.x = shown[0], .y = shown[1], .z = shown[2], .cycle_low = (uint16_t)cycle};
     frame_t frame = {.id = sense->stream_id | (uint32_t)code_chip << PROTOCOL_INDEX_SHIFT};
@@ -53,14 +56,14 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
         }
         sense->ticks += chip.period_ticks;
         int16_t sample[HAL_AXES];
-        const bool saturated = epoch_sample((*samples)[i], sample);
+        const uint32_t saturated = epoch_sample((*samples)[i], sample) ? saturated_axes((*samples)[i]) : 0u;
         const uint32_t cycle = sync_cycle(&timing->format, &chip);
         const uint16_t code_chip = sync_chip(&timing->format, &chip);
         if (acquire) {
             acquire_feed(acquire, absolute, &chip, (*samples)[i]);
             acquire_sample((*samples)[i], sample);
         }
-        if (epoch_feed(&sense->collector, absolute, cycle, code_chip, sample, saturated, locked)) {
+        if (epoch_feed(&sense->collector, absolute, cycle, code_chip, sample, saturated != 0u, locked)) {
             /* With code chip 0 the cycle before it ended in a gap. */
             const uint64_t end = code_chip == 0 ? start : sense->ticks;
             sense->middle_ticks = (sense->cycle_start_ticks + end) / 2;
@@ -69,8 +72,9 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
             sense->cycle_start_ticks = start;
         }
         if (sense->streaming) {
-            stream_chip(sense, cycle, code_chip, (*samples)[i], sample, saturated);
+            stream_chip(sense, cycle, code_chip, sample, saturated);
         }
+        blocks_chip(&sense->blocks, absolute, cycle, code_chip, sample, saturated, locked);
     }
     sense->sampled = true;
 }
@@ -190,6 +194,7 @@ void sense_configure(sense_t *sense) {
         sense->cycle.third = EPOCH_WHOLE; /* Parts of the old list and of the new are not added. */
     }
     onboard_configure(&sense->onboard, parameters, format->chips, &sense->selection);
+    blocks_configure(&sense->blocks, parameters);
     sense->collector.thirds = format->degree == 10u && parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
     sense->stream_id = node_identifier(sense->node, GOLDFIELD_CHIP_FRAME_ID, 0);
     sense->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
@@ -201,8 +206,14 @@ void sense_start(sense_t *sense, node_t *node, const timing_t *timing) {
     sense->timing = timing;
     (void)queue_init(&sense->stream, sense->stream_messages, SENSE_STREAM_MESSAGES);
     /* Only degrees that have a family get through parameters_set. */
-    epoch_init(&sense->collector, gold_family(timing->format.degree));
+    const gold_family_t *const family = gold_family(timing->format.degree);
+    epoch_init(&sense->collector, family);
+    blocks_start(&sense->blocks, family);
     sense_configure(sense);
+}
+
+const block_sums_t *sense_block(sense_t *sense) {
+    return blocks_step(&sense->blocks, sense->node, &sense->selection, &sense->calibration);
 }
 
 void sense_step(sense_t *sense) {

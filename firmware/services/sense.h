@@ -4,9 +4,11 @@
  * Calls, in the order they are made
  *   1. sense_start      main, once, before the chip engine starts.
  *   2. sense_samples    interrupt, once a block: each chip's burst becomes one sample (epoch_sample), is labelled by
- *                       chip_clock_at, and goes into the cycle being collected (epoch_feed); it is also sent as CHIP
- *                       if chips are streamed.
- *   3. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
+ *                       chip_clock_at, and goes into the cycle being collected (epoch_feed) and into the block
+ *                       (blocks.h); it is also sent as CHIP if chips are streamed.
+ *   3. sense_block        main, first in a turn, until it returns NULL: a block leaves as BLOCK and BLOCK_SUMs at once,
+ *                       and its sums are returned for whoever makes a pose of them.
+ *   4. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
  *                       and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the
  *                       list. With parts (thirds of a cycle; parameter parts = 3) each part is reported before that,
  *                       with its PARTs.
@@ -35,7 +37,9 @@
  * 34 is more than 31 chips tell apart. Poses (parameter pose) take 7 ms with no prior, 3 ms from the pose before,
  * and 30 ms where fields and site do not agree (pose.h); cycles that end meanwhile are answered as failed.
  *
- * Memory: 76 kB.
+ * Blocks (parameter blocks) take half of CAN or a quarter of serial for 8 codes (framing.md, "Budget").
+ *
+ * Memory: 79 kB.
  *
  * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,300 instructions, with parts
  * 14,300 (16,800 when following the field); with degree 10 a report of 8 codes takes 67,000. The parts of a cycle take
@@ -53,6 +57,7 @@
 #include "core/link/queue.h"
 #include "core/timing/acquire.h"
 #include "hal/hal.h"
+#include "services/blocks.h"
 #include "services/node.h"
 #include "services/onboard.h"
 #include "services/timing.h"
@@ -67,6 +72,7 @@ typedef struct {
     epoch_sums_t part, cycle; /* The sums just read, and what is complete of their cycle. */
     epoch_calibration_t calibration;
     epoch_selection_t selection; /* The codes that are reported. */
+    blocks_t blocks;
     onboard_t onboard;
     uint32_t unsent;            /* Reports of cycles and of parts for which a link had no room. */
     volatile bool streaming;    /* Every chip is sent on serial. */
@@ -89,6 +95,10 @@ void sense_configure(sense_t *sense);
 /* Take the samples of a block, as hal_events_t.samples has them. acquire is NULL, or the module that synchronises by
  * the field: it gets every burst, and samples are then made without the last conversion. */
 void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples, acquire_t *acquire);
+
+/* Make the sums of the oldest block that waits, if blocks are wanted, and send them. Costs 700 instructions a code and
+ * 3,000. Returns them, valid until the next call, or NULL if none waits. */
+const block_sums_t *sense_block(sense_t *sense);
 
 /* Report a complete cycle or part, if there is one: one turn of the main loop, before node_step. A cycle costs about
  * 60,000 instructions and 800 for each code. */

@@ -201,9 +201,8 @@ bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count) {
     return true;
 }
 
-/* Computes M (correlation / (8 N) - (zero - mid-scale) sum / N). */
-static void scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum,
-                  float chips, float field_T[EPOCH_AXES]) {
+void epoch_scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum,
+                 float chips, float field_T[EPOCH_AXES]) {
     float counts[EPOCH_AXES];
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         const float zero = calibration->zero[axis] - (float)EPOCH_MID_SCALE;
@@ -221,12 +220,12 @@ void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibratio
                  uint32_t index, float field_T[EPOCH_AXES]) {
     const int16_t code_sum = sums->third < EPOCH_THIRDS ? selection->codes[index].third_sum[sums->third]
                                                         : selection->codes[index].sum;
-    scale(calibration, sums->correlation[index], code_sum, sums->chips, field_T);
+    epoch_scale(calibration, sums->correlation[index], code_sum, sums->chips, field_T);
 }
 
 void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]) {
-    scale(calibration, sums->sum, sums->third < EPOCH_THIRDS ? (float)EPOCH_THIRD_CHIPS : sums->chips, sums->chips,
-          offset_T);
+    epoch_scale(calibration, sums->sum, sums->third < EPOCH_THIRDS ? (float)EPOCH_THIRD_CHIPS : sums->chips,
+                sums->chips, offset_T);
 }
 
 int32_t epoch_integer(float value, float resolution) {

@@ -143,6 +143,11 @@ void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibratio
 /* Compute the mean field of a cycle, T; for a part its sum over N. */
 void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]);
 
+/* Compute M (correlation / (8 chips) - (zero - 2048) code_sum / chips) of exact sums, in T: the formula above. Costs
+ * about 200 instructions. */
+void epoch_scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum,
+                 float chips, float field_T[EPOCH_AXES]);
+
 /* Scale a value to the integer of a 20-bit signal. resolution is 1e-10 T for FIELD and PART, 1e-9 T for EPOCH_OFFSET.
  * Returns value / resolution, rounded to the nearest; EPOCH_OUT_OF_RANGE beyond +-524287 and for a value that is not a
  * number. */

@@ -13,6 +13,8 @@ HEADERS = (
     "core/codes/gold.h",
     "core/codes/despread.h",
     "core/codes/epoch.h",
+    "core/codes/code_bits.h",
+    "core/codes/block_sums.h",
     "core/codes/separation.h",
     "core/timing/chip_clock.h",
     "core/drive/current.h",
