@@ -1,0 +1,88 @@
+/* block_filter.h: position, attitude, velocity and turn rate of a moving sensor from each block of 31 chips, in single
+ * precision: 330 poses a second from the codes that run all the time. It is the filter of docs/blocks.md, where the
+ * equations are; the same file runs on the sensor and in the host.
+ *
+ * Calls, in the order they are made
+ *   1. block_filter_init    once, with coils and noise. The coils stay the caller's and must live on.
+ *   2. block_filter_start   with the pose of one block, from core/pose by the fields of block_separate (block_out.h).
+ *   3. block_filter_update  with each block (block_gram.h) and the time since the block before; a block that was lost
+ *                           only makes that time longer.
+ *   4. block_filter_output  for the pose at the last sample, or at any other time near it.
+ * When block_filter_lost returns true the start is due, at first and again after BLOCK_FILTER_REFUSALS blocks in a row
+ * that no filter could believe. Until then blocks are predicted over.
+ *
+ * Method. A bank of BLOCK_FILTERS Kalman filters that differ in the agility they expect: white acceleration, of
+ * position and of turn. Each block is linearised once, at the prediction of the filter that is output: nine observed
+ * numbers (position, attitude, ambient field at the sensor) with their information. Each filter takes them, or refuses
+ * them by its gate; the filter with the greatest likelihood of the last .15 s is output.
+ *
+ * Units: uT, m, rad, s. Attitudes are quaternions x, y, z, w with B_site = R B_sensor; turns are in the site's frame.
+ *
+ * Contexts: one. Memory: see block_filter_t; nothing is hidden.
+ */
+#ifndef GOLDFIELD_BLOCK_FILTER_H
+#define GOLDFIELD_BLOCK_FILTER_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "core/pose/loop_field.h"
+#include "core/track/block_gram.h"
+#include "core/track/block_kalman.h"
+#include "core/track/block_measure.h"
+
+#define BLOCK_FILTERS         4u  /* Filters of the bank. */
+#define BLOCK_FILTER_REFUSALS 10u /* Blocks in a row that all filters refuse, after which the track is lost. */
+
+/* What the filter starts from: a pose at the middle of a block. */
+typedef struct {
+    float position_m[3], quaternion[4];
+    float position_cov_m2[3][3], attitude_cov_rad2[3][3]; /* As in pose_t; the filter doubles the deviations. */
+    float ambient_uT[3]; /* Ambient field in the sensor's frame, from the same block. */
+    float ambient_sd_uT; /* Its standard deviation by noise, each component. */
+} block_start_t;
+
+/* A pose at an asked time. */
+typedef struct {
+    block_state_t state;
+    float covariance[6][6]; /* Of position (m) and a small turn in the site's frame (rad). */
+    float chi_square;       /* Of the last block that was taken ... */
+    uint32_t freedom;       /* ... and its degrees of freedom. */
+} block_pose_t;
+
+typedef struct {
+    block_kalman_t filters[BLOCK_FILTERS];
+    block_measure_t measure; /* Work of the last block. */
+    const loop_t *coils;
+    uint32_t count;   /* Coils. */
+    float noise_uT;   /* Standard deviation of a component of a sample, the converter's noise included. */
+    uint32_t best;    /* The filter that is output. */
+    uint32_t refused; /* Blocks in a row that all filters refused. */
+    float chi_square; /* Of the last block that was taken, and its degrees of freedom. */
+    uint32_t freedom;
+} block_filter_t;
+
+/* Begin without a track, for so many coils (at most BLOCK_BEACONS), which are the columns of the blocks in this order.
+ */
+void block_filter_init(block_filter_t *filter, const loop_t *coils, uint32_t count, float noise_uT);
+
+/* Begin a track at the middle of the block that start is from. */
+void block_filter_start(block_filter_t *filter, const block_start_t *start);
+
+/* Returns whether there is no track: it has not been started, or not been believed for too long. */
+bool block_filter_lost(const block_filter_t *filter);
+
+/* Move on to the middle of a block, seconds after that of the block before, and take it. Without a track nothing
+ * happens.
+ * Returns false if no filter took the block: the state is then the prediction alone. Sums that are not finite or huge
+ * are refused without being counted. */
+bool block_filter_update(block_filter_t *filter, const block_t *block, float seconds);
+
+/* Move on by so many seconds without a block. */
+void block_filter_predict(block_filter_t *filter, float seconds);
+
+/* Compute the pose so many seconds after the middle of the last block (or a little before, if negative). The last
+ * sample of a block of m chips is (m - 1) / 2 chips after its middle. */
+void block_filter_output(const block_filter_t *filter, float seconds, block_pose_t *pose);
+
+#endif
