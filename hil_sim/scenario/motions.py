@@ -10,6 +10,7 @@ from goldfield.errors import counted
 from goldfield.files.toml_table import Table
 from hil_sim.scenario.values import FloatArray, not_negative, positive, seed_of, vector
 from hil_sim.world.motion import Line, Motion, Still, Waypoints
+from hil_sim.world.roaming import Roaming, Shake
 from hil_sim.world.walk import Limits, Mark, Room, Visit, Walk, turning
 
 LEAVES_S = 3.0
@@ -24,6 +25,7 @@ MOTION_KEYS = {
     "walk": (
         *("low_m", "high_m", "seconds", "start_s", "speed_m_per_s", "rate_rad_per_s", "tilt_rad", "pause_s", "seed"),
     ),
+    "roaming": (*("low_m", "high_m", "speed_m_per_s", "rate_rad_per_s", "shake_Hz", "shake_m", "shake_rad", "seed"),),
     "turning": ("position_m", "seconds", "start_s", "rate_rad_per_s", "sway_m", "seed"),
 }
 KNOWN_POINT_KEYS = ("position_m", "sigma_m", "cycles")
@@ -57,6 +59,8 @@ def read_motion(root: Table, seed: int, cycle_s: float) -> tuple[Motion, tuple[V
         raise root.error("known_point", f'tables are stops of a walk, and the motion is "{kind}": make it "walk"')
     if kind == "waypoints":
         return _waypoints(table), ()
+    if kind == "roaming":
+        return _roaming(table, seed), ()
     position = table.vector("position_m")
     if kind == "turning":
         start_s, seconds = _times(table)
@@ -87,10 +91,30 @@ def _times(table: Table) -> tuple[float, float]:
     return not_negative(table, "start_s", LEAVES_S), seconds
 
 
-def _walk(table: Table, marks: tuple[Mark, ...], seed: int, cycle_s: float) -> Walk:
+def _box(table: Table) -> tuple[FloatArray, FloatArray]:
     low, high = table.vector("low_m"), table.vector("high_m")
     if np.any(high < low):
         raise table.error("high_m", "is below low_m: give the corner of the box with the largest x, y and z")
+    return low, high
+
+
+def _roaming(table: Table, seed: int) -> Roaming:
+    low, high = _box(table)
+    shake = Shake(*(not_negative(table, key, 0.0) for key in ("shake_Hz", "shake_m", "shake_rad")))
+    if shake.frequency_Hz == 0.0 and (shake.size_m or shake.angle_rad):
+        raise table.error("shake_Hz", "is missing or 0, and there is something to shake: say how often")
+    return Roaming(
+        seed_of(table, seed),
+        low,
+        high,
+        not_negative(table, "speed_m_per_s", 0.5),
+        not_negative(table, "rate_rad_per_s", 0.5),
+        shake,
+    )
+
+
+def _walk(table: Table, marks: tuple[Mark, ...], seed: int, cycle_s: float) -> Walk:
+    low, high = _box(table)
     tilt_rad = not_negative(table, "tilt_rad", 0.5)
     if tilt_rad > math.pi:
         raise table.error("tilt_rad", f"is {tilt_rad:g}; it is an angle in radians, at most pi")

@@ -84,6 +84,31 @@ def test_turning_in_a_scenario(tmp_path):
     assert rotations.magnitude().max() > 2.5
 
 
+ROAMING = '"roaming"\nlow_m = [0.2, 0.2, 0.2]\nhigh_m = [0.8, 0.8, 0.8]\nspeed_m_per_s = 1.0'
+
+
+def test_roaming_in_a_scenario(tmp_path):
+    shake = "rate_rad_per_s = 0.0\nshake_Hz = 2.0\nshake_m = 0.05"
+    motion = scenario.load(walking(tmp_path, WALK, f"{ROAMING}\n{shake}", more="")).motion
+    positions, rotations = motion.poses(np.arange(0.0, 30.0, 1e-3))
+    speed = np.linalg.norm(np.diff(positions, axis=0), axis=1) / 1e-3
+    assert 1.0 < np.sqrt((speed**2).mean()) < 1.3
+    assert (rotations[0].inv() * rotations).magnitude().max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    ("key", "words"),
+    [
+        ("shake_m = 0.05", "shake_Hz is missing or 0, and there is something to shake: say how often"),
+        ("shake_rad = -1.0", "shake_rad is -1; it must not be negative"),
+        ("seconds = 3.0", "seconds is no known key"),
+    ],
+)
+def test_what_is_wrong_with_roaming_is_said(tmp_path, key, words):
+    with pytest.raises(UserError, match=re.escape(words)):
+        scenario.load(walking(tmp_path, WALK, f"{ROAMING}\n{key}", more=""))
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
