@@ -4,6 +4,8 @@
 
 #include "core/math/roots.h"
 
+#define MOST_DOUBLINGS 20u /* Most doublings of a turn: enough for 1e6 rad. */
+
 static void normalise(float q[4]) {
     const float scale = inverse_square_root(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
     for (uint32_t i = 0; i < 4u; i++) {
@@ -57,4 +59,34 @@ void quaternion_turn(float q[4], const float vector_rad[3]) {
     q[2] = old[2] + z * old[3] + x * old[1] - y * old[0];
     q[3] = old[3] - x * old[0] - y * old[1] - z * old[2];
     normalise(q);
+}
+
+void quaternion_multiply(const float left[4], const float right[4], float product[4]) {
+    const float a = left[0], b = left[1], c = left[2], d = left[3];
+    const float x = right[0], y = right[1], z = right[2], w = right[3];
+    product[0] = d * x + a * w + b * z - c * y;
+    product[1] = d * y + b * w + c * x - a * z;
+    product[2] = d * z + c * w + a * y - b * x;
+    product[3] = d * w - a * x - b * y - c * z;
+    normalise(product);
+}
+
+/* sin(x) / x and cos(x) by their power series with x at most 1 rad; a longer turn is that of its 2^n-th part, doubled
+ * n times. */
+void quaternion_exp(const float vector_rad[3], float q[4]) {
+    float part = 0.5f;
+    float x2 = 0.25f * (vector_rad[0] * vector_rad[0] + vector_rad[1] * vector_rad[1] + vector_rad[2] * vector_rad[2]);
+    uint32_t doublings = 0;
+    for (; x2 > 1.0f && doublings < MOST_DOUBLINGS; doublings++) {
+        x2 *= 0.25f;
+        part *= 0.5f;
+    }
+    const float sine = 1.0f + x2 * (-1.0f / 6 + x2 * (1.0f / 120 + x2 * (-1.0f / 5040 + x2 * (1.0f / 362880))));
+    q[3] = 1.0f + x2 * (-0.5f + x2 * (1.0f / 24 + x2 * (-1.0f / 720 + x2 * (1.0f / 40320 - x2 * (1.0f / 3628800)))));
+    for (uint32_t i = 0; i < 3u; i++) {
+        q[i] = part * sine * vector_rad[i];
+    }
+    for (; doublings > 0u; doublings--) {
+        quaternion_multiply(q, q, q);
+    }
 }

@@ -15,4 +15,11 @@ void quaternion_from_matrix(const float matrix[3][3], float quaternion[4]);
  * in the angle; any angle gives a rotation. */
 void quaternion_turn(float quaternion[4], const float vector_rad[3]);
 
+/* Compute the turn by a vector, rad, of any length up to 1e6: exact but for rounding. Costs about 60 instructions up to
+ * 2 rad. */
+void quaternion_exp(const float vector_rad[3], float quaternion[4]);
+
+/* Compute the product of two attitudes: first right, then left. product may be one of them. */
+void quaternion_multiply(const float left[4], const float right[4], float product[4]);
+
 #endif

@@ -4,9 +4,9 @@
  *
  * Method. The nine observed numbers are position, a small turn in the site's frame, and the ambient field as the sensor
  * sees it. All sums are turned into the site's frame. Field and gradient of each coil come from loop_field.h, and the
- * gram matrix is multiplied with them once: nothing of the size of the block is inverted. Information and gradient
- * follow in closed form, because the attitude's Jacobians are cross products and the gradient of a field outside
- * the wire has only five different numbers.
+ * gram and moment matrices are multiplied with them once: nothing of the size of the block is inverted. Information and
+ * gradient follow in closed form, because the attitude's Jacobians are cross products and the gradient of a field
+ * outside the wire has only five different numbers.
  *
  * Limits. Information below 1e-6 of its own diagonal is left out: with fields of which one is more than about 500 times
  * as strong as the others, single precision does not see what those tell.
@@ -34,6 +34,7 @@ typedef struct {
     float noise_uT;                               /* Standard deviation of a component of a sample. */
     float rotation[3][3];                         /* Its attitude R. */
     float factor[BLOCK_OBSERVED][BLOCK_OBSERVED]; /* U, lower triangle: the information is U U'. */
+    float motion[BLOCK_OBSERVED][6];              /* W: U W is what velocity and turn rate add to the gradient. */
     float side[BLOCK_OBSERVED];                   /* y: U y is the gradient at the reference. */
     uint32_t rank;                                /* Columns of U that are not zero. */
     /* Of each column: the field (of the last one, the ambient field), the five numbers xx, xy, xz, yy, yz of its
