@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from goldfield import site as sites
 from goldfield.cli import main
-from goldfield.sensor.on_sensor import on_sensor_parameters
+from goldfield.sensor.on_sensor import OnSensorTrack, on_sensor_parameters
 from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD, ASSUMED_SURVEY
-from goldfield_protocol import encode
+from goldfield.types import Status
+from goldfield_protocol import decode, encode
 from goldfield_protocol.parameters import PARAMETERS, parse_page
 from hil_sim.scenario import SCENARIOS, load_scenario, parameter_page, site_toml
 from tests.host.fake_sensor import ATTITUDE, NODE, POSITION_M, SITE, candump, cycle_messages, heartbeat
@@ -150,7 +151,7 @@ def test_the_table_from_the_site_is_that_of_the_rig(tmp_path):
         given = [values[PARAMETERS[name].identifier(i)] for i in range(len(stored))]
         np.testing.assert_allclose(given, stored, rtol=1e-6)
     assert values[PARAMETERS["alert_limit"].identifier(0)] == 0.5  # the board's own default, too
-    assert len(values) == 11 + (8 + 3) * 8
+    assert len(values) == 12 + (8 + 3) * 8
 
 
 def test_the_declared_errors_of_each_beacon_reach_the_sensor(tmp_path):
@@ -199,3 +200,85 @@ def test_a_live_sensor_that_knows_no_beacons_gets_them(tmp_path):
     assert len(located) >= len(lines) - 3  # At first the table may be incomplete.
     errors = [np.linalg.norm(np.subtract(line["position_m"], [0.9, 1.2, 0.8])) for line in located]
     assert np.sqrt(np.mean(np.square(errors))) < 0.02
+
+
+def block_pose_messages(site, cycle, chip, **told):
+    """The messages of the pose at the end of a code chip, with an offset in x that tells the moment."""
+    offset = 1e-3 * (cycle + (chip + 1) / site.chips)
+    for identifier, data in pose_messages(cycle, **told):
+        message = decode(identifier, data)
+        signals = dict(message.signals)
+        if message.name == "POSE_POSITION":
+            signals["x"] += offset
+        yield decode(*encode(message.name, signals, node=NODE, index=1 + chip))
+
+
+def epoch_message(cycle, time_s):
+    return decode(*encode("EPOCH", {"cycle": cycle, "time": time_s}, node=NODE))
+
+
+def fed(track, messages):
+    return [pose for message in messages if (pose := track.feed(message)) is not None]
+
+
+def test_poses_of_blocks_are_stamped_with_their_ends():
+    """The sensor's clock runs 80 ppm fast; a block may end in a cycle before the latest EPOCH's, and two behind it."""
+    site = sites.load(SITE)
+    track = OnSensorTrack(site)
+    length_s = site.cycle_s * 1.00008
+    assert fed(track, block_pose_messages(site, 5, 30)) == []  # before any EPOCH nobody knows the time
+    poses = []
+    for cycle in range(14, 19):  # the low bits wrap
+        poses += fed(track, [epoch_message(cycle, (cycle + 0.5) * length_s)])
+        for ended, chip in ((cycle, 1022), (cycle + 1, 0), (cycle + 1, 511), (cycle + 2, 30)):
+            poses += fed(track, block_pose_messages(site, ended, chip))
+    assert len(poses) == 20
+    for i, pose in enumerate(poses):
+        told = (pose.position_m[0] - OWN_M[0]) / 1e-3  # within half of .1 mm
+        assert pose.time_s / length_s == pytest.approx(told, abs=0.06)
+        assert pose.epoch == 14 + i // 4 + (0, 1, 1, 2)[i % 4]
+    ends = [pose.time_s - (14 + i // 4) * length_s for i, pose in enumerate(poses)][4:8]
+    np.testing.assert_allclose(
+        ends, np.array([1.0, 1.0 + 1 / 1023, 1.0 + 512 / 1023, 2.0 + 31 / 1023]) * length_s, atol=1e-6
+    )
+
+
+def test_a_block_whose_messages_are_lost_is_counted_and_not_mixed():
+    site = sites.load(SITE)
+    for missing in range(4):
+        track = OnSensorTrack(site)
+        assert fed(track, [epoch_message(4, 0.45)]) == []
+        rows = [list(block_pose_messages(site, cycle, 30)) for cycle in (5, 6, 7)]  # one block a cycle: one index
+        rows[1].pop(missing)
+        poses = fed(track, [message for row in rows for message in row])
+        assert [pose.epoch for pose in poses] == [5, 7]
+        assert track.lost == 1
+
+
+def test_status_and_reason_of_a_blocks_pose():
+    site = sites.load(SITE)
+    track = OnSensorTrack(site)
+    fed(track, [epoch_message(4, 0.45)])
+    (failed,) = fed(track, block_pose_messages(site, 5, 30, status=4, reason=2))
+    assert (failed.status, failed.reason) == (Status.FAILED, "the fields are nothing but noise")
+    assert np.isnan(failed.position_m).all()
+    (rest,) = fed(track, block_pose_messages(site, 5, 61, reason=11, left_out=2, used=7))
+    assert (rest.status, rest.excluded) == (Status.OK, (site.beacons[2].id,))
+
+
+def test_cycles_do_not_take_the_poses_of_blocks(capsys, tmp_path):
+    """They come between the messages of a cycle, and look like its own but for the index."""
+    site, messages = sites.load(SITE), [heartbeat()]
+    for cycle in range(4, 8):
+        of_block = [
+            encode(m.name, m.signals, node=NODE, index=m.index) for m in block_pose_messages(site, cycle, 30, status=4)
+        ]
+        messages += of_block + cycle_messages(cycle) + pose_messages(cycle)
+    code, lines, _ = run(capsys, tmp_path, messages, "--on-sensor")
+    assert code == 0
+    assert [line["status"] for line in lines] == ["ok"] * 4
+
+
+def test_the_number_of_blocks_is_among_the_parameters():
+    site, identifier = sites.load(SITE), PARAMETERS["pose_blocks"].identifier(0)
+    assert [on_sensor_parameters(site, n)[identifier] for n in (0, 3)] == [0, 3]
