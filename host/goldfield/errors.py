@@ -113,16 +113,18 @@ _SINGULAR = {"were": "was", "are": "is", "have": "has", "need": "needs"}
 def option(name: str, value: object = "") -> str:
     """Return how the reader of an error gives an option: a keyword argument, or within `on_command_line` an option.
 
+    The unit at the end of a keyword argument is no part of the option's name.
+
     Examples
     --------
     >>> option("node", 3), option("port")
     ('node=3', 'port=')
     >>> with on_command_line():
-    ...     option("node", 3), option("on_sensor")
-    ('--node 3', '--on-sensor')
+    ...     option("node", 3), option("on_sensor"), option("rate_hz")
+    ('--node 3', '--on-sensor', '--rate')
     """
     if _on_command_line.get():
-        return f"--{name.replace('_', '-')} {value}".rstrip()
+        return f"--{name.removesuffix('_hz').removesuffix('_s').replace('_', '-')} {value}".rstrip()
     return f"{name}={value}"
 
 

@@ -68,7 +68,7 @@ def add_reading(parser: argparse.ArgumentParser, *, channel: bool = True) -> Non
 
 
 def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Options:
-    """Return what the options of `add_reading`, and ``--seconds`` where a command has it, say."""
+    """Return what the options of `add_reading` say, and ``--seconds``, ``--rate``, ``--lag`` where a command has them."""
     return Options(
         method,
         arguments.node,
@@ -76,4 +76,6 @@ def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Opti
         channel=getattr(arguments, "channel", None),
         listen_only=arguments.listen_only,
         reconnect=arguments.reconnect,
+        rate_hz=getattr(arguments, "rate", None),
+        lag_s=getattr(arguments, "lag", None),
     )

@@ -43,7 +43,8 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
     int
         The exit code: 0, or 3 if a recording or a table could not be written to the end.
     """
-    choices = link_options.reading(arguments, chosen_method(arguments.track, arguments.on_sensor))
+    method = chosen_method(arguments.track, arguments.on_sensor, arguments.rate, arguments.lag)
+    choices = link_options.reading(arguments, method)
     with contextlib.ExitStack() as stack:
         recorder = writer = None
         if arguments.record:

@@ -1,4 +1,4 @@
-"""The options that say how poses are made and judged: ``--track``, ``--on-sensor`` and ``--alert-limit``."""
+"""The options that say how poses are made, when they are told, and how they are judged."""
 
 from __future__ import annotations
 
@@ -18,6 +18,27 @@ def add_track(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         default=switched_on("GOLDFIELD_TRACK"),
         help="track the sensor: poses from this and the earlier epochs (environment: GOLDFIELD_TRACK)",
+    )
+
+
+def add_times(parser: argparse.ArgumentParser) -> None:
+    """Add ``--rate`` and ``--lag``, which say when a track tells its poses."""
+    options.add(
+        parser,
+        "--rate",
+        metavar="HZ",
+        what="track, and print so many poses a second of the sensor's time, each at once (330: one for each block of "
+        "31 chips)",
+        kind=options.rate,
+    )
+    options.add(
+        parser,
+        "--lag",
+        metavar="MS",
+        what="track, and print each pose so many milliseconds later (50 if no number is given), made of what came "
+        "after it, too",
+        kind=options.milliseconds,
+        alone="50",
     )
 
 

@@ -17,14 +17,22 @@ MOST_DOUBTS = 3
 
 
 def add(
-    parser: argparse.ArgumentParser, name: str, *, metavar: str, what: str, kind: Callable[[str], Any] = str
+    parser: argparse.ArgumentParser,
+    name: str,
+    *,
+    metavar: str,
+    what: str,
+    kind: Callable[[str], Any] = str,
+    alone: str | None = None,
 ) -> None:
-    """Add an option whose default is the environment variable GOLDFIELD_NAME."""
+    """Add an option whose default is the environment variable GOLDFIELD_NAME; ``alone``: its value if it has none."""
     variable = environment_name(name)
     parser.add_argument(
         name,
         metavar=metavar,
         type=kind,
+        nargs=None if alone is None else "?",
+        const=alone,
         default=os.environ.get(variable) or None,
         help=f"{what} (environment: {variable})",
     )
@@ -122,6 +130,16 @@ def metres(text: str) -> float:
 def hertz(text: str) -> float:
     """Parse a frequency of more than 1 Hz, for argparse."""
     return _between(text, 1.0, 1e6, "frequency of 1 to 1000000 Hz")
+
+
+def milliseconds(text: str) -> float:
+    """Parse a number of milliseconds greater than zero as seconds, for argparse."""
+    return 1e-3 * _between(text, 0.0, 1e9, "number of milliseconds greater than zero")
+
+
+def rate(text: str) -> float:
+    """Parse a rate greater than zero, for argparse."""
+    return _between(text, 0.0, 1e9, "rate in hertz greater than zero")
 
 
 def _between(text: str, least: float, most: float, what: str) -> float:

@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from goldfield.cli import link_options, options
-from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_track, site_of
+from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
 from goldfield.errors import on_command_line
 from goldfield.files.outputs import check_outputs
 
@@ -16,11 +16,13 @@ def command(subparsers: Any) -> None:
     parser = subparsers.add_parser(
         "run",
         help="live poses from a sensor",
-        description="Poses from a sensor on a serial port or CAN, or from a recorded log: a line for every epoch.",
+        description="Poses from a sensor on a serial port or CAN, or from a recorded log: a line for every epoch, "
+        "or at a rate.",
     )
     link_options.add(parser, log=True)
     options.add_site(parser)
     add_track(parser)
+    add_times(parser)
     add_on_sensor(parser)
     add_alert_limit(parser)
     options.add_json(parser)
@@ -36,7 +38,7 @@ def command(subparsers: Any) -> None:
 
 @on_command_line()
 def run(arguments: argparse.Namespace) -> int:
-    """Print a line for every epoch, and a summary."""
+    """Print a line for every epoch, or at a rate, and a summary."""
     from goldfield.cli.live import print_poses  # heavy: only when a pose is wanted
 
     kind, where = link_options.chosen(arguments)

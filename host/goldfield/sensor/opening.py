@@ -23,6 +23,8 @@ def connect(
     on_sensor: bool = False,
     listen_only: bool = False,
     reconnect: bool = False,
+    rate_hz: float | None = None,
+    lag_s: float | None = None,
 ) -> Sensor:
     """Connect to a sensor board: find it, check that it suits the site, and make it report the site's beacons.
 
@@ -38,18 +40,27 @@ def connect(
         Node of the sensor, 1 to 4095; it must be given where there are several sensors. A beacon with a sensor of its
         own, an anchor, is read only if its node is given.
     track : bool, optional
-        Make a pose of an epoch and those before it, for a sensor in motion; else every epoch is located by itself.
+        Follow a sensor in motion: a pose is made of all that came up to its time, and is that of the end of its cycle.
+        Else every epoch is located by itself, and its pose is that of the middle of its cycle.
     on_sensor : bool, optional
         Let the sensor board compute the poses; not together with ``track``.
     listen_only : bool, optional
         Send nothing, ever: for a bus on which a recording is replayed, or a sensor that another host has set up.
     reconnect : bool, optional
         Wait for a port that is gone and for a sensor that is silent, and go on; else they end the poses.
+    rate_hz : float, optional
+        Track, and yield so many poses a second of the sensor's time, each as soon as the block of chips that holds its
+        time has arrived: up to 330 of the usual codes; more are interpolated within a block. With ``on_sensor`` the
+        sensor sends them, at the nearest rate that it has. Where no blocks come, as from a recording of before, there
+        is one pose a cycle.
+    lag_s : float, optional
+        Track, and yield each pose so much later, made of what came after it, too.
 
     Returns
     -------
     Sensor
-        A context manager; `Sensor.poses` yields ten poses a second of the usual codes (degree 10, 97.75 us a chip).
+        A context manager; `Sensor.poses` yields ten poses a second of the usual codes (degree 10, 97.75 us a chip)
+        unless another rate is asked for.
 
     Raises
     ------
@@ -71,7 +82,14 @@ def connect(
     goldfield.errors.UserError: no source is given: give one of port= and can=
     """
     kind, where = _only(port=port, can=can)
-    options = Options(chosen_method(track, on_sensor), node, listen_only=listen_only, reconnect=reconnect)
+    options = Options(
+        chosen_method(track, on_sensor, rate_hz, lag_s),
+        node,
+        listen_only=listen_only,
+        reconnect=reconnect,
+        rate_hz=rate_hz,
+        lag_s=lag_s,
+    )
     return open_sensor(kind, where, _site(site), options)
 
 
@@ -83,6 +101,8 @@ def open_log(
     channel: str | None = None,
     track: bool = False,
     on_sensor: bool = False,
+    rate_hz: float | None = None,
+    lag_s: float | None = None,
 ) -> Sensor:
     """Open a recording that ``goldfield run --record`` made, or any candump log of a sensor's messages.
 
@@ -92,7 +112,7 @@ def open_log(
         The log, as candump and ``goldfield run --record`` write it.
     channel : str, optional
         Channel of the sensor, as ``"can0"``, in a log of several buses.
-    site, node, track, on_sensor
+    site, node, track, on_sensor, rate_hz, lag_s
         As for `connect`. With ``on_sensor`` the poses are those that the sensor sent when it was recorded.
 
     Returns
@@ -116,7 +136,9 @@ def open_log(
     >>> poses[0].status.value, poses[0].position_m.round(1)
     ('ok', array([0.9, 1.2, 0.8]))
     """
-    return open_sensor("log", str(path), _site(site), Options(chosen_method(track, on_sensor), node, channel=channel))
+    method = chosen_method(track, on_sensor, rate_hz, lag_s)
+    options = Options(method, node, channel=channel, rate_hz=rate_hz, lag_s=lag_s)
+    return open_sensor("log", str(path), _site(site), options)
 
 
 def open_sensor(

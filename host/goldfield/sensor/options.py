@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -11,6 +12,12 @@ from goldfield.site import Site
 LAST_NODE = 4095
 """The largest node that the twelve bits of a message's identifier hold; 0 is no node."""
 
+HIGHEST_RATE_HZ = 10_000.0
+"""Poses a second that can be asked for; the chips themselves come at 10,230 Hz, so more would tell nothing."""
+
+LONGEST_LAG_S = 2.0
+"""Longest lag of a smoothed pose; after 100 ms there is next to nothing to gain."""
+
 
 class Method(StrEnum):
     """How the pose of an epoch is made."""
@@ -18,25 +25,32 @@ class Method(StrEnum):
     EACH = "each"
     """Every epoch is located by itself, with no prior."""
     TRACK = "track"
-    """A filter follows the sensor: a pose is made of this epoch and those before."""
+    """A filter follows the sensor: a pose is made of all that came up to its time, block by block where blocks come."""
     ON_SENSOR = "on_sensor"
     """The sensor board computes its poses itself; the host passes them on."""
 
 
-def chosen_method(track: bool, on_sensor: bool) -> Method:
-    """Return the method that two switches choose.
+def chosen_method(track: bool, on_sensor: bool, rate_hz: float | None = None, lag_s: float | None = None) -> Method:
+    """Return the method that two switches choose; a rate or a lag needs a track, of the host's or of the sensor's.
 
     Raises
     ------
     UserError
-        If both are on.
+        If both are on, or the sensor is to compute poses and the host to smooth them.
     """
     if track and on_sensor:
         raise UserError(
             f"{option('on_sensor')} and {option('track')} are both given: the sensor tracks by itself; "
             "leave out one of them"
         )
-    return Method.TRACK if track else Method.ON_SENSOR if on_sensor else Method.EACH
+    if on_sensor and lag_s is not None:
+        raise UserError(
+            f"{option('on_sensor')} and {option('lag_s')} are both given: a pose that the sensor computes is not "
+            "smoothed; leave out one of them"
+        )
+    if on_sensor:
+        return Method.ON_SENSOR
+    return Method.TRACK if track or rate_hz is not None or lag_s is not None else Method.EACH
 
 
 @dataclass(frozen=True)
@@ -56,6 +70,11 @@ class Options:
         Nothing is ever sent: for a bus on which a recording is replayed, or that another host has set up.
     reconnect : bool
         A live link that is gone, and a sensor that is silent, are waited for; else they end the epochs.
+    rate_hz : float or None
+        Poses a second of the sensor's time; None: one a cycle. Only for a track, the host's or the sensor's own.
+    lag_s : float or None
+        By how much the poses of a track are late, to be made of what came after them, too; None: each is made of what
+        came up to its time and is out at once.
     """
 
     method: Method = Method.EACH
@@ -64,6 +83,8 @@ class Options:
     channel: str | None = None
     listen_only: bool = False
     reconnect: bool = False
+    rate_hz: float | None = None
+    lag_s: float | None = None
 
     def check(self, site: Site) -> None:
         """Check that the options suit a site.
@@ -71,9 +92,11 @@ class Options:
         Raises
         ------
         UserError
-            If there is no such node, or the sensor is to compute poses from beacons that a board cannot separate, or
-            with axes or metal of which a board does not know.
+            If there is no such node, rate or lag, or the sensor is to compute poses from beacons that a board cannot
+            separate, or with axes or metal of which a board does not know.
         """
+        _check_range("rate_hz", self.rate_hz, HIGHEST_RATE_HZ, "Hz")
+        _check_range("lag_s", self.lag_s, LONGEST_LAG_S, "s")
         if self.node is not None and not 1 <= self.node <= LAST_NODE:
             raise UserError(f"{option('node', self.node)}: is no node: nodes are 1 to {LAST_NODE}")
         if self.method is not Method.ON_SENSOR:
@@ -98,3 +121,8 @@ class Options:
                 f"site {site.name}: a sensor computes its own pose only from beacons that have each their own code, "
                 f"none of them {code_v}: change the codes or leave out {option('on_sensor')}"
             )
+
+
+def _check_range(name: str, value: float | None, highest: float, unit: str) -> None:
+    if value is not None and not (math.isfinite(value) and 0.0 < value <= highest):
+        raise UserError(f"{option(name, f'{value:g}')}: must be above 0 and at most {highest:g} {unit}")

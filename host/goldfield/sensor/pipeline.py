@@ -20,7 +20,7 @@ from goldfield.sensor.separation import Separation
 from goldfield.sensor.session import Session
 from goldfield.sensor.verdict import Verdict, judge
 from goldfield.site import Site
-from goldfield.types import Explanation, Fields, Finding, Pose
+from goldfield.types import Block, Explanation, Fields, Finding, Pose
 from goldfield_protocol.parameters import counter_name
 
 
@@ -42,6 +42,10 @@ class Epoch:
         What the sensor says was wrong with the cycle, as "not synchronised" or "3 chips lost"; empty: nothing.
     findings : tuple of Finding
         What the boards on the link say of themselves, as far as it is not as it should be; they are in the pose, too.
+    arrived_s : float
+        Time of the wall clock at which the message that ended the cycle arrived; of no meaning in a recording.
+    at_rate : bool
+        Whether poses come at a rate of their own, each as a `Fix`: that of the epoch is then none of them.
     """
 
     pose: Pose
@@ -50,6 +54,24 @@ class Epoch:
     lost: int
     notes: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
+    arrived_s: float = math.nan
+    at_rate: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Fix:
+    """A pose at a time of its own, as they come if a rate was asked for.
+
+    Attributes
+    ----------
+    pose : Pose
+        Its ``time_s`` is the time for which it is valid, on the sensor's clock.
+    arrived_s : float
+        Time of the wall clock at which the message arrived that made it due; of no meaning in a recording.
+    """
+
+    pose: Pose
+    arrived_s: float
 
 
 class Sensor:
@@ -115,15 +137,24 @@ class Sensor:
             raise
 
     def poses(self) -> Iterator[Pose]:
-        """Yield a pose for every code cycle, to the end of a recording or without end; see `epochs`.
+        """Yield a pose for every code cycle, or at the rate that was asked for, to a recording's end or without end.
 
-        A cycle that cannot be located has a pose too, with the status ``failed``. A second iterator goes on where the
-        first stopped; at the end of a recording it yields nothing.
+        A cycle that cannot be located has a pose too, with the status ``failed``. A pose is valid for its ``time_s``;
+        at a rate each is out as soon as the messages are there that it is made of. A second iterator goes on where the
+        first stopped; at the end of a recording it yields nothing. The errors are those of `stream`.
         """
-        return (epoch.pose for epoch in self.epochs())
+        return (item.pose for item in self.stream() if isinstance(item, Fix) or not item.at_rate)
 
     def epochs(self) -> Iterator[Epoch]:
-        """Yield every code cycle as an `Epoch`, to the end of a recording or without end.
+        """Yield every code cycle as an `Epoch`, to the end of a recording or without end; the errors are `stream`'s.
+
+        Its pose is that of the middle of the cycle where it is located by itself, and that of its end where the sensor
+        is tracked by blocks.
+        """
+        return (item for item in self.stream() if isinstance(item, Epoch))
+
+    def stream(self) -> Iterator[Epoch | Fix]:
+        """Yield every code cycle as an `Epoch` and, if a rate was asked for, every pose as a `Fix`, as they come.
 
         Raises
         ------
@@ -133,9 +164,10 @@ class Sensor:
             If the sensor speaks another protocol, a recording holds no cycle of a sensor or several sensors to choose
             from, or the sensor was closed.
         """
-        for report in self.reports():
-            self._found = True
-            yield self._epoch(report)
+        for event in self._events():
+            if isinstance(event, Report):
+                self._found = True
+                yield self._epoch(event)
         if not self._found and not self.live:
             others = self._session.unchosen
             chosen = f"the sensor that was chosen, but of {others}" if others else "a sensor"
@@ -156,9 +188,16 @@ class Sensor:
 
     def reports(self) -> Iterator[Report]:
         """Yield what arrived of each code cycle, neither separated nor located; otherwise as `epochs`."""
+        return (event for event in self._events() if isinstance(event, Report))
+
+    def _events(self) -> Iterator[Report | Block]:
+        """Yield what arrived of each code cycle, and each block of chips, in the order in which they became whole."""
         first = latest = math.nan
         recorded = None if self.live else RecordedCycle(self.name, self.site)
-        for report in self._session.reports():
+        for report in self._session.events():
+            if isinstance(report, Block):
+                yield report
+                continue
             if recorded is not None:
                 recorded.check(report)
             yield report
@@ -261,13 +300,13 @@ class Sensor:
         fields = amended_fields(separated, verdict)
         witnessed = _unexplained(self._session.anchors.finding, verdict)
         named = () if witnessed is None else witnessed.beacons
+        if self._options.rate_hz is not None:
+            self._session.receiver.tell_once("no blocks of chips come: there is one pose a cycle")
         trusted = without(fields, named)
-        if trusted is not separated:  # the parts of the cycle cannot be amended
-            pose = self._locate(trusted, replace(report, parts_T={}))
-        else:
-            pose = self._locate(trusted, report)
-        if trusted is not fields:
-            pose = replace(pose, excluded=(*pose.excluded, *named))
+        amended = trusted is not separated  # the parts of the cycle cannot be amended
+        pose = self._locate(trusted, replace(report, parts_T={}) if amended else report)
+        missing = tuple(name for name in named if name in fields.beacons and name not in pose.excluded)
+        pose = replace(pose, excluded=(*pose.excluded, *missing)) if missing else pose
         pose = with_finding(pose, witnessed)
         return Epoch(
             pose=amended_pose(pose, verdict, used_all=self._options.method is Method.ON_SENSOR),
@@ -276,6 +315,7 @@ class Sensor:
             lost=report.lost(expected_fields=len(self.site.codes)),
             notes=tuple(_notes(report, verdict, self.site.chips)),
             findings=verdict.findings,
+            arrived_s=self._session.receiver.arrived_s,
         )
 
 

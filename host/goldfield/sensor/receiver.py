@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol
@@ -43,6 +45,9 @@ USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).t
 TO_NODES = ("PARAM_SET",)
 """Messages whose node is the receiver's, not the sender's."""
 
+STALE_S = 10.0
+"""A stamp that is older is of another clock than the wall's: some interfaces count from their own start."""
+
 
 class Recorder(Protocol):
     """Keeps every message that a source delivers, as it came."""
@@ -75,6 +80,8 @@ class Receiver:
         The node that is read: it must speak this host's protocol.
     channel : str or None
         Messages of other channels are left out; None: all are taken.
+    arrived_s : float
+        Time of the wall clock at which the latest message arrived; of no meaning in a recording.
     """
 
     def __init__(
@@ -87,6 +94,7 @@ class Receiver:
         self.name = name
         self.node: int | None = None
         self.channel: str | None = None
+        self.arrived_s = math.nan
         self._traffic = no_traffic()
         self._source = source
         self._live = isinstance(source, BusSource)
@@ -122,6 +130,8 @@ class Receiver:
         if self._ahead:
             return self._ahead.popleft()
         raw = self._source.receive(timeout_s)
+        if raw is not None and self._live:
+            self.arrived_s = _arrival_s(raw.timestamp)
         if raw is not None and self._recorder is not None:
             for node in self._marks:
                 self._recorder.write(mark(node, raw.timestamp))
@@ -179,6 +189,12 @@ class Receiver:
             raise UserError(f"{self.name}: {fault}")
         self._strangers.add(heartbeat.node)
         self.tell_once(f"{fault}; until then it is ignored" if self._live else f"{fault}; here it is ignored")
+
+
+def _arrival_s(stamp_s: float) -> float:
+    """Return when a message arrived: its own stamp, if that is one of the wall clock's and of late, else now."""
+    now_s = time.time()
+    return stamp_s if now_s - STALE_S < stamp_s <= now_s else now_s
 
 
 def channel_of(raw: can.Message) -> str | None:

@@ -19,6 +19,7 @@ from goldfield.sensor.health import Health
 from goldfield.sensor.keeping import Keeping
 from goldfield.sensor.receiver import Receiver, Recorder
 from goldfield.site import Site
+from goldfield.types import Block
 from goldfield_protocol.messages import Message, encode
 
 QUIET_S = 1.0
@@ -214,7 +215,11 @@ class Session:
         self.receiver.put_back(kept)
 
     def reports(self) -> Iterator[Report]:
-        """Yield the reports of the sensor's cycles, to the end of a log or without end.
+        """Yield the reports of the sensor's cycles, to the end of a log or without end; the errors are `events`'."""
+        return (event for event in self.events() if isinstance(event, Report))
+
+    def events(self) -> Iterator[Report | Block]:
+        """Yield the reports of the sensor's cycles, and its blocks of chips, to the end of a log or without end.
 
         Silence is what the link itself shows: time counts only while a message is waited for, and little of it each
         time, so that neither a pause of this process nor one of who takes the reports is taken for one of the sensor.
@@ -362,7 +367,7 @@ class Session:
             for parameter in self.health.boards[node].unasked:
                 self._bus.send(*encode("PARAM_GET", {"reserved": 0}, node=node, index=parameter))
 
-    def _take(self, message: Message, arrival_s: float) -> Iterator[Report]:
+    def _take(self, message: Message, arrival_s: float) -> Iterator[Report | Block]:
         """Take a message of the sensor."""
         if message.name == "HEARTBEAT" and message.signals["role"] == ROLE_ANCHOR and not self._asked:
             raise UserError(
