@@ -68,7 +68,7 @@ def add_reading(parser: argparse.ArgumentParser, *, channel: bool = True) -> Non
 
 
 def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Options:
-    """Return what the options of `add_reading` say, and ``--seconds``, ``--rate``, ``--lag`` where a command has them."""
+    """Return what the options of `add_reading` say, and ``--seconds``, ``--rate``, ``--lag`` if a command has them."""
     return Options(
         method,
         arguments.node,
