@@ -1,4 +1,4 @@
-"""A bank of filters of different agility that take the same blocks (docs/blocks.md): gates, likelihood, copies.
+"""A bank of filters of different agility that take the same blocks (docs/blocks.md): gates, probabilities, mixing.
 
 The seam to the C version: `goldfield.track.blocks.kernel` has a class ``CBank`` with the constructor, the methods and
 the attributes of `Bank`, everything in SI units and NumPy arrays, and raises UserError in its constructor for coils
@@ -10,7 +10,7 @@ that it does not serve (``serves(model)`` tells). `BlockFilter` takes either:
                                             # False: refused by all filters, the block is predicted over
     bank.predict(seconds)                   # nothing came: the middle goes on by so many seconds
     bank.output(seconds)                    # an Estimate, so many seconds after the middle; 0: at the middle
-    bank.mismatch                           # discounted -2 log likelihood of the filter that is output: lower is better
+    bank.mismatch                           # -2 log likelihood of the blocks taken since the start: lower is better
     bank.refused                            # blocks in a row that all filters have refused
 """
 
@@ -26,21 +26,24 @@ from scipy.special import chdtri
 
 from goldfield.field import FieldModel
 from goldfield.track.blocks.equations import NormalForm
-from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion, added, transition
+from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion, added, onward
 from goldfield.track.blocks.update import observed, reference, taken_by
 from goldfield.types import FloatArray
 
-AGILITIES: FloatArray = np.array([[0.05, 0.1], [0.5, 1.0], [2.0, 4.0], [8.0, 15.0]])
+AGILITIES: FloatArray = np.array([[0.03, 0.06], [0.5, 1.0], [2.0, 4.0], [8.0, 15.0]])
 """Agilities of acceleration and turn, m/s^2 and rad/s^2 per root hertz, one row a filter."""
 
-MEMORY_S = 0.15
-"""Time after which the likelihood of a block counts a third."""
+KEPT_S = 0.5
+"""Mean time for which a sensor keeps its agility."""
+
+MIXED_S = 0.012
+"""The filters are mixed after this time, every fourth block: the agility does not change oftener, and it costs time."""
+
+LEAST = 1e-9
+"""Least probability of an agility."""
 
 GATE = 1e-5
 """A block less likely than this is refused by a filter."""
-
-BEHIND = 3.0
-"""By how much less likely a filter is taken to be than the one whose copy it has just become."""
 
 START_VELOCITY_M_S, START_RATE_RAD_S, START_OFFSET_T = 3.0, 4.0, 5e-6
 """Standard deviations of what a start does not know, each axis."""
@@ -87,7 +90,7 @@ class Estimate:
 
 
 class Bank:
-    """Filters of different agility; the one that explains the recent blocks best is output.
+    """Filters of different agility and the probability of each: interacting multiple models (Blom and Bar-Shalom, 1988).
 
     Parameters
     ----------
@@ -97,22 +100,17 @@ class Bank:
     Attributes
     ----------
     mismatch : float
-        Discounted -2 log likelihood of the filter that is output.
+        -2 log likelihood of the blocks that were taken since the start.
     refused : int
         Blocks in a row that all filters have refused.
     """
 
     def __init__(self, model: FieldModel, agilities: FloatArray = AGILITIES) -> None:
         self._model, self._agilities = model, agilities
-        self.refused = 0
-        self._best = len(agilities) - 1
-        self._likelihood = np.zeros(len(agilities))
+        self.mismatch, self.refused = 0.0, 0
+        self._probability = np.full(len(agilities), 1.0 / len(agilities))
+        self._unmixed_s = 0.0
         self._added: dict[float, FloatArray] = {}
-
-    @property
-    def mismatch(self) -> float:
-        """Discounted -2 log likelihood of the filter that is output."""
-        return -2.0 * float(self._likelihood[self._best])
 
     def start(self, start: Start) -> None:
         """Begin a track; what was known before is forgotten."""
@@ -133,8 +131,8 @@ class Bank:
         covariance[AMBIENT, AMBIENT] = start.ambient_cov_T2
         covariance[OFFSET, OFFSET] = START_OFFSET_T**2 * np.eye(3)
         self._covariance = np.tile(covariance, (count, 1, 1))
-        self._likelihood[:] = 0.0
-        self._best, self.refused = count - 1, 0
+        self._probability[:] = 1.0 / count
+        self.mismatch, self.refused, self._unmixed_s = 0.0, 0, 0.0
 
     def update(self, form: NormalForm, seconds: float) -> bool:
         """Go on by some seconds to the middle of a block and take it; False if all filters refuse it."""
@@ -146,28 +144,47 @@ class Bank:
             self.refused += 1
             return False
         self.refused = 0
-        likelihood = self._likelihood * math.exp(-abs(seconds) / MEMORY_S)
-        self._likelihood = likelihood - 0.5 * (update.surprise + update.log_spread)
+        self._weigh(-0.5 * (update.surprise + update.log_spread))
         self._motion = self._motion.moved(np.where(agrees[:, None], update.change, 0.0))
         gain = np.where(agrees[:, None, None], update.gain, 0.0)
         self._covariance -= gain @ gain.swapaxes(1, 2)
-        self._best = int(np.argmax(np.where(agrees, self._likelihood, -np.inf)))
-        self._seed(np.flatnonzero(~agrees))
         return True
 
-    def _seed(self, rows: NDArray[np.intp]) -> None:
-        """Let filters that have lost the sensor go on from the best one."""
-        if len(rows):
-            of = np.arange(len(self._agilities))
-            of[rows] = self._best
-            self._motion, self._covariance = self._motion.taken(of), self._covariance[of]
-            self._likelihood[rows] = self._likelihood[self._best] - BEHIND
+    @property
+    def _best(self) -> int:
+        return int(self._probability.argmax())
+
+    def _weigh(self, likelihood: FloatArray) -> None:
+        """Multiply the probabilities by the likelihoods, given as logarithms."""
+        greatest = float(likelihood.max())
+        joint = self._probability * np.exp(likelihood - greatest)
+        total = float(joint.sum())
+        self.mismatch -= 2.0 * (greatest + math.log(total))
+        self._probability = np.maximum(joint / total, LEAST)
 
     def predict(self, seconds: float) -> None:
         """Go on by some seconds without a block."""
-        onward = transition(self._motion.rate_rad_s, seconds)
-        self._covariance = onward @ self._covariance @ onward.swapaxes(1, 2) + self._noise(seconds)
-        self._motion = self._motion.after(seconds)
+        self._unmixed_s += abs(seconds)
+        if self._unmixed_s >= MIXED_S:
+            self._mix()
+        self._motion, transition = onward(self._motion, seconds)
+        self._covariance = transition @ self._covariance @ transition.swapaxes(1, 2) + self._noise(seconds)
+
+    def _mix(self) -> None:
+        """Let the sensor change its agility: each filter goes on from what all believe, weighted by where it came from."""
+        count = len(self._agilities)
+        changes = (1.0 - math.exp(-self._unmixed_s / KEPT_S)) / max(count - 1, 1)
+        self._unmixed_s = 0.0
+        joint = (changes + (1.0 - count * changes) * np.eye(count)) * self._probability
+        self._probability = joint.sum(axis=1)
+        share = joint / self._probability[:, None]  # (to, from)
+        base = self._motion.taken(self._best)
+        error = self._motion.minus(base)
+        mean = share @ error
+        rest = error - mean[:, None]
+        inner = (share @ self._covariance.reshape(count, -1)).reshape(count, SIZE, SIZE)
+        self._covariance = inner + (share[:, :, None] * rest).swapaxes(1, 2) @ rest
+        self._motion = base.moved(mean)
 
     def _noise(self, seconds: float) -> FloatArray:
         """Return what time adds to the covariances; blocks mostly come at the same distance."""
@@ -178,12 +195,18 @@ class Bank:
         return self._added[seconds]
 
     def output(self, seconds: float = 0.0) -> Estimate:
-        """Return what the best filter believes of the moment so many seconds after the middle of the last block."""
-        motion, covariance = self._motion.taken(self._best), self._covariance[self._best]
+        """Return what is believed of the moment so many seconds after the middle of the last block."""
+        base = self._motion.taken(self._best)
+        error = self._motion.minus(base)
+        mean = self._probability @ error
+        rest = error - mean
+        covariance = (self._probability @ self._covariance.reshape(len(rest), -1)).reshape(SIZE, SIZE)
+        covariance = covariance + (self._probability[:, None] * rest).T @ rest
+        motion = base.moved(mean)
         if seconds:
-            onward = transition(motion.rate_rad_s, seconds)
-            covariance = onward @ covariance @ onward.T + added(self._agilities[self._best], seconds)
-            motion = motion.after(seconds)
+            motion, transition = onward(motion, seconds)
+            noise = (self._probability @ self._noise(seconds).reshape(len(rest), -1)).reshape(SIZE, SIZE)
+            covariance = transition @ covariance @ transition.T + noise
         return Estimate(motion, covariance)
 
 

@@ -10,8 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from goldfield.locate.rotations import orthonormal, skew
+from goldfield.locate.rotations import orthonormal
+from goldfield.track.motion import UNIT_CROSSES
 from goldfield.types import FloatArray
 
 SIZE = 18
@@ -50,15 +52,7 @@ class Motion:
 
     def after(self, seconds: float) -> Motion:
         """Return the motion some time later, or earlier, at constant velocity and turn rate."""
-        turn = rotation_of(seconds * self.rate_rad_s)
-        return Motion(
-            self.position_m + seconds * self.velocity_m_s,
-            orthonormal(turn @ self.rotation),
-            self.velocity_m_s,
-            self.rate_rad_s,
-            self.ambient_T,
-            self.offset_T,
-        )
+        return onward(self, seconds)[0]
 
     def moved(self, error: FloatArray) -> Motion:
         """Return the motion that differs by an error, shape (..., 18)."""
@@ -71,58 +65,84 @@ class Motion:
             self.offset_T + error[..., OFFSET],
         )
 
-    def taken(self, which: object) -> Motion:
-        """Return some of several motions, by an index of the leading axes."""
-        return Motion(*(part[which] for part in self._parts))  # type: ignore[call-overload]
-
-    @property
-    def _parts(self) -> tuple[FloatArray, ...]:
-        return (
-            self.position_m,
-            self.rotation,
-            self.velocity_m_s,
-            self.rate_rad_s,
-            self.ambient_T,
-            self.offset_T,
+    def minus(self, other: Motion) -> FloatArray:
+        """Return the errors, shape (..., 18), by which this differs from another motion, which may be a single one."""
+        return np.concatenate(
+            [
+                self.position_m - other.position_m,
+                rotation_vector(self.rotation @ np.swapaxes(other.rotation, -1, -2)),
+                self.velocity_m_s - other.velocity_m_s,
+                self.rate_rad_s - other.rate_rad_s,
+                self.ambient_T - other.ambient_T,
+                self.offset_T - other.offset_T,
+            ],
+            axis=-1,
         )
+
+    def taken(self, which: int | NDArray[np.intp]) -> Motion:
+        """Return one or some of several motions."""
+        return Motion(
+            self.position_m[which],
+            self.rotation[which],
+            self.velocity_m_s[which],
+            self.rate_rad_s[which],
+            self.ambient_T[which],
+            self.offset_T[which],
+        )
+
+
+_CROSSES: FloatArray = np.ascontiguousarray(UNIT_CROSSES.reshape(3, 9))
+_TURNS: FloatArray = 0.5 * _CROSSES.T
+"""What makes [v]x of v, and the sine times the axis of a rotation's nine elements."""
+
+_EYE3: FloatArray = np.eye(3)
+
+
+def crosses(vector: FloatArray) -> FloatArray:
+    """Return [v]x, shape (..., 3, 3), of vectors, shape (..., 3)."""
+    return np.asarray((vector @ _CROSSES).reshape(*vector.shape, 3))
 
 
 def rotation_of(vector: FloatArray) -> FloatArray:
     """Return the rotations by rotation vectors, shape (..., 3): Rodrigues' formula, shape (..., 3, 3)."""
     angle2 = (vector * vector).sum(axis=-1)[..., None, None]
-    small = angle2 < 1e-6
-    angle = np.sqrt(np.where(small, 1.0, angle2))
-    sine = np.where(small, 1.0 - angle2 / 6.0, np.sin(angle) / angle)
-    versine = np.where(small, 0.5 - angle2 / 24.0, (1.0 - np.cos(angle)) / (angle * angle))
-    cross = skew(vector)
-    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))
+    cross = crosses(vector)
+    if angle2.max() < 1e-2:  # the next terms of both series are below 1e-9
+        sine = 1.0 + angle2 * (angle2 / 120.0 - 1.0 / 6.0)
+        versine = 0.5 + angle2 * (angle2 / 720.0 - 1.0 / 24.0)
+    else:
+        angle = np.sqrt(np.maximum(angle2, 1e-12))
+        sine, versine = np.sin(angle) / angle, (1.0 - np.cos(angle)) / (angle * angle)
+    return np.asarray(_EYE3 + sine * cross + versine * (cross @ cross))
 
 
 def rotation_vector(rotation: FloatArray) -> FloatArray:
     """Return the rotation vectors of rotations that are well below half a turn, shape (..., 3, 3) to (..., 3)."""
-    sine = 0.5 * np.stack(
-        [
-            rotation[..., 2, 1] - rotation[..., 1, 2],
-            rotation[..., 0, 2] - rotation[..., 2, 0],
-            rotation[..., 1, 0] - rotation[..., 0, 1],
-        ],
-        axis=-1,
-    )
+    flat = rotation.reshape(*rotation.shape[:-2], 9)
+    sine = flat @ _TURNS
     length = np.sqrt((sine * sine).sum(axis=-1, keepdims=True))
-    cosine = 0.5 * (np.trace(rotation, axis1=-2, axis2=-1)[..., None] - 1.0)
-    angle = np.arctan2(length, cosine)
-    return np.asarray(sine * np.where(length > 1e-8, angle / np.maximum(length, 1e-300), 1.0))
+    cosine = 0.5 * (flat[..., ::4].sum(axis=-1, keepdims=True) - 1.0)
+    return np.asarray(sine * (np.arctan2(length, cosine) / np.maximum(length, 1e-300)))
 
 
-def transition(rate_rad_s: FloatArray, seconds: float) -> FloatArray:
-    """Return how small errors go on at turn rates, shape (..., 3): shape (..., 18, 18)."""
-    result = np.zeros((*rate_rad_s.shape[:-1], SIZE, SIZE))
-    result[...] = np.eye(SIZE)
-    result[..., POSITION, VELOCITY] = result[..., TURN, RATE] = seconds * np.eye(3)
-    cross = skew(seconds * rate_rad_s)
-    result[..., TURN, TURN] = rotation_of(seconds * rate_rad_s)
-    result[..., TURN, RATE] += 0.5 * seconds * cross
-    return result
+def onward(motion: Motion, seconds: float) -> tuple[Motion, FloatArray]:
+    """Return the motion some time later and how small errors go on until then, shape (..., 18, 18)."""
+    turning = seconds * motion.rate_rad_s
+    turn = rotation_of(turning)
+    transition = np.zeros((*turning.shape[:-1], SIZE, SIZE))
+    transition.reshape(-1, SIZE * SIZE)[:, :: SIZE + 1] = 1.0
+    transition[..., POSITION, VELOCITY] = seconds * _EYE3
+    transition[..., TURN, TURN] = turn
+    transition[..., TURN, RATE] = seconds * (_EYE3 + 0.5 * crosses(turning))
+    later = Motion(
+        motion.position_m + seconds * motion.velocity_m_s,
+        turn @ motion.rotation,
+        motion.velocity_m_s,
+        motion.rate_rad_s,
+        motion.ambient_T,
+        motion.offset_T,
+    )
+    return later, transition
 
 
 def added(agility: FloatArray, seconds: float) -> FloatArray:

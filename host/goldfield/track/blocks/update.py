@@ -12,9 +12,8 @@ import numpy as np
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
-from goldfield.locate.rotations import skew
 from goldfield.track.blocks.equations import NormalForm
-from goldfield.track.blocks.state import AMBIENT, OFFSET, Motion, rotation_vector
+from goldfield.track.blocks.state import AMBIENT, OFFSET, Motion, crosses, rotation_vector
 from goldfield.types import FloatArray
 
 OBSERVED, MOVING = 9, 6
@@ -66,7 +65,7 @@ def reference(model: FieldModel, motion: Motion) -> Reference:
     fields[:count], fields[count] = field.T, motion.ambient_T
     jacobian = np.zeros((count + 1, 3, OBSERVED))
     jacobian[:count, :, :3] = gradient.transpose(2, 0, 1)
-    jacobian[:, :, 3:6] = skew(fields)
+    jacobian[:, :, 3:6] = crosses(fields)
     jacobian[count, :, 6:] = np.eye(3)
     # - w x B = [B]x w
     slope = jacobian[:, :, :3] @ motion.velocity_m_s + jacobian[:, :, 3:6] @ motion.rate_rad_s
