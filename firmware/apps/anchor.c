@@ -36,13 +36,13 @@ static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
 
 /* ---- Main ---- */
 
-void anchor_start(anchor_t *anchor, hal_t *hal) {
+void anchor_start(anchor_t *anchor, onboard_t *onboard, tracking_t *tracking, hal_t *hal) {
     memset(anchor, 0, sizeof *anchor);
     anchor->hal = hal;
     node_start(&anchor->node, hal, HAL_ROLE_ANCHOR);
     timing_start(&anchor->timing, &anchor->node.parameters, true);
     drive_start(&anchor->drive, &anchor->node, &anchor->timing);
-    sense_start(&anchor->sense, &anchor->node, &anchor->timing);
+    sense_start(&anchor->sense, &anchor->node, &anchor->timing, onboard, tracking);
     const hal_events_t events = {
         .context = anchor,
         .plan = on_plan,
@@ -58,8 +58,7 @@ void anchor_step(anchor_t *anchor) {
     node_t *node = &anchor->node;
     drive_step(&anchor->drive);
     drive_report(&anchor->drive);
-    while (sense_block(&anchor->sense) != NULL) { /* It is sent, and nobody else takes it. */
-    }
+    sense_blocks(&anchor->sense);
     sense_step(&anchor->sense);
     node->state = drive_state(&anchor->drive);
     node_step(node);

@@ -47,9 +47,9 @@ typedef struct {
     sense_t sense;
 } anchor_t;
 
-/* Say hello, read the parameters, prepare the waveform and start the chip engine. *anchor and *hal must live for
- * ever. */
-void anchor_start(anchor_t *anchor, hal_t *hal);
+/* Say hello, read the parameters, prepare the waveform and start the chip engine. What the arguments point at must live
+ * for ever. No DMA touches *onboard and *tracking. */
+void anchor_start(anchor_t *anchor, onboard_t *onboard, tracking_t *tracking, hal_t *hal);
 
 /* Run one turn of the main loop. */
 void anchor_step(anchor_t *anchor);

@@ -74,13 +74,13 @@ static node_state_t state(const sensor_t *sensor) {
     return !sensor->sense.sampled ? NODE_STARTING : sensor->timing.clock.locked ? NODE_RUNNING : NODE_SYNCING;
 }
 
-void sensor_start(sensor_t *sensor, acquire_t *acquire, hal_t *hal) {
+void sensor_start(sensor_t *sensor, acquire_t *acquire, onboard_t *onboard, tracking_t *tracking, hal_t *hal) {
     memset(sensor, 0, sizeof *sensor);
     sensor->hal = hal;
     sensor->acquire = acquire;
     node_start(&sensor->node, hal, HAL_ROLE_SENSOR);
     timing_start(&sensor->timing, &sensor->node.parameters, false);
-    sense_start(&sensor->sense, &sensor->node, &sensor->timing);
+    sense_start(&sensor->sense, &sensor->node, &sensor->timing, onboard, tracking);
     follow(sensor, parameters_unsigned(&sensor->node.parameters, PARAMETER_SYNC_SOURCE));
     const hal_events_t events = {.context = sensor, .plan = on_plan, .samples = on_samples, .sync = on_sync};
     hal_chips_start(hal, HAL_ROLE_SENSOR, &events);
@@ -88,8 +88,7 @@ void sensor_start(sensor_t *sensor, acquire_t *acquire, hal_t *hal) {
 
 void sensor_step(sensor_t *sensor) {
     node_t *node = &sensor->node;
-    while (sense_block(&sensor->sense) != NULL) { /* It is sent, and nobody else takes it. */
-    }
+    sense_blocks(&sensor->sense);
     sense_step(&sensor->sense);
     node->state = state(sensor);
     node_step(node);

@@ -45,9 +45,9 @@ typedef struct {
     acquire_t *acquire;
 } sensor_t;
 
-/* Say hello, read the parameters and start the chip engine. *sensor, *acquire and *hal must live for ever. No DMA
- * touches *acquire. */
-void sensor_start(sensor_t *sensor, acquire_t *acquire, hal_t *hal);
+/* Say hello, read the parameters and start the chip engine. What the arguments point at must live for ever. No
+ * DMA touches *acquire, *onboard and *tracking. */
+void sensor_start(sensor_t *sensor, acquire_t *acquire, onboard_t *onboard, tracking_t *tracking, hal_t *hal);
 
 /* Run one turn of the main loop. */
 void sensor_step(sensor_t *sensor);

@@ -86,7 +86,7 @@ void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, c
 
 /* Begins the pose of the cycle taken. */
 static void begin(onboard_t *onboard, node_t *node) {
-    onboard->due = false;
+    onboard->due = onboard->owed = false;
     onboard->located = onboard->cycle;
     if (!onboard->separable) {
         onboard->pose = (pose_t){.status = POSE_FAILED, .reason = POSE_REASON_NO_POSE, .left_out = POSE_NOBODY};
@@ -97,26 +97,55 @@ static void begin(onboard_t *onboard, node_t *node) {
     pose_live_begin(&onboard->live, &onboard->site, onboard->fields, &onboard->pose);
 }
 
+static void judge(onboard_t *onboard) {
+    const pose_t *const pose = &onboard->pose;
+    if (pose->status != POSE_FAILED) {
+        onboard->verdict = (onboard_verdict_t){pose->status, pose->reason, pose->left_out, pose->protection_m};
+        onboard->judged++;
+    }
+}
+
 /* Does one step of whatever comes first. Returns whether there was anything to do. */
 static bool step(onboard_t *onboard, node_t *node) {
     if (onboard->live.busy) {
         if (pose_live_step(&onboard->live, &onboard->pose)) {
+            judge(onboard);
             pose_report(&onboard->pose, onboard->located, POSE_REPORT_CYCLE, node, NODE_BOTH);
         }
         return true;
     }
-    if (onboard->due) {
+    if (onboard->due && !onboard->lent) {
         begin(onboard, node);
         return true;
     }
     return pose_live_spare(&onboard->live);
 }
 
-void onboard_step(onboard_t *onboard, node_t *node) {
+bool onboard_step(onboard_t *onboard, node_t *node) {
     if (!onboard->due && !pose_live_at_work(&onboard->live)) {
-        return;
+        return false;
     }
     const uint64_t start_us = hal_microseconds(node->hal);
-    while (step(onboard, node) && hal_microseconds(node->hal) - start_us < ONBOARD_TURN_US) {
+    bool any = false;
+    while (step(onboard, node)) {
+        any = true;
+        if (hal_microseconds(node->hal) - start_us >= ONBOARD_TURN_US) {
+            break;
+        }
     }
+    return any;
+}
+
+bool onboard_lends(const onboard_t *onboard) {
+    return !onboard->live.busy && !onboard->owed;
+}
+
+pose_work_t *onboard_lend(onboard_t *onboard) {
+    onboard->lent = true;
+    return &onboard->live.work;
+}
+
+void onboard_take_back(onboard_t *onboard) {
+    onboard->lent = false;
+    onboard->owed = onboard->due;
 }

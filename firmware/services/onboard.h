@@ -27,6 +27,14 @@
 
 #define ONBOARD_TURN_US 2000u /* Time in a call after which it begins no further step: a block takes 3 ms. */
 
+/* What the location of a cycle came to, for the poses of blocks until the next (tracking.h). */
+typedef struct {
+    pose_status_t status; /* Not failed. */
+    pose_reason_t reason;
+    uint32_t left_out;  /* Row of the beacon that is not to be believed, or POSE_NOBODY. */
+    float protection_m; /* Protection level, m. */
+} onboard_verdict_t;
+
 /* Private but for tests. */
 typedef struct {
     bool active, due; /* Poses are wanted; a cycle has been taken and not been computed. */
@@ -42,6 +50,9 @@ typedef struct {
     pose_field_t fields[POSE_BEACONS_MAX];
     pose_live_t live;
     pose_t pose;
+    onboard_verdict_t verdict; /* Of the latest cycle with a pose. */
+    uint32_t judged;           /* Cycles with a pose, modulo 2^32. */
+    bool lent, owed;           /* The memory of the pose is lent; a cycle waited when it came back. */
 } onboard_t;
 
 /* Read the parameters and forget the pose that tracking starts from. chips is the number of chips in a cycle. A
@@ -55,7 +66,18 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
 void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
                   const epoch_selection_t *selection);
 
-/* Do steps of the pose of the cycle taken, if there is one, and send it when it is complete; else of the review. */
-void onboard_step(onboard_t *onboard, node_t *node);
+/* Do steps of the pose of the cycle taken, if there is one, and send it when it is complete; else of the review.
+ * Returns whether there was anything to do. */
+bool onboard_step(onboard_t *onboard, node_t *node);
+
+/* Returns whether the memory of the pose can be lent. It cannot while a pose is computed, nor twice in a row while a
+ * cycle waits. */
+bool onboard_lends(const onboard_t *onboard);
+
+/* Lend the memory of the pose, which onboard_lends promised; cycles wait until it is back. */
+pose_work_t *onboard_lend(onboard_t *onboard);
+
+/* Take it back. */
+void onboard_take_back(onboard_t *onboard);
 
 #endif

@@ -139,7 +139,7 @@ static void report(sense_t *sense, node_links_t links, const epoch_sums_t *cycle
         length = (uint8_t)goldfield_field_pack(data, &field, sizeof data);
         node_send(node, links, GOLDFIELD_FIELD_FRAME_ID, sense->selection.codes[i].code, data, length);
     }
-    onboard_take(&sense->onboard, node, cycle, &sense->calibration, &sense->selection);
+    onboard_take(sense->onboard, node, cycle, &sense->calibration, &sense->selection);
 }
 
 static void send_part(sense_t *sense, node_links_t links, const epoch_sums_t *part, uint32_t code,
@@ -193,17 +193,22 @@ void sense_configure(sense_t *sense) {
         (void)epoch_select(&sense->selection, sense->collector.family, codes, count);
         sense->cycle.third = EPOCH_WHOLE; /* Parts of the old list and of the new are not added. */
     }
-    onboard_configure(&sense->onboard, parameters, format->chips, &sense->selection);
+    onboard_configure(sense->onboard, parameters, format->chips, &sense->selection);
+    tracking_configure(sense->tracking, sense->onboard, parameters);
     blocks_configure(&sense->blocks, parameters);
     sense->collector.thirds = format->degree == 10u && parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
     sense->stream_id = node_identifier(sense->node, GOLDFIELD_CHIP_FRAME_ID, 0);
     sense->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
 }
 
-void sense_start(sense_t *sense, node_t *node, const timing_t *timing) {
+void sense_start(sense_t *sense, node_t *node, const timing_t *timing, onboard_t *onboard, tracking_t *tracking) {
     memset(sense, 0, sizeof *sense);
+    memset(onboard, 0, sizeof *onboard);
+    memset(tracking, 0, sizeof *tracking);
     sense->node = node;
     sense->timing = timing;
+    sense->onboard = onboard;
+    sense->tracking = tracking;
     (void)queue_init(&sense->stream, sense->stream_messages, SENSE_STREAM_MESSAGES);
     /* Only degrees that have a family get through parameters_set. */
     const gold_family_t *const family = gold_family(timing->format.degree);
@@ -212,8 +217,19 @@ void sense_start(sense_t *sense, node_t *node, const timing_t *timing) {
     sense_configure(sense);
 }
 
-const block_sums_t *sense_block(sense_t *sense) {
-    return blocks_step(&sense->blocks, sense->node, &sense->selection, &sense->calibration);
+void sense_blocks(sense_t *sense) {
+    node_t *const node = sense->node;
+    const uint64_t start_us = hal_microseconds(node->hal);
+    do {
+        if (!tracking_takes(sense->tracking)) {
+            return;
+        }
+        const block_sums_t *const sums = blocks_step(&sense->blocks, node, &sense->selection, &sense->calibration);
+        if (sums == NULL) {
+            return;
+        }
+        tracking_take(sense->tracking, node, sums, blocks_waiting(&sense->blocks));
+    } while (hal_microseconds(node->hal) - start_us < ONBOARD_TURN_US);
 }
 
 void sense_step(sense_t *sense) {
@@ -236,5 +252,13 @@ void sense_step(sense_t *sense) {
 
 void sense_spare(sense_t *sense) {
     drain_stream(sense);
-    onboard_step(&sense->onboard, sense->node);
+    /* A start of the track and the pose of a cycle go first in turn, and only one of them takes its steps, so that main
+     * is held up no longer than by one. */
+    sense->tracks_first = !sense->tracks_first;
+    if (sense->tracks_first && tracking_search(sense->tracking, sense->node)) {
+        return;
+    }
+    if (!onboard_step(sense->onboard, sense->node) && !sense->tracks_first) {
+        (void)tracking_search(sense->tracking, sense->node);
+    }
 }

@@ -6,8 +6,8 @@
  *   2. sense_samples    interrupt, once a block: each chip's burst becomes one sample (epoch_sample), is labelled by
  *                       chip_clock_at, and goes into the cycle being collected (epoch_feed) and into the block
  *                       (blocks.h); it is also sent as CHIP if chips are streamed.
- *   3. sense_block        main, first in a turn, until it returns NULL: a block leaves as BLOCK and BLOCK_SUMs at once,
- *                       and its sums are returned for whoever makes a pose of them.
+ *   3. sense_blocks     main, first in a turn: a block leaves as BLOCK and BLOCK_SUMs at once, and its sums go to the
+ *                       sensor's own track (tracking.h), which sends its pose.
  *   4. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
  *                       and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the
  *                       list. With parts (thirds of a cycle; parameter parts = 3) each part is reported before that,
@@ -61,6 +61,7 @@
 #include "services/node.h"
 #include "services/onboard.h"
 #include "services/timing.h"
+#include "services/tracking.h"
 
 #define SENSE_STREAM_MESSAGES 128u /* Length of the queue of streamed chips: four blocks. */
 
@@ -73,7 +74,9 @@ typedef struct {
     epoch_calibration_t calibration;
     epoch_selection_t selection; /* The codes that are reported. */
     blocks_t blocks;
-    onboard_t onboard;
+    onboard_t *onboard;
+    tracking_t *tracking;
+    bool tracks_first;          /* Spare time goes to the start of the track first, then to the pose of a cycle. */
     uint32_t unsent;            /* Reports of cycles and of parts for which a link had no room. */
     volatile bool streaming;    /* Every chip is sent on serial. */
     volatile bool sampled;      /* A block has been taken. */
@@ -86,8 +89,8 @@ typedef struct {
 } sense_t;
 
 /* Read the parameters and begin to collect; main calls it before the chip engine starts. node and timing have been
- * started, and live for ever. */
-void sense_start(sense_t *sense, node_t *node, const timing_t *timing);
+ * started, and live for ever, as do onboard and tracking, which no DMA touches. */
+void sense_start(sense_t *sense, node_t *node, const timing_t *timing, onboard_t *onboard, tracking_t *tracking);
 
 /* Read the parameters again. */
 void sense_configure(sense_t *sense);
@@ -96,9 +99,10 @@ void sense_configure(sense_t *sense);
  * the field: it gets every burst, and samples are then made without the last conversion. */
 void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples, acquire_t *acquire);
 
-/* Make the sums of the oldest block that waits, if blocks are wanted, and send them. Costs 700 instructions a code and
- * 3,000. Returns them, valid until the next call, or NULL if none waits. */
-const block_sums_t *sense_block(sense_t *sense);
+/* Make the sums of the blocks that wait, if blocks are wanted, send them, and make their poses (tracking.h): none is
+ * begun after ONBOARD_TURN_US, and none is taken while a track starts. Costs 700 instructions a code and 3,000 for each
+ * block, and what a pose costs. */
+void sense_blocks(sense_t *sense);
 
 /* Report a complete cycle or part, if there is one: one turn of the main loop, before node_step. A cycle costs about
  * 60,000 instructions and 800 for each code. */

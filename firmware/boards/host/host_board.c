@@ -17,11 +17,11 @@ struct board {
     union {
         beacon_t beacon;
         anchor_t anchor;
-        struct {
-            sensor_t sensor;
-            acquire_t acquire;
-        } sensing;
+        sensor_t sensor;
     } app;
+    acquire_t acquire;
+    onboard_t onboard;
+    tracking_t tracking;
 };
 
 /* ---- Time ---- */
@@ -178,10 +178,10 @@ static void application_start(board_t *board) {
         beacon_start(&board->app.beacon, hal);
         break;
     case HAL_ROLE_SENSOR:
-        sensor_start(&board->app.sensing.sensor, &board->app.sensing.acquire, hal);
+        sensor_start(&board->app.sensor, &board->acquire, &board->onboard, &board->tracking, hal);
         break;
     case HAL_ROLE_ANCHOR:
-        anchor_start(&board->app.anchor, hal);
+        anchor_start(&board->app.anchor, &board->onboard, &board->tracking, hal);
         break;
     }
 }
@@ -192,7 +192,7 @@ static void application_step(board_t *board) {
         beacon_step(&board->app.beacon);
         break;
     case HAL_ROLE_SENSOR:
-        sensor_step(&board->app.sensing.sensor);
+        sensor_step(&board->app.sensor);
         break;
     case HAL_ROLE_ANCHOR:
         anchor_step(&board->app.anchor);

@@ -23,7 +23,7 @@
 #include "core/codes/epoch.h"
 
 #define BLOCK_CHIPS    CODE_BITS_CHIPS /* Chips in a block. */
-#define BLOCKS_WAITING 4u              /* Most blocks that wait for main. */
+#define BLOCKS_WAITING 8u              /* Most blocks that wait for main: as long as a start takes (tracking.h). */
 
 /* ---- Collecting ---- */
 

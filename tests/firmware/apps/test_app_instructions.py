@@ -61,6 +61,8 @@ beacon_t beacon;
 sensor_t sensor;
 anchor_t anchor;
 acquire_t acquire;
+onboard_t onboard;
+tracking_t tracking;
 hal_plan_t plans[2];
 hal_samples_t samples;
 uint32_t block = 0, chip = 0, count = 2048;
@@ -68,8 +70,8 @@ void begin_beacon(void) { beacon_start(&beacon, &hal); }
 static void fill_samples(void) {
     for (uint32_t i = 0; i < sizeof samples / 2; i++) (&samples[0][0][0])[i] = (uint16_t)(1 + i * 37 % 4094);
 }
-void begin_sensor(void) { sensor_start(&sensor, &acquire, &hal); fill_samples(); }
-void begin_anchor(void) { anchor_start(&anchor, &hal); fill_samples(); }
+void begin_sensor(void) { sensor_start(&sensor, &acquire, &onboard, &tracking, &hal); fill_samples(); }
+void begin_anchor(void) { anchor_start(&anchor, &onboard, &tracking, &hal); fill_samples(); }
 void call_plan(void) { events.plan(events.context, block, &plans[block & 1]); block++; hal.us += 3030; }
 static uint16_t sensed(uint32_t drive, uint32_t set_point) {
     const uint32_t size = set_point / 2u;

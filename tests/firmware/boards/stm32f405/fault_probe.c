@@ -7,7 +7,9 @@
 #ifdef ANCHOR
 #include "apps/anchor.h"
 static anchor_t application;
-#define START anchor_start
+static onboard_t onboard BOARD_CORE_MEMORY;
+static tracking_t tracking BOARD_CORE_MEMORY;
+#define START(anchor, hal) anchor_start(anchor, &onboard, &tracking, hal)
 #define STEP  anchor_step
 #else
 #include "apps/beacon.h"

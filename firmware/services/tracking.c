@@ -1,0 +1,336 @@
+#include "services/tracking.h"
+
+#include <string.h>
+
+#include "core/math/roots.h"
+#include "core/math/vector3.h"
+#include "services/pose_report.h"
+
+#define MICROTESLA     1e6f  /* Microtesla in a tesla. */
+#define UT_M3_PER_A_M2 0.1f  /* mu0 / (4 pi) in uT m^3 for each A m^2. */
+#define WEAK_ATTITUDE  0.5f  /* Standard deviation of the attitude beyond which nothing linear holds, rad. */
+#define WEAK_DISTANCE  0.25f /* That of the position, over the distance to the nearest beacon. */
+#define PROTECTION_SD  3.29f /* Deviate of what noise alone exceeds in one of a thousand cases. */
+
+#define CHIP_S  ((float)HAL_CHIP_TICKS / (float)HAL_TICKS_PER_SECOND) /* Length of a chip, s. */
+#define BLOCK_S ((float)BLOCK_CHIPS * CHIP_S)
+#define HALF_S  (0.5f * (float)(BLOCK_CHIPS - 1u) * CHIP_S) /* From the middle of a block to its last sample, s. */
+#define GAP_S   (((float)BLOCK_FILTER_REFUSALS + 0.5f) * BLOCK_S) /* Longest time without a block that is bridged, s. */
+
+/* ---- Configuration ---- */
+
+static void read_beacon(tracking_t *tracking, uint32_t row) {
+    const pose_beacon_t *const beacon = &tracking->onboard->site.beacons[row];
+    loop_t *const coil = &tracking->coils[row];
+    const float length2 = vector3_dot(beacon->axis, beacon->axis);
+    const float scale = length2 > 0.0f ? inverse_square_root(length2) : 0.0f;
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        coil->centre_m[axis] = beacon->position_m[axis];
+        coil->axis[axis] = scale * beacon->axis[axis];
+    }
+    coil->k_uT_m3 = length2 > 0.0f ? UT_M3_PER_A_M2 * beacon->moment_A_m2 : 0.0f;
+    coil->radius_m = beacon->radius_m > 0.0f ? beacon->radius_m : 0.0f;
+    tracking->beacon_errors[row] = (block_beacon_errors_t){
+        beacon->position_sd_m,
+        beacon->axis_sd_rad,
+        beacon->current_sd,
+    };
+    tracking->exact = tracking->exact && !(beacon->position_sd_m > 0.0f) && !(beacon->axis_sd_rad > 0.0f) &&
+                      !(beacon->current_sd > 0.0f);
+}
+
+static void lose(tracking_t *tracking) {
+    tracking->state = TRACKING_LOST;
+    tracking->gathered = 0;
+    tracking->start = (pose_t){.status = POSE_FAILED, .reason = POSE_REASON_LATE, .left_out = POSE_NOBODY};
+}
+
+void tracking_configure(tracking_t *tracking, onboard_t *onboard, const parameters_t *parameters) {
+    if (tracking->state == TRACKING_SEARCHES) {
+        onboard_take_back(onboard);
+    }
+    tracking->onboard = onboard;
+    const bool poses = parameters_unsigned(parameters, PARAMETER_POSE) == 1u;
+    tracking->every = poses ? parameters_unsigned(parameters, PARAMETER_POSE_BLOCKS) : 0u;
+    tracking->able = onboard->separable && onboard->site.count <= BLOCK_BEACONS;
+    tracking->count = tracking->able ? onboard->site.count : 0u;
+    tracking->exact = !(onboard->site.gain_sd > 0.0f) && !(onboard->site.axis_sd_rad > 0.0f);
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        read_beacon(tracking, i);
+    }
+    tracking->errors = (block_site_errors_t){
+        .beacons = tracking->beacon_errors,
+        .gain_sd = onboard->site.gain_sd,
+        .axis_sd_rad = onboard->site.axis_sd_rad,
+    };
+    memset(tracking->site_covariance, 0, sizeof tracking->site_covariance);
+    tracking->verdict.left_out = POSE_NOBODY;
+    tracking->judged = onboard->judged;
+    lose(tracking);
+    block_filter_init(&tracking->filter, tracking->coils, tracking->count, MICROTESLA * onboard->noise_T);
+}
+
+/* ---- Answers ---- */
+
+static void send(const tracking_t *tracking, node_t *node, const pose_t *pose) {
+    if (tracking->number % tracking->every != 0u) {
+        return;
+    }
+    const uint32_t last = tracking->chip + BLOCK_CHIPS - 1u, chips = tracking->onboard->chips;
+    const uint32_t cycle = tracking->cycle + (last < chips ? 0u : 1u);
+    pose_report(pose, cycle, 1u + last % chips, node, node_room(node, POSE_REPORT_MESSAGES));
+    node_flush(node);
+}
+
+/* Returns whether the beacon of a row is not to be believed, or its coil is not known. */
+static bool is_out(const tracking_t *tracking, uint32_t row) {
+    return row == tracking->verdict.left_out || tracking->coils[row].k_uT_m3 == 0.0f;
+}
+
+static float nearest_m(const tracking_t *tracking, const float position_m[3]) {
+    float nearest2 = 1e30f;
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        float away[3];
+        vector3_subtract(position_m, tracking->coils[i].centre_m, away);
+        const float away2 = vector3_dot(away, away);
+        nearest2 = !is_out(tracking, i) && away2 < nearest2 ? away2 : nearest2;
+    }
+    return square_root(nearest2);
+}
+
+/* Sets status, reason and protection level of a pose whose numbers are set. */
+static void judge(const tracking_t *tracking, float position_sd_m, float attitude_sd_rad, pose_t *pose) {
+    const onboard_verdict_t *const verdict = &tracking->verdict;
+    const float noise_m = PROTECTION_SD * position_sd_m;
+    pose->status = verdict->status;
+    pose->reason = verdict->reason;
+    pose->left_out = verdict->left_out;
+    pose->protection_m = verdict->protection_m > noise_m ? verdict->protection_m : noise_m;
+    if (pose->status != POSE_OK && pose->status != POSE_UNVERIFIED) {
+        return;
+    }
+    if (attitude_sd_rad > WEAK_ATTITUDE || position_sd_m > WEAK_DISTANCE * nearest_m(tracking, pose->position_m)) {
+        pose->status = POSE_WEAK;
+        pose->reason = POSE_REASON_WEAK;
+    } else if (pose->protection_m > tracking->onboard->site.alert_limit_m) {
+        pose->status = POSE_UNVERIFIED;
+        pose->reason = POSE_REASON_UNVERIFIED;
+    }
+}
+
+static float root_of_trace(const float matrix[3][3]) {
+    return square_root(matrix[0][0] + matrix[1][1] + matrix[2][2]);
+}
+
+/* Sends the pose at the end of the latest block. */
+static void send_pose(const tracking_t *tracking, node_t *node) {
+    if (tracking->number % tracking->every != 0u) {
+        return;
+    }
+    block_pose_t found;
+    block_filter_output(&tracking->filter, tracking->behind_s + HALF_S, &found);
+    pose_t pose = {.tracked = tracking->gathered == 0u};
+    memcpy(pose.position_m, found.state.position_m, sizeof pose.position_m);
+    memcpy(pose.quaternion, found.state.quaternion, sizeof pose.quaternion);
+    for (uint32_t row = 0; row < 3u; row++) {
+        for (uint32_t column = 0; column < 3u; column++) {
+            pose.position_cov_m2[row][column] = found.covariance[row][column] + tracking->site_covariance[row][column];
+            pose.attitude_cov_rad2[row][column] = found.covariance[3u + row][3u + column] +
+                                                  tracking->site_covariance[3u + row][3u + column];
+        }
+    }
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        pose.used += is_out(tracking, i) ? 0u : 1u;
+    }
+    pose.residual = found.freedom > 0u ? square_root(found.chi_square / (float)found.freedom) : 0.0f;
+    judge(tracking, root_of_trace(pose.position_cov_m2), root_of_trace(pose.attitude_cov_rad2), &pose);
+    send(tracking, node, &pose);
+}
+
+/* ---- Blocks ---- */
+
+/* Makes the block of the filter. */
+static void make_block(tracking_t *tracking, const block_sums_t *sums) {
+    block_gram(sums->bits, tracking->count, BLOCK_CHIPS, CHIP_S, &tracking->block);
+    for (uint32_t i = 0; i <= tracking->count; i++) {
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            tracking->block.sums_uT[i][axis] = MICROTESLA * sums->sums_T[i][axis];
+        }
+    }
+}
+
+static void leave_out(tracking_t *tracking) {
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        if (is_out(tracking, i)) {
+            block_leave_out(&tracking->block, i);
+        }
+    }
+}
+
+/* Moves the track on to a block. Returns false if it is lost. */
+static bool follow(tracking_t *tracking, const block_sums_t *sums) {
+    if (tracking->behind_s > GAP_S) {
+        return false;
+    }
+    if (sums->unmeasured != 0u) {
+        return true;
+    }
+    make_block(tracking, sums);
+    leave_out(tracking);
+    const bool taken = block_filter_update(&tracking->filter, &tracking->block, tracking->behind_s);
+    tracking->behind_s = 0.0f;
+    tracking->gathered = 0;
+    if (block_filter_lost(&tracking->filter)) {
+        return false;
+    }
+    if (taken && !tracking->exact && tracking->number - tracking->errors_number >= TRACKING_ERRORS_BLOCKS) {
+        tracking->errors_number = tracking->number;
+        block_errors(&tracking->filter.measure, tracking->coils, tracking->count, &tracking->errors,
+                     tracking->site_covariance);
+    }
+    return true;
+}
+
+/* ---- Start ---- */
+
+/* Adds a block to those that have been gathered: its moments are not needed. */
+static void add_block(tracking_t *tracking, const block_sums_t *sums) {
+    for (uint32_t i = 0; i <= tracking->count; i++) {
+        const uint32_t bits = i < tracking->count ? sums->bits[i] : 0u;
+        for (uint32_t j = 0; j <= tracking->count; j++) {
+            const uint32_t other = j < tracking->count ? sums->bits[j] : 0u;
+            const int32_t product = (int32_t)BLOCK_CHIPS - 2 * __builtin_popcount(bits ^ other);
+            tracking->block.gram[i][j] += (float)product;
+        }
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            tracking->block.sums_uT[i][axis] += MICROTESLA * sums->sums_T[i][axis];
+        }
+    }
+}
+
+/* Begins to locate the fields of the blocks gathered. Returns false if they cannot be separated. */
+static bool locate(tracking_t *tracking) {
+    leave_out(tracking);
+    if (!block_separate(&tracking->block)) {
+        return false;
+    }
+    pose_field_t fields[BLOCK_BEACONS];
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            fields[i].field_T[axis] = tracking->block.sums_uT[i][axis] / MICROTESLA;
+        }
+        fields[i].sigma_T = tracking->onboard->noise_T * square_root(tracking->block.gram[i][i]);
+    }
+    const pose_verdict_t unknown = {.row = POSE_NOBODY, .reason = POSE_REASON_PENDING};
+    pose_begin(&tracking->onboard->site, fields, false, &unknown, tracking->work, &tracking->start);
+    return true;
+}
+
+/* Gathers a block for a start, and begins to search when there are enough. */
+static void gather(tracking_t *tracking, node_t *node, const block_sums_t *sums, bool more) {
+    const uint32_t needed = 1u + tracking->count / TRACKING_COLUMNS_A_BLOCK;
+    if (!tracking->able) {
+        tracking->start.reason = POSE_REASON_NO_POSE;
+    } else if (sums->unmeasured != 0u || (more && tracking->gathered == 0u)) {
+        tracking->gathered = 0;
+    } else {
+        if (tracking->gathered == 0u) {
+            make_block(tracking, sums);
+        } else {
+            add_block(tracking, sums);
+        }
+        tracking->gathered++;
+    }
+    if (!tracking->able || tracking->gathered < needed) {
+        send(tracking, node, &tracking->start);
+        return;
+    }
+    tracking->behind_s = 0.5f * (float)(needed - 1u) * BLOCK_S;
+    tracking->work = onboard_lend(tracking->onboard);
+    if (locate(tracking)) {
+        tracking->state = TRACKING_SEARCHES;
+        return;
+    }
+    onboard_take_back(tracking->onboard);
+    tracking->gathered = 0;
+    pose_fail(&tracking->start, POSE_REASON_NO_POSE);
+    send(tracking, node, &tracking->start);
+}
+
+/* After the search: begins the track, if there is anything to begin from. */
+static void begin(tracking_t *tracking, node_t *node) {
+    const pose_t *const found = &tracking->start;
+    onboard_take_back(tracking->onboard);
+    if (found->status == POSE_FAILED) {
+        tracking->state = TRACKING_LOST;
+        tracking->gathered = 0;
+        send(tracking, node, found);
+        return;
+    }
+    const uint32_t last = tracking->count;
+    block_start_t start = {
+        .ambient_sd_uT = MICROTESLA * tracking->onboard->noise_T * square_root(tracking->block.gram[last][last]),
+    };
+    memcpy(start.position_m, found->position_m, sizeof start.position_m);
+    memcpy(start.quaternion, found->quaternion, sizeof start.quaternion);
+    memcpy(start.position_cov_m2, found->position_cov_m2, sizeof start.position_cov_m2);
+    memcpy(start.attitude_cov_rad2, found->attitude_cov_rad2, sizeof start.attitude_cov_rad2);
+    memcpy(start.ambient_uT, tracking->block.sums_uT[last], sizeof start.ambient_uT);
+    block_filter_start(&tracking->filter, &start);
+    tracking->state = TRACKING_FOLLOWS;
+    tracking->errors_number = tracking->number - TRACKING_ERRORS_BLOCKS;
+    tracking->verdict.status = found->status;
+    tracking->verdict.reason = found->reason;
+    tracking->verdict.protection_m = found->protection_m;
+    if (found->status == POSE_OK && tracking->verdict.left_out != POSE_NOBODY) {
+        tracking->verdict.reason = POSE_REASON_LEFT_OUT;
+    }
+    send_pose(tracking, node);
+}
+
+/* ---- Calls ---- */
+
+bool tracking_takes(const tracking_t *tracking) {
+    return tracking->every == 0u || tracking->state == TRACKING_FOLLOWS ||
+           (tracking->state == TRACKING_LOST && onboard_lends(tracking->onboard));
+}
+
+void tracking_take(tracking_t *tracking, node_t *node, const block_sums_t *sums, bool more) {
+    if (tracking->every == 0u) {
+        return;
+    }
+    const uint32_t blocks = sums->number - tracking->number;
+    tracking->number = sums->number;
+    tracking->cycle = sums->cycle;
+    tracking->chip = sums->chip;
+    tracking->behind_s += (float)blocks * BLOCK_S;
+    if (tracking->judged != tracking->onboard->judged) {
+        tracking->judged = tracking->onboard->judged;
+        tracking->verdict = tracking->onboard->verdict;
+    }
+    if (tracking->state == TRACKING_FOLLOWS) {
+        if (follow(tracking, sums)) {
+            send_pose(tracking, node);
+            return;
+        }
+        lose(tracking);
+    }
+    if (blocks != 1u) {
+        tracking->gathered = 0;
+    }
+    gather(tracking, node, sums, more);
+}
+
+bool tracking_search(tracking_t *tracking, node_t *node) {
+    if (tracking->state != TRACKING_SEARCHES) {
+        return false;
+    }
+    const uint64_t start_us = hal_microseconds(node->hal);
+    do {
+        if (pose_step(tracking->work, &tracking->start)) {
+            begin(tracking, node);
+            return true;
+        }
+    } while (hal_microseconds(node->hal) - start_us < ONBOARD_TURN_US);
+    return true;
+}

@@ -1,0 +1,84 @@
+/* tracking.h: the sensor's own track: from the sums of each block of 31 chips to a pose at its end, by the block filter
+ * (core/track/block_filter.h), sent as POSE_POSITION, POSE_ATTITUDE, POSE_QUALITY and POSE_INTEGRITY on both links. It
+ * is active with the parameters pose = 1 and pose_blocks = n above 0: then every n-th block has a pose.
+ *
+ * Calls, in the order they are made
+ *   1. tracking_configure  at start, and when a parameter has changed, after onboard_configure.
+ *   2. tracking_takes      first of all in a turn, and before each block: whether it is to be given the next one.
+ *      tracking_take       with the sums of each block in turn.
+ *   3. tracking_search     in the turn's spare time: steps of a start.
+ *
+ * Start. With no track, the fields of one block (of two, with more than 20 codes) are separated and located with no
+ * prior, by the search of core/pose in steps of bounded time. Until it is done tracking_takes is false: later blocks
+ * wait, BLOCKS_WAITING of them, and then each has its pose, a little late. If nothing was found, the blocks that waited
+ * are answered as failed, with the search's reason, and the latest of them is the next to start from. The track is lost
+ * after BLOCK_FILTER_REFUSALS blocks in a row that did not fit it or did not come, and starts again.
+ *
+ * Status. Single blocks are too noisy to tell that a beacon is not as the site says. Status, reason, the beacon left
+ * out and the protection level of each pose are those of the latest cycle that onboard.h has located; before there is
+ * one since the start, those of the start. A beacon that is left out has its column eliminated from each block
+ * (block_leave_out), and so has one without a moment in the parameter beacons. Fields that fit no pose start a track
+ * all the same: its poses are inconsistent, until the cycles tell which beacon to leave out.
+ *
+ * Limits. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come
+ * only while the chip clock is locked; without any there are no poses.
+ *
+ * Covariance: that of the filter and, once in TRACKING_ERRORS_BLOCKS blocks, that by the declared errors of the site.
+ *
+ * Contexts: main only. Memory: 20 kB, in the core-coupled memory; the search works in that of onboard.h, which is lent.
+ */
+#ifndef GOLDFIELD_TRACKING_H
+#define GOLDFIELD_TRACKING_H
+
+#include "core/track/block_errors.h"
+#include "core/track/block_filter.h"
+#include "services/blocks.h"
+#include "services/onboard.h"
+
+#define TRACKING_COLUMNS_A_BLOCK 21u /* Most columns that the fields of one block are separated for. */
+#define TRACKING_ERRORS_BLOCKS   33u /* Blocks from one covariance by the errors of the site to the next. */
+
+typedef enum {
+    TRACKING_LOST,     /* The next block begins a start. */
+    TRACKING_SEARCHES, /* The fields of a start are being located. */
+    TRACKING_FOLLOWS   /* There is a track. */
+} tracking_state_t;
+
+/* Private but for tests. */
+typedef struct {
+    onboard_t *onboard;     /* Has the site, tells what the cycles say, and lends its memory. */
+    uint32_t every;         /* A pose every so many blocks; 0: the track is not active. */
+    uint32_t count;         /* Codes, and beacons. */
+    bool able;              /* They can be tracked. */
+    tracking_state_t state; /* What the next call is about. */
+    loop_t coils[BLOCK_BEACONS];
+    block_beacon_errors_t beacon_errors[BLOCK_BEACONS];
+    block_site_errors_t errors;
+    bool exact;                  /* No errors are declared. */
+    float site_covariance[6][6]; /* That by the errors of the site. */
+    uint32_t errors_number;      /* The block that it is from. */
+    block_filter_t filter;
+    block_t block;              /* The block at work, and the blocks that a start gathers. */
+    uint32_t number;            /* Of the latest block. */
+    uint32_t cycle, chip;       /* Cycle and code chip of its first sample. */
+    uint32_t gathered;          /* Blocks that a start has gathered. */
+    float behind_s;             /* How far the filter's state lies behind the middle of the latest block, s. */
+    pose_work_t *work;          /* Lent, during a search. */
+    pose_t start;               /* What the search found. */
+    onboard_verdict_t verdict;  /* What holds for the poses. */
+    uint32_t judged;            /* The verdict of onboard.h that was last looked at. */
+} tracking_t;
+
+/* Read the parameters again, and give up the track. Costs about 50 instructions a code. */
+void tracking_configure(tracking_t *tracking, onboard_t *onboard, const parameters_t *parameters);
+
+/* Returns whether the next block may be given; if not, it is to wait. */
+bool tracking_takes(const tracking_t *tracking);
+
+/* Take the sums of a block, if active, and send its pose if it is due. more tells that others wait behind it. */
+void tracking_take(tracking_t *tracking, node_t *node, const block_sums_t *sums, bool more);
+
+/* Do steps of the search, if there is one: none is begun after ONBOARD_TURN_US. Returns whether there was any. */
+bool tracking_search(tracking_t *tracking, node_t *node);
+
+#endif
