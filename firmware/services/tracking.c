@@ -4,6 +4,7 @@
 
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
+#include "core/track/block_out.h"
 #include "services/pose_report.h"
 
 #define MICROTESLA     1e6f  /* Microtesla in a tesla. */

@@ -58,15 +58,15 @@ typedef struct {
     float site_covariance[6][6]; /* That by the errors of the site. */
     uint32_t errors_number;      /* The block that it is from. */
     block_filter_t filter;
-    block_t block;              /* The block at work, and the blocks that a start gathers. */
-    uint32_t number;            /* Of the latest block. */
-    uint32_t cycle, chip;       /* Cycle and code chip of its first sample. */
-    uint32_t gathered;          /* Blocks that a start has gathered. */
-    float behind_s;             /* How far the filter's state lies behind the middle of the latest block, s. */
-    pose_work_t *work;          /* Lent, during a search. */
-    pose_t start;               /* What the search found. */
-    onboard_verdict_t verdict;  /* What holds for the poses. */
-    uint32_t judged;            /* The verdict of onboard.h that was last looked at. */
+    block_t block;             /* The block at work, and the blocks that a start gathers. */
+    uint32_t number;           /* Of the latest block. */
+    uint32_t cycle, chip;      /* Cycle and code chip of its first sample. */
+    uint32_t gathered;         /* Blocks that a start has gathered. */
+    float behind_s;            /* How far the filter's state lies behind the middle of the latest block, s. */
+    pose_work_t *work;         /* Lent, during a search. */
+    pose_t start;              /* What the search found. */
+    onboard_verdict_t verdict; /* What holds for the poses. */
+    uint32_t judged;           /* The verdict of onboard.h that was last looked at. */
 } tracking_t;
 
 /* Read the parameters again, and give up the track. Costs about 50 instructions a code. */
