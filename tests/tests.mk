@@ -121,3 +121,9 @@ circuit-diagrams: $(BUILD)/venv.stamp ## Draw the reference circuit: docs/hardwa
 	@$(PYTHON) -m tests.bench.circuit_diagrams
 
 .PHONY: circuit-figures circuit-diagrams
+
+RATE ?=
+rate-figures: all ## Measure poses from blocks of chips beside one fix a cycle (half an hour; RATE="accuracy --boards host")
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.rate_figures $(RATE)
+
+.PHONY: rate-figures

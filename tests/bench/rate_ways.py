@@ -1,4 +1,4 @@
-"""Ways to follow a sensor from its samples, and how far off each is: the block filter, held fixes, thirds of a cycle."""
+"""Ways to follow a sensor from its samples and how far off each is: the block filter, held fixes, thirds of cycles."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from tests.bench.motion_trials import CHIPS
 
 FIVE_SIGMA = 31.8
 """Squared Mahalanobis distance of three numbers that is as rare as five standard deviations of one, 5.7e-7."""
-LOST_M = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +87,12 @@ class Errors:
     @property
     def unsaid_rows(self):
         """Which poses are ``ok`` and yet off by five deviations, or by more than their protection level, shape (n,)."""
-        far = (self.position_d2 > FIVE_SIGMA) | (self.attitude_d2 > FIVE_SIGMA) | (self.distance_m > self.protection_m)
-        return (self.status == Status.OK) & far
+        return (self.status == Status.OK) & (self.far | (self.distance_m > self.protection_m))
+
+    @property
+    def far(self):
+        """Which poses are off by five of their own deviations, shape (n,)."""
+        return (self.position_d2 > FIVE_SIGMA) | (self.attitude_d2 > FIVE_SIGMA)
 
 
 def errors_of(poses, position_m, rotation):

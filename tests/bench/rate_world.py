@@ -46,12 +46,13 @@ class Track:
     site : Site
         What the host is told of the beacons.
     samples_T : ndarray, shape (n, 3)
-        The first is that of chip 0 of cycle 0.
+        The first is that of chip 0 of the first cycle.
     times_s : ndarray, shape (n,)
         On the sensor's clock.
     position_m : ndarray, shape (n, 3)
     rotation : Rotation
         Of n attitudes.
+    first_cycle : int
     """
 
     site: object
@@ -59,6 +60,7 @@ class Track:
     times_s: object
     position_m: object
     rotation: object
+    first_cycle: int = 0
 
     def blocks(self, first=0):
         """Yield the index of its last chip and the block for each whole block from a chip on."""
@@ -67,7 +69,7 @@ class Track:
             yield (
                 last,
                 Block(
-                    begin // CHIPS,
+                    self.first_cycle + begin // CHIPS,
                     begin % CHIPS,
                     float(self.times_s[last]),
                     BLOCK_CHIPS,

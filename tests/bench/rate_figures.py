@@ -1,0 +1,225 @@
+"""Measure what poses from blocks of 31 chips reach, beside one fix a cycle and the track of thirds: docs/motion.md.
+
+``accuracy`` compares on five motions: the block filter at the end of each block; one fix a cycle, held until the next;
+and the track of thirds, at the middle of its cycles and foretold to the ends of the blocks. Its samples are streamed by
+emulated boards, by ``--boards host``, or are ``--simulated``, which costs least. ``bound`` holds the filter against the
+least possible error, ``starts`` counts the starts from one block that fail, ``faults`` counts wrong poses that are told
+to be right, and ``latency`` tells how old a pose is.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+
+import numpy as np
+
+from goldfield.track.blocks import BlockFilter
+from goldfield.types import Status
+from tests.bench import rate_trials
+from tests.bench.locate_trials import prigge_cube
+from tests.bench.rate_boards import open_bench, scenario_file, streamed
+from tests.bench.rate_bound import riccati
+from tests.bench.rate_latency import latency
+from tests.bench.rate_ways import Errors, follow, held_fixes, thirds
+from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of
+
+NOISES_T = (2e-7, 2e-8)
+SETTLED_S = 0.5
+"""Poses of this first time are left out: the filter has found the motion by then."""
+AGILITIES = ((0.05, 0.1), (0.5, 1.0), (2.0, 4.0), (8.0, 15.0))
+WALKED_CHIPS = {(0.05, 0.1): 10230, (0.5, 1.0): 7161, (2.0, 4.0): 5115, (8.0, 15.0): 3069}
+"""How long random walks of an agility are, in chips: longer ones leave the room."""
+FAR_M = 0.1
+"""A start that is further off after 33 blocks is lost at 2 mG, and at a fifth of that at 0.2 mG."""
+
+
+def track_of(options, name, noise_T, seed):
+    """Return the samples of a motion from the source that was asked for."""
+    if options.simulated:
+        world, rng = World(prigge_cube(noise_T)), np.random.default_rng([seed, 10])
+        return world.motion_track(motion_of(name, seed), options.seconds, rng, noise_T)
+    bench = open_bench(scenario_file(name, seed, noise_T, "stream = 1\n"), options.boards)
+    track = streamed(bench, options.seconds)
+    bench.close()
+    return track
+
+
+def settled(errors, track):
+    """Leave out what belongs to the first time of a track."""
+    return errors.after(float(track.times_s[0]) + SETTLED_S)
+
+
+def accuracy(options):
+    """Print the table of motions."""
+    source = "simulated samples" if options.simulated else f"chips streamed by {options.boards} boards"
+    print(f"Cube of 2.13 m, 8 beacons, {source}; {options.seeds} runs of {options.seconds:g} s of each motion.")
+    print("rms position / attitude at the pose's own time, mm / deg; nees: mean normalised square of the six numbers;")
+    print("ok: share; wrong: poses that are ok and off by 5 sigma or more than their protection level; all: poses")
+    print(f"{'motion':20s} {'mG':>4} {'block filter':>14} {'nees':>5} {'ok':>5} {'wrong':>5} {'all':>6}", end="")
+    print(f" {'fix, held':>13} {'thirds, mid-cycle':>17} {'ok':>5} {'thirds, foretold':>17} {'wrong':>5}")
+    for name in MOTIONS:
+        for noise_T in NOISES_T:
+            ways = [[], [], [], []]
+            for seed in range(options.first, options.first + options.seeds):
+                track = track_of(options, name, noise_T, seed)
+                found = [follow(track, BlockFilter(track.site))]
+                if not options.alone:
+                    found += [held_fixes(track), *thirds(track)]
+                for way, errors in zip(ways, found, strict=False):
+                    way.append(settled(errors, track))
+            blocks, held, middle, ahead = (Errors.joined(way) if way else None for way in ways)
+            print(
+                f"{name:20s} {noise_T * 1e7:4g} {both(blocks)} {blocks.nees:5.2f} {blocks.share_ok:5.3f}"
+                f" {blocks.unsaid:5d} {len(blocks.status):6d}",
+                end="",
+            )
+            if not options.alone:
+                print(f" {both(held, 13)} {both(middle, 17)} {middle.share_ok:5.3f}", end="")
+                print(f" {both(ahead, 17)} {ahead.unsaid:5d}", end="")
+            print(flush=True)
+
+
+def both(errors, width=14):
+    """Return rms of position and attitude as a text."""
+    if not np.isfinite(errors.distance_m).any():
+        return f"{'lost':>{width}}"
+    return f"{f'{errors.rms_mm:.2f} / {errors.rms_deg:.3f}':>{width}}"
+
+
+def bound(options):
+    """Print the filter's error over the least possible one, on random walks of each agility."""
+    print(
+        "Random walks of the agility (m/s^2 and rad/s^2 per root hertz), second halves of the runs, rms over the bound:"
+    )
+    for agility in AGILITIES:
+        count = WALKED_CHIPS[agility] // BLOCK_CHIPS * BLOCK_CHIPS
+        for noise_T in NOISES_T:
+            site = prigge_cube(noise_T)
+            world = World(site)
+            rng = np.random.default_rng([18, options.first])
+            walks = matched_walks(rng, options.seeds, count, site.chip_period_s, agility)
+            least = riccati(world, walks, noise_T, agility)
+            half = least.shape[1] // 2
+            runs = rate_trials.random_walks(BlockFilter, world, walks, noise_T, options.first)
+            errors = Errors.joined([run.where(slice(half, None)) for run in runs])
+            variances = np.diagonal(least[:, half:], axis1=2, axis2=3).mean(axis=(0, 1))
+            position, attitude = np.sqrt(variances.reshape(2, 3).sum(axis=1))
+            print(
+                f"  {agility!s:12s} {noise_T * 1e7:4g} mG  bound {1e3 * position:5.2f} mm {np.degrees(attitude):.3f} deg"
+                f"  position {errors.rms_mm / 1e3 / position:.3f}  attitude {errors.rms_deg / np.degrees(attitude):.3f}"
+                f"  nees {errors.nees:.2f}  wrong {errors.unsaid}  poses {len(errors.status)}",
+                flush=True,
+            )
+
+
+def starts(options):
+    """Print how starts from one block go."""
+    for noise_T in NOISES_T:
+        runs = rate_trials.starts(BlockFilter, noise_T, options.count, options.first)
+        far_m = FAR_M * noise_T / 2e-7 if noise_T < 1e-7 else FAR_M
+        failed = [number for number, run in enumerate(runs) if rate_trials.lost(run, 2.0 * far_m)]
+        rows = [[run.distance_m[block] for run in runs] for block in (0, 9, 32)]
+        rms = " ".join(f"{1e3 * np.sqrt(np.nanmean(np.square(row))):.1f}" for row in rows)
+        everything = Errors.joined(runs)
+        first = [run.status[0].value for run in runs]
+        print(
+            f"{len(runs)} starts in motion, {noise_T * 1e7:g} mG: {len(failed)} lost {failed[:9]}; rms after 1, 10, 33"
+            f" blocks {rms} mm; wrong {everything.unsaid} of {len(everything.status)} poses;"
+            f" first poses {', '.join(f'{first.count(name)} {name}' for name in sorted(set(first)))}",
+            flush=True,
+        )
+
+
+FAULTS = {
+    "nothing": lambda *run: rate_trials.blocks_lost(*run, lambda number: False),
+    "every tenth block lost": lambda *run: rate_trials.blocks_lost(*run, lambda number: number % 10 == 9),
+    "each fifth cycle lost": lambda *run: rate_trials.blocks_lost(*run, lambda number: number // 33 % 5 == 4),
+    "impulses of 20 uT": rate_trials.impulses,
+    "a beacon dead for 1 s": rate_trials.dead_beacon,
+    "iron passes": rate_trials.iron,
+}
+
+
+def faults(options):
+    """Print what mishaps do."""
+    print(f"{options.seeds} runs of each motion. rms and most, mm; nees; share of each status; wrong: ok and off;")
+    print("last: rms of the last half second, mm")
+    for name, trial in FAULTS.items():
+        for noise_T in NOISES_T:
+            runs = [
+                (motion, seed, trial(BlockFilter, noise_T, motion, seed))
+                for motion in MOTIONS
+                for seed in range(options.first, options.first + options.seeds)
+            ]
+            report(name, noise_T, runs)
+    for deviation_m in (0.003, 0.01):
+        for noise_T in NOISES_T:
+            runs = [
+                (motion, seed, rate_trials.survey(BlockFilter, noise_T, motion, seed, deviation_m))
+                for motion in MOTIONS
+                for seed in range(options.first, options.first + 2 * options.seeds)
+            ]
+            report(f"survey off by {1e3 * deviation_m:g} mm", noise_T, runs)
+
+
+def report(name, noise_T, runs):
+    """Print one line of `faults`, and in which runs poses are wrong and said to be right."""
+    errors = Errors.joined([run.after(SETTLED_S) for _, _, run in runs])
+    end = Errors.joined([run.after(run.time_s[-1] - SETTLED_S) for _, _, run in runs])
+    counts = {status.value: int(np.sum(errors.status == status)) for status in Status}
+    shares = " ".join(f"{status} {number / len(errors.status):.3f}" for status, number in counts.items() if number)
+    print(
+        f"{name:24s} {noise_T * 1e7:4g} mG {errors.rms_mm:7.2f} {1e3 * np.nanmax(errors.distance_m):8.1f}"
+        f" nees {errors.nees:6.2f}  {shares}  wrong {errors.unsaid} of {len(errors.status)}  last {end.rms_mm:.2f}",
+        flush=True,
+    )
+    for motion, seed, run in runs:
+        if run.unsaid:
+            first = run.time_s[np.flatnonzero(run.unsaid_rows)[0]]
+            print(f"    wrong: {motion}, seed {seed}: {run.unsaid} poses, the first at {first:.3f} s", flush=True)
+
+
+def latencies(options):
+    """Print how old poses are: median, 95 %, 99 % and the oldest."""
+    for link in ("serial", "can"):
+        bench = open_bench(scenario_file("1 m/s, 1 rad/s", options.first, 2e-7), options.boards, link)
+        found = latency(bench, BlockFilter(bench.site), options.seconds)
+        bench.close()
+        late, spent = (quantiles_ms(values) for values in (found.arrival_s, found.update_s))
+        rate = 1.0 / (BLOCK_CHIPS * bench.site.chip_period_s)
+        print(
+            f"{options.boards} boards, {link}, {len(found.arrival_s)} blocks; last chip to last message {late} ms;"
+            f" filter's processor time {spent} ms, {100 * rate * found.update_s.mean():.1f} % of a core;"
+            f" rms {both(found.errors.where(slice(165, None))).strip()}",
+            flush=True,
+        )
+
+
+def quantiles_ms(values_s):
+    """Return median, 95 %, 99 % and largest as a text, ms."""
+    return " ".join(f"{1e3 * value:.3f}" for value in np.quantile(values_s, (0.5, 0.95, 0.99, 1.0)))
+
+
+WHAT = {"accuracy": accuracy, "bound": bound, "starts": starts, "faults": faults, "latency": latencies}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", nargs="*", choices=[*WHAT, []], help="default: all")
+    parser.add_argument("--boards", choices=("emulated", "host"), default="emulated")
+    parser.add_argument("--simulated", action="store_true", help="accuracy: samples without boards")
+    parser.add_argument("--alone", action="store_true", help="accuracy: the block filter only")
+    parser.add_argument("--seeds", type=int, default=3, help="runs of each motion")
+    parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of the seeds")
+    parser.add_argument("--seconds", type=float, default=3.0, help="length of a run of accuracy and latency")
+    parser.add_argument("--count", type=int, default=1000, help="starts at each noise")
+    options = parser.parse_args()
+    for what in options.what or WHAT:
+        begin = time.process_time()
+        WHAT[what](options)
+        print(f"({what}: {time.process_time() - begin:.0f} s of a processor)\n", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""What may happen to a tracked sensor: starts in motion, lost blocks, impulses, a dead beacon, iron, survey errors.
+
+Each trial returns `Errors` of the block filter's poses, on simulated samples. What matters most of them is how many
+poses were said to be ``ok`` and were off by five deviations or by more than their protection level: `Errors.unsaid`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from goldfield.site import Survey
+from tests.bench.locate_trials import prigge_cube
+from tests.bench.motion_trials import CHIPS, EARTH_T
+from tests.bench.rate_ways import follow
+from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, motion_of
+
+MOVING = tuple(name for name in MOTIONS if name != "still")
+IMPULSE_T, IMPULSE_SHARE = 20e-6, 0.05
+"""Size of an impulse in one sample, in a random direction, and the share of the blocks that have one."""
+DEAD_S = (1.0, 2.0)
+IRON_RADIUS_M, IRON_MOMENT_A_m2, IRON_SPEED_M_S, IRON_DISTANCE_M = 0.1, 1.0, 1.0, 0.3
+"""A ball of iron with a magnetic moment of its own, and how fast and how near it passes the sensor."""
+
+
+def starts(make, noise_T, count, seed=0):
+    """Return for each of many starts the errors of the poses of its first 33 blocks; ``make(site)`` makes a filter.
+
+    The sensor moves, at a random moment of a random motion, and the first block begins at any chip of the code.
+    """
+    site = prigge_cube(noise_T)
+    world, result = World(site), []
+    for number in range(count):
+        rng = np.random.default_rng([seed, 11, number])
+        motion = motion_of(MOVING[number % len(MOVING)], int(rng.integers(1 << 31)))
+        first = int(rng.integers(CHIPS))
+        times = world.times(first + 33 * BLOCK_CHIPS)
+        position, rotation = motion.poses(times + rng.uniform(0.0, 100.0))
+        result.append(follow(world.track(position, rotation, rng, noise_T), make(site), first))
+    return result
+
+
+def lost(errors, far_m):
+    """Tell whether a start is lost: after 33 blocks there is no pose, or one that is far off, or off by five sigma."""
+    last = errors.where(slice(-1, None))
+    return not (last.distance_m[0] < far_m) or last.far[0]
+
+
+def blocks_lost(make, noise_T, name, seed, lost_block, seconds=3.0):
+    """Return the errors where some blocks never come; ``lost_block(number)`` tells which."""
+    site = prigge_cube(noise_T)
+    rng = np.random.default_rng([seed, 12])
+    track = World(site).motion_track(motion_of(name, seed), seconds, rng, noise_T)
+    return follow(track, make(site), lost=lost_block)
+
+
+def impulses(make, noise_T, name, seed, seconds=3.0):
+    """Return the errors where single samples are off by 20 uT."""
+    site = prigge_cube(noise_T)
+    rng = np.random.default_rng([seed, 13])
+    track = World(site).motion_track(motion_of(name, seed), seconds, rng, noise_T)
+    for begin in range(0, len(track.times_s) - BLOCK_CHIPS, BLOCK_CHIPS):
+        if rng.uniform() < IMPULSE_SHARE:
+            direction = rng.normal(size=3)
+            direction *= IMPULSE_T / np.linalg.norm(direction)
+            track.samples_T[begin + rng.integers(BLOCK_CHIPS)] += direction
+    return follow(track, make(site))
+
+
+def dead_beacon(make, noise_T, name, seed, seconds=3.0):
+    """Return the errors where one of the beacons has no current for a second, and then again all of it."""
+    site = prigge_cube(noise_T)
+    world, rng = World(site), np.random.default_rng([seed, 14])
+    motion = motion_of(name, seed)
+    times = world.times(round(seconds / site.chip_period_s))
+    strength = np.ones((len(times), len(site.beacons)))
+    strength[(times > DEAD_S[0]) & (times < DEAD_S[1]), rng.integers(len(site.beacons))] = 0.0
+    return follow(world.motion_track(motion, seconds, rng, noise_T, strength=strength), make(site))
+
+
+def iron(make, noise_T, name, seed, seconds=3.0):
+    """Return the errors while a ball of iron passes the sensor, nearest half way; its speed is that from the sensor."""
+    site = prigge_cube(noise_T)
+    world, rng = World(site), np.random.default_rng([seed, 15])
+    times = world.times(round(seconds / site.chip_period_s))
+    position, rotation = motion_of(name, seed).poses(times)
+    direction, aside = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
+    apart = IRON_DISTANCE_M * aside + np.outer(times - seconds / 2.0, IRON_SPEED_M_S * direction)
+    centre = position + apart
+    own = rng.normal(size=3)
+    own *= IRON_MOMENT_A_m2 / np.linalg.norm(own)
+    fields = world.fields(position) + _answer(-apart, world.fields(centre))
+    ambient = EARTH_T + _answer(-apart, np.tile(EARTH_T, (len(times), 1, 1)))[:, 0]
+    ambient = ambient + _dipole(-apart, np.tile(own, (len(times), 1)))
+    return follow(world.track(position, rotation, rng, noise_T, ambient_T=ambient, fields=fields), make(site))
+
+
+def _answer(apart_m, field_T):
+    """Return what a ball of very permeable iron adds at places so far from its centre, (n, 3), to fields, (n, k, 3)."""
+    moments = field_T * IRON_RADIUS_M**3 / 1e-7  # Jackson, Classical Electrodynamics, 5.11: m = 4 pi a^3 B / mu0
+    return np.stack([_dipole(apart_m, moments[:, row]) for row in range(field_T.shape[1])], axis=1)
+
+
+def _dipole(apart_m, moment_A_m2):
+    """Return the fields of dipoles, shape (n, 3)."""
+    distance = np.linalg.norm(apart_m, axis=1, keepdims=True)
+    along = (apart_m * moment_A_m2).sum(axis=1, keepdims=True)
+    return 1e-7 * (3.0 * apart_m * along / distance**5 - moment_A_m2 / distance**3)
+
+
+def survey(make, noise_T, name, seed, deviation_m, seconds=1.0):
+    """Return the errors where each coil stands off by a normal deviation, which the site declares."""
+    declared = prigge_cube(noise_T)
+    rng = np.random.default_rng([seed, 16])
+    known = Survey(position_sd_m=deviation_m)
+    site = replace(declared, beacons=tuple(replace(beacon, survey=known) for beacon in declared.beacons))
+    true = [replace(beacon, position_m=beacon.position_m + deviation_m * rng.normal(size=3)) for beacon in site.beacons]
+    track = World(site, true).motion_track(motion_of(name, seed), seconds, rng, noise_T)
+    return follow(track, make(site))
+
+
+def random_walks(make, world, walks, noise_T, seed):
+    """Return for each of B random walks the errors of its blocks."""
+    rng = np.random.default_rng([seed, 17])
+    result = []
+    for position, turns, ambient, offset in zip(
+        walks.position_m, walks.rotation, walks.ambient_T, walks.offset_T, strict=True
+    ):
+        rotation = Rotation.from_matrix(turns)
+        track = world.track(position, rotation, rng, noise_T, ambient_T=ambient, offset_T=offset)
+        result.append(follow(track, make(world.site)))
+    return result
