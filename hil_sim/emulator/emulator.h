@@ -26,6 +26,7 @@ typedef struct {
     uint64_t calls;   /* How often it returned. */
     uint64_t total;   /* Instructions of all calls, from the entry to the return, interrupts taken inside excluded. */
     uint64_t largest; /* The same of the longest call. */
+    uint64_t cycles;  /* Core cycles of the dearest call, the same excluded but for their returns. */
 } emulator_probe_t;
 
 /* A board with erased flash (it reads 0xFF). It gets power, and begins its reset sequence, at power_on_ps. Writes a
@@ -46,7 +47,8 @@ void emulator_supply(board_t *board, double volts, int64_t time_ps);
 
 void emulator_stats(const board_t *board, emulator_stats_t *stats);
 
-/* Count the instructions of a function from now on. Returns false beyond 8 functions. */
+/* Count the instructions of a function, which may be an exception's handler, from now on. Returns false beyond 12
+ * functions. */
 bool emulator_probe_add(board_t *board, uint32_t entry);
 /* The counts of a probe, numbered from 0 in the order of adding. Returns false if there is none of this number. */
 bool emulator_probe_read(const board_t *board, unsigned index, emulator_probe_t *probe);

@@ -102,11 +102,15 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Probe:
-    """How often a function was called, and its largest and summed instruction counts without interrupts."""
+    """How often a function was called, its summed and largest instruction counts, and its largest count of cycles.
+
+    Interrupts taken inside do not count.
+    """
 
     calls: int
     total: int
     largest: int
+    cycles: int
 
 
 def read_image(path: str | Path) -> tuple[list[tuple[int, bytes]], dict[str, int]]:
@@ -279,17 +283,17 @@ class Emulator:
         return str(self._ffi.string(self._operations.report(self._board)).decode(errors="replace"))
 
     def probe(self, function: str) -> None:
-        """Count the instructions of a function of the image, at most eight functions.
+        """Count the instructions of a function of the image, at most twelve functions.
 
         Raises
         ------
         KeyError
-            The image has no such symbol, or there are eight probes already.
+            The image has no such symbol, or there are twelve probes already.
         """
         if function not in self.symbols:
             raise KeyError(f"the image has no function '{function}'")
         if not self._library.emulator_probe_add(self._board, self.symbols[function]):
-            raise KeyError(f"no probe is left for '{function}': at most eight functions can be counted")
+            raise KeyError(f"no probe is left for '{function}': at most twelve functions can be counted")
         self._probes.append(function)
 
     def probes(self) -> dict[str, Probe]:
@@ -298,7 +302,7 @@ class Emulator:
         for index, name in enumerate(self._probes):
             probe = self._ffi.new("emulator_probe_t *")
             self._library.emulator_probe_read(self._board, index, probe)
-            result[name] = Probe(int(probe.calls), int(probe.total), int(probe.largest))
+            result[name] = Probe(int(probe.calls), int(probe.total), int(probe.largest), int(probe.cycles))
         return result
 
     def register(self, index: int) -> int:

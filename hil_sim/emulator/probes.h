@@ -1,4 +1,4 @@
-/* probes.h: instruction counts of functions.
+/* probes.h: instructions and cycles of functions.
  *
  * A function whose entry is a branch target starts a block of code in Unicorn, so that entries cost a hook on that one
  * block only. While a probe is inside its function, the processor looks at every instruction for the return address.

@@ -41,7 +41,7 @@
 #define HFSR_FORCED      (1u << 30)
 #define HFSR_DEBUGEVT    (1u << 31)
 
-#define PROBES  8u
+#define PROBES  12u
 #define HISTORY 8u /* Addresses kept of the last instructions; power of 2, more than 5 (the longest IT block). */
 
 typedef struct {
@@ -62,14 +62,16 @@ typedef struct {
     mpu_t mpu;
 } system_control_t;
 
-/* A function whose instructions are counted. */
+/* A function whose instructions and cycles are counted. */
 typedef struct {
     uint32_t entry;                 /* Its address, the Thumb bit clear. */
     uint64_t calls, total, largest; /* What emulator_probe_t (emulator.h) tells. */
+    uint64_t cycles;                /* The same. */
     bool active;                    /* The function is running. */
     unsigned depth;                 /* Exceptions active at its entry. */
     uint32_t return_address, stack; /* LR and SP at its entry. */
-    uint64_t start, excluded;       /* Counts at its entry: executed, and inside[depth]. */
+    uint64_t start, excluded;       /* Counts at its entry: executed, and inside[depth]; */
+    uint64_t work, work_excluded;   /* cpu_work(), and work_inside[depth]. */
 } probe_t;
 
 typedef struct {
@@ -130,6 +132,7 @@ struct cpu {
     unsigned depth; /* Exceptions active. */
     /* Count at the last exception from each depth, and instructions in exceptions from there. */
     uint64_t entered_at[NVIC_EXCEPTIONS], inside[NVIC_EXCEPTIONS];
+    uint64_t work_at[NVIC_EXCEPTIONS], work_inside[NVIC_EXCEPTIONS];
 
     uint32_t bad_address;     /* Address of the access that Unicorn could not do. */
     uint32_t access_cost;     /* What the accesses of the last instruction that made some have cost. */

@@ -23,14 +23,13 @@ def build(directory: Path, *sources: Path) -> Path:
     return directory / "flash.elf"
 
 
-def load(image: Path, *, strict: bool = False, argument: int = 0) -> Emulator:
+def load(image: Path, *, strict: bool = False, argument: int = 0, cycles_per_instruction: float = 1.0) -> Emulator:
     """Make a board that tolerates violations and handles faults, as QEMU would, or stops at either.
 
     The program finds the argument at 0xE0000.
     """
-    return Emulator(
-        image, Configuration(strict=strict, stop_at_fault=strict), parameter_page=struct.pack("<I", argument)
-    )
+    configuration = Configuration(strict=strict, stop_at_fault=strict, cycles_per_instruction=cycles_per_instruction)
+    return Emulator(image, configuration, parameter_page=struct.pack("<I", argument))
 
 
 def words(data: bytes) -> list[int]:

@@ -84,16 +84,24 @@ def test_probe_counts_a_known_loop(image: Path) -> None:
     with oracle.load(image, argument=5) as board:
         board.probe("known_loop")
         oracle.run_on_emulator(board)
-        assert board.probes() == {"known_loop": Probe(calls=3, total=32 + 3002 + 5, largest=3002)}
+        assert board.probes() == {"known_loop": Probe(calls=3, total=32 + 3002 + 5, largest=3002, cycles=3002)}
+
+
+@pytest.mark.parametrize("cycles", [1.5, 2.5])
+def test_a_probe_counts_cycles(image: Path, cycles: float) -> None:
+    with oracle.load(image, argument=5, cycles_per_instruction=cycles) as board:
+        board.probe("known_loop")
+        oracle.run_on_emulator(board)
+        assert board.probes()["known_loop"].cycles == int(3002 * cycles)
 
 
 def test_probe_limits(image: Path) -> None:
     with oracle.load(image) as board:
         with pytest.raises(KeyError, match="no function 'nobody'"):
             board.probe("nobody")
-        for _ in range(8):
+        for _ in range(12):
             board.probe("main")
-        with pytest.raises(KeyError, match="at most eight"):
+        with pytest.raises(KeyError, match="at most twelve"):
             board.probe("main")
 
 
