@@ -1,10 +1,16 @@
-"""What holds for every test: examples that are the same each time, no bound on time, and the marks that follow."""
+"""What holds for every test: examples that are the same each time, no bound on time, and the marks that follow.
 
+``--cycles-per-instruction X`` runs whatever a test emulates in its own process with slower instructions.
+"""
+
+import dataclasses
 import signal
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from hil_sim.emulator import Configuration, Emulator
 
 settings.register_profile(
     "goldfield",
@@ -50,6 +56,38 @@ LONG = (
 
 ANY_BENCH = ("hil/test_poses.py",)
 """Files of hil/ that judge whatever bench there is; the others need a simulated one."""
+
+
+CYCLES_OPTION = "--cycles-per-instruction"
+
+
+def pytest_addoption(parser):
+    """Add the option."""
+    parser.addoption(
+        CYCLES_OPTION,
+        metavar="X",
+        help="cycles of an instruction on boards that a test emulates and does not slow down itself: 1 to 100, or m4",
+    )
+
+
+def pytest_configure(config):
+    """Slow down every emulated board whose test says nothing of cycles."""
+    cycles = config.getoption(CYCLES_OPTION)
+    if cycles is None:
+        return
+    try:
+        slow = dataclasses.asdict(Configuration.with_cycles(cycles))
+    except ValueError as error:
+        raise pytest.UsageError(f"{CYCLES_OPTION} {cycles}: is neither a number nor m4") from error
+    costs = {name: slow[name] for name in ("cycles_per_instruction", "cycles_by_class")}
+    create = Emulator.__init__
+
+    def create_slow(self, image, configuration=None, **others):
+        wanted = configuration or Configuration()
+        plain = all(getattr(wanted, name) == getattr(Configuration(), name) for name in costs)
+        create(self, image, dataclasses.replace(wanted, **costs) if plain else wanted, **others)
+
+    Emulator.__init__ = create_slow
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -78,6 +78,10 @@ class Board:
         `hal_clock_t`: 0 crystal, 1 internal oscillator, 2 slow; host boards only.
     emulated : bool
         Run the ARM image of the role.
+    cycles : float or str
+        How many cycles an instruction takes there, or ``m4``.
+    strict : bool
+        A violation of what the chip's manual allows stops an emulated board.
     """
 
     role: int
@@ -90,6 +94,8 @@ class Board:
     can: bool = True
     clock: int = 0
     emulated: bool = False
+    cycles: float | str = 1.0
+    strict: bool = True
 
     pins: list[tuple[int, int, bool]] = field(default_factory=list)
     analog: tuple[list[tuple[int, float]], list[tuple[int, float]]] = field(default_factory=lambda: ([], []))
@@ -101,8 +107,12 @@ class Board:
         page = self.parameters if isinstance(self.parameters, bytes) else build_page(self.parameters)
         edge = self._edge()
         if self.emulated:
-            settings = Configuration(
-                crystal_ppm=self.ppm, unique_id=self.unique_id, temperature_degc=self.temperature, strict=True
+            settings = Configuration.with_cycles(
+                self.cycles,
+                crystal_ppm=self.ppm,
+                unique_id=self.unique_id,
+                temperature_degc=self.temperature,
+                strict=self.strict,
             )
             image = ROOT / "build/firmware" / IMAGES[self.role]
             address = int(FFI.cast("uintptr_t", edge))
