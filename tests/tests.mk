@@ -53,6 +53,12 @@ drive-figures: all ## Measure how exact a beacon's current is, by waveform and e
 
 .PHONY: drive-figures
 
+DEADLINES ?=
+deadline-figures: all ## Measure each interrupt beside its deadline, and what a board does when it misses it (minutes; DEADLINES="sensor")
+	@$(PYTHON) -m tests.bench.deadline_figures $(DEADLINES)
+
+.PHONY: deadline-figures
+
 track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a moving sensor (several minutes)
 	@$(PYTHON) -m tests.bench.track_figures
 

@@ -7,7 +7,8 @@
  *
  * Stamped frames (hal.h) come through FIFO 1, alone there, so that its interrupt tells of no others. That interrupt
  * and the mailboxes' have a priority above all that takes long, and first of all look at the chip timer; only each
- * other, the sync wire's stamp and interrupts_off() (at most 40 instructions) hold them up.
+ * other, the sync wire's stamp and interrupts_off() (at most 40 instructions) hold them up. FIFO 0 has three frames,
+ * the shortest of which take 67 us each: its interrupt must not wait for the block interrupt, which takes longer.
  *
  * The controller leaves the bus on 256 errors and comes back by itself (ABOM). It joins the bus when it has seen 11
  * recessive bits. Nobody waits for that: without a bus, hal_can_send() returns false and the rest of the board runs.
@@ -16,8 +17,9 @@
 #include "boards/board.h"
 #include "boards/stm32f405/stm32f405.h"
 
-#define RECEIVE_BUFFER 32u /* Received frames that may wait for main: 3.5 ms of the shortest with 8 bytes. */
-#define STAMPS         8u  /* Stamped frames that may wait (hal.h). */
+/* Received frames that may wait for main: 8.5 ms of the shortest, 14 ms of those with 8 bytes. */
+#define RECEIVE_BUFFER 128u
+#define STAMPS         8u /* Stamped frames that may wait (hal.h). */
 
 #define MODE_TRIES 10000u /* Tries of waiting for the controller to change its mode. */
 /* A frame is valid for its transmitter at the end of the last bit of its end of frame, for receivers at that of the
@@ -68,7 +70,7 @@ void can_start(const hal_t *hal) {
     CAN1->MCR = mode;
     interrupt_enable(IRQ_CAN1_TX, PRIORITY_STAMP);
     interrupt_enable(IRQ_CAN1_RX1, PRIORITY_STAMP);
-    interrupt_enable(IRQ_CAN1_RX0, PRIORITY_NORMAL);
+    interrupt_enable(IRQ_CAN1_RX0, PRIORITY_DRIVE);
     interrupt_enable(IRQ_CAN1_SCE, PRIORITY_NORMAL);
 }
 
