@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,9 +14,36 @@ from goldfield.field import FieldModel
 from goldfield.locate.poses import WEAK_ATTITUDE_RAD, WEAK_POSITION
 from goldfield.site import Site
 from goldfield.track.continuity import joined
-from goldfield.track.estimate import Belief
 from goldfield.track.motion import POSITION, TURN, State
 from goldfield.types import Finding, FloatArray, Pose, Status
+
+
+class Placed(Protocol):
+    """A sensor's place and attitude, whatever else is known of it."""
+
+    @property
+    def position_m(self) -> FloatArray:
+        """Position, shape (3,)."""
+        ...
+
+    @property
+    def rotation(self) -> FloatArray:
+        """Attitude, shape (3, 3)."""
+        ...
+
+
+class Known(Protocol):
+    """A state with the covariance of its error, position and a small rotation first."""
+
+    @property
+    def state(self) -> Placed:
+        """The state."""
+        ...
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance, shape (m, m)."""
+        ...
 
 
 class Reporter:
@@ -34,7 +62,7 @@ class Reporter:
         self,
         epoch: int,
         time_s: float,
-        belief: Belief,
+        belief: Known,
         *,
         residual: float = float("nan"),
         status: Status = Status.OK,

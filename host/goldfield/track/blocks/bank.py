@@ -88,6 +88,11 @@ class Estimate:
     motion: Motion
     covariance: FloatArray
 
+    @property
+    def state(self) -> Motion:
+        """The motion, by the name that `goldfield.track.report` knows."""
+        return self.motion
+
 
 class Bank:
     """Filters of different agility and the probability of each: interacting multiple models (Blom and Bar-Shalom, 1988).

@@ -26,6 +26,9 @@ REMEMBERED = 1100
 PIVOT = 1e-9
 """Eigenvalues of a Gram matrix below this part of its largest are rounding: such columns depend on others."""
 
+SEPARABLE = 1e-3
+"""Eigenvalues of a Gram matrix, its diagonal scaled to 1, from which on its fields are told apart."""
+
 
 @dataclass(frozen=True, eq=False)
 class NormalForm:
@@ -43,6 +46,8 @@ class NormalForm:
         Inverse covariance of a sample's components in the sensor's frame, 1/T^2; of less rank if axes are missing.
     end_s : float
         Time from the middle of the block to its last sample.
+    axes : ndarray of bool, shape (3,)
+        Axes of the sensor that were measured.
     """
 
     sums_T: FloatArray
@@ -50,6 +55,7 @@ class NormalForm:
     moment: FloatArray
     weight: FloatArray
     end_s: float
+    axes: NDArray[np.bool_]
 
     def without(self, rows: NDArray[np.intp]) -> NormalForm:
         """Return what the block tells of the others if the fields of some beacons are unknown."""
@@ -139,7 +145,23 @@ class BlockEquations:
             return None
         components, weight = self._read(axes)
         half = 0.5 * (block.chips - 1) * self._site.chip_period_s
-        return NormalForm((columns.reduced @ data[:, axes]) @ components.T, columns.gram, columns.moment, weight, half)
+        sums = (columns.reduced @ data[:, axes]) @ components.T
+        return NormalForm(sums, columns.gram, columns.moment, weight, half, axes)
+
+    @property
+    def cycle(self) -> NormalForm:
+        """A whole cycle without data: what its chips weigh, by all axes of the sensor."""
+        axes = np.arange(3) < len(self._axes)
+        count = self.columns.shape[1]
+        gram = self.columns.T @ self.columns
+        return NormalForm(np.zeros((count, 3)), gram, np.zeros_like(gram), self._read(axes)[1], 0.0, axes)
+
+    def readings(self, components_T: FloatArray, axes: NDArray[np.bool_]) -> FloatArray:
+        """Return what the sensor's axes read of components, both of shape (n, 3); NaN where an axis was not measured."""
+        result = np.full(components_T.shape, np.nan)
+        result[:, : len(self._axes)] = components_T @ self._axes.T
+        result[:, ~axes] = np.nan
+        return result
 
     def _checked(self, block: Block) -> FloatArray:
         """Return the data of a block that is as the type says."""
@@ -150,7 +172,9 @@ class BlockEquations:
         data = np.asarray(block.data_T, dtype=np.float64)
         if block.chips < 1 or data.shape != (rows, 3):
             what = "samples, one a chip" if block.sampled else "sums, one a code and the plain one"
-            raise UserError(f"data_T= of Block has the shape {data.shape}: {block.chips} chips need ({rows}, 3), {what}")
+            raise UserError(
+                f"data_T= of Block has the shape {data.shape}: {block.chips} chips need ({rows}, 3), {what}"
+            )
         if not 0 <= block.chip < self._site.chips:
             raise UserError(f"chip= of Block is {block.chip}: the cycle has the chips 0 to {self._site.chips - 1}")
         return data
@@ -210,11 +234,44 @@ def check_followed(site: Site) -> None:
         )
 
 
-def combined(forms: Sequence[NormalForm]) -> NormalForm:
-    """Return several blocks of a sensor that hardly moves as one, without what their times say of the motion."""
-    first = forms[0]
-    if len(forms) == 1:
-        return first
-    gram = np.sum([form.gram for form in forms], axis=0)
-    sums = np.sum([form.sums_T for form in forms], axis=0)
-    return NormalForm(sums, gram, np.zeros_like(gram), first.weight, first.end_s)
+@dataclass(frozen=True, eq=False)
+class Separated:
+    """The fields of some successive blocks, each block with an ambient field of its own.
+
+    Attributes
+    ----------
+    field_T : ndarray, shape (n, 3)
+        Components in the sensor's frame; NaN for beacons that these blocks do not tell from others.
+    deviation : ndarray, shape (n,)
+        Deviations of the fields, over that of a sample.
+    sweep_s : ndarray, shape (n,)
+        What a ramp of the ambient field within a block adds to the fields, T for 1 T/s.
+    """
+
+    field_T: FloatArray
+    deviation: FloatArray
+    sweep_s: FloatArray
+
+
+def separated(forms: Sequence[NormalForm]) -> Separated:
+    """Separate the fields of some blocks, or of what a motion leaves of them, as if the sensor stood still."""
+    count = len(forms[0].gram) - 1
+    gram, right = np.zeros((count, count)), np.zeros((count, 4))
+    for form in forms:
+        ambient = form.gram[:count, count]
+        share = ambient / form.gram[count, count]
+        gram += form.gram[:count, :count] - np.outer(ambient, share)
+        right[:, :3] += form.sums_T[:count] - np.outer(share, form.sums_T[count])
+        right[:, 3] += form.moment[:count, count] - share * form.moment[count, count]
+    scale = np.sqrt(np.diag(gram))
+    scale[scale < PIVOT * scale.max(initial=0.0)] = np.inf
+    scale[scale == 0.0] = np.inf
+    values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+    seen = values > SEPARABLE
+    known = (vectors[:, ~seen] ** 2).sum(axis=1) < SEPARABLE
+    part = vectors[:, seen] / scale[:, None]
+    solved = (part / values[seen]) @ (part.T @ right)
+    deviation = np.sqrt((part * part / values[seen]).sum(axis=1))
+    return Separated(
+        np.where(known[:, None], solved[:, :3], np.nan), np.where(known, deviation, np.inf), np.abs(solved[:, 3])
+    )

@@ -2,11 +2,41 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.field import FieldModel
 from goldfield.site import Site
-from goldfield.types import Block, FloatArray, Pose
+from goldfield.track.blocks.bank import Bank, Estimate, Start
+from goldfield.track.blocks.consider import Considered
+from goldfield.track.blocks.equations import BlockEquations, NormalForm
+from goldfield.track.blocks.integrity import Integrity, Verdict
+from goldfield.track.blocks.start import Starter
+from goldfield.track.continuity import Hemisphere, joined, time_break
+from goldfield.track.report import Reporter
+from goldfield.types import Block, Fields, FloatArray, Pose, Status
+
+PATIENCE = 10
+"""A track is begun anew at so many blocks in a row that contradict it, 30 ms; at the first after a gap."""
+
+DOUBTED = 3
+"""From so many on the pose is ``inconsistent``: one or two are an impulse."""
+
+GAP_S = 0.05
+"""A time without a block, from which on the next one that contradicts the track begins a new one at once."""
+
+RIVAL = 15.0
+"""A rival start is given up when its -2 log likelihood is this much higher: 1800 to one are the odds."""
+
+CONSIDERED = 8
+"""What the errors of the site do is computed with every so manieth block: 25 ms, in which it hardly changes."""
+
+UNHEARD_S = 1.0
+"""The track is given up after this time in which no beacon was heard."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,20 +85,201 @@ class BlockFilter:
     """
 
     def __init__(self, site: Site, *, kernel: bool = True) -> None:
-        raise NotImplementedError
+        self._site = site
+        self._equations = BlockEquations(site)
+        self._model = FieldModel(site.beacons)
+        self._considered = Considered(site, self._equations.cycle)
+        self._starter = Starter(site, self._equations)
+        self._integrity = Integrity(site, self._equations)
+        self._reporter, self._hemisphere = Reporter(site), Hemisphere()
+        self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
+        self._kernel = kernel
+        self._banks: list[Bank] = []
+        self._verdict: Verdict | None = None
+        self._excluded: tuple[str, ...] = ()
+        self._without: tuple[str, ...] = ()
+        self._middle_s = self._taken_s = self._heard_s = self._end_s = -math.inf
+        self._bias: FloatArray | None = None
+        self._blocks = 0
+        self._axes = 3
+        self._epoch = -1
 
     def update(self, block: Block, without: Sequence[str] = ()) -> Pose | None:
         """Take a block and return the pose at its end, the time of its last sample; None if it holds no data.
 
         The pose's ``epoch`` is the cycle of the block's last chip. ``without`` lists beacons that are left out.
+
+        - ``ok``: the last cycle's blocks agree with the track and the site; ``excluded`` lists beacons left out.
+        - ``unverified``: they agree, but a fault of one beacon could hide an error above the site's alert limit.
+        - ``ambiguous``: the track began with two poses, and the blocks do not yet tell which; ``alternative``.
+        - ``weak``: the standard deviation is as large as `locate` calls weak, or no beacon was heard for a while.
+        - ``inconsistent``: the last blocks contradict the track, and the pose is predicted, or the last cycle's
+          contradict the site.
+        - ``failed``: there is no track, and the block does not begin one.
         """
-        raise NotImplementedError
+        form = self._equations.form(block)
+        if form is None or not math.isfinite(block.time_s):
+            return None
+        broken = time_break(self._end_s, block.time_s)
+        if broken is not None:
+            self._forget()
+            broken += ": a new track begins"
+        self._epoch = block.cycle + (block.chip + block.chips - 1) // self._site.chips
+        self._axes, self._without = int(form.axes.sum()), tuple(without)
+        middle_s, self._end_s = block.time_s - form.end_s, block.time_s
+        located = self._go_on(form, middle_s) if self._banks else self._begin(form, middle_s)
+        pose = self._located(located) if not self._banks else self._pose(self._end_s)
+        if broken is not None:
+            pose = replace(pose, reason=joined(pose.reason, broken))
+        return self._hemisphere.follow(pose)
 
     def pose_at(self, time_s: float) -> Pose:
         """Return the pose at any time near the last block's, with the uncertainty that the motion adds."""
-        raise NotImplementedError
+        if not self._banks:
+            nothing = Fields(self._epoch, time_s, (), np.empty((0, 3)), np.empty(0))
+            return Pose.failed(nothing, reason="there is no track")
+        return self._hemisphere.nearest(self._pose(time_s))
 
     @property
     def state(self) -> Tracked | None:
         """What is known at the end of the last block; None without a track."""
-        raise NotImplementedError
+        if not self._banks:
+            return None
+        known = self._known(self._banks[0], self._end_s)
+        motion = known.motion
+        return Tracked(
+            self._end_s,
+            motion.position_m,
+            motion.rotation,
+            motion.velocity_m_s,
+            motion.rate_rad_s,
+            motion.ambient_T,
+            motion.offset_T,
+            known.covariance,
+        )
+
+    def _forget(self) -> None:
+        """Give the track up."""
+        self._banks, self._verdict, self._bias = [], None, None
+        self._excluded = ()
+        self._starter.forget()
+        self._integrity.forget()
+
+    @property
+    def _out(self) -> tuple[str, ...]:
+        """Beacons that are left out."""
+        return (*self._without, *(name for name in self._excluded if name not in self._without))
+
+    def _rows(self, names: Sequence[str]) -> NDArray[np.intp]:
+        return np.array([self._row[name] for name in names if name in self._row], dtype=np.intp)
+
+    def _go_on(self, form: NormalForm, middle_s: float) -> Pose | None:
+        """Follow the track to a block's middle and take the block."""
+        kept = form.without(self._rows(self._out))
+        seconds, gap_s = middle_s - self._middle_s, middle_s - self._taken_s
+        took = [bank.update(kept, seconds) for bank in self._banks]
+        self._middle_s = middle_s
+        if any(took):
+            self._taken_s = middle_s
+            self._decide()
+            self._judge(form, middle_s)
+        elif self._banks[0].refused >= PATIENCE or gap_s > GAP_S:
+            self._begin(form, middle_s)
+        return None
+
+    def _begin(self, form: NormalForm, middle_s: float) -> Pose:
+        """Begin a track with a block, in place of one that there may be; return what the locator says."""
+        pose, starts = self._starter.located(form, self._epoch, self._end_s, self._without)
+        if starts:
+            self._banks = []
+            for start in starts:
+                self._banks.append(self._bank())
+                self._banks[-1].start(start)
+            self._middle_s = self._taken_s = self._heard_s = middle_s
+            self._excluded, self._bias, self._blocks = pose.excluded, None, 0
+            self._verdict = Verdict(pose, pose.excluded, pose.status is Status.INCONSISTENT)
+            self._starter.forget()
+            self._integrity.forget()
+        return pose
+
+    def _bank(self) -> Bank:
+        return Bank(self._model)
+
+    def _decide(self) -> None:
+        """Give up starts that the blocks contradict; the likeliest comes first."""
+        if len(self._banks) > 1:
+            self._banks.sort(key=lambda bank: bank.mismatch)
+            least = self._banks[0].mismatch
+            self._banks = [bank for bank in self._banks if bank.mismatch - least < RIVAL and not bank.refused]
+
+    def _judge(self, form: NormalForm, middle_s: float) -> None:
+        """Show the block to the integrity; follow its verdict."""
+        motion = self._banks[0].output().motion
+        verdict = self._integrity.add(form, motion, self._epoch, middle_s)
+        if verdict is None:
+            return
+        self._verdict = verdict
+        if not verdict.silent:
+            self._heard_s = middle_s
+        elif middle_s - self._heard_s > UNHEARD_S:
+            self._forget()
+            return
+        before, self._excluded = self._excluded, verdict.excluded
+        if set(verdict.excluded) - set(before):  # they have drawn the track with them
+            self._begin(form, middle_s)
+
+    def _known(self, bank: Bank, time_s: float) -> Estimate:
+        """Return what a bank believes of a moment, with what the errors of the site do to it."""
+        known = bank.output(time_s - self._middle_s)
+        if not self._considered.any:
+            return known
+        if self._bias is None or self._blocks % CONSIDERED == 0:
+            self._bias = self._considered.covariance(known.motion, self._rows(self._out))
+        self._blocks += 1
+        covariance = known.covariance.copy()
+        covariance[:6, :6] += self._bias
+        return Estimate(known.motion, covariance)
+
+    def _located(self, located: Pose | None) -> Pose:
+        """Return the pose where there is no track: what the locator says, which nothing follows."""
+        assert located is not None or self._verdict is None
+        if located is None:
+            nothing = Fields(self._epoch, self._end_s, (), np.empty((0, 3)), np.empty(0))
+            return Pose.failed(nothing, reason="no beacon has been heard for a while")
+        return located
+
+    def _pose(self, time_s: float) -> Pose:
+        """Return the pose of the track at a time."""
+        poses = [self._told(bank, time_s) for bank in self._banks[:2]]
+        if len(poses) == 1 or poses[0].status is Status.INCONSISTENT:
+            return poses[0]
+        reason = joined(poses[0].reason, "two poses fit the blocks so far")
+        return replace(poses[0], status=Status.AMBIGUOUS, reason=reason, alternative=poses[1])
+
+    def _told(self, bank: Bank, time_s: float) -> Pose:
+        """Return a bank's pose with what the last verdict says of it."""
+        verdict, out = self._verdict, self._out
+        assert verdict is not None
+        status, reason = Status.OK, verdict.pose.reason if verdict.excluded else None
+        if verdict.inconsistent:
+            status, reason = Status.INCONSISTENT, verdict.pose.reason
+        elif verdict.silent:
+            status, reason = Status.WEAK, f"no beacon has been heard for {self._middle_s - self._heard_s:.1f} s"
+        if bank.refused:
+            text = "the last block contradicts" if bank.refused == 1 else f"the last {bank.refused} blocks contradict"
+            reason = joined(reason, f"{text} the track: the pose is predicted")
+            status = Status.INCONSISTENT if bank.refused >= DOUBTED else status
+        return self._reporter.pose(
+            self._epoch,
+            time_s,
+            self._known(bank, time_s),
+            residual=verdict.pose.residual,
+            status=status,
+            used=() if bank.refused else tuple(name for name in self._row if name not in out),
+            excluded=out,
+            axes=self._axes,
+            reason=reason,
+            protection_m=verdict.pose.protection_m,
+            residuals=verdict.pose.residuals,
+            findings=verdict.pose.findings,
+        )

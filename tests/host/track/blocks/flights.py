@@ -35,7 +35,8 @@ def still(rng):
     middle = MIDDLE_M + rng.uniform(-0.4, 0.4, 3)
     attitude = Rotation.random(rng=rng)
     return Flight(
-        lambda t: np.tile(middle, (len(t), 1)), lambda t: Rotation.from_matrix(np.tile(attitude.as_matrix(), (len(t), 1, 1)))
+        lambda t: np.tile(middle, (len(t), 1)),
+        lambda t: Rotation.from_matrix(np.tile(attitude.as_matrix(), (len(t), 1, 1))),
     )
 
 

@@ -1,0 +1,86 @@
+"""What the errors of the site and of the sensor do to the poses: a covariance beside the filter's (docs/blocks.md).
+
+They are the same in every block, so that no average lessens them; the filter follows the bias that they make. Its gains
+are those of a site without errors.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield.field import FieldModel
+from goldfield.locate.site_errors import SiteErrors, effects_of_beacons, effects_of_sensor, errors_of
+from goldfield.site import Site
+from goldfield.track.blocks.equations import NormalForm
+from goldfield.track.blocks.state import Motion
+from goldfield.track.blocks.update import OBSERVED, reference
+from goldfield.types import FloatArray
+
+UNSEEN = 1e-9
+"""Eigenvalues of the information, scaled to a diagonal of 1, below this are rounding: nothing follows along them."""
+
+
+class Considered:
+    """The errors that a site declares.
+
+    Parameters
+    ----------
+    site : Site
+    cycle : NormalForm
+        A whole cycle: how much each beacon weighs. Its sums are not used.
+    """
+
+    def __init__(self, site: Site, cycle: NormalForm) -> None:
+        self._model = FieldModel(site.beacons)
+        self._errors: SiteErrors | None = errors_of(site.beacons, site.sensor)
+        self._unknown_T = np.array([beacon.unknown_T for beacon in site.beacons])
+        self._cycle = cycle
+        self.any = self._errors is not None or bool(self._unknown_T.any())
+
+    def covariance(self, motion: Motion, without: NDArray[np.intp]) -> FloatArray:
+        """Return the covariance of position and attitude by these errors at a motion, shape (6, 6)."""
+        around = reference(self._model, motion)
+        count = len(self._model)
+        form = self._cycle.without(without)
+        jacobian, weight = around.jacobian, around.weight(form)
+        weighted = (weight @ jacobian).reshape(-1, OBSERVED)
+        effect = self._effects(motion, count)
+        both = np.concatenate([jacobian, effect], axis=2)
+        through = (form.gram @ both.reshape(count + 1, -1)).reshape(3 * (count + 1), -1)
+        told = weighted.T @ through
+        scale = np.sqrt(np.diag(told[:, :OBSERVED]))
+        scale[scale == 0.0] = 1.0
+        values, vectors = np.linalg.eigh(told[:, :OBSERVED] / np.outer(scale, scale))
+        seen = values > UNSEEN
+        part = vectors[:, seen] / scale[:, None]
+        bias = (part / values[seen]) @ (part.T @ told[:, OBSERVED:])
+        covariance = bias[:6] @ bias[:6].T
+        if self._errors is not None:
+            covariance[3:, 3:] += self._errors.common_turn_rad2 * np.eye(3)
+        return np.asarray(covariance)
+
+    def _effects(self, motion: Motion, count: int) -> FloatArray:
+        """Return what each error, of one standard deviation, adds to the fields, site's frame, shape (n + 1, 3, k)."""
+        own, sensor = 0, None
+        parts: list[FloatArray] = []
+        field, gradient = self._model.evaluate(motion.position_m[:, None])
+        if self._errors is not None:
+            of_beacons, field_T = effects_of_beacons(
+                self._model, self._errors, motion.position_m[None], (field, gradient)
+            )
+            parts.append(of_beacons[0])
+            if self._errors.gain_sd or self._errors.sensor_axis_sd_rad:
+                seen = np.vstack([field_T[0], motion.ambient_T]) @ motion.rotation
+                sensor = motion.rotation @ effects_of_sensor(self._errors, seen)
+        if self._unknown_T.any():
+            parts.append(self._unknown_T[:, None, None] * np.eye(3))
+        own = sum(part.shape[2] for part in parts)
+        shared = 0 if sensor is None else sensor.shape[2]
+        result = np.zeros((count + 1, 3, own * count + shared))
+        each = np.concatenate(parts, axis=2)
+        for beacon in range(count):
+            result[beacon, :, own * beacon : own * (beacon + 1)] = each[beacon]
+        if sensor is not None:
+            result[:, :, own * count :] = sensor
+        return result

@@ -1,0 +1,118 @@
+"""Where a track begins: the locator's poses of one block, or of a few where one does not tell (docs/blocks.md, "Start")."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from goldfield.locate import Locator
+from goldfield.site import Site
+from goldfield.track.blocks.bank import START_RATE_RAD_S, START_VELOCITY_M_S, Start
+from goldfield.track.blocks.equations import BlockEquations, NormalForm, separated
+from goldfield.types import Fields, FloatArray, Pose, Status
+
+WIDENED = 2.0
+"""The deviations of the located pose are multiplied by this: at ill-conditioned points they are too small (maths.md, 3)."""
+
+AMBIENT_T = 5e-6
+"""Deviation of the ambient field of a start beside its noise."""
+
+PATIENCE = 5
+"""So many single blocks in a row that do not agree with the site are enough: the track begins, and says so."""
+
+
+class Starter:
+    """Finds the starts of a site's tracks from the blocks that come.
+
+    Parameters
+    ----------
+    site : Site
+    equations : BlockEquations
+    """
+
+    def __init__(self, site: Site, equations: BlockEquations) -> None:
+        self._site, self._equations = site, equations
+        self._locator = Locator(site)
+        self._ids = tuple(beacon.id for beacon in site.beacons)
+        self._kept: list[NormalForm] = []
+        self._taken = self._contradictions = 0
+
+    def forget(self) -> None:
+        """Begin anew: earlier blocks are of another time."""
+        self._kept, self._taken, self._contradictions = [], 0, 0
+
+    def located(
+        self, form: NormalForm, epoch: int, time_s: float, without: Sequence[str] = ()
+    ) -> tuple[Pose, list[Start]]:
+        """Locate by one more block; where no single one tells the pose, by twice as many each time, up to a cycle.
+
+        Returns
+        -------
+        pose : Pose
+            What the locator says of the block.
+        starts : list of Start
+            None where there is no pose to begin with, two if the pose is ambiguous.
+        """
+        self._kept.append(form)
+        self._taken += 1
+        most = max(round(self._site.cycle_s / (2.0 * form.end_s + self._site.chip_period_s)), 1)
+        del self._kept[:-most]
+        pose, starts = self._of(self._kept[-1:], epoch, time_s, without, most)
+        count = 2
+        while not starts and self._worth_more(pose) and count <= len(self._kept) and self._taken % count == 0:
+            pose, starts = self._of(self._kept[-count:], epoch, time_s, without, most)
+            count = min(2 * count, most) if count < most else most + 1
+        return pose, starts
+
+    @staticmethod
+    def _worth_more(pose: Pose) -> bool:
+        """Tell whether more blocks can help: those of a moving sensor that contradict the site do so the more."""
+        return pose.status in (Status.FAILED, Status.WEAK)
+
+    def _of(
+        self, forms: Sequence[NormalForm], epoch: int, time_s: float, without: Sequence[str], most: int
+    ) -> tuple[Pose, list[Start]]:
+        """Locate by some blocks."""
+        form, found = forms[-1], separated(forms)
+        ambient = self._ambient(form, found.field_T)
+        sweep = START_RATE_RAD_S * float(np.linalg.norm(ambient)) * found.sweep_s
+        sigma = np.hypot(self._site.sensor.noise_T * found.deviation, sweep)
+        rows = [
+            row for row, name in enumerate(self._ids) if name not in without and math.isfinite(found.deviation[row])
+        ]
+        fields = Fields(
+            epoch,
+            time_s,
+            tuple(self._ids[row] for row in rows),
+            self._equations.readings(found.field_T[rows], form.axes),
+            sigma[rows],
+        )
+        pose = self._locator.locate(fields)
+        if pose.status is Status.FAILED or (pose.status is Status.WEAK and len(forms) < most):
+            return pose, []
+        if pose.status is Status.INCONSISTENT:
+            self._contradictions += 1
+            if self._contradictions < PATIENCE and len(forms) < most:
+                return pose, []
+        both = [pose, pose.alternative] if pose.status is Status.AMBIGUOUS else [pose]
+        return pose, [self._start(one, ambient, form, len(forms)) for one in both if one is not None]
+
+    @staticmethod
+    def _ambient(form: NormalForm, field_T: FloatArray) -> FloatArray:
+        """Return the ambient field of a block in the sensor's frame, shape (3,)."""
+        count = len(field_T)
+        of_beacons = form.gram[count, :count] @ np.nan_to_num(field_T)
+        return np.asarray((form.sums_T[count] - of_beacons) / form.gram[count, count])
+
+    def _start(self, pose: Pose, ambient: FloatArray, form: NormalForm, blocks: int) -> Start:
+        """Return the start at the last of so many blocks, over which the sensor may have moved."""
+        rotation = Rotation.from_quat(pose.orientation_xyzw).as_matrix()
+        behind_s = 0.5 * (blocks - 1) * (2.0 * form.end_s + self._site.chip_period_s)
+        covariance = np.diag(np.repeat([(START_VELOCITY_M_S * behind_s) ** 2, (START_RATE_RAD_S * behind_s) ** 2], 3))
+        covariance[:3, :3] += WIDENED**2 * pose.position_cov_m2
+        covariance[3:, 3:] += WIDENED**2 * pose.attitude_cov_rad2
+        noise = self._site.sensor.noise_T**2 / form.gram[-1, -1]
+        return Start(pose.position_m, rotation, covariance, rotation @ ambient, (AMBIENT_T**2 + noise) * np.eye(3))
