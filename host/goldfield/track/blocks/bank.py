@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from goldfield.field import FieldModel
@@ -95,7 +94,7 @@ class Estimate:
 
 
 class Bank:
-    """Filters of different agility and the probability of each: interacting multiple models (Blom and Bar-Shalom, 1988).
+    """Filters of different agility with the probability of each: interacting multiple models (Blom, Bar-Shalom 1988).
 
     Parameters
     ----------
@@ -115,6 +114,7 @@ class Bank:
         self.mismatch, self.refused = 0.0, 0
         self._probability = np.full(len(agilities), 1.0 / len(agilities))
         self._unmixed_s = 0.0
+        self._merged: Estimate | None = None
         self._added: dict[float, FloatArray] = {}
 
     def start(self, start: Start) -> None:
@@ -137,7 +137,7 @@ class Bank:
         covariance[OFFSET, OFFSET] = START_OFFSET_T**2 * np.eye(3)
         self._covariance = np.tile(covariance, (count, 1, 1))
         self._probability[:] = 1.0 / count
-        self.mismatch, self.refused, self._unmixed_s = 0.0, 0, 0.0
+        self.mismatch, self.refused, self._unmixed_s, self._merged = 0.0, 0, 0.0, None
 
     def update(self, form: NormalForm, seconds: float) -> bool:
         """Go on by some seconds to the middle of a block and take it; False if all filters refuse it."""
@@ -169,6 +169,7 @@ class Bank:
 
     def predict(self, seconds: float) -> None:
         """Go on by some seconds without a block."""
+        self._merged = None
         self._unmixed_s += abs(seconds)
         if self._unmixed_s >= MIXED_S:
             self._mix()
@@ -176,7 +177,7 @@ class Bank:
         self._covariance = transition @ self._covariance @ transition.swapaxes(1, 2) + self._noise(seconds)
 
     def _mix(self) -> None:
-        """Let the sensor change its agility: each filter goes on from what all believe, weighted by where it came from."""
+        """Let the sensor change its agility: each filter goes on from what all believe, weighted by how it came there."""
         count = len(self._agilities)
         changes = (1.0 - math.exp(-self._unmixed_s / KEPT_S)) / max(count - 1, 1)
         self._unmixed_s = 0.0
@@ -189,7 +190,7 @@ class Bank:
         rest = error - mean[:, None]
         inner = (share @ self._covariance.reshape(count, -1)).reshape(count, SIZE, SIZE)
         self._covariance = inner + (share[:, :, None] * rest).swapaxes(1, 2) @ rest
-        self._motion = base.moved(mean)
+        self._motion = base.squared().moved(mean)
 
     def _noise(self, seconds: float) -> FloatArray:
         """Return what time adds to the covariances; blocks mostly come at the same distance."""
@@ -201,18 +202,24 @@ class Bank:
 
     def output(self, seconds: float = 0.0) -> Estimate:
         """Return what is believed of the moment so many seconds after the middle of the last block."""
+        if self._merged is None:
+            self._merged = self._merge()
+        merged = self._merged
+        if not seconds:
+            return merged
+        motion, transition = onward(merged.motion, seconds)
+        noise = (self._probability @ self._noise(seconds).reshape(len(self._agilities), -1)).reshape(SIZE, SIZE)
+        return Estimate(motion, transition @ merged.covariance @ transition.T + noise)
+
+    def _merge(self) -> Estimate:
+        """Return what all filters together believe of the middle of the last block."""
         base = self._motion.taken(self._best)
         error = self._motion.minus(base)
         mean = self._probability @ error
         rest = error - mean
         covariance = (self._probability @ self._covariance.reshape(len(rest), -1)).reshape(SIZE, SIZE)
         covariance = covariance + (self._probability[:, None] * rest).T @ rest
-        motion = base.moved(mean)
-        if seconds:
-            motion, transition = onward(motion, seconds)
-            noise = (self._probability @ self._noise(seconds).reshape(len(rest), -1)).reshape(SIZE, SIZE)
-            covariance = transition @ covariance @ transition.T + noise
-        return Estimate(motion, covariance)
+        return Estimate(base.moved(mean), covariance)
 
 
 @cache

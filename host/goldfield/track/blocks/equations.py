@@ -1,8 +1,8 @@
-"""What a block tells, in one form for every kind of site: sums on the templates, and their Gram matrices (docs/blocks.md).
+"""What a block tells, in one form for every kind of site: sums on its templates and their Gram matrices.
 
 `BlockEquations` knows a site: its templates, the codes that a sensor board correlates with, and the sensor's axes. It
 turns a `Block`, of samples or of sums, into a `NormalForm`, which is all that the filter, the start and the integrity
-take.
+take (docs/blocks.md, "Data").
 """
 
 from __future__ import annotations
@@ -130,12 +130,12 @@ class BlockEquations:
             sums come for a site whose beacons have not one plain code each.
         """
         data = self._checked(block)
-        usable = np.abs(data) <= LARGEST_T
-        axes = usable.any(axis=0)
+        usable = np.asarray(np.abs(data) <= LARGEST_T)
+        axes: NDArray[np.bool_] = np.asarray(usable.any(axis=0))
         axes[len(self._axes) :] = False
         if not axes.any():
             return None
-        rows = usable[:, axes].all(axis=1)
+        rows: NDArray[np.bool_] = np.asarray(usable[:, axes].all(axis=1))
         if rows.all():
             columns = self._columns(block.chip, block.chips, block.sampled)
         elif block.sampled and rows.any():
@@ -157,7 +157,7 @@ class BlockEquations:
         return NormalForm(np.zeros((count, 3)), gram, np.zeros_like(gram), self._read(axes)[1], 0.0, axes)
 
     def readings(self, components_T: FloatArray, axes: NDArray[np.bool_]) -> FloatArray:
-        """Return what the sensor's axes read of components, both of shape (n, 3); NaN where an axis was not measured."""
+        """Return what the sensor's axes read of components, both of shape (n, 3); NaN on axes not measured."""
         result = np.full(components_T.shape, np.nan)
         result[:, : len(self._axes)] = components_T @ self._axes.T
         result[:, ~axes] = np.nan
@@ -210,7 +210,7 @@ class BlockEquations:
             taken = axes[: len(self._axes)]
             rows, noise = self._axes[taken], self._noise_T[taken]
             whitened = rows / noise[:, None]
-            self._heads[key] = np.linalg.pinv(rows), whitened.T @ whitened
+            self._heads[key] = np.asarray(np.linalg.pinv(rows), dtype=np.float64), whitened.T @ whitened
         return self._heads[key]
 
 
@@ -229,8 +229,8 @@ def check_followed(site: Site) -> None:
         )
     if any(beacon.drive.frequency_Hz is not None for beacon in site.beacons):
         raise UserError(
-            f"site {site.name}: poses from blocks need to know each beacon's signal at each chip, but the phases of its "
-            'tones are unknown: locate whole windows, or give tones of phase = "known"'
+            f"site {site.name}: poses from blocks need each beacon's signal at each chip, but the phases of its tones "
+            'are unknown: locate whole windows, or give tones of phase = "known"'
         )
 
 

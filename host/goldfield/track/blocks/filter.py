@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from goldfield.field import FieldModel
 from goldfield.site import Site
-from goldfield.track.blocks.bank import Bank, Estimate, Start
+from goldfield.track.blocks.bank import Bank, Estimate
 from goldfield.track.blocks.consider import Considered
 from goldfield.track.blocks.equations import BlockEquations, NormalForm
 from goldfield.track.blocks.integrity import Integrity, Verdict

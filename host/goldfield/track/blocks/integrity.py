@@ -8,8 +8,6 @@ knowledge of the track. So a fault that draws the track with it does not hide be
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +22,7 @@ from goldfield.track.faults import judged
 from goldfield.track.motion import State
 from goldfield.track.observe import EpochObserver
 from goldfield.track.witness import Witness
-from goldfield.types import Fields, FloatArray, Pose, Status
+from goldfield.types import Fields, Pose, Status
 
 KNOWN = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1e-9], 3)
 """Standard deviations of what is believed before a cycle is judged: its motion has been taken out, its pose is free."""

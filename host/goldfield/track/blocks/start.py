@@ -1,4 +1,4 @@
-"""Where a track begins: the locator's poses of one block, or of a few where one does not tell (docs/blocks.md, "Start")."""
+"""Where a track begins: the locator's pose of one block, or of a few where one does not tell (docs/blocks.md)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from goldfield.track.blocks.equations import BlockEquations, NormalForm, separat
 from goldfield.types import Fields, FloatArray, Pose, Status
 
 WIDENED = 2.0
-"""The deviations of the located pose are multiplied by this: at ill-conditioned points they are too small (maths.md, 3)."""
+"""The deviations of the located pose are doubled: they are too small at ill-conditioned points (maths.md, 3)."""
 
 AMBIENT_T = 5e-6
 """Deviation of the ambient field of a start beside its noise."""

@@ -7,7 +7,7 @@ ambient field (T, site's frame), offset of the sensor (T, its own frame). The fi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,12 +58,16 @@ class Motion:
         """Return the motion that differs by an error, shape (..., 18)."""
         return Motion(
             self.position_m + error[..., POSITION],
-            orthonormal(rotation_of(error[..., TURN]) @ self.rotation),
+            rotation_of(error[..., TURN]) @ self.rotation,
             self.velocity_m_s + error[..., VELOCITY],
             self.rate_rad_s + error[..., RATE],
             self.ambient_T + error[..., AMBIENT],
             self.offset_T + error[..., OFFSET],
         )
+
+    def squared(self) -> Motion:
+        """Return the motion without the rounding that many turns leave in its rotation."""
+        return replace(self, rotation=orthonormal(self.rotation))
 
     def minus(self, other: Motion) -> FloatArray:
         """Return the errors, shape (..., 18), by which this differs from another motion, which may be a single one."""

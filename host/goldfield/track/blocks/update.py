@@ -118,21 +118,21 @@ def _root(information: FloatArray, right: FloatArray) -> tuple[FloatArray, Float
     try:
         root = np.linalg.cholesky(information)
         if (np.square(np.diag(root)) > SMALL_PIVOT * diagonal).all():
-            return root, np.linalg.solve(root, right), OBSERVED
+            return np.asarray(root, dtype=np.float64), np.asarray(np.linalg.solve(root, right)), OBSERVED
     except np.linalg.LinAlgError:
         pass
-    root, done, rank = np.zeros_like(information), np.zeros_like(right), 0
+    partial, done, rank = np.zeros_like(information), np.zeros_like(right), 0
     left, rest = information.copy(), right.copy()
     for column in range(OBSERVED):
         pivot = left[column, column]
         if not pivot > SMALL_PIVOT * diagonal[column]:
             continue
-        root[column:, column] = left[column:, column] / np.sqrt(pivot)
-        done[column] = rest[column] / root[column, column]
-        left -= np.outer(root[:, column], root[:, column])
-        rest -= np.outer(root[:, column], done[column])
+        partial[column:, column] = left[column:, column] / np.sqrt(pivot)
+        done[column] = rest[column] / partial[column, column]
+        left -= np.outer(partial[:, column], partial[:, column])
+        rest -= np.outer(partial[:, column], done[column])
         rank += 1
-    return root, done, rank
+    return partial, done, rank
 
 
 @dataclass(frozen=True, eq=False)
