@@ -177,7 +177,7 @@ class Bank:
         self._covariance = transition @ self._covariance @ transition.swapaxes(1, 2) + self._noise(seconds)
 
     def _mix(self) -> None:
-        """Let the sensor change its agility: each filter goes on from what all believe, weighted by how it came there."""
+        """Let the sensor change its agility: each filter goes on from what all of them believe."""
         count = len(self._agilities)
         changes = (1.0 - math.exp(-self._unmixed_s / KEPT_S)) / max(count - 1, 1)
         self._unmixed_s = 0.0

@@ -8,14 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.site import Site
-from goldfield.track.blocks.bank import Bank, Estimate
+from goldfield.track.blocks.bank import Bank, Estimate, Start
 from goldfield.track.blocks.consider import Considered
 from goldfield.track.blocks.equations import BlockEquations, NormalForm
 from goldfield.track.blocks.integrity import Integrity, Verdict
-from goldfield.track.blocks.start import Starter
+from goldfield.track.blocks.start import AMBIENT_T, WIDENED, Starter
+from goldfield.track.blocks.state import AMBIENT, POSITION, TURN
 from goldfield.track.continuity import Hemisphere, joined, time_break
 from goldfield.track.report import Reporter
 from goldfield.types import Block, Fields, FloatArray, Pose, Status
@@ -28,6 +30,13 @@ DOUBTED = 3
 
 GAP_S = 0.05
 """A time without a block, from which on the next one that contradicts the track begins a new one at once."""
+
+VAGUE = 0.1
+"""After a gap a block is located by itself if the deviation of the position is this part of the distance to the nearest
+coil, or that of the attitude so many radians: the fields are not linear over such errors."""
+
+DRAWN_M_S, DRAWN_RAD_S = 0.5, 0.5
+"""By how much the velocity and the turn rate of a track may be wrong that a beacon has drawn with it."""
 
 RIVAL = 15.0
 """A rival start is given up when its -2 log likelihood is this much higher: 1800 to one are the odds."""
@@ -177,6 +186,12 @@ class BlockFilter:
         """Follow the track to a block's middle and take the block."""
         kept = form.without(self._rows(self._out))
         seconds, gap_s = middle_s - self._middle_s, middle_s - self._taken_s
+        if gap_s > GAP_S:
+            for bank in self._banks:
+                bank.predict(seconds)
+            self._middle_s, seconds = middle_s, 0.0
+            if self._too_vague() and self._begin(form, middle_s) and self._taken_s == middle_s:
+                return None
         took = [bank.update(kept, seconds) for bank in self._banks]
         self._middle_s = middle_s
         if any(took):
@@ -185,22 +200,47 @@ class BlockFilter:
             self._judge(form, middle_s)
         elif self._banks[0].refused >= PATIENCE or gap_s > GAP_S:
             self._begin(form, middle_s)
+        elif self._banks[0].refused >= DOUBTED:
+            self._leave_out(form)
         return None
+
+    def _too_vague(self) -> bool:
+        """Tell whether a gap has left so much open that a block is better located by itself."""
+        known = self._banks[0].output()
+        sd_m, sd_rad = (math.sqrt(float(np.trace(known.covariance[part, part]))) for part in (POSITION, TURN))
+        near_m = float(self._model.nearest_m(known.motion.position_m[None])[0])
+        return sd_m > VAGUE * near_m or sd_rad > VAGUE
+
+    def _leave_out(self, form: NormalForm) -> None:
+        """Leave out a beacon for which a block is refused, if it is taken without it."""
+        pose, starts = self._starter.located(form, self._epoch, self._end_s, self._without)
+        if not starts or not set(pose.excluded) - set(self._excluded):
+            return
+        self._excluded = pose.excluded
+        kept = form.without(self._rows(self._out))
+        if any([bank.update(kept, 0.0) for bank in self._banks]):
+            self._taken_s = self._middle_s
+            self._verdict = Verdict(pose, None, pose.excluded)
+            self._integrity.forget()
 
     def _begin(self, form: NormalForm, middle_s: float) -> Pose:
         """Begin a track with a block, in place of one that there may be; return what the locator says."""
         pose, starts = self._starter.located(form, self._epoch, self._end_s, self._without)
         if starts:
-            self._banks = []
-            for start in starts:
-                self._banks.append(self._bank())
-                self._banks[-1].start(start)
-            self._middle_s = self._taken_s = self._heard_s = middle_s
-            self._excluded, self._bias, self._blocks = pose.excluded, None, 0
-            self._verdict = Verdict(pose, pose.excluded, pose.status is Status.INCONSISTENT)
-            self._starter.forget()
-            self._integrity.forget()
+            self._start(starts, middle_s)
+            self._excluded = pose.excluded
+            self._verdict = Verdict(pose, None, pose.excluded, pose.status is Status.INCONSISTENT)
         return pose
+
+    def _start(self, starts: Sequence[Start], middle_s: float) -> None:
+        """Begin a track, or several of which only one is right."""
+        self._banks = [self._bank() for _ in starts]
+        for bank, start in zip(self._banks, starts, strict=True):
+            bank.start(start)
+        self._middle_s = self._taken_s = self._heard_s = middle_s
+        self._bias = None
+        self._starter.forget()
+        self._integrity.forget()
 
     def _bank(self) -> Bank:
         return Bank(self._model)
@@ -215,7 +255,7 @@ class BlockFilter:
     def _judge(self, form: NormalForm, middle_s: float) -> None:
         """Show the block to the integrity; follow its verdict."""
         motion = self._banks[0].output().motion
-        verdict = self._integrity.add(form, motion, self._epoch, middle_s)
+        verdict = self._integrity.add(form, motion, self._epoch, middle_s, self._out)
         if verdict is None:
             return
         self._verdict = verdict
@@ -225,8 +265,26 @@ class BlockFilter:
             self._forget()
             return
         before, self._excluded = self._excluded, verdict.excluded
-        if set(verdict.excluded) - set(before):  # they have drawn the track with them
-            self._begin(form, middle_s)
+        if set(verdict.excluded) - set(before) and not verdict.inconsistent:
+            self._correct(verdict, middle_s)
+
+    def _correct(self, verdict: Verdict, middle_s: float) -> None:
+        """Begin anew where the other beacons have the sensor: one that is now left out has drawn the track with it."""
+        pose, before, now = verdict.pose, verdict.motion, self._banks[0].output()
+        assert before is not None
+        since_s = middle_s - pose.time_s
+        turned = Rotation.from_quat(pose.orientation_xyzw).as_matrix()
+        covariance = np.diag(np.repeat([(DRAWN_M_S * since_s) ** 2, (DRAWN_RAD_S * since_s) ** 2], 3))
+        covariance[:3, :3] += WIDENED**2 * pose.position_cov_m2
+        covariance[3:, 3:] += WIDENED**2 * pose.attitude_cov_rad2
+        start = Start(
+            pose.position_m + now.motion.position_m - before.position_m,
+            now.motion.rotation @ before.rotation.T @ turned,
+            covariance,
+            now.motion.ambient_T,
+            now.covariance[AMBIENT, AMBIENT] + AMBIENT_T**2 * np.eye(3),
+        )
+        self._start([start], middle_s)
 
     def _known(self, bank: Bank, time_s: float) -> Estimate:
         """Return what a bank believes of a moment, with what the errors of the site do to it."""
@@ -260,7 +318,9 @@ class BlockFilter:
         """Return a bank's pose with what the last verdict says of it."""
         verdict, out = self._verdict, self._out
         assert verdict is not None
-        status, reason = Status.OK, verdict.pose.reason if verdict.excluded else None
+        status, reason = Status.OK, None
+        if verdict.excluded:
+            reason = verdict.pose.reason or f"{', '.join(verdict.excluded)} left out, not as the site says"
         if verdict.inconsistent:
             status, reason = Status.INCONSISTENT, verdict.pose.reason
         elif verdict.silent:

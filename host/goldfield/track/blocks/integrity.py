@@ -3,20 +3,25 @@
 What a motion leaves of the blocks of a cycle is separated like samples of a sensor at rest: the error of each beacon's
 field along the path. Added to the fields that the site lets expect at the middle of the cycle, these are the fields
 that a sensor at rest there would have had: a `Fields` like any other, which `Locator` and `Witness` judge with no
-knowledge of the track. So a fault that draws the track with it does not hide behind it.
+knowledge of the track. So a fault that draws the track with it does not hide behind it. The field of a beacon that is
+left out is unknown in each block: what it does beside that of the site would leak into the others.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from goldfield.locate import Locator
 from goldfield.site import Site
 from goldfield.track.blocks.equations import BlockEquations, NormalForm, separated
 from goldfield.track.blocks.state import Motion
 from goldfield.track.blocks.update import Reference, reference
+from goldfield.track.continuity import joined
 from goldfield.track.estimate import Belief
 from goldfield.track.faults import judged
 from goldfield.track.motion import State
@@ -28,6 +33,19 @@ KNOWN = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1e-9], 3)
 """Standard deviations of what is believed before a cycle is judged: its motion has been taken out, its pose is free."""
 
 
+QUICK = 4
+"""With every so manieth block it is asked whether the fields are so far off that the cycle need not be waited for."""
+
+FAR_OFF = 8.0
+"""They are if their chi-square is so many standard deviations of chance above its mean, and above `TRACKED`."""
+
+TRACKED = 30.0
+"""What the error of the track may add to chi-square."""
+
+USUAL = 3.0
+"""And above so many times what the errors of the site have left in the last cycle."""
+
+
 @dataclass(frozen=True, eq=False)
 class Verdict:
     """What a cycle's blocks say of the site.
@@ -36,6 +54,8 @@ class Verdict:
     ----------
     pose : Pose
         What the locator says of the fields by themselves, with no knowledge of the track.
+    motion : Motion
+        The track's motion at the time of this pose, as it was before the verdict.
     excluded : tuple of str
         Beacons that are not as the site says.
     inconsistent : bool
@@ -45,6 +65,7 @@ class Verdict:
     """
 
     pose: Pose
+    motion: Motion | None = None
     excluded: tuple[str, ...] = ()
     inconsistent: bool = False
     silent: bool = False
@@ -57,17 +78,21 @@ class Integrity:
     ----------
     site : Site
     equations : BlockEquations
-    model : FieldModel
-        All beacons of the site.
+
+    Attributes
+    ----------
+    witness : Witness
+        Watches the beacons over many cycles.
     """
 
     def __init__(self, site: Site, equations: BlockEquations) -> None:
+        self.witness = Witness(site)
         self._site, self._equations = site, equations
         self._locator = Locator(site)
-        self._model = self._locator.model
         self._observer = EpochObserver(site)
-        self.witness = Witness(site)
         self._ids = tuple(beacon.id for beacon in site.beacons)
+        self._row = {name: row for row, name in enumerate(self._ids)}
+        self._usual = 0.0
         self.forget()
 
     def forget(self) -> None:
@@ -76,47 +101,84 @@ class Integrity:
         self._references: list[tuple[Reference, float]] = []
         self._seconds = 0.0
 
-    def add(self, form: NormalForm, motion: Motion, epoch: int, middle_s: float) -> Verdict | None:
-        """Add a block and the motion at its middle; return the verdict when a cycle is complete.
+    def add(
+        self, form: NormalForm, motion: Motion, epoch: int, middle_s: float, without: Sequence[str]
+    ) -> Verdict | None:
+        """Add a block and the motion at its middle; return a verdict once a cycle, or when it cannot wait.
 
-        A block that the track has refused is not to be added: it says nothing of the beacons.
+        A block that the track has refused is not to be added: it says nothing of the beacons. ``without`` are the
+        beacons that the track leaves out.
         """
-        around = reference(self._model, motion)
+        around = reference(self._locator.model, motion)
         rest = around.residual(form) @ motion.rotation  # in the sensor's frame
         self._rests.append(replace(form, sums_T=rest))
         self._references.append((around, middle_s))
         self._seconds += 2.0 * form.end_s + self._site.chip_period_s
-        if self._seconds < (1.0 - 0.5 / len(self._rests)) * self._site.cycle_s:
+        rows = np.array([self._row[name] for name in without if name in self._row], dtype=np.intp)
+        whole = self._seconds >= (1.0 - 0.5 / len(self._rests)) * self._site.cycle_s
+        if not whole and (len(self._rests) % QUICK or not self._far_off(rows)):
             return None
-        verdict = self._judged(epoch)
+        verdict = self._judged(epoch, without, rows)
         self.forget()
         return verdict
 
-    def _judged(self, epoch: int) -> Verdict:
-        found = separated(self._rests)
+    def _far_off(self, out: NDArray[np.intp]) -> bool:
+        """Tell whether the fields of the last few blocks are far from what the site lets expect."""
+        cost, freedom = self._cost([rest.without(out) for rest in self._rests[-QUICK:]])
+        limit = freedom + FAR_OFF * math.sqrt(2.0 * freedom) + TRACKED
+        return cost > limit + USUAL * self._usual * QUICK
+
+    @staticmethod
+    def _cost(rests: Sequence[NormalForm]) -> tuple[float, int]:
+        """Return chi-square of what is left of the fields, and about its mean."""
+        found, weight = separated(rests), rests[-1].weight
+        heard = np.isfinite(found.deviation)
+        field = found.field_T[heard] / found.deviation[heard, None]
+        return float(((field @ weight) * field).sum()), 3 * int(heard.sum())
+
+    def _judged(self, epoch: int, without: Sequence[str], out: NDArray[np.intp]) -> Verdict:
+        """Judge the blocks that there are: first all beacons, then, if they do not agree, those in the track alone."""
+        kept = [rest.without(out) for rest in self._rests]
+        cost, freedom = self._cost(kept)
+        self._usual = max(cost - freedom, 0.0) / len(kept)
+        around, _ = self._references[len(self._references) // 2]
+        fields = self._fields(self._rests, epoch)
+        pose = self._locator.locate(fields)
+        self._learn(fields, around.motion)
+        sound = pose.status not in (Status.FAILED, Status.INCONSISTENT) and not pose.excluded
+        if len(out) and not sound:
+            pose = self._locator.locate(self._fields(kept, epoch))
+            pose = replace(pose, excluded=(*without, *(name for name in pose.excluded if name not in without)))
+        if pose.status is Status.FAILED:
+            return Verdict(pose, around.motion, tuple(without), silent=True)
+        return self._witnessed(Verdict(pose, around.motion, pose.excluded, pose.status is Status.INCONSISTENT))
+
+    def _fields(self, rests: Sequence[NormalForm], epoch: int) -> Fields:
+        """Return the fields that a sensor at rest at the middle of the blocks would have had."""
+        found = separated(rests)
         around, time_s = self._references[len(self._references) // 2]
-        motion = around.motion
         rows = np.flatnonzero(np.isfinite(found.deviation))
-        components = (around.field_T[:-1] @ motion.rotation + found.field_T)[rows]
-        names = tuple(self._ids[row] for row in rows)
-        axes = np.logical_and.reduce([rest.axes for rest in self._rests])
-        fields = Fields(
+        components = (around.field_T[:-1] @ around.motion.rotation + found.field_T)[rows]
+        axes = np.logical_and.reduce([rest.axes for rest in rests])
+        return Fields(
             epoch,
             time_s,
-            names,
+            tuple(self._ids[row] for row in rows),
             self._equations.readings(components, axes),
             self._site.sensor.noise_T * found.deviation[rows],
             sweep_T_s=0.0,
         )
-        pose = self._locator.locate(fields)
-        self._learn(fields, motion)
-        if pose.status is Status.FAILED:
-            return Verdict(pose, silent=True)
-        named = tuple(name for name in self.witness.named if name not in pose.excluded)
+
+    def _witnessed(self, verdict: Verdict) -> Verdict:
+        """Add what the witness knows of many cycles."""
+        finding = self.witness.finding
+        if finding is None:
+            return verdict
+        pose = verdict.pose
+        named = tuple(name for name in finding.beacons if name not in verdict.excluded)
         if named:
-            told = self.witness.finding
-            pose = replace(pose, findings=(*pose.findings, *(() if told is None else (told,))))
-        return Verdict(pose, (*pose.excluded, *named), pose.status is Status.INCONSISTENT)
+            pose = replace(pose, findings=(*pose.findings, finding), reason=joined(pose.reason, finding.text))
+        return replace(verdict, pose=pose, excluded=(*verdict.excluded, *named))
 
     def _learn(self, fields: Fields, motion: Motion) -> None:
         """Show the cycle to the witness."""
