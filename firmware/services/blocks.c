@@ -34,15 +34,15 @@ static void send(const block_sums_t *sums, node_t *node, node_links_t links, con
         .x = value[0],
         .y = value[1],
         .z = value[2],
-        .cycle_low = sums->cycle & 0xFu,
-        .block_low = sums->number & 0x7u,
+        .cycle_low = sums->cycle & 0x7u,
+        .block_low = sums->number & 0xFu,
     };
     uint8_t length = (uint8_t)goldfield_block_pack(data, &block, sizeof data);
     node_send(node, links, GOLDFIELD_BLOCK_FRAME_ID, sums->chip, data, length);
     for (uint32_t i = 0; i < sums->count; i++) {
         integers(sums, i, SUM_T, SUM_LIMIT, value);
         const struct goldfield_block_sum_t sum = {
-            .x = value[0], .y = value[1], .z = value[2], .block_low = sums->number & 0x7u};
+            .x = value[0], .y = value[1], .z = value[2], .block_low = sums->number & 0xFu};
         length = (uint8_t)goldfield_block_sum_pack(data, &sum, sizeof data);
         node_send(node, links, GOLDFIELD_BLOCK_SUM_FRAME_ID, selection->codes[i].code, data, length);
     }

@@ -40,3 +40,16 @@ def test_eight_bytes_that_another_protocol_sends_are_no_parameter():
 def test_the_firmwares_table_is_the_databases():
     rows = re.findall(r"\[(\d+)\] = \{true, (\d+)u, (\d+)u\}", c_tables.messages_header())
     assert {int(t): (int(n), int(i)) for t, n, i in rows} == {t: (n, LARGEST.get(t, 0)) for t, n in LENGTHS.items()}
+
+
+def test_blocks_as_in_the_golden_frames():
+    """The bytes of protocol/vectors, whose bits were laid out by hand: x first, the count of the blocks last."""
+    block = decode(0x0F3FE064, bytes.fromhex("e204e0b13f0000db"))
+    assert (block.name, block.index, block.node) == ("BLOCK", 1022, 100)
+    assert block.signals["cycle_low"] == 5
+    assert block.signals["block_low"] == 13
+    assert [block.signals[axis] for axis in "xyz"] == pytest.approx([1e-6, -2e-6, -262144 * 8e-10])
+    total = decode(0x1A002064, bytes.fromhex("ffffffff7f0000d8"))
+    assert (total.name, total.index, total.node) == ("BLOCK_SUM", 2, 100)
+    assert total.signals["block_low"] == 13
+    assert [total.signals[axis] for axis in "xyz"] == pytest.approx([-4e-10, 524287 * 4e-10, -524288 * 4e-10])

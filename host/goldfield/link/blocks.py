@@ -11,12 +11,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from goldfield.link.cycle_clock import CycleClock, distance
+from goldfield.link.cycle_clock import CycleClock
+from goldfield.link.reports import CYCLE_MODULUS
 from goldfield.types import Block, FloatArray
 from goldfield_protocol.messages import Message, database
 
 BLOCK_CHIPS = 31
-BLOCK_MODULUS, CYCLE_LOW_MODULUS = 8, 16
+BLOCK_MODULUS, CYCLE_LOW_MODULUS = 16, 8
 WINDOW = 3
 """Blocks whose messages are still taken: that of the newest message, and the two before it."""
 WAITING_BLOCKS = 128
@@ -120,9 +121,11 @@ class BlockAssembler:
             Time of arrival, on any clock that does not run backwards.
         """
         runs = self._clock.runs
-        if self._clock.take(message, arrival_s):
-            if self._clock.runs != runs:
-                self._latest = None
+        header = self._clock.take(message, arrival_s)
+        if self._clock.runs != runs:  # low bits mean something else from here on
+            self._open.clear()
+            self._newest = self._latest = None
+        if header:
             waiting, self._waiting = self._waiting, []
             for complete in waiting:
                 yield from self._placed(complete)
@@ -142,11 +145,10 @@ class BlockAssembler:
         signals = message.signals
         low = int(signals["block_low"])
         head = _Head(int(signals["cycle_low"]), message.index, low, _vector(message))
-        ahead = BLOCK_CHIPS if self._newest is None else self._chips_ahead(head, self._newest)
-        near = abs(ahead) < WINDOW * BLOCK_CHIPS
-        if not near:
+        ahead = None if self._newest is None else self._chips_ahead(head, self._newest)
+        if ahead is None or abs(ahead) >= WINDOW * BLOCK_CHIPS:
             self._open.clear()  # their low bits are those of other blocks
-        if ahead > 0 or not near:
+        if ahead is None or ahead > 0:
             self._newest = head
         block = self._of_window(low)
         if block.head is not None:
@@ -177,7 +179,7 @@ class BlockAssembler:
         if head is None or block.complete or len(block.sums_T) < len(self._codes):
             return
         block.complete = True
-        if self._latest is not None and not self._goes_on(head, self._latest[1]):
+        if self._latest is not None and self._chips_ahead(head, self._latest[1]) is None:
             self.breaks += 1
             self._clock.lose()
             self._latest = None
@@ -190,29 +192,35 @@ class BlockAssembler:
     def _placed(self, block: _Open) -> Iterator[Block]:
         assert block.head is not None
         head = block.head
-        cycle = self._clock.cycle(head.cycle_low, CYCLE_LOW_MODULUS)
-        if self._latest is not None:
+        if self._latest is None:
+            cycle = self._clock.cycle(head.cycle_low, CYCLE_LOW_MODULUS)
+        else:
             before, latest = self._latest
-            ahead = distance(cycle, before) * self._chips + head.chip - latest.chip
-            if ahead <= 0:
+            ahead = self._chips_ahead(head, latest)
+            if ahead is None or ahead <= 0:
                 self.late += 1
                 return
             self.lost += ahead // BLOCK_CHIPS - 1
+            cycle = (before + (latest.chip + ahead) // self._chips) % CYCLE_MODULUS
         self._latest = cycle, head
         rows = [*(block.sums_T[code] for code in self._codes), head.plain_T]
         time_s = self._clock.time_s(cycle, head.chip + BLOCK_CHIPS - 1)
         yield Block(cycle, head.chip, time_s, BLOCK_CHIPS, BLOCK_CHIPS * np.array(rows))
 
-    def _chips_ahead(self, head: _Head, reference: _Head) -> int:
-        """Return how many chips a block lies behind another one, the nearest of what the low bits may mean."""
+    def _chips_ahead(self, head: _Head, reference: _Head) -> int | None:
+        """Return how many chips a block lies behind another one, the nearest of what the low bits may mean.
+
+        None if no number of chips suits both the code and the count of the blocks.
+        """
         half = CYCLE_LOW_MODULUS // 2
         cycles = (head.cycle_low - reference.cycle_low + half) % CYCLE_LOW_MODULUS - half
-        return cycles * self._chips + head.chip - reference.chip
-
-    def _goes_on(self, head: _Head, latest: _Head) -> bool:
-        """Tell whether as many blocks lie between two as the chips of the code say."""
-        blocks, rest = divmod(self._chips_ahead(head, latest), BLOCK_CHIPS)
-        return not rest and (blocks - head.number_low + latest.number_low) % BLOCK_MODULUS == 0
+        nearest = cycles * self._chips + head.chip - reference.chip
+        for turns in (0, 1, -1):
+            ahead = nearest + turns * CYCLE_LOW_MODULUS * self._chips
+            blocks, rest = divmod(ahead, BLOCK_CHIPS)
+            if rest == 0 and (blocks - head.number_low + reference.number_low) % BLOCK_MODULUS == 0:
+                return ahead
+        return None
 
 
 def _vector(message: Message) -> FloatArray:

@@ -61,7 +61,8 @@ class ChipBlockAssembler:
             Time of arrival, on any clock that does not run backwards.
         """
         runs = self._clock.runs
-        if self._clock.take(message, arrival_s) and self._clock.runs != runs:
+        self._clock.take(message, arrival_s)
+        if self._clock.runs != runs:
             self.restart()
         if message.name != "CHIP" or message.index >= self._chips or not self._clock.known:
             return

@@ -27,7 +27,8 @@ class CycleClock:
     known : bool
         Whether chips can be told their times.
     runs : int
-        Counts what came between: it changes where numbers or times of the cycles do not go on from those before.
+        Counts the stretches without a break: it changes behind a silence, and where the headers do not go on from those
+        before.
     """
 
     def __init__(self, chips: int, chip_s: float) -> None:
@@ -51,6 +52,7 @@ class CycleClock:
         """
         if arrival_s - self._arrival_s > self._silence_s:
             self.lose()
+            self.runs += 1
         self._arrival_s = arrival_s
         if message.name != "EPOCH":
             return False
