@@ -44,7 +44,8 @@ bool hal_can_receive(hal_t *h, hal_frame_t *frame) { (void)h; (void)frame; retur
 bool hal_can_stamp(hal_t *h, hal_stamp_t *stamp) { (void)h; (void)stamp; return false; }
 hal_clock_t hal_clock(const hal_t *h) { (void)h; return HAL_CLOCK_CRYSTAL; }
 void hal_counters(const hal_t *h, hal_counters_t *c) { (void)h; *c = (hal_counters_t){0}; }
-uint64_t hal_microseconds(hal_t *h) { return h->us; }
+uint32_t asked_us = 0; /* The clock goes on by so much whenever it is asked. */
+uint64_t hal_microseconds(hal_t *h) { return h->us += asked_us; }
 int16_t hal_temperature(const hal_t *h) { (void)h; return 250; }
 hal_burst_t hal_burst_timing(void) { return (hal_burst_t){14672, 216}; }
 void hal_led(hal_t *h, bool on) { (void)h; (void)on; }

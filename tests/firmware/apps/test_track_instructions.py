@@ -1,0 +1,154 @@
+"""What the sensor's own track costs its processor: the objects of the image itself on a Cortex-M4 (Unicorn)."""
+
+import struct
+import subprocess
+
+import magpylib
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from goldfield_protocol.parameters import build_page
+from hil_sim.clib import ROOT
+from tests.firmware.apps.test_app_instructions import FLAGS, HARNESS
+from tests.firmware.apps.test_sensor_app import MATRIX, ZERO
+from tests.firmware.core.pose.test_pose_instructions import Machine
+from tests.firmware.host_rig import gold_chips
+
+MORE = """
+uint32_t edge_chip;
+void call_sync(void) { events.sync(events.context, edge_chip, 0); }
+void start_again(void) {
+    (void)parameters_set(&sensor.node.parameters, PARAMETER_STREAM, (parameter_value_t){PARAMETER_UNSIGNED, 0});
+    sensor.node.parameters_changed = true;
+    sensor_step(&sensor);
+}
+void look(void) { count = (uint32_t)tracking.state; }
+"""
+CALLS = ("begin_sensor", "call_plan", "call_samples", "call_sync", "step_sensor", "start_again", "look")
+CHIPS, BLOCK, TICKS = 1023, 31, 31 * 16422
+POSITION, ATTITUDE = np.array([0.9, 1.2, 0.8]), Rotation.from_rotvec([0.3, -0.2, 1.1])
+SEARCHES, FOLLOWS = 1, 2
+
+
+@pytest.fixture(scope="module")
+def elf(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("track")
+    source, elf = directory / "harness.c", directory / "track.elf"
+    source.write_text(HARNESS + MORE)
+    built = ROOT / "build/firmware"
+    objects = [
+        path for folder in ("apps", "services", "core/*") for path in sorted((built / "firmware").glob(f"{folder}/*.o"))
+    ]
+    objects.append(built / "protocol/goldfield.o")
+    includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]
+    undefined = [f"-Wl,-u,{name}" for name in CALLS]
+    command = ["arm-none-eabi-gcc", *FLAGS, *includes, source, *objects, *undefined, "-o", elf]
+    subprocess.run(list(map(str, command)), check=True)
+    return elf
+
+
+class Sensor:
+    """A sensor that stands among coils on the walls of a room of 2.5 m, and its sync wire."""
+
+    def __init__(self, elf, beacons, **parameters):
+        self.machine = Machine(elf)
+        rng = np.random.default_rng(beacons)
+        centres = rng.uniform(0.0, 2.5, (beacons, 3))
+        centres[np.arange(beacons), np.arange(beacons) % 3] = np.where(np.arange(beacons) % 6 < 3, 0.0, 2.5)
+        axes = rng.normal(size=(beacons, 3))
+        axes /= np.linalg.norm(axes, axis=1)[:, None]
+        codes = list(range(2, 2 + beacons))
+        moment = 190.0 * np.pi * 0.149**2
+        rows = [[*centre, *axis, moment, 0.149] for centre, axis in zip(centres, axes, strict=True)]
+        coils = [
+            magpylib.current.Circle(
+                diameter=0.298, current=190.0, position=centre, orientation=Rotation.align_vectors(axis, [0, 0, 1])[0]
+            )
+            for centre, axis in zip(centres, axes, strict=True)
+        ]
+        fields = ATTITUDE.inv().apply([coil.getB(POSITION) for coil in coils] + [np.array([2e-5, 0.0, -4.5e-5])])
+        chips = np.array([*(gold_chips(code) for code in codes), np.ones(CHIPS)]).T
+        clean = (chips @ fields) @ np.linalg.inv(MATRIX).T + ZERO
+        self.noise_counts = rng.normal(0.0, 2e-7, (16 * CHIPS, 3)) @ np.linalg.inv(MATRIX).T
+        self.clean = clean
+        values = {
+            "node": 100,
+            "code_count": beacons,
+            "code_list": codes,
+            "pose": 1,
+            "pose_blocks": 1,
+            "beacons": [float(x) for row in rows for x in row],
+            "calibration": [float(x) for x in MATRIX.ravel()],
+            **{f"zero_{axis}": float(zero) for axis, zero in zip("xyz", ZERO, strict=True)},
+        }
+        self.machine.write("page", build_page(values | parameters))
+        self.machine.call("begin_sensor")
+        self.blocks = 0
+        for _ in range(2):
+            self.machine.call("call_plan")
+
+    def sample(self):
+        """The interrupts of the next block: instructions of samples and plan."""
+        chips = np.arange(self.blocks * BLOCK, (self.blocks + 1) * BLOCK)
+        for chip in chips[chips % CHIPS == 0]:
+            self.machine.write("edge_chip", struct.pack("<I", chip))
+            self.machine.call("call_sync")
+        counts = self.clean[chips % CHIPS] + self.noise_counts[chips % len(self.noise_counts)]
+        bursts = np.repeat(counts[:, None, :], 8, axis=1) + np.arange(8)[None, :, None] / 8.0
+        self.machine.write("samples", np.clip(np.floor(bursts), 1, 4094).astype("<u2").tobytes())
+        self.blocks += 1
+        return self.machine.call("call_samples")[0] + self.machine.call("call_plan")[0]
+
+    def step(self):
+        return self.machine.call("step_sensor")[0]
+
+    @property
+    def state(self):
+        self.machine.call("look")
+        return self.machine.word("count")
+
+    def follow(self):
+        """Run until there is a track, and 2 cycles more."""
+        while self.state != FOLLOWS:
+            assert self.blocks < 500
+            self.sample()
+            self.step()
+        for _ in range(66):
+            self.sample()
+            self.step()
+
+
+@pytest.mark.parametrize(("beacons", "share"), [(8, 0.20), (16, 0.40), (32, 0.99)])
+def test_share_of_the_processor_with_a_pose_of_each_block(elf, beacons, share):
+    sensor = Sensor(elf, beacons)
+    sensor.follow()
+    interrupts, main = [], []
+    for _ in range(33):
+        interrupts.append(sensor.sample())
+        main.append(sensor.step())
+        while (more := sensor.step()) > 1000:
+            main[-1] += more
+    assert sensor.state == FOLLOWS
+    mean = (sum(interrupts) + sum(main)) / 33
+    shares = [mean * cycles / TICKS for cycles in (1.0, 1.5, 2.5)]
+    print(f"{beacons} beacons: interrupts {max(interrupts)}, main for a block {int(np.median(main))}, at a cycle's end {max(main)}")
+    print(f"    all {mean:.0f} a block, of the processor's time at 1, 1.5, 2.5: " + " ".join(f"{100 * s:.0f}%" for s in shares))
+
+
+@pytest.mark.parametrize("beacons", [8, 16, 32])
+def test_slices_of_a_start(elf, beacons):
+    sensor = Sensor(elf, beacons)
+    sensor.follow()
+    sensor.machine.call("start_again")
+    sensor.machine.write("asked_us", struct.pack("<I", 2000))
+    slices, searching = [], False
+    for _ in range(8):
+        sensor.sample()
+        for _ in range(6):
+            slices.append(sensor.step())
+            searching = searching or sensor.state == SEARCHES
+        if searching and sensor.state == FOLLOWS:
+            break
+    assert sensor.state == FOLLOWS
+    print(f"{beacons} beacons: slices of a start {sorted(slices)[-8:]}, in all {sum(slices)}")
