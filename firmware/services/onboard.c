@@ -4,11 +4,14 @@
 #include "core/math/vector3.h"
 #include "services/pose_report.h"
 
+#define MICROTESLA 1e6f /* Microtesla in a tesla. */
+
 void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips,
                        const epoch_selection_t *selection) {
     onboard->chips = chips;
     onboard->active = parameters_unsigned(parameters, PARAMETER_POSE) == 1u;
     onboard->due = onboard->due && onboard->active;
+    onboard->moved = false;
     pose_live_forget(&onboard->live);
     onboard->noise_T = parameters_float(parameters, PARAMETER_NOISE);
     onboard->pose.status = POSE_FAILED;
@@ -43,6 +46,18 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
     onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
 }
 
+/* Makes a field, T, of the separated residual of the track. */
+static void restore(const block_cycle_t *moving, uint32_t column, float field_T[3]) {
+    float field_uT[3];
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        field_uT[axis] = MICROTESLA * field_T[axis];
+    }
+    block_cycle_field(moving, column, field_uT);
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        field_T[axis] = field_uT[axis] / MICROTESLA;
+    }
+}
+
 static void separate(onboard_t *onboard) {
     const float chips = (float)onboard->chips, scale = chips / (float)(onboard->chips - onboard->missing);
     const float disturbed = (float)(onboard->missing + onboard->saturated),
@@ -56,8 +71,30 @@ static void separate(onboard_t *onboard) {
         for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
             field->field_T[axis] = scale * onboard->sums[axis][i];
         }
+        if (onboard->by_track) {
+            restore(&onboard->moving, i, field->field_T);
+        }
         field->sigma_T = square_root(
             onboard->noise_T * onboard->noise_T * separation_variance(&onboard->separation, i) + extra2);
+    }
+}
+
+void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle) {
+    onboard->moving = *moving;
+    onboard->moving_cycle = cycle;
+    onboard->moved = true;
+}
+
+/* Takes the residuals of the track in place of the sums of the cycle. */
+static void copy_residuals(onboard_t *onboard) {
+    const block_cycle_t *const moving = &onboard->moving;
+    const float scale = 1.0f / (MICROTESLA * (float)onboard->chips);
+    onboard->missing = onboard->saturated = 0;
+    for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
+        for (uint32_t i = 0; i < moving->count; i++) {
+            onboard->sums[axis][i] = scale * moving->residual_uT[i][axis];
+        }
+        onboard->mean[axis] = scale * moving->residual_uT[moving->count][axis];
     }
 }
 
@@ -70,7 +107,14 @@ void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, c
         const pose_t late = {.status = POSE_FAILED, .reason = POSE_REASON_LATE, .left_out = POSE_NOBODY};
         pose_report(&late, onboard->cycle, POSE_REPORT_CYCLE, node, NODE_BOTH);
     }
+    onboard->due = true;
     onboard->cycle = cycle->cycle;
+    onboard->by_track = onboard->moved && onboard->moving_cycle == cycle->cycle;
+    onboard->moved = false;
+    if (onboard->by_track) {
+        copy_residuals(onboard);
+        return;
+    }
     onboard->missing = cycle->missing;
     onboard->saturated = cycle->saturated;
     epoch_offset(cycle, calibration, onboard->mean);
@@ -81,13 +125,13 @@ void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, c
             onboard->sums[axis][i] = field[axis];
         }
     }
-    onboard->due = true;
 }
 
 /* Begins the pose of the cycle taken. */
 static void begin(onboard_t *onboard, node_t *node) {
     onboard->due = onboard->owed = false;
     onboard->located = onboard->cycle;
+    onboard->located_by_track = onboard->by_track;
     if (!onboard->separable) {
         onboard->pose = (pose_t){.status = POSE_FAILED, .reason = POSE_REASON_NO_POSE, .left_out = POSE_NOBODY};
         pose_report(&onboard->pose, onboard->located, POSE_REPORT_CYCLE, node, NODE_BOTH);
@@ -100,7 +144,13 @@ static void begin(onboard_t *onboard, node_t *node) {
 static void judge(onboard_t *onboard) {
     const pose_t *const pose = &onboard->pose;
     if (pose->status != POSE_FAILED) {
-        onboard->verdict = (onboard_verdict_t){pose->status, pose->reason, pose->left_out, pose->protection_m};
+        onboard->verdict = (onboard_verdict_t){
+            .status = pose->status,
+            .reason = pose->reason,
+            .left_out = pose->left_out,
+            .protection_m = pose->protection_m,
+            .by_track = onboard->located_by_track,
+        };
         onboard->judged++;
     }
 }

@@ -3,7 +3,8 @@
  *
  * Calls, in the order they are made
  *   1. onboard_configure  at start, and when a parameter has changed.
- *   2. onboard_take       with each whole cycle: it copies the cycle's sums while they are there.
+ *   2. onboard_take       with each whole cycle: it copies the cycle's sums while they are there; before it, where the
+ *                         sensor tracks its motion, onboard_take_track.
  *   3. onboard_step       at once, and again and again: each call does some steps of the pose, the last one sends it,
  *                         and further ones review fields that do not agree with the site (pose_live.h).
  *
@@ -23,6 +24,7 @@
 #include "core/codes/epoch.h"
 #include "core/codes/separation.h"
 #include "core/pose/pose_live.h"
+#include "core/track/block_cycle.h"
 #include "services/node.h"
 
 #define ONBOARD_TURN_US 2000u /* Time in a call after which it begins no further step: a block takes 3 ms. */
@@ -33,6 +35,7 @@ typedef struct {
     pose_reason_t reason;
     uint32_t left_out;  /* Row of the beacon that is not to be believed, or POSE_NOBODY. */
     float protection_m; /* Protection level, m. */
+    bool by_track;      /* The cycle was located from what the track makes of it. */
 } onboard_verdict_t;
 
 /* Private but for tests. */
@@ -47,6 +50,10 @@ typedef struct {
     uint32_t cycle, located;                 /* Its number, and that of the cycle whose pose is being computed. */
     uint32_t chips;                          /* N, the chips in a cycle. */
     uint32_t missing, saturated;             /* Chips of it without a sample, and with a saturated one. */
+    block_cycle_t moving;                    /* What the track makes of a cycle ... */
+    uint32_t moving_cycle;                   /* ... of this number ... */
+    bool moved;                              /* ... which is there. */
+    bool by_track, located_by_track;         /* The cycle taken, and the one that is computed, are such ones. */
     pose_field_t fields[POSE_BEACONS_MAX];
     pose_live_t live;
     pose_t pose;
@@ -60,6 +67,10 @@ typedef struct {
  */
 void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips,
                        const epoch_selection_t *selection);
+
+/* Take what the track makes of the cycle of a number, before onboard_take takes that cycle: it is located from this, as
+ * if the sensor stood still in the middle of the cycle. */
+void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle);
 
 /* Take a whole cycle, if active and if it has any sample; one that waits is answered. Costs about 250 instructions a
  * code. */

@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "core/math/quaternion.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 #include "core/track/block_out.h"
@@ -66,6 +67,7 @@ void tracking_configure(tracking_t *tracking, onboard_t *onboard, const paramete
     };
     memset(tracking->site_covariance, 0, sizeof tracking->site_covariance);
     tracking->verdict.left_out = POSE_NOBODY;
+    tracking->doubted = false;
     tracking->judged = onboard->judged;
     lose(tracking);
     block_filter_init(&tracking->filter, tracking->coils, tracking->count, MICROTESLA * onboard->noise_T);
@@ -108,6 +110,11 @@ static void judge(const tracking_t *tracking, float position_sd_m, float attitud
     pose->left_out = verdict->left_out;
     pose->protection_m = verdict->protection_m > noise_m ? verdict->protection_m : noise_m;
     if (pose->status != POSE_OK && pose->status != POSE_UNVERIFIED) {
+        return;
+    }
+    if (tracking->filter.refused >= TRACKING_DOUBTS) {
+        pose->status = POSE_INCONSISTENT;
+        pose->reason = POSE_REASON_PENDING;
         return;
     }
     if (attitude_sd_rad > WEAK_ATTITUDE || position_sd_m > WEAK_DISTANCE * nearest_m(tracking, pose->position_m)) {
@@ -168,6 +175,23 @@ static void leave_out(tracking_t *tracking) {
     }
 }
 
+/* Adds the block, with no beacon left out, to the cycle that onboard.h locates. */
+static void add_to_cycle(tracking_t *tracking) {
+    if (tracking->onboard->chips != BLOCK_CYCLE_CHIPS) {
+        return;
+    }
+    block_state_t predicted = tracking->filter.filters[tracking->filter.best].state;
+    float turn[3];
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        predicted.position_m[axis] += tracking->behind_s * predicted.velocity_m_s[axis];
+        turn[axis] = tracking->behind_s * predicted.rate_rad_s[axis];
+    }
+    quaternion_turn(predicted.quaternion, turn);
+    if (block_cycle_add(&tracking->moving, tracking->number, tracking->chip, CHIP_S, &tracking->block, &predicted)) {
+        onboard_take_track(tracking->onboard, &tracking->moving, tracking->cycle);
+    }
+}
+
 /* Moves the track on to a block. Returns false if it is lost. */
 static bool follow(tracking_t *tracking, const block_sums_t *sums) {
     if (tracking->behind_s > GAP_S) {
@@ -177,6 +201,7 @@ static bool follow(tracking_t *tracking, const block_sums_t *sums) {
         return true;
     }
     make_block(tracking, sums);
+    add_to_cycle(tracking);
     leave_out(tracking);
     const bool taken = block_filter_update(&tracking->filter, &tracking->block, tracking->behind_s);
     tracking->behind_s = 0.0f;
@@ -278,18 +303,33 @@ static void begin(tracking_t *tracking, node_t *node) {
     memcpy(start.attitude_cov_rad2, found->attitude_cov_rad2, sizeof start.attitude_cov_rad2);
     memcpy(start.ambient_uT, tracking->block.sums_uT[last], sizeof start.ambient_uT);
     block_filter_start(&tracking->filter, &start);
+    block_cycle_clear(&tracking->moving, tracking->coils, tracking->count);
     tracking->state = TRACKING_FOLLOWS;
     tracking->errors_number = tracking->number - TRACKING_ERRORS_BLOCKS;
     tracking->verdict.status = found->status;
     tracking->verdict.reason = found->reason;
     tracking->verdict.protection_m = found->protection_m;
-    if (found->status == POSE_OK && tracking->verdict.left_out != POSE_NOBODY) {
-        tracking->verdict.reason = POSE_REASON_LEFT_OUT;
+    if (tracking->doubted && found->status != POSE_INCONSISTENT) {
+        tracking->verdict.status = POSE_INCONSISTENT;
+        tracking->verdict.reason = POSE_REASON_PENDING;
     }
     send_pose(tracking, node);
 }
 
 /* ---- Calls ---- */
+
+/* Takes the verdict of a cycle that was located since the last block. */
+static void look_at_cycles(tracking_t *tracking) {
+    const onboard_t *const onboard = tracking->onboard;
+    if (tracking->judged == onboard->judged) {
+        return;
+    }
+    tracking->judged = onboard->judged;
+    if (onboard->verdict.by_track || tracking->doubted || onboard->chips != BLOCK_CYCLE_CHIPS) {
+        tracking->verdict = onboard->verdict;
+        tracking->doubted = tracking->doubted && !onboard->verdict.by_track;
+    }
+}
 
 bool tracking_takes(const tracking_t *tracking) {
     return tracking->every == 0u || tracking->state == TRACKING_FOLLOWS ||
@@ -305,15 +345,13 @@ void tracking_take(tracking_t *tracking, node_t *node, const block_sums_t *sums,
     tracking->cycle = sums->cycle;
     tracking->chip = sums->chip;
     tracking->behind_s += (float)blocks * BLOCK_S;
-    if (tracking->judged != tracking->onboard->judged) {
-        tracking->judged = tracking->onboard->judged;
-        tracking->verdict = tracking->onboard->verdict;
-    }
+    look_at_cycles(tracking);
     if (tracking->state == TRACKING_FOLLOWS) {
         if (follow(tracking, sums)) {
             send_pose(tracking, node);
             return;
         }
+        tracking->doubted = block_filter_lost(&tracking->filter);
         lose(tracking);
     }
     if (blocks != 1u) {

@@ -16,9 +16,13 @@
  *
  * Status. Single blocks are too noisy to tell that a beacon is not as the site says. Status, reason, the beacon left
  * out and the protection level of each pose are those of the latest cycle that onboard.h has located; before there is
- * one since the start, those of the start. A beacon that is left out has its column eliminated from each block
- * (block_leave_out), and so has one without a moment in the parameter beacons. Fields that fit no pose start a track
- * all the same: its poses are inconsistent, until the cycles tell which beacon to leave out.
+ * one since the start, those of the start. With degree 10 cycles are located from what the track makes of them
+ * (block_cycle.h), so that motion does not look like a fault; others count only where there is no such cycle because
+ * blocks do not fit. A beacon that is left out has its column eliminated from each block (block_leave_out), and so has
+ * one without a moment in the parameter beacons. Fields that fit no pose start a track all the same: its poses are
+ * inconsistent, until the cycles tell which beacon to leave out. So are, with reason "pending", poses that are only
+ * predicted since TRACKING_DOUBTS blocks in a row did not fit, and those of a track after blocks did not fit the one
+ * before.
  *
  * Limits. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come
  * only while the chip clock is locked; without any there are no poses.
@@ -36,6 +40,7 @@
 #include "services/onboard.h"
 
 #define TRACKING_COLUMNS_A_BLOCK 21u /* Most columns that the fields of one block are separated for. */
+#define TRACKING_DOUBTS          3u  /* Blocks in a row that do not fit, from which on poses are inconsistent. */
 #define TRACKING_ERRORS_BLOCKS   33u /* Blocks from one covariance by the errors of the site to the next. */
 
 typedef enum {
@@ -62,10 +67,12 @@ typedef struct {
     uint32_t number;           /* Of the latest block. */
     uint32_t cycle, chip;      /* Cycle and code chip of its first sample. */
     uint32_t gathered;         /* Blocks that a start has gathered. */
+    block_cycle_t moving;      /* What the track makes of the cycle under way. */
     float behind_s;            /* How far the filter's state lies behind the middle of the latest block, s. */
     pose_work_t *work;         /* Lent, during a search. */
     pose_t start;              /* What the search found. */
     onboard_verdict_t verdict; /* What holds for the poses. */
+    bool doubted;              /* Blocks did not fit the track before this one. */
     uint32_t judged;           /* The verdict of onboard.h that was last looked at. */
 } tracking_t;
 

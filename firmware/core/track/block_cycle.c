@@ -1,0 +1,86 @@
+#include "core/track/block_cycle.h"
+
+#include <string.h>
+
+#include "core/math/quaternion.h"
+
+void block_cycle_clear(block_cycle_t *cycle, const loop_t *coils, uint32_t count) {
+    *cycle = (block_cycle_t){.coils = coils, .count = count};
+}
+
+/* Computes what the samples are of, site's frame: the fields of the beacons, and last the ambient as the sensor sees
+ * it. */
+static void model(const block_cycle_t *cycle, const block_state_t *state, const float attitude[3][3],
+                  float field_uT[BLOCK_COLUMNS][3]) {
+    for (uint32_t i = 0; i < cycle->count; i++) {
+        loop_field(&cycle->coils[i], state->position_m, field_uT[i]);
+    }
+    for (uint32_t row = 0; row < 3u; row++) {
+        float *const ambient = &field_uT[cycle->count][row];
+        *ambient = state->ambient_uT[row];
+        for (uint32_t column = 0; column < 3u; column++) {
+            *ambient += attitude[row][column] * state->offset_uT[column];
+        }
+    }
+}
+
+static void add_residuals(block_cycle_t *cycle, const block_t *block, const block_state_t *state) {
+    float attitude[3][3], field_uT[BLOCK_COLUMNS][3];
+    quaternion_matrix(state->quaternion, attitude);
+    model(cycle, state, attitude, field_uT);
+    for (uint32_t i = 0; i <= cycle->count; i++) {
+        const float *const measured = block->sums_uT[i];
+        float sum[3] = {0.0f, 0.0f, 0.0f};
+        for (uint32_t j = 0; j <= cycle->count; j++) {
+            for (uint32_t axis = 0; axis < 3u; axis++) {
+                sum[axis] += block->gram[i][j] * field_uT[j][axis];
+            }
+        }
+        for (uint32_t row = 0; row < 3u; row++) {
+            cycle->residual_uT[i][row] += attitude[row][0] * measured[0] + attitude[row][1] * measured[1] +
+                                          attitude[row][2] * measured[2] - sum[row];
+        }
+    }
+}
+
+/* Keeps the pose so many seconds after the prediction. */
+static void keep_middle(block_cycle_t *cycle, const block_state_t *state, float seconds) {
+    float turn[3];
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        cycle->position_m[axis] = state->position_m[axis] + seconds * state->velocity_m_s[axis];
+        turn[axis] = seconds * state->rate_rad_s[axis];
+    }
+    memcpy(cycle->quaternion, state->quaternion, sizeof cycle->quaternion);
+    quaternion_turn(cycle->quaternion, turn);
+}
+
+bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float chip_s, const block_t *block,
+                     const block_state_t *predicted) {
+    const bool first = chip == 0u || chip + BLOCK_CYCLE_LENGTH > BLOCK_CYCLE_CHIPS; /* Code chip 0 is in the block. */
+    if (first) {
+        block_cycle_clear(cycle, cycle->coils, cycle->count);
+    } else if (cycle->blocks == 0u || number != cycle->next) {
+        cycle->blocks = 0;
+        return false;
+    }
+    cycle->next = number + 1u;
+    add_residuals(cycle, block, predicted);
+    if (cycle->blocks == BLOCK_CYCLE_BLOCKS / 2u) {
+        const int32_t chips = (int32_t)(BLOCK_CYCLE_CHIPS / 2u) - (int32_t)(chip + BLOCK_CYCLE_LENGTH / 2u);
+        keep_middle(cycle, predicted, (float)chips * chip_s);
+    }
+    cycle->blocks++;
+    return cycle->blocks == BLOCK_CYCLE_BLOCKS;
+}
+
+void block_cycle_field(const block_cycle_t *cycle, uint32_t column, float field_uT[3]) {
+    float attitude[3][3], field[3];
+    quaternion_matrix(cycle->quaternion, attitude);
+    loop_field(&cycle->coils[column], cycle->position_m, field);
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        field[axis] += field_uT[axis];
+    }
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        field_uT[axis] = attitude[0][axis] * field[0] + attitude[1][axis] * field[1] + attitude[2][axis] * field[2];
+    }
+}
