@@ -60,11 +60,6 @@ void tracking_configure(tracking_t *tracking, onboard_t *onboard, const paramete
     for (uint32_t i = 0; i < tracking->count; i++) {
         read_beacon(tracking, i);
     }
-    tracking->errors = (block_site_errors_t){
-        .beacons = tracking->beacon_errors,
-        .gain_sd = onboard->site.gain_sd,
-        .axis_sd_rad = onboard->site.axis_sd_rad,
-    };
     memset(tracking->site_covariance, 0, sizeof tracking->site_covariance);
     tracking->verdict.left_out = POSE_NOBODY;
     tracking->doubted = false;
@@ -203,16 +198,11 @@ static bool follow(tracking_t *tracking, const block_sums_t *sums) {
     make_block(tracking, sums);
     add_to_cycle(tracking);
     leave_out(tracking);
-    const bool taken = block_filter_update(&tracking->filter, &tracking->block, tracking->behind_s);
+    (void)block_filter_update(&tracking->filter, &tracking->block, tracking->behind_s);
     tracking->behind_s = 0.0f;
     tracking->gathered = 0;
     if (block_filter_lost(&tracking->filter)) {
         return false;
-    }
-    if (taken && !tracking->exact && tracking->number - tracking->errors_number >= TRACKING_ERRORS_BLOCKS) {
-        tracking->errors_number = tracking->number;
-        block_errors(&tracking->filter.measure, tracking->coils, tracking->count, &tracking->errors,
-                     tracking->site_covariance);
     }
     return true;
 }
