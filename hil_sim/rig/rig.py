@@ -337,8 +337,9 @@ class Rig:
             for edge, (start, end) in enumerate(pairwise(times[0:available]), start=first):
                 for part in range(cycles):
                     middle_s = 1e-12 * (start + (end - start) * (part + 0.5) / cycles)
+                    duration_s = 1e-12 * (end - start) / cycles
                     motion = self.scenario.installed.at(middle_s).motion_of(board)
-                    result.append(truth_at(motion, edge * cycles + part, middle_s))
+                    result.append(truth_at(motion, edge * cycles + part, middle_s, duration_s))
             self._truth_edges[board] += available - 1
 
     def watch_pins(self, watch: bool = True) -> None:

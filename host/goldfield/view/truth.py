@@ -1,6 +1,8 @@
 """The simulator's truth beside the poses: a file of JSON lines that may still be growing.
 
-Each line: ``{"cycle", "t_s", "position_m", "orientation_xyzw"}``; matched by the cycle's number modulo 2^20.
+Each line: ``{"cycle", "t_s", "position_m", "orientation_xyzw"}`` of the middle of a cycle, matched by the cycle's
+number modulo 2^20; of a sensor that moves also ``"course"``, rows of ``[t_s, x, y, z, qx, qy, qz, qw]`` from the begin
+of the cycle to its end, between which straight lines are drawn.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ from goldfield.link.reports import CYCLE_MODULUS
 from goldfield.types import FloatArray, Pose
 
 POLL_S = 0.01
+SAME_TIME_S = 1e-5
+"""Times of the truth and of a sensor's clock, which counts microseconds, that differ by less are one time."""
 LONGEST_READ = 1 << 20
 """Bytes that are read at once, and of a line at most: /dev/zero has no end."""
 
@@ -42,6 +46,27 @@ class PoseError:
 NO_ERROR = PoseError(math.nan, math.nan)
 
 
+@dataclass(frozen=True, eq=False)
+class _Cycle:
+    """What the truth says of a cycle: its middle, and its course, shape (n, 8), if the sensor moved."""
+
+    time_s: float
+    position_m: FloatArray
+    orientation_xyzw: FloatArray
+    course: FloatArray | None
+
+    def at(self, time_s: float) -> tuple[FloatArray, FloatArray]:
+        """Return position and quaternion at a time of the truth; without a course they are those of the middle."""
+        if self.course is None or abs(time_s - self.time_s) < SAME_TIME_S:
+            return self.position_m, self.orientation_xyzw
+        after = int(np.clip(np.searchsorted(self.course[:, 0], time_s), 1, len(self.course) - 1))
+        before, behind = self.course[after - 1], self.course[after]
+        behind = np.concatenate([behind[:4], behind[4:] if behind[4:] @ before[4:] >= 0.0 else -behind[4:]])
+        share = (time_s - before[0]) / (behind[0] - before[0])
+        there = before + share * (behind - before)
+        return there[1:4], there[4:]
+
+
 class Truth:
     """Reads the truth of cycles as it is written.
 
@@ -61,7 +86,8 @@ class Truth:
     def __init__(self, path: str | Path, wait_s: float = 1.0) -> None:
         self._path = Path(name_of(path))
         self._wait_s = wait_s
-        self._cycles: dict[int, tuple[FloatArray, FloatArray]] = {}
+        self._cycles: dict[int, _Cycle] = {}
+        self._clock: tuple[int, float] | None = None
         self._pending = b""
         self._line = 0
         deadline = time.monotonic() + wait_s
@@ -76,12 +102,24 @@ class Truth:
         if stat.S_ISFIFO(os.fstat(self._file.fileno()).st_mode):
             os.set_blocking(self._file.fileno(), False)  # a pipe that has nothing yet is a file that will grow
 
+    def follow(self, cycle: int, time_s: float) -> None:
+        """Learn the time of the middle of a cycle on the sensor's clock; NaN tells nothing."""
+        if math.isfinite(time_s):
+            self._clock = cycle % CYCLE_MODULUS, time_s
+
     def error_of(self, pose: Pose) -> PoseError:
-        """Compare a pose with the truth of its cycle; NaN if that does not come in time."""
+        """Compare a pose with the truth at its time, by the clock of `follow`, else at the middle of its cycle.
+
+        NaN if the truth does not come in time.
+        """
         truth = self._of_cycle(pose.epoch % CYCLE_MODULUS)
         if truth is None:
             return NO_ERROR
-        position, orientation = truth
+        time_s = truth.time_s
+        known = None if self._clock is None else self._of_cycle(self._clock[0])
+        if known is not None and self._clock is not None and math.isfinite(pose.time_s):
+            time_s = known.time_s + pose.time_s - self._clock[1]
+        position, orientation = truth.at(time_s)
         return PoseError(
             float(np.linalg.norm(pose.position_m - position)), rotation_angle(pose.orientation_xyzw, orientation)
         )
@@ -90,7 +128,7 @@ class Truth:
         """Close the file."""
         self._file.close()
 
-    def _of_cycle(self, cycle: int) -> tuple[FloatArray, FloatArray] | None:
+    def _of_cycle(self, cycle: int) -> _Cycle | None:
         deadline = time.monotonic() + self._wait_s
         while True:
             self._read()
@@ -126,12 +164,17 @@ class Truth:
             cycle = int(record["cycle"]) % CYCLE_MODULUS
             position = np.array(record["position_m"], dtype=np.float64).reshape(3)
             orientation = np.array(record["orientation_xyzw"], dtype=np.float64).reshape(4)
+            time_s = float(record["t_s"])
+            course = record.get("course")
+            rows = None if course is None else np.array(course, dtype=np.float64).reshape(-1, 8)
+            if rows is not None and not (len(rows) > 1 and (np.diff(rows[:, 0]) > 0.0).all()):
+                raise ValueError("a course has two rows at least, in the order of time")
         except (ValueError, TypeError, KeyError, RecursionError) as error:
             raise UserError(
                 f"{self._path}:{self._line}: is no line of truth "
                 '{"cycle", "t_s", "position_m": [3], "orientation_xyzw": [4]}'
             ) from error
-        self._cycles[cycle] = position, orientation
+        self._cycles[cycle] = _Cycle(time_s, position, orientation, rows)
 
 
 def rotation_angle(first_xyzw: FloatArray, second_xyzw: FloatArray) -> float:

@@ -37,7 +37,7 @@ def walking(directory, old="", new="", more=POINTS):
 def test_the_table_has_the_whole_cycles_at_each_point(tmp_path):
     scene = scenario.load(walking(tmp_path))
     cycle_s = scene.chips * scenario.CHIP_PERIOD_S
-    truths = [truth_at(scene.motion, cycle, (cycle + 0.37) * cycle_s) for cycle in range(400)]
+    truths = [truth_at(scene.motion, cycle, (cycle + 0.37) * cycle_s, cycle_s) for cycle in range(400)]
     rows = [row.split(",") for truth in truths if (row := point_row(scene, truth))]
     for position, sigma, count in (([0.5, 0.5, 0.3], 0.002, 5), ([0.3, 0.7, 0.5], 0.0, 20)):
         at_it = [row for row in rows if np.allclose([float(cell) for cell in row[1:4]], position)]
@@ -128,3 +128,22 @@ def test_what_is_wrong_with_roaming_is_said(tmp_path, key, words):
 def test_what_is_wrong_is_said(tmp_path, old, new, words):
     with pytest.raises(UserError, match=re.escape(words)):
         scenario.load(walking(tmp_path, old, new))
+
+
+def test_the_truth_of_a_walk_has_its_course_and_that_of_a_stop_none(tmp_path):
+    scene = scenario.load(walking(tmp_path))
+    cycle_s = scene.chips * scenario.CHIP_PERIOD_S
+    moving = standing = 0
+    for cycle in range(0, 400, 7):
+        truth = truth_at(scene.motion, cycle, (cycle + 0.5) * cycle_s, cycle_s)
+        moving += len(truth.course) > 0
+        standing += "course" not in truth.as_dict()
+        if not len(truth.course):
+            continue
+        np.testing.assert_allclose(truth.course[[0, -1], 0], [cycle * cycle_s, (cycle + 1) * cycle_s])
+        assert np.diff(truth.course[:, 0]).max() <= 0.003
+        positions, attitudes = scene.motion.poses(truth.course[:, 0])
+        np.testing.assert_allclose(truth.course[:, 1:4], positions)
+        np.testing.assert_allclose(truth.course[:, 4:], attitudes.as_quat(canonical=True))
+    assert moving > 10
+    assert standing > 3
