@@ -20,9 +20,10 @@ from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import chosen_method
-from goldfield.sensor.pipeline import Epoch, Sensor
+from goldfield.sensor.pipeline import Epoch, Fix, Sensor
 from goldfield.sensor.sinks import Branch, Fanout, Part
 from goldfield.site import Site
+from goldfield.types import Fields
 from goldfield.view.summary import Summary
 from goldfield.view.truth import Truth
 
@@ -51,7 +52,7 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
             writer = CandumpWriter(arguments.record, force=arguments.force)
             recorder = Branch(writer, arguments.record, waits=kind == "log", essential=arguments.record == STREAM)
             stack.callback(end_recording, recorder)
-        summary = Summary()
+        summary = Summary("epochs" if arguments.rate is None else "poses")
         if arguments.summary:
             stack.enter_context(_written_at_the_end(summary, arguments.summary, force=arguments.force))
         sensor = stack.enter_context(open_sensor(kind, where, site, choices, recorder))
@@ -85,13 +86,13 @@ def _written_at_the_end(summary: Summary, path: str, *, force: bool) -> Iterator
             file.discard()
 
 
-def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch]:
-    """Print the epochs and the summary; return the sinks, of which an interrupt may have left one stuck."""
+def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch | Fix]:
+    """Print the poses and the summary; return the sinks, of which an interrupt may have left one stuck."""
     sinks = _sinks(arguments, sensor, summary)
     try:
         with sinks:
-            for epoch in sensor.epochs():
-                sinks.write(epoch)
+            for item in sensor.stream():
+                sinks.write(item)
     except KeyboardInterrupt:
         pass  # the usual end of a live run
     finally:
@@ -107,13 +108,18 @@ def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summar
     return sinks
 
 
-def _sinks(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch]:
+def _sinks(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch | Fix]:
     """Return the sinks that the command line asks for: the lines on stdout, and perhaps a table of fields."""
     truth = Truth(arguments.truth) if arguments.truth else None
-    line_of = (json_record_line if arguments.json else table_line)(truth is not None)
+    compared, at_rate = truth is not None, arguments.rate is not None
+    line_of = json_record_line(truth=compared) if arguments.json else table_line(truth=compared, times=at_rate)
     fields = FieldsWriter(arguments.fields, force=arguments.force) if arguments.fields else None
-    sinks: Fanout[Epoch] = Fanout(waits=not sensor.live)
-    sinks.add(PoseLines(line_of, summary, truth), "the lines on stdout", essential=True)
+    sinks: Fanout[Epoch | Fix] = Fanout(waits=not sensor.live)
+    sinks.add(PoseLines(line_of, summary, truth, live=sensor.live), "the lines on stdout", essential=True)
     if fields is not None:
-        sinks.add(Part(fields, lambda epoch: epoch.fields), arguments.fields, essential=arguments.fields == STREAM)
+        sinks.add(Part(fields, _fields_of), arguments.fields, essential=arguments.fields == STREAM)
     return sinks
+
+
+def _fields_of(item: Epoch | Fix) -> Fields | None:
+    return item.fields if isinstance(item, Epoch) else None

@@ -1,20 +1,45 @@
-"""Epochs as lines on stdout, a table or JSON, with errors against the simulator's truth if there is one."""
+"""Poses as lines on stdout, a table or JSON, with errors against the simulator's truth if there is one."""
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 from goldfield.cli.output import json_line, number, pose_record
-from goldfield.sensor.pipeline import Epoch
+from goldfield.sensor.pipeline import Epoch, Fix
+from goldfield.types import Pose
 from goldfield.view.summary import Summary
 from goldfield.view.terminal import PoseTable
 from goldfield.view.truth import NO_ERROR, PoseError, Truth
 
-LineOf = Callable[[Epoch, PoseError], str]
+
+@dataclass(frozen=True, eq=False)
+class Line:
+    """What a line tells.
+
+    Attributes
+    ----------
+    pose : Pose
+    epoch : Epoch or None
+        The latest cycle whose report came since the line before: that of the pose, unless poses come at a rate.
+    lost : int
+        Messages that were lost of all these cycles.
+    error : PoseError
+    """
+
+    pose: Pose
+    epoch: Epoch | None
+    lost: int
+    error: PoseError = NO_ERROR
+
+
+LineOf = Callable[[Line], str]
 
 
 class PoseLines:
-    """Prints a line for every epoch, flushed at once, and counts it in a summary.
+    """Prints a line for every pose, flushed at once, and counts it in a summary.
 
     Parameters
     ----------
@@ -23,46 +48,72 @@ class PoseLines:
     summary : Summary
     truth : Truth or None
         The truth that poses are compared with; it is closed at the end.
+    live : bool
+        Whether the poses are made as messages arrive: then the summary gets their latency, unless the lines wait for
+        the truth.
     """
 
-    def __init__(self, line_of: LineOf, summary: Summary, truth: Truth | None) -> None:
+    def __init__(self, line_of: LineOf, summary: Summary, truth: Truth | None, *, live: bool = False) -> None:
         self._line_of = line_of
         self._summary = summary
         self._truth = truth
+        self._timed = live and truth is None
+        self._epoch: Epoch | None = None
+        self._lost = 0
+        self._clocked = False
 
-    def write(self, epoch: Epoch) -> None:
-        """Print an epoch."""
-        error = NO_ERROR if self._truth is None else self._truth.error_of(epoch.pose)
-        self._summary.add(epoch.pose, error, epoch.lost)
-        print(self._line_of(epoch, error), flush=True)
+    def write(self, item: Epoch | Fix) -> None:
+        """Print a pose; a cycle whose pose is none of those at a rate is told of in the next line."""
+        if isinstance(item, Epoch):
+            self._epoch = item
+            self._lost += item.lost
+            if self._truth is not None:
+                self._truth.follow(item.report.cycle, item.report.time_s)
+                self._clocked = True
+            if item.at_rate:
+                return
+        line = Line(item.pose, self._epoch, self._lost)
+        self._epoch, self._lost = None, 0
+        if self._truth is not None and (self._clocked or isinstance(item, Epoch)):
+            line = replace(line, error=self._truth.error_of(item.pose))
+        self._summary.add(item.pose, line.error, line.lost)
+        print(self._line_of(line), flush=True)
+        if self._timed and math.isfinite(item.arrived_s):
+            self._summary.latency.add(time.time() - item.arrived_s)
 
     def close(self) -> None:
-        """Close the truth."""
+        """Close the truth; messages lost behind the last line are counted."""
+        self._summary.lost_messages += self._lost
         if self._truth is not None:
             self._truth.close()
 
 
-def table_line(truth: bool) -> LineOf:
-    """Return what makes lines of a table, with errors against the truth or without."""
-    table = PoseTable(truth=truth)
-    return lambda epoch, error: table.line(epoch.pose, error, epoch.lost, ", ".join(epoch.notes))
+def table_line(*, truth: bool, times: bool = False) -> LineOf:
+    """Return what makes lines of a table, with errors against the truth or without; ``times`` in place of epochs."""
+    table = PoseTable(truth=truth, times=times)
+
+    def line(told: Line) -> str:
+        notes = () if told.epoch is None else told.epoch.notes
+        return table.line(told.pose, told.error, told.lost, ", ".join(notes))
+
+    return line
 
 
-def json_record_line(truth: bool) -> LineOf:
+def json_record_line(*, truth: bool) -> LineOf:
     """Return what makes lines of JSON, with errors against the truth or without."""
 
-    def line(epoch: Epoch, error: PoseError) -> str:
-        report = epoch.report
-        record = pose_record(epoch.pose) | {
-            "lost": epoch.lost,
-            "chips": report.chips,
-            "saturated": report.saturated,
-            "locked": report.locked,
+    def line(told: Line) -> str:
+        report = None if told.epoch is None else told.epoch.report
+        record = pose_record(told.pose) | {
+            "lost": told.lost,
+            "chips": None if report is None else report.chips,
+            "saturated": None if report is None else report.saturated,
+            "locked": None if report is None else report.locked,
         }
         if truth:
             record |= {
-                "position_error_m": number(error.position_m),
-                "attitude_error_rad": number(error.attitude_rad),
+                "position_error_m": number(told.error.position_m),
+                "attitude_error_rad": number(told.error.attitude_rad),
             }
         return json_line(record)
 

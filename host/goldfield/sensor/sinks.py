@@ -20,7 +20,7 @@ U = TypeVar("U")
 T_contra = TypeVar("T_contra", contravariant=True)
 
 CAPACITY = 1000
-"""Items that a branch keeps for a slow sink: epochs of 100 s, some 6 MB."""
+"""Items that a branch keeps for a slow sink: epochs of 100 s, some 6 MB, or poses at 330 Hz of 3 s."""
 
 INTERRUPTED_S = 1.0
 """How long an interrupted run waits for a sink to take what is left, as a pipe that nobody reads never does."""
@@ -42,22 +42,24 @@ class Sink(Protocol[T_contra]):
 
 
 class Part(Generic[T, U]):
-    """Gives a sink a part of every item.
+    """Gives a sink a part of every item that has it.
 
     Parameters
     ----------
     sink : Sink
     part_of : callable
-        Returns the part, as the fields of an epoch.
+        Returns the part, as the fields of an epoch; None if the item has none.
     """
 
-    def __init__(self, sink: Sink[U], part_of: Callable[[T], U]) -> None:
+    def __init__(self, sink: Sink[U], part_of: Callable[[T], U | None]) -> None:
         self._sink = sink
         self._part_of = part_of
 
     def write(self, item: T, /) -> None:
-        """Write the item's part."""
-        self._sink.write(self._part_of(item))
+        """Write the item's part, if it has one."""
+        part = self._part_of(item)
+        if part is not None:
+            self._sink.write(part)
 
     def close(self) -> None:
         """Close the sink."""

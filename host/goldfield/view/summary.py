@@ -13,6 +13,7 @@ import numpy as np
 
 from goldfield.errors import counted
 from goldfield.types import Explanation, Finding, FloatArray, Pose, Status
+from goldfield.view.latency import Latency
 from goldfield.view.terminal import WIDTH
 from goldfield.view.truth import NO_ERROR, PoseError
 
@@ -55,8 +56,10 @@ class Summary:
 
     Attributes
     ----------
+    what : str
+        What `add` is told of: epochs, or poses at a rate of their own.
     epochs, lost_messages : int
-        Epochs that `add` was told of, and messages lost in all of them.
+        Epochs or poses that `add` was told of, and messages lost in all of them.
     statuses : Counter of Status
     link : dict of str to int
         What went wrong on the way of the sensor's messages, with how often.
@@ -65,9 +68,12 @@ class Summary:
     board_counters : dict of int to dict of str to int
         The error counters of the other boards, by node.
     dropped : dict of str to int
-        Epochs that each output which was too slow did not get.
+        Epochs and poses that each output which was too slow did not get.
+    latency : Latency
+        How late the lines of a live run were.
     """
 
+    what: str = "epochs"
     epochs: int = 0
     lost_messages: int = 0
     statuses: Counter[Status] = field(default_factory=Counter)
@@ -75,6 +81,7 @@ class Summary:
     counters: dict[str, int] = field(default_factory=dict)
     board_counters: dict[int, dict[str, int]] = field(default_factory=dict)
     dropped: dict[str, int] = field(default_factory=dict)
+    latency: Latency = field(default_factory=Latency)
     _excluded: Counter[str] = field(default_factory=Counter)
     _found: dict[tuple[Explanation, tuple[str, ...]], _Found] = field(default_factory=dict)
     _reasons: dict[Status, _Said] = field(default_factory=dict)
@@ -98,9 +105,10 @@ class Summary:
     def text(self, truth: bool) -> str:
         """Return the summary as lines of at most 80 columns."""
         counts = [f"{self.statuses[status]} {status.value}" for status in Status if self.statuses[status]]
-        lines = [f"{counted(self.epochs, 'epochs')}: {', '.join(counts) or 'none'}"]
+        lines = [f"{counted(self.epochs, self.what)}: {', '.join(counts) or 'none'}"]
         lines += self._about_beacons()
         lines += self._about_links()
+        lines += [self.latency.text()] if self.latency.count else []
         position, attitude = _rms(self._position_m), _rms(self._attitude_rad)
         if position is not None and attitude is not None:
             lines.append(
@@ -124,6 +132,7 @@ class Summary:
             "dropped": self.dropped,
             "position_rms_m": _rms(self._position_m),
             "attitude_rms_rad": _rms(self._attitude_rad),
+            "latency": self.latency.record() if self.latency.count else None,
         }
 
     def _about_beacons(self) -> list[str]:
@@ -151,7 +160,7 @@ class Summary:
             lines.append(f"the sensor counted since its reset: {_counted(self.counters)}")
         lines += [f"node {node} counted: {_counted(counters)}" for node, counters in self.board_counters.items()]
         lines += [
-            f"{counted(n, 'epochs were left out')} of {name}, which took them too slowly"
+            f"{counted(n, f'{self.what} were left out')} of {name}, which took them too slowly"
             for name, n in self.dropped.items()
         ]
         return lines

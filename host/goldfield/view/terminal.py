@@ -18,6 +18,9 @@ HEADER_EVERY = 25
 WIDTH = 80
 """Columns of a terminal that was never widened; what does not fit beside a pose goes below it."""
 
+TIME = 9
+"""Columns of a time, s: milliseconds up to a day."""
+
 INDENT = " " * 8
 """Before what goes below a pose."""
 
@@ -36,9 +39,12 @@ class PoseTable:
     ----------
     truth : bool
         Show errors against the truth; a status longer than ``unverified`` then passes `WIDTH`.
+    times : bool
+        Show the time for which the pose is valid in place of the cycle's number and of the number of beacons.
     """
 
     truth: bool = False
+    times: bool = False
     _lines: int = 0
     _reason: str | None = None
 
@@ -47,13 +53,13 @@ class PoseTable:
         header = [self.header()] if self._lines % HEADER_EVERY == 0 else []
         self._lines += 1
         angles = np.full(3, np.nan) if pose.status is Status.FAILED else roll_pitch_yaw_deg(pose.orientation_xyzw)
-        columns = [f"{pose.epoch:6d}"]
+        columns = [_cell(pose.time_s, TIME, 3) if self.times else f"{pose.epoch:6d}"]
         columns += [_cell(value, 7, 3) for value in pose.position_m]
         columns += [_cell(value, 5, 0) if self.truth else _cell(value, 6, 1) for value in angles]
         columns.append(_cell(position_sd_m(pose) * 100.0, 5, 1))
         if self.truth:
             columns += [_cell(error.position_m * 100.0, 5, 2), _cell(math.degrees(error.attitude_rad), 5, 2)]
-        else:
+        elif not self.times:
             columns.append(f"{len(pose.used):2d}")
         columns.append(_cell(pose.residual, 5, 2))
         said = [pose.status.value]
@@ -69,8 +75,9 @@ class PoseTable:
     def header(self) -> str:
         """Return the line over the columns."""
         angles = f"{'roll':>5} {'pitch':>5} {'yaw':>5}" if self.truth else f"{'roll':>6} {'pitch':>6} {'yaw':>6}"
-        more = f"{'e cm':>5} {'e deg':>5}" if self.truth else f"{'n':>2}"
-        return f"{'epoch':>6} {'x m':>7} {'y m':>7} {'z m':>7} {angles} {'sd cm':>5} {more} {'resid':>5}  status"
+        first = f"{'t s':>{TIME}}" if self.times else f"{'epoch':>6}"
+        more = f"{'e cm':>5} {'e deg':>5} " if self.truth else "" if self.times else f"{'n':>2} "
+        return f"{first} {'x m':>7} {'y m':>7} {'z m':>7} {angles} {'sd cm':>5} {more}{'resid':>5}  status"
 
 
 def position_sd_m(pose: Pose) -> float:

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from goldfield.cli import main
+from goldfield.errors import UserError
 from goldfield.link.buses import open_can
 from goldfield.types import Pose, Status
 from goldfield.view.truth import Truth, rotation_angle
@@ -32,6 +34,12 @@ from tests.host.fake_sensor import (
 
 LOCATE_KEYS = ["epoch", "t_s", "position_m", "orientation_xyzw", "position_cov_m2", "attitude_cov_rad2"]
 LOCATE_KEYS += ["residual", "status", "used", "excluded", "reason", "protection_m", "alternative", "beacons"]
+
+
+LATENCY = (
+    r"from the last message to the line: median [\d.]+ ms, 95 % within [\d.]+ ms, 99 % within [\d.]+ ms; "
+    r"\d+ % of a processor\n"
+).replace(" ", r"\s+")
 
 
 def no_constants(name):
@@ -182,7 +190,7 @@ def test_live_on_a_serial_port_recorded_and_replayed_alike(tmp_path, capsys):
     assert code == 0
     assert [p["epoch"] for p in poses(out)] == list(range(6))
     assert all(p["status"] == "ok" for p in poses(out))
-    counts = re.fullmatch(r"6 epochs: 6 ok\nthe link: (\d+) corrupt frames\n", err)
+    counts = re.fullmatch(r"6 epochs: 6 ok\nthe link: (\d+) corrupt frames\n" + LATENCY, err)
     assert counts is not None
     assert int(counts[1]) >= 6  # one for each piece of garbage
     code, again, _ = run(capsys, "--log", record, "--json", "--seconds", 0.6)
@@ -346,6 +354,33 @@ def test_truth_that_is_still_being_written(tmp_path, monkeypatch):
     assert len(sleeps) == 1
     assert error.position_m == pytest.approx(0.01)
     assert error.attitude_rad == pytest.approx(0.0, abs=1e-12)
+    truth.close()
+
+
+def test_a_pose_is_compared_at_its_own_time(tmp_path):
+    """A sensor that moves along x at 2 m/s while it turns about z, its clock 7 s ahead: known between the rows."""
+    course = [[t, 2.0 * t, 0.0, 0.0, 0.0, 0.0, math.sin(t), math.cos(t)] for t in np.linspace(0.3, 0.4, 5).tolist()]
+    line = {"cycle": 3, "t_s": 0.35, "position_m": [0.7, 0, 0], "orientation_xyzw": [0, 0, math.sin(0.35), 0.939373]}
+    truth = Truth(write(tmp_path, json.dumps(line | {"course": course}) + "\n", "t.jsonl"))
+    orientation = [0.0, 0.0, math.sin(0.39), math.cos(0.39)]
+    late = replace(pose(3, [0.78, 0.0, 0.01], orientation), time_s=7.39)
+    assert truth.error_of(late).position_m == pytest.approx(math.hypot(0.08, 0.01)), "of the middle, without a clock"
+    truth.follow(3, math.nan)
+    truth.follow(3, 7.35)
+    error = truth.error_of(late)
+    assert error.position_m == pytest.approx(0.01, abs=1e-9)
+    assert error.attitude_rad < 1e-4
+    middle = replace(pose(3, [0.7, 0.0, 0.0], line["orientation_xyzw"]), time_s=7.35)
+    assert truth.error_of(middle).position_m == 0.0
+    truth.close()
+
+
+@pytest.mark.parametrize("course", [[[0.0] * 8], [[0.1, *[0.0] * 7], [0.1, *[0.0] * 7]], [[0.0] * 7] * 2])
+def test_a_course_that_is_none_is_refused(tmp_path, course):
+    record = json.loads(truth_lines([3])) | {"course": course}
+    truth = Truth(write(tmp_path, json.dumps(record) + "\n", "t.jsonl"))
+    with pytest.raises(UserError, match=r"t\.jsonl:1: is no line of truth"):
+        truth.error_of(pose(3, POSITION_M, ATTITUDE.as_quat()))
     truth.close()
 
 
