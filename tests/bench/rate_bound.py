@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from tests.bench.rate_world import AMBIENT_WALK, BLOCK_CHIPS, OFFSET_WALK
 
 STEP_M, STEP_RAD = 1e-4, 1e-5
-VAGUE = np.repeat([1.0, 1.0, 3.0, 4.0, 1e-4, 5e-6], 3)
-"""Standard deviations before the first sample: position, attitude, velocity, turn rate, ambient field, offset."""
+VAGUE = (1.0, 1.0, 3.0, 4.0, 1e-4)
+"""Standard deviations before the first sample: position (m), attitude, velocity, turn rate, ambient field (T)."""
+OFFSET_SD_T = 5e-6
 
 
 def sample_derivatives(world, position_m, rotation, ambient_T):
@@ -38,7 +39,7 @@ def sample_derivatives(world, position_m, rotation, ambient_T):
     return result
 
 
-def _noise(period_s, agility, block_s):
+def _noise(period_s, agility, block_s, ambient_walk):
     """Return what a chip adds to the covariance, shape (18, 18).
 
     Ambient field and offset take a step of ``block_s`` where a block begins, and none in it: at each chip the ambient
@@ -50,12 +51,12 @@ def _noise(period_s, agility, block_s):
         added[place, place] = white**2 * period_s**3 / 3.0 * eye
         added[place, rate] = added[rate, place] = white**2 * period_s**2 / 2.0 * eye
         added[rate, rate] = white**2 * period_s * eye
-    added[12:15, 12:15] = AMBIENT_WALK**2 * block_s * eye
+    added[12:15, 12:15] = ambient_walk**2 * block_s * eye
     added[15:18, 15:18] = OFFSET_WALK**2 * block_s * eye
     return added
 
 
-def riccati(world, walks, noise_T, agility):
+def riccati(world, walks, noise_T, agility, ambient_walk=AMBIENT_WALK, offset_sd_T=OFFSET_SD_T):
     """Return the least covariance of the pose at the end of each block, shape (B, blocks, 6, 6).
 
     Parameters
@@ -66,6 +67,10 @@ def riccati(world, walks, noise_T, agility):
     noise_T : float
     agility : (float, float)
         White acceleration, m/s^2 and rad/s^2 per root hertz.
+    ambient_walk : float
+        T per root second.
+    offset_sd_T : float
+        What is unknown of the sensor's offset at first, each axis.
     """
     runs, count = walks.position_m.shape[:2]
     seen = np.stack(
@@ -75,8 +80,8 @@ def riccati(world, walks, noise_T, agility):
         ]
     )
     period_s = world.site.chip_period_s
-    within, between = (_noise(period_s, agility, step_s) for step_s in (0.0, BLOCK_CHIPS * period_s))
-    covariance = np.tile(np.diag(VAGUE**2), (runs, 1, 1))
+    within, between = (_noise(period_s, agility, step_s, ambient_walk) for step_s in (0.0, BLOCK_CHIPS * period_s))
+    covariance = np.tile(np.diag(np.repeat((*VAGUE, offset_sd_T), 3) ** 2), (runs, 1, 1))
     onward = np.tile(np.eye(18), (runs, 1, 1))
     onward[:, 0:3, 6:9] = onward[:, 3:6, 9:12] = period_s * np.eye(3)
     result = []

@@ -106,8 +106,9 @@ def bound(options):
             variances = np.diagonal(least[:, half:], axis1=2, axis2=3).mean(axis=(0, 1))
             position, attitude = np.sqrt(variances.reshape(2, 3).sum(axis=1))
             print(
-                f"  {agility!s:12s} {noise_T * 1e7:4g} mG  bound {1e3 * position:5.2f} mm {np.degrees(attitude):.3f} deg"
-                f"  position {errors.rms_mm / 1e3 / position:.3f}  attitude {errors.rms_deg / np.degrees(attitude):.3f}"
+                f"  {agility!s:12s} {noise_T * 1e7:4g} mG  least {1e3 * position:5.2f} mm"
+                f" {np.degrees(attitude):.3f} deg; position {errors.rms_mm / 1e3 / position:.3f}"
+                f" attitude {errors.rms_deg / np.degrees(attitude):.3f}"
                 f"  nees {errors.nees:.2f}  wrong {errors.unsaid}  poses {len(errors.status)}",
                 flush=True,
             )
@@ -191,7 +192,7 @@ def latencies(options):
         print(
             f"{options.boards} boards, {link}, {len(found.arrival_s)} blocks; last chip to last message {late} ms;"
             f" filter's processor time {spent} ms, {100 * rate * found.update_s.mean():.1f} % of a core;"
-            f" rms {both(found.errors.where(slice(165, None))).strip()}",
+            f" rms {both(found.errors.where(slice(100, None))).strip()}",
             flush=True,
         )
 

@@ -17,6 +17,8 @@ STEP_S = 2.5e-5
 """Serial bytes are looked at in such steps: their time of arrival is known to that."""
 SERIAL, CAN = 1, 2
 """Values of the parameter ``blocks``."""
+SETTLED_BLOCKS = 66
+"""Blocks that are not looked at: the first ones wait for the header of a cycle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +61,7 @@ def latency(bench, block_filter, seconds):
                 arrivals.append(arrival_s)
                 poses.append(pose)
     known = np.array(ends) < (len(bench.rig.sync_edges_s()) - 1) * CHIPS
+    known[:SETTLED_BLOCKS] = False
     numbers = np.array(ends)[known]
     errors = errors_of(np.array(poses)[known], *truth_of(bench, numbers))
     late_s = np.array(arrivals)[known] - end_of_chips_s(bench, numbers)

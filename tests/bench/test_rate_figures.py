@@ -1,0 +1,72 @@
+"""The figures of the block filter rest on these: the samples, the least error, the bench of boards, and a short run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.bench.locate_trials import prigge_cube
+from tests.bench.motion_trials import CHIPS, EARTH_T, Room, cycle_bound, straight
+from tests.bench.rate_boards import open_bench, scenario_file, streamed
+from tests.bench.rate_bound import riccati
+from tests.bench.rate_ways import held_fixes
+from tests.bench.rate_world import Walks, World, matched_walks, motion_of
+
+NOISE_T = 2e-7
+
+
+class LateRoom(Room):
+    """A room in which the time 0 of a flight is the end of the cycle of samples, not its middle."""
+
+    def samples(self, flight, middle_s, noise_T, rng, earth_T=EARTH_T):
+        return super().samples(flight, middle_s - 0.5 * self.site.cycle_s, noise_T, rng, earth_T)
+
+
+def test_the_least_error_of_a_straight_flight_is_that_of_all_its_samples_at_once():
+    """The recursion over a cycle tells at its end what the information of all its samples does."""
+    site = prigge_cube(NOISE_T)
+    velocity, rate = np.array([0.6, -0.5, 0.3]), np.array([0.4, 0.5, 0.6])
+    flight = straight(np.array([0.9, 1.2, 0.8]), Rotation.from_rotvec([0.3, 1.0, -0.5]), velocity, rate)
+    position, rotation = flight.poses((np.arange(CHIPS) + 1 - CHIPS) * site.chip_period_s)
+    walks = Walks(position[None], rotation.as_matrix()[None], np.tile(EARTH_T, (1, CHIPS, 1)), np.zeros((1, CHIPS, 3)))
+    with_nothing_added = (1e-6, 1e-6)
+    least = riccati(World(site), walks, NOISE_T, with_nothing_added, ambient_walk=0.0, offset_sd_T=0.0)[0, -1]
+    assert np.sqrt(np.trace(least[:3, :3])) == pytest.approx(cycle_bound(LateRoom(site), flight, NOISE_T), rel=2e-3)
+
+
+def test_random_walks_have_the_agility_that_they_are_asked_for():
+    period_s, count = 1e-4, 2000
+    walks = matched_walks(np.random.default_rng(1), 100, count, period_s, (0.5, 1.0))
+    velocity = np.diff(walks.position_m[:, ::500], axis=1) / (500 * period_s)
+    # Mean velocities of neighbouring intervals T differ by a variance of a^2 T (1/3 + 1/3).
+    assert np.diff(velocity, axis=1).var() == pytest.approx(0.5**2 * 0.05 * 2.0 / 3.0, rel=0.1)
+    turns = Rotation.from_matrix(walks.rotation[:, ::500].reshape(-1, 3, 3))
+    steps = (turns[1:] * turns[:-1].inv()).as_rotvec().reshape(-1, 3)
+    rates = np.insert(steps, len(steps), np.nan, axis=0).reshape(100, 4, 3)[:, :3] / (500 * period_s)
+    assert np.diff(rates, axis=1).var() == pytest.approx(1.0**2 * 0.05 * 2.0 / 3.0, rel=0.1)
+
+
+def test_a_bench_streams_what_the_simulated_samples_are():
+    """The samples of boards differ from those of magpylib's coils at the truth by noise alone, a chip each."""
+    bench = open_bench(scenario_file("1 m/s, 1 rad/s", 0, NOISE_T, "stream = 1\n"), "host")
+    track = streamed(bench, 0.6)
+    bench.close()
+    ideal = World(bench.site).track(track.position_m, track.rotation, np.random.default_rng(0), 0.0)
+    rest = track.samples_T - ideal.samples_T
+    np.testing.assert_allclose(rest.std(axis=0), bench.site.sensor.noise_T, rtol=0.1)
+    assert np.abs(np.mean(rest[:, :, None] * World(bench.site).chips(len(rest))[:, None], axis=0)).max() < 2e-8
+    assert track.first_cycle > 0
+    blocks = list(track.blocks())
+    assert [block.chip for _, block in blocks[:2]] == [0, 31]
+    assert blocks[0][1].cycle == track.first_cycle
+
+
+def test_a_held_fix_is_as_old_as_it_is():
+    site = prigge_cube(2e-9)
+    motion = motion_of("1 m/s, 1 rad/s", 0)
+    errors = held_fixes(World(site).motion_track(motion, 0.5, np.random.default_rng(2), 2e-9))
+    position, _ = motion.poses(errors.time_s[:1])
+    assert 0.05 < errors.rms_mm / 1e3 < 0.2
+    assert errors.nees > 1e3
+    assert len(position) == 1
