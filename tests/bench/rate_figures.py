@@ -19,7 +19,7 @@ from goldfield.types import Status
 from tests.bench import rate_trials
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.rate_boards import open_bench, scenario_file, streamed
-from tests.bench.rate_bound import riccati
+from tests.bench.rate_bound import LeastError
 from tests.bench.rate_latency import latency
 from tests.bench.rate_ways import Errors, follow, held_fixes, thirds
 from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of
@@ -90,28 +90,34 @@ def both(errors, width=14):
 def bound(options):
     """Print the filter's error over the least possible one, on random walks of each agility."""
     print(
-        "Random walks of the agility (m/s^2 and rad/s^2 per root hertz), second halves of the runs, rms over the bound:"
+        f"{options.seeds} random walks of each agility (m/s^2 and rad/s^2 per root hertz), their second halves: rms over"
     )
+    print("the least possible error of a filter that has the sums of blocks (and, in brackets, all samples)")
     for agility in AGILITIES:
         count = WALKED_CHIPS[agility] // BLOCK_CHIPS * BLOCK_CHIPS
         for noise_T in NOISES_T:
             site = prigge_cube(noise_T)
-            world = World(site)
-            rng = np.random.default_rng([18, options.first])
+            world, rng = World(site), np.random.default_rng([18, options.first])
             walks = matched_walks(rng, options.seeds, count, site.chip_period_s, agility)
-            least = riccati(world, walks, noise_T, agility)
-            half = least.shape[1] // 2
+            least = LeastError(world, walks, noise_T, agility)
             runs = rate_trials.random_walks(BlockFilter, world, walks, noise_T, options.first)
+            half = count // BLOCK_CHIPS // 2
             errors = Errors.joined([run.where(slice(half, None)) for run in runs])
-            variances = np.diagonal(least[:, half:], axis1=2, axis2=3).mean(axis=(0, 1))
-            position, attitude = np.sqrt(variances.reshape(2, 3).sum(axis=1))
+            reached = np.array([errors.rms_mm * 1e-3, np.radians(errors.rms_deg)])
+            sums, samples = (rms_of(covariances[:, half:]) for covariances in (least.of_sums(), least.of_samples()))
+            over, over_all = reached / sums, reached / samples
             print(
-                f"  {agility!s:12s} {noise_T * 1e7:4g} mG  least {1e3 * position:5.2f} mm"
-                f" {np.degrees(attitude):.3f} deg; position {errors.rms_mm / 1e3 / position:.3f}"
-                f" attitude {errors.rms_deg / np.degrees(attitude):.3f}"
-                f"  nees {errors.nees:.2f}  wrong {errors.unsaid}  poses {len(errors.status)}",
+                f"  {agility!s:12s} {noise_T * 1e7:4g} mG  least {1e3 * sums[0]:5.2f} mm {np.degrees(sums[1]):.3f} deg;"
+                f" position {over[0]:.3f} ({over_all[0]:.3f}) attitude {over[1]:.3f} ({over_all[1]:.3f})"
+                f"  nees {errors.nees:.2f}  wrong {errors.unsaid} of {len(errors.status)}",
                 flush=True,
             )
+
+
+def rms_of(covariances):
+    """Return the root mean square of position (m) and attitude (rad) that covariances, shape (..., 6, 6), stand for."""
+    variances = np.diagonal(covariances, axis1=-2, axis2=-1).reshape(-1, 6).mean(axis=0)
+    return np.sqrt(variances.reshape(2, 3).sum(axis=1))
 
 
 def starts(options):

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import CHIPS, EARTH_T, Room, cycle_bound, straight
 from tests.bench.rate_boards import open_bench, scenario_file, streamed
-from tests.bench.rate_bound import riccati
+from tests.bench.rate_bound import LeastError
 from tests.bench.rate_ways import held_fixes
 from tests.bench.rate_world import Walks, World, matched_walks, motion_of
 
@@ -30,9 +30,10 @@ def test_the_least_error_of_a_straight_flight_is_that_of_all_its_samples_at_once
     flight = straight(np.array([0.9, 1.2, 0.8]), Rotation.from_rotvec([0.3, 1.0, -0.5]), velocity, rate)
     position, rotation = flight.poses((np.arange(CHIPS) + 1 - CHIPS) * site.chip_period_s)
     walks = Walks(position[None], rotation.as_matrix()[None], np.tile(EARTH_T, (1, CHIPS, 1)), np.zeros((1, CHIPS, 3)))
-    with_nothing_added = (1e-6, 1e-6)
-    least = riccati(World(site), walks, NOISE_T, with_nothing_added, ambient_walk=0.0, offset_sd_T=0.0)[0, -1]
-    assert np.sqrt(np.trace(least[:3, :3])) == pytest.approx(cycle_bound(LateRoom(site), flight, NOISE_T), rel=2e-3)
+    least = LeastError(World(site), walks, NOISE_T, agility=(1e-6, 1e-6), ambient_walk=0.0, offset_sd_T=0.0)
+    at_once = cycle_bound(LateRoom(site), flight, NOISE_T)
+    assert np.sqrt(np.trace(least.of_samples()[0, -1][:3, :3])) == pytest.approx(at_once, rel=2e-3)
+    assert 0.998 < np.sqrt(np.trace(least.of_sums()[0, -1][:3, :3])) / at_once < 1.02
 
 
 def test_random_walks_have_the_agility_that_they_are_asked_for():
