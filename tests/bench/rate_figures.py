@@ -90,9 +90,9 @@ def both(errors, width=14):
 def bound(options):
     """Print the filter's error over the least possible one, on random walks of each agility."""
     print(
-        f"{options.seeds} random walks of each agility (m/s^2 and rad/s^2 per root hertz), their second halves: rms over"
+        f"{options.seeds} random walks of each agility (m/s^2 and rad/s^2 per root hertz), second halves: rms over the"
     )
-    print("the least possible error of a filter that has the sums of blocks (and, in brackets, all samples)")
+    print("least possible error of a filter that has the sums of blocks (and, in brackets, all samples)")
     for agility in AGILITIES:
         count = WALKED_CHIPS[agility] // BLOCK_CHIPS * BLOCK_CHIPS
         for noise_T in NOISES_T:
