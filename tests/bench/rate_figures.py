@@ -129,7 +129,7 @@ def starts(options):
         rows = [[run.distance_m[block] for run in runs] for block in (0, 9, 32)]
         rms = " ".join(f"{1e3 * np.sqrt(np.nanmean(np.square(row))):.1f}" for row in rows)
         everything = Errors.joined(runs)
-        first = [run.status[0].value for run in runs]
+        first = [str(run.status[0]) for run in runs]
         print(
             f"{len(runs)} starts in motion, {noise_T * 1e7:g} mG: {len(failed)} lost {failed[:9]}; rms after 1, 10, 33"
             f" blocks {rms} mm; wrong {everything.unsaid} of {len(everything.status)} poses;"
