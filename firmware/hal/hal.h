@@ -84,7 +84,8 @@ hal_burst_t hal_burst_timing(void);
 /* Why the board switched the drive off by itself. */
 typedef enum {
     HAL_FAULT_DRIVER = 0, /* The drivers' fault input is active: hardware has switched the bridges off. */
-    /* For two chips no coil current was converted, or the chips' edges stood still, while the drive was on. */
+    /* For two chips no coil current was converted, the chips' edges stood still, or nobody had planned them, while the
+     * drive was on. */
     HAL_FAULT_STALE = 1,
     HAL_FAULT_CLOCK = 2, /* The crystal stopped while running: hal_clock() is no longer HAL_CLOCK_CRYSTAL. */
     HAL_FAULT_SUPPLY = 3 /* The processor's own supply fell below 2.7 V. */

@@ -80,13 +80,14 @@ struct hal {
     uint32_t time_low, time_high; /* The latest reading of hal_microseconds(). */
 
     /* chip_engine.c */
-    uint32_t block;                   /* The running block, as far as the block interrupt has come. */
-    volatile uint32_t first_chip;     /* Its first chip: 31 * block, odd when block is odd. */
-    edge_t edges[RING_CHIPS];         /* Read by DMA. */
-    edge_8_t edges_8[RING_CHIPS];     /* Read by DMA. */
-    uint16_t sync_levels[RING_CHIPS]; /* Read by DMA: compares of the sync wire. */
-    uint32_t set_points[RING_CHIPS];  /* Read by DMA: words for DHR12RD. */
-    uint32_t sync_put, sync_taken;    /* Edges since reset: put in by the stamping interrupt, taken by PendSV. */
+    uint32_t block;                     /* The running block, as far as the block interrupt has come. */
+    volatile uint32_t first_chip;       /* Its first chip: 31 * block, odd when block is odd. */
+    volatile uint32_t chips_since_plan; /* Coil currents since the start of the block in which a plan was made last. */
+    edge_t edges[RING_CHIPS];           /* Read by DMA. */
+    edge_8_t edges_8[RING_CHIPS];       /* Read by DMA. */
+    uint16_t sync_levels[RING_CHIPS];   /* Read by DMA: compares of the sync wire. */
+    uint32_t set_points[RING_CHIPS];    /* Read by DMA: words for DHR12RD. */
+    uint32_t sync_put, sync_taken;      /* Edges since reset: put in by the stamping interrupt, taken by PendSV. */
     chip_time_t sync_stamps[SYNC_STAMPS];
     hal_plan_t plan; /* The plan that the application fills. */
 

@@ -69,9 +69,9 @@ def test_beacons_move_their_pins_at_the_same_chips(beacons: tuple[Board, Board])
         theirs = np.array(emulated.edges(pin))
         ours = np.array(host.edges(pin))[: len(theirs)]
         shift = theirs - ours
-        # The first edge on a bridge is that of the enable (below).
+        # The first edge on a bridge is that of the enable (below), some 400 instructions of up to 2.5 cycles later.
         assert np.ptp(shift[1:]) <= 1
-        assert abs(shift[0] - shift[1]) < (0.02 if pin == PIN_SYNC_OUT else 3) * US
+        assert abs(shift[0] - shift[1]) < (0.02 if pin == PIN_SYNC_OUT else 7) * US
     [ours_on], [theirs_on] = host.edges(PIN_ENABLE), emulated.edges(PIN_ENABLE)
     chip = (theirs_on - emulated.edges(PIN_SYNC_OUT)[0]) - (ours_on - host.edges(PIN_SYNC_OUT)[0])
     assert abs(chip) < 3 * US  # Both at the end of chip 0's current conversion.

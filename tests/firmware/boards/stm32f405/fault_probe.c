@@ -26,7 +26,8 @@ enum {
     STOP_TIMER = 4,
     STOP_STREAM = 5,
     STOP_ADC = 6,
-    STOP_BURSTS = 7
+    STOP_BURSTS = 7,
+    HANG_MASKED = 8
 };
 
 #define INJECT_US 700000u
@@ -61,6 +62,11 @@ static void stop(uint32_t kind, uint32_t which) {
     switch (kind) {
     case HANG_MAIN:
         injected = 1;
+        hang();
+        break;
+    case HANG_MASKED:
+        injected = 1;
+        (void)interrupts_off();
         hang();
         break;
     case HANG_INTERRUPT:
@@ -101,6 +107,7 @@ int main(void) {
         hal_wait(hal);
         if (armed && hal_microseconds(hal) >= INJECT_US) {
             armed = false;
+            hal_led(hal, false); /* It tells when. */
             stop(what[0], what[1]);
         }
     }

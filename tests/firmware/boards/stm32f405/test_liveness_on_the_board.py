@@ -13,17 +13,23 @@ from goldfield.nodes.last_reset import PARTS
 from goldfield_protocol import FrameDecoder, decode
 from goldfield_protocol.parameters import build_page
 from tests.firmware import host_rig
-from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, ROOT, Coil, beacon
+from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, PIN_LED, ROOT, SECOND, Coil, beacon, chip_seconds
 
 OUT = ROOT / "build/firmware"
 BOARD = "firmware/boards/stm32f405"
 NOTHING, HANG_MAIN, HANG_INTERRUPT, MASK_INTERRUPT, STOP_TIMER, STOP_STREAM, STOP_ADC, STOP_BURSTS = range(8)
+HANG_MASKED = 8
 DMA1_STREAM1, DMA1_STREAM3, ADC, CAN1_TX, CAN1_RX0, CAN1_RX1, TIM1_BRK, TIM8_CC, TIM7, DMA2_STREAM1 = (
     *(12, 14, 18, 19, 20, 21),
     *(24, 46, 55, 57),
 )
 DMA2 = 16
 INJECT, WATCHDOG, BLOCK = 700 * MS, 500 * MS, 4 * MS
+CHIP = round(chip_seconds(0) * SECOND)
+RUNNING = 3
+"""Chips that go on: the one under way, and the two that a coil's current allows."""
+PLANNED = 62
+"""Chips that may be planned, behind which the rings of the chip engine go round."""
 PERIOD = 15 * MS  # what moved just before it stopped counts once more
 WATCHDOG_CAUSE = 4
 CONVERTER_OVERRUNS = 6
@@ -80,6 +86,12 @@ def last_report(board):
     return found[1]["cause"], {part for bit, part in enumerate(PARTS) if stalled >> bit & 1}
 
 
+def off_after(board):
+    """Return how long after something was stopped the drive went off, ps."""
+    begun = next(time for time in board.edges(PIN_LED, False) if time >= INJECT)
+    return next(time for time in board.edges(PIN_ENABLE, False) if time > begun) - begun
+
+
 def assert_restart(board, stalled):
     board.run(INJECT + 4 * BLOCK)
     assert was_injected(board)
@@ -104,19 +116,35 @@ def test_a_main_loop_that_hangs(driving):
     assert_restart(driving(HANG_MAIN), set())
 
 
-@pytest.mark.parametrize(
-    "irq",
-    [DMA1_STREAM1, DMA1_STREAM3, ADC, CAN1_TX, CAN1_RX0, CAN1_RX1, TIM1_BRK, TIM8_CC, TIM7, DMA2_STREAM1],
-)
-def test_an_interrupt_handler_that_hangs(driving, irq):
+@pytest.mark.parametrize("irq", [ADC, CAN1_TX, CAN1_RX0, CAN1_RX1, TIM1_BRK, TIM8_CC])
+def test_a_handler_that_hangs_above_the_coil_current_ends_the_drive_two_chips_later(driving, irq):
     """The main loop does not run any more, and nobody notes anything."""
-    assert_restart(driving(HANG_INTERRUPT, irq), set())
+    board = driving(HANG_INTERRUPT, irq)
+    assert_restart(board, set())
+    assert off_after(board) <= RUNNING * CHIP
 
 
-@pytest.mark.parametrize(("irq", "part"), [(ADC, "coil currents"), (DMA2_STREAM1, "blocks")])
-def test_an_interrupt_that_comes_no_more(driving, irq, part):
+@pytest.mark.parametrize("irq", [DMA1_STREAM1, DMA1_STREAM3, DMA2_STREAM1])
+def test_a_handler_that_hangs_below_ends_the_drive_where_the_plan_ends(driving, irq):
+    """Coil currents are measured on, and nobody plans: the drive went on with old chips until the watchdog."""
+    board = driving(HANG_INTERRUPT, irq)
+    assert_restart(board, set())
+    assert off_after(board) <= (PLANNED + RUNNING) * CHIP
+
+
+@pytest.mark.parametrize(("kind", "irq"), [(HANG_INTERRUPT, TIM7), (HANG_MASKED, 0)])
+def test_a_processor_that_serves_no_interrupt(driving, kind, irq):
+    assert_restart(driving(kind, irq), set())
+
+
+@pytest.mark.parametrize(
+    ("irq", "part", "chips"), [(ADC, "coil currents", RUNNING), (DMA2_STREAM1, "blocks", PLANNED + RUNNING)]
+)
+def test_an_interrupt_that_comes_no_more(driving, irq, part, chips):
     """Nobody fetches a conversion before the next, which the chip's manual forbids."""
-    assert_restart(driving(MASK_INTERRUPT, irq, strict=False), {part})
+    board = driving(MASK_INTERRUPT, irq, strict=False)
+    assert_restart(board, {part})
+    assert off_after(board) <= chips * CHIP
 
 
 def test_a_serial_port_that_sends_no_more(driving):
@@ -135,15 +163,25 @@ def test_a_timer_of_the_edges_that_stops_switches_the_coil_off_for_good(driving,
     board = driving(STOP_TIMER, timer)
     board.run(INJECT + 1500 * MS)
     assert was_injected(board)
-    (off,) = (time for time in board.edges(PIN_ENABLE, False) if time > INJECT)
-    assert off < INJECT + BLOCK  # what is stopped is so at the first wake-up of main
+    assert off_after(board) <= RUNNING * CHIP
     assert not [time for time in board.edges(PIN_ENABLE, True) if time > INJECT]
     assert board.messages("DRIVE_HEALTH")[-1].signals["cause"] == STALE
 
 
 def test_the_stream_of_the_edges_that_stops(driving):
-    """A stream that is switched off raises its flag, which nobody clears: the handler comes for ever, main no more."""
-    assert_restart(driving(STOP_STREAM, DMA2 + 1), set())
+    """A stream that is switched off raises its flag.
+
+    In every other block nobody clears it: the handler comes for ever, and main no more. In the others the block is
+    taken for over, and none comes any more.
+    """
+    board = driving(STOP_STREAM, DMA2 + 1)
+    board.run(INJECT + 4 * BLOCK)
+    assert was_injected(board)
+    board.run(INJECT + WATCHDOG + PERIOD + 50 * MS)
+    assert off_after(board) <= RUNNING * CHIP
+    cause, still = last_report(board)
+    assert cause == WATCHDOG_CAUSE
+    assert still in (set(), {"blocks"})
 
 
 def test_a_converter_that_stops(driving):
