@@ -96,7 +96,7 @@ INTERRUPTS = {
     "sync work": Interrupt("PendSV_Handler", 3, 1023 * CHIP, _all(BLOCK), "a block: the clock is set one block later"),
     "CAN frame": Interrupt("CAN1_RX0_Handler", 2, FRAME, _all(3 * FRAME), "three more frames end: the FIFO has three"),
     "serial in": Interrupt("DMA1_Stream1_Handler", 3, 1024 * 840, _all(2048 * 840), "its ring is full once more"),
-    "serial out": Interrupt("DMA1_Stream3_Handler", 3, 840, {}, "the line is idle until then"),
+    "serial out": Interrupt("DMA1_Stream3_Handler", 3, 8 * 840, {}, "the line is idle until then"),
     "tick": Interrupt("SysTick_Handler", 4, 1_680_000, _all(1_680_000), "the next tick"),
 }
 
