@@ -244,8 +244,8 @@ class Separated:
         Components in the sensor's frame; NaN for beacons that these blocks do not tell from others.
     deviation : ndarray, shape (n,)
         Deviations of the fields, over that of a sample.
-    sweep_s : ndarray, shape (n,)
-        What a ramp of the ambient field within a block adds to the fields, T for 1 T/s.
+    sweep_s : ndarray, shape (n, n + 1)
+        What ramps of the fields, and last of the ambient field, within each block add to the fields, T for 1 T/s.
     """
 
     field_T: FloatArray
@@ -256,13 +256,13 @@ class Separated:
 def separated(forms: Sequence[NormalForm]) -> Separated:
     """Separate the fields of some blocks, or of what a motion leaves of them, as if the sensor stood still."""
     count = len(forms[0].gram) - 1
-    gram, right = np.zeros((count, count)), np.zeros((count, 4))
+    gram, right = np.zeros((count, count)), np.zeros((count, count + 4))
     for form in forms:
         ambient = form.gram[:count, count]
         share = ambient / form.gram[count, count]
         gram += form.gram[:count, :count] - np.outer(ambient, share)
         right[:, :3] += form.sums_T[:count] - np.outer(share, form.sums_T[count])
-        right[:, 3] += form.moment[:count, count] - share * form.moment[count, count]
+        right[:, 3:] += form.moment[:count] - np.outer(share, form.moment[count])
     scale = np.sqrt(np.diag(gram))
     scale[scale < PIVOT * scale.max(initial=0.0)] = np.inf
     scale[scale == 0.0] = np.inf
@@ -272,6 +272,4 @@ def separated(forms: Sequence[NormalForm]) -> Separated:
     part = vectors[:, seen] / scale[:, None]
     solved = (part / values[seen]) @ (part.T @ right)
     deviation = np.sqrt((part * part / values[seen]).sum(axis=1))
-    return Separated(
-        np.where(known[:, None], solved[:, :3], np.nan), np.where(known, deviation, np.inf), np.abs(solved[:, 3])
-    )
+    return Separated(np.where(known[:, None], solved[:, :3], np.nan), np.where(known, deviation, np.inf), solved[:, 3:])

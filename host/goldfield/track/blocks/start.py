@@ -37,6 +37,8 @@ class Starter:
         self._site, self._equations = site, equations
         self._locator = Locator(site)
         self._ids = tuple(beacon.id for beacon in site.beacons)
+        self._moment_A_m2 = np.linalg.norm(self._locator.model.moment_A_m2, axis=1)
+        self._reach_m = self._locator.model.reach_m
         self._kept: list[NormalForm] = []
         self._taken = self._contradictions = 0
 
@@ -78,8 +80,8 @@ class Starter:
         """Locate by some blocks."""
         form, found = forms[-1], separated(forms)
         ambient = self._ambient(form, found.field_T)
-        sweep = START_RATE_RAD_S * float(np.linalg.norm(ambient)) * found.sweep_s
-        sigma = np.hypot(self._site.sensor.noise_T * found.deviation, sweep)
+        swept_T = np.linalg.norm(found.sweep_s * self._slopes(found.field_T, ambient), axis=1)
+        sigma = np.hypot(self._site.sensor.noise_T * found.deviation, swept_T)
         rows = [
             row for row, name in enumerate(self._ids) if name not in without and math.isfinite(found.deviation[row])
         ]
@@ -99,6 +101,14 @@ class Starter:
                 return pose, []
         both = [pose, pose.alternative] if pose.status is Status.AMBIGUOUS else [pose]
         return pose, [self._start(one, ambient, form, len(forms)) for one in both if one is not None]
+
+    def _slopes(self, field_T: FloatArray, ambient_T: FloatArray) -> FloatArray:
+        """Return how fast the fields of a sensor in motion may change, T/s, shape (n + 1,): as dipoles do, B by 3 B/r."""
+        size = np.linalg.norm(np.nan_to_num(np.vstack([field_T, ambient_T])), axis=1)
+        by_motion = START_RATE_RAD_S * size
+        range_m = np.cbrt(1.5e-7 * self._moment_A_m2 / np.maximum(size[:-1], 1e-12))
+        by_motion[:-1] += 3.0 * START_VELOCITY_M_S * size[:-1] / np.maximum(range_m, self._reach_m)
+        return np.asarray(by_motion)
 
     @staticmethod
     def _ambient(form: NormalForm, field_T: FloatArray) -> FloatArray:

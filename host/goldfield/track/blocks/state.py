@@ -137,7 +137,8 @@ def onward(motion: Motion, seconds: float) -> tuple[Motion, FloatArray]:
     transition.reshape(-1, SIZE * SIZE)[:, :: SIZE + 1] = 1.0
     transition[..., POSITION, VELOCITY] = seconds * _EYE3
     transition[..., TURN, TURN] = turn
-    transition[..., TURN, RATE] = seconds * (_EYE3 + 0.5 * crosses(turning))
+    cross = crosses(turning)
+    transition[..., TURN, RATE] = seconds * (_EYE3 + 0.5 * cross + cross @ cross / 6.0)
     later = Motion(
         motion.position_m + seconds * motion.velocity_m_s,
         turn @ motion.rotation,
