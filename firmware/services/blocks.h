@@ -12,8 +12,8 @@
  * cycle: more codes than a link can carry cost blocks, and never the fields. Blocks that find no room are not counted:
  * block_low tells the receiver.
  *
- * Time from the end of the block's last chip to the first byte (8 codes, an instruction a cycle): 65 us in the sample
- * interrupt and 55 us in main (tests/firmware/apps/test_app_instructions.py). The last byte follows after 80 us a
+ * Time from the end of the block's last chip to the first byte (8 codes, an instruction a cycle): 75 us in the sample
+ * interrupt and 65 us in main (tests/firmware/apps/test_app_instructions.py). The last byte follows after 80 us a
  * message on serial, and at most 160 us on CAN.
  *
  * Memory: 3.6 kB.

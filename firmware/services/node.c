@@ -54,14 +54,15 @@ int32_t node_clamp(int32_t value, int32_t limit) {
     return value > limit ? limit : value < -limit ? -limit : value;
 }
 
-static void drain_serial(node_t *node) {
+/* Both are inline for the idle turn of the main loop. */
+static inline void drain_serial(node_t *node) {
     const frame_t *frame;
     while ((frame = queue_front(&node->serial)) != NULL && node_serial_write(node, frame)) {
         queue_drop(&node->serial);
     }
 }
 
-static void drain_can(node_t *node, uint64_t now_us) {
+static inline void drain_can(node_t *node, uint64_t now_us) {
     const frame_t *frame;
     bool taken = true;
     while (taken && (frame = queue_front(&node->can)) != NULL) {

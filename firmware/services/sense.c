@@ -219,6 +219,9 @@ void sense_start(sense_t *sense, node_t *node, const timing_t *timing, onboard_t
 
 void sense_blocks(sense_t *sense) {
     node_t *const node = sense->node;
+    if (!blocks_waiting(&sense->blocks)) {
+        return;
+    }
     const uint64_t start_us = hal_microseconds(node->hal);
     do {
         if (!tracking_takes(sense->tracking)) {

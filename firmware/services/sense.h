@@ -41,11 +41,11 @@
  *
  * Memory: 79 kB.
  *
- * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,300 instructions, with parts
- * 14,300 (16,800 when following the field); with degree 10 a report of 8 codes takes 67,000. The parts of a cycle take
- * 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within a third of a cycle. With
- * more than 60 codes their messages outrun the queue of CAN at the end of a cycle: a part or a report that finds no
- * room there is left out of that link and counted (counter 13).
+ * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,600 instructions, with
+ * blocks 12,500, with parts 14,500 (17,100 when following the field); with degree 10 a report of 8 codes takes 67,000.
+ * The parts of a cycle take 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within
+ * a third of a cycle. With more than 60 codes their messages outrun the queue of CAN at the end of a cycle: a part or a
+ * report that finds no room there is left out of that link and counted (counter 13).
  *
  * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the
  * transform (0.5 ms).

@@ -1,7 +1,5 @@
 #include "core/codes/block_sums.h"
 
-#include <stddef.h>
-
 void block_collect_init(block_collector_t *collector, uint32_t length) {
     *collector = (block_collector_t){.length = length};
 }
@@ -33,11 +31,6 @@ void block_collect(block_collector_t *collector, uint32_t absolute_chip, uint32_
     if (collector->collected == BLOCK_CHIPS) {
         __atomic_store_n(&collector->filled, collector->filled + 1u, __ATOMIC_RELEASE);
     }
-}
-
-const block_samples_t *block_ready(const block_collector_t *collector) {
-    const uint32_t filled = __atomic_load_n(&collector->filled, __ATOMIC_ACQUIRE);
-    return filled == collector->released ? NULL : &collector->blocks[collector->released % BLOCKS_WAITING];
 }
 
 void block_release(block_collector_t *collector) {

@@ -20,6 +20,7 @@ RAM, STACK, STOP = 0x20000000, 0x20040000, 0x0800FF00
 # Plain functions with word arguments around the calls that take structs or start from known states.
 HARNESS = """
 #include "core/timing/chip_clock.h"
+#include "core/codes/block_sums.h"
 #include "core/drive/current.h"
 #include "core/codes/despread.h"
 #include "core/codes/epoch.h"
@@ -95,6 +96,28 @@ epoch_selection_t selection = {1, {{5, 17, -1, {0}}}};
 epoch_sums_t sums = {.third = EPOCH_WHOLE, .chips = 1023};
 float field[3];
 void one_field(void) { epoch_field(&sums, &calibration, &selection, 0, field); }
+code_bits_t code_bits;
+block_collector_t blocks;
+block_sums_t of_block;
+uint32_t block_chip;
+void blocks_init(void) {
+    code_bits_init(&code_bits, gold_family(10));
+    block_collect_init(&blocks, 1023);
+    for (uint32_t i = 0; i < 8u; i++) selection.codes[i].code = (uint16_t)(2u + i);
+}
+void block_chips(void) {
+    block_collect(&blocks, block_chip, 0, block_chip % 1023u, sample, 0, true);
+    block_chip++;
+}
+uint32_t code_word(void) { return code_bits_at(&code_bits, 1000, 1022); }
+void sums_of_0(void) {
+    selection.count = 0;
+    block_sums(block_ready(&blocks), &code_bits, &selection, &calibration, &of_block);
+}
+void sums_of_8(void) {
+    selection.count = 8;
+    block_sums(block_ready(&blocks), &code_bits, &selection, &calibration, &of_block);
+}
 """
 
 
@@ -194,8 +217,13 @@ def test_each_call_within_what_its_header_says(count):
     for name in ("one_code", "rotating", "four_codes"):
         count(name)
         figures[name] = max(count("chip_level")[0] for _ in range(40))
+    figures["blocks_init"], _ = count("blocks_init")
+    figures["block_chips"] = max(count("block_chips")[0] for _ in range(62))
+    for name in ("code_word", "sums_of_0", "sums_of_8"):
+        figures[name], _ = count(name)
     print(figures)
     bounds = {
+        **{"blocks_init": 45_000, "block_chips": 85, "code_word": 50, "sums_of_0": 760, "sums_of_8": 4300},
         **{"word": 2500, "correlation": 20, "burst_sample": 270, "feed": 220, "clock_plan": 70, "clock_edge": 720},
         "clock_message": 1050,
         **{"encode": 500, "decode": 900, "code_sum": 50_000, "one_field": 240, "current_sample": 120},
