@@ -28,6 +28,7 @@ class RigLink(BusSource):
     """
 
     traffic = {}  # noqa: RUF012 - nothing is counted
+    link_bit = 2
 
     def __init__(self, rig, others=()):
         self.name = "rig"

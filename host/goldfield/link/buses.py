@@ -75,12 +75,15 @@ class BusSource:
     ----------
     reconnections : int
         How often the link was opened again.
+    link_bit : int
+        The link's bit in the parameters of a board that choose links: 1 a serial line, 2 CAN.
     """
 
     shared = False
     listen_only = False
     reconnects = False
     reconnections = 0
+    link_bit = 1
 
     def __init__(
         self,
@@ -93,6 +96,7 @@ class BusSource:
     ) -> None:
         self.name = name
         self.shared = shared
+        self.link_bit = 2 if shared else 1
         self.listen_only = listen_only
         self.reconnects = reopen is not None
         self._reopen = reopen

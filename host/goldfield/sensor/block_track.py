@@ -24,7 +24,8 @@ SAME_RATE = 0.01
 """A rate that differs from that of the blocks by a smaller share is theirs: each pose is that of a block's end."""
 
 NEAR = 1e-6
-"""Shares of a step by which times that are the same differ by rounding."""
+"""Share of a step by which times that are the same differ by rounding. Where they differ because the sensor's clock
+goes at another rate than the nominal one, half a block or half a chip is allowed for."""
 
 CURRENT_CHANGED = 0.01
 """A measured current that differs by a larger share from the one in use is used from then on."""
@@ -94,7 +95,10 @@ class BlockTrack:
             self._of_cycles.clear()
             self._begin()
         self._take_currents(ratio or {})
-        begin_s = block.time_s - block.chips * self._chip_s
+        duration_s = block.chips * self._chip_s
+        begin_s = block.time_s - duration_s
+        if abs(begin_s - self.time_s) < 0.5 * duration_s:
+            begin_s = self.time_s
         poses = self._bridged(block, begin_s)
         pose = self._follower.update(block, without)
         if pose is None:
@@ -132,19 +136,20 @@ class BlockTrack:
         """Yield the times at the asked rate behind one time and up to another; a block tells where blocks end."""
         if self._rate_hz is None:
             return
-        step_s, one_s = 1.0 / self._rate_hz, 0.0
+        step_s, one_s, near = 1.0 / self._rate_hz, 0.0, NEAR
         duration_s = block.chips * self._chip_s
         if abs(step_s / duration_s - 1.0) < SAME_RATE:
-            step_s, one_s = duration_s, block.time_s
-        first = math.floor((after_s - one_s) / step_s + NEAR) + 1
-        last = math.floor((until_s - one_s) / step_s + NEAR)
+            step_s, one_s, near = duration_s, block.time_s, 0.5
+        first = math.floor((after_s - one_s) / step_s + near) + 1
+        last = math.floor((until_s - one_s) / step_s + near)
         yield from (one_s + number * step_s for number in range(first, last + 1))
 
     def _ends(self, block: Block, after_s: float, until_s: float) -> Iterator[tuple[int, float]]:
         """Yield the cycles that end behind one time and up to another, with their ends, counted from a block."""
         zero_s = block.time_s - (block.chip + block.chips) * self._chip_s  # the begin of the cycle of its first chip
-        first = math.floor((after_s - zero_s) / self._site.cycle_s + NEAR)
-        last = math.floor((until_s - zero_s) / self._site.cycle_s + NEAR)
+        near = 0.5 / self._site.chips
+        first = math.floor((after_s - zero_s) / self._site.cycle_s + near)
+        last = math.floor((until_s - zero_s) / self._site.cycle_s + near)
         for number in range(first, last):
             yield (block.cycle + number) % CYCLE_MODULUS, zero_s + (number + 1) * self._site.cycle_s
 

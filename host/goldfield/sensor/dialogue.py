@@ -17,6 +17,8 @@ from goldfield_protocol.parameters import PARAMETERS, Kind, label_of
 TRIES = 5
 Parameters = Mapping[int, int | float]
 """Values by the parameter's id; unsigned or single precision by their type."""
+BLOCKS = PARAMETERS["blocks"].first
+"""Each bit of this parameter is a link, so that hosts on several links each have their own."""
 
 
 class Dialogue:
@@ -78,9 +80,10 @@ class Dialogue:
             If the sensor does not answer or refuses.
         """
         wanted = wanted_parameters(codes, parameters)
-        changes = {parameter: value for parameter, value in wanted.items() if self.ask(parameter) != value}
+        found = {parameter: self.ask(parameter) for parameter in wanted}
+        changes = {one: value for one, value in found.items() if not suits(one, value, wanted[one])}
         for parameter, value in changes.items():
-            self.set(parameter, value)
+            self.set(parameter, beside(parameter, value, wanted[parameter]))
         return bool(changes)
 
     def set(self, parameter: int, value: int | float) -> None:
@@ -145,6 +148,16 @@ class Dialogue:
     @property
     def _sensor(self) -> str:
         return f"{self._receiver.name}: sensor {self.node}"
+
+
+def suits(parameter: int, value: int | float, wanted: int | float) -> bool:
+    """Return whether a parameter's value does for what is wanted: the same, or of `BLOCKS` with other links, too."""
+    return value == wanted or (parameter == BLOCKS and int(value) & int(wanted) == wanted)
+
+
+def beside(parameter: int, value: int | float, wanted: int | float) -> int | float:
+    """Return what to set a parameter to that has a value: what is wanted, of `BLOCKS` beside the links that it has."""
+    return int(value) | int(wanted) if parameter == BLOCKS else wanted
 
 
 def wanted_parameters(codes: Sequence[int], parameters: Parameters | None = None) -> dict[int, int | float]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from goldfield.errors import SystemFailure
 from goldfield.link.requests import value_of
-from goldfield.sensor.dialogue import Dialogue, Parameters, wanted_parameters
+from goldfield.sensor.dialogue import BLOCKS, Dialogue, Parameters, beside, suits, wanted_parameters
 from goldfield.sensor.receiver import Receiver
 from goldfield_protocol.messages import Message
 from goldfield_protocol.parameters import PARAMETERS, label_of
@@ -35,10 +35,14 @@ class Keeping:
     ----------
     changes : int
         Parameters that others have changed and that were put back.
+    links, links_before : int or None
+        The links on which the sensor sends blocks (`BLOCKS`) by its latest word, and by its first; None: not known.
     """
 
     def __init__(self, receiver: Receiver) -> None:
         self.changes = 0
+        self.links: int | None = None
+        self.links_before: int | None = None
         self._receiver = receiver
         self._node: int | None = None
         self._wanted: dict[int, int | float] = {}
@@ -80,7 +84,10 @@ class Keeping:
             if wanted is None or message.signals["status"]:
                 return
             value = value_of(message.signals)
-            if value == wanted:
+            if message.index == BLOCKS:
+                self.links = int(value)
+                self.links_before = self.links if self.links_before is None else self.links_before
+            if suits(message.index, value, wanted):
                 self._changed.pop(message.index, None)
             else:
                 self._changed[message.index] = value
@@ -108,7 +115,7 @@ class Keeping:
                     f"another host has set {label_of(parameter)} of sensor {self._node} to {value}: put back to "
                     f"{self._wanted[parameter]}"
                 )
-                dialogue.set(parameter, self._wanted[parameter])
+                dialogue.set(parameter, beside(parameter, value, self._wanted[parameter]))
                 self.changes += 1
         except SystemFailure as error:
             self._receiver.tell_once(f"what another host has changed could not be put back: {error}")

@@ -9,12 +9,13 @@ from dataclasses import replace
 import numpy as np
 
 from goldfield.errors import UserError, tell
+from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.link.reports import Report
 from goldfield.locate import locate
-from goldfield.sensor.dialogue import Parameters
+from goldfield.sensor.dialogue import BLOCKS, Parameters
 from goldfield.sensor.guard import guarded
 from goldfield.sensor.on_sensor import on_sensor_parameters, on_sensor_pose
-from goldfield.sensor.options import Method
+from goldfield.sensor.options import Method, Options
 from goldfield.site import Site
 from goldfield.track import EpochObserver, PartsObserver, Tracker, Witness, cycle_of_parts
 from goldfield.track.continuity import Hemisphere, joined, time_break
@@ -59,19 +60,25 @@ class Succession:
                 pose = replace(pose, reason=f"{broken}: a new group of epochs begins")
         return self._hemisphere.follow(pose)
 
+    def nearest(self, pose: Pose) -> Pose:
+        """Return a pose that is none of the source's with the sign that follows its latest one."""
+        return self._hemisphere.nearest(pose)
 
-def location(site: Site, method: Method) -> Location:
+
+def location(site: Site, method: Method, succession: Succession | None = None) -> Location:
     """Return what makes the poses of one sensor, each following the one before (`Succession`).
 
     Parameters
     ----------
     site : Site
+    succession : Succession, optional
+        That of a source which has other poses, too.
     method : Method
         With ``TRACK`` the epochs should come in the order of time, which else starts a new track; with ``ON_SENSOR``
         each must come with its report.
     """
-    located, succession = _located(site, method), Succession()
-    return lambda fields, report: succession.follow(located(fields, report))
+    located, follows = _located(site, method), succession or Succession()
+    return lambda fields, report: follows.follow(located(fields, report))
 
 
 def _located(site: Site, method: Method) -> Location:
@@ -146,11 +153,24 @@ def with_finding(pose: Pose, finding: Finding | None) -> Pose:
     )
 
 
-def needed_parameters(site: Site, method: Method) -> Parameters:
-    """Return the parameters, by id, that a live sensor must have for a method, beside the codes of the site."""
-    if method is Method.ON_SENSOR:
-        return on_sensor_parameters(site)
-    return {PARAMETERS["parts"].first: PARTS} if method is Method.TRACK and sensor_sends_parts(site) else {}
+def needed_parameters(site: Site, options: Options, *, blocks: int) -> Parameters:
+    """Return the parameters, by id, that a live sensor must have for what the options ask, beside the site's codes.
+
+    Parameters
+    ----------
+    site : Site
+    options : Options
+    blocks : int
+        The link on which blocks of chips are read, as parameter ``blocks`` has it; 0: none are read.
+    """
+    if options.method is Method.ON_SENSOR:
+        if options.rate_hz is None:
+            return on_sensor_parameters(site)
+        block_s = BLOCK_CHIPS * site.cycle_s / site.chips
+        return on_sensor_parameters(site, max(1, round(1.0 / (options.rate_hz * block_s))))
+    if blocks:
+        return {BLOCKS: blocks}
+    return {PARAMETERS["parts"].first: PARTS} if options.method is Method.TRACK and sensor_sends_parts(site) else {}
 
 
 def _passed_on(site: Site, fields: Fields, report: Report | None) -> Pose:

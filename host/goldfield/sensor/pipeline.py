@@ -12,15 +12,16 @@ from goldfield.errors import UserError, counted
 from goldfield.link.buses import Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
-from goldfield.sensor.location import location, needed_parameters, with_finding, without
+from goldfield.sensor.location import Succession, location, needed_parameters, with_finding, without
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.receiver import Recorder
 from goldfield.sensor.recorded_cycle import RecordedCycle
 from goldfield.sensor.separation import Separation
-from goldfield.sensor.session import Session
+from goldfield.sensor.session import Event, Session
+from goldfield.sensor.tracking import Relayed, Tracking, between_of
 from goldfield.sensor.verdict import Verdict, judge
 from goldfield.site import Site
-from goldfield.types import Block, Explanation, Fields, Finding, Pose
+from goldfield.types import Explanation, Fields, Finding, Pose
 from goldfield_protocol.parameters import counter_name
 
 
@@ -118,20 +119,24 @@ class Sensor:
         self._found = False
         self._options = Options() if options is None else options
         method = self._options.method
+        self._between = between_of(site, self._options)
         self._session = Session(
             source,
             name,
             site,
             self._options.node,
             recorder,
-            on_sensor=method is method.ON_SENSOR,
+            on_sensor=method is method.ON_SENSOR and self._between is None,
             channel=self._options.channel,
+            blocks=isinstance(self._between, Tracking),
+            poses=isinstance(self._between, Relayed),
         )
         try:
             self._separation = Separation(site)
-            self._locate = location(site, method)
+            self._succession = Succession()
+            self._locate = location(site, method, self._succession)
             if self._session.live:
-                self._session.start(needed_parameters(site, method))
+                self._session.start(needed_parameters(site, self._options, blocks=self._session.blocks_by))
         except BaseException:
             source.close()
             raise
@@ -153,6 +158,13 @@ class Sensor:
         """
         return (item for item in self.stream() if isinstance(item, Epoch))
 
+    def pose_at(self, time_s: float) -> Pose | None:
+        """Return the pose at a time on the sensor's clock near that of the latest block, now or a little ahead.
+
+        It has the uncertainty that the motion since then adds. None if no block has come, or the sensor is not tracked.
+        """
+        return None if self._between is None else self._between.pose_at(time_s)
+
     def stream(self) -> Iterator[Epoch | Fix]:
         """Yield every code cycle as an `Epoch` and, if a rate was asked for, every pose as a `Fix`, as they come.
 
@@ -168,6 +180,9 @@ class Sensor:
             if isinstance(event, Report):
                 self._found = True
                 yield self._epoch(event)
+            elif self._between is not None:
+                arrived_s = self._session.receiver.arrived_s
+                yield from (Fix(pose, arrived_s) for pose in self._between.poses(event))
         if not self._found and not self.live:
             others = self._session.unchosen
             chosen = f"the sensor that was chosen, but of {others}" if others else "a sensor"
@@ -190,12 +205,12 @@ class Sensor:
         """Yield what arrived of each code cycle, neither separated nor located; otherwise as `epochs`."""
         return (event for event in self._events() if isinstance(event, Report))
 
-    def _events(self) -> Iterator[Report | Block]:
-        """Yield what arrived of each code cycle, and each block of chips, in the order in which they became whole."""
+    def _events(self) -> Iterator[Event]:
+        """Yield what arrived of each code cycle, and what comes between the cycles, as it becomes whole."""
         first = latest = math.nan
         recorded = None if self.live else RecordedCycle(self.name, self.site)
         for report in self._session.events():
-            if isinstance(report, Block):
+            if not isinstance(report, Report):
                 yield report
                 continue
             if recorded is not None:
@@ -213,6 +228,7 @@ class Sensor:
 
     def close(self) -> None:
         """Let go of the link."""
+        self._session.end()
         self._source.close()
 
     def __enter__(self) -> Self:
@@ -281,6 +297,7 @@ class Sensor:
             "messages of unknown cycles": self.orphans,
             "jumps of the cycle's number": self.restarts,
             "parameters put back that another host had set": self._session.keeping.changes,
+            "blocks of chips lost": 0 if self._session.blocks is None else self._session.blocks.lost,
         }
         return {name: count for name, count in counts.items() if count}
 
@@ -300,11 +317,19 @@ class Sensor:
         fields = amended_fields(separated, verdict)
         witnessed = _unexplained(self._session.anchors.finding, verdict)
         named = () if witnessed is None else witnessed.beacons
-        if self._options.rate_hz is not None:
-            self._session.receiver.tell_once("no blocks of chips come: there is one pose a cycle")
-        trusted = without(fields, named)
-        amended = trusted is not separated  # the parts of the cycle cannot be amended
-        pose = self._locate(trusted, replace(report, parts_T={}) if amended else report)
+        pose, at_rate = None, False
+        if self._between is not None:
+            self._between.note(verdict, witnessed)
+            pose = self._between.of_cycle(report)
+            at_rate = self._options.rate_hz is not None and self._between.follows(report)
+            if self._options.rate_hz is not None and not at_rate:
+                self._session.receiver.tell_once(self._between.absent)
+        if pose is not None:
+            pose = self._succession.follow(pose)
+        else:
+            trusted = without(fields, named)
+            amended = trusted is not separated  # the parts of the cycle cannot be amended
+            pose = self._locate(trusted, replace(report, parts_T={}) if amended else report)
         missing = tuple(name for name in named if name in fields.beacons and name not in pose.excluded)
         pose = replace(pose, excluded=(*pose.excluded, *missing)) if missing else pose
         pose = with_finding(pose, witnessed)
@@ -316,6 +341,7 @@ class Sensor:
             notes=tuple(_notes(report, verdict, self.site.chips)),
             findings=verdict.findings,
             arrived_s=self._session.receiver.arrived_s,
+            at_rate=at_rate,
         )
 
 

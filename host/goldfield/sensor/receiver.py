@@ -33,6 +33,8 @@ USED = (
     "EPOCH_OFFSET",
     "FIELD",
     "PART",
+    "BLOCK",
+    "BLOCK_SUM",
     "HEARTBEAT",
     "COUNTER",
     "PARAM_VALUE",

@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
 
 import can
 
 from goldfield.errors import SystemFailure, UserError, counted, option
+from goldfield.link.blocks import BlockAssembler
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, STATE_STARTING
 from goldfield.link.marks import is_mark, reads
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
+from goldfield.link.requests import set_request
 from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.census import Census, Place
-from goldfield.sensor.dialogue import Dialogue, Parameters
+from goldfield.sensor.dialogue import BLOCKS, Dialogue, Parameters
 from goldfield.sensor.health import Health
 from goldfield.sensor.keeping import Keeping
+from goldfield.sensor.on_sensor import OnSensorTrack
 from goldfield.sensor.receiver import Receiver, Recorder
 from goldfield.site import Site
-from goldfield.types import Block
+from goldfield.types import Block, Pose
 from goldfield_protocol.messages import Message, encode
+from goldfield_protocol.parameters import Kind
 
 QUIET_S = 1.0
 """Silence of a live sensor after which its incomplete reports are handed out."""
@@ -38,6 +43,9 @@ LOOKED_THROUGH = 200_000
 WAIT_S = 0.5
 """Longest wait for one message while a sensor is looked for. A wait counts for no more, however long it took: this
 process, or the whole computer, may have been stopped meanwhile."""
+
+Event = Report | Block | Pose
+"""What a sensor reports: a cycle, a block of chips, or a pose that it computed of a block."""
 
 
 class Session:
@@ -58,6 +66,10 @@ class Session:
         Whether a cycle's report waits for the pose that the sensor computed itself.
     channel : str, optional
         The sensor's channel, where the source has several.
+    blocks : bool, optional
+        Whether blocks of chips are read, if they come.
+    poses : bool, optional
+        Whether the poses that the sensor computes itself of blocks are read, if they come.
 
     Attributes
     ----------
@@ -68,6 +80,8 @@ class Session:
         What the session reads.
     assembler : Assembler
         Its counters tell what went wrong on the way.
+    blocks : BlockAssembler or None
+        The same of the blocks.
     health : Health
         What every board on the link last said of itself.
     anchors : AnchorWatch
@@ -89,12 +103,18 @@ class Session:
         recorder: Recorder | None = None,
         on_sensor: bool = False,
         channel: str | None = None,
+        *,
+        blocks: bool = False,
+        poses: bool = False,
     ) -> None:
         self.name = name
         self.health = Health(site.cycle_s)
         self.anchors = AnchorWatch(site)
         self.receiver = Receiver(source, name, recorder, self._listen)
         self.assembler = Assembler(silence_s=max(SHORTEST_SILENCE_S, 8.0 * site.cycle_s), on_sensor=on_sensor)
+        chip_s = site.cycle_s / site.chips
+        self.blocks = BlockAssembler(site.codes, site.chips, chip_s) if blocks else None
+        self.poses = OnSensorTrack(site) if poses else None
         self.keeping = Keeping(self.receiver)
         self.counters: dict[int, int] = {}
         self._bus = source if isinstance(source, BusSource) else None
@@ -123,6 +143,11 @@ class Session:
     def live(self) -> bool:
         """Whether the source is a sensor and not a recording."""
         return self._bus is not None
+
+    @property
+    def blocks_by(self) -> int:
+        """The bit of the link on which blocks of chips are read, as parameter ``blocks`` has it; 0: none are read."""
+        return 0 if self.blocks is None or self._bus is None else self._bus.link_bit
 
     @property
     def talks(self) -> bool:
@@ -183,6 +208,17 @@ class Session:
             self._ask_who(node)
         return changed
 
+    def end(self) -> None:
+        """Let a live sensor stop to send blocks on this link, if it did not before; no answer is waited for."""
+        if self._bus is None or self.node is None or not (self._parameters or {}).get(BLOCKS):
+            return
+        bit, before = self._bus.link_bit, self.keeping.links_before
+        if before is None or before & bit:
+            return
+        with contextlib.suppress(SystemFailure):
+            others = (self.keeping.links or 0) & ~bit
+            self._bus.send(*set_request(self.node, BLOCKS, others, Kind.UNSIGNED))
+
     def find(self) -> None:
         """Wait for a live sensor's heartbeat; where it is only listened to, its reports count too.
 
@@ -218,8 +254,8 @@ class Session:
         """Yield the reports of the sensor's cycles, to the end of a log or without end; the errors are `events`'."""
         return (event for event in self.events() if isinstance(event, Report))
 
-    def events(self) -> Iterator[Report | Block]:
-        """Yield the reports of the sensor's cycles, and its blocks of chips, to the end of a log or without end.
+    def events(self) -> Iterator[Event]:
+        """Yield what the sensor reports, as it becomes whole, to the end of a log or without end.
 
         Silence is what the link itself shows: time counts only while a message is waited for, and little of it each
         time, so that neither a pause of this process nor one of who takes the reports is taken for one of the sensor.
@@ -367,18 +403,24 @@ class Session:
             for parameter in self.health.boards[node].unasked:
                 self._bus.send(*encode("PARAM_GET", {"reserved": 0}, node=node, index=parameter))
 
-    def _take(self, message: Message, arrival_s: float) -> Iterator[Report | Block]:
+    def _take(self, message: Message, arrival_s: float) -> Iterator[Event]:
         """Take a message of the sensor."""
         if message.name == "HEARTBEAT" and message.signals["role"] == ROLE_ANCHOR and not self._asked:
             raise UserError(
                 f"{self.name}: node {message.node} is an anchor: give {option('node', message.node)} to read it, "
                 "or the number of the sensor"
             )
+        if self.blocks is not None:
+            yield from self.blocks.feed(message, arrival_s)
+        if self.poses is not None and (pose := self.poses.feed(message)) is not None:
+            yield pose
         yield from self.assembler.feed(message, arrival_s)
         if message.name == "COUNTER":
             self.counters[message.index] = int(message.signals["value"])
         elif message.name == "HEARTBEAT" and message.signals["state"] == STATE_STARTING:
             yield from self.assembler.end()
+            if self.blocks is not None:
+                self.blocks.restart()
             self.counters.clear()
             if self._parameters is not None:
                 self._configure_again()

@@ -1,6 +1,7 @@
 """`--track` of `goldfield run` and `goldfield locate`."""
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from tests.host.fake_sensor import (
     log_of,
 )
 
+BLOCKS = PARAMETERS["blocks"].first
 SIGMA_T = 2e-7 / np.sqrt(1023)
 
 
@@ -157,16 +159,23 @@ def test_parts_are_used_where_they_came_whole(tmp_path, capsys, monkeypatch):
     assert [line["status"] for line in poses(capsys)] == ["ok"] * 12
 
 
-class PartsSensor(PtySensor):
-    """One that knows ``parts`` and is configured last with it."""
+class BlocksSensor(PtySensor):
+    """One that knows ``blocks`` and is configured last with it."""
 
     def _configured(self):
-        return self.parameters[PARAMETERS["parts"].first] == 3
+        return f"get {BLOCKS}" in self.requests and bool(self.parameters[BLOCKS] & 1)
 
 
-def test_tracking_asks_a_live_sensor_for_parts(capsys):
-    parameters = {5: 0, PARAMETERS["parts"].first: 1, **{256 + i: 0 for i in range(64)}}
-    with PartsSensor(range(1000), parameters=parameters) as sensor:
+@pytest.mark.parametrize(("before", "after"), [(0, 0), (2, 2), (1, 1), (3, 3)])
+def test_tracking_asks_a_live_sensor_for_blocks_on_its_link_and_ends_them(capsys, before, after):
+    """What others have on the other link, or had on this one before, stays."""
+    parameters = {5: 0, BLOCKS: before, **{256 + i: 0 for i in range(64)}}
+    with BlocksSensor(range(1000), parameters=parameters) as sensor:
         assert main(["run", "--site", str(SITE), "--port", sensor.path, "--json", "--track", "--seconds", "0.5"]) == 0
-        assert sensor.requests[-1] == "set 27"
+        deadline = time.monotonic() + 10.0
+        while sensor.parameters[BLOCKS] != after and time.monotonic() < deadline:
+            time.sleep(0.01)  # what ends them is not answered, nor waited for
+        assert sensor.parameters[BLOCKS] == after
+    assert f"get {BLOCKS}" in sensor.requests
+    assert (f"set {BLOCKS}" in sensor.requests) == (not before & 1)
     assert [line["status"] for line in poses(capsys)] == ["ok"] * 5

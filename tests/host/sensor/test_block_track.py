@@ -48,10 +48,10 @@ def nothing_made():
     Moving.made = None
 
 
-def block(number, phase=0, data=0.0):
+def block(number, phase=0, data=0.0, clock=1.0):
     """The block of 31 chips with a number, on a clock on which cycle 0 begins at 0 s; it begins at any code chip."""
     first = number * BLOCK + phase
-    return Block(first // CHIPS, first % CHIPS, (first + BLOCK) * CHIP_S, BLOCK, np.full((9, 3), data))
+    return Block(first // CHIPS, first % CHIPS, (first + BLOCK) * CHIP_S * clock, BLOCK, np.full((9, 3), data))
 
 
 def followed(track, blocks):
@@ -63,9 +63,9 @@ def report(cycle):
 
 
 @pytest.mark.parametrize("rate_hz", [330.0, 1.0 / BLOCK_S, 331.0])
-@pytest.mark.parametrize("phase", [0, 17])
-def test_at_the_rate_of_the_blocks_each_pose_is_that_of_a_blocks_end(rate_hz, phase):
-    blocks = [block(n, phase) for n in range(100)]
+@pytest.mark.parametrize(("phase", "clock"), [(0, 1.0), (17, 1.0), (0, 1.0001), (0, 0.9999)])
+def test_at_the_rate_of_the_blocks_each_pose_is_that_of_a_blocks_end(rate_hz, phase, clock):
+    blocks = [block(n, phase, clock=clock) for n in range(100)]
     poses = followed(BlockTrack(ROOM, Moving, rate_hz), blocks)
     assert [pose.time_s for pose in poses] == [one.time_s for one in blocks]
     assert [pose.epoch for pose in poses] == [(n * BLOCK + phase + BLOCK - 1) // CHIPS for n in range(100)]
@@ -73,14 +73,16 @@ def test_at_the_rate_of_the_blocks_each_pose_is_that_of_a_blocks_end(rate_hz, ph
 
 
 @pytest.mark.parametrize("rate_hz", [7.0, 10.0, 100.0, 200.0, 500.0, 1000.0])
-def test_at_another_rate_the_times_are_multiples_and_each_is_out_with_its_block(rate_hz):
+@pytest.mark.parametrize("clock", [1.0, 1.0001, 0.9999])
+def test_at_another_rate_the_times_are_multiples_and_each_is_out_with_its_block(rate_hz, clock):
     track = BlockTrack(ROOM, Moving, rate_hz)
     numbers = []
     for n in range(200):
-        for pose in track.update(block(n, 5)):
-            assert block(n, 5).time_s - BLOCK_S - 1e-9 < pose.time_s <= block(n, 5).time_s + 1e-9
+        one = block(n, 5, clock=clock)
+        for pose in track.update(one):
+            assert one.time_s - clock * BLOCK_S - 1e-9 < pose.time_s <= one.time_s + 1e-9
             assert pose.position_m[0] == pose.time_s
-            assert pose.epoch == int(pose.time_s / CYCLE_S)
+            assert pose.epoch == int(pose.time_s / CYCLE_S / clock)
             numbers.append(pose.time_s * rate_hz)
     np.testing.assert_allclose(numbers, np.round(numbers), atol=1e-6)
     assert (np.diff(np.round(numbers)) == 1).all()
@@ -107,17 +109,18 @@ def test_a_block_without_data_is_as_one_that_was_lost():
     assert [one.time_s for one, _ in Moving.made[0].blocks] == [one.time_s for one in with_it if one is not with_it[7]]
 
 
-@pytest.mark.parametrize("phase", [0, 17, 30])
-def test_the_pose_of_a_cycle_is_that_of_its_end(phase):
+@pytest.mark.parametrize(("phase", "clock"), [(0, 1.0), (0, 1.0001), (0, 0.9999), (17, 1.0), (30, 1.0)])
+def test_the_pose_of_a_cycle_is_that_of_its_end(phase, clock):
     track = BlockTrack(ROOM, Moving)
     ends = []
     for n in range(33 * 4):
-        assert track.update(block(n, phase)) == []
+        assert track.update(block(n, phase, clock=clock)) == []
         if n % 33 == 1 and n > 33:  # a report comes a little behind the end of its cycle
             ends.append(track.of_cycle(report(n // 33 - 1)))
     assert [pose.epoch for pose in ends] == [0, 1, 2]
-    np.testing.assert_allclose([pose.time_s for pose in ends], [CYCLE_S, 2 * CYCLE_S, 3 * CYCLE_S])
+    np.testing.assert_allclose([pose.time_s for pose in ends], clock * CYCLE_S * np.arange(1, 4), rtol=0, atol=1e-6)
     assert max(np.abs(Moving.made[0].asked), default=0.0) <= BLOCK_S
+    assert len(Moving.made[0].asked) == (4 if phase else 0)
 
 
 def test_the_end_of_a_cycle_without_its_block_is_extrapolated_and_without_blocks_there_is_none():
