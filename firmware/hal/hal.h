@@ -16,7 +16,8 @@
  *   1. samples() with the block that just ended (sensor and anchor), then
  *   2. plan() for the block that follows the one that just started.
  * A board that is late by less than a block (3.03 ms) loses nothing. One that is late by a whole block repeats its old
- * plan: the chip edges of that block are wrong, which hal_counters_t.late_blocks counts once a block.
+ * plan: the chip edges of that block are wrong, which hal_counters_t.late_blocks counts once a block. A drive does not
+ * go on for a second such block (HAL_FAULT_STALE).
  *
  * Contexts. "Main" is the loop around hal_wait(); "interrupt" is any handler of hal_events_t. All handlers run at one
  * priority except fault and current, which share a higher one and preempt the others; a handler is never re-entered.
@@ -84,8 +85,8 @@ hal_burst_t hal_burst_timing(void);
 /* Why the board switched the drive off by itself. */
 typedef enum {
     HAL_FAULT_DRIVER = 0, /* The drivers' fault input is active: hardware has switched the bridges off. */
-    /* For two chips no coil current was converted, the chips' edges stood still, or nobody had planned them, while the
-     * drive was on. */
+    /* For two chips no coil current was converted, the chips' edges stood still, or nobody had planned them for a
+     * block and more, while the drive was on. */
     HAL_FAULT_STALE = 1,
     HAL_FAULT_CLOCK = 2, /* The crystal stopped while running: hal_clock() is no longer HAL_CLOCK_CRYSTAL. */
     HAL_FAULT_SUPPLY = 3 /* The processor's own supply fell below 2.7 V. */

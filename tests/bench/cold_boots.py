@@ -141,8 +141,8 @@ def main() -> int:
         if number % 10 == 9 or number == arguments.boots - 1:
             print(f"{good} of {number + 1} boots good, {time.process_time() - began:.0f} s of processor", flush=True)
     print(
-        f"{good} of {arguments.boots} cold boots at {cycles} cycles an instruction: all boards run, nothing counted; "
-        f"first locked cycle of the sensor told after {np.nanmedian(times):.2f} s (median), {np.nanmax(times):.2f} (worst)"
+        f"{good} of {arguments.boots} cold boots at {cycles} cycles an instruction: all run, nothing is counted; the "
+        f"sensor's first locked cycle after {np.nanmedian(times):.2f} s (median), {np.nanmax(times):.2f} (worst)"
     )
     return 0 if good == arguments.boots else 1
 

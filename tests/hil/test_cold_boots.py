@@ -1,4 +1,4 @@
-"""Cold boots of a master, a beacon and a sensor with slow instructions: all run, the sensor locks, nothing is counted."""
+"""Cold boots of three boards with slow instructions: all run, the sensor locks, nothing is counted."""
 
 import pytest
 

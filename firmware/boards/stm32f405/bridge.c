@@ -8,7 +8,7 @@
  *   who switches off            how                                             when
  *   the drivers                 their fault wire is the break input of both     at once, in hardware, without a clock
  *   the chip engine, standing   TIM7, restarted by each coil current, ends      two chips behind the last current
- *   nobody, planning            coil currents restart TIM7 no more              two chips behind the last planned one
+ *   nobody, planning            coil currents restart TIM7 no more              a block and two chips behind the plan
  *   the crystal, stopping       the clock security system is a break, too       at once, in hardware
  *   hal_drive_enable(), crash   MOE is cleared                                  at once
  * MOE cannot be set while a break input is low, nor can the break's flag be cleared (RM0090, 17.4.18): the fault is a

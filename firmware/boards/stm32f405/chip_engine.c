@@ -54,8 +54,8 @@
  * counted. It writes over entries that were fetched for block b - 1 and before.
  *
  * A ring whose plan nobody renews goes round with old edges. The coil currents' interrupt, which a block interrupt that
- * hangs does not stop, counts the chips since the start of the block in which the last plan was made; beyond the two
- * blocks that it and the one before last it lets the bridges go off (bridge_watch).
+ * hangs does not stop, counts the chips since the start of the block in which the last plan was made. Two blocks were
+ * planned then; a third, which repeats the first, is counted as late; behind it the bridges go off (bridge_watch).
  *
  * Where are we? TIM8 knows the tick, and the transfers of stream 4 the chip, but for the few ticks around the middle:
  * chip_now() reads both. A position in the ring (0..61) becomes an absolute chip by the running block as the block
@@ -302,13 +302,13 @@ static bool in_step(const DMA_stream_registers *stream, uint32_t items, uint32_t
 
 /* The coil currents of chip c are converted behind its middle, when stream 4 has done c + 1 transfers, until the next
  * chip's. That is right if this interrupt is late by less than half a chip. The bridges stay on for two more chips if
- * the streams that bring their levels and set-points move together, and what they bring was planned. */
+ * the streams that bring their levels and set-points move together, and somebody plans what they bring. */
 void ADC_Handler(void) {
     uint16_t count[HAL_CHANNELS];
     if (!converters_take(&board, count))
         return;
     const uint32_t position = before(transfers(&DMA2->S[4], EDGE_ITEMS));
-    const bool planned = board.chips_since_plan < RING_CHIPS;
+    const bool planned = board.chips_since_plan < RING_CHIPS + HAL_BLOCK_CHIPS;
     board.chips_since_plan += planned ? 1u : 0u;
     if (planned && in_step(&DMA2->S[1], EDGE_8_ITEMS, position) && in_step(&DMA1->S[5], 1u, position))
         bridge_watch();

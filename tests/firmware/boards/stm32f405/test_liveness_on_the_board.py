@@ -28,8 +28,8 @@ INJECT, WATCHDOG, BLOCK = 700 * MS, 500 * MS, 4 * MS
 CHIP = round(chip_seconds(0) * SECOND)
 RUNNING = 3
 """Chips that go on: the one under way, and the two that a coil's current allows."""
-PLANNED = 62
-"""Chips that may be planned, behind which the rings of the chip engine go round."""
+PLANNED = 93
+"""Chips of the two blocks that may be planned, and of one that is late and repeats the first of them."""
 PERIOD = 15 * MS  # what moved just before it stopped counts once more
 WATCHDOG_CAUSE = 4
 CONVERTER_OVERRUNS = 6
@@ -163,7 +163,7 @@ def test_a_timer_of_the_edges_that_stops_switches_the_coil_off_for_good(driving,
     board = driving(STOP_TIMER, timer)
     board.run(INJECT + 1500 * MS)
     assert was_injected(board)
-    assert off_after(board) <= RUNNING * CHIP
+    assert off_after(board) <= (RUNNING + 1) * CHIP  # one more may have had its edges
     assert not [time for time in board.edges(PIN_ENABLE, True) if time > INJECT]
     assert board.messages("DRIVE_HEALTH")[-1].signals["cause"] == STALE
 
@@ -178,7 +178,7 @@ def test_the_stream_of_the_edges_that_stops(driving):
     board.run(INJECT + 4 * BLOCK)
     assert was_injected(board)
     board.run(INJECT + WATCHDOG + PERIOD + 50 * MS)
-    assert off_after(board) <= RUNNING * CHIP
+    assert off_after(board) <= (RUNNING + 1) * CHIP
     cause, still = last_report(board)
     assert cause == WATCHDOG_CAUSE
     assert still in (set(), {"blocks"})
