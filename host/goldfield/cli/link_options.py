@@ -58,13 +58,20 @@ def chosen(arguments: argparse.Namespace) -> tuple[str, str]:
     return kind, where
 
 
-def add_reading(parser: argparse.ArgumentParser, *, channel: bool = True) -> None:
-    """Add the options that say how a sensor is read; ``channel``: the source may have several channels."""
+def add_reading(parser: argparse.ArgumentParser, *, channel: bool = True, reconnect: bool = True) -> None:
+    """Add the options that say how a sensor is read.
+
+    ``channel``: the source may have several channels; ``reconnect``: the user says whether a link that is gone is
+    waited for, which else is so.
+    """
     options.add(parser, "--node", metavar="N", what="node of the sensor, where there are several", kind=options.node)
     if channel:
         options.add(parser, "--channel", metavar="NAME", what="channel of the sensor, in a log of several buses")
     options.add_switch(parser, "--listen-only", what="send nothing, ever: for a bus on which a recording is replayed")
-    options.add_switch(parser, "--reconnect", what="wait for a port that is gone or a sensor that is silent, and go on")
+    if reconnect:
+        options.add_switch(
+            parser, "--reconnect", what="wait for a port that is gone or a sensor that is silent, and go on"
+        )
 
 
 def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Options:
@@ -75,7 +82,7 @@ def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Opti
         getattr(arguments, "seconds", None),
         channel=getattr(arguments, "channel", None),
         listen_only=arguments.listen_only,
-        reconnect=arguments.reconnect,
+        reconnect=getattr(arguments, "reconnect", True),
         rate_hz=getattr(arguments, "rate", None),
         lag_s=getattr(arguments, "lag", None),
     )
