@@ -28,6 +28,7 @@ LEVELS = (
     ("nodes",),
     ("doctor",),
     ("view",),
+    ("page",),
     ("cli",),
 )
 """Parts of goldfield, lowest first. A part imports itself and lower ones; parts of one level do not know each other.

@@ -37,6 +37,7 @@ from goldfield.files.inputs import reason_of
 COMMANDS = {
     "run": ("goldfield.cli.run", "live poses from a sensor"),
     "locate": ("goldfield.cli.locate", "poses from a table of fields"),
+    "view": ("goldfield.cli.view", "live page: poses and beacons in the browser"),
     "monitor": ("goldfield.cli.monitor", "live health of a sensor and its beacons"),
     "ports": ("goldfield.cli.ports", "serial ports and CAN interfaces"),
     "doctor": ("goldfield.cli.doctor", "what is wrong, and what to do"),

@@ -1,0 +1,84 @@
+"""``goldfield view``: live poses and the health of the beacons as a page in the browser."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from typing import Any
+
+from goldfield.cli import link_options, options
+from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
+from goldfield.errors import on_command_line
+
+
+def command(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser = subparsers.add_parser(
+        "view",
+        help="live page: poses and beacons in the browser",
+        description="Serve a page that shows the site, the sensor's poses, and how each beacon does, live or from a "
+        "recording. The first line on stdout is the page's address. Only browsers of this machine reach it, unless "
+        "--bind says otherwise; the address then holds a token, without which nothing is answered.",
+    )
+    link_options.add(parser, log=True)
+    options.add_site(parser)
+    options.add(
+        parser,
+        "--bind",
+        metavar="ADDRESS:PORT",
+        what="where to listen, as 0.0.0.0:8000 for every network of this machine (default: port 8420 of this machine "
+        "alone, or any that is free)",
+    )
+    options.add(
+        parser,
+        "--pace",
+        metavar="X",
+        what="play a recording X times as fast as it was made; 0: as fast as it can be computed (default: 1)",
+        kind=_pace,
+    )
+    add_track(parser)
+    add_times(parser)
+    add_on_sensor(parser)
+    add_alert_limit(parser)
+    link_options.add_reading(parser, reconnect=False)
+    parser.set_defaults(run=run)
+
+
+def _pace(text: str) -> float:
+    """Parse a pace, for argparse."""
+    value = options.finite(text)
+    if value < 0.0:
+        raise argparse.ArgumentTypeError(f"{text} is no pace: give 0, or a number above it")
+    return value
+
+
+@on_command_line()
+def run(arguments: argparse.Namespace) -> int:
+    """Print the address and serve the page until Ctrl-C, which is the usual end."""
+    kind, where = link_options.chosen(arguments)
+    site = site_of(arguments)
+
+    from goldfield.page.application import application  # heavy: only when a page is served
+    from goldfield.page.expected_error import ExpectedError
+    from goldfield.page.feeding import Feed
+    from goldfield.page.hub import Hub
+    from goldfield.page.messages import hello
+    from goldfield.page.serving import Listener, PageServer, built_assets, parse_address
+    from goldfield.sensor.options import chosen_method
+
+    assets = built_assets()
+    method = chosen_method(arguments.track, arguments.on_sensor, arguments.rate, arguments.lag)
+    choices = link_options.reading(arguments, method)
+    choices.check(site)
+    live = kind != "log"
+    hub = Hub(hello(site, where, live=live), site.cycle_s, live=live)
+    listener = Listener(parse_address(arguments.bind) if arguments.bind else None)
+    pace = 1.0 if arguments.pace is None else arguments.pace
+    feed = Feed(hub, kind, where, site, choices, pace)
+    page = application(hub, assets, ExpectedError(site), listener.token)
+    with contextlib.suppress(KeyboardInterrupt), PageServer(page, listener):
+        print(listener.url, flush=True)
+        options.tell_assumed(site)
+        feed.run()
+        feed.stopped.wait()  # a recording is at its end, and still looked at
+    return 0

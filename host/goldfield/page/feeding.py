@@ -1,0 +1,126 @@
+"""Feeds the hub: a sensor is opened, and opened again if its link fails; a recording is played at its own pace."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.page.hub import Hub, State
+from goldfield.page.messages import epoch_message, fix_message, health_message
+from goldfield.sensor.opening import open_sensor
+from goldfield.sensor.options import Options
+from goldfield.sensor.pipeline import Epoch, Fix, Sensor
+from goldfield.site import Site
+from goldfield.view.monitor import Monitor, RosterRecorder
+
+HEALTH_EVERY_S = 0.5
+"""Time of the sensor from one message of health to the next, s."""
+RETRY_S = 1.0
+"""Wait before a link that failed is opened again, s."""
+
+
+class Feed:
+    """Reads one source for a hub, in the caller's thread.
+
+    Parameters
+    ----------
+    hub : Hub
+    kind, where : str
+        The source, as for `open_sensor`.
+    site : Site
+    options : Options
+    pace : float
+        A recording is played so many times faster than it was made; 0: as fast as it can be computed.
+    """
+
+    def __init__(self, hub: Hub, kind: str, where: str, site: Site, options: Options, pace: float = 1.0) -> None:
+        self._hub = hub
+        self._kind, self._where = kind, where
+        self._site, self._options = site, options
+        self._recorder = RosterRecorder()
+        self._monitor = Monitor(site, where, self._recorder.roster)
+        self._health_every = max(1, round(HEALTH_EVERY_S / site.cycle_s))
+        self._epochs = 0
+        self._told = ""
+        self._pacing = Pacing(pace if kind == "log" else 0.0)
+        self.stopped = threading.Event()
+
+    def run(self) -> None:
+        """Feed the hub to the end of a recording, or of a live sensor until `stopped` is set or Ctrl-C.
+
+        A live link that fails after its first epoch, or a sensor that is not heard, is tried again without end, and the
+        page says so.
+
+        Raises
+        ------
+        UserError
+            If the source cannot be opened at first, or the recording holds nothing of use.
+        """
+        while not self.stopped.is_set():
+            try:
+                self._read()
+            except (SystemFailure, UserError) as error:
+                if self._kind == "log" or (isinstance(error, UserError) and not self._epochs):
+                    raise
+                self._tell(str(error))
+                self.stopped.wait(RETRY_S)
+            else:
+                break
+        self._hub.set_state(State.ENDED)
+
+    def _tell(self, error: str) -> None:
+        """Say that the link failed: on the page, and once on stderr."""
+        self._hub.set_state(State.LOST, error)
+        if error != self._told:
+            tell(f"{error}; trying again")
+        self._told = error
+
+    def _read(self) -> None:
+        with open_sensor(self._kind, self._where, self._site, self._options, self._recorder) as sensor:
+            for item in sensor.stream():
+                self._take(item, sensor)
+                if self.stopped.is_set():
+                    return
+
+    def _take(self, item: Epoch | Fix, sensor: Sensor) -> None:
+        self._pacing.wait(item.pose.time_s, self.stopped)
+        if isinstance(item, Fix):
+            self._hub.publish_fix(fix_message(item))
+            return
+        self._monitor.node = sensor.node
+        self._monitor.add(item)
+        self._hub.publish_epoch(epoch_message(item))
+        if self._epochs % self._health_every == 0:
+            self._hub.publish_health(health_message(self._monitor, self._recorder.roster))
+        self._epochs += 1
+
+
+class Pacing:
+    """Waits until what was recorded is due.
+
+    Parameters
+    ----------
+    pace : float
+        How many times faster than it was recorded; 0: nothing waits.
+    """
+
+    LONGEST_S = 5.0
+    """A gap that is longer is not waited for: the sensor's clock began again, or nothing came."""
+
+    def __init__(self, pace: float) -> None:
+        self._pace = pace
+        self._due_s = self._last_s = math.nan
+
+    def wait(self, time_s: float, stopped: threading.Event) -> None:
+        """Wait for what has this time on the sensor's clock, or until an event is set; NaN is due at once."""
+        if not self._pace or math.isnan(time_s):
+            return
+        now_s, step_s = time.monotonic(), time_s - self._last_s
+        self._last_s = time_s
+        if not 0.0 <= step_s <= self.LONGEST_S:  # the first one, too
+            self._due_s = now_s
+            return
+        self._due_s = max(self._due_s + step_s / self._pace, now_s - self.LONGEST_S)
+        stopped.wait(max(0.0, self._due_s - now_s))

@@ -1,0 +1,231 @@
+"""The server, asked over real connections: files, headers, who may look, the stream, and a browser that is slow."""
+
+import http.client
+import json
+import re
+import socket
+from contextlib import contextmanager
+from urllib.parse import urlsplit
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from goldfield.errors import SystemFailure, UserError
+from goldfield.page.application import HEADERS, application
+from goldfield.page.hub import Hub
+from goldfield.page.serving import Listener, PageServer, built_assets, parse_address
+
+TIMEOUT_S = 60.0
+
+
+@pytest.fixture
+def assets(tmp_path):
+    (tmp_path / "index.html").write_text("<p>the page</p>")
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "main.js").write_text("1;")
+    return tmp_path
+
+
+def error_map(height_m):
+    if height_m > 9.0:
+        raise UserError("z=10: is far from the beacons")
+    return {"z_m": height_m}
+
+
+@contextmanager
+def serving(assets, bind=("127.0.0.1", 0)):
+    """Serve, and return the hub and the address."""
+    hub = Hub('{"type":"hello"}', 0.1, live=True)
+    listener = Listener(bind)
+    with PageServer(application(hub, assets, error_map, listener.token), listener):
+        yield hub, listener.url
+
+
+@pytest.fixture
+def local(assets):
+    with serving(assets) as served:
+        yield served
+
+
+def get(url, path="", **headers):
+    """Return status, headers and text of an answer."""
+    parts = urlsplit(url)
+    connection = http.client.HTTPConnection("127.0.0.1", parts.port, timeout=TIMEOUT_S)
+    try:
+        connection.request("GET", parts.path + path, headers={"Host": parts.netloc, **headers})
+        answer = connection.getresponse()
+        return answer.status, dict(answer.getheaders()), answer.read().decode()
+    finally:
+        connection.close()
+
+
+def live(url, **options):
+    parts = urlsplit(url)
+    return connect(f"ws://127.0.0.1:{parts.port}{parts.path}live", open_timeout=TIMEOUT_S, **options)
+
+
+def next_messages(stream, kind):
+    """Return the messages of one kind of the next frame that has any."""
+    while True:
+        found = [message for message in json.loads(stream.recv(TIMEOUT_S)) if message["type"] == kind]
+        if found:
+            return found
+
+
+def test_the_page_and_its_files_come_with_a_policy(local):
+    _, url = local
+    status, headers, text = get(url)
+    assert (status, text) == (200, "<p>the page</p>")
+    assert headers.items() >= HEADERS.items()
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "unsafe" not in headers["content-security-policy"]
+    assert get(url, "assets/main.js")[0] == 200
+    assert get(url, "assets/none.js")[0] == 404
+    assert get(url, "../serving.py")[0] == 404
+
+
+@pytest.mark.parametrize("name", ["localhost", "127.0.0.1", "[::1]", "LOCALHOST"])
+def test_names_of_this_machine_are_answered(local, name):
+    assert get(local[1], Host=f"{name}:{urlsplit(local[1]).port}")[0] == 200
+
+
+@pytest.mark.parametrize("name", ["evil.example", "localhost.evil.example", "192.168.0.7", ""])
+def test_a_page_that_points_its_own_name_here_gets_nothing(local, name):
+    _, url = local
+    status, _, text = get(url, Host=f"{name}:{urlsplit(url).port}")
+    assert status in (400, 403)
+    assert "the page" not in text or "this page is for" in text
+
+
+def test_another_page_does_not_get_the_stream(local):
+    _, url = local
+    own = url.rstrip("/")
+    with live(url, origin=own) as stream:
+        assert next_messages(stream, "hello")
+    for origin in ("http://evil.example", "null", own.replace("127.0.0.1", "localhost"), "http://127.0.0.1:1"):
+        with pytest.raises(InvalidStatus) as refused:
+            live(url, origin=origin)
+        assert refused.value.response.status_code == 403
+        assert get(url, Origin=origin)[0] == 403
+
+
+def test_beyond_this_machine_the_address_holds_a_token_and_nothing_answers_without(assets):
+    with serving(assets, ("0.0.0.0", 0)) as (_, url), serving(assets, ("0.0.0.0", 0)) as (_, other):
+        parts = urlsplit(url)
+        token = parts.path.strip("/")
+        assert len(token) >= 22
+        assert token != urlsplit(other).path.strip("/")
+        assert get(url)[2] == "<p>the page</p>"
+        assert get(url, "assets/main.js")[0] == 200
+        status, headers, _ = get(url.rstrip("/"))
+        assert (status, urlsplit(headers["location"]).path) == (307, parts.path)
+        with live(url) as stream:
+            assert next_messages(stream, "hello")
+        bare = f"http://{parts.netloc}/"
+        for wrong in (bare, f"{bare}{token[:-1]}/", f"{bare}{token}x/", f"{bare}assets/main.js", f"{bare}x/{token}/"):
+            status, _, text = get(wrong)
+            assert status == 404
+            assert "token" in text
+        with pytest.raises(InvalidStatus):
+            live(bare)
+        with pytest.raises(InvalidStatus):
+            live(url, origin="http://evil.example")
+
+
+def test_the_stream_begins_with_the_site_and_goes_on(local):
+    hub, url = local
+    with live(url) as stream:
+        assert next_messages(stream, "hello") == [{"type": "hello"}]
+        hub.publish_epoch('{"type":"epoch","epoch":1}')
+        assert next_messages(stream, "epoch")[0]["epoch"] == 1
+        assert next_messages(stream, "state")[0]["state"] == "running"
+        with live(url) as later:
+            assert next_messages(later, "epoch")[0]["epoch"] == 1
+
+
+def test_a_browser_that_reads_nothing_holds_up_nobody_and_loses_the_oldest(local):
+    hub, url = local
+    message = json.dumps({"type": "epoch", "fill": "x" * 4000})
+    with live(url, max_queue=1, max_size=None) as slow, live(url, max_size=None) as quick:
+        next_messages(slow, "hello")
+        next_messages(quick, "hello")
+        for _ in range(10_000):  # 40 MB, which no buffer of a connection holds
+            hub.publish_epoch(message)
+        hub.publish_epoch('{"type":"epoch","fill":"last"}')
+        for stream in (quick, slow):
+            got, dropped, last = 0, 0, ""
+            while last != "last":
+                for one in json.loads(stream.recv(TIMEOUT_S)):
+                    dropped += one.get("count", 0)
+                    if one["type"] == "epoch":
+                        got, last = got + 1, one["fill"]
+            assert got + dropped == 10_001
+        assert dropped > 0  # by the slow one
+
+
+def test_browsers_that_go_are_forgotten(local):
+    hub, url = local
+    for _ in range(3):
+        with live(url) as stream:
+            next_messages(stream, "hello")
+            assert hub.browsers >= 1
+    with live(url) as stream:  # by its second state the server has seen the others go
+        next_messages(stream, "state")
+        next_messages(stream, "state")
+        assert hub.browsers == 1
+
+
+def test_what_a_browser_says_has_no_effect(local):
+    hub, url = local
+    with live(url) as stream:
+        next_messages(stream, "hello")
+        stream.send("anything")
+        stream.send(b"\x00\xff")
+        hub.publish_fix('{"type":"fix"}')
+        assert next_messages(stream, "fix")
+
+
+def test_the_map_of_the_expected_error(local):
+    _, url = local
+    status, _, text = get(url, "expected_error?z=1.5")
+    assert (status, json.loads(text)) == (200, {"z_m": 1.5})
+    for query, said in (("z=10", "far from the beacons"), ("z=high", "height in metres"), ("", "height in metres")):
+        status, _, text = get(url, f"expected_error?{query}")
+        assert status == 400
+        assert said in text
+
+
+def test_an_address_that_is_taken_or_none_of_ours():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(UserError, match="cannot listen there"):
+            Listener(taken.getsockname())
+    with pytest.raises(UserError, match="cannot listen there"):
+        Listener(("192.0.2.7", 0))  # nobody's (RFC 5737)
+
+
+def test_two_pages_without_an_address_of_their_own_both_find_a_port():
+    first, second = Listener(), Listener()
+    try:
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", first.url)
+        assert first.url != second.url
+    finally:
+        first.socket.close()
+        second.socket.close()
+
+
+@pytest.mark.parametrize(
+    "text", ["8000", "127.0.0.1", "127.0.0.1:", ":8000", "a:65536", "a:-1", "::1:80", "a:٣", "[]:1"]
+)
+def test_what_is_no_address_is_refused(text):
+    with pytest.raises(UserError, match="ADDRESS:PORT|brackets"):
+        parse_address(text)
+
+
+def test_a_page_that_is_not_built_says_how_to_build_it(tmp_path):
+    with pytest.raises(SystemFailure, match="make page"):
+        built_assets(tmp_path)
+    (tmp_path / "index.html").write_text("")
+    assert built_assets(tmp_path) == tmp_path
