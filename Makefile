@@ -23,6 +23,7 @@ include firmware/core/core.mk
 include firmware/boards/stm32f405/board.mk
 include firmware/boards/host/board.mk
 include host/goldfield/locate/locate.mk
+include host/goldfield/page/page.mk
 include hil_sim/emulator/emulator.mk
 include hil_sim/rig/rig.mk
 include tests/tests.mk
@@ -78,7 +79,7 @@ $(BUILD)/venv.stamp: requirements.txt pyproject.toml setup.py $(BUILD)/host-tool
 setup: $(BUILD)/venv.stamp $(BUILD)/arm-tools.stamp ## Python environment and cross compiler
 
 # ---- the main job ----
-all: setup $(PROTOCOL_HEADERS) $(FIRMWARE_IMAGES) $(HOST_LIBRARIES) ## Everything that runs: images, host boards, simulator
+all: setup $(PROTOCOL_HEADERS) $(FIRMWARE_IMAGES) $(HOST_LIBRARIES) page ## Everything that runs: images, host boards, simulator
 
 run: all ## Main job: emulated boards, real image, poses beside the truth (SECONDS=20)
 	@$(PYTHON) -m hil_sim.demo --seconds $(or $(SECONDS),20)
@@ -89,6 +90,6 @@ wheel: all ## Everything as one file for pip, in build/dist: host, simulator and
 	@du -h $(BUILD)/dist/*.whl
 
 clean: ## Remove what was built (not the Python environment)
-	rm -rf $(BUILD) $(LOCATE_LIBRARY)
+	rm -rf $(BUILD) $(LOCATE_LIBRARY) $(dir $(PAGE))
 
 .PHONY: help setup all run wheel clean
