@@ -57,6 +57,11 @@ class NormalForm:
     end_s: float
     axes: NDArray[np.bool_]
 
+    def beside_ambient(self, matrix: FloatArray) -> FloatArray:
+        """Return the rows of the beacons of a matrix, or of the sums, if the ambient field is unknown."""
+        share = self.gram[:-1, -1] / self.gram[-1, -1]
+        return np.asarray(matrix[:-1] - share[:, None] * matrix[-1])
+
     def without(self, rows: NDArray[np.intp]) -> NormalForm:
         """Return what the block tells of the others if the fields of some beacons are unknown."""
         if not len(rows):
@@ -253,16 +258,21 @@ class Separated:
     sweep_s: FloatArray
 
 
-def separated(forms: Sequence[NormalForm]) -> Separated:
-    """Separate the fields of some blocks, or of what a motion leaves of them, as if the sensor stood still."""
+def separated(forms: Sequence[NormalForm], blur: FloatArray | None = None) -> Separated:
+    """Separate the fields of some blocks, or of what a motion leaves of them, as if the sensor stood still.
+
+    Parameters
+    ----------
+    forms : sequence of NormalForm
+    blur : ndarray, shape (n,), optional
+        Variance of the beacons' sums beside that of the noise, over a sample's variance.
+    """
     count = len(forms[0].gram) - 1
     gram, right = np.zeros((count, count)), np.zeros((count, count + 4))
     for form in forms:
-        ambient = form.gram[:count, count]
-        share = ambient / form.gram[count, count]
-        gram += form.gram[:count, :count] - np.outer(ambient, share)
-        right[:, :3] += form.sums_T[:count] - np.outer(share, form.sums_T[count])
-        right[:, 3:] += form.moment[:count] - np.outer(share, form.moment[count])
+        gram += form.beside_ambient(form.gram)[:, :count]
+        right[:, :3] += form.beside_ambient(form.sums_T)
+        right[:, 3:] += form.beside_ambient(form.moment)
     scale = np.sqrt(np.diag(gram))
     scale[scale < PIVOT * scale.max(initial=0.0)] = np.inf
     scale[scale == 0.0] = np.inf
@@ -270,6 +280,10 @@ def separated(forms: Sequence[NormalForm]) -> Separated:
     seen = values > SEPARABLE
     known = (vectors[:, ~seen] ** 2).sum(axis=1) < SEPARABLE
     part = vectors[:, seen] / scale[:, None]
-    solved = (part / values[seen]) @ (part.T @ right)
-    deviation = np.sqrt((part * part / values[seen]).sum(axis=1))
+    inverse = (part / values[seen]) @ part.T
+    solved = inverse @ right
+    variance = np.diag(inverse)
+    if blur is not None:
+        variance = variance + (inverse * inverse) @ blur
+    deviation = np.sqrt(variance)
     return Separated(np.where(known[:, None], solved[:, :3], np.nan), np.where(known, deviation, np.inf), solved[:, 3:])

@@ -254,8 +254,8 @@ class BlockFilter:
 
     def _judge(self, form: NormalForm, middle_s: float) -> None:
         """Show the block to the integrity; follow its verdict."""
-        motion = self._banks[0].output().motion
-        verdict = self._integrity.add(form, motion, self._epoch, middle_s, self._out)
+        known = self._banks[0].output()
+        verdict = self._integrity.add(form, known, self._epoch, middle_s, self._out)
         if verdict is None:
             return
         self._verdict = verdict

@@ -18,16 +18,17 @@ from numpy.typing import NDArray
 
 from goldfield.locate import Locator
 from goldfield.site import Site
+from goldfield.track.blocks.bank import Estimate
 from goldfield.track.blocks.equations import BlockEquations, NormalForm, separated
 from goldfield.track.blocks.state import Motion
-from goldfield.track.blocks.update import Reference, reference
+from goldfield.track.blocks.update import MOTION, MOVING, Reference, reference
 from goldfield.track.continuity import joined
 from goldfield.track.estimate import Belief
 from goldfield.track.faults import judged
 from goldfield.track.motion import State
 from goldfield.track.observe import EpochObserver
 from goldfield.track.witness import Witness
-from goldfield.types import Fields, Pose, Status
+from goldfield.types import Fields, FloatArray, Pose, Status
 
 KNOWN = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1e-9], 3)
 """Standard deviations of what is believed before a cycle is judged: its motion has been taken out, its pose is free."""
@@ -99,18 +100,20 @@ class Integrity:
         """Begin a cycle anew."""
         self._rests: list[NormalForm] = []
         self._references: list[tuple[Reference, float]] = []
+        self._blurs: list[FloatArray] = []
         self._seconds = 0.0
 
     def add(
-        self, form: NormalForm, motion: Motion, epoch: int, middle_s: float, without: Sequence[str]
+        self, form: NormalForm, known: Estimate, epoch: int, middle_s: float, without: Sequence[str]
     ) -> Verdict | None:
-        """Add a block and the motion at its middle; return a verdict once a cycle, or when it cannot wait.
+        """Add a block and what is known of its middle; return a verdict once a cycle, or when it cannot wait.
 
         A block that the track has refused is not to be added: it says nothing of the beacons. ``without`` are the
         beacons that the track leaves out.
         """
-        around = reference(self._locator.model, motion)
-        rest = around.residual(form) @ motion.rotation  # in the sensor's frame
+        around = reference(self._locator.model, known.motion)
+        rest = around.residual(form) @ known.motion.rotation  # in the sensor's frame
+        self._blurs.append(self._blur(form, around, known.covariance))
         self._rests.append(replace(form, sums_T=rest))
         self._references.append((around, middle_s))
         self._seconds += 2.0 * form.end_s + self._site.chip_period_s
@@ -122,16 +125,32 @@ class Integrity:
         self.forget()
         return verdict
 
+    def _blur(self, form: NormalForm, around: Reference, covariance: FloatArray) -> FloatArray:
+        """Return what the track's error adds to the variance of a block's sums, over a sample's, shape (n,).
+
+        An error that stays is a pose, which is free anyway; one that changes from block to block leaks from field to
+        field, since the codes are not orthogonal within a block.
+        """
+        pose = around.jacobian[..., :MOVING]
+        still, moving = (
+            ((pose @ covariance[part, part]) * pose).sum(axis=(1, 2)) / 3.0 for part in (slice(0, MOVING), MOTION)
+        )
+        leaks = form.beside_ambient(form.gram)
+        leaks[:, :-1] -= np.diag(np.diag(leaks[:, :-1]))
+        slopes = form.beside_ambient(form.moment)
+        leaked = (leaks * leaks) @ still + (slopes * slopes) @ moving
+        return np.asarray(leaked / self._site.sensor.noise_T**2)
+
     def _far_off(self, out: NDArray[np.intp]) -> bool:
         """Tell whether the fields of the last few blocks are far from what the site lets expect."""
-        cost, freedom = self._cost([rest.without(out) for rest in self._rests[-QUICK:]])
+        cost, freedom = self._cost([rest.without(out) for rest in self._rests[-QUICK:]], self._blurs[-QUICK:])
         limit = freedom + FAR_OFF * math.sqrt(2.0 * freedom) + TRACKED
         return cost > limit + USUAL * self._usual * QUICK
 
     @staticmethod
-    def _cost(rests: Sequence[NormalForm]) -> tuple[float, int]:
+    def _cost(rests: Sequence[NormalForm], blurs: Sequence[FloatArray]) -> tuple[float, int]:
         """Return chi-square of what is left of the fields, and about its mean."""
-        found, weight = separated(rests), rests[-1].weight
+        found, weight = separated(rests, np.sum(blurs, axis=0)), rests[-1].weight
         heard = np.isfinite(found.deviation)
         field = found.field_T[heard] / found.deviation[heard, None]
         return float(((field @ weight) * field).sum()), 3 * int(heard.sum())
@@ -139,7 +158,7 @@ class Integrity:
     def _judged(self, epoch: int, without: Sequence[str], out: NDArray[np.intp]) -> Verdict:
         """Judge the blocks that there are: first all beacons, then, if they do not agree, those in the track alone."""
         kept = [rest.without(out) for rest in self._rests]
-        cost, freedom = self._cost(kept)
+        cost, freedom = self._cost(kept, self._blurs)
         self._usual = max(cost - freedom, 0.0) / len(kept)
         around, _ = self._references[len(self._references) // 2]
         fields = self._fields(self._rests, epoch)
@@ -155,7 +174,7 @@ class Integrity:
 
     def _fields(self, rests: Sequence[NormalForm], epoch: int) -> Fields:
         """Return the fields that a sensor at rest at the middle of the blocks would have had."""
-        found = separated(rests)
+        found = separated(rests, np.sum(self._blurs, axis=0))
         around, time_s = self._references[len(self._references) // 2]
         rows = np.flatnonzero(np.isfinite(found.deviation))
         components = (around.field_T[:-1] @ around.motion.rotation + found.field_T)[rows]

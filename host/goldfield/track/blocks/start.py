@@ -103,7 +103,7 @@ class Starter:
         return pose, [self._start(one, ambient, form, len(forms)) for one in both if one is not None]
 
     def _slopes(self, field_T: FloatArray, ambient_T: FloatArray) -> FloatArray:
-        """Return how fast the fields of a sensor in motion may change, T/s, shape (n + 1,): as dipoles do, B by 3 B/r."""
+        """Return how fast the fields of a sensor in motion may change, shape (n + 1,), T/s: a dipole by 3 B/r."""
         size = np.linalg.norm(np.nan_to_num(np.vstack([field_T, ambient_T])), axis=1)
         by_motion = START_RATE_RAD_S * size
         range_m = np.cbrt(1.5e-7 * self._moment_A_m2 / np.maximum(size[:-1], 1e-12))

@@ -87,7 +87,8 @@ def test_missing_samples_and_axes_are_left_out():
     left = np.delete(np.hstack([CODES, ONES])[PLACE], 3, axis=0)
     np.testing.assert_allclose(form.gram, left.T @ left, atol=1e-12)
     np.testing.assert_allclose(form.sums_T[:, :2], left.T @ np.delete(data, 3, axis=0)[:, :2], atol=1e-18)
-    assert form.weight[2].tolist() == [0.0, 0.0, 0.0] and not form.sums_T[:, 2].any()
+    assert form.weight[2].tolist() == [0.0, 0.0, 0.0]
+    assert not form.sums_T[:, 2].any()
     assert form.axes.tolist() == [True, True, False]
     assert BlockEquations(SITE).form(block(np.full((31, 3), np.nan), True)) is None
 
@@ -106,7 +107,8 @@ def test_axes_that_differ_give_components_and_their_weight():
 def test_a_beacon_left_out_is_one_whose_field_may_be_anything():
     form = BlockEquations(SITE).form(block(samples(CODES), True))
     left = form.without(np.array([2, 5]))
-    assert not left.gram[[2, 5]].any() and not left.sums_T[[2, 5]].any()
+    assert not left.gram[[2, 5]].any()
+    assert not left.sums_T[[2, 5]].any()
     wild = FIELD.copy()
     wild[[2, 5]] += 1e-3
     other = NormalForm(form.sums_T + form.gram @ (wild - FIELD), form.gram, form.moment, form.weight, 0.0, form.axes)
@@ -125,7 +127,8 @@ def test_blocks_are_separated_beside_an_ambient_field_of_each():
         forms.append(equations.form(Block(0, chip, 1.0, 31, columns @ field, True)))
     found = separated(forms)
     np.testing.assert_allclose(found.field_T, FIELD[:8], atol=1e-15)
-    assert (found.deviation > 1.0 / np.sqrt(93.0)).all() and (found.deviation < 1.3 / np.sqrt(93.0)).all()
+    assert (found.deviation > 1.0 / np.sqrt(93.0)).all()
+    assert (found.deviation < 1.3 / np.sqrt(93.0)).all()
 
 
 def test_beacons_that_a_block_does_not_tell_apart_have_no_field():

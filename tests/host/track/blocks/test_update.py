@@ -66,7 +66,7 @@ def test_the_residual_changes_with_the_state_as_the_update_takes_it(axis):
 
 
 def _dense(block, around):
-    """Derivative of the sums, turned into the site's frame, by the 18 errors, by the first order in the block's time."""
+    """Derivative of the sums, turned into the site's frame, by the 18 errors, to the first order in time."""
     by_place = np.zeros((9, 3, 18))
     by_place[:, :, POSITION], by_place[:, :, TURN] = around.jacobian[:, :, :3], around.jacobian[:, :, 3:6]
     by_place[8, :, AMBIENT], by_place[8, :, OFFSET] = np.eye(3), around.motion.rotation
@@ -110,9 +110,11 @@ def test_an_unknown_motion_widens_what_a_block_says_and_its_surprise_stays_chi_s
 def test_what_is_not_seen_is_not_believed_to_be_seen():
     one = form(samples(MOTION)).without(np.arange(1, 8))
     block = observed(one, reference(MODEL, MOTION))
-    assert block.rank == 6 and (np.diag(block.root) > 0.0).sum() == 6
+    assert block.rank == 6
+    assert (np.diag(block.root) > 0.0).sum() == 6
     update = taken_by(several(MOTION), np.diag(SCALE**2)[None], block)
-    assert np.isfinite(update.change).all() and 0.0 <= update.surprise[0] < 40.0
+    assert np.isfinite(update.change).all()
+    assert 0.0 <= update.surprise[0] < 40.0
 
 
 def test_errors_go_on_as_the_transition_says():

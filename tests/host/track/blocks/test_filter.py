@@ -1,0 +1,253 @@
+"""Poses from blocks: accuracy, honesty, starts, losses and faults; fields by magpylib, codes by shift registers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from goldfield.site import HalfSpace, SensorSite
+from goldfield.site.model import Survey
+from goldfield.track.blocks import BlockFilter
+from goldfield.types import Block, Status
+from tests.bench.locate_trials import prigge_cube, site_of
+from tests.bench.motion_trials import Room, circling
+from tests.host.track.blocks.flights import Stream, drone, hand, still, streamed
+
+SETTLED_S = 0.15
+MOTIONS = {
+    "still": still,
+    "one": lambda rng: circling(rng, 1.0, 1.0),
+    "hand": hand,
+    "drone": drone,
+}
+SITES = {noise_T: prigge_cube(noise_T) for noise_T in (2e-7, 2e-8)}
+ROOMS = {noise_T: Room(site) for noise_T, site in SITES.items()}
+
+
+def stream_of(name, noise_T, seed, seconds, **more):
+    rng = np.random.default_rng([seed, 31])
+    return streamed(ROOMS[noise_T], MOTIONS[name](rng), seconds, noise_T, rng, **more)
+
+
+def followed(stream, blocks=None, site=None):
+    """Poses of a stream's blocks, those without a track left out."""
+    track = BlockFilter(stream.site if site is None else site)
+    poses = [track.update(block) for block in (stream.blocks() if blocks is None else blocks)]
+    return [pose for pose in poses if pose.status is not Status.FAILED]
+
+
+def figures(stream, poses, since=SETTLED_S):
+    """Rms of position (m) and attitude (rad), and the mean normalised error squared per axis."""
+    poses = [pose for pose in poses if pose.time_s > since]
+    moved, turned = stream.errors(poses)
+    normal = [
+        (m @ np.linalg.solve(pose.position_cov_m2, m) + t @ np.linalg.solve(pose.attitude_cov_rad2, t)) / 6.0
+        for pose, m, t in zip(poses, moved, turned, strict=True)
+    ]
+    return np.sqrt((moved**2).sum(axis=1).mean()), np.sqrt((turned**2).sum(axis=1).mean()), np.mean(normal)
+
+
+@pytest.mark.parametrize(
+    ("name", "noise_T", "most_m"),
+    [
+        ("still", 2e-7, 12e-3),
+        ("one", 2e-7, 18e-3),
+        ("one", 2e-8, 2.4e-3),
+        ("hand", 2e-7, 26e-3),
+        ("hand", 2e-8, 3.8e-3),
+        ("drone", 2e-8, 3.2e-3),
+    ],
+)
+def test_poses_of_a_moving_sensor(name, noise_T, most_m):
+    stream = stream_of(name, noise_T, 1, 0.7)
+    poses = followed(stream)
+    assert len(poses) == len(stream.blocks())
+    assert {pose.status for pose in poses} <= {Status.OK, Status.UNVERIFIED}
+    assert [pose.epoch for pose in poses[:34]] == [31 * k // 1023 for k in range(1, 35)] or poses[32].epoch == 0
+    rms_m, rms_rad, normal = figures(stream, poses)
+    assert rms_m < most_m
+    assert rms_rad < np.radians(2.5 if noise_T > 1e-7 else 0.4)
+    assert 0.4 < normal < 1.8
+
+
+@pytest.mark.parametrize("first", [0, 17, 1005])
+def test_a_track_begins_with_any_block(first):
+    stream = stream_of("one", 2e-7, 2, 0.2)
+    block, *_ = stream.blocks(first)
+    pose = BlockFilter(stream.site).update(block)
+    assert pose.status is Status.OK
+    assert pose.time_s == block.time_s
+    assert pose.epoch == (first + 30) // 1023
+    moved, _ = stream.errors([pose])
+    assert np.linalg.norm(moved) < 0.15
+    assert moved[0] @ np.linalg.solve(pose.position_cov_m2, moved[0]) / 3 < 4.0
+
+
+def test_sums_of_the_wire_give_the_poses_of_samples():
+    stream = stream_of("one", 2e-7, 3, 0.15)
+    codes = np.hstack([ROOMS[2e-7].codes, np.ones((1023, 1))])
+    by_sums = followed(stream, stream.blocks(codes=codes))
+    for one, other in zip(followed(stream), by_sums, strict=True):
+        np.testing.assert_allclose(one.position_m, other.position_m, atol=1e-8)
+
+
+@pytest.mark.parametrize("lost", [slice(0, None, 10), slice(100, 133)])
+def test_lost_blocks_are_bridged(lost):
+    stream = stream_of("one", 2e-7, 4, 0.7)
+    blocks = stream.blocks()
+    del blocks[lost]
+    poses = followed(stream, blocks)
+    assert {pose.status for pose in poses} <= {Status.OK}
+    rms_m, _, normal = figures(stream, poses)
+    assert rms_m < 22e-3
+    assert normal < 1.8
+
+
+def test_a_long_silence_ends_with_the_next_block():
+    stream = stream_of("drone", 2e-8, 5, 1.3)
+    blocks = stream.blocks()
+    del blocks[100:330]
+    poses = followed(stream, blocks)
+    assert poses[100].status is Status.OK
+    moved, _ = stream.errors(poses[100:140])
+    assert np.linalg.norm(moved[0]) < 0.1
+    assert np.linalg.norm(moved[20:], axis=1).max() < 0.02
+
+
+def test_impulses_are_gated_and_told():
+    stream, rng = stream_of("one", 2e-7, 6, 0.6), np.random.default_rng(7)
+    struck = np.arange(20, len(stream.blocks()), 9)
+    for place in struck:
+        stream.samples[31 * place + rng.integers(31), rng.integers(3)] += 2e-5
+    poses = followed(stream)
+    assert all("contradicts the track: the pose is predicted" in (poses[k].reason or "") for k in struck)
+    assert figures(stream, poses)[0] < 16e-3
+    assert sum(pose.reason is not None for pose in poses) == len(struck)
+
+
+@pytest.mark.parametrize(("name", "noise_T"), [("one", 2e-7), ("hand", 2e-8)])
+def test_a_beacon_that_dies_is_left_out_and_comes_back(name, noise_T):
+    stream = stream_of(name, noise_T, 8, 0.9)
+    dead = ROOMS[noise_T].codes.copy()
+    dead[:, 3] = 0
+    first, last = (round(seconds / stream.site.chip_period_s) for seconds in (0.25, 0.5))
+    stream.samples[first:last] = stream_of(name, noise_T, 8, 0.9, drives=dead).samples[first:last]
+    poses = followed(stream)
+    during = [pose for pose in poses if 0.29 < pose.time_s < 0.5]
+    assert all("b3" in pose.excluded for pose in during)
+    assert any("b3 has no field" in pose.reason for pose in during)
+    after = [pose for pose in poses if pose.time_s > 0.3]
+    moved, _ = stream.errors(after)
+    for pose, error in zip(after, moved, strict=True):
+        told = error @ np.linalg.solve(pose.position_cov_m2, error)
+        assert told < 45.0 or pose.status is Status.INCONSISTENT  # 3 degrees of freedom: 1e-9
+
+
+def test_a_beacon_elsewhere_draws_no_pose_that_is_called_ok():
+    stream = stream_of("one", 2e-8, 9, 0.5)
+    beacons = list(stream.site.beacons)
+    beacons[2] = replace(beacons[2], position_m=beacons[2].position_m + np.array([0.05, -0.03, 0.02]))
+    poses = followed(stream, site=replace(stream.site, beacons=tuple(beacons)))
+    moved, _ = stream.errors(poses)
+    for pose, error in zip(poses[40:], moved[40:], strict=True):
+        assert "b2" in pose.excluded
+        assert np.linalg.norm(error) < 0.02
+
+
+def test_iron_near_the_path_does_not_draw_the_pose():
+    gradient = 2e-6 * np.array([[0.5, 1.0, -0.3], [1.0, -0.8, 0.6], [-0.3, 0.6, 0.3]])
+    stream = stream_of("one", 2e-8, 10, 0.5, fields=lambda position: position @ gradient)
+    poses = followed(stream)
+    rms_m, _, normal = figures(stream, poses)
+    assert rms_m < 3e-3
+    assert normal < 2.0
+
+
+def test_errors_of_the_survey_are_in_the_covariance():
+    rng, normals = np.random.default_rng(11), []
+    for seed in range(6):
+        stream = stream_of("one", 2e-8, 20 + seed, 0.25)
+        beacons = tuple(
+            replace(b, position_m=b.position_m + 5e-3 * rng.normal(size=3), survey=Survey(position_sd_m=5e-3))
+            for b in stream.site.beacons
+        )
+        poses = followed(stream, site=replace(stream.site, beacons=beacons))
+        assert {pose.status for pose in poses} <= {Status.OK, Status.UNVERIFIED}
+        normals.append(figures(stream, poses, since=0.1)[2])
+    assert 0.4 < np.mean(normals) < 1.6
+
+
+def test_a_sensor_with_other_axes_is_followed():
+    axes, ratio = np.array([[1.0, 0.1, 0.0], [0.0, -0.9, 0.2], [0.05, 0.0, 1.1]]), np.array([1.0, 0.6, 1.3])
+    stream = stream_of("one", 2e-7, 12, 0.5)
+    site = replace(stream.site, sensor=SensorSite(2e-7, axes=axes, noise_ratio=ratio))
+    noise = np.random.default_rng(1).normal(size=stream.samples.shape) * 2e-7 * ratio
+    quiet = stream_of("one", 2e-7, 12, 0.5).samples  # noise before the axes is that of another sensor: small
+    other = Stream(site, stream.flight, quiet @ axes.T + noise)
+    poses = followed(other, site=site)
+    assert {pose.status for pose in poses} <= {Status.OK, Status.INCONSISTENT}
+    assert figures(other, poses)[0] < 22e-3
+
+
+def plane_site(half_space):
+    """Six coils on the floor: a sensor above has an image below."""
+    beacons = [
+        replace(SITES[2e-8].beacons[k], position_m=np.array([x, y, 0.0]))
+        for k, (x, y) in enumerate([(0.0, 0.0), (2.0, 0.1), (0.2, 2.1), (2.2, 2.0), (1.1, -0.4), (0.9, 2.5)])
+    ]
+    return site_of(beacons, half_space, 2e-8)
+
+
+def test_a_half_space_decides_between_images_and_without_it_both_are_told():
+    above = HalfSpace(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    site = plane_site(None)
+    rng = np.random.default_rng(13)
+    stream = streamed(Room(site), circling(rng, 0.5, 0.5, radius=0.2), 0.15, 2e-8, rng)
+    both = followed(stream)
+    assert both[-1].status is Status.AMBIGUOUS
+    near = [np.linalg.norm(stream.errors([pose])[0]) for pose in (both[-1], both[-1].alternative)]
+    assert min(near) < 0.01 < 0.5 < max(near)
+    decided = followed(stream, site=plane_site(above))
+    assert decided[-1].status is not Status.AMBIGUOUS
+    assert np.linalg.norm(stream.errors(decided[-1:])[0]) < 0.01
+
+
+def test_time_that_goes_back_begins_a_new_track():
+    stream = stream_of("one", 2e-7, 14, 0.2)
+    track, blocks = BlockFilter(stream.site), stream.blocks()
+    for block in blocks[20:40]:
+        track.update(block)
+    pose = track.update(blocks[3])
+    assert "the time went back from" in pose.reason
+    assert "a new track begins" in pose.reason
+    assert np.linalg.norm(stream.errors([pose])[0]) < 0.2
+
+
+def test_no_data_gives_no_pose_and_noise_none_either():
+    site = SITES[2e-7]
+    track = BlockFilter(site)
+    assert track.update(Block(0, 0, 0.003, 31, np.full((31, 3), np.nan), True)) is None
+    noise = 2e-7 * np.random.default_rng(15).normal(size=(31, 3)) + 2e-5
+    pose = track.update(Block(0, 0, 0.003, 31, noise, True))
+    assert pose.status is Status.FAILED
+    assert track.state is None
+    assert track.pose_at(0.004).status is Status.FAILED
+
+
+def test_poses_at_other_times_are_extrapolated():
+    stream = stream_of("one", 2e-8, 16, 0.4)
+    track = BlockFilter(stream.site)
+    for block in stream.blocks():
+        last = track.update(block)
+    state = track.state
+    for ahead in (-0.002, 0.01, 0.05):
+        pose = track.pose_at(last.time_s + ahead)
+        assert np.linalg.norm(stream.errors([pose])[0]) < 0.004 + 0.4 * abs(ahead)
+        assert (np.trace(pose.position_cov_m2) > np.trace(last.position_cov_m2)) == (ahead > 0.0)
+    np.testing.assert_allclose(track.pose_at(last.time_s).position_m, state.position_m)
+    position, rotation = stream.flight.poses(np.array([last.time_s - 1e-3, last.time_s + 1e-3]))
+    assert np.linalg.norm((position[1] - position[0]) / 2e-3 - state.velocity_m_s) < 0.2
+    assert np.linalg.norm((rotation[1] * rotation[0].inv()).as_rotvec() / 2e-3 - state.rate_rad_s) < 0.3
+    turned = Rotation.from_matrix(state.rotation) * Rotation.from_quat(last.orientation_xyzw).inv()
+    assert turned.magnitude() < 1e-6
