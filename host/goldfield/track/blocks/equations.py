@@ -267,13 +267,50 @@ def separated(forms: Sequence[NormalForm], blur: FloatArray | None = None) -> Se
     blur : ndarray, shape (n,), optional
         Variance of the beacons' sums beside that of the noise, over a sample's variance.
     """
-    count = len(forms[0].gram) - 1
-    gram, right = np.zeros((count, count)), np.zeros((count, count + 4))
-    for form in forms:
-        gram += form.beside_ambient(form.gram)[:, :count]
-        right[:, :3] += form.beside_ambient(form.sums_T)
-        right[:, 3:] += form.beside_ambient(form.moment)
-    scale = np.sqrt(np.diag(gram))
+    found = _solved(*_with_own_ambient(forms), blur)
+    if len(forms) > 1 and not np.isfinite(found.deviation).all():
+        other = _solved(*_with_ramp(forms), blur)
+        if np.isfinite(other.deviation).sum() > np.isfinite(found.deviation).sum():
+            return other
+    return found
+
+
+def _with_own_ambient(forms: Sequence[NormalForm]) -> tuple[FloatArray, FloatArray]:
+    """Return the normal matrix of the beacons' fields, and right sides, if each block has an ambient field of its own.
+
+    The right sides, shape (n, n + 4), are the three of the sums and those of the moments.
+    """
+    gram = np.sum([form.beside_ambient(form.gram)[:, :-1] for form in forms], axis=0)
+    right = [np.hstack([form.beside_ambient(form.sums_T), form.beside_ambient(form.moment)]) for form in forms]
+    return gram, np.sum(right, axis=0)
+
+
+def _with_ramp(forms: Sequence[NormalForm]) -> tuple[FloatArray, FloatArray]:
+    """Return the same if the ambient field goes on in a straight line: signals that do not change within a block.
+
+    The line goes through the middles of the blocks; what it does within them is taken out by its slope.
+    """
+    chips, span_s = forms[-1].gram[-1, -1], 2.0 * forms[-1].end_s
+    block_s = span_s * chips / max(chips - 1.0, 1.0)
+    middles_s = block_s * (np.arange(len(forms)) - 0.5 * (len(forms) - 1))
+    right = np.array([np.hstack([form.sums_T, form.moment]) for form in forms])
+    gram = np.array([form.gram for form in forms])
+    powers = np.stack([np.ones(len(forms)), middles_s / middles_s[-1]], axis=1)
+    across = np.einsum("bi,bk->ik", gram[:, :-1, -1], powers)
+    inner = np.linalg.pinv(np.einsum("b,bk,bl->kl", gram[:, -1, -1], powers, powers))
+    left = gram[:, :-1, :-1].sum(axis=0) - across @ inner @ across.T
+    plain = np.einsum("bk,bc->kc", powers, right[:, -1])
+    rest = right[:, :-1].sum(axis=0) - across @ inner @ plain
+    fields = np.linalg.pinv(left, rcond=SEPARABLE, hermitian=True) @ rest[:, :3]
+    slope = (inner @ (plain[:, :3] - across.T @ fields))[1] / middles_s[-1]
+    rest[:, :3] -= np.outer(rest[:, -1], slope)
+    rest[:, -1] = 0.0
+    return left, rest
+
+
+def _solved(gram: FloatArray, right: FloatArray, blur: FloatArray | None) -> Separated:
+    """Solve for the fields that are told apart."""
+    scale = np.sqrt(np.maximum(np.diag(gram), 0.0))
     scale[scale < PIVOT * scale.max(initial=0.0)] = np.inf
     scale[scale == 0.0] = np.inf
     values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.locate import Locator
+from goldfield.locate.locator import LEAST_BEACONS
 from goldfield.site import Site
 from goldfield.track.blocks.bank import Estimate
 from goldfield.track.blocks.equations import BlockEquations, NormalForm, separated
@@ -155,13 +156,15 @@ class Integrity:
         field = found.field_T[heard] / found.deviation[heard, None]
         return float(((field @ weight) * field).sum()), 3 * int(heard.sum())
 
-    def _judged(self, epoch: int, without: Sequence[str], out: NDArray[np.intp]) -> Verdict:
+    def _judged(self, epoch: int, without: Sequence[str], out: NDArray[np.intp]) -> Verdict | None:
         """Judge the blocks that there are: first all beacons, then, if they do not agree, those in the track alone."""
         kept = [rest.without(out) for rest in self._rests]
         cost, freedom = self._cost(kept, self._blurs)
         self._usual = max(cost - freedom, 0.0) / len(kept)
         around, _ = self._references[len(self._references) // 2]
         fields = self._fields(self._rests, epoch)
+        if len(fields.beacons) < LEAST_BEACONS:  # the blocks do not tell them apart
+            return None
         pose = self._locator.locate(fields)
         self._learn(fields, around.motion)
         sound = pose.status not in (Status.FAILED, Status.INCONSISTENT) and not pose.excluded
