@@ -174,3 +174,7 @@ def table(chips: int = 1023, chip_s: float = 97.75e-6) -> str:
             cells.append(f"{1e3 * block_s(link, codes):.2f}")
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
+
+
+if __name__ == "__main__":
+    print(table(), end="")
