@@ -57,7 +57,7 @@ typedef struct {
     pose_field_t fields[POSE_BEACONS_MAX];
     pose_live_t live;
     pose_t pose;
-    onboard_verdict_t verdict; /* Of the latest cycle with a pose. */
+    onboard_verdict_t verdict; /* What the latest cycle with a pose came to. */
     uint32_t judged;           /* Cycles with a pose, modulo 2^32. */
     bool lent, owed;           /* The memory of the pose is lent; a cycle waited when it came back. */
 } onboard_t;

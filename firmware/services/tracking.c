@@ -44,6 +44,7 @@ static void read_beacon(tracking_t *tracking, uint32_t row) {
 static void lose(tracking_t *tracking) {
     tracking->state = TRACKING_LOST;
     tracking->gathered = 0;
+    tracking->suspect = POSE_NOBODY;
     tracking->start = (pose_t){.status = POSE_FAILED, .reason = POSE_REASON_LATE, .left_out = POSE_NOBODY};
 }
 
@@ -60,6 +61,11 @@ void tracking_configure(tracking_t *tracking, onboard_t *onboard, const paramete
     for (uint32_t i = 0; i < tracking->count; i++) {
         read_beacon(tracking, i);
     }
+    tracking->errors = (block_site_errors_t){
+        .beacons = tracking->beacon_errors,
+        .gain_sd = onboard->site.gain_sd,
+        .axis_sd_rad = onboard->site.axis_sd_rad,
+    };
     memset(tracking->site_covariance, 0, sizeof tracking->site_covariance);
     tracking->verdict.left_out = POSE_NOBODY;
     tracking->doubted = false;
@@ -82,7 +88,7 @@ static void send(const tracking_t *tracking, node_t *node, const pose_t *pose) {
 
 /* Returns whether the beacon of a row is not to be believed, or its coil is not known. */
 static bool is_out(const tracking_t *tracking, uint32_t row) {
-    return row == tracking->verdict.left_out || tracking->coils[row].k_uT_m3 == 0.0f;
+    return row == tracking->verdict.left_out || row == tracking->suspect || tracking->coils[row].k_uT_m3 == 0.0f;
 }
 
 static float nearest_m(const tracking_t *tracking, const float position_m[3]) {
@@ -102,12 +108,15 @@ static void judge(const tracking_t *tracking, float position_sd_m, float attitud
     const float noise_m = PROTECTION_SD * position_sd_m;
     pose->status = verdict->status;
     pose->reason = verdict->reason;
-    pose->left_out = verdict->left_out;
+    pose->left_out = tracking->suspect != POSE_NOBODY ? tracking->suspect : verdict->left_out;
     pose->protection_m = verdict->protection_m > noise_m ? verdict->protection_m : noise_m;
     if (pose->status != POSE_OK && pose->status != POSE_UNVERIFIED) {
         return;
     }
-    if (tracking->filter.refused >= TRACKING_DOUBTS) {
+    if (tracking->suspect != POSE_NOBODY) {
+        pose->reason = POSE_REASON_LEFT_OUT;
+    }
+    if (tracking->filter.refused >= TRACKING_DOUBTS || tracking->misfits >= TRACKING_DOUBTS) {
         pose->status = POSE_INCONSISTENT;
         pose->reason = POSE_REASON_PENDING;
         return;
@@ -170,19 +179,66 @@ static void leave_out(tracking_t *tracking) {
     }
 }
 
-/* Adds the block, with no beacon left out, to the cycle that onboard.h locates. */
-static void add_to_cycle(tracking_t *tracking) {
-    if (tracking->onboard->chips != BLOCK_CYCLE_CHIPS) {
-        return;
-    }
-    block_state_t predicted = tracking->filter.filters[tracking->filter.best].state;
+/* Predicts the state in the middle of the block, and how uncertain it is. */
+static void predict(const tracking_t *tracking, block_state_t *predicted, block_doubt_t *doubt) {
+    const block_kalman_t *const best = &tracking->filter.filters[tracking->filter.best];
+    *predicted = best->state;
     float turn[3];
     for (uint32_t axis = 0; axis < 3u; axis++) {
-        predicted.position_m[axis] += tracking->behind_s * predicted.velocity_m_s[axis];
-        turn[axis] = tracking->behind_s * predicted.rate_rad_s[axis];
+        predicted->position_m[axis] += tracking->behind_s * predicted->velocity_m_s[axis];
+        turn[axis] = tracking->behind_s * predicted->rate_rad_s[axis];
     }
-    quaternion_turn(predicted.quaternion, turn);
-    if (block_cycle_add(&tracking->moving, tracking->number, tracking->chip, CHIP_S, &tracking->block, &predicted)) {
+    quaternion_turn(predicted->quaternion, turn);
+    float attitude[3][3];
+    quaternion_matrix(best->state.quaternion, attitude);
+    const float time2 = tracking->behind_s * tracking->behind_s;
+    const float noise_uT = MICROTESLA * tracking->onboard->noise_T, noise2 = noise_uT * noise_uT;
+    *doubt = (block_doubt_t){0};
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        const uint32_t p = BLOCK_P + axis, theta = BLOCK_THETA + axis, v = BLOCK_V + axis, w = BLOCK_W + axis;
+        doubt->position_m2 += best->covariance[p][p] + time2 * best->covariance[v][v];
+        doubt->attitude_rad2 += best->covariance[theta][theta] + time2 * best->covariance[w][w];
+        doubt->ambient_uT2 += best->covariance[BLOCK_E + axis][BLOCK_E + axis] +
+                              best->covariance[BLOCK_B + axis][BLOCK_B + axis];
+        for (uint32_t other = 0; other < 3u; other++) { /* Only the sum of ambient field and offset is known well. */
+            doubt->ambient_uT2 += 2.0f * attitude[axis][other] * best->covariance[BLOCK_E + axis][BLOCK_B + other];
+        }
+    }
+    const float least_uT2 = 3.0f * noise2 / (float)BLOCK_CHIPS; /* The difference of large numbers is rounded. */
+    doubt->ambient_uT2 = doubt->ambient_uT2 > least_uT2 ? doubt->ambient_uT2 : least_uT2;
+}
+
+/* Counts blocks that do not fit; the beacon that fits worst in each of some in a row is left out. */
+static void suspect(tracking_t *tracking, uint32_t worst) {
+    if (worst == tracking->count) {
+        tracking->misfits = tracking->accused = 0;
+        return;
+    }
+    tracking->misfits++;
+    tracking->accused = worst == tracking->worst ? tracking->accused + 1u : 1u;
+    tracking->worst = worst;
+    if (tracking->accused == TRACKING_DOUBTS && tracking->suspect == POSE_NOBODY) {
+        tracking->suspect = worst;
+        tracking->misfits = 0;
+    }
+}
+
+/* Compares the block, with no beacon left out, with what the track predicts, and adds it to the cycle that onboard.h
+ * locates. */
+static void compare(tracking_t *tracking) {
+    block_state_t predicted;
+    block_doubt_t doubt;
+    block_residual_t residual;
+    uint32_t out = 0;
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        out |= is_out(tracking, i) ? 1u << i : 0u;
+    }
+    predict(tracking, &predicted, &doubt);
+    block_residual(&tracking->block, tracking->coils, tracking->count, &predicted, &residual);
+    suspect(tracking, block_residual_worst(&residual, &tracking->block, tracking->coils, tracking->count, &predicted,
+                                           &doubt, &tracking->errors, MICROTESLA * tracking->onboard->noise_T, out));
+    if (tracking->onboard->chips == BLOCK_CYCLE_CHIPS &&
+        block_cycle_add(&tracking->moving, tracking->number, tracking->chip, CHIP_S, &residual, &predicted)) {
         onboard_take_track(tracking->onboard, &tracking->moving, tracking->cycle);
     }
 }
@@ -196,15 +252,12 @@ static bool follow(tracking_t *tracking, const block_sums_t *sums) {
         return true;
     }
     make_block(tracking, sums);
-    add_to_cycle(tracking);
+    compare(tracking);
     leave_out(tracking);
     (void)block_filter_update(&tracking->filter, &tracking->block, tracking->behind_s);
     tracking->behind_s = 0.0f;
     tracking->gathered = 0;
-    if (block_filter_lost(&tracking->filter)) {
-        return false;
-    }
-    return true;
+    return tracking->misfits < BLOCK_FILTER_REFUSALS && !block_filter_lost(&tracking->filter);
 }
 
 /* ---- Start ---- */
@@ -293,6 +346,7 @@ static void begin(tracking_t *tracking, node_t *node) {
     memcpy(start.attitude_cov_rad2, found->attitude_cov_rad2, sizeof start.attitude_cov_rad2);
     memcpy(start.ambient_uT, tracking->block.sums_uT[last], sizeof start.ambient_uT);
     block_filter_start(&tracking->filter, &start);
+    tracking->misfits = tracking->accused = 0;
     block_cycle_clear(&tracking->moving, tracking->coils, tracking->count);
     tracking->state = TRACKING_FOLLOWS;
     tracking->errors_number = tracking->number - TRACKING_ERRORS_BLOCKS;
@@ -318,6 +372,9 @@ static void look_at_cycles(tracking_t *tracking) {
     if (onboard->verdict.by_track || tracking->doubted || onboard->chips != BLOCK_CYCLE_CHIPS) {
         tracking->verdict = onboard->verdict;
         tracking->doubted = tracking->doubted && !onboard->verdict.by_track;
+        if (onboard->verdict.status != POSE_INCONSISTENT) {
+            tracking->suspect = POSE_NOBODY;
+        }
     }
 }
 
@@ -341,7 +398,7 @@ void tracking_take(tracking_t *tracking, node_t *node, const block_sums_t *sums,
             send_pose(tracking, node);
             return;
         }
-        tracking->doubted = block_filter_lost(&tracking->filter);
+        tracking->doubted = tracking->behind_s == 0.0f; /* The block was looked at. */
         lose(tracking);
     }
     if (blocks != 1u) {

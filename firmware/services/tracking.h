@@ -12,7 +12,7 @@
  * prior, by the search of core/pose in steps of bounded time. Until it is done tracking_takes is false: later blocks
  * wait, BLOCKS_WAITING of them, and then each has its pose, a little late. If nothing was found, the blocks that waited
  * are answered as failed, with the search's reason, and the latest of them is the next to start from. The track is lost
- * after BLOCK_FILTER_REFUSALS blocks in a row that did not fit it or did not come, and starts again.
+ * after BLOCK_FILTER_REFUSALS blocks in a row that were refused, did not fit or did not come, and starts again.
  *
  * Status. Single blocks are too noisy to tell that a beacon is not as the site says. Status, reason, the beacon left
  * out and the protection level of each pose are those of the latest cycle that onboard.h has located; before there is
@@ -20,9 +20,10 @@
  * (block_cycle.h), so that motion does not look like a fault; others count only where there is no such cycle because
  * blocks do not fit. A beacon that is left out has its column eliminated from each block (block_leave_out), and so has
  * one without a moment in the parameter beacons. Fields that fit no pose start a track all the same: its poses are
- * inconsistent, until the cycles tell which beacon to leave out. So are, with reason "pending", poses that are only
- * predicted since TRACKING_DOUBTS blocks in a row did not fit, and those of a track after blocks did not fit the one
- * before.
+ * inconsistent, until the cycles tell which beacon to leave out. A beacon that fits worst and does not fit in
+ * TRACKING_DOUBTS blocks in a row (block_residual.h) is left out at once, until such a cycle is located well. If blocks
+ * do not fit all the same, or are refused by the filter, poses are inconsistent from the TRACKING_DOUBTS-th in a row
+ * on, with reason "pending", and so are those of a track that starts after one was lost for that.
  *
  * Limits. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come
  * only while the chip clock is locked; without any there are no poses.
@@ -64,9 +65,12 @@ typedef struct {
     uint32_t errors_number;      /* The block that it is from. */
     block_filter_t filter;
     block_t block;             /* The block at work, and the blocks that a start gathers. */
-    uint32_t number;           /* Of the latest block. */
+    uint32_t number;           /* The number of the latest block. */
     uint32_t cycle, chip;      /* Cycle and code chip of its first sample. */
     uint32_t gathered;         /* Blocks that a start has gathered. */
+    uint32_t misfits;          /* Blocks in a row that did not fit what was predicted (block_residual.h). */
+    uint32_t worst, accused;   /* The beacon that fitted worst, and in how many blocks in a row. */
+    uint32_t suspect;          /* The beacon that is left out for that until a cycle tells more, or POSE_NOBODY. */
     block_cycle_t moving;      /* What the track makes of the cycle under way. */
     float behind_s;            /* How far the filter's state lies behind the middle of the latest block, s. */
     pose_work_t *work;         /* Lent, during a search. */

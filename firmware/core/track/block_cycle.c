@@ -8,41 +8,6 @@ void block_cycle_clear(block_cycle_t *cycle, const loop_t *coils, uint32_t count
     *cycle = (block_cycle_t){.coils = coils, .count = count};
 }
 
-/* Computes what the samples are of, site's frame: the fields of the beacons, and last the ambient as the sensor sees
- * it. */
-static void model(const block_cycle_t *cycle, const block_state_t *state, const float attitude[3][3],
-                  float field_uT[BLOCK_COLUMNS][3]) {
-    for (uint32_t i = 0; i < cycle->count; i++) {
-        loop_field(&cycle->coils[i], state->position_m, field_uT[i]);
-    }
-    for (uint32_t row = 0; row < 3u; row++) {
-        float *const ambient = &field_uT[cycle->count][row];
-        *ambient = state->ambient_uT[row];
-        for (uint32_t column = 0; column < 3u; column++) {
-            *ambient += attitude[row][column] * state->offset_uT[column];
-        }
-    }
-}
-
-static void add_residuals(block_cycle_t *cycle, const block_t *block, const block_state_t *state) {
-    float attitude[3][3], field_uT[BLOCK_COLUMNS][3];
-    quaternion_matrix(state->quaternion, attitude);
-    model(cycle, state, attitude, field_uT);
-    for (uint32_t i = 0; i <= cycle->count; i++) {
-        const float *const measured = block->sums_uT[i];
-        float sum[3] = {0.0f, 0.0f, 0.0f};
-        for (uint32_t j = 0; j <= cycle->count; j++) {
-            for (uint32_t axis = 0; axis < 3u; axis++) {
-                sum[axis] += block->gram[i][j] * field_uT[j][axis];
-            }
-        }
-        for (uint32_t row = 0; row < 3u; row++) {
-            cycle->residual_uT[i][row] += attitude[row][0] * measured[0] + attitude[row][1] * measured[1] +
-                                          attitude[row][2] * measured[2] - sum[row];
-        }
-    }
-}
-
 /* Keeps the pose so many seconds after the prediction. */
 static void keep_middle(block_cycle_t *cycle, const block_state_t *state, float seconds) {
     float turn[3];
@@ -54,8 +19,8 @@ static void keep_middle(block_cycle_t *cycle, const block_state_t *state, float 
     quaternion_turn(cycle->quaternion, turn);
 }
 
-bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float chip_s, const block_t *block,
-                     const block_state_t *predicted) {
+bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float chip_s,
+                     const block_residual_t *residual, const block_state_t *predicted) {
     const bool first = chip == 0u || chip + BLOCK_CYCLE_LENGTH > BLOCK_CYCLE_CHIPS; /* Code chip 0 is in the block. */
     if (first) {
         block_cycle_clear(cycle, cycle->coils, cycle->count);
@@ -64,7 +29,11 @@ bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float
         return false;
     }
     cycle->next = number + 1u;
-    add_residuals(cycle, block, predicted);
+    for (uint32_t i = 0; i <= cycle->count; i++) {
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            cycle->residual_uT[i][axis] += residual->left_uT[i][axis];
+        }
+    }
     if (cycle->blocks == BLOCK_CYCLE_BLOCKS / 2u) {
         const int32_t chips = (int32_t)(BLOCK_CYCLE_CHIPS / 2u) - (int32_t)(chip + BLOCK_CYCLE_LENGTH / 2u);
         keep_middle(cycle, predicted, (float)chips * chip_s);

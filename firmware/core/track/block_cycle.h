@@ -7,16 +7,14 @@
  * each block; when that returns true, residual_uT are the sums to
  * separate, and block_cycle_field makes a field of each.
  *
- * Method. With S the sums of a block, R and B the attitude and the fields at the track's prediction for its middle, and
- * G0 the gram matrix of the codes, the residuals in the site's frame are S R' - G0 B (docs/blocks.md; what changes
- * within a block cancels but for 1e-4 of the field). A cycle of BLOCK_CYCLE_BLOCKS blocks sums every code over a whole
- * period, so that the sums of the residuals separate like those of a cycle (core/codes/separation.h). To them the
- * fields at the predicted pose in the middle of the cycle are added, and all is turned into the sensor's frame there.
- * Errors of the prediction come back as a shift of the pose that is located from these fields.
+ * Method. A cycle of BLOCK_CYCLE_BLOCKS blocks sums every code over a whole period, so that the sums of the residuals
+ * (block_residual.h) separate like those of a cycle (core/codes/separation.h). To them the fields at the predicted pose
+ * in the middle of the cycle are added, and all is turned into the sensor's frame there. Errors of the prediction come
+ * back as a shift of the pose that is located from these fields.
  *
  * Limits. Cycles of BLOCK_CYCLE_CHIPS chips only (degree 10): other lengths are no multiple of a block, or one block.
  *
- * Time (Cortex-M4): block_cycle_add about 250 instructions a code and 10 for each pair. Memory: 460 bytes.
+ * Memory: 460 bytes.
  */
 #ifndef GOLDFIELD_BLOCK_CYCLE_H
 #define GOLDFIELD_BLOCK_CYCLE_H
@@ -24,7 +22,7 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#include "core/track/block_measure.h"
+#include "core/track/block_residual.h"
 
 #define BLOCK_CYCLE_CHIPS  1023u                                    /* Chips in a cycle. */
 #define BLOCK_CYCLE_LENGTH 31u                                      /* Chips in a block. */
@@ -42,10 +40,10 @@ typedef struct {
 /* Begin anew, with so many coils (at most BLOCK_BEACONS), which must live on. */
 void block_cycle_clear(block_cycle_t *cycle, const loop_t *coils, uint32_t count);
 
-/* Add the block of a number that begins at a code chip, with no beacon left out, and the state that the filter predicts
- * for its middle. Returns true if a cycle is complete now, which the next call gives up. */
-bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float chip_s, const block_t *block,
-                     const block_state_t *predicted);
+/* Add the block of a number that begins at a code chip: its residual at the state that the filter predicts for its
+ * middle. Returns true if a cycle is complete now, which the next call gives up. */
+bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float chip_s,
+                     const block_residual_t *residual, const block_state_t *predicted);
 
 /* Turn the separated residual of a column, uT in the site's frame, into its field in the sensor's frame, in place. */
 void block_cycle_field(const block_cycle_t *cycle, uint32_t column, float field_uT[3]);

@@ -132,8 +132,13 @@ def test_share_of_the_processor_with_a_pose_of_each_block(elf, beacons, share):
     assert sensor.state == FOLLOWS
     mean = (sum(interrupts) + sum(main)) / 33
     shares = [mean * cycles / TICKS for cycles in (1.0, 1.5, 2.5)]
-    print(f"{beacons} beacons: interrupts {max(interrupts)}, main for a block {int(np.median(main))}, at a cycle's end {max(main)}")
-    print(f"    all {mean:.0f} a block, of the processor's time at 1, 1.5, 2.5: " + " ".join(f"{100 * s:.0f}%" for s in shares))
+    print(
+        f"{beacons} beacons: interrupts {max(interrupts)}, main for a block {int(np.median(main))}, at a cycle's end {max(main)}"
+    )
+    print(
+        f"    all {mean:.0f} a block, of the processor's time at 1, 1.5, 2.5: "
+        + " ".join(f"{100 * s:.0f}%" for s in shares)
+    )
 
 
 @pytest.mark.parametrize("beacons", [8, 16, 32])

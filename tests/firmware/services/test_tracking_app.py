@@ -1,0 +1,210 @@
+"""The sensor application's own track on a host board: poses of blocks, from known coils, noise and motion."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import magpylib
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from goldfield_protocol import Message
+from tests.firmware.apps.test_sensor_app import MATRIX, NODE, ZERO, World, cycle_start
+from tests.firmware.host_rig import CHIPS, gold_chips
+from tests.firmware.services.test_onboard_app import ATTITUDE, CENTRES, CODES, NOISE_T, OWN, POSITION, TABLE
+
+CHIP_S = 97.75e-6
+CYCLES = 16
+LOCKED = 4
+"""The first cycle in which the chip clock is locked from beginning to end."""
+BLOCKS_A_CYCLE = 33
+OK, INCONSISTENT, FAILED = 0, 3, 4
+NO_REASON, NOISE, NO_POSE, LEFT_OUT, PENDING = 0, 2, 3, 11, 14
+STILL = (np.zeros(3), np.zeros(3))
+MOVING = (np.array([0.5, -0.5, 0.5]), np.array([0.3, 0.5, -0.8]))
+"""m/s and rad/s, through `POSITION` and `ATTITUDE` at the middle of the run."""
+
+Motion = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def path(motion: Motion, time_s: NDArray[np.float64]) -> tuple[NDArray[np.float64], Rotation]:
+    """Position and attitude at times since the beginning of cycle 0."""
+    away = np.atleast_1d(time_s)[:, None] - 0.05 * CYCLES
+    return POSITION + away * motion[0], Rotation.from_rotvec(away * motion[1]) * ATTITUDE
+
+
+def counts_in_motion(
+    motion: Motion = STILL, dead: dict[int, tuple[float, float]] | None = None, late: tuple[int, int] = (CYCLES, 0)
+) -> Callable[[int, int], NDArray[np.float64]]:
+    """Converter counts about mid-scale by the master's cycle and chip.
+
+    ``dead`` says from which to which cycle the beacon of a place has no field; from cycle ``late[0]`` on the codes are
+    late by ``late[1]`` chips.
+    """
+    chip = np.arange(CYCLES * CHIPS)
+    position, attitude = path(motion, (chip + 1) * CHIP_S)
+    field = np.tile([2e-5, 0.0, -4.5e-5], (len(chip), 1))
+    place = (chip - np.where(chip >= late[0] * CHIPS, late[1], 0)) % CHIPS
+    for i, (centre, code) in enumerate(zip(CENTRES, CODES, strict=True)):
+        coil = magpylib.current.Circle(diameter=0.298, current=190.0, position=centre)
+        begin, end = (CHIPS * cycle for cycle in (dead or {}).get(i, (CYCLES, CYCLES)))
+        alive = (chip < begin) | (chip >= end)
+        field += coil.getB(position) * (gold_chips(code)[place] * alive)[:, None]
+    noise = np.random.default_rng(4).normal(0.0, NOISE_T, field.shape)
+    counts = (attitude.inv().apply(field) + noise) @ np.linalg.inv(MATRIX).T + ZERO - 2048
+    return lambda cycle, chip: np.asarray(counts[(cycle * CHIPS + chip) % len(counts)])
+
+
+@dataclass
+class Told:
+    """A pose of a block: its cycle and the code chip at whose end it is, and its messages' signals."""
+
+    cycle: int
+    chip: int
+    position: dict[str, float]
+    attitude: dict[str, float]
+    quality: dict[str, float]
+    integrity: dict[str, float]
+
+    @property
+    def status(self) -> int:
+        return int(self.quality["status"])
+
+    @property
+    def reason(self) -> int:
+        return int(self.integrity["reason"])
+
+    def error(self, motion: Motion, cycles: int = 1000) -> tuple[float, float]:
+        """Metres and radians, at the pose's own time; cycles is the number of the first cycle."""
+        time_s = np.array([(self.cycle - cycles) * CHIPS + self.chip + 1]) * CHIP_S
+        position, attitude = path(motion, time_s)
+        turn = Rotation.from_quat([self.attitude[axis] for axis in "xyzw"]) * attitude[0].inv()
+        return float(np.linalg.norm([self.position[a] for a in "xyz"] - position[0])), float(turn.magnitude())
+
+
+def told_by(world: World) -> list[Told]:
+    """The poses of blocks in order; those before the first EPOCH are left out."""
+    found, cycle, group = [], None, []
+    for message in world.board.messages():
+        if message.name == "EPOCH":
+            cycle = int(message.signals["cycle"])
+        if message.name not in OWN or not message.index:
+            continue
+        group.append(message)
+        if len(group) == len(OWN):
+            assert [m.name for m in group] == OWN
+            assert len({(m.index, m.signals["cycle_low"]) for m in group}) == 1
+            if cycle is not None:
+                ahead = (int(group[0].signals["cycle_low"]) - cycle - 1 + 8) % 16 - 8
+                found.append(Told(cycle + 1 + ahead, group[0].index - 1, *(dict(m.signals) for m in group)))
+            group = []
+    return found
+
+
+def cycle_messages(world: World) -> list[Message]:
+    return [m for m in world.board.messages("POSE_QUALITY") if not m.index]
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., World]]:
+    worlds: list[World] = []
+
+    def create(counts: Callable[[int, int], NDArray[np.float64]], **parameters: Any) -> World:
+        worlds.append(World(counts, **(TABLE | {"pose_blocks": 1} | parameters)))
+        return worlds[-1]
+
+    yield create
+    for world in worlds:
+        world.board.close()
+
+
+def rms(values: list[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.parametrize("motion", [STILL, MOVING], ids=["still", "moving"])
+def test_each_block_has_a_pose_at_its_end(make: Callable[..., World], motion: Motion) -> None:
+    world = make(counts_in_motion(motion))
+    world.run_cycles(12)
+    told = told_by(world)
+    ends = [pose.cycle * CHIPS + pose.chip for pose in told]
+    assert len(told) > 7 * BLOCKS_A_CYCLE
+    assert set(np.diff(ends)) == {31}
+    assert {(pose.status, pose.reason, pose.quality["used"]) for pose in told} == {(OK, NO_REASON, 8.0)}
+    assert [pose.quality["tracked"] for pose in told[:3]] == [0, 1, 1]
+    settled = told[3 * BLOCKS_A_CYCLE :]
+    for error, sigma in (
+        (rms([pose.error(motion)[0] for pose in settled]), rms([p.quality["sigma_position"] for p in settled])),
+        (rms([pose.error(motion)[1] for pose in settled]), rms([p.quality["sigma_attitude"] for p in settled])),
+    ):
+        assert 0.5 * sigma < error < 1.6 * sigma
+    assert rms([pose.error(motion)[0] for pose in settled]) < 0.013
+    assert rms([pose.quality["residual"] for pose in settled]) == pytest.approx(1.0, abs=0.3)
+    # Cycles are located all the same, and motion is no fault.
+    assert [(m.signals["status"]) for m in cycle_messages(world)][-5:] == [OK] * 5
+
+
+def test_every_nth_block_and_none_without_pose(make: Callable[..., World]) -> None:
+    world = make(counts_in_motion(), pose_blocks=3)
+    world.run_cycles(7)
+    told = told_by(world)
+    assert set(np.diff([pose.cycle * CHIPS + pose.chip for pose in told])) == {93}
+    world = make(counts_in_motion(), pose=0)
+    world.run_cycles(7)
+    assert told_by(world) == []
+
+
+def test_silence_fails_with_its_reason_and_is_over_with_the_first_block(make: Callable[..., World]) -> None:
+    silent = {place: (7.0, 9.0) for place in range(8)}
+    world = make(counts_in_motion(MOVING, silent))
+    world.run_cycles(12)
+    told = told_by(world)
+    quiet = [pose for pose in told if 1007 * CHIPS + 16 * 31 < pose.cycle * CHIPS + pose.chip < 1009 * CHIPS]
+    assert len(quiet) > 1.5 * BLOCKS_A_CYCLE
+    assert {(pose.status, pose.reason) for pose in quiet} == {(FAILED, NOISE)}
+    back = [pose for pose in told if pose.cycle * CHIPS + pose.chip >= 1009 * CHIPS + 31]
+    assert back[0].status != FAILED
+    assert back[0].error(MOVING)[0] < 0.2
+    assert rms([pose.error(MOVING)[0] for pose in back[-BLOCKS_A_CYCLE:]]) < 0.015
+
+
+def test_a_dead_beacon_is_left_out_once_the_cycles_name_it(make: Callable[..., World]) -> None:
+    world = make(counts_in_motion(MOVING, {5: (7.0, 11.0)}))
+    world.run_cycles(15)
+    told = told_by(world)
+    last = [pose for pose in told if pose.cycle == 1010]
+    assert {(pose.status, pose.reason, pose.integrity["left_out"]) for pose in last} == {(OK, LEFT_OUT, 5.0)}
+    assert {pose.quality["used"] for pose in last} == {7.0}
+    assert rms([pose.error(MOVING)[0] for pose in last]) < 0.03
+    # What is wrong in between is told: from the second cycle on no pose is far off and ok.
+    between = [pose for pose in told if 1008 <= pose.cycle < 1010 and pose.status == OK]
+    assert all(pose.error(MOVING)[0] < 5.0 * pose.quality["sigma_position"] for pose in between)
+    back = [pose for pose in told if pose.cycle == 1014]
+    assert {(pose.status, pose.integrity["left_out"]) for pose in back} == {(OK, 255.0)}
+
+
+def test_parameters_that_change_start_anew(make: Callable[..., World]) -> None:
+    world = make(counts_in_motion(MOVING))
+    send = world.board.send_serial
+    send("PARAM_SET", {"kind": 2, "value_float": 0.0}, NODE, 512 + 16 * 2 + 6, cycle_start(7))  # no third beacon
+    send("PARAM_SET", {"kind": 0, "value_unsigned": 0}, NODE, 45, cycle_start(9))
+    send("PARAM_SET", {"kind": 0, "value_unsigned": 1}, NODE, 45, cycle_start(10))
+    world.run_cycles(12)
+    told = told_by(world)
+    assert {pose.quality["used"] for pose in told if pose.cycle == 1008} == {7.0}
+    assert {pose.cycle for pose in told if pose.cycle in (1008, 1009, 1010, 1011)} >= {1008, 1010, 1011}
+    assert len([pose for pose in told if pose.cycle == 1009]) < 3
+    for cycle in (1008, 1011):
+        assert rms([pose.error(MOVING)[0] for pose in told if pose.cycle == cycle]) < 0.03
+    assert FAILED not in {pose.status for pose in told}
+
+
+@pytest.mark.parametrize("codes", [[*CODES[:7], 1024], [*CODES[:7], 2], list(range(2, 35))], ids=["v", "twice", "33"])
+def test_codes_that_cannot_be_tracked_fail(make: Callable[..., World], codes: list[int]) -> None:
+    world = make(counts_in_motion(), code_list=codes, code_count=len(codes))
+    world.run_cycles(6)
+    assert {(pose.status, pose.reason) for pose in told_by(world)} == {(FAILED, NO_POSE)}
