@@ -211,7 +211,8 @@ static void predict(const tracking_t *tracking, block_state_t *predicted, block_
 /* Counts blocks that do not fit; the beacon that fits worst in each of some in a row is left out. */
 static void suspect(tracking_t *tracking, uint32_t worst) {
     if (worst == tracking->count) {
-        tracking->misfits = tracking->accused = 0;
+        tracking->misfits -= tracking->misfits > 0u ? 1u : 0u;
+        tracking->accused = 0;
         return;
     }
     tracking->misfits++;
@@ -333,6 +334,7 @@ static void begin(tracking_t *tracking, node_t *node) {
     if (found->status == POSE_FAILED) {
         tracking->state = TRACKING_LOST;
         tracking->gathered = 0;
+        tracking->doubted = tracking->doubted && found->reason == POSE_REASON_NO_POSE; /* Silence explains it. */
         send(tracking, node, found);
         return;
     }

@@ -23,7 +23,8 @@
  * inconsistent, until the cycles tell which beacon to leave out. A beacon that fits worst and does not fit in
  * TRACKING_DOUBTS blocks in a row (block_residual.h) is left out at once, until such a cycle is located well. If blocks
  * do not fit all the same, or are refused by the filter, poses are inconsistent from the TRACKING_DOUBTS-th in a row
- * on, with reason "pending", and so are those of a track that starts after one was lost for that.
+ * on, with reason "pending", and so are those of a track that starts after one was lost for that, unless the beacons
+ * were silent.
  *
  * Limits. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come
  * only while the chip clock is locked; without any there are no poses.
@@ -64,11 +65,11 @@ typedef struct {
     float site_covariance[6][6]; /* That by the errors of the site. */
     uint32_t errors_number;      /* The block that it is from. */
     block_filter_t filter;
-    block_t block;             /* The block at work, and the blocks that a start gathers. */
-    uint32_t number;           /* The number of the latest block. */
-    uint32_t cycle, chip;      /* Cycle and code chip of its first sample. */
-    uint32_t gathered;         /* Blocks that a start has gathered. */
-    uint32_t misfits;          /* Blocks in a row that did not fit what was predicted (block_residual.h). */
+    block_t block;        /* The block at work, and the blocks that a start gathers. */
+    uint32_t number;      /* The number of the latest block. */
+    uint32_t cycle, chip; /* Cycle and code chip of its first sample. */
+    uint32_t gathered;    /* Blocks that a start has gathered. */
+    uint32_t misfits; /* Blocks that did not fit what was predicted (block_residual.h), less those that did since. */
     uint32_t worst, accused;   /* The beacon that fitted worst, and in how many blocks in a row. */
     uint32_t suspect;          /* The beacon that is left out for that until a cycle tells more, or POSE_NOBODY. */
     block_cycle_t moving;      /* What the track makes of the cycle under way. */
