@@ -72,6 +72,8 @@ class RigLink(BusSource):
 class RigSerialLink(RigLink):
     """The sensor's serial line in place of the bus."""
 
+    link_bit = 1
+
     def __init__(self, rig):
         self._decoder = FrameDecoder()
         super().__init__(rig)

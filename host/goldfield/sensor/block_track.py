@@ -111,10 +111,12 @@ class BlockTrack:
 
     def of_cycle(self, report: Report) -> Pose | None:
         """Return the pose at the end of a cycle; None if no block came within `GAP_S` of it."""
-        pose = self._of_cycles.pop(report.cycle, None)
-        if pose is not None or self._last is None:
-            return pose
         end_s = report.time_s + 0.5 * self._site.cycle_s
+        pose = self._of_cycles.pop(report.cycle, None)
+        if pose is not None and not abs(pose.time_s - end_s) > 0.5 * self._site.cycle_s:
+            return pose  # else it is of a cycle of the same number, before a restart
+        if self._last is None:
+            return None
         return self._at(end_s) if 0.0 < end_s - self._last.time_s <= GAP_S else None
 
     def pose_at(self, time_s: float) -> Pose | None:

@@ -64,10 +64,10 @@ class Between(ABC):
 
     def follows(self, report: Report) -> bool:
         """Return whether poses come at the time of a cycle; a cycle without a time is taken to be as those before."""
-        return not report.time_s - self.time_s > GAP_S
+        return not abs(report.time_s - self.time_s) > GAP_S
 
     def _next(self, pose: Pose) -> Pose:
-        return self._succession.follow(self._told(pose))
+        return self._told(self._succession.follow(pose))
 
     def _told(self, pose: Pose) -> Pose:
         """Return a pose with what boards and anchors say of it."""
@@ -118,7 +118,7 @@ class Tracking(Between):
     def pose_at(self, time_s: float) -> Pose | None:
         """See `Between.pose_at`."""
         pose = self._track.pose_at(time_s)
-        return None if pose is None else self._succession.nearest(self._told(pose))
+        return None if pose is None else self._told(self._succession.nearest(pose))
 
     @property
     def time_s(self) -> float:
