@@ -5,7 +5,6 @@
 #include "core/drive/thermistor.h"
 #include "goldfield.h"
 
-#define MONITORED_BLOCK 4u    /* With the plan of this block the board's first measurements are there (hal.h). */
 #define MONITORED_BLOCK 4u    /* With the plan of this block the boards' first measurements are there (hal.h). */
 #define THERMISTOR_OPEN 4000u /* More counts than a thermistor at -40 degC gives: it is not connected. */
 
@@ -170,7 +169,11 @@ void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANN
 
 void drive_fault(drive_t *drive, hal_fault_t fault) {
     static const uint8_t causes[] = {
-        [HAL_FAULT_DRIVER] = CAUSE_DRIVER, [HAL_FAULT_STALE] = CAUSE_STALE, [HAL_FAULT_CLOCK] = CAUSE_CLOCK};
+        [HAL_FAULT_DRIVER] = CAUSE_DRIVER,
+        [HAL_FAULT_STALE] = CAUSE_STALE,
+        [HAL_FAULT_CLOCK] = CAUSE_CLOCK,
+        [HAL_FAULT_SUPPLY] = CAUSE_SUPPLY_LOW, /* COUNTER tells that it is the processor's. */
+    };
     trip(drive, (cause_t)causes[fault], DRIVE_COMMON);
 }
 

@@ -27,7 +27,8 @@ enum {
     STOP_STREAM = 5,
     STOP_ADC = 6,
     STOP_BURSTS = 7,
-    HANG_MASKED = 8
+    HANG_MASKED = 8,
+    HANG_ALWAYS = 9 /* In each run, as soon as the bridges are on. */
 };
 
 #define INJECT_US 700000u
@@ -105,6 +106,8 @@ int main(void) {
     for (;;) {
         STEP(&application);
         hal_wait(hal);
+        if (what[0] == HANG_ALWAYS && (GPIOB->IDR >> 15 & 1u) != 0)
+            hang();
         if (armed && hal_microseconds(hal) >= INJECT_US) {
             armed = false;
             hal_led(hal, false); /* It tells when. */

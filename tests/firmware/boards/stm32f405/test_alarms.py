@@ -9,6 +9,7 @@ from tests.firmware.host_rig import MS, PIN_ENABLE, ROOT, SECOND, US, Coil, beac
 
 CHIP = 98 * US
 CLOCK_FALLBACK, CLOCK_COUNTER, DIPS_COUNTER = 5, 7, 18
+SUPPLY_LOW = 9  # firmware/core/drive/cause.h
 ROLES = ["beacon", "sensor", "anchor"]
 
 
@@ -61,6 +62,7 @@ def test_a_supply_that_falls_switches_the_coil_off_and_is_counted(driving):
     assert not driving.level[PIN_ENABLE]
     driving.run(2500 * MS)
     assert counters(driving)[DIPS_COUNTER] == 1
+    assert driving.messages("DRIVE_HEALTH")[-1].signals["cause"] == SUPPLY_LOW
 
 
 def test_a_supply_within_its_tolerance_is_none_of_the_alarms_business(driving):

@@ -18,7 +18,7 @@ from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, PIN_LED, ROOT, SECON
 OUT = ROOT / "build/firmware"
 BOARD = "firmware/boards/stm32f405"
 NOTHING, HANG_MAIN, HANG_INTERRUPT, MASK_INTERRUPT, STOP_TIMER, STOP_STREAM, STOP_ADC, STOP_BURSTS = range(8)
-HANG_MASKED = 8
+HANG_MASKED, HANG_ALWAYS = 8, 9
 DMA1_STREAM1, DMA1_STREAM3, ADC, CAN1_TX, CAN1_RX0, CAN1_RX1, TIM1_BRK, TIM8_CC, TIM7, DMA2_STREAM1 = (
     *(12, 14, 18, 19, 20, 21),
     *(24, 46, 55, 57),
@@ -33,7 +33,7 @@ PLANNED = 93
 PERIOD = 15 * MS  # what moved just before it stopped counts once more
 WATCHDOG_CAUSE = 4
 CONVERTER_OVERRUNS = 6
-STALE = 4  # firmware/core/drive/cause.h
+STALE, WATCHDOG_TRIP = 4, 12  # firmware/core/drive/cause.h
 
 
 @pytest.fixture(scope="module")
@@ -62,8 +62,9 @@ def driving(images, monkeypatch):
         page[-2:] = kind, which
         monkeypatch.setitem(host_rig.IMAGES, BEACON, str(images[role]))
         boards.append(beacon(Coil(), parameters=bytes(page), emulated=True, strict=strict))
-        boards[-1].run(INJECT - MS)
-        assert boards[-1].level[PIN_ENABLE]
+        if kind != HANG_ALWAYS:
+            boards[-1].run(INJECT - MS)
+            assert boards[-1].level[PIN_ENABLE]
         return boards[-1]
 
     yield make
@@ -90,6 +91,14 @@ def off_after(board):
     """Return how long after something was stopped the drive went off, ps."""
     begun = next(time for time in board.edges(PIN_LED, False) if time >= INJECT)
     return next(time for time in board.edges(PIN_ENABLE, False) if time > begun) - begun
+
+
+def health(board):
+    """Return why the drive is off, by the latest word of the board, and whether for ever."""
+    frames = FrameDecoder().feed(bytes(byte for _, byte in board.serial))
+    messages = (decode(frame.identifier, frame.data) for frame in frames)
+    told = [m.signals for m in messages if m is not None and m.name == "DRIVE_HEALTH"][-1]
+    return {key: int(told[key]) for key in ("cause", "locked_out")}
 
 
 def assert_restart(board, stalled):
@@ -130,6 +139,27 @@ def test_a_handler_that_hangs_below_ends_the_drive_where_the_plan_ends(driving, 
     board = driving(HANG_INTERRUPT, irq)
     assert_restart(board, set())
     assert off_after(board) <= (PLANNED + RUNNING) * CHIP
+
+
+def test_a_drive_that_a_hanging_handler_ended_stays_off_over_the_restart(driving):
+    board = driving(HANG_INTERRUPT, DMA2_STREAM1)
+    board.run(INJECT + 2500 * MS)
+    assert len(board.edges(PIN_ENABLE, True)) == 1
+    board.serial = board.serial[len(board.serial) // 2 :]  # Behind the frame that the reset has torn.
+    assert health(board) == {"cause": STALE, "locked_out": 0}
+
+
+def test_a_main_loop_that_hangs_whenever_the_drive_is_on_is_locked_out(driving):
+    """Each restart by the watchdog waits twice as long as the one before, and the fifth for ever."""
+    board = driving(HANG_ALWAYS)
+    board.run(24 * SECOND)
+    on, off = board.edges(PIN_ENABLE, True), board.edges(PIN_ENABLE, False)
+    assert len(on) == len(off) == 5
+    assert all(end - begin <= WATCHDOG + PERIOD for begin, end in zip(on, off, strict=True))
+    waits = [begin - end for begin, end in zip(on[1:], off[:-1], strict=True)]
+    assert all(SECOND << n <= wait <= (SECOND << n) + 300 * MS for n, wait in enumerate(waits))
+    board.serial = [(time, byte) for time, byte in board.serial if time > off[-1] + BLOCK]
+    assert health(board) == {"cause": WATCHDOG_TRIP, "locked_out": 1}
 
 
 @pytest.mark.parametrize(("kind", "irq"), [(HANG_INTERRUPT, TIM7), (HANG_MASKED, 0)])
