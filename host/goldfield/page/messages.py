@@ -29,6 +29,9 @@ MOST_POINTS = 256
 MARGIN = 0.08
 """The box that is shown is larger than the beacons' by this part of its largest side, on each side."""
 
+LEFT_OUT = "left out: "
+"""How a pose's reason begins to say why a beacon was left out."""
+
 Json = dict[str, Any]
 
 
@@ -136,17 +139,18 @@ def _rounded(values: FloatArray) -> Any:
 def _alarms(epoch: Epoch) -> list[Json]:
     """Return what is wrong, each once: what was found, why the pose is not worth more, and what was lost."""
     findings: list[Finding] = [*epoch.pose.findings, *epoch.findings]
-    told = [{"kind": f.kind.value, "beacons": list(f.beacons), "text": f.text} for f in findings]
+    first = {(f.kind, f.beacons or f.text): f for f in reversed(findings)}  # one kind about one beacon is told once
+    told = [{"kind": f.kind.value, "beacons": list(f.beacons), "text": f.text} for f in reversed(first.values())]
     reason = _unsaid(epoch.pose, findings)
     told += [{"kind": epoch.pose.status.value, "beacons": [], "text": reason}] if reason else []
-    told += [{"kind": "note", "beacons": [], "text": note} for note in epoch.notes]
-    return list({alarm["text"]: alarm for alarm in told}.values())
+    return told + [{"kind": "note", "beacons": [], "text": note} for note in epoch.notes]
 
 
 def _unsaid(pose: Pose, findings: list[Finding]) -> str | None:
-    """Return the reason of a pose unless findings have said it."""
-    said = "; ".join(finding.text for finding in findings)
-    return None if pose.reason is None or pose.reason in said else pose.reason
+    """Return what a pose's reason says that no finding has said."""
+    said = {finding.text for finding in findings}
+    parts = (pose.reason or "").split("; ")
+    return "; ".join(part for part in parts if part.removeprefix(LEFT_OUT) not in said) or None
 
 
 def _board(node: Node) -> Json:

@@ -220,7 +220,7 @@ def test_two_pages_without_an_address_of_their_own_both_find_a_port():
     "text", ["8000", "127.0.0.1", "127.0.0.1:", ":8000", "a:65536", "a:-1", "::1:80", "a:٣", "[]:1"]
 )
 def test_what_is_no_address_is_refused(text):
-    with pytest.raises(UserError, match="ADDRESS:PORT|brackets"):
+    with pytest.raises(UserError, match=r"ADDRESS:PORT|brackets"):
         parse_address(text)
 
 

@@ -13,7 +13,6 @@ from tests.host.fake_sensor import (
     ATTITUDE,
     CODES,
     CYCLE_S,
-    NODE,
     beacon_fields,
     candump,
     cycle_messages,
@@ -24,7 +23,7 @@ BEACON_NODES = tuple(range(11, 19))
 FIRST_FAULT_S, LAST_FAULT_S = 9.0, 13.0
 """The coil of the third beacon is open between these times."""
 BROKEN = 2
-WEAK, WEAKENED = 5, 0.93
+WEAK, WEAKENED = 5, 0.8
 """The sixth beacon's field is weaker than the site says, its current is not."""
 
 
