@@ -80,19 +80,25 @@ class Errors:
         return float(np.mean(self.status == Status.OK))
 
     @property
-    def unsaid(self):
-        """How many poses are ``ok`` and yet off by five deviations, or by more than their protection level."""
-        return int(self.unsaid_rows.sum())
-
-    @property
-    def unsaid_rows(self):
-        """Which poses are ``ok`` and yet off by five deviations, or by more than their protection level, shape (n,)."""
-        return (self.status == Status.OK) & (self.far | (self.distance_m > self.protection_m))
-
-    @property
     def far(self):
         """Which poses are off by five of their own deviations, shape (n,)."""
         return (self.position_d2 > FIVE_SIGMA) | (self.attitude_d2 > FIVE_SIGMA)
+
+    @property
+    def unprotected(self):
+        """Which poses are off by more than their protection level, shape (n,)."""
+        return self.distance_m > self.protection_m
+
+    @property
+    def unsaid(self):
+        """Which poses are ``ok`` and yet far or unprotected, shape (n,)."""
+        return (self.status == Status.OK) & (self.far | self.unprotected)
+
+    @property
+    def wrong(self):
+        """How many poses are ``ok`` and far, and how many ``ok`` and unprotected, as a text."""
+        claimed = self.status == Status.OK
+        return f"{np.sum(claimed & self.far)}+{np.sum(claimed & self.unprotected)}"
 
 
 def errors_of(poses, position_m, rotation):
