@@ -14,7 +14,7 @@ from goldfield.field import FieldModel
 from goldfield.locate.poses import WEAK_ATTITUDE_RAD, WEAK_POSITION
 from goldfield.site import Site
 from goldfield.track.continuity import joined
-from goldfield.track.motion import POSITION, TURN, State
+from goldfield.track.motion import POSITION, TURN
 from goldfield.types import Finding, FloatArray, Pose, Status
 
 
@@ -113,7 +113,7 @@ class Reporter:
             findings=findings,
         )
 
-    def again(self, pose: Pose, state: State, covariance: FloatArray) -> Pose:
+    def again(self, pose: Pose, state: Placed, covariance: FloatArray) -> Pose:
         """Return the same pose with another state and its covariance, shape (15, 15)."""
         return replace(
             pose,

@@ -192,6 +192,11 @@ class Bank:
         self._covariance = inner + (share[:, :, None] * rest).swapaxes(1, 2) @ rest
         self._motion = base.squared().moved(mean)
 
+    @property
+    def agility(self) -> FloatArray:
+        """The agility that the sensor seems to have, shape (2,), in the units of `AGILITIES`."""
+        return np.asarray(np.sqrt(self._probability @ self._agilities**2))
+
     def _noise(self, seconds: float) -> FloatArray:
         """Return what time adds to the covariances; blocks mostly come at the same distance."""
         if seconds not in self._added:

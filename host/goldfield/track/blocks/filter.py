@@ -78,6 +78,31 @@ class Tracked:
     covariance: FloatArray
 
 
+@dataclass(frozen=True, eq=False)
+class Step:
+    """What a `BlockFilter` believed at the middle of a block, with the block: all that a smoother needs.
+
+    Attributes
+    ----------
+    track : int
+        Number of the track: steps of different tracks know nothing of each other.
+    middle_s : float
+        Middle of the block.
+    known : Estimate
+        Without what the errors of the site do to it.
+    agility : ndarray, shape (2,)
+        The sensor's agility until this step, as `goldfield.track.blocks.bank.AGILITIES`.
+    bias : ndarray, shape (6, 6), or None
+        Covariance of the pose by the errors of the site.
+    """
+
+    track: int
+    middle_s: float
+    known: Estimate
+    agility: FloatArray
+    bias: FloatArray | None
+
+
 class BlockFilter:
     """Tracks one sensor: give it every block in the order of time, it returns the pose at each block's end.
 
@@ -109,7 +134,7 @@ class BlockFilter:
         self._without: tuple[str, ...] = ()
         self._middle_s = self._taken_s = self._heard_s = self._end_s = -math.inf
         self._bias: FloatArray | None = None
-        self._blocks = 0
+        self._blocks = self._track = 0
         self._axes = 3
         self._epoch = -1
 
@@ -166,6 +191,14 @@ class BlockFilter:
             motion.offset_T,
             known.covariance,
         )
+
+    @property
+    def step(self) -> Step | None:
+        """What was believed at the middle of the last block; None without a track."""
+        if not self._banks:
+            return None
+        bank = self._banks[0]
+        return Step(self._track, self._middle_s, bank.output(), bank.agility, self._bias)
 
     def _forget(self) -> None:
         """Give the track up."""
@@ -239,6 +272,7 @@ class BlockFilter:
             bank.start(start)
         self._middle_s = self._taken_s = self._heard_s = middle_s
         self._bias = None
+        self._track += 1
         self._starter.forget()
         self._integrity.forget()
 

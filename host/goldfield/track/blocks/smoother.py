@@ -1,0 +1,122 @@
+"""Poses from blocks some time later, when those that follow have told more: for recordings.
+
+The filter's steps are kept. Rauch, Tung and Striebel's recursion runs back over them from time to time, with the
+agility that the filter found the sensor to have, and every step goes out once it is older than the lag.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from goldfield.errors import UserError
+from goldfield.site import Site
+from goldfield.track.blocks.bank import Estimate
+from goldfield.track.blocks.filter import BlockFilter, Step
+from goldfield.track.blocks.state import added, onward
+from goldfield.track.continuity import Hemisphere
+from goldfield.track.report import Reporter
+from goldfield.types import Block, FloatArray, Pose, Status
+
+LAG_S = 0.05
+"""Time after which a pose goes out: an agile filter forgets within it, so that later blocks tell hardly more."""
+
+AT_ONCE = 8
+"""Steps that go out together: the recursion runs over the lag once for all of them."""
+
+
+class BlockSmoother:
+    """Smooths the track of one sensor: every pose of `BlockFilter` comes out once, in order, later and more accurate.
+
+    Parameters
+    ----------
+    site : Site
+    lag_s : float
+        Time by which the poses are late at least; up to eight blocks more.
+
+    Raises
+    ------
+    UserError
+        If the lag is not positive, or the site is of a kind that no block filter can follow.
+    """
+
+    def __init__(self, site: Site, lag_s: float = LAG_S) -> None:
+        if not lag_s > 0.0:
+            raise UserError(f"the lag is {lag_s:g} s; it must be above 0")
+        self._filter = BlockFilter(site, kernel=False)
+        self._reporter, self._hemisphere = Reporter(site), Hemisphere()
+        self._lag_s = lag_s
+        self._kept: deque[tuple[Pose, Step]] = deque()
+
+    def update(self, block: Block, without: Sequence[str] = ()) -> list[Pose]:
+        """Take a block; return the poses that are now ready, oldest first."""
+        pose = self._filter.update(block, without)
+        if pose is None:
+            return []
+        step = self._filter.step
+        ready: list[Pose] = []
+        if self._kept and (step is None or step.track != self._kept[-1][1].track):
+            ready = self.finish()  # nothing is carried over: what is kept can gain no more
+        if step is None:
+            return [*ready, self._hemisphere.follow(pose)]
+        self._kept.append((pose, step))
+        old = sum(kept.middle_s <= step.middle_s - self._lag_s for _, kept in self._kept)
+        if old >= AT_ONCE:
+            ready += self._smoothed()[:old]
+            for _ in range(old):
+                self._kept.popleft()
+        return [self._hemisphere.follow(one) for one in ready]
+
+    def finish(self) -> list[Pose]:
+        """Return the poses of all blocks that are kept; the smoother is then empty."""
+        ready = [self._hemisphere.follow(pose) for pose in self._smoothed()]
+        self._kept.clear()
+        return ready
+
+    def poses(self, blocks: Iterable[Block]) -> Iterator[Pose]:
+        """Yield the smoothed pose of every block that holds data."""
+        for block in blocks:
+            yield from self.update(block)
+        yield from self.finish()
+
+    def _smoothed(self) -> list[Pose]:
+        """Return the poses of all that is kept, by all that is kept."""
+        steps = [step for _, step in self._kept]
+        return [self._told(pose, step, known) for (pose, step), known in zip(self._kept, smoothed(steps), strict=True)]
+
+    def _told(self, pose: Pose, step: Step, known: Estimate) -> Pose:
+        """Return a pose at the end of its block as it is now known; its status and reason stay."""
+        seconds = pose.time_s - step.middle_s
+        motion, transition = onward(known.motion, seconds)
+        covariance = transition @ known.covariance @ transition.T + added(step.agility, seconds)
+        if step.bias is not None:
+            covariance[:6, :6] += step.bias
+        told = self._reporter.again(pose, motion, covariance)
+        # An alternative is not smoothed: it goes out as it was
+        return replace(told, alternative=pose.alternative) if pose.status is Status.AMBIGUOUS else told
+
+
+def smoothed(steps: Sequence[Step]) -> list[Estimate]:
+    """Return what all steps of one track together tell of each of them."""
+    if not steps:
+        return []
+    back = [steps[-1].known]
+    for step, later in zip(steps[-2::-1], steps[:0:-1], strict=True):
+        seconds = later.middle_s - step.middle_s
+        predicted, transition = onward(step.known.motion, seconds)
+        covariance = step.known.covariance
+        before = transition @ covariance @ transition.T + added(later.agility, seconds)
+        gain = _divided(covariance @ transition.T, before)
+        after = back[-1]
+        change = gain @ after.motion.minus(predicted)
+        back.append(Estimate(step.known.motion.moved(change), covariance + gain @ (after.covariance - before) @ gain.T))
+    return back[::-1]
+
+
+def _divided(left: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return left times the inverse of a covariance whose rows have different units."""
+    scale = 1.0 / np.sqrt(np.diag(covariance))
+    return np.asarray(np.linalg.solve(covariance * np.outer(scale, scale), (left * scale).T).T * scale)

@@ -1,0 +1,106 @@
+"""Smoothed poses: against a batch solution of the same blocks, and against the filter."""
+
+import numpy as np
+import pytest
+
+from goldfield.errors import UserError
+from goldfield.field import FieldModel
+from goldfield.track.blocks import BlockFilter, BlockSmoother
+from goldfield.track.blocks.bank import Bank, Start
+from goldfield.track.blocks.equations import BlockEquations
+from goldfield.track.blocks.filter import Step
+from goldfield.track.blocks.smoother import smoothed
+from goldfield.track.blocks.state import added, onward
+from goldfield.track.blocks.update import observed, reference
+from goldfield.types import Status
+from tests.bench.motion_trials import EARTH_T, circling, flight_poses
+from tests.host.track.blocks.test_filter import ROOMS, SITES, figures, stream_of, streamed
+
+AGILITY = np.array([[0.5, 1.0]])
+
+
+def steps_of(stream, count):
+    """Steps of a single filter, and the prior that it began with, with the forms of its blocks."""
+    site = stream.site
+    equations, bank = BlockEquations(site), Bank(FieldModel(site.beacons), AGILITY)
+    forms = [equations.form(block) for block in stream.blocks()[:count]]
+    period = 31 * site.chip_period_s
+    position, rotation = flight_poses(stream.flight, 16 * site.chip_period_s)
+    spread = np.diag(np.repeat([1e-3, 1e-3], 3) ** 2)
+    bank.start(Start(position, rotation.as_matrix(), spread, EARTH_T, 1e-12 * np.eye(3)))
+    prior = bank.output()
+    steps = []
+    for k, form in enumerate(forms):
+        assert bank.update(form, period if k else 0.0)
+        steps.append(Step(1, k * period, bank.output(), AGILITY[0], None))
+    return prior, steps, forms
+
+
+def test_smoothing_is_the_batch_solution():
+    """All states of all blocks at once: prior, motion and blocks as one least squares around the smoothed states."""
+    stream = stream_of("one", 2e-8, 3, 0.12)
+    prior, steps, forms = steps_of(stream, 18)
+    model, period, size = FieldModel(stream.site.beacons), 31 * stream.site.chip_period_s, 18
+    states = [estimate.motion for estimate in smoothed(steps)]
+    scale = np.repeat([1e-3, 1e-3, 1e-1, 1e-1, 1e-7, 1e-7], 3)
+    for _ in range(3):
+        normal, right = np.zeros((size * len(states),) * 2), np.zeros(size * len(states))
+
+        def add(rows, residual, root, normal=normal, right=right):
+            jacobian = np.zeros((len(residual), len(right)))
+            for place, part in rows:
+                jacobian[:, size * place : size * (place + 1)] = root @ part * scale
+            normal += jacobian.T @ jacobian
+            right += jacobian.T @ (root @ residual)
+
+        root = np.linalg.inv(np.linalg.cholesky(prior.covariance))
+        add([(0, np.eye(size))], prior.motion.minus(states[0]), root)
+        root = np.linalg.inv(np.linalg.cholesky(added(AGILITY[0], period)))
+        for k in range(len(states) - 1):
+            later, transition = onward(states[k], period)
+            add([(k, -transition), (k + 1, np.eye(size))], later.minus(states[k + 1]), root)
+        for k, form in enumerate(forms):
+            block = observed(form, reference(model, states[k]))
+            seen = np.zeros((9, size))
+            seen[:, :6], seen[:, 6:12] = block.root.T[:, :6], block.by_motion
+            seen[:, 12:15], seen[:, 15:] = block.root.T[:, 6:], block.root.T[:, 6:] @ states[k].rotation
+            add([(k, seen)], block.score, np.eye(9))
+        step = np.linalg.solve(normal, right).reshape(-1, size) * scale
+        states = [state.moved(change) for state, change in zip(states, step, strict=True)]
+    batch = np.linalg.inv(normal)
+    for k, (estimate, state) in enumerate(zip(smoothed(steps), states, strict=True)):
+        covariance = batch[size * k : size * (k + 1), size * k : size * (k + 1)] * np.outer(scale, scale)
+        deviation = np.sqrt(np.diag(covariance))
+        assert np.abs(estimate.motion.minus(state) / deviation).max() < 0.1
+        np.testing.assert_allclose(np.sqrt(np.diag(estimate.covariance)) / deviation, 1.0, atol=0.03)
+
+
+@pytest.mark.parametrize(("name", "noise_T", "gain"), [("one", 2e-7, 0.85), ("hand", 2e-8, 0.8)])
+def test_smoothed_poses_are_more_accurate_and_say_so(name, noise_T, gain):
+    stream = stream_of(name, noise_T, 30, 0.8)
+    track = BlockFilter(stream.site)
+    filtered = [track.update(block) for block in stream.blocks()]
+    late = list(BlockSmoother(stream.site).poses(stream.blocks()))
+    assert [pose.time_s for pose in late] == [pose.time_s for pose in filtered]
+    assert [pose.status for pose in late] == [pose.status for pose in filtered]
+    before, after = figures(stream, filtered[:-16]), figures(stream, late[:-16])
+    assert after[0] < gain * before[0]
+    assert 0.4 < after[2] < 1.8
+    for one, other in zip(late[:-16], filtered, strict=False):
+        assert np.trace(one.position_cov_m2) < np.trace(other.position_cov_m2)
+
+
+def test_poses_are_late_by_the_lag_and_none_is_lost_between_tracks():
+    rng = np.random.default_rng(31)
+    stream = streamed(ROOMS[2e-7], circling(rng, 1.0, 1.0), 0.9, 2e-7, rng)
+    blocks = stream.blocks()
+    smoother, out = BlockSmoother(SITES[2e-7], 0.03), []
+    for place, block in enumerate([*blocks[:60], *blocks[270:]]):
+        for pose in smoother.update(block):
+            assert place == 60 or 0.03 <= block.time_s - pose.time_s < 0.06
+            out.append(pose)
+    out += smoother.finish()
+    assert [pose.time_s for pose in out] == [block.time_s for block in [*blocks[:60], *blocks[270:]]]
+    assert {pose.status for pose in out} == {Status.OK}
+    with pytest.raises(UserError, match="the lag is 0 s; it must be above 0"):
+        BlockSmoother(SITES[2e-7], 0.0)
