@@ -59,5 +59,6 @@ class VirtualLink(BusSource):
             return
         if message.name == "PARAM_SET":
             self.parameters[number] = int(message.signals["value_unsigned"])
-        value = {"kind": 0, "status": 0, "value_unsigned": self.parameters.get(number, 0)}
-        self.deliver(encode("PARAM_VALUE", value, node=node, index=number), ANSWER_S)
+        value = self.parameters.get(number, 0)
+        own = {"kind": 2, "value_float": value} if isinstance(value, float) else {"kind": 0, "value_unsigned": value}
+        self.deliver(encode("PARAM_VALUE", {"status": 0, **own}, node=node, index=number), ANSWER_S)

@@ -107,10 +107,10 @@ class Choice:
 
     @property
     def parameters(self) -> Mapping[int, int]:
-        """The parameters, by id, that make the sensor send it."""
-        blocks = LINK_BITS[self.link] if self.carrier is Carrier.BLOCKS else 0
-        stream = {PARAMETERS["stream"].first: 1} if self.carrier is Carrier.CHIPS else {}
-        return {PARAMETERS["blocks"].first: blocks, **stream}
+        """The parameters, by id, that make the sensor send it; none for cycles, which it always sends."""
+        if self.carrier is Carrier.BLOCKS:
+            return {PARAMETERS["blocks"].first: LINK_BITS[self.link]}
+        return {PARAMETERS["stream"].first: 1} if self.carrier is Carrier.CHIPS else {}
 
 
 def choose(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) -> Choice:

@@ -7,9 +7,11 @@ import time
 from collections.abc import Mapping, Sequence
 
 import can
+import numpy as np
 
 from goldfield.errors import SystemFailure, UserError
 from goldfield.link.buses import BusSource
+from goldfield.link.chips import Calibration
 from goldfield.link.requests import ANSWER_S, read_request, refusal, set_request, value_of
 from goldfield.sensor.receiver import Receiver, used_message
 from goldfield_protocol.parameters import PARAMETERS, Kind, label_of
@@ -19,6 +21,8 @@ Parameters = Mapping[int, int | float]
 """Values by the parameter's id; unsigned or single precision by their type."""
 BLOCKS = PARAMETERS["blocks"].first
 """Each bit of this parameter is a link, so that hosts on several links each have their own."""
+STREAM = PARAMETERS["stream"].first
+"""Whether the sensor streams its chips."""
 
 
 class Dialogue:
@@ -85,6 +89,12 @@ class Dialogue:
         for parameter, value in changes.items():
             self.set(parameter, beside(parameter, value, wanted[parameter]))
         return bool(changes)
+
+    def calibration(self) -> Calibration:
+        """Return the sensor's own calibration; `SystemFailure` if it does not answer."""
+        zero = [self.ask(PARAMETERS[f"zero_{axis}"].first) for axis in "xyz"]
+        matrix = [self.ask(PARAMETERS["calibration"].identifier(element)) for element in range(9)]
+        return Calibration(np.array(zero, dtype=np.float64), np.array(matrix, dtype=np.float64).reshape(3, 3))
 
     def set(self, parameter: int, value: int | float) -> None:
         """Set a parameter; `SystemFailure` if the sensor does not answer, refuses, or keeps another value.

@@ -12,7 +12,7 @@ from goldfield.errors import UserError, tell
 from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.link.reports import Report
 from goldfield.locate import locate
-from goldfield.sensor.dialogue import BLOCKS, Parameters
+from goldfield.sensor.dialogue import Parameters
 from goldfield.sensor.guard import guarded
 from goldfield.sensor.on_sensor import on_sensor_parameters, on_sensor_pose
 from goldfield.sensor.options import Method, Options
@@ -153,15 +153,15 @@ def with_finding(pose: Pose, finding: Finding | None) -> Pose:
     )
 
 
-def needed_parameters(site: Site, options: Options, *, blocks: int) -> Parameters:
+def needed_parameters(site: Site, options: Options, *, blocks: Parameters) -> Parameters:
     """Return the parameters, by id, that a live sensor must have for what the options ask, beside the site's codes.
 
     Parameters
     ----------
     site : Site
     options : Options
-    blocks : int
-        The link on which blocks of chips are read, as parameter ``blocks`` has it; 0: none are read.
+    blocks : mapping of int to int
+        What it must have to send blocks of chips on the link that is read; empty if none are read.
     """
     if options.method is Method.ON_SENSOR:
         if options.rate_hz is None:
@@ -169,7 +169,7 @@ def needed_parameters(site: Site, options: Options, *, blocks: int) -> Parameter
         block_s = BLOCK_CHIPS * site.cycle_s / site.chips
         return on_sensor_parameters(site, max(1, round(1.0 / (options.rate_hz * block_s))))
     if blocks:
-        return {BLOCKS: blocks}
+        return blocks
     return {PARAMETERS["parts"].first: PARTS} if options.method is Method.TRACK and sensor_sends_parts(site) else {}
 
 

@@ -136,7 +136,7 @@ class Sensor:
             self._succession = Succession()
             self._locate = location(site, method, self._succession)
             if self._session.live:
-                self._session.start(needed_parameters(site, self._options, blocks=self._session.blocks_by))
+                self._session.start(needed_parameters(site, self._options, blocks=self._session.block_parameters))
         except BaseException:
             source.close()
             raise

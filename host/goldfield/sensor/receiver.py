@@ -35,6 +35,7 @@ USED = (
     "PART",
     "BLOCK",
     "BLOCK_SUM",
+    "CHIP",
     "HEARTBEAT",
     "COUNTER",
     "PARAM_VALUE",

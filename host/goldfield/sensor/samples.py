@@ -10,13 +10,12 @@ import numpy as np
 from goldfield.errors import SystemFailure
 from goldfield.link.chips import Calibration, ChipAssembler
 from goldfield.link.heartbeat import STATE_STARTING
+from goldfield.sensor.dialogue import STREAM
 from goldfield.sensor.session import SILENCE_S, WAIT_S, Session
 from goldfield.site import Site
 from goldfield.types import FloatArray
 from goldfield_protocol.messages import Message, decode
 from goldfield_protocol.parameters import PARAMETERS
-
-STREAM = PARAMETERS["stream"].first
 
 
 def sample_cycles(session: Session, site: Site) -> Generator[FloatArray]:
@@ -51,17 +50,14 @@ def sample_cycles(session: Session, site: Site) -> Generator[FloatArray]:
 
 def _calibration(session: Session, site: Site) -> Calibration:
     """Return the sensor's own calibration; where it is only listened to, that of a sensor without one."""
-    if not session.talks:
-        session.receiver.tell_once(
-            "the sensor is only listened to, so its calibration is unknown: that of the parameters' defaults is taken"
-        )
-        zero = [PARAMETERS[f"zero_{axis}"].default[0] for axis in "xyz"]
-        matrix = list(PARAMETERS["calibration"].default)
-    else:
-        dialogue = session.dialogue
-        dialogue.check_degree(site.degree)
-        zero = [dialogue.ask(PARAMETERS[f"zero_{axis}"].first) for axis in "xyz"]
-        matrix = [dialogue.ask(PARAMETERS["calibration"].identifier(element)) for element in range(9)]
+    if session.talks:
+        session.dialogue.check_degree(site.degree)
+        return session.dialogue.calibration()
+    session.receiver.tell_once(
+        "the sensor is only listened to, so its calibration is unknown: that of the parameters' defaults is taken"
+    )
+    zero = [PARAMETERS[f"zero_{axis}"].default[0] for axis in "xyz"]
+    matrix = list(PARAMETERS["calibration"].default)
     return Calibration(np.array(zero, dtype=np.float64), np.array(matrix, dtype=np.float64).reshape(3, 3))
 
 

@@ -10,14 +10,16 @@ import can
 
 from goldfield.errors import SystemFailure, UserError, counted, option
 from goldfield.link.blocks import BlockAssembler
+from goldfield.link.budget import LINK_BITS, Carrier, Choice, Link, choose
 from goldfield.link.buses import BusSource, Source
+from goldfield.link.chip_blocks import ChipBlockAssembler
 from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, STATE_STARTING
 from goldfield.link.marks import is_mark, reads
 from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.link.requests import set_request
 from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.census import Census, Place
-from goldfield.sensor.dialogue import BLOCKS, Dialogue, Parameters
+from goldfield.sensor.dialogue import BLOCKS, STREAM, Dialogue, Parameters
 from goldfield.sensor.health import Health
 from goldfield.sensor.keeping import Keeping
 from goldfield.sensor.on_sensor import OnSensorTrack
@@ -80,8 +82,10 @@ class Session:
         What the session reads.
     assembler : Assembler
         Its counters tell what went wrong on the way.
-    blocks : BlockAssembler or None
+    blocks : BlockAssembler or ChipBlockAssembler or None
         The same of the blocks.
+    choice : Choice or None
+        What a live sensor is to send its blocks by, if they are read: sums or chips, or cycles only.
     health : Health
         What every board on the link last said of itself.
     anchors : AnchorWatch
@@ -112,13 +116,18 @@ class Session:
         self.anchors = AnchorWatch(site)
         self.receiver = Receiver(source, name, recorder, self._listen)
         self.assembler = Assembler(silence_s=max(SHORTEST_SILENCE_S, 8.0 * site.cycle_s), on_sensor=on_sensor)
-        chip_s = site.cycle_s / site.chips
-        self.blocks = BlockAssembler(site.codes, site.chips, chip_s) if blocks else None
+        self._bus = source if isinstance(source, BusSource) else None
+        self._chip_s = site.cycle_s / site.chips
+        self.blocks: BlockAssembler | ChipBlockAssembler | None = None
+        self.choice: Choice | None = None
+        if blocks:
+            self.blocks = BlockAssembler(site.codes, site.chips, self._chip_s)
+            self.choice = self._chosen(site)
         self.poses = OnSensorTrack(site) if poses else None
         self.keeping = Keeping(self.receiver)
         self.counters: dict[int, int] = {}
-        self._bus = source if isinstance(source, BusSource) else None
         self._site = site
+        self._streamed_before: int | float = 1
         self._asked = node is not None
         self._channel = channel
         self._parameters: Parameters | None = None
@@ -145,9 +154,15 @@ class Session:
         return self._bus is not None
 
     @property
-    def blocks_by(self) -> int:
-        """The bit of the link on which blocks of chips are read, as parameter ``blocks`` has it; 0: none are read."""
-        return 0 if self.blocks is None or self._bus is None else self._bus.link_bit
+    def block_parameters(self) -> Parameters:
+        """What the sensor must have to send blocks of chips on the link that is read; empty if none are read."""
+        return {} if self.choice is None else self.choice.parameters
+
+    def _chosen(self, site: Site) -> Choice | None:
+        if self._bus is None:
+            return None
+        link = Link.CAN if self._bus.link_bit == LINK_BITS[Link.CAN] else Link.SERIAL
+        return choose(link, len(site.codes), site.chips, self._chip_s)
 
     @property
     def talks(self) -> bool:
@@ -202,6 +217,11 @@ class Session:
         self.find()
         self.dialogue.check_degree(self._site.degree)
         self._parameters = parameters or {}
+        if self.choice is not None and self.choice.carrier is not Carrier.BLOCKS:
+            self.receiver.tell_once(f"the sensor sends {self.choice.text}")
+        if STREAM in self._parameters:
+            self._streamed_before = self.dialogue.ask(STREAM)
+            self.blocks = ChipBlockAssembler(self._site.chips, self._chip_s, self.dialogue.calibration())
         changed = self._configure()
         self.receiver.mark(self.node)
         for node in self.health.boards:
@@ -209,15 +229,16 @@ class Session:
         return changed
 
     def end(self) -> None:
-        """Let a live sensor stop to send blocks on this link, if it did not before; no answer is waited for."""
-        if self._bus is None or self.node is None or not (self._parameters or {}).get(BLOCKS):
+        """Let a live sensor stop to send blocks or chips on this link, if it did not before; no answer is awaited."""
+        if self._bus is None or self.node is None:
             return
-        bit, before = self._bus.link_bit, self.keeping.links_before
-        if before is None or before & bit:
-            return
+        wanted, bit, before = self._parameters or {}, self._bus.link_bit, self.keeping.links_before
         with contextlib.suppress(SystemFailure):
-            others = (self.keeping.links or 0) & ~bit
-            self._bus.send(*set_request(self.node, BLOCKS, others, Kind.UNSIGNED))
+            if wanted.get(BLOCKS) and before is not None and not before & bit:
+                others = (self.keeping.links or 0) & ~bit
+                self._bus.send(*set_request(self.node, BLOCKS, others, Kind.UNSIGNED))
+            if STREAM in wanted and not self._streamed_before:
+                self._bus.send(*set_request(self.node, STREAM, 0, Kind.UNSIGNED))
 
     def find(self) -> None:
         """Wait for a live sensor's heartbeat; where it is only listened to, its reports count too.

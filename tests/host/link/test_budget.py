@@ -82,10 +82,12 @@ def test_what_is_chosen(link, codes, carrier):
     choice = choose(link, codes, N, CHIP_S)
     assert choice.carrier is carrier
     assert choice.load == load(link, carrier, codes, N, CHIP_S) <= SHARE[link]
-    wanted = {PARAMETERS["blocks"].first: LINK_BITS[link] if carrier is Carrier.BLOCKS else 0}
-    if carrier is Carrier.CHIPS:
-        wanted[PARAMETERS["stream"].first] = 1
-    assert choice.parameters == wanted
+    wanted = {
+        Carrier.BLOCKS: {PARAMETERS["blocks"].first: LINK_BITS[link]},
+        Carrier.CHIPS: {PARAMETERS["stream"].first: 1},
+        Carrier.CYCLES: {},
+    }
+    assert choice.parameters == wanted[carrier]
 
 
 def test_two_sensors_share_a_bus():
