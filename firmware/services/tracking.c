@@ -301,7 +301,7 @@ static void gather(tracking_t *tracking, node_t *node, const block_sums_t *sums,
     const uint32_t needed = 1u + tracking->count / TRACKING_COLUMNS_A_BLOCK;
     if (!tracking->able) {
         tracking->start.reason = POSE_REASON_NO_POSE;
-    } else if (sums->unmeasured != 0u || (more && tracking->gathered == 0u)) {
+    } else if (sums->unmeasured != 0u || (more && tracking->gathered == 0u) || !onboard_lends(tracking->onboard)) {
         tracking->gathered = 0;
     } else {
         if (tracking->gathered == 0u) {
@@ -373,9 +373,11 @@ static void look_at_cycles(tracking_t *tracking) {
     tracking->judged = onboard->judged;
     if (onboard->verdict.by_track || tracking->doubted || onboard->chips != BLOCK_CYCLE_CHIPS) {
         tracking->verdict = onboard->verdict;
-        tracking->doubted = tracking->doubted && !onboard->verdict.by_track;
         if (onboard->verdict.status != POSE_INCONSISTENT) {
             tracking->suspect = POSE_NOBODY;
+            tracking->doubted = tracking->doubted && !onboard->verdict.by_track;
+        } else if (tracking->doubted && onboard->verdict.by_track && tracking->state == TRACKING_FOLLOWS) {
+            lose(tracking); /* It began when nothing fitted, and nothing fits it. */
         }
     }
 }

@@ -23,8 +23,8 @@
  * inconsistent, until the cycles tell which beacon to leave out. A beacon that fits worst and does not fit in
  * TRACKING_DOUBTS blocks in a row (block_residual.h) is left out at once, until such a cycle is located well. If blocks
  * do not fit all the same, or are refused by the filter, poses are inconsistent from the TRACKING_DOUBTS-th in a row
- * on, with reason "pending", and so are those of a track that starts after one was lost for that, unless the beacons
- * were silent.
+ * on, with reason "pending". So are those of a track that starts after one was lost for that, unless the beacons were
+ * silent; it is given up if the first such cycle does not agree with the site either.
  *
  * Limits. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come
  * only while the chip clock is locked; without any there are no poses.

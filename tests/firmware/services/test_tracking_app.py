@@ -38,17 +38,18 @@ def path(motion: Motion, time_s: NDArray[np.float64]) -> tuple[NDArray[np.float6
 
 
 def counts_in_motion(
-    motion: Motion = STILL, dead: dict[int, tuple[float, float]] | None = None, late: tuple[int, int] = (CYCLES, 0)
+    motion: Motion = STILL, dead: dict[int, tuple[float, float]] | None = None, slip: tuple[int, int, int] = (0, 0, 0)
 ) -> Callable[[int, int], NDArray[np.float64]]:
     """Converter counts about mid-scale by the master's cycle and chip.
 
-    ``dead`` says from which to which cycle the beacon of a place has no field; from cycle ``late[0]`` on the codes are
-    late by ``late[1]`` chips.
+    ``dead`` says from which to which cycle the beacon of a place has no field, ``slip`` from which to which cycle the
+    codes are late, and by how many chips.
     """
     chip = np.arange(CYCLES * CHIPS)
     position, attitude = path(motion, (chip + 1) * CHIP_S)
     field = np.tile([2e-5, 0.0, -4.5e-5], (len(chip), 1))
-    place = (chip - np.where(chip >= late[0] * CHIPS, late[1], 0)) % CHIPS
+    slipped = (chip >= slip[0] * CHIPS) & (chip < slip[1] * CHIPS)
+    place = (chip - np.where(slipped, slip[2], 0)) % CHIPS
     for i, (centre, code) in enumerate(zip(CENTRES, CODES, strict=True)):
         coil = magpylib.current.Circle(diameter=0.298, current=190.0, position=centre)
         begin, end = (CHIPS * cycle for cycle in (dead or {}).get(i, (CYCLES, CYCLES)))
@@ -185,6 +186,20 @@ def test_a_dead_beacon_is_left_out_once_the_cycles_name_it(make: Callable[..., W
     assert all(pose.error(MOVING)[0] < 5.0 * pose.quality["sigma_position"] for pose in between)
     back = [pose for pose in told if pose.cycle == 1014]
     assert {(pose.status, pose.integrity["left_out"]) for pose in back} == {(OK, 255.0)}
+
+
+def test_a_slip_of_the_clock_is_told_and_over_when_it_is(make: Callable[..., World]) -> None:
+    world = make(counts_in_motion(MOVING, slip=(7, 9, 5)))
+    world.run_cycles(14)
+    told = told_by(world)
+    ends = np.array([(pose.cycle - 1000) * CHIPS + pose.chip for pose in told])
+    during = [pose for pose, end in zip(told, ends, strict=True) if 7 * CHIPS + 16 * 31 < end < 9 * CHIPS]
+    assert len(during) > BLOCKS_A_CYCLE
+    assert {pose.status for pose in during} <= {INCONSISTENT, FAILED}
+    # A track that began in the slip is given up with the first cycle that is judged.
+    back = [pose for pose, end in zip(told, ends, strict=True) if end > 10 * CHIPS + 4 * 31]
+    assert rms([pose.error(MOVING)[0] for pose in back]) < 0.03
+    assert {pose.status for pose in back[-BLOCKS_A_CYCLE:]} == {OK}
 
 
 def test_parameters_that_change_start_anew(make: Callable[..., World]) -> None:
