@@ -1,5 +1,7 @@
 #include "services/onboard.h"
 
+#include <string.h>
+
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
 #include "services/pose_report.h"
@@ -138,6 +140,11 @@ static void begin(onboard_t *onboard, node_t *node) {
         return;
     }
     separate(onboard);
+    if (onboard->by_track) { /* The track knows better than the pose of the cycle before. */
+        memcpy(onboard->pose.position_m, onboard->moving.position_m, sizeof onboard->pose.position_m);
+        memcpy(onboard->pose.quaternion, onboard->moving.quaternion, sizeof onboard->pose.quaternion);
+        onboard->pose.status = POSE_OK;
+    }
     pose_live_begin(&onboard->live, &onboard->site, onboard->fields, &onboard->pose);
 }
 

@@ -223,3 +223,17 @@ def test_codes_that_cannot_be_tracked_fail(make: Callable[..., World], codes: li
     world = make(counts_in_motion(), code_list=codes, code_count=len(codes))
     world.run_cycles(6)
     assert {(pose.status, pose.reason) for pose in told_by(world)} == {(FAILED, NO_POSE)}
+
+
+def test_the_arm_image_has_a_pose_for_every_block_in_time() -> None:
+    """The very image that is flashed, on the emulator: no block is late, and poses are as good as they say."""
+    world = World(counts_in_motion(MOVING), emulated=True, **(TABLE | {"pose_blocks": 1}))
+    world.run_cycles(8)
+    told = told_by(world)
+    world.board.close()
+    assert set(np.diff([pose.cycle * CHIPS + pose.chip for pose in told])) == {31}
+    assert len(told) > 2.5 * BLOCKS_A_CYCLE
+    assert {pose.status for pose in told} == {OK}
+    last = told[-BLOCKS_A_CYCLE:]
+    sigma = rms([pose.quality["sigma_position"] for pose in last])
+    assert 0.3 * sigma < rms([pose.error(MOVING)[0] for pose in last]) < 1.6 * sigma < 0.03
