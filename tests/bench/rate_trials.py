@@ -1,7 +1,7 @@
 """What may happen to a tracked sensor: starts in motion, lost blocks, impulses, a dead beacon, iron, survey errors.
 
-Each trial returns `Errors` of the block filter's poses, on simulated samples. What matters most of them is how many poses
-were said to be ``ok`` and were off by five deviations or by more than their protection level: `Errors.wrong`.
+Each trial returns `Errors` of the block filter, on simulated samples. What matters most of them is how many poses were
+said to be ``ok`` and were off by five deviations or by more than their protection level: `Errors.wrong`.
 """
 
 from __future__ import annotations
