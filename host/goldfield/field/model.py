@@ -68,6 +68,7 @@ class FieldModel:
         self.loop_radius_m: FloatArray = np.zeros(len(beacons))
         self.loop_radius_m[self._loops] = self._loop_radius
         self.loop_radius_m[self._wires] = np.nan
+        self._least_m: FloatArray = np.nan_to_num(self.loop_radius_m)
 
         wires = [beacons[int(i)] for i in self._wires]
         points = [np.asarray(beacon.points_m, dtype=float) for beacon in wires]
@@ -187,7 +188,7 @@ class FieldModel:
         tenth of its radius, though the centre is at hand. The radius of coils given by their wire does not count.
         """
         distance = np.linalg.norm(point_m[:, None] - self.centre_m, axis=2)
-        return np.asarray(np.maximum(distance, np.nan_to_num(self.loop_radius_m)).min(axis=1))
+        return np.asarray(np.maximum(distance, self._least_m).min(axis=1))
 
     def _loop_arguments(self, point: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         return self._shaped(self._loop_axis, point), self._loop_radius, self._loop_current

@@ -82,8 +82,11 @@ class Reporter:
         position_cov, attitude_cov = covariance[POSITION, POSITION], covariance[TURN, TURN]
         if status is Status.OK:
             nearest = self._model.nearest_m(belief.state.position_m[None])[0]
-            shifts, turns = np.sqrt(np.linalg.eigvalsh(np.stack([position_cov, attitude_cov])))
-            worst, turn = shifts[2], turns[1 if axes == 1 else 2]
+            # The worst axis is not worse than all together, which tells of nearly all poses that they are not weak
+            worst, turn = (math.sqrt(part[0, 0] + part[1, 1] + part[2, 2]) for part in (position_cov, attitude_cov))
+            if worst > WEAK_POSITION * nearest or turn > WEAK_ATTITUDE_RAD:
+                shifts, turns = np.sqrt(np.linalg.eigvalsh(np.stack([position_cov, attitude_cov])))
+                worst, turn = shifts[2], turns[1 if axes == 1 else 2]
             if worst > WEAK_POSITION * nearest or turn > WEAK_ATTITUDE_RAD:
                 status = Status.WEAK
                 reason = joined(

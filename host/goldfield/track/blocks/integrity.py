@@ -137,7 +137,7 @@ class Integrity:
             ((pose @ covariance[part, part]) * pose).sum(axis=(1, 2)) / 3.0 for part in (slice(0, MOVING), MOTION)
         )
         leaks = form.beside_ambient(form.gram)
-        leaks[:, :-1] -= np.diag(np.diag(leaks[:, :-1]))
+        leaks.flat[:: leaks.shape[1] + 1] = 0.0
         slopes = form.beside_ambient(form.moment)
         leaked = (leaks * leaks) @ still + (slopes * slopes) @ moving
         return np.asarray(leaked / self._site.sensor.noise_T**2)
