@@ -13,7 +13,7 @@ import numpy as np
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.track.blocks.equations import NormalForm
-from goldfield.track.blocks.state import AMBIENT, OFFSET, Motion, crosses, rotation_vector
+from goldfield.track.blocks.state import AMBIENT, OFFSET, SIZE, Motion, crosses
 from goldfield.types import FloatArray
 
 OBSERVED, MOVING = 9, 6
@@ -75,24 +75,22 @@ def reference(model: FieldModel, motion: Motion) -> Reference:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What a block says of the observed numbers.
+    """What a block says of the errors of the state, as independent numbers of unit variance, at most nine.
 
     Attributes
     ----------
     motion : Motion
         The reference.
-    root : ndarray, shape (9, 9)
-        Lower triangular U with L = U U' the information; columns of zeros where nothing is said.
-    by_motion : ndarray, shape (9, 6)
-        U^-1 K: what errors of velocity and turn rate add to the scores.
+    seen : ndarray, shape (18, 9)
+        A': how the numbers change with the errors; columns of zeros where nothing is said.
     score : ndarray, shape (9,)
-        U^-1 g of the reference.
+        The numbers, U^-1 g, of the reference.
     rank : int
+        How many there are.
     """
 
     motion: Motion
-    root: FloatArray
-    by_motion: FloatArray
+    seen: FloatArray
     score: FloatArray
     rank: int
 
@@ -109,7 +107,10 @@ def observed(form: NormalForm, around: Reference) -> Observed:
     through[..., -1] = around.residual(form)
     told = weighted.T @ through.reshape(len(jacobian), -1)
     root, rest, rank = _root(told[:, :OBSERVED], told[:, OBSERVED:])
-    return Observed(around.motion, root, rest[:, :-1], rest[:, -1], rank)
+    seen = np.empty((SIZE, OBSERVED))
+    seen[:6], seen[MOTION] = root[:6], rest[:, :-1].T
+    seen[AMBIENT], seen[OFFSET] = root[6:], around.motion.rotation.T @ root[6:]
+    return Observed(around.motion, seen, rest[:, -1], rank)
 
 
 def _root(information: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray, int]:
@@ -159,22 +160,12 @@ class Update:
 
 def taken_by(motion: Motion, covariance: FloatArray, block: Observed) -> Update:
     """Compute the updates of k filters, given by their motions and covariances, shape (k, 18, 18)."""
-    turn = block.motion.rotation
-    through = np.empty((*covariance.shape[:-1], OBSERVED + MOVING))
-    through[..., :6] = covariance[..., :6]
-    through[..., 6:9] = covariance[..., AMBIENT] + covariance[..., OFFSET] @ turn.T
-    through[..., 9:] = covariance[..., MOTION]
-    seen = np.vstack([block.root, block.by_motion.T])
-    whitened = through @ seen  # P A'
-    inner = np.empty((len(covariance), OBSERVED + MOVING, OBSERVED))
-    inner[:, :6] = whitened[:, :6]
-    inner[:, 6:9] = whitened[:, AMBIENT] + turn @ whitened[:, OFFSET]
-    inner[:, 9:] = whitened[:, MOTION]
-    spread = seen.T @ inner
-    spread[:, range(OBSERVED), range(OBSERVED)] += 1.0
+    whitened = covariance @ block.seen  # P A'
+    spread = block.seen.T @ whitened
+    spread += np.eye(OBSERVED)
     factor = np.linalg.cholesky(spread)
     inverse = np.linalg.inv(factor)
-    score = block.score - apart(motion, block.motion) @ seen
+    score = block.score - motion.minus(block.motion) @ block.seen
     normal = (inverse @ score[..., None])[..., 0]
     gain = whitened @ inverse.swapaxes(1, 2)
     return Update(
@@ -183,15 +174,3 @@ def taken_by(motion: Motion, covariance: FloatArray, block: Observed) -> Update:
         (normal * normal).sum(axis=1),
         2.0 * np.log(factor[:, range(OBSERVED), range(OBSERVED)]).sum(axis=1),
     )
-
-
-def apart(motion: Motion, other: Motion) -> FloatArray:
-    """Return the observed numbers, velocity and turn rate of motions less those of another, shape (k, 15)."""
-    result = np.empty((len(motion.position_m), OBSERVED + MOVING))
-    result[:, :3] = motion.position_m - other.position_m
-    result[:, 3:6] = rotation_vector(motion.rotation @ other.rotation.T)
-    offset = (motion.offset_T - other.offset_T) @ other.rotation.T
-    result[:, 6:9] = motion.ambient_T - other.ambient_T + offset
-    result[:, 9:12] = motion.velocity_m_s - other.velocity_m_s
-    result[:, 12:] = motion.rate_rad_s - other.rate_rad_s
-    return result
