@@ -12,6 +12,8 @@
 #define UT_M3_PER_A_M2 0.1f  /* mu0 / (4 pi) in uT m^3 for each A m^2. */
 #define WEAK_ATTITUDE  0.5f  /* Standard deviation of the attitude beyond which nothing linear holds, rad. */
 #define WEAK_DISTANCE  0.25f /* That of the position, over the distance to the nearest beacon. */
+#define START_VELOCITY 3.0f  /* Standard deviations with which the filter begins: m/s ... */
+#define START_RATE     4.0f  /* ... and rad/s. */
 #define PROTECTION_SD  3.29f /* Deviate of what noise alone exceeds in one of a thousand cases. */
 
 #define CHIP_S  ((float)HAL_CHIP_TICKS / (float)HAL_TICKS_PER_SECOND) /* Length of a chip, s. */
@@ -278,18 +280,50 @@ static void add_block(tracking_t *tracking, const block_sums_t *sums) {
     }
 }
 
+/* Returns the sum of the squares of how fast the separated fields may change by motion, uT^2/s^2: those of dipoles by
+ * 3 B / r. */
+static float slopes2(const tracking_t *tracking) {
+    const float *const ambient = tracking->block.sums_uT[tracking->count];
+    float sum = START_RATE * START_RATE * vector3_dot(ambient, ambient);
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        const float field2 = vector3_dot(tracking->block.sums_uT[i], tracking->block.sums_uT[i]);
+        const float k = tracking->coils[i].k_uT_m3, radius = tracking->coils[i].radius_m;
+        if (is_out(tracking, i) || !(field2 > 0.0f)) {
+            continue;
+        }
+        const float away = 1.0f / inverse_cube_root(1.5f * (k < 0.0f ? -k : k) * inverse_square_root(field2));
+        const float rate = START_RATE + 3.0f * START_VELOCITY / (away > radius ? away : radius);
+        sum += rate * rate * field2;
+    }
+    return sum;
+}
+
+/* Returns the variance, uT^2, of a component of a separated field: noise, and what the others, which change during the
+ * blocks, leave in it. Their products with time have a variance of m (m^2 - 1) / 12 chips^2 in m chips. */
+static float variance(const tracking_t *tracking, uint32_t row, float sum2) {
+    const float noise_uT = MICROTESLA * tracking->onboard->noise_T;
+    const float chips = (float)(tracking->gathered * BLOCK_CHIPS);
+    float row2 = 0.0f;
+    for (uint32_t j = 0; j <= tracking->count; j++) {
+        row2 += tracking->block.gram[row][j] * tracking->block.gram[row][j];
+    }
+    const float times2 = chips * (chips * chips - 1.0f) / 12.0f * CHIP_S * CHIP_S;
+    return noise_uT * noise_uT * tracking->block.gram[row][row] + times2 * row2 * sum2;
+}
+
 /* Begins to locate the fields of the blocks gathered. Returns false if they cannot be separated. */
 static bool locate(tracking_t *tracking) {
     leave_out(tracking);
     if (!block_separate(&tracking->block)) {
         return false;
     }
+    const float sum2 = slopes2(tracking);
     pose_field_t fields[BLOCK_BEACONS];
     for (uint32_t i = 0; i < tracking->count; i++) {
         for (uint32_t axis = 0; axis < 3u; axis++) {
             fields[i].field_T[axis] = tracking->block.sums_uT[i][axis] / MICROTESLA;
         }
-        fields[i].sigma_T = tracking->onboard->noise_T * square_root(tracking->block.gram[i][i]);
+        fields[i].sigma_T = is_out(tracking, i) ? 0.0f : square_root(variance(tracking, i, sum2)) / MICROTESLA;
     }
     const pose_verdict_t unknown = {.row = POSE_NOBODY, .reason = POSE_REASON_PENDING};
     pose_begin(&tracking->onboard->site, fields, false, &unknown, tracking->work, &tracking->start);
@@ -331,13 +365,16 @@ static void gather(tracking_t *tracking, node_t *node, const block_sums_t *sums,
 static void begin(tracking_t *tracking, node_t *node) {
     const pose_t *const found = &tracking->start;
     onboard_take_back(tracking->onboard);
-    if (found->status == POSE_FAILED) {
+    const bool contradicts = found->status == POSE_INCONSISTENT;
+    tracking->contradictions += contradicts ? 1u : 0u;
+    if (found->status == POSE_FAILED || (contradicts && tracking->contradictions < TRACKING_PATIENCE)) {
         tracking->state = TRACKING_LOST;
         tracking->gathered = 0;
-        tracking->doubted = tracking->doubted && found->reason == POSE_REASON_NO_POSE; /* Silence explains it. */
+        tracking->doubted = tracking->doubted && found->reason != POSE_REASON_NOISE; /* Silence explains it. */
         send(tracking, node, found);
         return;
     }
+    tracking->contradictions = 0;
     const uint32_t last = tracking->count;
     block_start_t start = {
         .ambient_sd_uT = MICROTESLA * tracking->onboard->noise_T * square_root(tracking->block.gram[last][last]),

@@ -19,12 +19,12 @@
  * one since the start, those of the start. With degree 10 cycles are located from what the track makes of them
  * (block_cycle.h), so that motion does not look like a fault; others count only where there is no such cycle because
  * blocks do not fit. A beacon that is left out has its column eliminated from each block (block_leave_out), and so has
- * one without a moment in the parameter beacons. Fields that fit no pose start a track all the same: its poses are
- * inconsistent, until the cycles tell which beacon to leave out. A beacon that fits worst and does not fit in
- * TRACKING_DOUBTS blocks in a row (block_residual.h) is left out at once, until such a cycle is located well. If blocks
- * do not fit all the same, or are refused by the filter, poses are inconsistent from the TRACKING_DOUBTS-th in a row
- * on, with reason "pending". So are those of a track that starts after one was lost for that, unless the beacons were
- * silent; it is given up if the first such cycle does not agree with the site either.
+ * one without a moment in the parameter beacons. Where TRACKING_PATIENCE single blocks fit no pose, a track starts all
+ * the same: its poses are inconsistent, until the cycles tell which beacon to leave out. A beacon that fits worst and
+ * does not fit in TRACKING_DOUBTS blocks in a row (block_residual.h) is left out at once, until such a cycle is located
+ * well. If blocks do not fit all the same, or are refused by the filter, poses are inconsistent from the
+ * TRACKING_DOUBTS-th in a row on, with reason "pending". So are those of a track that starts after one was lost for
+ * that, unless the beacons were silent; it is given up if the first such cycle does not agree with the site either.
  *
  * Limits. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come
  * only while the chip clock is locked; without any there are no poses.
@@ -43,6 +43,7 @@
 
 #define TRACKING_COLUMNS_A_BLOCK 21u /* Most columns that the fields of one block are separated for. */
 #define TRACKING_DOUBTS          3u  /* Blocks in a row that do not fit, from which on poses are inconsistent. */
+#define TRACKING_PATIENCE        5u  /* Starts that do not agree with the site, after which one is taken as it is. */
 #define TRACKING_ERRORS_BLOCKS   33u /* Blocks from one covariance by the errors of the site to the next. */
 
 typedef enum {
@@ -65,10 +66,11 @@ typedef struct {
     float site_covariance[6][6]; /* That by the errors of the site. */
     uint32_t errors_number;      /* The block that it is from. */
     block_filter_t filter;
-    block_t block;        /* The block at work, and the blocks that a start gathers. */
-    uint32_t number;      /* The number of the latest block. */
-    uint32_t cycle, chip; /* Cycle and code chip of its first sample. */
-    uint32_t gathered;    /* Blocks that a start has gathered. */
+    block_t block;           /* The block at work, and the blocks that a start gathers. */
+    uint32_t number;         /* The number of the latest block. */
+    uint32_t cycle, chip;    /* Cycle and code chip of its first sample. */
+    uint32_t gathered;       /* Blocks that a start has gathered. */
+    uint32_t contradictions; /* Starts that did not agree with the site, since the last track. */
     uint32_t misfits; /* Blocks that did not fit what was predicted (block_residual.h), less those that did since. */
     uint32_t worst, accused;   /* The beacon that fitted worst, and in how many blocks in a row. */
     uint32_t suspect;          /* The beacon that is left out for that until a cycle tells more, or POSE_NOBODY. */

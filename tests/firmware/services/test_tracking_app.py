@@ -22,7 +22,7 @@ CYCLES = 16
 LOCKED = 4
 """The first cycle in which the chip clock is locked from beginning to end."""
 BLOCKS_A_CYCLE = 33
-OK, INCONSISTENT, FAILED = 0, 3, 4
+OK, INCONSISTENT, FAILED, UNVERIFIED = 0, 3, 4, 5
 NO_REASON, NOISE, NO_POSE, LEFT_OUT, PENDING = 0, 2, 3, 11, 14
 STILL = (np.zeros(3), np.zeros(3))
 MOVING = (np.array([0.5, -0.5, 0.5]), np.array([0.3, 0.5, -0.8]))
@@ -135,9 +135,12 @@ def test_each_block_has_a_pose_at_its_end(make: Callable[..., World], motion: Mo
     ends = [pose.cycle * CHIPS + pose.chip for pose in told]
     assert len(told) > 7 * BLOCKS_A_CYCLE
     assert set(np.diff(ends)) == {31}
-    assert {(pose.status, pose.reason, pose.quality["used"]) for pose in told} == {(OK, NO_REASON, 8.0)}
+    # A single block promises too little until a cycle was located, which a track may begin amid.
+    assert {pose.status for pose in told[: 2 * BLOCKS_A_CYCLE]} <= {OK, UNVERIFIED}
+    assert {pose.quality["used"] for pose in told} == {8.0}
     assert [pose.quality["tracked"] for pose in told[:3]] == [0, 1, 1]
     settled = told[3 * BLOCKS_A_CYCLE :]
+    assert {(pose.status, pose.reason) for pose in settled} == {(OK, NO_REASON)}
     for error, sigma in (
         (rms([pose.error(motion)[0] for pose in settled]), rms([p.quality["sigma_position"] for p in settled])),
         (rms([pose.error(motion)[1] for pose in settled]), rms([p.quality["sigma_attitude"] for p in settled])),
@@ -195,7 +198,7 @@ def test_a_slip_of_the_clock_is_told_and_over_when_it_is(make: Callable[..., Wor
     ends = np.array([(pose.cycle - 1000) * CHIPS + pose.chip for pose in told])
     during = [pose for pose, end in zip(told, ends, strict=True) if 7 * CHIPS + 16 * 31 < end < 9 * CHIPS]
     assert len(during) > BLOCKS_A_CYCLE
-    assert {pose.status for pose in during} <= {INCONSISTENT, FAILED}
+    assert {pose.status for pose in during}.isdisjoint({OK, UNVERIFIED})
     # A track that began in the slip is given up with the first cycle that is judged.
     back = [pose for pose, end in zip(told, ends, strict=True) if end > 10 * CHIPS + 4 * 31]
     assert rms([pose.error(MOVING)[0] for pose in back]) < 0.03
@@ -233,7 +236,8 @@ def test_the_arm_image_has_a_pose_for_every_block_in_time() -> None:
     world.board.close()
     assert set(np.diff([pose.cycle * CHIPS + pose.chip for pose in told])) == {31}
     assert len(told) > 2.5 * BLOCKS_A_CYCLE
-    assert {pose.status for pose in told} == {OK}
+    assert {pose.status for pose in told[: 2 * BLOCKS_A_CYCLE]} <= {OK, UNVERIFIED}
+    assert {pose.status for pose in told[2 * BLOCKS_A_CYCLE :]} == {OK}
     last = told[-BLOCKS_A_CYCLE:]
     sigma = rms([pose.quality["sigma_position"] for pose in last])
     assert 0.3 * sigma < rms([pose.error(MOVING)[0] for pose in last]) < 1.6 * sigma < 0.03
