@@ -162,8 +162,7 @@ static void judge(onboard_t *onboard) {
     }
 }
 
-/* Does one step of whatever comes first. Returns whether there was anything to do. */
-static bool step(onboard_t *onboard, node_t *node) {
+bool onboard_step(onboard_t *onboard, node_t *node) {
     if (onboard->live.busy) {
         if (pose_live_step(&onboard->live, &onboard->pose)) {
             judge(onboard);
@@ -176,21 +175,6 @@ static bool step(onboard_t *onboard, node_t *node) {
         return true;
     }
     return pose_live_spare(&onboard->live);
-}
-
-bool onboard_step(onboard_t *onboard, node_t *node) {
-    if (!onboard->due && !pose_live_at_work(&onboard->live)) {
-        return false;
-    }
-    const uint64_t start_us = hal_microseconds(node->hal);
-    bool any = false;
-    while (step(onboard, node)) {
-        any = true;
-        if (hal_microseconds(node->hal) - start_us >= ONBOARD_TURN_US) {
-            break;
-        }
-    }
-    return any;
 }
 
 bool onboard_lends(const onboard_t *onboard) {

@@ -5,8 +5,8 @@
  *   1. onboard_configure  at start, and when a parameter has changed.
  *   2. onboard_take       with each whole cycle: it copies the cycle's sums while they are there; before it, where the
  *                         sensor tracks its motion, onboard_take_track.
- *   3. onboard_step       at once, and again and again: each call does some steps of the pose, the last one sends it,
- *                         and further ones review fields that do not agree with the site (pose_live.h).
+ *   3. onboard_step       at once, and again and again: each call does a step of the pose, the last one sends it, and
+ *                         further ones review fields that do not agree with the site (pose_live.h).
  *
  * The beacon of place i in the code list is row i of the parameter beacons (docs/parameters.md), row i of survey
  * says how well it is known; these, noise, gain_sd and axis_sd give the weights, and half_space resolves the mirror of
@@ -15,8 +15,8 @@
  * is taken while the pose of another is computed waits; if a further one comes before that is done, as with cycles of a
  * few milliseconds or dozens of beacons, the one that waits is answered as failed, and late is its reason.
  *
- * Contexts: main only. Memory: 24 kB. Time: a call begins no step after ONBOARD_TURN_US; the last one takes as long as
- * a step of pose.h. The separation takes about 25 instructions a code and axis. With nothing to do a call takes none.
+ * Contexts: main only. Memory: 24 kB. Time: a call takes as long as a step of pose.h. The separation takes about 25
+ * instructions a code and axis. With nothing to do a call takes none.
  */
 #ifndef GOLDFIELD_ONBOARD_H
 #define GOLDFIELD_ONBOARD_H
@@ -26,8 +26,6 @@
 #include "core/pose/pose_live.h"
 #include "core/track/block_cycle.h"
 #include "services/node.h"
-
-#define ONBOARD_TURN_US 2000u /* Time in a call after which it begins no further step: a block takes 3 ms. */
 
 /* What the location of a cycle came to, for the poses of blocks until the next (tracking.h). */
 typedef struct {
@@ -77,7 +75,7 @@ void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_
 void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
                   const epoch_selection_t *selection);
 
-/* Do steps of the pose of the cycle taken, if there is one, and send it when it is complete; else of the review.
+/* Do a step of the pose of the cycle taken, if there is one, and send it when it is complete; else of the review.
  * Returns whether there was anything to do. */
 bool onboard_step(onboard_t *onboard, node_t *node);
 

@@ -232,7 +232,7 @@ void sense_blocks(sense_t *sense) {
             return;
         }
         tracking_take(sense->tracking, node, sums, blocks_waiting(&sense->blocks));
-    } while (hal_microseconds(node->hal) - start_us < ONBOARD_TURN_US);
+    } while (hal_microseconds(node->hal) - start_us < SENSE_TURN_US);
 }
 
 void sense_step(sense_t *sense) {
@@ -253,15 +253,20 @@ void sense_step(sense_t *sense) {
     node->stream_lost = sense->stream.lost;
 }
 
+/* Does a step of the start of the track or of the pose of a cycle, in turn. Returns whether there was any. */
+static bool spare_step(sense_t *sense) {
+    sense->tracks_first = !sense->tracks_first;
+    if (sense->tracks_first) {
+        return tracking_search(sense->tracking, sense->node) || onboard_step(sense->onboard, sense->node);
+    }
+    return onboard_step(sense->onboard, sense->node) || tracking_search(sense->tracking, sense->node);
+}
+
 void sense_spare(sense_t *sense) {
     drain_stream(sense);
-    /* A start of the track and the pose of a cycle go first in turn, and only one of them takes its steps, so that main
-     * is held up no longer than by one. */
-    sense->tracks_first = !sense->tracks_first;
-    if (sense->tracks_first && tracking_search(sense->tracking, sense->node)) {
-        return;
-    }
-    if (!onboard_step(sense->onboard, sense->node) && !sense->tracks_first) {
-        (void)tracking_search(sense->tracking, sense->node);
+    const uint64_t start_us = hal_microseconds(sense->node->hal);
+    while (spare_step(sense) && hal_microseconds(sense->node->hal) - start_us < SENSE_TURN_US) {
+        sense_blocks(sense); /* A block and what is queued do not wait for the end of a long computation. */
+        node_flush(sense->node);
     }
 }

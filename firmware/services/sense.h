@@ -63,6 +63,7 @@
 #include "services/timing.h"
 #include "services/tracking.h"
 
+#define SENSE_TURN_US         2000u /* Time in a turn after which no further step of a pose begins: a block takes 3 ms. */
 #define SENSE_STREAM_MESSAGES 128u /* Length of the queue of streamed chips: four blocks. */
 
 /* Private but for tests, sampled and selection. */
@@ -100,7 +101,7 @@ void sense_configure(sense_t *sense);
 void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples, acquire_t *acquire);
 
 /* Make the sums of the blocks that wait, if blocks are wanted, send them, and make their poses (tracking.h): none is
- * begun after ONBOARD_TURN_US, and none is taken while a track starts. Costs 700 instructions a code and 3,000 for each
+ * begun after SENSE_TURN_US, and none is taken while a track starts. Costs 700 instructions a code and 3,000 for each
  * block, and what a pose costs. */
 void sense_blocks(sense_t *sense);
 

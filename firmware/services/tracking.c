@@ -452,12 +452,8 @@ bool tracking_search(tracking_t *tracking, node_t *node) {
     if (tracking->state != TRACKING_SEARCHES) {
         return false;
     }
-    const uint64_t start_us = hal_microseconds(node->hal);
-    do {
-        if (pose_step(tracking->work, &tracking->start)) {
-            begin(tracking, node);
-            return true;
-        }
-    } while (hal_microseconds(node->hal) - start_us < ONBOARD_TURN_US);
+    if (pose_step(tracking->work, &tracking->start)) {
+        begin(tracking, node);
+    }
     return true;
 }

@@ -6,7 +6,7 @@
  *   1. tracking_configure  at start, and when a parameter has changed, after onboard_configure.
  *   2. tracking_takes      first of all in a turn, and before each block: whether it is to be given the next one.
  *      tracking_take       with the sums of each block in turn.
- *   3. tracking_search     in the turn's spare time: steps of a start.
+ *   3. tracking_search     in the turn's spare time: a step of a start.
  *
  * Start. With no track, the fields of one block (of two, with more than 20 codes) are separated and located with no
  * prior, by the search of core/pose in steps of bounded time. Until it is done tracking_takes is false: later blocks
@@ -92,7 +92,7 @@ bool tracking_takes(const tracking_t *tracking);
 /* Take the sums of a block, if active, and send its pose if it is due. more tells that others wait behind it. */
 void tracking_take(tracking_t *tracking, node_t *node, const block_sums_t *sums, bool more);
 
-/* Do steps of the search, if there is one: none is begun after ONBOARD_TURN_US. Returns whether there was any. */
+/* Do a step of the search, if there is one. Returns whether there was. */
 bool tracking_search(tracking_t *tracking, node_t *node);
 
 #endif

@@ -4,12 +4,11 @@
 
 #include "core/math/vector3.h"
 
-/* Fits from the previous pose. Returns whether that explains the fields; the pose is complete then. */
-static bool track(pose_work_t *work, pose_t *pose) {
+/* After the fit from the previous pose. Returns whether that explains the fields; the pose is complete then. */
+static bool tracked(pose_work_t *work, pose_t *pose) {
     pose_solver_t *solver = &work->solver;
     pose_problem_t *problem = &solver->problem;
     pose_faults_t *faults = &work->explain.faults;
-    pose->iterations += pose_fit(problem, POSE_TRACK_EVALUATIONS, &solver->best);
     if (!pose_problem_inside(problem, solver->best.position_m) || !pose_faults(problem, &solver->best, faults) ||
         faults->alarm) {
         return false;
@@ -32,6 +31,19 @@ static void start_from(const pose_t *pose, pose_solver_t *solver) {
     memcpy(solver->best.quaternion, pose->quaternion, sizeof pose->quaternion);
 }
 
+/* Begins the search: where there is a verdict of a cycle before, without the beacon that it names. */
+static bool search(pose_work_t *work, pose_t *pose) {
+    if (work->known) {
+        start_from(pose, &work->solver);
+    }
+    if (work->later && work->verdict.row != POSE_NOBODY &&
+        pose_explain_again(&work->solver, &work->explain, work->verdict.row, work->known, pose)) {
+        work->stage = POSE_STEP_AGAIN;
+        return false;
+    }
+    return begin_all(work);
+}
+
 static bool begin(pose_work_t *work, pose_t *pose) {
     const pose_problem_t *problem = &work->solver.problem;
     if (problem->count < POSE_BEACONS_LEAST) {
@@ -42,18 +54,12 @@ static bool begin(pose_work_t *work, pose_t *pose) {
         pose_fail(pose, POSE_REASON_NOISE);
         return true;
     }
-    if (work->known && problem->count >= POSE_ENOUGH_BEACONS && track(work, pose)) {
-        return true;
-    }
-    if (work->known) {
-        start_from(pose, &work->solver);
-    }
-    if (work->later && work->verdict.row != POSE_NOBODY &&
-        pose_explain_again(&work->solver, &work->explain, work->verdict.row, work->known, pose)) {
-        work->stage = POSE_STEP_AGAIN;
+    if (work->known && problem->count >= POSE_ENOUGH_BEACONS) {
+        pose->iterations += pose_fit(&work->solver.problem, POSE_TRACK_EVALUATIONS, &work->solver.best);
+        work->stage = POSE_STEP_TRACK;
         return false;
     }
-    return begin_all(work);
+    return search(work, pose);
 }
 
 /* After the search without the beacon of the verdict, and while the pose without it is compared with others. */
@@ -152,6 +158,8 @@ bool pose_step(pose_work_t *work, pose_t *pose) {
     switch (work->stage) {
     case POSE_STEP_BEGIN:
         return begin(work, pose);
+    case POSE_STEP_TRACK:
+        return tracked(work, pose) || search(work, pose);
     case POSE_STEP_AGAIN:
         return by_verdict(work, pose);
     case POSE_STEP_ALL:

@@ -47,9 +47,9 @@
 
 #define POSE_BEACONS_LEAST     3u   /* Fewest beacons that are located from: 9 components for 6 unknowns. */
 #define POSE_TRACK_EVALUATIONS 14u  /* Most evaluations in the fit from the previous pose. */
-#define POSE_STEPS_MOST        128u /* Most steps of a pose. */
+#define POSE_STEPS_MOST        160u /* Most steps of a pose. */
 
-typedef enum { POSE_STEP_BEGIN, POSE_STEP_AGAIN, POSE_STEP_ALL, POSE_STEP_EXPLAIN } pose_stage_t;
+typedef enum { POSE_STEP_BEGIN, POSE_STEP_TRACK, POSE_STEP_AGAIN, POSE_STEP_ALL, POSE_STEP_EXPLAIN } pose_stage_t;
 
 /* What the explanation of one cycle's fields came to, for later cycles. */
 typedef struct {

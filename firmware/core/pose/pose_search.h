@@ -1,5 +1,6 @@
 /* pose_search.h: where to start a fit with no prior: on a shell around the strongest beacon, with the attitude
- * profiled out. The calls are pose_search, then pose_search_attitude for each candidate that is fitted.
+ * profiled out. The calls are pose_search_begin, pose_search until it returns true, then pose_search_attitude for each
+ * candidate that is fitted.
  *
  * Method. The magnitude of the strongest field fixes the distance in each direction, |B| = k sqrt(1 + 3 cos^2) / r^3,
  * so that the unknown position lies on a shell around that beacon: a search in two dimensions, whatever the size of
@@ -24,11 +25,16 @@ typedef struct {
 typedef struct {
     uint32_t count;
     pose_candidate_t candidates[POSE_SEARCH_CANDIDATES]; /* The best first. */
+    uint32_t directions, next;                           /* Directions to look in, and the next one. */
+    float x, y;                                          /* Where that one points, seen along the poles. */
 } pose_candidates_t;
 
-/* Find candidates for a problem of at least one beacon in so many directions (300 are about 12 degrees apart). Those
- * outside the half-space are left out. */
-void pose_search(const pose_problem_t *problem, uint32_t directions, pose_candidates_t *found);
+/* Begin to look in so many directions (300 are about 12 degrees apart). */
+void pose_search_begin(uint32_t directions, pose_candidates_t *found);
+
+/* Look for candidates for a problem of at least one beacon in the next directions, so many at most. Those outside the
+ * half-space are left out. Returns whether all directions are done. */
+bool pose_search(const pose_problem_t *problem, uint32_t most, pose_candidates_t *found);
 
 /* Compute the best attitude at a position. */
 void pose_search_attitude(const pose_problem_t *problem, const float position_m[3], float quaternion[4]);

@@ -66,7 +66,7 @@ static bool wanted(const pose_solver_t *solver) {
 }
 
 void pose_solve_begin(pose_solver_t *solver, uint32_t directions, uint32_t evaluations) {
-    solver->directions = directions;
+    pose_search_begin(directions, &solver->candidates);
     solver->left = evaluations;
     solver->next = 0;
     solver->rival = solver->best.cost = solver->image.cost = POSE_FIT_HOPELESS;
@@ -77,8 +77,9 @@ bool pose_solve_step(pose_solver_t *solver, uint32_t *evaluations) {
     const uint32_t before = solver->left;
     switch (solver->stage) {
     case POSE_SOLVE_SEARCH:
-        pose_search(&solver->problem, solver->directions, &solver->candidates);
-        solver->stage = POSE_SOLVE_CANDIDATE;
+        if (pose_search(&solver->problem, POSE_SEARCH_SLICE, &solver->candidates)) {
+            solver->stage = POSE_SOLVE_CANDIDATE;
+        }
         break;
     case POSE_SOLVE_CANDIDATE:
         if (wanted(solver)) {

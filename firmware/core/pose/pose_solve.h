@@ -6,7 +6,7 @@
  * Method. pose_search gives candidates on a shell around the strongest beacon. They are fitted, the best first, first
  * with a model error that leads into the right valley, then with the declared errors, until one explains the fields.
  *
- * Time: the search is one step, each candidate another. pose.h has the totals.
+ * Time: POSE_SEARCH_SLICE directions of the search are one step, each candidate another. pose.h has the totals.
  */
 #ifndef GOLDFIELD_POSE_SOLVE_H
 #define GOLDFIELD_POSE_SOLVE_H
@@ -17,6 +17,7 @@
 #define POSE_ENOUGH_BEACONS     4u  /* Fewest beacons with one answer; with fewer all candidates are fitted. */
 #define POSE_ROBUST_EVALUATIONS 25u /* Most evaluations in the robust fit of one candidate. */
 #define POSE_NEAR_EVALUATIONS   10u /* Most evaluations in the fit of a pose that is nearly known. */
+#define POSE_SEARCH_SLICE       50u /* Directions that a step of the search looks in. */
 
 typedef enum { POSE_SOLVE_DONE, POSE_SOLVE_SEARCH, POSE_SOLVE_CANDIDATE } pose_solve_stage_t;
 
@@ -25,7 +26,6 @@ typedef struct {
     pose_candidates_t candidates;
     pose_fit_t best, other, image; /* The best fit, the one at work, and the last resort or the mirror image. */
     pose_solve_stage_t stage;      /* What the next step does. */
-    uint32_t directions;           /* Directions of the search. */
     uint32_t left;                 /* Evaluations that it may still take. */
     uint32_t next;                 /* The next candidate. */
     float rival;                   /* Least cost of a pose other than the best. */

@@ -18,10 +18,8 @@ static onboard_t onboard;
 static node_t node;
 static epoch_selection_t nothing;
 static epoch_calibration_t calibration;
-uint64_t now_us, call_us = 1;
 uint32_t sent, identifiers[256], lengths[256];
 uint8_t data[256][8];
-uint64_t hal_microseconds(hal_t *hal) { (void)hal; return now_us += call_us; }
 int32_t node_clamp(int32_t value, int32_t limit) { return value > limit ? limit : value < -limit ? -limit : value; }
 void node_send(node_t *n, node_links_t links, uint32_t message, uint32_t index, const uint8_t *bytes, uint8_t length) {
     (void)n; (void)links; (void)index;
@@ -40,13 +38,13 @@ void take(uint32_t cycle) {
     const epoch_sums_t sums = {.cycle = cycle, .chips = 31};
     onboard_take(&onboard, &node, &sums, &calibration, &nothing);
 }
-void step(void) { onboard_step(&onboard, &node); }
+void step(void) { (void)onboard_step(&onboard, &node); }
 """
 
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The module with a clock that goes on by call_us whenever it is asked, and no beacons."""
+    """The module, and no beacons."""
     directory = tmp_path_factory.mktemp("onboard")
     source, library = directory / "harness.c", directory / "onboard.so"
     source.write_text(HARNESS)
@@ -64,10 +62,6 @@ def board(library: Path) -> ctypes.CDLL:
     loaded = ctypes.CDLL(str(library))
     loaded.start()
     return loaded
-
-
-def set_clock(board: ctypes.CDLL, call_us: int) -> None:
-    ctypes.c_uint64.in_dll(board, "call_us").value = call_us
 
 
 def answers(board: ctypes.CDLL) -> list[tuple[int, int, int]]:
@@ -91,7 +85,6 @@ FEW, LATE, FAILED = 1, 15, 4
 
 
 def test_a_cycle_that_waits_in_vain_is_answered_as_late(board: ctypes.CDLL) -> None:
-    set_clock(board, 3000)  # One step a call.
     board.take(1)
     board.step()
     board.take(2)
@@ -103,15 +96,6 @@ def test_a_cycle_that_waits_in_vain_is_answered_as_late(board: ctypes.CDLL) -> N
     assert answers(board) == [(2, FAILED, LATE), (1, FAILED, FEW), (3, FAILED, FEW)]
     board.step()
     assert len(answers(board)) == 3
-
-
-@pytest.mark.parametrize(("call_us", "complete"), [(1999, True), (2000, False)])
-def test_a_call_begins_no_step_after_two_milliseconds(board: ctypes.CDLL, call_us: int, complete: bool) -> None:
-    """The pose takes two steps; the clock is asked at the start of a call and after each step."""
-    set_clock(board, call_us)
-    board.take(1)
-    board.step()
-    assert answers(board) == ([(1, FAILED, FEW)] if complete else [])
 
 
 def test_without_a_cycle_nothing_is_done(board: ctypes.CDLL) -> None:

@@ -65,7 +65,10 @@ void one_wahba_rotation(void) { wahba_rotation(&sum, quaternion); }
 void one_quaternion_matrix(void) { quaternion_matrix(quaternion, matrix); }
 void one_quaternion_turn(void) { quaternion_turn(quaternion, field); }
 void one_pose_covariance(void) { pose_covariance(&work.solver.problem, &work.solver.best, covariance); }
-void one_pose_search(void) { pose_search(&work.solver.problem, 300, &work.solver.candidates); }
+void one_pose_search(void) {
+    pose_search_begin(300, &work.solver.candidates);
+    pose_search(&work.solver.problem, 300, &work.solver.candidates);
+}
 void one_evaluation(void) { pose_fit(&work.solver.problem, 1, &work.solver.best); }
 void one_separation_init(void) { separation_init(&separation, 1023, codes, sums, 8); }
 void one_separation_apply(void) { separation_apply(&separation, 5.0f, axis); }
