@@ -121,6 +121,11 @@ def test_blocks_give_poses_at_their_own_time_and_the_recording_the_same(bench, l
     ends = [epoch.pose.time_s - epoch.report.time_s for epoch in epochs]
     np.testing.assert_allclose(ends, 0.5 * one.site.cycle_s, rtol=1e-3)
     assert lines(one.replayed(options)[: len(items)]) == lines(items)
+    later = one.replayed(Options(Method.TRACK, rate_hz=330.0, lag_s=0.05))
+    smoothed, _, after = one.errors(later)
+    assert len(after) >= len(poses)
+    assert np.sqrt((smoothed**2).mean()) < 0.8 * np.sqrt((position**2).mean())
+    assert {pose.status for pose in after} == {Status.OK}
 
 
 def test_without_a_rate_the_pose_of_an_epoch_is_that_of_its_end(bench):

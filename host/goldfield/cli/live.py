@@ -52,7 +52,7 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
             writer = CandumpWriter(arguments.record, force=arguments.force)
             recorder = Branch(writer, arguments.record, waits=kind == "log", essential=arguments.record == STREAM)
             stack.callback(end_recording, recorder)
-        summary = Summary("epochs" if arguments.rate is None else "poses")
+        summary = Summary("epochs" if arguments.rate is None and arguments.lag is None else "poses")
         if arguments.summary:
             stack.enter_context(_written_at_the_end(summary, arguments.summary, force=arguments.force))
         sensor = stack.enter_context(open_sensor(kind, where, site, choices, recorder))
@@ -111,7 +111,7 @@ def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summar
 def _sinks(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch | Fix]:
     """Return the sinks that the command line asks for: the lines on stdout, and perhaps a table of fields."""
     truth = Truth(arguments.truth) if arguments.truth else None
-    compared, at_rate = truth is not None, arguments.rate is not None
+    compared, at_rate = truth is not None, arguments.rate is not None or arguments.lag is not None
     line_of = json_record_line(truth=compared) if arguments.json else table_line(truth=compared, times=at_rate)
     fields = FieldsWriter(arguments.fields, force=arguments.force) if arguments.fields else None
     sinks: Fanout[Epoch | Fix] = Fanout(waits=not sensor.live)

@@ -9,26 +9,17 @@ blocks before, as soon as the next one is there, for at most `GAP_S`; in a longe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Protocol
 
-from goldfield.link.reports import CYCLE_MODULUS, Report
+from goldfield.link.reports import Report
+from goldfield.sensor.block_times import NEAR, BlockTimes, Currents
 from goldfield.site import Site
 from goldfield.types import Block, Pose
 
 GAP_S = 1.0
 """The longest time over which poses are extrapolated while no block comes."""
-
-SAME_RATE = 0.01
-"""A rate that differs from that of the blocks by a smaller share is theirs: each pose is that of a block's end."""
-
-NEAR = 1e-6
-"""Share of a step by which times that are the same differ by rounding. Where they differ because the sensor's clock
-goes at another rate than the nominal one, half a block or half a chip is allowed for."""
-
-CURRENT_CHANGED = 0.01
-"""A measured current that differs by a larger share from the one in use is used from then on."""
 
 CYCLES_KEPT = 8
 """Cycles whose last pose is kept until their reports are there, which may be late by two."""
@@ -56,8 +47,7 @@ class BlockTrack:
         Makes what follows the sensor on a site: at the begin, when the sensor's clock begins again, and when the
         current of a beacon has changed.
     rate_hz : float, optional
-        Poses a second, at whole multiples of its inverse on the sensor's clock, or at the ends of the blocks if it is
-        their rate (`SAME_RATE`); None: only those at the ends of the cycles (`of_cycle`).
+        Poses a second (`BlockTimes`); None: only those at the ends of the cycles (`of_cycle`).
 
     Raises
     ------
@@ -67,10 +57,9 @@ class BlockTrack:
 
     def __init__(self, site: Site, make: Callable[[Site], Follower], rate_hz: float | None = None) -> None:
         self._site = site
-        self._chip_s = site.cycle_s / site.chips
         self._make = make
-        self._rate_hz = rate_hz
-        self._current = {beacon.id: 1.0 for beacon in site.beacons}
+        self._times = BlockTimes(site, rate_hz)
+        self._currents = Currents(site)
         self._of_cycles: dict[int, Pose] = {}
         self._last: Block | None = None
         self._follower = make(site)
@@ -94,8 +83,9 @@ class BlockTrack:
         if block.time_s <= self.time_s:
             self._of_cycles.clear()
             self._begin()
-        self._take_currents(ratio or {})
-        duration_s = block.chips * self._chip_s
+        if self._currents.changed(ratio or {}):
+            self._begin()
+        duration_s = self._times.duration_s(block)
         begin_s = block.time_s - duration_s
         if abs(begin_s - self.time_s) < 0.5 * duration_s:
             begin_s = self.time_s
@@ -104,10 +94,14 @@ class BlockTrack:
         if pose is None:
             return poses
         self._last = block
-        poses += [self._at(time_s, pose) for time_s in self._due(block, begin_s, block.time_s)]
-        for cycle, end_s in self._ends(block, begin_s, block.time_s):
+        poses += [self._at(time_s, pose) for time_s in self._times.due(block, begin_s, block.time_s)]
+        for cycle, end_s in self._times.ends(block, begin_s, block.time_s):
             self._keep(cycle, self._at(end_s, pose))
         return poses
+
+    def finish(self) -> list[Pose]:
+        """Return nothing: a pose is out as soon as its block is there."""
+        return []
 
     def of_cycle(self, report: Report) -> Pose | None:
         """Return the pose at the end of a cycle; None if no block came within `GAP_S` of it."""
@@ -130,57 +124,23 @@ class BlockTrack:
         last = self._last
         if last is None or not 0.0 < begin_s - last.time_s <= GAP_S:
             return []
-        for cycle, end_s in self._ends(last, last.time_s, begin_s):
+        for cycle, end_s in self._times.ends(last, last.time_s, begin_s):
             self._keep(cycle, self._at(end_s))
-        return [self._at(time_s) for time_s in self._due(block, last.time_s, begin_s)]
-
-    def _due(self, block: Block, after_s: float, until_s: float) -> Iterator[float]:
-        """Yield the times at the asked rate behind one time and up to another; a block tells where blocks end."""
-        if self._rate_hz is None:
-            return
-        step_s, one_s, near = 1.0 / self._rate_hz, 0.0, NEAR
-        duration_s = block.chips * self._chip_s
-        if abs(step_s / duration_s - 1.0) < SAME_RATE:
-            step_s, one_s, near = duration_s, block.time_s, 0.5
-        first = math.floor((after_s - one_s) / step_s + near) + 1
-        last = math.floor((until_s - one_s) / step_s + near)
-        yield from (one_s + number * step_s for number in range(first, last + 1))
-
-    def _ends(self, block: Block, after_s: float, until_s: float) -> Iterator[tuple[int, float]]:
-        """Yield the cycles that end behind one time and up to another, with their ends, counted from a block."""
-        zero_s = block.time_s - (block.chip + block.chips) * self._chip_s  # the begin of the cycle of its first chip
-        near = 0.5 / self._site.chips
-        first = math.floor((after_s - zero_s) / self._site.cycle_s + near)
-        last = math.floor((until_s - zero_s) / self._site.cycle_s + near)
-        for number in range(first, last):
-            yield (block.cycle + number) % CYCLE_MODULUS, zero_s + (number + 1) * self._site.cycle_s
+        return [self._at(time_s) for time_s in self._times.due(block, last.time_s, begin_s)]
 
     def _at(self, time_s: float, pose: Pose | None = None) -> Pose:
         """Return the pose at a time, which is the pose at the end of the latest block if that is its time."""
         assert self._last is not None
         if pose is not None and abs(time_s - self._last.time_s) < NEAR * self._site.cycle_s:
             return pose
-        chips = self._last.chip + self._last.chips + (time_s - self._last.time_s) / self._chip_s
-        cycle = self._last.cycle + math.ceil(chips / self._site.chips - NEAR) - 1
-        return replace(self._follower.pose_at(time_s), epoch=cycle % CYCLE_MODULUS)
+        return replace(self._follower.pose_at(time_s), epoch=self._times.cycle_at(self._last, time_s))
 
     def _keep(self, cycle: int, pose: Pose) -> None:
         self._of_cycles[cycle] = pose
         if len(self._of_cycles) > CYCLES_KEPT:
             del self._of_cycles[next(iter(self._of_cycles))]
 
-    # ---- The currents ----
-
-    def _take_currents(self, ratio: Mapping[str, float]) -> None:
-        """Begin anew if a beacon has another current than the one in use: one block is enough to begin with."""
-        measured = {name: ratio.get(name, 1.0) for name in self._current}
-        if all(abs(measured[name] / used - 1.0) <= CURRENT_CHANGED for name, used in self._current.items()):
-            return
-        self._current = measured
-        self._begin()
-
     def _begin(self) -> None:
-        """Begin anew on the site as its currents are."""
-        beacons = [replace(one, current_A=one.current_A * self._current[one.id]) for one in self._site.beacons]
+        """Begin anew on the site as its currents are: one block is enough to begin with."""
         self._last = None
-        self._follower = self._make(replace(self._site, beacons=tuple(beacons)))
+        self._follower = self._make(self._currents.site)

@@ -46,7 +46,7 @@ class Epoch:
     arrived_s : float
         Time of the wall clock at which the message that ended the cycle arrived; of no meaning in a recording.
     at_rate : bool
-        Whether poses come at a rate of their own, each as a `Fix`: that of the epoch is then none of them.
+        Whether poses come at times of their own, each as a `Fix`: that of the epoch is then none of them.
     """
 
     pose: Pose
@@ -61,7 +61,7 @@ class Epoch:
 
 @dataclass(frozen=True, eq=False)
 class Fix:
-    """A pose at a time of its own, as they come if a rate was asked for.
+    """A pose at a time of its own, as they come if a rate or a lag was asked for.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ class Sensor:
         return None if self._between is None else self._between.pose_at(time_s)
 
     def stream(self) -> Iterator[Epoch | Fix]:
-        """Yield every code cycle as an `Epoch` and, if a rate was asked for, every pose as a `Fix`, as they come.
+        """Yield every code cycle as an `Epoch` and, with a rate or a lag, every pose as a `Fix`, as they come.
 
         Raises
         ------
@@ -183,6 +183,8 @@ class Sensor:
             elif self._between is not None:
                 arrived_s = self._session.receiver.arrived_s
                 yield from (Fix(pose, arrived_s) for pose in self._between.poses(event))
+        if self._between is not None:
+            yield from (Fix(pose, math.nan) for pose in self._between.finish())
         if not self._found and not self.live:
             others = self._session.unchosen
             chosen = f"the sensor that was chosen, but of {others}" if others else "a sensor"
@@ -321,8 +323,9 @@ class Sensor:
         if self._between is not None:
             self._between.note(verdict, witnessed)
             pose = self._between.of_cycle(report)
-            at_rate = self._options.rate_hz is not None and self._between.follows(report)
-            if self._options.rate_hz is not None and not at_rate:
+            asked = self._options.rate_hz is not None or self._options.lag_s is not None
+            at_rate = asked and self._between.follows(report)
+            if asked and not at_rate:
                 self._session.receiver.tell_once(self._between.absent)
         if pose is not None:
             pose = self._succession.follow(pose)

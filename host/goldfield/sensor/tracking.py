@@ -9,18 +9,18 @@ import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 from goldfield.errors import UserError, tell
 from goldfield.files.environment import switched_on
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_pose
-from goldfield.sensor.block_track import CYCLES_KEPT, GAP_S, BlockTrack, Follower
+from goldfield.sensor.block_track import CYCLES_KEPT, GAP_S, BlockTrack
 from goldfield.sensor.location import Succession, with_finding
 from goldfield.sensor.options import Method, Options
+from goldfield.sensor.smoothed_track import SmoothedTrack
 from goldfield.sensor.verdict import Verdict
 from goldfield.site import Site
-from goldfield.track.blocks import BlockFilter
+from goldfield.track.blocks import BlockFilter, BlockSmoother
 from goldfield.types import Block, Finding, Pose
 
 
@@ -57,6 +57,10 @@ class Between(ABC):
     def pose_at(self, time_s: float) -> Pose | None:
         """Return the pose at a time near the latest one; None if there is none."""
 
+    def finish(self) -> list[Pose]:
+        """Return the poses that are left at the end."""
+        return []
+
     @property
     @abstractmethod
     def time_s(self) -> float:
@@ -83,18 +87,16 @@ class Tracking(Between):
     Parameters
     ----------
     site : Site
-    make : callable
-        See `BlockTrack`.
-    rate_hz : float or None
-        Poses a second; None: one a cycle.
+    new : callable
+        Makes the track, anew after a defect.
     """
 
     absent = "no blocks of chips come: there is one pose a cycle"
 
-    def __init__(self, site: Site, make: Callable[[Site], Follower], rate_hz: float | None) -> None:
+    def __init__(self, new: Callable[[], BlockTrack | SmoothedTrack]) -> None:
         super().__init__(used_all=False)
-        self._new: Callable[[], BlockTrack] = partial(BlockTrack, site, make, rate_hz)
-        self._track = self._new()
+        self._new = new
+        self._track = new()
         self._defects: set[str] = set()
 
     def poses(self, event: Block | Pose) -> list[Pose]:
@@ -110,6 +112,10 @@ class Tracking(Between):
             self._track = self._new()
             return []
         return [self._next(pose) for pose in poses]
+
+    def finish(self) -> list[Pose]:
+        """See `Between.finish`."""
+        return [self._next(pose) for pose in self._track.finish()]
 
     def of_cycle(self, report: Report) -> Pose | None:
         """See `Between.of_cycle`."""
@@ -172,8 +178,11 @@ def between_of(site: Site, options: Options) -> Between | None:
         return Relayed()
     if options.method is not Method.TRACK:
         return None
+    lag_s = options.lag_s
     try:
-        return Tracking(site, BlockFilter, options.rate_hz)
+        if lag_s is None:
+            return Tracking(lambda: BlockTrack(site, BlockFilter, options.rate_hz))
+        return Tracking(lambda: SmoothedTrack(site, lambda known: BlockSmoother(known, lag_s), options.rate_hz))
     except UserError as error:
         tell(f"{error}: the track is one of whole cycles")
         return None
