@@ -20,9 +20,10 @@ from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, motion_of
 MOVING = tuple(name for name in MOTIONS if name != "still")
 IMPULSE_T, IMPULSE_SHARE = 20e-6, 0.05
 """Size of an impulse in one sample, in a random direction, and the share of the blocks that have one."""
-DEAD_S = (1.0, 2.0)
-IRON_RADIUS_M, IRON_MOMENT_A_m2, IRON_SPEED_M_S, IRON_DISTANCE_M = 0.1, 1.0, 1.0, 0.3
-"""A ball of iron with a magnetic moment of its own, and how fast and how near it passes the sensor."""
+DEAD = (0.35, 0.65)
+"""Parts of a run between which a beacon has no current."""
+IRON_KG_M3, IRON_MAGNETISATION_A_m2_KG, IRON_SPEED_M_S, IRON_DISTANCE_M = 7870.0, 0.1, 1.0, 0.3
+"""Density of iron, its magnetic moment by mass that no field makes, and how fast and how near it passes the sensor."""
 
 
 def starts(make, noise_T, count, seed=0):
@@ -48,7 +49,7 @@ def lost(errors, far_m):
     return not (last.distance_m[0] < far_m) or last.far[0]
 
 
-def blocks_lost(make, noise_T, name, seed, lost_block, seconds=3.0):
+def blocks_lost(lost_block, make, noise_T, name, seed, seconds):
     """Return the errors where some blocks never come; ``lost_block(number)`` tells which."""
     site = prigge_cube(noise_T)
     rng = np.random.default_rng([seed, 12])
@@ -56,7 +57,7 @@ def blocks_lost(make, noise_T, name, seed, lost_block, seconds=3.0):
     return follow(track, make(site), lost=lost_block)
 
 
-def impulses(make, noise_T, name, seed, seconds=3.0):
+def impulses(make, noise_T, name, seed, seconds):
     """Return the errors where single samples are off by 20 uT."""
     site = prigge_cube(noise_T)
     rng = np.random.default_rng([seed, 13])
@@ -69,18 +70,18 @@ def impulses(make, noise_T, name, seed, seconds=3.0):
     return follow(track, make(site))
 
 
-def dead_beacon(make, noise_T, name, seed, seconds=3.0):
-    """Return the errors where one of the beacons has no current for a second, and then again all of it."""
+def dead_beacon(make, noise_T, name, seed, seconds):
+    """Return the errors where one of the beacons has no current for a while, and then again all of it."""
     site = prigge_cube(noise_T)
     world, rng = World(site), np.random.default_rng([seed, 14])
     motion = motion_of(name, seed)
     times = world.times(round(seconds / site.chip_period_s))
     strength = np.ones((len(times), len(site.beacons)))
-    strength[(times > DEAD_S[0]) & (times < DEAD_S[1]), rng.integers(len(site.beacons))] = 0.0
+    strength[(times > DEAD[0] * seconds) & (times < DEAD[1] * seconds), rng.integers(len(site.beacons))] = 0.0
     return follow(world.motion_track(motion, seconds, rng, noise_T, strength=strength), make(site))
 
 
-def iron(make, noise_T, name, seed, seconds=3.0):
+def iron(mass_kg, make, noise_T, name, seed, seconds):
     """Return the errors while a ball of iron passes the sensor, nearest half way; its speed is that from the sensor."""
     site = prigge_cube(noise_T)
     world, rng = World(site), np.random.default_rng([seed, 15])
@@ -90,17 +91,21 @@ def iron(make, noise_T, name, seed, seconds=3.0):
     apart = IRON_DISTANCE_M * aside + np.outer(times - seconds / 2.0, IRON_SPEED_M_S * direction)
     centre = position + apart
     own = rng.normal(size=3)
-    own *= IRON_MOMENT_A_m2 / np.linalg.norm(own)
-    fields = world.fields(position) + _answer(-apart, world.fields(centre))
-    ambient = EARTH_T + _answer(-apart, np.tile(EARTH_T, (len(times), 1, 1)))[:, 0]
+    own *= IRON_MAGNETISATION_A_m2_KG * mass_kg / np.linalg.norm(own)
+    size_m3 = 3.0 * mass_kg / (4.0 * np.pi * IRON_KG_M3)  # the cube of the ball's radius
+    fields = world.fields(position) + _answer(-apart, size_m3 * world.fields(centre))
+    ambient = EARTH_T + _answer(-apart, size_m3 * np.tile(EARTH_T, (len(times), 1, 1)))[:, 0]
     ambient = ambient + _dipole(-apart, np.tile(own, (len(times), 1)))
     return follow(world.track(position, rotation, rng, noise_T, ambient_T=ambient, fields=fields), make(site))
 
 
-def _answer(apart_m, field_T):
-    """Return what a ball of very permeable iron adds at places so far from its centre, (n, 3), to fields, (n, k, 3)."""
-    moments = field_T * IRON_RADIUS_M**3 / 1e-7  # Jackson, Classical Electrodynamics, 5.11: m = 4 pi a^3 B / mu0
-    return np.stack([_dipole(apart_m, moments[:, row]) for row in range(field_T.shape[1])], axis=1)
+def _answer(apart_m, field_T_m3):
+    """Return what a ball of very permeable iron adds to fields at places so far from its centre, shape (n, 3).
+
+    ``field_T_m3``, shape (n, k, 3), are the fields at the ball times the cube of its radius: they are taken for uniform.
+    """
+    moments = field_T_m3 / 1e-7  # Jackson, Classical Electrodynamics, 5.11: m = 4 pi a^3 B / mu0
+    return np.stack([_dipole(apart_m, moments[:, row]) for row in range(moments.shape[1])], axis=1)
 
 
 def _dipole(apart_m, moment_A_m2):
@@ -110,7 +115,7 @@ def _dipole(apart_m, moment_A_m2):
     return 1e-7 * (3.0 * apart_m * along / distance**5 - moment_A_m2 / distance**3)
 
 
-def survey(make, noise_T, name, seed, deviation_m, seconds=1.0):
+def survey(deviation_m, make, noise_T, name, seed, seconds):
     """Return the errors where each coil stands off by a normal deviation, which the site declares."""
     declared = prigge_cube(noise_T)
     rng = np.random.default_rng([seed, 16])
