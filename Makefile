@@ -68,6 +68,11 @@ $(BUILD)/ngspice.stamp:
 	@$(call need,ngspice,ngspice)
 	@touch $@
 
+$(BUILD)/chromium.stamp:
+	@mkdir -p $(BUILD)
+	@$(call need,chromium,chromium)
+	@touch $@
+
 $(BUILD)/venv.stamp: requirements.txt pyproject.toml setup.py $(BUILD)/host-tools.stamp
 	@echo "Python environment: $(VENV) (pinned packages)"
 	@python3 -c 'import sys; sys.exit("goldfield needs Python 3.11 or newer; python3 here is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'

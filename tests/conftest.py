@@ -45,6 +45,8 @@ LONG = (
     "host/cli/test_plan.py",
     "host/locate/test_locator.py",
     "host/locate/test_own_body.py",
+    "host/page/test_browser.py",
+    "host/page/test_command.py",
     "host/planning",
     "host/sensor/test_on_sensor.py",
     "host/site/test_dual_axis.py",

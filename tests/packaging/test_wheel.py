@@ -109,6 +109,9 @@ def taken_away(path):
 def test_the_wheel_holds_everything_but_sources_and_tests(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {KERNEL, "goldfield_protocol/goldfield.dbc", "hil_sim/scenarios/prigge8.toml"} <= names
+    assert "goldfield/page/built/index.html" in names
+    assert {Path(name).suffix for name in names if name.startswith("goldfield/page/built/assets/")} >= {".js", ".css"}
+    assert not [name for name in names if "page/web" in name]
     assert {f"hil_sim/built/{library}" for library in LIBRARIES} <= names
     assert {f"hil_sim/built/firmware/{image}.elf" for image in IMAGES} <= names
     assert not [name for name in names if name.endswith((".c", ".h", ".mk")) or name.startswith(("tests", "firmware"))]
@@ -181,7 +184,7 @@ def test_without_the_packages_of_the_simulator_it_tells_what_to_install(installa
     with taken_away(installation.packages / "elftools"):
         complaint = installation.run("goldfield", "hil", "prigge8", "--boards", "host", code=3)[1]
     assert complaint.count("\n") == 1
-    assert "pip install 'goldfield[dask,mf4,plot,sim]' brings what it needs" in complaint
+    assert "pip install 'goldfield[dask,mf4,plot,sim,view]' brings what it needs" in complaint
 
 
 def test_the_pytest_of_another_project_sees_nothing_of_goldfield(installation):

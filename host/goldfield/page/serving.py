@@ -26,14 +26,15 @@ PATIENCE_S = 10.0
 LOOPBACK = "127.0.0.1"
 
 
-def built_assets(folder: Path = ASSETS) -> Path:
-    """Return the folder of the built page.
+def built_assets(folder: Path | None = None) -> Path:
+    """Return the folder of the built page, `ASSETS` unless another is given.
 
     Raises
     ------
     SystemFailure
         If the page is not built.
     """
+    folder = ASSETS if folder is None else folder
     if not (folder / "index.html").exists():
         raise SystemFailure(
             "the live page is not built: run 'make page' in the checkout, with npm and Node.js 20.19 or newer, or "

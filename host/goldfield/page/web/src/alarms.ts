@@ -64,6 +64,7 @@ export class Alarms {
 }
 
 function sentence(text: string): string {
-  const whole = text.charAt(0).toUpperCase() + text.slice(1);
+  // A name with a figure in it, such as b3, is a beacon's, and stays as it is.
+  const whole = /^\S*\d/.test(text) ? text : text.charAt(0).toUpperCase() + text.slice(1);
   return /[.!?]$/.test(whole) ? whole : `${whole}.`;
 }

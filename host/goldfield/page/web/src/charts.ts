@@ -63,7 +63,7 @@ class Chart {
         width: Math.max(100, this.picture.clientWidth), height: Math.max(80, this.picture.clientHeight),
         legend: { show: false }, cursor: { show: false },
         scales: { x: { time: false }, y: { range: (_, low, high) => [Math.min(0, low ?? 0), 1.1 * Math.max(high ?? 1, 1e-6)] } },
-        axes: [{ ...line, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...line, size: 44 }],
+        axes: [{ ...line, size: 26, values: (_, ticks) => ticks.map((t) => `${t} s`) }, { ...line, size: 40 }],
         series: [{}, ...series],
       },
       [[], ...this.kind.lines.map(() => [])] as uPlot.AlignedData,
@@ -84,7 +84,7 @@ class Chart {
     let start = 0;
     while (times[start] < end - span) start++;
     this.plot?.setData([times.slice(start), ...columns.map((column) => column.slice(start))] as uPlot.AlignedData, false);
-    this.plot?.setScale("x", { min: end - span, max: end });
+    this.plot?.setScale("x", { min: Math.max(end - span, Math.min(times[0], end - 1)), max: end });
     const said = columns.map((column) => figure(column.at(-1), this.kind.decimals));
     setText(this.latest, said.join(" / "));
     this.picture.setAttribute("aria-label", `${this.kind.title}, ${this.kind.unit}: ${this.kind.lines.map((one, i) => `${one.label} ${said[i]}`).join(", ")}`);

@@ -100,14 +100,18 @@ function takeState(state: State): void {
   setChip("link", said);
   const old = state.state === "silent" || state.state === "lost" ? ` The latest pose is ${Math.round(state.silent_s)} s old.` : "";
   setText(byId("link-text"), `${sentence(state.text)}${old}` || " ");
-  document.body.dataset.stale = String(state.state !== "running");
+  setAge(state.state !== "running");
   alarms.draw();
 }
 
 function gone(): void {
   setChip("link", LINK.gone);
   setText(byId("link-text"), "The server of this page does not answer: is “goldfield view” still running? Trying again.");
-  document.body.dataset.stale = "true";
+  setAge(true);
+}
+
+function setAge(old: boolean): void {
+  setText(byId("pose-age"), old && pose ? "the latest one, not of now" : " ");
 }
 
 function sentence(text: string): string {

@@ -34,6 +34,7 @@ export class Plan {
   private readonly beacons = new Map<string, { mark: SVGElement; wire: SVGElement }>();
   private readonly layers: Record<"map" | "grid" | "wires" | "trail" | "marks" | "pose", SVGElement>;
   private readonly trailLine: SVGElement;
+  private readonly letters: SVGElement[];
   private readonly sensor: Record<"x" | "y" | "z" | "dot" | "ellipse" | "protection", SVGElement>;
   private unit = 1;
   private whole = 1;
@@ -55,13 +56,18 @@ export class Plan {
       x: svg("line", { class: "axis x" }, this.layers.pose),
       dot: svg("circle", { class: "dot" }, this.layers.pose),
     };
+    this.letters = ["x", "y", "z"].map((name) => {
+      const letter = svg("text", { class: `letter ${name}`, "text-anchor": "middle" }, this.layers.pose);
+      letter.textContent = name;
+      return letter;
+    });
     this.host.append(this.root);
   }
 
   setSite(site: Site): void {
     const { low_m: low, high_m: high } = site.box;
     this.whole = size(low, high);
-    const pad = 0.07 * this.whole;
+    const pad = 0.06 * this.whole;
     this.unit = 0.011 * this.whole;
     this.root.setAttribute(
       "viewBox",
@@ -97,19 +103,20 @@ export class Plan {
     this.layers.wires.replaceChildren();
     this.layers.marks.replaceChildren();
     this.beacons.clear();
-    const stacks = new Map<string, { at: Vector; names: string[] }>();
+    const stacks = new Map<string, { at: Vector; names: string[]; top: number }>();
     for (const beacon of [...site.beacons].sort((a, b) => a.position_m[2] - b.position_m[2])) {
       const wire = svg("polyline", { points: path(beacon.wire_m), class: "wire" }, this.layers.wires);
       const key = beacon.position_m.slice(0, 2).map((v) => Math.round(v / (3 * this.unit))).join();
-      const stack = stacks.get(key) ?? { at: beacon.position_m, names: [] };
+      const stack = stacks.get(key) ?? { at: beacon.position_m, names: [], top: -Infinity };
+      stack.top = Math.max(stack.top, ...beacon.wire_m.map((point) => point[1]));
       const [x, y] = [stack.at[0] + 2.6 * this.unit * stack.names.length, -stack.at[1]];
       const mark = svg("text", { x, y: y + 0.9 * this.unit, "font-size": 2.6 * this.unit, class: "beacon-mark", "text-anchor": "middle" }, this.layers.marks);
       stack.names.push(beacon.id);
       stacks.set(key, stack);
       this.beacons.set(beacon.id, { mark, wire });
     }
-    for (const { at, names } of stacks.values()) {
-      svg("text", { x: at[0] - 1.3 * this.unit, y: -at[1] - 2.2 * this.unit, "font-size": 2.6 * this.unit, class: "beacon-name" }, this.layers.marks)
+    for (const { at, names, top } of stacks.values()) {
+      svg("text", { x: at[0], y: -top - 1.2 * this.unit, "font-size": 2.6 * this.unit, class: "beacon-name", "text-anchor": "middle" }, this.layers.marks)
         .textContent = names.join(" ");
     }
     this.setHealth(null);
@@ -141,6 +148,8 @@ export class Plan {
     const reach = 9 * this.unit;
     (["x", "y", "z"] as const).forEach((name, i) => {
       this.place(this.sensor[name], { x1: at[0], y1: -at[1], x2: at[0] + reach * turned[0][i], y2: -(at[1] + reach * turned[1][i]) });
+      this.letters[i].setAttribute("font-size", String(2.6 * this.unit));
+      this.place(this.letters[i], { x: at[0] + 1.25 * reach * turned[0][i], y: 0.9 * this.unit - (at[1] + 1.25 * reach * turned[1][i]) });
     });
     this.place(this.sensor.dot, { cx: at[0], cy: -at[1], r: 1.1 * this.unit });
     this.sensor.dot.setAttribute("data-tone", STATUS[pose.status]?.tone ?? "idle");

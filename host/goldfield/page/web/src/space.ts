@@ -3,7 +3,7 @@
 import {
   AmbientLight, BoxGeometry, BufferAttribute, BufferGeometry, CanvasTexture, Color, ConeGeometry, DirectionalLight, EdgesGeometry,
   Group, Line, LineBasicMaterial, LineSegments, Matrix4, Mesh, MeshBasicMaterial, MeshLambertMaterial, OctahedronGeometry,
-  PerspectiveCamera, Scene, SphereGeometry, Sprite, SpriteMaterial, TetrahedronGeometry, Vector3, WebGLRenderer,
+  PerspectiveCamera, Scene, SphereGeometry, Sprite, SRGBColorSpace, SpriteMaterial, TetrahedronGeometry, Vector3, WebGLRenderer,
   type BufferGeometry as Geometry, type Material,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -32,6 +32,8 @@ export class Space {
   private readonly siteGroup = new Group();
   private readonly sensor = new Group();
   private readonly axes = new Group();
+  private readonly rods = AXES.map(() => new Mesh(new BoxGeometry(1, 1, 1), new MeshBasicMaterial()));
+  private readonly letters = new Group();
   private readonly beacons = new Map<string, BeaconShapes>();
   private readonly trail: Line;
   private readonly ellipsoid: Mesh;
@@ -68,7 +70,7 @@ export class Space {
     this.ellipsoid = new Mesh(new SphereGeometry(1, 32, 20), new MeshLambertMaterial({ transparent: true, opacity: 0.45, depthWrite: false }));
     this.ellipsoid.matrixAutoUpdate = false;
     this.protection = new LineSegments(new EdgesGeometry(new SphereGeometry(1, 16, 10), 1), new LineBasicMaterial({ transparent: true, opacity: 0.35 }));
-    AXES.forEach(() => this.axes.add(new Mesh(new BoxGeometry(1, 1, 1), new MeshBasicMaterial())));
+    this.axes.add(...this.rods);
     this.sensor.add(this.axes, this.ellipsoid, this.protection);
     this.sensor.visible = false;
 
@@ -88,7 +90,7 @@ export class Space {
     set(this.trail.material, "accent");
     set(this.ellipsoid.material, "accent");
     set(this.protection.material, "ink");
-    this.axes.children.forEach((axis, i) => set((axis as Mesh).material, AXES[i]));
+    this.rods.forEach((rod, i) => set(rod.material, AXES[i]));
     if (this.site) this.build(this.site);
     this.draw();
   }
@@ -112,7 +114,7 @@ export class Space {
     const box = new LineSegments(new EdgesGeometry(new BoxGeometry(...(low.map((v, i) => high[i] - v) as Vector))), new LineBasicMaterial({ color: colour("rule") }));
     box.position.copy(this.centre);
     this.siteGroup.add(box, this.floor(low, high));
-    const s = 0.022 * this.whole;
+    const s = 0.026 * this.whole;
     const shapes: Record<Tone, Geometry> = {
       good: new SphereGeometry(0.55 * s, 16, 12), warn: new OctahedronGeometry(0.9 * s), bad: new ConeGeometry(0.8 * s, 1.5 * s, 4), idle: new TetrahedronGeometry(0.8 * s),
     };
@@ -127,6 +129,10 @@ export class Space {
       this.siteGroup.add(wire, this.label(beacon.id, beacon.position_m, 2.2 * s));
       this.beacons.set(beacon.id, { wire, marks });
     }
+    const reach = 0.16 * this.whole;
+    this.letters.clear();
+    AXES.forEach((axis, i) => this.letters.add(this.label(axis.slice(-1), new Vector3().setComponent(i, reach).toArray(), 0, axis)));
+    this.axes.add(this.letters);
     this.setHealth(this.health);
   }
 
@@ -138,7 +144,7 @@ export class Space {
     return new LineSegments(new BufferGeometry().setFromPoints(points), new LineBasicMaterial({ color: colour("rule"), transparent: true, opacity: 0.5 }));
   }
 
-  private label(text: string, at: Vector, above: number): Sprite {
+  private label(text: string, at: Vector, above: number, ink = "ink"): Sprite {
     const canvas = document.createElement("canvas");
     const context = canvas.getContext("2d") as CanvasRenderingContext2D;
     const font = "600 44px system-ui, sans-serif";
@@ -146,11 +152,13 @@ export class Space {
     canvas.width = Math.ceil(context.measureText(text).width) + 16;
     canvas.height = 60;
     context.font = font;
-    context.fillStyle = colour("ink");
+    context.fillStyle = colour(ink);
     context.textBaseline = "middle";
     context.fillText(text, 8, 30);
-    const sprite = new Sprite(new SpriteMaterial({ map: new CanvasTexture(canvas), depthTest: false, transparent: true }));
-    const height = 0.048 * this.whole;
+    const texture = new CanvasTexture(canvas);
+    texture.colorSpace = SRGBColorSpace;
+    const sprite = new Sprite(new SpriteMaterial({ map: texture, depthTest: false, transparent: true }));
+    const height = 0.06 * this.whole;
     sprite.scale.set((height * canvas.width) / canvas.height, height, 1);
     sprite.position.set(at[0], at[1], at[2] + above);
     return sprite;
@@ -200,7 +208,7 @@ export class Space {
     const reach = 0.13 * this.whole;
     const thick = 0.007 * this.whole;
     this.axes.setRotationFromMatrix(new Matrix4().set(...turned[0], 0, ...turned[1], 0, ...turned[2], 0, 0, 0, 0, 1));
-    this.axes.children.forEach((axis, i) => {
+    this.rods.forEach((axis, i) => {
       const direction = new Vector3().setComponent(i, 1);
       axis.position.copy(direction).multiplyScalar(reach / 2);
       axis.scale.setScalar(thick).setComponent(i, reach);
@@ -209,7 +217,7 @@ export class Space {
 
   /** Look from one of `VIEWS` at the whole site. */
   look(from: string): void {
-    const distance = (0.95 * this.whole) / Math.tan((FIELD_OF_VIEW * Math.PI) / 360) / Math.min(1, this.camera.aspect);
+    const distance = (0.82 * this.whole) / Math.tan((FIELD_OF_VIEW * Math.PI) / 360) / Math.min(1, this.camera.aspect);
     this.camera.position.copy(this.centre).addScaledVector(new Vector3(...VIEWS[from]).normalize(), distance);
     this.camera.near = distance / 100;
     this.camera.far = distance * 20;

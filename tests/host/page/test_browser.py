@@ -1,0 +1,232 @@
+"""The page in a real browser: a way through all of it by mouse and keyboard, desktop and phone, dark and light."""
+
+import pytest
+from playwright.sync_api import expect
+
+from goldfield.page.hub import State
+from hil_sim.clib import ROOT
+from tests.host.page.browser import DESKTOP, PHONE, ROOM, Served, chromium, recorded, times_later
+from tests.host.page.walk import BROKEN, WEAK, walk
+
+AXE = ROOT / "build/page/node_modules/axe-core/axe.min.js"
+SHOTS = ROOT / "build/screenshots"
+IDS = [beacon.id for beacon in ROOM.beacons]
+CYCLES, BREAKS = 130, 90
+WAIT_MS = 60_000
+TWO_PICTURES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+SHIFTS = """new Promise(done => new PerformanceObserver(list => done(list.getEntries().reduce(
+    (sum, entry) => sum + (entry.hadRecentInput ? 0 : entry.value), 0)))
+    .observe({type: "layout-shift", buffered: true}))"""
+
+
+@pytest.fixture(scope="module")
+def messages(tmp_path_factory):
+    log = tmp_path_factory.mktemp("walk") / "walk.log"
+    log.write_text(walk(CYCLES))
+    return recorded(log)
+
+
+@pytest.fixture(scope="module")
+def calm(messages):
+    """Return the messages up to the epoch from which on a coil is open."""
+    return messages[: next(n for n, (kind, _) in enumerate(messages) if _epoch(kind, _) >= BREAKS)]
+
+
+def _epoch(kind, message):
+    return int(message.split('"epoch": ')[1].split(",")[0]) if kind == "epoch" else -1
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def served():
+    with Served() as page:
+        yield page
+
+
+@pytest.fixture
+def opened(browser, served):
+    """Return a function that opens the page; at the end nothing was complained of and nobody else was asked."""
+    contexts, complaints, asked = [], [], []
+
+    def open_page(viewport=DESKTOP, scheme="light"):
+        context = browser.new_context(viewport=viewport, color_scheme=scheme, has_touch=viewport is PHONE)
+        contexts.append(context)
+        page = context.new_page()
+        page.set_default_timeout(WAIT_MS)
+        expect.set_options(timeout=WAIT_MS)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
+        page.on("request", lambda request: asked.append(request.url))
+        page.goto(served.url)
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+    assert [one for one in complaints if "ERR_CONNECTION" not in one and "WebSocket" not in one] == []
+    assert [url for url in asked if not url.startswith((served.url, served.url.replace("http", "ws"), "data:"))] == []
+
+
+def violations(page):
+    page.evaluate(AXE.read_text())
+    found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]
+
+
+def row(page, table, name):
+    return page.locator(f"#{table} tbody tr").filter(has=page.get_by_role("rowheader", name=name, exact=True))
+
+
+def test_a_way_through_everything(opened, served, messages, calm):
+    page = opened()
+    expect(page.locator("#link-word")).to_have_text("waiting for the sensor")
+    served.publish(calm)
+    expect(page.locator("#link-word")).to_have_text("live")
+    expect(page.locator("#site-name")).to_have_text("prigge8")
+    expect(page.locator("#status-word")).to_have_text("ok")
+    expect(page.locator("#beacons tbody tr")).to_have_count(8)
+    expect(page.locator("#boards tbody tr")).to_have_count(9)
+    expect(row(page, "beacons", IDS[0])).to_contain_text("used")
+    expect(row(page, "beacons", IDS[WEAK])).to_contain_text("left out")
+    expect(page.get_by_label("What is wrong now")).to_contain_text(f"The field of {IDS[WEAK]}")
+
+    # A coil opens: the table, the plan and the alarms say so.
+    expect(row(page, "beacons", IDS[BROKEN])).to_contain_text("used")
+    served.publish(messages[len(calm) :])
+    expect(row(page, "beacons", IDS[BROKEN])).to_contain_text("▲ left out")
+    expect(page.get_by_label("What is wrong now")).to_contain_text("reports an open coil")
+    expect(row(page, "boards", "13")).to_contain_text("an open coil")
+    expect(page.get_by_role("img", name="Plan of the site; the sensor is at")).to_be_visible()
+
+    # What the pictures show.
+    for name, part in (("Trail", ".layer-trail"), ("Covariance", ".covariance"), ("Protection", ".protection")):
+        assert page.locator(part).get_attribute("visibility") != "hidden"
+        page.get_by_label(name, exact=True).uncheck()
+        expect(page.locator(part)).to_have_attribute("visibility", "hidden")
+        page.get_by_label(name, exact=True).check()
+        expect(page.locator(part)).not_to_have_attribute("visibility", "hidden")
+    page.get_by_label("Expected error").check()
+    expect(page.locator(".layer-map image")).to_have_count(1)
+    expect(page.locator("#plan-note")).to_contain_text("expected error at z =")
+    page.get_by_label("Expected error").uncheck()
+    expect(page.locator(".layer-map image")).to_have_count(0)
+    assert len(page.locator("polyline.trail").get_attribute("points")) > 100
+    page.get_by_role("button", name="Clear trail").click()
+    expect(page.locator("polyline.trail")).to_have_attribute("points", "")
+
+
+def test_space_is_turned_by_mouse_and_keyboard(opened, served, calm):
+    page = opened()
+    served.publish(calm)
+    expect(page.locator("#status-word")).to_have_text("ok")
+    canvas = page.locator("#space canvas")
+
+    def picture():
+        page.evaluate(TWO_PICTURES)
+        return canvas.screenshot()
+
+    seen = [picture()]
+    for name in ("Top", "Front", "Side", "Oblique"):
+        page.get_by_role("button", name=name, exact=True).click()
+        seen.append(picture())
+    assert len(set(seen)) == 4  # the first is oblique too
+    canvas.focus()
+    page.keyboard.press("Home")
+    home = picture()
+    for key in ("ArrowLeft", "ArrowUp", "+"):
+        before = picture()
+        page.keyboard.press(key)
+        assert picture() != before
+    page.keyboard.press("Home")
+    assert picture() == home
+
+
+def test_everything_is_reached_by_the_keyboard(opened, served, calm):
+    page = opened()
+    served.publish(calm)
+    expect(page.locator("#status-word")).to_have_text("ok")
+    reached = []
+    for _ in range(40):
+        page.keyboard.press("Tab")
+        reached.append(
+            page.evaluate("document.activeElement.id || document.activeElement.textContent.trim().slice(0, 20)")
+        )
+        if reached[-1] == "span":
+            break
+    wanted = ["hold", "show-trail", "show-covariance", "show-protection", "show-error", "clear-trail", "span", "alarms"]
+    assert set(wanted) <= set(reached), reached
+
+
+def test_a_page_that_is_held_stands_still(opened, served, calm):
+    page = opened()
+    served.publish(calm[:20])
+    expect(page.locator("#counts")).to_contain_text("epochs")
+    expect(page.locator("#status-word")).to_have_text("ok")
+    page.get_by_role("button", name="Hold").click()
+    expect(page.get_by_role("button", name="Hold")).to_have_attribute("aria-pressed", "true")
+    held = page.locator("#figures").inner_text()
+    served.publish(calm[20:])
+    expect(page.locator("#announce")).to_contain_text("held")
+    page.evaluate(TWO_PICTURES)
+    assert page.locator("#figures").inner_text() == held
+    page.get_by_role("button", name="Hold").click()
+    served.publish(calm[-3:])
+    expect(page.locator("#figures")).not_to_have_text(held)
+
+
+def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_return(opened, served, calm):
+    page = opened()
+    served.publish(calm[:40])
+    expect(page.locator("#link-word")).to_have_text("live")
+    served.hub.set_state(State.LOST, "the port is gone")
+    expect(page.locator("#link-word")).to_have_text("link lost")
+    expect(page.locator("#link-text")).to_contain_text("The port is gone. The latest pose is")
+    expect(page.locator("#pose-age")).to_contain_text("not of now")
+    expect(page.get_by_role("status")).to_contain_text("port is gone")
+    served.publish(calm[40:80])
+    expect(page.locator("#link-word")).to_have_text("live")
+    served.stop()
+    expect(page.locator("#link-word")).to_have_text("page cut off")
+    served.start()
+    served.publish(calm[80:])
+    expect(page.locator("#link-word")).to_have_text("live")
+    expect(page.locator("#status-word")).to_have_text("ok")
+
+
+@pytest.mark.parametrize(("device", "viewport"), [("desktop", DESKTOP), ("phone", PHONE)])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_anybody_can_use_it_and_nothing_jumps(opened, served, messages, device, viewport, scheme):
+    page = opened(viewport, scheme)
+    served.publish(messages)
+    expect(page.get_by_label("What is wrong now")).to_contain_text("open coil")
+    page.get_by_text("Earlier alarms").click()
+    SHOTS.mkdir(exist_ok=True)
+    page.locator("#space").scroll_into_view_if_needed()
+    page.wait_for_timeout(500)  # for who looks at the pictures; nothing is judged by them
+    page.screenshot(path=SHOTS / f"{device}-{scheme}-space.png")
+    page.screenshot(path=SHOTS / f"{device}-{scheme}.png", full_page=True)
+    assert violations(page) == []
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    assert page.evaluate(f"Promise.race([{SHIFTS}, new Promise(done => setTimeout(() => done(0), 300))])") < 0.02
+
+
+@pytest.mark.slow
+def test_an_hour_of_virtual_time_takes_no_more_memory(opened, served, calm):
+    page = opened()
+    client = page.context.new_cdp_session(page)
+    client.send("HeapProfiler.enable")
+    span_s = len(calm) * ROOM.cycle_s
+    used = []
+    for turn in range(450):  # 36,000 epochs of a tenth of a second
+        served.publish(times_later(calm, turn * span_s))
+        page.evaluate("new Promise(done => requestAnimationFrame(done))")
+        if turn in (149, 299, 449):
+            client.send("HeapProfiler.collectGarbage")
+            used.append(client.send("Runtime.getHeapUsage")["usedSize"])
+    print([f"{one / 1e6:.1f} MB" for one in used])
+    assert used[2] < 1.1 * used[1] + 1e6

@@ -1,0 +1,124 @@
+"""``goldfield view`` as a program: its first line, what it serves, its end, and what it refuses."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+from websockets.sync.client import connect
+
+from goldfield.cli import main
+from goldfield.page import serving
+from tests.host.fake_sensor import SITE, PtySensor, log_of
+
+needs_npm = pytest.mark.skipif(shutil.which("npm") is None, reason="make builds the page with npm, which is not there")
+TIMEOUT_S = 120.0
+
+
+class View:
+    """A running ``goldfield view``."""
+
+    def __init__(self, *words):
+        command = [sys.executable, "-m", "goldfield", "view", "--site", str(SITE), "--bind", "127.0.0.1:0", *words]
+        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+    def __enter__(self):
+        self.url = self._process.stdout.readline().strip()
+        return self
+
+    def __exit__(self, *_):
+        self._process.kill()
+        self._process.communicate()
+
+    def stream(self):
+        return connect(f"{self.url.replace('http', 'ws', 1)}live", max_size=None, open_timeout=TIMEOUT_S)
+
+    def end(self):
+        """Interrupt it, and return its exit code and what it said after the first line."""
+        self._process.send_signal(signal.SIGINT)
+        out, err = self._process.communicate(timeout=TIMEOUT_S)
+        return self._process.returncode, out, err
+
+
+def until(stream, wanted):
+    """Return every message up to the first that is wanted."""
+    seen = []
+    while not any(wanted(message) for message in seen):
+        seen += json.loads(stream.recv(TIMEOUT_S))
+    return seen
+
+
+@needs_npm
+def test_a_recording_is_served_to_its_end_and_beyond(tmp_path):
+    log = tmp_path / "run.log"
+    log.write_text(log_of(range(5)))
+    with View("--log", str(log), "--pace", "0") as view:
+        assert view.url.startswith("http://127.0.0.1:")
+        with view.stream() as stream:
+            seen = until(stream, lambda message: message.get("state") == "ended")
+        assert seen[0]["type"] == "hello"
+        assert [one["epoch"] for one in seen if one["type"] == "epoch"] == [0, 1, 2, 3, 4]
+        assert view.end() == (0, "", "")
+
+
+@needs_npm
+def test_a_live_sensor_that_hangs_up_is_waited_for():
+    with PtySensor(range(5), hang_up=True) as sensor, View("--port", sensor.path) as view, view.stream() as stream:
+        until(stream, lambda message: message.get("epoch") == 4)
+        until(stream, lambda message: message.get("state") in ("silent", "lost"))
+        code, out, _ = view.end()
+    assert (code, out) == (0, "")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--bind", "8000"], "--bind 8000: give ADDRESS:PORT"),
+        (["--bind", "192.0.2.7:0"], "cannot listen there"),
+        (["--rate", "20000"], "--rate 20000"),
+        (["--node", "7", "--log", "none.log"], "more than one source"),
+    ],
+)
+def test_what_makes_no_sense_is_refused_in_a_sentence(words, said, capsys, tmp_path, monkeypatch):
+    (tmp_path / "index.html").write_text("")
+    monkeypatch.setattr(serving, "ASSETS", tmp_path)
+    assert main(["view", "--port", "/dev/none", "--site", str(SITE), *words]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def test_a_negative_pace_is_refused(capsys):
+    with pytest.raises(SystemExit) as refused:
+        main(["view", "--pace", "-1"])
+    assert refused.value.code == 2
+    assert "-1 is no pace" in capsys.readouterr().err
+
+
+def test_a_port_that_is_not_there_ends_it_with_the_address_printed(capsys, tmp_path, monkeypatch):
+    (tmp_path / "index.html").write_text("")
+    monkeypatch.setattr(serving, "ASSETS", tmp_path)
+    assert main(["view", "--port", "/dev/none", "--site", str(SITE), "--bind", "127.0.0.1:0"]) == 2
+    out, err = capsys.readouterr()
+    assert out.count("\n") == 1
+    assert "/dev/none" in err
+
+
+def test_a_page_that_is_not_built_is_told_before_anything_is_opened(capsys, tmp_path, monkeypatch):
+    monkeypatch.setattr(serving, "ASSETS", tmp_path)
+    assert main(["view", "--port", "/dev/none", "--site", str(SITE)]) == 3
+    assert "make page" in capsys.readouterr().err
+
+
+def test_without_the_server_s_packages_it_says_what_to_install(capsys, monkeypatch):
+    for module in [name for name in sys.modules if name.startswith("goldfield.page.application")]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, "starlette.applications", None)
+    assert main(["view", "--port", "/dev/none", "--site", str(SITE)]) == 3
+    said = capsys.readouterr().err
+    assert "a package is missing" in said
+    assert "pip install 'goldfield[" in said
+    assert "view" in said
