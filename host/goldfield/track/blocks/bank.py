@@ -189,7 +189,8 @@ class Bank:
         mean = share @ error
         rest = error - mean[:, None]
         inner = (share @ self._covariance.reshape(count, -1)).reshape(count, SIZE, SIZE)
-        self._covariance = inner + (share[:, :, None] * rest).swapaxes(1, 2) @ rest
+        mixed = inner + (share[:, :, None] * rest).swapaxes(1, 2) @ rest
+        self._covariance = 0.5 * (mixed + mixed.swapaxes(1, 2))  # rounding does not add up
         self._motion = base.squared().moved(mean)
 
     @property

@@ -38,6 +38,9 @@ coil, or that of the attitude so many radians: the fields are not linear over su
 DRAWN_M_S, DRAWN_RAD_S = 0.5, 0.5
 """By how much the velocity and the turn rate of a track may be wrong that a beacon has drawn with it."""
 
+ASTRAY = 60.0
+"""A track is elsewhere than the locator has the sensor if the squared distance over its covariance is larger: 1e-12."""
+
 RIVAL = 15.0
 """A rival start is given up when its -2 log likelihood is this much higher: 1800 to one are the odds."""
 
@@ -223,8 +226,10 @@ class BlockFilter:
             for bank in self._banks:
                 bank.predict(seconds)
             self._middle_s, seconds = middle_s, 0.0
-            if self._too_vague() and self._begin(form, middle_s) and self._taken_s == middle_s:
-                return None
+            if self._too_vague():
+                self._begin(form, middle_s)
+                if self._taken_s == middle_s:  # it has begun
+                    return None
         took = [bank.update(kept, seconds) for bank in self._banks]
         self._middle_s = middle_s
         if any(took):
@@ -282,9 +287,8 @@ class BlockFilter:
     def _decide(self) -> None:
         """Give up starts that the blocks contradict; the likeliest comes first."""
         if len(self._banks) > 1:
-            self._banks.sort(key=lambda bank: bank.mismatch)
-            least = self._banks[0].mismatch
-            self._banks = [bank for bank in self._banks if bank.mismatch - least < RIVAL and not bank.refused]
+            likely = sorted((bank for bank in self._banks if not bank.refused), key=lambda bank: bank.mismatch)
+            self._banks = [bank for bank in likely if bank.mismatch - likely[0].mismatch < RIVAL]
 
     def _judge(self, form: NormalForm, middle_s: float) -> None:
         """Show the block to the integrity; follow its verdict."""
@@ -299,8 +303,19 @@ class BlockFilter:
             self._forget()
             return
         before, self._excluded = self._excluded, verdict.excluded
-        if set(verdict.excluded) - set(before) and not verdict.inconsistent:
+        drawn = bool(set(verdict.excluded) - set(before))
+        if not (verdict.inconsistent or verdict.silent) and (drawn or self._astray(verdict, known)):
             self._correct(verdict, middle_s)
+
+    @staticmethod
+    def _astray(verdict: Verdict, known: Estimate) -> bool:
+        """Tell whether the track is somewhere else than where the cycle by itself has the sensor."""
+        pose, motion = verdict.pose, verdict.motion
+        if motion is None or pose.status is Status.AMBIGUOUS:
+            return False
+        apart = motion.position_m - pose.position_m
+        both = known.covariance[POSITION, POSITION] + pose.position_cov_m2
+        return float(apart @ np.linalg.solve(both, apart)) > ASTRAY
 
     def _correct(self, verdict: Verdict, middle_s: float) -> None:
         """Begin anew where the other beacons have the sensor: one that is now left out has drawn the track with it."""

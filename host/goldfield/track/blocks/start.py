@@ -41,6 +41,7 @@ class Starter:
         self._reach_m = self._locator.model.reach_m
         self._kept: list[NormalForm] = []
         self._taken = self._contradictions = 0
+        self._last_s = -math.inf
 
     def forget(self) -> None:
         """Begin anew: earlier blocks are of another time."""
@@ -58,9 +59,13 @@ class Starter:
         starts : list of Start
             None where there is no pose to begin with, two if the pose is ambiguous.
         """
+        period_s = 2.0 * form.end_s + self._site.chip_period_s
+        if time_s - self._last_s > 1.5 * period_s:  # those before are of another time
+            self.forget()
+        self._last_s = time_s
         self._kept.append(form)
         self._taken += 1
-        most = max(round(self._site.cycle_s / (2.0 * form.end_s + self._site.chip_period_s)), 1)
+        most = max(round(self._site.cycle_s / period_s), 1)
         del self._kept[:-most]
         pose, starts = self._of(self._kept[-1:], epoch, time_s, without, most)
         count = 2

@@ -251,3 +251,18 @@ def test_poses_at_other_times_are_extrapolated():
     assert np.linalg.norm((rotation[1] * rotation[0].inv()).as_rotvec() / 2e-3 - state.rate_rad_s) < 0.3
     turned = Rotation.from_matrix(state.rotation) * Rotation.from_quat(last.orientation_xyzw).inv()
     assert turned.magnitude() < 1e-6
+
+
+def test_a_track_that_is_elsewhere_is_found_out(monkeypatch):
+    """A bank that learns nothing from its blocks and is sure of a wrong place near by."""
+    stream = stream_of("still", 2e-7, 17, 0.5)
+    track, blocks = BlockFilter(stream.site), stream.blocks()
+    for block in blocks[:40]:
+        track.update(block)
+    bank = track._banks[0]
+    bank._motion = bank._motion.moved(np.repeat([0.06, 0.0], [3, 15]))
+    monkeypatch.setattr(bank, "update", lambda form, seconds: True)
+    poses = [track.update(block) for block in blocks[40:]]
+    moved, _ = stream.errors(poses)
+    assert np.linalg.norm(moved[0]) > 0.08
+    assert np.linalg.norm(moved[-20:], axis=1).max() < 0.03
