@@ -261,6 +261,7 @@ def test_a_track_that_is_elsewhere_is_found_out(monkeypatch):
         track.update(block)
     bank = track._banks[0]
     bank._motion = bank._motion.moved(np.repeat([0.06, 0.0], [3, 15]))
+    bank._merged = None
     monkeypatch.setattr(bank, "update", lambda form, seconds: True)
     poses = [track.update(block) for block in blocks[40:]]
     moved, _ = stream.errors(poses)
