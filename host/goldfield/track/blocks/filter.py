@@ -138,6 +138,7 @@ class BlockFilter:
         self._middle_s = self._taken_s = self._heard_s = self._end_s = -math.inf
         self._bias: FloatArray | None = None
         self._blocks = self._track = 0
+        self._level: tuple[Verdict, float, float] | None = None
         self._axes = 3
         self._epoch = -1
 
@@ -338,14 +339,22 @@ class BlockFilter:
     def _known(self, bank: Bank, time_s: float) -> Estimate:
         """Return what a bank believes of a moment, with what the errors of the site do to it."""
         known = bank.output(time_s - self._middle_s)
+        self._blocks += 1
         if not self._considered.any:
             return known
         if self._bias is None or self._blocks % CONSIDERED == 0:
             self._bias = self._considered.covariance(known.motion, self._rows(self._out))
-        self._blocks += 1
         covariance = known.covariance.copy()
         covariance[:6, :6] += self._bias
         return Estimate(known.motion, covariance)
+
+    def _protection_m(self, verdict: Verdict, position_cov_m2: FloatArray) -> float:
+        """Return the protection level of a position; between computations it grows with the deviation."""
+        variance = float(np.trace(position_cov_m2))
+        if self._level is None or self._level[0] is not verdict or self._blocks % CONSIDERED == 0:
+            self._level = (verdict, verdict.protection_m(position_cov_m2), variance)
+        _, level_m, before = self._level
+        return level_m * math.sqrt(max(variance / before, 1.0))
 
     def _located(self, located: Pose | None) -> Pose:
         """Return the pose where there is no track: what the locator says, which nothing follows."""
@@ -378,17 +387,18 @@ class BlockFilter:
             text = "the last block contradicts" if bank.refused == 1 else f"the last {bank.refused} blocks contradict"
             reason = joined(reason, f"{text} the track: the pose is predicted")
             status = Status.INCONSISTENT if bank.refused >= DOUBTED else status
+        known = self._known(bank, time_s)
         return self._reporter.pose(
             self._epoch,
             time_s,
-            self._known(bank, time_s),
+            known,
             residual=verdict.pose.residual,
             status=status,
             used=() if bank.refused else tuple(name for name in self._row if name not in out),
             excluded=out,
             axes=self._axes,
             reason=reason,
-            protection_m=verdict.pose.protection_m,
+            protection_m=self._protection_m(verdict, known.covariance[:3, :3]),
             residuals=verdict.pose.residuals,
             findings=verdict.pose.findings,
         )

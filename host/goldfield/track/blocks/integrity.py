@@ -25,7 +25,7 @@ from goldfield.track.blocks.state import Motion
 from goldfield.track.blocks.update import MOTION, MOVING, Reference, reference
 from goldfield.track.continuity import joined
 from goldfield.track.estimate import Belief
-from goldfield.track.faults import judged
+from goldfield.track.faults import Judgement, judged
 from goldfield.track.motion import State
 from goldfield.track.observe import EpochObserver
 from goldfield.track.witness import Witness
@@ -64,6 +64,8 @@ class Verdict:
         The fields do not agree with the site, and leaving out such a beacon does not mend it.
     silent : bool
         Nothing but noise was heard.
+    judgement : Judgement or None
+        What the fields say of the beacons that are not left out; None for a block that a track has begun with.
     """
 
     pose: Pose
@@ -71,6 +73,14 @@ class Verdict:
     excluded: tuple[str, ...] = ()
     inconsistent: bool = False
     silent: bool = False
+    judgement: Judgement | None = None
+
+    def protection_m(self, position_cov_m2: FloatArray) -> float:
+        """Return the radius that the error of a position of this covariance exceeds undetected only rarely."""
+        if self.judgement is not None:
+            return self.judgement.protection_m(position_cov_m2)
+        wider = float(np.trace(position_cov_m2) / np.trace(self.pose.position_cov_m2))
+        return self.pose.protection_m * math.sqrt(max(wider, 1.0))
 
 
 class Integrity:
@@ -166,14 +176,19 @@ class Integrity:
         if len(fields.beacons) < LEAST_BEACONS:  # the blocks do not tell them apart
             return None
         pose = self._locator.locate(fields)
-        self._learn(fields, around.motion)
+        judgement = self._judgement(fields, around.motion, ())
+        self.witness.update(judgement)
         sound = pose.status not in (Status.FAILED, Status.INCONSISTENT) and not pose.excluded
         if len(out) and not sound:
-            pose = self._locator.locate(self._fields(kept, epoch))
+            fields = self._fields(kept, epoch)
+            pose = self._locator.locate(fields)
             pose = replace(pose, excluded=(*without, *(name for name in pose.excluded if name not in without)))
         if pose.status is Status.FAILED:
             return Verdict(pose, around.motion, tuple(without), silent=True)
-        return self._witnessed(Verdict(pose, around.motion, pose.excluded, pose.status is Status.INCONSISTENT))
+        verdict = self._witnessed(Verdict(pose, around.motion, pose.excluded, pose.status is Status.INCONSISTENT))
+        if verdict.excluded:
+            judgement = self._judgement(fields, around.motion, verdict.excluded)
+        return replace(verdict, judgement=judgement)
 
     def _fields(self, rests: Sequence[NormalForm], epoch: int) -> Fields:
         """Return the fields that a sensor at rest at the middle of the blocks would have had."""
@@ -202,9 +217,8 @@ class Integrity:
             pose = replace(pose, findings=(*pose.findings, finding), reason=joined(pose.reason, finding.text))
         return replace(verdict, pose=pose, excluded=(*verdict.excluded, *named))
 
-    def _learn(self, fields: Fields, motion: Motion) -> None:
-        """Show the cycle to the witness."""
+    def _judgement(self, fields: Fields, motion: Motion, without: Sequence[str]) -> Judgement | None:
+        """Return what the fields say of each beacon by the linear tests of a track, its motion taken out."""
         state = State(motion.position_m, motion.rotation, np.zeros(3), np.zeros(3), np.zeros(3))
-        observation, heard = self._observer.observation(fields, 0.0)
-        prior = Belief(state, np.diag(KNOWN))
-        self.witness.update(judged(observation, state, prior) if heard else None)
+        observation, heard = self._observer.observation(fields, 0.0, without)
+        return judged(observation, state, Belief(state, np.diag(KNOWN))) if heard else None

