@@ -6,7 +6,9 @@
  *
  * Method. The covariance is kept whole and made symmetric by each update. With the information of the block as a
  * Cholesky factor, the matrix that is inverted is the unit matrix and something positive, whatever the block tells: its
- * pivots are at least 1, in single precision too.
+ * pivots are at least 1, in single precision too. All is done by blocks of three rows and columns (block_matrix.h).
+ *
+ * Time (Cortex-M4, -O3): block_kalman_predict 1,400 instructions, block_kalman_update 13,500.
  */
 #ifndef GOLDFIELD_BLOCK_KALMAN_H
 #define GOLDFIELD_BLOCK_KALMAN_H
@@ -16,20 +18,19 @@
 
 #include "core/track/block_measure.h"
 
-#define BLOCK_STATES 18u /* Errors of the state: six vectors, in this order. */
-
-/* Where the vectors of the state begin in the covariance. */
-enum { BLOCK_P = 0, BLOCK_THETA = 3, BLOCK_V = 6, BLOCK_W = 9, BLOCK_E = 12, BLOCK_B = 15 };
-
 typedef struct {
     block_state_t state;
     float covariance[BLOCK_STATES][BLOCK_STATES]; /* In the units of the state. */
-    float acceleration, turn;                     /* Agility, m/s^2 and rad/s^2 per root hertz. */
-    float likelihood;                             /* Its logarithm, of the last while. */
+    float acceleration2, turn2;                   /* Squared agility, (m/s^2)^2 and (rad/s^2)^2 per hertz. */
+    float probability;                            /* That the sensor moves as this filter expects. */
 } block_kalman_t;
 
 /* Move the state and its covariance on by so many seconds. */
 void block_kalman_predict(block_kalman_t *filter, float seconds);
+
+/* Move a state and the covariance of its errors up to the turn rate on by so many seconds, with squared agilities. */
+void block_kalman_ahead(block_state_t *state, float covariance[BLOCK_E][BLOCK_E], float acceleration2, float turn2,
+                        float seconds);
 
 /* Take the block that was measured, if its chi-square is below limit; *chi_square and *log_determinant tell its
  * likelihood in any case.

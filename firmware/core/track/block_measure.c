@@ -6,21 +6,9 @@
 #include "core/math/quaternion.h"
 #include "core/math/roots.h"
 #include "core/math/vector3.h"
+#include "core/track/block_matrix.h"
 
 #define LEAST_PIVOT 1e-6f /* Least pivot of the information, over its own diagonal, that is not rounding. */
-
-typedef float matrix9_t[BLOCK_OBSERVED][BLOCK_OBSERVED];
-
-/* The sums over the columns j for one row i of the block. */
-typedef struct {
-    float field[3], gradient[5];            /* Of G0_ij B_j and G0_ij G_j. */
-    float field_moment[3], slope_moment[5]; /* Of G1_ij B_j and G1_ij G_j. */
-} row_t;
-
-/* Sums over the rows i of J_i' times the sums of a row: the products of all with position and turn. */
-typedef struct {
-    float pp[3][3], pt[3][3], tp[3][3], tt[3][3];
-} products_t;
 
 static void multiply(const float matrix[3][3], const float vector[3], float product[3]) {
     for (uint32_t i = 0; i < 3u; i++) {
@@ -51,141 +39,184 @@ static void model(const loop_t *coils, uint32_t ambient, block_measure_t *measur
     memset(measure->gradient[ambient], 0, sizeof measure->gradient[ambient]);
 }
 
-static void sum_row(const block_t *block, const block_measure_t *measure, uint32_t i, row_t *row) {
-    *row = (row_t){{0.0f}, {0.0f}, {0.0f}, {0.0f}};
+/* Sums fields and gradients over the columns for a row of the block. */
+static void sum_row(const block_t *block, uint32_t i, block_measure_t *measure) {
+    float field[3] = {0.0f}, gradient[5] = {0.0f}, field_moment[3] = {0.0f}, gradient_moment[5] = {0.0f};
     for (uint32_t j = 0; j < block->columns; j++) {
         const float weight = block->gram[i][j], moment = block->moment[i][j];
         for (uint32_t axis = 0; axis < 3u; axis++) {
-            row->field[axis] += weight * measure->field_uT[j][axis];
-            row->field_moment[axis] += moment * measure->field_uT[j][axis];
+            field[axis] += weight * measure->field_uT[j][axis];
+            field_moment[axis] += moment * measure->field_uT[j][axis];
         }
         for (uint32_t k = 0; k < 5u; k++) {
-            row->gradient[k] += weight * measure->gradient[j][k];
-            row->slope_moment[k] += moment * measure->gradient[j][k];
+            gradient[k] += weight * measure->gradient[j][k];
+            gradient_moment[k] += moment * measure->gradient[j][k];
         }
     }
+    memcpy(measure->field_sum[i], field, sizeof field);
+    memcpy(measure->gradient_sum[i], gradient, sizeof gradient);
+    memcpy(measure->field_moment[i], field_moment, sizeof field_moment);
+    memcpy(measure->gradient_moment[i], gradient_moment, sizeof gradient_moment);
+    measure->ambient_sum[i] = block->gram[i][block->columns - 1u];
 }
 
-/* Computes what the model leaves of the sums of a row, turned into the site's frame. */
-static void leave(const block_measure_t *measure, const float sums[3], const row_t *row, const float offset[3],
-                  float residual[3]) {
-    float slope[3][3], moved[3], turned[3], measured[3];
-    expand(row->slope_moment, slope);
-    multiply((const float(*)[3])slope, measure->reference.velocity_m_s, moved);
-    vector3_cross(measure->reference.rate_rad_s, row->field_moment, turned);
-    multiply((const float(*)[3])measure->rotation, sums, measured);
+/* Computes what the model leaves of the sums of a row, turned into the site's frame. offset is that of the sensor in
+ * the site's frame. */
+static inline void leave(const block_measure_t *measure, uint32_t i, const float sums_uT[3], const float offset[3],
+                         float residual[3]) {
+    float moment[3][3], turned[3];
+    expand(measure->gradient_moment[i], moment);
+    vector3_cross(measure->reference.rate_rad_s, measure->field_moment[i], turned);
     for (uint32_t axis = 0; axis < 3u; axis++) {
-        residual[axis] = measured[axis] - row->field[axis] - offset[axis] - (moved[axis] - turned[axis]);
+        const float moved = vector3_dot(moment[axis], measure->reference.velocity_m_s) - turned[axis];
+        const float still = measure->field_sum[i][axis] + measure->ambient_sum[i] * offset[axis];
+        residual[axis] = vector3_dot(measure->rotation[axis], sums_uT) - still - moved;
     }
 }
 
-/* Adds J_i' times the sums of a row. */
-static inline void add_products(const float field[3], const float gradient[3][3], const float field_sum[3],
-                                const float five_sum[5], products_t *products) {
-    float sum[3][3], crossed[3];
-    expand(five_sum, sum);
-    for (uint32_t row = 0; row < 3u; row++) {
-        for (uint32_t column = 0; column < 3u; column++) {
-            products->pp[row][column] += vector3_dot(gradient[row], sum[column]);
-            products->tt[row][column] += field_sum[row] * field[column];
-        }
-        vector3_cross(gradient[row], field_sum, crossed);
-        for (uint32_t column = 0; column < 3u; column++) {
-            products->pt[row][column] += crossed[column];
-        }
-        vector3_cross(sum[row], field, crossed);
-        for (uint32_t column = 0; column < 3u; column++) {
-            products->tp[column][row] += crossed[column];
-        }
-    }
-}
-
-/* Composes nine rows of six columns from the products and the sums of the ambient field's row. */
-static void compose(const products_t *products, const float ambient_field[3], const float ambient_five[5],
-                    float composed[BLOCK_OBSERVED][6]) {
-    const float *const b = ambient_field;
-    const float cross[3][3] = {{0.0f, -b[2], b[1]}, {b[2], 0.0f, -b[0]}, {-b[1], b[0], 0.0f}};
-    const float trace = products->tt[0][0] + products->tt[1][1] + products->tt[2][2];
-    float gradient[3][3];
-    expand(ambient_five, gradient);
-    for (uint32_t row = 0; row < 3u; row++) {
-        for (uint32_t column = 0; column < 3u; column++) {
-            composed[row][column] = products->pp[row][column];
-            composed[row][3u + column] = products->pt[row][column];
-            composed[3u + row][column] = products->tp[row][column];
-            composed[3u + row][3u + column] = (row == column ? trace : 0.0f) - products->tt[row][column];
-            composed[6u + row][column] = gradient[row][column];
-            composed[6u + row][3u + column] = cross[row][column];
-        }
-    }
-}
-
-/* Sums the rows of the block: information, gradient, and what the motion adds to it, all times sigma^2. */
-static void sum_block(const block_t *block, const float offset[3], block_measure_t *measure) {
-    const uint32_t ambient = block->columns - 1u;
-    products_t still = {0}, moving = {0};
-    float *const side = measure->side, residual[3], offset_sum[3], gradient[3][3], crossed[3];
-    row_t row;
-    memset(side, 0, sizeof measure->side);
-    for (uint32_t i = 0; i <= ambient; i++) {
-        const float weight = block->gram[i][ambient];
-        sum_row(block, measure, i, &row);
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            offset_sum[axis] = weight * offset[axis];
-        }
-        leave(measure, block->sums_uT[i], &row, offset_sum, residual);
+/* Computes the gradient of the likelihood, times sigma^2. */
+static void descend(const block_t *block, const block_measure_t *measure, float side[BLOCK_OBSERVED]) {
+    float offset[3], residual[3] = {0.0f}, crossed[3], by_p[3] = {0.0f}, by_theta[3] = {0.0f};
+    multiply((const float(*)[3])measure->rotation, measure->reference.offset_uT, offset);
+    for (uint32_t i = 0; i < block->columns; i++) {
+        float gradient[3][3];
+        leave(measure, i, block->sums_uT[i], offset, residual);
         expand(measure->gradient[i], gradient);
-        add_products(measure->field_uT[i], (const float(*)[3])gradient, row.field, row.gradient, &still);
-        add_products(measure->field_uT[i], (const float(*)[3])gradient, row.field_moment, row.slope_moment, &moving);
         vector3_cross(residual, measure->field_uT[i], crossed);
         for (uint32_t axis = 0; axis < 3u; axis++) {
-            side[axis] += vector3_dot(gradient[axis], residual);
-            side[3u + axis] += crossed[axis];
+            by_p[axis] += vector3_dot(gradient[axis], residual);
+            by_theta[axis] += crossed[axis];
         }
-        memcpy(measure->field_sum[i], row.field, sizeof row.field);
-        memcpy(measure->gradient_sum[i], row.gradient, sizeof row.gradient);
-        measure->ambient_sum[i] = weight;
     }
+    memcpy(&side[0], by_p, sizeof by_p);
+    memcpy(&side[3], by_theta, sizeof by_theta);
     memcpy(&side[6], residual, sizeof residual); /* That of the last row, the ambient field's. */
-    float information[BLOCK_OBSERVED][6];
-    compose(&still, row.field, row.gradient, information);
-    compose(&moving, row.field_moment, row.slope_moment, measure->motion);
-    for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
-        memcpy(measure->factor[i], information[i], sizeof information[i]);
-        for (uint32_t j = 6; j < BLOCK_OBSERVED; j++) {
-            measure->factor[i][j] = i == j ? measure->ambient_sum[ambient] : 0.0f;
+}
+
+/* Sums the products of gradients with what they were summed to. */
+static void square(uint32_t count, const float gradient[][5], const float sum[][5], float product[3][3]) {
+    float total[3][3] = {{0.0f}};
+    for (uint32_t i = 0; i < count; i++) {
+        float left[3][3], right[3][3];
+        expand(gradient[i], left);
+        expand(sum[i], right);
+        matrix3_add(total, left[0], 3, right[0], 3);
+    }
+    matrix3_store((const float(*)[3])total, product[0], 3);
+}
+
+/* Sums the rows of gradients, crossed with fields. */
+static void cross(uint32_t count, const float gradient[][5], const float field[][3], float product[3][3]) {
+    float total[3][3] = {{0.0f}};
+    for (uint32_t i = 0; i < count; i++) {
+        float rows[3][3], crossed[3];
+        expand(gradient[i], rows);
+        for (uint32_t row = 0; row < 3u; row++) {
+            vector3_cross(rows[row], field[i], crossed);
+            for (uint32_t column = 0; column < 3u; column++) {
+                total[row][column] += crossed[column];
+            }
         }
+    }
+    matrix3_store((const float(*)[3])total, product[0], 3);
+}
+
+/* Sums the products [B]x' [b]x = (B b) 1 - b B' of fields B with what they were summed to, b. */
+static void turn(uint32_t count, const float field[][3], const float sum[][3], float product[3][3]) {
+    float total[3][3] = {{0.0f}};
+    for (uint32_t i = 0; i < count; i++) {
+        for (uint32_t row = 0; row < 3u; row++) {
+            for (uint32_t column = 0; column < 3u; column++) {
+                total[row][column] -= sum[i][row] * field[i][column];
+            }
+        }
+    }
+    const float trace = total[0][0] + total[1][1] + total[2][2];
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        total[axis][axis] -= trace;
+    }
+    matrix3_store((const float(*)[3])total, product[0], 3);
+}
+
+static void store(float rows[BLOCK_OBSERVED][BLOCK_ROW], uint32_t row, uint32_t column, const float block[3][3]) {
+    matrix3_store(block, &rows[row][column], BLOCK_ROW);
+}
+
+/* Composes [L K g], times sigma^2; of L the upper triangle of blocks. */
+static void compose(const block_t *block, block_measure_t *measure) {
+    const uint32_t count = block->columns, last = count - 1u;
+    const float(*const gradient)[5] = (const float(*)[5])measure->gradient;
+    const float(*const field)[3] = (const float(*)[3])measure->field_uT;
+    const float(*const gradient_moment)[5] = (const float(*)[5])measure->gradient_moment;
+    const float(*const field_moment)[3] = (const float(*)[3])measure->field_moment;
+    const float *const b = measure->field_sum[last], *const m = field_moment[last];
+    const float weight = measure->ambient_sum[last];
+    float(*const rows)[BLOCK_ROW] = measure->rows, part[3][3], side[BLOCK_OBSERVED];
+    square(count, gradient, (const float(*)[5])measure->gradient_sum, part);
+    store(rows, 0, BLOCK_ROW_P, (const float(*)[3])part);
+    cross(count, gradient, (const float(*)[3])measure->field_sum, part);
+    store(rows, 0, BLOCK_ROW_THETA, (const float(*)[3])part);
+    square(count, gradient, gradient_moment, part);
+    store(rows, 0, BLOCK_ROW_V, (const float(*)[3])part);
+    cross(count, gradient, field_moment, part);
+    store(rows, 0, BLOCK_ROW_W, (const float(*)[3])part);
+    expand(measure->gradient_sum[last], part);
+    store(rows, 0, BLOCK_ROW_A, (const float(*)[3])part);
+    turn(count, field, (const float(*)[3])measure->field_sum, part);
+    store(rows, 3, BLOCK_ROW_THETA, (const float(*)[3])part);
+    cross(count, gradient_moment, field, part);
+    for (uint32_t i = 0; i < 3u; i++) {
+        for (uint32_t j = 0; j < 3u; j++) {
+            rows[3u + i][BLOCK_ROW_V + j] = part[j][i];
+        }
+    }
+    turn(count, field, field_moment, part);
+    store(rows, 3, BLOCK_ROW_W, (const float(*)[3])part);
+    const float from_turn[3][3] = {{0.0f, b[2], -b[1]}, {-b[2], 0.0f, b[0]}, {b[1], -b[0], 0.0f}};
+    store(rows, 3, BLOCK_ROW_A, from_turn);
+    expand(gradient_moment[last], part);
+    store(rows, 6, BLOCK_ROW_V, (const float(*)[3])part);
+    const float turning[3][3] = {{0.0f, -m[2], m[1]}, {m[2], 0.0f, -m[0]}, {-m[1], m[0], 0.0f}};
+    store(rows, 6, BLOCK_ROW_W, turning);
+    const float ambient[3][3] = {{weight, 0.0f, 0.0f}, {0.0f, weight, 0.0f}, {0.0f, 0.0f, weight}};
+    store(rows, 6, BLOCK_ROW_A, ambient);
+    const float none[3][3] = {{0.0f}};
+    store(rows, 3, BLOCK_ROW_P, none);
+    store(rows, 6, BLOCK_ROW_P, none);
+    store(rows, 6, BLOCK_ROW_THETA, none);
+    descend(block, measure, side);
+    for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
+        rows[i][BLOCK_ROW_Y] = side[i];
     }
 }
 
-/* Factors the information in place into U, and solves U y = side and U W = motion in place. Columns that tell nothing
- * become zero. */
-static uint32_t factor(block_measure_t *measure) {
-    float(*const u)[BLOCK_OBSERVED] = measure->factor;
+/* Returns the column of the diagonal in a row. */
+static inline uint32_t diagonal(uint32_t row) {
+    return row < 6u ? row : BLOCK_ROW_A - 6u + row;
+}
+
+/* Eliminates [L K g] to [A y] = U^-1 [L K g], of which the first part is U'. Rows that tell nothing become zero.
+ * Returns how many tell something. */
+static uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], float noise) {
+    float whole[BLOCK_OBSERVED];
     uint32_t rank = 0;
     for (uint32_t j = 0; j < BLOCK_OBSERVED; j++) {
-        float pivot = u[j][j], *const y = &measure->side[j], *const w = measure->motion[j];
-        for (uint32_t k = 0; k < j; k++) {
-            pivot -= u[j][k] * u[j][k];
-            *y -= u[j][k] * measure->side[k];
-            for (uint32_t column = 0; column < 6u; column++) {
-                w[column] -= u[j][k] * measure->motion[k][column];
-            }
-        }
-        const bool told = pivot > LEAST_PIVOT * u[j][j];
-        const float over = told ? 1.0f / square_root(pivot) : 0.0f;
-        u[j][j] = over * pivot;
-        *y *= over;
-        for (uint32_t column = 0; column < 6u; column++) {
-            w[column] *= over;
+        whole[j] = rows[j][diagonal(j)];
+    }
+    for (uint32_t j = 0; j < BLOCK_OBSERVED; j++) {
+        const float pivot = rows[j][diagonal(j)];
+        const bool told = !(pivot <= LEAST_PIVOT * whole[j]); /* What is not a number stays one. */
+        const float scale = told ? 1.0f / (noise * square_root(pivot)) : 0.0f;
+        float own[BLOCK_ROW];
+        for (uint32_t column = 0; column < BLOCK_ROW; column++) {
+            own[column] = rows[j][column] = scale * rows[j][column];
         }
         for (uint32_t i = j + 1u; i < BLOCK_OBSERVED; i++) {
-            float sum = u[i][j];
-            for (uint32_t k = 0; k < j; k++) {
-                sum -= u[i][k] * u[j][k];
+            const float factor = noise * noise * rows[j][diagonal(i)];
+            for (uint32_t column = 0; column < BLOCK_ROW; column++) {
+                rows[i][column] -= factor * own[column];
             }
-            u[i][j] = over * sum;
-            u[j][i] = 0.0f;
+            rows[i][diagonal(j)] = 0.0f;
         }
         rank += told ? 1u : 0u;
     }
@@ -193,20 +224,11 @@ static uint32_t factor(block_measure_t *measure) {
 }
 
 void block_measure(const block_t *block, const loop_t *coils, block_measure_t *measure) {
-    const float weight = 1.0f / (measure->noise_uT * measure->noise_uT);
-    float offset[3];
     quaternion_matrix(measure->reference.quaternion, measure->rotation);
-    multiply((const float(*)[3])measure->rotation, measure->reference.offset_uT, offset);
     model(coils, block->columns - 1u, measure);
-    sum_block(block, offset, measure);
-    for (uint32_t row = 0; row < BLOCK_OBSERVED; row++) {
-        measure->side[row] *= weight;
-        for (uint32_t column = 0; column < 6u; column++) {
-            measure->motion[row][column] *= weight;
-        }
-        for (uint32_t column = 0; column < BLOCK_OBSERVED; column++) {
-            measure->factor[row][column] *= weight;
-        }
+    for (uint32_t i = 0; i < block->columns; i++) {
+        sum_row(block, i, measure);
     }
-    measure->rank = factor(measure);
+    compose(block, measure);
+    measure->rank = eliminate(measure->rows, measure->noise_uT);
 }

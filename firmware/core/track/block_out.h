@@ -6,8 +6,8 @@
  * Method. The signal of a beacon that is left out is still in the samples, so its field is taken as unknown and
  * eliminated: Gauss on the rows of gram, moment and sums. The column becomes zeros, and all others stay where they are.
  *
- * Time (Cortex-M4): block_leave_out about 15 instructions for each pair of columns, block_separate about 10 for each
- * three of columns.
+ * Time (Cortex-M4, -O3), with 8, 16 and 32 beacons: block_leave_out 6,000, 8,400 and 17,000 instructions,
+ * block_separate 12,000, 43,000 and 238,000.
  */
 #ifndef GOLDFIELD_BLOCK_OUT_H
 #define GOLDFIELD_BLOCK_OUT_H

@@ -33,6 +33,9 @@ HEADERS = (
     "core/pose/pose_covariance.h",
     "core/pose/pose_live.h",
     "core/pose/pose_mirror.h",
+    "core/track/block_filter.h",
+    "core/track/block_out.h",
+    "core/track/block_errors.h",
 )
 
 

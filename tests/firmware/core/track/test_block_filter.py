@@ -1,0 +1,216 @@
+"""The bank of filters in single precision: its poses against those in double precision, and what it refuses."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
+
+from tests.firmware.core.track import dense
+from tests.firmware.core.track.single import BLOCK_S, matrices
+
+END_S = 15 * dense.CHIP_S
+"""From the middle of a block to its last sample."""
+
+
+class Bank:
+    """The bank of docs/blocks.md, dense and in double precision."""
+
+    def __init__(self, flight):
+        self.flight, self.unmixed = flight, 0.0
+        first = flight.kernel.filter.filters[0]
+        state, covariance = flight.kernel.state(first.state), flight.kernel.matrix(first.covariance)
+        self.models = [dense.Model(state, covariance, 0.25)] * 4
+        self.refused = 0
+
+    def update(self, data, seconds):
+        self.unmixed += seconds
+        if self.unmixed >= 0.012:
+            self.models, self.unmixed = dense.mixed(self.models, self.unmixed), 0.0
+        moved = []
+        for model, agility in zip(self.models, dense.AGILITIES, strict=True):
+            moved.append(
+                dense.Model(*dense.predicted(model.state, model.covariance, agility, seconds), model.probability)
+            )
+        reference = dense.likeliest(moved).state
+        flight = self.flight
+        y, rows = dense.measured(flight.coils, reference, *matrices(flight.kernel), data, flight.noise)
+        taken, likelihoods, refused = [], [], self.refused
+        for model in moved:
+            state, covariance, chi_square, logarithm = dense.updated(model.state, model.covariance, reference, y, rows)
+            fits = chi_square <= chi2.isf(1e-5, 9)
+            self.refused += not fits
+            taken.append(dense.Model(state, covariance, model.probability) if fits else model)
+            likelihoods.append(-0.5 * (chi_square + logarithm))
+        if self.refused < refused + 4:
+            taken = dense.weighed(taken, np.array(likelihoods))
+        self.models = taken
+
+    def output(self, seconds):
+        weights = np.array([model.probability for model in self.models])
+        state, covariance = dense.combined(self.models, weights, dense.likeliest(self.models).state)
+        agility = np.sqrt(weights @ np.square(dense.AGILITIES))
+        return dense.predicted(state, covariance, (agility[0], agility[1]), seconds)
+
+
+@pytest.mark.parametrize(("beacons", "noise"), [(8, 0.02), (3, 0.2)])
+def test_the_poses_are_those_in_double_precision(fly, beacons, noise):
+    flight = fly(count=beacons, noise=noise)
+    flight.start()
+    bank, differences = Bank(flight), []
+    for number in range(1, 61):
+        data = flight.data()
+        if number == 30:
+            data[-1] += 1e4 * noise  # An impulse, which all filters refuse.
+        refused = bank.refused
+        bank.update(data, BLOCK_S)
+        assert flight.put(data) == (bank.refused < refused + 4) == (number != 30)
+        state, covariance, _ = flight.output(END_S)
+        truth, expected = bank.output(END_S)
+        sd = np.sqrt(np.diag(expected)[:6])
+        differences.append(np.abs(state.minus(truth)[:6] / sd).max())
+        assert np.abs((covariance - expected[:6, :6]) / np.outer(sd, sd)).max() < 0.02
+    print(f"differences of the poses: median {np.median(differences):.4f}, most {max(differences):.4f} sd")
+    assert np.median(differences) < 0.01
+    assert max(differences) < 0.03
+
+
+def test_errors_are_what_the_covariance_says(fly):
+    """NEES of position and turn over 300 blocks in motion, started in each of three flights."""
+    for seed in range(3):
+        flight = fly(seed=seed)
+        flight.start()
+        nees = []
+        for _ in range(300):
+            assert flight.step()
+            _, covariance, error = flight.output(END_S)
+            nees.append(error @ np.linalg.solve(covariance, error) / 6.0)
+        assert 0.4 < np.mean(nees[30:]) < 2.0
+        assert np.linalg.norm(error[:3]) < 0.02
+
+
+@pytest.mark.long
+def test_ten_thousand_blocks_stay_positive_and_finite(fly):
+    flight = fly(noise=0.02)
+    flight.start()
+    worst = np.inf
+    for number in range(10_000):
+        if number % 10 == 9:
+            flight.number += 1  # A lost block.
+            flight.kernel.lib.block_filter_predict(flight.kernel.filter, BLOCK_S)
+        assert flight.step()
+        if number % 100 == 99:
+            for model in flight.kernel.filter.filters:
+                covariance = flight.kernel.matrix(model.covariance)
+                assert np.array_equal(covariance, covariance.T)
+                sd = np.sqrt(np.diag(covariance))
+                worst = min(worst, np.linalg.eigvalsh(covariance / np.outer(sd, sd)).min())
+            _, _, error = flight.output(END_S)
+            assert np.linalg.norm(error[:3]) < 0.03
+    assert worst > 0.0
+    assert sum(model.probability for model in flight.kernel.filter.filters) == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e20])
+def test_what_is_no_number_is_refused_without_being_counted(fly, bad):
+    flight = fly()
+    flight.start()
+    for _ in range(5):
+        assert flight.step()
+    for place in ((0, 0), (8, 2)):
+        for _ in range(12):
+            data = flight.data()
+            data[place] = bad
+            assert not flight.put(data)
+        assert not flight.kernel.lib.block_filter_lost(flight.kernel.filter)
+        _, covariance, error = flight.output(END_S)
+        assert np.all(np.isfinite(covariance))
+        assert error @ np.linalg.solve(covariance, error) < chi2.isf(1e-4, 6)
+    for _ in range(10):
+        assert flight.step()
+
+
+def test_ten_refused_blocks_lose_the_track_and_a_start_finds_it_again(fly):
+    flight = fly()
+    lib, filter_ = flight.kernel.lib, flight.kernel.filter
+    assert lib.block_filter_lost(filter_)
+    assert not flight.step()  # Without a start nothing happens.
+    flight.number = 0
+    flight.start()
+    assert not lib.block_filter_lost(filter_)
+    for _ in range(20):
+        assert flight.step()
+    for number in range(10):
+        assert not lib.block_filter_lost(filter_)
+        data = flight.data()
+        assert not flight.put(data[::-1].copy())
+        assert filter_.refused == number + 1
+    assert lib.block_filter_lost(filter_)
+    assert not flight.step()
+    flight.number = 0
+    flight.start()
+    assert flight.step()
+    assert filter_.refused == 0
+
+
+def test_one_good_block_forgets_those_refused(fly):
+    flight = fly()
+    flight.start()
+    for _ in range(20):
+        assert flight.step()
+    for _ in range(9):
+        assert not flight.put(flight.data()[::-1].copy())
+    assert flight.step()
+    assert flight.kernel.filter.refused == 0
+
+
+def test_a_block_of_other_columns_is_refused(fly):
+    flight = fly()
+    flight.start()
+    flight.data()
+    flight.kernel.fill(flight.bits.words(31)[:7], np.zeros((8, 3)))
+    assert not flight.kernel.lib.block_filter_update(flight.kernel.filter, flight.kernel.block, BLOCK_S)
+
+
+def test_a_reference_on_the_wire_is_survived(fly):
+    """The field there is huge or no number: the block is refused, and the state stays a number."""
+    flight = fly()
+    flight.start()
+    ffi, lib, filter_ = flight.kernel.ffi, flight.kernel.lib, flight.kernel.filter
+    across = np.cross(flight.coils.axis[0], [0.3, 0.5, 0.8])
+    wire = flight.coils.centre[0] + flight.coils.radius[0] * across / np.linalg.norm(across)
+    for offset in (0.0, 1e-7, 1e-5, 1e-3):
+        flight.start()
+        for model in filter_.filters:
+            model.state.position_m = (wire + offset).tolist()
+        lib.block_filter_update(filter_, flight.kernel.fill(flight.bits.words(31), flight.data()), 1e-6)
+        flight.number = 0
+        for model in filter_.filters:
+            assert np.all(np.isfinite(flight.kernel.matrix(model.covariance)))
+            assert np.all(np.isfinite(list(ffi.addressof(model.state).position_m)))
+
+
+@pytest.mark.parametrize("beacons", [1, 2, 4, 16, 32])
+def test_any_number_of_beacons(fly, beacons):
+    """Few beacons drift and say so; many are better than eight."""
+    flight = fly(count=beacons, noise=0.2)
+    flight.start()
+    for _ in range(100):
+        assert flight.step()
+    _, covariance, error = flight.output(END_S)
+    values = np.linalg.eigvalsh(covariance)
+    assert values.min() > 0.0
+    assert error @ np.linalg.solve(covariance, error) < chi2.isf(1e-6, 6)
+    if beacons >= 16:
+        assert np.linalg.norm(error[:3]) < 0.05
+
+
+def test_a_start_in_the_sensors_frame(fly):
+    """The ambient field is given in the sensor's frame, and the deviations of the pose are doubled."""
+    flight = fly()
+    flight.start()
+    model, truth = flight.kernel.filter.filters[3], flight.truth(0.0)
+    state, covariance = flight.kernel.state(model.state), flight.kernel.matrix(model.covariance)
+    turn = Rotation.from_matrix(state.rotation @ truth.rotation.T)
+    np.testing.assert_allclose(state.e, turn.apply(truth.e + truth.rotation @ truth.b), atol=1e-4)
+    expected = [*[4e-5] * 6, *[9.0] * 3, *[16.0] * 3, *[25.0 + 1e-4] * 3, *[25.0] * 3]
+    np.testing.assert_allclose(covariance, np.diag(expected), rtol=1e-5)

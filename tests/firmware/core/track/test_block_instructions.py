@@ -1,0 +1,123 @@
+"""What the block filter costs on a Cortex-M4: instructions, stack and memory, with the image's flags (Unicorn)."""
+
+import struct
+import subprocess
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from hil_sim.clib import ROOT
+from tests.firmware.core.pose.test_pose_instructions import FLAGS, RAM, Machine
+from tests.firmware.core.track.dense import CHIP_S, State
+from tests.firmware.core.track.single import BLOCK_S, CHIPS, Bits, cube, sampled
+
+NOISE = 0.02  # .2 mG
+
+HARNESS = """
+#include "core/track/block_errors.h"
+#include "core/track/block_filter.h"
+#include "core/track/block_out.h"
+loop_t coils[BLOCK_BEACONS];
+uint32_t bits[BLOCK_BEACONS], count, lost, taken;
+float sums[BLOCK_COLUMNS][3], chip_s, noise, covariance[6][6];
+block_t block, other;
+block_filter_t filter;
+block_start_t start;
+block_pose_t pose;
+block_beacon_errors_t beacons[BLOCK_BEACONS];
+block_site_errors_t errors = {beacons, 0.003f, 0.005f};
+void begin(void) {
+    block_filter_init(&filter, coils, count, noise);
+    block_filter_start(&filter, &start);
+    for (uint32_t i = 0; i < count; i++) beacons[i] = (block_beacon_errors_t){0.003f, 0.005f, 0.003f};
+}
+void gram(void) { block_gram(bits, count, 31, chip_s, &block); }
+void copy(void) { for (uint32_t i = 0; i <= count; i++) for (int k = 0; k < 3; k++) block.sums_uT[i][k] = sums[i][k]; }
+void update(void) { taken = block_filter_update(&filter, &block, 31.0f * chip_s); lost = block_filter_lost(&filter); }
+void output(void) { block_filter_output(&filter, 15.0f * chip_s, &pose); }
+void measure(void) { block_measure(&block, coils, &filter.measure); }
+void predict(void) { block_kalman_predict(&filter.filters[0], 1e-3f); }
+void leave_out(void) { other = block; block_leave_out(&other, 0); }
+void separate(void) { other = block; block_separate(&other); }
+void site_errors(void) { block_errors(&filter.measure, coils, count, &errors, covariance); }
+"""
+
+CALLS = ("gram", "update", "output", "measure", "predict", "leave_out", "separate", "site_errors")
+
+
+@pytest.fixture(scope="module")
+def machine(tmp_path_factory):
+    directory = tmp_path_factory.mktemp("block")
+    source, elf = directory / "harness.c", directory / "block.elf"
+    source.write_text(HARNESS)
+    core = [path for folder in ("pose", "math", "track") for path in (ROOT / "firmware/core" / folder).glob("*.c")]
+    layout = ("-Ttext=0x08000000", f"-Tdata={RAM:#x}", "-nostartfiles", "--specs=nano.specs")
+    command = [
+        "arm-none-eabi-gcc",
+        *FLAGS,
+        "-ffp-contract=fast",
+        f"-I{ROOT / 'firmware'}",
+        str(source),
+        *map(str, sorted(core)),
+        *layout,
+    ]
+    subprocess.run([*command, "-Wl,-e,0,--no-warn-rwx-segments", "-o", str(elf)], check=True)
+    return Machine(elf)
+
+
+def pack(values):
+    return np.asarray(values, dtype=np.float32).tobytes()
+
+
+def fly(machine, family, beacons, blocks):
+    """Start at a moving pose and feed blocks; return the instructions of each, the most of each call, and the stack."""
+    rng = np.random.default_rng(beacons)
+    coils, codes = cube(beacons), Bits(family(10), beacons)
+    w = np.array([0.6, -0.5, 0.6])
+
+    def path(t):
+        rotation = Rotation.from_rotvec(t * w).as_matrix()
+        return State(
+            np.array([0.8, 1.0, 1.1]) + t * np.array([0.5, -0.6, 0.3]), rotation, w, w, np.array([20.0, 5, -40]), 0 * w
+        )
+
+    table = np.column_stack([coils.centre, coils.axis, coils.k, coils.radius])
+    machine.write("coils", pack(table))
+    machine.write("count", struct.pack("<I", beacons))
+    machine.write("chip_s", pack(CHIP_S))
+    machine.write("noise", pack(NOISE))
+    ambient = path(0.0).rotation.T @ path(0.0).e
+    covariance = (1e-4 * np.eye(3)).ravel()
+    machine.write("start", pack([*path(0.0).p, 0.0, 0.0, 0.0, 1.0, *covariance, *covariance, *ambient, 0.02]))
+    machine.call("begin")
+    blocks_total, most, stack = [], dict.fromkeys(CALLS, 0), 0
+    for number in range(1, blocks):
+        chip = number * CHIPS
+        machine.write("bits", struct.pack(f"<{beacons}I", *codes.words(chip)))
+        machine.write("sums", pack(sampled(coils, codes.columns(chip), path, number * BLOCK_S, NOISE, rng)))
+        machine.call("copy")
+        total = 0
+        for name in ("gram", "update", "output"):
+            used, depth = machine.call(name)
+            most[name] = max(most[name], used)
+            total, stack = total + used, max(stack, depth)
+        blocks_total.append(total)
+        assert machine.word("taken")
+    for name in ("measure", "predict", "leave_out", "separate", "site_errors"):
+        most[name] = machine.call(name)[0]
+    return blocks_total, most, stack
+
+
+@pytest.mark.parametrize(
+    ("beacons", "plain", "mixing"), [(8, 83_000, 96_000), (16, 101_000, 114_000), (32, 160_000, 172_000)]
+)
+def test_a_block_within_what_the_header_says(machine, gold_family, beacons, plain, mixing):
+    """Each fourth block mixes the filters."""
+    totals, most, stack = fly(machine, gold_family, beacons, 14)
+    memory = {name: machine.symbols[name][1] for name in ("filter", "block", "pose")}
+    print(f"{beacons} beacons: a block {np.median(totals):.0f}, with mixing {max(totals)}, mean {np.mean(totals):.0f}")
+    print(f"  instructions at most {most}; stack {stack}; memory {memory}")
+    assert np.median(totals) <= plain
+    assert max(totals) <= mixing
+    assert stack <= 3000
