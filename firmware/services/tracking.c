@@ -185,12 +185,8 @@ static void leave_out(tracking_t *tracking) {
 static void predict(const tracking_t *tracking, block_state_t *predicted, block_doubt_t *doubt) {
     const block_kalman_t *const best = &tracking->filter.filters[tracking->filter.best];
     *predicted = best->state;
-    float turn[3];
-    for (uint32_t axis = 0; axis < 3u; axis++) {
-        predicted->position_m[axis] += tracking->behind_s * predicted->velocity_m_s[axis];
-        turn[axis] = tracking->behind_s * predicted->rate_rad_s[axis];
-    }
-    quaternion_turn(predicted->quaternion, turn);
+    float turned[3][3];
+    block_state_advance(predicted, tracking->behind_s, turned);
     float attitude[3][3];
     quaternion_matrix(best->state.quaternion, attitude);
     const float time2 = tracking->behind_s * tracking->behind_s;
@@ -257,9 +253,14 @@ static bool follow(tracking_t *tracking, const block_sums_t *sums) {
     make_block(tracking, sums);
     compare(tracking);
     leave_out(tracking);
-    (void)block_filter_update(&tracking->filter, &tracking->block, tracking->behind_s);
+    const bool taken = block_filter_update(&tracking->filter, &tracking->block, tracking->behind_s);
     tracking->behind_s = 0.0f;
     tracking->gathered = 0;
+    if (taken && !tracking->exact && tracking->number - tracking->errors_number >= TRACKING_ERRORS_BLOCKS) {
+        tracking->errors_number = tracking->number;
+        block_errors(&tracking->filter.measure, tracking->coils, tracking->count, &tracking->errors,
+                     tracking->site_covariance);
+    }
     return tracking->misfits < BLOCK_FILTER_REFUSALS && !block_filter_lost(&tracking->filter);
 }
 

@@ -119,8 +119,9 @@ class Sensor:
             self.step()
 
 
-@pytest.mark.parametrize(("beacons", "share"), [(8, 0.20), (16, 0.40), (32, 0.99)])
-def test_share_of_the_processor_with_a_pose_of_each_block(elf, beacons, share):
+@pytest.mark.parametrize(("beacons", "most"), [(8, 135_000), (16, 180_000), (32, 290_000)])
+def test_share_of_the_processor_with_a_pose_of_each_block(elf, beacons, most):
+    """A cycle of interrupts and main: what tracking.h says of all that a sensor does, of a block's 509,000 ticks."""
     sensor = Sensor(elf, beacons)
     sensor.follow()
     interrupts, main = [], []
@@ -131,24 +132,20 @@ def test_share_of_the_processor_with_a_pose_of_each_block(elf, beacons, share):
             main[-1] += more
     assert sensor.state == FOLLOWS
     mean = (sum(interrupts) + sum(main)) / 33
-    shares = [mean * cycles / TICKS for cycles in (1.0, 1.5, 2.5)]
-    print(
-        f"{beacons} beacons: interrupts {max(interrupts)}, main for a block {int(np.median(main))}, at a cycle's end {max(main)}"
-    )
-    print(
-        f"    all {mean:.0f} a block, of the processor's time at 1, 1.5, 2.5: "
-        + " ".join(f"{100 * s:.0f}%" for s in shares)
-    )
+    shares = " ".join(f"{100.0 * mean * cycles / TICKS:.0f} %" for cycles in (1.0, 1.5, 2.5))
+    print(f"{beacons} beacons: interrupts {max(interrupts)}, main for a block {int(np.median(main))}, ", end="")
+    print(f"at a cycle's end {max(main)}, mean of all {mean:.0f}, of the time at 1, 1.5, 2.5 {shares}")
+    assert mean <= most
 
 
-@pytest.mark.parametrize("beacons", [8, 16, 32])
-def test_slices_of_a_start(elf, beacons):
+@pytest.mark.parametrize(("beacons", "most"), [(8, 230_000), (16, 430_000), (32, 820_000)])
+def test_slices_of_a_start(elf, beacons, most):
     sensor = Sensor(elf, beacons)
     sensor.follow()
     sensor.machine.call("start_again")
     sensor.machine.write("asked_us", struct.pack("<I", 2000))
     slices, searching = [], False
-    for _ in range(8):
+    for _ in range(12):
         sensor.sample()
         for _ in range(6):
             slices.append(sensor.step())
@@ -156,4 +153,5 @@ def test_slices_of_a_start(elf, beacons):
         if searching and sensor.state == FOLLOWS:
             break
     assert sensor.state == FOLLOWS
-    print(f"{beacons} beacons: slices of a start {sorted(slices)[-8:]}, in all {sum(slices)}")
+    print(f"{beacons} beacons: slices of a start at most {max(slices)}, in all {sum(slices)}")
+    assert max(slices) <= most
