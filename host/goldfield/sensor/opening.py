@@ -30,37 +30,26 @@ def connect(
 
     Parameters
     ----------
-    port : path, optional
-        Serial port of the sensor. Exactly one of ``port`` and ``can`` must be given.
-    can : str, optional
-        Interface and channel of python-can, as ``"socketcan:can0"``.
+    port, can : path or str, optional
+        Serial port of the sensor, or interface and channel of python-can, as ``"socketcan:can0"``: exactly one.
     site : Site or path
         The site, or its file.
     node : int, optional
-        Node of the sensor, 1 to 4095; it must be given where there are several sensors. A beacon with a sensor of its
-        own, an anchor, is read only if its node is given.
-    track : bool, optional
-        Follow a sensor in motion: a pose is made of all that came up to its time, and is that of the end of its cycle.
-        Else every epoch is located by itself, and its pose is that of the middle of its cycle.
-    on_sensor : bool, optional
-        Let the sensor board compute the poses; not together with ``track``.
-    listen_only : bool, optional
-        Send nothing, ever: for a bus on which a recording is replayed, or a sensor that another host has set up.
-    reconnect : bool, optional
-        Wait for a port that is gone and for a sensor that is silent, and go on; else they end the poses.
-    rate_hz : float, optional
-        Track, and yield so many poses a second of the sensor's time, each as soon as the block of chips that holds its
-        time has arrived: up to 330 of the usual codes; more are interpolated within a block. With ``on_sensor`` the
-        sensor sends them, at the nearest rate that it has. Where no blocks come, as from a recording of before, there
-        is one pose a cycle.
-    lag_s : float, optional
-        Track, and yield each pose so much later, made of what came after it, too.
+        Node of the sensor, 1 to 4095, where there are several; a beacon with a sensor of its own, an anchor, needs it.
+    track, on_sensor : bool, optional
+        Follow a sensor in motion, each pose that of the end of its cycle, or let the sensor board compute the poses;
+        else every epoch is located by itself, and its pose is that of the middle of its cycle.
+    listen_only, reconnect : bool, optional
+        Send nothing, ever, as on a bus on which a recording is replayed, or to a sensor that another host has set up;
+        wait for a port that is gone and for a sensor that is silent, and go on, where they else end the poses.
+    rate_hz, lag_s : float, optional
+        Track; yield so many poses a second, each as soon as its block of chips is there (330 a second), or with
+        ``on_sensor`` the sensor has sent it; yield them so much later, made of what came behind them, too.
 
     Returns
     -------
     Sensor
-        A context manager; `Sensor.poses` yields ten poses a second of the usual codes (degree 10, 97.75 us a chip)
-        unless another rate is asked for.
+        Its `Sensor.poses` yields ten poses a second, unless a rate is asked for.
 
     Raises
     ------
@@ -74,22 +63,14 @@ def connect(
     --------
     >>> import goldfield
     >>> with goldfield.connect(port="/dev/ttyUSB0", site="room.toml") as sensor:  # doctest: +SKIP
-    ...     for pose in sensor.poses():
-    ...         print(pose.position_m, pose.status)
-
+    ...     pose = next(sensor.poses())
     >>> goldfield.connect(site="room.toml")
     Traceback (most recent call last):
     goldfield.errors.UserError: no source is given: give one of port= and can=
     """
     kind, where = _only(port=port, can=can)
-    options = Options(
-        chosen_method(track, on_sensor, rate_hz, lag_s),
-        node,
-        listen_only=listen_only,
-        reconnect=reconnect,
-        rate_hz=rate_hz,
-        lag_s=lag_s,
-    )
+    method = chosen_method(track, on_sensor, rate_hz, lag_s)
+    options = Options(method, node, None, None, listen_only, reconnect, rate_hz, lag_s)
     return open_sensor(kind, where, _site(site), options)
 
 
