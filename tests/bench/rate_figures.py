@@ -145,7 +145,8 @@ FAULTS = {
     "each fifth cycle lost": partial(rate_trials.blocks_lost, lambda number: number // 33 % 5 == 4),
     "impulses of 20 uT": rate_trials.impulses,
     "a beacon dies and returns": rate_trials.dead_beacon,
-    "iron passes": rate_trials.iron,
+    "1 kg of iron passes": partial(rate_trials.iron, 1.0),
+    "30 kg of iron pass": partial(rate_trials.iron, 30.0),
     "survey off by 3 mm": partial(rate_trials.survey, 0.003),
     "survey off by 10 mm": partial(rate_trials.survey, 0.01),
 }
@@ -154,11 +155,9 @@ FAULTS = {
 def faults(options):
     """Print what mishaps do."""
     print(
-        f"{options.seeds} runs of {options.seconds:g} s of each motion. rms and most, mm; nees; share of each status;"
+        f"{options.seeds} runs of {options.seconds:g} s a motion. rms and most, mm; nees; share of each status; wrong:"
     )
-    print(
-        "wrong: ok and off by 5 sigma + ok and off by more than the protection level; last: rms of the last half second"
-    )
+    print("ok and off by 5 sigma + ok and off by more than the protection level; last: rms of the last half second, mm")
     for name, trial in FAULTS.items():
         if options.fault is None or options.fault in name:
             for noise_T in NOISES_T:

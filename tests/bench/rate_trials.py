@@ -102,7 +102,7 @@ def iron(mass_kg, make, noise_T, name, seed, seconds):
 def _answer(apart_m, field_T_m3):
     """Return what a ball of very permeable iron adds to fields at places so far from its centre, shape (n, 3).
 
-    ``field_T_m3``, shape (n, k, 3), are the fields at the ball times the cube of its radius: they are taken for uniform.
+    ``field_T_m3``, shape (n, k, 3), are the fields at the ball times the cube of its radius, taken for uniform.
     """
     moments = field_T_m3 / 1e-7  # Jackson, Classical Electrodynamics, 5.11: m = 4 pi a^3 B / mu0
     return np.stack([_dipole(apart_m, moments[:, row]) for row in range(moments.shape[1])], axis=1)
