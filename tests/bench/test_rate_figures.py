@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from goldfield.track.blocks import BlockFilter
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import CHIPS, EARTH_T, Room, cycle_bound, straight
 from tests.bench.rate_boards import open_bench, scenario_file, streamed
 from tests.bench.rate_bound import LeastError
-from tests.bench.rate_ways import held_fixes
+from tests.bench.rate_trials import lost, starts
+from tests.bench.rate_ways import follow, held_fixes
 from tests.bench.rate_world import Walks, World, matched_walks, motion_of
 
 NOISE_T = 2e-7
@@ -71,3 +73,19 @@ def test_a_held_fix_is_as_old_as_it_is():
     assert 0.05 < errors.rms_mm / 1e3 < 0.2
     assert errors.nees > 1e3
     assert len(position) == 1
+
+
+def test_a_track_of_a_shaken_sensor_is_accurate_and_protected():
+    """A hand's motion at 0.2 mG: the protection of a pose is that of the track, not of a cycle at rest."""
+    site = prigge_cube(2e-8)
+    track = World(site).motion_track(motion_of("hand, 2 Hz", 0), 0.8, np.random.default_rng(3), 2e-8)
+    errors = follow(track, BlockFilter(site)).after(0.3)
+    assert errors.rms_mm < 4.0
+    assert errors.share_ok == 1.0
+    assert errors.wrong == "0+0"
+
+
+def test_a_start_from_one_block_finds_the_sensor():
+    for run in starts(BlockFilter, NOISE_T, 4, seed=1):
+        assert not lost(run, 0.1)
+        assert not run.unsaid.any()
