@@ -25,9 +25,12 @@ def main() -> None:
     with chromium() as browser, Served() as served:
         page = browser.new_page(viewport=DESKTOP, color_scheme="light")
         page.goto(served.url)
-        served.publish(messages)
+        served.publish(messages[:-20])
+        page.wait_for_timeout(1500)  # three dimensions without a graphics card take their time
+        served.publish(messages[-20:])
         expect(page.locator("#link-word")).to_have_text("live")
         expect(page.get_by_label("What is wrong now")).to_contain_text("open coil")
+        page.wait_for_timeout(1000)
         page.screenshot(path=PICTURE)
     print(f"{PICTURE.relative_to(ROOT)}: {PICTURE.stat().st_size / 1e3:.0f} kB")
 

@@ -99,7 +99,7 @@ function takeState(state: State): void {
   if (byId("link-word").textContent !== said.word) announce(`${said.word}. ${state.text}`);
   setChip("link", said);
   const old = state.state === "silent" || state.state === "lost" ? ` The latest pose is ${Math.round(state.silent_s)} s old.` : "";
-  setText(byId("link-text"), `${sentence(state.text)}${old}` || " ");
+  setText(byId("link-text"), `${sentence(state.text)}${old}`);
   setAge(state.state !== "running");
   alarms.draw();
 }
