@@ -24,6 +24,7 @@ from setuptools.errors import BaseError, CCompilerError, CompileError, LinkError
 ROOT = Path(__file__).resolve().parent
 KERNEL = "host/goldfield/locate/kernel"
 LIBRARIES = ("libgf_rig.so", "libgf_hostboard.so", "libgf_emulator.so")
+PAGE = ROOT / "host/goldfield/page/built/index.html"
 IMAGES = ("firmware/beacon.elf", "firmware/sensor.elf", "firmware/anchor.elf")
 PARTS = os.environ.get("GOLDFIELD_PARTS")
 """The directory where ``make wheel`` has built the simulator's parts; without it they are built here."""
@@ -33,12 +34,25 @@ STAMPS = ("venv", "host-tools", "arm-tools")
 """The Makefile's set-up of a checkout, which is not wanted while pip builds."""
 
 
+def build_page() -> None:
+    """Build the live page beside its sources, from where it is packed; without npm, say that it is left out."""
+    if shutil.which("make") and shutil.which("npm"):
+        subprocess.run(["make", "--no-print-directory", f"BUILD={SCRATCH}", "page"], cwd=ROOT, check=False)
+    if not PAGE.exists():
+        logging.warning(
+            "goldfield: the live page is left out, because it did not build here: it needs make and npm with Node.js "
+            "20.19 or newer. 'goldfield view' says so when it is called."
+        )
+
+
 class Build(build):
     """The usual build, but nothing that an earlier one left gets into the wheel."""
 
     def run(self) -> None:
         """Build everything."""
         shutil.rmtree(self.build_lib, ignore_errors=True)
+        if not (self.editable_mode or PARTS):
+            build_page()
         super().run()
 
 
