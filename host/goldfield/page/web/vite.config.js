@@ -7,6 +7,7 @@ export default defineConfig({
     assetsInlineLimit: 0,
     chunkSizeWarningLimit: 1000,
     emptyOutDir: true,
+    license: { fileName: "licenses.md" },
     modulePreload: { polyfill: false },
     outDir: "built",
     target: "es2022",
