@@ -16,6 +16,7 @@ from goldfield.page.messages import hello
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Method, Options
 from goldfield.site.model import Site
+from hil_sim.clib import ROOT
 from tests.host.fake_sensor import CYCLE_S, SITE, log_of
 from tests.host.page.walk import BROKEN, WEAK, WEAKENED, board_messages, walk
 
@@ -68,6 +69,18 @@ def test_the_site_is_as_its_file_says(messages):
             for low, value, high in zip(site["box"]["low_m"], point, site["box"]["high_m"], strict=True):
                 assert low < value < high
         assert beacon["wire_m"][0] == beacon["wire_m"][-1]
+
+
+def test_the_docs_name_every_key(messages):
+    text = (ROOT / "docs/live_page.md").read_text()
+    (first,) = of(messages, "hello")
+    last, health = of(messages, "epoch")[-1], of(messages, "health")[-1]
+    state = json.loads(hub_of().state_message())
+    own = {"at_rate", "noise_T", "alarms"}  # the others are those of run --json, and of monitor --json
+    assert own < last.keys()
+    boards = next(iter(health["boards"].values()))
+    for keys in (first, first["site"], first["site"]["beacons"][0], own, last["alarms"][0], boards, state):
+        assert [key for key in keys if f"`{key}`" not in text] == []
 
 
 def test_each_epoch_has_the_pose_that_run_gives(messages, log):
