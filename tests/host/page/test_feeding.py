@@ -4,6 +4,8 @@ import json
 import math
 import threading
 from contextlib import contextmanager
+from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -14,7 +16,8 @@ from goldfield.page.feeding import Feed, Pacing
 from goldfield.page.hub import Hub
 from goldfield.page.messages import hello
 from goldfield.sensor.opening import open_sensor
-from goldfield.sensor.options import Method, Options
+from goldfield.sensor.options import Options
+from goldfield.sensor.pipeline import Fix
 from goldfield.site.model import Site
 from hil_sim.clib import ROOT
 from tests.host.fake_sensor import CYCLE_S, SITE, log_of
@@ -125,10 +128,20 @@ def test_health_tells_each_beacon_and_what_its_board_says(messages):
     assert list(counted.values()) == [2]
 
 
-def test_poses_at_a_rate_come_as_fixes(log):
-    messages = fed(log, Options(Method.TRACK, rate_hz=20.0))
-    assert {message["at_rate"] for message in of(messages, "epoch")} <= {True, False}
-    assert len(of(messages, "fix")) + sum(not one["at_rate"] for one in of(messages, "epoch")) >= CYCLES
+def test_poses_at_a_rate_come_as_fixes(log, monkeypatch):
+    with open_sensor("log", str(log), ROOM) as sensor:
+        epoch = next(sensor.epochs())
+    stream = [replace(epoch, at_rate=True), *(Fix(replace(epoch.pose, time_s=0.03 * n), 0.0) for n in range(3))]
+
+    @contextmanager
+    def opened(*_):
+        yield SimpleNamespace(stream=lambda: iter(stream), node=100)
+
+    monkeypatch.setattr(feeding, "open_sensor", opened)
+    messages = fed(log)
+    assert [one["at_rate"] for one in of(messages, "epoch")] == [True]
+    assert [one["t_s"] for one in of(messages, "fix")] == [0.0, 0.03, 0.06]
+    assert of(messages, "fix")[0]["position_m"] == epoch.pose.position_m.tolist()
 
 
 def test_a_recording_that_holds_nothing_is_refused(tmp_path):
