@@ -95,6 +95,6 @@ wheel: all ## Everything as one file for pip, in build/dist: host, simulator and
 	@du -h $(BUILD)/dist/*.whl
 
 clean: ## Remove what was built (not the Python environment)
-	rm -rf $(BUILD) $(LOCATE_LIBRARY) $(dir $(PAGE))
+	rm -rf $(BUILD) $(LOCATE_LIBRARY) $(BANK_LIBRARY) $(dir $(PAGE))
 
 .PHONY: help setup all run wheel clean

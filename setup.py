@@ -1,9 +1,9 @@
 """What pyproject.toml cannot say: the C parts of the wheel, in folders ``built`` that no one takes for Python modules.
 
-The kernel of ``goldfield.locate`` is a plain shared library: it uses nothing of Python's C interface, so that neither
-Python's headers nor its version matter. The simulator's libraries and images are made by the Makefile, which alone
-knows how; here they are collected. A part that cannot be built is left out with a sentence, and the rest works without
-it.
+The kernels of ``goldfield.locate`` and of ``goldfield.track.blocks`` are plain shared libraries: they use nothing of
+Python's C interface, so that neither Python's headers nor its version matter. The simulator's libraries and images are
+made by the Makefile, which alone knows how; here they are collected. A part that cannot be built is left out with a
+sentence, and the rest works without it.
 """
 
 from __future__ import annotations
@@ -23,6 +23,14 @@ from setuptools.errors import BaseError, CCompilerError, CompileError, LinkError
 
 ROOT = Path(__file__).resolve().parent
 KERNEL = "host/goldfield/locate/kernel"
+BANK = "host/goldfield/track/blocks/kernel"
+BANK_CORE = (
+    *(f"track/block_{part}" for part in ("filter", "kalman", "measure", "mix", "state")),
+    *("pose/loop_field", "math/quaternion"),
+)
+"""What the block filter in the host consists of: sources of the firmware."""
+OPTIMISED = ["-std=c11", "-O3", "-fno-math-errno", "-fno-trapping-math"]
+"""Nothing reads errno or floating-point traps; saying so lets the compiler work on two coils at a time."""
 LIBRARIES = ("libgf_rig.so", "libgf_hostboard.so", "libgf_emulator.so")
 PAGE = ROOT / "host/goldfield/page/built/index.html"
 IMAGES = ("firmware/beacon.elf", "firmware/sensor.elf", "firmware/anchor.elf")
@@ -75,14 +83,15 @@ class BuildKernel(build_ext):
             super().build_extension(ext)
         except (BaseError, CCompilerError, CompileError, LinkError) as error:
             logging.warning(
-                "goldfield: the C kernel of location is left out, because it does not compile here (%s). "
+                "goldfield: a C kernel is left out, because it does not compile here (%s). "
                 "Poses are the same without it but slower; with gcc installed, install goldfield again.",
                 error,
             )
 
     def copy_extensions_to_source(self) -> None:
         """Put the library beside its sources, for an editable installation."""
-        (ROOT / KERNEL / "built").mkdir(exist_ok=True)
+        for kernel in (KERNEL, BANK):
+            (ROOT / kernel / "built").mkdir(exist_ok=True)
         super().copy_extensions_to_source()
 
     def get_ext_filename(self, fullname: str) -> str:
@@ -177,10 +186,21 @@ setup(
             "goldfield.locate.kernel.built.libgf_locate",
             sources=sorted(str(path.relative_to(ROOT)) for path in (ROOT / KERNEL).glob("*.c")),
             depends=sorted(str(path.relative_to(ROOT)) for path in (ROOT / KERNEL).glob("*.h")),
-            # Nothing here reads errno or floating-point traps; saying so lets the compiler work on two coils at a time.
-            extra_compile_args=["-std=c11", "-O3", "-fno-math-errno", "-fno-trapping-math"],
+            extra_compile_args=OPTIMISED,
             libraries=["m"],
             optional=True,
-        )
+        ),
+        Extension(
+            "goldfield.track.blocks.kernel.built.libgf_bank",
+            sources=[f"{BANK}/bank.c", *(f"firmware/core/{part}.c" for part in BANK_CORE)],
+            depends=[
+                f"{BANK}/bank.h",
+                *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("firmware/core/*/*.h")),
+            ],
+            include_dirs=["firmware"],
+            extra_compile_args=OPTIMISED,
+            libraries=["m"],
+            optional=True,
+        ),
     ],
 )

@@ -25,6 +25,7 @@ pytestmark = pytest.mark.slow
 
 IMAGES = ("beacon", "sensor", "anchor")
 KERNEL = "goldfield/locate/kernel/built/libgf_locate.so"
+BANK = "goldfield/track/blocks/kernel/built/libgf_bank.so"
 VERSION_H = ROOT / "firmware" / "services" / "version.h"
 
 
@@ -108,7 +109,7 @@ def taken_away(path):
 
 def test_the_wheel_holds_everything_but_sources_and_tests(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
-    assert {KERNEL, "goldfield_protocol/goldfield.dbc", "hil_sim/scenarios/prigge8.toml"} <= names
+    assert {KERNEL, BANK, "goldfield_protocol/goldfield.dbc", "hil_sim/scenarios/prigge8.toml"} <= names
     assert "goldfield/page/built/index.html" in names
     assert {Path(name).suffix for name in names if name.startswith("goldfield/page/built/assets/")} >= {".js", ".css"}
     assert not [name for name in names if "page/web" in name]

@@ -36,37 +36,41 @@ bool block_filter_lost(const block_filter_t *filter) {
     return filter->refused >= BLOCK_FILTER_REFUSALS;
 }
 
-void block_filter_start(block_filter_t *filter, const block_start_t *start) {
-    block_kalman_t *const first = &filter->filters[0];
-    const float field2 = START_FIELD * START_FIELD, noise2 = start->ambient_sd_uT * start->ambient_sd_uT;
-    float rotation[3][3];
-    memset(&first->state, 0, sizeof first->state);
-    memset(first->covariance, 0, sizeof first->covariance);
-    memcpy(first->state.position_m, start->position_m, sizeof start->position_m);
-    memcpy(first->state.quaternion, start->quaternion, sizeof start->quaternion);
-    quaternion_matrix(start->quaternion, rotation);
-    for (uint32_t row = 0; row < 3u; row++) {
-        first->state.ambient_uT[row] = vector3_dot(rotation[row], start->ambient_uT);
-        for (uint32_t column = 0; column < 3u; column++) {
-            const float scale = START_DEVIATION * START_DEVIATION;
-            first->covariance[BLOCK_P + row][BLOCK_P + column] = scale * start->position_cov_m2[row][column];
-            first->covariance[BLOCK_THETA + row][BLOCK_THETA + column] = scale * start->attitude_cov_rad2[row][column];
-        }
-        first->covariance[BLOCK_V + row][BLOCK_V + row] = START_VELOCITY * START_VELOCITY;
-        first->covariance[BLOCK_W + row][BLOCK_W + row] = START_RATE * START_RATE;
-        first->covariance[BLOCK_E + row][BLOCK_E + row] = field2 + noise2;
-        first->covariance[BLOCK_B + row][BLOCK_B + row] = field2;
-    }
+void block_filter_begin(block_filter_t *filter, const block_state_t *state,
+                        const float covariance[BLOCK_STATES][BLOCK_STATES]) {
     for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-        filter->filters[k].state = first->state;
-        memmove(filter->filters[k].covariance, first->covariance, sizeof first->covariance);
-        filter->filters[k].probability = 1.0f / (float)BLOCK_FILTERS;
+        block_kalman_t *const one = &filter->filters[k];
+        one->state = *state;
+        memcpy(one->covariance, covariance, sizeof one->covariance);
+        one->probability = 1.0f / (float)BLOCK_FILTERS;
     }
-    filter->unmixed_s = 0.0f;
     filter->best = 0;
     filter->refused = 0;
+    filter->unmixed_s = 0.0f;
     filter->chi_square = 0.0f;
     filter->freedom = 0;
+}
+
+void block_filter_start(block_filter_t *filter, const block_start_t *start) {
+    const float field2 = START_FIELD * START_FIELD, noise2 = start->ambient_sd_uT * start->ambient_sd_uT;
+    const float scale = START_DEVIATION * START_DEVIATION;
+    float rotation[3][3], covariance[BLOCK_STATES][BLOCK_STATES] = {{0.0f}};
+    block_state_t state = {{0.0f}, {0.0f}, {0.0f}, {0.0f}, {0.0f}, {0.0f}};
+    memcpy(state.position_m, start->position_m, sizeof start->position_m);
+    memcpy(state.quaternion, start->quaternion, sizeof start->quaternion);
+    quaternion_matrix(start->quaternion, rotation);
+    for (uint32_t row = 0; row < 3u; row++) {
+        state.ambient_uT[row] = vector3_dot(rotation[row], start->ambient_uT);
+        for (uint32_t column = 0; column < 3u; column++) {
+            covariance[BLOCK_P + row][BLOCK_P + column] = scale * start->position_cov_m2[row][column];
+            covariance[BLOCK_THETA + row][BLOCK_THETA + column] = scale * start->attitude_cov_rad2[row][column];
+        }
+        covariance[BLOCK_V + row][BLOCK_V + row] = START_VELOCITY * START_VELOCITY;
+        covariance[BLOCK_W + row][BLOCK_W + row] = START_RATE * START_RATE;
+        covariance[BLOCK_E + row][BLOCK_E + row] = field2 + noise2;
+        covariance[BLOCK_B + row][BLOCK_B + row] = field2;
+    }
+    block_filter_begin(filter, &state, (const float(*)[BLOCK_STATES])covariance);
 }
 
 /* Returns whether all sums are numbers of a possible size. */
@@ -110,7 +114,7 @@ static bool take(block_filter_t *filter) {
         likelihood[k] = -0.5f * (chi_square[k] + log_determinant);
     }
     if (taken) {
-        filter->best = block_mix_weigh(filter->filters, likelihood);
+        filter->best = block_mix_weigh(filter->filters, likelihood, &filter->log_likelihood);
         filter->chi_square = chi_square[filter->best];
         filter->freedom = filter->measure.rank;
     }

@@ -75,11 +75,16 @@ typedef struct {
     uint32_t refused; /* Blocks in a row that all filters refused. */
     float chi_square; /* Chi-square of the last block that was taken, and its degrees of freedom. */
     uint32_t freedom;
+    float log_likelihood; /* Logarithm of the likelihood of that block, by all filters. */
 } block_filter_t;
 
 /* Begin without a track, for so many coils (at most BLOCK_BEACONS), which are the columns of the blocks in this order.
  */
 void block_filter_init(block_filter_t *filter, const loop_t *coils, uint32_t count, float noise_uT);
+
+/* Begin a track with any state and covariance of its errors. */
+void block_filter_begin(block_filter_t *filter, const block_state_t *state,
+                        const float covariance[BLOCK_STATES][BLOCK_STATES]);
 
 /* Begin a track at the middle of the block that start is from. */
 void block_filter_start(block_filter_t *filter, const block_start_t *start);

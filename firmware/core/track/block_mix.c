@@ -64,7 +64,8 @@ void block_mix(block_kalman_t filters[BLOCK_FILTERS], uint32_t best, float chang
     }
 }
 
-uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float likelihood[BLOCK_FILTERS]) {
+uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float likelihood[BLOCK_FILTERS],
+                         float *together) {
     float most = likelihood[0], sum = 0.0f;
     uint32_t best = 0;
     for (uint32_t k = 1; k < BLOCK_FILTERS; k++) {
@@ -74,6 +75,7 @@ uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float like
         filters[k].probability *= exponential(likelihood[k] - most);
         sum += filters[k].probability;
     }
+    *together = most + natural_logarithm(sum);
     for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
         const float probability = filters[k].probability / sum;
         filters[k].probability = probability > LEAST ? probability : LEAST;
@@ -82,21 +84,18 @@ uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float like
     return best;
 }
 
-void block_mix_output(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, float seconds, block_state_t *state,
-                      float covariance[6][6]) {
+/* Merges the states of all filters, and so many rows and columns of their covariances, whose rows have that length. */
+static inline void merge(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, uint32_t length,
+                         block_state_t *state, float *covariance) {
     errors_t errors;
-    float mixed[BLOCK_E][BLOCK_E];
-    float mean[BLOCK_STATES] = {0.0f}, acceleration2 = 0.0f, turn2 = 0.0f;
-    *state = filters[best].state;
+    float mean[BLOCK_STATES] = {0.0f};
     differ(filters, best, errors);
     for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-        acceleration2 += filters[k].probability * filters[k].acceleration2;
-        turn2 += filters[k].probability * filters[k].turn2;
         for (uint32_t i = 0; i < BLOCK_STATES; i++) {
             mean[i] += filters[k].probability * errors[k][i];
         }
     }
-    for (uint32_t row = 0; row < BLOCK_E; row++) {
+    for (uint32_t row = 0; row < length; row++) {
         for (uint32_t column = 0; column <= row; column++) {
             float sum = -mean[row] * mean[column];
             for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
@@ -105,14 +104,37 @@ void block_mix_output(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best
                            (filters[k].covariance[row][column] + errors[k][row] * errors[k][column]);
                 }
             }
-            mixed[row][column] = mixed[column][row] = sum;
+            covariance[row * length + column] = covariance[column * length + row] = sum;
         }
     }
+    *state = filters[best].state;
     block_state_move(state, mean);
-    block_kalman_ahead(state, mixed, acceleration2, turn2, seconds);
+}
+
+/* Computes the squared agilities that all filters expect together. */
+static void agility(const block_kalman_t filters[BLOCK_FILTERS], float *acceleration2, float *turn2) {
+    *acceleration2 = *turn2 = 0.0f;
+    for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
+        *acceleration2 += filters[k].probability * filters[k].acceleration2;
+        *turn2 += filters[k].probability * filters[k].turn2;
+    }
+}
+
+void block_mix_output(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, float seconds, block_state_t *state,
+                      float covariance[6][6]) {
+    float merged[BLOCK_E][BLOCK_E], acceleration2, turn2;
+    merge(filters, best, BLOCK_E, state, merged[0]);
+    agility(filters, &acceleration2, &turn2);
+    block_kalman_ahead(state, merged, acceleration2, turn2, seconds);
     for (uint32_t row = 0; row < 6u; row++) {
         for (uint32_t column = 0; column < 6u; column++) {
-            covariance[row][column] = mixed[row][column];
+            covariance[row][column] = merged[row][column];
         }
     }
+}
+
+void block_mix_whole(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, block_kalman_t *whole) {
+    merge(filters, best, BLOCK_STATES, &whole->state, whole->covariance[0]);
+    agility(filters, &whole->acceleration2, &whole->turn2);
+    whole->probability = 1.0f;
 }

@@ -18,12 +18,16 @@
 void block_mix(block_kalman_t filters[BLOCK_FILTERS], uint32_t best, float change);
 
 /* Multiply the probabilities by the exponentials of the logarithms of likelihoods, and make their sum 1.
+ * *together becomes the logarithm of the likelihood by all filters.
  * Returns the likeliest filter. */
-uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float likelihood[BLOCK_FILTERS]);
+uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float likelihood[BLOCK_FILTERS], float *together);
 
 /* Compute the state that all filters say together, so many seconds later, and the covariance of its position (m) and a
  * small turn in the site's frame (rad). */
 void block_mix_output(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, float seconds, block_state_t *state,
                       float covariance[6][6]);
+
+/* Compute what all filters say together as one filter, at the time of their states. */
+void block_mix_whole(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, block_kalman_t *whole);
 
 #endif

@@ -7,3 +7,12 @@ $(LOCATE_LIBRARY): $(wildcard host/goldfield/locate/kernel/*.[ch]) setup.py | $(
 	@echo "location: $@"
 	@rm -f $@
 	@CFLAGS="$(C_STANDARD)" $(PYTHON) setup.py -q build_ext --inplace --force && test -f $@
+
+# The block filter of the sensor, for the host (goldfield.track.blocks.kernel); the same command makes both.
+BANK_LIBRARY := host/goldfield/track/blocks/kernel/built/libgf_bank.so
+HOST_LIBRARIES += $(BANK_LIBRARY)
+
+$(BANK_LIBRARY): $(wildcard host/goldfield/track/blocks/kernel/*.[ch] firmware/core/track/*.[ch] firmware/core/math/*.[ch]) | $(LOCATE_LIBRARY)
+	@echo "block filter: $@"
+	@rm -f $@
+	@CFLAGS="$(C_STANDARD)" $(PYTHON) setup.py -q build_ext --inplace --force && test -f $@

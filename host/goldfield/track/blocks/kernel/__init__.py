@@ -1,0 +1,149 @@
+"""The bank of filters in C, if it has been built (``setup.py``): what runs on the sensor, in single precision.
+
+`CBank` stands in for `goldfield.track.blocks.bank.Bank` where it serves: circular coils and dipoles without metal, at
+most 32 of them, and a sensor whose axes have the same noise, independent of each other. A block of 8 beacons takes a
+twentieth of the time. Poses differ by about a thousandth of their standard deviations.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from goldfield.errors import UserError
+from goldfield.field import FieldModel
+from goldfield.track.blocks.bank import START_OFFSET_T, START_RATE_RAD_S, START_VELOCITY_M_S, Estimate, Start
+from goldfield.track.blocks.equations import NormalForm
+from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion
+from goldfield.types import FloatArray
+
+MOST_COILS = 32
+"""BLOCK_BEACONS of block_gram.h."""
+
+EQUAL = 1e-6
+"""By how much, relative to the mean, the weights of the axes may differ."""
+
+DECLARATIONS = """
+size_t gf_bank_size(void);
+void gf_bank_init(void *, uint32_t, const double *);
+void gf_bank_start(void *, const double *, const double *);
+bool gf_bank_update(void *, const double *, const double *, const double *, double, double, double *);
+void gf_bank_predict(void *, double);
+void gf_bank_output(const void *, double, double *, double *, double *);
+"""
+
+_ffi: Any = cffi.FFI()
+_ffi.cdef(DECLARATIONS)
+
+
+@cache
+def _library() -> Any | None:
+    """Return the library that ``setup.py`` puts into the folder ``built`` here, None if there was no compiler."""
+    path = Path(__file__).with_name("built") / "libgf_bank.so"
+    return _ffi.dlopen(str(path)) if path.exists() else None
+
+
+def serves(model: FieldModel) -> bool:
+    """Return whether the library is built, and `CBank` can follow a sensor among these coils."""
+    simple = not len(model.wire_points_m) and model.metal is None
+    return simple and 0 < len(model) <= MOST_COILS and _library() is not None
+
+
+def noise_of(form: NormalForm) -> float | None:
+    """Return the standard deviation of a component of a sample, T; None if the axes do not have the same, alone."""
+    mean = float(np.trace(form.weight)) / 3.0
+    if not mean > 0.0 or np.abs(form.weight - mean * np.eye(3)).max() > EQUAL * mean:
+        return None
+    return 1.0 / math.sqrt(mean)
+
+
+class CBank:
+    """The bank in C, with the methods and attributes of `goldfield.track.blocks.bank.Bank`.
+
+    Parameters
+    ----------
+    model : FieldModel
+        Coils that `serves` accepts.
+
+    Raises
+    ------
+    UserError
+        If it does not.
+    """
+
+    def __init__(self, model: FieldModel) -> None:
+        library = _library()
+        if library is None or not serves(model):
+            raise UserError(
+                f"The block filter in C follows a sensor among 1 to {MOST_COILS} circular coils without metal, if it "
+                "has been built; this site is followed by the one in NumPy."
+            )
+        self._library = library
+        self._count = len(model)
+        self._memory = _ffi.new("double[]", -(-self._library.gf_bank_size() // 8))  # doubles: aligned for all
+        size = np.linalg.norm(model.moment_A_m2, axis=1)
+        coils = np.column_stack([model.centre_m, model.moment_A_m2 / size[:, None], size, model.loop_radius_m])
+        self._library.gf_bank_init(self._memory, self._count, _given(coils))
+        self.mismatch, self.refused = 0.0, 0
+
+    def start(self, start: Start) -> None:
+        """Begin a track; what was known before is forgotten."""
+        quaternion = Rotation.from_matrix(start.rotation).as_quat()
+        state = np.concatenate([start.position_m, quaternion, np.zeros(6), start.ambient_T, np.zeros(3)])
+        covariance = np.zeros((SIZE, SIZE))
+        covariance[:6, :6], covariance[AMBIENT, AMBIENT] = start.pose_cov, start.ambient_cov_T2
+        for part, deviation in (
+            (VELOCITY, START_VELOCITY_M_S),
+            (RATE, START_RATE_RAD_S),
+            (OFFSET, START_OFFSET_T),
+        ):
+            covariance[part, part] = deviation**2 * np.eye(3)
+        self._library.gf_bank_start(self._memory, _given(state), _given(covariance))
+        self.mismatch, self.refused = 0.0, 0
+
+    def update(self, form: NormalForm, seconds: float) -> bool:
+        """Take a block; False if all filters refused it, or if its axes are not served: then it is predicted over."""
+        noise_T = noise_of(form)
+        if noise_T is None:
+            self.predict(seconds)
+            return False
+        logarithm = _ffi.new("double *")
+        arrays = _given(form.gram), _given(form.moment), _given(form.sums_T)
+        taken = self._library.gf_bank_update(self._memory, *arrays, noise_T, seconds, logarithm)
+        if taken:
+            self.mismatch -= 2.0 * logarithm[0]
+        self.refused = 0 if taken else self.refused + 1
+        return bool(taken)
+
+    def predict(self, seconds: float) -> None:
+        """Let time pass without a block."""
+        self._library.gf_bank_predict(self._memory, seconds)
+
+    def output(self, seconds: float = 0.0) -> Estimate:
+        """Return what is believed of the moment so many seconds after the middle of the last block."""
+        state, covariance, _ = self._output(seconds)
+        rotation = Rotation.from_quat(state[3:7]).as_matrix()
+        motion = Motion(state[:3], rotation, state[7:10], state[10:13], state[13:16], state[16:])
+        return Estimate(motion, covariance)
+
+    @property
+    def agility(self) -> FloatArray:
+        """The agility that the sensor seems to have, shape (2,), in the units of `bank.AGILITIES`."""
+        return self._output(0.0)[2]
+
+    def _output(self, seconds: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        state, covariance, agility = np.empty(19), np.empty((SIZE, SIZE)), np.empty(2)
+        filled = (_ffi.from_buffer("double[]", array, require_writable=True) for array in (state, covariance, agility))
+        self._library.gf_bank_output(self._memory, seconds, *filled)
+        return state, covariance, agility
+
+
+def _given(array: FloatArray) -> Any:
+    """Return an array for C to read."""
+    return _ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
