@@ -25,7 +25,7 @@
  *
  * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2): plan of a block takes 2,000
  * instructions, samples of a block 14,300 at most (with sync_source 1 16,800), with degree 10 a report of 8 codes
- * 67,000, main with nothing to do 236.
+ * 67,000, main with nothing to do 258.
  */
 #ifndef GOLDFIELD_SENSOR_H
 #define GOLDFIELD_SENSOR_H
