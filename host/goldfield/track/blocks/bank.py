@@ -119,23 +119,28 @@ class Bank:
 
     def start(self, start: Start) -> None:
         """Begin a track; what was known before is forgotten."""
-        count = len(self._agilities)
-        nothing = np.zeros((count, 3))
-        self._motion = Motion(
-            np.tile(start.position_m, (count, 1)),
-            np.tile(start.rotation, (count, 1, 1)),
-            nothing,
-            nothing,
-            np.tile(start.ambient_T, (count, 1)),
-            nothing,
-        )
+        nothing = np.zeros(3)
         covariance = np.zeros((SIZE, SIZE))
         covariance[:6, :6] = start.pose_cov
         covariance[VELOCITY, VELOCITY] = START_VELOCITY_M_S**2 * np.eye(3)
         covariance[RATE, RATE] = START_RATE_RAD_S**2 * np.eye(3)
         covariance[AMBIENT, AMBIENT] = start.ambient_cov_T2
         covariance[OFFSET, OFFSET] = START_OFFSET_T**2 * np.eye(3)
-        self._covariance = np.tile(covariance, (count, 1, 1))
+        motion = Motion(start.position_m, start.rotation, nothing, nothing, start.ambient_T, nothing)
+        self.resume(Estimate(motion, covariance))
+
+    def resume(self, known: Estimate) -> None:
+        """Begin a track with a motion that is known so well, at the middle of a block."""
+        count, motion = len(self._agilities), known.motion
+        self._motion = Motion(
+            np.tile(motion.position_m, (count, 1)),
+            np.tile(motion.rotation, (count, 1, 1)),
+            np.tile(motion.velocity_m_s, (count, 1)),
+            np.tile(motion.rate_rad_s, (count, 1)),
+            np.tile(motion.ambient_T, (count, 1)),
+            np.tile(motion.offset_T, (count, 1)),
+        )
+        self._covariance = np.tile(known.covariance, (count, 1, 1))
         self._probability[:] = 1.0 / count
         self.mismatch, self.refused, self._unmixed_s, self._merged = 0.0, 0, 0.0, None
 

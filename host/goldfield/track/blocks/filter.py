@@ -16,6 +16,7 @@ from goldfield.track.blocks.bank import Bank, Estimate, Start
 from goldfield.track.blocks.consider import Considered
 from goldfield.track.blocks.equations import BlockEquations, NormalForm
 from goldfield.track.blocks.integrity import Integrity, Verdict
+from goldfield.track.blocks.kernel import CBank, noise_of, serves
 from goldfield.track.blocks.start import AMBIENT_T, WIDENED, Starter
 from goldfield.track.blocks.state import AMBIENT, POSITION, TURN
 from goldfield.track.continuity import Hemisphere, joined, time_break
@@ -130,8 +131,9 @@ class BlockFilter:
         self._integrity = Integrity(site, self._equations)
         self._reporter, self._hemisphere = Reporter(site), Hemisphere()
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
-        self._kernel = kernel
-        self._banks: list[Bank] = []
+        equal = site.sensor.axes is None and site.sensor.noise_ratio is None
+        self._in_c = kernel and equal and serves(self._model)
+        self._banks: list[Bank | CBank] = []
         self._verdict: Verdict | None = None
         self._excluded: tuple[str, ...] = ()
         self._without: tuple[str, ...] = ()
@@ -231,6 +233,8 @@ class BlockFilter:
                 self._begin(form, middle_s)
                 if self._taken_s == middle_s:  # it has begun
                     return None
+        if noise_of(kept) is None:  # An axis is missing; the rest of the track is NumPy's.
+            self._banks = [bank.in_numpy() if isinstance(bank, CBank) else bank for bank in self._banks]
         took = [bank.update(kept, seconds) for bank in self._banks]
         self._middle_s = middle_s
         if any(took):
@@ -282,8 +286,8 @@ class BlockFilter:
         self._starter.forget()
         self._integrity.forget()
 
-    def _bank(self) -> Bank:
-        return Bank(self._model)
+    def _bank(self) -> Bank | CBank:
+        return CBank(self._model) if self._in_c else Bank(self._model)
 
     def _decide(self) -> None:
         """Give up starts that the blocks contradict; the likeliest comes first."""
@@ -336,7 +340,7 @@ class BlockFilter:
         )
         self._start([start], middle_s)
 
-    def _known(self, bank: Bank, time_s: float) -> Estimate:
+    def _known(self, bank: Bank | CBank, time_s: float) -> Estimate:
         """Return what a bank believes of a moment, with what the errors of the site do to it."""
         known = bank.output(time_s - self._middle_s)
         self._blocks += 1
@@ -372,7 +376,7 @@ class BlockFilter:
         reason = joined(poses[0].reason, "two poses fit the blocks so far")
         return replace(poses[0], status=Status.AMBIGUOUS, reason=reason, alternative=poses[1])
 
-    def _told(self, bank: Bank, time_s: float) -> Pose:
+    def _told(self, bank: Bank | CBank, time_s: float) -> Pose:
         """Return a bank's pose with what the last verdict says of it."""
         verdict, out = self._verdict, self._out
         assert verdict is not None

@@ -117,3 +117,24 @@ def test_other_coils_are_refused(model):
     assert not kernel.serves(many)
     with pytest.raises(UserError, match="1 to 32 circular coils without metal"):
         kernel.CBank(many)
+
+
+def test_numpy_goes_on_with_a_track(model):
+    """An axis of the sensor saturates: the rest of the track is that of NumPy, without a jump."""
+    numpy, c = started(Bank(model), kernel.CBank(model))
+    for number, form in enumerate(blocks(model, 40)):
+        if number == 20:
+            c = c.in_numpy()
+        if number >= 20:
+            form = replace(
+                form,
+                sums_T=form.sums_T * [1.0, 1.0, 0.0],
+                weight=np.diag([1.0, 1.0, 0.0]) / NOISE_T**2,
+                axes=np.array([True, True, False]),
+            )
+        assert numpy.update(form, BLOCK_S)
+        assert c.update(form, BLOCK_S)
+    position, _ = pose(40 * BLOCK_S)
+    assert np.linalg.norm(c.output().motion.position_m - numpy.output().motion.position_m) < 0.003
+    assert np.linalg.norm(c.output().motion.position_m - position) < 0.015
+    assert c.mismatch == pytest.approx(numpy.mismatch, abs=10.0)

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.errors import UserError
 from goldfield.field import FieldModel
-from goldfield.track.blocks.bank import START_OFFSET_T, START_RATE_RAD_S, START_VELOCITY_M_S, Estimate, Start
+from goldfield.track.blocks.bank import START_OFFSET_T, START_RATE_RAD_S, START_VELOCITY_M_S, Bank, Estimate, Start
 from goldfield.track.blocks.equations import NormalForm
 from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion
 from goldfield.types import FloatArray
@@ -85,7 +85,7 @@ class CBank:
                 "has been built; this site is followed by the one in NumPy."
             )
         self._library = library
-        self._count = len(model)
+        self._model, self._count = model, len(model)
         self._memory = _ffi.new("double[]", -(-self._library.gf_bank_size() // 8))  # doubles: aligned for all
         size = np.linalg.norm(model.moment_A_m2, axis=1)
         coils = np.column_stack([model.centre_m, model.moment_A_m2 / size[:, None], size, model.loop_radius_m])
@@ -120,6 +120,13 @@ class CBank:
             self.mismatch -= 2.0 * logarithm[0]
         self.refused = 0 if taken else self.refused + 1
         return bool(taken)
+
+    def in_numpy(self) -> Bank:
+        """Return a bank in NumPy that goes on with the track: for blocks that this one does not serve."""
+        bank = Bank(self._model)
+        bank.resume(self.output())
+        bank.mismatch, bank.refused = self.mismatch, self.refused
+        return bank
 
     def predict(self, seconds: float) -> None:
         """Let time pass without a block."""
