@@ -81,7 +81,7 @@ class Estimate:
     ----------
     motion : Motion
     covariance : ndarray, shape (18, 18)
-        Of the errors in the order of `goldfield.track.blocks.state`.
+        Covariance of the errors in the order of `goldfield.track.blocks.state`.
     """
 
     motion: Motion

@@ -69,7 +69,7 @@ class Tracked:
     offset_T : ndarray, shape (3,)
         The sensor's offset, in its own frame.
     covariance : ndarray, shape (18, 18)
-        Of the errors of all these, in this order; that of the attitude is a small rotation in the site's frame.
+        Covariance of the errors of all these, in this order; the attitude's is a small rotation in the site's frame.
     """
 
     time_s: float

@@ -156,7 +156,7 @@ def added(agility: FloatArray, seconds: float) -> FloatArray:
     Parameters
     ----------
     agility : ndarray, shape (..., 2)
-        Of acceleration, m/s^2 per root hertz, and of the turn, rad/s^2 per root hertz.
+        Agilities of acceleration, m/s^2 per root hertz, and of the turn, rad/s^2 per root hertz.
     seconds : float
         Negative ones add as much.
     """

@@ -33,13 +33,13 @@ class Reference:
     Attributes
     ----------
     motion : Motion
-        Of one moment, the middle of a block.
+        The motion at one moment, the middle of a block.
     field_T : ndarray, shape (n + 1, 3)
-        Of the beacons, and last what the sensor sees of ambient field and offset, a = e + R b.
+        Fields of the beacons, and last what the sensor sees of ambient field and offset, a = e + R b.
     slope_T_s : ndarray, shape (n + 1, 3)
         How they change in the sensor's frame, turned into the site's.
     jacobian : ndarray, shape (n + 1, 3, 9)
-        Of the fields by the observed numbers.
+        Derivatives of the fields by the observed numbers.
     """
 
     motion: Motion
