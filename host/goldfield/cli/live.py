@@ -27,6 +27,10 @@ from goldfield.types import Fields
 from goldfield.view.summary import Summary
 from goldfield.view.truth import Truth
 
+SWITCH_S = 5e-4
+"""Longest time for which the thread that computes poses keeps the interpreter from the one that prints them, s;
+Python's own 5 ms are more than a pose at 330 Hz may take."""
+
 
 def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site) -> int:
     """Print a line for every epoch of a source, and a summary however it ends.
@@ -56,6 +60,8 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
         if arguments.summary:
             stack.enter_context(_written_at_the_end(summary, arguments.summary, force=arguments.force))
         sensor = stack.enter_context(open_sensor(kind, where, site, choices, recorder))
+        if sensor.live:
+            sys.setswitchinterval(SWITCH_S)
         sinks = _print_epochs(arguments, sensor, summary)
     if sinks.stuck:
         sys.stderr.flush()

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from goldfield.cli.output import json_line, number, pose_record
+from goldfield.errors import tell
 from goldfield.sensor.pipeline import Epoch, Fix
 from goldfield.types import Pose
 from goldfield.view.summary import Summary
@@ -35,6 +36,9 @@ class Line:
     error: PoseError = NO_ERROR
 
 
+LATE_S = 1.0
+"""A line that is later is told of, once."""
+
 LineOf = Callable[[Line], str]
 
 
@@ -61,6 +65,7 @@ class PoseLines:
         self._epoch: Epoch | None = None
         self._lost = 0
         self._clocked = False
+        self._told = False
 
     def write(self, item: Epoch | Fix) -> None:
         """Print a pose; a cycle whose pose is none of those at a rate is told of in the next line."""
@@ -79,7 +84,11 @@ class PoseLines:
         self._summary.add(item.pose, line.error, line.lost)
         print(self._line_of(line), flush=True)
         if self._timed and math.isfinite(item.arrived_s):
-            self._summary.latency.add(time.time() - item.arrived_s)
+            late_s = time.time() - item.arrived_s
+            self._summary.latency.add(late_s)
+            if late_s > LATE_S and not self._told:
+                self._told = True
+                tell(f"the lines are more than {LATE_S:g} s late: this machine is too slow for so many poses")
 
     def close(self) -> None:
         """Close the truth; messages lost behind the last line are counted."""

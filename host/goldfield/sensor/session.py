@@ -46,6 +46,9 @@ WAIT_S = 0.5
 """Longest wait for one message while a sensor is looked for. A wait counts for no more, however long it took: this
 process, or the whole computer, may have been stopped meanwhile."""
 
+STREAMED = ("BLOCK", "BLOCK_SUM", "CHIP")
+"""Messages of which there are thousands a second, and which tell nothing of a board's health that others do not."""
+
 Event = Report | Block | Pose
 """What a sensor reports: a cycle, a block of chips, or a pose that it computed of a block."""
 
@@ -408,6 +411,8 @@ class Session:
             self.receiver.mark(self.node)
 
     def _listen(self, message: Message) -> None:
+        if message.name in STREAMED:
+            return
         self.keeping.take(message, self.health.now_s)
         if message.name == "PARAM_SET":
             return

@@ -427,3 +427,25 @@ def test_both_sides_of_the_alert_limit_of_the_command_line(tmp_path, capsys, sha
     (again,) = poses(run(capsys, "--log", path, "--json", "--alert-limit", share * pose_["protection_m"])[1])
     assert again["status"] == status
     assert (again["reason"] is None) == (status == "ok")
+
+
+def test_lines_that_are_late_are_told_of_once_and_measured(capsys, monkeypatch):
+    from goldfield.cli import pose_lines
+    from goldfield.sensor.pipeline import Fix
+    from goldfield.view.summary import Summary
+
+    now = [100.0]
+    monkeypatch.setattr(pose_lines, "time", SimpleNamespace(time=lambda: now[0]))
+    summary = Summary("poses")
+    lines = pose_lines.PoseLines(pose_lines.json_record_line(truth=False), summary, None, live=True)
+    for late_s in (0.004, 0.9, 1.5, 2.0):
+        lines.write(Fix(pose(3, POSITION_M, ATTITUDE.as_quat()), now[0] - late_s))
+    lines.write(Fix(pose(3, POSITION_M, ATTITUDE.as_quat()), math.nan))
+    lines.close()
+    captured = capsys.readouterr()
+    assert len(poses(captured.out)) == 5
+    assert captured.err.count("the lines are more than 1 s late") == 1
+    assert summary.latency.count == 4
+    assert summary.latency.quantiles()["median"] == pytest.approx(0.9, rel=0.02)
+    assert "5 poses: 5 ok" in summary.text(truth=False)
+    assert summary.record()["latency"]["p99_s"] == pytest.approx(2.0, rel=0.02)
