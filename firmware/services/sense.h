@@ -39,7 +39,7 @@
  *
  * Blocks (parameter blocks) take half of CAN or a quarter of serial for 8 codes (framing.md, "Budget").
  *
- * Memory: 79 kB.
+ * Memory: 56 kB, and onboard.h and tracking.h.
  *
  * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,600 instructions, with
  * blocks 12,500, with parts 14,500 (17,100 when following the field); with degree 10 a report of 8 codes takes 67,000.

@@ -32,7 +32,7 @@
  *   pose_find    1,020,000 instructions (1,100,000) when a pose explains the fields.
  *   pose_track   237,000 instructions (424,000), at most 252,000 (455,000) with the previous pose 0.1 m and 0.1 rad
  *                away; when it has to search, those of pose_find too.
- *   pose_step    at most 850,000 instructions (910,000, 5.4 ms at an instruction a cycle and 168 MHz).
+ *   pose_step    at most 470,000 instructions (910,000, 5.4 ms at an instruction a cycle and 168 MHz, in a review).
  *   pose_live    when nothing explains the fields 2,400,000 a cycle (3,200,000, 19 ms), with one beacon left out by the
  *                verdict of a cycle before 2,200,000 (5,100,000, 30 ms); a review 9,900,000 (14,400,000, 86 ms), which
  *                in the time that poses leave of cycles of 100 ms takes two of them.

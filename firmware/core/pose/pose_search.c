@@ -74,14 +74,16 @@ bool pose_search(const pose_problem_t *problem, uint32_t most, pose_candidates_t
     const pose_heard_t *centre = &problem->heard[strongest(problem)];
     const float k = centre->loop.k_uT_m3 > 0.0f ? centre->loop.k_uT_m3 : -centre->loop.k_uT_m3;
     const float ratio = centre->magnitude_uT / k;
-    for (uint32_t i = 0; i < most && found->next < found->directions; i++) {
-        const float z = 1.0f - (2.0f * (float)found->next + 1.0f) / (float)found->directions;
+    const uint32_t left = found->directions - found->next, end = found->next + (left < most ? left : most);
+    const float all = (float)found->directions;
+    float x = found->x, y = found->y;
+    for (uint32_t i = found->next; i < end; i++) {
+        const float z = 1.0f - (2.0f * (float)i + 1.0f) / all;
         const float across = square_root(1.0f - z * z);
-        const float direction[3] = {across * found->x, across * found->y, z};
-        const float turned = GOLDEN_COSINE * found->x - GOLDEN_SINE * found->y;
-        found->y = GOLDEN_SINE * found->x + GOLDEN_COSINE * found->y;
-        found->x = turned;
-        found->next++;
+        const float direction[3] = {across * x, across * y, z};
+        const float turned = GOLDEN_COSINE * x - GOLDEN_SINE * y;
+        y = GOLDEN_SINE * x + GOLDEN_COSINE * y;
+        x = turned;
         const float cosine = vector3_dot(direction, centre->loop.axis);
         float distance = inverse_cube_root(ratio * inverse_square_root(1.0f + 3.0f * cosine * cosine));
         pose_candidate_t candidate;
@@ -100,7 +102,10 @@ bool pose_search(const pose_problem_t *problem, uint32_t most, pose_candidates_t
         candidate.loss = wahba_loss(&wahba);
         offer(found, &candidate, APART2 * distance * distance);
     }
-    return found->next == found->directions;
+    found->x = x;
+    found->y = y;
+    found->next = end;
+    return end == found->directions;
 }
 
 void pose_search_attitude(const pose_problem_t *problem, const float position_m[3], float quaternion[4]) {
