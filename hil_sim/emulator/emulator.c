@@ -154,10 +154,7 @@ bool emulator_probe_read(const board_t *board, unsigned index, emulator_probe_t 
         return false;
     }
     const probe_t *const own = &cpu->probes[index];
-    *probe = (emulator_probe_t){.entry = own->entry,
-                                .calls = own->calls,
-                                .total = own->total,
-                                .largest = own->largest,
-                                .cycles = own->cycles};
+    *probe = (emulator_probe_t){
+        .entry = own->entry, .calls = own->calls, .total = own->total, .largest = own->largest, .cycles = own->cycles};
     return true;
 }

@@ -25,6 +25,8 @@ from tests.firmware.host_rig import (
     beacon,
 )
 
+ENABLED = 7 * US
+"""The way from the conversion to the enable on an image: some 400 instructions of up to 2.5 cycles."""
 PARAMETERS = {"node": 1, "code": 700, "amplitude": 8.0, "sync_master": 1}
 
 
@@ -69,12 +71,12 @@ def test_beacons_move_their_pins_at_the_same_chips(beacons: tuple[Board, Board])
         theirs = np.array(emulated.edges(pin))
         ours = np.array(host.edges(pin))[: len(theirs)]
         shift = theirs - ours
-        # The first edge on a bridge is that of the enable (below), some 400 instructions of up to 2.5 cycles later.
+        # The first edge on a bridge is that of the enable (below).
         assert np.ptp(shift[1:]) <= 1
-        assert abs(shift[0] - shift[1]) < (0.02 if pin == PIN_SYNC_OUT else 7) * US
+        assert abs(shift[0] - shift[1]) < (0.02 * US if pin == PIN_SYNC_OUT else ENABLED)
     [ours_on], [theirs_on] = host.edges(PIN_ENABLE), emulated.edges(PIN_ENABLE)
     chip = (theirs_on - emulated.edges(PIN_SYNC_OUT)[0]) - (ours_on - host.edges(PIN_SYNC_OUT)[0])
-    assert abs(chip) < 3 * US  # Both at the end of chip 0's current conversion.
+    assert abs(chip) < ENABLED  # Both at the end of chip 0's current conversion.
 
 
 def report(board: Board) -> dict[float, list[Message]]:
