@@ -16,7 +16,8 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 KERNEL = "host/goldfield/locate/kernel"
-INCLUDE_PATHS = ("firmware", "hil_sim", KERNEL)
+BANK = "host/goldfield/track/blocks/kernel"
+INCLUDE_PATHS = ("firmware", "hil_sim", KERNEL, BANK)
 GENERATED = {
     "goldfield.h",
     "protocol_hash.h",
@@ -43,6 +44,7 @@ ALLOWED: Mapping[str, tuple[str, ...]] = {
     "hil_sim/emulator": (EDGE,),
     "hil_sim/rig": ("hil_sim/world", EDGE),
     KERNEL: (),
+    BANK: ("firmware/core",),
 }
 """What a folder includes beside itself."""
 
@@ -51,7 +53,7 @@ Files = Mapping[str, str]
 
 def read_tree() -> dict[str, str]:
     """Return the C files of the product by path."""
-    paths = (p for top in ("firmware", "hil_sim", KERNEL) for p in (ROOT / top).rglob("*.[ch]"))
+    paths = (p for top in ("firmware", "hil_sim", KERNEL, BANK) for p in (ROOT / top).rglob("*.[ch]"))
     return {p.relative_to(ROOT).as_posix(): p.read_text() for p in sorted(paths)}
 
 

@@ -15,7 +15,7 @@ FLAGS = (
     *("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard"),
     *("-std=c11", "-O2", "-ffreestanding"),
 )
-RAM, STACK, STOP = 0x20000000, 0x20040000, 0x0800FF00
+RAM, STACK, STOP = 0x20000000, 0x20040000, 0x0801FF00
 
 # Plain functions with word arguments around the calls that take structs or start from known states.
 HARNESS = """
@@ -149,7 +149,7 @@ def count(tmp_path_factory):
     subprocess.run(command, check=True)
     machine = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
     machine.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
-    machine.mem_map(0x08000000, 0x10000)
+    machine.mem_map(0x08000000, 0x20000)
     machine.mem_map(RAM, 0x40000)
     symbols = {}
     with elf.open("rb") as file:
