@@ -23,7 +23,7 @@
  * converter's, which the sum of all fields and the earth's must not leave (EPOCH_STATUS.saturated). boards/pinout.md
  * tells how far from the coil that is.
  *
- * Memory: 66 kB, and 44 kB of onboard.h and tracking.h.
+ * Memory: 76 kB, and onboard.h and tracking.h.
  *
  * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), with two channels: samples and
  * plan of a block take 10,300 + 6,700 instructions, with the block's current interrupts 29,000 of the 509,000 ticks of
