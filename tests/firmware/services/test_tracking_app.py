@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import magpylib
@@ -12,7 +13,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from goldfield import site as sites
+from goldfield.link.blocks import BlockAssembler
+from goldfield.sensor.on_sensor import OnSensorTrack
+from goldfield.track.blocks import BlockFilter
 from goldfield_protocol import Message
+from hil_sim.scenario import load_scenario, site_toml
 from tests.firmware.apps.test_sensor_app import MATRIX, NODE, ZERO, World, cycle_start
 from tests.firmware.host_rig import CHIPS, gold_chips
 from tests.firmware.services.test_onboard_app import ATTITUDE, CENTRES, CODES, NOISE_T, OWN, POSITION, TABLE
@@ -241,3 +247,33 @@ def test_the_arm_image_has_a_pose_for_every_block_in_time() -> None:
     last = told[-BLOCKS_A_CYCLE:]
     sigma = rms([pose.quality["sigma_position"] for pose in last])
     assert 0.3 * sigma < rms([pose.error(MOVING)[0] for pose in last]) < 1.6 * sigma < 0.03
+
+
+@pytest.mark.parametrize("motion", [STILL, MOVING], ids=["still", "moving"])
+def test_the_sensor_agrees_with_the_reference_on_the_same_blocks(
+    make: Callable[..., World], motion: Motion, tmp_path: Path
+) -> None:
+    """The filter in NumPy gets the blocks that the sensor sends; its coils are those of prigge8."""
+    path = tmp_path / "site.toml"
+    path.write_text(site_toml(load_scenario("prigge8")))
+    site = sites.load(path)
+    world = make(counts_in_motion(motion), blocks=1)
+    world.run_cycles(12)
+    assembler, track, reference = (
+        BlockAssembler(CODES, CHIPS, CHIP_S),
+        OnSensorTrack(site),
+        BlockFilter(site, kernel=False),
+    )
+    own, host = {}, {}
+    for message in world.board.messages():
+        pose = track.feed(message)
+        if pose is not None:
+            own[round(pose.time_s, 4)] = pose
+        for block in assembler.feed(message, 0.0):
+            found = reference.update(block)
+            if found is not None:
+                host[round(block.time_s, 4)] = found
+    settled = sorted(set(own) & set(host))[3 * BLOCKS_A_CYCLE :]
+    assert len(settled) > 3 * BLOCKS_A_CYCLE
+    apart = rms([float(np.linalg.norm(own[t].position_m - host[t].position_m)) for t in settled])
+    assert apart < 0.02 * rms([float(np.sqrt(np.trace(host[t].position_cov_m2))) for t in settled])
