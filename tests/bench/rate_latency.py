@@ -32,7 +32,7 @@ class Latency:
     update_s : ndarray, shape (n,)
         Processor time of the filter for the block.
     errors : Errors
-        Of the poses, at the true ends of the blocks.
+        How far the poses are off at the true ends of the blocks.
     """
 
     arrival_s: object

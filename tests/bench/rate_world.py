@@ -51,7 +51,7 @@ class Track:
         On the sensor's clock.
     position_m : ndarray, shape (n, 3)
     rotation : Rotation
-        Of n attitudes.
+        The n attitudes.
     first_cycle : int
     """
 
