@@ -196,7 +196,9 @@ def test_a_beacon_is_left_out_if_the_next_explanation_costs_twenty_five_more(cor
     fields = epoch.field_T.copy()
     fields[3] *= -1.0
     steps = Steps(core, cube, fields)
-    steps.until(lambda: steps.explain.stage == steps.lib.POSE_EXPLAIN_DECIDE and steps.work.stage == 3)
+    steps.until(
+        lambda: steps.explain.stage == steps.lib.POSE_EXPLAIN_DECIDE and steps.work.stage == steps.lib.POSE_STEP_EXPLAIN
+    )
     steps.explain.next_cost = steps.explain.rest.cost + margin
     assert steps.step()
     assert steps.pose.left_out == left_out
