@@ -12,7 +12,7 @@
  *
  * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel and, in brackets,
  * for a rotating field: plan of a block takes 4,600 (6,500) instructions, current 250 (320), once in 31 chips 590
- * (680), main with nothing to do 280.
+ * (680), main with nothing to do 300.
  */
 #ifndef GOLDFIELD_BEACON_H
 #define GOLDFIELD_BEACON_H

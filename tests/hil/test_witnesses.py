@@ -73,8 +73,11 @@ def named(told, beacon):
     """When a beacon was named and left out first, and its finding at the end; nobody else was, and it stays so."""
     findings = [[f for f in pose.findings if f.kind is not Explanation.BOARD] for _, pose in told]
     out = [time_s for (time_s, pose), found in zip(told, findings, strict=True) if found and beacon in pose.excluded]
-    assert {f.beacons for found in findings for f in found} == {(beacon,)}
     assert out
+    # The cycle in which it happens is of two worlds: nobody can tell what it is.
+    late = [(time_s, f) for (time_s, _), found in zip(told, findings, strict=True) for f in found]
+    assert {f.beacons for time_s, f in late if time_s >= out[0]} == {(beacon,)}
+    assert all(f.beacons == (beacon,) or f.kind is Explanation.UNKNOWN for _, f in late)
     assert len(out) == sum(time_s >= out[0] for time_s, _ in told)
     print(f"{beacon} named after {out[0]:.2f} s: {findings[-1][0].text}")
     return out[0], findings[-1][0]

@@ -208,7 +208,7 @@ def test_beacon(call: Machine, most: tuple[int, int, int]) -> None:
     assert max(plans) <= 31 * most[0]
     assert chip <= most[1]
     assert chip_most <= most[2]
-    assert min(idle) <= 290
+    assert min(idle) <= 310
 
 
 def test_sensor(call: Machine) -> None:

@@ -29,7 +29,7 @@ from goldfield.track.faults import Judgement, judged
 from goldfield.track.motion import State
 from goldfield.track.observe import EpochObserver
 from goldfield.track.witness import Witness
-from goldfield.types import Fields, FloatArray, Pose, Status
+from goldfield.types import Fields, Finding, FloatArray, Pose, Status
 
 KNOWN = np.repeat([1.0, 1.0, 1e-3, 1e-3, 1e-9], 3)
 """Standard deviations of what is believed before a cycle is judged: its motion has been taken out, its pose is free."""
@@ -105,6 +105,7 @@ class Integrity:
         self._ids = tuple(beacon.id for beacon in site.beacons)
         self._row = {name: row for row, name in enumerate(self._ids)}
         self._usual = 0.0
+        self._blamed: dict[str, Finding] = {}
         self.forget()
 
     def forget(self) -> None:
@@ -179,16 +180,27 @@ class Integrity:
         judgement = self._judgement(fields, around.motion, ())
         self.witness.update(judgement)
         sound = pose.status not in (Status.FAILED, Status.INCONSISTENT) and not pose.excluded
+        self._blamed = (
+            {} if sound else self._blamed | {name: found for found in pose.findings for name in found.beacons}
+        )
         if len(out) and not sound:
             fields = self._fields(kept, epoch)
-            pose = self._locator.locate(fields)
-            pose = replace(pose, excluded=(*without, *(name for name in pose.excluded if name not in without)))
+            pose = self._explained(self._locator.locate(fields), without)
         if pose.status is Status.FAILED:
             return Verdict(pose, around.motion, tuple(without), silent=True)
         verdict = self._witnessed(Verdict(pose, around.motion, pose.excluded, pose.status is Status.INCONSISTENT))
         if verdict.excluded:
             judgement = self._judgement(fields, around.motion, verdict.excluded)
         return replace(verdict, judgement=judgement)
+
+    def _explained(self, pose: Pose, without: Sequence[str]) -> Pose:
+        """Return a pose made without some beacons, with what was last found of these."""
+        known = list(dict.fromkeys(self._blamed[name] for name in without if name in self._blamed))
+        reason = pose.reason
+        for found in reversed(known):
+            reason = joined(f"left out: {found.text}", reason)
+        excluded = (*without, *(name for name in pose.excluded if name not in without))
+        return replace(pose, excluded=excluded, findings=(*known, *pose.findings), reason=reason)
 
     def _fields(self, rests: Sequence[NormalForm], epoch: int) -> Fields:
         """Return the fields that a sensor at rest at the middle of the blocks would have had."""

@@ -259,7 +259,7 @@ def test_poses_at_other_times_are_extrapolated():
 def test_a_track_that_is_elsewhere_is_found_out(monkeypatch):
     """A bank that learns nothing from its blocks and is sure of a wrong place near by."""
     stream = stream_of("still", 2e-7, 17, 0.5)
-    track, blocks = BlockFilter(stream.site), stream.blocks()
+    track, blocks = BlockFilter(stream.site, kernel=False), stream.blocks()
     for block in blocks[:40]:
         track.update(block)
     bank = track._banks[0]
