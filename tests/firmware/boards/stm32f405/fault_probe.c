@@ -10,7 +10,7 @@ static anchor_t application;
 static onboard_t onboard BOARD_CORE_MEMORY;
 static tracking_t tracking BOARD_CORE_MEMORY;
 #define START(anchor, hal) anchor_start(anchor, &onboard, &tracking, hal)
-#define STEP  anchor_step
+#define STEP               anchor_step
 #else
 #include "apps/beacon.h"
 static beacon_t application;
