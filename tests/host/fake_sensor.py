@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import select
+import struct
+import termios
 import threading
 import tty
 from pathlib import Path
@@ -121,7 +124,7 @@ class PtySensor:
     deaf : int
         How many requests it leaves unanswered.
     hang_up : bool
-        Close the line after the cycles.
+        Close the line after the cycles, once the host has read them: what it has not read goes with the line.
     """
 
     def __init__(self, cycles, *, deaf=0, hang_up=False, hash_=None, garbage=b"", parameters=None, refuse=0):
@@ -169,10 +172,18 @@ class PtySensor:
                 for message in cycle_messages(self._cycles.pop(0)):
                     self._send(message)
                 if not self._cycles and self._hang_up:
+                    self._wait_until_read()
                     os.close(self._slave)
                     os.close(self.master)
                     self.master = self._slave = None
                     return
+
+    def _wait_until_read(self):
+        """Wait until nothing has waited for the host for some time, or until the test is over."""
+        quiet = 0
+        while quiet < 10 and not self._stop.wait(0.02):
+            waiting = struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0]
+            quiet = 0 if waiting else quiet + 1
 
     def _configured(self):
         wanted = [len(CODES), *CODES]

@@ -15,6 +15,8 @@ from tests.host.fake_sensor import SITE, PtySensor, log_of
 
 needs_npm = pytest.mark.skipif(shutil.which("npm") is None, reason="make builds the page with npm, which is not there")
 TIMEOUT_S = 120.0
+MOST_MESSAGES = 120
+"""A stream that runs tells its state every second: a message that is not among so many will not come."""
 
 
 class View:
@@ -46,6 +48,7 @@ def until(stream, wanted):
     """Return every message up to the first that is wanted."""
     seen = []
     while not any(wanted(message) for message in seen):
+        assert len(seen) < MOST_MESSAGES, seen[-1]
         seen += json.loads(stream.recv(TIMEOUT_S))
     return seen
 
