@@ -5,7 +5,7 @@ import { Alarms } from "./alarms";
 import { Charts } from "./charts";
 import { Connection } from "./connection";
 import { byId, make, setChip, setText } from "./dom";
-import { Figures } from "./figures";
+import { showFigures } from "./figures";
 import { Plan, type ErrorMap } from "./plan";
 import { PROTOCOL, type Epoch, type Health, type Message, type Pose, type State } from "./protocol";
 import { Space } from "./space";
@@ -21,7 +21,6 @@ const plan = new Plan(byId("plan"));
 const space = openSpace();
 const tables = new Tables(byId("beacons"), byId("boards"));
 const charts = new Charts(byId("charts"));
-const figures = new Figures(byId("figures"));
 const alarms = new Alarms(announce);
 
 let pose: Pose | null = null;
@@ -132,7 +131,7 @@ function draw(): void {
   const status = STATUS[pose.status] ?? { tone: "idle" as const, mark: "○", word: pose.status, meaning: "", advice: "" };
   setChip("status", status);
   setText(byId("status-text"), status.meaning);
-  figures.set(pose);
+  showFigures(pose);
   drawPictures(pose);
   void followError(pose);
 }
