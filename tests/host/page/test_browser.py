@@ -169,6 +169,7 @@ def test_a_page_that_is_held_stands_still(opened, served, calm):
     served.publish(calm[:20])
     expect(page.locator("#counts")).to_contain_text("epochs")
     expect(page.locator("#status-word")).to_have_text("ok")
+    expect(page.locator("#link-word")).to_have_text("live")  # which is read out, too
     page.get_by_role("button", name="Hold").click()
     expect(page.get_by_role("button", name="Hold")).to_have_attribute("aria-pressed", "true")
     held = page.locator("#figures").inner_text()
@@ -189,6 +190,8 @@ def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_ret
     expect(page.locator("#link-word")).to_have_text("link lost")
     expect(page.locator("#link-text")).to_contain_text("The port is gone. The latest pose is")
     expect(page.locator("#pose-age")).to_contain_text("not of now")
+    expect(page.get_by_role("status")).to_contain_text("port is gone")
+    expect(page.get_by_label("What is wrong now")).to_contain_text("Nothing is known: no epoch comes in.")
     expect(page.get_by_role("status")).to_contain_text("port is gone")
     served.publish(calm[40:80])
     expect(page.locator("#link-word")).to_have_text("live")

@@ -20,7 +20,7 @@ export class Alarms {
   private shown = "";
 
   constructor(private readonly announce: (text: string) => void) {
-    this.draw();
+    this.draw(false);
   }
 
   take(alarms: Alarm[]): void {
@@ -33,23 +33,24 @@ export class Alarms {
     }
   }
 
-  /** Draw what is wrong now; alarms that are over go to the earlier ones. */
-  draw(): void {
+  /** Draw what is wrong now; alarms that are over go to the earlier ones. If nothing comes in, nothing is known. */
+  draw(running: boolean): void {
     const time = Date.now();
     for (const [key, kept] of this.now) {
       if (time - kept.last < STAYS_MS) continue;
       this.now.delete(key);
       this.earlier = [kept, ...this.earlier].slice(0, MOST_EARLIER);
     }
-    const state = `${[...this.now.keys()].join("|")}|${this.earlier.length}|${this.earlier[0]?.last ?? ""}`;
+    const state = `${running}|${[...this.now.keys()].join("|")}|${this.earlier.length}|${this.earlier[0]?.last ?? ""}`;
     if (state === this.shown) return;
     this.shown = state;
     const list = byId("alarms");
+    const calm = running ? "Nothing is wrong." : "Nothing is known: no epoch comes in.";
     if (this.now.size) list.replaceChildren(...[...this.now.values()].map((kept) => this.item(kept)));
-    else list.replaceChildren(make("li", { class: "calm" }, make("span", { class: "mark", "aria-hidden": "true" }, "✓"), " Nothing is wrong."));
+    else list.replaceChildren(make("li", { class: "calm", "data-tone": running ? "good" : "idle" }, make("span", { class: "mark", "aria-hidden": "true" }, running ? "✓" : "○"), ` ${calm}`));
     byId("earlier").replaceChildren(...this.earlier.map((kept) => this.item(kept)));
     setText(byId("earlier-count"), String(this.earlier.length));
-    this.announce([...this.now.values()].map((kept) => kept.alarm.text).join(" ") || "Nothing is wrong.");
+    if (running) this.announce([...this.now.values()].map((kept) => kept.alarm.text).join(" ") || calm);
   }
 
   private item({ alarm, first, count }: Kept): HTMLLIElement {

@@ -94,19 +94,20 @@ function takePose(next: Pose): void {
 }
 
 function takeState(state: State): void {
+  alarms.draw(state.state === "running"); // before the link's word, which is the one to be read out
   const said = LINK[state.state === "running" && !live ? "playing" : state.state];
   if (byId("link-word").textContent !== said.word) announce(`${said.word}. ${state.text}`);
   setChip("link", said);
   const old = state.state === "silent" || state.state === "lost" ? ` The latest pose is ${Math.round(state.silent_s)} s old.` : "";
   setText(byId("link-text"), `${sentence(state.text)}${old}`);
   setAge(state.state !== "running");
-  alarms.draw();
 }
 
 function gone(): void {
   setChip("link", LINK.gone);
   setText(byId("link-text"), "The server of this page does not answer: is “goldfield view” still running? Trying again.");
   setAge(true);
+  alarms.draw(false);
 }
 
 function setAge(old: boolean): void {
