@@ -59,7 +59,7 @@ class Build(build):
     def run(self) -> None:
         """Build everything."""
         shutil.rmtree(self.build_lib, ignore_errors=True)
-        if not (self.editable_mode or PARTS):
+        if not PARTS:
             build_page()
         super().run()
 
