@@ -4,8 +4,6 @@
 
 #include "goldfield.h"
 
-#define REPORT_BESIDE 7u /* Messages of a cycle's report besides its FIELDs, for which a block leaves room. */
-
 /* Resolutions and largest integers of BLOCK and BLOCK_SUM (goldfield.dbc); one below the smallest: not measured. */
 #define PLAIN_T     8e-10f
 #define PLAIN_LIMIT 262143
@@ -70,7 +68,7 @@ const block_sums_t *blocks_step(blocks_t *blocks, node_t *node, const epoch_sele
     }
     block_sums(block, &blocks->codes, selection, calibration, &blocks->sums);
     block_release(&blocks->collector);
-    const uint32_t messages = 1u + selection->count, report = selection->count + REPORT_BESIDE;
+    const uint32_t messages = 1u + selection->count, report = selection->count + BLOCKS_REPORT_BESIDE;
     const node_links_t links = blocks->links & node_room(node, messages + report);
     if (links != NODE_NO_LINK) {
         send(&blocks->sums, node, links, selection);

@@ -24,6 +24,11 @@
 #include "core/codes/block_sums.h"
 #include "hal/hal.h"
 #include "services/node.h"
+#include "services/pose_report.h"
+
+/* Messages of a cycle's report besides its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and those of the pose. A block
+ * leaves room for them. */
+#define BLOCKS_REPORT_BESIDE (3u + POSE_REPORT_MESSAGES)
 
 /* Fields are private. */
 typedef struct {

@@ -10,8 +10,6 @@
 #define PART_STRIDE 1026u
 #define PART_PLAIN  1025u
 
-/* Messages of a cycle besides its FIELDs: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, and four of the pose. */
-#define REPORT_BESIDE 7u
 /* Messages of a part besides those of its codes: its plain sum. */
 #define PART_BESIDE 1u
 
@@ -245,7 +243,7 @@ void sense_step(sense_t *sense) {
             report_third(sense, room(sense, PART_BESIDE + count), &sense->part);
         }
         if (epoch_add(&sense->cycle, &sense->part, count)) {
-            report(sense, room(sense, REPORT_BESIDE + count), &sense->cycle);
+            report(sense, room(sense, BLOCKS_REPORT_BESIDE + count), &sense->cycle);
         }
         epoch_release(&sense->collector);
     }

@@ -63,8 +63,8 @@
 #include "services/timing.h"
 #include "services/tracking.h"
 
-#define SENSE_TURN_US         2000u /* Time in a turn after which no further step of a pose begins: a block takes 3 ms. */
-#define SENSE_STREAM_MESSAGES 128u /* Length of the queue of streamed chips: four blocks. */
+#define SENSE_TURN_US         2000u /* Time in a turn after which no step of a pose begins: a block takes 3 ms. */
+#define SENSE_STREAM_MESSAGES 128u  /* Length of the queue of streamed chips: four blocks. */
 
 /* Private but for tests, sampled and selection. */
 typedef struct {

@@ -21,6 +21,7 @@ import numpy as np
 from goldfield_protocol import FrameDecoder, Message, decode
 from hil_sim.rig import Rig
 from hil_sim.scenario import load as load_scenario
+from tests.hil.reference_coil import COIL
 
 LENGTH_S = 2.6
 """Virtual time of a boot: all boards have told their counters twice."""
@@ -44,15 +45,7 @@ range_T = 2e-4
 kind = "still"
 position_m = [0.5, 0.6, 0.7]
 rotation_vector_rad = [0.1, -0.2, 0.3]
-[coil]
-turns = 19
-radius_m = 0.149
-current_A = 10.0
-inductance_H = 1.9e-4
-resistance_Ohm = 0.15
-supply_V = 120.0
-axis = [0.0, 0.0, 1.0]
-[[beacon]]
+{coil}[[beacon]]
 id = "master"
 node = 1
 code = 2
@@ -103,7 +96,7 @@ def boot(seed: int, cycles: float | str) -> tuple[list[str], float]:
     clocks = {name: _clock(random) for name in NAMES}
     with tempfile.TemporaryDirectory() as directory:
         path = Path(directory) / "boot.toml"
-        path.write_text(SCENARIO.format(seed=seed, spread=SPREAD_S, **clocks), encoding="utf-8")
+        path.write_text(SCENARIO.format(coil=COIL, seed=seed, spread=SPREAD_S, **clocks), encoding="utf-8")
         scenario = load_scenario(path)
     decoders = [FrameDecoder() for _ in NAMES]
     messages: list[list[Message]] = [[] for _ in NAMES]

@@ -13,6 +13,7 @@ from goldfield.access.epoch import EpochSeparator
 from goldfield.locate import locate
 from hil_sim.bench import SimulatedBench
 from tests.hil.can_timing import beacon_phases
+from tests.hil.reference_coil import COIL
 
 BEFORE, AFTER = 10, 10
 """Cycles that are located before the cut, and when all boards follow the wire again."""
@@ -38,15 +39,7 @@ crystal_ppm = 12.0
 kind = "still"
 position_m = [0.9, 0.8, 0.7]
 rotation_vector_rad = [0.3, -0.2, 0.5]
-[coil]
-turns = 19
-radius_m = 0.149
-current_A = 10.0
-inductance_H = 1.9e-4
-resistance_Ohm = 0.15
-supply_V = 120.0
-axis = [0.0, 0.0, 1.0]
-[[beacon]]
+{coil}[[beacon]]
 id = "b1"
 node = 1
 code = 2
@@ -104,7 +97,7 @@ def second(bench):
 @pytest.mark.parametrize("lost_s", [10, 60])
 def test_a_lost_wire_ends_the_lock_in_time_and_poses_come_back(tmp_path, lost_s, drift):
     path = tmp_path / "lost.toml"
-    path.write_text(SCENARIO.format(**dict(zip(("sensor", "second", "third"), DRIFTS[drift], strict=True))))
+    path.write_text(SCENARIO.format(coil=COIL, **dict(zip(("sensor", "second", "third"), DRIFTS[drift], strict=True))))
     bench = SimulatedBench(str(path), "emulated", tmp_path)
     rig = bench.rig
     try:

@@ -161,11 +161,7 @@ class PtySensor:
     def _serve(self):
         decoder = FrameDecoder()
         while not self._stop.is_set():
-            ready, _, _ = select.select([self.master], [], [], 0.02)
-            if ready:
-                for frame in decoder.feed(os.read(self.master, 4096)):
-                    self._answer(frame)
-            elif not self._configured() and not self.requests:
+            if not self._heard(decoder, 0.02) and not self._configured() and not self.requests:
                 self._send(heartbeat(hash_=self._hash))
             if self._configured() and self._cycles:
                 self._write(self._garbage)
@@ -177,6 +173,16 @@ class PtySensor:
                     os.close(self.master)
                     self.master = self._slave = None
                     return
+        while self._heard(decoder, 0.0):  # what the host said last
+            pass
+
+    def _heard(self, decoder, seconds):
+        """Answer what the host says within some time; tell whether it said anything."""
+        ready, _, _ = select.select([self.master], [], [], seconds)
+        if ready:
+            for frame in decoder.feed(os.read(self.master, 4096)):
+                self._answer(frame)
+        return bool(ready)
 
     def _wait_until_read(self):
         """Wait until nothing has waited for the host for some time, or until the test is over."""

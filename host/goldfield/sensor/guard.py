@@ -23,7 +23,12 @@ def guarded(method: Callable[[Fields], Pose], fields: Fields) -> Pose:
     except UserError:
         raise
     except Exception as error:
-        if switched_on("GOLDFIELD_DEBUG"):
-            traceback.print_exc()
+        show_defect()
         tell(f"epoch {fields.epoch}: location failed unexpectedly ({type(error).__name__}: {error}): please report it")
         return Pose.failed(fields, excluded=fields.beacons)
+
+
+def show_defect() -> None:
+    """Print the traceback of the exception that is being handled, if the user wants to see it."""
+    if switched_on("GOLDFIELD_DEBUG"):
+        traceback.print_exc()

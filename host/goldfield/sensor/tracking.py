@@ -5,16 +5,15 @@ What the boards say of themselves is judged once a cycle, with its report, and h
 
 from __future__ import annotations
 
-import traceback
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
 
 from goldfield.errors import UserError, tell
-from goldfield.files.environment import switched_on
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_pose
 from goldfield.sensor.block_track import CYCLES_KEPT, GAP_S, BlockTrack
+from goldfield.sensor.guard import show_defect
 from goldfield.sensor.location import Succession, with_finding
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.smoothed_track import SmoothedTrack
@@ -132,8 +131,7 @@ class Tracking(Between):
         return self._track.time_s
 
     def _tell_defect(self, error: Exception) -> None:
-        if switched_on("GOLDFIELD_DEBUG"):
-            traceback.print_exc()
+        show_defect()
         text = f"{type(error).__name__}: {error}"
         if text not in self._defects:
             self._defects.add(text)

@@ -87,19 +87,6 @@ def sync(cycle: int) -> dict[str, float]:
     return {"cycle": cycle, "chips": CHIPS, "chip_period": 97750.0}
 
 
-@pytest.fixture
-def make() -> Iterator[Callable[..., World]]:
-    worlds: list[World] = []
-
-    def create(*arguments: object, **options: object) -> World:
-        worlds.append(World(*arguments, **options))  # type: ignore[arg-type]
-        return worlds[-1]
-
-    yield create
-    for world in worlds:
-        world.board.close()
-
-
 @pytest.fixture(scope="module")
 def settled() -> Iterator[World]:
     """Ten cycles of the plain field; locked long before the last."""

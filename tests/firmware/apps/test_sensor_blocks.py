@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -16,19 +16,6 @@ COLUMNS = np.array([*(gold_chips(code) for code in CODES), np.ones(CHIPS)]).T
 LIMIT_T = 524288 * 4e-10
 POSITIONS = 8 * CHIPS
 """Chips after which the low bits of the cycle come round."""
-
-
-@pytest.fixture
-def make() -> Iterator[Callable[..., World]]:
-    worlds: list[World] = []
-
-    def create(*arguments: object, **options: object) -> World:
-        worlds.append(World(*arguments, **options))  # type: ignore[arg-type]
-        return worlds[-1]
-
-    yield create
-    for world in worlds:
-        world.board.close()
 
 
 def blocks(messages: list[Message]) -> list[tuple[Message, list[Message]]]:
