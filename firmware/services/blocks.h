@@ -16,7 +16,7 @@
  * interrupt and 65 us in main (tests/firmware/apps/test_app_instructions.py). The last byte follows after 80 us a
  * message on serial, and at most 160 us on CAN.
  *
- * Memory: 3.6 kB.
+ * Memory: 3.2 kB.
  */
 #ifndef GOLDFIELD_BLOCKS_H
 #define GOLDFIELD_BLOCKS_H
