@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from goldfield.link.cycle_clock import CycleClock
-from goldfield.link.reports import CYCLE_MODULUS
+from goldfield.link.reports import CYCLE_MODULUS, vector
 from goldfield.types import Block, FloatArray
 from goldfield_protocol.messages import Message, database
 
@@ -144,7 +144,7 @@ class BlockAssembler:
     def _begin(self, message: Message) -> Iterator[Block]:
         signals = message.signals
         low = int(signals["block_low"])
-        head = _Head(int(signals["cycle_low"]), message.index, low, _vector(message))
+        head = _Head(int(signals["cycle_low"]), message.index, low, vector(message, LIMIT_T))
         ahead = None if self._newest is None else self._chips_ahead(head, self._newest)
         if ahead is None or abs(ahead) >= WINDOW * BLOCK_CHIPS:
             self._open.clear()  # their low bits are those of other blocks
@@ -162,7 +162,7 @@ class BlockAssembler:
         if message.index in block.sums_T:
             self.repeated += 1
             return
-        block.sums_T[message.index] = _vector(message)
+        block.sums_T[message.index] = vector(message, LIMIT_T)
         yield from self._completed(block)
 
     def _of_window(self, low: int) -> _Open:
@@ -221,9 +221,3 @@ class BlockAssembler:
             if rest == 0 and (blocks - head.number_low + reference.number_low) % BLOCK_MODULUS == 0:
                 return ahead
         return None
-
-
-def _vector(message: Message) -> FloatArray:
-    vector = np.array([message.signals[axis] for axis in "xyz"])
-    vector[vector <= -LIMIT_T * (1.0 - 1e-7)] = np.nan
-    return vector

@@ -8,8 +8,8 @@ import numpy as np
 
 from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.link.chips import SATURATED, Calibration
-from goldfield.link.cycle_clock import CycleClock, distance
-from goldfield.link.reports import CYCLE_MODULUS
+from goldfield.link.cycle_clock import CycleClock
+from goldfield.link.reports import CYCLE_MODULUS, distance
 from goldfield.types import Block, FloatArray
 from goldfield_protocol.messages import Message
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from goldfield.link.reports import CYCLE_MODULUS, SHORTEST_SILENCE_S
+from goldfield.link.reports import CYCLE_MODULUS, SHORTEST_SILENCE_S, distance
 from goldfield_protocol.messages import Message
 
 LARGEST_DEVIATION = 500e-6
@@ -82,9 +82,3 @@ class CycleClock:
         """Return the time at which a chip of a cycle ended; a chip may lie behind the end of the cycle."""
         chips = distance(cycle, self._cycle) * self._chips + chip + 1 - 0.5 * self._chips
         return self._middle_s + chips * self._chip_s
-
-
-def distance(cycle: int, reference: int) -> int:
-    """Return the signed distance of cycle numbers that wrap."""
-    half = CYCLE_MODULUS // 2
-    return (cycle - reference + half) % CYCLE_MODULUS - half

@@ -171,7 +171,7 @@ class Assembler:
         waiting, self._waiting = self._waiting or [], None
         assert self._newest is not None
         if message.name == "EPOCH" and message.signals["time"] >= self._header_s:
-            ahead = _distance(int(message.signals["cycle"]), self._newest)
+            ahead = distance(int(message.signals["cycle"]), self._newest)
             if ahead in (0, 1):  # the sensor went on: only the way to here was held up
                 for late in waiting:
                     yield from self._sort_in(late)
@@ -186,12 +186,12 @@ class Assembler:
         if message.name == "PART":
             parts = self._parts.setdefault(int(message.signals["cycle_low"]), {})
             self.repeated += message.index in parts
-            parts.setdefault(message.index, _vector(message, FIELD_LIMIT_T))
+            parts.setdefault(message.index, vector(message, FIELD_LIMIT_T))
             return
         if message.name == "EPOCH":
             cycle = int(message.signals["cycle"])
             self._header_s = message.signals["time"]
-            if self._newest is None or abs(_distance(cycle, self._newest)) > WINDOW:
+            if self._newest is None or abs(distance(cycle, self._newest)) > WINDOW:
                 yield from self.flush()
                 self._begin(cycle)
         elif self._newest is None:
@@ -200,10 +200,10 @@ class Assembler:
         else:
             cycle = self._cycle_of(int(message.signals["cycle_low"]))
         assert self._newest is not None
-        if _distance(cycle, self._expected) < 0:
+        if distance(cycle, self._expected) < 0:
             self.late += 1
             return
-        if _distance(cycle, self._newest) > 0:
+        if distance(cycle, self._newest) > 0:
             self._newest = cycle
         report = self._open.setdefault(cycle, Report(cycle))
         self.repeated += not _enter(report, message)
@@ -218,7 +218,7 @@ class Assembler:
             yield from self._hand_out(until=(self._newest + 1) % CYCLE_MODULUS)
 
     def _begin(self, cycle: int) -> None:
-        gap = 0 if self._next is None else _distance(cycle, self._next)
+        gap = 0 if self._next is None else distance(cycle, self._next)
         if 0 <= gap <= LONGEST_GAP:
             self.missed_cycles += gap
         else:
@@ -250,7 +250,7 @@ class Assembler:
             yield self._pop()
 
     def _hand_out(self, until: int) -> Iterator[Report]:
-        while _distance(until, self._expected) > 0:
+        while distance(until, self._expected) > 0:
             yield self._pop()
 
     def _pop(self) -> Report:
@@ -266,8 +266,8 @@ class Assembler:
         return self._next
 
 
-def _distance(cycle: int, reference: int) -> int:
-    """Signed distance of cycle numbers that wrap."""
+def distance(cycle: int, reference: int) -> int:
+    """Return the signed distance of cycle numbers that wrap."""
     half = CYCLE_MODULUS // 2
     return (cycle - reference + half) % CYCLE_MODULUS - half
 
@@ -290,7 +290,7 @@ def _enter(report: Report, message: Message) -> bool:
     elif message.name == "EPOCH_OFFSET":
         if report.offset_T is not None:
             return False
-        report.offset_T = _vector(message, OFFSET_LIMIT_T)
+        report.offset_T = vector(message, OFFSET_LIMIT_T)
     elif message.name in ON_SENSOR_POSE:
         if message.name in report.on_sensor_pose:
             return False
@@ -298,11 +298,12 @@ def _enter(report: Report, message: Message) -> bool:
     else:
         if message.index in report.correlation_T:
             return False
-        report.correlation_T[message.index] = _vector(message, FIELD_LIMIT_T)
+        report.correlation_T[message.index] = vector(message, FIELD_LIMIT_T)
     return True
 
 
-def _vector(message: Message, limit_T: float) -> FloatArray:
-    vector = np.array([message.signals[axis] for axis in "xyz"])
-    vector[vector <= -limit_T * (1.0 - 1e-7)] = np.nan
-    return vector
+def vector(message: Message, limit_T: float) -> FloatArray:
+    """Return x, y and z of a message; NaN on an axis at or beyond the negative limit."""
+    result = np.array([message.signals[axis] for axis in "xyz"])
+    result[result <= -limit_T * (1.0 - 1e-7)] = np.nan
+    return result

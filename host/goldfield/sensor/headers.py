@@ -6,7 +6,8 @@ from collections import deque
 from dataclasses import dataclass, field
 from enum import Enum, auto
 
-CYCLE_MODULUS = 1 << 20
+from goldfield.link.reports import distance
+
 STREAMS = 4
 """Streams of headers that are remembered."""
 RECENT = 8
@@ -58,7 +59,7 @@ class Headers:
             del self._recent[next(iter(self._recent))]
         doubled = before is not None and abs(time_s - before) > SAME_TIME_S
         for place, (own_cycle, own_time_s) in enumerate(self._streams):
-            steps = _distance(cycle, own_cycle)
+            steps = distance(cycle, own_cycle)
             if abs(time_s - own_time_s - steps * self.cycle_s) < SAME_STREAM_CYCLES * self.cycle_s:
                 if place == 0 and steps < -RECENT:
                     return self._begin(Event.RESTARTED, cycle, time_s)
@@ -75,9 +76,3 @@ class Headers:
         self._streams.appendleft((cycle, time_s))
         self._recent = {cycle: time_s}  # the numbers of before may come again
         return event
-
-
-def _distance(cycle: int, reference: int) -> int:
-    """Return the signed distance of cycle numbers that wrap."""
-    half = CYCLE_MODULUS // 2
-    return (cycle - reference + half) % CYCLE_MODULUS - half

@@ -2,7 +2,8 @@
 
 import pytest
 
-from goldfield.sensor.headers import CYCLE_MODULUS, RECENT, SAME_STREAM_CYCLES, SAME_TIME_S, STREAMS, Event, Headers
+from goldfield.link.reports import CYCLE_MODULUS
+from goldfield.sensor.headers import RECENT, SAME_STREAM_CYCLES, SAME_TIME_S, STREAMS, Event, Headers
 from tests.host.fake_sensor import CYCLE_S
 
 
