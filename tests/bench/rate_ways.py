@@ -1,4 +1,4 @@
-"""Ways to follow a sensor from its samples and how far off each is: the block filter, held fixes, thirds of cycles."""
+"""Ways to follow a sensor from its samples and how far off each is: block filter and smoother, held fixes, thirds."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from goldfield.access import Separator
 from goldfield.access.moving import Cycle
 from goldfield.locate import Locator
 from goldfield.track import CycleData, CycleObserver, Tracker
+from goldfield.track.blocks import BlockSmoother
 from goldfield.types import Fields, Status
 from tests.bench.motion_trials import CHIPS
+from tests.bench.rate_world import BLOCK_CHIPS
 
 FIVE_SIGMA = 31.8
 """Squared Mahalanobis distance of three numbers that is as rare as five standard deviations of one, 5.7e-7."""
@@ -134,6 +136,32 @@ def follow(track, block_filter, first=0, lost=lambda number: False):
             ends.append(last)
             poses.append(block_filter.update(block))
     return errors_of(poses, track.position_m[ends], track.rotation[ends])
+
+
+def lagged(track):
+    """Return the errors of the block filter's poses 50 ms later: at the ends of blocks, and at those at mid-cycle.
+
+    The middle of a cycle lies in its 17th block; the pose at the end of this block is taken, 1.5 ms behind the middle.
+    """
+    last = np.array([end for end, _ in track.blocks()])
+    poses = list(BlockSmoother(track.site).poses(block for _, block in track.blocks()))
+    errors = errors_of(poses, track.position_m[last], track.rotation[last])
+    return errors, errors.where(last % CHIPS // BLOCK_CHIPS == CHIPS // BLOCK_CHIPS // 2)
+
+
+def ratio(runs, others, squares):
+    """Return the ratio of root mean squares of two ways over the same runs, and its standard error by the jackknife.
+
+    ``squares(errors)`` returns the squared error of each pose; poses of one run are not independent, runs are.
+    """
+
+    def of(chosen):
+        means = [np.nanmean(np.concatenate([squares(way[run]) for run in chosen])) for way in (runs, others)]
+        return float(np.sqrt(means[0] / means[1]))
+
+    everything = range(len(runs))
+    without = [of([run for run in everything if run != left]) for left in everything] if len(runs) > 1 else np.nan
+    return of(everything), float(np.sqrt((len(runs) - 1) * np.var(without)))
 
 
 def _cycles(track):
