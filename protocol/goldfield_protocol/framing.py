@@ -85,13 +85,9 @@ class FrameDecoder:
     def feed(self, received: bytes) -> Iterator[RawFrame]:
         """Yield the frames that end in the received bytes."""
         frames = []
-        for byte in received:
-            if byte != 0:
-                if len(self._pending) < MAX_ENCODED:
-                    self._pending.append(byte)
-                else:
-                    self._skipping = True
-                continue
+        *ended, rest = received.split(b"\0")
+        for part in ended:
+            self._take(part)
             if self._skipping:
                 self.overlong += 1
             elif self._pending:
@@ -100,7 +96,13 @@ class FrameDecoder:
                     frames.append(frame)
             self._pending.clear()
             self._skipping = False
+        self._take(rest)
         return iter(frames)
+
+    def _take(self, part: bytes) -> None:
+        """Take bytes without a delimiter; what is longer than any frame is not kept."""
+        self._skipping |= len(self._pending) + len(part) > MAX_ENCODED
+        self._pending += part[: MAX_ENCODED - len(self._pending)]
 
     def _check(self, encoded: bytes) -> RawFrame | None:
         payload = cobs_decode(encoded)

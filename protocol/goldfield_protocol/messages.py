@@ -9,9 +9,11 @@ from dataclasses import dataclass
 from enum import Enum
 from functools import cache
 from importlib import resources
+from typing import NamedTuple
 
 import cantools
 from cantools.database import Database
+from cantools.database.can import Signal
 
 DBC = resources.files("goldfield_protocol") / "goldfield.dbc"
 """The file of all messages, which is shipped with the package."""
@@ -151,9 +153,8 @@ def mismatch(identifier: int, length: int) -> Mismatch | None:
     >>> mismatch(0x0C000003, 5), mismatch(0x0C000003, 8), mismatch(0x08FE6E0B, 8)
     (None, <Mismatch.LENGTH: 'length'>, <Mismatch.FOREIGN: 'foreign'>)
     """
-    fields = Identifier.unpack(identifier)
-    shape = shapes().get(fields.type)
-    if shape is None or fields.index > shape.largest_index:
+    shape = shapes().get(identifier >> TYPE_SHIFT & 0x1F)
+    if shape is None or (identifier >> INDEX_SHIFT & INDEX_MASK) > shape.largest_index:
         return Mismatch.FOREIGN
     return None if length == shape.length else Mismatch.LENGTH
 
@@ -186,10 +187,68 @@ def encode(name: str, signals: Mapping[str, float], *, node: int, index: int = 0
     return Identifier(message.frame_id >> TYPE_SHIFT, index, node).pack(), data
 
 
+class _Place(NamedTuple):
+    """Where a signal of Intel byte order is among the bits of its message, and what it means.
+
+    Parameters
+    ----------
+    name : str
+    start : int
+        Lowest bit.
+    mask : int
+        As many ones as the signal has bits.
+    sign : int
+        The bit that counts negative; 0 for a signal without a sign.
+    scale, offset : float
+    """
+
+    name: str
+    start: int
+    mask: int
+    sign: int
+    scale: float
+    offset: float
+
+
+@cache
+def _places() -> Mapping[int, tuple[str, tuple[_Place, ...]]]:
+    """Return name and signals of each message by its type, of those whose signals are the same whatever they hold."""
+    found = {}
+    for message in database().messages:
+        plain = all(one.byte_order == "little_endian" and not one.is_float for one in message.signals)
+        if plain and not message.is_multiplexed():
+            found[message.frame_id >> TYPE_SHIFT] = message.name, tuple(_place(one) for one in message.signals)
+    return found
+
+
+def _place(signal: Signal) -> _Place:
+    sign = 1 << (signal.length - 1) if signal.is_signed else 0
+    scale, offset = float(signal.scale), float(signal.offset)
+    return _Place(signal.name, signal.start, (1 << signal.length) - 1, sign, scale, offset)
+
+
 def decode(identifier: int, data: bytes) -> Message | None:
-    """Unpack a message; None for a frame that is none, as `mismatch` tells."""
+    """Unpack a message; None for a frame that is none, as `mismatch` tells.
+
+    A sensor sends thousands a second: all but the multiplexed ones are unpacked here, to what cantools makes of them.
+    """
     if mismatch(identifier, len(data)) is not None:
         return None
+    node, index = identifier & NODE_MASK, identifier >> INDEX_SHIFT & INDEX_MASK
+    known = _places().get(identifier >> TYPE_SHIFT & 0x1F)
+    if known is None:
+        return _decode_by_cantools(identifier, data)
+    name, places = known
+    bits, signals = int.from_bytes(data, "little"), {}
+    for signal, start, mask, sign, scale, offset in places:
+        raw = bits >> start & mask
+        if raw & sign:
+            raw -= mask + 1
+        signals[signal] = raw * scale + offset
+    return Message(name, node, index, signals)
+
+
+def _decode_by_cantools(identifier: int, data: bytes) -> Message:
     fields = Identifier.unpack(identifier)
     message = database().get_message_by_frame_id(fields.type << TYPE_SHIFT)
     signals = message.decode(bytes(data), decode_choices=False, scaling=True)

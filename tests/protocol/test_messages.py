@@ -1,11 +1,12 @@
 """Which frames are messages: type, index and length as the database has them, for the host and the firmware."""
 
+import random
 import re
 
 import pytest
 
 from goldfield_protocol import c_tables
-from goldfield_protocol.messages import DBC, Identifier, Mismatch, decode, mismatch
+from goldfield_protocol.messages import DBC, Identifier, Mismatch, database, decode, mismatch
 
 TEXT = DBC.read_text(encoding="ascii")
 LENGTHS = {
@@ -53,3 +54,14 @@ def test_blocks_as_in_the_golden_frames():
     assert (total.name, total.index, total.node) == ("BLOCK_SUM", 2, 100)
     assert total.signals["block_low"] == 13
     assert [total.signals[axis] for axis in "xyz"] == pytest.approx([-4e-10, 524287 * 4e-10, -524288 * 4e-10])
+
+
+@pytest.mark.parametrize("message", database().messages, ids=lambda message: message.name)
+def test_messages_are_unpacked_to_the_very_numbers_of_cantools(message):
+    rng = random.Random(message.name)
+    for data in [bytes(message.length), b"\xff" * message.length, *(rng.randbytes(message.length) for _ in range(300))]:
+        if message.is_multiplexed() and data[0] % 16 > 1:
+            continue  # kinds that the message has not, and floats that are no numbers
+        expected = message.decode(data, decode_choices=False, scaling=True)
+        found = decode(Identifier(message.frame_id >> 24, 0, 77).pack(), data)
+        assert (found.name, found.node, found.index, found.signals) == (message.name, 77, 0, expected)
