@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import binascii
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-
-import crcmod.predefined
 
 MAX_DATA = 8
 MAX_ENCODED = 4 + MAX_DATA + 2 + 1
 """Longest frame between two delimiters: 14 bytes and one byte of COBS overhead."""
 
-crc16 = crcmod.predefined.mkPredefinedCrcFun("crc-ccitt-false")
-"""CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, no reflection; check value 0x29B1."""
+
+def crc16(data: bytes) -> int:
+    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, no reflection.
+
+    Examples
+    --------
+    >>> hex(crc16(b"123456789"))
+    '0x29b1'
+    """
+    return binascii.crc_hqx(data, 0xFFFF)
 
 
 def cobs_encode(payload: bytes) -> bytes:

@@ -1,5 +1,6 @@
 """Serial framing against published vectors and properties."""
 
+import crcmod.predefined
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -21,6 +22,11 @@ frames = st.builds(RawFrame, st.integers(0, (1 << 29) - 1), st.binary(max_size=8
 
 def test_crc_check_value():
     assert crc16(b"123456789") == 0x29B1
+
+
+@given(st.binary(max_size=64))
+def test_crc_is_that_of_crcmod(data):
+    assert crc16(data) == crcmod.predefined.mkPredefinedCrcFun("crc-ccitt-false")(data)
 
 
 @pytest.mark.parametrize(("plain", "encoded"), COBS_VECTORS)
