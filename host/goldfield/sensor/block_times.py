@@ -1,10 +1,9 @@
-"""The times at which a track by blocks has poses, and the site as its currents are: what two kinds of track share."""
+"""The times at which a track by blocks has poses: what two kinds of track share."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import replace
+from collections.abc import Iterator
 
 from goldfield.link.reports import CYCLE_MODULUS
 from goldfield.site import Site
@@ -16,9 +15,6 @@ SAME_RATE = 0.01
 NEAR = 1e-6
 """Share of a step by which times that are the same differ by rounding. Where they differ because the sensor's clock
 goes at another rate than the nominal one, half a block or half a chip is allowed for."""
-
-CURRENT_CHANGED = 0.01
-"""A measured current that differs by a larger share from the one in use is used from then on."""
 
 
 class BlockTimes:
@@ -65,32 +61,3 @@ class BlockTimes:
         """Return the cycle in which a time lies, counted from a block; its end is the last of its times."""
         chips = block.chip + block.chips + (time_s - block.time_s) / self._chip_s
         return (block.cycle + math.ceil(chips / self._chips - NEAR) - 1) % CYCLE_MODULUS
-
-
-class Currents:
-    """Follows the currents that the beacons' boards measure.
-
-    Parameters
-    ----------
-    site : Site
-
-    Attributes
-    ----------
-    site : Site
-        The site with the currents that are in use.
-    """
-
-    def __init__(self, site: Site) -> None:
-        self.site = site
-        self._told = site
-        self._used = {beacon.id: 1.0 for beacon in site.beacons}
-
-    def changed(self, ratio: Mapping[str, float]) -> bool:
-        """Take the measured currents over the site's, of the beacons where they differ; tell if others are now used."""
-        measured = {name: ratio.get(name, 1.0) for name in self._used}
-        if all(abs(measured[name] / used - 1.0) <= CURRENT_CHANGED for name, used in self._used.items()):
-            return False
-        self._used = measured
-        beacons = (replace(one, current_A=one.current_A * measured[one.id]) for one in self._told.beacons)
-        self.site = replace(self._told, beacons=tuple(beacons))
-        return True

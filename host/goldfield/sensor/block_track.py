@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Protocol
 
 from goldfield.link.reports import Report
-from goldfield.sensor.block_times import NEAR, BlockTimes, Currents
+from goldfield.sensor.block_times import NEAR, BlockTimes
 from goldfield.site import Site
 from goldfield.types import Block, Pose
 
@@ -28,7 +28,9 @@ CYCLES_KEPT = 8
 class Follower(Protocol):
     """What follows one sensor by its blocks, as `goldfield.track.blocks.BlockFilter` does."""
 
-    def update(self, block: Block, without: Sequence[str] = ()) -> Pose | None:
+    def update(
+        self, block: Block, without: Sequence[str] = (), ratio: Mapping[str, float] | None = None
+    ) -> Pose | None:
         """Take the next block; return the pose at its end, None if it told nothing."""
         ...
 
@@ -44,8 +46,7 @@ class BlockTrack:
     ----------
     site : Site
     make : callable
-        Makes what follows the sensor on a site: at the begin, when the sensor's clock begins again, and when the
-        current of a beacon has changed.
+        Makes what follows the sensor on a site: at the begin, and when the sensor's clock begins again.
     rate_hz : float, optional
         Poses a second (`BlockTimes`); None: only those at the ends of the cycles (`of_cycle`).
 
@@ -59,7 +60,6 @@ class BlockTrack:
         self._site = site
         self._make = make
         self._times = BlockTimes(site, rate_hz)
-        self._currents = Currents(site)
         self._of_cycles: dict[int, Pose] = {}
         self._last: Block | None = None
         self._follower = make(site)
@@ -82,15 +82,14 @@ class BlockTrack:
         """
         if block.time_s <= self.time_s:
             self._of_cycles.clear()
-            self._begin()
-        if self._currents.changed(ratio or {}):
-            self._begin()
+            self._last = None
+            self._follower = self._make(self._site)
         duration_s = self._times.duration_s(block)
         begin_s = block.time_s - duration_s
         if abs(begin_s - self.time_s) < 0.5 * duration_s:
             begin_s = self.time_s
         poses = self._bridged(block, begin_s)
-        pose = self._follower.update(block, without)
+        pose = self._follower.update(block, without, ratio)
         if pose is None:
             return poses
         self._last = block
@@ -139,8 +138,3 @@ class BlockTrack:
         self._of_cycles[cycle] = pose
         if len(self._of_cycles) > CYCLES_KEPT:
             del self._of_cycles[next(iter(self._of_cycles))]
-
-    def _begin(self) -> None:
-        """Begin anew on the site as its currents are: one block is enough to begin with."""
-        self._last = None
-        self._follower = self._make(self._currents.site)

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from goldfield.link.reports import Report
-from goldfield.sensor.block_times import NEAR, BlockTimes, Currents
+from goldfield.sensor.block_times import NEAR, BlockTimes
 from goldfield.site import Site
 from goldfield.types import Block, Pose
 
@@ -18,7 +18,7 @@ from goldfield.types import Block, Pose
 class Smoother(Protocol):
     """What smooths the track of one sensor, as `goldfield.track.blocks.BlockSmoother` does."""
 
-    def update(self, block: Block, without: Sequence[str] = ()) -> list[Pose]:
+    def update(self, block: Block, without: Sequence[str] = (), ratio: Mapping[str, float] | None = None) -> list[Pose]:
         """Take the next block; return the poses that are now ready, each at the end of a block."""
         ...
 
@@ -43,10 +43,9 @@ class SmoothedTrack:
     """
 
     def __init__(self, site: Site, make: Callable[[Site], Smoother], rate_hz: float | None = None) -> None:
-        self._make = make
+        self._site, self._make = site, make
         self._times = BlockTimes(site, rate_hz)
         self._at_ends = rate_hz is None
-        self._currents = Currents(site)
         self._smoother = make(site)
         self._last: Block | None = None
         self._before: Pose | None = None
@@ -59,12 +58,11 @@ class SmoothedTrack:
     def update(self, block: Block, without: Sequence[str] = (), ratio: Mapping[str, float] | None = None) -> list[Pose]:
         """Take the next block; return the poses that are now due, oldest first. See `BlockTrack.update`."""
         poses: list[Pose] = []
-        changed = self._currents.changed(ratio or {})
-        if changed or block.time_s <= self.time_s:
+        if block.time_s <= self.time_s:
             poses = self.finish()
-            self._smoother = self._make(self._currents.site)
+            self._smoother = self._make(self._site)
         self._last = block
-        return [*poses, *self._due(self._smoother.update(block, without))]
+        return [*poses, *self._due(self._smoother.update(block, without, ratio))]
 
     def finish(self) -> list[Pose]:
         """Return the poses that are left when no further block comes."""

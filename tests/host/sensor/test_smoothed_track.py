@@ -17,8 +17,8 @@ class Late(Moving):
         super().__init__(site)
         self.kept = []
 
-    def update(self, block, without=()):
-        self.kept.append(super().update(block, without))
+    def update(self, block, without=(), ratio=None):
+        self.kept.append(super().update(block, without, ratio))
         return [self.kept.pop(0)] if len(self.kept) > HELD else []
 
     def finish(self):
@@ -74,7 +74,7 @@ def test_what_is_kept_goes_out_before_a_new_track_begins():
     poses = followed(track, [block(n) for n in range(50, 60)])
     poses += track.update(block(0))
     assert [pose.time_s for pose in poses] == [block(n).time_s for n in range(50, 60)]
-    poses = track.update(block(1), (), {"b1": 0.9})
-    assert [pose.time_s for pose in poses] == [block(0).time_s]
-    assert len(Moving.made) == 3
+    assert track.update(block(1), (), {"b1": 0.9}) == []
+    assert len(Moving.made) == 2
+    assert [ratio for *_, ratio in Moving.made[1].blocks] == [None, {"b1": 0.9}]
     assert track.of_cycle(Report(0)) is None

@@ -80,6 +80,12 @@ class NormalForm:
             moment=np.where(both, self.moment - across @ self.moment, 0.0),
         )
 
+    def scaled(self, factors: FloatArray) -> NormalForm:
+        """Return what the block tells of fields of which the sensor gets some factors, shape (n,), as much."""
+        each = np.append(factors, 1.0)
+        both = np.outer(each, each)
+        return replace(self, sums_T=each[:, None] * self.sums_T, gram=both * self.gram, moment=both * self.moment)
+
 
 @dataclass(frozen=True, eq=False)
 class _Columns:

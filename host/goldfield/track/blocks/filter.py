@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -144,10 +144,13 @@ class BlockFilter:
         self._axes = 3
         self._epoch = -1
 
-    def update(self, block: Block, without: Sequence[str] = ()) -> Pose | None:
+    def update(
+        self, block: Block, without: Sequence[str] = (), ratio: Mapping[str, float] | None = None
+    ) -> Pose | None:
         """Take a block and return the pose at its end, the time of its last sample; None if it holds no data.
 
-        The pose's ``epoch`` is the cycle of the block's last chip. ``without`` lists beacons that are left out.
+        The pose's ``epoch`` is the cycle of the block's last chip. ``without`` lists beacons that are left out, and
+        ``ratio`` has the current of the block over the site's of the beacons where they differ.
 
         - ``ok``: the last cycle's blocks agree with the track and the site; ``excluded`` lists beacons left out.
         - ``unverified``: they agree, but a fault of one beacon could hide an error above the site's alert limit.
@@ -160,6 +163,8 @@ class BlockFilter:
         form = self._equations.form(block)
         if form is None or not math.isfinite(block.time_s):
             return None
+        if ratio:
+            form = form.scaled(np.array([ratio.get(name, 1.0) for name in self._row]))
         broken = time_break(self._end_s, block.time_s)
         if broken is not None:
             self._forget()

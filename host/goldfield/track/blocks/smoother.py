@@ -7,7 +7,7 @@ agility that the filter found the sensor to have, and every step goes out once i
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -51,9 +51,9 @@ class BlockSmoother:
         self._lag_s = lag_s
         self._kept: deque[tuple[Pose, Step]] = deque()
 
-    def update(self, block: Block, without: Sequence[str] = ()) -> list[Pose]:
-        """Take a block; return the poses that are now ready, oldest first."""
-        pose = self._filter.update(block, without)
+    def update(self, block: Block, without: Sequence[str] = (), ratio: Mapping[str, float] | None = None) -> list[Pose]:
+        """Take a block as `BlockFilter.update` does; return the poses that are now ready, oldest first."""
+        pose = self._filter.update(block, without, ratio)
         if pose is None:
             return []
         step = self._filter.step

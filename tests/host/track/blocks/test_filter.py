@@ -147,6 +147,30 @@ def test_a_beacon_that_dies_is_left_out_and_comes_back(name, noise_T):
         assert told < 45.0 or pose.status is Status.INCONSISTENT  # 3 degrees of freedom: 1e-9
 
 
+@pytest.mark.parametrize("kernel", [True, False])
+def test_a_current_that_is_told_to_have_changed_costs_nothing(kernel):
+    """The ratio comes some blocks late, as the boards' words do; the track goes on from where it was."""
+    stream = stream_of("one", 2e-7, 8, 0.6)
+    weak = ROOMS[2e-7].codes * np.where(np.arange(8) == 3, 0.6, 1.0)
+    change = round(0.25 / stream.site.chip_period_s)
+    stream.samples[change:] = stream_of("one", 2e-7, 8, 0.6, drives=weak).samples[change:]
+    track = BlockFilter(stream.site, kernel=kernel)
+    poses, tracks = [], set()
+    for block in stream.blocks():
+        ratio = {"b3": 0.6} if block.time_s > 0.253 else {}
+        poses.append(track.update(block, (), ratio))
+        tracks.add(track.step.track)
+    assert len(tracks) == 1
+    after = [pose for pose in poses if pose.time_s > 0.26]
+    assert {pose.excluded for pose in after} == {()}
+    assert {pose.status for pose in after} == {Status.OK}
+    rms_m, _, normal = figures(stream, after)
+    assert rms_m < 18e-3
+    assert normal < 1.5
+    untold = followed(stream)
+    assert any("b3" in pose.excluded for pose in untold), "the change is seen where it is not told"
+
+
 def test_a_beacon_elsewhere_draws_no_pose_that_is_called_ok():
     stream = stream_of("one", 2e-8, 9, 0.5)
     beacons = list(stream.site.beacons)
