@@ -5,41 +5,19 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
-from goldfield.cli.output import json_line, number, pose_record
+from goldfield.cli.output import json_line, number
 from goldfield.errors import tell
 from goldfield.sensor.pipeline import Epoch, Fix
-from goldfield.types import Pose
+from goldfield.view.lines import Line, Lines, line_record
 from goldfield.view.summary import Summary
 from goldfield.view.terminal import PoseTable
 from goldfield.view.truth import NO_ERROR, PoseError, Truth
 
-
-@dataclass(frozen=True, eq=False)
-class Line:
-    """What a line tells.
-
-    Attributes
-    ----------
-    pose : Pose
-    epoch : Epoch or None
-        The latest cycle whose report came since the line before: that of the pose, unless poses come at a rate.
-    lost : int
-        Messages that were lost of all these cycles.
-    error : PoseError
-    """
-
-    pose: Pose
-    epoch: Epoch | None
-    lost: int
-    error: PoseError = NO_ERROR
-
-
 LATE_S = 1.0
 """A line that is later is told of, once."""
 
-LineOf = Callable[[Line], str]
+LineOf = Callable[[Line, PoseError], str]
 
 
 class PoseLines:
@@ -62,27 +40,23 @@ class PoseLines:
         self._summary = summary
         self._truth = truth
         self._timed = live and truth is None
-        self._epoch: Epoch | None = None
-        self._lost = 0
+        self._lines = Lines()
         self._clocked = False
         self._told = False
 
     def write(self, item: Epoch | Fix) -> None:
         """Print a pose; a cycle whose pose is none of those at a rate is told of in the next line."""
-        if isinstance(item, Epoch):
-            self._epoch = item
-            self._lost += item.lost
-            if self._truth is not None:
-                self._truth.follow(item.report.cycle, item.report.time_s)
-                self._clocked = True
-            if item.at_rate:
-                return
-        line = Line(item.pose, self._epoch, self._lost)
-        self._epoch, self._lost = None, 0
+        if isinstance(item, Epoch) and self._truth is not None:
+            self._truth.follow(item.report.cycle, item.report.time_s)
+            self._clocked = True
+        line = self._lines.take(item)
+        if line is None:
+            return
+        error = NO_ERROR
         if self._truth is not None and (self._clocked or isinstance(item, Epoch)):
-            line = replace(line, error=self._truth.error_of(item.pose))
-        self._summary.add(item.pose, line.error, line.lost)
-        print(self._line_of(line), flush=True)
+            error = self._truth.error_of(item.pose)
+        self._summary.add(item.pose, error, line.lost)
+        print(self._line_of(line, error), flush=True)
         if self._timed and math.isfinite(item.arrived_s):
             late_s = time.time() - item.arrived_s
             self._summary.latency.add(late_s)
@@ -92,7 +66,7 @@ class PoseLines:
 
     def close(self) -> None:
         """Close the truth; messages lost behind the last line are counted."""
-        self._summary.lost_messages += self._lost
+        self._summary.lost_messages += self._lines.lost
         if self._truth is not None:
             self._truth.close()
 
@@ -101,9 +75,9 @@ def table_line(*, truth: bool, times: bool = False) -> LineOf:
     """Return what makes lines of a table, with errors against the truth or without; ``times`` in place of epochs."""
     table = PoseTable(truth=truth, times=times)
 
-    def line(told: Line) -> str:
+    def line(told: Line, error: PoseError) -> str:
         notes = () if told.epoch is None else told.epoch.notes
-        return table.line(told.pose, told.error, told.lost, ", ".join(notes))
+        return table.line(told.pose, error, told.lost, ", ".join(notes))
 
     return line
 
@@ -111,18 +85,12 @@ def table_line(*, truth: bool, times: bool = False) -> LineOf:
 def json_record_line(*, truth: bool) -> LineOf:
     """Return what makes lines of JSON, with errors against the truth or without."""
 
-    def line(told: Line) -> str:
-        report = None if told.epoch is None else told.epoch.report
-        record = pose_record(told.pose) | {
-            "lost": told.lost,
-            "chips": None if report is None else report.chips,
-            "saturated": None if report is None else report.saturated,
-            "locked": None if report is None else report.locked,
-        }
+    def line(told: Line, error: PoseError) -> str:
+        record = line_record(told)
         if truth:
             record |= {
-                "position_error_m": number(told.error.position_m),
-                "attitude_error_rad": number(told.error.attitude_rad),
+                "position_error_m": number(error.position_m),
+                "attitude_error_rad": number(error.attitude_rad),
             }
         return json_line(record)
 
