@@ -44,7 +44,7 @@ class Epoch:
     findings : tuple of Finding
         What the boards on the link say of themselves, as far as it is not as it should be; they are in the pose, too.
     arrived_s : float
-        Time of the wall clock at which the message that ended the cycle arrived; of no meaning in a recording.
+        Time of the wall clock at which the message that ended the cycle arrived, in a recording that which it tells.
     at_rate : bool
         Whether poses come at times of their own, each as a `Fix`: that of the epoch is then none of them.
     """
@@ -68,7 +68,7 @@ class Fix:
     pose : Pose
         Its ``time_s`` is the time for which it is valid, on the sensor's clock.
     arrived_s : float
-        Time of the wall clock at which the message arrived that made it due; of no meaning in a recording.
+        Time of the wall clock at which the message arrived that made it due, in a recording that which it tells.
     """
 
     pose: Pose

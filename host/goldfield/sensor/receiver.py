@@ -84,7 +84,7 @@ class Receiver:
     channel : str or None
         Messages of other channels are left out; None: all are taken.
     arrived_s : float
-        Time of the wall clock at which the latest message arrived; of no meaning in a recording.
+        Time of the wall clock at which the latest message arrived, in a recording that which it tells.
     """
 
     def __init__(
@@ -133,8 +133,8 @@ class Receiver:
         if self._ahead:
             return self._ahead.popleft()
         raw = self._source.receive(timeout_s)
-        if raw is not None and self._live:
-            self.arrived_s = _arrival_s(raw.timestamp)
+        if raw is not None:
+            self.arrived_s = _arrival_s(raw.timestamp) if self._live else raw.timestamp
         if raw is not None and self._recorder is not None:
             for node in self._marks:
                 self._recorder.write(mark(node, raw.timestamp))
