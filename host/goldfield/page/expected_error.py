@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from goldfield.errors import UserError
-from goldfield.page.messages import site_box
 from goldfield.site import Site
+from goldfield.view.coil_wires import site_box
 
 POINTS = 28
 """Points of the map along the longer side of the site."""

@@ -5,29 +5,21 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 
-from goldfield.nodes.roster import Node, Roster
+from goldfield.nodes.roster import Roster
 from goldfield.sensor.pipeline import Epoch, Fix
 from goldfield.site import Site
-from goldfield.site.coil_shapes import frame
-from goldfield.site.model import Beacon
 from goldfield.types import Finding, FloatArray, Pose
+from goldfield.view.boards import board_record
+from goldfield.view.coil_wires import site_box, wire_of
 from goldfield.view.monitor import Monitor
 from goldfield.view.records import json_line, number, pose_record
-from goldfield_protocol.parameters import counter_name
 
 PROTOCOL = 1
 """Version of these messages; the page says so if it was built for another."""
-ROUND_POINTS = 48
-"""Points that draw a round coil."""
-MOST_POINTS = 256
-"""Points that draw a wire, of which a survey may have thousands."""
-MARGIN = 0.08
-"""The box that is shown is larger than the beacons' by this part of its largest side, on each side."""
 
 LEFT_OUT = "left out: "
 """How a pose's reason begins to say why a beacon was left out."""
@@ -109,27 +101,8 @@ def health_message(monitor: Monitor, roster: Roster) -> str:
     roster : Roster
         What the boards on the link have said.
     """
-    boards = {str(number): _board(node) for number, node in sorted(roster.nodes.items())}
+    boards = {str(number): board_record(node) for number, node in sorted(roster.nodes.items())}
     return json_line({"type": "health", **monitor.record(), "boards": boards})
-
-
-def wire_of(beacon: Beacon) -> FloatArray:
-    """Return a coil's wire in the site's frame, m, shape (n, 3), closed, of as many points as a picture needs."""
-    if beacon.points_m is not None:
-        every = math.ceil(len(beacon.points_m) / MOST_POINTS)
-        return np.concatenate([beacon.points_m[::every], beacon.points_m[-1:]])
-    angle = np.linspace(0.0, 2.0 * math.pi, ROUND_POINTS + 1)
-    assert beacon.radius_m is not None  # a coil has points or a radius
-    flat = beacon.radius_m * np.column_stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)])
-    return np.asarray(beacon.position_m + flat @ frame(beacon.axis, 0.0).T)
-
-
-def site_box(site: Site) -> tuple[FloatArray, FloatArray]:
-    """Return the corners of the box that is shown, m, shape (3,) each: it holds every coil."""
-    points_m = np.concatenate([wire_of(beacon) for beacon in site.beacons])
-    low, high = points_m.min(axis=0), points_m.max(axis=0)
-    margin = MARGIN * max(float((high - low).max()), 0.1)
-    return low - margin, high + margin
 
 
 def _rounded(values: FloatArray) -> Any:
@@ -151,20 +124,3 @@ def _unsaid(pose: Pose, findings: list[Finding]) -> str | None:
     said = {finding.text for finding in findings}
     parts = (pose.reason or "").split("; ")
     return "; ".join(part for part in parts if part.removeprefix(LEFT_OUT) not in said) or None
-
-
-def _board(node: Node) -> Json:
-    health = node.health.get(0)
-    return {
-        "role": node.role,
-        "state": node.state,
-        "version": node.version,
-        "locked": node.locked,
-        "phase_s": None if node.phase_s is None else number(node.phase_s),
-        "temperature_degC": None if node.temperature_degC is None else number(node.temperature_degC),
-        "coil_degC": None if health is None else number(health.coil_degC),
-        "driver_degC": None if health is None else number(health.driver_degC),
-        "supply_V": None if health is None else number(health.supply_V),
-        "complaints": [text for _, drive in sorted(node.drives.items()) for text in drive.complaints],
-        "counters": {counter_name(index): count for index, count in sorted(node.counters.items()) if count},
-    }
