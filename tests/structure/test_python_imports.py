@@ -28,7 +28,8 @@ LEVELS = (
     ("nodes",),
     ("doctor",),
     ("view",),
-    ("page",),
+    ("foxglove",),
+    ("page", "recording"),
     ("cli",),
 )
 """Parts of goldfield, lowest first. A part imports itself and lower ones; parts of one level do not know each other.

@@ -1,0 +1,145 @@
+"""Poses as messages of Foxglove's schemas, in the frames of REP 105: ``sensor``, the board, in ``map``, the site."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from foxglove.messages import (
+    FoxgloveMessage,
+    FrameTransform,
+    FrameTransforms,
+    KeyValuePair,
+    Log,
+    LogLevel,
+    Odometry,
+    PoseInFrame,
+    Quaternion,
+    Timestamp,
+    Vector3,
+)
+from foxglove.messages import Pose as FoxglovePose
+
+from goldfield.foxglove.topics import COVARIANCE, POSE, TRANSFORMS
+from goldfield.link.ros_frame import NANOSECONDS, nanoseconds
+from goldfield.types import Fields, FloatArray, Pose, Status
+from goldfield.view.records import elements, number
+
+MAP, SENSOR = "map", "sensor"
+"""The site's frame, and the board's."""
+
+LEVELS = {
+    Status.OK: LogLevel.Info,
+    Status.UNVERIFIED: LogLevel.Warning,
+    Status.WEAK: LogLevel.Warning,
+    Status.AMBIGUOUS: LogLevel.Warning,
+    Status.INCONSISTENT: LogLevel.Error,
+    Status.FAILED: LogLevel.Error,
+}
+"""How loud the reason of a pose is told, by its status."""
+
+
+def timestamp(unix_s: float) -> Timestamp:
+    """Return a time of the wall clock, s since 1970, as Foxglove has it."""
+    return Timestamp(*divmod(nanoseconds(unix_s), NANOSECONDS))
+
+
+def pose_messages(pose: Pose, unix_s: float) -> list[tuple[str, FoxgloveMessage]]:
+    """Return the messages of a pose, each with its topic: pose, pose with covariance, and transform.
+
+    Parameters
+    ----------
+    pose : Pose
+    unix_s : float
+        Time for which it is valid, by the wall clock (`goldfield.view.unix_time`).
+
+    Returns
+    -------
+    list of (str, message)
+        Empty for a pose that failed: Foxglove has none without a place. `log_message` tells why.
+    """
+    if not located(pose):
+        return []
+    stamp, place = timestamp(unix_s), placed(pose)
+    covariance = covariance_of(pose).ravel().tolist()
+    odometry = Odometry(
+        timestamp=stamp,
+        frame_id=MAP,
+        body_frame_id=SENSOR,
+        pose=place,
+        pose_covariance=covariance,
+        metadata=[KeyValuePair(key="status", value=pose.status.value)],
+    )
+    return [
+        (TRANSFORMS, FrameTransforms(transforms=[transform(pose, unix_s)])),
+        (POSE, PoseInFrame(timestamp=stamp, frame_id=MAP, pose=place)),
+        (COVARIANCE, odometry),
+    ]
+
+
+def transform(pose: Pose, unix_s: float) -> FrameTransform:
+    """Return the sensor's frame in the site's, of a pose that has a place."""
+    x, y, z = pose.position_m.tolist()
+    return FrameTransform(
+        timestamp=timestamp(unix_s),
+        parent_frame_id=MAP,
+        child_frame_id=SENSOR,
+        translation=Vector3(x=x, y=y, z=z),
+        rotation=_quaternion(pose.orientation_xyzw),
+    )
+
+
+def placed(pose: Pose) -> FoxglovePose:
+    """Return a pose's place and attitude."""
+    x, y, z = pose.position_m.tolist()
+    return FoxglovePose(position=Vector3(x=x, y=y, z=z), orientation=_quaternion(pose.orientation_xyzw))
+
+
+def located(pose: Pose) -> bool:
+    """Tell whether a pose has a place."""
+    return bool(np.isfinite(pose.position_m).all() and np.isfinite(pose.orientation_xyzw).all())
+
+
+def covariance_of(pose: Pose) -> FloatArray:
+    """Return the covariance of x, y, z and the rotations about x, y and z of the site's frame, shape (6, 6).
+
+    ROS and Foxglove have it in this order. Between place and attitude it is 0: a `Pose` does not tell it. What is not
+    known is 0, as their schemas say it.
+    """
+    covariance = np.zeros((6, 6))
+    covariance[:3, :3] = pose.position_cov_m2
+    covariance[3:, 3:] = pose.attitude_cov_rad2
+    return np.where(np.isfinite(covariance), covariance, 0.0)
+
+
+def log_message(pose: Pose, unix_s: float, name: str = "goldfield") -> Log:
+    """Return what a pose says of itself, in words; `LEVELS` tells how loud."""
+    said = pose.status.value if pose.reason is None else f"{pose.status.value}: {pose.reason}"
+    return Log(timestamp=timestamp(unix_s), level=LEVELS[pose.status], message=said, name=name)
+
+
+def times(pose: Pose, unix_s: float, now_s: float) -> dict[str, Any]:
+    """Return the keys that a line has beside those of ``goldfield run --json``.
+
+    ``unix_s``, the time of the measurement by the wall clock, and ``latency_s``, how old the pose was at ``now_s``;
+    None where nothing tells it.
+    """
+    return {"unix_s": number(unix_s), "latency_s": number(now_s - unix_s)}
+
+
+def fields_record(fields: Fields, unix_s: float) -> dict[str, Any]:
+    """Return the separated fields of a cycle for JSON, in the sensor's frame; None where nothing was measured."""
+    return {
+        "epoch": fields.epoch,
+        "t_s": number(fields.time_s),
+        "unix_s": number(unix_s),
+        "fields": [
+            {"beacon": beacon, "b_T": elements(field_T.tolist()), "sigma_T": number(sigma_T)}
+            for beacon, field_T, sigma_T in zip(fields.beacons, fields.field_T, fields.sigma_T.tolist(), strict=True)
+        ],
+    }
+
+
+def _quaternion(xyzw: FloatArray) -> Quaternion:
+    x, y, z, w = xyzw.tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)
