@@ -130,12 +130,11 @@ class Receiver:
 
     def receive_raw(self, timeout_s: float) -> can.Message | None:
         """Return the next message as it came, None when none came in time or, for a log, at its end."""
-        if self._ahead:
-            return self._ahead.popleft()
-        raw = self._source.receive(timeout_s)
+        again = bool(self._ahead)
+        raw = self._ahead.popleft() if again else self._source.receive(timeout_s)
         if raw is not None:
             self.arrived_s = _arrival_s(raw.timestamp) if self._live else raw.timestamp
-        if raw is not None and self._recorder is not None:
+        if raw is not None and not again and self._recorder is not None:
             for node in self._marks:
                 self._recorder.write(mark(node, raw.timestamp))
             self._marks.clear()
