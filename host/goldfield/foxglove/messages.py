@@ -24,9 +24,7 @@ from goldfield.foxglove.topics import COVARIANCE, POSE, TRANSFORMS
 from goldfield.link.ros_frame import NANOSECONDS, nanoseconds
 from goldfield.types import Fields, FloatArray, Pose, Status
 from goldfield.view.records import elements, number
-
-MAP, SENSOR = "map", "sensor"
-"""The site's frame, and the board's."""
+from goldfield.view.rep103 import MAP, SENSOR, covariance_of
 
 LEVELS = {
     Status.OK: LogLevel.Info,
@@ -98,18 +96,6 @@ def placed(pose: Pose) -> FoxglovePose:
 def located(pose: Pose) -> bool:
     """Tell whether a pose has a place."""
     return bool(np.isfinite(pose.position_m).all() and np.isfinite(pose.orientation_xyzw).all())
-
-
-def covariance_of(pose: Pose) -> FloatArray:
-    """Return the covariance of x, y, z and the rotations about x, y and z of the site's frame, shape (6, 6).
-
-    ROS and Foxglove have it in this order. Between place and attitude it is 0: a `Pose` does not tell it. What is not
-    known is 0, as their schemas say it.
-    """
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = pose.position_cov_m2
-    covariance[3:, 3:] = pose.attitude_cov_rad2
-    return np.where(np.isfinite(covariance), covariance, 0.0)
 
 
 def log_message(pose: Pose, unix_s: float, name: str = "goldfield") -> Log:

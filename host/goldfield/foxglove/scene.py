@@ -25,12 +25,13 @@ from foxglove.messages import (
 from foxglove.messages import Pose as FoxglovePose
 from scipy.spatial.transform import Rotation
 
-from goldfield.foxglove.messages import MAP, located, timestamp
+from goldfield.foxglove.messages import located, timestamp
 from goldfield.site import Site
 from goldfield.site.model import Beacon
 from goldfield.types import FloatArray, Pose
 from goldfield.view.beacon_state import BeaconState, beacon_state
 from goldfield.view.coil_wires import site_box, wire_of
+from goldfield.view.rep103 import MAP
 
 Health = Mapping[str, Any]
 """The record of `goldfield.view.monitor.Monitor`."""
