@@ -10,6 +10,7 @@ import queue
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -87,6 +88,8 @@ class Branch(Generic[T]):
         is told on stderr, and what follows is discarded.
     capacity : int, optional
         Items that the queue holds.
+    newest : bool, optional
+        Whether it is the oldest item of a full queue that is dropped, not the one that comes.
 
     Attributes
     ----------
@@ -99,7 +102,14 @@ class Branch(Generic[T]):
     """
 
     def __init__(
-        self, sink: Sink[T], name: str, *, waits: bool, essential: bool = False, capacity: int = CAPACITY
+        self,
+        sink: Sink[T],
+        name: str,
+        *,
+        waits: bool,
+        essential: bool = False,
+        capacity: int = CAPACITY,
+        newest: bool = False,
     ) -> None:
         self.name = name
         self._refused = 0
@@ -107,6 +117,7 @@ class Branch(Generic[T]):
         self._waits = waits
         self._essential = essential
         self._capacity = capacity
+        self._newest = newest
         # A SimpleQueue, whose lock an interrupt cannot leave locked, as it can that of a Queue.
         self._queue: queue.SimpleQueue[T | _End] = queue.SimpleQueue()
         self._error: Exception | None = None
@@ -120,10 +131,15 @@ class Branch(Generic[T]):
         """Hand an item over; it never waits for the sink unless ``waits`` was asked for."""
         self._raise_error()
         while self._queue.qsize() >= self._capacity:
-            if not self._waits:
+            if self._waits:
+                time.sleep(POLL_S)
+                continue
+            if not self._newest:
                 self._refused += 1
                 return
-            time.sleep(POLL_S)
+            with suppress(queue.Empty):  # the sink may have been faster
+                self._queue.get_nowait()
+                self._refused += 1
         self._queue.put(item)
 
     def close(self, patience_s: float | None = None) -> None:

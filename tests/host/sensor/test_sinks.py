@@ -191,3 +191,16 @@ def test_a_recording_with_gaps_is_told(capsys):
     held.go.set()
     end_recording(recorder)
     assert capsys.readouterr().err == "goldfield: a.log: 2 messages are missing in it, because the disk was too slow\n"
+
+
+def test_a_slow_sink_may_lose_the_oldest_items():
+    held = Held()
+    branch = Branch(held, "held", waits=False, capacity=3, newest=True)
+    branch.write(0)
+    assert held.reached.wait(60.0)
+    for item in range(1, 8):
+        branch.write(item)
+    assert branch.dropped == 4
+    held.go.set()
+    branch.close()
+    assert held.items == [0, 5, 6, 7]
