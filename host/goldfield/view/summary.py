@@ -160,7 +160,7 @@ class Summary:
             lines.append(f"the sensor counted since its reset: {_counted(self.counters)}")
         lines += [f"node {node} counted: {_counted(counters)}" for node, counters in self.board_counters.items()]
         lines += [
-            f"{counted(n, f'{self.what} were left out')} of {name}, which took them too slowly"
+            f"{counted(n, f'{self.what} were left out')} of {name}, which was too slow or not there"
             for name, n in self.dropped.items()
         ]
         return lines
