@@ -28,6 +28,7 @@ include hil_sim/emulator/emulator.mk
 include hil_sim/rig/rig.mk
 include tests/tests.mk
 include tests/checks.mk
+include docs/docs.mk
 
 # ---- set-up ----
 # $(call install,PACKAGES): Debian packages, through apt.

@@ -50,6 +50,6 @@ format: $(BUILD)/venv.stamp $(BUILD)/lint-tools.stamp ## Give Python and C their
 types: $(BUILD)/venv.stamp ## mypy
 	@$(PYTHON) -m mypy
 
-check: check-format lint types test-fast ## Before each commit: format, lint, types and the fast tests
+check: check-format lint types docs test-fast ## Before each commit: format, lint, types, documentation and the fast tests
 
 .PHONY: lint check-format format types check
