@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
 
 from goldfield.errors import UserError, counted
-from goldfield.link.buses import Source
+from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
 from goldfield.sensor.location import Succession, location, needed_parameters, with_finding, without
@@ -119,7 +120,9 @@ class Sensor:
         self._found = False
         self._options = Options() if options is None else options
         method = self._options.method
-        self._between = between_of(site, self._options)
+        # In a recording nothing waits: a second thread would only cost
+        self._aside = ThreadPoolExecutor(1, "judge") if isinstance(source, BusSource) else None
+        self._between = between_of(site, self._options, self._aside)
         self._session = Session(
             source,
             name,
@@ -232,6 +235,8 @@ class Sensor:
         """Let go of the link."""
         self._session.end()
         self._source.close()
+        if self._aside is not None:
+            self._aside.shutdown(wait=False, cancel_futures=True)
 
     def __enter__(self) -> Self:
         """Return the sensor itself."""

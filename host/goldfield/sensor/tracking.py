@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 
 from goldfield.errors import UserError, tell
 from goldfield.link.reports import Report
@@ -170,8 +172,11 @@ class Relayed(Between):
         return -float("inf") if self._last is None else self._last.time_s
 
 
-def between_of(site: Site, options: Options) -> Between | None:
-    """Return what makes poses between the cycles; None if the options ask for none, or the site allows none."""
+def between_of(site: Site, options: Options, aside: Executor | None = None) -> Between | None:
+    """Return what makes poses between the cycles; None if the options ask for none, or the site allows none.
+
+    ``aside`` is a thread for what takes longer than a block (`BlockFilter`).
+    """
     if options.method is Method.ON_SENSOR and options.rate_hz is not None:
         return Relayed()
     if options.method is not Method.TRACK:
@@ -179,7 +184,8 @@ def between_of(site: Site, options: Options) -> Between | None:
     lag_s = options.lag_s
     try:
         if lag_s is None:
-            return Tracking(lambda: BlockTrack(site, BlockFilter, options.rate_hz))
+            make = partial(BlockFilter, aside=aside)
+            return Tracking(lambda: BlockTrack(site, make, options.rate_hz))
         return Tracking(lambda: SmoothedTrack(site, lambda known: BlockSmoother(known, lag_s), options.rate_hz))
     except UserError as error:
         tell(f"{error}: the track is one of whole cycles")

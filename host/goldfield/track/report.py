@@ -8,10 +8,10 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.locate.poses import WEAK_ATTITUDE_RAD, WEAK_POSITION
+from goldfield.locate.rotations import quaternion_of
 from goldfield.site import Site
 from goldfield.track.continuity import joined
 from goldfield.track.motion import POSITION, TURN
@@ -103,7 +103,7 @@ class Reporter:
             epoch=epoch,
             time_s=time_s,
             position_m=belief.state.position_m,
-            orientation_xyzw=Rotation.from_matrix(belief.state.rotation, assume_valid=True).as_quat(canonical=True),
+            orientation_xyzw=quaternion_of(belief.state.rotation),
             position_cov_m2=position_cov,
             attitude_cov_rad2=attitude_cov,
             residual=residual,
@@ -121,7 +121,7 @@ class Reporter:
         return replace(
             pose,
             position_m=state.position_m,
-            orientation_xyzw=Rotation.from_matrix(state.rotation, assume_valid=True).as_quat(canonical=True),
+            orientation_xyzw=quaternion_of(state.rotation),
             position_cov_m2=covariance[POSITION, POSITION],
             attitude_cov_rad2=covariance[TURN, TURN],
         )

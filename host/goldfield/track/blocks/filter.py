@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,8 +16,9 @@ from goldfield.site import Site
 from goldfield.track.blocks.bank import Bank, Estimate, Start
 from goldfield.track.blocks.consider import Considered
 from goldfield.track.blocks.equations import BlockEquations, NormalForm
-from goldfield.track.blocks.integrity import Integrity, Verdict
-from goldfield.track.blocks.kernel import CBank, noise_of, serves
+from goldfield.track.blocks.integrity import Integrity
+from goldfield.track.blocks.judge import Verdict
+from goldfield.track.blocks.kernel import CBank, serves
 from goldfield.track.blocks.start import AMBIENT_T, WIDENED, Starter
 from goldfield.track.blocks.state import AMBIENT, POSITION, TURN
 from goldfield.track.continuity import Hemisphere, joined, time_break
@@ -115,6 +117,8 @@ class BlockFilter:
     site : Site
     kernel : bool
         Take the C version where it serves: circular coils, no metal, axes of equal noise.
+    aside : Executor, optional
+        Where cycles are judged: a thread for it keeps the blocks from waiting. The poses are the same.
 
     Raises
     ------
@@ -122,13 +126,13 @@ class BlockFilter:
         If the site is of a kind that no block filter can follow: tones of unknown phase, or a sensor with levers.
     """
 
-    def __init__(self, site: Site, *, kernel: bool = True) -> None:
+    def __init__(self, site: Site, *, kernel: bool = True, aside: Executor | None = None) -> None:
         self._site = site
         self._equations = BlockEquations(site)
         self._model = FieldModel(site.beacons)
         self._considered = Considered(site, self._equations.cycle)
         self._starter = Starter(site, self._equations)
-        self._integrity = Integrity(site, self._equations)
+        self._integrity = Integrity(site, self._equations, aside)
         self._reporter, self._hemisphere = Reporter(site), Hemisphere()
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         equal = site.sensor.axes is None and site.sensor.noise_ratio is None
@@ -238,7 +242,7 @@ class BlockFilter:
                 self._begin(form, middle_s)
                 if self._taken_s == middle_s:  # it has begun
                     return None
-        if noise_of(kept) is None:  # An axis is missing; the rest of the track is NumPy's.
+        if not form.axes.all():  # The rest of the track is NumPy's.
             self._banks = [bank.in_numpy() if isinstance(bank, CBank) else bank for bank in self._banks]
         took = [bank.update(kept, seconds) for bank in self._banks]
         self._middle_s = middle_s

@@ -1,5 +1,7 @@
 """Poses from blocks: accuracy, honesty, starts, losses and faults; fields by magpylib, codes by shift registers."""
 
+import json
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +12,7 @@ from goldfield.site import HalfSpace, SensorSite
 from goldfield.site.model import Survey
 from goldfield.track.blocks import BlockFilter
 from goldfield.types import Block, Status
+from goldfield.view.records import json_line, pose_record
 from tests.bench.locate_trials import prigge_cube, site_of
 from tests.bench.motion_trials import Room, circling
 from tests.host.track.blocks.flights import Stream, drone, hand, still, streamed
@@ -145,6 +148,31 @@ def test_a_beacon_that_dies_is_left_out_and_comes_back(name, noise_T):
     for pose, error in zip(after, moved, strict=True):
         told = error @ np.linalg.solve(pose.position_cov_m2, error)
         assert told < 45.0 or pose.status is Status.INCONSISTENT  # 3 degrees of freedom: 1e-9
+
+
+class AtOnce(Executor):
+    """Has everything done when it is asked for, as a thread on an idle machine; without one it is done when needed."""
+
+    def submit(self, work, *arguments):
+        done = Future()
+        done.set_result(work(*arguments))
+        return done
+
+
+def test_where_and_when_a_cycle_is_judged_changes_no_digit():
+    stream = stream_of("one", 2e-8, 8, 0.9)
+    dead = ROOMS[2e-8].codes.copy()
+    dead[:, 3] = 0
+    first, last = (round(seconds / stream.site.chip_period_s) for seconds in (0.25, 0.5))
+    stream.samples[first:last] = stream_of("one", 2e-8, 8, 0.9, drives=dead).samples[first:last]
+    told = []
+    with ThreadPoolExecutor(1) as thread:
+        for aside in (None, AtOnce(), thread):
+            track = BlockFilter(stream.site, aside=aside)
+            poses = [track.update(block) for block in stream.blocks()]
+            told.append([json_line(pose_record(pose)) for pose in poses])
+    assert told[0] == told[1] == told[2]
+    assert len({record["residual"] for record in map(json.loads, told[0])}) > 8, "there were verdicts"
 
 
 @pytest.mark.parametrize("kernel", [True, False])

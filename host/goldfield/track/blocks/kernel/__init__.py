@@ -35,7 +35,7 @@ void gf_bank_init(void *, uint32_t, const double *);
 void gf_bank_start(void *, const double *, const double *);
 bool gf_bank_update(void *, const double *, const double *, const double *, double, double, double *);
 void gf_bank_predict(void *, double);
-void gf_bank_output(const void *, double, double *, double *, double *);
+void gf_bank_output(const void *, double, double *, double *, double *, double *);
 """
 
 _ffi: Any = cffi.FFI()
@@ -57,10 +57,10 @@ def serves(model: FieldModel) -> bool:
 
 def noise_of(form: NormalForm) -> float | None:
     """Return the standard deviation of a component of a sample, T; None if the axes do not have the same, alone."""
-    mean = float(np.trace(form.weight)) / 3.0
-    if not mean > 0.0 or np.abs(form.weight - mean * np.eye(3)).max() > EQUAL * mean:
-        return None
-    return 1.0 / math.sqrt(mean)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = form.weight.tolist()
+    mean = (xx + yy + zz) / 3.0
+    apart = max(abs(xx - mean), abs(yy - mean), abs(zz - mean), abs(xy), abs(xz), abs(yz))
+    return 1.0 / math.sqrt(mean) if mean > 0.0 and apart <= EQUAL * mean else None
 
 
 class CBank:
@@ -134,21 +134,21 @@ class CBank:
 
     def output(self, seconds: float = 0.0) -> Estimate:
         """Return what is believed of the moment so many seconds after the middle of the last block."""
-        state, covariance, _ = self._output(seconds)
-        rotation = Rotation.from_quat(state[3:7]).as_matrix()
+        state, rotation, covariance, _ = self._output(seconds)
         motion = Motion(state[:3], rotation, state[7:10], state[10:13], state[13:16], state[16:])
         return Estimate(motion, covariance)
 
     @property
     def agility(self) -> FloatArray:
         """The agility that the sensor seems to have, shape (2,), in the units of `bank.AGILITIES`."""
-        return self._output(0.0)[2]
+        return self._output(0.0)[3]
 
-    def _output(self, seconds: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        state, covariance, agility = np.empty(19), np.empty((SIZE, SIZE)), np.empty(2)
-        filled = (_ffi.from_buffer("double[]", array, require_writable=True) for array in (state, covariance, agility))
+    def _output(self, seconds: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        told: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+        told = np.empty(19), np.empty((3, 3)), np.empty((SIZE, SIZE)), np.empty(2)
+        filled = (_ffi.from_buffer("double[]", array, require_writable=True) for array in told)
         self._library.gf_bank_output(self._memory, seconds, *filled)
-        return state, covariance, agility
+        return told
 
 
 def _given(array: FloatArray) -> Any:

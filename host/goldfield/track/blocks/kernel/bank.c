@@ -87,7 +87,24 @@ void gf_bank_predict(void *memory, double seconds) {
     block_filter_predict(&bank->filter, (float)seconds);
 }
 
-void gf_bank_output(const void *memory, double seconds, double *state, double *covariance, double agility[2]) {
+/* Writes the rotation matrix of a quaternion in single precision, whose length is nearly 1. */
+static void matrix_of(const float quaternion[4], double rotation[9]) {
+    const double x = (double)quaternion[0], y = (double)quaternion[1], z = (double)quaternion[2];
+    const double w = (double)quaternion[3];
+    const double twice = 2.0 / (x * x + y * y + z * z + w * w);
+    rotation[0] = 1.0 - twice * (y * y + z * z);
+    rotation[1] = twice * (x * y - z * w);
+    rotation[2] = twice * (x * z + y * w);
+    rotation[3] = twice * (x * y + z * w);
+    rotation[4] = 1.0 - twice * (x * x + z * z);
+    rotation[5] = twice * (y * z - x * w);
+    rotation[6] = twice * (x * z - y * w);
+    rotation[7] = twice * (y * z + x * w);
+    rotation[8] = 1.0 - twice * (x * x + y * y);
+}
+
+void gf_bank_output(const void *memory, double seconds, double *state, double *rotation, double *covariance,
+                    double agility[2]) {
     const bank_t *const bank = memory;
     block_kalman_t whole;
     block_mix_whole(bank->filter.filters, bank->filter.best, &whole);
@@ -97,6 +114,7 @@ void gf_bank_output(const void *memory, double seconds, double *state, double *c
     for (uint32_t i = 0; i < STATE; i++) {
         state[i] = (double)*number(&whole.state, i) / (i < 13u ? 1.0 : MICROTESLA);
     }
+    matrix_of(whole.state.quaternion, rotation);
     for (uint32_t row = 0; row < BLOCK_STATES; row++) {
         for (uint32_t column = 0; column < BLOCK_STATES; column++) {
             /* Rounding leaves the two sides of the diagonal a little different. */

@@ -27,7 +27,9 @@ bool gf_bank_update(void *bank, const double *gram, const double *moment, const 
 
 void gf_bank_predict(void *bank, double seconds);
 
-/* Compute the state so many seconds later and its covariance, and the agility that the sensor seems to have. */
-void gf_bank_output(const void *bank, double seconds, double *state, double *covariance, double agility[2]);
+/* Compute the state so many seconds later, the rotation matrix of its quaternion, 3 x 3, row by row, its covariance,
+ * and the agility that the sensor seems to have. */
+void gf_bank_output(const void *bank, double seconds, double *state, double *rotation, double *covariance,
+                    double agility[2]);
 
 #endif
