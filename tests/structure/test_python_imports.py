@@ -29,7 +29,7 @@ LEVELS = (
     ("doctor",),
     ("view",),
     ("foxglove",),
-    ("page", "recording"),
+    ("page", "recording", "feeds"),
     ("cli",),
 )
 """Parts of goldfield, lowest first. A part imports itself and lower ones; parts of one level do not know each other.

@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import can
 
@@ -14,6 +14,9 @@ from goldfield.cli import link_options
 from goldfield.cli.output import json_line
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
 from goldfield.errors import EXIT_FAILED, Loudness, counted, loudness, tell
+from goldfield.feeds.address import Address
+from goldfield.feeds.feed import Setting
+from goldfield.feeds.opening import Feeds, open_feeds
 from goldfield.files.inputs import STREAM
 from goldfield.files.outputs import OutputFile
 from goldfield.link.recordings import CandumpWriter
@@ -32,7 +35,9 @@ SWITCH_S = 5e-4
 Python's own 5 ms are more than a pose at 330 Hz may take."""
 
 
-def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site) -> int:
+def print_poses(
+    arguments: argparse.Namespace, kind: str, where: str, site: Site, addresses: Sequence[Address] = ()
+) -> int:
     """Print a line for every epoch of a source, and a summary however it ends.
 
     Parameters
@@ -42,11 +47,13 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
     kind, where : str
         The source, as for `open_sensor`.
     site : Site
+    addresses : sequence of Address
+        Where the poses go besides.
 
     Returns
     -------
     int
-        The exit code: 0, or 3 if a recording or a table could not be written to the end.
+        The exit code: 0, or 3 if a feed failed, or a recording or a table could not be written to the end.
     """
     method = chosen_method(arguments.track, arguments.on_sensor, arguments.rate, arguments.lag)
     choices = link_options.reading(arguments, method)
@@ -59,14 +66,16 @@ def print_poses(arguments: argparse.Namespace, kind: str, where: str, site: Site
         summary = Summary("epochs" if arguments.rate is None and arguments.lag is None else "poses")
         if arguments.summary:
             stack.enter_context(_written_at_the_end(summary, arguments.summary, force=arguments.force))
+        feeds = stack.enter_context(open_feeds(addresses, Setting(site, force=arguments.force), live=kind != "log"))
         sensor = stack.enter_context(open_sensor(kind, where, site, choices, recorder))
         if sensor.live:
             sys.setswitchinterval(SWITCH_S)
-        sinks = _print_epochs(arguments, sensor, summary)
+        sinks = _print_epochs(arguments, sensor, summary, feeds)
     if sinks.stuck:
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
-    return EXIT_FAILED if sinks.failed or (writer is not None and writer.failed) else 0
+    failed = sinks.failed or feeds.failed or (writer is not None and writer.failed)
+    return EXIT_FAILED if failed else 0
 
 
 def end_recording(recorder: Branch[can.Message]) -> None:
@@ -92,20 +101,21 @@ def _written_at_the_end(summary: Summary, path: str, *, force: bool) -> Iterator
             file.discard()
 
 
-def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summary) -> Fanout[Epoch | Fix]:
+def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summary, feeds: Feeds) -> Fanout[Epoch | Fix]:
     """Print the poses and the summary; return the sinks, of which an interrupt may have left one stuck."""
     sinks = _sinks(arguments, sensor, summary)
     try:
-        with sinks:
+        with sinks, feeds:
             for item in sensor.stream():
                 sinks.write(item)
+                feeds.write(item)
     except KeyboardInterrupt:
         pass  # the usual end of a live run
     finally:
         summary.link = sensor.link_counts
         summary.counters = sensor.counters
         summary.board_counters = sensor.board_counters
-        summary.dropped = sinks.dropped
+        summary.dropped = sinks.dropped | feeds.dropped
         if summary.epochs:
             aside = arguments.json or sinks.stuck
             if not aside or loudness() is not Loudness.QUIET:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from goldfield.cli import link_options, options
+from goldfield.cli import feed_options, link_options, options
 from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
 from goldfield.errors import on_command_line
 from goldfield.files.outputs import check_outputs
@@ -29,6 +29,7 @@ def command(subparsers: Any) -> None:
     options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
     options.add(parser, "--fields", metavar="FILE", what="write the separated fields to a table for goldfield locate")
     options.add(parser, "--summary", metavar="FILE", what="write the summary as a JSON object, at the end")
+    feed_options.add(parser)
     options.add_force(parser)
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
     options.add(parser, "--truth", metavar="FILE", what="the simulator's truth, to compare with")
@@ -45,7 +46,8 @@ def run(arguments: argparse.Namespace) -> int:
     site = options.required(arguments.site, "--site", "FILE")
     inputs = {"--site": site, "--log": where if kind == "log" else None, "--truth": arguments.truth}
     outputs = {"--record": arguments.record, "--fields": arguments.fields, "--summary": arguments.summary}
-    check_outputs(outputs, inputs, force=arguments.force)
+    feeds = feed_options.chosen(arguments)
+    check_outputs(outputs | feed_options.outputs(feeds), inputs, force=arguments.force)
     known = site_of(arguments)
     options.tell_assumed(known)
-    return print_poses(arguments, kind, where, known)
+    return print_poses(arguments, kind, where, known, feeds)

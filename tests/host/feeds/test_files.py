@@ -1,0 +1,166 @@
+"""Trajectories in TUM's format, as numpy reads them, and sentences in the form of NMEA 0183, in files and datagrams."""
+
+import math
+import re
+import socket
+
+import numpy as np
+import pytest
+
+from goldfield.errors import SystemFailure, UserError
+from goldfield.feeds.address import parse_address
+from goldfield.feeds.nmea import LETTERS, sentences
+from goldfield.feeds.opening import open_feed, open_feeds
+from goldfield.types import Status
+from tests.host.feeds.made import (
+    ATTITUDE,
+    ATTITUDE_COV_RAD2,
+    POSITION_COV_M2,
+    POSITION_M,
+    UNIX_S,
+    epoch,
+    failed,
+    pose,
+    setting,
+    stamped,
+)
+
+
+def opened(url, **changes):
+    return open_feed(parse_address(url), setting(**changes))
+
+
+def written(path, scheme, *items):
+    feed = opened(f"{scheme}:{path}")
+    for item in items:
+        feed.write(item)
+    feed.close()
+    return path.read_bytes().decode()
+
+
+def test_a_trajectory_is_read_back_with_its_times(tmp_path):
+    path = tmp_path / "walk.txt"
+    items = [stamped(unix_s=UNIX_S + 0.1 * number) for number in range(3)]
+    assert written(path, "tum", *items).startswith("# unix_s x_m")
+    table = np.loadtxt(path)
+    assert table.shape == (3, 8)
+    assert np.allclose(table[:, 0], UNIX_S + 0.1 * np.arange(3), rtol=0.0, atol=1e-6)
+    assert np.allclose(table[:, 1:4], POSITION_M, rtol=0.0, atol=1e-6)
+    assert np.allclose(table[:, 4:], ATTITUDE.as_quat(canonical=True), rtol=0.0, atol=1e-9)
+
+
+def test_a_trajectory_holds_usable_poses_only(tmp_path):
+    unusable = [stamped(pose(status=Status.AMBIGUOUS)), stamped(failed()), stamped(unix_s=math.nan)]
+    assert written(tmp_path / "a.txt", "tum", *unusable) == ""
+    assert len(written(tmp_path / "b.txt", "tum", *unusable, stamped()).splitlines()) == 2
+
+
+def test_a_file_that_holds_something_is_kept(tmp_path):
+    path = tmp_path / "walk.txt"
+    path.write_text("dear\n")
+    for scheme in ("tum", "nmea"):
+        with pytest.raises(UserError, match="exists and is not empty"):
+            opened(f"{scheme}:{path}")
+        opened(f"{scheme}:{path}", force=True).close()
+    assert path.read_text() == "dear\n"
+
+
+def test_a_full_disk_fails_the_feed_alone(capsys):
+    with open_feeds([parse_address("tum:/dev/full")], setting(), live=True) as feeds:
+        for number in range(3):
+            feeds.write(epoch(number, arrived_s=UNIX_S + number))
+    assert feeds.failed
+    assert capsys.readouterr().err.count("No space left on device; the run goes on without") == 1
+    with pytest.raises(SystemFailure):
+        opened("tum:/dev/full").write(stamped())
+
+
+def fields_of(text):
+    """Split sentences, with the checksum computed as the standard words it."""
+    found = []
+    for line in text.split("\r\n")[:-1]:
+        body, checksum = re.fullmatch(r"\$([^*$]*)\*([0-9A-F]{2})", line).groups()
+        value = 0
+        for character in body:
+            value ^= ord(character)
+        assert value == int(checksum, 16)
+        assert len(line) + 2 <= 82
+        found.append(body.split(","))
+    return found
+
+
+def test_sentences_hold_place_attitude_deviations_and_latency(tmp_path):
+    position, attitude = fields_of(written(tmp_path / "walk.nmea", "nmea", stamped()))
+    assert position[0] == "PGFDP"
+    assert position[8:] == ["A", "0.062"]
+    assert np.allclose(np.array(position[1:5], float), [UNIX_S, *POSITION_M], rtol=0.0, atol=6e-4)
+    assert np.allclose(np.array(position[5:8], float), np.sqrt(np.diag(POSITION_COV_M2)), rtol=0.0, atol=6e-4)
+    assert attitude[0] == "PGFDA"
+    assert attitude[1] == position[1]
+    assert np.allclose(np.array(attitude[2:6], float), ATTITUDE.as_quat(canonical=True), rtol=0.0, atol=6e-5)
+    assert np.allclose(np.array(attitude[6:9], float), np.sqrt(np.diag(ATTITUDE_COV_RAD2)), rtol=0.0, atol=6e-5)
+    assert attitude[9:] == ["A"]
+
+
+def test_what_is_not_known_is_empty():
+    position, attitude = fields_of(sentences(stamped(failed(), unix_s=math.nan), UNIX_S).decode())
+    assert position == ["PGFDP", *[""] * 7, "V", ""]
+    assert attitude == ["PGFDA", *[""] * 8, "V"]
+
+
+def test_each_status_has_a_letter_of_its_own():
+    assert set(LETTERS) == set(Status)
+    assert len(set(LETTERS.values())) == len(Status)
+
+
+def test_the_longest_sentences_fit():
+    """82 characters are the most that NMEA 0183 allows; `fields_of` counts them."""
+    worst = pose(
+        position_m=np.full(3, -999.9994),
+        orientation_xyzw=np.full(4, -0.5),
+        position_cov_m2=np.full((3, 3), 9.9994**2),
+        attitude_cov_rad2=np.full((3, 3), 3.14159**2),
+    )
+    assert len(fields_of(sentences(stamped(worst, unix_s=9_999_999_999.25), 9_999_999_999.25 + 9.9994).decode())) == 2
+
+
+@pytest.fixture
+def receiver():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listening:
+        listening.bind(("127.0.0.1", 0))
+        listening.settimeout(60.0)
+        yield listening
+
+
+def test_datagrams_are_lines_of_json(receiver):
+    feed = opened(f"udp://127.0.0.1:{receiver.getsockname()[1]}")
+    feed.write(stamped())
+    data = receiver.recv(65536)
+    feed.close()
+    assert data.decode() == f"{stamped().json(UNIX_S + 0.0625)}\n"
+    assert feed.dropped == 0
+
+
+def test_datagrams_of_sentences(receiver):
+    feed = opened(f"nmea+udp://127.0.0.1:{receiver.getsockname()[1]}")
+    feed.write(stamped())
+    data = receiver.recv(65536)
+    feed.close()
+    assert data == sentences(stamped(), UNIX_S + 0.0625)
+
+
+def test_nobody_listening_is_no_error_and_what_cannot_be_sent_is_counted(receiver):
+    port = receiver.getsockname()[1]
+    receiver.close()
+    feed = opened(f"udp://127.0.0.1:{port}")
+    for _ in range(3):
+        feed.write(stamped())
+    assert feed.dropped == 0
+    feed.write(stamped(pose(reason="x" * 70_000)))  # no datagram is so long
+    assert feed.dropped == 1
+    feed.close()
+
+
+def test_a_host_that_nobody_knows_is_refused():
+    with pytest.raises(UserError, match=r"^feed=udp://no\.such\.host\.invalid:9: the host is not known"):
+        opened("udp://no.such.host.invalid:9")

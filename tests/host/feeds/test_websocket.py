@@ -1,0 +1,152 @@
+"""The WebSocket server: every program gets the poses, a slow one the latest, and no foreign page any."""
+
+import asyncio
+import contextlib
+import json
+import socket
+from itertools import pairwise
+
+import pytest
+from websockets.exceptions import ConnectionClosedOK, InvalidStatus
+from websockets.sync.client import connect
+
+from goldfield.errors import UserError
+from goldfield.feeds.address import parse_address
+from goldfield.feeds.websocket import CAPACITY, Consumer, WebSocketFeed
+from tests.host.feeds.made import UNIX_S, pose, setting, stamped
+
+TIMEOUT_S = 60.0
+HELLO = -1
+
+
+@pytest.fixture
+def feed():
+    served = WebSocketFeed(parse_address("ws://127.0.0.1:0"), setting())
+    yield served
+    served.close()
+
+
+@contextlib.contextmanager
+def joined(feed, **options):
+    """A consumer that the feed is known to serve: it has got a pose."""
+    with connect(f"ws://127.0.0.1:{feed.port}", **options) as client:
+        while True:
+            feed.write(stamped(pose(HELLO)))
+            try:
+                client.recv(timeout=0.05)
+            except TimeoutError:
+                continue
+            break
+        yield client
+
+
+def epochs(client, last):
+    """Every epoch that a consumer gets, without the poses that greeted it, up to the last."""
+    got = []
+    while not got or got[-1] != last:
+        epoch = json.loads(client.recv(timeout=TIMEOUT_S))["epoch"]
+        got += [] if epoch == HELLO else [epoch]
+    return got
+
+
+def test_a_pose_is_a_line_of_json(feed):
+    with joined(feed) as client:
+        feed.write(stamped())
+        while (line := client.recv(timeout=TIMEOUT_S)) == stamped(pose(HELLO)).json(UNIX_S + 0.0625):
+            pass
+    assert line == stamped().json(UNIX_S + 0.0625)
+
+
+def test_two_consumers_get_every_pose_and_one_that_leaves_is_forgotten(feed):
+    with joined(feed) as stays:
+        with joined(feed) as leaves:
+            for number in range(50):
+                feed.write(stamped(pose(number)))
+            assert epochs(leaves, 49) == epochs(stays, 49) == list(range(50))
+        feed.write(stamped(pose(50)))
+        assert epochs(stays, 50) == [50]
+    assert feed.dropped == 0
+
+
+def test_a_consumer_that_does_not_read_loses_the_oldest_poses_and_holds_up_nobody(feed, capsys):
+    """Many megabytes, more than the buffers of the system take, are written while one consumer reads nothing."""
+    big, last = "x" * 30_000, 1200
+    with joined(feed, max_queue=1) as slow, joined(feed) as well:
+        for number in range(last):
+            feed.write(stamped(pose(number, reason=big)))
+            if number % 100 == 99:
+                assert epochs(well, number)[-1] == number
+        assert feed.dropped > 0
+        feed.write(stamped(pose(last)))
+        got = epochs(slow, last)
+    missed = [after - before - 1 for before, after in pairwise(got) if after != before + 1]
+    assert len(missed) >= 1
+    assert len(got) + sum(missed) == last + 1
+    assert got[-CAPACITY:] == list(range(last - CAPACITY + 1, last + 1))
+    assert capsys.readouterr().err.count("a consumer is too slow and misses the oldest poses") >= 1
+
+
+def test_a_full_queue_loses_its_oldest_line():
+    async def filled():
+        consumer = Consumer()
+        for number in range(CAPACITY + 3):
+            consumer.put(str(number))
+        return consumer
+
+    consumer = asyncio.run(filled())
+    assert list(consumer.lines) == [str(number) for number in range(3, CAPACITY + 3)]
+    assert consumer.dropped == 3
+
+
+def test_what_waits_at_the_end_is_sent_and_then_the_connection_is_closed():
+    feed = WebSocketFeed(parse_address("ws://127.0.0.1:0"), setting())
+    with joined(feed) as client:
+        for number in range(10):
+            feed.write(stamped(pose(number)))
+        feed.close()
+        assert epochs(client, 9) == list(range(10))
+        with pytest.raises(ConnectionClosedOK):
+            client.recv(timeout=TIMEOUT_S)
+
+
+@pytest.mark.parametrize(
+    ("options", "origin", "served"),
+    [
+        ("", None, True),
+        ("", "http://127.0.0.1:8000", False),
+        ("", "https://evil.example", False),
+        ("?origin=https://dashboard.example,http://localhost:3000", "http://localhost:3000", True),
+        ("?origin=https://dashboard.example", "https://evil.example", False),
+        ("?origin=https://dashboard.example", None, True),
+    ],
+)
+def test_pages_are_served_only_if_their_origin_is_named(options, origin, served):
+    feed = WebSocketFeed(parse_address(f"ws://127.0.0.1:0{options}"), setting())
+    try:
+        if served:
+            with joined(feed, origin=origin):
+                pass
+        else:
+            with pytest.raises(InvalidStatus, match="403"), connect(f"ws://127.0.0.1:{feed.port}", origin=origin):
+                pass
+    finally:
+        feed.close()
+
+
+def test_it_listens_on_this_machine_alone_unless_told_otherwise():
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+    feed = WebSocketFeed(parse_address(f"ws://:{port}"), setting())
+    try:
+        with connect(f"ws://127.0.0.1:{port}"):
+            pass
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", port))  # this machine by another address
+    finally:
+        feed.close()
+
+
+def test_a_port_that_is_taken_is_refused(feed):
+    with pytest.raises(UserError, match=r"^feed=ws://127\.0\.0\.1:\d+: this machine cannot listen there: Address"):
+        WebSocketFeed(parse_address(f"ws://127.0.0.1:{feed.port}"), setting())
