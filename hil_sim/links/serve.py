@@ -197,7 +197,7 @@ def _announce(
             first["anchors"] = {anchor.id: {"node": anchor.node, "serial": path} for anchor, path in anchors.items()}
         print(json.dumps(first), flush=True)
         return
-    print(f"serial {serial[SENSOR]}, CAN {channel}: {arguments.scenario} with {arguments.boards} boards", flush=True)
+    print(f"serial {serial[SENSOR]}, CAN {channel} ({arguments.scenario}, {arguments.boards} boards)", flush=True)
     for anchor, path in anchors.items():
         print(f"serial {path}: anchor {anchor.id}, node {anchor.node}", flush=True)
     print(f"poses: {reads}", flush=True)

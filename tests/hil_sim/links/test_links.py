@@ -172,7 +172,7 @@ def test_the_name_goes_however_the_bench_ends(tmp_path, number):
         [sys.executable, "-m", "hil_sim.command", *words], stdout=subprocess.PIPE, text=True, cwd=ROOT
     ) as bench:
         first = bench.stdout.readline()
-        assert first.startswith(f"serial {name}, CAN none: prigge8")
+        assert first.startswith(f"serial {name}, CAN none (prigge8")
         assert name.is_symlink()
         bench.stdout.readline()
         bench.send_signal(number)
@@ -320,7 +320,7 @@ def test_the_commands_that_read_it_are_told(tmp_path, monkeypatch, capsys):
     names = ("--site", "a site.toml", "--link", "a port")
     _, output = run_command(tmp_path, monkeypatch, capsys, "--seconds", "0.01", *names, can=("--can", "own"))
     serial, poses, by_can, *_ = output.out.splitlines()
-    channel = re.match(r"serial a port, CAN (goldfield_loopback:\S+): ", serial)[1]
+    channel = re.match(r"serial a port, CAN (goldfield_loopback:\S+) \(", serial)[1]
     _, *words = shlex.split(poses.removeprefix("poses: "))
     assert words == ["run", "--port", f"{tmp_path}/a port", "--site", f"{tmp_path}/a site.toml"]
     _, *words = shlex.split(by_can.removeprefix("by CAN: "))
