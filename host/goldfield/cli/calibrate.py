@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from goldfield.cli import link_options, options
+from goldfield.cli.page_option import add_view
 from goldfield.errors import on_command_line
 
 SENSOR = "gains, directions and offset of a sensor's axes, by turning it by hand"
@@ -49,6 +50,7 @@ def _add_sensor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensors", metavar="FILE", help="keep the calibration there, with the board's unique id")
     parser.add_argument("--unique-id", metavar="ID", help="of the board, for --sensors with a recording")
     parser.add_argument("--write", action="store_true", help="set the board's zero and calibration (live)")
+    add_view(parser)
     options.add_json(parser)
     options.add_force(parser)
 

@@ -17,13 +17,13 @@ from goldfield.calibration.turn import Turn, turn_of_fields, turn_of_reports
 from goldfield.cli import board_calibration, link_options, options
 from goldfield.cli.chips_file import read_cycles
 from goldfield.cli.output import elements, json_line, number
+from goldfield.cli.page_option import shown
 from goldfield.errors import UserError, tell
 from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.link.reports import Report
 from goldfield.sensor.fields_table import read_fields
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Options
-from goldfield.sensor.pipeline import Sensor
 from goldfield.site import Site
 from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 from goldfield.types import FloatArray
@@ -42,7 +42,7 @@ def sensor(arguments: argparse.Namespace) -> int:
     if arguments.sensors and not live and not arguments.unique_id:
         raise UserError("--sensors needs --unique-id with a recording: goldfield nodes tells a board's")
     if kind == "fields":
-        options.tell_idle(arguments, ("--seconds",), "--fields")
+        options.tell_idle(arguments, ("--seconds", "--view"), "--fields")
     if live or not arguments.sensors:
         options.tell_idle(arguments, ("--unique-id",), "--port or --can" if live else "a recording without --sensors")
     unique_id = checked_id(arguments.unique_id) if arguments.unique_id else None
@@ -91,15 +91,23 @@ def _deviations(found: SensorCalibration) -> tuple[float, float]:
 
 def _record(arguments: argparse.Namespace, kind: str, where: str, site: Site, live: bool) -> tuple[int | None, Turn]:
     seconds = arguments.seconds if arguments.seconds is not None else LIVE_S if live else None
-    with open_sensor(kind, where, site, Options(node=arguments.node, seconds=seconds)) as opened:
-        turn = turn_of_reports(site, _with_progress(opened, seconds if live else None))
-        return opened.node, turn
+    choices = Options(node=arguments.node, seconds=seconds)
+    with shown(arguments, site, where, live=live) as page:
+        heard = None if page is None else page.recorder()
+        with open_sensor(kind, where, site, choices, heard) as opened:
+            reports = opened.reports()
+            if page is not None:
+                from goldfield.cli.page_progress import TurnProgress  # heavy: only when a page is served
+
+                reports = TurnProgress(page, site.cycle_s, seconds or LIVE_S).reports(opened)
+            turn = turn_of_reports(site, _with_progress(reports, seconds if live else None))
+            return opened.node, turn
 
 
-def _with_progress(opened: Sensor, seconds: float | None) -> Iterator[Report]:
+def _with_progress(reports: Iterator[Report], seconds: float | None) -> Iterator[Report]:
     first: float | None = None
     told_s = 0.0
-    for report in opened.reports():
+    for report in reports:
         if seconds is not None and np.isfinite(report.time_s):
             first = report.time_s if first is None else first
             if report.time_s - first >= told_s + PROGRESS_S:

@@ -7,11 +7,13 @@ import contextlib
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
 
 import can
 
 from goldfield.cli import link_options
 from goldfield.cli.output import json_line
+from goldfield.cli.page_option import shown
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
 from goldfield.errors import EXIT_FAILED, Loudness, counted, loudness, tell
 from goldfield.feeds.address import Address
@@ -29,6 +31,9 @@ from goldfield.site import Site
 from goldfield.types import Fields
 from goldfield.view.summary import Summary
 from goldfield.view.truth import Truth
+
+if TYPE_CHECKING:
+    from goldfield.page.publishing import Publisher
 
 SWITCH_S = 5e-4
 """Longest time for which the thread that computes poses keeps the interpreter from the one that prints them, s;
@@ -58,6 +63,7 @@ def print_poses(
     method = chosen_method(arguments.track, arguments.on_sensor, arguments.rate, arguments.lag)
     choices = link_options.reading(arguments, method)
     with contextlib.ExitStack() as stack:
+        page = stack.enter_context(shown(arguments, site, where, live=kind != "log"))
         recorder = writer = None
         if arguments.record:
             writer = CandumpWriter(arguments.record, force=arguments.force)
@@ -67,10 +73,11 @@ def print_poses(
         if arguments.summary:
             stack.enter_context(_written_at_the_end(summary, arguments.summary, force=arguments.force))
         feeds = stack.enter_context(open_feeds(addresses, Setting(site, force=arguments.force), live=kind != "log"))
-        sensor = stack.enter_context(open_sensor(kind, where, site, choices, recorder))
+        heard = recorder if page is None else page.recorder(recorder)
+        sensor = stack.enter_context(open_sensor(kind, where, site, choices, heard))
         if sensor.live:
             sys.setswitchinterval(SWITCH_S)
-        sinks = _print_epochs(arguments, sensor, summary, feeds)
+        sinks = _print_epochs(arguments, sensor, summary, feeds, page)
     if sinks.stuck:
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
@@ -101,7 +108,9 @@ def _written_at_the_end(summary: Summary, path: str, *, force: bool) -> Iterator
             file.discard()
 
 
-def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summary, feeds: Feeds) -> Fanout[Epoch | Fix]:
+def _print_epochs(
+    arguments: argparse.Namespace, sensor: Sensor, summary: Summary, feeds: Feeds, page: Publisher | None
+) -> Fanout[Epoch | Fix]:
     """Print the poses and the summary; return the sinks, of which an interrupt may have left one stuck."""
     sinks = _sinks(arguments, sensor, summary)
     try:
@@ -109,6 +118,8 @@ def _print_epochs(arguments: argparse.Namespace, sensor: Sensor, summary: Summar
             for item in sensor.stream():
                 sinks.write(item)
                 feeds.write(item)
+                if page is not None:
+                    page.publish(item, sensor)
     except KeyboardInterrupt:
         pass  # the usual end of a live run
     finally:

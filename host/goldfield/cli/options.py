@@ -73,7 +73,8 @@ def required(value: str | None, name: str, metavar: str) -> str:
 
 def tell_idle(arguments: argparse.Namespace, names: tuple[str, ...], where: str) -> None:
     """Say which options of a command line have no effect, such as ("--seconds",) with "FIELDS.csv"."""
-    given = [name for name in names if getattr(arguments, name.lstrip("-").replace("-", "_"))]
+    values = {name: getattr(arguments, name.lstrip("-").replace("-", "_")) for name in names}
+    given = [name for name, value in values.items() if value or value == ""]  # "": an option that may stand alone
     told = [name for name in given if not os.environ.get(environment_name(name))]
     if told:
         verb = "has" if len(told) == 1 else "have"

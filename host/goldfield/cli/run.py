@@ -7,6 +7,7 @@ from typing import Any
 
 from goldfield.cli import feed_options, link_options, options
 from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
+from goldfield.cli.page_option import add_view
 from goldfield.errors import on_command_line
 from goldfield.files.outputs import check_outputs
 
@@ -33,6 +34,7 @@ def command(subparsers: Any) -> None:
     options.add_force(parser)
     options.add(parser, "--seconds", metavar="N", what="stop after so much time of the sensor", kind=options.seconds)
     options.add(parser, "--truth", metavar="FILE", what="the simulator's truth, to compare with")
+    add_view(parser)
     link_options.add_reading(parser)
     parser.set_defaults(run=run)
 

@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from goldfield.cli import link_options, options
+from goldfield.cli.page_option import add_view
 from goldfield.errors import on_command_line
 
 KINDS = ("position", "axis", "current", "gain", "tilt", "offset", "lever", "field")
@@ -64,6 +65,7 @@ def command(subparsers: Any) -> None:
         what="live: walk until the beacons are known so well (default: until walking on gains little)",
         kind=options.metres,
     )
+    add_view(parser)
     options.add_json(parser)
     options.add_force(parser)
     parser.set_defaults(run=run)

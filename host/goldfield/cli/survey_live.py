@@ -27,7 +27,20 @@ class Survey(Protocol):
         ...
 
 
-def walk(fields: Iterable[Fields], survey: Survey, enough_m: float | None) -> tuple[Fields, ...]:
+class Say(Protocol):
+    """Tells a sentence, and the survey that it is about."""
+
+    def __call__(self, text: str, result: SurveyResult | None = None) -> None:
+        """Tell."""
+        ...
+
+
+def on_stderr(text: str, result: SurveyResult | None = None) -> None:
+    """Tell a sentence on stderr."""
+    tell(text)
+
+
+def walk(fields: Iterable[Fields], survey: Survey, enough_m: float | None, say: Say = on_stderr) -> tuple[Fields, ...]:
     """Gather epochs until the beacons are known well enough, walking on gains little, or Ctrl-C.
 
     Parameters
@@ -38,6 +51,8 @@ def walk(fields: Iterable[Fields], survey: Survey, enough_m: float | None) -> tu
         It may fail as long as too little was measured, or known points are still to be written down: that is told.
     enough_m : float or None
         Deviation of the beacons that is enough, m; None: as good as walking makes it.
+    say : Say, optional
+        Gets what is told.
     """
     epochs: list[Fields] = []
     due, before = FIRST, np.inf
@@ -47,30 +62,31 @@ def walk(fields: Iterable[Fields], survey: Survey, enough_m: float | None) -> tu
             if len(epochs) < due:
                 continue
             due = round(GROWTH * due)
-            now = _look(epochs, survey)
+            now = _look(epochs, survey, say)
             if enough_m is not None and now <= enough_m:
-                tell(f"that is enough: {1e3 * enough_m:g} mm were asked for")
+                say(f"that is enough: {1e3 * enough_m:g} mm were asked for")
                 break
             if enough_m is None and np.isfinite(now) and now > GAINED * before:
-                tell("that is enough: walking on in this way gains little")
+                say("that is enough: walking on in this way gains little")
                 break
             before = now
     except KeyboardInterrupt:
-        tell(f"the walk ends with {counted(len(epochs), 'epochs')}")
+        say(f"the walk ends with {counted(len(epochs), 'epochs')}")
     return tuple(epochs)
 
 
-def _look(epochs: Sequence[Fields], survey: Survey) -> float:
+def _look(epochs: Sequence[Fields], survey: Survey, say: Say) -> float:
     """Survey what there is, tell it, and return the beacons' deviation; infinite if nothing fits yet."""
     last = epochs[-1].epoch
     try:
         result = survey(epochs, MOST_EPOCHS)
     except (SystemFailure, UserError) as error:
-        tell(f"epoch {last}: walk on: {error}")
+        say(f"epoch {last}: walk on: {error}")
         return np.inf
     now = result.deviation_m
     left_out = f", {counted(len(result.outliers), 'epochs left out')}" if result.outliers else ""
-    tell(f"epoch {last}: the beacons are known to {1e3 * now:.3g} mm by {counted(len(epochs), 'epochs')}{left_out}")
+    known = f"the beacons are known to {1e3 * now:.3g} mm by {counted(len(epochs), 'epochs')}{left_out}"
+    say(f"epoch {last}: {known}", result)
     if result.advice:
-        tell(result.advice[-1])
+        say(result.advice[-1])
     return now

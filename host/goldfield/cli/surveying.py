@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Console
@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from goldfield import site as sites
 from goldfield.cli import link_options, options, survey_live
 from goldfield.cli.output import json_line, number
+from goldfield.cli.page_option import shown
 from goldfield.errors import Loudness, UserError, loudness
 from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.sensor.fields_table import read_fields
@@ -27,6 +28,12 @@ from goldfield.survey.data import AnchorFields, MetalFound
 from goldfield.survey.known_files import read_known, read_points
 from goldfield.types import Fields
 
+if TYPE_CHECKING:
+    from goldfield.cli.page_progress import SurveyProgress
+
+LINKS = ("port", "can", "log")
+LIVE_OPTIONS = ("--node", "--seconds", "--enough", "--view")
+"""Options of a survey that reads a sensor or a recording."""
 MOST_OUTLIERS = 10
 """Outliers that the table for people names one by one."""
 
@@ -55,19 +62,35 @@ def make_survey(arguments: argparse.Namespace) -> int:
         marked = {point.epoch for point in points}
         every = 1 if most is None else -(-len(epochs) // most)
         epochs = [fields for index, fields in enumerate(epochs) if index % every == 0 or fields.epoch in marked]
-        with _progress() as told:
+        with _progress(page) as told:
             return survey(site, SurveyData(tuple(epochs), points, known, anchors), free, told)
 
-    walk = _epochs(arguments, site, anchors, survey_of)
-    result = survey_of(walk)
-    text = revised(Path(path), *revisions(site, result), metal=_new_metal(site, result))
-    try:
-        write_file(out, text.encode(), "the new site file", force=arguments.force)
-        if arguments.map:
-            write_file(arguments.map, _residual_map(site, result, walk), "the residual map", force=arguments.force)
-    finally:  # a walk must not be lost with a full disk
-        print(json_line(record(result)) if arguments.json else table_of(site, result))
+    with _page(arguments, site) as page:
+        walk = _epochs(arguments, site, anchors, survey_of, page)
+        result = survey_of(walk)
+        text = revised(Path(path), *revisions(site, result), metal=_new_metal(site, result))
+        try:
+            write_file(out, text.encode(), "the new site file", force=arguments.force)
+            if arguments.map:
+                write_file(arguments.map, _residual_map(site, result, walk), "the residual map", force=arguments.force)
+        finally:  # a walk must not be lost with a full disk
+            print(json_line(record(result)) if arguments.json else table_of(site, result))
+        if page is not None:
+            page.say(f"Done: the beacons are known to {1e3 * result.deviation_m:.3g} mm; {out} is written.", result)
     return 0
+
+
+@contextmanager
+def _page(arguments: argparse.Namespace, site: Site) -> Iterator[SurveyProgress | None]:
+    """Serve the live page, if a sensor or a recording is read and somebody asked for it."""
+    if arguments.view is None or not any(getattr(arguments, kind) for kind in LINKS):
+        yield None
+        return
+    from goldfield.cli.page_progress import SurveyProgress  # heavy: only when a page is served
+
+    kind, where = link_options.chosen(arguments)
+    with shown(arguments, site, where, live=kind != "log") as page:
+        yield None if page is None else SurveyProgress(page, arguments.enough)
 
 
 def _check_map(arguments: argparse.Namespace) -> None:
@@ -123,17 +146,21 @@ def _anchor(site: Site, name: str, path: str) -> AnchorFields:
 
 
 def _epochs(
-    arguments: argparse.Namespace, site: Site, anchors: Sequence[AnchorFields], survey_of: survey_live.Survey
+    arguments: argparse.Namespace,
+    site: Site,
+    anchors: Sequence[AnchorFields],
+    survey_of: survey_live.Survey,
+    page: SurveyProgress | None,
 ) -> tuple[Fields, ...]:
     """Return the epochs of the table, the recording or the sensor; none if there are but anchors."""
-    links = [kind for kind in ("port", "can", "log") if getattr(arguments, kind) is not None]
+    links = [kind for kind in LINKS if getattr(arguments, kind) is not None]
     if arguments.fields:
         if links:
             raise UserError(f"FIELDS.csv and --{links[0]} are both given: give one of them")
-        options.tell_idle(arguments, ("--node", "--seconds", "--enough"), "FIELDS.csv")
+        options.tell_idle(arguments, LIVE_OPTIONS, "FIELDS.csv")
         return tuple(read_fields(site, arguments.fields))
     if not links and anchors:
-        options.tell_idle(arguments, ("--node", "--seconds", "--enough"), "--anchor alone")
+        options.tell_idle(arguments, LIVE_OPTIONS, "--anchor alone")
         return ()
     if not links:
         raise UserError("nothing was measured: give FIELDS.csv, --log FILE, --port PATH or --anchor ID=FIELDS.csv")
@@ -143,13 +170,19 @@ def _epochs(
     kind, where = link_options.chosen(arguments)
     if kind == "log":
         options.tell_idle(arguments, ("--enough",), "--log")
-    with open_sensor(kind, where, site, Options(node=arguments.node, seconds=arguments.seconds)) as sensor:
-        return survey_live.walk(sensor.fields(), survey_of, arguments.enough) if sensor.live else tuple(sensor.fields())
+    choices = Options(node=arguments.node, seconds=arguments.seconds)
+    with open_sensor(kind, where, site, choices, None if page is None else page.recorder) as sensor:
+        fields = sensor.fields() if page is None else page.fields(sensor)
+        if not sensor.live:
+            return tuple(fields)
+        return survey_live.walk(
+            fields, survey_of, arguments.enough, survey_live.on_stderr if page is None else page.say
+        )
 
 
 @contextmanager
-def _progress() -> Iterator[procedure.Progress]:
-    """Show on stderr what is being done, if that is a terminal."""
+def _progress(page: SurveyProgress | None) -> Iterator[procedure.Progress]:
+    """Show what is being done: on stderr, if that is a terminal, and on the page, if there is one."""
     quiet = not sys.stderr.isatty() or loudness() is Loudness.QUIET
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     with Progress(*columns, console=Console(stderr=True), transient=True, disable=quiet) as bar:
@@ -157,6 +190,8 @@ def _progress() -> Iterator[procedure.Progress]:
 
         def told(what: str, part: float) -> None:
             bar.update(task, description=what, completed=part)
+            if page is not None:
+                page.compute(what, part)
 
         yield told
 

@@ -58,27 +58,21 @@ def run(arguments: argparse.Namespace) -> int:
     kind, where = link_options.chosen(arguments)
     site = site_of(arguments)
 
-    from goldfield.page.application import application  # heavy: only when a page is served
-    from goldfield.page.expected_error import ExpectedError
+    from goldfield.page.beside import served  # heavy: only when a page is served
     from goldfield.page.feeding import Feed
-    from goldfield.page.hub import Hub
-    from goldfield.page.messages import hello
-    from goldfield.page.serving import Listener, PageServer, built_assets, parse_address
     from goldfield.sensor.options import chosen_method
 
-    assets = built_assets()
     method = chosen_method(arguments.track, arguments.on_sensor, arguments.rate, arguments.lag)
     choices = link_options.reading(arguments, method)
     choices.check(site)
-    live = kind != "log"
-    hub = Hub(hello(site, where, live=live), site.cycle_s, live=live)
-    listener = Listener(parse_address(arguments.bind) if arguments.bind else None)
     pace = 1.0 if arguments.pace is None else arguments.pace
-    feed = Feed(hub, kind, where, site, choices, pace)
-    page = application(hub, assets, ExpectedError(site), listener.token)
-    with contextlib.suppress(KeyboardInterrupt), PageServer(page, listener):
-        print(listener.url, flush=True)
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        served(site, where, live=kind != "log", bind=arguments.bind) as page,
+    ):
+        print(page.url, flush=True)
         options.tell_assumed(site)
+        feed = Feed(page.hub, kind, where, site, choices, pace)
         feed.run()
         feed.stopped.wait()  # a recording is at its end, and still looked at
     return 0

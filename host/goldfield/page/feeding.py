@@ -8,15 +8,11 @@ import time
 
 from goldfield.errors import SystemFailure, UserError, tell
 from goldfield.page.hub import Hub, State
-from goldfield.page.messages import epoch_message, fix_message, health_message
+from goldfield.page.publishing import Publisher
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Options
-from goldfield.sensor.pipeline import Epoch, Fix, Sensor
 from goldfield.site import Site
-from goldfield.view.monitor import Monitor, RosterRecorder
 
-HEALTH_EVERY_S = 0.5
-"""Time of the sensor from one message of health to the next, s."""
 RETRY_S = 1.0
 """Wait before a link that failed is opened again, s."""
 
@@ -39,10 +35,7 @@ class Feed:
         self._hub = hub
         self._kind, self._where = kind, where
         self._site, self._options = site, options
-        self._recorder = RosterRecorder()
-        self._monitor = Monitor(site, where, self._recorder.roster)
-        self._health_every = max(1, round(HEALTH_EVERY_S / site.cycle_s))
-        self._epochs = 0
+        self._publisher = Publisher(hub, site, where)
         self._told = ""
         self._pacing = Pacing(pace if kind == "log" else 0.0)
         self.stopped = threading.Event()
@@ -62,7 +55,7 @@ class Feed:
             try:
                 self._read()
             except (SystemFailure, UserError) as error:
-                if self._kind == "log" or (isinstance(error, UserError) and not self._epochs):
+                if self._kind == "log" or (isinstance(error, UserError) and not self._publisher.epochs):
                     raise
                 self._tell(str(error))
                 self.stopped.wait(RETRY_S)
@@ -78,23 +71,12 @@ class Feed:
         self._told = error
 
     def _read(self) -> None:
-        with open_sensor(self._kind, self._where, self._site, self._options, self._recorder) as sensor:
+        with open_sensor(self._kind, self._where, self._site, self._options, self._publisher.recorder()) as sensor:
             for item in sensor.stream():
-                self._take(item, sensor)
+                self._pacing.wait(item.pose.time_s, self.stopped)
+                self._publisher.publish(item, sensor)
                 if self.stopped.is_set():
                     return
-
-    def _take(self, item: Epoch | Fix, sensor: Sensor) -> None:
-        self._pacing.wait(item.pose.time_s, self.stopped)
-        if isinstance(item, Fix):
-            self._hub.publish_fix(fix_message(item))
-            return
-        self._monitor.node = sensor.node
-        self._monitor.add(item)
-        self._hub.publish_epoch(epoch_message(item))
-        if self._epochs % self._health_every == 0:
-            self._hub.publish_health(health_message(self._monitor, self._recorder.roster))
-        self._epochs += 1
 
 
 class Pacing:

@@ -35,6 +35,8 @@ class State(StrEnum):
     """Epochs came, and none for some seconds."""
     LOST = "lost"
     """The link is gone; it is opened again."""
+    BUSY = "busy"
+    """The sensor is not read, because this host computes."""
     ENDED = "ended"
     """The recording is at its end."""
 
@@ -53,6 +55,12 @@ class Mailbox:
         with self._lock:
             self._dropped += len(self._waiting) == CAPACITY
             self._waiting.append(message)
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing waits."""
+        with self._lock:
+            return not (self._first or self._waiting)
 
     def take(self) -> list[str]:
         """Return what waits, oldest first, and forget it; a message tells how many are missing."""
@@ -89,6 +97,7 @@ class Hub:
         self._boxes: set[Mailbox] = set()
         self._history: deque[str] = deque(maxlen=HISTORY)
         self._health: str | None = None
+        self._progress: str | None = None
         self._state, self._text, self._heard_s = State.WAITING, "", clock()
 
     @property
@@ -99,8 +108,8 @@ class Hub:
     def open(self) -> Mailbox:
         """Return the mailbox of another browser, with all in it that the page needs to begin."""
         with self._lock:
-            health = [] if self._health is None else [self._health]
-            box = Mailbox([self._greeting, *self._history, *health])
+            latest = [message for message in (self._health, self._progress) if message is not None]
+            box = Mailbox([self._greeting, *self._history, *latest])
             self._boxes.add(box)
         return box
 
@@ -126,6 +135,18 @@ class Hub:
         with self._lock:
             self._health = message
             self._hand_out(message)
+
+    def publish_progress(self, message: str) -> None:
+        """Hand out how far a survey or a calibration is, of which the latest counts."""
+        with self._lock:
+            self._progress = message
+            self._hand_out(message)
+
+    @property
+    def drained(self) -> bool:
+        """Whether every browser has taken what was there for it."""
+        with self._lock:
+            return all(box.empty for box in self._boxes)
 
     def set_state(self, state: State, text: str = "") -> None:
         """Say what the stream is doing, and in a sentence why."""

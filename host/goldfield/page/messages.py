@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,6 +27,44 @@ LEFT_OUT = "left out: "
 """How a pose's reason begins to say why a beacon was left out."""
 
 Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a progress: its name, what is known of it in words, and how far it is.
+
+    Attributes
+    ----------
+    name, text : str
+    share : float or None
+        From 0 to 1, where 1 is enough; None: nobody can tell what is enough.
+    """
+
+    name: str
+    text: str
+    share: float | None = None
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a survey or a calibration is.
+
+    Attributes
+    ----------
+    task : str
+        ``"survey"`` or ``"calibration"``.
+    text : str
+        A sentence: what is being done, or what is to be done next.
+    share : float or None
+        How far the whole is, from 0 to 1; None: nobody can tell.
+    rows : sequence of Row
+        How far its parts are.
+    """
+
+    task: str
+    text: str
+    share: float | None = None
+    rows: Sequence[Row] = ()
 
 
 def hello(site: Site, name: str, *, live: bool) -> str:
@@ -103,6 +143,19 @@ def health_message(monitor: Monitor, roster: Roster) -> str:
     """
     boards = {str(number): board_record(node) for number, node in sorted(roster.nodes.items())}
     return json_line({"type": "health", **monitor.record(), "boards": boards})
+
+
+def progress_message(progress: Progress) -> str:
+    """Return the message of how far a survey or a calibration is."""
+    return json_line(
+        {
+            "type": "progress",
+            "task": progress.task,
+            "text": progress.text,
+            "share": progress.share,
+            "rows": [{"name": row.name, "text": row.text, "share": row.share} for row in progress.rows],
+        }
+    )
 
 
 def _rounded(values: FloatArray) -> Any:

@@ -14,7 +14,7 @@ from typing import Self
 import uvicorn
 from starlette.types import ASGIApp
 
-from goldfield.errors import SystemFailure, UserError, option
+from goldfield.errors import SystemFailure, UserError, option, tell
 from goldfield.files.inputs import reason_of
 
 PORT = 8420
@@ -114,6 +114,7 @@ class Listener:
                 raise UserError(
                     f"{option('bind', f'{address}:{port}')}: this machine cannot listen there: {reason_of(error)}"
                 ) from None
+            tell(f"port {PORT} of this machine is taken, perhaps by another page: this one has another address")
             self.socket = _listening(address, 0)
         self._address = address
         self.token = None if is_loopback(address) else new_token()

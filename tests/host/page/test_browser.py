@@ -4,6 +4,7 @@ import pytest
 from playwright.sync_api import expect
 
 from goldfield.page.hub import State
+from goldfield.page.messages import Progress, Row, progress_message
 from hil_sim.clib import ROOT
 from tests.host.page.browser import DESKTOP, PHONE, ROOM, Served, chromium, recorded, times_later
 from tests.host.page.walk import BROKEN, WEAK, walk
@@ -201,6 +202,27 @@ def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_ret
     served.publish(calm[80:])
     expect(page.locator("#link-word")).to_have_text("live")
     expect(page.locator("#status-word")).to_have_text("ok")
+
+
+@pytest.mark.parametrize(("device", "viewport"), [("desktop", DESKTOP), ("phone", PHONE)])
+def test_a_calibration_s_progress_is_shown_to_anybody(opened, served, calm, device, viewport):
+    page = opened(viewport)
+    expect(page.locator("#link-word")).to_have_text("waiting for the sensor")
+    expect(page.locator("#progress")).to_be_hidden()
+    served.publish(calm)
+    rows = [Row("x up", "3.0 s", 1.0), Row("x down", "0.6 s", 0.2), Row("b1", "4 mm")]
+    served.hub.publish_progress(progress_message(Progress("calibration", "Still to come: x down.", 0.4, rows)))
+    card = page.get_by_role("region", name="Calibration of the sensor")
+    expect(card).to_contain_text("Still to come: x down.")
+    expect(card.get_by_role("listitem")).to_have_text(["x up3.0 s", "x down0.6 s", "b14 mm"])
+    expect(card.get_by_role("progressbar")).to_have_count(3)  # of the whole, and of the parts that are known
+    assert card.get_by_role("progressbar", name="How far x down is").evaluate("bar => bar.value") == pytest.approx(0.2)
+    served.hub.set_state(State.BUSY, "the host computes")
+    expect(page.locator("#link-word")).to_have_text("computing")
+    SHOTS.mkdir(exist_ok=True)
+    page.screenshot(path=SHOTS / f"{device}-progress.png")
+    assert violations(page) == []
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
 
 
 @pytest.mark.parametrize(("device", "viewport"), [("desktop", DESKTOP), ("phone", PHONE)])

@@ -3,6 +3,7 @@
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 
@@ -67,6 +68,45 @@ def test_a_recording_is_served_to_its_end_and_beyond(tmp_path):
 
 
 @needs_npm
+def test_a_run_shows_the_page_beside_its_lines():
+    command = [sys.executable, "-m", "goldfield", "run", "--site", str(SITE), "--view", "127.0.0.1:0", "--json"]
+    with PtySensor(range(600)) as sensor:
+        run = subprocess.Popen(
+            [*command, "--port", sensor.path], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        try:
+            url = run.stderr.readline().split()[-1]
+            first = json.loads(run.stdout.readline())
+            with connect(f"{url.replace('http', 'ws', 1)}live", max_size=None, open_timeout=TIMEOUT_S) as stream:
+                seen = until(stream, lambda message: message["type"] == "health")
+            run.send_signal(signal.SIGINT)
+            run.communicate(timeout=TIMEOUT_S)
+        finally:
+            run.kill()
+            run.wait()
+    assert run.returncode == 0
+    assert seen[0]["type"] == "hello"
+    assert seen[0]["live"]
+    (same,) = [one for one in seen if one["type"] == "epoch" and one["epoch"] == first["epoch"]]
+    assert {key: same[key] for key in first if key in same} == {key: first[key] for key in first if key in same}
+    assert next(one for one in seen if one["type"] == "health")["node"] is not None
+
+
+@needs_npm
+def test_two_pages_on_one_machine_have_two_addresses_and_the_second_says_so(monkeypatch, capsys):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        monkeypatch.setattr(serving, "PORT", other.getsockname()[1])
+        listener = serving.Listener()
+        assert listener.url != f"http://127.0.0.1:{serving.PORT}/"
+        listener.socket.close()
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"port {serving.PORT} of this machine is taken" in said
+
+
+@needs_npm
 def test_a_live_sensor_that_hangs_up_is_waited_for():
     with PtySensor(range(5), hang_up=True) as sensor, View("--port", sensor.path) as view, view.stream() as stream:
         until(stream, lambda message: message.get("epoch") == 4)
@@ -117,7 +157,7 @@ def test_a_page_that_is_not_built_is_told_before_anything_is_opened(capsys, tmp_
 
 
 def test_without_the_server_s_packages_it_says_what_to_install(capsys, monkeypatch):
-    for module in [name for name in sys.modules if name.startswith("goldfield.page.application")]:
+    for module in [name for name in sys.modules if name.startswith("goldfield.page.")]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "starlette.applications", None)
     assert main(["view", "--port", "/dev/none", "--site", str(SITE)]) == 3

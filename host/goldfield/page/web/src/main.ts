@@ -7,6 +7,7 @@ import { Connection } from "./connection";
 import { byId, make, setChip, setText } from "./dom";
 import { showFigures } from "./figures";
 import { Plan, type ErrorMap } from "./plan";
+import { ProgressCard } from "./progress";
 import { PROTOCOL, type Epoch, type Health, type Message, type Pose, type State } from "./protocol";
 import { Space } from "./space";
 import { Tables } from "./tables";
@@ -21,6 +22,7 @@ const plan = new Plan(byId("plan"));
 const space = openSpace();
 const tables = new Tables(byId("beacons"), byId("boards"));
 const charts = new Charts(byId("charts"));
+const progress = new ProgressCard();
 const alarms = new Alarms(announce);
 
 let pose: Pose | null = null;
@@ -60,6 +62,7 @@ function takeOne(message: Message): void {
     pose = health = null;
     trail.clear();
     charts.clear();
+    progress.clear();
     plan.setSite(message.site);
     space?.setSite(message.site);
     tables.setSite(message.site);
@@ -74,6 +77,8 @@ function takeOne(message: Message): void {
   } else if (message.type === "health") {
     health = message;
     changed = true;
+  } else if (message.type === "progress") {
+    progress.set(message);
   } else if (message.type === "state") {
     takeState(message);
   } else {
@@ -105,7 +110,7 @@ function takeState(state: State): void {
 
 function gone(): void {
   setChip("link", LINK.gone);
-  setText(byId("link-text"), "The server of this page does not answer: is “goldfield view” still running? Trying again.");
+  setText(byId("link-text"), "The server of this page does not answer: is goldfield still running? Trying again.");
   setAge(true);
   alarms.draw(false);
 }

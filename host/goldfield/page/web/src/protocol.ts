@@ -104,9 +104,17 @@ export interface Health {
 
 export interface State {
   type: "state";
-  state: "waiting" | "running" | "silent" | "lost" | "ended";
+  state: "waiting" | "running" | "silent" | "lost" | "busy" | "ended";
   text: string;
   silent_s: number;
+}
+
+export interface Progress {
+  type: "progress";
+  task: string;
+  text: string;
+  share: number | null;
+  rows: { name: string; text: string; share: number | null }[];
 }
 
 export interface Dropped {
@@ -114,4 +122,4 @@ export interface Dropped {
   count: number;
 }
 
-export type Message = Hello | Epoch | Fix | Health | State | Dropped;
+export type Message = Hello | Epoch | Fix | Health | Progress | State | Dropped;

@@ -49,6 +49,7 @@ export const LINK: Record<string, Said> = {
   playing: { tone: "good", mark: "▶", word: "playing" },
   silent: { tone: "bad", mark: "✗", word: "stream stopped" },
   lost: { tone: "bad", mark: "✗", word: "link lost" },
+  busy: { tone: "idle", mark: "…", word: "computing" },
   ended: { tone: "idle", mark: "■", word: "recording ended" },
 };
 
