@@ -33,7 +33,7 @@ static inline float inverse_square_root(float x) {
 }
 
 static inline float square_root(float x) {
-#if defined(__ARM_FP)
+#if defined(__arm__) && defined(__ARM_FP)
     float root;
     __asm__("vsqrt.f32 %0, %1" : "=t"(root) : "t"(x));
     return root;
