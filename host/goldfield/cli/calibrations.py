@@ -17,7 +17,7 @@ from goldfield.calibration.turn import Turn, turn_of_fields, turn_of_reports
 from goldfield.cli import board_calibration, link_options, options
 from goldfield.cli.chips_file import read_cycles
 from goldfield.cli.output import elements, json_line, number
-from goldfield.cli.page_option import shown
+from goldfield.cli.page_shown import shown
 from goldfield.errors import UserError, tell
 from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.link.reports import Report

@@ -7,13 +7,12 @@ import contextlib
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 import can
 
 from goldfield.cli import link_options
 from goldfield.cli.output import json_line
-from goldfield.cli.page_option import shown
+from goldfield.cli.page_shown import shown
 from goldfield.cli.pose_lines import PoseLines, json_record_line, table_line
 from goldfield.errors import EXIT_FAILED, Loudness, counted, loudness, tell
 from goldfield.feeds.address import Address
@@ -22,6 +21,7 @@ from goldfield.feeds.opening import Feeds, open_feeds
 from goldfield.files.inputs import STREAM
 from goldfield.files.outputs import OutputFile
 from goldfield.link.recordings import CandumpWriter
+from goldfield.page.publishing import Publisher
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import chosen_method
@@ -31,9 +31,6 @@ from goldfield.site import Site
 from goldfield.types import Fields
 from goldfield.view.summary import Summary
 from goldfield.view.truth import Truth
-
-if TYPE_CHECKING:
-    from goldfield.page.publishing import Publisher
 
 SWITCH_S = 5e-4
 """Longest time for which the thread that computes poses keeps the interpreter from the one that prints them, s;

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.errors import tell
+from goldfield.link.reports import Report
 from goldfield.page.messages import Progress, Row
+from goldfield.page.publishing import Publisher
+from goldfield.sensor.pipeline import Epoch, Sensor
 from goldfield.survey import SurveyResult
 from goldfield.types import Fields, Pose
-
-if TYPE_CHECKING:
-    from goldfield.link.reports import Report
-    from goldfield.page.publishing import Publisher
-    from goldfield.sensor.pipeline import Epoch, Sensor
 
 NEAR = np.cos(np.deg2rad(40.0))
 """An axis points up or down if it is no further off than 40 degrees; with a corner up, no axis does."""

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -16,7 +16,8 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from goldfield import site as sites
 from goldfield.cli import link_options, options, survey_live
 from goldfield.cli.output import json_line, number
-from goldfield.cli.page_option import shown
+from goldfield.cli.page_progress import SurveyProgress
+from goldfield.cli.page_shown import shown
 from goldfield.errors import Loudness, UserError, loudness
 from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.sensor.fields_table import read_fields
@@ -27,9 +28,6 @@ from goldfield.survey import Free, SurveyData, SurveyResult, procedure, survey
 from goldfield.survey.data import AnchorFields, MetalFound
 from goldfield.survey.known_files import read_known, read_points
 from goldfield.types import Fields
-
-if TYPE_CHECKING:
-    from goldfield.cli.page_progress import SurveyProgress
 
 LINKS = ("port", "can", "log")
 LIVE_OPTIONS = ("--node", "--seconds", "--enough", "--view")
