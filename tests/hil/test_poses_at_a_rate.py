@@ -10,7 +10,10 @@ from goldfield import site as sites
 from goldfield.cli.pose_lines import Line, json_record_line
 from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor import dialogue as dialogues
+from goldfield.sensor import pipeline as pipelines
+from goldfield.sensor import receiver as receivers
 from goldfield.sensor import session as sessions
+from goldfield.sensor.backlog import LIMIT_S
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pipeline import Epoch, Fix, Sensor
@@ -199,6 +202,39 @@ def test_poses_that_the_sensor_computes_are_passed_on_at_a_rate(bench):
     assert np.sqrt((attitude**2).mean()) < 0.06
     np.testing.assert_allclose(np.diff([pose.time_s for pose in poses]), 3 * 31 * 97.75e-6, rtol=5e-3)
     assert lines(one.replayed(options)[: len(items)]) == lines(items)
+
+
+class Wall:
+    """The wall clock of a machine that stands still for half a second: what has come by then is found late."""
+
+    def __init__(self, rig, begin_s):
+        self._rig, self._begin_s = rig, begin_s
+
+    def time(self):
+        stands = self._begin_s < self._rig.now_s < self._begin_s + 0.5
+        return self._rig.now_s + (1.3 * LIMIT_S if stands else 0.7 * LIMIT_S)
+
+
+def test_a_run_that_falls_behind_leaves_poses_out_and_says_so_once(bench, monkeypatch, capsys):
+    one = bench(RigLink)
+    wall = Wall(one.rig, one.rig.now_s + 1.5)
+    for module in (pipelines, receivers):
+        monkeypatch.setattr(module, "time", wall)
+    options = Options(Method.TRACK, rate_hz=330.0)
+    items, counts = one.run(options, 550)
+    (left_out,) = counts.values()
+    assert list(counts) == ["poses left out, because this machine fell behind"]
+    text = f"this machine is too slow for so many poses: blocks of chips that have waited for more than {LIMIT_S:g} s"
+    assert capsys.readouterr().err.count(text) == 1
+    position, _, poses = one.errors(items)
+    gaps = np.diff([pose.time_s for pose in poses])
+    assert gaps.max() == pytest.approx(0.5, abs=0.03)
+    assert left_out == round(gaps.max() / (31 * 97.75e-6)) - 1
+    assert (gaps > 0.004).sum() == 1
+    assert np.sqrt((position**2).mean()) < 0.02
+    assert len([item for item in items if isinstance(item, Epoch)]) > 15, "cycles are told all the same"
+    again = [item.pose.time_s for item in one.replayed(options) if isinstance(item, Fix)]
+    assert np.diff(again).max() < 0.004, "a recording leaves nothing out"
 
 
 def test_a_bus_that_is_only_listened_to_is_read_block_by_block(bench):

@@ -62,6 +62,7 @@ class BlockTrack:
         self._times = BlockTimes(site, rate_hz)
         self._of_cycles: dict[int, Pose] = {}
         self._last: Block | None = None
+        self._skipped_s = -math.inf
         self._follower = make(site)
 
     @property
@@ -82,7 +83,7 @@ class BlockTrack:
         """
         if block.time_s <= self.time_s:
             self._of_cycles.clear()
-            self._last = None
+            self._last, self._skipped_s = None, -math.inf
             self._follower = self._make(self._site)
         duration_s = self._times.duration_s(block)
         begin_s = block.time_s - duration_s
@@ -97,6 +98,10 @@ class BlockTrack:
         for cycle, end_s in self._times.ends(block, begin_s, block.time_s):
             self._keep(cycle, self._at(end_s, pose))
         return poses
+
+    def skip(self, block: Block) -> None:
+        """Let a block go: it is as one that was lost, but the poses at the rate up to its end are not due."""
+        self._skipped_s = block.time_s
 
     def finish(self) -> list[Pose]:
         """Return nothing: a pose is out as soon as its block is there."""
@@ -125,7 +130,7 @@ class BlockTrack:
             return []
         for cycle, end_s in self._times.ends(last, last.time_s, begin_s):
             self._keep(cycle, self._at(end_s))
-        return [self._at(time_s) for time_s in self._times.due(block, last.time_s, begin_s)]
+        return [self._at(time_s) for time_s in self._times.due(block, max(last.time_s, self._skipped_s), begin_s)]
 
     def _at(self, time_s: float, pose: Pose | None = None) -> Pose:
         """Return the pose at a time, which is the pose at the end of the latest block if that is its time."""

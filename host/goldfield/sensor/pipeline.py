@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ from goldfield.errors import UserError, counted
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
+from goldfield.sensor.backlog import LIMIT_S, Backlog
 from goldfield.sensor.location import Succession, location, needed_parameters, with_finding, without
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.receiver import Recorder
@@ -118,6 +120,7 @@ class Sensor:
         self.name = name
         self._source = source
         self._found = False
+        self._backlog = Backlog(time.time if isinstance(source, BusSource) else None)
         self._options = Options() if options is None else options
         method = self._options.method
         # In a recording nothing waits: a second thread would only cost
@@ -148,7 +151,8 @@ class Sensor:
         """Yield a pose for every code cycle, or at the rate that was asked for, to a recording's end or without end.
 
         A cycle that cannot be located has a pose too, with the status ``failed``. A pose is valid for its ``time_s``;
-        at a rate each is out as soon as the messages are there that it is made of. A second iterator goes on where the
+        at a rate each is out as soon as the messages are there that it is made of; of a live sensor those that were not
+        asked for in time are left out (`goldfield.sensor.backlog`). A second iterator goes on where the
         first stopped; at the end of a recording it yields nothing. The errors are those of `stream`.
         """
         return (item.pose for item in self.stream() if isinstance(item, Fix) or not item.at_rate)
@@ -185,7 +189,14 @@ class Sensor:
                 yield self._epoch(event)
             elif self._between is not None:
                 arrived_s = self._session.receiver.arrived_s
-                yield from (Fix(pose, arrived_s) for pose in self._between.poses(event))
+                if self._backlog.lets_go(arrived_s):
+                    self._between.skip(event)
+                    self._session.receiver.tell_once(
+                        f"this machine is too slow for so many poses: {self._between.source} that have waited "
+                        f"for more than {LIMIT_S:g} s are left out"
+                    )
+                else:
+                    yield from (Fix(pose, arrived_s) for pose in self._between.poses(event))
         if self._between is not None:
             yield from (Fix(pose, math.nan) for pose in self._between.finish())
         if not self._found and not self.live:
@@ -304,6 +315,7 @@ class Sensor:
             "messages of unknown cycles": self.orphans,
             "jumps of the cycle's number": self.restarts,
             "parameters put back that another host had set": self._session.keeping.changes,
+            "poses left out, because this machine fell behind": self._backlog.skipped,
             "blocks of chips lost": 0 if self._session.blocks is None else self._session.blocks.lost,
         }
         return {name: count for name, count in counts.items() if count}

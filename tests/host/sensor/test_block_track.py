@@ -145,6 +145,24 @@ def test_time_that_goes_back_begins_a_new_track():
     assert [pose.time_s for pose in poses] == [block(n).time_s for n in range(3)]
 
 
+@pytest.mark.parametrize("rate_hz", [330.0, 100.0])
+def test_blocks_that_are_let_go_cost_their_poses_and_no_other(rate_hz):
+    whole = followed(BlockTrack(ROOM, Moving, rate_hz), [block(n) for n in range(80)])
+    track = BlockTrack(ROOM, Moving, rate_hz)
+    poses = []
+    for n in range(80):
+        if 10 <= n < 45:
+            track.skip(block(n))
+        else:
+            poses += track.update(block(n))
+    begin_s, end_s = 10 * BLOCK_S + 1e-9, 45 * BLOCK_S + 1e-9
+    kept = [pose.time_s for pose in whole if not begin_s < pose.time_s < end_s]
+    np.testing.assert_allclose([pose.time_s for pose in poses], kept, rtol=0, atol=1e-9)
+    assert track.of_cycle(report(0)).time_s == pytest.approx(CYCLE_S), "a cycle has its pose all the same"
+    poses = followed(track, [block(n) for n in range(3)])
+    assert len(poses) == len(followed(BlockTrack(ROOM, Moving, rate_hz), [block(n) for n in range(3)]))
+
+
 def test_what_is_not_believed_is_handed_on():
     track = BlockTrack(ROOM, Moving)
     track.update(block(0), ("b3",))
