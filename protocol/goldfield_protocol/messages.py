@@ -159,6 +159,12 @@ def mismatch(identifier: int, length: int) -> Mismatch | None:
     return None if length == shape.length else Mismatch.LENGTH
 
 
+@cache
+def type_of(name: str) -> int:
+    """Return the type of a message, 0..31, by its name."""
+    return Identifier.unpack(database().get_message_by_name(name).frame_id).type
+
+
 def encode(name: str, signals: Mapping[str, float], *, node: int, index: int = 0) -> tuple[int, bytes]:
     """Pack a message.
 

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 from goldfield import site as sites
 from goldfield.cli.pose_lines import Line, json_record_line
 from goldfield.link.recordings import CandumpWriter
+from goldfield.sensor import backlog as backlogs
 from goldfield.sensor import dialogue as dialogues
-from goldfield.sensor import pipeline as pipelines
 from goldfield.sensor import receiver as receivers
 from goldfield.sensor import session as sessions
-from goldfield.sensor.backlog import LIMIT_S
+from goldfield.sensor.backlog import CAUGHT_UP_S, LIMIT_S
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pipeline import Epoch, Fix, Sensor
@@ -205,31 +205,34 @@ def test_poses_that_the_sensor_computes_are_passed_on_at_a_rate(bench):
 
 
 class Wall:
-    """The wall clock of a machine that stands still for half a second: what has come by then is found late."""
+    """The wall clock of a machine that is late for half a second: what comes meanwhile has waited."""
+
+    WAITED_S = (0.9 * LIMIT_S, 0.9 * LIMIT_S, 1.1 * LIMIT_S, 1.1 * CAUGHT_UP_S, 0.9 * CAUGHT_UP_S)
 
     def __init__(self, rig, begin_s):
         self._rig, self._begin_s = rig, begin_s
 
     def time(self):
-        stands = self._begin_s < self._rig.now_s < self._begin_s + 0.5
-        return self._rig.now_s + (1.3 * LIMIT_S if stands else 0.7 * LIMIT_S)
+        waited_s = np.interp(self._rig.now_s - self._begin_s, [-0.1, 0.0, 0.01, 0.49, 0.5], self.WAITED_S)
+        return self._rig.now_s + waited_s
 
 
 def test_a_run_that_falls_behind_leaves_poses_out_and_says_so_once(bench, monkeypatch, capsys):
     one = bench(RigLink)
     wall = Wall(one.rig, one.rig.now_s + 1.5)
-    for module in (pipelines, receivers):
+    for module in (backlogs, receivers):
         monkeypatch.setattr(module, "time", wall)
     options = Options(Method.TRACK, rate_hz=330.0)
     items, counts = one.run(options, 550)
-    (left_out,) = counts.values()
-    assert list(counts) == ["poses left out, because this machine fell behind"]
-    text = f"this machine is too slow for so many poses: blocks of chips that have waited for more than {LIMIT_S:g} s"
+    lost, left_out = counts["blocks of chips lost"], counts["messages left out, because this machine fell behind"]
+    assert len(counts) == 2
+    text = f"this machine is too slow for so many poses: blocks that have waited for more than {LIMIT_S:g} s"
     assert capsys.readouterr().err.count(text) == 1
     position, _, poses = one.errors(items)
     gaps = np.diff([pose.time_s for pose in poses])
     assert gaps.max() == pytest.approx(0.5, abs=0.03)
-    assert left_out == round(gaps.max() / (31 * 97.75e-6)) - 1
+    assert lost == round(gaps.max() / (31 * 97.75e-6)) - 1
+    assert left_out == pytest.approx(9 * lost, abs=20)
     assert (gaps > 0.004).sum() == 1
     assert np.sqrt((position**2).mean()) < 0.02
     assert len([item for item in items if isinstance(item, Epoch)]) > 15, "cycles are told all the same"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -74,6 +75,7 @@ def print_poses(
         sensor = stack.enter_context(open_sensor(kind, where, site, choices, heard))
         if sensor.live:
             sys.setswitchinterval(SWITCH_S)
+            gc.freeze()  # else a search for garbage looks through all that was imported, for 50 ms
         sinks = _print_epochs(arguments, sensor, summary, feeds, page)
     if sinks.stuck:
         sys.stderr.flush()

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 
 LIMIT_S = 0.2
 """What has waited for longer since it arrived is let go: poses are never much older, however slow the machine is."""
+
+CAUGHT_UP_S = 0.05
+"""It is let go until what comes has waited no longer than this: blocks of ten messages are lost as a whole, not each
+for one of them."""
 
 
 class Backlog:
@@ -14,28 +19,35 @@ class Backlog:
 
     Parameters
     ----------
-    now : callable
-        Returns the time of the clock that arrivals are told by; None: nothing is ever let go, as in a recording.
+    now : callable, optional
+        Returns the time of the clock that arrivals are told by; None: the wall clock.
 
     Attributes
     ----------
-    skipped : int
-        Blocks of chips, or poses of the sensor itself, that were let go.
+    let_go : int
+        Messages that were let go.
 
     Examples
     --------
     >>> backlog = Backlog(lambda: 100.0)
-    >>> [backlog.lets_go(arrived_s) for arrived_s in (99.7, 99.9)], backlog.skipped
-    ([True, False], 1)
+    >>> [backlog.lets_go(arrived_s) for arrived_s in (99.9, 99.7, 99.9, 99.96)], backlog.let_go
+    ([False, True, True, False], 2)
     """
 
-    def __init__(self, now: Callable[[], float] | None) -> None:
-        self._now = now
-        self.skipped = 0
+    def __init__(self, now: Callable[[], float] | None = None) -> None:
+        self._now = time.time if now is None else now
+        self._behind = False
+        self.let_go = 0
+        self._told = 0
 
     def lets_go(self, arrived_s: float) -> bool:
-        """Tell whether what arrived at a time has waited for too long; one that is not known is now."""
-        if self._now is None or math.isnan(arrived_s) or self._now() - arrived_s <= LIMIT_S:
-            return False
-        self.skipped += 1
-        return True
+        """Tell whether what arrived at a time is let go; NaN is a time that is not known, and never long ago."""
+        waited_s = 0.0 if math.isnan(arrived_s) else self._now() - arrived_s
+        self._behind = waited_s > (CAUGHT_UP_S if self._behind else LIMIT_S)
+        self.let_go += self._behind
+        return self._behind
+
+    def broke(self) -> bool:
+        """Tell whether anything was let go since the last call."""
+        before, self._told = self._told, self.let_go
+        return self.let_go > before

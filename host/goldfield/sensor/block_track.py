@@ -62,7 +62,7 @@ class BlockTrack:
         self._times = BlockTimes(site, rate_hz)
         self._of_cycles: dict[int, Pose] = {}
         self._last: Block | None = None
-        self._skipped_s = -math.inf
+        self._skips = False
         self._follower = make(site)
 
     @property
@@ -83,7 +83,7 @@ class BlockTrack:
         """
         if block.time_s <= self.time_s:
             self._of_cycles.clear()
-            self._last, self._skipped_s = None, -math.inf
+            self._last = None
             self._follower = self._make(self._site)
         duration_s = self._times.duration_s(block)
         begin_s = block.time_s - duration_s
@@ -99,9 +99,9 @@ class BlockTrack:
             self._keep(cycle, self._at(end_s, pose))
         return poses
 
-    def skip(self, block: Block) -> None:
-        """Let a block go: it is as one that was lost, but the poses at the rate up to its end are not due."""
-        self._skipped_s = block.time_s
+    def skip(self) -> None:
+        """Let no pose at the rate be due up to the next block: those before it were let go, not lost."""
+        self._skips = True
 
     def finish(self) -> list[Pose]:
         """Return nothing: a pose is out as soon as its block is there."""
@@ -125,12 +125,13 @@ class BlockTrack:
 
     def _bridged(self, block: Block, begin_s: float) -> list[Pose]:
         """Return the poses due between the block before and this one, from the former; keep those of cycles."""
-        last = self._last
+        last, skips = self._last, self._skips
+        self._skips = False
         if last is None or not 0.0 < begin_s - last.time_s <= GAP_S:
             return []
         for cycle, end_s in self._times.ends(last, last.time_s, begin_s):
             self._keep(cycle, self._at(end_s))
-        return [self._at(time_s) for time_s in self._times.due(block, max(last.time_s, self._skipped_s), begin_s)]
+        return [] if skips else [self._at(time_s) for time_s in self._times.due(block, last.time_s, begin_s)]
 
     def _at(self, time_s: float, pose: Pose | None = None) -> Pose:
         """Return the pose at a time, which is the pose at the end of the latest block if that is its time."""

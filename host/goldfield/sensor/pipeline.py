@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,7 +13,6 @@ from goldfield.errors import UserError, counted
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
-from goldfield.sensor.backlog import LIMIT_S, Backlog
 from goldfield.sensor.location import Succession, location, needed_parameters, with_finding, without
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.receiver import Recorder
@@ -120,7 +118,6 @@ class Sensor:
         self.name = name
         self._source = source
         self._found = False
-        self._backlog = Backlog(time.time if isinstance(source, BusSource) else None)
         self._options = Options() if options is None else options
         method = self._options.method
         # In a recording nothing waits: a second thread would only cost
@@ -189,14 +186,9 @@ class Sensor:
                 yield self._epoch(event)
             elif self._between is not None:
                 arrived_s = self._session.receiver.arrived_s
-                if self._backlog.lets_go(arrived_s):
-                    self._between.skip(event)
-                    self._session.receiver.tell_once(
-                        f"this machine is too slow for so many poses: {self._between.source} that have waited "
-                        f"for more than {LIMIT_S:g} s are left out"
-                    )
-                else:
-                    yield from (Fix(pose, arrived_s) for pose in self._between.poses(event))
+                if self._session.backlog.broke():
+                    self._between.skip()
+                yield from (Fix(pose, arrived_s) for pose in self._between.poses(event))
         if self._between is not None:
             yield from (Fix(pose, math.nan) for pose in self._between.finish())
         if not self._found and not self.live:
@@ -315,7 +307,7 @@ class Sensor:
             "messages of unknown cycles": self.orphans,
             "jumps of the cycle's number": self.restarts,
             "parameters put back that another host had set": self._session.keeping.changes,
-            "poses left out, because this machine fell behind": self._backlog.skipped,
+            "messages left out, because this machine fell behind": self._session.backlog.let_go,
             "blocks of chips lost": 0 if self._session.blocks is None else self._session.blocks.lost,
         }
         return {name: count for name, count in counts.items() if count}
@@ -342,7 +334,7 @@ class Sensor:
             pose = self._between.of_cycle(report)
             asked = self._options.rate_hz is not None or self._options.lag_s is not None
             at_rate = asked and self._between.follows(report)
-            if asked and not at_rate:
+            if asked and not at_rate and not self._session.backlog.let_go:
                 self._session.receiver.tell_once(self._between.absent)
         if pose is not None:
             pose = self._succession.follow(pose)

@@ -25,7 +25,7 @@ from goldfield.link.traffic import (
     damaged,
     no_traffic,
 )
-from goldfield_protocol.messages import Identifier, Message, database, decode, mismatch, protocol_hash
+from goldfield_protocol.messages import Identifier, Message, decode, mismatch, protocol_hash, type_of
 
 USED = (
     "EPOCH",
@@ -44,7 +44,7 @@ USED = (
     "DRIVE_STATUS",
     *ON_SENSOR_POSE,
 )
-USED_TYPES = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in USED}
+USED_TYPES = {type_of(name) for name in USED}
 TO_NODES = ("PARAM_SET",)
 """Messages whose node is the receiver's, not the sender's."""
 

@@ -15,9 +15,10 @@ from goldfield.link.buses import BusSource, Source
 from goldfield.link.chip_blocks import ChipBlockAssembler
 from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, STATE_STARTING
 from goldfield.link.marks import is_mark, reads
-from goldfield.link.reports import SHORTEST_SILENCE_S, Assembler, Report
+from goldfield.link.reports import ON_SENSOR_POSE, SHORTEST_SILENCE_S, Assembler, Report
 from goldfield.link.requests import set_request
 from goldfield.sensor.anchors import AnchorWatch
+from goldfield.sensor.backlog import LIMIT_S, Backlog
 from goldfield.sensor.census import Census, Place
 from goldfield.sensor.dialogue import BLOCKS, STREAM, Dialogue, Parameters
 from goldfield.sensor.health import Health
@@ -26,7 +27,7 @@ from goldfield.sensor.on_sensor import OnSensorTrack
 from goldfield.sensor.receiver import Receiver, Recorder
 from goldfield.site import Site
 from goldfield.types import Block, Pose
-from goldfield_protocol.messages import Message, encode
+from goldfield_protocol.messages import INDEX_MASK, INDEX_SHIFT, TYPE_SHIFT, Message, encode, type_of
 from goldfield_protocol.parameters import Kind
 
 QUIET_S = 1.0
@@ -48,6 +49,10 @@ process, or the whole computer, may have been stopped meanwhile."""
 
 STREAMED = ("BLOCK", "BLOCK_SUM", "CHIP")
 """Messages of which there are thousands a second, and which tell nothing of a board's health that others do not."""
+
+POSE_TYPES = frozenset(type_of(name) for name in ON_SENSOR_POSE)
+STREAMED_TYPES = frozenset(type_of(name) for name in STREAMED) | POSE_TYPES
+"""Types of the messages that blocks and the sensor's own poses of them come in; those of a cycle have the index 0."""
 
 Event = Report | Block | Pose
 """What a sensor reports: a cycle, a block of chips, or a pose that it computed of a block."""
@@ -95,6 +100,8 @@ class Session:
         What the anchors on the link see of the beacons.
     keeping : Keeping
         What the sensor was set to, and what others have changed of that.
+    backlog : Backlog
+        What was let go because this machine fell behind.
     unchosen : str
         The sensors of a recording which has none that the user chose; empty otherwise.
     counters : dict of int to int
@@ -128,6 +135,7 @@ class Session:
             self.choice = self._chosen(site)
         self.poses = OnSensorTrack(site) if poses else None
         self.keeping = Keeping(self.receiver)
+        self.backlog = Backlog()
         self.counters: dict[int, int] = {}
         self._site = site
         self._streamed_before: int | float = 1
@@ -310,6 +318,8 @@ class Session:
             if raw is not None and not self.live and is_mark(raw):
                 self._reads, self._skipped = reads(raw), 0
                 continue
+            if raw is not None and self._lets_go(raw):
+                continue
             message = None if raw is None else self.receiver.decoded(raw)
             if not self._reads:
                 self._skipped += message is not None and message.node == self.node
@@ -327,6 +337,22 @@ class Session:
                 if self._quiet_s > QUIET_S:
                     yield from self.assembler.flush()
                 self._judge_silence()
+
+    def _lets_go(self, raw: can.Message) -> bool:
+        """Tell whether a message of blocks is let go, unread, because this machine has fallen behind."""
+        if not self.live:
+            return False
+        kind, index = raw.arbitration_id >> TYPE_SHIFT & 0x1F, raw.arbitration_id >> INDEX_SHIFT & INDEX_MASK
+        if kind not in STREAMED_TYPES or (kind in POSE_TYPES and not index):
+            return False
+        if not self.backlog.lets_go(self.receiver.arrived_s):
+            return False
+        self._quiet_s = 0.0
+        self.receiver.tell_once(
+            f"this machine is too slow for so many poses: blocks that have waited for more than {LIMIT_S:g} s are left "
+            "out"
+        )
+        return True
 
     def _judge_silence(self) -> None:
         """End the session if the sensor has been silent for too long, or say so if it is waited for."""

@@ -64,8 +64,8 @@ class SmoothedTrack:
         self._last = block
         return [*poses, *self._due(self._smoother.update(block, without, ratio))]
 
-    def skip(self, block: Block) -> None:
-        """Let a block go: there are no poses where blocks were lost."""
+    def skip(self) -> None:
+        """Do nothing: there are no poses where blocks were lost, or let go."""
 
     def finish(self) -> list[Pose]:
         """Return the poses that are left when no further block comes."""

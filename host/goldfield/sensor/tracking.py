@@ -32,12 +32,9 @@ class Between(ABC):
     ----------
     absent : str
         What to say where a rate was asked for and nothing comes that such poses are made of.
-    source : str
-        What they are made of, in the plural.
     """
 
     absent: str
-    source: str
 
     def __init__(self, *, used_all: bool) -> None:
         self._used_all = used_all
@@ -54,8 +51,8 @@ class Between(ABC):
         """Take the next block or pose of the sensor; return the poses at the asked rate that it makes due."""
 
     @abstractmethod
-    def skip(self, event: Block | Pose) -> None:
-        """Let the next block or pose of the sensor go: nothing is computed, and no pose is due up to it."""
+    def skip(self) -> None:
+        """Let no pose be due up to the next block or pose of the sensor: those before it were let go."""
 
     @abstractmethod
     def of_cycle(self, report: Report) -> Pose | None:
@@ -100,7 +97,6 @@ class Tracking(Between):
     """
 
     absent = "no blocks of chips come: there is one pose a cycle"
-    source = "blocks of chips"
 
     def __init__(self, new: Callable[[], BlockTrack | SmoothedTrack]) -> None:
         super().__init__(used_all=False)
@@ -122,10 +118,9 @@ class Tracking(Between):
             return []
         return [self._next(pose) for pose in poses]
 
-    def skip(self, event: Block | Pose) -> None:
-        """Let the next block go: the track goes on as if it had been lost."""
-        assert isinstance(event, Block)
-        self._track.skip(event)
+    def skip(self) -> None:
+        """See `Between.skip`; the track goes on as if the blocks had been lost."""
+        self._track.skip()
 
     def finish(self) -> list[Pose]:
         """See `Between.finish`."""
@@ -157,7 +152,6 @@ class Relayed(Between):
     """Passes on the poses that the sensor computes itself of its blocks, at the rate at which it sends them."""
 
     absent = "the sensor sends no poses of blocks, which a rate needs"
-    source = "messages of the sensor"
 
     def __init__(self) -> None:
         super().__init__(used_all=True)
@@ -166,16 +160,14 @@ class Relayed(Between):
 
     def poses(self, event: Block | Pose) -> list[Pose]:
         """Take the sensor's next pose; see `Between.poses`."""
-        self.skip(event)
-        assert isinstance(event, Pose)
-        return [self._next(event)]
-
-    def skip(self, event: Block | Pose) -> None:
-        """Keep the sensor's next pose only for its cycle."""
         assert isinstance(event, Pose)
         self._last = self._of_cycles[event.epoch] = event
         if len(self._of_cycles) > CYCLES_KEPT:
             del self._of_cycles[next(iter(self._of_cycles))]
+        return [self._next(event)]
+
+    def skip(self) -> None:
+        """See `Between.skip`: what the sensor's poses were is not known, and none is due."""
 
     def of_cycle(self, report: Report) -> Pose | None:
         """Return the last pose of a cycle."""

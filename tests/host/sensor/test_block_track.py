@@ -152,7 +152,7 @@ def test_blocks_that_are_let_go_cost_their_poses_and_no_other(rate_hz):
     poses = []
     for n in range(80):
         if 10 <= n < 45:
-            track.skip(block(n))
+            track.skip()
         else:
             poses += track.update(block(n))
     begin_s, end_s = 10 * BLOCK_S + 1e-9, 45 * BLOCK_S + 1e-9
