@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from goldfield import site as sites
-from goldfield.cli.pose_lines import Line, json_record_line
+from goldfield.cli.pose_lines import json_record_line
 from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor import backlog as backlogs
 from goldfield.sensor import dialogue as dialogues
@@ -18,6 +18,7 @@ from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pipeline import Epoch, Fix, Sensor
 from goldfield.types import Status
+from goldfield.view.lines import Line
 from goldfield_protocol.messages import decode
 from hil_sim.clib import ROOT
 from hil_sim.rig import Rig

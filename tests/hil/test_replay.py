@@ -5,13 +5,13 @@ import itertools
 import pytest
 
 from goldfield import site as sites
-from goldfield.cli.pose_lines import Line, json_record_line
 from goldfield.link.recordings import CandumpWriter
 from goldfield.sensor import dialogue as dialogues
 from goldfield.sensor import session as sessions
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pipeline import Sensor
+from goldfield.view.lines import Line, line_record
 from hil_sim.rig import Rig
 from hil_sim.scenario import load_scenario, site_toml
 from tests.hil.rig_link import RigLink, RigSerialLink
@@ -41,8 +41,7 @@ def bench(monkeypatch, tmp_path):
 
 
 def lines_of(sensor, count=None):
-    line = json_record_line(truth=False)
-    return [line(Line(epoch.pose, epoch, epoch.lost)) for epoch in itertools.islice(sensor.epochs(), count)]
+    return [line_record(Line(epoch.pose, epoch, epoch.lost)) for epoch in itertools.islice(sensor.epochs(), count)]
 
 
 @pytest.mark.parametrize("set_before", [False, True])

@@ -21,8 +21,9 @@ from goldfield.feeds.feed import Setting
 from goldfield.feeds.opening import Feeds, open_feeds
 from goldfield.files.inputs import STREAM
 from goldfield.files.outputs import OutputFile
-from goldfield.link.recordings import CandumpWriter
 from goldfield.page.publishing import Publisher
+from goldfield.recording.about import About
+from goldfield.recording.formats import open_recording
 from goldfield.sensor.fields_table import FieldsWriter
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import chosen_method
@@ -36,6 +37,9 @@ from goldfield.view.truth import Truth
 SWITCH_S = 5e-4
 """Longest time for which the thread that computes poses keeps the interpreter from the one that prints them, s;
 Python's own 5 ms are more than a pose at 330 Hz may take."""
+
+Item = can.Message | Epoch | Fix
+"""What a recording takes."""
 
 
 def print_poses(
@@ -64,7 +68,8 @@ def print_poses(
         page = stack.enter_context(shown(arguments, site, where, live=kind != "log"))
         recorder = writer = None
         if arguments.record:
-            writer = CandumpWriter(arguments.record, force=arguments.force)
+            about = About(f"{kind} {where}", choices, site, arguments.site, live=kind != "log")
+            writer = open_recording(arguments.record, about, force=arguments.force)
             recorder = Branch(writer, arguments.record, waits=kind == "log", essential=arguments.record == STREAM)
             stack.callback(end_recording, recorder)
         summary = Summary("epochs" if arguments.rate is None and arguments.lag is None else "poses")
@@ -76,7 +81,7 @@ def print_poses(
         if sensor.live:
             sys.setswitchinterval(SWITCH_S)
             gc.freeze()  # else a search for garbage looks through all that was imported, for 50 ms
-        sinks = _print_epochs(arguments, sensor, summary, feeds, page)
+        sinks = _print_epochs(arguments, sensor, summary, feeds, page, recorder)
     if sinks.stuck:
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
@@ -84,7 +89,7 @@ def print_poses(
     return EXIT_FAILED if failed else 0
 
 
-def end_recording(recorder: Branch[can.Message]) -> None:
+def end_recording(recorder: Branch[Item]) -> None:
     """Close a recording, and tell how much of it is missing."""
     recorder.close()
     if recorder.dropped:
@@ -108,7 +113,12 @@ def _written_at_the_end(summary: Summary, path: str, *, force: bool) -> Iterator
 
 
 def _print_epochs(
-    arguments: argparse.Namespace, sensor: Sensor, summary: Summary, feeds: Feeds, page: Publisher | None
+    arguments: argparse.Namespace,
+    sensor: Sensor,
+    summary: Summary,
+    feeds: Feeds,
+    page: Publisher | None,
+    recorder: Branch[Item] | None,
 ) -> Fanout[Epoch | Fix]:
     """Print the poses and the summary; return the sinks, of which an interrupt may have left one stuck."""
     sinks = _sinks(arguments, sensor, summary)
@@ -119,6 +129,8 @@ def _print_epochs(
                 feeds.write(item)
                 if page is not None:
                     page.publish(item, sensor)
+                if recorder is not None:
+                    recorder.write(item)
     except KeyboardInterrupt:
         pass  # the usual end of a live run
     finally:

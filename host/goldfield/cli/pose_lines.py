@@ -75,7 +75,7 @@ def table_line(*, truth: bool, times: bool = False) -> LineOf:
     """Return what makes lines of a table, with errors against the truth or without; ``times`` in place of epochs."""
     table = PoseTable(truth=truth, times=times)
 
-    def line(told: Line, error: PoseError) -> str:
+    def line(told: Line, error: PoseError = NO_ERROR) -> str:
         notes = () if told.epoch is None else told.epoch.notes
         return table.line(told.pose, error, told.lost, ", ".join(notes))
 
@@ -85,7 +85,7 @@ def table_line(*, truth: bool, times: bool = False) -> LineOf:
 def json_record_line(*, truth: bool) -> LineOf:
     """Return what makes lines of JSON, with errors against the truth or without."""
 
-    def line(told: Line, error: PoseError) -> str:
+    def line(told: Line, error: PoseError = NO_ERROR) -> str:
         record = line_record(told)
         if truth:
             record |= {

@@ -11,6 +11,10 @@ from goldfield.cli.page_option import add_view
 from goldfield.errors import on_command_line
 from goldfield.files.outputs import check_outputs
 
+RECORD = (
+    "keep every message received: .mcap with the poses, for Foxglove; .log of candump; .asc and .blf for Vector's tools"
+)
+
 
 def command(subparsers: Any) -> None:
     """Add the subcommand."""
@@ -27,7 +31,7 @@ def command(subparsers: Any) -> None:
     add_on_sensor(parser)
     add_alert_limit(parser)
     options.add_json(parser)
-    options.add(parser, "--record", metavar="FILE", what="write every message received to a candump log")
+    options.add(parser, "--record", metavar="FILE", what=RECORD)
     options.add(parser, "--fields", metavar="FILE", what="write the separated fields to a table for goldfield locate")
     options.add(parser, "--summary", metavar="FILE", what="write the summary as a JSON object, at the end")
     feed_options.add(parser)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import io
 import os
 import stat
 import sys
@@ -207,8 +208,8 @@ class OutputFile:
         except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a zero byte in the path
             raise UserError(f"{self._name}: {what} cannot be written: {reason_of(error)}") from error
 
-    def write(self, data: bytes) -> None:
-        """Append a record.
+    def write(self, data: bytes, at: int | None = None) -> None:
+        """Append a record, or write it over what stands at an offset of a file that is `rewritable`.
 
         Raises
         ------
@@ -218,6 +219,8 @@ class OutputFile:
             If nobody reads stdout any more.
         """
         try:
+            if at is not None:
+                self._file.seek(at)
             written = self._file.write(data)
             if written != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -230,10 +233,18 @@ class OutputFile:
         except OSError as error:
             with suppress(OSError):  # a device such as /dev/full cannot be cut
                 self._file.truncate(self.size)
+                self._file.seek(self.size)
             raise self._failure(error) from error
-        self.size += len(data)
+        self.size = self.size + len(data) if at is None else max(self.size, at + len(data))
+        if at is not None:
+            self._file.seek(self.size)
         if self._live:
             self._settle()
+
+    @property
+    def rewritable(self) -> bool:
+        """Whether what was written can be written over: a regular file, neither a pipe nor stdout."""
+        return self._stdout is None and stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)
 
     def close(self) -> None:
         """End the file and keep it; `SystemFailure` if it cannot be put in its place or on the disk."""
@@ -283,7 +294,7 @@ class OutputFile:
         if status is not None and not stat.S_ISREG(status.st_mode):
             return self._place.open("wb", buffering=0)
         if self._live and not _filled(self._place):
-            return _locked(self._place.open("ab", buffering=0), self._name)
+            return _locked(_opened_empty(self._place), self._name)
         if status is not None and not os.access(self._place, os.W_OK):
             raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
         self._beside = self._place.with_name(f".{self._place.name[:200]}.{os.getpid()}.part")
@@ -330,6 +341,12 @@ def holds(path: str | Path, data: bytes) -> bool:
     with suppress(OSError):
         return Path(path).read_bytes() == data
     return False
+
+
+def _opened_empty(place: Path) -> BinaryIO:
+    """Open a file that holds nothing, or make it; one that another program fills meanwhile is not cut."""
+    descriptor = os.open(place, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    return io.FileIO(descriptor, "wb")
 
 
 def _locked(file: BinaryIO, name: str) -> BinaryIO:

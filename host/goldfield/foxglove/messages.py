@@ -22,8 +22,8 @@ from foxglove.messages import Pose as FoxglovePose
 
 from goldfield.foxglove.topics import COVARIANCE, POSE, TRANSFORMS
 from goldfield.link.ros_frame import NANOSECONDS, nanoseconds
-from goldfield.types import Fields, FloatArray, Pose, Status
-from goldfield.view.records import elements, number
+from goldfield.types import FloatArray, Pose, Status
+from goldfield.view.records import number
 from goldfield.view.rep103 import MAP, SENSOR, covariance_of
 
 LEVELS = {
@@ -104,26 +104,13 @@ def log_message(pose: Pose, unix_s: float, name: str = "goldfield") -> Log:
     return Log(timestamp=timestamp(unix_s), level=LEVELS[pose.status], message=said, name=name)
 
 
-def times(pose: Pose, unix_s: float, now_s: float) -> dict[str, Any]:
+def times(unix_s: float, now_s: float) -> dict[str, Any]:
     """Return the keys that a line has beside those of ``goldfield run --json``.
 
     ``unix_s``, the time of the measurement by the wall clock, and ``latency_s``, how old the pose was at ``now_s``;
     None where nothing tells it.
     """
     return {"unix_s": number(unix_s), "latency_s": number(now_s - unix_s)}
-
-
-def fields_record(fields: Fields, unix_s: float) -> dict[str, Any]:
-    """Return the separated fields of a cycle for JSON, in the sensor's frame; None where nothing was measured."""
-    return {
-        "epoch": fields.epoch,
-        "t_s": number(fields.time_s),
-        "unix_s": number(unix_s),
-        "fields": [
-            {"beacon": beacon, "b_T": elements(field_T.tolist()), "sigma_T": number(sigma_T)}
-            for beacon, field_T, sigma_T in zip(fields.beacons, fields.field_T, fields.sigma_T.tolist(), strict=True)
-        ],
-    }
 
 
 def _quaternion(xyzw: FloatArray) -> Quaternion:

@@ -18,6 +18,7 @@ from goldfield.errors import UserError
 from goldfield.files.inputs import STREAM
 from goldfield.link.candump import LONGEST, parse
 from goldfield.link.marks import is_mark
+from goldfield.link.mcap_records import MAGIC, frames_of
 from goldfield.link.traffic import CORRUPT, ERROR, FD, kind_of
 
 HEAD = 256
@@ -72,6 +73,8 @@ def frames(path: str, file: BinaryIO) -> Frames:
     if head.startswith(b"MDF "):
         _need_file(path, packed, "an MF4 file")
         return _of_reader(lambda: _mf4_reader(path))
+    if head.startswith(MAGIC):
+        return _of_reader(lambda: frames_of(path, stream))
     encoding = "utf-16" if head.startswith(UTF_16) else "utf-8-sig"
     text = head.decode(encoding, "ignore").lstrip().lower()
     if text.startswith("date "):

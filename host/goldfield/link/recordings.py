@@ -9,13 +9,11 @@ import can
 
 from goldfield.errors import SystemFailure, UserError, counted, tell
 from goldfield.files.inputs import STREAM, name_of, open_input, reason_of
-from goldfield.files.outputs import OutputFile
 from goldfield.link.log_formats import DAMAGE, frames
+from goldfield.link.recording_file import RecordingFile
 from goldfield.link.traffic import CORRUPT, no_traffic
 
 CHANNEL = "goldfield"
-
-OTHER_FORMATS = (".asc", ".blf", ".csv", ".db", ".gz", ".mcap", ".mf4", ".trc")
 
 
 class CandumpReader:
@@ -95,53 +93,33 @@ class CandumpReader:
 
 
 class CandumpWriter:
-    """Writes a log so that a crash loses nothing, and a power cut little.
-
-    Every message is handed to the system at once, and to the disk within a second (`goldfield.files.durable`).
-
-    A failing disk (full, removed) ends the recording with a message on stderr, cuts a torn last line off and lets the
-    run go on.
+    """Writes a log of candump so that a crash loses nothing, and a power cut little (`RecordingFile`).
 
     Parameters
     ----------
-    path : path
-        ``-`` is stdout.
-    force : bool
-        Whether a file that holds something may be replaced, which its first message does.
+    path, force
+        As for `RecordingFile`.
 
     Raises
     ------
     UserError
-        If the file cannot be made, holds something already, or has the name of another format.
+        If the file cannot be made, or holds something already.
     """
 
     def __init__(self, path: str | Path, *, force: bool = False) -> None:
-        if Path(path).suffix.lower() in OTHER_FORMATS:
-            raise UserError(f"{path}: recordings are logs of candump: give a name that ends in .log")
-        self._file = OutputFile(path, "the recording", live=True, force=force)
-        self._name = "stdout" if str(path) == STREAM else str(path)
-        self.failed = False
+        self._file = RecordingFile(path, force=force)
+
+    @property
+    def failed(self) -> bool:
+        """Whether the recording is not whole."""
+        return self._file.failed
 
     def write(self, message: can.Message) -> None:
         """Append a message; `BrokenPipeError` if nobody reads stdout any more."""
-        if self.failed:
-            return
         content = "R" if message.is_remote_frame else bytes(message.data).hex().upper()
-        line = f"({message.timestamp:.6f}) {CHANNEL} {message.arbitration_id:08X}#{content}\n".encode()
-        try:
-            self._file.write(line)
-        except SystemFailure as error:
-            self.failed = True
-            why = error.__cause__
-            reason = str(error) if why is None else reason_of(why)
-            tell(
-                f"{self._name}: recording stopped after {counted(self._file.size, 'bytes')}: {reason}; the run goes on"
-            )
+        line = f"({message.timestamp:.6f}) {CHANNEL} {message.arbitration_id:08X}#{content}\n"
+        self._file.write(line.encode())
 
     def close(self) -> None:
         """End the recording, of which the disk may fail to take the last part."""
-        try:
-            self._file.close()
-        except SystemFailure as error:
-            self.failed = True
-            tell(str(error))
+        self._file.close()

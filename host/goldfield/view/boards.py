@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from goldfield.link.requests import Value
 from goldfield.nodes.roster import Node, Roster
 from goldfield.view.records import number
 from goldfield_protocol.parameters import counter_name, label_of
@@ -32,7 +33,11 @@ def parameters_record(roster: Roster) -> dict[str, Any]:
     return {
         "nodes": {
             str(node.number): board_record(node)
-            | {"parameters": {label_of(index): value for index, value in sorted(node.parameters.items())}}
+            | {"parameters": {label_of(index): _value(value) for index, value in sorted(node.parameters.items())}}
             for node in sorted(roster.nodes.values(), key=lambda node: node.number)
         }
     }
+
+
+def _value(value: Value | None) -> Value | None:
+    return number(value) if isinstance(value, float) else value

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,7 +29,7 @@ class Line:
     pose: Pose
     epoch: Epoch | None
     lost: int
-    arrived_s: float
+    arrived_s: float = math.nan
 
 
 class Lines:

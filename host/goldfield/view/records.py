@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from goldfield.types import FloatArray, Pose
+from goldfield.types import Fields, FloatArray, Pose
 
 
 def json_line(record: dict[str, Any]) -> str:
@@ -40,6 +40,19 @@ def pose_record(pose: Pose) -> dict[str, Any]:
 
 def _place(pose: Pose) -> dict[str, Any]:
     return {"position_m": pose.position_m.tolist(), "orientation_xyzw": pose.orientation_xyzw.tolist()}
+
+
+def fields_record(fields: Fields, unix_s: float) -> dict[str, Any]:
+    """Return the separated fields of a cycle for JSON, in the sensor's frame; None where nothing was measured."""
+    return {
+        "epoch": fields.epoch,
+        "t_s": number(fields.time_s),
+        "unix_s": number(unix_s),
+        "fields": [
+            {"beacon": beacon, "b_T": elements(field_T.tolist()), "sigma_T": number(sigma_T)}
+            for beacon, field_T, sigma_T in zip(fields.beacons, fields.field_T, fields.sigma_T.tolist(), strict=True)
+        ],
+    }
 
 
 def number(value: float) -> float | None:

@@ -12,7 +12,7 @@ import pytest
 from goldfield.errors import UserError
 from goldfield.link.candump import parse
 from goldfield.link.marks import is_mark, mark, reads
-from goldfield.link.recordings import CandumpReader, CandumpWriter
+from goldfield.link.recordings import CandumpReader
 from goldfield.link.traffic import CORRUPT, ELEVEN_BIT, ERROR, FD, REMOTE
 from tests.host.fake_sensor import SITE, cycle_messages, heartbeat
 
@@ -245,10 +245,3 @@ def test_a_bad_line_in_the_middle_costs_that_line(tmp_path, suffix):
 def test_an_endless_file_is_no_log():
     with pytest.raises(UserError, match=r"^/dev/zero:1: the log holds no message"):
         read("/dev/zero")
-
-
-@pytest.mark.parametrize("name", ["a.asc", "a.BLF", "a.mcap", "a.log.gz"])
-def test_a_recording_has_no_name_of_another_format(tmp_path, name):
-    with pytest.raises(UserError, match=r"recordings are logs of candump: give a name that ends in \.log"):
-        CandumpWriter(tmp_path / name)
-    assert not (tmp_path / name).exists()

@@ -1,0 +1,147 @@
+"""Recordings in the formats of Vector's tools, .asc and .blf, as python-can writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import can
+
+from goldfield.link.recording_file import RecordingFile
+
+CONTAINER_BYTES = 4096
+"""A .blf is packed in containers of so many bytes: what a crash costs, 80 messages, or 1 s of a sensor at ten cycles a
+second."""
+
+
+class _Text:
+    """A text file in the eyes of python-can."""
+
+    closed = False
+
+    def __init__(self, file: RecordingFile) -> None:
+        self._file = file
+
+    def write(self, text: str) -> int:
+        """Append a line."""
+        self._file.write(text.encode())
+        return len(text)
+
+    def read(self) -> str:
+        """Do nothing: python-can knows a file by it."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Leave the file to who opened it."""
+
+
+class _Binary:
+    """A binary file in the eyes of python-can; what is written in parts becomes one record."""
+
+    closed = False
+
+    def __init__(self, file: RecordingFile) -> None:
+        self._file = file
+        self._parts: list[bytes] = []
+        self._at: int | None = None
+
+    def write(self, data: bytes) -> int:
+        """Take a part of a record."""
+        self._parts.append(bytes(data))
+        return len(data)
+
+    def settle(self) -> None:
+        """Write the record."""
+        if self._parts:
+            self._file.write(b"".join(self._parts), self._at)
+            self._parts.clear()
+            self._at = None
+
+    def seekable(self) -> bool:
+        """Tell whether the header can be written again at the end."""
+        return self._file.rewritable
+
+    def seek(self, offset: int) -> int:
+        """Go to where the header is written again."""
+        self.settle()
+        self._at = offset
+        return offset
+
+    def tell(self) -> int:
+        """Return how long the file is."""
+        self.settle()
+        return self._file.size
+
+    def read(self) -> bytes:
+        """Do nothing: python-can knows a file by it."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Write the last record; the file is left to who opened it."""
+        self.settle()
+
+
+class AscWriter:
+    """Writes an .asc, line by line, so that a crash loses nothing (`RecordingFile`).
+
+    Parameters
+    ----------
+    path, force
+        As for `RecordingFile`, with its errors.
+    """
+
+    def __init__(self, path: str | Path, *, force: bool = False) -> None:
+        self._file = RecordingFile(path, force=force)
+        self._writer: can.ASCWriter | None = None
+
+    @property
+    def failed(self) -> bool:
+        """Whether the recording is not whole."""
+        return self._file.failed
+
+    def write(self, message: can.Message) -> None:
+        """Append a message; `BrokenPipeError` if nobody reads stdout any more."""
+        if self._writer is None:  # not before the first message, which replaces an earlier file
+            text: Any = _Text(self._file)
+            self._writer = can.ASCWriter(text)
+        self._writer.on_message_received(message)
+
+    def close(self) -> None:
+        """End the recording, of which the disk may fail to take the last part."""
+        if self._writer is not None:
+            self._writer.stop()
+        self._file.close()
+
+
+class BlfWriter:
+    """Writes a .blf; a crash costs what its last container of `CONTAINER_BYTES` would have held.
+
+    Parameters
+    ----------
+    path, force
+        As for `RecordingFile`, with its errors.
+    """
+
+    def __init__(self, path: str | Path, *, force: bool = False) -> None:
+        self._file = RecordingFile(path, force=force)
+        self._binary = _Binary(self._file)
+        self._writer: can.BLFWriter | None = None
+
+    @property
+    def failed(self) -> bool:
+        """Whether the recording is not whole."""
+        return self._file.failed
+
+    def write(self, message: can.Message) -> None:
+        """Append a message; `BrokenPipeError` if nobody reads stdout any more."""
+        if self._writer is None:
+            binary: Any = self._binary
+            self._writer = can.BLFWriter(binary, max_container_size=CONTAINER_BYTES)
+        self._writer.on_message_received(message)
+        self._binary.settle()
+
+    def close(self) -> None:
+        """End the recording, of which the disk may fail to take the last part."""
+        if self._writer is not None:
+            self._writer.stop()
+        self._file.close()

@@ -1,0 +1,131 @@
+"""A run is recorded in the format that the name tells, and each gives its lines again."""
+
+import json
+import sys
+
+import can
+import pytest
+
+from goldfield import load_site
+from goldfield.cli import main
+from goldfield.errors import UserError
+from goldfield.link.marks import mark
+from goldfield.link.recordings import CandumpReader
+from goldfield.recording.about import About
+from goldfield.recording.formats import open_recording
+from goldfield.sensor.options import Options
+from tests.host.fake_sensor import SITE, log_of
+from tests.host.recording.mcap_file import topics
+
+CYCLES = 6
+
+
+@pytest.fixture
+def about():
+    return About("port /dev/ttyUSB0", Options(), load_site(SITE), str(SITE), live=False)
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "a.asc", "a.blf", "a.log", "a.MCAP", "a", "-.log"])
+def test_a_recording_of_each_format_gives_the_lines_of_the_run(tmp_path, capsys, name):
+    source, kept = tmp_path / "source.log", tmp_path / name
+    source.write_text(log_of(range(CYCLES)))
+    assert main(["run", "--log", str(source), "--site", str(SITE), "--json", "--record", str(kept)]) == 0
+    first = capsys.readouterr().out
+    assert len(first.splitlines()) == CYCLES
+    assert main(["run", "--log", str(kept), "--site", str(SITE), "--json"]) == 0
+    assert capsys.readouterr().out == first
+
+
+@pytest.mark.parametrize("ending", [".mcap", ".asc", ".blf", ".log"])
+def test_every_message_and_mark_comes_back(tmp_path, about, ending):
+    messages = [
+        mark(100, 1_700_000_000.25),
+        can.Message(timestamp=1_700_000_000.25, arbitration_id=0x08000064, data=bytes(range(8)), channel="can0"),
+        can.Message(timestamp=1_700_000_000.5, arbitration_id=0x1FFFFFFF, data=b"", channel="can0"),
+        mark(None, 1_700_000_001.0),
+    ]
+    writer = open_recording(tmp_path / f"a{ending}", about)
+    for message in messages:
+        writer.write(message)
+    writer.close()
+    assert not writer.failed
+    found = list(CandumpReader(tmp_path / f"a{ending}"))
+    assert [key(message) for message in found] == [key(message) for message in messages]
+    if ending in (".mcap", ".log"):
+        assert [message.timestamp for message in found] == [message.timestamp for message in messages]
+
+
+def key(message):
+    return message.arbitration_id, bytes(message.data), message.is_extended_id, message.is_remote_frame
+
+
+@pytest.mark.parametrize("name", ["a.blf", "a.asc"])
+def test_other_programs_read_the_logs(tmp_path, about, name):
+    writer = open_recording(tmp_path / name, about)
+    wanted = [can.Message(timestamp=1_700_000_000.0 + i, arbitration_id=i, data=bytes([i % 256])) for i in range(300)]
+    for message in wanted:
+        writer.write(message)
+    writer.close()
+    found = list(can.LogReader(tmp_path / name, relative_timestamp=False))
+    assert [key(message) for message in found] == [key(message) for message in wanted]
+    assert [round(message.timestamp, 5) for message in found] == [message.timestamp for message in wanted]
+
+
+def test_a_blf_that_is_cut_off_has_all_but_its_last_container(tmp_path, about, capsys):
+    writer = open_recording(tmp_path / "a.blf", about)
+    for i in range(1000):
+        writer.write(can.Message(timestamp=float(i), arbitration_id=i, data=bytes(8)))
+    (tmp_path / "killed.blf").write_bytes((tmp_path / "a.blf").read_bytes())
+    writer.close()
+    found = [message.arbitration_id for message in CandumpReader(tmp_path / "killed.blf")]
+    assert found == list(range(len(found)))
+    assert 900 < len(found) < 1000
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.DB", "a.log.gz", "a.mf4", "a.trc"])
+def test_what_is_only_read_is_refused(tmp_path, about, name):
+    with pytest.raises(UserError, match=r"is read and not written: give a name that ends in \.mcap, \.log, \.asc or"):
+        open_recording(tmp_path / name, about)
+    assert not (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize("ending", [".mcap", ".asc", ".blf", ".log"])
+def test_no_recording_replaces_one_unasked(tmp_path, about, ending):
+    path = tmp_path / f"a{ending}"
+    path.write_bytes(b"old")
+    with pytest.raises(UserError, match="not empty"):
+        open_recording(path, about)
+    writer = open_recording(path, about, force=True)
+    assert path.read_bytes() == b"old"
+    writer.close()
+    assert path.read_bytes() == b"old"
+    writer = open_recording(path, about, force=True)
+    writer.write(can.Message(timestamp=1.0, arbitration_id=5, data=b"x"))
+    writer.close()
+    assert [message.arbitration_id for message in CandumpReader(path)] == [5]
+
+
+def test_a_package_that_is_missing_is_told_when_a_recording_begins(tmp_path, about, monkeypatch):
+    for name in [name for name in sys.modules if name.startswith(("goldfield.foxglove", "goldfield.recording.mcap"))]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "foxglove", None)
+    with pytest.raises(UserError, match=r"a\.mcap: .* needs the package foxglove-sdk: .*'goldfield\[mcap\]'"):
+        open_recording(tmp_path / "a.mcap", about)
+
+
+def test_a_package_that_is_missing_is_told_when_a_recording_is_read(tmp_path, about, monkeypatch):
+    writer = open_recording(tmp_path / "a.mcap", about)
+    writer.write(can.Message(timestamp=1.0, arbitration_id=5, data=b"x"))
+    writer.close()
+    monkeypatch.setitem(sys.modules, "mcap.stream_reader", None)
+    with pytest.raises(UserError, match=r"a\.mcap: an MCAP file needs the package mcap: .*'goldfield\[mcap\]'"):
+        list(CandumpReader(tmp_path / "a.mcap"))
+
+
+def test_a_line_of_the_recording_has_the_keys_of_the_run_and_its_times(tmp_path, capsys):
+    source, kept = tmp_path / "source.log", tmp_path / "a.mcap"
+    source.write_text(log_of(range(CYCLES)))
+    assert main(["run", "--log", str(source), "--site", str(SITE), "--json", "--record", str(kept)]) == 0
+    printed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    kept_lines = [json.loads(message.data) for message in topics(kept)["/goldfield/line"]]
+    assert [{key: line[key] for key in line if key not in ("unix_s", "latency_s")} for line in kept_lines] == printed
