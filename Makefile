@@ -74,6 +74,13 @@ $(BUILD)/chromium.stamp:
 	@$(call need,chromium,chromium)
 	@touch $@
 
+# A broker for tests alone: one that was not there before is not left running as a service.
+$(BUILD)/mosquitto.stamp:
+	@mkdir -p $(BUILD)
+	@command -v mosquitto >/dev/null || test -x /usr/sbin/mosquitto || { $(call install,mosquitto); \
+	  $(SUDO) systemctl disable --now mosquitto >/dev/null 2>&1 || true; }
+	@touch $@
+
 $(BUILD)/venv.stamp: requirements.txt pyproject.toml setup.py $(BUILD)/host-tools.stamp
 	@echo "Python environment: $(VENV) (pinned packages)"
 	@python3 -c 'import sys; sys.exit("goldfield needs Python 3.11 or newer; python3 here is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'

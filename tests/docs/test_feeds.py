@@ -12,6 +12,7 @@ import pytest
 from goldfield.feeds.address import parse_address
 from goldfield.feeds.opening import open_feed
 from hil_sim.clib import ROOT
+from tests.host.feeds.broker import Broker, needs_mosquitto
 from tests.host.feeds.made import UNIX_S, pose, setting, stamped
 
 TIMEOUT_S = 120.0
@@ -61,6 +62,13 @@ def test_websocket(tmp_path):
 def test_udp(tmp_path, free_port):
     feed = open_feed(parse_address(f"udp://127.0.0.1:{free_port}"), setting())
     assert beside(feed, program("udp", tmp_path, **{"9000": str(free_port)})) == 3 * SAID
+
+
+@needs_mosquitto
+def test_mqtt(tmp_path):
+    with Broker(tmp_path) as broker:
+        feed = open_feed(parse_address(f"mqtt://127.0.0.1:{broker.port}/hall/pose"), setting())
+        assert beside(feed, program("mqtt", tmp_path, **{"1883": str(broker.port)})) == 3 * SAID
 
 
 @pytest.mark.parametrize("name", ["tum", "nmea"])

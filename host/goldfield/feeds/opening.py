@@ -30,7 +30,7 @@ MODULES = {
 """Where the function ``open_feed`` of each scheme is."""
 CAPACITY = 512
 """Poses that wait for a feed that is slow: 1.5 s at 330 a second."""
-CLOSING_S = 5.0
+CLOSING_S = 3.0
 """How long a feed is waited for at the end, unless it is a file."""
 
 
