@@ -25,6 +25,10 @@ class Channels:
         self._context = context
         self._channels: dict[str, Any] = {}
 
+    def wanted(self, *topics: str) -> bool:
+        """Tell whether anybody gets what is logged on one of some topics; one that has no channel yet is to get it."""
+        return any(topic not in self._channels or self._channels[topic].has_sinks() for topic in topics)
+
     def log(self, topic: str, message: Any, arrived_s: float) -> None:
         """Log a message.
 
