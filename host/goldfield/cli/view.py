@@ -6,9 +6,10 @@ import argparse
 import contextlib
 from typing import Any
 
-from goldfield.cli import link_options, options
+from goldfield.cli import feed_options, link_options, options
 from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
-from goldfield.errors import on_command_line
+from goldfield.errors import EXIT_FAILED, counted, on_command_line, tell
+from goldfield.files.outputs import check_outputs
 
 
 def command(subparsers: Any) -> None:
@@ -36,6 +37,7 @@ def command(subparsers: Any) -> None:
         what="play a recording X times as fast as it was made; 0: as fast as it can be computed (default: 1)",
         kind=_pace,
     )
+    feed_options.add(parser)
     add_track(parser)
     add_times(parser)
     add_on_sensor(parser)
@@ -56,8 +58,13 @@ def _pace(text: str) -> float:
 def run(arguments: argparse.Namespace) -> int:
     """Print the address and serve the page until Ctrl-C, which is the usual end."""
     kind, where = link_options.chosen(arguments)
+    addresses = feed_options.chosen(arguments)
+    files = feed_options.outputs(addresses)
+    check_outputs(files, {"--site": arguments.site, "--log": where if kind == "log" else None})
     site = site_of(arguments)
 
+    from goldfield.feeds.feed import Setting
+    from goldfield.feeds.opening import open_feeds
     from goldfield.page.beside import served  # heavy: only when a page is served
     from goldfield.page.feeding import Feed
     from goldfield.sensor.options import chosen_method
@@ -68,11 +75,14 @@ def run(arguments: argparse.Namespace) -> int:
     pace = 1.0 if arguments.pace is None else arguments.pace
     with (
         contextlib.suppress(KeyboardInterrupt),
+        open_feeds(addresses, Setting(site), live=kind != "log") as feeds,
         served(site, where, live=kind != "log", bind=arguments.bind) as page,
     ):
         print(page.url, flush=True)
         options.tell_assumed(site)
-        feed = Feed(page.hub, kind, where, site, choices, pace)
+        feed = Feed(page.hub, kind, where, site, choices, pace, feeds.write)
         feed.run()
         feed.stopped.wait()  # a recording is at its end, and still looked at
-    return 0
+    for name, count in feeds.dropped.items():
+        tell(f"{name}: {counted(count, 'poses were left out')}, because it was too slow or not there")
+    return EXIT_FAILED if feeds.failed else 0

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
 
 from goldfield.errors import SystemFailure, UserError, tell
 from goldfield.page.hub import Hub, State
 from goldfield.page.publishing import Publisher
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Options
+from goldfield.sensor.pipeline import Epoch, Fix
 from goldfield.site import Site
 
 RETRY_S = 1.0
@@ -29,13 +31,25 @@ class Feed:
     options : Options
     pace : float
         A recording is played so many times faster than it was made; 0: as fast as it can be computed.
+    also : callable, optional
+        Gets each item, too, when it is due; it does not wait.
     """
 
-    def __init__(self, hub: Hub, kind: str, where: str, site: Site, options: Options, pace: float = 1.0) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        kind: str,
+        where: str,
+        site: Site,
+        options: Options,
+        pace: float = 1.0,
+        also: Callable[[Epoch | Fix], None] | None = None,
+    ) -> None:
         self._hub = hub
         self._kind, self._where = kind, where
         self._site, self._options = site, options
         self._publisher = Publisher(hub, site, where)
+        self._also = also
         self._told = ""
         self._pacing = Pacing(pace if kind == "log" else 0.0)
         self.stopped = threading.Event()
@@ -75,6 +89,8 @@ class Feed:
             for item in sensor.stream():
                 self._pacing.wait(item.pose.time_s, self.stopped)
                 self._publisher.publish(item, sensor)
+                if self._also is not None:
+                    self._also(item)
                 if self.stopped.is_set():
                     return
 

@@ -107,6 +107,17 @@ def test_two_pages_on_one_machine_have_two_addresses_and_the_second_says_so(monk
 
 
 @needs_npm
+def test_a_page_and_feeds_at_once(tmp_path):
+    log, walk = tmp_path / "run.log", tmp_path / "walk.txt"
+    log.write_text(log_of(range(5)))
+    with View("--log", str(log), "--pace", "0", "--feed", f"tum:{walk}") as view:
+        with view.stream() as stream:
+            until(stream, lambda message: message.get("state") == "ended")
+        assert view.end() == (0, "", "")
+    assert len(walk.read_text().splitlines()) == 1 + 5
+
+
+@needs_npm
 def test_a_live_sensor_that_hangs_up_is_waited_for():
     with PtySensor(range(5), hang_up=True) as sensor, View("--port", sensor.path) as view, view.stream() as stream:
         until(stream, lambda message: message.get("epoch") == 4)
