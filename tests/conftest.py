@@ -29,6 +29,7 @@ HERE = Path(__file__).parent
 LONG = (
     "bench",
     "docs/test_new_room.py",
+    "docs/test_pages.py",
     "firmware/apps",
     "firmware/boards",
     "firmware/core/pose/test_pose_instructions.py",

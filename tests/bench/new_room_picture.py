@@ -15,6 +15,7 @@ import matplotlib as mpl
 import numpy as np
 
 from tests.docs import walkthrough
+from tests.docs.new_room import run_new_room
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
@@ -77,8 +78,8 @@ def main() -> int:
     """Run the page, draw, and print what each command told last."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for command, text in walkthrough.run_page(folder).items():
-            print(f"$ {command}", *text.splitlines()[-30:], sep="\n")
+        for step in run_new_room(folder):
+            print(f"$ {step.command}", *step.printed.splitlines()[-30:], sep="\n")
         for site in ("site", "surveyed"):
             rms_m = walkthrough.beacon_rms_m(folder / f"{site}.toml", folder / "true.toml")
             print(f"{site}.toml: beacons {1e3 * rms_m:.1f} mm rms from the truth")

@@ -57,7 +57,11 @@ def is_path(name: str) -> bool:
 
 
 def missing(text: str, folder: Path) -> Iterator[str]:
-    """Yield the links, paths and make targets of a Markdown text that are not there."""
+    """Yield the links, paths and make targets of a Markdown text that are not there.
+
+    A block whose first line is a comment with a file's name is saved by the reader under this name.
+    """
+    saved = set(re.findall(r"^```\w+\n# ([\w-]+\.\w+)$", text, re.M))
     for link in LINK.findall(text):
         if "://" not in link and not (folder / link.partition("#")[0]).exists():
             yield f"link {link}"
@@ -66,7 +70,8 @@ def missing(text: str, folder: Path) -> Iterator[str]:
         if command and command[1] not in make_targets():
             yield f"`{quoted}`"
         for word in quoted.split():
-            if is_path(word.rstrip(",:;")) and not exists(word.rstrip(",:;"), folder):
+            name = word.rstrip(",:;")
+            if is_path(name) and name not in saved and not exists(name, folder):
                 yield f"`{word}`"
 
 
@@ -85,6 +90,7 @@ def test_what_a_document_names_is_there(path):
         ("[a](cli.md) `host/goldfield/cli/run.py` `core/codes/` `hal.h` `make test` `site.toml`", 0),
         ("`build/firmware/x.elf` `https://a.b/c.py` `a/b` [b](https://a.b/c)", 0),
         ("`pytest -s tests/docs/test_links.py` `lockstep.*`", 0),
+        ("`gone.py`\n```python\n# gone.py\n```", 0),
         ("[a](gone.md)", 1),
         ("`host/goldfield/cli/gone.py`", 1),
         ("`core/gone/`", 1),

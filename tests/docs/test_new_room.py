@@ -11,92 +11,32 @@ import numpy as np
 import pytest
 
 from tests.docs import walkthrough
-
-PART, LAST_DIGITS = 0.2, 10.0
-"""A quoted number may differ by this part, or by so many units of its last digit: a run starts at another moment."""
-NUMBER = re.compile(r"[+-]?\d+(?:\.\d+)?")
+from tests.docs.new_room import PAGE, run_new_room
+from tests.docs.quotation import PART, not_printed
 
 
 @dataclass(frozen=True)
 class Walkthrough:
-    """What the page made: the folder of its files, and what each command printed."""
+    """What the page made: the folder of its files, and its steps."""
 
     folder: Path
-    printed: dict[str, str]
+    steps: list[walkthrough.Step]
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Walkthrough:
     folder = tmp_path_factory.mktemp("room")
-    return Walkthrough(folder, walkthrough.run_page(folder))
-
-
-def words(line: str) -> list[str]:
-    return NUMBER.sub(" # ", line).split()
-
-
-def agrees(quoted: str, printed: str) -> bool:
-    """Tell whether two lines have the same words, and numbers that are nearly the same, as far as ``...`` if it has."""
-    if quoted.endswith(" ..."):
-        quoted = quoted.removesuffix(" ...").rstrip(",;:")
-        printed = " ".join(printed.split()[: len(quoted.split())]).rstrip(",;:")
-    if words(quoted) != words(printed):
-        return False
-    for ours, theirs in zip(NUMBER.findall(quoted), NUMBER.findall(printed), strict=True):
-        unit = 10.0 ** -len(ours.partition(".")[2])
-        if abs(float(ours) - float(theirs)) > max(PART * abs(float(ours)), LAST_DIGITS * unit):
-            return False
-    return True
-
-
-def quotations() -> list[tuple[str, str]]:
-    """Return each line of output that the page quotes, after the last command above it."""
-    found, command = [], ""
-    text = walkthrough.PAGE.read_text(encoding="utf-8")
-    for language, block in re.findall(r"```(\w+)\n(.*?)```", text, re.S):
-        if language == "sh":
-            command = block.splitlines()[-1]
-        elif language == "text":
-            found += [(command, line) for line in block.splitlines() if line != "..."]
-    return found
-
-
-@pytest.mark.parametrize(
-    ("printed", "same"),
-    [
-        ("b1 is 1.52 m away", True),
-        ("b1 is 1.70 m away", True),
-        ("b1 is 1.90 m away", False),
-        ("b1 is 1.52 m near", False),
-        ("b1 is -1.52 m away", False),
-        ("b1 is 1.52 m away, b2 is 3 m away", False),
-    ],
-)
-def test_a_quotation_is_compared(printed: str, same: bool) -> None:
-    assert agrees("b1 is 1.52 m away", printed) == same
-
-
-@pytest.mark.parametrize(
-    ("printed", "same"), [("b1 is 1.60 m away, b2 is 3 m away", True), ("b1 is 2 m away", False), ("b1 is", False)]
-)
-def test_a_quotation_is_compared_as_far_as_it_goes(printed: str, same: bool) -> None:
-    assert agrees("b1 is 1.52 m away ...", printed) == same
+    return Walkthrough(folder, run_new_room(folder))
 
 
 def test_what_is_quoted_is_printed(done: Walkthrough) -> None:
-    found = quotations()
-    assert len(found) > 20
-    wrong = [
-        f"{command}\n    {line}"
-        for command, line in found
-        if not any(agrees(line, printed) for printed in done.printed[command].splitlines())
-    ]
-    assert wrong == []
+    assert sum(len(step.quoted) for step in done.steps) > 20
+    assert not_printed(done.steps) == []
 
 
 def test_the_survey_brings_beacons_and_poses_nearer(done: Walkthrough) -> None:
     """The figures of the page's text are those of its files."""
-    text = " ".join(walkthrough.PAGE.read_text(encoding="utf-8").split())
+    text = " ".join(walkthrough.page(PAGE).split())
     quoted = re.search(r"`site.toml` are ([\d.]+) mm rms from the truth, those of `surveyed.toml` ([\d.]+) mm", text)
     assert quoted is not None
     measured_mm = [
@@ -116,7 +56,8 @@ def test_the_survey_brings_beacons_and_poses_nearer(done: Walkthrough) -> None:
 def test_metal_that_is_known_makes_more_poses_ok(done: Walkthrough) -> None:
     def ok(site: str) -> tuple[int, float, float]:
         command = f"goldfield run --log metal.log --site {site} --truth metal_truth.jsonl"
-        found = re.search(r"rms error of (\d+) ok poses: position (\S+) cm, attitude (\S+) deg", done.printed[command])
+        (printed,) = (step.printed for step in done.steps if step.command == command)
+        found = re.search(r"rms error of (\d+) ok poses: position (\S+) cm, attitude (\S+) deg", printed)
         assert found is not None
         return int(found[1]), float(found[2]), float(found[3])
 

@@ -1,4 +1,17 @@
-"""The commands of docs/new_room.md, run one after the other as the page tells, and how good what they make is."""
+"""Run the commands of a page, one after the other as it tells a reader, and keep what each printed.
+
+In a page of ``docs``
+
+- a block of ``sh`` holds commands, which run in one folder that is empty at first, from the top of the page on: those
+  of ``goldfield``, and ``python FILE.py``. A comment ``# exits with N`` behind one says which exit code is right.
+- ``goldfield hil`` without ``--seconds`` is a bench: it runs beside the commands that follow, until the next starts. It
+  runs as fast as it is read, unless other programs take part on its bus: ``CHANNEL`` stands for the CAN channel that
+  its first line told.
+- a block of ``python`` or ``toml`` whose first line is a comment with a file's name is saved under this name.
+- a block of ``text`` quotes lines that the last command above it printed.
+- an indented block, or one of ``console``, holds commands that need boards or files that the reader has. They are not
+  run; `tests.docs.test_commands` has the command line's own parser look at them.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +21,9 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,63 +32,93 @@ import numpy.typing as npt
 from goldfield import load_site
 from hil_sim.clib import ROOT
 
-PAGE = ROOT / "docs/new_room.md"
+FENCED = re.compile(r"^```(\w+)\n(.*?)^```", re.M | re.S)
+FILE_NAME = re.compile(r"# ([\w-]+\.(?:py|toml))\n")
+EXIT_CODE = re.compile(r"# exits with (\d+)")
 
 
-def blocks(language: str) -> list[str]:
+@dataclass(frozen=True)
+class Step:
+    """A command of a page, what it printed, and the lines that the page quotes of it."""
+
+    command: str
+    printed: str
+    quoted: tuple[str, ...]
+
+
+def page(name: str) -> str:
+    """Return the text of a page of ``docs``."""
+    return (ROOT / "docs" / name).read_text(encoding="utf-8")
+
+
+def blocks(name: str, language: str) -> list[str]:
     """Return the code blocks of a language, in the order of the page."""
-    return re.findall(rf"```{language}\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.S)
+    return [text for kind, text in FENCED.findall(page(name)) if kind == language]
 
 
-def commands() -> list[str]:
-    """Return all commands of the page, in their order."""
-    return [line for block in blocks("sh") for line in block.splitlines()]
+def steps(name: str) -> Iterator[tuple[str, list[str]]]:
+    """Yield each command of a page with the lines that the page quotes of it."""
+    command, quoted = "", []
+    for language, text in FENCED.findall(page(name)):
+        if language == "sh":
+            for line in text.splitlines():
+                if command:
+                    yield command, quoted
+                command, quoted = line, []
+        elif language == "text":
+            quoted += [line for line in text.splitlines() if line != "..."]
+    if command:
+        yield command, quoted
 
 
-def run_page(folder: Path, tell: Callable[[str], None] = lambda _: None) -> dict[str, str]:
-    """Run all commands in a folder that is empty, and return what each printed.
-
-    A bench (``goldfield hil`` without ``--seconds``) runs as fast as it is read, beside the commands that follow, until
-    the next one starts. Before its reader is there it waits, since its port is held open.
+def run_page(name: str, folder: Path, tell: Callable[[str], None] = lambda _: None) -> list[Step]:
+    """Run all commands of a page in a folder and return what each printed.
 
     Raises
     ------
     RuntimeError
-        A command ended with another exit code than 0.
+        A command ended with another exit code than the page says.
     """
-    scenario = (ROOT / "hil_sim/scenarios/walk8.toml").read_text(encoding="utf-8")
-    quiet = scenario.replace("\nnoise_T = 2.0e-7 ", "\nnoise_T = 2.0e-8 ")
-    if quiet == scenario:
-        raise RuntimeError("walk8.toml has no noise_T = 2.0e-7, which the page changes")
-    (folder / "metal_room.toml").write_text(quiet + "\n" + "\n".join(blocks("toml")), encoding="utf-8")
-    printed: dict[str, str] = {}
+    for language in ("python", "toml"):
+        for text in blocks(name, language):
+            if named := FILE_NAME.match(text):
+                (folder / named[1]).write_text(text, encoding="utf-8")
+    done = []
     with ExitStack() as last:
         bench = last.enter_context(ExitStack())
-        for command in commands():
+        channel = ""
+        for command, quoted in steps(name):
             tell(command)
             if command.startswith("goldfield hil") and "--seconds" not in command:
                 bench.close()
-                _start(command, folder, bench)
+                printed = _start(command, folder, bench)
+                channel = printed.partition(", CAN ")[2].partition(" ")[0]
             else:
-                printed[command] = _run(command, folder)
-    return printed
+                printed = _run(command.replace("CHANNEL", channel), folder)
+            done.append(Step(command, printed, tuple(quoted)))
+    return done
 
 
-def _words(command: str) -> list[str]:
-    program, *rest = shlex.split(command.partition(" > ")[0])
-    if program != "goldfield":
-        raise RuntimeError(f"{command}: the page runs goldfield and nothing else")
-    return [sys.executable, "-m", "goldfield", *rest]
+def words(command: str) -> list[str]:
+    """Return the words of a command as this Python runs it, without its comment and without what it writes into."""
+    program, *rest = shlex.split(command.partition(" > ")[0], comments=True)
+    if program == "goldfield":
+        return [sys.executable, "-m", "goldfield", *rest]
+    if program == "python":
+        return [sys.executable, *rest]
+    raise RuntimeError(f"{command}: a page runs goldfield or python, and nothing else")
 
 
-def _environment() -> dict[str, str]:
+def environment() -> dict[str, str]:
+    """Return the environment of a reader who has installed this tree and has set nothing."""
     own = {name: value for name, value in os.environ.items() if not name.startswith("GOLDFIELD_")}
     return own | {"PYTHONPATH": f"{ROOT / 'host'}:{ROOT / 'protocol'}:{ROOT}"}
 
 
 def _run(command: str, folder: Path) -> str:
-    done = subprocess.run(_words(command), cwd=folder, env=_environment(), capture_output=True, text=True, check=False)
-    if done.returncode != 0:
+    done = subprocess.run(words(command), cwd=folder, env=environment(), capture_output=True, text=True, check=False)
+    expected = EXIT_CODE.search(command)
+    if done.returncode != (int(expected[1]) if expected else 0):
         raise RuntimeError(f"{command} ended with {done.returncode}:\n{done.stdout[-2000:]}{done.stderr}")
     _, redirected, file = command.partition(" > ")
     if redirected:
@@ -82,16 +126,26 @@ def _run(command: str, folder: Path) -> str:
     return done.stdout + done.stderr
 
 
-def _start(command: str, folder: Path, bench: ExitStack) -> None:
-    words = [*_words(command), "--pace", "0"]
-    process = subprocess.Popen(words, cwd=folder, env=_environment(), stdout=subprocess.PIPE, text=True)
+def _start(command: str, folder: Path, bench: ExitStack) -> str:
+    """Start a bench and return its first line. One that is run as fast as it is read waits until it has a reader."""
+    waits = "--can own" not in command
+    process = subprocess.Popen(
+        [*words(command), *(["--pace", "0"] if waits else [])],
+        cwd=folder,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        text=True,
+    )
     bench.callback(process.wait)
     bench.callback(process.terminate)
     port = folder / "sensor"
     assert process.stdout is not None
-    if not process.stdout.readline().startswith("serial ") or not port.exists():  # its first line: the bench is there
+    first = process.stdout.readline()
+    if not first.startswith("serial ") or not port.exists():  # its first line: the bench is there
         raise RuntimeError(f"{command}: there is no port {port}")
-    bench.callback(os.close, os.open(port, os.O_RDWR | os.O_NOCTTY))
+    if waits:
+        bench.callback(os.close, os.open(port, os.O_RDWR | os.O_NOCTTY))
+    return first
 
 
 def places_m(site: Path) -> npt.NDArray[np.float64]:
