@@ -118,6 +118,11 @@ page-picture: all $(BUILD)/chromium.stamp ## Draw docs/live_page.png: the live p
 
 .PHONY: page-picture
 
+how-it-works-pictures: all ## Draw docs/how_codes.png and how_poses.png from a simulated bench
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.how_it_works_pictures
+
+.PHONY: how-it-works-pictures
+
 METAL ?=
 metal-figures: $(BUILD)/venv.stamp $(LOCATE_LIBRARY) ## Measure what learning the metal of a room gains (ten minutes; METAL="plates --seeds 1")
 	@$(PYTHON) -m tests.bench.metal_figures $(METAL)
