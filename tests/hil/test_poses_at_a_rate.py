@@ -208,19 +208,19 @@ def test_poses_that_the_sensor_computes_are_passed_on_at_a_rate(bench):
 class Wall:
     """The wall clock of a machine that is late for half a second: what comes meanwhile has waited."""
 
-    WAITED_S = (0.9 * LIMIT_S, 0.9 * LIMIT_S, 1.1 * LIMIT_S, 1.1 * CAUGHT_UP_S, 0.9 * CAUGHT_UP_S)
+    WAITED_S = (0.0, 0.9 * LIMIT_S, 0.9 * LIMIT_S, 1.1 * LIMIT_S, 1.1 * CAUGHT_UP_S, 0.0)
 
     def __init__(self, rig, begin_s):
         self._rig, self._begin_s = rig, begin_s
 
     def time(self):
-        waited_s = np.interp(self._rig.now_s - self._begin_s, [-0.1, 0.0, 0.01, 0.49, 0.5], self.WAITED_S)
+        waited_s = np.interp(self._rig.now_s - self._begin_s, [-0.3, -0.2, 0.0, 0.01, 0.49, 0.5], self.WAITED_S)
         return self._rig.now_s + waited_s
 
 
 def test_a_run_that_falls_behind_leaves_poses_out_and_says_so_once(bench, monkeypatch, capsys):
     one = bench(RigLink)
-    wall = Wall(one.rig, one.rig.now_s + 1.5)
+    wall = Wall(one.rig, one.rig.now_s + 1.6)
     for module in (backlogs, receivers):
         monkeypatch.setattr(module, "time", wall)
     options = Options(Method.TRACK, rate_hz=330.0)

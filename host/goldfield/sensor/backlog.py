@@ -13,6 +13,9 @@ CAUGHT_UP_S = 0.05
 """It is let go until what comes has waited no longer than this: blocks of ten messages are lost as a whole, not each
 for one of them."""
 
+AT_FIRST_S = 2.0
+"""The limit until the run has been in time once: what came while the sensor was looked for is worked off first."""
+
 
 class Backlog:
     """Tells what is let go, and counts it.
@@ -30,20 +33,24 @@ class Backlog:
     Examples
     --------
     >>> backlog = Backlog(lambda: 100.0)
-    >>> [backlog.lets_go(arrived_s) for arrived_s in (99.9, 99.7, 99.9, 99.96)], backlog.let_go
-    ([False, True, True, False], 2)
+    >>> [backlog.lets_go(arrived_s) for arrived_s in (98.1, 99.96, 99.9, 99.7, 99.9, 99.96)], backlog.let_go
+    ([False, False, False, True, True, False], 2)
     """
 
     def __init__(self, now: Callable[[], float] | None = None) -> None:
         self._now = time.time if now is None else now
-        self._behind = False
+        self._behind, self._limit_s = False, AT_FIRST_S
         self.let_go = 0
         self._told = 0
 
     def lets_go(self, arrived_s: float) -> bool:
-        """Tell whether what arrived at a time is let go; NaN is a time that is not known, and never long ago."""
-        waited_s = 0.0 if math.isnan(arrived_s) else self._now() - arrived_s
-        self._behind = waited_s > (CAUGHT_UP_S if self._behind else LIMIT_S)
+        """Tell whether what arrived at a time is let go; never if the time is not known, NaN."""
+        if math.isnan(arrived_s):
+            return False
+        waited_s = self._now() - arrived_s
+        if waited_s <= CAUGHT_UP_S:
+            self._limit_s = LIMIT_S
+        self._behind = waited_s > (CAUGHT_UP_S if self._behind else self._limit_s)
         self.let_go += self._behind
         return self._behind
 
