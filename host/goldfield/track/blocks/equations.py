@@ -296,9 +296,11 @@ def _with_own_ambient(forms: Sequence[NormalForm]) -> tuple[FloatArray, FloatArr
 
     The right sides, shape (n, n + 4), are the three of the sums and those of the moments.
     """
-    gram = np.sum([form.beside_ambient(form.gram)[:, :-1] for form in forms], axis=0)
-    right = [np.hstack([form.beside_ambient(form.sums_T), form.beside_ambient(form.moment)]) for form in forms]
-    return gram, np.sum(right, axis=0)
+    rows = np.array([np.hstack([form.gram, form.sums_T, form.moment]) for form in forms])
+    count = rows.shape[1] - 1
+    share = rows[:, :-1, count] / rows[:, -1:, count]
+    beside = (rows[:, :-1] - share[..., None] * rows[:, -1:]).sum(axis=0)
+    return beside[:, :count], beside[:, count + 1 :]
 
 
 def _with_ramp(forms: Sequence[NormalForm]) -> tuple[FloatArray, FloatArray]:
