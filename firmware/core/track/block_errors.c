@@ -13,13 +13,13 @@ typedef float square_t[BLOCK_OBSERVED][BLOCK_OBSERVED];
 
 /* Returns the column of A in which the diagonal of an observed number stands. */
 static inline uint32_t column_of(uint32_t number) {
-    return number < 6u ? number : BLOCK_ROW_A - 6u + number;
+    return number < 6u ? number : BLOCK_E - 6u + number;
 }
 
 /* Computes what a beacon's errors, each of one standard deviation, do to its field. */
 static void beacon_effects(const block_measure_t *measure, const loop_t *coil, uint32_t i,
                            const block_beacon_errors_t *errors, effects_t effects) {
-    const float *const b = measure->field_uT[i], *const five = measure->gradient[i];
+    const float *const b = measure->model[i].field_uT, *const five = measure->model[i].gradient;
     const float gradient[3][3] = {
         {five[0], five[1], five[2]}, {five[1], five[3], five[4]}, {five[2], five[4], -five[0] - five[3]}};
     const float b_cross[3][3] = {{0.0f, -b[2], b[1]}, {b[2], 0.0f, -b[0]}, {-b[1], b[0], 0.0f}};
@@ -38,9 +38,9 @@ static void beacon_effects(const block_measure_t *measure, const loop_t *coil, u
 
 /* Adds what an error of one field, e, does to the gradient of the likelihood, times sigma^2. */
 static void add_effect(const block_measure_t *measure, uint32_t i, const float e[3], float d[BLOCK_OBSERVED]) {
-    const float *const sum = measure->gradient_sum[i];
+    const float *const sum = measure->sum[i].gradient;
     float crossed[3];
-    vector3_cross(e, measure->field_sum[i], crossed);
+    vector3_cross(e, measure->sum[i].field_uT, crossed);
     d[0] += sum[0] * e[0] + sum[1] * e[1] + sum[2] * e[2];
     d[1] += sum[1] * e[0] + sum[3] * e[1] + sum[4] * e[2];
     d[2] += sum[2] * e[0] + sum[4] * e[1] - (sum[0] + sum[3]) * e[2];
@@ -150,7 +150,7 @@ void block_errors(const block_measure_t *measure, const loop_t *coils, uint32_t 
         float d[BLOCK_OBSERVED] = {0.0f};
         for (uint32_t i = 0; i <= count; i++) {
             float e[3];
-            sensor_effect(measure, errors, measure->field_uT[i], k, e);
+            sensor_effect(measure, errors, measure->model[i].field_uT, k, e);
             add_effect(measure, i, e, d);
         }
         add_square(measure, pivots, d, square);

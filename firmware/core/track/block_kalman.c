@@ -15,40 +15,45 @@
 #define OFFSET_WALK  0.02f /* Walk of the sensor's offset, uT per root second: it warms up. */
 #define LARGE        1e18f /* A product of pivots beyond which its logarithm is taken. */
 
+#define GROUP 3u /* Rows of A that are taken at once; each group has zeros in the columns of those before it. */
+
+typedef float group_t[N][GROUP];
+
 /* Adds to a covariance what white acceleration does to a vector and to its rate. length is that of a row. */
 static void agitate(float *covariance, uint32_t length, uint32_t vector, uint32_t rate, float agility2, float seconds) {
     const float variance = agility2 * (seconds > 0.0f ? seconds : -seconds);
     const float middle = 0.5f * seconds * variance, far = seconds * seconds * variance * (1.0f / 3.0f);
     for (uint32_t axis = 0; axis < 3u; axis++) {
-        float *const of_vector = &covariance[(vector + axis) * length + axis];
-        float *const of_rate = &covariance[(rate + axis) * length + axis];
-        of_vector[vector] += far;
-        of_vector[rate] += middle;
-        of_rate[vector] += middle;
-        of_rate[rate] += variance;
+        covariance[(vector + axis) * length + vector + axis] += far;
+        covariance[(rate + axis) * length + vector + axis] += middle;
+        covariance[(rate + axis) * length + rate + axis] += variance;
     }
 }
 
-/* Applies F to p and theta of so many columns of a covariance, p += T v and theta <- turn theta + T w, whose elements
- * are step apart, the columns stride. With both exchanged the columns are rows. */
-static inline void transit(float *covariance, size_t step, size_t stride, uint32_t count, const float turn[3][3],
+/* Applies F to the first six elements of a vector, p += T v and theta <- turn theta + T w, which lie step apart. v and
+ * w are given in their order, motion_step apart. */
+static inline void transit(float *x, size_t step, const float *motion, size_t motion_step, const float turn[3][3],
                            float seconds) {
-    float *x = covariance;
-    for (uint32_t column = 0; column < count; column++) {
-        const float theta[3] = {x[BLOCK_THETA * step], x[(BLOCK_THETA + 1u) * step], x[(BLOCK_THETA + 2u) * step]};
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            x[(BLOCK_P + axis) * step] += seconds * x[(BLOCK_V + axis) * step];
-            x[(BLOCK_THETA + axis) * step] = vector3_dot(turn[axis], theta) + seconds * x[(BLOCK_W + axis) * step];
-        }
-        x += stride;
+    const float theta[3] = {x[3 * step], x[4 * step], x[5 * step]};
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        x[axis * step] += seconds * motion[axis * motion_step];
+        x[(3u + axis) * step] = vector3_dot(turn[axis], theta) + seconds * motion[(3u + axis) * motion_step];
     }
 }
 
-/* Moves a covariance on, of which the columns of p and theta beyond their own rows are left as they were. */
+/* Moves so many rows of a covariance on, which have that length. */
 static inline void propagate(float *covariance, uint32_t length, const float turn[3][3], float acceleration2,
                              float turn2, float seconds) {
-    transit(covariance, length, 1, length, turn, seconds);
-    transit(covariance, 1, length, BLOCK_V, turn, seconds);
+    float *const motion = &covariance[BLOCK_V * length];
+    for (uint32_t row = 0; row < BLOCK_V; row++) { /* Right of them is what stands below, in columns. */
+        transit(&covariance[row * length], 1, &motion[row], length, turn, seconds);
+    }
+    for (uint32_t row = BLOCK_V; row < length; row++) {
+        transit(&covariance[row * length], 1, &covariance[row * length + BLOCK_V], 1, turn, seconds);
+    }
+    for (uint32_t column = 0; column < BLOCK_V; column++) {
+        transit(&covariance[column], length, &motion[column], length, turn, seconds);
+    }
     agitate(covariance, length, BLOCK_P, BLOCK_V, acceleration2, seconds);
     agitate(covariance, length, BLOCK_THETA, BLOCK_W, turn2, seconds);
 }
@@ -58,11 +63,6 @@ void block_kalman_predict(block_kalman_t *filter, float seconds) {
     const float passed = seconds > 0.0f ? seconds : -seconds;
     block_state_advance(&filter->state, seconds, turn);
     propagate(covariance[0], N, (const float(*)[3])turn, filter->acceleration2, filter->turn2, seconds);
-    for (uint32_t row = BLOCK_V; row < N; row++) {
-        for (uint32_t column = BLOCK_P; column < BLOCK_V; column++) {
-            covariance[row][column] = covariance[column][row];
-        }
-    }
     for (uint32_t axis = 0; axis < 3u; axis++) {
         covariance[BLOCK_E + axis][BLOCK_E + axis] += AMBIENT_WALK * AMBIENT_WALK * passed;
         covariance[BLOCK_B + axis][BLOCK_B + axis] += OFFSET_WALK * OFFSET_WALK * passed;
@@ -76,71 +76,63 @@ void block_kalman_ahead(block_state_t *state, float covariance[BLOCK_E][BLOCK_E]
     propagate(covariance[0], BLOCK_E, (const float(*)[3])turn, acceleration2, turn2, seconds);
 }
 
-/* Computes y - A x, x the state less the reference. */
-static void observe(const block_state_t *state, const block_measure_t *measure, float y[Z]) {
-    float x[N]; /* The errors: up to the turn rate they are in the order of the columns of A, and e then becomes a. */
-    block_state_subtract(state, &measure->reference, x);
-    for (uint32_t axis = 0; axis < 3u; axis++) {
-        x[BLOCK_ROW_A + axis] += vector3_dot(measure->rotation[axis], &x[BLOCK_B]);
-    }
-    for (uint32_t row = 0; row < Z; row++) {
-        float sum = measure->rows[row][BLOCK_ROW_Y];
-        for (uint32_t k = 0; k < BLOCK_ROW_Y; k++) {
-            sum -= measure->rows[row][k] * x[k];
+/* Returns the first column of a group of rows that is not zero. */
+static inline uint32_t first_column(uint32_t row) {
+    return row < 6u ? row : BLOCK_V;
+}
+
+/* Adds to six rows of P A' what a column of P does, whose elements lie step apart. */
+static inline void weigh_column(const float *p, size_t step, const float *a, float sum[6][GROUP]) {
+    for (uint32_t i = 0; i < 6u; i++) {
+        for (uint32_t j = 0; j < GROUP; j++) {
+            sum[i][j] += p[i * step] * a[j * BLOCK_ROW];
         }
-        y[row] = sum;
     }
 }
 
-/* Computes P A'. The part of the ambient field at the sensor, a, has in P the columns of e
- * and of R b. */
-static void weigh(const float covariance[N][N], const block_measure_t *measure, float pa[N][Z]) {
-    for (uint32_t i = 0; i < N; i += 3u) {
-        const float *const p = covariance[i];
-        float ambient[3][3];
-        matrix3_load(ambient, &p[BLOCK_E], N);
-        matrix3_add_transposed(ambient, &p[BLOCK_B], N, measure->rotation[0], 3);
-        for (uint32_t j = 0; j < Z; j += 3u) { /* Left of the diagonal A is zero. */
-            const float *const a = measure->rows[j];
-            float sum[3][3] = {{0.0f}};
-            for (uint32_t k = j; k < BLOCK_ROW_A; k += 3u) {
-                matrix3_add_transposed(sum, &p[k], N, &a[k], BLOCK_ROW);
+/* Computes P A' for a group of rows, from the blocks of six rows and columns on and below the diagonal of P. */
+static inline void weigh(const float covariance[N][N], const float rows[GROUP][BLOCK_ROW], uint32_t first, group_t pa) {
+    for (uint32_t i = 0; i < N; i += 6u) {
+        float sum[6][GROUP] = {{0.0f}};
+        uint32_t k = first;
+        for (; k < i + 6u; k++) {
+            weigh_column(&covariance[i][k], N, &rows[0][k], sum);
+        }
+        for (; k < N; k++) {
+            weigh_column(&covariance[k][i], 1, &rows[0][k], sum);
+        }
+        memcpy(pa[i], sum, sizeof sum);
+    }
+}
+
+/* Computes the lower triangle of M = 1 + A P A', and y - A x. */
+static inline void innovate(const float rows[GROUP][BLOCK_ROW], uint32_t first, const group_t pa, const float x[N],
+                            float m[GROUP][GROUP], float y[GROUP]) {
+    float sum[GROUP][GROUP] = {{1.0f, 0.0f, 0.0f}, {0.0f, 1.0f, 0.0f}, {0.0f, 0.0f, 1.0f}};
+    float left[GROUP] = {rows[0][BLOCK_ROW_Y], rows[1][BLOCK_ROW_Y], rows[2][BLOCK_ROW_Y]};
+    for (uint32_t three = first; three < N; three += 3u) {
+        for (uint32_t k = three; k < three + 3u; k++) {
+            for (uint32_t i = 0; i < GROUP; i++) {
+                for (uint32_t j = 0; j <= i; j++) {
+                    sum[i][j] += rows[i][k] * pa[k][j];
+                }
+                left[i] -= rows[i][k] * x[k];
             }
-            matrix3_add_transposed(sum, ambient[0], 3, &a[BLOCK_ROW_A], BLOCK_ROW);
-            matrix3_store((const float(*)[3])sum, &pa[i][j], Z);
         }
     }
+    memcpy(m, sum, sizeof sum);
+    memcpy(y, left, sizeof left);
 }
 
-/* Computes the lower triangle of M = 1 + A P A', and what is beside it in the blocks of the
- * diagonal. */
-static void innovate(const float pa[N][Z], const block_measure_t *measure, float m[Z][Z]) {
-    for (uint32_t j = 0; j < Z; j += 3u) {
-        float ambient[3][3];
-        matrix3_load(ambient, &pa[BLOCK_E][j], Z);
-        matrix3_add(ambient, measure->rotation[0], 3, &pa[BLOCK_B][j], Z);
-        for (uint32_t i = j; i < Z; i += 3u) {
-            const float *const a = measure->rows[i];
-            const float one = i == j ? 1.0f : 0.0f;
-            float sum[3][3] = {{one, 0.0f, 0.0f}, {0.0f, one, 0.0f}, {0.0f, 0.0f, one}};
-            for (uint32_t k = i; k < BLOCK_ROW_A; k += 3u) {
-                matrix3_add(sum, &a[k], BLOCK_ROW, &pa[k][j], Z);
-            }
-            matrix3_add(sum, &a[BLOCK_ROW_A], BLOCK_ROW, ambient[0], 3);
-            matrix3_store((const float(*)[3])sum, &m[i][j], Z);
-        }
-    }
-}
-
-/* Factors a block of the diagonal, M = V V', in place, with the inverse of V's diagonal on it.
+/* Factors M = V V' in place, with the inverse of V's diagonal on it.
  * Returns its determinant. */
-static inline float factor3(float v[3][3]) {
+static inline float factor(float v[GROUP][GROUP]) {
     float determinant = 1.0f;
-    for (uint32_t j = 0; j < 3u; j++) {
+    for (uint32_t j = 0; j < GROUP; j++) {
         const float pivot = v[j][j] > 1.0f ? v[j][j] : 1.0f; /* Less is rounding. */
         determinant *= pivot;
         v[j][j] = 1.0f / square_root(pivot);
-        for (uint32_t i = j + 1u; i < 3u; i++) {
+        for (uint32_t i = j + 1u; i < GROUP; i++) {
             v[i][j] *= v[j][j];
             for (uint32_t k = j + 1u; k <= i; k++) {
                 v[i][k] -= v[i][j] * v[k][j];
@@ -150,105 +142,75 @@ static inline float factor3(float v[3][3]) {
     return determinant;
 }
 
-/* Solves x V' = x in place, for three rows x and a block of the diagonal. */
-static inline void solve3(float x[3][3], const float v[3][3]) {
-    for (uint32_t row = 0; row < 3u; row++) {
-        x[row][0] *= v[0][0];
-        x[row][1] = (x[row][1] - x[row][0] * v[1][0]) * v[1][1];
-        x[row][2] = (x[row][2] - x[row][0] * v[2][0] - x[row][1] * v[2][1]) * v[2][2];
-    }
+/* Solves V x = x in place. */
+static inline void solve(const float v[GROUP][GROUP], float x[GROUP]) {
+    x[0] *= v[0][0];
+    x[1] = (x[1] - x[0] * v[1][0]) * v[1][1];
+    x[2] = (x[2] - x[0] * v[2][0] - x[1] * v[2][1]) * v[2][2];
 }
 
-/* Factors M in place by blocks.
- * Returns the logarithm of its determinant. */
-static float factor(float m[Z][Z]) {
-    float logarithm = 0.0f;
-    for (uint32_t j = 0; j < Z; j += 3u) {
-        float v[3][3], below[3][3];
-        matrix3_load(v, &m[j][j], Z);
-        logarithm += natural_logarithm(factor3(v));
-        matrix3_store((const float(*)[3])v, &m[j][j], Z);
-        for (uint32_t i = j + 3u; i < Z; i += 3u) {
-            matrix3_load(below, &m[i][j], Z);
-            solve3(below, (const float(*)[3])v);
-            matrix3_store((const float(*)[3])below, &m[i][j], Z);
-            for (uint32_t k = j + 3u; k <= i; k += 3u) {
-                float left[3][3];
-                matrix3_load(left, &m[i][k], Z);
-                matrix3_subtract_transposed(left, below[0], 3, &m[k][j], Z);
-                matrix3_store((const float(*)[3])left, &m[i][k], Z);
-            }
+/* Turns P A' into G = P A' V'^-1 in place, and adds the step G y to x. */
+static inline void gain(group_t g, const float v[GROUP][GROUP], const float y[GROUP], float x[N]) {
+    for (uint32_t three = 0; three < N; three += 3u) {
+        for (uint32_t i = three; i < three + 3u; i++) {
+            solve(v, g[i]);
+            x[i] += vector3_dot(g[i], y);
         }
     }
-    return logarithm;
 }
 
-/* Solves V y = y in place.
- * Returns the sum of the squares of what it becomes. */
-static float solve(const float v[Z][Z], float y[Z]) {
-    float sum = 0.0f;
-    for (uint32_t i = 0; i < Z; i++) {
-        for (uint32_t k = 0; k < i; k++) {
-            y[i] -= v[i][k] * y[k];
-        }
-        y[i] *= v[i][i];
-        sum += y[i] * y[i];
-    }
-    return sum;
-}
-
-/* Turns P A' into G = P A' V'^-1 in place, and computes the step G y. */
-static void gain(float g[N][Z], const float v[Z][Z], const float y[Z], float step[N]) {
-    for (uint32_t i = 0; i < N; i += 3u) {
-        float sum[3] = {0.0f, 0.0f, 0.0f};
-        for (uint32_t j = 0; j < Z; j += 3u) {
-            float own[3][3], own_v[3][3];
-            matrix3_load(own, &g[i][j], Z);
-            matrix3_load(own_v, &v[j][j], Z);
-            for (uint32_t k = 0; k < j; k += 3u) {
-                matrix3_subtract_transposed(own, &g[i][k], Z, &v[j][k], Z);
-            }
-            solve3(own, (const float(*)[3])own_v);
-            matrix3_store((const float(*)[3])own, &g[i][j], Z);
-            for (uint32_t row = 0; row < 3u; row++) {
-                sum[row] += vector3_dot(own[row], &y[j]);
+/* Computes P - G G', the blocks of six rows and columns on and below the diagonal. */
+static void shrink(const float from[N][N], const group_t g, float to[N][N]) {
+    for (uint32_t i = 0; i < N; i += 6u) {
+        const float *p = from[i], *other = g[0];
+        float *left = to[i], own[6][GROUP];
+        for (uint32_t row = 0; row < 6u; row++) {
+            for (uint32_t k = 0; k < GROUP; k++) {
+                own[row][k] = -g[i + row][k];
             }
         }
-        memcpy(&step[i], sum, sizeof sum);
-    }
-}
-
-/* Subtracts G G' from the covariance. */
-static void shrink(float covariance[N][N], const float g[N][Z]) {
-    for (uint32_t i = 0; i < N; i += 3u) {
-        for (uint32_t j = 0; j <= i; j += 3u) {
-            float left[3][3];
-            matrix3_load(left, &covariance[i][j], N);
-            for (uint32_t k = 0; k < Z; k += 3u) {
-                matrix3_subtract_transposed(left, &g[i][k], Z, &g[j][k], Z);
-            }
-            for (uint32_t row = 0; row < 3u; row++) {
-                for (uint32_t column = 0; column < 3u; column++) {
-                    covariance[i + row][j + column] = covariance[j + column][i + row] = left[row][column];
+        for (uint32_t pairs = i / 2u + 3u; pairs > 0u; pairs--) {
+            for (uint32_t column = 0; column < 2u; column++) {
+                const float *const g_other = &other[column * GROUP];
+                for (uint32_t row = 0; row < 6u; row++) {
+                    left[row * N + column] = p[row * N + column] + own[row][0] * g_other[0] + own[row][1] * g_other[1] +
+                                             own[row][2] * g_other[2];
                 }
             }
+            p += 2u;
+            left += 2u;
+            other += 2u * GROUP;
         }
     }
 }
 
 bool block_kalman_update(block_kalman_t *filter, const block_measure_t *measure, float limit, float *chi_square,
                          float *log_determinant) {
-    float y[Z], m[Z][Z], pa[N][Z], step[N];
-    observe(&filter->state, measure, y);
-    weigh((const float(*)[N])filter->covariance, measure, pa);
-    innovate((const float(*)[Z])pa, measure, m);
-    *log_determinant = factor(m);
-    *chi_square = solve((const float(*)[Z])m, y);
-    if (!(*chi_square <= limit)) {
-        return false;
+    float x[N], before[N], rest[N][N];
+    group_t g;
+    const float(*covariance)[N] = (const float(*)[N])filter->covariance;
+    block_state_subtract(&filter->state, &measure->reference, x);
+    *chi_square = *log_determinant = 0.0f;
+    for (uint32_t row = 0; row < Z; row += GROUP) {
+        const float(*const rows)[BLOCK_ROW] = &measure->rows[row];
+        float v[GROUP][GROUP], y[GROUP];
+        weigh(covariance, rows, first_column(row), g);
+        innovate(rows, first_column(row), (const float(*)[GROUP])g, x, v, y);
+        *log_determinant += natural_logarithm(factor(v));
+        solve((const float(*)[GROUP])v, y);
+        *chi_square += vector3_dot(y, y);
+        const bool last = row + GROUP == Z;
+        if (last && !(*chi_square <= limit)) {
+            return false;
+        }
+        gain(g, (const float(*)[GROUP])v, y, x);
+        shrink(covariance, (const float(*)[GROUP])g, last ? filter->covariance : rest);
+        covariance = (const float(*)[N])rest;
     }
-    gain(pa, (const float(*)[Z])m, y, step);
-    shrink(filter->covariance, (const float(*)[Z])pa);
-    block_state_move(&filter->state, step);
+    block_state_subtract(&filter->state, &measure->reference, before);
+    for (uint32_t i = 0; i < N; i++) {
+        x[i] -= before[i];
+    }
+    block_state_move(&filter->state, x, &filter->state);
     return true;
 }

@@ -1,7 +1,6 @@
 #include "core/track/block_measure.h"
 
 #include <stdbool.h>
-#include <string.h>
 
 #include "core/math/quaternion.h"
 #include "core/math/roots.h"
@@ -30,34 +29,38 @@ static inline void expand(const float five[5], float gradient[3][3]) {
 static void model(const loop_t *coils, uint32_t ambient, block_measure_t *measure) {
     const block_state_t *const at = &measure->reference;
     for (uint32_t i = 0; i < ambient; i++) {
+        block_field_t *const field = &measure->model[i];
         float gradient[3][3];
-        loop_field_and_gradient(&coils[i], at->position_m, measure->field_uT[i], gradient);
-        const float five[5] = {gradient[0][0], gradient[0][1], gradient[0][2], gradient[1][1], gradient[1][2]};
-        memcpy(measure->gradient[i], five, sizeof five);
+        loop_field_and_gradient(&coils[i], at->position_m, field->field_uT, gradient);
+        field->gradient[0] = gradient[0][0];
+        field->gradient[1] = gradient[0][1];
+        field->gradient[2] = gradient[0][2];
+        field->gradient[3] = gradient[1][1];
+        field->gradient[4] = gradient[1][2];
     }
-    memcpy(measure->field_uT[ambient], at->ambient_uT, sizeof at->ambient_uT);
-    memset(measure->gradient[ambient], 0, sizeof measure->gradient[ambient]);
+    measure->model[ambient] = (block_field_t){
+        .field_uT = {at->ambient_uT[0], at->ambient_uT[1], at->ambient_uT[2]},
+    };
 }
 
 /* Sums fields and gradients over the columns for a row of the block. */
 static void sum_row(const block_t *block, uint32_t i, block_measure_t *measure) {
-    float field[3] = {0.0f}, gradient[5] = {0.0f}, field_moment[3] = {0.0f}, gradient_moment[5] = {0.0f};
+    const float *gram = block->gram[i], *moment = block->moment[i];
+    block_field_t sum = {{0.0f}, {0.0f}}, moments = {{0.0f}, {0.0f}};
     for (uint32_t j = 0; j < block->columns; j++) {
-        const float weight = block->gram[i][j], moment = block->moment[i][j];
+        const block_field_t *const other = &measure->model[j];
         for (uint32_t axis = 0; axis < 3u; axis++) {
-            field[axis] += weight * measure->field_uT[j][axis];
-            field_moment[axis] += moment * measure->field_uT[j][axis];
+            sum.field_uT[axis] += gram[j] * other->field_uT[axis];
+            moments.field_uT[axis] += moment[j] * other->field_uT[axis];
         }
         for (uint32_t k = 0; k < 5u; k++) {
-            gradient[k] += weight * measure->gradient[j][k];
-            gradient_moment[k] += moment * measure->gradient[j][k];
+            sum.gradient[k] += gram[j] * other->gradient[k];
+            moments.gradient[k] += moment[j] * other->gradient[k];
         }
     }
-    memcpy(measure->field_sum[i], field, sizeof field);
-    memcpy(measure->gradient_sum[i], gradient, sizeof gradient);
-    memcpy(measure->field_moment[i], field_moment, sizeof field_moment);
-    memcpy(measure->gradient_moment[i], gradient_moment, sizeof gradient_moment);
-    measure->ambient_sum[i] = block->gram[i][block->columns - 1u];
+    measure->sum[i] = sum;
+    measure->moment[i] = moments;
+    measure->ambient_sum[i] = gram[block->columns - 1u];
 }
 
 /* Computes what the model leaves of the sums of a row, turned into the site's frame. offset is that of the sensor in
@@ -65,69 +68,78 @@ static void sum_row(const block_t *block, uint32_t i, block_measure_t *measure) 
 static inline void leave(const block_measure_t *measure, uint32_t i, const float sums_uT[3], const float offset[3],
                          float residual[3]) {
     float moment[3][3], turned[3];
-    expand(measure->gradient_moment[i], moment);
-    vector3_cross(measure->reference.rate_rad_s, measure->field_moment[i], turned);
+    expand(measure->moment[i].gradient, moment);
+    vector3_cross(measure->reference.rate_rad_s, measure->moment[i].field_uT, turned);
     for (uint32_t axis = 0; axis < 3u; axis++) {
         const float moved = vector3_dot(moment[axis], measure->reference.velocity_m_s) - turned[axis];
-        const float still = measure->field_sum[i][axis] + measure->ambient_sum[i] * offset[axis];
+        const float still = measure->sum[i].field_uT[axis] + measure->ambient_sum[i] * offset[axis];
         residual[axis] = vector3_dot(measure->rotation[axis], sums_uT) - still - moved;
     }
 }
 
-/* Computes the gradient of the likelihood, times sigma^2. */
-static void descend(const block_t *block, const block_measure_t *measure, float side[BLOCK_OBSERVED]) {
+/* Computes the gradient of the likelihood, times sigma^2, which is the right side of the rows. */
+static void descend(const block_t *block, block_measure_t *measure) {
     float offset[3], residual[3] = {0.0f}, crossed[3], by_p[3] = {0.0f}, by_theta[3] = {0.0f};
     multiply((const float(*)[3])measure->rotation, measure->reference.offset_uT, offset);
     for (uint32_t i = 0; i < block->columns; i++) {
         float gradient[3][3];
         leave(measure, i, block->sums_uT[i], offset, residual);
-        expand(measure->gradient[i], gradient);
-        vector3_cross(residual, measure->field_uT[i], crossed);
+        expand(measure->model[i].gradient, gradient);
+        vector3_cross(residual, measure->model[i].field_uT, crossed);
         for (uint32_t axis = 0; axis < 3u; axis++) {
             by_p[axis] += vector3_dot(gradient[axis], residual);
             by_theta[axis] += crossed[axis];
         }
     }
-    memcpy(&side[0], by_p, sizeof by_p);
-    memcpy(&side[3], by_theta, sizeof by_theta);
-    memcpy(&side[6], residual, sizeof residual); /* That of the last row, the ambient field's. */
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        measure->rows[axis][BLOCK_ROW_Y] = by_p[axis];
+        measure->rows[3u + axis][BLOCK_ROW_Y] = by_theta[axis];
+        measure->rows[6u + axis][BLOCK_ROW_Y] = residual[axis]; /* That of the last row, the ambient field's. */
+    }
 }
 
-/* Sums the products of gradients with what they were summed to. */
-static void square(uint32_t count, const float gradient[][5], const float sum[][5], float product[3][3]) {
+/* Sums the products of gradients with what they were summed to, into a block of rows: it is symmetric. */
+static void square(uint32_t count, const block_field_t *fields, const block_field_t *sums, float *rows) {
     float total[3][3] = {{0.0f}};
     for (uint32_t i = 0; i < count; i++) {
         float left[3][3], right[3][3];
-        expand(gradient[i], left);
-        expand(sum[i], right);
-        matrix3_add(total, left[0], 3, right[0], 3);
+        expand(fields[i].gradient, left);
+        expand(sums[i].gradient, right);
+        for (uint32_t row = 0; row < 3u; row++) {
+            for (uint32_t column = row; column < 3u; column++) {
+                total[row][column] += vector3_dot(left[row], right[column]);
+            }
+        }
     }
-    matrix3_store((const float(*)[3])total, product[0], 3);
+    total[1][0] = total[0][1];
+    total[2][0] = total[0][2];
+    total[2][1] = total[1][2];
+    matrix3_store((const float(*)[3])total, rows, BLOCK_ROW);
 }
 
-/* Sums the rows of gradients, crossed with fields. */
-static void cross(uint32_t count, const float gradient[][5], const float field[][3], float product[3][3]) {
+/* Sums the rows of gradients, crossed with fields, into a block of rows. */
+static void cross(uint32_t count, const block_field_t *gradients, const block_field_t *fields, float *rows) {
     float total[3][3] = {{0.0f}};
     for (uint32_t i = 0; i < count; i++) {
-        float rows[3][3], crossed[3];
-        expand(gradient[i], rows);
+        float gradient[3][3], crossed[3];
+        expand(gradients[i].gradient, gradient);
         for (uint32_t row = 0; row < 3u; row++) {
-            vector3_cross(rows[row], field[i], crossed);
+            vector3_cross(gradient[row], fields[i].field_uT, crossed);
             for (uint32_t column = 0; column < 3u; column++) {
                 total[row][column] += crossed[column];
             }
         }
     }
-    matrix3_store((const float(*)[3])total, product[0], 3);
+    matrix3_store((const float(*)[3])total, rows, BLOCK_ROW);
 }
 
-/* Sums the products [B]x' [b]x = (B b) 1 - b B' of fields B with what they were summed to, b. */
-static void turn(uint32_t count, const float field[][3], const float sum[][3], float product[3][3]) {
+/* Sums the products [B]x' [b]x = (B b) 1 - b B' of fields B with what they were summed to, b, into a block of rows. */
+static void turn(uint32_t count, const block_field_t *fields, const block_field_t *sums, float *rows) {
     float total[3][3] = {{0.0f}};
     for (uint32_t i = 0; i < count; i++) {
         for (uint32_t row = 0; row < 3u; row++) {
             for (uint32_t column = 0; column < 3u; column++) {
-                total[row][column] -= sum[i][row] * field[i][column];
+                total[row][column] -= sums[i].field_uT[row] * fields[i].field_uT[column];
             }
         }
     }
@@ -135,92 +147,106 @@ static void turn(uint32_t count, const float field[][3], const float sum[][3], f
     for (uint32_t axis = 0; axis < 3u; axis++) {
         total[axis][axis] -= trace;
     }
-    matrix3_store((const float(*)[3])total, product[0], 3);
+    matrix3_store((const float(*)[3])total, rows, BLOCK_ROW);
 }
 
-static void store(float rows[BLOCK_OBSERVED][BLOCK_ROW], uint32_t row, uint32_t column, const float block[3][3]) {
-    matrix3_store(block, &rows[row][column], BLOCK_ROW);
+/* Stores [b]x, turned over, in a block of rows. */
+static inline void store_cross(const float b[3], float *rows) {
+    const float block[3][3] = {{0.0f, b[2], -b[1]}, {-b[2], 0.0f, b[0]}, {b[1], -b[0], 0.0f}};
+    matrix3_store(block, rows, BLOCK_ROW);
 }
 
-/* Composes [L K g], times sigma^2; of L the upper triangle of blocks. */
-static void compose(const block_t *block, block_measure_t *measure) {
-    const uint32_t count = block->columns, last = count - 1u;
-    const float(*const gradient)[5] = (const float(*)[5])measure->gradient;
-    const float(*const field)[3] = (const float(*)[3])measure->field_uT;
-    const float(*const gradient_moment)[5] = (const float(*)[5])measure->gradient_moment;
-    const float(*const field_moment)[3] = (const float(*)[3])measure->field_moment;
-    const float *const b = measure->field_sum[last], *const m = field_moment[last];
-    const float weight = measure->ambient_sum[last];
-    float(*const rows)[BLOCK_ROW] = measure->rows, part[3][3], side[BLOCK_OBSERVED];
-    square(count, gradient, (const float(*)[5])measure->gradient_sum, part);
-    store(rows, 0, BLOCK_ROW_P, (const float(*)[3])part);
-    cross(count, gradient, (const float(*)[3])measure->field_sum, part);
-    store(rows, 0, BLOCK_ROW_THETA, (const float(*)[3])part);
-    square(count, gradient, gradient_moment, part);
-    store(rows, 0, BLOCK_ROW_V, (const float(*)[3])part);
-    cross(count, gradient, field_moment, part);
-    store(rows, 0, BLOCK_ROW_W, (const float(*)[3])part);
-    expand(measure->gradient_sum[last], part);
-    store(rows, 0, BLOCK_ROW_A, (const float(*)[3])part);
-    turn(count, field, (const float(*)[3])measure->field_sum, part);
-    store(rows, 3, BLOCK_ROW_THETA, (const float(*)[3])part);
-    cross(count, gradient_moment, field, part);
-    for (uint32_t i = 0; i < 3u; i++) {
-        for (uint32_t j = 0; j < 3u; j++) {
-            rows[3u + i][BLOCK_ROW_V + j] = part[j][i];
+/* Stores a multiple of the unit matrix in a block of rows. */
+static inline void store_unit(float value, float *rows) {
+    const float block[3][3] = {{value, 0.0f, 0.0f}, {0.0f, value, 0.0f}, {0.0f, 0.0f, value}};
+    matrix3_store(block, rows, BLOCK_ROW);
+}
+
+/* Turns a block of rows over. */
+static inline void transpose(float *rows) {
+    for (uint32_t i = 1; i < 3u; i++) {
+        for (uint32_t j = 0; j < i; j++) {
+            const float below = rows[i * BLOCK_ROW + j];
+            rows[i * BLOCK_ROW + j] = rows[j * BLOCK_ROW + i];
+            rows[j * BLOCK_ROW + i] = below;
         }
     }
-    turn(count, field, field_moment, part);
-    store(rows, 3, BLOCK_ROW_W, (const float(*)[3])part);
-    const float from_turn[3][3] = {{0.0f, b[2], -b[1]}, {-b[2], 0.0f, b[0]}, {b[1], -b[0], 0.0f}};
-    store(rows, 3, BLOCK_ROW_A, from_turn);
-    expand(gradient_moment[last], part);
-    store(rows, 6, BLOCK_ROW_V, (const float(*)[3])part);
-    const float turning[3][3] = {{0.0f, -m[2], m[1]}, {m[2], 0.0f, -m[0]}, {-m[1], m[0], 0.0f}};
-    store(rows, 6, BLOCK_ROW_W, turning);
-    const float ambient[3][3] = {{weight, 0.0f, 0.0f}, {0.0f, weight, 0.0f}, {0.0f, 0.0f, weight}};
-    store(rows, 6, BLOCK_ROW_A, ambient);
-    const float none[3][3] = {{0.0f}};
-    store(rows, 3, BLOCK_ROW_P, none);
-    store(rows, 6, BLOCK_ROW_P, none);
-    store(rows, 6, BLOCK_ROW_THETA, none);
-    descend(block, measure, side);
-    for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
-        rows[i][BLOCK_ROW_Y] = side[i];
-    }
+}
+
+/* Composes [L K], times sigma^2; of L the upper triangle of blocks. */
+static void compose(uint32_t count, block_measure_t *measure) {
+    const uint32_t last = count - 1u;
+    const block_field_t *const fields = measure->model, *const sums = measure->sum, *const moments = measure->moment;
+    const float *const turning = moments[last].field_uT, back[3] = {-turning[0], -turning[1], -turning[2]};
+    float(*const rows)[BLOCK_ROW] = measure->rows, part[3][3];
+    square(count, fields, sums, &rows[0][BLOCK_P]);
+    cross(count, fields, sums, &rows[0][BLOCK_THETA]);
+    square(count, fields, moments, &rows[0][BLOCK_V]);
+    cross(count, fields, moments, &rows[0][BLOCK_W]);
+    expand(sums[last].gradient, part);
+    matrix3_store((const float(*)[3])part, &rows[0][BLOCK_E], BLOCK_ROW);
+    store_unit(0.0f, &rows[3][BLOCK_P]);
+    turn(count, fields, sums, &rows[3][BLOCK_THETA]);
+    cross(count, moments, fields, &rows[3][BLOCK_V]);
+    transpose(&rows[3][BLOCK_V]);
+    turn(count, fields, moments, &rows[3][BLOCK_W]);
+    store_cross(sums[last].field_uT, &rows[3][BLOCK_E]);
+    store_unit(0.0f, &rows[6][BLOCK_P]);
+    store_unit(0.0f, &rows[6][BLOCK_THETA]);
+    expand(moments[last].gradient, part);
+    matrix3_store((const float(*)[3])part, &rows[6][BLOCK_V], BLOCK_ROW);
+    store_cross(back, &rows[6][BLOCK_W]);
+    store_unit(measure->ambient_sum[last], &rows[6][BLOCK_E]);
 }
 
 /* Returns the column of the diagonal in a row. */
 static inline uint32_t diagonal(uint32_t row) {
-    return row < 6u ? row : BLOCK_ROW_A - 6u + row;
+    return row < 6u ? row : BLOCK_E - 6u + row;
 }
 
-/* Eliminates [L K g] to [A y] = U^-1 [L K g], of which the first part is U'. Rows that tell nothing become zero.
- * Returns how many tell something. */
-static uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], float noise) {
-    float whole[BLOCK_OBSERVED];
-    uint32_t rank = 0;
-    for (uint32_t j = 0; j < BLOCK_OBSERVED; j++) {
-        whole[j] = rows[j][diagonal(j)];
+/* Takes a row times a factor from another; both are zero before the first column, and the offset's are left out. */
+static inline void subtract_row(float *row, float factor, const float *other, uint32_t first) {
+    for (uint32_t column = first; column < BLOCK_B; column++) {
+        row[column] -= factor * other[column];
     }
-    for (uint32_t j = 0; j < BLOCK_OBSERVED; j++) {
+    row[BLOCK_ROW_Y] -= factor * other[BLOCK_ROW_Y];
+}
+
+/* Eliminates [L K g] to [A y] = U^-1 [L K g], of which the first part is U', for three columns of L. Rows that tell
+ * nothing become zero.
+ * Returns how many tell something. */
+static inline uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], const float whole[BLOCK_OBSERVED], float noise,
+                                 uint32_t j, uint32_t first) {
+    const uint32_t end = j + 3u;
+    uint32_t rank = 0;
+    for (; j < end; j++) {
         const float pivot = rows[j][diagonal(j)];
         const bool told = !(pivot <= LEAST_PIVOT * whole[j]); /* What is not a number stays one. */
         const float scale = told ? 1.0f / (noise * square_root(pivot)) : 0.0f;
         float own[BLOCK_ROW];
-        for (uint32_t column = 0; column < BLOCK_ROW; column++) {
-            own[column] = rows[j][column] = scale * rows[j][column];
+        for (uint32_t column = first; column < BLOCK_B; column++) {
+            own[column] = rows[j][column] *= scale;
         }
+        own[BLOCK_ROW_Y] = rows[j][BLOCK_ROW_Y] *= scale;
         for (uint32_t i = j + 1u; i < BLOCK_OBSERVED; i++) {
-            const float factor = noise * noise * rows[j][diagonal(i)];
-            for (uint32_t column = 0; column < BLOCK_ROW; column++) {
-                rows[i][column] -= factor * own[column];
-            }
+            subtract_row(rows[i], noise * noise * rows[j][diagonal(i)], own, first);
             rows[i][diagonal(j)] = 0.0f;
         }
         rank += told ? 1u : 0u;
     }
     return rank;
+}
+
+/* Sets the columns of the sensor's offset, which adds to the ambient field in the sensor's frame. */
+static void add_offset(block_measure_t *measure) {
+    for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
+        float *const row = measure->rows[i];
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            row[BLOCK_B + axis] = row[BLOCK_E] * measure->rotation[0][axis] +
+                                  row[BLOCK_E + 1u] * measure->rotation[1][axis] +
+                                  row[BLOCK_E + 2u] * measure->rotation[2][axis];
+        }
+    }
 }
 
 void block_measure(const block_t *block, const loop_t *coils, block_measure_t *measure) {
@@ -229,6 +255,14 @@ void block_measure(const block_t *block, const loop_t *coils, block_measure_t *m
     for (uint32_t i = 0; i < block->columns; i++) {
         sum_row(block, i, measure);
     }
-    compose(block, measure);
-    measure->rank = eliminate(measure->rows, measure->noise_uT);
+    compose(block->columns, measure);
+    descend(block, measure);
+    float whole[BLOCK_OBSERVED];
+    for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
+        whole[i] = measure->rows[i][diagonal(i)];
+    }
+    measure->rank = eliminate(measure->rows, whole, measure->noise_uT, 0, BLOCK_P);
+    measure->rank += eliminate(measure->rows, whole, measure->noise_uT, 3, BLOCK_THETA);
+    measure->rank += eliminate(measure->rows, whole, measure->noise_uT, 6, BLOCK_V);
+    add_offset(measure);
 }

@@ -11,7 +11,7 @@
  * Limits. Information below 1e-6 of its own diagonal is left out: with fields of which one is more than about 500 times
  * as strong as the others, single precision does not see what those tell.
  *
- * Time (Cortex-M4, -O3): 13,000 instructions with 8 beacons, 25,000 with 16, 60,000 with 32.
+ * Time (Cortex-M4, -O3): 11,400 instructions with 8 beacons, 22,000 with 16, 56,000 with 32.
  */
 #ifndef GOLDFIELD_BLOCK_MEASURE_H
 #define GOLDFIELD_BLOCK_MEASURE_H
@@ -23,25 +23,28 @@
 #include "core/track/block_state.h"
 
 #define BLOCK_OBSERVED 9u  /* Observed numbers, and rows that tell of them. */
-#define BLOCK_ROW      16u /* Length of a row. */
+#define BLOCK_ROW      19u /* Length of a row. */
 
-/* Columns of a row: those of position, turn in the site's frame, velocity, turn rate, and the ambient field at the
- * sensor; and the right side. The rows are zero left of the diagonal of position, turn and field. */
-enum { BLOCK_ROW_P = 0, BLOCK_ROW_THETA = 3, BLOCK_ROW_V = 6, BLOCK_ROW_W = 9, BLOCK_ROW_A = 12, BLOCK_ROW_Y = 15 };
+/* Columns of a row: those of the state's errors, in their order, and the right side. The rows are zero left of the
+ * diagonal of position, turn and ambient field. */
+enum { BLOCK_ROW_Y = BLOCK_STATES };
+
+/* A field in the site's frame, uT, and the five numbers xx, xy, xz, yy, yz of its gradient, uT/m. */
+typedef struct {
+    float field_uT[3], gradient[5];
+} block_field_t;
 
 typedef struct {
     block_state_t reference;               /* The state around which the block is linearised. */
     float noise_uT;                        /* Standard deviation of a component of a sample. */
     float rotation[3][3];                  /* Its attitude R. */
     float rows[BLOCK_OBSERVED][BLOCK_ROW]; /* [A y]: A x = y but for noise of unit variance, x being the
-                                              state less the reference, in the order of the columns below. */
+                                              state less the reference. */
     uint32_t rank;                         /* Rows of A that are not zero. */
-    /* Fields of the columns (the last is the ambient one) and the five numbers xx, xy, xz, yy, yz of their gradients;
-     * and for each row of the block the sums of these over the columns, weighted with gram and moment. */
-    float field_uT[BLOCK_COLUMNS][3], gradient[BLOCK_COLUMNS][5];
-    float field_sum[BLOCK_COLUMNS][3], gradient_sum[BLOCK_COLUMNS][5];
-    float field_moment[BLOCK_COLUMNS][3], gradient_moment[BLOCK_COLUMNS][5];
-    float ambient_sum[BLOCK_COLUMNS]; /* The last column of the gram matrix. */
+    block_field_t model[BLOCK_COLUMNS];    /* Those of the columns, of which the last is the ambient one ... */
+    block_field_t sum[BLOCK_COLUMNS];      /* ... and for each row their sums, weighted with the gram matrix ... */
+    block_field_t moment[BLOCK_COLUMNS];   /* ... and with the moment matrix. */
+    float ambient_sum[BLOCK_COLUMNS];      /* The last column of the gram matrix. */
 } block_measure_t;
 
 /* Compute the rest of *measure, whose reference and noise the caller has set, from a block and the coils of its columns

@@ -2,8 +2,7 @@
 
 #include "core/math/logarithm.h"
 
-#define LEAST  1e-9f /* Least probability of a filter. */
-#define SILENT 1e-6f /* Probability below which a filter has no part in the output. */
+#define LEAST 1e-9f /* Least probability of a filter. */
 
 typedef float errors_t[BLOCK_FILTERS][BLOCK_STATES];
 
@@ -13,55 +12,62 @@ static void differ(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, e
     }
 }
 
-/* Mixes an element of all covariances, and that of the other side of the diagonal. */
-static inline void mix_element(block_kalman_t filters[BLOCK_FILTERS], const float share[BLOCK_FILTERS][BLOCK_FILTERS],
-                               const errors_t errors, const errors_t means, uint32_t row, uint32_t column) {
-    float spread[BLOCK_FILTERS];
-    for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-        spread[k] = filters[k].covariance[row][column] + errors[k][row] * errors[k][column];
-    }
-    for (uint32_t j = 0; j < BLOCK_FILTERS; j++) {
-        float sum = -means[j][row] * means[j][column];
+/* How the filters are mixed: each takes its part of what all together give away, and keeps a part of its own. */
+typedef struct {
+    float given[BLOCK_FILTERS], taken[BLOCK_FILTERS], kept[BLOCK_FILTERS];
+} shares_t;
+
+/* Mixes a row of all covariances up to the diagonal, and what is on its other side. */
+static inline void mix_row(block_kalman_t filters[BLOCK_FILTERS], const shares_t *shares, const errors_t errors,
+                           const errors_t means, uint32_t row) {
+    for (uint32_t column = 0; column <= row; column++) {
+        float spread[BLOCK_FILTERS], together = 0.0f;
         for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-            sum += share[j][k] * spread[k];
+            spread[k] = filters[k].covariance[row][column] + errors[k][row] * errors[k][column];
+            together += shares->given[k] * spread[k];
         }
-        filters[j].covariance[row][column] = filters[j].covariance[column][row] = sum;
+        for (uint32_t j = 0; j < BLOCK_FILTERS; j++) {
+            const float mixed = shares->taken[j] * together + shares->kept[j] * spread[j] -
+                                means[j][row] * means[j][column];
+            filters[j].covariance[row][column] = filters[j].covariance[column][row] = mixed;
+        }
     }
 }
 
 void block_mix(block_kalman_t filters[BLOCK_FILTERS], uint32_t best, float change) {
-    float share[BLOCK_FILTERS][BLOCK_FILTERS], probability[BLOCK_FILTERS];
+    shares_t shares;
     errors_t errors, means;
-    const block_state_t reference = filters[best].state;
-    const float stay = 1.0f - (float)(BLOCK_FILTERS - 1u) * change;
+    const float stay = 1.0f - (float)BLOCK_FILTERS * change; /* Beside the part that it gives itself as to others. */
+    float all = 0.0f;
     differ(filters, best, errors);
+    for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
+        shares.given[k] = change * filters[k].probability;
+        all += shares.given[k];
+    }
     for (uint32_t j = 0; j < BLOCK_FILTERS; j++) {
-        probability[j] = 0.0f;
+        const float kept = stay * filters[j].probability, probability = all + kept;
+        filters[j].probability = probability;
+        shares.taken[j] = 1.0f / probability;
+        shares.kept[j] = kept / probability;
+    }
+    for (uint32_t i = 0; i < BLOCK_STATES; i++) {
+        float together = 0.0f;
         for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-            share[j][k] = filters[k].probability * (j == k ? stay : change);
-            probability[j] += share[j][k];
+            together += shares.given[k] * errors[k][i];
         }
-        for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-            share[j][k] /= probability[j];
-        }
-        for (uint32_t i = 0; i < BLOCK_STATES; i++) {
-            means[j][i] = 0.0f;
-            for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-                means[j][i] += share[j][k] * errors[k][i];
-            }
+        for (uint32_t j = 0; j < BLOCK_FILTERS; j++) {
+            means[j][i] = shares.taken[j] * together + shares.kept[j] * errors[j][i];
         }
     }
     for (uint32_t row = 0; row < BLOCK_STATES; row++) {
-        for (uint32_t column = 0; column <= row; column++) {
-            mix_element(filters, (const float(*)[BLOCK_FILTERS])share, (const float(*)[BLOCK_STATES])errors,
-                        (const float(*)[BLOCK_STATES])means, row, column);
-        }
+        mix_row(filters, &shares, (const float(*)[BLOCK_STATES])errors, (const float(*)[BLOCK_STATES])means, row);
     }
     for (uint32_t j = 0; j < BLOCK_FILTERS; j++) {
-        filters[j].probability = probability[j];
-        filters[j].state = reference;
-        block_state_move(&filters[j].state, means[j]);
+        if (j != best) {
+            block_state_move(&filters[best].state, means[j], &filters[j].state);
+        }
     }
+    block_state_move(&filters[best].state, means[best], &filters[best].state);
 }
 
 uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float likelihood[BLOCK_FILTERS],
@@ -88,10 +94,11 @@ uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float like
 static inline void merge(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, uint32_t length,
                          block_state_t *state, float *covariance) {
     errors_t errors;
-    float mean[BLOCK_STATES] = {0.0f};
+    float mean[BLOCK_STATES];
     differ(filters, best, errors);
-    for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-        for (uint32_t i = 0; i < BLOCK_STATES; i++) {
+    for (uint32_t i = 0; i < BLOCK_STATES; i++) {
+        mean[i] = 0.0f;
+        for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
             mean[i] += filters[k].probability * errors[k][i];
         }
     }
@@ -99,16 +106,13 @@ static inline void merge(const block_kalman_t filters[BLOCK_FILTERS], uint32_t b
         for (uint32_t column = 0; column <= row; column++) {
             float sum = -mean[row] * mean[column];
             for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-                if (filters[k].probability > SILENT) {
-                    sum += filters[k].probability *
-                           (filters[k].covariance[row][column] + errors[k][row] * errors[k][column]);
-                }
+                const float spread = filters[k].covariance[row][column] + errors[k][row] * errors[k][column];
+                sum += filters[k].probability * spread;
             }
             covariance[row * length + column] = covariance[column * length + row] = sum;
         }
     }
-    *state = filters[best].state;
-    block_state_move(state, mean);
+    block_state_move(&filters[best].state, mean, state);
 }
 
 /* Computes the squared agilities that all filters expect together. */

@@ -5,16 +5,16 @@
 #include "core/math/quaternion.h"
 #include "core/math/vector3.h"
 
-void block_state_move(block_state_t *state, const float errors[BLOCK_STATES]) {
+void block_state_move(const block_state_t *from, const float errors[BLOCK_STATES], block_state_t *state) {
     float turn[4];
     quaternion_exp(&errors[BLOCK_THETA], turn);
-    quaternion_multiply(turn, state->quaternion, state->quaternion);
+    quaternion_multiply(turn, from->quaternion, state->quaternion);
     for (uint32_t axis = 0; axis < 3u; axis++) {
-        state->position_m[axis] += errors[BLOCK_P + axis];
-        state->velocity_m_s[axis] += errors[BLOCK_V + axis];
-        state->rate_rad_s[axis] += errors[BLOCK_W + axis];
-        state->ambient_uT[axis] += errors[BLOCK_E + axis];
-        state->offset_uT[axis] += errors[BLOCK_B + axis];
+        state->position_m[axis] = from->position_m[axis] + errors[BLOCK_P + axis];
+        state->velocity_m_s[axis] = from->velocity_m_s[axis] + errors[BLOCK_V + axis];
+        state->rate_rad_s[axis] = from->rate_rad_s[axis] + errors[BLOCK_W + axis];
+        state->ambient_uT[axis] = from->ambient_uT[axis] + errors[BLOCK_E + axis];
+        state->offset_uT[axis] = from->offset_uT[axis] + errors[BLOCK_B + axis];
     }
 }
 

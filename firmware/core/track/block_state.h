@@ -18,8 +18,9 @@ typedef struct {
     float offset_uT[3];                   /* Offset of the sensor in its own frame. */
 } block_state_t;
 
-/* Move a state by errors; the one of the attitude is a rotation vector in the site's frame. */
-void block_state_move(block_state_t *state, const float errors[BLOCK_STATES]);
+/* Compute a state that differs from another, or from what it was itself, by errors; the one of the attitude is a
+ * rotation vector in the site's frame. */
+void block_state_move(const block_state_t *from, const float errors[BLOCK_STATES], block_state_t *state);
 
 /* Compute the errors by which a state differs from another. Angles beyond 1 rad are told with less than 2 % of error.
  */

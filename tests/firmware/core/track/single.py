@@ -95,6 +95,12 @@ class Kernel:
         """Return a matrix."""
         return np.array([list(row) for row in of])
 
+    @classmethod
+    def covariance(cls, kalman: Any) -> FloatArray:
+        """Return the covariance of one filter, which is kept up on and below the diagonal."""
+        lower = np.tril(cls.matrix(kalman.covariance))
+        return np.asarray(lower + np.tril(lower, -1).T)
+
 
 def matrices(kernel: Kernel) -> tuple[FloatArray, FloatArray]:
     """Return gram and moment matrix of the kernel's block."""

@@ -18,7 +18,7 @@ class Bank:
     def __init__(self, flight):
         self.flight, self.unmixed = flight, 0.0
         first = flight.kernel.filter.filters[0]
-        state, covariance = flight.kernel.state(first.state), flight.kernel.matrix(first.covariance)
+        state, covariance = flight.kernel.state(first.state), flight.kernel.covariance(first)
         self.models = [dense.Model(state, covariance, 0.25)] * 4
         self.refused = 0
 
@@ -100,8 +100,7 @@ def test_ten_thousand_blocks_stay_positive_and_finite(fly):
         assert flight.step()
         if number % 100 == 99:
             for model in flight.kernel.filter.filters:
-                covariance = flight.kernel.matrix(model.covariance)
-                assert np.array_equal(covariance, covariance.T)
+                covariance = flight.kernel.covariance(model)
                 sd = np.sqrt(np.diag(covariance))
                 worst = min(worst, np.linalg.eigvalsh(covariance / np.outer(sd, sd)).min())
             _, _, error = flight.output(END_S)
@@ -185,7 +184,7 @@ def test_a_reference_on_the_wire_is_survived(fly):
         lib.block_filter_update(filter_, flight.kernel.fill(flight.bits.words(31), flight.data()), 1e-6)
         flight.number = 0
         for model in filter_.filters:
-            assert np.all(np.isfinite(flight.kernel.matrix(model.covariance)))
+            assert np.all(np.isfinite(flight.kernel.covariance(model)))
             assert np.all(np.isfinite(list(ffi.addressof(model.state).position_m)))
 
 
@@ -209,7 +208,7 @@ def test_a_start_in_the_sensors_frame(fly):
     flight = fly()
     flight.start()
     model, truth = flight.kernel.filter.filters[3], flight.truth(0.0)
-    state, covariance = flight.kernel.state(model.state), flight.kernel.matrix(model.covariance)
+    state, covariance = flight.kernel.state(model.state), flight.kernel.covariance(model)
     turn = Rotation.from_matrix(state.rotation @ truth.rotation.T)
     np.testing.assert_allclose(state.e, turn.apply(truth.e + truth.rotation @ truth.b), atol=1e-4)
     expected = [*[4e-5] * 6, *[9.0] * 3, *[16.0] * 3, *[25.0 + 1e-4] * 3, *[25.0] * 3]

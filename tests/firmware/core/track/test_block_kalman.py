@@ -56,7 +56,7 @@ class Case:
         kernel.put(filter_, self.state, self.covariance, (1.0, 2.0))
         chi_square, logarithm = ffi.new("float *"), ffi.new("float *")
         taken = kernel.lib.block_kalman_update(filter_, measure, limit, chi_square, logarithm)
-        return kernel.state(filter_.state), kernel.matrix(filter_.covariance), chi_square[0], logarithm[0], taken
+        return kernel.state(filter_.state), kernel.covariance(filter_), chi_square[0], logarithm[0], taken
 
 
 @pytest.mark.parametrize("beacons", [3, 4, 8, 16, 29])
@@ -69,7 +69,6 @@ def test_an_update_is_that_of_the_whitened_rows(core, gold_family, beacons, spee
         assert ours[4]
         assert np.abs(ours[0].minus(state) / np.sqrt(np.diag(covariance))).max() < 0.03
         assert relative(ours[1], covariance) < 0.03
-        assert np.array_equal(ours[1], ours[1].T)
         assert ours[2] == pytest.approx(chi_square, rel=0.01, abs=0.05)
         assert ours[3] == pytest.approx(logarithm, abs=0.02)
         assert case.kernel.filter.measure.rank == 9
@@ -128,12 +127,11 @@ def test_a_prediction_is_that_of_numerical_derivatives(core, gold_family, second
         moving = kernel.ffi.new("float[12][12]", covariance[:12, :12].tolist())
         kernel.lib.block_kalman_ahead(ahead, moving, 4.0, 16.0, seconds)
         kernel.lib.block_kalman_predict(filter_, seconds)
-        ours = kernel.matrix(filter_.covariance)
+        ours = kernel.covariance(filter_)
         # The turn rate's part of the attitude is taken to first order: half of the angle is left out.
         turn = 0.5 * abs(seconds) * np.linalg.norm(state.w)
         assert relative(ours, expected) < 1e-5 + turn
-        assert relative(ours, ours.T) < 1e-6
-        np.testing.assert_allclose(kernel.matrix(moving)[:6, :12], ours[:6, :12], rtol=1e-5, atol=1e-9)
+        np.testing.assert_allclose(np.tril(kernel.matrix(moving)), np.tril(ours[:12, :12]), rtol=1e-5, atol=1e-9)
         for result in (filter_.state, ahead):
             assert np.abs(kernel.state(result).minus(later) / SD).max() < 1e-3
 

@@ -117,9 +117,9 @@ void gf_bank_output(const void *memory, double seconds, double *state, double *r
     matrix_of(whole.state.quaternion, rotation);
     for (uint32_t row = 0; row < BLOCK_STATES; row++) {
         for (uint32_t column = 0; column < BLOCK_STATES; column++) {
-            /* Rounding leaves the two sides of the diagonal a little different. */
-            const double both = 0.5 * ((double)whole.covariance[row][column] + (double)whole.covariance[column][row]);
-            covariance[(size_t)row * BLOCK_STATES + column] = both / (unit(row) * unit(column));
+            const uint32_t low = row > column ? row : column, high = row > column ? column : row;
+            const double kept = (double)whole.covariance[low][high]; /* That above the diagonal is not kept up. */
+            covariance[(size_t)row * BLOCK_STATES + column] = kept / (unit(row) * unit(column));
         }
     }
 }
