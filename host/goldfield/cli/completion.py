@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 SHELLS = ("bash", "zsh")
-FILES = ("FILE", "PATH", "FIELDS.csv", "SAMPLES.csv", "BODY.toml", "SCENARIO")
+FILES = ("FILE", "PATH", "SECOND", "FIELDS.csv", "SAMPLES.csv", "BODY.toml", "SCENARIO")
 """Placeholders of values that are names of files."""
 
 
