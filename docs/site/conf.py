@@ -7,6 +7,7 @@ author = "the authors of goldfield"
 release = version = installed("goldfield")
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 root_doc = "index"
+highlight_language = "none"
 
 myst_enable_extensions = ["deflist"]
 myst_heading_anchors = 6
