@@ -8,6 +8,7 @@ import gc
 import os
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import can
 
@@ -40,6 +41,23 @@ Python's own 5 ms are more than a pose at 330 Hz may take."""
 
 Item = can.Message | Epoch | Fix
 """What a recording takes."""
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What takes each item of a run beside the lines and the table: feeds, the live page, a recording."""
+
+    feeds: Feeds
+    page: Publisher | None
+    recorder: Branch[Item] | None
+
+    def write(self, item: Epoch | Fix, sensor: Sensor) -> None:
+        """Hand an item to each; none of them is waited for, but for the recording of a recording."""
+        self.feeds.write(item)
+        if self.page is not None:
+            self.page.publish(item, sensor)
+        if self.recorder is not None:
+            self.recorder.write(item)
 
 
 def print_poses(
@@ -81,7 +99,7 @@ def print_poses(
         if sensor.live:
             sys.setswitchinterval(SWITCH_S)
             gc.freeze()  # else a search for garbage looks through all that was imported, for 50 ms
-        sinks = _print_epochs(arguments, sensor, summary, feeds, page, recorder)
+        sinks = _print_epochs(arguments, sensor, summary, Beside(feeds, page, recorder))
     if sinks.stuck:
         sys.stderr.flush()
         os._exit(0)  # at its own end Python would wait for the lock of stdout, which the stuck thread has
@@ -113,31 +131,22 @@ def _written_at_the_end(summary: Summary, path: str, *, force: bool) -> Iterator
 
 
 def _print_epochs(
-    arguments: argparse.Namespace,
-    sensor: Sensor,
-    summary: Summary,
-    feeds: Feeds,
-    page: Publisher | None,
-    recorder: Branch[Item] | None,
+    arguments: argparse.Namespace, sensor: Sensor, summary: Summary, beside: Beside
 ) -> Fanout[Epoch | Fix]:
     """Print the poses and the summary; return the sinks, of which an interrupt may have left one stuck."""
     sinks = _sinks(arguments, sensor, summary)
     try:
-        with sinks, feeds:
+        with sinks, beside.feeds:
             for item in sensor.stream():
                 sinks.write(item)
-                feeds.write(item)
-                if page is not None:
-                    page.publish(item, sensor)
-                if recorder is not None:
-                    recorder.write(item)
+                beside.write(item, sensor)
     except KeyboardInterrupt:
         pass  # the usual end of a live run
     finally:
         summary.link = sensor.link_counts
         summary.counters = sensor.counters
         summary.board_counters = sensor.board_counters
-        summary.dropped = sinks.dropped | feeds.dropped
+        summary.dropped = sinks.dropped | beside.feeds.dropped
         if summary.epochs:
             aside = arguments.json or sinks.stuck
             if not aside or loudness() is not Loudness.QUIET:

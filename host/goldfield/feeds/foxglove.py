@@ -16,14 +16,14 @@ from goldfield.feeds.feed import Feed, Setting
 from goldfield.feeds.stamped import StampedPose
 from goldfield.files.inputs import reason_of
 from goldfield.foxglove.channels import Channels
-from goldfield.foxglove.messages import fields_record, log_message, pose_messages
+from goldfield.foxglove.messages import log_message, pose_messages
 from goldfield.foxglove.scene import pose_scene, scene
 from goldfield.foxglove.topics import COVARIANCE, FIELDS, HEALTH, LINE, LOG, POSE, SCENE, TRANSFORMS
 from goldfield.nodes.roster import Roster
 from goldfield.sensor.pipeline import Epoch
 from goldfield.view.lines import line_record
 from goldfield.view.monitor import Monitor
-from goldfield.view.records import number
+from goldfield.view.records import fields_record, number
 
 BACKLOG = 512
 """Messages that wait for one consumer; the oldest goes if there is no room."""
