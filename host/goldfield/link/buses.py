@@ -102,7 +102,8 @@ class BusSource:
         self._reopen = reopen
         self._traffic = no_traffic()
         self._sent: deque[tuple[int, bytes]] = deque(maxlen=ECHOES)
-        self._queue: queue.SimpleQueue[can.Message | Exception] = queue.SimpleQueue()
+        self._queue: queue.SimpleQueue[list[can.Message] | Exception] = queue.SimpleQueue()
+        self._taken: deque[can.Message] = deque()
         self._stop = threading.Event()
         self._begin(bus)
 
@@ -119,6 +120,8 @@ class BusSource:
         """
         if self._stop.is_set():
             raise UserError(_closed(self.name))
+        if self._taken:
+            return self._taken.popleft()
         try:
             item = self._queue.get(timeout=max(0.0, timeout_s))
         except queue.Empty:
@@ -127,7 +130,8 @@ class BusSource:
                 return None
             item = found
         if not isinstance(item, Exception):
-            return item
+            self._taken.extend(item)
+            return self._taken.popleft()
         if self._reopen is None:
             self._queue.put(item)
             raise SystemFailure(_sentence(self.name, item)) from item
@@ -158,7 +162,7 @@ class BusSource:
         self._thread = threading.Thread(target=self._read, args=(bus,), name=f"read {self.name}", daemon=True)
         self._thread.start()
 
-    def _found_by_looking(self) -> can.Message | Exception | None:
+    def _found_by_looking(self) -> list[can.Message] | Exception | None:
         """Return what the thread finds in a look that it begins after now; None for nothing."""
         next_look = self._look + 1
         for _ in range(LOOKS):
@@ -184,11 +188,18 @@ class BusSource:
             if message is None:
                 self._empty_look = self._look
                 continue
-            kind = kind_of(message)
-            if kind is not None:
-                self._traffic[kind] += 1
-            elif not self._is_echo(message):
-                self._queue.put(message)
+            # What came together is handed over together: who waits for it is woken once
+            together = [message, *bus.waiting()] if isinstance(bus, SerialBus) else [message]
+            found = [one for one in together if self._is_ours(one)]
+            if found:
+                self._queue.put(found)
+
+    def _is_ours(self, message: can.Message) -> bool:
+        """Whether a message is a data frame of another node; what is none is counted."""
+        kind = kind_of(message)
+        if kind is not None:
+            self._traffic[kind] += 1
+        return kind is None and not self._is_echo(message)
 
     def _is_echo(self, message: can.Message) -> bool:
         """Whether a message is one of this source, and has not come back before."""

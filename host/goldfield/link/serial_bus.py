@@ -85,6 +85,12 @@ class SerialBus(can.BusABC):
         except (serial.SerialException, OSError) as error:
             raise self._gone(error) from error
 
+    def waiting(self) -> list[can.Message]:
+        """Return what came together with the last message that `recv` returned, and `recv` has yet to return."""
+        waiting = list(self._received)
+        self._received.clear()
+        return waiting
+
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline = None if timeout is None else time.monotonic() + timeout
         while not self._received:
