@@ -5,12 +5,13 @@ and the track of thirds, at the middle of its cycles and foretold to the ends of
 emulated boards, by ``--boards host``, or are ``--simulated``, which costs least. ``bound`` holds the filter against the
 least possible error, ``lag`` compares its poses 50 ms later with the thirds at mid-cycle, which know as much of what
 came behind, ``starts`` counts the starts from one block that fail, ``faults`` counts wrong poses that are told
-to be right, and ``latency`` tells how old a pose is.
+to be right, ``latency`` tells how old a pose is in the rig's time, and ``host`` how late a line is on this machine.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import time
 from functools import partial
 
@@ -22,6 +23,7 @@ from tests.bench import rate_trials
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.rate_boards import open_bench, scenario_file, streamed
 from tests.bench.rate_bound import LeastError
+from tests.bench.rate_host import SPARE_S, played, recorded
 from tests.bench.rate_latency import latency
 from tests.bench.rate_ways import Errors, follow, held_fixes, lagged, ratio, thirds
 from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of
@@ -232,7 +234,31 @@ def quantiles_ms(values_s):
     return " ".join(f"{1e3 * value:.3f}" for value in np.quantile(values_s, (0.5, 0.95, 0.99, 1.0)))
 
 
-WHAT = {"accuracy": accuracy, "bound": bound, "lag": lag, "starts": starts, "faults": faults, "latency": latencies}
+def host(options):
+    """Print how late lines of a run at the blocks' rate are on this machine, and what the run takes of it."""
+    scenario = scenario_file("1 m/s, 1 rad/s", options.first, 2e-7)
+    parts, site = recorded(scenario, options.boards, options.seconds + SPARE_S)
+    summary = played(parts, site, 330.0)
+    late = summary["latency"]
+    times_ms = " ".join(f"{1e3 * late[name]:.2f}" for name in ("median_s", "p95_s", "p99_s"))
+    print(
+        f"8 beacons, serial, {summary['epochs']} lines of JSON; last message read to line written: median, 95 %, 99 %"
+        f" {times_ms} ms; {100 * late['processor_share']:.0f} % of a processor; left out:"
+        f" {summary['link'].get('messages left out, because this machine fell behind', 0)} messages; load of the"
+        f" machine {os.getloadavg()[0]:.1f} of {os.cpu_count()}",
+        flush=True,
+    )
+
+
+WHAT = {
+    "accuracy": accuracy,
+    "bound": bound,
+    "lag": lag,
+    "starts": starts,
+    "faults": faults,
+    "latency": latencies,
+    "host": host,
+}
 
 
 def main():
@@ -243,7 +269,9 @@ def main():
     parser.add_argument("--alone", action="store_true", help="accuracy: the block filter only")
     parser.add_argument("--seeds", type=int, default=3, help="runs of each motion")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of the seeds")
-    parser.add_argument("--seconds", type=float, default=3.0, help="length of a run of accuracy, lag, faults, latency")
+    parser.add_argument(
+        "--seconds", type=float, default=3.0, help="length of a run of accuracy, lag, faults, latency, host"
+    )
     parser.add_argument("--fault", metavar="NAME", help="faults: those with this in their name only")
     parser.add_argument("--count", type=int, default=1000, help="starts at each noise")
     options = parser.parse_args()

@@ -97,6 +97,8 @@ class SerialBus(can.BusABC):
             try:
                 waiting = self._port.in_waiting
                 chunk = b"" if timeout == 0.0 and not waiting else self._port.read(max(1, waiting))
+                if chunk and not waiting:  # the first byte of what comes now
+                    chunk += self._port.read(self._port.in_waiting)
             except (serial.SerialException, OSError, TypeError) as error:
                 raise self._gone(error) from error  # TypeError: pyserial's answer to a port closed in another thread
             self._decode(chunk)
