@@ -31,6 +31,8 @@ COLOURS = {
 COIL_COLOUR, SECOND_COLOUR = "#707070", "#b05090"
 RATE_OVER_S = 1.0
 """Rates are those of spans of so long."""
+WIDE = 15.0
+"""A largest value above so many medians is drawn in a logarithmic scale."""
 MOST_NAMED = 12
 """Beacons that a legend has room for."""
 
@@ -100,12 +102,13 @@ def _seconds(columns: dict[str, Column]) -> FloatArray:
 
 def _track(axes: Any, columns: dict[str, Column], site: Site | None, plane: tuple[int, int]) -> None:
     across, up = plane
+    names: dict[tuple[float, ...], list[str]] = {}
     for beacon in () if site is None else site.beacons:
         wire_m = wire_of(beacon)
         axes.plot(wire_m[:, across], wire_m[:, up], color=COIL_COLOUR, linewidth=1.5)
-        axes.annotate(
-            beacon.id, (beacon.position_m[across], beacon.position_m[up]), fontsize=7, ha="center", va="bottom"
-        )
+        names.setdefault(tuple(beacon.position_m[[across, up]].round(3).tolist()), []).append(beacon.id)
+    for place, ids in names.items():
+        axes.annotate(", ".join(ids), place, (0, 8), textcoords="offset points", fontsize=7, ha="center")
     place_m = columns["position_m"]
     axes.plot(place_m[:, across], place_m[:, up], color="#b0c8e0", linewidth=0.8, zorder=1)
     for status, colour in COLOURS.items():
@@ -128,7 +131,7 @@ def _position_error(axes: Any, seconds: FloatArray, columns: dict[str, Column], 
     axes.plot(seconds, 1e3 * deviation_m, color=SECOND_COLOUR, linewidth=1.0, label="standard deviation")
     if np.isfinite(columns["protection_m"]).any():
         axes.plot(seconds, 1e3 * columns["protection_m"], color="#e0a020", linewidth=1.0, label="protection level")
-    _logarithmic(axes)
+    _scaled(axes)
     axes.legend(fontsize=7)
     title = "position" if errors.position_m else "position: no truth given"
     if errors.position_m:
@@ -141,7 +144,7 @@ def _attitude_error(axes: Any, seconds: FloatArray, columns: dict[str, Column], 
     if errors.attitude_rad:
         axes.plot(seconds, np.degrees(errors.attitude_rad), ".", markersize=3, label="error", color="#1f77b4")
     axes.plot(seconds, np.degrees(deviation_rad), color=SECOND_COLOUR, linewidth=1.0, label="standard deviation")
-    _logarithmic(axes)
+    _scaled(axes)
     axes.legend(fontsize=7)
     title = "attitude"
     if errors.attitude_rad:
@@ -156,7 +159,7 @@ def _residuals(axes: Any, seconds: FloatArray, columns: dict[str, Column], beaco
         axes.plot(seconds, columns["residuals"][:, number], linewidth=0.7, label=label)
     axes.plot(seconds, columns["residual"], color="black", linewidth=1.0, label="all")
     axes.axhline(1.0, color="#b0b0b0", linewidth=0.8)
-    _logarithmic(axes)
+    _scaled(axes)
     axes.legend(fontsize=6, ncol=2)
     _label(axes, "residual of each beacon, 1 if all is well", "s", "")
 
@@ -167,12 +170,9 @@ def _rates(axes: Any, seconds: FloatArray, columns: dict[str, Column]) -> None:
     counts, _ = np.histogram(seconds[np.isfinite(seconds)], edges)
     good, _ = np.histogram(seconds[np.isfinite(seconds) & (columns["status"] == Status.OK.value)], edges)
     lost, _ = np.histogram(seconds, edges, weights=np.nan_to_num(columns["lost"]))
-    for values, label, colour in (
-        (counts, "poses", "#1f77b4"),
-        (good, "ok", "#30a060"),
-        (lost, "messages lost", "#d03030"),
-    ):
-        axes.stairs(values / RATE_OVER_S, edges, label=label, color=colour)
+    axes.stairs(counts / RATE_OVER_S, edges, label="poses", color="#1f77b4", linewidth=2.0)
+    axes.stairs(good / RATE_OVER_S, edges, label="ok", color="#30a060", fill=True, alpha=0.3)
+    axes.stairs(lost / RATE_OVER_S, edges, label="messages lost", color="#d03030")
     axes.set_ylim(bottom=0.0)
     axes.legend(fontsize=7)
     _label(axes, "rates", "s", "1/s")
@@ -200,11 +200,16 @@ def _label(axes: Any, title: str, across: str, up: str) -> None:
     axes.grid(alpha=0.25)
 
 
-def _logarithmic(axes: Any) -> None:
-    """Draw in a logarithmic scale if there is anything above 0 to draw."""
+def _scaled(axes: Any) -> None:
+    """Draw from 0 on, or if a few values are far above the others in a logarithmic scale."""
     drawn = np.concatenate([np.ravel(line.get_ydata()) for line in axes.get_lines()] or [np.zeros(0)]).astype(float)
-    if (drawn[np.isfinite(drawn)] > 0.0).any():
+    positive = drawn[np.isfinite(drawn) & (drawn > 0.0)]
+    if len(positive) and positive.max() > WIDE * np.median(positive):
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+        axes.yaxis.set_minor_formatter("")
+    else:
+        axes.set_ylim(bottom=0.0)
 
 
 def _share(statuses: Column) -> str:
