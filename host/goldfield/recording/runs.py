@@ -243,6 +243,8 @@ def open_run(path: str | Path, site_file: str | None = None, *, again: bool = Fa
             raise UserError(f"{name_of(path)}: holds poses and no messages: nothing can be made of it again")
         return JsonRun(path, file)
     file.close()
+    if not head:
+        raise UserError(f"{name_of(path)}: is empty: give a recording")
     if site_file is None:
         raise UserError(f"{name_of(path)}: holds messages and no poses: give --site FILE, with which they are made")
     return EstimatedRun(path, load(site_file), Options())

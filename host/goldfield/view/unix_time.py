@@ -9,8 +9,11 @@ from goldfield.sensor.pipeline import Epoch, Fix
 DRIFT = 200e-6
 """Largest relative difference of the rates of a sensor's clock and the wall's: 100 ppm of a crystal, and as much for
 a wall clock that is slewed."""
-LONGEST_DELAY_S = 2.0
-"""A measurement that seems older when it arrives tells that one of the two clocks was set anew."""
+LONGEST_DELAY_S = 30.0
+"""A measurement that seems older when it arrives tells that the wall clock was set; a program that a busy machine
+stops for seconds tells nothing."""
+BACK_S = 3.0
+"""A sensor's clock that goes back by more has begun again; a pose may be late by the longest lag, 2 s."""
 
 
 class UnixTime:
@@ -53,7 +56,7 @@ class UnixTime:
             return
         shift_s = arrived_s - ended_s
         grown_s = self._shift_s + DRIFT * max(0.0, ended_s - self._latest_s)
-        set_anew = not (ended_s >= self._latest_s - LONGEST_DELAY_S and shift_s - grown_s < LONGEST_DELAY_S)
+        set_anew = not (ended_s >= self._latest_s - BACK_S and shift_s - grown_s < LONGEST_DELAY_S)
         self._shift_s = shift_s if set_anew else min(shift_s, grown_s)
         self._latest_s = ended_s if set_anew else max(ended_s, self._latest_s)
 

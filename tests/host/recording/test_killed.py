@@ -1,0 +1,70 @@
+"""A run that is killed at any moment leaves a recording that opens, with all but the last of what it had printed."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import SeekingReader
+
+from goldfield.cli import main
+from goldfield.recording.mcap_file import END
+from hil_sim.clib import ROOT
+from tests.host.recording.mcap_file import topics
+
+EXAMPLES = ROOT / "docs/examples"
+SITE = EXAMPLES / "room.toml"
+MOST_POSES = 400
+
+
+def killed_run(path: Path, poses: int) -> list[tuple[float, dict]]:
+    """Run on a log that begins again without end, kill it when it has printed so many poses, and return them with their times."""
+    words = [sys.executable, "-m", "goldfield", "run", "--log", "-", "--site", SITE, "--json", "--record", path]
+    endless = ["sh", "-c", 'while cat "$1"; do :; done', "sh", EXAMPLES / "recording.log"]
+    with (
+        subprocess.Popen(endless, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as feeder,
+        subprocess.Popen(words, stdin=feeder.stdout, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as run,
+    ):
+        feeder.stdout.close()
+        printed = [(time.monotonic(), json.loads(run.stdout.readline())) for _ in range(poses)]
+        run.send_signal(signal.SIGKILL)
+    return printed
+
+
+def check(path: Path, printed: list[tuple[float, dict]], capsys) -> float:
+    """Check what is left of a killed run; return how many seconds of its poses are lost."""
+    if not path.exists() or not path.stat().st_size:
+        return printed[-1][0] - printed[0][0]
+    assert path.read_bytes().endswith(END)
+    with path.open("rb") as file:
+        assert SeekingReader(file, validate_crcs=True).get_header() is not None
+    kept = [json.loads(message.data) for message in topics(path).get("/goldfield/line", [])]
+    for line, (_, wanted) in zip(kept, printed, strict=False):
+        assert {key: line[key] for key in wanted} == wanted
+    capsys.readouterr()
+    assert main(["run", "--log", str(path), "--site", str(SITE), "--json"]) == 0
+    again = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [line["position_m"] for line in again[: len(kept)]] == [line["position_m"] for line in kept]
+    assert len(again) >= len(kept)
+    return printed[-1][0] - printed[len(kept)][0] if len(kept) < len(printed) else 0.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_killed_run_leaves_a_recording_that_opens(tmp_path, capsys, seed):
+    poses = int(np.random.default_rng([14, seed]).integers(1, MOST_POSES))
+    check(tmp_path / "a.mcap", killed_run(tmp_path / "a.mcap", poses), capsys)
+
+
+@pytest.mark.slow
+def test_fifty_killed_runs_leave_recordings_that_open(tmp_path, capsys):
+    lost_s = []
+    for poses in np.random.default_rng(50).integers(1, MOST_POSES, 50).tolist():
+        path = tmp_path / f"{len(lost_s)}.mcap"
+        lost_s.append(check(path, killed_run(path, poses), capsys))
+    with capsys.disabled():
+        print(f"\n50 killed runs: lost {np.median(lost_s):.2f} s in the median, at most {max(lost_s):.2f} s")
+    assert np.median(lost_s) < 1.0
