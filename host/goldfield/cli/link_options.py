@@ -14,7 +14,7 @@ LINKS = {
     "can": ("INTERFACE:CHANNEL", "python-can interface and channel, as socketcan:can0"),
     "log": (
         "FILE",
-        "recording instead of a sensor: of candump, or .asc, .blf, .csv, .db, .mf4, .trc; - is stdin",
+        "recording instead of a sensor: of candump, or .asc, .blf, .csv, .db, .mcap, .mf4, .trc; - is stdin",
     ),
 }
 

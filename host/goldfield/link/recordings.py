@@ -55,7 +55,7 @@ class CandumpReader:
         if not self._count:
             raise UserError(
                 f"{self.name}:1: the log holds no message like '(1.500000) can0 01000064#0011223344556677': "
-                "give a log of candump, or an .asc, .blf, .csv, .db, .mf4 or .trc file"
+                "give a log of candump, or an .asc, .blf, .csv, .db, .mcap, .mf4 or .trc file"
             )
 
     def close(self) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from goldfield.errors import counted
 from goldfield.foxglove.topics import FIELDS, LINE
 from goldfield.recording.runs import Item
 from goldfield.recording.tables import Column, PoseTable
@@ -87,7 +88,7 @@ def picture(name: str, poses: PoseTable, errors: Errors, site: Site | None) -> b
     _residuals(grid["residual"], seconds, columns, poses.beacons)
     _rates(grid["rate"], seconds, columns)
     _latency(grid["late"], seconds, columns)
-    figure.suptitle(f"{name}: {len(poses)} poses, {_share(columns['status'])}")
+    figure.suptitle(f"{name}: {counted(len(poses), 'poses')}, {_share(columns['status'])}")
     file = io.BytesIO()
     figure.savefig(file, format="png")
     return file.getvalue()

@@ -22,7 +22,7 @@ MOST_POSES = 400
 
 
 def killed_run(path: Path, poses: int) -> list[tuple[float, dict]]:
-    """Run on a log that begins again without end, kill it when it has printed so many poses, and return them with their times."""
+    """Run on a log without end, kill it when it has printed so many poses, and return them with their times."""
     words = [sys.executable, "-m", "goldfield", "run", "--log", "-", "--site", SITE, "--json", "--record", path]
     endless = ["sh", "-c", 'while cat "$1"; do :; done', "sh", EXAMPLES / "recording.log"]
     with (
