@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,13 @@ def test_the_targets_of_make_are_there(path: Path) -> None:
     blocks = [block for language, block in FENCED.findall(text) if language in SHELLS]
     named = {target for block in [*blocks, *INDENTED.findall(FENCED.sub("", text))] for target in MAKE.findall(block)}
     assert named - make_targets() == set()
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_blocks_of_python_are_python(path: Path) -> None:
+    for language, block in FENCED.findall(path.read_text(encoding="utf-8")):
+        if language == "python":
+            compile(textwrap.dedent(block), path.name, "exec")
 
 
 def test_the_checker_judges_both_ways(parser, capsys) -> None:
