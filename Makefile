@@ -24,6 +24,7 @@ include firmware/boards/stm32f405/board.mk
 include firmware/boards/host/board.mk
 include host/goldfield/locate/locate.mk
 include host/goldfield/page/page.mk
+include host/packaging/wheels.mk
 include hil_sim/emulator/emulator.mk
 include hil_sim/rig/rig.mk
 include tests/tests.mk

@@ -34,6 +34,8 @@ OPTIMISED = ["-std=c11", "-O3", "-fno-math-errno", "-fno-trapping-math"]
 LIBRARIES = ("libgf_rig.so", "libgf_hostboard.so", "libgf_emulator.so")
 PAGE = ROOT / "host/goldfield/page/built/index.html"
 IMAGES = ("firmware/beacon.elf", "firmware/sensor.elf", "firmware/anchor.elf")
+HEADLESS = "host/packaging/headless"
+"""Files for a machine without a screen, which are copied from ``share/goldfield`` of an installation to ``/etc``."""
 PARTS = os.environ.get("GOLDFIELD_PARTS")
 """The directory where ``make wheel`` has built the simulator's parts; without it they are built here."""
 SCRATCH = Path("build/wheel")
@@ -181,6 +183,7 @@ build.sub_commands.append(("build_simulator", None))
 setup(
     cmdclass={"build": Build, "build_ext": BuildKernel, "build_simulator": BuildSimulator, "bdist_wheel": Wheel},
     options={"build": {"build_base": str(SCRATCH)}, "egg_info": {"egg_base": str(SCRATCH)}},
+    data_files=[("share/goldfield", sorted(str(path.relative_to(ROOT)) for path in (ROOT / HEADLESS).iterdir()))],
     ext_modules=[
         Extension(
             "goldfield.locate.kernel.built.libgf_locate",

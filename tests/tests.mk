@@ -8,6 +8,11 @@ test: test-fast test-long test-host-boards ## All tests but the slow ones
 test-wheel: all ## Build the wheel, install it alone and use it outside the tree
 	@$(PYTHON) -m pytest tests/packaging -q -s
 
+test-wheels: wheels ## Install the wheels of `make wheels` where there is no compiler, that for aarch64 in QEMU's user mode
+	@$(call need,qemu-aarch64-static,qemu-user-static)
+	@test -x $(BUILD)/arm64/root/usr/bin/python3.11 || $(PYTHON) tests/packaging/arm64_root.py $(BUILD)/arm64/root
+	@$(PYTHON) -m pytest tests/packaging/test_portable_wheels.py tests/packaging/test_headless.py -q -s
+
 test-fast: all $(BUILD)/qemu.stamp ## The tests that take little time: four minutes in all
 	@$(PYTEST) -m "not slow and not long"
 
@@ -24,7 +29,7 @@ COSTS ?= tests -m "not slow"
 test-costs: all $(BUILD)/qemu.stamp ## The dearest tests by processor time (COSTS="tests/host -m long")
 	@$(PYTEST) -p tests.bench.cpu_costs $(COSTS)
 
-.PHONY: test test-wheel test-fast test-long test-host-boards test-slow test-costs
+.PHONY: test test-wheel test-wheels test-fast test-long test-host-boards test-slow test-costs
 
 many-benches: all ## Two, then four benches beside a garbage sender for a minute each
 	@$(PYTHON) -m pytest tests/hil/test_many_benches.py -m slow -q -s

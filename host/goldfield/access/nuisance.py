@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from goldfield.types import FloatArray
 
@@ -63,6 +62,8 @@ def mains_frequency(
     Nonlinear least squares in one variable by variable projection (Golub & Pereyra 1973). The weaker the hum the worse
     its frequency is known and the less it matters.
     """
+    from scipy.optimize import minimize_scalar  # a fifth of a second to import: only where there is mains to fit
+
     basis = np.linalg.qr(known)[0]
     complete = samples_T[:, np.isfinite(samples_T).all(axis=0)]
     if not complete.size:

@@ -42,9 +42,9 @@ def command(subparsers: Any) -> None:
 @on_command_line()
 def run(arguments: argparse.Namespace) -> int:
     """Print the samples."""
-    from goldfield.sensor.opening import open_source  # heavy: only when there is a sensor
     from goldfield.sensor.samples import sample_cycles
     from goldfield.sensor.session import Session
+    from goldfield.sensor.sources import open_source  # heavy: only when there is a sensor
 
     site = sites.load(options.required(arguments.site, "--site", "FILE"))
     port = options.required(arguments.port, "--port", "PATH")

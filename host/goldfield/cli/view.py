@@ -8,7 +8,7 @@ from typing import Any
 
 from goldfield.cli import feed_options, link_options, options
 from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
-from goldfield.errors import EXIT_FAILED, counted, on_command_line, tell
+from goldfield.errors import EXIT_FAILED, UserError, counted, on_command_line, tell
 from goldfield.files.outputs import check_outputs
 
 
@@ -65,13 +65,20 @@ def run(arguments: argparse.Namespace) -> int:
 
     from goldfield.feeds.feed import Setting
     from goldfield.feeds.opening import open_feeds
-    from goldfield.page.beside import served  # heavy: only when a page is served
-    from goldfield.page.feeding import Feed
     from goldfield.sensor.options import chosen_method
+    from goldfield.sensor.sources import open_source
 
     method = chosen_method(arguments.track, arguments.on_sensor, arguments.rate, arguments.lag)
     choices = link_options.reading(arguments, method)
     choices.check(site)
+    source = None
+    with contextlib.suppress(UserError):  # which the feed raises again, once the page is there
+        source = open_source(kind, where, choices) if kind == "port" else None
+
+    # Heavy: only when a page is served. What the sensor says meanwhile waits in the port.
+    from goldfield.page.beside import served
+    from goldfield.page.feeding import Feed
+
     pace = 1.0 if arguments.pace is None else arguments.pace
     with (
         contextlib.suppress(KeyboardInterrupt),
@@ -80,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         print(page.url, flush=True)
         options.tell_assumed(site)
-        feed = Feed(page.hub, kind, where, site, choices, pace, feeds.write)
+        feed = Feed(page.hub, kind, where, site, choices, pace, feeds.write, source)
         feed.run()
         feed.stopped.wait()  # a recording is at its end, and still looked at
     for name, count in feeds.dropped.items():

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 
 from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.link.buses import Source
 from goldfield.page.hub import Hub, State
 from goldfield.page.publishing import Publisher
 from goldfield.sensor.opening import open_sensor
@@ -33,6 +34,8 @@ class Feed:
         A recording is played so many times faster than it was made; 0: as fast as it can be computed.
     also : callable, optional
         Gets each item, too, when it is due; it does not wait.
+    source : Source, optional
+        The source, if it is open already; the feed closes it.
     """
 
     def __init__(
@@ -44,6 +47,7 @@ class Feed:
         options: Options,
         pace: float = 1.0,
         also: Callable[[Epoch | Fix], None] | None = None,
+        source: Source | None = None,
     ) -> None:
         self._hub = hub
         self._kind, self._where = kind, where
@@ -51,6 +55,7 @@ class Feed:
         self._publisher = Publisher(hub, site, where)
         self._also = also
         self._told = ""
+        self._source = source
         self._pacing = Pacing(pace if kind == "log" else 0.0)
         self.stopped = threading.Event()
 
@@ -85,7 +90,9 @@ class Feed:
         self._told = error
 
     def _read(self) -> None:
-        with open_sensor(self._kind, self._where, self._site, self._options, self._publisher.recorder()) as sensor:
+        source, self._source = self._source, None  # the second time it is opened anew
+        recorder = self._publisher.recorder()
+        with open_sensor(self._kind, self._where, self._site, self._options, recorder, source) as sensor:
             for item in sensor.stream():
                 self._pacing.wait(item.pose.time_s, self.stopped)
                 self._publisher.publish(item, sensor)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from goldfield.errors import UserError, option
-from goldfield.link.buses import LogSource, Source, open_can, open_port
-from goldfield.link.recordings import CandumpReader
+from goldfield.link.buses import Source
 from goldfield.sensor.options import Options, chosen_method
 from goldfield.sensor.pipeline import Sensor
 from goldfield.sensor.receiver import Recorder
+from goldfield.sensor.sources import open_source
 from goldfield.site import Site, load
 
 
@@ -123,7 +123,12 @@ def open_log(
 
 
 def open_sensor(
-    kind: str, where: str, site: Site, options: Options | None = None, recorder: Recorder | None = None
+    kind: str,
+    where: str,
+    site: Site,
+    options: Options | None = None,
+    recorder: Recorder | None = None,
+    source: Source | None = None,
 ) -> Sensor:
     """Open a source as a sensor; `connect` and `open_log` tell the errors.
 
@@ -137,18 +142,12 @@ def open_sensor(
     options : Options, optional
     recorder : Recorder, optional
         Gets every message received; the caller closes it.
+    source : Source, optional
+        What `open_source` has opened already at this place; it is closed with the sensor, or if that fails.
     """
     options = Options() if options is None else options
     options.check(site)
-    return Sensor(open_source(kind, where, options), where, site, options, recorder)
-
-
-def open_source(kind: str, where: str, options: Options) -> Source:
-    """Open a source, with kind, place and options as for `open_sensor`; `UserError` if that fails."""
-    if kind == "log":
-        return LogSource(CandumpReader(where))
-    opened = open_port if kind == "port" else open_can
-    return opened(where, listen_only=options.listen_only, reconnect=options.reconnect)
+    return Sensor(source or open_source(kind, where, options), where, site, options, recorder)
 
 
 def _site(site: Site | str | Path) -> Site:

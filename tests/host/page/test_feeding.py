@@ -161,7 +161,8 @@ class Flaky:
         self.log, self.hub, self.outcomes, self.states = log, hub, list(outcomes), []
 
     @contextmanager
-    def open(self, kind, where, site, options, recorder):
+    def open(self, kind, where, site, options, recorder, source):
+        assert (source is None) == bool(self.states)  # one that is open already is taken once
         state = json.loads(self.hub.state_message())
         self.states.append((state["state"], state["text"]))
         refusal, failure = self.outcomes.pop(0)
@@ -194,7 +195,7 @@ def feed_live(log, monkeypatch, *outcomes):
     hub = hub_of(live=True)
     flaky = Flaky(log, hub, *outcomes)
     monkeypatch.setattr(feeding, "open_sensor", lambda *words: flaky.open(*words))
-    feed = Feed(hub, "port", "/dev/ttyX", ROOM, Options())
+    feed = Feed(hub, "port", "/dev/ttyX", ROOM, Options(), source=SimpleNamespace())
     feed.stopped = NoWait()
     feed.run()
     return flaky, hub
