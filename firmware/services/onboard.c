@@ -81,8 +81,9 @@ static void separate(onboard_t *onboard) {
     }
 }
 
-void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle) {
+void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle, bool doubted) {
     onboard->moving = *moving;
+    onboard->moving_doubted = doubted;
     onboard->moving_cycle = cycle;
     onboard->moved = true;
 }
@@ -140,10 +141,11 @@ static void begin(onboard_t *onboard, node_t *node) {
         return;
     }
     separate(onboard);
+    memcpy(onboard->located_m, onboard->moving.position_m, sizeof onboard->located_m);
     if (onboard->by_track) { /* The track knows better than the pose of the cycle before. */
         memcpy(onboard->pose.position_m, onboard->moving.position_m, sizeof onboard->pose.position_m);
         memcpy(onboard->pose.quaternion, onboard->moving.quaternion, sizeof onboard->pose.quaternion);
-        onboard->pose.status = POSE_OK;
+        onboard->pose.status = onboard->moving_doubted ? POSE_FAILED : POSE_OK;
     }
     pose_live_begin(&onboard->live, &onboard->site, onboard->fields, &onboard->pose);
 }
@@ -151,12 +153,16 @@ static void begin(onboard_t *onboard, node_t *node) {
 static void judge(onboard_t *onboard) {
     const pose_t *const pose = &onboard->pose;
     if (pose->status != POSE_FAILED) {
+        float away[3];
+        vector3_subtract(pose->position_m, onboard->located_m, away);
         onboard->verdict = (onboard_verdict_t){
             .status = pose->status,
             .reason = pose->reason,
             .left_out = pose->left_out,
             .protection_m = pose->protection_m,
             .by_track = onboard->located_by_track,
+            .searched = !pose->tracked,
+            .away_m = square_root(vector3_dot(away, away)),
         };
         onboard->judged++;
     }

@@ -33,7 +33,9 @@ typedef struct {
     pose_reason_t reason;
     uint32_t left_out;  /* Row of the beacon that is not to be believed, or POSE_NOBODY. */
     float protection_m; /* Protection level, m. */
-    bool by_track;      /* The cycle was located from what the track makes of it. */
+    bool by_track;      /* The cycle was located from what the track makes of it ... */
+    bool searched;      /* ... with no prior. */
+    float away_m;       /* How far from the track the pose of such a cycle is, m. */
 } onboard_verdict_t;
 
 /* Private but for tests. */
@@ -50,8 +52,10 @@ typedef struct {
     uint32_t missing, saturated;             /* Chips of it without a sample, and with a saturated one. */
     block_cycle_t moving;                    /* What the track makes of a cycle ... */
     uint32_t moving_cycle;                   /* ... of this number ... */
-    bool moved;                              /* ... which is there. */
+    bool moved;                              /* ... which is there ... */
+    bool moving_doubted;                     /* ... of a track that may be another. */
     bool by_track, located_by_track;         /* The cycle taken, and the one that is computed, are such ones. */
+    float located_m[3];                      /* Where the track was in the latter. */
     pose_field_t fields[POSE_BEACONS_MAX];
     pose_live_t live;
     pose_t pose;
@@ -67,8 +71,9 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
                        const epoch_selection_t *selection);
 
 /* Take what the track makes of the cycle of a number, before onboard_take takes that cycle: it is located from this, as
- * if the sensor stood still in the middle of the cycle. */
-void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle);
+ * if the sensor stood still in the middle of the cycle; with no prior if it is doubted that the track is where it says.
+ */
+void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle, bool doubted);
 
 /* Take a whole cycle, if active and if it has any sample; one that waits is answered. Costs about 250 instructions a
  * code. */

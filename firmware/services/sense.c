@@ -207,6 +207,7 @@ void sense_start(sense_t *sense, node_t *node, const timing_t *timing, onboard_t
     sense->timing = timing;
     sense->onboard = onboard;
     sense->tracking = tracking;
+    tracking->block = &sense->block;
     (void)queue_init(&sense->stream, sense->stream_messages, SENSE_STREAM_MESSAGES);
     /* Only degrees that have a family get through parameters_set. */
     const gold_family_t *const family = gold_family(timing->format.degree);

@@ -39,7 +39,7 @@
  *
  * Blocks (parameter blocks) take half of CAN or a quarter of serial for 8 codes (framing.md, "Budget").
  *
- * Memory: 56 kB, and onboard.h and tracking.h.
+ * Memory: 65 kB, and onboard.h and tracking.h.
  *
  * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,600 instructions, with
  * blocks 12,500, with parts 14,500 (17,100 when following the field); with degree 10 a report of 8 codes takes 67,000.
@@ -77,6 +77,7 @@ typedef struct {
     blocks_t blocks;
     onboard_t *onboard;
     tracking_t *tracking;
+    block_t block;              /* Lent to it: the core-coupled memory is full. */
     bool tracks_first;          /* Spare time goes to the start of the track first, then to the pose of a cycle. */
     uint32_t unsent;            /* Reports of cycles and of parts for which a link had no room. */
     volatile bool streaming;    /* Every chip is sent on serial. */

@@ -70,7 +70,7 @@ void tracking_configure(tracking_t *tracking, onboard_t *onboard, const paramete
     };
     memset(tracking->site_covariance, 0, sizeof tracking->site_covariance);
     tracking->verdict.left_out = POSE_NOBODY;
-    tracking->doubted = false;
+    tracking->doubted = tracking->ambiguous = false;
     tracking->judged = onboard->judged;
     lose(tracking);
     block_filter_init(&tracking->filter, tracking->coils, tracking->count, MICROTESLA * onboard->noise_T);
@@ -121,9 +121,11 @@ static void judge(const tracking_t *tracking, float position_sd_m, float attitud
     if (tracking->filter.refused >= TRACKING_DOUBTS || tracking->misfits >= TRACKING_DOUBTS) {
         pose->status = POSE_INCONSISTENT;
         pose->reason = POSE_REASON_PENDING;
-        return;
-    }
-    if (attitude_sd_rad > WEAK_ATTITUDE || position_sd_m > WEAK_DISTANCE * nearest_m(tracking, pose->position_m)) {
+    } else if (tracking->ambiguous) {
+        pose->status = POSE_AMBIGUOUS;
+        pose->reason = POSE_REASON_RIVAL;
+    } else if (attitude_sd_rad > WEAK_ATTITUDE ||
+               position_sd_m > WEAK_DISTANCE * nearest_m(tracking, pose->position_m)) {
         pose->status = POSE_WEAK;
         pose->reason = POSE_REASON_WEAK;
     } else if (pose->protection_m > tracking->onboard->site.alert_limit_m) {
@@ -165,10 +167,10 @@ static void send_pose(const tracking_t *tracking, node_t *node) {
 
 /* Makes the block of the filter. */
 static void make_block(tracking_t *tracking, const block_sums_t *sums) {
-    block_gram(sums->bits, tracking->count, BLOCK_CHIPS, CHIP_S, &tracking->block);
+    block_gram(sums->bits, tracking->count, BLOCK_CHIPS, CHIP_S, tracking->block);
     for (uint32_t i = 0; i <= tracking->count; i++) {
         for (uint32_t axis = 0; axis < 3u; axis++) {
-            tracking->block.sums_uT[i][axis] = MICROTESLA * sums->sums_T[i][axis];
+            tracking->block->sums_uT[i][axis] = MICROTESLA * sums->sums_T[i][axis];
         }
     }
 }
@@ -176,7 +178,7 @@ static void make_block(tracking_t *tracking, const block_sums_t *sums) {
 static void leave_out(tracking_t *tracking) {
     for (uint32_t i = 0; i < tracking->count; i++) {
         if (is_out(tracking, i)) {
-            block_leave_out(&tracking->block, i);
+            block_leave_out(tracking->block, i);
         }
     }
 }
@@ -233,12 +235,12 @@ static void compare(tracking_t *tracking) {
         out |= is_out(tracking, i) ? 1u << i : 0u;
     }
     predict(tracking, &predicted, &doubt);
-    block_residual(&tracking->block, tracking->coils, tracking->count, &predicted, &residual);
-    suspect(tracking, block_residual_worst(&residual, &tracking->block, tracking->coils, tracking->count, &predicted,
+    block_residual(tracking->block, tracking->coils, tracking->count, &predicted, &residual);
+    suspect(tracking, block_residual_worst(&residual, tracking->block, tracking->coils, tracking->count, &predicted,
                                            &doubt, &tracking->errors, MICROTESLA * tracking->onboard->noise_T, out));
     if (tracking->onboard->chips == BLOCK_CYCLE_CHIPS &&
         block_cycle_add(&tracking->moving, tracking->number, tracking->chip, CHIP_S, &residual, &predicted)) {
-        onboard_take_track(tracking->onboard, &tracking->moving, tracking->cycle);
+        onboard_take_track(tracking->onboard, &tracking->moving, tracking->cycle, tracking->ambiguous);
     }
 }
 
@@ -253,7 +255,7 @@ static bool follow(tracking_t *tracking, const block_sums_t *sums) {
     make_block(tracking, sums);
     compare(tracking);
     leave_out(tracking);
-    const bool taken = block_filter_update(&tracking->filter, &tracking->block, tracking->behind_s);
+    const bool taken = block_filter_update(&tracking->filter, tracking->block, tracking->behind_s);
     tracking->behind_s = 0.0f;
     tracking->gathered = 0;
     if (taken && !tracking->exact && tracking->number - tracking->errors_number >= TRACKING_ERRORS_BLOCKS) {
@@ -273,10 +275,10 @@ static void add_block(tracking_t *tracking, const block_sums_t *sums) {
         for (uint32_t j = 0; j <= tracking->count; j++) {
             const uint32_t other = j < tracking->count ? sums->bits[j] : 0u;
             const int32_t product = (int32_t)BLOCK_CHIPS - 2 * __builtin_popcount(bits ^ other);
-            tracking->block.gram[i][j] += (float)product;
+            tracking->block->gram[i][j] += (float)product;
         }
         for (uint32_t axis = 0; axis < 3u; axis++) {
-            tracking->block.sums_uT[i][axis] += MICROTESLA * sums->sums_T[i][axis];
+            tracking->block->sums_uT[i][axis] += MICROTESLA * sums->sums_T[i][axis];
         }
     }
 }
@@ -284,10 +286,10 @@ static void add_block(tracking_t *tracking, const block_sums_t *sums) {
 /* Returns the sum of the squares of how fast the separated fields may change by motion, uT^2/s^2: those of dipoles by
  * 3 B / r. */
 static float slopes2(const tracking_t *tracking) {
-    const float *const ambient = tracking->block.sums_uT[tracking->count];
+    const float *const ambient = tracking->block->sums_uT[tracking->count];
     float sum = START_RATE * START_RATE * vector3_dot(ambient, ambient);
     for (uint32_t i = 0; i < tracking->count; i++) {
-        const float field2 = vector3_dot(tracking->block.sums_uT[i], tracking->block.sums_uT[i]);
+        const float field2 = vector3_dot(tracking->block->sums_uT[i], tracking->block->sums_uT[i]);
         const float k = tracking->coils[i].k_uT_m3, radius = tracking->coils[i].radius_m;
         if (is_out(tracking, i) || !(field2 > 0.0f)) {
             continue;
@@ -306,23 +308,23 @@ static float variance(const tracking_t *tracking, uint32_t row, float sum2) {
     const float chips = (float)(tracking->gathered * BLOCK_CHIPS);
     float row2 = 0.0f;
     for (uint32_t j = 0; j <= tracking->count; j++) {
-        row2 += tracking->block.gram[row][j] * tracking->block.gram[row][j];
+        row2 += tracking->block->gram[row][j] * tracking->block->gram[row][j];
     }
     const float times2 = chips * (chips * chips - 1.0f) / 12.0f * CHIP_S * CHIP_S;
-    return noise_uT * noise_uT * tracking->block.gram[row][row] + times2 * row2 * sum2;
+    return noise_uT * noise_uT * tracking->block->gram[row][row] + times2 * row2 * sum2;
 }
 
 /* Begins to locate the fields of the blocks gathered. Returns false if they cannot be separated. */
 static bool locate(tracking_t *tracking) {
     leave_out(tracking);
-    if (!block_separate(&tracking->block)) {
+    if (!block_separate(tracking->block)) {
         return false;
     }
     const float sum2 = slopes2(tracking);
     pose_field_t fields[BLOCK_BEACONS];
     for (uint32_t i = 0; i < tracking->count; i++) {
         for (uint32_t axis = 0; axis < 3u; axis++) {
-            fields[i].field_T[axis] = tracking->block.sums_uT[i][axis] / MICROTESLA;
+            fields[i].field_T[axis] = tracking->block->sums_uT[i][axis] / MICROTESLA;
         }
         fields[i].sigma_T = is_out(tracking, i) ? 0.0f : square_root(variance(tracking, i, sum2)) / MICROTESLA;
     }
@@ -376,15 +378,16 @@ static void begin(tracking_t *tracking, node_t *node) {
         return;
     }
     tracking->contradictions = 0;
+    tracking->ambiguous = found->status == POSE_AMBIGUOUS;
     const uint32_t last = tracking->count;
     block_start_t start = {
-        .ambient_sd_uT = MICROTESLA * tracking->onboard->noise_T * square_root(tracking->block.gram[last][last]),
+        .ambient_sd_uT = MICROTESLA * tracking->onboard->noise_T * square_root(tracking->block->gram[last][last]),
     };
     memcpy(start.position_m, found->position_m, sizeof start.position_m);
     memcpy(start.quaternion, found->quaternion, sizeof start.quaternion);
     memcpy(start.position_cov_m2, found->position_cov_m2, sizeof start.position_cov_m2);
     memcpy(start.attitude_cov_rad2, found->attitude_cov_rad2, sizeof start.attitude_cov_rad2);
-    memcpy(start.ambient_uT, tracking->block.sums_uT[last], sizeof start.ambient_uT);
+    memcpy(start.ambient_uT, tracking->block->sums_uT[last], sizeof start.ambient_uT);
     block_filter_start(&tracking->filter, &start);
     tracking->misfits = tracking->accused = 0;
     block_cycle_clear(&tracking->moving, tracking->coils, tracking->count);
@@ -402,6 +405,19 @@ static void begin(tracking_t *tracking, node_t *node) {
 
 /* ---- Calls ---- */
 
+/* Looks whether a cycle that the track was located from with no prior tells which of two poses is the right one. */
+static void resolve(tracking_t *tracking, const onboard_verdict_t *verdict) {
+    const bool told = verdict->status != POSE_AMBIGUOUS && verdict->status != POSE_INCONSISTENT;
+    if (!tracking->ambiguous || !told || !verdict->by_track || !verdict->searched) {
+        return;
+    }
+    tracking->ambiguous = false;
+    const float *const here_m = tracking->filter.filters[tracking->filter.best].state.position_m;
+    if (tracking->state == TRACKING_FOLLOWS && verdict->away_m > WEAK_DISTANCE * nearest_m(tracking, here_m)) {
+        lose(tracking); /* It is the other one. */
+    }
+}
+
 /* Takes the verdict of a cycle that was located since the last block. */
 static void look_at_cycles(tracking_t *tracking) {
     const onboard_t *const onboard = tracking->onboard;
@@ -409,6 +425,7 @@ static void look_at_cycles(tracking_t *tracking) {
         return;
     }
     tracking->judged = onboard->judged;
+    resolve(tracking, &onboard->verdict);
     if (onboard->verdict.by_track || tracking->doubted || onboard->chips != BLOCK_CYCLE_CHIPS) {
         tracking->verdict = onboard->verdict;
         if (onboard->verdict.status != POSE_INCONSISTENT) {

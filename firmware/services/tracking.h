@@ -26,6 +26,10 @@
  * TRACKING_DOUBTS-th in a row on, with reason "pending". So are those of a track that starts after one was lost for
  * that, unless the beacons were silent; it is given up if the first such cycle does not agree with the site either.
  *
+ * A track that started where another pose explained the fields as well follows the likelier of them, and says so: its
+ * poses are ambiguous, and its cycles located with no prior, until one of these tells that no other pose explains it.
+ * If that is not where the track is, it starts again. (The host follows both in the meantime.)
+ *
  * Limits. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come
  * only while the chip clock is locked; without any there are no poses.
  *
@@ -34,15 +38,16 @@
  * Time, as tests/firmware/apps/test_track_instructions.py counts it (Cortex-M4, the objects of the image), with a pose
  * for each block; everything that a sensor does is in the share: interrupts, filter, messages, location of cycles.
  *   beacons                                                     8        16        32
- *   main for a block                                       94,000   122,000   205,000
- *   mean of all for a block                               127,000   166,000   272,000
- *   of the processor's time at 1 cycle an instruction        25 %      33 %      53 %
- *     at 1.5                                                 37 %      49 %      80 %
- *     at 2.5                                                 62 %      81 %     133 %: more than there is
+ *   main for a block                                       84,000   111,000   193,000
+ *   mean of all for a block                               116,000   155,000   259,000
+ *   of the processor's time at 1 cycle an instruction        23 %      30 %      51 %
+ *     at 1.5                                                 34 %      46 %      76 %
+ *     at 2.5                                                 57 %      76 %     127 %: more than there is
  *   longest step of a start                               217,000   405,000   782,000
  *   all steps of a start                                  1.3 M     2.3 M     4.6 M
  *
- * Contexts: main only. Memory: 21 kB, in the core-coupled memory; the search works in that of onboard.h, which is lent.
+ * Contexts: main only. Memory: 12 kB, in the core-coupled memory, and 9 kB lent by sense.h; the search works in that of
+ * onboard.h, which is lent.
  */
 #ifndef GOLDFIELD_TRACKING_H
 #define GOLDFIELD_TRACKING_H
@@ -77,7 +82,7 @@ typedef struct {
     float site_covariance[6][6]; /* That by the errors of the site. */
     uint32_t errors_number;      /* The block that it is from. */
     block_filter_t filter;
-    block_t block;           /* The block at work, and the blocks that a start gathers. */
+    block_t *block;          /* The block at work, and the blocks that a start gathers; lent by sense.h. */
     uint32_t number;         /* The number of the latest block. */
     uint32_t cycle, chip;    /* Cycle and code chip of its first sample. */
     uint32_t gathered;       /* Blocks that a start has gathered. */
@@ -91,6 +96,7 @@ typedef struct {
     pose_t start;              /* What the search found. */
     onboard_verdict_t verdict; /* What holds for the poses. */
     bool doubted;              /* Blocks did not fit the track before this one. */
+    bool ambiguous;            /* When it started, another pose explained the fields as well. */
     uint32_t judged;           /* The verdict of onboard.h that was last looked at. */
 } tracking_t;
 

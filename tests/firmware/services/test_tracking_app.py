@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,8 +28,8 @@ CYCLES = 16
 LOCKED = 4
 """The first cycle in which the chip clock is locked from beginning to end."""
 BLOCKS_A_CYCLE = 33
-OK, INCONSISTENT, FAILED, UNVERIFIED = 0, 3, 4, 5
-NO_REASON, NOISE, NO_POSE, LEFT_OUT, PENDING = 0, 2, 3, 11, 14
+OK, AMBIGUOUS, INCONSISTENT, FAILED, UNVERIFIED = 0, 1, 3, 4, 5
+NO_REASON, NOISE, NO_POSE, RIVAL, LEFT_OUT, PENDING = 0, 2, 3, 8, 11, 14
 STILL = (np.zeros(3), np.zeros(3))
 MOVING = (np.array([0.5, -0.5, 0.5]), np.array([0.3, 0.5, -0.8]))
 """m/s and rad/s, through `POSITION` and `ATTITUDE` at the middle of the run."""
@@ -44,19 +44,27 @@ def path(motion: Motion, time_s: NDArray[np.float64]) -> tuple[NDArray[np.float6
 
 
 def counts_in_motion(
-    motion: Motion = STILL, dead: dict[int, tuple[float, float]] | None = None, slip: tuple[int, int, int] = (0, 0, 0)
+    motion: Motion = STILL,
+    dead: dict[int, tuple[float, float]] | None = None,
+    slip: tuple[int, int, int] = (0, 0, 0),
+    centres: Sequence[tuple[float, float, float]] = CENTRES,
+    mirrored_chips: int = 0,
 ) -> Callable[[int, int], NDArray[np.float64]]:
     """Converter counts about mid-scale by the master's cycle and chip.
 
     ``dead`` says from which to which cycle the beacon of a place has no field, ``slip`` from which to which cycle the
-    codes are late, and by how many chips.
+    codes are late, and by how many chips. The coils are at ``centres``. In the first ``mirrored_chips`` the sensor
+    is on the other side of the floor, turned by half a turn, where coils on the floor have the same fields.
     """
     chip = np.arange(CYCLES * CHIPS)
     position, attitude = path(motion, (chip + 1) * CHIP_S)
-    field = np.tile([2e-5, 0.0, -4.5e-5], (len(chip), 1))
+    field = np.tile([2e-5 if mirrored_chips == 0 else 0.0, 0.0, -4.5e-5], (len(chip), 1))
+    mirrored = chip < mirrored_chips
+    position[mirrored, 2] *= -1.0
+    attitude = Rotation.from_rotvec(np.where(mirrored, np.pi, 0.0)[:, None] * [0.0, 0.0, 1.0]) * attitude
     slipped = (chip >= slip[0] * CHIPS) & (chip < slip[1] * CHIPS)
     place = (chip - np.where(slipped, slip[2], 0)) % CHIPS
-    for i, (centre, code) in enumerate(zip(CENTRES, CODES, strict=True)):
+    for i, (centre, code) in enumerate(zip(centres, CODES, strict=False)):
         coil = magpylib.current.Circle(diameter=0.298, current=190.0, position=centre)
         begin, end = (CHIPS * cycle for cycle in (dead or {}).get(i, (CYCLES, CYCLES)))
         alive = (chip < begin) | (chip >= end)
@@ -156,6 +164,25 @@ def test_each_block_has_a_pose_at_its_end(make: Callable[..., World], motion: Mo
     assert rms([pose.quality["residual"] for pose in settled]) == pytest.approx(1.0, abs=0.3)
     # Cycles are located all the same, and motion is no fault.
     assert [(m.signals["status"]) for m in cycle_messages(world)][-5:] == [OK] * 5
+
+
+def test_an_ambiguous_start_says_so_until_a_cycle_tells(make: Callable[..., World]) -> None:
+    """Coils almost on the floor: a block does not tell the pose from its mirror, a cycle does."""
+    centres = [*CENTRES[:3], (*CENTRES[3][:2], 0.1)]
+    coils = [float(x) for centre in centres for x in (*centre, 0.0, 0.0, 2.0, TABLE["beacons"][6], 0.149)]
+    known = {"code_list": CODES[:4], "code_count": 4, "beacons": coils}
+    first = LOCKED * CHIPS + 31  # The first block is over.
+    for mirrored_chips in (0, first):
+        world = make(counts_in_motion(centres=centres, mirrored_chips=mirrored_chips), **known)
+        world.run_cycles(10)
+        told = told_by(world)
+        ends = np.array([(pose.cycle - 1000) * CHIPS + pose.chip for pose in told])
+        errors = np.array([pose.error(STILL)[0] if pose.status != FAILED else 0.0 for pose in told])
+        states = np.array([(pose.status, pose.reason) for pose in told])
+        assert (states[ends < first + CHIPS] == (AMBIGUOUS, RIVAL)).all()
+        assert (errors[(states[:, 0] == OK) | (states[:, 0] == UNVERIFIED)] < 0.1).all()
+        assert (states[-BLOCKS_A_CYCLE:] == (OK, NO_REASON)).all()
+        assert (errors.max() > 1.0) == (mirrored_chips > 0)
 
 
 def test_every_nth_block_and_none_without_pose(make: Callable[..., World]) -> None:
