@@ -1,11 +1,11 @@
-"""Measure what poses from blocks of 31 chips reach, beside one fix a cycle and the track of thirds: docs/motion.md.
+"""Measure what poses from blocks of 31 chips reach, beside what whole cycles give: docs/motion.md.
 
-``accuracy`` compares on five motions: the block filter at the end of each block; one fix a cycle, held until the next;
-and the track of thirds, at the middle of its cycles and foretold to the ends of the blocks. Its samples are streamed by
-emulated boards, by ``--boards host``, or are ``--simulated``, which costs least. ``bound`` holds the filter against the
-least possible error, ``lag`` compares its poses 50 ms later with the thirds at mid-cycle, which know as much of what
-came behind, ``starts`` counts the starts from one block that fail, ``faults`` counts wrong poses that are told
-to be right, ``latency`` tells how old a pose is in the rig's time, and ``host`` how late a line is on this machine.
+``accuracy`` compares on five motions: the block filter at the end of each block, and 50 ms later at the middles of the
+cycles; one fix a cycle, held until the next; and the track of whole cycles, at their middles and foretold to the ends
+of the blocks. Its samples are streamed by emulated boards, by ``--boards host``, or are ``--simulated``, which costs
+least. ``bound`` holds the filter against the least possible error, ``starts`` counts the starts from one block that
+fail, ``faults`` counts wrong poses that are told to be right, ``latency`` tells how old a pose is in the rig's time,
+and ``host`` how late a line is on this machine.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tests.bench.rate_boards import open_bench, scenario_file, streamed
 from tests.bench.rate_bound import LeastError
 from tests.bench.rate_host import SPARE_S, played, recorded
 from tests.bench.rate_latency import latency
-from tests.bench.rate_ways import Errors, follow, held_fixes, lagged, ratio, thirds
+from tests.bench.rate_ways import Errors, cycles, follow, held_fixes, lagged
 from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of
 
 NOISES_T = (2e-7, 2e-8)
@@ -61,58 +61,34 @@ def accuracy(options):
     print("rms position / attitude at the pose's own time, mm / deg; nees: mean normalised square of the six numbers;")
     print("ok: share; wrong: poses that are ok and off by 5 sigma + by more than their protection level; all: poses")
     print(f"{'motion':20s} {'mG':>4} {'block filter':>14} {'nees':>5} {'ok':>5} {'wrong':>7} {'all':>6}", end="")
-    print(f" {'fix, held':>13} {'thirds, mid-cycle':>17} {'ok':>5} {'thirds, foretold':>17} {'wrong':>7}")
+    print(f" {'50 ms later':>14} {'fix, held':>14} {'cycles, middle':>14} {'ok':>5} {'foretold':>14} {'wrong':>7}")
     for name in MOTIONS:
         for noise_T in NOISES_T:
-            ways = [[], [], [], []]
+            ways = [[], [], [], [], []]
             for seed in range(options.first, options.first + options.seeds):
                 track = track_of(options, name, noise_T, seed)
                 found = [follow(track, BlockFilter(track.site))]
                 if not options.alone:
-                    found += [held_fixes(track), *thirds(track)]
+                    found += [lagged(track), held_fixes(track), *cycles(track)]
                 for way, errors in zip(ways, found, strict=False):
                     way.append(settled(errors, track))
-            blocks, held, middle, ahead = (Errors.joined(way) if way else None for way in ways)
+            blocks, later, held, middle, ahead = (Errors.joined(way) if way else None for way in ways)
             print(
                 f"{name:20s} {noise_T * 1e7:4g} {both(blocks)} {blocks.nees:5.2f} {blocks.share_ok:5.3f}"
                 f" {blocks.wrong:>7} {len(blocks.status):6d}",
                 end="",
             )
             if not options.alone:
-                print(f" {both(held, 13)} {both(middle, 17)} {middle.share_ok:5.3f}", end="")
-                print(f" {both(ahead, 17)} {ahead.wrong:>7}", end="")
+                print(f" {both(later)} {both(held)} {both(middle)} {middle.share_ok:5.3f}", end="")
+                print(f" {both(ahead)} {ahead.wrong:>7}", end="")
             print(flush=True)
 
 
-def lag(options):
-    """Print the block filter's poses 50 ms later beside thirds at mid-cycle, which know the cycle's second half."""
-    print(
-        f"{options.seeds} runs of {options.seconds:g} s of each motion; rms position / attitude, mm / deg; ratio of the"
-    )
-    print("smoothed poses at mid-cycle to the thirds, with its standard error over the runs; nees; share of ok")
-    print(f"{'motion':20s} {'mG':>4} {'50 ms later':>14} {'at mid-cycle':>14} {'nees':>5} {'ok':>5}", end="")
-    print(f" {'thirds':>14} {'nees':>5} {'ok':>5}  ratio of position, of attitude")
-    for name in MOTIONS:
-        for noise_T in NOISES_T:
-            later, middle, other = [], [], []
-            for seed in range(options.first, options.first + options.seeds):
-                track = track_of(options, name, noise_T, seed)
-                for way, errors in zip((later, middle, other), (*lagged(track), thirds(track)[0]), strict=True):
-                    way.append(settled(errors, track))
-            everywhere, at_middle, in_thirds = (Errors.joined(way) for way in (later, middle, other))
-            print(f"{name:20s} {noise_T * 1e7:4g} {both(everywhere)}", end="")
-            for errors in (at_middle, in_thirds):
-                print(f" {both(errors)} {errors.nees:5.2f} {errors.share_ok:5.3f}", end="")
-            of_position = ratio(middle, other, lambda errors: errors.distance_m**2)
-            of_attitude = ratio(middle, other, lambda errors: (errors.attitude_rad**2).sum(axis=1))
-            print("  {:.3f} +- {:.3f}  {:.3f} +- {:.3f}".format(*of_position, *of_attitude), flush=True)
-
-
-def both(errors, width=14):
+def both(errors):
     """Return rms of position and attitude as a text."""
     if not np.isfinite(errors.distance_m).any():
-        return f"{'lost':>{width}}"
-    return f"{f'{errors.rms_mm:.2f} / {errors.rms_deg:.3f}':>{width}}"
+        return f"{'lost':>14}"
+    return f"{f'{errors.rms_mm:.2f} / {errors.rms_deg:.3f}':>14}"
 
 
 def bound(options):
@@ -250,28 +226,18 @@ def host(options):
     )
 
 
-WHAT = {
-    "accuracy": accuracy,
-    "bound": bound,
-    "lag": lag,
-    "starts": starts,
-    "faults": faults,
-    "latency": latencies,
-    "host": host,
-}
+WHAT = {"accuracy": accuracy, "bound": bound, "starts": starts, "faults": faults, "latency": latencies, "host": host}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("what", nargs="*", choices=[*WHAT, []], help="default: all")
     parser.add_argument("--boards", choices=("emulated", "host"), default="emulated")
-    parser.add_argument("--simulated", action="store_true", help="accuracy, lag: samples without boards")
+    parser.add_argument("--simulated", action="store_true", help="accuracy: samples without boards")
     parser.add_argument("--alone", action="store_true", help="accuracy: the block filter only")
     parser.add_argument("--seeds", type=int, default=3, help="runs of each motion")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of the seeds")
-    parser.add_argument(
-        "--seconds", type=float, default=3.0, help="length of a run of accuracy, lag, faults, latency, host"
-    )
+    parser.add_argument("--seconds", type=float, default=3.0, help="length of a run of accuracy, faults, latency, host")
     parser.add_argument("--fault", metavar="NAME", help="faults: those with this in their name only")
     parser.add_argument("--count", type=int, default=1000, help="starts at each noise")
     options = parser.parse_args()

@@ -1,4 +1,4 @@
-"""Ways to follow a sensor from its samples and how far off each is: block filter and smoother, held fixes, thirds."""
+"""Ways to follow a sensor from its samples and how far off each is: block filter, held fixes, whole cycles."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.access import Separator
-from goldfield.access.moving import Cycle
+from goldfield.access.sweep import SweepRepair
 from goldfield.locate import Locator
-from goldfield.track import CycleData, CycleObserver, Tracker
+from goldfield.track import Tracker
 from goldfield.track.blocks import BlockSmoother
 from goldfield.types import Fields, Status
 from tests.bench.motion_trials import CHIPS
@@ -139,29 +139,11 @@ def follow(track, block_filter, first=0, lost=lambda number: False):
 
 
 def lagged(track):
-    """Return the errors of the block filter's poses 50 ms later: at the ends of blocks, and at those at mid-cycle.
-
-    The middle of a cycle lies in its 17th block; the pose at the end of this block is taken, 1.5 ms behind the middle.
-    """
+    """Return the errors of the block filter's poses 50 ms later, one a cycle: at the end of the block in its middle."""
     last = np.array([end for end, _ in track.blocks()])
     poses = list(BlockSmoother(track.site).poses(block for _, block in track.blocks()))
     errors = errors_of(poses, track.position_m[last], track.rotation[last])
-    return errors, errors.where(last % CHIPS // BLOCK_CHIPS == CHIPS // BLOCK_CHIPS // 2)
-
-
-def ratio(runs, others, squares):
-    """Return the ratio of root mean squares of two ways over the same runs, and its standard error by the jackknife.
-
-    ``squares(errors)`` returns the squared error of each pose; poses of one run are not independent, runs are.
-    """
-
-    def of(chosen):
-        means = [np.nanmean(np.concatenate([squares(way[run]) for run in chosen])) for way in (runs, others)]
-        return float(np.sqrt(means[0] / means[1]))
-
-    everything = range(len(runs))
-    without = [of([run for run in everything if run != left]) for left in everything] if len(runs) > 1 else np.nan
-    return of(everything), float(np.sqrt((len(runs) - 1) * np.var(without)))
+    return errors.where(last % CHIPS // BLOCK_CHIPS == CHIPS // BLOCK_CHIPS // 2)
 
 
 def _cycles(track):
@@ -179,32 +161,37 @@ def _held(track, pose_at):
     return errors_of(poses, track.position_m[ends], track.rotation[ends])
 
 
+def _fields(track, cycle):
+    """Return the separated fields of a cycle.
+
+    Its middle lies half a chip after the end of its chip 510: the fields are told that time.
+    """
+    site = track.site
+    separator = Separator(site.degree, site.codes, site.sensor.noise_T)
+    separation = separator.from_samples(track.samples_T[cycle * CHIPS : (cycle + 1) * CHIPS])
+    middle_s = float(track.times_s[cycle * CHIPS + CHIPS // 2 - 1]) + 0.5 * site.chip_period_s
+    names = tuple(beacon.id for beacon in site.beacons)
+    return Fields(cycle, middle_s, names, separation.field_T, separation.sigma_T)
+
+
 def held_fixes(track):
     """Return the errors of one fix a cycle, held until the next."""
-    site = track.site
-    names = tuple(beacon.id for beacon in site.beacons)
-    separator, locator = Separator(site.degree, site.codes, site.sensor.noise_T), Locator(site)
-    fixes = []
-    for cycle in _cycles(track):
-        separation = separator.from_samples(track.samples_T[cycle * CHIPS : (cycle + 1) * CHIPS])
-        middle_s = (track.times_s[cycle * CHIPS] + track.times_s[cycle * CHIPS + CHIPS - 1]) / 2.0
-        fixes.append(locator.locate(Fields(cycle, middle_s, names, separation.field_T, separation.sigma_T)))
+    locator = Locator(track.site)
+    fixes = [locator.locate(_fields(track, cycle)) for cycle in _cycles(track)]
     return _held(track, lambda cycle, _: fixes[cycle])
 
 
-def thirds(track):
-    """Return the errors of the track of thirds: at the middles of its cycles, and at the ends of blocks after them."""
-    site = track.site
-    names = tuple(beacon.id for beacon in site.beacons)
-    tracker = Tracker(site, CycleObserver(site, 3))
-    sums = Cycle(site.degree, site.codes, 7).part_weights(3)
+def cycles(track):
+    """Return the errors of a track of whole cycles: at the middles of its cycles, and at the ends of blocks after them.
+
+    It has what a sensor sends where no blocks come: the fields and the mean of each cycle.
+    """
+    tracker, sweep = Tracker(track.site), SweepRepair(track.site)
     own, ahead = [], {}
     middles = [cycle * CHIPS + CHIPS // 2 - 1 for cycle in _cycles(track)]
-    for cycle, middle in enumerate(middles):
-        # The middle of a cycle lies half a chip after the end of its chip 510; the data are told that time.
-        middle_s = float(track.times_s[middle]) + 0.5 * site.chip_period_s
-        samples = track.samples_T[cycle * CHIPS : (cycle + 1) * CHIPS]
-        own.append(tracker.update(CycleData(cycle, middle_s, names, sums @ samples)))
+    for cycle in _cycles(track):
+        mean_T = track.samples_T[cycle * CHIPS : (cycle + 1) * CHIPS].mean(axis=0)
+        own.append(tracker.update(sweep.repaired(_fields(track, cycle), mean_T)))
         first = (cycle + 1) * CHIPS - 1
         for last, block in track.blocks():
             if first <= last < first + CHIPS:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from goldfield.access import Separator
-from goldfield.access.moving import Cycle, DriftSeparator, Reduction
+from goldfield.access.moving import DriftSeparator
 from goldfield.field import FieldModel
 from goldfield.locate.fit import Measurements, fit_pose
 from goldfield.track import (
@@ -24,13 +24,11 @@ from goldfield.track import (
     FixedLagSmoother,
     Tracker,
 )
-from goldfield.track.motion import Observation, State
 from goldfield.types import Fields, Status
 from tests.bench.locate_trials import prigge_cube
-from tests.bench.motion_trials import EARTH_T, Room, circling, cycle_bound, epoch_bound, flight_poses, random_flight
+from tests.bench.motion_trials import Room, circling, cycle_bound, epoch_bound, flight_poses, random_flight
 
 MOTIONS = ((0.0, 0.0, 2e-7), (1.0, 0.0, 2e-7), (0.0, 1.0, 2e-7), (1.0, 1.0, 2e-7), (1.0, 1.0, 5e-9))
-PARTS = (1, 3, 11, 33)
 
 
 def rms(values):
@@ -54,8 +52,7 @@ def one_cycle(speed, rate, noise_T, count):
     site = prigge_cube(noise_T)
     room, rng = Room(site), np.random.default_rng([3, int(speed), int(rate), round(noise_T * 1e9)])
     plain, drift = Separator(10, site.codes, noise_T), DriftSeparator(10, site.codes, noise_T)
-    whole, in_parts = CycleLocator(site), CycleLocator(site, 3)
-    sums = Cycle(10, site.codes, 7).part_weights(3)
+    whole = CycleLocator(site)
     errors, contradicted = [], []
     for _ in range(count):
         flight = random_flight(site, rng, speed, rate)
@@ -64,8 +61,7 @@ def one_cycle(speed, rate, noise_T, count):
         patent = least_squares(site, plain.from_samples(samples), flight)
         ramp = least_squares(site, drift.from_samples(samples), flight)
         chips = whole.locate(CycleData(0, 0.0, names(site), samples)).pose
-        parts = in_parts.locate(CycleData(0, 0.0, names(site), sums @ samples)).pose
-        found = [patent - end, patent - middle, ramp - middle, chips.position_m - middle, parts.position_m - middle]
+        found = [patent - end, patent - middle, ramp - middle, chips.position_m - middle]
         errors.append([*np.linalg.norm(found, axis=1), cycle_bound(room, flight, noise_T)])
         contradicted.append(chips.status is Status.INCONSISTENT)
     return np.array(errors), np.array(contradicted)
@@ -74,49 +70,20 @@ def one_cycle(speed, rate, noise_T, count):
 def print_cycle_table(count):
     print(f"One cycle, no prior; rms error, mm, of {count} flights each (bound: median, rms)")
     print(
-        f"{'m/s':>4} {'rad/s':>5} {'mG':>5} {'end tag':>8} {'mid tag':>8} {'ramp':>7} {'3 parts':>8} {'chips':>7}",
+        f"{'m/s':>4} {'rad/s':>5} {'mG':>5} {'end tag':>8} {'mid tag':>8} {'ramp':>7} {'chips':>7}",
         end="",
     )
-    print(f" {'bound':>13} {'chips/bound':>12} {'parts/bound':>12} {'flagged':>8}")
+    print(f" {'bound':>13} {'chips/bound':>12} {'flagged':>8}")
     for speed, rate, noise_T in MOTIONS:
         errors, contradicted = one_cycle(speed, rate, noise_T, count)
-        end, middle, ramp, chips, parts = (rms(errors[:, column]) * 1e3 for column in range(5))
-        bound = errors[:, 5]
+        end, middle, ramp, chips = (rms(errors[:, column]) * 1e3 for column in range(4))
+        bound = errors[:, 4]
         print(
-            f"{speed:4g} {rate:5g} {noise_T * 1e7:5g} {end:8.2f} {middle:8.2f} {ramp:7.2f} {parts:8.2f} {chips:7.2f}"
+            f"{speed:4g} {rate:5g} {noise_T * 1e7:5g} {end:8.2f} {middle:8.2f} {ramp:7.2f} {chips:7.2f}"
             f" {np.median(bound) * 1e3:6.2f} {rms(bound) * 1e3:6.2f} {rms(errors[:, 3] / bound):12.3f}"
-            f" {rms(errors[:, 4] / bound):12.3f} {contradicted.sum():8d}",
+            f" {contradicted.sum():8d}",
             flush=True,
         )
-
-
-def part_bound(site, parts, flight, noise_T):
-    """Bound of the position, m, when only sums over equal parts of the cycle are kept."""
-    cycle = Cycle(10, site.codes, 7)
-    reduction = Reduction(cycle, noise_T, None if parts is None else cycle.part_weights(parts))
-    seen = np.broadcast_to(reduction.seen, (3, *reduction.seen.shape))
-    values = np.zeros(seen.shape[:2])
-    observation = Observation(FieldModel(site.beacons), site.cycle_s * cycle.times, seen, values, values.size)
-    position, rotation = flight_poses(flight, 0.0)
-    ahead, behind = flight_poses(flight, 1e-3), flight_poses(flight, -1e-3)
-    velocity = (ahead[0] - behind[0]) / 2e-3
-    rate = (ahead[1] * behind[1].inv()).as_rotvec() / 2e-3
-    _, jacobian = observation.residual(State(position, rotation.as_matrix(), velocity, rate, EARTH_T))
-    vague = np.repeat([1.0, 1.0, 10.0, 10.0, 2e-4], 3)
-    normal = (jacobian * vague).T @ (jacobian * vague) + np.eye(15)
-    return float(np.sqrt(np.trace((np.linalg.inv(normal) * np.outer(vague, vague))[:3, :3])))
-
-
-def print_parts_table(count):
-    print("\nPartial sums: numbers an axis and a cycle (8 beacons), rms of their bound over that of all samples")
-    for noise_T in (2e-7, 5e-9):
-        site = prigge_cube(noise_T)
-        rng = np.random.default_rng(4)
-        flights = [random_flight(site, rng, 1.0, 1.0) for _ in range(count)]
-        whole = np.array([part_bound(site, None, flight, noise_T) for flight in flights])
-        for parts in PARTS:
-            ratio = np.array([part_bound(site, parts, flight, noise_T) for flight in flights]) / whole
-            print(f"  {noise_T * 1e7:4g} mG  {parts:4d} parts  {9 * parts:4d} numbers  {rms(ratio):8.4f}", flush=True)
 
 
 def print_tracking_table(runs, length):
@@ -124,7 +91,6 @@ def print_tracking_table(runs, length):
     site = prigge_cube(noise_T)
     room = Room(site)
     plain, drift = Separator(10, site.codes, noise_T), DriftSeparator(10, site.codes, noise_T)
-    sums = Cycle(10, site.codes, 7).part_weights(3)
 
     def fields(cycle, separator):
         separation = separator.from_samples(cycle.data_T)
@@ -144,14 +110,12 @@ def print_tracking_table(runs, length):
             cycles = [CycleData(k, t, names(site), room.samples(flight, t, noise_T, rng)) for k, t in enumerate(times)]
             bound = np.array([epoch_bound(site, flight, t) for t in times])
             epochs = [fields(cycle, plain) for cycle in cycles]
-            parts = [CycleData(c.epoch, c.time_s, c.beacons, sums @ c.data_T) for c in cycles]
             results = {
                 "epochs": poses_of(Tracker(site), epochs),
                 "epochs, smoothed by 6": list(FixedLagSmoother(site, Tracker(site), 6).poses(epochs)),
                 "epochs without ramp": poses_of(
                     Tracker(site, EpochObserver(site, 2)), [fields(cycle, drift) for cycle in cycles]
                 ),
-                "3 partial sums": poses_of(Tracker(site, CycleObserver(site, 3)), parts),
                 "samples": poses_of(Tracker(site, CycleObserver(site)), cycles),
             }
             for way, poses in results.items():
@@ -208,7 +172,6 @@ def main():
     parser.add_argument("--circles", type=int, default=6)
     arguments = parser.parse_args()
     print_cycle_table(arguments.flights)
-    print_parts_table(min(arguments.flights, 60))
     print_tracking_table(arguments.circles, 50)
     print("\nTime on this machine")
     print_time()

@@ -1,4 +1,4 @@
-"""A sensor in motion that sends the parts of its cycles: tracked better than by whole cycles, near the bound."""
+"""A sensor in motion of which nothing but whole cycles comes: a track of them is better than each by itself."""
 
 import numpy as np
 import pytest
@@ -7,9 +7,8 @@ from scipy.spatial.transform import Rotation
 from goldfield.access.epoch import EpochSeparator
 from goldfield.access.sweep import SweepRepair
 from goldfield.locate import locate
-from goldfield.track import CycleLocator, PartsObserver, Tracker, cycle_of_parts
-from goldfield_protocol import FrameDecoder, decode, encode, encode_frame
-from goldfield_protocol.parameters import PARAMETERS
+from goldfield.track import Tracker
+from goldfield_protocol import FrameDecoder, decode
 from hil_sim.bench import SimulatedBench
 from hil_sim.clib import ROOT
 from tests.bench.locate_trials import prigge_cube
@@ -40,7 +39,7 @@ def waypoints():
 
 @pytest.fixture(scope="module")
 def flight(tmp_path_factory, rig_kind):
-    """(bench, reports) of a sensor that was asked for parts."""
+    """Return the bench of a sensor, and its reports."""
     text = (ROOT / "hil_sim/scenarios/prigge8.toml").read_text()
     start, end = text.index("[motion]"), text.index("[coil]")
     times, positions, turns = waypoints()
@@ -50,9 +49,6 @@ def flight(tmp_path_factory, rig_kind):
     path = directory / "moving8.toml"
     path.write_text(text[:start] + motion + text[end:])
     bench = SimulatedBench(str(path), rig_kind, directory)
-    parts = {"kind": 0, "value_unsigned": 3}
-    node = bench.scenario.sensor.node
-    bench.rig.serial_write(encode_frame(*encode("PARAM_SET", parts, node=node, index=PARAMETERS["parts"].first)))
     bench.reports(5)
     yield bench, bench.reports(CYCLES)
     bench.rig.close()
@@ -60,18 +56,14 @@ def flight(tmp_path_factory, rig_kind):
 
 @pytest.fixture(scope="module")
 def poses(flight):
-    """Poses of each cycle: (one cycle alone by its fields, by its parts; tracked by fields, by parts)."""
+    """Return two poses of each cycle: of its fields by themselves, and tracked with the sweep taken out."""
     bench, reports = flight
-    separator, sweep = EpochSeparator(bench.site), SweepRepair(bench.site)
-    whole, in_parts = Tracker(bench.site), Tracker(bench.site, PartsObserver(bench.site))
-    alone = CycleLocator(bench.site, 3)
+    separator, sweep, tracker = EpochSeparator(bench.site), SweepRepair(bench.site), Tracker(bench.site)
     result = []
     for report in reports:
-        fields = sweep.repaired(separator.fields(report), report.offset_T)
-        cycle = cycle_of_parts(bench.site, report, fields.time_s)
-        assert cycle is not None
-        single = locate(bench.site, separator.fields(report))
-        result.append((single, alone.locate(cycle).pose, whole.update(fields), in_parts.update(cycle)))
+        fields = separator.fields(report)
+        repaired = sweep.repaired(fields, report.offset_T)
+        result.append((locate(bench.site, fields), tracker.update(repaired)))
     return result
 
 
@@ -93,18 +85,6 @@ def over_bound(truth, bounds, poses):
     return np.sqrt(np.mean(np.square(errors))), np.sqrt(np.mean(np.square(ratios)))
 
 
-def test_every_cycle_has_its_parts_and_they_add_up(flight):
-    bench, reports = flight
-    for report in reports:
-        assert report.complete
-        assert len(report.parts_T) == 3 * 9
-        for code in bench.site.codes:
-            total = sum(report.parts_T[1026 * part + code] for part in range(3))
-            np.testing.assert_allclose(total, report.correlation_T[code], atol=2.1e-10)
-        total = sum(report.parts_T[1026 * part + 1025] for part in range(3))
-        np.testing.assert_allclose(total, report.offset_T, atol=7e-10)
-
-
 def test_the_sensors_own_poses_go_on_and_nothing_is_lost(flight):
     bench, reports = flight
     decoded = [decode(frame.identifier, frame.data) for frame in FrameDecoder().feed(bytes(bench.stream))]
@@ -119,13 +99,12 @@ def test_the_sensors_own_poses_go_on_and_nothing_is_lost(flight):
     assert 4 not in counters
 
 
-def test_parts_are_near_the_bound_and_better_than_whole_cycles(flight, poses):
+def test_a_track_is_better_than_each_cycle_by_itself(flight, poses):
     truth, judged = flight[0].truth(), poses[SETTLING:]
     bounds, figures = bounds_m(truth, [of_cycle[0].epoch for of_cycle in judged]), {}
-    for name, kind in (("fields", 0), ("parts", 1), ("fields, tracked", 2), ("parts, tracked", 3)):
+    for kind, name in enumerate(("alone", "tracked")):
         error, ratio = over_bound(truth, bounds, [of_cycle[kind] for of_cycle in judged])
         figures[name] = ratio
         print(f"{name}: rms {1e3 * error:.2f} mm, {ratio:.3f} times the bound of one cycle's samples")
-    assert figures["parts"] < 1.15
-    assert figures["parts"] < 0.7 * figures["fields"]
-    assert figures["parts, tracked"] < 1.0
+    assert figures["tracked"] < 1.0
+    assert figures["tracked"] < 0.7 * figures["alone"]

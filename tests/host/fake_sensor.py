@@ -57,7 +57,7 @@ def heartbeat(node=NODE, role=1, hash_=None, state=3):
     return encode("HEARTBEAT", signals, node=node)
 
 
-def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s=None, parts=False):
+def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s=None):
     """What a sensor sends of one cycle, from 1023 noisy samples."""
     fields = beacon_fields() if fields is None else fields
     noise = np.random.default_rng([seed, cycle]).normal(scale=noise_T, size=(1023, 3))
@@ -73,8 +73,7 @@ def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s
         "phase": 0,
         "temperature": 25,
     }
-    messages = _parts(samples, low) if parts else []
-    messages += [
+    messages = [
         encode("EPOCH", {"cycle": cycle, "time": time_s}, node=NODE),
         encode("EPOCH_STATUS", status, node=NODE),
         encode("EPOCH_OFFSET", _vector(samples.mean(axis=0)) | {"cycle_low": low}, node=NODE),
@@ -82,18 +81,6 @@ def cycle_messages(cycle, seed=1, noise_T=2e-7, fields=None, codes=CODES, time_s
     for place, code in enumerate(codes):
         correlation = CHIPS[:, place] @ samples / 1023
         messages.append(encode("FIELD", _vector(correlation) | {"cycle_low": low}, node=NODE, index=code))
-    return messages
-
-
-def _parts(samples, low):
-    """What a sensor with ``parts`` = 3 sends before the rest of a cycle."""
-    carriers = dict(zip((*CODES, 1025), [*CHIPS.T, np.ones(1023)], strict=True))
-    messages = []
-    for third in range(3):
-        own = slice(341 * third, 341 * (third + 1))
-        for code, chips in carriers.items():
-            vector = _vector(chips[own] @ samples[own] / 1023) | {"cycle_low": low}
-            messages.append(encode("PART", vector, node=NODE, index=1026 * third + code))
     return messages
 
 

@@ -8,8 +8,8 @@ cycle; sample t is taken at the end of chip t.
   earth's field, hundreds of times a beacon's, over its axes; codes do not cancel a ramp.
 - `Cycle`: the fields as polynomials through a few nodes of the cycle. Then every linear processing of the samples is a
   small matrix on the fields at the nodes: `Cycle.seen` gives it for weights of any kind.
-- `Reduction`: a whole cycle of samples, or of partial sums, as a few uncorrelated numbers that hold all that the
-  samples say of the fields at the nodes.
+- `Reduction`: a whole cycle of samples as a few uncorrelated numbers that hold all that the samples say of the fields
+  at the nodes.
 """
 
 from __future__ import annotations
@@ -125,39 +125,24 @@ class Cycle:
         chips = (1 << degree) - 1 if templates is None else len(templates)
         self.times: FloatArray = node_times(nodes)
         basis = _lagrange(self.times, sample_times(chips))
-        self._codes: FloatArray = code_matrix(degree, codes).astype(np.float64) if codes else np.empty((chips, 0))
-        carriers = np.hstack([self._codes if templates is None else templates, np.ones((chips, 1))])
+        if templates is None:
+            templates = code_matrix(degree, codes).astype(np.float64)
+        carriers = np.hstack([templates, np.ones((chips, 1))])
         self.design: FloatArray = (carriers[:, :, None] * basis[:, None, :]).reshape(chips, -1)
 
     def seen(self, weights: FloatArray) -> FloatArray:
         """Return what weighted sums of the samples, weights of shape (m, N), see of the nodes: (m, (n + 1) k)."""
         return np.asarray(weights @ self.design)
 
-    def part_weights(self, parts: int) -> FloatArray:
-        """Return the weights of partial sums, shape (parts (n + 1), N): by part, each code's sum, then the plain sum.
-
-        1023 = 3 * 11 * 31 divides into 3, 11, 31, 33, 93 and 341 equal parts; others differ by a chip.
-        """
-        sums = np.hstack([self._codes, np.ones((len(self._codes), 1))])
-        rows = []
-        for block in np.array_split(np.arange(len(sums)), parts):
-            row = np.zeros((sums.shape[1], len(sums)))
-            row[:, block] = sums[block].T
-            rows.append(row)
-        return np.concatenate(rows)
-
 
 class Reduction:
-    """Turns the samples of a cycle, or sums of them, into uncorrelated numbers of unit variance, with no loss.
+    """Turns the samples of a cycle into uncorrelated numbers of unit variance, with no loss.
 
     Parameters
     ----------
     cycle : Cycle
     noise_T : float
         Standard deviation of one sample on one axis.
-    weights : ndarray, shape (m, N), optional
-        Weights of the sums that are given in place of the samples, such as `Cycle.part_weights`: at most N of them,
-        and independent.
 
     Attributes
     ----------
@@ -166,22 +151,17 @@ class Reduction:
 
     Notes
     -----
-    With the covariance C C' of the sums and C^-1 (their map) = Q T, the numbers are Q' C^-1 times the sums and T is
-    what they see. What is left out is noise whatever the motion. About 10 ms once for a set of codes; 0.1 ms a cycle.
+    With the design of the cycle = Q T, the numbers are Q' times the samples and T is what they see. What is left out is
+    noise whatever the motion. About 10 ms once for a set of codes; 0.1 ms a cycle.
     """
 
-    def __init__(self, cycle: Cycle, noise_T: float, weights: FloatArray | None = None) -> None:
-        if weights is None:
-            orthogonal, triangle = np.linalg.qr(cycle.design)
-            self._rows = orthogonal.T / noise_T
-        else:
-            root = np.linalg.cholesky(weights @ weights.T)
-            orthogonal, triangle = np.linalg.qr(np.linalg.solve(root, cycle.seen(weights)))
-            self._rows = np.linalg.solve(root.T, orthogonal).T / noise_T
+    def __init__(self, cycle: Cycle, noise_T: float) -> None:
+        orthogonal, triangle = np.linalg.qr(cycle.design)
+        self._rows: FloatArray = orthogonal.T / noise_T
         self.seen: FloatArray = triangle / noise_T
 
     def numbers(self, data_T: FloatArray) -> FloatArray:
-        """Reduce samples, shape (N, 3), or sums, shape (m, 3), to numbers, shape (r, 3); NaN on an axis with a NaN."""
+        """Reduce samples, shape (N, 3), to numbers, shape (r, 3); NaN on an axis with a NaN."""
         return np.asarray(self._rows @ data_T)
 
 

@@ -26,7 +26,7 @@ OFFSET_LIMIT_T = 524288e-9
 """An axis at or beyond the negative limit was not measured (framing.md)."""
 
 LONGEST_WAIT = 4096
-"""Most messages that wait for a header behind a silence: a cycle of 64 codes has 70, and thirds of it 270."""
+"""Most messages that wait for a header behind a silence: a cycle of 64 codes has 71 with a pose."""
 
 LONGEST_GAP = 1000
 """A cycle number that jumps further than so many cycles tells a restart, not a loss."""
@@ -59,8 +59,6 @@ class Report:
         Mean of the samples, NaN where lost or out of range.
     correlation_T : dict of int to ndarray, shape (3,)
         Plain correlation of each code; NaN where out of range.
-    parts_T : dict of int to ndarray, shape (3,)
-        The `PART` messages by index; empty if the sensor sends none.
     on_sensor_pose : dict of str to mapping
         Signals of the `ON_SENSOR_POSE` messages that arrived, if they are awaited.
     """
@@ -73,7 +71,6 @@ class Report:
     locked: bool | None = None
     offset_T: FloatArray | None = None
     correlation_T: dict[int, FloatArray] = field(default_factory=dict)
-    parts_T: dict[int, FloatArray] = field(default_factory=dict)
     on_sensor_pose: dict[str, Mapping[str, float]] = field(default_factory=dict)
     has_header: bool = False
 
@@ -126,8 +123,6 @@ class Assembler:
     missed_cycles: int = 0
     restarts: int = 0
     _open: dict[int, Report] = field(default_factory=dict)
-    _parts: dict[int, dict[int, FloatArray]] = field(default_factory=dict)
-    """The parts of cycles by the cycle's low bits: they come before anything else of their cycle."""
     _newest: int | None = None
     _next: int | None = None
     _header_s: float = float("-inf")
@@ -146,14 +141,7 @@ class Assembler:
         arrival_s : float
             Time of arrival, on any clock that does not run backwards.
         """
-        awaited = (
-            "EPOCH",
-            "EPOCH_STATUS",
-            "EPOCH_OFFSET",
-            "FIELD",
-            "PART",
-            *(ON_SENSOR_POSE if self.on_sensor else ()),
-        )
+        awaited = ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD", *(ON_SENSOR_POSE if self.on_sensor else ()))
         if message.name not in awaited or (message.name in ON_SENSOR_POSE and message.index):
             return  # a pose with an index is that of a block
         if arrival_s - self._last_time > self.silence_s and self._newest is not None:
@@ -183,11 +171,6 @@ class Assembler:
         yield from self.end()
 
     def _sort_in(self, message: Message) -> Iterator[Report]:
-        if message.name == "PART":
-            parts = self._parts.setdefault(int(message.signals["cycle_low"]), {})
-            self.repeated += message.index in parts
-            parts.setdefault(message.index, vector(message, FIELD_LIMIT_T))
-            return
         if message.name == "EPOCH":
             cycle = int(message.signals["cycle"])
             self._header_s = message.signals["time"]
@@ -224,14 +207,12 @@ class Assembler:
         else:
             self.restarts += 1
         self._newest = self._next = cycle
-        self._parts = {low: parts for low, parts in self._parts.items() if low == cycle % LOW_MODULUS}
 
     def end(self) -> Iterator[Report]:
         """Yield all open reports; what follows may be of any cycle (the sensor restarts, or was silent)."""
         yield from self.flush()
         self._newest = None
         self._waiting = None
-        self._parts.clear()
 
     def _cycle_of(self, low: int) -> int:
         assert self._newest is not None
@@ -256,9 +237,7 @@ class Assembler:
     def _pop(self) -> Report:
         cycle = self._expected
         self._next = (cycle + 1) % CYCLE_MODULUS
-        report = self._open.pop(cycle, None) or Report(cycle)
-        report.parts_T = self._parts.pop(cycle % LOW_MODULUS, {})
-        return report
+        return self._open.pop(cycle, None) or Report(cycle)
 
     @property
     def _expected(self) -> int:

@@ -17,14 +17,12 @@ from goldfield.sensor.guard import guarded
 from goldfield.sensor.on_sensor import on_sensor_parameters, on_sensor_pose
 from goldfield.sensor.options import Method, Options
 from goldfield.site import Site
-from goldfield.track import EpochObserver, PartsObserver, Tracker, Witness, cycle_of_parts
+from goldfield.track import EpochObserver, Tracker, Witness
 from goldfield.track.continuity import Hemisphere, joined, time_break
 from goldfield.track.estimate import Belief
 from goldfield.track.faults import Judgement, judged
 from goldfield.track.motion import RATE, standing
-from goldfield.track.parts import PARTS, sensor_sends_parts
 from goldfield.types import Fields, Finding, Pose, Status
-from goldfield_protocol.parameters import PARAMETERS
 
 UNKNOWN_MOTION = np.repeat([1.0, 1.0, 1.0, 1.0, 1e-4], 3)
 """Standard deviations of pose, velocity (m/s), turn rate (rad/s) and ambient field with which an epoch that is located
@@ -87,18 +85,13 @@ def _located(site: Site, method: Method) -> Location:
     if method is Method.EACH:
         each = _Each(site)
         return lambda fields, _: guarded(each.pose, fields)
-    tracker, witness = Tracker(site, PartsObserver(site)), Witness(site)
+    tracker, witness = Tracker(site), Witness(site)
 
-    def track(fields: Fields, report: Report | None) -> Pose:
-        parts = None if report is None else cycle_of_parts(site, report, fields.time_s)
+    def tracked(fields: Fields) -> Pose:
+        step = tracker.step(fields, witness.named)
+        return with_finding(step.pose, witness.update(step.judgement))
 
-        def pose(_: Fields) -> Pose:
-            step = tracker.step(fields if parts is None else parts, witness.named)
-            return with_finding(step.pose, witness.update(step.judgement))
-
-        return guarded(pose, fields)
-
-    return track
+    return lambda fields, _: guarded(tracked, fields)
 
 
 class _Each:
@@ -168,9 +161,7 @@ def needed_parameters(site: Site, options: Options, *, blocks: Parameters) -> Pa
             return on_sensor_parameters(site)
         block_s = BLOCK_CHIPS * site.cycle_s / site.chips
         return on_sensor_parameters(site, max(1, round(1.0 / (options.rate_hz * block_s))))
-    if blocks:
-        return blocks
-    return {PARAMETERS["parts"].first: PARTS} if options.method is Method.TRACK and sensor_sends_parts(site) else {}
+    return blocks
 
 
 def _passed_on(site: Site, fields: Fields, report: Report | None) -> Pose:

@@ -324,8 +324,7 @@ class Sensor:
 
     def _epoch(self, report: Report) -> Epoch:
         verdict = judge(self._session.health, report, self.site)
-        separated = self._separation.fields(report)
-        fields = amended_fields(separated, verdict)
+        fields = amended_fields(self._separation.fields(report), verdict)
         witnessed = _unexplained(self._session.anchors.finding, verdict)
         named = () if witnessed is None else witnessed.beacons
         pose, at_rate = None, False
@@ -336,12 +335,7 @@ class Sensor:
             at_rate = asked and self._between.follows(report)
             if asked and not at_rate and not self._session.backlog.let_go:
                 self._session.receiver.tell_once(self._between.absent)
-        if pose is not None:
-            pose = self._succession.follow(pose)
-        else:
-            trusted = without(fields, named)
-            amended = trusted is not separated  # the parts of the cycle cannot be amended
-            pose = self._locate(trusted, replace(report, parts_T={}) if amended else report)
+        pose = self._succession.follow(pose) if pose is not None else self._locate(without(fields, named), report)
         missing = tuple(name for name in named if name in fields.beacons and name not in pose.excluded)
         pose = replace(pose, excluded=(*pose.excluded, *missing)) if missing else pose
         pose = with_finding(pose, witnessed)

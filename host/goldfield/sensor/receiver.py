@@ -32,7 +32,6 @@ USED = (
     "EPOCH_STATUS",
     "EPOCH_OFFSET",
     "FIELD",
-    "PART",
     "BLOCK",
     "BLOCK_SUM",
     "CHIP",

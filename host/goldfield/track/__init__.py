@@ -9,7 +9,6 @@ from goldfield.track.cycle import CycleLocator, MovingPose
 from goldfield.track.filter import Tracker
 from goldfield.track.motion import Agility
 from goldfield.track.observe import CycleData, CycleObserver, EpochObserver
-from goldfield.track.parts import PartsObserver, cycle_of_parts, sensor_sends_parts
 from goldfield.track.smoother import FixedLagSmoother
 from goldfield.track.witness import Witness
 from goldfield.types import Fields, Pose
@@ -22,11 +21,8 @@ __all__ = [
     "EpochObserver",
     "FixedLagSmoother",
     "MovingPose",
-    "PartsObserver",
     "Tracker",
     "Witness",
-    "cycle_of_parts",
-    "sensor_sends_parts",
     "tracked",
 ]
 

@@ -42,12 +42,10 @@ class CycleLocator:
     Parameters
     ----------
     site : Site
-    parts : int, optional
-        Number of equal parts of a cycle of which the sums are given; default: the samples.
     """
 
-    def __init__(self, site: Site, parts: int | None = None) -> None:
-        self._observer = CycleObserver(site, parts)
+    def __init__(self, site: Site) -> None:
+        self._observer = CycleObserver(site)
         self._reporter = Reporter(site)
 
     def locate(self, data: CycleData) -> MovingPose:

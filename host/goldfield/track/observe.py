@@ -1,4 +1,4 @@
-"""Turns what a sensor sends of a cycle into an `Observation`: separated fields, all samples, or partial sums."""
+"""Turns what is known of a cycle into an `Observation`: separated fields, or all samples."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class CycleData:
     beacons : tuple of str
         All of the site.
     data_T : ndarray, shape (N, 3)
-        One row a chip, sensor's frame; NaN on an axis that was not measured. Or partial sums, shape (parts (n + 1), 3).
+        One row a chip, sensor's frame; NaN on an axis that was not measured.
     """
 
     epoch: int
@@ -218,22 +218,14 @@ class EpochObserver:
 
 
 class CycleObserver:
-    """All samples of a cycle, or partial sums of them, as observations that tell velocity and turn rate as well.
+    """All samples of a cycle as observations that tell velocity and turn rate as well.
 
     Parameters
     ----------
     site : Site
-    parts : int, optional
-        Number of equal parts of a cycle of which the sums are given (`Cycle.part_weights`); default: the samples.
-        Three parts lose 0.1 % of the position's accuracy, one part (plain correlations) 38 %.
-
-    Attributes
-    ----------
-    weights : ndarray, shape (parts (n + 1), N), or None
-        Weights of the samples in the sums.
     """
 
-    def __init__(self, site: Site, parts: int | None = None) -> None:
+    def __init__(self, site: Site) -> None:
         check_levers(site)
         self._model = FieldModel(site.beacons)
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
@@ -241,8 +233,7 @@ class CycleObserver:
         self._axes = axes_of(site.sensor)
         self._deviations = _deviations(site, np.arange(len(site.beacons)))
         cycle = Cycle(site.degree, site.codes, CYCLE_NODES, site_templates(site))
-        self.weights: FloatArray | None = None if parts is None else cycle.part_weights(parts)
-        self._reduction = Reduction(cycle, site.sensor.noise_T, self.weights)
+        self._reduction = Reduction(cycle, site.sensor.noise_T)
         self._times = site.cycle_s * cycle.times
         # All fields as parabolas: the strong, quickly changing field of a near coil then leaks into no other.
         powers = (2.0 * cycle.times[:, None]) ** np.arange(3)

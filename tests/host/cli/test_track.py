@@ -8,13 +8,10 @@ import pytest
 from goldfield.cli import main
 from goldfield_protocol.parameters import PARAMETERS
 from tests.host.fake_sensor import (
-    CYCLE_S,
     POSITION_M,
     SITE,
     PtySensor,
     beacon_fields,
-    candump,
-    cycle_messages,
     log_of,
 )
 
@@ -121,41 +118,6 @@ def test_help_tells_of_it(command, capsys):
         main([command, "--help"])
     assert ended.value.code == 0
     assert "--track" in capsys.readouterr().out
-
-
-def log_of_parts(cycles, lost=()):
-    """A log of a sensor with ``parts`` = 3; of the cycles in ``lost`` one part is missing."""
-    timed = []
-    for cycle in cycles:
-        messages = cycle_messages(cycle, parts=True)
-        timed += [((cycle + 1) * CYCLE_S + 1e-4 * i, m) for i, m in enumerate(messages) if i != 12 or cycle not in lost]
-    return candump(timed)
-
-
-def test_parts_are_used_where_they_came_whole(tmp_path, capsys, monkeypatch):
-    from goldfield.track import PartsObserver
-
-    seen = []
-    observation = PartsObserver.observation
-
-    def watched(self, data, *arguments):
-        seen.append((data.epoch, type(data).__name__))
-        return observation(self, data, *arguments)
-
-    monkeypatch.setattr(PartsObserver, "observation", watched)
-    path = tmp_path / "a.log"
-    path.write_text(log_of_parts(range(12), lost=(5, 8)))
-    assert main(["run", "--site", str(SITE), "--log", str(path), "--json", "--track"]) == 0
-    lines = poses(capsys)
-    assert [line["epoch"] for line in lines] == list(range(12))
-    assert {line["status"] for line in lines} == {"ok"}
-    assert rms_error(lines[3:]) < 0.02
-    kinds = dict(seen)
-    assert {epoch for epoch, kind in kinds.items() if kind == "Fields"} == {5, 8}
-    assert {kind for epoch, kind in kinds.items() if epoch not in (5, 8)} == {"CycleData"}
-    path.write_text(log_of(range(12)))
-    assert main(["run", "--site", str(SITE), "--log", str(path), "--json", "--track"]) == 0
-    assert [line["status"] for line in poses(capsys)] == ["ok"] * 12
 
 
 class BlocksSensor(PtySensor):

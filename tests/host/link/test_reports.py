@@ -159,22 +159,14 @@ def test_a_silence_of_sixteen_cycles_without_a_header_joins_nothing():
 
 
 @pytest.mark.parametrize("cut", range(7))
-@pytest.mark.parametrize("parts", [False, True])
-def test_a_pause_of_the_reader_costs_no_cycle(cut, parts):
+def test_a_pause_of_the_reader_costs_no_cycle(cut):
     """A process that was stopped for 30 s, or a clock that was set forward: the arrivals jump, the sensor does not."""
-    vector = {"x": 0.0, "y": 0.0, "z": 0.0}
-    timed = []
-    for time_s, message in arrivals(range(3, 9)):
-        cycle = int(message.signals.get("cycle", -1))
-        if parts and cycle >= 0:
-            timed.append((time_s, decode(*encode("PART", vector | {"cycle_low": cycle % 16}, node=NODE, index=2))))
-        timed.append((time_s, message))
-    at = 2 * (8 if parts else 7) + cut
+    timed = arrivals(range(3, 9))
+    at = 2 * 7 + cut
     delayed = timed[:at] + [(time_s + 30.0, message) for time_s, message in timed[at:]]
     assembler, reports = assemble(delayed)
     assert [r.cycle for r in reports] == list(range(3, 9))
     assert all(r.complete for r in reports)
-    assert all(len(r.parts_T) == parts for r in reports)
     for report in reports:
         assert_unmixed(report, report.cycle)
     assert (assembler.orphans, assembler.late, assembler.restarts, assembler.missed_cycles) == (0, 0, 0, 0)
@@ -222,46 +214,3 @@ def test_an_axis_out_of_range_is_not_a_number():
 def test_other_messages_are_ignored():
     assembler = Assembler()
     assert list(assembler.feed(Message("HEARTBEAT", NODE, 0, {}), 0.0)) == []
-
-
-def parts_of(cycle):
-    """Thirds 0 to 2 of two codes and the plain sum, each telling cycle and index."""
-    indices = [1026 * third + code for third in range(3) for code in (10, 11, 1025)]
-    vectors = [{"x": 1e-9 * (cycle % 5000), "y": 1e-9 * i, "z": 0.0, "cycle_low": cycle % 16} for i in indices]
-    return [decode(*encode("PART", v, node=NODE, index=i)) for i, v in zip(indices, vectors, strict=True)]
-
-
-def assert_parts(report, cycle):
-    for index, vector in report.parts_T.items():
-        np.testing.assert_allclose(vector, [1e-9 * (cycle % 5000), 1e-9 * index, 0.0], atol=1e-12)
-
-
-def test_parts_come_before_their_cycle_and_join_it():
-    start = CYCLE_MODULUS - 2
-    timed = []
-    for cycle in range(start, start + 40):
-        timed += [((cycle + 0.5) * CYCLE_S, m) for m in parts_of(cycle)]
-        timed += [((cycle + 1) * CYCLE_S, m) for m in messages_of(cycle)]
-    timed += [((start + 40) * CYCLE_S, parts_of(start + 39)[0])]  # late: nobody's
-    assembler, reports = assemble(timed)
-    assert len(reports) == 40
-    for i, report in enumerate(reports):
-        assert report.complete
-        assert len(report.parts_T) == 9
-        assert_parts(report, start + i)
-    assert (assembler.repeated, assembler.orphans, assembler.late) == (0, 0, 0)
-
-
-def test_lost_and_repeated_parts_and_cycles_without_an_end():
-    timed = [(0.05, m) for m in parts_of(6)[:5]]  # cycle 6 was cut short, the number then jumps
-    timed += [(0.1, m) for m in [*parts_of(39)[1:], parts_of(39)[1]]] + [(0.11, m) for m in messages_of(39)]
-    timed += [(0.2, m) for m in messages_of(40)]
-    timed += [(0.3, m) for m in parts_of(41)]  # no message of cycle 41 but these
-    timed += [(0.4, m) for m in parts_of(42)] + [(0.41, m) for m in messages_of(42)]
-    assembler, reports = assemble(timed)
-    assert [r.cycle for r in reports] == [39, 40, 41, 42]
-    assert [len(r.parts_T) for r in reports[1:]] == [0, 9, 9]
-    assert len(reports[0].parts_T) == 8
-    assert assembler.repeated == 1
-    for report in reports:
-        assert_parts(report, report.cycle)

@@ -14,10 +14,8 @@ from goldfield.track import (
     Agility,
     CycleData,
     CycleLocator,
-    CycleObserver,
     FixedLagSmoother,
     Tracker,
-    sensor_sends_parts,
 )
 from goldfield.types import Fields, Status
 from tests.bench import locate_trials as bench
@@ -120,18 +118,17 @@ def test_what_stays_does_not_average_out_and_what_is_noise_does():
     assert 0.05 * alone < tracked < 0.8 * alone
 
 
-def test_parts_and_single_cycles_know_of_the_errors_too():
-    """A sensor's parts serve on any site; one cycle of samples on a site that is off gives an honest covariance."""
+def test_single_cycles_know_of_the_errors_too():
+    """One cycle of samples on a site that is off gives an honest covariance."""
     site = built.mixed_cube(2e-8)
     told = built.declared(site, built.DECLARED, *SENSOR)
-    assert sensor_sends_parts(told)
     squares = []
     for seed in range(8):
         rng = np.random.default_rng([23, seed])
         flight = circling(rng, speed=0.5, rate=0.5)
         samples = Room(as_built(site, rng)).samples(flight, 0.0, 2e-8, rng) @ distortion(rng, *SENSOR).T
         ids = tuple(beacon.id for beacon in site.beacons)
-        found = CycleLocator(told, parts=3).locate(CycleData(0, 0.0, ids, CycleObserver(site, 3).weights @ samples))
+        found = CycleLocator(told).locate(CycleData(0, 0.0, ids, samples))
         assert found.pose.status in (Status.OK, Status.UNVERIFIED)
         position, _ = flight_poses(flight, 0.0)
         error = found.pose.position_m - position
