@@ -5,14 +5,6 @@
 #include "goldfield.h"
 #include "protocol_hash.h"
 
-/* The index of a PART is part * PART_STRIDE + code, with PART_PLAIN in place of the code for the plain sum
- * (framing.md). */
-#define PART_STRIDE 1026u
-#define PART_PLAIN  1025u
-
-/* Messages of a part besides those of its codes: its plain sum. */
-#define PART_BESIDE 1u
-
 /* ---- Interrupts ---- */
 
 /* Returns a bit for each axis with a saturated conversion: 1 x, 2 y, 4 z. */
@@ -140,29 +132,6 @@ static void report(sense_t *sense, node_links_t links, const epoch_sums_t *cycle
     onboard_take(sense->onboard, node, cycle, &sense->calibration, &sense->selection);
 }
 
-static void send_part(sense_t *sense, node_links_t links, const epoch_sums_t *part, uint32_t code,
-                      const float vector[HAL_AXES]) {
-    uint8_t data[8];
-    const struct goldfield_part_t message = {
-        .x = epoch_integer(vector[0], 1e-10f),
-        .y = epoch_integer(vector[1], 1e-10f),
-        .z = epoch_integer(vector[2], 1e-10f),
-        .cycle_low = part->cycle & 0xFu,
-    };
-    const uint8_t length = (uint8_t)goldfield_part_pack(data, &message, sizeof data);
-    node_send(sense->node, links, GOLDFIELD_PART_FRAME_ID, part->third * PART_STRIDE + code, data, length);
-}
-
-static void report_third(sense_t *sense, node_links_t links, const epoch_sums_t *part) {
-    float vector[HAL_AXES];
-    for (uint32_t i = 0; i < sense->selection.count; i++) {
-        epoch_field(part, &sense->calibration, &sense->selection, i, vector);
-        send_part(sense, links, part, sense->selection.codes[i].code, vector);
-    }
-    epoch_offset(part, &sense->calibration, vector);
-    send_part(sense, links, part, PART_PLAIN, vector);
-}
-
 static void drain_stream(sense_t *sense) {
     const frame_t *frame;
     while ((frame = queue_front(&sense->stream)) != NULL && node_serial_write(sense->node, frame)) {
@@ -189,12 +158,10 @@ void sense_configure(sense_t *sense) {
     }
     if (!same) {
         (void)epoch_select(&sense->selection, sense->collector.family, codes, count);
-        sense->cycle.third = EPOCH_WHOLE; /* Parts of the old list and of the new are not added. */
     }
     onboard_configure(sense->onboard, parameters, format->chips, &sense->selection);
     tracking_configure(sense->tracking, sense->onboard, parameters);
     blocks_configure(&sense->blocks, parameters);
-    sense->collector.thirds = format->degree == 10u && parameters_unsigned(parameters, PARAMETER_PARTS) == EPOCH_THIRDS;
     sense->stream_id = node_identifier(sense->node, GOLDFIELD_CHIP_FRAME_ID, 0);
     sense->streaming = parameters_unsigned(parameters, PARAMETER_STREAM) == 1;
 }
@@ -238,14 +205,8 @@ void sense_step(sense_t *sense) {
     node_t *node = sense->node;
     epoch_t *epoch = epoch_ready(&sense->collector);
     if (epoch) {
-        epoch_read(epoch, &sense->selection, &sense->part);
-        const uint32_t count = sense->selection.count;
-        if (sense->part.third != EPOCH_WHOLE) {
-            report_third(sense, room(sense, PART_BESIDE + count), &sense->part);
-        }
-        if (epoch_add(&sense->cycle, &sense->part, count)) {
-            report(sense, room(sense, BLOCKS_REPORT_BESIDE + count), &sense->cycle);
-        }
+        epoch_read(epoch, &sense->selection, &sense->cycle);
+        report(sense, room(sense, BLOCKS_REPORT_BESIDE + sense->selection.count), &sense->cycle);
         epoch_release(&sense->collector);
     }
     node->counters[COUNTER_EPOCHS_DROPPED] = sense->collector.dropped + sense->unsent;

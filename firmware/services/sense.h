@@ -10,8 +10,7 @@
  *                       sensor's own track (tracking.h), which sends its pose.
  *   4. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
  *                       and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the
- *                       list. With parts (thirds of a cycle; parameter parts = 3) each part is reported before that,
- *                       with its PARTs.
+ *                       list.
  *      sense_spare      main, after node_step: streamed chips leave, and the board computes its own pose and sends it,
  *                       if it is to (onboard.h).
  *      sense_configure  main, when a parameter has changed: it acts from the next report on.
@@ -28,9 +27,8 @@
  * Stream. Parameter stream sends every chip on serial (164 kB/s of 200 kB/s). Chips that find no room are dropped and
  * counted as lost messages (counter 4).
  *
- * Short cycles. The degree of the codes is a parameter, read once at start; with another degree than 10, parts = 3
- * counts as 1. Short cycles leave little time: a report of n codes is n + 3 messages, and 4 of the pose. So many codes
- * fit without poses:
+ * Short cycles. The degree of the codes is a parameter, read once at start. Short cycles leave little time: a report of
+ * n codes is n + 3 messages, and 4 of the pose. So many codes fit without poses:
  *   link     a message     degree 5   degree 6   other degrees
  *   CAN      160 us           15         35         all 64
  *   serial    80 us           34         all 64     all 64
@@ -41,11 +39,8 @@
  *
  * Memory: 65 kB, and onboard.h and tracking.h.
  *
- * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,600 instructions, with
- * blocks 12,500, with parts 14,500 (17,100 when following the field); with degree 10 a report of 8 codes takes 67,000.
- * The parts of a cycle take 206,000 in main (three transforms, 171,000), 1.2 % of a cycle, and main must be back within
- * a third of a cycle. With more than 60 codes their messages outrun the queue of CAN at the end of a cycle: a part or a
- * report that finds no room there is left out of that link and counted (counter 13).
+ * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,600 instructions, with blocks
+ * 12,500, when following the field 17,100; with degree 10 a report of 8 codes takes 67,000.
  *
  * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the
  * transform (0.5 ms).
@@ -71,7 +66,7 @@ typedef struct {
     node_t *node;
     const timing_t *timing;
     epoch_collector_t collector;
-    epoch_sums_t part, cycle; /* The sums just read, and what is complete of their cycle. */
+    epoch_sums_t cycle; /* The sums of the latest cycle. */
     epoch_calibration_t calibration;
     epoch_selection_t selection; /* The codes that are reported. */
     blocks_t blocks;
@@ -79,7 +74,7 @@ typedef struct {
     tracking_t *tracking;
     block_t block;              /* Lent to it: the core-coupled memory is full. */
     bool tracks_first;          /* Spare time goes to the start of the track first, then to the pose of a cycle. */
-    uint32_t unsent;            /* Reports of cycles and of parts for which a link had no room. */
+    uint32_t unsent;            /* Reports of cycles for which a link had no room. */
     volatile bool streaming;    /* Every chip is sent on serial. */
     volatile bool sampled;      /* A block has been taken. */
     uint64_t ticks;             /* Length of all chips taken so far, ticks. */
@@ -106,7 +101,7 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
  * block, and what a pose costs. */
 void sense_blocks(sense_t *sense);
 
-/* Report a complete cycle or part, if there is one: one turn of the main loop, before node_step. A cycle costs about
+/* Report a complete cycle, if there is one: one turn of the main loop, before node_step. A cycle costs about
  * 60,000 instructions and 800 for each code. */
 void sense_step(sense_t *sense);
 

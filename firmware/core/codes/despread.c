@@ -12,28 +12,7 @@ void despread_start(despread_t *despread, const gold_family_t *family) {
     despread->u_state = family->length; /* All ones. */
     despread->v_state = family->length;
     despread->chip = 0;
-    despread->end = family->length;
     despread->missing = 0;
-}
-
-void despread_start_part(despread_t *despread, const gold_family_t *family, const despread_t *previous,
-                         uint32_t chips) {
-    despread_start(despread, family);
-    if (previous != NULL) {
-        despread->u_state = previous->u_state;
-        despread->v_state = previous->v_state;
-        despread->chip = previous->chip;
-    }
-    const uint32_t end = despread->chip + chips;
-    despread->end = (uint16_t)(end < family->length ? end : family->length);
-    for (uint32_t axis = 0; axis < DESPREAD_AXES; axis++) {
-        for (int32_t *x = despread->words[axis]; x < despread->words[axis] + family->length; x += 4) {
-            x[0] = 0; /* A plain loop would become the library's memset, which goes byte by byte. */
-            x[1] = 0;
-            x[2] = 0;
-            x[3] = 0;
-        }
-    }
 }
 
 static void next_chip(despread_t *despread) {
@@ -44,7 +23,7 @@ static void next_chip(despread_t *despread) {
 }
 
 void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]) {
-    if (despread->chip >= despread->end) {
+    if (despread->chip >= despread->family->length) {
         return;
     }
     /* In a state above half the output stage is 1. */
@@ -60,7 +39,7 @@ void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]) {
 }
 
 void despread_skip(despread_t *despread, uint32_t chips) {
-    for (; chips > 0u && despread->chip < despread->end; chips--) {
+    for (; chips > 0u && despread->chip < despread->family->length; chips--) {
         for (uint32_t axis = 0; axis < DESPREAD_AXES; axis++) {
             despread->words[axis][despread->v_state] = 0;
         }

@@ -2,7 +2,7 @@
  * are exact integers.
  *
  * Calls, in the order they are made
- *   1. despread_start        at the cycle's first chip, or despread_start_part for a part of a cycle.
+ *   1. despread_start        at the cycle's first chip.
  *   2. despread_store        for each chip of the cycle in order, or despread_skip for chips without a sample.
  *   3. despread_transform    once, at the end.
  *   4. despread_correlation  for each axis and code that is wanted; despread_word tells where a code's result is.
@@ -20,9 +20,6 @@
  * Exactness. Samples are 16 bits: |y| <= 2^15. Every intermediate of the transform is a sum of at most 2^degree <=
  * 2^11 stored words with signs, so it is at most 2^26 in magnitude; a sign-flipped -2^15 is +2^15, held in 32 bits.
  * int32_t cannot overflow, nothing is rounded, every result is an exact integer.
- *
- * Parts (thirds of a cycle in epoch.h). despread_start_part begins with the cycle's next chips only. The results are
- * then the sums over these chips, and those of all parts add up to the cycle's.
  *
  * Contexts: one despread_t belongs to one context at a time.
  *
@@ -50,27 +47,21 @@ typedef struct {
     int32_t v_sum[DESPREAD_AXES]; /* Correlation with code N + 1 (v). */
     int32_t sum[DESPREAD_AXES];   /* Plain sum of the samples. */
     uint16_t u_state, v_state;    /* The registers at the next chip. */
-    uint16_t chip;                /* The next chip, 0..end; at end the cycle or part is full. */
-    uint16_t end;                 /* The chip at which the cycle, or the part of it, ends. */
-    uint16_t missing;             /* Chips without a sample so far; after the transform, in the whole cycle or part. */
+    uint16_t chip;                /* The next chip, 0..N; at N the cycle is full. */
+    uint16_t missing;             /* Chips without a sample so far; after the transform, in the whole cycle. */
 } despread_t;
 
 /* Begin a cycle of the family's codes at chip 0. Costs about 20 instructions: each cycle overwrites every word. */
 void despread_start(despread_t *despread, const gold_family_t *family);
 
-/* Begin a part of a cycle: so many chips (fewer at the cycle's end) from where the previous part ended, or from chip 0
- * if previous is NULL. The previous part must be of the same family, and full. Costs about 4,000 instructions with
- * degree 10. */
-void despread_start_part(despread_t *despread, const gold_family_t *family, const despread_t *previous, uint32_t chips);
-
 /* Store the sample of the next chip. It is ignored when the cycle is full. Costs about 95 instructions. */
 void despread_store(despread_t *despread, const int16_t sample[DESPREAD_AXES]);
 
-/* Pass over the next chips, which have no sample, up to the end of the cycle or part. Costs about 60 instructions a
- * chip, at most N chips. */
+/* Pass over the next chips, which have no sample, up to the end of the cycle. Costs about 60 instructions a chip, at
+ * most N chips. */
 void despread_skip(despread_t *despread, uint32_t chips);
 
-/* End the cycle or part (the rest counts as missing) and transform it in place. It is called once; results are valid
+/* End the cycle (the rest counts as missing) and transform it in place. It is called once; results are valid
  * until despread_start. Cost for three axes, whatever the data:
  *   degree              5      6      7       9      10       11
  *   instructions    1,050  2,130  5,230  24,300  57,000  124,600 */

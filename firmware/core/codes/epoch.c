@@ -37,42 +37,16 @@ static void drop(epoch_collector_t *collector) {
     }
 }
 
-/* Hands the cycle or part that is full to main; the next part follows in the other buffer. Returns false if main is
- * late, and the cycle is dropped. */
+/* Hands the cycle that is full to main. Returns false if main is late, and the cycle is dropped. */
 static bool hand_over(epoch_collector_t *collector) {
     if (__atomic_load_n(&collector->ready, __ATOMIC_ACQUIRE) != 0u) {
         drop(collector);
         return false;
     }
-    const epoch_t *full = &collector->epochs[collector->filling];
     collector->filling ^= 1u;
-    collector->collecting = full->despread.end < collector->family->length;
-    if (collector->collecting) {
-        epoch_t *next = &collector->epochs[collector->filling];
-        despread_start_part(&next->despread, collector->family, &full->despread, EPOCH_THIRD_CHIPS);
-        next->third = (uint8_t)(full->third + 1u);
-        next->cycle = full->cycle;
-        next->first_chip = full->first_chip;
-        next->saturated = 0;
-        next->locked = true;
-    }
+    collector->collecting = false;
     __atomic_store_n(&collector->ready, 1u, __ATOMIC_RELEASE);
     return true;
-}
-
-/* Notes that what is collected has no samples from its next chip up to this one. Returns true if a part that ended on
- * the way was handed over. */
-static bool skip_to(epoch_collector_t *collector, uint32_t chip) {
-    bool complete = false;
-    while (collector->collecting) {
-        despread_t *despread = &collector->epochs[collector->filling].despread;
-        despread_skip(despread, chip - despread->chip);
-        if (despread->chip < despread->end) {
-            break;
-        }
-        complete = hand_over(collector) || complete;
-    }
-    return complete;
 }
 
 bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint16_t code_chip,
@@ -80,26 +54,23 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
     bool complete = false;
     epoch_t *epoch = &collector->epochs[collector->filling];
     if (collector->collecting) {
+        despread_t *despread = &epoch->despread;
         const uint32_t expected = absolute_chip - epoch->first_chip; /* It is the code chip, unless the clock jumped. */
-        if (code_chip == 0u && expected == collector->family->length) {
-            complete = skip_to(collector, expected); /* The last chips of the cycle are missing. */
-        } else if (expected != code_chip || code_chip < epoch->despread.chip) {
+        if (code_chip == 0u && expected == collector->family->length) { /* The last chips of the cycle are missing. */
+            despread_skip(despread, expected - despread->chip);
+            complete = hand_over(collector);
+        } else if (expected != code_chip || code_chip < despread->chip) {
             if (collector->began_locked) {
                 drop(collector);
             }
             collector->collecting = false; /* Otherwise the clock has only now found its master: nothing is lost. */
-        } else if (code_chip > epoch->despread.chip) {
-            complete = skip_to(collector, code_chip);
+        } else if (code_chip > despread->chip) {
+            despread_skip(despread, code_chip - despread->chip);
         }
     }
     epoch = &collector->epochs[collector->filling];
     if (code_chip == 0u) {
-        epoch->third = collector->thirds ? 0u : EPOCH_WHOLE;
-        if (collector->thirds) {
-            despread_start_part(&epoch->despread, collector->family, NULL, EPOCH_THIRD_CHIPS);
-        } else {
-            despread_start(&epoch->despread, collector->family);
-        }
+        despread_start(&epoch->despread, collector->family);
         epoch->first_chip = absolute_chip;
         epoch->saturated = 0;
         epoch->locked = true;
@@ -113,7 +84,7 @@ bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t c
     epoch->cycle = cycle;
     epoch->saturated = (uint16_t)(epoch->saturated + (saturated ? 1u : 0u));
     epoch->locked = epoch->locked && locked;
-    if (epoch->despread.chip == epoch->despread.end) {
+    if (epoch->despread.chip == collector->family->length) {
         complete = hand_over(collector) || complete;
     }
     return complete;
@@ -130,17 +101,6 @@ void epoch_release(epoch_collector_t *collector) {
     __atomic_store_n(&collector->ready, 0u, __ATOMIC_RELEASE);
 }
 
-static int16_t third_sum(const gold_family_t *family, uint32_t code, uint32_t third) {
-    gold_generator_t generator;
-    const uint32_t first = third * family->length / EPOCH_THIRDS, end = (third + 1u) * family->length / EPOCH_THIRDS;
-    int32_t sum = (int32_t)(end - first);
-    (void)gold_start(&generator, family->degree, code, first); /* It cannot fail: the code is of the family. */
-    for (uint32_t chip = first; chip < end; chip++) {
-        sum -= 2 * (int32_t)gold_next(&generator);
-    }
-    return (int16_t)sum;
-}
-
 uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family, const uint16_t *codes,
                       uint32_t count) {
     selection->count = 0;
@@ -148,12 +108,7 @@ uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family,
         if (codes[i] <= family->length + 1u) {
             selection->codes[selection->count].code = codes[i];
             selection->codes[selection->count].word = despread_word(family, codes[i]);
-            selection->codes[selection->count].sum = 0;
-            for (uint32_t third = 0; third < EPOCH_THIRDS; third++) {
-                const int16_t sum = third_sum(family, codes[i], third);
-                selection->codes[selection->count].third_sum[third] = sum;
-                selection->codes[selection->count].sum = (int16_t)(selection->codes[selection->count].sum + sum);
-            }
+            selection->codes[selection->count].sum = (int16_t)gold_sum(family->degree, codes[i]);
             selection->count++;
         }
     }
@@ -168,37 +123,11 @@ void epoch_read(epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t
         }
         sums->sum[axis] = epoch->despread.sum[axis];
     }
-    sums->third = epoch->third;
     sums->chips = epoch->despread.family->length;
     sums->cycle = epoch->cycle;
     sums->missing = epoch->despread.missing;
     sums->saturated = epoch->saturated;
     sums->locked = epoch->locked;
-}
-
-bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count) {
-    if (part->third == 0u || part->third == EPOCH_WHOLE) {
-        *total = *part;
-    } else if (part->third != total->third + 1u) {
-        return false;
-    } else {
-        for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
-            for (uint32_t i = 0; i < count; i++) {
-                total->correlation[i][axis] += part->correlation[i][axis];
-            }
-            total->sum[axis] += part->sum[axis];
-        }
-        total->cycle = part->cycle;
-        total->missing = (uint16_t)(total->missing + part->missing);
-        total->saturated = (uint16_t)(total->saturated + part->saturated);
-        total->locked = total->locked && part->locked;
-        total->third = part->third;
-    }
-    if (total->third < EPOCH_THIRDS - 1u) {
-        return false;
-    }
-    total->third = EPOCH_WHOLE;
-    return true;
 }
 
 void epoch_scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum,
@@ -218,14 +147,11 @@ void epoch_scale(const epoch_calibration_t *calibration, const int32_t correlati
 
 void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibration, const epoch_selection_t *selection,
                  uint32_t index, float field_T[EPOCH_AXES]) {
-    const int16_t code_sum = sums->third < EPOCH_THIRDS ? selection->codes[index].third_sum[sums->third]
-                                                        : selection->codes[index].sum;
-    epoch_scale(calibration, sums->correlation[index], code_sum, sums->chips, field_T);
+    epoch_scale(calibration, sums->correlation[index], selection->codes[index].sum, sums->chips, field_T);
 }
 
 void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]) {
-    epoch_scale(calibration, sums->sum, sums->third < EPOCH_THIRDS ? (float)EPOCH_THIRD_CHIPS : sums->chips,
-                sums->chips, offset_T);
+    epoch_scale(calibration, sums->sum, sums->chips, sums->chips, offset_T);
 }
 
 int32_t epoch_integer(float value, float resolution) {

@@ -4,7 +4,7 @@
  * Calls, in the order they are made
  *   1. epoch_init     once; epoch_select when the list of codes changes.
  *   2. epoch_sample   interrupt, for the burst of each chip; then epoch_feed with the sample.
- *   3. epoch_ready    main, once a turn; then epoch_read, epoch_add, and epoch_release.
+ *   3. epoch_ready    main, once a turn; then epoch_read and epoch_release.
  *   4. epoch_field    main, for each code of a report; epoch_offset for the mean; epoch_integer for what is sent.
  *
  * Scale. A chip's sample is the sum of its burst of EPOCH_BURST conversions relative to mid-scale: sum - 8 * 2048,
@@ -18,12 +18,6 @@
  * Dropped cycles. If main has not released a cycle when the next one ends, that next cycle is dropped and counted.
  * Results are late by at most one cycle, or absent, never mixed.
  *
- * Parts (thirds of a cycle), with degree 10 only: of the other lengths only 63 is a multiple of 3, and its thirds are
- * shorter than a block. For a moving sensor the collector hands over each part (341 chips) as if it were a cycle; main
- * then has a third of the time. If one is dropped the cycle's later ones are not collected: after part 0 come 1 and 2
- * of the same cycle, or another part 0. epoch_add puts the exact sums of the parts together to the cycle's: the same
- * integers as without parts.
- *
  * Contexts: epoch_feed is called from the sample interrupt, epoch_ready and epoch_release from main.
  */
 #ifndef GOLDFIELD_EPOCH_H
@@ -35,14 +29,11 @@
 #include "core/codes/despread.h"
 
 #define EPOCH_AXES         DESPREAD_AXES
-#define EPOCH_BURST        8u           /* Conversions in the burst of one chip and axis. */
-#define EPOCH_SAMPLE_MAX   4095u        /* Largest count of a 12-bit conversion; 0 and 4095 are saturated. */
-#define EPOCH_MID_SCALE    2048u        /* Count in the middle of the converter's range. */
-#define EPOCH_CODES_MAX    64u          /* Most codes in a report: the length of the parameter code_list. */
-#define EPOCH_THIRDS       3u           /* Parts of a cycle. */
-#define EPOCH_THIRD_CHIPS  341u         /* Chips in a part: 1023 / 3. */
-#define EPOCH_WHOLE        EPOCH_THIRDS /* Stands in place of the number of a part for the whole cycle. */
-#define EPOCH_OUT_OF_RANGE (-524288)    /* Integer in the messages of an axis that was not measured. */
+#define EPOCH_BURST        8u        /* Conversions in the burst of one chip and axis. */
+#define EPOCH_SAMPLE_MAX   4095u     /* Largest count of a 12-bit conversion; 0 and 4095 are saturated. */
+#define EPOCH_MID_SCALE    2048u     /* Count in the middle of the converter's range. */
+#define EPOCH_CODES_MAX    64u       /* Most codes in a report: the length of the parameter code_list. */
+#define EPOCH_OUT_OF_RANGE (-524288) /* Integer in the messages of an axis that was not measured. */
 
 /* Sum a burst of 12-bit conversions, [conversion][axis], to a sample relative to mid-scale. A count above 4095, which
  * no 12-bit converter gives, makes the sample worthless. Costs about 115 instructions.
@@ -55,7 +46,6 @@ typedef struct {
     despread_t despread;
     uint32_t cycle;      /* The cycle's number. */
     uint32_t first_chip; /* Absolute chip of the cycle's code chip 0. */
-    uint8_t third;       /* The part that the samples are of, 0, 1, 2; EPOCH_WHOLE: they are of the whole cycle. */
     uint16_t saturated;  /* Chips of it with a saturated conversion on any axis. */
     bool locked;         /* The chip clock was locked at every chip. */
 } epoch_t;
@@ -65,7 +55,6 @@ typedef struct {
     const gold_family_t *family;
     uint32_t dropped; /* Cycles that could not be reported: the chip clock jumped and cut them short though it was
                          locked when they began, or main was late. */
-    bool thirds;      /* Set by main, with degree 10 only: cycles that begin from now on come in parts. */
     /* Private. */
     uint8_t filling;   /* Which of the two the interrupt fills. */
     bool collecting;   /* The one being filled has seen chip 0. */
@@ -78,16 +67,16 @@ void epoch_init(epoch_collector_t *collector, const gold_family_t *family);
 
 /* Take one sampled chip: its absolute number, what chip_clock_at says of it, and its sample. Chips come in order. A
  * gap inside a cycle counts as missing chips; a cycle whose chip 0 was not seen is not collected. Costs about 200
- * instructions, 60 more for each chip of a gap and 4,000 more for each part that begins.
- * Returns true if a cycle or part is complete and main should look. */
+ * instructions, 60 more for each chip of a gap.
+ * Returns true if a cycle is complete and main should look. */
 bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint16_t code_chip,
                 const int16_t sample[EPOCH_AXES], bool saturated, bool locked);
 
-/* Returns the complete cycle or part, not yet transformed (epoch_read does that), or NULL if there is none. It is
+/* Returns the complete cycle, not yet transformed (epoch_read does that), or NULL if there is none. It is
  * main's until epoch_release. */
 epoch_t *epoch_ready(epoch_collector_t *collector);
 
-/* Give the cycle or part back to the collector. */
+/* Give the cycle back to the collector. */
 void epoch_release(epoch_collector_t *collector);
 
 /* ---- Scaling ---- */
@@ -101,10 +90,9 @@ typedef struct {
 typedef struct {
     uint32_t count; /* Codes in the selection. */
     struct {
-        uint16_t code;                   /* Index of gold.h. */
-        uint16_t word;                   /* Where its correlation is: despread_word. */
-        int16_t sum;                     /* Sum of its chips: gold_sum. */
-        int16_t third_sum[EPOCH_THIRDS]; /* Sum of its chips in each part. */
+        uint16_t code; /* Index of gold.h. */
+        uint16_t word; /* Where its correlation is: despread_word. */
+        int16_t sum;   /* Sum of its chips: gold_sum. */
     } codes[EPOCH_CODES_MAX];
 } epoch_selection_t;
 
@@ -114,41 +102,34 @@ typedef struct {
  * Returns how many codes are in. */
 uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family, const uint16_t *codes, uint32_t count);
 
-/* What despreading tells of a cycle or of a part: exact sums in the samples' unit. */
+/* What despreading tells of a cycle: exact sums in the samples' unit. */
 typedef struct {
     int32_t correlation[EPOCH_CODES_MAX][EPOCH_AXES]; /* Correlations, by entry of the selection. */
     int32_t sum[EPOCH_AXES];                          /* Plain sums of the samples. */
     uint32_t cycle;                                   /* The cycle's number. */
-    uint16_t chips;                                   /* N, the chips in a whole cycle, also for a part. */
+    uint16_t chips;                                   /* N, the chips in a cycle. */
     uint16_t missing, saturated;                      /* Chips without a sample, and with a saturated one. */
-    uint8_t third;                                    /* The part, or EPOCH_WHOLE, as in epoch_t. */
     bool locked;                                      /* The chip clock was locked at every chip. */
 } epoch_sums_t;
 
-/* Transform a complete cycle or part, once, and read its sums. Costs as much as despread_transform, and about 60
+/* Transform a complete cycle, once, and read its sums. Costs as much as despread_transform, and about 60
  * instructions for each code. */
 void epoch_read(epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t *sums);
 
-/* Add the next part to those of the same cycle before it. A part 0 or a whole cycle replaces what was there; a part
- * that does not follow is left out. count is that of the selection; if the selection changes, the caller sets
- * total->third to EPOCH_WHOLE, and the rest of the cycle is then left out.
- * Returns true if total is a whole cycle now. */
-bool epoch_add(epoch_sums_t *total, const epoch_sums_t *part, uint32_t count);
-
-/* Compute the field of entry index of the selection, index < count, in T: the correlation over N, also for a part.
- * Costs about 215 instructions. */
+/* Compute the field of entry index of the selection, index < count, in T: the correlation over N. Costs about
+ * 160 instructions. */
 void epoch_field(const epoch_sums_t *sums, const epoch_calibration_t *calibration, const epoch_selection_t *selection,
                  uint32_t index, float field_T[EPOCH_AXES]);
 
-/* Compute the mean field of a cycle, T; for a part its sum over N. */
+/* Compute the mean field of a cycle, T. */
 void epoch_offset(const epoch_sums_t *sums, const epoch_calibration_t *calibration, float offset_T[EPOCH_AXES]);
 
 /* Compute M (correlation / (8 chips) - (zero - 2048) code_sum / chips) of exact sums, in T: the formula above. Costs
- * about 200 instructions. */
+ * about 150 instructions. */
 void epoch_scale(const epoch_calibration_t *calibration, const int32_t correlation[EPOCH_AXES], float code_sum,
                  float chips, float field_T[EPOCH_AXES]);
 
-/* Scale a value to the integer of a 20-bit signal. resolution is 1e-10 T for FIELD and PART, 1e-9 T for EPOCH_OFFSET.
+/* Scale a value to the integer of a 20-bit signal. resolution is 1e-10 T for FIELD, 1e-9 T for EPOCH_OFFSET.
  * Returns value / resolution, rounded to the nearest; EPOCH_OUT_OF_RANGE beyond +-524287 and for a value that is not a
  * number. */
 int32_t epoch_integer(float value, float resolution);

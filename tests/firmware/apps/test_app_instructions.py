@@ -87,10 +87,6 @@ void sense_current(void) {
 }
 void call_current(void) { events.current(events.context, chip++, now); }
 void call_samples(void) { events.samples(events.context, block - 2, (const hal_samples_t *)&samples); }
-void ask_thirds(void) {
-    (void)parameters_set(&sensor.node.parameters, PARAMETER_PARTS, (parameter_value_t){PARAMETER_UNSIGNED, 3});
-    sensor.node.parameters_changed = true;
-}
 void lock(void) { sensor.timing.clock.locked = true; }
 void step_beacon(void) { beacon_step(&beacon); }
 void step_sensor(void) { sensor_step(&sensor); }
@@ -143,7 +139,6 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     keep = (
         "begin_beacon",
         "begin_sensor",
-        "ask_thirds",
         "lock",
         "call_plan",
         "sense_current",
@@ -281,20 +276,3 @@ def test_sensor_that_sends_blocks(call: Machine) -> None:
     print(f"sensor with blocks: samples of 31 chips at most {max(samples)}, main for a block of 8 codes {block}")
     assert max(samples) <= 31 * 600
     assert 10_000 < block <= 24_000
-
-
-def test_sensor_in_thirds(call: Machine) -> None:
-    call.uncounted("begin_sensor")
-    call.uncounted("ask_thirds")
-    for _ in range(2):
-        call("call_plan")
-    samples, main = [], []
-    for _ in range(35 + 33):
-        samples.append(call("call_samples"))
-        call("call_plan")
-        main.append(call("step_sensor"))
-    cycle = sorted(main[35:])[-3:]
-    print(f"sensor in thirds: samples of 31 chips at most {max(samples)}, main for the thirds of a cycle {cycle}")
-    assert sum(n > 50_000 for n in main[35:]) == 3
-    assert max(samples) <= 31 * 600
-    assert sum(cycle) <= 230_000

@@ -263,30 +263,10 @@ def test_number_is_counted_from_zero_without_sync_messages() -> None:
     assert {m.signals["locked"] for m in board.messages("EPOCH_STATUS")} == {0}
 
 
-def test_thirds_are_partial_correlations_and_change_no_field(settled: World, make: Callable[..., World]) -> None:
-    world = make(parts=3)
-    world.run_cycles(10)
-    tesla = (FIELD + 2048 - ZERO) @ MATRIX.T
-    latest = world.board.messages("PART")[-3 * (len(CODES) + 1) :]
-    assert [m.index for m in latest] == [1026 * third + code for third in range(3) for code in (*CODES, 1025)]
-    assert {m.signals["cycle_low"] for m in latest} == {1009 % 16}
-    for message in latest:
-        third, code = divmod(message.index, 1026)
-        chips = np.ones(CHIPS) if code == 1025 else gold_chips(code)
-        own = slice(341 * third, 341 * (third + 1))
-        got = np.array([message.signals[axis] for axis in "xyz"])
-        assert np.abs(got - chips[own] @ tesla[own] / CHIPS).max() < 0.55e-10
-    whole, thirds = last_epoch(settled.board), last_epoch(world.board)
-    for name in ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET", "FIELD"):
-        assert thirds[name] == whole[name]
-    assert not world.board.messages("COUNTER")
-    assert not settled.board.messages("PART")
-
-
-def test_thirds_asked_for_and_another_code_list_at_run_time(make: Callable[..., World]) -> None:
-    """Thirds of the old list and of the new are never added: the cycle of the change has no fields."""
+def test_another_code_list_at_run_time(make: Callable[..., World]) -> None:
+    """Every cycle is reported, that of the change with the codes of the new list."""
     world = make()
-    for number, value, ms in ((27, 3, 10), (256, 1018, 150), (257, 5, 151), (5, 2, 152)):
+    for number, value, ms in ((256, 1018, 150), (257, 5, 151), (5, 2, 152)):
         world.board.send_serial(
             "PARAM_SET", {"kind": 0, "value_unsigned": value}, NODE, number, cycle_start(6) + ms * MS
         )
@@ -296,4 +276,4 @@ def test_thirds_asked_for_and_another_code_list_at_run_time(make: Callable[..., 
     for code in (5, 1018):
         got = np.array([epoch["FIELD"][code][axis] for axis in "xyz"])
         assert np.abs(got - expected_field(gold_chips(code))).max() < 0.55e-10
-    assert [m.signals["cycle"] for m in world.board.messages("EPOCH")][-3:] == [1006, 1008, 1009]
+    assert [m.signals["cycle"] for m in world.board.messages("EPOCH")][-3:] == [1007, 1008, 1009]

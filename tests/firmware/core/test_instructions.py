@@ -92,8 +92,8 @@ int32_t decode(void) {
 }
 int32_t code_sum(void) { return gold_sum(10, 5); }
 epoch_calibration_t calibration = {{2048, 2048, 2048}, {{1e-7f, 0, 0}, {0, 1e-7f, 0}, {0, 0, 1e-7f}}};
-epoch_selection_t selection = {1, {{5, 17, -1, {0}}}};
-epoch_sums_t sums = {.third = EPOCH_WHOLE, .chips = 1023};
+epoch_selection_t selection = {1, {{5, 17, -1}}};
+epoch_sums_t sums = {.chips = 1023};
 float field[3];
 void one_field(void) { epoch_field(&sums, &calibration, &selection, 0, field); }
 code_bits_t code_bits;

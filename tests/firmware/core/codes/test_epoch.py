@@ -82,12 +82,10 @@ def test_a_gap_across_the_end_drops_the_cycle(core, collector):
     assert lib.epoch_ready(collector).cycle == 2
 
 
-@pytest.mark.parametrize("thirds", [False, True])
 @pytest.mark.parametrize("lost_at", [None, 0, 1, 350, 399])
-def test_a_jump_of_the_chip_clock_drops_the_cycle(core, collector, lost_at, thirds):
+def test_a_jump_of_the_chip_clock_drops_the_cycle(core, collector, lost_at):
     """It is a loss only if the clock was locked when the cycle began: at the start it has yet to find its master."""
     ffi, lib = core
-    collector.thirds = thirds
     sample = ffi.new("int16_t[3]")
     labels = [*range(400), *range(700, N), *range(N)]
     for absolute, label in enumerate(labels):
@@ -97,8 +95,6 @@ def test_a_jump_of_the_chip_clock_drops_the_cycle(core, collector, lost_at, thir
         elif absolute == 400 + N - 700:
             assert collector.dropped == (0 if lost_at == 0 else 1)
             assert lib.epoch_ready(collector) == ffi.NULL
-    if thirds:
-        return
     assert lib.epoch_ready(collector).first_chip == len(labels) - N
 
 
@@ -132,7 +128,7 @@ def test_fields_and_offset_in_tesla(core, gold_family, degree):
     matrix = np.diag([1e-7, 0.9e-7, 1.1e-7]) + rng.normal(0, 2e-9, (3, 3))
     zero = np.array([2075.25, 2020.5, 2048.0])
     conversions = rng.integers(1, 4095, (length, 8, 3))
-    epoch, sums = ffi.new("epoch_t *", {"third": 3}), ffi.new("epoch_sums_t *")
+    epoch, sums = ffi.new("epoch_t *"), ffi.new("epoch_sums_t *")
     state = ffi.addressof(epoch, "despread")
     lib.despread_start(state, lib.gold_family(degree))
     sample = ffi.new("int16_t[3]")
@@ -174,11 +170,11 @@ def test_cycles_of_other_lengths(core, gold_family, degree):
     for t, sample in enumerate(stream.tolist()):
         if lib.epoch_feed(state, t, t // length, t % length, sample, False, True):
             lib.epoch_read(lib.epoch_ready(state), selection, sums)
-            got.append((sums.cycle, sums.third, sums.chips, sums.missing, list(sums.correlation[0])))
+            got.append((sums.cycle, sums.chips, sums.missing, list(sums.correlation[0])))
             lib.epoch_release(state)
     cycles = stream.reshape(3, length, 3)
     expected = [gold_family(degree)[3] @ cycle for cycle in cycles]
-    assert got == [(i, 3, length, 0, row.tolist()) for i, row in enumerate(expected)]
+    assert got == [(i, length, 0, row.tolist()) for i, row in enumerate(expected)]
 
 
 @given(st.floats(-6e-5, 6e-5))
@@ -205,123 +201,3 @@ def test_a_repeated_chip_drops_the_cycle(core, collector):
     feed(core, collector, [*range(100), 99, *range(100, N)])
     assert collector.dropped == 1
     assert lib.epoch_ready(collector) == ffi.NULL
-
-
-CODES = [0, 5, 1022, 1023, 1024]
-
-
-def in_thirds(core, samples, absolute=None):
-    """Feed a stream of samples with main following at once: (sums of each third, whole cycles) as epoch_add tells."""
-    ffi, lib = core
-    state = ffi.new("epoch_collector_t *")
-    lib.epoch_init(state, lib.gold_family(10))
-    state.thirds = True
-    selection = ffi.new("epoch_selection_t *")
-    lib.epoch_select(selection, lib.gold_family(10), CODES, len(CODES))
-    part, total = ffi.new("epoch_sums_t *"), ffi.new("epoch_sums_t *", {"third": 3})
-    parts, whole = [], []
-    for t in range(len(samples)) if absolute is None else absolute:
-        flags = (t % 100 == 0, t != 5)
-        lib.epoch_feed(state, t, t // N, t % N, ffi.new("int16_t[3]", samples[t].tolist()), *flags)
-        if (epoch := lib.epoch_ready(state)) != ffi.NULL:
-            lib.epoch_read(epoch, selection, part)
-            parts.append(sums_of(part))
-            if lib.epoch_add(total, part, len(CODES)):
-                whole.append(sums_of(total))
-            lib.epoch_release(state)
-    return state, parts, whole
-
-
-def sums_of(sums):
-    table = [list(sums.correlation[i]) for i in range(len(CODES))] + [list(sums.sum)]
-    return sums.third, sums.cycle, sums.missing, sums.saturated, sums.locked, np.array(table)
-
-
-@pytest.fixture(scope="module")
-def samples():
-    """Two cycles that use all 16 bits."""
-    return np.random.default_rng(8).integers(-32768, 32768, (2 * N, 3))
-
-
-def expected(gold_family, samples, first, last):
-    rows = np.vstack([gold_family(10)[CODES], np.ones(N, int)])
-    return rows[:, first:last] @ samples[first:last]
-
-
-def test_thirds_are_partial_correlations_and_add_up_exactly(core, gold_family, samples):
-    _, parts, whole = in_thirds(core, samples)
-    assert [(p[0], p[1]) for p in parts] == [(k, cycle) for cycle in (0, 1) for k in (0, 1, 2)]
-    for third, cycle, *_, table in parts:
-        own = samples[cycle * N : (cycle + 1) * N]
-        assert (table == expected(gold_family, own, 341 * third, 341 * (third + 1))).all()
-    for cycle, (third, number, missing, saturated, locked, table) in enumerate(whole):
-        assert (third, number, missing, saturated, locked) == (3, cycle, 0, 11 - cycle, cycle == 1)
-        assert (table == expected(gold_family, samples[cycle * N : (cycle + 1) * N], 0, N)).all()
-    assert len(whole) == 2
-
-
-def test_a_gap_over_the_border_of_thirds_is_missing_in_both(core, gold_family, samples):
-    _, parts, whole = in_thirds(core, samples[:N], [*range(300), *range(362, N)])
-    left = samples[:N].copy()
-    left[300:362] = 0
-    assert [p[2] for p in parts] == [41, 21, 0]
-    assert whole[0][2] == 62
-    assert (whole[0][5] == expected(gold_family, left, 0, N)).all()
-
-
-def test_a_gap_to_the_end_of_the_cycle(core, gold_family, samples):
-    state, parts, whole = in_thirds(core, samples, [*range(1000), *range(N, 2 * N)])
-    assert [p[2] for p in parts] == [0, 0, 23, 0, 0, 0]
-    assert [w[2] for w in whole] == [23, 0]
-    assert state.dropped == 0
-
-
-def test_a_third_that_main_was_late_for_costs_its_cycle_only(core, samples):
-    ffi, lib = core
-    state = ffi.new("epoch_collector_t *")
-    lib.epoch_init(state, lib.gold_family(10))
-    state.thirds = True
-    feed(core, state, range(2 * 341))
-    assert state.dropped == 1  # Main held third 0 until third 1 was over.
-    assert lib.epoch_ready(state).third == 0
-    lib.epoch_release(state)
-    feed(core, state, range(2 * 341, N))
-    assert lib.epoch_ready(state) == ffi.NULL
-    feed(core, state, range(N, N + 341))
-    assert (lib.epoch_ready(state).third, lib.epoch_ready(state).cycle) == (0, 1)
-
-
-def test_thirds_that_do_not_follow_are_never_added(core):
-    ffi, lib = core
-    total = ffi.new("epoch_sums_t *", {"third": 3})
-    part = ffi.new("epoch_sums_t *")
-    results = []
-    for third in (1, 2, 0, 2, 0, 1, 2, 1, 3):
-        part.third = third
-        part.sum = [1, 1, 1]
-        results.append(lib.epoch_add(total, part, 0))
-        if results[-1]:
-            assert total.sum[0] == (1 if third == 3 else 3)
-    assert results == [False] * 6 + [True, False, True]
-
-
-def test_thirds_in_tesla_lose_the_sensors_zero(core, gold_family, samples):
-    """Each third's part of the field, with the zero taken out over the chips of this third."""
-    ffi, lib = core
-    calibration = ffi.new("epoch_calibration_t *", [[2075.25, 2020.5, 2048.0], (np.eye(3) * 1e-8).tolist()])
-    selection = ffi.new("epoch_selection_t *")
-    lib.epoch_select(selection, lib.gold_family(10), CODES, len(CODES))
-    _, parts, _ = in_thirds(core, samples[:N])
-    truth = (samples[:N] / 8 + 2048 - [2075.25, 2020.5, 2048.0]) * 1e-8
-    sums, field = ffi.new("epoch_sums_t *", {"chips": N}), ffi.new("float[3]")
-    for third, *_, table in parts:
-        sums.third = third
-        for i in range(len(CODES)):
-            sums.correlation[i] = table[i].tolist()
-        sums.sum = table[-1].tolist()
-        wanted = expected(gold_family, truth, 341 * third, 341 * (third + 1)) / N
-        for i in range(len(CODES)):
-            lib.epoch_field(sums, calibration, selection, i, field)
-            assert list(field) == pytest.approx(wanted[i].tolist(), abs=1e-11)
-        lib.epoch_offset(sums, calibration, field)
-        assert list(field) == pytest.approx(wanted[-1].tolist(), abs=1e-11)
