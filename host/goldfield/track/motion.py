@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
-from goldfield.locate.rotations import skew
+from goldfield.locate.rotations import orthonormal, skew
 from goldfield.track.deviations import Deviations
 from goldfield.types import FloatArray
 
@@ -297,8 +297,3 @@ def standing(position_m: FloatArray, orientation_xyzw: FloatArray) -> State:
     """Return the state of a sensor at rest, the ambient field not known."""
     rotation = Rotation.from_quat(orientation_xyzw).as_matrix()
     return State(position_m, rotation, np.zeros(3), np.zeros(3), np.zeros(3))
-
-
-def orthonormal(rotation: FloatArray) -> FloatArray:
-    """Remove the rounding of many turns: one Newton step to the nearest rotation."""
-    return np.asarray(0.5 * rotation @ (3.0 * IDENTITY - rotation.T @ rotation))
