@@ -14,7 +14,7 @@ from goldfield.locate.site_errors import SiteErrors, effects_of_beacons, effects
 from goldfield.site import Site
 from goldfield.track.blocks.equations import NormalForm
 from goldfield.track.blocks.state import Motion
-from goldfield.track.blocks.update import OBSERVED, reference
+from goldfield.track.blocks.update import SEEN, reference
 from goldfield.types import FloatArray
 
 UNSEEN = 1e-9
@@ -44,17 +44,17 @@ class Considered:
         count = len(self._model)
         form = self._cycle.without(without)
         jacobian, weight = around.jacobian, around.weight(form)
-        weighted = (weight @ jacobian).reshape(-1, OBSERVED)
+        weighted = (weight @ jacobian).reshape(-1, SEEN)
         effect = self._effects(motion, count)
         both = np.concatenate([jacobian, effect], axis=2)
         through = (form.gram @ both.reshape(count + 1, -1)).reshape(3 * (count + 1), -1)
         told = weighted.T @ through
-        scale = np.sqrt(np.diag(told[:, :OBSERVED]))
+        scale = np.sqrt(np.diag(told[:, :SEEN]))
         scale[scale == 0.0] = 1.0
-        values, vectors = np.linalg.eigh(told[:, :OBSERVED] / np.outer(scale, scale))
+        values, vectors = np.linalg.eigh(told[:, :SEEN] / np.outer(scale, scale))
         seen = values > UNSEEN
         part = vectors[:, seen] / scale[:, None]
-        bias = (part / values[seen]) @ (part.T @ told[:, OBSERVED:])
+        bias = (part / values[seen]) @ (part.T @ told[:, SEEN:])
         covariance = bias[:6] @ bias[:6].T
         if self._errors is not None:
             covariance[3:, 3:] += self._errors.common_turn_rad2 * np.eye(3)

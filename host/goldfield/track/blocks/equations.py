@@ -44,6 +44,8 @@ class NormalForm:
         Components in the sensor's frame; 0 along what was not measured.
     gram, moment : ndarray, shape (n + 1, n + 1)
         C' C, and C' diag(tau) C with the times from the middle of the block, s. Zero for a beacon that is left out.
+    ramp : ndarray, shape (n + 1,)
+        What the columns take of the times, s: `ramp_of`.
     weight : ndarray, shape (3, 3)
         Inverse covariance of a sample's components in the sensor's frame, 1/T^2; of less rank if axes are missing.
     end_s : float
@@ -55,6 +57,7 @@ class NormalForm:
     sums_T: FloatArray
     gram: FloatArray
     moment: FloatArray
+    ramp: FloatArray
     weight: FloatArray
     end_s: float
     axes: NDArray[np.bool_]
@@ -75,18 +78,26 @@ class NormalForm:
         across[:, rows] = self.gram[:, rows] @ np.linalg.pinv(self.gram[out], rcond=PIVOT, hermitian=True)
         across[rows] = 0.0
         both = np.outer(kept, kept)
-        return replace(
-            self,
-            sums_T=np.where(kept[:, None], self.sums_T - across @ self.sums_T, 0.0),
-            gram=np.where(both, self.gram - across @ self.gram, 0.0),
-            moment=np.where(both, self.moment - across @ self.moment, 0.0),
-        )
+        gram = np.where(both, self.gram - across @ self.gram, 0.0)
+        moment = np.where(both, self.moment - across @ self.moment, 0.0)
+        sums = np.where(kept[:, None], self.sums_T - across @ self.sums_T, 0.0)
+        return replace(self, sums_T=sums, gram=gram, moment=moment, ramp=ramp_of(gram, moment))
 
     def scaled(self, factors: FloatArray) -> NormalForm:
         """Return what the block tells of fields of which the sensor gets some factors, shape (n,), as much."""
         each = np.append(factors, 1.0)
         both = np.outer(each, each)
-        return replace(self, sums_T=each[:, None] * self.sums_T, gram=both * self.gram, moment=both * self.moment)
+        gram, moment = both * self.gram, both * self.moment
+        return replace(self, sums_T=each[:, None] * self.sums_T, gram=gram, moment=moment, ramp=ramp_of(gram, moment))
+
+
+def ramp_of(gram: FloatArray, moment: FloatArray) -> FloatArray:
+    """Return the shares of the columns that together come nearest to the time from the middle of the block.
+
+    A field that changes evenly leaves them in the sums, each column as if it had a field of its own: this is how a
+    block tells of the turn rate by the sweep of the ambient field.
+    """
+    return np.asarray(np.linalg.pinv(gram, rcond=PIVOT, hermitian=True) @ moment[:, -1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +107,7 @@ class _Columns:
     reduced: FloatArray
     gram: FloatArray
     moment: FloatArray
+    ramp: FloatArray
 
 
 class BlockEquations:
@@ -163,7 +175,7 @@ class BlockEquations:
             return None
         components, weight = self._read(axes)
         sums = (columns.reduced @ data[:, axes]) @ components.T
-        return NormalForm(sums, columns.gram, columns.moment, weight, self._half_s(block), axes)
+        return NormalForm(sums, columns.gram, columns.moment, columns.ramp, weight, self._half_s(block), axes)
 
     def _half_s(self, block: Block) -> float:
         """Return the time from the middle of a block to its last sample."""
@@ -175,7 +187,9 @@ class BlockEquations:
         axes = np.arange(3) < len(self._axes)
         count = self.columns.shape[1]
         gram = self.columns.T @ self.columns
-        return NormalForm(np.zeros((count, 3)), gram, np.zeros_like(gram), self._read(axes)[1], 0.0, axes)
+        return NormalForm(
+            np.zeros((count, 3)), gram, np.zeros_like(gram), np.zeros(count), self._read(axes)[1], 0.0, axes
+        )
 
     def readings(self, components_T: FloatArray, axes: NDArray[np.bool_]) -> FloatArray:
         """Return what the sensor's axes read of components, both of shape (n, 3); NaN on axes not measured."""
@@ -218,11 +232,13 @@ class BlockEquations:
         columns = self.columns[place]
         late = tau[:, None] * columns
         if sampled or self._codes is None:
-            return _Columns(columns.T.copy(), columns.T @ columns, columns.T @ late)
+            gram, moment = columns.T @ columns, columns.T @ late
+            return _Columns(columns.T.copy(), gram, moment, ramp_of(gram, moment))
         codes = self._codes[place]
         through = codes.T @ columns
         back = through.T @ np.linalg.pinv(codes.T @ codes, rcond=PIVOT, hermitian=True)
-        return _Columns(back, back @ through, back @ (codes.T @ late))
+        gram, moment = back @ through, back @ (codes.T @ late)
+        return _Columns(back, gram, moment, ramp_of(gram, moment))
 
     def _read(self, axes: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
         """Return what makes components of the readings of some axes, shape (3, k), and the weight of a sample's."""

@@ -1,11 +1,13 @@
-"""What a block says of the nine observed numbers, and how filters take it (docs/blocks.md, "Update").
+"""What a block says of the twelve observed numbers, and how filters take it (docs/blocks.md, "Update").
 
-The numbers z are position, a small rotation and the ambient field as the sensor sees it, a = e + R b, all in the site's
-frame. `observed` turns a block into their information around a reference; `taken_by` updates any number of filters.
+The numbers z are position, a small rotation, the ambient field as the sensor sees it, a = e + R b, and how fast that
+changes as the sensor turns, its sweep; all in the site's frame. `observed` turns a block into their information around
+a reference; `taken_by` updates any number of filters.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,17 +15,23 @@ import numpy as np
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.track.blocks.equations import NormalForm
-from goldfield.track.blocks.state import AMBIENT, OFFSET, SIZE, Motion, crosses
+from goldfield.track.blocks.state import AMBIENT, OFFSET, SIZE, TURN, Motion, crosses
 from goldfield.types import FloatArray
 
-OBSERVED, MOVING = 9, 6
-"""Observed numbers, and numbers of the motion, velocity and turn rate, that shift them within a block."""
+OBSERVED, SEEN, MOVING = 12, 9, 6
+"""Observed numbers, those of them that the fields depend on, and numbers of the motion, velocity and turn rate."""
+
+SWEEP = slice(SEEN, OBSERVED)
+"""The sweep of the ambient field among the observed numbers."""
+
+UNEVEN_T_S = 5e-6
+"""Standard deviation of how fast the ambient field changes within a block by itself: by its slopes near iron."""
 
 MOTION = slice(6, 12)
 """Velocity and turn rate among the errors of the state."""
 
-SMALL_PIVOT = 1e-6
-"""A pivot below this part of its own diagonal says nothing that others do not say."""
+SMALL_PIVOTS: FloatArray = np.repeat([1e-6, 1e-2], [SEEN, OBSERVED - SEEN])
+"""A pivot below this part of its own diagonal says nothing that others do not say; those of the sweep are larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +47,7 @@ class Reference:
     slope_T_s : ndarray, shape (n + 1, 3)
         How they change in the sensor's frame, turned into the site's.
     jacobian : ndarray, shape (n + 1, 3, 9)
-        Derivatives of the fields by the observed numbers.
+        Derivatives of the fields by position, rotation and ambient field.
     """
 
     motion: Motion
@@ -63,7 +71,7 @@ def reference(model: FieldModel, motion: Motion) -> Reference:
     count = len(model)
     fields = np.empty((count + 1, 3))
     fields[:count], fields[count] = field.T, motion.ambient_T
-    jacobian = np.zeros((count + 1, 3, OBSERVED))
+    jacobian = np.zeros((count + 1, 3, SEEN))
     jacobian[:count, :, :3] = gradient.transpose(2, 0, 1)
     jacobian[:, :, 3:6] = crosses(fields)
     jacobian[count, :, 6:] = np.eye(3)
@@ -75,15 +83,15 @@ def reference(model: FieldModel, motion: Motion) -> Reference:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """What a block says of the errors of the state, as independent numbers of unit variance, at most nine.
+    """What a block says of the errors of the state, as independent numbers of unit variance, at most twelve.
 
     Attributes
     ----------
     motion : Motion
         The reference.
-    seen : ndarray, shape (18, 9)
+    seen : ndarray, shape (18, 12)
         A': how the numbers change with the errors; columns of zeros where nothing is said.
-    score : ndarray, shape (9,)
+    score : ndarray, shape (12,)
         The numbers, U^-1 g, of the reference.
     rank : int
         How many there are.
@@ -97,20 +105,36 @@ class Observed:
 
 def observed(form: NormalForm, around: Reference) -> Observed:
     """Turn a block into what it says around a reference."""
+    motion = around.motion
+    told = _told(form, around)
+    root, rest, rank = _root(told[:, :OBSERVED], told[:, OBSERVED:])
+    seen = np.zeros((SIZE, OBSERVED))
+    seen[:6, :SEEN], seen[MOTION] = root[:6, :SEEN], rest[:, :-1].T
+    seen[AMBIENT, :SEEN], seen[OFFSET, :SEEN] = root[6:SEEN, :SEEN], motion.rotation.T @ root[6:SEEN, :SEEN]
+    # The sweep e x w changes with the turn rate, which is done, with the field, and turns with the sensor.
+    sweep = root[SWEEP, SWEEP]
+    seen[TURN, SWEEP] = -crosses(around.slope_T_s[-1]) @ sweep
+    seen[AMBIENT, SWEEP] = crosses(motion.rate_rad_s) @ sweep
+    even = 1.0 / math.sqrt(1.0 + UNEVEN_T_S**2 * float(form.moment[:, -1] @ form.ramp * np.diag(form.weight).max()))
+    seen[:, SWEEP] *= even
+    score = rest[:, -1]
+    score[SWEEP] *= even
+    return Observed(motion, seen, score, rank)
+
+
+def _told(form: NormalForm, around: Reference) -> FloatArray:
+    """Return information, what the motion adds to the gradient, and the gradient: [L K g], shape (12, 19)."""
     count = len(around.field_T)
-    jacobian = around.jacobian.reshape(-1, OBSERVED)
-    weighted = (around.weight(form) @ around.jacobian).reshape(-1, OBSERVED)
+    weight = around.weight(form)
+    left = np.empty((count, 3, OBSERVED))
+    left[..., :SEEN], left[..., SWEEP] = weight @ around.jacobian, form.ramp[:, None, None] * weight
     through = np.empty((count, 3, OBSERVED + MOVING + 1))
-    through[..., :OBSERVED] = (form.gram @ around.jacobian.reshape(count, -1)).reshape(-1, 3, OBSERVED)
+    through[..., :SEEN] = (form.gram @ around.jacobian.reshape(count, -1)).reshape(-1, 3, SEEN)
+    through[..., SWEEP] = form.moment[:, -1, None, None] * np.eye(3)
     moving = np.ascontiguousarray(around.jacobian[..., :MOVING]).reshape(count, -1)
     through[..., OBSERVED:-1] = (form.moment @ moving).reshape(-1, 3, MOVING)
     through[..., -1] = around.residual(form)
-    told = weighted.T @ through.reshape(len(jacobian), -1)
-    root, rest, rank = _root(told[:, :OBSERVED], told[:, OBSERVED:])
-    seen = np.empty((SIZE, OBSERVED))
-    seen[:6], seen[MOTION] = root[:6], rest[:, :-1].T
-    seen[AMBIENT], seen[OFFSET] = root[6:], around.motion.rotation.T @ root[6:]
-    return Observed(around.motion, seen, rest[:, -1], rank)
+    return np.asarray(left.reshape(-1, OBSERVED).T @ through.reshape(3 * count, -1))
 
 
 def _root(information: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray, int]:
@@ -118,7 +142,7 @@ def _root(information: FloatArray, right: FloatArray) -> tuple[FloatArray, Float
     diagonal = np.diag(information)
     try:
         root = np.linalg.cholesky(information)
-        if (np.square(np.diag(root)) > SMALL_PIVOT * diagonal).all():
+        if (np.square(np.diag(root)) > SMALL_PIVOTS * diagonal).all():
             return np.asarray(root, dtype=np.float64), np.asarray(np.linalg.solve(root, right)), OBSERVED
     except np.linalg.LinAlgError:
         pass
@@ -126,7 +150,7 @@ def _root(information: FloatArray, right: FloatArray) -> tuple[FloatArray, Float
     left, rest = information.copy(), right.copy()
     for column in range(OBSERVED):
         pivot = left[column, column]
-        if not pivot > SMALL_PIVOT * diagonal[column]:
+        if not pivot > SMALL_PIVOTS[column] * diagonal[column]:
             continue
         partial[column:, column] = left[column:, column] / np.sqrt(pivot)
         done[column] = rest[column] / partial[column, column]
@@ -144,7 +168,7 @@ class Update:
     ----------
     change : ndarray, shape (k, 18)
         By which the states move.
-    gain : ndarray, shape (k, 18, 9)
+    gain : ndarray, shape (k, 18, 12)
         The covariances lose ``gain @ gain'``.
     surprise : ndarray, shape (k,)
         Chi-square with the block's rank as degrees of freedom if all is as described.

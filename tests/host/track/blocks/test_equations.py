@@ -111,7 +111,9 @@ def test_a_beacon_left_out_is_one_whose_field_may_be_anything():
     assert not left.sums_T[[2, 5]].any()
     wild = FIELD.copy()
     wild[[2, 5]] += 1e-3
-    other = NormalForm(form.sums_T + form.gram @ (wild - FIELD), form.gram, form.moment, form.weight, 0.0, form.axes)
+    other = NormalForm(
+        form.sums_T + form.gram @ (wild - FIELD), form.gram, form.moment, form.ramp, form.weight, 0.0, form.axes
+    )
     np.testing.assert_allclose(other.without(np.array([2, 5])).sums_T, left.sums_T, atol=1e-15)
     kept = np.delete(np.arange(9), [2, 5])
     whole = np.linalg.inv(form.gram)[np.ix_(kept, kept)]

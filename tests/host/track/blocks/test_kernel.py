@@ -12,7 +12,7 @@ from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.track.blocks import kernel
 from goldfield.track.blocks.bank import Bank, Start
-from goldfield.track.blocks.equations import NormalForm
+from goldfield.track.blocks.equations import NormalForm, ramp_of
 from hil_sim.clib import ROOT
 
 CHIP_S, CHIPS, NOISE_T = 0.1 / 1023, 31, 2e-8
@@ -44,10 +44,12 @@ def blocks(model, count, seed=1):
             field, _ = model.evaluate(position)
             samples.append(rotation.T @ (field @ row[:-1] + ambient))
         data = np.array(samples) + rng.normal(0.0, NOISE_T, (CHIPS, 3))
+        gram, moment = columns.T @ columns, columns.T @ (tau[:, None] * columns)
         yield NormalForm(
             columns.T @ data,
-            columns.T @ columns,
-            columns.T @ (tau[:, None] * columns),
+            gram,
+            moment,
+            ramp_of(gram, moment),
             np.eye(3) / NOISE_T**2,
             15 * CHIP_S,
             np.ones(3, dtype=bool),
