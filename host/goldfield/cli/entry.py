@@ -59,6 +59,17 @@ OWN_PACKAGES = ("goldfield", "hil_sim")
 LONGEST_COMPLAINT = 600
 
 
+class _Formatter(argparse.HelpFormatter):
+    """Leaves room for the longest subcommand, whose indent argparse does not count."""
+
+    def add_argument(self, action: argparse.Action) -> None:
+        """See `argparse.HelpFormatter`."""
+        super().add_argument(action)
+        for below in self._iter_indented_subactions(action):
+            width = len(self._format_action_invocation(below)) + self._current_indent
+            self._action_max_length = max(self._action_max_length, width)
+
+
 class Parser(argparse.ArgumentParser):
     """A parser whose complaint is one line, and which knows ``-q`` and ``-v`` wherever they stand."""
 
@@ -185,7 +196,11 @@ def build_parser(called: str | None = None, *, every: bool = False) -> argparse.
     every : bool
         Load every subcommand.
     """
-    parser = Parser(prog="goldfield", description="Indoor position and attitude from coded magnetic fields.")
+    parser = Parser(
+        prog="goldfield",
+        description="Indoor position and attitude from coded magnetic fields.",
+        formatter_class=_Formatter,
+    )
     parser.add_argument("--version", action=_Version, nargs=0, help="show version and protocol, and exit")
     subparsers = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, (module, summary) in COMMANDS.items():
