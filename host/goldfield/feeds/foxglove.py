@@ -16,14 +16,14 @@ from goldfield.feeds.feed import Feed, Setting
 from goldfield.feeds.stamped import StampedPose
 from goldfield.files.inputs import reason_of
 from goldfield.foxglove.channels import Channels
-from goldfield.foxglove.messages import log_message, pose_messages
+from goldfield.foxglove.messages import log_message, pose_messages, times
 from goldfield.foxglove.scene import pose_scene, scene
 from goldfield.foxglove.topics import COVARIANCE, FIELDS, HEALTH, LINE, LOG, POSE, SCENE, TRANSFORMS
 from goldfield.nodes.roster import Roster
 from goldfield.sensor.pipeline import Epoch
 from goldfield.view.lines import line_record
 from goldfield.view.monitor import Monitor
-from goldfield.view.records import fields_record, number
+from goldfield.view.records import fields_record
 
 BACKLOG = 512
 """Messages that wait for one consumer; the oldest goes if there is no room."""
@@ -82,8 +82,8 @@ class FoxgloveFeed:
         if stamped.line.epoch is not None:
             self._write_epoch(stamped.line.epoch, unix_s, now_s)
         if self._channels.wanted(LINE):
-            times = {"unix_s": number(stamped.unix_s), "latency_s": number(stamped.latency_s(now_s))}
-            self._channels.log(LINE, line_record(stamped.line) | times, now_s)
+            told = times(stamped.unix_s, now_s if stamped.live else math.nan)
+            self._channels.log(LINE, line_record(stamped.line) | told, now_s)
         if self._channels.wanted(POSE, COVARIANCE, TRANSFORMS):
             for topic, message in pose_messages(stamped.pose, unix_s):
                 self._channels.log(topic, message, now_s)
