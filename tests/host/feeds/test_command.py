@@ -73,6 +73,17 @@ def test_feeds_of_the_environment(tmp_path, log, monkeypatch):
     assert [len(path.read_text().splitlines()) for path in paths] == [6, 10]
 
 
+def test_without_feeds_no_package_of_theirs_is_loaded(log):
+    program = f"""
+import sys
+from goldfield.cli import main
+assert main(["run", "--site", {str(SITE)!r}, "--log", {str(log)!r}]) == 0
+print(*{{"websockets", "paho", "foxglove"}} & {{*sys.modules}}, "loaded")
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "loaded"
+
+
 @contextlib.contextmanager
 def running(*words):
     command = [sys.executable, "-m", "goldfield", "run", "--site", str(SITE), *words]
