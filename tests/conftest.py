@@ -44,6 +44,7 @@ LONG = (
     "host/calibration/test_sensor.py",
     "host/cli/test_hostile_streams.py",
     "host/cli/test_plan.py",
+    "host/feeds/test_command.py",
     "host/feeds/test_mqtt.py",
     "host/locate/test_locator.py",
     "host/locate/test_own_body.py",
