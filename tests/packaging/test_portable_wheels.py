@@ -120,9 +120,11 @@ def blocks(tmp_path_factory):
 def test_auditwheel_finds_nothing_newer_than_glibc_2_28_in_it(processor):
     wheel = wheel_of(processor)
     shown = subprocess.run([TOOLS / "auditwheel", "show", wheel], capture_output=True, text=True, check=True)
-    told = re.search(r'constrains the platform tag to "manylinux_2_(\d+)_(\w+)"', " ".join(shown.stdout.split()))
-    assert int(told[1]) <= 28
-    assert told[2] == processor
+    versions = re.findall(r"GLIBC_(\d+)\.(\d+)", shown.stdout)
+    assert versions
+    assert max((int(major), int(minor)) for major, minor in versions) <= (2, 28)
+    assert f'"linux_{processor}"' in " ".join(shown.stdout.split())  # for nothing but the library of Unicorn
+    assert re.findall(r'"(lib\S+)": null', shown.stdout) in ([], ["libunicorn.so.2"])
     names = set(zipfile.ZipFile(wheel).namelist())
     assert {f"hil_sim/built/{library}" for library in LIBRARIES} <= names
     assert {"goldfield/page/built/index.html", "goldfield/locate/kernel/built/libgf_locate.so"} <= names
