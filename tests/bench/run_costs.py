@@ -1,9 +1,10 @@
 """Print what ``goldfield run`` costs in processor time and memory, at 10 to 330 Hz, without the live page and with it.
 
-``python -m tests.bench.run_costs [--seconds N] [--turns N]``. Simulated boards, compiled for this machine, are recorded
-for so long with all that a sensor sends, and the recording is read again: once a quarter of it and once all of it, so
-that the difference is what a second of the sensor costs, whatever else the machine does meanwhile. It is printed as a
-share of one core; memory is the peak of either run, shared libraries included, which tells whether it grows.
+``python -m tests.bench.run_costs [--seconds N] [--turns N] [--rates 10,100,330]``. Simulated boards, compiled for this
+machine, are recorded for so long with what a sensor sends for that rate: at 10 Hz a field of each beacon and cycle,
+above that blocks of chips. The recording is read again, once a quarter of it and once all of it, so that the difference
+is what a second of the sensor costs, whatever else the machine does meanwhile. It is printed as a share of one core;
+memory is the peak of either run, shared libraries included, which tells whether it grows.
 """
 
 from __future__ import annotations
@@ -21,16 +22,16 @@ PAGES: dict[str, list[str]] = {"no": [], "yes": ["--view", "127.0.0.1:0"]}
 SHARE = 0.25
 
 
-def record(folder: Path, seconds: float) -> Path:
-    """Record a sensor that sends blocks of chips; return the recording, beside which is site.toml."""
+def record(folder: Path, seconds: float, rate: list[str]) -> Path:
+    """Record a sensor that sends what a rate needs; return the recording, beside which is site.toml."""
     site, log = folder / "site.toml", folder / "all.log"
     words = ["hil", "prigge8", "--boards", "host", "--pace", "0", "--can", "none", "--json", "--site", str(site)]
     bench = subprocess.Popen([*GOLDFIELD, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         assert bench.stdout is not None
         port = json.loads(bench.stdout.readline())["serial"]
-        words = ["run", "--port", port, "--site", str(site), "--rate", "330", "--seconds", str(seconds)]
-        cost([*GOLDFIELD, *words, "--record", str(log)])
+        words = ["run", "--port", port, "--site", str(site), *rate, "--seconds", str(seconds)]
+        cost([*GOLDFIELD, *words, "--record", str(log), "--force"])
     finally:
         bench.terminate()
         bench.communicate()
@@ -42,14 +43,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=40.0, help="length of the recording")
     parser.add_argument("--turns", type=int, default=2, help="runs of each, of which the least time counts")
+    parser.add_argument("--rates", default=",".join(RATES), help="of them (default: all)")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
-        log = record(Path(name), arguments.seconds)
-        lines = log.read_text(encoding="utf-8").splitlines(keepends=True)
         part = Path(name) / "part.log"
-        part.write_text("".join(lines[: int(len(lines) * SHARE)]), encoding="utf-8")
         print("rate Hz  page   % of one core   peak MB, a quarter   peak MB, all")
-        for rate, words in RATES.items():
+        for rate in arguments.rates.split(","):
+            words = RATES[rate]
+            log = record(Path(name), arguments.seconds, words)
+            lines = log.read_text(encoding="utf-8").splitlines(keepends=True)
+            part.write_text("".join(lines[: int(len(lines) * SHARE)]), encoding="utf-8")
             for page, more in PAGES.items():
                 run = [*GOLDFIELD, "run", "--site", f"{name}/site.toml", "--json", *words, *more, "--log"]
                 short, long = (least([*run, str(path)], arguments.turns) for path in (part, log))

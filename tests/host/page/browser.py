@@ -89,7 +89,7 @@ class Served:
     def publish(self, messages):
         """Publish messages of a recording."""
         for kind, message in messages:
-            (self.hub.publish_epoch if kind == "epoch" else self.hub.publish_health)(message)
+            getattr(self.hub, f"publish_{kind}")(message)
 
     def __enter__(self):
         return self

@@ -1,5 +1,9 @@
 """The page in a real browser: a way through all of it by mouse and keyboard, desktop and phone, dark and light."""
 
+import json
+import os
+from pathlib import Path
+
 import pytest
 from playwright.sync_api import expect
 
@@ -244,22 +248,43 @@ def test_anybody_can_use_it_and_nothing_jumps(opened, served, messages, device, 
     assert sum(value for value, _ in moved) < 0.02, moved
 
 
+def own_memory():
+    """Return the memory that this process holds, in which the server runs, bytes."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def at_rate(messages, fixes):
+    """Return the messages with so many poses at times of their own behind each epoch."""
+    spread = []
+    for kind, message in messages:
+        record = json.loads(message)
+        spread.append((kind, json.dumps(record | {"at_rate": True} if kind == "epoch" and fixes else record)))
+        if kind == "epoch":
+            step_s = ROOM.cycle_s / max(fixes, 1)
+            spread += [
+                ("fix", json.dumps(record | {"type": "fix", "t_s": record["t_s"] + n * step_s})) for n in range(fixes)
+            ]
+    return spread
+
+
 @pytest.mark.slow
-def test_an_hour_of_virtual_time_takes_no_more_memory(opened, served, calm):
+@pytest.mark.parametrize(("rate_hz", "fixes", "batch"), [(10, 0, 90), (100, 10, 30)])
+def test_an_hour_of_virtual_time_takes_no_more_memory(opened, served, calm, rate_hz, fixes, batch):
     page = opened()
     client = page.context.new_cdp_session(page)
     client.send("HeapProfiler.enable")
-    epochs = sum(kind == "epoch" for kind, _ in calm)
-    used, played = [], 0
+    first = next((n for n, (kind, message) in enumerate(calm) if _epoch(kind, message) >= batch), len(calm))
+    messages = at_rate(calm[:first], fixes)  # fewer than the messages that wait for a browser
+    browser, server, played = [], [], 0
     while played < 36_000:  # of a tenth of a second each
-        for _ in range(4):  # fewer than the messages that wait for a browser
-            served.publish(times_later(calm, played * ROOM.cycle_s))
-            played += epochs
-        page.wait_for_function("n => parseInt(document.getElementById('counts').textContent) >= n", arg=played)
-        if played // 12_000 > len(used):
+        served.publish(times_later(messages, played * ROOM.cycle_s))
+        played += batch
+        expect(page.locator("#counts")).to_have_text(f"{played} epochs")  # and none was skipped
+        if played // 9_000 > len(browser):
             client.send("HeapProfiler.collectGarbage")
-            used.append(client.send("Runtime.getHeapUsage")["usedSize"])
-    expect(page.locator("#counts")).to_have_text(f"{played} epochs")  # and none was skipped
-    print([f"{one / 1e6:.1f} MB" for one in used])
-    assert len(used) == 3
-    assert used[2] < 1.1 * used[1] + 1e6
+            browser.append(client.send("Runtime.getHeapUsage")["usedSize"])
+            server.append(own_memory())
+    for name, used in (("browser", browser), ("server", server)):
+        print(f"{rate_hz} Hz, {name}: {[f'{one / 1e6:.1f} MB' for one in used]}")
+        assert len(used) == 4
+        assert used[3] < 1.1 * used[1] + 1e6
