@@ -35,6 +35,10 @@
  * 34 is more than 31 chips tell apart. Poses (parameter pose) take 7 ms with no prior, 3 ms from the pose before,
  * and 30 ms where fields and site do not agree (pose.h); cycles that end meanwhile are answered as failed.
  *
+ * Blocks that are sent come first: a step of a pose, of up to 1.3 ms, begins only in the 1.2 ms after a block (and at
+ * least one does), so that the next one leaves at once. Where the sensor makes poses of blocks itself they wait, since
+ * there is no time to lose.
+ *
  * Blocks (parameter blocks) take half of CAN or a quarter of serial for 8 codes (framing.md, "Budget").
  *
  * Memory: 65 kB, and onboard.h and tracking.h.
@@ -59,7 +63,8 @@
 #include "services/tracking.h"
 
 #define SENSE_TURN_US         2000u /* Time in a turn after which no step of a pose begins: a block takes 3 ms. */
-#define SENSE_STREAM_MESSAGES 128u  /* Length of the queue of streamed chips: four blocks. */
+#define SENSE_BEGIN_US        1200u /* Time after a block after which none begins while blocks are sent: they take 1.3 ms. */
+#define SENSE_STREAM_MESSAGES 128u /* Length of the queue of streamed chips: four blocks. */
 
 /* Private but for tests, sampled and selection. */
 typedef struct {
@@ -74,6 +79,8 @@ typedef struct {
     tracking_t *tracking;
     block_t block;              /* Lent to it: the core-coupled memory is full. */
     bool tracks_first;          /* Spare time goes to the start of the track first, then to the pose of a cycle. */
+    uint64_t block_us;          /* When the latest block was seen, us. */
+    bool begun;                 /* A step of a pose has begun since then. */
     uint32_t unsent;            /* Reports of cycles for which a link had no room. */
     volatile bool streaming;    /* Every chip is sent on serial. */
     volatile bool sampled;      /* A block has been taken. */

@@ -206,3 +206,19 @@ def test_no_step_of_a_pose_begins_after_2_ms_of_a_turn(elf):
     assert len(ends) > 2
     assert max(ends) < late_us
     assert np.median(ends) > 1000
+
+
+def test_a_step_of_a_pose_leaves_the_next_block_free(elf):
+    """While blocks are sent, steps begin only soon after one; a cycle is located all the same."""
+    sensor = Sensor(elf, 8, pose_blocks=0, blocks=1)
+    for _ in range(5 * 33):
+        sensor.sample()
+        sensor.step()
+    steps = Turns(sensor.machine, "blocks_step", "pose_step")
+    sensor.machine.write("asked_us", struct.pack("<I", 250))  # A step is over when it is too late for another.
+    for _ in range(3 * 33):
+        sensor.sample()
+        for _ in range(3):
+            sensor.step()
+    assert sum(map(len, steps.turns)) >= 4  # Two for each cycle.
+    assert max(map(len, steps.turns)) == 1
