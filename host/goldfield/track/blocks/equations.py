@@ -160,7 +160,7 @@ class BlockEquations:
             components, weight = self._read(ALL_AXES)
             columns = self._columns(block.chip, block.chips, block.sampled)
             sums = (columns.reduced @ data) @ components.T
-            return NormalForm(sums, columns.gram, columns.moment, weight, self._half_s(block), ALL_AXES)
+            return NormalForm(sums, columns.gram, columns.moment, columns.ramp, weight, self._half_s(block), ALL_AXES)
         axes: NDArray[np.bool_] = np.asarray(usable.any(axis=0))
         axes[len(self._axes) :] = False
         if not axes.any():
