@@ -1,6 +1,6 @@
-"""A growing MCAP file that can be opened at any moment: a crash costs what came in the last half second.
+"""A growing MCAP file that can be opened at any moment: a crash costs what came in the last quarter of a second.
 
-The Foxglove SDK packs messages into chunks. Here each chunk is ended twice a second and goes to the file at once, in
+The Foxglove SDK packs messages into chunks. Here each chunk is ended four times a second and goes to the file at once, in
 one piece, with an end behind it that makes the file a whole one, without an index; the next chunk is written over that
 end. When the file is closed the SDK's own end with the index takes its place.
 """
@@ -20,7 +20,7 @@ from goldfield.foxglove.channels import Channels
 from goldfield.link.recording_file import RecordingFile
 from goldfield.link.ros_frame import nanoseconds
 
-FLUSH_S = 0.5
+FLUSH_S = 0.25
 """Time from one chunk to the next, s."""
 
 MAGIC = b"\x89MCAP0\r\n"

@@ -141,8 +141,8 @@ def test_the_file_is_whole_after_each_flush(tmp_path, monkeypatch):
         assert SeekingReader(whole, validate_crcs=True).get_summary().statistics.message_count == 200
 
 
-def test_a_chunk_is_written_twice_a_second():
-    assert writing.FLUSH_S <= 0.5
+def test_a_chunk_is_written_four_times_a_second():
+    assert writing.FLUSH_S <= 0.25
 
 
 def test_a_file_that_is_cut_off_anywhere_gives_what_came_before(tmp_path, recorded, capsys):
