@@ -1,8 +1,8 @@
 """A growing MCAP file that can be opened at any moment: a crash costs what came in the last quarter of a second.
 
-The Foxglove SDK packs messages into chunks. Here each chunk is ended four times a second and goes to the file at once, in
-one piece, with an end behind it that makes the file a whole one, without an index; the next chunk is written over that
-end. When the file is closed the SDK's own end with the index takes its place.
+The Foxglove SDK packs messages into chunks. Here each chunk is ended four times a second and goes to the file at once,
+in one piece, with an end behind it that makes the file a whole one, without an index; the next chunk is written over
+that end. When the file is closed the SDK's own end with the index takes its place.
 """
 
 from __future__ import annotations
