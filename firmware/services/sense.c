@@ -228,7 +228,8 @@ static bool spare_step(sense_t *sense) {
 static bool may_begin(const sense_t *sense, uint64_t start_us) {
     const uint64_t now_us = hal_microseconds(sense->node->hal), since_us = now_us - sense->block_us;
     const bool sent = sense->blocks.links != NODE_NO_LINK && sense->tracking->every == 0u && sense->begun;
-    const bool soon = sent && since_us >= SENSE_BEGIN_US && since_us < 2u * SENSE_TURN_US; /* Later none comes. */
+    const bool soon = sent && since_us >= SENSE_BEGIN_US &&
+                      since_us < (uint64_t)2 * SENSE_TURN_US; /* Later none comes. */
     return now_us - start_us < SENSE_TURN_US && !soon;
 }
 
