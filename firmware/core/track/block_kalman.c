@@ -20,7 +20,7 @@
 typedef float group_t[N][GROUP];
 
 /* Adds to a covariance what white acceleration does to a vector and to its rate. length is that of a row. */
-static void agitate(float *covariance, uint32_t length, uint32_t vector, uint32_t rate, float agility2, float seconds) {
+static void agitate(float *covariance, size_t length, uint32_t vector, uint32_t rate, float agility2, float seconds) {
     const float variance = agility2 * (seconds > 0.0f ? seconds : -seconds);
     const float middle = 0.5f * seconds * variance, far = seconds * seconds * variance * (1.0f / 3.0f);
     for (uint32_t axis = 0; axis < 3u; axis++) {
