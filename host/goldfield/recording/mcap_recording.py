@@ -29,7 +29,7 @@ HEALTH_EVERY_S = 1.0
 ELLIPSOID_EVERY_S = 0.05
 """Time from one ellipsoid in the scene to the next, s: no eye follows 330 a second."""
 
-MEASUREMENTS = ("EPOCH", "EPOCH_OFFSET", "FIELD", "PART", "BLOCK", "BLOCK_SUM", "CHIP")
+MEASUREMENTS = ("EPOCH", "EPOCH_OFFSET", "FIELD", "BLOCK", "BLOCK_SUM", "CHIP")
 """Messages, thousands a second, that say nothing of the boards."""
 _MEASURED = {Identifier.unpack(database().get_message_by_name(name).frame_id).type for name in MEASUREMENTS}
 
