@@ -289,7 +289,7 @@ COMMAND_LINES = [
     ["run", "--log", "recording.log", "--site", "site.toml", "--record", "recording.log"],
     ["run", "--log", "recording.log", "--site", "site.toml", "--record", "recording.log", "--force"],
     ["run", "--log", "recording.log", "--site", "site.toml", "--record", "fields.csv"],
-    ["run", "--log", "recording.log", "--site", "site.toml", "--record", "new.blf"],
+    ["run", "--log", "recording.log", "--site", "site.toml", "--record", "new.trc"],
     ["run", "--log", "recording.log", "--site", "site.toml", "--fields", "folder"],
     ["run", "--log", "recording.log", "--site", "site.toml", "--fields", "nowhere/f.csv"],
     ["run", "--log", "recording.log", "--site", "site.toml", "--fields", "site.toml", "--force"],
