@@ -25,7 +25,7 @@ ROOT = Path(__file__).resolve().parent
 KERNEL = "host/goldfield/locate/kernel"
 BANK = "host/goldfield/track/blocks/kernel"
 BANK_CORE = (
-    *(f"track/block_{part}" for part in ("filter", "kalman", "measure", "mix", "state")),
+    *(f"track/block_{part}" for part in ("filter", "kalman", "measure", "mix", "state", "sweep")),
     *("pose/loop_field", "math/quaternion"),
 )
 """What the block filter in the host consists of: sources of the firmware."""

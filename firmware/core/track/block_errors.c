@@ -11,19 +11,13 @@
 typedef float effects_t[3][BEACON_ERRORS];
 typedef float square_t[BLOCK_OBSERVED][BLOCK_OBSERVED];
 
-/* Returns the column of A in which the diagonal of an observed number stands. */
-static inline uint32_t column_of(uint32_t number) {
-    return number < 6u ? number : BLOCK_E - 6u + number;
-}
-
 /* Computes what a beacon's errors, each of one standard deviation, do to its field. */
 static void beacon_effects(const block_measure_t *measure, const loop_t *coil, uint32_t i,
                            const block_beacon_errors_t *errors, effects_t effects) {
-    const float *const b = measure->model[i].field_uT, *const five = measure->model[i].gradient;
-    const float gradient[3][3] = {
-        {five[0], five[1], five[2]}, {five[1], five[3], five[4]}, {five[2], five[4], -five[0] - five[3]}};
+    const float *const b = measure->model[i].field_uT;
     const float b_cross[3][3] = {{0.0f, -b[2], b[1]}, {b[2], 0.0f, -b[0]}, {-b[1], b[0], 0.0f}};
-    float offset[3];
+    float gradient[3][3], offset[3];
+    block_field_expand(measure->model[i].gradient, gradient);
     vector3_subtract(measure->reference.position_m, coil->centre_m, offset);
     for (uint32_t row = 0; row < 3u; row++) {
         float turned[3]; /* The row of G [q]x: as if the coil stood still and the point were turned around it. */
@@ -59,7 +53,7 @@ static void add_square(const block_measure_t *measure, const float pivots[BLOCK_
     for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
         y[i] = weight * d[i];
         for (uint32_t k = 0; k < i; k++) {
-            y[i] -= measure->rows[k][column_of(i)] * y[k];
+            y[i] -= measure->rows[k][block_measure_diagonal(i)] * y[k];
         }
         y[i] *= pivots[i];
         for (uint32_t k = 0; k <= i; k++) {
@@ -72,7 +66,7 @@ static void add_square(const block_measure_t *measure, const float pivots[BLOCK_
 static void solve(const block_measure_t *measure, const float pivots[BLOCK_OBSERVED], float x[BLOCK_OBSERVED]) {
     for (uint32_t i = BLOCK_OBSERVED; i-- > 0u;) {
         for (uint32_t k = i + 1u; k < BLOCK_OBSERVED; k++) {
-            x[i] -= measure->rows[i][column_of(k)] * x[k];
+            x[i] -= measure->rows[i][block_measure_diagonal(k)] * x[k];
         }
         x[i] *= pivots[i];
     }
@@ -126,7 +120,7 @@ void block_errors(const block_measure_t *measure, const loop_t *coils, uint32_t 
     square_t square = {{0.0f}};
     float pivots[BLOCK_OBSERVED];
     for (uint32_t row = 0; row < BLOCK_OBSERVED; row++) {
-        const float pivot = measure->rows[row][column_of(row)];
+        const float pivot = measure->rows[row][block_measure_diagonal(row)];
         pivots[row] = pivot > 0.0f ? 1.0f / pivot : 0.0f;
     }
     for (uint32_t row = 0; row < 6u; row++) {

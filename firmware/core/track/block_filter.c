@@ -1,5 +1,6 @@
 #include "core/track/block_filter.h"
 
+#include <stddef.h>
 #include <string.h>
 
 #include "core/math/chi_square.h"
@@ -100,17 +101,16 @@ void block_filter_predict(block_filter_t *filter, float seconds) {
     }
 }
 
-/* Gives the block that was measured to all filters.
+/* Gives the block that was measured to all filters, with the rows of its sweep or NULL.
  * Returns whether any took it. */
-static bool take(block_filter_t *filter) {
+static inline bool take(block_filter_t *filter, const block_sweep_t *sweep) {
     const float limit = chi_square_limit((float)filter->measure.rank, REFUSED);
     float likelihood[BLOCK_FILTERS], chi_square[BLOCK_FILTERS];
     bool taken = false;
     for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
         float log_determinant;
-        if (block_kalman_update(&filter->filters[k], &filter->measure, limit, &chi_square[k], &log_determinant)) {
-            taken = true;
-        }
+        chi_square[k] = block_kalman_update(&filter->filters[k], &filter->measure, sweep, limit, &log_determinant);
+        taken = taken || chi_square[k] <= limit;
         likelihood[k] = -0.5f * (chi_square[k] + log_determinant);
     }
     if (taken) {
@@ -121,16 +121,30 @@ static bool take(block_filter_t *filter) {
     return taken;
 }
 
-bool block_filter_update(block_filter_t *filter, const block_t *block, float seconds) {
+/* Moves on and takes a block, with its sweep if there is room for it. It is inline, so that the sensor's update has
+ * nothing of the sweep in it. */
+static inline bool update(block_filter_t *filter, const block_t *block, float seconds, block_sweep_t *sweep) {
     block_filter_predict(filter, seconds);
     if (block_filter_lost(filter) || block->columns != filter->count + 1u || !plausible(block)) {
         return false;
     }
     filter->measure.reference = filter->filters[filter->best].state;
     block_measure(block, filter->coils, &filter->measure);
-    const bool taken = take(filter);
+    if (sweep != NULL) {
+        filter->measure.rank += block_sweep(block, &filter->measure, sweep);
+    }
+    const bool taken = take(filter, sweep);
     filter->refused = taken ? 0u : filter->refused + 1u;
     return taken;
+}
+
+bool block_filter_update(block_filter_t *filter, const block_t *block, float seconds) {
+    return update(filter, block, seconds, NULL);
+}
+
+bool block_filter_update_swept(block_filter_t *filter, const block_t *block, float seconds) {
+    block_sweep_t sweep;
+    return update(filter, block, seconds, &sweep);
 }
 
 void block_filter_output(const block_filter_t *filter, float seconds, block_pose_t *pose) {

@@ -7,6 +7,7 @@
  *   2. block_filter_start   with the pose of one block, from core/pose by the fields of block_separate (block_out.h).
  *   3. block_filter_update  with each block (block_gram.h) and the time since the block before; a block that was lost
  *                           only makes that time longer.
+ *                           block_filter_update_swept does the same with the sweep of the ambient field, for the host.
  *   4. block_filter_output  for the pose at the last sample, or at any other time near it.
  * When block_filter_lost returns true the start is due, at first and again after BLOCK_FILTER_REFUSALS blocks in a row
  * that no filter could believe. Until then blocks are predicted over.
@@ -19,7 +20,7 @@
  * Units: uT, m, rad, s. Attitudes are quaternions x, y, z, w with B_site = R B_sensor; turns are in the site's frame.
  *
  * Accuracy. Poses differ from those of the same filter in double precision by at most a hundredth of their standard
- * deviations (tests/firmware/core/track/test_block_filter.py).
+ * deviations, a fiftieth with the sweep (tests/firmware/core/track/test_block_filter.py).
  *
  * Time (Cortex-M4, gcc 12 -O3 -ffp-contract=fast, counted in Unicorn by
  * tests/firmware/core/track/test_block_instructions.py): instructions of block_gram, block_filter_update and
@@ -32,8 +33,8 @@
  *     1                               14 %     18 %     29 %
  *     1.5                             22 %     27 %     43 %
  *     2.5                             36 %     45 %     72 %
- * Of 74,000, 45,000 are the updates of the four filters, 5,000 their predictions, 11,000 what the block tells, 4,500 the
- * output, 3,000 the mixing, 2,200 the gram matrix.
+ * Of 74,000, 45,000 are the updates of the four filters, 5,000 their predictions, 11,000 what the block tells, 4,500
+ * the output, 3,000 the mixing, 2,200 the gram matrix.
  *
  * Contexts: one. Memory: block_filter_t 9.6 kB, block_t 9.1 kB; stack 2 kB.
  */
@@ -71,7 +72,6 @@ typedef struct {
     block_measure_t measure; /* Work of the last block. */
     const loop_t *coils;
     uint32_t count;   /* Coils. */
-    float noise_uT;   /* Standard deviation of a component of a sample, the converter's noise included. */
     uint32_t best;    /* The likeliest filter. */
     float unmixed_s;  /* Time since the filters were mixed. */
     uint32_t refused; /* Blocks in a row that all filters refused. */
@@ -99,6 +99,9 @@ bool block_filter_lost(const block_filter_t *filter);
  * Returns false if no filter took the block: the state is then the prediction alone. Sums that are not finite or huge
  * are refused without being counted. */
 bool block_filter_update(block_filter_t *filter, const block_t *block, float seconds);
+
+/* The same, with the sweep of the ambient field, which tells more of the turn rate (block_sweep.h), for more time. */
+bool block_filter_update_swept(block_filter_t *filter, const block_t *block, float seconds);
 
 /* Move on by so many seconds without a block. */
 void block_filter_predict(block_filter_t *filter, float seconds);

@@ -1,5 +1,6 @@
 #include "core/track/block_kalman.h"
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <string.h>
 
@@ -9,7 +10,6 @@
 #include "core/track/block_matrix.h"
 
 #define N BLOCK_STATES
-#define Z BLOCK_OBSERVED
 
 #define AMBIENT_WALK 5.0f  /* Walk of the ambient field, uT per root second: a moving sensor passes iron. */
 #define OFFSET_WALK  0.02f /* Walk of the sensor's offset, uT per root second: it warms up. */
@@ -78,7 +78,7 @@ void block_kalman_ahead(block_state_t *state, float covariance[BLOCK_E][BLOCK_E]
 
 /* Returns the first column of a group of rows that is not zero. */
 static inline uint32_t first_column(uint32_t row) {
-    return row < 6u ? row : BLOCK_V;
+    return row < 6u ? row : row < BLOCK_OBSERVED ? BLOCK_V : BLOCK_THETA;
 }
 
 /* Adds to six rows of P A' what a column of P does, whose elements lie step apart. */
@@ -185,24 +185,25 @@ static void shrink(const float from[N][N], const group_t g, float to[N][N]) {
     }
 }
 
-bool block_kalman_update(block_kalman_t *filter, const block_measure_t *measure, float limit, float *chi_square,
-                         float *log_determinant) {
-    float x[N], before[N], rest[N][N];
+float block_kalman_update(block_kalman_t *filter, const block_measure_t *measure, const block_sweep_t *sweep,
+                          float limit, float *log_determinant) {
+    const uint32_t end = sweep != NULL ? BLOCK_OBSERVED + BLOCK_SWEEPS : BLOCK_OBSERVED;
+    float x[N], before[N], rest[N][N], chi_square = 0.0f;
     group_t g;
     const float(*covariance)[N] = (const float(*)[N])filter->covariance;
     block_state_subtract(&filter->state, &measure->reference, x);
-    *chi_square = *log_determinant = 0.0f;
-    for (uint32_t row = 0; row < Z; row += GROUP) {
-        const float(*const rows)[BLOCK_ROW] = &measure->rows[row];
+    *log_determinant = 0.0f;
+    for (uint32_t row = 0; row < end; row += GROUP) {
+        const float(*const rows)[BLOCK_ROW] = row < BLOCK_OBSERVED ? &measure->rows[row] : sweep->rows;
         float v[GROUP][GROUP], y[GROUP];
         weigh(covariance, rows, first_column(row), g);
         innovate(rows, first_column(row), (const float(*)[GROUP])g, x, v, y);
         *log_determinant += natural_logarithm(factor(v));
         solve((const float(*)[GROUP])v, y);
-        *chi_square += vector3_dot(y, y);
-        const bool last = row + GROUP == Z;
-        if (last && !(*chi_square <= limit)) {
-            return false;
+        chi_square += vector3_dot(y, y);
+        const bool last = row + GROUP == end;
+        if (last && !(chi_square <= limit)) {
+            return chi_square;
         }
         gain(g, (const float(*)[GROUP])v, y, x);
         shrink(covariance, (const float(*)[GROUP])g, last ? filter->covariance : rest);
@@ -213,5 +214,5 @@ bool block_kalman_update(block_kalman_t *filter, const block_measure_t *measure,
         x[i] -= before[i];
     }
     block_state_move(&filter->state, x, &filter->state);
-    return true;
+    return chi_square;
 }

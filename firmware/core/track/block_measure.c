@@ -15,16 +15,6 @@ static void multiply(const float matrix[3][3], const float vector[3], float prod
     }
 }
 
-/* Expands the five numbers of a symmetric gradient without trace. */
-static inline void expand(const float five[5], float gradient[3][3]) {
-    gradient[0][0] = five[0];
-    gradient[0][1] = gradient[1][0] = five[1];
-    gradient[0][2] = gradient[2][0] = five[2];
-    gradient[1][1] = five[3];
-    gradient[1][2] = gradient[2][1] = five[4];
-    gradient[2][2] = -five[0] - five[3];
-}
-
 /* Computes field and gradient of each column, in the site's frame. */
 static void model(const loop_t *coils, uint32_t ambient, block_measure_t *measure) {
     const block_state_t *const at = &measure->reference;
@@ -67,13 +57,11 @@ static void sum_row(const block_t *block, uint32_t i, block_measure_t *measure) 
  * the site's frame. */
 static inline void leave(const block_measure_t *measure, uint32_t i, const float sums_uT[3], const float offset[3],
                          float residual[3]) {
-    float moment[3][3], turned[3];
-    expand(measure->moment[i].gradient, moment);
-    vector3_cross(measure->reference.rate_rad_s, measure->moment[i].field_uT, turned);
+    float moved[3];
+    block_field_change(&measure->moment[i], &measure->reference, moved);
     for (uint32_t axis = 0; axis < 3u; axis++) {
-        const float moved = vector3_dot(moment[axis], measure->reference.velocity_m_s) - turned[axis];
         const float still = measure->sum[i].field_uT[axis] + measure->ambient_sum[i] * offset[axis];
-        residual[axis] = vector3_dot(measure->rotation[axis], sums_uT) - still - moved;
+        residual[axis] = vector3_dot(measure->rotation[axis], sums_uT) - still - moved[axis];
     }
 }
 
@@ -84,7 +72,7 @@ static void descend(const block_t *block, block_measure_t *measure) {
     for (uint32_t i = 0; i < block->columns; i++) {
         float gradient[3][3];
         leave(measure, i, block->sums_uT[i], offset, residual);
-        expand(measure->model[i].gradient, gradient);
+        block_field_expand(measure->model[i].gradient, gradient);
         vector3_cross(residual, measure->model[i].field_uT, crossed);
         for (uint32_t axis = 0; axis < 3u; axis++) {
             by_p[axis] += vector3_dot(gradient[axis], residual);
@@ -103,8 +91,8 @@ static void square(uint32_t count, const block_field_t *fields, const block_fiel
     float total[3][3] = {{0.0f}};
     for (uint32_t i = 0; i < count; i++) {
         float left[3][3], right[3][3];
-        expand(fields[i].gradient, left);
-        expand(sums[i].gradient, right);
+        block_field_expand(fields[i].gradient, left);
+        block_field_expand(sums[i].gradient, right);
         for (uint32_t row = 0; row < 3u; row++) {
             for (uint32_t column = row; column < 3u; column++) {
                 total[row][column] += vector3_dot(left[row], right[column]);
@@ -122,7 +110,7 @@ static void cross(uint32_t count, const block_field_t *gradients, const block_fi
     float total[3][3] = {{0.0f}};
     for (uint32_t i = 0; i < count; i++) {
         float gradient[3][3], crossed[3];
-        expand(gradients[i].gradient, gradient);
+        block_field_expand(gradients[i].gradient, gradient);
         for (uint32_t row = 0; row < 3u; row++) {
             vector3_cross(gradient[row], fields[i].field_uT, crossed);
             for (uint32_t column = 0; column < 3u; column++) {
@@ -183,7 +171,7 @@ static void compose(uint32_t count, block_measure_t *measure) {
     cross(count, fields, sums, &rows[0][BLOCK_THETA]);
     square(count, fields, moments, &rows[0][BLOCK_V]);
     cross(count, fields, moments, &rows[0][BLOCK_W]);
-    expand(sums[last].gradient, part);
+    block_field_expand(sums[last].gradient, part);
     matrix3_store((const float(*)[3])part, &rows[0][BLOCK_E], BLOCK_ROW);
     store_unit(0.0f, &rows[3][BLOCK_P]);
     turn(count, fields, sums, &rows[3][BLOCK_THETA]);
@@ -193,15 +181,10 @@ static void compose(uint32_t count, block_measure_t *measure) {
     store_cross(sums[last].field_uT, &rows[3][BLOCK_E]);
     store_unit(0.0f, &rows[6][BLOCK_P]);
     store_unit(0.0f, &rows[6][BLOCK_THETA]);
-    expand(moments[last].gradient, part);
+    block_field_expand(moments[last].gradient, part);
     matrix3_store((const float(*)[3])part, &rows[6][BLOCK_V], BLOCK_ROW);
     store_cross(back, &rows[6][BLOCK_W]);
     store_unit(measure->ambient_sum[last], &rows[6][BLOCK_E]);
-}
-
-/* Returns the column of the diagonal in a row. */
-static inline uint32_t diagonal(uint32_t row) {
-    return row < 6u ? row : BLOCK_E - 6u + row;
 }
 
 /* Takes a row times a factor from another; both are zero before the first column, and the offset's are left out. */
@@ -220,7 +203,7 @@ static inline uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], const fl
     const uint32_t end = j + 3u;
     uint32_t rank = 0;
     for (; j < end; j++) {
-        const float pivot = rows[j][diagonal(j)];
+        const float pivot = rows[j][block_measure_diagonal(j)];
         const bool told = !(pivot <= LEAST_PIVOT * whole[j]); /* What is not a number stays one. */
         const float scale = told ? 1.0f / (noise * square_root(pivot)) : 0.0f;
         float own[BLOCK_ROW];
@@ -229,8 +212,8 @@ static inline uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], const fl
         }
         own[BLOCK_ROW_Y] = rows[j][BLOCK_ROW_Y] *= scale;
         for (uint32_t i = j + 1u; i < BLOCK_OBSERVED; i++) {
-            subtract_row(rows[i], noise * noise * rows[j][diagonal(i)], own, first);
-            rows[i][diagonal(j)] = 0.0f;
+            subtract_row(rows[i], noise * noise * rows[j][block_measure_diagonal(i)], own, first);
+            rows[i][block_measure_diagonal(j)] = 0.0f;
         }
         rank += told ? 1u : 0u;
     }
@@ -259,7 +242,7 @@ void block_measure(const block_t *block, const loop_t *coils, block_measure_t *m
     descend(block, measure);
     float whole[BLOCK_OBSERVED];
     for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
-        whole[i] = measure->rows[i][diagonal(i)];
+        whole[i] = measure->rows[i][block_measure_diagonal(i)];
     }
     measure->rank = eliminate(measure->rows, whole, measure->noise_uT, 0, BLOCK_P);
     measure->rank += eliminate(measure->rows, whole, measure->noise_uT, 3, BLOCK_THETA);

@@ -19,6 +19,7 @@
 #include <stdint.h>
 
 #include "core/pose/loop_field.h"
+#include "core/track/block_field.h"
 #include "core/track/block_gram.h"
 #include "core/track/block_state.h"
 
@@ -28,11 +29,6 @@
 /* Columns of a row: those of the state's errors, in their order, and the right side. The rows are zero left of the
  * diagonal of position, turn and ambient field. */
 enum { BLOCK_ROW_Y = BLOCK_STATES };
-
-/* A field in the site's frame, uT, and the five numbers xx, xy, xz, yy, yz of its gradient, uT/m. */
-typedef struct {
-    float field_uT[3], gradient[5];
-} block_field_t;
 
 typedef struct {
     block_state_t reference;               /* The state around which the block is linearised. */
@@ -46,6 +42,11 @@ typedef struct {
     block_field_t moment[BLOCK_COLUMNS];   /* ... and with the moment matrix. */
     float ambient_sum[BLOCK_COLUMNS];      /* The last column of the gram matrix. */
 } block_measure_t;
+
+/* Returns the column of the rows in which the diagonal of an observed number stands. */
+static inline uint32_t block_measure_diagonal(uint32_t number) {
+    return number < 6u ? number : BLOCK_E - 6u + number;
+}
 
 /* Compute the rest of *measure, whose reference and noise the caller has set, from a block and the coils of its columns
  * but the last. Results are not finite where the reference lies on a wire. */

@@ -9,11 +9,15 @@ from tests.firmware.core.track.single import BLOCK_S, Bits, Kernel, cube, matric
 
 
 class Flight:
-    """A sensor in motion and its filter in C: a hand's motion of 1 Hz, .16 m and .3 rad to each side."""
+    """A sensor in motion and its filter in C: a hand's motion of 1 Hz, .16 m and .3 rad to each side.
 
-    def __init__(self, core, family, count=8, noise=0.02, seed=1):
+    With swept it takes the sweep of the ambient field too, as in the host; without, it is that of the sensor.
+    """
+
+    def __init__(self, core, family, count=8, noise=0.02, seed=1, swept=False):
         self.coils, self.bits, self.noise = cube(count), Bits(family(10), count), noise
-        self.kernel = Kernel(core, self.coils, noise)
+        self.kernel, self.swept = Kernel(core, self.coils, noise), swept
+        self.update = self.kernel.lib.block_filter_update_swept if swept else self.kernel.lib.block_filter_update
         self.rng = np.random.default_rng(seed)
         self.pose = self.kernel.ffi.new("block_pose_t *")
         self.number = 0
@@ -54,7 +58,7 @@ class Flight:
     def put(self, data):
         """Give the filter sums; return whether they were taken."""
         self.kernel.fill(self.bits.words(31 * self.number), data)
-        return self.kernel.lib.block_filter_update(self.kernel.filter, self.kernel.block, BLOCK_S)
+        return self.update(self.kernel.filter, self.kernel.block, BLOCK_S)
 
     def step(self):
         """Do the next block."""

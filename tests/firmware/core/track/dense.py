@@ -105,17 +105,31 @@ def slope(function, state: State, errors: range) -> FloatArray:
     return np.stack(columns, axis=1)
 
 
+UNEVEN = 5.0
+"""Standard deviation of how fast the ambient field changes within a block by itself, uT/s."""
+
+
 def measured(
     coils: Coils, reference: State, gram: FloatArray, moment: FloatArray, data: FloatArray, noise: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the nine whitened numbers of a block at the reference, and their rows, shape (9, 18)."""
+    """Return the twelve whitened numbers of a block at the reference, and their rows, shape (12, 18).
+
+    The first nine are those of the fields, the last three what is left of the ambient field's sweep.
+    """
     whiten = np.kron(np.linalg.inv(cholesky(gram, lower=True)), np.eye(3)) / noise
     left = whiten @ (data - sums(coils, reference, gram, moment)).ravel()
     rows = whiten @ np.kron(gram, np.eye(3)) @ slope(lambda s: still_part(coils, s), reference, range(18))
-    motion = whiten @ np.kron(moment, np.eye(3)) @ slope(lambda s: moving_part(coils, s), reference, range(6, 12))
-    q, _ = np.linalg.qr(rows[:, [*range(6), *range(12, 15)]])
-    rows[:, 6:12] += motion
-    return q.T @ left, q.T @ rows
+    late = whiten @ np.kron(moment, np.eye(3))
+    ramp = whiten @ np.kron(moment[:, -1:], np.eye(3))
+    q, _ = np.linalg.qr(np.hstack([rows[:, [*range(6), *range(12, 15)]], ramp]))
+    rows[:, 6:12] += late @ slope(lambda s: moving_part(coils, s), reference, range(6, 12))
+    sweep = rows.copy()
+    turning = slope(lambda s: moving_part(coils, s)[-1], reference, range(18))
+    sweep[:, 3:6] += ramp @ turning[:, 3:6]
+    sweep[:, 12:15] += ramp @ turning[:, 12:15]
+    even = 1.0 / np.sqrt(1.0 + UNEVEN**2 * (ramp**2).sum() / 3.0)
+    fields, last = q[:, :9].T, even * q[:, 9:].T
+    return np.concatenate([fields @ left, last @ left]), np.vstack([fields @ rows, last @ sweep])
 
 
 def updated(

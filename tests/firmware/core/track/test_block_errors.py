@@ -44,13 +44,13 @@ def test_each_error_moves_the_pose_by_its_bias(core, gold_family, beacons):
     gram, moment = dense.products(bits.columns(40))
     right = dense.sums(coils, state, gram, moment)
     _, rows = dense.measured(coils, state, gram, moment, right, noise)
-    seen = rows[:, [*range(6), *range(12, 15)]]
+    seen = rows[:9, [*range(6), *range(12, 15)]]
     expected = np.zeros((6, 6))
     wrong = [dense.sums(other, state, gram, moment) for other in wrong_coils(coils)]
     wrong += [right @ matrix for matrix in wrong_sensors()]
     for data in wrong:
         y, _ = dense.measured(coils, state, gram, moment, data, noise)
-        bias = np.linalg.solve(seen, y)[:6]
+        bias = np.linalg.solve(seen, y[:9])[:6]
         expected += np.outer(bias, bias)
     expected[3:, 3:] += 0.5 * SENSOR_AXIS_RAD**2 * np.eye(3)
     ffi, lib = core

@@ -34,10 +34,11 @@ class Bank:
         reference = dense.likeliest(moved).state
         flight = self.flight
         y, rows = dense.measured(flight.coils, reference, *matrices(flight.kernel), data, flight.noise)
+        y, rows = (y, rows) if flight.swept else (y[:9], rows[:9])
         taken, likelihoods, refused = [], [], self.refused
         for model in moved:
             state, covariance, chi_square, logarithm = dense.updated(model.state, model.covariance, reference, y, rows)
-            fits = chi_square <= chi2.isf(1e-5, 9)
+            fits = chi_square <= chi2.isf(1e-5, len(y))
             self.refused += not fits
             taken.append(dense.Model(state, covariance, model.probability) if fits else model)
             likelihoods.append(-0.5 * (chi_square + logarithm))
@@ -52,9 +53,10 @@ class Bank:
         return dense.predicted(state, covariance, (agility[0], agility[1]), seconds)
 
 
+@pytest.mark.parametrize("swept", [False, True])
 @pytest.mark.parametrize(("beacons", "noise"), [(8, 0.02), (3, 0.2)])
-def test_the_poses_are_those_in_double_precision(fly, beacons, noise):
-    flight = fly(count=beacons, noise=noise)
+def test_the_poses_are_those_in_double_precision(fly, beacons, noise, swept):
+    flight = fly(count=beacons, noise=noise, swept=swept)
     flight.start()
     bank, differences = Bank(flight), []
     for number in range(1, 61):
@@ -74,10 +76,11 @@ def test_the_poses_are_those_in_double_precision(fly, beacons, noise):
     assert max(differences) < 0.03
 
 
-def test_errors_are_what_the_covariance_says(fly):
+@pytest.mark.parametrize("swept", [False, True])
+def test_errors_are_what_the_covariance_says(fly, swept):
     """NEES of position and turn over 300 blocks in motion, started in each of three flights."""
     for seed in range(3):
-        flight = fly(seed=seed)
+        flight = fly(seed=seed, swept=swept)
         flight.start()
         nees = []
         for _ in range(300):
@@ -109,9 +112,10 @@ def test_ten_thousand_blocks_stay_positive_and_finite(fly):
     assert sum(model.probability for model in flight.kernel.filter.filters) == pytest.approx(1.0, abs=1e-5)
 
 
+@pytest.mark.parametrize("swept", [False, True])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, 1e20])
-def test_what_is_no_number_is_refused_without_being_counted(fly, bad):
-    flight = fly()
+def test_what_is_no_number_is_refused_without_being_counted(fly, bad, swept):
+    flight = fly(swept=swept)
     flight.start()
     for _ in range(5):
         assert flight.step()
@@ -167,31 +171,33 @@ def test_a_block_of_other_columns_is_refused(fly):
     flight.start()
     flight.data()
     flight.kernel.fill(flight.bits.words(31)[:7], np.zeros((8, 3)))
-    assert not flight.kernel.lib.block_filter_update(flight.kernel.filter, flight.kernel.block, BLOCK_S)
+    assert not flight.update(flight.kernel.filter, flight.kernel.block, BLOCK_S)
 
 
-def test_a_reference_on_the_wire_is_survived(fly):
+@pytest.mark.parametrize("swept", [False, True])
+def test_a_reference_on_the_wire_is_survived(fly, swept):
     """The field there is huge or no number: the block is refused, and the state stays a number."""
-    flight = fly()
+    flight = fly(swept=swept)
     flight.start()
-    ffi, lib, filter_ = flight.kernel.ffi, flight.kernel.lib, flight.kernel.filter
+    ffi, filter_ = flight.kernel.ffi, flight.kernel.filter
     across = np.cross(flight.coils.axis[0], [0.3, 0.5, 0.8])
     wire = flight.coils.centre[0] + flight.coils.radius[0] * across / np.linalg.norm(across)
     for offset in (0.0, 1e-7, 1e-5, 1e-3):
         flight.start()
         for model in filter_.filters:
             model.state.position_m = (wire + offset).tolist()
-        lib.block_filter_update(filter_, flight.kernel.fill(flight.bits.words(31), flight.data()), 1e-6)
+        flight.update(filter_, flight.kernel.fill(flight.bits.words(31), flight.data()), 1e-6)
         flight.number = 0
         for model in filter_.filters:
             assert np.all(np.isfinite(flight.kernel.covariance(model)))
             assert np.all(np.isfinite(list(ffi.addressof(model.state).position_m)))
 
 
+@pytest.mark.parametrize("swept", [False, True])
 @pytest.mark.parametrize("beacons", [1, 2, 4, 16, 32])
-def test_any_number_of_beacons(fly, beacons):
+def test_any_number_of_beacons(fly, beacons, swept):
     """Few beacons drift and say so; many are better than eight."""
-    flight = fly(count=beacons, noise=0.2)
+    flight = fly(count=beacons, noise=0.2, swept=swept)
     flight.start()
     for _ in range(100):
         assert flight.step()

@@ -25,9 +25,9 @@ def relative(covariance, truth):
 
 
 class Case:
-    """A filter that is not the reference, and a block; both versions of the update."""
+    """A filter that is not the reference, and a block; both versions of the update, with the sweep if swept."""
 
-    def __init__(self, core, gold_family, beacons, seed, noise=0.02, speed=1.0):
+    def __init__(self, core, gold_family, beacons, seed, noise=0.02, speed=1.0, swept=False):
         rng = np.random.default_rng(seed)
         self.coils, chip = cube(beacons), int(rng.integers(1023))
         bits, self.kernel = Bits(gold_family(10), beacons), Kernel(core, self.coils, noise)
@@ -40,11 +40,12 @@ class Case:
         values, vectors = np.linalg.eigh(gram)
         scatter = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * rng.normal(0.0, noise, (len(gram), 3)))
         self.data = dense.sums(self.coils, truth, gram, moment) + scatter
-        self.gram, self.moment, self.noise = gram, moment, noise
+        self.gram, self.moment, self.noise, self.swept = gram, moment, noise, swept
         self.kernel.fill(bits.words(chip), self.data)
 
     def dense(self):
         y, rows = dense.measured(self.coils, self.reference, self.gram, self.moment, self.data, self.noise)
+        y, rows = (y, rows) if self.swept else (y[:9], rows[:9])
         return dense.updated(self.state, self.covariance, self.reference, y, rows)
 
     def single(self, limit=1e9):
@@ -53,10 +54,12 @@ class Case:
         measure, filter_ = ffi.addressof(kernel.filter.measure), ffi.addressof(kernel.filter.filters[0])
         kernel.put_state(measure.reference, self.reference)
         kernel.lib.block_measure(kernel.block, kernel.coils, measure)
+        sweep = ffi.new("block_sweep_t *") if self.swept else ffi.NULL
+        measure.rank += kernel.lib.block_sweep(kernel.block, measure, sweep) if self.swept else 0
         kernel.put(filter_, self.state, self.covariance, (1.0, 2.0))
-        chi_square, logarithm = ffi.new("float *"), ffi.new("float *")
-        taken = kernel.lib.block_kalman_update(filter_, measure, limit, chi_square, logarithm)
-        return kernel.state(filter_.state), kernel.covariance(filter_), chi_square[0], logarithm[0], taken
+        logarithm = ffi.new("float *")
+        chi_square = kernel.lib.block_kalman_update(filter_, measure, sweep, limit, logarithm)
+        return kernel.state(filter_.state), kernel.covariance(filter_), chi_square, logarithm[0], chi_square <= limit
 
 
 @pytest.mark.parametrize("beacons", [3, 4, 8, 16, 29])
@@ -74,9 +77,26 @@ def test_an_update_is_that_of_the_whitened_rows(core, gold_family, beacons, spee
         assert case.kernel.filter.measure.rank == 9
 
 
-def test_more_columns_than_chips(core, gold_family):
+@pytest.mark.parametrize(("beacons", "allowed"), [(3, 4.0), (4, 1.0), (8, 1.0), (16, 1.0), (29, 4.0)])
+@pytest.mark.parametrize("speed", [0.0, 3.0])
+def test_an_update_by_the_sweep_is_that_of_the_whitened_rows(core, gold_family, beacons, speed, allowed):
+    """Few or very many beacons tell of the sweep little that single precision does not see, and that is left out."""
+    for seed in range(4):
+        case = Case(core, gold_family, beacons, seed, speed=speed, swept=True)
+        state, covariance, chi_square, logarithm = case.dense()
+        ours = case.single()
+        assert ours[4]
+        assert np.abs(ours[0].minus(state) / np.sqrt(np.diag(covariance))).max() < 0.03 * allowed
+        assert relative(ours[1], covariance) < 0.03 * allowed
+        assert ours[2] == pytest.approx(chi_square, rel=0.01 * allowed, abs=0.05 * allowed)
+        assert ours[3] == pytest.approx(logarithm, abs=0.02 * allowed)
+        assert (9 if beacons == 3 else 12) <= case.kernel.filter.measure.rank <= 12
+
+
+@pytest.mark.parametrize("swept", [False, True])
+def test_more_columns_than_chips(core, gold_family, swept):
     """32 beacons and 31 chips: the gram matrix is singular. The truth has 28 of them, and so less information."""
-    case, fewer = (Case(core, gold_family, n, 3) for n in (32, 28))
+    case, fewer = (Case(core, gold_family, n, 3, swept=swept) for n in (32, 28))
     ours, truth = case.single(), fewer.dense()
     assert ours[4]
     assert np.linalg.eigvalsh(ours[1]).min() > 0.0
@@ -102,8 +122,9 @@ def test_one_beacon_and_two_tell_what_they_can(core, gold_family):
             assert chi_square < chi2.isf(1e-6, 9)
 
 
-def test_the_gate_has_two_sides(core, gold_family):
-    case = Case(core, gold_family, 8, 2)
+@pytest.mark.parametrize("swept", [False, True])
+def test_the_gate_has_two_sides(core, gold_family, swept):
+    case = Case(core, gold_family, 8, 2, swept=swept)
     *_, chi_square, _, _ = case.single()
     state, covariance, *_, taken = case.single(limit=1.001 * chi_square)
     assert taken

@@ -77,7 +77,7 @@ bool gf_bank_update(void *memory, const double *gram, const double *moment, cons
             bank->block.sums_uT[row][axis] = (float)(MICROTESLA * sums_T[(size_t)3 * row + axis]);
         }
     }
-    const bool taken = block_filter_update(&bank->filter, &bank->block, (float)seconds);
+    const bool taken = block_filter_update_swept(&bank->filter, &bank->block, (float)seconds);
     *log_likelihood = (double)bank->filter.log_likelihood;
     return taken;
 }
