@@ -45,13 +45,13 @@ static inline void transit(float *x, size_t step, const float *motion, size_t mo
 static inline void propagate(float *covariance, size_t length, const float turn[3][3], float acceleration2, float turn2,
                              float seconds) {
     float *const motion = &covariance[BLOCK_V * length];
-    for (size_t row = 0; row < BLOCK_V; row++) { /* Right of them is what stands below, in columns. */
+    for (uint32_t row = 0; row < BLOCK_V; row++) { /* Right of them is what stands below, in columns. */
         transit(&covariance[row * length], 1, &motion[row], length, turn, seconds);
     }
-    for (size_t row = BLOCK_V; row < length; row++) {
+    for (uint32_t row = BLOCK_V; row < length; row++) {
         transit(&covariance[row * length], 1, &covariance[row * length + BLOCK_V], 1, turn, seconds);
     }
-    for (size_t column = 0; column < BLOCK_V; column++) {
+    for (uint32_t column = 0; column < BLOCK_V; column++) {
         transit(&covariance[column], length, &motion[column], length, turn, seconds);
     }
     agitate(covariance, length, BLOCK_P, BLOCK_V, acceleration2, seconds);
@@ -82,11 +82,10 @@ static inline uint32_t first_column(uint32_t row) {
 }
 
 /* Adds to six rows of P A' what a column of P does, whose elements lie step apart. */
-static inline void weigh_column(const float *p, size_t step, const float rows[GROUP][BLOCK_ROW], uint32_t k,
-                                float sum[6][GROUP]) {
+static inline void weigh_column(const float *p, size_t step, const float *a, float sum[6][GROUP]) {
     for (uint32_t i = 0; i < 6u; i++) {
         for (uint32_t j = 0; j < GROUP; j++) {
-            sum[i][j] += p[i * step] * rows[j][k];
+            sum[i][j] += p[i * step] * a[(size_t)j * BLOCK_ROW];
         }
     }
 }
@@ -97,10 +96,10 @@ static inline void weigh(const float covariance[N][N], const float rows[GROUP][B
         float sum[6][GROUP] = {{0.0f}};
         uint32_t k = first;
         for (; k < i + 6u; k++) {
-            weigh_column(&covariance[i][k], N, rows, k, sum);
+            weigh_column(&covariance[i][k], N, &rows[0][k], sum);
         }
         for (; k < N; k++) {
-            weigh_column(&covariance[k][i], 1, rows, k, sum);
+            weigh_column(&covariance[k][i], 1, &rows[0][k], sum);
         }
         memcpy(pa[i], sum, sizeof sum);
     }
@@ -163,7 +162,7 @@ static inline void gain(group_t g, const float v[GROUP][GROUP], const float y[GR
 /* Computes P - G G', the blocks of six rows and columns on and below the diagonal. */
 static void shrink(const float from[N][N], const group_t g, float to[N][N]) {
     for (uint32_t i = 0; i < N; i += 6u) {
-        const float *p = from[i], (*other)[GROUP] = g;
+        const float *p = from[i], *other = g[0];
         float *left = to[i], own[6][GROUP];
         for (uint32_t row = 0; row < 6u; row++) {
             for (uint32_t k = 0; k < GROUP; k++) {
@@ -172,15 +171,15 @@ static void shrink(const float from[N][N], const group_t g, float to[N][N]) {
         }
         for (uint32_t pairs = i / 2u + 3u; pairs > 0u; pairs--) {
             for (uint32_t column = 0; column < 2u; column++) {
-                const float *const g_other = other[column];
+                const float *const g_other = &other[(size_t)column * GROUP];
                 for (uint32_t row = 0; row < 6u; row++) {
                     left[row * N + column] = p[row * N + column] + own[row][0] * g_other[0] + own[row][1] * g_other[1] +
                                              own[row][2] * g_other[2];
                 }
             }
-            p += 2;
-            left += 2;
-            other += 2;
+            p += 2u;
+            left += 2u;
+            other += (size_t)2 * GROUP;
         }
     }
 }
