@@ -11,9 +11,9 @@ from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import CHIPS, EARTH_T, Room, cycle_bound, straight
 from tests.bench.rate_boards import open_bench, scenario_file, streamed
 from tests.bench.rate_bound import LeastError
-from tests.bench.rate_trials import lost, starts
+from tests.bench.rate_trials import lost, random_walks, starts
 from tests.bench.rate_ways import follow, held_fixes
-from tests.bench.rate_world import Walks, World, matched_walks, motion_of
+from tests.bench.rate_world import BLOCK_CHIPS, Walks, World, matched_walks, motion_of
 
 NOISE_T = 2e-7
 
@@ -48,6 +48,23 @@ def test_random_walks_have_the_agility_that_they_are_asked_for():
     steps = (turns[1:] * turns[:-1].inv()).as_rotvec().reshape(-1, 3)
     rates = np.insert(steps, len(steps), np.nan, axis=0).reshape(100, 4, 3)[:, :3] / (500 * period_s)
     assert np.diff(rates, axis=1).var() == pytest.approx(1.0**2 * 0.05 * 2.0 / 3.0, rel=0.1)
+
+
+def test_a_matched_track_reaches_the_least_error():
+    """The rms over the least error of any filter of the sums is at most 1.05, and what chance adds to ten walks."""
+    noise_T, agility, count = 2e-8, (2.0, 4.0), 2046
+    site, rng = prigge_cube(noise_T), np.random.default_rng(5)
+    walks = matched_walks(rng, 10, count, site.chip_period_s, agility)
+    least = LeastError(World(site), walks, noise_T, agility).of_sums()
+    settled = slice(count // BLOCK_CHIPS // 2, None)
+    runs = [run.where(settled) for run in random_walks(BlockFilter, World(site), walks, noise_T, 5)]
+    variance = np.diagonal(least[:, settled], axis1=-2, axis2=-1).mean(axis=(0, 1))
+    for errors, part in (("position_m", slice(0, 3)), ("attitude_rad", slice(3, 6))):
+        square = np.array([(getattr(run, errors) ** 2).sum(axis=1).mean() for run in runs]) / variance[part].sum()
+        chance = square.std(ddof=1) / np.sqrt(len(runs)) / 2.0  # of the root
+        assert np.sqrt(square.mean()) < 1.05 + chance
+        assert chance < 0.12
+    assert 0.7 < np.mean([run.nees for run in runs]) < 1.3
 
 
 def test_a_bench_streams_what_the_simulated_samples_are():
