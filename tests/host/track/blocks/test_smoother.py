@@ -61,7 +61,7 @@ def test_smoothing_is_the_batch_solution():
             add([(k, -transition), (k + 1, np.eye(size))], later.minus(states[k + 1]), root)
         for k, form in enumerate(forms):
             block = observed(form, reference(model, states[k]))
-            add([(k, block.seen.T)], block.score, np.eye(9))
+            add([(k, block.seen.T)], block.score, np.eye(len(block.score)))
         step = np.linalg.solve(normal, right).reshape(-1, size) * scale
         states = [state.moved(change) for state, change in zip(states, step, strict=True)]
     batch = np.linalg.inv(normal)
