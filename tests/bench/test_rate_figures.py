@@ -51,7 +51,8 @@ def test_random_walks_have_the_agility_that_they_are_asked_for():
 
 
 def test_a_matched_track_reaches_the_least_error():
-    """The rms over the least error of any filter of the sums is at most 1.05, and what chance adds to ten walks."""
+    """The rms over the least error is at most 1.15, and what chance adds to ten walks: the least error is that of an
+    ambient field that is even, and the filter allows for one that is not (docs/blocks.md, q), which costs a tenth."""
     noise_T, agility, count = 2e-8, (2.0, 4.0), 2046
     site, rng = prigge_cube(noise_T), np.random.default_rng(5)
     walks = matched_walks(rng, 10, count, site.chip_period_s, agility)
@@ -62,7 +63,7 @@ def test_a_matched_track_reaches_the_least_error():
     for errors, part in (("position_m", slice(0, 3)), ("attitude_rad", slice(3, 6))):
         square = np.array([(getattr(run, errors) ** 2).sum(axis=1).mean() for run in runs]) / variance[part].sum()
         chance = square.std(ddof=1) / np.sqrt(len(runs)) / 2.0  # of the root
-        assert np.sqrt(square.mean()) < 1.05 + chance
+        assert np.sqrt(square.mean()) < 1.15 + chance
         assert chance < 0.12
     assert 0.7 < np.mean([run.nees for run in runs]) < 1.3
 
