@@ -224,20 +224,23 @@ static bool spare_step(sense_t *sense) {
     return onboard_step(sense->onboard, sense->node) || tracking_search(sense->tracking, sense->node);
 }
 
-/* Returns whether a step of a pose may begin in a turn that began at start_us. */
-static bool may_begin(const sense_t *sense, uint64_t start_us) {
-    const uint64_t now_us = hal_microseconds(sense->node->hal), since_us = now_us - sense->block_us;
-    const bool sent = sense->blocks.links != NODE_NO_LINK && sense->tracking->every == 0u && sense->begun;
-    const bool soon = sent && since_us >= SENSE_BEGIN_US &&
-                      since_us < (uint64_t)2 * SENSE_TURN_US; /* Later none comes. */
-    return now_us - start_us < SENSE_TURN_US && !soon;
+/* Returns whether a block that is sent comes so soon that no further step of a pose may begin before it. */
+static bool block_is_near(const sense_t *sense) {
+    if (sense->blocks.links == NODE_NO_LINK || sense->tracking->every != 0u || !sense->begun) {
+        return false;
+    }
+    const uint64_t since_us = hal_microseconds(sense->node->hal) - sense->block_us;
+    return since_us >= SENSE_BEGIN_US && since_us < (uint64_t)2 * SENSE_TURN_US; /* Later none comes. */
 }
 
 void sense_spare(sense_t *sense) {
     drain_stream(sense);
     const uint64_t start_us = hal_microseconds(sense->node->hal);
-    while (may_begin(sense, start_us) && spare_step(sense)) {
+    while (!block_is_near(sense) && spare_step(sense)) {
         sense->begun = true;
+        if (hal_microseconds(sense->node->hal) - start_us >= SENSE_TURN_US) {
+            break;
+        }
         sense_blocks(sense); /* A block and what is queued do not wait for the end of a long computation. */
         node_flush(sense->node);
     }

@@ -89,7 +89,7 @@ def test_stack_and_sizes(elf):
     image = image_report.report(elf)
     assert image.stack <= image.stack_reserved
     assert image.flash <= 128 * 1024  # There are 896 KB: room for two images in any scheme.
-    assert image.ram <= 112 * 1024  # There are 128 KB.
+    assert image.ram <= 120 * 1024  # There are 128 KB.
     assert image.core_memory <= 64 * 1024  # All there is; the sensor's acquire.h and tracking.h lie there.
     assert image.path[:2] == ("Reset_Handler", "main")
     assert image.stack > 200  # An empty call graph would pass all the above.

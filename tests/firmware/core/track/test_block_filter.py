@@ -72,7 +72,7 @@ def test_the_poses_are_those_in_double_precision(fly, beacons, noise, swept):
         differences.append(np.abs(state.minus(truth)[:6] / sd).max())
         assert np.abs((covariance - expected[:6, :6]) / np.outer(sd, sd)).max() < 0.02
     print(f"differences of the poses: median {np.median(differences):.4f}, most {max(differences):.4f} sd")
-    # Of three beacons single precision tells less of the sweep than double precision does.
+    # Single precision tells less of the sweep by three beacons than double precision does.
     most = 0.04 if swept and beacons == 3 else 0.03
     assert np.median(differences) < most - 0.02
     assert max(differences) < most
