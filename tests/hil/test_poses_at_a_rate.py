@@ -241,6 +241,18 @@ def test_a_run_that_falls_behind_leaves_poses_out_and_says_so_once(bench, monkey
     assert np.diff(again).max() < 0.004, "a recording leaves nothing out"
 
 
+def test_who_waits_for_its_reader_is_read_to_the_last_block(bench, monkeypatch):
+    """A bench behind a pseudo-terminal, on a machine that falls behind."""
+    one = bench(RigLink)
+    one.link.sender_waits = True
+    wall = Wall(one.rig, one.rig.now_s + 1.6)
+    for module in (backlogs, receivers):
+        monkeypatch.setattr(module, "time", wall)
+    items, counts = one.run(Options(Method.TRACK, rate_hz=330.0), 550)
+    assert counts == {}
+    assert np.diff([item.pose.time_s for item in items if isinstance(item, Fix)]).max() < 0.004
+
+
 def test_a_bus_that_is_only_listened_to_is_read_block_by_block(bench):
     """Another host has set the sensor, so that blocks are on the bus."""
     one = bench(RigLink)

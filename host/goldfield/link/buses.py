@@ -77,6 +77,8 @@ class BusSource:
         How often the link was opened again.
     link_bit : int
         The link's bit in the parameters of a board that choose links: 1 a serial line, 2 CAN.
+    sender_waits : bool
+        Whether the sender goes no faster than it is read: what waits here is then not late.
     """
 
     shared = False
@@ -84,6 +86,7 @@ class BusSource:
     reconnects = False
     reconnections = 0
     link_bit = 1
+    sender_waits = False
 
     def __init__(
         self,
@@ -99,6 +102,7 @@ class BusSource:
         self.link_bit = 2 if shared else 1
         self.listen_only = listen_only
         self.reconnects = reopen is not None
+        self.sender_waits = isinstance(bus, SerialBus) and bus.sender_waits
         self._reopen = reopen
         self._traffic = no_traffic()
         self._sent: deque[tuple[int, bytes]] = deque(maxlen=ECHOES)

@@ -6,6 +6,7 @@ import errno
 import os
 import time
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 import can
@@ -18,6 +19,8 @@ BAUD_RATE = 2_000_000
 
 POLL_S = 0.05
 """Longest wait in one read: setting pyserial's time-out for each read would reconfigure the port each time."""
+
+PSEUDO_TERMINALS = Path("/dev/pts")
 
 KNOWN_REASONS = {
     errno.ENOENT: "there is no such port",
@@ -84,6 +87,11 @@ class SerialBus(can.BusABC):
             self._port.write(encode_frame(msg.arbitration_id, bytes(msg.data)))
         except (serial.SerialException, OSError) as error:
             raise self._gone(error) from error
+
+    @property
+    def sender_waits(self) -> bool:
+        """Whether the port is a pseudo-terminal, whose other end, a simulated bench, waits until it is read."""
+        return Path(self._port_name).resolve().is_relative_to(PSEUDO_TERMINALS)
 
     def waiting(self) -> list[can.Message]:
         """Return what came together with the last message that `recv` returned, and `recv` has yet to return."""

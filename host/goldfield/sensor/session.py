@@ -340,7 +340,7 @@ class Session:
 
     def _lets_go(self, raw: can.Message) -> bool:
         """Tell whether a message of blocks is let go, unread, because this machine has fallen behind."""
-        if not self.live:
+        if self._bus is None or self._bus.sender_waits:
             return False
         kind, index = raw.arbitration_id >> TYPE_SHIFT & 0x1F, raw.arbitration_id >> INDEX_SHIFT & INDEX_MASK
         if kind not in STREAMED_TYPES or (kind in POSE_TYPES and not index):

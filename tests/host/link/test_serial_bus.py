@@ -127,3 +127,11 @@ def test_a_port_is_left_as_it_was_found():
     assert termios.tcgetattr(slave) == before
     os.close(master)
     os.close(slave)
+
+
+def test_a_pseudo_terminal_waits_until_it_is_read_and_is_known_behind_a_link(tmp_path):
+    with line() as (_, path, _):
+        (tmp_path / "sensor").symlink_to(path)
+        for name in (path, str(tmp_path / "sensor")):
+            with SerialBus(name) as bus:
+                assert bus.sender_waits
