@@ -16,21 +16,11 @@ from goldfield.feeds.feed import Feed, Setting
 from goldfield.feeds.stamped import StampedPose
 from goldfield.files.inputs import reason_of
 from goldfield.foxglove.channels import Channels
-from goldfield.foxglove.messages import log_message, pose_messages, times
-from goldfield.foxglove.scene import pose_scene, scene
-from goldfield.foxglove.topics import COVARIANCE, FIELDS, HEALTH, LINE, LOG, POSE, SCENE, TRANSFORMS
+from goldfield.foxglove.telling import Telling
 from goldfield.nodes.roster import Roster
-from goldfield.sensor.pipeline import Epoch
-from goldfield.view.lines import line_record
-from goldfield.view.monitor import Monitor
-from goldfield.view.records import fields_record
 
 BACKLOG = 512
 """Messages that wait for one consumer; the oldest goes if there is no room."""
-HEALTH_EVERY_S = 1.0
-"""Time from one message of health, and scene of the coils, to the next, by the stamps, s."""
-ELLIPSOID_EVERY_S = 0.05
-"""Time from one ellipsoid in the scene to the next, s: no eye follows 330 a second."""
 
 
 def open_feed(address: Address, setting: Setting) -> Feed:
@@ -66,53 +56,23 @@ class FoxgloveFeed:
     def __init__(self, address: Address, setting: Setting) -> None:
         self._site = setting.site
         self._clock = setting.clock
-        self._monitor = Monitor(setting.site, address.url, Roster())
-        self._healthy_s = self._drawn_s = -math.inf
-        self._said = ""
         self._context = foxglove.Context()
-        self._channels = Channels(self._context)
+        self._channels = channels = Channels(self._context)
+        self._telling = Telling(setting.site, address.url, Roster(), channels.log, channels.wanted)
         self._server = self._listening(address)
         self.port = self._server.port
-        self._channels.log(SCENE, scene(self._site, self._clock()), self._clock())
+        self._telling.begin(self._clock())
 
     def write(self, stamped: StampedPose, /) -> None:
-        """Send a pose; what has no time by the wall clock is stamped with that of now."""
+        """Send a pose."""
         now_s = self._clock()
-        unix_s = stamped.unix_s if math.isfinite(stamped.unix_s) else now_s
         if stamped.line.epoch is not None:
-            self._write_epoch(stamped.line.epoch, unix_s, now_s)
-        if self._channels.wanted(LINE):
-            told = times(stamped.unix_s, now_s if stamped.live else math.nan)
-            self._channels.log(LINE, line_record(stamped.line) | told, now_s)
-        if self._channels.wanted(POSE, COVARIANCE, TRANSFORMS):
-            for topic, message in pose_messages(stamped.pose, unix_s):
-                self._channels.log(topic, message, now_s)
-        self._write_scene(stamped, unix_s, now_s)
-        said = f"{stamped.pose.status.value}: {stamped.pose.reason}"
-        if said != self._said:
-            self._said = said
-            self._channels.log(LOG, log_message(stamped.pose, unix_s), now_s)
+            self._telling.epoch(stamped.line.epoch, stamped.unix_s, now_s)
+        self._telling.line(stamped.line, stamped.unix_s, now_s, now_s if stamped.live else math.nan)
 
     def close(self) -> None:
         """End the server."""
         self._server.stop()
-
-    def _write_epoch(self, epoch: Epoch, unix_s: float, now_s: float) -> None:
-        if self._channels.wanted(FIELDS):
-            self._channels.log(FIELDS, fields_record(epoch.fields, unix_s), now_s)
-        self._monitor.add(epoch)
-        if abs(unix_s - self._healthy_s) >= HEALTH_EVERY_S:  # a clock may be set back
-            self._healthy_s = unix_s
-            health = self._monitor.record()
-            self._channels.log(HEALTH, health, now_s)
-            self._channels.log(SCENE, scene(self._site, unix_s, health), now_s)
-
-    def _write_scene(self, stamped: StampedPose, unix_s: float, now_s: float) -> None:
-        if self._channels.wanted(SCENE) and abs(unix_s - self._drawn_s) >= ELLIPSOID_EVERY_S:
-            drawn = pose_scene(stamped.pose, unix_s)
-            if drawn is not None:
-                self._drawn_s = unix_s
-                self._channels.log(SCENE, drawn, now_s)
 
     def _listening(self, address: Address) -> WebSocketServer:
         try:

@@ -8,26 +8,16 @@ from pathlib import Path
 
 import can
 
-from goldfield.foxglove.messages import log_message, pose_messages, times
-from goldfield.foxglove.scene import pose_scene, scene
-from goldfield.foxglove.topics import CAN, FIELDS, HEALTH, LINE, LOG, PARAMETERS, SCENE
+from goldfield.foxglove.telling import Telling
+from goldfield.foxglove.topics import CAN
 from goldfield.link.ros_frame import packed
 from goldfield.nodes.roster import Roster
 from goldfield.recording.about import ABOUT, SITE_FILE, About
 from goldfield.recording.mcap_file import McapFile
 from goldfield.sensor.pipeline import Epoch, Fix
-from goldfield.types import Pose
-from goldfield.view.boards import parameters_record
-from goldfield.view.lines import Line, Lines, line_record
-from goldfield.view.monitor import Monitor
-from goldfield.view.records import fields_record
+from goldfield.view.lines import Lines
 from goldfield.view.unix_time import UnixTime
 from goldfield_protocol.messages import Identifier, database
-
-HEALTH_EVERY_S = 1.0
-"""Time of the sensor from one message of health to the next, s."""
-ELLIPSOID_EVERY_S = 0.05
-"""Time from one ellipsoid in the scene to the next, s: no eye follows 330 a second."""
 
 MEASUREMENTS = ("EPOCH", "EPOCH_OFFSET", "FIELD", "BLOCK", "BLOCK_SUM", "CHIP")
 """Messages, thousands a second, that say nothing of the boards."""
@@ -52,10 +42,8 @@ class McapRecording:
         self._clock = UnixTime(about.site.cycle_s)
         self._lines = Lines()
         self._roster = Roster()
-        self._monitor = Monitor(about.site, about.source, self._roster)
+        self._telling = Telling(about.site, about.source, self._roster, self._file.log)
         self._arrived_s = 0.0
-        self._healthy_s = self._drawn_s = -math.inf
-        self._said = ""
 
     @property
     def failed(self) -> bool:
@@ -75,12 +63,12 @@ class McapRecording:
         if math.isfinite(item.arrived_s):
             self._arrived_s = item.arrived_s
         unix_s = self._clock.unix_s(item)
-        unix_s = unix_s if math.isfinite(unix_s) else self._arrived_s
         if isinstance(item, Epoch):
-            self._write_epoch(item, unix_s)
+            self._telling.epoch(item, unix_s, self._arrived_s)
         line = self._lines.take(item)
         if line is not None:
-            self._write_line(line, unix_s)
+            known_s = time.time() if self._about.live else self._arrived_s
+            self._telling.line(line, unix_s, self._arrived_s, known_s)
 
     def close(self) -> None:
         """End the recording."""
@@ -94,34 +82,4 @@ class McapRecording:
         self._file.metadata(ABOUT, self._about.metadata(self._site_file))
         if self._site_file is not None:
             self._file.attach(SITE_FILE, "application/toml", self._site_file, now_s)
-        self._file.log(SCENE, scene(self._about.site, now_s), now_s)
-
-    def _write_epoch(self, epoch: Epoch, unix_s: float) -> None:
-        self._file.log(FIELDS, fields_record(epoch.fields, unix_s), self._arrived_s)
-        self._monitor.add(epoch)
-        if 0.0 <= epoch.pose.time_s - self._healthy_s < HEALTH_EVERY_S:
-            return
-        self._healthy_s = epoch.pose.time_s
-        health = self._monitor.record()
-        self._file.log(HEALTH, health, self._arrived_s)
-        self._file.log(PARAMETERS, parameters_record(self._roster), self._arrived_s)
-        self._file.log(SCENE, scene(self._about.site, self._arrived_s, health), self._arrived_s)
-
-    def _write_line(self, line: Line, unix_s: float) -> None:
-        now_s = time.time() if self._about.live else self._arrived_s
-        self._file.log(LINE, line_record(line) | times(unix_s, now_s), self._arrived_s)
-        for topic, message in pose_messages(line.pose, unix_s):
-            self._file.log(topic, message, self._arrived_s)
-        self._draw(line.pose, unix_s)
-        said = f"{line.pose.status.value}: {line.pose.reason}"
-        if said != self._said:
-            self._said = said
-            self._file.log(LOG, log_message(line.pose, unix_s), self._arrived_s)
-
-    def _draw(self, pose: Pose, unix_s: float) -> None:
-        if 0.0 <= unix_s - self._drawn_s < ELLIPSOID_EVERY_S:
-            return
-        drawn = pose_scene(pose, unix_s)
-        if drawn is not None:
-            self._drawn_s = unix_s
-            self._file.log(SCENE, drawn, self._arrived_s)
+        self._telling.begin(now_s)
