@@ -63,8 +63,8 @@
 #include "services/tracking.h"
 
 #define SENSE_TURN_US         2000u /* Time in a turn after which no step of a pose begins: a block takes 3 ms. */
-#define SENSE_BEGIN_US        1200u /* Time after a block after which none begins while blocks are sent: they take 1.3 ms. */
-#define SENSE_STREAM_MESSAGES 128u /* Length of the queue of streamed chips: four blocks. */
+#define SENSE_BEGIN_US        1200u /* Time behind a block that is sent after which none begins: one takes 1.3 ms. */
+#define SENSE_STREAM_MESSAGES 128u  /* Length of the queue of streamed chips: four blocks. */
 
 /* Private but for tests, sampled and selection. */
 typedef struct {
