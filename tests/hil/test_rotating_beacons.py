@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from goldfield.access import SiteAccess
 from goldfield.access.waveform import site_templates
@@ -19,6 +20,9 @@ from hil_sim.scenario import SCENARIOS
 
 CYCLES = 8
 """Cycles that are judged: the soft start was over 1.1 s before the first of them."""
+
+FAR = chi2.isf(1e-6, 3)
+"""Square of an error over its own deviation that one of a million poses exceeds."""
 
 
 @pytest.fixture(scope="module")
@@ -118,4 +122,6 @@ def test_separate_and_locate_as_of_any_beacons(recorded, capsys, tmp_path):
         poses = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
         assert len(poses) == CYCLES
         for pose in poses:
-            assert np.linalg.norm(np.array(pose["position_m"]) - truth.position_m) < 0.005
+            error_m, cov_m2 = np.array(pose["position_m"]) - truth.position_m, np.array(pose["position_cov_m2"])
+            assert error_m @ np.linalg.solve(cov_m2, error_m) < FAR
+            assert np.sqrt(np.trace(cov_m2)) < 0.006
