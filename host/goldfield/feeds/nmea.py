@@ -16,7 +16,7 @@ import numpy as np
 from goldfield.feeds.address import Address
 from goldfield.feeds.feed import Clock, Feed, Setting
 from goldfield.feeds.stamped import StampedPose
-from goldfield.feeds.udp import Datagrams
+from goldfield.feeds.udp import DatagramFeed
 from goldfield.files.outputs import OutputFile
 from goldfield.types import FloatArray, Status
 
@@ -32,10 +32,10 @@ LETTERS = {
 
 
 def open_feed(address: Address, setting: Setting) -> Feed:
-    """Return the feed that writes a file or sends datagrams, with the errors of `OutputFile` or `Datagrams`."""
+    """Return the feed that writes a file or sends datagrams, with the errors of `OutputFile` or `DatagramFeed`."""
     if address.scheme == "nmea":
         return NmeaFile(OutputFile(address.path, "the sentences", live=True, force=setting.force), setting.clock)
-    return NmeaDatagrams(Datagrams(address), setting.clock)
+    return DatagramFeed(address, setting.clock, sentences)
 
 
 class NmeaFile:
@@ -61,35 +61,6 @@ class NmeaFile:
     def close(self) -> None:
         """Close the file and keep it."""
         self._file.close()
-
-
-class NmeaDatagrams:
-    """Sends the two sentences of each pose as a datagram.
-
-    Parameters
-    ----------
-    datagrams : Datagrams
-    clock : callable
-    """
-
-    whole = False
-
-    def __init__(self, datagrams: Datagrams, clock: Clock) -> None:
-        self._datagrams = datagrams
-        self._clock = clock
-
-    @property
-    def dropped(self) -> int:
-        """Datagrams that were not sent."""
-        return self._datagrams.dropped
-
-    def write(self, stamped: StampedPose, /) -> None:
-        """Send a pose."""
-        self._datagrams.send(sentences(stamped, self._clock()))
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._datagrams.close()
 
 
 def sentences(stamped: StampedPose, now_s: float) -> bytes:

@@ -1,29 +1,33 @@
-"""Poses as datagrams: each a line of JSON, sent to one host, which may listen or not."""
+"""Poses as datagrams, sent to one host, which may listen or not: each a line of JSON, or what another format makes."""
 
 from __future__ import annotations
 
 import socket
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
 from goldfield.feeds.address import Address
-from goldfield.feeds.feed import Feed, Setting
+from goldfield.feeds.feed import Clock, Feed, Setting
 from goldfield.feeds.stamped import StampedPose
 from goldfield.files.inputs import reason_of
 
 
 def open_feed(address: Address, setting: Setting) -> Feed:
-    """Return the feed that sends to an address; `UserError` if its host has no address."""
-    return UdpFeed(Datagrams(address), setting)
+    """Return the feed that sends lines of JSON to an address; `UserError` if its host has no address."""
+    return DatagramFeed(address, setting.clock, _line)
 
 
-class Datagrams:
-    """Sends datagrams to one address and never waits.
+class DatagramFeed:
+    """Sends a datagram for each pose to one address, and never waits.
 
     Parameters
     ----------
     address : Address
         A host, or an address for broadcast or multicast.
+    clock : callable
+    content : callable
+        Returns the datagram of a pose at a time by the wall clock, s since 1970.
 
     Attributes
     ----------
@@ -36,8 +40,11 @@ class Datagrams:
         If the host has no address.
     """
 
-    def __init__(self, address: Address) -> None:
+    whole = False
+
+    def __init__(self, address: Address, clock: Clock, content: Callable[[StampedPose, float], bytes]) -> None:
         self.dropped = 0
+        self._clock, self._content = clock, content
         try:
             found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
         except (OSError, UnicodeError) as error:
@@ -48,10 +55,10 @@ class Datagrams:
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
-    def send(self, data: bytes) -> None:
-        """Send a datagram; that nobody listens is no error."""
+    def write(self, stamped: StampedPose, /) -> None:
+        """Send a pose; that nobody listens is no error."""
         try:
-            self._socket.sendto(data, self._place)
+            self._socket.sendto(self._content(stamped, self._clock()), self._place)
         except OSError:
             self.dropped += 1
 
@@ -61,30 +68,5 @@ class Datagrams:
             self._socket.close()
 
 
-class UdpFeed:
-    """Sends each pose as a line of JSON.
-
-    Parameters
-    ----------
-    datagrams : Datagrams
-    setting : Setting
-    """
-
-    whole = False
-
-    def __init__(self, datagrams: Datagrams, setting: Setting) -> None:
-        self._datagrams = datagrams
-        self._clock = setting.clock
-
-    @property
-    def dropped(self) -> int:
-        """Datagrams that were not sent."""
-        return self._datagrams.dropped
-
-    def write(self, stamped: StampedPose, /) -> None:
-        """Send a pose."""
-        self._datagrams.send(f"{stamped.json(self._clock())}\n".encode())
-
-    def close(self) -> None:
-        """Close the socket."""
-        self._datagrams.close()
+def _line(stamped: StampedPose, now_s: float) -> bytes:
+    return f"{stamped.json(now_s)}\n".encode()

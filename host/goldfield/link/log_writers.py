@@ -81,8 +81,8 @@ class _Binary:
         self.settle()
 
 
-class AscWriter:
-    """Writes an .asc, line by line, so that a crash loses nothing (`RecordingFile`).
+class _LogWriter:
+    """Writes a log by a writer of python-can, which begins with the first message: that one replaces an earlier file.
 
     Parameters
     ----------
@@ -92,40 +92,11 @@ class AscWriter:
 
     def __init__(self, path: str | Path, *, force: bool = False) -> None:
         self._file = RecordingFile(path, force=force)
-        self._writer: can.ASCWriter | None = None
+        self._writer: can.ASCWriter | can.BLFWriter | None = None
 
-    @property
-    def failed(self) -> bool:
-        """Whether the recording is not whole."""
-        return self._file.failed
-
-    def write(self, message: can.Message) -> None:
-        """Append a message; `BrokenPipeError` if nobody reads stdout any more."""
-        if self._writer is None:  # not before the first message, which replaces an earlier file
-            text: Any = _Text(self._file)
-            self._writer = can.ASCWriter(text)
-        self._writer.on_message_received(message)
-
-    def close(self) -> None:
-        """End the recording, of which the disk may fail to take the last part."""
-        if self._writer is not None:
-            self._writer.stop()
-        self._file.close()
-
-
-class BlfWriter:
-    """Writes a .blf; a crash costs what its last container of `CONTAINER_BYTES` would have held.
-
-    Parameters
-    ----------
-    path, force
-        As for `RecordingFile`, with its errors.
-    """
-
-    def __init__(self, path: str | Path, *, force: bool = False) -> None:
-        self._file = RecordingFile(path, force=force)
-        self._binary = _Binary(self._file)
-        self._writer: can.BLFWriter | None = None
+    def _begun(self) -> can.ASCWriter | can.BLFWriter:
+        """Return the writer of python-can."""
+        raise NotImplementedError
 
     @property
     def failed(self) -> bool:
@@ -135,13 +106,36 @@ class BlfWriter:
     def write(self, message: can.Message) -> None:
         """Append a message; `BrokenPipeError` if nobody reads stdout any more."""
         if self._writer is None:
-            binary: Any = self._binary
-            self._writer = can.BLFWriter(binary, max_container_size=CONTAINER_BYTES)
+            self._writer = self._begun()
         self._writer.on_message_received(message)
-        self._binary.settle()
 
     def close(self) -> None:
         """End the recording, of which the disk may fail to take the last part."""
         if self._writer is not None:
             self._writer.stop()
         self._file.close()
+
+
+class AscWriter(_LogWriter):
+    """Writes an .asc, line by line, so that a crash loses nothing (`RecordingFile`)."""
+
+    def _begun(self) -> can.ASCWriter:
+        text: Any = _Text(self._file)
+        return can.ASCWriter(text)
+
+
+class BlfWriter(_LogWriter):
+    """Writes a .blf; a crash costs what its last container of `CONTAINER_BYTES` would have held."""
+
+    def __init__(self, path: str | Path, *, force: bool = False) -> None:
+        super().__init__(path, force=force)
+        self._binary = _Binary(self._file)
+
+    def _begun(self) -> can.BLFWriter:
+        binary: Any = self._binary
+        return can.BLFWriter(binary, max_container_size=CONTAINER_BYTES)
+
+    def write(self, message: can.Message) -> None:
+        """Append a message, as `_LogWriter.write`; a container that is full goes to the file as one record."""
+        super().write(message)
+        self._binary.settle()

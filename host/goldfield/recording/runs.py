@@ -99,9 +99,9 @@ class McapRun(Run):
                 if logged.topic in (LINE, FIELDS):
                     count += 1
                     yield Item(logged.topic, logged.arrived_s, json.loads(logged.data))
-        except Exception as error:  # the reader raises kinds of its own at what is torn
-            if isinstance(error, UserError):
-                raise
+        except UserError:
+            raise
+        except Exception:  # the reader raises kinds of its own at what is torn
             if count:
                 tell(f"{self.name}: is damaged or was cut off: what comes before is used")
         else:

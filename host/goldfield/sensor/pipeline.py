@@ -120,7 +120,7 @@ class Sensor:
         self._found = False
         self._options = Options() if options is None else options
         method = self._options.method
-        # In a recording nothing waits: a second thread would only cost
+        # Nobody waits for the next pose of a recording: a second thread would only cost time.
         self._aside = ThreadPoolExecutor(1, "judge") if isinstance(source, BusSource) else None
         self._between = between_of(site, self._options, self._aside)
         self._session = Session(

@@ -30,9 +30,9 @@ def killed_run(path: Path, poses: int) -> list[tuple[float, dict]]:
         subprocess.Popen(words, stdin=feeder.stdout, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as run,
     ):
         feeder.stdout.close()
-        printed = [(time.monotonic(), json.loads(run.stdout.readline())) for _ in range(poses)]
+        lines = [(run.stdout.readline(), time.monotonic()) for _ in range(poses)]  # a line is there before its time
         run.send_signal(signal.SIGKILL)
-    return printed
+    return [(came_s, json.loads(line)) for line, came_s in lines]
 
 
 def check(path: Path, printed: list[tuple[float, dict]], capsys) -> float:

@@ -26,8 +26,6 @@ REMEMBERED = 1100
 PIVOT = 1e-9
 """Eigenvalues of a Gram matrix below this part of its largest are rounding: such columns depend on others."""
 
-ALL_AXES: NDArray[np.bool_] = np.ones(3, dtype=bool)
-
 SEPARABLE = 1e-3
 """Eigenvalues of a Gram matrix, its diagonal scaled to 1, from which on its fields are told apart."""
 
@@ -156,11 +154,6 @@ class BlockEquations:
         """
         data = self._checked(block)
         usable = np.asarray(np.abs(data) <= LARGEST_T)
-        if usable.all() and len(self._axes) == 3:  # as nearly always: what follows comes to the same
-            components, weight = self._read(ALL_AXES)
-            columns = self._columns(block.chip, block.chips, block.sampled)
-            sums = (columns.reduced @ data) @ components.T
-            return NormalForm(sums, columns.gram, columns.moment, columns.ramp, weight, self._half_s(block), ALL_AXES)
         axes: NDArray[np.bool_] = np.asarray(usable.any(axis=0))
         axes[len(self._axes) :] = False
         if not axes.any():
@@ -174,12 +167,9 @@ class BlockEquations:
         else:
             return None
         components, weight = self._read(axes)
+        half_s = 0.5 * (block.chips - 1) * self._site.chip_period_s  # from the middle to the last sample
         sums = (columns.reduced @ data[:, axes]) @ components.T
-        return NormalForm(sums, columns.gram, columns.moment, columns.ramp, weight, self._half_s(block), axes)
-
-    def _half_s(self, block: Block) -> float:
-        """Return the time from the middle of a block to its last sample."""
-        return 0.5 * (block.chips - 1) * self._site.chip_period_s
+        return NormalForm(sums, columns.gram, columns.moment, columns.ramp, weight, half_s, axes)
 
     @property
     def cycle(self) -> NormalForm:

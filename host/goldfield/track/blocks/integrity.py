@@ -91,7 +91,9 @@ class Integrity:
         self._blocks_left = count // APPLIED if whole else 0
         self._pending = self._judging(self._cycle(epoch, without, rows))
         self._begin()
-        return self._settled() or verdict if self._blocks_left <= 0 else verdict
+        if self._blocks_left <= 0:
+            verdict = self._settled() or verdict
+        return verdict
 
     def _begin(self) -> None:
         """Begin a cycle."""
