@@ -67,4 +67,4 @@ def test_fifty_killed_runs_leave_recordings_that_open(tmp_path, capsys):
         lost_s.append(check(path, killed_run(path, poses), capsys))
     with capsys.disabled():
         print(f"\n50 killed runs: lost {np.median(lost_s):.2f} s in the median, at most {max(lost_s):.2f} s")
-    assert np.median(lost_s) < 1.0
+    assert max(lost_s) < 1.0
