@@ -44,8 +44,7 @@ def _command(name: str, parser: argparse.ArgumentParser) -> Iterator[str]:
         shown = [
             action
             for action in group._group_actions
-            if action.help != argparse.SUPPRESS
-            and not isinstance(action, argparse._SubParsersAction | argparse._HelpAction)
+            if action.help != argparse.SUPPRESS and not isinstance(action, NOT_SHOWN)
         ]
         for action in shown:
             yield from (_invocation(action), f": {_meaning(action, parser)}", "")

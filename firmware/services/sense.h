@@ -77,7 +77,7 @@ typedef struct {
     blocks_t blocks;
     onboard_t *onboard;
     tracking_t *tracking;
-    block_t block;              /* Lent to it: the core-coupled memory is full. */
+    block_t block;              /* Lent to it: it would fill the core-coupled memory. */
     bool tracks_first;          /* Spare time goes to the start of the track first, then to the pose of a cycle. */
     uint64_t block_us;          /* When the latest block was seen, us. */
     bool begun;                 /* A step of a pose has begun since then. */

@@ -1,6 +1,6 @@
 /* block_sweep.h: what a block of chips tells of the turn rate by the sweep of the ambient field: how fast that field
- * changes in the sensor's frame as the sensor turns. It makes attitudes of agile motion at .2 mG up to a third more
- * accurate.
+ * changes in the sensor's frame as the sensor turns. It makes attitudes of agile motion at .2 mG up to a quarter more
+ * accurate (docs/blocks.md).
  *
  * Calls: block_sweep after block_measure (block_measure.h), with the same block; what it makes goes to
  * block_kalman_update beside the rest.
@@ -11,7 +11,7 @@
  * observed numbers of block_measure have told already.
  *
  * Limits. Where the observed numbers leave less than 1e-2 of the information on the sweep, as with two beacons and
- * fewer, it is left out. It is known no better than 5 uT/s, by which the ambient field changes within a block itself,
+ * fewer, it is left out. It is known no better than 20 uT/s, by which the ambient field changes within a block itself,
  * near iron.
  *
  * Time (Cortex-M4, -O3): 25,000 instructions a block with 8 beacons, 46,000 with 16, 105,000 with 32, the updates of

@@ -49,7 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.recording.runs import open_run  # heavy: only when a run is read
     from goldfield.recording.tables import WRITERS, tables_of
 
-    out = arguments.out or _beside(arguments)
+    ending = f".fields.{arguments.to}" if arguments.table == "fields" else f".{arguments.to}"
+    out = arguments.out or beside(arguments.file, ending)
     check_outputs({"--out": out}, {"FILE": arguments.file, "--site": arguments.site}, force=arguments.force)
     poses, fields = tables_of(open_run(arguments.file, arguments.site, again=arguments.again))
     if arguments.table == "fields" and not len(fields):
@@ -67,12 +68,11 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _beside(arguments: argparse.Namespace) -> str:
-    """Return the place of the table where none is given."""
-    if arguments.file == STREAM:
+def beside(file: str, ending: str) -> str:
+    """Return where what is made of a run goes if no place is given; `UserError` for a run from stdin."""
+    if file == STREAM:
         raise UserError("--out is missing: a run from stdin has no name to go by")
-    ending = f".{arguments.to}" if arguments.table != "fields" else f".fields.{arguments.to}"
-    return str(Path(arguments.file).with_suffix(ending))
+    return str(Path(file).with_suffix(ending))
 
 
 def _texts(values: list[str]) -> Any:

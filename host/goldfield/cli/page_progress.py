@@ -19,6 +19,7 @@ from goldfield.types import Fields, Pose
 NEAR = np.cos(np.deg2rad(40.0))
 """An axis points up or down if it is no further off than 40 degrees; with a corner up, no axis does."""
 TELL_EVERY_S = 0.5
+"""Time of the sensor from one message of a turning to the next, s."""
 ENOUGH_S = 3.0
 """So long each axis is to point up, and down, s: of a minute's turning less than a third is asked for."""
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from goldfield.cli import options
-from goldfield.cli.export import add_run
+from goldfield.cli.export import add_run, beside
 from goldfield.errors import UserError, counted, on_command_line, tell
 from goldfield.files.inputs import STREAM
 from goldfield.files.outputs import check_outputs, write_file
@@ -36,9 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.site import load
     from goldfield.view.truth import Truth
 
-    if not arguments.out and arguments.file == STREAM:
-        raise UserError("--out is missing: a run from stdin has no name to go by")
-    out = arguments.out or str(Path(arguments.file).with_suffix(".png"))
+    out = arguments.out or beside(arguments.file, ".png")
     inputs = {"FILE": arguments.file, "--site": arguments.site, "--truth": arguments.truth}
     check_outputs({"--out": out}, inputs, force=arguments.force)
     run_read = open_run(arguments.file, arguments.site, again=arguments.again)

@@ -17,7 +17,6 @@ from goldfield.foxglove.topics import FIELDS, LINE
 from goldfield.recording.runs import Item
 from goldfield.types import FloatArray
 
-FORMATS = ("csv", "npz", "parquet")
 AXES = "xyz"
 NUMBERS = ("epoch", "t_s", "unix_s", "latency_s", "residual", "protection_m", "lost", "chips", "saturated", "locked")
 """Keys of a line that are one number each; NaN where it is not known."""
@@ -184,7 +183,7 @@ WRITERS: dict[str, Callable[[Mapping[str, Column]], bytes]] = {
     "npz": npz_bytes,
     "parquet": parquet_bytes,
 }
-"""What makes a file of each of the `FORMATS`."""
+"""What makes a file of each format."""
 
 
 def _number(value: float | bool | None) -> float:

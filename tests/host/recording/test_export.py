@@ -9,6 +9,8 @@ import pytest
 from pyarrow import parquet
 
 from goldfield.cli import main
+from goldfield.cli.export import FORMATS
+from goldfield.recording.tables import WRITERS
 from tests.host.fake_sensor import SITE, heartbeat, log_of
 
 CYCLES = 8
@@ -35,6 +37,10 @@ def lines(recorded, capsys):
 def exported(run, out, *words):
     assert main(["export", str(run), "--out", str(out), *map(str, words)]) == 0
     return out
+
+
+def test_every_format_that_is_offered_is_written():
+    assert tuple(WRITERS) == FORMATS
 
 
 def test_csv_and_parquet_hold_the_lines(recorded, lines, tmp_path):
