@@ -17,6 +17,7 @@ from goldfield.calibration.turn import Turn, turn_of_fields, turn_of_reports
 from goldfield.cli import board_calibration, link_options, options
 from goldfield.cli.chips_file import read_cycles
 from goldfield.cli.output import elements, json_line, number
+from goldfield.cli.page_progress import TurnProgress
 from goldfield.cli.page_shown import shown
 from goldfield.errors import UserError, tell
 from goldfield.files.outputs import check_outputs, check_writable, write_file
@@ -97,8 +98,6 @@ def _record(arguments: argparse.Namespace, kind: str, where: str, site: Site, li
         with open_sensor(kind, where, site, choices, heard) as opened:
             reports = opened.reports()
             if page is not None:
-                from goldfield.cli.page_progress import TurnProgress  # heavy: only when a page is served
-
                 reports = TurnProgress(page, site.cycle_s, seconds or LIVE_S).reports(opened)
             turn = turn_of_reports(site, _with_progress(reports, seconds if live else None))
             return opened.node, turn

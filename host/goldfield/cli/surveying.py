@@ -84,8 +84,6 @@ def _page(arguments: argparse.Namespace, site: Site) -> Iterator[SurveyProgress 
     if arguments.view is None or not any(getattr(arguments, kind) for kind in LINKS):
         yield None
         return
-    from goldfield.cli.page_progress import SurveyProgress  # heavy: only when a page is served
-
     kind, where = link_options.chosen(arguments)
     with shown(arguments, site, where, live=kind != "log") as page:
         yield None if page is None else SurveyProgress(page, arguments.enough)

@@ -192,7 +192,7 @@ class BusSource:
             if message is None:
                 self._empty_look = self._look
                 continue
-            # What came together is handed over together: who waits for it is woken once
+            # What came together is handed over together, so that who waits for it is woken once.
             together = [message, *bus.waiting()] if isinstance(bus, SerialBus) else [message]
             found = [one for one in together if self._is_ours(one)]
             if found:
