@@ -17,7 +17,7 @@ from goldfield.field import FieldModel
 from goldfield.field.dipole import dipole
 from goldfield.field.harmonics import harmonic_fields
 from goldfield.site import Beacon
-from goldfield.site.metal import BeaconMetal, Metal, symmetric
+from goldfield.site.metal import MOST_DEGREE, BeaconMetal, Metal, harmonic_count, symmetric
 from goldfield.types import FloatArray
 
 BODY = 9
@@ -119,6 +119,21 @@ class MetalState:
 def no_metal(beacons: int) -> MetalState:
     """Return the state without any unknowns."""
     return MetalState(np.zeros(3), 1.0, 0, np.empty((beacons, 0)), np.empty((0, 3)), np.empty((0, 6)))
+
+
+def polynomials_around(walked_m: FloatArray, beacons: int, degree: int = MOST_DEGREE) -> MetalState:
+    """Return polynomials of zero around what was walked; the few epochs that are far from all others do not count.
+
+    Parameters
+    ----------
+    walked_m : ndarray, shape (e, 3)
+    beacons, degree : int
+    """
+    low, high = np.quantile(walked_m, 0.01, axis=0), np.quantile(walked_m, 0.99, axis=0)
+    centre = 0.5 * (low + high)
+    radius = float(np.quantile(np.linalg.norm(walked_m - centre, axis=1), 0.95))
+    harmonics = np.zeros((beacons, harmonic_count(degree)))
+    return MetalState(centre, radius, degree, harmonics, np.empty((0, 3)), np.empty((0, 6)))
 
 
 def effects_of_harmonics(metal: MetalState, strength: FloatArray, point_m: FloatArray) -> FloatArray:

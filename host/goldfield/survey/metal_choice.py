@@ -20,15 +20,16 @@ from goldfield.field import FieldModel
 from goldfield.field.dipole import dipole
 from goldfield.locate.constellation import Constellation
 from goldfield.site import Site
-from goldfield.site.metal import MOST_DEGREE, harmonic_count, symmetric
+from goldfield.site.metal import MOST_DEGREE, symmetric
 from goldfield.survey.data import Free, MetalFound, SurveyData, SurveyResult
-from goldfield.survey.metal import MetalState, effects_of_bodies, no_metal
+from goldfield.survey.metal import MetalState, effects_of_bodies, no_metal, polynomials_around
 from goldfield.survey.metal_rest import completed, trusted
 from goldfield.survey.outcome import Solution, found_site
 from goldfield.survey.parameters import beacons_of
 from goldfield.survey.problem import problem_of
 from goldfield.survey.procedure import Progress, result_of, solve
 from goldfield.survey.starts import located, measurements_of
+from goldfield.survey.strays import gathered
 from goldfield.types import Fields, FloatArray
 
 PIECES, KEPT_OUT = 25, 5
@@ -106,6 +107,8 @@ def survey_with_metal(
             f"metal is learned from a walk of at least {4 * PIECES} epochs, and there are {len(data.epochs)}: walk "
             "through the whole room"
         )
+    walk = gathered(bare, data, free, tell)
+    data = walk.data
     choice = _Choice(bare, data, free, tell)
     best = choice.best()
     tell("last fit", 0.9)
@@ -116,7 +119,7 @@ def survey_with_metal(
             solution, best = completed(bare, data, free, solution, choice.around(best)), whole
     without = float(np.sqrt(choice.plain.excess()))
     found = MetalFound(without, float(np.sqrt(best.excess())), choice.unseen_T, found_site(choice.plain.solution))
-    result = replace(result_of(bare, solution, data, free), metal=found)
+    result = walk.all_told(replace(result_of(bare, solution, data, free), metal=found))
     if best.metal.is_none:
         return result
     sound = solution.state.sensor_m[solution.sound]
@@ -227,13 +230,7 @@ class _Choice:
 
     def polynomials(self, plain: _Candidate, degree: int) -> MetalState:
         """Return polynomials around what was walked."""
-        walked = plain.solution.state.sensor_m
-        low, high = np.quantile(walked, 0.01, axis=0), np.quantile(walked, 0.99, axis=0)
-        centre = 0.5 * (low + high)
-        radius = float(np.quantile(np.linalg.norm(walked - centre, axis=1), 0.95))
-        count = harmonic_count(degree)
-        none = np.empty((0, 3)), np.empty((0, 6))
-        return MetalState(centre, radius, degree, np.zeros((len(self._site.beacons), count)), *none)
+        return polynomials_around(plain.solution.state.sensor_m, len(self._site.beacons), degree)
 
     def _placed(self, seen: _Candidate, before: MetalState) -> MetalState | None:
         """Return the bodies so far and one more, where the polynomials' field is explained best."""

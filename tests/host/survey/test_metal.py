@@ -119,6 +119,25 @@ def test_plates_are_learned_from_a_walk() -> None:
     assert result.metal.residual_with < 0.2 * result.metal.residual_without
 
 
+def test_epochs_of_a_sensor_that_is_just_switched_on_bend_no_map() -> None:
+    """Two of noise alone, two in which the coils had just come on: a map explains them far out, where nobody was."""
+    trial = metal_trial("plates", 3)
+    rng = np.random.default_rng(17)
+    walk = trial.data.epochs
+    spoilt = [replace(walk[row], field_T=3e-9 * rng.normal(size=walk[row].field_T.shape)) for row in range(2)]
+    for row in range(2, 4):
+        share = rng.uniform(-0.2, 0.2, (len(walk[row].beacons), 1))
+        turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        spoilt.append(replace(walk[row], field_T=share * walk[row].field_T @ turned))
+    result = survey(trial.site, replace(trial.data, epochs=(*spoilt, *walk[4:])), FIELD)
+    assert {fields.epoch for fields in spoilt} <= {outlier.epoch for outlier in result.outliers}
+    assert np.isnan(result.position_m[:4]).all()
+    assert np.isfinite(result.position_m[4:]).all(axis=1).mean() > 0.95
+    assert result.site.metal is not None
+    assert np.abs(result.site.metal.walked_m - np.mean(trial.later_m, axis=0)).max() < 1.0
+    assert np.median(_errors_m(result.site, trial)) < np.median(_errors_m(trial.site, trial)) / 5.0
+
+
 def _nees(site: Site, trial: MetalTrial) -> np.ndarray:
     """Return the normalised squares of the errors of poses that are ``ok``, an axis: 1 on the average."""
     pairs = zip(Locator(site).locate_many(trial.later), trial.later_m, strict=True)
