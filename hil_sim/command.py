@@ -51,6 +51,7 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--points", type=Path, metavar="FILE", help=POINTS_HELP)
     add_force(parser)
     parser.add_argument("--pace", type=_pace, default=1.0, metavar="X", help=PACE_HELP)
+    parser.add_argument("--wait", action="store_true", help=WAIT_HELP)
     parser.add_argument("--can", metavar="CHANNEL", default=NO_CAN, help=CAN_HELP)
     parser.add_argument("--link", type=Path, metavar="PATH", help=LINK_HELP)
     parser.set_defaults(run=run)
@@ -66,6 +67,10 @@ CAN_HELP = (
 )
 PACE_HELP = (
     "at most X virtual seconds in a second (default 1); 0: as fast as possible, and waiting for the reader of the port"
+)
+WAIT_HELP = (
+    "stand still while nobody has a serial port of the bench open, once its boards have started: each reader finds "
+    "what the one before it left"
 )
 LINK_HELP = "a symbolic link to the serial port while the bench runs; those of anchors have their node added: PATH.NODE"
 

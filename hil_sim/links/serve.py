@@ -19,6 +19,7 @@ from hil_sim.links.can_bridge import CanBridge
 from hil_sim.links.port_name import PortName
 from hil_sim.links.pseudo_terminal import PseudoTerminal
 from hil_sim.links.read_command import read_command
+from hil_sim.links.readers import Readers
 from hil_sim.rig import SENSOR, Rig, Truth, point_row
 from hil_sim.rig.known_points import HEADER
 from hil_sim.scenario import Scenario, load_scenario, site_toml, true_site_toml
@@ -26,6 +27,10 @@ from hil_sim.scenario import Scenario, load_scenario, site_toml, true_site_toml
 SLICE_S = 0.005
 """Virtual time between two services of the links."""
 PROGRESS_S = 5.0
+STARTED_S = 2.0
+"""Virtual time in which boards start and find their time; a bench that waits for its readers runs so long by itself."""
+OPENING_S = 0.02
+"""Wall time between two looks at whether a port was opened, for a bench that waits for its readers."""
 FILES = ("site", "true_site", "truth", "points", "link")
 """The options that name a file to write."""
 
@@ -42,11 +47,19 @@ class Pace:
     def __init__(self, factor: float) -> None:
         self._factor = factor
         self._start = time.monotonic()
+        self._paused_s = 0.0
 
     @property
     def elapsed_s(self) -> float:
-        """Wall time since the start."""
-        return time.monotonic() - self._start
+        """Wall time since the start, without that in which the bench stood still."""
+        return time.monotonic() - self._start - self._paused_s
+
+    def pause_until(self, done: Callable[[], bool]) -> None:
+        """Stand still until something holds, and do not catch up afterwards."""
+        before = time.monotonic()
+        while not done():
+            time.sleep(OPENING_S)
+        self._paused_s += time.monotonic() - before
 
     def wait(self, virtual_s: float) -> None:
         """Sleep until the wall clock has caught up."""
@@ -163,9 +176,12 @@ def _serve(
     pace: Pace,
 ) -> None:
     end_s = LONGEST_S if arguments.seconds is None else arguments.seconds
+    readers = Readers(rig, terminals)
     slices = 0
     next_progress_s = PROGRESS_S
     while slices * SLICE_S < end_s:
+        if arguments.wait and rig.now_s >= STARTED_S:
+            pace.pause_until(readers.ready)
         for board, terminal in terminals.items():
             rig.serial_write(terminal.read(), board)
         if bridge is not None:

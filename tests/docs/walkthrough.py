@@ -4,9 +4,9 @@ In a page of ``docs``
 
 - a block of ``sh`` holds commands, which run in one folder that is empty at first, from the top of the page on: those
   of ``goldfield``, and ``python FILE.py``. A comment ``# exits with N`` behind one says which exit code is right.
-- ``goldfield hil`` without ``--seconds`` is a bench: it runs beside the commands that follow, until the next starts. It
-  runs as fast as it is read, unless other programs take part on its bus: ``CHANNEL`` stands for the CAN channel that
-  its first line told.
+- ``goldfield hil`` without ``--seconds`` is a bench: it runs beside the commands that follow, until the next starts.
+  One that waits for its readers (``--wait``) runs as fast as it is read, so each run of a page sees the same.
+  ``CHANNEL`` stands for the CAN channel that its first line told.
 - a block of ``python`` or ``toml`` whose first line is a comment with a file's name is saved under this name.
 - a block of ``text`` quotes lines that the last command above it printed.
 - an indented block, or one of ``console``, holds commands that need boards or files that the reader has. They are not
@@ -127,10 +127,9 @@ def _run(command: str, folder: Path) -> str:
 
 
 def _start(command: str, folder: Path, bench: ExitStack) -> str:
-    """Start a bench and return its first line. One that is run as fast as it is read waits until it has a reader."""
-    waits = "--can own" not in command
+    """Start a bench and return its first line."""
     process = subprocess.Popen(
-        [*words(command), *(["--pace", "0"] if waits else [])],
+        [*words(command), *(["--pace", "0"] if "--wait" in command else [])],
         cwd=folder,
         env=environment(),
         stdout=subprocess.PIPE,
@@ -143,8 +142,6 @@ def _start(command: str, folder: Path, bench: ExitStack) -> str:
     first = process.stdout.readline()
     if not first.startswith("serial ") or not port.exists():  # its first line: the bench is there
         raise RuntimeError(f"{command}: there is no port {port}")
-    if waits:
-        bench.callback(os.close, os.open(port, os.O_RDWR | os.O_NOCTTY))
     return first
 
 

@@ -271,7 +271,7 @@ def _metal_lines(result: SurveyResult, found: MetalFound) -> list[str]:
     count = len(metal.body_m)
     parts = ["a body"] if count == 1 else [f"{count} bodies"] if count else []
     parts += [f"polynomials of degree {metal.degree}"] if metal.degree else []
-    return [f"metal: {' and '.join(parts)}; {kept_out}"]
+    return [f"metal was found, described by {' and '.join(parts)}", kept_out]
 
 
 def table_of(site: Site, result: SurveyResult) -> str:

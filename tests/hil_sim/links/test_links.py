@@ -24,6 +24,7 @@ from hil_sim.links import serve
 from hil_sim.links.port_name import PortName
 from hil_sim.links.pseudo_terminal import WAITING_LIMIT, PseudoTerminal
 from hil_sim.links.read_command import read_command
+from hil_sim.links.readers import LISTENER_S
 from tests.hil_sim.rig.fakes import FakeBoards, write_scenario
 
 EVERY_BYTE = bytes(range(256))
@@ -366,3 +367,46 @@ def test_pace_never_runs_ahead(monkeypatch):
     clock[0] += 10.0  # late: no sleep to make up for
     pace.wait(1.1)
     assert pace.elapsed_s == pytest.approx(10.5)
+
+
+def test_a_pause_is_not_caught_up(monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(serve.time, "monotonic", lambda: clock[0])
+    monkeypatch.setattr(serve.time, "sleep", lambda seconds: clock.__setitem__(0, clock[0] + seconds))
+    pace = serve.Pace(1.0)
+    pace.wait(2.0)
+    pace.pause_until(lambda: clock[0] > 160.0)
+    assert clock[0] > 160.0
+    assert pace.elapsed_s == pytest.approx(2.0)
+    pace.wait(2.5)
+    assert pace.elapsed_s == pytest.approx(2.5)
+
+
+@pytest.mark.parametrize("sends", [True, False])
+def test_a_bench_that_waits_starts_its_boards_and_stands_still_until_it_is_read(tmp_path, monkeypatch, capsys, sends):
+    """Who opens a port is not ready yet: its first byte says so, or else that it has been there for a while."""
+    truth, port = tmp_path / "truth.jsonl", tmp_path / "port"
+    clock, cycles, others = [100.0], [], []
+
+    def sleep(seconds):
+        clock[0] += seconds
+        cycles.append(len(truth.read_text().splitlines()))
+        if len(cycles) == 5:
+            others.append(os.open(port, os.O_RDWR | os.O_NOCTTY))
+        if len(cycles) == 10 and sends:
+            os.write(others[0], b"\0")
+
+    def monotonic():
+        clock[0] += 1e-6
+        return clock[0]
+
+    monkeypatch.setattr(serve.time, "monotonic", monotonic)
+    monkeypatch.setattr(serve.time, "sleep", sleep)
+    monkeypatch.setattr(serve, "STARTED_S", 0.02)
+    options = ("--json", "--seconds", "0.05", "--truth", str(truth), "--link", str(port), "--wait")
+    code, _ = run_command(tmp_path, monkeypatch, capsys, *options)
+    assert code == 0
+    assert set(cycles) == {6}  # of 31 chips of 97.75 us each, in 0.02 s
+    assert len(cycles) == 10 if sends else len(cycles) >= 5 + LISTENER_S / serve.OPENING_S
+    assert len(truth.read_text().splitlines()) == 16
+    os.close(others.pop())
