@@ -405,16 +405,17 @@ static void begin(tracking_t *tracking, node_t *node) {
 
 /* ---- Calls ---- */
 
-/* Looks whether a cycle that the track was located from with no prior tells which of two poses is the right one. */
+/* Looks whether a cycle of the track was located where the track is. Of two poses that explained the start as well, one
+ * that was located with no prior tells which is the right one. */
 static void resolve(tracking_t *tracking, const onboard_verdict_t *verdict) {
     const bool told = verdict->status != POSE_AMBIGUOUS && verdict->status != POSE_INCONSISTENT;
-    if (!tracking->ambiguous || !told || !verdict->by_track || !verdict->searched) {
+    if (!told || !verdict->by_track || (tracking->ambiguous && !verdict->searched)) {
         return;
     }
     tracking->ambiguous = false;
     const float *const here_m = tracking->filter.filters[tracking->filter.best].state.position_m;
     if (tracking->state == TRACKING_FOLLOWS && verdict->away_m > WEAK_DISTANCE * nearest_m(tracking, here_m)) {
-        lose(tracking); /* It is the other one. */
+        lose(tracking); /* It is elsewhere: far from all beacons a wrong track contradicts no block. */
     }
 }
 

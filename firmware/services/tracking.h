@@ -26,6 +26,9 @@
  * TRACKING_DOUBTS-th in a row on, with reason "pending". So are those of a track that starts after one was lost for
  * that, unless the beacons were silent; it is given up if the first such cycle does not agree with the site either.
  *
+ * A cycle that is located far from where the track is, by a quarter of the distance to the nearest beacon, ends it: far
+ * from all beacons, where a block tells nothing, a wrong track contradicts none.
+ *
  * A track that started where another pose explained the fields as well follows the likelier of them, and says so: its
  * poses are ambiguous, and its cycles located with no prior, until one of these tells that no other pose explains it.
  * If that is not where the track is, it starts again. (The host follows both in the meantime.)
