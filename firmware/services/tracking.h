@@ -41,11 +41,11 @@
  * Time, as tests/firmware/apps/test_track_instructions.py counts it (Cortex-M4, the objects of the image), with a pose
  * for each block; everything that a sensor does is in the share: interrupts, filter, messages, location of cycles.
  *   beacons                                                     8        16        32
- *   main for a block                                       84,000   111,000   193,000
- *   mean of all for a block                               116,000   155,000   259,000
- *   of the processor's time at 1 cycle an instruction        23 %      30 %      51 %
- *     at 1.5                                                 34 %      46 %      76 %
- *     at 2.5                                                 57 %      76 %     127 %: more than there is
+ *   main for a block                                       78,000   105,000   186,000
+ *   mean of all for a block                               110,000   148,000   252,000
+ *   of the processor's time at 1 cycle an instruction        22 %      29 %      50 %
+ *     at 1.5                                                 32 %      44 %      74 %
+ *     at 2.5                                                 54 %      73 %     124 %: more than there is
  *   longest step of a start                               217,000   405,000   782,000
  *   all steps of a start                                  1.3 M     2.3 M     4.6 M
  *

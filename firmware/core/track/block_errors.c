@@ -35,12 +35,12 @@ static void add_effect(const block_measure_t *measure, uint32_t i, const float e
     const float *const sum = measure->sum[i].gradient;
     float crossed[3];
     vector3_cross(e, measure->sum[i].field_uT, crossed);
-    d[0] += sum[0] * e[0] + sum[1] * e[1] + sum[2] * e[2];
-    d[1] += sum[1] * e[0] + sum[3] * e[1] + sum[4] * e[2];
-    d[2] += sum[2] * e[0] + sum[4] * e[1] - (sum[0] + sum[3]) * e[2];
+    d[3] += sum[0] * e[0] + sum[1] * e[1] + sum[2] * e[2];
+    d[4] += sum[1] * e[0] + sum[3] * e[1] + sum[4] * e[2];
+    d[5] += sum[2] * e[0] + sum[4] * e[1] - (sum[0] + sum[3]) * e[2];
     for (uint32_t axis = 0; axis < 3u; axis++) {
-        d[3u + axis] += crossed[axis];
-        d[6u + axis] += measure->ambient_sum[i] * e[axis];
+        d[axis] += measure->ambient_sum[i] * e[axis];
+        d[6u + axis] += crossed[axis];
     }
 }
 
@@ -94,7 +94,7 @@ static void add_bias(const block_measure_t *measure, const float pivots[BLOCK_OB
     }
     for (uint32_t row = 0; row < 6u; row++) {
         for (uint32_t column = 0; column < 6u; column++) {
-            covariance[row][column] += 0.5f * (square[row][column] + square[column][row]);
+            covariance[row][column] += 0.5f * (square[3u + row][3u + column] + square[3u + column][3u + row]);
         }
     }
 }

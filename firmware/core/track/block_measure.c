@@ -37,7 +37,12 @@ static void model(const loop_t *coils, uint32_t ambient, block_measure_t *measur
 static void sum_row(const block_t *block, uint32_t i, block_measure_t *measure) {
     const float *gram = block->gram[i], *moment = block->moment[i];
     block_field_t sum = {{0.0f}, {0.0f}}, moments = {{0.0f}, {0.0f}};
-    for (uint32_t j = 0; j < block->columns; j++) {
+    const uint32_t ambient = block->columns - 1u; /* Its gradient is zero. */
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        sum.field_uT[axis] = gram[ambient] * measure->model[ambient].field_uT[axis];
+        moments.field_uT[axis] = moment[ambient] * measure->model[ambient].field_uT[axis];
+    }
+    for (uint32_t j = 0; j < ambient; j++) {
         const block_field_t *const other = &measure->model[j];
         for (uint32_t axis = 0; axis < 3u; axis++) {
             sum.field_uT[axis] += gram[j] * other->field_uT[axis];
@@ -50,7 +55,7 @@ static void sum_row(const block_t *block, uint32_t i, block_measure_t *measure) 
     }
     measure->sum[i] = sum;
     measure->moment[i] = moments;
-    measure->ambient_sum[i] = gram[block->columns - 1u];
+    measure->ambient_sum[i] = gram[ambient];
 }
 
 /* Computes what the model leaves of the sums of a row, turned into the site's frame. offset is that of the sensor in
@@ -80,9 +85,9 @@ static void descend(const block_t *block, block_measure_t *measure) {
         }
     }
     for (uint32_t axis = 0; axis < 3u; axis++) {
-        measure->rows[axis][BLOCK_ROW_Y] = by_p[axis];
-        measure->rows[3u + axis][BLOCK_ROW_Y] = by_theta[axis];
-        measure->rows[6u + axis][BLOCK_ROW_Y] = residual[axis]; /* That of the last row, the ambient field's. */
+        measure->rows[axis][BLOCK_ROW_Y] = residual[axis]; /* That of the last row, the ambient field's. */
+        measure->rows[3u + axis][BLOCK_ROW_Y] = by_p[axis];
+        measure->rows[6u + axis][BLOCK_ROW_Y] = by_theta[axis];
     }
 }
 
@@ -138,9 +143,9 @@ static void turn(uint32_t count, const block_field_t *fields, const block_field_
     matrix3_store((const float(*)[3])total, rows, BLOCK_ROW);
 }
 
-/* Stores [b]x, turned over, in a block of rows. */
+/* Stores [b]x in a block of rows. */
 static inline void store_cross(const float b[3], float *rows) {
-    const float block[3][3] = {{0.0f, b[2], -b[1]}, {-b[2], 0.0f, b[0]}, {b[1], -b[0], 0.0f}};
+    const float block[3][3] = {{0.0f, -b[2], b[1]}, {b[2], 0.0f, -b[0]}, {-b[1], b[0], 0.0f}};
     matrix3_store(block, rows, BLOCK_ROW);
 }
 
@@ -165,71 +170,83 @@ static inline void transpose(float *rows) {
 static void compose(uint32_t count, block_measure_t *measure) {
     const uint32_t last = count - 1u;
     const block_field_t *const fields = measure->model, *const sums = measure->sum, *const moments = measure->moment;
-    const float *const turning = moments[last].field_uT, back[3] = {-turning[0], -turning[1], -turning[2]};
     float(*const rows)[BLOCK_ROW] = measure->rows, part[3][3];
-    square(count, fields, sums, &rows[0][BLOCK_P]);
-    cross(count, fields, sums, &rows[0][BLOCK_THETA]);
-    square(count, fields, moments, &rows[0][BLOCK_V]);
-    cross(count, fields, moments, &rows[0][BLOCK_W]);
+    store_unit(measure->ambient_sum[last], &rows[0][BLOCK_E]);
     block_field_expand(sums[last].gradient, part);
-    matrix3_store((const float(*)[3])part, &rows[0][BLOCK_E], BLOCK_ROW);
-    store_unit(0.0f, &rows[3][BLOCK_P]);
-    turn(count, fields, sums, &rows[3][BLOCK_THETA]);
-    cross(count, moments, fields, &rows[3][BLOCK_V]);
-    transpose(&rows[3][BLOCK_V]);
-    turn(count, fields, moments, &rows[3][BLOCK_W]);
-    store_cross(sums[last].field_uT, &rows[3][BLOCK_E]);
-    store_unit(0.0f, &rows[6][BLOCK_P]);
-    store_unit(0.0f, &rows[6][BLOCK_THETA]);
+    matrix3_store((const float(*)[3])part, &rows[0][BLOCK_P], BLOCK_ROW);
+    store_cross(sums[last].field_uT, &rows[0][BLOCK_THETA]);
     block_field_expand(moments[last].gradient, part);
-    matrix3_store((const float(*)[3])part, &rows[6][BLOCK_V], BLOCK_ROW);
-    store_cross(back, &rows[6][BLOCK_W]);
-    store_unit(measure->ambient_sum[last], &rows[6][BLOCK_E]);
+    matrix3_store((const float(*)[3])part, &rows[0][BLOCK_V], BLOCK_ROW);
+    store_cross(moments[last].field_uT, &rows[0][BLOCK_W]);
+    square(count, fields, sums, &rows[3][BLOCK_P]);
+    cross(count, fields, sums, &rows[3][BLOCK_THETA]);
+    square(count, fields, moments, &rows[3][BLOCK_V]);
+    cross(count, fields, moments, &rows[3][BLOCK_W]);
+    turn(count, fields, sums, &rows[6][BLOCK_THETA]);
+    cross(count, moments, fields, &rows[6][BLOCK_V]);
+    transpose(&rows[6][BLOCK_V]);
+    turn(count, fields, moments, &rows[6][BLOCK_W]);
 }
 
-/* Takes a row times a factor from another; both are zero before the first column, and the offset's are left out. */
+/* Takes a row times a factor from another, in the columns from first to that of the ambient field and on the right
+ * side. */
 static inline void subtract_row(float *row, float factor, const float *other, uint32_t first) {
-    for (uint32_t column = first; column < BLOCK_B; column++) {
+    for (uint32_t column = first; column < BLOCK_E; column++) {
         row[column] -= factor * other[column];
     }
     row[BLOCK_ROW_Y] -= factor * other[BLOCK_ROW_Y];
 }
 
-/* Eliminates [L K g] to [A y] = U^-1 [L K g], of which the first part is U', for three columns of L. Rows that tell
- * nothing become zero.
- * Returns how many tell something. */
+/* Eliminates [L K g] to [A y] = U^-1 [L K g], of which the first part is U', for the ambient field, of which L is a
+ * multiple of the unit matrix, and sets the columns of the sensor's offset, which adds to it in the sensor's frame.
+ * Returns how many rows tell something. */
+static uint32_t eliminate_ambient(float rows[BLOCK_OBSERVED][BLOCK_ROW], const float rotation[3][3], float noise) {
+    const float pivot = rows[0][BLOCK_E];
+    const bool told = !(pivot <= 0.0f); /* What is not a number stays one. */
+    const float scale = told ? 1.0f / (noise * square_root(pivot)) : 0.0f;
+    for (uint32_t j = 0; j < 3u; j++) {
+        float own[BLOCK_ROW];
+        for (uint32_t column = BLOCK_P; column < BLOCK_E; column++) {
+            own[column] = rows[j][column] *= scale;
+        }
+        own[BLOCK_ROW_Y] = rows[j][BLOCK_ROW_Y] *= scale;
+        rows[j][BLOCK_E + j] = scale * pivot;
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            rows[j][BLOCK_B + axis] = scale * pivot * rotation[j][axis];
+        }
+        for (uint32_t i = 3; i < BLOCK_OBSERVED; i++) {
+            const uint32_t first = i < 6u ? BLOCK_P : BLOCK_THETA; /* One of the turn has no column of the position. */
+            subtract_row(rows[i], noise * noise * own[block_measure_diagonal(i)], own, first);
+        }
+    }
+    return told ? 3u : 0u;
+}
+
+/* Does the same for three rows from j on of position or turn, whose columns begin with first. Rows that tell nothing
+ * become zero. */
 static inline uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], const float whole[BLOCK_OBSERVED], float noise,
                                  uint32_t j, uint32_t first) {
-    const uint32_t end = j + 3u;
+    const uint32_t group = j + 3u;
     uint32_t rank = 0;
-    for (; j < end; j++) {
+    for (; j < group; j++) {
         const float pivot = rows[j][block_measure_diagonal(j)];
         const bool told = !(pivot <= LEAST_PIVOT * whole[j]); /* What is not a number stays one. */
         const float scale = told ? 1.0f / (noise * square_root(pivot)) : 0.0f;
         float own[BLOCK_ROW];
-        for (uint32_t column = first; column < BLOCK_B; column++) {
+        for (uint32_t column = first; column < BLOCK_E; column++) {
             own[column] = rows[j][column] *= scale;
         }
         own[BLOCK_ROW_Y] = rows[j][BLOCK_ROW_Y] *= scale;
         for (uint32_t i = j + 1u; i < BLOCK_OBSERVED; i++) {
-            subtract_row(rows[i], noise * noise * rows[j][block_measure_diagonal(i)], own, first);
-            rows[i][block_measure_diagonal(j)] = 0.0f;
+            const float factor = noise * noise * own[block_measure_diagonal(i)];
+            subtract_row(rows[i], factor, own, i < group ? first : BLOCK_THETA);
+            if (i < group) {
+                rows[i][block_measure_diagonal(j)] = 0.0f;
+            }
         }
         rank += told ? 1u : 0u;
     }
     return rank;
-}
-
-/* Sets the columns of the sensor's offset, which adds to the ambient field in the sensor's frame. */
-static void add_offset(block_measure_t *measure) {
-    for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
-        float *const row = measure->rows[i];
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            row[BLOCK_B + axis] = row[BLOCK_E] * measure->rotation[0][axis] +
-                                  row[BLOCK_E + 1u] * measure->rotation[1][axis] +
-                                  row[BLOCK_E + 2u] * measure->rotation[2][axis];
-        }
-    }
 }
 
 void block_measure(const block_t *block, const loop_t *coils, block_measure_t *measure) {
@@ -244,8 +261,7 @@ void block_measure(const block_t *block, const loop_t *coils, block_measure_t *m
     for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
         whole[i] = measure->rows[i][block_measure_diagonal(i)];
     }
-    measure->rank = eliminate(measure->rows, whole, measure->noise_uT, 0, BLOCK_P);
-    measure->rank += eliminate(measure->rows, whole, measure->noise_uT, 3, BLOCK_THETA);
-    measure->rank += eliminate(measure->rows, whole, measure->noise_uT, 6, BLOCK_V);
-    add_offset(measure);
+    measure->rank = eliminate_ambient(measure->rows, (const float(*)[3])measure->rotation, measure->noise_uT);
+    measure->rank += eliminate(measure->rows, whole, measure->noise_uT, 3, BLOCK_P);
+    measure->rank += eliminate(measure->rows, whole, measure->noise_uT, 6, BLOCK_THETA);
 }

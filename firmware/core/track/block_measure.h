@@ -2,16 +2,17 @@
  *
  * Calls: block_measure once for each block; block_errors (block_errors.h) uses what it leaves.
  *
- * Method. The nine observed numbers are position, a small turn in the site's frame, and the ambient field as the sensor
- * sees it. All sums are turned into the site's frame. Field and gradient of each coil come from loop_field.h, and the
- * gram and moment matrices are multiplied with them once: nothing of the size of the block is inverted. Information and
- * gradient follow in closed form, because the attitude's Jacobians are cross products and the gradient of a field
- * outside the wire has only five different numbers.
+ * Method. The nine observed numbers are the ambient field as the sensor sees it, position, and a small turn in the
+ * site's frame: in this order, since the ambient field has twice as many columns of the state as each of the others,
+ * and what is eliminated first has no column in the rows that follow. All sums are turned into the site's frame. Field
+ * and gradient of each coil come from loop_field.h, and the gram and moment matrices are multiplied with them once:
+ * nothing of the size of the block is inverted. Information and gradient follow in closed form, because the attitude's
+ * Jacobians are cross products and the gradient of a field outside the wire has only five different numbers.
  *
  * Limits. Information below 1e-6 of its own diagonal is left out: with fields of which one is more than about 500 times
  * as strong as the others, single precision does not see what those tell.
  *
- * Time (Cortex-M4, -O3): 11,400 instructions with 8 beacons, 22,000 with 16, 56,000 with 32.
+ * Time (Cortex-M4, -O3): 11,200 instructions with 8 beacons, 22,000 with 16, 56,000 with 32.
  */
 #ifndef GOLDFIELD_BLOCK_MEASURE_H
 #define GOLDFIELD_BLOCK_MEASURE_H
@@ -26,8 +27,7 @@
 #define BLOCK_OBSERVED 9u  /* Observed numbers, and rows that tell of them. */
 #define BLOCK_ROW      19u /* Length of a row. */
 
-/* Columns of a row: those of the state's errors, in their order, and the right side. The rows are zero left of the
- * diagonal of position, turn and ambient field. */
+/* Columns of a row: those of the state's errors, in their order, and the right side. */
 enum { BLOCK_ROW_Y = BLOCK_STATES };
 
 typedef struct {
@@ -35,7 +35,11 @@ typedef struct {
     float noise_uT;                        /* Standard deviation of a component of a sample. */
     float rotation[3][3];                  /* Its attitude R. */
     float rows[BLOCK_OBSERVED][BLOCK_ROW]; /* [A y]: A x = y but for noise of unit variance, x being the
-                                              state less the reference. */
+                                              state less the reference. Three rows each of the ambient
+                                              field, with all columns; of the position, without those
+                                              of ambient field and offset; and of the turn, without
+                                              those and the position's. Columns that a row is without
+                                              are zero and not set. */
     uint32_t rank;                         /* Rows of A that are not zero. */
     block_field_t model[BLOCK_COLUMNS];    /* Those of the columns, of which the last is the ambient one ... */
     block_field_t sum[BLOCK_COLUMNS];      /* ... and for each row their sums, weighted with the gram matrix ... */
@@ -45,7 +49,7 @@ typedef struct {
 
 /* Returns the column of the rows in which the diagonal of an observed number stands. */
 static inline uint32_t block_measure_diagonal(uint32_t number) {
-    return number < 6u ? number : BLOCK_E - 6u + number;
+    return number < 3u ? BLOCK_E + number : number - 3u;
 }
 
 /* Compute the rest of *measure, whose reference and noise the caller has set, from a block and the coils of its columns

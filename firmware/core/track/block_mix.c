@@ -1,5 +1,8 @@
 #include "core/track/block_mix.h"
 
+#include <stdbool.h>
+#include <string.h>
+
 #include "core/math/logarithm.h"
 
 #define LEAST 1e-9f /* Least probability of a filter. */
@@ -8,7 +11,11 @@ typedef float errors_t[BLOCK_FILTERS][BLOCK_STATES];
 
 static void differ(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, errors_t errors) {
     for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-        block_state_subtract(&filters[k].state, &filters[best].state, errors[k]);
+        if (k == best) {
+            memset(errors[k], 0, sizeof errors[k]);
+        } else {
+            block_state_subtract(&filters[k].state, &filters[best].state, errors[k]);
+        }
     }
 }
 
@@ -17,20 +24,33 @@ typedef struct {
     float given[BLOCK_FILTERS], taken[BLOCK_FILTERS], kept[BLOCK_FILTERS];
 } shares_t;
 
-/* Mixes a row of all covariances up to the diagonal, and what is on its other side. */
+/* Mixes an element of all covariances; errors and means are those of its row and of its column. */
+static inline void mix_element(block_kalman_t filters[BLOCK_FILTERS], const shares_t *shares, const errors_t errors,
+                               const errors_t means, uint32_t row, uint32_t column, bool mirror) {
+    float spread[BLOCK_FILTERS], together = 0.0f;
+    for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
+        spread[k] = filters[k].covariance[row][column] + errors[k][row] * errors[k][column];
+        together += shares->given[k] * spread[k];
+    }
+    for (uint32_t j = 0; j < BLOCK_FILTERS; j++) {
+        const float mixed = shares->taken[j] * together + shares->kept[j] * spread[j] -
+                            means[j][row] * means[j][column];
+        filters[j].covariance[row][column] = mixed;
+        if (mirror) {
+            filters[j].covariance[column][row] = mixed;
+        }
+    }
+}
+
+/* Mixes a row of all covariances up to the diagonal, and what is on its other side in the block of six rows. */
 static inline void mix_row(block_kalman_t filters[BLOCK_FILTERS], const shares_t *shares, const errors_t errors,
                            const errors_t means, uint32_t row) {
-    for (uint32_t column = 0; column <= row; column++) {
-        float spread[BLOCK_FILTERS], together = 0.0f;
-        for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-            spread[k] = filters[k].covariance[row][column] + errors[k][row] * errors[k][column];
-            together += shares->given[k] * spread[k];
-        }
-        for (uint32_t j = 0; j < BLOCK_FILTERS; j++) {
-            const float mixed = shares->taken[j] * together + shares->kept[j] * spread[j] -
-                                means[j][row] * means[j][column];
-            filters[j].covariance[row][column] = filters[j].covariance[column][row] = mixed;
-        }
+    const uint32_t block = row - row % 6u;
+    for (uint32_t column = 0; column < block; column++) {
+        mix_element(filters, shares, errors, means, row, column, false);
+    }
+    for (uint32_t column = block; column <= row; column++) {
+        mix_element(filters, shares, errors, means, row, column, true);
     }
 }
 
@@ -94,20 +114,31 @@ uint32_t block_mix_weigh(block_kalman_t filters[BLOCK_FILTERS], const float like
 static inline void merge(const block_kalman_t filters[BLOCK_FILTERS], uint32_t best, uint32_t length,
                          block_state_t *state, float *covariance) {
     errors_t errors;
-    float mean[BLOCK_STATES];
+    float mean[BLOCK_STATES], from_mean[BLOCK_STATES][BLOCK_FILTERS];
     differ(filters, best, errors);
     for (uint32_t i = 0; i < BLOCK_STATES; i++) {
         mean[i] = 0.0f;
         for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
             mean[i] += filters[k].probability * errors[k][i];
         }
+        for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
+            from_mean[i][k] = errors[k][i] - mean[i];
+        }
     }
     for (uint32_t row = 0; row < length; row++) {
+        const float *of[BLOCK_FILTERS];
+        float weights[BLOCK_FILTERS], weighed[BLOCK_FILTERS];
+        for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
+            of[k] = filters[k].covariance[row];
+            weights[k] = filters[k].probability;
+            weighed[k] = weights[k] * from_mean[row][k];
+        }
         for (uint32_t column = 0; column <= row; column++) {
-            float sum = -mean[row] * mean[column];
-            for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
-                const float spread = filters[k].covariance[row][column] + errors[k][row] * errors[k][column];
-                sum += filters[k].probability * spread;
+            float sum = weights[0] * of[0][column];
+            sum += weighed[0] * from_mean[column][0]; /* One product each: they are fused with the sums. */
+            for (uint32_t k = 1; k < BLOCK_FILTERS; k++) {
+                sum += weights[k] * of[k][column];
+                sum += weighed[k] * from_mean[column][k];
             }
             covariance[row * length + column] = covariance[column * length + row] = sum;
         }

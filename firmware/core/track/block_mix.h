@@ -4,7 +4,7 @@
  * Calls: block_mix every few blocks, before a prediction; block_mix_weigh after each block; block_mix_output for a
  * pose.
  *
- * Time (Cortex-M4, -O3): block_mix 11,200 instructions, block_mix_output 4,400.
+ * Time (Cortex-M4, -O3): block_mix 10,900 instructions, block_mix_output 4,400.
  */
 #ifndef GOLDFIELD_BLOCK_MIX_H
 #define GOLDFIELD_BLOCK_MIX_H

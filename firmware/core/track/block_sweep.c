@@ -95,8 +95,8 @@ static void couple(const block_field_t *field, uint32_t axis, float by[6]) {
 static void known_part(const block_measure_t *measure, const ramp_t *ramp, uint32_t axis, float weight,
                        float y[BLOCK_OBSERVED]) {
     float c[BLOCK_OBSERVED] = {0.0f};
-    couple(&ramp->sum, axis, c);
-    c[6u + axis] = ramp->ambient;
+    c[axis] = ramp->ambient;
+    couple(&ramp->sum, axis, &c[3]);
     for (uint32_t i = 0; i < BLOCK_OBSERVED; i++) {
         const float pivot = measure->rows[i][block_measure_diagonal(i)];
         float left = weight * c[i];

@@ -14,7 +14,7 @@
  * fewer, it is left out. It is known no better than 20 uT/s, by which the ambient field changes within a block itself,
  * near iron.
  *
- * Time (Cortex-M4, -O3): 25,000 instructions a block with 8 beacons, 46,000 with 16, 105,000 with 32, the updates of
+ * Time (Cortex-M4, -O3): 23,500 instructions a block with 8 beacons, 44,000 with 16, 103,000 with 32, the updates of
  * the four filters by these rows included. The sensor does without it; the host asks for it.
  */
 #ifndef GOLDFIELD_BLOCK_SWEEP_H
