@@ -136,7 +136,8 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events);
 
 /* [any] Enable both bridges, or switch them off. Off acts at once, whatever the plan says.
  * Bridges and set-points change as planned, together at a chip's start. Enabled bridges stay so for two chips beyond
- * each current(), as long as the chips' edges come as well; then the board switches them off (HAL_FAULT_STALE).
+ * each current(), as long as the chips' edges come as well; then the board switches them off (HAL_FAULT_STALE). Half a
+ * chip later hardware does, should the processor serve no interrupt any more.
  * Returns whether the bridges are now as asked: they cannot be enabled while the drivers' fault input is active, nor
  * before the chip engine runs. */
 bool hal_drive_enable(hal_t *hal, bool enable);

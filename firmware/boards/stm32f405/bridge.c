@@ -9,11 +9,24 @@
  *   the drivers                 their fault wire is the break input of both     at once, in hardware, without a clock
  *   the chip engine, standing   TIM7, restarted by each coil current, ends      two chips behind the last current
  *   nobody, planning            coil currents restart TIM7 no more              a block and two chips behind the plan
+ *   a processor that serves     the fuse, which no coil current moves on, is    two chips and a half behind the last
+ *   no interrupt                a break of TIM1                                 current, in hardware
  *   the crystal, stopping       the clock security system is a break, too       at once, in hardware
  *   hal_drive_enable(), crash   MOE is cleared                                  at once
  * MOE cannot be set while a break input is low, nor can the break's flag be cleared (RM0090, 17.4.18): the fault is a
  * level. Its interrupt would therefore come for ever: it is armed when the chip engine starts, tells once, also with
  * the bridges off, and is armed again when they are enabled again.
+ *
+ * The fuse. In the middle of each chip DMA2 stream 7 brings a half-word of a ring to EGR of TIM1: 0, which does
+ * nothing, or BG, which is a break. Each coil current puts BG two places ahead of what the stream has fetched, and 0
+ * where it was before. So a processor that hangs with all interrupts masked, or in the handler of TIM7, or that a
+ * debugger has halted, loses the bridges to the second or third transfer from then on, without an instruction. A break
+ * of TIM1 alone is the fuse's; the fault wire breaks TIM8, too.
+ *
+ *   a coil current in chip c   the stream has written   has fetched   now set to 0    now set to BG
+ *   behind the middle          that of chip c           c + 1         c + 2           c + 3
+ * The current of chip c + 1 comes in time if its handler runs before the middle of chip c + 2, as it must anyway
+ * (ADC_Handler).
  *
  * The modes and BDTR are locked (LOCK = 3) until reset: no wild write takes the break away.
  *
@@ -53,6 +66,7 @@ void bridge_start(void) {
 }
 
 static void bridge_off(void) {
+    board.enabled = false;
     TIM1->BDTR = BDTR_OFF;
     TIM8->BDTR = BDTR_OFF;
 }
@@ -77,9 +91,31 @@ void bridge_arm(void) {
     interrupts_restore(primask);
 }
 
+/* All of the ring is 0 until the first coil current. */
+void bridge_fuse_start(const hal_t *hal) {
+    DMA_stream_registers *stream = &DMA2->S[7];
+    DMA2->HIFCR = DMA_HIFCR_STREAM7;
+    stream->PAR = (uint32_t)&TIM1->EGR;
+    stream->M0AR = (uint32_t)hal->fuse;
+    stream->NDTR = RING_CHIPS;
+    stream->CR = DMA_S0CR_CHSEL_7 | DMA_S0CR_DIR_TO_PERIPHERAL | DMA_S0CR_CIRC | DMA_S0CR_MINC | DMA_S0CR_PSIZE_16 |
+                 DMA_S0CR_MSIZE_16 | DMA_S0CR_PL_HIGH;
+    stream->CR |= DMA_S0CR_EN;
+    TIM8->DIER |= TIM_DIER_CC4DE;
+}
+
+/* What is written next has been fetched already. */
+static void fuse_move(hal_t *hal) {
+    const uint32_t fetched = RING_CHIPS - DMA2->S[7].NDTR; /* NDTR is 62 to 1. */
+    const uint32_t next = fetched + 1u < RING_CHIPS ? fetched + 1u : 0u;
+    hal->fuse[next] = 0;
+    hal->fuse[next + 1u < RING_CHIPS ? next + 1u : 0u] = TIM_EGR_BG;
+}
+
 void bridge_watch(void) {
     TIM7->CNT = 0;
     TIM7->CR1 = TIM_CR1_OPM | TIM_CR1_URS | TIM_CR1_CEN;
+    fuse_move(&board);
 }
 
 void TIM7_Handler(void) {
@@ -89,13 +125,22 @@ void TIM7_Handler(void) {
         bridge_trip(HAL_FAULT_STALE);
 }
 
+/* Returns who has broken the outputs, as a bit of faults. A fuse that ends with the bridges off is nobody's affair. */
+static uint32_t broken(void) {
+    if ((TIM8->SR & TIM_SR_BIF) != 0 || hal_drive_fault(&board))
+        return 1u << HAL_FAULT_DRIVER;
+    if (board.enabled && (TIM1->SR & TIM_SR_BIF) != 0)
+        return 1u << HAL_FAULT_STALE;
+    TIM1->SR = SR_KEPT & ~TIM_SR_BIF;
+    return 0;
+}
+
 /* Serves a break of either timer, and what bridge_trip() left. A break that comes with another fault is part of it: the
  * crystal's end is one. */
 void TIM1_BRK_TIM9_Handler(void) {
     uint32_t faults = __atomic_exchange_n(&board.faults, 0u, __ATOMIC_RELAXED);
-    const bool broken = (TIM1->DIER & TIM_DIER_BIE) != 0 && ((TIM1->SR | TIM8->SR) & TIM_SR_BIF) != 0;
-    if (broken && faults == 0)
-        faults = 1u << HAL_FAULT_DRIVER;
+    if (faults == 0 && (TIM1->DIER & TIM_DIER_BIE) != 0)
+        faults = broken();
     if (faults == 0)
         return;
     bridge_off();
@@ -126,6 +171,7 @@ bool hal_drive_enable(hal_t *hal, bool enable) {
         TIM1->BDTR = BDTR_ON;
         TIM8->BDTR = BDTR_ON;
         on = bridge_is_on();
+        hal->enabled = on;
     }
     if (!on)
         bridge_off();

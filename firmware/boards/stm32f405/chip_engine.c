@@ -26,6 +26,7 @@
  *   0            TIM8 TRGO    the DAC's outputs take what its data register holds: the set-points of c
  *                             then DMA1 stream 5: set_points[(c - 1) mod 62] -> DHR12RD, for c + 1      c
  *   8000 (CC4)   TIM1_CC4     DMA2 stream 4: edges[c mod 62] -> preloads of TIM1, for c + 1             c + 1
+ *   8000 (CC4)   TIM8_CC4     DMA2 stream 7: fuse[c mod 62] -> EGR of TIM1 (bridge.c)                   c + 1
  *   TIM3 CC1     converters   burst of 8 (sensor, anchor)
  *   TIM3 CC4     converters   one conversion of the coil currents (beacon, anchor)
  *   any          TIM8_CC1     edge of the sync wire, its count kept in CCR1
@@ -209,8 +210,10 @@ void hal_chips_start(hal_t *hal, hal_role_t role, const hal_events_t *events) {
     DAC->CR |= DAC_CR_TEN1 | DAC_CR_TEN2 | DAC_CR_DMAEN1;
     plan_block(hal, 1);
     streams_start(hal);
-    if (hal_role_drives(role))
+    if (hal_role_drives(role)) {
+        bridge_fuse_start(hal);
         bridge_arm();
+    }
 
     interrupt_enable(IRQ_DMA2_STREAM1, PRIORITY_NORMAL);
     interrupt_enable(IRQ_TIM8_CC, PRIORITY_STAMP);
@@ -302,7 +305,7 @@ static bool in_step(const DMA_stream_registers *stream, uint32_t items, uint32_t
 
 /* The coil currents of chip c are converted behind its middle, when stream 4 has done c + 1 transfers, until the next
  * chip's. That is right if this interrupt is late by less than half a chip. The bridges stay on for two more chips if
- * the streams that bring their levels and set-points move together, and somebody plans what they bring. */
+ * the streams that bring their levels, set-points and fuse move together, and somebody plans what they bring. */
 void ADC_Handler(void) {
     uint16_t count[HAL_CHANNELS];
     if (!converters_take(&board, count))
@@ -310,7 +313,8 @@ void ADC_Handler(void) {
     const uint32_t position = before(transfers(&DMA2->S[4], EDGE_ITEMS));
     const bool planned = board.chips_since_plan < RING_CHIPS + HAL_BLOCK_CHIPS;
     board.chips_since_plan += planned ? 1u : 0u;
-    if (planned && in_step(&DMA2->S[1], EDGE_8_ITEMS, position) && in_step(&DMA1->S[5], 1u, position))
+    if (planned && in_step(&DMA2->S[1], EDGE_8_ITEMS, position) && in_step(&DMA1->S[5], 1u, position) &&
+        in_step(&DMA2->S[7], 1u, position))
         bridge_watch();
     board.events.current(board.events.context, absolute_chip(board.first_chip, position), count);
 }

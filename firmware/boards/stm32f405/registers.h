@@ -151,6 +151,7 @@ typedef struct {
 #define DMA_LIFCR_STREAM3 0x0F400000u
 #define DMA_HIFCR_STREAM4 0x0000003Du
 #define DMA_HIFCR_STREAM5 0x00000F40u
+#define DMA_HIFCR_STREAM7 0x0F400000u
 
 /* ---- Timers ---- */
 
@@ -178,6 +179,7 @@ typedef struct {
 #define TIM_SR_UIF               (1u << 0)
 #define TIM_SR_BIF               (1u << 7)
 #define TIM_EGR_UG               (1u << 0)
+#define TIM_EGR_BG               (1u << 7)
 #define TIM_CCMR1_CC1S_TI1       (1u << 0)
 #define TIM_CCMR1_IC1F_8_SAMPLES (3u << 4)
 #define TIM_CCMR1_OC1PE          (1u << 3)

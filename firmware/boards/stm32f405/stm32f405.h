@@ -28,6 +28,7 @@
  *   DMA2 stream 4   periods, bridge of channel 0   very high
  *   DMA2 stream 1   bridge of channel 1            very high
  *   DMA2 stream 0   samples                        high
+ *   DMA2 stream 7   fuse of the bridges            high
  *   DMA1 stream 2   sync wire                      very high
  *   DMA1 stream 5   set-points to the DAC          very high
  *   DMA1 stream 1   serial in                      medium
@@ -92,7 +93,9 @@ struct hal {
     hal_plan_t plan; /* The plan that the application fills. */
 
     /* bridge.c */
-    uint32_t faults; /* Faults that are not yet told: bit 1 << hal_fault_t. */
+    uint32_t faults;           /* Faults that are not yet told: bit 1 << hal_fault_t. */
+    bool enabled;              /* The bridges were switched on, and nobody has switched them off but a break. */
+    uint16_t fuse[RING_CHIPS]; /* Read by DMA: words for EGR of TIM1. */
 
     /* converters.c */
     bool sampling;                 /* The samples in the buffer are complete and in step. */
@@ -182,7 +185,10 @@ void bridge_arm(void);
 /* Switch the bridges off and have fault() called at PRIORITY_DRIVE; callable from any context, NMI among them. */
 void bridge_trip(hal_fault_t cause);
 
-/* Leave the bridges on for two chips from now. */
+/* Start the fuse that switches the bridges off when no coil current moves it on. Call it before the timers run. */
+void bridge_fuse_start(const hal_t *hal);
+
+/* Leave the bridges on for two chips from now, and the fuse whole until the middle of the third. */
 void bridge_watch(void);
 
 /* ---- converters.c ---- */

@@ -1,5 +1,7 @@
-/* The beacon's or the anchor's application, whose first run stops something of the board after a while: what it is,
- * and which of its kind, say the last two bytes of the parameter page. */
+/* The beacon's or the anchor's application, whose first run stops something of the board after a while: the last six
+ * bytes of the parameter page say when (us, 32 bits), what it is, and which of its kind. */
+
+#include <string.h>
 
 #include "boards/board.h"
 #include "boards/stm32f405/stm32f405.h"
@@ -31,8 +33,9 @@ enum {
     HANG_ALWAYS = 9 /* In each run, as soon as the bridges are on. */
 };
 
-#define INJECT_US 700000u
-#define VECTORS   (16u + IRQ_COUNT)
+#define VECTORS (16u + IRQ_COUNT)
+
+#define AHEAD_US 10000u /* Main is woken more often than that, and waits for the very moment. */
 
 static uint32_t vectors[128] __attribute__((aligned(512)));
 volatile uint32_t injected; /* What was there to stop; 0: nothing. */
@@ -101,6 +104,8 @@ static void stop(uint32_t kind, uint32_t which) {
 int main(void) {
     hal_t *hal = board_start();
     const uint8_t *what = hal_parameter_page(hal) + HAL_PARAMETER_PAGE_BYTES - 2;
+    uint32_t inject_us;
+    memcpy(&inject_us, what - sizeof inject_us, sizeof inject_us);
     START(&application, hal);
     bool armed = hal_last_reset(hal)->cause == HAL_RESET_POWER_ON;
     for (;;) {
@@ -108,9 +113,12 @@ int main(void) {
         hal_wait(hal);
         if (what[0] == HANG_ALWAYS && (GPIOB->IDR >> 15 & 1u) != 0)
             hang();
-        if (armed && hal_microseconds(hal) >= INJECT_US) {
+        if (armed && hal_microseconds(hal) + AHEAD_US >= inject_us) {
             armed = false;
-            hal_led(hal, false); /* It tells when. */
+            while (hal_microseconds(hal) < inject_us) {
+            }
+            hal_led(hal, true);
+            hal_led(hal, false); /* Its fall tells when. */
             stop(what[0], what[1]);
         }
     }

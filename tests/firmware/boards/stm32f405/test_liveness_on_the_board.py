@@ -5,66 +5,59 @@ After the restart the board says what stood still.
 The image is the application's and the board's own code, with a main that stops one thing once.
 """
 
-import subprocess
-
 import pytest
 
 from goldfield.nodes.last_reset import PARTS
 from goldfield_protocol import FrameDecoder, decode
-from goldfield_protocol.parameters import build_page
 from tests.firmware import host_rig
-from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, PIN_LED, ROOT, SECOND, Coil, beacon, chip_seconds
-
-OUT = ROOT / "build/firmware"
-BOARD = "firmware/boards/stm32f405"
-NOTHING, HANG_MAIN, HANG_INTERRUPT, MASK_INTERRUPT, STOP_TIMER, STOP_STREAM, STOP_ADC, STOP_BURSTS = range(8)
-HANG_MASKED, HANG_ALWAYS = 8, 9
-DMA1_STREAM1, DMA1_STREAM3, ADC, CAN1_TX, CAN1_RX0, CAN1_RX1, TIM1_BRK, TIM8_CC, TIM7, DMA2_STREAM1 = (
-    *(12, 14, 18, 19, 20, 21),
-    *(24, 46, 55, 57),
+from tests.firmware.boards.stm32f405.fault_images import (
+    ADC,
+    CAN1_RX0,
+    CAN1_RX1,
+    CAN1_TX,
+    CHIP,
+    DMA1_STREAM1,
+    DMA1_STREAM3,
+    DMA2,
+    DMA2_STREAM1,
+    HANG_ALWAYS,
+    HANG_INTERRUPT,
+    HANG_MAIN,
+    HANG_MASKED,
+    MASK_INTERRUPT,
+    NOTHING,
+    PLANNED,
+    RUNNING,
+    STOP_ADC,
+    STOP_BURSTS,
+    STOP_STREAM,
+    STOP_TIMER,
+    TIM1_BRK,
+    TIM7,
+    TIM8_CC,
+    fault_page,
+    off_after,
 )
-DMA2 = 16
+from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, SECOND, Coil, beacon
+
 INJECT, WATCHDOG, BLOCK = 700 * MS, 500 * MS, 4 * MS
-CHIP = round(chip_seconds(0) * SECOND)
-RUNNING = 3
-"""Chips that go on: the one under way, and the two that a coil's current allows."""
-PLANNED = 93
-"""Chips of the two blocks that may be planned, and of one that is late and repeats the first of them."""
 PERIOD = 15 * MS  # what moved just before it stopped counts once more
 WATCHDOG_CAUSE = 4
 CONVERTER_OVERRUNS = 6
 STALE, WATCHDOG_TRIP = 4, 12  # firmware/core/drive/cause.h
 
 
-@pytest.fixture(scope="module")
-def images(tmp_path_factory):
-    made = {}
-    for role in ("beacon", "anchor"):
-        path = tmp_path_factory.mktemp("probe") / f"{role}.elf"
-        folders = (f"{OUT}/firmware/{part}" for part in ("core", "services", "apps", "boards"))
-        objects = [str(o) for folder in folders for o in sorted((ROOT / folder).rglob("*.o"))]
-        cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-O2", "-std=c11"]
-        options = [f"-D{role.upper()}", f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'build/protocol'}", "-nostartfiles"]
-        link = ["--specs=nano.specs", "-Wl,--gc-sections", "-T", str(ROOT / BOARD / "stm32f405.ld"), "-o", str(path)]
-        source = str(ROOT / "tests" / BOARD / "fault_probe.c")
-        protocol = str(OUT / "protocol/goldfield.o")
-        subprocess.run(["arm-none-eabi-gcc", *cpu, *options, source, *objects, protocol, *link], check=True)
-        made[role] = path
-    return made
-
-
 @pytest.fixture
 def driving(images, monkeypatch):
     boards = []
 
-    def make(kind, which=0, role="beacon", strict=True):
-        page = bytearray(build_page({"node": 9, "code": 2, "amplitude": 5.0, "sync_master": 1}).ljust(8192, b"\xff"))
-        page[-2:] = kind, which
+    def make(kind, which=0, role="beacon", strict=True, amplitude=5.0):
+        page = fault_page(kind, which, INJECT, amplitude=amplitude)
         monkeypatch.setitem(host_rig.IMAGES, BEACON, str(images[role]))
-        boards.append(beacon(Coil(), parameters=bytes(page), emulated=True, strict=strict))
+        boards.append(beacon(Coil(), parameters=page, emulated=True, strict=strict))
         if kind != HANG_ALWAYS:
             boards[-1].run(INJECT - MS)
-            assert boards[-1].level[PIN_ENABLE]
+            assert boards[-1].level[PIN_ENABLE] == (amplitude > 0.0)
         return boards[-1]
 
     yield make
@@ -87,12 +80,6 @@ def last_report(board):
     return found[1]["cause"], {part for bit, part in enumerate(PARTS) if stalled >> bit & 1}
 
 
-def off_after(board):
-    """Return how long after something was stopped the drive went off, ps."""
-    begun = next(time for time in board.edges(PIN_LED, False) if time >= INJECT)
-    return next(time for time in board.edges(PIN_ENABLE, False) if time > begun) - begun
-
-
 def health(board):
     """Return why the drive is off, by the latest word of the board, and whether for ever."""
     frames = FrameDecoder().feed(bytes(byte for _, byte in board.serial))
@@ -102,11 +89,14 @@ def health(board):
 
 
 def assert_restart(board, stalled):
-    board.run(INJECT + 4 * BLOCK)
-    assert was_injected(board)
-    board.run(INJECT + WATCHDOG + PERIOD + 3 * BLOCK)
+    assert_board_restarts(board, stalled)
     off = [time for time in board.edges(PIN_ENABLE, False) if time > INJECT]
     assert off[0] <= INJECT + WATCHDOG + PERIOD + 2 * BLOCK
+
+
+def assert_board_restarts(board, stalled):
+    board.run(INJECT + 4 * BLOCK)
+    assert was_injected(board)
     board.run(INJECT + WATCHDOG + PERIOD + 30 * MS)
     cause, still = last_report(board)
     assert cause == WATCHDOG_CAUSE
@@ -162,9 +152,22 @@ def test_a_main_loop_that_hangs_whenever_the_drive_is_on_is_locked_out(driving):
     assert health(board) == {"cause": WATCHDOG_TRIP, "locked_out": 1}
 
 
+@pytest.mark.parametrize("role", ["beacon", "anchor"])
 @pytest.mark.parametrize(("kind", "irq"), [(HANG_INTERRUPT, TIM7), (HANG_MASKED, 0)])
-def test_a_processor_that_serves_no_interrupt(driving, kind, irq):
-    assert_restart(driving(kind, irq), set())
+def test_a_processor_that_serves_no_interrupt_loses_the_drive_in_hardware(driving, kind, irq, role):
+    """Nothing runs but timers and DMA: the drive went on until the watchdog, with plans that nobody renewed."""
+    board = driving(kind, irq, role=role)
+    assert_restart(board, set())
+    assert off_after(board) <= RUNNING * CHIP
+
+
+def test_a_drive_that_the_fuse_ended_stays_off_over_the_restart(driving):
+    """The watchdog restarts a board that was on, as far as it knows: that counts, and the drive waits."""
+    board = driving(HANG_MASKED)
+    board.run(INJECT + WATCHDOG + PERIOD + 900 * MS)
+    assert len(board.edges(PIN_ENABLE, True)) == 1
+    board.run(INJECT + 2500 * MS)
+    assert len(board.edges(PIN_ENABLE, True)) == 2
 
 
 @pytest.mark.parametrize(
@@ -175,6 +178,13 @@ def test_an_interrupt_that_comes_no_more(driving, irq, part, chips):
     board = driving(MASK_INTERRUPT, irq, strict=False)
     assert_restart(board, {part})
     assert off_after(board) <= chips * CHIP
+
+
+def test_currents_that_end_while_the_drive_is_off_leave_the_main_loop_its_time(driving):
+    """The fuse burns down with the bridges off: its interrupt, which came for ever, would keep main from noting it."""
+    board = driving(MASK_INTERRUPT, ADC, strict=False, amplitude=0.0)
+    assert_board_restarts(board, {"coil currents"})
+    assert not board.edges(PIN_ENABLE, True)
 
 
 def test_a_serial_port_that_sends_no_more(driving):

@@ -51,7 +51,7 @@ CORE_BITS = {
 # How registers.h names what the SVD numbers or names otherwise.
 PREFIXES = {"DMA": "DMA2", "TIM": "TIM1", "ADC": "ADC1", "USART": "USART3", "CAN": "CAN1"}
 # Constants that are all flags of a stream: the stream.
-ALL_FLAGS = {f"DMA_{'LIFCR' if n < 4 else 'HIFCR'}_STREAM{n}": n for n in (0, 1, 2, 3, 4, 5)}
+ALL_FLAGS = {f"DMA_{'LIFCR' if n < 4 else 'HIFCR'}_STREAM{n}": n for n in (0, 1, 2, 3, 4, 5, 7)}
 
 
 @functools.cache
