@@ -64,6 +64,12 @@ deadline-figures: all ## Measure each interrupt beside its deadline, and what a 
 
 .PHONY: deadline-figures
 
+LONG_RUN ?=
+long-run: all ## Run a beacon and a sensor, emulated, for an hour of their time: no deadline missed (an hour; LONG_RUN="--hours 0.1")
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.long_run $(LONG_RUN)
+
+.PHONY: long-run
+
 track-figures: $(BUILD)/venv.stamp ## Measure and print what is reached on a moving sensor (several minutes)
 	@$(PYTHON) -m tests.bench.track_figures
 
