@@ -89,7 +89,7 @@ typedef enum {
      * block and more, while the drive was on. */
     HAL_FAULT_STALE = 1,
     HAL_FAULT_CLOCK = 2, /* The crystal stopped while running: hal_clock() is no longer HAL_CLOCK_CRYSTAL. */
-    HAL_FAULT_SUPPLY = 3 /* The processor's own supply fell below 2.7 V. */
+    HAL_FAULT_SUPPLY = 3 /* The processor's own supply fell below about 2.8 V. */
 } hal_fault_t;
 
 typedef struct {
@@ -285,7 +285,7 @@ typedef struct {
     uint32_t late_blocks;        /* Blocks that repeated an old plan. */
     uint32_t converter_overruns; /* Overruns of the sensor's converters, whose samples are lost. */
     uint32_t watchdog_resets;    /* Resets by the watchdog since power-on. */
-    uint32_t supply_dips;        /* How often the processor's supply fell below 2.7 V. */
+    uint32_t supply_dips;        /* How often the processor's supply fell below about 2.8 V. */
 } hal_counters_t;
 
 /* Read the counters. */

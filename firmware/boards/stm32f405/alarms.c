@@ -5,9 +5,10 @@
  *             The bridges go off, and the PLL is started anew from the internal oscillator: from then on the board is
  *             one whose crystal never started (HAL_CLOCK_INTERNAL). The chips of that third of a millisecond are too
  *             long. If the PLL does not lock either, the board restarts.
- *   supply    The voltage detector notices that the supply falls below 2.7 V, less than what the processor needs at
- *             168 MHz. The bridges go off, and the dip is counted. The brown-out reset (option bytes, set by make
- *             flash) strikes at about the same voltage; without it this alarm is all there is.
+ *   supply    The voltage detector notices that the supply falls to 2.75 to 2.92 V (data sheet DS8626, table 19, PLS
+ * 5), a little more than the 2.7 V that the processor needs at 168 MHz. The bridges go off, and the dip is counted. The
+ * brown-out reset (level 3 of the option bytes, set by make flash) strikes at 2.75 to 2.88 V, on some chips first;
+ * without it this alarm is all there is.
  *
  * The non-maskable interrupt may come in the middle of any handler. It touches the bridges and the clocks only;
  * bridge_trip() leaves what the application is to hear to a handler of the drive's priority.

@@ -4,24 +4,33 @@
  * next, of equal ones that of the lowest stream. An item that meets an idle controller is moved at once, and the time
  * that it takes follows: on silicon it would have its effect at that time's end.
  *
- * The time, in AHB cycles: 4 for arbitration, address, bus matrix and response; the access itself, 1 on AHB and 2 of
- * the bus's own clocks on APB; in direct mode 3 for the item's access to memory, which else hides behind the FIFO. The
- * core's and the other controller's accesses do not slow it down.
+ * The time is that of AN4031 (revision 3, tables 4 and 5), in AHB cycles. At the peripheral: arbitration 1, address 1;
+ * the bus matrix 1, but DMA1 to APB1 and DMA2 to APB2 go past it; the access itself, 1 on AHB, 2 of the bus's own
+ * clocks and 1 for its synchronisation on APB. In direct mode 4 for the item's access to memory, which else hides
+ * behind the FIFO. The core's and the other controller's accesses do not slow it down.
  */
 #include "emulator/peripherals/dma.h"
 
-#define PORT_CYCLES   4
+#define PORT_CYCLES   2u
+#define MATRIX_CYCLES 1u
+#define AHB_CYCLES    1u
 #define APB_CLOCKS    2
-#define MEMORY_CYCLES 3
+#define APB_CYCLES    1u
+#define MEMORY_CYCLES 4u
 #define STUCK_TURNS   64 /* Items of one request that nothing lowers. */
 
 int64_t dma_item_time(const dma_stream_t *s) {
     const chip_t *const chip = s->dma->model.chip;
     const uint32_t address = s->value[SPAR / 4];
-    const double access_ps = address >= 0x40020000u   ? chip->hclk.period_ps
-                             : address >= 0x40010000u ? APB_CLOCKS * chip->pclk2.period_ps
-                                                      : APB_CLOCKS * chip->pclk1.period_ps;
-    return (int64_t)(access_ps + (PORT_CYCLES + (s->direct ? MEMORY_CYCLES : 0)) * chip->hclk.period_ps);
+    const bool apb1 = address >= 0x40000000u && address < 0x40010000u;
+    const bool apb2 = address >= 0x40010000u && address < 0x40020000u;
+    const bool past_matrix = s->dma->number == 0 ? apb1 : apb2;
+    const double clocks_ps = apb1   ? APB_CLOCKS * chip->pclk1.period_ps
+                             : apb2 ? APB_CLOCKS * chip->pclk2.period_ps
+                                    : 0.0;
+    const unsigned cycles = PORT_CYCLES + (past_matrix ? 0 : MATRIX_CYCLES) + (apb1 || apb2 ? APB_CYCLES : AHB_CYCLES) +
+                            (s->direct ? MEMORY_CYCLES : 0);
+    return (int64_t)(clocks_ps + cycles * chip->hclk.period_ps);
 }
 
 /* The line that asks for the stream, DMA_NONE if none does. */

@@ -1,8 +1,9 @@
 /* pwr.c: power control (RM0090 5.4, F405/407): regulator scale, backup-domain lock, voltage detector, and the resets
  * that a low supply causes. Stop and standby are not there.
  *
- * Thresholds are the typical ones of the data sheet DS8626, 5.3.5: BOR level 3 2.83 V falling, 2.92 V rising; level 2
- * 2.50, 2.59; level 1 2.19, 2.29; off: power-down reset at 1.68, power-on at 1.72. Below those the memories are lost.
+ * Thresholds are the typical ones of the data sheet DS8626 (revision 9, table 19), of which a chip may differ by 0.1 V:
+ * BOR level 3 2.83 V falling, 2.92 V rising; level 2 2.50, 2.59; level 1 2.19, 2.29; off: power-down reset at 1.68,
+ * power-on at 1.72. Below those the memories are lost.
  * The level in force is the one that the option bytes had at the last reset. */
 #include "emulator/peripherals/model.h"
 #include "emulator/peripherals/outside.h"
@@ -59,7 +60,7 @@ static void watch_reset(pwr_t *pwr) {
 /* The programmable voltage detector: typical thresholds, falling and rising, by PLS. */
 static void watch_voltage(pwr_t *pwr) {
     static const double levels[8][2] = {{2.04, 2.14}, {2.19, 2.30}, {2.35, 2.45}, {2.51, 2.60},
-                                        {2.66, 2.76}, {2.84, 2.93}, {2.99, 3.10}, {3.09, 3.21}};
+                                        {2.66, 2.76}, {2.84, 2.93}, {2.93, 3.03}, {3.03, 3.14}};
     const uint32_t cr = reg(&pwr->model, CR);
     const double *const level = levels[field(cr, 5, 3)];
     const bool low = (cr & PVDE) != 0 && pwr->model.chip->supply_V < level[pwr->low ? 1 : 0];

@@ -177,8 +177,49 @@ def test_power_down_reset_is_always_there(chip: Bench) -> None:
     assert chip.read(RCC + CSR) & FLAGS == BORRSTF | PORRSTF | PINRSTF
 
 
-@pytest.mark.parametrize(("level", "falling", "rising"), [(4, 2.66, 2.76), (7, 3.09, 3.21)])
-def test_voltage_detector(fast_chip: Bench, level: int, falling: float, rising: float) -> None:
+# The data sheet DS8626, revision 9, table 19: least, typical and largest, falling and rising, by PLS.
+DETECTOR = [
+    ((1.98, 2.04, 2.08), (2.09, 2.14, 2.19)),
+    ((2.13, 2.19, 2.25), (2.23, 2.30, 2.37)),
+    ((2.29, 2.35, 2.39), (2.39, 2.45, 2.51)),
+    ((2.44, 2.51, 2.56), (2.54, 2.60, 2.65)),
+    ((2.59, 2.66, 2.71), (2.70, 2.76, 2.82)),
+    ((2.75, 2.84, 2.92), (2.86, 2.93, 2.99)),
+    ((2.85, 2.93, 2.99), (2.96, 3.03, 3.10)),
+    ((2.95, 3.03, 3.09), (3.07, 3.14, 3.21)),
+]
+BROWN_OUT = {  # The same, by BOR_LEV; 3 is off, the power-down reset.
+    0: ((2.75, 2.83, 2.88), (2.85, 2.92, 2.97)),
+    1: ((2.44, 2.50, 2.56), (2.53, 2.59, 2.63)),
+    2: ((2.13, 2.19, 2.24), (2.23, 2.29, 2.33)),
+    3: ((1.60, 1.68, 1.76), (1.64, 1.72, 1.80)),
+}
+
+
+@pytest.mark.parametrize("level", BROWN_OUT)
+def test_brown_out_resets_at_the_thresholds_of_the_data_sheet(level: int) -> None:
+    (_, falling, _), (_, rising, _) = BROWN_OUT[level]
+    chip = Bench(option_bytes=0x0FFFAAE1 | level << 2)
+    supply(chip, falling + 0.005)
+    assert not held(chip)
+    supply(chip, falling - 0.005)
+    assert held(chip)
+    supply(chip, rising - 0.005)
+    assert held(chip)
+    supply(chip, rising + 0.005)
+    assert not held(chip)
+    chip.close()
+
+
+def test_the_detector_warns_before_the_board_has_too_little() -> None:
+    """Level 5, which the boards choose: no chip lets 2.7 V pass, below which five wait states do not suffice."""
+    (least, _, _), _ = DETECTOR[5]
+    assert least > 2.7
+
+
+@pytest.mark.parametrize("level", range(8))
+def test_voltage_detector(fast_chip: Bench, level: int) -> None:
+    (_, falling, _), (_, rising, _) = DETECTOR[level]
     fast_chip.write(EXTI, 1 << 16)
     fast_chip.write(EXTI + 8, 1 << 16)
     fast_chip.write(PWR, 0x4000 | level << 5 | 0x10)

@@ -485,7 +485,14 @@ def test_simultaneous_requests_are_served_one_after_another(
 
 @pytest.mark.parametrize(
     ("controller", "peripheral", "fifo", "cycles"),
-    [(DMA2, TIM1 + CCR1, 0x21, 11), (DMA2, TIM1 + CCR1, 0x25, 8), (DMA1, TIM3 + CCR1, 0x21, 15)],
+    [
+        (DMA2, TIM1 + CCR1, 0x21, 11),  # AN4031, 3.2.1: 7 and 4 at half the clock, past the bus matrix
+        (DMA2, TIM1 + CCR1, 0x25, 7),  # with the FIFO
+        (DMA1, TIM3 + CCR1, 0x21, 15),  # tables 4 and 5: 3, two clocks of APB1 at a quarter, 4
+        (DMA2, TIM3 + CCR1, 0x21, 16),  # through the bus matrix
+        (DMA2, GPIOC + 0x14, 0x21, 8),  # AHB: 4 and 4
+        (DMA2, GPIOC + 0x14, 0x25, 4),
+    ],
 )
 def test_time_of_an_item(fast_chip: Bench, controller: int, peripheral: int, fifo: int, cycles: int) -> None:
     """Two items asked for at once, of two streams: the second is there when the first one's time is over."""
