@@ -64,6 +64,12 @@ deadline-figures: all ## Measure each interrupt beside its deadline, and what a 
 
 .PHONY: deadline-figures
 
+protections: all ## Let each protection of a drive act a hundred times on the image, at random phases; print how soon (half an hour)
+	@$(PYTHON) -m pytest -q -s -m slow tests/firmware/services/test_protection.py tests/firmware/services/test_protection_on_the_image.py \
+		tests/firmware/boards/stm32f405/test_protection_in_hardware.py
+
+.PHONY: protections
+
 LONG_RUN ?=
 long-run: all ## Run a beacon and a sensor, emulated, for an hour of their time: no deadline missed (an hour; LONG_RUN="--hours 0.1")
 	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.long_run $(LONG_RUN)
