@@ -15,7 +15,10 @@ from hil_sim.emulator.emulator import LIBRARY as EMULATOR_LIBRARY
 from hil_sim.scenario import Clock
 
 HOST_LIBRARY = "libgf_hostboard.so"
-ONLY_EMULATED = ("crystal_dead", "crystal_stops_s", "crystal_ppm_per_K", "crystal_ppm_per_s", "temperature_K_per_s")
+ONLY_EMULATED = (
+    *("crystal_dead", "crystal_stops_s", "crystal_ppm_per_K", "crystal_ppm_per_s", "temperature_K_per_s"),
+    "processor_supply_V",
+)
 """Keys of `Clock` that only an emulated board can follow."""
 
 
@@ -159,6 +162,8 @@ class EmulatedBoards:
         )
         if math.isfinite(spec.clock.crystal_stops_s):
             emulator.crystal(False, round(spec.clock.crystal_stops_s * 1e12))
+        if spec.clock.processor_supply_V != Clock.processor_supply_V:
+            emulator.supply(spec.clock.processor_supply_V, spec.power_on_ps)
         return Board(
             instance=emulator.board,
             operations=emulator.operations,

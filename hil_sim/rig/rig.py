@@ -20,7 +20,7 @@ from hil_sim.rig import config as rig_config
 from hil_sim.rig.boards import Board, BoardFactory, BoardSpec, address, factory
 from hil_sim.rig.paths import PathWindows, event_ps
 from hil_sim.rig.truth import Truth, truth_at
-from hil_sim.scenario import COIL_FAULTS, Clock, Scenario, Strike, Supply, parameter_page
+from hil_sim.scenario import COIL_FAULTS, Clock, Electrical, ProcessorSupply, Scenario, Supply, parameter_page
 
 FloatArray = NDArray[np.float64]
 
@@ -115,7 +115,12 @@ class Rig:
             self._make = make
             self._connect()
             self._paths = PathWindows(self._ffi, self._library, self._rig, scenario.installed)
-            electrical = [event for event in scenario.events if isinstance(event, Supply | Strike)]
+            electrical = [event for event in scenario.events if isinstance(event, Electrical)]
+            for event in electrical:
+                if isinstance(event, ProcessorSupply):
+                    self._emulator(self._board_of(event))
+            self.can_errors(scenario.can.bit_error_probability)
+            self.can_delay(scenario.can.delay_s)
             self._electrical = deque(sorted(electrical, key=lambda event: event.time_s))
             for board in range(len(self._boards)):
                 if scenario.sync != "wire" or (board == SENSOR and not scenario.sensor.sync_wire):
@@ -196,10 +201,15 @@ class Rig:
             if stop_ps >= until_ps:
                 return
 
-    def _happen(self, event: Supply | Strike) -> None:
-        board = 1 + [beacon.id for beacon in self.scenario.beacons].index(event.beacon)
+    def _board_of(self, event: Electrical) -> int:
+        return 1 + [beacon.id for beacon in self.scenario.beacons].index(event.beacon)
+
+    def _happen(self, event: Electrical) -> None:
+        board = self._board_of(event)
         if isinstance(event, Supply):
             self.set_supply_V(board, event.supply_V)
+        elif isinstance(event, ProcessorSupply):
+            self.supply(board, event.processor_supply_V)
         else:
             self.fault(board, event.fault, not event.mended, event.coil)
 

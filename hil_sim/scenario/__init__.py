@@ -1,9 +1,18 @@
 """Scenario files: what the rig simulates, in TOML and SI units; ``scenarios/prigge8.toml`` is a commented example."""
 
-from hil_sim.scenario.events import BOARD_FAULTS, COIL_FAULTS, Bring, Move, Strike, Supply
+from hil_sim.scenario.events import (
+    BOARD_FAULTS,
+    COIL_FAULTS,
+    Bring,
+    Electrical,
+    Move,
+    ProcessorSupply,
+    Strike,
+    Supply,
+)
 from hil_sim.scenario.installation import Installation
 from hil_sim.scenario.pages import parameter_page
-from hil_sim.scenario.parts import CHIP_PERIOD_S, CONVERTER_COUNTS, Ambient, Beacon, Circuit, Clock, FrontEnd
+from hil_sim.scenario.parts import CHIP_PERIOD_S, CONVERTER_COUNTS, Ambient, Beacon, CanBus, Circuit, Clock, FrontEnd
 from hil_sim.scenario.reading import SCENARIOS, find, load, load_scenario
 from hil_sim.scenario.scenario import Scenario
 from hil_sim.scenario.site_file import site_toml, true_site_toml
@@ -17,11 +26,14 @@ __all__ = [
     "Ambient",
     "Beacon",
     "Bring",
+    "CanBus",
     "Circuit",
     "Clock",
+    "Electrical",
     "FrontEnd",
     "Installation",
     "Move",
+    "ProcessorSupply",
     "Scenario",
     "Strike",
     "Supply",

@@ -9,10 +9,16 @@ from numpy.typing import NDArray
 
 from goldfield.files.toml_table import Table
 from hil_sim.scenario.bodies import SHEET_KEYS, read_sheet
-from hil_sim.scenario.values import between
+from hil_sim.scenario.parts import PROCESSOR_SUPPLY_V
+from hil_sim.scenario.values import between, number
 from hil_sim.world.sheet import Sheet
 
-EVENT_KEYS = ("time_s", "moves", "by_m", "sensor_stays", "sheet", "beacon", "supply_V", "fault", "coil", "mended")
+EVENT_KEYS = (
+    *("time_s", "moves", "by_m", "sensor_stays", "sheet", "beacon", "supply_V", "processor_supply_V", "fault"),
+    *("coil", "mended"),
+)
+HIGHEST_PROCESSOR_SUPPLY_V = 4.0
+"""Absolute maximum rating of the processor's supply (data sheet DS8626, table 11)."""
 COIL_FAULTS = (
     *("coil_open", "sense_shorted", "coil_shorted", "driver_runaway", "driver_stuck", "sense_held", "coil_hot"),
 )
@@ -70,7 +76,25 @@ class Strike:
     mended: bool = False
 
 
-Event = Move | Bring | Supply | Strike
+@dataclass(frozen=True)
+class ProcessorSupply:
+    """The voltage of the supply of a beacon's processor changes (emulated boards)."""
+
+    time_s: float
+    beacon: str
+    processor_supply_V: float
+
+
+Electrical = Supply | ProcessorSupply | Strike
+Event = Move | Bring | Electrical
+
+
+def processor_supply(table: Table) -> float:
+    """Return the supply of a processor that a table gives, or the nominal one, V."""
+    volts = number(table, "processor_supply_V", PROCESSOR_SUPPLY_V)
+    if not 0.0 <= volts <= HIGHEST_PROCESSOR_SUPPLY_V:
+        raise table.error("processor_supply_V", f"is {volts:g}; it must lie in 0 to {HIGHEST_PROCESSOR_SUPPLY_V:g}")
+    return volts
 
 
 def read_events(root: Table) -> tuple[Event, ...]:
@@ -115,13 +139,16 @@ def _known(table: Table, key: str, beacons: list[str]) -> str:
     return beacon
 
 
-def _electrical(table: Table, time_s: float, beacons: list[str]) -> Supply | Strike:
+def _electrical(table: Table, time_s: float, beacons: list[str]) -> Electrical:
     beacon = _known(table, "beacon", beacons)
+    if "processor_supply_V" in table:
+        table.allow("time_s", "beacon", "processor_supply_V")
+        return ProcessorSupply(time_s, beacon, processor_supply(table))
     if "supply_V" in table:
         table.allow("time_s", "beacon", "supply_V")
         return Supply(time_s, beacon, table.positive("supply_V"))
     if "fault" not in table:
-        raise table.error("fault", "is missing; give it, or supply_V")
+        raise table.error("fault", "is missing; give it, or supply_V, or processor_supply_V")
     fault = table.text("fault")
     if fault not in COIL_FAULTS + BOARD_FAULTS:
         raise table.error("fault", f'is "{fault}"; there are {", ".join(COIL_FAULTS + BOARD_FAULTS)}')

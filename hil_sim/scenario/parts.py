@@ -23,6 +23,30 @@ BURST = 8
 """Conversions of an axis in a chip (``hal.h``)."""
 
 
+PROCESSOR_SUPPLY_V = 3.3
+"""Nominal supply of a board's processor."""
+
+
+@dataclass(frozen=True)
+class CanBus:
+    """What a CAN bus does to frames.
+
+    Attributes
+    ----------
+    bit_error_probability : float
+        Each bit on the bus is wrong with this probability.
+    delay_s : float
+        Receivers have each frame later by so much: transceivers and cable.
+    """
+
+    bit_error_probability: float = 0.0
+    delay_s: float = 0.0
+
+
+CLEAN_BUS = CanBus()
+"""A CAN bus that neither destroys nor delays."""
+
+
 @dataclass(frozen=True)
 class Circuit:
     """A coil's electrical side and its driver.
@@ -85,6 +109,8 @@ class Clock:
         Virtual time at which the crystal stops for good; infinite: it does not (emulated boards).
     temperature_degC, temperature_K_per_s : float
         Temperature of processor and crystal at virtual time 0, and how fast it rises (the rise: emulated boards).
+    processor_supply_V : float
+        Supply of the processor and reference of its converters (emulated boards).
     """
 
     crystal_ppm: float = 0.0
@@ -95,6 +121,7 @@ class Clock:
     crystal_stops_s: float = math.inf
     temperature_degC: float = 25.0
     temperature_K_per_s: float = 0.0
+    processor_supply_V: float = PROCESSOR_SUPPLY_V
 
 
 @dataclass(frozen=True, eq=False)

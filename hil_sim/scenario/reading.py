@@ -16,15 +16,17 @@ from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
 from goldfield_protocol.parameters import PARAMETERS, ParameterError
 from hil_sim.scenario.bodies import read_installation, read_metal
-from hil_sim.scenario.events import read_events
+from hil_sim.scenario.events import processor_supply, read_events
 from hil_sim.scenario.motions import read_motion
 from hil_sim.scenario.pages import parameter_page
 from hil_sim.scenario.parts import (
     CHIP_PERIOD_S,
+    CLEAN_BUS,
     DEGREE,
     Ambient,
     Anchor,
     Beacon,
+    CanBus,
     Circuit,
     Clock,
     HalfSpace,
@@ -89,7 +91,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
     root = read_table(path, "scenario")
     root.allow(
         *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
-        *("coil", "beacon", "event", "metal", "installation", "known_point"),
+        *("coil", "beacon", "event", "metal", "installation", "known_point", "can"),
     )
     sync = root.text("sync") if "sync" in root else "wire"
     if sync not in ("wire", "can"):
@@ -122,6 +124,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
         metal=read_metal(root),
         installation=installation,
         visits=visits,
+        can=_can(root.table("can")) if "can" in root else CLEAN_BUS,
     )
     _check_boards(root, scenario)
     return scenario
@@ -130,6 +133,8 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
 # ---- Tables ----
 
 CLOCK_KEYS = tuple(field.name for field in fields(Clock))
+CAN_KEYS = tuple(field.name for field in fields(CanBus))
+LONGEST_DELAY_S = 1e-6
 CIRCUIT_KEYS = tuple(field.name for field in fields(Circuit))
 COIL_KEYS = (*CIRCUIT_KEYS, "turns", "radius_m", "axis")
 CIRCUIT_NOT_NEGATIVE = (
@@ -185,8 +190,20 @@ def _clock(table: Table) -> Clock:
         crystal_dead="crystal_dead" in table and table.flag("crystal_dead"),
         crystal_stops_s=stops,
         temperature_degC=number(table, "temperature_degC", 25.0),
+        processor_supply_V=processor_supply(table),
         **rates,
     )
+
+
+def _can(table: Table) -> CanBus:
+    table.allow(*CAN_KEYS)
+    probability = not_negative(table, "bit_error_probability", 0.0)
+    if probability >= 1.0:
+        raise table.error("bit_error_probability", f"is {probability:g}; it must be below 1")
+    delay_s = not_negative(table, "delay_s", 0.0)
+    if delay_s > LONGEST_DELAY_S:
+        raise table.error("delay_s", f"is {delay_s:g}; it must not be above {LONGEST_DELAY_S:g}, a bit")
+    return CanBus(probability, delay_s)
 
 
 def _half_space(table: Table) -> HalfSpace:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 from hil_sim.scenario.events import Bring, Event, Move
 from hil_sim.scenario.installation import EXACT, Installation, draw
-from hil_sim.scenario.parts import DEGREE, Ambient, Beacon, FrontEnd, HalfSpace, Sensor
+from hil_sim.scenario.parts import CLEAN_BUS, DEGREE, Ambient, Beacon, CanBus, FrontEnd, HalfSpace, Sensor
 from hil_sim.world.metal import Body
 from hil_sim.world.motion import Motion
 from hil_sim.world.walk import Visit
@@ -37,6 +37,7 @@ class Scenario:
     metal: tuple[Body, ...] = ()
     installation: Installation = EXACT
     visits: tuple[Visit, ...] = ()
+    can: CanBus = CLEAN_BUS
 
     @cached_property
     def installed(self) -> Scenario:

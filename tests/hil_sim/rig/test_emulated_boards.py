@@ -2,17 +2,71 @@
 
 import pytest
 
-from goldfield.errors import UserError
+from goldfield.errors import SystemFailure, UserError
+from hil_sim import scenario
 from hil_sim.rig import Rig
-from tests.hil_sim.rig.fakes import FakeBoards, small
+from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
 
 
 @pytest.mark.parametrize(
-    "key", ["crystal_dead = true", "crystal_stops_s = 0.1", "crystal_ppm_per_s = 0.1", "temperature_K_per_s = 0.1"]
+    "key",
+    [
+        *("crystal_dead = true", "crystal_stops_s = 0.1", "crystal_ppm_per_s = 0.1", "temperature_K_per_s = 0.1"),
+        "processor_supply_V = 3.2",
+    ],
 )
 def test_host_boards_refuse_what_they_cannot_follow(tmp_path, key):
     with pytest.raises(UserError, match=f"host boards cannot simulate {key.split()[0]}: use --boards emulated"):
         Rig(small(tmp_path, crystal_ppm=f"20.0\n{key}"), "host")
+
+
+def with_tables(directory, text, **replacements):
+    path = write_scenario(directory, **replacements)
+    path.write_text(path.read_text() + text)
+    return scenario.load(path)
+
+
+SAG = '[[event]]\ntime_s = 0.02\nbeacon = "a"\nprocessor_supply_V = {}\n'
+
+
+def test_host_boards_refuse_an_event_that_they_cannot_follow(tmp_path):
+    with pytest.raises(UserError, match="beacon a is no emulated board: it has neither a crystal nor a supply"):
+        Rig(with_tables(tmp_path, SAG.format(2.0)), "host")
+
+
+def test_a_processor_whose_supply_sags_by_scenario(tmp_path):
+    """Below 2.7 V 168 MHz need more wait states than there are, which stops the board: nothing resets it."""
+    with Rig(with_tables(tmp_path, SAG.format(2.72)), "emulated") as rig:
+        rig.advance(0.03)
+        assert rig.statistics(1)["violations"] == 0
+    with Rig(with_tables(tmp_path, SAG.format(2.68)), "emulated") as rig:
+        rig.advance(0.02)
+        with pytest.raises(SystemFailure, match=r"beacon a stopped(.|\n)*too few wait states"):
+            rig.advance(0.01)
+
+
+def test_a_processor_has_its_own_supply_by_scenario(tmp_path):
+    """Too little from the start, and a little less than nominal."""
+    keys = {"crystal_ppm": "20.0\nprocessor_supply_V = {}"}
+    with Rig(small(tmp_path, crystal_ppm=keys["crystal_ppm"].format(2.72)), "emulated") as rig:
+        rig.advance(0.02)
+    with (
+        Rig(small(tmp_path, crystal_ppm=keys["crystal_ppm"].format(2.68)), "emulated") as rig,
+        pytest.raises(SystemFailure, match=r"the sensor stopped(.|\n)*too few wait states"),
+    ):
+        rig.advance(0.02)
+
+
+def test_a_bus_with_wrong_bits_by_scenario(tmp_path):
+    """Of 1000 frames of 128 bits, 1e-3 of whose bits are wrong, 120 are destroyed; without the table none."""
+    destroyed = []
+    for text in ("", "[can]\nbit_error_probability = 1e-3\n"):
+        with Rig(with_tables(tmp_path, text), FakeBoards()) as rig:
+            rig.advance(0.15)
+            counts = rig.can_statistics()
+            destroyed.append(counts["errors"] / counts["frames"])
+    assert destroyed[0] == 0.0
+    assert 0.07 < destroyed[1] < 0.2
 
 
 def test_host_boards_count_no_cycles(tmp_path):
@@ -78,3 +132,11 @@ def test_the_hosts_frames_are_sent_again(tmp_path):
         rig.can_write(1, b"host")
         rig.advance(0.005)
         assert [frame.data for frame in rig.can_read() if frame.board == rig.host_node] == [b"host"]
+
+
+def test_a_bus_that_delays_by_scenario(tmp_path, monkeypatch):
+    """What a delay does to the boards' clocks, tests of CAN timing show; here it only has to arrive."""
+    told = []
+    monkeypatch.setattr(Rig, "can_delay", lambda self, seconds: told.append(seconds))
+    with Rig(with_tables(tmp_path, "[can]\ndelay_s = 2e-7\n"), FakeBoards()):
+        assert told == [2e-7]

@@ -216,15 +216,40 @@ def test_events(tmp_path):
     assert scenario.site_toml(loaded) == scenario.site_toml(scenario.load(write_scenario(tmp_path)))
 
 
+def test_a_bus_is_clean_unless_the_scenario_says_otherwise(tmp_path):
+    assert scenario.load(write_scenario(tmp_path)).can == scenario.CanBus()
+    loaded = eventful(tmp_path, "[can]\nbit_error_probability = 1e-5\ndelay_s = 2e-7\n")
+    assert (loaded.can.bit_error_probability, loaded.can.delay_s) == (1e-5, 2e-7)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ("bit_error_probability = 1.0", "[can]: bit_error_probability is 1; it must be below 1"),
+        ("bit_error_probability = -0.1", "[can]: bit_error_probability is -0.1; it must not be negative"),
+        ("delay_s = 1.1e-6", "[can]: delay_s is 1.1e-06; it must not be above 1e-06, a bit"),
+        ("errors = 3", "[can]: errors is no known key"),
+    ],
+)
+def test_what_is_wrong_with_a_bus(tmp_path, keys, words):
+    with pytest.raises(UserError, match=re.escape(words)):
+        eventful(tmp_path, f"[can]\n{keys}\n")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
         ('moves = "b"', 'moves = "d"', '[[event]] 1: moves is "d"; the beacons are a, b, c'),
         ('moves = "b"\n', "", "[[event]] 1: moves is missing; give it, or sheet, or beacon"),
         ('moves = "b"\n', 'beacon = "d"\n', '[[event]] 1: beacon is "d"; the beacons are a, b, c'),
-        ('moves = "b"\n', 'beacon = "b"\n', "[[event]] 1: fault is missing; give it, or supply_V"),
+        ('moves = "b"\n', 'beacon = "b"\n', "[[event]] 1: fault is missing; give it, or supply_V, or"),
         ('moves = "b"\n', 'beacon = "b"\nfault = "rain"\n', '[[event]] 1: fault is "rain"; there are coil_open'),
         ('moves = "b"\n', 'beacon = "b"\nsupply_V = -1\n', "[[event]] 1: by_m is no known key"),
+        (
+            'moves = "b"\nby_m',
+            'beacon = "b"\nprocessor_supply_V = 4.1\n#',
+            "[[event]] 1: processor_supply_V is 4.1; it must lie in 0 to 4",
+        ),
         ("time_s = 2.0", "time_s = -2.0", "[[event]] 1: time_s is -2; it must not be negative"),
         ("time_s = 3.0", 'time_s = 3.0\nmoves = "b"', "[[event]] 2: sheet and moves are both given"),
         ("time_s = 3.0", "time_s = 3.0\nby_m = [0, 0, 1]", "[[event]] 2: by_m is no known key"),
@@ -284,6 +309,10 @@ WRONG = {
     "warming": (
         {"crystal_ppm": "20.0\ntemperature_K_per_s = -11.0"},
         r"temperature_K_per_s is -11; it must lie within",
+    ),
+    "supply": (
+        {"crystal_ppm": "20.0\nprocessor_supply_V = 4.1"},
+        r"processor_supply_V is 4.1; it must lie in 0 to 4",
     ),
     "half wire": ({"code": "2\npoints_m = [[0, 0, 0], [1, 0, 0]]"}, "points_m encloses no area"),
 }
