@@ -48,6 +48,16 @@ bool code_is_floating_point(const cpu_t *cpu, uint32_t address) {
            code_opcode_at(cpu, address + 2u, &second) && (second & 0x0E00u) == 0x0A00u;
 }
 
+bool code_is_division(const cpu_t *cpu, uint32_t address, unsigned *divisor) {
+    uint16_t first, second;
+    if (!code_opcode_at(cpu, address, &first) || (first & 0xFFD0u) != 0xFB90u ||
+        !code_opcode_at(cpu, address + 2u, &second) || (second & 0xF0u) != 0xF0u) {
+        return false;
+    }
+    *divisor = second & 0xFu;
+    return true;
+}
+
 uint32_t code_last_address(const cpu_t *cpu) {
     return cpu->history[(cpu->executed - 1u) % HISTORY];
 }

@@ -16,6 +16,10 @@ uint8_t code_it_state_at(const cpu_t *cpu, uint32_t address);
  * A5.3.18). */
 bool code_is_floating_point(const cpu_t *cpu, uint32_t address);
 
+/* Whether the instruction at an address is UDIV or SDIV (A7.7.127, A7.7.195), and the number of its divisor's register.
+ */
+bool code_is_division(const cpu_t *cpu, uint32_t address, unsigned *divisor);
+
 /* The address of the last instruction that began, and whether that instruction is a load or store of a single item. */
 uint32_t code_last_address(const cpu_t *cpu);
 bool code_is_single_transfer(const cpu_t *cpu);

@@ -1,5 +1,7 @@
 #include "emulator/core_bus.h"
 
+#include <string.h>
+
 #include "emulator/code_view.h"
 #include "emulator/it_block.h"
 #include "emulator/protection.h"
@@ -10,6 +12,10 @@
 
 #define ACTLR_NO_WRITE_BUFFER 2u /* DISDEFWBUF */
 
+const int core_bus_registers[15] = {UC_ARM_REG_R0,  UC_ARM_REG_R1,  UC_ARM_REG_R2,  UC_ARM_REG_R3, UC_ARM_REG_R4,
+                                    UC_ARM_REG_R5,  UC_ARM_REG_R6,  UC_ARM_REG_R7,  UC_ARM_REG_R8, UC_ARM_REG_R9,
+                                    UC_ARM_REG_R10, UC_ARM_REG_R11, UC_ARM_REG_R12, UC_ARM_REG_SP, UC_ARM_REG_LR};
+
 /* The instruction goes on (Unicorn cannot abandon it here), and the fault is taken after it, with its address. */
 void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address) {
     cpu->executed--;
@@ -18,6 +24,35 @@ void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t addr
     cpu->fault = (fault_t){
         .exception = exception, .cfsr = cfsr, .address = address, .pc = code_last_address(cpu), .it_state = it_state};
     cpu->deadline = 0;
+}
+
+/* A fault of an instruction that the processor abandons. Unicorn has not written its registers yet: they are put back
+ * when the fault is taken. */
+static void abandon(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address) {
+    core_bus_fault(cpu, exception, cfsr, address);
+    cpu->fault.abandoned = true;
+    for (int i = 0; i < 15; i++) {
+        cpu->fault.registers[i] = cpu_register(cpu, core_bus_registers[i]);
+    }
+}
+
+void core_bus_unaligned(cpu_t *cpu, uint32_t address, unsigned size, bool write) {
+    machine_fault(cpu->machine, "unaligned access at 0x%08x, which CCR.UNALIGN_TRP forbids", (unsigned)address);
+    abandon(cpu, EXCEPTION_USAGE_FAULT, CFSR_UNALIGNED, address);
+    cpu->fault.memory = write && size <= sizeof cpu->fault.bytes ? machine_memory(cpu->machine, address, size) : NULL;
+    cpu->fault.size = size;
+    if (cpu->fault.memory != NULL) {
+        memcpy(cpu->fault.bytes, cpu->fault.memory, size);
+    }
+}
+
+void core_bus_take_back(cpu_t *cpu, const fault_t *fault) {
+    for (int i = 0; i < 15 && fault->abandoned; i++) {
+        cpu_set_register(cpu, core_bus_registers[i], fault->registers[i]);
+    }
+    if (fault->memory != NULL) {
+        memcpy(fault->memory, fault->bytes, fault->size);
+    }
 }
 
 /* A store goes through the write buffer: its error comes behind it, and no register says where it went. */
@@ -41,7 +76,7 @@ static bool admitted(cpu_t *cpu, const bus_window_t *window, uint32_t address, u
     }
     machine_fault(cpu->machine, "%u-byte %s 0x%08x, which the memory protection unit forbids", size,
                   access == MPU_WRITE ? "write to" : "read of", (unsigned)address);
-    core_bus_fault(cpu, EXCEPTION_MEMORY_FAULT, CFSR_DACCVIOL | CFSR_MMARVALID, address);
+    abandon(cpu, EXCEPTION_MEMORY_FAULT, CFSR_DACCVIOL | CFSR_MMARVALID, address);
     return false;
 }
 
@@ -73,11 +108,11 @@ static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *use
     }
     if (window->base != PRIVATE_BUS_BASE) {
         if (!machine_core_read(cpu->machine, address, size, &value)) {
-            core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
+            abandon(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
         }
     } else if (!system_control_read(cpu, address, size, &value)) {
         machine_fault(cpu->machine, "%u-byte read of unknown core register 0x%08x", size, (unsigned)address);
-        core_bus_fault(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
+        abandon(cpu, EXCEPTION_BUS_FAULT, CFSR_PRECISERR | CFSR_BFARVALID, address);
     }
     return value;
 }

@@ -11,6 +11,15 @@ uc_err core_bus_map(cpu_t *cpu);
  * abandon it inside an access. */
 void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address);
 
+/* The registers that fault_t.registers holds. */
+extern const int core_bus_registers[15];
+
+/* The access of the last instruction, which is about to happen, is not aligned, and CCR.UNALIGN_TRP is set. */
+void core_bus_unaligned(cpu_t *cpu, uint32_t address, unsigned size, bool write);
+
+/* Take back what the abandoned instruction of a fault has done. */
+void core_bus_take_back(cpu_t *cpu, const fault_t *fault);
+
 /* The same for a store that met a bus error: it went through the write buffer, unless ACTLR.DISDEFWBUF switches that
  * off, so the fault comes behind the instruction and no register tells the address. */
 void core_bus_store_fault(cpu_t *cpu, uint32_t address);

@@ -5,6 +5,7 @@
 #include <string.h>
 
 #include "emulator/code_view.h"
+#include "emulator/core_bus.h"
 #include "emulator/exceptions.h"
 #include "emulator/execution.h"
 #include "emulator/protection.h"
@@ -82,6 +83,7 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
         if (cpu->rules_changed) {
             cpu->rules_changed = false;
             protection_apply(cpu);
+            execution_watch_alignment(cpu);
         }
         const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
         machine_fire(machine, time < until_ps ? time : until_ps - 1);
@@ -99,6 +101,7 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
             cpu->fault = (fault_t){0};
             cpu->pc = fault.pc;
             cpu->it_state = fault.it_state;
+            core_bus_take_back(cpu, &fault);
             exception_fault(cpu, &fault);
         } else if (cpu->asleep) {
             pass_sleep(cpu);

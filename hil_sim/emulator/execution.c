@@ -67,6 +67,18 @@ static bool must_leave(cpu_t *cpu, uint32_t address) {
             return may_leave(cpu, address);
         }
     }
+    unsigned divisor = 0;
+    if ((cpu->system.ccr & CCR_DIV_0_TRP) != 0) {
+        every_instruction = true;
+        if (code_is_division(cpu, address, &divisor) && cpu_register(cpu, core_bus_registers[divisor]) == 0) {
+            cpu->fault = (fault_t){.exception = EXCEPTION_USAGE_FAULT,
+                                   .cfsr = CFSR_DIVBYZERO,
+                                   .pc = address,
+                                   .it_state = code_it_state_at(cpu, address)};
+            machine_fault(machine, "division by zero at 0x%08x, which CCR.DIV_0_TRP forbids", (unsigned)address);
+            return may_leave(cpu, address);
+        }
+    }
     if (cpu->probes_active != 0) {
         probes_step(cpu, address);
         every_instruction = every_instruction || cpu->probes_active != 0;
@@ -137,6 +149,29 @@ static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int
     cpu->forbidden = false;
     const bool protected = type == UC_MEM_READ_PROT || type == UC_MEM_WRITE_PROT || type == UC_MEM_FETCH_PROT;
     return protected && protection_admits(cpu, type, (uint32_t)address, (unsigned)size, (uint64_t)value);
+}
+
+static void on_access(uc_engine *uc, uc_mem_type type, uint64_t address, int size, int64_t value, void *user) {
+    (void)uc;
+    (void)value;
+    cpu_t *const cpu = user;
+    if (size > 1 && (address & ((unsigned)size - 1u)) != 0 && cpu->fault.exception == 0) {
+        core_bus_unaligned(cpu, (uint32_t)address, (unsigned)size, type == UC_MEM_WRITE);
+    }
+}
+
+void execution_watch_alignment(cpu_t *cpu) {
+    const bool wanted = (cpu->system.ccr & CCR_UNALIGN_TRP) != 0;
+    if (wanted == cpu->alignment_watched) {
+        return;
+    }
+    if (wanted) {
+        uc_hook_add(cpu->uc, &cpu->alignment_hook, UC_HOOK_MEM_READ | UC_HOOK_MEM_WRITE, (void *)on_access, cpu, 1, 0);
+    } else {
+        uc_hook_del(cpu->uc, cpu->alignment_hook);
+    }
+    uc_ctl_flush_tb(cpu->uc); /* Code that is translated already looks at no access. */
+    cpu->alignment_watched = wanted;
 }
 
 /* ---- After Unicorn returned ---- */

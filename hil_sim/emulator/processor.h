@@ -38,8 +38,12 @@
 #define CFSR_INVPC       (1u << 18)
 #define CFSR_NOCP        (1u << 19)
 #define CFSR_UNALIGNED   (1u << 24)
+#define CFSR_DIVBYZERO   (1u << 25)
 #define HFSR_FORCED      (1u << 30)
 #define HFSR_DEBUGEVT    (1u << 31)
+
+#define CCR_UNALIGN_TRP (1u << 3)
+#define CCR_DIV_0_TRP   (1u << 4)
 
 #define PROBES  12u
 #define HISTORY 8u /* Addresses kept of the last instructions; power of 2, more than 5 (the longest IT block). */
@@ -80,6 +84,11 @@ typedef struct {
     uint32_t address;    /* Address for BFAR or MMFAR. */
     uint32_t pc;         /* Where the handler returns to. */
     uint8_t it_state;    /* ITSTATE there. */
+    bool abandoned;      /* The instruction had no effect on the registers: they were these before it. */
+    uint32_t registers[15];
+    uint8_t *memory; /* Nor on what it would have written: it was this before; NULL: it wrote nothing. */
+    uint8_t bytes[8];
+    unsigned size;
 } fault_t;
 
 typedef struct cpu cpu_t;
@@ -111,8 +120,9 @@ struct cpu {
     uint32_t pc;
     uint8_t it_state;
     bool asleep, event_register, halted, sram_executable;
-    bool forbidden;     /* It was the memory protection unit that forbade the access at bad_address. */
-    bool rules_changed; /* That unit's rules: Unicorn's pages follow before the next instruction. */
+    bool forbidden;         /* It was the memory protection unit that forbade the access at bad_address. */
+    bool rules_changed;     /* That unit's, or those of CCR: Unicorn follows before the next instruction. */
+    bool alignment_watched; /* alignment_hook is there: CCR.UNALIGN_TRP is set. */
     fault_t fault; /* Found by an access or by the check before an instruction; taken before the next instruction. */
 
     /* Why Unicorn was left. */
@@ -139,7 +149,7 @@ struct cpu {
     uint64_t access_executed; /* Count at the last peripheral access: several by one instruction are looked at. */
 
     bus_window_t windows[3];
-    uc_hook code_hook, interrupt_hook, memory_hook, probe_hooks[PROBES];
+    uc_hook code_hook, interrupt_hook, memory_hook, alignment_hook, probe_hooks[PROBES];
     char *report; /* Text of the last report (emulator.c). */
 };
 

@@ -219,9 +219,8 @@ static bool word_write(cpu_t *cpu, uint32_t address, uint32_t value) {
             machine_violation(cpu->machine,
                               "FPCCR.ASPEN cleared: this emulator always stacks an active floating-point context");
         }
-        if (address == 0xE000ED14 && (value & 0x18u) != 0) {
-            machine_violation(cpu->machine, "CCR.UNALIGN_TRP and DIV_0_TRP are not modelled: 0x%08x written",
-                              (unsigned)value);
+        if (address == 0xE000ED14) {
+            cpu->rules_changed = true;
         }
         return true;
     }
@@ -313,7 +312,7 @@ bool system_control_write(cpu_t *cpu, uint32_t address, unsigned width, uint32_t
 
 void system_control_reset(cpu_t *cpu) {
     machine_cancel(cpu->machine, &cpu->system.systick.event);
-    cpu->rules_changed = cpu->system.mpu.applied;
+    cpu->rules_changed = true;
     cpu->system = (system_control_t){.mpu.applied = cpu->system.mpu.applied, .ccr = 0x200u, .fpccr = FPCCR_ASPEN_LSPEN};
     systick_create(cpu);
 }

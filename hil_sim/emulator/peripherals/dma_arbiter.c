@@ -13,9 +13,8 @@
 
 #define PORT_CYCLES   2u
 #define MATRIX_CYCLES 1u
-#define AHB_CYCLES    1u
+#define ACCESS_CYCLES 1u /* The access itself on AHB, the synchronisation on APB. */
 #define APB_CLOCKS    2
-#define APB_CYCLES    1u
 #define MEMORY_CYCLES 4u
 #define STUCK_TURNS   64 /* Items of one request that nothing lowers. */
 
@@ -28,7 +27,7 @@ int64_t dma_item_time(const dma_stream_t *s) {
     const double clocks_ps = apb1   ? APB_CLOCKS * chip->pclk1.period_ps
                              : apb2 ? APB_CLOCKS * chip->pclk2.period_ps
                                     : 0.0;
-    const unsigned cycles = PORT_CYCLES + (past_matrix ? 0 : MATRIX_CYCLES) + (apb1 || apb2 ? APB_CYCLES : AHB_CYCLES) +
+    const unsigned cycles = PORT_CYCLES + (past_matrix ? 0 : MATRIX_CYCLES) + ACCESS_CYCLES +
                             (s->direct ? MEMORY_CYCLES : 0);
     return (int64_t)(clocks_ps + cycles * chip->hclk.period_ps);
 }

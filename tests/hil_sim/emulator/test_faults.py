@@ -45,8 +45,29 @@ def test_each_fault_tells_what_it_was(image: Path) -> None:
     fault("write_read_only", MEMORY, 0x82, array + 256)
     fault("write_inside", MEMORY, 0x82, array + 508)
     assert [next(notes) for _ in range(4)] == [0x77, 0x77, 0, 0]  # Both sides were written, the inside was not.
-    fault("read_register", MEMORY, 0x82, 0x40023800, r0=0)  # The emulator's: on silicon the load has no effect.
+    fault("read_register", MEMORY, 0x82, 0x40023800)
     assert next(notes) == 1  # The next peripheral.
+
+
+def test_what_ccr_forbids_is_a_usage_fault(image: Path) -> None:
+    """ARMv7-M manual, B3.2.8: without DIV_0_TRP a quotient is 0, without UNALIGN_TRP words and halfwords lie anywhere."""
+    told_notes, board = told(image)
+    notes, at = list(told_notes), board.symbols
+    begin = [0, 0x55443322, 0x3322]
+    rest = iter(notes[next(i for i in range(len(notes)) if notes[i : i + 3] == begin) :])
+
+    def fault(name: str, cfsr: int) -> None:
+        expected = [USAGE, cfsr, 0, 0, at[f"at_{name}"] & ~1, 0x77]
+        assert [next(rest) for _ in expected] == expected, name
+
+    assert [next(rest) for _ in begin] == begin
+    fault("divide", 1 << 25)
+    fault("divide_signed", 1 << 25)
+    assert [next(rest) for _ in range(2)] == [0x77 // 7, 0x55443322]
+    assert next(rest) == 0
+    for name in ("unaligned_word", "unaligned_half", "unaligned_store"):
+        fault(name, 1 << 24)
+    assert [next(rest) for _ in range(3)] == [0x22, 0x4433, 0x77665544]  # The store has no effect.
 
 
 def test_code_may_be_forbidden(image: Path) -> None:
@@ -66,7 +87,7 @@ def test_a_frame_in_the_stack_guard(image: Path) -> None:
 def test_faults_are_counted_and_told(image: Path) -> None:
     with Emulator(image, Configuration(stop_at_fault=False)) as board:
         oracle.run_on_emulator(board)
-        assert (board.statistics().violations, board.statistics().faults) == (0, 12)
+        assert (board.statistics().violations, board.statistics().faults) == (0, 17)
         assert "fault at 0.00" in board.report()
         assert "which the memory protection unit forbids" in board.report()
 

@@ -70,6 +70,12 @@ TRY(write_inside, "str r0, [r1]")
 TRY(write_read_only, "str r0, [r1]")
 TRY(read_register, "ldr r0, [r1]")
 TRY(call, "blx r1")
+TRY(divide, "udiv r0, r0, r1")
+TRY(divide_signed, "sdiv r0, r0, r1")
+TRY(unaligned_word, "ldr r0, [r1]")
+TRY(unaligned_half, "ldrsh r0, [r1]")
+TRY(unaligned_store, "str r0, [r1]")
+TRY(unaligned_byte, "ldrb r0, [r1]")
 
 static void rule(uint32_t number, uint32_t base, uint32_t rules) {
     MPU_BASE = base | 0x10u | number;
@@ -113,6 +119,33 @@ static void forbidden(void) {
     note(load(0x40023C00u) != 0x77u);
 }
 
+/* What CCR forbids, and the same when it does not. */
+static void traps(void) {
+    const uint32_t odd = (uint32_t)guarded + 1u;
+    *(volatile uint32_t *)guarded = 0x44332211u;
+    *(volatile uint32_t *)(guarded + 4) = 0x88776655u;
+    note(divide(0));
+    note(unaligned_word(odd));
+    note(unaligned_half(odd));
+    CCR |= 1u << 4;
+    BARRIER();
+    divide(0);
+    divide_signed(0);
+    note(divide(7u));
+    note(unaligned_word(odd));
+    CCR = (CCR & ~(1u << 4)) | 1u << 3;
+    BARRIER();
+    note(divide(0));
+    unaligned_word(odd);
+    unaligned_half(odd);
+    unaligned_store(odd);
+    note(unaligned_byte(odd));
+    note(unaligned_half(odd + 1u));
+    CCR &= ~(1u << 3);
+    BARRIER();
+    note(unaligned_word(odd + 2u));
+}
+
 static void execute_never(void) {
     code[0] = 0x2055u; /* movs r0, #0x55 */
     code[1] = 0x4770u; /* bx lr */
@@ -136,6 +169,7 @@ int main(void) {
     bus_faults();
     forbidden();
     execute_never();
+    traps();
     frame_forbidden();
     return 0;
 }
