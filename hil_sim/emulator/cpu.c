@@ -94,7 +94,7 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
             machine->now_ps = until_ps > machine->now_ps ? until_ps : machine->now_ps;
             return BOARD_OK;
         }
-        if (machine->held_in_reset) {
+        if (machine->held_in_reset || machine->debug_halted) {
             pass_time(cpu);
         } else if (cpu->fault.exception != 0) {
             const fault_t fault = cpu->fault;

@@ -104,6 +104,10 @@ void emulator_supply(board_t *board, double volts, int64_t time_ps) {
     inputs_supply(board, volts, time_ps);
 }
 
+void emulator_debug_halt(board_t *board, bool halted, int64_t time_ps) {
+    inputs_halt(board, halted, time_ps);
+}
+
 void emulator_stats(const board_t *board, emulator_stats_t *stats) {
     const cpu_t *const cpu = cpu_of(board);
     *stats = (emulator_stats_t){

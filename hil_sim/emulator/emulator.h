@@ -45,6 +45,11 @@ void emulator_crystal(board_t *board, bool alive, int64_t time_ps);
 /* The chip's supply, 3.3 V from power-on, has this voltage from a time on. */
 void emulator_supply(board_t *board, double volts, int64_t time_ps);
 
+/* A debugger stops the core from a time on, or lets it go on. Peripherals go on, and so does SysTick, which on silicon
+ * would stop; the two watchdogs stand still if DBGMCU_APB1_FZ says so, and any other bit of it or of DBGMCU_APB2_FZ is
+ * a violation then. */
+void emulator_debug_halt(board_t *board, bool halted, int64_t time_ps);
+
 void emulator_stats(const board_t *board, emulator_stats_t *stats);
 
 /* Count the instructions of a function, which may be an exception's handler, from now on. Returns false beyond 12

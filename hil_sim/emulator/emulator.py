@@ -272,6 +272,10 @@ class Emulator:
         """Set the chip's supply from a time on; it is 3.3 V from power-on."""
         self._library.emulator_supply(self._board, volts, time_ps)
 
+    def debug_halt(self, halted: bool, time_ps: int = 0) -> None:
+        """Let a debugger stop the core from a time on, or let it go on."""
+        self._library.emulator_debug_halt(self._board, halted, time_ps)
+
     def statistics(self) -> Statistics:
         """Return the counts since reset."""
         stats = self._ffi.new("emulator_stats_t *")

@@ -45,12 +45,13 @@ static bool must_leave(cpu_t *cpu, uint32_t address) {
     const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
     cpu->deadline = 0;
     const bool over = time >= cpu->until_ps || cpu->fault.exception != 0 || cpu->rules_changed ||
-                      machine->stop_requested || machine->reset_requested;
+                      machine->stop_requested || machine->reset_requested || machine->debug_halted;
     if (over && may_leave(cpu, address)) {
         return true; /* cpu_run() fires what is due before the end. */
     }
     machine_fire(machine, time);
-    if (over || machine->stop_requested || machine->reset_requested || exception_preempts(cpu, true)) {
+    if (over || machine->stop_requested || machine->reset_requested || machine->debug_halted ||
+        exception_preempts(cpu, true)) {
         return may_leave(cpu, address);
     }
     bool every_instruction = cpu->nvic.candidate_priority <

@@ -12,7 +12,8 @@ typedef enum {
     INPUT_CAN_SENT,
     INPUT_CAN_ERROR,
     INPUT_CRYSTAL,
-    INPUT_SUPPLY
+    INPUT_SUPPLY,
+    INPUT_HALT
 } input_kind_t;
 
 struct machine_input {
@@ -55,6 +56,9 @@ static void arrive(void *context, int64_t time_ps) {
         break;
     case INPUT_SUPPLY:
         pwr_supply_in(machine, copy.volts);
+        break;
+    case INPUT_HALT:
+        debug_halt_in(machine, copy.flag);
         break;
     }
 }
@@ -109,6 +113,10 @@ void inputs_crystal(board_t *board, bool alive, int64_t time_ps) {
 
 void inputs_supply(board_t *board, double volts, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_SUPPLY, .volts = volts}, time_ps);
+}
+
+void inputs_halt(board_t *board, bool halted, int64_t time_ps) {
+    post(board, &(machine_input_t){.kind = INPUT_HALT, .flag = halted}, time_ps);
 }
 
 void inputs_destroy(machine_t *machine) {

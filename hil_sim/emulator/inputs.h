@@ -19,6 +19,9 @@ void inputs_crystal(board_t *board, bool alive, int64_t time_ps);
 /* The chip's supply (VDD, VDDA) has this voltage from a time on; 3.3 V from power-on. */
 void inputs_supply(board_t *board, double volts, int64_t time_ps);
 
+/* A debugger stops the core, or lets it go on. */
+void inputs_halt(board_t *board, bool halted, int64_t time_ps);
+
 /* Free the signals of a machine that is about to be destroyed, those that wait included. */
 void inputs_destroy(machine_t *machine);
 

@@ -5,6 +5,8 @@
 #include <stdlib.h>
 #include <string.h>
 
+#define PORRSTF (1u << 27) /* RCC_CSR */
+
 /* ---- Life ---- */
 
 static void store16(uint8_t *bytes, unsigned value) {
@@ -99,7 +101,21 @@ void machine_hold_in_reset(machine_t *machine) {
 
 void machine_release_reset(machine_t *machine, uint32_t csr_flags) {
     machine->held_in_reset = false;
+    if ((csr_flags & PORRSTF) != 0) {
+        memset(machine->debug_control, 0, sizeof machine->debug_control);
+    }
     machine_reset_request(machine, csr_flags);
+}
+
+void machine_debug_halt(machine_t *machine, bool halted) {
+    machine->debug_halted = halted;
+    if (machine->processor.processor != NULL) {
+        machine->processor.attention(machine->processor.processor);
+    }
+}
+
+bool machine_debug_frozen(const machine_t *machine, unsigned bus, unsigned bit) {
+    return machine->debug_halted && (machine->debug_control[bus] >> bit & 1u) != 0;
 }
 
 /* The next of a sequence of random words (SplitMix64). */

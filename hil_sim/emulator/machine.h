@@ -97,6 +97,12 @@ void machine_reset_request(machine_t *machine, uint32_t csr_flags);
 void machine_hold_in_reset(machine_t *machine);
 void machine_release_reset(machine_t *machine, uint32_t csr_flags);
 
+/* A debugger stops the core, or lets it go on. Everything else goes on, unless DBGMCU freezes it. */
+void machine_debug_halt(machine_t *machine, bool halted);
+
+/* Returns whether the core is stopped and a bit of DBGMCU_APB1_FZ (bus 1) or DBGMCU_APB2_FZ (bus 2) is set. */
+bool machine_debug_frozen(const machine_t *machine, unsigned bus, unsigned bit);
+
 /* SRAM and core-coupled memory lose what they held: they read as random words, which the configuration's memory_seed,
  * the unique id and the time decide. Without a seed they keep it. */
 void machine_forget_memories(machine_t *machine);

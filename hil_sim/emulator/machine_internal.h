@@ -66,6 +66,8 @@ struct machine {
     bool stop_requested; /* A violation or a fault stops the board. */
     bool reset_requested;
     bool held_in_reset;
+    bool debug_halted;         /* A debugger has stopped the core. */
+    uint32_t debug_control[3]; /* DBGMCU_CR, APB1_FZ, APB2_FZ: only a power-on resets them. */
     uint32_t reset_flags;
 
     peripheral_t *peripherals[MACHINE_PERIPHERALS];

@@ -58,8 +58,7 @@ typedef struct {
 
 /* Registers of the private peripheral bus that keep a value, named as in the ARMv7-M manual. */
 typedef struct {
-    uint32_t vtor, scr, ccr, shcsr, cfsr, hfsr, dfsr, mmfar, bfar, afsr, cpacr, fpccr, fpcar, actlr, demcr, dwt_control,
-        debug_control[3];
+    uint32_t vtor, scr, ccr, shcsr, cfsr, hfsr, dfsr, mmfar, bfar, afsr, cpacr, fpccr, fpcar, actlr, demcr, dwt_control;
     uint64_t dwt_origin;  /* Awake cycles at which CYCCNT was 0. */
     uint32_t dwt_stopped; /* CYCCNT while it does not run. */
     systick_t systick;

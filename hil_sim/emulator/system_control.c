@@ -94,7 +94,8 @@ static void write_reset_control(cpu_t *cpu, uint32_t value) {
 
 /* Where a register is kept that only holds what is written, and in *mask the bits that exist. NULL: it is not one of
  * these. */
-static uint32_t *plain_register(system_control_t *system, uint32_t address, uint32_t *mask) {
+static uint32_t *plain_register(cpu_t *cpu, uint32_t address, uint32_t *mask) {
+    system_control_t *const system = &cpu->system;
     *mask = 0xFFFFFFFFu;
     switch (address) {
     case 0xE000E008:
@@ -124,11 +125,14 @@ static uint32_t *plain_register(system_control_t *system, uint32_t address, uint
         *mask = 0xFFFFFFF8u;
         return &system->fpcar;
     case 0xE0042004:
-        return &system->debug_control[0];
+        *mask = 0x000000E7u;
+        return &cpu->machine->debug_control[0];
     case 0xE0042008:
-        return &system->debug_control[1];
+        *mask = 0x06E01DFFu;
+        return &cpu->machine->debug_control[1];
     case 0xE004200C:
-        return &system->debug_control[2];
+        *mask = 0x00070003u;
+        return &cpu->machine->debug_control[2];
     default:
         return NULL;
     }
@@ -161,7 +165,7 @@ static bool is_trace(uint32_t address) {
 
 static bool word_read(cpu_t *cpu, uint32_t address, uint32_t *value) {
     uint32_t mask;
-    const uint32_t *const plain = plain_register(&cpu->system, address, &mask);
+    const uint32_t *const plain = plain_register(cpu, address, &mask);
     if (plain != NULL) {
         *value = *plain;
         return true;
@@ -212,7 +216,7 @@ static bool word_read(cpu_t *cpu, uint32_t address, uint32_t *value) {
 static bool word_write(cpu_t *cpu, uint32_t address, uint32_t value) {
     system_control_t *const system = &cpu->system;
     uint32_t mask;
-    uint32_t *const plain = plain_register(system, address, &mask);
+    uint32_t *const plain = plain_register(cpu, address, &mask);
     if (plain != NULL) {
         *plain = value & mask;
         if (address == 0xE000EF34 && (value & 1u << 31) == 0) {

@@ -1,4 +1,5 @@
-/* watchdog.c: the independent watchdog (RM0090 21.4) and the window watchdog (RM0090 22.6). */
+/* watchdog.c: the independent watchdog (RM0090 21.4), the window watchdog (RM0090 22.6), and what a debugger that has
+ * halted the core does to them (RM0090 38.16.2): the counter stands still if DBGMCU_APB1_FZ says so. */
 #include "emulator/peripherals/model.h"
 
 #include <math.h>
@@ -18,16 +19,22 @@ static const register_layout_t iwdg_registers[] = {{"KR", KR, 0, 0xFFFF, ACCESS_
 static const register_layout_t wwdg_registers[] = {
     {"CR", CR, 0x7F, 0xFF, ACCESS_RW}, {"CFR", CFR, 0x7F, 0x3FF, ACCESS_RW}, {"SR", WSR, 0, 0x1, ACCESS_RC_W0}};
 
+/* What DBGMCU_APB1_FZ can freeze, by bit (RM0090 38.16.4); the rest of both registers freezes timers and buses. */
+#define FREEZE_WWDG 11u
+#define FREEZE_IWDG 12u
+
 typedef struct {
     model_t model;
     bool running, unlocked;
+    int64_t left_ps;            /* While a debugger has it stand still: what it had to go; else -1. */
     uint32_t prescaler, reload; /* In the 32 kHz domain, after PVU and RVU have fallen. */
     machine_event_t expiry, prescaler_update, reload_update;
 } iwdg_t;
 
 typedef struct {
     model_t model;
-    int64_t base_tick; /* Tick of PCLK1 at which the counter had the stored value. */
+    int64_t base_tick;   /* Tick of PCLK1 at which the counter had the stored value. */
+    int64_t frozen_tick; /* The one at which a debugger made it stand still; else -1. */
     machine_event_t early, expiry;
 } wwdg_t;
 
@@ -89,8 +96,20 @@ static void iwdg_set(model_t *model, uint32_t offset, uint32_t value) {
     machine_schedule(model->machine, offset == PR ? &w->prescaler_update : &w->reload_update, later);
 }
 
+static void iwdg_freeze(iwdg_t *w, bool frozen) {
+    machine_t *const machine = w->model.machine;
+    if (frozen && w->running && w->left_ps < 0) {
+        w->left_ps = w->expiry.time_ps - machine_now(machine);
+        machine_cancel(machine, &w->expiry);
+    } else if (!frozen && w->left_ps >= 0) {
+        machine_schedule(machine, &w->expiry, machine_now(machine) + w->left_ps);
+        w->left_ps = -1;
+    }
+}
+
 static void iwdg_restart(model_t *model) {
     iwdg_t *const w = (iwdg_t *)model;
+    w->left_ps = -1;
     machine_cancel(model->machine, &w->expiry);
     machine_cancel(model->machine, &w->prescaler_update);
     machine_cancel(model->machine, &w->reload_update);
@@ -166,11 +185,43 @@ static uint32_t wwdg_get(model_t *model, uint32_t offset) {
     return offset == CR && (reg(model, CR) & 0x80u) != 0 ? 0x80u | wwdg_count(w) : reg(model, offset);
 }
 
+static void wwdg_freeze(wwdg_t *w, bool frozen) {
+    machine_t *const machine = w->model.machine;
+    const int64_t tick = clock_tick(&w->model.chip->pclk1, machine_now(machine));
+    if (frozen && w->frozen_tick < 0) {
+        w->frozen_tick = tick;
+        machine_cancel(machine, &w->early);
+        machine_cancel(machine, &w->expiry);
+    } else if (!frozen && w->frozen_tick >= 0) {
+        w->base_tick += tick - w->frozen_tick;
+        w->frozen_tick = -1;
+        wwdg_plan(w);
+    }
+}
+
 static void wwdg_restart(model_t *model) {
     wwdg_t *const w = (wwdg_t *)model;
+    w->frozen_tick = -1;
     machine_cancel(model->machine, &w->early);
     machine_cancel(model->machine, &w->expiry);
     wwdg_interrupt(w);
+}
+
+/* ---- A debugger ---- */
+
+void debug_halt_in(machine_t *machine, bool halted) {
+    const chip_t *const chip = chip_of(machine);
+    machine_debug_halt(machine, halted);
+    for (unsigned bit = 0; bit < 32; bit++) {
+        if (bit != FREEZE_WWDG && bit != FREEZE_IWDG && machine_debug_frozen(machine, 1, bit)) {
+            machine_violation(machine, "DBGMCU_APB1_FZ: this model does not freeze what bit %u stands for", bit);
+        }
+        if (machine_debug_frozen(machine, 2, bit)) {
+            machine_violation(machine, "DBGMCU_APB2_FZ: this model does not freeze what bit %u stands for", bit);
+        }
+    }
+    iwdg_freeze((iwdg_t *)chip_model(chip, "IWDG"), machine_debug_frozen(machine, 1, FREEZE_IWDG));
+    wwdg_freeze((wwdg_t *)chip_model(chip, "WWDG"), machine_debug_frozen(machine, 1, FREEZE_WWDG));
 }
 
 void watchdog_create(chip_t *chip) {
@@ -199,9 +250,11 @@ void watchdog_create(chip_t *chip) {
     machine_event_init(&iwdg->expiry, iwdg_expired, iwdg);
     machine_event_init(&iwdg->prescaler_update, prescaler_updated, iwdg);
     machine_event_init(&iwdg->reload_update, reload_updated, iwdg);
+    iwdg->left_ps = -1;
     model_attach(chip, &iwdg->model, &iwdg_description);
     wwdg_t *const wwdg = chip_allocate(chip, sizeof *wwdg);
     machine_event_init(&wwdg->early, wwdg_early, wwdg);
     machine_event_init(&wwdg->expiry, wwdg_expired, wwdg);
+    wwdg->frozen_tick = -1;
     model_attach(chip, &wwdg->model, &wwdg_description);
 }

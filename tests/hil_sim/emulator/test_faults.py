@@ -50,7 +50,7 @@ def test_each_fault_tells_what_it_was(image: Path) -> None:
 
 
 def test_what_ccr_forbids_is_a_usage_fault(image: Path) -> None:
-    """ARMv7-M manual, B3.2.8: without DIV_0_TRP a quotient is 0, without UNALIGN_TRP words and halfwords lie anywhere."""
+    """ARMv7-M manual, B3.2.8. Without DIV_0_TRP a quotient is 0, without UNALIGN_TRP a word may lie anywhere."""
     told_notes, board = told(image)
     notes, at = list(told_notes), board.symbols
     begin = [0, 0x55443322, 0x3322]
