@@ -75,6 +75,10 @@ static bool bridge_is_on(void) {
     return (TIM1->BDTR & TIM8->BDTR & TIM_BDTR_MOE) != 0;
 }
 
+bool bridge_lost(void) {
+    return board.enabled && !bridge_is_on();
+}
+
 void bridge_trip(hal_fault_t cause) {
     bridge_off();
     __atomic_fetch_or(&board.faults, 1u << cause, __ATOMIC_RELAXED);

@@ -305,7 +305,8 @@ static bool in_step(const DMA_stream_registers *stream, uint32_t items, uint32_t
 
 /* The coil currents of chip c are converted behind its middle, when stream 4 has done c + 1 transfers, until the next
  * chip's. That is right if this interrupt is late by less than half a chip. The bridges stay on for two more chips if
- * the streams that bring their levels, set-points and fuse move together, and somebody plans what they bring. */
+ * the streams that bring their levels, set-points and fuse move together, and somebody plans what they bring. Where a
+ * break was first, its interrupt comes next, and tells why there is no current. */
 void ADC_Handler(void) {
     uint16_t count[HAL_CHANNELS];
     if (!converters_take(&board, count))
@@ -316,5 +317,6 @@ void ADC_Handler(void) {
     if (planned && in_step(&DMA2->S[1], EDGE_8_ITEMS, position) && in_step(&DMA1->S[5], 1u, position) &&
         in_step(&DMA2->S[7], 1u, position))
         bridge_watch();
-    board.events.current(board.events.context, absolute_chip(board.first_chip, position), count);
+    if (!bridge_lost())
+        board.events.current(board.events.context, absolute_chip(board.first_chip, position), count);
 }

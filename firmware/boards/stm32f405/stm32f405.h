@@ -185,6 +185,9 @@ void bridge_arm(void);
 /* Switch the bridges off and have fault() called at PRIORITY_DRIVE; callable from any context, NMI among them. */
 void bridge_trip(hal_fault_t cause);
 
+/* Returns whether a break has switched the bridges off, and nobody has been told yet. */
+bool bridge_lost(void);
+
 /* Start the fuse that switches the bridges off when no coil current moves it on. Call it before the timers run. */
 void bridge_fuse_start(const hal_t *hal);
 

@@ -161,6 +161,20 @@ def test_a_processor_that_serves_no_interrupt_loses_the_drive_in_hardware(drivin
     assert off_after(board) <= RUNNING * CHIP
 
 
+def test_a_processor_that_a_debugger_halts_loses_the_drive_and_no_watchdog_strikes(driving):
+    """The coil went on with old chips, and the watchdog, which stands still then, did not end it."""
+    board = driving(NOTHING, strict=False)
+    board._emulator.debug_halt(True, INJECT)
+    board.run(INJECT + 2 * SECOND)
+    [off] = board.edges(PIN_ENABLE, False)
+    assert INJECT < off <= INJECT + RUNNING * CHIP
+    board._emulator.debug_halt(False, INJECT + 2 * SECOND)
+    board.run(INJECT + 4 * SECOND)
+    assert [m.signals["cause"] for m in board.messages("RESET_REPORT") if m.index == 0] == [0]
+    assert len(board.edges(PIN_ENABLE, True)) == 1
+    assert health(board)["cause"] == STALE
+
+
 def test_a_drive_that_the_fuse_ended_stays_off_over_the_restart(driving):
     """The watchdog restarts a board that was on, as far as it knows: that counts, and the drive waits."""
     board = driving(HANG_MASKED)
