@@ -66,7 +66,7 @@ deadline-figures: all ## Measure each interrupt beside its deadline, and what a 
 
 protections: all ## Let each protection of a drive act a hundred times on the image, at random phases; print how soon (half an hour)
 	@$(PYTHON) -m pytest -q -s -m slow tests/firmware/services/test_protection.py tests/firmware/services/test_protection_on_the_image.py \
-		tests/firmware/boards/stm32f405/test_protection_in_hardware.py
+		tests/firmware/boards/stm32f405/test_protection_in_hardware.py tests/hil/test_coil_faults.py
 
 .PHONY: protections
 

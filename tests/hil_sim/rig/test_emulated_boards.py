@@ -58,7 +58,7 @@ def test_a_processor_has_its_own_supply_by_scenario(tmp_path):
 
 
 def test_a_bus_with_wrong_bits_by_scenario(tmp_path):
-    """Of 1000 frames of 128 bits, 1e-3 of whose bits are wrong, 120 are destroyed; without the table none."""
+    """A frame of some 128 bits, 1e-3 of which are wrong, is destroyed one time in eight; without the table never."""
     destroyed = []
     for text in ("", "[can]\nbit_error_probability = 1e-3\n"):
         with Rig(with_tables(tmp_path, text), FakeBoards()) as rig:
