@@ -333,6 +333,26 @@ def test_break_by_software(fast_chip: Bench) -> None:
     assert chip.read(TIM1 + SR) & BIF == 0
 
 
+@pytest.mark.parametrize("lock", [0, 3])
+def test_a_break_that_dma_brings(fast_chip: Bench, lock: int) -> None:
+    """TIM8_CH4 has DMA2 stream 7 write EGR: 0 is no event, BG a break, whatever BDTR's LOCK protects."""
+    chip = fast_chip
+    bridge(chip, BKE | OSSI | MOE | lock << 8)
+    for i, value in enumerate((0, 0, BIF, 0)):
+        chip.write(SRAM + 2 * i, value, 2)
+    base = DMA2 + 0x10 + 0x18 * 7
+    for offset, value in ((4, 4), (8, TIM1 + EGR), (0xC, SRAM)):
+        chip.write(base + offset, value)
+    chip.write(base, 7 << 25 | 1 << 13 | 1 << 11 | 1 << 10 | 1 << 6 | 1)
+    chip.write(TIM8 + DIER, 1 << 12)
+    for broken in (False, False, True, True):
+        chip.write(TIM8 + EGR, 1 << 4)
+        chip.run(MICROSECOND)
+        assert chip.read(TIM1 + BDTR) & MOE == (0 if broken else MOE)
+        assert level(chip, PB15) == (0 if broken else 1)
+        assert chip.read(TIM1 + SR) & BIF == (BIF if broken else 0)
+
+
 @pytest.mark.parametrize("by_break", [False, True])
 def test_idle_levels_come_after_the_dead_time(fast_chip: Bench, by_break: bool) -> None:
     chip = fast_chip
