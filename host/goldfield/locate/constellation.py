@@ -12,6 +12,7 @@ from scipy.special import chdtri, gammaincc
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.budget import LEAST_EVALUATIONS
+from goldfield.locate.fault_statistics import fault_statistics
 from goldfield.locate.field_shell_search import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked
 from goldfield.locate.mirror import Mirror, find_mirror
@@ -119,7 +120,7 @@ class Constellation:
     ) -> Solutions:
         """Find the poses of e epochs with no prior.
 
-        The chain of magnitudes is quick, and its answer is taken where it is shown to be right (`_sure`). Elsewhere
+        The chain of magnitudes is quick, and its answer is taken where it is shown to be right (`_enough`). Elsewhere
         the pose is searched: by the kernel, or for coils given by their wire and sensors without three axes in the
         shell of the strongest beacon. Where the fields are nothing but noise the cost is infinite. A search ends at
         ``most_evaluations``, or with the budget. Where fields fit nowhere the pose that fits best is searched, too, if
@@ -142,7 +143,10 @@ class Constellation:
             solutions = unsolved(self.from_magnitudes(measurements))
         else:
             solutions = unsolved(nowhere(len(measurements)))
-        further = np.flatnonzero(~self._sure(measurements, solutions.best, strict=quick is not None))
+        enough = self._enough(measurements, solutions.best, strict=quick is not None)
+        if quick is not None and not enough.all():
+            self._enough_without_one(measurements, solutions, enough)
+        further = np.flatnonzero(~enough)
         if len(further) and quick is not None:
             solutions.put(further, self._search(measurements.take(further), most_evaluations, at_any_cost))
         else:
@@ -154,17 +158,42 @@ class Constellation:
             self._reflect(measurements, solutions)
         return self._sided(solutions)
 
-    def _sure(self, measurements: Measurements, fit: Fit, *, strict: bool) -> NDArray[np.bool_]:
-        """Tell which fits, shape (e,), need no search: they fit, and if strict nothing else can.
+    def _enough(self, measurements: Measurements, fit: Fit, *, strict: bool) -> NDArray[np.bool_]:
+        """Tell which fits, shape (e,), need no search: they fit, and if strict nothing else can."""
+        enough = fit.converged & (probability(fit.cost, measurements.freedom) > SUSPECT)
+        if strict and enough.any():
+            enough &= self.sure(measurements, fit)
+        return np.asarray(enough)
 
-        Nothing else was found in trials where `SURE_BEACONS` stand out of the noise and no coil is near.
+    def _enough_without_one(self, measurements: Measurements, solutions: Solutions, enough: NDArray[np.bool_]) -> None:
+        """Spare the search of epochs, in place, that have one faulty beacon at most whose others allow no other pose.
+
+        The beacon is the one that takes most off the cost of the pose that is known. The solution is then the pose that
+        fits best near that of the others: whatever else fits all beacons would fit these.
         """
-        sure = fit.converged & (probability(fit.cost, measurements.freedom) > SUSPECT)
-        if strict and sure.any():
-            sure &= (measurements.magnitude_T > OUTSTANDING * measurements.sigma_T).sum(axis=1) >= SURE_BEACONS
-            distance = np.linalg.norm(fit.position_m[:, None] - self.model.centre_m, axis=2)
-            sure &= (distance > SURE_RADII * self.model.reach_m).all(axis=1)
-        return np.asarray(sure)
+        outstanding = (measurements.magnitude_T > OUTSTANDING * measurements.sigma_T).sum(axis=1)
+        some = np.flatnonzero(~enough & solutions.best.converged & (outstanding > SURE_BEACONS))
+        if not len(some):
+            return
+        given, known = measurements.take(some), solutions.best.take(some)
+        drop = fault_statistics(self.model, given, known).drop
+        thinned = given.without(drop == drop.max(axis=1, keepdims=True))
+        others = self._polished(thinned, known.position_m, known.rotation)
+        good = np.flatnonzero(self._enough(thinned, others, strict=True))
+        if len(good):
+            best = self._polished(given.take(good), others.position_m[good], others.rotation[good])
+            found = best.converged
+            solutions.put(some[good[found]], unsolved(best.take(np.flatnonzero(found))))
+            enough[some[good[found]]] = True
+
+    def sure(self, measurements: Measurements, fit: Fit) -> NDArray[np.bool_]:
+        """Tell which fields that fit a pose, shape (e,), can fit no other.
+
+        No other was found in trials where `SURE_BEACONS` stand out of the noise and no coil is near.
+        """
+        outstanding = (measurements.magnitude_T > OUTSTANDING * measurements.sigma_T).sum(axis=1)
+        distance = np.linalg.norm(fit.position_m[:, None] - self.model.centre_m, axis=2)
+        return np.asarray((outstanding >= SURE_BEACONS) & (distance > SURE_RADII * self.model.reach_m).all(axis=1))
 
     def searched(
         self, measurements: Measurements, most_evaluations: int, *, at_any_cost: bool

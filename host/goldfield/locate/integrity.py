@@ -6,6 +6,9 @@ In this order:
 2. One beacon out, if five are heard, beside the explanations by the sensor: the better one is named.
 3. Two beacons out, if seven are heard and neither explains the epoch.
 
+Where the fields without one beacon are enough to show that no other pose fits them (`Constellation.sure`), the first is
+left out, and the second looks for explanations by the sensor near the poses that are known: both need another pose.
+
 A pose without a beacon is trusted only if the rest has a likely cost, if every other explanation costs
 `exclusion.CLEAR` more, and if the rest passes the alarm. Everything else is inconsistent, with the reason.
 """
@@ -93,16 +96,18 @@ def explain(
         The beacons' ids.
     """
     heard = len(constellation.model)
-    cost = float(solutions.best.cost[0])
-    # With fewer than three axes the negated fields are those of a sensor that is turned round.
-    negated = mirrored(constellation, measurements, cost, CLEAR) if measurements.axes[0] == 3 else None
-    if negated is not None:
-        return _inconsistent([negated], negated.text)
-    if heard < LEAST_FOR_ONE:
-        return _few(constellation, measurements, solutions, heard)
     poses = solutions.best if not solutions.contested[0] else stacked([solutions.best, solutions.rival])
-    ones = without_one(constellation, measurements, poses)
-    of_sensor = sensor_rivals(constellation, measurements, stacked([poses, ones.fit.take(np.arange(2))]))
+    ones = without_one(constellation, measurements, poses) if heard >= LEAST_FOR_ONE else None
+    sure = ones is not None and _sure(constellation, measurements, ones)
+    # With fewer than three axes the negated fields are those of a sensor that is turned round.
+    if measurements.axes[0] == 3 and not sure:
+        negated = mirrored(constellation, measurements, float(solutions.best.cost[0]), CLEAR)
+        if negated is not None:
+            return _inconsistent([negated], negated.text)
+    if ones is None:
+        return _few(constellation, measurements, solutions, heard)
+    known = stacked([poses, ones.fit.take(np.arange(2))])
+    of_sensor = sensor_rivals(constellation, measurements, known, anywhere=not sure)
     if ones.hopeless and not of_sensor:
         ones = searched_without_one(constellation, measurements, ones)
     verdict = _without(constellation, measurements, ones, of_sensor, names)
@@ -115,6 +120,13 @@ def explain(
     if verdict is None and of_sensor:
         verdict = _inconsistent([of_sensor[0].finding], of_sensor[0].finding.text)
     return verdict or _nearly(constellation, measurements, solutions) or _unknown(sentences.NOT_MENDED)
+
+
+def _sure(constellation: Constellation, measurements: Measurements, ones: Subsets) -> bool:
+    """Tell whether the fields without the likeliest beacon fit its pose, and can fit no other."""
+    thinned = measurements.without(np.arange(len(constellation.model))[None] == ones.left_out[0])
+    best = ones.fit.take(np.array([0]))
+    return bool(probability(best.cost, thinned.freedom)[0] > SOUND_REST and constellation.sure(thinned, best)[0])
 
 
 def _few(constellation: Constellation, measurements: Measurements, solutions: Solutions, heard: int) -> Verdict:

@@ -94,19 +94,25 @@ def mirrored(constellation: Constellation, measurements: Measurements, cost: flo
     return Finding(Explanation.MIRRORED, (), sentences.MIRRORED, factor=-1.0)
 
 
-def sensor_rivals(constellation: Constellation, measurements: Measurements, poses: Fit) -> list[SensorRival]:
+def sensor_rivals(
+    constellation: Constellation, measurements: Measurements, poses: Fit, *, anywhere: bool = True
+) -> list[SensorRival]:
     """Return what explains one epoch by the sensor or the whole site, the best score first.
 
     Parameters
     ----------
     poses : Fit
         Poses to start from: those of the fields as they are, with whatever beacons.
+    anywhere : bool
+        Whether to start from the best poses by any factor of all fields, too.
     """
     heard = int(measurements.known.sum())
     if heard < LEAST_FOR_ONE_FACTOR or not measurements.complete:
         return []
     model = constellation.model
-    position, rotation = _starts(constellation, measurements, poses)
+    position, rotation = _given(poses)
+    if anywhere:
+        position, rotation = _starts(constellation, measurements, poses)
     factor = fit_distorted(model, measurements, position, rotation, basis=DISTORTIONS[:1]).best()
     found = [_rival(measurements, factor, 1, 1)]
     if heard >= LEAST_FOR_ANY:
@@ -161,11 +167,14 @@ def _starts(constellation: Constellation, measurements: Measurements, poses: Fit
         model_error=ROUGHNESS,
         iterations=ROUGH_ITERATIONS,
     ).best(STARTS)
-    given = np.flatnonzero(np.isfinite(poses.cost))[:STARTS]
-    return (
-        np.concatenate([rough.position_m, poses.position_m[given]]),
-        np.concatenate([rough.rotation, poses.rotation[given]]),
-    )
+    position, rotation = _given(poses)
+    return np.concatenate([rough.position_m, position]), np.concatenate([rough.rotation, rotation])
+
+
+def _given(poses: Fit) -> tuple[FloatArray, FloatArray]:
+    """Return positions and attitudes of the first of some poses."""
+    some = np.flatnonzero(np.isfinite(poses.cost))[:STARTS]
+    return poses.position_m[some], poses.rotation[some]
 
 
 def _rival(measurements: Measurements, fitted: Distorted, unknowns: int, tried: int) -> SensorRival | None:

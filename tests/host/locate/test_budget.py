@@ -81,7 +81,7 @@ def test_what_was_found_when_the_budget_ended_is_not_believed(monkeypatch):
     epochs = bench.fields_of(site, bench.with_fault("dead", site, run, rng, 2))
     assert all(pose.excluded == ("b2",) for pose in Locator(site).locate_many(epochs))
     monkeypatch.setattr(budget, "LEAST_EVALUATIONS", 0)
-    monkeypatch.setattr(budget, "MOST_FIELDS", 10_000)
+    monkeypatch.setattr(budget, "MOST_FIELDS", 2_000)
     for pose in Locator(site).locate_many(epochs):
         assert (pose.status, pose.excluded) == (Status.INCONSISTENT, ())
         assert pose.reason == sentences.NOT_EXPLAINED
