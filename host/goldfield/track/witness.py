@@ -6,6 +6,9 @@ each epoch adds to a linear least squares for d: h = E'F'r and H = E'(F'SF)E wit
 poses of all of them free. sum(h)' sum(H)^-1 sum(h) is chi-square with three degrees of freedom if the
 beacon is where the site says; one that is only as exact as its survey is granted that. Another current gives the same
 for one unknown. The pose does not know of it, so a beacon that was left out of the pose is watched in the same way.
+What the last epochs deny, as after a single bad one, is not believed: with d from a longer time, d'Hd - 2 d'h of a
+shorter one is the cost of d beside that of no error. It falls with each epoch that has the error and rises with each
+that has it no more, so that an error is forgotten after one to three times as many good epochs as it takes to see it.
 """
 
 from __future__ import annotations
@@ -35,6 +38,10 @@ FALSE_ALARMS_PER_HOUR = 0.01
 KEPT = 0.5
 """A beacon that is named stays so as long as it explains more of the cost than this part of what it takes to be named:
 chance does not let it come and go."""
+
+DENIED = 1.0 / 3.0
+"""The last epochs deny an error if it costs them more than this part of what it takes to be named, and if they
+themselves show less than that: chance does this to an error that is there in at most 6 of 100,000 sums."""
 
 CLEAR = 12.0
 """A beacon is named only if it explains more of the cost than any other, by this; else none is."""
@@ -219,18 +226,26 @@ class Witness:
     def _costs(self, windows: _Evidence) -> tuple[FloatArray, FloatArray]:
         """Return what each beacon takes away from the cost of each window, plain and granted, shape (windows, n).
 
-        Granted is what is left of the plain one for a beacon that is only as exact as its survey.
+        Granted is what is left of the plain one for a beacon that is only as exact as its survey. Both are 0 for an
+        error that the epochs of a shorter window deny.
         """
         tolerance2 = self._granted_m2(windows.mean_distance_m)
-        values, vectors = np.linalg.eigh(windows.place_information)
+        information = windows.place_information
+        values, vectors = np.linalg.eigh(information)
         seen = values > LEAST_INFORMATION * np.maximum(values[..., -1:], 1e-300)
         values = np.where(seen, values, 1.0)
-        along2 = np.where(seen, np.einsum("wnck,wnc->wnk", vectors, windows.place), 0.0) ** 2
-        plain = (along2 / values).sum(axis=2)
-        granted = (along2 / (values + tolerance2[:, :, None] * values**2)).sum(axis=2)
+        along = np.where(seen, np.einsum("wnck,wnc->wnk", vectors, windows.place), 0.0)
+        plain = (along**2 / values).sum(axis=2)
+        granted = (along**2 / (values + tolerance2[:, :, None] * values**2)).sum(axis=2)
         shown, current = windows.current_information, windows.current
         plain = np.maximum(plain, np.where(shown > 0.0, current**2 / np.where(shown > 0.0, shown, 1.0), 0.0))
-        return plain, granted
+        shift = np.einsum("wnck,wnk->wnc", vectors, along / values)
+        beside = np.einsum("wni,vnij,wnj->wvn", shift, information, shift)
+        beside -= 2.0 * np.einsum("wni,vni->wvn", shift, windows.place)
+        limit = DENIED * self._limit
+        shorter = np.tri(len(self._windows), k=-1, dtype=bool)[:, :, None]
+        denied = (shorter & (beside > limit) & (granted <= limit)).any(axis=1)
+        return np.where(denied, 0.0, plain), np.where(denied, 0.0, granted)
 
     def _suspect(self, windows: _Evidence, plain: FloatArray, granted: FloatArray) -> tuple[int, _Evidence] | None:
         """Return the row of the beacon that is not as the site says and the window that shows it best; None if none."""

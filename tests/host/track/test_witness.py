@@ -11,7 +11,7 @@ from goldfield.sensor.options import Method
 from goldfield.site import Survey
 from goldfield.track import Tracker, Witness
 from goldfield.track.faults import Judgement
-from goldfield.track.witness import EARLIER_STARTS, FALSE_ALARMS_PER_HOUR, KEPT, STARTS
+from goldfield.track.witness import DENIED, EARLIER_STARTS, FALSE_ALARMS_PER_HOUR, KEPT, STARTS
 from goldfield.types import Explanation, Fields, Status
 from tests.bench.locate_trials import prigge_cube
 from tests.bench.motion_trials import Room, circling
@@ -167,3 +167,52 @@ def test_without_leaves_out_rows():
     thinned = without(fields, (IDS[0], "nobody"))
     assert thinned.beacons == IDS[1:]
     np.testing.assert_array_equal(thinned.field_T, fields.field_T[1:])
+
+
+@pytest.mark.parametrize("method", [Method.EACH, Method.TRACK])
+def test_a_single_bad_epoch_is_forgotten_with_the_next_good_one(method):
+    """It stays in the sums for 10 s, but what comes after it shows that it was alone."""
+    speed = 0.5 if method is Method.TRACK else 0.0
+    data = epochs(moved(0.0), CHANGED_AT + 40, speed=speed, rate=speed)
+    field_T = data[CHANGED_AT].field_T.copy()
+    field_T[ROW, 0] += 60.0 * data[CHANGED_AT].sigma_T[ROW]
+    data[CHANGED_AT] = replace(data[CHANGED_AT], field_T=field_T)
+    locate = location(SITE, method)
+    poses = [locate(fields, None) for fields in data]
+    named = [pose.epoch for pose in poses if any(IDS[ROW] in finding.beacons for finding in pose.findings)]
+    assert named == [CHANGED_AT]
+    assert all(pose.status is Status.OK and pose.used == IDS for pose in poses[CHANGED_AT + 2 :])
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.25])
+def test_an_error_is_forgotten_after_at_most_three_times_as_many_good_epochs_as_it_took_to_see_it(factor):
+    data = epochs(moved(factor), CHANGED_AT + 30)
+    sound = epochs(moved(0.0), CHANGED_AT + 70, seed=2)
+    findings = watched([*data, *sound[CHANGED_AT + 30 :]])
+    named = [k - CHANGED_AT + 1 for k, finding in enumerate(findings) if finding]
+    assert named[-1] - 30 <= 3 * named[0]
+    assert all(k in named for k in range(named[0], 31))
+
+
+def test_the_last_epochs_deny_an_error_on_both_sides_of_the_limit():
+    """One epoch names a beacon, the next denies it by just less and just more than a third of what it takes."""
+    real = Tracker(SITE).step(epochs(moved(0.0), 1)[0]).judgement
+    score, drop = np.zeros((8, 3)), np.zeros(8)
+    score[ROW] = [1.0, -2.0, 0.5]
+    size = score[ROW] @ np.linalg.solve(real.information[ROW], score[ROW])
+    for part, kept in ((0.999, True), (1.001, False)):
+        witness = Witness(SITE)
+        drop[ROW] = 9.0 * witness._limit
+        unit = np.sqrt(witness._limit / size)
+        first = 2.0
+        assert witness.update(replace(real, score=first * unit * score, drop=drop)) is not None
+        # With the mean d of both, first + second over 2, the second has d^2 - 2 d second beside no error.
+        second = next(x for x in np.linspace(1.0, -1.0, 200_001) if _beside(first, x) > DENIED * part)
+        assert second**2 < DENIED
+        assert (first + second) ** 2 / 2.0 > 1.0
+        assert (witness.update(replace(real, score=second * unit * score, drop=drop)) is not None) == kept
+
+
+def _beside(first, second):
+    shift = (first + second) / 2.0
+    return shift**2 - 2.0 * shift * second
