@@ -21,6 +21,7 @@ from goldfield.field import FieldModel
 from goldfield.link.heartbeat import ROLE_ANCHOR
 from goldfield.link.reports import Assembler
 from goldfield.locate import locate
+from goldfield.sensor.moved_together import moved_together
 from goldfield.site import Beacon, Site
 from goldfield.track.witness import strength_finding
 from goldfield.types import Explanation, Fields, Finding, FloatArray, Status
@@ -43,6 +44,10 @@ FALSE_ALARMS_PER_HOUR = 0.01
 CLEAR = 20.0
 """A beacon is named only if the changes at it and of it cost more, by this, than those of any other."""
 
+ELSEWHERE = 0.02
+"""Nor is it if a pair of others has changed at a cost above this part of its own: metal near it reaches them so little,
+another beacon that was moved, too, does not."""
+
 UNEXPLAINED = 1e-6
 """A change of current explains the changes of all anchors if they leave a cost of more than this probability."""
 
@@ -60,6 +65,11 @@ LEAST_SHIFT_M = 0.005
 """A shift below this is not told as one: metal near a coil looks the same."""
 
 
+def left_out(finding: Finding | None) -> tuple[str, ...]:
+    """Return the beacons that a finding leaves out: none if it does not tell which of them are wrong."""
+    return () if finding is None or finding.kind is Explanation.UNKNOWN else finding.beacons
+
+
 class AnchorWatch:
     """Listens to the anchors on a link.
 
@@ -70,7 +80,8 @@ class AnchorWatch:
     Attributes
     ----------
     finding : Finding or None
-        The beacon whose fields have changed, ``moved`` with the place where it fits better, or ``beacon``.
+        The beacon whose fields have changed, ``moved`` with the place where it fits better, or ``beacon``; of several
+        that were moved together see `moved_together`.
     """
 
     def __init__(self, site: Site) -> None:
@@ -82,8 +93,8 @@ class AnchorWatch:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Id of the beacon whose fields have changed, if there is one."""
-        return () if self.finding is None else self.finding.beacons
+        """Ids of the beacons whose fields do not count because of that."""
+        return left_out(self.finding)
 
     def take(self, message: Message) -> None:
         """Take any message of the link, in the order of arrival."""
@@ -104,7 +115,8 @@ class AnchorWatch:
         starts = min(len(anchor.changes.cost) for anchor in anchors)
         costs = np.array([anchor.changes.cost[:starts] for anchor in anchors])  # (anchors, starts, n)
         tests = 3600.0 / self._site.cycle_s * costs[:, 0].size * len(anchors[0].starts)
-        if costs.max() <= chdtri(3.0, FALSE_ALARMS_PER_HOUR / tests):
+        limit = float(chdtri(3.0, FALSE_ALARMS_PER_HOUR / tests))
+        if costs.max() <= limit:
             return None
         start = int(costs.max(axis=(0, 2)).argmax())
         cost = costs[:, start]
@@ -112,8 +124,13 @@ class AnchorWatch:
         for place, anchor in enumerate(anchors):
             touched[anchor.own] += np.delete(cost[place], anchor.own).sum()
         row = int(np.argmax(touched))
-        if len(touched) > 1 and touched[row] <= np.delete(touched, row).max() + CLEAR:
-            return None
+        own = np.array([anchor.own for anchor in anchors])
+        others = np.delete(cost[own != row], row, axis=1).max(initial=0.0)
+        alone = others <= max(limit, ELSEWHERE * max(cost[:, row].max(), cost[own == row].max(initial=0.0)))
+        if len(touched) > 1 and not (alone and touched[row] > np.delete(touched, row).max() + CLEAR):
+            changed = np.zeros((len(touched), len(touched)), dtype=bool)
+            changed[own] = cost > limit
+            return moved_together(changed, tuple(self._row))
         return self._explained(row, anchors, [anchor.changes.over(start) for anchor in anchors])
 
     def _explained(self, row: int, anchors: list[_Anchor], windows: list[_Changes]) -> Finding:

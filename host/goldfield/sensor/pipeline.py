@@ -13,6 +13,7 @@ from goldfield.errors import UserError, counted
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
+from goldfield.sensor.anchors import left_out
 from goldfield.sensor.location import Succession, location, needed_parameters, with_finding, without
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.receiver import Recorder
@@ -326,7 +327,7 @@ class Sensor:
         verdict = judge(self._session.health, report, self.site)
         fields = amended_fields(self._separation.fields(report), verdict)
         witnessed = _unexplained(self._session.anchors.finding, verdict)
-        named = () if witnessed is None else witnessed.beacons
+        named = left_out(witnessed)
         pose, at_rate = None, False
         if self._between is not None:
             self._between.note(verdict, witnessed)

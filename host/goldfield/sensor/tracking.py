@@ -14,6 +14,7 @@ from functools import partial
 from goldfield.errors import UserError, tell
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_pose
+from goldfield.sensor.anchors import left_out
 from goldfield.sensor.block_track import CYCLES_KEPT, GAP_S, BlockTrack
 from goldfield.sensor.guard import show_defect
 from goldfield.sensor.location import Succession, with_finding
@@ -80,7 +81,7 @@ class Between(ABC):
 
     def _told(self, pose: Pose) -> Pose:
         """Return a pose with what boards and anchors say of it."""
-        named = () if self._witnessed is None or self._used_all else self._witnessed.beacons
+        named = () if self._used_all else left_out(self._witnessed)
         more = tuple(name for name in named if name not in pose.excluded)
         pose = replace(pose, excluded=(*pose.excluded, *more)) if more else pose
         return amended_pose(with_finding(pose, self._witnessed), self._verdict, used_all=self._used_all)
@@ -107,7 +108,7 @@ class Tracking(Between):
     def poses(self, event: Block | Pose) -> list[Pose]:
         """Take the next block; see `Between.poses`. A defect costs the track, which begins anew, not the run."""
         assert isinstance(event, Block)
-        witnessed = () if self._witnessed is None else self._witnessed.beacons
+        witnessed = left_out(self._witnessed)
         try:
             poses = self._track.update(event, (*self._verdict.out, *witnessed), self._verdict.ratio)
         except UserError:
