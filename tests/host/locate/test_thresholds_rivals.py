@@ -281,6 +281,23 @@ def test_a_new_place_is_told_if_it_is_known_to_a_fifth_of_the_way():
     assert np.sqrt(np.linalg.eigvalsh(covariance)[-1]) == pytest.approx(0.2 * way, rel=0.02)
 
 
+@pytest.mark.parametrize(("row", "direction"), [(0, 2), (0, 3), (1, 4), (2, 3)])
+@pytest.mark.parametrize(("share", "found"), [(0.999, True), (1.001, False)])
+def test_a_new_place_is_told_if_it_is_no_further_than_the_sensor(row, direction, share, found):
+    """Beyond that its mirror image at the coil makes the same field of a dipole."""
+    case = Case(108)
+    way = np.random.default_rng(row).normal(size=(direction + 1, 3))[direction]
+    way *= share * np.linalg.norm(case.position_m[0] - case.model.centre_m[row]) / np.linalg.norm(way)
+    moved = list(case.site.beacons)
+    moved[row] = replace(moved[row], position_m=moved[row].position_m + way)
+    field = case.field_T.copy()
+    field[row] = bench.magpylib_fields(bench.site_of(moved), case.position_m)[0, row] @ case.rotation[0]
+    finding = beacon_finding(case.model, case.measurements(field), case.fit(case.measurements()), row, "b")[0]
+    assert (finding.kind is Explanation.MOVED) == found
+    if found:
+        np.testing.assert_allclose(finding.position_m, moved[row].position_m, atol=1e-3)
+
+
 def square(thickness=0.0, tilt=0.0):
     """Four coils on the arms of a cross of 1 m, in turn above and below a plane, all leaning outwards."""
     beacons = []
