@@ -19,7 +19,9 @@ from goldfield.locate.uncertainty import second_order_covariance
 from goldfield.locate.wahba import wahba
 from goldfield.types import Fields, Status
 from tests.bench import locate_trials as bench
-from tests.bench.integrity_sites import told
+from tests.bench.integrity_coils import Coils, measured
+from tests.bench.integrity_run import Run
+from tests.bench.integrity_sites import POSES_A_HALL, halls, sigma_of, told
 
 DATA = Path(__file__).with_name("data")
 
@@ -120,6 +122,20 @@ def test_inputs_that_went_wrong(name, truth, cost):
         assert np.linalg.norm(pose.position_m - truth) < pose.protection_m
     if name == "wrong_ok_3":
         assert pose.status is Status.AMBIGUOUS
+
+
+@pytest.mark.parametrize("place", [306, 398, 724, 3943])
+def test_inside_a_coil_the_pose_is_found_though_none_of_the_first_descents_fits(place):
+    """Poses of `integrity_figures halls --seed 23`, five beacons; each lies half a radius from a coil's centre."""
+    run = Run(place, 0, 0, 23)
+    rng = run.rng("halls", 5, True)
+    for number, (site, position) in enumerate(halls(rng, 4000, 5, near=True)):
+        trials = measured(Coils.of(site, len(position)).field(position), position, sigma_of(site), rng)
+        if number == place // POSES_A_HALL:
+            break
+    pose = Locator(run.told(site)).locate_many(bench.fields_of(site, trials))[place % POSES_A_HALL]
+    assert pose.status in (Status.OK, Status.UNVERIFIED)
+    assert np.linalg.norm(pose.position_m - position[place % POSES_A_HALL]) < pose.protection_m
 
 
 def one_axis(noise_T, count, distort=0.0):
