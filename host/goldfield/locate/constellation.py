@@ -172,7 +172,8 @@ class Constellation:
         fits best near that of the others: whatever else fits all beacons would fit these.
         """
         outstanding = (measurements.magnitude_T > OUTSTANDING * measurements.sigma_T).sum(axis=1)
-        some = np.flatnonzero(~enough & solutions.best.converged & (outstanding > SURE_BEACONS))
+        wrong = solutions.best.converged & ~(probability(solutions.best.cost, measurements.freedom) > SUSPECT)
+        some = np.flatnonzero(~enough & wrong & (outstanding > SURE_BEACONS))
         if not len(some):
             return
         given, known = measurements.take(some), solutions.best.take(some)
