@@ -1,7 +1,9 @@
 """Print how often sound beacons are named: ``python -m tests.bench.witness_figures [--hours H] [--minutes M]``.
 
 H hours of epochs with the noise of the separated fields, coils by magpylib and the sensor on a circle, go through the
-history of the residuals; M virtual minutes of host boards go through the whole host, anchors among them.
+history of the residuals; M virtual minutes of host boards go through the whole host, anchors among them. The permitted
+rate is too small to be counted: the same epochs go through histories that are permitted to name beacons more often, and
+what they do of what they may tells what is to be expected.
 """
 
 from __future__ import annotations
@@ -16,10 +18,15 @@ import magpylib
 import numpy as np
 
 from goldfield import site as sites
+from goldfield.locate import Locator
 from goldfield.sensor import dialogue, session
-from goldfield.sensor.location import location
+from goldfield.sensor.location import UNKNOWN_MOTION, location
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.pipeline import Sensor
+from goldfield.track import EpochObserver, Witness, witness
+from goldfield.track.estimate import Belief
+from goldfield.track.faults import judged
+from goldfield.track.motion import RATE, standing
 from goldfield.types import Explanation, Fields
 from hil_sim.rig import Rig
 from hil_sim.scenario import load_scenario, site_toml
@@ -28,6 +35,7 @@ from tests.bench.motion_trials import Room, circling
 from tests.hil.rig_link import RigLink
 
 CHIPS = 1023
+PERMITTED_AN_HOUR = (1000.0, 300.0, 100.0, 30.0, 10.0)
 TURN_S = 60.0
 """The sensor takes another circle after so long."""
 
@@ -63,6 +71,47 @@ def of_history(hours: float, noise_T: float, seed: int) -> None:
     )
 
 
+def by_permitted_rate(hours: float, noise_T: float, seed: int) -> None:
+    """Print how often histories name a sound beacon beside how often they are permitted to."""
+    site = prigge_cube(noise_T)
+    names, sigma_T = tuple(b.id for b in site.beacons), np.full(len(site.beacons), noise_T / np.sqrt(CHIPS))
+    locator, observer = Locator(site), EpochObserver(site)
+    coils, rng = Room(site).coils, np.random.default_rng([seed, 1])
+    watching = {}
+    for rate in PERMITTED_AN_HOUR:
+        with mock.patch.object(witness, "FALSE_ALARMS_PER_HOUR", rate):
+            watching[rate] = Witness(site)
+    named = dict.fromkeys(watching, 0)
+    before: dict[float, tuple[str, ...]] = dict.fromkeys(watching, ())
+    batch = round(TURN_S / site.cycle_s)
+    for first in range(0, round(hours * 3600.0 / site.cycle_s), batch):
+        position, rotation = circling(rng, 0.5, 0.5).poses(np.arange(batch) * site.cycle_s)
+        exact = magpylib.getB(coils, position, squeeze=False)[:, 0, 0]  # (n, t, 3)
+        seen = [rotation[k].inv().apply(exact[:, k]) for k in range(batch)]
+        epochs = [
+            Fields(
+                first + k,
+                (first + k) * site.cycle_s,
+                names,
+                one + sigma_T[:, None] * rng.normal(size=one.shape),
+                sigma_T,
+            )
+            for k, one in enumerate(seen)
+        ]
+        for fields, pose in zip(epochs, locator.locate_many(epochs), strict=True):
+            if pose.findings or pose.excluded:
+                continue
+            state = standing(pose.position_m, pose.orientation_xyzw)
+            observation, _ = observer.observation(fields, UNKNOWN_MOTION[RATE].max())
+            judgement = judged(observation, state, Belief(state, np.diag(UNKNOWN_MOTION)))
+            for rate, one in watching.items():
+                one.update(judgement)
+                named[rate] += one.named not in ((), before[rate])
+                before[rate] = one.named
+    found = ", ".join(f"{count / hours:.3g} of {rate:g}" for rate, count in named.items())
+    print(f"history, {noise_T * 1e7:g} mG, {hours:g} h: names an hour of those permitted: {found}")
+
+
 def of_boards(name: str, minutes: float, seed: int) -> None:
     """Print how often anything names a beacon in so many virtual minutes of sound host boards."""
     scenario = load_scenario(name)
@@ -95,6 +144,7 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(argv)
     for noise_T in (2e-7, 2e-8):
         of_history(options.hours, noise_T, options.seed)
+        by_permitted_rate(options.hours, noise_T, options.seed)
     for name in ("prigge8", "anchors4"):
         of_boards(name, options.minutes, options.seed)
     return 0
