@@ -2,11 +2,13 @@
 
 ``ros2:goldfield`` publishes ``goldfield/pose``, ``/tf`` and once a second ``/diagnostics``. ``?map=`` and ``?sensor=``
 name the frames otherwise; ``?tf=no`` leaves ``/tf`` out, for a robot whose sensor frame has another parent already.
+
+Each feed has a context of its own: rclpy shuts a context down as a whole, so that a shared one would end with the first
+of several feeds, and take the nodes of a program that uses goldfield along.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
@@ -27,14 +29,29 @@ def open_feed(address: Address, setting: Setting) -> Feed:
     frames = Frames(address.options.get("map") or Frames.map, address.options.get("sensor") or Frames.sensor)
     try:
         import rclpy  # a ROS 2 installation has it; PyPI does not
-        from rclpy.signals import SignalHandlerOptions
+        from rclpy.context import Context
     except ImportError as error:
         said = f"needs ROS 2 ({error}): run 'source /opt/ros/DISTRIBUTION/setup.bash' first, with its own Python"
         raise address.wrong(said) from None
-    if not rclpy.ok():
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)  # Ctrl-C ends the run, with its summary
-    node = rclpy.create_node("goldfield", start_parameter_services=False)
-    return Ros2Feed(address, setting, node, Messages(message_class, frames), transforms=transforms, end=rclpy.shutdown)
+    context = Context()
+    context.init(args=[])  # not by rclpy.init, which may take the signals: Ctrl-C ends the run, with its summary
+    try:
+        node = rclpy.create_node(node_name(address.path), context=context, start_parameter_services=False)
+        return Ros2Feed(address, setting, node, Messages(message_class, frames), transforms=transforms, context=context)
+    except BaseException:
+        context.try_shutdown()
+        raise
+
+
+def node_name(prefix: str) -> str:
+    """Return the name of a node, of which ROS wants each but once, by the beginning of its topics.
+
+    Examples
+    --------
+    >>> node_name("robot/goldfield")
+    'robot_goldfield'
+    """
+    return prefix.replace("/", "_")
 
 
 def message_class(name: str) -> Any:
@@ -54,8 +71,8 @@ class Ros2Feed:
     messages : Messages
     transforms : bool
         Whether it publishes on ``/tf``.
-    end : callable
-        Called at the end, after the node was destroyed.
+    context : rclpy.context.Context
+        That of the node alone.
     """
 
     whole = False
@@ -69,11 +86,11 @@ class Ros2Feed:
         messages: Messages,
         *,
         transforms: bool,
-        end: Callable[[], None],
+        context: Any,
     ) -> None:
         self._node = node
         self._messages = messages
-        self._end = end
+        self._context = context
         self._site = setting.site.name
         self._clock = setting.clock
         prefix = f"/{address.path}" if address.url.startswith("ros2:/") else address.path
@@ -93,9 +110,9 @@ class Ros2Feed:
             self._diagnostics.publish(self._messages.diagnostics(stamped, self._site, self._clock()))
 
     def close(self) -> None:
-        """Let go of the node."""
+        """Let go of the node and its context, which a program that is shutting down may have ended already."""
         self._node.destroy_node()
-        self._end()
+        self._context.try_shutdown()
 
 
 def _yes_or_no(address: Address) -> bool:

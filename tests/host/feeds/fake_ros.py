@@ -70,16 +70,45 @@ def as_rosbags(message):
     return STORE.types[message.NAME](**values)
 
 
-class Node:
-    """A node whose publishers keep CDR by topic."""
+class Context:
+    """A context as rclpy has it: it is initialized once, has nodes while it is up, and ends with all of them."""
 
     def __init__(self):
+        self.state, self.nodes = "new", []
+
+    def init(self, args=None, *, initialize_logging=True, domain_id=None):
+        assert (self.state, args) == ("new", []), "Context.init() must only be called once"
+        self.state = "up"
+
+    def ok(self):
+        return self.state == "up"
+
+    def shutdown(self):
+        assert self.ok(), "Context must be initialized before it can be shutdown"
+        self.state = "down"
+        for node in self.nodes:
+            node.destroyed = True
+
+    def try_shutdown(self):
+        if self.ok():
+            self.shutdown()
+
+
+class Node:
+    """A node whose publishers keep CDR by topic, and which is worth nothing once its context is down."""
+
+    def __init__(self, name, context):
+        assert name.isidentifier(), f"{name} is no name of a node"
+        assert context.ok(), "the context is not initialized, or down"
+        self.name, self.context = name, context
         self.published, self.destroyed = [], False
+        context.nodes.append(self)
 
     def create_publisher(self, message_type, topic, depth):
         assert isinstance(depth, int)
 
         def publish(message):
+            assert not self.destroyed, "publisher's context is invalid"
             assert type(message).NAME == message_type.NAME
             cdr = bytes(STORE.serialize_cdr(as_rosbags(message), message.NAME))
             self.published.append((topic, message.NAME, cdr))
@@ -106,23 +135,21 @@ def install(monkeypatch):
         vars(module).update(found)
         monkeypatch.setitem(sys.modules, package, ModuleType(package))
         monkeypatch.setitem(sys.modules, f"{package}.msg", module)
-    rclpy, signals = ModuleType("rclpy"), ModuleType("rclpy.signals")
-    signals.SignalHandlerOptions = SimpleNamespace(NO="no handlers")
-    rclpy.nodes, rclpy.running = [], False
+    rclpy, contexts = ModuleType("rclpy"), ModuleType("rclpy.context")
+    contexts.Context, rclpy.nodes, default = Context, [], Context()
 
-    def init(*, args, signal_handler_options):
-        assert (args, signal_handler_options) == ([], "no handlers")
-        rclpy.running = True
+    def init(*, args=None, context=None):
+        (default if context is None else context).init(args)
 
-    def create_node(name, *, start_parameter_services):
-        assert (name, start_parameter_services, rclpy.running) == ("goldfield", False, True)
-        rclpy.nodes.append(Node())
+    def create_node(name, *, context=None, start_parameter_services):
+        assert start_parameter_services is False
+        rclpy.nodes.append(Node(name, default if context is None else context))
         return rclpy.nodes[-1]
 
-    def shutdown():
-        rclpy.running = False
+    def shutdown(*, context=None):
+        (default if context is None else context).shutdown()
 
-    rclpy.ok, rclpy.init, rclpy.create_node, rclpy.shutdown = lambda: rclpy.running, init, create_node, shutdown
+    rclpy.ok, rclpy.init, rclpy.create_node, rclpy.shutdown = default.ok, init, create_node, shutdown
     monkeypatch.setitem(sys.modules, "rclpy", rclpy)
-    monkeypatch.setitem(sys.modules, "rclpy.signals", signals)
+    monkeypatch.setitem(sys.modules, "rclpy.context", contexts)
     return rclpy

@@ -36,8 +36,39 @@ def published(rclpy, *items, url="ros2:goldfield"):
     feed.close()
     node = rclpy.nodes[-1]
     assert node.destroyed
-    assert not rclpy.running
+    assert not node.context.ok()
     return node
+
+
+def test_two_feeds_have_a_node_each_and_none_ends_the_other(rclpy):
+    first, second = (open_feed(parse_address(f"ros2:{prefix}"), setting()) for prefix in ("goldfield", "robot/field"))
+    nodes = rclpy.nodes
+    assert [node.name for node in nodes] == ["goldfield", "robot_field"]
+    first.write(stamped())
+    first.close()
+    second.write(stamped())
+    assert (nodes[0].destroyed, nodes[1].destroyed) == (True, False)
+    assert [len(nodes[0].of("goldfield/pose")), len(nodes[1].of("robot/field/pose"))] == [1, 1]
+    second.close()
+    assert not any(node.context.ok() for node in nodes)
+
+
+def test_the_nodes_of_the_program_itself_are_left_alone(rclpy):
+    """Of one that was there before, and of one that is made while the feed is open."""
+    rclpy.init(args=[])
+    before = rclpy.create_node("robot", start_parameter_services=False)
+    published(rclpy, stamped())
+    assert rclpy.ok()
+    assert not before.destroyed
+    rclpy.shutdown()
+
+
+def test_a_node_that_cannot_be_made_leaves_no_context_behind(rclpy, monkeypatch):
+    made = []
+    monkeypatch.setattr(rclpy, "create_node", lambda *_, context, **__: made.append(context) or 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        open_feed(parse_address("ros2:goldfield"), setting())
+    assert [context.state for context in made] == ["down"]
 
 
 def test_the_bytes_of_a_pose_are_those_of_cdr(rclpy):
