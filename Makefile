@@ -75,11 +75,12 @@ $(BUILD)/chromium.stamp:
 	@$(call need,chromium,chromium)
 	@touch $@
 
-# A broker for tests alone: one that was not there before is not left running as a service.
+# A broker for tests alone, and what makes its certificates: one that was not there before is not left running as a service.
 $(BUILD)/mosquitto.stamp:
 	@mkdir -p $(BUILD)
 	@command -v mosquitto >/dev/null || test -x /usr/sbin/mosquitto || { $(call install,mosquitto); \
 	  $(SUDO) systemctl disable --now mosquitto >/dev/null 2>&1 || true; }
+	@$(call need,openssl,openssl)
 	@touch $@
 
 $(BUILD)/venv.stamp: requirements.txt pyproject.toml setup.py $(BUILD)/host-tools.stamp

@@ -46,6 +46,7 @@ LONG = (
     "host/cli/test_plan.py",
     "host/feeds/test_command.py",
     "host/feeds/test_mqtt.py",
+    "host/feeds/test_mqtt_access.py",
     "host/locate/test_locator.py",
     "host/locate/test_own_body.py",
     "host/page/test_browser.py",

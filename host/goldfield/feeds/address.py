@@ -16,21 +16,27 @@ EXAMPLES = {
     "ws": "ws://127.0.0.1:8421",
     "udp": "udp://127.0.0.1:9000",
     "mqtt": "mqtt://broker/hall/pose",
+    "mqtts": "mqtts://ann@broker/hall/pose",
     "ros2": "ros2:goldfield",
     "tum": "tum:walk.txt",
     "nmea": "nmea:walk.nmea",
     "nmea+udp": "nmea+udp://127.0.0.1:10110",
 }
 """Each scheme, with an example."""
-PORTS = {"foxglove": 8765, "ws": 8421, "mqtt": 1883}
+PORTS = {"foxglove": 8765, "ws": 8421, "mqtt": 1883, "mqtts": 8883}
 """The port that a scheme has if none is given; the others need one."""
 SERVERS = ("foxglove", "ws")
 """Schemes that listen: without an address only this machine reaches them, and port 0 is any that is free."""
-SENDERS = ("udp", "mqtt", "nmea+udp")
+SENDERS = ("udp", "mqtt", "mqtts", "nmea+udp")
 """Schemes that send to a host."""
 FILES = ("tum", "nmea")
 """Schemes that write a file."""
-OPTIONS: Mapping[str, tuple[str, ...]] = {"ws": ("origin",), "ros2": ("map", "sensor", "tf")}
+OPTIONS: Mapping[str, tuple[str, ...]] = {
+    "ws": ("origin",),
+    "mqtt": ("password_file",),
+    "mqtts": ("ca", "cert", "key", "password_file"),
+    "ros2": ("map", "sensor", "tf"),
+}
 """What may stand behind a ``?``, by scheme."""
 ROS_NAME = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
@@ -89,8 +95,8 @@ def parse_address(url: str) -> Address:
     >>> parse_address("tcp://broker")
     Traceback (most recent call last):
     goldfield.errors.UserError: feed=tcp://broker: is no feed: give one as foxglove://127.0.0.1:8765, \
-ws://127.0.0.1:8421, udp://127.0.0.1:9000, mqtt://broker/hall/pose, ros2:goldfield, tum:walk.txt, nmea:walk.nmea, \
-nmea+udp://127.0.0.1:10110
+ws://127.0.0.1:8421, udp://127.0.0.1:9000, mqtt://broker/hall/pose, mqtts://ann@broker/hall/pose, ros2:goldfield, \
+tum:walk.txt, nmea:walk.nmea, nmea+udp://127.0.0.1:10110
     """
     scheme, colon, rest = url.partition(":")
     if not colon or scheme not in EXAMPLES:
@@ -108,10 +114,16 @@ def _split(url: str, scheme: str) -> Address:
         host, port = parts.hostname or "", parts.port
     except ValueError as error:  # a port that is none, a bracket that does not close
         raise wrong(url, f"is no address ({error}): give one as {EXAMPLES[scheme]}") from None
-    options = dict(parse_qsl(parts.query, keep_blank_values=True))
+    options = dict(
+        parse_qsl(parts.query.replace("+", "%2B"), keep_blank_values=True)
+    )  # a plus is one, in names of files
     address = Address(url, scheme, host, port or 0, parts.path.strip("/"), parts.username, options)
     if parts.password is not None:
         raise wrong(url.replace(f":{parts.password}@", ":...@"), "other users of this machine would see the password")
+    try:
+        host.encode("idna")
+    except UnicodeError as error:
+        raise address.wrong(f"'{host}' is no name of a host ({error})") from None
     if parts.fragment:
         raise address.wrong(f"'#{parts.fragment}' has no meaning here")
     for name in options:
@@ -133,7 +145,7 @@ def _completed(address: Address, given_port: int | None) -> Address:
         raise address.wrong(f"needs a host, as {example}")
     if port is None or (port == 0 and scheme in SENDERS):
         raise address.wrong(f"needs a port, as {example}")
-    if scheme == "mqtt":
+    if scheme in ("mqtt", "mqtts"):
         if not address.path or any(sign in address.path for sign in "+#\0"):
             raise address.wrong(f"needs a topic without + and #, as {example}")
     elif address.path or address.user is not None:

@@ -22,6 +22,7 @@ MODULES = {
     "ws": "goldfield.feeds.websocket",
     "udp": "goldfield.feeds.udp",
     "mqtt": "goldfield.feeds.mqtt",
+    "mqtts": "goldfield.feeds.mqtt",
     "ros2": "goldfield.feeds.ros2",
     "tum": "goldfield.feeds.tum",
     "nmea": "goldfield.feeds.nmea",

@@ -19,6 +19,9 @@ from goldfield.feeds.opening import MODULES
         ("udp://239.1.2.3:9000", "udp", "239.1.2.3", 9000, ""),
         ("mqtt://broker/hall/pose", "mqtt", "broker", 1883, "hall/pose"),
         ("mqtt://ann@broker:1/x", "mqtt", "broker", 1, "x"),
+        ("mqtts://ann@broker/x", "mqtts", "broker", 8883, "x"),
+        ("mqtt://[fe80::1%eth0]/x", "mqtt", "fe80::1%eth0", 1883, "x"),
+        ("mqtt://[::1]:9/x", "mqtt", "::1", 9, "x"),
         ("ros2:goldfield", "ros2", "", 0, "goldfield"),
         ("ros2:/robot/goldfield?tf=no", "ros2", "", 0, "robot/goldfield"),
         ("tum:a b?c#d.txt", "tum", "", 0, "a b?c#d.txt"),
@@ -34,6 +37,7 @@ def test_what_a_url_means(url, scheme, host, port, path):
 def test_the_user_and_the_options_of_a_url():
     assert parse_address("mqtt://ann@broker/x").user == "ann"
     assert parse_address("ros2:a?map=world&tf=no").options == {"map": "world", "tf": "no"}
+    assert parse_address("mqtts://b/x?ca=a+b%26c.pem").options == {"ca": "a+b&c.pem"}
 
 
 @pytest.mark.parametrize(
@@ -56,7 +60,11 @@ def test_the_user_and_the_options_of_a_url():
         ("mqtt://h/", "needs a topic"),
         ("mqtt://h/a/+", "needs a topic without + and #"),
         ("mqtt://h/x#y", "'#y' has no meaning here"),
-        ("mqtt://h/x?qos=2", "'qos' is none of its options (none)"),
+        ("mqtt://h/x?qos=2", "'qos' is none of its options (password_file)"),
+        ("mqtt://h/x?ca=c.pem", "'ca' is none of its options (password_file)"),
+        ("udp://h:9?ttl=2", "'ttl' is none of its options (none)"),
+        ("mqtt://a..b/x", "'a..b' is no name of a host"),
+        (f"udp://{'a' * 64}:9", "is no name of a host"),
         ("ros2:", "needs the beginning of its topics"),
         ("ros2://h/x", "needs the beginning of its topics"),
         ("ros2:a-b", "needs the beginning of its topics"),

@@ -1,35 +1,18 @@
 """Poses by a real MQTT broker: what arrives, what is retained, and a broker that is absent, refuses or goes away."""
 
 import socket
-import threading
 from dataclasses import replace
 
 import pytest
 
 from goldfield.feeds import mqtt
 from goldfield.feeds.address import parse_address
+from goldfield.feeds.mqtt_access import PASSWORD
 from goldfield.feeds.opening import Feeds, open_feed
-from tests.host.feeds.broker import TIMEOUT_S, Broker, Subscriber, free_port, needs_mosquitto
+from tests.host.feeds.broker import Broker, Subscriber, Told, free_port, needs_mosquitto
 from tests.host.feeds.made import SITE, UNIX_S, epoch, pose, setting, stamped
 
 pytestmark = needs_mosquitto
-
-
-class Told:
-    """What a feed tells the user, with an event for each sentence."""
-
-    def __init__(self):
-        self.texts = []
-        self._changed = threading.Condition()
-
-    def __call__(self, text):
-        with self._changed:
-            self.texts.append(text)
-            self._changed.notify_all()
-
-    def wait_for(self, end):
-        with self._changed:
-            assert self._changed.wait_for(lambda: any(text.endswith(end) for text in self.texts), TIMEOUT_S), self.texts
 
 
 @pytest.fixture
@@ -79,7 +62,7 @@ def test_a_broker_that_comes_late_and_goes_away_is_connected_again(tmp_path, tol
     broker = Broker(tmp_path)
     feed = opened(broker.port)
     try:
-        told.wait_for("no broker answers there; trying again")
+        told.wait_for("no broker answers there: Connection refused; trying again")
         feed.write(stamped())
         assert feed.dropped == 1
         broker.start()
@@ -101,9 +84,9 @@ def test_a_broker_that_comes_late_and_goes_away_is_connected_again(tmp_path, tol
 
 @pytest.mark.parametrize(("password", "accepted"), [("right", True), ("wrong", False), (None, False)])
 def test_a_password_comes_from_the_environment(tmp_path, told, monkeypatch, password, accepted):
-    monkeypatch.delenv(mqtt.PASSWORD, raising=False)
+    monkeypatch.delenv(PASSWORD, raising=False)
     if password is not None:
-        monkeypatch.setenv(mqtt.PASSWORD, password)
+        monkeypatch.setenv(PASSWORD, password)
     with (
         Broker(tmp_path, users={"ann": "right"}) as broker,
         Subscriber(broker.port, "hall/#", "ann", "right") as subscriber,
@@ -116,6 +99,42 @@ def test_a_password_comes_from_the_environment(tmp_path, told, monkeypatch, pass
             told.wait_for("the broker refuses: Not authorized; trying again")
             feed.write(stamped())
             assert feed.dropped == 1
+        feed.close()
+
+
+def test_a_broker_that_ends_each_connection_at_the_first_message_costs_these_messages_alone(told):
+    """Whichever moment the end comes at, a pose is dropped and the feed goes on."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        feed = opened(listening.getsockname()[1])
+        feed._client.reconnect_delay_set(0.001, 0.001)
+        for number in range(20):
+            connection, _ = listening.accept()
+            with connection:
+                assert connection.recv(4096)[0] == 0x10  # CONNECT
+                connection.sendall(b"\x20\x02\x00\x00")  # CONNACK
+                assert connection.recv(4096)  # it is online
+                feed.write(stamped(pose(number)))
+        assert feed.dropped <= 20
+        feed.close()
+
+
+class Lost:
+    """A message whose connection ends right after it was looked at, as in another thread."""
+
+    def is_published(self):
+        return False
+
+    def wait_for_publish(self, timeout):
+        raise RuntimeError("Message publish failed: The connection was lost.")
+
+
+def test_a_message_whose_connection_ends_while_it_is_waited_for_is_dropped(broker, told, monkeypatch):
+    with Subscriber(broker.port, "hall/#") as subscriber:
+        feed = opened(broker.port)
+        assert subscriber.next() == ("hall/pose/online", "true", False)
+        monkeypatch.setattr(feed._client, "publish", lambda *_, **__: Lost())
+        feed.write(stamped())
+        assert feed.dropped == 1
         feed.close()
 
 
@@ -143,5 +162,5 @@ def test_a_network_that_takes_nothing_holds_up_nobody_but_its_own_feed(told):
 
 def test_a_free_port_has_no_broker(told):
     feed = opened(free_port())
-    told.wait_for("no broker answers there; trying again")
+    told.wait_for("no broker answers there: Connection refused; trying again")
     feed.close()

@@ -54,7 +54,7 @@ def test_two_feeds_have_a_node_each_and_none_ends_the_other(rclpy):
 
 
 def test_the_nodes_of_the_program_itself_are_left_alone(rclpy):
-    """Of one that was there before, and of one that is made while the feed is open."""
+    """The program has a node in the default context before the feed is opened."""
     rclpy.init(args=[])
     before = rclpy.create_node("robot", start_parameter_services=False)
     published(rclpy, stamped())
