@@ -83,6 +83,16 @@ $(BUILD)/mosquitto.stamp:
 	@$(call need,openssl,openssl)
 	@touch $@
 
+# The reader of recordings that Foxglove is made of, in JavaScript; `npm ci` takes exactly what package-lock.json names.
+FOXGLOVE_READER := tests/host/recording/foxglove_reader
+$(BUILD)/foxglove-reader.stamp: $(wildcard $(FOXGLOVE_READER)/*)
+	@mkdir -p $(BUILD)/foxglove-reader
+	@$(call need,npm,npm)
+	@cp $(FOXGLOVE_READER)/* $(BUILD)/foxglove-reader
+	@(cd $(BUILD)/foxglove-reader && npm ci --ignore-scripts --no-audit --no-fund) >$(BUILD)/foxglove-reader/npm.log 2>&1 || \
+	  { tail -5 $(BUILD)/foxglove-reader/npm.log; echo "npm failed: all of its words are in $(BUILD)/foxglove-reader/npm.log"; exit 1; }
+	@touch $@
+
 $(BUILD)/venv.stamp: requirements.txt pyproject.toml setup.py $(BUILD)/host-tools.stamp
 	@echo "Python environment: $(VENV) (pinned packages)"
 	@python3 -c 'import sys; sys.exit("goldfield needs Python 3.11 or newer; python3 here is " + sys.version.split()[0]) if sys.version_info < (3, 11) else None'

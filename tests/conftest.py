@@ -52,6 +52,7 @@ LONG = (
     "host/page/test_browser.py",
     "host/page/test_command.py",
     "host/planning",
+    "host/recording/test_foxglove_reader.py",
     "host/sensor/test_on_sensor.py",
     "host/site/test_dual_axis.py",
     "host/survey/test_metal.py",
