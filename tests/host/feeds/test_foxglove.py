@@ -14,9 +14,10 @@ from websockets.sync.client import connect
 
 from goldfield.errors import UserError
 from goldfield.feeds.address import parse_address
-from goldfield.feeds.foxglove import FoxgloveFeed
+from goldfield.feeds.foxglove import BACKLOG, FoxgloveFeed
 from goldfield.feeds.opening import open_feed
 from goldfield.feeds.stamped import StampedPose
+from goldfield.foxglove.topics import LINE
 from goldfield.view.lines import Line
 from tests.host.feeds import made
 from tests.host.feeds.made import UNIX_S, epoch, failed, pose, setting, stamped
@@ -39,12 +40,13 @@ class Client:
         self._socket = socket
         self._decoders = {}
 
-    def subscribe(self):
+    def subscribe(self, topics=TOPICS):
         while self.channels() != TOPICS:
             message = json.loads(self._socket.recv(timeout=TIMEOUT_S))
             for channel in message.get("channels", ()):
                 self._decoders[channel["id"]] = (channel["topic"], decoder_of(channel))
-        wanted = [{"id": number, "channelId": number} for number in self._decoders]
+        chosen = [number for number, (topic, _) in self._decoders.items() if topic in topics]
+        wanted = [{"id": number, "channelId": number} for number in chosen]
         self._socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
     def channels(self):
@@ -76,13 +78,13 @@ def feed():
 
 
 @contextlib.contextmanager
-def client_of(feed):
-    """A client whose subscriptions the server is known to have: it has got a pose."""
+def client_of(feed, topics=TOPICS, **options):
+    """A client whose subscriptions the server is known to have."""
     feed.write(of_epoch(0))
-    with connect(f"ws://127.0.0.1:{feed.port}", subprotocols=["foxglove.sdk.v1"]) as socket:
+    with connect(f"ws://127.0.0.1:{feed.port}", subprotocols=["foxglove.sdk.v1"], **options) as socket:
         client = Client(socket)
-        client.subscribe()
-        while not all(channel.has_sinks() for channel in feed._channels._channels.values()):
+        client.subscribe(topics)
+        while not all(feed._channels.wanted(topic) for topic in topics):
             pass  # the server takes the subscriptions in a thread of its own
         yield client
 
@@ -135,6 +137,20 @@ def test_a_pose_without_a_place_is_told_as_a_line_and_in_the_log(feed):
     assert log.message == "failed: no beacon was heard"
     assert found["/goldfield/line"][0][1]["position_m"] is None
     assert "/goldfield/pose" not in found
+
+
+def test_a_client_that_does_not_read_misses_the_oldest_and_then_gets_the_newest_in_order(feed):
+    """Many megabytes, more than the buffers of the system take, are written while the client reads nothing."""
+    big, last = "x" * 30_000, 1500
+    with client_of(feed, {LINE}, max_queue=1) as client:
+        for number in range(1, last + 1):
+            feed.write(stamped(pose(number, reason=big)))
+        got = [0]
+        while got[-1] != last:
+            got.append(client.next()[2]["epoch"])
+    assert got == sorted(set(got)), "never an older one behind a newer"
+    assert len(got) < last, "some are lost"
+    assert got[-BACKLOG:] == list(range(last - BACKLOG + 1, last + 1))
 
 
 def test_a_place_that_is_taken_is_refused(feed):
