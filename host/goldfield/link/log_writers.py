@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 from typing import Any
 
 import can
 
-from goldfield.link.recording_file import RecordingFile
+from goldfield.files.now_and_then import NowAndThen
+from goldfield.link.recording_file import FLUSH_S, RecordingFile
 
 CONTAINER_BYTES = 4096
-"""A .blf is packed in containers of so many bytes: what a crash costs, 80 messages, or 1 s of a sensor at ten cycles a
-second."""
+"""A .blf is packed in containers of so many bytes, 85 messages, or fewer where they come slowly."""
 
 
 class _Text:
@@ -125,17 +126,42 @@ class AscWriter(_LogWriter):
 
 
 class BlfWriter(_LogWriter):
-    """Writes a .blf; a crash costs what its last container of `CONTAINER_BYTES` would have held."""
+    """Writes a .blf; a crash costs what came in the last `FLUSH_S`, or since the last container was full."""
 
     def __init__(self, path: str | Path, *, force: bool = False) -> None:
         super().__init__(path, force=force)
         self._binary = _Binary(self._file)
+        self._blf: can.BLFWriter | None = None
+        self._error: BrokenPipeError | None = None
+        self._lock = threading.Lock()
+        self._flushing = NowAndThen(self.flush, FLUSH_S, f"flush {path}")
 
     def _begun(self) -> can.BLFWriter:
         binary: Any = self._binary
-        return can.BLFWriter(binary, max_container_size=CONTAINER_BYTES)
+        self._blf = can.BLFWriter(binary, max_container_size=CONTAINER_BYTES)
+        return self._blf
 
     def write(self, message: can.Message) -> None:
         """Append a message, as `_LogWriter.write`; a container that is full goes to the file as one record."""
-        super().write(message)
-        self._binary.settle()
+        with self._lock:
+            super().write(message)
+            self._binary.settle()
+            error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+    def flush(self) -> None:
+        """End the container, however little it holds, which is done every `FLUSH_S` anyway."""
+        with self._lock:
+            if self._blf is None:
+                return
+            try:
+                self._blf._flush()  # python-can offers nothing else: it ends a container that is full, and the last
+                self._binary.settle()
+            except BrokenPipeError as error:  # for the next message
+                self._error = error
+
+    def close(self) -> None:
+        """End the recording, as `_LogWriter.close`."""
+        self._flushing.end()
+        super().close()

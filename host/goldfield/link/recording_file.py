@@ -9,6 +9,9 @@ from goldfield.errors import SystemFailure, counted, tell
 from goldfield.files.inputs import STREAM, reason_of
 from goldfield.files.outputs import OutputFile
 
+FLUSH_S = 0.25
+"""Time from one piece to the next, s, in formats that pack messages into pieces: as much costs a killed program."""
+
 
 class RecordingFile:
     """A growing file that is handed to the system at once, and to the disk within a second (`goldfield.files.durable`).

@@ -16,12 +16,10 @@ from typing import Any
 import foxglove
 from foxglove.mcap import MCAPWriteOptions
 
+from goldfield.files.now_and_then import NowAndThen
 from goldfield.foxglove.channels import Channels
-from goldfield.link.recording_file import RecordingFile
+from goldfield.link.recording_file import FLUSH_S, RecordingFile
 from goldfield.link.ros_frame import nanoseconds
-
-FLUSH_S = 0.25
-"""Time from one chunk to the next, s."""
 
 MAGIC = b"\x89MCAP0\r\n"
 _FOOTER = struct.pack("<BQQQ", 0x02, 20, 0, 0)  # no summary, no offsets of it
@@ -54,9 +52,7 @@ class McapFile:
         self._channels = Channels(context)
         self._lock = threading.Lock()  # the SDK calls back into Python: two threads in it could wait for each other
         self._filled = False
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._flush_now_and_then, name=f"flush {path}", daemon=True)
-        self._thread.start()
+        self._flushing = NowAndThen(self.flush, FLUSH_S, f"flush {path}")
 
     @property
     def failed(self) -> bool:
@@ -89,18 +85,13 @@ class McapFile:
 
     def close(self) -> None:
         """Write the index and end the file, of which the disk may fail to take the last part."""
-        self._stop.set()
-        self._thread.join()
+        self._flushing.end()
         with self._lock:
             self._medium.last, self._medium.empty = True, not self._filled
             self._writer.close()
             self._medium.flush()
         self._file.close()
         self._medium.raise_error()
-
-    def _flush_now_and_then(self) -> None:
-        while not self._stop.wait(FLUSH_S):
-            self.flush()
 
 
 class _Medium:

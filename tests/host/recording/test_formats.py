@@ -1,7 +1,9 @@
 """A run is recorded in the format that the name tells, and each gives its lines again."""
 
 import json
+import os
 import sys
+import threading
 
 import can
 import pytest
@@ -9,7 +11,10 @@ import pytest
 from goldfield import load_site
 from goldfield.cli import main
 from goldfield.errors import UserError
+from goldfield.link import log_writers
+from goldfield.link.log_writers import BlfWriter
 from goldfield.link.marks import mark
+from goldfield.link.recording_file import FLUSH_S
 from goldfield.link.recordings import CandumpReader
 from goldfield.recording.about import About
 from goldfield.recording.formats import open_recording
@@ -71,15 +76,66 @@ def test_other_programs_read_the_logs(tmp_path, about, name):
     assert [round(message.timestamp, 5) for message in found] == [message.timestamp for message in wanted]
 
 
-def test_a_blf_that_is_cut_off_has_all_but_its_last_container(tmp_path, about, capsys):
-    writer = open_recording(tmp_path / "a.blf", about)
-    for i in range(1000):
+def written(path, numbers):
+    """Begin a .blf with so many messages, and return its writer."""
+    writer = BlfWriter(path)
+    for i in numbers:
         writer.write(can.Message(timestamp=float(i), arbitration_id=i, data=bytes(8)))
-    (tmp_path / "killed.blf").write_bytes((tmp_path / "a.blf").read_bytes())
-    writer.close()
-    found = [message.arbitration_id for message in CandumpReader(tmp_path / "killed.blf")]
+    return writer
+
+
+def readable(path):
+    """Return the identifiers in a file as it is now: a killed program would leave it so."""
+    return [message.arbitration_id for message in CandumpReader(path)]
+
+
+def test_a_blf_that_is_cut_off_has_all_but_its_last_container(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(log_writers, "FLUSH_S", 1e9)
+    writer = written(tmp_path / "a.blf", range(1000))
+    found = readable(tmp_path / "a.blf")
     assert found == list(range(len(found)))
     assert 900 < len(found) < 1000
+    writer.close()
+    assert readable(tmp_path / "a.blf") == list(range(1000))
+
+
+def test_a_blf_has_everything_after_each_flush(tmp_path, monkeypatch, capsys):
+    """The containers that are not full may end anywhere: python-can cuts messages in two at the end of a full one."""
+    monkeypatch.setattr(log_writers, "FLUSH_S", 1e9)
+    writer = written(tmp_path / "a.blf", [])
+    count = 0
+    for more in (1, 3, 84, 85, 86, 200, 0, 5):
+        for i in range(count, count + more):
+            writer.write(can.Message(timestamp=float(i), arbitration_id=i, data=bytes(8)))
+        count += more
+        writer.flush()
+        assert readable(tmp_path / "a.blf") == list(range(count))
+    writer.close()
+    found = [m.arbitration_id for m in can.LogReader(tmp_path / "a.blf", relative_timestamp=False)]
+    assert found == list(range(count))
+
+
+def test_a_blf_is_flushed_though_no_message_follows(tmp_path, monkeypatch, capsys):
+    assert FLUSH_S <= 0.25
+    flushed, flush = threading.Event(), BlfWriter.flush
+    monkeypatch.setattr(log_writers, "FLUSH_S", 0.001)
+    monkeypatch.setattr(BlfWriter, "flush", lambda self: (flush(self), self._blf and flushed.set()))
+    writer = written(tmp_path / "a.blf", range(3))
+    flushed.clear()
+    assert flushed.wait(60.0)
+    assert readable(tmp_path / "a.blf") == [0, 1, 2]
+    writer.close()
+
+
+def test_a_pipe_that_nobody_reads_any_more_is_told_by_the_next_message(tmp_path, monkeypatch):
+    monkeypatch.setattr(log_writers, "FLUSH_S", 1e9)
+    os.mkfifo(tmp_path / "a.blf")
+    reader = os.open(tmp_path / "a.blf", os.O_RDONLY | os.O_NONBLOCK)
+    writer = written(tmp_path / "a.blf", [1])
+    os.close(reader)
+    writer.flush()
+    with pytest.raises(BrokenPipeError):
+        writer.write(can.Message(timestamp=2.0, arbitration_id=2, data=bytes(8)))
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.DB", "a.log.gz", "a.mf4", "a.trc"])
