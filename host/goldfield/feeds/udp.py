@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
+from goldfield.errors import tell
 from goldfield.feeds.address import Address
 from goldfield.feeds.feed import Clock, Feed, Setting
 from goldfield.feeds.stamped import StampedPose
@@ -45,6 +46,7 @@ class DatagramFeed:
     def __init__(self, address: Address, clock: Clock, content: Callable[[StampedPose, float], bytes]) -> None:
         self.dropped = 0
         self._clock, self._content = clock, content
+        self._url, self._told = address.url, ""
         try:
             found = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)
         except (OSError, UnicodeError) as error:
@@ -56,11 +58,18 @@ class DatagramFeed:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
 
     def write(self, stamped: StampedPose, /) -> None:
-        """Send a pose; that nobody listens is no error."""
+        """Send a pose; that nobody listens is no error. What hinders it is told once in a row."""
         try:
             self._socket.sendto(self._content(stamped, self._clock()), self._place)
-        except OSError:
+            self._told = ""
+        except BlockingIOError:  # the queue is full: the next one may have room
             self.dropped += 1
+        except OSError as error:
+            self.dropped += 1
+            reason = reason_of(error)
+            if reason != self._told:
+                self._told = reason
+                tell(f"{self._url}: a pose is not sent: {reason}; the next ones are tried")
 
     def close(self) -> None:
         """Close the socket."""

@@ -11,6 +11,8 @@ import contextlib
 import socket
 import threading
 from collections import deque
+from collections.abc import Callable
+from typing import cast
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
@@ -24,6 +26,11 @@ from goldfield.files.inputs import reason_of
 
 CAPACITY = 512
 """Poses that wait for one consumer: 1.5 s at 330 a second, beside what the system's buffers hold."""
+MOST = 100
+"""Consumers at once, of the 1,024 files that most systems let a program have: a network full of them must not keep it
+from opening its port again."""
+BACKLOG = 16
+"""Connections that asyncio takes in one go, before the first of them may be turned away."""
 LAST_S = 1.0
 """How long consumers get, at the end, to take what waits for them."""
 
@@ -64,6 +71,31 @@ class Consumer:
             self.idle.set()
 
 
+class _Counted(ServerConnection):
+    """A connection that is one of `MOST` at the most; another is ended before it has said anything.
+
+    asyncio itself takes whatever connects, until the system has no more files, and then tells of each with a traceback.
+    """
+
+    connected: set[ServerConnection]
+    turn_away: Callable[[], None]
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Begin, or end the connection."""
+        if len(self.connected) >= MOST:
+            cast(asyncio.Transport, transport).abort()
+            self.turn_away()
+            return
+        self.connected.add(self)
+        super().connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End, if it has begun."""
+        if self in self.connected:
+            self.connected.discard(self)
+            super().connection_lost(exc)
+
+
 class WebSocketFeed:
     """Serves poses in a thread of its own.
 
@@ -94,6 +126,7 @@ class WebSocketFeed:
         self._clock = setting.clock
         self._origins = [None, *(Origin(one) for one in address.options.get("origin", "").split(",") if one)]
         self._consumers: set[Consumer] = set()
+        self._told_of_most = False
         listening = _listening(address)
         self.port = int(listening.getsockname()[1])
         self._loop = asyncio.new_event_loop()
@@ -122,7 +155,15 @@ class WebSocketFeed:
             compression=None,  # a pose is short, and the processor has better things to do
             max_size=1024,
             server_header=None,
+            backlog=BACKLOG,
+            create_connection=type("Counted", (_Counted,), {"connected": set(), "turn_away": self._turn_away}),
         )
+
+    def _turn_away(self) -> None:
+        """Tell, once, that there are too many consumers."""
+        if not self._told_of_most:
+            self._told_of_most = True
+            tell(f"{self._url}: {MOST} consumers are connected, and no more are let in")
 
     async def _serve(self, connection: ServerConnection) -> None:
         """Serve one consumer until it goes; what it says has no meaning."""

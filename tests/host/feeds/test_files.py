@@ -149,16 +149,55 @@ def test_datagrams_of_sentences(receiver):
     assert data == sentences(stamped(), UNIX_S + 0.0625)
 
 
-def test_nobody_listening_is_no_error_and_what_cannot_be_sent_is_counted(receiver):
+def test_nobody_listening_is_no_error(receiver):
     port = receiver.getsockname()[1]
     receiver.close()
     feed = opened(f"udp://127.0.0.1:{port}")
     for _ in range(3):
         feed.write(stamped())
     assert feed.dropped == 0
-    feed.write(stamped(pose(reason="x" * 70_000)))  # no datagram is so long
-    assert feed.dropped == 1
     feed.close()
+
+
+LONG = "x" * 70_000
+"""No datagram is so long."""
+
+
+def test_what_hinders_a_datagram_is_counted_and_told_once_in_a_row(receiver, capsys):
+    url = f"udp://127.0.0.1:{receiver.getsockname()[1]}"
+    feed = opened(url)
+    for reason in (LONG, LONG, None, LONG):
+        feed.write(stamped(pose(reason=reason)))
+    assert feed.dropped == 3
+    assert (
+        capsys.readouterr().err
+        == 2 * f"goldfield: {url}: a pose is not sent: Message too long; the next ones are tried\n"
+    )
+    feed.close()
+
+
+def test_a_queue_that_is_full_is_counted_alone(receiver, capsys):
+    feed = opened(f"udp://127.0.0.1:{receiver.getsockname()[1]}")
+    feed._socket = FullSocket()
+    feed.write(stamped())
+    assert (feed.dropped, capsys.readouterr().err) == (1, "")
+
+
+class FullSocket:
+    """A socket whose queue has no room."""
+
+    def sendto(self, data, place):
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+
+
+def test_datagrams_go_to_an_address_of_ipv6():
+    with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as listening:
+        listening.bind(("::1", 0))
+        listening.settimeout(60.0)
+        feed = opened(f"udp://[::1]:{listening.getsockname()[1]}")
+        feed.write(stamped())
+        assert listening.recv(65536).decode() == f"{stamped().json(UNIX_S + 0.0625)}\n"
+        feed.close()
 
 
 def test_a_host_that_nobody_knows_is_refused():

@@ -4,15 +4,20 @@ import asyncio
 import contextlib
 import json
 import socket
+import subprocess
+import sys
 from itertools import pairwise
 
 import pytest
-from websockets.exceptions import ConnectionClosedOK, InvalidStatus
+from websockets.exceptions import ConnectionClosedOK, InvalidStatus, WebSocketException
 from websockets.sync.client import connect
 
 from goldfield.errors import UserError
+from goldfield.feeds import websocket
 from goldfield.feeds.address import parse_address
+from goldfield.feeds.opening import open_feed
 from goldfield.feeds.websocket import CAPACITY, Consumer, WebSocketFeed
+from hil_sim.clib import ROOT
 from tests.host.feeds.made import UNIX_S, pose, setting, stamped
 
 TIMEOUT_S = 60.0
@@ -133,6 +138,52 @@ def test_pages_are_served_only_if_their_origin_is_named(options, origin, served)
         feed.close()
 
 
+def test_so_many_consumers_are_served_and_the_others_turned_away(feed, capsys, monkeypatch):
+    monkeypatch.setattr(websocket, "MOST", 3)
+    with contextlib.ExitStack() as stack:
+        clients = [stack.enter_context(joined(feed)) for _ in range(3)]
+        for _ in range(4):
+            with pytest.raises((OSError, WebSocketException)), connect(f"ws://127.0.0.1:{feed.port}"):
+                pass
+        feed.write(stamped(pose(5)))
+        assert [epochs(client, 5) for client in clients] == [[5]] * 3
+    told = f"goldfield: {feed._url}: 3 consumers are connected, and no more are let in\n"
+    assert capsys.readouterr().err == told
+    while True:  # the server learns of those who left in a thread of its own
+        with contextlib.suppress(OSError, WebSocketException), joined(feed):
+            break
+
+
+SILENT = """
+import contextlib, resource, socket, sys
+resource.setrlimit(resource.RLIMIT_NOFILE, (256, 256))
+from goldfield.feeds.address import parse_address
+from goldfield.feeds.websocket import WebSocketFeed
+from tests.host.feeds.made import setting
+feed = WebSocketFeed(parse_address("ws://127.0.0.1:0"), setting())
+print(feed.port, flush=True)
+sys.stdin.readline()
+open("/dev/null").close()
+feed.close()
+"""
+
+
+def test_more_connections_than_the_system_has_files_for_leave_the_run_its_own(tmp_path):
+    """They say nothing; the last is served or ended like any other, so that all before it were taken."""
+    command = [sys.executable, "-c", SILENT]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, cwd=ROOT, stdin=pipe, stdout=pipe, stderr=pipe, text=True) as process:
+        port = int(process.stdout.readline())
+        with contextlib.ExitStack() as stack:
+            taken = [stack.enter_context(socket.create_connection(("127.0.0.1", port))) for _ in range(400)]
+            with contextlib.suppress(OSError):
+                taken[-1].sendall(b"no HTTP\r\n\r\n")
+                taken[-1].recv(100)
+            _, err = process.communicate("go on\n")
+    assert process.returncode == 0
+    assert err == "goldfield: ws://127.0.0.1:0: 100 consumers are connected, and no more are let in\n"
+
+
 def test_it_listens_on_this_machine_alone_unless_told_otherwise():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
@@ -145,6 +196,14 @@ def test_it_listens_on_this_machine_alone_unless_told_otherwise():
             socket.create_connection(("127.0.0.2", port))  # this machine by another address
     finally:
         feed.close()
+
+
+def test_it_listens_at_an_address_of_ipv6(capsys):
+    feed = open_feed(parse_address("ws://[::1]:0"), setting())
+    assert capsys.readouterr().err == f"goldfield: ws://[::1]:0: serves poses at ws://[::1]:{feed.port}\n"
+    with connect(f"ws://[::1]:{feed.port}"):
+        pass
+    feed.close()
 
 
 def test_a_port_that_is_taken_is_refused(feed):
