@@ -100,7 +100,7 @@ can-sync-figures: all ## Measure timing over CAN without a sync wire: edges, hol
 
 .PHONY: can-sync-figures
 
-readme-figures: all ## Compare each figure that README.md quotes with what the command beside it prints (half an hour)
+readme-figures: all ## Compare each figure that README.md and some pages quote with what a command prints (an hour)
 	@$(PYTHON) -m tests.bench.readme_figures
 
 .PHONY: readme-figures
