@@ -15,7 +15,7 @@ from goldfield.feeds.stamped import StampedPose
 from goldfield.sensor.pipeline import Epoch, Fix
 from goldfield.sensor.sinks import Branch
 from goldfield.view.lines import Lines
-from goldfield.view.unix_time import UnixTime
+from goldfield.view.unix_time import LiveUnixTime, UnixTime
 
 MODULES = {
     "foxglove": "goldfield.feeds.foxglove",
@@ -105,7 +105,7 @@ class Feeds:
     ) -> None:
         self._live = live
         self._lines = Lines()
-        self._time = UnixTime(cycle_s)
+        self._time = LiveUnixTime(cycle_s) if live else UnixTime(cycle_s)
         self._outlets = [
             _Outlet(feed, Branch(feed, name, waits=feed.whole and not live, capacity=capacity, newest=True))
             for name, feed in feeds

@@ -16,7 +16,7 @@ from goldfield.recording.about import ABOUT, SITE_FILE, About
 from goldfield.recording.mcap_file import McapFile
 from goldfield.sensor.pipeline import Epoch, Fix
 from goldfield.view.lines import Lines
-from goldfield.view.unix_time import UnixTime
+from goldfield.view.unix_time import LiveUnixTime, UnixTime
 from goldfield_protocol.messages import Identifier, database
 
 MEASUREMENTS = ("EPOCH", "EPOCH_OFFSET", "FIELD", "BLOCK", "BLOCK_SUM", "CHIP")
@@ -39,7 +39,7 @@ class McapRecording:
         self._about = about
         self._site_file = about.site_bytes()
         self._begun = False
-        self._clock = UnixTime(about.site.cycle_s)
+        self._clock = (LiveUnixTime if about.live else UnixTime)(about.site.cycle_s)
         self._lines = Lines()
         self._roster = Roster()
         self._telling = Telling(about.site, about.source, self._roster, self._file.log)

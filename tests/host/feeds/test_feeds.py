@@ -11,6 +11,7 @@ from goldfield.errors import UserError
 from goldfield.feeds.address import parse_address
 from goldfield.feeds.opening import Feeds, open_feeds
 from goldfield.types import Status
+from goldfield.view import unix_time
 from goldfield.view.truth import NO_ERROR
 from tests.host.feeds.made import SITE, UNIX_S, epoch, failed, fix, pose, setting, stamped
 
@@ -78,6 +79,44 @@ def test_poses_have_the_wall_clocks_time_of_their_measurement():
             feeds.write(epoch(number, arrived_s=UNIX_S + (number + 1) * CYCLE_S + delay))
     late_s = [item.unix_s - (UNIX_S + (item.pose.epoch + 0.5) * CYCLE_S) for item in kept.got]
     assert late_s == pytest.approx([0.020, 0.004, 0.002, 0.002, 0.002], abs=1e-4)
+
+
+@pytest.mark.parametrize("step_s", [-3600.0, -5.0, -0.02, 0.02, 5.0, 29.0, 3600.0])
+def test_a_wall_clock_that_is_set_sets_the_poses_that_follow(monkeypatch, step_s):
+    """Poses come 2 ms after their cycle, and one that arrived before the clock was set is handed on after it."""
+    at = {"steady": 100.0, "ahead": UNIX_S - 100.0}
+    monkeypatch.setattr(unix_time, "steady_s", lambda: at["steady"])
+    monkeypatch.setattr(unix_time, "wall_s", lambda: at["steady"] + at["ahead"])
+    kept = Kept()
+    with Feeds([("a", kept)], CYCLE_S, live=True) as feeds:
+        for number in range(20):
+            at["steady"] = 100.0 + (number + 1) * CYCLE_S + 0.002
+            arrived_s = at["steady"] + at["ahead"]
+            if number == 10:
+                at["ahead"] += step_s
+            feeds.write(epoch(number, arrived_s=arrived_s))
+    true_s = [UNIX_S + (number + 0.5) * CYCLE_S + (step_s if number >= 10 else 0.0) for number in range(20)]
+    late_s = [item.unix_s - true for item, true in zip(kept.got, true_s, strict=True)]
+    assert late_s == pytest.approx([0.002] * 20, abs=5e-4)
+
+
+def test_a_clock_that_jitters_or_is_looked_at_too_slowly_is_not_set(monkeypatch):
+    at = {"steady": 100.0, "held": 0.0, "jitter": 0.0}
+
+    def steady():
+        at["steady"] += at["held"]
+        return at["steady"]
+
+    monkeypatch.setattr(unix_time, "steady_s", steady)
+    monkeypatch.setattr(unix_time, "wall_s", lambda: at["steady"] + at["jitter"] + UNIX_S)
+    kept = Kept()
+    with Feeds([("a", kept)], CYCLE_S, live=True) as feeds:
+        for number, (held, jitter) in enumerate([(0.0, 0.0), (0.0, 0.009), (2.0, 0.0), (0.0, 0.0)]):
+            at["held"], at["jitter"] = held, jitter
+            feeds.write(epoch(number, arrived_s=UNIX_S + (number + 1) * CYCLE_S))
+    assert [item.unix_s for item in kept.got] == pytest.approx(
+        [UNIX_S + (n + 0.5) * CYCLE_S for n in range(4)], abs=1e-4
+    )
 
 
 def test_a_cycle_between_poses_at_a_rate_is_no_pose_but_tells_the_time_and_what_was_lost():
