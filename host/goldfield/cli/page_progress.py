@@ -6,10 +6,10 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from goldfield.errors import tell
 from goldfield.link.reports import Report
+from goldfield.locate.rotations import matrix_of
 from goldfield.page.messages import Progress, Row
 from goldfield.page.publishing import Publisher
 from goldfield.sensor.pipeline import Epoch, Sensor
@@ -136,6 +136,6 @@ def upward(pose: Pose) -> int | None:
     """Return which side of a sensor is up in the site, as a place in `TurnProgress.SIDES`; None if none is."""
     if not np.isfinite(pose.orientation_xyzw).all():
         return None
-    up = Rotation.from_quat(pose.orientation_xyzw).inv().apply([0.0, 0.0, 1.0])
+    up = matrix_of(pose.orientation_xyzw)[2]
     axis = int(np.argmax(np.abs(up)))
     return 2 * axis + int(up[axis] < 0.0) if abs(up[axis]) >= NEAR else None

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from goldfield.errors import UserError
 from goldfield.field.dipole import dipole
@@ -47,6 +46,8 @@ class MetalField:
         if any(metal is not metals[0] for metal in metals):
             raise UserError("the metal of two sites is mixed: take all beacons from one site file")
         self.metal: Metal = metals[0]
+        from scipy.spatial import ConvexHull  # long to import: only where a site has metal
+
         corners = self.metal.walked_m
         self._facets: FloatArray | None = ConvexHull(corners).equations if len(corners) else None
         factor = field_norms(self.metal.degree)

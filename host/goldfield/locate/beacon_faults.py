@@ -7,10 +7,10 @@ beacon's three components admit is named: no field, the reversed field, a multip
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammaincc
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel, sentences
+from goldfield.locate.chances import gammaincc
 from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
 from goldfield.locate.uncertainty import gauss_newton_covariance
 from goldfield.locate.whitening import Independent

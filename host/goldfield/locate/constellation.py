@@ -7,11 +7,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri, gammaincc
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
 from goldfield.locate.budget import LEAST_EVALUATIONS
+from goldfield.locate.chances import chdtri, gammaincc
 from goldfield.locate.fault_statistics import fault_statistics
 from goldfield.locate.field_shell_search import Shell, best_apart, profiled_attitude, profiled_loss
 from goldfield.locate.fit import Fit, Measurements, fit_pose, stacked

@@ -20,10 +20,10 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
+from goldfield.locate.chances import chdtri
 from goldfield.locate.fit import Fit, Measurements, whitened_jacobian, whitened_residual
 from goldfield.locate.uncertainty import UNOBSERVABLE, root_covariance
 from goldfield.locate.whitening import Whitening

@@ -20,10 +20,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from goldfield.locate import sentences
 from goldfield.locate.beacon_faults import beacon_finding
+from goldfield.locate.chances import chdtri
 from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, probability
 from goldfield.locate.exclusion import (
     CLEAR,

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
+from goldfield.locate.chances import ndtri
 from goldfield.locate.fault_statistics import FaultStatistics
 from goldfield.locate.fit import Measurements
 from goldfield.types import FloatArray

@@ -59,6 +59,40 @@ def quaternion_of(rotation: FloatArray) -> FloatArray:
     return np.array([value / length for value in found])
 
 
+def matrix_of(quaternion_xyzw: FloatArray) -> FloatArray:
+    """Return the rotation, shape (3, 3), of one quaternion (x, y, z, w), which need not be of unit length.
+
+    Examples
+    --------
+    >>> matrix_of(np.array([0.0, 0.0, 2.0, 2.0])).round(6) + 0.0
+    array([[ 0., -1.,  0.],
+           [ 1.,  0.,  0.],
+           [ 0.,  0.,  1.]])
+    """
+    x, y, z, w = quaternion_xyzw.tolist()
+    twice = 2.0 / (x * x + y * y + z * z + w * w)
+    xx, yy, zz = twice * x * x, twice * y * y, twice * z * z
+    xy, xz, yz = twice * x * y, twice * x * z, twice * y * z
+    wx, wy, wz = twice * w * x, twice * w * y, twice * w * z
+    return np.array(
+        [[1.0 - yy - zz, xy - wz, xz + wy], [xy + wz, 1.0 - xx - zz, yz - wx], [xz - wy, yz + wx, 1.0 - xx - yy]]
+    )
+
+
+def vector_of(rotation: FloatArray) -> FloatArray:
+    """Return the rotation vector, shape (3,), of one rotation, shape (3, 3): along its axis, as long as its angle.
+
+    Examples
+    --------
+    >>> vector_of(np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])).round(6)
+    array([0.      , 0.      , 1.570796])
+    """
+    *along, real = quaternion_of(rotation).tolist()
+    sine = math.hypot(*along)
+    factor = 2.0 * math.atan2(sine, real) / sine if sine > 0.0 else 2.0
+    return np.array([factor * value for value in along])
+
+
 def orthonormal(rotation: FloatArray) -> FloatArray:
     """Remove the rounding of many small turns: one Newton step towards the nearest rotation, shape (..., 3, 3)."""
     return np.asarray(0.5 * rotation @ (3.0 * np.eye(3) - np.swapaxes(rotation, -1, -2) @ rotation))

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
 
 from goldfield.locate import sentences
+from goldfield.locate.chances import chdtri
 from goldfield.locate.constellation import SECOND_EVALUATIONS, Constellation, probability
 from goldfield.locate.distorted import Distorted, fit_distorted
 from goldfield.locate.fault_statistics import DISTORTIONS

@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-from scipy.special import chdtri
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.field import FieldModel
 from goldfield.link.heartbeat import ROLE_ANCHOR
 from goldfield.link.reports import Assembler
 from goldfield.locate import locate
+from goldfield.locate.chances import chdtri
+from goldfield.locate.rotations import matrix_of
 from goldfield.sensor.moved_together import moved_together
 from goldfield.site import Beacon, Site
 from goldfield.track.witness import strength_finding
@@ -317,4 +317,4 @@ class _Anchor:
         sigma = np.hypot(self._sigma_T / np.sqrt(np.maximum(self._count, 1)), DRIFT * size)
         pose = locate(self._site, Fields(0, 0.0, ids, self._mean[self.learned], sigma[self.learned]))
         known = pose.status is not Status.FAILED
-        self.place = (pose.position_m, Rotation.from_quat(pose.orientation_xyzw).as_matrix()) if known else None
+        self.place = (pose.position_m, matrix_of(pose.orientation_xyzw)) if known else None

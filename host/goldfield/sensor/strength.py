@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
+from goldfield.locate.rotations import matrix_of
 from goldfield.locate.sensor_axes import axes_of
 from goldfield.sensor.pipeline import Epoch
 from goldfield.site import Site
@@ -65,7 +65,7 @@ class Strengths:
         expected: FloatArray | None = None
         if pose.status is not Status.FAILED:
             in_site, _ = self._model.evaluate(pose.position_m)
-            expected = Rotation.from_quat(pose.orientation_xyzw).inv().apply(in_site.T)
+            expected = in_site.T @ matrix_of(pose.orientation_xyzw)
         separated = dict(zip(epoch.fields.beacons, epoch.fields.field_T, strict=True))
         found = {}
         for row, beacon in enumerate(self._site.beacons):

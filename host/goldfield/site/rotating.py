@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.constants import mu_0
 
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site import Beacon
+from goldfield.site.constants import MU_0
 from goldfield.types import FloatArray
 
 LARGEST_ALONG = 0.02
@@ -45,7 +45,7 @@ class DualAxisBeacon:
     @property
     def strength_T_m3(self) -> float:
         """Constant k: mu0/4 pi times the moment of one coil."""
-        return float(mu_0 / 4.0 * self.turns * self.current_A * self.radius_m**2)
+        return float(MU_0 / 4.0 * self.turns * self.current_A * self.radius_m**2)
 
     @property
     def frame(self) -> FloatArray:

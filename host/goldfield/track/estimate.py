@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import chdtri
 
+from goldfield.locate.chances import chdtri
 from goldfield.track.motion import SIZE, TURN, Agility, Observation, State, turn_jacobian
 from goldfield.types import FloatArray
 

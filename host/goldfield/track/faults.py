@@ -16,8 +16,8 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
+from goldfield.locate.chances import chdtri
 from goldfield.locate.fault_statistics import DETECTABLE, FALSE_ALARM
 from goldfield.locate.protection import level_of
 from goldfield.track.estimate import Belief

@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Generic, overload
 
 import numpy as np
-from scipy.special import chdtri, gammaincc
 
+from goldfield.locate.chances import chdtri, gammaincc
 from goldfield.site import Site
 from goldfield.track.continuity import Hemisphere, joined, time_break
 from goldfield.track.estimate import SEARCH_TOLERANCE, TOLERANCE, Belief, Estimate, estimate

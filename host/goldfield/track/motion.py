@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
 from goldfield.locate import kernel
-from goldfield.locate.rotations import orthonormal, skew
+from goldfield.locate.rotations import matrix_of, orthonormal, skew, vector_of
 from goldfield.track.deviations import Deviations
 from goldfield.types import FloatArray
 
@@ -60,7 +59,7 @@ class State:
 
     def minus(self, other: State) -> FloatArray:
         """Return the error, shape (15,), by which this state differs from another."""
-        turn = Rotation.from_matrix(self.rotation @ other.rotation.T).as_rotvec()
+        turn = vector_of(self.rotation @ other.rotation.T)
         return np.concatenate(
             [
                 self.position_m - other.position_m,
@@ -295,5 +294,4 @@ def _series(vector: FloatArray, first: float, second: float) -> FloatArray:
 
 def standing(position_m: FloatArray, orientation_xyzw: FloatArray) -> State:
     """Return the state of a sensor at rest, the ambient field not known."""
-    rotation = Rotation.from_quat(orientation_xyzw).as_matrix()
-    return State(position_m, rotation, np.zeros(3), np.zeros(3), np.zeros(3))
+    return State(position_m, matrix_of(orientation_xyzw), np.zeros(3), np.zeros(3), np.zeros(3))

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from goldfield.field import FieldModel
+from goldfield.locate.chances import chdtri
 from goldfield.site import Site
 from goldfield.track.faults import Judgement, judged
 from goldfield.types import Explanation, Finding, FloatArray

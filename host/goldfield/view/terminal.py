@@ -7,8 +7,8 @@ import textwrap
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from goldfield.locate.rotations import matrix_of
 from goldfield.types import FloatArray, Pose, Status
 from goldfield.view.truth import NO_ERROR, PoseError
 
@@ -99,7 +99,7 @@ def _below(text: str) -> list[str]:
 
 def roll_pitch_yaw_deg(orientation_xyzw: FloatArray) -> FloatArray:
     """Return roll, pitch and yaw, shape (3,), degrees, of R = Rz(yaw) Ry(pitch) Rx(roll)."""
-    r = Rotation.from_quat(orientation_xyzw).as_matrix()
+    r = matrix_of(orientation_xyzw)
     pitch = math.asin(max(-1.0, min(1.0, -r[2, 0])))
     return np.degrees([math.atan2(r[2, 1], r[2, 2]), pitch, math.atan2(r[1, 0], r[0, 0])])
 

@@ -17,6 +17,7 @@ from goldfield.cli import main
 from goldfield.cli.entry import COMMANDS, build_parser
 from goldfield_protocol import protocol_hash
 from hil_sim.clib import ROOT
+from tests.host.fake_sensor import SITE, log_of
 
 LIST_MODULES = """
 import sys
@@ -43,6 +44,23 @@ def test_neither_version_nor_help_imports_a_numerical_package_or_a_subcommand(wo
     assert not modules & {module for module, _ in COMMANDS.values()}
     # The hash of the protocol, which the version tells, is computed from the table of messages.
     assert bool(modules & {"can", "cantools"}) == (word == "--version")
+
+
+def test_poses_of_a_usual_site_need_none_of_the_large_packages(tmp_path):
+    log = tmp_path / "run.log"
+    log.write_text(log_of(range(3)))
+    modules = modules_of("run", "--log", str(log), "--site", str(SITE), "-q")
+    assert "goldfield.locate.locator" in modules
+    assert not modules & {
+        "scipy",
+        "numpy.f2py",
+        "numpy.testing",
+        "matplotlib",
+        "rich",
+        "asammdf",
+        "pyarrow",
+        "starlette",
+    }
 
 
 def test_the_version_tells_the_protocol(capsys):

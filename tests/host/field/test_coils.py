@@ -11,8 +11,13 @@ from goldfield.field.dipole import dipole
 from goldfield.field.loop import loop
 from goldfield.field.polyline import polyline
 from goldfield.site import Beacon
+from goldfield.site.constants import MU_0
 
 RADIUS = 0.149
+
+
+def test_the_magnetic_constant_is_that_of_magpylib():
+    assert magpylib.mu_0 == MU_0
 
 
 def relative(ours, theirs):

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.special import chdtri
 
 from goldfield.field import FieldModel
+from goldfield.locate.chances import chdtri
 from goldfield.track.blocks.equations import NormalForm
 from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion, added, onward
 from goldfield.track.blocks.update import observed, reference, taken_by

@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from goldfield.field import FieldModel
+from goldfield.locate.rotations import matrix_of
 from goldfield.site import Site
 from goldfield.track.blocks.bank import Bank, Estimate, Start
 from goldfield.track.blocks.consider import Considered
@@ -336,7 +336,7 @@ class BlockFilter:
         pose, before, now = verdict.pose, verdict.motion, self._banks[0].output()
         assert before is not None
         since_s = middle_s - pose.time_s
-        turned = Rotation.from_quat(pose.orientation_xyzw).as_matrix()
+        turned = matrix_of(pose.orientation_xyzw)
         covariance = np.diag(np.repeat([(DRAWN_M_S * since_s) ** 2, (DRAWN_RAD_S * since_s) ** 2], 3))
         covariance[:3, :3] += WIDENED**2 * pose.position_cov_m2
         covariance[3:, 3:] += WIDENED**2 * pose.attitude_cov_rad2

@@ -6,9 +6,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from goldfield.locate import Locator
+from goldfield.locate.rotations import matrix_of
 from goldfield.site import Site
 from goldfield.track.blocks.bank import START_RATE_RAD_S, START_VELOCITY_M_S, Start
 from goldfield.track.blocks.equations import BlockEquations, NormalForm, separated
@@ -124,7 +124,7 @@ class Starter:
 
     def _start(self, pose: Pose, ambient: FloatArray, form: NormalForm, blocks: int) -> Start:
         """Return the start at the last of so many blocks, over which the sensor may have moved."""
-        rotation = Rotation.from_quat(pose.orientation_xyzw).as_matrix()
+        rotation = matrix_of(pose.orientation_xyzw)
         behind_s = 0.5 * (blocks - 1) * (2.0 * form.end_s + self._site.chip_period_s)
         covariance = np.diag(np.repeat([(START_VELOCITY_M_S * behind_s) ** 2, (START_RATE_RAD_S * behind_s) ** 2], 3))
         covariance[:3, :3] += WIDENED**2 * pose.position_cov_m2

@@ -14,10 +14,10 @@ from typing import Any
 
 import cffi
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from goldfield.errors import UserError
 from goldfield.field import FieldModel
+from goldfield.locate.rotations import quaternion_of
 from goldfield.track.blocks.bank import START_OFFSET_T, START_RATE_RAD_S, START_VELOCITY_M_S, Bank, Estimate, Start
 from goldfield.track.blocks.equations import NormalForm
 from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion
@@ -94,7 +94,7 @@ class CBank:
 
     def start(self, start: Start) -> None:
         """Begin a track; what was known before is forgotten."""
-        quaternion = Rotation.from_matrix(start.rotation).as_quat()
+        quaternion = quaternion_of(start.rotation)
         state = np.concatenate([start.position_m, quaternion, np.zeros(6), start.ambient_T, np.zeros(3)])
         covariance = np.zeros((SIZE, SIZE))
         covariance[:6, :6], covariance[AMBIENT, AMBIENT] = start.pose_cov, start.ambient_cov_T2

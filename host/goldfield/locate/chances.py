@@ -1,0 +1,107 @@
+"""Chi-square and normal distributions as far as location needs them: whole degrees of freedom, few numbers at a time.
+
+The functions have the names and the meaning of those in ``scipy.special``, whose import takes a quarter of the
+processor time up to the first pose. The tail of chi-square is a sum of half as many terms as it has degrees of freedom
+(Abramowitz and Stegun, Handbook of Mathematical Functions, 26.4.4 and 26.4.5).
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from goldfield.types import FloatArray
+
+STEPS = 100
+"""Most steps to a quantile; from where the search begins fewer than twenty are needed."""
+EXACT = 4e-16
+"""A step that is smaller than this part of the quantile ends the search: it is rounding."""
+
+
+def gammaincc(shape: ArrayLike, value: ArrayLike) -> FloatArray:
+    """Return the probability that chi-square with 2 ``shape`` degrees of freedom exceeds 2 ``value``.
+
+    Parameters
+    ----------
+    shape : array_like
+        Half the degrees of freedom, which are whole and at least 1.
+    value : array_like
+        0 or more, and infinity; NaN gives NaN.
+
+    Raises
+    ------
+    ValueError
+        If the degrees of freedom are not whole, or fewer than 1.
+
+    Examples
+    --------
+    >>> float(gammaincc(1.0, 2.0)) == math.exp(-2.0)
+    True
+    """
+    shape, value = np.broadcast_arrays(shape, value)
+    found = [_tail(_whole(2.0 * one), float(half)) for one, half in zip(shape.flat, value.flat, strict=True)]
+    return np.array(found, dtype=np.float64).reshape(shape.shape)
+
+
+def chdtri(freedom: ArrayLike, probability: ArrayLike) -> FloatArray:
+    """Return what chi-square with so many degrees of freedom exceeds with a probability; `gammaincc` tells the error.
+
+    Examples
+    --------
+    >>> round(float(chdtri(3, 0.05)), 3)
+    7.815
+    """
+    freedom, probability = np.broadcast_arrays(freedom, probability)
+    found = [_quantile(_whole(one), float(chance)) for one, chance in zip(freedom.flat, probability.flat, strict=True)]
+    return np.array(found, dtype=np.float64).reshape(freedom.shape)
+
+
+def ndtri(probability: ArrayLike) -> FloatArray:
+    """Return the value below which a normal variable is with a probability.
+
+    Examples
+    --------
+    >>> round(float(ndtri(0.025)), 3)
+    -1.96
+    """
+    probability = np.asarray(probability, dtype=np.float64)
+    square = chdtri(1, 2.0 * np.minimum(probability, 1.0 - probability))
+    return np.asarray(np.copysign(np.sqrt(square), probability - 0.5))
+
+
+def _whole(freedom: float) -> int:
+    if not (freedom >= 1.0 and freedom == math.floor(freedom)):
+        raise ValueError(f"{freedom} degrees of freedom: they are whole and at least 1")
+    return int(freedom)
+
+
+def _tail(freedom: int, half: float) -> float:
+    """Return the probability of more than twice ``half``."""
+    if not 0.0 < half < math.inf:
+        return math.nan if math.isnan(half) else float(half <= 0.0)
+    logarithm, odd = math.log(half), freedom % 2
+    begin = math.erfc(math.sqrt(half)) if odd else 0.0
+    powers = (0.5 * twice for twice in range(odd, freedom - 1, 2))
+    return begin + sum(math.exp(power * logarithm - half - math.lgamma(power + 1.0)) for power in powers)
+
+
+@lru_cache(maxsize=4096)
+def _quantile(freedom: int, probability: float) -> float:
+    """Return where the logarithm of the tail is that of the probability: Newton's steps, kept between bounds."""
+    if not 0.0 < probability < 1.0:
+        return {0.0: math.inf, 1.0: 0.0}.get(probability, math.nan)
+    low, high, value = 0.0, math.inf, float(freedom)
+    scale = math.lgamma(0.5 * freedom) + 0.5 * freedom * math.log(2.0)
+    for _ in range(STEPS):
+        tail = _tail(freedom, 0.5 * value)
+        low, high = (value, high) if tail > probability else (low, value)
+        density = math.exp((0.5 * freedom - 1.0) * math.log(value) - 0.5 * value - scale)
+        step = math.log(tail / probability) * tail / density if tail > 0.0 and density > 0.0 else -math.inf
+        if abs(step) <= EXACT * value:
+            break
+        ahead = value + step
+        value = ahead if low < ahead < high else 0.5 * (low + min(high, 3.0 * value))
+    return value
