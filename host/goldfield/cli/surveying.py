@@ -53,7 +53,7 @@ def make_survey(arguments: argparse.Namespace) -> int:
     options.tell_doubts(site)
     known = read_known(arguments.known, site) if arguments.known else ()
     anchors = tuple(_anchor(site, name, table) for name, table in tables)
-    free = None if arguments.free is None else frozenset(Free(kind) for kind in arguments.free)
+    free = procedure.chosen_free(site, None if arguments.free is None else frozenset(map(Free, arguments.free)))
 
     def survey_of(epochs: Sequence[Fields], most: int | None = None) -> SurveyResult:
         points = read_points(arguments.points, epochs) if arguments.points else ()

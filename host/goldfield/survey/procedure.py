@@ -57,6 +57,23 @@ Progress = Callable[[str, float], None]
 """(what is being done, part of the whole that is done) -> None."""
 
 
+def chosen_free(site: Site, free: frozenset[Free] | None = None) -> frozenset[Free]:
+    """Return what a survey estimates: what was asked for, else everything that the site does not call exact.
+
+    Raises
+    ------
+    UserError
+        If that is nothing; no walk changes it.
+    """
+    free = default_free(site) if free is None else free
+    if not free:
+        raise UserError(
+            f'the site "{site.name}" says that everything is exact, so there is nothing to estimate: say with --free '
+            "what is to be found, or give standard deviations in its [survey]"
+        )
+    return free
+
+
 def survey(
     site: Site, data: SurveyData, free: frozenset[Free] | None = None, progress: Progress | None = None
 ) -> SurveyResult:
@@ -83,12 +100,7 @@ def survey(
     SystemFailure
         If no survey fits what was measured.
     """
-    free = default_free(site) if free is None else free
-    if not free:
-        raise UserError(
-            f'the site "{site.name}" says that everything is exact, so there is nothing to estimate: say with --free '
-            "what is to be found, or give standard deviations in its [survey]"
-        )
+    free = chosen_free(site, free)
     solution = solve(site, data, free, progress=progress)
     return result_of(site, solution, data, free)
 

@@ -13,6 +13,7 @@ from goldfield.errors import SystemFailure
 from goldfield.sensor.fields_table import FieldsWriter
 from tests.bench.integrity_sites import text_of
 from tests.bench.survey_trials import ASTRAY, cube, trial
+from tests.host.fake_sensor import SITE
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +56,15 @@ def test_a_new_site_file_is_written_that_locate_takes(room, tmp_path, capsys):
     assert main(["locate", "--site", str(out), str(folder / "fields.csv"), "--json"]) == 0
     statuses = [json.loads(line)["status"] for line in capsys.readouterr().out.splitlines()]
     assert statuses.count("ok") > 100
+
+
+def test_a_site_that_is_exact_is_refused_before_the_walk(tmp_path, capsys):
+    out = tmp_path / "new.toml"
+    assert main(["survey", "--site", str(SITE), "--port", str(tmp_path / "none"), "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "everything is exact, so there is nothing to estimate" in said
+    assert said.count("\n") == 1
+    assert not out.exists()
 
 
 def test_a_table_for_people_ends_with_advice(room, tmp_path, capsys):
