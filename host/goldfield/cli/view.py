@@ -8,8 +8,9 @@ from typing import Any
 
 from goldfield.cli import feed_options, link_options, options
 from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
-from goldfield.errors import EXIT_FAILED, UserError, counted, on_command_line, tell
+from goldfield.errors import UserError, on_command_line
 from goldfield.files.outputs import check_outputs
+from goldfield.sensor.options import chosen_method
 
 
 def command(subparsers: Any) -> None:
@@ -62,34 +63,21 @@ def run(arguments: argparse.Namespace) -> int:
     files = feed_options.outputs(addresses)
     check_outputs(files, {"--site": arguments.site, "--log": where if kind == "log" else None})
     site = site_of(arguments)
-
-    from goldfield.feeds.feed import Setting
-    from goldfield.feeds.opening import open_feeds
-    from goldfield.sensor.options import chosen_method
-    from goldfield.sensor.sources import open_source
-
     method = chosen_method(arguments.track, arguments.on_sensor, arguments.rate, arguments.lag)
     choices = link_options.reading(arguments, method)
     choices.check(site)
-    source = None
-    with contextlib.suppress(UserError):  # which the feed raises again, once the page is there
-        source = open_source(kind, where, choices) if kind == "port" else None
 
-    # Heavy: only when a page is served. What the sensor says meanwhile waits in the port.
-    from goldfield.page.beside import served
-    from goldfield.page.feeding import Feed
+    from goldfield.sensor.sources import open_source  # heavy: only when a sensor is read
 
-    pace = 1.0 if arguments.pace is None else arguments.pace
-    with (
-        contextlib.suppress(KeyboardInterrupt),
-        open_feeds(addresses, Setting(site), live=kind != "log") as feeds,
-        served(site, where, live=kind != "log", bind=arguments.bind) as page,
-    ):
-        print(page.url, flush=True)
-        options.tell_assumed(site)
-        feed = Feed(page.hub, kind, where, site, choices, pace, feeds.write, source)
-        feed.run()
-        feed.stopped.wait()  # a recording is at its end, and still looked at
-    for name, count in feeds.dropped.items():
-        tell(f"{name}: {counted(count, 'poses were left out')}, because it was too slow or not there")
-    return EXIT_FAILED if feeds.failed else 0
+    with contextlib.ExitStack() as stack:
+        source = None
+        if kind == "port":
+            with contextlib.suppress(UserError):  # which the feed raises again, once the page is there
+                source = open_source(kind, where, choices)
+                stack.callback(source.close)
+
+        # Heavy: only when a page is served. What the sensor says meanwhile waits in the port.
+        from goldfield.cli.viewing import Wanted, show
+
+        wanted = Wanted(kind, where, site, choices, 1.0 if arguments.pace is None else arguments.pace)
+        return show(wanted, addresses, arguments.bind, source)

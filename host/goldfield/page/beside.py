@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 from goldfield.page.application import application
 from goldfield.page.expected_error import ExpectedError
+from goldfield.page.greeting import hello
 from goldfield.page.hub import Hub
-from goldfield.page.messages import hello
 from goldfield.page.serving import Listener, PageServer, built_assets, parse_address
 from goldfield.site import Site
 

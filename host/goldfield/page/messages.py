@@ -1,4 +1,4 @@
-"""The messages of the live page, as JSON: the site once, each epoch and fix, the health of the boards now and then.
+"""The messages of the live page, as JSON: each epoch and fix, the health of the boards now and then, a progress.
 
 `docs/live_page.md` documents every key. A message is a JSON object whose ``type`` tells what it is.
 """
@@ -13,15 +13,10 @@ import numpy as np
 
 from goldfield.nodes.roster import Roster
 from goldfield.sensor.pipeline import Epoch, Fix
-from goldfield.site import Site
-from goldfield.types import Finding, FloatArray, Pose
+from goldfield.types import Finding, Pose
 from goldfield.view.boards import board_record
-from goldfield.view.coil_wires import site_box, wire_of
 from goldfield.view.monitor import Monitor
 from goldfield.view.records import json_line, number, pose_record
-
-PROTOCOL = 1
-"""Version of these messages; the page says so if it was built for another."""
 
 LEFT_OUT = "left out: "
 """How a pose's reason begins to say why a beacon was left out."""
@@ -65,46 +60,6 @@ class Progress:
     text: str
     share: float | None = None
     rows: Sequence[Row] = ()
-
-
-def hello(site: Site, name: str, *, live: bool) -> str:
-    """Return the first message to a browser: who speaks, and the site.
-
-    Parameters
-    ----------
-    site : Site
-    name : str
-        The link's name, or the recording's.
-    live : bool
-        Whether it is a sensor on a link, not a recording.
-    """
-    low, high = site_box(site)
-    half = site.half_space
-    return json_line(
-        {
-            "type": "hello",
-            "protocol": PROTOCOL,
-            "source": name,
-            "live": live,
-            "site": {
-                "name": site.name,
-                "cycle_s": site.cycle_s,
-                "alert_limit_m": number(site.alert_limit_m),
-                "box": {"low_m": _rounded(low), "high_m": _rounded(high)},
-                "half_space": half and {"point_m": half.point_m.tolist(), "normal": half.normal.tolist()},
-                "beacons": [
-                    {
-                        "id": beacon.id,
-                        "code": beacon.code,
-                        "position_m": _rounded(beacon.position_m),
-                        "axis": _rounded(beacon.axis),
-                        "wire_m": _rounded(wire_of(beacon)),
-                    }
-                    for beacon in site.beacons
-                ],
-            },
-        }
-    )
 
 
 def epoch_message(epoch: Epoch) -> str:
@@ -156,10 +111,6 @@ def progress_message(progress: Progress) -> str:
             "rows": [{"name": row.name, "text": row.text, "share": row.share} for row in progress.rows],
         }
     )
-
-
-def _rounded(values: FloatArray) -> Any:
-    return np.round(values, 5).tolist()
 
 
 def _alarms(epoch: Epoch) -> list[Json]:

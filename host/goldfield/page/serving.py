@@ -169,6 +169,8 @@ class PageServer:
         self._listener = listener
         config = uvicorn.Config(
             application,
+            http="h11",
+            loop="asyncio",
             ws="websockets-sansio",
             ws_max_size=1024,
             ws_per_message_deflate=False,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from types import TracebackType
 from typing import Self
@@ -14,13 +14,13 @@ from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
 from goldfield.sensor.anchors import left_out
+from goldfield.sensor.between import Between
 from goldfield.sensor.location import Succession, location, needed_parameters, with_finding, without
 from goldfield.sensor.options import Method, Options
 from goldfield.sensor.receiver import Recorder
 from goldfield.sensor.recorded_cycle import RecordedCycle
 from goldfield.sensor.separation import Separation
 from goldfield.sensor.session import Event, Session
-from goldfield.sensor.tracking import Relayed, Tracking, between_of
 from goldfield.sensor.verdict import Verdict, judge
 from goldfield.site import Site
 from goldfield.types import Explanation, Fields, Finding, Pose
@@ -123,7 +123,7 @@ class Sensor:
         method = self._options.method
         # Nobody waits for the next pose of a recording: a second thread would only cost time.
         self._aside = ThreadPoolExecutor(1, "judge") if isinstance(source, BusSource) else None
-        self._between = between_of(site, self._options, self._aside)
+        self._between = _between(site, self._options, self._aside)
         self._session = Session(
             source,
             name,
@@ -132,8 +132,8 @@ class Sensor:
             recorder,
             on_sensor=method is method.ON_SENSOR and self._between is None,
             channel=self._options.channel,
-            blocks=isinstance(self._between, Tracking),
-            poses=isinstance(self._between, Relayed),
+            blocks=self._between is not None and self._between.takes_blocks,
+            poses=self._between is not None and self._between.takes_poses,
         )
         try:
             self._separation = Separation(site)
@@ -350,6 +350,15 @@ class Sensor:
             arrived_s=self._session.receiver.arrived_s,
             at_rate=at_rate,
         )
+
+
+def _between(site: Site, options: Options, aside: Executor | None) -> Between | None:
+    """Return what makes poses between the cycles; None if nobody asked for any."""
+    if options.method is Method.EACH:
+        return None
+    from goldfield.sensor.tracking import between_of  # long to import: only when a sensor is tracked
+
+    return between_of(site, options, aside)
 
 
 def _unexplained(finding: Finding | None, verdict: Verdict) -> Finding | None:

@@ -11,8 +11,8 @@ from goldfield import site as sites
 from goldfield.page.application import application
 from goldfield.page.expected_error import ExpectedError
 from goldfield.page.feeding import Feed
+from goldfield.page.greeting import hello
 from goldfield.page.hub import Hub
-from goldfield.page.messages import hello
 from goldfield.page.serving import Listener, PageServer, built_assets
 from goldfield.sensor.options import Options
 from tests.host.fake_sensor import SITE

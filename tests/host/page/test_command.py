@@ -168,7 +168,7 @@ def test_a_page_that_is_not_built_is_told_before_anything_is_opened(capsys, tmp_
 
 
 def test_without_the_server_s_packages_it_says_what_to_install(capsys, monkeypatch):
-    for module in [name for name in sys.modules if name.startswith("goldfield.page.")]:
+    for module in [name for name in sys.modules if name.startswith(("goldfield.page.", "goldfield.cli.viewing"))]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, "starlette.applications", None)
     assert main(["view", "--port", "/dev/none", "--site", str(SITE)]) == 3

@@ -13,8 +13,8 @@ from goldfield import site as sites
 from goldfield.errors import SystemFailure, UserError
 from goldfield.page import feeding
 from goldfield.page.feeding import Feed, Pacing
+from goldfield.page.greeting import hello
 from goldfield.page.hub import Hub
-from goldfield.page.messages import hello
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Options
 from goldfield.sensor.pipeline import Fix

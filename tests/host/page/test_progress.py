@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from goldfield import site as sites
 from goldfield.cli.page_progress import ENOUGH_S, SurveyProgress, TurnProgress, upward
+from goldfield.page.greeting import hello
 from goldfield.page.hub import Hub
-from goldfield.page.messages import hello
 from goldfield.page.publishing import Publisher
 from goldfield.sensor.opening import open_sensor
 from goldfield.types import Fields, Pose, Status

@@ -1,4 +1,4 @@
-// The messages that the server sends, as host/goldfield/page/messages.py makes them; docs/live_page.md explains the keys.
+// The messages that the server sends, as host/goldfield/page/greeting.py, messages.py and hub.py make them; docs/live_page.md explains the keys.
 
 export const PROTOCOL = 1;
 
