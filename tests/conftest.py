@@ -51,6 +51,7 @@ LONG = (
     "host/locate/test_own_body.py",
     "host/page/test_browser.py",
     "host/page/test_command.py",
+    "host/page/test_guided.py",
     "host/planning",
     "host/recording/test_foxglove_reader.py",
     "host/sensor/test_on_sensor.py",

@@ -112,9 +112,13 @@ class PtySensor:
         How many requests it leaves unanswered.
     hang_up : bool
         Close the line after the cycles, once the host has read them: what it has not read goes with the line.
+    fields_of : callable, optional
+        Returns the fields of a cycle, as `beacon_fields` does; None: the sensor stands still.
     """
 
-    def __init__(self, cycles, *, deaf=0, hang_up=False, hash_=None, garbage=b"", parameters=None, refuse=0):
+    def __init__(
+        self, cycles, *, deaf=0, hang_up=False, hash_=None, garbage=b"", parameters=None, refuse=0, fields_of=None
+    ):
         self.master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self.master, False)
@@ -123,7 +127,7 @@ class PtySensor:
         self.parameters.setdefault(28, 10)
         self.requests = []
         self._cycles, self._deaf, self._hang_up, self._garbage = list(cycles), deaf, hang_up, garbage
-        self._hash, self._refuse = hash_, refuse
+        self._hash, self._refuse, self._fields_of = hash_, refuse, fields_of
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
 
@@ -152,7 +156,8 @@ class PtySensor:
                 self._send(heartbeat(hash_=self._hash))
             if self._configured() and self._cycles:
                 self._write(self._garbage)
-                for message in cycle_messages(self._cycles.pop(0)):
+                cycle = self._cycles.pop(0)
+                for message in cycle_messages(cycle, fields=self._fields_of and self._fields_of(cycle)):
                     self._send(message)
                 if not self._cycles and self._hang_up:
                     self._wait_until_read()

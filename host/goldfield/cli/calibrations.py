@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,8 @@ from goldfield.site import Site
 from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 from goldfield.types import FloatArray
 
+BOARDS = ("port", "can")
+"""Kinds of links at whose end a board is."""
 LIVE_S = 60.0
 PROGRESS_S = 10.0
 
@@ -37,7 +40,7 @@ def sensor(arguments: argparse.Namespace) -> int:
     """Calibrate a sensor."""
     path = options.required(arguments.site, "--site", "FILE")
     kind, where = ("fields", arguments.fields) if arguments.fields else link_options.chosen(arguments)
-    live = kind in ("port", "can")
+    live = kind in BOARDS
     if arguments.write and not live:
         raise UserError("--write needs the board: give --port or --can in place of a recording")
     if arguments.sensors and not live and not arguments.unique_id:
@@ -56,14 +59,34 @@ def sensor(arguments: argparse.Namespace) -> int:
         kept_before(Path(arguments.sensors))  # a broken one is told before the sensor is turned or the board written
     site = sites.load(path)
     options.tell_assumed(site)
-    if kind == "fields":
-        node, turn = arguments.node, turn_of_fields(site, read_fields(site, where))
-    else:
-        node, turn = _record(arguments, kind, where, site, live)
-    found = calibrate_sensor(site, turn)
+    with _page(arguments, kind, where, site) as page:
+        if kind == "fields":
+            node, turn = arguments.node, turn_of_fields(site, read_fields(site, where))
+        else:
+            node, turn = _record(arguments, kind, where, site, page)
+        if page is not None:
+            page.compute()
+        found = calibrate_sensor(site, turn)
+        record = _carried_out(arguments, kind, where, site, node, found, unique_id)
+        print(json_line(record) if arguments.json else _sensor_text(found, record))
+        if page is not None:
+            page.say(f"Done: {_summary(found)}")
+    return 0
+
+
+def _carried_out(
+    arguments: argparse.Namespace,
+    kind: str,
+    where: str,
+    site: Site,
+    node: int | None,
+    found: SensorCalibration,
+    unique_id: str | None,
+) -> dict[str, Any]:
+    """Keep what was found, give it to the board and to the site file, as was asked for; return it as JSON."""
     record = sensor_record(found)
     before = None
-    if live and (arguments.write or arguments.sensors):
+    if kind in BOARDS and (arguments.write or arguments.sensors):
         before = board_calibration.read(kind, where, node)
         unique_id = before.unique_id
     if before is not None:
@@ -80,27 +103,35 @@ def sensor(arguments: argparse.Namespace) -> int:
     if arguments.out:
         # What is written to the board needs no undoing by the host.
         axes = found.axes if not arguments.write else None if site.sensor.axes is None else np.eye(3)
-        text = revised(Path(path), {}, SensorRevision(axes, *_deviations(found)))
+        text = revised(Path(arguments.site), {}, SensorRevision(axes, *_deviations(found)))
         write_file(arguments.out, text.encode(), "the site file", force=arguments.force)
-    print(json_line(record) if arguments.json else _sensor_text(found, record))
-    return 0
+    return record
+
+
+@contextmanager
+def _page(arguments: argparse.Namespace, kind: str, where: str, site: Site) -> Iterator[TurnProgress | None]:
+    """Serve the live page until the sensor is calibrated, if somebody asked for it."""
+    if kind == "fields":
+        yield None
+        return
+    with shown(arguments, site, where, live=kind in BOARDS) as page:
+        yield None if page is None else TurnProgress(page, site.cycle_s, arguments.seconds or LIVE_S)
 
 
 def _deviations(found: SensorCalibration) -> tuple[float, float]:
     return found.gain_sd, found.axis_sd_rad
 
 
-def _record(arguments: argparse.Namespace, kind: str, where: str, site: Site, live: bool) -> tuple[int | None, Turn]:
+def _record(
+    arguments: argparse.Namespace, kind: str, where: str, site: Site, page: TurnProgress | None
+) -> tuple[int | None, Turn]:
+    live = kind in BOARDS
     seconds = arguments.seconds if arguments.seconds is not None else LIVE_S if live else None
     choices = Options(node=arguments.node, seconds=seconds)
-    with shown(arguments, site, where, live=live) as page:
-        heard = None if page is None else page.recorder()
-        with open_sensor(kind, where, site, choices, heard) as opened:
-            reports = opened.reports()
-            if page is not None:
-                reports = TurnProgress(page, site.cycle_s, seconds or LIVE_S).reports(opened)
-            turn = turn_of_reports(site, _with_progress(reports, seconds if live else None))
-            return opened.node, turn
+    with open_sensor(kind, where, site, choices, None if page is None else page.recorder) as opened:
+        reports = opened.reports() if page is None else page.reports(opened)
+        turn = turn_of_reports(site, _with_progress(reports, seconds if live else None))
+        return opened.node, turn
 
 
 def _with_progress(reports: Iterator[Report], seconds: float | None) -> Iterator[Report]:
@@ -133,6 +164,12 @@ def sensor_record(found: SensorCalibration) -> dict[str, Any]:
         "used": found.used,
         "outliers": list(found.outliers),
     }
+
+
+def _summary(found: SensorCalibration) -> str:
+    """Return what was found in a sentence."""
+    known = f"the gains are known to {1e2 * found.gain_sd:.2g} %, the axes to {1e3 * found.axis_sd_rad:.2g} mrad"
+    return f"{known}." if found.weak is None else f"{known}; but it is weak: {found.weak}"
 
 
 def _sensor_text(found: SensorCalibration, record: dict[str, Any]) -> str:

@@ -85,6 +85,11 @@ class TurnProgress:
     cycle_s : float
     seconds : float
         How long the turning takes.
+
+    Attributes
+    ----------
+    recorder : Recorder
+        What must record the sensor's link.
     """
 
     SIDES = tuple(f"{axis} {way}" for axis in "xyz" for way in ("up", "down"))
@@ -95,6 +100,7 @@ class TurnProgress:
         self._seconds = seconds
         self._cycles = np.zeros(len(self.SIDES), dtype=np.int64)
         self._begun_s = self._told_s = math.nan
+        self.recorder = page.recorder()
         self._tell(0.0)
 
     def reports(self, sensor: Sensor) -> Iterator[Report]:
@@ -117,19 +123,31 @@ class TurnProgress:
             self._told_s = time_s
             self._tell(min(1.0, (time_s - self._begun_s + self._cycle_s) / self._seconds))
 
+    def compute(self) -> None:
+        """Tell that the turning is at its end, and the sensor is not read while its calibration is computed."""
+        self.say("The turning is at its end; the calibration is computed.", busy=True)
+
+    def say(self, text: str, *, busy: bool = False) -> None:
+        """Tell what comes after the turning."""
+        self._page.tell(Progress("calibration", text, 1.0, self._rows()), busy=busy)
+
     def _tell(self, share: float) -> None:
-        shown_s = self._cycles * self._cycle_s
-        missing = [name for name, time_s in zip(self.SIDES, shown_s, strict=True) if time_s < ENOUGH_S]
+        least = ENOUGH_S / self._cycle_s
+        missing = [name for name, cycles in zip(self.SIDES, self._cycles, strict=True) if cycles < least]
         text = (
             f"Turn the sensor slowly; still to come: {', '.join(missing)}."
             if missing
             else "Every side was seen: go on."
         )
-        rows = [
+        self._page.tell(Progress("calibration", text, share, self._rows()))
+
+    def _rows(self) -> list[Row]:
+        """Return for how long each side has been up."""
+        shown_s = self._cycles * self._cycle_s
+        return [
             Row(name, f"{time_s:.1f} s", min(1.0, float(time_s) / ENOUGH_S))
             for name, time_s in zip(self.SIDES, shown_s, strict=True)
         ]
-        self._page.tell(Progress("calibration", text, share, rows))
 
 
 def upward(pose: Pose) -> int | None:

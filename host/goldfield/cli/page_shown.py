@@ -30,6 +30,6 @@ def shown(arguments: argparse.Namespace, site: Site, name: str, *, live: bool) -
         return
     from goldfield.page.beside import served  # heavy: only when a page is served
 
-    with served(site, name, live=live, bind=arguments.view) as page:
+    with served(site, name, live=live, bind=arguments.view, named="view") as page:
         tell(f"the live page is at {page.url}")
         yield Publisher(page.hub, site, name)

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+from goldfield.errors import SystemFailure, UserError
 from goldfield.page.application import application
 from goldfield.page.expected_error import ExpectedError
 from goldfield.page.greeting import hello
@@ -28,8 +29,8 @@ class Served:
 
 
 @contextmanager
-def served(site: Site, name: str, *, live: bool, bind: str | None) -> Iterator[Served]:
-    """Serve a page about a site as long as the context lasts.
+def served(site: Site, name: str, *, live: bool, bind: str | None, named: str = "bind") -> Iterator[Served]:
+    """Serve a page about a site as long as the context lasts; at its end the browsers are told so, and why.
 
     Parameters
     ----------
@@ -40,6 +41,8 @@ def served(site: Site, name: str, *, live: bool, bind: str | None) -> Iterator[S
         Whether it is a sensor on a link, not a recording.
     bind : str or None
         ``ADDRESS:PORT``, as for `parse_address`; None or empty: this machine only.
+    named : str, optional
+        The option that gives it, for error messages.
 
     Raises
     ------
@@ -50,12 +53,17 @@ def served(site: Site, name: str, *, live: bool, bind: str | None) -> Iterator[S
     """
     assets = built_assets()
     hub = Hub(hello(site, name, live=live), site.cycle_s, live=live)
-    listener = Listener(parse_address(bind) if bind else None)
+    listener = Listener(parse_address(bind, named) if bind else None, named)
     page = application(hub, assets, ExpectedError(site), listener.token)
     with PageServer(page, listener):
+        last = "goldfield has ended"
         try:
             yield Served(hub, listener.url)
+        except (SystemFailure, UserError) as error:
+            last = str(error)
+            raise
         finally:
+            hub.end(last)
             end_s = time.monotonic() + LAST_WORD_S
             while not hub.drained and time.monotonic() < end_s:
                 time.sleep(LOOK_S)

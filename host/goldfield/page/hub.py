@@ -38,7 +38,7 @@ class State(StrEnum):
     BUSY = "busy"
     """The sensor is not read, because this host computes."""
     ENDED = "ended"
-    """The recording is at its end."""
+    """The recording is at its end, or the command that reads the sensor."""
 
 
 class Mailbox:
@@ -152,6 +152,13 @@ class Hub:
         """Say what the stream is doing, and in a sentence why."""
         with self._lock:
             self._state, self._text = state, text
+
+    def end(self, text: str = "") -> None:
+        """Say that nothing more will come, and in a sentence why, to every browser as the last thing it gets."""
+        self.set_state(State.ENDED, text)
+        message = self.state_message()
+        with self._lock:
+            self._hand_out(message)
 
     def state_message(self) -> str:
         """Return the message that tells whether the stream runs; a browser gets one every second."""

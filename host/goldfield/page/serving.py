@@ -43,8 +43,8 @@ def built_assets(folder: Path | None = None) -> Path:
     return folder
 
 
-def parse_address(text: str) -> tuple[str, int]:
-    """Return address and port of ``ADDRESS:PORT``; an IPv6 address is in brackets.
+def parse_address(text: str, named: str = "bind") -> tuple[str, int]:
+    """Return address and port of ``ADDRESS:PORT``; an IPv6 address is in brackets. ``named``: the option it is from.
 
     Raises
     ------
@@ -60,9 +60,9 @@ def parse_address(text: str) -> tuple[str, int]:
     bare = address.removeprefix("[").removesuffix("]")
     bracketed = address.startswith("[") and address.endswith("]")
     if not (colon and bare and port.isascii() and port.isdigit() and len(port) <= 5 and int(port) <= 65535):
-        raise UserError(f"{option('bind', text)}: give ADDRESS:PORT, as 0.0.0.0:8000")
+        raise UserError(f"{option(named, text)}: give ADDRESS:PORT, as 0.0.0.0:8000")
     if ":" in bare and not bracketed:
-        raise UserError(f"{option('bind', text)}: an IPv6 address is in brackets, as [::1]:8000")
+        raise UserError(f"{option(named, text)}: an IPv6 address is in brackets, as [::1]:8000")
     return bare, int(port)
 
 
@@ -92,6 +92,8 @@ class Listener:
     ----------
     bind : tuple of str and int, optional
         Address and port; None: this machine only, at `PORT` or else at a free port.
+    named : str, optional
+        The option that gives them, for error messages.
 
     Attributes
     ----------
@@ -105,14 +107,14 @@ class Listener:
         If the address is none of this machine's, or the port is taken or not allowed.
     """
 
-    def __init__(self, bind: tuple[str, int] | None = None) -> None:
+    def __init__(self, bind: tuple[str, int] | None = None, named: str = "bind") -> None:
         address, port = bind or (LOOPBACK, PORT)
         try:
             self.socket = _listening(address, port)
         except OSError as error:
             if bind is not None:
                 raise UserError(
-                    f"{option('bind', f'{address}:{port}')}: this machine cannot listen there: {reason_of(error)}"
+                    f"{option(named, f'{address}:{port}')}: this machine cannot listen there: {reason_of(error)}"
                 ) from None
             tell(f"port {PORT} of this machine is taken, perhaps by another page: this one has another address")
             self.socket = _listening(address, 0)

@@ -208,6 +208,34 @@ def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_ret
     expect(page.locator("#status-word")).to_have_text("ok")
 
 
+def test_a_clock_that_is_set_back_keeps_no_alarm(opened, served, messages, calm):
+    page = opened()
+    served.publish(messages)
+    alarms = page.get_by_label("What is wrong now")
+    expect(alarms).to_contain_text("open coil")
+    page.evaluate("Date.now = () => 0")
+    served.publish(calm[-3:])
+    expect(alarms).not_to_contain_text("open coil")
+
+
+def test_a_command_that_ends_is_told_and_what_it_said_last_stays(opened, served, calm):
+    page = opened()
+    served.publish(calm[:40])
+    expect(page.locator("#link-word")).to_have_text("live")
+    served.hub.end("no survey fits the fields")
+    expect(page.locator("#link-word")).to_have_text("ended")
+    served.stop()
+    expect(page.locator("#pose-age")).to_contain_text("not of now")
+    expect(page.locator("#link-text")).to_have_text("No survey fits the fields.")
+    expect(page.locator("#link-word")).to_have_text("ended")
+    served.hub.set_state(State.WAITING)
+    served.start()
+    served.publish(calm[40:60])
+    expect(page.locator("#link-word")).to_have_text("live")
+    epochs = sum(kind == "epoch" for kind, _ in calm[:60])  # those from before came again, and count once
+    expect(page.locator("#counts")).to_have_text(f"{epochs} epochs")
+
+
 @pytest.mark.parametrize(("device", "viewport"), [("desktop", DESKTOP), ("phone", PHONE)])
 def test_a_calibration_s_progress_is_shown_to_anybody(opened, served, calm, device, viewport):
     page = opened(viewport)

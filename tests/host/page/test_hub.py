@@ -54,6 +54,19 @@ def test_a_browser_that_takes_nothing_loses_the_oldest_and_is_told_how_many():
     assert slow.take() == []
 
 
+def test_the_end_is_the_last_that_every_browser_gets():
+    hub, _ = hub_of()
+    box = hub.open()
+    hub.publish_epoch("last")
+    hub.end("the port is gone")
+    assert not hub.drained
+    *_, epoch, end = box.take()
+    assert epoch == "last"
+    assert json.loads(end) == {"type": "state", "state": "ended", "text": "the port is gone", "silent_s": 0.0}
+    assert hub.drained
+    assert state_of(hub)["state"] == "ended"
+
+
 def test_a_browser_that_is_gone_gets_nothing_more():
     hub, _ = hub_of()
     box = hub.open()

@@ -10,6 +10,7 @@ const MOST_EARLIER = 30;
 interface Kept {
   alarm: Alarm;
   first: Date;
+  /** On the browser's own clock, which nobody sets. */
   last: number;
   count: number;
 }
@@ -24,7 +25,7 @@ export class Alarms {
   }
 
   take(alarms: Alarm[]): void {
-    const time = Date.now();
+    const time = performance.now();
     for (const alarm of alarms) {
       // Numbers in a sentence change from epoch to epoch; the alarm is the same.
       const key = `${alarm.kind} ${alarm.beacons.join()} ${alarm.text.replace(/[\d.]+/g, "#")}`;
@@ -35,7 +36,7 @@ export class Alarms {
 
   /** Draw what is wrong now; alarms that are over go to the earlier ones. If nothing comes in, nothing is known. */
   draw(running: boolean): void {
-    const time = Date.now();
+    const time = performance.now();
     for (const [key, kept] of this.now) {
       if (time - kept.last < STAYS_MS) continue;
       this.now.delete(key);

@@ -14,6 +14,9 @@ import { Tables } from "./tables";
 import { Trail } from "./trail";
 import { LINK, STATUS } from "./words";
 
+/** What the states of a stream are called if it is a recording. */
+const RECORDED: Partial<Record<State["state"], string>> = { running: "playing", ended: "played" };
+
 const announce = (text: string): void => setText(byId("announce"), text);
 const ticked = (id: string): boolean => byId<HTMLInputElement>(id).checked;
 
@@ -28,6 +31,7 @@ const alarms = new Alarms(announce);
 let pose: Pose | null = null;
 let health: Health | null = null;
 let live = true;
+let ended = false;
 let held = false;
 let epochs = 0;
 let dropped = 0;
@@ -60,6 +64,7 @@ function takeOne(message: Message): void {
     }
     live = message.live;
     pose = health = null;
+    epochs = dropped = 0; // the latest epochs come again
     trail.clear();
     charts.clear();
     progress.clear();
@@ -100,7 +105,8 @@ function takePose(next: Pose): void {
 
 function takeState(state: State): void {
   alarms.draw(state.state === "running"); // before the link's word, which is the one to be read out
-  const said = LINK[state.state === "running" && !live ? "playing" : state.state];
+  ended = state.state === "ended";
+  const said = LINK[live ? state.state : (RECORDED[state.state] ?? state.state)];
   if (byId("link-word").textContent !== said.word) announce(`${said.word}. ${state.text}`);
   setChip("link", said);
   const old = state.state === "silent" || state.state === "lost" ? ` The latest pose is ${Math.round(state.silent_s)} s old.` : "";
@@ -109,8 +115,11 @@ function takeState(state: State): void {
 }
 
 function gone(): void {
-  setChip("link", LINK.gone);
-  setText(byId("link-text"), "The server of this page does not answer: is goldfield still running? Trying again.");
+  // Who was told of the end needs no alarm, and what was said last still holds.
+  if (!ended) {
+    setChip("link", LINK.gone);
+    setText(byId("link-text"), "The server of this page does not answer: is goldfield still running? Trying again.");
+  }
   setAge(true);
   alarms.draw(false);
 }

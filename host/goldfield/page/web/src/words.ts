@@ -50,7 +50,8 @@ export const LINK: Record<string, Said> = {
   silent: { tone: "bad", mark: "✗", word: "stream stopped" },
   lost: { tone: "bad", mark: "✗", word: "link lost" },
   busy: { tone: "idle", mark: "…", word: "computing" },
-  ended: { tone: "idle", mark: "■", word: "recording ended" },
+  ended: { tone: "idle", mark: "■", word: "ended" },
+  played: { tone: "idle", mark: "■", word: "recording ended" },
 };
 
 /** A beacon's field may differ so much from the expected one before it is called off. */
