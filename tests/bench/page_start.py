@@ -1,7 +1,8 @@
 """Print how long it takes from the start of ``goldfield view`` to the first pose in the browser, and of what.
 
 ``python -m tests.bench.page_start [--turns N]``. Simulated boards that are compiled for this machine send as fast as
-real ones; the browser is running already. Beside the times by the clock, which depend on what else the machine does,
+real ones; the browser is running already. Python keeps its bytecode, as where a wheel is installed: a first turn, which
+makes it, does not count. Beside the times by the clock, which depend on what else the machine does,
 stands the processor time that the command has used until then.
 """
 
@@ -24,13 +25,20 @@ from tests.host.page.browser import chromium
 STAGES = ("address printed", "page loaded", "first pose shown", "processor time")
 
 
-def turn(browser, port: str, site: str) -> tuple[float, ...]:
+def with_bytecode(folder: str) -> dict[str, str]:
+    """Return this program's environment with a folder in which Python keeps its bytecode."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"PYTHONPYCACHEPREFIX": folder}
+
+
+def turn(browser, port: str, site: str, environment: dict[str, str]) -> tuple[float, ...]:
     """Start the command once; return the times of `STAGES` after its start, s."""
     context = browser.new_context()
     page = context.new_page()
     begun_s = time.monotonic()
     words = ["view", "--port", port, "--site", site, "--bind", "127.0.0.1:0"]
-    view = subprocess.Popen([*GOLDFIELD, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    quiet = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL, "text": True}
+    view = subprocess.Popen([*GOLDFIELD, *words], env=environment, **quiet)
     try:
         url = view.stdout.readline().strip()
         times = [time.monotonic() - begun_s]
@@ -61,7 +69,8 @@ def main() -> None:
             while "\n" not in (text := said.read_text()):
                 time.sleep(0.1)
             port = json.loads(text.partition("\n")[0])["serial"]
-            seen = [turn(browser, port, site) for _ in range(turns)]
+            environment = with_bytecode(f"{name}/bytecode")
+            seen = [turn(browser, port, site, environment) for _ in range(1 + turns)][1:]
         finally:
             bench.kill()
             bench.wait()

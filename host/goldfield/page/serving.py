@@ -14,7 +14,7 @@ from typing import Self
 import uvicorn
 from starlette.types import ASGIApp
 
-from goldfield.errors import SystemFailure, UserError, option, tell
+from goldfield.errors import Loudness, SystemFailure, UserError, loudness, option, tell
 from goldfield.files.inputs import reason_of
 
 PORT = 8420
@@ -178,6 +178,8 @@ class PageServer:
             ws_per_message_deflate=False,
             lifespan="off",
             log_config=None,
+            # Its words are about its own tasks, not for who looks for a sensor.
+            log_level="info" if loudness() is Loudness.VERBOSE else "critical",
             access_log=False,
             server_header=False,
             timeout_graceful_shutdown=1,

@@ -19,6 +19,7 @@ IDS = [beacon.id for beacon in ROOM.beacons]
 CYCLES, BREAKS = 130, 90
 WAIT_MS = 60_000
 TWO_PICTURES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+COLOUR = "element => getComputedStyle(element).color"
 SHIFTS = """new Promise(done => new PerformanceObserver(list => done(list.getEntries()
     .filter(entry => !entry.hadRecentInput)
     .map(entry => [entry.value, entry.sources.map(source => (source.node?.outerHTML ?? "").slice(0, 60)).join(" ")])))
@@ -191,8 +192,13 @@ def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_ret
     page = opened()
     served.publish(calm[:40])
     expect(page.locator("#link-word")).to_have_text("live")
+    chip = page.locator("#status")
+    fresh = chip.evaluate(COLOUR)
     served.hub.set_state(State.LOST, "the port is gone")
     expect(page.locator("#link-word")).to_have_text("link lost")
+    expect(page.locator("#status-word")).to_have_text("ok")
+    expect(page.locator("body")).to_have_attribute("data-old", "true")
+    page.wait_for_function("colour => getComputedStyle(document.querySelector('#status')).color !== colour", arg=fresh)
     expect(page.locator("#link-text")).to_contain_text("The port is gone. The latest pose is")
     expect(page.locator("#pose-age")).to_contain_text("not of now")
     expect(page.get_by_role("status")).to_contain_text("port is gone")
@@ -200,6 +206,7 @@ def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_ret
     expect(page.get_by_role("status")).to_contain_text("port is gone")
     served.publish(calm[40:80])
     expect(page.locator("#link-word")).to_have_text("live")
+    page.wait_for_function("colour => getComputedStyle(document.querySelector('#status')).color === colour", arg=fresh)
     served.stop()
     expect(page.locator("#link-word")).to_have_text("page cut off")
     served.start()

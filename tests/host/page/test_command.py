@@ -1,6 +1,7 @@
 """``goldfield view`` as a program: its first line, what it serves, its end, and what it refuses."""
 
 import json
+import resource
 import shutil
 import signal
 import socket
@@ -41,6 +42,10 @@ class View:
     def end(self):
         """Interrupt it, and return its exit code and what it said after the first line."""
         self._process.send_signal(signal.SIGINT)
+        return self.ended()
+
+    def ended(self):
+        """Wait for its end; return its exit code and what it said after the first line."""
         out, err = self._process.communicate(timeout=TIMEOUT_S)
         return self._process.returncode, out, err
 
@@ -90,6 +95,47 @@ def test_a_run_shows_the_page_beside_its_lines():
     (same,) = [one for one in seen if one["type"] == "epoch" and one["epoch"] == first["epoch"]]
     assert {key: same[key] for key in first if key in same} == {key: first[key] for key in first if key in same}
     assert next(one for one in seen if one["type"] == "health")["node"] is not None
+
+
+@needs_npm
+def test_a_full_disk_costs_the_recording_and_not_the_page(tmp_path):
+    words = ["--view", "127.0.0.1:0", "--json", "--record", str(tmp_path / "run.log")]
+    full = resource.RLIMIT_FSIZE, (2000, 2000)
+    with PtySensor(range(100_000)) as sensor:
+        run = subprocess.Popen(
+            [sys.executable, "-m", "goldfield", "run", "--site", str(SITE), "--port", sensor.path, *words],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+            preexec_fn=lambda: resource.setrlimit(*full),
+        )
+        try:
+            url = run.stderr.readline().split()[-1]
+            told = run.stderr.readline()
+            with connect(f"{url.replace('http', 'ws', 1)}live", max_size=None, open_timeout=TIMEOUT_S) as stream:
+                until(stream, lambda message: message.get("epoch", 0) > 30)  # far beyond what the file holds
+            run.send_signal(signal.SIGINT)
+            run.communicate(timeout=TIMEOUT_S)
+        finally:
+            run.kill()
+            run.wait()
+    assert "run.log: " in told
+    assert "recording stopped after" in told
+    assert run.returncode == 3
+
+
+@needs_npm
+def test_a_second_view_of_one_port_is_refused_and_the_first_goes_on():
+    with PtySensor(range(100_000)) as sensor, View("--port", sensor.path) as first, first.stream() as stream:
+        until(stream, lambda message: message["type"] == "epoch")
+        with View("--port", sensor.path) as second:
+            code, _, said = second.ended()
+        assert code == 2
+        assert said.count("\n") == 1
+        assert f"{sensor.path}: is in use" in said
+        last = max(message["epoch"] for message in until(stream, lambda m: m["type"] == "epoch") if "epoch" in message)
+        until(stream, lambda message: message.get("epoch", 0) > last)
+        assert first.end()[0] == 0
 
 
 @needs_npm

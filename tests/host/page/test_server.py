@@ -1,5 +1,6 @@
 """The server, asked over real connections: files, headers, who may look, the stream, and a browser that is slow."""
 
+import contextlib
 import http.client
 import json
 import re
@@ -162,6 +163,20 @@ def test_a_browser_that_reads_nothing_holds_up_nobody_and_loses_the_oldest(local
                         got, last = got + 1, one["fill"]
             assert got + dropped == 10_001
         assert dropped > 0  # by the slow one
+
+
+def test_a_browser_that_reads_nothing_is_let_go_at_the_end_without_a_word(assets, caplog):
+    message = json.dumps({"type": "epoch", "fill": "x" * 4000})
+    with contextlib.ExitStack() as stack, serving(assets) as (hub, url):
+        slow = stack.enter_context(live(url, max_queue=1, max_size=None, close_timeout=0.1))  # longer than the server
+        next_messages(slow, "hello")
+        with live(url, max_size=None) as quick:
+            for number in range(20):  # 40 MB in all, each part of which the quick one has had
+                for _ in range(500):
+                    hub.publish_fix(message)
+                hub.publish_health(json.dumps({"type": "health", "number": number}))
+                assert next_messages(quick, "health")[0]["number"] == number
+    assert [record.getMessage() for record in caplog.records if record.name.startswith("uvicorn")] == []
 
 
 def test_browsers_that_go_are_forgotten(local):

@@ -6,6 +6,9 @@ import { rotation, trace, yawPitchRoll } from "./geometry";
 import type { Pose } from "./protocol";
 import { figure, length } from "./words";
 
+/** Beacons that are left out are named as long as their names have room; the table names them all. */
+const MOST_NAMED = 2;
+
 export function showFigures(pose: Pose): void {
   const cov = pose.position_cov_m2;
   (["x", "y", "z"] as const).forEach((name, i) => {
@@ -18,7 +21,8 @@ export function showFigures(pose: Pose): void {
   });
   show("protection", pose.protection_m === null ? "none" : length(pose.protection_m), "");
   show("residual", figure(pose.residual, 2), "");
-  show("beacons", `${pose.used.length} used`, pose.excluded.length ? `without ${pose.excluded.join(", ")}` : "");
+  const without = pose.excluded.length > MOST_NAMED ? `${pose.excluded.length} left out` : `without ${pose.excluded.join(", ")}`;
+  show("beacons", `${pose.used.length} used`, pose.excluded.length ? without : "");
 }
 
 function show(name: string, value: string, off: string): void {

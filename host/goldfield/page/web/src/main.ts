@@ -124,7 +124,9 @@ function gone(): void {
   alarms.draw(false);
 }
 
+/** What is not of now keeps its words, but loses the colours of what is. */
 function setAge(old: boolean): void {
+  document.body.dataset.old = String(old);
   setText(byId("pose-age"), old && pose ? "the latest one, not of now" : " ");
 }
 

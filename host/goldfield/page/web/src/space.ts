@@ -16,12 +16,15 @@ import { beaconSaid, type Tone } from "./words";
 
 const MOST_TRAIL = 600;
 const FIELD_OF_VIEW = 40;
+/** Of more beacons than these only those that something is wrong with are named: names would hide each other. */
+const MOST_NAMED = 24;
 const VIEWS: Record<string, Vector> = { oblique: [-0.55, -0.9, 0.62], top: [0, -0.001, 1], front: [0, -1, 0.001], side: [1, -0.001, 0.001] };
 const AXES = ["axis-x", "axis-y", "axis-z"];
 
 interface BeaconShapes {
   wire: Line;
   marks: Record<Tone, Mesh>;
+  name: Sprite;
 }
 
 export class Space {
@@ -126,8 +129,9 @@ export class Space {
         marks[tone].position.set(...beacon.position_m);
         this.siteGroup.add(marks[tone]);
       }
-      this.siteGroup.add(wire, this.label(beacon.id, beacon.position_m, 2.2 * s));
-      this.beacons.set(beacon.id, { wire, marks });
+      const name = this.label(beacon.id, beacon.position_m, 2.2 * s);
+      this.siteGroup.add(wire, name);
+      this.beacons.set(beacon.id, { wire, marks, name });
     }
     const reach = 0.16 * this.whole;
     this.letters.clear();
@@ -166,10 +170,11 @@ export class Space {
 
   setHealth(health: Health | null): void {
     this.health = health;
-    for (const [id, { wire, marks }] of this.beacons) {
+    for (const [id, { wire, marks, name }] of this.beacons) {
       const { tone } = beaconSaid(health?.beacons[id]);
+      name.visible = this.beacons.size <= MOST_NAMED || tone === "bad" || tone === "warn";
       (wire.material as LineBasicMaterial).color.set(new Color(colour(tone)));
-      for (const [name, mark] of Object.entries(marks)) mark.visible = name === tone;
+      for (const [which, mark] of Object.entries(marks)) mark.visible = which === tone;
     }
     this.draw();
   }
