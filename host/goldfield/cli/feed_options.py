@@ -23,9 +23,13 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 
 def chosen(arguments: argparse.Namespace) -> list[Address]:
-    """Return the addresses of the feeds that were asked for; `UserError` if one of them is none."""
+    """Return the addresses of the feeds that were asked for; `UserError` if one of them is none, or there twice."""
     urls = arguments.feed or os.environ.get(VARIABLE, "").split()
-    return [parse_address(url) for url in urls]
+    feeds = [parse_address(url) for url in urls]
+    for number, feed in enumerate(feeds):
+        if feed.url in urls[:number]:
+            raise feed.wrong("is given twice: leave one out")
+    return feeds
 
 
 def outputs(feeds: list[Address]) -> dict[str, str | None]:

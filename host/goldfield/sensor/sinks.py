@@ -181,7 +181,10 @@ class Branch(Generic[T]):
                 self._error = self._error or error
             else:
                 reason = " ".join(str(error).split()) or type(error).__name__
-                told = reason.removeprefix(f"{self.name}: ")  # a file's errors begin with its path
+                path = self.name.partition(":")[
+                    2
+                ]  # a file's errors begin with its path, which ends the name of its feed
+                told = reason.removeprefix(f"{self.name}: ").removeprefix(f"{path}: ")
                 tell(f"{self.name}: {told}; the run goes on without")
             return False
         return True

@@ -61,6 +61,23 @@ def test_a_feed_may_not_write_the_file_of_another_option(tmp_path, log, capsys):
     assert not path.exists()
 
 
+def test_a_feed_that_is_given_twice_is_refused(tmp_path, log, capsys):
+    url = f"tum:{tmp_path / 'walk.txt'}"
+    assert run("--log", log, "--feed", url, "--feed", "ws://:0", "--feed", url) == 2
+    assert capsys.readouterr().err == f"goldfield: --feed {url}: is given twice: leave one out\n"
+
+
+def test_two_feeds_cannot_have_one_port(log, capsys):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+    for first, second in (("ws", "foxglove"), ("foxglove", "ws")):
+        urls = [f"{scheme}://127.0.0.1:{port}" for scheme in (first, second)]
+        assert run("--log", log, "--feed", urls[0], "--feed", urls[1]) == 2
+        said = capsys.readouterr().err.splitlines()[-1]
+        assert re.fullmatch(rf"goldfield: --feed {urls[1]}: this machine cannot listen there: .*in use.*", said)
+
+
 def test_a_feed_that_fails_makes_the_exit_code_3(log, capsys):
     assert run("--log", log, "--feed", "tum:/dev/full") == 3
     assert "5 epochs: 5 ok" in capsys.readouterr().out

@@ -3,6 +3,8 @@
 import math
 import re
 import socket
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from goldfield.feeds.address import parse_address
 from goldfield.feeds.nmea import LETTERS, sentences
 from goldfield.feeds.opening import open_feed, open_feeds
 from goldfield.types import Status
+from hil_sim.clib import ROOT
 from tests.host.feeds.made import (
     ATTITUDE,
     ATTITUDE_COV_RAD2,
@@ -70,9 +73,38 @@ def test_a_full_disk_fails_the_feed_alone(capsys):
         for number in range(3):
             feeds.write(epoch(number, arrived_s=UNIX_S + number))
     assert feeds.failed
-    assert capsys.readouterr().err.count("No space left on device; the run goes on without") == 1
+    said = (
+        "goldfield: tum:/dev/full: the trajectory cannot be written: No space left on device; the run goes on without\n"
+    )
+    assert capsys.readouterr().err == said
     with pytest.raises(SystemFailure):
         opened("tum:/dev/full").write(stamped())
+
+
+FILL = """
+import resource, signal, sys
+from goldfield.feeds.address import parse_address
+from goldfield.feeds.opening import open_feeds
+from tests.host.feeds.made import UNIX_S, epoch, setting
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
+with open_feeds([parse_address(url) for url in sys.argv[1:]], setting(), live=False) as feeds:
+    for number in range(200):
+        feeds.write(epoch(number, arrived_s=UNIX_S + 0.1 * number))
+print(feeds.failed)
+"""
+
+
+def test_a_disk_that_becomes_full_leaves_whole_lines(tmp_path):
+    paths = [tmp_path / "walk.txt", tmp_path / "walk.nmea"]
+    words = [sys.executable, "-c", FILL, f"tum:{paths[0]}", f"nmea:{paths[1]}"]
+    assert subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout == "True\n"
+    for path in paths:
+        assert 4800 < path.stat().st_size <= 5000
+    assert np.loadtxt(paths[0]).shape[1] == 8
+    text = paths[1].read_bytes().decode()
+    assert text.endswith("\r\n")
+    assert len(fields_of(text)) % 2 == 0
 
 
 def fields_of(text):
