@@ -48,15 +48,23 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
     onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
 }
 
-/* Makes a field, T, of the separated residual of the track. */
-static void restore(const block_cycle_t *moving, uint32_t column, float field_T[3]) {
-    float field_uT[3];
-    for (uint32_t axis = 0; axis < 3u; axis++) {
-        field_uT[axis] = MICROTESLA * field_T[axis];
-    }
-    block_cycle_field(moving, column, field_uT);
-    for (uint32_t axis = 0; axis < 3u; axis++) {
-        field_T[axis] = field_uT[axis] / MICROTESLA;
+/* Makes fields, T, of the separated residuals of the track. Beacons that it did not use have none. */
+static void restore(onboard_t *onboard) {
+    const block_cycle_t *const moving = &onboard->moving;
+    for (uint32_t row = 0, column = 0; row < onboard->separation.count; row++) {
+        pose_field_t *const field = &onboard->fields[row];
+        if (column == moving->count || moving->rows[column] != row) {
+            field->sigma_T = 0.0f;
+            continue;
+        }
+        float field_uT[3];
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            field_uT[axis] = MICROTESLA * field->field_T[axis];
+        }
+        block_cycle_field(moving, column++, field_uT);
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            field->field_T[axis] = field_uT[axis] / MICROTESLA;
+        }
     }
 }
 
@@ -73,11 +81,11 @@ static void separate(onboard_t *onboard) {
         for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
             field->field_T[axis] = scale * onboard->sums[axis][i];
         }
-        if (onboard->by_track) {
-            restore(&onboard->moving, i, field->field_T);
-        }
         field->sigma_T = square_root(
             onboard->noise_T * onboard->noise_T * separation_variance(&onboard->separation, i) + extra2);
+    }
+    if (onboard->by_track) {
+        restore(onboard);
     }
 }
 
@@ -93,9 +101,10 @@ static void copy_residuals(onboard_t *onboard) {
     const block_cycle_t *const moving = &onboard->moving;
     const float scale = 1.0f / (MICROTESLA * (float)onboard->chips);
     onboard->missing = onboard->saturated = 0;
+    memset(onboard->sums, 0, sizeof onboard->sums); /* The others tell next to nothing of a whole cycle. */
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         for (uint32_t i = 0; i < moving->count; i++) {
-            onboard->sums[axis][i] = scale * moving->residual_uT[i][axis];
+            onboard->sums[axis][moving->rows[i]] = scale * moving->residual_uT[i][axis];
         }
         onboard->mean[axis] = scale * moving->residual_uT[moving->count][axis];
     }

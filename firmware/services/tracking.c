@@ -64,7 +64,7 @@ void tracking_configure(tracking_t *tracking, onboard_t *onboard, const paramete
         read_beacon(tracking, i);
     }
     tracking->errors = (block_site_errors_t){
-        .beacons = tracking->beacon_errors,
+        .beacons = tracking->used_errors,
         .gain_sd = onboard->site.gain_sd,
         .axis_sd_rad = onboard->site.axis_sd_rad,
     };
@@ -73,7 +73,8 @@ void tracking_configure(tracking_t *tracking, onboard_t *onboard, const paramete
     tracking->doubted = tracking->ambiguous = false;
     tracking->judged = onboard->judged;
     lose(tracking);
-    block_filter_init(&tracking->filter, tracking->coils, tracking->count, MICROTESLA * onboard->noise_T);
+    tracking->select = (block_select_t){0};
+    block_filter_init(&tracking->filter, tracking->used, 0, MICROTESLA * onboard->noise_T);
 }
 
 /* ---- Answers ---- */
@@ -155,8 +156,8 @@ static void send_pose(const tracking_t *tracking, node_t *node) {
                                                   tracking->site_covariance[3u + row][3u + column];
         }
     }
-    for (uint32_t i = 0; i < tracking->count; i++) {
-        pose.used += is_out(tracking, i) ? 0u : 1u;
+    for (uint32_t i = 0; i < tracking->select.count; i++) {
+        pose.used += is_out(tracking, tracking->select.rows[i]) ? 0u : 1u;
     }
     pose.residual = found.freedom > 0u ? square_root(found.chi_square / (float)found.freedom) : 0.0f;
     judge(tracking, root_of_trace(pose.position_cov_m2), root_of_trace(pose.attitude_cov_rad2), &pose);
@@ -165,22 +166,38 @@ static void send_pose(const tracking_t *tracking, node_t *node) {
 
 /* ---- Blocks ---- */
 
-/* Makes the block of the filter. */
-static void make_block(tracking_t *tracking, const block_sums_t *sums) {
-    block_gram(sums->bits, tracking->count, BLOCK_CHIPS, CHIP_S, tracking->block);
-    for (uint32_t i = 0; i <= tracking->count; i++) {
-        for (uint32_t axis = 0; axis < 3u; axis++) {
-            tracking->block->sums_uT[i][axis] = MICROTESLA * sums->sums_T[i][axis];
-        }
+/* Selects the beacons that have columns from the next block on. */
+static void select(tracking_t *tracking, const float position_m[3]) {
+    uint32_t out = 0;
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        out |= is_out(tracking, i) ? 1u << i : 0u;
     }
+    block_select(&tracking->select, tracking->coils, tracking->count, position_m, out,
+                 tracking->verdict.status == POSE_INCONSISTENT);
+    for (uint32_t i = 0; i < tracking->select.count; i++) {
+        tracking->used[i] = tracking->coils[tracking->select.rows[i]];
+        tracking->used_errors[i] = tracking->beacon_errors[tracking->select.rows[i]];
+    }
+    tracking->selected = tracking->number;
+    block_filter_coils(&tracking->filter, tracking->used, tracking->select.count);
+    block_cycle_clear(&tracking->moving, tracking->coils, &tracking->select);
 }
 
-static void leave_out(tracking_t *tracking) {
-    for (uint32_t i = 0; i < tracking->count; i++) {
-        if (is_out(tracking, i)) {
-            block_leave_out(tracking->block, i);
+/* Makes the block of the filter, with columns for the beacons that were selected. */
+static void make_block(tracking_t *tracking, const block_sums_t *sums, const block_state_t *predicted) {
+    const block_select_t *const select = &tracking->select;
+    uint32_t bits[BLOCK_BEACONS];
+    for (uint32_t i = 0; i < select->count; i++) {
+        bits[i] = sums->bits[select->rows[i]];
+    }
+    block_gram(bits, select->count, BLOCK_CHIPS, CHIP_S, tracking->block);
+    for (uint32_t i = 0; i <= select->count; i++) {
+        const uint32_t row = i < select->count ? select->rows[i] : tracking->count;
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            tracking->block->sums_uT[i][axis] = MICROTESLA * sums->sums_T[row][axis];
         }
     }
+    block_select_reduce(select, tracking->coils, tracking->count, sums->bits, BLOCK_CHIPS, predicted, tracking->block);
 }
 
 /* Predicts the state in the middle of the block, and how uncertain it is. */
@@ -226,22 +243,40 @@ static void suspect(tracking_t *tracking, uint32_t worst) {
 
 /* Compares the block, with no beacon left out, with what the track predicts, and adds it to the cycle that onboard.h
  * locates. */
-static void compare(tracking_t *tracking) {
-    block_state_t predicted;
-    block_doubt_t doubt;
+static void compare(tracking_t *tracking, const block_state_t *predicted, const block_doubt_t *doubt, uint32_t out) {
+    const uint32_t count = tracking->select.count;
     block_residual_t residual;
-    uint32_t out = 0;
-    for (uint32_t i = 0; i < tracking->count; i++) {
-        out |= is_out(tracking, i) ? 1u << i : 0u;
-    }
-    predict(tracking, &predicted, &doubt);
-    block_residual(tracking->block, tracking->coils, tracking->count, &predicted, &residual);
-    suspect(tracking, block_residual_worst(&residual, tracking->block, tracking->coils, tracking->count, &predicted,
-                                           &doubt, &tracking->errors, MICROTESLA * tracking->onboard->noise_T, out));
+    block_residual(tracking->block, tracking->used, count, predicted, &residual);
+    const uint32_t worst = block_residual_worst(&residual, tracking->block, tracking->used, count, predicted, doubt,
+                                                &tracking->errors, MICROTESLA * tracking->onboard->noise_T, out);
+    suspect(tracking, worst < count ? tracking->select.rows[worst] : tracking->count);
     if (tracking->onboard->chips == BLOCK_CYCLE_CHIPS &&
-        block_cycle_add(&tracking->moving, tracking->number, tracking->chip, CHIP_S, &residual, &predicted)) {
+        block_cycle_add(&tracking->moving, tracking->number, tracking->chip, CHIP_S, &residual, predicted)) {
         onboard_take_track(tracking->onboard, &tracking->moving, tracking->cycle, tracking->ambiguous);
     }
+}
+
+/* Returns a bit for each column whose beacon is not to be believed. */
+static uint32_t columns_out(const tracking_t *tracking) {
+    uint32_t out = 0;
+    for (uint32_t i = 0; i < tracking->select.count; i++) {
+        out |= is_out(tracking, tracking->select.rows[i]) ? 1u << i : 0u;
+    }
+    return out;
+}
+
+static void leave_out(block_t *block, uint32_t out) {
+    for (uint32_t i = 0; out != 0u; i++, out >>= 1) {
+        if ((out & 1u) != 0u) {
+            block_leave_out(block, i);
+        }
+    }
+}
+
+/* Returns whether the beacons are to be selected anew: with each cycle. */
+static bool selects(const tracking_t *tracking) {
+    return tracking->onboard->chips == BLOCK_CYCLE_CHIPS ? block_cycle_begins(tracking->chip)
+                                                         : tracking->number - tracking->selected >= BLOCK_CYCLE_BLOCKS;
 }
 
 /* Moves the track on to a block. Returns false if it is lost. */
@@ -252,21 +287,37 @@ static bool follow(tracking_t *tracking, const block_sums_t *sums) {
     if (sums->unmeasured != 0u) {
         return true;
     }
-    make_block(tracking, sums);
-    compare(tracking);
-    leave_out(tracking);
+    block_state_t predicted;
+    block_doubt_t doubt;
+    predict(tracking, &predicted, &doubt);
+    if (selects(tracking)) {
+        select(tracking, predicted.position_m);
+    }
+    make_block(tracking, sums, &predicted);
+    compare(tracking, &predicted, &doubt, columns_out(tracking));
+    leave_out(tracking->block, columns_out(tracking)); /* Another may be suspected now. */
     const bool taken = block_filter_update(&tracking->filter, tracking->block, tracking->behind_s);
     tracking->behind_s = 0.0f;
     tracking->gathered = 0;
     if (taken && !tracking->exact && tracking->number - tracking->errors_number >= TRACKING_ERRORS_BLOCKS) {
         tracking->errors_number = tracking->number;
-        block_errors(&tracking->filter.measure, tracking->coils, tracking->count, &tracking->errors,
+        block_errors(&tracking->filter.measure, tracking->used, tracking->select.count, &tracking->errors,
                      tracking->site_covariance);
     }
     return tracking->misfits < BLOCK_FILTER_REFUSALS && !block_filter_lost(&tracking->filter);
 }
 
 /* ---- Start ---- */
+
+/* Makes a block with columns for all beacons. */
+static void make_whole_block(tracking_t *tracking, const block_sums_t *sums) {
+    block_gram(sums->bits, tracking->count, BLOCK_CHIPS, CHIP_S, tracking->block);
+    for (uint32_t i = 0; i <= tracking->count; i++) {
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            tracking->block->sums_uT[i][axis] = MICROTESLA * sums->sums_T[i][axis];
+        }
+    }
+}
 
 /* Adds a block to those that have been gathered: its moments are not needed. */
 static void add_block(tracking_t *tracking, const block_sums_t *sums) {
@@ -316,7 +367,11 @@ static float variance(const tracking_t *tracking, uint32_t row, float sum2) {
 
 /* Begins to locate the fields of the blocks gathered. Returns false if they cannot be separated. */
 static bool locate(tracking_t *tracking) {
-    leave_out(tracking);
+    for (uint32_t i = 0; i < tracking->count; i++) {
+        if (is_out(tracking, i)) {
+            block_leave_out(tracking->block, i);
+        }
+    }
     if (!block_separate(tracking->block)) {
         return false;
     }
@@ -342,7 +397,7 @@ static void gather(tracking_t *tracking, node_t *node, const block_sums_t *sums,
         tracking->gathered = 0;
     } else {
         if (tracking->gathered == 0u) {
-            make_block(tracking, sums);
+            make_whole_block(tracking, sums);
         } else {
             add_block(tracking, sums);
         }
@@ -390,7 +445,7 @@ static void begin(tracking_t *tracking, node_t *node) {
     memcpy(start.ambient_uT, tracking->block->sums_uT[last], sizeof start.ambient_uT);
     block_filter_start(&tracking->filter, &start);
     tracking->misfits = tracking->accused = 0;
-    block_cycle_clear(&tracking->moving, tracking->coils, tracking->count);
+    select(tracking, found->position_m);
     tracking->state = TRACKING_FOLLOWS;
     tracking->errors_number = tracking->number - TRACKING_ERRORS_BLOCKS;
     tracking->verdict.status = found->status;

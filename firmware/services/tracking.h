@@ -33,23 +33,25 @@
  * poses are ambiguous, and its cycles located with no prior, until one of these tells that no other pose explains it.
  * If that is not where the track is, it starts again. (The host follows both in the meantime.)
  *
- * Limits. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come
- * only while the chip clock is locked; without any there are no poses.
+ * Limits. Of more than BLOCK_SELECTED beacons that are believed the strongest are used (block_select.h), in the blocks
+ * and in the cycles that are located from them. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate;
+ * otherwise every pose fails. Blocks come only while the chip clock is locked; without any there are no poses.
  *
  * Covariance: that of the filter and, once in TRACKING_ERRORS_BLOCKS blocks, that by the declared errors of the site.
  *
  * Time, as tests/firmware/apps/test_track_instructions.py counts it (Cortex-M4, the objects of the image), with a pose
  * for each block; everything that a sensor does is in the share: interrupts, filter, messages, location of cycles.
  *   beacons                                                     8        16        32
- *   main for a block                                       78,000   105,000   186,000
- *   mean of all for a block                               110,000   148,000   252,000
- *   of the processor's time at 1 cycle an instruction        22 %      29 %      50 %
- *     at 1.5                                                 32 %      44 %      74 %
- *     at 2.5                                                 54 %      73 %     124 %: more than there is
+ *   main for a block                                       79,000   106,000   126,000
+ *   mean of all for a block                               111,000   149,000   169,000
+ *   of the processor's time at 1 cycle an instruction        22 %      29 %      33 %
+ *     at 1.5                                                 33 %      44 %      50 %
+ *     at 2.5                                                 54 %      73 %      83 %
+ * With 32 beacons the track uses the 16 that block_select.h selects.
  *   longest step of a start                               217,000   405,000   782,000
  *   all steps of a start                                  1.3 M     2.3 M     4.6 M
  *
- * Contexts: main only. Memory: 12 kB, in the core-coupled memory, and 9 kB lent by sense.h; the search works in that of
+ * Contexts: main only. Memory: 14 kB, in the core-coupled memory, and 9 kB lent by sense.h; the search works in that of
  * onboard.h, which is lent.
  */
 #ifndef GOLDFIELD_TRACKING_H
@@ -80,6 +82,10 @@ typedef struct {
     tracking_state_t state; /* What the next call is about. */
     loop_t coils[BLOCK_BEACONS];
     block_beacon_errors_t beacon_errors[BLOCK_BEACONS];
+    block_select_t select;      /* Those that have columns in the blocks of a track, ... */
+    uint32_t selected;          /* ... since the block of this number; ... */
+    loop_t used[BLOCK_BEACONS]; /* ... their coils and errors. */
+    block_beacon_errors_t used_errors[BLOCK_BEACONS];
     block_site_errors_t errors;
     bool exact;                  /* No errors are declared. */
     float site_covariance[6][6]; /* That by the errors of the site. */

@@ -4,8 +4,17 @@
 
 #include "core/math/quaternion.h"
 
-void block_cycle_clear(block_cycle_t *cycle, const loop_t *coils, uint32_t count) {
-    *cycle = (block_cycle_t){.coils = coils, .count = count};
+/* Forgets what is summed. */
+static void forget(block_cycle_t *cycle) {
+    cycle->blocks = 0;
+    memset(cycle->residual_uT, 0, sizeof cycle->residual_uT);
+}
+
+void block_cycle_clear(block_cycle_t *cycle, const loop_t *coils, const block_select_t *select) {
+    cycle->coils = coils;
+    cycle->count = select->count;
+    memcpy(cycle->rows, select->rows, sizeof cycle->rows);
+    forget(cycle);
 }
 
 /* Keeps the pose so many seconds after the prediction. */
@@ -21,9 +30,8 @@ static void keep_middle(block_cycle_t *cycle, const block_state_t *state, float 
 
 bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float chip_s,
                      const block_residual_t *residual, const block_state_t *predicted) {
-    const bool first = chip == 0u || chip + BLOCK_CYCLE_LENGTH > BLOCK_CYCLE_CHIPS; /* Code chip 0 is in the block. */
-    if (first) {
-        block_cycle_clear(cycle, cycle->coils, cycle->count);
+    if (block_cycle_begins(chip)) {
+        forget(cycle);
     } else if (cycle->blocks == 0u || number != cycle->next) {
         cycle->blocks = 0;
         return false;
@@ -45,7 +53,7 @@ bool block_cycle_add(block_cycle_t *cycle, uint32_t number, uint32_t chip, float
 void block_cycle_field(const block_cycle_t *cycle, uint32_t column, float field_uT[3]) {
     float attitude[3][3], field[3];
     quaternion_matrix(cycle->quaternion, attitude);
-    loop_field(&cycle->coils[column], cycle->position_m, field);
+    loop_field(&cycle->coils[cycle->rows[column]], cycle->position_m, field);
     for (uint32_t axis = 0; axis < 3u; axis++) {
         field[axis] += field_uT[axis];
     }

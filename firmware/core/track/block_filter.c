@@ -33,6 +33,11 @@ void block_filter_init(block_filter_t *filter, const loop_t *coils, uint32_t cou
     }
 }
 
+void block_filter_coils(block_filter_t *filter, const loop_t *coils, uint32_t count) {
+    filter->coils = coils;
+    filter->count = count;
+}
+
 bool block_filter_lost(const block_filter_t *filter) {
     return filter->refused >= BLOCK_FILTER_REFUSALS;
 }

@@ -84,6 +84,9 @@ typedef struct {
  */
 void block_filter_init(block_filter_t *filter, const loop_t *coils, uint32_t count, float noise_uT);
 
+/* Change the coils, between blocks: those of the columns of the next ones. The track goes on. */
+void block_filter_coils(block_filter_t *filter, const loop_t *coils, uint32_t count);
+
 /* Begin a track with any state and covariance of its errors. */
 void block_filter_begin(block_filter_t *filter, const block_state_t *state,
                         const float covariance[BLOCK_STATES][BLOCK_STATES]);

@@ -34,6 +34,7 @@ HEADERS = (
     "core/pose/pose_live.h",
     "core/pose/pose_mirror.h",
     "core/track/block_filter.h",
+    "core/track/block_select.h",
     "core/track/block_out.h",
     "core/track/block_errors.h",
 )

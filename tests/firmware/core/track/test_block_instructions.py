@@ -19,6 +19,7 @@ HARNESS = """
 #include "core/track/block_errors.h"
 #include "core/track/block_filter.h"
 #include "core/track/block_out.h"
+#include "core/track/block_select.h"
 loop_t coils[BLOCK_BEACONS];
 uint32_t bits[BLOCK_BEACONS], count, lost, taken;
 float sums[BLOCK_COLUMNS][3], chip_s, noise, covariance[6][6];
@@ -42,10 +43,25 @@ void measure(void) { block_measure(&block, coils, &filter.measure); }
 void predict(void) { block_kalman_predict(&filter.filters[0], 1e-3f); }
 void leave_out(void) { other = block; block_leave_out(&other, 0); }
 void separate(void) { other = block; block_separate(&other); }
+block_select_t chosen;
+void choose(void) { block_select(&chosen, coils, count, filter.filters[0].state.position_m, 0, false); }
+void reduce(void) { block_select_reduce(&chosen, coils, count, bits, 31, &filter.filters[0].state, &block); }
 void site_errors(void) { block_errors(&filter.measure, coils, count, &errors, covariance); }
 """
 
-CALLS = ("gram", "update", "output", "measure", "predict", "leave_out", "separate", "site_errors", "sweep")
+CALLS = (
+    "gram",
+    "update",
+    "output",
+    "measure",
+    "predict",
+    "leave_out",
+    "separate",
+    "site_errors",
+    "sweep",
+    "choose",
+    "reduce",
+)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +124,7 @@ def fly(machine, family, beacons, blocks):
         assert machine.word("taken")
     most["sweep"] = machine.call("swept")[0] - used["update"]  # Neither of the two mixes.
     assert machine.word("taken")
-    for name in ("measure", "predict", "leave_out", "separate", "site_errors"):
+    for name in ("measure", "predict", "leave_out", "separate", "site_errors", "choose", "reduce"):
         most[name] = machine.call(name)[0]
     return blocks_total, most, stack
 
