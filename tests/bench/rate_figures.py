@@ -4,8 +4,8 @@
 cycles; one fix a cycle, held until the next; and the track of whole cycles, at their middles and foretold to the ends
 of the blocks. Its samples are streamed by emulated boards, by ``--boards host``, or are ``--simulated``, which costs
 least. ``bound`` holds the filter against the least possible error, ``starts`` counts the starts from one block that
-fail, ``faults`` counts wrong poses that are told to be right, ``latency`` tells how old a pose is in the rig's time,
-and ``host`` how late a line is on this machine.
+fail, ``faults`` counts wrong poses that are told to be right, ``iron`` those while metal of many kinds passes,
+``latency`` tells how old a pose is in the rig's time, and ``host`` how late a line is on this machine.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from tests.bench.locate_trials import prigge_cube
 from tests.bench.rate_boards import open_bench, scenario_file, streamed
 from tests.bench.rate_bound import LeastError
 from tests.bench.rate_host import SPARE_S, played, recorded
+from tests.bench.rate_iron import ball, copper, passing, sheet
 from tests.bench.rate_latency import latency
 from tests.bench.rate_ways import Errors, cycles, follow, held_fixes, lagged
 from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of
@@ -104,7 +105,7 @@ def bound(options):
             world, rng = World(site), np.random.default_rng([18, options.first])
             walks = matched_walks(rng, options.seeds, count, site.chip_period_s, agility)
             least = LeastError(world, walks, noise_T, agility)
-            runs = rate_trials.random_walks(BlockFilter, world, walks, noise_T, options.first)
+            runs = rate_trials.random_walks(partial(BlockFilter, even_T=np.inf), world, walks, noise_T, options.first)
             half = count // BLOCK_CHIPS // 2
             errors = Errors.joined([run.where(slice(half, None)) for run in runs])
             reached = np.array([errors.rms_mm * 1e-3, np.radians(errors.rms_deg)])
@@ -148,20 +149,42 @@ FAULTS = {
     "each fifth cycle lost": partial(rate_trials.blocks_lost, lambda number: number // 33 % 5 == 4),
     "impulses of 20 uT": rate_trials.impulses,
     "a beacon dies and returns": rate_trials.dead_beacon,
-    "1 kg of iron passes": partial(rate_trials.iron, 1.0),
-    "30 kg of iron pass": partial(rate_trials.iron, 30.0),
+    "1 kg of iron passes": partial(passing, (ball(1.0),)),
+    "30 kg of iron pass": partial(passing, (ball(30.0),)),
     "survey off by 3 mm": partial(rate_trials.survey, 0.003),
     "survey off by 10 mm": partial(rate_trials.survey, 0.01),
 }
+IRON = {
+    "5 kg at 0.15 m": (ball(5.0, distance_m=0.15),),
+    "100 kg at 1 m": (ball(100.0, distance_m=1.0),),
+    "30 kg, no magnet": (ball(30.0, magnetisation_A_m2_kg=0.0),),
+    "30 kg at 3 m/s": (ball(30.0, speed_m_s=3.0),),
+    "30 kg at 0.2 m/s": (ball(30.0, speed_m_s=0.2),),
+    "30 kg carried along": (ball(30.0, speed_m_s=0.0),),
+    "two of 15 kg": (ball(15.0), ball(15.0)),
+    "sheet, 0.6 m": (sheet(0.3),),
+    "copper, 0.2 m": (copper(0.1),),
+}
+"""Things that pass the sensor, of which the table of `iron` tells."""
 
 
 def faults(options):
     """Print what mishaps do."""
+    print_trials(options, FAULTS)
+
+
+def iron(options):
+    """Print what iron and other metal of many kinds does."""
+    print_trials(options, {name: partial(passing, things) for name, things in IRON.items()})
+
+
+def print_trials(options, trials):
+    """Print a table of trials, each on all motions."""
     print(
         f"{options.seeds} runs of {options.seconds:g} s a motion. rms and most, mm; nees; share of each status; wrong:"
     )
     print("ok and off by 5 sigma + ok and off by more than the protection level; last: rms of the last half second, mm")
-    for name, trial in FAULTS.items():
+    for name, trial in trials.items():
         if options.fault is None or options.fault in name:
             for noise_T in NOISES_T:
                 runs = [
@@ -226,7 +249,15 @@ def host(options):
     )
 
 
-WHAT = {"accuracy": accuracy, "bound": bound, "starts": starts, "faults": faults, "latency": latencies, "host": host}
+WHAT = {
+    "accuracy": accuracy,
+    "bound": bound,
+    "starts": starts,
+    "faults": faults,
+    "iron": iron,
+    "latency": latencies,
+    "host": host,
+}
 
 
 def main():
@@ -238,7 +269,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=3, help="runs of each motion")
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of the seeds")
     parser.add_argument("--seconds", type=float, default=3.0, help="length of a run of accuracy, faults, latency, host")
-    parser.add_argument("--fault", metavar="NAME", help="faults: those with this in their name only")
+    parser.add_argument("--fault", metavar="NAME", help="faults, iron: those with this in their name only")
     parser.add_argument("--count", type=int, default=1000, help="starts at each noise")
     options = parser.parse_args()
     for what in options.what or WHAT:

@@ -1,4 +1,4 @@
-"""What may happen to a tracked sensor: starts in motion, lost blocks, impulses, a dead beacon, iron, survey errors.
+"""What may happen to a tracked sensor: starts in motion, lost blocks, impulses, a dead beacon, survey errors.
 
 Each trial returns `Errors` of the block filter, on simulated samples. What matters most of them is how many poses were
 said to be ``ok`` and were off by five deviations or by more than their protection level: `Errors.wrong`.
@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.site import Survey
 from tests.bench.locate_trials import prigge_cube
-from tests.bench.motion_trials import CHIPS, EARTH_T
+from tests.bench.motion_trials import CHIPS
 from tests.bench.rate_ways import follow
 from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, motion_of
 
@@ -22,8 +22,6 @@ IMPULSE_T, IMPULSE_SHARE = 20e-6, 0.05
 """Size of an impulse in one sample, in a random direction, and the share of the blocks that have one."""
 DEAD = (0.35, 0.65)
 """Parts of a run between which a beacon has no current."""
-IRON_KG_M3, IRON_MAGNETISATION_A_m2_KG, IRON_SPEED_M_S, IRON_DISTANCE_M = 7870.0, 0.1, 1.0, 0.3
-"""Density of iron, its magnetic moment by mass that no field makes, and how fast and how near it passes the sensor."""
 
 
 def starts(make, noise_T, count, seed=0):
@@ -79,40 +77,6 @@ def dead_beacon(make, noise_T, name, seed, seconds):
     strength = np.ones((len(times), len(site.beacons)))
     strength[(times > DEAD[0] * seconds) & (times < DEAD[1] * seconds), rng.integers(len(site.beacons))] = 0.0
     return follow(world.motion_track(motion, seconds, rng, noise_T, strength=strength), make(site))
-
-
-def iron(mass_kg, make, noise_T, name, seed, seconds):
-    """Return the errors while a ball of iron passes the sensor, nearest half way; its speed is that from the sensor."""
-    site = prigge_cube(noise_T)
-    world, rng = World(site), np.random.default_rng([seed, 15])
-    times = world.times(round(seconds / site.chip_period_s))
-    position, rotation = motion_of(name, seed).poses(times)
-    direction, aside = np.linalg.qr(rng.normal(size=(3, 2)))[0].T
-    apart = IRON_DISTANCE_M * aside + np.outer(times - seconds / 2.0, IRON_SPEED_M_S * direction)
-    centre = position + apart
-    own = rng.normal(size=3)
-    own *= IRON_MAGNETISATION_A_m2_KG * mass_kg / np.linalg.norm(own)
-    size_m3 = 3.0 * mass_kg / (4.0 * np.pi * IRON_KG_M3)  # the cube of the ball's radius
-    fields = world.fields(position) + _answer(-apart, size_m3 * world.fields(centre))
-    ambient = EARTH_T + _answer(-apart, size_m3 * np.tile(EARTH_T, (len(times), 1, 1)))[:, 0]
-    ambient = ambient + _dipole(-apart, np.tile(own, (len(times), 1)))
-    return follow(world.track(position, rotation, rng, noise_T, ambient_T=ambient, fields=fields), make(site))
-
-
-def _answer(apart_m, field_T_m3):
-    """Return what a ball of very permeable iron adds to fields at places so far from its centre, shape (n, 3).
-
-    ``field_T_m3``, shape (n, k, 3), are the fields at the ball times the cube of its radius, taken for uniform.
-    """
-    moments = field_T_m3 / 1e-7  # Jackson, Classical Electrodynamics, 5.11: m = 4 pi a^3 B / mu0
-    return np.stack([_dipole(apart_m, moments[:, row]) for row in range(moments.shape[1])], axis=1)
-
-
-def _dipole(apart_m, moment_A_m2):
-    """Return the fields of dipoles, shape (n, 3)."""
-    distance = np.linalg.norm(apart_m, axis=1, keepdims=True)
-    along = (apart_m * moment_A_m2).sum(axis=1, keepdims=True)
-    return 1e-7 * (3.0 * apart_m * along / distance**5 - moment_A_m2 / distance**3)
 
 
 def survey(deviation_m, make, noise_T, name, seed, seconds):

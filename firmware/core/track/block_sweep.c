@@ -9,7 +9,7 @@
 #define LEAST_PIVOT 1e-2f
 #define LEAST_REST  1e-8f /* Square of what the ramp may leave, over what it should be. */
 #define RAMP_STEPS  12u
-#define UNEVEN      20.0f /* How fast the ambient field may change within a block by itself, uT/s: near iron. */
+#define UNEVEN      5.0f /* How fast the ambient field may change within a block by itself, uT/s: near iron. */
 
 /* What the shares of the ramp make of a block. */
 typedef struct {

@@ -11,7 +11,7 @@
  * observed numbers of block_measure have told already.
  *
  * Limits. Where the observed numbers leave less than 1e-2 of the information on the sweep, as with two beacons and
- * fewer, it is left out. It is known no better than 20 uT/s, by which the ambient field changes within a block itself,
+ * fewer, it is left out. It is known no better than 5 uT/s, by which the ambient field changes within a block itself,
  * near iron.
  *
  * Time (Cortex-M4, -O3): 23,500 instructions a block with 8 beacons, 44,000 with 16, 103,000 with 32, the updates of

@@ -6,6 +6,7 @@ that it does not serve (``serves(model)`` tells). `BlockFilter` takes either:
 
     bank = Bank(model)                      # a FieldModel: n beacons
     bank.start(start)                       # a Start: the pose at the middle of a block, and its covariance
+    bank.resume(known)                      # an Estimate in its place
     bank.update(form, seconds)              # a NormalForm; seconds since the middle of the last block or the start;
                                             # False: refused by all filters, the block is predicted over
     bank.predict(seconds)                   # nothing came: the middle goes on by so many seconds
@@ -72,6 +73,19 @@ class Start:
     ambient_T: FloatArray
     ambient_cov_T2: FloatArray
 
+    @property
+    def known(self) -> Estimate:
+        """The whole state, with what is not known of it."""
+        nothing = np.zeros(3)
+        covariance = np.zeros((SIZE, SIZE))
+        covariance[:6, :6] = self.pose_cov
+        covariance[VELOCITY, VELOCITY] = START_VELOCITY_M_S**2 * np.eye(3)
+        covariance[RATE, RATE] = START_RATE_RAD_S**2 * np.eye(3)
+        covariance[AMBIENT, AMBIENT] = self.ambient_cov_T2
+        covariance[OFFSET, OFFSET] = START_OFFSET_T**2 * np.eye(3)
+        motion = Motion(self.position_m, self.rotation, nothing, nothing, self.ambient_T, nothing)
+        return Estimate(motion, covariance)
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -119,15 +133,7 @@ class Bank:
 
     def start(self, start: Start) -> None:
         """Begin a track; what was known before is forgotten."""
-        nothing = np.zeros(3)
-        covariance = np.zeros((SIZE, SIZE))
-        covariance[:6, :6] = start.pose_cov
-        covariance[VELOCITY, VELOCITY] = START_VELOCITY_M_S**2 * np.eye(3)
-        covariance[RATE, RATE] = START_RATE_RAD_S**2 * np.eye(3)
-        covariance[AMBIENT, AMBIENT] = start.ambient_cov_T2
-        covariance[OFFSET, OFFSET] = START_OFFSET_T**2 * np.eye(3)
-        motion = Motion(start.position_m, start.rotation, nothing, nothing, start.ambient_T, nothing)
-        self.resume(Estimate(motion, covariance))
+        self.resume(start.known)
 
     def resume(self, known: Estimate) -> None:
         """Begin a track with a motion that is known so well, at the middle of a block."""

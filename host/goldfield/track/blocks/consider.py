@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from goldfield.field import FieldModel
 from goldfield.locate.site_errors import SiteErrors, effects_of_beacons, effects_of_sensor, errors_of
 from goldfield.site import Site
+from goldfield.track.blocks.bank import Estimate
 from goldfield.track.blocks.equations import NormalForm
 from goldfield.track.blocks.state import Motion
 from goldfield.track.blocks.update import SEEN, reference
@@ -19,6 +20,13 @@ from goldfield.types import FloatArray
 
 UNSEEN = 1e-9
 """Eigenvalues of the information, scaled to a diagonal of 1, below this are rounding: nothing follows along them."""
+
+
+DISTORTIONS: FloatArray = np.array(
+    [np.diag(row) for row in np.eye(3)]
+    + [np.eye(3)[[i]].T @ np.eye(3)[[j]] + np.eye(3)[[j]].T @ np.eye(3)[[i]] for i, j in ((0, 1), (0, 2), (1, 2))]
+)
+"""The six ways to distort a vector that are no turns: iron near the sensor distorts all fields alike."""
 
 
 class Considered:
@@ -40,12 +48,29 @@ class Considered:
 
     def covariance(self, motion: Motion, without: NDArray[np.intp]) -> FloatArray:
         """Return the covariance of position and attitude by these errors at a motion, shape (6, 6)."""
+        bias = self._followed(motion, without, self._effects(motion, len(self._model)))
+        covariance = bias @ bias.T
+        if self._errors is not None:
+            covariance[3:, 3:] += self._errors.common_turn_rad2 * np.eye(3)
+        return np.asarray(covariance)
+
+    def bent(self, motion: Motion, without: NDArray[np.intp]) -> FloatArray:
+        """Return the covariance of position and attitude if something bends all beacons' fields alike, shape (6, 6).
+
+        The six numbers of a symmetric distortion have a standard deviation of one: the whole field.
+        """
+        fields = reference(self._model, motion).field_T.copy()
+        fields[-1] = 0.0
+        bias = self._followed(motion, without, (fields @ DISTORTIONS).transpose(1, 2, 0))
+        return np.asarray(bias @ bias.T)
+
+    def _followed(self, motion: Motion, without: NDArray[np.intp], effect: FloatArray) -> FloatArray:
+        """Return how the pose follows errors of the fields, shape (n + 1, 3, k): the bias, shape (6, k)."""
         around = reference(self._model, motion)
         count = len(self._model)
         form = self._cycle.without(without)
         jacobian, weight = around.jacobian, around.weight(form)
         weighted = (weight @ jacobian).reshape(-1, SEEN)
-        effect = self._effects(motion, count)
         both = np.concatenate([jacobian, effect], axis=2)
         through = (form.gram @ both.reshape(count + 1, -1)).reshape(3 * (count + 1), -1)
         told = weighted.T @ through
@@ -54,11 +79,11 @@ class Considered:
         values, vectors = np.linalg.eigh(told[:, :SEEN] / np.outer(scale, scale))
         seen = values > UNSEEN
         part = vectors[:, seen] / scale[:, None]
-        bias = (part / values[seen]) @ (part.T @ told[:, SEEN:])
-        covariance = bias[:6] @ bias[:6].T
-        if self._errors is not None:
-            covariance[3:, 3:] += self._errors.common_turn_rad2 * np.eye(3)
-        return np.asarray(covariance)
+        return np.asarray(((part / values[seen]) @ (part.T @ told[:, SEEN:]))[:6])
+
+    def effects(self, motion: Motion) -> FloatArray | None:
+        """Return what each error does to the fields as `_effects` does; None if the site declares none."""
+        return self._effects(motion, len(self._model)) if self.any else None
 
     def _effects(self, motion: Motion, count: int) -> FloatArray:
         """Return what each error, of one standard deviation, adds to the fields, site's frame, shape (n + 1, 3, k)."""
@@ -84,3 +109,51 @@ class Considered:
         if sensor is not None:
             result[:, :, own * count :] = sensor
         return result
+
+
+class Allowance:
+    """What is added to the covariance of a track's poses: the errors of the site, and metal that may bend the fields.
+
+    It is computed once for several poses, in which it hardly changes.
+
+    Parameters
+    ----------
+    considered : Considered
+
+    Attributes
+    ----------
+    covariance : ndarray, shape (6, 6), or None
+        What was added last.
+    """
+
+    def __init__(self, considered: Considered) -> None:
+        self._considered = considered
+        self.forget()
+
+    def forget(self) -> None:
+        """Compute all anew for the next pose."""
+        self._site: FloatArray | None = None
+        self._bent: FloatArray | None = None
+        self.covariance: FloatArray | None = None
+
+    def of_site(self, motion: Motion, out: NDArray[np.intp]) -> FloatArray | None:
+        """Return the covariance by the errors of the site alone, shape (6, 6); None if it declares none."""
+        if self._site is None and self._considered.any:
+            self._site = self._considered.covariance(motion, out)
+        return self._site
+
+    def added_to(self, known: Estimate, out: NDArray[np.intp], share: float, anew: bool) -> Estimate:
+        """Add to what is known of a moment; ``share`` is that of the fields which may be bent, `Evenness.share`."""
+        if anew:
+            self._site = self._bent = None
+        self.covariance = self.of_site(known.motion, out)
+        if share:
+            if self._bent is None:
+                self._bent = self._considered.bent(known.motion, out)
+            bent = share**2 * self._bent
+            self.covariance = bent if self.covariance is None else self.covariance + bent
+        if self.covariance is None:
+            return known
+        covariance = known.covariance.copy()
+        covariance[:6, :6] += self.covariance
+        return Estimate(known.motion, covariance)

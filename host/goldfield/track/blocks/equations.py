@@ -81,6 +81,22 @@ class NormalForm:
         sums = np.where(kept[:, None], self.sums_T - across @ self.sums_T, 0.0)
         return replace(self, sums_T=sums, gram=gram, moment=moment, ramp=ramp_of(gram, moment))
 
+    @property
+    def beacons_alone(self) -> NormalForm:
+        """What the block tells if the ambient field is unknown, and how fast it changes evenly."""
+        last = len(self.gram) - 1
+        both = np.stack([self.gram[last], self.moment[:, last]])  # F' G0
+        share = np.stack([np.eye(1, last + 1, last)[0], self.ramp])  # F'
+        if not share[1] @ both[1] > SEPARABLE * self.end_s**2:  # the columns do not take the time
+            both, share = both[:1], share[:1]
+        across = np.linalg.solve(share @ both.T, both).T
+        gram, moment = self.gram - across @ both, self.moment - across @ (share @ self.moment)
+        for matrix in (gram, moment):  # what is left there is rounding
+            matrix[last] = matrix[:, last] = 0.0
+        sums = self.sums_T - across @ (share @ self.sums_T)
+        sums[last] = 0.0
+        return replace(self, sums_T=sums, gram=gram, moment=moment, ramp=np.zeros(last + 1))
+
     def scaled(self, factors: FloatArray) -> NormalForm:
         """Return what the block tells of fields of which the sensor gets some factors, shape (n,), as much."""
         each = np.append(factors, 1.0)

@@ -14,11 +14,13 @@ from goldfield.field import FieldModel
 from goldfield.locate.rotations import matrix_of
 from goldfield.site import Site
 from goldfield.track.blocks.bank import Bank, Estimate, Start
-from goldfield.track.blocks.consider import Considered
+from goldfield.track.blocks.consider import Allowance, Considered
 from goldfield.track.blocks.equations import BlockEquations, NormalForm
+from goldfield.track.blocks.evenness import EVEN_T, Evenness
 from goldfield.track.blocks.integrity import Integrity
 from goldfield.track.blocks.judge import Verdict
 from goldfield.track.blocks.kernel import CBank, serves
+from goldfield.track.blocks.pair import Pair
 from goldfield.track.blocks.start import AMBIENT_T, WIDENED, Starter
 from goldfield.track.blocks.state import AMBIENT, POSITION, TURN
 from goldfield.track.continuity import Hemisphere, joined, time_break
@@ -119,6 +121,9 @@ class BlockFilter:
         Take the C version where it serves: circular coils, no metal, axes of equal noise.
     aside : Executor, optional
         Where cycles are judged: a thread for it keeps the blocks from waiting. The poses are the same.
+    even_T : float
+        By how much the ambient field may differ from place to place. A larger change is taken for iron that may bend
+        the beacons' fields: the covariance allows for it.
 
     Raises
     ------
@@ -126,24 +131,27 @@ class BlockFilter:
         If the site is of a kind that no block filter can follow: tones of unknown phase, or a sensor with levers.
     """
 
-    def __init__(self, site: Site, *, kernel: bool = True, aside: Executor | None = None) -> None:
+    def __init__(
+        self, site: Site, *, kernel: bool = True, aside: Executor | None = None, even_T: float = EVEN_T
+    ) -> None:
         self._site = site
         self._equations = BlockEquations(site)
         self._model = FieldModel(site.beacons)
         self._considered = Considered(site, self._equations.cycle)
+        self._allowance = Allowance(self._considered)
         self._starter = Starter(site, self._equations)
-        self._integrity = Integrity(site, self._equations, aside)
+        self._integrity = Integrity(site, self._equations, self._considered, aside)
         self._reporter, self._hemisphere = Reporter(site), Hemisphere()
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         equal = site.sensor.axes is None and site.sensor.noise_ratio is None
         self._in_c = kernel and equal and serves(self._model)
-        self._banks: list[Bank | CBank] = []
+        self._banks: list[Pair] = []
         self._verdict: Verdict | None = None
         self._excluded: tuple[str, ...] = ()
         self._without: tuple[str, ...] = ()
         self._middle_s = self._taken_s = self._heard_s = self._end_s = -math.inf
-        self._bias: FloatArray | None = None
         self._blocks = self._track = 0
+        self._evenness, self._judged_s = Evenness(even_T), 0.0
         self._level: tuple[Verdict, float, float] | None = None
         self._axes = 3
         self._epoch = -1
@@ -213,14 +221,16 @@ class BlockFilter:
         if not self._banks:
             return None
         bank = self._banks[0]
-        return Step(self._track, self._middle_s, bank.output(), bank.agility, self._bias)
+        return Step(self._track, self._middle_s, bank.output(), bank.agility, self._allowance.covariance)
 
     def _forget(self) -> None:
         """Give the track up."""
-        self._banks, self._verdict, self._bias = [], None, None
+        self._banks, self._verdict = [], None
+        self._evenness.forget()
         self._excluded = ()
         self._starter.forget()
         self._integrity.forget()
+        self._integrity.watch.alarm, self._integrity.watch.share = False, 0.0
 
     @property
     def _out(self) -> tuple[str, ...]:
@@ -243,7 +253,7 @@ class BlockFilter:
                 if self._taken_s == middle_s:  # it has begun
                     return None
         if not form.axes.all():  # The rest of the track is NumPy's.
-            self._banks = [bank.in_numpy() if isinstance(bank, CBank) else bank for bank in self._banks]
+            self._banks = [bank.in_numpy() for bank in self._banks]
         took = [bank.update(kept, seconds) for bank in self._banks]
         self._middle_s = middle_s
         if any(took):
@@ -251,6 +261,7 @@ class BlockFilter:
             self._decide()
             self._judge(form, middle_s)
         elif self._banks[0].refused >= PATIENCE or gap_s > GAP_S:
+            self._integrity.watch.alarm |= self._banks[0].refused >= PATIENCE
             self._begin(form, middle_s)
         elif self._banks[0].refused >= DOUBTED:
             self._leave_out(form)
@@ -290,12 +301,15 @@ class BlockFilter:
         for bank, start in zip(self._banks, starts, strict=True):
             bank.start(start)
         self._middle_s = self._taken_s = self._heard_s = middle_s
-        self._bias = None
+        self._allowance.forget()
         self._track += 1
         self._starter.forget()
         self._integrity.forget()
 
-    def _bank(self) -> Bank | CBank:
+    def _bank(self) -> Pair:
+        return Pair(self._one_bank)
+
+    def _one_bank(self) -> Bank | CBank:
         return CBank(self._model) if self._in_c else Bank(self._model)
 
     def _decide(self) -> None:
@@ -308,6 +322,12 @@ class BlockFilter:
         """Show the block to the integrity; follow its verdict."""
         known = self._banks[0].output()
         verdict = self._integrity.add(form, known, self._epoch, middle_s, self._out)
+        if form.axes.all():
+            alone, site = self._banks[0].by_beacons, self._allowance.of_site(known.motion, self._rows(self._out))
+            if site is not None:
+                alone.covariance[:6, :6] += site
+            self._evenness.update(self._integrity.ambient_T, alone, middle_s - self._judged_s)
+            self._judged_s = middle_s
         if verdict is None:
             return
         self._verdict = verdict
@@ -349,17 +369,13 @@ class BlockFilter:
         )
         self._start([start], middle_s)
 
-    def _known(self, bank: Bank | CBank, time_s: float) -> Estimate:
+    def _known(self, bank: Pair, time_s: float) -> Estimate:
         """Return what a bank believes of a moment, with what the errors of the site do to it."""
         known = bank.output(time_s - self._middle_s)
         self._blocks += 1
-        if not self._considered.any:
-            return known
-        if self._bias is None or self._blocks % CONSIDERED == 0:
-            self._bias = self._considered.covariance(known.motion, self._rows(self._out))
-        covariance = known.covariance.copy()
-        covariance[:6, :6] += self._bias
-        return Estimate(known.motion, covariance)
+        anew = self._blocks % CONSIDERED == 0
+        share = math.hypot(self._evenness.share, self._integrity.watch.share)
+        return self._allowance.added_to(known, self._rows(self._out), share, anew)
 
     def _protection_m(self, verdict: Verdict, position_cov_m2: FloatArray) -> float:
         """Return the protection level of a position; between computations it grows with the deviation."""
@@ -385,7 +401,7 @@ class BlockFilter:
         reason = joined(poses[0].reason, "two poses fit the blocks so far")
         return replace(poses[0], status=Status.AMBIGUOUS, reason=reason, alternative=poses[1])
 
-    def _told(self, bank: Bank | CBank, time_s: float) -> Pose:
+    def _told(self, bank: Pair, time_s: float) -> Pose:
         """Return a bank's pose with what the last verdict says of it."""
         verdict, out = self._verdict, self._out
         assert verdict is not None
@@ -396,6 +412,15 @@ class BlockFilter:
             status, reason = Status.INCONSISTENT, verdict.pose.reason
         elif verdict.silent:
             status, reason = Status.WEAK, f"no beacon has been heard for {self._middle_s - self._heard_s:.1f} s"
+        if self._evenness.change_T:
+            status = Status.UNVERIFIED if status is Status.OK else status
+            reason = joined(
+                reason,
+                f"the ambient field has changed by {1e6 * self._evenness.change_T:.1f} uT: iron may bend the fields",
+            )
+        if self._integrity.watch.alarm:
+            status = Status.INCONSISTENT
+            reason = joined(reason, "the fields of the last blocks contradict the site")
         if bank.refused:
             text = "the last block contradicts" if bank.refused == 1 else f"the last {bank.refused} blocks contradict"
             reason = joined(reason, f"{text} the track: the pose is predicted")

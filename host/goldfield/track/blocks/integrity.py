@@ -19,9 +19,11 @@ from numpy.typing import NDArray
 from goldfield.field import FieldModel
 from goldfield.site import Site
 from goldfield.track.blocks.bank import Estimate
+from goldfield.track.blocks.consider import Considered
 from goldfield.track.blocks.equations import BlockEquations, NormalForm
 from goldfield.track.blocks.judge import Cycle, Judge, Judged, Verdict, cost_of
 from goldfield.track.blocks.update import MOTION, MOVING, Reference, reference
+from goldfield.track.blocks.watch import Watch
 from goldfield.types import FloatArray
 
 QUICK = 4
@@ -51,10 +53,13 @@ class Integrity:
         Where cycles are judged; None: where the blocks are taken.
     """
 
-    def __init__(self, site: Site, equations: BlockEquations, aside: Executor | None = None) -> None:
+    def __init__(
+        self, site: Site, equations: BlockEquations, considered: Considered, aside: Executor | None = None
+    ) -> None:
         self._site, self._aside = site, aside
         self._model = FieldModel(site.beacons)
         self._judge = Judge(site, equations)
+        self.watch = Watch(considered)
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._usual = 0.0
         self._pending: Callable[[], Judged] | None = None
@@ -65,6 +70,7 @@ class Integrity:
         """Begin a cycle anew; a verdict that does not hold yet is given up."""
         self._settled()
         self._begin()
+        self.watch.forget()
 
     def add(
         self, form: NormalForm, known: Estimate, epoch: int, middle_s: float, without: Sequence[str]
@@ -78,11 +84,13 @@ class Integrity:
         rest = around.residual(form) @ known.motion.rotation  # in the sensor's frame
         self._blurs.append(self._blur(form, around, known.covariance))
         self._rests.append(replace(form, sums_T=rest))
+        self.ambient_T = around.field_T[-1] @ known.motion.rotation + rest[-1] / form.gram[-1, -1]
         self._references.append((around, middle_s))
+        rows = np.array([self._row[name] for name in without if name in self._row], dtype=np.intp)
+        self.watch.add(self._rests[-1], self._blurs[-1], around, rows)
         self._seconds += 2.0 * form.end_s + self._site.chip_period_s
         self._blocks_left -= 1
         verdict = self._settled() if self._blocks_left <= 0 else None
-        rows = np.array([self._row[name] for name in without if name in self._row], dtype=np.intp)
         count = len(self._rests)
         whole = self._seconds >= (1.0 - 0.5 / count) * self._site.cycle_s
         if not whole and (count % QUICK or not self._far_off(rows)):

@@ -24,7 +24,7 @@ OBSERVED, SEEN, MOVING = 12, 9, 6
 SWEEP = slice(SEEN, OBSERVED)
 """The sweep of the ambient field among the observed numbers."""
 
-UNEVEN_T_S = 20e-6
+UNEVEN_T_S = 5e-6
 """Standard deviation of how fast the ambient field changes within a block by itself: by its slopes near iron."""
 
 MOTION = slice(6, 12)

@@ -105,7 +105,7 @@ def slope(function, state: State, errors: range) -> FloatArray:
     return np.stack(columns, axis=1)
 
 
-UNEVEN = 20.0
+UNEVEN = 5.0
 """Standard deviation of how fast the ambient field changes within a block by itself, uT/s."""
 
 

@@ -156,3 +156,30 @@ def test_sites_and_blocks_that_cannot_be_followed_are_refused_in_words():
         BlockEquations(SITE).form(block(np.zeros((30, 3)), True))
     with pytest.raises(UserError, match="chip= of Block is 1023: the cycle has the chips 0 to 1022"):
         BlockEquations(SITE).form(Block(0, 1023, 1.0, 31, np.zeros((31, 3)), True))
+
+
+def test_beacons_alone_are_what_the_sums_tell_beside_any_line_of_the_ambient_field():
+    """Samples from which has been taken what a line makes of their sums: its part that the columns span."""
+    form = BlockEquations(SITE).form(block(samples(CODES), True)).beacons_alone
+    columns = CODES[PLACE]
+    spanned, _ = np.linalg.qr(np.column_stack([columns, np.ones(CHIPS)]))
+    line, _ = np.linalg.qr(np.column_stack([np.ones(CHIPS), spanned @ (spanned.T @ TAU)]))
+    rest = columns - line @ (line.T @ columns)
+    np.testing.assert_allclose(form.gram[:-1, :-1], rest.T @ rest, atol=1e-9)
+    np.testing.assert_allclose(form.moment[:-1, :-1], rest.T @ (TAU[:, None] * columns), atol=1e-12)
+    np.testing.assert_allclose(form.sums_T[:-1], rest.T @ samples(CODES), atol=1e-16)
+    for zeros in (form.gram[-1], form.moment[:, -1], form.sums_T[-1], form.ramp):
+        assert not zeros.any()
+
+
+def test_beacons_alone_do_not_feel_the_ambient_field():
+    drifting = samples(CODES) + np.outer(1.0 + 300.0 * TAU, [2e-5, -5e-6, 4e-5])
+    one, other = (BlockEquations(SITE).form(block(data, True)).beacons_alone for data in (samples(CODES), drifting))
+    np.testing.assert_allclose(one.sums_T, other.sums_T, atol=1e-17)
+
+
+def test_a_block_of_one_chip_tells_nothing_beside_the_ambient_field():
+    data = np.hstack([CODES, ONES])[:1] @ FIELD
+    form = BlockEquations(SITE).form(Block(0, 0, 1.0, 1, data, True)).beacons_alone
+    np.testing.assert_allclose(form.gram, 0.0, atol=1e-12)
+    np.testing.assert_allclose(form.sums_T, 0.0, atol=1e-18)

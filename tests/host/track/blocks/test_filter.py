@@ -314,10 +314,12 @@ def test_a_track_that_is_elsewhere_is_found_out(monkeypatch):
     track, blocks = BlockFilter(stream.site, kernel=False), stream.blocks()
     for block in blocks[:40]:
         track.update(block)
-    bank = track._banks[0]
-    bank._motion = bank._motion.moved(np.repeat([0.06, 0.0], [3, 15]))
-    bank._merged = None
-    monkeypatch.setattr(bank, "update", lambda form, seconds: True)
+    pair = track._banks[0]
+    for bank in (pair._seeing, pair._alone):
+        bank._motion = bank._motion.moved(np.repeat([0.06, 0.0], [3, 15]))
+        bank._merged = None
+    pair._apart = None
+    monkeypatch.setattr(pair, "update", lambda form, seconds: True)
     poses = [track.update(block) for block in blocks[40:]]
     moved, _ = stream.errors(poses)
     assert np.linalg.norm(moved[0]) > 0.08

@@ -18,9 +18,9 @@ import numpy as np
 from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.locate.rotations import quaternion_of
-from goldfield.track.blocks.bank import START_OFFSET_T, START_RATE_RAD_S, START_VELOCITY_M_S, Bank, Estimate, Start
+from goldfield.track.blocks.bank import Bank, Estimate, Start
 from goldfield.track.blocks.equations import NormalForm
-from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion
+from goldfield.track.blocks.state import SIZE, Motion
 from goldfield.types import FloatArray
 
 MOST_COILS = 32
@@ -94,17 +94,15 @@ class CBank:
 
     def start(self, start: Start) -> None:
         """Begin a track; what was known before is forgotten."""
-        quaternion = quaternion_of(start.rotation)
-        state = np.concatenate([start.position_m, quaternion, np.zeros(6), start.ambient_T, np.zeros(3)])
-        covariance = np.zeros((SIZE, SIZE))
-        covariance[:6, :6], covariance[AMBIENT, AMBIENT] = start.pose_cov, start.ambient_cov_T2
-        for part, deviation in (
-            (VELOCITY, START_VELOCITY_M_S),
-            (RATE, START_RATE_RAD_S),
-            (OFFSET, START_OFFSET_T),
-        ):
-            covariance[part, part] = deviation**2 * np.eye(3)
-        self._library.gf_bank_start(self._memory, _given(state), _given(covariance))
+        self.resume(start.known)
+
+    def resume(self, known: Estimate) -> None:
+        """Begin a track with a motion that is known so well, at the middle of a block."""
+        motion = known.motion
+        quaternion = quaternion_of(motion.rotation)
+        moving = motion.velocity_m_s, motion.rate_rad_s, motion.ambient_T, motion.offset_T
+        state = np.concatenate([motion.position_m, quaternion, *moving])
+        self._library.gf_bank_start(self._memory, _given(state), _given(known.covariance))
         self.mismatch, self.refused = 0.0, 0
 
     def update(self, form: NormalForm, seconds: float) -> bool:
