@@ -51,7 +51,7 @@
  *   longest step of a start                               217,000   405,000   782,000
  *   all steps of a start                                  1.3 M     2.3 M     4.6 M
  *
- * Contexts: main only. Memory: 14 kB, in the core-coupled memory, and 9 kB lent by sense.h; the search works in that of
+ * Contexts: main only. Memory: 13 kB, in the core-coupled memory, and 9 kB lent by sense.h; the search works in that of
  * onboard.h, which is lent.
  */
 #ifndef GOLDFIELD_TRACKING_H
