@@ -232,7 +232,7 @@ static inline uint32_t eliminate(float rows[BLOCK_OBSERVED][BLOCK_ROW], const fl
         const float pivot = rows[j][block_measure_diagonal(j)];
         const bool told = !(pivot <= LEAST_PIVOT * whole[j]); /* What is not a number stays one. */
         const float scale = told ? 1.0f / (noise * square_root(pivot)) : 0.0f;
-        float own[BLOCK_ROW];
+        float own[BLOCK_ROW] = {0}; /* Columns before first are not used. */
         for (uint32_t column = first; column < BLOCK_E; column++) {
             own[column] = rows[j][column] *= scale;
         }
