@@ -34,6 +34,9 @@ LEAST_SHARE = 0.25
 """The banks' agilities differ, so that one may seem to know no more than the other: the variance of their distance is
 at least this part of that of the beacons alone."""
 
+LEAST_WEIGHT = 0.01
+"""Less of the beacons alone is none, which saves time."""
+
 PROBATION_S = 0.1
 """A bank that has begun anew does not count for this time."""
 
@@ -132,7 +135,7 @@ class Pair:
     def output(self, seconds: float = 0.0) -> Estimate:
         """Return what is believed of the moment so many seconds after the middle of the last block."""
         if not seconds and self._apart is not None:
-            return _between(self._apart, self._weight)
+            return _between(self._apart, self._weight) if self._weight else self._apart.seeing
         seeing = self._seeing.output(seconds)
         if not self._weight:
             return seeing
@@ -159,7 +162,8 @@ class Pair:
             self._begin_anew(seeing, alone)
         else:
             doubted = self._probation_s > 0.0
-            self._weight = 1.0 if doubted else 1.0 / (1.0 + math.exp(0.5 * (EVEN_ODDS - apart.distance2)))
+            weight = 1.0 if doubted else 1.0 / (1.0 + math.exp(0.5 * (EVEN_ODDS - apart.distance2)))
+            self._weight = weight if weight > LEAST_WEIGHT else 0.0
 
     def _begin_anew(self, seeing: Estimate, alone: Estimate) -> None:
         """Let the bank that believes in an even field begin where the beacons alone have the sensor."""
