@@ -24,5 +24,5 @@ def test_the_oldest_python_is_promised() -> None:
 
 @pytest.mark.parametrize("name", PINS)
 def test_a_pinned_package_takes_the_oldest_python(name: str) -> None:
-    asked = metadata.metadata(name)["Requires-Python"]
-    assert asked is None or OLDEST in SpecifierSet(asked), f"{name} wants Python {asked}: pin an older one"
+    asked = metadata.distribution(name).metadata.json.get("requires_python", "")
+    assert OLDEST in SpecifierSet(asked), f"{name} wants Python {asked}: pin an older one"
