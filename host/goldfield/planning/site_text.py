@@ -33,6 +33,7 @@ def site_text(site: Site) -> str:
         f"chip_period_s = {site.chip_period_s!r}",
         f"degree = {site.degree}",
         f"alert_limit_m = {site.alert_limit_m!r}",
+        f"ambient_gradient_T_m = {site.ambient_gradient_T_m!r}",
     ]
     if site.half_space is not None:
         point, normal = _list(site.half_space.point_m), _list(site.half_space.normal)

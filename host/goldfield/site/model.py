@@ -12,6 +12,9 @@ from goldfield.site.drive import NO_CODE, NOTHING_ELSE, Drive
 from goldfield.site.metal import BeaconMetal, Metal
 from goldfield.types import FloatArray
 
+AMBIENT_GRADIENT_T_M = 3e-6
+"""Default of how uneven the ambient field usually is, T/m: that of a room without steel near the paths walked."""
+
 ALERT_LIMIT_M = 0.5
 """Default of the alert limit, m.
 
@@ -172,6 +175,9 @@ class Site:
     alert_limit_m : float
         Largest error of a position that its user can bear: a pose is ``ok`` only if no fault of a single beacon could
         hide a larger one (`goldfield.Pose.protection_m`).
+    ambient_gradient_T_m : float
+        By how much the ambient field usually differs from place to place, a metre. What changes it by more as a sensor
+        moves is taken for iron by tracking from blocks (docs/blocks.md, "Uneven field").
     assumed : tuple of str
         What the site file says nothing of and is assumed in its place, as ``"[survey] current_sd = 0.003"``.
     doubts : tuple of str
@@ -191,6 +197,7 @@ class Site:
     access: str = "cdma"
     slots: int = 0
     alert_limit_m: float = ALERT_LIMIT_M
+    ambient_gradient_T_m: float = AMBIENT_GRADIENT_T_M
     assumed: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
     metal: Metal | None = None

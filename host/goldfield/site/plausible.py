@@ -58,6 +58,7 @@ RANGES = {
     "current_A": Range("A", 1e-9, 1e4, (1e-6, 200.0), {"milliamperes": 1e-3}),
     "turns": Range("turns", 1e-3, 1e6, (0.1, 1e5)),
     "alert_limit_m": Range("m", 1e-6, 1e4, (1e-3, 20.0), LENGTHS),
+    "ambient_gradient_T_m": Range("T/m", 1e-9, 1e-2, (1e-7, 1e-4), {"microtesla a metre": 1e-6}),
 }
 """The ranges by the key of the site file.
 

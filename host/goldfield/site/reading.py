@@ -16,7 +16,16 @@ from goldfield.site.coil_shapes import SHAPE_KEYS, placed, wire_of
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
 from goldfield.site.metal import Metal
 from goldfield.site.metal_keys import BEACON_KEY, check_bodies, read_beacon_metal, read_metal
-from goldfield.site.model import ALERT_LIMIT_M, Beacon, HalfSpace, SensorSite, Site, Survey, area_vector
+from goldfield.site.model import (
+    ALERT_LIMIT_M,
+    AMBIENT_GRADIENT_T_M,
+    Beacon,
+    HalfSpace,
+    SensorSite,
+    Site,
+    Survey,
+    area_vector,
+)
 from goldfield.site.plausible import check_extent, check_place, checked
 from goldfield.types import FloatArray
 
@@ -35,7 +44,8 @@ def load(path: str | Path) -> Site:
     - ``phase``: only for fdma: ``"known"`` (the default) or ``"unknown"`` (`goldfield.access.tones`); ``samples``, how
       many make a window, may then stand in place of ``degree``;
     - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the normal's side;
-    - ``alert_limit_m``: optional, above 0: poses that one faulty beacon could put further off are ``unverified``.
+    - ``alert_limit_m``: optional, above 0: poses that one faulty beacon could put further off are ``unverified``;
+    - ``ambient_gradient_T_m``: optional, above 0: how uneven the ambient field usually is.
 
     The table ``[sensor]`` describes the sensor:
 
@@ -88,7 +98,9 @@ def site_of(root: Table) -> Site:
     root.allow("site", "sensor", "survey", "metal", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
     survey = root.table("survey") if "survey" in root else None
-    site.allow("name", "chip_period_s", "degree", "half_space", "access", "alert_limit_m", *SITE_KEYS)
+    site.allow(
+        "name", "chip_period_s", "degree", "half_space", "access", "alert_limit_m", "ambient_gradient_T_m", *SITE_KEYS
+    )
     if survey is not None:
         survey.allow(*SURVEY_LIMITS)
     doubts: list[str] = []
@@ -101,7 +113,6 @@ def site_of(root: Table) -> Site:
     check_extent(tables, beacons, doubts)
     if metal is not None:
         check_bodies(root.table("metal"), metal, np.array([beacon.position_m for beacon in beacons]))
-    limit_m = site.positive("alert_limit_m") if "alert_limit_m" in site else ALERT_LIMIT_M
     return Site(
         name=site.text("name"),
         chip_period_s=plan.chip_period_s,
@@ -112,11 +123,20 @@ def site_of(root: Table) -> Site:
         access=plan.access,
         slots=plan.slots,
         samples=plan.samples,
-        alert_limit_m=checked(site, "alert_limit_m", limit_m, doubts),
+        **{key: _positive(site, key, default, doubts) for key, default in LIMITS.items()},
         assumed=_assumed(tables, sensor, survey),
         doubts=tuple(doubts),
         metal=metal,
     )
+
+
+LIMITS = {"alert_limit_m": ALERT_LIMIT_M, "ambient_gradient_T_m": AMBIENT_GRADIENT_T_M}
+"""Optional numbers above 0 of the table ``[site]``, and their defaults."""
+
+
+def _positive(table: Table, key: str, default: float, doubts: list[str]) -> float:
+    """Return an optional number above 0 that is in its range."""
+    return checked(table, key, table.positive(key) if key in table else default, doubts)
 
 
 ASSUMED_SURVEY = Survey(position_sd_m=0.003, axis_sd_rad=0.005, current_sd=0.003)

@@ -126,12 +126,13 @@ def test_files_that_make_no_sense_are_refused(tmp_path, text, words):
 
 
 def test_a_written_site_is_the_same_when_it_is_read(tmp_path):
-    site = replace(ceiling(2, 3), name='a "hall"', alert_limit_m=0.2)
+    site = replace(ceiling(2, 3), name='a "hall"', alert_limit_m=0.2, ambient_gradient_T_m=2e-5)
     path = tmp_path / "site.toml"
     path.write_text(site_text(site))
     read = load_file(path)
     assert read is not site
     assert (read.name, read.alert_limit_m, vars(read.sensor), read.assumed) == (site.name, 0.2, vars(site.sensor), ())
+    assert read.ambient_gradient_T_m == 2e-5
     assert read.half_space.normal.tolist() == site.half_space.normal.tolist()
     for one, other in zip(read.beacons, site.beacons, strict=True):
         assert (one.id, one.code, one.turns, one.radius_m) == (other.id, other.code, other.turns, other.radius_m)

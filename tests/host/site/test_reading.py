@@ -154,6 +154,8 @@ BAD = [
     ("degree = 10", "degree = 10.0", "site.toml:4: [site]: degree must be a whole number", "10.0"),
     ("degree = 10", "", "[site]: degree is missing", "site.toml:1"),
     ("chip_period_s = 97.75e-6", "chip_period_s = 0", "site.toml:3: [site]: chip_period_s is 0", "greater than zero"),
+    ("degree = 10", "degree = 10\nambient_gradient_T_m = 0", "site.toml:5: [site]: ambient_gradient_T_m", "than zero"),
+    ("degree = 10", "degree = 10\nambient_gradient_T_m = 20", "site.toml:5: [site]: ambient_gradient_T_m", "2e-05 T/m"),
     ("chip_period_s = 97.75e-6", "chip_period_s = nan", "site.toml:3: [site]: chip_period_s", "finite"),
     ("chip_period_s = 97.75e-6", "chip_period_s = true", "site.toml:3: [site]: chip_period_s", "number"),
     ("chip_period_s = 97.75e-6", f"chip_period_s = 1{'0' * 400}", "site.toml:3: [site]: chip_period_s", "number"),

@@ -12,15 +12,13 @@ import math
 
 import numpy as np
 
+from goldfield.site.model import AMBIENT_GRADIENT_T_M
 from goldfield.track.blocks.bank import Estimate
 from goldfield.track.blocks.state import OFFSET, TURN, crosses
 from goldfield.types import FloatArray
 
 EVEN_T = 2e-6
 """A change that says nothing: indoors the ambient field differs by as much from place to place."""
-
-EVEN_T_M = 3e-6
-"""What is usual besides, for each metre that the sensor moves."""
 
 SETTLING_T_S = 1e-7
 """What becomes usual of a change in a second of a sensor at rest."""
@@ -43,6 +41,8 @@ class Evenness:
     ----------
     even_T : float
         A change that says nothing; infinite: no change does.
+    gradient_T_m : float
+        What is usual besides, for each metre that the sensor moves.
 
     Attributes
     ----------
@@ -52,8 +52,8 @@ class Evenness:
         By which part of themselves all fields may be bent, for all that is known of the change; 0: it is usual.
     """
 
-    def __init__(self, even_T: float = EVEN_T) -> None:
-        self._even_T = even_T
+    def __init__(self, even_T: float = EVEN_T, gradient_T_m: float = AMBIENT_GRADIENT_T_M) -> None:
+        self._even_T, self._gradient_T_m = even_T, gradient_T_m
         self.forget()
 
     def forget(self) -> None:
@@ -90,6 +90,6 @@ class Evenness:
             self._usual = seen, motion.rotation, by_attitude
             return
         speed = min(float(np.linalg.norm(motion.velocity_m_s)), FASTEST_M_S)
-        step = (SETTLING_T_S + EVEN_T_M * speed) * seconds
+        step = (SETTLING_T_S + self._gradient_T_m * speed) * seconds
         part = min(step / size, 1.0) if size else 1.0
         self._usual = usual + part * (seen - usual), turned + part * moved, doubt

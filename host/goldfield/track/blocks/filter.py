@@ -151,7 +151,7 @@ class BlockFilter:
         self._without: tuple[str, ...] = ()
         self._middle_s = self._taken_s = self._heard_s = self._end_s = -math.inf
         self._blocks = self._track = 0
-        self._evenness, self._judged_s = Evenness(even_T), 0.0
+        self._evenness, self._judged_s = Evenness(even_T, site.ambient_gradient_T_m), 0.0
         self._level: tuple[Verdict, float, float] | None = None
         self._axes = 3
         self._epoch = -1

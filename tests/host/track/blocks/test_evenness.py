@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from goldfield.track.blocks.bank import Estimate
-from goldfield.track.blocks.evenness import CERTAIN, EVEN_T, EVEN_T_M, Evenness
+from goldfield.track.blocks.evenness import CERTAIN, EVEN_T, Evenness
 from goldfield.track.blocks.state import OFFSET, SIZE, TURN, Motion
 
 EARTH_T = np.array([2e-5, 5e-6, -4e-5])
@@ -74,12 +74,13 @@ def test_what_a_track_begins_with_is_replaced_when_the_attitude_is_better_known(
     assert evenness.share > 0.0
 
 
+@pytest.mark.parametrize("usual_T_m", [3e-6, 2e-5])
 @pytest.mark.parametrize(("slope", "said"), [(0.8, False), (3.0, True)])
-def test_a_moving_sensor_may_see_other_fields_at_other_places(slope, said):
+def test_a_moving_sensor_may_see_other_fields_at_other_places(slope, said, usual_T_m):
     """Two metres at 1 m/s, along which the field changes by a part of what is usual, or by three times as much."""
-    evenness, moving = Evenness(), known(velocity=(1.0, 0.0, 0.0))
+    evenness, moving = Evenness(gradient_T_m=usual_T_m), known(velocity=(1.0, 0.0, 0.0))
     for place_m in np.arange(0.0, 2.0, BLOCK_S):
-        evenness.update(EARTH_T + slope * EVEN_T_M * place_m * NORTH, moving, BLOCK_S)
+        evenness.update(EARTH_T + slope * usual_T_m * place_m * NORTH, moving, BLOCK_S)
     assert (evenness.share > 0.0) is said
 
 

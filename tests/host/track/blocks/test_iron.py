@@ -1,5 +1,6 @@
 """Iron that passes: poses that are off are not said to be right, and sound ones are."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -66,3 +67,19 @@ def test_a_magnet_that_is_switched_on_turns_no_pose():
     assert max(weights[40:120]) < 0.5 < max(weights[130:])
     assert pose.status is Status.UNVERIFIED
     assert "the ambient field has changed by" in pose.reason
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("usual_T_m", "said"), [(3e-6, True), (3e-5, False)])
+def test_steel_in_the_walls_is_iron_unless_the_site_says_that_it_is_usual(usual_T_m, said):
+    """A drone in a harmonic field of 12 uT/m."""
+    room = World(prigge_cube(2e-8))
+    times = room.times(16368)
+    position, rotation = motion_of("drone, 3 m/s", 3).poses(times)
+    ambient = EARTH_T + (position - position[0]) @ np.diag([12e-6, -6e-6, -6e-6])
+    track = room.track(position, rotation, np.random.default_rng(6), 2e-8, ambient_T=ambient)
+    site = replace(track.site, ambient_gradient_T_m=usual_T_m)
+    errors = follow(track, BlockFilter(site)).after(SETTLED_S)
+    assert (errors.status == Status.UNVERIFIED).any() == said
+    assert (errors.status == Status.INCONSISTENT).sum() == 0
+    assert not errors.unsaid.any()
