@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import special
 
-from goldfield.locate.chances import chdtri, gammaincc, ndtri
+from goldfield.locate.chances import MANY, chdtri, gammaincc, ndtri
 
 FREEDOM = np.array([1, 2, 3, 4, 5, 6, 7, 12, 15, 24, 50, 99, 192, 400, 897])[:, None]
 
@@ -12,10 +12,11 @@ FREEDOM = np.array([1, 2, 3, 4, 5, 6, 7, 12, 15, 24, 50, 99, 192, 400, 897])[:, 
 def test_the_tail_of_chi_square():
     half = np.concatenate([np.logspace(-6.0, 3.3, 60), [0.0, np.inf]])
     expected = special.gammaincc(FREEDOM / 2.0, half)
-    found = gammaincc(FREEDOM / 2.0, half)
-    assert found.shape == expected.shape
+    found = np.stack([gammaincc(shape, half) for shape in FREEDOM / 2.0])
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-290)
     assert np.isnan(gammaincc(1.5, np.nan))
+    assert len(half) < MANY <= found.size
+    assert gammaincc(FREEDOM / 2.0, half).tolist() == expected.tolist()
 
 
 def test_quantiles_of_chi_square():
@@ -39,3 +40,5 @@ def test_degrees_of_freedom_that_are_none_are_refused(freedom):
         chdtri(freedom, 0.1)
     with pytest.raises(ValueError, match="degrees of freedom"):
         gammaincc(freedom / 2.0, 1.0)
+    with pytest.raises(ValueError, match="degrees of freedom"):
+        gammaincc(np.full(MANY, freedom / 2.0), 1.0)
