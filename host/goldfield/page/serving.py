@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import ipaddress
 import secrets
 import socket
@@ -13,6 +14,7 @@ from typing import Self
 
 import uvicorn
 from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from goldfield.errors import Loudness, SystemFailure, UserError, loudness, option, tell
 from goldfield.files.inputs import reason_of
@@ -24,6 +26,10 @@ ASSETS = Path(__file__).parent / "built"
 PATIENCE_S = 10.0
 """Longest wait for the server to start or to end."""
 LOOPBACK = "127.0.0.1"
+MOST = 100
+"""Connections at once, of the 1,024 files that most systems let a program have; a browser takes up to seven."""
+BACKLOG = 16
+"""Connections that asyncio takes in one go, before the first of them may be turned away."""
 
 
 def built_assets(folder: Path | None = None) -> Path:
@@ -158,6 +164,25 @@ def _outward(family: int) -> str:
             return socket.gethostname()
 
 
+class _Counted(H11Protocol):
+    """A connection that is one of `MOST` at the most; another is ended before it has said anything.
+
+    asyncio itself takes whatever connects, until the system has no more files, and then tells of each with a traceback.
+    """
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin, or end the connection."""
+        if len(self.connections) >= MOST:
+            transport.abort()
+        else:
+            super().connection_made(transport)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End, if it has begun."""
+        if self in self.connections:
+            super().connection_lost(exc)
+
+
 class PageServer:
     """Serves an application on a listener's socket while it is a context.
 
@@ -171,7 +196,7 @@ class PageServer:
         self._listener = listener
         config = uvicorn.Config(
             application,
-            http="h11",
+            http=_Counted,
             loop="asyncio",
             ws="websockets-sansio",
             ws_max_size=1024,
@@ -182,6 +207,7 @@ class PageServer:
             log_level="info" if loudness() is Loudness.VERBOSE else "critical",
             access_log=False,
             server_header=False,
+            backlog=BACKLOG,
             timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)

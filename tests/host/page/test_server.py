@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 from goldfield.errors import SystemFailure, UserError
 from goldfield.page.application import HEADERS, application
 from goldfield.page.hub import Hub
-from goldfield.page.serving import Listener, PageServer, built_assets, parse_address
+from goldfield.page.serving import BACKLOG, MOST, Listener, PageServer, built_assets, parse_address
 
 TIMEOUT_S = 60.0
 
@@ -198,7 +198,7 @@ def test_what_a_browser_says_has_no_effect(local):
         stream.send("anything")
         stream.send(b"\x00\xff")
         hub.publish_fix('{"type":"fix"}')
-        assert next_messages(stream, "fix")
+        assert next_messages(stream, "epoch")
 
 
 def test_the_map_of_the_expected_error(local):
@@ -244,3 +244,22 @@ def test_a_page_that_is_not_built_says_how_to_build_it(tmp_path):
         built_assets(tmp_path)
     (tmp_path / "index.html").write_text("")
     assert built_assets(tmp_path) == tmp_path
+
+
+def test_a_hundred_connections_are_taken_and_no_more(local):
+    """Whoever connects further is turned away at once; the stream that is open goes on, and who leaves makes room."""
+    hub, url = local
+    address = ("127.0.0.1", urlsplit(url).port)
+    with live(url) as stream, contextlib.ExitStack() as stack:
+        assert next_messages(stream, "hello")
+        taken = [stack.enter_context(socket.create_connection(address, TIMEOUT_S)) for _ in range(MOST - 1)]
+        for _ in range(BACKLOG + 5):
+            with socket.create_connection(address, TIMEOUT_S) as further, contextlib.suppress(ConnectionResetError):
+                assert further.recv(1) == b""
+        hub.publish_epoch('{"type":"epoch","epoch":1}')
+        assert next_messages(stream, "epoch")
+        leaving = taken[0]
+        leaving.sendall(b"GET / HTTP/1.0\r\n\r\n")
+        while leaving.recv(4096):
+            pass
+        assert get(url)[0] == 200
