@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,15 @@ SEPARABLE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
+class Alone:
+    """The matrices of a block whose ambient field is unknown; ``reduced`` brings the sums of the whole block there."""
+
+    reduced: FloatArray
+    gram: FloatArray
+    moment: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class NormalForm:
     """A block as the filter takes it: S = G0 h + G1 h' + noise, for n beacons and, last, the ambient field.
 
@@ -50,6 +60,8 @@ class NormalForm:
         Time from the middle of the block to its last sample.
     axes : ndarray of bool, shape (3,)
         Axes of the sensor that were measured.
+    alone : Alone, optional
+        The matrices of `beacons_alone`, if they are known.
     """
 
     sums_T: FloatArray
@@ -59,6 +71,7 @@ class NormalForm:
     weight: FloatArray
     end_s: float
     axes: NDArray[np.bool_]
+    alone: Alone | None = None
 
     def beside_ambient(self, matrix: FloatArray) -> FloatArray:
         """Return the rows of the beacons of a matrix, or of the sums, if the ambient field is unknown."""
@@ -79,30 +92,39 @@ class NormalForm:
         gram = np.where(both, self.gram - across @ self.gram, 0.0)
         moment = np.where(both, self.moment - across @ self.moment, 0.0)
         sums = np.where(kept[:, None], self.sums_T - across @ self.sums_T, 0.0)
-        return replace(self, sums_T=sums, gram=gram, moment=moment, ramp=ramp_of(gram, moment))
+        return replace(self, sums_T=sums, gram=gram, moment=moment, ramp=ramp_of(gram, moment), alone=None)
 
     @property
     def beacons_alone(self) -> NormalForm:
         """What the block tells if the ambient field is unknown, and how fast it changes evenly."""
-        last = len(self.gram) - 1
-        both = np.stack([self.gram[last], self.moment[:, last]])  # F' G0
-        share = np.stack([np.eye(1, last + 1, last)[0], self.ramp])  # F'
-        if not share[1] @ both[1] > SEPARABLE * self.end_s**2:  # the columns do not take the time
-            both, share = both[:1], share[:1]
-        across = np.linalg.solve(share @ both.T, both).T
-        gram, moment = self.gram - across @ both, self.moment - across @ (share @ self.moment)
-        for matrix in (gram, moment):  # what is left there is rounding
-            matrix[last] = matrix[:, last] = 0.0
-        sums = self.sums_T - across @ (share @ self.sums_T)
-        sums[last] = 0.0
-        return replace(self, sums_T=sums, gram=gram, moment=moment, ramp=np.zeros(last + 1))
+        known = self.alone
+        if known is None:
+            known = _alone(self.gram, self.moment, self.ramp, self.end_s)
+        sums = known.reduced @ self.sums_T
+        return replace(self, sums_T=sums, gram=known.gram, moment=known.moment, ramp=np.zeros(len(sums)), alone=None)
 
     def scaled(self, factors: FloatArray) -> NormalForm:
         """Return what the block tells of fields of which the sensor gets some factors, shape (n,), as much."""
         each = np.append(factors, 1.0)
         both = np.outer(each, each)
         gram, moment = both * self.gram, both * self.moment
-        return replace(self, sums_T=each[:, None] * self.sums_T, gram=gram, moment=moment, ramp=ramp_of(gram, moment))
+        sums = each[:, None] * self.sums_T
+        return replace(self, sums_T=sums, gram=gram, moment=moment, ramp=ramp_of(gram, moment), alone=None)
+
+
+def _alone(gram: FloatArray, moment: FloatArray, ramp: FloatArray, end_s: float) -> Alone:
+    """Project the ambient field out of a block's matrices, and that it changes evenly, if the columns take the time."""
+    last = len(gram) - 1
+    both = np.stack([gram[last], moment[:, last]])  # F' G0
+    share = np.stack([np.eye(1, last + 1, last)[0], ramp])  # F'
+    if not share[1] @ both[1] > SEPARABLE * end_s**2:
+        both, share = both[:1], share[:1]
+    reduced = np.eye(last + 1) - np.linalg.solve(share @ both.T, both).T @ share
+    gram, moment = reduced @ gram, reduced @ moment
+    reduced[last] = 0.0
+    for matrix in (gram, moment):  # what is left there is rounding
+        matrix[last] = matrix[:, last] = 0.0
+    return Alone(reduced, gram, moment)
 
 
 def ramp_of(gram: FloatArray, moment: FloatArray) -> FloatArray:
@@ -122,6 +144,12 @@ class _Columns:
     gram: FloatArray
     moment: FloatArray
     ramp: FloatArray
+    end_s: float
+
+    @cached_property
+    def alone(self) -> Alone:
+        """The matrices of `NormalForm.beacons_alone`."""
+        return _alone(self.gram, self.moment, self.ramp, self.end_s)
 
 
 class BlockEquations:
@@ -183,9 +211,8 @@ class BlockEquations:
         else:
             return None
         components, weight = self._read(axes)
-        half_s = 0.5 * (block.chips - 1) * self._site.chip_period_s  # from the middle to the last sample
         sums = (columns.reduced @ data[:, axes]) @ components.T
-        return NormalForm(sums, columns.gram, columns.moment, columns.ramp, weight, half_s, axes)
+        return NormalForm(sums, columns.gram, columns.moment, columns.ramp, weight, columns.end_s, axes, columns.alone)
 
     @property
     def cycle(self) -> NormalForm:
@@ -233,18 +260,19 @@ class BlockEquations:
         """Compute the matrices, of all samples or of some of them."""
         place = (chip + np.arange(chips)) % self._site.chips
         tau = (np.arange(chips) - 0.5 * (chips - 1)) * self._site.chip_period_s
+        end_s = float(tau[-1])
         if rows is not None:
             place, tau = place[rows], tau[rows]
         columns = self.columns[place]
         late = tau[:, None] * columns
         if sampled or self._codes is None:
             gram, moment = columns.T @ columns, columns.T @ late
-            return _Columns(columns.T.copy(), gram, moment, ramp_of(gram, moment))
+            return _Columns(columns.T.copy(), gram, moment, ramp_of(gram, moment), end_s)
         codes = self._codes[place]
         through = codes.T @ columns
         back = through.T @ np.linalg.pinv(codes.T @ codes, rcond=PIVOT, hermitian=True)
         gram, moment = back @ through, back @ (codes.T @ late)
-        return _Columns(back, gram, moment, ramp_of(gram, moment))
+        return _Columns(back, gram, moment, ramp_of(gram, moment), end_s)
 
     def _read(self, axes: NDArray[np.bool_]) -> tuple[FloatArray, FloatArray]:
         """Return what makes components of the readings of some axes, shape (3, k), and the weight of a sample's."""

@@ -132,7 +132,8 @@ def _found(sums: _Sums, ways: FloatArray, variance: FloatArray) -> _Found:
     """
     size, told = sums.sums_T.size, POSE + DISTORTED
     seen = np.einsum("ij,jck->ick", sums.gram, ways).reshape(size, -1)
-    noise = np.kron(sums.gram + np.diag(sums.blur), variance) + seen[:, told:] @ seen[:, told:].T
+    spread = sums.gram + np.diag(sums.blur)
+    noise = np.multiply.outer(spread, variance).swapaxes(1, 2).reshape(size, size) + seen[:, told:] @ seen[:, told:].T
     try:
         white = np.linalg.solve(np.linalg.cholesky(noise), np.column_stack([seen[:, :told], sums.sums_T.ravel()]))
     except np.linalg.LinAlgError:  # the signals are not told apart

@@ -172,6 +172,16 @@ def test_beacons_alone_are_what_the_sums_tell_beside_any_line_of_the_ambient_fie
         assert not zeros.any()
 
 
+def test_what_is_kept_of_beacons_alone_goes_with_the_matrices_that_it_is_of():
+    """A site's block that comes again takes what is known of its chips; one without a beacon is another."""
+    equations = BlockEquations(SITE)
+    for form in (equations.form(block(samples(CODES), True)), equations.form(block(2.0 * samples(CODES), True))):
+        for changed in (form, form.without(np.array([1])), form.scaled(np.full(CODES.shape[1], 0.5))):
+            one, other = changed.beacons_alone, replace(changed, alone=None).beacons_alone
+            for name in ("gram", "moment", "sums_T"):
+                assert getattr(one, name).tolist() == getattr(other, name).tolist()
+
+
 def test_beacons_alone_do_not_feel_the_ambient_field():
     drifting = samples(CODES) + np.outer(1.0 + 300.0 * TAU, [2e-5, -5e-6, 4e-5])
     one, other = (BlockEquations(SITE).form(block(data, True)).beacons_alone for data in (samples(CODES), drifting))
