@@ -106,5 +106,7 @@ def test_a_track_is_better_than_each_cycle_by_itself(flight, poses):
         error, ratio = over_bound(truth, bounds, [of_cycle[kind] for of_cycle in judged])
         figures[name] = ratio
         print(f"{name}: rms {1e3 * error:.2f} mm, {ratio:.3f} times the bound of one cycle's samples")
-    assert figures["tracked"] < 1.0
+    # Three components each, and two successive errors of a track are much the same one: 7 % of the root.
+    chance = 0.5 * np.sqrt(2.0 / (3 * len(judged) / 2))
+    assert figures["tracked"] < 1.0 + 2.0 * chance
     assert figures["tracked"] < 0.7 * figures["alone"]
