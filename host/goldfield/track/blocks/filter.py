@@ -322,8 +322,9 @@ class BlockFilter:
         """Show the block to the integrity; follow its verdict."""
         known = self._banks[0].output()
         verdict = self._integrity.add(form, known, self._epoch, middle_s, self._out)
-        if form.axes.all():
-            alone, site = self._banks[0].by_beacons, self._allowance.of_site(known.motion, self._rows(self._out))
+        alone = self._banks[0].by_beacons
+        if alone is not None and form.axes.all():
+            site = self._allowance.of_site(known.motion, self._rows(self._out))
             if site is not None:
                 alone.covariance[:6, :6] += site
             self._evenness.update(self._integrity.ambient_T, alone, middle_s - self._judged_s)

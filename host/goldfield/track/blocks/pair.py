@@ -37,6 +37,10 @@ at least this part of that of the beacons alone."""
 LEAST_WEIGHT = 0.01
 """Less of the beacons alone is none, which saves time."""
 
+COMPARED = 2
+"""With every so manieth block the banks are held against each other, and with each while the beacons alone count: it
+takes a quarter of a block's time."""
+
 PROBATION_S = 0.1
 """A bank that has begun anew does not count for this time."""
 
@@ -74,6 +78,7 @@ class Pair:
         self._seeing, self._alone = make(), make()
         self._probation_s = 0.0
         self._weight = 0.0
+        self._blocks = 0
         self._apart: _Apart | None = None
 
     @property
@@ -116,7 +121,9 @@ class Pair:
         self._apart = None
         if self._seeing.update(form, seconds):
             self._alone.update(form.beacons_alone, seconds)
-            self._weigh()
+            self._blocks += 1
+            if self._weight or self._blocks % COMPARED == 0:
+                self._weigh()
             return True
         if self._seeing.refused >= JUMPED and self._alone.update(form.beacons_alone, seconds):
             self._begin_anew(self._seeing.output(), self._alone.output())
@@ -142,10 +149,14 @@ class Pair:
         return _between(_apart(seeing, self._alone.output(seconds)), self._weight)
 
     @property
-    def by_beacons(self) -> Estimate:
-        """What the beacons alone tell of the middle of the last block; the offset is that of the other bank."""
-        apart = self._apart
-        seeing, alone = (self._seeing.output(), self._alone.output()) if apart is None else (apart.seeing, apart.alone)
+    def by_beacons(self) -> Estimate | None:
+        """What the beacons alone tell of the middle of the last block, if the banks were held against each other then.
+
+        The offset is that of the other bank.
+        """
+        if self._apart is None:
+            return None
+        seeing, alone = self._apart.seeing, self._apart.alone
         covariance = alone.covariance.copy()
         covariance[OFFSET, OFFSET] = seeing.covariance[OFFSET, OFFSET]
         return Estimate(replace(alone.motion, offset_T=seeing.motion.offset_T), covariance)

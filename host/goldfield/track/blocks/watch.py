@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -64,8 +65,8 @@ class Watch:
 
     def forget(self) -> None:
         """Begin anew; what was said last holds until there are blocks to test."""
-        self._groups: deque[_Sums] = deque(maxlen=max(WINDOWS))
-        self._within: list[_Sums] = []
+        self._groups: deque[FloatArray] = deque(maxlen=max(WINDOWS))
+        self._within: list[FloatArray] = []
         self._out: tuple[int, ...] = ()
 
     def add(self, rest: NormalForm, blur: FloatArray, around: Reference, out: NDArray[np.intp]) -> None:
@@ -74,15 +75,18 @@ class Watch:
             self.forget()
             self._out = tuple(out)
         form = rest.without(out).beacons_alone
-        self._within.append(_Sums(form.gram[:-1, :-1], blur, form.sums_T[:-1]))
+        self._within.append(np.concatenate([form.gram[:-1, :-1].ravel(), blur, form.sums_T[:-1].ravel()]))
         if len(self._within) == GROUP:
-            self._groups.append(_added(self._within))
+            self._groups.append(np.sum(self._within, axis=0))
             self._within = []
             self._test(form, around)
 
     def _test(self, form: NormalForm, around: Reference) -> None:
         """Test the blocks of each window."""
         heard, measured = np.flatnonzero(np.diag(form.gram)[:-1] > 0.0), np.flatnonzero(form.axes)
+        if 3 * len(heard) <= POSE:
+            self.alarm, self.share = False, 0.0
+            return
         to_sensor = around.motion.rotation.T
         bent = (around.field_T[:-1] @ around.motion.rotation @ DISTORTIONS).transpose(1, 2, 0)
         parts = [to_sensor @ around.jacobian[:-1, :, :POSE], bent]
@@ -91,29 +95,43 @@ class Watch:
             parts.append(to_sensor @ errors[:-1])
         ways = np.concatenate(parts, axis=2)[heard][:, measured]
         variance: FloatArray = np.asarray(np.linalg.inv(form.weight[np.ix_(measured, measured)]), dtype=np.float64)
-        groups, found = list(self._groups), []
-        if 3 * len(heard) > POSE:
-            for count in (count for count in WINDOWS if count <= len(groups)):
-                found.append(_found(_added(groups[-count:]).of(heard, measured), ways, variance))
+        windows = _windows(self._groups, len(form.gram) - 1).of(heard, measured)
+        try:
+            found = _found(windows, ways, variance)
+        except np.linalg.LinAlgError:  # the blocks of some windows do not tell their signals apart
+            found = [one for window in windows.each() for one in _found_if_told_apart(window, ways, variance)]
         self.alarm = any(one.alarm for one in found)
         self.share = max((one.share for one in found), default=0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
-    """What blocks leave of their sums, with the Gram matrix and what the track's error adds to it."""
+class _Windows:
+    """What blocks leave of their sums in w windows, with the Gram matrices and what the track's error adds to them.
+
+    The shapes are (w, n, n), (w, n) and (w, n, c).
+    """
 
     gram: FloatArray
     blur: FloatArray
     sums_T: FloatArray
 
-    def of(self, heard: NDArray[np.intp], measured: NDArray[np.intp]) -> _Sums:
+    def of(self, heard: NDArray[np.intp], measured: NDArray[np.intp]) -> _Windows:
         """Return that of some beacons and axes."""
-        return _Sums(self.gram[np.ix_(heard, heard)], self.blur[heard], self.sums_T[np.ix_(heard, measured)])
+        gram = self.gram[:, heard][:, :, heard]
+        return _Windows(gram, self.blur[:, heard], self.sums_T[:, heard][:, :, measured])
+
+    def each(self) -> list[_Windows]:
+        """Return each window by itself."""
+        return [
+            _Windows(*(part[None] for part in parts)) for parts in zip(self.gram, self.blur, self.sums_T, strict=True)
+        ]
 
 
-def _added(several: list[_Sums]) -> _Sums:
-    return _Sums(*(np.sum([getattr(one, name) for one in several], axis=0) for name in _Sums.__dataclass_fields__))
+def _windows(groups: Sequence[FloatArray], beacons: int) -> _Windows:
+    """Sum the latest groups, as many as each window has; the latest group is the last."""
+    sums = np.cumsum(np.array(groups)[::-1], axis=0)[[count - 1 for count in WINDOWS if count <= len(groups)]]
+    gram, blur, left = np.split(sums, [beacons**2, beacons**2 + beacons], axis=1)
+    return _Windows(gram.reshape(-1, beacons, beacons), blur, left.reshape(-1, beacons, 3))
 
 
 @dataclass(frozen=True)
@@ -124,29 +142,49 @@ class _Found:
     share: float
 
 
-def _found(sums: _Sums, ways: FloatArray, variance: FloatArray) -> _Found:
-    """Test sums of n beacons and c components.
+def _found(windows: _Windows, ways: FloatArray, variance: FloatArray) -> list[_Found]:
+    """Test the sums of n beacons and c components in all windows at once.
 
     ``ways``, shape (n, c, k), is what the pose, distortions and errors of the site do to the fields; ``variance``,
     shape (c, c), that of a sample.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the blocks of a window do not tell its signals apart.
     """
-    size, told = sums.sums_T.size, POSE + DISTORTED
-    seen = np.einsum("ij,jck->ick", sums.gram, ways).reshape(size, -1)
-    spread = sums.gram + np.diag(sums.blur)
-    noise = np.multiply.outer(spread, variance).swapaxes(1, 2).reshape(size, size) + seen[:, told:] @ seen[:, told:].T
+    count, size, told = len(windows.gram), windows.sums_T[0].size, POSE + DISTORTED
+    seen = (windows.gram @ ways.reshape(len(ways), -1)).reshape(count, size, -1)
+    spread = windows.gram.copy()
+    spread[:, range(len(ways)), range(len(ways))] += windows.blur
+    noise = np.einsum("wij,kl->wikjl", spread, variance).reshape(count, size, size)
+    noise += seen[..., told:] @ seen[..., told:].swapaxes(1, 2)
+    signals = np.concatenate([seen[..., :told], windows.sums_T.reshape(count, size, 1)], axis=2)
+    white = np.linalg.solve(np.linalg.cholesky(noise), signals)
+    pose, _ = np.linalg.qr(white[..., :POSE])
+    rest = white[..., POSE:] - pose @ (pose.swapaxes(1, 2) @ white[..., POSE:])
+    along, values, _ = np.linalg.svd(rest[..., :-1], full_matrices=False)
+    shown = values > SHOWN * np.linalg.norm(white[..., POSE:told], axis=(1, 2))[:, None]
+    parts = np.where(shown, (along.swapaxes(1, 2) @ rest[..., -1:])[..., 0], 0.0)
+    whole, part, freedom = np.square(rest[..., -1]).sum(axis=1), np.square(parts).sum(axis=1), shown.sum(axis=1)
+    bent = np.square(np.where(shown, values, 0.0)).sum(axis=1)
+    costs = zip(whole.tolist(), part.tolist(), freedom.tolist(), bent.tolist(), strict=True)
+    return [_judged(size, *cost) for cost in costs]
+
+
+def _found_if_told_apart(window: _Windows, ways: FloatArray, variance: FloatArray) -> list[_Found]:
+    """Return what one window tells, in a list that is empty if it tells nothing."""
     try:
-        white = np.linalg.solve(np.linalg.cholesky(noise), np.column_stack([seen[:, :told], sums.sums_T.ravel()]))
-    except np.linalg.LinAlgError:  # the signals are not told apart
-        return _Found(False, 0.0)
-    pose, _ = np.linalg.qr(white[:, :POSE])
-    rest = white[:, POSE:] - pose @ (pose.T @ white[:, POSE:])
-    left = rest[:, -1]
-    along, values, _ = np.linalg.svd(rest[:, :-1], full_matrices=False)
-    shown = values > SHOWN * float(np.linalg.norm(white[:, POSE:told]))
-    part, freedom = float(np.square(along[:, shown].T @ left).sum()), int(shown.sum())
-    alarm = float(left @ left) > _limit(size - POSE) or part > _limit(freedom)
+        return _found(window, ways, variance)
+    except np.linalg.LinAlgError:
+        return []
+
+
+def _judged(size: int, whole: float, part: float, freedom: int, bent: float) -> _Found:
+    """Judge a cost of so many numbers, and the part of it that distortions explain, which weigh ``bent``."""
     beyond = part - freedom - CHANCE * math.sqrt(2.0 * freedom)
-    return _Found(alarm, math.sqrt(beyond / float(np.square(values[shown]).sum())) if beyond > 0.0 else 0.0)
+    alarm = whole > _limit(size - POSE) or part > _limit(freedom)
+    return _Found(alarm, math.sqrt(beyond / bent) if beyond > 0.0 else 0.0)
 
 
 @cache
