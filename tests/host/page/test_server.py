@@ -15,9 +15,12 @@ from websockets.sync.client import connect
 from goldfield.errors import SystemFailure, UserError
 from goldfield.page.application import HEADERS, application
 from goldfield.page.hub import Hub
-from goldfield.page.serving import BACKLOG, MOST, Listener, PageServer, built_assets, parse_address
+from goldfield.page.serving import Listener, PageServer, built_assets, parse_address
+from goldfield.view.listening import BACKLOG, MOST
 
 TIMEOUT_S = 60.0
+MOST_STATES = 60
+"""A message that has not come before so many states, one a second, does not come."""
 
 
 @pytest.fixture
@@ -67,11 +70,15 @@ def live(url, **options):
 
 
 def next_messages(stream, kind):
-    """Return the messages of one kind of the next frame that has any."""
-    while True:
-        found = [message for message in json.loads(stream.recv(TIMEOUT_S)) if message["type"] == kind]
+    """Return the messages of one kind of the next frame that has any; states go on coming, so they end the patience."""
+    states = 0
+    while states < MOST_STATES:
+        messages = json.loads(stream.recv(TIMEOUT_S))
+        found = [message for message in messages if message["type"] == kind]
         if found:
             return found
+        states += sum(message["type"] == "state" for message in messages)
+    raise AssertionError(f"no {kind} among the messages between {states} states of the stream")
 
 
 def test_the_page_and_its_files_come_with_a_policy(local):
@@ -197,7 +204,7 @@ def test_what_a_browser_says_has_no_effect(local):
         next_messages(stream, "hello")
         stream.send("anything")
         stream.send(b"\x00\xff")
-        hub.publish_fix('{"type":"fix"}')
+        hub.publish_epoch('{"type":"epoch"}')
         assert next_messages(stream, "epoch")
 
 
