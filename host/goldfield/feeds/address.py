@@ -114,9 +114,8 @@ def _split(url: str, scheme: str) -> Address:
         host, port = parts.hostname or "", parts.port
     except ValueError as error:  # a port that is none, a bracket that does not close
         raise wrong(url, f"is no address ({error}): give one as {EXAMPLES[scheme]}") from None
-    options = dict(
-        parse_qsl(parts.query.replace("+", "%2B"), keep_blank_values=True)
-    )  # a plus is one, in names of files
+    query = parts.query.replace("+", "%2B")  # a plus is one, in names of files
+    options = dict(parse_qsl(query, keep_blank_values=True))
     address = Address(url, scheme, host, port or 0, parts.path.strip("/"), parts.username, options)
     if parts.password is not None:
         raise wrong(url.replace(f":{parts.password}@", ":...@"), "other users of this machine would see the password")

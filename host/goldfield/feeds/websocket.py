@@ -23,14 +23,10 @@ from goldfield.feeds.address import Address
 from goldfield.feeds.feed import Feed, Setting
 from goldfield.feeds.stamped import StampedPose
 from goldfield.files.inputs import reason_of
+from goldfield.view.listening import BACKLOG, MOST, listening
 
 CAPACITY = 512
 """Poses that wait for one consumer: 1.5 s at 330 a second, beside what the system's buffers hold."""
-MOST = 100
-"""Consumers at once, of the 1,024 files that most systems let a program have: a network full of them must not keep it
-from opening its port again."""
-BACKLOG = 16
-"""Connections that asyncio takes in one go, before the first of them may be turned away."""
 LAST_S = 1.0
 """How long consumers get, at the end, to take what waits for them."""
 
@@ -72,10 +68,7 @@ class Consumer:
 
 
 class _Counted(ServerConnection):
-    """A connection that is one of `MOST` at the most; another is ended before it has said anything.
-
-    asyncio itself takes whatever connects, until the system has no more files, and then tells of each with a traceback.
-    """
+    """A connection that is one of `MOST` at the most; another is ended before it has said anything."""
 
     connected: set[ServerConnection]
     turn_away: Callable[[], None]
@@ -127,11 +120,11 @@ class WebSocketFeed:
         self._origins = [None, *(Origin(one) for one in address.options.get("origin", "").split(",") if one)]
         self._consumers: set[Consumer] = set()
         self._told_of_most = False
-        listening = _listening(address)
-        self.port = int(listening.getsockname()[1])
+        opened = _listening(address)
+        self.port = int(opened.getsockname()[1])
         self._loop = asyncio.new_event_loop()
         self._server: Server | None = None
-        self._loop.run_until_complete(self._start(listening))
+        self._loop.run_until_complete(self._start(opened))
         self._thread = threading.Thread(target=self._loop.run_forever, name=address.url, daemon=True)
         self._thread.start()
 
@@ -147,10 +140,10 @@ class WebSocketFeed:
         self._thread.join()
         self._loop.close()
 
-    async def _start(self, listening: socket.socket) -> None:
+    async def _start(self, opened: socket.socket) -> None:
         self._server = await serve(
             self._serve,
-            sock=listening,
+            sock=opened,
             origins=self._origins,
             compression=None,  # a pose is short, and the processor has better things to do
             max_size=1024,
@@ -202,17 +195,6 @@ class WebSocketFeed:
 
 def _listening(address: Address) -> socket.socket:
     try:
-        family, kind, _, _, place = socket.getaddrinfo(
-            address.host, address.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-        )[0]
-        listening = socket.socket(family, kind)
-        try:
-            listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            listening.bind(place)
-            listening.listen()
-        except OSError:
-            listening.close()
-            raise
+        return listening(address.host, address.port)
     except (OSError, UnicodeError) as error:
         raise address.wrong(f"this machine cannot listen there: {reason_of(error)}") from None
-    return listening

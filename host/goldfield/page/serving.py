@@ -18,6 +18,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from goldfield.errors import Loudness, SystemFailure, UserError, loudness, option, tell
 from goldfield.files.inputs import reason_of
+from goldfield.view.listening import BACKLOG, MOST, listening
 
 PORT = 8420
 """Port of this machine that is taken if none is asked for; if another program has it, any that is free."""
@@ -26,10 +27,6 @@ ASSETS = Path(__file__).parent / "built"
 PATIENCE_S = 10.0
 """Longest wait for the server to start or to end."""
 LOOPBACK = "127.0.0.1"
-MOST = 100
-"""Connections at once, of the 1,024 files that most systems let a program have; a browser takes up to seven."""
-BACKLOG = 16
-"""Connections that asyncio takes in one go, before the first of them may be turned away."""
 
 
 def built_assets(folder: Path | None = None) -> Path:
@@ -116,14 +113,14 @@ class Listener:
     def __init__(self, bind: tuple[str, int] | None = None, named: str = "bind") -> None:
         address, port = bind or (LOOPBACK, PORT)
         try:
-            self.socket = _listening(address, port)
+            self.socket = listening(address, port)
         except OSError as error:
             if bind is not None:
                 raise UserError(
                     f"{option(named, f'{address}:{port}')}: this machine cannot listen there: {reason_of(error)}"
                 ) from None
             tell(f"port {PORT} of this machine is taken, perhaps by another page: this one has another address")
-            self.socket = _listening(address, 0)
+            self.socket = listening(address, 0)
         self._address = address
         self.token = None if is_loopback(address) else new_token()
 
@@ -136,19 +133,6 @@ class Listener:
         host = f"[{host}]" if ":" in host else host
         path = "" if self.token is None else f"{self.token}/"
         return f"http://{host}:{self.socket.getsockname()[1]}/{path}"
-
-
-def _listening(address: str, port: int) -> socket.socket:
-    family, *_, place = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
-    listening = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind(place)
-        listening.listen(64)
-    except OSError:
-        listening.close()
-        raise
-    return listening
 
 
 def _outward(family: int) -> str:
@@ -165,10 +149,7 @@ def _outward(family: int) -> str:
 
 
 class _Counted(H11Protocol):
-    """A connection that is one of `MOST` at the most; another is ended before it has said anything.
-
-    asyncio itself takes whatever connects, until the system has no more files, and then tells of each with a traceback.
-    """
+    """A connection that is one of `MOST` at the most; another is ended before it has said anything."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin, or end the connection."""

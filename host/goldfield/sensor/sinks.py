@@ -181,9 +181,7 @@ class Branch(Generic[T]):
                 self._error = self._error or error
             else:
                 reason = " ".join(str(error).split()) or type(error).__name__
-                path = self.name.partition(":")[
-                    2
-                ]  # a file's errors begin with its path, which ends the name of its feed
+                path = self.name.partition(":")[2]  # of a feed to a file, whose errors begin with it
                 told = reason.removeprefix(f"{self.name}: ").removeprefix(f"{path}: ")
                 tell(f"{self.name}: {told}; the run goes on without")
             return False
