@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
+from numpy.typing import NDArray
 
 from goldfield.site import Site
 from goldfield.types import Fields, FloatArray
@@ -126,6 +127,12 @@ class SurveyData:
     points: tuple[KnownPoint, ...] = ()
     known: tuple[Known, ...] = ()
     anchors: tuple[AnchorFields, ...] = ()
+
+    def of_epochs(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> SurveyData:
+        """Return the data with some of the epochs, without the known points of the others."""
+        epochs = tuple(self.epochs[row] for row in np.arange(len(self.epochs))[rows].tolist())
+        gone = {fields.epoch for fields in self.epochs} - {fields.epoch for fields in epochs}
+        return replace(self, epochs=epochs, points=tuple(point for point in self.points if point.epoch not in gone))
 
 
 @dataclass(frozen=True)

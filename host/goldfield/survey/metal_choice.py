@@ -30,7 +30,7 @@ from goldfield.survey.problem import problem_of
 from goldfield.survey.procedure import Progress, result_of, solve
 from goldfield.survey.starts import located, measurements_of
 from goldfield.survey.strays import gathered
-from goldfield.types import Fields, FloatArray
+from goldfield.types import FloatArray
 
 PIECES, KEPT_OUT = 25, 5
 """The walk is cut into so many pieces, of which each fifth is kept out: neighbours in time are neighbours in place."""
@@ -133,15 +133,10 @@ class _Choice:
     """Fits candidates to a part of the walk and compares them on the rest."""
 
     def __init__(self, site: Site, data: SurveyData, free: frozenset[Free], tell: Progress) -> None:
-        self._site, self._data, self._free, self._tell = site, data, free, tell
+        self._site, self._free, self._tell = site, free, tell
         piece = np.arange(len(data.epochs)) * PIECES // len(data.epochs)
-        self._out = np.asarray(piece % KEPT_OUT == KEPT_OUT // 2)
-        self._part = replace(
-            data,
-            epochs=_some(data.epochs, ~self._out),
-            points=tuple(point for point in data.points if point.epoch in self._numbers(~self._out)),
-        )
-        self._kept_out = _some(data.epochs, self._out)
+        out: NDArray[np.bool_] = np.asarray(piece % KEPT_OUT == KEPT_OUT // 2)
+        self._part, self._kept_out = data.of_epochs(~out), data.of_epochs(out).epochs
         self._done, self._needed = 0.0, np.inf
         self.plain = self._candidate(no_metal(len(site.beacons)), None, "no metal")
 
@@ -150,9 +145,6 @@ class _Choice:
         """What metal may add to each component unnoticed: what the polynomial that tells most needs to gain."""
         sigma = float(np.median(np.concatenate([fields.sigma_T for fields in self._kept_out])))
         return float(np.sqrt(np.expm1(self._needed))) * sigma
-
-    def _numbers(self, which: NDArray[np.bool_]) -> set[int]:
-        return {fields.epoch for fields in _some(self._data.epochs, which)}
 
     def best(self) -> _Candidate:
         """Return the best candidate."""
@@ -259,10 +251,6 @@ class _Choice:
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
         near = np.linalg.norm(grid[:, None] - everything, axis=2).min(axis=1)
         return np.asarray(grid[near > max(APART * edge, 0.5 * spacing)])
-
-
-def _some(epochs: tuple[Fields, ...], which: NDArray[np.bool_]) -> tuple[Fields, ...]:
-    return tuple(fields for fields, is_in in zip(epochs, which.tolist(), strict=True) if is_in)
 
 
 def _of_bodies(coils: FieldModel, body_m: FloatArray, polarisability: FloatArray, point_m: FloatArray) -> FloatArray:

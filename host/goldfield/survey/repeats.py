@@ -69,8 +69,5 @@ def counted_once(data: SurveyData) -> CountedOnce:
             "or its log was stuck, and walk through the room with it"
         )
     place = {row: index for index, row in enumerate(rows)}
-    epochs = tuple(data.epochs[row] for row in rows)
-    numbers = {fields.epoch for fields in epochs}
-    points = tuple(point for point in data.points if point.epoch in numbers)
-    some = data if len(rows) == len(keys) else replace(data, epochs=epochs, points=points)
-    return CountedOnce(some, np.array([place[first[key]] for key in keys], dtype=np.intp))
+    row = np.array([place[first[key]] for key in keys], dtype=np.intp)
+    return CountedOnce(data.of_epochs(np.array(rows, dtype=np.intp)), row)

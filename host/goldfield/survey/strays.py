@@ -72,11 +72,11 @@ def gathered(site: Site, data: SurveyData, free: frozenset[Free], tell: Progress
         if found is not plain and not astray.any():
             break
         kept[np.flatnonzero(kept)[astray]] = False
-        some, state = _of(data, kept), plain.state.of_epochs(kept)
+        some, state = data.of_epochs(kept), plain.state.of_epochs(kept)
         metal = polynomials_around(state.sensor_m, len(site.beacons))
         found = solve(site, some, free, metal=metal, start=state, judged=False)
     strays = tuple(Outlier(data.epochs[row].epoch, (), float(residual[row])) for row in np.flatnonzero(~kept))
-    return Gathered(_of(data, kept), kept, strays)
+    return Gathered(data.of_epochs(kept), kept, strays)
 
 
 def _astray(solution: Solution) -> NDArray[np.bool_]:
@@ -84,12 +84,3 @@ def _astray(solution: Solution) -> NDArray[np.bool_]:
     place = polynomials_around(solution.state.sensor_m, 0)
     away = np.linalg.norm(solution.state.sensor_m - place.centre_m, axis=1)
     return np.asarray(~(away <= STRAY * place.radius_m))
-
-
-def _of(data: SurveyData, kept: NDArray[np.bool_]) -> SurveyData:
-    """Return a walk with some of its epochs, and the known points of these."""
-    if kept.all():
-        return data
-    epochs = tuple(fields for fields, wanted in zip(data.epochs, kept.tolist(), strict=True) if wanted)
-    numbers = {fields.epoch for fields in epochs}
-    return replace(data, epochs=epochs, points=tuple(point for point in data.points if point.epoch in numbers))
