@@ -44,8 +44,7 @@ def load(path: str | Path) -> Site:
     - ``phase``: only for fdma: ``"known"`` (the default) or ``"unknown"`` (`goldfield.access.tones`); ``samples``, how
       many make a window, may then stand in place of ``degree``;
     - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the normal's side;
-    - ``alert_limit_m``: optional, above 0: poses that one faulty beacon could put further off are ``unverified``;
-    - ``ambient_gradient_T_m``: optional, above 0: how uneven the ambient field usually is.
+    - ``alert_limit_m``, ``ambient_gradient_T_m``: optional, above 0, see `Site`.
 
     The table ``[sensor]`` describes the sensor:
 
@@ -65,7 +64,7 @@ def load(path: str | Path) -> Site:
     - ``radius_m`` for a circular coil, which needs ``position_m`` (its centre), ``axis`` (its normal, of any length)
       and ``turns``; or
     - ``points_m`` for a coil given by its wire, at least three points in the direction of a positive current;
-      ``position_m``, ``axis`` and ``turns`` (default 1) may then be left out: the wire tells them; or
+      ``position_m``, ``axis`` and ``turns`` (default 1) may then be left out; or
     - ``shape`` for a coil as people make them, one of `goldfield.site.coil_shapes.SHAPES`, with ``position_m``,
       ``axis``, optionally ``angle_rad`` about it, and its sizes;
     - ``code`` for cdma: index of a Gold code, 0 to 2^degree, different for each beacon; or ``codes``, several at
@@ -98,9 +97,7 @@ def site_of(root: Table) -> Site:
     root.allow("site", "sensor", "survey", "metal", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
     survey = root.table("survey") if "survey" in root else None
-    site.allow(
-        "name", "chip_period_s", "degree", "half_space", "access", "alert_limit_m", "ambient_gradient_T_m", *SITE_KEYS
-    )
+    site.allow("name", "chip_period_s", "degree", "half_space", "access", *LIMITS, *SITE_KEYS)
     if survey is not None:
         survey.allow(*SURVEY_LIMITS)
     doubts: list[str] = []
