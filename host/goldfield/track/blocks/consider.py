@@ -22,11 +22,9 @@ UNSEEN = 1e-9
 """Eigenvalues of the information, scaled to a diagonal of 1, below this are rounding: nothing follows along them."""
 
 
-DISTORTIONS: FloatArray = np.array(
-    [np.diag(row) for row in np.eye(3)]
-    + [np.eye(3)[[i]].T @ np.eye(3)[[j]] + np.eye(3)[[j]].T @ np.eye(3)[[i]] for i, j in ((0, 1), (0, 2), (1, 2))]
-)
-"""The six ways to distort a vector that are no turns: iron near the sensor distorts all fields alike."""
+BENDS: FloatArray = np.array([np.maximum(pair, pair.T) for pair in np.eye(9)[[0, 4, 8, 1, 2, 5]].reshape(6, 3, 3)])
+"""The symmetric matrices of one element each, which bend a vector without a turn: iron near the sensor bends all fields
+alike. `goldfield.locate.fault_statistics.DISTORTIONS` spans the same, sorted by what a sensor's axes do."""
 
 
 class Considered:
@@ -48,7 +46,7 @@ class Considered:
 
     def covariance(self, motion: Motion, without: NDArray[np.intp]) -> FloatArray:
         """Return the covariance of position and attitude by these errors at a motion, shape (6, 6)."""
-        bias = self._followed(motion, without, self._effects(motion, len(self._model)))
+        bias = self._followed(motion, without, self._effects(motion))
         covariance = bias @ bias.T
         if self._errors is not None:
             covariance[3:, 3:] += self._errors.common_turn_rad2 * np.eye(3)
@@ -61,7 +59,7 @@ class Considered:
         """
         fields = reference(self._model, motion).field_T.copy()
         fields[-1] = 0.0
-        bias = self._followed(motion, without, (fields @ DISTORTIONS).transpose(1, 2, 0))
+        bias = self._followed(motion, without, (fields @ BENDS).transpose(1, 2, 0))
         return np.asarray(bias @ bias.T)
 
     def _followed(self, motion: Motion, without: NDArray[np.intp], effect: FloatArray) -> FloatArray:
@@ -83,11 +81,11 @@ class Considered:
 
     def effects(self, motion: Motion) -> FloatArray | None:
         """Return what each error does to the fields as `_effects` does; None if the site declares none."""
-        return self._effects(motion, len(self._model)) if self.any else None
+        return self._effects(motion) if self.any else None
 
-    def _effects(self, motion: Motion, count: int) -> FloatArray:
+    def _effects(self, motion: Motion) -> FloatArray:
         """Return what each error, of one standard deviation, adds to the fields, site's frame, shape (n + 1, 3, k)."""
-        own, sensor = 0, None
+        count, sensor = len(self._model), None
         parts: list[FloatArray] = []
         field, gradient = self._model.evaluate(motion.position_m[:, None])
         if self._errors is not None:

@@ -29,7 +29,6 @@ FASTEST_M_S = 5.0
 CERTAIN, LIKELY = 4.0, 2.5
 """A change is said beyond so many of its standard deviations, and widens the covariance beyond so many."""
 
-
 BETTER = 2.0
 """What is usual is taken anew where the attitude tells it with so many times less variance: a track begins vaguely."""
 
@@ -78,14 +77,16 @@ class Evenness:
         change = seen - usual - moved @ motion.offset_T  # by the offset as it is now known
         # The errors of both attitudes turn the fields; that of the sensor's offset shows as far as the sensor turned.
         variance = by_attitude + doubt + moved @ covariance[OFFSET, OFFSET] @ moved.T
-        whole = float(np.linalg.norm(field))
-        size = float(np.linalg.norm(change))
-        ways = field / whole, change / size if size else np.zeros(3)  # no turn makes a change along the field
+        whole, size = (float(np.linalg.norm(vector)) for vector in (field, change))
+        ways = [vector / length for vector, length in ((field, whole), (change, size)) if length]
+        if not ways:
+            return
+        # The attitude's errors make no change along the field.
         sizes = np.array([abs(float(way @ change)) for way in ways])
         errors = np.sqrt([max(float(way @ variance @ way), 0.0) for way in ways])
         self.change_T = max(float((sizes - CERTAIN * errors).max()) - self._even_T, 0.0)
         beyond = float((sizes**2 - (LIKELY * errors) ** 2).max()) - self._even_T**2
-        self.share = math.sqrt(max(beyond, 0.0)) / whole
+        self.share = math.sqrt(max(beyond, 0.0)) / max(whole, size)
         if not self.change_T and BETTER * np.trace(by_attitude) < np.trace(doubt):
             self._usual = seen, motion.rotation, by_attitude
             return

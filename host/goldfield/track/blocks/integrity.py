@@ -51,6 +51,12 @@ class Integrity:
     equations : BlockEquations
     aside : Executor, optional
         Where cycles are judged; None: where the blocks are taken.
+
+    Attributes
+    ----------
+    watch : Watch
+    ambient_T : ndarray, shape (3,)
+        The ambient field of the last block that was added, in the sensor's frame.
     """
 
     def __init__(
@@ -60,6 +66,7 @@ class Integrity:
         self._model = FieldModel(site.beacons)
         self._judge = Judge(site, equations)
         self.watch = Watch(considered)
+        self.ambient_T = np.zeros(3)
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         self._usual = 0.0
         self._pending: Callable[[], Judged] | None = None

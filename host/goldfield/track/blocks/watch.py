@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.locate.chances import chdtri
-from goldfield.track.blocks.consider import DISTORTIONS, Considered
+from goldfield.track.blocks.consider import BENDS, Considered
 from goldfield.track.blocks.equations import NormalForm
 from goldfield.track.blocks.update import Reference
 from goldfield.types import FloatArray
@@ -88,7 +88,7 @@ class Watch:
             self.alarm, self.share = False, 0.0
             return
         to_sensor = around.motion.rotation.T
-        bent = (around.field_T[:-1] @ around.motion.rotation @ DISTORTIONS).transpose(1, 2, 0)
+        bent = (around.field_T[:-1] @ around.motion.rotation @ BENDS).transpose(1, 2, 0)
         parts = [to_sensor @ around.jacobian[:-1, :, :POSE], bent]
         errors = self._considered.effects(around.motion)
         if errors is not None:
