@@ -12,16 +12,14 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 
 from goldfield_protocol import FrameDecoder, Message, decode
 from hil_sim.rig import Rig
-from hil_sim.scenario import load as load_scenario
 from tests.hil.reference_coil import COIL
+from tests.hil.scenario_text import scenario_of
 
 LENGTH_S = 2.6
 """Virtual time of a boot: all boards have told their counters twice."""
@@ -94,10 +92,7 @@ def boot(seed: int, cycles: float | str) -> tuple[list[str], float]:
     """Boot once; return what is wrong, and when the sensor's first locked cycle was told, s."""
     random = np.random.default_rng([12, seed])
     clocks = {name: _clock(random) for name in NAMES}
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / "boot.toml"
-        path.write_text(SCENARIO.format(coil=COIL, seed=seed, spread=SPREAD_S, **clocks), encoding="utf-8")
-        scenario = load_scenario(path)
+    scenario = scenario_of(SCENARIO.format(coil=COIL, seed=seed, spread=SPREAD_S, **clocks))
     decoders = [FrameDecoder() for _ in NAMES]
     messages: list[list[Message]] = [[] for _ in NAMES]
     first_s = float("nan")

@@ -14,10 +14,8 @@ from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -25,9 +23,9 @@ from goldfield_protocol import FrameDecoder, decode
 from goldfield_protocol.table import counter_name
 from hil_sim.rig import Rig
 from hil_sim.scenario import Scenario
-from hil_sim.scenario import load as load_scenario
 from tests.firmware.host_rig import PIN_ENABLE
 from tests.hil.reference_coil import COIL
+from tests.hil.scenario_text import scenario_of
 
 STEP_S = 0.1
 """Time between two looks at the boards, s: their links then hold all that came."""
@@ -73,10 +71,7 @@ def _clock(random: np.random.Generator, hours: float) -> str:
 def _scenario(seed: int, hours: float) -> Scenario:
     random = np.random.default_rng([12, seed])
     clocks = {name: _clock(random, hours) for name in ("sensor", "master")}
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / "long_run.toml"
-        path.write_text(SCENARIO.format(coil=COIL, seed=seed, **clocks), encoding="utf-8")
-        return load_scenario(path)
+    return scenario_of(SCENARIO.format(coil=COIL, seed=seed, **clocks))
 
 
 @dataclass

@@ -7,17 +7,14 @@ times.
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.rig import Rig
-from hil_sim.scenario import load as load_scenario
 from tests.firmware.host_rig import PIN_ENABLE, US, chip_seconds
 from tests.hil.reference_coil import COIL
+from tests.hil.scenario_text import scenario_of
 
 CHIP = round(chip_seconds(0.0) * 1e12)
 BEACON = 1
@@ -58,10 +55,7 @@ CAUSES = {1: "over_current", 2: "open_coil", 5: "excess"}
 
 def off_after(kind: str, seed: int) -> tuple[int, str]:
     """Let a fault come; return how long after it the drive ended, ps, and why."""
-    with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / "faults.toml"
-        path.write_text(SCENARIO.format(coil=COIL), encoding="utf-8")
-        scenario = load_scenario(path)
+    scenario = scenario_of(SCENARIO.format(coil=COIL))
     random = np.random.default_rng([17, seed])
     decoder, why = FrameDecoder(), 0
     with Rig(scenario, "emulated", threads=1) as rig:
