@@ -25,6 +25,8 @@ HEADERS = (
     "core/link/messages.h",
     "core/link/queue.h",
     "core/link/parameters.h",
+    "core/storage/crc32.h",
+    "core/storage/store.h",
     "core/math/quaternion.h",
     "core/math/triangle.h",
     "core/pose/loop_field.h",

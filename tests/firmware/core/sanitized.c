@@ -13,6 +13,8 @@
 #include "core/link/frame.h"
 #include "core/link/parameters.h"
 #include "core/link/queue.h"
+#include "core/storage/crc32.h"
+#include "core/storage/store.h"
 #include "core/timing/chip_clock.h"
 
 #define REQUIRE(condition) ((condition) ? (void)0 : (fprintf(stderr, "line %d: %s\n", __LINE__, #condition), exit(1)))
@@ -200,6 +202,37 @@ static void threads(void) {
     REQUIRE(received + queue.lost + queue_count(&queue) == MESSAGES);
 }
 
+/* Saves into flash that begins with anything, and whose programming now and then does not take. */
+static void store(void) {
+    enum { WORDS = 64, ROUNDS = 300, MOST_STEPS = 1000 };
+    static uint32_t slots[STORE_SLOTS][WORDS];
+    static const uint32_t marks[] = {0, UINT32_MAX, 0x47465331u, 0x2D5A1E69u, 0x5AC3A53Cu, 0x47520001u, 0x4752FFFFu};
+    uint32_t data[WORDS];
+    for (uint32_t round = 0; round < ROUNDS; round++) {
+        for (uint32_t i = 0; i < STORE_SLOTS * WORDS; i++) {
+            slots[i / WORDS][i % WORDS] = noise() % 3u == 0u ? noise() : marks[noise() % 7u];
+        }
+        const store_flash_t flash = {{slots[0], slots[1]}, noise() % (WORDS + 1u)};
+        store_t kept;
+        store_open(&kept, &flash);
+        for (uint32_t i = 0; i < MOST_STEPS; i++) {
+            const store_step_t step = store_next(&kept);
+            if (step.kind == STORE_PROGRAM && noise() % 8u != 0u) {
+                slots[step.slot][step.index] &= step.value;
+            } else if (step.kind == STORE_ERASE) {
+                memset(slots[step.slot], 0xFF, (size_t)flash.words * sizeof slots[0][0]);
+            } else if (step.kind == STORE_NOTHING) {
+                data[noise() % WORDS] = noise();
+                (void)store_save(&kept, data, noise() % WORDS);
+            }
+        }
+        uint32_t count;
+        const uint32_t *const read = store_read(&kept, &count);
+        REQUIRE(read != NULL || count == 0u);
+        REQUIRE(read == NULL || crc32(0, read, (size_t)count * sizeof *read) != 1u);
+    }
+}
+
 int main(void) {
     gold();
     despread();
@@ -207,6 +240,7 @@ int main(void) {
     currents();
     waveforms();
     bytes();
+    store();
     threads();
     return 0;
 }
