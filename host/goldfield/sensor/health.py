@@ -193,7 +193,7 @@ class Health:
     def _take_header(self, board: Board, message: Message) -> None:
         headers = self._headers.setdefault(board.node, Headers(self._cycle_s))
         event = headers.take(int(message.signals["cycle"]), message.signals["time"])
-        if event is Event.DOUBLED:
+        if event is Event.DOUBLED and board.locked is not False:  # a starting board may begin its count several times
             board.doubled_s = self.now_s
         elif event is Event.RESTARTED:
             self._restarted(board)

@@ -175,6 +175,17 @@ def test_two_sensors_of_one_number_count_while_both_are_heard(bus):
     assert bus.run(2) == Verdict()
 
 
+@pytest.mark.parametrize(("locked", "told"), [(0, False), (1, True)])
+def test_a_count_that_begins_twice_before_the_clock_is_locked_is_no_second_board(locked, told):
+    """So an emulated sensor started that was read from its first cycle on: the third number fits the first count."""
+    bus = Bus()
+    for cycle, time_s in ((0, 0.049999), (0, 0.149997), (3, 0.348750)):
+        bus.header(cycle, time_s, locked)
+    for cycle in range(4, 7):
+        bus.header(cycle, 0.348750 + (cycle - 3) * CYCLE_S)
+    assert any("come twice and differently" in text for text in texts(bus.judge())) == told
+
+
 def test_two_boards_of_one_number_and_different_roles(bus):
     bus.say(heartbeat(role=3))
     bus.run(2)
