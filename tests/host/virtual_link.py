@@ -62,3 +62,6 @@ class VirtualLink(BusSource):
         value = self.parameters.get(number, 0)
         own = {"kind": 2, "value_float": value} if isinstance(value, float) else {"kind": 0, "value_unsigned": value}
         self.deliver(encode("PARAM_VALUE", {"status": 0, **own}, node=node, index=number), ANSWER_S)
+
+    def close(self):
+        """Let go of nothing."""

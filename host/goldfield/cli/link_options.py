@@ -85,4 +85,5 @@ def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Opti
         reconnect=getattr(arguments, "reconnect", True),
         rate_hz=getattr(arguments, "rate", None),
         lag_s=getattr(arguments, "lag", None),
+        awaits=getattr(arguments, "reconnect", False),
     )

@@ -25,6 +25,10 @@ STREAM = PARAMETERS["stream"].first
 """Whether the sensor streams its chips."""
 
 
+class Unheard(SystemFailure):
+    """A board is not heard, or does not answer: one that gets its power later may."""
+
+
 class Dialogue:
     """Asks one node on a bus.
 
@@ -133,9 +137,7 @@ class Dialogue:
             if refused is not None:
                 raise SystemFailure(f"{self._sensor} {refused}")
             return value_of(answer)
-        raise SystemFailure(
-            f"{self._sensor} did not answer a request for parameter {label_of(parameter)} in {TRIES} tries"
-        )
+        raise Unheard(f"{self._sensor} did not answer a request for parameter {label_of(parameter)} in {TRIES} tries")
 
     def _answer(self, parameter: int) -> Mapping[str, float] | None:
         """Return the signals of the answer, None if it does not come in time."""

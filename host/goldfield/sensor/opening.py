@@ -41,7 +41,8 @@ def connect(
         else every epoch is located by itself, and its pose is that of the middle of its cycle.
     listen_only, reconnect : bool, optional
         Send nothing, ever, as on a bus on which a recording is replayed, or to a sensor that another host has set up;
-        wait for a port that is gone and for a sensor that is silent, and go on, where they else end the poses.
+        wait for a port that is gone and for a sensor that is silent, at the start, too, and go on, where they else end
+        the poses.
     rate_hz, lag_s : float, optional
         Track; yield so many poses a second, each as soon as its block of chips is there (330 a second), or with
         ``on_sensor`` the sensor has sent it; yield them so much later, made of what came behind them, too.
@@ -57,7 +58,7 @@ def connect(
         If the arguments contradict each other, the port or bus cannot be opened, the site file is wrong, there are
         several sensors to choose from, or the sensor does not suit the site or speaks another protocol.
     SystemFailure
-        If no sensor is heard within 10 s (30 s if others are), or it does not answer.
+        If no sensor is heard within 10 s (30 s if others are), or it does not answer, unless it is waited for.
 
     Examples
     --------
@@ -70,7 +71,7 @@ def connect(
     """
     kind, where = _only(port=port, can=can)
     method = chosen_method(track, on_sensor, rate_hz, lag_s)
-    options = Options(method, node, None, None, listen_only, reconnect, rate_hz, lag_s)
+    options = Options(method, node, None, None, listen_only, reconnect, rate_hz, lag_s, awaits=reconnect)
     return open_sensor(kind, where, _site(site), options)
 
 

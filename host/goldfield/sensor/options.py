@@ -70,6 +70,8 @@ class Options:
         Nothing is ever sent: for a bus on which a recording is replayed, or that another host has set up.
     reconnect : bool
         A live link that is gone, and a sensor that is silent, are waited for; else they end the epochs.
+    awaits : bool
+        A live sensor that is not heard at the start is waited for, too; else it ends what reads it.
     rate_hz : float or None
         Poses a second of the sensor's time; None: one a cycle. Only for a track, the host's or the sensor's own.
     lag_s : float or None
@@ -85,6 +87,7 @@ class Options:
     reconnect: bool = False
     rate_hz: float | None = None
     lag_s: float | None = None
+    awaits: bool = False
 
     def check(self, site: Site) -> None:
         """Check that the options suit a site.

@@ -14,6 +14,7 @@ from goldfield.link.buses import BusSource, Source
 from goldfield.link.reports import Report
 from goldfield.sensor.amendment import amended_fields, amended_pose
 from goldfield.sensor.anchors import left_out
+from goldfield.sensor.awaiting import until_heard
 from goldfield.sensor.between import Between
 from goldfield.sensor.location import Succession, location, needed_parameters, with_finding, without
 from goldfield.sensor.options import Method, Options
@@ -104,7 +105,7 @@ class Sensor:
         If the site's codes cannot be separated, there are several sensors to choose from, or a live sensor does not
         suit or speaks another protocol.
     SystemFailure
-        If no live sensor is heard, or it does not answer.
+        If no live sensor is heard, or it does not answer, and is not waited for (`Options.awaits`).
     """
 
     def __init__(
@@ -140,7 +141,8 @@ class Sensor:
             self._succession = Succession()
             self._locate = location(site, method, self._succession)
             if self._session.live:
-                self._session.start(needed_parameters(site, self._options, blocks=self._session.block_parameters))
+                needed = needed_parameters(site, self._options, blocks=self._session.block_parameters)
+                until_heard(lambda: self._session.start(needed), awaits=self._options.awaits)
         except BaseException:
             source.close()
             raise

@@ -142,7 +142,8 @@ class Receiver:
 
     def mark(self, node: int | None) -> None:
         """Note in the recording that the reports of a node are read from the next message on; None: nobody's."""
-        self._marks.append(node)
+        if self._marks[-1:] != [node]:  # one that is waited for is started again and again
+            self._marks.append(node)
 
     def put_back(self, messages: Iterable[can.Message]) -> None:
         """Let messages that were received be received again, in their order, before all others."""

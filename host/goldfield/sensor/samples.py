@@ -10,6 +10,7 @@ import numpy as np
 from goldfield.errors import SystemFailure
 from goldfield.link.chips import Calibration, ChipAssembler
 from goldfield.link.heartbeat import STATE_STARTING
+from goldfield.sensor.awaiting import until_heard
 from goldfield.sensor.dialogue import STREAM
 from goldfield.sensor.session import SILENCE_S, WAIT_S, Session
 from goldfield.site import Site
@@ -35,13 +36,16 @@ def sample_cycles(session: Session, site: Site) -> Generator[FloatArray]:
     Raises
     ------
     SystemFailure
-        If no sensor is heard, or it does not answer, or sends no sample for `SILENCE_S` and is not waited for.
+        If no sensor is heard, or it does not answer, or sends no sample for `SILENCE_S`, and is not waited for.
     UserError
         If a node speaks another protocol, or the sensor works with codes of another degree than the site's.
     """
-    session.find()
-    calibration = _calibration(session, site)
-    stream = _Stream(session)
+
+    def begun() -> tuple[Calibration, _Stream]:
+        session.find()
+        return _calibration(session, site), _Stream(session)
+
+    calibration, stream = until_heard(begun, awaits=session.waits)
     try:
         yield from _cycles(stream, ChipAssembler(site.chips), calibration)
     finally:

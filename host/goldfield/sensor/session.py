@@ -20,7 +20,7 @@ from goldfield.link.requests import set_request
 from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.backlog import LIMIT_S, Backlog
 from goldfield.sensor.census import Census, Place
-from goldfield.sensor.dialogue import BLOCKS, STREAM, Dialogue, Parameters
+from goldfield.sensor.dialogue import BLOCKS, STREAM, Dialogue, Parameters, Unheard
 from goldfield.sensor.health import Health
 from goldfield.sensor.keeping import Keeping
 from goldfield.sensor.on_sensor import OnSensorTrack
@@ -216,7 +216,7 @@ class Session:
         Raises
         ------
         SystemFailure
-            If no sensor is heard, or it does not answer or refuses.
+            If no sensor is heard, or it does not answer, as `Unheard`, or refuses.
         UserError
             If a node speaks another protocol, the sensor works with another degree than the site's, or the site has
             more beacons than a sensor reports.
@@ -256,7 +256,7 @@ class Session:
 
         Raises
         ------
-        SystemFailure
+        Unheard
             If nothing is heard for `SILENCE_S`, or no sensor within `PATIENCE_S`.
         UserError
             If there are several sensors to choose from, or the sensor speaks another protocol.
@@ -279,7 +279,7 @@ class Session:
         if not self._take_place(census.choose(self.name)):
             for raw in kept:
                 self.receiver.decoded(raw)  # which counts what is none of ours
-            raise SystemFailure(self._nothing_found(census, waited_s))
+            raise Unheard(self._nothing_found(census, waited_s))
         self.receiver.put_back(kept)
 
     def reports(self) -> Iterator[Report]:
