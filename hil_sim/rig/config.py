@@ -13,7 +13,8 @@ REFERENCE_V = 3.3
 
 SAME_IN_C = (
     *("source_Ohm", "reference_offset_A", "asymmetry", "dc_error_A", "dead_time_s", "driver_delay_s"),
-    *("driver_limit_A", "ambient_degC", "thermal_resistance_K_per_W", "heat_capacity_J_per_K", "shorted_fraction"),
+    *("driver_limit_A", "ambient_degC", "thermal_resistance_K_per_W", "heat_capacity_J_per_K"),
+    *("shorted_fraction", "shorted_coupling"),
 )
 """Fields that a `Circuit` and ``coil_config_t`` have in common."""
 

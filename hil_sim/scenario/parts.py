@@ -70,7 +70,9 @@ class Circuit:
     ambient_degC, thermal_resistance_K_per_W, heat_capacity_J_per_K : float
         Surroundings of the coil, whose resistance is that at 20 degC; thermal resistance 0: it stays at the ambient's.
     shorted_fraction : float
-        Share of the turns that the fault ``coil_shorted`` takes away.
+        Share of the turns that the fault ``coil_shorted`` shorts.
+    shorted_coupling : float
+        Coupling of these turns to the rest: 1 is a transformer without leakage.
     """
 
     current_A: float
@@ -91,6 +93,7 @@ class Circuit:
     thermal_resistance_K_per_W: float = 0.0
     heat_capacity_J_per_K: float = 0.0
     shorted_fraction: float = 0.5
+    shorted_coupling: float = 0.9
 
 
 @dataclass(frozen=True)

@@ -139,7 +139,8 @@ CIRCUIT_KEYS = tuple(field.name for field in fields(Circuit))
 COIL_KEYS = (*CIRCUIT_KEYS, "turns", "radius_m", "axis")
 CIRCUIT_NOT_NEGATIVE = (
     *("source_Ohm", "dead_time_s", "driver_delay_s", "driver_limit_A"),
-    *("thermal_resistance_K_per_W", "heat_capacity_J_per_K", "shorted_fraction"),
+    *("thermal_resistance_K_per_W", "heat_capacity_J_per_K"),
+    *("shorted_fraction", "shorted_coupling"),
 )
 CIRCUIT_REQUIRED = ("current_A", "inductance_H", "resistance_Ohm", "supply_V")
 FRONT_END_KEYS = (
@@ -288,6 +289,10 @@ def _beacon(table: Table, defaults: Defaults) -> Beacon:
             raise source(key).error(key, f"is {values[key]:g}; it must not be negative")
     if values.get("shorted_fraction", 0.0) >= 1.0:
         raise source("shorted_fraction").error("shorted_fraction", "is 1 or more; some turns must be left")
+    if not 0.0 < values.get("shorted_coupling", 0.5) < 1.0:
+        raise source("shorted_coupling").error(
+            "shorted_coupling", f"is {values['shorted_coupling']:g}; it must be between 0 and 1"
+        )
     if values.get("thermal_resistance_K_per_W", 0.0) > 0.0 and values.get("heat_capacity_J_per_K", 0.0) == 0.0:
         raise source("thermal_resistance_K_per_W").error(
             "thermal_resistance_K_per_W", "needs a heat_capacity_J_per_K above 0: without one the coil has no time"

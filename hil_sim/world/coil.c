@@ -2,6 +2,7 @@
 
 #include <math.h>
 
+#include "world/coil_law.h"
 #include "world/noise.h"
 
 static const double sense_middle_V = 1.65;
@@ -10,40 +11,6 @@ static const double refresh_s = 0.01; /* A segment of a coil that warms up is no
 
 static double seconds(int64_t time_ps) {
     return (double)time_ps * 1e-12;
-}
-
-/* ---- The laws of one piece; elapsed counts from its start ---- */
-
-static double current_in(const coil_segment_t *segment, const coil_piece_t *piece, double elapsed) {
-    if (piece->held) {
-        return piece->current_A;
-    }
-    return piece->limit_A + (piece->current_A - piece->limit_A) * exp(-elapsed / segment->slow_s);
-}
-
-/* Where the low-pass is. A held current leaves it with its own time constant. Else the current is limit + b exp(-t/T),
- * the filter's answer to that limit + b T/(T - lag) exp(-t/T), and the rest dies away with the filter's own. */
-static double lagged_in(const coil_t *coil, const coil_segment_t *segment, const coil_piece_t *piece, double elapsed) {
-    const double slow = segment->slow_s, lag = coil->config.lag_s;
-    if (lag <= 0.0) {
-        return current_in(segment, piece, elapsed);
-    }
-    if (piece->held) {
-        return piece->current_A + (piece->lagged_A - piece->current_A) * exp(-elapsed / lag);
-    }
-    const double forced = (piece->current_A - piece->limit_A) * slow / (slow - lag);
-    const double rest = piece->lagged_A - piece->limit_A - forced;
-    return piece->limit_A + forced * exp(-elapsed / slow) + rest * exp(-elapsed / lag);
-}
-
-/* Returns the integral of the square of the current, A^2 s. */
-static double heat_in(const coil_segment_t *segment, const coil_piece_t *piece, double elapsed) {
-    if (piece->held) {
-        return piece->current_A * piece->current_A * elapsed;
-    }
-    const double slow = segment->slow_s, limit = piece->limit_A, away = piece->current_A - limit;
-    const double once = 1.0 - exp(-elapsed / slow), twice = 1.0 - exp(-2.0 * elapsed / slow);
-    return limit * limit * elapsed + 2.0 * limit * away * slow * once + away * away * 0.5 * slow * twice;
 }
 
 /* ---- Segments ---- */
@@ -70,19 +37,19 @@ static const coil_piece_t *piece_at(const coil_segment_t *segment, double elapse
 }
 
 /* Appends a law that begins where the one before it is by then, and returns it, held; the first begins at the segment's
- * start, from the current and lagged current that piece[0] has. */
+ * start, from the currents that piece[0] has. */
 static coil_piece_t *add_piece(const coil_t *coil, coil_segment_t *segment, double since_s) {
     coil_piece_t *const piece = &segment->piece[segment->count++];
     if (segment->count > 1) {
         coil_piece_t *const before = piece - 1;
         before->until_s = since_s;
-        piece->current_A = current_in(segment, before, since_s - before->since_s);
-        piece->lagged_A = lagged_in(coil, segment, before, since_s - before->since_s);
+        piece->current_A = coil_law_current(before, since_s - before->since_s);
+        piece->second_A = coil_law_second(before, since_s - before->since_s);
+        piece->lagged_A = coil_law_lagged(segment, before, coil->config.lag_s, since_s - before->since_s);
     }
     piece->since_s = since_s;
     piece->until_s = INFINITY;
-    piece->limit_A = piece->current_A;
-    piece->held = true;
+    coil_law_hold(segment, piece);
     return piece;
 }
 
@@ -93,11 +60,11 @@ static void go_to(const coil_t *coil, coil_segment_t *segment, double since_s, d
     if (reachable && piece->current_A == target_A) {
         return;
     }
-    piece->held = false;
-    piece->limit_A = (reachable ? target_A > piece->current_A : target_A > 0.0) ? segment->full_A : -segment->full_A;
-    const double ahead = (piece->current_A - piece->limit_A) / (target_A - piece->limit_A);
-    if (reachable && ahead > 0.0) {
-        coil_piece_t *const held = add_piece(coil, segment, since_s + segment->slow_s * log(ahead));
+    const bool up = reachable ? target_A > piece->current_A : target_A > 0.0;
+    coil_law_drive(segment, piece, up ? segment->full_A : -segment->full_A);
+    const double arrives_s = reachable ? coil_law_arrival(segment, piece, target_A) : INFINITY;
+    if (isfinite(arrives_s)) {
+        coil_piece_t *const held = add_piece(coil, segment, since_s + arrives_s);
         held->current_A = held->limit_A = target_A; /* Exactly, not to rounding. */
     }
 }
@@ -118,24 +85,43 @@ static double target(const coil_t *coil, const coil_segment_t *segment) {
     }
     const double held_A = sign * coil->set_point_A * (1.0 + sign * config->asymmetry) + config->dc_error_A;
     const double spare_V = segment->supply_V - segment->copper_Ohm * fabs(held_A);
-    const double late_A = spare_V > 0.0 ? spare_V * config->driver_delay_s / segment->inductance_H : 0.0;
+    const double fast_H = segment->first_H -
+                          (segment->shorted > 0.0 ? segment->mutual_H * segment->mutual_H / segment->second_H : 0.0);
+    const double late_A = spare_V > 0.0 ? spare_V * config->driver_delay_s / fast_H : 0.0;
     const double asked_A = held_A + copysign(late_A, held_A);
     return fabs(asked_A) > limit_A ? copysign(limit_A, asked_A) : asked_A;
+}
+
+/* A time constant that is not the low-pass's: equal ones would divide by zero, and one part in a million apart is the
+ * same circuit. */
+static double apart(const coil_t *coil, double slow_s) {
+    const double lag_s = coil->config.lag_s;
+    return fabs(lag_s - slow_s) < 0.5e-6 * slow_s ? lag_s / (1.0 + 1e-6) : slow_s;
 }
 
 /* Fills in the circuit as it is from now on. */
 static void take_circuit(const coil_t *coil, coil_segment_t *segment) {
     const coil_config_t *const config = &coil->config;
-    const double left = coil->fault[COIL_SHORTED] ? 1.0 - config->shorted_fraction : 1.0;
+    const double f = coil->fault[COIL_SHORTED] ? config->shorted_fraction : 0.0, k = config->shorted_coupling;
     const double warm = 1.0 + copper_per_K * (coil->temperature_degC - copper_degC);
-    segment->copper_Ohm = config->resistance_Ohm * left * warm;
-    segment->inductance_H = config->inductance_H * left * left;
+    const double all_H = config->inductance_H / ((1.0 - f) * (1.0 - f) + 2.0 * k * f * (1.0 - f) + f * f);
+    segment->shorted = f;
+    segment->copper_Ohm = config->resistance_Ohm * (1.0 - f) * warm;
+    segment->second_Ohm = config->resistance_Ohm * f * warm;
+    segment->first_H = all_H * (1.0 - f) * (1.0 - f);
+    segment->mutual_H = all_H * k * f * (1.0 - f);
+    segment->second_H = all_H * f * f;
     segment->supply_V = coil->supply_V;
-    segment->slow_s = segment->inductance_H / (segment->copper_Ohm + config->source_Ohm);
-    segment->full_A = coil->supply_V / (segment->copper_Ohm + config->source_Ohm);
-    /* Equal time constants would divide by zero; one part in a million apart is the same circuit. */
-    if (fabs(config->lag_s - segment->slow_s) < 0.5e-6 * segment->slow_s) {
-        segment->slow_s = config->lag_s / (1.0 + 1e-6);
+    const double ohms = segment->loop_Ohm = segment->copper_Ohm + config->source_Ohm;
+    segment->full_A = coil->supply_V / ohms;
+    segment->slow_s[0] = apart(coil, segment->first_H / ohms);
+    if (f > 0.0) { /* (L1 - T r) (L2 - T R2) = M^2 */
+        const double one = segment->first_H / ohms, two = segment->second_H / segment->second_Ohm;
+        const double product = one * two * (1.0 - k * k), half = 0.5 * (one + two);
+        const double slowest = half + sqrt(half * half - product);
+        segment->slow_s[0] = apart(coil, slowest);
+        segment->slow_s[1] = apart(coil, product / slowest);
+        segment->held_s = apart(coil, two);
     }
 }
 
@@ -152,12 +138,29 @@ double coil_temperature(const coil_t *coil, int64_t time_ps) {
     double heat = 0.0;
     for (unsigned i = 0; i < segment->count && segment->piece[i].since_s < elapsed; ++i) {
         const coil_piece_t *const piece = &segment->piece[i];
-        heat += heat_in(segment, piece, fmin(elapsed, piece->until_s) - piece->since_s);
+        heat += coil_law_heat(segment, piece, fmin(elapsed, piece->until_s) - piece->since_s);
     }
-    const double power = segment->copper_Ohm * heat / elapsed;
-    const double tends_to = config->ambient_degC + power * config->thermal_resistance_K_per_W;
+    const double tends_to = config->ambient_degC + heat / elapsed * config->thermal_resistance_K_per_W;
     const double slow = config->thermal_resistance_K_per_W * config->heat_capacity_J_per_K;
     return tends_to + (coil->temperature_degC - tends_to) * exp(-elapsed / slow);
+}
+
+/* What jumps when a wire breaks, or turns are shorted or are so no more: the flux of the turns that stay a loop stays.
+ * A short begins with the current of all turns in the shorted ones. */
+static void keep_flux(const coil_t *coil, const coil_segment_t *before, const coil_segment_t *now,
+                      coil_piece_t *piece) {
+    if (before->shorted > 0.0 && now->shorted == 0.0) {
+        piece->current_A = ((before->first_H + before->mutual_H) * piece->current_A +
+                            (before->mutual_H + before->second_H) * piece->second_A) /
+                           now->first_H;
+        piece->second_A = 0.0;
+    } else if (before->shorted == 0.0 && now->shorted > 0.0) {
+        piece->second_A = piece->current_A;
+    }
+    if (coil->fault[COIL_OPEN]) {
+        piece->second_A += now->shorted > 0.0 ? now->mutual_H / now->second_H * piece->current_A : 0.0;
+        piece->current_A = 0.0;
+    }
 }
 
 /* The inputs have changed: the current goes on from where it is. dead_s is how long the bridge is off because of it. */
@@ -169,10 +172,12 @@ static void begin_segment(coil_t *coil, double dead_s, int64_t time_ps) {
     coil_segment_t next = {
         .start_ps = latest->start_ps > time_ps ? latest->start_ps : time_ps,
         .dead_s = fmax(dead_s, latest->dead_s - elapsed),
-        .piece[0].current_A = coil->fault[COIL_OPEN] ? 0.0 : current_in(latest, piece, elapsed - piece->since_s),
-        .piece[0].lagged_A = lagged_in(coil, latest, piece, elapsed - piece->since_s),
+        .piece[0].current_A = coil_law_current(piece, elapsed - piece->since_s),
+        .piece[0].second_A = coil_law_second(piece, elapsed - piece->since_s),
+        .piece[0].lagged_A = coil_law_lagged(latest, piece, coil->config.lag_s, elapsed - piece->since_s),
     };
     take_circuit(coil, &next);
+    keep_flux(coil, latest, &next, &next.piece[0]);
     double since_s = 0.0;
     if (next.dead_s > 0.0 && coil->enabled) {
         go_to(coil, &next, 0.0, 0.0);
@@ -245,14 +250,21 @@ double coil_current(const coil_t *coil, int64_t time_ps) {
     const coil_segment_t *const segment = segment_at(coil, coil->head, time_ps);
     const double elapsed = elapsed_in(segment, time_ps);
     const coil_piece_t *const piece = piece_at(segment, elapsed);
-    return current_in(segment, piece, elapsed - piece->since_s);
+    return coil_law_current(piece, elapsed - piece->since_s);
+}
+
+double coil_second(const coil_t *coil, int64_t time_ps) {
+    const coil_segment_t *const segment = segment_at(coil, coil->head, time_ps);
+    const double elapsed = elapsed_in(segment, time_ps);
+    const coil_piece_t *const piece = piece_at(segment, elapsed);
+    return coil_law_second(piece, elapsed - piece->since_s);
 }
 
 double coil_lagged(const coil_t *coil, uint64_t head, int64_t time_ps) {
     const coil_segment_t *const segment = segment_at(coil, head, time_ps);
     const double elapsed = elapsed_in(segment, time_ps);
     const coil_piece_t *const piece = piece_at(segment, elapsed);
-    return lagged_in(coil, segment, piece, elapsed - piece->since_s);
+    return coil_law_lagged(segment, piece, coil->config.lag_s, elapsed - piece->since_s);
 }
 
 double coil_sense(coil_t *coil, uint64_t seed, uint64_t stream, int64_t time_ps) {
@@ -274,7 +286,7 @@ double coil_bus(const coil_t *coil, int64_t time_ps) {
     const coil_segment_t *const segment = &coil->segments[coil->head % COIL_HISTORY];
     const double elapsed = elapsed_in(segment, time_ps), source_Ohm = coil->config.source_Ohm;
     const coil_piece_t *const piece = piece_at(segment, elapsed);
-    const double current_A = current_in(segment, piece, elapsed - piece->since_s);
+    const double current_A = coil_law_current(piece, elapsed - piece->since_s);
     if (piece->held) { /* The supply gives the copper's power at the bridge's voltage. */
         const double rest = segment->supply_V * segment->supply_V -
                             4.0 * source_Ohm * segment->copper_Ohm * current_A * current_A;

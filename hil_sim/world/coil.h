@@ -18,6 +18,15 @@
  * input both halves of the bridge are off, and the diodes conduct as when it is disabled. A loop that acts
  * driver_delay_s late overshoots by (V - R |i|) delay / L, which a shorted coil makes large.
  *
+ * Shorted turns (a share f of all) are a winding of their own, on which the rest (1 - f) works as a transformer does:
+ *
+ *     L1 di/dt + M di2/dt = +-V - ((1 - f) R + Rs) i        L1 = (1 - f)^2 Lx, L2 = f^2 Lx, M = k f (1 - f) Lx
+ *     M di/dt + L2 di2/dt = -f R i2                         L1 + 2 M + L2 = L,  k the coupling of the two
+ *
+ * Both turn the same way, and at the short's beginning they carry the same current. A fast edge sees L1 - M^2 / L2
+ * alone; where the driver holds i, i2 dies away with L2 / (f R). The field is that of (1 - f) i + f i2, and it is this
+ * which the sensor's low-pass takes. When the short ends, the flux (L1 + M) i + (M + L2) i2 stays.
+ *
  * The copper has resistance_Ohm at 20 degC and 0.393 % more for each kelvin above. The coil's temperature follows
  *
  *     C dT/dt = R i^2 - (T - ambient) / Rth
@@ -64,14 +73,15 @@ typedef struct {
     double ambient_degC;
     double thermal_resistance_K_per_W; /* From coil to ambient; 0: the coil has the ambient's temperature. */
     double heat_capacity_J_per_K;      /* The coil's; above 0 if the thermal resistance is. */
-    double shorted_fraction;           /* Share of the turns that COIL_SHORTED takes away, 0..1, without 1. */
+    double shorted_fraction;           /* Share of the turns that COIL_SHORTED shorts, f, 0..1, without 1. */
+    double shorted_coupling;           /* Coupling of these turns to the rest, k, between 0 and 1. */
 } coil_config_t;
 
 /* What may be wrong with a coil, its driver or its current sense. */
 typedef enum {
-    COIL_OPEN = 0,    /* No current can flow. */
-    COIL_SHORTED = 1, /* Turns are shorted: inductance (1 - f)^2, resistance (1 - f). They do not couple to the rest. */
-    COIL_RUNAWAY = 2, /* The driver's loop is gone: an enabled bridge gives the full supply in the asked direction. */
+    COIL_OPEN = 0,     /* No current can flow. */
+    COIL_SHORTED = 1,  /* Turns are shorted, as said above. */
+    COIL_RUNAWAY = 2,  /* The driver's loop is gone: an enabled bridge gives the full supply in the asked direction. */
     COIL_STUCK_ON = 3, /* A half of the bridge is shorted: the full supply, positive, whatever inputs and enable say. */
     COIL_SENSE_LOW = 4,  /* The sense output lies at 0 V. */
     COIL_SENSE_HELD = 5, /* The sense output stays where it was when somebody last looked. */
@@ -80,22 +90,36 @@ typedef enum {
 
 #define COIL_PIECES 4 /* Most pieces of a segment: down by the diodes, zero, toward the target, held. */
 
-/* One law of the current, in force between two ages of its segment. */
+#define COIL_MODES 2 /* Most time constants of a current: shorted turns have a second. */
+
+/* One law of the currents, in force between two ages of its segment: limit + sum of mode exp(-t / slow). */
 typedef struct {
     double since_s, until_s;
     double current_A; /* Current at the piece's start. */
+    double second_A;  /* Current in the shorted turns at the piece's start. */
     double lagged_A;  /* Lagged current at the piece's start. */
-    double limit_A;   /* Where the current tends to. */
-    bool held;        /* It stays at current_A. */
+    double limit_A;   /* Where the current tends to; that in the shorted turns tends to 0. */
+    double slow_s[COIL_MODES];
+    double mode_A[COIL_MODES], second_mode_A[COIL_MODES];
+    unsigned modes; /* 0: the current stays as it is. */
+    bool held;      /* It stays at current_A, whatever the shorted turns do. */
 } coil_piece_t;
 
 typedef struct {
     int64_t start_ps;
-    double slow_s; /* Time constant of the current, T. */
-    double full_A; /* Where the supply alone would bring the current. */
-    double copper_Ohm, inductance_H, supply_V;
-    double dead_s;  /* Until then both halves of the bridge are off. */
-    unsigned count; /* Pieces; the last is in force for ever. */
+    double full_A;     /* Where the supply alone would bring the current. */
+    double shorted;    /* Share of the turns that are shorted, f; 0: none. */
+    double first_H;    /* Inductance of the turns that are not, L1; L if there are none that are. */
+    double mutual_H;   /* M. */
+    double second_H;   /* L2. */
+    double copper_Ohm; /* Resistance of the turns that are driven, */
+    double second_Ohm; /* and of those that are shorted. */
+    double loop_Ohm;   /* That of the copper and of the supply. */
+    double supply_V;
+    double slow_s[COIL_MODES]; /* Time constants while the supply drives, */
+    double held_s;             /* and that of the shorted turns while the driver holds the current. */
+    double dead_s;             /* Until then both halves of the bridge are off. */
+    unsigned count;            /* Pieces; the last is in force for ever. */
     coil_piece_t piece[COIL_PIECES];
 } coil_segment_t;
 
@@ -125,8 +149,12 @@ void coil_fault(coil_t *coil, coil_fault_t fault, bool active, int64_t time_ps);
 /* Returns the current at a time, ampere, as seen from the present; times after the last change are included. */
 double coil_current(const coil_t *coil, int64_t time_ps);
 
-/* Returns the lagged current at a time not before the history, ampere, looking no further than segment head. */
+/* Returns the lagged current at a time not before the history, ampere, looking no further than segment head; with
+ * shorted turns that of the field. */
 double coil_lagged(const coil_t *coil, uint64_t head, int64_t time_ps);
+
+/* Returns the current in the shorted turns at a time, ampere, as coil_current does; 0 without them. */
+double coil_second(const coil_t *coil, int64_t time_ps);
 
 /* Returns the volts at the sense output: 1.65 V + gain * current + noise; stream is the noise's (noise.h). A coil that
  * warms up takes its present resistance into account from here on, if it has not for 10 ms. */

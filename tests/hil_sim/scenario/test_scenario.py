@@ -283,6 +283,10 @@ WRONG = {
     ),
     "wrong type": ({"range_T": '"wide"'}, r'\[sensor\]: range_T must be a finite number, not the text "wide"'),
     "negative": ({"noise_T": "-1e-7"}, "noise_T is -1e-07; it must not be negative"),
+    "coupling": (
+        {"supply_V": "120.0\nshorted_coupling = 1.0"},
+        "shorted_coupling is 1; it must be between 0 and 1",
+    ),
     "no supply": ({"supply_V": "0.0"}, r"supply_V is 0; it must be greater than zero"),
     "node": ({"node": "5000"}, "node is 5000; it must lie in 1 to 4095"),
     "code": ({"code": "1025"}, "code is 1025; it must lie in 0 to 1024"),
