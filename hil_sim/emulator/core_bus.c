@@ -26,14 +26,21 @@ void core_bus_fault(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t addr
     cpu->deadline = 0;
 }
 
-/* A fault of an instruction that the processor abandons. Unicorn has not written its registers yet: they are put back
- * when the fault is taken. */
+/* A fault of an instruction that the processor abandons. Unicorn goes on with it, though it has not written its
+ * registers yet: they are put back when the fault is taken, and the accesses that follow do nothing. */
 static void abandon(cpu_t *cpu, unsigned exception, uint32_t cfsr, uint32_t address) {
     core_bus_fault(cpu, exception, cfsr, address);
     cpu->fault.abandoned = true;
     for (int i = 0; i < 15; i++) {
         cpu->fault.registers[i] = cpu_register(cpu, core_bus_registers[i]);
     }
+    for (int i = 0; i < 16; i++) {
+        uc_reg_read(cpu->uc, UC_ARM_REG_D0 + i, &cpu->fault.floating[i]);
+    }
+}
+
+static bool is_abandoned(const cpu_t *cpu) {
+    return cpu->fault.exception != 0 && cpu->fault.abandoned;
 }
 
 void core_bus_unaligned(cpu_t *cpu, uint32_t address, unsigned size, bool write) {
@@ -49,6 +56,9 @@ void core_bus_unaligned(cpu_t *cpu, uint32_t address, unsigned size, bool write)
 void core_bus_take_back(cpu_t *cpu, const fault_t *fault) {
     for (int i = 0; i < 15 && fault->abandoned; i++) {
         cpu_set_register(cpu, core_bus_registers[i], fault->registers[i]);
+    }
+    for (int i = 0; i < 16 && fault->abandoned; i++) {
+        uc_reg_write(cpu->uc, UC_ARM_REG_D0 + i, &fault->floating[i]);
     }
     if (fault->memory != NULL) {
         memcpy(fault->memory, fault->bytes, fault->size);
@@ -103,7 +113,7 @@ static uint64_t on_read(uc_engine *uc, uint64_t offset, unsigned size, void *use
     const uint32_t address = window->base + (uint32_t)offset;
     uint32_t value = 0;
     access_begin(cpu, address, false);
-    if (!admitted(cpu, window, address, size, MPU_READ)) {
+    if (is_abandoned(cpu) || !admitted(cpu, window, address, size, MPU_READ)) {
         return 0;
     }
     if (window->base != PRIVATE_BUS_BASE) {
@@ -123,7 +133,7 @@ static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t val
     cpu_t *const cpu = window->cpu;
     const uint32_t address = window->base + (uint32_t)offset;
     access_begin(cpu, address, true);
-    if (!admitted(cpu, window, address, size, MPU_WRITE)) {
+    if (is_abandoned(cpu) || !admitted(cpu, window, address, size, MPU_WRITE)) {
         return;
     }
     if (window->base != PRIVATE_BUS_BASE) {

@@ -276,6 +276,7 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
     }
     const bool forbidden = cpu->forbidden && (error == UC_ERR_READ_PROT || error == UC_ERR_WRITE_PROT);
     if (forbidden) {
+        uc_ctl_flush_tlb(cpu->uc); /* Unicorn would let the next read of that page pass. */
         instruction_failed(cpu, EXCEPTION_MEMORY_FAULT, CFSR_DACCVIOL | CFSR_MMARVALID,
                            "access that the memory protection unit forbids, to");
         return;

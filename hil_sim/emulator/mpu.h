@@ -3,12 +3,12 @@
  * mpu_read() and mpu_write() are its registers; mpu_allows() judges an access, and mpu_apply() lets Unicorn stop at the
  * pages in which something is forbidden, upon each change.
  *
- * Enforced are the core's accesses to peripherals, its reads, writes and fetches in memories, and the frames of
- * exceptions. Unicorn protects pages of 1 KB: where rules change within one, writes and fetches are judged by their
- * exact address, but reads are all allowed; a read is judged once a page until the rules change, and so is a fetch,
- * when its code is translated. An unprivileged program is judged in memories only where a page is restricted for the
- * privileged too. Not enforced: memory attributes (TEX, S, C, B), LDRT and STRT. The private peripheral bus is always
- * open.
+ * Enforced are the core's accesses to peripherals, its reads, writes and fetches in memories, also those of the
+ * floating-point unit, and the frames of exceptions. Unicorn protects pages of 1 KB: where rules change within one,
+ * writes and fetches are judged by their exact address, but reads are all allowed; a read that is allowed is not judged
+ * again in its page until the rules change or a read is refused; a fetch is judged when its code is translated. An
+ * unprivileged program is judged in memories only where a page is restricted for the privileged too. Not enforced:
+ * memory attributes (TEX, S, C, B), LDRT and STRT. The private peripheral bus is always open.
  */
 #ifndef GOLDFIELD_MPU_H
 #define GOLDFIELD_MPU_H

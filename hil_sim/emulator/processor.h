@@ -85,7 +85,8 @@ typedef struct {
     uint8_t it_state;    /* ITSTATE there. */
     bool abandoned;      /* The instruction had no effect on the registers: they were these before it. */
     uint32_t registers[15];
-    uint8_t *memory; /* Nor on what it would have written: it was this before; NULL: it wrote nothing. */
+    uint64_t floating[16]; /* d0 to d15. */
+    uint8_t *memory;       /* Nor on what it would have written: it was this before; NULL: it wrote nothing. */
     uint8_t bytes[8];
     unsigned size;
 } fault_t;
