@@ -63,7 +63,8 @@ static void enter_cylinders(const gf_coils_t *coils, const double position_m[3],
 static void converge_means(size_t n, gf_cylinders_t *at) {
     double difference = 0.0;
     for (size_t i = 0; i < n; ++i) {
-        difference = fmax(difference, 1.0 - at->mean_b[i] / at->mean_a[i]);
+        const double ratio = 1.0 - at->mean_b[i] / at->mean_a[i];
+        difference = ratio > difference ? ratio : difference;
     }
     double power = 1.0;
     for (int step = 0; step < MEAN_STEPS; ++step) {

@@ -35,48 +35,58 @@ static void evaluate(gf_epoch_t *epoch, const gf_pose_t *pose, gf_squares_t *out
     gf_add_vectors(out, epoch->coils, pose, epoch->field_T, epoch->weight);
 }
 
-/* The step of Levenberg and Marquardt. */
-static bool propose(const gf_epoch_t *epoch, const gf_squares_t *squares, double damping, double step[6]) {
-    double damped[6][6];
+/* The normal matrix, damped relative to its diagonal. */
+static void damp(const gf_epoch_t *epoch, const gf_squares_t *squares, double damping, double damped[6][6]) {
     double largest = 0.0;
-    memcpy(damped, squares->normal, sizeof damped);
+    memcpy(damped, squares->normal, sizeof squares->normal);
     for (size_t k = 0; k < 6; ++k) {
-        largest = fmax(largest, damped[k][k]);
+        largest = damped[k][k] > largest ? damped[k][k] : largest;
     }
     for (size_t k = 0; k < 6; ++k) {
         damped[k][k] += damping * damped[k][k] + 1e-14 * largest + 1e-300;
     }
-    const double stiffness = epoch->held ? STIFFNESS * (damped[0][0] + damped[1][1] + damped[2][2]) : 0.0;
+    if (!epoch->held) {
+        return;
+    }
+    const double stiffness = STIFFNESS * (damped[0][0] + damped[1][1] + damped[2][2]);
     for (size_t k = 0; k < 3; ++k) {
         for (size_t l = 0; l < 3; ++l) {
             damped[k][l] += stiffness * epoch->normal[k] * epoch->normal[l];
         }
     }
-    return gf_solve(6, (const double(*)[6])damped, squares->gradient, step);
 }
 
-static double promise(const gf_squares_t *squares, const double step[6]) {
-    double sum = 0.0;
-    for (size_t k = 0; k < 6; ++k) {
-        sum += squares->gradient[k] * step[k];
-    }
-    return sum;
+/* Whether the undamped step promises to lower the cost by less than this. */
+static bool is_least(const gf_epoch_t *epoch, const gf_squares_t *squares, double tolerance) {
+    double damped[6][6];
+    double promise;
+    damp(epoch, squares, 0.0, damped);
+    return gf_promise(6, (const double(*)[6])damped, squares->gradient, &promise) && promise < tolerance;
+}
+
+/* The step of Levenberg and Marquardt. */
+static bool propose(const gf_epoch_t *epoch, const gf_squares_t *squares, double damping, double step[6]) {
+    double damped[6][6];
+    damp(epoch, squares, damping, damped);
+    return gf_solve(6, (const double(*)[6])damped, squares->gradient, step);
 }
 
 void gf_descend(gf_epoch_t *epoch, size_t trials, double tolerance, gf_minimum_t *minimum) {
     gf_squares_t *const squares = &minimum->squares;
     double damping = FIRST_DAMPING;
     minimum->converged = false;
+    bool moved = true; /* since the undamped step was last looked at */
     evaluate(epoch, &minimum->pose, squares);
     for (size_t trial = 0; trial < trials && isfinite(squares->cost); ++trial) {
-        double step[6];
-        if (propose(epoch, squares, 0.0, step) && promise(squares, step) < tolerance) {
+        if (moved && is_least(epoch, squares, tolerance)) {
             minimum->converged = true;
             return;
         }
+        moved = false;
         if (damping > HOPELESS_DAMPING) {
             return;
         }
+        double step[6];
         if (!propose(epoch, squares, damping, step)) {
             damping *= TIGHTENED;
             continue;
@@ -91,6 +101,7 @@ void gf_descend(gf_epoch_t *epoch, size_t trials, double tolerance, gf_minimum_t
         if (next.cost <= squares->cost) {
             minimum->pose = there;
             *squares = next;
+            moved = true;
             damping = fmax(EASED * damping, LEAST_DAMPING);
         } else {
             damping *= TIGHTENED;

@@ -23,54 +23,107 @@ void gf_clear(gf_squares_t *squares) {
     memset(squares, 0, sizeof *squares);
 }
 
-/* Residuals and slopes in the site's frame: r = R b - B, dB = G dp + B x d_theta. */
-static void add_vector(gf_squares_t *squares, const gf_sources_t *s, size_t coil, const double residual_T[3],
-                       double weight) {
-    const double x = s->field_T[0][coil];
-    const double y = s->field_T[1][coil];
-    const double z = s->field_T[2][coil];
-    const double xx = s->gradient_T_m[0][coil];
-    const double yy = s->gradient_T_m[1][coil];
-    const double zz = s->gradient_T_m[2][coil];
-    const double xy = s->gradient_T_m[3][coil];
-    const double xz = s->gradient_T_m[4][coil];
-    const double yz = s->gradient_T_m[5][coil];
-    const double slope[3][6] = {
-        {xx, xy, xz, 0.0, -z, y},
-        {xy, yy, yz, z, 0.0, -x},
-        {xz, yz, zz, -y, x, 0.0},
-    };
-    for (size_t c = 0; c < 3; ++c) {
-        squares->cost += weight * residual_T[c] * residual_T[c];
-        for (size_t k = 0; k < 6; ++k) {
-            const double weighted = weight * slope[c][k];
-            squares->gradient[k] += weighted * residual_T[c];
-            for (size_t l = k; l < 6; ++l) {
-                squares->normal[k][l] += weighted * slope[c][l];
-            }
-        }
+/* What is summed over the coils. With a coil's field B, the symmetric gradient G and the residual r = R b - B, the
+ * slopes are dB = G dp + B x d_theta: they have few elements of their own. */
+enum {
+    COST,                  /* r.r */
+    GRADIENT,              /* G r and r x B */
+    SHIFTS = GRADIENT + 6, /* G G, row by row from the diagonal on */
+    CROSSED = SHIFTS + 6,  /* G times the matrix of B x, row by row */
+    TURNS = CROSSED + 9,   /* B.B - B B', row by row from the diagonal on */
+    PRODUCTS = TURNS + 6
+};
+
+/* One coil a column, so that the compiler works on several at a time. A coil that was not heard counts 0, even where
+ * its field is not finite. */
+static void multiply_out(size_t n, const gf_sources_t *s, const double rotation[3][3], const double *field_T,
+                         const double *weight, double out[PRODUCTS][GF_MOST_COILS]) {
+    for (size_t i = 0; i < n; ++i) {
+        const bool heard = weight[i] > 0.0;
+        const double w = weight[i];
+        const double a = heard ? field_T[3 * i] : 0.0;
+        const double b = heard ? field_T[3 * i + 1] : 0.0;
+        const double c = heard ? field_T[3 * i + 2] : 0.0;
+        const double x = heard ? s->field_T[0][i] : 0.0;
+        const double y = heard ? s->field_T[1][i] : 0.0;
+        const double z = heard ? s->field_T[2][i] : 0.0;
+        const double xx = heard ? s->gradient_T_m[0][i] : 0.0;
+        const double yy = heard ? s->gradient_T_m[1][i] : 0.0;
+        const double zz = heard ? s->gradient_T_m[2][i] : 0.0;
+        const double xy = heard ? s->gradient_T_m[3][i] : 0.0;
+        const double xz = heard ? s->gradient_T_m[4][i] : 0.0;
+        const double yz = heard ? s->gradient_T_m[5][i] : 0.0;
+        const double rx = rotation[0][0] * a + rotation[0][1] * b + rotation[0][2] * c - x;
+        const double ry = rotation[1][0] * a + rotation[1][1] * b + rotation[1][2] * c - y;
+        const double rz = rotation[2][0] * a + rotation[2][1] * b + rotation[2][2] * c - z;
+        const double wx = w * x;
+        const double wy = w * y;
+        const double wz = w * z;
+        out[COST][i] = w * (rx * rx + ry * ry + rz * rz);
+        out[GRADIENT][i] = w * (xx * rx + xy * ry + xz * rz);
+        out[GRADIENT + 1][i] = w * (xy * rx + yy * ry + yz * rz);
+        out[GRADIENT + 2][i] = w * (xz * rx + yz * ry + zz * rz);
+        out[GRADIENT + 3][i] = wz * ry - wy * rz;
+        out[GRADIENT + 4][i] = wx * rz - wz * rx;
+        out[GRADIENT + 5][i] = wy * rx - wx * ry;
+        out[SHIFTS][i] = w * (xx * xx + xy * xy + xz * xz);
+        out[SHIFTS + 1][i] = w * (xx * xy + xy * yy + xz * yz);
+        out[SHIFTS + 2][i] = w * (xx * xz + xy * yz + xz * zz);
+        out[SHIFTS + 3][i] = w * (xy * xy + yy * yy + yz * yz);
+        out[SHIFTS + 4][i] = w * (xy * xz + yy * yz + yz * zz);
+        out[SHIFTS + 5][i] = w * (xz * xz + yz * yz + zz * zz);
+        out[CROSSED][i] = xy * wz - xz * wy;
+        out[CROSSED + 1][i] = xz * wx - xx * wz;
+        out[CROSSED + 2][i] = xx * wy - xy * wx;
+        out[CROSSED + 3][i] = yy * wz - yz * wy;
+        out[CROSSED + 4][i] = yz * wx - xy * wz;
+        out[CROSSED + 5][i] = xy * wy - yy * wx;
+        out[CROSSED + 6][i] = yz * wz - zz * wy;
+        out[CROSSED + 7][i] = zz * wx - xz * wz;
+        out[CROSSED + 8][i] = xz * wy - yz * wx;
+        out[TURNS][i] = wy * y + wz * z;
+        out[TURNS + 1][i] = -wx * y;
+        out[TURNS + 2][i] = -wx * z;
+        out[TURNS + 3][i] = wx * x + wz * z;
+        out[TURNS + 4][i] = -wy * z;
+        out[TURNS + 5][i] = wx * x + wy * y;
     }
+}
+
+/* The sum of a column, even and odd elements apart. */
+static inline double sum_of(size_t n, const double *value) {
+    double even = 0.0;
+    double odd = 0.0;
+    size_t i = 0;
+    for (; i + 1 < n; i += 2) {
+        even += value[i];
+        odd += value[i + 1];
+    }
+    return even + odd + (i < n ? value[i] : 0.0);
 }
 
 void gf_add_vectors(gf_squares_t *squares, const gf_coils_t *coils, const gf_pose_t *pose, const double *field_T,
                     const double *weight) {
     gf_sources_t sources;
+    double product[PRODUCTS][GF_MOST_COILS];
+    double sum[PRODUCTS];
     gf_sources(coils, pose->position_m, &sources);
-    for (size_t i = 0; i < coils->count; ++i) {
-        if (!(weight[i] > 0.0)) {
-            continue;
-        }
-        const double *const b = field_T + 3 * i;
-        double r[3];
-        for (size_t k = 0; k < 3; ++k) {
-            const double *const row = pose->rotation[k];
-            r[k] = row[0] * b[0] + row[1] * b[1] + row[2] * b[2] - sources.field_T[k][i];
-        }
-        add_vector(squares, &sources, i, r, weight[i]);
+    multiply_out(coils->count, &sources, (const double(*)[3])pose->rotation, field_T, weight, product);
+    for (size_t k = 0; k < PRODUCTS; ++k) {
+        sum[k] = sum_of(coils->count, product[k]);
     }
-    for (size_t k = 0; k < 6; ++k) {
-        for (size_t l = 0; l < k; ++l) {
-            squares->normal[k][l] = squares->normal[l][k];
+    squares->cost += sum[COST];
+    const double *shift = sum + SHIFTS;
+    const double *turn = sum + TURNS;
+    for (size_t k = 0; k < 3; ++k) {
+        squares->gradient[k] += sum[GRADIENT + k];
+        squares->gradient[3 + k] += sum[GRADIENT + 3 + k];
+        for (size_t l = k; l < 3; ++l, ++shift, ++turn) {
+            squares->normal[k][l] = squares->normal[l][k] = *shift;
+            squares->normal[3 + k][3 + l] = squares->normal[3 + l][3 + k] = *turn;
+        }
+        for (size_t l = 0; l < 3; ++l) {
+            squares->normal[k][3 + l] = squares->normal[3 + l][k] = sum[CROSSED + 3 * k + l];
         }
     }
 }
@@ -80,7 +133,7 @@ static bool propose(const gf_squares_t *squares, size_t unknowns, double damping
     double largest = 0.0;
     memcpy(damped, squares->normal, sizeof damped);
     for (size_t k = 0; k < unknowns; ++k) {
-        largest = fmax(largest, damped[k][k]);
+        largest = damped[k][k] > largest ? damped[k][k] : largest;
     }
     for (size_t k = 0; k < unknowns; ++k) {
         damped[k][k] += damping * damped[k][k] + 1e-12 * largest +

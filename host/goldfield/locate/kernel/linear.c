@@ -7,21 +7,25 @@
 /* Part of the matrix's norm that an element off the diagonal may keep. */
 #define ROUNDING 1e-17
 
+/* No root is taken, which would wait for the one before: the product of each element and its pivot is kept beside it
+ * until the row is done. */
 static inline bool factor(size_t n, const double a[][6], double l[][6]) {
     for (size_t i = 0; i < n; ++i) {
-        for (size_t j = 0; j <= i; ++j) {
+        double times_pivot[GF_MOST_UNKNOWNS];
+        double pivot = a[i][i];
+        for (size_t j = 0; j < i; ++j) {
             double sum = a[i][j];
             for (size_t k = 0; k < j; ++k) {
-                sum -= l[i][k] * l[j][k];
+                sum -= times_pivot[k] * l[j][k];
             }
-            if (j < i) {
-                l[i][j] = sum * l[j][j];
-            } else if (sum > 0.0 && isfinite(sum)) {
-                l[i][i] = 1.0 / sqrt(sum); /* the reciprocal: only divisions follow */
-            } else {
-                return false;
-            }
+            times_pivot[j] = sum;
+            l[i][j] = sum * l[j][j];
+            pivot -= sum * l[i][j];
         }
+        if (!(pivot > 0.0 && isfinite(pivot))) {
+            return false;
+        }
+        l[i][i] = 1.0 / pivot; /* only divisions follow */
     }
     return true;
 }
@@ -32,14 +36,14 @@ static inline void substitute(size_t n, const double l[][6], const double b[], d
         for (size_t k = 0; k < i; ++k) {
             sum -= l[i][k] * x[k];
         }
-        x[i] = sum * l[i][i];
+        x[i] = sum;
     }
     for (size_t i = n; i-- > 0;) {
-        double sum = x[i];
+        double sum = x[i] * l[i][i];
         for (size_t k = i + 1; k < n; ++k) {
             sum -= l[k][i] * x[k];
         }
-        x[i] = sum * l[i][i];
+        x[i] = sum;
     }
 }
 
@@ -58,6 +62,28 @@ void gf_substitute(size_t n, const double l[][6], const double b[], double x[]) 
     }
 }
 
+static inline double promise(size_t n, const double l[][6], const double b[]) {
+    double along[GF_MOST_UNKNOWNS];
+    double sum = 0.0;
+    for (size_t i = 0; i < n; ++i) {
+        along[i] = b[i];
+        for (size_t k = 0; k < i; ++k) {
+            along[i] -= l[i][k] * along[k];
+        }
+        sum += along[i] * along[i] * l[i][i];
+    }
+    return sum;
+}
+
+bool gf_promise(size_t n, const double a[][6], const double b[], double *out) {
+    double l[GF_MOST_UNKNOWNS][GF_MOST_UNKNOWNS];
+    if (!gf_factor(n, a, l)) {
+        return false;
+    }
+    *out = n == 6 ? promise(6, (const double(*)[6])l, b) : promise(n, (const double(*)[6])l, b);
+    return true;
+}
+
 bool gf_solve(size_t n, const double a[][6], const double b[], double x[]) {
     double l[GF_MOST_UNKNOWNS][GF_MOST_UNKNOWNS];
     if (!gf_factor(n, a, l)) {
@@ -67,18 +93,19 @@ bool gf_solve(size_t n, const double a[][6], const double b[], double x[]) {
     return true;
 }
 
-static void rotate(double *x, double *y, double cosine, double sine) {
+static inline void rotate(double *x, double *y, double cosine, double sine) {
     const double old = *x;
     *x = cosine * old - sine * *y;
     *y = sine * old + cosine * *y;
 }
 
-void gf_eigen(size_t n, double a[][6], double v[][6]) {
+static inline void eigen(size_t n, double a[][6], double v[][6]) {
     double norm = 0.0;
     for (size_t i = 0; i < n; ++i) {
         for (size_t j = 0; j < n; ++j) {
+            const double size = fabs(a[i][j]);
             v[i][j] = i == j ? 1.0 : 0.0;
-            norm = fmax(norm, fabs(a[i][j]));
+            norm = size > norm ? size : norm;
         }
     }
     bool turned = true;
@@ -103,5 +130,17 @@ void gf_eigen(size_t n, double a[][6], double v[][6]) {
                 }
             }
         }
+    }
+}
+
+void gf_eigen(size_t n, double a[][6], double v[][6]) {
+    if (n == 3) {
+        eigen(3, a, v);
+    } else if (n == 4) {
+        eigen(4, a, v);
+    } else if (n == 6) {
+        eigen(6, a, v);
+    } else {
+        eigen(n, a, v);
     }
 }
