@@ -6,6 +6,8 @@ beacon's three components admit is named: no field, the reversed field, a multip
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from goldfield.field import FieldModel
@@ -50,29 +52,33 @@ def beacon_finding(
     residual : float
         The beacon's normalised residual at this pose.
     """
-    others, modelled = (part.reshape(3, -1)[:, row] for part in _of_one(model, measurements, fit))
+    rest, modelled = (part.reshape(3, -1)[:, row] for part in _of_one(model, measurements, fit))
+    measured = rest + modelled
     weight = measurements.inverse_sigma()
     heard = np.flatnonzero(weight[0, :, row] > 0.0)
     slope = whitened_jacobian(model, fit.position_m, fit.rotation, Independent(weight), measurements.levers).reshape(
         6, 3, -1
     )[:, heard, row]
     spread = slope.T @ gauss_newton_covariance(fit.information)[0] @ slope
-    measured, modelled = (others + modelled)[heard], modelled[heard]
+    # Along the principal axes of the spread every sum is one of its parts. On the beacon's wire nothing is a number.
+    variance, axes = np.linalg.eigh(spread if np.isfinite(spread).all() else np.zeros_like(spread))
+    columns = (measured[heard] @ axes, modelled[heard] @ axes, variance)
+    parts = list(zip(*(column.tolist() for column in columns), strict=True))
     freedom = len(heard)
 
     def misfit(factor: float) -> float:
-        error = measured - factor * modelled
-        return float(error @ np.linalg.solve(np.eye(freedom) + factor**2 * spread, error))
+        errors = [(given - factor * told, variance) for given, told, variance in parts]
+        return float(sum(error * error / (1.0 + factor * factor * variance) for error, variance in errors))
 
     def admitted(cost: float, degrees: int) -> bool:
         return degrees > 0 and float(gammaincc(degrees / 2.0, cost / 2.0)) > ADMITTED
 
-    residual = float(np.sqrt(misfit(1.0) / freedom))
+    residual = math.sqrt(misfit(1.0) / freedom)
     if admitted(misfit(0.0), freedom):
         return Finding(Explanation.DEAD, (name,), sentences.dead(name), factor=0.0), residual
     if admitted(misfit(-1.0), freedom):
         return Finding(Explanation.REVERSED, (name,), sentences.turned_round(name), factor=-1.0), residual
-    factor = _factor(measured, modelled, spread)
+    factor = _factor(parts)
     if admitted(misfit(factor), freedom - 1):
         return Finding(Explanation.CURRENT, (name,), sentences.current(name, factor), factor=factor), residual
     place = _place(model, measurements, fit, row) if freedom == 3 else None
@@ -88,12 +94,16 @@ def _of_one(model: FieldModel, measurements: Measurements, fit: Fit) -> tuple[Fl
     return residual[0], (modelled * weight)[0]
 
 
-def _factor(measured: FloatArray, modelled: FloatArray, spread: FloatArray) -> float:
-    """Factor of the modelled components by generalised least squares; its square is in the covariance, so twice."""
+def _factor(parts: list[tuple[float, float, float]]) -> float:
+    """Return the factor of the modelled components by generalised least squares; its square is in the covariance.
+
+    The parts are measured and modelled components along the axes of the modelled ones' spread, and its variances.
+    """
     factor = 1.0
     for _ in range(3):
-        weighted = np.linalg.solve(np.eye(len(modelled)) + factor**2 * spread, modelled)
-        factor = float(weighted @ measured / max(float(weighted @ modelled), 1e-300))
+        weighted = [(given, told, told / (1.0 + factor * factor * variance)) for given, told, variance in parts]
+        along, square = (sum(part[k] * part[2] for part in weighted) for k in range(2))
+        factor = along / max(square, 1e-300)
     return factor
 
 

@@ -44,11 +44,13 @@ def gammaincc(shape: ArrayLike, value: ArrayLike) -> FloatArray:
     >>> float(gammaincc(1.0, 2.0)) == math.exp(-2.0)
     True
     """
+    if isinstance(shape, float) and isinstance(value, float):
+        return np.array(_tail(_whole(2.0 * shape), value))
     shape, value = np.broadcast_arrays(shape, value)
     if shape.size >= MANY:
         return _many(shape, value)
-    found = [_tail(_whole(2.0 * one), float(half)) for one, half in zip(shape.flat, value.flat, strict=True)]
-    return np.array(found, dtype=np.float64).reshape(shape.shape)
+    halves = zip(shape.ravel().tolist(), value.ravel().tolist(), strict=True)
+    return np.array([_tail(_whole(2.0 * one), half) for one, half in halves]).reshape(shape.shape)
 
 
 def chdtri(freedom: ArrayLike, probability: ArrayLike) -> FloatArray:
@@ -59,9 +61,11 @@ def chdtri(freedom: ArrayLike, probability: ArrayLike) -> FloatArray:
     >>> round(float(chdtri(3, 0.05)), 3)
     7.815
     """
+    if isinstance(freedom, float) and isinstance(probability, float):
+        return np.array(_quantile(_whole(freedom), probability))
     freedom, probability = np.broadcast_arrays(freedom, probability)
-    found = [_quantile(_whole(one), float(chance)) for one, chance in zip(freedom.flat, probability.flat, strict=True)]
-    return np.array(found, dtype=np.float64).reshape(freedom.shape)
+    chances = zip(freedom.ravel().tolist(), probability.ravel().tolist(), strict=True)
+    return np.array([_quantile(_whole(one), chance) for one, chance in chances]).reshape(freedom.shape)
 
 
 def ndtri(probability: ArrayLike) -> FloatArray:
@@ -98,8 +102,14 @@ def _tail(freedom: int, half: float) -> float:
         return math.nan if math.isnan(half) else float(half <= 0.0)
     logarithm, odd = math.log(half), freedom % 2
     begin = math.erfc(math.sqrt(half)) if odd else 0.0
-    powers = (0.5 * twice for twice in range(odd, freedom - 1, 2))
-    return begin + sum(math.exp(power * logarithm - half - math.lgamma(power + 1.0)) for power in powers)
+    return begin + sum([math.exp(power * logarithm - half - lower) for power, lower in _powers(freedom)])
+
+
+@lru_cache(maxsize=256)
+def _powers(freedom: int) -> tuple[tuple[float, float], ...]:
+    """Return the powers of the terms of a tail and the logarithms of what divides them."""
+    powers = [0.5 * twice for twice in range(freedom % 2, freedom - 1, 2)]
+    return tuple((power, math.lgamma(power + 1.0)) for power in powers)
 
 
 @lru_cache(maxsize=4096)

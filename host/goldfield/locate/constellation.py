@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import cached_property
 
@@ -421,6 +422,12 @@ def probability(cost: FloatArray, freedom: NDArray[np.intp]) -> FloatArray:
     freedom : ndarray of int, shape (e,)
         Components minus unknowns.
     """
+    if len(cost) == 1:  # as often as not: one epoch takes all ways
+        one, degrees = float(cost[0]), float(freedom[0])
+        known = math.isfinite(one)
+        if degrees > 0.0:
+            return gammaincc(degrees / 2.0, one / 2.0 if known else math.inf).reshape(1)
+        return np.array([float(known)])
     finite = np.where(np.isfinite(cost), cost, np.inf)
     return np.where(freedom > 0, gammaincc(np.maximum(freedom, 1) / 2.0, finite / 2.0), np.isfinite(cost) * 1.0)
 

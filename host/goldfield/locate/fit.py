@@ -50,7 +50,9 @@ class Fit:
 
     def take(self, rows: NDArray[np.intp]) -> Fit:
         """Return some of the poses."""
-        return Fit(*(part[rows] for part in self._parts()))
+        return Fit(
+            self.position_m[rows], self.rotation[rows], self.cost[rows], self.information[rows], self.converged[rows]
+        )
 
     def put(self, rows: NDArray[np.intp], other: Fit) -> None:
         """Replace some of the poses, in place."""

@@ -34,7 +34,7 @@ from goldfield.locate.exclusion import (
     without_one,
     without_two,
 )
-from goldfield.locate.fault_statistics import alarm, fault_statistics
+from goldfield.locate.fault_statistics import FaultStatistics, alarm, fault_statistics
 from goldfield.locate.fit import Fit, Measurements, stacked
 from goldfield.locate.sensor_rivals import BY_CHANCE, SensorRival, mirrored, nearly_one_factor, sensor_rivals
 from goldfield.locate.solutions import Solutions
@@ -65,6 +65,8 @@ class Verdict:
         Rows of the beacons that were left out.
     residuals : dict of int to float
         Their normalised residuals, by row.
+    statistics : FaultStatistics or None
+        Those of the pose of the rest.
     """
 
     findings: tuple[Finding, ...]
@@ -72,6 +74,7 @@ class Verdict:
     rest: Solutions | None
     left_out: NDArray[np.intp]
     residuals: dict[int, float]
+    statistics: FaultStatistics | None = None
 
     @property
     def unknown(self) -> bool:
@@ -166,14 +169,18 @@ def _without(
     if len(others) + len(sensor_alike) > MOST_ALIKE:
         likelier = bool(of_sensor) and of_sensor[0].score < score
         return None if likelier else _unknown(sentences.NOT_CLEAR)
-    findings, residuals = _findings(constellation, measurements, subsets, dict.fromkeys(left_out.tolist(), 0), names)
     alike = [*_findings(constellation, measurements, subsets, others, names)[0], *sensor_alike]
+    without = dict.fromkeys(left_out.tolist(), 0)
     if alike:
-        return _inconsistent(findings + alike, sentences.not_sure([f.text for f in findings + alike]))
+        alike = [*_findings(constellation, measurements, subsets, without, names)[0], *alike]
+        return _inconsistent(alike, sentences.not_sure([finding.text for finding in alike]))
     solutions = _at_least(rest.solve(thinned, SECOND_EVALUATIONS), subsets.fit.take(np.array([0])))
-    if alarm(thinned, solutions.best.cost, fault_statistics(rest.model, thinned, solutions.best))[0]:
+    statistics = fault_statistics(rest.model, thinned, solutions.best)
+    if alarm(thinned, solutions.best.cost, statistics)[0]:
         return None
-    return Verdict(tuple(findings), sentences.left_out([f.text for f in findings]), solutions, left_out, residuals)
+    findings, residuals = _findings(constellation, measurements, subsets, without, names)
+    reason = sentences.left_out([finding.text for finding in findings])
+    return Verdict(tuple(findings), reason, solutions, left_out, residuals, statistics)
 
 
 def _at_least(solutions: Solutions, fit: Fit) -> Solutions:

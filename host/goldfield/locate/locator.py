@@ -189,10 +189,10 @@ class Locator:
     ) -> Pose:
         """Return the pose of one epoch without the beacons that its verdict leaves out."""
         assert verdict.rest is not None
+        assert verdict.statistics is not None
         kept = np.delete(np.arange(len(rows)), verdict.left_out)
         thinned, model = measurements.of_beacons(kept), self._all.subset(rows[kept]).model
-        statistics = fault_statistics(model, thinned, verdict.rest.best)
-        judged = Judged(self.site, model, self._names(rows[kept]), thinned, verdict.rest, statistics, {})
+        judged = Judged(self.site, model, self._names(rows[kept]), thinned, verdict.rest, verdict.statistics, {})
         (pose,) = poses_of([fields], judged)
         left_out = {self._names(rows[[row]])[0]: residual for row, residual in verdict.residuals.items()}
         return replace(
