@@ -195,12 +195,17 @@ setup(
         ),
         Extension(
             "goldfield.track.blocks.kernel.built.libgf_bank",
-            sources=[f"{BANK}/bank.c", *(f"firmware/core/{part}.c" for part in BANK_CORE)],
+            sources=[
+                *sorted(str(path.relative_to(ROOT)) for path in (ROOT / BANK).glob("*.c")),
+                f"{KERNEL}/linear.c",
+                *(f"firmware/core/{part}.c" for part in BANK_CORE),
+            ],
             depends=[
-                f"{BANK}/bank.h",
+                *sorted(str(path.relative_to(ROOT)) for path in (ROOT / BANK).glob("*.h")),
+                f"{KERNEL}/linear.h",
                 *sorted(str(path.relative_to(ROOT)) for path in ROOT.glob("firmware/core/*/*.h")),
             ],
-            include_dirs=["firmware"],
+            include_dirs=["firmware", KERNEL],
             extra_compile_args=OPTIMISED,
             libraries=["m"],
             optional=True,

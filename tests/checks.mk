@@ -1,6 +1,6 @@
 # Static checks: the look of the text, ruff, clang-tidy and cppcheck for what is likely wrong, mypy for types.
 LINT := $(BUILD)/lint
-LINT_INCLUDES := -Ifirmware -I$(PROTOCOL_OUT) -Ihil_sim -isystem $(UNICORN_LINKS)/include
+LINT_INCLUDES := -Ifirmware -Ihost/goldfield/locate/kernel -I$(PROTOCOL_OUT) -Ihil_sim -isystem $(UNICORN_LINKS)/include
 LINT_HOST_FLAGS := -std=c11 -D_GNU_SOURCE $(LINT_INCLUDES)
 LINT_ARM_FLAGS := -std=c11 --target=arm-none-eabi $(STM32_CPU) -isystem /usr/lib/arm-none-eabi/include $(LINT_INCLUDES)
 LINT_SOURCES := $(wildcard firmware/*/*.c firmware/*/*/*.c hil_sim/*/*.c hil_sim/*/*/*.c host/goldfield/locate/kernel/*.c host/goldfield/track/blocks/kernel/*.c)

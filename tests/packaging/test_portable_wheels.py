@@ -29,8 +29,8 @@ RUN = ("run", "--log", str(EXAMPLES / "recording.log"), "--site", str(EXAMPLES /
 LOCATE = ("locate", str(EXAMPLES / "fields.csv"), "--site", str(EXAMPLES / "room.toml"), "--json")
 TRACKED = (*RUN, "--track")
 KERNELS = (
-    "from goldfield.locate import kernel; from goldfield.track.blocks import kernel as bank; "
-    "print(kernel._library() is not None, bank._library() is not None)"
+    "from goldfield.locate import kernel; from goldfield.track.blocks.kernel import library; "
+    "print(kernel._library() is not None, library.opened() is not None)"
 )
 
 

@@ -44,7 +44,7 @@ ALLOWED: Mapping[str, tuple[str, ...]] = {
     "hil_sim/emulator": (EDGE,),
     "hil_sim/rig": ("hil_sim/world", EDGE),
     KERNEL: (),
-    BANK: ("firmware/core",),
+    BANK: ("firmware/core", f"{KERNEL}/linear.h"),
 }
 """What a folder includes beside itself."""
 

@@ -12,7 +12,7 @@ $(LOCATE_LIBRARY): $(wildcard host/goldfield/locate/kernel/*.[ch]) setup.py | $(
 BANK_LIBRARY := host/goldfield/track/blocks/kernel/built/libgf_bank.so
 HOST_LIBRARIES += $(BANK_LIBRARY)
 
-$(BANK_LIBRARY): $(wildcard host/goldfield/track/blocks/kernel/*.[ch] firmware/core/track/*.[ch] firmware/core/math/*.[ch]) | $(LOCATE_LIBRARY)
+$(BANK_LIBRARY): host/goldfield/locate/kernel/linear.c host/goldfield/locate/kernel/linear.h $(wildcard host/goldfield/track/blocks/kernel/*.[ch] firmware/core/track/*.[ch] firmware/core/math/*.[ch]) | $(LOCATE_LIBRARY)
 	@echo "block filter: $@"
 	@rm -f $@
 	@CFLAGS="$(C_STANDARD)" $(PYTHON) setup.py -q build_ext --inplace --force && test -f $@

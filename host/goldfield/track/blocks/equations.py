@@ -78,6 +78,12 @@ class NormalForm:
         share = self.gram[:-1, -1] / self.gram[-1, -1]
         return np.asarray(matrix[:-1] - share[:, None] * matrix[-1])
 
+    def with_sums(self, sums_T: FloatArray) -> NormalForm:
+        """Return the same block with other sums."""
+        return NormalForm(
+            sums_T, self.gram, self.moment, self.ramp, self.weight, self.end_s, self.axes, self.alone
+        )  # in place of `replace`, which takes ten times as long
+
     def without(self, rows: NDArray[np.intp]) -> NormalForm:
         """Return what the block tells of the others if the fields of some beacons are unknown."""
         if not len(rows):
@@ -101,7 +107,8 @@ class NormalForm:
         if known is None:
             known = _alone(self.gram, self.moment, self.ramp, self.end_s)
         sums = known.reduced @ self.sums_T
-        return replace(self, sums_T=sums, gram=known.gram, moment=known.moment, ramp=np.zeros(len(sums)), alone=None)
+        ramp = np.zeros(len(sums))
+        return NormalForm(sums, known.gram, known.moment, ramp, self.weight, self.end_s, self.axes)
 
     def scaled(self, factors: FloatArray) -> NormalForm:
         """Return what the block tells of fields of which the sensor gets some factors, shape (n,), as much."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -21,8 +20,9 @@ from goldfield.site import Site
 from goldfield.track.blocks.bank import Estimate
 from goldfield.track.blocks.consider import Considered
 from goldfield.track.blocks.equations import BlockEquations, NormalForm
-from goldfield.track.blocks.judge import Cycle, Judge, Judged, Verdict, cost_of
-from goldfield.track.blocks.update import MOTION, MOVING, Reference, reference
+from goldfield.track.blocks.judge import Cycle, Judge, Judged, Verdict
+from goldfield.track.blocks.rest import cost_of, left_by
+from goldfield.track.blocks.update import Reference
 from goldfield.track.blocks.watch import Watch
 from goldfield.types import FloatArray
 
@@ -87,14 +87,13 @@ class Integrity:
         A block that the track has refused is not to be added: it says nothing of the beacons. ``without`` are the
         beacons that the track leaves out.
         """
-        around = reference(self._model, known.motion)
-        rest = around.residual(form) @ known.motion.rotation  # in the sensor's frame
-        self._blurs.append(self._blur(form, around, known.covariance))
-        self._rests.append(replace(form, sums_T=rest))
-        self.ambient_T = around.field_T[-1] @ known.motion.rotation + rest[-1] / form.gram[-1, -1]
-        self._references.append((around, middle_s))
+        rest = left_by(self._model, form, known, self._site.sensor.noise_T)
+        self._blurs.append(rest.blur)
+        self._rests.append(rest.form)
+        self.ambient_T = rest.ambient_T
+        self._references.append((rest.around, middle_s))
         rows = np.array([self._row[name] for name in without if name in self._row], dtype=np.intp)
-        self.watch.add(self._rests[-1], self._blurs[-1], around, rows)
+        self.watch.add(rest.form, rest.blur, rest.around, rows)
         self._seconds += 2.0 * form.end_s + self._site.chip_period_s
         self._blocks_left -= 1
         verdict = self._settled() if self._blocks_left <= 0 else None
@@ -136,22 +135,6 @@ class Integrity:
         found = pending()
         self._usual = found.excess
         return found.verdict
-
-    def _blur(self, form: NormalForm, around: Reference, covariance: FloatArray) -> FloatArray:
-        """Return what the track's error adds to the variance of a block's sums, over a sample's, shape (n,).
-
-        An error that stays is a pose, which is free anyway; one that changes from block to block leaks from field to
-        field, since the codes are not orthogonal within a block.
-        """
-        pose = around.jacobian[..., :MOVING]
-        still, moving = (
-            ((pose @ covariance[part, part]) * pose).sum(axis=(1, 2)) / 3.0 for part in (slice(0, MOVING), MOTION)
-        )
-        leaks = form.beside_ambient(form.gram)
-        leaks.flat[:: leaks.shape[1] + 1] = 0.0
-        slopes = form.beside_ambient(form.moment)
-        leaked = (leaks * leaks) @ still + (slopes * slopes) @ moving
-        return np.asarray(leaked / self._site.sensor.noise_T**2)
 
     def _far_off(self, out: NDArray[np.intp]) -> bool:
         """Tell whether the fields of the last few blocks are far from what the site lets expect."""

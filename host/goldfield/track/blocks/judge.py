@@ -20,6 +20,7 @@ from goldfield.locate import Locator
 from goldfield.locate.locator import LEAST_BEACONS
 from goldfield.site import Site
 from goldfield.track.blocks.equations import BlockEquations, NormalForm, separated
+from goldfield.track.blocks.rest import cost_of
 from goldfield.track.blocks.state import Motion
 from goldfield.track.blocks.update import Reference
 from goldfield.track.continuity import joined
@@ -112,14 +113,6 @@ class Judged:
 
     excess: float
     verdict: Verdict | None
-
-
-def cost_of(rests: Sequence[NormalForm], blurs: Sequence[FloatArray]) -> tuple[float, int]:
-    """Return chi-square of what is left of the fields, and about its mean."""
-    found, weight = separated(rests, np.sum(blurs, axis=0)), rests[-1].weight
-    heard = np.isfinite(found.deviation)
-    field = found.field_T[heard] / found.deviation[heard, None]
-    return float(((field @ weight) * field).sum()), 3 * int(heard.sum())
 
 
 class Judge:

@@ -16,7 +16,7 @@ import numpy as np
 
 from goldfield.track.blocks.bank import Bank, Estimate, Start
 from goldfield.track.blocks.equations import NormalForm
-from goldfield.track.blocks.kernel import CBank
+from goldfield.track.blocks.kernel import CBank, double
 from goldfield.track.blocks.state import AMBIENT, OFFSET, POSITION, TURN, Motion
 from goldfield.types import FloatArray
 
@@ -188,6 +188,15 @@ def _apart(seeing: Estimate, alone: Estimate) -> _Apart:
     One of them knows all that the other does, and more: the covariance of their difference is that of their
     covariances (Hausman, 1978).
     """
+    if double.ready():
+        found = double.apart(seeing.motion, seeing.covariance, alone.motion, alone.covariance, LEAST_SHARE)
+        if found is not None:
+            return _Apart(seeing, alone, *found)
+    return apart_in_numpy(seeing, alone)
+
+
+def apart_in_numpy(seeing: Estimate, alone: Estimate) -> _Apart:
+    """Compute what `_apart` returns: the reference of the version in C."""
     error = alone.motion.minus(seeing.motion)
     error[MOVED:] = 0.0
     inverse = np.linalg.inv(np.linalg.cholesky(alone.covariance[:POSE, :POSE]))
@@ -199,6 +208,16 @@ def _apart(seeing: Estimate, alone: Estimate) -> _Apart:
 
 def _between(apart: _Apart, weight: float) -> Estimate:
     """Return what both banks say together if the beacons alone count by a weight."""
+    if double.ready():
+        seeing, alone = apart.seeing, apart.alone
+        return Estimate(
+            *double.between(seeing.motion, seeing.covariance, alone.motion, alone.covariance, apart.error, weight)
+        )
+    return between_in_numpy(apart, weight)
+
+
+def between_in_numpy(apart: _Apart, weight: float) -> Estimate:
+    """Compute what `_between` returns: the reference of the version in C."""
     covariance = (1.0 - weight) * apart.seeing.covariance
     covariance[:MOVED, :MOVED] += weight * apart.alone.covariance[:MOVED, :MOVED]
     covariance[MOVED:, MOVED:] += weight * apart.seeing.covariance[MOVED:, MOVED:]

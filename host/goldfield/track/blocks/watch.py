@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from goldfield.locate.chances import chdtri
 from goldfield.track.blocks.consider import BENDS, Considered
 from goldfield.track.blocks.equations import NormalForm
+from goldfield.track.blocks.kernel import double
 from goldfield.track.blocks.update import Reference
 from goldfield.types import FloatArray
 
@@ -87,21 +88,74 @@ class Watch:
         if 3 * len(heard) <= POSE:
             self.alarm, self.share = False, 0.0
             return
-        to_sensor = around.motion.rotation.T
-        bent = (around.field_T[:-1] @ around.motion.rotation @ BENDS).transpose(1, 2, 0)
-        parts = [to_sensor @ around.jacobian[:-1, :, :POSE], bent]
+        variance = np.asarray(np.linalg.inv(form.weight[np.ix_(measured, measured)]), dtype=np.float64)
         errors = self._considered.effects(around.motion)
-        if errors is not None:
-            parts.append(to_sensor @ errors[:-1])
-        ways = np.concatenate(parts, axis=2)[heard][:, measured]
-        variance: FloatArray = np.asarray(np.linalg.inv(form.weight[np.ix_(measured, measured)]), dtype=np.float64)
-        windows = _windows(self._groups, len(form.gram) - 1).of(heard, measured)
-        try:
-            found = _found(windows, ways, variance)
-        except np.linalg.LinAlgError:  # the blocks of some windows do not tell their signals apart
-            found = [one for window in windows.each() for one in _found_if_told_apart(window, ways, variance)]
+        # By a single axis the turn about it is free, and what a pose explains is not six numbers.
+        tested = _in_c if double.ready() and len(measured) > 1 else found_in_numpy
+        found = tested(_sums(self._groups), (heard, measured), around, errors, variance)
         self.alarm = any(one.alarm for one in found)
         self.share = max((one.share for one in found), default=0.0)
+
+
+def _in_c(
+    sums: FloatArray,
+    taken: tuple[NDArray[np.intp], NDArray[np.intp]],
+    around: Reference,
+    errors: FloatArray | None,
+    variance: FloatArray,
+) -> list[Found]:
+    """Compute what `found_in_numpy` returns."""
+    fields = around.field_T, around.jacobian, around.motion.rotation
+    size = len(taken[0]) * len(taken[1])
+    costs = double.watch(sums, taken, fields, errors, variance, SHOWN).tolist()
+    return [_judged(size, whole, part, int(freedom), bent) for told, whole, part, freedom, bent in costs if told]
+
+
+def found_in_numpy(
+    sums: FloatArray,
+    taken: tuple[NDArray[np.intp], NDArray[np.intp]],
+    around: Reference,
+    errors: FloatArray | None,
+    variance: FloatArray,
+) -> list[Found]:
+    """Test the sums of w windows, shape (w, n^2 + n + 3 n): the reference of the version in C.
+
+    Parameters
+    ----------
+    sums : ndarray
+        Gram matrix, blur and sums of n beacons, one row a window.
+    taken : pair of ndarray of int
+        Rows of the beacons that are heard, and axes that are measured.
+    around : Reference
+    errors : ndarray, shape (n + 1, 3, k), optional
+        What each error of the site does to the fields.
+    variance : ndarray, shape (c, c)
+        That of a sample, along the axes that are measured.
+
+    Returns
+    -------
+    list of Found
+        Without windows that do not tell their signals apart.
+    """
+    heard, measured = taken
+    to_sensor = around.motion.rotation.T
+    bent = (around.field_T[:-1] @ around.motion.rotation @ BENDS).transpose(1, 2, 0)
+    parts = [to_sensor @ around.jacobian[:-1, :, :POSE], bent]
+    if errors is not None:
+        parts.append(to_sensor @ errors[:-1])
+    ways = np.concatenate(parts, axis=2)[heard][:, measured]
+    windows = _windows(sums, len(around.field_T) - 1).of(heard, measured)
+    try:
+        return _found(windows, ways, variance)
+    except np.linalg.LinAlgError:  # the blocks of some windows do not tell their signals apart
+        return [one for window in windows.each() for one in _found_if_told_apart(window, ways, variance)]
+
+
+def _sums(groups: Sequence[FloatArray]) -> FloatArray:
+    """Sum the latest groups, as many as each window has; the latest group is the last."""
+    return np.asarray(
+        np.cumsum(np.array(groups)[::-1], axis=0)[[count - 1 for count in WINDOWS if count <= len(groups)]]
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,22 +181,21 @@ class _Windows:
         ]
 
 
-def _windows(groups: Sequence[FloatArray], beacons: int) -> _Windows:
-    """Sum the latest groups, as many as each window has; the latest group is the last."""
-    sums = np.cumsum(np.array(groups)[::-1], axis=0)[[count - 1 for count in WINDOWS if count <= len(groups)]]
+def _windows(sums: FloatArray, beacons: int) -> _Windows:
+    """Take the sums of windows apart."""
     gram, blur, left = np.split(sums, [beacons**2, beacons**2 + beacons], axis=1)
     return _Windows(gram.reshape(-1, beacons, beacons), blur, left.reshape(-1, beacons, 3))
 
 
 @dataclass(frozen=True)
-class _Found:
+class Found:
     """What a window tells: `Watch.alarm` and `Watch.share`."""
 
     alarm: bool
     share: float
 
 
-def _found(windows: _Windows, ways: FloatArray, variance: FloatArray) -> list[_Found]:
+def _found(windows: _Windows, ways: FloatArray, variance: FloatArray) -> list[Found]:
     """Test the sums of n beacons and c components in all windows at once.
 
     ``ways``, shape (n, c, k), is what the pose, distortions and errors of the site do to the fields; ``variance``,
@@ -172,7 +225,7 @@ def _found(windows: _Windows, ways: FloatArray, variance: FloatArray) -> list[_F
     return [_judged(size, *cost) for cost in costs]
 
 
-def _found_if_told_apart(window: _Windows, ways: FloatArray, variance: FloatArray) -> list[_Found]:
+def _found_if_told_apart(window: _Windows, ways: FloatArray, variance: FloatArray) -> list[Found]:
     """Return what one window tells, in a list that is empty if it tells nothing."""
     try:
         return _found(window, ways, variance)
@@ -180,11 +233,11 @@ def _found_if_told_apart(window: _Windows, ways: FloatArray, variance: FloatArra
         return []
 
 
-def _judged(size: int, whole: float, part: float, freedom: int, bent: float) -> _Found:
+def _judged(size: int, whole: float, part: float, freedom: int, bent: float) -> Found:
     """Judge a cost of so many numbers, and the part of it that distortions explain, which weigh ``bent``."""
     beyond = part - freedom - CHANCE * math.sqrt(2.0 * freedom)
     alarm = whole > _limit(size - POSE) or part > _limit(freedom)
-    return _Found(alarm, math.sqrt(beyond / bent) if beyond > 0.0 else 0.0)
+    return Found(alarm, math.sqrt(beyond / bent) if beyond > 0.0 else 0.0)
 
 
 @cache

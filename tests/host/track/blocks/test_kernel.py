@@ -13,12 +13,13 @@ from goldfield.field import FieldModel
 from goldfield.track.blocks import kernel
 from goldfield.track.blocks.bank import Bank, Start
 from goldfield.track.blocks.equations import NormalForm, ramp_of
+from goldfield.track.blocks.kernel import double
 from hil_sim.clib import ROOT
 
 CHIP_S, CHIPS, NOISE_T = 0.1 / 1023, 31, 2e-8
 BLOCK_S = CHIPS * CHIP_S
 
-pytestmark = pytest.mark.skipif(kernel._library() is None, reason="the library was not built: no compiler")
+pytestmark = pytest.mark.skipif(not double.ready(), reason="the library was not built: no compiler")
 
 
 @pytest.fixture(scope="module")

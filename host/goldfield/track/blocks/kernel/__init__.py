@@ -8,11 +8,7 @@ twentieth of the time. Poses differ by about a thousandth of their standard devi
 from __future__ import annotations
 
 import math
-from functools import cache
-from pathlib import Path
-from typing import Any
 
-import cffi
 import numpy as np
 
 from goldfield.errors import UserError
@@ -20,6 +16,7 @@ from goldfield.field import FieldModel
 from goldfield.locate.rotations import quaternion_of
 from goldfield.track.blocks.bank import Bank, Estimate, Start
 from goldfield.track.blocks.equations import NormalForm
+from goldfield.track.blocks.kernel.library import ffi, filled, given, opened
 from goldfield.track.blocks.state import SIZE, Motion
 from goldfield.types import FloatArray
 
@@ -29,30 +26,11 @@ MOST_COILS = 32
 EQUAL = 1e-6
 """By how much, relative to the mean, the weights of the axes may differ."""
 
-DECLARATIONS = """
-size_t gf_bank_size(void);
-void gf_bank_init(void *, uint32_t, const double *);
-void gf_bank_start(void *, const double *, const double *);
-bool gf_bank_update(void *, const double *, const double *, const double *, double, double, double *);
-void gf_bank_predict(void *, double);
-void gf_bank_output(const void *, double, double *, double *, double *, double *);
-"""
-
-_ffi: Any = cffi.FFI()
-_ffi.cdef(DECLARATIONS)
-
-
-@cache
-def _library() -> Any | None:
-    """Return the library that ``setup.py`` puts into the folder ``built`` here, None if there was no compiler."""
-    path = Path(__file__).with_name("built") / "libgf_bank.so"
-    return _ffi.dlopen(str(path)) if path.exists() else None
-
 
 def serves(model: FieldModel) -> bool:
     """Return whether the library is built, and `CBank` can follow a sensor among these coils."""
     simple = not len(model.wire_points_m) and model.metal is None
-    return simple and 0 < len(model) <= MOST_COILS and _library() is not None
+    return simple and 0 < len(model) <= MOST_COILS and opened() is not None
 
 
 def noise_of(form: NormalForm) -> float | None:
@@ -78,7 +56,7 @@ class CBank:
     """
 
     def __init__(self, model: FieldModel) -> None:
-        library = _library()
+        library = opened()
         if library is None or not serves(model):
             raise UserError(
                 f"The block filter in C follows a sensor among 1 to {MOST_COILS} circular coils without metal, if it "
@@ -86,10 +64,10 @@ class CBank:
             )
         self._library = library
         self._model, self._count = model, len(model)
-        self._memory = _ffi.new("double[]", -(-self._library.gf_bank_size() // 8))  # doubles: aligned for all
+        self._memory = ffi.new("double[]", -(-self._library.gf_bank_size() // 8))  # doubles: aligned for all
         size = np.linalg.norm(model.moment_A_m2, axis=1)
         coils = np.column_stack([model.centre_m, model.moment_A_m2 / size[:, None], size, model.loop_radius_m])
-        self._library.gf_bank_init(self._memory, self._count, _given(coils))
+        self._library.gf_bank_init(self._memory, self._count, given(coils))
         self.mismatch, self.refused = 0.0, 0
 
     def start(self, start: Start) -> None:
@@ -102,7 +80,7 @@ class CBank:
         quaternion = quaternion_of(motion.rotation)
         moving = motion.velocity_m_s, motion.rate_rad_s, motion.ambient_T, motion.offset_T
         state = np.concatenate([motion.position_m, quaternion, *moving])
-        self._library.gf_bank_start(self._memory, _given(state), _given(known.covariance))
+        self._library.gf_bank_start(self._memory, given(state), given(known.covariance))
         self.mismatch, self.refused = 0.0, 0
 
     def update(self, form: NormalForm, seconds: float) -> bool:
@@ -111,8 +89,8 @@ class CBank:
         if noise_T is None:
             self.predict(seconds)
             return False
-        logarithm = _ffi.new("double *")
-        arrays = _given(form.gram), _given(form.moment), _given(form.sums_T)
+        logarithm = ffi.new("double *")
+        arrays = given(form.gram), given(form.moment), given(form.sums_T)
         taken = self._library.gf_bank_update(self._memory, *arrays, noise_T, seconds, logarithm)
         if taken:
             self.mismatch -= 2.0 * logarithm[0]
@@ -144,11 +122,5 @@ class CBank:
     def _output(self, seconds: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         told: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
         told = np.empty(19), np.empty((3, 3)), np.empty((SIZE, SIZE)), np.empty(2)
-        filled = (_ffi.from_buffer("double[]", array, require_writable=True) for array in told)
-        self._library.gf_bank_output(self._memory, seconds, *filled)
+        self._library.gf_bank_output(self._memory, seconds, *map(filled, told))
         return told
-
-
-def _given(array: FloatArray) -> Any:
-    """Return an array for C to read."""
-    return _ffi.from_buffer("double[]", np.ascontiguousarray(array, dtype=float))
