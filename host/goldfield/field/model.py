@@ -187,7 +187,8 @@ class FieldModel:
         It is the length over which the fields change their shape: in the middle of a loop they hardly change within a
         tenth of its radius, though the centre is at hand. The radius of coils given by their wire does not count.
         """
-        distance = np.linalg.norm(point_m[:, None] - self.centre_m, axis=2)
+        offset = point_m[:, None] - self.centre_m
+        distance = np.sqrt((offset * offset).sum(axis=2))
         return np.asarray(np.maximum(distance, self._least_m).min(axis=1))
 
     def _loop_arguments(self, point: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -14,6 +14,8 @@ three may by chance of the noise leave residuals of nothing at all.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,6 +54,11 @@ def radius_m(mean_m: FloatArray, covariance_m2: FloatArray, risk: FloatArray) ->
     -------
     radius_m : ndarray, shape (...)
     """
+    return _radius_m(mean_m, covariance_m2, ndtri(risk))
+
+
+def _radius_m(mean_m: FloatArray, covariance_m2: FloatArray, quantile: FloatArray) -> FloatArray:
+    """Compute `radius_m`; the normal variable is below the quantile with the permitted probability."""
     size = np.einsum("...kk", covariance_m2) + np.einsum("...k,...k", mean_m, mean_m)
     spread = covariance_m2 / size[..., None, None]
     square = spread @ spread
@@ -60,8 +67,14 @@ def radius_m(mean_m: FloatArray, covariance_m2: FloatArray, risk: FloatArray) ->
     third = np.einsum("...kl,...kl", square, spread + outer)
     freedom = second**3 / third**2
     part = 2.0 / (9.0 * freedom)
-    quantile = freedom * (1.0 - part - ndtri(risk) * np.sqrt(part)) ** 3
-    return np.asarray(np.sqrt(size * (1.0 + np.sqrt(second / freedom) * (quantile - freedom))))
+    value = freedom * (1.0 - part - quantile * np.sqrt(part)) ** 3
+    return np.asarray(np.sqrt(size * (1.0 + np.sqrt(second / freedom) * (value - freedom))))
+
+
+@cache
+def _quantiles(beacons: int) -> FloatArray:
+    """Return the quantiles of the permitted risks: of each beacon's fault, and last of a sound epoch."""
+    return ndtri(np.append(np.full(beacons, MISSED_DETECTION), SOUND_RISK))
 
 
 def level_of(
@@ -91,8 +104,7 @@ def level_of(
     mean, covariance = np.zeros((count, beacons + 1, 3)), np.empty((count, beacons + 1, 3, 3))
     mean[:, :-1], covariance[:] = separation_m, position_cov_m2[:, None]
     covariance[:, :-1] += separation_cov_m2
-    risk = np.append(np.full(beacons, MISSED_DETECTION), SOUND_RISK)  # the last row is the noise of a sound epoch
-    radius = radius_m(mean, covariance, risk)
+    radius = _radius_m(mean, covariance, _quantiles(beacons))  # the last row is the noise of a sound epoch
     radius[:, :-1][hidden] = np.inf
     return radius.max(axis=1), radius[:, :-1].argmax(axis=1)
 

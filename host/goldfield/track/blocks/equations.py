@@ -158,6 +158,15 @@ class _Columns:
         """The matrices of `NormalForm.beacons_alone`."""
         return _alone(self.gram, self.moment, self.ramp, self.end_s)
 
+    def form(self, sums_T: FloatArray, weight: FloatArray, axes: NDArray[np.bool_]) -> NormalForm:
+        """Return a block of some sums."""
+        return NormalForm(sums_T, self.gram, self.moment, self.ramp, weight, self.end_s, axes, self.alone)
+
+
+ALL: NDArray[np.bool_] = np.ones(3, dtype=bool)
+ALL.flags.writeable = False
+"""All three axes of a sensor."""
+
 
 class BlockEquations:
     """Makes the normal forms of a site's blocks.
@@ -204,6 +213,9 @@ class BlockEquations:
             sums come for a site whose beacons have not one plain code each.
         """
         data = self._checked(block)
+        if len(self._axes) == 3 and np.abs(data).max() <= LARGEST_T:  # all is there, as nearly always
+            columns, (components, weight) = self._columns(block.chip, block.chips, block.sampled), self._read(ALL)
+            return columns.form((columns.reduced @ data) @ components.T, weight, ALL)
         usable = np.asarray(np.abs(data) <= LARGEST_T)
         axes: NDArray[np.bool_] = np.asarray(usable.any(axis=0))
         axes[len(self._axes) :] = False
@@ -219,7 +231,7 @@ class BlockEquations:
             return None
         components, weight = self._read(axes)
         sums = (columns.reduced @ data[:, axes]) @ components.T
-        return NormalForm(sums, columns.gram, columns.moment, columns.ramp, weight, columns.end_s, axes, columns.alone)
+        return columns.form(sums, weight, axes)
 
     @property
     def cycle(self) -> NormalForm:
@@ -353,11 +365,11 @@ def _with_own_ambient(forms: Sequence[NormalForm]) -> tuple[FloatArray, FloatArr
 
     The right sides, shape (n, n + 4), are the three of the sums and those of the moments.
     """
-    rows = np.array([np.hstack([form.gram, form.sums_T, form.moment]) for form in forms])
-    count = rows.shape[1] - 1
-    share = rows[:, :-1, count] / rows[:, -1:, count]
-    beside = (rows[:, :-1] - share[..., None] * rows[:, -1:]).sum(axis=0)
-    return beside[:, :count], beside[:, count + 1 :]
+    gram = np.array([form.gram for form in forms])
+    share = (gram[:, :-1, -1] / gram[:, -1:, -1])[..., None]
+    sums, moment = np.array([form.sums_T for form in forms]), np.array([form.moment for form in forms])
+    left, *right = ((part[:, :-1] - share * part[:, -1:]).sum(axis=0) for part in (gram, sums, moment))
+    return left[:, :-1], np.hstack(right)
 
 
 def _with_ramp(forms: Sequence[NormalForm]) -> tuple[FloatArray, FloatArray]:

@@ -43,6 +43,13 @@ SHOWN = 1e-6
 """Distortions of which less than this part shows beside the pose are not told."""
 
 
+_TAKEN: list[FloatArray] = [
+    np.array([np.arange(count) >= count - window for window in WINDOWS if window <= count], dtype=np.float64)
+    for count in range(max(WINDOWS) + 1)
+]
+"""Which groups each window takes, by how many there are: one row a window."""
+
+
 class Watch:
     """Watches the blocks of one track.
 
@@ -62,6 +69,8 @@ class Watch:
     def __init__(self, considered: Considered) -> None:
         self._considered = considered
         self.alarm, self.share = False, 0.0
+        self._weight: FloatArray | None = None
+        self._variance: FloatArray = np.empty((0, 0))
         self.forget()
 
     def forget(self) -> None:
@@ -88,11 +97,13 @@ class Watch:
         if 3 * len(heard) <= POSE:
             self.alarm, self.share = False, 0.0
             return
-        variance = np.asarray(np.linalg.inv(form.weight[np.ix_(measured, measured)]), dtype=np.float64)
+        if form.weight is not self._weight:  # always the same while the sensor's axes are
+            self._weight = form.weight
+            self._variance = np.asarray(np.linalg.inv(form.weight[np.ix_(measured, measured)]), dtype=np.float64)
         errors = self._considered.effects(around.motion)
         # By a single axis the turn about it is free, and what a pose explains is not six numbers.
         tested = _in_c if double.ready() and len(measured) > 1 else found_in_numpy
-        found = tested(_sums(self._groups), (heard, measured), around, errors, variance)
+        found = tested(_sums(self._groups), (heard, measured), around, errors, self._variance)
         self.alarm = any(one.alarm for one in found)
         self.share = max((one.share for one in found), default=0.0)
 
@@ -153,9 +164,7 @@ def found_in_numpy(
 
 def _sums(groups: Sequence[FloatArray]) -> FloatArray:
     """Sum the latest groups, as many as each window has; the latest group is the last."""
-    return np.asarray(
-        np.cumsum(np.array(groups)[::-1], axis=0)[[count - 1 for count in WINDOWS if count <= len(groups)]]
-    )
+    return _TAKEN[len(groups)] @ np.array(groups)
 
 
 @dataclass(frozen=True, eq=False)

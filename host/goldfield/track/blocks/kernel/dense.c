@@ -43,15 +43,24 @@ void gf_whiten(size_t n, const double *upper, size_t columns, double *b) {
 /* Reflect the rows from the step-th on so that its column becomes zero below the diagonal: the elements there are the
  * mirror's normal but for the first, `head`, and stay as they are. */
 static void reflect(size_t n, size_t columns, size_t step, double *a, double head, double over) {
+    double along[GF_MOST_COLUMNS];
     for (size_t k = step + 1; k < columns; k++) {
-        double along = head * a[step * columns + k];
-        for (size_t i = step + 1; i < n; i++) {
-            along += a[i * columns + step] * a[i * columns + k];
+        along[k] = head * a[step * columns + k];
+    }
+    for (size_t i = step + 1; i < n; i++) {
+        const double part = a[i * columns + step];
+        for (size_t k = step + 1; k < columns; k++) {
+            along[k] += part * a[i * columns + k];
         }
-        along *= over;
-        a[step * columns + k] -= along * head;
-        for (size_t i = step + 1; i < n; i++) {
-            a[i * columns + k] -= along * a[i * columns + step];
+    }
+    for (size_t k = step + 1; k < columns; k++) {
+        along[k] *= over;
+        a[step * columns + k] -= along[k] * head;
+    }
+    for (size_t i = step + 1; i < n; i++) {
+        const double part = a[i * columns + step];
+        for (size_t k = step + 1; k < columns; k++) {
+            a[i * columns + k] -= along[k] * part;
         }
     }
 }

@@ -15,8 +15,11 @@ bool gf_upper_root(size_t n, double *a);
 /* Replace B, n x columns, by U'^-1 B. */
 void gf_whiten(size_t n, const double *upper, size_t columns, double *b);
 
+#define GF_MOST_COLUMNS 16u
+
 /* Turn the rows of an n x columns matrix so that the first `steps` columns become upper triangular (Householder); the
- * elements below the diagonal are not written. A column of zeros takes its row all the same, as LAPACK's does. */
+ * elements below the diagonal are not written. A column of zeros takes its row all the same, as LAPACK's does.
+ * At most GF_MOST_COLUMNS columns. */
 void gf_triangular(size_t n, size_t columns, size_t steps, double *a);
 
 #endif

@@ -72,18 +72,20 @@ static void noise_of(const gf_watched_t *what, const double *sums, const double 
     }
 }
 
-/* Judge white signals, of which the pose and the distortions are in triangular form. */
-static void judge(size_t size, const double *white, double weight, double shown, double *told) {
-    double whole = 0.0, inner[GF_DISTORTED][6], ways[GF_DISTORTED][6], left[GF_DISTORTED];
-    for (size_t i = GF_POSE; i < size; i++) {
-        whole += white[i * SIGNALS + TOLD_OF] * white[i * SIGNALS + TOLD_OF];
+/* Returns whether all numbers of a distortion show, given their triangular form: the smallest of its six values is no
+ * less than the product of all over that of the others, which is largest where these are alike. */
+static bool all_shown(const double *white, double bent, double least) {
+    double product = 1.0, others = 1.0;
+    for (size_t i = 0; i < GF_DISTORTED; i++) {
+        product *= fabs(white[(GF_POSE + i) * SIGNALS + GF_POSE + i]);
+        others *= i > 0u ? sqrt(bent / (GF_DISTORTED - 1.0)) : 1.0;
     }
-    for (size_t p = 0; p < GF_DISTORTED; p++) {
-        left[p] = 0.0;
-        for (size_t q = 0; q < GF_DISTORTED; q++) {
-            inner[p][q] = 0.0;
-        }
-    }
+    return product > least * others;
+}
+
+/* Add up the parts of those numbers of a distortion that show. */
+static void judge_parts(size_t size, const double *white, double least, double *told) {
+    double inner[GF_DISTORTED][6] = {{0.0}}, ways[GF_DISTORTED][6], left[GF_DISTORTED] = {0.0};
     for (size_t i = 0; i < GF_DISTORTED && GF_POSE + i < size; i++) {
         const double *const row = &white[(GF_POSE + i) * SIGNALS + GF_POSE];
         for (size_t p = i; p < GF_DISTORTED; p++) {
@@ -94,24 +96,39 @@ static void judge(size_t size, const double *white, double weight, double shown,
         }
     }
     gf_eigen(GF_DISTORTED, inner, ways);
-    double part = 0.0, freedom = 0.0, bent = 0.0;
     for (size_t k = 0; k < GF_DISTORTED; k++) {
         const double value = inner[k][k];
-        if (!(value > shown * shown * weight)) {
+        if (!(value > least * least)) {
             continue;
         }
         double along = 0.0;
         for (size_t p = 0; p < GF_DISTORTED; p++) {
             along += ways[p][k] * left[p];
         }
-        part += along * along / value;
-        freedom += 1.0;
-        bent += value;
+        told[2] += along * along / value;
+        told[3] += 1.0;
+        told[4] += value;
     }
+}
+
+/* Judge white signals, of which the pose and the distortions are in triangular form; told is all zeros. */
+static void judge(size_t size, const double *white, double least, double *told) {
+    double part = 0.0, bent = 0.0;
     told[0] = 1.0;
-    told[1] = whole;
+    for (size_t i = GF_POSE; i < size; i++) {
+        const double left = white[i * SIGNALS + TOLD_OF];
+        told[1] += left * left;
+        for (size_t k = i; k < TOLD_OF; k++) {
+            bent += white[i * SIGNALS + k] * white[i * SIGNALS + k];
+        }
+        part += i < TOLD_OF ? left * left : 0.0;
+    }
+    if (size < TOLD_OF || !all_shown(white, bent, least)) {
+        judge_parts(size, white, least, told);
+        return;
+    }
     told[2] = part;
-    told[3] = freedom;
+    told[3] = GF_DISTORTED;
     told[4] = bent;
 }
 
@@ -142,6 +159,6 @@ void gf_watch(const gf_watched_t *what, size_t windows, const double *sums, doub
             }
         }
         gf_triangular(size, SIGNALS, TOLD_OF, white);
-        judge(size, white, weight, shown, &told[window * GF_TOLD]);
+        judge(size, white, shown * sqrt(weight), &told[window * GF_TOLD]);
     }
 }
