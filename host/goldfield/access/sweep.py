@@ -8,6 +8,7 @@ each cycle still tells the ramp: by how the mean goes on from cycle to cycle.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -82,7 +83,12 @@ class SweepRepair:
             codes = [self._codes[name] for name in beacons]
             ramp = self._site.cycle_s * sample_times(self._site.chips)
             chips: NDArray[np.int8] = code_matrix(self._site.degree, codes)
-            templates = np.stack([beacon_template(self._site, self._site.beacon(name)) for name in beacons], axis=1)
-            shape = separation_weights(self._site.degree, codes, templates=templates)[:-1] @ ramp
-            self._shapes[beacons] = np.asarray(shape), chips.mean(axis=0)
+            self._shapes[beacons] = cycle_weights(self._site, beacons)[0] @ ramp, chips.mean(axis=0)
         return self._shapes[beacons]
+
+
+def cycle_weights(site: Site, beacons: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """Return the samples' weights in the separated fields, shape (n, N), and what the samples hold of each, (N, n)."""
+    templates = np.stack([beacon_template(site, site.beacon(name)) for name in beacons], axis=1)
+    codes = [site.beacon(name).code for name in beacons]
+    return separation_weights(site.degree, codes, templates=templates)[:-1], templates

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from goldfield.access.epoch import EpochSeparator
 from goldfield.access.gold import code_matrix
-from goldfield.access.moving import sample_times, separation_weights
-from goldfield.access.waveform import beacon_template
+from goldfield.access.moving import sample_times
+from goldfield.access.sweep import cycle_weights
 from goldfield.link.reports import Report
 from goldfield.site import Site
 from goldfield.types import Fields, FloatArray
@@ -126,8 +126,7 @@ def _without_sweep(site: Site, turn: Turn) -> Turn:
     ramp, curve = np.zeros_like(turn.mean_T), np.zeros_like(turn.mean_T)
     ramp[1:-1], curve[1:-1] = 0.5 * (after - before), before - 2.0 * here + after
     times = sample_times(site.chips)
-    templates = np.stack([beacon_template(site, beacon) for beacon in site.beacons], axis=1)
-    weights = separation_weights(site.degree, site.codes, templates=templates)[:-1]
+    weights, _ = cycle_weights(site, [beacon.id for beacon in site.beacons])
     leaks = np.stack([weights @ times, weights @ (0.5 * times**2)])
     swept = np.einsum("sn,skc->knc", leaks, np.stack([ramp, curve]))
     return replace(turn, field_T=turn.field_T - swept).take(inner)

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from goldfield.access.motion_repair import MotionRepair
 from goldfield.errors import UserError, tell
 from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.link.reports import Report
@@ -95,20 +96,25 @@ def _located(site: Site, method: Method) -> Location:
 
 
 class _Each:
-    """Locates every epoch by itself, but for a beacon that the history of the residuals names: it is left out."""
+    """Locates every epoch by itself, but for two things that take those before.
+
+    What the sensor's motion during a cycle does to the fields is taken out (`MotionRepair`), and a beacon that the
+    history of the residuals names is left out.
+    """
 
     def __init__(self, site: Site) -> None:
         self._site = site
         self._witness = Witness(site)
         self._observer = EpochObserver(site)
+        self._motion = MotionRepair(site)
 
     def pose(self, fields: Fields) -> Pose:
-        if (
-            self._site.sensor.lever_m is not None
-        ):  # the history takes all axes to be at one point: it would blame beacons
-            return locate(self._site, fields)
+        repaired = self._motion.repaired(fields)
+        if self._site.sensor.lever_m is not None:
+            # The history takes all axes to be at one point: it would blame beacons.
+            return locate(self._site, repaired)
         named = self._witness.named
-        pose = locate(self._site, without(fields, named))
+        pose = locate(self._site, without(repaired, named))
         judgement = None
         if pose.status not in (Status.FAILED, Status.AMBIGUOUS) and all(finding.beacons for finding in pose.findings):
             pose = replace(pose, excluded=(*pose.excluded, *(name for name in named if name in fields.beacons)))
