@@ -123,8 +123,13 @@ def trial(
     corrupted: float = 0.0,
     errors: Errors = ASTRAY,
     anchors: bool = False,
+    anchor_lever_m: float = ANCHOR_PLACE_SD_M,
+    levers_told_m: float | None = None,
 ) -> Trial:
     """Draw a survey: the true site around the file's, a walk, known points in it, and corrupted epochs.
+
+    The sensors of anchors stand ``anchor_lever_m`` from the centres of their coils, root of the mean square along each
+    axis; with ``levers_told_m`` that was measured so well.
 
     A corrupted epoch has one to three beacons with fields of another place and attitude.
     """
@@ -154,7 +159,9 @@ def trial(
     witnesses: tuple[AnchorFields, ...] = ()
     if anchors:
         attitudes = Rotation.random(len(names), rng=rng).as_matrix()
-        place = coils.position_m[0] + ANCHOR_PLACE_SD_M * rng.normal(size=(len(names), 3))
+        beside = anchor_lever_m * rng.normal(size=(len(names), 3))
+        place = coils.position_m[0] + beside
+        levers = np.einsum("aij,aj->ai", attitudes, beside)
         seen = measured(coils, place, attitudes, np.eye(3), sigma / np.sqrt(100.0), rng)
         seen[np.arange(len(names)), np.arange(len(names))] = np.nan
         size = np.where(np.eye(3, dtype=bool), ASSUMED_GAIN_SD, ASSUMED_AXIS_SD_RAD)
@@ -164,6 +171,12 @@ def trial(
             AnchorFields(name, Fields(a, 0.0, names, seen[a], np.full(len(names), sigma / 10.0)))
             for a, name in enumerate(names)
         )
+        if levers_told_m is not None:
+            levers = levers + levers_told_m * rng.normal(size=levers.shape)
+            witnesses = tuple(
+                replace(one, lever_m=lever, lever_sd_m=levers_told_m)
+                for one, lever in zip(witnesses, levers, strict=True)
+            )
     data = SurveyData(fields_of(names, field, sigma), known, (), witnesses)
     return Trial(site, data, coils, sensor, position, rotation, wrong)
 

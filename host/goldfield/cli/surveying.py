@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from goldfield.site import Site
 from goldfield.site.metal import Metal, no_metal
 from goldfield.site.revision import BeaconRevision, SensorRevision, revised
 from goldfield.survey import Free, SurveyData, SurveyResult, procedure, survey
-from goldfield.survey.data import AnchorFields, MetalFound
+from goldfield.survey.data import AnchorFields, Known, MetalFound, SensorPlace
 from goldfield.survey.known_files import read_known, read_points
 from goldfield.types import Fields
 
@@ -52,8 +53,9 @@ def make_survey(arguments: argparse.Namespace) -> int:
         _check_map(arguments)
     site = sites.load(path)
     options.tell_doubts(site)
-    known = read_known(arguments.known, site) if arguments.known else ()
-    anchors = tuple(_anchor(site, name, table) for name, table in tables)
+    told = read_known(arguments.known, site) if arguments.known else ()
+    known = tuple(one for one in told if not isinstance(one, SensorPlace))
+    anchors = _placed([_anchor(site, name, table) for name, table in tables], told)
     free = procedure.chosen_free(site, None if arguments.free is None else frozenset(map(Free, arguments.free)))
 
     def survey_of(epochs: Sequence[Fields], most: int | None = None) -> SurveyResult:
@@ -140,6 +142,23 @@ def _anchor(site: Site, name: str, path: str) -> AnchorFields:
     rows = np.flatnonzero(weight > 0.0)
     mean = total[rows] / weight[rows, None]
     return AnchorFields(name, Fields(0, 0.0, tuple(ids[row] for row in rows), mean, weight[rows] ** -0.5))
+
+
+def _placed(anchors: Sequence[AnchorFields], told: Sequence[Known | SensorPlace]) -> tuple[AnchorFields, ...]:
+    """Return the anchors with what was measured of where their sensors are."""
+    places = {one.beacon: one for one in told if isinstance(one, SensorPlace)}
+    unheard = places.keys() - {anchor.beacon for anchor in anchors}
+    if unheard:
+        name = sorted(unheard)[0]
+        raise UserError(
+            f"--known tells where the sensor of {name} is, and it measured nothing: give --anchor {name}=FILE"
+        )
+    return tuple(
+        replace(one, lever_m=places[one.beacon].lever_m, lever_sd_m=places[one.beacon].sd_m)
+        if one.beacon in places
+        else one
+        for one in anchors
+    )
 
 
 def _epochs(

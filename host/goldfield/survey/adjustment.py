@@ -24,7 +24,7 @@ from goldfield.survey.equations import (
     derivatives,
     walk_equations,
 )
-from goldfield.survey.parameters import TERMS, Prior, State, beacons_of, matrix_of
+from goldfield.survey.parameters import ANCHOR, ANCHOR_LEVER, ANCHOR_TERMS, Prior, State, beacons_of, matrix_of
 from goldfield.types import FloatArray
 
 STAGES = (0.15, 0.05, 0.02, 0.005, 0.0)
@@ -36,10 +36,13 @@ MOST_STEPS = 60
 ROUGH_PROGRESS, FINE_PROGRESS = 1e-3, 1e-7
 """A fit ends when a step promises to lower the cost by less than this part of it, and of 1 at the least."""
 ANCHOR_MODEL_ERROR, LEAST_ANCHOR_ERROR = 0.002, 2e-4
-"""Relative error of the model at an anchor, as its sensor beside the centre of its coil: what is assumed first, and the
-least that is taken from how well the anchors fit."""
-TERM_PLACES = np.arange(3, 3 + TERMS)
-"""Where the terms of an anchor's sensor stand among its own unknowns: behind its turn."""
+"""Relative error of the model at an anchor, as by metal: what is assumed first, and the least that is taken from how
+well the anchors fit."""
+ANCHOR_LEVER_SD_M, LEAST_LEVER_SD_M, MOST_LEVER_SD_M = 0.003, 2e-5, 0.03
+"""How far an anchor's sensor stands from the centre of its coil, along each axis, where nobody has measured it: what is
+assumed first, and the least and the most that is taken from where the sensors are found to be."""
+KNOWN_PLACES = np.arange(ANCHOR_TERMS.start, ANCHOR)
+"""Where an anchor's unknowns of which something is known before stand among its own: terms and lever."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,8 +66,12 @@ class Problem:
         Those of the a anchors, one epoch each; that of the own beacon is not measured.
     anchor_rows : list of int
         The beacon where each stands.
-    anchor_sd : ndarray, shape (6,)
-        Standard deviations of the terms of each anchor's sensor.
+    anchor_known : ndarray, shape (a, 9)
+        Terms and lever of each anchor's sensor as they are known before.
+    anchor_sd : ndarray, shape (a, 9)
+        Their standard deviations.
+    levers_told : ndarray of bool, shape (a,)
+        Whether somebody has measured the lever.
     anchor_error : float
         Relative error of the model at an anchor.
     """
@@ -80,7 +87,9 @@ class Problem:
     constraints: Constraints
     anchors: Readings
     anchor_rows: list[int]
+    anchor_known: FloatArray
     anchor_sd: FloatArray
+    levers_told: NDArray[np.bool_]
     anchor_error: float = ANCHOR_MODEL_ERROR
 
     def of_epochs(self, rows: NDArray[np.bool_]) -> Problem:
@@ -157,7 +166,7 @@ def _anchors(
 ) -> tuple[float, FloatArray, FloatArray, FloatArray, Group]:
     """Return what the anchors add: loss, chi-square of each component, common matrix, gradient and their group."""
     place = state.position_m[problem.anchor_rows]
-    sound = replace(state, offset_T=np.zeros(3), lever_m=np.zeros((3, 3)))
+    sound = replace(state, offset_T=np.zeros(3), lever_m=np.repeat(state.anchor_lever_m[:, None], 3, axis=1))
     matrix = matrix_of(state.anchor_terms)
     parts = derivatives(model, sound, np.eye(3), problem.anchors.field_T, place, state.anchor_rotation, matrix)
     weight = problem.anchors.weight(float(np.hypot(model_error, problem.anchor_error)))
@@ -173,17 +182,18 @@ def _anchors(
     loss, share = _loss(squares.sum(axis=(1, 2)), problem.anchors.count, robust)
     weighted = weight * np.sqrt(share)[:, None, None]
     common, gradient, group = anchor_equations(parts, weighted, problem.anchor_rows)
-    before = state.anchor_terms / problem.anchor_sd
-    group.own[:, TERM_PLACES, TERM_PLACES] += problem.anchor_sd**-2
-    group.gradient[:, TERM_PLACES] -= before / problem.anchor_sd
+    found = np.hstack([state.anchor_terms, state.anchor_lever_m])
+    before = (found - problem.anchor_known) / problem.anchor_sd
+    group.own[:, KNOWN_PLACES, KNOWN_PLACES] += problem.anchor_sd**-2
+    group.gradient[:, KNOWN_PLACES] -= before / problem.anchor_sd
     return float(loss.sum() + (before * before).sum()), squares, common, gradient, group
 
 
 def anchor_error(problem: Problem, state: State, covariance: FloatArray) -> float:
     """Return the relative error of the model at the anchors with which they fit as they should.
 
-    Their chi-square is expected to be the number of their components less what they fit themselves: three turns and
-    six terms each, as far as the terms are not known before, and their part of the common parameters, which is the
+    Their chi-square is expected to be the number of their components less what they fit themselves: three turns, six
+    terms and a lever each, as far as these are not known before, and their part of the common parameters, which is the
     trace of their information times the covariance. The step is Fisher's scoring of the variance: each component counts
     for the part that the model's error has in its own, so that one step about finds it, from above or from below.
 
@@ -196,8 +206,8 @@ def anchor_error(problem: Problem, state: State, covariance: FloatArray) -> floa
     _, squares, common, gradient, group = _anchors(problem, model, state, 0.0, robust=False)
     every = np.ones(len(common), dtype=bool)
     information, _, _ = _only(every, common, gradient, [group]).reduced()
-    known = np.linalg.inv(group.own)[:, TERM_PLACES, TERM_PLACES] * problem.anchor_sd**-2
-    own = (3.0 + TERMS) * len(squares) - float(known.sum())
+    known = np.linalg.inv(group.own)[:, KNOWN_PLACES, KNOWN_PLACES] * problem.anchor_sd**-2
+    own = ANCHOR * len(squares) - float(known.sum())
     count = problem.anchors.count.sum()
     redundancy = max((count - own - float((information * covariance).sum())) / count, 0.05)
     # The part of each component's variance that is the model's: a component of mere noise says nothing of it.
@@ -207,6 +217,27 @@ def anchor_error(problem: Problem, state: State, covariance: FloatArray) -> floa
     excess = float((part * (squares - redundancy)).sum()) / max(redundancy * float((part**2).sum()), 1e-300)
     factor = np.sqrt(max(1.0 + excess, 0.0))
     return float(np.clip(problem.anchor_error * factor, LEAST_ANCHOR_ERROR, 10.0 * ANCHOR_MODEL_ERROR))
+
+
+def anchor_levers(problem: Problem, state: State, covariance: FloatArray) -> FloatArray:
+    """Return ``anchor_sd`` with the deviation of the levers that nobody has measured, as it shows in those found.
+
+    Their mean square is that of what was found over the part of it that the data tell (MacKay's step of empirical
+    Bayes); the parameters are those of `anchor_error`.
+    """
+    result = problem.anchor_sd.copy()
+    if problem.levers_told.all():
+        return result
+    model = FieldModel(beacons_of(problem.site, state))
+    *_, group = _anchors(problem, model, state, 0.0, robust=False)
+    own = np.linalg.inv(group.own)
+    by_common = own @ group.cross
+    spread = own + by_common @ covariance @ by_common.swapaxes(1, 2)
+    variance = np.einsum("akk->ak", spread)[:, ANCHOR_LEVER]
+    part = 1.0 - (variance / result[:, -3:] ** 2)[~problem.levers_told]
+    square = float((state.anchor_lever_m[~problem.levers_told] ** 2).sum()) / max(float(part.sum()), 0.05 * part.size)
+    result[~problem.levers_told, -3:] = np.clip(np.sqrt(square), LEAST_LEVER_SD_M, MOST_LEVER_SD_M)
+    return result
 
 
 def _only(free: NDArray[np.bool_], common: FloatArray, gradient: FloatArray, groups: Sequence[Group]) -> Equations:
@@ -254,7 +285,7 @@ def adjust(
         common, (poses, *others), promise = now.equations.step(damping)
         whole = np.zeros(len(problem.prior.free))
         whole[problem.prior.free] = common
-        anchors = others[0] if others else np.empty((0, 3 + TERMS))
+        anchors = others[0] if others else np.empty((0, ANCHOR))
         trial = state.moved(whole, poses, anchors)
         then = evaluate(problem, trial, model_error, robust=robust)
         if then.cost <= now.cost:

@@ -89,13 +89,22 @@ class Current:
     sd: float
 
 
+@dataclass(frozen=True, eq=False)
+class SensorPlace:
+    """Where the sensor of an anchor reads, from the centre of its coil and in its own frame; see `AnchorFields`."""
+
+    beacon: str
+    lever_m: FloatArray
+    sd_m: float
+
+
 Known = Distance | Place | Direction | Current
 """What is known of beacons by another measurement than that of their fields."""
 
 
 @dataclass(frozen=True, eq=False)
 class AnchorFields:
-    """What the sensor of an anchor measured of the other beacons: it stands where its own beacon does.
+    """What the sensor of an anchor measured of the other beacons: it stands beside the centre of its own coil.
 
     Attributes
     ----------
@@ -103,10 +112,16 @@ class AnchorFields:
         Id of the anchor's own beacon.
     fields : Fields
         Fields in the frame of the anchor's sensor, averaged; the own beacon's is not used.
+    lever_m : ndarray, shape (3,)
+        Where the sensor reads, from the centre of the coil and in the frame of the sensor.
+    lever_sd_m : float or None
+        Standard deviation of each of its coordinates; None: nobody has measured it, so that it is found.
     """
 
     beacon: str
     fields: Fields
+    lever_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    lever_sd_m: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from goldfield.field import FieldModel
 from goldfield.site.metal import COLUMNS, ROWS
 from goldfield.survey.metal import effects_of_bodies, effects_of_harmonics
-from goldfield.survey.parameters import BEACON, LEVER, OFFSET, SENSOR, TERMS, State, across
+from goldfield.survey.parameters import ANCHOR, BEACON, LEVER, OFFSET, SENSOR, TERMS, State, across
 from goldfield.types import FloatArray
 
 
@@ -86,6 +86,8 @@ def derivatives(
 ) -> Derivatives:
     """Return residuals and derivatives; a sensor with levers takes three times as long as one without.
 
+    The levers of the state, shape (3, 3), may also be those of each epoch, shape (e, 3, 3).
+
     Parameters
     ----------
     model : FieldModel
@@ -99,7 +101,7 @@ def derivatives(
     matrix : ndarray, shape (3, 3) or (e, 3, 3)
         I + E.
     """
-    arm = rotation @ state.lever_m.T  # (e, 3, axis)
+    arm = rotation @ state.lever_m.swapaxes(-1, -2)  # (e, 3, axis)
     if not state.lever_m.any():
         return _at(model, state, axes, field_T, point_m, rotation, matrix, arm)
     each = [_at(model, state, axes, field_T, point_m + arm[:, :, c], rotation, matrix, arm) for c in range(3)]
@@ -308,7 +310,7 @@ def walk_equations(parts: Derivatives, weight: FloatArray) -> tuple[FloatArray, 
 def anchor_equations(
     parts: Derivatives, weight: FloatArray, beacon_rows: list[int]
 ) -> tuple[FloatArray, FloatArray, Group]:
-    """Return the normal equations of anchors, each with attitude and terms of its sensor as its own unknowns.
+    """Return the normal equations of anchors, each with attitude, terms and lever of its sensor as its own unknowns.
 
     Parameters
     ----------
@@ -331,8 +333,9 @@ def anchor_equations(
     for a, row in enumerate(beacon_rows):
         common[a, :, :, BEACON * row : BEACON * row + 3] += parts.pose[a, :, :, :3]
     common = (common * weight[..., None]).reshape(anchors, -1, size)
-    own = np.concatenate([parts.pose[..., 3:], parts.sensor[..., :TERMS]], axis=3)
-    own = (own * weight[..., None]).reshape(anchors, 3 * beacons, 3 + TERMS)
+    lever = parts.sensor[..., LEVER].reshape(anchors, beacons, 3, 3, 3).sum(axis=3)  # all axes read at one place
+    own = np.concatenate([parts.pose[..., 3:], parts.sensor[..., :TERMS], lever], axis=3)
+    own = (own * weight[..., None]).reshape(anchors, 3 * beacons, ANCHOR)
     back = own.swapaxes(1, 2)
     flat = common.reshape(-1, size)
     group = Group(back @ own, back @ common, (back @ residual[..., None])[..., 0])

@@ -15,7 +15,7 @@ from goldfield.files.inputs import name_of
 from goldfield.files.toml_table import Table
 from goldfield.files.toml_table import read_table as read_toml
 from goldfield.site import Site
-from goldfield.survey.data import Current, Direction, Distance, Known, KnownPoint, Place
+from goldfield.survey.data import Current, Direction, Distance, Known, KnownPoint, Place, SensorPlace
 from goldfield.types import Fields
 
 COORDINATES = ("x_m", "y_m", "z_m")
@@ -25,6 +25,8 @@ LARGEST_M = 1e4
 """Beyond any coordinate of an indoor site."""
 DEVIATIONS = {"sd_m": (1e-6, 10.0, " m"), "sd_rad": (1e-6, 1.0, " rad"), "sd": (1e-6, 1.0, "")}
 """Least and largest standard deviation that a measurement has, with its unit, by its key."""
+LARGEST_LEVER_M = 1.0
+"""Beyond the distance of any anchor's sensor from the centre of its own coil."""
 LARGEST_RATIO = 10.0
 """By how much a measured current may differ from that of the site file: more is another unit."""
 
@@ -91,7 +93,7 @@ def _sigma(row: Row) -> float:
     return value
 
 
-def read_known(path: str | Path, site: Site) -> tuple[Known, ...]:
+def read_known(path: str | Path, site: Site) -> tuple[Known | SensorPlace, ...]:
     """Read what was measured of the beacons with other means: a TOML file with one table, ``[known]``.
 
     Each of its keys is a list of inline tables, and may be left out:
@@ -100,7 +102,9 @@ def read_known(path: str | Path, site: Site) -> tuple[Known, ...]:
     - ``height``: ``{beacon, m, sd_m}``, the z of a coil's centre;
     - ``position``: ``{beacon, m = [x, y, z], sd_m}``, its whole place;
     - ``direction``: ``{beacon, axis = [x, y, z], sd_rad}``, where its axis points;
-    - ``current``: ``{beacon, A, sd}``, with a relative deviation.
+    - ``current``: ``{beacon, A, sd}``, with a relative deviation;
+    - ``sensor``: ``{beacon, m = [x, y, z], sd_m}``, where an anchor's sensor is, from the centre of its coil and in the
+      frame of the sensor.
 
     Raises
     ------
@@ -110,12 +114,13 @@ def read_known(path: str | Path, site: Site) -> tuple[Known, ...]:
     root = read_toml(Path(path), "file of known values")
     root.allow("known")
     table = root.table("known")
-    readers: dict[str, Callable[[Table, Site], Known]] = {
+    readers: dict[str, Callable[[Table, Site], Known | SensorPlace]] = {
         "distance": _distance,
         "height": _height,
         "position": _position,
         "direction": _direction,
         "current": _current,
+        "sensor": _sensor,
     }
     table.allow(*readers)
     known = [read(item, site) for key, read in readers.items() if key in table for item in table.tables(key)]
@@ -162,6 +167,14 @@ def _current(table: Table, site: Site) -> Current:
         before = site.beacon(name).current_A
         raise table.error("A", f"is {value:g}, and the site file says {before:g} A of {name}: give amperes")
     return Current(name, value, _deviation(table, "sd"))
+
+
+def _sensor(table: Table, site: Site) -> SensorPlace:
+    table.allow("beacon", "m", "sd_m")
+    lever = table.vector("m")
+    if np.abs(lever).max() > LARGEST_LEVER_M:
+        raise table.error("m", f"is {np.linalg.norm(lever):g} m from the centre of the coil: give metres, at most one")
+    return SensorPlace(_beacon(table, site), lever, _deviation(table, "sd_m"))
 
 
 def _length(table: Table, value: float) -> float:

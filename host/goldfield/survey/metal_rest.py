@@ -118,7 +118,8 @@ def _with_polynomials(
         relative_sd=np.full(MOST_DEGREE, FIRST_RELATIVE),
     )
     problem = problem_of(old.site, data, free, metal)
-    problem = replace(problem, readings=old.readings, point_weight=old.point_weight, anchor_error=old.anchor_error)
+    problem = replace(problem, readings=old.readings, point_weight=old.point_weight)
+    problem = replace(problem, anchor_error=old.anchor_error, anchor_sd=old.anchor_sd)
     harmonics[:, : found.harmonics_T.shape[1]] = found.harmonics_T
     return problem, replace(solution.state, metal=replace(metal, harmonics_T=harmonics))
 

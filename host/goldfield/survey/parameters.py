@@ -34,6 +34,10 @@ OFFSET, LEVER = slice(TERMS, TERMS + 3), slice(TERMS + 3, TERMS + 12)
 """Where the offset and the levers, one axis after another, stand among the parameters of the sensor."""
 SENSOR = LEVER.stop
 """Parameters of the sensor: its terms, its offset and its levers."""
+ANCHOR_TERMS, ANCHOR_LEVER = slice(3, 3 + TERMS), slice(3 + TERMS, 6 + TERMS)
+"""Where terms and lever of an anchor's sensor stand among its own unknowns: behind its turn."""
+ANCHOR = ANCHOR_LEVER.stop
+"""Unknowns of an anchor's sensor: its turn, its terms and its lever."""
 
 UNKNOWN_POSITION_M, UNKNOWN_AXIS_RAD, UNKNOWN_CURRENT = 0.3, 0.25, 0.1
 """Standard deviations of what is to be found and of which the site says nothing, or that it is exact."""
@@ -61,6 +65,8 @@ class State:
     metal : MetalState
     anchor_terms : ndarray, shape (a, 6)
         Its E.
+    anchor_lever_m : ndarray, shape (a, 3)
+        Where it reads, from the centre of its coil and in its own frame.
     lever_m : ndarray, shape (3, 3)
         Where each axis of the sensor reads, a row each, from its reference point and in its frame.
     """
@@ -75,6 +81,7 @@ class State:
     anchor_rotation: FloatArray
     metal: MetalState
     anchor_terms: FloatArray
+    anchor_lever_m: FloatArray
     lever_m: FloatArray
 
     def matrix(self) -> FloatArray:
@@ -89,8 +96,8 @@ class State:
         common : ndarray, shape (g,)
         poses : ndarray, shape (e, 6)
             Shift and turn, in the site's frame.
-        anchors : ndarray, shape (a, 9)
-            Turn, in the site's frame, and terms.
+        anchors : ndarray, shape (a, 12)
+            Turn, in the site's frame, terms and lever.
         """
         count = len(self.position_m)
         of_beacons, of_sensor = common[: BEACON * count].reshape(count, BEACON), common[BEACON * count :][:SENSOR]
@@ -106,7 +113,8 @@ class State:
             orthonormal(turned(self.rotation, poses[:, 3:])),
             orthonormal(turned(self.anchor_rotation, anchors[:, :3])),
             self.metal.moved(common[BEACON * count + SENSOR :]),
-            self.anchor_terms + anchors[:, 3:],
+            self.anchor_terms + anchors[:, ANCHOR_TERMS],
+            self.anchor_lever_m + anchors[:, ANCHOR_LEVER],
             self.lever_m + of_sensor[LEVER].reshape(3, 3),
         )
 
@@ -151,6 +159,7 @@ def start_of(site: Site, epochs: int, anchors: int, metal: MetalState | None = N
         anchor_rotation=np.broadcast_to(np.eye(3), (anchors, 3, 3)).copy(),
         metal=no_metal(len(site.beacons)) if metal is None else metal,
         anchor_terms=np.zeros((anchors, TERMS)),
+        anchor_lever_m=np.zeros((anchors, 3)),
         lever_m=np.zeros((3, 3)) if site.sensor.lever_m is None else site.sensor.lever_m,
     )
 

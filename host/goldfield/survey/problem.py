@@ -8,13 +8,13 @@ from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.site import Site
 from goldfield.site.reading import ASSUMED_AXIS_SD_RAD, ASSUMED_GAIN_SD
-from goldfield.survey.adjustment import Problem
+from goldfield.survey.adjustment import ANCHOR_LEVER_SD_M, Problem
 from goldfield.survey.checks import check_data, check_epochs, check_sensor
 from goldfield.survey.constraints import Constraints
 from goldfield.survey.data import AnchorFields, Free, SurveyData
 from goldfield.survey.equations import Readings
 from goldfield.survey.metal import MetalState
-from goldfield.survey.parameters import prior_of, start_of
+from goldfield.survey.parameters import TERMS, prior_of, start_of
 from goldfield.types import Fields, FloatArray
 
 
@@ -52,15 +52,27 @@ def problem_of(site: Site, data: SurveyData, free: frozenset[Free], metal: Metal
         constraints=Constraints(data.known, row, np.array([beacon.current_A for beacon in site.beacons]), count),
         anchors=anchors,
         anchor_rows=[row[anchor.beacon] for anchor in data.anchors],
-        anchor_sd=_anchor_sd(site),
+        anchor_known=_anchor_known(data.anchors),
+        anchor_sd=_anchor_sd(site, data.anchors),
+        levers_told=np.array([anchor.lever_sd_m is not None for anchor in data.anchors], dtype=bool),
     )
 
 
-def _anchor_sd(site: Site) -> FloatArray:
-    """Return how well the terms of an anchor's sensor are known, shape (6,): no better than a usual sensor's."""
+def _anchor_known(anchors: tuple[AnchorFields, ...]) -> FloatArray:
+    """Return what is known of terms and lever of each anchor's sensor, shape (a, 9)."""
+    result = np.zeros((len(anchors), TERMS + 3))
+    for row, anchor in zip(result, anchors, strict=True):
+        row[TERMS:] = anchor.lever_m
+    return result
+
+
+def _anchor_sd(site: Site, anchors: tuple[AnchorFields, ...]) -> FloatArray:
+    """Return how well that is known, shape (a, 9): the terms no better than a usual sensor's."""
     gain = max(site.sensor.gain_sd, ASSUMED_GAIN_SD)
     tilt = np.sqrt(2.0) * max(site.sensor.axis_sd_rad, ASSUMED_AXIS_SD_RAD)
-    return np.array([gain, gain, gain, tilt, tilt, tilt])
+    levers = [ANCHOR_LEVER_SD_M if anchor.lever_sd_m is None else anchor.lever_sd_m for anchor in anchors]
+    terms = np.broadcast_to([gain, gain, gain, tilt, tilt, tilt], (len(anchors), TERMS))
+    return np.hstack([terms, np.repeat(np.array(levers)[:, None], 3, axis=1)])
 
 
 def axes_of(site: Site) -> FloatArray:

@@ -21,6 +21,7 @@ from goldfield.survey.adjustment import (
     Problem,
     adjust,
     anchor_error,
+    anchor_levers,
     evaluate,
 )
 from goldfield.survey.advice import advice_of
@@ -29,7 +30,7 @@ from goldfield.survey.equations import Readings, inverse
 from goldfield.survey.levers import untold_levers
 from goldfield.survey.metal import MetalState
 from goldfield.survey.outcome import Solution, found_site, outliers_of, parameters_of
-from goldfield.survey.parameters import BEACON, State, default_free, start_of
+from goldfield.survey.parameters import BEACON, TERMS, State, default_free, start_of
 from goldfield.survey.problem import problem_of
 from goldfield.survey.reversals import reversals_in_words, right_way_round
 from goldfield.survey.starts import anchor_attitudes, levers_alone, measurements_of, rough_poses, searched_poses
@@ -48,8 +49,8 @@ WRONG_POINT = float(chdtri(3.0, UNLIKELY))
 MOST_WRONG_POINTS = 5
 """Known points that may be left out since they do not fit."""
 ANCHOR_ROUNDS, SETTLED = 6, 0.1
-"""How often the model's error at the anchors is estimated from how well they fit, at most, and the relative change of
-it that ends that."""
+"""How often the model's error at the anchors and the size of their levers are estimated from how well they fit, at
+most, and the relative change of them that ends that."""
 ROUNDS = 3
 """How often epochs are judged anew."""
 
@@ -148,7 +149,8 @@ def solve(
                 problem = problem_of(turned, data, free, metal)
                 state = rough_poses(problem, state)
         if data.anchors:
-            state = replace(state, anchor_rotation=anchor_attitudes(problem, state))
+            lever = problem.anchor_known[:, TERMS:]
+            state = replace(state, anchor_rotation=anchor_attitudes(problem, state), anchor_lever_m=lever)
     else:
         state = replace(start, metal=problem.prior.start.metal)
         stages = STAGES[-3:]
@@ -228,11 +230,12 @@ def _judged(problem: Problem, state: State, now: Evaluation, progress: Progress)
     problem, state, sound, last = _last_fit(problem, state, sound, progress)
     covariance = covariance_of(problem, last)
     for _ in range(ANCHOR_ROUNDS if problem.anchor_rows else 0):
-        before = problem.anchor_error
-        problem = replace(problem, anchor_error=anchor_error(problem, state, covariance))
+        error, sd = anchor_error(problem, state, covariance), anchor_levers(problem, state, covariance)
+        changes = np.append(sd / problem.anchor_sd, error / problem.anchor_error)
+        problem = replace(problem, anchor_error=error, anchor_sd=sd)
         problem, state, sound, last = _last_fit(problem, state, sound, progress)
         covariance = covariance_of(problem, last)
-        if abs(problem.anchor_error - before) < SETTLED * before:
+        if np.abs(changes - 1.0).max() < SETTLED:
             break
     return Solution(
         problem,
@@ -346,7 +349,7 @@ def _residuals(problem: Problem, state: State, sound: NDArray[np.bool_], last: E
     freedom = float((problem.readings.count[sound] - 6.0).sum())
     if freedom <= 0.0:
         anchors = float(problem.anchors.count.sum())
-        value = float(np.sqrt(last.anchor_squares.sum() / max(anchors - 3.0 * len(problem.anchor_rows), 1.0)))
+        value = float(np.sqrt(last.anchor_squares.sum() / max(anchors - 6.0 * len(problem.anchor_rows), 1.0)))
         return float("nan"), value
     some = problem.of_epochs(sound)
     start = replace(problem.prior.start, sensor_m=state.sensor_m[sound], rotation=state.rotation[sound])

@@ -82,12 +82,16 @@ def test_a_table_for_people_ends_with_advice(room, tmp_path, capsys):
     [
         (["--anchor", "b9=x.csv"], 'the site has no beacon "b9"'),
         (["--anchor", "b3"], "is no ID=FIELDS.csv"),
+        (["--known", "{known}"], "tells where the sensor of b4 is, and it measured nothing: give --anchor b4=FILE"),
         (["--log", "x.log"], "FIELDS.csv and --log are both given"),
     ],
 )
 def test_bad_options_are_told(room, tmp_path, capsys, more, complaint):
     folder, _ = room
-    assert main(arguments(folder, tmp_path / "new.toml", *more)) == 2
+    known = tmp_path / "known.toml"
+    known.write_text('[known]\nsensor = [{beacon = "b4", m = [0.01, 0.0, 0.0], sd_m = 0.001}]\n')
+    words = [word.format(known=known) for word in more]
+    assert main(arguments(folder, tmp_path / "new.toml", *words)) == 2
     assert complaint in capsys.readouterr().err
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from goldfield.errors import UserError
-from goldfield.survey.data import Current, Direction, Distance, Place
+from goldfield.survey.data import Current, Direction, Distance, Place, SensorPlace
 from goldfield.survey.known_files import POINT_SIGMA_M, read_known, read_points
 from tests.bench.survey_trials import cube, fields_of
 
@@ -57,7 +57,7 @@ def test_wrong_points_are_told(tmp_path, rows, complaint):
 
 
 def test_each_kind_of_known_value_is_read(tmp_path):
-    distance, height, place, direction, current = known(
+    distance, height, place, direction, current, sensor = known(
         tmp_path,
         """[known]
 distance = [{between = ["b0", "b7"], m = 3.5, sd_m = 0.002}]
@@ -65,6 +65,7 @@ height = [{beacon = "b1", m = 2.5, sd_m = 0.01}]
 position = [{beacon = "b2", m = [1, 2, 3], sd_m = 0.001}]
 direction = [{beacon = "b3", axis = [0, 0, 2], sd_rad = 0.01}]
 current = [{beacon = "b4", A = 9.9, sd = 0.001}]
+sensor = [{beacon = "b5", m = [0.01, 0, -0.02], sd_m = 0.0005}]
 """,
     )
     assert distance == Distance(("b0", "b7"), 3.5, 0.002)
@@ -76,6 +77,8 @@ current = [{beacon = "b4", A = 9.9, sd = 0.001}]
     assert isinstance(direction, Direction)
     assert direction.axis.tolist() == [0.0, 0.0, 1.0]
     assert current == Current("b4", 9.9, 0.001)
+    assert isinstance(sensor, SensorPlace)
+    assert (sensor.beacon, sensor.lever_m.tolist(), sensor.sd_m) == ("b5", [0.01, 0.0, -0.02], 0.0005)
 
 
 @pytest.mark.parametrize(
@@ -94,6 +97,7 @@ current = [{beacon = "b4", A = 9.9, sd = 0.001}]
         ('current = [{beacon = "b0", A = 9990, sd = 0.1}]', "A is 9990, and the site file says 10 A of b0"),
         ('current = [{beacon = "b0", A = 10, sd = 0}]', "sd is 0; a standard deviation is 0.000001 to 1"),
         ('current = [{beacon = "b0", A = -3, sd = 0.1}]', "has not the sign of b0's current"),
+        ('sensor = [{beacon = "b0", m = [12, 0, 0], sd_m = 0.5}]', "m is 12 m from the centre of the coil"),
         ("hight = []", 'hight is no known key; did you mean "height"'),
         ("", "is empty: its keys are"),
     ],

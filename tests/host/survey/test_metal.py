@@ -24,7 +24,7 @@ from goldfield.survey.metal import MetalState, effects_of_bodies, effects_of_har
 from goldfield.survey.metal_choice import walked_room
 from goldfield.survey.metal_picture import png, residuals
 from goldfield.survey.metal_rest import trusted
-from goldfield.survey.parameters import beacons_of, start_of
+from goldfield.survey.parameters import ANCHOR, beacons_of, start_of
 from goldfield.survey.problem import problem_of
 from goldfield.survey.procedure import solve
 from goldfield.types import Status
@@ -93,7 +93,7 @@ def test_the_gradient_of_the_cost_is_that_of_differences() -> None:
     scale = 1.0 / np.sqrt(np.diag(now.equations.common))
     steps = np.zeros(len(gradient))
     steps[problem.prior.free] = 1e-4 * scale
-    nothing = np.zeros((len(trial.data.epochs), 6)), np.empty((0, 9))
+    nothing = np.zeros((len(trial.data.epochs), 6)), np.empty((0, ANCHOR))
     for unknown in (first, first + 40, len(gradient) - 18, len(gradient) - 12, len(gradient) - 1):
         move = np.zeros(len(gradient))
         move[unknown] = steps[unknown]
