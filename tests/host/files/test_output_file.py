@@ -4,6 +4,7 @@ import errno
 import os
 import random
 import signal
+import sys
 import threading
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from goldfield import Fields, load_site, read_fields
 from goldfield.errors import SystemFailure, UserError
-from goldfield.files import durable
+from goldfield.files import durable, outputs
 from goldfield.files.outputs import OutputFile, check_outputs, write_file
 from goldfield.link.recordings import CandumpReader, CandumpWriter
 from goldfield.link.traffic import CORRUPT
@@ -282,3 +283,62 @@ def test_a_file_system_without_sync_is_written_all_the_same(tmp_path, monkeypatc
     with OutputFile(tmp_path / "a.log", "the recording", live=True) as file:
         file.write(b"one\n")
     assert (tmp_path / "a.log").read_bytes() == b"one\n"
+
+
+def at_step(step, end):
+    """Return a tracer that ends the program in its own way at a line of what writes files, counted from one."""
+    left = [step]
+
+    def trace(frame, event, _):
+        if frame.f_code.co_filename != outputs.__file__:
+            return None
+        if event == "line":
+            left[0] -= 1
+            if left[0] == 0:
+                end()
+        return trace
+
+    return trace, left
+
+
+def killed_at(step, path, text, end):
+    """Write a file in a process that ends at a step; return whether that step was reached."""
+    if (child := os.fork()) == 0:
+        try:
+            trace, left = at_step(step, end)
+            sys.settrace(trace)
+            write_file(path, text, "the new site file", force=True)
+            os._exit(0 if left[0] > 0 else 1)
+        finally:
+            os._exit(2)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) != 0
+
+
+def interrupted():
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("way", ["SIGKILL", "SIGINT"])
+def test_a_file_that_is_replaced_is_the_old_or_the_new_wherever_the_program_ends(tmp_path, way):
+    """As `goldfield survey --force` replaces a site file: at each line on the way, by kill -9 and by Ctrl-C."""
+    end = interrupted if way == "SIGINT" else lambda: os.kill(os.getpid(), signal.SIGKILL)
+    old, new = b"# old\n" * 1000, b"# the new site\n" * 3000
+    seen, step = [], 0
+    while True:
+        step += 1
+        place = tmp_path / str(step)
+        place.mkdir()
+        path = place / "room.toml"
+        path.write_bytes(old)
+        path.chmod(0o640)
+        reached = killed_at(step, path, new, end)
+        seen.append({old: "old", new: "new"}[path.read_bytes()])
+        assert path.stat().st_mode & 0o777 == 0o640
+        assert all(one.name.startswith(".room.toml.") for one in place.iterdir() if one != path)
+        write_file(path, b"next", "the new site file", force=True)  # what was left lying about is in nobody's way
+        assert path.read_bytes() == b"next"
+        if not reached:
+            break
+    assert seen == sorted(seen, reverse=True), "once it is new it stays so"
+    assert seen.count("old") > 20
+    assert seen.count("new") > 2
