@@ -50,6 +50,7 @@ def _add_sensor(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensors", metavar="FILE", help="keep the calibration there, with the board's unique id")
     parser.add_argument("--unique-id", metavar="ID", help="of the board, for --sensors with a recording")
     parser.add_argument("--write", action="store_true", help="set the board's zero and calibration (live)")
+    parser.add_argument("--accept-weak", action="store_true", help="with --write: set the board to a weak one, too")
     add_view(parser)
     options.add_json(parser)
     options.add_force(parser)

@@ -20,7 +20,7 @@ from goldfield.cli.chips_file import read_cycles
 from goldfield.cli.output import elements, json_line, number
 from goldfield.cli.page_progress import TurnProgress
 from goldfield.cli.page_shown import shown
-from goldfield.errors import UserError, tell
+from goldfield.errors import SystemFailure, UserError, tell
 from goldfield.files.outputs import check_outputs, check_writable, write_file
 from goldfield.link.reports import Report
 from goldfield.sensor.fields_table import read_fields
@@ -45,6 +45,8 @@ def sensor(arguments: argparse.Namespace) -> int:
         raise UserError("--write needs the board: give --port or --can in place of a recording")
     if arguments.sensors and not live and not arguments.unique_id:
         raise UserError("--sensors needs --unique-id with a recording: goldfield nodes tells a board's")
+    if not arguments.write:
+        options.tell_idle(arguments, ("--accept-weak",), "a calibration that is not written to the board (--write)")
     if kind == "fields":
         options.tell_idle(arguments, ("--seconds", "--view"), "--fields")
     if live or not arguments.sensors:
@@ -67,8 +69,17 @@ def sensor(arguments: argparse.Namespace) -> int:
         if page is not None:
             page.compute()
         found = calibrate_sensor(site, turn)
-        record = _carried_out(arguments, kind, where, site, node, found, unique_id)
+        refused = arguments.write and found.weak is not None and not arguments.accept_weak
+        if refused:
+            record = sensor_record(found) | {"written": False}
+        else:
+            record = _carried_out(arguments, kind, where, site, node, found, unique_id)
         print(json_line(record) if arguments.json else _sensor_text(found, record))
+        if refused:
+            raise SystemFailure(
+                "the calibration is weak: neither the board nor a file was written; turn the sensor again as is said, "
+                "or write it all the same with --accept-weak"
+            )
         if page is not None:
             page.say(f"Done: {_summary(found)}")
     return 0

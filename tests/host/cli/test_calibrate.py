@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import tomllib
+from dataclasses import replace
 
 import jsonschema
 import numpy as np
 import pytest
 
-from goldfield.cli import main
+from goldfield.cli import calibrations, main
+from goldfield.cli.board_calibration import BoardCalibration
 from goldfield.sensor.fields_table import FieldsWriter
 from hil_sim import scenario
 from hil_sim.clib import ROOT
@@ -102,3 +104,39 @@ def test_what_is_wrong_is_said(words, complaint, capsys):
         code = end.code
     assert code == 2
     assert complaint in capsys.readouterr().err
+
+
+@pytest.fixture
+def board(turned, tmp_path, monkeypatch):
+    """A board whose sensor is turned as the fixture `turned` was; return what it was set to, and the command line."""
+    written = []
+    before = BoardCalibration(100, ID, np.zeros(3), np.eye(3))
+    monkeypatch.setattr(calibrations, "_record", lambda *_: (100, turned.turn))
+    monkeypatch.setattr(calibrations.board_calibration, "read", lambda *_: before)
+    monkeypatch.setattr(calibrations.board_calibration, "write", lambda *told: written.append(told))
+    files = ["--out", str(tmp_path / "new.toml"), "--sensors", str(tmp_path / "sensors.toml")]
+    return written, ["calibrate", "sensor", "--port", "p", "--site", str(tmp_path / "site.toml"), *files, "--json"]
+
+
+@pytest.mark.parametrize(
+    ("weak", "more", "code", "times"),
+    [("turn it further", [], 3, 0), ("turn it further", ["--accept-weak"], 0, 1), (None, [], 0, 1)],
+)
+def test_a_weak_calibration_is_not_written_unasked(board, tmp_path, monkeypatch, capsys, weak, more, code, times):
+    written, words = board
+    judged = calibrations.calibrate_sensor
+    monkeypatch.setattr(calibrations, "calibrate_sensor", lambda *given: replace(judged(*given), weak=weak))
+    assert main([*words, "--write", *more]) == code
+    told = capsys.readouterr()
+    assert json.loads(told.out)["written"] is bool(times)
+    assert len(written) == times
+    assert [(tmp_path / name).exists() for name in ("new.toml", "sensors.toml")] == [bool(times)] * 2
+    if code:
+        assert "weak: neither the board nor a file was written" in told.err
+        assert told.err.count("\n") == 1
+
+
+def test_accept_weak_alone_has_no_effect(turned, tmp_path, capsys):
+    words = ["calibrate", "sensor", "--site", str(tmp_path / "site.toml"), "--fields", str(tmp_path / "fields.csv")]
+    assert main([*words, "--accept-weak"]) == 0
+    assert "--accept-weak has no effect with" in capsys.readouterr().err
