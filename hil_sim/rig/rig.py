@@ -388,7 +388,9 @@ class Rig:
         return np.array(list(field))
 
     def fault(self, board: int, kind: str, active: bool = True, coil: int = 0) -> None:
-        """Begin or end a fault of `FAULTS` at a board, or at one of its coils, at the present.
+        """Begin or end a fault of `FAULTS` at a board, or at one of its coils, at the board's present.
+
+        A beacon's is 20 us after `now_s`, the sync master's 40 us (lockstep.h).
 
         Raises
         ------
