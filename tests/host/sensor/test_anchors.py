@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from goldfield.sensor.anchors import AnchorWatch
+from goldfield.sensor.anchors import DRIFT, ELSEWHERE, AnchorWatch
 from goldfield.site import Beacon, SensorSite, Site
 from goldfield.types import Explanation
 from goldfield_protocol import decode, encode
@@ -194,3 +194,17 @@ def test_it_ends_when_the_beacon_is_put_back():
         seen.append(watch.finding is not None)
     assert all(seen[REFERENCE + 1 : 45])
     assert not any(seen[67:])
+
+
+@pytest.mark.parametrize("part", [0.9, 1.1])
+def test_a_pair_of_others_that_changes_by_more_than_a_part_of_it_speaks_against_a_beacon(part):
+    """The part is one of costs: squares of changes over what the means of 20 and 24 cycles and a drift leave open."""
+    places = PLACES_M.copy()
+    places[ROW] += 5.0 * STEP_M
+    after = fields(places, SENSORS_M)
+    variance = NOISE_T**2 / 1023 * (1 / AFTER + 1 / REFERENCE) + DRIFT**2 * (BEFORE_T**2).sum(axis=2)
+    cost = ((after - BEFORE_T) ** 2).sum(axis=2) / variance
+    after[0, 2] += np.sqrt(part * ELSEWHERE * cost[:, ROW].max() * variance[0, 2] / 3.0)
+    last = watched(BEFORE_T, after)[-1]
+    assert (last.kind is Explanation.MOVED and last.beacons == (IDS[ROW],)) == (part < 1.0)
+    assert set(last.beacons) > {IDS[ROW]} or part < 1.0

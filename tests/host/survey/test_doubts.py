@@ -6,10 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from goldfield.errors import UserError
 from goldfield.survey import SurveyData, survey
+from goldfield.survey.anchor_tables import ELSEWHERE, MISFIT, check_anchor_tables
 from goldfield.survey.data import AnchorFields
+from goldfield.types import Fields
+from tests.bench.locate_trials import magpylib_fields
 from tests.bench.survey_trials import cube, trial
 
 
@@ -75,6 +79,36 @@ def test_the_table_of_another_anchor_is_refused(walked):
     with pytest.raises(UserError, match="the fields of the anchor b0 are those of a sensor at b1"):
         survey(walked.site, SurveyData((), (), (), swapped))
     survey(walked.site, SurveyData((), (), (), walked.data.anchors))
+
+
+@pytest.mark.parametrize("part", [0.98, 1.02])
+def test_a_table_is_that_of_another_anchor_below_a_part_of_its_misfit(part):
+    """The strengths lie between those at b0, whose table it is said to be, and those at b1; that of b1 is far off."""
+    site = cube().site
+    strength = np.log(np.linalg.norm(magpylib_fields(site, np.array([b.position_m for b in site.beacons])), axis=2))
+
+    def between(share):
+        measured = (1.0 - share) * strength[1] + share * strength[0]
+        measured[1] = strength[0, 1] + 3.0
+        others = np.arange(8) != np.arange(8)[:, None]
+        others[:, 0] = False
+        return measured, np.sqrt(np.mean((measured - strength) ** 2, axis=1, where=others))
+
+    def excess(share):
+        misfit = between(share)[1]
+        return misfit[1] - part * ELSEWHERE * misfit[0]
+
+    measured, misfit = between(brentq(excess, 0.01, 0.99))
+    assert misfit.argmin() == 1
+    assert misfit[0] > 1.1 * MISFIT
+    names = tuple(beacon.id for beacon in site.beacons[1:])
+    field = np.exp(measured[1:, None]) * np.array([0.6, 0.0, 0.8])
+    table = AnchorFields("b0", Fields(0, 0.0, names, field, np.full(7, 1e-12)))
+    if part < 1.0:
+        with pytest.raises(UserError, match="the fields of the anchor b0 are those of a sensor at b1"):
+            check_anchor_tables(site, (table,))
+    else:
+        check_anchor_tables(site, (table,))
 
 
 @pytest.mark.parametrize(
