@@ -4,6 +4,9 @@
 #include "around.h"
 #include "linear.h"
 
+/* With a determinant of so many times the least share no eigenvalue of a covariance is near that share. */
+#define WELL_SHOWN 1e3
+
 typedef struct {
     double drop;
     double scale;
@@ -12,62 +15,101 @@ typedef struct {
     double spread[3][3];
 } fault_t;
 
-/* The statistics of one beacon from its residuals, the modelled components and the model's derivatives T along the
- * principal axes of the pose's error (tangent), all over the standard deviations. The covariance of its residuals is
- * 1 - T T'; residuals and T are weighted for what all components share, which takes V V' (shared) from it too. The
- * first three rows of root take the principal axes to the position. A unit of the residual along an eigenvector, over
- * its deviation, moves the position by a column; their sums are the separation from the pose without the beacon. */
-static fault_t fault_of(const double residual[3], const double modelled[3], const double tangent[3][6],
-                        const double shared[3][GF_SHARED], const double root[6][6], const double measured[3],
-                        double least_share) {
+/* One beacon: its residuals, the modelled components and the model's derivatives T along the principal axes of the
+ * pose's error (tangent), all over the standard deviations. Residuals and T are weighted for what all components share,
+ * which takes V V' (shared) from their covariance 1 - T T', too. The first three rows of root take the principal axes
+ * to the position. */
+typedef struct {
+    const double *residual;
+    const double *modelled;
+    const double (*tangent)[6];
+    const double (*root)[6];
     double covariance[3][6];
-    double vector[3][6];
-    fault_t fault = {0};
-    double along_field = 0.0;
-    double shown = 0.0;
-    double strength2 = 0.0;
+} beacon_t;
+
+static void enter_covariance(const double shared[3][GF_SHARED], const double measured[3], beacon_t *beacon) {
     for (size_t i = 0; i < 3; ++i) {
         for (size_t j = 0; j < 3; ++j) {
             double sum = i == j && measured[i] > 0.0 ? 1.0 : 0.0;
             for (size_t k = 0; k < 6; ++k) {
-                sum -= tangent[i][k] * tangent[j][k];
+                sum -= beacon->tangent[i][k] * beacon->tangent[j][k];
             }
             for (size_t k = 0; k < GF_SHARED; ++k) {
                 sum -= shared[i][k] * shared[j][k];
             }
-            covariance[i][j] = sum;
+            beacon->covariance[i][j] = sum;
         }
     }
-    gf_eigen(3, covariance, vector);
-    for (size_t k = 0; k < 3; ++k) {
-        const double gain = covariance[k][k];
-        const double r = vector[0][k] * residual[0] + vector[1][k] * residual[1] + vector[2][k] * residual[2];
-        const double s = vector[0][k] * modelled[0] + vector[1][k] * modelled[1] + vector[2][k] * modelled[2];
-        if (gain > least_share) {
-            const double unit = 1.0 / sqrt(gain);
-            double move[3] = {0.0};
-            fault.drop += r * r / gain;
-            fault.freedom += 1;
-            for (size_t l = 0; l < 6; ++l) {
-                const double along = unit * (vector[0][k] * tangent[0][l] + vector[1][k] * tangent[1][l] +
-                                             vector[2][k] * tangent[2][l]);
-                for (size_t i = 0; i < 3; ++i) {
-                    move[i] += root[i][l] * along;
-                }
-            }
-            for (size_t i = 0; i < 3; ++i) {
-                fault.separation[i] += unit * r * move[i];
-                for (size_t j = 0; j < 3; ++j) {
-                    fault.spread[i][j] += move[i] * move[j];
-                }
-            }
+}
+
+/* Add one of three independent parts of the residuals: along a vector that has the variance gain. A unit of it, over
+ * its deviation, moves the position by a column; their sums are the separation from the pose without the beacon. */
+static void add_part(const beacon_t *beacon, const double vector[3], double gain, fault_t *fault) {
+    double move[3] = {0.0};
+    double r = 0.0;
+    double along[6] = {0.0};
+    const double unit = 1.0 / sqrt(gain);
+    for (size_t c = 0; c < 3; ++c) {
+        r += vector[c] * beacon->residual[c];
+        for (size_t l = 0; l < 6; ++l) {
+            along[l] += unit * vector[c] * beacon->tangent[c][l];
         }
-        along_field += s * r;
-        shown += s * s * gain;
+    }
+    for (size_t i = 0; i < 3; ++i) {
+        for (size_t l = 0; l < 6; ++l) {
+            move[i] += beacon->root[i][l] * along[l];
+        }
+    }
+    fault->drop += r * r / gain;
+    fault->freedom += 1;
+    for (size_t i = 0; i < 3; ++i) {
+        fault->separation[i] += unit * r * move[i];
+        for (size_t j = 0; j < 3; ++j) {
+            fault->spread[i][j] += move[i] * move[j];
+        }
+    }
+}
+
+/* The part of the cost that another strength takes away. */
+static double scale_of(const beacon_t *beacon, double least_share) {
+    double along_field = 0.0;
+    double shown = 0.0;
+    double strength2 = 0.0;
+    for (size_t i = 0; i < 3; ++i) {
+        const double s = beacon->modelled[i];
+        along_field += s * beacon->residual[i];
         strength2 += s * s;
+        for (size_t j = 0; j < 3; ++j) {
+            shown += s * beacon->covariance[i][j] * beacon->modelled[j];
+        }
     }
-    if (shown > least_share * strength2) {
-        fault.scale = along_field * along_field / shown;
+    return shown > least_share * strength2 ? along_field * along_field / shown : 0.0;
+}
+
+/* Split the covariance, whose eigenvalues are 1 at most, into its independent parts: by elimination, where its
+ * determinant says that all of them show, else by its eigenvectors, those that show. */
+static fault_t fault_of(beacon_t *beacon, double least_share) {
+    fault_t fault = {.scale = scale_of(beacon, least_share)};
+    const double(*const c)[6] = (const double(*)[6])beacon->covariance;
+    const double l10 = c[1][0] / c[0][0];
+    const double l20 = c[2][0] / c[0][0];
+    const double pivot1 = c[1][1] - l10 * c[1][0];
+    const double l21 = (c[2][1] - l20 * c[1][0]) / pivot1;
+    const double pivot2 = c[2][2] - l20 * c[2][0] - l21 * l21 * pivot1;
+    if (c[0][0] > 0.0 && pivot1 > 0.0 && c[0][0] * pivot1 * pivot2 > WELL_SHOWN * least_share) {
+        const double by[3][3] = {{1.0, 0.0, 0.0}, {-l10, 1.0, 0.0}, {l21 * l10 - l20, -l21, 1.0}};
+        add_part(beacon, by[0], c[0][0], &fault);
+        add_part(beacon, by[1], pivot1, &fault);
+        add_part(beacon, by[2], pivot2, &fault);
+        return fault;
+    }
+    double vector[3][6];
+    gf_eigen(3, beacon->covariance, vector);
+    for (size_t k = 0; k < 3; ++k) {
+        if (beacon->covariance[k][k] > least_share) {
+            const double by[3] = {vector[0][k], vector[1][k], vector[2][k]};
+            add_part(beacon, by, beacon->covariance[k][k], &fault);
+        }
     }
     return fault;
 }
@@ -284,10 +326,13 @@ void gf_faults(const gf_coils_t *coils, const gf_errors_t *errors, size_t epochs
         compare(coils, errors, field, &around, residual);
         project(3 * n, around.components.slope, around.weighted, residual);
         for (size_t i = 0; i < n; ++i) {
-            const fault_t fault = fault_of(residual + 3 * i, around.components.value + 3 * i,
-                                           (const double(*)[6])(around.weighted + 3 * i),
-                                           (const double(*)[GF_SHARED])(around.whitening.shared + 3 * i),
-                                           (const double(*)[6])root, around.whitening.weight + 3 * i, least_share);
+            beacon_t beacon = {.residual = residual + 3 * i,
+                               .modelled = around.components.value + 3 * i,
+                               .tangent = (const double(*)[6])(around.weighted + 3 * i),
+                               .root = (const double(*)[6])root};
+            enter_covariance((const double(*)[GF_SHARED])(around.whitening.shared + 3 * i),
+                             around.whitening.weight + 3 * i, &beacon);
+            const fault_t fault = fault_of(&beacon, least_share);
             out->drop[n * e + i] = fault.drop;
             out->freedom[n * e + i] = fault.freedom;
             out->scale[n * e + i] = fault.scale;
