@@ -42,7 +42,7 @@ figures: all ## Measure and print the figures of the whole chain (several minute
 .PHONY: figures
 
 bench: all ## Measure speed: location beside SciPy and an earlier version, filter update, start-up, each subcommand's time and memory
-	@$(PYTHON) -m tests.bench.locate_figures speed
+	@$(PYTHON) -m tests.bench.locate_figures speed elsewhere
 	@$(PYTHON) -m tests.bench.locate_before
 	@$(PYTHON) tests/bench/start_up.py
 	@$(PYTHON) -m tests.bench.command_costs

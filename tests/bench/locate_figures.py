@@ -177,7 +177,23 @@ def speed(scale=1.0):
     return result
 
 
-FIGURES = {"cube": cube, "lattice": lattice, "board": board, "steps": steps, "faults": faults, "speed": speed}
+def elsewhere(scale=1.0):
+    """Epochs one by one that need a search or an explanation: five beacons, and eight with one at fault."""
+    result = locate_speed.elsewhere(scale)
+    for name, figures in result.items():
+        show(f"speed, {name}", figures)
+    return result
+
+
+FIGURES = {
+    "cube": cube,
+    "lattice": lattice,
+    "board": board,
+    "steps": steps,
+    "faults": faults,
+    "speed": speed,
+    "elsewhere": elsewhere,
+}
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)

@@ -18,6 +18,7 @@ from goldfield.locate.wahba import wahba
 from goldfield.track import Tracker
 from goldfield.types import Fields
 from tests.bench import locate_trials as bench
+from tests.bench.integrity_outcome import times_s
 
 ROUNDS = 5
 
@@ -97,3 +98,28 @@ def speed(scale=1.0):
         | {"batched_per_second": 1e6 / least["batched"]}
         | {"single_success": located(results["single"]), "scipy_success": located(results["scipy"]), "of": len(some)}
     )
+
+
+def elsewhere(scale=1.0):
+    """Time of single epochs that take more than the chain of magnitudes, ms: median, 99 % and worst of each kind.
+
+    Five beacons of the cube, too few for its answer to be taken unsearched, and eight of which one is at fault.
+    """
+    count = max(int(scale * 1000), 12)
+    five, eight = bench.prigge_cube(keep=(0, 1, 3, 4, 6)), bench.prigge_cube()
+    rng = np.random.default_rng(107)
+    work = {"five beacons": (five, bench.trials(five, bench.cube_positions(rng, count), rng))}
+    for kind in bench.FAULTS:
+        sound = bench.trials(eight, bench.cube_positions(rng, count // len(bench.FAULTS)), rng)
+        row = int(rng.integers(len(eight.beacons)))
+        work[f"one of eight: {kind}"] = eight, bench.with_fault(kind, eight, sound, rng, row)
+    result = {}
+    for name, (site, run) in work.items():
+        ms = 1e3 * np.array(times_s(site, run, count))
+        result[name] = {
+            "epochs": len(ms),
+            "median_ms": float(np.median(ms)),
+            "of_99_percent_ms": float(np.quantile(ms, 0.99)),
+            "worst_ms": float(ms.max()),
+        }
+    return result
