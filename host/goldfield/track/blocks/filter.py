@@ -145,6 +145,7 @@ class BlockFilter:
         self._row = {beacon.id: row for row, beacon in enumerate(site.beacons)}
         equal = site.sensor.axes is None and site.sensor.noise_ratio is None
         self._in_c = kernel and equal and serves(self._model)
+        self._precise = False  # single precision did not do for the last track
         self._banks: list[Pair] = []
         self._verdict: Verdict | None = None
         self._excluded: tuple[str, ...] = ()
@@ -226,6 +227,7 @@ class BlockFilter:
     def _forget(self) -> None:
         """Give the track up."""
         self._banks, self._verdict = [], None
+        self._precise = False
         self._evenness.forget()
         self._excluded = ()
         self._starter.forget()
@@ -256,6 +258,10 @@ class BlockFilter:
             self._banks = [bank.in_numpy() for bank in self._banks]
         took = [bank.update(kept, seconds) for bank in self._banks]
         self._middle_s = middle_s
+        if any(bank.broken for bank in self._banks):
+            self._forget()
+            self._precise = True
+            return self._begin(form, middle_s)
         if any(took):
             self._taken_s = middle_s
             self._decide()
@@ -310,7 +316,7 @@ class BlockFilter:
         return Pair(self._one_bank)
 
     def _one_bank(self) -> Bank | CBank:
-        return CBank(self._model) if self._in_c else Bank(self._model)
+        return CBank(self._model) if self._in_c and not self._precise else Bank(self._model)
 
     def _decide(self) -> None:
         """Give up starts that the blocks contradict; the likeliest comes first."""

@@ -72,6 +72,11 @@ class Pair:
     ----------
     make : callable
         Makes a `Bank` or a `CBank`.
+
+    Attributes
+    ----------
+    broken : bool
+        The numbers of a bank are none any more: its precision did not do (docs/blocks.md).
     """
 
     def __init__(self, make: Callable[[], Bank | CBank]) -> None:
@@ -80,6 +85,7 @@ class Pair:
         self._weight = 0.0
         self._blocks = 0
         self._apart: _Apart | None = None
+        self.broken = False
 
     @property
     def mismatch(self) -> float:
@@ -122,11 +128,13 @@ class Pair:
         if self._seeing.update(form, seconds):
             self._alone.update(form.beacons_alone, seconds)
             self._blocks += 1
-            if self._weight or self._blocks % COMPARED == 0:
-                self._weigh()
+            self._compare(self._weight > 0.0 or self._blocks % COMPARED == 0)
             return True
         if self._seeing.refused >= JUMPED and self._alone.update(form.beacons_alone, seconds):
-            self._begin_anew(self._seeing.output(), self._alone.output())
+            seeing, alone = self._seeing.output(), self._alone.output()
+            self.broken = not (_sound(seeing) and _sound(alone))
+            if not self.broken:
+                self._begin_anew(seeing, alone)
             return True
         if self._seeing.refused < JUMPED:  # a block that is refused has passed all the same
             self._alone.predict(seconds)
@@ -161,9 +169,18 @@ class Pair:
         covariance[OFFSET, OFFSET] = seeing.covariance[OFFSET, OFFSET]
         return Estimate(replace(alone.motion, offset_T=seeing.motion.offset_T), covariance)
 
-    def _weigh(self) -> None:
+    def _compare(self, due: bool) -> None:
+        """Look whether the banks' numbers are sound, and hold them against each other if that is due."""
+        seeing = self._seeing.output()
+        self.broken = not (math.isfinite(self._seeing.mismatch) and _sound(seeing))
+        if due and not self.broken:
+            alone = self._alone.output()
+            self.broken = not _sound(alone)
+            if not self.broken:
+                self._weigh(seeing, alone)
+
+    def _weigh(self, seeing: Estimate, alone: Estimate) -> None:
         """Compare the banks, and say by how much the beacons alone count from now on."""
-        seeing, alone = self._seeing.output(), self._alone.output()
         if _vague(alone):
             self._alone.resume(seeing)
             self._weight, self._probation_s = 0.0, 0.0
@@ -243,6 +260,20 @@ def _afresh(seeing: Estimate, alone: Estimate) -> Estimate:
         ),
         covariance,
     )
+
+
+def _sound(known: Estimate) -> bool:
+    """Tell whether the covariance of a pose is one: finite and positive definite."""
+    part = known.covariance[:POSE, :POSE]
+    variances = np.diag(part)
+    if not (variances.min() > 0.0 and variances.max() < np.inf):  # so are those that are no numbers
+        return False
+    scale = 1.0 / np.sqrt(variances)
+    try:
+        np.linalg.cholesky(part * scale[:, None] * scale)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def _vague(known: Estimate) -> bool:

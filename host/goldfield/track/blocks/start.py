@@ -20,6 +20,9 @@ WIDENED = 2.0
 AMBIENT_T = 5e-6
 """Deviation of the ambient field of a start beside its noise."""
 
+FARTHEST_M = 1e4
+"""Deviation of a position from which on it is none to begin with; that of one which the fields do not tell is 1 km."""
+
 PATIENCE = 5
 """So many single blocks in a row that do not agree with the site are enough: the track begins, and says so."""
 
@@ -105,7 +108,13 @@ class Starter:
             if self._contradictions < PATIENCE and len(forms) < most:
                 return pose, []
         both = [pose, pose.alternative] if pose.status is Status.AMBIGUOUS else [pose]
-        return pose, [self._start(one, ambient, form, len(forms)) for one in both if one is not None]
+        begun = [one for one in both if one is not None and self._somewhere(one)]
+        return pose, [self._start(one, ambient, form, len(forms)) for one in begun]
+
+    @staticmethod
+    def _somewhere(pose: Pose) -> bool:
+        """Tell whether a pose is one to begin with: beside a wire its covariance may be beyond all bounds."""
+        return bool(np.trace(pose.position_cov_m2) < FARTHEST_M**2 and np.isfinite(pose.attitude_cov_rad2).all())
 
     def _slopes(self, field_T: FloatArray, ambient_T: FloatArray) -> FloatArray:
         """Return how fast the fields of a sensor in motion may change, shape (n + 1,), T/s: a dipole by 3 B/r."""
