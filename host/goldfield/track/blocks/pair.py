@@ -175,9 +175,10 @@ class Pair:
         self.broken = not (math.isfinite(self._seeing.mismatch) and _sound(seeing))
         if due and not self.broken:
             alone = self._alone.output()
-            self.broken = not _sound(alone)
-            if not self.broken:
+            try:
                 self._weigh(seeing, alone)
+            except np.linalg.LinAlgError:
+                self.broken = True
 
     def _weigh(self, seeing: Estimate, alone: Estimate) -> None:
         """Compare the banks, and say by how much the beacons alone count from now on."""
@@ -204,6 +205,11 @@ def _apart(seeing: Estimate, alone: Estimate) -> _Apart:
 
     One of them knows all that the other does, and more: the covariance of their difference is that of their
     covariances (Hausman, 1978).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If a covariance is none.
     """
     if double.ready():
         found = double.apart(seeing.motion, seeing.covariance, alone.motion, alone.covariance, LEAST_SHARE)
@@ -218,6 +224,8 @@ def apart_in_numpy(seeing: Estimate, alone: Estimate) -> _Apart:
     error[MOVED:] = 0.0
     inverse = np.linalg.inv(np.linalg.cholesky(alone.covariance[:POSE, :POSE]))
     values, vectors = np.linalg.eigh(inverse @ seeing.covariance[:POSE, :POSE] @ inverse.T)
+    if not values[0] > 0.0:
+        raise np.linalg.LinAlgError("the covariance of a pose is not positive definite")
     along = vectors.T @ (inverse @ error[:POSE])
     distance2 = float((along**2 / np.maximum(1.0 - values, LEAST_SHARE)).sum())
     return _Apart(seeing, alone, error, distance2)
@@ -263,16 +271,16 @@ def _afresh(seeing: Estimate, alone: Estimate) -> Estimate:
 
 
 def _sound(known: Estimate) -> bool:
-    """Tell whether the covariance of a pose is one: finite and positive definite."""
-    part = known.covariance[:POSE, :POSE]
-    variances = np.diag(part)
-    if not (variances.min() > 0.0 and variances.max() < np.inf):  # so are those that are no numbers
-        return False
-    scale = 1.0 / np.sqrt(variances)
-    try:
-        np.linalg.cholesky(part * scale[:, None] * scale)
-    except np.linalg.LinAlgError:
-        return False
+    """Tell whether the covariances of position and attitude are some: finite, and all leading minors above zero.
+
+    In plain numbers, since a block has no time for a decomposition.
+    """
+    for part in (POSITION, TURN):
+        (a, b, c), (_, d, e), (_, _, f) = known.covariance[part, part].tolist()
+        second = a * d - b * b
+        third = f * second - a * e * e - d * c * c + 2.0 * b * c * e
+        if not (0.0 < a < math.inf and 0.0 < second < math.inf and 0.0 < third < math.inf):
+            return False
     return True
 
 
