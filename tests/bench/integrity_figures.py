@@ -11,7 +11,7 @@ import argparse
 import sys
 from collections.abc import Callable, Mapping
 
-from tests.bench import integrity_beacon_tables, integrity_risk_tables, integrity_room_tables
+from tests.bench import integrity_beacon_tables, integrity_rated, integrity_risk_tables, integrity_room_tables
 from tests.bench.integrity_run import Run
 
 TABLES: Mapping[str, Callable[[Run], None]] = {
@@ -22,6 +22,7 @@ TABLES: Mapping[str, Callable[[Run], None]] = {
     "availability": integrity_beacon_tables.availability,
     "risk": integrity_risk_tables.risk,
     "adversary": integrity_risk_tables.adversary,
+    "rated": integrity_rated.rated,
     "rod": integrity_room_tables.steel_rod,
     "recovery": integrity_room_tables.recovery,
 }

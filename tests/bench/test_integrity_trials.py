@@ -21,6 +21,7 @@ from hil_sim.world.sphere import Sphere
 from tests.bench import (
     integrity_beacon_tables,
     integrity_figures,
+    integrity_rated,
     integrity_risk_tables,
     integrity_room_tables,
     integrity_sites,
@@ -33,6 +34,7 @@ from tests.bench.integrity_outcome import outcome_of
 from tests.bench.integrity_risk import per_hour, upper_limit
 from tests.bench.integrity_risk_tables import Histogram
 from tests.bench.integrity_rod import MU_0, STEEL, Material, Rod, Spheroid, dipole_tensors
+from tests.bench.integrity_run import Run
 from tests.bench.integrity_sites import EXACT, Errors, KeysUnknown, cube, hall, places, sigma_of, told, wire_distance
 from tests.bench.integrity_survey import bound_m, really
 from tests.bench.locate_trials import Trials, bound_of, cube_positions, magpylib_fields
@@ -421,11 +423,26 @@ def test_quantiles_of_a_histogram_are_right_to_a_hundredth():
     assert np.isnan(Histogram().quantile(0.5))
 
 
+# ---- tracks by blocks ----
+
+
+@pytest.mark.long
+def test_a_track_at_rest_is_right_and_tells_a_large_fault_once_it_has_begun():
+    run = Run(1, 1, 1, 33)
+    sound, late = (integrity_rated.tracks(run, 2e-8, size, 66, 1) for size in (0.0, 30.0))
+    assert len(sound) == integrity_rated.BLOCKS
+    assert not sound.unprotected.any()
+    assert (sound.error_m[sound.ok] < 0.03).all()
+    assert sound.ok.mean() > 0.9
+    assert late.ok[40:66].all()
+    assert late.alarmed[66 + 40 :].any()
+
+
 # ---- the program ----
 
 
 def test_every_table_fits_a_hundred_columns(capsys, monkeypatch):
-    for module in (integrity_beacon_tables, integrity_risk_tables, integrity_room_tables):
+    for module in (integrity_beacon_tables, integrity_rated, integrity_risk_tables, integrity_room_tables):
         monkeypatch.setattr(module, "progress", lambda rows, what: [])
     assert integrity_figures.main([]) == 0
     lines = capsys.readouterr().out.splitlines()
