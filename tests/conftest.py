@@ -54,6 +54,7 @@ LONG = (
     "host/page/test_guided.py",
     "host/planning",
     "host/recording/test_foxglove_reader.py",
+    "host/feeds/test_foxglove_client.py",
     "host/sensor/test_on_sensor.py",
     "host/site/test_dual_axis.py",
     "host/survey/test_metal.py",

@@ -53,6 +53,11 @@ SIGMAS = 2.0
 """Half axes of the ellipsoid in standard deviations."""
 LIFETIME = Duration(1)
 """The ellipsoid of a pose vanishes if so long no other comes."""
+FOREVER = Duration(0)
+"""An entity with this lifetime stays until another of its name comes."""
+UNTURNED = Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+UNMOVED = FoxglovePose(position=Vector3(x=0.0, y=0.0, z=0.0), orientation=UNTURNED)
+"""Foxglove's schemas require a pose, with both its parts, of everything that is drawn, though its panels take none."""
 COIL_PART, BOX_PART, FONT_PART = 0.004, 0.0015, 0.03
 """Thickness of a wire, of the box's edges, and height of letters, each in the box's largest side."""
 
@@ -110,9 +115,11 @@ def _coil(beacon: Beacon, health: Mapping[str, Any] | None, size_m: float, unix_
         timestamp=timestamp(unix_s),
         frame_id=MAP,
         id=f"beacon {beacon.id}",
+        lifetime=FOREVER,
         lines=[
             LinePrimitive(
                 type=LinePrimitiveLineType.LineStrip,
+                pose=UNMOVED,
                 thickness=COIL_PART * size_m,
                 points=_points(wire_m),
                 color=colour,
@@ -130,7 +137,9 @@ def _coil(beacon: Beacon, health: Mapping[str, Any] | None, size_m: float, unix_
         ],
         texts=[
             TextPrimitive(
-                pose=FoxglovePose(position=_vector(beacon.position_m + 1.3 * radius_m * beacon.axis)),
+                pose=FoxglovePose(
+                    position=_vector(beacon.position_m + 1.3 * radius_m * beacon.axis), orientation=UNTURNED
+                ),
                 billboard=True,
                 font_size=FONT_PART * size_m,
                 color=TEXT_COLOUR,
@@ -151,9 +160,11 @@ def _box(low: FloatArray, high: FloatArray, name: str, size_m: float, unix_s: fl
         timestamp=timestamp(unix_s),
         frame_id=MAP,
         id="site",
+        lifetime=FOREVER,
         lines=[
             LinePrimitive(
                 type=LinePrimitiveLineType.LineList,
+                pose=UNMOVED,
                 thickness=BOX_PART * size_m,
                 points=_points(corners[np.array(EDGES).ravel()]),
                 color=BOX_COLOUR,
@@ -181,7 +192,7 @@ def _ellipsoid(pose: Pose) -> SpherePrimitive | None:
 
 def _sphere(pose: Pose, radius_m: float) -> SpherePrimitive:
     return SpherePrimitive(
-        pose=FoxglovePose(position=_vector(pose.position_m)),
+        pose=FoxglovePose(position=_vector(pose.position_m), orientation=UNTURNED),
         size=_vector(np.full(3, 2.0 * radius_m)),
         color=PROTECTION_COLOUR,
     )

@@ -17,7 +17,7 @@ from tests.host.fake_sensor import SITE, heartbeat, log_of
 from tests.host.recording.mcap_file import decoded
 from tests.host.recording.test_killed import killed_run
 
-READER = ROOT / "build/foxglove-reader/read.mjs"
+READERS = ROOT / "build/foxglove-reader"
 CYCLES = 25
 SCHEMAS = {
     "/tf": ("foxglove.FrameTransforms", "protobuf"),
@@ -35,12 +35,17 @@ FOREVER = {"seconds": 0, "nanos": 0}
 """A lifetime of a scene's entity: it stays until another of its name comes."""
 
 
-def opened(path):
-    """Return what Foxglove's reader finds in a file."""
-    assert READER.exists(), "make build/foxglove-reader.stamp installs it"
-    done = subprocess.run(["node", READER, path], capture_output=True, text=True, check=False)
+def printed(program, *words):
+    """Return the JSON that a program of the reader prints."""
+    assert (READERS / program).exists(), "make build/foxglove-reader.stamp installs it"
+    done = subprocess.run(["node", READERS / program, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
+
+
+def opened(path):
+    """Return what Foxglove's reader finds in a file."""
+    return printed("read.mjs", path)
 
 
 @pytest.fixture(scope="module")
@@ -165,7 +170,7 @@ def test_coils_stay_until_they_are_told_anew_and_the_ellipsoid_goes_without_pose
     pose = lifetimes.pop("pose")
     assert (pose["seconds"], pose["nanos"]) == (1, 0)
     assert set(lifetimes) == {"site", *(f"beacon {beacon.id}" for beacon in site.beacons)}
-    assert all(one in (None, FOREVER) for one in lifetimes.values())
+    assert all(one == FOREVER for one in lifetimes.values())
     drawn = [n for n, scene in enumerate(scenes) if any(entity["id"] == "site" for entity in scene["entities"])]
     assert len(drawn) > 2, "who jumps in the file finds the coils again"
 
@@ -189,3 +194,62 @@ def test_the_log_panel_gets_level_time_name_and_sentence(found):
     assert (first["level"], first["name"]) == (2, "goldfield")
     assert first["message"].startswith("ok")
     assert first["timestamp"]["seconds"] >= 0
+
+
+KINDS = {"number": (int, float), "integer": (int,), "string": (str,), "boolean": (bool,), "object": (dict,)}
+"""What JSON schemas call what a reader of protobuf gives."""
+
+
+def faults(value, schema, path):
+    """Yield where a message is not what a published schema says, to the letter; times are protobuf's own."""
+    if schema.get("title") in ("time", "duration"):
+        if value is None or set(value) != {"seconds", "nanos"} or not 0 <= value["nanos"] < 1_000_000_000:
+            yield f"{path}: {value} is no time"
+    elif "oneOf" in schema:
+        if value not in [one["const"] for one in schema["oneOf"]]:
+            yield f"{path}: {value} is none of the choices"
+    elif schema["type"] == "array":
+        for one in value:
+            yield from faults(one, schema["items"], f"{path}[]")
+    elif type(value) not in KINDS[schema["type"]]:
+        yield f"{path}: {value!r} is no {schema['type']}"
+    elif schema["type"] == "object":
+        properties, required = schema["properties"], set(schema.get("required", ()))
+        if set(value) - set(properties) or required - set(value):
+            yield f"{path}: has {sorted(value)}, wanted are {sorted(properties)}"
+        for name in set(value) & set(properties):
+            if value[name] is not None or name in required:
+                yield from faults(value[name], properties[name], f"{path}.{name}")
+
+
+@pytest.fixture(scope="module")
+def published():
+    """The schemas of the package that Foxglove publishes, by name."""
+    return printed("schemas.mjs")
+
+
+def test_every_message_is_to_the_letter_what_foxglove_publishes(found, published):
+    """Names, kinds, choices, and all that is required, though the application forgives what is not there."""
+    own = {topic: one for topic, one in found["topics"].items() if one["schema"].startswith("foxglove.")}
+    assert len(own) == 5
+    for one in own.values():
+        schema = published[one["schema"]]
+        assert {fault for m in one["messages"] for fault in faults(m["content"], schema, one["schema"])} == set()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"frame_id": None},
+        {"frame_id": 3},
+        {"level": 6},
+        {"timestamp": None},
+        {"timestamp": {"sec": 1, "nsec": 0}},
+        {"more": 1},
+    ],
+)
+def test_the_letter_is_judged(found, published, wrong):
+    topic = "/goldfield/log" if "level" in wrong else "/goldfield/pose"
+    one = found["topics"][topic]
+    content = one["messages"][0]["content"] | wrong
+    assert len(list(faults(content, published[one["schema"]], ""))) == 1

@@ -2,23 +2,11 @@
 // Foxglove reads by the index if there is one, and from the begin to the end if there is none.
 import { open } from "node:fs/promises";
 
-import { parse } from "@foxglove/rosmsg";
-import { MessageReader } from "@foxglove/rosmsg2-serialization";
 import { McapIndexedReader, McapStreamReader } from "@mcap/core";
 import { FileHandleReadable } from "@mcap/nodejs";
-import { loadDecompressHandlers, protobufFromBinaryDescriptor } from "@mcap/support";
+import { loadDecompressHandlers } from "@mcap/support";
 
-const READERS = {
-  json: () => (data) => JSON.parse(new TextDecoder().decode(data)),
-  protobuf: (schema) => {
-    const type = protobufFromBinaryDescriptor(schema.data).lookupType(schema.name);
-    return (data) => type.toObject(type.decode(data), { longs: Number, defaults: true });
-  },
-  cdr: (schema) => {
-    const reader = new MessageReader(parse(new TextDecoder().decode(schema.data), { ros2: true }));
-    return (data) => reader.readMessage(data);
-  },
-};
+import { READERS } from "./readers.mjs";
 
 async function* records(file, decompressHandlers, found) {
   let reader;
