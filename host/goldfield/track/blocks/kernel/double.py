@@ -21,6 +21,13 @@ SEEN, MOVED, TOLD = 9, 12, 5
 USUAL = 21
 """Numbers of rest.h, apart.h, watch.h and even.h."""
 
+_MOVING, _BLOCK_SUMS, _WATCHED, _ESTIMATE, _EVEN_LIMITS, _ATTITUDE = (
+    ffi.typeof(f"{name} *")
+    for name in ("gf_moving_t", "gf_block_sums_t", "gf_watched_t", "gf_estimate_t", "gf_even_limits_t", "gf_attitude_t")
+)
+_DOUBLE = ffi.typeof("double *")
+"""Types are parsed here: the first block need not wait for it."""
+
 
 def ready() -> bool:
     """Return whether the library is built."""
@@ -62,8 +69,8 @@ def rest(
     )
     sums = [given(array) for array in block]
     _library().gf_rest(
-        ffi.new("gf_moving_t *", [count, *arrays]),
-        ffi.new("gf_block_sums_t *", sums),
+        ffi.new(_MOVING, [count, *arrays]),
+        ffi.new(_BLOCK_SUMS, sums),
         filled(np.empty(2 * (count + 1))),
         *map(filled, told),
     )
@@ -125,7 +132,7 @@ def watch(
     which = numbers(rows), numbers(axes)
     errors = ffi.NULL if effects is None else given(effects)
     what = ffi.new(
-        "gf_watched_t *",
+        _WATCHED,
         [count, len(rows), which[0], len(axes), which[1], *arrays[:3], kinds, errors, arrays[3]],
     )
     told = np.empty((len(sums), TOLD))
@@ -140,7 +147,7 @@ def apart(
 
     None if the covariance of the second pose is not positive definite.
     """
-    error, distance2 = np.zeros(SIZE), ffi.new("double *")
+    error, distance2 = np.zeros(SIZE), ffi.new(_DOUBLE)
     first, second = _estimate(seeing, seeing_cov), _estimate(alone, alone_cov)
     if not _library().gf_apart(first[0], second[0], least_share, filled(error), distance2):
         return None
@@ -171,8 +178,8 @@ def even(
     arrays = [given(array) for array in (motion.rotation, motion.velocity_m_s, motion.offset_T, covariance)]
     told = np.full(2, np.nan)
     _library().gf_even(
-        ffi.new("gf_even_limits_t *", limits),
-        ffi.new("gf_attitude_t *", arrays),
+        ffi.new(_EVEN_LIMITS, limits),
+        ffi.new(_ATTITUDE, arrays),
         given(seen_T),
         seconds,
         filled(usual),
@@ -192,4 +199,4 @@ def _estimate(motion: Motion, covariance: FloatArray) -> tuple[Any, list[Any]]:
     """Return an estimate of apart.h, and its arrays, which must live as long."""
     parts = motion.position_m, motion.rotation, motion.velocity_m_s, motion.rate_rad_s, covariance
     arrays = [given(array) for array in parts]
-    return ffi.new("gf_estimate_t *", arrays), arrays
+    return ffi.new(_ESTIMATE, arrays), arrays
