@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from goldfield.cli import options
@@ -34,6 +34,19 @@ def command(subparsers: Any) -> None:
         metavar="BODY.toml",
         what="conductors that move with the sensor, whose eddy currents and magnetisation are taken off",
     )
+    options.add(
+        parser,
+        "--workers",
+        metavar="N",
+        kind=options.count,
+        what="processes of this machine that compute, for long tables (default: 1)",
+    )
+    options.add(
+        parser,
+        "--scheduler",
+        metavar="ADDRESS",
+        what="address of a Dask scheduler whose workers compute instead, such as tcp://10.0.0.1:8786",
+    )
     options.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -48,14 +61,26 @@ def run(arguments: argparse.Namespace) -> int:
     site = site_of(arguments)
     options.tell_assumed(site)
     table, summary = PoseTable(), Summary()
-    pose_of = _beside_body(site, arguments) if arguments.own_body else _location(site, arguments.track)
-    for fields in read_fields(site, arguments.fields):
-        pose = pose_of(fields)
+    for pose in _poses(site, arguments):
         summary.add(pose)
         print(json_line(pose_record(pose)) if arguments.json else table.line(pose))
     if not arguments.json:
         print(summary.text(truth=False))
     return 0
+
+
+def _poses(site: Site, arguments: argparse.Namespace) -> Iterator[Pose]:
+    """Yield the pose of each epoch of the table."""
+    epochs = read_fields(site, arguments.fields)
+    if arguments.own_body or arguments.track:
+        options.tell_idle(arguments, ("--workers", "--scheduler"), "--own-body" if arguments.own_body else "--track")
+    elif arguments.scheduler or (arguments.workers or 1) > 1:
+        from goldfield.sensor.spread_location import spread_poses  # heavy: only when work is spread
+
+        if arguments.scheduler:
+            options.tell_idle(arguments, ("--workers",), "--scheduler")
+        return spread_poses(site, epochs, workers=arguments.workers or 1, scheduler=arguments.scheduler)
+    return map(_beside_body(site, arguments) if arguments.own_body else _location(site, arguments.track), epochs)
 
 
 def _location(site: Site, track: bool) -> Callable[[Fields], Pose]:

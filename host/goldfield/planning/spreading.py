@@ -1,6 +1,7 @@
-"""A plan spread over processes of this machine or over Dask workers of any: the map is the same.
+"""Work spread over processes of this machine or over Dask workers of any, such as a plan: the map is the same.
 
 A tile's result depends on the request and the tile alone, so it does not matter who computes it, nor in which order.
+`spread` is for whatever else is so.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from contextlib import closing, contextmanager
 from importlib import import_module
 from importlib.metadata import version
 from itertools import islice
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,7 +36,11 @@ AHEAD = 4
 CONNECT_S = 10.0
 """Longest wait for a Dask scheduler, s."""
 
-Batches = list[list[Tile]]
+S = TypeVar("S")
+T = TypeVar("T")
+R = TypeVar("R")
+Compute = Callable[[S, list[T]], list[R]]
+"""Computes a batch of items with what all batches share; other processes have it by its name."""
 
 
 def plan(
@@ -71,13 +76,7 @@ def plan(
     conflicts: list[dict[tuple[int, int], float]] = []
     tiles = request.grid.tiles()
     batches = [tiles[first : first + BATCH] for first in range(0, len(tiles), BATCH)]
-    if scheduler is not None:
-        source = _by_dask(request, batches, scheduler)
-    elif workers > 1 and len(batches) > 1:
-        source = _by_processes(request, batches, min(workers, len(batches)))
-    else:
-        source = _here(request, batches)
-    with closing(source) as results:
+    with closing(spread(compute_batch, request, batches, workers=workers, scheduler=scheduler)) as results:
         for result in results:
             figures.put(result.tile, result.figures)
             conflicts.append(result.conflicts)
@@ -98,35 +97,54 @@ def compute_batch(request: Request, tiles: list[Tile]) -> list[TileResult]:
     return [compute_tile(request, tile) for tile in tiles]
 
 
-Results = Generator[TileResult]
+def spread(
+    compute: Compute[S, T, R], shared: S, batches: list[list[T]], *, workers: int = 1, scheduler: str | None = None
+) -> Generator[R]:
+    """Yield the results of all batches, in any order; the parameters and errors are those of `plan`.
+
+    Parameters
+    ----------
+    compute : Compute
+    shared
+        What all batches need; it is sent once.
+    batches : list of lists
+        Each of tenths of a second of work.
+    workers, scheduler
+    """
+    if scheduler is not None:
+        return _by_dask(compute, shared, batches, scheduler)
+    if workers > 1 and len(batches) > 1:
+        return _by_processes(compute, shared, batches, min(workers, len(batches)))
+    return _here(compute, shared, batches)
 
 
-def _here(request: Request, batches: Batches) -> Results:
+def _here(compute: Compute[S, T, R], shared: S, batches: list[list[T]]) -> Generator[R]:
     for batch in batches:
-        yield from compute_batch(request, batch)
+        yield from compute(shared, batch)
 
 
-_request: list[Request] = []
-"""In a process of the pool: the request, which was sent once."""
+_task: list[Any] = []
+"""In a process of the pool: what computes and what all batches share, which were sent once."""
 
 
-def _begin(request: Request) -> None:
+def _begin(compute: Any, shared: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process of the terminal: the first one ends us
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    _request[:] = [request]
+    _task[:] = [compute, shared]
 
 
-def _compute(tiles: list[Tile]) -> list[TileResult]:
-    return compute_batch(_request[0], tiles)
+def _compute(batch: list[Any]) -> list[Any]:
+    compute, shared = _task
+    return list(compute(shared, batch))
 
 
-def _by_processes(request: Request, batches: Batches, workers: int) -> Results:
+def _by_processes(compute: Compute[S, T, R], shared: S, batches: list[list[T]], workers: int) -> Generator[R]:
     context = multiprocessing.get_context("spawn")  # a fork would inherit locks and threads
     with one_thread_each():
-        pool = ProcessPoolExecutor(workers, context, _begin, (request,))
+        pool = ProcessPoolExecutor(workers, context, _begin, (compute, shared))
         first = [pool.submit(_compute, batch) for batch in batches[: AHEAD * workers]]
     rest = iter(batches[len(first) :])
-    pending: set[Future[list[TileResult]]] = set(first)
+    pending: set[Future[list[R]]] = set(first)
     try:
         while pending:
             done, pending = wait(pending, return_when=FIRST_COMPLETED)
@@ -157,7 +175,7 @@ def one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _by_dask(request: Request, batches: Batches, address: str) -> Results:
+def _by_dask(compute: Compute[S, T, R], shared: S, batches: list[list[T]], address: str) -> Generator[R]:
     dask: Any = import_module("distributed")  # an optional package, which takes a second to load
     try:
         client = dask.Client(address, timeout=CONNECT_S, set_as_default=False)
@@ -170,15 +188,15 @@ def _by_dask(request: Request, batches: Batches, address: str) -> Results:
         workers = _workers(client, address)
         rest = iter(batches)
         try:
-            sent = client.scatter(request, broadcast=True)
+            sent = client.scatter(shared, broadcast=True)
             ahead = islice(rest, AHEAD * workers)
-            first = [client.submit(compute_batch, sent, batch, pure=False) for batch in ahead]
+            first = [client.submit(compute, sent, batch, pure=False) for batch in ahead]
             running = dask.as_completed(first, loop=client.loop)
             for future in running:
                 results = future.result()
                 future.release()
                 for following in islice(rest, 1):
-                    running.add(client.submit(compute_batch, sent, following, pure=False))
+                    running.add(client.submit(compute, sent, following, pure=False))
                 yield from results
         except Exception as error:
             raise SystemFailure(f"a worker of {option('scheduler', address)} failed: {_words(error)}") from error

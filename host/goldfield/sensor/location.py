@@ -84,7 +84,7 @@ def _located(site: Site, method: Method) -> Location:
     if method is Method.ON_SENSOR:
         return lambda fields, report: _passed_on(site, fields, report)
     if method is Method.EACH:
-        each = _Each(site)
+        each = Each(site)
         return lambda fields, _: guarded(each.pose, fields)
     tracker, witness = Tracker(site), Witness(site)
 
@@ -95,7 +95,7 @@ def _located(site: Site, method: Method) -> Location:
     return lambda fields, _: guarded(tracked, fields)
 
 
-class _Each:
+class Each:
     """Locates every epoch by itself, but for two things that take those before.
 
     What the sensor's motion during a cycle does to the fields is taken out (`MotionRepair`), and a beacon that the
@@ -108,13 +108,14 @@ class _Each:
         self._observer = EpochObserver(site)
         self._motion = MotionRepair(site)
 
-    def pose(self, fields: Fields) -> Pose:
+    def pose(self, fields: Fields, ready: Pose | None = None) -> Pose:
+        """Return the next pose; ``ready``, if given, is what `locate` makes of the epoch without motion."""
         repaired = self._motion.repaired(fields)
         if self._site.sensor.lever_m is not None:
             # The history takes all axes to be at one point: it would blame beacons.
-            return locate(self._site, repaired)
+            return ready or locate(self._site, repaired)
         named = self._witness.named
-        pose = locate(self._site, without(repaired, named))
+        pose = ready if ready is not None and not named else locate(self._site, without(repaired, named))
         judgement = None
         if pose.status not in (Status.FAILED, Status.AMBIGUOUS) and all(finding.beacons for finding in pose.findings):
             pose = replace(pose, excluded=(*pose.excluded, *(name for name in named if name in fields.beacons)))
