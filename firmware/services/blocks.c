@@ -69,7 +69,7 @@ const block_sums_t *blocks_step(blocks_t *blocks, node_t *node, const epoch_sele
     block_sums(block, &blocks->codes, selection, calibration, &blocks->sums);
     block_release(&blocks->collector);
     const uint32_t messages = 1u + selection->count, report = selection->count + BLOCKS_REPORT_BESIDE;
-    const node_links_t links = blocks->links & node_room(node, messages + report);
+    const node_links_t links = node_motion_room(node, blocks->links, messages, report);
     if (links != NODE_NO_LINK) {
         send(&blocks->sums, node, links, selection);
     }

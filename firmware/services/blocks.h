@@ -9,8 +9,9 @@
  *
  * The sums are made if any link carries them, or if poses of the block filter are wanted (parameters pose = 1 and
  * pose_blocks above 0). A link gets a block whole or not at all, and only if its queue then still holds the report of a
- * cycle: more codes than a link can carry cost blocks, and never the fields. Blocks that find no room are not counted:
- * block_low tells the receiver.
+ * cycle: more codes than a link can carry cost blocks, and never the fields. On CAN a board keeps to its part of the
+ * bus (bus_share.h): with more than 12 codes, or with other sensors there, it leaves some blocks out, evenly. They are
+ * not counted: block_low tells the receiver.
  *
  * Time from the end of the block's last chip to the first byte (8 codes, an instruction a cycle): 75 us in the sample
  * interrupt and 65 us in main (tests/firmware/apps/test_app_instructions.py). The last byte follows after 80 us a

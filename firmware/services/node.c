@@ -18,6 +18,10 @@ enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2, COMMAND_CLEAR
 #define RESET_US     50000u /* Time from the answer to the reset: the answer is out by then, behind a full queue too. */
 #define MICROSECONDS 1000000u
 
+static uint32_t add_saturated(uint32_t a, uint32_t b) {
+    return a > UINT32_MAX - b ? UINT32_MAX : a + b;
+}
+
 /* ---- Sending ---- */
 
 uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index) {
@@ -40,6 +44,19 @@ node_links_t node_room(const node_t *node, uint32_t messages) {
     const bool serial = queue_count(&node->serial) + messages <= NODE_QUEUE_MESSAGES;
     const bool can = node->can_dead || queue_count(&node->can) + messages <= NODE_QUEUE_MESSAGES;
     return (serial ? NODE_SERIAL : NODE_NO_LINK) | (can ? NODE_CAN : NODE_NO_LINK);
+}
+
+node_links_t node_motion_room(node_t *node, node_links_t links, uint32_t messages, uint32_t others) {
+    const node_links_t free = links & node_room(node, messages + others);
+    const bool can = (free & NODE_CAN) != 0 && queue_count(&node->can) <= NODE_CAN_BACKLOG &&
+                     bus_share_take(&node->share, messages, hal_microseconds(node->hal));
+    return (free & NODE_SERIAL) | (can ? NODE_CAN : NODE_NO_LINK);
+}
+
+void node_spend(node_t *node, node_links_t links, uint32_t messages) {
+    if (links & NODE_CAN) {
+        bus_share_spend(&node->share, messages, hal_microseconds(node->hal));
+    }
 }
 
 bool node_serial_write(node_t *node, const frame_t *frame) {
@@ -81,6 +98,7 @@ static inline void drain_can(node_t *node, uint64_t now_us) {
         node->can_dead = true;
         while (queue_front(&node->can)) {
             queue_drop(&node->can);
+            node->can_lost = add_saturated(node->can_lost, node->can_heard_us > node->can_us);
         }
     }
 }
@@ -96,10 +114,6 @@ static void watch_serial(node_t *node) {
 
 /* ---- Heartbeat ---- */
 
-static uint32_t add_saturated(uint32_t a, uint32_t b) {
-    return a > UINT32_MAX - b ? UINT32_MAX : a + b;
-}
-
 static void collect_counters(node_t *node) {
     hal_counters_t board;
     hal_counters(node->hal, &board);
@@ -114,7 +128,7 @@ static void collect_counters(node_t *node) {
     counters[COUNTER_SUPPLY_DIPS] = board.supply_dips;
     counters[COUNTER_CLOCK_FALLBACKS] = hal_clock(node->hal) != HAL_CLOCK_CRYSTAL;
     counters[COUNTER_MESSAGES_LOST] = add_saturated(add_saturated(node->serial.lost, node->can.lost),
-                                                    node->stream_lost);
+                                                    add_saturated(node->can_lost, node->stream_lost));
 }
 
 static uint8_t pack_heartbeat(const node_t *node, uint8_t data[8]) {
@@ -315,6 +329,10 @@ static void receive(node_t *node, node_links_t link, const frame_t *frame) {
         node->sync_node = to;
         node->sync_cycle = sync.cycle;
         node->sync_chips = sync.chips;
+    } else if (message == GOLDFIELD_BLOCK_FRAME_ID || (message == GOLDFIELD_POSE_POSITION_FRAME_ID && index != 0)) {
+        if (link == NODE_CAN && to != 0) {
+            bus_share_heard(&node->share, to, hal_microseconds(node->hal));
+        }
     } else if (message == GOLDFIELD_PARAM_SET_FRAME_ID && for_me) {
         set_parameter(node, link, index, frame);
     } else if (message == GOLDFIELD_PARAM_GET_FRAME_ID && for_me) {
@@ -346,6 +364,7 @@ static void receive_can(node_t *node) {
     for (uint32_t taken = 0; taken < NODE_FRAMES_A_STEP && hal_can_receive(node->hal, &in); taken++) {
         frame_t frame = {.id = in.id, .length = in.length};
         memcpy(frame.data, in.data, sizeof frame.data);
+        node->can_heard_us = hal_microseconds(node->hal);
         receive(node, NODE_CAN, &frame);
     }
 }
@@ -384,6 +403,7 @@ void node_start(node_t *node, hal_t *hal, hal_role_t role) {
     tell_last_reset(node, NODE_BOTH);
     node->heartbeat_us = hal_microseconds(hal);
     node->can_us = node->heartbeat_us;
+    bus_share_start(&node->share, node->can_us);
     liveness_start(&node->liveness, hal, role);
 }
 

@@ -4,7 +4,8 @@
  * Calls, in the order they are made (all of them from main)
  *   1. node_start         once, before anything else is started.
  *   2. node_step          once a turn of the main loop.
- *      node_send          whenever a message is to leave; node_room tells first whether several fit together.
+ *      node_send          whenever a message is to leave; node_room tells first whether several fit together, and
+ *                         node_motion_room whether those do that other boards on the bus send as well.
  *      node_flush         when what was queued cannot wait for the turn's end.
  *      node_serial_write  for a stream that goes past the queue; node_identifier tells its identifiers.
  *
@@ -13,8 +14,13 @@
  * (COUNTER_MESSAGES_LOST); one link never holds up the other.
  *   latency on serial: at most 128 queued messages of 16 bytes behind 4 kB of buffer at 2 Mbaud: 31 ms;
  *   on CAN: at most 128 messages of 160 us, 21 ms, plus the frames of other nodes with lower identifiers. What no
- *     mailbox has taken for 100 ms, because the bus is dead or not there, is thrown away: not counted as lost, for the
- *     dead bus itself is counted (COUNTER_CAN_ERRORS). From then on one message at a time tries it.
+ *     mailbox has taken for 100 ms is thrown away. It is counted as lost if others were heard meanwhile: the bus is
+ * then full. If it is dead or not there, that itself is counted (COUNTER_CAN_ERRORS). From then on one message at a
+ * time tries it.
+ *
+ * Motion. Boards that send blocks or poses of blocks divide CAN among themselves (bus_share.h); they know of each other
+ * by these messages. What is beyond the board's own part does not go on CAN, and neither does what would wait behind
+ * NODE_CAN_BACKLOG others: reports of cycles go in any case, and soon.
  *
  * Identity. The board's number is the parameter node of the parameter page. If the page has none, it is 1 +
  * CRC-16/CCITT-FALSE(unique id, 12 bytes) mod 4095: the same after each reset. Two of eight unconfigured boards have
@@ -29,11 +35,12 @@
  * COUNTER_WRONG_LENGTH).
  *
  * Time: node_step with nothing to do takes about 150 instructions. It is bounded by NODE_BYTES_A_STEP received bytes,
- * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 6.8 kB.
+ * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 7.1 kB.
  */
 #ifndef GOLDFIELD_NODE_H
 #define GOLDFIELD_NODE_H
 
+#include "core/link/bus_share.h"
 #include "core/link/frame.h"
 #include "core/link/parameters.h"
 #include "core/link/queue.h"
@@ -44,6 +51,7 @@
 #define NODE_QUEUE_MESSAGES 128u     /* Messages that the queue of each link holds. */
 #define NODE_HEARTBEAT_US   1000000u /* Time from one heartbeat to the next, us. */
 #define NODE_CAN_GIVE_UP_US 100000u  /* Time without a message taken after which CAN counts as dead, us. */
+#define NODE_CAN_BACKLOG    32u      /* Most messages that may wait for CAN where one of the motion is added. */
 #define NODE_BYTES_A_STEP   1024u    /* Most bytes received on serial in one node_step. */
 #define NODE_FRAMES_A_STEP  64u      /* Most frames received on CAN in one node_step. */
 
@@ -85,12 +93,15 @@ typedef struct {
     uint32_t serial_written,
         serial_sent;       /* Bytes given to the serial port, and sent by it when it was last looked at. */
     uint64_t heartbeat_us; /* Time of the latest heartbeat. */
-    bool blinking;         /* The LED blinks, until blink_end_us. */
     uint64_t blink_end_us;
-    bool resetting; /* A reset was accepted, and comes at reset_us. */
     uint64_t reset_us;
-    uint64_t can_us; /* Latest time at which CAN took a message, or had none to take. */
-    bool can_dead;   /* CAN took none for too long: one message at a time is queued to try it. */
+    uint64_t can_us;       /* Latest time at which CAN took a message, or had none to take. */
+    uint64_t can_heard_us; /* Latest time at which CAN brought a frame. */
+    bus_share_t share;     /* The board's part of CAN. */
+    uint32_t can_lost;     /* Messages thrown away because the bus was full. */
+    bool can_dead;         /* CAN took none for too long: one message at a time is queued to try it. */
+    bool blinking;         /* The LED blinks, until blink_end_us. */
+    bool resetting;        /* A reset was accepted, and comes at reset_us. */
 } node_t;
 
 /* Load the parameters and say hello: a heartbeat leaves on serial by polling before anything else is touched, so that
@@ -111,6 +122,13 @@ void node_flush(node_t *node);
 
 /* Returns the links that have room for so many more messages; a dead CAN bus does not count as full. */
 node_links_t node_room(const node_t *node, uint32_t messages);
+
+/* Returns those of some links on which messages go that tell of the board's motion, so many, and that still have room
+ * for the others behind them. On CAN they are then paid for (bus_share.h), and must be sent. */
+node_links_t node_motion_room(node_t *node, node_links_t links, uint32_t messages, uint32_t others);
+
+/* Pay for messages of the board's cycles, so many, that go on CAN. */
+void node_spend(node_t *node, node_links_t links, uint32_t messages);
 
 /* Returns the identifier that node_send() gives to a message. */
 uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index);

@@ -75,6 +75,7 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
 static node_links_t room(sense_t *sense, uint32_t messages) {
     const node_links_t links = node_room(sense->node, messages);
     sense->unsent += links != NODE_BOTH;
+    node_spend(sense->node, links, messages - (sense->onboard->active ? 0u : POSE_REPORT_MESSAGES));
     return links;
 }
 

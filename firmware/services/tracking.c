@@ -85,7 +85,8 @@ static void send(const tracking_t *tracking, node_t *node, const pose_t *pose) {
     }
     const uint32_t last = tracking->chip + BLOCK_CHIPS - 1u, chips = tracking->onboard->chips;
     const uint32_t cycle = tracking->cycle + (last < chips ? 0u : 1u);
-    pose_report(pose, cycle, 1u + last % chips, node, node_room(node, POSE_REPORT_MESSAGES));
+    const node_links_t links = node_motion_room(node, NODE_BOTH, POSE_REPORT_MESSAGES, 0);
+    pose_report(pose, cycle, 1u + last % chips, node, links);
     node_flush(node);
 }
 

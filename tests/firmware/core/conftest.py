@@ -21,6 +21,7 @@ HEADERS = (
     "core/drive/latch.h",
     "core/drive/thermistor.h",
     "core/drive/waveform.h",
+    "core/link/bus_share.h",
     "core/link/frame.h",
     "core/link/messages.h",
     "core/link/queue.h",

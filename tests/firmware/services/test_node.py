@@ -199,6 +199,24 @@ def test_full_can_queue_counts_what_it_loses() -> None:
     assert in_order(can, serial)
 
 
+@pytest.mark.parametrize("heard", [True, False])
+def test_what_a_full_bus_does_not_take_is_counted_and_what_a_dead_one_does_not_is_not(heard: bool) -> None:
+    """The bus takes nothing of a sensor; it is full of others' frames, or nobody is there."""
+    parameters = {"node": 9, "code_count": 4, "code_list": [2, 3, 4, 5]}
+    board = Board(SENSOR, parameters, volts=lambda pin, time: 1.65)
+    identifier, data = encode("FIELD", {"x": 0, "y": 0, "z": 0, "cycle_low": 1}, node=8, index=2)
+    for step in range(1, 2100, 10):
+        if heard:
+            board.can_in(identifier, data, step * MS)
+        board.run(step * MS)
+    counted = counters(board)
+    fields = len(board.messages("FIELD"))
+    board.close()
+    assert fields > 60
+    assert (counted.get(4, 0) > 0) is heard
+    assert not board.can_messages("EPOCH")
+
+
 @pytest.mark.parametrize("role", [BEACON, SENSOR, ANCHOR])
 @pytest.mark.parametrize("clock", [INTERNAL, SLOW])
 def test_clock_fallback_is_told_and_drives_nothing(role: int, clock: int) -> None:

@@ -1,0 +1,103 @@
+"""The share of a bus: the part that each of several boards gets, against exact arithmetic, and who counts as there."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import pytest
+
+MESSAGE_US, PERCENT, CREDIT_US, FORGET_US, OTHERS = 160, 75, 10_000, 500_000, 15
+BLOCK_US = 3030
+
+
+def make(core, now_us=0):
+    ffi, lib = core
+    share = ffi.new("bus_share_t *")
+    lib.bus_share_start(share, now_us)
+    return share
+
+
+def sent(core, boards, messages, cycle_messages=0, seconds=30):
+    """Let so many boards ask for each of their blocks; return how many blocks each sent, and asked for."""
+    _, lib = core
+    shares = [make(core, 7 * board) for board in range(boards)]
+    counts, asked = [0] * boards, 0
+    for now_us in range(BLOCK_US, seconds * 1_000_000, BLOCK_US):
+        asked += 1
+        for board, share in enumerate(shares):
+            own_us = now_us + 7 * board
+            if asked % 33 == 0:
+                lib.bus_share_spend(share, cycle_messages, own_us)
+            if lib.bus_share_take(share, messages, own_us):
+                counts[board] += 1
+                for other in shares:
+                    if other is not share:
+                        lib.bus_share_heard(other, board + 1, own_us)
+    return counts, asked
+
+
+@pytest.mark.parametrize("boards", [1, 2, 3, 4, 8])
+@pytest.mark.parametrize(("messages", "cycle_messages"), [(9, 11), (9, 0), (13, 15), (14, 16), (33, 35), (4, 11)])
+def test_boards_divide_three_quarters_of_the_bus(core, boards, messages, cycle_messages):
+    counts, asked = sent(core, boards, messages, cycle_messages)
+    part = Fraction(PERCENT, 100) / boards * BLOCK_US - Fraction(cycle_messages * MESSAGE_US, 33)
+    expected = float(asked * min(1, part / (messages * MESSAGE_US)))
+    at_first = 1 + CREDIT_US / (messages * MESSAGE_US)  # a credit that is not spent at the end, and the like
+    for count in counts:
+        assert count == pytest.approx(expected, abs=at_first)
+
+
+def test_blocks_are_left_out_evenly(core):
+    """Two boards with blocks of 9 messages: none sends two fewer or more of any twelve than of any other twelve."""
+    _, lib = core
+    share, went = make(core), []
+    for number in range(600):
+        now_us = (number + 1) * BLOCK_US
+        lib.bus_share_heard(share, 5, now_us)
+        went.append(lib.bus_share_take(share, 9, now_us))
+    counts = [sum(went[first : first + 12]) for first in range(60, 580)]
+    assert max(counts) - min(counts) <= 1
+    assert 0.7 < sum(went) / len(went) < 0.85
+
+
+def test_a_silent_board_is_forgotten(core):
+    _, lib = core
+    share = make(core)
+    lib.bus_share_heard(share, 5, 1000)
+    lib.bus_share_heard(share, 6, 2000)
+    lib.bus_share_heard(share, 5, 3000)
+    assert lib.bus_share_boards(share, 3000) == 3
+    assert lib.bus_share_boards(share, 2000 + FORGET_US) == 3
+    assert lib.bus_share_boards(share, 2001 + FORGET_US) == 2
+    assert lib.bus_share_boards(share, 3001 + FORGET_US) == 1
+
+
+def test_more_boards_than_are_told_apart_count_as_so_many(core):
+    _, lib = core
+    share = make(core)
+    for node in range(1, 40):
+        lib.bus_share_heard(share, node, 10)
+    assert lib.bus_share_boards(share, 10) == 1 + OTHERS
+    lib.bus_share_heard(share, 77, 20 + FORGET_US)  # it takes the place of one that is gone
+    assert lib.bus_share_boards(share, 20 + FORGET_US) == 2
+
+
+@pytest.mark.parametrize("silence_us", [20_000, 10**9, 2**63])
+def test_no_more_than_the_credit_goes_at_once(core, silence_us):
+    _, lib = core
+    share = make(core)
+    assert not lib.bus_share_take(share, 1, 0)
+    now_us = silence_us
+    assert not lib.bus_share_take(share, 63, now_us)
+    assert lib.bus_share_take(share, 62, now_us)
+    assert not lib.bus_share_take(share, 1, now_us)
+
+
+def test_what_goes_in_any_case_is_paid_for_later_but_not_for_ever(core):
+    _, lib = core
+    share = make(core)
+    for _ in range(100):
+        lib.bus_share_spend(share, 60, 0)
+    free_us = CREDIT_US * 100 // PERCENT  # behind a debt of 10 ms
+    assert not lib.bus_share_take(share, 1, free_us)
+    assert lib.bus_share_take(share, 1, free_us + 214)
