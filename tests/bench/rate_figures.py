@@ -5,15 +5,18 @@ cycles; one fix a cycle, held until the next; and the track of whole cycles, at 
 of the blocks. Its samples are streamed by emulated boards, by ``--boards host``, or are ``--simulated``, which costs
 least. ``bound`` holds the filter against the least possible error, ``starts`` counts the starts from one block that
 fail, ``faults`` counts wrong poses that are told to be right, ``iron`` those while metal of many kinds passes,
-``latency`` tells how old a pose is in the rig's time, and ``host`` how late a line is on this machine.
+``latency`` tells how old a pose is in the rig's time, ``host`` how late a line is on this machine, and ``shared`` what
+comes of several sensors that send blocks on one CAN.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import tempfile
 import time
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -26,6 +29,7 @@ from tests.bench.rate_bound import LeastError
 from tests.bench.rate_host import SPARE_S, played, recorded
 from tests.bench.rate_iron import ball, copper, passing, sheet
 from tests.bench.rate_latency import latency
+from tests.bench.rate_shared import shared, shared_scenario
 from tests.bench.rate_ways import Errors, cycles, follow, held_fixes, lagged
 from tests.bench.rate_world import BLOCK_CHIPS, MOTIONS, World, matched_walks, motion_of
 
@@ -147,6 +151,10 @@ FAULTS = {
     "nothing": partial(rate_trials.blocks_lost, lambda number: False),
     "every tenth block lost": partial(rate_trials.blocks_lost, lambda number: number % 10 == 9),
     "each fifth cycle lost": partial(rate_trials.blocks_lost, lambda number: number // 33 % 5 == 4),
+    "118 blocks a second": partial(
+        rate_trials.blocks_lost, lambda number: (number + 1) * 36 // 100 == number * 36 // 100
+    ),
+    "33 blocks a second": partial(rate_trials.blocks_lost, lambda number: number % 10 > 0),
     "impulses of 20 uT": rate_trials.impulses,
     "a beacon dies and returns": rate_trials.dead_beacon,
     "1 kg of iron passes": partial(passing, (ball(1.0),)),
@@ -249,6 +257,37 @@ def host(options):
     )
 
 
+def several(options):
+    """Print what comes of several sensors that send blocks on one CAN."""
+    print(
+        "| sensors | codes | bus busy | blocks a second | age, ms: median, most | cycles lost | age, ms: median, most |"
+    )
+    print(f"| --- | --- | --- |{' --- |' * 4}")
+    for sensors in (1, 2, 3, 4):
+        for codes in options.codes:
+            path = Path(tempfile.mkdtemp(prefix="goldfield-figures-")) / "shared.toml"
+            bench = open_bench(shared_scenario(sensors, path), options.boards, "can")
+            seen, busy = shared(bench, sensors, codes, options.seconds)
+            rates = [len(found.blocks) / options.seconds for found in seen.values()]
+            due = round(options.seconds / bench.site.cycle_s)
+            missed = sum(max(0, due - 1 - len(found.cycles)) for found in seen.values())
+            ages = [
+                np.array([found.late_ms(bench, what) for found in seen.values()]).max(axis=0)
+                for what in ("blocks", "cycles")
+            ]
+            (block_ms, most_block_ms), (cycle_ms, most_cycle_ms) = ages
+            print(
+                f"| {sensors} | {codes} | {100 * busy:.0f} % | {min(rates):.0f} to {max(rates):.0f} |"
+                f" {block_ms:.1f}, {most_block_ms:.1f} | {missed} of {sensors * due} |"
+                f" {cycle_ms:.1f}, {most_cycle_ms:.1f} |",
+                flush=True,
+            )
+            told = {node: found.counters for node, found in seen.items() if found.counters}
+            if told:
+                print(f"    counters of errors: {told}", flush=True)
+            bench.close()
+
+
 WHAT = {
     "accuracy": accuracy,
     "bound": bound,
@@ -257,6 +296,7 @@ WHAT = {
     "iron": iron,
     "latency": latencies,
     "host": host,
+    "shared": several,
 }
 
 
@@ -270,6 +310,7 @@ def main():
     parser.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of the seeds")
     parser.add_argument("--seconds", type=float, default=3.0, help="length of a run of accuracy, faults, latency, host")
     parser.add_argument("--fault", metavar="NAME", help="faults, iron: those with this in their name only")
+    parser.add_argument("--codes", type=int, nargs="+", default=[8, 16], help="shared: codes of each sensor")
     parser.add_argument("--count", type=int, default=1000, help="starts at each noise")
     options = parser.parse_args()
     for what in options.what or WHAT:

@@ -6,6 +6,7 @@ the bytes that framing adds. Real frames of CAN have fewer stuff bits, and take 
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
@@ -13,6 +14,7 @@ from enum import StrEnum
 from goldfield.errors import counted
 from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.link.buses import CAN_BIT_RATE
+from goldfield.link.reports import ON_SENSOR_POSE
 from goldfield.link.serial_bus import BAUD_RATE
 from goldfield_protocol.messages import database
 from goldfield_protocol.parameters import PARAMETERS
@@ -37,7 +39,12 @@ class Carrier(StrEnum):
 
 
 SHARE = {Link.SERIAL: 0.9, Link.CAN: 0.75}
-"""Largest part of a link that one sensor may take: on CAN beacons, answers and repeated frames need the rest."""
+"""Largest part of a link that its sensors may take: on CAN beacons, answers and repeated frames need the rest. All that
+send blocks, or poses of blocks, divide it evenly, and leave some out if need be (firmware/core/link/bus_share.h)."""
+MOST_CODES_ON_CAN = 60
+"""Most codes of a block that a sensor sends on CAN: with it the report of a cycle must fit into its queue."""
+LEAST_HZ = 30.0
+"""Fewest blocks a second that are asked for on CAN: three of the 33 in a cycle, the fewest that were tried."""
 LINK_BITS = {Link.SERIAL: 1, Link.CAN: 2}
 """Values of the parameter ``blocks``."""
 NAMES = {Link.SERIAL: f"serial at {BAUD_RATE / 1e6:g} Mbaud", Link.CAN: f"CAN at {CAN_BIT_RATE / 1e6:g} Mbit/s"}
@@ -87,6 +94,27 @@ def block_s(link: Link, codes: int) -> float:
     return message_s(link, "BLOCK") + codes * message_s(link, "BLOCK_SUM")
 
 
+def block_rate_Hz(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) -> float:
+    """Return how many blocks a second each of the sensors on a link can send; the arguments are those of `choose`.
+
+    Examples
+    --------
+    >>> [round(block_rate_Hz(Link.CAN, 8, 1023, 97.75e-6, sensors)) for sensors in (1, 2, 3, 4)]
+    [330, 248, 161, 118]
+    """
+    if link is Link.CAN and codes > MOST_CODES_ON_CAN:
+        return 0.0
+    left = SHARE[link] / sensors - load(link, Carrier.CYCLES, codes, chips, chip_s)
+    return max(0.0, min(1.0 / (BLOCK_CHIPS * chip_s), left / block_s(link, codes)))
+
+
+def pose_rate_Hz(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) -> float:
+    """Return how many poses of its own blocks a second each of the sensors on a link can send, beside its cycles."""
+    pose_s = len(ON_SENSOR_POSE) * message_s(link, "BLOCK_SUM")  # the sensor pays for the longest
+    left = SHARE[link] / sensors - load(link, Carrier.CYCLES, codes, chips, chip_s) - pose_s / (chips * chip_s)
+    return max(0.0, min(1.0 / (BLOCK_CHIPS * chip_s), left / pose_s))
+
+
 @dataclass(frozen=True)
 class Choice:
     """What a sensor is to send on a link.
@@ -95,7 +123,7 @@ class Choice:
     ----------
     carrier : Carrier
     load : float
-        The part of the link that it takes, at most.
+        The part of the link that it takes, at most, with all that do the same.
     text : str
         What was chosen and why, without a full stop.
     """
@@ -104,6 +132,8 @@ class Choice:
     load: float
     text: str
     link: Link
+    reduced: bool = False
+    """Whether some of the blocks are left out, since the link does not carry all."""
 
     @property
     def parameters(self) -> Mapping[int, int]:
@@ -122,14 +152,18 @@ def choose(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) 
     codes, chips, chip_s
         As in `load`.
     sensors : int, optional
-        Sensors that share the link and all send the same; a serial line has one.
+        Sensors that share CAN and tell of their motion there; a serial line has one.
 
     Examples
     --------
     >>> print(choose(Link.CAN, 8, 1023, 97.75e-6).text)
     sums of 8 codes 330 times a second, at most 49 % of CAN at 1 Mbit/s
     >>> print(choose(Link.CAN, 20, 1023, 97.75e-6).text)
-    whole cycles, 10 a second: sums of 20 codes 330 times a second would take 115 % of CAN at 1 Mbit/s, more than 75 %
+    sums of 20 codes 212 times a second, not 330, at most 75 % of CAN at 1 Mbit/s
+    >>> print(choose(Link.CAN, 8, 1023, 97.75e-6, sensors=4).text)
+    sums of 8 codes 118 times a second, not 330, with those of 4 sensors at most 75 % of CAN at 1 Mbit/s
+    >>> print(choose(Link.CAN, 8, 1023, 97.75e-6, sensors=14).text)
+    whole cycles, 10 a second: sums of 8 codes of 14 sensors would come 25 times a second over CAN at 1 Mbit/s
     >>> print(choose(Link.SERIAL, 40, 1023, 97.75e-6).text)
     every chip, at most 85 % of serial at 2 Mbaud: sums of 40 codes 330 times a second would take 112 %
     """
@@ -137,18 +171,28 @@ def choose(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) 
     def taken(carrier: Carrier) -> float:
         return sensors * load(link, carrier, codes, chips, chip_s)
 
-    blocks, streamed = taken(Carrier.BLOCKS), taken(Carrier.CHIPS)
-    sums = f"sums of {counted(codes, 'codes')} {1.0 / (BLOCK_CHIPS * chip_s):.0f} times a second"
-    of_sensors = "" if sensors == 1 else f" of {sensors} sensors"
+    blocks, streamed, most_Hz = taken(Carrier.BLOCKS), taken(Carrier.CHIPS), 1.0 / (BLOCK_CHIPS * chip_s)
+    sums, full = f"sums of {counted(codes, 'codes')}", f"{most_Hz:.0f} times a second"
     if blocks <= SHARE[link]:
-        text = f"{sums}{of_sensors}, at most {blocks:.0%} of {NAMES[link]}"
+        with_all = "" if sensors == 1 else f" with those of {sensors} sensors"
+        text = f"{sums} {full},{with_all} at most {blocks:.0%} of {NAMES[link]}"
         return Choice(Carrier.BLOCKS, blocks, _spaced(text), link)
     if link is Link.SERIAL and streamed <= SHARE[link]:
-        text = f"every chip, at most {streamed:.0%} of {NAMES[link]}: {sums} would take {blocks:.0%}"
+        text = f"every chip, at most {streamed:.0%} of {NAMES[link]}: {sums} {full} would take {blocks:.0%}"
         return Choice(Carrier.CHIPS, streamed, _spaced(text), link)
-    rate = f"{1.0 / (chips * chip_s):.0f} a second"
-    text = f"whole cycles, {rate}: {sums}{of_sensors} would take {blocks:.0%} of {NAMES[link]}"
-    return Choice(Carrier.CYCLES, taken(Carrier.CYCLES), _spaced(f"{text}, more than {SHARE[link]:.0%}"), link)
+    rate_Hz = block_rate_Hz(link, codes, chips, chip_s, sensors) if link is Link.CAN else 0.0
+    if rate_Hz >= LEAST_HZ:
+        with_all = "" if sensors == 1 else f" with those of {sensors} sensors"
+        some = f"{rate_Hz:.0f} times a second, not {most_Hz:.0f}"
+        text = f"{sums} {some},{with_all} at most {SHARE[link]:.0%} of {NAMES[link]}"
+        return Choice(Carrier.BLOCKS, SHARE[link], _spaced(text), link, reduced=True)
+    of_sensors = "" if sensors == 1 else f" of {sensors} sensors"
+    if rate_Hz > 0.0:
+        why = f"{sums}{of_sensors} would come {rate_Hz:.0f} times a second over {NAMES[link]}"
+    else:
+        why = f"{sums}{of_sensors} {full} would take {blocks:.0%} of {NAMES[link]}, more than {SHARE[link]:.0%}"
+    text = f"whole cycles, {1.0 / (chips * chip_s):.0f} a second: {why}"
+    return Choice(Carrier.CYCLES, taken(Carrier.CYCLES), _spaced(text), link)
 
 
 def _spaced(text: str) -> str:
@@ -176,5 +220,48 @@ def table(chips: int = 1023, chip_s: float = 97.75e-6) -> str:
     return "\n".join(lines) + "\n"
 
 
+TABLE_SENSORS = (1, 2, 3, 4, 6, 8)
+
+
+def shared_table(chips: int = 1023, chip_s: float = 97.75e-6) -> str:
+    """Return as a table in Markdown how often each of several sensors on one CAN sends (`protocol/framing.md`)."""
+    lines = [
+        f"| codes | {' | '.join(counted(sensors, 'sensors') for sensors in TABLE_SENSORS)} |",
+        f"| --- |{' --- |' * len(TABLE_SENSORS)}",
+    ]
+    for codes in TABLE_CODES[:-1]:
+        rates = [
+            (
+                block_rate_Hz(Link.CAN, codes, chips, chip_s, sensors),
+                pose_rate_Hz(Link.CAN, codes, chips, chip_s, sensors),
+            )
+            for sensors in TABLE_SENSORS
+        ]
+        cells = [f"{_or_none(blocks)} / {_or_none(poses, 0.5)}" for blocks, poses in rates]
+        lines.append(f"| {codes} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _or_none(rate_Hz: float, least_Hz: float = LEAST_HZ) -> str:
+    return f"{rate_Hz:.0f}" if rate_Hz >= least_Hz else "-"
+
+
+def main(given: list[str] | None = None) -> None:
+    """Print the tables of the page, or what a sensor among some others sends on each link."""
+    parser = argparse.ArgumentParser(prog="python -m goldfield.link.budget", description=__doc__)
+    parser.add_argument("--codes", type=int, metavar="N", help="what so many codes allow, in place of the tables")
+    parser.add_argument("--sensors", type=int, default=1, metavar="N", help="sensors on CAN that tell of their motion")
+    parser.add_argument("--chips", type=int, default=1023, metavar="N", help="chips in a cycle (default 1023)")
+    options = parser.parse_args(given)
+    chip_s = 97.75e-6
+    if options.codes is None:
+        print(table(options.chips), shared_table(options.chips), sep="\n", end="")
+        return
+    for link, sensors in ((Link.SERIAL, 1), (Link.CAN, options.sensors)):
+        print(f"{link}: {choose(link, options.codes, options.chips, chip_s, sensors).text}")
+    rate_Hz = pose_rate_Hz(Link.CAN, options.codes, options.chips, chip_s, options.sensors)
+    print(f"{Link.CAN}, poses of the sensors themselves (--on-sensor): {rate_Hz:.0f} a second")
+
+
 if __name__ == "__main__":
-    print(table(), end="")
+    main()

@@ -21,6 +21,11 @@ class Place:
     node: int
 
 
+def tells_of_motion(message: Message) -> bool:
+    """Tell whether a message is one of those by which boards on a bus know with whom they share it (bus_share.h)."""
+    return message.name == "BLOCK" or (message.name == "POSE_POSITION" and message.index > 0)
+
+
 class Census:
     """Counts the sensors among the messages of a link.
 
@@ -41,6 +46,8 @@ class Census:
         What else was heard, for an error message.
     refused : str or None
         What to do with a sensor that would count if it spoke this host's protocol.
+    moving : set of int
+        The nodes that tell of their motion: those that send blocks, or poses of them.
     """
 
     def __init__(
@@ -48,6 +55,7 @@ class Census:
     ) -> None:
         self.heard: set[str] = set()
         self.refused: str | None = None
+        self.moving: set[int] = set()
         self._node = node
         self._channel = channel
         self._by_reports = by_reports
@@ -62,6 +70,8 @@ class Census:
         if message is None or message.name in TO_NODES:
             return None
         place = Place(channel_of(raw), message.node)
+        if tells_of_motion(message):
+            self.moving.add(message.node)
         if message.name == "EPOCH":
             self._reporting[place] = None
         if message.name == "HEARTBEAT":

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import can
 
 from goldfield.errors import SystemFailure, UserError, counted, option
-from goldfield.link.blocks import BlockAssembler
-from goldfield.link.budget import LINK_BITS, Carrier, Choice, Link, choose
+from goldfield.link.blocks import BLOCK_CHIPS, BlockAssembler
+from goldfield.link.budget import LINK_BITS, Carrier, Choice, Link, choose, pose_rate_Hz
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.chip_blocks import ChipBlockAssembler
 from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, STATE_STARTING
@@ -19,7 +19,7 @@ from goldfield.link.reports import ON_SENSOR_POSE, SHORTEST_SILENCE_S, Assembler
 from goldfield.link.requests import set_request
 from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.backlog import LIMIT_S, Backlog
-from goldfield.sensor.census import Census, Place
+from goldfield.sensor.census import Census, Place, tells_of_motion
 from goldfield.sensor.dialogue import BLOCKS, STREAM, Dialogue, Parameters, Unheard
 from goldfield.sensor.health import Health
 from goldfield.sensor.keeping import Keeping
@@ -28,7 +28,7 @@ from goldfield.sensor.receiver import Receiver, Recorder
 from goldfield.site import Site
 from goldfield.types import Block, Pose
 from goldfield_protocol.messages import INDEX_MASK, INDEX_SHIFT, TYPE_SHIFT, Message, encode, type_of
-from goldfield_protocol.parameters import Kind
+from goldfield_protocol.parameters import PARAMETERS, Kind
 
 QUIET_S = 1.0
 """Silence of a live sensor after which its incomplete reports are handed out."""
@@ -46,6 +46,8 @@ LOOKED_THROUGH = 200_000
 WAIT_S = 0.5
 """Longest wait for one message while a sensor is looked for. A wait counts for no more, however long it took: this
 process, or the whole computer, may have been stopped meanwhile."""
+
+POSE_BLOCKS = PARAMETERS["pose_blocks"].first
 
 STREAMED = ("BLOCK", "BLOCK_SUM", "CHIP")
 """Messages of which there are thousands a second, and which tell nothing of a board's health that others do not."""
@@ -130,6 +132,8 @@ class Session:
         self._chip_s = site.cycle_s / site.chips
         self.blocks: BlockAssembler | ChipBlockAssembler | None = None
         self.choice: Choice | None = None
+        self._moving: set[int] = set()
+        self._node: int | None = None
         if blocks:
             self.blocks = BlockAssembler(site.codes, site.chips, self._chip_s)
             self.choice = self._chosen(site)
@@ -141,7 +145,7 @@ class Session:
         self._streamed_before: int | float = 1
         self._asked = node is not None
         self._channel = channel
-        self._parameters: Parameters | None = None
+        self._parameters: dict[int, int | float] | None = None
         self._quiet_s = 0.0
         self._looked = False
         self._reads = True
@@ -173,7 +177,7 @@ class Session:
         if self._bus is None:
             return None
         link = Link.CAN if self._bus.link_bit == LINK_BITS[Link.CAN] else Link.SERIAL
-        return choose(link, len(site.codes), site.chips, self._chip_s)
+        return choose(link, len(site.codes), site.chips, self._chip_s, len(self._moving - {self._node}) + 1)
 
     @property
     def talks(self) -> bool:
@@ -227,9 +231,10 @@ class Session:
         self.receiver.mark(None)
         self.find()
         self.dialogue.check_degree(self._site.degree)
-        self._parameters = parameters or {}
-        if self.choice is not None and self.choice.carrier is not Carrier.BLOCKS:
-            self.receiver.tell_once(f"the sensor sends {self.choice.text}")
+        self._parameters = dict(parameters or {})
+        self._share(self._moving)
+        if self.choice is not None and self.choice.carrier is Carrier.CYCLES:
+            self._parameters.pop(BLOCKS, None)  # the bus is fuller than was known when they were chosen
         if STREAM in self._parameters:
             self._streamed_before = self.dialogue.ask(STREAM)
             self.blocks = ChipBlockAssembler(self._site.chips, self._chip_s, self.dialogue.calibration())
@@ -280,6 +285,7 @@ class Session:
             for raw in kept:
                 self.receiver.decoded(raw)  # which counts what is none of ours
             raise Unheard(self._nothing_found(census, waited_s))
+        self._moving |= census.moving
         self.receiver.put_back(kept)
 
     def reports(self) -> Iterator[Report]:
@@ -437,6 +443,8 @@ class Session:
             self.receiver.mark(self.node)
 
     def _listen(self, message: Message) -> None:
+        if message.node not in self._moving and self._node not in (None, message.node) and tells_of_motion(message):
+            self._share({*self._moving, message.node})
         if message.name in STREAMED:
             return
         self.keeping.take(message, self.health.now_s)
@@ -448,6 +456,23 @@ class Session:
         if other and message.name == "HEARTBEAT" and message.signals["role"] == ROLE_SENSOR:
             choice = option("node", message.node)
             self.receiver.tell_once(f"sensor {message.node} is there too: {self.node} is read; {choice} reads it")
+
+    def _share(self, moving: set[int]) -> None:
+        """Take note of the nodes that tell of their motion on the same bus, and say what that leaves for the sensor."""
+        self._moving = moving
+        if self.choice is not None:
+            self.choice = self._chosen(self._site)
+        if self.choice is not None and (self.choice.carrier is not Carrier.BLOCKS or self.choice.reduced):
+            self.receiver.tell_once(f"the sensor sends {self.choice.text}")
+        every = int((self._parameters or {}).get(POSE_BLOCKS, 0))
+        if every and self._bus is not None and self._bus.link_bit == LINK_BITS[Link.CAN]:
+            site, sensors = self._site, len(moving - {self._node}) + 1
+            wanted_Hz = 1.0 / (every * BLOCK_CHIPS * self._chip_s)
+            most_Hz = pose_rate_Hz(Link.CAN, len(site.codes), site.chips, self._chip_s, sensors)
+            if most_Hz < wanted_Hz:
+                self.receiver.tell_once(
+                    f"the sensor sends {most_Hz:.0f} poses a second, not {wanted_Hz:.0f}: {sensors} sensors share CAN"
+                )
 
     def _ask_who(self, node: int) -> None:
         """Ask a live board that drives a coil for what tells which beacon it is; its answers come among the others."""

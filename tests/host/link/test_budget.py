@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from goldfield.link.budget import LINK_BITS, SHARE, Carrier, Link, block_s, choose, load, message_s, table
+from goldfield.link.budget import (
+    LEAST_HZ,
+    LINK_BITS,
+    MOST_CODES_ON_CAN,
+    SHARE,
+    Carrier,
+    Link,
+    block_rate_Hz,
+    block_s,
+    choose,
+    load,
+    main,
+    message_s,
+    pose_rate_Hz,
+    shared_table,
+    table,
+)
 from goldfield_protocol import encode_frame
 from goldfield_protocol.messages import database
 from goldfield_protocol.parameters import PARAMETERS
 
+FIRMWARE = Path(__file__).parents[3] / "firmware"
+CAN_FRAME_S = 160e-6
 FRAMING = Path(__file__).parents[3] / "protocol" / "framing.md"
 NAMES = [message.name for message in database().messages]
 N, CHIP_S = 1023, 97.75e-6
@@ -51,7 +70,9 @@ def test_no_frame_is_longer(name):
 
 
 def test_the_table_of_the_page():
-    assert table() in FRAMING.read_text(encoding="utf-8"), "write it: python -m goldfield.link.budget"
+    text = FRAMING.read_text(encoding="utf-8")
+    assert table() in text, "write it: python -m goldfield.link.budget"
+    assert shared_table() in text, "write it: python -m goldfield.link.budget"
 
 
 def test_the_table_by_hand():
@@ -71,7 +92,6 @@ def test_the_table_by_hand():
     [
         (Link.CAN, 1, Carrier.BLOCKS),
         (Link.CAN, 12, Carrier.BLOCKS),
-        (Link.CAN, 13, Carrier.CYCLES),
         (Link.CAN, 64, Carrier.CYCLES),
         (Link.SERIAL, 32, Carrier.BLOCKS),
         (Link.SERIAL, 33, Carrier.CHIPS),
@@ -90,11 +110,56 @@ def test_what_is_chosen(link, codes, carrier):
     assert choice.parameters == wanted[carrier]
 
 
-def test_two_sensors_share_a_bus():
-    assert choose(Link.CAN, 5, N, CHIP_S, sensors=2).carrier is Carrier.BLOCKS
-    both = choose(Link.CAN, 8, N, CHIP_S, sensors=2)
-    assert both.carrier is Carrier.CYCLES
-    assert "2 sensors" in both.text
+@pytest.mark.parametrize(
+    ("codes", "sensors", "reduced"),
+    [(12, 1, False), (13, 1, True), (60, 1, True), (5, 2, False), (6, 2, True), (3, 3, False), (4, 3, True)],
+)
+def test_some_blocks_are_left_out_where_can_does_not_carry_all(codes, sensors, reduced):
+    choice = choose(Link.CAN, codes, N, CHIP_S, sensors)
+    rate_Hz = block_rate_Hz(Link.CAN, codes, N, CHIP_S, sensors)
+    full_Hz = 1.0 / (31 * CHIP_S)
+    assert (choice.carrier, choice.reduced, rate_Hz < full_Hz) == (Carrier.BLOCKS, reduced, reduced)
+    assert choice.parameters == {PARAMETERS["blocks"].first: LINK_BITS[Link.CAN]}
+    taken = sensors * (load(Link.CAN, Carrier.CYCLES, codes, N, CHIP_S) + rate_Hz * block_s(Link.CAN, codes))
+    assert taken == pytest.approx(SHARE[Link.CAN]) if reduced else taken == pytest.approx(choice.load)
+    assert (f"{rate_Hz:.0f} times a second, not 330" in choice.text) is reduced
+    assert (f"{sensors} sensors" in choice.text) is (sensors > 1)
+
+
+@pytest.mark.parametrize(
+    ("codes", "sensors", "carrier"),
+    [(8, 12, Carrier.BLOCKS), (8, 13, Carrier.CYCLES), (60, 1, Carrier.BLOCKS), (61, 1, Carrier.CYCLES)],
+)
+def test_too_few_blocks_are_not_asked_for(codes, sensors, carrier):
+    choice = choose(Link.CAN, codes, N, CHIP_S, sensors)
+    assert choice.carrier is carrier
+    assert (block_rate_Hz(Link.CAN, codes, N, CHIP_S, sensors) >= LEAST_HZ) is (carrier is Carrier.BLOCKS)
+    assert ("whole cycles" in choice.text) is (carrier is Carrier.CYCLES)
+
+
+def test_sensors_that_send_their_own_poses_divide_the_bus():
+    pose_s, cycle_s = 4 * CAN_FRAME_S, N * CHIP_S
+    for sensors in (1, 3, 4, 8):
+        rate_Hz = pose_rate_Hz(Link.CAN, 8, N, CHIP_S, sensors)
+        taken = sensors * (rate_Hz * pose_s + 15 * CAN_FRAME_S / cycle_s)
+        if sensors < 4:
+            assert rate_Hz == pytest.approx(1.0 / (31 * CHIP_S))
+            assert taken < SHARE[Link.CAN]
+        else:
+            assert taken == pytest.approx(SHARE[Link.CAN])
+
+
+def test_the_share_is_the_firmwares():
+    def constants(path):
+        text = (FIRMWARE / path).read_text(encoding="utf-8")
+        return {name: int(value) for name, value in re.findall(r"#define (\w+) +\(?(\d+)u?", text)}
+
+    share, queue = constants("core/link/bus_share.h"), constants("services/node.h")["NODE_QUEUE_MESSAGES"]
+    poses = constants("services/pose_report.h")["POSE_REPORT_MESSAGES"]
+    assert share["BUS_SHARE_PERCENT"] == 100.0 * SHARE[Link.CAN]
+    assert share["BUS_SHARE_MESSAGE_NS"] == pytest.approx(1e9 * message_s(Link.CAN, "BLOCK_SUM"))
+    assert (queue - 1 - constants("services/blocks.h")["BLOCKS_REPORT_BESIDE"] - poses) // 2 == MOST_CODES_ON_CAN
+    assert share["BUS_SHARE_CREDIT_NS"] >= (1 + MOST_CODES_ON_CAN) * share["BUS_SHARE_MESSAGE_NS"]
 
 
 def test_every_choice_is_told_in_one_sentence():
@@ -104,3 +169,13 @@ def test_every_choice_is_told_in_one_sentence():
             assert "%" in text
             assert not text.endswith(".")
             assert len(text) < 160
+
+
+def test_what_it_prints(capsys):
+    main([])
+    assert capsys.readouterr().out == f"{table()}\n{shared_table()}"
+    main(["--codes", "8", "--sensors", "3"])
+    serial, can, poses = capsys.readouterr().out.splitlines()
+    assert serial == f"serial: {choose(Link.SERIAL, 8, N, CHIP_S).text}"
+    assert can == f"CAN: {choose(Link.CAN, 8, N, CHIP_S, 3).text}"
+    assert poses.endswith(f"{pose_rate_Hz(Link.CAN, 8, N, CHIP_S, 3):.0f} a second")

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from goldfield import site as sites
+from goldfield.errors import SystemFailure
 from goldfield.link.blocks import BlockAssembler
 from goldfield.link.chip_blocks import ChipBlockAssembler
 from goldfield.sensor import dialogue as dialogues
@@ -20,6 +21,7 @@ from tests.host.fake_sensor import NODE, SITE, heartbeat
 from tests.host.virtual_link import VirtualLink
 
 BLOCKS, STREAM = PARAMETERS["blocks"].first, PARAMETERS["stream"].first
+POSE_BLOCKS = PARAMETERS["pose_blocks"].first
 SERIAL, CAN = 1, 2
 ROOM = sites.load(SITE)
 CALIBRATION = {PARAMETERS[f"zero_{axis}"].first: 2040.0 + i for i, axis in enumerate("xyz")} | {
@@ -37,14 +39,16 @@ def room(beacons):
 
 @pytest.fixture
 def started(monkeypatch):
-    def make(beacons, link_bit, *, blocks=True, before=None):
-        link = VirtualLink({28: 10, BLOCKS: 0, STREAM: 0, **CALIBRATION, **(before or {})})
+    def make(beacons, link_bit, *, blocks=True, before=None, others=(), poses=0):
+        link = VirtualLink({28: 10, BLOCKS: 0, STREAM: 0, POSE_BLOCKS: 0, **CALIBRATION, **(before or {})})
         link.link_bit = link_bit
         monkeypatch.setattr(sessions, "time", link)
         monkeypatch.setattr(dialogues, "time", link)
+        for other in others:
+            link.deliver(other)
         link.deliver(heartbeat())
-        session = Session(link, "virtual", room(beacons), NODE, blocks=blocks)
-        session.start(session.block_parameters)
+        session = Session(link, "virtual", room(beacons), NODE, blocks=blocks, poses=bool(poses))
+        session.start({POSE_BLOCKS: poses} if poses else session.block_parameters)
         return link, session
 
     return make
@@ -56,7 +60,8 @@ def started(monkeypatch):
         (8, SERIAL, SERIAL, 0),
         (8, CAN, CAN, 0),
         (12, CAN, CAN, 0),
-        (13, CAN, 0, 0),
+        (13, CAN, CAN, 0),
+        (61, CAN, 0, 0),
         (32, SERIAL, SERIAL, 0),
         (33, SERIAL, 0, 1),
     ],
@@ -66,14 +71,53 @@ def test_the_sensor_is_asked_for_what_the_link_carries(started, capsys, beacons,
     assert (link.parameters[BLOCKS], link.parameters[STREAM]) == (blocks, stream)
     assert isinstance(session.blocks, ChipBlockAssembler if stream else BlockAssembler)
     said = capsys.readouterr().err
-    assert ("sums of" in said) is (not blocks)
+    assert ("sums of" in said) is (not blocks or beacons == 13)
     if stream:
         assert "the sensor sends every chip" in said
     elif not blocks:
-        assert "the sensor sends whole cycles, 10 a second: sums of 13 codes" in said
+        assert "the sensor sends whole cycles, 10 a second: sums of 61 codes" in said
+    elif beacons == 13:
+        assert "the sensor sends sums of 13 codes 323 times a second, not 330" in said
     session.end()
     session.dialogue.ask(BLOCKS)  # what was sent before is through
     assert (link.parameters[BLOCKS], link.parameters[STREAM]) == (0, 0)
+
+
+def motion(node, name="BLOCK", index=62):
+    """What another sensor on the bus sends of its motion."""
+    return encode(
+        name,
+        dict.fromkeys("xyz", 0.0) | {"cycle_low": 1} | ({"block_low": 1} if name == "BLOCK" else {}),
+        node=node,
+        index=index,
+    )
+
+
+def test_sensors_that_share_the_bus_are_said_and_counted_once(started, capsys):
+    others = [motion(7), motion(8, "POSE_POSITION"), motion(9, "POSE_POSITION", 0), motion(7), motion(NODE)]
+    link, session = started(8, CAN, others=others)
+    assert link.parameters[BLOCKS] == CAN
+    assert capsys.readouterr().err.count("161 times a second, not 330, with those of 3 sensors") == 1
+    for other in (motion(7), motion(10), motion(10)):
+        link.deliver(other)
+    with pytest.raises(SystemFailure):
+        next(session.events())
+    assert capsys.readouterr().err.count("118 times a second, not 330, with those of 4 sensors") == 1
+
+
+def test_no_blocks_are_asked_of_a_bus_that_would_carry_too_few(started, capsys):
+    link, _ = started(8, CAN, others=[motion(node) for node in range(20, 32)])
+    assert link.parameters[BLOCKS] == 0
+    assert "the sensor sends whole cycles, 10 a second: sums of 8 codes of 13 sensors" in capsys.readouterr().err
+    link, _ = started(8, CAN, others=[motion(node) for node in range(20, 31)])
+    assert link.parameters[BLOCKS] == CAN
+
+
+@pytest.mark.parametrize(("others", "every", "said"), [(2, 1, False), (3, 1, True), (3, 2, False)])
+def test_fewer_poses_of_a_sensor_that_shares_the_bus_are_said(started, capsys, others, every, said):
+    link, _ = started(8, CAN, blocks=False, others=[motion(20 + i) for i in range(others)], poses=every)
+    assert link.parameters[POSE_BLOCKS] == every
+    assert ("the sensor sends 255 poses a second, not 330: 4 sensors share CAN" in capsys.readouterr().err) is said
 
 
 def test_a_sensor_that_streamed_before_goes_on(started):
