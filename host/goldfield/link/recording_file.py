@@ -74,7 +74,10 @@ class RecordingFile:
             self.failed = True
             why = error.__cause__
             reason = str(error) if why is None else reason_of(why)
-            tell(f"{self.name}: recording stopped after {counted(self.size, 'bytes')}: {reason}; the run goes on")
+            tell(
+                f"{self.name}: recording stopped after {counted(self.size, 'bytes')}: {reason}; the run goes on",
+                failure=True,
+            )
             return False
         return True
 
@@ -89,4 +92,4 @@ class RecordingFile:
             self._file.close()
         except SystemFailure as error:
             self.failed = True
-            tell(str(error))
+            tell(str(error), failure=True)

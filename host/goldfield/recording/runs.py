@@ -246,7 +246,7 @@ def open_run(path: str | Path, site_file: str | None = None, *, again: bool = Fa
     if not head:
         raise UserError(f"{name_of(path)}: is empty: give a recording")
     if site_file is None:
-        raise UserError(f"{name_of(path)}: holds messages and no poses: give --site FILE, with which they are made")
+        raise UserError(f"{name_of(path)}: holds no poses: give --site FILE, with which they are made of its messages")
     return EstimatedRun(path, load(site_file), Options())
 
 

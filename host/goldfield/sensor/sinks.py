@@ -183,7 +183,7 @@ class Branch(Generic[T]):
                 reason = " ".join(str(error).split()) or type(error).__name__
                 path = self.name.partition(":")[2]  # of a feed to a file, whose errors begin with it
                 told = reason.removeprefix(f"{self.name}: ").removeprefix(f"{path}: ")
-                tell(f"{self.name}: {told}; the run goes on without")
+                tell(f"{self.name}: {told}; the run goes on without", failure=True)
             return False
         return True
 

@@ -109,10 +109,11 @@ def test_a_full_disk_leaves_the_old_table_and_tells(tmp_path):
     assert table.read_text().startswith("epoch,t_s,beacon,")
 
 
+@pytest.mark.parametrize("quiet", [(), ("-q",)])
 @pytest.mark.parametrize("option", ["--record", "--fields"])
-def test_a_full_disk_ends_a_recording_at_a_whole_message_and_not_the_run(tmp_path, poses_of_log, option):
+def test_a_full_disk_ends_a_recording_at_a_whole_message_and_not_the_run(tmp_path, poses_of_log, option, quiet):
     target = tmp_path / "out.log"
-    done = run("run", "--site", SITE, "--log", LOG, "--json", option, target, preexec_fn=limited)
+    done = run("run", "--site", SITE, "--log", LOG, "--json", *quiet, option, target, preexec_fn=limited)
     assert done.returncode == 3
     assert len(done.stdout.splitlines()) == len(poses_of_log)
     assert target.read_bytes() == b"" or target.read_bytes().endswith(b"\n")

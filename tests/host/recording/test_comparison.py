@@ -110,7 +110,7 @@ def test_a_changed_site_changes_todays_poses(recorded, tmp_path, capsys):
     ("content", "complaint"),
     [
         ("", "is empty: give a recording"),
-        ("(1.0) can0 00000064#00\n", "holds messages and no poses: give --site FILE"),
+        ("(1.0) can0 00000064#00\n", "holds no poses: give --site FILE, with which they are made of its messages"),
         ('{"epoch": 1}\n', ":1: is no line of goldfield run --json: keys are missing"),
         ("{\n", ":1: is no line of goldfield run --json"),
     ],
