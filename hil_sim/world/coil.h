@@ -51,6 +51,8 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "world/coil_law.h"
+
 #define COIL_HISTORY     256
 #define COIL_CHANGES_MAX 64
 
@@ -87,41 +89,6 @@ typedef enum {
     COIL_SENSE_HELD = 5, /* The sense output stays where it was when somebody last looked. */
     COIL_FAULTS = 6
 } coil_fault_t;
-
-#define COIL_PIECES 4 /* Most pieces of a segment: down by the diodes, zero, toward the target, held. */
-
-#define COIL_MODES 2 /* Most time constants of a current: shorted turns have a second. */
-
-/* One law of the currents, in force between two ages of its segment: limit + sum of mode exp(-t / slow). */
-typedef struct {
-    double since_s, until_s;
-    double current_A; /* Current at the piece's start. */
-    double second_A;  /* Current in the shorted turns at the piece's start. */
-    double lagged_A;  /* Lagged current at the piece's start. */
-    double limit_A;   /* Where the current tends to; that in the shorted turns tends to 0. */
-    double slow_s[COIL_MODES];
-    double mode_A[COIL_MODES], second_mode_A[COIL_MODES];
-    unsigned modes; /* 0: the current stays as it is. */
-    bool held;      /* It stays at current_A, whatever the shorted turns do. */
-} coil_piece_t;
-
-typedef struct {
-    int64_t start_ps;
-    double full_A;     /* Where the supply alone would bring the current. */
-    double shorted;    /* Share of the turns that are shorted, f; 0: none. */
-    double first_H;    /* Inductance of the turns that are not, L1; L if there are none that are. */
-    double mutual_H;   /* M. */
-    double second_H;   /* L2. */
-    double copper_Ohm; /* Resistance of the turns that are driven, */
-    double second_Ohm; /* and of those that are shorted. */
-    double loop_Ohm;   /* That of the copper and of the supply. */
-    double supply_V;
-    double slow_s[COIL_MODES]; /* Time constants while the supply drives, */
-    double held_s;             /* and that of the shorted turns while the driver holds the current. */
-    double dead_s;             /* Until then both halves of the bridge are off. */
-    unsigned count;            /* Pieces; the last is in force for ever. */
-    coil_piece_t piece[COIL_PIECES];
-} coil_segment_t;
 
 typedef struct {
     coil_config_t config;
