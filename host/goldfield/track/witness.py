@@ -63,6 +63,8 @@ NEIGHBOURS = 2.0
 LINEAR_M = 0.05
 """Beyond such a shift the field is no longer linear in it, and is computed anew."""
 REFINEMENTS = 5
+FARTHEST_M = 1e3
+"""A beacon that would have to be moved so far is not explained by a move: its field there is none."""
 SETTLED_M = 1e-4
 LEAST_INFORMATION = 1e-9
 """Eigenvalues of the information below this part of the largest are rounding."""
@@ -305,6 +307,8 @@ class Witness:
         whole = max(sum(float(self._evidence(one).drop[row]) for one in recent), 1e-300)
         best, explained = shift, 0.0
         for _ in range(REFINEMENTS):
+            if not np.linalg.norm(shift) < FARTHEST_M:
+                break
             placed = replace(beacon, position_m=beacon.position_m + shift, points_m=_moved(beacon.points_m, shift))
             total = _Evidence(np.zeros((len(self._row), NUMBERS)))
             for one in recent:

@@ -216,3 +216,13 @@ def test_the_last_epochs_deny_an_error_on_both_sides_of_the_limit():
 def _beside(first, second):
     shift = (first + second) / 2.0
     return shift**2 - 2.0 * shift * second
+
+
+def test_a_beacon_is_not_looked_for_where_numbers_end():
+    """A field that tells hardly anything asks for a shift beyond all numbers, where the program ended with an error."""
+    tracker, witness = Tracker(SITE), Witness(SITE)
+    for fields in epochs(fed(1.0), 5):
+        witness.update(tracker.step(fields, ()).judgement)
+    for far in (1e12, 1e120):
+        shift, share = witness._refined(ROW, np.array([far, 0.0, 0.0]), 5)
+        assert (shift[0], share) == (far, 0.0)

@@ -154,7 +154,8 @@ class Pair:
         seeing = self._seeing.output(seconds)
         if not self._weight:
             return seeing
-        return _between(_apart(seeing, self._alone.output(seconds)), self._weight)
+        alone = self._alone.output(seconds)
+        return _between(_Apart(seeing, alone, _error(seeing, alone), math.nan), self._weight)
 
     @property
     def by_beacons(self) -> Estimate | None:
@@ -218,10 +219,16 @@ def _apart(seeing: Estimate, alone: Estimate) -> _Apart:
     return apart_in_numpy(seeing, alone)
 
 
-def apart_in_numpy(seeing: Estimate, alone: Estimate) -> _Apart:
-    """Compute what `_apart` returns: the reference of the version in C."""
+def _error(seeing: Estimate, alone: Estimate) -> FloatArray:
+    """Return by how much the beacons alone have the sensor elsewhere: nothing of what only the other bank knows."""
     error = alone.motion.minus(seeing.motion)
     error[MOVED:] = 0.0
+    return error
+
+
+def apart_in_numpy(seeing: Estimate, alone: Estimate) -> _Apart:
+    """Compute what `_apart` returns: the reference of the version in C."""
+    error = _error(seeing, alone)
     inverse = np.linalg.inv(np.linalg.cholesky(alone.covariance[:POSE, :POSE]))
     values, vectors = np.linalg.eigh(inverse @ seeing.covariance[:POSE, :POSE] @ inverse.T)
     if not values[0] > 0.0:

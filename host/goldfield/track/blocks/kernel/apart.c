@@ -53,15 +53,16 @@ static void error_of(const gf_estimate_t *seeing, const gf_estimate_t *alone, do
     vector_of(turn, &error[3]);
 }
 
-/* Replace the rows of B by L^-1 B, with what gf_factor() has made of L: its diagonal is inverted. */
+/* Replace the rows of B by C^-1 B, C C' the matrix of which gf_factor() has made L and, in its diagonal, D^-1. */
 static void forward(const double factor[POSE][6], size_t columns, double *b) {
-    for (size_t i = 0; i < POSE; i++) {
-        for (size_t k = 0; k < columns; k++) {
-            double sum = b[i * columns + k];
+    for (size_t k = 0; k < columns; k++) {
+        for (size_t i = 0; i < POSE; i++) {
             for (size_t j = 0; j < i; j++) {
-                sum -= factor[i][j] * b[j * columns + k];
+                b[i * columns + k] -= factor[i][j] * b[j * columns + k];
             }
-            b[i * columns + k] = sum * factor[i][i];
+        }
+        for (size_t i = 0; i < POSE; i++) {
+            b[i * columns + k] *= sqrt(factor[i][i]);
         }
     }
 }
