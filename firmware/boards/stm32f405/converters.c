@@ -10,10 +10,9 @@
  *                  conversions that TIM3's compare 4 starts. A beacon's are at count 15640 and done by 15880, inside
  *                  the shortest chip. An anchor's are at 14240, done by 14480, before its burst.
  *   edges          (beacon) The regular group is one conversion of both coils' currents, which TIM3's compare 1 starts
- *                  at count 540: they are held at 672, 4 us into the chip. Nobody reads them before the end of the
- *                  chip. An anchor has none, since its regular group is the burst.
- *   monitor        (beacon, anchor) The first of the two takes the coils' temperatures, on ADC1 and ADC2, and the
- *                  supply, on ADC3, which takes the driver's temperature beside the currents.
+ * at count 540: they are held at 672, 4 us into the chip. Nobody reads them before the end of the chip. An anchor has
+ * none, since its regular group is the burst. monitor        (beacon, anchor) The first of the two takes the coils'
+ * temperatures, on ADC1 and ADC2, and the supply, on ADC3, which takes the driver's temperature beside the currents.
  *   temperature    Channel 16 on ADC1 takes 480 + 12 cycles (3936 ticks), started by software in the first quarter of
  *                  a chip, when nothing else converts, and done by count 8200. For this one conversion it takes the
  *                  place of the injected group, whose trigger is off meanwhile: a start by software beside an armed

@@ -33,9 +33,9 @@
 #define FALL_LEARNED 16u /* Falls of which the rate is the mean. */
 #define FALL_ROW     2u  /* Successive falls that are too fast for a sound coil: one may be a disturbance. */
 #define FALL_MINIMUM 128 /* Least current that falls, counts of the sense: 1 A. */
-/* So many times the learned rate is too fast. A plate of metal beside the coil, which is a shorted turn, too, would
- * have to share .6 of its flux (k^2 = .37) for that. */
-#define FALL_FAST 1.6f
+#define FALL_FAST                                                                                                      \
+    1.6f /* So many times the learned rate is too fast. A plate of metal beside the coil, which is a                   \
+            shorted turn, too, would have to share .6 of its flux (k^2 = .37) for that. */
 
 /* Fields are private but for learned. */
 typedef struct {
@@ -50,7 +50,8 @@ typedef struct {
     int32_t wanted;  /* Current that was asked for, counts of the sense with its sign; 0 if the chip is not driven. */
     int32_t early;   /* Current behind the chip's edge, counts of the sense. */
     int32_t late;    /* Current at its end. */
-    uint32_t supply; /* Supply of the bridge, counts; 0: it or the early current is not known: no fall is judged. */
+    uint32_t supply; /* Supply of the bridge, counts; 0: it or the early current is not known, and the fall tells
+                        nothing. */
 } fall_chip_t;
 
 /* Take a chip. Costs about 15 instructions, 50 if the current falls. Returns CAUSE_NONE, or CAUSE_EXCESS if turns are
