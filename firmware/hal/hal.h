@@ -154,12 +154,7 @@ typedef struct {
     uint16_t supply;             /* Supply of the bridges, HAL_SUPPLY_PER_COUNT. */
     uint16_t coil[HAL_CHANNELS]; /* Temperature of each channel's coil. */
     uint16_t driver;             /* Temperature of the driver. */
-    uint16_t
-        edge[HAL_CHANNELS]; /* Current of each channel HAL_EDGE_US into the chip whose current() came last, as
-                               current() has it; 0: it was not measured (in a block's first chip, and on an anchor). */
 } hal_monitor_t;
-
-#define HAL_EDGE_US 4u /* A sound coil's current has not turned by then, us: the bridge's dead time is over. */
 
 /* [any] Read the latest values. They are 0 until the first current(), and stay 0 on a sensor. */
 void hal_monitor(const hal_t *hal, hal_monitor_t *monitor);

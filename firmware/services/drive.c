@@ -5,9 +5,8 @@
 #include "core/drive/thermistor.h"
 #include "goldfield.h"
 
-#define SET_POINT_COUNTS 2     /* Counts of a set-point that are as much as one of the sense (hal.h). */
-#define MONITORED_BLOCK  4u    /* With the plan of this block the boards' first measurements are there (hal.h). */
-#define THERMISTOR_OPEN  4000u /* More counts than a thermistor at -40 degC gives: it is not connected. */
+#define MONITORED_BLOCK 4u    /* With the plan of this block the boards' first measurements are there (hal.h). */
+#define THERMISTOR_OPEN 4000u /* More counts than a thermistor at -40 degC gives: it is not connected. */
 
 static void drive_stop(drive_t *drive) {
     drive->phase = DRIVE_IDLE; /* It comes first: the current interrupt now keeps its hands off. */
@@ -50,7 +49,9 @@ static bool hot(uint16_t count, uint16_t limit) {
 }
 
 /* Returns what is wrong with fault input, supply or temperatures now. */
-static cause_t standing(const drive_t *drive, const hal_monitor_t *monitor, uint32_t *channel) {
+static cause_t standing(const drive_t *drive, uint32_t *channel) {
+    hal_monitor_t monitor;
+    hal_monitor(drive->node->hal, &monitor);
     *channel = DRIVE_COMMON;
     if (hal_drive_fault(drive->node->hal)) {
         return CAUSE_DRIVER;
@@ -59,15 +60,15 @@ static cause_t standing(const drive_t *drive, const hal_monitor_t *monitor, uint
         return CAUSE_NONE; /* Nothing is measured yet, or there may be nothing to measure. */
     }
     for (uint32_t c = 0; c < drive->channels; c++) {
-        if (hot(monitor->coil[c], drive->limits.coil_hot)) {
+        if (hot(monitor.coil[c], drive->limits.coil_hot)) {
             *channel = c;
             return CAUSE_COIL_HOT;
         }
     }
-    return hot(monitor->driver, drive->limits.driver_hot) ? CAUSE_DRIVER_HOT
-           : monitor->supply < drive->limits.supply_low   ? CAUSE_SUPPLY_LOW
-           : monitor->supply > drive->limits.supply_high  ? CAUSE_SUPPLY_HIGH
-                                                          : CAUSE_NONE;
+    return hot(monitor.driver, drive->limits.driver_hot) ? CAUSE_DRIVER_HOT
+           : monitor.supply < drive->limits.supply_low   ? CAUSE_SUPPLY_LOW
+           : monitor.supply > drive->limits.supply_high  ? CAUSE_SUPPLY_HIGH
+                                                         : CAUSE_NONE;
 }
 
 /* ---- Interrupts ---- */
@@ -144,37 +145,20 @@ static void switch_on(drive_t *drive) {
     latch_on(&drive->latch, true);
 }
 
-/* Looks at how fast the current of a channel fell at the edge of a chip. */
-static cause_t look_at_fall(drive_t *drive, const hal_monitor_t *monitor, uint32_t channel, int32_t asked,
-                            int32_t count) {
-    const int32_t early = monitor->edge[channel];
-    const fall_chip_t seen = {
-        .wanted = asked / SET_POINT_COUNTS,
-        .early = early - CURRENT_MID_SCALE,
-        .late = count - CURRENT_MID_SCALE,
-        .supply = early != 0 ? monitor->supply : 0u,
-    };
-    return fall_sample(&drive->fall[channel], &seen);
-}
-
 void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
     const uint32_t block = chip / HAL_BLOCK_CHIPS, i = chip - block * HAL_BLOCK_CHIPS;
     const drive_block_t *const planned = &drive->blocks[block & 1u];
     const bool on = drive->phase == DRIVE_ON;
-    hal_monitor_t monitor;
-    hal_monitor(drive->node->hal, &monitor);
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
         const bool driven = on && (planned->driven[channel] >> i & 1u) != 0u;
         const int16_t asked = driven ? planned->asked[channel][i] : 0;
-        const cause_t current = current_sample(&drive->current[channel], driven, asked, count[channel]);
-        const cause_t fall = look_at_fall(drive, &monitor, channel, asked, count[channel]);
-        const cause_t cause = current != CAUSE_NONE ? current : on ? fall : CAUSE_NONE;
+        const cause_t cause = current_sample(&drive->current[channel], driven, asked, count[channel]);
         if (cause != CAUSE_NONE) {
             trip(drive, cause, channel);
         }
     }
     uint32_t channel;
-    const cause_t cause = standing(drive, &monitor, &channel);
+    const cause_t cause = standing(drive, &channel);
     if (cause != CAUSE_NONE) {
         trip(drive, cause, channel);
     }
@@ -366,9 +350,7 @@ void drive_step(drive_t *drive) {
         clear(drive);
     }
     uint32_t channel;
-    hal_monitor_t monitor;
-    hal_monitor(node->hal, &monitor);
-    node->clear_refused = drive->latch.locked_out || standing(drive, &monitor, &channel) != CAUSE_NONE;
+    node->clear_refused = drive->latch.locked_out || standing(drive, &channel) != CAUSE_NONE;
     if (drive->sync_due) {
         drive->sync_due = false;
         send_sync(drive);

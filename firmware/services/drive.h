@@ -7,8 +7,8 @@
  *   2. drive_plan       interrupt, once a block: it plans the lengths of the next 31 chips from chip_clock, the bridge
  *                       polarities and set-points from the waveform and the current loops, and a master's sync wire.
  *      drive_current    interrupt, once a chip, driven or not, bridge on or off: it gives each channel to
- *                       current_sample and fall_sample, and looks at supply and temperatures. What is wrong with one
- *                       channel switches both bridges off within that chip.
+ *                       current_sample, and looks at supply and temperatures. What is wrong with one channel switches
+ *                       both bridges off within that chip.
  *      drive_fault      interrupt: the board has switched the bridges off by itself.
  *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, once a sync period
  *                       (sync.h: a cycle, or about 0.1 s of shorter ones), and clears what it is told to. drive_report
@@ -49,14 +49,13 @@
  * Memory: 8.8 kB.
  *
  * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel and, in brackets,
- * for a rotating field: drive_plan takes 4,600 (6,500) instructions a block, drive_current 262 (392), once in 31 chips
- * 666 (761).
+ * for a rotating field: drive_plan takes 4,600 (6,500) instructions a block, drive_current 250 (320), once in 31 chips
+ * 590 (680).
  */
 #ifndef GOLDFIELD_DRIVE_H
 #define GOLDFIELD_DRIVE_H
 
 #include "core/drive/current.h"
-#include "core/drive/fall.h"
 #include "core/drive/latch.h"
 #include "core/drive/waveform.h"
 #include "hal/hal.h"
@@ -103,7 +102,6 @@ typedef struct {
     node_t *node;
     timing_t *timing;
     current_t current[HAL_CHANNELS];
-    fall_t fall[HAL_CHANNELS];
     uint32_t channels; /* Channels driven, 1 or 2. It changes only while the drive is idle, as do levels. */
     drive_settings_t settings;
     int16_t levels[HAL_CHANNELS][DRIVE_CHIPS_MAX]; /* Level of each chip of the sync period (WAVEFORM_ONE is 1). */

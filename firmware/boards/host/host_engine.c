@@ -24,8 +24,6 @@ static void measure(hal_t *hal) {
     engine->monitor.coil[0] = convert(hal, PIN_COIL_TEMPERATURE_0);
     engine->monitor.coil[1] = convert(hal, PIN_COIL_TEMPERATURE_1);
     engine->monitor.driver = convert(hal, PIN_DRIVER_TEMPERATURE);
-    engine->monitor.edge[0] = engine->edge[0];
-    engine->monitor.edge[1] = engine->edge[1];
 }
 
 /* ---- Chip engine ---- */
@@ -37,13 +35,9 @@ static uint32_t planned_period(const engine_t *engine) {
 
 /* A chip's events have numbers. 0 is the start of the very first chip; then, where there are coils, come the sampling
  * of their currents and the end of that conversion; then a sensor's eight samplings (an anchor has both); the last is
- * the start of the next chip. A beacon's first event is the sampling of its edges. */
-static uint32_t edge_events(const engine_t *engine) {
-    return engine->role == HAL_ROLE_BEACON ? 1u : 0u;
-}
-
+ * the start of the next chip. */
 static uint32_t current_events(const engine_t *engine) {
-    return hal_role_drives(engine->role) ? 2u + edge_events(engine) : 0u;
+    return hal_role_drives(engine->role) ? 2u : 0u;
 }
 
 static uint32_t last_event(const engine_t *engine) {
@@ -58,9 +52,6 @@ int64_t host_engine_tick(const engine_t *engine) {
     if (engine->event == last_event(engine)) {
         return end;
     }
-    if (engine->event <= edge_events(engine)) {
-        return engine->chip_start + EDGE_TICKS;
-    }
     const int64_t converted = end - BURST_MARGIN_TICKS;
     /* The samplings of the burst that are to come, this one included. */
     const int64_t to_come = (int64_t)last_event(engine) - engine->event;
@@ -69,7 +60,7 @@ int64_t host_engine_tick(const engine_t *engine) {
     }
     const int64_t measured = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS
                                                             : converted;
-    return engine->event + 1u == current_events(engine) ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
+    return engine->event == 1 ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
 }
 
 static void next_chip(engine_t *engine) {
@@ -141,10 +132,7 @@ void host_engine_event(hal_t *hal) {
         }
     } else if (hal->failed[HOST_FAILURE_CURRENT_STOPS]) {
         return;
-    } else if (event <= edge_events(engine)) {
-        engine->edge[0] = engine->chip_in_block == 0 ? 0 : convert(hal, PIN_CURRENT_0);
-        engine->edge[1] = engine->chip_in_block == 0 ? 0 : convert(hal, PIN_CURRENT_1);
-    } else if (event + 1u == current_events(engine)) {
+    } else if (event == 1) {
         measure(hal);
     } else {
         engine->unmeasured = 0;

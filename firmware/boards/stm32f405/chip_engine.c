@@ -27,7 +27,7 @@
  *                             then DMA1 stream 5: set_points[(c - 1) mod 62] -> DHR12RD, for c + 1      c
  *   8000 (CC4)   TIM1_CC4     DMA2 stream 4: edges[c mod 62] -> preloads of TIM1, for c + 1             c + 1
  *   8000 (CC4)   TIM8_CC4     DMA2 stream 7: fuse[c mod 62] -> EGR of TIM1 (bridge.c)                   c + 1
- *   TIM3 CC1     converters   burst of 8 (sensor, anchor), or the edges of the coil currents (beacon)
+ *   TIM3 CC1     converters   burst of 8 (sensor, anchor)
  *   TIM3 CC4     converters   one conversion of the coil currents (beacon, anchor)
  *   any          TIM8_CC1     edge of the sync wire, its count kept in CCR1
  *   ARR          update       chip c ends
@@ -317,7 +317,6 @@ void ADC_Handler(void) {
     if (planned && in_step(&DMA2->S[1], EDGE_8_ITEMS, position) && in_step(&DMA1->S[5], 1u, position) &&
         in_step(&DMA2->S[7], 1u, position))
         bridge_watch();
-    converters_next_edge(&board, position);
     if (!bridge_lost())
         board.events.current(board.events.context, absolute_chip(board.first_chip, position), count);
 }

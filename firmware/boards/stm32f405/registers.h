@@ -217,7 +217,6 @@ typedef struct {
 #define ADC2 ((ADC_registers *)0x40012100u)
 #define ADC3 ((ADC_registers *)0x40012200u)
 
-#define ADC_SR_EOC               (1u << 1)
 #define ADC_SR_JEOC              (1u << 2)
 #define ADC_CR1_JEOCIE           (1u << 7)
 #define ADC_CR1_SCAN             (1u << 8)

@@ -98,13 +98,12 @@ struct hal {
     uint16_t fuse[RING_CHIPS]; /* Read by DMA: words for EGR of TIM1. */
 
     /* converters.c */
-    bool sampling;                  /* The samples in the buffer are complete and in step. */
-    volatile bool temperature_due;  /* The injected conversion is that of the temperature. JSQR says so, too, but would
-                                       have to be read in each chip. */
-    volatile bool temperature_took; /* It was in this chip, and would have delayed the edges. */
-    uint16_t temperature_count;     /* Its latest result, counts; 0: there is none. */
-    hal_monitor_t monitor;          /* The latest results. */
-    hal_samples_t samples[2];       /* Written by DMA: the even and the odd block. */
+    bool sampling;                 /* The samples in the buffer are complete and in step. */
+    volatile bool temperature_due; /* The injected conversion is that of the temperature. JSQR says so, too, but would
+                                      have to be read in each chip. */
+    uint16_t temperature_count;    /* Its latest result, counts; 0: there is none. */
+    hal_monitor_t monitor;         /* The latest results. */
+    hal_samples_t samples[2];      /* Written by DMA: the even and the odd block. */
 
     /* serial.c */
     volatile uint32_t sent, written; /* Bytes since reset: freed by the DMA, put in by main. */
@@ -204,9 +203,6 @@ void converters_start(hal_t *hal);
 /* Take the result of injected conversions that have ended. Returns true if the counts are those of the coil currents,
  * false if it was the temperature. */
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
-
-/* Say whether the edges of the chip after one are to be taken, before it begins. position is the chip's in the ring. */
-void converters_next_edge(const hal_t *hal, uint32_t position);
 
 /* Start the temperature and check that the samples are in step with the chips, at a block boundary. Samples of the
  * finished block that are not good read 0, which counts as saturated. */
