@@ -54,7 +54,7 @@ class Bench(ABC):
 
     @cached_property
     def _separation(self) -> Separation:
-        return Separation(self.site)
+        return Separation(self.site, of_instants=False)
 
 
 class SimulatedBench(Bench):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from goldfield import site as sites
-from goldfield.access.motion_repair import MotionRepair
 from goldfield.cli import link_options, options, survey_live
 from goldfield.cli.output import json_line, number
 from goldfield.cli.page_progress import SurveyProgress
@@ -174,7 +173,7 @@ def _epochs(
         if links:
             raise UserError(f"FIELDS.csv and --{links[0]} are both given: give one of them")
         options.tell_idle(arguments, LIVE_OPTIONS, "FIELDS.csv")
-        return tuple(_of_instants(site, read_fields(site, arguments.fields)))
+        return tuple(read_fields(site, arguments.fields))
     if not links and anchors:
         options.tell_idle(arguments, LIVE_OPTIONS, "--anchor alone")
         return ()
@@ -188,18 +187,12 @@ def _epochs(
         options.tell_idle(arguments, ("--enough",), "--log")
     choices = Options(node=arguments.node, seconds=arguments.seconds)
     with open_sensor(kind, where, site, choices, None if page is None else page.recorder) as sensor:
-        fields = _of_instants(site, sensor.fields() if page is None else page.fields(sensor))
+        fields = sensor.fields() if page is None else page.fields(sensor)
         if not sensor.live:
             return tuple(fields)
         return survey_live.walk(
             fields, survey_of, arguments.enough, survey_live.on_stderr if page is None else page.say
         )
-
-
-def _of_instants(site: Site, walk: Iterable[Fields]) -> Iterator[Fields]:
-    """Yield the fields of a walk without what the sensor's motion during each cycle does to them."""
-    repair = MotionRepair(site)
-    return map(repair.repaired, walk)
 
 
 @contextmanager

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from goldfield.access.motion_repair import MotionRepair
 from goldfield.errors import UserError, tell
 from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.link.reports import Report
@@ -96,26 +95,20 @@ def _located(site: Site, method: Method) -> Location:
 
 
 class Each:
-    """Locates every epoch by itself, but for two things that take those before.
-
-    What the sensor's motion during a cycle does to the fields is taken out (`MotionRepair`), and a beacon that the
-    history of the residuals names is left out.
-    """
+    """Locates every epoch by itself, but for a beacon that the history of the residuals names: it is left out."""
 
     def __init__(self, site: Site) -> None:
         self._site = site
         self._witness = Witness(site)
         self._observer = EpochObserver(site)
-        self._motion = MotionRepair(site)
 
     def pose(self, fields: Fields, ready: Pose | None = None) -> Pose:
-        """Return the next pose; ``ready``, if given, is what `locate` makes of the epoch without motion."""
-        repaired = self._motion.repaired(fields)
+        """Return the next pose; ``ready``, if given, is what `locate` makes of the epoch."""
         if self._site.sensor.lever_m is not None:
             # The history takes all axes to be at one point: it would blame beacons.
-            return ready or locate(self._site, repaired)
+            return ready or locate(self._site, fields)
         named = self._witness.named
-        pose = ready if ready is not None and not named else locate(self._site, without(repaired, named))
+        pose = ready if ready is not None and not named else locate(self._site, without(fields, named))
         judgement = None
         if pose.status not in (Status.FAILED, Status.AMBIGUOUS) and all(finding.beacons for finding in pose.findings):
             pose = replace(pose, excluded=(*pose.excluded, *(name for name in named if name in fields.beacons)))

@@ -137,7 +137,7 @@ class Sensor:
             poses=self._between is not None and self._between.takes_poses,
         )
         try:
-            self._separation = Separation(site)
+            self._separation = Separation(site, of_instants=method is Method.EACH)
             self._succession = Succession()
             self._locate = location(site, method, self._succession)
             if self._session.live:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from goldfield.access.epoch import EpochSeparator
+from goldfield.access.motion_repair import MotionRepair
 from goldfield.access.sweep import SweepRepair
 from goldfield.link.reports import Report
 from goldfield.site import Site
@@ -15,6 +16,9 @@ class Separation:
     Parameters
     ----------
     site : Site
+    of_instants : bool
+        Whether each cycle's fields are to be those of its middle (`MotionRepair`): not for trackers, whose model has
+        the motion during the cycle.
 
     Raises
     ------
@@ -22,12 +26,14 @@ class Separation:
         If the site's codes cannot be separated.
     """
 
-    def __init__(self, site: Site) -> None:
+    def __init__(self, site: Site, *, of_instants: bool) -> None:
         self._chips = site.chips
         self._separator = EpochSeparator(site)
         self._sweep = SweepRepair(site)
+        self._motion = MotionRepair(site) if of_instants else None
 
     def fields(self, report: Report) -> Fields:
         """Return the fields of the next cycle; beacons whose message did not arrive are left out."""
         mean_T = report.offset_T if report.chips == self._chips else None  # with chips lost the mean tells no ramp
-        return self._sweep.repaired(self._separator.fields(report), mean_T)
+        fields = self._sweep.repaired(self._separator.fields(report), mean_T)
+        return fields if self._motion is None else self._motion.repaired(fields)

@@ -11,7 +11,6 @@ from collections.abc import Iterable, Iterator
 from contextlib import closing
 from functools import partial
 
-from goldfield.access.motion_repair import MotionRepair
 from goldfield.locate import locate
 from goldfield.planning.spreading import spread
 from goldfield.sensor.guard import guarded
@@ -43,8 +42,8 @@ def spread_poses(
     SystemFailure
         If the scheduler does not answer or has no workers, or a worker dies.
     """
-    all_fields, repair = list(epochs), MotionRepair(site)
-    items = list(enumerate(map(repair.repaired, all_fields)))
+    all_fields = list(epochs)
+    items = list(enumerate(all_fields))
     batches = [items[first : first + BATCH] for first in range(0, len(items), BATCH)]
     ready: dict[int, Pose | None] = {}
     each, succession, place = Each(site), Succession(), 0

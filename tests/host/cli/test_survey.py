@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -25,8 +24,8 @@ def room(tmp_path_factory):
     (folder / "site.toml").write_text("# The workshop, measured by pacing.\n" + text_of(made.site, ASTRAY))
     for name, epochs in (("fields.csv", made.data.epochs), ("b3.csv", [made.data.anchors[3].fields])):
         with FieldsWriter(folder / name) as table:
-            for fields in epochs:  # of instants that lie apart: cycles in a row would be means
-                table.write(replace(fields, time_s=10.0 * fields.time_s))
+            for fields in epochs:
+                table.write(fields)
     rows = [f"{one.epoch}," + ",".join(map(str, one.position_m)) for one in made.data.points]
     (folder / "points.csv").write_text("\n".join(["epoch,x_m,y_m,z_m", *rows]) + "\n")
     return folder, made

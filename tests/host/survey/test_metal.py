@@ -217,9 +217,8 @@ def test_the_command_writes_what_locate_applies(tmp_path: Path, capsys: pytest.C
     table = tmp_path / "walk.csv"
     rows = ["epoch,t_s,beacon,bx_T,by_T,bz_T,sigma_T"]
     for fields in trial.data.epochs:
-        apart_s = float(fields.epoch)  # these fields are of instants: those of cycles in a row would be means
         for name, b, sigma in zip(fields.beacons, fields.field_T.tolist(), fields.sigma_T.tolist(), strict=True):
-            rows.append(f"{fields.epoch},{apart_s},{name},{b[0]!r},{b[1]!r},{b[2]!r},{sigma!r}")
+            rows.append(f"{fields.epoch},{fields.time_s},{name},{b[0]!r},{b[1]!r},{b[2]!r},{sigma!r}")
     table.write_text("\n".join(rows) + "\n")
     out, drawn = tmp_path / "new.toml", tmp_path / "map.png"
     arguments = ["survey", "--site", str(site), str(table), "--free", "field", "--out", str(out), "--json"]
