@@ -145,8 +145,8 @@ class Branch(Generic[T]):
     def close(self, patience_s: float | None = None) -> None:
         """Wait until the sink has got what is in the queue, and close it; without end if no patience is given."""
         if not self._closed:
+            self._queue.put(_End())  # first: an interrupt in between would leave the thread without its end
             self._closed = True
-            self._queue.put(_End())
         self._thread.join(patience_s)
         self._raise_error()
 

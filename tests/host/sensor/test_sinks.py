@@ -1,5 +1,7 @@
 """Sinks fed by threads of their own: in order, without holding up each other, and what happens when one fails."""
 
+import contextlib
+import sys
 import threading
 from types import SimpleNamespace
 
@@ -204,3 +206,30 @@ def test_a_slow_sink_may_lose_the_oldest_items():
     held.go.set()
     branch.close()
     assert held.items == [0, 5, 6, 7]
+
+
+@pytest.mark.parametrize("lines", range(6))
+def test_an_interrupt_at_any_line_of_closing_leaves_no_sink_without_its_end(lines):
+    kept = Kept()
+    branch = Branch(kept, "kept", waits=True)
+    left = lines
+
+    def interrupt(frame, event, _):
+        nonlocal left
+        if frame.f_code is not Branch.close.__code__:
+            return None
+        if event == "line":
+            left -= 1
+            if left < 0:
+                raise KeyboardInterrupt
+        return interrupt
+
+    before = sys.gettrace()
+    sys.settrace(interrupt)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            branch.close()
+    finally:
+        sys.settrace(before)
+    branch.close(60.0)
+    assert not branch.stuck
