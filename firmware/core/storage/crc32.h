@@ -3,7 +3,7 @@
  * Calls: crc32(0, ...) over the first bytes, then crc32(so_far, ...) over those that follow; the pieces may be cut
  * anywhere. The check value over "123456789" is 0xCBF43926.
  *
- * Contexts: any; the function keeps nothing. Time: about 16 instructions a byte. Memory: a table of 64 bytes in flash.
+ * Contexts: any; the function keeps nothing. Time: two look-ups a byte. Memory: a table of 64 bytes in flash.
  */
 #ifndef GOLDFIELD_CRC32_H
 #define GOLDFIELD_CRC32_H

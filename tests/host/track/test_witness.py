@@ -223,6 +223,6 @@ def test_a_beacon_is_not_looked_for_where_numbers_end():
     tracker, witness = Tracker(SITE), Witness(SITE)
     for fields in epochs(fed(1.0), 5):
         witness.update(tracker.step(fields, ()).judgement)
-    for far in (1e12, 1e120):
+    for far in (np.inf, 1e12):
         shift, share = witness._refined(ROW, np.array([far, 0.0, 0.0]), 5)
         assert (shift[0], share) == (far, 0.0)

@@ -3,18 +3,10 @@
  * and r0. */
 #include "runtime.h"
 
-#define ACTLR       REGISTER(0xE000E008u)
-#define MMFAR       REGISTER(0xE000ED34u)
-#define MPU_CONTROL REGISTER(0xE000ED94u)
-#define MPU_BASE    REGISTER(0xE000ED9Cu)
-#define MPU_RULES   REGISTER(0xE000EDA0u)
-#define FAULTS      (7u << 16)
+#define ACTLR  REGISTER(0xE000E008u)
+#define FAULTS (7u << 16)
 
-#define NO_ACCESS  0u
-#define FULL       (3u << 24)
-#define READ_ONLY  (6u << 24)
-#define NO_EXECUTE (1u << 28)
-#define SIZE(log)  (((log)-1u) << 1)
+#define FULL (3u << 24)
 
 uint32_t resume;
 __attribute__((aligned(1024))) uint8_t guarded[2048];

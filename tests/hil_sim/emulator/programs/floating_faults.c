@@ -3,15 +3,7 @@
  * alone. */
 #include "runtime.h"
 
-#define MMFAR       REGISTER(0xE000ED34u)
-#define MPU_CONTROL REGISTER(0xE000ED94u)
-#define MPU_BASE    REGISTER(0xE000ED9Cu)
-#define MPU_RULES   REGISTER(0xE000EDA0u)
-#define NO_ACCESS   0u
-#define READ_ONLY   (6u << 24)
-#define NO_EXECUTE  (1u << 28)
-#define SIZE(log)   (((log)-1u) << 1)
-#define RCC         0x40023800u
+#define RCC 0x40023800u
 
 uint32_t resume;
 uint32_t before[8], behind[8];

@@ -14,7 +14,11 @@ void finish(void);
 #define SHCSR                      REGISTER(0xE000ED24u)
 #define CFSR                       REGISTER(0xE000ED28u)
 #define HFSR                       REGISTER(0xE000ED2Cu)
+#define MMFAR                      REGISTER(0xE000ED34u)
 #define BFAR                       REGISTER(0xE000ED38u)
+#define MPU_CONTROL                REGISTER(0xE000ED94u)
+#define MPU_BASE                   REGISTER(0xE000ED9Cu)
+#define MPU_RULES                  REGISTER(0xE000EDA0u)
 #define ISER                       REGISTER(0xE000E100u)
 #define ICER                       REGISTER(0xE000E180u)
 #define ISPR                       REGISTER(0xE000E200u)
@@ -25,5 +29,10 @@ void finish(void);
 #define SYSTICK_CONTROL            REGISTER(0xE000E010u)
 #define SYSTICK_RELOAD             REGISTER(0xE000E014u)
 #define SYSTICK_COUNT              REGISTER(0xE000E018u)
-#define BARRIER()                  __asm volatile("dsb\n isb" ::: "memory")
+/* What MPU_RULES holds: who may do what with a region, and how large it is, as the logarithm of its bytes. */
+#define NO_ACCESS  0u
+#define READ_ONLY  (6u << 24)
+#define NO_EXECUTE (1u << 28)
+#define SIZE(log)  (((log)-1u) << 1)
+#define BARRIER()  __asm volatile("dsb\n isb" ::: "memory")
 #endif
