@@ -19,7 +19,10 @@ IDS = [beacon.id for beacon in ROOM.beacons]
 CYCLES, BREAKS = 130, 90
 WAIT_MS = 60_000
 TWO_PICTURES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-COLOUR = "element => getComputedStyle(element).color"
+SETTLED_COLOUR = """async element => {
+    await Promise.all(element.getAnimations().map(one => one.finished));
+    return getComputedStyle(element).color;
+}"""
 SHIFTS = """new Promise(done => new PerformanceObserver(list => done(list.getEntries()
     .filter(entry => !entry.hadRecentInput)
     .map(entry => [entry.value, entry.sources.map(source => (source.node?.outerHTML ?? "").slice(0, 60)).join(" ")])))
@@ -192,8 +195,9 @@ def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_ret
     page = opened()
     served.publish(calm[:40])
     expect(page.locator("#link-word")).to_have_text("live")
-    chip = page.locator("#status")
-    fresh = chip.evaluate(COLOUR)
+    expect(page.locator("#status-word")).to_have_text("ok")
+    expect(page.locator("body")).to_have_attribute("data-old", "false")
+    fresh = page.locator("#status").evaluate(SETTLED_COLOUR)
     served.hub.set_state(State.LOST, "the port is gone")
     expect(page.locator("#link-word")).to_have_text("link lost")
     expect(page.locator("#status-word")).to_have_text("ok")
