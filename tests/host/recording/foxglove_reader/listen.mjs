@@ -10,6 +10,7 @@ const socket = new WebSocket(url, subprotocol);
 const client = new protocol.FoxgloveClient({ ws: socket });
 const found = { topics: {} };
 const subscribed = new Map();
+const complete = () => wanted.every((one) => one in found.topics);
 
 client.on("error", (error) => {
   console.error(error.message);
@@ -25,10 +26,11 @@ client.on("advertise", (channels) => {
   }
 });
 client.on("message", ({ subscriptionId, timestamp, data }) => {
+  if (complete()) return; // what had arrived with the last that was wanted is still told after the end
   const { topic, schemaName, read } = subscribed.get(subscriptionId);
   const content = read(new Uint8Array(data.buffer, data.byteOffset, data.byteLength));
   found.topics[topic] ??= { schema: schemaName, logTime: String(timestamp), content };
-  if (wanted.every((one) => one in found.topics)) {
+  if (complete()) {
     console.log(JSON.stringify(found, (_, value) => (ArrayBuffer.isView(value) ? [...value] : value)));
     socket.terminate(); // nothing that is on its way is waited for
   }
