@@ -17,7 +17,6 @@ The names are loaded when they are first used, so that ``import goldfield`` cost
 """
 
 from importlib import import_module
-from importlib.metadata import version
 
 _HOME = {
     "Fields": ("types", "Fields"),
@@ -46,6 +45,8 @@ __all__ = ["__version__", *_HOME]
 def __getattr__(name: str) -> object:
     """Load a public name at its first use (PEP 562)."""
     if name == "__version__":
+        from importlib.metadata import version  # heavier than all else here, and rarely asked for
+
         value: object = version("goldfield")
     elif name in _HOME:
         module, own_name = _HOME[name]

@@ -39,6 +39,13 @@ def test_the_import_loads_nothing_heavy():
     assert done.stdout == "\n"
 
 
+def test_the_command_is_there_before_anything_else_is_loaded():
+    """What is loaded later can be interrupted without a traceback."""
+    code = "import goldfield.cli, sys; print(*{'argparse', 'importlib.metadata', 'pathlib', 'numpy'} & {*sys.modules})"
+    done = subprocess.run([sys.executable, "-I", "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout in ("\n", "pathlib\n")  # pathlib: an installation that points at the source tree
+
+
 def test_locate_is_a_function_whatever_was_imported_before():
     site = goldfield.load_site(SITE)
     fields = goldfield.Fields(3, 0.3, (), np.zeros((0, 3)), np.zeros(0))

@@ -43,13 +43,14 @@ NEVER = {("site", "link")}
 
 TYPING_ONLY = {
     "goldfield.cli.live": "goldfield.page",
+    "goldfield.cli.entry": "importlib.metadata",
     "goldfield.cli.page_option": "goldfield.page",
     "goldfield.cli.surveying": "goldfield.cli.page_progress",
     "hil_sim.papers.plot": "matplotlib",
     "hil_sim.papers.prigge.waveforms": "matplotlib",
 }
 """Imports for annotations alone, each with its reason: an optional package that only pictures need, or what is loaded
-only if a page is asked for."""
+only if a page or a command of another package is asked for."""
 
 
 def within(name: str, *packages: str) -> bool:

@@ -12,12 +12,11 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
-from importlib.metadata import Distribution, EntryPoint, distribution, entry_points, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from goldfield.errors import (
     EXIT_FAILED,
@@ -33,6 +32,9 @@ from goldfield.errors import (
 )
 from goldfield.files.environment import switched_on
 from goldfield.files.inputs import reason_of
+
+if TYPE_CHECKING:
+    from importlib.metadata import Distribution, EntryPoint
 
 COMMANDS = {
     "run": ("goldfield.cli.run", "live poses from a sensor"),
@@ -138,6 +140,8 @@ def _outcome(words: list[str]) -> int:
         return EXIT_INTERRUPTED
     except Exception as error:
         if isinstance(error, ModuleNotFoundError) and not (error.name or "").startswith(OWN_PACKAGES):
+            from importlib.metadata import distribution  # heavy, here and below: most commands need nothing of it
+
             return _complain(f"a package is missing: {error}{_extras(distribution('goldfield'))}", EXIT_FAILED)
         return _complain(
             f"unexpected {type(error).__name__}: {error}; this is a defect of goldfield: please report it with the "
@@ -179,6 +183,8 @@ class _Version(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
         """See `argparse.Action`."""
+        from importlib.metadata import version
+
         from goldfield_protocol.messages import protocol_hash  # reads the table of all messages
 
         print(f"goldfield {version('goldfield')}, protocol {protocol_hash():#010x}")
@@ -209,7 +215,7 @@ def build_parser(called: str | None = None, *, every: bool = False) -> argparse.
         else:
             subparsers.add_parser(name, help=summary, add_help=False)
     known = called in COMMANDS or called == "--version"
-    for entry_point in () if known else entry_points(group=COMMAND_GROUP):
+    for entry_point in () if known else _foreign():
         if entry_point.name in subparsers.choices:
             continue
         if every or entry_point.name == called:
@@ -219,6 +225,13 @@ def build_parser(called: str | None = None, *, every: bool = False) -> argparse.
     if called in subparsers.choices:
         parser.helpful = subparsers.choices[called].prog
     return parser
+
+
+def _foreign() -> Iterable[EntryPoint]:
+    """Return the subcommands that other packages bring."""
+    from importlib.metadata import entry_points
+
+    return entry_points(group=COMMAND_GROUP)
 
 
 class _Summarised:

@@ -167,7 +167,7 @@ def test_a_foreign_command_must_have_the_name_of_its_entry_point(capsys, monkeyp
         def load(self):
             return lambda subparsers: subparsers.add_parser("elsewhere")
 
-    monkeypatch.setattr("goldfield.cli.entry.entry_points", lambda group: [Entry()])
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: [Entry()])
     assert main(["here"]) == 3
     assert "it adds no subcommand of this name" in capsys.readouterr().err
     assert "(cannot be loaded)" in build_parser().format_help()

@@ -260,7 +260,7 @@ def test_commands_of_other_packages_and_broken_ones(capsys, monkeypatch):
 
     entries = [Entry("good", lambda: good), Entry("missing", missing), Entry("broken", lambda: broken)]
     entries.append(Entry("twice", lambda: twice))
-    monkeypatch.setattr("goldfield.cli.entry.entry_points", lambda group: entries)
+    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: entries)
     assert main(["good"]) == 7
     assert main(["missing", "--any", "thing"]) == 3
     assert "ModuleNotFoundError: no such module" in capsys.readouterr().err
