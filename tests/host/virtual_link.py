@@ -9,10 +9,19 @@ from dataclasses import astuple
 import can
 
 from goldfield.link.buses import BusSource
+from goldfield.sensor import dialogue, finding, samples, session
 from goldfield_protocol import Identifier, decode, encode
 
 ANSWER_S = 0.004
 """Virtual time that the sensor takes to answer."""
+CLOCKED = (dialogue, finding, samples, session)
+"""The modules that measure how long a sensor is waited for."""
+
+
+def told_by(link, monkeypatch):
+    """Let a link tell the time to whoever waits for a sensor."""
+    for module in CLOCKED:
+        monkeypatch.setattr(module, "time", link)
 
 
 class VirtualLink(BusSource):

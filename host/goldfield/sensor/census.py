@@ -42,6 +42,8 @@ class Census:
 
     Attributes
     ----------
+    node : int or None
+        The node that the user chose.
     heard : set of str
         What else was heard, for an error message.
     refused : str or None
@@ -56,7 +58,7 @@ class Census:
         self.heard: set[str] = set()
         self.refused: str | None = None
         self.moving: set[int] = set()
-        self._node = node
+        self.node = node
         self._channel = channel
         self._by_reports = by_reports
         self._live = live
@@ -129,19 +131,19 @@ class Census:
         fault = other_protocol(heartbeat, live=self._live)
         if fault is not None:
             self._strangers.add(place)
-            if self._chosen(place) and (role == ROLE_SENSOR or self._node is not None):
+            if self._chosen(place) and (role == ROLE_SENSOR or self.node is not None):
                 self.refused = fault
             self.heard.add(f"node {place.node}, which speaks another protocol")
             return
         self._strangers.discard(place)
         self._roles[place] = role
-        if role == ROLE_ANCHOR and self._node is None:
+        if role == ROLE_ANCHOR and self.node is None:
             self.heard.add(f"anchor {place.node} (to read it, give {option('node', place.node)})")
         else:
             self.heard.add(f"{ROLES[role]} {place.node}")
 
     def _chosen(self, place: Place) -> bool:
-        return self._node in (None, place.node) and self._channel in (None, place.channel)
+        return self.node in (None, place.node) and self._channel in (None, place.channel)
 
     def _readable(self, place: Place) -> bool:
         return self._chosen(place) and self._senses(place) and place not in self._strangers
@@ -150,4 +152,4 @@ class Census:
         role = self._roles.get(place)
         if role is None:
             return self._by_reports and place in self._reporting
-        return role == ROLE_SENSOR or (role == ROLE_ANCHOR and self._node is not None)
+        return role == ROLE_SENSOR or (role == ROLE_ANCHOR and self.node is not None)

@@ -12,7 +12,8 @@ from goldfield.link.chips import Calibration, ChipAssembler
 from goldfield.link.heartbeat import STATE_STARTING
 from goldfield.sensor.awaiting import until_heard
 from goldfield.sensor.dialogue import STREAM
-from goldfield.sensor.session import SILENCE_S, WAIT_S, Session
+from goldfield.sensor.finding import SILENCE_S, WAIT_S
+from goldfield.sensor.session import Session
 from goldfield.site import Site
 from goldfield.types import FloatArray
 from goldfield_protocol.messages import Message, decode

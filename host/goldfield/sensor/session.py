@@ -9,8 +9,8 @@ from collections.abc import Iterator
 import can
 
 from goldfield.errors import SystemFailure, UserError, counted, option
-from goldfield.link.blocks import BLOCK_CHIPS, BlockAssembler
-from goldfield.link.budget import LINK_BITS, Carrier, Choice, Link, choose, pose_rate_Hz
+from goldfield.link.blocks import BlockAssembler
+from goldfield.link.budget import LINK_BITS, Carrier, Choice, Link
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.chip_blocks import ChipBlockAssembler
 from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, STATE_STARTING
@@ -20,34 +20,20 @@ from goldfield.link.requests import set_request
 from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.backlog import LIMIT_S, Backlog
 from goldfield.sensor.census import Census, Place, tells_of_motion
-from goldfield.sensor.dialogue import BLOCKS, STREAM, Dialogue, Parameters, Unheard
+from goldfield.sensor.dialogue import BLOCKS, STREAM, Dialogue, Parameters
+from goldfield.sensor.finding import SILENCE_S, find_live, look_through
 from goldfield.sensor.health import Health
 from goldfield.sensor.keeping import Keeping
 from goldfield.sensor.on_sensor import OnSensorTrack
 from goldfield.sensor.receiver import Receiver, Recorder
+from goldfield.sensor.sharing import Sharing
 from goldfield.site import Site
 from goldfield.types import Block, Pose
 from goldfield_protocol.messages import INDEX_MASK, INDEX_SHIFT, TYPE_SHIFT, Message, encode, type_of
-from goldfield_protocol.parameters import PARAMETERS, Kind
+from goldfield_protocol.parameters import Kind
 
 QUIET_S = 1.0
 """Silence of a live sensor after which its incomplete reports are handed out."""
-SILENCE_S = 10.0
-"""Silence of a live link, or of the sensor that is read, which ends the session."""
-PATIENCE_S = 30.0
-"""Longest wait for a heartbeat of the sensor while others are heard. Heartbeats come once a second, but simulated
-boards may run slower than the wall clock."""
-LOOK_AROUND_S = 1.2
-"""How long a bus that others share is listened to once a sensor was heard: each board has then sent a heartbeat."""
-LOOKED_AT = 5000
-"""Most messages of a recording that are looked at for sensors: a second of fifty boards."""
-LOOKED_THROUGH = 200_000
-"""Most messages that a recording may have before the mark from which on its sensor is read: forty seconds of them."""
-WAIT_S = 0.5
-"""Longest wait for one message while a sensor is looked for. A wait counts for no more, however long it took: this
-process, or the whole computer, may have been stopped meanwhile."""
-
-POSE_BLOCKS = PARAMETERS["pose_blocks"].first
 
 STREAMED = ("BLOCK", "BLOCK_SUM", "CHIP")
 """Messages of which there are thousands a second, and which tell nothing of a board's health that others do not."""
@@ -94,8 +80,6 @@ class Session:
         Its counters tell what went wrong on the way.
     blocks : BlockAssembler or ChipBlockAssembler or None
         The same of the blocks.
-    choice : Choice or None
-        What a live sensor is to send its blocks by, if they are read: sums or chips, or cycles only.
     health : Health
         What every board on the link last said of itself.
     anchors : AnchorWatch
@@ -131,12 +115,10 @@ class Session:
         self._bus = source if isinstance(source, BusSource) else None
         self._chip_s = site.cycle_s / site.chips
         self.blocks: BlockAssembler | ChipBlockAssembler | None = None
-        self.choice: Choice | None = None
-        self._moving: set[int] = set()
         self._node: int | None = None
         if blocks:
             self.blocks = BlockAssembler(site.codes, site.chips, self._chip_s)
-            self.choice = self._chosen(site)
+        self._sharing = Sharing(self.receiver, site, self._link, blocks=blocks)
         self.poses = OnSensorTrack(site) if poses else None
         self.keeping = Keeping(self.receiver)
         self.backlog = Backlog()
@@ -169,15 +151,21 @@ class Session:
         return self._bus is not None
 
     @property
+    def _link(self) -> Link | None:
+        """What a live sensor is read over."""
+        if self._bus is None:
+            return None
+        return Link.CAN if self._bus.link_bit == LINK_BITS[Link.CAN] else Link.SERIAL
+
+    @property
     def block_parameters(self) -> Parameters:
         """What the sensor must have to send blocks of chips on the link that is read; empty if none are read."""
         return {} if self.choice is None else self.choice.parameters
 
-    def _chosen(self, site: Site) -> Choice | None:
-        if self._bus is None:
-            return None
-        link = Link.CAN if self._bus.link_bit == LINK_BITS[Link.CAN] else Link.SERIAL
-        return choose(link, len(site.codes), site.chips, self._chip_s, len(self._moving - {self._node}) + 1)
+    @property
+    def choice(self) -> Choice | None:
+        """What a live sensor is to send its blocks by, if they are read: sums or chips, or cycles only."""
+        return self._sharing.choice
 
     @property
     def talks(self) -> bool:
@@ -232,7 +220,7 @@ class Session:
         self.find()
         self.dialogue.check_degree(self._site.degree)
         self._parameters = dict(parameters or {})
-        self._share(self._moving)
+        self._sharing.take(self._sharing.moving, self._node, self._parameters)
         if self.choice is not None and self.choice.carrier is Carrier.CYCLES:
             self._parameters.pop(BLOCKS, None)  # the bus is fuller than was known when they were chosen
         if STREAM in self._parameters:
@@ -267,26 +255,9 @@ class Session:
             If there are several sensors to choose from, or the sensor speaks another protocol.
         """
         census = Census(self.node, self._channel, by_reports=not self.talks)
-        kept: list[can.Message] = []
         alone = self._asked or self._bus is None or not (self._bus.shared or self._bus.listen_only)
-        silent_s = waited_s = around_s = 0.0
-        while silent_s < SILENCE_S and waited_s < PATIENCE_S and around_s < LOOK_AROUND_S:
-            begin_s = time.monotonic()
-            raw = self.receiver.receive_raw(WAIT_S)
-            step_s = min(time.monotonic() - begin_s, WAIT_S)
-            if raw is not None:
-                kept.append(raw)
-            silent_s = silent_s + step_s if raw is None or census.take(raw) is None else 0.0
-            waited_s += step_s
-            if census.found and alone:
-                break
-            around_s += step_s if census.found or census.refused else 0.0
-        if not self._take_place(census.choose(self.name)):
-            for raw in kept:
-                self.receiver.decoded(raw)  # which counts what is none of ours
-            raise Unheard(self._nothing_found(census, waited_s))
-        self._moving |= census.moving
-        self.receiver.put_back(kept)
+        self._read_at(find_live(self.receiver, self.name, census, alone=alone))
+        self._sharing.moving |= census.moving
 
     def reports(self) -> Iterator[Report]:
         """Yield the reports of the sensor's cycles, to the end of a log or without end; the errors are `events`'."""
@@ -388,47 +359,17 @@ class Session:
             return
         self._looked = True
         census = Census(self.node, self._channel, by_reports=True, live=False)
-        kept: list[can.Message] = []
-        first_s: float | None = None
-        paused: can.Message | None = None
-        begun = False
-        while len(kept) < (LOOKED_AT if paused is None else LOOKED_THROUGH):
-            raw = self.receiver.receive_raw(0.0)
-            if raw is None:
-                break
-            kept.append(raw)
-            if is_mark(raw):
-                paused, begun = None if begun or reads(raw) else raw, begun or reads(raw)
-                continue
-            message = census.take(raw)
-            if message is not None and message.name == "EPOCH" and paused is None:
-                first_s = raw.timestamp if first_s is None else first_s
-                if raw.timestamp - first_s > LOOK_AROUND_S:
-                    break
-        if paused is not None:  # the run ended before it read anything: what it heard is read all the same
-            kept.remove(paused)
-        self.receiver.put_back(kept)
-        if not self._take_place(census.choose(self.name)):
+        look_through(self.receiver, census)
+        place = census.choose(self.name)
+        if place is None:
             self.unchosen = census.unchosen
+        else:
+            self._read_at(place)
         self.receiver.channel = self.receiver.channel or self._channel
 
-    def _take_place(self, place: Place | None) -> bool:
-        """Read the sensor at a place from now on; tells whether there is one."""
-        if place is None:
-            return False
+    def _read_at(self, place: Place) -> None:
+        """Read the sensor at a place from now on."""
         self.node, self.receiver.channel = place.node, place.channel
-        return True
-
-    def _nothing_found(self, census: Census, waited_s: float) -> str:
-        wanted = "a sensor" if self.node is None else f"sensor {self.node}"
-        others = [counted(count, kind) for kind, count in self.receiver.traffic.items() if count]
-        if census.heard:
-            what = f"heard only {', '.join(sorted(census.heard)[:4])}"
-        elif others:
-            what = f"heard only {', '.join(others)}: check the wiring and that nothing else uses the link"
-        else:
-            what = "heard nothing: check the power, the cable and the port"
-        return f"{self.name}: no heartbeat of {wanted} in {waited_s:.0f} s; {what}"
 
     def _configure(self) -> bool:
         self.keeping.begin(self.node, self._site.codes, self._parameters, self.health.now_s)
@@ -443,8 +384,9 @@ class Session:
             self.receiver.mark(self.node)
 
     def _listen(self, message: Message) -> None:
-        if message.node not in self._moving and self._node not in (None, message.node) and tells_of_motion(message):
-            self._share({*self._moving, message.node})
+        moving = self._sharing.moving
+        if message.node not in moving and self._node not in (None, message.node) and tells_of_motion(message):
+            self._sharing.take({*moving, message.node}, self._node, self._parameters or {})
         if message.name in STREAMED:
             return
         self.keeping.take(message, self.health.now_s)
@@ -456,23 +398,6 @@ class Session:
         if other and message.name == "HEARTBEAT" and message.signals["role"] == ROLE_SENSOR:
             choice = option("node", message.node)
             self.receiver.tell_once(f"sensor {message.node} is there too: {self.node} is read; {choice} reads it")
-
-    def _share(self, moving: set[int]) -> None:
-        """Take note of the nodes that tell of their motion on the same bus, and say what that leaves for the sensor."""
-        self._moving = moving
-        if self.choice is not None:
-            self.choice = self._chosen(self._site)
-        if self.choice is not None and (self.choice.carrier is not Carrier.BLOCKS or self.choice.reduced):
-            self.receiver.tell_once(f"the sensor sends {self.choice.text}")
-        every = int((self._parameters or {}).get(POSE_BLOCKS, 0))
-        if every and self._bus is not None and self._bus.link_bit == LINK_BITS[Link.CAN]:
-            site, sensors = self._site, len(moving - {self._node}) + 1
-            wanted_Hz = 1.0 / (every * BLOCK_CHIPS * self._chip_s)
-            most_Hz = pose_rate_Hz(Link.CAN, len(site.codes), site.chips, self._chip_s, sensors)
-            if most_Hz < wanted_Hz:
-                self.receiver.tell_once(
-                    f"the sensor sends {most_Hz:.0f} poses a second, not {wanted_Hz:.0f}: {sensors} sensors share CAN"
-                )
 
     def _ask_who(self, node: int) -> None:
         """Ask a live board that drives a coil for what tells which beacon it is; its answers come among the others."""

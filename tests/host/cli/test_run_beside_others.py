@@ -203,12 +203,12 @@ import signal, sys, time
 from types import SimpleNamespace
 from goldfield.cli import main
 from goldfield.link import buses, serial_bus
-from goldfield.sensor import session
+from goldfield.sensor import finding, session
 
 offset = [0.0]
 signal.signal(signal.SIGCONT, lambda *_: offset.__setitem__(0, 30.0))
 clock = SimpleNamespace(monotonic=lambda: time.monotonic() + offset[0], time=lambda: time.time() + offset[0])
-session.time = serial_bus.time = clock
+finding.time = session.time = serial_bus.time = clock
 
 class Told(serial_bus.SerialBus):
     def __init__(self, *arguments, **options):

@@ -7,14 +7,13 @@ from goldfield.cli import link_options
 from goldfield.cli.entry import build_parser
 from goldfield.errors import SystemFailure
 from goldfield.sensor import dialogue as dialogues
-from goldfield.sensor import samples
-from goldfield.sensor import session as sessions
+from goldfield.sensor import finding, samples
 from goldfield.sensor.options import Options
 from goldfield.sensor.pipeline import Sensor
 from goldfield.sensor.session import Session
 from goldfield_protocol import encode
 from tests.host.fake_sensor import CODES, NODE, SITE, heartbeat
-from tests.host.virtual_link import VirtualLink
+from tests.host.virtual_link import VirtualLink, told_by
 
 ROOM = sites.load(SITE)
 LATE_S = 100.0
@@ -27,8 +26,7 @@ def link_of(monkeypatch):
 
     def make(heard_s, **options):
         link = VirtualLink(parameters={28: 10}, **options)
-        for module in (sessions, dialogues, samples):
-            monkeypatch.setattr(module, "time", link)
+        told_by(link, monkeypatch)
         link.deliver(heartbeat(), after_s=heard_s)
         link.deliver(heartbeat(), after_s=heard_s + 1.0)
         return link
@@ -69,7 +67,7 @@ def test_nobody_waits_who_did_not_say_so(link_of):
     begin_s = link.now_s
     with pytest.raises(SystemFailure, match="no heartbeat of a sensor in 10 s"):
         Sensor(link, "late", ROOM, Options(reconnect=True))
-    assert link.now_s - begin_s == pytest.approx(sessions.SILENCE_S)
+    assert link.now_s - begin_s == pytest.approx(finding.SILENCE_S)
 
 
 def test_a_sensor_that_refuses_is_not_asked_again_and_again(link_of, monkeypatch):

@@ -11,14 +11,12 @@ from goldfield import site as sites
 from goldfield.errors import SystemFailure
 from goldfield.link.blocks import BlockAssembler
 from goldfield.link.chip_blocks import ChipBlockAssembler
-from goldfield.sensor import dialogue as dialogues
-from goldfield.sensor import session as sessions
 from goldfield.sensor.session import Session
 from goldfield.types import Block
 from goldfield_protocol import encode
 from goldfield_protocol.parameters import PARAMETERS
 from tests.host.fake_sensor import NODE, SITE, heartbeat
-from tests.host.virtual_link import VirtualLink
+from tests.host.virtual_link import VirtualLink, told_by
 
 BLOCKS, STREAM = PARAMETERS["blocks"].first, PARAMETERS["stream"].first
 POSE_BLOCKS = PARAMETERS["pose_blocks"].first
@@ -42,8 +40,7 @@ def started(monkeypatch):
     def make(beacons, link_bit, *, blocks=True, before=None, others=(), poses=0):
         link = VirtualLink({28: 10, BLOCKS: 0, STREAM: 0, POSE_BLOCKS: 0, **CALIBRATION, **(before or {})})
         link.link_bit = link_bit
-        monkeypatch.setattr(sessions, "time", link)
-        monkeypatch.setattr(dialogues, "time", link)
+        told_by(link, monkeypatch)
         for other in others:
             link.deliver(other)
         link.deliver(heartbeat())

@@ -13,12 +13,13 @@ from goldfield.link.buses import open_can, open_port
 from goldfield.link.marks import is_mark, mark, reads
 from goldfield.link.traffic import MEANINGLESS, OTHER_CHANNEL, OTHER_PROTOCOL, WRONG_LENGTH
 from goldfield.sensor import dialogue as dialogues
+from goldfield.sensor import finding
 from goldfield.sensor import session as sessions
 from goldfield.sensor.receiver import Receiver
 from goldfield.sensor.session import Session
 from goldfield_protocol import encode
 from tests.host.fake_sensor import CODES, NODE, SITE, PtySensor, cycle_messages, heartbeat
-from tests.host.virtual_link import VirtualLink
+from tests.host.virtual_link import VirtualLink, told_by
 
 ROOM = sites.load(SITE)
 
@@ -34,8 +35,7 @@ def virtual(monkeypatch):
 
     def make(node=None, **options):
         link = VirtualLink(**options)
-        monkeypatch.setattr(sessions, "time", link)
-        monkeypatch.setattr(dialogues, "time", link)
+        told_by(link, monkeypatch)
         return link, Session(link, "virtual", ROOM, node)
 
     return make
@@ -325,7 +325,7 @@ def test_what_a_replay_does_not_read_at_the_end_is_told(capsys):
 
 def test_a_mark_that_does_not_come_is_not_waited_for(monkeypatch):
     """A file of a stranger, which is larger than the memory."""
-    monkeypatch.setattr(sessions, "LOOKED_THROUGH", 20)
+    monkeypatch.setattr(finding, "LOOKED_THROUGH", 20)
     assert recorded(range(6), {0: None, 4: NODE}) == list(range(6))
 
 
@@ -490,8 +490,7 @@ class Stopped(VirtualLink):
 @pytest.mark.parametrize("at", range(30, 42))
 def test_half_a_minute_in_which_the_process_is_stopped_costs_no_cycle(monkeypatch, at):
     link = Stopped()
-    monkeypatch.setattr(sessions, "time", link)
-    monkeypatch.setattr(dialogues, "time", link)
+    told_by(link, monkeypatch)
     session = Session(link, "virtual", ROOM)
     link.deliver(heartbeat())
     session.find()
@@ -552,7 +551,7 @@ def test_a_sensor_that_falls_silent_while_others_talk(virtual):
     assert link.now_s - begin_s == pytest.approx(sessions.QUIET_S, abs=0.051)
     with pytest.raises(SystemFailure, match="sensor 100 has been silent for 10 s"):
         next(reports)
-    assert link.now_s - begin_s == pytest.approx(sessions.SILENCE_S, abs=0.051)
+    assert link.now_s - begin_s == pytest.approx(finding.SILENCE_S, abs=0.051)
 
 
 def test_a_message_of_the_wrong_length_is_counted():

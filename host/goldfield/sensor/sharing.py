@@ -1,0 +1,73 @@
+"""What the sensor that is read may send of its motion beside other boards on the same bus."""
+
+from __future__ import annotations
+
+from goldfield.link.blocks import BLOCK_CHIPS
+from goldfield.link.budget import Carrier, Choice, Link, choose, pose_rate_Hz
+from goldfield.sensor.dialogue import Parameters
+from goldfield.sensor.receiver import Receiver
+from goldfield.site import Site
+from goldfield_protocol.parameters import PARAMETERS
+
+POSE_BLOCKS = PARAMETERS["pose_blocks"].first
+
+
+class Sharing:
+    """Keeps count of the nodes that tell of their motion, and says what that leaves for the sensor.
+
+    Parameters
+    ----------
+    receiver : Receiver
+        Tells it to the user, once.
+    site : Site
+    link : Link or None
+        What a live sensor is read over; None: a recording.
+    blocks : bool
+        Whether blocks of chips are read, if they come.
+
+    Attributes
+    ----------
+    choice : Choice or None
+        What a live sensor is to send its blocks by, if they are read: sums or chips, or cycles only.
+    moving : set of int
+        The nodes that tell of their motion, that of the sensor among them.
+    """
+
+    def __init__(self, receiver: Receiver, site: Site, link: Link | None, *, blocks: bool) -> None:
+        self.moving: set[int] = set()
+        self._receiver = receiver
+        self._site = site
+        self._chip_s = site.cycle_s / site.chips
+        self._link = link
+        self.choice: Choice | None = self._chosen(1) if blocks else None
+
+    def _chosen(self, sensors: int) -> Choice | None:
+        site = self._site
+        return None if self._link is None else choose(self._link, len(site.codes), site.chips, self._chip_s, sensors)
+
+    def take(self, moving: set[int], node: int | None, parameters: Parameters) -> None:
+        """Take note of who tells of its motion.
+
+        Parameters
+        ----------
+        moving : set of int
+        node : int or None
+            The sensor's.
+        parameters : mapping of int to int or float
+            Those that it must have beside the site's codes.
+        """
+        self.moving = moving
+        sensors = len(moving - {node}) + 1
+        if self.choice is not None:
+            self.choice = self._chosen(sensors)
+        if self.choice is not None and (self.choice.carrier is not Carrier.BLOCKS or self.choice.reduced):
+            self._receiver.tell_once(f"the sensor sends {self.choice.text}")
+        every = int(parameters.get(POSE_BLOCKS, 0))
+        if every and self._link is Link.CAN:
+            site = self._site
+            wanted_Hz = 1.0 / (every * BLOCK_CHIPS * self._chip_s)
+            most_Hz = pose_rate_Hz(Link.CAN, len(site.codes), site.chips, self._chip_s, sensors)
+            if most_Hz < wanted_Hz:
+                self._receiver.tell_once(
+                    f"the sensor sends {most_Hz:.0f} poses a second, not {wanted_Hz:.0f}: {sensors} sensors share CAN"
+                )
