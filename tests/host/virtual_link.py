@@ -8,6 +8,7 @@ from dataclasses import astuple
 
 import can
 
+from goldfield.errors import SystemFailure
 from goldfield.link.buses import BusSource
 from goldfield.sensor import dialogue, finding, samples, session
 from goldfield_protocol import Identifier, decode, encode
@@ -74,3 +75,11 @@ class VirtualLink(BusSource):
 
     def close(self):
         """Let go of nothing."""
+
+
+def next_or_none(reports):
+    """Return the next report, None if the link was lost or silent."""
+    try:
+        return next(reports)
+    except SystemFailure:
+        return None
