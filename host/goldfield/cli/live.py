@@ -140,8 +140,8 @@ def _print_epochs(
             for item in sensor.stream():
                 sinks.write(item)
                 beside.write(item, sensor)
-    except KeyboardInterrupt:
-        pass  # the usual end of a live run
+    except KeyboardInterrupt:  # the usual end of a live run
+        sinks.close_again()
     finally:
         summary.link = sensor.link_counts
         summary.counters = sensor.counters

@@ -9,7 +9,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from types import TracebackType
 from typing import Generic, Protocol, Self, TypeVar
@@ -112,7 +112,7 @@ class Branch(Generic[T]):
         newest: bool = False,
     ) -> None:
         self.name = name
-        self._refused = 0
+        self._handed = self._taken = self._refused = 0
         self._sink = sink
         self._waits = waits
         self._essential = essential
@@ -130,6 +130,7 @@ class Branch(Generic[T]):
     def write(self, item: T, /) -> None:
         """Hand an item over; it never waits for the sink unless ``waits`` was asked for."""
         self._raise_error()
+        self._handed += 1
         while self._queue.qsize() >= self._capacity:
             if self._waits:
                 time.sleep(POLL_S)
@@ -151,6 +152,11 @@ class Branch(Generic[T]):
         self._raise_error()
 
     @property
+    def closed(self) -> bool:
+        """Whether it is known to be closed; an interrupt of `close` may leave it open, and it is closed again."""
+        return self._closed
+
+    @property
     def stuck(self) -> bool:
         """Whether the sink has not come to its end, though it was closed."""
         return self._closed and not self._ended
@@ -158,11 +164,12 @@ class Branch(Generic[T]):
     @property
     def dropped(self) -> int:
         """How many items the sink has missed: for want of room in the queue, or because it is stuck."""
-        return self._refused + (max(0, self._queue.qsize() - 1) if self.stuck else 0)
+        return self._handed - self._taken if self.stuck else self._refused
 
     def _feed(self) -> None:
         failed = False
         while not isinstance(item := self._queue.get(), _End):
+            self._taken += 1
             if not failed:  # else the queue is emptied, so that nobody waits for room in it
                 failed = not self._attempt(item)
         self._attempt(None)
@@ -235,8 +242,22 @@ class Fanout(Generic[T]):
         Exception
             The error of an essential sink.
         """
+        self._close(self._branches, patience_s)
+
+    def close_again(self) -> None:
+        """Close the sinks that `close` has left open because an interrupt ended it; it does not wait for one for long.
+
+        Raises
+        ------
+        Exception
+            The error of an essential sink.
+        """
+        self._close([branch for branch in self._branches if not branch.closed], INTERRUPTED_S)
+
+    @staticmethod
+    def _close(branches: Sequence[Branch[T]], patience_s: float | None) -> None:
         errors = []
-        for branch in self._branches:
+        for branch in branches:
             try:
                 branch.close(patience_s)
             except Exception as error:  # the others are closed first

@@ -176,6 +176,8 @@ def test_a_foreign_command_must_have_the_name_of_its_entry_point(capsys, monkeyp
 ROOM = str(ROOT / "docs" / "examples" / "room.toml")
 FIELDS = str(ROOT / "docs" / "examples" / "fields.csv")
 LOG = str(ROOT / "docs" / "examples" / "recording.log")
+HANGS_S = 300.0
+"""What takes so long does not end."""
 BUFFERED = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
 COMMAND_LINES = [
     ["--version"],
@@ -241,6 +243,41 @@ def test_a_run_whose_reader_sleeps_ends_at_the_first_interrupt(tmp_path):
     assert running.returncode == 0
     assert re.match(r"\d+ epochs: \d+ ok", err)
     assert re.search(r"\d+ epochs were left out of the lines on stdout", err)
+
+
+INTERRUPTED = """
+import sys
+from goldfield.cli import main
+from goldfield.sensor.sinks import Branch, Fanout
+
+left = int(sys.argv.pop(1))
+
+def interrupt(frame, event, _):
+    global left
+    if frame.f_code not in {one.__code__ for one in (Fanout.__exit__, Fanout.close, Fanout._close, Branch.close)}:
+        return None
+    if event == "line":
+        left -= 1
+        if left == -1:
+            raise KeyboardInterrupt
+    return interrupt
+
+sys.settrace(interrupt)
+sys.exit(main(sys.argv[1:]))
+"""
+"""The program, interrupted when it has run so many lines of what closes its sinks, the last of which waits for them."""
+
+
+@pytest.mark.parametrize("lines", [0, 4, 8])
+def test_a_run_whose_reader_sleeps_ends_wherever_the_interrupt_comes(lines):
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    command = [sys.executable, "-c", INTERRUPTED, str(lines), "run", "--site", ROOM, "--log", LOG, "--json"]
+    done = subprocess.run(command, env=BUFFERED, stdout=writing, stderr=subprocess.PIPE, text=True, timeout=HANGS_S)
+    os.close(writing)
+    os.close(reading)
+    assert done.returncode == 0
+    assert re.search(r"\d+ epochs were left out of the lines on stdout", done.stderr)
 
 
 def test_without_stderr_nothing_but_json_goes_to_stdout():

@@ -208,28 +208,66 @@ def test_a_slow_sink_may_lose_the_oldest_items():
     assert held.items == [0, 5, 6, 7]
 
 
-@pytest.mark.parametrize("lines", range(6))
-def test_an_interrupt_at_any_line_of_closing_leaves_no_sink_without_its_end(lines):
-    kept = Kept()
-    branch = Branch(kept, "kept", waits=True)
+@contextlib.contextmanager
+def interrupted_after(lines, *functions):
+    """Raise one interrupt, as a signal does, once so many lines of some functions have been run."""
+    codes = {function.__code__ for function in functions}
     left = lines
 
     def interrupt(frame, event, _):
         nonlocal left
-        if frame.f_code is not Branch.close.__code__:
+        if frame.f_code not in codes:
             return None
         if event == "line":
             left -= 1
-            if left < 0:
+            if left == -1:
                 raise KeyboardInterrupt
         return interrupt
 
     before = sys.gettrace()
     sys.settrace(interrupt)
     try:
-        with contextlib.suppress(KeyboardInterrupt):
-            branch.close()
+        yield
     finally:
         sys.settrace(before)
+
+
+@pytest.mark.parametrize("lines", range(6))
+def test_an_interrupt_at_any_line_of_closing_leaves_no_sink_without_its_end(lines):
+    kept = Kept()
+    branch = Branch(kept, "kept", waits=True)
+    with interrupted_after(lines, Branch.close), contextlib.suppress(KeyboardInterrupt):
+        branch.close()
     branch.close(60.0)
     assert not branch.stuck
+
+
+@pytest.mark.parametrize("lines", range(6))
+def test_an_interrupt_at_any_line_of_closing_changes_no_count(lines):
+    held = Held()
+    branch = Branch(held, "held", waits=True)
+    for item in range(4):
+        branch.write(item)
+    assert held.reached.wait(60.0)
+    with interrupted_after(lines, Branch.close), contextlib.suppress(KeyboardInterrupt):
+        branch.close(0.0)
+    branch.close(0.0)
+    assert branch.stuck
+    assert branch.dropped == 3
+    held.go.set()
+    branch.close(60.0)
+    assert (held.items, branch.dropped) == ([0, 1, 2, 3], 0)
+
+
+@pytest.mark.parametrize("lines", range(20))
+def test_sinks_that_an_interrupt_leaves_open_are_closed_again(lines):
+    kept = [Kept(), Kept()]
+    sinks = Fanout(waits=True)
+    for one in kept:
+        sinks.add(one, "kept")
+    functions = (Fanout.__exit__, Fanout.close, Fanout._close, Branch.close)
+    with interrupted_after(lines, *functions), contextlib.suppress(KeyboardInterrupt), sinks:
+        sinks.write(1)
+    sinks.close_again()
+    sinks.close(60.0)
+    assert [(one.items, one.closed) for one in kept] == [([1], 1)] * 2
