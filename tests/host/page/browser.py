@@ -16,6 +16,7 @@ from goldfield.page.hub import Hub
 from goldfield.page.serving import Listener, PageServer, built_assets
 from goldfield.sensor.options import Options
 from tests.host.fake_sensor import SITE
+from tests.host.free_port import free_port
 
 CHROMIUM = "/usr/bin/chromium"
 FLAGS = (
@@ -28,6 +29,12 @@ FLAGS = (
     "--use-angle=swiftshader",  # three dimensions without a graphics card
     "--enable-unsafe-swiftshader",
 )
+STILL = """
+    let stands_ms = 0;
+    performance.now = () => stands_ms;
+    globalThis.passed = (seconds) => { stands_ms += 1000 * seconds; };
+"""
+"""Lets the clock stand still by which the page forgets alarms; ``passed(seconds)`` moves it on."""
 DESKTOP, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
 ROOM = sites.load(SITE)
 
@@ -65,17 +72,24 @@ def recorded(log):
 
 
 class Served:
-    """The page at an address, fed by hand; its server can be stopped and started again."""
+    """The page at an address, fed by hand; its server can be stopped and started again.
+
+    Attributes
+    ----------
+    now_s : float
+        The time by which a stream is silent or not: it stands still unless it is set.
+    """
 
     def __init__(self):
-        self.hub = Hub(hello(ROOM, "a bench", live=True), ROOM.cycle_s, live=True)
-        self._port, self._server = 0, None
+        self.now_s = 0.0
+        self.hub = Hub(hello(ROOM, "a bench", live=True), ROOM.cycle_s, live=True, clock=lambda: self.now_s)
+        self._port, self._server = free_port(), None
         self.start()
 
     def start(self):
         """Begin to serve, at the same address as before."""
         listener = Listener(("127.0.0.1", self._port))
-        self.url, self._port = listener.url, listener.socket.getsockname()[1]
+        self.url = listener.url
         page = application(self.hub, built_assets(), ExpectedError(ROOM), listener.token)
         self._server = PageServer(page, listener)
         self._server.__enter__()

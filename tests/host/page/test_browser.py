@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import expect
 
-from goldfield.page.hub import State
+from goldfield.page.hub import SILENCE_S, State
 from goldfield.page.messages import Progress, Row, progress_message
 from hil_sim.clib import ROOT
-from tests.host.page.browser import DESKTOP, PHONE, ROOM, Served, chromium, recorded, times_later
+from tests.host.page.browser import DESKTOP, PHONE, ROOM, STILL, Served, chromium, recorded, times_later
 from tests.host.page.walk import BROKEN, WEAK, walk
 
 AXE = ROOT / "build/page/node_modules/axe-core/axe.min.js"
@@ -18,7 +18,12 @@ SHOTS = ROOT / "build/screenshots"
 IDS = [beacon.id for beacon in ROOM.beacons]
 CYCLES, BREAKS = 130, 90
 WAIT_MS = 60_000
-TWO_PICTURES = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+FOUR_PICTURES = """async () => {
+    for (let picture = 0; picture < 4; picture++) await new Promise(requestAnimationFrame);
+}"""
+"""The first may tell that something is seen, the next draws it."""
+SETTLED = "Promise.all(document.getAnimations().map(one => one.finished))"
+"""No colour is on its way to another."""
 SETTLED_COLOUR = """async element => {
     await Promise.all(element.getAnimations().map(one => one.finished));
     return getComputedStyle(element).color;
@@ -68,6 +73,7 @@ def opened(browser, served):
         context = browser.new_context(viewport=viewport, color_scheme=scheme, has_touch=viewport is PHONE)
         contexts.append(context)
         page = context.new_page()
+        page.add_init_script(STILL)
         page.set_default_timeout(WAIT_MS)
         expect.set_options(timeout=WAIT_MS)
         page.on("pageerror", lambda error: complaints.append(str(error)))
@@ -84,9 +90,15 @@ def opened(browser, served):
 
 
 def violations(page):
+    page.evaluate(SETTLED)
     page.evaluate(AXE.read_text())
     found = page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
     return [(one["id"], [node["html"] for node in one["nodes"]]) for one in found]
+
+
+def all_shown(page, messages):
+    """Wait until the page has drawn the last of the messages that it was sent since it was opened."""
+    expect(page.locator("#counts")).to_have_text(f"{sum(kind == 'epoch' for kind, _ in messages)} epochs")
 
 
 def row(page, table, name):
@@ -116,7 +128,7 @@ def test_a_way_through_everything(opened, served, messages, calm):
 
     # What the pictures show.
     for name, part in (("Trail", ".layer-trail"), ("Covariance", ".covariance"), ("Protection", ".protection")):
-        assert page.locator(part).get_attribute("visibility") != "hidden"
+        expect(page.locator(part)).not_to_have_attribute("visibility", "hidden")
         page.get_by_label(name, exact=True).uncheck()
         expect(page.locator(part)).to_have_attribute("visibility", "hidden")
         page.get_by_label(name, exact=True).check()
@@ -126,6 +138,7 @@ def test_a_way_through_everything(opened, served, messages, calm):
     expect(page.locator("#plan-note")).to_contain_text("expected error at z =")
     page.get_by_label("Expected error").uncheck()
     expect(page.locator(".layer-map image")).to_have_count(0)
+    all_shown(page, messages)
     assert len(page.locator("polyline.trail").get_attribute("points")) > 100
     page.get_by_role("button", name="Clear trail").click()
     expect(page.locator("polyline.trail")).to_have_attribute("points", "")
@@ -134,11 +147,12 @@ def test_a_way_through_everything(opened, served, messages, calm):
 def test_space_is_turned_by_mouse_and_keyboard(opened, served, calm):
     page = opened()
     served.publish(calm)
-    expect(page.locator("#status-word")).to_have_text("ok")
+    all_shown(page, calm)
     canvas = page.locator("#space canvas")
+    canvas.scroll_into_view_if_needed()
 
     def picture():
-        page.evaluate(TWO_PICTURES)
+        page.evaluate(FOUR_PICTURES)
         return canvas.screenshot()
 
     seen = [picture()]
@@ -176,19 +190,20 @@ def test_everything_is_reached_by_the_keyboard(opened, served, calm):
 def test_a_page_that_is_held_stands_still(opened, served, calm):
     page = opened()
     served.publish(calm[:20])
-    expect(page.locator("#counts")).to_contain_text("epochs")
-    expect(page.locator("#status-word")).to_have_text("ok")
+    all_shown(page, calm[:20])
     expect(page.locator("#link-word")).to_have_text("live")  # which is read out, too
     page.get_by_role("button", name="Hold").click()
     expect(page.get_by_role("button", name="Hold")).to_have_attribute("aria-pressed", "true")
+    expect(page.locator("#announce")).to_contain_text("held")
     held = page.locator("#figures").inner_text()
     served.publish(calm[20:])
-    expect(page.locator("#announce")).to_contain_text("held")
-    page.evaluate(TWO_PICTURES)
+    served.hub.set_state(State.LOST, "the port is gone")
+    expect(page.locator("#link-word")).to_have_text("link lost")  # it has all that came before
+    page.evaluate(FOUR_PICTURES)
     assert page.locator("#figures").inner_text() == held
     page.get_by_role("button", name="Hold").click()
     served.publish(calm[-3:])
-    expect(page.locator("#figures")).not_to_have_text(held)
+    expect(page.locator("#figures")).not_to_have_text(held, use_inner_text=True)
 
 
 def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_return(opened, served, calm):
@@ -198,6 +213,9 @@ def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_ret
     expect(page.locator("#status-word")).to_have_text("ok")
     expect(page.locator("body")).to_have_attribute("data-old", "false")
     fresh = page.locator("#status").evaluate(SETTLED_COLOUR)
+    served.now_s += SILENCE_S + 1.0
+    expect(page.locator("#link-word")).to_have_text("stream stopped")
+    expect(page.locator("#link-text")).to_contain_text("The latest pose is 3 s old.")
     served.hub.set_state(State.LOST, "the port is gone")
     expect(page.locator("#link-word")).to_have_text("link lost")
     expect(page.locator("#status-word")).to_have_text("ok")
@@ -206,6 +224,7 @@ def test_a_stream_that_stops_and_a_server_that_goes_are_told_and_so_is_their_ret
     expect(page.locator("#link-text")).to_contain_text("The port is gone. The latest pose is")
     expect(page.locator("#pose-age")).to_contain_text("not of now")
     expect(page.get_by_role("status")).to_contain_text("port is gone")
+    page.evaluate("passed(3)")
     expect(page.get_by_label("What is wrong now")).to_contain_text("Nothing is known: no epoch comes in.")
     expect(page.get_by_role("status")).to_contain_text("port is gone")
     served.publish(calm[40:80])
@@ -225,6 +244,7 @@ def test_a_clock_that_is_set_back_keeps_no_alarm(opened, served, messages, calm)
     alarms = page.get_by_label("What is wrong now")
     expect(alarms).to_contain_text("open coil")
     page.evaluate("Date.now = () => 0")
+    page.evaluate("passed(3)")
     served.publish(calm[-3:])
     expect(alarms).not_to_contain_text("open coil")
 
@@ -318,6 +338,7 @@ def test_an_hour_of_virtual_time_takes_no_more_memory(opened, served, calm, rate
     while played < 36_000:  # of a tenth of a second each
         served.publish(times_later(messages, played * ROOM.cycle_s))
         played += batch
+        page.evaluate("seconds => passed(seconds)", batch * ROOM.cycle_s)
         expect(page.locator("#counts")).to_have_text(f"{played} epochs")  # and none was skipped
         if played // 9_000 > len(browser):
             client.send("HeapProfiler.collectGarbage")

@@ -39,8 +39,8 @@ def error_map(height_m):
 
 @contextmanager
 def serving(assets, bind=("127.0.0.1", 0)):
-    """Serve, and return the hub and the address."""
-    hub = Hub('{"type":"hello"}', 0.1, live=True)
+    """Serve, and return the hub, which is never silent, and the address."""
+    hub = Hub('{"type":"hello"}', 0.1, live=True, clock=lambda: 0.0)
     listener = Listener(bind)
     with PageServer(application(hub, assets, error_map, listener.token), listener):
         yield hub, listener.url
