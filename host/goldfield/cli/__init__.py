@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 
+from goldfield.cli.interrupts import terminated_like_interrupted
 from goldfield.errors import EXIT_INTERRUPTED
 
 __all__ = ["main"]
@@ -24,25 +22,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             return entry.main(argv)
     except KeyboardInterrupt:
         return EXIT_INTERRUPTED
-
-
-@contextmanager
-def terminated_like_interrupted() -> Iterator[None]:
-    """Let SIGTERM, and a terminal that is closed, end every command as Ctrl-C does, with its files put in order.
-
-    Only the main thread can do so, and a signal that is ignored, as by nohup, stays so.
-    """
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    numbers = (signal.SIGTERM, signal.SIGHUP) if threading.current_thread() is threading.main_thread() else ()
-    before = {number: handler for number in numbers if (handler := signal.getsignal(number)) is not None}
-    wanted = {number: handler for number, handler in before.items() if handler is not signal.SIG_IGN}
-    try:
-        for number in wanted:
-            signal.signal(number, interrupt)
-        yield
-    finally:
-        for number, handler in wanted.items():
-            signal.signal(number, handler)
