@@ -24,8 +24,11 @@ def run(*command, **options):
 
 @contextlib.contextmanager
 def bench(directory):
-    """Simulated boards as a process of their own; yields the sensor's port. The site file is room.toml."""
-    command = ["-m", "goldfield", "hil", "prigge8", "--boards", "host", "--json", "--can", "none"]
+    """Simulated boards as a process of their own, which stand still until they are read; yields the sensor's port.
+
+    The site file is room.toml.
+    """
+    command = ["-m", "goldfield", "hil", "prigge8", "--boards", "host", "--wait", "--json", "--can", "none"]
     command += ["--site", str(directory / "room.toml"), "--truth", str(directory / "truth.jsonl")]
     with subprocess.Popen([sys.executable, *command], stdout=subprocess.PIPE, text=True) as rig:
         try:

@@ -43,10 +43,11 @@ def bench_file(directory):
 
 @pytest.fixture
 def bench(tmp_path):
-    """Run the bench on host boards, as fast as it is read; its port and files are in the directory of the test."""
+    """Run the bench on host boards, as fast as it is read, and only then; its port and files are in the test's folder."""
     files = ["--link", str(tmp_path / "port"), "--site", str(tmp_path / "site.toml")]
     files += ["--true-site", str(tmp_path / "true.toml")]
-    command = [sys.executable, "-m", "goldfield", "hil", str(bench_file(tmp_path)), "--boards", "host", "--pace", "0"]
+    command = [sys.executable, "-m", "goldfield", "hil", str(bench_file(tmp_path)), "--boards", "host"]
+    command += ["--pace", "0", "--wait"]
     with subprocess.Popen([*command, *files, "--json"], stdout=subprocess.PIPE, text=True, cwd=ROOT) as process:
         json.loads(process.stdout.readline())
         # Its lines of truth are read on, or it would wait for the reader.

@@ -45,7 +45,8 @@ def rig(tmp_path_factory):
     """The options that name a bench in another process, as a real one is named."""
     directory = tmp_path_factory.mktemp("rig")
     port, site = directory / "port", directory / "site.toml"
-    command = [sys.executable, "-m", "hil_sim.command", "prigge8", "--boards", "host", "--site", site, "--link", port]
+    command = [sys.executable, "-m", "hil_sim.command", "prigge8", "--boards", "host", "--wait"]
+    command += ["--site", site, "--link", port]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as bench:
         bench.stdout.readline()
         yield "--goldfield-rig", f"serial:{port}", "--goldfield-site", site

@@ -184,7 +184,7 @@ def test_a_live_sensor_that_knows_no_beacons_gets_them(tmp_path):
     site = tmp_path / "site.toml"
     site.write_text(site_toml(load_scenario(str(scenario))))
     goldfield = [sys.executable, "-m", "goldfield"]
-    rig_command = [*goldfield, "hil", str(scenario), "--boards", "host", "--json", "--can", "none"]
+    rig_command = [*goldfield, "hil", str(scenario), "--boards", "host", "--wait", "--json", "--can", "none"]
     rig_command += ["--truth", str(tmp_path / "truth.jsonl")]  # else on the pipe, which nobody reads
     with subprocess.Popen(rig_command, stdout=subprocess.PIPE, text=True) as rig:
         try:
