@@ -1,4 +1,4 @@
-"""What holds for every test: examples that are the same each time, no bound on time, and the marks that follow.
+"""What holds for every test: the same examples each time, no bound on time, no quiet from before, and the marks.
 
 ``--cycles-per-instruction X`` runs whatever a test emulates in its own process with slower instructions.
 """
@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from goldfield.errors import Loudness, set_loudness
 from hil_sim.emulator import Configuration, Emulator
 
 settings.register_profile(
@@ -115,3 +116,9 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.simulated_bench)
         if "rig_kind" in item.fixturenames:  # of its own, or through another fixture
             item.add_marker(pytest.mark.both_boards)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup():
+    """Let each test begin as loud as usual, whatever a command was asked for in the one before it in this process."""
+    set_loudness(Loudness.USUAL)

@@ -43,7 +43,7 @@ def bench_file(directory):
 
 @pytest.fixture
 def bench(tmp_path):
-    """Run the bench on host boards, as fast as it is read, and only then; its port and files are in the test's folder."""
+    """Run the bench on host boards, as fast as it is read, and only then; port and files are in the test's folder."""
     files = ["--link", str(tmp_path / "port"), "--site", str(tmp_path / "site.toml")]
     files += ["--true-site", str(tmp_path / "true.toml")]
     command = [sys.executable, "-m", "goldfield", "hil", str(bench_file(tmp_path)), "--boards", "host"]
