@@ -21,8 +21,9 @@ from goldfield.feeds.address import parse_address
 from goldfield.feeds.feed import Setting
 from goldfield.feeds.opening import Feeds, open_feed
 from goldfield.sensor.pipeline import Fix
-from tests.host.feeds.broker import BROKER, Broker, free_port
+from tests.host.feeds.broker import BROKER, Broker
 from tests.host.feeds.made import SITE, pose
+from tests.host.free_port import free_port
 
 RATE_HZ = 330.0
 CONSUMERS = {

@@ -14,17 +14,11 @@ from goldfield.feeds.opening import open_feed
 from hil_sim.clib import ROOT
 from tests.host.feeds.broker import Broker, needs_mosquitto
 from tests.host.feeds.made import UNIX_S, pose, setting, stamped
+from tests.host.free_port import free_port
 
 TIMEOUT_S = 120.0
 EXAMPLES = dict(re.findall(r"<!-- example: (\w+) -->\n```python\n(.*?)```", (ROOT / "docs/feeds.md").read_text(), re.S))
 SAID = "ok [1.5, -0.25, 0.875] 1700000000.25 0.0625\n"
-
-
-@pytest.fixture
-def free_port():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.bind(("127.0.0.1", 0))
-        return other.getsockname()[1]
 
 
 def program(name, folder, **places):
@@ -59,9 +53,10 @@ def test_websocket(tmp_path):
     assert beside(feed, program("websocket", tmp_path, **{"8421": str(feed.port)})) == 3 * SAID
 
 
-def test_udp(tmp_path, free_port):
-    feed = open_feed(parse_address(f"udp://127.0.0.1:{free_port}"), setting())
-    assert beside(feed, program("udp", tmp_path, **{"9000": str(free_port)})) == 3 * SAID
+def test_udp(tmp_path):
+    port = free_port(socket.SOCK_DGRAM)
+    feed = open_feed(parse_address(f"udp://127.0.0.1:{port}"), setting())
+    assert beside(feed, program("udp", tmp_path, **{"9000": str(port)})) == 3 * SAID
 
 
 @needs_mosquitto

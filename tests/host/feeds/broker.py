@@ -5,7 +5,6 @@ from __future__ import annotations
 import getpass
 import queue
 import shutil
-import socket
 import subprocess
 import threading
 
@@ -13,17 +12,13 @@ import pytest
 from paho.mqtt.client import Client
 from paho.mqtt.enums import CallbackAPIVersion
 
+from tests.host.free_port import free_port
+
 BROKER = shutil.which("mosquitto") or shutil.which("mosquitto", path="/usr/sbin:/usr/local/sbin")
 needs_mosquitto = pytest.mark.skipif(BROKER is None, reason="make installs mosquitto, which is not there")
 needs_openssl = pytest.mark.skipif(shutil.which("openssl") is None, reason="make installs openssl, which is not there")
 NEW_KEY = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
 TIMEOUT_S = 60.0
-
-
-def free_port():
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        return other.getsockname()[1]
 
 
 class Told:

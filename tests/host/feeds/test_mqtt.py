@@ -9,8 +9,9 @@ from goldfield.feeds import mqtt
 from goldfield.feeds.address import parse_address
 from goldfield.feeds.mqtt_access import PASSWORD
 from goldfield.feeds.opening import Feeds, open_feed
-from tests.host.feeds.broker import Broker, Subscriber, Told, free_port, needs_mosquitto
+from tests.host.feeds.broker import Broker, Subscriber, Told, needs_mosquitto
 from tests.host.feeds.made import SITE, UNIX_S, epoch, pose, setting, stamped
+from tests.host.free_port import free_port
 
 pytestmark = needs_mosquitto
 

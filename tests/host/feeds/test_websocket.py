@@ -19,6 +19,7 @@ from goldfield.feeds.opening import open_feed
 from goldfield.feeds.websocket import CAPACITY, Consumer, WebSocketFeed
 from hil_sim.clib import ROOT
 from tests.host.feeds.made import UNIX_S, pose, setting, stamped
+from tests.host.free_port import free_port
 
 TIMEOUT_S = 60.0
 HELLO = -1
@@ -185,9 +186,7 @@ def test_more_connections_than_the_system_has_files_for_leave_the_run_its_own(tm
 
 
 def test_it_listens_on_this_machine_alone_unless_told_otherwise():
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        port = other.getsockname()[1]
+    port = free_port()
     feed = WebSocketFeed(parse_address(f"ws://:{port}"), setting())
     try:
         with connect(f"ws://127.0.0.1:{port}"):
