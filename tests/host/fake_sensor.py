@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import select
 import struct
 import termios
@@ -24,6 +25,8 @@ CYCLE_S = 1023 * 97.75e-6
 POSITION_M = np.array([0.9, 1.2, 0.8])
 ATTITUDE = Rotation.from_rotvec([0.3, -0.2, 1.1])
 EARTH_T = np.array([2.0e-5, 0.0, -4.5e-5])
+TOO_SLOW = re.compile(r"goldfield: the lines are more than 1 s late: .*\n")
+"""What a command tells on a machine that does much else: no test depends on it."""
 CORNERS_M = [(x, y, z) for z in (0.0, 1.78) for x in (0.0, 2.13) for y in (0.0, 2.13)]
 
 

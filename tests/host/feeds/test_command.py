@@ -15,6 +15,7 @@ from websockets.sync.client import connect
 
 from goldfield.cli import main
 from tests.host.fake_sensor import CYCLE_S, SITE, PtySensor, log_of
+from tests.host.free_port import free_port
 
 TIMEOUT_S = 60.0
 BEGIN_S = 1_700_000_000.0
@@ -68,9 +69,7 @@ def test_a_feed_that_is_given_twice_is_refused(tmp_path, log, capsys):
 
 
 def test_two_feeds_cannot_have_one_port(log, capsys):
-    with socket.socket() as other:
-        other.bind(("127.0.0.1", 0))
-        port = other.getsockname()[1]
+    port = free_port()
     for first, second in (("ws", "foxglove"), ("foxglove", "ws")):
         urls = [f"{scheme}://127.0.0.1:{port}" for scheme in (first, second)]
         assert run("--log", log, "--feed", urls[0], "--feed", urls[1]) == 2
@@ -113,7 +112,7 @@ def running(*words):
 
 def test_a_live_sensor_feeds_a_program_with_latency():
     """The program connects before the sensor begins to speak."""
-    before_s, sensor = time.time(), PtySensor(range(5))
+    before_s, sensor = time.time(), PtySensor(range(100_000))
     with running("--port", sensor.path, "--feed", "ws://:0") as process:
         place = re.search(r"serves poses at (ws://\S+)", process.stderr.readline())[1]
         with connect(place) as client, sensor:

@@ -75,20 +75,19 @@ def test_a_recording_is_served_to_its_end_and_beyond(tmp_path):
 @needs_npm
 def test_a_run_shows_the_page_beside_its_lines():
     command = [sys.executable, "-m", "goldfield", "run", "--site", str(SITE), "--view", "127.0.0.1:0", "--json"]
-    with PtySensor(range(600)) as sensor:
-        run = subprocess.Popen(
-            [*command, "--port", sensor.path], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        try:
-            url = run.stderr.readline().split()[-1]
+    sensor = PtySensor(range(100_000))
+    run = subprocess.Popen([*command, "--port", sensor.path], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        url = run.stderr.readline().split()[-1]
+        address = f"{url.replace('http', 'ws', 1)}live"
+        with connect(address, max_size=None, open_timeout=TIMEOUT_S) as stream, sensor:  # which speaks from now on
             first = json.loads(run.stdout.readline())
-            with connect(f"{url.replace('http', 'ws', 1)}live", max_size=None, open_timeout=TIMEOUT_S) as stream:
-                seen = until(stream, lambda message: message["type"] == "health")
+            seen = until(stream, lambda message: message["type"] == "health")
             run.send_signal(signal.SIGINT)
             run.communicate(timeout=TIMEOUT_S)
-        finally:
-            run.kill()
-            run.wait()
+    finally:
+        run.kill()
+        run.wait()
     assert run.returncode == 0
     assert seen[0]["type"] == "hello"
     assert seen[0]["live"]
