@@ -7,7 +7,8 @@ import json
 import sys
 from pathlib import Path
 
-from hil_sim.emulator.emulator import PICOSECONDS, BadImageError, Configuration, Emulator
+from hil_sim.emulator.emulator import PICOSECONDS, Configuration, Emulator
+from hil_sim.emulator.kept_flash import BadImageError
 from hil_sim.options import add_cycles
 
 SLICE_PS = PICOSECONDS // 100

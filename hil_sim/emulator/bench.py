@@ -113,6 +113,10 @@ class Bench:
         assert self.lib.machine_bench_read(self.machine, address, width, value), self.report
         return int(value[0])
 
+    def refused(self, address: int, value: int, width: int = 4) -> bool:
+        """Store, and return whether the core would have a BusFault."""
+        return not self.lib.machine_bench_write(self.machine, address, width, value)
+
     def change(self, address: int, set_bits: int, clear_bits: int = 0) -> None:
         """Read, modify, write."""
         self.write(address, (self.read(address) & ~clear_bits) | set_bits)

@@ -146,6 +146,16 @@ static void on_write(uc_engine *uc, uint64_t offset, unsigned size, uint64_t val
     }
 }
 
+void core_bus_flash_store(cpu_t *cpu, uint32_t address, unsigned size, uint64_t value) {
+    if (is_abandoned(cpu)) {
+        return;
+    }
+    cpu->machine->now_ps = core_clock_time(&cpu->clock, cpu_access_cycle(cpu));
+    for (unsigned done = 0; done < size; done += 4) { /* The bus has 32 bits. */
+        machine_flash_store(cpu->machine, address + done, size < 4 ? size : 4, (uint32_t)(value >> 8 * done));
+    }
+}
+
 uc_err core_bus_map(cpu_t *cpu) {
     machine_t *const machine = cpu->machine;
     const uint32_t read_execute = UC_PROT_READ | UC_PROT_EXEC;
@@ -164,6 +174,9 @@ uc_err core_bus_map(cpu_t *cpu) {
     uc_err error = UC_ERR_OK;
     for (unsigned i = 0; i < sizeof memories / sizeof memories[0] && error == UC_ERR_OK; i++) {
         error = uc_mem_map_ptr(cpu->uc, memories[i].base, memories[i].size, memories[i].access, memories[i].bytes);
+        if (error == UC_ERR_OK) { /* Else a store that a hook has let pass would be done, where it may only be told. */
+            error = uc_mem_protect(cpu->uc, memories[i].base, memories[i].size, memories[i].access);
+        }
     }
     static const struct {
         uint32_t base, size;

@@ -17,6 +17,9 @@ extern const int core_bus_registers[15];
 /* The access of the last instruction, which is about to happen, is not aligned, and CCR.UNALIGN_TRP is set. */
 void core_bus_unaligned(cpu_t *cpu, uint32_t address, unsigned size, bool write);
 
+/* The last instruction stores into the flash: its controller decides. */
+void core_bus_flash_store(cpu_t *cpu, uint32_t address, unsigned size, uint64_t value);
+
 /* Take back what the abandoned instruction of a fault has done. */
 void core_bus_take_back(cpu_t *cpu, const fault_t *fault);
 

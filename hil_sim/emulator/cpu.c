@@ -8,6 +8,7 @@
 #include "emulator/core_bus.h"
 #include "emulator/exceptions.h"
 #include "emulator/execution.h"
+#include "emulator/flash_wait.h"
 #include "emulator/protection.h"
 #include "emulator/system_control.h"
 #include "emulator/systick.h"
@@ -27,6 +28,7 @@ static void reset(cpu_t *cpu) {
     cpu->asleep = false;
     cpu->event_register = false;
     cpu->fault = (fault_t){0};
+    cpu->flash.load_waits = false;
     cpu->depth = 0;
     cpu->probes_active = 0;
     for (unsigned i = 0; i < cpu->probe_count; i++) {
@@ -58,6 +60,13 @@ static void pass_time(cpu_t *cpu) {
     const int64_t next = machine_next_event(cpu->machine);
     cpu->skipped = core_clock_cycle(&cpu->clock, next < cpu->until_ps ? next : cpu->until_ps) -
                    (cpu_work(cpu) >> CYCLE_SHIFT);
+}
+
+/* The same, while the flash holds the core up. */
+static void pass_wait(cpu_t *cpu) {
+    const uint64_t before = cpu->skipped;
+    pass_time(cpu);
+    cpu->waited += cpu->skipped - before;
 }
 
 /* Asleep: the core wakes for an exception that would preempt if PRIMASK were clear. */
@@ -96,6 +105,8 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
         }
         if (machine->held_in_reset || machine->debug_halted) {
             pass_time(cpu);
+        } else if (machine->flash_busy && flash_wait_holds(cpu)) {
+            pass_wait(cpu);
         } else if (cpu->fault.exception != 0) {
             const fault_t fault = cpu->fault;
             cpu->fault = (fault_t){0};
@@ -108,6 +119,9 @@ board_status_t cpu_run(cpu_t *cpu, int64_t until_ps) {
         } else if (exception_preempts(cpu, true)) {
             exception_enter(cpu, cpu->nvic.candidate);
         } else {
+            if (cpu->flash.changed) {
+                flash_wait_apply(cpu);
+            }
             execution_run(cpu);
         }
     }
@@ -137,6 +151,14 @@ static void clock_changed(void *processor, double hz) {
 
 static void flash_access(void *processor, uint32_t acr) {
     cycles_flash_changed(&((cpu_t *)processor)->cycles, acr);
+}
+
+static void flash_changed(void *processor, uint32_t offset, uint32_t count) {
+    flash_wait_changed(processor, offset, count);
+}
+
+static void flash_rules(void *processor) {
+    flash_wait_changed(processor, 0, 0);
 }
 
 static void attention(void *processor) {
@@ -176,6 +198,8 @@ cpu_t *cpu_create(machine_t *machine, char *error, size_t error_size) {
                                                .nmi = nmi,
                                                .clock = clock_changed,
                                                .flash_access = flash_access,
+                                               .flash_changed = flash_changed,
+                                               .flash_rules = flash_rules,
                                                .attention = attention,
                                                .program_counter = program_counter,
                                                .processor = cpu};

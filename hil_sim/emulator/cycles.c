@@ -161,6 +161,13 @@ void cycles_flash_changed(cycles_t *cycles, uint32_t acr) {
     memset(cycles->table, 0, FLASH_SIZE / 2u * sizeof *cycles->table);
 }
 
+void cycles_forget(cycles_t *cycles, uint32_t from, uint32_t to) {
+    if (cycles->table != NULL) {
+        from = from >= 2 ? from - 2u : 0; /* The second halfword of an instruction may have changed. */
+        memset(cycles->table + from / 2u, 0, ((to + 1u) / 2u - from / 2u) * sizeof *cycles->table);
+    }
+}
+
 bool cycles_init(cycles_t *cycles, const emulator_config_t *config) {
     const double wanted = config->cycles_per_instruction;
     cycles->instruction = wanted > 0 ? (uint32_t)lround(wanted * CYCLE) : CYCLE;

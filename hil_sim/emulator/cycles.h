@@ -44,6 +44,9 @@ void cycles_free(cycles_t *cycles);
 /* FLASH_ACR has this value, and what was looked up is void. */
 void cycles_flash_changed(cycles_t *cycles, uint32_t acr);
 
+/* Bytes of the flash from one offset to another have changed. */
+void cycles_forget(cycles_t *cycles, uint32_t from, uint32_t to);
+
 /* Cycles of an instruction of these two halfwords (the second counts if the instruction has 32 bits) by its class,
  * flash and refill not counted. */
 unsigned cycles_of_class(uint16_t first, uint16_t second);

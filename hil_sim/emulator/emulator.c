@@ -6,6 +6,7 @@
 
 #include "emulator/cpu.h"
 #include "emulator/inputs.h"
+#include "emulator/peripherals/outside.h"
 #include "emulator/peripherals/peripherals.h"
 #include "emulator/probes.h"
 
@@ -108,13 +109,31 @@ void emulator_debug_halt(board_t *board, bool halted, int64_t time_ps) {
     inputs_halt(board, halted, time_ps);
 }
 
+void emulator_cut_flash(board_t *board, uint64_t step, double fraction, uint64_t id, int64_t off_ps) {
+    flash_cut_in((machine_t *)board, step, fraction, id, off_ps);
+}
+
+uint64_t emulator_flash_steps(const board_t *board) {
+    return flash_steps_out((const machine_t *)board);
+}
+
+void emulator_cells_save(board_t *board, uint8_t *cells) {
+    flash_end_in((machine_t *)board);
+    flash_cells_out((machine_t *)board, cells);
+}
+
+void emulator_cells_restore(board_t *board, const uint8_t *cells) {
+    flash_cells_in((machine_t *)board, cells);
+}
+
 void emulator_stats(const board_t *board, emulator_stats_t *stats) {
     const cpu_t *const cpu = cpu_of(board);
     *stats = (emulator_stats_t){
         .instructions = cpu->executed,
         .interrupts = cpu->interrupts,
         .cycles = cpu_cycle(cpu),
-        .sleep_cycles = cpu->skipped,
+        .sleep_cycles = cpu->skipped - cpu->waited,
+        .flash_wait_cycles = cpu->waited,
         .violations = ((const machine_t *)board)->violations,
         .faults = ((const machine_t *)board)->faults,
         .stack_low = cpu->stack_low,

@@ -12,13 +12,14 @@
 #include "emulator/config.h"
 
 typedef struct {
-    uint64_t instructions; /* Executed since power-on. */
-    uint64_t interrupts;   /* Exceptions taken. */
-    uint64_t cycles;       /* Core cycles, asleep or not. */
-    uint64_t sleep_cycles; /* Those of them in WFI or WFE. */
-    uint64_t violations;   /* See machine.h. */
-    uint64_t faults;       /* The same: those that the processor's handlers took. */
-    uint32_t stack_low;    /* Lowest main stack pointer at an exception entry; 0xFFFFFFFF before the first. */
+    uint64_t instructions;      /* Executed since power-on. */
+    uint64_t interrupts;        /* Exceptions taken. */
+    uint64_t cycles;            /* Core cycles, asleep or not. */
+    uint64_t sleep_cycles;      /* Those of them in WFI or WFE. */
+    uint64_t flash_wait_cycles; /* Those that the core waited for a flash that was busy. */
+    uint64_t violations;        /* See machine.h. */
+    uint64_t faults;            /* The same: those that the processor's handlers took. */
+    uint32_t stack_low;         /* Lowest main stack pointer at an exception entry; 0xFFFFFFFF before the first. */
 } emulator_stats_t;
 
 typedef struct {
@@ -49,6 +50,21 @@ void emulator_supply(board_t *board, double volts, int64_t time_ps);
  * would stop; the two watchdogs stand still if DBGMCU_APB1_FZ says so, and any other bit of it or of DBGMCU_APB2_FZ is
  * a violation then. */
 void emulator_debug_halt(board_t *board, bool halted, int64_t time_ps);
+
+/* Cut the chip's supply in a step of its flash, a program or an erase: in the step-th from now on (1: the next; 0: in
+ * none any more), when this fraction of its time, 0 to 1, is over. What the step leaves in the cells follows the
+ * board's memory_seed and unique id, the step's number, and the id. The supply is back, at 3.3 V, after off_ps; 0: it
+ * stays away. */
+void emulator_cut_flash(board_t *board, uint64_t step, double fraction, uint64_t id, int64_t off_ps);
+/* Returns how many steps have begun since the board was made. */
+uint64_t emulator_flash_steps(const board_t *board);
+
+/* The flash's cells, 2 MB: what each byte reads as, then which bits of each are weak, so that they may read otherwise
+ * at the next reset. Saving ends a step that is going on, as a loss of power does. Restoring is for a board that has
+ * not run yet. */
+enum { EMULATOR_CELLS = 0x200000 };
+void emulator_cells_save(board_t *board, uint8_t *cells);
+void emulator_cells_restore(board_t *board, const uint8_t *cells);
 
 void emulator_stats(const board_t *board, emulator_stats_t *stats);
 

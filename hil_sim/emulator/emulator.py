@@ -11,17 +11,13 @@ from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
-from goldfield.errors import UserError
 from hil_sim import CYCLES_BY_CLASS, MOST_CYCLES, clib
+from hil_sim.emulator import kept_flash
+from hil_sim.emulator.kept_flash import CELLS, FLASH, BadImageError
 
 LIBRARY = "libgf_emulator.so"
-FLASH = range(0x08000000, 0x08100000)
 PARAMETER_PAGE = 0x080E0000
 PICOSECONDS = 1_000_000_000_000
-
-
-class BadImageError(UserError):
-    """An image or a parameter page that this board cannot hold; the message is one sentence for the user."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +87,7 @@ class Statistics:
     interrupts: int
     cycles: int
     sleep_cycles: int
+    flash_wait_cycles: int
     violations: int
     faults: int
     stack_low: int
@@ -171,6 +168,11 @@ class Emulator:
         Address of a ``board_edge_t`` that another C library fills in; it is copied. Excludes the callbacks.
     parameter_page : bytes, optional
         Placed at 0x080E0000.
+    flash : path, optional
+        A file that keeps the flash from one board to the next: written by `close`. If it is there already, the sectors
+        of the image are written anew, as a probe does it, and all others, the parameter page's too, are as they were.
+    cells : bytes, optional
+        The flash of a board that had no power (`cells`): nothing is flashed, neither image nor parameter page.
     power_on_ps : int
         When the board gets power, picoseconds of virtual time.
     uart_out : callable, optional
@@ -188,7 +190,7 @@ class Emulator:
     Raises
     ------
     BadImageError
-        See `read_image`; or the parameter page does not fit.
+        See `read_image`; or the parameter page does not fit, or the flash's file is none.
     FileNotFoundError
         The emulator's library is not built.
     """
@@ -200,14 +202,19 @@ class Emulator:
         *,
         edge: int | None = None,
         parameter_page: bytes | None = None,
+        flash: str | Path | None = None,
+        cells: bytes | None = None,
         power_on_ps: int = 0,
         uart_out: Callable[[int, int, int], None] | None = None,
         pin_out: Callable[[int, bool, int], None] | None = None,
     ) -> None:
         segments, self.symbols = read_image(image)
-        if parameter_page is not None:
-            if len(parameter_page) > FLASH.stop - PARAMETER_PAGE:
-                raise BadImageError(f"the parameter page has {len(parameter_page)} bytes; at most 131072 fit")
+        if parameter_page is not None and len(parameter_page) > FLASH.stop - PARAMETER_PAGE:
+            raise BadImageError(f"the parameter page has {len(parameter_page)} bytes; at most 131072 fit")
+        self._kept = None if flash is None else Path(flash)
+        if cells is None and self._kept is not None and self._kept.exists():
+            cells = kept_flash.flashed(kept_flash.read(self._kept), segments)
+        elif cells is None and parameter_page is not None:
             segments.append((PARAMETER_PAGE, parameter_page))
         self._ffi: Any
         self._library: Any
@@ -239,8 +246,11 @@ class Emulator:
         self.board = int(ffi.cast("uintptr_t", self._board))
         self.operations = int(ffi.cast("uintptr_t", self._operations))
         self._probes: list[str] = []
-        for address, data in segments:
-            self._library.emulator_load(self._board, address, data, len(data))
+        if cells is not None:
+            self._library.emulator_cells_restore(self._board, cells)
+        else:
+            for address, data in segments:
+                self._library.emulator_load(self._board, address, data, len(data))
 
     def _keep(self, signature: str, function: Callable[..., None]) -> Any:
         callback = self._ffi.callback(signature, function)
@@ -271,6 +281,32 @@ class Emulator:
     def supply(self, volts: float, time_ps: int = 0) -> None:
         """Set the chip's supply from a time on; it is 3.3 V from power-on."""
         self._library.emulator_supply(self._board, volts, time_ps)
+
+    def cut_flash(self, step: int, fraction: float, *, cut_id: int = 0, off_ps: int = 0) -> None:
+        """Cut the chip's supply in a step of its flash: while it programs or erases.
+
+        Parameters
+        ----------
+        step : int
+            Which step from now on, 1 being the next; 0: in none any more.
+        fraction : float
+            How much of the step's time is over then, 0 to 1.
+        cut_id : int
+            What the step leaves in the cells follows it, beside the configuration's seed and the unique id.
+        off_ps : int
+            After how many picoseconds the supply is back; 0: it stays away.
+        """
+        self._library.emulator_cut_flash(self._board, step, fraction, cut_id, off_ps)
+
+    def flash_steps(self) -> int:
+        """Return how many programs and erases the flash has begun."""
+        return int(self._library.emulator_flash_steps(self._board))
+
+    def cells(self) -> bytes:
+        """Return the flash, as `kept_flash` has it; a program or an erase that is going on ends as without power."""
+        cells = self._ffi.new("uint8_t[]", CELLS)
+        self._library.emulator_cells_save(self._board, cells)
+        return bytes(cells)
 
     def debug_halt(self, halted: bool, time_ps: int = 0) -> None:
         """Let a debugger stop the core from a time on, or let it go on."""
@@ -327,10 +363,19 @@ class Emulator:
         return bytes(buffer)
 
     def close(self) -> None:
-        """End the board; `board` is void then."""
+        """End the board, and keep its flash if it has a file; `board` is void then.
+
+        Raises
+        ------
+        BadImageError
+            The file cannot be written.
+        """
         if self._board is not None:
-            self._operations.destroy(self._board)
+            board, kept = self._board, None if self._kept is None else self.cells()
             self._board = None
+            self._operations.destroy(board)
+            if self._kept is not None and kept is not None:
+                kept_flash.write(self._kept, kept)
 
     def __enter__(self) -> Emulator:
         return self

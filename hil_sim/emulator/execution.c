@@ -11,6 +11,7 @@
 #include "emulator/code_view.h"
 #include "emulator/core_bus.h"
 #include "emulator/exceptions.h"
+#include "emulator/flash_wait.h"
 #include "emulator/it_block.h"
 #include "emulator/probes.h"
 #include "emulator/protection.h"
@@ -44,13 +45,13 @@ static bool must_leave(cpu_t *cpu, uint32_t address) {
     machine_t *const machine = cpu->machine;
     const int64_t time = core_clock_time(&cpu->clock, cpu_cycle(cpu));
     cpu->deadline = 0;
-    const bool over = time >= cpu->until_ps || cpu->fault.exception != 0 || cpu->rules_changed ||
+    const bool over = time >= cpu->until_ps || cpu->fault.exception != 0 || cpu->rules_changed || cpu->flash.changed ||
                       machine->stop_requested || machine->reset_requested || machine->debug_halted;
     if (over && may_leave(cpu, address)) {
         return true; /* cpu_run() fires what is due before the end. */
     }
     machine_fire(machine, time);
-    if (over || machine->stop_requested || machine->reset_requested || machine->debug_halted ||
+    if (over || cpu->flash.changed || machine->stop_requested || machine->reset_requested || machine->debug_halted ||
         exception_preempts(cpu, true)) {
         return may_leave(cpu, address);
     }
@@ -148,6 +149,15 @@ static bool on_bad_memory(uc_engine *uc, uc_mem_type type, uint64_t address, int
     cpu_t *const cpu = user;
     cpu->bad_address = (uint32_t)address;
     cpu->forbidden = false;
+    if (type == UC_MEM_WRITE_PROT && (uint32_t)address - FLASH_BASE < FLASH_SIZE &&
+        protection_allows(cpu, (uint32_t)address, (unsigned)size, MPU_WRITE)) {
+        core_bus_flash_store(cpu, (uint32_t)address, (unsigned)size, (uint64_t)value);
+        return true; /* Unicorn drops the store. */
+    }
+    bool admitted = false;
+    if (flash_wait_met(cpu, type, (uint32_t)address, (unsigned)size, &admitted)) {
+        return admitted;
+    }
     const bool protected = type == UC_MEM_READ_PROT || type == UC_MEM_WRITE_PROT || type == UC_MEM_FETCH_PROT;
     return protected && protection_admits(cpu, type, (uint32_t)address, (unsigned)size, (uint64_t)value);
 }
@@ -274,6 +284,10 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
         exception_left(cpu);
         return;
     }
+    if (cpu->flash.load_waits) {
+        flash_wait_load_again(cpu);
+        return;
+    }
     const bool forbidden = cpu->forbidden && (error == UC_ERR_READ_PROT || error == UC_ERR_WRITE_PROT);
     if (forbidden) {
         uc_ctl_flush_tlb(cpu->uc); /* Unicorn would let the next read of that page pass. */
@@ -305,7 +319,7 @@ static void left_unicorn(cpu_t *cpu, uc_err error) {
     case UC_ERR_FETCH_UNMAPPED:
     case UC_ERR_FETCH_PROT: {
         const uint32_t pc = take_state(cpu);
-        if (cpu->forbidden || !allow_code_in_sram(cpu)) {
+        if (cpu->forbidden || (!flash_wait_fetch(cpu, pc & ~1u) && !allow_code_in_sram(cpu))) {
             fetch_failed(cpu, pc);
         }
         break;

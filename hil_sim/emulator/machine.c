@@ -118,8 +118,7 @@ bool machine_debug_frozen(const machine_t *machine, unsigned bus, unsigned bit) 
     return machine->debug_halted && (machine->debug_control[bus] >> bit & 1u) != 0;
 }
 
-/* The next of a sequence of random words (SplitMix64). */
-static uint64_t random_word(uint64_t *state) {
+uint64_t machine_random(uint64_t *state) {
     uint64_t word = *state += 0x9E3779B97F4A7C15u;
     word = (word ^ word >> 30) * 0xBF58476D1CE4E5B9u;
     word = (word ^ word >> 27) * 0x94D049BB133111EBu;
@@ -128,7 +127,7 @@ static uint64_t random_word(uint64_t *state) {
 
 static void scramble(uint8_t *memory, size_t size, uint64_t *state) {
     for (size_t i = 0; i < size; i += sizeof *state) {
-        const uint64_t word = random_word(state);
+        const uint64_t word = machine_random(state);
         memcpy(memory + i, &word, sizeof word);
     }
 }
@@ -139,7 +138,7 @@ void machine_forget_memories(machine_t *machine) {
     }
     uint64_t state = machine->config.memory_seed ^ (uint64_t)machine->now_ps;
     for (size_t i = 0; i < sizeof machine->config.unique_id; i++) {
-        state = random_word(&state) ^ machine->config.unique_id[i];
+        state = machine_random(&state) ^ machine->config.unique_id[i];
     }
     scramble(machine->sram, SRAM_SIZE, &state);
     scramble(machine->ccm, CCM_SIZE, &state);
@@ -225,11 +224,23 @@ void machine_violation(machine_t *machine, const char *format, ...) {
     va_end(arguments);
 }
 
-void machine_fault(machine_t *machine, const char *format, ...) {
+static void record_fault(machine_t *machine, const char *format, va_list arguments) {
     machine->faults++;
     machine->stop_requested = machine->stop_requested || machine->config.stop_at_fault;
+    record(machine, "fault", format, arguments);
+}
+
+void machine_fault(machine_t *machine, const char *format, ...) {
     va_list arguments;
     va_start(arguments, format);
-    record(machine, "fault", format, arguments);
+    record_fault(machine, format, arguments);
+    va_end(arguments);
+}
+
+void machine_bus_error(machine_t *machine, const char *format, ...) {
+    machine->bus_error = true;
+    va_list arguments;
+    va_start(arguments, format);
+    record_fault(machine, format, arguments);
     va_end(arguments);
 }

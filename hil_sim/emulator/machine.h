@@ -117,6 +117,36 @@ uint32_t machine_reset_flags(const machine_t *machine);
 bool machine_bus_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_bus_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
 
+/* ---- The flash, as its controller has it ---- */
+
+enum { MACHINE_FLASH_SIZE = 0x100000 };
+
+/* What the controller does with accesses of the core; offset is from the start of the flash. */
+typedef struct {
+    /* A store of 1, 2 or 4 bytes, aligned or not. */
+    void (*store)(void *context, uint32_t offset, uint32_t value, unsigned width);
+    /* A load, or a fetch, from one of the 16 KB pieces that machine_flash_watch() named. */
+    void (*watched)(void *context, uint32_t offset, unsigned width, bool fetch);
+    void *context;
+} flash_controller_t;
+void machine_flash_controller(machine_t *machine, const flash_controller_t *controller);
+
+/* Returns the content: MACHINE_FLASH_SIZE bytes. machine_flash_changed() must tell of what is changed there. */
+uint8_t *machine_flash(machine_t *machine);
+void machine_flash_changed(machine_t *machine, uint32_t offset, uint32_t count);
+
+/* While the flash is busy the core waits with any load or fetch from it; a bus master's read is a violation. */
+void machine_flash_busy(machine_t *machine, bool busy);
+
+/* Tell the controller of loads, and of fetches, from these pieces of 16 KB: bit n is the one at n times 16 KB. */
+void machine_flash_watch(machine_t *machine, uint64_t loads, uint64_t fetches);
+
+/* The write that the model has been given meets a bus error: the core faults. The sentence is for the report. */
+void machine_bus_error(machine_t *machine, const char *format, ...) __attribute__((format(printf, 2, 3)));
+
+/* The next of a sequence of random words (SplitMix64). */
+uint64_t machine_random(uint64_t *state);
+
 /* ---- Violations and faults ---- */
 
 /* Record a sentence, with the time, the program counter and the last peripheral access. */

@@ -16,13 +16,33 @@ machine_t *machine_bench_create(const emulator_config_t *config, const board_edg
     return machine;
 }
 
+static bool in_flash(uint32_t address) {
+    return address - FLASH_BASE < FLASH_SIZE;
+}
+
+static void load_from_flash(machine_t *machine, uint32_t address, unsigned width) {
+    while (machine->flash_busy) {
+        machine_fire(machine, machine_next_event(machine));
+    }
+    if ((machine->watched_loads >> (address - FLASH_BASE) / FLASH_PIECE & 1u) != 0) {
+        machine->flash_controller.watched(machine->flash_controller.context, address - FLASH_BASE, width, false);
+    }
+}
+
 bool machine_bench_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value) {
+    if (in_flash(address)) {
+        load_from_flash(machine, address, width);
+    }
     const uint8_t *const memory = machine_memory(machine, address, width);
     return memory != NULL ? machine_bus_read(machine, address, width, value)
                           : machine_core_read(machine, address, width, value);
 }
 
 bool machine_bench_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value) {
+    if (in_flash(address)) {
+        machine_flash_store(machine, address, width, value);
+        return true;
+    }
     const uint8_t *const memory = machine_memory(machine, address, width);
     return memory != NULL ? machine_bus_write(machine, address, width, value)
                           : machine_core_write(machine, address, width, value);
@@ -72,6 +92,14 @@ void machine_bench_crystal(machine_t *machine, bool alive) {
 
 void machine_bench_supply(machine_t *machine, double volts) {
     pwr_supply_in(machine, volts);
+}
+
+void machine_bench_cut_flash(machine_t *machine, uint64_t step, double fraction, uint64_t id, int64_t off_ps) {
+    flash_cut_in(machine, step, fraction, id, off_ps);
+}
+
+uint64_t machine_bench_flash_steps(const machine_t *machine) {
+    return flash_steps_out(machine);
 }
 
 double machine_bench_core_clock(const machine_t *machine) {

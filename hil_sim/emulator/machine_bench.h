@@ -18,7 +18,8 @@ machine_t *machine_bench_create(const emulator_config_t *config, const board_edg
 /* run, now, pin_in, uart_in, can_in, can_sent, report (the violations so far), destroy. run always returns BOARD_OK. */
 extern const board_operations_t machine_bench_operations;
 
-/* A load or store of the core, now; width is 1, 2 or 4. Returns false if it would raise a BusFault. */
+/* A load or store of the core, now; width is 1, 2 or 4. A load from the flash waits while that is busy: time passes.
+ * Returns false if it would raise a BusFault. */
 bool machine_bench_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_bench_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
 
@@ -36,6 +37,10 @@ bool machine_bench_held(const machine_t *machine);
 /* As emulator_crystal() and emulator_supply() do it, now. */
 void machine_bench_crystal(machine_t *machine, bool alive);
 void machine_bench_supply(machine_t *machine, double volts);
+
+/* As emulator_cut_flash() and emulator_flash_steps() do it. */
+void machine_bench_cut_flash(machine_t *machine, uint64_t step, double fraction, uint64_t id, int64_t off_ps);
+uint64_t machine_bench_flash_steps(const machine_t *machine);
 
 /* Clocks in Hz, crystal error included: the core's, and those of a peripheral, named as in the SVD: of its bus, and of
  * the timers on that bus. Return 0 if there is no such peripheral. */

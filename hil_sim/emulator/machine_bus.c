@@ -79,7 +79,9 @@ static bool peripheral_write(machine_t *machine, uint32_t address, unsigned widt
         return false;
     }
     peripheral->write(peripheral, address - peripheral->base, value, width);
-    return true;
+    const bool done = !machine->bus_error;
+    machine->bus_error = false;
+    return done;
 }
 
 bool machine_core_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value) {
@@ -128,6 +130,12 @@ bool machine_bus_read(machine_t *machine, uint32_t address, unsigned width, uint
     const uint8_t *const memory = shared_memory(machine, address, width);
     if (memory == NULL) {
         return peripheral_read(machine, address, width, value, machine_violation);
+    }
+    if (machine->flash_busy && address >> 24 == FLASH_BASE >> 24) {
+        machine_violation(machine,
+                          "%u-byte bus master read of 0x%08x while the flash is busy: the bus would stand still until "
+                          "the end, which this model does not do",
+                          width, (unsigned)address);
     }
     *value = 0;
     memcpy(value, memory, width); /* Both are little-endian. */

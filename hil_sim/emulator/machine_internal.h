@@ -9,6 +9,7 @@
  *     machine.c         life, reset, interrupt lines, violations
  *     machine_events.c  time and the heap of events
  *     machine_bus.c     memories and peripherals by address
+ *     machine_flash.c   between the flash's controller, the processor and the bus
  */
 #ifndef GOLDFIELD_MACHINE_INTERNAL_H
 #define GOLDFIELD_MACHINE_INTERNAL_H
@@ -17,6 +18,7 @@
 
 #define FLASH_BASE         0x08000000u
 #define FLASH_SIZE         0x00100000u
+#define FLASH_PIECE        0x00004000u /* The least sector. */
 #define SRAM_BASE          0x20000000u /* 112 KB and 16 KB, contiguous. */
 #define SRAM_SIZE          0x00020000u
 #define CCM_BASE           0x10000000u /* On the core's data bus only: no bus master but the core reaches it. */
@@ -41,6 +43,10 @@ typedef struct {
     void (*nmi)(void *processor);
     void (*clock)(void *processor, double hz);
     void (*flash_access)(void *processor, uint32_t acr);
+    /* These bytes of the flash are others now. */
+    void (*flash_changed)(void *processor, uint32_t offset, uint32_t count);
+    /* flash_busy or flash_watched is another now. */
+    void (*flash_rules)(void *processor);
     /* The next event became earlier, or stop_requested or reset_requested was set. */
     void (*attention)(void *processor);
     uint32_t (*program_counter)(const void *processor);
@@ -78,6 +84,10 @@ struct machine {
     bool nmi_level;
 
     uint8_t *flash, *sram, *ccm, *system_memory;
+    flash_controller_t flash_controller;
+    bool flash_busy;
+    uint64_t watched_loads, watched_fetches; /* By pieces of FLASH_PIECE bytes. */
+    bool bus_error;                          /* The present write to a register has met one. */
 
     machine_event_t **heap;
     size_t heap_count, heap_capacity;
@@ -114,6 +124,14 @@ static inline int64_t machine_next_event(const machine_t *machine) {
  * violation is recorded, and the core faults. */
 bool machine_core_read(machine_t *machine, uint32_t address, unsigned width, uint32_t *value);
 bool machine_core_write(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
+
+/* A store of the core into the flash: the controller's work. Only at FLASH_BASE, not where the flash appears at 0. */
+void machine_flash_store(machine_t *machine, uint32_t address, unsigned width, uint32_t value);
+
+/* Whether an address is in the flash, at either of its places. */
+static inline bool machine_in_flash(uint32_t address) {
+    return (address & ~(FLASH_BASE | (FLASH_SIZE - 1u))) == 0;
+}
 
 /* Host address of count bytes of memory as the core sees them (flash also at 0). Returns NULL if they are not all in
  * one memory. */

@@ -2,8 +2,8 @@
  *
  * From the bottom up: nvic.h (which exception comes first), mpu.h (which access is allowed), code_view.h (the program
  * as bytes), probes.h (instruction counts), exceptions.h (entry, return, faults), systick.h and system_control.h (the
- * core's own registers), protection.h (what is forbidden), core_bus.h (what lies at which address), execution.h
- * (Unicorn), cpu.h (life, reset and the run of a processor).
+ * core's own registers), protection.h (what is forbidden), core_bus.h (what lies at which address), flash_wait.h (what
+ * a busy flash holds up), execution.h (Unicorn), cpu.h (life, reset and the run of a processor).
  *
  * Time. executed counts instructions, cpu_work() what they cost (cycles.h), skipped the cycles asleep; the instruction
  * about to run starts at cycle work + skipped. An instruction whose condition fails inside an IT block costs nothing
@@ -91,6 +91,14 @@ typedef struct {
     unsigned size;
 } fault_t;
 
+/* What the core must know of the flash (flash_wait.h). */
+typedef struct {
+    uint64_t closed_loads, closed_fetches; /* The pieces that Unicorn does not reach now. */
+    uint32_t changed_from, changed_to;     /* Bytes that have changed; none if equal. */
+    bool changed;    /* Its rules, or bytes that may be translated: seen to before the next run. */
+    bool load_waits; /* The instruction at pc loads from the flash and met a closed piece. */
+} flash_view_t;
+
 typedef struct cpu cpu_t;
 
 typedef struct {
@@ -113,8 +121,10 @@ struct cpu {
     core_clock_t clock;
     nvic_t nvic;
     system_control_t system;
-    uint64_t skipped;
+    uint64_t skipped; /* Cycles without an instruction: asleep, or waiting for the flash, */
+    uint64_t waited;  /* which alone are these. */
     int64_t until_ps; /* End of the present run. */
+    flash_view_t flash;
 
     /* Between runs: where to go on. */
     uint32_t pc;
@@ -135,11 +145,11 @@ struct cpu {
     uint64_t resume_executed;
 
     uint64_t interrupts; /* Exceptions taken. */
-    uint32_t stack_low;  /* The lowest main stack pointer at an exception entry. */
 
     probe_t probes[PROBES];
     unsigned probe_count, probes_active;
-    unsigned depth; /* Exceptions active. */
+    unsigned depth;     /* Exceptions active. */
+    uint32_t stack_low; /* The lowest main stack pointer at an exception entry. */
     /* Count at the last exception from each depth, and instructions in exceptions from there. */
     uint64_t entered_at[NVIC_EXCEPTIONS], inside[NVIC_EXCEPTIONS];
     uint64_t work_at[NVIC_EXCEPTIONS], work_inside[NVIC_EXCEPTIONS];

@@ -102,4 +102,17 @@ void protection_apply(cpu_t *cpu) {
     protect(cpu, SRAM_BASE, SRAM_SIZE, data | (cpu->sram_executable ? (uint32_t)UC_PROT_EXEC : 0u));
     protect(cpu, CCM_BASE, CCM_SIZE, data);
     mpu->applied = mpu_enabled(mpu);
+    cpu->flash.closed_loads = cpu->flash.closed_fetches = 0;
+    cpu->flash.changed = true;
+}
+
+void protection_close(cpu_t *cpu, uint64_t loads, uint64_t fetches, uint64_t which) {
+    for (unsigned piece = 0; piece < FLASH_SIZE / FLASH_PIECE; piece++) {
+        if ((which >> piece & 1u) != 0) {
+            const uint32_t rights = ((loads >> piece & 1u) != 0 ? 0u : (uint32_t)UC_PROT_READ) |
+                                    ((fetches >> piece & 1u) != 0 ? 0u : (uint32_t)UC_PROT_EXEC);
+            protect(cpu, piece * FLASH_PIECE, FLASH_PIECE, rights);
+            protect(cpu, FLASH_BASE + piece * FLASH_PIECE, FLASH_PIECE, rights);
+        }
+    }
 }

@@ -9,6 +9,10 @@
 /* The unit's rules changed, or the core was reset. */
 void protection_apply(cpu_t *cpu);
 
+/* These pieces of the flash, of FLASH_PIECE bytes each, as bits, let no loads and no fetches pass. Only those in which
+ * are looked at. */
+void protection_close(cpu_t *cpu, uint64_t loads, uint64_t fetches, uint64_t which);
+
 /* Whether the program that runs now may access the bytes. */
 bool protection_allows(const cpu_t *cpu, uint32_t address, unsigned size, mpu_access_t access);
 

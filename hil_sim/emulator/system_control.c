@@ -18,16 +18,20 @@ static bool cycle_counter_runs(const system_control_t *system) {
     return (system->demcr & DEMCR_TRACE) != 0 && (system->dwt_control & 1u) != 0;
 }
 
+static uint64_t counted_cycles(cpu_t *cpu) {
+    return cpu_awake_cycle(cpu) + cpu->waited;
+}
+
 static uint32_t cycle_counter(cpu_t *cpu) {
     const system_control_t *const system = &cpu->system;
-    return cycle_counter_runs(system) ? (uint32_t)(cpu_awake_cycle(cpu) - system->dwt_origin) : system->dwt_stopped;
+    return cycle_counter_runs(system) ? (uint32_t)(counted_cycles(cpu) - system->dwt_origin) : system->dwt_stopped;
 }
 
 static void cycle_counter_set(cpu_t *cpu, uint32_t demcr, uint32_t dwt_control, uint32_t count) {
     cpu->system.demcr = demcr;
     cpu->system.dwt_control = dwt_control;
     cpu->system.dwt_stopped = count;
-    cpu->system.dwt_origin = cpu_awake_cycle(cpu) - count;
+    cpu->system.dwt_origin = counted_cycles(cpu) - count;
 }
 
 /* ---- System control block ---- */

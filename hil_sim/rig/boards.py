@@ -17,7 +17,7 @@ from hil_sim.scenario import Clock
 HOST_LIBRARY = "libgf_hostboard.so"
 ONLY_EMULATED = (
     *("crystal_dead", "crystal_stops_s", "crystal_ppm_per_K", "crystal_ppm_per_s", "temperature_K_per_s"),
-    "processor_supply_V",
+    *("processor_supply_V", "flash"),
 )
 """Keys of `Clock` that only an emulated board can follow."""
 
@@ -37,6 +37,8 @@ class BoardSpec:
         The board's parameters as they lie in flash.
     power_on_ps : int
         Virtual time at which it gets power.
+    cells : bytes, optional
+        Its flash as it was when its power went (`Board.cells`); a board without is flashed.
     """
 
     role: str
@@ -44,6 +46,7 @@ class BoardSpec:
     unique_id: bytes
     parameter_page: bytes
     power_on_ps: int
+    cells: bytes | None = None
 
 
 @dataclass
@@ -58,6 +61,8 @@ class Board:
         Ends the board; the addresses are then void.
     statistics : callable
         Counts since reset, by name; empty if the board keeps none.
+    cells : callable
+        Its flash, for when it has power again; None if the board has no flash of its own.
     keep : object
         Whatever must live as long as the board.
     """
@@ -66,6 +71,7 @@ class Board:
     operations: int
     destroy: Callable[[], None]
     statistics: Callable[[], Mapping[str, float]] = dict
+    cells: Callable[[], bytes | None] = lambda: None
     keep: Any = field(default=None, repr=False)
 
 
@@ -139,7 +145,7 @@ class EmulatedBoards:
         clib.load_built(EMULATOR_LIBRARY)
 
     def __call__(self, spec: BoardSpec, edge: int) -> Board:
-        """See `BoardFactory`; raises UserError if the image cannot be read."""
+        """See `BoardFactory`; raises UserError if the image, or the file of a flash, cannot be read."""
         configuration = Configuration.with_cycles(
             self._cycles,
             crystal_ppm=spec.clock.crystal_ppm,
@@ -158,6 +164,8 @@ class EmulatedBoards:
             configuration,
             edge=edge,
             parameter_page=spec.parameter_page,
+            flash=spec.clock.flash or None,
+            cells=spec.cells,
             power_on_ps=spec.power_on_ps,
         )
         if math.isfinite(spec.clock.crystal_stops_s):
@@ -169,6 +177,7 @@ class EmulatedBoards:
             operations=emulator.operations,
             destroy=emulator.close,
             statistics=lambda: emulator.statistics().summary(),
+            cells=emulator.cells,
             keep=emulator,
         )
 

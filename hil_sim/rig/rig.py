@@ -441,6 +441,7 @@ class Rig:
     def power_cycle(self, board: int, off_s: float, clock: Clock | None = None) -> None:
         """Take a board's power, and give it back after a time; it may come back with other oscillators."""
         spec = replace(self._specs[board], power_on_ps=int(self._library.rig_now(self._rig)) + round(off_s * 1e12))
+        spec = replace(spec, cells=self._boards[board].cells())
         self._specs[board] = spec if clock is None else replace(spec, clock=clock)
         self._boards[board].destroy()
         self._boards[board] = self._slot(board, self._specs[board])

@@ -114,6 +114,8 @@ class Clock:
         Temperature of processor and crystal at virtual time 0, and how fast it rises (the rise: emulated boards).
     processor_supply_V : float
         Supply of the processor and reference of its converters (emulated boards).
+    flash : str
+        The file that keeps the processor's flash from one rig to the next; empty: none does (emulated boards).
     """
 
     crystal_ppm: float = 0.0
@@ -125,6 +127,7 @@ class Clock:
     temperature_degC: float = 25.0
     temperature_K_per_s: float = 0.0
     processor_supply_V: float = PROCESSOR_SUPPLY_V
+    flash: str = ""
 
 
 @dataclass(frozen=True, eq=False)

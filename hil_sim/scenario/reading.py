@@ -192,6 +192,7 @@ def _clock(table: Table) -> Clock:
         crystal_stops_s=stops,
         temperature_degC=number(table, "temperature_degC", 25.0),
         processor_supply_V=processor_supply(table),
+        flash=table.text("flash") if "flash" in table else "",
         **rates,
     )
 
@@ -378,7 +379,10 @@ def _check_boards(root: Table, scenario: Scenario) -> None:
     if len(masters) != 1:
         found = f"{', '.join(masters)} have" if masters else "none has"
         raise root.error("beacon", f"tables: exactly one must have sync_master = true; {found}")
-    taken: dict[tuple[str, Any], str] = {("node", scenario.sensor.node): "the sensor"}
+    taken: dict[tuple[str, Any], str] = {
+        (key, value): "the sensor"
+        for key, value in (("node", scenario.sensor.node), ("flash", scenario.sensor.clock.flash))
+    }
     for table, beacon in zip(tables, scenario.beacons, strict=True):
         if beacon.slot is not None and beacon.slot >= scenario.slots:
             raise table.error("slot", f"is {beacon.slot}; it must be below the scenario's slots ({scenario.slots})")
@@ -386,8 +390,8 @@ def _check_boards(root: Table, scenario: Scenario) -> None:
             raise table.error(
                 "id", "is driven otherwise than the first beacon: all need codes, or slots, or periods, or turn"
             )
-        for key in ("id", "node", "code"):
-            value = getattr(beacon, key)
+        flash = beacon.clock.flash or None
+        for key, value in {"id": beacon.id, "node": beacon.node, "code": beacon.code, "flash": flash}.items():
             if value is None:
                 continue
             if (key, value) in taken:

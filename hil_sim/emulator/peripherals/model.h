@@ -213,6 +213,8 @@ typedef struct {
     void (*output)(chip_t *chip, trigger_t trigger, int64_t time_ps);
     /* DMA: the last transfer that a line asked for (NDTR became 0). The analog-to-digital converters. */
     void (*last_transfer)(chip_t *chip, dma_source_t source);
+    /* The flash: somebody asked for the supply to change in one of its steps. PWR. */
+    void (*supply)(chip_t *chip, double volts);
 } chip_signals_t;
 
 enum { TIM_COUNT = 14, USART_COUNT = 6, GPIO_COUNT = 9 };
@@ -275,9 +277,11 @@ double rcc_lsi_hz(const chip_t *chip);
 double chip_temperature_degc(const chip_t *chip); /* The die is this warm now. */
 bool rcc_pll_ready(const chip_t *chip);
 void rcc_force_lsi(chip_t *chip); /* The independent watchdog runs: its oscillator does, until reset. */
-/* pwr.c, flash.c */
+/* pwr.c, flash.c, flash_operation.c */
 unsigned flash_brown_out_level(const chip_t *chip); /* BOR_LEV of the option bytes: 0 is level 3, 3 is off. */
 bool flash_hardware_watchdog(const chip_t *chip);   /* WDG_SW is 0: the independent watchdog starts by itself. */
+void flash_supply_changed(chip_t *chip);            /* A violation if an operation runs that it is too low for. */
+void flash_supply_lost(chip_t *chip);               /* An operation that runs is cut off. */
 void pwr_create(chip_t *chip);
 void flash_create(chip_t *chip);
 /* gpio.c; pins are numbered as in board_edge.h, af is the alternate function. */

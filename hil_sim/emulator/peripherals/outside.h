@@ -33,4 +33,16 @@ void debug_halt_in(machine_t *machine, bool halted);
 /* pwr.c: the supply has this voltage from now on. */
 void pwr_supply_in(machine_t *machine, double volts);
 
+/* flash_operation.c: cut the supply in a step of the flash, a program or an erase: in the step-th from now on (0: in
+ * none), when a fraction of its time, 0 to 1, is over. What it leaves follows the id as well. The supply is back after
+ * off_ps, or stays away (0). */
+void flash_cut_in(machine_t *machine, uint64_t step, double fraction, uint64_t id, int64_t off_ps);
+
+/* flash_operation.c: steps begun so far; nothing runs any more; the cells, of which each of the first
+ * MACHINE_FLASH_SIZE bytes is what they read as, and each of as many more says which bits are weak. */
+uint64_t flash_steps_out(const machine_t *machine);
+void flash_end_in(machine_t *machine);
+void flash_cells_out(machine_t *machine, uint8_t *bytes);
+void flash_cells_in(machine_t *machine, const uint8_t *bytes);
+
 #endif

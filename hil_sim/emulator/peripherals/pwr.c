@@ -46,6 +46,7 @@ static void watch_reset(pwr_t *pwr) {
     pwr->power_lost = pwr->power_lost || pwr->model.chip->supply_V < POWER_DOWN;
     if (!pwr->held && pwr->model.chip->supply_V < falling) {
         pwr->held = true;
+        flash_supply_lost(chip);
         machine_hold_in_reset(chip->machine);
     } else if (pwr->held && pwr->model.chip->supply_V >= rising) {
         pwr->held = false;
@@ -70,14 +71,19 @@ static void watch_voltage(pwr_t *pwr) {
     }
 }
 
-void pwr_supply_in(machine_t *machine, double volts) {
-    pwr_t *const pwr = (pwr_t *)chip_of(machine)->pwr;
-    pwr->model.chip->supply_V = volts;
+static void supply(chip_t *chip, double volts) {
+    pwr_t *const pwr = (pwr_t *)chip->pwr;
+    chip->supply_V = volts;
     watch_reset(pwr);
     watch_voltage(pwr);
+    flash_supply_changed(pwr->model.chip);
     if (!pwr->held) {
         rcc_check_limits(pwr->model.chip);
     }
+}
+
+void pwr_supply_in(machine_t *machine, double volts) {
+    supply(chip_of(machine), volts);
 }
 
 static uint32_t get(model_t *model, uint32_t offset) {
@@ -119,5 +125,6 @@ void pwr_create(chip_t *chip) {
     pwr_t *const pwr = chip_allocate(chip, sizeof *pwr);
     chip->supply_V = NOMINAL_V;
     chip->pwr = &pwr->model;
+    chip->signals.supply = supply;
     model_attach(chip, &pwr->model, &description);
 }

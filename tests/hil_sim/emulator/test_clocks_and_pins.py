@@ -1,4 +1,4 @@
-"""RCC, FLASH, PWR, GPIO, EXTI, watchdogs, CRC: directed tests on the bare chip."""
+"""RCC, PWR, GPIO, EXTI, watchdogs, CRC: directed tests on the bare chip."""
 
 import binascii
 
@@ -105,16 +105,6 @@ def test_reset_register(fast_chip: Bench) -> None:
     fast_chip.expect("holds the peripheral in reset")
     fast_chip.write(RCC + 0x10, 0)
     assert fast_chip.read(GPIOC) == 0
-
-
-def test_flash_key(chip: Bench) -> None:
-    chip.write(FLASH + 4, 0x45670123)
-    chip.write(FLASH + 4, 0xCDEF89AB)
-    assert chip.read(FLASH + 0x10) >> 31 == 0
-    chip.write(FLASH + 0x10, 1 << 31)
-    chip.write(FLASH + 4, 1)
-    chip.expect("not the next key")
-    assert chip.read(FLASH + 0x10) >> 31 == 1
 
 
 def test_output_edges_and_their_times(fast_chip: Bench) -> None:

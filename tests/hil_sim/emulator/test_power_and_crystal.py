@@ -274,7 +274,7 @@ def test_wrong_option_key_and_level_2(chip: Bench) -> None:
     chip.write(FLASH + 8, 0x4C5D6E7F)
     chip.write(FLASH + 0x14, 0x0FFFCCE0)
     chip.expect("level 2")
-    chip.write(FLASH + 8, 0x08192A3B)
+    assert chip.refused(FLASH + 8, 0x08192A3B)
     chip.expect("is not the next key")
     assert chip.read(FLASH + 0x14) & 1
 

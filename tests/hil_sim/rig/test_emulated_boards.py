@@ -4,6 +4,7 @@ import pytest
 
 from goldfield.errors import SystemFailure, UserError
 from hil_sim import scenario
+from hil_sim.emulator.kept_flash import CELLS
 from hil_sim.rig import Rig
 from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
 
@@ -12,7 +13,7 @@ from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
     "key",
     [
         *("crystal_dead = true", "crystal_stops_s = 0.1", "crystal_ppm_per_s = 0.1", "temperature_K_per_s = 0.1"),
-        "processor_supply_V = 3.2",
+        *("processor_supply_V = 3.2", 'flash = "sensor.flash"'),
     ],
 )
 def test_host_boards_refuse_what_they_cannot_follow(tmp_path, key):
@@ -67,6 +68,39 @@ def test_a_bus_with_wrong_bits_by_scenario(tmp_path):
             destroyed.append(counts["errors"] / counts["frames"])
     assert destroyed[0] == 0.0
     assert 0.07 < destroyed[1] < 0.2
+
+
+MARK = 0xC0000
+"""A byte of sector 10, in which there is neither image nor parameter page."""
+
+
+def marked(cells):
+    assert cells[MARK] == 0xFF
+    return cells[:MARK] + b"\x5a" + cells[MARK + 1 :]
+
+
+def test_a_power_cycle_leaves_the_flash(tmp_path):
+    with Rig(small(tmp_path), "emulated") as rig:
+        rig.advance(0.05)
+        cells = marked(rig._boards[0].cells())
+        rig._boards[0].cells = lambda: cells
+        rig.power_cycle_sensor(0.01)
+        rig.advance(0.05)
+        assert rig._boards[0].cells() == cells
+        assert rig._boards[1].cells()[MARK] == 0xFF
+
+
+def test_a_file_keeps_the_flash_of_its_board(tmp_path):
+    path = tmp_path / "sensor.flash"
+    scene = small(tmp_path, crystal_ppm=f'20.0\nflash = "{path}"')
+    with Rig(scene, "emulated") as rig:
+        rig.advance(0.02)
+    assert len(path.read_bytes()) == CELLS
+    path.write_bytes(marked(path.read_bytes()))
+    with Rig(scene, "emulated") as rig:
+        rig.advance(0.02)
+        assert rig._boards[0].cells()[MARK] == 0x5A
+        assert rig._boards[1].cells()[MARK] == 0xFF
 
 
 def test_host_boards_count_no_cycles(tmp_path):
