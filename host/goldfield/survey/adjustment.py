@@ -32,6 +32,8 @@ STAGES = (0.15, 0.05, 0.02, 0.005, 0.0)
 a site that is 20 cm wrong fits somewhere; each fit starts where the one before ended."""
 LOSS_SCALE = 2.0
 """Scale of Cauchy's loss over the number of an epoch's components."""
+AT_ONCE = 1024
+"""Epochs that are evaluated at once, so that a long walk takes little more memory than what is kept of it."""
 MOST_STEPS = 60
 ROUGH_PROGRESS, FINE_PROGRESS = 1e-3, 1e-7
 """A fit ends when a step promises to lower the cost by less than this part of it, and of 1 at the least."""
@@ -92,7 +94,7 @@ class Problem:
     levers_told: NDArray[np.bool_]
     anchor_error: float = ANCHOR_MODEL_ERROR
 
-    def of_epochs(self, rows: NDArray[np.bool_]) -> Problem:
+    def of_epochs(self, rows: NDArray[np.bool_] | slice) -> Problem:
         """Return the problem with some of the epochs."""
         readings = Readings(self.readings.field_T[rows], self.readings.sigma_T[rows])
         return replace(self, readings=readings, point_m=self.point_m[rows], point_weight=self.point_weight[rows])
@@ -120,10 +122,33 @@ class Evaluation:
     equations: Equations
 
 
-@np.errstate(all="ignore")  # a step far off may overflow: a cost that is not finite is not accepted
 def evaluate(problem: Problem, state: State, model_error: float = 0.0, *, robust: bool = False) -> Evaluation:
     """Return the cost and the normal equations of a state."""
     model = FieldModel(beacons_of(problem.site, state))
+
+    @np.errstate(all="ignore")  # a step far off may overflow: a cost that is not finite is not accepted
+    def piece(rows: slice) -> _Piece:
+        return _piece(problem.of_epochs(rows), model, state.of_epochs(rows), model_error, robust)
+
+    epochs = len(state.sensor_m)
+    pieces = [piece(slice(first, first + AT_ONCE)) for first in range(0, max(epochs, 1), AT_ONCE)]
+    with np.errstate(all="ignore"):
+        return _joined(problem, model, state, pieces, model_error, robust)
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """What some of the epochs add: loss, the chi-squares, and their part of the normal equations."""
+
+    loss: float
+    squares: FloatArray
+    by_beacon: FloatArray
+    common: FloatArray
+    gradient: FloatArray
+    group: Group
+
+
+def _piece(problem: Problem, model: FieldModel, state: State, model_error: float, robust: bool) -> _Piece:
     readings = problem.readings
     parts = derivatives(model, state, problem.axes, readings.field_T, state.sensor_m, state.rotation, state.matrix())
     weight = readings.weight(model_error)
@@ -137,6 +162,18 @@ def evaluate(problem: Problem, state: State, model_error: float = 0.0, *, robust
     walk.own[:, [0, 1, 2], [0, 1, 2]] += tie
     walk.gradient[:, :3] += problem.point_weight * off + away / problem.room_sd_m
     cost = float(loss.sum() + (off * off).sum() + (away * away).sum())
+    return _Piece(cost, squares, by_beacon, common, gradient, walk)
+
+
+def _joined(
+    problem: Problem, model: FieldModel, state: State, pieces: Sequence[_Piece], model_error: float, robust: bool
+) -> Evaluation:
+    """Return the whole evaluation of the pieces of the walk: with anchors, and with what was known and measured."""
+    cost = sum(piece.loss for piece in pieces)
+    common = np.sum([piece.common for piece in pieces], axis=0)
+    gradient = np.sum([piece.gradient for piece in pieces], axis=0)
+    names = ("own", "cross", "gradient")
+    walk = Group(*(np.concatenate([getattr(piece.group, name) for piece in pieces]) for name in names))
     groups, anchor_squares = [walk], np.empty(0)
     if problem.anchor_rows:
         anchor_loss, each, extra, extra_gradient, group = _anchors(problem, model, state, model_error, robust)
@@ -150,6 +187,8 @@ def evaluate(problem: Problem, state: State, model_error: float = 0.0, *, robust
     common = common + slopes.T @ slopes + np.diag(problem.prior.sd**-2)
     gradient = gradient + slopes.T @ known - before / problem.prior.sd
     equations = _only(problem.prior.free, common, gradient, groups)
+    squares = np.concatenate([piece.squares for piece in pieces])
+    by_beacon = np.concatenate([piece.by_beacon for piece in pieces])
     return Evaluation(cost, squares, anchor_squares, by_beacon, equations)
 
 

@@ -118,7 +118,7 @@ class State:
             self.lever_m + of_sensor[LEVER].reshape(3, 3),
         )
 
-    def of_epochs(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> State:
+    def of_epochs(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> State:
         """Return the state with some of the epochs."""
         return replace(self, sensor_m=self.sensor_m[rows], rotation=self.rotation[rows])
 
