@@ -45,6 +45,13 @@ def host(bridge):
     return open_channel(*bridge.channel.split(":", 1))
 
 
+def to_boards(bridge, boards, count):
+    """Pass on what has come, until the boards have so many frames: datagrams may arrive after they were sent."""
+    while len(boards.got) < count:
+        select.select([bridge._bus.fileno()], [], [])
+        bridge.to_boards(boards)
+
+
 def test_round_trip(bridge, tmp_path):
     with host(bridge) as other, Rig(small(tmp_path), FakeBoards()) as rig:
         rig.advance(0.02)
@@ -100,7 +107,7 @@ def test_what_is_no_frame_of_can_2_is_counted_and_goes_no_further(bridge):
             other._out.sendto(sent, other._group)
         other.send(can.Message(is_error_frame=True, data=bytes(8)))
         other.send(can.Message(arbitration_id=0x7FF, is_extended_id=False, is_remote_frame=True))
-        bridge.to_boards(boards)
+        to_boards(bridge, boards, 1)
     assert boards.got == [(0x7FF, b"", False, True)]
     assert (bridge.refused, bridge.taken) == (4, 1)
 
@@ -111,15 +118,17 @@ def test_an_adapter_holds_so_many_frames_and_the_channel_the_others(bridge):
     with host(bridge) as other:
         for number in range(QUEUE + 10):
             other.send(can.Message(arbitration_id=number))
+        to_boards(bridge, boards, QUEUE)
         bridge.to_boards(boards)
         assert len(boards.got) == QUEUE
         boards.frames = [Frame(0.1, boards.host_node, number, b"") for number in range(3)]
         bridge.to_host(boards)
+        to_boards(bridge, boards, QUEUE + 3)
         bridge.to_boards(boards)
         assert len(boards.got) == QUEUE + 3
         boards.frames = [Frame(0.1, boards.host_node, number, b"") for number in range(QUEUE)]
         bridge.to_host(boards)
-        bridge.to_boards(boards)
+        to_boards(bridge, boards, QUEUE + 10)
     assert [identifier for identifier, *_ in boards.got] == list(range(QUEUE + 10))
     assert bridge.taken == QUEUE + 10
 
@@ -203,9 +212,7 @@ def test_a_group_of_python_can_stays_on_this_machine_and_gives_no_echo():
         bridge.to_host(Boards(Frame(0.1, 1, 0x11, b"x")))
         assert other.recv().arbitration_id == 0x11
         other.send(can.Message(arbitration_id=0x22, data=b"y"))
-        while not boards.got:
-            select.select([bridge._bus.fileno()], [], [])
-            bridge.to_boards(boards)
+        to_boards(bridge, boards, 1)
     assert boards.got == [(0x22, b"y", True, False)]
     bridge.close()
 
@@ -216,8 +223,6 @@ def test_a_stray_datagram_does_not_end_it():
     with open_channel("udp_multicast", GROUP) as other:
         other._multicast.send(b"hello")
         other.send(can.Message(arbitration_id=0x22))
-        while not boards.got:
-            select.select([bridge._bus.fileno()], [], [])
-            bridge.to_boards(boards)
+        to_boards(bridge, boards, 1)
     assert bridge.refused == 1
     bridge.close()

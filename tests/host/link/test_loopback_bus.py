@@ -104,12 +104,15 @@ def test_random_bytes(bench):
 
 
 def test_a_flood_does_not_hold_who_only_looks(bench, monkeypatch):
-    """One call takes so many bad datagrams and no more, however many wait."""
+    """One call takes so many bad datagrams and no more, however many wait; some may arrive after they were sent."""
     monkeypatch.setattr("goldfield.link.loopback_bus.MOST_IN_A_ROW", 5)
     for _ in range(12):
         throw(b"hello", bench)
-    assert bench._recv_internal(0.0) == (None, False)
-    assert bench.bad_frames == 5
+    counts = [0]
+    while counts[-1] < 12:
+        assert bench._recv_internal(0.0) == (None, False)
+        counts.append(bench.bad_frames)
+    assert max(np.diff(counts)) <= 5
 
 
 def test_channels_do_not_hear_each_other(bench):
