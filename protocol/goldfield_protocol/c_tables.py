@@ -20,6 +20,8 @@ def ids_header() -> str:
             lines += [f"#define {macro}_ROWS {parameter.rows}u", f"#define {macro}_STRIDE {parameter.stride}u"]
     lines += ["/* Number of elements of all parameters. */"]
     lines += [f"#define PARAMETERS_COUNT {sum(p.count for p in PARAMETERS.values())}u"]
+    lines += ["/* Number of their rows: runs of successive ids, of which a single parameter is one. */"]
+    lines += [f"#define PARAMETERS_RUNS {sum(p.rows for p in PARAMETERS.values())}u"]
     return _guarded("PARAMETER_IDS_H", lines)
 
 

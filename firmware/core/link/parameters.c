@@ -64,6 +64,10 @@ void parameters_init(parameters_t *parameters) {
     }
 }
 
+const parameter_entry_t *parameters_entry(uint32_t index) {
+    return index < ENTRIES ? &parameter_table[index] : NULL;
+}
+
 const parameter_entry_t *parameters_next(uint32_t id, uint32_t role) {
     for (size_t i = 0; i < ENTRIES; i++) {
         if (parameter_table[i].first_id >= id && (parameter_table[i].roles >> role & 1u) != 0) {

@@ -7,7 +7,8 @@
  *   1. parameters_init() gives every parameter its default;
  *   2. parameters_load() takes over what the stored page holds;
  *   3. parameters_unsigned() and parameters_float() are the application's own reading;
- *   4. parameters_get(), parameters_set() and parameters_next() serve a host: value, change and description.
+ *   4. parameters_get(), parameters_set() and parameters_next() serve a host: value, change and description;
+ *      parameters_entry() goes over the whole table, for who keeps all of it (parameter_set.h).
  *
  * A value is 32 bits of one kind: unsigned, signed or float (IEEE 754, single precision). Both ends of a range are
  * allowed; a float that is not a number is out of range. What fits together only with other parameters (a slot with
@@ -101,6 +102,9 @@ parameter_status_t parameters_get(const parameters_t *parameters, uint32_t id, p
 /* Set a parameter; if it is refused it stays as it was.
  * Returns PARAMETER_OK, PARAMETER_UNKNOWN, PARAMETER_WRONG_KIND or PARAMETER_OUT_OF_RANGE. */
 parameter_status_t parameters_set(parameters_t *parameters, uint32_t id, parameter_value_t value);
+
+/* Returns entry index of the table, of any role, a constant; NULL behind the last one. */
+const parameter_entry_t *parameters_entry(uint32_t index);
 
 /* Find the next parameter of the table: the first one whose first_id is at least id and that the role uses.
  * Returns the entry, a constant; NULL if there is none. */

@@ -72,9 +72,12 @@ typedef struct {
 
 static contents_t look_through(const store_t *store, uint32_t slot) {
     const uint32_t *const words = words_of(store, slot);
-    contents_t found = {0};
+    contents_t found = {.behind = store->flash.words};
+    while (found.behind > 0u && words[found.behind - 1u] == ERASED) {
+        found.behind--;
+    }
     uint32_t index = SLOT_HEAD;
-    while (index < store->flash.words) {
+    while (index < found.behind) { /* An erased word is no head. */
         const uint32_t size = record_words(store, words, index);
         if (size != 0u && is_valid(words + index)) {
             found.newest = index; /* Records follow each other in a slot. */
@@ -87,18 +90,16 @@ static contents_t look_through(const store_t *store, uint32_t slot) {
             index++;
         }
     }
-    found.behind = store->flash.words;
-    while (found.behind > 0u && words[found.behind - 1u] == ERASED) {
-        found.behind--;
-    }
     found.ready = words[0] == SLOT && words[WEAR] == ~words[WEAR + 1u] && words[SLOT_READY] == READY;
     return found;
 }
 
 static void find_newest(store_t *store) {
     store->newest = 0;
+    store->torn = 0;
     for (uint32_t slot = 0; slot < STORE_SLOTS; slot++) {
         const contents_t found = look_through(store, slot);
+        store->torn += found.dangling != 0u;
         if (found.newest != 0u) {
             const uint32_t sequence = words_of(store, slot)[found.newest + 1u];
             if (store->newest == 0u || sequence >= store->sequence) {
@@ -127,6 +128,10 @@ const uint32_t *store_read(const store_t *store, uint32_t *count) {
 
 store_outcome_t store_outcome(const store_t *store) {
     return store->outcome;
+}
+
+uint32_t store_torn(const store_t *store) {
+    return store->torn;
 }
 
 uint32_t store_wear(const store_t *store, uint32_t slot) {

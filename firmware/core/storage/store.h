@@ -83,6 +83,7 @@ typedef struct {
     uint32_t cursor;   /* Next word of the phase. */
     uint32_t erased;   /* How often the slot will have been erased. */
     uint32_t attempts;
+    uint32_t torn; /* Slots in which store_open() found a record that is not whole behind the good ones. */
     uint8_t phase;
     store_outcome_t outcome;
     store_step_t step; /* The step that was returned last. */
@@ -105,6 +106,10 @@ store_step_t store_next(store_t *store);
 
 /* Returns what became of the last save. */
 store_outcome_t store_outcome(const store_t *store);
+
+/* Returns in how many slots store_open() found a record that was begun and is not whole, or not any more: what it
+ * would have held is lost, and the set before it counts. The mending makes it void, so that it is told once. */
+uint32_t store_torn(const store_t *store);
 
 /* Returns how often a slot (0 or 1) was erased, as far as it tells: 0 if its head cannot be read. */
 uint32_t store_wear(const store_t *store, uint32_t slot);

@@ -26,6 +26,7 @@ HEADERS = (
     "core/link/messages.h",
     "core/link/queue.h",
     "core/link/parameters.h",
+    "core/link/parameter_set.h",
     "core/storage/crc32.h",
     "core/storage/store.h",
     "core/math/quaternion.h",

@@ -65,6 +65,9 @@ class Board:
         self.work()
         return self._lib.store_outcome(self._store) == self._lib.STORE_SAVED
 
+    def torn_slots(self):
+        return self._lib.store_torn(self._store)
+
     def wear(self, slot):
         return self._lib.store_wear(self._store, slot)
 
@@ -212,6 +215,28 @@ def test_a_record_of_which_a_bit_has_changed_is_none(core):
             assert board.start() == a_set(1), (index, bit)
             board.cells.read[0][index] ^= 1 << bit
     assert board.start() == a_set(2)
+
+
+def test_a_record_that_is_not_whole_is_told_once(core):
+    """Both what was never committed, and what was and has changed; a good set and a blank flash are not told."""
+    board = fresh(core)
+    assert board.torn_slots() == 0
+    assert board.save(a_set(1))
+    assert board.save(a_set(2))
+    board.start()
+    assert board.torn_slots() == 0
+    board.cells.read[0][20] ^= 4
+    assert board.start() == a_set(1)
+    assert board.torn_slots() == 1
+    board.work()
+    board.start()
+    assert board.torn_slots() == 0
+    board.work()
+    board.cut = board.steps + 8  # Past an erasure and the head of a slot, within a record.
+    with pytest.raises(PowerLost):
+        board.save(a_set(3))
+    assert board.start() == a_set(1)
+    assert board.torn_slots() == 1
 
 
 def test_words_that_change_while_they_are_saved_are_not_kept(core):
