@@ -21,11 +21,11 @@
  *
  * The degree of the codes is a parameter that is read once, at start. All others act from the next report on.
  *
- * Memory: 75 kB, and acquire.h, onboard.h and tracking.h.
+ * Memory: 79 kB, and acquire.h, onboard.h and tracking.h.
  *
  * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2): plan of a block takes 2,000
  * instructions, samples of a block 14,300 at most (with sync_source 1 16,800), with degree 10 a report of 8 codes
- * 67,000, main with nothing to do 258.
+ * 67,000, main with nothing to do 270.
  */
 #ifndef GOLDFIELD_SENSOR_H
 #define GOLDFIELD_SENSOR_H

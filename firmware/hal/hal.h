@@ -311,6 +311,32 @@ void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]);
 /* Returns the parameter page in flash (framing.md), HAL_PARAMETER_PAGE_BYTES long, readable for ever. */
 const uint8_t *hal_parameter_page(const hal_t *hal);
 
+/* ---- Flash for what is saved ---- */
+
+/* Two slots of flash, which nothing of the image lies in. They are read like memory; a word is programmed from all
+ * ones, and programming it once more clears further bits (core/storage/store.h asks for no more).
+ *
+ * While the flash is busy nothing else can be read from it, and the program lies in it: main and every interrupt stand
+ * still, at most 0.1 ms for a word (16 us as a rule) and 0.5 s for an erasure (0.25 s). The coil drive must be off, and
+ * it does stay so. A word delays the stamp of a frame on CAN, or an interrupt, by that much, and costs nothing else. An
+ * erasure costs every block of chips meanwhile, what serial and CAN receive, and the chip engine's step: behind it the
+ * caller has nothing to do but hal_reset(), unless it comes before hal_chips_start(). Other boards that follow this
+ * one's sync wire lose it until then. */
+#define HAL_FLASH_SLOTS 2u
+#define HAL_FLASH_WORDS 4096u /* Words of a slot: 16 KiB. */
+
+/* Returns the words of a slot (0 or 1), readable for ever. */
+const uint32_t *hal_flash_slot(const hal_t *hal, uint32_t slot);
+
+/* Program a word of a slot. The caller looks whether the word then reads as it should.
+ * Returns false if the flash says that it did not, if the processor's supply is too low for it (2.7 V), or for a slot
+ * or an index that there is not. */
+bool hal_flash_program(hal_t *hal, uint32_t slot, uint32_t index, uint32_t value);
+
+/* Erase a slot: all its words read UINT32_MAX. The watchdog has 2 s meanwhile, and is fed behind it.
+ * Returns false as hal_flash_program() does. */
+bool hal_flash_erase(hal_t *hal, uint32_t slot);
+
 /* Restart the watchdog's 500 ms. */
 void hal_watchdog_kick(hal_t *hal);
 

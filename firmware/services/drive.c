@@ -101,7 +101,8 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
         drive->sync_blocks--;
         drive->sync_due |= drive->sync_blocks == 0u;
     }
-    const bool allowed = drive->wanted && timing->clock.locked && !faulty(drive) && ready(drive);
+    const bool allowed = drive->wanted && !drive->node->drive_hold && timing->clock.locked && !faulty(drive) &&
+                         ready(drive);
     if (!allowed && drive->phase != DRIVE_IDLE) {
         drive_stop(drive);
     }
@@ -349,6 +350,7 @@ void drive_step(drive_t *drive) {
         node->clear_wanted = false;
         clear(drive);
     }
+    node->drive_on = drive->phase != DRIVE_IDLE;
     uint32_t channel;
     node->clear_refused = drive->latch.locked_out || standing(drive, &channel) != CAUSE_NONE;
     if (drive->sync_due) {

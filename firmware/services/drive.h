@@ -43,6 +43,9 @@
  * A pulse is driven, and its current measured, only in its slot. The soft start then takes 1023 driven chips, that is
  * as many cycles as there are slots.
  *
+ * While node.drive_hold is set (a save is under way) the drive is off from the next block that is planned, within two
+ * blocks, and starts softly again behind it.
+ *
  * A PARAM_SET that changes the waveform or one of its numbers, the amplitude or a limit of the protection stops the
  * drive, and starts it softly again unless a cause is latched.
  *

@@ -11,7 +11,15 @@
 #define TEXT_CHARACTERS 7u /* Characters in one PARAM_TEXT. */
 
 /* Indices of COMMAND. */
-enum { COMMAND_IDENTITY = 0, COMMAND_BLINK = 1, COMMAND_RESET = 2, COMMAND_CLEAR = 3, COMMAND_LAST_RESET = 4 };
+enum {
+    COMMAND_IDENTITY = 0,
+    COMMAND_BLINK = 1,
+    COMMAND_RESET = 2,
+    COMMAND_CLEAR = 3,
+    COMMAND_LAST_RESET = 4,
+    COMMAND_SAVE = 5
+};
+#define VERSION (VERSION_MAJOR << 16 | VERSION_MINOR << 8 | VERSION_PATCH) /* As parameter_set.h wants it. */
 
 #define HALF_BYTES   (HAL_UNIQUE_ID_BYTES / 2u)
 #define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */
@@ -268,6 +276,58 @@ static void tell_last_reset(node_t *node, node_links_t links) {
     }
 }
 
+static void answer_command(node_t *node, node_links_t link, uint32_t index, uint32_t status) {
+    const struct goldfield_command_answer_t answer = {.status = (uint8_t)status};
+    uint8_t data[8];
+    const uint8_t length = (uint8_t)goldfield_command_answer_pack(data, &answer, sizeof data);
+    node_send(node, link, GOLDFIELD_COMMAND_ANSWER_FRAME_ID, index, data, length);
+}
+
+static void reset_soon(node_t *node) {
+    node->resetting = true;
+    node->reset_us = hal_microseconds(node->hal) + RESET_US;
+}
+
+/* Begins a save, which is answered at its end, once though it be asked for again meanwhile. */
+static void begin_save(node_t *node, node_links_t link, bool named, bool may_pause) {
+    if (node->saving != NODE_NO_LINK && named) {
+        return;
+    }
+    if (!named || node->resetting) {
+        answer_command(node, link, COMMAND_SAVE, GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE);
+    } else if (node->drive_on && !may_pause) {
+        answer_command(node, link, COMMAND_SAVE, GOLDFIELD_COMMAND_ANSWER_STATUS_COIL_ON_CHOICE);
+    } else {
+        node->drive_hold = true;
+        node->saving = link;
+        storage_save(&node->storage, &node->parameters, VERSION);
+    }
+}
+
+/* Goes on with a save. The application has told in this turn whether its drive is on, and it was held before. */
+static void step_save(node_t *node) {
+    if (node->drive_on) {
+        return;
+    }
+    const storage_result_t result = storage_step(&node->storage);
+    if (result == STORAGE_BUSY) {
+        return;
+    }
+    static const uint8_t statuses[] = {
+        [STORAGE_KEPT] = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE,
+        [STORAGE_RESTART] = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_RESTARTS_CHOICE,
+        [STORAGE_FAILED] = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE,
+        [STORAGE_STRANDED] = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE,
+    };
+    answer_command(node, node->saving, COMMAND_SAVE, statuses[result]);
+    node->saving = NODE_NO_LINK;
+    if (result == STORAGE_RESTART || result == STORAGE_STRANDED) {
+        reset_soon(node); /* The drive is held until then. */
+    } else {
+        node->drive_hold = false;
+    }
+}
+
 static void take_command(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
     struct goldfield_command_t command = {0};
     const uint64_t own = identity_half(node, 0) ^ identity_half(node, 1);
@@ -283,31 +343,31 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
         tell_last_reset(node, link);
         return;
     }
-    const uint64_t now_us = hal_microseconds(node->hal);
     const bool named = command.board == own && (frame->id & PROTOCOL_NODE_MASK) == node->id;
-    struct goldfield_command_answer_t answer = {.status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE};
+    if (index == COMMAND_SAVE) {
+        begin_save(node, link, named, command.argument != 0);
+        return;
+    }
+    uint32_t status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE;
     if (index == COMMAND_BLINK) {
         node->blinking = true;
-        node->blink_end_us = now_us + (uint64_t)command.argument * MICROSECONDS;
+        node->blink_end_us = hal_microseconds(node->hal) + (uint64_t)command.argument * MICROSECONDS;
     } else if (index == COMMAND_RESET) {
         if (named) {
-            node->resetting = true;
-            node->reset_us = now_us + RESET_US;
+            reset_soon(node);
         } else {
-            answer.status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
+            status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
         }
     } else if (index == COMMAND_CLEAR) {
         if (named && !node->clear_refused) {
             node->clear_wanted = true;
         } else {
-            answer.status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
+            status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
         }
     } else {
-        answer.status = GOLDFIELD_COMMAND_ANSWER_STATUS_UNKNOWN_CHOICE;
+        status = GOLDFIELD_COMMAND_ANSWER_STATUS_UNKNOWN_CHOICE;
     }
-    uint8_t data[8];
-    const uint8_t length = (uint8_t)goldfield_command_answer_pack(data, &answer, sizeof data);
-    node_send(node, link, GOLDFIELD_COMMAND_ANSWER_FRAME_ID, index, data, length);
+    answer_command(node, link, index, status);
 }
 
 static void receive(node_t *node, node_links_t link, const frame_t *frame) {
@@ -387,11 +447,14 @@ void node_start(node_t *node, hal_t *hal, hal_role_t role) {
 
     parameters_init(&node->parameters);
     const parameter_value_t derived = {.kind = PARAMETER_UNSIGNED, .bits = number_from_unique_id(hal)};
-    (void)parameters_set(&node->parameters, PARAMETER_NODE, derived); /* The page, which is read next, overrules it. */
+    (void)parameters_set(&node->parameters, PARAMETER_NODE, derived); /* What is stored overrules it. */
     uint32_t refused = 0;
     const parameters_page_t page = parameters_load(&node->parameters, hal_parameter_page(hal), HAL_PARAMETER_PAGE_BYTES,
                                                    &refused);
     node->counters[COUNTER_BAD_PARAMETER_PAGE] = refused + (page == PARAMETERS_PAGE_BAD);
+    const storage_found_t saved = storage_start(&node->storage, hal, &node->parameters);
+    node->counters[COUNTER_TORN_SAVES] = saved.torn;
+    node->counters[COUNTER_SAVED_REFUSED] = saved.refused;
     node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
 
     frame_t hello = {.id = node_identifier(node, GOLDFIELD_HEARTBEAT_FRAME_ID, 0)};
@@ -413,6 +476,9 @@ void node_flush(node_t *node) {
 }
 
 void node_step(node_t *node) {
+    if (node->saving != NODE_NO_LINK) {
+        step_save(node);
+    }
     receive_serial(node);
     receive_can(node);
     const uint64_t now_us = hal_microseconds(node->hal);

@@ -29,13 +29,18 @@
  * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
  * the link they came from; a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a
  * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). COMMAND lets the board tell its
- * unique id or its last reset, blink with its LED, reset itself, or clear what keeps its drive off (framing.md,
- * "Commands"). SYNC is kept for the application. All other messages are ignored. A frame that is no message by its
- * index or its length (messages.h) is ignored and counted, whatever type it has (COUNTER_FOREIGN_FRAMES,
+ * unique id or its last reset, blink with its LED, reset itself, clear what keeps its drive off, or save its parameters
+ * (framing.md, "Commands"). SYNC is kept for the application. All other messages are ignored. A frame that is no
+ * message by its index or its length (messages.h) is ignored and counted, whatever type it has (COUNTER_FOREIGN_FRAMES,
  * COUNTER_WRONG_LENGTH).
  *
+ * Saving (storage.h). The bridges must be off, as the processor stands still for each word: a board that drives its
+ * coil refuses, unless it is told that it may pause. drive_hold keeps the drive off from the moment that a save is
+ * accepted until it is answered. A save for which a slot is erased ends with a reset, as the chip engine has lost its
+ * step.
+ *
  * Time: node_step with nothing to do takes about 150 instructions. It is bounded by NODE_BYTES_A_STEP received bytes,
- * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 7.1 kB.
+ * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 12 kB.
  */
 #ifndef GOLDFIELD_NODE_H
 #define GOLDFIELD_NODE_H
@@ -47,6 +52,7 @@
 #include "counter_ids.h"
 #include "hal/hal.h"
 #include "services/liveness.h"
+#include "services/storage.h"
 
 #define NODE_QUEUE_MESSAGES 128u     /* Messages that the queue of each link holds. */
 #define NODE_HEARTBEAT_US   1000000u /* Time from one heartbeat to the next, us. */
@@ -81,6 +87,8 @@ typedef struct {
                                         * writes this. */
     bool parameters_changed;           /* A PARAM_SET was accepted; the application clears it. */
     bool clear_refused;                /* A COMMAND to clear would be in vain now; the application writes it. */
+    bool drive_on;                     /* The coil is driven, or about to be; the application writes it each turn. */
+    volatile bool drive_hold;          /* The application must keep its drive off. */
     bool clear_wanted;                 /* A COMMAND to clear was accepted; the application clears it. */
     bool sync_received;                /* A SYNC came; the application clears it. */
     liveness_t liveness;               /* The application tells it what moves. */
@@ -102,6 +110,8 @@ typedef struct {
     bool can_dead;         /* CAN took none for too long: one message at a time is queued to try it. */
     bool blinking;         /* The LED blinks, until blink_end_us. */
     bool resetting;        /* A reset was accepted, and comes at reset_us. */
+    node_links_t saving;   /* The link to which a save that is under way is answered. */
+    storage_t storage;     /* It is large, and last: what main looks at each turn lies near the beginning. */
 } node_t;
 
 /* Load the parameters and say hello: a heartbeat leaves on serial by polling before anything else is touched, so that

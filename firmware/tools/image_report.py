@@ -21,7 +21,7 @@ from pathlib import Path
 
 TOOLS = "arm-none-eabi-"
 ENGINE = "firmware/boards/stm32f405/chip_engine.c"
-FLASH_BYTES = 896 * 1024
+FLASH_BYTES = (16 + 832) * 1024
 RAM_BYTES = 128 * 1024
 CORE_MEMORY_BYTES = 64 * 1024
 

@@ -241,7 +241,7 @@ static void application(board_t *board) {
         return;
     }
     application_step(board);
-    if (hal->reset_wanted) {
+    if (hal->reset_wanted && !hal->dead) {
         restart(board, HAL_RESET_SOFTWARE);
         start(board);
         application_step(board);
@@ -279,7 +279,7 @@ static board_status_t board_run(board_t *board, int64_t until_ps) {
     }
     int64_t time_ps;
     next_t next;
-    while (board->powered && (next = next_event(hal, &time_ps), time_ps < until_ps)) {
+    while (board->powered && !hal->dead && (next = next_event(hal, &time_ps), time_ps < until_ps)) {
         hal->now_ps = time_ps > hal->now_ps ? time_ps : hal->now_ps;
         switch (next) {
         case NEXT_ENGINE:
@@ -364,8 +364,14 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
     hal->reset.cause = HAL_RESET_POWER_ON;
     hal->reset.counts[HAL_RESET_POWER_ON] = 1;
     hal->fault_level = true; /* The input is pulled up. */
+    memset(hal->own_flash, 0xFF, sizeof hal->own_flash);
+    hal->flash = (host_flash_t){.slot = {hal->own_flash[0], hal->own_flash[1]}};
     hal->tick_q32 = (uint64_t)(4294967296.0 * 1e12 / (HAL_TICKS_PER_SECOND * (1.0 + config->crystal_ppm * 1e-6)) + 0.5);
     return board;
+}
+
+void host_board_flash(board_t *board, const host_flash_t *flash) {
+    board->hal.flash = *flash;
 }
 
 void host_board_fail(board_t *board, host_failure_t failure, bool active) {

@@ -1,4 +1,5 @@
-/* host_config.h: what makes one host board different from another. host_board_create() takes it. */
+/* host_config.h: what makes one host board different from another. host_board_create() takes it, and host_board_flash()
+ * its flash. */
 #ifndef GOLDFIELD_HOST_CONFIG_H
 #define GOLDFIELD_HOST_CONFIG_H
 
@@ -13,6 +14,16 @@ typedef struct {
     /* The page in flash (protocol/framing.md); erased flash is all 0xFF. */
     uint8_t parameter_page[HAL_PARAMETER_PAGE_BYTES];
 } host_board_config_t;
+
+/* Flash for what is saved (hal.h), in place of the board's own, which is erased and lost with the board. Each function
+ * carries out what it is told in the memory of slot, or a part of it, or nothing; it returns false if the power is lost
+ * meanwhile: the board then is dead, touches nothing any more, and says nothing. */
+typedef struct {
+    void *context;
+    uint32_t *slot[HAL_FLASH_SLOTS]; /* HAL_FLASH_WORDS words each. */
+    bool (*program)(void *context, uint32_t slot, uint32_t index, uint32_t value);
+    bool (*erase)(void *context, uint32_t slot);
+} host_flash_t;
 
 /* What can be made to fail in a running board (host_board_fail). */
 typedef enum {

@@ -16,7 +16,7 @@ void host_pin_write(hal_t *hal, unsigned pin, bool level) {
     if (hal->pin_out[pin] != level || (hal->pins_driven & bit) == 0) {
         hal->pin_out[pin] = level;
         hal->pins_driven |= bit;
-        if (hal->edge.pin_out) {
+        if (hal->edge.pin_out && !hal->dead) {
             hal->edge.pin_out(hal->edge.context, pin, level, hal->now_ps);
         }
     }
@@ -110,7 +110,7 @@ size_t hal_serial_read(hal_t *hal, uint8_t *bytes, size_t capacity) {
 /* ---- CAN ---- */
 
 void host_can_request(hal_t *hal) {
-    if (hal->edge.can_request && hal->mailbox_count > 0) {
+    if (hal->edge.can_request && hal->mailbox_count > 0 && !hal->dead) {
         const hal_frame_t *frame = &hal->mailbox[hal->mailbox_head];
         board_frame_t out = {.id = frame->id, .extended = true, .length = frame->length};
         memcpy(out.data, frame->data, sizeof out.data);
@@ -201,6 +201,34 @@ void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]) {
 
 const uint8_t *hal_parameter_page(const hal_t *hal) {
     return hal->config.parameter_page;
+}
+
+const uint32_t *hal_flash_slot(const hal_t *hal, uint32_t slot) {
+    return hal->flash.slot[slot];
+}
+
+bool hal_flash_program(hal_t *hal, uint32_t slot, uint32_t index, uint32_t value) {
+    if (slot >= HAL_FLASH_SLOTS || index >= HAL_FLASH_WORDS || hal->dead) {
+        return false;
+    }
+    if (hal->flash.program) {
+        hal->dead = !hal->flash.program(hal->flash.context, slot, index, value);
+        return !hal->dead;
+    }
+    hal->flash.slot[slot][index] &= value;
+    return true;
+}
+
+bool hal_flash_erase(hal_t *hal, uint32_t slot) {
+    if (slot >= HAL_FLASH_SLOTS || hal->dead) {
+        return false;
+    }
+    if (hal->flash.erase) {
+        hal->dead = !hal->flash.erase(hal->flash.context, slot);
+        return !hal->dead;
+    }
+    memset(hal->flash.slot[slot], 0xFF, HAL_FLASH_WORDS * sizeof(uint32_t));
+    return true;
 }
 
 void hal_watchdog_kick(hal_t *hal) {

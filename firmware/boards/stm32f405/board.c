@@ -57,14 +57,18 @@ static void output_pins_start(void) {
         pin_alternate(GPIOB, pin, TIM1_FUNCTION, PULL_NONE);
 }
 
+void watchdog_set(uint32_t reload) {
+    IWDG->KR = IWDG_KR_KEY_UNLOCK;
+    IWDG->PR = IWDG_PR_PR_DIV16;
+    IWDG->RLR = reload;
+    wait_for(&IWDG->SR, IWDG_SR_PVU | IWDG_SR_RVU, 0, WATCHDOG_TRIES);
+    IWDG->KR = IWDG_KR_KEY_RELOAD;
+}
+
 /* Starts the watchdog with 500 ms at the nominal 32 kHz of its oscillator, which may run at 17 to 47 kHz. */
 static void watchdog_start(void) {
     IWDG->KR = IWDG_KR_KEY_START;
-    IWDG->KR = IWDG_KR_KEY_UNLOCK;
-    IWDG->PR = IWDG_PR_PR_DIV16;
-    IWDG->RLR = 999;
-    wait_for(&IWDG->SR, IWDG_SR_PVU | IWDG_SR_RVU, 0, WATCHDOG_TRIES);
-    IWDG->KR = IWDG_KR_KEY_RELOAD;
+    watchdog_set(WATCHDOG_RELOAD);
 }
 
 hal_t *board_start(void) {

@@ -36,8 +36,8 @@ $(STM32_OUT)/protocol/goldfield.o: $(PROTOCOL_OUT)/goldfield.c $(BUILD)/arm-tool
 $(STM32_OUT)/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld
 	@echo "firmware: $@"
 	@$(ARM)gcc $(STM32_LINK) -T $(STM32)/stm32f405.ld -Wl,-Map=$(@:.elf=.map) -o $@ $(filter %.o,$^)
-	@$(ARM)objcopy -O binary $@ $(@:.elf=.bin)
 	@$(ARM)objcopy -O ihex $@ $(@:.elf=.hex)
+	@$(ARM)objcopy -I ihex -O binary --gap-fill 0xFF $(@:.elf=.hex) $(@:.elf=.bin)
 
 # For the tests on QEMU before 8.0, which has the core-coupled memory right behind the RAM: the same objects, linked for that address.
 $(STM32_OUT)/qemu/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld

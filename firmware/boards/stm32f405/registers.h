@@ -67,7 +67,7 @@ typedef struct {
 #define RCC_CSR_LPWRRSTF     (1u << 31)
 
 typedef struct {
-    volatile uint32_t ACR;
+    volatile uint32_t ACR, KEYR, OPTKEYR, SR, CR, OPTCR;
 } FLASH_registers;
 #define FLASH ((FLASH_registers *)0x40023C00u)
 
@@ -75,6 +75,19 @@ typedef struct {
 #define FLASH_ACR_PRFTEN    (1u << 8)
 #define FLASH_ACR_ICEN      (1u << 9)
 #define FLASH_ACR_DCEN      (1u << 10)
+#define FLASH_ACR_ICRST     (1u << 11)
+#define FLASH_ACR_DCRST     (1u << 12)
+#define FLASH_SR_WRPERR     (1u << 4)
+#define FLASH_SR_PGAERR     (1u << 5)
+#define FLASH_SR_PGPERR     (1u << 6)
+#define FLASH_SR_PGSERR     (1u << 7)
+#define FLASH_SR_BSY        (1u << 16)
+#define FLASH_CR_PG         (1u << 0)
+#define FLASH_CR_SER        (1u << 1)
+#define FLASH_CR_SNB_1      (1u << 3) /* Sector 1; sector 2 is twice that. */
+#define FLASH_CR_PSIZE_32   (2u << 8)
+#define FLASH_CR_STRT       (1u << 16)
+#define FLASH_CR_LOCK       (1u << 31)
 
 typedef struct {
     volatile uint32_t CR, CSR;
@@ -83,6 +96,7 @@ typedef struct {
 
 #define PWR_CR_PVDE    (1u << 4)
 #define PWR_CR_PLS_2V7 (5u << 5)
+#define PWR_CSR_PVDO   (1u << 2)
 
 /* ---- Debugging ---- */
 

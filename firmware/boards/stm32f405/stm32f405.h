@@ -10,6 +10,7 @@
  *   can.c          CAN1
  *   board.c        pins, watchdog, and what is not the others'
  *   guards.c       memory protection
+ *   flash.c        what is saved: words and erasures
  *   alarms.c       crystal or supply fails while the board runs
  *   crash.c        fault report over serial, then reset
  *   startup.c      vector table, reset, .data and .bss
@@ -146,12 +147,23 @@ hal_clock_t clock_start(void);
 bool clock_fall_back(hal_t *hal);
 void clock_start_tick(hal_clock_t clock);
 
+/* ---- board.c ---- */
+
+#define WATCHDOG_RELOAD      999u  /* The watchdog's 500 ms. */
+#define WATCHDOG_RELOAD_LONG 4095u /* 2 s: 1.4 to 3.9 s of its oscillator. */
+
+/* Give the watchdog, which runs, another time, and feed it. It takes five cycles of its oscillator, 0.2 ms. */
+void watchdog_set(uint32_t reload);
+
 /* ---- guards.c ---- */
 
 #define STACK_GUARD_BYTES 4096u /* How far below the stack an access meets its guard. */
 
 /* Forbid what the program never does, so that it is a fault. */
 void guards_start(void);
+
+/* Let the program write into the slots of hal_flash_slot(), or forbid it, as it is from the start. */
+void guards_slots(bool writable);
 
 /* ---- alarms.c ---- */
 

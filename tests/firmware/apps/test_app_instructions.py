@@ -52,6 +52,13 @@ void hal_led(hal_t *h, bool on) { (void)h; (void)on; }
 void hal_reset(hal_t *h) { (void)h; }
 void hal_unique_id(const hal_t *h, uint8_t id[12]) { (void)h; for (int i = 0; i < 12; i++) id[i] = 0; }
 const uint8_t *hal_parameter_page(const hal_t *h) { (void)h; return page; }
+const uint32_t slots[2][HAL_FLASH_WORDS] = {[0 ... 1] = {[0 ... HAL_FLASH_WORDS - 1] = UINT32_MAX}};
+const uint32_t *hal_flash_slot(const hal_t *h, uint32_t slot) { (void)h; return slots[slot]; }
+bool hal_flash_program(hal_t *h, uint32_t slot, uint32_t index, uint32_t value) {
+    (void)h; (void)slot; (void)index; (void)value;
+    return false;
+}
+bool hal_flash_erase(hal_t *h, uint32_t slot) { (void)h; (void)slot; return false; }
 void hal_watchdog_kick(hal_t *h) { (void)h; }
 uint32_t hal_serial_waiting(const hal_t *h) { (void)h; return 0; }
 void hal_note_stalled(hal_t *h, uint32_t stalled) { (void)h; (void)stalled; }
@@ -203,7 +210,7 @@ def test_beacon(call: Machine, most: tuple[int, int, int]) -> None:
     assert max(plans) <= 31 * most[0]
     assert chip <= most[1]
     assert chip_most <= most[2]
-    assert min(idle) <= 310
+    assert min(idle) <= 320
 
 
 def test_sensor(call: Machine) -> None:
@@ -256,7 +263,7 @@ def test_anchor_with_two_channels(call: Machine) -> None:
     print(f"anchor: start {start}, samples and plan of a block {max(samples)} + {max(plans)}, with currents {block}")
     print(f"        main idle {min(idle)}, with a report of 8 codes {max(reports)} instructions")
     assert block <= 30_000  # A block lasts 509,000 ticks.
-    assert min(idle) <= 440
+    assert min(idle) <= 460
     assert max(reports) <= 110_000
 
 

@@ -81,14 +81,27 @@ def test_vectors(elf):
 def test_binary_files_hold_the_image(elf):
     with elf.open("rb") as file:
         vectors = ELFFile(file).get_section_by_name(".vectors").data()
-    assert elf.with_suffix(".bin").read_bytes().startswith(vectors)
+    binary = elf.with_suffix(".bin").read_bytes()
+    assert binary.startswith(vectors)
+    assert set(binary[len(vectors) : 0x10000]) == {0xFF}  # Erased flash lies between the vectors and the code.
     assert elf.with_suffix(".hex").read_text().startswith(":020000040800F2")
+
+
+def test_no_image_touches_what_a_board_saves(elf):
+    """Sectors 1 to 3 (RM0090, table 5) and the parameter page's sector 11: an image leaves them as they are."""
+    with elf.open("rb") as file:
+        loaded = [(s["p_paddr"], s["p_filesz"]) for s in ELFFile(file).iter_segments() if s["p_type"] == "PT_LOAD"]
+    flashed = sorted((begin, begin + size) for begin, size in loaded if size)
+    assert flashed[0][0] == 0x08000000
+    assert flashed[0][1] <= 0x08004000
+    assert all(0x08010000 <= begin < end <= 0x080E0000 for begin, end in flashed[1:])
+    assert len(flashed) >= 2
 
 
 def test_stack_and_sizes(elf):
     image = image_report.report(elf)
     assert image.stack <= image.stack_reserved
-    assert image.flash <= 128 * 1024  # There are 896 KB: room for two images in any scheme.
+    assert image.flash <= 128 * 1024  # There are 832 KB: room for two images in any scheme.
     assert image.ram <= 120 * 1024  # There are 128 KB.
     assert image.core_memory <= 64 * 1024  # All there is; the sensor's acquire.h and tracking.h lie there.
     assert image.path[:2] == ("Reset_Handler", "main")

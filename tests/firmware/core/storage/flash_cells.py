@@ -56,9 +56,8 @@ class Cells:
 
     def erase(self, slot: int) -> None:
         """Set all bits of a slot."""
-        for index in range(self.words):
-            self.read[slot][index] = ONES
-            self._weak.pop((slot, index), None)
+        self.read[slot][0 : self.words] = [ONES] * self.words
+        self._weak = {place: weak for place, weak in self._weak.items() if place[0] != slot}
 
     def tear(self, how: Torn, slot: int, index: int | None, value: int) -> None:
         """Program a word, or erase a slot (no index), and lose the power before the end."""

@@ -1,0 +1,79 @@
+#include "services/storage.h"
+
+#include <string.h>
+
+_Static_assert(STORE_SLOTS == HAL_FLASH_SLOTS, "the store's slots are the board's");
+_Static_assert(PARAMETER_SET_WORDS <= HAL_FLASH_WORDS - STORE_OVERHEAD, "a set fits in a slot");
+
+/* Carries out a step of the store. Whether it has succeeded the store sees by itself. */
+static void carry_out(storage_t *storage, const store_step_t *step) {
+    if (step->kind == STORE_ERASE) {
+        storage->erased = true;
+        (void)hal_flash_erase(storage->hal, step->slot);
+    } else {
+        (void)hal_flash_program(storage->hal, step->slot, step->index, step->value);
+    }
+}
+
+storage_found_t storage_start(storage_t *storage, hal_t *hal, parameters_t *parameters) {
+    memset(storage, 0, sizeof *storage);
+    storage->hal = hal;
+    const store_flash_t flash = {{hal_flash_slot(hal, 0), hal_flash_slot(hal, 1)}, HAL_FLASH_WORDS};
+    store_open(&storage->store, &flash);
+    storage_found_t found = {.torn = store_torn(&storage->store)};
+    uint32_t count;
+    const uint32_t *const words = store_read(&storage->store, &count);
+    if (words != NULL && parameter_set_read(parameters, words, count, &found.refused) != PARAMETER_SET_LOADED) {
+        found.refused = 1;
+    }
+    for (uint32_t i = 0; i < STORAGE_MENDS; i++) {
+        const store_step_t step = store_next(&storage->store);
+        if (step.kind == STORE_NOTHING) {
+            break;
+        }
+        carry_out(storage, &step); /* Mending erases nothing. */
+    }
+    return found;
+}
+
+void storage_save(storage_t *storage, const parameters_t *parameters, uint32_t version) {
+    (void)parameter_set_write(parameters, version, storage->words);
+    storage->begun = false;
+    storage->erased = false;
+}
+
+/* Whether the words to be saved are those that are saved. */
+static bool is_saved(const storage_t *storage) {
+    uint32_t count;
+    const uint32_t *const words = store_read(&storage->store, &count);
+    return count == PARAMETER_SET_WORDS && memcmp(words, storage->words, sizeof storage->words) == 0;
+}
+
+static storage_result_t result(const storage_t *storage) {
+    if (store_outcome(&storage->store) == STORE_SAVED) {
+        return storage->erased ? STORAGE_RESTART : STORAGE_KEPT;
+    }
+    return storage->erased ? STORAGE_STRANDED : STORAGE_FAILED;
+}
+
+storage_result_t storage_step(storage_t *storage) {
+    for (uint32_t i = 0; i < STORAGE_WORDS_A_STEP; i++) {
+        const store_step_t step = store_next(&storage->store);
+        if (step.kind != STORE_NOTHING) {
+            carry_out(storage, &step);
+            if (step.kind == STORE_ERASE) {
+                return STORAGE_BUSY; /* The watchdog is fed, and main looks around. */
+            }
+        } else if (storage->begun) {
+            return result(storage);
+        } else if (is_saved(storage)) {
+            return STORAGE_KEPT;
+        } else {
+            storage->begun = store_save(&storage->store, storage->words, PARAMETER_SET_WORDS);
+            if (!storage->begun) {
+                return STORAGE_FAILED; /* It cannot be: nothing is under way, and the set fits. */
+            }
+        }
+    }
+    return STORAGE_BUSY;
+}
