@@ -131,6 +131,64 @@ def test_another_board_is_not_reset(nodes):
     assert "name one of them with --id" in told
 
 
+def test_a_sensor_saves_and_restarts_only_where_flash_was_erased(nodes, rig):
+    assert nodes("set", "100", "gain_sd", "0.01")[0] == 0
+    code, out, _ = nodes("save", "100", "--json")
+    told = json.loads(out)
+    assert (code, told["node"], told["saved"], told["restarted"]) == (0, 100, True, True)
+    assert nodes("set", "100", "gain_sd", "0.02")[0] == 0
+    code, out, _ = nodes("save", "100")
+    assert (code, out) == (0, "node 100 has saved all its parameters\n")
+    assert nodes("reset", "100")[0] == 0
+    assert "gain_sd = 0.02" in nodes("get", "100", "gain_sd")[1]
+
+
+def test_a_beacon_that_drives_saves_only_if_it_may_pause(nodes, rig):
+    rig.watch_pins()
+    code, _, told = nodes("save", "5")
+    assert code == 3
+    assert "node 5 drives its coil, and its processor stands still for each word that it saves" in told
+    assert "goldfield nodes save 5 --pause" in told
+    assert PIN_ENABLE not in rig.pin_changes(5)["pin"]
+    code, out, _ = nodes("save", "5", "--pause")
+    assert (code, out) == (
+        0,
+        "node 5 has saved all its parameters, and has restarted, as it had to erase flash for them\n",
+    )
+    rig.advance(2.0)
+    changes = rig.pin_changes(5)
+    rig.watch_pins(False)
+    enables = [bool(level) for pin, level in zip(changes["pin"], changes["level"], strict=True) if pin == PIN_ENABLE]
+    assert enables == [False, True]
+    _, out, _ = nodes("--json")
+    assert {line["node"]: line["state"] for line in map(json.loads, out.splitlines())}[5] == "running"
+
+
+@pytest.mark.parametrize(
+    ("status", "said"),
+    [
+        (2, "node 5 saves nothing, as it is about to restart: wait until it has, and try again"),
+        (4, "node 5 could not write its flash, and keeps what it had saved before"),
+        (1, "node 5 refuses the command: flash it with this version's firmware"),
+    ],
+)
+def test_what_keeps_a_board_from_saving_is_one_sentence(nodes, monkeypatch, status, said):
+    real = conversations.Conversation.wait
+
+    def wait(self, take, seconds):
+        def changed(message):
+            if message.name == "COMMAND_ANSWER":
+                message.signals["status"] = status
+            return take(message)
+
+        return real(self, changed, seconds)
+
+    monkeypatch.setattr(conversations.Conversation, "wait", wait)
+    code, _, told = nodes("save", "5", "--pause")
+    assert code == 3
+    assert said in told
+
+
 def test_a_beacon_that_was_switched_off_says_why_and_drives_again_when_it_is_cleared(nodes, rig):
     rig.fault(4, "driver")
     rig.advance(1.5)

@@ -12,7 +12,7 @@ from goldfield.cli.output import json_line, number
 from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.heartbeat import ROLES
 from goldfield.link.requests import Value
-from goldfield.nodes.conversation import BLINK, CLEAR, HEARD_S, RESET, Conversation
+from goldfield.nodes.conversation import BLINK, CLEAR, DONE_RESTARTS, HEARD_S, RESET, SAVE, Conversation
 from goldfield.nodes.elements import elements_of, parsed, shown
 from goldfield.nodes.elf_lines import ElfLines
 from goldfield.nodes.last_reset import LastReset, words_of
@@ -233,9 +233,9 @@ def set_values(conversation: Conversation, arguments: argparse.Namespace, asked:
     name = parameter.label(elements[0]) if len(elements) == 1 else parameter.name
     print(f"{name} = {shown(parameter, elements, told)}, was {shown(parameter, elements, old)}")
     if parameter.at_start:
-        print("it acts only if it is stored: the board reads it at its start, from its page (make flash)")
+        print(f"it acts only if it is saved, as the board reads it at its start: goldfield nodes save {arguments.node}")
     else:
-        print("it holds until the board's next reset: to keep it, store it in the board's page (make flash)")
+        print(f"it holds until the board's next reset: to keep it, goldfield nodes save {arguments.node}")
     known = conversation.roster.nodes.get(arguments.node)
     for text in _kept_off(known) if known is not None else ():
         print(text)
@@ -276,16 +276,38 @@ def clear_cause(conversation: Conversation, arguments: argparse.Namespace, _: As
         print(f"node {arguments.node} may drive again: after repeated faults it waits a while before it does")
 
 
+def _wait_for_restart(conversation: Conversation, meant: Node, restarts: int, what: str) -> None:
+    """Wait until a board has restarted once more than so often; `SystemFailure` if it does not."""
+    if not conversation.wait(lambda _: meant.restarts > restarts, RESTART_S):
+        raise SystemFailure(
+            f"{conversation.name}: node {meant.number} {what}, and was not heard since: power it off and on"
+        )
+
+
+def save(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
+    """Let a board save its parameters."""
+    number = arguments.node
+    meant, wanted = _meant(conversation, arguments)
+    restarts = meant.restarts
+    status = conversation.command(number, SAVE, int(arguments.pause), wanted)
+    if status == DONE_RESTARTS:
+        _wait_for_restart(conversation, meant, restarts, "has saved its parameters")
+    if arguments.json:
+        restarted = status == DONE_RESTARTS
+        print(json_line({"node": number, "unique_id": wanted, "saved": True, "restarted": restarted}))
+    elif status == DONE_RESTARTS:
+        print(f"node {number} has saved all its parameters, and has restarted, as it had to erase flash for them")
+    else:
+        print(f"node {number} has saved all its parameters")
+
+
 def reset(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
     """Restart a board, and wait until it says that it has."""
     number = arguments.node
     meant, wanted = _meant(conversation, arguments)
     restarts = meant.restarts
     conversation.command(number, RESET, board=wanted)
-    if not conversation.wait(lambda _: meant.restarts > restarts, RESTART_S):
-        raise SystemFailure(
-            f"{conversation.name}: node {number} took the reset, and was not heard since: power it off and on"
-        )
+    _wait_for_restart(conversation, meant, restarts, "took the reset")
     if arguments.json:
         print(json_line({"node": number, "unique_id": wanted, "reset": True}))
     else:
@@ -299,4 +321,5 @@ ACTIONS: dict[str | None, Callable[[Conversation, argparse.Namespace, Asked], No
     "identify": identify,
     "reset": reset,
     "clear": clear_cause,
+    "save": save,
 }

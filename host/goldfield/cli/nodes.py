@@ -1,4 +1,4 @@
-"""``goldfield nodes``: who is on a link; parameters by name; a board that blinks, restarts, or drives again.
+"""``goldfield nodes``: who is on a link; parameters by name; a board that saves them, blinks, restarts, or may drive.
 
 What takes long to import is imported by `run`, which is called when a node is to be spoken to.
 """
@@ -35,7 +35,8 @@ def command(subparsers: Any) -> None:
     put = actions.add_parser(
         "set",
         help="set a parameter",
-        description="Sets a parameter until the node's next reset; several values are those of successive elements.",
+        description="Sets a parameter until the node's next reset, unless it is saved; several values are those of "
+        "successive elements.",
     )
     blink = actions.add_parser("identify", help="let a node blink", description="Lets the LED of a board blink.")
     blink.add_argument("--for", dest="blink_s", metavar="N", type=options.count, default=10, help="seconds, default 10")
@@ -51,7 +52,15 @@ def command(subparsers: Any) -> None:
         description="Clears the cause for which a beacon's drive is off; --id names one of two boards with one number.",
     )
     clear.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
-    for action in (get, put, blink, reset, clear):
+    keep = actions.add_parser(
+        "save",
+        help="save a node's parameters",
+        description="Saves all parameters of a board, as they are now, in its flash; --id names one of two boards with "
+        "one number.",
+    )
+    keep.add_argument("--pause", action="store_true", help="let a board that drives its coil switch it off meanwhile")
+    keep.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
+    for action in (get, put, blink, reset, clear, keep):
         _add_common(action, nested=True)
         action.add_argument("node", metavar="NODE", type=options.node, help="number of the node")
     get.add_argument("name", metavar="NAME", nargs="?", help="as amplitude or code_list[3]; none: all parameters")

@@ -24,10 +24,24 @@ HEARD_S = 2.2
 PATIENCE_S = 10.0
 """Longest wait for the first heartbeat."""
 
-IDENTITY, BLINK, RESET, CLEAR, LAST_RESET = 0, 1, 2, 3, 4
+IDENTITY, BLINK, RESET, CLEAR, LAST_RESET, SAVE = 0, 1, 2, 3, 4, 5
 """Numbers of the commands, the index of ``COMMAND``."""
-REFUSED = 2
-"""Status of a command that a node knows and does not carry out."""
+DONE, REFUSED, COIL_ON, FLASH_FAILED, DONE_RESTARTS = 0, 2, 3, 4, 5
+"""What becomes of a command, the status of ``COMMAND_ANSWER``."""
+REFUSALS = {
+    (CLEAR, REFUSED): (
+        "keeps its drive off, as the cause lasts or was met too often: see it with goldfield nodes, and mend it"
+    ),
+    (SAVE, REFUSED): "saves nothing, as it is about to restart: wait until it has, and try again",
+    (SAVE, COIL_ON): (
+        "drives its coil, and its processor stands still for each word that it saves: let it switch the coil off "
+        "meanwhile, with goldfield nodes save {node} --pause"
+    ),
+    (SAVE, FLASH_FAILED): (
+        "could not write its flash, and keeps what it had saved before: the flash is worn out, or the supply below 2.7 V"
+    ),
+}
+"""What a node says against a command, to stand behind its name."""
 IDENTITY_S = 0.5
 """How long the nodes are waited for that have yet to tell their unique ids or their last resets, s."""
 
@@ -194,15 +208,20 @@ class Conversation:
                 self._tap.send(*encode("COMMAND", {"board": 0, "argument": 0}, node=node, index=command))
                 self.wait(known, IDENTITY_S)
 
-    def command(self, node: int, command: int, argument: int = 0, board: str | None = None) -> None:
-        """Give a node a command: `BLINK`, `RESET`, or `CLEAR` what keeps its drive off.
+    def command(self, node: int, command: int, argument: int = 0, board: str | None = None) -> int:
+        """Give a node a command: `BLINK`, `RESET`, `CLEAR` what keeps its drive off, or `SAVE` its parameters.
 
         Parameters
         ----------
         node, command, argument : int
-            ``argument``: seconds to blink.
+            ``argument``: seconds to blink; 1 lets a node that saves switch its coil off meanwhile.
         board : str, optional
-            Unique id of the board that is meant, which a reset and a clear must name.
+            Unique id of the board that is meant, which a reset, a clear and a save must name.
+
+        Returns
+        -------
+        int
+            `DONE`, or `DONE_RESTARTS` if the node restarts behind it.
 
         Raises
         ------
@@ -225,13 +244,11 @@ class Conversation:
             raise SystemFailure(
                 f"{self.name}: node {node} did not answer in {TRIES} tries: see who is there with goldfield nodes"
             )
-        if answers[0].signals["status"] == REFUSED and command == CLEAR:
-            raise SystemFailure(
-                f"{self.name}: node {node} keeps its drive off, as the cause lasts or was met too often: see it with "
-                "goldfield nodes, and mend it"
-            )
-        if answers[0].signals["status"]:
-            raise SystemFailure(f"{self.name}: node {node} refuses the command: flash it with this version's firmware")
+        status = int(answers[0].signals["status"])
+        if status in (DONE, DONE_RESTARTS):
+            return status
+        why = REFUSALS.get((command, status), "refuses the command: flash it with this version's firmware")
+        raise SystemFailure(f"{self.name}: node {node} {why.format(node=node)}")
 
     def wait(self, take: Callable[[Message], bool], seconds: float) -> bool:
         """Hand what comes to a function until it returns True, or the time is over; return whether it did."""
