@@ -1,7 +1,8 @@
 """Program a board: check that the chip is the one meant, load, compare what was loaded, and set the brown-out level.
 
 ``python program_board.py PYOCD [--uid ID] --target TARGET ELF [PAGE]``: pyOCD, the debug probe, pyOCD's name of the
-target, the image, and a parameter page. Exit code 0: all is done; 1: a sentence on stderr tells what is not.
+target, the image, and a parameter page. What a board has saved itself overrules its page: a page that is written takes
+the place of it, and an image alone leaves it. Exit code 0: all is done; 1: a sentence on stderr tells what is not.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from pathlib import Path
 from elftools.elf.elffile import ELFFile
 
 PAGE_ADDRESS = 0x080E0000
+SAVED_ADDRESS, SAVED_BYTES = 0x08004000, 2 * 16384
+"""Where a board saves its parameters (flash.c)."""
 FLASH_KB = 1024
 
 # RM0090, 38.6.1 and 39.2; ARMv7-M Architecture Reference Manual, B3.2.3.
@@ -107,17 +110,27 @@ def check_chip(target: Target) -> str:
     return f"chip: STM32F405, device id {device:#05x}, revision {revision:#06x}{old}, {kilobytes} kB of flash"
 
 
-def contents(elf: str, page: str | None) -> Iterator[tuple[str, int, bytes]]:
+def page_files(page: str) -> list[tuple[Path, int]]:
+    """Return the files of a parameter page, with their addresses: itself, and erased flash in place of what is saved.
+
+    The second is written beside the page.
+    """
+    saved = Path(page).with_name("saved.bin")
+    saved.write_bytes(b"\xff" * SAVED_BYTES)
+    return [(Path(page), PAGE_ADDRESS), (saved, SAVED_ADDRESS)]
+
+
+def contents(elf: str, pages: list[tuple[Path, int]]) -> Iterator[tuple[str, int, bytes]]:
     """Yield what the flash must hold: whose it is, address, bytes."""
     with Path(elf).open("rb") as file:
         for segment in ELFFile(file).iter_segments():
             if segment["p_type"] == "PT_LOAD" and segment["p_filesz"]:
                 yield elf, segment["p_paddr"], segment.data()
-    if page is not None:
-        yield page, PAGE_ADDRESS, Path(page).read_bytes()
+    for path, address in pages:
+        yield str(path), address, path.read_bytes()
 
 
-def verify(target: Target, elf: str, page: str | None) -> str:
+def verify(target: Target, elf: str, pages: list[tuple[Path, int]]) -> str:
     """Compare the flash with the files, and return the words that say so.
 
     Raises
@@ -126,7 +139,7 @@ def verify(target: Target, elf: str, page: str | None) -> str:
         At the first byte that differs.
     """
     total = 0
-    for name, address, wanted in contents(elf, page):
+    for name, address, wanted in contents(elf, pages):
         found = target.memory(address, len(wanted))
         if found != wanted:
             at = next((i for i, (a, b) in enumerate(zip(wanted, found, strict=False)) if a != b), len(found))
@@ -170,8 +183,9 @@ def main(arguments: list[str]) -> int:
     target = Target(asked.pyocd, asked.target, asked.uid)
     try:
         print(check_chip(target), flush=True)
-        target.load(asked.elf, *([f"{asked.page}@{PAGE_ADDRESS:#010X}".replace("0X", "0x")] if asked.page else []))
-        print(verify(target, asked.elf, asked.page), flush=True)
+        pages = page_files(asked.page) if asked.page else []
+        target.load(asked.elf, *(f"{path}@0x{address:08X}" for path, address in pages))
+        print(verify(target, asked.elf, pages), flush=True)
         print(set_brown_out(target), flush=True)
     except NotProgrammed as sentence:
         print(sentence, file=sys.stderr)

@@ -103,7 +103,12 @@ def test_every_parameter_can_be_flashed(flash):
     assignments = [f"{name.upper()}={value_of(p)}" for name, p in PARAMETERS.items()]
     done, loaded, page = flash("ROLE=anchor", *assignments)
     assert done.returncode == 0, done.stderr
-    assert loaded == f"load --target stm32f405rgtx build/firmware/anchor.elf {page}@0x080E0000"
+    saved = page.with_name(
+        "saved.bin"
+    )  # It takes the place of what the board has saved, which would overrule the page.
+    files = f"{page}@0x080E0000 {saved}@0x08004000"
+    assert loaded == f"load --target stm32f405rgtx build/firmware/anchor.elf {files}"
+    assert saved.read_bytes() == b"\xff" * 32768
     stored = parse_page(page.read_bytes())
     assert set(stored) == set(PARAMETERS)
     assert stored["node"] == 4095
@@ -125,7 +130,7 @@ def test_parameters_need_the_node(flash):
     assert not loaded
 
 
-def test_an_image_alone_leaves_the_page(flash):
+def test_an_image_alone_leaves_the_page_and_what_is_saved(flash):
     done, loaded, page = flash("ROLE=sensor")
     assert done.returncode == 0, done.stderr
     assert loaded == "load --target stm32f405rgtx build/firmware/sensor.elf"
