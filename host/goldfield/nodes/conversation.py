@@ -38,7 +38,7 @@ REFUSALS = {
         "meanwhile, with goldfield nodes save {node} --pause"
     ),
     (SAVE, FLASH_FAILED): (
-        "could not write its flash, and keeps what it had saved before: the flash is worn out, or the supply below 2.7 V"
+        "could not write its flash, and keeps what it had saved before: its flash is worn, or its supply below 2.7 V"
     ),
 }
 """What a node says against a command, to stand behind its name."""
