@@ -259,18 +259,21 @@ static uint32_t transfers(const DMA_stream_registers *stream, uint32_t items) {
     return (RING_CHIPS - (stream->NDTR + items - 1u) / items) % RING_CHIPS;
 }
 
-/* In the ticks behind the middle it waits, at most MIDDLE_SETTLED, until the transfer is over for certain. Interrupts
- * are off, since between the two readings there must not be more time than that. */
+/* In the ticks behind the middle it waits, at most MIDDLE_SETTLED, until the transfer is over for certain; what it
+ * tells is the time before it waited, since it is a stamp. Interrupts are off, since between the readings there must
+ * not be more time than that. */
 chip_time_t chip_now(void) {
     uint32_t middles, ticks;
     const uint32_t primask = interrupts_off();
+    const uint32_t called = TIM8->CNT;
     do {
         middles = transfers(&DMA2->S[4], EDGE_ITEMS);
         ticks = TIM8->CNT;
     } while (ticks - MIDDLE_TICKS < MIDDLE_SETTLED);
     interrupts_restore(primask);
     const uint32_t position = ticks < MIDDLE_TICKS ? middles : before(middles);
-    return (chip_time_t){.chip = absolute_chip(board.first_chip, position), .ticks = ticks};
+    const bool waited = called - MIDDLE_TICKS < MIDDLE_SETTLED;
+    return (chip_time_t){.chip = absolute_chip(board.first_chip, position), .ticks = waited ? called : ticks};
 }
 
 /* An edge whose count is beyond the present one came in the chip before. That is right if this interrupt is late by

@@ -225,8 +225,8 @@ void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
 /* Drive the sync wire low. */
 void sync_wire_start(void);
 
-/* Read the chip engine's time; callable from any context. Costs about 30 instructions, and up to 100 ticks more right
- * behind a chip's middle. Returns the present. */
+/* Read the chip engine's time; callable from any context. Costs about 35 instructions, and up to 100 ticks more right
+ * behind a chip's middle. Returns the present, as it was before that wait. */
 chip_time_t chip_now(void);
 
 /* ---- can.c ---- */

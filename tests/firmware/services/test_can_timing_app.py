@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from goldfield_protocol import Message, encode
-from tests.firmware.host_rig import BEACON, CHIPS, MS, PIN_SYNC_OUT, SECOND, SENSOR, US, Board, chip_seconds
+from tests.firmware.host_rig import BEACON, CHIP_TICKS, CHIPS, MS, PIN_SYNC_OUT, SECOND, SENSOR, US, Board, chip_seconds
 
 MASTER, STRANGER = 1, 7
 MASTER_PPM = -50.0
@@ -146,8 +146,9 @@ def test_a_master_of_another_degree_is_ignored_and_counted(follower: Callable[..
     assert counters(bus.board)[14] > 5
 
 
-@pytest.mark.parametrize("emulated", [False, True])
-def test_the_master_tells_when_sync_was_through(emulated: bool) -> None:
+@pytest.mark.parametrize(("emulated", "middle"), [(False, False), (True, False), (True, True)])
+def test_the_master_tells_when_sync_was_through(emulated: bool, middle: bool) -> None:
+    """Also where SYNC ends around the middle of a chip, behind which the board must wait to know the chip."""
     board = Board(
         BEACON,
         {"node": MASTER, "sync_master": 1},
@@ -162,6 +163,10 @@ def test_the_master_tells_when_sync_was_through(emulated: bool) -> None:
         for _, mailbox, identifier, data in board.requests[done:]:
             done += 1
             end = board.operations.now(board.handle) + int(random.uniform(0.07, 5.0) * MS)
+            if middle and identifier >> 24 == 1:
+                chip, [first, *_] = chip_seconds(MASTER_PPM) * 1e12, board.edges(PIN_SYNC_OUT)
+                end = first + round((np.ceil((end - first) / chip) + 8000 / CHIP_TICKS) * chip)
+                end += int(random.uniform(-0.9, 0.5) * US)
             if identifier >> 24 == 1 and random.integers(3) == 0 and not emulated:
                 board.can_sent(mailbox, False, end - 150 * US)  # an error: the host board asks for the bus again
             else:
