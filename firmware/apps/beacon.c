@@ -18,6 +18,11 @@ static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CH
     liveness_moved(&beacon->node.liveness, LIVENESS_CURRENTS);
 }
 
+static void on_edge(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
+    beacon_t *beacon = context;
+    drive_edge(&beacon->drive, chip, count);
+}
+
 static void on_fault(void *context, hal_fault_t fault) {
     beacon_t *beacon = context;
     drive_fault(&beacon->drive, fault);
@@ -40,6 +45,7 @@ void beacon_start(beacon_t *beacon, hal_t *hal) {
         .context = beacon,
         .plan = on_plan,
         .current = on_current,
+        .edge = on_edge,
         .fault = on_fault,
         .sync = on_sync,
     };

@@ -20,10 +20,10 @@
  * go on for a second such block (HAL_FAULT_STALE).
  *
  * Contexts. "Main" is the loop around hal_wait(); "interrupt" is any handler of hal_events_t. All handlers run at one
- * priority except fault and current, which share a higher one and preempt the others; a handler is never re-entered.
- * What must happen at once or at a known time does not wait for them: bridges go off in hardware or in an interrupt
- * above all handlers, and the edges of the sync wire and frames of CAN are stamped above them, so that plan() may take
- * several chips. Functions are callable from main only, unless they say otherwise or are marked [any].
+ * priority except fault, current and edge, which share a higher one and preempt the others; a handler is never
+ * re-entered. What must happen at once or at a known time does not wait for them: bridges go off in hardware or in an
+ * interrupt above all handlers, and the edges of the sync wire and frames of CAN are stamped above them, so that plan()
+ * may take several chips. Functions are callable from main only, unless they say otherwise or are marked [any].
  */
 #ifndef GOLDFIELD_HAL_H
 #define GOLDFIELD_HAL_H
@@ -108,6 +108,10 @@ typedef struct {
      * microseconds before the end of the chip (an anchor: just before its burst). */
     void (*current)(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 
+    /* Interrupt of a beacon (NULL otherwise), once a chip, also if it is not driven: take the coil currents
+     * HAL_EDGE_US into the chip, counts as those of current(), which comes later in the same chip. */
+    void (*edge)(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
+
     /* Interrupt: the board has switched the drive off by itself, for this reason. It stays off until
      * hal_drive_enable() is told to enable it again. An active fault input is told also if the drive was off, and once:
      * it is told again when it comes after the drive was enabled the next time. */
@@ -117,6 +121,7 @@ typedef struct {
     void (*sync)(void *context, uint32_t chip, uint16_t ticks);
 } hal_events_t;
 
+#define HAL_EDGE_US             4u          /* A sound coil's current has not turned by then, us. */
 #define HAL_CURRENT_PER_COUNT   0.0078125f  /* Current for a count of the current sense, A: +-16 A in 4096. */
 #define HAL_REFERENCE_PER_COUNT 0.00390625f /* Current for a count of a set-point, A: 16 A in 4096. */
 

@@ -5,8 +5,9 @@
 #include "core/drive/thermistor.h"
 #include "goldfield.h"
 
-#define MONITORED_BLOCK 4u    /* With the plan of this block the boards' first measurements are there (hal.h). */
-#define THERMISTOR_OPEN 4000u /* More counts than a thermistor at -40 degC gives: it is not connected. */
+#define SET_POINT_COUNTS 2     /* Counts of a set-point that are as much as one of the sense (hal.h). */
+#define MONITORED_BLOCK  4u    /* With the plan of this block the boards' first measurements are there (hal.h). */
+#define THERMISTOR_OPEN  4000u /* More counts than a thermistor at -40 degC gives: it is not connected. */
 
 static void drive_stop(drive_t *drive) {
     drive->phase = DRIVE_IDLE; /* It comes first: the current interrupt now keeps its hands off. */
@@ -146,6 +147,28 @@ static void switch_on(drive_t *drive) {
     latch_on(&drive->latch, true);
 }
 
+void drive_edge(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
+    const uint32_t block = chip / HAL_BLOCK_CHIPS, i = chip - block * HAL_BLOCK_CHIPS;
+    const drive_block_t *const planned = &drive->blocks[block & 1u];
+    if (drive->phase != DRIVE_ON) {
+        return;
+    }
+    hal_monitor_t monitor;
+    hal_monitor(drive->node->hal, &monitor);
+    for (uint32_t channel = 0; channel < drive->channels; channel++) {
+        const fall_edge_t edge = {
+            .before = (int32_t)drive->ended[channel] - CURRENT_MID_SCALE,
+            .wanted = planned->asked[channel][i] / SET_POINT_COUNTS, /* It is 0 where the chip is not driven. */
+            .came = (int32_t)count[channel] - CURRENT_MID_SCALE,
+            .supply = monitor.supply,
+        };
+        const cause_t cause = fall_edge(&drive->fall[channel], &edge);
+        if (cause != CAUSE_NONE) {
+            trip(drive, cause, channel);
+        }
+    }
+}
+
 void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
     const uint32_t block = chip / HAL_BLOCK_CHIPS, i = chip - block * HAL_BLOCK_CHIPS;
     const drive_block_t *const planned = &drive->blocks[block & 1u];
@@ -153,6 +176,7 @@ void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANN
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
         const bool driven = on && (planned->driven[channel] >> i & 1u) != 0u;
         const int16_t asked = driven ? planned->asked[channel][i] : 0;
+        drive->ended[channel] = count[channel];
         const cause_t cause = current_sample(&drive->current[channel], driven, asked, count[channel]);
         if (cause != CAUSE_NONE) {
             trip(drive, cause, channel);

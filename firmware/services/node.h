@@ -15,8 +15,8 @@
  *   latency on serial: at most 128 queued messages of 16 bytes behind 4 kB of buffer at 2 Mbaud: 31 ms;
  *   on CAN: at most 128 messages of 160 us, 21 ms, plus the frames of other nodes with lower identifiers. What no
  *     mailbox has taken for 100 ms is thrown away. It is counted as lost if others were heard meanwhile: the bus is
- * then full. If it is dead or not there, that itself is counted (COUNTER_CAN_ERRORS). From then on one message at a
- * time tries it.
+ *     then full. If it is dead or not there, that itself is counted (COUNTER_CAN_ERRORS). From then on one message at
+ *     a time tries it.
  *
  * Motion. Boards that send blocks or poses of blocks divide CAN among themselves (bus_share.h); they know of each other
  * by these messages. What is beyond the board's own part does not go on CAN, and neither does what would wait behind

@@ -25,17 +25,21 @@ FLASH_BYTES = (16 + 832) * 1024
 RAM_BYTES = 128 * 1024
 CORE_MEMORY_BYTES = 64 * 1024
 
-HANDLERS: Mapping[str, str] = {
-    f"{ENGINE}:plan_block": "on_plan",
-    "DMA2_Stream1_Handler": "on_samples",
-    "PendSV_Handler": "on_sync",
-    "ADC_Handler": "on_current",
-    "TIM1_BRK_TIM9_Handler": "on_fault",
-    "PVD_Handler": "on_fault",
+HANDLERS: Mapping[str, tuple[str, ...]] = {
+    f"{ENGINE}:plan_block": ("on_plan",),
+    "DMA2_Stream1_Handler": ("on_samples",),
+    "PendSV_Handler": ("on_sync",),
+    "ADC_Handler": ("on_current", "on_edge"),
+    "TIM1_BRK_TIM9_Handler": ("on_fault",),
+    "PVD_Handler": ("on_fault",),
 }
-"""Which handler in the application's file a function of the board calls through `hal_events_t`."""
+"""Which handlers in the application's file a function of the board calls through `hal_events_t`."""
 
-ABSENT: Mapping[str, tuple[str, ...]] = {"beacon": ("on_samples",), "sensor": ("on_current", "on_fault"), "anchor": ()}
+ABSENT: Mapping[str, tuple[str, ...]] = {
+    "beacon": ("on_samples",),
+    "sensor": ("on_current", "on_edge", "on_fault"),
+    "anchor": ("on_edge",),
+}
 """Handlers that an application does not have; the board then never calls them (`hal_chips_start`)."""
 
 PRIORITIES: tuple[tuple[str, ...], ...] = (
@@ -176,11 +180,12 @@ def resolve(graph: dict[str, Function], role: str) -> None:
         function.calls.discard("__indirect_call")
         if name not in HANDLERS:
             raise ReportError(f"{name} calls through a pointer that HANDLERS in {Path(__file__).name} does not know")
-        handler = f"firmware/apps/{role}.c:{HANDLERS[name]}"
-        if handler in graph:
-            function.calls.add(handler)
-        elif HANDLERS[name] not in ABSENT[role]:
-            raise ReportError(f"{name} calls {handler}, which does not exist")
+        for handler in HANDLERS[name]:
+            path = f"firmware/apps/{role}.c:{handler}"
+            if path in graph:
+                function.calls.add(path)
+            elif handler not in ABSENT[role]:
+                raise ReportError(f"{name} calls {path}, which does not exist")
 
 
 def run(tool: str, *arguments: str) -> str:

@@ -72,6 +72,8 @@ class Interrupt:
         Time from the request until which it must have ended, ticks, by role; a role without one has no deadline.
     why : str
         Where the deadline comes from.
+    roles : tuple of int
+        Boards that have it.
     """
 
     handler: str
@@ -79,6 +81,7 @@ class Interrupt:
     period: float
     deadline: dict[int, float]
     why: str
+    roles: tuple[int, ...] = (BEACON, SENSOR, ANCHOR)
 
 
 def _all(ticks: float) -> dict[int, float]:
@@ -92,6 +95,7 @@ INTERRUPTS = {
     "drive": Interrupt(
         "ADC_Handler", 2, CHIP, {BEACON: 8120, SENSOR: BLOCK, ANCHOR: 9520}, "the middle of the next chip"
     ),
+    "edge": Interrupt("ADC_Handler", 2, CHIP, {BEACON: 15000}, "the currents before the chip's end come", (BEACON,)),
     "block": Interrupt("DMA2_Stream1_Handler", 3, BLOCK, _all(29 * CHIP), "the last chip but one of the block begins"),
     "sync work": Interrupt("PendSV_Handler", 3, 1023 * CHIP, _all(BLOCK), "a block: the clock is set one block later"),
     "CAN frame": Interrupt("CAN1_RX0_Handler", 2, FRAME, _all(3 * FRAME), "three more frames end: the FIFO has three"),
@@ -206,14 +210,18 @@ class Loaded:
 
 
 def measure(image: str, cycles: float | str, seconds: float) -> dict[str, tuple[int, int]]:
-    """Return the instructions and cycles of the dearest call of each interrupt."""
+    """Return the instructions and cycles of the dearest call of each interrupt.
+
+    An edge's currents, which share their handler with those before the chip's end, count as much as these.
+    """
     loaded = Loaded(image, cycles)
-    for interrupt in INTERRUPTS.values():
-        loaded.board._emulator.probe(interrupt.handler)
+    for handler in sorted({interrupt.handler for interrupt in INTERRUPTS.values()}):
+        loaded.board._emulator.probe(handler)
     assert loaded.run(round(seconds * SECOND)), "the board stopped"
     probes = loaded.board._emulator.probes()
     loaded.board.close()
-    return {name: (p.largest, p.cycles) for name, i in INTERRUPTS.items() if (p := probes[i.handler]).calls}
+    own = {name: interrupt for name, interrupt in INTERRUPTS.items() if loaded.role in interrupt.roles}
+    return {name: (p.largest, p.cycles) for name, i in own.items() if (p := probes[i.handler]).calls}
 
 
 def response(name: str, costs: dict[str, float], masked: float) -> float:

@@ -134,7 +134,8 @@ def errors(waveform: str, driver: str, amplitude_A: float) -> tuple[float, float
     assert board.level[PIN_ENABLE], f"{waveform}, {driver}: the drive is off"
     worst_amplitude = worst_direct = 0.0
     for seen, level in zip(board.seen, levels, strict=False):
-        chips = [(round((time - first) * 1e-12 / chip_seconds(0) - 0.5), current) for time, current in seen]
+        places = [((time - first) * 1e-12 / chip_seconds(0), current) for time, current in seen]
+        chips = [(int(place // 1.0), current) for place, current in places if place % 1.0 > 0.5]
         inside = [(chip % CHIPS, current) for chip, current in chips if 0 <= chip < MEASURED_CYCLES * CHIPS]
         asked, current = level[[chip for chip, _ in inside]], np.array([current for _, current in inside])
         driven = asked != 0.0

@@ -12,7 +12,7 @@ import pytest
 
 from goldfield_protocol import FrameDecoder, decode
 from hil_sim.rig import Rig
-from tests.firmware.host_rig import PIN_ENABLE, US, chip_seconds
+from tests.firmware.host_rig import CHIPS, PIN_ENABLE, US, chip_seconds, gold_chips
 from tests.hil.reference_coil import COIL
 from tests.hil.scenario_text import scenario_of
 
@@ -22,6 +22,8 @@ LEAD = 40 * US
 """The beacon is the sync master, which lives two quanta ahead of the present (lockstep.h): a fault begins there."""
 DRIVES_S = 0.33
 """The beacon has its full current by then."""
+LOOK = 4 * US
+"""When a chip's edge is looked at."""
 WAY = 12 * US
 """What lies between a measurement and the end of the drive: conversion and interrupt."""
 RISE = 4 * US
@@ -41,13 +43,22 @@ position_m = [0.5, 0.6, 0.7]
 {coil}[[beacon]]
 id = "b"
 node = 1
-code = 2
+code = {code}
 position_m = [0.0, 0.0, 0.0]
 sync_master = true
 """
 
+CODE = 2
+TWO_FALLS = max(
+    [number for number in range(start + 1, start + 200) if turns[number % CHIPS]][1] - start
+    for turns in [gold_chips(CODE) != np.roll(gold_chips(CODE), 1)]
+    for start in range(CHIPS)
+)
+"""Most chips until the current has begun to turn twice."""
+
 FAULTS = {
     "coil_open": (CHIP + WAY, {"open_coil"}),
+    "coil_shorted": (TWO_FALLS * CHIP + LOOK + WAY, {"excess"}),
     "driver_runaway": (CHIP + RISE + WAY, {"over_current", "excess"}),
     "driver_stuck": (CHIP + TURN + WAY, {"over_current", "excess", "open_coil"}),
     "sense_shorted": (CHIP + WAY, {"over_current"}),
@@ -61,7 +72,7 @@ CAUSES = {1: "over_current", 2: "open_coil", 5: "excess"}
 
 def off_after(kind: str, seed: int) -> tuple[int, str]:
     """Let a fault come; return how long after it the drive ended, ps, and why."""
-    scenario = scenario_of(SCENARIO.format(coil=COIL))
+    scenario = scenario_of(SCENARIO.format(code=CODE, coil=COIL))
     random = np.random.default_rng([17, seed])
     decoder, why = FrameDecoder(), 0
     with Rig(scenario, "emulated", threads=1) as rig:
@@ -70,7 +81,7 @@ def off_after(kind: str, seed: int) -> tuple[int, str]:
         assert [bool(change["level"]) for change in rig.pin_changes(BEACON) if change["pin"] == PIN_ENABLE] == [True]
         begun = round(rig.now_s * 1e12) + LEAD
         rig.fault(BEACON, kind)
-        rig.advance(1e-3)
+        rig.advance(3e-3)
         [off] = [int(c["time_ps"]) for c in rig.pin_changes(BEACON) if c["pin"] == PIN_ENABLE and not c["level"]]
         rig.advance(0.05)
         for frame in decoder.feed(rig.serial_read(BEACON)):

@@ -15,11 +15,15 @@ static uint16_t convert(const hal_t *hal, unsigned pin) {
     return count >= HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count > 0 ? (uint16_t)count : 0; /* 0 for what is not a number. */
 }
 
+static void measure_currents(hal_t *hal) {
+    hal->engine.current[0] = convert(hal, PIN_CURRENT_0);
+    hal->engine.current[1] = convert(hal, PIN_CURRENT_1);
+}
+
 /* Converts the currents, and with them what changes more slowly. */
 static void measure(hal_t *hal) {
     engine_t *engine = &hal->engine;
-    engine->current[0] = convert(hal, PIN_CURRENT_0);
-    engine->current[1] = convert(hal, PIN_CURRENT_1);
+    measure_currents(hal);
     engine->monitor.supply = convert(hal, PIN_SUPPLY);
     engine->monitor.coil[0] = convert(hal, PIN_COIL_TEMPERATURE_0);
     engine->monitor.coil[1] = convert(hal, PIN_COIL_TEMPERATURE_1);
@@ -33,11 +37,16 @@ static uint32_t planned_period(const engine_t *engine) {
     return period < HAL_CHIP_TICKS_MIN ? HAL_CHIP_TICKS_MIN : period > HAL_CHIP_TICKS_MAX ? HAL_CHIP_TICKS_MAX : period;
 }
 
-/* A chip's events have numbers. 0 is the start of the very first chip; then, where there are coils, come the sampling
- * of their currents and the end of that conversion; then a sensor's eight samplings (an anchor has both); the last is
- * the start of the next chip. */
+/* A chip's events have numbers. 0 is the start of the very first chip; then a beacon has the sampling of its currents
+ * behind the edge and the end of that conversion; then, where there are coils, come the sampling of their currents and
+ * the end of that conversion; then a sensor's eight samplings (an anchor has both); the last is the start of the next
+ * chip. */
+static uint32_t edge_events(const engine_t *engine) {
+    return engine->role == HAL_ROLE_BEACON ? 2u : 0u;
+}
+
 static uint32_t current_events(const engine_t *engine) {
-    return hal_role_drives(engine->role) ? 2u : 0u;
+    return edge_events(engine) + (hal_role_drives(engine->role) ? 2u : 0u);
 }
 
 static uint32_t last_event(const engine_t *engine) {
@@ -52,6 +61,9 @@ int64_t host_engine_tick(const engine_t *engine) {
     if (engine->event == last_event(engine)) {
         return end;
     }
+    if (engine->event <= edge_events(engine)) {
+        return engine->chip_start + EDGE_TICKS + (engine->event == 1u ? 0 : CONVERSION_TICKS - SAMPLE_TICKS);
+    }
     const int64_t converted = end - BURST_MARGIN_TICKS;
     /* The samplings of the burst that are to come, this one included. */
     const int64_t to_come = (int64_t)last_event(engine) - engine->event;
@@ -60,7 +72,7 @@ int64_t host_engine_tick(const engine_t *engine) {
     }
     const int64_t measured = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS
                                                             : converted;
-    return engine->event == 1 ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
+    return engine->event + 1u == current_events(engine) ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
 }
 
 static void next_chip(engine_t *engine) {
@@ -132,7 +144,13 @@ void host_engine_event(hal_t *hal) {
         }
     } else if (hal->failed[HOST_FAILURE_CURRENT_STOPS]) {
         return;
-    } else if (event == 1) {
+    } else if (event <= edge_events(engine)) {
+        if (event == 1u) {
+            measure_currents(hal);
+        } else {
+            engine->events.edge(engine->events.context, engine->chip, engine->current);
+        }
+    } else if (event + 1u == current_events(engine)) {
         measure(hal);
     } else {
         engine->unmeasured = 0;

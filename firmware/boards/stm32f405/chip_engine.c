@@ -27,7 +27,7 @@
  *                             then DMA1 stream 5: set_points[(c - 1) mod 62] -> DHR12RD, for c + 1      c
  *   8000 (CC4)   TIM1_CC4     DMA2 stream 4: edges[c mod 62] -> preloads of TIM1, for c + 1             c + 1
  *   8000 (CC4)   TIM8_CC4     DMA2 stream 7: fuse[c mod 62] -> EGR of TIM1 (bridge.c)                   c + 1
- *   TIM3 CC1     converters   burst of 8 (sensor, anchor)
+ *   TIM3 CC1     converters   burst of 8 (sensor, anchor), or the coil currents behind the edge (beacon)
  *   TIM3 CC4     converters   one conversion of the coil currents (beacon, anchor)
  *   any          TIM8_CC1     edge of the sync wire, its count kept in CCR1
  *   ARR          update       chip c ends
@@ -310,10 +310,7 @@ static bool in_step(const DMA_stream_registers *stream, uint32_t items, uint32_t
  * chip's. That is right if this interrupt is late by less than half a chip. The bridges stay on for two more chips if
  * the streams that bring their levels, set-points and fuse move together, and somebody plans what they bring. Where a
  * break was first, its interrupt comes next, and tells why there is no current. */
-void ADC_Handler(void) {
-    uint16_t count[HAL_CHANNELS];
-    if (!converters_take(&board, count))
-        return;
+static void take_currents(const uint16_t count[HAL_CHANNELS]) {
     const uint32_t position = before(transfers(&DMA2->S[4], EDGE_ITEMS));
     const bool planned = board.chips_since_plan < RING_CHIPS + HAL_BLOCK_CHIPS;
     board.chips_since_plan += planned ? 1u : 0u;
@@ -322,4 +319,17 @@ void ADC_Handler(void) {
         bridge_watch();
     if (!bridge_lost())
         board.events.current(board.events.context, absolute_chip(board.first_chip, position), count);
+}
+
+/* The converters have something: what is injected, or what lies behind an edge. If both are there, this is late, and
+ * the currents of the chip before are the older ones. */
+void ADC_Handler(void) {
+    uint16_t count[HAL_CHANNELS];
+    if (converters_take(&board, count))
+        take_currents(count);
+    if (converters_take_edge(&board, count)) {
+        if (!bridge_lost())
+            board.events.edge(board.events.context, chip_now().chip, count);
+        converters_behind_edge(&board);
+    }
 }

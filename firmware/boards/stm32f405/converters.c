@@ -9,13 +9,18 @@
  *   coil currents  (beacon, anchor) Channel 0 is on ADC1, channel 1 on ADC2, at one moment, in the second of two
  *                  conversions that TIM3's compare 4 starts. A beacon's are at count 15640 and done by 15880, inside
  *                  the shortest chip. An anchor's are at 14240, done by 14480, before its burst.
+ *   edges          (beacon) The regular group is one conversion of both coils' currents, which TIM3's compare 1 starts
+ *                  at count 540: they are held at 672, 4 us into the chip, and done by 780. An anchor has none, since
+ *                  its regular group is the burst.
  *   monitor        (beacon, anchor) The first of the two takes the coils' temperatures, on ADC1 and ADC2, and the
  *                  supply, on ADC3, which takes the driver's temperature beside the currents.
  *   temperature    Channel 16 on ADC1 takes 480 + 12 cycles (3936 ticks), started by software in the first quarter of
  *                  a chip, when nothing else converts, and done by count 8200. For this one conversion it takes the
  *                  place of the injected group, whose trigger is off meanwhile: a start by software beside an armed
  *                  trigger is nothing that RM0090 describes. Converters that run together must sample equally long:
- *                  ADC2 and ADC3 look at pins meanwhile, for nobody.
+ *                  ADC2 and ADC3 look at pins meanwhile, for nobody. A beacon's is started by the interrupt of an edge,
+ *                  behind which nothing converts whatever has become of the chips: where edges come no more, so does
+ *                  the temperature.
  *
  * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's
  * counter tells whether it is there: 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the
@@ -39,9 +44,11 @@
 #define BUFFER_SAMPLES       (RING_CHIPS * CHIP_SAMPLES)
 #define CURRENT_START        (HAL_CHIP_TICKS_MIN - 360u)
 #define CURRENT_START_ANCHOR (BURST_START - 300u)
+#define EDGE_START           (HAL_EDGE_US * 168u - TRIGGER_TICKS - SAMPLING_TICKS)
 
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
 _Static_assert(CURRENT_START == 15640u && CURRENT_START_ANCHOR == 14240u, "and the currents");
+_Static_assert(EDGE_START == 540u, "and the edges");
 
 /* Channels of the injected group: those of the monitor, and beside the last of them the currents (pinout.md). */
 enum { CURRENT_0 = 0, CURRENT_1 = 14, SUPPLY = 10, COIL_0 = 11, COIL_1 = 13, DRIVER = 12, PROCESSOR = 16 };
@@ -65,6 +72,13 @@ static void inject_temperature(void) {
 }
 
 #define CURRENT_TRIGGER (ADC_CR2_JEXTSEL_TIM3_CC4 | ADC_CR2_JEXTEN_RISING)
+
+/* One rank: the edges. ADC3, which goes along, looks at a pin for nobody. */
+static void scan_edges(void) {
+    ADC1->SQR3 = CURRENT_0;
+    ADC2->SQR3 = CURRENT_1;
+    ADC3->SQR3 = DRIVER;
+}
 
 /* Sets up eight ranks of one channel. */
 static void scan(ADC_registers *adc, uint32_t channel) {
@@ -94,7 +108,7 @@ static void samples_stop(void) {
  * every second tick. */
 static void triggers_start(const hal_t *hal) {
     const uint32_t current = hal_role_samples(hal->role) ? CURRENT_START_ANCHOR : CURRENT_START;
-    TIM3->CCR1 = BURST_START / 2u;
+    TIM3->CCR1 = (hal_role_samples(hal->role) ? BURST_START : EDGE_START) / 2u;
     TIM3->CCR4 = (current - CONVERSION_TICKS) / 2u;
     TIM3->CCER |= TIM_CCER_CC1E | TIM_CCER_CC4E;
 }
@@ -117,15 +131,16 @@ static void converters_setup(const hal_t *hal) {
         scan(ADC2, 2);
         scan(ADC3, 3);
         samples_start(hal);
+    } else {
+        scan_edges();
     }
-    ADC1->CR1 = ADC_CR1_SCAN | ADC_CR1_JEOCIE;
+    ADC1->CR1 = ADC_CR1_SCAN | ADC_CR1_JEOCIE | (samples ? 0u : ADC_CR1_EOCIE);
     ADC2->CR1 = ADC_CR1_SCAN;
     ADC3->CR1 = ADC_CR1_SCAN;
     ADC2->CR2 = ADC_CR2_ADON;
     ADC3->CR2 = ADC_CR2_ADON;
-    /* The converters are stable 3 us later; the first trigger comes 40 us later at least. */
-    ADC1->CR2 = ADC_CR2_ADON | (samples ? ADC_CR2_EXTSEL_TIM3_CC1 | ADC_CR2_EXTEN_RISING : 0u) |
-                (drives ? CURRENT_TRIGGER : 0u);
+    /* The converters are stable 3 us later, before the first trigger comes. */
+    ADC1->CR2 = ADC_CR2_ADON | ADC_CR2_EXTSEL_TIM3_CC1 | ADC_CR2_EXTEN_RISING | (drives ? CURRENT_TRIGGER : 0u);
 }
 
 void converters_start(hal_t *hal) {
@@ -141,7 +156,16 @@ static void converters_restart(const hal_t *hal) {
     converters_setup(hal);
 }
 
+static void start_temperature(hal_t *hal) {
+    ADC1->CR2 &= ~ADC_CR2_JEXTEN_RISING;
+    inject_temperature();
+    hal->temperature_due = true;
+    ADC1->CR2 |= ADC_CR2_JSWSTART;
+}
+
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
+    if ((ADC1->SR & ADC_SR_JEOC) == 0)
+        return false;
     ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
     if (hal->temperature_due) {
         hal->temperature_due = false;
@@ -159,6 +183,21 @@ bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     count[0] = (uint16_t)ADC1->JDR2;
     count[1] = (uint16_t)ADC2->JDR2;
     return true;
+}
+
+bool converters_take_edge(const hal_t *hal, uint16_t count[HAL_CHANNELS]) {
+    if (hal_role_samples(hal->role) || (ADC1->SR & ADC_SR_EOC) == 0)
+        return false;
+    count[0] = (uint16_t)ADC1->DR; /* Reading it clears the flag. */
+    count[1] = (uint16_t)ADC2->DR;
+    return true;
+}
+
+void converters_behind_edge(hal_t *hal) {
+    if (hal->temperature_wanted && TIM8->CNT < MIDDLE_TICKS / 2u) {
+        hal->temperature_wanted = false;
+        start_temperature(hal);
+    }
 }
 
 void hal_monitor(const hal_t *hal, hal_monitor_t *monitor) {
@@ -198,13 +237,10 @@ static bool check_samples(hal_t *hal, uint32_t finished, chip_time_t now) {
 }
 
 void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
-    const bool idle = !hal_role_samples(hal->role) || check_samples(hal, finished, now);
-    if (idle && now.ticks < MIDDLE_TICKS / 2u) {
-        ADC1->CR2 &= ~ADC_CR2_JEXTEN_RISING;
-        inject_temperature();
-        hal->temperature_due = true;
-        ADC1->CR2 |= ADC_CR2_JSWSTART;
-    }
+    if (!hal_role_samples(hal->role))
+        hal->temperature_wanted = true;
+    else if (check_samples(hal, finished, now) && now.ticks < MIDDLE_TICKS / 2u)
+        start_temperature(hal);
 }
 
 hal_burst_t hal_burst_timing(void) {

@@ -231,7 +231,9 @@ typedef struct {
 #define ADC2 ((ADC_registers *)0x40012100u)
 #define ADC3 ((ADC_registers *)0x40012200u)
 
+#define ADC_SR_EOC               (1u << 1)
 #define ADC_SR_JEOC              (1u << 2)
+#define ADC_CR1_EOCIE            (1u << 5)
 #define ADC_CR1_JEOCIE           (1u << 7)
 #define ADC_CR1_SCAN             (1u << 8)
 #define ADC_CR2_ADON             (1u << 0)

@@ -99,7 +99,8 @@ struct hal {
     uint16_t fuse[RING_CHIPS]; /* Read by DMA: words for EGR of TIM1. */
 
     /* converters.c */
-    bool sampling;                 /* The samples in the buffer are complete and in step. */
+    bool sampling;                    /* The samples in the buffer are complete and in step. */
+    volatile bool temperature_wanted; /* A block has begun: the temperature is to start behind a beacon's next edge. */
     volatile bool temperature_due; /* The injected conversion is that of the temperature. JSQR says so, too, but would
                                       have to be read in each chip. */
     uint16_t temperature_count;    /* Its latest result, counts; 0: there is none. */
@@ -212,12 +213,18 @@ void bridge_watch(void);
 
 void converters_start(hal_t *hal);
 
-/* Take the result of injected conversions that have ended. Returns true if the counts are those of the coil currents,
- * false if it was the temperature. */
+/* Take the result of injected conversions, if they have ended. Returns true if the counts are those of the coil
+ * currents, false if it was the temperature or nothing. */
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
 
-/* Start the temperature and check that the samples are in step with the chips, at a block boundary. Samples of the
- * finished block that are not good read 0, which counts as saturated. */
+/* Take the coil currents behind a beacon's edge, if they are there. Returns whether they are. */
+bool converters_take_edge(const hal_t *hal, uint16_t count[HAL_CHANNELS]);
+
+/* Start the temperature if it is due. It is called behind a beacon's edge. */
+void converters_behind_edge(hal_t *hal);
+
+/* Start the temperature (a beacon's only becomes due), and check that the samples are in step with the chips, at a
+ * block boundary. Samples of the finished block that are not good read 0, which counts as saturated. */
 void converters_block(hal_t *hal, uint32_t finished, chip_time_t now);
 
 /* ---- chip_engine.c ---- */

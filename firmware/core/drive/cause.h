@@ -8,7 +8,8 @@ typedef enum {
     CAUSE_OPEN_COIL = 2,    /* A coil's current stayed below a share of what was asked. */
     CAUSE_DRIVER = 3,       /* The drivers' fault input is active. */
     CAUSE_STALE = 4,        /* No current was measured for two chips while the bridge was on. */
-    CAUSE_EXCESS = 5,       /* A current far above what was asked: a shorted coil, or a driver that has run away. */
+    CAUSE_EXCESS = 5,       /* A current far above what was asked, or one that fell too fast: a coil or turns of it are
+                               shorted, or a driver has run away. */
     CAUSE_OVERLOAD = 6,     /* The mean square of the current was above its limit (I2t). */
     CAUSE_COIL_HOT = 7,
     CAUSE_DRIVER_HOT = 8,

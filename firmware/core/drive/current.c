@@ -2,7 +2,6 @@
 
 #include <string.h>
 
-#define MID_SCALE       2048   /* Count of the sense at 0 A, nominally. */
 #define REFERENCE_MAX   4095   /* Largest set-point, counts. */
 #define KEPT_RAMPING    0.875f /* Share of the old sums that is kept block after block. */
 #define KEPT_HOLDING    0.96875f
@@ -24,7 +23,7 @@ bool current_configure(current_t *current, const current_config_t *config) {
         return false;
     }
     const float scale = config->reference_A / config->sense_A;
-    if (!(config->amplitude_A / config->sense_A <= (float)(MID_SCALE - 1) && scale >= 1.0f / 1024.0f &&
+    if (!(config->amplitude_A / config->sense_A <= (float)(CURRENT_MID_SCALE - 1) && scale >= 1.0f / 1024.0f &&
           scale <= 8.0f)) {
         return false;
     }
@@ -220,7 +219,7 @@ static bool take_driven(current_t *current, uint32_t asked, bool negative, int32
 }
 
 cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint16_t count) {
-    const int32_t came = (int32_t)count - MID_SCALE;
+    const int32_t came = (int32_t)count - CURRENT_MID_SCALE;
     const uint32_t asked = (uint32_t)(set_point < 0 ? -set_point : set_point);
     cause_t cause = guard_sample(&current->guard, asked, came); /* In a fault, too: its mean square goes on. */
     if (current->state == CURRENT_FAULT) {

@@ -62,6 +62,7 @@
 #define CURRENT_RAMP_BLOCKS    33u    /* Blocks from 0 to full amplitude: 1023 driven chips, 0.1 s. */
 #define CURRENT_ZERO_CHIPS     256u   /* Chips without current before the zero counts as known: 25 ms. */
 #define CURRENT_OPEN_MINIMUM_A 0.125f /* Largest current asked for with which an open coil is not looked for, A. */
+#define CURRENT_MID_SCALE      2048   /* Count of the sense at 0 A, nominally. */
 #define CURRENT_ONE            16384  /* The level 1. */
 
 typedef struct {

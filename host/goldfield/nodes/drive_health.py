@@ -15,7 +15,8 @@ CAUSES = {
     "open_coil": "the coil's current stayed below what was asked: coil or cable is open",
     "driver": "the driver pulled its fault pin",
     "stale": "the coil's current was not measured any more",
-    "excess": "the coil's current was far above what was asked: the coil is shorted, or the driver broken",
+    "excess": "the coil's current was far above what was asked, or fell faster than it did: the coil or turns of it "
+    "are shorted, or the driver is broken",
     "overload": "the mean square of the coil's current was above the parameter rms_current",
     "coil_hot": "the coil was warmer than the parameter coil_hot, or its thermistor is not connected",
     "driver_hot": "the driver was warmer than the parameter driver_hot, or its thermistor is not connected",

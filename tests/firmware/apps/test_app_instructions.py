@@ -85,13 +85,16 @@ static uint16_t sensed(uint32_t drive, uint32_t set_point) {
     const uint32_t size = set_point / 2u;
     return (uint16_t)(2048u + (drive == HAL_DRIVE_POSITIVE ? size : drive == HAL_DRIVE_NEGATIVE ? 0u - size : 0u));
 }
-uint16_t now[2];
+uint16_t now[2] = {2048, 2048}, early[2]; /* Behind the edge a quarter of the way is done. */
 void sense_current(void) {
     const hal_plan_t *plan = &plans[chip / HAL_BLOCK_CHIPS & 1];
     const uint32_t i = chip % HAL_BLOCK_CHIPS;
+    const uint16_t before[2] = {now[0], now[1]};
     now[0] = sensed(plan->drive[i] & 3u, plan->set_point[0][i]);
     now[1] = sensed(plan->drive[i] >> 2 & 3u, plan->set_point[1][i]);
+    for (uint32_t c = 0; c < 2u; c++) early[c] = (uint16_t)((3u * before[c] + now[c]) / 4u);
 }
+void call_edge(void) { events.edge(events.context, chip, early); }
 void call_current(void) { events.current(events.context, chip++, now); }
 void call_samples(void) { events.samples(events.context, block - 2, (const hal_samples_t *)&samples); }
 void lock(void) { sensor.timing.clock.locked = true; }
@@ -149,6 +152,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "lock",
         "call_plan",
         "sense_current",
+        "call_edge",
         "call_current",
         "call_samples",
     )
@@ -189,27 +193,31 @@ def call(image: Path, request: pytest.FixtureRequest) -> Machine:
 
 @pytest.mark.parametrize(
     ("call", "most"),
-    [({}, (150, 260, 620)), ({"waveform": 3, "periods": 5, "degree": 11}, (215, 335, 700))],
+    [({}, (150, 260, 620, 230)), ({"waveform": 3, "periods": 5, "degree": 11}, (215, 335, 700, 300))],
     indirect=["call"],
 )
-def test_beacon(call: Machine, most: tuple[int, int, int]) -> None:
+def test_beacon(call: Machine, most: tuple[int, int, int, int]) -> None:
     start = call("begin_beacon")
-    plans, currents, idle, reports = [], [], [], []
+    plans, edges, currents, idle, reports = [], [], [], [], []
     for _ in range(2):
         call("call_plan")
     for _ in range(70):
         for _ in range(31):
             call("sense_current")
+            edges.append(call("call_edge"))
             currents.append(call("call_current"))
         plans.append(call("call_plan"))
         reports.append(call("step_beacon"))
         idle.append(call("step_beacon"))
     chip, chip_most = sorted(currents)[len(currents) // 2], max(currents)
+    edge = sorted(edges)[len(edges) // 2]
     print(f"beacon: start {start}, plan of 31 chips {max(plans)}, current {chip}, at most {chip_most}")
+    print(f"        behind an edge {edge}, at most {max(edges)}")
     print(f"        main idle {min(idle)}, with a report {max(reports)} instructions")
     assert max(plans) <= 31 * most[0]
     assert chip <= most[1]
     assert chip_most <= most[2]
+    assert max(edges) <= most[3]
     assert min(idle) <= 320
 
 

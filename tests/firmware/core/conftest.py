@@ -18,6 +18,7 @@ HEADERS = (
     "core/codes/separation.h",
     "core/timing/chip_clock.h",
     "core/drive/current.h",
+    "core/drive/fall.h",
     "core/drive/latch.h",
     "core/drive/thermistor.h",
     "core/drive/waveform.h",

@@ -41,6 +41,7 @@ struct {
     uint32_t ports[3][4]; /* MODER, PUPDR, AFRL, AFRH of GPIOA to GPIOC. */
     uint32_t syncs, sync_chip[SYNCS], sync_ticks[SYNCS];
     hal_counters_t counters;
+    uint32_t edges_right, edges_wrong;
 } probe;
 
 static void spin(uint32_t microseconds) {
@@ -145,6 +146,15 @@ static void current(void *context, uint32_t chip, const uint16_t count[HAL_CHANN
         probe.currents_wrong++;
 }
 
+static void edge(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
+    (void)context;
+    const uint32_t expected = chip * 7u % 3000u + 300u;
+    if (count[0] == expected && count[1] == expected + 30u)
+        probe.edges_right++;
+    else
+        probe.edges_wrong++;
+}
+
 static void sync(void *context, uint32_t chip, uint16_t ticks) {
     (void)context;
     if (probe.syncs < SYNCS) {
@@ -177,6 +187,7 @@ int main(void) {
         .plan = plan,
         .samples = hal_role_samples(role) ? samples : NULL,
         .current = hal_role_drives(role) ? current : NULL,
+        .edge = role == HAL_ROLE_BEACON ? edge : NULL,
         .fault = fault,
         .sync = sync,
     };
