@@ -9,6 +9,7 @@ that it does not serve (``serves(model)`` tells). `BlockFilter` takes either:
     bank.resume(known)                      # an Estimate in its place
     bank.update(form, seconds)              # a NormalForm; seconds since the middle of the last block or the start;
                                             # False: refused by all filters, the block is predicted over
+                                            # (in NumPy also linearised elsewhere: `Bank.update`)
     bank.predict(seconds)                   # nothing came: the middle goes on by so many seconds
     bank.output(seconds)                    # an Estimate, so many seconds after the middle; 0: at the middle
     bank.mismatch                           # -2 log likelihood of the blocks taken since the start: lower is better
@@ -27,7 +28,7 @@ from goldfield.field import FieldModel
 from goldfield.locate.chances import chdtri
 from goldfield.track.blocks.equations import NormalForm
 from goldfield.track.blocks.state import AMBIENT, OFFSET, RATE, SIZE, VELOCITY, Motion, added, onward
-from goldfield.track.blocks.update import observed, reference, taken_by
+from goldfield.track.blocks.update import Reference, observed, reference, taken_by
 from goldfield.types import FloatArray
 
 AGILITIES: FloatArray = np.array([[0.03, 0.06], [0.5, 1.0], [2.0, 4.0], [8.0, 15.0]])
@@ -48,6 +49,9 @@ GATE = 1e-5
 START_VELOCITY_M_S, START_RATE_RAD_S, START_OFFSET_T = 3.0, 4.0, 5e-6
 """Standard deviations of what a start does not know, each axis."""
 
+WIDENED = 2.0
+"""The deviations of the located pose are doubled: they are too small at ill-conditioned points (maths.md, 3)."""
+
 REMEMBERED = 64
 """Distances in time whose noise is kept."""
 
@@ -65,6 +69,10 @@ class Start:
     ambient_T : ndarray, shape (3,)
         In the site's frame.
     ambient_cov_T2 : ndarray, shape (3, 3)
+    blocks : tuple of NormalForm
+        The blocks that the pose was located by, the last of them that of the start; none if it was not by blocks.
+    spacing_s : float
+        Time from the middle of one of them to that of the next.
     """
 
     position_m: FloatArray
@@ -72,6 +80,8 @@ class Start:
     pose_cov: FloatArray
     ambient_T: FloatArray
     ambient_cov_T2: FloatArray
+    blocks: tuple[NormalForm, ...] = ()
+    spacing_s: float = 0.0
 
     @property
     def known(self) -> Estimate:
@@ -150,10 +160,13 @@ class Bank:
         self._probability[:] = 1.0 / count
         self.mismatch, self.refused, self._unmixed_s, self._merged = 0.0, 0, 0.0, None
 
-    def update(self, form: NormalForm, seconds: float) -> bool:
-        """Go on by some seconds to the middle of a block and take it; False if all filters refuse it."""
+    def update(self, form: NormalForm, seconds: float, around: Reference | None = None) -> bool:
+        """Go on by some seconds to the middle of a block and take it; False if all filters refuse it.
+
+        The block is linearised around a reference that is given, or where the likeliest filter has the sensor.
+        """
         self.predict(seconds)
-        block = observed(form, reference(self._model, self._motion.taken(self._best)))
+        block = observed(form, around or reference(self._model, self._motion.taken(self._best)))
         update = taken_by(self._motion, self._covariance, block)
         agrees = update.surprise <= _gate(block.rank)
         if not agrees.any():

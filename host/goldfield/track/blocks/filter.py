@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from goldfield.field import FieldModel
 from goldfield.locate.rotations import matrix_of
 from goldfield.site import Site
-from goldfield.track.blocks.bank import Bank, Estimate, Start
+from goldfield.track.blocks.backward import Step
+from goldfield.track.blocks.bank import WIDENED, Bank, Estimate, Start
 from goldfield.track.blocks.consider import Allowance, Considered
 from goldfield.track.blocks.equations import BlockEquations, NormalForm
 from goldfield.track.blocks.evenness import EVEN_T, Evenness
@@ -21,7 +22,7 @@ from goldfield.track.blocks.integrity import Integrity
 from goldfield.track.blocks.judge import Verdict
 from goldfield.track.blocks.kernel import CBank, serves
 from goldfield.track.blocks.pair import Pair
-from goldfield.track.blocks.start import AMBIENT_T, WIDENED, Starter
+from goldfield.track.blocks.start import AMBIENT_T, Starter
 from goldfield.track.blocks.state import AMBIENT, POSITION, TURN
 from goldfield.track.continuity import Hemisphere, joined, time_break
 from goldfield.track.report import Reporter
@@ -84,31 +85,6 @@ class Tracked:
     ambient_T: FloatArray
     offset_T: FloatArray
     covariance: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class Step:
-    """What a `BlockFilter` believed at the middle of a block, with the block: all that a smoother needs.
-
-    Attributes
-    ----------
-    track : int
-        Number of the track: steps of different tracks know nothing of each other.
-    middle_s : float
-        Middle of the block.
-    known : Estimate
-        Without what the errors of the site do to it.
-    agility : ndarray, shape (2,)
-        The sensor's agility until this step, as `goldfield.track.blocks.bank.AGILITIES`.
-    bias : ndarray, shape (6, 6), or None
-        Covariance of the pose by the errors of the site.
-    """
-
-    track: int
-    middle_s: float
-    known: Estimate
-    agility: FloatArray
-    bias: FloatArray | None
 
 
 class BlockFilter:
@@ -313,7 +289,7 @@ class BlockFilter:
         self._integrity.forget()
 
     def _bank(self) -> Pair:
-        return Pair(self._one_bank)
+        return Pair(self._one_bank, self._model)
 
     def _one_bank(self) -> Bank | CBank:
         return CBank(self._model) if self._in_c and not self._precise else Bank(self._model)

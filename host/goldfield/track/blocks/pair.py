@@ -14,7 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from goldfield.field import FieldModel
 from goldfield.track.blocks.bank import Bank, Estimate, Start
+from goldfield.track.blocks.beginning import Beginning, begun
 from goldfield.track.blocks.equations import NormalForm
 from goldfield.track.blocks.kernel import CBank, double
 from goldfield.track.blocks.state import AMBIENT, OFFSET, POSITION, TURN, Motion
@@ -72,6 +74,7 @@ class Pair:
     ----------
     make : callable
         Makes a `Bank` or a `CBank`.
+    model : FieldModel
 
     Attributes
     ----------
@@ -79,8 +82,11 @@ class Pair:
         The numbers of a bank are none any more: its precision did not do (docs/blocks.md).
     """
 
-    def __init__(self, make: Callable[[], Bank | CBank]) -> None:
+    def __init__(self, make: Callable[[], Bank | CBank], model: FieldModel) -> None:
         self._seeing, self._alone = make(), make()
+        self._model = model
+        self._beginning: Beginning | None = None
+        self._before = 0.0
         self._probation_s = 0.0
         self._weight = 0.0
         self._blocks = 0
@@ -90,7 +96,7 @@ class Pair:
     @property
     def mismatch(self) -> float:
         """-2 log likelihood of the blocks that were taken since the start."""
-        return self._seeing.mismatch
+        return self._before + self._seeing.mismatch
 
     @property
     def refused(self) -> int:
@@ -112,31 +118,55 @@ class Pair:
         """Begin a track."""
         self._seeing.start(start)
         self._alone.start(start)
-        self._probation_s = self._weight = 0.0
+        self._probation_s = self._weight = self._before = 0.0
         self._apart = None
+        self._beginning = begun(self._model, start)
 
     def predict(self, seconds: float) -> None:
         """Go on by some seconds without a block."""
         self._seeing.predict(seconds)
         self._alone.predict(seconds)
         self._apart = None
+        if self._beginning is not None:
+            self._beginning.wait(seconds)
 
     def update(self, form: NormalForm, seconds: float) -> bool:
         """Go on by some seconds to the middle of a block and take it; False if all filters refuse it."""
+        took = self._take(form, seconds)
+        if self._beginning is None:
+            return took
+        return self._fitted(self._beginning, form, seconds) or took
+
+    def _fitted(self, beginning: Beginning, form: NormalForm, seconds: float) -> bool:
+        """Fit the first blocks of a vague track with one more; tell whether the banks go on from there."""
+        agrees = beginning.add(form, seconds)
+        if agrees:
+            self._seeing.resume(beginning.known)
+            self._alone.resume(beginning.known)
+            self._before, self._probation_s, self._weight, self._apart = beginning.mismatch, 0.0, 0.0, None
+            self.broken = False
+        if beginning.over:
+            self._beginning = None
+        return agrees
+
+    def _take(self, form: NormalForm, seconds: float) -> bool:
+        """Do what `update` does, block by block."""
         self._probation_s = max(self._probation_s - abs(seconds), 0.0)
         self._apart = None
         if self._seeing.update(form, seconds):
             self._alone.update(form.beacons_alone, seconds)
             self._blocks += 1
-            self._compare(self._weight > 0.0 or self._blocks % COMPARED == 0)
+            due = self._weight > 0.0 or self._blocks % COMPARED == 0
+            self._compare(due and self._beginning is None)
             return True
-        if self._seeing.refused >= JUMPED and self._alone.update(form.beacons_alone, seconds):
+        jumped = self._seeing.refused >= JUMPED and self._beginning is None
+        if jumped and self._alone.update(form.beacons_alone, seconds):
             seeing, alone = self._seeing.output(), self._alone.output()
             self.broken = not (_sound(seeing) and _sound(alone))
             if not self.broken:
                 self._begin_anew(seeing, alone)
             return True
-        if self._seeing.refused < JUMPED:  # a block that is refused has passed all the same
+        if not jumped:  # a block that is refused has passed all the same
             self._alone.predict(seconds)
         return False
 

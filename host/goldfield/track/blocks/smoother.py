@@ -10,16 +10,15 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from goldfield.errors import UserError
 from goldfield.site import Site
+from goldfield.track.blocks.backward import Step, smoothed
 from goldfield.track.blocks.bank import Estimate
-from goldfield.track.blocks.filter import BlockFilter, Step
+from goldfield.track.blocks.filter import BlockFilter
 from goldfield.track.blocks.state import added, onward
 from goldfield.track.continuity import Hemisphere
 from goldfield.track.report import Reporter
-from goldfield.types import Block, FloatArray, Pose, Status
+from goldfield.types import Block, Pose, Status
 
 LAG_S = 0.05
 """Time after which a pose goes out: an agile filter forgets within it, so that later blocks tell hardly more."""
@@ -97,26 +96,3 @@ class BlockSmoother:
         told = self._reporter.again(pose, motion, covariance)
         # An alternative is not smoothed: it goes out as it was
         return replace(told, alternative=pose.alternative) if pose.status is Status.AMBIGUOUS else told
-
-
-def smoothed(steps: Sequence[Step]) -> list[Estimate]:
-    """Return what all steps of one track together tell of each of them."""
-    if not steps:
-        return []
-    back = [steps[-1].known]
-    for step, later in zip(steps[-2::-1], steps[:0:-1], strict=True):
-        seconds = later.middle_s - step.middle_s
-        predicted, transition = onward(step.known.motion, seconds)
-        covariance = step.known.covariance
-        before = transition @ covariance @ transition.T + added(later.agility, seconds)
-        gain = _divided(covariance @ transition.T, before)
-        after = back[-1]
-        change = gain @ after.motion.minus(predicted)
-        back.append(Estimate(step.known.motion.moved(change), covariance + gain @ (after.covariance - before) @ gain.T))
-    return back[::-1]
-
-
-def _divided(left: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return left times the inverse of a covariance whose rows have different units."""
-    scale = 1.0 / np.sqrt(np.diag(covariance))
-    return np.asarray(np.linalg.solve(covariance * np.outer(scale, scale), (left * scale).T).T * scale)

@@ -10,12 +10,9 @@ import numpy as np
 from goldfield.locate import Locator
 from goldfield.locate.rotations import matrix_of
 from goldfield.site import Site
-from goldfield.track.blocks.bank import START_RATE_RAD_S, START_VELOCITY_M_S, Start
+from goldfield.track.blocks.bank import START_RATE_RAD_S, START_VELOCITY_M_S, WIDENED, Start
 from goldfield.track.blocks.equations import BlockEquations, NormalForm, separated
 from goldfield.types import Fields, FloatArray, Pose, Status
-
-WIDENED = 2.0
-"""The deviations of the located pose are doubled: they are too small at ill-conditioned points (maths.md, 3)."""
 
 AMBIENT_T = 5e-6
 """Deviation of the ambient field of a start beside its noise."""
@@ -109,7 +106,9 @@ class Starter:
                 return pose, []
         both = [pose, pose.alternative] if pose.status is Status.AMBIGUOUS else [pose]
         begun = [one for one in both if one is not None and self._somewhere(one)]
-        return pose, [self._start(one, ambient, form, len(forms)) for one in begun]
+        out = np.array([row for row, name in enumerate(self._ids) if name in (*without, *pose.excluded)], dtype=np.intp)
+        kept = tuple(one.without(out) for one in forms) if begun else ()
+        return pose, [self._start(one, ambient, kept) for one in begun]
 
     @staticmethod
     def _somewhere(pose: Pose) -> bool:
@@ -131,12 +130,14 @@ class Starter:
         of_beacons = form.gram[count, :count] @ np.nan_to_num(field_T)
         return np.asarray((form.sums_T[count] - of_beacons) / form.gram[count, count])
 
-    def _start(self, pose: Pose, ambient: FloatArray, form: NormalForm, blocks: int) -> Start:
-        """Return the start at the last of so many blocks, over which the sensor may have moved."""
-        rotation = matrix_of(pose.orientation_xyzw)
-        behind_s = 0.5 * (blocks - 1) * (2.0 * form.end_s + self._site.chip_period_s)
+    def _start(self, pose: Pose, ambient: FloatArray, blocks: tuple[NormalForm, ...]) -> Start:
+        """Return the start at the last of some blocks, over which the sensor may have moved."""
+        rotation, form = matrix_of(pose.orientation_xyzw), blocks[-1]
+        spacing_s = 2.0 * form.end_s + self._site.chip_period_s
+        behind_s = 0.5 * (len(blocks) - 1) * spacing_s
         covariance = np.diag(np.repeat([(START_VELOCITY_M_S * behind_s) ** 2, (START_RATE_RAD_S * behind_s) ** 2], 3))
         covariance[:3, :3] += WIDENED**2 * pose.position_cov_m2
         covariance[3:, 3:] += WIDENED**2 * pose.attitude_cov_rad2
         noise = self._site.sensor.noise_T**2 / form.gram[-1, -1]
-        return Start(pose.position_m, rotation, covariance, rotation @ ambient, (AMBIENT_T**2 + noise) * np.eye(3))
+        ambient_cov = (AMBIENT_T**2 + noise) * np.eye(3)
+        return Start(pose.position_m, rotation, covariance, rotation @ ambient, ambient_cov, blocks, spacing_s)

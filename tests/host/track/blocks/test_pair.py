@@ -14,7 +14,8 @@ NOISE_T = 2e-7
 
 def test_what_two_banks_say_ahead_needs_no_inverse():
     """The covariance of a bank in single precision may be none for a moment, which ended the program."""
-    pair = Pair(lambda: Bank(FieldModel(prigge_cube(NOISE_T).beacons)))
+    model = FieldModel(prigge_cube(NOISE_T).beacons)
+    pair = Pair(lambda: Bank(model), model)
     start = Start(MIDDLE_M, np.eye(3), np.diag([1e-4] * 3 + [1e-3] * 3), EARTH_T, 1e-12 * np.eye(3))
     pair.start(start)
     pair._weight = 0.5

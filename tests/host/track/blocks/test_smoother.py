@@ -6,10 +6,9 @@ import pytest
 from goldfield.errors import UserError
 from goldfield.field import FieldModel
 from goldfield.track.blocks import BlockFilter, BlockSmoother
+from goldfield.track.blocks.backward import Step, smoothed
 from goldfield.track.blocks.bank import Bank, Start
 from goldfield.track.blocks.equations import BlockEquations
-from goldfield.track.blocks.filter import Step
-from goldfield.track.blocks.smoother import smoothed
 from goldfield.track.blocks.state import added, onward
 from goldfield.track.blocks.update import observed, reference
 from goldfield.types import Status
