@@ -20,6 +20,8 @@ from goldfield.view.records import json_line, number, pose_record
 
 LEFT_OUT = "left out: "
 """How a pose's reason begins to say why a beacon was left out."""
+MAY_BE, OR = "it may be that ", ", or that "
+"""How it begins to say what might be wrong, and goes on."""
 
 Json = dict[str, Any]
 
@@ -127,4 +129,9 @@ def _unsaid(pose: Pose, findings: list[Finding]) -> str | None:
     """Return what a pose's reason says that no finding has said."""
     said = {finding.text for finding in findings}
     parts = (pose.reason or "").split("; ")
-    return "; ".join(part for part in parts if part.removeprefix(LEFT_OUT) not in said) or None
+    return "; ".join(part for part in parts if not said.issuperset(_explanations(part))) or None
+
+
+def _explanations(part: str) -> list[str]:
+    """Return what a part of a reason says is wrong, or may be, as findings say it."""
+    return part.removeprefix(MAY_BE).split(OR) if part.startswith(MAY_BE) else [part.removeprefix(LEFT_OUT)]

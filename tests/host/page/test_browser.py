@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -142,6 +143,41 @@ def test_a_way_through_everything(opened, served, messages, calm):
     assert len(page.locator("polyline.trail").get_attribute("points")) > 100
     page.get_by_role("button", name="Clear trail").click()
     expect(page.locator("polyline.trail")).to_have_attribute("points", "")
+
+
+@pytest.mark.parametrize(("device", "viewport"), [("desktop", DESKTOP), ("phone", PHONE)])
+def test_an_alarm_is_told_once_and_three_are_seen_whole(opened, served, messages, calm, device, viewport):
+    """The field of one beacon is told of in two ways, with figures that change, before and after a coil opens."""
+    page = opened(viewport)
+    alarms, count = page.get_by_label("What is wrong now"), page.locator("#alarm-count")
+    expect(count).to_have_text("")
+    served.publish(calm[-10:])
+    expect(alarms.get_by_role("listitem")).to_have_text(re.compile(f"The field of {IDS[WEAK]} is .* times the site's"))
+    expect(count).to_have_text("1 now")
+    served.publish([one for one in messages if _epoch(*one) in (95, 96)])
+    expect(count).to_have_text("3 now")
+    items = alarms.get_by_role("listitem")
+    expect(items).to_have_count(3)
+    expect(items.filter(has_text=" times the field of the site file")).to_have_count(1)
+    SHOTS.mkdir(exist_ok=True)
+    page.screenshot(path=SHOTS / f"{device}-alarms.png", full_page=True)
+    assert alarms.evaluate("list => list.scrollHeight <= list.clientHeight")
+
+
+def test_a_chart_without_a_line_has_no_labels(opened, served, calm):
+    page = opened()
+    pictures = page.locator(".chart-picture")
+    expect(pictures).to_have_count(3)
+    for number in range(3):
+        expect(pictures.nth(number).locator(".uplot")).to_be_hidden()
+    SHOTS.mkdir(exist_ok=True)
+    page.screenshot(path=SHOTS / "desktop-empty.png", full_page=True)
+    assert violations(page) == []
+    served.publish([one for one in calm if one[0] == "epoch"])  # whose health tells the rates
+    for number, shown in enumerate((True, True, False)):
+        expect(pictures.nth(number).locator(".uplot")).to_be_visible(visible=shown)
+    served.publish(calm[-10:])
+    expect(pictures.nth(2).locator(".uplot")).to_be_visible()
 
 
 def test_space_is_turned_by_mouse_and_keyboard(opened, served, calm):

@@ -113,6 +113,19 @@ def test_an_open_coil_is_told_as_an_alarm_once(messages):
     assert IDS[BROKEN] in epochs[-1]["excluded"]
 
 
+def test_what_a_finding_says_no_other_alarm_repeats(messages):
+    """A reason that names what may be wrong names what was found."""
+    reasons = 0
+    for epoch in of(messages, "epoch"):
+        found = [alarm["text"] for alarm in epoch["alarms"] if alarm["kind"] != epoch["status"]]
+        for alarm in epoch["alarms"]:
+            if alarm["kind"] == epoch["status"]:
+                reasons += 1
+                assert alarm["text"] == "no pose fits all fields"
+                assert len(found) >= 2
+    assert reasons > 0
+
+
 def test_health_tells_each_beacon_and_what_its_board_says(messages):
     *_, middle, last = of(messages, "health")[: BREAKS // 5] + of(messages, "health")[-1:]
     assert len(of(messages, "health")) == CYCLES / 5

@@ -27,8 +27,8 @@ export class Alarms {
   take(alarms: Alarm[]): void {
     const time = performance.now();
     for (const alarm of alarms) {
-      // Numbers in a sentence change from epoch to epoch; the alarm is the same.
-      const key = `${alarm.kind} ${alarm.beacons.join()} ${alarm.text.replace(/[\d.]+/g, "#")}`;
+      // One kind about one beacon is one alarm, in whatever words; of others the numbers change from epoch to epoch.
+      const key = `${alarm.kind} ${alarm.beacons.join() || alarm.text.replace(/[\d.]+/g, "#")}`;
       const kept = this.now.get(key) ?? { alarm, first: new Date(), last: time, count: 0 };
       this.now.set(key, { ...kept, alarm, last: time, count: kept.count + 1 });
     }
@@ -46,6 +46,7 @@ export class Alarms {
     if (state === this.shown) return;
     this.shown = state;
     const list = byId("alarms");
+    setText(byId("alarm-count"), this.now.size ? `${this.now.size} now` : " ");
     const calm = running ? "Nothing is wrong." : "Nothing is known: no epoch comes in.";
     if (this.now.size) list.replaceChildren(...[...this.now.values()].map((kept) => this.item(kept)));
     else list.replaceChildren(make("li", { class: "calm", "data-tone": running ? "good" : "idle" }, make("span", { class: "mark", "aria-hidden": "true" }, running ? "✓" : "○"), ` ${calm}`));

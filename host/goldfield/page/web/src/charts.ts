@@ -79,12 +79,16 @@ class Chart {
   }
 
   draw(times: number[], columns: (number | null)[][], span: number): void {
-    if (!times.length) return;
-    const end = times[times.length - 1];
+    const end = times.at(-1) ?? 0;
     let start = 0;
     while (times[start] < end - span) start++;
-    this.plot?.setData([times.slice(start), ...columns.map((column) => column.slice(start))] as uPlot.AlignedData, false);
-    this.plot?.setScale("x", { min: Math.max(end - span, Math.min(times[0], end - 1)), max: end });
+    const shown = columns.map((column) => column.slice(start));
+    // Axes without a line would have labels of nothing.
+    this.picture.dataset.empty = String(!shown.flat().some((value) => value !== null));
+    if (times.length) {
+      this.plot?.setData([times.slice(start), ...shown] as uPlot.AlignedData, false);
+      this.plot?.setScale("x", { min: Math.max(end - span, Math.min(times[0], end - 1)), max: end });
+    }
     const said = columns.map((column) => figure(column.at(-1), this.kind.decimals));
     setText(this.latest, said.join(" / "));
     this.picture.setAttribute("aria-label", `${this.kind.title}, ${this.kind.unit}: ${this.kind.lines.map((one, i) => `${one.label} ${said[i]}`).join(", ")}`);
