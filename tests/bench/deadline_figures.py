@@ -216,9 +216,9 @@ def measure(image: str, cycles: float | str, seconds: float) -> dict[str, tuple[
     """
     loaded = Loaded(image, cycles)
     for handler in sorted({interrupt.handler for interrupt in INTERRUPTS.values()}):
-        loaded.board._emulator.probe(handler)
+        loaded.board.emulator.probe(handler)
     assert loaded.run(round(seconds * SECOND)), "the board stopped"
-    probes = loaded.board._emulator.probes()
+    probes = loaded.board.emulator.probes()
     loaded.board.close()
     own = {name: interrupt for name, interrupt in INTERRUPTS.items() if loaded.role in interrupt.roles}
     return {name: (p.largest, p.cycles) for name, i in own.items() if (p := probes[i.handler]).calls}

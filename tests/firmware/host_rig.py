@@ -82,6 +82,8 @@ class Board:
         How many cycles an instruction takes there, or ``m4``.
     strict : bool
         A violation of what the chip's manual allows stops an emulated board.
+    cells : bytes, optional
+        The flash of an emulated board that had no power (`Emulator.cells`), in place of image and page.
     """
 
     role: int
@@ -96,6 +98,7 @@ class Board:
     emulated: bool = False
     cycles: float | str = 1.0
     strict: bool = True
+    cells: bytes | None = None
 
     pins: list[tuple[int, int, bool]] = field(default_factory=list)
     analog: tuple[list[tuple[int, float]], list[tuple[int, float]]] = field(default_factory=lambda: ([], []))
@@ -116,9 +119,11 @@ class Board:
             )
             image = ROOT / "build/firmware" / IMAGES[self.role]
             address = int(FFI.cast("uintptr_t", edge))
-            self._emulator = Emulator(image, settings, edge=address, parameter_page=page, power_on_ps=self.power_on)
-            self.handle = FFI.cast("board_t *", self._emulator.board)
-            self.operations = FFI.cast("board_operations_t *", self._emulator.operations)
+            self.emulator = Emulator(
+                image, settings, edge=address, parameter_page=page, power_on_ps=self.power_on, cells=self.cells
+            )
+            self.handle = FFI.cast("board_t *", self.emulator.board)
+            self.operations = FFI.cast("board_operations_t *", self.emulator.operations)
             return
         config = FFI.new("host_board_config_t *")
         config.role = self.role
@@ -162,7 +167,7 @@ class Board:
 
     def close(self) -> None:
         if self.emulated:
-            self._emulator.close()
+            self.emulator.close()
         else:
             self.operations.destroy(self.handle)
 

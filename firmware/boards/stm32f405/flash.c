@@ -9,9 +9,8 @@
  * watchdog, whose 500 ms may be 340 ms, is not fed during an erasure but given 2 s before it, which are 1.4 s at least.
  * It goes on counting, and ends an erasure that never comes to its end.
  *
- * The flash is unlocked, and the slots are writable for the memory protection, for one word or one erasure. The caches
- * may hold what an erasure has made untrue, and a word as it was to be rather than as it is (RM0090, 3.5.2): they are
- * emptied, which is allowed only while they are off.
+ * The flash is unlocked for one word or one erasure. The caches may hold what an erasure has made untrue, and a word as
+ * it was to be rather than as it is (RM0090, 3.5.2): they are emptied, which is allowed only while they are off.
  */
 
 #include "boards/stm32f405/stm32f405.h"
@@ -36,12 +35,12 @@ static bool unlock(void) {
     return (FLASH->CR & FLASH_CR_LOCK) == 0;
 }
 
-/* Empties a cache, and switches it on again if it was on. */
-static void empty_cache(uint32_t enable, uint32_t reset) {
-    const uint32_t settings = FLASH->ACR;
-    FLASH->ACR = settings & ~enable;
-    FLASH->ACR = (settings & ~enable) | reset;
-    FLASH->ACR = settings & ~enable;
+/* Empties both caches, and switches them on again as they were. */
+static void empty_caches(void) {
+    const uint32_t settings = FLASH->ACR, off = settings & ~(FLASH_ACR_ICEN | FLASH_ACR_DCEN);
+    FLASH->ACR = off;
+    FLASH->ACR = off | FLASH_ACR_ICRST | FLASH_ACR_DCRST;
+    FLASH->ACR = off;
     FLASH->ACR = settings;
 }
 
@@ -52,7 +51,7 @@ static bool finish(uint32_t tries) {
     const uint32_t errors = FLASH->SR & ERRORS;
     FLASH->SR = errors;
     FLASH->CR = FLASH_CR_LOCK;
-    empty_cache(FLASH_ACR_DCEN, FLASH_ACR_DCRST);
+    empty_caches();
     return ended && errors == 0;
 }
 
@@ -66,11 +65,8 @@ bool hal_flash_program(hal_t *hal, uint32_t slot, uint32_t index, uint32_t value
     if (slot >= HAL_FLASH_SLOTS || index >= HAL_FLASH_WORDS || !unlock())
         return false;
     FLASH->CR = FLASH_CR_PSIZE_32 | FLASH_CR_PG;
-    guards_slots(true);
     SLOT_0[slot * HAL_FLASH_WORDS + index] = value;
-    const bool done = finish(WORD_TRIES);
-    guards_slots(false);
-    return done;
+    return finish(WORD_TRIES);
 }
 
 bool hal_flash_erase(hal_t *hal, uint32_t slot) {
@@ -81,7 +77,6 @@ bool hal_flash_erase(hal_t *hal, uint32_t slot) {
     FLASH->CR = FLASH_CR_PSIZE_32 | FLASH_CR_SER | FLASH_CR_SNB_1 * (1u + slot);
     FLASH->CR |= FLASH_CR_STRT;
     const bool done = finish(ERASE_TRIES);
-    empty_cache(FLASH_ACR_ICEN, FLASH_ACR_ICRST);
     watchdog_set(WATCHDOG_RELOAD);
     return done;
 }

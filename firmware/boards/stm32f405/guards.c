@@ -6,9 +6,10 @@
  *   2        0x1FFFF000    4 kB     none           a stack that runs over: it lies at the bottom of RAM, just above
  *   3        0x20000000    128 kB   read, write    jumps into data
  *   4        0x10000000    64 kB    read, write    jumps into data
- *   5, 6     slots         16 kB    read, write    nothing: while flash.c writes there, they overrule region 1
- * Everything else keeps the default map, whose peripherals are not executed either. A fault handler runs without the
- * unit, so that it can look at anything.
+ *   5, 6     0x08004000    16 kB    read, write    jumps into what is saved (flash.c); they overrule region 1. The
+ * flash 0x08008000                            takes a write there only while flash.c has it unlocked Everything else
+ * keeps the default map, whose peripherals are not executed either. A fault handler runs without the unit, so that it
+ * can look at anything.
  */
 
 #include "boards/stm32f405/stm32f405.h"
@@ -17,7 +18,6 @@
 #define ACCESS_WRITE (3u << 24)
 #define ACCESS_READ  (6u << 24)
 #define NORMAL       (2u << 16) /* Memory without side effects, whose accesses may be unaligned; write-through. */
-#define DEVICE       (1u << 16) /* Each write goes out as it is, in order. */
 #define SHARED       (1u << 18) /* Other masters, here DMA, access it, too. */
 #define SIZE(log2)   (((log2)-1u) << 1)
 
@@ -33,36 +33,23 @@ static const region_t regions[] = {
     {0x20000000u - STACK_GUARD_BYTES, MPU_RASR_XN | ACCESS_NONE | SIZE(12u)},
     {0x20000000u, MPU_RASR_XN | ACCESS_WRITE | NORMAL | SHARED | SIZE(17u)},
     {0x10000000u, MPU_RASR_XN | ACCESS_WRITE | NORMAL | SIZE(16u)},
+    {0x08004000u, MPU_RASR_XN | ACCESS_WRITE | NORMAL | SIZE(14u)},
+    {0x08008000u, MPU_RASR_XN | ACCESS_WRITE | NORMAL | SIZE(14u)},
 };
 
 #define REGIONS (sizeof regions / sizeof regions[0])
-
-static bool has_regions(void) {
-    return (MPU->TYPE >> 8 & 0xFFu) >= REGIONS + HAL_FLASH_SLOTS; /* A partial model of the chip has no such unit. */
-}
 
 void guards_start(void) {
     DBG->DBGMCU_APB1_FZ |=
         DBG_DBGMCU_APB1_FZ_DBG_IWDEG_STOP; /* A processor that a debugger has halted feeds no watchdog. */
     SCB->SHCSR |= SCB_SHCSR_MEMFAULTENA | SCB_SHCSR_BUSFAULTENA | SCB_SHCSR_USGFAULTENA;
-    if (!has_regions())
-        return;
+    if ((MPU->TYPE >> 8 & 0xFFu) < REGIONS)
+        return; /* A partial model of the chip has no such unit. */
     for (uint32_t i = 0; i < REGIONS; i++) {
         MPU->RNR = i;
         MPU->RBAR = regions[i].base;
         MPU->RASR = regions[i].attributes | MPU_RASR_ENABLE;
     }
     MPU->CTRL = MPU_CTRL_ENABLE | MPU_CTRL_PRIVDEFENA;
-    __asm volatile("dsb\n\tisb" ::: "memory");
-}
-
-void guards_slots(bool writable) {
-    if (!has_regions())
-        return;
-    for (uint32_t slot = 0; slot < HAL_FLASH_SLOTS; slot++) {
-        MPU->RNR = REGIONS + slot;
-        MPU->RBAR = (uint32_t)hal_flash_slot(&board, slot);
-        MPU->RASR = writable ? MPU_RASR_XN | ACCESS_WRITE | DEVICE | SIZE(14u) | MPU_RASR_ENABLE : 0u;
-    }
     __asm volatile("dsb\n\tisb" ::: "memory");
 }

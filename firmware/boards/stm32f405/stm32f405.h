@@ -163,9 +163,6 @@ void watchdog_set(uint32_t reload);
 /* Forbid what the program never does, so that it is a fault. */
 void guards_start(void);
 
-/* Let the program write into the slots of hal_flash_slot(), or forbid it, as it is from the start. */
-void guards_slots(bool writable);
-
 /* ---- alarms.c ---- */
 
 /* Watch the supply, and the crystal if the board runs on it. */

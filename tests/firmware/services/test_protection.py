@@ -290,9 +290,9 @@ def beset(board: Board, name: str, time: int) -> None:
     if name == "driver":
         board.pin(PIN_FAULT, False, time)
     elif name == "clock":
-        board._emulator.crystal(False, time)
+        board.emulator.crystal(False, time)
     else:
-        board._emulator.supply(2.75, time)
+        board.emulator.supply(2.75, time)
 
 
 @pytest.mark.slow

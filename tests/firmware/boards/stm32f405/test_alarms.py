@@ -29,7 +29,7 @@ def counters(board):
 
 
 def test_a_crystal_that_stops_switches_the_coil_off_and_the_board_goes_on(driving):
-    driving._emulator.crystal(False, 1500 * MS)
+    driving.emulator.crystal(False, 1500 * MS)
     driving.run(1500 * MS + 2 * CHIP)
     assert not driving.level[PIN_ENABLE]
     heard = len(driving.messages())
@@ -46,7 +46,7 @@ def test_a_crystal_that_stops_switches_the_coil_off_and_the_board_goes_on(drivin
 
 
 def test_a_board_that_lost_its_crystal_keeps_its_baud_rate(driving):
-    driving._emulator.crystal(False, 1500 * MS)
+    driving.emulator.crystal(False, 1500 * MS)
     driving.run(1600 * MS)
     times = [t for t, _ in driving.serial]
     driving.run(3 * SECOND)
@@ -56,8 +56,8 @@ def test_a_board_that_lost_its_crystal_keeps_its_baud_rate(driving):
 
 
 def test_a_supply_that_falls_switches_the_coil_off_and_is_counted(driving):
-    driving._emulator.supply(2.75, 1500 * MS)
-    driving._emulator.supply(3.3, 1501 * MS)
+    driving.emulator.supply(2.75, 1500 * MS)
+    driving.emulator.supply(3.3, 1501 * MS)
     driving.run(1500 * MS + CHIP)
     assert not driving.level[PIN_ENABLE]
     driving.run(2500 * MS)
@@ -66,7 +66,7 @@ def test_a_supply_that_falls_switches_the_coil_off_and_is_counted(driving):
 
 
 def test_a_supply_within_its_tolerance_is_none_of_the_alarms_business(driving):
-    driving._emulator.supply(3.3 * 0.95, 1500 * MS)
+    driving.emulator.supply(3.3 * 0.95, 1500 * MS)
     driving.run(2500 * MS)
     assert driving.level[PIN_ENABLE]
     assert DIPS_COUNTER not in counters(driving)

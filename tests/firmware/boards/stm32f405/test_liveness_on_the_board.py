@@ -66,8 +66,8 @@ def driving(images, monkeypatch):
 
 
 def was_injected(board):
-    address = board._emulator.symbols["injected"]
-    return int.from_bytes(board._emulator.memory(address, 4), "little") != 0
+    address = board.emulator.symbols["injected"]
+    return int.from_bytes(board.emulator.memory(address, 4), "little") != 0
 
 
 def last_report(board):
@@ -164,11 +164,11 @@ def test_a_processor_that_serves_no_interrupt_loses_the_drive_in_hardware(drivin
 def test_a_processor_that_a_debugger_halts_loses_the_drive_and_no_watchdog_strikes(driving):
     """The coil went on with old chips, and the watchdog, which stands still then, did not end it."""
     board = driving(NOTHING, strict=False)
-    board._emulator.debug_halt(True, INJECT)
+    board.emulator.debug_halt(True, INJECT)
     board.run(INJECT + 2 * SECOND)
     [off] = board.edges(PIN_ENABLE, False)
     assert INJECT < off <= INJECT + RUNNING * CHIP
-    board._emulator.debug_halt(False, INJECT + 2 * SECOND)
+    board.emulator.debug_halt(False, INJECT + 2 * SECOND)
     board.run(INJECT + 4 * SECOND)
     assert [m.signals["cause"] for m in board.messages("RESET_REPORT") if m.index == 0] == [0]
     assert len(board.edges(PIN_ENABLE, True)) == 1
