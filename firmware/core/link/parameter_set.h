@@ -15,8 +15,8 @@
  *   word 1   version of the image: major << 16 | minor << 8 | patch; nobody acts on it
  *   a head   id of the first value (bits 11..0) | parameter_kind_t (15..12) | values that follow (31..16), 1 and more
  *
- * Contexts: all calls come from main. Memory: none beside the caller's. Time: a search of the table for each value,
- * about 0.2 ms in all to write and 1.5 ms to read.
+ * Contexts: all calls come from main. Memory: none beside the caller's. Time: to read, a search of the table for each
+ * value.
  */
 #ifndef GOLDFIELD_PARAMETER_SET_H
 #define GOLDFIELD_PARAMETER_SET_H

@@ -1,4 +1,4 @@
-"""The images save their parameters in the flash of the emulated chip, and have them again when its power went meanwhile.
+"""The images save their parameters in the flash of the emulated chip, also when its power goes meanwhile.
 
 The model of the flash and its driver are by different hands, from RM0090 and the data sheet.
 """
