@@ -97,7 +97,7 @@ static bool must_leave(cpu_t *cpu, uint32_t address) {
     return false;
 }
 
-static __attribute__((noinline)) bool attend(cpu_t *cpu, uint32_t address) {
+static bool attend(cpu_t *cpu, uint32_t address) {
     if (!must_leave(cpu, address)) {
         return false;
     }
@@ -109,15 +109,39 @@ static __attribute__((noinline)) bool attend(cpu_t *cpu, uint32_t address) {
     return true;
 }
 
+static inline void begin_instruction(cpu_t *cpu, uint32_t address) {
+    cpu->history[cpu->executed % HISTORY] = address;
+    cpu->executed++;
+}
+
+static inline void begin_by_class(cpu_t *cpu, uint32_t address, uint32_t size) {
+    cpu->cycles.expected += size;
+    begin_instruction(cpu, address);
+    cpu->work += cycles_of(&cpu->cycles, cpu->machine, address);
+}
+
+/* By themselves, so that the hook needs no frame of its own in all other cases. */
+static __attribute__((noinline)) void attend_first(cpu_t *cpu, uint32_t address) {
+    if (!attend(cpu, address)) {
+        begin_instruction(cpu, address);
+    }
+}
+
 static void on_instruction(uc_engine *uc, uint64_t address, uint32_t size, void *user) {
     (void)uc;
     (void)size;
     cpu_t *const cpu = user;
-    if (cpu->executed >= cpu->deadline && attend(cpu, (uint32_t)address)) {
-        return;
+    if (cpu->executed >= cpu->deadline) {
+        attend_first(cpu, (uint32_t)address);
+    } else {
+        begin_instruction(cpu, (uint32_t)address);
     }
-    cpu->history[cpu->executed % HISTORY] = (uint32_t)address;
-    cpu->executed++;
+}
+
+static __attribute__((noinline)) void attend_first_by_class(cpu_t *cpu, uint32_t address, uint32_t size) {
+    if (!attend(cpu, address)) {
+        begin_by_class(cpu, address, size);
+    }
 }
 
 /* The same where instructions differ in their costs. A branch's refill delays the instruction that it leads to. */
@@ -128,13 +152,11 @@ static void on_instruction_by_class(uc_engine *uc, uint64_t address, uint32_t si
         cpu->work += cpu->cycles.refill;
         cpu->cycles.expected = (uint32_t)address;
     }
-    if (cpu->work >= cpu->deadline && attend(cpu, (uint32_t)address)) {
-        return;
+    if (cpu->work >= cpu->deadline) {
+        attend_first_by_class(cpu, (uint32_t)address, size);
+    } else {
+        begin_by_class(cpu, (uint32_t)address, size);
     }
-    cpu->cycles.expected += size;
-    cpu->history[cpu->executed % HISTORY] = (uint32_t)address;
-    cpu->executed++;
-    cpu->work += cycles_of(&cpu->cycles, cpu->machine, (uint32_t)address);
 }
 
 static void on_interrupt(uc_engine *uc, uint32_t number, void *user) {

@@ -33,6 +33,13 @@ bool mpu_read(const mpu_t *mpu, uint32_t address, uint32_t *value) {
     return true;
 }
 
+static void take_region(mpu_t *mpu, unsigned i) {
+    const unsigned log_size = (mpu->attributes[i] >> 1 & 31u) + 1u;
+    const bool holds = (mpu->attributes[i] & RASR_ENABLE) != 0 && log_size >= 5;
+    mpu->beyond[i] = holds ? (uint32_t)((UINT64_C(1) << log_size) - 1u) : 0;
+    mpu->first[i] = mpu->base[i] & ~mpu->beyond[i];
+}
+
 bool mpu_write(mpu_t *mpu, uint32_t address, uint32_t value, bool *changed) {
     if (address < TYPE || address > LAST) {
         return false;
@@ -47,8 +54,10 @@ bool mpu_write(mpu_t *mpu, uint32_t address, uint32_t value, bool *changed) {
             mpu->number = value & 0xFu & (MPU_REGIONS - 1u);
         }
         mpu->base[mpu->number] = value & RBAR_ADDRESS;
+        take_region(mpu, mpu->number);
     } else if (address > NUMBER) {
         mpu->attributes[mpu->number] = value & RASR_BITS;
+        take_region(mpu, mpu->number);
     }
     *changed = (was_enabled || mpu_enabled(mpu)) && address != NUMBER && address != TYPE;
     return true;
@@ -57,22 +66,27 @@ bool mpu_write(mpu_t *mpu, uint32_t address, uint32_t value, bool *changed) {
 /* The region of the highest number that holds the address; NULL: none does. */
 static const uint32_t *find(const mpu_t *mpu, uint32_t address) {
     for (unsigned i = MPU_REGIONS; i-- > 0;) {
-        const uint32_t attributes = mpu->attributes[i];
-        const unsigned log_size = (attributes >> 1 & 31u) + 1u;
-        if ((attributes & RASR_ENABLE) == 0 || log_size < 5) {
+        const uint32_t offset = address - mpu->first[i];
+        if (offset > mpu->beyond[i] || mpu->beyond[i] == 0) {
             continue;
         }
-        const uint64_t size = UINT64_C(1) << log_size;
-        const uint32_t offset = address - (mpu->base[i] & (uint32_t) ~(size - 1u));
-        if (offset >= size) {
-            continue;
-        }
-        if (size >= SMALLEST_SUBREGIONS && (attributes >> (8u + (unsigned)(offset / (size / 8u))) & 1u) != 0) {
+        const uint64_t size = (uint64_t)mpu->beyond[i] + 1u;
+        if (size >= SMALLEST_SUBREGIONS && (mpu->attributes[i] >> (8u + (unsigned)(offset / (size / 8u))) & 1u) != 0) {
             continue; /* The subregion is switched off. */
         }
         return &mpu->attributes[i];
     }
     return NULL;
+}
+
+bool mpu_uniform(const mpu_t *mpu, uint32_t address, uint32_t size) {
+    for (unsigned i = 0; i < MPU_REGIONS; i++) {
+        const bool meets = address - mpu->first[i] <= mpu->beyond[i] || mpu->first[i] - address < size;
+        if (meets && mpu->beyond[i] != 0 && (uint64_t)mpu->beyond[i] + 1u < UINT64_C(8) * size) {
+            return false;
+        }
+    }
+    return true;
 }
 
 /* AP: 1 and up let the privileged read, 1, 2 and 3 write; the others less (table B3-15). */

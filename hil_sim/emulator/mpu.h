@@ -23,7 +23,8 @@ typedef enum { MPU_READ, MPU_WRITE, MPU_FETCH } mpu_access_t;
 typedef struct {
     uint32_t control, number;
     uint32_t base[MPU_REGIONS], attributes[MPU_REGIONS]; /* RBAR's address, RASR. */
-    bool applied;                                        /* Unicorn's pages have rules. */
+    uint32_t first[MPU_REGIONS], beyond[MPU_REGIONS]; /* What each holds: an address, and so many behind it; 0: none. */
+    bool applied;                                     /* Unicorn's pages have rules. */
 } mpu_t;
 
 /* Registers at 0xE000ED90..0xE000EDB8. Return false if there is none; *changed: the rules did. */
@@ -33,6 +34,9 @@ bool mpu_write(mpu_t *mpu, uint32_t address, uint32_t value, bool *changed);
 static inline bool mpu_enabled(const mpu_t *mpu) {
     return (mpu->control & 1u) != 0;
 }
+
+/* Whether the same rules hold for each address of an aligned block, whose size is a power of two. */
+bool mpu_uniform(const mpu_t *mpu, uint32_t address, uint32_t size);
 
 /* Whether the rules allow an access to one address, for a privileged program or any. */
 bool mpu_allows(const mpu_t *mpu, uint32_t address, mpu_access_t access, bool privileged);

@@ -13,25 +13,27 @@ static bool unit_works(const cpu_t *cpu) {
     return mpu_enabled(mpu) && (!above || (mpu->control & 2u) != 0);
 }
 
+/* Rules do not change within a granule. */
 static bool allows(const cpu_t *cpu, uint32_t address, uint32_t size, mpu_access_t access, bool privileged) {
-    bool good = mpu_allows(&cpu->system.mpu, address + size - 1u, access, privileged);
-    for (uint32_t offset = 0; offset < size && good; offset += GRANULE) {
+    bool good = true;
+    for (uint32_t offset = 0; offset < size && good; offset = ((address + offset) | (GRANULE - 1u)) + 1u - address) {
         good = mpu_allows(&cpu->system.mpu, address + offset, access, privileged);
     }
     return good;
 }
 
+/* The registers that say who asks cost calls into Unicorn: they are read last. */
 bool protection_allows(const cpu_t *cpu, uint32_t address, unsigned size, mpu_access_t access) {
-    if (!mpu_enabled(&cpu->system.mpu) || !unit_works(cpu)) {
+    if (!mpu_enabled(&cpu->system.mpu)) {
         return true;
     }
     const bool privileged = cpu->nvic.active_priority < NVIC_IDLE_PRIORITY ||
                             (cpu_register(cpu, UC_ARM_REG_CONTROL) & 1u) == 0;
-    return allows(cpu, address, size, access, privileged);
+    return allows(cpu, address, size, access, privileged) || !unit_works(cpu);
 }
 
 bool protection_allows_frame(const cpu_t *cpu, uint32_t address, uint32_t size, mpu_access_t access, bool privileged) {
-    return !mpu_enabled(&cpu->system.mpu) || !unit_works(cpu) || allows(cpu, address, size, access, privileged);
+    return !mpu_enabled(&cpu->system.mpu) || allows(cpu, address, size, access, privileged) || !unit_works(cpu);
 }
 
 bool protection_admits(cpu_t *cpu, uc_mem_type type, uint32_t address, unsigned size, uint64_t value) {
@@ -65,12 +67,13 @@ static uint32_t page_rights(const mpu_t *mpu, uint32_t page, uint32_t possible) 
         uint32_t right;
     } kinds[] = {{MPU_READ, UC_PROT_READ}, {MPU_WRITE, UC_PROT_WRITE}, {MPU_FETCH, UC_PROT_EXEC}};
     uint32_t rights = possible;
+    const uint32_t step = mpu_uniform(mpu, page, PAGE) ? PAGE : GRANULE;
     for (unsigned i = 0; i < 3; i++) {
         unsigned allowed = 0;
-        for (uint32_t offset = 0; offset < PAGE; offset += GRANULE) {
+        for (uint32_t offset = 0; offset < PAGE; offset += step) {
             allowed += mpu_allows(mpu, page + offset, kinds[i].access, true) ? 1u : 0u;
         }
-        const bool keep = kinds[i].access == MPU_READ ? allowed != 0 : allowed == PAGE / GRANULE;
+        const bool keep = kinds[i].access == MPU_READ ? allowed != 0 : allowed == PAGE / step;
         rights &= keep ? UC_PROT_ALL : ~kinds[i].right;
     }
     return rights;
