@@ -150,19 +150,21 @@ static void switch_on(drive_t *drive) {
 void drive_edge(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
     const uint32_t block = chip / HAL_BLOCK_CHIPS, i = chip - block * HAL_BLOCK_CHIPS;
     const drive_block_t *const planned = &drive->blocks[block & 1u];
-    if (drive->phase != DRIVE_ON) {
-        return;
-    }
+    const bool on = drive->phase == DRIVE_ON;
     hal_monitor_t monitor;
     hal_monitor(drive->node->hal, &monitor);
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
-        const fall_edge_t edge = {
-            .before = (int32_t)drive->ended[channel] - CURRENT_MID_SCALE,
-            .wanted = planned->asked[channel][i] / SET_POINT_COUNTS, /* It is 0 where the chip is not driven. */
-            .came = (int32_t)count[channel] - CURRENT_MID_SCALE,
-            .supply = monitor.supply,
-        };
-        const cause_t cause = fall_edge(&drive->fall[channel], &edge);
+        const int16_t asked = on ? planned->asked[channel][i] : 0; /* It is 0 where the chip is not driven. */
+        cause_t cause = current_edge(&drive->current[channel], asked, count[channel]);
+        if (on && cause == CAUSE_NONE) {
+            const fall_edge_t edge = {
+                .before = (int32_t)drive->ended[channel] - CURRENT_MID_SCALE,
+                .wanted = asked / SET_POINT_COUNTS,
+                .came = (int32_t)count[channel] - CURRENT_MID_SCALE,
+                .supply = monitor.supply,
+            };
+            cause = fall_edge(&drive->fall[channel], &edge);
+        }
         if (cause != CAUSE_NONE) {
             trip(drive, cause, channel);
         }

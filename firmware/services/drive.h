@@ -9,7 +9,8 @@
  *      drive_current    interrupt, once a chip, driven or not, bridge on or off: it gives each channel to
  *                       current_sample, and looks at supply and temperatures. What is wrong with one channel switches
  *                       both bridges off within that chip.
- *      drive_edge       interrupt, once a chip of a beacon, behind its edge: it gives each channel to fall_edge.
+ *      drive_edge       interrupt, once a chip of a beacon, behind its edge: it gives each channel to current_edge and
+ *                       fall_edge. A current beyond its limit is so seen twice a chip.
  *      drive_fault      interrupt: the board has switched the bridges off by itself.
  *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, once a sync period
  *                       (sync.h: a cycle, or about 0.1 s of shorter ones), and clears what it is told to. drive_report

@@ -218,25 +218,40 @@ static bool take_driven(current_t *current, uint32_t asked, bool negative, int32
     return false;
 }
 
-cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint16_t count) {
-    const int32_t came = (int32_t)count - CURRENT_MID_SCALE;
-    const uint32_t asked = (uint32_t)(set_point < 0 ? -set_point : set_point);
-    cause_t cause = guard_sample(&current->guard, asked, came); /* In a fault, too: its mean square goes on. */
-    if (current->state == CURRENT_FAULT) {
-        return CAUSE_NONE;
-    }
-    if (cause == CAUSE_NONE) {
-        if (!driven) {
-            take_zero(current, came);
-            return CAUSE_NONE;
-        }
-        current->quiet = 0;
-        if (current->state == CURRENT_OFF || !take_driven(current, asked, set_point < 0, came)) {
-            return CAUSE_NONE;
-        }
-        cause = CAUSE_OPEN_COIL;
-    }
+/* The bridge is about to go off. */
+static cause_t fail(current_t *current, cause_t cause) {
     current->reference = 0;
     set_state(current, CURRENT_FAULT);
     return cause;
+}
+
+static uint32_t size_of(int16_t set_point) {
+    return (uint32_t)(set_point < 0 ? -set_point : set_point);
+}
+
+cause_t current_edge(current_t *current, int16_t set_point, uint16_t count) {
+    if (current->state == CURRENT_FAULT) {
+        return CAUSE_NONE;
+    }
+    const cause_t cause = guard_edge(&current->guard, size_of(set_point), (int32_t)count - CURRENT_MID_SCALE);
+    return cause != CAUSE_NONE ? fail(current, cause) : CAUSE_NONE;
+}
+
+cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint16_t count) {
+    const int32_t came = (int32_t)count - CURRENT_MID_SCALE;
+    const uint32_t asked = size_of(set_point);
+    const cause_t cause = guard_sample(&current->guard, asked, came); /* In a fault, too: its mean square goes on. */
+    if (current->state == CURRENT_FAULT) {
+        return CAUSE_NONE;
+    }
+    if (cause != CAUSE_NONE) {
+        return fail(current, cause);
+    }
+    if (!driven) {
+        take_zero(current, came);
+        return CAUSE_NONE;
+    }
+    current->quiet = 0;
+    const bool open = current->state != CURRENT_OFF && take_driven(current, asked, set_point < 0, came);
+    return open ? fail(current, CAUSE_OPEN_COIL) : CAUSE_NONE;
 }

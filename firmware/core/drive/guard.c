@@ -20,17 +20,28 @@ bool guard_configure(guard_t *guard, const guard_config_t *config, float sense_A
     return true;
 }
 
-cause_t guard_sample(guard_t *guard, uint32_t asked, int32_t came) {
-    const uint32_t magnitude = (uint32_t)(came < 0 ? -came : came);
-    const uint32_t most = asked > guard->before ? asked : guard->before;
-    guard->before = (uint16_t)asked;
-    guard->heat += ((float)(magnitude * magnitude) - guard->heat) * guard->heat_share;
+/* Judges the size of a current against its limit and against the most that may explain it, counts of set-point. */
+static inline cause_t judge(const guard_t *guard, uint32_t most, uint32_t magnitude) {
     if (magnitude > guard->over_count) {
         return CAUSE_OVER_CURRENT;
     }
     /* 4095 counts of 8 times the sense's, and the excess, just fit 32 bits. */
-    if (magnitude > (most * guard->excess_scale >> 16) + guard->excess_count) {
-        return CAUSE_EXCESS;
+    return magnitude > (most * guard->excess_scale >> 16) + guard->excess_count ? CAUSE_EXCESS : CAUSE_NONE;
+}
+
+cause_t guard_edge(const guard_t *guard, uint32_t asked, int32_t came) {
+    return judge(guard, asked > guard->latest ? asked : guard->latest, (uint32_t)(came < 0 ? -came : came));
+}
+
+cause_t guard_sample(guard_t *guard, uint32_t asked, int32_t came) {
+    const uint32_t magnitude = (uint32_t)(came < 0 ? -came : came);
+    const uint32_t most = asked > guard->before ? asked : guard->before;
+    const cause_t cause = judge(guard, most, magnitude);
+    guard->latest = (uint16_t)most;
+    guard->before = (uint16_t)asked;
+    guard->heat += ((float)(magnitude * magnitude) - guard->heat) * guard->heat_share;
+    if (cause != CAUSE_NONE) {
+        return cause;
     }
     return guard->heat > guard->heat_limit ? CAUSE_OVERLOAD : CAUSE_NONE;
 }

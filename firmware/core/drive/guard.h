@@ -1,7 +1,8 @@
 /* guard.h: looks at every measurement of one coil's current, driven or not, and tells what is wrong with it.
  *
- * Calls: guard_configure, then guard_sample once a chip from the interrupt of the current sense, also in chips that are
- * not driven and while the bridge is off.
+ * Calls: guard_configure, then, once a chip from the interrupt of the current sense, guard_sample at its end and, where
+ * the board measures there, guard_edge before it, behind its beginning; also in chips that are not driven and while the
+ * bridge is off.
  *
  * What is looked at, in this order
  *   over-current  |current| is above the limit. The rails of the converter are, too: what lies beyond is unknown.
@@ -9,7 +10,7 @@
  *                 more: a current may take a chip to fall) plus 0.5 A. No driver that current.h follows makes so much.
  *   overload      The mean square of the current, over an exponential window, is above the square of its limit (I2t).
  *
- * Units: those of current.h. Contexts: one, and guard_configure while no sample comes. Memory: 28 bytes.
+ * Units: those of current.h. Contexts: one, and guard_configure while no sample comes. Memory: 32 bytes.
  */
 #ifndef GOLDFIELD_GUARD_H
 #define GOLDFIELD_GUARD_H
@@ -29,6 +30,7 @@ typedef struct {
 typedef struct {
     uint16_t over_count;   /* Largest magnitude that is no fault, counts of the sense. */
     uint16_t before;       /* What the chip before asked for, counts of set-point. */
+    uint16_t latest;       /* The most that explained the latest guard_sample. */
     uint32_t excess_scale; /* Most counts of sense for a count of set-point, 16 fractional bits. */
     uint32_t excess_count; /* And so many more. */
     float heat, heat_limit, heat_share;
@@ -42,5 +44,11 @@ bool guard_configure(guard_t *guard, const guard_config_t *config, float sense_A
 /* Take a measurement. asked is the size of the set-point, 0 if the chip is not driven; came is the sense's count from
  * its zero, -2048..2047. Costs about 30 instructions. Returns what is wrong, or CAUSE_NONE. */
 cause_t guard_sample(guard_t *guard, uint32_t asked, int32_t came);
+
+/* Take one more measurement of a chip, behind its beginning, for over-current and excess. A drive that was switched off
+ * just before the latest guard_sample still has its current: what explained that one explains this one, too. The mean
+ * square and what is compared later are those of guard_sample. Costs about 15 instructions. Returns what is wrong, or
+ * CAUSE_NONE. */
+cause_t guard_edge(const guard_t *guard, uint32_t asked, int32_t came);
 
 #endif

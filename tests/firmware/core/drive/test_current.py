@@ -303,6 +303,46 @@ def test_current_with_the_bridge_off_is_a_fault(core):
         assert lib.current_sample(loop, False, 0, count) == cause, count
 
 
+@pytest.mark.parametrize("driven", [True, False])
+def test_over_current_is_seen_behind_an_edge_too(core, driven):
+    """At any time, at the limit of 12 A, 1536 counts; and the drive then stays off."""
+    _, lib = core
+    set_point = 2560 if driven else 0
+    for count, cause in ((2048 + 1537, OVER), (2048 - 1537, OVER), (0, OVER), (2048 + 1536, 0), (2048 - 1536, 0)):
+        loop, _ = configure(core, 10.0, over=12.0)
+        lib.current_start(loop)
+        assert lib.current_sample(loop, True, 2560, 2048 + 1280) == 0
+        assert lib.current_edge(loop, set_point, count) == cause, count
+        assert loop.state == (FAULT if cause else RAMPING)
+        assert lib.current_edge(loop, set_point, count) == 0, "it is told once"
+    loop, _ = configure(core, 10.0, over=12.0)
+    assert (lib.current_edge(loop, 0, 4094), loop.state) == (OVER, FAULT)
+
+
+def test_behind_an_edge_excess_is_compared_with_the_two_chips_before(core):
+    """One may have been stopped just before it was measured: its current then falls behind the edge."""
+    _, lib = core
+    loop = running(core)
+    assert lib.current_sample(loop, True, 2560, 2048 + 1280) == 0
+    assert lib.current_edge(loop, -2560, 2048 + 1000) == 0
+    assert lib.current_sample(loop, False, 0, 2048 + 1280) == 0
+    assert lib.current_edge(loop, 0, 2048 + 800) == 0
+    assert lib.current_sample(loop, False, 0, 2048) == 0
+    assert lib.current_edge(loop, 0, 2048 - 64) == 0
+    assert lib.current_edge(loop, 0, 2048 - 65) == EXCESS
+
+
+def test_behind_an_edge_nothing_is_learned(core):
+    """Neither the mean square, nor the zero, nor the gain."""
+    loop, _ = configure(core, 10.0, rms=8.0, chips=2000.0)
+    drive = Drive(core, loop, noise=0.0)
+    drive.run(1500)
+    before = bytes(core[0].buffer(loop))
+    for asked, count in ((2560, 2048 - 1280), (0, 2048 + 900), (-100, 2048)):
+        assert core[1].current_edge(loop, asked, count) == 0
+    assert bytes(core[0].buffer(loop)) == before
+
+
 def test_a_current_that_still_falls_after_a_new_configuration_is_no_fault(core):
     """A parameter stops the drive a few microseconds before the chip is measured."""
     _, lib = core
