@@ -131,7 +131,9 @@ void flash_stale_access(void *context, uint32_t offset, unsigned width, bool fet
 
 static void write_access(model_t *model, uint32_t value) {
     flash_t *const flash = (flash_t *)model;
-    if ((value & (CODE_RESET | DATA_RESET)) != 0 && (reg(model, FLASH_ACR) & value & (CODE_CACHE | DATA_CACHE)) != 0) {
+    const uint32_t enabled = reg(model, FLASH_ACR) & value;
+    if (((value & CODE_RESET) != 0 && (enabled & CODE_CACHE) != 0) ||
+        ((value & DATA_RESET) != 0 && (enabled & DATA_CACHE) != 0)) {
         machine_violation(model->machine, "FLASH_ACR: a cache may be reset only while it is disabled");
     }
     if ((value & PREFETCH) != 0 && model->chip->config->revision == REVISION_A) {

@@ -407,6 +407,18 @@ def test_the_data_cache_may_hold_what_was_erased(open_chip: Bench, way: str) -> 
         chip.expect("4-byte load at 0x40004, which was erased while the data cache was on")
 
 
+@pytest.mark.parametrize(("enable", "reset"), [(0x200, 0x800), (0x400, 0x1000)])
+def test_a_cache_is_reset_while_it_is_off_whatever_the_other_is(chip: Bench, enable: int, reset: int) -> None:
+    """RM0090 3.9.1: ICRST is written only when the instruction cache is disabled, DCRST when the data cache is."""
+    other = 0x600 ^ enable
+    chip.write(ACR, other)
+    chip.write(ACR, other | reset)
+    assert not chip.report
+    chip.write(ACR, enable)
+    chip.write(ACR, enable | reset)
+    chip.expect("may be reset only while it is disabled")
+
+
 # ---- Cut off ----
 
 
