@@ -13,7 +13,7 @@ from goldfield.nodes.conversation import Conversation, Tap
 from goldfield.types import FloatArray
 from goldfield_protocol.parameters import PARAMETERS, Parameter
 
-HOLDS = "it holds until the board's next reset; goldfield calibrate restore, or make flash, gives it again"
+HOLDS = "it holds until the board's next reset, unless goldfield nodes save keeps it"
 SENSING = {"sensor", "anchor"}
 """Roles of boards with a sensor: sensor and anchor."""
 

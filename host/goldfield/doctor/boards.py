@@ -146,11 +146,12 @@ def _wrong_code(text: str, nodes: tuple[int, ...], missing: Beacon | None, share
     if missing is not None:
         text += f", and no board drives the code {missing.code} of {missing.id}"
     wanted = "CODE" if missing is None else str(missing.code)
-    board = f"give the board its beacon's code: goldfield nodes set {nodes[0]} code {wanted}; make flash stores it"
+    keeps = f"goldfield nodes save {nodes[0]} keeps it"
+    board = f"give the board its beacon's code: goldfield nodes set {nodes[0]} code {wanted}; {keeps}"
     if shared is not None:  # who of them is right is not told by what they say
         board = (
             f"see by goldfield nodes identify {nodes[0]} which of them is not at {shared.id}, and give that board its "
-            f"own beacon's code: goldfield nodes set NODE code {wanted}; make flash stores it"
+            f"own beacon's code: goldfield nodes set NODE code {wanted}; goldfield nodes save NODE keeps it"
         )
     beacons = tuple(beacon.id for beacon in (shared, missing) if beacon is not None)
     return wrong(Fault.CODE, "codes", text, board, nodes=nodes, beacons=beacons)
@@ -185,7 +186,8 @@ def _of_coil(node: Node, channel: int, beacon: Beacon | None) -> Iterator[Check]
             "coil",
             f"{name} has an amplitude of 0 A: its coil is off",
             f"goldfield nodes set {node.number} amplitude "
-            f"{'AMPERES' if beacon is None else f'{abs(beacon.current_A):g}'}; make flash stores it",
+            f"{'AMPERES' if beacon is None else f'{abs(beacon.current_A):g}'}; goldfield nodes save "
+            f"{node.number} keeps it",
             **about,
         )
     elif health is not None and health.reason is not None:
