@@ -31,7 +31,7 @@ def read(path: Path) -> bytes:
     except OSError as error:
         raise BadImageError(f"the flash cannot be read from {path} ({error.strerror}): name another file") from error
     if len(cells) != CELLS:
-        raise BadImageError(f"{path} has {len(cells)} bytes, where a flash has {CELLS}: name the file of a board")
+        raise BadImageError(f"{path} is {len(cells)} B long, and a flash {CELLS} B: name the file of a board")
     return cells
 
 

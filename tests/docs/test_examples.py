@@ -65,7 +65,7 @@ def test_replay():
     for line, name in ((alone, "each epoch by itself"), (tracked, "tracked")):
         ok, epochs = map(int, re.match(rf"{name}: (\d+) of (\d+) ok", line).groups())
         assert 30 < epochs - 1 <= ok <= epochs
-    assert scatter[1] < scatter[0] < 20.0
+    assert scatter[1] <= scatter[0] < 20.0  # rounded to 0.1 mm: at rest a track of cycles gains little
 
 
 def test_locate_table():

@@ -209,7 +209,7 @@ def test_weak_cells_are_kept(image: Path, tmp_path: Path) -> None:
 def test_files_that_are_none(image: Path, tmp_path: Path) -> None:
     path = tmp_path / "short"
     path.write_bytes(bytes(1000))
-    with pytest.raises(BadImageError, match="short has 1000 bytes, where a flash has 2097152"):
+    with pytest.raises(BadImageError, match="short is 1000 B long, and a flash 2097152 B"):
         board(image, WORDS, flash=path)
     with pytest.raises(BadImageError, match=r"the flash cannot be read from .*: name another file"):
         board(image, WORDS, flash=tmp_path)
