@@ -26,6 +26,7 @@ def record(folder: Path, seconds: float, rate: list[str]) -> Path:
     """Record a sensor that sends what a rate needs; return the recording, beside which is site.toml."""
     site, log = folder / "site.toml", folder / "all.log"
     words = ["hil", "prigge8", "--boards", "host", "--pace", "0", "--can", "none", "--json", "--site", str(site)]
+    words += ["--force", "--truth", str(folder / "truth.jsonl")]  # not to a pipe that nobody reads
     bench = subprocess.Popen([*GOLDFIELD, *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     try:
         assert bench.stdout is not None
