@@ -131,7 +131,7 @@ int16_t current_set_point(current_t *current, int32_t level);
 
 /* Take a measurement, once a chip. driven tells whether the bridge is on and the chip's level is not 0; set_point is
  * what was asked, in counts with the bridge's sign, -4095..4095, 0 if not driven. count is the sense's. Costs about 120
- * instructions, once in CURRENT_BLOCK_CHIPS about 400. Returns CAUSE_NONE, or why the bridge must be switched off at
+ * instructions, once in CURRENT_BLOCK_CHIPS about 410. Returns CAUSE_NONE, or why the bridge must be switched off at
  * once; CAUSE_NONE in CURRENT_FAULT. */
 cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint16_t count);
 

@@ -5,11 +5,15 @@
 #define EXCESS_A      0.5f     /* Current that nobody has to explain, A: offset of sense and driver, noise. */
 #define ONE           65536.0f /* The factor 1 with 16 fractional bits. */
 #define NO_LIMIT      1e9f     /* A mean square that no current has, counts. */
+#define ASKED_MOST    4095u    /* Largest size of a set-point, counts. */
 
 bool guard_configure(guard_t *guard, const guard_config_t *config, float sense_A, float reference_A) {
     /* The comparisons are written so that a value that is not a number fails. */
     if (!(config->over_current_A >= 0.0f && config->rms_A >= 0.0f && config->rms_chips >= 1.0f)) {
         return false;
+    }
+    if (guard->excess_scale == 0u) { /* The first time after a reset. */
+        guard->before = guard->latest = (uint16_t)ASKED_MOST;
     }
     const float limit = config->over_current_A / sense_A, mean = config->rms_A / sense_A;
     guard->over_count = limit < (float)MAGNITUDE_MAX ? (uint16_t)limit : (uint16_t)MAGNITUDE_MAX;

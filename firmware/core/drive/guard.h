@@ -37,7 +37,9 @@ typedef struct {
 } guard_t;
 
 /* Take a configuration; reference_A is at most 8 times sense_A. The mean square stays as it is, since what is hot stays
- * hot, and so does what the chip before asked for, whose current may still fall.
+ * hot, and so does what the chip before asked for, whose current may still fall. The caller zeroes guard_t after a
+ * reset: what was asked before it nobody knows, and its current may still fall, so the first chip is not judged for
+ * excess.
  * Returns false, with nothing done, if a value is out of range or not a number. */
 bool guard_configure(guard_t *guard, const guard_config_t *config, float sense_A, float reference_A);
 

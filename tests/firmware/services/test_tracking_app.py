@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from goldfield import site as sites
 from goldfield.link.blocks import BlockAssembler
 from goldfield.sensor.on_sensor import OnSensorTrack
-from goldfield.track.blocks import BlockFilter, equations
+from goldfield.track.blocks import BlockFilter, equations, pair
 from goldfield_protocol import Message
 from hil_sim.scenario import load_scenario, site_toml
 from tests.firmware.apps.test_sensor_app import MATRIX, NODE, ZERO, World, cycle_start
@@ -282,8 +282,10 @@ def test_the_sensor_agrees_with_the_reference_on_the_same_blocks(
 ) -> None:
     """The filter in NumPy gets the blocks that the sensor sends; its coils are those of prigge8.
 
-    Like the sensor it does without the sweep of the ambient field: with no ramp nothing tells of it.
+    Like the sensor it does without the sweep of the ambient field: with no ramp nothing tells of it. Like the sensor
+    it takes the first blocks one by one.
     """
+    monkeypatch.setattr(pair, "begun", lambda model, start: None)
     monkeypatch.setattr(equations, "ramp_of", lambda gram, moment: np.zeros(len(gram)))
     path = tmp_path / "site.toml"
     path.write_text(site_toml(load_scenario("prigge8")))

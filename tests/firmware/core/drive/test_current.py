@@ -296,6 +296,7 @@ def test_current_with_the_bridge_off_is_a_fault(core):
     _, lib = core
     for count, cause in ((4094, OVER), (2048 + 64 + 1, EXCESS), (2048 + 64, 0), (2048 - 64 - 1, EXCESS)):
         loop, _ = configure(core, 10.0)
+        assert lib.current_sample(loop, False, 0, 2048) == 0
         assert lib.current_sample(loop, False, 0, count) == cause, count
         loop = running(core)
         lib.current_sample(loop, True, 2560, 2048 + 1280)
@@ -317,6 +318,23 @@ def test_over_current_is_seen_behind_an_edge_too(core, driven):
         assert lib.current_edge(loop, set_point, count) == 0, "it is told once"
     loop, _ = configure(core, 10.0, over=12.0)
     assert (lib.current_edge(loop, 0, 4094), loop.state) == (OVER, FAULT)
+
+
+def test_the_first_chip_after_a_reset_may_carry_what_nobody_asked_for(core):
+    """The coil was driven when the board was reset, and its current still falls; beyond the limit it is a fault."""
+    _, lib = core
+    count = 2048 + 1280
+    loop, _ = configure(core, 10.0)
+    assert lib.current_edge(loop, 0, count) == 0
+    assert lib.current_sample(loop, False, 0, count) == 0
+    assert lib.current_edge(loop, 0, count) == 0
+    assert lib.current_sample(loop, False, 0, count) == EXCESS
+    loop, _ = configure(core, 10.0)
+    assert lib.current_edge(loop, 0, 4094) == OVER
+    loop, _ = configure(core, 10.0)
+    assert lib.current_sample(loop, False, 0, count) == 0
+    assert lib.current_configure(loop, core[0].addressof(loop, "config"))  # A change of a parameter is no reset.
+    assert lib.current_sample(loop, False, 0, count) == EXCESS
 
 
 def test_behind_an_edge_excess_is_compared_with_the_two_chips_before(core):

@@ -81,7 +81,7 @@ class Machine:
     def __init__(self, elf):
         self.unicorn = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
         self.unicorn.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
-        self.unicorn.mem_map(0x08000000, 0x20000)
+        self.unicorn.mem_map(0x08000000, 0x40000)
         self.unicorn.mem_map(RAM, 0x40000)
         self.symbols = {}
         with elf.open("rb") as file:
