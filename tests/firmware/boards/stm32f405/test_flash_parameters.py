@@ -1,6 +1,7 @@
 """``make flash`` takes every parameter of a board, and nothing that the board would refuse; a probe comes first."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -88,9 +89,9 @@ def flash(tmp_path):
         usual = {"words": CHIP | dict(chip), "dead": False, "keeps_options": True, "wrong_byte": None, "written": []}
         (tmp_path / "chip.json").write_text(json.dumps(usual | state))
         own = [f"PYOCD={probe}", f"STM32_PAGE={page}", "-o", "firmware"]
-        done = subprocess.run(
-            ["make", "-s", "flash", *own, *assignments], cwd=ROOT, capture_output=True, text=True, check=False
-        )
+        bare = {name: value for name, value in os.environ.items() if name != "MAKEFLAGS"}  # of the make that tests us
+        command = ["make", "-s", "flash", *own, *assignments]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=bare)
         lines = told.read_text().splitlines() if told.exists() else []
         loaded = [line for line in lines if line.startswith("load")]
         done.written = json.loads((tmp_path / "chip.json").read_text())["written"]
@@ -103,9 +104,7 @@ def test_every_parameter_can_be_flashed(flash):
     assignments = [f"{name.upper()}={value_of(p)}" for name, p in PARAMETERS.items()]
     done, loaded, page = flash("ROLE=anchor", *assignments)
     assert done.returncode == 0, done.stderr
-    saved = page.with_name(
-        "saved.bin"
-    )  # It takes the place of what the board has saved, which would overrule the page.
+    saved = page.with_name("saved.bin")  # in place of what the board has saved, which would overrule the page
     files = f"{page}@0x080E0000 {saved}@0x08004000"
     assert loaded == f"load --target stm32f405rgtx build/firmware/anchor.elf {files}"
     assert saved.read_bytes() == b"\xff" * 32768
