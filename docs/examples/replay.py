@@ -18,7 +18,7 @@ def main(log: Path | str = HERE / "recording.log", site: Path | str = HERE / "ro
         ok = [epoch.pose for epoch in epochs if epoch.pose.status is goldfield.Status.OK]
         scatter_mm = 1e3 * np.std([pose.position_m for pose in ok], axis=0)
         name = "tracked" if track else "each epoch by itself"
-        print(f"{name}: {len(ok)} of {len(epochs)} ok, scatter {np.linalg.norm(scatter_mm):.1f} mm")
+        print(f"{name}: {len(ok)} of {len(epochs)} ok, scatter {np.linalg.norm(scatter_mm):.2f} mm")
         for epoch in epochs:
             if epoch.lost or epoch.notes:
                 print(f"epoch {epoch.pose.epoch}: {epoch.lost} messages lost; {', '.join(epoch.notes)}")

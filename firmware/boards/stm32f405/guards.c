@@ -6,8 +6,10 @@
  *   2        0x1FFFF000    4 kB     none           a stack that runs over: it lies at the bottom of RAM, just above
  *   3        0x20000000    128 kB   read, write    jumps into data
  *   4        0x10000000    64 kB    read, write    jumps into data
- *   5, 6     0x08004000    16 kB    read, write    jumps into what is saved (flash.c); they overrule region 1. The
- * flash 0x08008000                            takes a write there only while flash.c has it unlocked Everything else
+ *   5        0x08004000    16 kB    read, write    jumps into what is saved (flash.c)
+ *   6        0x08008000    16 kB    read, write    jumps into what is saved
+ *
+ * Regions 5 and 6 overrule region 1. The flash takes a write there only while flash.c has it unlocked. Everything else
  * keeps the default map, whose peripherals are not executed either. A fault handler runs without the unit, so that it
  * can look at anything.
  */

@@ -45,13 +45,11 @@ def command(subparsers: Any) -> None:
         help="restart a node",
         description="Switches a board's coils off and restarts it; --id names one of two boards with one number.",
     )
-    reset.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
     clear = actions.add_parser(
         "clear",
         help="let a beacon drive again",
         description="Clears the cause for which a beacon's drive is off; --id names one of two boards with one number.",
     )
-    clear.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
     keep = actions.add_parser(
         "save",
         help="save a node's parameters",
@@ -59,7 +57,8 @@ def command(subparsers: Any) -> None:
         "one number.",
     )
     keep.add_argument("--pause", action="store_true", help="let a board that drives its coil switch it off meanwhile")
-    keep.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
+    for action in (reset, clear, keep):
+        action.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
     for action in (get, put, blink, reset, clear, keep):
         _add_common(action, nested=True)
         action.add_argument("node", metavar="NODE", type=options.node, help="number of the node")

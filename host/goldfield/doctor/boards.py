@@ -146,15 +146,19 @@ def _wrong_code(text: str, nodes: tuple[int, ...], missing: Beacon | None, share
     if missing is not None:
         text += f", and no board drives the code {missing.code} of {missing.id}"
     wanted = "CODE" if missing is None else str(missing.code)
-    keeps = f"goldfield nodes save {nodes[0]} keeps it"
-    board = f"give the board its beacon's code: goldfield nodes set {nodes[0]} code {wanted}; {keeps}"
+    board = f"give the board its beacon's code: {_set(nodes[0], 'code', wanted)}"
     if shared is not None:  # who of them is right is not told by what they say
         board = (
             f"see by goldfield nodes identify {nodes[0]} which of them is not at {shared.id}, and give that board its "
-            f"own beacon's code: goldfield nodes set NODE code {wanted}; goldfield nodes save NODE keeps it"
+            f"own beacon's code: {_set('NODE', 'code', wanted)}"
         )
     beacons = tuple(beacon.id for beacon in (shared, missing) if beacon is not None)
     return wrong(Fault.CODE, "codes", text, board, nodes=nodes, beacons=beacons)
+
+
+def _set(node: int | str, parameter: str, value: str) -> str:
+    """Return how a parameter of a board is set, and kept."""
+    return f"goldfield nodes set {node} {parameter} {value}; goldfield nodes save {node} keeps it"
 
 
 def drives(roster: Roster, site: Site) -> Iterator[Check]:
@@ -185,9 +189,7 @@ def _of_coil(node: Node, channel: int, beacon: Beacon | None) -> Iterator[Check]
             Fault.OFF,
             "coil",
             f"{name} has an amplitude of 0 A: its coil is off",
-            f"goldfield nodes set {node.number} amplitude "
-            f"{'AMPERES' if beacon is None else f'{abs(beacon.current_A):g}'}; goldfield nodes save "
-            f"{node.number} keeps it",
+            _set(node.number, "amplitude", "AMPERES" if beacon is None else f"{abs(beacon.current_A):g}"),
             **about,
         )
     elif health is not None and health.reason is not None:

@@ -122,18 +122,13 @@ class Evaluation:
     equations: Equations
 
 
+@np.errstate(all="ignore")  # a step far off may overflow: a cost that is not finite is not accepted
 def evaluate(problem: Problem, state: State, model_error: float = 0.0, *, robust: bool = False) -> Evaluation:
     """Return the cost and the normal equations of a state."""
     model = FieldModel(beacons_of(problem.site, state))
-
-    @np.errstate(all="ignore")  # a step far off may overflow: a cost that is not finite is not accepted
-    def piece(rows: slice) -> _Piece:
-        return _piece(problem.of_epochs(rows), model, state.of_epochs(rows), model_error, robust)
-
-    epochs = len(state.sensor_m)
-    pieces = [piece(slice(first, first + AT_ONCE)) for first in range(0, max(epochs, 1), AT_ONCE)]
-    with np.errstate(all="ignore"):
-        return _joined(problem, model, state, pieces, model_error, robust)
+    some = [slice(first, first + AT_ONCE) for first in range(0, max(len(state.sensor_m), 1), AT_ONCE)]
+    pieces = [_piece(problem.of_epochs(rows), model, state.of_epochs(rows), model_error, robust) for rows in some]
+    return _joined(problem, model, state, pieces, model_error, robust)
 
 
 @dataclass(frozen=True, eq=False)
