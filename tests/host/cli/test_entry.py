@@ -249,21 +249,11 @@ INTERRUPTED = """
 import sys
 from goldfield.cli import main
 from goldfield.sensor.sinks import Branch, Fanout
+from tests.host.interrupted import interrupted_after
 
-left = int(sys.argv.pop(1))
-
-def interrupt(frame, event, _):
-    global left
-    if frame.f_code not in {one.__code__ for one in (Fanout.__exit__, Fanout.close, Fanout._close, Branch.close)}:
-        return None
-    if event == "line":
-        left -= 1
-        if left == -1:
-            raise KeyboardInterrupt
-    return interrupt
-
-sys.settrace(interrupt)
-sys.exit(main(sys.argv[1:]))
+with interrupted_after(int(sys.argv.pop(1)), Fanout.__exit__, Fanout.close, Fanout._close, Branch.close):
+    code = main(sys.argv[1:])
+sys.exit(code)
 """
 """The program, interrupted when it has run so many lines of what closes its sinks, the last of which waits for them."""
 
@@ -273,7 +263,9 @@ def test_a_run_whose_reader_sleeps_ends_wherever_the_interrupt_comes(lines):
     reading, writing = os.pipe()
     fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
     command = [sys.executable, "-c", INTERRUPTED, str(lines), "run", "--site", ROOM, "--log", LOG, "--json"]
-    done = subprocess.run(command, env=BUFFERED, stdout=writing, stderr=subprocess.PIPE, text=True, timeout=HANGS_S)
+    done = subprocess.run(
+        command, env=BUFFERED, stdout=writing, stderr=subprocess.PIPE, text=True, timeout=HANGS_S, cwd=ROOT
+    )
     os.close(writing)
     os.close(reading)
     assert done.returncode == 0

@@ -1,7 +1,6 @@
 """Sinks fed by threads of their own: in order, without holding up each other, and what happens when one fails."""
 
 import contextlib
-import sys
 import threading
 from types import SimpleNamespace
 
@@ -9,6 +8,7 @@ import pytest
 
 from goldfield.cli.live import end_recording
 from goldfield.sensor.sinks import Branch, Fanout, Part
+from tests.host.interrupted import interrupted_after
 
 
 class Kept:
@@ -206,30 +206,6 @@ def test_a_slow_sink_may_lose_the_oldest_items():
     held.go.set()
     branch.close()
     assert held.items == [0, 5, 6, 7]
-
-
-@contextlib.contextmanager
-def interrupted_after(lines, *functions):
-    """Raise one interrupt, as a signal does, once so many lines of some functions have been run."""
-    codes = {function.__code__ for function in functions}
-    left = lines
-
-    def interrupt(frame, event, _):
-        nonlocal left
-        if frame.f_code not in codes:
-            return None
-        if event == "line":
-            left -= 1
-            if left == -1:
-                raise KeyboardInterrupt
-        return interrupt
-
-    before = sys.gettrace()
-    sys.settrace(interrupt)
-    try:
-        yield
-    finally:
-        sys.settrace(before)
 
 
 @pytest.mark.parametrize("lines", range(6))
