@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from goldfield.errors import SystemFailure, UserError
 from goldfield.field import FieldModel
 from goldfield.locate import Locator
 from goldfield.site import load
-from goldfield.survey import Free, SurveyData, survey
+from goldfield.survey import Free, SurveyData, adjustment, survey
 from goldfield.survey.adjustment import evaluate
 from goldfield.survey.data import Current, Direction, Distance, Place
 from goldfield.survey.equations import derivatives
@@ -349,3 +350,38 @@ def test_a_site_file_that_says_nothing_of_its_errors_may_be_far_off(tmp_path):
     silent.write_text(text_of(cube().site, None))
     result = survey(load(silent), made.data)
     assert score(result, made).rms_m < 0.02
+
+
+def whole_of(evaluation):
+    """Return all numbers of an evaluation."""
+    equations = evaluation.equations
+    groups = [part for group in equations.groups for part in (group.own, group.cross, group.gradient)]
+    own = (evaluation.cost, evaluation.squares, evaluation.anchor_squares, evaluation.by_beacon)
+    return [*own, equations.common, equations.gradient, *groups]
+
+
+@pytest.mark.parametrize("at_once", [1, 49, 50, 51])
+def test_a_walk_is_evaluated_in_pieces_of_any_size(monkeypatch, at_once):
+    made = trial(cube(), 2, epochs=50, points=6)
+    problem = problem_of(made.site, made.data, default_free(made.site), None)
+    state = start_of(made.site, 50, 0, None)
+    for robust in (False, True):
+        whole = whole_of(evaluate(problem, state, 0.02, robust=robust))
+        monkeypatch.setattr(adjustment, "AT_ONCE", at_once)
+        for one, other in zip(whole, whole_of(evaluate(problem, state, 0.02, robust=robust)), strict=True):
+            np.testing.assert_allclose(other, one, rtol=1e-12, atol=1e-12 * np.abs(one).max(initial=0.0))
+        monkeypatch.undo()
+
+
+def test_pieces_take_less_memory_than_a_whole_walk(monkeypatch):
+    made = trial(cube(), 2, epochs=150, points=6)
+    problem = problem_of(made.site, made.data, default_free(made.site), None)
+    state = start_of(made.site, 150, 0, None)
+    peaks = []
+    for at_once in (10, 150):
+        monkeypatch.setattr(adjustment, "AT_ONCE", at_once)
+        tracemalloc.start()
+        evaluate(problem, state)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[0] < 2 / 3 * peaks[1]
