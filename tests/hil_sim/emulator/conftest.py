@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import pytest
 
 from hil_sim.emulator.bench import Bench
+from tests.hil_sim.emulator.flash_bench import unlock
 
 
 @pytest.fixture
@@ -26,3 +27,10 @@ def fast_chip() -> Iterator[Bench]:
     report = bench.report
     bench.close()
     assert not report
+
+
+@pytest.fixture
+def open_chip(chip: Bench) -> Bench:
+    """Return a chip whose FLASH_CR is unlocked."""
+    unlock(chip)
+    return chip
