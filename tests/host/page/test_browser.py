@@ -68,9 +68,9 @@ def served():
 @pytest.fixture
 def opened(browser, served):
     """Return a function that opens the page; at the end nothing was complained of and nobody else was asked."""
-    contexts, complaints, asked = [], [], []
+    contexts, complaints, asked, forgiven = [], [], [], ["ERR_CONNECTION", "WebSocket"]
 
-    def open_page(viewport=DESKTOP, scheme="light"):
+    def open_page(viewport=DESKTOP, scheme="light", first=None, without=()):
         context = browser.new_context(viewport=viewport, color_scheme=scheme, has_touch=viewport is PHONE)
         contexts.append(context)
         page = context.new_page()
@@ -80,13 +80,16 @@ def opened(browser, served):
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
         page.on("request", lambda request: asked.append(request.url))
+        forgiven.extend(without)
+        if first is not None:
+            first(page)
         page.goto(served.url)
         return page
 
     yield open_page
     for context in contexts:
         context.close()
-    assert [one for one in complaints if "ERR_CONNECTION" not in one and "WebSocket" not in one] == []
+    assert [one for one in complaints if not any(word in one for word in forgiven)] == []
     assert [url for url in asked if not url.startswith((served.url, served.url.replace("http", "ws"), "data:"))] == []
 
 
@@ -205,6 +208,40 @@ def test_space_is_turned_by_mouse_and_keyboard(opened, served, calm):
         assert picture() != before
     page.keyboard.press("Home")
     assert picture() == home
+
+
+def test_space_is_there_before_the_first_pose(opened, served):
+    page = opened()
+    expect(page.locator("#space canvas")).to_be_visible()
+    expect(page.locator("#status-word")).to_have_text("no pose yet")
+
+
+NO_WEBGL = """
+    const old = HTMLCanvasElement.prototype.getContext;
+    HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+        return /webgl/.test(kind) ? null : old.call(this, kind, ...more);
+    };
+"""
+WITHOUT_SPACE = {
+    "the script does not come": (
+        lambda page: page.route("**/space-*.js", lambda route: route.abort()),
+        "did not answer",
+        "ERR_FAILED",
+    ),
+    "no WebGL": (lambda page: page.add_init_script(NO_WEBGL), "WebGL is off", "WebGL context"),
+}
+
+
+@pytest.mark.parametrize("case", WITHOUT_SPACE)
+def test_without_three_dimensions_the_rest_goes_on(opened, served, calm, case):
+    first, said, complaint = WITHOUT_SPACE[case]
+    page = opened(first=first, without=[complaint])
+    served.publish(calm)
+    expect(page.locator("#status-word")).to_have_text("ok")
+    expect(page.locator("#space")).to_contain_text(said)
+    expect(page.get_by_role("img", name="Plan of the site; the sensor is at")).to_be_visible()
+    page.get_by_role("button", name="Top", exact=True).click()
+    assert violations(page) == []
 
 
 def test_everything_is_reached_by_the_keyboard(opened, served, calm):

@@ -8,8 +8,8 @@ import { byId, make, setChip, setText } from "./dom";
 import { showFigures } from "./figures";
 import { Plan, type ErrorMap } from "./plan";
 import { ProgressCard } from "./progress";
-import { PROTOCOL, type Epoch, type Health, type Message, type Pose, type State } from "./protocol";
-import { Space } from "./space";
+import { PROTOCOL, type Epoch, type Health, type Message, type Pose, type Site, type State } from "./protocol";
+import type { Space } from "./space";
 import { Tables } from "./tables";
 import { Trail } from "./trail";
 import { LINK, STATUS } from "./words";
@@ -17,17 +17,22 @@ import { LINK, STATUS } from "./words";
 /** What the states of a stream are called if it is a recording. */
 const RECORDED: Partial<Record<State["state"], string>> = { running: "playing", ended: "played" };
 
+/** How long a page without a pose waits before it draws three dimensions. */
+const WITHOUT_POSE_MS = 1000;
+
 const announce = (text: string): void => setText(byId("announce"), text);
 const ticked = (id: string): boolean => byId<HTMLInputElement>(id).checked;
 
 const trail = new Trail();
 const plan = new Plan(byId("plan"));
-const space = openSpace();
 const tables = new Tables(byId("beacons"), byId("boards"));
 const charts = new Charts(byId("charts"));
 const progress = new ProgressCard();
 const alarms = new Alarms(announce);
 
+let space: Space | null = null;
+let spaceOpens = false;
+let site: Site | null = null;
 let pose: Pose | null = null;
 let health: Health | null = null;
 let live = true;
@@ -40,13 +45,28 @@ let drawing = false;
 let mapHeight: number | null = null;
 let mapLegend = "";
 
-function openSpace(): Space | null {
+/** Three dimensions take most of the page's bytes and time to start: they come behind the first pose, or if there is none. */
+function openSpaceIn(milliseconds: number): void {
+  if (spaceOpens) return;
+  setTimeout(() => {
+    if (!spaceOpens) void openSpace();
+    spaceOpens = true;
+  }, milliseconds);
+}
+
+async function openSpace(): Promise<void> {
+  const pictures = await import("./space").catch(() => null);
   try {
-    return new Space(byId("space"));
+    if (!pictures) throw new Error("not loaded");
+    space = new pictures.Space(byId("space"));
   } catch {
-    byId("space").append(make("p", { class: "note" }, "This browser draws no three dimensions (WebGL is off); the plan shows the same."));
-    return null;
+    const why = pictures ? "This browser draws no three dimensions (WebGL is off)" : "The server did not answer when three dimensions were to be loaded: load the page again";
+    byId("space").append(make("p", { class: "note" }, `${why}; the plan shows the same.`));
+    return;
   }
+  if (site) space.setSite(site);
+  if (health) space.setHealth(health);
+  redraw();
 }
 
 function take(messages: Message[]): void {
@@ -68,6 +88,7 @@ function takeOne(message: Message): void {
     trail.clear();
     charts.clear();
     progress.clear();
+    site = message.site;
     plan.setSite(message.site);
     space?.setSite(message.site);
     tables.setSite(message.site);
@@ -75,6 +96,7 @@ function takeOne(message: Message): void {
     setText(byId("source"), message.source);
     document.title = `${message.site.name} · goldfield`;
     mapHeight = null;
+    openSpaceIn(WITHOUT_POSE_MS);
   } else if (message.type === "epoch") {
     takeEpoch(message);
   } else if (message.type === "fix") {
@@ -150,6 +172,7 @@ function draw(): void {
   setText(byId("status-text"), status.meaning);
   showFigures(pose);
   drawPictures(pose);
+  openSpaceIn(0);
   void followError(pose);
 }
 
