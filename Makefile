@@ -7,6 +7,7 @@ SHELL := /bin/bash
 BUILD := build
 VENV := .venv
 PYTHON := $(VENV)/bin/python
+NPM := PATH="$(abspath $(VENV))/bin:$$PATH" npm# Of the wheel of Node.js that requirements.txt pins: Debian's is too old.
 SECONDS ?= 20
 SUDO := $(if $(filter 0,$(shell id -u)),,sudo)
 
@@ -85,11 +86,10 @@ $(BUILD)/mosquitto.stamp:
 
 # The reader of recordings that Foxglove is made of, in JavaScript; `npm ci` takes exactly what package-lock.json names.
 FOXGLOVE_READER := tests/host/recording/foxglove_reader
-$(BUILD)/foxglove-reader.stamp: $(wildcard $(FOXGLOVE_READER)/*)
+$(BUILD)/foxglove-reader.stamp: $(wildcard $(FOXGLOVE_READER)/*) $(BUILD)/venv.stamp
 	@mkdir -p $(BUILD)/foxglove-reader
-	@$(call need,npm,npm)
 	@cp $(FOXGLOVE_READER)/* $(BUILD)/foxglove-reader
-	@(cd $(BUILD)/foxglove-reader && npm ci --ignore-scripts --no-audit --no-fund) >$(BUILD)/foxglove-reader/npm.log 2>&1 || \
+	@(cd $(BUILD)/foxglove-reader && $(NPM) ci --ignore-scripts --no-audit --no-fund) >$(BUILD)/foxglove-reader/npm.log 2>&1 || \
 	  { tail -5 $(BUILD)/foxglove-reader/npm.log; echo "npm failed: all of its words are in $(BUILD)/foxglove-reader/npm.log"; exit 1; }
 	@touch $@
 

@@ -40,8 +40,8 @@ def built_assets(folder: Path | None = None) -> Path:
     folder = ASSETS if folder is None else folder
     if not (folder / "index.html").exists():
         raise SystemFailure(
-            "the live page is not built: run 'make page' in the checkout, with npm and Node.js 20.19 or newer, or "
-            "install a wheel of goldfield, which holds it"
+            "the live page is not built: run 'make page' in the checkout, or install a wheel of "
+            "goldfield, which holds it"
         )
     return folder
 

@@ -3,6 +3,8 @@
 import contextlib
 import json
 import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +32,7 @@ def feed():
 def listening(feed, subprotocol, topics, out=subprocess.DEVNULL):
     """Start the client; what it prints is more than a pipe holds."""
     assert CLIENT.exists(), "make build/foxglove-reader.stamp installs it"
-    command = ["node", CLIENT, f"ws://127.0.0.1:{feed.port}", subprotocol, *topics]
+    command = [Path(sys.executable).with_name("node"), CLIENT, f"ws://127.0.0.1:{feed.port}", subprotocol, *topics]
     return subprocess.Popen(command, stdout=out, stderr=subprocess.PIPE, text=True)
 
 

@@ -2,7 +2,6 @@
 
 import json
 import resource
-import shutil
 import signal
 import socket
 import subprocess
@@ -15,7 +14,6 @@ from goldfield.cli import main
 from goldfield.page import serving
 from tests.host.fake_sensor import SITE, PtySensor, log_of
 
-needs_npm = pytest.mark.skipif(shutil.which("npm") is None, reason="make builds the page with npm, which is not there")
 TIMEOUT_S = 120.0
 MOST_MESSAGES = 120
 """A stream that runs tells its state every second: a message that is not among so many will not come."""
@@ -59,7 +57,6 @@ def until(stream, wanted):
     return seen
 
 
-@needs_npm
 def test_a_recording_is_served_to_its_end_and_beyond(tmp_path):
     log = tmp_path / "run.log"
     log.write_text(log_of(range(5)))
@@ -72,7 +69,6 @@ def test_a_recording_is_served_to_its_end_and_beyond(tmp_path):
         assert view.end() == (0, "", "")
 
 
-@needs_npm
 def test_a_run_shows_the_page_beside_its_lines():
     command = [sys.executable, "-m", "goldfield", "run", "--site", str(SITE), "--view", "127.0.0.1:0", "--json"]
     sensor = PtySensor(range(100_000))
@@ -96,7 +92,6 @@ def test_a_run_shows_the_page_beside_its_lines():
     assert next(one for one in seen if one["type"] == "health")["node"] is not None
 
 
-@needs_npm
 def test_a_full_disk_costs_the_recording_and_not_the_page(tmp_path):
     words = ["--view", "127.0.0.1:0", "--json", "--record", str(tmp_path / "run.log")]
     full = resource.RLIMIT_FSIZE, (2000, 2000)
@@ -123,7 +118,6 @@ def test_a_full_disk_costs_the_recording_and_not_the_page(tmp_path):
     assert run.returncode == 3
 
 
-@needs_npm
 def test_a_second_view_of_one_port_is_refused_and_the_first_goes_on():
     with PtySensor(range(100_000)) as sensor, View("--port", sensor.path) as first:
         with first.stream() as stream:
@@ -140,7 +134,6 @@ def test_a_second_view_of_one_port_is_refused_and_the_first_goes_on():
         assert first.end()[0] == 0
 
 
-@needs_npm
 def test_two_pages_on_one_machine_have_two_addresses_and_the_second_says_so(monkeypatch, capsys):
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
@@ -154,7 +147,6 @@ def test_two_pages_on_one_machine_have_two_addresses_and_the_second_says_so(monk
     assert f"port {serving.PORT} of this machine is taken" in said
 
 
-@needs_npm
 def test_a_page_and_feeds_at_once(tmp_path):
     log, walk = tmp_path / "run.log", tmp_path / "walk.txt"
     log.write_text(log_of(range(5)))
@@ -165,7 +157,6 @@ def test_a_page_and_feeds_at_once(tmp_path):
     assert len(walk.read_text().splitlines()) == 1 + 5
 
 
-@needs_npm
 def test_a_live_sensor_that_hangs_up_is_waited_for():
     with PtySensor(range(5), hang_up=True) as sensor, View("--port", sensor.path) as view, view.stream() as stream:
         until(stream, lambda message: message.get("epoch") == 4)

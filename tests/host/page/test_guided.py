@@ -1,7 +1,6 @@
 """Whole runs of ``goldfield survey --view`` and ``calibrate sensor --view``, seen in a browser: progress and end."""
 
 import json
-import shutil
 import signal
 import socket
 import subprocess
@@ -18,7 +17,6 @@ from tests.host.fake_sensor import CYCLE_S, SITE, PtySensor, beacon_fields
 from tests.host.page.browser import PHONE, chromium
 from tests.host.page.walk import attitude, place
 
-pytestmark = pytest.mark.skipif(shutil.which("npm") is None, reason="make builds the page with npm, which is not there")
 TIMEOUT_S = 180.0
 MOVED_M = 0.03
 """So far off is a beacon in the site file that the survey begins with."""

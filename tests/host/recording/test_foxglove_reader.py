@@ -6,6 +6,8 @@ find is laid out as Foxglove's panels want it: one tree of frames, and a scene t
 
 import json
 import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +20,7 @@ from tests.host.recording.mcap_file import decoded
 from tests.host.recording.test_killed import killed_run
 
 READERS = ROOT / "build/foxglove-reader"
+NODE = Path(sys.executable).with_name("node")
 CYCLES = 25
 SCHEMAS = {
     "/tf": ("foxglove.FrameTransforms", "protobuf"),
@@ -38,7 +41,7 @@ FOREVER = {"seconds": 0, "nanos": 0}
 def printed(program, *words):
     """Return the JSON that a program of the reader prints."""
     assert (READERS / program).exists(), "make build/foxglove-reader.stamp installs it"
-    done = subprocess.run(["node", READERS / program, *words], capture_output=True, text=True, check=False)
+    done = subprocess.run([NODE, READERS / program, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
