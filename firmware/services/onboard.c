@@ -89,8 +89,9 @@ static void separate(onboard_t *onboard) {
     }
 }
 
-void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle, bool doubted) {
+void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle, bool rests, bool doubted) {
     onboard->moving = *moving;
+    onboard->moving_rests = rests;
     onboard->moving_doubted = doubted;
     onboard->moving_cycle = cycle;
     onboard->moved = true;
@@ -121,7 +122,8 @@ void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, c
     }
     onboard->due = true;
     onboard->cycle = cycle->cycle;
-    onboard->by_track = onboard->moved && onboard->moving_cycle == cycle->cycle;
+    onboard->beside = onboard->moved && onboard->moving_cycle == cycle->cycle;
+    onboard->by_track = onboard->beside && !onboard->moving_rests;
     onboard->moved = false;
     if (onboard->by_track) {
         copy_residuals(onboard);
@@ -144,6 +146,7 @@ static void begin(onboard_t *onboard, node_t *node) {
     onboard->due = onboard->owed = false;
     onboard->located = onboard->cycle;
     onboard->located_by_track = onboard->by_track;
+    onboard->located_beside = onboard->beside;
     if (!onboard->separable) {
         onboard->pose = (pose_t){.status = POSE_FAILED, .reason = POSE_REASON_NO_POSE, .left_out = POSE_NOBODY};
         pose_report(&onboard->pose, onboard->located, POSE_REPORT_CYCLE, node, NODE_BOTH);
@@ -151,7 +154,8 @@ static void begin(onboard_t *onboard, node_t *node) {
     }
     separate(onboard);
     memcpy(onboard->located_m, onboard->moving.position_m, sizeof onboard->located_m);
-    if (onboard->by_track) { /* The track knows better than the pose of the cycle before. */
+    memcpy(onboard->located_q, onboard->moving.quaternion, sizeof onboard->located_q);
+    if (onboard->beside) { /* The track knows better than the pose of the cycle before. */
         memcpy(onboard->pose.position_m, onboard->moving.position_m, sizeof onboard->pose.position_m);
         memcpy(onboard->pose.quaternion, onboard->moving.quaternion, sizeof onboard->pose.quaternion);
         onboard->pose.status = onboard->moving_doubted ? POSE_FAILED : POSE_OK;
@@ -170,8 +174,9 @@ static void judge(onboard_t *onboard) {
             .left_out = pose->left_out,
             .protection_m = pose->protection_m,
             .by_track = onboard->located_by_track,
-            .searched = !pose->tracked,
+            .beside = onboard->located_beside,
             .away_m = square_root(vector3_dot(away, away)),
+            .searched = !pose->tracked,
         };
         onboard->judged++;
     }

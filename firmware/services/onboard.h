@@ -33,9 +33,10 @@ typedef struct {
     pose_reason_t reason;
     uint32_t left_out;  /* Row of the beacon that is not to be believed, or POSE_NOBODY. */
     float protection_m; /* Protection level, m. */
-    bool by_track;      /* The cycle was located from what the track makes of it ... */
-    bool searched;      /* ... with no prior. */
-    float away_m;       /* How far from the track the pose of such a cycle is, m. */
+    bool by_track;      /* The cycle was located from what the track makes of it. */
+    bool beside;        /* The track was there in the cycle, ... */
+    float away_m;       /* ... so far from where it was located, m. */
+    bool searched;      /* It was located with no prior. */
 } onboard_verdict_t;
 
 /* Private but for tests. */
@@ -53,9 +54,10 @@ typedef struct {
     block_cycle_t moving;                    /* What the track makes of a cycle ... */
     uint32_t moving_cycle;                   /* ... of this number ... */
     bool moved;                              /* ... which is there ... */
-    bool moving_doubted;                     /* ... of a track that may be another. */
-    bool by_track, located_by_track;         /* The cycle taken, and the one that is computed, are such ones. */
-    float located_m[3];                      /* Where the track was in the latter. */
+    bool moving_rests, moving_doubted;       /* ... of a sensor at rest, of a track that may be another. */
+    bool by_track, located_by_track;         /* The cycle taken, and the one that is computed, are such ones, ... */
+    bool beside, located_beside;             /* ... or the track was there in them. */
+    float located_m[3], located_q[4];        /* Where the track was in the latter, position and attitude. */
     pose_field_t fields[POSE_BEACONS_MAX];
     pose_live_t live;
     pose_t pose;
@@ -71,9 +73,9 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
                        const epoch_selection_t *selection);
 
 /* Take what the track makes of the cycle of a number, before onboard_take takes that cycle: it is located from this, as
- * if the sensor stood still in the middle of the cycle; with no prior if it is doubted that the track is where it says.
- */
-void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle, bool doubted);
+ * if the sensor stood still in the middle of the cycle; if the sensor rests, from what the cycle is itself; with no
+ * prior if it is doubted that the track is where it says. */
+void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle, bool rests, bool doubted);
 
 /* Take a whole cycle, if active and if it has any sample; one that waits is answered. Costs about 250 instructions a
  * code. */

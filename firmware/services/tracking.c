@@ -12,11 +12,16 @@
 #define UT_M3_PER_A_M2 0.1f  /* mu0 / (4 pi) in uT m^3 for each A m^2. */
 #define WEAK_ATTITUDE  0.5f  /* Standard deviation of the attitude beyond which nothing linear holds, rad. */
 #define WEAK_DISTANCE  0.25f /* That of the position, over the distance to the nearest beacon. */
+#define WIDENED        2.0f  /* The filter takes so many times the deviations of a start. */
+#define VAGUE_CYCLES   2u    /* So many cycles are located before a track that started weak is believed. */
+#define UNREST_CYCLES  10u   /* So many cycles long such a track, or one that was astray, is restless. */
+#define ASTRAY         3.0f  /* A track and a cycle so many standard deviations apart contradict each other. */
 #define START_VELOCITY 3.0f  /* Standard deviations with which the filter begins: m/s ... */
 #define START_RATE     4.0f  /* ... and rad/s. */
 #define PROTECTION_SD  3.29f /* Deviate of what noise alone exceeds in one of a thousand cases. */
 
 #define CHIP_S  ((float)HAL_CHIP_TICKS / (float)HAL_TICKS_PER_SECOND) /* Length of a chip, s. */
+#define CYCLE_S ((float)BLOCK_CYCLE_CHIPS * CHIP_S)
 #define BLOCK_S ((float)BLOCK_CHIPS * CHIP_S)
 #define HALF_S  (0.5f * (float)(BLOCK_CHIPS - 1u) * CHIP_S) /* From the middle of a block to its last sample, s. */
 #define GAP_S   (((float)BLOCK_FILTER_REFUSALS + 0.5f) * BLOCK_S) /* Longest time without a block that is bridged, s. */
@@ -71,6 +76,7 @@ void tracking_configure(tracking_t *tracking, onboard_t *onboard, const paramete
     memset(tracking->site_covariance, 0, sizeof tracking->site_covariance);
     tracking->verdict.left_out = POSE_NOBODY;
     tracking->doubted = tracking->ambiguous = false;
+    tracking->vague = 0;
     tracking->judged = onboard->judged;
     lose(tracking);
     tracking->select = (block_select_t){0};
@@ -106,6 +112,11 @@ static float nearest_m(const tracking_t *tracking, const float position_m[3]) {
     return square_root(nearest2);
 }
 
+/* Returns whether nothing linear holds over the errors of a pose. */
+static bool is_weak(const tracking_t *tracking, float position_sd_m, float attitude_sd_rad, const float position_m[3]) {
+    return attitude_sd_rad > WEAK_ATTITUDE || position_sd_m > WEAK_DISTANCE * nearest_m(tracking, position_m);
+}
+
 /* Sets status, reason and protection level of a pose whose numbers are set. */
 static void judge(const tracking_t *tracking, float position_sd_m, float attitude_sd_rad, pose_t *pose) {
     const onboard_verdict_t *const verdict = &tracking->verdict;
@@ -126,8 +137,7 @@ static void judge(const tracking_t *tracking, float position_sd_m, float attitud
     } else if (tracking->ambiguous) {
         pose->status = POSE_AMBIGUOUS;
         pose->reason = POSE_REASON_RIVAL;
-    } else if (attitude_sd_rad > WEAK_ATTITUDE ||
-               position_sd_m > WEAK_DISTANCE * nearest_m(tracking, pose->position_m)) {
+    } else if (tracking->vague > 0u || is_weak(tracking, position_sd_m, attitude_sd_rad, pose->position_m)) {
         pose->status = POSE_WEAK;
         pose->reason = POSE_REASON_WEAK;
     } else if (pose->protection_m > tracking->onboard->site.alert_limit_m) {
@@ -253,7 +263,8 @@ static void compare(tracking_t *tracking, const block_state_t *predicted, const 
     suspect(tracking, worst < count ? tracking->select.rows[worst] : tracking->count);
     if (tracking->onboard->chips == BLOCK_CYCLE_CHIPS &&
         block_cycle_add(&tracking->moving, tracking->number, tracking->chip, CHIP_S, &residual, predicted)) {
-        onboard_take_track(tracking->onboard, &tracking->moving, tracking->cycle, tracking->ambiguous);
+        onboard_take_track(tracking->onboard, &tracking->moving, tracking->cycle, tracking->rests,
+                           tracking->ambiguous || tracking->vague > 0u);
     }
 }
 
@@ -447,6 +458,13 @@ static void begin(tracking_t *tracking, node_t *node) {
     block_filter_start(&tracking->filter, &start);
     tracking->misfits = tracking->accused = 0;
     select(tracking, found->position_m);
+    const bool vague = tracking->onboard->chips == BLOCK_CYCLE_CHIPS && !tracking->doubted &&
+                       is_weak(tracking, WIDENED * root_of_trace(found->position_cov_m2),
+                               WIDENED * root_of_trace(found->attitude_cov_rad2), found->position_m);
+    tracking->vague = vague ? VAGUE_CYCLES : 0u;
+    tracking->unrest = vague ? UNREST_CYCLES : 0u;
+    tracking->rests = vague;
+    tracking->unfit = false;
     tracking->state = TRACKING_FOLLOWS;
     tracking->errors_number = tracking->number - TRACKING_ERRORS_BLOCKS;
     tracking->verdict.status = found->status;
@@ -461,18 +479,76 @@ static void begin(tracking_t *tracking, node_t *node) {
 
 /* ---- Calls ---- */
 
+/* Returns whether a verdict tells where the sensor was. */
+static bool tells(const onboard_verdict_t *verdict) {
+    return verdict->status != POSE_AMBIGUOUS && verdict->status != POSE_INCONSISTENT;
+}
+
+/* Returns whether a cycle was located so far from the track that the deviations of both do not explain it. */
+static bool is_astray(const tracking_t *tracking, float away_m) {
+    const pose_t *const cycle = &tracking->onboard->pose;
+    block_pose_t track;
+    block_filter_output(&tracking->filter, 0.0f, &track);
+    float variance_m2 = 0.0f;
+    for (uint32_t axis = 0; axis < 3u; axis++) {
+        variance_m2 += cycle->position_cov_m2[axis][axis] + track.covariance[axis][axis];
+    }
+    return away_m * away_m > ASTRAY * ASTRAY * variance_m2;
+}
+
+/* Begins the track anew from a cycle of it: where that was located, and the motion since then has brought it. */
+static void begin_again(tracking_t *tracking) {
+    const onboard_t *const onboard = tracking->onboard;
+    block_start_t there = {.ambient_sd_uT = MICROTESLA * onboard->noise_T};
+    memcpy(there.position_m, onboard->pose.position_m, sizeof there.position_m);
+    memcpy(there.quaternion, onboard->pose.quaternion, sizeof there.quaternion);
+    memcpy(there.position_cov_m2, onboard->pose.position_cov_m2, sizeof there.position_cov_m2);
+    memcpy(there.attitude_cov_rad2, onboard->pose.attitude_cov_rad2, sizeof there.attitude_cov_rad2);
+    block_filter_shift(&tracking->filter, onboard->located_m, onboard->located_q, &there, CYCLE_S);
+    select(tracking, tracking->filter.filters[tracking->filter.best].state.position_m);
+}
+
 /* Looks whether a cycle of the track was located where the track is. Of two poses that explained the start as well, one
- * that was located with no prior tells which is the right one. */
+ * that was located with no prior tells which is the right one; of a track that is vague or astray, where it is. */
 static void resolve(tracking_t *tracking, const onboard_verdict_t *verdict) {
-    const bool told = verdict->status != POSE_AMBIGUOUS && verdict->status != POSE_INCONSISTENT;
-    if (!told || !verdict->by_track || (tracking->ambiguous && !verdict->searched)) {
+    const bool searches = tracking->ambiguous || tracking->vague > 0u;
+    if (!tells(verdict) || !verdict->beside || (searches && !verdict->searched)) {
         return;
     }
     tracking->ambiguous = false;
-    const float *const here_m = tracking->filter.filters[tracking->filter.best].state.position_m;
-    if (tracking->state == TRACKING_FOLLOWS && verdict->away_m > WEAK_DISTANCE * nearest_m(tracking, here_m)) {
-        lose(tracking); /* It is elsewhere: far from all beacons a wrong track contradicts no block. */
+    if (tracking->state != TRACKING_FOLLOWS) {
+        return;
     }
+    const float *const here_m = tracking->filter.filters[tracking->filter.best].state.position_m;
+    const bool astray = is_astray(tracking, verdict->away_m);
+    if (tracking->vague == 0u && verdict->away_m > WEAK_DISTANCE * nearest_m(tracking, here_m)) {
+        lose(tracking); /* It is elsewhere: far from all beacons a wrong track contradicts no block. */
+    } else if (tracking->vague > 0u) {
+        begin_again(tracking);
+        tracking->vague -= astray && verdict->by_track ? 0u : 1u;
+    } else if (astray && tracking->unrest > 0u) {
+        begin_again(tracking);
+        tracking->vague = verdict->by_track ? 1u : 0u;
+    }
+}
+
+/* Decides how the next cycle of a track that started vague is taken. What it makes of a cycle is worse than the cycle
+ * itself if the sensor rests, as the track's own unrest is in it, and the only one that fits if the sensor moves: where
+ * one does not fit the other is tried, once. A review of what a motion has mixed is given up.
+ * Returns whether a verdict counts: one that fits, or the second that does not. */
+static bool counts(tracking_t *tracking, const onboard_verdict_t *verdict) {
+    const bool fits = verdict->status != POSE_INCONSISTENT, twice = tracking->unfit;
+    if (tracking->unrest == 0u) {
+        tracking->rests = false;
+        return true;
+    }
+    tracking->unrest--;
+    tracking->unfit = !fits;
+    if (!fits && !verdict->by_track && !twice) {
+        pose_live_forget(&tracking->onboard->live);
+    }
+    tracking->rests = tracking->unrest > 0u && (fits ? tracking->rests : !tracking->rests);
+    return fits || twice;
 }
 
 /* Takes the verdict of a cycle that was located since the last block. */
@@ -482,13 +558,17 @@ static void look_at_cycles(tracking_t *tracking) {
         return;
     }
     tracking->judged = onboard->judged;
-    resolve(tracking, &onboard->verdict);
-    if (onboard->verdict.by_track || tracking->doubted || onboard->chips != BLOCK_CYCLE_CHIPS) {
-        tracking->verdict = onboard->verdict;
-        if (onboard->verdict.status != POSE_INCONSISTENT) {
+    const onboard_verdict_t *const verdict = &onboard->verdict;
+    if (verdict->beside && !counts(tracking, verdict)) {
+        return;
+    }
+    resolve(tracking, verdict);
+    if (verdict->beside || tracking->doubted || onboard->chips != BLOCK_CYCLE_CHIPS) {
+        tracking->verdict = *verdict;
+        if (verdict->status != POSE_INCONSISTENT) {
             tracking->suspect = POSE_NOBODY;
-            tracking->doubted = tracking->doubted && !onboard->verdict.by_track;
-        } else if (tracking->doubted && onboard->verdict.by_track && tracking->state == TRACKING_FOLLOWS) {
+            tracking->doubted = tracking->doubted && !verdict->beside;
+        } else if (tracking->doubted && verdict->beside && tracking->state == TRACKING_FOLLOWS) {
             lose(tracking); /* It began when nothing fitted, and nothing fits it. */
         }
     }

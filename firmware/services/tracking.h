@@ -14,6 +14,13 @@
  * are answered as failed, with the search's reason, and the latest of them is the next to start from. The track is lost
  * after BLOCK_FILTER_REFUSALS blocks in a row that were refused, did not fit or did not come, and starts again.
  *
+ * One block beside a coil may tell so little that nothing is linear over its errors: the filter, which linearises each
+ * block where it believes the sensor then, is soon sure of a wrong place. A track that starts weak stays weak until
+ * VAGUE_CYCLES cycles were located, and begins anew with each of them (block_filter_shift). Such a track is restless,
+ * and its unrest is in what it makes of a cycle; so cycles are located as of a sensor at rest, unless that does not
+ * fit, for UNREST_CYCLES. One that is found more than ASTRAY deviations away meanwhile moves the track, too. (The host
+ * fits the first blocks together instead, for which there is no memory here.)
+ *
  * Status. Single blocks are too noisy to tell that a beacon is not as the site says. Status, reason, the beacon left
  * out and the protection level of each pose are those of the latest cycle that onboard.h has located; before there is
  * one since the start, those of the start. With degree 10 cycles are located from what the track makes of them
@@ -105,6 +112,10 @@ typedef struct {
     pose_t start;              /* What the search found. */
     onboard_verdict_t verdict; /* What holds for the poses. */
     bool doubted;              /* Blocks did not fit the track before this one. */
+    uint32_t vague;            /* Cycles that are to be located before the track is believed. */
+    uint32_t unrest;           /* Cycles in which the track is restless, as it started vague. */
+    bool rests;                /* Meanwhile: the next cycle is located as that of a sensor at rest; ... */
+    bool unfit;                /* ... the one before did not agree with the site. */
     bool ambiguous;            /* When it started, another pose explained the fields as well. */
     uint32_t judged;           /* The verdict of onboard.h that was last looked at. */
 } tracking_t;

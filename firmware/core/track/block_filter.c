@@ -17,7 +17,10 @@
 #define START_DEVIATION 2.0f /* Factor on those that the pose was located with. */
 #define START_VELOCITY  3.0f /* m/s. */
 #define START_RATE      4.0f /* rad/s. */
-#define START_FIELD     5.0f /* Ambient field, and offset, uT. */
+#define MOVED                                                                                                          \
+    3.5f                 /* Deviations of a pose by which the motion in its time is uncertain: its sums have that of a \
+                          * line through as many poses, the root of 12, over its time. */
+#define START_FIELD 5.0f /* Ambient field, and offset, uT. */
 
 static const float agilities[BLOCK_FILTERS][2] = {{0.03f, 0.06f}, {0.5f, 1.0f}, {2.0f, 4.0f}, {8.0f, 15.0f}};
 
@@ -77,6 +80,40 @@ void block_filter_start(block_filter_t *filter, const block_start_t *start) {
         covariance[BLOCK_B + row][BLOCK_B + row] = field2;
     }
     block_filter_begin(filter, &state, (const float(*)[BLOCK_STATES])covariance);
+}
+
+static float least(float a, float b) {
+    return a < b ? a : b;
+}
+
+static float trace(const float matrix[3][3]) {
+    return matrix[0][0] + matrix[1][1] + matrix[2][2];
+}
+
+void block_filter_shift(block_filter_t *filter, const float from_m[3], const float from[4], const block_start_t *there,
+                        float seconds) {
+    const block_state_t now = filter->filters[filter->best].state;
+    block_state_t was = now, is = now, moved;
+    memcpy(was.position_m, from_m, sizeof was.position_m);
+    memcpy(was.quaternion, from, sizeof was.quaternion);
+    memcpy(is.position_m, there->position_m, sizeof is.position_m);
+    memcpy(is.quaternion, there->quaternion, sizeof is.quaternion);
+    float errors[BLOCK_STATES];
+    block_state_subtract(&is, &was, errors);
+    block_state_move(&now, errors, &moved);
+    const float unmixed_s = filter->unmixed_s;
+    block_filter_start(filter, there);
+    filter->unmixed_s = unmixed_s;
+    const float moved2 = MOVED * MOVED / (seconds * seconds);
+    for (uint32_t k = 0; k < BLOCK_FILTERS; k++) {
+        block_kalman_t *const one = &filter->filters[k];
+        one->state = moved;
+        for (uint32_t axis = 0; axis < 3u; axis++) {
+            const uint32_t v = BLOCK_V + axis, w = BLOCK_W + axis;
+            one->covariance[v][v] = least(one->covariance[v][v], moved2 * trace(there->position_cov_m2));
+            one->covariance[w][w] = least(one->covariance[w][w], moved2 * trace(there->attitude_cov_rad2));
+        }
+    }
 }
 
 /* Returns whether all sums are numbers of a possible size. */

@@ -97,6 +97,13 @@ void block_filter_start(block_filter_t *filter, const block_start_t *start);
 /* Returns whether there is no track: it has not been started, or not been believed for too long. */
 bool block_filter_lost(const block_filter_t *filter);
 
+/* Begin a track anew by a pose that tells better where it was: it is moved by what that pose, whose deviations it
+ * takes, differs from the track's own at the same time, position from_m and attitude from. Its motion and field go on,
+ * with the deviations of a start, or of what samples for so many seconds as the pose is from tell of a motion. The
+ * field of there is not used. */
+void block_filter_shift(block_filter_t *filter, const float from_m[3], const float from[4], const block_start_t *there,
+                        float seconds);
+
 /* Move on to the middle of a block, seconds after that of the block before, and take it. Without a track nothing
  * happens.
  * Returns false if no filter took the block: the state is then the prediction alone. Sums that are not finite or huge
