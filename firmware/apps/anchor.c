@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "services/drive_report.h"
+#include "services/upkeep.h"
 
 /* ---- Interrupts ---- */
 
@@ -39,7 +40,7 @@ static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
 void anchor_start(anchor_t *anchor, onboard_t *onboard, tracking_t *tracking, hal_t *hal) {
     memset(anchor, 0, sizeof *anchor);
     anchor->hal = hal;
-    node_start(&anchor->node, hal, HAL_ROLE_ANCHOR);
+    upkeep_start(&anchor->node, hal, HAL_ROLE_ANCHOR);
     timing_start(&anchor->timing, &anchor->node.parameters, true);
     drive_start(&anchor->drive, &anchor->node, &anchor->timing);
     sense_start(&anchor->sense, &anchor->node, &anchor->timing, onboard, tracking);
@@ -61,7 +62,7 @@ void anchor_step(anchor_t *anchor) {
     sense_blocks(&anchor->sense);
     sense_step(&anchor->sense);
     node->state = drive_state(&anchor->drive);
-    node_step(node);
+    upkeep_step(node);
     sense_spare(&anchor->sense);
     if (node->parameters_changed) {
         node->parameters_changed = false;

@@ -8,7 +8,7 @@
  *   plan, current, fault  drive.h, which also has the states (HEARTBEAT.state).
  *   samples               sense.h.
  *   sync                  the edge goes to the chip clock (timing.h).
- *   main                  node; what a beacon sends (drive.h) and what a sensor sends (sense.h), under one node
+ *   main                  upkeep; what a beacon sends (drive.h) and what a sensor sends (sense.h), under one node
  *                         number; parameters, those of beacon and of sensor, in one page.
  * The board reports cycles whether its own coil is on or not, also in the states fault and syncing.
  *

@@ -3,6 +3,7 @@
 #include <string.h>
 
 #include "services/drive_report.h"
+#include "services/upkeep.h"
 
 /* ---- Interrupts ---- */
 
@@ -38,7 +39,7 @@ static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
 void beacon_start(beacon_t *beacon, hal_t *hal) {
     memset(beacon, 0, sizeof *beacon);
     beacon->hal = hal;
-    node_start(&beacon->node, hal, HAL_ROLE_BEACON);
+    upkeep_start(&beacon->node, hal, HAL_ROLE_BEACON);
     timing_start(&beacon->timing, &beacon->node.parameters, true);
     drive_start(&beacon->drive, &beacon->node, &beacon->timing);
     const hal_events_t events = {
@@ -57,7 +58,7 @@ void beacon_step(beacon_t *beacon) {
     drive_step(&beacon->drive);
     drive_report(&beacon->drive);
     node->state = drive_state(&beacon->drive);
-    node_step(node);
+    upkeep_step(node);
     if (node->parameters_changed) {
         node->parameters_changed = false;
         drive_configure(&beacon->drive);

@@ -6,7 +6,7 @@
  * Which module runs when
  *   plan, current, fault  drive.h, which also has the states (HEARTBEAT.state).
  *   sync                  the edge goes to the chip clock (timing.h).
- *   main                  node; SYNC if master, DRIVE_STATUS, parameters (drive.h).
+ *   main                  upkeep; SYNC if master, DRIVE_STATUS, parameters (drive.h).
  *
  * Memory: 23 kB.
  *

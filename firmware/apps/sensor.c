@@ -2,6 +2,8 @@
 
 #include <string.h>
 
+#include "services/upkeep.h"
+
 #define PI 3.14159265f
 
 /* ---- Interrupts ---- */
@@ -78,7 +80,7 @@ void sensor_start(sensor_t *sensor, acquire_t *acquire, onboard_t *onboard, trac
     memset(sensor, 0, sizeof *sensor);
     sensor->hal = hal;
     sensor->acquire = acquire;
-    node_start(&sensor->node, hal, HAL_ROLE_SENSOR);
+    upkeep_start(&sensor->node, hal, HAL_ROLE_SENSOR);
     timing_start(&sensor->timing, &sensor->node.parameters, false);
     sense_start(&sensor->sense, &sensor->node, &sensor->timing, onboard, tracking);
     follow(sensor, parameters_unsigned(&sensor->node.parameters, PARAMETER_SYNC_SOURCE));
@@ -91,7 +93,7 @@ void sensor_step(sensor_t *sensor) {
     sense_blocks(&sensor->sense);
     sense_step(&sensor->sense);
     node->state = state(sensor);
-    node_step(node);
+    upkeep_step(node);
     if (sensor->timing.by_field) {
         acquire_step(sensor->acquire);
     }

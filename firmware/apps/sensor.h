@@ -7,7 +7,7 @@
  *   plan     once a block: lengths of the next 31 chips from chip_clock, so that chips end with the beacons' chips.
  *   samples  once a block: sense.h.
  *   sync     the edge goes to the chip clock (timing.h).
- *   main     node; reports (sense.h).
+ *   main     upkeep; reports (sense.h).
  *
  * Sources of time (parameter sync_source)
  *   0  The chip clock follows the sync wire.

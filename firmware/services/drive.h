@@ -145,7 +145,7 @@ void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANN
 void drive_edge(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 void drive_fault(drive_t *drive, hal_fault_t fault);
 
-/* Send the messages that are due and write the node's counters: one turn of the main loop, before node_step. */
+/* Send the messages that are due and write the node's counters: one turn of the main loop, before upkeep_step. */
 void drive_step(drive_t *drive);
 
 /* Returns the board's state as the drive sees it. */

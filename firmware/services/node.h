@@ -1,16 +1,16 @@
-/* node.h: what all applications have in common: the board's identity and parameters, a heartbeat once a second, and the
- * two links on which it speaks, serial and CAN.
+/* node.h: what every board has, whatever its application: a number, parameters, counters, and two links on which it
+ * speaks, serial and CAN. Here are these, and what sends; requests.h answers what a host asks, and upkeep.h carries all
+ * of it out.
  *
  * Calls, in the order they are made (all of them from main)
- *   1. node_start         once, before anything else is started.
- *   2. node_step          once a turn of the main loop.
- *      node_send          whenever a message is to leave; node_room tells first whether several fit together, and
+ *   1. node_init          once (upkeep_start).
+ *   2. node_send          whenever a message is to leave; node_room tells first whether several fit together, and
  *                         node_motion_room whether those do that other boards on the bus send as well.
- *      node_flush         when what was queued cannot wait for the turn's end.
+ *      node_flush         when what was queued cannot wait for the turn's end, at which it is node_drain (upkeep_step).
  *      node_serial_write  for a stream that goes past the queue; node_identifier tells its identifiers.
  *
  * Links. Serial and CAN carry the same messages (protocol/framing.md). node_send() puts a message into the queue of
- * each link it is for; node_step() hands the queues to the board. A full queue refuses the message and counts it
+ * each link it is for; node_drain() hands the queues to the board. A full queue refuses the message and counts it
  * (COUNTER_MESSAGES_LOST); one link never holds up the other.
  *   latency on serial: at most 128 queued messages of 16 bytes behind 4 kB of buffer at 2 Mbaud: 31 ms;
  *   on CAN: at most 128 messages of 160 us, 21 ms, plus the frames of other nodes with lower identifiers. What no
@@ -22,25 +22,8 @@
  * by these messages. What is beyond the board's own part does not go on CAN, and neither does what would wait behind
  * NODE_CAN_BACKLOG others: reports of cycles go in any case, and soon.
  *
- * Identity. The board's number is the parameter node of the parameter page. If the page has none, it is 1 +
- * CRC-16/CCITT-FALSE(unique id, 12 bytes) mod 4095: the same after each reset. Two of eight unconfigured boards have
- * one number in 0.7 % of cases, which the host sees by their interleaved heartbeats.
- *
- * Received messages, from either link: PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on
- * the link they came from; a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a
- * parameter that this role uses, at most 8 messages (framing.md, "Descriptions"). COMMAND lets the board tell its
- * unique id or its last reset, blink with its LED, reset itself, clear what keeps its drive off, or save its parameters
- * (framing.md, "Commands"). SYNC is kept for the application. All other messages are ignored. A frame that is no
- * message by its index or its length (messages.h) is ignored and counted, whatever type it has (COUNTER_FOREIGN_FRAMES,
- * COUNTER_WRONG_LENGTH).
- *
- * Saving (storage.h). The bridges must be off, as the processor stands still for each word: a board that drives its
- * coil refuses, unless it is told that it may pause. drive_hold keeps the drive off from the moment that a save is
- * accepted until it is answered. A save for which a slot is erased ends with a reset, as the chip engine has lost its
- * step.
- *
- * Time: node_step with nothing to do takes about 150 instructions. It is bounded by NODE_BYTES_A_STEP received bytes,
- * NODE_FRAMES_A_STEP frames, and what the queues hold. Memory: 12 kB.
+ * Time: node_drain with nothing to send takes about 20 instructions, and is bounded by what the queues hold. Memory:
+ * 12 kB.
  */
 #ifndef GOLDFIELD_NODE_H
 #define GOLDFIELD_NODE_H
@@ -58,8 +41,6 @@
 #define NODE_HEARTBEAT_US   1000000u /* Time from one heartbeat to the next, us. */
 #define NODE_CAN_GIVE_UP_US 100000u  /* Time without a message taken after which CAN counts as dead, us. */
 #define NODE_CAN_BACKLOG    32u      /* Most messages that may wait for CAN where one of the motion is added. */
-#define NODE_BYTES_A_STEP   1024u    /* Most bytes received on serial in one node_step. */
-#define NODE_FRAMES_A_STEP  64u      /* Most frames received on CAN in one node_step. */
 
 /* What a board is doing; the numbers are those of HEARTBEAT.state. */
 typedef enum {
@@ -100,34 +81,33 @@ typedef struct {
     frame_t serial_messages[NODE_QUEUE_MESSAGES], can_messages[NODE_QUEUE_MESSAGES];
     uint32_t serial_written,
         serial_sent;       /* Bytes given to the serial port, and sent by it when it was last looked at. */
-    uint64_t heartbeat_us; /* Time of the latest heartbeat. */
-    uint64_t blink_end_us;
-    uint64_t reset_us;
+    uint64_t heartbeat_us; /* Time of the latest heartbeat (upkeep.h). */
     uint64_t can_us;       /* Latest time at which CAN took a message, or had none to take. */
     uint64_t can_heard_us; /* Latest time at which CAN brought a frame. */
     bus_share_t share;     /* The board's part of CAN. */
     uint32_t can_lost;     /* Messages thrown away because the bus was full. */
     bool can_dead;         /* CAN took none for too long: one message at a time is queued to try it. */
-    bool blinking;         /* The LED blinks, until blink_end_us. */
-    bool resetting;        /* A reset was accepted, and comes at reset_us. */
-    node_links_t saving;   /* The link to which a save that is under way is answered. */
-    storage_t storage;     /* It is large, and last: what main looks at each turn lies near the beginning. */
+    /* Private to requests.h. */
+    bool under_way; /* One of these is to be gone on with. */
+    bool blinking;  /* The LED blinks, until blink_end_us. */
+    bool resetting; /* A reset was accepted, and comes at reset_us. */
+    uint64_t blink_end_us, reset_us;
+    node_links_t saving; /* The link to which a save that is under way is answered. */
+    storage_t storage;   /* It is large, and last: what main looks at each turn lies near the beginning. */
 } node_t;
 
-/* Load the parameters and say hello: a heartbeat leaves on serial by polling before anything else is touched, so that
- * even a crippled machine is heard; the same goes into the queue of CAN, and behind both what the board knows of its
- * last reset. The state is then NODE_STARTING. */
-void node_start(node_t *node, hal_t *hal, hal_role_t role);
-
-/* Do one turn: take received messages, send heartbeat and counters if they are due, hand the queues to the board, and
- * feed the watchdog if everything moves (liveness.h). */
-void node_step(node_t *node);
+/* Make the node one that nobody has spoken to, with empty queues; its parameters and its number are not there yet. *hal
+ * must live for ever. */
+void node_init(node_t *node, hal_t *hal, hal_role_t role);
 
 /* Queue a message of this node on the given links. message is its *_FRAME_ID of build/protocol/goldfield.h, index is
  * below 4096, data has at most 8 bytes. A message that finds a queue full is lost there, and counted. */
 void node_send(node_t *node, node_links_t links, uint32_t message, uint32_t index, const uint8_t *data, uint8_t length);
 
-/* Hand the queues to the board at once, as far as it takes them; node_step does so, too. */
+/* Hand the queues to the board, as far as it takes them, at a time that hal_microseconds has just told. */
+void node_drain(node_t *node, uint64_t now_us);
+
+/* Do so at once, when what was queued cannot wait for the turn's end. */
 void node_flush(node_t *node);
 
 /* Returns the links that have room for so many more messages; a dead CAN bus does not count as full. */
@@ -149,5 +129,8 @@ bool node_serial_write(node_t *node, const frame_t *frame);
 
 /* Returns the value, limited to -limit and +limit: for a signal of a message that is clamped. */
 int32_t node_clamp(int32_t value, int32_t limit);
+
+/* Returns what a counter counts when it goes on by so much: it stops at the largest number. */
+uint32_t node_count(uint32_t counted, uint32_t more);
 
 #endif

@@ -11,8 +11,8 @@
  *   4. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
  *                       and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the
  *                       list.
- *      sense_spare      main, after node_step: streamed chips leave, and the board computes its own pose and sends it,
- *                       if it is to (onboard.h).
+ *      sense_spare      main, after upkeep_step: streamed chips leave, and the board computes its own pose and
+ *                       sends it, if it is to (onboard.h).
  *      sense_configure  main, when a parameter has changed: it acts from the next report on.
  *
  * Reports. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip clock cut short, and
@@ -108,11 +108,11 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
  * block, and what a pose costs. */
 void sense_blocks(sense_t *sense);
 
-/* Report a complete cycle, if there is one: one turn of the main loop, before node_step. A cycle costs about
+/* Report a complete cycle, if there is one: one turn of the main loop, before upkeep_step. A cycle costs about
  * 60,000 instructions and 800 for each code. */
 void sense_step(sense_t *sense);
 
-/* Do what can wait until the fields are on their way, after node_step: send streamed chips, and compute the board's
+/* Do what can wait until the fields are on their way, after upkeep_step: send streamed chips, and compute the board's
  * own pose, whose messages leave in the next turn. */
 void sense_spare(sense_t *sense);
 

@@ -54,7 +54,7 @@ void timing_serve(timing_t *timing, hal_t *hal);
 /* Take an edge of the sync wire, with what hal_events_t.sync tells of it. */
 void timing_edge(timing_t *timing, hal_t *hal, uint32_t chip, uint16_t ticks);
 
-/* Take the SYNC that the node received, if one came, and write the node's counters. Called after node_step. */
+/* Take the SYNC that the node received, if one came, and write the node's counters. Called after upkeep_step. */
 void timing_step(timing_t *timing, node_t *node);
 
 #endif

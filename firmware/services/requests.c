@@ -1,0 +1,270 @@
+#include "services/requests.h"
+
+#include <string.h>
+
+#include "goldfield.h"
+#include "protocol_hash.h"
+#include "services/reset_report.h"
+#include "services/version.h"
+
+#define TEXT_CHARACTERS 7u /* Characters in one PARAM_TEXT. */
+
+/* Indices of COMMAND. */
+enum {
+    COMMAND_IDENTITY = 0,
+    COMMAND_BLINK = 1,
+    COMMAND_RESET = 2,
+    COMMAND_CLEAR = 3,
+    COMMAND_LAST_RESET = 4,
+    COMMAND_SAVE = 5
+};
+#define VERSION (VERSION_MAJOR << 16 | VERSION_MINOR << 8 | VERSION_PATCH) /* As parameter_set.h wants it. */
+
+#define HALF_BYTES   (HAL_UNIQUE_ID_BYTES / 2u)
+#define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */
+#define RESET_US     50000u /* Time from the answer to the reset: the answer is out by then, behind a full queue too. */
+#define MICROSECONDS 1000000u
+
+/* ---- Parameters ---- */
+
+static void answer_parameter(node_t *node, node_links_t link, uint32_t index, parameter_status_t status) {
+    parameter_value_t value;
+    (void)parameters_get(&node->parameters, index, &value);
+    struct goldfield_param_value_t answer = {
+        .kind = value.kind, .status = (uint8_t)status, .value_unsigned = value.bits};
+    /* The packer takes the member that belongs to the kind. */
+    memcpy(&answer.value_signed, &value.bits, sizeof value.bits);
+    memcpy(&answer.value_float, &value.bits, sizeof value.bits);
+    uint8_t data[8];
+    const uint8_t length = (uint8_t)goldfield_param_value_pack(data, &answer, sizeof data);
+    node_send(node, link, GOLDFIELD_PARAM_VALUE_FRAME_ID, index, data, length);
+}
+
+static void set_parameter(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
+    struct goldfield_param_set_t set = {0};
+    (void)goldfield_param_set_unpack(&set, frame->data, frame->length); /* The length has been seen to. */
+    parameter_value_t value = {.kind = set.kind, .bits = set.value_unsigned};
+    if (set.kind == PARAMETER_SIGNED) {
+        memcpy(&value.bits, &set.value_signed, sizeof value.bits);
+    } else if (set.kind == PARAMETER_FLOAT) {
+        memcpy(&value.bits, &set.value_float, sizeof value.bits);
+    }
+    const parameter_status_t status = parameters_set(&node->parameters, index, value);
+    answer_parameter(node, link, index, status);
+    if (status == PARAMETER_OK) {
+        node->parameters_changed = true;
+        node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
+    }
+}
+
+/* Returns seven characters of a text as a message, zeros behind its end; the first character is the lowest byte. */
+static struct goldfield_param_text_t text_part(const char *text, uint32_t length, uint32_t part) {
+    const uint32_t begin = part * TEXT_CHARACTERS, left = length - begin;
+    uint8_t characters[8] = {0};
+    memcpy(characters, text + begin, left < TEXT_CHARACTERS ? left : TEXT_CHARACTERS);
+    struct goldfield_param_text_t message = {.part = (uint8_t)part, .last = left <= TEXT_CHARACTERS};
+    memcpy(&message.characters_0_to_3, characters, sizeof message.characters_0_to_3);
+    memcpy(&message.characters_4_to_6, characters + 4, 4);
+    return message;
+}
+
+static void describe_parameter(node_t *node, node_links_t link, uint32_t index) {
+    uint8_t data[8];
+    const parameter_entry_t *entry = parameters_next(index, node->role);
+    if (entry == NULL) {
+        const struct goldfield_param_description_t none = {.kind = GOLDFIELD_PARAM_DESCRIPTION_KIND_NONE_CHOICE};
+        (void)goldfield_param_description_pack(data, &none, sizeof data);
+        node_send(node, link, GOLDFIELD_PARAM_DESCRIPTION_FRAME_ID, index, data, sizeof data);
+        return;
+    }
+    const struct goldfield_param_description_t description = {
+        .kind = entry->kind,
+        .at_start = entry->at_start,
+        .stride = entry->stride,
+        .elements = entry->elements,
+        .rows = entry->rows,
+        .excluded = entry->excluded,
+        .value_default = entry->initial,
+    };
+    (void)goldfield_param_description_pack(data, &description, sizeof data);
+    node_send(node, link, GOLDFIELD_PARAM_DESCRIPTION_FRAME_ID, entry->first_id, data, sizeof data);
+    const struct goldfield_param_range_t range = {.minimum = entry->minimum, .maximum = entry->maximum};
+    (void)goldfield_param_range_pack(data, &range, sizeof data);
+    node_send(node, link, GOLDFIELD_PARAM_RANGE_FRAME_ID, entry->first_id, data, sizeof data);
+    const uint32_t length = (uint32_t)strlen(entry->text);
+    for (uint32_t part = 0; part * TEXT_CHARACTERS < length; part++) {
+        const struct goldfield_param_text_t text = text_part(entry->text, length, part);
+        (void)goldfield_param_text_pack(data, &text, sizeof data);
+        node_send(node, link, GOLDFIELD_PARAM_TEXT_FRAME_ID, entry->first_id, data, sizeof data);
+    }
+}
+
+/* ---- Identity and last reset ---- */
+
+/* Returns a half of the unique id, the first byte lowest. */
+static uint64_t identity_half(const node_t *node, uint32_t which) {
+    uint8_t unique[HAL_UNIQUE_ID_BYTES];
+    hal_unique_id(node->hal, unique);
+    uint64_t half = 0;
+    for (uint32_t i = HALF_BYTES; i-- > 0;) {
+        half = half << 8 | unique[which * HALF_BYTES + i];
+    }
+    return half;
+}
+
+static void tell_identity(node_t *node, node_links_t link) {
+    const uint64_t halves[2] = {identity_half(node, 0), identity_half(node, 1)};
+    for (uint32_t i = 0; i < 2; i++) {
+        const struct goldfield_identity_t identity = {.half = halves[i], .tag = (uint16_t)(halves[0] ^ halves[1])};
+        uint8_t data[8];
+        (void)goldfield_identity_pack(data, &identity, sizeof data);
+        node_send(node, link, GOLDFIELD_IDENTITY_FRAME_ID, i, data, sizeof data);
+    }
+}
+
+void requests_tell_last_reset(node_t *node, node_links_t links) {
+    const hal_reset_t *reset = hal_last_reset(node->hal);
+    for (uint32_t item = 0; item < RESET_REPORT_ITEMS; item++) {
+        uint8_t data[8];
+        const uint8_t length = reset_report_pack(reset, item, data);
+        if (length > 0) {
+            node_send(node, links, GOLDFIELD_RESET_REPORT_FRAME_ID, item, data, length);
+        }
+    }
+}
+
+/* ---- Commands ---- */
+
+static void answer_command(node_t *node, node_links_t link, uint32_t index, uint32_t status) {
+    const struct goldfield_command_answer_t answer = {.status = (uint8_t)status};
+    uint8_t data[8];
+    const uint8_t length = (uint8_t)goldfield_command_answer_pack(data, &answer, sizeof data);
+    node_send(node, link, GOLDFIELD_COMMAND_ANSWER_FRAME_ID, index, data, length);
+}
+
+static void reset_soon(node_t *node) {
+    node->resetting = node->under_way = true;
+    node->reset_us = hal_microseconds(node->hal) + RESET_US;
+}
+
+/* Begins a save, which is answered at its end, once though it be asked for again meanwhile. */
+static void begin_save(node_t *node, node_links_t link, bool named, bool may_pause) {
+    if (node->saving != NODE_NO_LINK && named) {
+        return;
+    }
+    if (!named || node->resetting) {
+        answer_command(node, link, COMMAND_SAVE, GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE);
+    } else if (node->drive_on && !may_pause) {
+        answer_command(node, link, COMMAND_SAVE, GOLDFIELD_COMMAND_ANSWER_STATUS_COIL_ON_CHOICE);
+    } else {
+        node->drive_hold = true;
+        node->saving = link;
+        node->under_way = true;
+        storage_save(&node->storage, &node->parameters, VERSION);
+    }
+}
+
+/* Goes on with a save. The application has told in this turn whether its drive is on, and it was held before. */
+static void step_save(node_t *node) {
+    if (node->drive_on) {
+        return;
+    }
+    const storage_result_t result = storage_step(&node->storage);
+    if (result == STORAGE_BUSY) {
+        return;
+    }
+    static const uint8_t statuses[] = {
+        [STORAGE_KEPT] = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE,
+        [STORAGE_RESTART] = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_RESTARTS_CHOICE,
+        [STORAGE_FAILED] = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE,
+        [STORAGE_STRANDED] = GOLDFIELD_COMMAND_ANSWER_STATUS_FLASH_FAILED_CHOICE,
+    };
+    answer_command(node, node->saving, COMMAND_SAVE, statuses[result]);
+    node->saving = NODE_NO_LINK;
+    if (result == STORAGE_RESTART || result == STORAGE_STRANDED) {
+        reset_soon(node); /* The drive is held until then. */
+    } else {
+        node->drive_hold = false;
+    }
+}
+
+static void take_command(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
+    struct goldfield_command_t command = {0};
+    const uint64_t own = identity_half(node, 0) ^ identity_half(node, 1);
+    (void)goldfield_command_unpack(&command, frame->data, frame->length); /* The length has been seen to. */
+    if (command.board != 0 && command.board != own) {
+        return;
+    }
+    if (index == COMMAND_IDENTITY) {
+        tell_identity(node, link);
+        return;
+    }
+    if (index == COMMAND_LAST_RESET) {
+        requests_tell_last_reset(node, link);
+        return;
+    }
+    const bool named = command.board == own && (frame->id & PROTOCOL_NODE_MASK) == node->id;
+    if (index == COMMAND_SAVE) {
+        begin_save(node, link, named, command.argument != 0);
+        return;
+    }
+    uint32_t status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE;
+    if (index == COMMAND_BLINK) {
+        node->blinking = node->under_way = true;
+        node->blink_end_us = hal_microseconds(node->hal) + (uint64_t)command.argument * MICROSECONDS;
+    } else if (index == COMMAND_RESET) {
+        if (named) {
+            reset_soon(node);
+        } else {
+            status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
+        }
+    } else if (index == COMMAND_CLEAR) {
+        if (named && !node->clear_refused) {
+            node->clear_wanted = true;
+        } else {
+            status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
+        }
+    } else {
+        status = GOLDFIELD_COMMAND_ANSWER_STATUS_UNKNOWN_CHOICE;
+    }
+    answer_command(node, link, index, status);
+}
+
+void requests_take(node_t *node, node_links_t link, const frame_t *frame) {
+    const uint32_t message = frame->id & ~((1u << PROTOCOL_TYPE_SHIFT) - 1u);
+    const uint32_t index = frame->id >> PROTOCOL_INDEX_SHIFT & 0xFFFu;
+    const uint32_t to = frame->id & PROTOCOL_NODE_MASK;
+    if (to != 0 && to != node->id) {
+        return;
+    }
+    if (message == GOLDFIELD_PARAM_SET_FRAME_ID) {
+        set_parameter(node, link, index, frame);
+    } else if (message == GOLDFIELD_PARAM_GET_FRAME_ID) {
+        parameter_value_t value;
+        answer_parameter(node, link, index, parameters_get(&node->parameters, index, &value));
+    } else if (message == GOLDFIELD_PARAM_DESCRIBE_FRAME_ID) {
+        describe_parameter(node, link, index);
+    } else if (message == GOLDFIELD_COMMAND_FRAME_ID) {
+        take_command(node, link, index, frame);
+    }
+}
+
+/* Blinks, or resets the board, if it is time to. */
+static void act(node_t *node) {
+    const uint64_t now_us = hal_microseconds(node->hal);
+    if (node->blinking) {
+        node->blinking = now_us < node->blink_end_us;
+        hal_led(node->hal, !node->blinking || now_us / BLINK_US % 2u == 0u);
+    }
+    if (node->resetting && now_us >= node->reset_us) {
+        hal_reset(node->hal);
+    }
+}
+
+void requests_step(node_t *node) {
+    if (node->saving != NODE_NO_LINK) {
+        step_save(node);
+    }
+    act(node);
+    node->under_way = node->saving != NODE_NO_LINK || node->blinking || node->resetting;
+}

@@ -1,0 +1,47 @@
+/* requests.h: what a host asks of a board, and what the board answers: its parameters read, set and described, and the
+ * commands.
+ *
+ * Calls, in the order they are made (all of them from main)
+ *   1. requests_take             for each message that is not the application's own, from either link.
+ *   2. requests_step             in each turn in which requests_due, before messages are taken: it goes on with what a
+ *                                command has begun.
+ *      requests_tell_last_reset  once behind the first heartbeat; a command asks for it again.
+ *
+ * Parameters. PARAM_SET and PARAM_GET to this node or to node 0 are answered by PARAM_VALUE on the link they came from;
+ * a new node number acts after its answer. PARAM_DESCRIBE is answered by the description of a parameter that this role
+ * uses, at most 8 messages (framing.md, "Descriptions").
+ *
+ * COMMAND lets the board tell its unique id or its last reset, blink with its LED, reset itself, clear what keeps its
+ * drive off, or save its parameters (framing.md, "Commands").
+ *
+ * Saving (storage.h). The bridges must be off, as the processor stands still for each word: a board that drives its
+ * coil refuses, unless it is told that it may pause. drive_hold keeps the drive off from the moment that a save is
+ * accepted until it is answered. A save for which a slot is erased ends with a reset, as the chip engine has lost its
+ * step. requests_step goes on with a save only in a turn that began with it: the application has then told whether its
+ * drive is on.
+ *
+ * Memory: what node.h holds for it.
+ */
+#ifndef GOLDFIELD_REQUESTS_H
+#define GOLDFIELD_REQUESTS_H
+
+#include "core/link/frame.h"
+#include "services/node.h"
+
+/* Answer a message that came on a link, if it is a request to this board: a message by its index and its length
+ * (messages.h). All others are ignored. */
+void requests_take(node_t *node, node_links_t link, const frame_t *frame);
+
+/* Returns whether requests_step is to be called: a command is being carried out. It is inline for the idle turn of the
+ * main loop. */
+static inline bool requests_due(const node_t *node) {
+    return node->under_way;
+}
+
+/* Go on with a save, blink, and reset the board when it is time to. */
+void requests_step(node_t *node);
+
+/* Queue what the board knows of its last reset on the given links: a few RESET_REPORT, framing.md, "Last reset". */
+void requests_tell_last_reset(node_t *node, node_links_t links);
+
+#endif
