@@ -94,6 +94,29 @@ static void plan_channel(drive_t *drive, hal_plan_t *plan, uint32_t block, uint3
     drive->blocks[block & 1u].driven[channel] = driven;
 }
 
+/* A sync period begins with a chip of the block: the signature goes on to its other half. */
+static void turn_signature(drive_t *drive, uint32_t chip) {
+    if (drive->halve_to != 0u) {
+        drive->halve_to = (uint8_t)chip;
+    } else {
+        drive->halve_from = (uint8_t)chip;
+        drive->halve_to = HAL_BLOCK_CHIPS;
+    }
+}
+
+/* Halves the set-points of the chips of a planned block that the signature wants so, and goes on to the next block. */
+static void halve(drive_t *drive, hal_plan_t *plan, uint32_t block) {
+    for (uint32_t channel = 0; channel < drive->channels; channel++) {
+        int16_t *const asked = drive->blocks[block & 1u].asked[channel];
+        for (uint32_t i = drive->halve_from; i < drive->halve_to; i++) {
+            asked[i] = (int16_t)(asked[i] / 2);
+            plan->set_point[channel][i] = (uint16_t)(asked[i] < 0 ? -asked[i] : asked[i]);
+        }
+    }
+    drive->halve_from = 0;
+    drive->halve_to = drive->halve_to == HAL_BLOCK_CHIPS ? HAL_BLOCK_CHIPS : 0u;
+}
+
 void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
     timing_t *const timing = drive->timing;
     timing_serve(timing, drive->node->hal);
@@ -119,6 +142,9 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
         plan->set_point[1][i] = 0;
         if (chip.code_chip == 0) {
             drive->cycles++;
+            if (drive->node->signing || drive->halve_to != 0u) {
+                turn_signature(drive, i);
+            }
             /* The plan for a block is made when the block before it begins. */
             drive->sync_blocks = !timing->master ? 0u : i == 0u ? 1u : 2u;
             drive->sync_cycle = sync_cycle(&timing->format, &chip);
@@ -131,6 +157,9 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
     }
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
         plan_channel(drive, plan, block, channel, first, positions);
+    }
+    if (drive->halve_to != 0u) {
+        halve(drive, plan, block);
     }
 }
 
@@ -217,6 +246,7 @@ static waveform_code_t read_code(const node_t *node, uint32_t place) {
 }
 
 static drive_settings_t read_settings(const node_t *node) {
+    const bool armed = parameters_unsigned(&node->parameters, PARAMETER_ARMED) != 0u;
     drive_settings_t settings = {
         .waveform =
             {
@@ -226,7 +256,7 @@ static drive_settings_t read_settings(const node_t *node) {
                 .slot = parameters_unsigned(&node->parameters, PARAMETER_SLOT),
                 .periods = parameters_unsigned(&node->parameters, PARAMETER_PERIODS),
             },
-        .amplitude_A = parameters_float(&node->parameters, PARAMETER_AMPLITUDE),
+        .amplitude_A = armed ? parameters_float(&node->parameters, PARAMETER_AMPLITUDE) : 0.0f,
         .over_current_A = parameters_float(&node->parameters, PARAMETER_OVER_CURRENT),
         .open_fraction = parameters_float(&node->parameters, PARAMETER_OPEN_COIL),
         .rms_A = parameters_float(&node->parameters, PARAMETER_RMS_CURRENT),

@@ -28,12 +28,15 @@
  *   soft_start      The clock is locked. When the zero of the current sense is known (25 ms after the start) the bridge
  *                   goes on at the next sync period that is planned (at most a period and two blocks away), and the
  *                   current rises for 0.1 s.
- *   running         The current is at its amplitude. With amplitude 0 and a locked clock the state is running, too,
- *                   with the bridge off.
+ *   running         The current is at its amplitude. With amplitude 0, or while the board is not armed, and with a
+ *                   locked clock the state is running, too, with the bridge off.
  *   fault           The drive was switched off for a cause that is latched, or has yet to wait after it; or the
- * waveform does not exist (waveform.h), until a parameter makes one that does. clock_fallback  The crystal failed: 1 %
- * off frequency nobody could follow, so the bridge stays off for good. Loss of lock switches the bridge off at once and
- * leads to syncing; from there the drive goes on as after a start.
+ *                   waveform does not exist (waveform.h), until a parameter makes one that does.
+ *   clock_fallback  The crystal failed: 1 % off frequency nobody could follow, so the bridge stays off for good.
+ * Loss of lock switches the bridge off at once and leads to syncing; from there the drive goes on as after a start.
+ *
+ * A board that is not armed (parameter armed) is for the drive one whose amplitude is 0: nothing is driven, and neither
+ * supply nor temperatures are watched, so that boards may be commissioned before their supply is switched on.
  *
  * The master (parameter sync_master, read once at start with degree) runs free from cycle 0. The sync wire is high for
  * the first chip of a sync period. SYNC with the cycle's number leaves on both links after that edge, at most two
@@ -45,11 +48,15 @@
  * A pulse is driven, and its current measured, only in its slot. The soft start then takes 1023 driven chips, that is
  * as many cycles as there are slots.
  *
+ * While node.signing is set the set-points of every other sync period are halved, in that of a degree below 10 as in a
+ * cycle of degree 10: a sensor sees a beacon whose field comes and goes. The guards judge each chip by what it asks
+ * for, and all of them go on.
+ *
  * While node.drive_hold is set (a save is under way) the drive is off from the next block that is planned, within two
  * blocks, and starts softly again behind it.
  *
- * A PARAM_SET that changes the waveform or one of its numbers, the amplitude or a limit of the protection stops the
- * drive, and starts it softly again unless a cause is latched.
+ * A PARAM_SET, a start or a stop that changes the waveform or one of its numbers, the amplitude, armed or a limit of
+ * the protection stops the drive, and starts it softly again unless a cause is latched.
  *
  * Memory: 8.8 kB.
  *
@@ -81,7 +88,7 @@ typedef enum {
 /* The parameters that the drive is made from; they are compared to see whether a PARAM_SET changed one. */
 typedef struct {
     waveform_config_t waveform;
-    float amplitude_A;    /* Current at level 1, A. */
+    float amplitude_A;    /* Current at level 1, A; 0 for a board that is not armed. */
     float over_current_A; /* Magnitude of current beyond which the drive trips, A. */
     float open_fraction;  /* Least share of the current asked for; below it the coil counts as open. */
     float rms_A, rms_s;   /* Largest root mean square of the current, and over which time. */
@@ -113,12 +120,13 @@ typedef struct {
     uint32_t channels;            /* Channels driven, 1 or 2. It changes only while the drive is idle, as do levels. */
     drive_settings_t settings;
     int16_t levels[HAL_CHANNELS][DRIVE_CHIPS_MAX]; /* Level of each chip of the sync period (WAVEFORM_ONE is 1). */
-    volatile bool wanted;      /* Set by main: the settings are complete, the amplitude is not 0, the clock is good. */
-    bool no_waveform;          /* The settings make no waveform. */
-    bool several_levels;       /* Its levels, 0 left aside, have several sizes. */
-    drive_block_t blocks[2];   /* The even and the odd block: one is planned while the other runs. */
-    volatile uint8_t phase;    /* A drive_phase_t. */
-    volatile uint32_t planned; /* The block that was planned last. */
+    volatile bool wanted; /* Set by main: the settings are complete, the amplitude is not 0, the clock is good. */
+    uint8_t halve_from, halve_to; /* The chips of the block being planned that have half their current. */
+    bool no_waveform;             /* The settings make no waveform. */
+    bool several_levels;          /* Its levels, 0 left aside, have several sizes. */
+    drive_block_t blocks[2];      /* The even and the odd block: one is planned while the other runs. */
+    volatile uint8_t phase;       /* A drive_phase_t. */
+    volatile uint32_t planned;    /* The block that was planned last. */
     volatile uint32_t start_chip; /* Absolute chip with which the drive begins. Chip 0 has none before it that could
                                      switch on, so that a master starts with chip 1. */
     latch_t latch;

@@ -70,6 +70,7 @@ typedef struct {
     bool clear_refused;                /* A COMMAND to clear would be in vain now; the application writes it. */
     bool drive_on;                     /* The coil is driven, or about to be; the application writes it each turn. */
     volatile bool drive_hold;          /* The application must keep its drive off. */
+    volatile bool signing;             /* The application halves its current in every other cycle. */
     bool clear_wanted;                 /* A COMMAND to clear was accepted; the application clears it. */
     bool sync_received;                /* A SYNC came; the application clears it. */
     liveness_t liveness;               /* The application tells it what moves. */
@@ -89,7 +90,7 @@ typedef struct {
     bool can_dead;         /* CAN took none for too long: one message at a time is queued to try it. */
     /* Private to requests.h. */
     bool under_way; /* One of these is to be gone on with. */
-    bool blinking;  /* The LED blinks, until blink_end_us. */
+    bool blinking;  /* The LED blinks, until blink_end_us; a signature (signing) ends then, too. */
     bool resetting; /* A reset was accepted, and comes at reset_us. */
     uint64_t blink_end_us, reset_us;
     node_links_t saving; /* The link to which a save that is under way is answered. */

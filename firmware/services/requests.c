@@ -16,9 +16,15 @@ enum {
     COMMAND_RESET = 2,
     COMMAND_CLEAR = 3,
     COMMAND_LAST_RESET = 4,
-    COMMAND_SAVE = 5
+    COMMAND_SAVE = 5,
+    COMMAND_START = 6,
+    COMMAND_STOP = 7,
+    COMMAND_SIGNATURE = 8,
+    COMMAND_NUMBER = 9
 };
-#define VERSION (VERSION_MAJOR << 16 | VERSION_MINOR << 8 | VERSION_PATCH) /* As parameter_set.h wants it. */
+#define ALL_GROUPS   65535u /* The argument with which a start or a stop means the boards of all groups. */
+#define NODE_LARGEST 4095u
+#define VERSION      (VERSION_MAJOR << 16 | VERSION_MINOR << 8 | VERSION_PATCH) /* As parameter_set.h wants it. */
 
 #define HALF_BYTES   (HAL_UNIQUE_ID_BYTES / 2u)
 #define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */
@@ -188,6 +194,73 @@ static void step_save(node_t *node) {
     }
 }
 
+static void set_unsigned(node_t *node, uint32_t id, uint32_t bits) {
+    const parameter_value_t value = {.kind = PARAMETER_UNSIGNED, .bits = bits};
+    if (parameters_set(&node->parameters, id, value) == PARAMETER_OK) {
+        node->parameters_changed = true;
+    }
+}
+
+/* Returns whether a start or a stop with this argument is for this board. */
+static bool concerns(const node_t *node, uint32_t group) {
+    return group == 0 || group == ALL_GROUPS || group == parameters_unsigned(&node->parameters, PARAMETER_GROUP);
+}
+
+/* The commands below return whether they are carried out; a refusal changes nothing. */
+
+static bool start(node_t *node, bool named, uint32_t group) {
+    const bool commissioned = node->role != HAL_ROLE_SENSOR &&
+                              parameters_float(&node->parameters, PARAMETER_AMPLITUDE) > 0.0f;
+    if (!commissioned || (group == 0 && !named)) {
+        return false;
+    }
+    set_unsigned(node, PARAMETER_ARMED, 1);
+    return true;
+}
+
+static bool stop(node_t *node) {
+    set_unsigned(node, PARAMETER_ARMED, 0);
+    return true;
+}
+
+static void blink(node_t *node, uint32_t seconds) {
+    node->blinking = node->under_way = true;
+    node->blink_end_us = hal_microseconds(node->hal) + (uint64_t)seconds * MICROSECONDS;
+}
+
+static bool sign(node_t *node, bool named, uint32_t seconds) {
+    if (!named || (!node->drive_on && seconds > 0)) {
+        return false;
+    }
+    node->signing = seconds > 0;
+    blink(node, seconds);
+    return true;
+}
+
+static bool carry_out(node_t *node, uint32_t index, uint32_t argument, bool named) {
+    switch (index) {
+    case COMMAND_BLINK:
+        blink(node, argument);
+        return true;
+    case COMMAND_RESET:
+        if (named) {
+            reset_soon(node);
+        }
+        return named;
+    case COMMAND_CLEAR:
+        node->clear_wanted |= named && !node->clear_refused;
+        return named && !node->clear_refused;
+    case COMMAND_START:
+        return start(node, named, argument);
+    case COMMAND_STOP:
+        return stop(node);
+    case COMMAND_SIGNATURE:
+        return sign(node, named, argument);
+    default:
+        return named && argument >= 1u && argument <= NODE_LARGEST; /* COMMAND_NUMBER acts behind its answer. */
+    }
+}
+
 static void take_command(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
     struct goldfield_command_t command = {0};
     const uint64_t own = identity_half(node, 0) ^ identity_half(node, 1);
@@ -208,26 +281,19 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
         begin_save(node, link, named, command.argument != 0);
         return;
     }
-    uint32_t status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE;
-    if (index == COMMAND_BLINK) {
-        node->blinking = node->under_way = true;
-        node->blink_end_us = hal_microseconds(node->hal) + (uint64_t)command.argument * MICROSECONDS;
-    } else if (index == COMMAND_RESET) {
-        if (named) {
-            reset_soon(node);
-        } else {
-            status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
-        }
-    } else if (index == COMMAND_CLEAR) {
-        if (named && !node->clear_refused) {
-            node->clear_wanted = true;
-        } else {
-            status = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
-        }
-    } else {
-        status = GOLDFIELD_COMMAND_ANSWER_STATUS_UNKNOWN_CHOICE;
+    if ((index == COMMAND_START || index == COMMAND_STOP) && !concerns(node, command.argument)) {
+        return;
+    }
+    uint32_t status = GOLDFIELD_COMMAND_ANSWER_STATUS_UNKNOWN_CHOICE;
+    if (index <= COMMAND_NUMBER) {
+        status = carry_out(node, index, command.argument, named) ? GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE
+                                                                 : GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
     }
     answer_command(node, link, index, status);
+    if (index == COMMAND_NUMBER && status == GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE) {
+        set_unsigned(node, PARAMETER_NODE, command.argument);
+        node->id = command.argument;
+    }
 }
 
 void requests_take(node_t *node, node_links_t link, const frame_t *frame) {
@@ -254,6 +320,7 @@ static void act(node_t *node) {
     const uint64_t now_us = hal_microseconds(node->hal);
     if (node->blinking) {
         node->blinking = now_us < node->blink_end_us;
+        node->signing = node->signing && node->blinking;
         hal_led(node->hal, !node->blinking || now_us / BLINK_US % 2u == 0u);
     }
     if (node->resetting && now_us >= node->reset_us) {

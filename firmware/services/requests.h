@@ -12,7 +12,12 @@
  * uses, at most 8 messages (framing.md, "Descriptions").
  *
  * COMMAND lets the board tell its unique id or its last reset, blink with its LED, reset itself, clear what keeps its
- * drive off, or save its parameters (framing.md, "Commands").
+ * drive off, save its parameters, start or stop, show its signature, or take another number (framing.md, "Commands").
+ *
+ * Start and stop set the parameter armed, as a PARAM_SET does: a stop acts in the turn of the main loop in which it is
+ * taken, as drive_configure switches the bridges off at once. A board without an amplitude refuses a start. While
+ * node.signing is set the drive halves its current in every other cycle (drive.h), so that a sensor sees which board
+ * is meant.
  *
  * Saving (storage.h). The bridges must be off, as the processor stands still for each word: a board that drives its
  * coil refuses, unless it is told that it may pause. drive_hold keeps the drive off from the moment that a save is

@@ -128,11 +128,17 @@ static uint32_t number_from_unique_id(const hal_t *hal) {
     return 1u + frame_crc(unique, sizeof unique) % 4095u;
 }
 
+static void arm(parameters_t *parameters, bool armed) {
+    const parameter_value_t value = {.kind = PARAMETER_UNSIGNED, .bits = armed};
+    (void)parameters_set(parameters, PARAMETER_ARMED, value);
+}
+
 void upkeep_start(node_t *node, hal_t *hal, hal_role_t role) {
     node_init(node, hal, role);
     parameters_init(&node->parameters);
     const parameter_value_t derived = {.kind = PARAMETER_UNSIGNED, .bits = number_from_unique_id(hal)};
     (void)parameters_set(&node->parameters, PARAMETER_NODE, derived); /* What is stored overrules it. */
+    arm(&node->parameters, true);
     uint32_t refused = 0;
     const parameters_page_t page = parameters_load(&node->parameters, hal_parameter_page(hal), HAL_PARAMETER_PAGE_BYTES,
                                                    &refused);
@@ -140,6 +146,9 @@ void upkeep_start(node_t *node, hal_t *hal, hal_role_t role) {
     const storage_found_t saved = storage_start(&node->storage, hal, &node->parameters);
     node->counters[COUNTER_TORN_SAVES] = saved.torn;
     node->counters[COUNTER_SAVED_REFUSED] = saved.refused;
+    if (parameters_float(&node->parameters, PARAMETER_AMPLITUDE) == 0.0f) {
+        arm(&node->parameters, false); /* It was never commissioned: whatever is set later, it waits for a start. */
+    }
     node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
 
     frame_t hello = {.id = node_identifier(node, GOLDFIELD_HEARTBEAT_FRAME_ID, 0)};

@@ -9,6 +9,10 @@
  * 1 + CRC-16/CCITT-FALSE(unique id, 12 bytes) mod 4095: the same after each reset. Two of eight unconfigured boards
  * have one number in 0.7 % of cases, which the host sees by their unique ids.
  *
+ * Armed. A board starts armed if what it has stored, page or saved set, holds an amplitude and does not say armed = 0:
+ * what was flashed or saved with a current goes on with it. A board without an amplitude starts unarmed: a current that
+ * it is given later, set or copied from another board, waits for a start (requests.h).
+ *
  * Received messages, from either link. SYNC is kept for the application, messages of motion of other boards are counted
  * (bus_share.h), requests go to requests.h. All others are ignored. A frame that is no message by its index or its
  * length (messages.h) is ignored and counted, whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).

@@ -32,7 +32,7 @@ def test_bytes_of_a_small_page():
 def elements(parameter):
     if parameter.kind is Kind.FLOAT:
         return st.floats(float32(parameter.low), float32(parameter.high), width=32)
-    return st.sampled_from([n for n in range(parameter.low, parameter.high + 1) if n != parameter.excluded])
+    return st.integers(int(parameter.low), int(parameter.high)).filter(lambda n: n != parameter.excluded)
 
 
 def values(parameter):

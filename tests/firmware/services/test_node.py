@@ -325,9 +325,9 @@ def test_a_command_for_another_board_and_one_of_the_wrong_length_are_ignored(boa
     board.receive(encode_frame(identifier, NAMED.to_bytes(6, "little")), 150 * MS)
     board.run(500 * MS)
     assert statuses(board) == []
-    command(board, 7, time=500 * MS)
+    command(board, 100, time=500 * MS)
     board.run(600 * MS)
-    assert statuses(board) == [(7, 1)]
+    assert statuses(board) == [(100, 1)]
 
 
 def reset_reports(messages: list[Message]) -> list[tuple[int, dict[str, float]]]:
