@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
+from goldfield.cli import identification, node_boards
 from goldfield.cli.output import json_line, number
 from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.heartbeat import ROLES
 from goldfield.link.requests import Value
-from goldfield.nodes.conversation import BLINK, CLEAR, DONE_RESTARTS, HEARD_S, RESET, SAVE, Conversation
+from goldfield.nodes.commissioning import Board, await_restarts, boards_of
+from goldfield.nodes.conversation import CLEAR, DONE_RESTARTS, HEARD_S, RESET, SAVE, Conversation
 from goldfield.nodes.elements import elements_of, parsed, shown
 from goldfield.nodes.elf_lines import ElfLines
 from goldfield.nodes.last_reset import LastReset, words_of
@@ -23,9 +25,6 @@ from goldfield_protocol.parameters import PARAMETERS, Parameter, counter_name
 
 MOST_SHOWN = 16
 """Elements of an array that the list of all parameters shows."""
-
-RESTART_S = 5.0
-"""A board's first heartbeat after a reset is waited for so long, s."""
 
 Asked = tuple[Parameter, Sequence[int], Sequence[Value]] | None
 """The parameter that is named, its elements, and the values to set."""
@@ -50,18 +49,18 @@ def print_list(conversation: Conversation, arguments: argparse.Namespace, _: Ask
     """Print who is there."""
     images = [ElfLines(path) for path in arguments.elf]
     conversation.listen(arguments.seconds or HEARD_S)
-    conversation.identities()
+    if not conversation.roster.nodes:
+        raise SystemFailure(f"{conversation.name}: no node was heard: check the power, the cable and the bit rate")
+    boards = {board.number: board for board in boards_of(conversation)}
     conversation.last_resets()
     nodes = sorted(conversation.roster.nodes.values(), key=lambda node: node.number)
-    if not nodes:
-        raise SystemFailure(f"{conversation.name}: no node was heard: check the power, the cable and the bit rate")
     if arguments.json:
         for node in nodes:
-            print(json_line(node_record(node, _image_of(node, images))))
+            print(json_line(node_record(node, boards.get(node.number), _image_of(node, images))))
         return
     print(f"{'node':>4} {'role':7} {'state':14} {'version':8} {'current A':>12}  clock")
     for node in nodes:
-        for line in _lines_of(node, _image_of(node, images)):
+        for line in _lines_of(node, boards.get(node.number), _image_of(node, images)):
             print(line)
 
 
@@ -71,8 +70,8 @@ def _image_of(node: Node, images: Sequence[ElfLines]) -> ElfLines | None:
     return next(iter(named or [image for image in images if image.role not in ROLES.values()]), None)
 
 
-def node_record(node: Node, image: ElfLines | None = None) -> dict[str, Any]:
-    """Return what is known of a node, for JSON."""
+def node_record(node: Node, board: Board | None, image: ElfLines | None = None) -> dict[str, Any]:
+    """Return what is known of a node, for JSON; ``board`` is that which has its number, alone."""
     return {
         "node": node.number,
         "role": node.role,
@@ -81,6 +80,9 @@ def node_record(node: Node, image: ElfLines | None = None) -> dict[str, Any]:
         "protocol": None if node.protocol is None else f"{node.protocol:#010x}",
         "same_protocol": node.same_protocol,
         "unique_ids": node.unique_ids,
+        "name": None if board is None else board.name,
+        "group": None if board is None else board.group,
+        "armed": None if board is None else board.armed,
         "locked": node.locked,
         "phase_s": None if node.phase_s is None else number(node.phase_s),
         "temperature_degC": node.temperature_degC,
@@ -113,18 +115,18 @@ def _reset_record(reset: LastReset, image: ElfLines | None) -> dict[str, Any]:
     return record
 
 
-def _lines_of(node: Node, image: ElfLines | None) -> Iterator[str]:
+def _lines_of(node: Node, board: Board | None, image: ElfLines | None) -> Iterator[str]:
     """Yield a line of the table, and below it what is worth saying."""
     drive = node.drives.get(0)
     current = "" if drive is None else f"{drive.current_A:.2f} of {drive.target_A:g}"
     clock = {None: "-", True: "locked", False: "not locked"}[node.locked]
     cells = (node.role or "?", node.state or "?", node.version or "?")
     yield f"{node.number:4d} {cells[0]:7} {cells[1]:14} {cells[2]:8} {current or '-':>12}  {clock}"
-    for text in _words_of(node, image):
+    for text in _words_of(node, board, image):
         yield from textwrap.wrap(text, WIDTH, initial_indent=" " * 5, subsequent_indent=" " * 7)
 
 
-def _words_of(node: Node, image: ElfLines | None) -> Iterator[str]:
+def _words_of(node: Node, board: Board | None, image: ElfLines | None) -> Iterator[str]:
     if node.syncs:
         yield "sync master"
     if not node.same_protocol:
@@ -134,7 +136,11 @@ def _words_of(node: Node, image: ElfLines | None) -> Iterator[str]:
         )
     yield from (f"unique id {unique_id}" for unique_id in node.unique_ids)
     if node.contradictions or len(node.unique_ids) > 1:
-        yield f"two boards have the number {node.number}: give one another number (parameter node)"
+        yield f"two boards have the number {node.number}: give each its own: goldfield nodes assign"
+    if board is not None and (board.name or board.group):
+        yield ", ".join([f"called {board.name!r}"] * bool(board.name) + [f"group {board.group}"] * bool(board.group))
+    if board is not None and node.drives_coils and board.armed is False:
+        yield f"not armed, its coil stays off: goldfield nodes start {node.number}"
     for channel, drive in sorted(node.drives.items()):
         if drive.complaints:
             yield f"channel {channel} reports {', '.join(drive.complaints)}"
@@ -241,19 +247,10 @@ def set_values(conversation: Conversation, arguments: argparse.Namespace, asked:
         print(text)
 
 
-def identify(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
-    """Let a board blink."""
-    conversation.command(arguments.node, BLINK, min(arguments.blink_s, 0xFFFF))
-    if arguments.json:
-        print(json_line({"node": arguments.node, "blinks_s": arguments.blink_s}))
-    else:
-        print(f"the LED of node {arguments.node} blinks for {arguments.blink_s} s")
-
-
 def _meant(conversation: Conversation, arguments: argparse.Namespace) -> tuple[Node, str]:
     """Return the node that is meant, and the unique id of its board."""
     number = arguments.node
-    conversation.identities(number)
+    conversation.discover()  # of two boards with one number both are heard
     node = conversation.roster.nodes.get(number)
     found = node.unique_ids if node is not None else []
     if node is None or not found:
@@ -276,14 +273,6 @@ def clear_cause(conversation: Conversation, arguments: argparse.Namespace, _: As
         print(f"node {arguments.node} may drive again: after repeated faults it waits a while before it does")
 
 
-def _wait_for_restart(conversation: Conversation, meant: Node, restarts: int, what: str) -> None:
-    """Wait until a board has restarted once more than so often; `SystemFailure` if it does not."""
-    if not conversation.wait(lambda _: meant.restarts > restarts, RESTART_S):
-        raise SystemFailure(
-            f"{conversation.name}: node {meant.number} {what}, and was not heard since: power it off and on"
-        )
-
-
 def save(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -> None:
     """Let a board save its parameters."""
     number = arguments.node
@@ -291,7 +280,7 @@ def save(conversation: Conversation, arguments: argparse.Namespace, _: Asked) ->
     restarts = meant.restarts
     status = conversation.command(number, SAVE, int(arguments.pause), wanted)
     if status == DONE_RESTARTS:
-        _wait_for_restart(conversation, meant, restarts, "has saved its parameters")
+        await_restarts(conversation, {number: restarts}, "has saved its parameters")
     if arguments.json:
         restarted = status == DONE_RESTARTS
         print(json_line({"node": number, "unique_id": wanted, "saved": True, "restarted": restarted}))
@@ -307,7 +296,7 @@ def reset(conversation: Conversation, arguments: argparse.Namespace, _: Asked) -
     meant, wanted = _meant(conversation, arguments)
     restarts = meant.restarts
     conversation.command(number, RESET, board=wanted)
-    _wait_for_restart(conversation, meant, restarts, "took the reset")
+    await_restarts(conversation, {number: restarts}, "took the reset")
     if arguments.json:
         print(json_line({"node": number, "unique_id": wanted, "reset": True}))
     else:
@@ -318,7 +307,14 @@ ACTIONS: dict[str | None, Callable[[Conversation, argparse.Namespace, Asked], No
     None: print_list,
     "get": print_values,
     "set": set_values,
-    "identify": identify,
+    "identify": identification.identify,
+    "boards": node_boards.list_boards,
+    "number": node_boards.set_number,
+    "assign": node_boards.assign,
+    "name": node_boards.set_name,
+    "start": node_boards.start_or_stop,
+    "stop": node_boards.start_or_stop,
+    "clone": node_boards.copy,
     "reset": reset,
     "clear": clear_cause,
     "save": save,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from goldfield.cli import link_options, options
+from goldfield.cli import link_options, node_board_options, options
 from goldfield.errors import on_command_line, tell
 
 ONLY_ITS_OWN = "a serial line carries the messages of its own board only: to see the other boards, look on CAN (--can)"
@@ -38,7 +38,13 @@ def command(subparsers: Any) -> None:
         description="Sets a parameter until the node's next reset, unless it is saved; several values are those of "
         "successive elements.",
     )
-    blink = actions.add_parser("identify", help="let a node blink", description="Lets the LED of a board blink.")
+    blink = actions.add_parser(
+        "identify",
+        help="let a node blink",
+        description="Lets the LED of a board blink; a beacon that drives its coil halves its current in every other "
+        "cycle meanwhile, which sensors see.",
+    )
+    blink.add_argument("--watch", action="store_true", help="tell which code a sensor sees come and go (on CAN)")
     blink.add_argument("--for", dest="blink_s", metavar="N", type=options.count, default=10, help="seconds, default 10")
     reset = actions.add_parser(
         "reset",
@@ -57,11 +63,13 @@ def command(subparsers: Any) -> None:
         "one number.",
     )
     keep.add_argument("--pause", action="store_true", help="let a board that drives its coil switch it off meanwhile")
-    for action in (reset, clear, keep):
+    for action in (blink, reset, clear, keep):
         action.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
     for action in (get, put, blink, reset, clear, keep):
         _add_common(action, nested=True)
         action.add_argument("node", metavar="NODE", type=options.node, help="number of the node")
+    for action in node_board_options.add(actions):
+        _add_common(action, nested=True)
     get.add_argument("name", metavar="NAME", nargs="?", help="as amplitude or code_list[3]; none: all parameters")
     put.add_argument("name", metavar="NAME", help="as amplitude or code_list[3]")
     put.add_argument("values", metavar="VALUE", nargs="+", help="in SI units")

@@ -16,7 +16,7 @@ from goldfield.link.requests import ANSWER_S, UNKNOWN, Value, read_request, refu
 from goldfield.link.traffic import added
 from goldfield.nodes.roster import Node, Roster, decoded
 from goldfield_protocol.messages import Message, encode
-from goldfield_protocol.parameters import Kind, label_of
+from goldfield_protocol.parameters import Kind, find_id, label_of
 
 TRIES = 3
 HEARD_S = 2.2
@@ -24,8 +24,12 @@ HEARD_S = 2.2
 PATIENCE_S = 10.0
 """Longest wait for the first heartbeat."""
 
-IDENTITY, BLINK, RESET, CLEAR, LAST_RESET, SAVE = 0, 1, 2, 3, 4, 5
+WINDOW = 24
+"""Requests that wait for their answers at a time: so many frames fit the queues of an adapter, a bus and a board."""
+IDENTITY, BLINK, RESET, CLEAR, LAST_RESET, SAVE, START, STOP, SIGNATURE, NUMBER = range(10)
 """Numbers of the commands, the index of ``COMMAND``."""
+ALL_GROUPS = 65535
+"""The argument of `START` and `STOP` that means the boards of all groups."""
 DONE, REFUSED, COIL_ON, FLASH_FAILED, DONE_RESTARTS = 0, 2, 3, 4, 5
 """What becomes of a command, the status of ``COMMAND_ANSWER``."""
 REFUSALS = {
@@ -37,11 +41,19 @@ REFUSALS = {
         "drives its coil, and its processor stands still for each word that it saves: let it switch the coil off "
         "meanwhile, with goldfield nodes save {node} --pause"
     ),
+    (START, REFUSED): (
+        "is not started: it was not commissioned, as its amplitude is 0, or it is a sensor: give it its part of a site "
+        "with goldfield site push"
+    ),
+    (SIGNATURE, REFUSED): "shows no signature, as its coil is not driven: start it with goldfield nodes start {node}",
+    (NUMBER, REFUSED): "takes no such number: give one from 1 to 4095",
     (SAVE, FLASH_FAILED): (
         "could not write its flash, and keeps what it had saved before: its flash is worn, or its supply below 2.7 V"
     ),
 }
 """What a node says against a command, to stand behind its name."""
+BROADCAST_S = 0.3
+"""How long the answers of all nodes to one message are waited for, s: those of 200 boards take 30 ms of CAN."""
 IDENTITY_S = 0.5
 """How long the nodes are waited for that have yet to tell their unique ids or their last resets, s."""
 
@@ -143,22 +155,73 @@ class Conversation:
             The values that were told, None for a parameter that the node does not have; who did not answer is not in
             it.
         """
-        missing, found = dict.fromkeys(wanted), dict[tuple[int, int], Value | None]()
+        answers = self.exchange({key: read_request(*key) for key in wanted}, "PARAM_VALUE", tries)
+        return {
+            key: None if answer.signals["status"] == UNKNOWN else value_of(answer.signals)
+            for key, answer in answers.items()
+        }
+
+    def write(self, wanted: Mapping[tuple[int, int], Value]) -> None:
+        """Set parameters of several nodes at once: values by node and id of the parameter.
+
+        Raises
+        ------
+        SystemFailure
+            If a node does not answer, or refuses.
+        """
+        requests = {}
+        for (node, parameter), value in wanted.items():
+            found = find_id(parameter)
+            assert found is not None
+            requests[node, parameter] = set_request(node, parameter, value, found[0].kind)
+        answers = self.exchange(requests, "PARAM_VALUE")
+        for (node, parameter), value in wanted.items():
+            answer = answers.get((node, parameter))
+            if answer is None:
+                raise self._silent(node, f"when {label_of(parameter)} was to be set, ")
+            refused = refusal(answer.signals, parameter, value)
+            if refused is not None:
+                raise SystemFailure(f"{self.name}: node {node} {refused}")
+
+    def exchange(
+        self, requests: Mapping[tuple[int, int], tuple[int, bytes]], answer: str, tries: int = TRIES
+    ) -> dict[tuple[int, int], Message]:
+        """Send requests, `WINDOW` at a time, and return the answers to them; what got none is sent again.
+
+        Parameters
+        ----------
+        requests : mapping
+            Identifier and data by the node and the index of the answer.
+        answer : str
+            Name of the message that answers.
+        tries : int
+            How often a request is sent; an answer is waited for `ANSWER_S`.
+        """
+        found: dict[tuple[int, int], Message] = {}
         for _ in range(tries):
-            for node, parameter in missing:
-                self._tap.send(*read_request(node, parameter))
+            missing = [key for key in requests if key not in found]
+            for begin in range(0, len(missing), WINDOW):
+                left = {key for key in missing[begin : begin + WINDOW] if key not in found}
+                for key in left:
+                    self._tap.send(*requests[key])
 
-            def take(message: Message) -> bool:
-                key = message.node, message.index
-                if message.name == "PARAM_VALUE" and key in missing:
-                    unknown = message.signals["status"] == UNKNOWN
-                    found[key] = None if unknown else value_of(message.signals)
-                    del missing[key]
-                return not missing
+                def take(message: Message, left: set[tuple[int, int]] = left) -> bool:
+                    key = message.node, message.index
+                    if message.name == answer and key in requests:
+                        found.setdefault(key, message)
+                        left.discard(key)
+                    return not left
 
-            if self.wait(take, ANSWER_S) or not missing:
+                if left:
+                    self.wait(take, ANSWER_S)
+            if len(found) == len(requests):
                 break
         return found
+
+    def _silent(self, node: int, what: str = "") -> SystemFailure:
+        return SystemFailure(
+            f"{self.name}: node {node} did not answer {what}in {TRIES} tries: see who is there with goldfield nodes"
+        )
 
     def set(self, node: int, parameter: int, value: Value, kind: Kind) -> Value:
         """Set a parameter, and return the value that is now in force.
@@ -183,14 +246,27 @@ class Conversation:
             if refused is not None:
                 raise SystemFailure(f"{self.name}: node {node} {refused}")
             return value_of(answers[0].signals)
-        raise SystemFailure(
-            f"{self.name}: node {node} did not answer when {label_of(parameter)} was to be set, in {TRIES} tries: see "
-            "who is there with goldfield nodes"
-        )
+        raise self._silent(node, f"when {label_of(parameter)} was to be set, ")
 
     def identities(self, node: int = 0, tries: int = TRIES) -> None:
         """Let a node, or all (0), tell the unique ids of their processors to the roster."""
         self._ask(IDENTITY, lambda one: bool(one.unique_ids), node, tries)
+
+    def discover(self) -> list[tuple[str, int]]:
+        """Return the unique id and the number of every board, in the order of the ids, those that share a number, too.
+
+        All are asked again until two rounds in a row have brought nobody new.
+        """
+        for node in self.roster.nodes.values():
+            node.halves.clear()
+        quiet, known = 0, 0
+        while quiet < 2:
+            self._tap.send(*encode("COMMAND", {"board": 0, "argument": 0}, node=0, index=IDENTITY))
+            self.wait(lambda _: False, BROADCAST_S)
+            found = [(unique_id, node.number) for node in self.roster.nodes.values() for unique_id in node.unique_ids]
+            quiet = quiet + 1 if len(found) == known else 0
+            known = len(found)
+        return sorted(found)
 
     def last_resets(self, tries: int = TRIES) -> None:
         """Let all nodes tell the roster why they started."""
@@ -228,27 +304,73 @@ class Conversation:
         SystemFailure
             If the node does not answer, or refuses.
         """
-        signals = {"board": 0 if board is None else board_of(board), "argument": argument}
-        answers: list[Message] = []
+        (status,) = self.commands({node: (argument, board)}, command).values()
+        return status
+
+    def try_command(self, node: int, command: int, argument: int, board: str) -> int | None:
+        """Give a board a command that it may refuse, and return its status; None if it does not answer."""
+        signals = {"board": board_of(board), "argument": argument}
+        request = encode("COMMAND", signals, node=node, index=command)
+        answer = self.exchange({(node, command): request}, "COMMAND_ANSWER").get((node, command))
+        return None if answer is None else int(answer.signals["status"])
+
+    def commands(self, wanted: Mapping[int, tuple[int, str | None]], command: int) -> dict[int, int]:
+        """Give several nodes a command at once.
+
+        Parameters
+        ----------
+        wanted : mapping of int to (int, str or None)
+            Argument, and unique id of the board that is meant, by the node.
+        command : int
+
+        Returns
+        -------
+        dict of int to int
+            `DONE` or `DONE_RESTARTS` by the node.
+
+        Raises
+        ------
+        SystemFailure
+            If a node does not answer, or refuses.
+        """
+        requests = {
+            (node, command): encode(
+                "COMMAND",
+                {"board": 0 if board is None else board_of(board), "argument": argument},
+                node=node,
+                index=command,
+            )
+            for node, (argument, board) in wanted.items()
+        }
+        answers = self.exchange(requests, "COMMAND_ANSWER")
+        done = {}
+        for node in wanted:
+            answer = answers.get((node, command))
+            if answer is None:
+                raise self._silent(node)
+            status = int(answer.signals["status"])
+            if status not in (DONE, DONE_RESTARTS):
+                why = REFUSALS.get((command, status), "refuses the command: flash it with this version's firmware")
+                raise SystemFailure(f"{self.name}: node {node} {why.format(node=node)}")
+            done[node] = status
+        return done
+
+    def broadcast(self, command: int, argument: int) -> dict[int, int]:
+        """Give all nodes a command, and return the statuses of those that answered, by the node.
+
+        A board that has carried a start or a stop out does so again when it is asked again: each is sent twice.
+        """
+        told: dict[int, int] = {}
 
         def take(message: Message) -> bool:
-            if (message.name, message.node, message.index) == ("COMMAND_ANSWER", node, command):
-                answers.append(message)
-            return bool(answers)
+            if message.name == "COMMAND_ANSWER" and message.index == command:
+                told[message.node] = int(message.signals["status"])
+            return False
 
-        for _ in range(TRIES):
-            self._tap.send(*encode("COMMAND", signals, node=node, index=command))
-            if self.wait(take, ANSWER_S):
-                break
-        else:
-            raise SystemFailure(
-                f"{self.name}: node {node} did not answer in {TRIES} tries: see who is there with goldfield nodes"
-            )
-        status = int(answers[0].signals["status"])
-        if status in (DONE, DONE_RESTARTS):
-            return status
-        why = REFUSALS.get((command, status), "refuses the command: flash it with this version's firmware")
-        raise SystemFailure(f"{self.name}: node {node} {why.format(node=node)}")
+        for _ in range(2):
+            self._tap.send(*encode("COMMAND", {"board": 0, "argument": argument}, node=0, index=command))
+            self.wait(take, BROADCAST_S)
+        return told
 
     def wait(self, take: Callable[[Message], bool], seconds: float) -> bool:
         """Hand what comes to a function until it returns True, or the time is over; return whether it did."""
