@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from goldfield.site import drive, metal_keys
+from goldfield.site import board_keys, drive, metal_keys
 from goldfield.site import reading as site_reading
 from hil_sim.clib import ROOT
 from hil_sim.scenario import bodies, events, installation, motions, reading
@@ -27,6 +27,7 @@ def test_every_key_of_a_site_file_is_explained() -> None:
     site = {"name", "half_space", "access", "chip_period_s", "degree", *site_reading.LIMITS, *drive.SITE_KEYS}
     keys = site | {*site_reading.SENSOR_KEYS, *site_reading.SURVEY_LIMITS}
     keys |= {*site_reading.BEACON_KEYS, *site_reading.SHAPE_KEYS, *site_reading.DRIVE_KEYS, metal_keys.BEACON_KEY}
+    keys |= {*board_keys.BOARD_KEYS}
     keys |= {*metal_keys.KEYS} - {"body"} | {"metal.body"}
     assert documented("site_file.md") == keys
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goldfield.errors import UserError
+from goldfield.site.board_keys import UNNAMED, BeaconBoard
 from goldfield.site.drive import NO_CODE, NOTHING_ELSE, Drive
 from goldfield.site.metal import BeaconMetal, Metal
 from goldfield.types import FloatArray
@@ -125,6 +126,8 @@ class Beacon:
         How well position, axis and current are known.
     metal : BeaconMetal or None
         What metal in the room adds to the coil's field.
+    board : BeaconBoard
+        Which board drives the coil.
     """
 
     id: str
@@ -138,6 +141,7 @@ class Beacon:
     drive: Drive = NOTHING_ELSE
     survey: Survey = EXACT
     metal: BeaconMetal | None = None
+    board: BeaconBoard = UNNAMED
 
     @property
     def moment_A_m2(self) -> FloatArray:

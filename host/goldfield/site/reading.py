@@ -12,6 +12,7 @@ import numpy as np
 
 from goldfield.errors import counted
 from goldfield.files.toml_table import Table, read_table
+from goldfield.site.board_keys import BOARD_KEYS, check_boards, read_beacon_board
 from goldfield.site.coil_shapes import SHAPE_KEYS, placed, wire_of
 from goldfield.site.drive import NO_CODE, SITE_KEYS, Plan, read_drive, read_plan
 from goldfield.site.metal import Metal
@@ -73,7 +74,7 @@ def load(path: str | Path) -> Site:
     - ``frequency_Hz`` for fdma, a whole number of periods in a cycle, and optionally ``wave``, ``"cosine"`` (the
       default) or ``"sine"``: two beacons may share a frequency, not a frequency and a wave; with unknown phases any
       frequency, and optionally ``phase_rad``;
-    - ``tau_s``: optional, time constant with which the coil's current follows a step, 0 to ten chips.
+    - ``tau_s``: optional, time constant of the coil's current, 0 to ten chips; and those of `BeaconBoard`.
 
     Parameters
     ----------
@@ -107,6 +108,7 @@ def site_of(root: Table) -> Site:
     metal = read_metal(root.table("metal")) if "metal" in root else None
     beacons = tuple(_beacon(table, plan, survey, metal, doubts) for table in tables)
     _check_unique(tables, beacons)
+    check_boards(tables, [(beacon.id, beacon.board) for beacon in beacons])
     check_extent(tables, beacons, doubts)
     if metal is not None:
         check_bodies(root.table("metal"), metal, np.array([beacon.position_m for beacon in beacons]))
@@ -266,7 +268,7 @@ DRIVE_KEYS = ("code", "codes", "slot", "frequency_Hz", "wave", "phase_rad", "tau
 
 
 def _beacon(table: Table, plan: Plan, survey: Table | None, metal: Metal | None, doubts: list[str]) -> Beacon:
-    table.allow(*BEACON_KEYS, *SHAPE_KEYS, *SURVEY_LIMITS, *DRIVE_KEYS, BEACON_KEY)
+    table.allow(*BEACON_KEYS, *SHAPE_KEYS, *SURVEY_LIMITS, *DRIVE_KEYS, BEACON_KEY, *BOARD_KEYS)
     code, drive = read_drive(table, plan)
     current = table.number("current_A")
     if current == 0.0:
@@ -278,6 +280,7 @@ def _beacon(table: Table, plan: Plan, survey: Table | None, metal: Metal | None,
     given: dict[str, Any] = {"id": table.label("id"), "current_A": current, "code": code, "drive": drive}
     given["survey"] = _survey(table, survey)
     given["metal"] = read_beacon_metal(table, metal)
+    given["board"] = read_beacon_board(table)
     if "position_m" in table:
         check_place(table, "position_m", table.vector("position_m"))
     if drawn is not None:

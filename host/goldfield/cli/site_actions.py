@@ -1,0 +1,64 @@
+"""What ``goldfield site`` does on an open link, and how it prints it."""
+
+from __future__ import annotations
+
+import argparse
+
+from goldfield.cli.output import json_line
+from goldfield.errors import SystemFailure, counted, tell
+from goldfield.nodes.commissioning import Board, boards_of, save_all, switch
+from goldfield.nodes.conversation import START, Conversation
+from goldfield.nodes.site_boards import Wanted, differences, push, wanted_of
+from goldfield.site import Site
+from goldfield_protocol.parameters import label_of
+
+
+def act(conversation: Conversation, arguments: argparse.Namespace, site: Site) -> None:
+    """Set the boards to a site, or compare them with it."""
+    conversation.listen()
+    boards = boards_of(conversation)
+    wanted, missing = wanted_of(site, boards)
+    if arguments.action == "check":
+        _check(conversation, arguments, wanted, missing)
+        return
+    if missing:
+        more = "" if len(missing) == 1 else f"; {counted(len(missing) - 1, 'more beacons have')} no board"
+        raise SystemFailure(f"{conversation.name}: {missing[0]}{more}: nothing was set")
+    if not any(one.owner == "sensor" for one in wanted):
+        tell("no sensor is set: none is there, or a sensor does not report all beacons of this site at a time")
+    _push(conversation, arguments, wanted, boards)
+
+
+def _push(conversation: Conversation, arguments: argparse.Namespace, wanted: list[Wanted], boards: list[Board]) -> None:
+
+    changed = push(conversation, wanted, pause=arguments.pause)
+    beacons = [one.board for one in wanted if one.owner != "sensor"]
+    if arguments.start:
+        switch(conversation, START, beacons)
+        save_all(conversation, {board.number: board.unique_id for board in beacons}, pause=True)
+    nodes = sorted({one.board.number for one in wanted})
+    if arguments.json:
+        print(json_line({"nodes": nodes, "changed": changed, "saved": True, "started": bool(arguments.start)}))
+        return
+    print(f"{counted(len(nodes), 'boards')} set to the site: {counted(changed, 'values')} changed, saved and checked")
+    if arguments.start:
+        print(f"{counted(len(beacons), 'beacons')} started")
+        return
+    waiting = [board.number for board in boards if board in beacons and not board.armed]
+    if waiting:
+        print(f"{counted(len(waiting), 'beacons have')} yet to be started: goldfield nodes start --all --save")
+
+
+def _check(conversation: Conversation, arguments: argparse.Namespace, wanted: list[Wanted], missing: list[str]) -> None:
+    found = differences(conversation, wanted)
+    for text in missing:
+        print(json_line({"missing": text}) if arguments.json else text)
+    for one in found:
+        record = {"beacon": one.owner, "node": one.node, "parameter": label_of(one.parameter)}
+        print(json_line({**record, "board": one.found, "site": one.wanted}) if arguments.json else str(one))
+    if found or missing:
+        what = [counted(len(found), "values")] * bool(found)
+        what += [counted(len(missing), "beacons without a board")] * bool(missing)
+        raise SystemFailure(f"the boards are not as the site says: {' and '.join(what)}; goldfield site push sets them")
+    if not arguments.json:
+        print(f"{counted(len(wanted), 'boards')} are as the site says")
