@@ -100,6 +100,11 @@ can-sync-figures: all ## Measure timing over CAN without a sync wire: edges, hol
 
 .PHONY: can-sync-figures
 
+commissioning-figures: all ## Take a hundred host boards from the box to poses by the commands of docs/boards.md, timed (minutes)
+	@$(PYTHON) -m tests.bench.commissioning_figures
+
+.PHONY: commissioning-figures
+
 readme-figures: all ## Compare each figure that README.md and some pages quote with what a command prints (an hour)
 	@$(PYTHON) -m tests.bench.readme_figures
 

@@ -28,6 +28,8 @@ CALIBRATION = ("zero_x", "zero_y", "zero_z", "calibration")
 """What a sensor has from where it was made."""
 SHARED = (7, 9, 11)
 """The numbers that the boards have from the box: many share each."""
+MOST_SITED = 64
+"""Beacons that a sensor reports; further ones are spare boards."""
 COMMAND = re.compile(r"^ +goldfield (.*)$", re.M)
 
 
@@ -48,11 +50,13 @@ def place_of(unique_id):
 def hall(beacons, spacing_m=1.5):
     """The text of a scenario: so many beacons on two levels of a grid, the sensor among them."""
     text = (ROOT / "hil_sim/scenarios/prigge8.toml").read_text()
-    text = text[: text.index("[[beacon]]")].replace('name = "prigge8"', 'name = "hall"')
+    text = text[: text.index("[[beacon]]")].replace('name = "prigge8"', 'name = "hall"').replace("pose = 1", "pose = 0")
     side = int(np.ceil(np.sqrt(beacons / 2)))
     for i in range(beacons):
         x, y, z = i // 2 % side * spacing_m, i // 2 // side * spacing_m, i % 2 * 1.78
-        text += f'[[beacon]]\nid = "b{i + 1}"\nnode = {i + 1}\nposition_m = [{x}, {y}, {z}]\ncode = {i + 2}\n'
+        text += f'[[beacon]]\nid = "b{i + 1}"\nnode = {i + 1}\nposition_m = [{x}, {y}, {z}]\n'
+        # Codes of spare boards are not in the list of the scenario's sensor, which has 64 places.
+        text += f"code = {i + 2}\n" if i < MOST_SITED else f"codes = [{{ code = {i + 2} }}, {{ code = {i + 200} }}]\n"
         text += "sync_master = true\n" if i == 0 else ""
     return text
 

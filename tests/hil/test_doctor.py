@@ -131,7 +131,19 @@ def test_a_beacon_that_is_off(bench, link):
 
 
 def test_a_beacon_of_no_amplitude(bench):
-    assert faults(examined(bench(pages={3: {"amplitude": 0.0}}))) == [(Fault.OFF, (3,), ("b3",))]
+    checks = examined(bench(pages={3: {"amplitude": 0.0}}))
+    assert faults(checks) == [(Fault.OFF, (3,), ("b3",))]
+    (found,) = [check for check in checks if check.fault is Fault.OFF]
+    assert "has an amplitude of 0 A" in found.text
+    assert found.advice.startswith("goldfield nodes set 3 amplitude 10;")
+    assert found.advice.endswith("then goldfield nodes start 3 --save")
+
+
+def test_a_board_that_is_not_armed_is_to_be_started(bench):
+    checks = examined(bench(pages={3: {"armed": 0}}))
+    assert faults(checks) == [(Fault.OFF, (3,), ("b3",))]
+    (found,) = [check for check in checks if check.fault is Fault.OFF]
+    assert (found.text, found.advice) == ("node 3 (b3) is not armed: its coil is off", "goldfield nodes start 3 --save")
 
 
 @BOTH

@@ -53,7 +53,7 @@ def read(kind: str, where: str, node: int | None) -> BoardCalibration:
         if len(chosen) > 1:
             raise UserError(f"{where}: nodes {', '.join(map(str, chosen))} have a sensor: choose with --node")
         number = chosen[0]
-        conversation.identities(number)
+        conversation.discover()
         ids = conversation.roster.nodes[number].unique_ids
         wanted = [(number, parameter.identifier(element)) for parameter, element in _elements()]
         values = conversation.read(wanted)

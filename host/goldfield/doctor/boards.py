@@ -12,8 +12,8 @@ from goldfield.site import Beacon, Site
 from goldfield_protocol.messages import protocol_hash
 from goldfield_protocol.parameters import PARAMETERS
 
-ASKED = tuple(PARAMETERS[name].first for name in ("code", "waveform", "sync_master", "degree"))
-CODE, WAVEFORM, SYNC_MASTER, DEGREE = ASKED
+ASKED = tuple(PARAMETERS[name].first for name in ("code", "waveform", "sync_master", "degree", "armed", "amplitude"))
+CODE, WAVEFORM, SYNC_MASTER, DEGREE, ARMED, AMPLITUDE = ASKED
 """Parameters that every board is asked for."""
 ONE_CODE = 0
 """Value of ``waveform`` with which a board drives the one code of its parameter ``code``."""
@@ -184,12 +184,16 @@ def _of_coil(node: Node, channel: int, beacon: Beacon | None) -> Iterator[Check]
     about: dict[str, Any] = {"nodes": (node.number,), "beacons": () if beacon is None else (beacon.id,)}
     complaints = [text for text in drive.complaints if text != UNLOCKED]
     health = node.health.get(channel)
-    if drive.target_A == 0.0:
+    unarmed, start = node.parameters.get(ARMED) == 0, f"goldfield nodes start {node.number} --save"
+    if drive.target_A == 0.0 and unarmed and node.parameters.get(AMPLITUDE):
+        yield wrong(Fault.OFF, "coil", f"{name} is not armed: its coil is off", start, **about)
+    elif drive.target_A == 0.0:
         yield wrong(
             Fault.OFF,
             "coil",
             f"{name} has an amplitude of 0 A: its coil is off",
-            _set(node.number, "amplitude", "AMPERES" if beacon is None else f"{abs(beacon.current_A):g}"),
+            _set(node.number, "amplitude", "AMPERES" if beacon is None else f"{abs(beacon.current_A):g}")
+            + (f"; then {start}" if unarmed else ""),
             **about,
         )
     elif health is not None and health.reason is not None:

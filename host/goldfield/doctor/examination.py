@@ -75,7 +75,7 @@ class Examination:
         conversation.listen(LISTEN_S)
         if not boards.in_order(roster):
             return True
-        conversation.identities(tries=2)
+        conversation.discover()
         yield sound("link", f"node {', '.join(str(node.number) for node in boards.in_order(roster))} at {self._where}")
         yield from boards.firmware(roster)
         conversation.read(

@@ -14,7 +14,7 @@ from goldfield.errors import SystemFailure
 from goldfield.link.buses import BusSource
 from goldfield.link.requests import ANSWER_S, UNKNOWN, Value, read_request, refusal, set_request, value_of
 from goldfield.link.traffic import added
-from goldfield.nodes.roster import Node, Roster, decoded
+from goldfield.nodes.roster import Roster, decoded
 from goldfield_protocol.messages import Message, encode
 from goldfield_protocol.parameters import Kind, find_id, label_of
 
@@ -248,10 +248,6 @@ class Conversation:
             return value_of(answers[0].signals)
         raise self._silent(node, f"when {label_of(parameter)} was to be set, ")
 
-    def identities(self, node: int = 0, tries: int = TRIES) -> None:
-        """Let a node, or all (0), tell the unique ids of their processors to the roster."""
-        self._ask(IDENTITY, lambda one: bool(one.unique_ids), node, tries)
-
     def discover(self) -> list[tuple[str, int]]:
         """Return the unique id and the number of every board, in the order of the ids, those that share a number, too.
 
@@ -270,18 +266,14 @@ class Conversation:
 
     def last_resets(self, tries: int = TRIES) -> None:
         """Let all nodes tell the roster why they started."""
-        self._ask(LAST_RESET, lambda one: one.last_reset is not None and one.last_reset.whole, 0, tries)
-
-    def _ask(self, command: int, told: Callable[[Node], bool], node: int, tries: int) -> None:
-        """Give a command until all that are asked, or one of them, have told what it is for."""
 
         def known(_: Message | None = None) -> bool:
-            asked = [one for one in self.roster.nodes.values() if node in (0, one.number) and one.same_protocol]
-            return bool(asked) and all(told(one) for one in asked)
+            told = [one.last_reset for one in self.roster.nodes.values() if one.same_protocol]
+            return bool(told) and all(reset is not None and reset.whole for reset in told)
 
         for _ in range(tries):
             if not known():
-                self._tap.send(*encode("COMMAND", {"board": 0, "argument": 0}, node=node, index=command))
+                self._tap.send(*encode("COMMAND", {"board": 0, "argument": 0}, node=0, index=LAST_RESET))
                 self.wait(known, IDENTITY_S)
 
     def command(self, node: int, command: int, argument: int = 0, board: str | None = None) -> int:
