@@ -41,7 +41,7 @@ void anchor_start(anchor_t *anchor, onboard_t *onboard, tracking_t *tracking, ha
     memset(anchor, 0, sizeof *anchor);
     anchor->hal = hal;
     upkeep_start(&anchor->node, hal, HAL_ROLE_ANCHOR);
-    timing_start(&anchor->timing, &anchor->node.parameters, true);
+    timing_start(&anchor->timing, &anchor->node, true);
     drive_start(&anchor->drive, &anchor->node, &anchor->timing);
     sense_start(&anchor->sense, &anchor->node, &anchor->timing, onboard, tracking);
     const hal_events_t events = {

@@ -40,7 +40,7 @@ void beacon_start(beacon_t *beacon, hal_t *hal) {
     memset(beacon, 0, sizeof *beacon);
     beacon->hal = hal;
     upkeep_start(&beacon->node, hal, HAL_ROLE_BEACON);
-    timing_start(&beacon->timing, &beacon->node.parameters, true);
+    timing_start(&beacon->timing, &beacon->node, true);
     drive_start(&beacon->drive, &beacon->node, &beacon->timing);
     const hal_events_t events = {
         .context = beacon,

@@ -81,7 +81,7 @@ void sensor_start(sensor_t *sensor, acquire_t *acquire, onboard_t *onboard, trac
     sensor->hal = hal;
     sensor->acquire = acquire;
     upkeep_start(&sensor->node, hal, HAL_ROLE_SENSOR);
-    timing_start(&sensor->timing, &sensor->node.parameters, false);
+    timing_start(&sensor->timing, &sensor->node, false);
     sense_start(&sensor->sense, &sensor->node, &sensor->timing, onboard, tracking);
     follow(sensor, parameters_unsigned(&sensor->node.parameters, PARAMETER_SYNC_SOURCE));
     const hal_events_t events = {.context = sensor, .plan = on_plan, .samples = on_samples, .sync = on_sync};

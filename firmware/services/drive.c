@@ -148,6 +148,7 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
             /* The plan for a block is made when the block before it begins. */
             drive->sync_blocks = !timing->master ? 0u : i == 0u ? 1u : 2u;
             drive->sync_cycle = sync_cycle(&timing->format, &chip);
+            timing->announce = false;
             if (allowed && drive->phase == DRIVE_IDLE) {
                 drive->start_chip = block * HAL_BLOCK_CHIPS + i;
                 drive->phase = DRIVE_ARMED;
@@ -155,6 +156,8 @@ void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan) {
             }
         }
     }
+    drive->sync_due |= timing->announce;
+    timing->announce = false;
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
         plan_channel(drive, plan, block, channel, first, positions);
     }
@@ -372,6 +375,7 @@ static void send_sync(drive_t *drive) {
     const struct goldfield_sync_t sync = {
         .cycle = drive->sync_cycle & SYNC_CYCLE_MASK,
         .chips = drive->timing->format.chips,
+        .rank = (uint8_t)drive->timing->election.rank,
         .chip_period = (uint32_t)((uint64_t)HAL_CHIP_TICKS * 1000000000000u / HAL_TICKS_PER_SECOND), /* In ps. */
     };
     uint8_t data[8];

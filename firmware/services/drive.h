@@ -38,12 +38,12 @@
  * A board that is not armed (parameter armed) is for the drive one whose amplitude is 0: nothing is driven, and neither
  * supply nor temperatures are watched, so that boards may be commissioned before their supply is switched on.
  *
- * The master (parameter sync_master, read once at start with degree) runs free from cycle 0. The sync wire is high for
- * the first chip of a sync period. SYNC with the cycle's number leaves on both links after that edge, at most two
- * blocks (6.06 ms) later: with degree 10 at the next turn of the main loop, which is much sooner when main is idle.
- * The other beacons take the cycle's number from SYNC. With sync_source 2, read once at start, they follow SYNC and
- * FOLLOW_UP on CAN instead of the wire (sync.h); a wire that is there all the same is then only compared
- * (DRIVE_STATUS.phase).
+ * The master, or the deputy that leads in its place (timing.h; parameter sync_master, read once at start with degree),
+ * runs free. The sync wire is high for the first chip of a sync period. SYNC with the cycle's number leaves on both
+ * links after that edge, at most two blocks (6.06 ms) later: with degree 10 at the next turn of the main loop, which is
+ * much sooner when main is idle. The other beacons take the cycle's number from SYNC. With sync_source 2, read once at
+ * start, they follow SYNC and FOLLOW_UP on CAN instead of the wire (sync.h); a wire that is there all the same is then
+ * only compared (DRIVE_STATUS.phase).
  *
  * A pulse is driven, and its current measured, only in its slot. The soft start then takes 1023 driven chips, that is
  * as many cycles as there are slots.

@@ -75,7 +75,9 @@ typedef struct {
     bool sync_received;                /* A SYNC came; the application clears it. */
     liveness_t liveness;               /* The application tells it what moves. */
     uint32_t sync_node;                /* The node that sent this SYNC. */
-    uint32_t sync_cycle, sync_chips;   /* The cycle (20 bits) and the chips in a cycle that this SYNC told. */
+    uint32_t sync_cycle, sync_chips;   /* The cycle (20 bits) and the chips in a cycle that this SYNC told, */
+    uint32_t sync_rank;                /* and the rank. */
+    bool others_in_step;               /* A DRIVE_STATUS of another node told that it is; the application clears it. */
     /* Private. */
     frame_decoder_t decoder;
     queue_t serial, can;

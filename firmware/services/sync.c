@@ -59,12 +59,14 @@ static int32_t cycles_between(uint32_t a, uint32_t b) {
 }
 
 /* Prepares the FOLLOW_UP of a master whose own SYNC ended at the mark. One that main has not fetched yet stays. */
-static void answer(sync_link_t *link, const sync_format_t *format, uint32_t cycle, const chip_clock_mark_t *mark) {
+static void answer(sync_link_t *link, const chip_clock_t *clock, const sync_format_t *format, uint32_t cycle,
+                   const chip_clock_mark_t *mark) {
     const int32_t cycles = cycles_between(mark->cycle * format->cycles, cycle),
                   limit = SYNC_PERIODS_LATE * format->cycles;
     if (!__atomic_load_n(&link->answer_due, __ATOMIC_ACQUIRE) && cycles >= -limit && cycles <= limit) {
         link->answer_cycle = cycle;
-        link->answer_ticks = cycles * format->chips * (int32_t)HAL_CHIP_TICKS + mark->cycle_ticks;
+        link->answer_ticks = cycles * format->chips * (int32_t)HAL_CHIP_TICKS +
+                             chip_clock_told(clock, mark->cycle_ticks);
         __atomic_store_n(&link->answer_due, true, __ATOMIC_RELEASE);
     }
 }
@@ -88,7 +90,7 @@ static void take_sync(sync_link_t *link, const chip_clock_t *clock, const sync_f
         return;
     }
     if (stamp->sent) {
-        answer(link, format, sync.cycle, &mark);
+        answer(link, clock, format, sync.cycle, &mark);
     } else {
         const uint32_t node = stamp->frame.id & PROTOCOL_NODE_MASK;
         sync_seen_t *before = find(link, node, sync.cycle);
@@ -106,8 +108,15 @@ static void take_follow_up(sync_link_t *link, chip_clock_t *clock, const sync_fo
         return;
     }
     seen->open = false;
+    if (!clock->config.follow) {
+        link->compared = chip_clock_phase(clock, &seen->mark, follow_up.ticks, &link->rival_phase);
+        link->rival_node = seen->node;
+        link->rival_chip = clock->chip;
+        return;
+    }
     if (chip_clock_message(clock, &seen->mark, follow_up.ticks)) {
         chip_clock_number_cycle(clock, follow_up.cycle / format->cycles);
+        link->leader = seen->node;
     }
 }
 
@@ -118,9 +127,10 @@ void sync_link_serve(sync_link_t *link, chip_clock_t *clock, const sync_format_t
             continue; /* Somebody else's frame; the node counts it. */
         }
         const bool is_sync = (stamp.frame.id & HAL_CAN_TYPE_MASK) == GOLDFIELD_SYNC_FRAME_ID;
-        if (is_sync && (stamp.sent || link->follows)) {
+        const bool listens = link->follows || !clock->config.follow;
+        if (is_sync && (stamp.sent || listens)) {
             take_sync(link, clock, format, &stamp);
-        } else if (!is_sync && !stamp.sent && link->follows) {
+        } else if (!is_sync && !stamp.sent && listens) {
             take_follow_up(link, clock, format, &stamp.frame);
         }
     }

@@ -42,7 +42,8 @@
  *                                    second of the two counts on both sides.
  *   two masters                      A FOLLOW_UP belongs to the SYNC of its node and cycle. The chip clock stays with
  *                                    the master it has, and counts the other's edges as rejected (counter 10).
- *                                    Of the two the one with the higher number steps back (timing.h).
+ *                                    Of the two one steps back (election.h); it has compared its clock with what the
+ *                                    other's messages tell.
  *   another length of cycle          Such a SYNC is ignored, and counted (counter 14). A wire whose master has not told
  *                                    its own number lately is then forgotten (timing.h).
  *
@@ -84,9 +85,14 @@ typedef struct {
     /* Private. */
     sync_seen_t seen[SYNC_SEEN]; /* A ring of the latest SYNCs. */
     uint32_t count;              /* SYNCs put into the ring. */
+    uint32_t leader;             /* The node whose messages the clock took last. */
     bool answer_due;             /* The master owes a FOLLOW_UP: plan sets it, main clears it. */
     uint32_t answer_cycle;       /* The cycle that the FOLLOW_UP is to tell of. */
     int32_t answer_ticks;        /* How long it had lasted at the end of SYNC, ticks. */
+    bool compared;               /* While the clock leads: another leader's messages were compared with it. */
+    uint32_t rival_node;         /* That leader, */
+    uint32_t rival_chip;         /* the chip that was planned next when its message was taken, */
+    int32_t rival_phase;         /* and how early the own clock was, ticks. */
 } sync_link_t;
 
 /* How chips make cycles, and cycles sync periods. */

@@ -87,6 +87,11 @@ static void receive(node_t *node, node_links_t link, const frame_t *frame) {
         node->sync_node = to;
         node->sync_cycle = sync.cycle;
         node->sync_chips = sync.chips;
+        node->sync_rank = sync.rank;
+    } else if (message == GOLDFIELD_DRIVE_STATUS_FRAME_ID) {
+        struct goldfield_drive_status_t status = {0};
+        (void)goldfield_drive_status_unpack(&status, frame->data, frame->length);
+        node->others_in_step |= status.locked != 0u && to != node->id;
     } else if (message == GOLDFIELD_BLOCK_FRAME_ID || (message == GOLDFIELD_POSE_POSITION_FRAME_ID && index != 0)) {
         if (link == NODE_CAN && to != 0) {
             bus_share_heard(&node->share, to, hal_microseconds(node->hal));

@@ -50,6 +50,7 @@ typedef struct {
     coil_t *coil; /* The first of its coils. */
     bool senses;  /* sensing is in use. */
     sensing_t sensing;
+    bool leads;                           /* Its sync output is on the wire. */
     bool sync_cut;                        /* Fault: its sync input is not connected. */
     bool coil_hot[RIG_COILS], driver_hot; /* Faults. */
     bool pull_downs_lost;                 /* Fault: the pull-downs outside are not there. */

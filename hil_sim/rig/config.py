@@ -25,7 +25,7 @@ def build(ffi: Any, scenario: Scenario, seed: int) -> tuple[Any, Any]:
     """Return a ``rig_config_t *`` without threads and host, and what must live as long."""
     boards = ffi.new("rig_board_config_t[]", 1 + len(scenario.beacons))
     for board, beacon in zip(boards[1 : len(boards)], scenario.beacons, strict=True):
-        board.coils = len(beacon.coils)
+        board.coils, board.leads = len(beacon.coils), beacon.sync_rank > 0
         for coil in board.coil[0 : board.coils]:
             _fill_coil(coil, beacon.circuit, scenario.sensor.lag_s)
     for number, board in enumerate(boards):

@@ -1,31 +1,54 @@
 #include "rig/lockstep.h"
 
+#include <limits.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "rig/array.h"
 #include "rig/lockstep_internal.h"
 
+#define SYNC_TYPE       1u /* Type of the message SYNC, in the identifier's bits from SYNC_TYPE_SHIFT on (framing.md). */
+#define SYNC_TYPE_SHIFT 24
+#define WIRE_SILENT_PS  INT64_C(210000000000) /* Time without an edge that is longer than any sync period. */
+
 /* ---- Between steps: the wires ---- */
 
+/* Any board may drive the wire high: it is the sum of the boards' outputs, as diodes make it. */
 static void serve_sync_wire(rig_t *rig) {
-    board_slot_t *const master = &rig->slot[rig->config.sync_master];
-    for (size_t i = 0; i < master->sync_count; ++i) {
-        const rig_pin_change_t change = master->sync_changes[i];
-        if (change.level) {
-            rig->edges_ps = array_reserve(rig->edges_ps, &rig->edge_capacity, rig->edge_count + 1,
-                                          sizeof *rig->edges_ps);
-            rig->edges_ps[rig->edge_count++] = change.time_ps;
-        }
-        for (unsigned board = 0; board < rig->slots; ++board) {
-            board_slot_t *const slot = &rig->slot[board];
-            if (board != rig->config.sync_master && !slot->sync_cut) {
-                slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, change.level, change.time_ps);
+    for (unsigned source = 0; source < rig->slots; ++source) {
+        board_slot_t *const driver = &rig->slot[source];
+        for (size_t i = 0; driver->leads && i < driver->sync_count; ++i) {
+            const rig_pin_change_t change = driver->sync_changes[i];
+            const bool was_high = rig->wire_drivers > 0;
+            rig->wire_drivers += change.level ? 1u : rig->wire_drivers > 0 ? UINT_MAX : 0u;
+            if (was_high == (rig->wire_drivers > 0)) {
+                continue;
+            }
+            if (change.level) {
+                rig->edges_ps = array_reserve(rig->edges_ps, &rig->edge_capacity, rig->edge_count + 1,
+                                              sizeof *rig->edges_ps);
+                rig->edges_ps[rig->edge_count++] = change.time_ps;
+            }
+            for (unsigned board = 0; board < rig->slots; ++board) {
+                board_slot_t *const slot = &rig->slot[board];
+                if (board != source && !slot->sync_cut) {
+                    slot->operations->pin_in(slot->instance, BOARD_PIN_SYNC_IN, change.level, change.time_ps);
+                }
             }
         }
+        driver->sync_count = 0;
     }
-    for (unsigned board = 0; board < rig->slots; ++board) {
-        rig->slot[board].sync_count = 0;
+}
+
+/* Lets a beacon that sends SYNC run ahead in place of one that has driven the wire no more: it begins to lead. The one
+ * before stands still for a quantum, as it is ahead by that. */
+static void follow_leader(rig_t *rig, unsigned board, const board_frame_t *frame, int64_t time_ps) {
+    const bool sync = frame->extended && frame->id >> SYNC_TYPE_SHIFT == SYNC_TYPE;
+    const int64_t last_ps = rig->edge_count > 0 ? rig->edges_ps[rig->edge_count - 1] : INT64_MIN / 2;
+    if (sync && rig->slot[board].leads && board != rig->leader && time_ps - last_ps > WIRE_SILENT_PS) {
+        rig->slot[rig->leader].lead_ps = RIG_QUANTUM_PS;
+        rig->slot[board].lead_ps = 2 * (int64_t)RIG_QUANTUM_PS;
+        rig->leader = board;
     }
 }
 
@@ -69,6 +92,7 @@ static void serve_bus(rig_t *rig) {
             if (request->abort) {
                 can_bus_abort(rig->bus, board, request->mailbox, request->time_ps);
             } else {
+                follow_leader(rig, board, &request->frame, request->time_ps);
                 can_bus_request(rig->bus, board, request->mailbox, &request->frame, request->time_ps);
             }
         }
@@ -169,6 +193,7 @@ static bool take_slots(rig_t *rig, const rig_config_t *config) {
         slot->lead_ps = board == RIG_SENSOR            ? 0
                         : board == config->sync_master ? 2 * (int64_t)RIG_QUANTUM_PS
                                                        : RIG_QUANTUM_PS;
+        slot->leads = board == config->sync_master || own->leads;
         serial_line_init(&slot->serial, config->baud);
         if (own->senses) {
             good = sensing_init(&slot->sensing, &rig->coils, &rig->config.ambient, &own->front_end, config->seed,
@@ -195,6 +220,7 @@ rig_t *rig_create(const rig_config_t *config) {
     rig->config.boards = NULL;                  /* Copied; the caller's array may go. */
     rig->now_ps = -2 * (int64_t)RIG_QUANTUM_PS; /* So that those ahead get their lead before the sensor starts at 0. */
     rig->slots = config->beacons + 1;
+    rig->leader = config->sync_master;
     for (unsigned board = 0; board <= config->beacons; ++board) {
         rig->coils.count += config->boards[board].coils;
     }

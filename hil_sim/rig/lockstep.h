@@ -9,7 +9,9 @@
  *
  * Nothing passes between boards inside a step; between steps, in a fixed order, the wires are served. So the result
  * depends neither on threads nor on slices, and it is causal and exact:
- *   - an edge of the master's sync wire reaches a board that has not yet lived through that moment;
+ *   - an edge of the master's sync wire reaches a board that has not yet lived through that moment. So does one of a
+ *     deputy that takes over: with its first SYNC, which comes before its first edge, it goes ahead, and the master
+ *     before, dead or not, falls back. Two boards that drive the wire at once hear each other up to a quantum late;
  *   - the sensor samples currents that already happened, its converter's few microseconds of look-ahead (board_edge.h)
  *     included;
  *   - a beacon with a sensor of its own (an anchor) samples its own currents as they are, and those of the others as

@@ -15,7 +15,9 @@ struct rig {
     can_bus_t *bus;
     can_transfer_t *transfers; /* Transfers for the host; the oldest is number transfer_first. */
     size_t transfer_first, transfer_count, transfer_capacity;
-    int64_t *edges_ps; /* Rising edges of the sync wire. */
+    unsigned leader;       /* The beacon that runs ahead of the others. */
+    unsigned wire_drivers; /* Boards that drive the sync wire high. */
+    int64_t *edges_ps;     /* Rising edges of the sync wire. */
     size_t edge_count, edge_capacity;
     unsigned stopped; /* The board that ended the last run. */
     thread_pool_t pool;

@@ -31,6 +31,7 @@ FAULTS = (
     *("driver_stuck", "sense_held", "coil_hot", "driver_hot", "pull_downs_lost"),
 )
 """The faults that a board can be given, in the order of ``rig_fault_t``."""
+CHIP_PS = 16422 / 168e6 * 1e12
 CAN_COUNTS = ("frames", "unacknowledged", "errors", "collisions", "busy_ps")
 """The members of ``can_statistics_t``."""
 
@@ -110,6 +111,7 @@ class Rig:
         self._specs: list[BoardSpec] = []
         self.sensing = [n for n in range(1 + len(scenario.beacons)) if scenario.front_end(n) is not None]
         self._truth_edges = dict.fromkeys(self.sensing, 0)
+        self._truth_cycles = dict.fromkeys(self.sensing, 0)
         self._rig = self._create(host_on_can, threads or min(2, os.cpu_count() or 1))
         try:
             self._make = make
@@ -333,9 +335,11 @@ class Rig:
         """Take a sensor's truth of the cycles that ended since the last call; the wire's first edge starts cycle 0.
 
         The wire marks each cycle of degree 10 or 11, each second one of degree 9, ... each 32nd of degree 5 (sync.h).
+        While nobody drives it the cycles go on.
         """
         self._check_sensor(board)
         cycles = 1 << max(0, 10 - self.scenario.degree)
+        cycle_ps = ((1 << self.scenario.degree) - 1) * CHIP_PS
         times = self._ffi.new("int64_t[]", 1024)
         result: list[Truth] = []
         while True:
@@ -344,12 +348,14 @@ class Rig:
             available = min(count - first, len(times))
             if available < 2:
                 return result
-            for edge, (start, end) in enumerate(pairwise(times[0:available]), start=first):
-                for part in range(cycles):
-                    middle_s = 1e-12 * (start + (end - start) * (part + 0.5) / cycles)
-                    duration_s = 1e-12 * (end - start) / cycles
+            for start, end in pairwise(times[0:available]):
+                parts = cycles * max(1, round((end - start) / (cycles * cycle_ps)))
+                for part in range(parts):
+                    middle_s = 1e-12 * (start + (end - start) * (part + 0.5) / parts)
+                    duration_s = 1e-12 * (end - start) / parts
                     motion = self.scenario.installed.at(middle_s).motion_of(board)
-                    result.append(truth_at(motion, edge * cycles + part, middle_s, duration_s))
+                    result.append(truth_at(motion, self._truth_cycles[board], middle_s, duration_s))
+                    self._truth_cycles[board] += 1
             self._truth_edges[board] += available - 1
 
     def watch_pins(self, watch: bool = True) -> None:

@@ -14,6 +14,7 @@ typedef struct {
     coil_config_t coil[RIG_COILS];
     bool senses; /* There is a front end on the board's field converters. */
     front_end_config_t front_end;
+    bool leads; /* Its sync output is on the wire; the sync master's always is. */
 } rig_board_config_t;
 
 typedef struct {

@@ -107,5 +107,5 @@ def _beacon(beacon: Beacon, slots: int) -> Mapping[str, Value]:
     return waveform | {
         "node": beacon.node,
         "amplitude": beacon.circuit.current_A,
-        "sync_master": int(beacon.sync_master),
+        "sync_master": beacon.sync_rank,
     }

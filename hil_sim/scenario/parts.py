@@ -251,6 +251,7 @@ class Beacon:
     second_coil: CoilGeometry | None = None
     codes: tuple[Code, ...] = ()
     sensor: Anchor | None = None
+    sync_rank: int = 0
 
     @property
     def coils(self) -> tuple[CoilGeometry, ...]:

@@ -44,7 +44,7 @@ LONGEST_NAME = 250
 """Letters: the system refuses to look for a file of a longer name."""
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
 HARMONICS = 16
-AMPLITUDE, NODE = PARAMETERS["amplitude"], PARAMETERS["node"]
+AMPLITUDE, NODE, SYNC_MASTER = (PARAMETERS[name] for name in ("amplitude", "node", "sync_master"))
 CODES_MAX = PARAMETERS["codes"].rows
 """Superposed codes of a beacon, a limit of the boards."""
 SQUARE_TOLERANCE = 1e-3
@@ -150,7 +150,7 @@ SENSOR_KEYS = ("node", "bandwidth_Hz", "stream", "pose", "sync_wire", *FRONT_END
 ANCHOR_KEYS = ("position_m", "rotation_vector_rad", *FRONT_END_KEYS)
 BEACON_KEYS = (
     *("id", "node", "code", "codes", "slot", "periods", "rotating_periods", "second_axis"),
-    *("sync_master", "position_m", "points_m", "sensor", *COIL_KEYS, *CLOCK_KEYS),
+    *("sync_master", "sync_rank", "position_m", "points_m", "sensor", *COIL_KEYS, *CLOCK_KEYS),
 )
 
 
@@ -308,11 +308,16 @@ def _beacon(table: Table, defaults: Defaults) -> Beacon:
         raise table.error(given[0], f"and {given[1]} are both given: a beacon drives one of them")
     geometry = _geometry(table, source)
     highest = (plan.chips - 1) // 2
+    master = "sync_master" in table and table.flag("sync_master")
+    if master and "sync_rank" in table:
+        raise table.error("sync_rank", "and sync_master are both given: the sync master has rank 1")
+    rank = between(table, "sync_rank", 2, int(SYNC_MASTER.high)) if "sync_rank" in table else int(master)
     return Beacon(
         id=table.label("id"),
         node=between(table, "node", int(NODE.low), int(NODE.high)),
         code=between(table, "code", 0, 1 << plan.degree) if "code" in table else None,
-        sync_master="sync_master" in table and table.flag("sync_master"),
+        sync_master=master,
+        sync_rank=rank,
         clock=_clock(table),
         circuit=Circuit(**values),
         geometry=geometry,

@@ -174,7 +174,7 @@ class Loaded:
         while self._free < until:
             start = self._start(self._cycle)
             if self._free >= start + 2 * MS:
-                signals = {"cycle": 1000 + self._cycle, "chips": self.degree_chips, "chip_period": 97750.0}
+                signals = {"cycle": 1000 + self._cycle, "chips": self.degree_chips, "chip_period": 97750.0, "rank": 1}
                 end = self._free + 131_000_000
                 board.sync_pulse(self._start(self._cycle + 1))
                 board.can_in(*encode("SYNC", signals, node=MASTER), end - 1_000_000)

@@ -96,7 +96,7 @@ def test_plan_prints_a_room(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_hil_prints_a_bench_and_its_truth(capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["hil", "anchors4", "--boards", "host", "--can", "none", "--pace", "0", "--seconds", "0.3", "--json"]
+    command = ["hil", "anchors4", "--boards", "host", "--can", "none", "--pace", "0", "--seconds", "0.5", "--json"]
     assert main(command) == 0
     bench, *truth = lines_of(capsys)
     validator("bench").validate(bench)

@@ -38,6 +38,8 @@ SECOND = 10**12
 CHIPS = 1023
 CHIP_TICKS = 16422
 TICKS_PER_SECOND = 168_000_000
+LISTENS = 234 * MS
+"""A master looks for another leader first: its first cycle begins so late after its start, rounded up (election.h)."""
 
 
 def chip_seconds(ppm: float) -> float:

@@ -77,15 +77,12 @@ def test_a_sensor_whose_clock_is_400_ppm_off_is_never_ok(listen, name):
 
 
 @pytest.mark.parametrize("name", ["prigge8", "prigge8can"])
-def test_of_two_masters_one_steps_back_and_both_tell(listen, name):
-    """By the time that the bench has booted the second one follows the first, and its beacon counts again."""
+def test_of_two_masters_one_follows(listen, name):
+    """By the time that the bench has booted one leads, whichever began first, and both beacons count."""
     _, _, sensor = listen(name, pages={2: {"sync_master": 1}})
     poses = poses_of(sensor, 20)[-8:]
     assert {pose.status for pose in poses} == {Status.OK}
     assert all("b2" in pose.used for pose in poses)
-    counters = sensor.board_counters
-    assert counters[1]["SYNC of another master"] >= 1
-    assert counters[2]["SYNC of another master"] >= 3
 
 
 def test_two_sensors_of_one_number(listen):

@@ -4,10 +4,14 @@
 #define ONE               (INT64_C(1) << FRACTION_BITS)
 #define HELD_CYCLES_MAX   1000u       /* Cycles after which the drift is left alone: long after the lock. */
 #define DRIFT_MAX         (ONE / 600) /* Largest drift that is believed, 1 ppm/s: more is an outlier. */
+#define UNSEEN_DRIFT_PPT  20000       /* Drift that nothing shows, millionths of a millionth a second: 0.02 ppm/s. */
+#define SCATTER_BITS      8           /* Fractional bits of the scatter. */
+#define SCATTER_EDGES     8           /* Edges over which it is averaged. */
 #define MESSAGE_TICKS_MAX (1 << 26)   /* Largest time in a message, 0.4 s: its products stay below 2^63. */
 
-const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6};
-const chip_clock_source_t chip_clock_link = {.gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16};
+const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6, .floor_ticks = 8};
+const chip_clock_source_t chip_clock_link = {
+    .gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16, .floor_ticks = 42};
 
 /* Returns the largest deviation of a period or a cycle from nominal that two good crystals can show. */
 static int64_t tolerance(int64_t nominal) {
@@ -135,6 +139,13 @@ static void acquire(chip_clock_t *clock, uint64_t edge) {
     clock->memory = 2;
     clock->drift = 0;
     clock->drift_edges = 0;
+    clock->scatter = (uint32_t)clock->source.lock_ticks << SCATTER_BITS >> 2;
+}
+
+/* Takes what an edge was off the estimate, ticks with 32 fractional bits. */
+static void learn_scatter(chip_clock_t *clock, int64_t residual) {
+    const int32_t size = (int32_t)((residual < 0 ? -residual : residual) >> (FRACTION_BITS - SCATTER_BITS));
+    clock->scatter = (uint32_t)((int32_t)clock->scatter + (size - (int32_t)clock->scatter) / SCATTER_EDGES);
 }
 
 /* Takes the change of the settled period in so many cycles. */
@@ -230,6 +241,7 @@ static bool take_edge(chip_clock_t *clock, uint64_t position, int32_t since, int
     if (!clock->compared) {
         clock->phase_ticks = phase;
     }
+    learn_scatter(clock, residual);
     if (clock->memory < clock->source.memory_edges) {
         clock->memory++;
     }
@@ -250,31 +262,52 @@ static bool take_edge(chip_clock_t *clock, uint64_t position, int32_t since, int
     return true;
 }
 
-void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
+bool chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
     chip_clock_mark_t mark;
     if (!clock->config.follow) {
-        return;
+        return false;
     }
     if (ticks > clock->config.maximum_ticks || !chip_clock_mark(clock, chip, ticks, &mark)) {
         count_rejected(clock);
-        return;
+        return false;
     }
-    (void)take_edge(clock, (uint64_t)mark.position << FRACTION_BITS, 0, mark.cycle_ticks);
+    return take_edge(clock, (uint64_t)mark.position << FRACTION_BITS, 0, mark.cycle_ticks);
+}
+
+/* Returns the phase against a message, ticks with 32 fractional bits. */
+static int64_t message_phase(const chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks) {
+    const int64_t cycle = (int64_t)clock->period * clock->config.chips;
+    const int64_t phase = (mark->cycle_ticks * ONE - own_ticks(clock, master_ticks)) % cycle;
+    return phase + (phase < -cycle / 2 ? cycle : phase > cycle / 2 ? -cycle : 0);
+}
+
+static bool dated(int32_t master_ticks) {
+    return master_ticks <= MESSAGE_TICKS_MAX && master_ticks >= -MESSAGE_TICKS_MAX;
+}
+
+int32_t chip_clock_told(const chip_clock_t *clock, int32_t ticks) {
+    const int64_t slower = (int64_t)(clock->period - nominal_period(clock));
+    const int64_t more = ticks * slower / (int64_t)(clock->period >> FRACTION_BITS);
+    return ticks - (int32_t)((more + ONE / 2) >> FRACTION_BITS);
+}
+
+bool chip_clock_phase(const chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks, int32_t *phase) {
+    if (dated(master_ticks)) {
+        *phase = (int32_t)(message_phase(clock, mark, master_ticks) >> FRACTION_BITS);
+    }
+    return dated(master_ticks);
 }
 
 bool chip_clock_message(chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks) {
     if (!clock->config.follow) {
         return false;
     }
-    if (master_ticks > MESSAGE_TICKS_MAX || master_ticks < -MESSAGE_TICKS_MAX) {
+    if (!dated(master_ticks)) {
         count_rejected(clock);
         return false;
     }
-    const int64_t cycle = (int64_t)clock->period * clock->config.chips;
-    int64_t phase = mark->cycle_ticks * ONE - own_ticks(clock, master_ticks);
-    phase %= cycle;
-    phase += phase < -cycle / 2 ? cycle : phase > cycle / 2 ? -cycle : 0;
-    return take_edge(clock, (uint64_t)mark->position << FRACTION_BITS, master_ticks, (int32_t)(phase >> FRACTION_BITS));
+    const int32_t phase = (int32_t)(message_phase(clock, mark, master_ticks) >> FRACTION_BITS);
+    return take_edge(clock, (uint64_t)mark->position << FRACTION_BITS, master_ticks, phase);
 }
 
 bool chip_clock_at(const chip_clock_t *clock, uint32_t chip, chip_clock_chip_t *planned) {
@@ -306,8 +339,40 @@ void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int3
     if (!clock->compared) {
         clock->phase_ticks = residual_ticks;
     }
+    learn_scatter(clock, (int64_t)residual_ticks * ONE);
     clock->edge_cycle = clock->cycle;
     clock->locked = locked;
+}
+
+chip_clock_quality_t chip_clock_quality(const chip_clock_t *clock, uint32_t ticks_per_us) {
+    const int64_t slower = difference(clock->period, nominal_period(clock)) >> SCATTER_BITS;
+    chip_clock_quality_t quality = {.age_us = UINT32_MAX, .error_ns = UINT32_MAX};
+    quality.rate_ppb = (int32_t)(slower * 1000000000 /
+                                 ((int64_t)clock->config.nominal_ticks << (FRACTION_BITS - SCATTER_BITS)));
+    if (!clock->config.follow) {
+        quality.age_us = 0;
+        quality.error_ns = 0;
+        return quality;
+    }
+    const uint32_t cycles = clock->cycle - clock->edge_cycle;
+    if (!clock->tracking || cycles > HELD_CYCLES_MAX) {
+        return quality;
+    }
+    const uint64_t chips = (uint64_t)cycles * clock->config.chips + clock->code_chip;
+    const uint64_t age_us = chips * clock->config.nominal_ticks / ticks_per_us;
+    const uint64_t scatter = clock->scatter;
+    const uint64_t slope = (uint64_t)(clock->drift < 0 ? -clock->drift : clock->drift) * clock->config.chips;
+    const uint64_t held = cycles > 1u ? cycles : 0u;
+    const uint64_t age_ms = held > 0u ? age_us / 1000u : 0u;
+    /* All in 1/256 ticks; in t ms an unseen drift makes drift t^2 / 2. */
+    const uint64_t error = ((uint64_t)clock->source.floor_ticks << SCATTER_BITS) + 2u * scatter +
+                           held * 2u * scatter / clock->memory +
+                           (slope >> (FRACTION_BITS - SCATTER_BITS)) * held * held / 2u +
+                           age_ms * age_ms * UNSEEN_DRIFT_PPT / 2000000u * (ticks_per_us << SCATTER_BITS) / 1000000u;
+    const uint64_t error_ns = error * 1000u / ((uint64_t)ticks_per_us << SCATTER_BITS);
+    quality.age_us = (uint32_t)age_us;
+    quality.error_ns = error_ns < UINT32_MAX ? (uint32_t)error_ns : UINT32_MAX;
+    return quality;
 }
 
 void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source) {
@@ -320,12 +385,44 @@ void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source) {
     clock->candidate_edges = 0;
 }
 
-void chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
+bool chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
     chip_clock_mark_t mark;
-    if (ticks <= clock->config.maximum_ticks && chip_clock_mark(clock, chip, ticks, &mark)) {
-        clock->phase_ticks = mark.cycle_ticks;
-        clock->compared = true;
+    if (ticks > clock->config.maximum_ticks || !chip_clock_mark(clock, chip, ticks, &mark)) {
+        return false;
     }
+    clock->phase_ticks = mark.cycle_ticks;
+    clock->compared = true;
+    const int32_t gate = clock->source.gate_ticks;
+    return mark.cycle_ticks >= -gate && mark.cycle_ticks <= gate;
+}
+
+/* ---- Leading ---- */
+
+void chip_clock_lead(chip_clock_t *clock, bool anew) {
+    clock->config.follow = false;
+    clock->tracking = false;
+    clock->locked = true;
+    clock->compared = false;
+    clock->detune_ticks = 0;
+    clock->phase_ticks = 0;
+    if (anew) {
+        clock->code_chip = 0;
+        clock->cycle++; /* The cycle under way is cut short. */
+        clock->cycle_shift = 0u - clock->cycle;
+    }
+}
+
+void chip_clock_yield(chip_clock_t *clock, const chip_clock_source_t *source) {
+    clock->source = *source;
+    clock->tracking = true;
+    clock->good_edges = CHIP_CLOCK_LOCK_EDGES;
+    clock->candidate_edges = 0;
+    clock->memory = 2;
+    clock->drift = 0;
+    clock->drift_edges = 0;
+    clock->edge_cycle = clock->cycle - 1u;
+    clock->compared = false;
+    clock->config.follow = true;
 }
 
 void chip_clock_number_cycle(chip_clock_t *clock, uint32_t cycle) {

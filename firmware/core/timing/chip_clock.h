@@ -10,6 +10,7 @@
  *                               or chip_clock_jump and chip_clock_correct for an estimate (acquire.h).
  *   5. chip_clock_number_cycle  when the master tells the number of a cycle.
  *   6. chip_clock_at            when something that was measured in a chip is to be labelled.
+ *   7. chip_clock_lead, chip_clock_yield  when a follower becomes the master, and when it follows again.
  * The owner drives nothing, and reports no cycle as synchronous, while `locked` is false.
  *
  * Time. The board counts chips from 0 and never resets the count: the "absolute chip", a uint32_t, which wraps
@@ -54,8 +55,19 @@
  * goes on: an oven that is switched off ends it. So the lock ends as soon as the learnt drift, begun or ended with the
  * last edge, could have moved the phase by lock_ticks (n cycles move it by drift n^2 / 2), and
  * CHIP_CLOCK_HOLDOVER_CYCLES after the last edge in any case. A drift of d ppm/s that nothing showed before adds d t^2
- * / 2 microseconds in t seconds: 0.05 ppm/s make 2.5 us in the longest hold-over. A master (follow = false) runs at the
- * nominal period, is always locked, and ignores edges.
+ * / 2 microseconds in t seconds: 0.05 ppm/s make 2.5 us in the longest hold-over.
+ *
+ * Estimated error (chip_clock_quality). With the scatter s of the edges, the memory k and n cycles since the last edge,
+ *   floor + 2 s + n 2 s / k + |drift| n^2 / 2 + (0.02 ppm/s) t^2 / 2
+ * The floor is what all edges have in common: the delay of wire, transceivers and stamps (sync.h). The third term is
+ * the rate's error, the fourth that the learnt drift ends or has just begun, the last a drift that nothing showed.
+ * tests/firmware/core/timing/test_clock_error.py compares it with the truth.
+ *
+ * Leading. A master (follow = false) runs at the period that it has, is always locked, and ignores edges. A follower
+ * becomes one with chip_clock_lead, in a hold-over: its chips go on with the phase and the period that it has learnt,
+ * so that nobody sees a step. The period then stays; the drift is not carried on, as there is nothing any more that it
+ * were a drift against. A master becomes a follower with chip_clock_yield if it is in step with the other one already,
+ * and with chip_clock_forget if not.
  *
  * Contexts: chip_clock_plan, _edge, _mark, _message, _jump, _correct, _compare and _at are called from one interrupt
  * priority. Main may read locked and phase_ticks. chip_clock_number_cycle is called from either.
@@ -88,10 +100,11 @@ typedef struct {
     uint16_t gate_ticks;  /* Largest distance of an edge from the estimate, ticks; an edge beyond it is rejected. */
     uint16_t lock_ticks;  /* Largest phase with which the clock counts as locked, ticks. */
     uint8_t memory_edges; /* Edges that the gains stand for once the clock has settled, 3 or more. */
+    uint8_t floor_ticks;  /* Error that the source's edges may have in common, which no scatter shows, ticks. */
 } chip_clock_source_t;
 
-extern const chip_clock_source_t chip_clock_wire; /* The sync wire: gate 2 us, lock 0.5 us, 6 edges. */
-extern const chip_clock_source_t chip_clock_link; /* Messages on CAN: gate 3 us, lock 0.5 us, 16 edges. */
+extern const chip_clock_source_t chip_clock_wire; /* The sync wire: gate 2 us, lock 0.5 us, 6 edges, floor 0.05 us. */
+extern const chip_clock_source_t chip_clock_link; /* Messages on CAN: gate 3 us, lock 0.5 us, 16 edges, 0.25 us. */
 
 /* A planned chip. */
 typedef struct {
@@ -118,6 +131,7 @@ typedef struct {
     uint32_t edges_rejected; /* Edges rejected since the start; the count stops at its maximum. */
     uint64_t period;         /* Estimate of the master's chip, own ticks with 32 fractional bits. */
     int64_t drift;           /* Its change in a cycle. */
+    uint32_t scatter;        /* Mean size of what the latest edges were off the estimate, 1/256 ticks. */
     int16_t detune_ticks;    /* Written by the owner: planned chips are so many ticks longer than the estimate, so that
                                 the phase slides (acquire.h). */
     /* Private. Positions are own ticks with 32 fractional bits modulo 2^64; only differences below 12 s are formed. */
@@ -153,8 +167,20 @@ bool chip_clock_init(chip_clock_t *clock, const chip_clock_config_t *config);
 chip_clock_chip_t chip_clock_plan(chip_clock_t *clock);
 
 /* Take a rising edge of the sync wire, which came so many ticks after the start of an absolute chip. An edge in a chip
- * that is not planned yet or is forgotten is rejected. Costs at most about 670 instructions (64-bit divisions). */
-void chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
+ * that is not planned yet or is forgotten is rejected. Costs at most about 670 instructions (64-bit divisions).
+ * Returns true if the estimate now counts this edge. */
+bool chip_clock_edge(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
+
+/* How well a clock has the time. */
+typedef struct {
+    uint32_t age_us;   /* Time since the last edge that counted; UINT32_MAX: there was none. */
+    int32_t rate_ppb;  /* Rate of the own oscillator minus that of the master's chips. */
+    uint32_t error_ns; /* Estimated error of a chip's edge; UINT32_MAX: not known. 0 for a master. */
+} chip_clock_quality_t;
+
+/* Tell how well the clock has the time; the context is that of chip_clock_plan, ticks_per_us are the clock's. Costs
+ * about 400 instructions. */
+chip_clock_quality_t chip_clock_quality(const chip_clock_t *clock, uint32_t ticks_per_us);
 
 /* Look up what was planned for an absolute chip. Costs about 20 instructions. Returns false, with *planned untouched,
  * if the chip is not planned yet or is more than CHIP_CLOCK_HISTORY chips ago. */
@@ -189,9 +215,28 @@ void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int3
  * period stay until the new source tells better. */
 void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source);
 
+/* Returns own ticks, at most 0.4 s of them, as a message of this clock tells them to others: a chip of it has the
+ * nominal number, whatever its period is. Costs about 100 instructions. */
+int32_t chip_clock_told(const chip_clock_t *clock, int32_t ticks);
+
+/* Tell how early the clock is against such a message, ticks, without following it. Costs about 150 instructions.
+ * Returns false, with *phase untouched, if master_ticks is beyond 0.4 s. */
+bool chip_clock_phase(const chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks, int32_t *phase);
+
 /* Take an edge of a wire that is there but is not followed. From now on phase_ticks is the difference to the wire, not
- * to the source that is followed. */
-void chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
+ * to the source that is followed.
+ * Returns whether the edge lies within the gate of a cycle's start. */
+bool chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
+
+/* ---- Leading; from the context of chip_clock_plan. ---- */
+
+/* Become the master: phase and period go on as they are. With `anew`, for a clock that never followed anybody, the next
+ * chip that is planned is chip 0 of cycle 0. */
+void chip_clock_lead(chip_clock_t *clock, bool anew);
+
+/* Follow, and keep the lock: the caller has seen that the clock is within the source's gate of what it is to follow.
+ * The next edges decide, with the gains of a clock that has just found its master. */
+void chip_clock_yield(chip_clock_t *clock, const chip_clock_source_t *source);
 
 /* Tell, on a SYNC message, that the cycle which the last good edge began has this number. All cycles that
  * chip_clock_plan and chip_clock_at tell from now on are counted from it, modulo 2^32; a SYNC has 20 bits, so only

@@ -55,7 +55,10 @@ def timing(roster: Roster, *, whole_bus: bool) -> Iterator[Check]:
     A board is one by its sync signals or by its parameter, which it reads at its start.
     """
     nodes = [node for node in in_order(roster) if node.same_protocol]
-    masters = [node.number for node in nodes if node.syncs or node.parameters.get(SYNC_MASTER) == 1]
+    lead = [node.number for node in nodes if node.syncs]
+    first = [node.number for node in nodes if node.parameters.get(SYNC_MASTER) == 1]
+    masters = lead if len(lead) > 1 or len(first) < 2 else first  # A master may follow its deputy.
+    masters = masters or first
     if len(masters) > 1:
         yield wrong(
             Fault.MASTERS,

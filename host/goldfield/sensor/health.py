@@ -6,6 +6,7 @@ sensor on a desk are judged alike. What it all means for an epoch is told by `go
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass, field
 
@@ -19,6 +20,8 @@ MANY_EDGES = 3
 """Edges of the sync wire that a board rejects from one heartbeat to the next, a second, if they come regularly. A
 second master makes 5 of degree 11 and 10 of any other; a clock that changes to another master rejects 3, once."""
 
+TURNS_S = 3.0
+"""A board whose `SYNC` is not older leads still when another one's has come and its own comes again."""
 LONGEST_STEP_S = 0.5
 """The clock goes on by so much at most from one header to the next: in a longer gap nobody was heard, not one board."""
 
@@ -113,6 +116,9 @@ class Health:
         The boards that were heard, by node.
     masters : dict of int to float
         Time of each node's latest `SYNC`.
+    rivals : dict of int to float
+        The nodes that lead beside another one, and until when they did: of two that send `SYNC` by turns one does not
+        take over from the other.
     """
 
     def __init__(self, cycle_s: float) -> None:
@@ -120,6 +126,8 @@ class Health:
         self.now_s = 0.0
         self.boards: dict[int, Board] = {}
         self.masters: dict[int, float] = {}
+        self.rivals: dict[int, float] = {}
+        self._leader: int | None = None
         self._cycle_s = cycle_s
         self._time_s: float | None = None
         self._headers: dict[int, Headers] = {}
@@ -134,7 +142,7 @@ class Health:
         board = self.boards.setdefault(node, Board(node, self.now_s))
         board.heard_s = self.now_s
         if message.name == "SYNC":
-            self.masters[node] = self.now_s
+            self._take_sync(node)
         elif message.name == "HEARTBEAT":
             self._take_heartbeat(board, message)
         elif message.name == "COUNTER":
@@ -147,6 +155,13 @@ class Health:
             self._take_header(board, message)
         elif message.name == "EPOCH_STATUS":
             board.locked = bool(message.signals["locked"])
+
+    def _take_sync(self, node: int) -> None:
+        before = self._leader
+        if before is not None and before != node and self.now_s - self.masters.get(node, -math.inf) < TURNS_S:
+            self.rivals[node] = self.rivals[before] = self.masters[before]
+        self.masters[node] = self.now_s
+        self._leader = node
 
     @property
     def counters(self) -> dict[int, Counter[int]]:

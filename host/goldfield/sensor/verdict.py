@@ -94,8 +94,8 @@ def judge(health: Health, report: Report, site: Site) -> Verdict:
 def _of_time(health: Health, report: Report) -> Iterator[Finding]:
     """Yield what forbids to rely on any pose of the epoch."""
     sensor = health.boards.get(health.node or 0)
-    masters = [node for node, heard_s in sorted(health.masters.items()) if health.now_s - heard_s < EVENT_S]
-    if len(masters) > 1:
+    masters = [node for node, until_s in sorted(health.rivals.items()) if health.now_s - until_s < EVENT_S]
+    if masters:
         yield _clock(f"nodes {_and(masters)} are both sync masters: set sync_master = 1 in one board only")
     if sensor is None:
         return

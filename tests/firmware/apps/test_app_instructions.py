@@ -191,6 +191,24 @@ def call(image: Path, request: pytest.FixtureRequest) -> Machine:
     return Machine(machine, symbols)
 
 
+def look_for_a_leader(call: Machine, step: str) -> int:
+    """Let a board with a rank look for a leader until it leads itself; return its idle turn's instructions.
+
+    By then CAN, which takes nothing here, counts as dead: trying it costs each idle turn 35 instructions more.
+    """
+    for _ in range(2):
+        call("call_plan")
+    for _ in range(40):
+        call.uncounted("call_plan")
+        call.uncounted(step)
+        call.uncounted(step)
+    idle = int(call(step))
+    for _ in range(120):
+        call.uncounted("call_plan")
+        call.uncounted(step)
+    return idle
+
+
 @pytest.mark.parametrize(
     ("call", "most"),
     [({}, (150, 260, 620, 230)), ({"waveform": 3, "periods": 5, "degree": 11}, (215, 335, 700, 300))],
@@ -199,8 +217,7 @@ def call(image: Path, request: pytest.FixtureRequest) -> Machine:
 def test_beacon(call: Machine, most: tuple[int, int, int, int]) -> None:
     start = call("begin_beacon")
     plans, edges, currents, idle, reports = [], [], [], [], []
-    for _ in range(2):
-        call("call_plan")
+    listening = look_for_a_leader(call, "step_beacon")
     for _ in range(70):
         for _ in range(31):
             call("sense_current")
@@ -218,7 +235,8 @@ def test_beacon(call: Machine, most: tuple[int, int, int, int]) -> None:
     assert chip <= most[1]
     assert chip_most <= most[2]
     assert max(edges) <= most[3]
-    assert min(idle) <= 320
+    assert min(idle) <= 385
+    assert listening <= 480
 
 
 def test_sensor(call: Machine) -> None:
@@ -257,8 +275,7 @@ def test_sensor_that_follows_the_field(call: Machine) -> None:
 def test_anchor_with_two_channels(call: Machine) -> None:
     start = call("begin_anchor")
     samples, currents, plans, reports, idle = [], [], [], [], []
-    for _ in range(2):
-        call("call_plan")
+    look_for_a_leader(call, "step_anchor")
     for _ in range(70):
         for _ in range(31):
             call("sense_current")
@@ -271,7 +288,7 @@ def test_anchor_with_two_channels(call: Machine) -> None:
     print(f"anchor: start {start}, samples and plan of a block {max(samples)} + {max(plans)}, with currents {block}")
     print(f"        main idle {min(idle)}, with a report of 8 codes {max(reports)} instructions")
     assert block <= 30_000  # A block lasts 509,000 ticks.
-    assert min(idle) <= 460
+    assert min(idle) <= 520
     assert max(reports) <= 110_000
 
 

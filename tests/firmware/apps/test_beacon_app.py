@@ -11,6 +11,7 @@ import pytest
 from goldfield_protocol.messages import database
 from tests.firmware.host_rig import (
     CHIPS,
+    LISTENS,
     MS,
     PIN_BRIDGE_1,
     PIN_BRIDGE_2,
@@ -66,10 +67,11 @@ def status(board: Board) -> dict[str, float]:
 
 def test_master_drives_its_code_from_sync_edge(boards: list[Board]) -> None:
     board = master(boards, ppm=30.0)
-    board.run(SECOND)
+    board.run(LISTENS + SECOND)
     edges = board.edges(PIN_SYNC_OUT)
     period = CHIPS * chip_seconds(30.0) * 1e12
     assert np.abs(np.diff(edges) - period).max() <= 1  # Zero jitter: the picosecond is this test's rounding.
+    assert 0 <= LISTENS - edges[0] < 8 * MS
     for edge in edges[1:9]:
         middles = np.array([edge + round((t + 0.5) * period / CHIPS) for t in range(CHIPS)])
         assert (polarity(board, middles) == gold_chips(2)).all()
@@ -84,7 +86,7 @@ def test_other_degrees_by_sync_periods(boards: list[Board], degree: int, cycles:
     board = master(boards, parameters={"degree": degree, "code": code})
     follower = beacon(Coil(), parameters={**FOLLOWER, "degree": degree, "code": 3}, ppm=80.0, power_on=3 * MS)
     boards.append(follower)
-    Rig(board, follower, quantum=100 * US).run(1500 * MS)
+    Rig(board, follower, quantum=100 * US).run(2000 * MS)
     edges = board.edges(PIN_SYNC_OUT)
     period = chips * cycles * chip_seconds(0.0) * 1e12
     assert np.abs(np.diff(edges) - period).max() <= 1
@@ -261,8 +263,8 @@ def test_lost_wire_is_held_over_and_then_ends_the_drive(boards: list[Board]) -> 
 
 def test_code_set_at_run_time(boards: list[Board]) -> None:
     board = master(boards)
-    board.send_serial("PARAM_SET", {"kind": 0, "value_unsigned": 77}, 1, 1, 350 * MS)
-    board.run(900 * MS)
+    board.send_serial("PARAM_SET", {"kind": 0, "value_unsigned": 77}, 1, 1, LISTENS + 350 * MS)
+    board.run(LISTENS + 900 * MS)
     period = CHIPS * CHIP
     edge = board.edges(PIN_SYNC_OUT)[7]
     middles = np.array([edge + round((t + 0.5) * period / CHIPS) for t in range(CHIPS)])
@@ -272,7 +274,7 @@ def test_code_set_at_run_time(boards: list[Board]) -> None:
 
 def test_zero_amplitude_is_off(boards: list[Board]) -> None:
     board = master(boards, parameters={"amplitude": 0.0})
-    board.run(500 * MS)
+    board.run(LISTENS + 500 * MS)
     assert not board.edges(PIN_ENABLE)
     assert len(board.edges(PIN_SYNC_OUT)) == 6
     assert status(board)["target"] == 0
@@ -307,11 +309,11 @@ def test_an_open_coil_is_found_in_its_slot(boards: list[Board]) -> None:
 def test_a_square_wave_of_whole_periods(boards: list[Board]) -> None:
     """FDMA: the sign of a cosine with seven periods in a cycle; a change to another waveform by PARAM_SET alone."""
     board = master(boards, parameters={"waveform": 2, "periods": 7})
-    board.run(500 * MS)
+    board.run(LISTENS + 500 * MS)
     edges = board.edges(PIN_SYNC_OUT)
     np.testing.assert_array_equal(driven(board, edges[2]), np.sign(np.cos(2.0 * np.pi * 7 * np.arange(CHIPS) / CHIPS)))
-    board.send_serial("PARAM_SET", {"kind": 0, "value_unsigned": 0}, 1, 13, 510 * MS)
-    board.run(SECOND)
+    board.send_serial("PARAM_SET", {"kind": 0, "value_unsigned": 0}, 1, 13, LISTENS + 510 * MS)
+    board.run(LISTENS + SECOND)
     edges = board.edges(PIN_SYNC_OUT)
     np.testing.assert_array_equal(driven(board, edges[8]), gold_chips(2))
 
@@ -397,7 +399,7 @@ def test_a_fault_of_either_coil_stops_both(boards: list[Board], coil: Coil, caus
 def test_superposed_codes_share_the_amplitude(boards: list[Board]) -> None:
     codes = [(10, 700, 3, 1), (5, 7, 30, 33), (10, 2, 0, 1)]
     board = master(boards, Coil(gain=1.05), parameters={"waveform": 4, "codes": [n for code in codes for n in code]})
-    board.run(SECOND)
+    board.run(LISTENS + SECOND)
     expected = np.zeros(CHIPS)
     for degree, index, offset, hold in codes:
         own = gold_chips(index, degree)

@@ -84,7 +84,7 @@ class World:
 
 
 def sync(cycle: int) -> dict[str, float]:
-    return {"cycle": cycle, "chips": CHIPS, "chip_period": 97750.0}
+    return {"cycle": cycle, "chips": CHIPS, "chip_period": 97750.0, "rank": 1}
 
 
 @pytest.fixture(scope="module")

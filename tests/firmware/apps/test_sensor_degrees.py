@@ -52,7 +52,12 @@ class World:
         for number in range(int(seconds / period)):
             edge = FIRST_EDGE + round(number * period * 1e12)
             self.board.sync_pulse(edge)
-            told = {"cycle": 2**20 - 64 + number * cycles, "chips": master or self.chips, "chip_period": 97750.0}
+            told = {
+                "cycle": 2**20 - 64 + number * cycles,
+                "chips": master or self.chips,
+                "chip_period": 97750.0,
+                "rank": 1,
+            }
             told["cycle"] %= 2**20
             self.board.send_serial("SYNC", told, 1, 0, edge + 2 * MS)
 

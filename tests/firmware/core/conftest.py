@@ -17,6 +17,7 @@ HEADERS = (
     "core/codes/block_sums.h",
     "core/codes/separation.h",
     "core/timing/chip_clock.h",
+    "core/timing/election.h",
     "core/drive/current.h",
     "core/drive/fall.h",
     "core/drive/latch.h",

@@ -35,7 +35,7 @@ class Bus:
 
     def sync(self, cycle: int, end: int, node: int = MASTER, chips: int = CHIPS) -> None:
         """SYNC whose last bit ends at a time."""
-        signals = {"cycle": cycle, "chips": chips, "chip_period": 97750.0}
+        signals = {"cycle": cycle, "chips": chips, "chip_period": 97750.0, "rank": 1}
         self.board.can_in(*encode("SYNC", signals, node=node), end - BIT)
 
     def follow_up(self, cycle: int, end: int, at: int, node: int = MASTER, start: int | None = None) -> None:

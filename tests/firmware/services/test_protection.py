@@ -18,6 +18,7 @@ from hil_sim.clib import load
 from tests.bench.drive_figures import CoilBoard
 from tests.firmware.host_rig import (
     CHIPS,
+    LISTENS,
     MS,
     PIN_COIL_TEMPERATURE,
     PIN_DRIVER_TEMPERATURE,
@@ -210,11 +211,11 @@ def test_a_hung_main_loop_is_not_energised_for_ever_as_on_silicon(make: Callable
 
 def test_a_main_loop_that_hangs_at_every_start_drives_once(make: Callable[..., Board]) -> None:
     board = make()
-    board.run(50 * MS)
+    board.run(LISTENS + 50 * MS)
     board.fail("MAIN_HANGS")
     board.run(10 * SECOND)
     assert len(board.edges(PIN_ENABLE)) == 1
-    assert board.edges(PIN_ENABLE, False)[0] <= 560 * MS
+    assert board.edges(PIN_ENABLE, False)[0] <= LISTENS + 560 * MS
 
 
 # ---- Each protection ----
@@ -260,7 +261,7 @@ def test_a_hundred_of_a_hundred_are_off_within_a_chip(make: Callable[..., Board]
     rng = np.random.default_rng(12)
     worst = 0
     for _ in range(100):
-        time = 210 * MS + int(rng.integers(0, CHIPS * CHIP))
+        time = LISTENS + 210 * MS + int(rng.integers(0, CHIPS * CHIP))
         if name in PROTECTIONS:
             late, board = off_after(make, name, time)
         else:
@@ -305,7 +306,7 @@ def test_a_hundred_of_a_hundred_are_off_within_a_chip_on_the_image(make: Callabl
     rng = np.random.default_rng(13)
     worst = 0
     for _ in range(100):
-        time = 210 * MS + int(rng.integers(0, CHIPS * CHIP))
+        time = LISTENS + 210 * MS + int(rng.integers(0, CHIPS * CHIP))
         sampled = name in PROTECTIONS
         board = make(emulated=True, **(PROTECTIONS[name](time) if sampled else {}))
         board.run(time - 5 * MS)

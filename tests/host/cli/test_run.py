@@ -160,8 +160,9 @@ def test_the_summary_tells_of_other_boards_and_of_the_way(tmp_path, capsys):
         heartbeat(),
         heartbeat(node=2, role=0),
         encode("COUNTER", {"counter": 12, "value": 3}, node=2, index=12),
-        encode("SYNC", {"cycle": 0, "chips": 1023, "chip_period": 97750.0}, node=2),
-        encode("SYNC", {"cycle": 0, "chips": 1023, "chip_period": 97750.0}, node=3),
+        encode("SYNC", {"cycle": 0, "chips": 1023, "chip_period": 97750.0, "rank": 1}, node=2),
+        encode("SYNC", {"cycle": 0, "chips": 1023, "chip_period": 97750.0, "rank": 1}, node=3),
+        encode("SYNC", {"cycle": 1, "chips": 1023, "chip_period": 97750.0, "rank": 1}, node=2),
         *cycle_messages(0),
         cycle_messages(0)[5],
     ]

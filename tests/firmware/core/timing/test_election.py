@@ -1,0 +1,115 @@
+"""Who leads: the waiting by rank, and which of two leaders steps back, both sides of each limit."""
+
+from itertools import pairwise
+
+import pytest
+
+PERIODS_US = {5: (32, 96967), 6: (16, 98530), 7: (8, 99312), 9: (2, 99898), 10: (1, 99996), 11: (1, 200091)}
+"""By degree: cycles in a sync period, and its length."""
+START = 5_000_000
+
+
+def election(core, rank, degree=10):
+    ffi, lib = core
+    made = ffi.new("election_t *")
+    lib.election_start(made, rank, *PERIODS_US[degree], START)
+    return made
+
+
+@pytest.mark.parametrize("degree", PERIODS_US)
+def test_the_waiting_grows_with_the_rank_and_ends_within_a_second(core, degree):
+    _, lib = core
+    period = PERIODS_US[degree][1]
+    waits = [lib.election_wait_us(election(core, rank, degree), True, START) for rank in range(1, 16)]
+    assert waits[0] == period * 9 // 4
+    steps = {b - a for a, b in pairwise(waits)}
+    assert len(steps) == 1
+    assert 30_000 < steps.pop() <= 50_000
+    assert waits[-1] <= 950_000
+
+
+def test_one_lost_sign_is_no_reason_and_two_are(core):
+    _, lib = core
+    made = election(core, 1)
+    lib.election_heard(made, START + 700_000)
+    assert not lib.election_due(made, True, START + 700_000 + 2 * 99_996)
+    assert lib.election_due(made, True, START + 700_000 + 3 * 99_996)
+
+
+@pytest.mark.parametrize(("rank", "wait"), [(1, 224_991), (2, 274_991), (15, 924_991)])
+def test_a_board_leads_when_its_wait_is_over_and_not_before(core, rank, wait):
+    _, lib = core
+    made = election(core, rank)
+    for in_step in (False, True):  # Nobody else is in step.
+        assert not lib.election_due(made, in_step, START + wait - 1)
+        assert lib.election_due(made, in_step, START + wait)
+    lib.election_heard(made, START + 50_000)
+    assert not lib.election_due(made, True, START + 50_000 + wait - 1)
+    assert lib.election_due(made, True, START + 50_000 + wait)
+
+
+def test_rank_0_never_leads(core):
+    _, lib = core
+    assert not lib.election_due(election(core, 0), True, START + 10**12)
+
+
+def test_a_board_out_of_step_lets_all_that_are_in_step_lead_first(core):
+    _, lib = core
+    made = election(core, 1)
+    longest = lib.election_wait_us(election(core, 15), True, START)
+    lib.election_held(made, START + 400_000)
+    assert not lib.election_due(made, False, START + longest + 300_000 - 1)
+    assert lib.election_due(made, True, START + 225_000)
+    # It counts for a second.
+    assert lib.election_wait_us(made, False, START + 1_399_999) == 1_250_000
+    assert lib.election_wait_us(made, False, START + 1_400_000) == 224_991
+
+
+class Rivals:
+    """A leader of rank 2 and node 20 that hears another one's SYNCs."""
+
+    def __init__(self, core, degree=10):
+        self.ffi, self.lib = core
+        self.cycles, self.period = PERIODS_US[degree]
+        self.made = election(core, 2, degree)
+
+    def hears(self, number, time_us, rank=1, node=5):
+        other = self.ffi.new("election_leader_t *", [rank, node, number % 2**20])
+        return self.lib.election_yields(self.made, 20, other, START + int(time_us))
+
+
+@pytest.mark.parametrize(
+    ("rank", "node", "yields"),
+    [(1, 4000, True), (2, 19, True), (2, 20, False), (2, 21, False), (3, 1, False), (0, 1, False)],
+)
+def test_the_lower_rank_keeps_then_the_lower_number(core, rank, node, yields):
+    rivals = Rivals(core)
+    heard = [rivals.hears(70 + k, k * rivals.period, rank, node) for k in range(6)]
+    assert heard == ([False, False, True, False, False, True] if yields else [False] * 6)
+
+
+@pytest.mark.parametrize("degree", PERIODS_US)
+@pytest.mark.parametrize("missing", [0, 1, 2])
+def test_numbers_wrap_and_messages_may_be_missing(core, degree, missing):
+    rivals = Rivals(core, degree)
+    step = (1 + missing) * rivals.cycles
+    first = 2**20 - step
+    heard = [rivals.hears(first + k * step, k * (1 + missing) * rivals.period) for k in range(3)]
+    assert heard == [False, False, True]
+
+
+@pytest.mark.parametrize(("off", "yields"), [(-0.5, True), (0.5, True), (-0.51, False), (0.51, False)])
+def test_a_message_must_come_when_its_number_says(core, off, yields):
+    rivals = Rivals(core)
+    heard = [rivals.hears(k, (k + (off if k == 2 else 0.0)) * rivals.period) for k in range(3)]
+    assert heard[2] == yields
+
+
+def test_neither_repeats_nor_strays_nor_a_flood_make_a_leader_step_back(core):
+    rivals = Rivals(core)
+    assert not any(rivals.hears(70, k * rivals.period) for k in range(50))  # One message again and again.
+    assert not any(rivals.hears(70 + k, k * 130) for k in range(10_000))  # All the bus carries.
+    assert not any(rivals.hears(70 + 4 * k, 4 * k * rivals.period) for k in range(20))  # Each alone.
+    assert not any(rivals.hears(70 - k, k * rivals.period) for k in range(50))  # Backwards.
+    assert not any(rivals.hears(70 + k, k * rivals.period, node=5 + k % 2) for k in range(50))  # By turns.
+    assert [rivals.hears(900 + k, 10**9 + k * rivals.period) for k in range(3)][2]
