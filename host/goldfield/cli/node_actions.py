@@ -19,6 +19,7 @@ from goldfield.nodes.elements import elements_of, parsed, shown
 from goldfield.nodes.elf_lines import ElfLines
 from goldfield.nodes.last_reset import LastReset, words_of
 from goldfield.nodes.roster import Node
+from goldfield.view.boards import clock_record
 from goldfield.view.terminal import WIDTH
 from goldfield_protocol.messages import protocol_hash
 from goldfield_protocol.parameters import PARAMETERS, Parameter, counter_name
@@ -87,6 +88,7 @@ def node_record(node: Node, board: Board | None, image: ElfLines | None = None) 
         "phase_s": None if node.phase_s is None else number(node.phase_s),
         "temperature_degC": node.temperature_degC,
         "sync_master": node.syncs > 0,
+        "clock": None if node.clock is None else clock_record(node.clock),
         "drives": [{"channel": channel, **asdict(drive)} for channel, drive in sorted(node.drives.items())],
         "last_reset": None if node.last_reset is None else _reset_record(node.last_reset, image),
         "health": [{"channel": channel, **asdict(health)} for channel, health in sorted(node.health.items())],
@@ -127,8 +129,10 @@ def _lines_of(node: Node, board: Board | None, image: ElfLines | None) -> Iterat
 
 
 def _words_of(node: Node, board: Board | None, image: ElfLines | None) -> Iterator[str]:
-    if node.syncs:
+    if node.syncs and (node.clock is None or node.clock.rank <= 1):
         yield "sync master"
+    if node.clock is not None:
+        yield from node.clock.words
     if not node.same_protocol:
         yield (
             f"speaks protocol {node.protocol:#010x} and this host {protocol_hash():#010x}: flash it with this "

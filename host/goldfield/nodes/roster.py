@@ -15,6 +15,7 @@ from cantools.database.errors import Error as DatabaseError
 from goldfield.link.heartbeat import ROLES, STATE_STARTING, STATES
 from goldfield.link.requests import UNKNOWN, Value, value_of
 from goldfield.link.traffic import BY_MISMATCH, MEANINGLESS, kind_of
+from goldfield.nodes.clock_quality import ClockQuality, quality_of
 from goldfield.nodes.drive_health import DriveHealth, health_of
 from goldfield.nodes.last_reset import NAME as RESET_REPORT
 from goldfield.nodes.last_reset import LastReset, last_reset
@@ -85,6 +86,8 @@ class Node:
         Phase of that clock against the sync signal, s.
     temperature_degC : float or None
         Temperature of a sensor's processor.
+    clock : ClockQuality or None
+        How it has the time.
     syncs : int
         ``SYNC`` messages that it sent: above 0 it is a sync master.
     parameters : dict of int to int or float or None
@@ -113,6 +116,7 @@ class Node:
     locked: bool | None = None
     phase_s: float | None = None
     temperature_degC: float | None = None
+    clock: ClockQuality | None = None
     syncs: int = 0
     parameters: dict[int, Value | None] = field(default_factory=dict)
     halves: dict[int, dict[int, int]] = field(default_factory=dict)
@@ -237,6 +241,8 @@ def _take_message(node: Node, message: Message) -> None:
     elif message.name == "EPOCH_STATUS":
         node.locked, node.phase_s = bool(signals["locked"]), signals["phase"] * 1e-9
         node.temperature_degC = signals["temperature"]
+    elif message.name == "CLOCK":
+        node.clock = quality_of(message)
     elif message.name == "SYNC":
         node.syncs += 1
     elif message.name == "IDENTITY" and message.index in (0, 1):

@@ -5,9 +5,23 @@ from __future__ import annotations
 from typing import Any
 
 from goldfield.link.requests import Value
+from goldfield.nodes.clock_quality import ClockQuality
 from goldfield.nodes.roster import Node, Roster
 from goldfield.view.records import number
 from goldfield_protocol.parameters import counter_name, label_of
+
+
+def clock_record(clock: ClockQuality) -> dict[str, Any]:
+    """Return how a board has the time, for JSON."""
+    return {
+        "source": clock.source,
+        "locked": clock.locked,
+        "rank": clock.rank,
+        "leader": clock.leader,
+        "age_s": number(clock.age_s),
+        "rate_ppm": number(clock.rate_ppm),
+        "error_s": None if clock.error_s is None else number(clock.error_s),
+    }
 
 
 def board_record(node: Node) -> dict[str, Any]:
@@ -19,6 +33,7 @@ def board_record(node: Node) -> dict[str, Any]:
         "version": node.version,
         "locked": node.locked,
         "phase_s": None if node.phase_s is None else number(node.phase_s),
+        "clock": None if node.clock is None else clock_record(node.clock),
         "temperature_degC": None if node.temperature_degC is None else number(node.temperature_degC),
         "coil_degC": None if health is None else number(health.coil_degC),
         "driver_degC": None if health is None else number(health.driver_degC),
