@@ -47,12 +47,10 @@ static void start_acquire(acquire_t *acquire) {
     acquire_init(acquire, &config);
 }
 
-static void tell_codes(acquire_t *acquire, const epoch_selection_t *selection) {
+static void tell_codes(acquire_t *acquire, const sense_t *sense) {
     uint16_t codes[EPOCH_CODES_MAX];
-    for (uint32_t i = 0; i < selection->count; i++) {
-        codes[i] = selection->codes[i].code;
-    }
-    acquire_codes(acquire, codes, selection->count);
+    const uint32_t count = sense_code_list(sense, codes);
+    acquire_codes(acquire, codes, count);
 }
 
 static void follow(sensor_t *sensor, uint32_t source) {
@@ -64,7 +62,7 @@ static void follow(sensor_t *sensor, uint32_t source) {
         start_acquire(sensor->acquire);
     }
     if (by_field) {
-        tell_codes(sensor->acquire, &sensor->sense.selection);
+        tell_codes(sensor->acquire, &sensor->sense);
     }
     timing->by_field = by_field;
 }

@@ -8,6 +8,40 @@
 
 #define MICROTESLA 1e6f /* Microtesla in a tesla. */
 
+/* Prepares the separation of a selection. Returns whether there is one. */
+static bool prepare(onboard_t *onboard, const epoch_selection_t *selection) {
+    uint16_t codes[EPOCH_CODES_MAX];
+    int16_t sums[EPOCH_CODES_MAX];
+    for (uint32_t i = 0; i < selection->count; i++) {
+        codes[i] = selection->codes[i].code;
+        sums[i] = selection->codes[i].sum;
+    }
+    return separation_init(&onboard->separation, onboard->chips, codes, sums, selection->count);
+}
+
+/* Reads which code each row has. */
+static void read_list(onboard_t *onboard, const parameters_t *parameters) {
+    onboard->told_apart = true;
+    for (uint32_t i = 0; i < onboard->site.count; i++) {
+        onboard->listed[i] = (uint16_t)parameters_unsigned(parameters, PARAMETER_CODE_LIST + i);
+        for (uint32_t j = 0; j < i; j++) {
+            onboard->told_apart = onboard->told_apart && onboard->listed[i] != onboard->listed[j];
+        }
+    }
+}
+
+/* Finds the rows of the codes that were chosen, and prepares their separation. */
+static void choose(onboard_t *onboard, const epoch_selection_t *selection) {
+    onboard->separable = prepare(onboard, selection) && onboard->told_apart;
+    for (uint32_t i = 0; i < selection->count; i++) {
+        uint32_t row = 0;
+        while (row < onboard->site.count && onboard->listed[row] != selection->codes[i].code) {
+            row++;
+        }
+        onboard->rows[i] = (uint8_t)(row < onboard->site.count ? row : ONBOARD_NO_ROW);
+    }
+}
+
 void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint32_t chips,
                        const epoch_selection_t *selection) {
     onboard->chips = chips;
@@ -17,14 +51,12 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
     pose_live_forget(&onboard->live);
     onboard->noise_T = parameters_float(parameters, PARAMETER_NOISE);
     onboard->pose.status = POSE_FAILED;
-    uint16_t codes[EPOCH_CODES_MAX];
-    int16_t code_sums[EPOCH_CODES_MAX];
-    onboard->site.count = selection->count;
-    for (uint32_t i = 0; i < selection->count; i++) {
+    const uint32_t listed = parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
+    onboard->chosen = parameters_unsigned(parameters, PARAMETER_STRONGEST) > 0u;
+    onboard->site.count = onboard->chosen ? listed : selection->count;
+    for (uint32_t i = 0; i < onboard->site.count; i++) {
         const uint32_t row = PARAMETER_BEACONS + PARAMETER_BEACONS_STRIDE * i;
         pose_beacon_t *beacon = &onboard->site.beacons[i];
-        codes[i] = selection->codes[i].code;
-        code_sums[i] = selection->codes[i].sum;
         for (uint32_t axis = 0; axis < 3u; axis++) {
             beacon->position_m[axis] = parameters_float(parameters, row + axis);
             beacon->axis[axis] = parameters_float(parameters, row + 3u + axis);
@@ -43,9 +75,15 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
     onboard->site.alert_limit_m = parameters_float(parameters, PARAMETER_ALERT_LIMIT);
     onboard->site.gain_sd = parameters_float(parameters, PARAMETER_GAIN_SD);
     onboard->site.axis_sd_rad = parameters_float(parameters, PARAMETER_AXIS_SD);
+    if (onboard->chosen) {
+        read_list(onboard, parameters);
+        return;
+    }
+    for (uint32_t i = 0; i < EPOCH_CODES_MAX; i++) {
+        onboard->rows[i] = (uint8_t)i;
+    }
     /* With a code left out beacons would be taken for others. */
-    const bool complete = selection->count == parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
-    onboard->separable = separation_init(&onboard->separation, chips, codes, code_sums, selection->count) && complete;
+    onboard->separable = prepare(onboard, selection) && selection->count == listed;
 }
 
 /* Makes fields, T, of the separated residuals of the track. Beacons that it did not use have none. */
@@ -76,8 +114,12 @@ static void separate(onboard_t *onboard) {
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         separation_apply(&onboard->separation, onboard->mean[axis], onboard->sums[axis]);
     }
+    memset(onboard->fields, 0, sizeof onboard->fields); /* Nothing was heard of rows without a field. */
     for (uint32_t i = 0; i < onboard->separation.count; i++) {
-        pose_field_t *field = &onboard->fields[i];
+        if (onboard->rows[i] == ONBOARD_NO_ROW) {
+            continue;
+        }
+        pose_field_t *const field = &onboard->fields[onboard->rows[i]];
         for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
             field->field_T[axis] = scale * onboard->sums[axis][i];
         }
@@ -119,6 +161,9 @@ void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, c
     if (onboard->due) {
         const pose_t late = {.status = POSE_FAILED, .reason = POSE_REASON_LATE, .left_out = POSE_NOBODY};
         pose_report(&late, onboard->cycle, POSE_REPORT_CYCLE, node, NODE_BOTH);
+    }
+    if (onboard->chosen) {
+        choose(onboard, selection);
     }
     onboard->due = true;
     onboard->cycle = cycle->cycle;

@@ -10,10 +10,13 @@
  *
  * The beacon of place i in the code list is row i of the parameter beacons (docs/parameters.md), row i of survey
  * says how well it is known; these, noise, gain_sd and axis_sd give the weights, and half_space resolves the mirror of
- * coplanar coils. Lost chips scale the sums; saturated and lost ones widen the noise by the part of the offset that no
- * longer cancels. Each cycle that is taken gives four messages, whatever happens; status and reason tell. A cycle that
- * is taken while the pose of another is computed waits; if a further one comes before that is done, as with cycles of a
- * few milliseconds or dozens of beacons, the one that waits is answered as failed, and late is its reason.
+ * coplanar coils. Where the sensor chooses its codes by their strength (parameter strongest), the code list only tells
+ * which row a code has: all chosen codes are separated, those that are in the list have their beacons located from, and
+ * all other rows count as not heard. A code that is listed twice makes every pose fail, then as always. Lost chips
+ * scale the sums; saturated and lost ones widen the noise by the part of the offset that no longer cancels. Each cycle
+ * that is taken gives four messages, whatever happens; status and reason tell. A cycle that is taken while the pose of
+ * another is computed waits; if a further one comes before that is done, as with cycles of a few milliseconds or dozens
+ * of beacons, the one that waits is answered as failed, and late is its reason.
  *
  * Contexts: main only. Memory: 24 kB. Time: a call takes as long as a step of pose.h. The separation takes about 25
  * instructions a code and axis. With nothing to do a call takes none.
@@ -26,6 +29,8 @@
 #include "core/pose/pose_live.h"
 #include "core/track/block_cycle.h"
 #include "services/node.h"
+
+#define ONBOARD_NO_ROW 255u /* The code is of no beacon. */
 
 /* What the location of a cycle came to, for the poses of blocks until the next (tracking.h). */
 typedef struct {
@@ -41,9 +46,13 @@ typedef struct {
 
 /* Private but for tests. */
 typedef struct {
-    bool active, due; /* Poses are wanted; a cycle has been taken and not been computed. */
-    bool separable;   /* The code list can be separated. */
-    float noise_T;    /* Standard deviation of a sample, T. */
+    bool active, due;                 /* Poses are wanted; a cycle has been taken and not been computed. */
+    bool separable;                   /* The code list, or what was chosen of the cycle taken, can be separated. */
+    bool chosen;                      /* Codes are chosen by their strength, ... */
+    bool told_apart;                  /* ... no code is in the list twice, ... */
+    uint16_t listed[EPOCH_CODES_MAX]; /* ... and these are the codes of the rows. */
+    uint8_t rows[EPOCH_CODES_MAX];    /* The row of each code that is separated, or ONBOARD_NO_ROW. */
+    float noise_T;                    /* Standard deviation of a sample, T. */
     separation_t separation;
     pose_site_t site;
     float sums[EPOCH_AXES][EPOCH_CODES_MAX]; /* Correlations of the cycle taken, later its fields, T. */
@@ -78,7 +87,7 @@ void onboard_configure(onboard_t *onboard, const parameters_t *parameters, uint3
 void onboard_take_track(onboard_t *onboard, const block_cycle_t *moving, uint32_t cycle, bool rests, bool doubted);
 
 /* Take a whole cycle, if active and if it has any sample; one that waits is answered. Costs about 250 instructions a
- * code. */
+ * code, with codes that are chosen by their strength 6 for each pair of them and the code list. */
 void onboard_take(onboard_t *onboard, node_t *node, const epoch_sums_t *cycle, const epoch_calibration_t *calibration,
                   const epoch_selection_t *selection);
 

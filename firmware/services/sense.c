@@ -140,6 +140,27 @@ static void drain_stream(sense_t *sense) {
     }
 }
 
+uint32_t sense_code_list(const sense_t *sense, uint16_t codes[EPOCH_CODES_MAX]) {
+    const parameters_t *const parameters = &sense->node->parameters;
+    const uint32_t count = parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
+    for (uint32_t i = 0; i < count; i++) {
+        codes[i] = (uint16_t)parameters_unsigned(parameters, PARAMETER_CODE_LIST + i);
+    }
+    return count;
+}
+
+static void select_listed(sense_t *sense) {
+    uint16_t codes[EPOCH_CODES_MAX];
+    const uint32_t count = sense_code_list(sense, codes);
+    bool same = count == sense->selection.count;
+    for (uint32_t i = 0; same && i < count; i++) {
+        same = codes[i] == sense->selection.codes[i].code;
+    }
+    if (!same) {
+        (void)epoch_select(&sense->selection, sense->collector.family, codes, count);
+    }
+}
+
 void sense_configure(sense_t *sense) {
     const parameters_t *parameters = &sense->node->parameters;
     const sync_format_t *const format = &sense->timing->format;
@@ -150,16 +171,13 @@ void sense_configure(sense_t *sense) {
                                                                       PARAMETER_CALIBRATION + HAL_AXES * row + column);
         }
     }
-    uint16_t codes[PARAMETER_CODE_LIST_ELEMENTS];
-    const uint32_t count = parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
-    bool same = count == sense->selection.count;
-    for (uint32_t i = 0; i < count; i++) {
-        codes[i] = (uint16_t)parameters_unsigned(parameters, PARAMETER_CODE_LIST + i);
-        same = same && codes[i] == sense->selection.codes[i].code;
+    const uint32_t most = parameters_unsigned(parameters, PARAMETER_STRONGEST);
+    if (most == 0u) {
+        select_listed(sense);
+    } else if (sense->most == 0u) {
+        strongest_clear(&sense->strongest, &sense->selection);
     }
-    if (!same) {
-        (void)epoch_select(&sense->selection, sense->collector.family, codes, count);
-    }
+    sense->most = most;
     onboard_configure(sense->onboard, parameters, format->chips, &sense->selection);
     tracking_configure(sense->tracking, sense->onboard, parameters);
     blocks_configure(&sense->blocks, parameters);
@@ -179,6 +197,7 @@ void sense_start(sense_t *sense, node_t *node, const timing_t *timing, onboard_t
     (void)queue_init(&sense->stream, sense->stream_messages, SENSE_STREAM_MESSAGES);
     /* Only degrees that have a family get through parameters_set. */
     const gold_family_t *const family = gold_family(timing->format.degree);
+    strongest_init(&sense->strongest, family, &sense->collector.epochs[0].despread);
     epoch_init(&sense->collector, family);
     blocks_start(&sense->blocks, family);
     sense_configure(sense);
@@ -208,6 +227,10 @@ void sense_step(sense_t *sense) {
     node_t *node = sense->node;
     epoch_t *epoch = epoch_ready(&sense->collector);
     if (epoch) {
+        despread_transform(&epoch->despread);
+        if (sense->most != 0u && epoch->locked) {
+            (void)strongest_choose(&sense->strongest, &epoch->despread, sense->most, &sense->selection);
+        }
         epoch_read(epoch, &sense->selection, &sense->cycle);
         report(sense, room(sense, BLOCKS_REPORT_BESIDE + sense->selection.count), &sense->cycle);
         epoch_release(&sense->collector);

@@ -8,17 +8,23 @@
  *                       (blocks.h); it is also sent as CHIP if chips are streamed.
  *   3. sense_blocks     main, first in a turn: a block leaves as BLOCK and BLOCK_SUMs at once, and its sums go to the
  *                       sensor's own track (tracking.h), which sends its pose.
- *   4. sense_step       main, once a turn: a complete cycle is transformed (epoch_read) while the next is collected,
- *                       and reported on both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code of the
- *                       list.
- *      sense_spare      main, after upkeep_step: streamed chips leave, and the board computes its own pose and
- *                       sends it, if it is to (onboard.h).
+ *   4. sense_step       main, once a turn: a complete cycle is transformed while the next is collected, and reported on
+ *                       both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code that is selected.
+ *      sense_spare      main, after upkeep_step: streamed chips leave, and the board computes its own pose and sends it,
+ *                       if it is to (onboard.h).
  *      sense_configure  main, when a parameter has changed: it acts from the next report on.
  *
  * Reports. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip clock cut short, and
  * one that main was too late for, is dropped, and counted (counter 13) unless the clock had not been locked before. A
  * report that finds no room in the queue of a link is counted there, too, and that link then carries nothing of it: a
  * report comes whole or not at all.
+ *
+ * Selection. Selected are the codes of the parameter code_list, or, with strongest = K above 0, the K strongest of each
+ * cycle (strongest.h), chosen before it is reported; in a cycle without lock the selection stays. Blocks carry the
+ * selection as it is when their sums are made: that of the cycle reported last. They are made and sent in one go, so
+ * that a change falls between blocks; what waits are samples. A track of the board's own (pose_blocks) needs the same
+ * codes all the time: with strongest its poses fail (tracking.h). Its poses of cycles take what is both selected and in
+ * the code list (onboard.h); synchronisation by the field takes the code list.
  *
  * Numbers and times. Cycles count from 0 at start, until SYNC tells the number of the cycle that the latest edge of
  * the sync wire began. EPOCH.time is the middle of the cycle in microseconds of the board's own chip clock since its
@@ -41,10 +47,11 @@
  *
  * Blocks (parameter blocks) take half of CAN or a quarter of serial for 8 codes (framing.md, "Budget").
  *
- * Memory: 65 kB, and onboard.h and tracking.h.
+ * Memory: 68 kB, and onboard.h and tracking.h.
  *
  * Time (tests/firmware/apps/test_app_instructions.py): the samples of a block take 10,600 instructions, with blocks
- * 12,500, when following the field 17,100; with degree 10 a report of 8 codes takes 67,000.
+ * 12,500, when following the field 17,100; with degree 10 a report of 8 codes takes 67,000, and 70,000 more
+ * where the strongest are chosen, 190,000 in a cycle in which all of them are new.
  *
  * Latency from the end of a cycle to the report's first byte: the rest of the block (at most 3.03 ms) and the
  * transform (0.5 ms).
@@ -53,6 +60,7 @@
 #define GOLDFIELD_SENSE_H
 
 #include "core/codes/epoch.h"
+#include "core/codes/strongest.h"
 #include "core/link/queue.h"
 #include "core/timing/acquire.h"
 #include "hal/hal.h"
@@ -74,6 +82,8 @@ typedef struct {
     epoch_sums_t cycle; /* The sums of the latest cycle. */
     epoch_calibration_t calibration;
     epoch_selection_t selection; /* The codes that are reported. */
+    strongest_t strongest;
+    uint32_t most; /* The most codes that are chosen by their strength; 0: those of the code list. */
     blocks_t blocks;
     onboard_t *onboard;
     tracking_t *tracking;
@@ -98,6 +108,9 @@ void sense_start(sense_t *sense, node_t *node, const timing_t *timing, onboard_t
 
 /* Read the parameters again. */
 void sense_configure(sense_t *sense);
+
+/* Read the parameter code_list. Returns how many codes it has. */
+uint32_t sense_code_list(const sense_t *sense, uint16_t codes[EPOCH_CODES_MAX]);
 
 /* Take the samples of a block, as hal_events_t.samples has them. acquire is NULL, or the module that synchronises by
  * the field: it gets every burst, and samples are then made without the last conversion. */

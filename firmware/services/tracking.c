@@ -62,7 +62,7 @@ void tracking_configure(tracking_t *tracking, onboard_t *onboard, const paramete
     tracking->onboard = onboard;
     const bool poses = parameters_unsigned(parameters, PARAMETER_POSE) == 1u;
     tracking->every = poses ? parameters_unsigned(parameters, PARAMETER_POSE_BLOCKS) : 0u;
-    tracking->able = onboard->separable && onboard->site.count <= BLOCK_BEACONS;
+    tracking->able = onboard->separable && !onboard->chosen && onboard->site.count <= BLOCK_BEACONS;
     tracking->count = tracking->able ? onboard->site.count : 0u;
     tracking->exact = !(onboard->site.gain_sd > 0.0f) && !(onboard->site.axis_sd_rad > 0.0f);
     for (uint32_t i = 0; i < tracking->count; i++) {

@@ -40,9 +40,11 @@
  * poses are ambiguous, and its cycles located with no prior, until one of these tells that no other pose explains it.
  * If that is not where the track is, it starts again. (The host follows both in the meantime.)
  *
- * Limits. Of more than BLOCK_SELECTED beacons that are believed the strongest are used (block_select.h), in the blocks
- * and in the cycles that are located from them. Codes: at most BLOCK_BEACONS, and those that onboard.h can separate;
- * otherwise every pose fails. Blocks come only while the chip clock is locked; without any there are no poses.
+ * Limits. With the parameter strongest above 0 every pose fails: the filter has a column for each row of the beacons,
+ * and what a block carries would change from cycle to cycle. Of more than BLOCK_SELECTED beacons that are believed the
+ * strongest are used (block_select.h), in the blocks and in the cycles that are located from them. Codes: at most
+ * BLOCK_BEACONS, and those that onboard.h can separate; otherwise every pose fails. Blocks come only while the chip
+ * clock is locked; without any there are no poses.
  *
  * Covariance: that of the filter and, once in TRACKING_ERRORS_BLOCKS blocks, that by the declared errors of the site.
  *

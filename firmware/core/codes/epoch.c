@@ -115,8 +115,7 @@ uint32_t epoch_select(epoch_selection_t *selection, const gold_family_t *family,
     return selection->count;
 }
 
-void epoch_read(epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t *sums) {
-    despread_transform(&epoch->despread);
+void epoch_read(const epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t *sums) {
     for (uint32_t axis = 0; axis < EPOCH_AXES; axis++) {
         for (uint32_t i = 0; i < selection->count; i++) {
             sums->correlation[i][axis] = despread_correlation(&epoch->despread, axis, selection->codes[i].word);

@@ -4,7 +4,7 @@
  * Calls, in the order they are made
  *   1. epoch_init     once; epoch_select when the list of codes changes.
  *   2. epoch_sample   interrupt, for the burst of each chip; then epoch_feed with the sample.
- *   3. epoch_ready    main, once a turn; then epoch_read and epoch_release.
+ *   3. epoch_ready    main, once a turn; then despread_transform, epoch_read and epoch_release.
  *   4. epoch_field    main, for each code of a report; epoch_offset for the mean; epoch_integer for what is sent.
  *
  * Scale. A chip's sample is the sum of its burst of EPOCH_BURST conversions relative to mid-scale: sum - 8 * 2048,
@@ -72,8 +72,7 @@ void epoch_init(epoch_collector_t *collector, const gold_family_t *family);
 bool epoch_feed(epoch_collector_t *collector, uint32_t absolute_chip, uint32_t cycle, uint16_t code_chip,
                 const int16_t sample[EPOCH_AXES], bool saturated, bool locked);
 
-/* Returns the complete cycle, not yet transformed (epoch_read does that), or NULL if there is none. It is
- * main's until epoch_release. */
+/* Returns the complete cycle, not yet transformed, or NULL if there is none. It is main's until epoch_release. */
 epoch_t *epoch_ready(epoch_collector_t *collector);
 
 /* Give the cycle back to the collector. */
@@ -112,9 +111,8 @@ typedef struct {
     bool locked;                                      /* The chip clock was locked at every chip. */
 } epoch_sums_t;
 
-/* Transform a complete cycle, once, and read its sums. Costs as much as despread_transform, and about 60
- * instructions for each code. */
-void epoch_read(epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t *sums);
+/* Read the sums of a complete cycle that has been transformed. Costs about 60 instructions for each code. */
+void epoch_read(const epoch_t *epoch, const epoch_selection_t *selection, epoch_sums_t *sums);
 
 /* Compute the field of entry index of the selection, index < count, in T: the correlation over N. Costs about
  * 160 instructions. */

@@ -13,6 +13,7 @@ HEADERS = (
     "core/codes/gold.h",
     "core/codes/despread.h",
     "core/codes/epoch.h",
+    "core/codes/strongest.h",
     "core/codes/code_bits.h",
     "core/codes/block_sums.h",
     "core/codes/separation.h",

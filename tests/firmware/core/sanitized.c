@@ -8,6 +8,7 @@
 
 #include "core/codes/epoch.h"
 #include "core/codes/gold.h"
+#include "core/codes/strongest.h"
 #include "core/drive/current.h"
 #include "core/drive/waveform.h"
 #include "core/link/frame.h"
@@ -44,6 +45,10 @@ static void despread(void) {
     for (uint32_t run = 0; run < 24; run++) {
         const uint32_t mode = run % 4u;
         const gold_family_t *family = gold_family((const uint32_t[]){5, 6, 7, 9, 10, 11}[run / 4u]);
+        static strongest_t strongest;
+        static epoch_selection_t selection;
+        strongest_init(&strongest, family, &collector.epochs[0].despread);
+        strongest_clear(&strongest, &selection);
         epoch_init(&collector, family);
         for (uint32_t t = 0; t < 3u * family->length; t++) {
             int16_t sample[3];
@@ -58,6 +63,7 @@ static void despread(void) {
                 for (uint32_t code = 0; code < family->length + 5u; code += 3u) {
                     (void)despread_correlation(&epoch->despread, code % 4u, despread_word(family, code));
                 }
+                (void)strongest_choose(&strongest, &epoch->despread, noise() % 70u, &selection);
                 epoch_release(&collector);
             }
         }

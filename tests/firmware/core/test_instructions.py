@@ -24,6 +24,7 @@ HARNESS = """
 #include "core/drive/current.h"
 #include "core/codes/despread.h"
 #include "core/codes/epoch.h"
+#include "core/codes/strongest.h"
 #include "core/link/frame.h"
 #include "core/codes/gold.h"
 #include "core/link/parameters.h"
@@ -118,6 +119,13 @@ void sums_of_8(void) {
     selection.count = 8;
     block_sums(block_ready(&blocks), &code_bits, &selection, &calibration, &of_block);
 }
+strongest_t chooser;
+epoch_selection_t chosen;
+void chooser_init(void) { strongest_init(&chooser, gold_family(10), &cycle); }
+void chooser_clear(void) { strongest_clear(&chooser, &chosen); }
+void choose_8(void) { (void)strongest_choose(&chooser, &cycle, 8, &chosen); }
+void choose_64(void) { (void)strongest_choose(&chooser, &cycle, 64, &chosen); }
+uint32_t chosen_count(void) { return chosen.count; }
 """
 
 
@@ -175,6 +183,7 @@ def count(tmp_path_factory):
         return total[0], machine.reg_read(arm.UC_ARM_REG_R0)
 
     call.memory = lambda name, size: bytes(machine.mem_read(symbols[name], size))
+    call.write = lambda name, offset, data: machine.mem_write(symbols[name] + offset, data)
     return call
 
 
@@ -230,3 +239,40 @@ def test_each_call_within_what_its_header_says(count):
         **{"current_sample_block": 450, "one_code": 100, "rotating": 120, "four_codes": 275},
     }
     assert {name: n for name, n in figures.items() if n > bounds[name]} == {}
+
+
+def write_cycle(count, core, chips, samples):
+    """Write what despread_transform makes of samples, shape (N, 3)."""
+    _, lib = core
+    words = np.zeros((3, 2048), dtype=np.int32)
+    addresses = [lib.despread_word(lib.gold_family(10), code) for code in range(1024)]
+    words[:, addresses] = (chips[:1024] @ samples).T
+    count.write("cycle", 0, words.tobytes())
+    count.write("cycle", 24576 + 4 + 12, samples.sum(axis=0).astype(np.int32).tobytes())  # family, v_sum, sum
+
+
+@pytest.mark.parametrize(("most", "steady", "first"), [(8, 74_000, 194_000), (64, 77_000, 370_000)])
+def test_choice_of_the_strongest(count, core, gold_family, most, steady, first):
+    """The first cycle, in which all come, and one in which nothing changes; then codes that grow with their number."""
+    rng, chips = np.random.default_rng(1), gold_family(10)
+    noise = np.rint(rng.normal(0, 30, (1023, 3))).astype(np.int64)
+    started, _ = count("chooser_init")
+    cleared, _ = count("chooser_clear")
+    sizes = 3000.0 / (1 + np.arange(most) / 8) ** 3
+    samples = noise + np.rint(chips[rng.permutation(1024)[:most]].T @ np.outer(sizes, [1, 0.3, -0.2])).astype(np.int64)
+    write_cycle(count, core, chips, samples)
+    come, _ = count(f"choose_{most}")
+    count(f"choose_{most}")
+    stay, _ = count(f"choose_{most}")
+    heard = count("chosen_count")[1]
+    count("chooser_clear")
+    growing = noise + np.rint(chips[750:1000].T @ np.outer(4.0 * 1.012 ** np.arange(250), [1, 1, 1])).astype(np.int64)
+    write_cycle(count, core, chips, growing)
+    dearest, _ = count(f"choose_{most}")
+    print(f"strongest {most}: init {started}, clear {cleared}, all come {come}, steady {stay} with {heard} codes")
+    print(f"              250 codes that grow {dearest}")
+    assert heard > most // 2
+    assert started <= 180_000
+    assert stay <= steady
+    assert come <= first
+    assert dearest <= 260_000

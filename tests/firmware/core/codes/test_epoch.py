@@ -139,6 +139,7 @@ def test_fields_and_offset_in_tesla(core, gold_family, degree):
     codes = [0, 2, length // 2, length, length + 1, 4000, 17]
     selection = ffi.new("epoch_selection_t *")
     assert lib.epoch_select(selection, lib.gold_family(degree), codes, len(codes)) == 6
+    lib.despread_transform(state)
     lib.epoch_read(epoch, selection, sums)
     field = ffi.new("float[3]")
     truth = (conversions.mean(axis=1) - zero) @ matrix.T
@@ -169,7 +170,9 @@ def test_cycles_of_other_lengths(core, gold_family, degree):
     got, sums = [], ffi.new("epoch_sums_t *")
     for t, sample in enumerate(stream.tolist()):
         if lib.epoch_feed(state, t, t // length, t % length, sample, False, True):
-            lib.epoch_read(lib.epoch_ready(state), selection, sums)
+            ready = lib.epoch_ready(state)
+            lib.despread_transform(despread_of(core, ready))
+            lib.epoch_read(ready, selection, sums)
             got.append((sums.cycle, sums.chips, sums.missing, list(sums.correlation[0])))
             lib.epoch_release(state)
     cycles = stream.reshape(3, length, 3)
