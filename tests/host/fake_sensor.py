@@ -128,6 +128,7 @@ class PtySensor:
         self.path = os.ttyname(self._slave)
         self.parameters = {5: 0, **{256 + i: 0 for i in range(64)}} if parameters is None else parameters
         self.parameters.setdefault(28, 10)
+        self.parameters.setdefault(46, 0)
         self.requests = []
         self._cycles, self._deaf, self._hang_up, self._garbage = list(cycles), deaf, hang_up, garbage
         self._hash, self._refuse, self._fields_of = hash_, refuse, fields_of

@@ -58,6 +58,17 @@ def chosen(arguments: argparse.Namespace) -> tuple[str, str]:
     return kind, where
 
 
+def add_strongest(parser: argparse.ArgumentParser) -> None:
+    """Add ``--strongest``."""
+    options.add(
+        parser,
+        "--strongest",
+        metavar="K",
+        what="let the sensor report the K strongest codes that it hears in each cycle, and not those of the site",
+        kind=options.count,
+    )
+
+
 def add_reading(parser: argparse.ArgumentParser, *, channel: bool = True, reconnect: bool = True) -> None:
     """Add the options that say how a sensor is read.
 
@@ -86,4 +97,5 @@ def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Opti
         rate_hz=getattr(arguments, "rate", None),
         lag_s=getattr(arguments, "lag", None),
         awaits=getattr(arguments, "reconnect", False),
+        strongest=getattr(arguments, "strongest", None),
     )

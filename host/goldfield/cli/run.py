@@ -29,6 +29,7 @@ def command(subparsers: Any) -> None:
     add_track(parser)
     add_times(parser)
     add_on_sensor(parser)
+    link_options.add_strongest(parser)
     add_alert_limit(parser)
     options.add_json(parser)
     options.add(parser, "--record", metavar="FILE", what=RECORD)

@@ -42,6 +42,7 @@ def command(subparsers: Any) -> None:
     add_track(parser)
     add_times(parser)
     add_on_sensor(parser)
+    link_options.add_strongest(parser)
     add_alert_limit(parser)
     link_options.add_reading(parser, reconnect=False)
     parser.set_defaults(run=run)

@@ -141,10 +141,11 @@ class Examination:
     def _of_code_list(self, tap: Tap, number: int) -> Iterator[Check]:
         """Yield whether the sensor still reports the codes that it was set to."""
         codes = self._site.codes
-        ids = [PARAMETERS["code_count"].first, *(PARAMETERS["code_list"].identifier(i) for i in range(len(codes)))]
+        first = [PARAMETERS["strongest"].first, PARAMETERS["code_count"].first]
+        ids = [*first, *(PARAMETERS["code_list"].identifier(i) for i in range(len(codes)))]
         found = Conversation(tap).read([(number, parameter) for parameter in ids])
         values = [found.get((number, parameter)) for parameter in ids]
-        if None not in values and values != [len(codes), *codes]:
+        if None not in values and values != [0, len(codes), *codes]:
             yield wrong(
                 Fault.HOSTS,
                 "hosts",

@@ -195,6 +195,22 @@ def choose(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) 
     return Choice(Carrier.CYCLES, taken(Carrier.CYCLES), _spaced(text), link)
 
 
+def cycles_of_strongest(link: Link, codes: int, chips: int, chip_s: float) -> Choice:
+    """Return the choice for a sensor that chooses so many codes, at most, anew in each cycle: whole cycles.
+
+    Examples
+    --------
+    >>> print(cycles_of_strongest(Link.CAN, 8, 1023, 97.75e-6).text)
+    whole cycles, 10 a second, at most 2 % of CAN at 1 Mbit/s: the up to 8 codes that it chooses change
+    """
+    taken = load(link, Carrier.CYCLES, codes, chips, chip_s)
+    rate = f"{1.0 / (chips * chip_s):.0f} a second"
+    text = f"whole cycles, {rate}, at most {taken:.0%} of {NAMES[link]}: the up to {counted(codes, 'codes')} that it"
+    return Choice(
+        Carrier.CYCLES, taken, _spaced(f"{text} {'chooses change' if codes > 1 else 'chooses changes'}"), link
+    )
+
+
 def _spaced(text: str) -> str:
     return text.replace("%", " %")
 
@@ -251,9 +267,14 @@ def main(given: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m goldfield.link.budget", description=__doc__)
     parser.add_argument("--codes", type=int, metavar="N", help="what so many codes allow, in place of the tables")
     parser.add_argument("--sensors", type=int, default=1, metavar="N", help="sensors on CAN that tell of their motion")
+    parser.add_argument("--strongest", type=int, metavar="K", help="what a sensor that chooses up to K codes takes")
     parser.add_argument("--chips", type=int, default=1023, metavar="N", help="chips in a cycle (default 1023)")
     options = parser.parse_args(given)
     chip_s = 97.75e-6
+    if options.strongest is not None:
+        for link in Link:
+            print(f"{link}: {cycles_of_strongest(link, options.strongest, options.chips, chip_s).text}")
+        return
     if options.codes is None:
         print(table(options.chips), shared_table(options.chips), sep="\n", end="")
         return

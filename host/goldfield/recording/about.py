@@ -75,5 +75,5 @@ class About:
 def options_of(metadata: Mapping[str, str]) -> Options:
     """Return the options with which a recorded run made its poses; what it does not tell is as by default."""
     told = json.loads(metadata.get("options", "{}"))
-    names = ("node", "channel", "rate_hz", "lag_s")
+    names = ("node", "channel", "rate_hz", "lag_s", "strongest")
     return Options(Method(told.get("method", Method.EACH)), **{name: told[name] for name in names if name in told})

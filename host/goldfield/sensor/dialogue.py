@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 import can
 import numpy as np
 
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, option
 from goldfield.link.buses import BusSource
 from goldfield.link.chips import Calibration
 from goldfield.link.requests import ANSWER_S, read_request, refusal, set_request, value_of
@@ -23,6 +23,8 @@ BLOCKS = PARAMETERS["blocks"].first
 """Each bit of this parameter is a link, so that hosts on several links each have their own."""
 STREAM = PARAMETERS["stream"].first
 """Whether the sensor streams its chips."""
+STRONGEST = PARAMETERS["strongest"].first
+"""How many of the strongest codes the sensor reports; 0: it reports its code list."""
 
 
 class Unheard(SystemFailure):
@@ -71,12 +73,13 @@ class Dialogue:
                 "correct the site's degree, or store the parameter degree in every board"
             )
 
-    def configure(self, codes: Sequence[int], parameters: Parameters | None = None) -> bool:
+    def configure(self, codes: Sequence[int] | None, parameters: Parameters | None = None) -> bool:
         """Make the sensor report these codes; tells whether anything had to be set.
 
         Parameters
         ----------
-        codes : sequence of int
+        codes : sequence of int or None
+            The code list; None: it stays as it is.
         parameters : mapping of int to int or float, optional
             Further parameters.
 
@@ -172,8 +175,10 @@ def beside(parameter: int, value: int | float, wanted: int | float) -> int | flo
     return int(value) | int(wanted) if parameter == BLOCKS else wanted
 
 
-def wanted_parameters(codes: Sequence[int], parameters: Parameters | None = None) -> dict[int, int | float]:
+def wanted_parameters(codes: Sequence[int] | None, parameters: Parameters | None = None) -> dict[int, int | float]:
     """Return what a sensor must have to report these codes, with further parameters: values by id, as it keeps them.
+
+    Without codes its list stays as it is, for a sensor that chooses what it reports (`STRONGEST`).
 
     Raises
     ------
@@ -181,12 +186,17 @@ def wanted_parameters(codes: Sequence[int], parameters: Parameters | None = None
         If there are more codes than a sensor reports.
     """
     most = PARAMETERS["code_list"].count
-    if len(codes) > most:
-        raise UserError(f"the site has {len(codes)} beacons, a sensor reports {most} at most: split the site")
+    if codes is not None and len(codes) > most:
+        raise UserError(
+            f"the site has {len(codes)} beacons, a sensor reports {most} of a list at most: split the site, or let the "
+            f"sensor choose with {option('strongest')}"
+        )
     wanted: dict[int, int | float] = {
-        PARAMETERS["code_list"].identifier(place): code for place, code in enumerate(codes)
+        PARAMETERS["code_list"].identifier(place): code for place, code in enumerate(codes or ())
     }
-    wanted[PARAMETERS["code_count"].first] = len(codes)
+    wanted[STRONGEST] = 0
+    if codes is not None:
+        wanted[PARAMETERS["code_count"].first] = len(codes)
     for parameter, value in (parameters or {}).items():
         wanted[parameter] = _single(value) if isinstance(value, float) else value
     return wanted

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 from goldfield.errors import SystemFailure
 from goldfield.link.requests import value_of
-from goldfield.sensor.dialogue import BLOCKS, Dialogue, Parameters, beside, suits, wanted_parameters
+from goldfield.sensor.dialogue import BLOCKS, STRONGEST, Dialogue, Parameters, beside, suits, wanted_parameters
 from goldfield.sensor.receiver import Receiver
 from goldfield_protocol.messages import Message
 from goldfield_protocol.parameters import PARAMETERS, label_of
@@ -55,9 +55,9 @@ class Keeping:
         self._suspicious = False
         self._trusts = False
 
-    def begin(self, node: int | None, codes: Sequence[int], parameters: Parameters | None, now_s: float) -> None:
-        """Note what a sensor is about to be set to, at a time on its own clock."""
-        self._node, self._codes, self._set_s = node, frozenset(codes), now_s
+    def begin(self, node: int | None, codes: Sequence[int] | None, parameters: Parameters | None, now_s: float) -> None:
+        """Note what a sensor is about to be set to, at a time on its own clock; codes: None if it chooses them."""
+        self._node, self._codes, self._set_s = node, frozenset(codes or ()), now_s
         self._wanted = wanted_parameters(codes, parameters)
         self._changed.clear()
         self._suspicious = self._trusts = False
@@ -92,9 +92,14 @@ class Keeping:
             else:
                 self._changed[message.index] = value
         elif not self._trusts and now_s - self._set_s > SETTLED_S:
-            other_count = message.name == "EPOCH_STATUS" and message.signals["fields"] != len(self._codes)
-            other_code = message.name == "FIELD" and message.index not in self._codes
-            self._suspicious = self._suspicious or other_count or other_code
+            self._suspicious = self._suspicious or self._is_strange(message)
+
+    def _is_strange(self, message: Message) -> bool:
+        """Return whether a report has other codes than it should, or more where the sensor chooses them."""
+        strongest, fields = self._wanted[STRONGEST], message.signals.get("fields")
+        if message.name == "EPOCH_STATUS" and fields is not None:
+            return fields > strongest if strongest else fields != len(self._codes)
+        return message.name == "FIELD" and not strongest and message.index not in self._codes
 
     def put_back(self, dialogue: Dialogue, now_s: float) -> None:
         """Put back what others have changed; a sensor that does not answer is asked again at the next change."""
@@ -123,10 +128,10 @@ class Keeping:
         self._rounds += 1
 
     def _find(self, dialogue: Dialogue) -> None:
-        """Ask for the list of codes; `take` hears the answers. If it is as it should be, the site is not."""
+        """Ask what codes it is to report; `take` hears the answers. If that is as it should be, the site is not."""
         self._suspicious = False
         before = len(self._changed)
         listed = (PARAMETERS["code_count"].first, *map(PARAMETERS["code_list"].identifier, range(len(self._codes))))
-        for parameter in listed:
+        for parameter in (STRONGEST, *(one for one in listed if one in self._wanted)):
             dialogue.ask(parameter)
         self._trusts = len(self._changed) == before

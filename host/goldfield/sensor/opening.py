@@ -25,6 +25,7 @@ def connect(
     reconnect: bool = False,
     rate_hz: float | None = None,
     lag_s: float | None = None,
+    strongest: int | None = None,
 ) -> Sensor:
     """Connect to a sensor board: find it, check that it suits the site, and make it report the site's beacons.
 
@@ -40,12 +41,13 @@ def connect(
         Follow a sensor in motion, each pose that of the end of its cycle, or let the sensor board compute the poses;
         else every epoch is located by itself, and its pose is that of the middle of its cycle.
     listen_only, reconnect : bool, optional
-        Send nothing, ever, as on a bus on which a recording is replayed, or to a sensor that another host has set up;
-        wait for a port that is gone and for a sensor that is silent, at the start, too, and go on, where they else end
-        the poses.
+        Send nothing, ever, as where a recording is replayed, or another host has set up the sensor; wait for a port
+        that is gone and for a sensor that is silent, at the start, too, and go on, where they else end the poses.
     rate_hz, lag_s : float, optional
         Track; yield so many poses a second, each as soon as its block of chips is there (330 a second), or with
         ``on_sensor`` the sensor has sent it; yield them so much later, made of what came behind them, too.
+    strongest : int, optional
+        Let the sensor report so many of the codes that it hears best in each cycle, 64 at most, not those of the site.
 
     Returns
     -------
@@ -55,8 +57,7 @@ def connect(
     Raises
     ------
     UserError
-        If the arguments contradict each other, the port or bus cannot be opened, the site file is wrong, there are
-        several sensors to choose from, or the sensor does not suit the site or speaks another protocol.
+        If arguments, link or site file are wrong, or the sensor is not the only one, or suits neither host nor site.
     SystemFailure
         If no sensor is heard within 10 s (30 s if others are), or it does not answer, unless it is waited for.
 
@@ -69,10 +70,9 @@ def connect(
     Traceback (most recent call last):
     goldfield.errors.UserError: no source is given: give one of port= and can=
     """
-    kind, where = _only(port=port, can=can)
     method = chosen_method(track, on_sensor, rate_hz, lag_s)
-    options = Options(method, node, None, None, listen_only, reconnect, rate_hz, lag_s, awaits=reconnect)
-    return open_sensor(kind, where, _site(site), options)
+    options = Options(method, node, None, None, listen_only, reconnect, rate_hz, lag_s, reconnect, strongest)
+    return open_sensor(*_only(port=port, can=can), _site(site), options)
 
 
 def open_log(

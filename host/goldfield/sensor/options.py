@@ -15,6 +15,9 @@ LAST_NODE = 4095
 HIGHEST_RATE_HZ = 10_000.0
 """Poses a second that can be asked for; the chips themselves come at 10,230 Hz, so more would tell nothing."""
 
+MOST_STRONGEST = 64
+"""Most codes that a sensor can choose by their strength, as many as it reports."""
+
 LONGEST_LAG_S = 2.0
 """Longest lag of a smoothed pose; after 100 ms there is next to nothing to gain."""
 
@@ -77,6 +80,9 @@ class Options:
     lag_s : float or None
         By how much the poses of a track are late, to be made of what came after them, too; None: each is made of what
         came up to its time and is out at once.
+    strongest : int or None
+        The sensor is to report so many of the strongest codes that it hears in each cycle; None: those of the site.
+        In a recording it has done so. Poses are then made of whole cycles.
     """
 
     method: Method = Method.EACH
@@ -88,6 +94,7 @@ class Options:
     rate_hz: float | None = None
     lag_s: float | None = None
     awaits: bool = False
+    strongest: int | None = None
 
     def check(self, site: Site) -> None:
         """Check that the options suit a site.
@@ -102,6 +109,8 @@ class Options:
         _check_range("lag_s", self.lag_s, LONGEST_LAG_S, "s")
         if self.node is not None and not 1 <= self.node <= LAST_NODE:
             raise UserError(f"{option('node', self.node)}: is no node: nodes are 1 to {LAST_NODE}")
+        if self.strongest is not None:
+            self._check_strongest(site)
         if self.method is not Method.ON_SENSOR:
             return
         told = (site.sensor.axes, site.sensor.noise_ratio, site.sensor.lever_m)
@@ -123,6 +132,23 @@ class Options:
             raise UserError(
                 f"site {site.name}: a sensor computes its own pose only from beacons that have each their own code, "
                 f"none of them {code_v}: change the codes or leave out {option('on_sensor')}"
+            )
+
+    def _check_strongest(self, site: Site) -> None:
+        most = min(MOST_STRONGEST, (site.chips + 1) // 8)
+        told = option("strongest", self.strongest)
+        if not 1 <= (self.strongest or 0) <= most:
+            raise UserError(f"{told}: a sensor chooses 1 to {most} codes of degree {site.degree}")
+        if self.rate_hz is not None or self.lag_s is not None:
+            other = option("rate_hz") if self.rate_hz is not None else option("lag_s")
+            raise UserError(
+                f"{told} and {other} are both given: poses between the cycles need the same codes all the time; leave "
+                "out one of them"
+            )
+        if site.chips + 1 in site.codes:
+            raise UserError(
+                f"site {site.name}: a sensor never chooses code {site.chips + 1}, which leaks into others: give that "
+                f"beacon another code, or leave out {option('strongest')}"
             )
 
 

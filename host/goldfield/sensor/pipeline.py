@@ -22,6 +22,7 @@ from goldfield.sensor.receiver import Recorder
 from goldfield.sensor.recorded_cycle import RecordedCycle
 from goldfield.sensor.separation import Separation
 from goldfield.sensor.session import Event, Session
+from goldfield.sensor.strangers import Strangers
 from goldfield.sensor.verdict import Verdict, judge
 from goldfield.site import Site
 from goldfield.types import Explanation, Fields, Finding, Pose
@@ -135,7 +136,9 @@ class Sensor:
             channel=self._options.channel,
             blocks=self._between is not None and self._between.takes_blocks,
             poses=self._between is not None and self._between.takes_poses,
+            strongest=self._options.strongest,
         )
+        self._strangers = Strangers(site, self._session.receiver.tell_once)
         try:
             self._separation = Separation(site, of_instants=method is Method.EACH)
             self._succession = Succession()
@@ -207,8 +210,7 @@ class Sensor:
         """
         for report in self.reports():
             self._found = True
-            verdict = judge(self._session.health, report, self.site)
-            fields = amended_fields(self._separation.fields(report), verdict)
+            verdict, fields = self._judged(report)
             if len(fields.beacons) and not any(_notes(report, verdict, self.site.chips)):
                 yield fields
 
@@ -325,9 +327,16 @@ class Sensor:
             if node != self.node
         }
 
+    def _judged(self, report: Report) -> tuple[Verdict, Fields]:
+        """Return what the boards say of a cycle, and its fields with that in them."""
+        strongest = self._session.strongest
+        if strongest:
+            self._strangers.take(report)
+        verdict = judge(self._session.health, report, self.site, chosen=strongest > 0)
+        return verdict, amended_fields(self._separation.fields(report, strongest), verdict)
+
     def _epoch(self, report: Report) -> Epoch:
-        verdict = judge(self._session.health, report, self.site)
-        fields = amended_fields(self._separation.fields(report), verdict)
+        verdict, fields = self._judged(report)
         witnessed = _unexplained(self._session.anchors.finding, verdict)
         named = left_out(witnessed)
         pose, at_rate = None, False
@@ -346,7 +355,7 @@ class Sensor:
             pose=amended_pose(pose, verdict, used_all=self._options.method is Method.ON_SENSOR),
             fields=fields,
             report=report,
-            lost=report.lost(expected_fields=len(self.site.codes)),
+            lost=report.lost(expected_fields=0 if self._session.strongest else len(self.site.codes)),
             notes=tuple(_notes(report, verdict, self.site.chips)),
             findings=verdict.findings,
             arrived_s=self._session.receiver.arrived_s,

@@ -32,8 +32,11 @@ class Separation:
         self._sweep = SweepRepair(site)
         self._motion = MotionRepair(site) if of_instants else None
 
-    def fields(self, report: Report) -> Fields:
-        """Return the fields of the next cycle; beacons whose message did not arrive are left out."""
+    def fields(self, report: Report, strongest: int = 0) -> Fields:
+        """Return the fields of the next cycle; beacons whose message did not arrive are left out.
+
+        With ``strongest`` above 0 the sensor has chosen the codes of the report, at most so many.
+        """
         mean_T = report.offset_T if report.chips == self._chips else None  # with chips lost the mean tells no ramp
-        fields = self._sweep.repaired(self._separator.fields(report), mean_T)
+        fields = self._sweep.repaired(self._separator.fields(report, strongest), mean_T)
         return fields if self._motion is None else self._motion.repaired(fields)

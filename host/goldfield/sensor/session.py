@@ -16,11 +16,11 @@ from goldfield.link.chip_blocks import ChipBlockAssembler
 from goldfield.link.heartbeat import ROLE_ANCHOR, ROLE_SENSOR, STATE_STARTING
 from goldfield.link.marks import is_mark, reads
 from goldfield.link.reports import ON_SENSOR_POSE, SHORTEST_SILENCE_S, Assembler, Report
-from goldfield.link.requests import set_request
+from goldfield.link.requests import set_request, value_of
 from goldfield.sensor.anchors import AnchorWatch
 from goldfield.sensor.backlog import LIMIT_S, Backlog
 from goldfield.sensor.census import Census, Place, tells_of_motion
-from goldfield.sensor.dialogue import BLOCKS, STREAM, Dialogue, Parameters
+from goldfield.sensor.dialogue import BLOCKS, STREAM, STRONGEST, Dialogue, Parameters
 from goldfield.sensor.finding import SILENCE_S, find_live, look_through
 from goldfield.sensor.health import Health
 from goldfield.sensor.keeping import Keeping
@@ -69,10 +69,15 @@ class Session:
     poses : bool, optional
         Whether the poses that the sensor computes itself of blocks are read, if they come.
 
+    strongest : int, optional
+        How many codes the sensor is to choose by their strength in each cycle; None: it reports the site's.
+
     Attributes
     ----------
     node : int or None
         None until a sensor was heard.
+    strongest : int
+        How many codes the sensor chooses, by its own latest word, else by what was asked; 0: it reports its list.
     live : bool
     receiver : Receiver
         What the session reads.
@@ -106,6 +111,7 @@ class Session:
         *,
         blocks: bool = False,
         poses: bool = False,
+        strongest: int | None = None,
     ) -> None:
         self.name = name
         self.health = Health(site.cycle_s)
@@ -118,13 +124,16 @@ class Session:
         self._node: int | None = None
         if blocks:
             self.blocks = BlockAssembler(site.codes, site.chips, self._chip_s)
-        self._sharing = Sharing(self.receiver, site, self._link, blocks=blocks)
+        self._sharing = Sharing(self.receiver, site, self._link, blocks=blocks, strongest=strongest)
         self.poses = OnSensorTrack(site) if poses else None
         self.keeping = Keeping(self.receiver)
         self.backlog = Backlog()
         self.counters: dict[int, int] = {}
         self._site = site
         self._streamed_before: int | float = 1
+        self.strongest = strongest or 0
+        self._chooses = strongest
+        self._codes = None if strongest is not None and not on_sensor else site.codes
         self._asked = node is not None
         self._channel = channel
         self._parameters: dict[int, int | float] | None = None
@@ -220,6 +229,8 @@ class Session:
         self.find()
         self.dialogue.check_degree(self._site.degree)
         self._parameters = dict(parameters or {})
+        if self._chooses is not None:
+            self._parameters[STRONGEST] = self._chooses
         self._sharing.take(self._sharing.moving, self._node, self._parameters)
         if self.choice is not None and self.choice.carrier is Carrier.CYCLES:
             self._parameters.pop(BLOCKS, None)  # the bus is fuller than was known when they were chosen
@@ -372,8 +383,8 @@ class Session:
         self.node, self.receiver.channel = place.node, place.channel
 
     def _configure(self) -> bool:
-        self.keeping.begin(self.node, self._site.codes, self._parameters, self.health.now_s)
-        return self.dialogue.configure(self._site.codes, self._parameters)
+        self.keeping.begin(self.node, self._codes, self._parameters, self.health.now_s)
+        return self.dialogue.configure(self._codes, self._parameters)
 
     def _configure_again(self) -> None:
         """Set the sensor in the middle of a run; a recording marks that what it reports meanwhile is not read."""
@@ -392,6 +403,8 @@ class Session:
         self.keeping.take(message, self.health.now_s)
         if message.name == "PARAM_SET":
             return
+        if (message.name, message.node, message.index) == ("PARAM_VALUE", self.node, STRONGEST):
+            self.strongest = int(value_of(message.signals)) if not message.signals["status"] else self.strongest
         self.health.take(message)
         self.anchors.take(message)
         other = self.node not in (None, message.node) and not self._asked

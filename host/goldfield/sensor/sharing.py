@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from goldfield.link.blocks import BLOCK_CHIPS
-from goldfield.link.budget import Carrier, Choice, Link, choose, pose_rate_Hz
+from goldfield.link.budget import Carrier, Choice, Link, choose, cycles_of_strongest, pose_rate_Hz
 from goldfield.sensor.dialogue import Parameters
 from goldfield.sensor.receiver import Receiver
 from goldfield.site import Site
@@ -24,6 +24,8 @@ class Sharing:
         What a live sensor is read over; None: a recording.
     blocks : bool
         Whether blocks of chips are read, if they come.
+    strongest : int, optional
+        How many codes the sensor chooses in each cycle: its blocks would have now these, now others, and are not read.
 
     Attributes
     ----------
@@ -33,17 +35,25 @@ class Sharing:
         The nodes that tell of their motion, that of the sensor among them.
     """
 
-    def __init__(self, receiver: Receiver, site: Site, link: Link | None, *, blocks: bool) -> None:
+    def __init__(
+        self, receiver: Receiver, site: Site, link: Link | None, *, blocks: bool, strongest: int | None = None
+    ) -> None:
         self.moving: set[int] = set()
         self._receiver = receiver
         self._site = site
         self._chip_s = site.cycle_s / site.chips
         self._link = link
+        self._strongest = strongest
+        self._codes = len(site.codes) if strongest is None else strongest
         self.choice: Choice | None = self._chosen(1) if blocks else None
 
     def _chosen(self, sensors: int) -> Choice | None:
         site = self._site
-        return None if self._link is None else choose(self._link, len(site.codes), site.chips, self._chip_s, sensors)
+        if self._link is None:
+            return None
+        if self._strongest is not None:
+            return cycles_of_strongest(self._link, self._strongest, site.chips, self._chip_s)
+        return choose(self._link, self._codes, site.chips, self._chip_s, sensors)
 
     def take(self, moving: set[int], node: int | None, parameters: Parameters) -> None:
         """Take note of who tells of its motion.
@@ -66,7 +76,7 @@ class Sharing:
         if every and self._link is Link.CAN:
             site = self._site
             wanted_Hz = 1.0 / (every * BLOCK_CHIPS * self._chip_s)
-            most_Hz = pose_rate_Hz(Link.CAN, len(site.codes), site.chips, self._chip_s, sensors)
+            most_Hz = pose_rate_Hz(Link.CAN, self._codes, site.chips, self._chip_s, sensors)
             if most_Hz < wanted_Hz:
                 self._receiver.tell_once(
                     f"the sensor sends {most_Hz:.0f} poses a second, not {wanted_Hz:.0f}: {sensors} sensors share CAN"

@@ -63,7 +63,7 @@ class Verdict:
     notes: tuple[str, ...] = ()
 
 
-def judge(health: Health, report: Report, site: Site) -> Verdict:
+def judge(health: Health, report: Report, site: Site, *, chosen: bool = False) -> Verdict:
     """Return what the boards' words, up to now, mean for the epoch that is handed out now.
 
     Parameters
@@ -73,11 +73,13 @@ def judge(health: Health, report: Report, site: Site) -> Verdict:
         The sensor's report of the epoch.
     site : Site
         Its beacons have a plain code each, as `Site.codes` demands.
+    chosen : bool, optional
+        Whether the sensor chooses the codes that it reports: they need not be the site's.
     """
     grave = list(_of_time(health, report))
     beacons = [_of_beacon(health, beacon, board) for beacon, board in _boards_of(health, site)]
     findings = [*grave, *_complaints(health, site), *(finding for one in beacons for finding in one.findings)]
-    findings += [*_of_wire(health), *_of_sensor(health, report, site), *_of_others(health, site)]
+    findings += [*_of_wire(health), *_of_sensor(health, report, site, chosen), *_of_others(health, site)]
     holds_over = bool(health.masters) and health.now_s - max(health.masters.values()) > SYNC_MISSED_S
     return Verdict(
         out=tuple(name for one in beacons for name in one.out),
@@ -123,11 +125,13 @@ def _of_wire(health: Health) -> Iterator[Finding]:
         )
 
 
-def _of_sensor(health: Health, report: Report, site: Site) -> Iterator[Finding]:
+def _of_sensor(health: Health, report: Report, site: Site, chosen: bool) -> Iterator[Finding]:
     """Yield what is only told of the sensor."""
     sensor = health.boards.get(health.node or 0)
     if sensor is not None and _within(health, sensor.restarted_s, JUMP_S):
         yield _board((), f"sensor {sensor.node} restarted: check its power")
+    if chosen:
+        return
     foreign = sorted(set(report.correlation_T) - set(site.codes))
     if foreign:
         yield _board((), f"the sensor reports code {foreign[0]}, which the site has not: check the site and the sensor")

@@ -214,7 +214,7 @@ def test_live_on_can(capsys):
             cycle += 1
             while (request := sender.receive(0.02)) is not None:
                 index = request.arbitration_id >> 12 & 0xFFF
-                value = {5: len(CODES), 28: 10}[index] if index < 256 else CODES[index - 256]
+                value = {5: len(CODES), 28: 10, 46: 0}[index] if index < 256 else CODES[index - 256]
                 sender.send((0x0E << 24) | index << 12 | 100, bytes([0]) + value.to_bytes(4, "little"))
 
     thread = threading.Thread(target=answer, daemon=True)

@@ -18,6 +18,7 @@ from goldfield.link.budget import (
     block_rate_Hz,
     block_s,
     choose,
+    cycles_of_strongest,
     load,
     main,
     message_s,
@@ -179,3 +180,13 @@ def test_what_it_prints(capsys):
     assert serial == f"serial: {choose(Link.SERIAL, 8, N, CHIP_S).text}"
     assert can == f"CAN: {choose(Link.CAN, 8, N, CHIP_S, 3).text}"
     assert poses.endswith(f"{pose_rate_Hz(Link.CAN, 8, N, CHIP_S, 3):.0f} a second")
+
+
+@pytest.mark.parametrize("link", Link)
+def test_a_sensor_that_chooses_takes_the_cycles_of_k_codes(link, capsys):
+    choice = cycles_of_strongest(link, 16, 1023, 97.75e-6)
+    assert choice.carrier is Carrier.CYCLES
+    assert choice.load == load(link, Carrier.CYCLES, 16, 1023, 97.75e-6)
+    assert not choice.parameters
+    main(["--strongest", "16"])
+    assert f"{link}: {choice.text}\n" in capsys.readouterr().out
