@@ -3,7 +3,7 @@ LINT := $(BUILD)/lint
 LINT_INCLUDES := -Ifirmware -Ihost/goldfield/locate/kernel -I$(PROTOCOL_OUT) -Ihil_sim -isystem $(UNICORN_LINKS)/include
 LINT_HOST_FLAGS := -std=c11 -D_GNU_SOURCE $(LINT_INCLUDES)
 LINT_ARM_FLAGS := -std=c11 --target=arm-none-eabi $(STM32_CPU) -isystem /usr/lib/arm-none-eabi/include $(LINT_INCLUDES)
-LINT_SOURCES := $(wildcard firmware/*/*.c firmware/*/*/*.c hil_sim/*/*.c hil_sim/*/*/*.c host/goldfield/locate/kernel/*.c host/goldfield/track/blocks/kernel/*.c)
+LINT_SOURCES := $(filter-out firmware/third_party/%,$(wildcard firmware/*/*.c firmware/*/*/*.c hil_sim/*/*.c hil_sim/*/*/*.c host/goldfield/locate/kernel/*.c host/goldfield/track/blocks/kernel/*.c))
 LINT_STAMPS := $(LINT_SOURCES:%.c=$(LINT)/%.tidy)
 
 $(BUILD)/lint-tools.stamp:
@@ -34,18 +34,18 @@ lint: all $(BUILD)/lint-tools.stamp ## Likely mistakes: ruff, clang-tidy, cppche
 	@$(MAKE) --no-print-directory -s -j 2 --output-sync=target $(LINT_STAMPS)
 	@mkdir -p $(LINT)/cppcheck
 	@cppcheck -q -j 2 --cppcheck-build-dir=$(LINT)/cppcheck --std=c11 --enable=warning,performance,portability --inline-suppr \
-		--suppress=missingIncludeSystem --error-exitcode=1 -Ifirmware -I$(PROTOCOL_OUT) -Ihil_sim firmware hil_sim host/goldfield/locate/kernel host/goldfield/track/blocks/kernel
+		-i firmware/third_party --suppress=missingIncludeSystem --error-exitcode=1 -Ifirmware -I$(PROTOCOL_OUT) -Ihil_sim firmware hil_sim host/goldfield/locate/kernel host/goldfield/track/blocks/kernel
 	@echo "lint: clean"
 
 check-format: $(BUILD)/venv.stamp $(BUILD)/lint-tools.stamp ## Whether Python and C have the look that `make format` gives
 	@$(VENV)/bin/ruff format -q --check . || { echo "run 'make format'"; exit 1; }
-	@git ls-files '*.c' '*.h' | xargs clang-format --dry-run --Werror || { echo "run 'make format'"; exit 1; }
+	@git ls-files '*.c' '*.h' ':!firmware/third_party' | xargs clang-format --dry-run --Werror || { echo "run 'make format'"; exit 1; }
 	@echo "format: clean"
 
 format: $(BUILD)/venv.stamp $(BUILD)/lint-tools.stamp ## Give Python and C their look
 	@$(VENV)/bin/ruff check -q --select I --fix .
 	@$(VENV)/bin/ruff format -q .
-	@git ls-files '*.c' '*.h' | xargs clang-format -i
+	@git ls-files '*.c' '*.h' ':!firmware/third_party' | xargs clang-format -i
 
 types: $(BUILD)/venv.stamp ## mypy
 	@$(PYTHON) -m mypy

@@ -8,6 +8,8 @@ $(BUILD)/hostboard/protocol/goldfield.o: $(PROTOCOL_OUT)/goldfield.c
 	@mkdir -p $(@D)
 	@$(HOST_CC) $(HOST_CFLAGS) -c $< -o $@
 
+$(THIRD_PARTY_SOURCES:%.c=$(BUILD)/hostboard/%.o): private HOST_CFLAGS += -w
+
 $(BUILD)/hostboard/%.o: %.c $(PROTOCOL_HEADERS)
 	@mkdir -p $(@D)
 	@$(HOST_CC) $(HOST_CFLAGS) $(HOSTBOARD_INCLUDES) -c $< -o $@

@@ -10,6 +10,9 @@ from hil_sim import clib
 from tests.firmware.gold_pairs import PAIRS
 
 HEADERS = (
+    "core/boot/image.h",
+    "core/boot/select.h",
+    "core/boot/install.h",
     "core/codes/gold.h",
     "core/codes/despread.h",
     "core/codes/epoch.h",

@@ -20,7 +20,9 @@ def test_sanitizers_find_nothing(tmp_path, sanitizer):
         f"-fsanitize={sanitizer}",
         "-fno-sanitize-recover=all",
     ]
-    sources = [Path(__file__).with_name("sanitized.c"), *sorted((ROOT / "firmware/core").glob("*/*.c"))]
+    firmware = ROOT / "firmware"
+    sources = [Path(__file__).with_name("sanitized.c"), *sorted(firmware.glob("core/*/*.c"))]
+    sources += sorted(firmware.glob("third_party/*/*.c"))
     includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]
     subprocess.run(["gcc", *flags, *includes, *map(str, sources), "-o", str(program)], check=True)
     result = subprocess.run([program], capture_output=True, text=True)

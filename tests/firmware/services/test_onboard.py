@@ -48,7 +48,7 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("onboard")
     source, library = directory / "harness.c", directory / "onboard.so"
     source.write_text(HARNESS)
-    core = [str(path) for path in sorted((ROOT / "build/core/firmware/core").glob("*/*.o"))]
+    core = [str(path) for path in sorted((ROOT / "build/core/firmware").glob("*/*/*.o"))]
     includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]
     services = ("firmware/services/onboard.c", "firmware/services/pose_report.c")
     sources = [str(ROOT / path) for path in (*services, "build/protocol/goldfield.c")]

@@ -10,7 +10,7 @@ from hil_sim.clib import ROOT
 
 def test_two_beacons_a_sensor_and_an_anchor_without_a_finding(tmp_path: Path) -> None:
     program = tmp_path / "boards"
-    folders = ("apps", "services", "core/*", "boards/host")
+    folders = ("apps", "services", "core/*", "boards/host", "third_party/*")
     sources = [
         Path(__file__).with_name("host_boards_under_sanitizer.c"),
         *(path for folder in folders for path in sorted((ROOT / "firmware").glob(f"{folder}/*.c"))),

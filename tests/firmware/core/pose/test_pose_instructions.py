@@ -143,7 +143,7 @@ def machine(tmp_path_factory):
                 f"-I{firmware}",
                 f"-I{ROOT / 'build/protocol'}",
                 str(source),
-                *map(str, sorted(firmware.glob("core/*/*.c"))),
+                *(str(path) for path in sorted(firmware.glob("core/*/*.c")) if path.parent.name != "boot"),
             ),
             *("-Ttext=0x08000000", f"-Tdata={RAM:#x}", "-nostartfiles", "--specs=nano.specs"),
             *("-Wl,-e,0,--no-warn-rwx-segments", "-o", str(elf)),

@@ -1,0 +1,355 @@
+"""An update: what starts after each step of it, whatever becomes of the power; a node is never without an image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.firmware.core.boot.slots import (
+    BEACON,
+    CODE,
+    CONFIRMED,
+    DAMAGED,
+    IS_CONFIRMED,
+    IS_PENDING,
+    IS_REJECTED,
+    IS_TRIED,
+    MARK,
+    NEW,
+    NO_KEY,
+    NOTHING,
+    OK,
+    OLD,
+    OLDER,
+    OTHER_KEY,
+    PENDING,
+    SETTLED,
+    TRIED,
+    UNSIGNED,
+    WORDS,
+    WRONG_ROLE,
+    Choice,
+    Node,
+    PowerLost,
+)
+from tests.firmware.core.storage.flash_cells import ONES, Torn
+
+UNCONFIRMED, LENGTH = 1, 2
+RECEIVING, PENDING_PHASE, FAILED = 3, 5, 6
+
+
+def running_old(core, seed=1, other=True):
+    """Return a node that runs the old image in slot 0; in slot 1 lies one from before, or nothing."""
+    node = Node(core, seed)
+    node.confirmed(OLD, 0, 7)
+    if other:
+        node.confirmed(replace(OLD, code=(1, 2, 3)), 1, 6)
+    return node
+
+
+def test_a_flashed_node_starts_what_was_flashed_and_writes_nothing(core):
+    node = running_old(core, other=False)
+    assert [node.boot() for _ in range(3)] == 3 * [Choice(0, False)]
+    assert node.steps == 0
+
+
+def test_an_update_is_tried_confirms_itself_and_stays(core):
+    node = running_old(core)
+    assert node.update(NEW, 0) == OK
+    assert node.phase == PENDING_PHASE
+    assert node.state(1) == IS_PENDING
+    assert node.boot() == Choice(1, True)
+    assert node.state(1) == IS_TRIED
+    node.open(1)
+    assert node.confirm()
+    assert not node.confirm()
+    assert node.state(1) == IS_CONFIRMED
+    steps = node.steps
+    assert [node.boot() for _ in range(3)] == 3 * [Choice(1, False)]
+    assert node.steps == steps
+    assert node.holds(0, OLD)  # It is there still, should the new one be damaged.
+
+
+def test_updates_go_to_and_fro(core):
+    node = running_old(core)
+    for number in range(6):
+        running = number % 2
+        image = replace(NEW, version=NEW.version + number)
+        assert node.update(image, running) == OK
+        assert node.boot() == Choice(1 - running, True)
+        node.open(1 - running)
+        node.confirm()
+        assert node.boot() == Choice(1 - running, False)
+        assert node.holds(1 - running, image)
+
+
+def test_an_image_that_does_not_confirm_itself_is_started_once(core):
+    node = running_old(core)
+    node.update(NEW, 0)
+    assert node.boot() == Choice(1, True)
+    assert [node.boot() for _ in range(3)] == 3 * [Choice(0, False)]
+    assert node.state(1) == IS_REJECTED
+    steps = node.steps
+    node.boot()
+    assert node.steps == steps
+    assert node.update(NEW, 0) == OK  # Whoever brings it again gets another try.
+    assert node.boot() == Choice(1, True)
+
+
+@pytest.mark.parametrize(
+    ("image", "key", "status"),
+    [
+        (replace(NEW, version=OLD.version - 1), None, OLDER),
+        (replace(NEW, role=BEACON), None, WRONG_ROLE),
+        (NEW, OTHER_KEY, UNSIGNED),
+    ],
+)
+def test_what_is_refused_is_not_started(core, image, key, status):
+    node = running_old(core)
+    arguments = {} if key is None else {"key": key}
+    assert node.update(image, 0, **arguments) == status
+    assert node.phase == RECEIVING
+    assert node.boot() == Choice(0, False)
+    # A wrong application may mark it all the same: the boot loader looks itself.
+    node.put(image, 1, sequence=8, pending=MARK, **arguments)
+    assert node.boot() == Choice(0, False)
+    assert node.state(1) == IS_REJECTED
+
+
+def test_each_flipped_bit_of_a_pending_image_has_the_old_one_start(core):
+    for index in [*range(16, 33), *range(112, CODE + len(NEW.code))]:
+        node = running_old(core)
+        node.update(NEW, 0)
+        node.cells.read[1][index] ^= 1 << index % 32
+        assert node.boot() == Choice(0, False), index
+        assert node.state(1) == IS_REJECTED
+
+
+def test_an_older_image_is_taken_by_force_and_one_of_the_same_version_without(core):
+    older = replace(NEW, version=OLD.version - 1)
+    node = running_old(core)
+    assert node.update(older, 0, forced=True) == OK
+    assert node.boot() == Choice(1, True)
+    node = running_old(core)
+    assert node.update(replace(NEW, version=OLD.version), 0) == OK
+    assert node.boot() == Choice(1, True)
+    node = running_old(core)
+    assert node.update(replace(NEW, role=BEACON), 0, forced=True) == WRONG_ROLE
+
+
+def test_without_a_key_nothing_is_taken_and_the_node_goes_on(core):
+    node = running_old(core)
+    node.forget_key()
+    assert node.update(NEW, 0) == NO_KEY
+    assert node.boot() == Choice(0, False)
+
+
+def test_an_image_that_is_damaged_later_gives_way_to_the_one_before(core):
+    node = running_old(core)
+    node.update(NEW, 0)
+    node.live()
+    assert node.boot() == Choice(1, False)
+    node.cells.read[1][CODE + 2] ^= 8
+    assert node.boot() == Choice(0, False)
+    assert node.check(1) == DAMAGED
+
+
+def test_a_node_whose_images_are_all_rejected_starts_the_newest_that_is_signed(core):
+    node = Node(core)
+    node.put(OLD, 0, sequence=1, confirmed=0, settled=0)
+    node.put(NEW, 1, sequence=2, confirmed=0, settled=0)
+    assert node.boot() == Choice(1, True)
+    node.cells.read[1][CODE] ^= 1
+    assert node.boot() == Choice(0, True)
+    node.cells.read[0][CODE] ^= 1
+    assert node.boot() is None
+
+
+def test_an_empty_node_starts_nothing(core):
+    node = Node(core)
+    assert node.boot() is None
+    assert node.steps == 0
+
+
+# ---- What the application may do ----
+
+
+def test_no_update_begins_before_the_running_image_is_confirmed(core):
+    node = running_old(core)
+    node.update(NEW, 0)
+    node.boot()
+    node.open(1)
+    assert node.begin(8) == UNCONFIRMED
+    node.confirm()
+    assert node.begin(8) == OK
+    bare = Node(core)
+    bare.put(OLD, 0)
+    bare.open(0)
+    assert not bare.confirm()
+    assert bare.begin(8) == UNCONFIRMED
+
+
+@pytest.mark.parametrize(
+    ("length", "refusal"),
+    [(0, LENGTH), (7, LENGTH), (8, OK), (4 * (WORDS - CODE), OK), (4 * (WORDS - CODE) + 4, LENGTH)],
+)
+def test_the_length_must_fit(core, length, refusal):
+    node = running_old(core)
+    node.open(0)
+    assert node.begin(length) == refusal
+
+
+def test_only_words_of_the_image_are_taken_and_only_while_it_is_received(core):
+    node = running_old(core)
+    node.open(0)
+    assert not any(node.takes(index) for index in range(WORDS))
+    node.begin(12)
+    assert not any(node.takes(index) for index in range(WORDS))
+    node.work()
+    assert [index for index in range(WORDS + 5) if node.takes(index)] == list(range(16, CODE + 3))
+    assert node.end() != OK
+    assert node.takes(16)  # What is missing may still come.
+    node.receive(1, replace(NEW, code=(1, 2, 3)).at(1).words())
+    assert node.end() == OK
+    assert not any(node.takes(index) for index in range(WORDS))
+
+
+@pytest.mark.parametrize("index", [0, 1, 2, 3, 16, 112, CODE])
+def test_flash_that_does_not_take_its_words_fails_the_update_and_nothing_else(core, index):
+    node = running_old(core)
+    node.cells.read[1][index] = 0
+    node.open(0)
+    node.begin(4 * len(NEW.code))
+    erase, node.cells.erase = node.cells.erase, lambda slot: None
+    node.work()
+    node.cells.erase = erase
+    assert node.phase == FAILED
+    assert node.boot() == Choice(0, False)
+    stuck = running_old(core)
+    stuck.cells.stuck = {(1, index): ONES}
+    stuck.update(NEW, 0)
+    assert stuck.phase != PENDING_PHASE
+    assert stuck.boot() == Choice(0, False)
+
+
+@pytest.mark.parametrize("index", [TRIED, CONFIRMED, SETTLED])
+def test_a_mark_that_does_not_take_costs_the_new_image(core, index):
+    """Without its mark an image would be tried for ever, so it is not started; or it stays as it is and is found."""
+    node = running_old(core)
+    node.update(NEW, 0)
+    node.cells.stuck = {(1, index): ONES}
+    choice = node.boot()
+    if index == TRIED:
+        assert choice == Choice(0, False)
+        return
+    node.open(1)
+    node.confirm()
+    assert node.phase == FAILED
+    for _ in range(3):
+        choice = node.boot()
+        assert choice == (Choice(0, False) if index == CONFIRMED else Choice(1, False))
+
+
+# ---- A loss of power ----
+
+
+def whole_update(node):
+    """Bring the new image and let it confirm itself, from the boot of the old one on."""
+    for _ in range(3):
+        choice, image = node.live()
+        if image == NEW:
+            return
+        assert node.update(NEW, choice.slot) == OK
+    raise AssertionError("the update does not come to an end")
+
+
+def steps_of(core, other):
+    node = running_old(core, other=other)
+    whole_update(node)
+    return node.steps
+
+
+def judge(node, case):
+    """Boot several times: an image is there each time, and the new one never goes again once it is confirmed."""
+    seen = []
+    for _ in range(4):
+        choice, image = node.live()
+        assert image is not None, case
+        assert node.check(choice.slot) == OK, case
+        seen.append(image == NEW)
+    assert seen == sorted(seen), (case, seen)
+
+
+def cut_nodes(core, torn, seeds, other):
+    """Yield nodes that lost their power in each step of an update, with an id."""
+    for cut in range(steps_of(core, other)):
+        for seed in range(seeds):
+            node = running_old(core, seed, other)
+            node.cut, node.torn = cut, torn
+            with pytest.raises(PowerLost):
+                whole_update(node)
+            yield node, f"cut {cut}, seed {seed}"
+
+
+def judge_with_second_cuts(core, node, torn, case):
+    """Let the power go once more at each step of the start behind the loss, and judge. Returns how many cases."""
+    for again in range(12):
+        other = Node(core, 99 + again)
+        other.torn = torn
+        node.cells.copy_to(other.cells)
+        other.cut = again
+        try:
+            other.live()
+            whole = True
+        except PowerLost:
+            whole = False
+        other.cut = None
+        judge(other, f"{case}, again {again}")
+        whole_update(other)
+        assert other.live()[1] == NEW
+        if whole:
+            return again + 1
+    raise AssertionError("a start takes more steps than any")
+
+
+def test_an_update_has_the_steps_that_it_should(core):
+    node = running_old(core)
+    whole_update(node)
+    erased = [place for place, (_, index, _) in enumerate(node.log) if index is None]
+    assert erased == [2]  # Behind the two words that make void what lies there.
+    assert node.log[-8][1:] == (0, 8)
+    assert [index for _, index, _ in node.log[-8:]] == [0, 1, 2, PENDING, PENDING, TRIED, CONFIRMED, SETTLED]
+    assert {slot for slot, _, _ in node.log} == {1}
+    assert node.steps == 3 + 16 + 1 + 16 + len(NEW.code) - 1 + 8
+
+
+@pytest.mark.parametrize("other", [True, False], ids=["an image before", "an empty slot"])
+@pytest.mark.parametrize("torn", Torn)
+def test_an_image_starts_whenever_the_power_goes(core, torn, other):
+    cases = 0
+    for node, case in cut_nodes(core, torn, 3, other):
+        cases += judge_with_second_cuts(core, node, torn, f"{torn.name}, {case}")
+    print(f"{torn.name}: {cases} losses of power and second losses, 0 nodes without an image")
+    assert cases > 3 * 40
+
+
+@given(noise=st.data())
+def test_any_state_words_leave_a_signed_image_running(core, noise):
+    """Whatever the state words say, a node that holds a whole image starts one, and the marks come to rest."""
+    node = Node(core)
+    values = st.one_of(st.integers(0, ONES), st.sampled_from([0, ONES, MARK, 1, ONES - 1, 2, ONES - 2]))
+    for slot, image in enumerate((OLD, NEW)):
+        node.put(image, slot)
+        node.cells.read[slot][0:7] = noise.draw(st.lists(values, min_size=7, max_size=7))
+    for _ in range(4):
+        choice = node.boot()
+        assert choice is not None
+        assert node.check(choice.slot) == OK
+    steps = node.steps
+    last = [node.boot() for _ in range(2)]
+    assert node.steps == steps
+    assert last[0] == last[1] == choice
+    assert node.state(0) in range(NOTHING, IS_REJECTED + 1)
