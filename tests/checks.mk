@@ -3,7 +3,7 @@ LINT := $(BUILD)/lint
 LINT_INCLUDES := -Ifirmware -Ihost/goldfield/locate/kernel -I$(PROTOCOL_OUT) -Ihil_sim -isystem $(UNICORN_LINKS)/include
 LINT_HOST_FLAGS := -std=c11 -D_GNU_SOURCE $(LINT_INCLUDES)
 LINT_ARM_FLAGS := -std=c11 --target=arm-none-eabi $(STM32_CPU) -isystem /usr/lib/arm-none-eabi/include $(LINT_INCLUDES)
-LINT_SOURCES := $(filter-out firmware/third_party/%,$(wildcard firmware/*/*.c firmware/*/*/*.c hil_sim/*/*.c hil_sim/*/*/*.c host/goldfield/locate/kernel/*.c host/goldfield/track/blocks/kernel/*.c))
+LINT_SOURCES := $(filter-out firmware/third_party/%,$(wildcard firmware/*/*.c firmware/*/*/*.c $(STM32)/boot/*.c hil_sim/*/*.c hil_sim/*/*/*.c host/goldfield/locate/kernel/*.c host/goldfield/track/blocks/kernel/*.c))
 LINT_STAMPS := $(LINT_SOURCES:%.c=$(LINT)/%.tidy)
 
 $(BUILD)/lint-tools.stamp:

@@ -21,7 +21,10 @@ from pathlib import Path
 
 TOOLS = "arm-none-eabi-"
 ENGINE = "firmware/boards/stm32f405/chip_engine.c"
-FLASH_BYTES = (16 + 832) * 1024
+FLASH_BYTES = 384 * 1024
+"""One of the two slots; the boot loader's own sector has 16 kB."""
+BOOT = "boot"
+"""The image without interrupts."""
 RAM_BYTES = 128 * 1024
 CORE_MEMORY_BYTES = 64 * 1024
 
@@ -207,7 +210,7 @@ def report(elf: Path) -> Image:
         if name not in graph or graph[name].frame is None:
             graph[name] = function
     stack, path = deepest(graph, "Reset_Handler")
-    for names in PRIORITIES:
+    for names in PRIORITIES if role != BOOT else ():
         stack += EXCEPTION_FRAME + max(deepest(graph, name)[0] for name in names)
 
     text, data, bss = map(int, run("size", str(elf)).splitlines()[1].split()[:3])
@@ -215,7 +218,8 @@ def report(elf: Path) -> Image:
         line.split()[2]: int(line.split()[0], 16) for line in run("nm", str(elf)).splitlines() if len(line.split()) == 3
     }
     reserved = symbols["stack_top"] - symbols["stack_bottom"]
-    core_memory = sum(symbols[f"{part}_end"] - symbols[f"{part}_start"] for part in ("core_memory", "retained"))
+    parts = ("core_memory", "retained") if role != BOOT else ()
+    core_memory = sum(symbols[f"{part}_end"] - symbols[f"{part}_start"] for part in parts)
     return Image(
         flash=text + data,
         ram=data + bss - core_memory,

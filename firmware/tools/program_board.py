@@ -1,8 +1,10 @@
 """Program a board: check that the chip is the one meant, load, compare what was loaded, and set the brown-out level.
 
-``python program_board.py PYOCD [--uid ID] --target TARGET ELF [PAGE]``: pyOCD, the debug probe, pyOCD's name of the
-target, the image, and a parameter page. What a board has saved itself overrules its page: a page that is written takes
-the place of it, and an image alone leaves it. Exit code 0: all is done; 1: a sentence on stderr tells what is not.
+``python program_board.py PYOCD [--uid ID] --target TARGET --boot BOOT [--key KEY] ELF [PAGE]``: pyOCD, the debug probe,
+pyOCD's name of the target, the boot loader (its bytes), the public key by which it judges new images (64 hexadecimal
+digits), the image, and a parameter page. The image takes the place of whatever the board has got over its link: the
+other slot is emptied. What a board has saved itself overrules its page: a page that is written takes the place of it,
+and an image alone leaves it. Exit code 0: all is done; 1: a sentence on stderr tells what is not.
 """
 
 from __future__ import annotations
@@ -17,6 +19,9 @@ from pathlib import Path
 
 from elftools.elf.elffile import ELFFile
 
+from goldfield_protocol.image import CODE_OFFSET, KEY_BYTES, KEY_PLACE, SLOTS, key_place
+
+BOOT_ADDRESS = 0x08000000
 PAGE_ADDRESS = 0x080E0000
 SAVED_ADDRESS, SAVED_BYTES = 0x08004000, 2 * 16384
 """Where a board saves its parameters (flash.c)."""
@@ -110,6 +115,31 @@ def check_chip(target: Target) -> str:
     return f"chip: STM32F405, device id {device:#05x}, revision {revision:#06x}{old}, {kilobytes} kB of flash"
 
 
+def boot_files(boot: str, key: str | None, beside: Path) -> list[tuple[Path, int]]:
+    """Return the files of the boot loader with its key, and of an empty slot B, with their addresses.
+
+    They are written in a directory, since both share a sector with nothing else that is written.
+
+    Raises
+    ------
+    NotProgrammed
+        The key is none.
+    """
+    loader = Path(boot).read_bytes()
+    if key:
+        try:
+            place = key_place(bytes.fromhex(key))
+        except ValueError as error:
+            raise NotProgrammed(
+                f"KEY={key} is no public key: give the {2 * KEY_BYTES} hexadecimal digits of one"
+            ) from error
+        loader = loader.ljust(KEY_PLACE - BOOT_ADDRESS, b"\xff") + place
+    first, empty = beside / "boot_and_key.bin", beside / "empty_slot.bin"
+    first.write_bytes(loader)
+    empty.write_bytes(b"\xff" * CODE_OFFSET)
+    return [(first, BOOT_ADDRESS), (empty, SLOTS[1])]
+
+
 def page_files(page: str) -> list[tuple[Path, int]]:
     """Return the files of a parameter page, with their addresses: itself, and erased flash in place of what is saved.
 
@@ -177,15 +207,21 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("pyocd")
     parser.add_argument("--uid")
     parser.add_argument("--target", required=True)
+    parser.add_argument("--boot", required=True)
+    parser.add_argument("--key")
     parser.add_argument("elf")
     parser.add_argument("page", nargs="?")
     asked = parser.parse_args(arguments)
     target = Target(asked.pyocd, asked.target, asked.uid)
     try:
         print(check_chip(target), flush=True)
-        pages = page_files(asked.page) if asked.page else []
-        target.load(asked.elf, *(f"{path}@0x{address:08X}" for path, address in pages))
-        print(verify(target, asked.elf, pages), flush=True)
+        if not asked.key:
+            print("no KEY is given: this board will take no image over its links", flush=True)
+        with tempfile.TemporaryDirectory() as directory:
+            files = boot_files(asked.boot, asked.key, Path(directory))
+            files += page_files(asked.page) if asked.page else []
+            target.load(asked.elf, *(f"{path}@0x{address:08X}" for path, address in files))
+            print(verify(target, asked.elf, files), flush=True)
         print(set_brown_out(target), flush=True)
     except NotProgrammed as sentence:
         print(sentence, file=sys.stderr)

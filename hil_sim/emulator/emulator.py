@@ -11,6 +11,7 @@ from elftools.common.exceptions import ELFError
 from elftools.elf.elffile import ELFFile
 from elftools.elf.sections import SymbolTableSection
 
+from goldfield_protocol.image import KEY_PLACE, key_place
 from hil_sim import CYCLES_BY_CLASS, MOST_CYCLES, clib
 from hil_sim.emulator import kept_flash
 from hil_sim.emulator.kept_flash import CELLS, FLASH, BadImageError
@@ -110,13 +111,28 @@ class Probe:
     cycles: int
 
 
+def first_words(segments: list[tuple[int, bytes]], vectors: Any) -> list[tuple[int, bytes]]:
+    """Return the segment that starts an image alone, which lies in a slot: what a boot loader would do for it.
+
+    The processor reads its first stack pointer and where it begins from the beginning of the flash. There the first two
+    words of the image's vector table are put, if the image has a section ``.vectors`` and holds nothing there itself.
+    """
+    if (
+        not segments
+        or vectors is None
+        or any(address <= FLASH.start < address + len(data) for address, data in segments)
+    ):
+        return []
+    return [(FLASH.start, bytes(vectors.data()[:8]))]
+
+
 def read_image(path: str | Path) -> tuple[list[tuple[int, bytes]], dict[str, int]]:
     """Read an ELF image.
 
     Returns
     -------
     segments : list of (address, bytes)
-        What lies in flash, by physical address.
+        What lies in flash, by physical address, and what starts it (`first_words`).
     symbols : dict
         Addresses by name; those of functions carry the Thumb bit.
 
@@ -137,6 +153,7 @@ def read_image(path: str | Path) -> tuple[list[tuple[int, bytes]], dict[str, int
                 for segment in elf.iter_segments()
                 if segment["p_type"] == "PT_LOAD" and segment["p_filesz"] > 0
             ]
+            segments += first_words(segments, elf.get_section_by_name(".vectors"))
             table = elf.get_section_by_name(".symtab")
             symbols: dict[str, int] = {}
             if isinstance(table, SymbolTableSection):
@@ -164,6 +181,10 @@ class Emulator:
     image : path
         ELF file, as flashed.
     configuration : Configuration, optional
+    boot : path, optional
+        ELF file of a boot loader, which starts the image; without it the image starts alone, as if one had.
+    key : bytes, optional
+        The public key of the boot loader, 32 bytes.
     edge : int, optional
         Address of a ``board_edge_t`` that another C library fills in; it is copied. Excludes the callbacks.
     parameter_page : bytes, optional
@@ -200,6 +221,8 @@ class Emulator:
         image: str | Path,
         configuration: Configuration | None = None,
         *,
+        boot: str | Path | None = None,
+        key: bytes | None = None,
         edge: int | None = None,
         parameter_page: bytes | None = None,
         flash: str | Path | None = None,
@@ -209,6 +232,11 @@ class Emulator:
         pin_out: Callable[[int, bool, int], None] | None = None,
     ) -> None:
         segments, self.symbols = read_image(image)
+        if boot is not None:
+            loader, _ = read_image(boot)
+            segments = [*loader, *((at, data) for at, data in segments if at != FLASH.start)]
+        if key is not None:
+            segments.append((KEY_PLACE, key_place(key)))
         if parameter_page is not None and len(parameter_page) > FLASH.stop - PARAMETER_PAGE:
             raise BadImageError(f"the parameter page has {len(parameter_page)} bytes; at most 131072 fit")
         self._kept = None if flash is None else Path(flash)

@@ -2,6 +2,7 @@
 #   make firmware                  flash, RAM, core-coupled memory and worst-case stack of all images
 #   make flash ROLE=sensor         program a board through pyOCD (see README.md here); with NODE=n also its parameter page,
 #   make flash ROLE=beacon NODE=3 CODE=17 AMPLITUDE=10 SYNC_MASTER=1     which takes every parameter of docs/parameters.md in capitals;
+#   make flash ROLE=sensor KEY=...        the public key, 64 hexadecimal digits, by which the board judges images over its links
 #   make flash ROLE=sensor PROBE=066D     where several probes are connected, the one whose unique id contains this
 ARM := arm-none-eabi-
 STM32 := firmware/boards/stm32f405
@@ -15,7 +16,10 @@ STM32_SHARED := $(CORE_SOURCES) $(wildcard firmware/services/*.c firmware/apps/*
 STM32_OBJECTS := $(STM32_SHARED:%.c=$(STM32_OUT)/%.o) $(STM32_OUT)/protocol/goldfield.o
 STM32_MAINS := $(wildcard firmware/images/*.c)
 STM32_IMAGES := $(STM32_MAINS:firmware/images/%.c=$(STM32_OUT)/%.elf)
-FIRMWARE_IMAGES := $(STM32_IMAGES) $(STM32_IMAGES:$(STM32_OUT)/%=$(STM32_OUT)/qemu/%)
+FIRMWARE_IMAGES := $(STM32_IMAGES) $(foreach kind,qemu qemu8 slot_b,$(STM32_IMAGES:$(STM32_OUT)/%=$(STM32_OUT)/$(kind)/%))
+
+include $(STM32)/boot/boot.mk
+FIRMWARE_IMAGES += $(BOOT_IMAGE)
 
 $(STM32_OUT)/%.o: %.c $(PROTOCOL_HEADERS) $(BUILD)/arm-tools.stamp $(STM32)/board.mk
 	@mkdir -p $(@D)
@@ -35,20 +39,39 @@ $(STM32_OUT)/protocol/goldfield.o: $(PROTOCOL_OUT)/goldfield.c $(BUILD)/arm-tool
 	@mkdir -p $(@D)
 	@$(ARM)gcc -std=c11 $(STM32_FLAGS) -c -o $@ $<
 
-$(STM32_OUT)/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld
+# The tool that finishes an image writes its header: slot A as a probe writes it, which counts as confirmed; slot B as it comes over a link.
+STM32_FINISH := firmware/tools/finish_image.py protocol/goldfield_protocol/image.py firmware/services/version.h
+
+$(STM32_OUT)/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld $(STM32_FINISH)
 	@echo "firmware: $@"
 	@$(ARM)gcc $(STM32_LINK) -T $(STM32)/stm32f405.ld -Wl,-Map=$(@:.elf=.map) -o $@ $(filter %.o,$^)
+	@$(PYTHON) firmware/tools/finish_image.py $@ --confirmed
 	@$(ARM)objcopy -O ihex $@ $(@:.elf=.hex)
 	@$(ARM)objcopy -I ihex -O binary --gap-fill 0xFF $(@:.elf=.hex) $(@:.elf=.bin)
 
-# For the tests on QEMU before 8.0, which has the core-coupled memory right behind the RAM: the same objects, linked for that address.
-$(STM32_OUT)/qemu/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld
-	@mkdir -p $(@D)
-	@sed -E 's/0x1000(0000|FE00), LENGTH/0x2002\1, LENGTH/' $(STM32)/stm32f405.ld >$(@:.elf=.ld)
-	@$(ARM)gcc $(STM32_LINK) -T $(@:.elf=.ld) -o $@ $(filter %.o,$^)
+# For the tests on QEMU, which starts at the beginning of the flash: the same objects, with their vectors there. Before 8.0 it has the
+# core-coupled memory right behind the RAM.
+STM32_QEMU := s/0x08020200, LENGTH/0x08000000, LENGTH/
+comma := ,
+# $(call at,SED): link for other addresses.
+define at
+@mkdir -p $(@D)
+@sed -E '$(1)' $(STM32)/stm32f405.ld >$(@:.elf=.ld)
+@$(ARM)gcc $(STM32_LINK) -T $(@:.elf=.ld) -o $@ $(filter %.o,$^)
+endef
 
-firmware: $(STM32_IMAGES) $(BUILD)/venv.stamp ## All images, with their flash, RAM and worst-case stack
-	@$(PYTHON) firmware/tools/image_report.py $(STM32_IMAGES)
+$(STM32_OUT)/qemu/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld
+	$(call at,$(STM32_QEMU); s/0x1000(0000|FE00)$(comma) LENGTH/0x2002\1$(comma) LENGTH/)
+
+$(STM32_OUT)/qemu8/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld
+	$(call at,$(STM32_QEMU))
+
+$(STM32_OUT)/slot_b/%.elf: $(STM32_OUT)/firmware/images/%.o $(STM32_OBJECTS) $(STM32)/stm32f405.ld $(STM32_FINISH)
+	$(call at,s/0x0802(0[024]00)$(comma) LENGTH/0x0808\1$(comma) LENGTH/)
+	@$(PYTHON) firmware/tools/finish_image.py $@
+
+firmware: $(STM32_IMAGES) $(BOOT_IMAGE) $(BUILD)/venv.stamp ## All images, with their flash, RAM and worst-case stack
+	@$(PYTHON) firmware/tools/image_report.py $(STM32_IMAGES) $(BOOT_IMAGE)
 
 # What is given on make's command line and no makefile sets is a parameter, as name=value; a mistyped one is refused when the page is
 # built. They are looked for only when a board is programmed, and once.
@@ -59,6 +82,7 @@ STM32_PAGE := $(STM32_OUT)/parameters.bin
 PYOCD := $(VENV)/bin/pyocd
 PYOCD_TARGET := stm32f405rgtx
 PROBE ?=
+KEY ?=
 
 # What is wrong with the command, or connected wrongly, is told before anything is built.
 flash-ready: $(BUILD)/venv.stamp
@@ -71,7 +95,7 @@ flash: flash-ready firmware ## Program a board: ROLE=beacon, sensor or anchor, w
 	@$(PYOCD) pack show 2>/dev/null | grep -q STM32F4xx_DFP || $(PYOCD) pack install stm32f405rgtx || \
 		{ echo "ST's device pack could not be installed, which needs the network once: $(PYOCD) pack install stm32f405rgtx"; exit 1; }
 	@$(PYTHON) firmware/tools/program_board.py $(PYOCD) $(if $(PROBE),--uid $(PROBE)) --target $(PYOCD_TARGET) \
-		$(STM32_OUT)/$(ROLE).elf $(if $(strip $(STM32_PARAMETERS)),$(STM32_PAGE))
+		--boot $(BOOT_IMAGE:.elf=.bin) $(if $(KEY),--key $(KEY)) $(STM32_OUT)/$(ROLE).elf $(if $(strip $(STM32_PARAMETERS)),$(STM32_PAGE))
 
 .PHONY: firmware flash flash-ready
 .SECONDARY: $(STM32_OBJECTS) $(STM32_MAINS:%.c=$(STM32_OUT)/%.o)

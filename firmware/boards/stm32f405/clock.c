@@ -25,14 +25,6 @@
 #define REVISION_A       0x1000u
 #define TICKS_PER_SECOND 100u /* Wake-ups of hal_wait() a second before the chip engine runs. */
 
-bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries) {
-    while (tries-- > 0) {
-        if ((*address & mask) == value)
-            return true;
-    }
-    return false;
-}
-
 /* Returns the flash's settings for 168 MHz. */
 static uint32_t flash_settings(void) {
     const uint32_t id = DBG->DBGMCU_IDCODE;

@@ -1,7 +1,8 @@
 /* stm32f405.h: inside this board: what its files share. Nothing outside this directory includes it.
  *
  *   interrupts.c   the one board that handlers see, and how a handler is switched on
- *   clock.c        clock tree, waits with time-outs, microseconds, tick
+ *   wait.c         waits with time-outs
+ *   clock.c        clock tree, microseconds, tick
  *   reset.c        why the board started, and what outlives a reset
  *   serial.c       USART3 with DMA both ways
  *   bridge.c       outputs to the bridges: on, off, break, two chips without a current
@@ -10,10 +11,12 @@
  *   can.c          CAN1
  *   board.c        pins, watchdog, and what is not the others'
  *   guards.c       memory protection
- *   flash.c        what is saved: words and erasures
+ *   flash_operation.c   a word or a sector of the flash
+ *   flash.c        what is saved
  *   alarms.c       crystal or supply fails while the board runs
  *   crash.c        fault report over serial, then reset
  *   startup.c      vector table, reset, .data and .bss
+ *   boot/          the boot loader, an image of its own, which has wait.c and flash_operation.c in common
  * A file calls only those above it in this list. Functions are declared below by file.
  *
  * Priorities (a lower number preempts)
@@ -136,11 +139,23 @@ static inline void memory_barrier(void) {
     __asm volatile("dsb" ::: "memory");
 }
 
-/* ---- clock.c ---- */
+/* ---- wait.c ---- */
 
 /* Poll until (*address & mask) == value, at most tries times (about 6 cycles each). Returns false if it did not
  * happen. */
 bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries);
+
+/* ---- flash_operation.c ---- */
+
+/* Program a word of the flash. Nothing can be read from the flash meanwhile.
+ * Returns false if the flash says that it did not. */
+bool flash_program(volatile uint32_t *place, uint32_t value);
+
+/* Erase a sector (0 to 11). Returns false as flash_program() does. */
+bool flash_erase(uint32_t sector);
+
+/* ---- clock.c ---- */
+
 hal_clock_t clock_start(void);
 
 /* Go on without the crystal, which has stopped: 0.3 ms at 16 MHz, then as if it had never started. Returns false if the

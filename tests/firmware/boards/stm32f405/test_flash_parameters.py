@@ -2,11 +2,13 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 
 import pytest
 
+from goldfield_protocol.image import KEY_PLACE, key_place
 from goldfield_protocol.parameters import PARAMETERS, parse_page
 from hil_sim.clib import ROOT
 
@@ -68,8 +70,9 @@ if words[0] == "commander":
                                 data = s.data()
                 elif "@" in name and int(name.partition("@")[2], 0) == address:
                     data = Path(name.partition("@")[0]).read_bytes()
+                    (here / f"at_{{address:08x}}").write_bytes(data)
             data = bytearray(data[:count])
-            if state["wrong_byte"] is not None and address == 0x08000000:
+            if state["wrong_byte"] is not None and address == 0x08020200:
                 data[state["wrong_byte"]] ^= 1
             Path(command[3]).write_bytes(data)
     state["words"] = chip
@@ -94,10 +97,21 @@ def flash(tmp_path):
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, env=bare)
         lines = told.read_text().splitlines() if told.exists() else []
         loaded = [line for line in lines if line.startswith("load")]
+        done.loaded = {path.name: path.read_bytes() for path in tmp_path.glob("at_*")}
         done.written = json.loads((tmp_path / "chip.json").read_text())["written"]
         return done, loaded[-1] if loaded else "", page
 
     return run
+
+
+def words(loaded):
+    """What pyOCD is told to load; the directory of the boot loader and the empty slot is left out."""
+    return re.sub(r"\S*/(boot_and_key|empty_slot)", r"\1", loaded)
+
+
+def load(role):
+    """What pyOCD is told to load for an image alone."""
+    return f"build/firmware/{role}.elf boot_and_key.bin@0x08000000 empty_slot.bin@0x08080000"
 
 
 def test_every_parameter_can_be_flashed(flash):
@@ -106,7 +120,7 @@ def test_every_parameter_can_be_flashed(flash):
     assert done.returncode == 0, done.stderr
     saved = page.with_name("saved.bin")  # in place of what the board has saved, which would overrule the page
     files = f"{page}@0x080E0000 {saved}@0x08004000"
-    assert loaded == f"load --target stm32f405rgtx build/firmware/anchor.elf {files}"
+    assert words(loaded) == f"load --target stm32f405rgtx {load('anchor')} {files}"
     assert saved.read_bytes() == b"\xff" * 32768
     stored = parse_page(page.read_bytes())
     assert set(stored) == set(PARAMETERS)
@@ -132,8 +146,33 @@ def test_parameters_need_the_node(flash):
 def test_an_image_alone_leaves_the_page_and_what_is_saved(flash):
     done, loaded, page = flash("ROLE=sensor")
     assert done.returncode == 0, done.stderr
-    assert loaded == "load --target stm32f405rgtx build/firmware/sensor.elf"
+    assert words(loaded) == f"load --target stm32f405rgtx {load('sensor')}"
     assert not page.exists()
+
+
+def test_the_boot_loader_comes_with_its_key_and_an_empty_other_slot(flash):
+    """What a board has got over its link is newer by its number: it must be gone."""
+    key = bytes(range(32))
+    done, _, _ = flash("ROLE=sensor", f"KEY={key.hex()}")
+    assert done.returncode == 0, done.stderr
+    loader = (ROOT / "build/boot/boot.bin").read_bytes()
+    first = done.loaded["at_08000000"]
+    assert first.startswith(loader)
+    assert first[KEY_PLACE - 0x08000000 :] == key_place(key)
+    assert set(first[len(loader) : KEY_PLACE - 0x08000000]) == {0xFF}
+    assert done.loaded["at_08080000"] == b"\xff" * 512
+    assert "no KEY" not in done.stdout
+    done, _, _ = flash("ROLE=sensor")
+    assert done.loaded["at_08000000"] == loader
+    assert "no KEY is given: this board will take no image over its links" in done.stdout
+
+
+@pytest.mark.parametrize("key", ["12", "x" * 64, "00" * 33])
+def test_a_key_that_is_none_is_refused(flash, key):
+    done, loaded, _ = flash("ROLE=sensor", f"KEY={key}")
+    assert done.returncode == 2
+    assert f"KEY={key} is no public key: give the 64 hexadecimal digits of one" in done.stderr
+    assert not loaded
 
 
 def test_a_mistyped_parameter_is_refused(flash):
@@ -180,7 +219,7 @@ def test_the_probe_is_named_and_the_one_of_several_used(flash):
     assert done.stdout.splitlines()[0] == "debug probe: STM32 STLink 066DFF01, 066DFF01"
     done, loaded, _ = flash("ROLE=sensor", "PROBE=FF02", probes=probes("066DFF01", "066DFF02"))
     assert done.stdout.splitlines()[0] == "debug probe: STM32 STLink 066DFF02, 066DFF02"
-    assert loaded == "load --uid FF02 --target stm32f405rgtx build/firmware/sensor.elf"
+    assert words(loaded) == f"load --uid FF02 --target stm32f405rgtx {load('sensor')}"
 
 
 def test_the_chip_is_named_the_flash_compared_and_the_brown_out_level_set(flash):
@@ -236,7 +275,7 @@ def test_the_first_silicon_is_told(flash):
     ("state", "sentence"),
     [
         ({"dead": True}, "pyOCD cannot reach the chip (No ACK received): check the board's power and the wires SWDIO"),
-        ({"wrong_byte": 16}, "the flash differs from build/firmware/beacon.elf at 0x08000010: program it again"),
+        ({"wrong_byte": 16}, "the flash differs from build/firmware/beacon.elf at 0x08020210: program it again"),
         ({"keeps_options": False}, "the chip did not take the brown-out level (FLASH_OPTCR 0x0fffaaed): power it off"),
     ],
 )

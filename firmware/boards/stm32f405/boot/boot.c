@@ -1,0 +1,108 @@
+/* boot.c: the boot loader: it looks which of the two images is to be started (core/boot/select.h), and starts it.
+ *
+ * It runs on the internal oscillator, 16 MHz, as the processor wakes up, and leaves the processor as it found it: no
+ * clock, no pin, no interrupt and none of the flags that tell the cause of the reset is changed for an image, and the
+ * memory that outlives a reset is not touched. It has no variables beside its stack. An image on trial starts with a
+ * watchdog of 2 s, so that one that hangs before it has its own comes to an end.
+ *
+ * The public key lies at the end of the boot loader's sector, written by whoever programs it: a mark, the key, and its
+ * CRC-32. Without a key no new image is started; the one that a probe has written is.
+ *
+ * If there is no image the LED flashes, five times a second. So it does if the boot loader itself runs into a fault.
+ */
+
+#include <stddef.h>
+
+#include "boards/stm32f405/stm32f405.h"
+#include "core/boot/select.h"
+#include "core/storage/crc32.h"
+
+#define SLOT_A       0x08020000u /* Sectors 5 to 7. */
+#define SLOT_B       0x08080000u /* Sectors 8 to 10. */
+#define SLOT_WORDS   (384u * 1024u / 4u)
+#define KEY_PLACE    0x08003FC0u
+#define KEY_MARK     0x594B4647u /* "GFKY" */
+#define BOARD_KIND   1u          /* What the headers of images for this board tell. */
+#define FLASH_TURNS  400000u     /* Turns of a loop of about four cycles in 0.1 s. */
+#define WATCH_TRIES  10000u
+#define LED          4u /* PB4, which an image has, too (pinout.md). */
+#define MODE_OUTPUT  1u
+#define VECTOR_COUNT 16u
+
+typedef struct {
+    uint32_t mark;
+    uint8_t key[IMAGE_KEY_BYTES];
+    uint32_t crc; /* CRC-32 of the key. */
+} key_place_t;
+
+typedef void (*entry_t)(void);
+
+extern uint32_t stack_top;
+
+/* Nothing can be started: somebody has to come with a probe. */
+static __attribute__((noreturn)) void signal_for_ever(void) {
+    RCC->AHB1ENR |= RCC_AHB1ENR_GPIOBEN;
+    (void)RCC->AHB1ENR; /* A peripheral answers two cycles after its clock is on (ES0182). */
+    GPIOB->MODER = (GPIOB->MODER & ~(3u << 2u * LED)) | MODE_OUTPUT << 2u * LED;
+    for (;;) {
+        GPIOB->ODR ^= 1u << LED;
+        for (uint32_t i = 0; i < FLASH_TURNS; i++)
+            __asm volatile("nop");
+    }
+}
+
+static void fault(void) {
+    signal_for_ever();
+}
+
+/* Returns the public key; NULL: there is none. */
+static const uint8_t *find_key(void) {
+    const key_place_t *const place = (const key_place_t *)KEY_PLACE;
+    const bool good = place->mark == KEY_MARK && crc32(0, place->key, IMAGE_KEY_BYTES) == place->crc;
+    return good ? place->key : NULL;
+}
+
+/* Starts the watchdog of an image on trial. */
+static void watch(void) {
+    IWDG->KR = IWDG_KR_KEY_START;
+    IWDG->KR = IWDG_KR_KEY_UNLOCK;
+    IWDG->PR = IWDG_PR_PR_DIV16;
+    IWDG->RLR = WATCHDOG_RELOAD_LONG;
+    (void)wait_for(&IWDG->SR, IWDG_SR_PVU | IWDG_SR_RVU, 0, WATCH_TRIES);
+    IWDG->KR = IWDG_KR_KEY_RELOAD;
+}
+
+/* Hands the processor over to an image, which lies behind its header. */
+static __attribute__((noreturn)) void start(const uint32_t *slot) {
+    const uint32_t *const table = slot + IMAGE_CODE;
+    SCB->VTOR = (uint32_t)table;
+    __asm volatile("dsb\n\tisb\n\tmsr msp, %0\n\tbx %1" ::"r"(table[0]), "r"(table[1]) : "memory");
+    __builtin_unreachable();
+}
+
+__attribute__((noreturn)) void Reset_Handler(void) {
+    static volatile uint32_t *const places[IMAGE_SLOTS] = {(volatile uint32_t *)SLOT_A, (volatile uint32_t *)SLOT_B};
+    const image_flash_t flash = {
+        .slot = {(const uint32_t *)SLOT_A, (const uint32_t *)SLOT_B},
+        .address = {SLOT_A, SLOT_B},
+        .words = SLOT_WORDS,
+        .board = BOARD_KIND,
+        .key = find_key(),
+    };
+    select_t select;
+    select_open(&select, &flash);
+    for (select_step_t step = select_next(&select); step.wanted; step = select_next(&select))
+        (void)flash_program(places[step.slot] + step.index, step.value);
+    const select_choice_t choice = select_choice(&select);
+    if (!choice.found)
+        signal_for_ever();
+    if (choice.trial)
+        watch();
+    start(flash.slot[choice.slot]);
+}
+
+/* All that is not the start is a fault, since no interrupt is ever switched on. */
+__attribute__((section(".vectors"), used)) static const struct {
+    uint32_t *stack;
+    entry_t entries[VECTOR_COUNT - 1u];
+} vectors = {.stack = &stack_top, .entries = {[0] = Reset_Handler, [1 ... VECTOR_COUNT - 2u] = fault}};
