@@ -10,9 +10,8 @@
  *                       sensor's own track (tracking.h), which sends its pose.
  *   4. sense_step       main, once a turn: a complete cycle is transformed while the next is collected, and reported on
  *                       both links: EPOCH, EPOCH_STATUS, EPOCH_OFFSET, one FIELD for each code that is selected.
- *      sense_spare      main, after upkeep_step: streamed chips leave, and the board computes its own pose and sends it,
- *                       if it is to (onboard.h).
- *      sense_configure  main, when a parameter has changed: it acts from the next report on.
+ *      sense_spare      main, after upkeep_step: streamed chips leave, and the board computes its own pose and sends
+ * it, if it is to (onboard.h). sense_configure  main, when a parameter has changed: it acts from the next report on.
  *
  * Reports. Cycles are reported locked or not; EPOCH_STATUS.locked tells. A cycle that the chip clock cut short, and
  * one that main was too late for, is dropped, and counted (counter 13) unless the clock had not been locked before. A

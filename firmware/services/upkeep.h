@@ -13,10 +13,10 @@
  * what was flashed or saved with a current goes on with it. A board without an amplitude starts unarmed: a current that
  * it is given later, set or copied from another board, waits for a start (requests.h).
  *
- * Received messages, from either link. SYNC is kept for the application, and whether a DRIVE_STATUS told that its sender is
- * in step; messages of motion of other boards are counted
- * (bus_share.h), requests go to requests.h. All others are ignored. A frame that is no message by its index or its
- * length (messages.h) is ignored and counted, whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).
+ * Received messages, from either link. SYNC is kept for the application, and whether a DRIVE_STATUS told that its
+ * sender is in step; messages of motion of other boards are counted (bus_share.h), requests go to requests.h. All
+ * others are ignored. A frame that is no message by its index or its length (messages.h) is ignored and counted,
+ * whatever type it has (COUNTER_FOREIGN_FRAMES, COUNTER_WRONG_LENGTH).
  *
  * Time: upkeep_step with nothing to do takes about 150 instructions. It is bounded by UPKEEP_BYTES_A_STEP received
  * bytes, UPKEEP_FRAMES_A_STEP frames, and what the queues hold. Memory: what node.h holds for it.
