@@ -55,7 +55,9 @@ static void tell_codes(acquire_t *acquire, const sense_t *sense) {
 
 static void follow(sensor_t *sensor, uint32_t source) {
     timing_t *const timing = &sensor->timing;
-    const bool by_field = source == SYNC_BY_FIELD && timing->format.degree == 10u, by_can = source == SYNC_BY_CAN;
+    const bool by_field = source == SYNC_BY_FIELD && timing->format.degree == 10u;
+    timing_automatic(timing, source == SYNC_AUTOMATIC);
+    const bool by_can = timing->automatic ? timing->link.follows : source == SYNC_BY_CAN;
     if (by_field != timing->by_field || by_can != timing->link.follows) {
         timing->by_field = false; /* It comes first: the interrupts now keep their hands off. */
         sync_link_follow(&timing->link, &timing->clock, by_can);

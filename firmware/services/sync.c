@@ -108,10 +108,14 @@ static void take_follow_up(sync_link_t *link, chip_clock_t *clock, const sync_fo
         return;
     }
     seen->open = false;
-    if (!clock->config.follow) {
+    link->message_chip = clock->chip;
+    if (!clock->config.follow || !link->follows) {
         link->compared = chip_clock_phase(clock, &seen->mark, follow_up.ticks, &link->rival_phase);
         link->rival_node = seen->node;
         link->rival_chip = clock->chip;
+        const bool near = link->compared && link->rival_phase <= SYNC_NEAR_TICKS &&
+                          link->rival_phase >= -SYNC_NEAR_TICKS;
+        link->good = near ? link->good + 1u : 0u;
         return;
     }
     if (chip_clock_message(clock, &seen->mark, follow_up.ticks)) {
@@ -127,7 +131,7 @@ void sync_link_serve(sync_link_t *link, chip_clock_t *clock, const sync_format_t
             continue; /* Somebody else's frame; the node counts it. */
         }
         const bool is_sync = (stamp.frame.id & HAL_CAN_TYPE_MASK) == GOLDFIELD_SYNC_FRAME_ID;
-        const bool listens = link->follows || !clock->config.follow;
+        const bool listens = link->follows || link->compares || !clock->config.follow;
         if (is_sync && (stamp.sent || listens)) {
             take_sync(link, clock, format, &stamp);
         } else if (!is_sync && !stamp.sent && listens) {

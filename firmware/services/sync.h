@@ -59,6 +59,7 @@
 
 #define SYNC_CYCLE_MASK     0xFFFFFu /* The bits of a cycle number in a message: 20. */
 #define SYNC_FRESH_US       50000u   /* Largest age of the edge that a SYNC numbers, us: half a period of most codes. */
+#define SYNC_NEAR_TICKS     168      /* Largest difference of two sources that are called the same, ticks: 1 us. */
 #define SYNC_SEEN           4u       /* SYNCs without FOLLOW_UP that are remembered. */
 #define SYNC_PERIODS_LATE   1  /* Largest delay of a SYNC on the bus, sync periods; a later one gets no FOLLOW_UP. */
 #define SYNC_STAMPS_A_BLOCK 8u /* Most stamps taken before a block is planned: as many as the board keeps. */
@@ -71,7 +72,7 @@ typedef enum {
 } sync_told_t;
 
 /* The values of the parameter sync_source. */
-enum { SYNC_BY_WIRE = 0, SYNC_BY_FIELD = 1, SYNC_BY_CAN = 2 };
+enum { SYNC_BY_WIRE = 0, SYNC_BY_FIELD = 1, SYNC_BY_CAN = 2, SYNC_AUTOMATIC = 3 };
 
 /* A SYNC that was received. */
 typedef struct {
@@ -81,7 +82,8 @@ typedef struct {
 } sync_seen_t;
 
 typedef struct {
-    volatile bool follows; /* The clock follows messages on CAN. */
+    volatile bool follows;  /* The clock follows messages on CAN. */
+    volatile bool compares; /* It compares itself with them while it follows the wire. */
     /* Private. */
     sync_seen_t seen[SYNC_SEEN]; /* A ring of the latest SYNCs. */
     uint32_t count;              /* SYNCs put into the ring. */
@@ -89,6 +91,8 @@ typedef struct {
     bool answer_due;             /* The master owes a FOLLOW_UP: plan sets it, main clears it. */
     uint32_t answer_cycle;       /* The cycle that the FOLLOW_UP is to tell of. */
     int32_t answer_ticks;        /* How long it had lasted at the end of SYNC, ticks. */
+    uint32_t message_chip;       /* The chip that was planned next when a FOLLOW_UP came last. */
+    uint32_t good;               /* Messages in a row that the clock was within SYNC_NEAR_TICKS of. */
     bool compared;               /* While the clock leads: another leader's messages were compared with it. */
     uint32_t rival_node;         /* That leader, */
     uint32_t rival_chip;         /* the chip that was planned next when its message was taken, */

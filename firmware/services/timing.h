@@ -17,7 +17,7 @@
  * does not lead.
  *
  * Two that lead. Both notice: each hears the other's SYNC, and counts it (COUNTER_OTHER_MASTERS). Which of them steps
- * back, election.h tells. That one has compared its clock with the other's messages on CAN. Within TIMING_STEP_TICKS it
+ * back, election.h tells. That one has compared its clock with the other's messages on CAN. Within SYNC_NEAR_TICKS it
  * goes over to following without losing its lock; else it is unlocked, its drive is off, and it searches, as
  * sync_source says. That a wire joined two that ran apart its followers see by edges that do not fit: they lose the
  * lock, too.
@@ -28,6 +28,14 @@
  * Masters of another length of cycle. Such a SYNC is counted (COUNTER_OTHER_DEGREE). It is ignored as long as the
  * wire's master is sound: it has numbered an edge of the wire within TIMING_SOUND_US. Else the wire may be that
  * master's and is forgotten, though its edges fit.
+ *
+ * Automatic (sync_source 3). The wire is followed while its edges are sound. When none has fitted for
+ * TIMING_SILENT_PERIODS and the last three messages on CAN tell what the clock has, within 1 us, the clock goes over to
+ * CAN. It returns when TIMING_WIRE_EDGES edges in a row lay within 1 us, or two if CAN is silent. Phase and rate go on,
+ * and the difference is slewed off. A clock in hold-over whose new source lies further away keeps to itself until the
+ * lock ends; a clock that is not in step follows CAN if the wire has no edges that fit for
+ * TIMING_SEARCH_PERIODS, and searches the
+ * wire again if CAN falls silent. Each change is counted (COUNTER_SYNC_CHANGES).
  *
  * CLOCK goes with each heartbeat: what the clock follows, whom, and how well (chip_clock_quality).
  *
@@ -48,6 +56,11 @@
 #define TIMING_NEAR_PERIODS 2       /* Largest difference of a SYNC's number from the own one, sync periods. */
 #define TIMING_STEP_TICKS   168     /* Largest step of a leader that begins to follow and stays locked: 1 us. */
 
+#define TIMING_SILENT_PERIODS 3u  /* Sync periods without a sound edge, or message, that make a source silent. */
+#define TIMING_SEARCH_PERIODS 6u  /* The same for a clock that is not in step: a master may just have begun to lead. */
+#define TIMING_MESSAGES       3u  /* Messages in a row that must agree before CAN is followed. */
+#define TIMING_WIRE_EDGES     10u /* Edges in a row that must agree before the wire is followed again. */
+
 /* What main asks plan to do. */
 typedef enum { TIMING_STAY = 0, TIMING_LEAD = 1, TIMING_FOLLOW = 2 } timing_turn_t;
 
@@ -63,6 +76,10 @@ typedef struct {
     bool asking;           /* Main waits for it. */
     chip_clock_quality_t quality;
     volatile bool announce;    /* The board has begun to lead in a cycle whose SYNC nobody sent: drive.h sends it. */
+    volatile bool automatic;   /* The clock follows the wire or CAN, whichever is sound. */
+    uint32_t wire_chip;        /* The chip that was planned next when the wire's latest good edge came. */
+    uint32_t wire_good;        /* Edges in a row that lay within SYNC_NEAR_TICKS while CAN is followed. */
+    volatile uint32_t changes; /* Changes from one source to the other. */
     bool elects;               /* The board has a rank. */
     bool knows;                /* The clock was locked to a leader once: phase and numbers are others', too. */
     volatile uint32_t signs;   /* Edges of the wire that are a sign of a leader; the interrupt counts them, */
@@ -77,6 +94,9 @@ typedef struct {
 
 /* Make the chip clock that the node's parameters ask for. can_lead: the board may lead, as all boards that drive. */
 void timing_start(timing_t *timing, const node_t *node, bool can_lead);
+
+/* Let the clock choose between wire and CAN itself from now on, or not. */
+void timing_automatic(timing_t *timing, bool automatic);
 
 /* Begin or end to lead if main has asked for it, and take the messages on CAN since the last call. Costs about 1,100
  * instructions when a FOLLOW_UP came, else 20. */

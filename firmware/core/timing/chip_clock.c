@@ -385,6 +385,13 @@ void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source) {
     clock->candidate_edges = 0;
 }
 
+void chip_clock_change(chip_clock_t *clock, const chip_clock_source_t *source) {
+    clock->source = *source;
+    clock->memory = source->memory_edges;
+    clock->compared = false;
+    clock->candidate_edges = 0;
+}
+
 bool chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
     chip_clock_mark_t mark;
     if (ticks > clock->config.maximum_ticks || !chip_clock_mark(clock, chip, ticks, &mark)) {

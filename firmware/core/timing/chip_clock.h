@@ -223,6 +223,10 @@ int32_t chip_clock_told(const chip_clock_t *clock, int32_t ticks);
  * Returns false, with *phase untouched, if master_ticks is beyond 0.4 s. */
 bool chip_clock_phase(const chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks, int32_t *phase);
 
+/* Go over to another source whose edges were compared and lie within the gate; phase, period, drift and lock stay. The
+ * gains are those of a settled clock from the first edge on, so that the difference is slewed off. */
+void chip_clock_change(chip_clock_t *clock, const chip_clock_source_t *source);
+
 /* Take an edge of a wire that is there but is not followed. From now on phase_ticks is the difference to the wire, not
  * to the source that is followed.
  * Returns whether the edge lies within the gate of a cycle's start. */
