@@ -14,6 +14,7 @@ from tests.firmware.host_rig import (
     CHIP_TICKS,
     FFI,
     LIBRARY,
+    LISTENS,
     MS,
     PIN_BRIDGE_1,
     PIN_LED,
@@ -81,7 +82,7 @@ def test_coil_currents_are_sampled_behind_each_edge_and_just_before_each_end() -
 
 def test_edges_lie_on_ticks_of_the_local_clock() -> None:
     board = beacon(Coil(), parameters=MASTER, ppm=40.0, power_on=12_345_678)
-    board.run(200 * MS)
+    board.run(LISTENS + 200 * MS)
     edges = np.array(board.edges(PIN_BRIDGE_1))
     board.close()
     tick = 1e12 / (TICKS_PER_SECOND * (1 + 40e-6))
