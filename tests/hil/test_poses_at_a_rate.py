@@ -165,7 +165,9 @@ def test_lost_messages_cost_a_block_each_and_no_pose_at_another_rate(bench):
     times = [item.pose.time_s for item in items if isinstance(item, Fix)]
     assert len(times) > 60
     np.testing.assert_allclose(np.diff(times), 0.01, atol=1e-4)
-    assert {item.pose.status for item in items if isinstance(item, Fix)} == {Status.OK}
+    first, *others = [item.pose.status for item in items if isinstance(item, Fix)]
+    assert first in (Status.OK, Status.UNVERIFIED)  # It rests on the start alone, whose protection level is near 0.5 m.
+    assert set(others) == {Status.OK}
 
 
 def _name(line):

@@ -171,7 +171,7 @@ def test_a_track_follows_the_cycles(make, capsys):
     """Blocks would have now these codes, now others: none are asked for, and it is said."""
     bench = make(RigLink)
     epochs = bench.epochs(Options(Method.TRACK, strongest=STRONGEST), 20)
-    assert "the sensor sends whole cycles, 10 a second, at most 2 % of CAN" in capsys.readouterr().err
+    assert "the sensor sends whole cycles, 10 a second, at most 1 % of CAN" in capsys.readouterr().err
     truth = {one.cycle: one.position_m for one in bench.rig.truth()}
     for epoch in epochs[5:18]:
         assert len(codes_of(epoch)) == STRONGEST
