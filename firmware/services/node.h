@@ -95,6 +95,8 @@ typedef struct {
     bool blinking;  /* The LED blinks, until blink_end_us; a signature (signing) ends then, too. */
     bool resetting; /* A reset was accepted, and comes at reset_us. */
     uint64_t blink_end_us, reset_us;
+    node_links_t identity_late, reset_late; /* The links on which these are told at late_us. */
+    uint64_t late_us;
     node_links_t saving; /* The link to which a save that is under way is answered. */
     storage_t storage;   /* It is large, and last: what main looks at each turn lies near the beginning. */
 } node_t;

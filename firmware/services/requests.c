@@ -30,6 +30,8 @@ enum {
 #define BLINK_US     125000u /* Time for which the blinking LED is on, and then off. */
 #define RESET_US     50000u /* Time from the answer to the reset: the answer is out by then, behind a full queue too. */
 #define MICROSECONDS 1000000u
+#define LATE_STEP_US 1000u /* More than the two frames of an identity take. */
+#define LATE_SHIFT   58u   /* 64 such steps: one of 64 pairs of boards has the same, and another one next time. */
 
 /* ---- Parameters ---- */
 
@@ -261,6 +263,25 @@ static bool carry_out(node_t *node, uint32_t index, uint32_t argument, bool name
     }
 }
 
+/* Has an answer to all nodes wait for a while that differs from board to board, and from time to time. */
+static void answer_late(node_t *node, node_links_t *late, node_links_t link, uint64_t own) {
+    const uint64_t now_us = hal_microseconds(node->hal);
+    const uint64_t mixed = (own ^ now_us) * 0x9E3779B97F4A7C15u; /* The golden ratio of 2^64: all bits reach the top. */
+    *late = (node_links_t)(*late | link);
+    node->late_us = now_us + (mixed >> LATE_SHIFT) * LATE_STEP_US;
+    node->under_way = true;
+}
+
+static void tell_late(node_t *node) {
+    if (node->identity_late != NODE_NO_LINK) {
+        tell_identity(node, node->identity_late);
+    }
+    if (node->reset_late != NODE_NO_LINK) {
+        requests_tell_last_reset(node, node->reset_late);
+    }
+    node->identity_late = node->reset_late = NODE_NO_LINK;
+}
+
 static void take_command(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
     struct goldfield_command_t command = {0};
     const uint64_t own = identity_half(node, 0) ^ identity_half(node, 1);
@@ -268,12 +289,11 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
     if (command.board != 0 && command.board != own) {
         return;
     }
-    if (index == COMMAND_IDENTITY) {
-        tell_identity(node, link);
-        return;
-    }
-    if (index == COMMAND_LAST_RESET) {
-        requests_tell_last_reset(node, link);
+    if (index == COMMAND_IDENTITY || index == COMMAND_LAST_RESET) {
+        answer_late(node, index == COMMAND_IDENTITY ? &node->identity_late : &node->reset_late, link, own);
+        if ((frame->id & PROTOCOL_NODE_MASK) != 0u) {
+            tell_late(node); /* It alone is asked. */
+        }
         return;
     }
     const bool named = command.board == own && (frame->id & PROTOCOL_NODE_MASK) == node->id;
@@ -323,6 +343,9 @@ static void act(node_t *node) {
         node->signing = node->signing && node->blinking;
         hal_led(node->hal, !node->blinking || now_us / BLINK_US % 2u == 0u);
     }
+    if (now_us >= node->late_us) {
+        tell_late(node);
+    }
     if (node->resetting && now_us >= node->reset_us) {
         hal_reset(node->hal);
     }
@@ -333,5 +356,6 @@ void requests_step(node_t *node) {
         step_save(node);
     }
     act(node);
-    node->under_way = node->saving != NODE_NO_LINK || node->blinking || node->resetting;
+    node->under_way = node->saving != NODE_NO_LINK || node->blinking || node->resetting ||
+                      node->identity_late != NODE_NO_LINK || node->reset_late != NODE_NO_LINK;
 }

@@ -14,6 +14,9 @@
  * COMMAND lets the board tell its unique id or its last reset, blink with its LED, reset itself, clear what keeps its
  * drive off, save its parameters, start or stop, show its signature, or take another number (framing.md, "Commands").
  *
+ * What all nodes are asked for, identity and last reset, a board tells after up to 64 ms, a time of its own: frames of
+ * two boards with one number have the same identifier, and destroy each other on CAN when they begin together.
+ *
  * Start and stop set the parameter armed, as a PARAM_SET does: a stop acts in the turn of the main loop in which it is
  * taken, as drive_configure switches the bridges off at once. A board without an amplitude refuses a start. While
  * node.signing is set the drive halves its current in every other cycle (drive.h), so that a sensor sees which board

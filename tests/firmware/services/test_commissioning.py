@@ -276,3 +276,27 @@ def test_a_board_that_is_named_takes_another_number(
     assert {m.node for m in board.messages("COMMAND_ANSWER")} <= {9}
     assert board.messages("HEARTBEAT")[-1].node == number
     assert get(board, "node", 1500 * MS) == number
+
+
+# ---- Asked of all ----
+
+
+@pytest.mark.parametrize(("index", "name"), [(0, "IDENTITY"), (4, "RESET_REPORT")])
+def test_boards_with_one_number_do_not_answer_all_at_once(boards: list[Board], index: int, name: str) -> None:
+    """Each answers within 64 ms; of 24 boards that hear the same moment few answer in one millisecond."""
+    times = []
+    for i in range(24):
+        board = beacon(Coil(), parameters={"node": 9}, unique_id=bytes([*range(11), 40 + i]))
+        boards.append(board)
+        board.run(100 * MS)
+        before, said = len(board.serial), len(board.messages())
+        board.send_serial("COMMAND", {"board": 0, "argument": 0}, 0, index, 100 * MS)
+        board.run(180 * MS)
+        assert {m.name for m in board.messages()[said:]} == {name}
+        times.append((board.serial[before][0] - 100 * MS) / MS)
+    assert max(times) < 67
+    assert len({int(time) for time in times}) >= 16
+    board.send_serial("COMMAND", {"board": 0, "argument": 0}, 9, index, 200 * MS)
+    before = len(board.messages(name))
+    board.run(205 * MS)
+    assert len(board.messages(name)) > before
