@@ -173,6 +173,16 @@ def read_image(path: str | Path) -> tuple[list[tuple[int, bytes]], dict[str, int
     return segments, symbols
 
 
+def behind(boot: str | Path | None, key: bytes | None, image: list[tuple[int, bytes]]) -> list[tuple[int, bytes]]:
+    """Return what is flashed of an image behind a boot loader that knows a public key, if there are such."""
+    segments = list(image)
+    if boot is not None:
+        segments = [*read_image(boot)[0], *((at, data) for at, data in segments if at != FLASH.start)]
+    if key is not None:
+        segments.append((KEY_PLACE, key_place(key)))
+    return segments
+
+
 class Emulator:
     """One board.
 
@@ -232,11 +242,7 @@ class Emulator:
         pin_out: Callable[[int, bool, int], None] | None = None,
     ) -> None:
         segments, self.symbols = read_image(image)
-        if boot is not None:
-            loader, _ = read_image(boot)
-            segments = [*loader, *((at, data) for at, data in segments if at != FLASH.start)]
-        if key is not None:
-            segments.append((KEY_PLACE, key_place(key)))
+        segments = behind(boot, key, segments)
         if parameter_page is not None and len(parameter_page) > FLASH.stop - PARAMETER_PAGE:
             raise BadImageError(f"the parameter page has {len(parameter_page)} bytes; at most 131072 fit")
         self._kept = None if flash is None else Path(flash)

@@ -15,7 +15,9 @@ PLACES = [
     f"/{path.relative_to(ROOT).as_posix()}"
     for path in (*ROOT.iterdir(), *(p for top in TOP for p in (ROOT / top).rglob("*")))
 ]
-DOCUMENTS = sorted(path for path in (*FILES, *ROOT.glob("*.md")) if path.suffix == ".md")
+DOCUMENTS = sorted(
+    path for path in (*FILES, *ROOT.glob("*.md")) if path.suffix == ".md" and "third_party" not in path.parts
+)
 
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 QUOTED = re.compile(r"``+.*?``+|`([^`\n]+)`")

@@ -42,6 +42,7 @@ NEVER_ONE = {
     "{count} bodies": "one is told by another word",
     "{len(site.beacons)} beacons are too many": "more than are optimised",
     "{len(codes)} beacons are more than codes": "more than there are codes",
+    "{len(drive.codes)} codes; a board drives 4": "more than four",
     "needs {count} finite numbers": "three at least",
     "stands {len(bodies)} times": "more than are allowed",
 }

@@ -91,7 +91,7 @@ def _tell_numbers(arguments: argparse.Namespace, boards: Sequence[Board], number
             was = "" if board.number == number else f", was {board.number}"
             print(f"{number:4d} {board.role or '?':7} {board.unique_id}{was}")
     if not arguments.json and len(boards) > 1:
-        print(f"{len(boards)} boards have a number of their own, and have saved it")
+        print(f"all {len(boards)} have a number of their own, and have saved it")
 
 
 def set_name(conversation: Conversation, arguments: argparse.Namespace, _: object = None) -> None:

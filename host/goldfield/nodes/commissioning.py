@@ -132,7 +132,7 @@ def assigned(boards: Sequence[Board], first: int, *, renew: bool) -> dict[str, i
     ({'0a': 7, '0b': 1}, {'0a': 5, '0b': 6})
     """
     if first + len(boards) - 1 > LARGEST_NUMBER:
-        raise UserError(f"{len(boards)} boards do not have numbers from {first} on: the last is {LARGEST_NUMBER}")
+        raise UserError(f"numbers from {first} on do not suffice for all {len(boards)}: the last is {LARGEST_NUMBER}")
     result: dict[str, int] = {}
     if not renew:
         for board in boards:

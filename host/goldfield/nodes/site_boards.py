@@ -6,7 +6,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from goldfield.errors import SystemFailure, UserError
+from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.requests import Value
 from goldfield.nodes.commissioning import Board, await_restarts, save_all
 from goldfield.nodes.conversation import RESET, Conversation
@@ -163,7 +163,7 @@ def _board_of(beacon: Beacon, name: str, boards: Sequence[Board]) -> tuple[Board
     else:
         found, what = [one for one in boards if one.name == name], f'the name "{name}", nor has it node or board'
     if len(found) > 1:
-        return None, f"{len(found)} boards have {what}: goldfield nodes assign gives each its own number"
+        return None, f"{counted(len(found), 'boards have')} {what}: goldfield nodes assign gives each its own number"
     if not found:
         return None, f"no board has {what}"
     if found[0].role not in ("beacon", "anchor"):

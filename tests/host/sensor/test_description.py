@@ -8,6 +8,7 @@ from collections.abc import Callable
 from types import SimpleNamespace
 
 import can
+import numpy as np
 import pytest
 
 from goldfield.errors import SystemFailure
@@ -135,12 +136,10 @@ def test_the_table_told_is_that_of_the_file(role: str, emulated: bool, over_can:
 
 def test_a_message_that_is_lost_is_asked_for_again() -> None:
     """One in eleven of the messages that leave the board is lost, of whatever kind."""
-    count = 0
+    rng = np.random.default_rng(3)
 
     def lost(_: can.Message) -> bool:
-        nonlocal count
-        count += 1
-        return count % 11 == 3
+        return bool(rng.random() < 1.0 / 11.0)
 
     board = board_of("sensor", False)
     link = BoardLink(board, lost=lost)
