@@ -20,7 +20,8 @@
  *                  trigger is nothing that RM0090 describes. Converters that run together must sample equally long:
  *                  ADC2 and ADC3 look at pins meanwhile, for nobody. A beacon's is started by the interrupt of an edge,
  *                  behind which nothing converts whatever has become of the chips: where edges come no more, so does
- *                  the temperature.
+ *                  the temperature. An interrupt that waited, as for an erasure of the flash, may come amid the
+ *                  regular group of a later chip: the injected one is then changed behind it.
  *
  * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's
  * counter tells whether it is there: 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the
@@ -45,6 +46,8 @@
 #define CURRENT_START        (HAL_CHIP_TICKS_MIN - 360u)
 #define CURRENT_START_ANCHOR (BURST_START - 300u)
 #define EDGE_START           (HAL_EDGE_US * 168u - TRIGGER_TICKS - SAMPLING_TICKS)
+#define BURST_BEYOND         300u /* A burst may end so far behind the end of the shortest chip. */
+#define EDGE_DONE            (EDGE_START + 2u * TRIGGER_TICKS + CONVERSION_TICKS)
 
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
 _Static_assert(CURRENT_START == 15640u && CURRENT_START_ANCHOR == 14240u, "and the currents");
@@ -163,9 +166,17 @@ static void start_temperature(hal_t *hal) {
     ADC1->CR2 |= ADC_CR2_JSWSTART;
 }
 
+/* Returns whether the regular group may be under way at a count of the chip. */
+static bool scans(const hal_t *hal, uint32_t now) {
+    return hal_role_samples(hal->role) ? now >= BURST_START || now < BURST_BEYOND
+                                       : now >= EDGE_START && now < EDGE_DONE;
+}
+
 bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     if ((ADC1->SR & ADC_SR_JEOC) == 0)
         return false;
+    if (hal->temperature_due && scans(hal, TIM8->CNT))
+        return false; /* The flag stays, so the interrupt comes again: it had waited, as for the flash. */
     ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
     if (hal->temperature_due) {
         hal->temperature_due = false;
@@ -194,7 +205,8 @@ bool converters_take_edge(const hal_t *hal, uint16_t count[HAL_CHANNELS]) {
 }
 
 void converters_behind_edge(hal_t *hal) {
-    if (hal->temperature_wanted && TIM8->CNT < MIDDLE_TICKS / 2u) {
+    const uint32_t now = TIM8->CNT;
+    if (hal->temperature_wanted && !scans(hal, now) && now < MIDDLE_TICKS / 2u) {
         hal->temperature_wanted = false;
         start_temperature(hal);
     }

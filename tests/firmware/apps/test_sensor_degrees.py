@@ -128,7 +128,7 @@ def test_a_beacon_does_not_drive_beside_a_master_of_another_degree(own: int, mas
     """Wire and CAN are both there, with the crystals as far apart as brings degrees 10 and 11 nearest."""
     head = beacon(Coil(), parameters={"node": 1, "sync_master": 1, "degree": masters}, ppm=-100.0)
     other = beacon(Coil(), parameters={"node": 2, "amplitude": 5.0, "degree": own}, ppm=100.0)
-    Rig(head, other).run(3 * SECOND)
+    Rig(head, other).run(4 * SECOND)
     assert {m.signals["enabled"] for m in other.messages("DRIVE_STATUS")} == {0}
     assert other.messages("HEARTBEAT")[-1].signals["state"] == 1
     assert max(m.signals["value"] for m in other.messages("COUNTER") if m.index == 14) >= 10

@@ -27,8 +27,8 @@ from tests.firmware.boards.stm32f405.fault_images import (
 )
 from tests.firmware.host_rig import BEACON, MS, PIN_ENABLE, US, Coil, beacon
 
-AT = 215 * MS
-"""When the first fault may come: the current is at its amplitude."""
+AT = 450 * MS
+"""When the first fault may come: the board leads, and the current is at its amplitude."""
 BOOT = 10 * MS
 """The board's clock starts within that time after it got power."""
 TWO_BLOCKS = 62 * CHIP
