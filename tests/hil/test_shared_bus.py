@@ -36,7 +36,7 @@ def test_each_sends_its_part_and_every_cycle(bench):
         assert not found.counters
         steps = np.diff([number for number, _ in found.blocks]) // BLOCK_CHIPS
         assert set(steps) <= {2, 3, 4, 5, 6}  # one of 2.8 goes, and a report of a cycle costs 3.1 blocks
-        assert found.lost == pytest.approx(sum(steps - 1), abs=3)  # that before the first one counts, too
+        assert 0 <= found.lost - sum(steps - 1) <= 6 - 1  # those before the first one count, too
 
 
 def test_what_one_gives_up_the_others_take(bench):

@@ -164,7 +164,8 @@ def test_the_board_locates_itself_by_what_it_chose(make):
     for epoch in epochs[3:10]:
         assert len(epoch.pose.used) == STRONGEST
         off = epoch.pose.position_m - truth[epoch.pose.epoch]
-        assert off @ np.linalg.solve(epoch.pose.position_cov_m2, off) < chi2.ppf(0.9999, 3)
+        # The board tells the trace alone, all of which may lie in one direction.
+        assert off @ off < chi2.ppf(0.9999, 1) * np.trace(epoch.pose.position_cov_m2)
 
 
 def test_a_track_follows_the_cycles(make, capsys):
