@@ -28,6 +28,18 @@ WRONG_NEES = 8.0
 """Squared error in standard deviations over its three dimensions: what noise exceeds in no run of this length."""
 
 
+TWO_WORLDS_S = 0.4
+
+
+def amplitude_A(rig, node):
+    """Return the largest current of a coil at moments over the next chip: one may lie in a change of direction."""
+    seen = []
+    for _ in range(5):
+        rig.advance(20e-6)
+        seen.append(abs(rig.coil_current_A(node)))
+    return max(seen)
+
+
 @pytest.fixture
 def listen(monkeypatch, tmp_path):
     """Return a function that lets host boards boot, something happen to them at `EVENT_S`, and listens on CAN."""
@@ -70,15 +82,19 @@ def poses_until(rig, sensor, until_s):
 
 
 def named(told, beacon):
-    """When a beacon was named and left out first, and its finding at the end; nobody else was, and it stays so."""
+    """When a beacon was named and left out first, and its finding at the end; nobody else was, and it stays so.
+
+    What anchors tell of the cycle in which it happens comes with the sensor's next one, or the one behind it: until
+    then, for `TWO_WORLDS_S`, it may be unknown what is wrong.
+    """
     findings = [[f for f in pose.findings if f.kind is not Explanation.BOARD] for _, pose in told]
     out = [time_s for (time_s, pose), found in zip(told, findings, strict=True) if found and beacon in pose.excluded]
     assert out
-    # The cycle in which it happens is of two worlds: nobody can tell what it is.
     late = [(time_s, f) for (time_s, _), found in zip(told, findings, strict=True) for f in found]
-    assert {f.beacons for time_s, f in late if time_s >= out[0]} == {(beacon,)}
-    assert all(f.beacons == (beacon,) or f.kind is Explanation.UNKNOWN for _, f in late)
-    assert len(out) == sum(time_s >= out[0] for time_s, _ in told)
+    assert {f.beacons for time_s, f in late if time_s >= max(out[0], TWO_WORLDS_S)} == {(beacon,)}
+    assert all(f.beacons in ((beacon,), ()) or f.kind is Explanation.UNKNOWN for _, f in late)
+    since_s = max(out[0], TWO_WORLDS_S)
+    assert sum(time_s >= since_s for time_s in out) == sum(time_s >= since_s for time_s, _ in told)
     print(f"{beacon} named after {out[0]:.2f} s: {findings[-1][0].text}")
     return out[0], findings[-1][0]
 
@@ -117,7 +133,7 @@ def test_a_current_that_a_board_measures_does_not_cost_its_anchor(listen):
     link.send(*encode("PARAM_SET", values, node=2, index=PARAMETERS["amplitude"].first))
     told = poses_until(rig, sensor, 6.0)
     settled = [pose for time_s, pose in told if time_s > 3.0]
-    assert rig.coil_current_A(2) == pytest.approx(np.sign(rig.coil_current_A(2)) * 9.9, rel=0.01)
+    assert amplitude_A(rig, 2) == pytest.approx(9.9, rel=0.01)
     assert all(pose.excluded == () and len(pose.used) == 4 for pose in settled)
 
 
