@@ -13,9 +13,6 @@
 #define WEAK_ATTITUDE  0.5f  /* Standard deviation of the attitude beyond which nothing linear holds, rad. */
 #define WEAK_DISTANCE  0.25f /* That of the position, over the distance to the nearest beacon. */
 #define WIDENED        2.0f  /* The filter takes so many times the deviations of a start. */
-#define VAGUE_CYCLES   2u    /* So many cycles are located before a track that started weak is believed. */
-#define UNREST_CYCLES  10u   /* So many cycles long such a track, or one that was astray, is restless. */
-#define ASTRAY         3.0f  /* A track and a cycle so many standard deviations apart contradict each other. */
 #define START_VELOCITY 3.0f  /* Standard deviations with which the filter begins: m/s ... */
 #define START_RATE     4.0f  /* ... and rad/s. */
 #define PROTECTION_SD  3.29f /* Deviate of what noise alone exceeds in one of a thousand cases. */
@@ -461,8 +458,8 @@ static void begin(tracking_t *tracking, node_t *node) {
     const bool vague = tracking->onboard->chips == BLOCK_CYCLE_CHIPS && !tracking->doubted &&
                        is_weak(tracking, WIDENED * root_of_trace(found->position_cov_m2),
                                WIDENED * root_of_trace(found->attitude_cov_rad2), found->position_m);
-    tracking->vague = vague ? VAGUE_CYCLES : 0u;
-    tracking->unrest = vague ? UNREST_CYCLES : 0u;
+    tracking->vague = vague ? TRACKING_VAGUE_CYCLES : 0u;
+    tracking->unrest = vague ? TRACKING_UNREST_CYCLES : 0u;
     tracking->rests = vague;
     tracking->unfit = false;
     tracking->state = TRACKING_FOLLOWS;
@@ -493,7 +490,7 @@ static bool is_astray(const tracking_t *tracking, float away_m) {
     for (uint32_t axis = 0; axis < 3u; axis++) {
         variance_m2 += cycle->position_cov_m2[axis][axis] + track.covariance[axis][axis];
     }
-    return away_m * away_m > ASTRAY * ASTRAY * variance_m2;
+    return away_m * away_m > TRACKING_ASTRAY * TRACKING_ASTRAY * variance_m2;
 }
 
 /* Begins the track anew from a cycle of it: where that was located, and the motion since then has brought it. */

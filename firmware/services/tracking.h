@@ -16,10 +16,10 @@
  *
  * One block beside a coil may tell so little that nothing is linear over its errors: the filter, which linearises each
  * block where it believes the sensor then, is soon sure of a wrong place. A track that starts weak stays weak until
- * VAGUE_CYCLES cycles were located, and begins anew with each of them (block_filter_shift). Such a track is restless,
- * and its unrest is in what it makes of a cycle; so cycles are located as of a sensor at rest, unless that does not
- * fit, for UNREST_CYCLES. One that is found more than ASTRAY deviations away meanwhile moves the track, too. (The host
- * fits the first blocks together instead, for which there is no memory here.)
+ * TRACKING_VAGUE_CYCLES cycles were located, and begins anew with each of them (block_filter_shift). Such a track is
+ * restless, and its unrest is in what it makes of a cycle; so cycles are located as of a sensor at rest, unless that
+ * does not fit, for TRACKING_UNREST_CYCLES. One that is found more than TRACKING_ASTRAY deviations away meanwhile moves
+ * the track, too. (The host fits the first blocks together instead, for which there is no memory here.)
  *
  * Status. Single blocks are too noisy to tell that a beacon is not as the site says. Status, reason, the beacon left
  * out and the protection level of each pose are those of the latest cycle that onboard.h has located; before there is
@@ -71,10 +71,13 @@
 #include "services/blocks.h"
 #include "services/onboard.h"
 
-#define TRACKING_COLUMNS_A_BLOCK 21u /* Most columns that the fields of one block are separated for. */
-#define TRACKING_DOUBTS          3u  /* Blocks in a row that do not fit, from which on poses are inconsistent. */
-#define TRACKING_PATIENCE        5u  /* Starts that do not agree with the site, after which one is taken as it is. */
-#define TRACKING_ERRORS_BLOCKS   33u /* Blocks from one covariance by the errors of the site to the next. */
+#define TRACKING_COLUMNS_A_BLOCK 21u  /* Most columns that the fields of one block are separated for. */
+#define TRACKING_DOUBTS          3u   /* Blocks in a row that do not fit, from which on poses are inconsistent. */
+#define TRACKING_PATIENCE        5u   /* Starts that do not agree with the site, after which one is taken as it is. */
+#define TRACKING_VAGUE_CYCLES    2u   /* Cycles that are located before a track that started weak is believed. */
+#define TRACKING_UNREST_CYCLES   10u  /* Cycles for which such a track is restless. */
+#define TRACKING_ASTRAY          3.0f /* Deviations by which a track and a cycle differ that contradict each other. */
+#define TRACKING_ERRORS_BLOCKS   33u  /* Blocks from one covariance by the errors of the site to the next. */
 
 typedef enum {
     TRACKING_LOST,     /* The next block begins a start. */

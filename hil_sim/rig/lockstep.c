@@ -7,7 +7,7 @@
 #include "rig/array.h"
 #include "rig/lockstep_internal.h"
 
-#define SYNC_TYPE       1u /* Type of the message SYNC, in the identifier's bits from SYNC_TYPE_SHIFT on (framing.md). */
+#define SYNC_TYPE       1u /* Type of the message SYNC, in the bits from SYNC_TYPE_SHIFT on (framing.md). */
 #define SYNC_TYPE_SHIFT 24
 #define WIRE_SILENT_PS  INT64_C(210000000000) /* Time without an edge that is longer than any sync period. */
 

@@ -118,6 +118,14 @@ bool chip_clock_mark(const chip_clock_t *clock, uint32_t chip, uint32_t ticks, c
     return true;
 }
 
+/* Begins to learn the master's edges: none of those before counts. */
+static void forget_edges(chip_clock_t *clock) {
+    clock->candidate_edges = 0;
+    clock->memory = 2;
+    clock->drift = 0;
+    clock->drift_edges = 0;
+}
+
 /* Jumps to the nearest chip of the master, whose period is the estimate's and who began chip 0 at edge. */
 static void acquire(chip_clock_t *clock, uint64_t edge) {
     const uint64_t span = clock->period * clock->config.chips;
@@ -135,10 +143,7 @@ static void acquire(chip_clock_t *clock, uint64_t edge) {
     clock->tracking = true;
     clock->locked = false;
     clock->good_edges = 0;
-    clock->candidate_edges = 0;
-    clock->memory = 2;
-    clock->drift = 0;
-    clock->drift_edges = 0;
+    forget_edges(clock);
     clock->scatter = (uint32_t)clock->source.lock_ticks << SCATTER_BITS >> 2;
 }
 
@@ -423,10 +428,7 @@ void chip_clock_yield(chip_clock_t *clock, const chip_clock_source_t *source) {
     clock->source = *source;
     clock->tracking = true;
     clock->good_edges = CHIP_CLOCK_LOCK_EDGES;
-    clock->candidate_edges = 0;
-    clock->memory = 2;
-    clock->drift = 0;
-    clock->drift_edges = 0;
+    forget_edges(clock);
     clock->edge_cycle = clock->cycle - 1u;
     clock->compared = false;
     clock->config.follow = true;

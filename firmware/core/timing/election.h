@@ -36,9 +36,9 @@
 #include <stdint.h>
 
 #define ELECTION_RANK_MAX    15u
-#define ELECTION_STEP_US     50000u  /* Most time that a board waits longer than that of the rank before, us. */
-#define ELECTION_LAST_US     950000u /* Longest wait of a board that is in step, us. */
-#define ELECTION_HELD_US     1250000u /* Wait of rank 1 if it is not in step and others are, us: beyond all the former. */
+#define ELECTION_STEP_US     50000u   /* Most time that a board waits longer than that of the rank before, us. */
+#define ELECTION_LAST_US     950000u  /* Longest wait of a board that is in step, us. */
+#define ELECTION_HELD_US     1250000u /* Wait of rank 1 if it is not in step and others are, us: after all others. */
 #define ELECTION_HELD_FOR_US 1000000u /* Age up to which it counts that another board was in step, us. */
 #define ELECTION_SYNCS       3u /* Messages of a leader with precedence, in a row, that make a leader step back. */
 #define ELECTION_CYCLE_MASK  0xFFFFFu /* The bits of a cycle number in a message. */

@@ -31,7 +31,7 @@ def identify(conversation: Conversation, arguments: argparse.Namespace, _: objec
     if not signs:
         conversation.command(node, BLINK, seconds, arguments.unique_id)
     if not arguments.watch:
-        _tell(arguments, signs)
+        _tell(arguments, seconds, signs)
         return
     if not signs:
         raise SystemFailure(
@@ -47,11 +47,11 @@ def identify(conversation: Conversation, arguments: argparse.Namespace, _: objec
     _tell_seen(arguments, watch.seen(), watch.sensors)
 
 
-def _tell(arguments: argparse.Namespace, signs: bool) -> None:
+def _tell(arguments: argparse.Namespace, seconds: int, signs: bool) -> None:
     if arguments.json:
-        print(json_line({"node": arguments.node, "blinks_s": arguments.blink_s, "signature": signs}))
+        print(json_line({"node": arguments.node, "blinks_s": seconds, "signature": signs}))
         return
-    print(f"the LED of node {arguments.node} blinks for {arguments.blink_s} s")
+    print(f"the LED of node {arguments.node} blinks for {seconds} s")
     if signs:
         print(
             "every other cycle has half its current meanwhile: sensors see it, and poses without it are the better ones"

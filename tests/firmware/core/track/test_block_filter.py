@@ -221,3 +221,28 @@ def test_a_start_in_the_sensors_frame(fly):
     np.testing.assert_allclose(state.e, turn.apply(truth.e + truth.rotation @ truth.b), atol=1e-4)
     expected = [*[4e-5] * 6, *[9.0] * 3, *[16.0] * 3, *[25.0 + 1e-4] * 3, *[25.0] * 3]
     np.testing.assert_allclose(covariance, np.diag(expected), rtol=1e-5)
+
+
+def test_a_track_is_moved_by_what_a_better_pose_differs(fly):
+    """Whatever the pose's time, the track moves by the difference; its motion keeps what the pose tells nothing of."""
+    flight = fly()
+    flight.start()
+    for _ in range(20):
+        assert flight.step()
+    kernel = flight.kernel
+    before = kernel.state(kernel.filter.filters[kernel.filter.best].state)
+    away, turn = np.array([0.03, -0.02, 0.05]), Rotation.from_rotvec([0.05, 0.02, -0.04])
+    there, was_m, was = kernel.ffi.new("block_start_t *"), np.array([0.8, 1.0, 0.7]), Rotation.random(random_state=3)
+    there.position_m, there.quaternion = (was_m + away).tolist(), (turn * was).as_quat().tolist()
+    there.position_cov_m2, there.attitude_cov_rad2 = (4e-6 * np.eye(3)).tolist(), (1e-2 * np.eye(3)).tolist()
+    there.ambient_sd_uT = 0.01
+    kernel.lib.block_filter_shift(kernel.filter, was_m.tolist(), was.as_quat().tolist(), there, 0.1)
+    for model in kernel.filter.filters:
+        state, variance = kernel.state(model.state), np.diag(kernel.covariance(model))
+        np.testing.assert_allclose(state.p, before.p + away, atol=1e-6)
+        np.testing.assert_allclose(state.rotation, turn.as_matrix() @ before.rotation, atol=1e-6)
+        for name in "vweb":
+            np.testing.assert_allclose(getattr(state, name), getattr(before, name), atol=1e-5)
+        np.testing.assert_allclose(variance[:6], [16e-6] * 3 + [4e-2] * 3, rtol=1e-5)
+        # 3.5 deviations over 0.1 s for the velocity; the turn rate's would be above that of a start, 4 rad/s.
+        np.testing.assert_allclose(variance[6:12], [3 * 35.0**2 * 4e-6] * 3 + [16.0] * 3, rtol=1e-5)
