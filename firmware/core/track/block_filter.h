@@ -99,8 +99,8 @@ bool block_filter_lost(const block_filter_t *filter);
 
 /* Begin a track anew by a pose that tells better where it was: it is moved by what that pose, whose deviations it
  * takes, differs from the track's own at the same time, position from_m and attitude from. Its motion and field go on,
- * with the deviations of a start, or of what samples for so many seconds as the pose is from tell of a motion. The
- * field of there is not used. */
+ * with the deviations of a start, or of what samples for so many seconds as the pose is from tell of a motion. Of the
+ * field of there only its deviation is used. */
 void block_filter_shift(block_filter_t *filter, const float from_m[3], const float from[4], const block_start_t *there,
                         float seconds);
 
