@@ -37,7 +37,7 @@ def build(ffi: Any, scenario: Scenario, seed: int) -> tuple[Any, Any]:
     config.seed, config.beacons, config.sync_master = seed, len(scenario.beacons), scenario.sync_master
     config.can_bits_per_second, config.baud = CAN_BITS_PER_SECOND, BAUD
     config.boards = boards
-    _fill_ambient(config.ambient, scenario.ambient, seed, scenario.sensor.lag_s)
+    fill_ambient(config.ambient, scenario.ambient, seed, scenario.sensor.lag_s)
     return config, boards
 
 
@@ -57,7 +57,8 @@ def _fill_front_end(front_end: Any, sensor: FrontEnd) -> None:
     front_end.converter_noise_V = sensor.converter_noise_LSB * REFERENCE_V / CONVERTER_COUNTS
 
 
-def _fill_ambient(ambient: Any, source: Ambient, seed: int, lag_s: float) -> None:
+def fill_ambient(ambient: Any, source: Ambient, seed: int, lag_s: float) -> None:
+    """Fill an ``ambient_t``."""
     ambient.seed, ambient.lag_s = seed, lag_s
     ambient.earth_T = source.earth_T.tolist()
     if source.mains is not None:

@@ -92,7 +92,7 @@ const board_edge_t *rig_edge(rig_t *rig, unsigned board);
 void rig_connect(rig_t *rig, unsigned board, board_t *instance, const board_operations_t *operations,
                  int64_t power_on_ps);
 
-/* The path of a board's sensor from now on; coefficients are copied. Columns must be 3 * coils + 9 (all boards'
+/* The path of a board's sensor from now on; coefficients are copied. Columns must be 3 * coils + 12 (all boards'
  * coils, in order of board and channel). Returns false if they are not, or the board has no sensor. */
 bool rig_set_path(rig_t *rig, unsigned board, const path_t *path);
 
@@ -144,6 +144,12 @@ void rig_sensor_field(const rig_t *rig, unsigned board, double field_T[3]);
 
 /* Make or mend a fault. coil counts for the faults of a coil alone, and must be there then. */
 void rig_fault(rig_t *rig, unsigned board, unsigned coil, rig_fault_t fault, bool active);
+
+/* Let an axis (0..2) of a board's sensor, which must have one, fail, or be sound again: see front_end.h. */
+void rig_sensor_fault(rig_t *rig, unsigned board, unsigned axis, front_end_fault_t fault, double value);
+
+/* Change the fields that are no beacon's and no magnet's, for all sensors. Seed and low-pass stay. */
+void rig_ambient(rig_t *rig, const ambient_t *ambient);
 
 /* Change the voltage, without load, of the supply of a board's coils. */
 void rig_supply(rig_t *rig, unsigned board, double volts);

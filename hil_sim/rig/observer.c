@@ -89,6 +89,18 @@ double rig_coil_temperature(const rig_t *rig, unsigned board, unsigned coil) {
     return coil_temperature(&rig->slot[board].coil[coil], rig_now(rig));
 }
 
+void rig_sensor_fault(rig_t *rig, unsigned board, unsigned axis, front_end_fault_t fault, double value) {
+    front_end_break(&rig->slot[board].sensing.front_end, axis, fault, value);
+}
+
+void rig_ambient(rig_t *rig, const ambient_t *ambient) {
+    const uint64_t seed = rig->config.ambient.seed;
+    const double lag_s = rig->config.ambient.lag_s;
+    rig->config.ambient = *ambient;
+    rig->config.ambient.seed = seed;
+    rig->config.ambient.lag_s = lag_s;
+}
+
 void rig_supply(rig_t *rig, unsigned board, double volts) {
     board_slot_t *const slot = &rig->slot[board];
     for (unsigned i = 0; i < slot->coils; ++i) {

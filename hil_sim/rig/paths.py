@@ -25,7 +25,12 @@ EVENT_STEP_PS = 10**9
 
 def event_ps(event: Event) -> int:
     """Return the virtual time at which an event happens, ps: a whole millisecond."""
-    return round(event.time_s * 1e12 / EVENT_STEP_PS) * EVENT_STEP_PS
+    return whole_ps(event.time_s)
+
+
+def whole_ps(time_s: float) -> int:
+    """Return the whole millisecond next to a virtual time, ps."""
+    return round(time_s * 1e12 / EVENT_STEP_PS) * EVENT_STEP_PS
 
 
 class PathWindows:
@@ -50,7 +55,9 @@ class PathWindows:
     def __init__(self, ffi: Any, library: Any, rig: Any, scenario: Scenario) -> None:
         self._ffi, self._library, self._rig = ffi, library, rig
         self._scenario = scenario
-        self._events_ps = sorted({event_ps(event) for event in scenario.events})
+        ends_s = [time_s for magnet in scenario.magnets for time_s in (magnet.start_s, magnet.stop_s)]
+        finite_s = [time_s for time_s in ends_s if 0.0 < time_s < math.inf]
+        self._events_ps = sorted({*map(event_ps, scenario.events), *map(whole_ps, finite_s)})
         self._window, self._happened = -1, -1
         self.enter(0)
 
@@ -69,6 +76,7 @@ class PathWindows:
         if happened != self._happened:
             time_s = (self._events_ps[happened - 1] + EVENT_STEP_PS // 2) * 1e-12 if happened else -math.inf
             self._now = self._scenario.at(time_s)
+            self._magnets = [magnet for magnet in self._scenario.magnets if magnet.present(max(time_s, 0.0))]
             self._coils: list[Source] = [coil for beacon in self._now.beacons for coil in beacon.coils]
             if bodies := self._scenario.metal_at(time_s):
                 metal = Metal(bodies)
@@ -77,10 +85,11 @@ class PathWindows:
             if self._now.front_end(board) is None:
                 continue
             motion = self._now.motion_of(board)
-            if motion.still and happened == self._happened:
+            still = motion.still and all(magnet.still for magnet in self._magnets)
+            if still and happened == self._happened:
                 continue
             try:
-                self._set(board, path.compute(self._coils, motion, start_s, stop_s))
+                self._set(board, path.compute(self._coils, motion, start_s, stop_s, self._magnets))
             except path.PathError as error:
                 whose = "" if board == 0 else f" {self._scenario.board_name(board)}:"
                 raise UserError(f"scenario {self._scenario.name}:{whose} {error}") from error

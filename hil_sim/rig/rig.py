@@ -20,7 +20,20 @@ from hil_sim.rig import config as rig_config
 from hil_sim.rig.boards import Board, BoardFactory, BoardSpec, address, factory
 from hil_sim.rig.paths import PathWindows, event_ps
 from hil_sim.rig.truth import Truth, truth_at
-from hil_sim.scenario import COIL_FAULTS, Clock, Electrical, ProcessorSupply, Scenario, Supply, parameter_page
+from hil_sim.scenario import (
+    COIL_FAULTS,
+    SENSOR_FAULTS,
+    Ambient,
+    Clock,
+    Electrical,
+    ProcessorSupply,
+    Scenario,
+    SensorFault,
+    Strike,
+    Supply,
+    Surroundings,
+    parameter_page,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -203,12 +216,19 @@ class Rig:
             if stop_ps >= until_ps:
                 return
 
-    def _board_of(self, event: Electrical) -> int:
+    def _board_of(self, event: Supply | ProcessorSupply | Strike | SensorFault) -> int:
+        if not event.beacon:
+            return SENSOR
         return 1 + [beacon.id for beacon in self.scenario.beacons].index(event.beacon)
 
     def _happen(self, event: Electrical) -> None:
+        if isinstance(event, Surroundings):
+            self.surround(event.ambient)
+            return
         board = self._board_of(event)
-        if isinstance(event, Supply):
+        if isinstance(event, SensorFault):
+            self.sensor_fault(event.axis, event.fault, event.value, board)
+        elif isinstance(event, Supply):
             self.set_supply_V(board, event.supply_V)
         elif isinstance(event, ProcessorSupply):
             self.supply(board, event.processor_supply_V)
@@ -408,6 +428,22 @@ class Rig:
         if kind in COIL_FAULTS:
             self._check_coil(board, coil)
         self._library.rig_fault(self._rig, board, coil, FAULTS.index(kind), active)
+
+    def sensor_fault(self, axis: int, kind: str, value: float = 0.0, board: int = SENSOR) -> None:
+        """Let an axis of a board's sensor fail by a name of `SENSOR_FAULTS`, or be ``sound`` again, at the present.
+
+        ``value`` is the factor of ``gain``, the axis of ``other_axis``, or the number of the bit.
+        """
+        self._check_sensor(board)
+        if kind not in SENSOR_FAULTS or axis not in (0, 1, 2):
+            raise UserError(f"axis {axis} of 0 to 2 has no fault '{kind}'; there are {', '.join(SENSOR_FAULTS)}")
+        self._library.rig_sensor_fault(self._rig, board, axis, SENSOR_FAULTS.index(kind), value)
+
+    def surround(self, ambient: Ambient) -> None:
+        """Change the fields that are no beacon's, from the present on."""
+        handed = self._ffi.new("ambient_t *")
+        rig_config.fill_ambient(handed, ambient, self.seed, self.scenario.sensor.lag_s)
+        self._library.rig_ambient(self._rig, handed)
 
     def crystal(self, board: int, alive: bool) -> None:
         """Let an emulated board's crystal stop, or oscillate again, at the present.

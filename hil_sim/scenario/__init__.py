@@ -3,12 +3,15 @@
 from hil_sim.scenario.events import (
     BOARD_FAULTS,
     COIL_FAULTS,
+    SENSOR_FAULTS,
     Bring,
     Electrical,
     Move,
     ProcessorSupply,
+    SensorFault,
     Strike,
     Supply,
+    Surroundings,
 )
 from hil_sim.scenario.installation import Installation
 from hil_sim.scenario.pages import parameter_page
@@ -23,6 +26,7 @@ __all__ = [
     "COIL_FAULTS",
     "CONVERTER_COUNTS",
     "SCENARIOS",
+    "SENSOR_FAULTS",
     "Ambient",
     "Beacon",
     "Bring",
@@ -35,8 +39,10 @@ __all__ = [
     "Move",
     "ProcessorSupply",
     "Scenario",
+    "SensorFault",
     "Strike",
     "Supply",
+    "Surroundings",
     "find",
     "load",
     "load_scenario",

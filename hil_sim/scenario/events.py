@@ -1,4 +1,4 @@
-"""What happens to a bench while it runs: a beacon is moved, metal is brought in, a supply sags, something breaks."""
+"""What happens to a bench while it runs: a beacon is moved, metal or noise comes, a supply sags, something breaks."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 
 from goldfield.files.toml_table import Table
 from hil_sim.scenario.bodies import SHEET_KEYS, read_sheet
-from hil_sim.scenario.parts import PROCESSOR_SUPPLY_V
+from hil_sim.scenario.parts import PROCESSOR_SUPPLY_V, Ambient
+from hil_sim.scenario.surroundings import read_ambient
 from hil_sim.scenario.values import between, number
 from hil_sim.world.sheet import Sheet
 
 EVENT_KEYS = (
     *("time_s", "moves", "by_m", "sensor_stays", "sheet", "beacon", "supply_V", "processor_supply_V", "fault"),
-    *("coil", "mended"),
+    *("coil", "mended", "sensor_fault", "axis", "value", "ambient"),
 )
 HIGHEST_PROCESSOR_SUPPLY_V = 4.0
 """Absolute maximum rating of the processor's supply (data sheet DS8626, table 11)."""
@@ -23,6 +24,10 @@ COIL_FAULTS = (
     *("coil_open", "sense_shorted", "coil_shorted", "driver_runaway", "driver_stuck", "sense_held", "coil_hot"),
 )
 """Faults of one coil with its driver and its current sense."""
+SENSOR_FAULTS = ("sound", "held", "low", "high", "gain", "other_axis", "bit_high", "bit_low")
+"""Faults of an axis of a sensor, in the order of ``front_end_fault_t``."""
+VALUES = {"gain": (-100.0, 100.0), "other_axis": (0.0, 2.0), "bit_high": (0.0, 11.0), "bit_low": (0.0, 11.0)}
+"""The faults of a sensor that have a value, and its range."""
 BOARD_FAULTS = ("driver", "sync_wire_cut", "driver_hot", "pull_downs_lost")
 """Faults of a beacon's board as a whole."""
 
@@ -85,7 +90,39 @@ class ProcessorSupply:
     processor_supply_V: float
 
 
-Electrical = Supply | ProcessorSupply | Strike
+@dataclass(frozen=True)
+class SensorFault:
+    """An axis of a sensor fails, by a name of `SENSOR_FAULTS`, or is ``sound`` again.
+
+    Attributes
+    ----------
+    time_s : float
+        Virtual time.
+    beacon : str
+        Id of an anchor; empty: the sensor board.
+    axis : int
+        0 to 2.
+    fault : str
+    value : float
+        The factor of ``gain``, the number of ``other_axis``, or that of the bit.
+    """
+
+    time_s: float
+    beacon: str
+    axis: int
+    fault: str
+    value: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """The fields that are no beacon's are others from a virtual time on."""
+
+    time_s: float
+    ambient: Ambient
+
+
+Electrical = Supply | ProcessorSupply | Strike | SensorFault | Surroundings
 Event = Move | Bring | Electrical
 
 
@@ -123,10 +160,15 @@ def _event(table: Table, beacons: list[str]) -> Event:
         inner = table.table("sheet")
         inner.allow(*SHEET_KEYS)
         return Bring(time_s, read_sheet(inner))
+    if "ambient" in table:
+        table.allow("time_s", "ambient")
+        return Surroundings(time_s, read_ambient(table.table("ambient")))
+    if "sensor_fault" in table:
+        return _sensor_fault(table, time_s, beacons)
     if "beacon" in table:
         return _electrical(table, time_s, beacons)
     if "moves" not in table:
-        raise table.error("moves", "is missing; give it, or sheet, or beacon")
+        raise table.error("moves", "is missing; give it, or sheet, beacon, sensor_fault or ambient")
     table.allow("time_s", "moves", "by_m", "sensor_stays")
     beacon = _known(table, "moves", beacons)
     return Move(time_s, beacon, table.vector("by_m"), "sensor_stays" in table and table.flag("sensor_stays"))
@@ -156,3 +198,17 @@ def _electrical(table: Table, time_s: float, beacons: list[str]) -> Electrical:
     table.allow("time_s", "beacon", "fault", "mended", *of_coil)
     coil = between(table, "coil", 0, 1) if "coil" in table else 0
     return Strike(time_s, beacon, fault, coil, "mended" in table and table.flag("mended"))
+
+
+def _sensor_fault(table: Table, time_s: float, beacons: list[str]) -> SensorFault:
+    fault = table.text("sensor_fault")
+    if fault not in SENSOR_FAULTS:
+        raise table.error("sensor_fault", f'is "{fault}"; there are {", ".join(SENSOR_FAULTS)}')
+    table.allow("time_s", "sensor_fault", "beacon", "axis", *(["value"] if fault in VALUES else []))
+    value = table.number("value") if fault in VALUES else 0.0
+    low, high = VALUES.get(fault, (0.0, 0.0))
+    if not low <= value <= high or (fault != "gain" and value % 1.0):
+        whole = "" if fault == "gain" else "a whole number of "
+        raise table.error("value", f"is {value:g}; for {fault} it must be {whole}{low:g} to {high:g}")
+    beacon = _known(table, "beacon", beacons) if "beacon" in table else ""
+    return SensorFault(time_s, beacon, between(table, "axis", 0, 2), fault, value)

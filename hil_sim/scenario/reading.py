@@ -31,10 +31,10 @@ from hil_sim.scenario.parts import (
     Clock,
     HalfSpace,
     Impulses,
-    Mains,
     Sensor,
 )
 from hil_sim.scenario.scenario import Scenario
+from hil_sim.scenario.surroundings import read_ambient, read_magnets
 from hil_sim.scenario.values import ZERO, between, not_negative, number, seed_of, vector
 from hil_sim.world.path import CoilGeometry
 
@@ -43,7 +43,6 @@ FloatArray = NDArray[np.float64]
 LONGEST_NAME = 250
 """Letters: the system refuses to look for a file of a longer name."""
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
-HARMONICS = 16
 AMPLITUDE, NODE, SYNC_MASTER = (PARAMETERS[name] for name in ("amplitude", "node", "sync_master"))
 CODES_MAX = PARAMETERS["codes"].rows
 """Superposed codes of a beacon, a limit of the boards."""
@@ -91,7 +90,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
     root = read_table(path, "scenario")
     root.allow(
         *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
-        *("coil", "beacon", "event", "metal", "installation", "known_point", "can"),
+        *("coil", "beacon", "event", "metal", "magnet", "installation", "known_point", "can"),
     )
     sync = root.text("sync") if "sync" in root else "wire"
     if sync not in ("wire", "can"):
@@ -113,7 +112,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
         seed=seed,
         power_on_spread_s=not_negative(root, "power_on_spread_s", 0.02),
         half_space=_half_space(root.table("half_space")) if "half_space" in root else None,
-        ambient=_ambient(root.table("ambient")) if "ambient" in root else Ambient(ZERO, None, Impulses()),
+        ambient=read_ambient(root.table("ambient")) if "ambient" in root else Ambient(ZERO, None, Impulses()),
         sensor=sensor,
         motion=motion,
         beacons=tuple(_beacon(table, defaults) for table in root.tables("beacon")),
@@ -122,6 +121,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
         sync=sync,
         events=read_events(root),
         metal=read_metal(root),
+        magnets=read_magnets(root),
         installation=installation,
         visits=visits,
         can=_can(root.table("can")) if "can" in root else CLEAN_BUS,
@@ -211,32 +211,6 @@ def _can(table: Table) -> CanBus:
 def _half_space(table: Table) -> HalfSpace:
     table.allow("point", "normal")
     return HalfSpace(point=table.vector("point"), normal=table.direction("normal"))
-
-
-def _ambient(table: Table) -> Ambient:
-    table.allow("earth_T", "mains", "impulses")
-    mains, impulses = None, Impulses()
-    if "mains" in table:
-        inner = table.table("mains")
-        inner.allow("frequency_Hz", "amplitude_T", "harmonics", "phase_rad")
-        harmonics = tuple(inner.numbers("harmonics").tolist()) if "harmonics" in inner else (1.0,)
-        if len(harmonics) > HARMONICS:
-            raise inner.error("harmonics", f"lists {len(harmonics)}; at most {HARMONICS} are possible")
-        mains = Mains(
-            frequency_Hz=inner.positive("frequency_Hz"),
-            amplitude_T=inner.vector("amplitude_T"),
-            harmonics=harmonics,
-            phase_rad=number(inner, "phase_rad", 0.0),
-        )
-    if "impulses" in table:
-        inner = table.table("impulses")
-        inner.allow("rate_Hz", "amplitude_T", "decay_s")
-        impulses = Impulses(
-            rate_Hz=not_negative(inner, "rate_Hz", 0.0),
-            amplitude_T=inner.number("amplitude_T"),
-            decay_s=inner.positive("decay_s") if "decay_s" in inner else Impulses.decay_s,
-        )
-    return Ambient(earth_T=vector(table, "earth_T"), mains=mains, impulses=impulses)
 
 
 def _front_end(table: Table, defaults: Table) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from functools import cached_property
 from hil_sim.scenario.events import Bring, Event, Move
 from hil_sim.scenario.installation import EXACT, Installation, draw
 from hil_sim.scenario.parts import CLEAN_BUS, DEGREE, Ambient, Beacon, CanBus, FrontEnd, HalfSpace, Sensor
+from hil_sim.world.magnet import Magnet
 from hil_sim.world.metal import Body
 from hil_sim.world.motion import Motion
 from hil_sim.world.walk import Visit
@@ -19,7 +20,8 @@ class Scenario:
 
     ``sync`` is where the boards have their time from, ``wire`` or ``can``; with ``can`` there is no sync wire.
     ``beacons`` and ``sensor`` are as the site file and the boards' parameters have them, `installed` as they are, both
-    before the first of the ``events``. ``metal`` is there from the start, ``visits`` are the walk's to known points.
+    before the first of the ``events``. ``metal`` is there from the start, ``magnets`` when they say; ``visits`` are the
+    walk's to known points.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Scenario:
     sync: str = "wire"
     events: tuple[Event, ...] = ()
     metal: tuple[Body, ...] = ()
+    magnets: tuple[Magnet, ...] = ()
     installation: Installation = EXACT
     visits: tuple[Visit, ...] = ()
     can: CanBus = CLEAN_BUS

@@ -3,7 +3,8 @@
  *
  * A column is one component of that; Python computes the columns on equidistant knots with magpylib and hands over the
  * cubic of each interval (world/path.py says how fine). Columns: 3 c + a for axis a (sensor frame) of coil c, tesla per
- * ampere; then 3 coils + 3 a + s, the rotation from site axis s to sensor axis a. In interval k with x = (t -
+ * ampere; then 3 coils + 3 a + s, the rotation from site axis s to sensor axis a; last 3 coils + 9 + a, the field of
+ * magnets, tesla. In interval k with x = (t -
  * start)/interval - k:  value = ((c3 x + c2) x + c1) x + c0. Before the first and after the last interval its cubic
  * goes on (a converter may look a few microseconds ahead); a still sensor is one interval with c1 = c2 = c3 = 0.
  */

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from hil_sim.world.magnet import Magnet
 from hil_sim.world.metal import Source
 from hil_sim.world.motion import Motion
 
@@ -28,6 +29,8 @@ TOLERANCE = 1e-5
 MARGIN = 4.0
 """The error is looked at in the middle of the intervals, where it is largest on a smooth path; the rest is margin."""
 FEWEST_KNOTS, MOST_INTERVALS = 9, 16384
+NO_FIELD = 1e-12
+"""What is smaller counts as that large where errors are relative, T/A or T: no converter sees it."""
 
 
 class PathError(ValueError):
@@ -88,8 +91,8 @@ class Path:
     coefficients: FloatArray
 
 
-def columns(coils: Sequence[Source], motion: Motion, times_s: FloatArray) -> FloatArray:
-    """Return the columns of ``path.h``, shape (n, 3 coils + 9), at times of shape (n,).
+def columns(coils: Sequence[Source], motion: Motion, times_s: FloatArray, magnets: Sequence[Magnet] = ()) -> FloatArray:
+    """Return the columns of ``path.h``, shape (n, 3 coils + 12), at times of shape (n,).
 
     Raises
     ------
@@ -99,7 +102,10 @@ def columns(coils: Sequence[Source], motion: Motion, times_s: FloatArray) -> Flo
     positions, rotation = motion.poses(times_s)
     to_sensor = np.swapaxes(rotation.as_matrix(), 1, 2)
     fields = [np.einsum("nij,nj->ni", to_sensor, coil.field_per_ampere(positions)) for coil in coils]
-    result = np.hstack([*fields, to_sensor.reshape(len(times_s), 9)])
+    magnetic = np.zeros((len(times_s), 3))
+    for magnet in magnets:
+        magnetic += np.einsum("nij,nj->ni", to_sensor, magnet.field_T(positions, times_s))
+    result = np.hstack([*fields, to_sensor.reshape(len(times_s), 9), magnetic])
     # On a wire magpylib gives zero or what is not finite; a coil alone has no zero of its field anywhere else.
     if not np.all(np.isfinite(result)) or not all(np.all(np.any(field, axis=1)) for field in fields):
         raise PathError(
@@ -111,10 +117,12 @@ def columns(coils: Sequence[Source], motion: Motion, times_s: FloatArray) -> Flo
 def _relative_error(spline: CubicSpline[np.float64], truth: FloatArray, times_s: FloatArray) -> float:
     error = np.abs(spline(times_s) - truth).reshape(len(times_s), -1, 3)
     size = np.linalg.norm(truth.reshape(len(times_s), -1, 3), axis=2, keepdims=True)
-    return float(np.max(error / size))
+    return float(np.max(error / np.maximum(size, NO_FIELD)))
 
 
-def compute(coils: Sequence[Source], motion: Motion, start_s: float, stop_s: float) -> Path:
+def compute(
+    coils: Sequence[Source], motion: Motion, start_s: float, stop_s: float, magnets: Sequence[Magnet] = ()
+) -> Path:
     """Compute the path between two times, as fine as `TOLERANCE` asks.
 
     Raises
@@ -122,17 +130,17 @@ def compute(coils: Sequence[Source], motion: Motion, start_s: float, stop_s: flo
     PathError
         If the motion is too fast for any reasonable number of knots, or runs through a wire.
     """
-    if motion.still:
-        values = columns(coils, motion, np.array([start_s]))
+    if motion.still and all(magnet.still for magnet in magnets):
+        values = columns(coils, motion, np.array([start_s]), magnets)
         constant = np.zeros((1, values.shape[1], 4))
         constant[0, :, 0] = values[0]
         return Path(start_s, stop_s - start_s, constant)
     intervals = FEWEST_KNOTS - 1
     knots = np.linspace(start_s, stop_s, intervals + 1)
-    values = columns(coils, motion, knots)
+    values = columns(coils, motion, knots, magnets)
     while intervals <= MOST_INTERVALS:
         middles = 0.5 * (knots[1:] + knots[:-1])
-        between = columns(coils, motion, middles)
+        between = columns(coils, motion, middles, magnets)
         spline = CubicSpline(knots, values)
         if _relative_error(spline, between, middles) < TOLERANCE / MARGIN:
             scale = (knots[1] - knots[0]) ** np.arange(4)

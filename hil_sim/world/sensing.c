@@ -4,7 +4,7 @@
 #include <string.h>
 
 static size_t columns(const sensing_t *sensing) {
-    return (size_t)3 * sensing->coils->count + 9;
+    return (size_t)3 * sensing->coils->count + 12;
 }
 
 bool sensing_init(sensing_t *sensing, const coils_t *coils, const ambient_t *ambient,
@@ -45,7 +45,7 @@ void sensing_field(const sensing_t *sensing, int64_t time_ps, double field_T[3])
     const double *const rotation = sensing->values + (size_t)3 * coils->count;
     for (unsigned axis = 0; axis < 3; ++axis) {
         field_T[axis] = rotation[3 * axis] * ambient_T[0] + rotation[3 * axis + 1] * ambient_T[1] +
-                        rotation[3 * axis + 2] * ambient_T[2];
+                        rotation[3 * axis + 2] * ambient_T[2] + rotation[9 + axis];
     }
     for (unsigned i = 0; i < coils->count; ++i) {
         const bool own = i - sensing->own_first < sensing->own_count;

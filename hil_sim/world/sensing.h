@@ -1,10 +1,11 @@
 /* sensing.h: a three-axis sensor among the coils: from currents and ambient fields to the volts at a board's
  * converters. sensing_init(), sensing_set_path(), then sensing_volts() for each conversion, and sensing_free().
  *
- *     field = rotation(t) * ambient(t) + sum over all coils of (field per ampere)(t) * (lagged current)(t)
+ *     field = rotation(t) * ambient(t) + magnets(t) + sum over all coils of (field per ampere)(t) * (lagged current)(t)
  *       sensor's frame
  *
- * Rotation and field per ampere come from the path (path.h), the volts from the front end (front_end.h).
+ * Rotation, the field of magnets and the field per ampere come from the path (path.h), the volts from the front end
+ * (front_end.h).
  *
  * The boards that drive the coils may run at the same time as the one that asks. So a sensor looks at each coil no
  * further than coils_t.head, which changes only while no board runs, and beyond that the coil's law goes on as if its

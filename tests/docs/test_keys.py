@@ -11,7 +11,7 @@ import pytest
 from goldfield.site import board_keys, drive, metal_keys
 from goldfield.site import reading as site_reading
 from hil_sim.clib import ROOT
-from hil_sim.scenario import bodies, events, installation, motions, reading
+from hil_sim.scenario import bodies, events, installation, motions, reading, surroundings
 
 
 def documented(page: str) -> set[str]:
@@ -37,7 +37,7 @@ def test_every_key_of_a_scenario_is_explained() -> None:
     ambient = {"earth_T", "mains", "impulses"}
     keys = top | ambient | {*reading.SENSOR_KEYS, *reading.BEACON_KEYS, *reading.COIL_KEYS, *reading.CLOCK_KEYS}
     keys |= {*reading.CAN_KEYS, *events.EVENT_KEYS, *installation.INSTALLATION_KEYS, *motions.KNOWN_POINT_KEYS}
-    keys |= {"shape"}.union(*bodies.METAL_KEYS.values())
+    keys |= {"shape", *surroundings.MAGNET_KEYS}.union(*bodies.METAL_KEYS.values())
     keys = keys - {"sensor"} | {"beacon.sensor"}
     assert documented("scenario.md") == keys
 

@@ -105,7 +105,7 @@ def test_the_sensor_samples_the_sum_of_its_parts(tmp_path):
         rig.close()
     times_ps = samples["time_ps"]
     columns = path.columns([b.geometry for b in scenario.beacons], scenario.motion, times_ps * 1e-12)
-    expected = np.einsum("nij,j->ni", columns[:, 9:].reshape(-1, 3, 3), scenario.ambient.earth_T)
+    expected = np.einsum("nij,j->ni", columns[:, 9:18].reshape(-1, 3, 3), scenario.ambient.earth_T)
     settled = np.ones(len(times_ps), dtype=bool)
     for index, bridge in enumerate(bridges):
         at = np.searchsorted(bridge["time_ps"], times_ps, side="right") - 1
@@ -331,11 +331,75 @@ def test_an_event_changes_the_field_from_its_moment_on(tmp_path, kind):
                 coils = [BesideMetal(coil, Metal(sheets)) for coil in coils]
             columns = path.columns(coils, now.motion, np.array([rig.now_s]))[0]
             current_A = [rig.coil_current_A(board) for board in (1, 2, 3)]
-            expected = current_A @ columns[:9].reshape(3, 3) + columns[9:].reshape(3, 3) @ [2e-5, 0.0, -4.5e-5]
+            expected = current_A @ columns[:9].reshape(3, 3) + columns[9:18].reshape(3, 3) @ [2e-5, 0.0, -4.5e-5]
             np.testing.assert_allclose(rig.sensor_field_T(), expected, rtol=1e-5)
             other = scene.at(1.0 if time_s == 0.0 else 0.0)
             before = path.columns([beacon.geometry for beacon in other.beacons], now.motion, np.array([rig.now_s]))[0]
             assert np.abs(columns[:9] - before[:9]).max() > 1e-2 * np.abs(columns[:9]).max()
+
+
+def dipole_T(moment, away):
+    """Return the field of a dipole at a distance, by its textbook formula."""
+    distance = np.linalg.norm(away)
+    return 1e-7 * (3.0 * np.dot(moment, away) * away / distance**5 - moment / distance**3)
+
+
+@pytest.mark.parametrize("kind", ['"still"', LINE])
+def test_a_magnet_passes_from_its_first_moment_to_its_last(tmp_path, kind):
+    file = write_scenario(tmp_path, kind=kind)
+    magnet = "[[magnet]]\nmoment_A_m2 = [3.0, -2.0, 1.0]\nposition_m = [0.2, 1.0, 0.5]\n"
+    file.write_text(f"{file.read_text()}\n{magnet}velocity_m_per_s = [20.0, 0.0, 0.0]\nstart_s = 0.01\nstop_s = 0.03\n")
+    with_magnet, without = scenarios.load(file), scenarios.load(write_scenario(tmp_path, kind=kind))
+    with Rig(with_magnet, FakeBoards()) as rig, Rig(without, FakeBoards()) as quiet:
+        for until_s in (0.0099, 0.0101, 0.02, 0.0299, 0.0301):
+            for one in (rig, quiet):
+                one.run_until(round(until_s * 1e12))
+            position, rotation = with_magnet.motion.poses(np.array([rig.now_s]))
+            place = np.array([0.2 + 20.0 * (rig.now_s - 0.01), 1.0, 0.5])
+            there = 0.01 <= until_s < 0.03
+            expected = (
+                rotation[0].inv().apply(dipole_T(np.array([3.0, -2.0, 1.0]), position[0] - place)) if there else 0.0
+            )
+            added = rig.sensor_field_T() - quiet.sensor_field_T()
+            np.testing.assert_allclose(added, np.broadcast_to(expected, 3), rtol=1e-4, atol=1e-15)
+            assert (np.linalg.norm(added) > 1e-7) == there
+
+
+def test_surroundings_change_at_their_moment(tmp_path):
+    file = write_scenario(tmp_path, kind='"still"')
+    mains = "mains = { frequency_Hz = 50.0, amplitude_T = [0.0, 1e-6, 0.0], phase_rad = 1.5707963267948966 }"
+    file.write_text(
+        f"{file.read_text()}\n[[event]]\ntime_s = 0.02\nambient = {{ earth_T = [0.0, 0.0, 3e-5], {mains} }}\n"
+    )
+    scene = scenarios.load(file)
+    with (
+        Rig(scene, FakeBoards()) as rig,
+        Rig(scenarios.load(write_scenario(tmp_path, kind='"still"')), FakeBoards()) as quiet,
+    ):
+        for until_s, there in ((0.0199, False), (0.0201, True), (0.033, True)):
+            for one in (rig, quiet):
+                one.run_until(round(until_s * 1e12))
+            turned = scene.motion.poses(np.array([rig.now_s]))[1][0].apply(
+                rig.sensor_field_T() - quiet.sensor_field_T()
+            )
+            # cos(2 pi 50 Hz t) is what a sine a quarter ahead is.
+            expected = np.array([-2e-5, 1e-6 * np.cos(100.0 * np.pi * rig.now_s), 7.5e-5]) if there else np.zeros(3)
+            np.testing.assert_allclose(turned, expected, atol=3e-9)
+
+
+def test_a_sensor_fails_by_an_event_and_is_whole_again(tmp_path):
+    file = write_scenario(tmp_path, kind='"still"')
+    fault = '[[event]]\ntime_s = {}\nsensor_fault = "{}"\naxis = 1\n'
+    file.write_text("\n".join([file.read_text(), fault.format(0.01, "high"), fault.format(0.02, "sound")]))
+    boards = FakeBoards()
+    with Rig(scenarios.load(file), boards) as rig:
+        rig.advance(0.03)
+    samples = boards.samples(0)
+    failed = (samples["time_ps"] >= 10**10) & (samples["time_ps"] < 2 * 10**10)
+    assert np.count_nonzero(failed) > 50
+    assert (samples["volts"][failed, 1] == 3.3).all()
+    assert (samples["volts"][~failed] < 3.3).all()
+    assert (samples["volts"][failed][:, [0, 2]] < 3.3).all()
 
 
 def test_slices_do_not_matter_to_events(tmp_path):

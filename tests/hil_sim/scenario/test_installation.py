@@ -103,7 +103,7 @@ def test_the_field_at_the_sensor_is_that_of_the_true_coils_and_the_metal(tmp_pat
         for one in (rig, beside):
             one.run_until(round(0.0119 * 1e12))
         columns = path.columns(coils, bare.motion, np.array([rig.now_s]))[0]
-        earth = columns[9:].reshape(3, 3) @ [2e-5, 0.0, -4.5e-5]
+        earth = columns[9:18].reshape(3, 3) @ [2e-5, 0.0, -4.5e-5]
         own = np.array([rig.coil_current_A(board) for board in (1, 2, 3)]) @ columns[:9].reshape(3, 3)
         np.testing.assert_allclose(rig.sensor_field_T(), own + earth, rtol=1e-6)
         added = beside.sensor_field_T() - rig.sensor_field_T()

@@ -240,7 +240,7 @@ def test_what_is_wrong_with_a_bus(tmp_path, keys, words):
     ("old", "new", "words"),
     [
         ('moves = "b"', 'moves = "d"', '[[event]] 1: moves is "d"; the beacons are a, b, c'),
-        ('moves = "b"\n', "", "[[event]] 1: moves is missing; give it, or sheet, or beacon"),
+        ('moves = "b"\n', "", "[[event]] 1: moves is missing; give it, or sheet, beacon, sensor_fault or ambient"),
         ('moves = "b"\n', 'beacon = "d"\n', '[[event]] 1: beacon is "d"; the beacons are a, b, c'),
         ('moves = "b"\n', 'beacon = "b"\n', "[[event]] 1: fault is missing; give it, or supply_V, or"),
         ('moves = "b"\n', 'beacon = "b"\nfault = "rain"\n', '[[event]] 1: fault is "rain"; there are coil_open'),

@@ -50,6 +50,55 @@ def test_a_known_field_becomes_known_volts(lib):
     np.testing.assert_allclose(volts, 1.65 + (gain @ field + [3e-6, -2e-6, 1e-6]) * 1.65 / 2e-4, rtol=1e-12)
 
 
+SOUND, HELD, LOW, HIGH, GAIN, OTHER, BIT_HIGH, BIT_LOW = range(8)
+FIELD = np.array([2e-5, -1e-5, 4e-5])
+STEP_V = 3.3 / 4096
+
+
+def broken(lib, fault, value=0.0, field=FIELD, before=FIELD):
+    """Return the volts of one burst behind one of another field, whose second axis then failed."""
+    ffi, library = lib
+    sensor = front_end(lib)
+    bursts(lib, sensor, 1, before)
+    library.front_end_break(sensor, 1, fault, value)
+    handed = ffi.new("double[3]", list(field))
+    return np.array([library.front_end_volts(sensor, axis, handed, PS) for axis in range(3)])
+
+
+@pytest.mark.parametrize(
+    ("fault", "value", "expected"),
+    [(SOUND, 9.0, -1e-5), (HELD, 9.0, 3e-5), (GAIN, -1.0, 1e-5), (GAIN, 0.5, -5e-6), (OTHER, 2.0, 4e-5)],
+)
+def test_an_axis_that_fails_gives_another_field(lib, fault, value, expected):
+    volts = broken(lib, fault, value, before=[0.0, 3e-5, 0.0])
+    np.testing.assert_allclose(field_of(volts), [2e-5, expected, 4e-5], rtol=1e-9)
+
+
+def test_an_axis_that_lies_at_an_end_of_the_range(lib):
+    np.testing.assert_array_equal(broken(lib, LOW)[1], 0.0)
+    np.testing.assert_array_equal(broken(lib, HIGH)[1], 3.3)
+
+
+@pytest.mark.parametrize("bit", range(12))
+def test_a_bit_of_the_converter_that_does_not_move(lib, bit):
+    for field in (0.0, 1e-5, -1.7e-4, 3e-4, -3e-4):  # The last ones are beyond the range.
+        result = int(np.clip(np.floor((1.65 * (1.0 + field / 2e-4)) / STEP_V), 0, 4095))
+        for fault, shown in ((BIT_HIGH, result | 1 << bit), (BIT_LOW, result & ~(1 << bit))):
+            volts = broken(lib, fault, bit, field=[0.0, field, 0.0])
+            assert np.floor(volts[1] / STEP_V) == shown
+            np.testing.assert_allclose(volts[[0, 2]], 1.65)
+
+
+def test_a_fault_that_is_mended_leaves_no_trace(lib):
+    library = lib[1]
+    whole, mended = front_end(lib, noise_T=2e-7), front_end(lib, noise_T=2e-7)
+    library.front_end_break(mended, 1, OTHER, 0.0)
+    bursts(lib, mended, 1)
+    bursts(lib, whole, 1)
+    library.front_end_break(mended, 1, SOUND, 0.0)
+    np.testing.assert_array_equal(bursts(lib, mended, 4)[1:], bursts(lib, whole, 4)[1:])
+
+
 def test_chip_noise_is_shared_by_a_burst_and_survives_its_mean(lib):
     count = 3000
     field = field_of(bursts(lib, front_end(lib, noise_T=2e-7), count))

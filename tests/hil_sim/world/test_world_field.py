@@ -45,7 +45,7 @@ def test_columns_are_in_the_sensors_frame():
     values = path.columns([loop()], motion, np.array([0.0]))[0]
     # The sensor is turned by a quarter about x: the site's z is its own y.
     np.testing.assert_allclose(values[:3], [0.0, on_axis(0.7), 0.0], rtol=1e-9, atol=1e-18)
-    np.testing.assert_allclose(values[3:].reshape(3, 3), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-15)
+    np.testing.assert_allclose(values[3:12].reshape(3, 3), [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-15)
 
 
 MOTIONS = {
@@ -75,7 +75,7 @@ def test_interpolation_error_is_below_its_bound(name):
     for row, time_ps in zip(got, times_ps, strict=True):
         library.path_evaluate(handed, int(time_ps), ffi.from_buffer("double[]", row))
     truth = path.columns(coils, MOTIONS[name], times_ps * 1e-12)
-    for group in range(truth.shape[1] // 3):
+    for group in range(truth.shape[1] // 3 - 1):  # The last one is that of magnets, of which there are none.
         part = slice(3 * group, 3 * group + 3)
         error = np.linalg.norm(got[:, part] - truth[:, part], axis=1) / np.linalg.norm(truth[:, part], axis=1)
         assert error.max() < 1e-5
