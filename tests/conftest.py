@@ -29,6 +29,7 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 HERE = Path(__file__).parent
 LONG = (
     "bench",
+    "campaign",
     "docs/test_new_room.py",
     "docs/test_pages.py",
     "firmware/apps",

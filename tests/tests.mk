@@ -105,6 +105,12 @@ commissioning-figures: all ## Take a hundred host boards from the box to poses b
 
 .PHONY: commissioning-figures
 
+CAMPAIGN ?=
+campaign: all ## Let every kind of fault strike host boards, and hold each pose to the truth (hours; goes on where it was stopped; CAMPAIGN="--seeds 2")
+	@$(PYTHON) -m tests.campaign $(CAMPAIGN)
+
+.PHONY: campaign
+
 readme-figures: all ## Compare each figure that README.md and some pages quote with what a command prints (an hour)
 	@$(PYTHON) -m tests.bench.readme_figures
 

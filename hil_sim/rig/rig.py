@@ -246,6 +246,10 @@ class Rig:
             return f"{name} switched its coil driver more often than any driver can follow, at {self.now_s:.6f} s"
         return f"{name} stopped at {self.now_s:.6f} s: {self.report(board)}"
 
+    def unique_id(self, board: int) -> bytes:
+        """Return the unique id of a board's processor, 12 bytes."""
+        return self._specs[board].unique_id
+
     def report(self, board: int) -> str:
         """Return a board's own words: why it stopped, or its violations so far."""
         operations = self._ffi.cast("board_operations_t *", self._boards[board].operations)

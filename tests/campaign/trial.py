@@ -1,0 +1,262 @@
+"""One trial: something goes wrong on a bench at a seeded moment and is mended; each pose is held to the truth."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from goldfield import site as sites
+from goldfield.errors import SystemFailure, UserError
+from goldfield.nodes.conversation import CLEAR
+from goldfield.sensor import dialogue, session
+from goldfield.sensor.options import Method, Options
+from goldfield.sensor.pipeline import Epoch, Sensor
+from goldfield.types import Status
+from goldfield_protocol import encode
+from hil_sim.rig import Rig, Truth
+from hil_sim.scenario import Scenario, load_scenario, site_toml
+from hil_sim.world.roaming import Roaming
+from tests.campaign.links import CanLink, SerialLink
+
+FloatArray = NDArray[np.float64]
+
+CYCLE_S = 1023 * 16422 / 168e6
+BOOT_S = 2.5
+"""Virtual time in which boards boot, synchronise and ramp up their currents."""
+SOUND_S, FAULT_S, AFTER_S = 1.5, 4.0, 6.0
+"""How long the bench is watched before the fault, while it lasts, and behind it."""
+TRANSFER_S = 0.005
+"""About so long after the end of a cycle its last message is there."""
+SNAP_S = 0.025
+"""So near to what the edges of the wire tell a cycle is theirs: 8 mm of the way."""
+SILENCE_S = 0.35
+"""No pose for so long is noticed by whoever waits for the next one, three cycles."""
+SURE = (Status.OK, Status.UNVERIFIED)
+STEADY = 5
+"""So many poses in a row that have nothing to say end the recovery."""
+LOW_M, HIGH_M = np.array([0.4, 0.4, 0.4]), np.array([1.7, 1.7, 1.4])
+SPEED_M_S, RATE_RAD_S = 0.3, 0.3
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fault.
+
+    Attributes
+    ----------
+    group, name : str
+    begin : callable
+        Takes the `Trial` at the moment of the fault.
+    end : callable
+        Takes it when the fault is mended.
+    plan : callable, optional
+        Takes scenario, begin and end (s) and a generator, and returns the scenario in which it happens by itself.
+    serial : bool
+        The host reads the sensor's serial port, not CAN.
+    lasts_s : float
+        How long it lasts.
+    """
+
+    group: str
+    name: str
+    begin: Callable[[Trial], None] = lambda trial: None
+    end: Callable[[Trial], None] = lambda trial: None
+    plan: Callable[[Scenario, float, float, np.random.Generator], Scenario] | None = None
+    serial: bool = False
+    lasts_s: float = FAULT_S
+
+
+@dataclass
+class Outcome:
+    """What one trial did.
+
+    Attributes
+    ----------
+    group, name : str
+    seed : int
+    poses, expected : int
+        Cycles that gave a pose, and how many there were, from the fault on.
+    detected_s : float or None
+        From the fault to the first pose that is not plainly ok; None: none was.
+    by : str
+        What that pose said.
+    wrong : int
+        Poses said to be ok, or unverified, that are off by more than their protection level.
+    worst_m : float
+        Largest error of a pose that is ok.
+    false_before : int
+        Poses that were not plainly ok before the fault.
+    recovered_s : float or None
+        From the end of the fault to the first of `STEADY` plain poses in a row; None: not seen.
+    statuses : dict of str to int
+        Poses by status, from the fault on.
+    error : str
+        Sentence with which the host ended, or a board; empty: it did not.
+    """
+
+    group: str
+    name: str
+    seed: int
+    poses: int = 0
+    expected: int = 0
+    detected_s: float | None = None
+    by: str = ""
+    wrong: int = 0
+    worst_m: float = 0.0
+    false_before: int = 0
+    recovered_s: float | None = None
+    statuses: dict[str, int] = field(default_factory=dict)
+    error: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as JSON knows it."""
+        return asdict(self)
+
+
+class Trial:
+    """A bench with a host that reads it; `run` plays the fault.
+
+    Attributes
+    ----------
+    rig : Rig
+    link : CanLink or SerialLink
+    random : numpy.random.Generator
+        Draws what of the kind is not fixed: which beacon, which axis.
+    scenario : Scenario
+    notes : dict
+        What `begin` leaves for `end`.
+    """
+
+    def __init__(self, kind: Kind, seed: int, boards: str = "host") -> None:
+        self.kind, self.seed = kind, seed
+        self.random = np.random.default_rng([seed, 16])
+        self.at_s = BOOT_S + SOUND_S + float(self.random.uniform(0.0, 0.2))
+        self.until_s = self.at_s + kind.lasts_s
+        motion = Roaming(seed, LOW_M, HIGH_M, SPEED_M_S, RATE_RAD_S)
+        self.scenario = replace(load_scenario("prigge8", seed), motion=motion)
+        if kind.plan is not None:
+            self.scenario = kind.plan(self.scenario, self.at_s, self.until_s, self.random)
+        self.notes: dict[str, Any] = {}
+        self._due = [(self.at_s, kind.begin), (self.until_s, kind.end)]
+        self.rig = Rig(self.scenario, boards)
+        self.link: CanLink | SerialLink
+
+    @property
+    def beacons(self) -> int:
+        """How many beacons there are; board 1 is the first."""
+        return len(self.scenario.beacons)
+
+    def follower(self) -> int:
+        """Draw a beacon that is not the sync master."""
+        others = [board for board in range(1, 1 + self.beacons) if board != self.scenario.sync_master]
+        return int(self.random.choice(others))
+
+    def clear(self, board: int) -> None:
+        """Let a host clear the cause for which a beacon's drive is off, as ``goldfield nodes clear`` does."""
+        unique = self.rig.unique_id(board)
+        own = int.from_bytes(unique[:6], "little") ^ int.from_bytes(unique[6:], "little")
+        node = self.scenario.beacons[board - 1].node
+        self.rig.can_write(*encode("COMMAND", {"board": own, "argument": 0}, node=node, index=CLEAR))
+
+    def run(self) -> Outcome:
+        """Play it."""
+        outcome = Outcome(self.kind.group, self.kind.name, self.seed)
+        try:
+            self._play(outcome)
+        except (UserError, SystemFailure) as error:
+            outcome.error = str(error)
+        finally:
+            self.rig.close()
+        return outcome
+
+    def _play(self, outcome: Outcome) -> None:
+        self.rig.advance(BOOT_S)
+        self.link = (SerialLink if self.kind.serial else CanLink)(self.rig, self._tick)
+        with tempfile.TemporaryDirectory() as name:
+            site_file = Path(name) / "site.toml"
+            site_file.write_text(site_toml(self.scenario))
+            with patch.object(session, "time", self.link), patch.object(dialogue, "time", self.link):
+                options = Options(method=Method.EACH, node=self.scenario.sensor.node)
+                with Sensor(self.link, "rig", sites.load(site_file), options) as sensor:
+                    self._watch(sensor, outcome)
+
+    def _tick(self) -> None:
+        """Begin and end the fault when it is time."""
+        if self._due and self.rig.now_s >= self._due[0][0]:
+            _, happen = self._due.pop(0)
+            happen(self)
+
+    def _watch(self, sensor: Sensor, outcome: Outcome) -> None:
+        """Take poses to the end, with the fault in between."""
+        seen: list[tuple[float, float, Epoch]] = []
+        truth: list[Truth] = []
+        epochs = sensor.epochs()
+        while self.rig.now_s < self.until_s + AFTER_S:
+            try:
+                epoch = next(epochs)
+            except SystemFailure as error:
+                outcome.error = str(error)
+                break
+            truth += self.rig.truth()
+            seen.append((self.rig.now_s, self.link.latest_s, epoch))
+        self._judge(seen, truth, outcome)
+
+    def _place(self, epoch: Epoch, came_s: float, truth: list[Truth]) -> FloatArray:
+        """Return where the sensor was in the middle of a cycle, whose last message came at a virtual time.
+
+        A master that comes back numbers the cycles anew, so that the number tells which one it was on the serial line
+        alone, where nobody else is struck.
+        """
+        middle_s = came_s - TRANSFER_S - 0.5 * CYCLE_S
+        if self.kind.serial:
+            known = min(truth, key=lambda one: abs(one.cycle - epoch.pose.epoch))
+            middle_s = known.time_s + (epoch.pose.epoch - known.cycle) * CYCLE_S
+        nearest_s = min((one.time_s for one in truth), key=lambda time_s: abs(time_s - middle_s))
+        if abs(nearest_s - middle_s) < SNAP_S:
+            middle_s = nearest_s
+        return np.asarray(self.scenario.motion.poses(np.array([middle_s]))[0][0])
+
+    def _judge(self, seen: list[tuple[float, float, Epoch]], truth: list[Truth], outcome: Outcome) -> None:
+        outcome.expected = round((self.rig.now_s - self.at_s) / CYCLE_S)
+        plain_in_a_row, latest_s = 0, self.at_s
+        for now_s, came_s, epoch in seen:
+            pose = epoch.pose
+            said = words(epoch)
+            if pose.status in SURE:
+                error_m = float(np.linalg.norm(pose.position_m - self._place(epoch, came_s, truth)))
+                outcome.wrong += not error_m <= pose.protection_m
+                if pose.status is Status.OK:
+                    outcome.worst_m = max(outcome.worst_m, error_m)
+            if now_s <= self.at_s:
+                outcome.false_before += bool(said)
+                continue
+            outcome.poses += 1
+            outcome.statuses[pose.status.value] = outcome.statuses.get(pose.status.value, 0) + 1
+            if outcome.detected_s is None and (now_s - latest_s > SILENCE_S or said):
+                silent = now_s - latest_s > SILENCE_S
+                outcome.detected_s = latest_s + SILENCE_S - self.at_s if silent else now_s - self.at_s
+                outcome.by = "silence" if silent else said
+            latest_s = now_s
+            if now_s > self.until_s and outcome.recovered_s is None:
+                plain_in_a_row = 0 if said else plain_in_a_row + 1
+                if plain_in_a_row == STEADY:
+                    outcome.recovered_s = max(0.0, now_s - self.until_s - (STEADY - 1) * CYCLE_S)
+
+
+def words(epoch: Epoch) -> str:
+    """Return what a pose says beside being right; empty: it is plainly ok."""
+    pose = epoch.pose
+    if pose.findings:
+        return pose.findings[0].kind.value
+    if epoch.notes:
+        return epoch.notes[0]
+    if pose.excluded:
+        return "left out"
+    return "" if pose.status is Status.OK else pose.status.value
