@@ -12,6 +12,7 @@ from goldfield.errors import UserError, tell
 from goldfield.link.blocks import BLOCK_CHIPS
 from goldfield.link.reports import Report
 from goldfield.locate import locate
+from goldfield.sensor.confirmation import Confirmation
 from goldfield.sensor.dialogue import Parameters
 from goldfield.sensor.guard import guarded
 from goldfield.sensor.on_sensor import on_sensor_parameters, on_sensor_pose
@@ -100,6 +101,7 @@ class Each:
     def __init__(self, site: Site) -> None:
         self._site = site
         self._witness = Witness(site)
+        self._confirmation = Confirmation()
         self._observer = EpochObserver(site)
 
     def pose(self, fields: Fields, ready: Pose | None = None) -> Pose:
@@ -109,6 +111,7 @@ class Each:
             return ready or locate(self._site, fields)
         named = self._witness.named
         pose = ready if ready is not None and not named else locate(self._site, without(fields, named))
+        pose = self._confirmation.follow(pose)
         judgement = None
         if pose.status not in (Status.FAILED, Status.AMBIGUOUS) and all(finding.beacons for finding in pose.findings):
             pose = replace(pose, excluded=(*pose.excluded, *(name for name in named if name in fields.beacons)))
