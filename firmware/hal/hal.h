@@ -342,6 +342,34 @@ bool hal_flash_program(hal_t *hal, uint32_t slot, uint32_t index, uint32_t value
  * Returns false as hal_flash_program() does. */
 bool hal_flash_erase(hal_t *hal, uint32_t slot);
 
+/* ---- Flash for images ---- */
+
+#define HAL_IMAGE_SLOTS       2u
+#define HAL_IMAGE_STATE_WORDS 16u /* Words of the running image's slot that may be programmed: core/boot/image.h. */
+
+/* Where the images lie that the boot loader chooses from: they are read like memory. */
+typedef struct {
+    const uint32_t *slot[HAL_IMAGE_SLOTS];
+    uint32_t address[HAL_IMAGE_SLOTS]; /* What the images' headers must say of that. */
+    uint32_t words;                    /* Words of a slot; 0: this board has none. */
+    uint32_t running;                  /* The slot whose image runs. */
+    uint32_t board;                    /* Kind of this hardware, as the images' headers tell it. */
+    const uint8_t *key;                /* Public key of who may sign images, 32 bytes; NULL: there is none. */
+} hal_images_t;
+
+/* Returns the board's images. */
+hal_images_t hal_images(const hal_t *hal);
+
+/* Program a word of a slot: any of the slot that does not run, or one of the running one's state words. What
+ * hal_flash_program() says of time and of the coil drive holds.
+ * Returns false if it did not take, or for a word that may not be programmed. */
+bool hal_image_program(hal_t *hal, uint32_t slot, uint32_t index, uint32_t value);
+
+/* Erase the first words of the slot that does not run, and as many more as the flash's sectors have. Everything stands
+ * still meanwhile, for 1 s each 128 KiB, at most 2 s; what hal_flash_erase() says of the chip engine holds.
+ * Returns false as hal_image_program() does. */
+bool hal_image_erase(hal_t *hal, uint32_t slot, uint32_t words);
+
 /* Restart the watchdog's 500 ms. */
 void hal_watchdog_kick(hal_t *hal);
 

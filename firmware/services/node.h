@@ -36,6 +36,7 @@
 #include "hal/hal.h"
 #include "services/liveness.h"
 #include "services/storage.h"
+#include "services/update.h"
 
 #define NODE_QUEUE_MESSAGES 128u     /* Messages that the queue of each link holds. */
 #define NODE_HEARTBEAT_US   1000000u /* Time from one heartbeat to the next, us. */
@@ -97,7 +98,10 @@ typedef struct {
     uint64_t blink_end_us, reset_us;
     node_links_t identity_late, reset_late; /* The links on which these are told at late_us. */
     uint64_t late_us;
-    node_links_t saving; /* The link to which a save that is under way is answered. */
+    node_links_t saving;   /* The link to which a save that is under way is answered. */
+    node_links_t updating; /* The link to which the command that began an update is answered. */
+    uint32_t update_index; /* That command. */
+    update_t update;
     storage_t storage;   /* It is large, and last: what main looks at each turn lies near the beginning. */
 } node_t;
 

@@ -143,11 +143,15 @@ void requests_tell_last_reset(node_t *node, node_links_t links) {
 
 /* ---- Commands ---- */
 
-static void answer_command(node_t *node, node_links_t link, uint32_t index, uint32_t status) {
-    const struct goldfield_command_answer_t answer = {.status = (uint8_t)status};
+static void answer_with(node_t *node, node_links_t link, uint32_t index, uint32_t status, uint32_t value) {
+    const struct goldfield_command_answer_t answer = {.status = (uint8_t)status, .value = value};
     uint8_t data[8];
     const uint8_t length = (uint8_t)goldfield_command_answer_pack(data, &answer, sizeof data);
     node_send(node, link, GOLDFIELD_COMMAND_ANSWER_FRAME_ID, index, data, length);
+}
+
+static void answer_command(node_t *node, node_links_t link, uint32_t index, uint32_t status) {
+    answer_with(node, link, index, status, 0);
 }
 
 static void reset_soon(node_t *node) {
@@ -160,7 +164,7 @@ static void begin_save(node_t *node, node_links_t link, bool named, bool may_pau
     if (node->saving != NODE_NO_LINK && named) {
         return;
     }
-    if (!named || node->resetting) {
+    if (!named || node->resetting || update_holds(&node->update)) {
         answer_command(node, link, COMMAND_SAVE, GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE);
     } else if (node->drive_on && !may_pause) {
         answer_command(node, link, COMMAND_SAVE, GOLDFIELD_COMMAND_ANSWER_STATUS_COIL_ON_CHOICE);
@@ -193,6 +197,46 @@ static void step_save(node_t *node) {
         reset_soon(node); /* The drive is held until then. */
     } else {
         node->drive_hold = false;
+    }
+}
+
+/* Answers a command of an update, or keeps its link for the answer that is to come. */
+static void take_update(node_t *node, node_links_t link, uint32_t index, uint32_t argument, bool named) {
+    if (node->saving != NODE_NO_LINK || node->resetting) {
+        answer_command(node, link, index, GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE);
+        return;
+    }
+    const update_answer_t answer = update_command(&node->update, index, argument, named, hal_microseconds(node->hal));
+    if (answer.action == UPDATE_ANSWER) {
+        answer_with(node, link, index, answer.status, answer.value);
+        if (answer.status == GOLDFIELD_COMMAND_ANSWER_STATUS_OK_RESTARTS_CHOICE) {
+            reset_soon(node);
+        }
+    } else {
+        node->updating = link;
+        node->update_index = index;
+    }
+    node->drive_hold = update_holds(&node->update);
+    node->under_way |= node->drive_hold;
+}
+
+static void take_update_data(node_t *node, uint32_t index, const frame_t *frame) {
+    struct goldfield_update_data_t block = {0};
+    (void)goldfield_update_data_unpack(&block, frame->data, frame->length);
+    update_data(&node->update, index, block.first, block.second, hal_microseconds(node->hal));
+}
+
+/* Goes on with an update, or with the trial of this image. The application has told in this turn whether its drive is
+ * on, and it was held before. */
+static void step_update(node_t *node) {
+    const update_answer_t answer = update_step(&node->update, node->drive_on, hal_microseconds(node->hal));
+    if (answer.action == UPDATE_ANSWER) {
+        answer_with(node, node->updating, node->update_index, answer.status, answer.value);
+    } else if (answer.action == UPDATE_RESET && !node->resetting) {
+        reset_soon(node);
+    }
+    if (!node->resetting) {
+        node->drive_hold = update_holds(&node->update);
     }
 }
 
@@ -289,6 +333,7 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
     if (command.board != 0 && command.board != own) {
         return;
     }
+    update_heard(&node->update);
     if (index == COMMAND_IDENTITY || index == COMMAND_LAST_RESET) {
         answer_late(node, index == COMMAND_IDENTITY ? &node->identity_late : &node->reset_late, link, own);
         if ((frame->id & PROTOCOL_NODE_MASK) != 0u) {
@@ -297,6 +342,10 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
         return;
     }
     const bool named = command.board == own && (frame->id & PROTOCOL_NODE_MASK) == node->id;
+    if (index >= UPDATE_BEGIN && index <= UPDATE_TELL) {
+        take_update(node, link, index, command.argument, named);
+        return;
+    }
     if (index == COMMAND_SAVE) {
         begin_save(node, link, named, command.argument != 0);
         return;
@@ -332,6 +381,8 @@ void requests_take(node_t *node, node_links_t link, const frame_t *frame) {
         describe_parameter(node, link, index);
     } else if (message == GOLDFIELD_COMMAND_FRAME_ID) {
         take_command(node, link, index, frame);
+    } else if (message == GOLDFIELD_UPDATE_DATA_FRAME_ID) {
+        take_update_data(node, index, frame);
     }
 }
 
@@ -355,7 +406,10 @@ void requests_step(node_t *node) {
     if (node->saving != NODE_NO_LINK) {
         step_save(node);
     }
+    if (update_holds(&node->update)) {
+        step_update(node);
+    }
     act(node);
-    node->under_way = node->saving != NODE_NO_LINK || node->blinking || node->resetting ||
+    node->under_way = node->saving != NODE_NO_LINK || update_holds(&node->update) || node->blinking || node->resetting ||
                       node->identity_late != NODE_NO_LINK || node->reset_late != NODE_NO_LINK;
 }

@@ -12,7 +12,8 @@
  * uses, at most 8 messages (framing.md, "Descriptions").
  *
  * COMMAND lets the board tell its unique id or its last reset, blink with its LED, reset itself, clear what keeps its
- * drive off, save its parameters, start or stop, show its signature, or take another number (framing.md, "Commands").
+ * drive off, save its parameters, start or stop, show its signature, take another number, or take a new image
+ * (framing.md, "Commands" and "Updates").
  *
  * What all nodes are asked for, identity and last reset, a board tells after up to 64 ms, a time of its own: frames of
  * two boards with one number have the same identifier, and destroy each other on CAN when they begin together.
@@ -27,6 +28,9 @@
  * accepted until it is answered. A save for which a slot is erased ends with a reset, as the chip engine has lost its
  * step. requests_step goes on with a save only in a turn that began with it: the application has then told whether its
  * drive is on.
+ *
+ * Updates (update.h). COMMAND 10 to 15 and UPDATE_DATA bring a new image; the drive is held meanwhile, and until a new
+ * image has confirmed itself. An update and a save exclude each other.
  *
  * Memory: what node.h holds for it.
  */
@@ -46,7 +50,7 @@ static inline bool requests_due(const node_t *node) {
     return node->under_way;
 }
 
-/* Go on with a save, blink, and reset the board when it is time to. */
+/* Go on with a save or an update, blink, and reset the board when it is time to. */
 void requests_step(node_t *node);
 
 /* Queue what the board knows of its last reset on the given links: a few RESET_REPORT, framing.md, "Last reset". */

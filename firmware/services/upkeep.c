@@ -163,6 +163,8 @@ void upkeep_start(node_t *node, hal_t *hal, hal_role_t role) {
     hal_serial_write_polled(hal, encoded, count);
     (void)queue_push(&node->can, &hello);
     requests_tell_last_reset(node, NODE_BOTH);
+    update_start(&node->update, hal);
+    node->drive_hold = node->under_way = update_holds(&node->update);
     node->heartbeat_us = hal_microseconds(hal);
     liveness_start(&node->liveness, hal, role);
 }

@@ -42,7 +42,7 @@ ALLOWED: Mapping[str, tuple[str, ...]] = {
     "firmware/images": ("firmware/apps", "firmware/boards/board.h"),
     "firmware/boards/board": ("firmware/hal",),
     "firmware/boards/stm32f405": ("firmware/hal", "firmware/boards/board.h"),
-    "firmware/boards/stm32f405/boot": ("firmware/core", "firmware/boards/stm32f405"),
+    "firmware/boards/stm32f405/boot": ("firmware/core", "firmware/hal", "firmware/boards/stm32f405"),
     "firmware/boards/host": ("firmware/hal", "firmware/apps", EDGE),
     "hil_sim/world": (),
     "hil_sim/emulator": (EDGE,),

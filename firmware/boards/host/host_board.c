@@ -374,6 +374,10 @@ void host_board_flash(board_t *board, const host_flash_t *flash) {
     board->hal.flash = *flash;
 }
 
+void host_board_images(board_t *board, const host_images_t *images) {
+    board->hal.images = *images;
+}
+
 void host_board_fail(board_t *board, host_failure_t failure, bool active) {
     board->hal.failed[failure] = active;
     board->hal.awake = true;

@@ -32,6 +32,9 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
 /* Give a board its flash, before it runs. *flash is copied, and what it points at must outlive the board. */
 void host_board_flash(board_t *board, const host_flash_t *flash);
 
+/* Give a board slots for images, before it runs, as host_board_flash() does. */
+void host_board_images(board_t *board, const host_images_t *images);
+
 /* Make something fail, or mend it, at the board's present. */
 void host_board_fail(board_t *board, host_failure_t failure, bool active);
 

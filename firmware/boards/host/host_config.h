@@ -25,6 +25,14 @@ typedef struct {
     bool (*erase)(void *context, uint32_t slot);
 } host_flash_t;
 
+/* Slots for images (hal.h), of which a board has none by itself. Functions as above. */
+typedef struct {
+    void *context;
+    hal_images_t images;
+    bool (*program)(void *context, uint32_t slot, uint32_t index, uint32_t value);
+    bool (*erase)(void *context, uint32_t slot, uint32_t words);
+} host_images_t;
+
 /* What can be made to fail in a running board (host_board_fail). */
 typedef enum {
     HOST_FAILURE_MAIN_HANGS = 0,    /* The main loop does nothing; after a reset the application starts, and hangs. */

@@ -231,6 +231,30 @@ bool hal_flash_erase(hal_t *hal, uint32_t slot) {
     return true;
 }
 
+hal_images_t hal_images(const hal_t *hal) {
+    return hal->images.images;
+}
+
+bool hal_image_program(hal_t *hal, uint32_t slot, uint32_t index, uint32_t value) {
+    const hal_images_t *const images = &hal->images.images;
+    const uint32_t words = slot == images->running ? HAL_IMAGE_STATE_WORDS : images->words;
+    if (slot >= HAL_IMAGE_SLOTS || index >= words || images->words == 0u || hal->dead) {
+        return false;
+    }
+    hal->dead = !hal->images.program(hal->images.context, slot, index, value);
+    return !hal->dead;
+}
+
+bool hal_image_erase(hal_t *hal, uint32_t slot, uint32_t words) {
+    const hal_images_t *const images = &hal->images.images;
+    if (slot >= HAL_IMAGE_SLOTS || slot == images->running || words > images->words || images->words == 0u ||
+        hal->dead) {
+        return false;
+    }
+    hal->dead = !hal->images.erase(hal->images.context, slot, words);
+    return !hal->dead;
+}
+
 void hal_watchdog_kick(hal_t *hal) {
     hal->kick_tick = host_tick(hal);
 }

@@ -115,6 +115,7 @@ struct hal {
     hal_reset_t reset; /* This, and what the services keep, outlive a reset. */
     uint32_t retained[HAL_RETAINED_WORDS];
     host_flash_t flash; /* Where it is; without functions it is own_flash. */
+    host_images_t images;
     uint32_t own_flash[HAL_FLASH_SLOTS][HAL_FLASH_WORDS];
     bool dead;       /* The power was lost within a step of the flash. */
     input_t *inputs; /* What waits for its time, sorted by time; equal times in order of arrival. */

@@ -57,12 +57,20 @@ static void output_pins_start(void) {
         pin_alternate(GPIOB, pin, TIM1_FUNCTION, PULL_NONE);
 }
 
-void watchdog_set(uint32_t reload) {
+static void set_watchdog(uint32_t prescaler, uint32_t reload) {
     IWDG->KR = IWDG_KR_KEY_UNLOCK;
-    IWDG->PR = IWDG_PR_PR_DIV16;
+    IWDG->PR = prescaler;
     IWDG->RLR = reload;
     wait_for(&IWDG->SR, IWDG_SR_PVU | IWDG_SR_RVU, 0, WATCHDOG_TRIES);
     IWDG->KR = IWDG_KR_KEY_RELOAD;
+}
+
+void watchdog_set(uint32_t reload) {
+    set_watchdog(IWDG_PR_PR_DIV16, reload);
+}
+
+void watchdog_set_slow(uint32_t reload) {
+    set_watchdog(IWDG_PR_PR_DIV64, reload);
 }
 
 /* Starts the watchdog with 500 ms at the nominal 32 kHz of its oscillator, which may run at 17 to 47 kHz. */

@@ -13,9 +13,9 @@
 #define KEY_1  0x45670123u
 #define KEY_2  0xCDEF89ABu
 #define ERRORS (FLASH_SR_WRPERR | FLASH_SR_PGAERR | FLASH_SR_PGPERR | FLASH_SR_PGSERR)
-/* Tries of waiting for a word, 1 ms, and for an erasure, 0.9 s, at 168 MHz, should the processor not stand still. */
+/* Tries of waiting for a word, 1 ms, and for an erasure, 3 s, at 168 MHz, should the processor not stand still. */
 #define WORD_TRIES  28000u
-#define ERASE_TRIES 25000000u
+#define ERASE_TRIES 84000000u
 
 /* Returns whether the flash is unlocked, idle, and without an error of an operation before. */
 static bool unlock(void) {

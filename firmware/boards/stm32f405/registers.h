@@ -346,6 +346,7 @@ typedef struct {
 #define IWDG_KR_KEY_RELOAD 0xAAAAu
 #define IWDG_KR_KEY_START  0xCCCCu
 #define IWDG_PR_PR_DIV16   (2u << 0)
+#define IWDG_PR_PR_DIV64   (4u << 0)
 #define IWDG_SR_PVU        (1u << 0)
 #define IWDG_SR_RVU        (1u << 1)
 

@@ -145,6 +145,26 @@ static inline void memory_barrier(void) {
  * happen. */
 bool wait_for(const volatile uint32_t *address, uint32_t mask, uint32_t value, uint32_t tries);
 
+/* ---- The flash ---- */
+
+/* Slots of the images, and the place of the public key: the boot loader has them, too. */
+#define IMAGE_SLOT_A  0x08020000u /* Sectors 5 to 7. */
+#define IMAGE_SLOT_B  0x08080000u /* Sectors 8 to 10. */
+#define IMAGE_BYTES   0x60000u
+#define SECTOR_BYTES  0x20000u /* From sector 5 on. */
+#define SLOT_A_SECTOR 5u
+#define SLOT_SECTORS  3u
+#define BOARD_KIND    1u /* What the headers of images for this board tell. */
+#define KEY_PLACE     0x08003FC0u
+#define KEY_MARK      0x594B4647u /* "GFKY" */
+
+/* What lies at KEY_PLACE. */
+typedef struct {
+    uint32_t mark;
+    uint8_t key[32];
+    uint32_t crc; /* CRC-32 of the key. */
+} key_place_t;
+
 /* ---- flash_operation.c ---- */
 
 /* Program a word of the flash. Nothing can be read from the flash meanwhile.
@@ -167,6 +187,9 @@ void clock_start_tick(hal_clock_t clock);
 
 #define WATCHDOG_RELOAD      999u  /* The watchdog's 500 ms. */
 #define WATCHDOG_RELOAD_LONG 4095u /* 2 s: 1.4 to 3.9 s of its oscillator. */
+
+/* Give the watchdog four times as long as watchdog_set() does: 8 s, 5.6 to 15.4 s, with WATCHDOG_RELOAD_LONG. */
+void watchdog_set_slow(uint32_t reload);
 
 /* Give the watchdog, which runs, another time, and feed it. It takes five cycles of its oscillator, 0.2 ms. */
 void watchdog_set(uint32_t reload);

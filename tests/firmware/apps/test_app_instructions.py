@@ -59,6 +59,11 @@ bool hal_flash_program(hal_t *h, uint32_t slot, uint32_t index, uint32_t value) 
     return false;
 }
 bool hal_flash_erase(hal_t *h, uint32_t slot) { (void)h; (void)slot; return false; }
+hal_images_t hal_images(const hal_t *h) { (void)h; return (hal_images_t){0}; }
+bool hal_image_program(hal_t *h, uint32_t slot, uint32_t index, uint32_t value) {
+    (void)h; (void)slot; (void)index; (void)value; return false;
+}
+bool hal_image_erase(hal_t *h, uint32_t slot, uint32_t words) { (void)h; (void)slot; (void)words; return false; }
 void hal_watchdog_kick(hal_t *h) { (void)h; }
 uint32_t hal_serial_waiting(const hal_t *h) { (void)h; return 0; }
 void hal_note_stalled(hal_t *h, uint32_t stalled) { (void)h; (void)stalled; }
@@ -142,7 +147,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("instructions")
     source, elf = directory / "harness.c", directory / "apps.elf"
     source.write_text(HARNESS)
-    folders = ("apps", "services", "core/*")
+    folders = ("apps", "services", "core/*", "third_party/*")
     firmware = [path for folder in folders for path in sorted((ROOT / "firmware").glob(f"{folder}/*.c"))]
     includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]
     sources = [source, *firmware, ROOT / "build/protocol/goldfield.c"]

@@ -42,7 +42,9 @@ def elf(tmp_path_factory):
     source.write_text(HARNESS + MORE)
     built = ROOT / "build/firmware"
     objects = [
-        path for folder in ("apps", "services", "core/*") for path in sorted((built / "firmware").glob(f"{folder}/*.o"))
+        path
+        for folder in ("apps", "services", "core/*", "third_party/*")
+        for path in sorted((built / "firmware").glob(f"{folder}/*.o"))
     ]
     objects.append(built / "protocol/goldfield.o")
     includes = [f"-I{ROOT / path}" for path in ("firmware", "build/protocol")]

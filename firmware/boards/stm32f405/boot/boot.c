@@ -17,23 +17,11 @@
 #include "core/boot/select.h"
 #include "core/storage/crc32.h"
 
-#define SLOT_A       0x08020000u /* Sectors 5 to 7. */
-#define SLOT_B       0x08080000u /* Sectors 8 to 10. */
-#define SLOT_WORDS   (384u * 1024u / 4u)
-#define KEY_PLACE    0x08003FC0u
-#define KEY_MARK     0x594B4647u /* "GFKY" */
-#define BOARD_KIND   1u          /* What the headers of images for this board tell. */
-#define FLASH_TURNS  400000u     /* Turns of a loop of about four cycles in 0.1 s. */
+#define FLASH_TURNS  400000u /* Turns of a loop of about four cycles in 0.1 s. */
 #define WATCH_TRIES  10000u
 #define LED          4u /* PB4, which an image has, too (pinout.md). */
 #define MODE_OUTPUT  1u
 #define VECTOR_COUNT 16u
-
-typedef struct {
-    uint32_t mark;
-    uint8_t key[IMAGE_KEY_BYTES];
-    uint32_t crc; /* CRC-32 of the key. */
-} key_place_t;
 
 typedef void (*entry_t)(void);
 
@@ -81,11 +69,12 @@ static __attribute__((noreturn)) void start(const uint32_t *slot) {
 }
 
 __attribute__((noreturn)) void Reset_Handler(void) {
-    static volatile uint32_t *const places[IMAGE_SLOTS] = {(volatile uint32_t *)SLOT_A, (volatile uint32_t *)SLOT_B};
+    static volatile uint32_t *const places[IMAGE_SLOTS] = {(volatile uint32_t *)IMAGE_SLOT_A,
+                                                           (volatile uint32_t *)IMAGE_SLOT_B};
     const image_flash_t flash = {
-        .slot = {(const uint32_t *)SLOT_A, (const uint32_t *)SLOT_B},
-        .address = {SLOT_A, SLOT_B},
-        .words = SLOT_WORDS,
+        .slot = {(const uint32_t *)IMAGE_SLOT_A, (const uint32_t *)IMAGE_SLOT_B},
+        .address = {IMAGE_SLOT_A, IMAGE_SLOT_B},
+        .words = IMAGE_BYTES / sizeof(uint32_t),
         .board = BOARD_KIND,
         .key = find_key(),
     };

@@ -31,7 +31,7 @@ def build_images(directory: Path) -> dict[str, Path]:
     made = {}
     for role in ("beacon", "anchor"):
         path = directory / f"{role}.elf"
-        folders = (f"{OUT}/firmware/{part}" for part in ("core", "services", "apps", "boards"))
+        folders = (f"{OUT}/firmware/{part}" for part in ("core", "services", "apps", "boards", "third_party"))
         objects = [str(o) for folder in folders for o in sorted((ROOT / folder).rglob("*.o"))]
         cpu = ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-O2", "-std=c11"]
         options = [f"-D{role.upper()}", f"-I{ROOT / 'firmware'}", f"-I{ROOT / 'build/protocol'}", "-nostartfiles"]

@@ -128,7 +128,16 @@ class Node:
             and (words[HEADER : CODE + len(image.code)] == wanted[HEADER : CODE + len(image.code)])
         )
 
-    def _carry_out(self, slot: int, index: int | None, value: int) -> None:
+    def places(self) -> list[int]:
+        """Addresses of the slots, for another library."""
+        return [int(self._ffi.cast("uintptr_t", memory)) for memory in self._memory]
+
+    def key_place(self) -> int:
+        """Address of the key; 0: there is none."""
+        return int(self._ffi.cast("uintptr_t", self.flash.key))
+
+    def carry_out(self, slot: int, index: int | None, value: int) -> None:
+        """Do a step, in which the power may go."""
         if self.steps == self.cut:
             self.cut = None
             self.cells.tear(self.torn, slot, index, value)
@@ -150,7 +159,7 @@ class Node:
             if not step.wanted:
                 choice = self._lib.select_choice(select)
                 return Choice(choice.slot, choice.trial) if choice.found else None
-            self._carry_out(step.slot, step.index, step.value)
+            self.carry_out(step.slot, step.index, step.value)
         raise AssertionError("the boot loader goes round")
 
     # ---- The application ----
@@ -166,7 +175,7 @@ class Node:
     def work(self) -> None:
         """Carry out what the application's part asks for."""
         while (step := self._lib.install_next(self._install)).kind != 0:
-            self._carry_out(step.slot, None if step.kind == 2 else step.index, step.value)
+            self.carry_out(step.slot, None if step.kind == 2 else step.index, step.value)
 
     def confirm(self) -> bool:
         wanted = bool(self._lib.install_confirm(self._install))
@@ -182,7 +191,7 @@ class Node:
     def receive(self, slot: int, words: list[int]) -> None:
         for index in range(WORDS):
             if self.takes(index) and words[index] != ONES:
-                self._carry_out(slot, index, words[index])
+                self.carry_out(slot, index, words[index])
 
     def end(self) -> int:
         status = int(self._lib.install_end(self._install))
