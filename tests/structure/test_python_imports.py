@@ -26,6 +26,7 @@ LEVELS = (
     ("track", "survey", "calibration", "planning"),
     ("sensor",),
     ("nodes",),
+    ("update",),
     ("doctor",),
     ("view",),
     ("foxglove",),
@@ -44,6 +45,7 @@ NEVER = {("site", "link")}
 TYPING_ONLY = {
     "goldfield.cli.live": "goldfield.page",
     "goldfield.cli.entry": "importlib.metadata",
+    "goldfield.update.keys": "cryptography",
     "goldfield.cli.page_option": "goldfield.page",
     "goldfield.cli.surveying": "goldfield.cli.page_progress",
     "hil_sim.papers.plot": "matplotlib",

@@ -139,6 +139,10 @@ class Conversation:
                 return
             self._tap.receive(min(0.1, seconds))
 
+    def send(self, identifier: int, data: bytes) -> None:
+        """Send a message that nobody answers, or whose answers are taken by `wait`."""
+        self._tap.send(identifier, data)
+
     def read(self, wanted: Iterable[tuple[int, int]], tries: int = TRIES) -> dict[tuple[int, int], Value | None]:
         """Read parameters of several nodes at once.
 

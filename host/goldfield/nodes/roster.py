@@ -1,6 +1,7 @@
 """Who is on a link, by what was heard: each node's latest words about itself, and requests of another host.
 
-A node whose heartbeat tells another protocol is listed with it, and nothing else of it is understood.
+A node whose heartbeat tells another protocol is listed with it and its unique id, and nothing else of it is
+understood.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from goldfield.nodes.last_reset import NAME as RESET_REPORT
 from goldfield.nodes.last_reset import LastReset, last_reset
 from goldfield_protocol.messages import Message, decode, mismatch, protocol_hash
 
-REQUESTS = ("PARAM_SET", "PARAM_GET", "PARAM_DESCRIBE", "COMMAND")
+REQUESTS = ("PARAM_SET", "PARAM_GET", "PARAM_DESCRIBE", "COMMAND", "UPDATE_DATA")
 """Messages that hosts send; the node in their identifier is the receiver's."""
+IDENTITY = "IDENTITY"
+"""The message that is understood of a node of another protocol, too, so that it can be given this one's firmware."""
 ECHO_S = 2.0
 """A bus that hands a host its own messages back does so within this time, s."""
 
@@ -185,7 +188,7 @@ class Roster:
             node.messages += 1
             if message.name == "HEARTBEAT":
                 _take_heartbeat(node, message)
-            elif node.same_protocol:
+            elif node.same_protocol or message.name == IDENTITY:
                 _take_message(node, message)
 
     def _take_request(self, message: Message, identifier: int, data: bytes, now_s: float) -> None:
@@ -245,7 +248,7 @@ def _take_message(node: Node, message: Message) -> None:
         node.clock = quality_of(message)
     elif message.name == "SYNC":
         node.syncs += 1
-    elif message.name == "IDENTITY" and message.index in (0, 1):
+    elif message.name == IDENTITY and message.index in (0, 1):
         node.halves.setdefault(int(signals["tag"]), {})[message.index] = int(signals["half"])
     elif message.name == RESET_REPORT:
         if message.index == 0:

@@ -1,0 +1,102 @@
+"""``goldfield image sign`` and ``goldfield flash`` with the ARM images that were built, behind their boot loader."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import can
+import pytest
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+from goldfield.cli import main
+from goldfield.link.buses import BusSource
+from goldfield_protocol import FrameDecoder, encode_frame
+from goldfield_protocol.image import MARK
+from goldfield_protocol.parameters import build_page
+from hil_sim.clib import ROOT
+from hil_sim.emulator.emulator import PARAMETER_PAGE
+from tests.firmware.boards.stm32f405.boot_flash import boot_loader, flash, probed, state_of
+from tests.firmware.core.boot.slots import KEY, OTHER_KEY
+from tests.firmware.host_rig import MS, SECOND, SENSOR, US, Board
+from tests.host.update.boards_on_a_link import run
+
+A, B = 0, 1
+STEP = 5 * MS
+FRAME = 100 * US
+
+
+class ChipLink(BusSource):
+    """The serial line of an emulated board in virtual time; it takes the place of the module `time`, too."""
+
+    traffic = {}  # noqa: RUF012 - nothing is counted
+    shared, link_bit, name = False, 1, "chip"
+
+    def __init__(self, cells: bytes) -> None:
+        self.board = Board(SENSOR, {"node": 9}, emulated=True, cells=cells)
+        self.now = self.line = self.blocks = 0
+        self._decoder, self._taken, self._received = FrameDecoder(), 0, deque[can.Message]()
+        self._run(300 * MS)
+
+    def monotonic(self) -> float:
+        return self.now / SECOND
+
+    def receive(self, timeout_s: float) -> can.Message | None:
+        until = self.now + max(1, round(timeout_s * SECOND))
+        while not self._received and self.now < until:
+            self._run(min(self.now + STEP, until))
+        return self._received.popleft() if self._received else None
+
+    def send(self, identifier: int, data: bytes) -> None:
+        self.line = max(self.line, self.now)
+        self.board.receive(encode_frame(identifier, data), self.line)
+        self.line += FRAME
+
+    def close(self) -> None:
+        """Let go of nothing."""
+
+    def _run(self, until: int) -> None:
+        self.board.run(until)
+        self.now = until
+        new = self.board.serial[self._taken :]
+        self._taken += len(new)
+        for frame in self._decoder.feed(bytes(byte for _, byte in new)):
+            raw = can.Message(timestamp=until / SECOND, arbitration_id=frame.identifier, data=frame.data)
+            self._received.append(raw)
+
+
+def signed(tmp_path, capsys, key):
+    """Return an update file of the sensor's images, signed by the command."""
+    place, path = tmp_path / "site.key", tmp_path / "sensor.gfi"
+    place.touch(mode=0o600)
+    place.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    files = [str(ROOT / "build/firmware" / name) for name in ("sensor.elf", "slot_b/sensor.elf")]
+    assert main(["image", "sign", *files, "--key", str(place), "--out", str(path)]) == 0
+    capsys.readouterr()
+    return str(path)
+
+
+def link_to_a_new_board() -> ChipLink:
+    """Return the link to a board that a probe has programmed, with the public key of `KEY`."""
+    return ChipLink(flash(*boot_loader(), probed(), (PARAMETER_PAGE, build_page({"node": 9}))))
+
+
+@pytest.mark.long
+def test_the_chip_takes_what_is_signed_and_confirms_it(tmp_path, capsys, monkeypatch):
+    link = link_to_a_new_board()
+    code, out, told = run(monkeypatch, link, "flash", signed(tmp_path, capsys, KEY), "9")
+    print(f"{link.monotonic():.1f} s from power-on to the confirmation")
+    assert (code, out) == (0, "node 9 runs sensor 0.1.0 in slot B, confirmed; it had 0.1.0\n"), told
+    assert "25 % sent" in told
+    assert state_of(link.board.emulator.cells(), B)[2:] == (0, MARK, MARK, MARK, MARK)
+    link.board.close()
+
+
+@pytest.mark.long
+def test_the_chip_refuses_what_another_key_has_signed(tmp_path, capsys, monkeypatch):
+    link = link_to_a_new_board()
+    code, out, told = run(monkeypatch, link, "flash", signed(tmp_path, capsys, OTHER_KEY), "9")
+    assert (code, out) == (3, "")
+    assert "node 9 refuses the signature, and keeps the image that it had" in told
+    assert state_of(link.board.emulator.cells(), A)[3:] == (MARK, MARK, MARK, MARK)
+    assert state_of(link.board.emulator.cells(), B)[3] != MARK
+    link.board.close()
