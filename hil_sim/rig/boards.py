@@ -17,7 +17,7 @@ from hil_sim.scenario import Clock
 HOST_LIBRARY = "libgf_hostboard.so"
 ONLY_EMULATED = (
     *("crystal_dead", "crystal_stops_s", "crystal_ppm_per_K", "crystal_ppm_per_s", "temperature_K_per_s"),
-    *("processor_supply_V", "flash"),
+    *("processor_supply_V", "flash", "public_key"),
 )
 """Keys of `Clock` that only an emulated board can follow."""
 
@@ -165,6 +165,8 @@ class EmulatedBoards:
             edge=edge,
             parameter_page=spec.parameter_page,
             flash=spec.clock.flash or None,
+            boot=clib.built("boot/boot.elf") if spec.clock.public_key else None,
+            key=bytes.fromhex(spec.clock.public_key) or None,
             cells=spec.cells,
             power_on_ps=spec.power_on_ps,
         )

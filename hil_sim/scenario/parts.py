@@ -116,6 +116,9 @@ class Clock:
         Supply of the processor and reference of its converters (emulated boards).
     flash : str
         The file that keeps the processor's flash from one rig to the next; empty: none does (emulated boards).
+    public_key : str
+        The board has a boot loader that knows this public key, in hexadecimal digits, so that it takes images over its
+        links; empty: the image starts alone (emulated boards).
     """
 
     crystal_ppm: float = 0.0
@@ -128,6 +131,7 @@ class Clock:
     temperature_K_per_s: float = 0.0
     processor_supply_V: float = PROCESSOR_SUPPLY_V
     flash: str = ""
+    public_key: str = ""
 
 
 @dataclass(frozen=True, eq=False)

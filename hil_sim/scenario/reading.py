@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from goldfield.errors import UserError
 from goldfield.files.toml_table import Table, read_table
 from goldfield.site.drive import DEGREES, Code, Plan, read_drive
+from goldfield_protocol.image import KEY_BYTES
 from goldfield_protocol.parameters import PARAMETERS, ParameterError
 from hil_sim.scenario.bodies import read_installation, read_metal
 from hil_sim.scenario.events import processor_supply, read_events
@@ -193,8 +195,18 @@ def _clock(table: Table) -> Clock:
         temperature_degC=number(table, "temperature_degC", 25.0),
         processor_supply_V=processor_supply(table),
         flash=table.text("flash") if "flash" in table else "",
+        public_key=_public_key(table) if "public_key" in table else "",
         **rates,
     )
+
+
+def _public_key(table: Table) -> str:
+    text = table.text("public_key")
+    if re.fullmatch(f"[0-9a-fA-F]{{{2 * KEY_BYTES}}}", text) is None:
+        raise table.error(
+            "public_key", f"is {text!r}; it must have {2 * KEY_BYTES} hexadecimal digits, as goldfield keys show prints"
+        )
+    return text
 
 
 def _can(table: Table) -> CanBus:

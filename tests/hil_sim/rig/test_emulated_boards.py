@@ -3,17 +3,21 @@
 import pytest
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield_protocol import decode, encode
+from goldfield_protocol.image import KEY_PLACE
 from hil_sim import scenario
-from hil_sim.emulator.kept_flash import CELLS
+from hil_sim.emulator.kept_flash import CELLS, FLASH
 from hil_sim.rig import Rig
 from tests.hil_sim.rig.fakes import FakeBoards, small, write_scenario
+
+KEY = "0123456789abcdef" * 4
 
 
 @pytest.mark.parametrize(
     "key",
     [
         *("crystal_dead = true", "crystal_stops_s = 0.1", "crystal_ppm_per_s = 0.1", "temperature_K_per_s = 0.1"),
-        *("processor_supply_V = 3.2", 'flash = "sensor.flash"'),
+        *("processor_supply_V = 3.2", 'flash = "sensor.flash"', f'public_key = "{KEY}"'),
     ],
 )
 def test_host_boards_refuse_what_they_cannot_follow(tmp_path, key):
@@ -101,6 +105,23 @@ def test_a_file_keeps_the_flash_of_its_board(tmp_path):
         rig.advance(0.02)
         assert rig._boards[0].cells()[MARK] == 0x5A
         assert rig._boards[1].cells()[MARK] == 0xFF
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_board_with_a_public_key_has_a_boot_loader_and_may_be_updated(tmp_path, known):
+    """Command 15 tells the running slot, the state of its image (3 confirmed), and whether there is a key."""
+    key = f'\npublic_key = "{KEY}"' if known else ""
+    with Rig(small(tmp_path, crystal_ppm=f"20.0{key}"), "emulated") as rig:
+        rig.advance(0.3)
+        rig.can_read()
+        rig.can_write(*encode("COMMAND", {"board": 0, "argument": 0}, node=100, index=15))
+        rig.advance(0.02)
+        answers = [decode(frame.identifier, frame.data) for frame in rig.can_read()]
+        (answer,) = [one.signals for one in answers if one is not None and one.name == "COMMAND_ANSWER"]
+        place = KEY_PLACE - FLASH.start
+        cells = rig._boards[0].cells()
+    assert (answer["status"], answer["value"]) == (0, 3 << 4 | known << 12)
+    assert (cells[place + 4 : place + 36] == bytes.fromhex(KEY)) == known
 
 
 def test_host_boards_count_no_cycles(tmp_path):

@@ -318,6 +318,10 @@ WRONG = {
         {"crystal_ppm": "20.0\nprocessor_supply_V = 4.1"},
         r"processor_supply_V is 4.1; it must lie in 0 to 4",
     ),
+    "a public key that is none": (
+        {"crystal_ppm": '20.0\npublic_key = "abc"'},
+        "public_key is 'abc'; it must have 64 hexadecimal digits, as goldfield keys show prints",
+    ),
     "a flash of two boards": (
         {"crystal_ppm": '20.0\nflash = "one"', "sync_master": 'true\nflash = "one"'},
         "flash is 'one', which the sensor already has: take another",
