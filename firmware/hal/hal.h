@@ -313,6 +313,10 @@ void hal_reset(hal_t *hal);
 /* Read the chip's unique number. */
 void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]);
 
+/* Read a number of 64 bits from the processor's generator of true random numbers. It takes a few microseconds, bounded.
+ * Returns false if the generator has none, fails its test, or repeats itself: *number then means nothing. */
+bool hal_random(hal_t *hal, uint64_t *number);
+
 /* Returns the parameter page in flash (framing.md), HAL_PARAMETER_PAGE_BYTES long, readable for ever. */
 const uint8_t *hal_parameter_page(const hal_t *hal);
 

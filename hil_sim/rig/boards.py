@@ -37,6 +37,8 @@ class BoardSpec:
         The board's parameters as they lie in flash.
     power_on_ps : int
         Virtual time at which it gets power.
+    random_seed : int
+        Seed of a host board's random numbers, 64 bits.
     cells : bytes, optional
         Its flash as it was when its power went (`Board.cells`); a board without is flashed.
     """
@@ -46,6 +48,7 @@ class BoardSpec:
     unique_id: bytes
     parameter_page: bytes
     power_on_ps: int
+    random_seed: int = 0
     cells: bytes | None = None
 
 
@@ -107,6 +110,7 @@ class HostBoards:
         config.crystal_ppm = spec.clock.crystal_ppm
         config.temperature_degc = spec.clock.temperature_degC
         config.unique_id = list(spec.unique_id)
+        config.random_seed = spec.random_seed
         config.parameter_page = list(spec.parameter_page)
         instance = library.host_board_create(config, ffi.cast("board_edge_t *", edge), spec.power_on_ps)
         if instance == ffi.NULL:

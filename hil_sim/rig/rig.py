@@ -169,6 +169,7 @@ class Rig:
                 unique_id=random.bytes(8) + number.to_bytes(4, "little"),
                 parameter_page=parameter_page(scenario, number),
                 power_on_ps=int(delay_s * 1e12),
+                random_seed=self.seed % 2**64,
             )
             self._specs.append(spec)
             self._boards.append(self._slot(number, spec))

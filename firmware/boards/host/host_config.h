@@ -11,6 +11,7 @@ typedef struct {
     hal_clock_t clock;       /* What hal_clock() tells; with HAL_CLOCK_SLOW the chip engine does not start. */
     double temperature_degc; /* Temperature of the processor, degC. */
     uint8_t unique_id[HAL_UNIQUE_ID_BYTES]; /* What hal_unique_id() tells. */
+    uint64_t random_seed;                   /* hal_random() tells numbers that depend on it and on the unique id. */
     /* The page in flash (protocol/framing.md); erased flash is all 0xFF. */
     uint8_t parameter_page[HAL_PARAMETER_PAGE_BYTES];
 } host_board_config_t;
@@ -37,7 +38,8 @@ typedef struct {
 typedef enum {
     HOST_FAILURE_MAIN_HANGS = 0,    /* The main loop does nothing; after a reset the application starts, and hangs. */
     HOST_FAILURE_CURRENT_STOPS = 1, /* Coil currents are not converted any more. */
-    HOST_FAILURES = 2
+    HOST_FAILURE_NO_RANDOM = 2,     /* hal_random() has no number. */
+    HOST_FAILURES = 3
 } host_failure_t;
 
 #endif

@@ -199,6 +199,29 @@ void hal_unique_id(const hal_t *hal, uint8_t id[HAL_UNIQUE_ID_BYTES]) {
     memcpy(id, hal->config.unique_id, HAL_UNIQUE_ID_BYTES);
 }
 
+/* SplitMix64 (Steele, Lea and Flood, 2014), which is random enough for a board in memory. */
+static uint64_t mixed(uint64_t *state) {
+    uint64_t z = *state += 0x9E3779B97F4A7C15u;
+    z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9u;
+    z = (z ^ z >> 27) * 0x94D049BB133111EBu;
+    return z ^ z >> 31;
+}
+
+bool hal_random(hal_t *hal, uint64_t *number) {
+    if (hal->failed[HOST_FAILURE_NO_RANDOM]) {
+        return false;
+    }
+    if (hal->random_state == 0) {
+        hal->random_state = hal->config.random_seed;
+        for (uint32_t i = 0; i < HAL_UNIQUE_ID_BYTES; i++) {
+            hal->random_state ^= hal->config.unique_id[i];
+            hal->random_state = mixed(&hal->random_state);
+        }
+    }
+    *number = mixed(&hal->random_state);
+    return true;
+}
+
 const uint8_t *hal_parameter_page(const hal_t *hal) {
     return hal->config.parameter_page;
 }

@@ -114,7 +114,8 @@ struct hal {
     hal_counters_t counters;
     hal_reset_t reset; /* This, and what the services keep, outlive a reset. */
     uint32_t retained[HAL_RETAINED_WORDS];
-    host_flash_t flash; /* Where it is; without functions it is own_flash. */
+    uint64_t random_state; /* Where hal_random() stands; 0: it was not asked yet. */
+    host_flash_t flash;    /* Where it is; without functions it is own_flash. */
     host_images_t images;
     uint32_t own_flash[HAL_FLASH_SLOTS][HAL_FLASH_WORDS];
     bool dead;       /* The power was lost within a step of the flash. */

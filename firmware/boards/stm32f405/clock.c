@@ -2,6 +2,7 @@
  *
  *   PLL in    2 MHz: crystal 12 MHz / 6 (pyboard v1.1), or internal oscillator 16 MHz / 8
  *   PLL       336 MHz, x 168
+ *   48 MHz    / 7: the generator of random numbers (random.c)
  *   core      168 MHz, / 2: core, AHB, chip timer TIM1 (APB2 timers run at twice APB2)
  *   APB2      84 MHz: converters at 84 / 4 = 21 MHz
  *   APB1      42 MHz: CAN, DAC, USART3; TIM2 at 84 MHz

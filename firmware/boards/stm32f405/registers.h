@@ -44,6 +44,7 @@ typedef struct {
 #define RCC_AHB1ENR_GPIOCEN  (1u << 2)
 #define RCC_AHB1ENR_DMA1EN   (1u << 21)
 #define RCC_AHB1ENR_DMA2EN   (1u << 22)
+#define RCC_AHB2ENR_RNGEN    (1u << 6)
 #define RCC_APB1ENR_TIM2EN   (1u << 0)
 #define RCC_APB1ENR_TIM3EN   (1u << 1)
 #define RCC_APB1ENR_TIM7EN   (1u << 5)
@@ -349,6 +350,19 @@ typedef struct {
 #define IWDG_PR_PR_DIV64   (4u << 0)
 #define IWDG_SR_PVU        (1u << 0)
 #define IWDG_SR_RVU        (1u << 1)
+
+/* ---- Random numbers ---- */
+
+typedef struct {
+    volatile uint32_t CR, SR, DR;
+} RNG_registers;
+#define RNG ((RNG_registers *)0x50060800u)
+
+#define RNG_CR_RNGEN (1u << 2)
+#define RNG_SR_DRDY  (1u << 0)
+#define RNG_SR_SECS  (1u << 2)
+#define RNG_SR_CEIS  (1u << 5)
+#define RNG_SR_SEIS  (1u << 6)
 
 /* ---- Processor core ---- */
 

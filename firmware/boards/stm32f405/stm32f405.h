@@ -9,6 +9,7 @@
  *   converters.c   the sensor's burst, coil currents, temperatures, supply
  *   chip_engine.c  timers, DMA to their preloads and to the DAC, blocks, sync
  *   can.c          CAN1
+ *   random.c       true random numbers
  *   board.c        pins, watchdog, and what is not the others'
  *   guards.c       memory protection
  *   flash_operation.c   a word or a sector of the flash
