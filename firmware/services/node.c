@@ -17,6 +17,7 @@ void node_init(node_t *node, hal_t *hal, hal_role_t role) {
     (void)queue_init(&node->can, node->can_messages, NODE_QUEUE_MESSAGES);
     node->can_us = hal_microseconds(hal);
     bus_share_start(&node->share, node->can_us);
+    access_start(&node->access, hal, &node->parameters);
 }
 
 uint32_t node_identifier(const node_t *node, uint32_t message, uint32_t index) {

@@ -34,6 +34,7 @@
 #include "core/link/queue.h"
 #include "counter_ids.h"
 #include "hal/hal.h"
+#include "services/access.h"
 #include "services/liveness.h"
 #include "services/storage.h"
 #include "services/update.h"
@@ -101,6 +102,7 @@ typedef struct {
     node_links_t saving;   /* The link to which a save that is under way is answered. */
     node_links_t updating; /* The link to which the command that began an update is answered. */
     uint32_t update_index; /* That command. */
+    access_t access;
     update_t update;
     storage_t storage;   /* It is large, and last: what main looks at each turn lies near the beginning. */
 } node_t;

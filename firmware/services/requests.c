@@ -4,6 +4,7 @@
 
 #include "goldfield.h"
 #include "protocol_hash.h"
+#include "services/access.h"
 #include "services/reset_report.h"
 #include "services/version.h"
 
@@ -20,8 +21,16 @@ enum {
     COMMAND_START = 6,
     COMMAND_STOP = 7,
     COMMAND_SIGNATURE = 8,
-    COMMAND_NUMBER = 9
+    COMMAND_NUMBER = 9,
+    COMMAND_CHALLENGE = 16,
+    COMMAND_LOCK = 17
 };
+/* The commands that change something, a bit each: the board must be unlocked for them. A stop need not: it is safe. */
+#define CHANGING                                                                                                       \
+    (1u << COMMAND_RESET | 1u << COMMAND_CLEAR | 1u << COMMAND_SAVE | 1u << COMMAND_START | 1u << COMMAND_SIGNATURE |  \
+     1u << COMMAND_NUMBER | 1u << UPDATE_BEGIN | 1u << UPDATE_BEGIN_FORCED | 1u << UPDATE_PAGE | 1u << UPDATE_END)
+/* Indices of ACCESS. */
+enum { ACCESS_FROM_BOARD = 0, ACCESS_TO_BOARD = 1 };
 #define ALL_GROUPS   65535u /* The argument with which a start or a stop means the boards of all groups. */
 #define NODE_LARGEST 4095u
 #define VERSION      (VERSION_MAJOR << 16 | VERSION_MINOR << 8 | VERSION_PATCH) /* As parameter_set.h wants it. */
@@ -38,6 +47,9 @@ enum {
 static void answer_parameter(node_t *node, node_links_t link, uint32_t index, parameter_status_t status) {
     parameter_value_t value;
     (void)parameters_get(&node->parameters, index, &value);
+    if (access_secret(index)) {
+        value.bits = access_keyed(&node->access);
+    }
     struct goldfield_param_value_t answer = {
         .kind = value.kind, .status = (uint8_t)status, .value_unsigned = value.bits};
     /* The packer takes the member that belongs to the kind. */
@@ -46,6 +58,11 @@ static void answer_parameter(node_t *node, node_links_t link, uint32_t index, pa
     uint8_t data[8];
     const uint8_t length = (uint8_t)goldfield_param_value_pack(data, &answer, sizeof data);
     node_send(node, link, GOLDFIELD_PARAM_VALUE_FRAME_ID, index, data, length);
+}
+
+/* Returns the number by which access.h knows a link. */
+static uint32_t link_index(node_links_t link) {
+    return link == NODE_CAN;
 }
 
 static void set_parameter(node_t *node, node_links_t link, uint32_t index, const frame_t *frame) {
@@ -57,9 +74,14 @@ static void set_parameter(node_t *node, node_links_t link, uint32_t index, const
     } else if (set.kind == PARAMETER_FLOAT) {
         memcpy(&value.bits, &set.value_float, sizeof value.bits);
     }
-    const parameter_status_t status = parameters_set(&node->parameters, index, value);
+    const parameter_status_t status = access_granted(&node->access, link_index(link))
+                                          ? parameters_set(&node->parameters, index, value)
+                                          : PARAMETER_LOCKED;
     answer_parameter(node, link, index, status);
     if (status == PARAMETER_OK) {
+        if (access_secret(index)) {
+            access_rekeyed(&node->access, link_index(link));
+        }
         node->parameters_changed = true;
         node->id = (uint16_t)parameters_unsigned(&node->parameters, PARAMETER_NODE);
     }
@@ -152,6 +174,42 @@ static void answer_with(node_t *node, node_links_t link, uint32_t index, uint32_
 
 static void answer_command(node_t *node, node_links_t link, uint32_t index, uint32_t status) {
     answer_with(node, link, index, status, 0);
+}
+
+/* Tells the result of a challenge that was asked for, or of an answer to it. */
+static void answer_access(node_t *node, node_links_t link, access_result_t result) {
+    static const uint8_t statuses[] = {
+        [ACCESS_OPEN] = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE,
+        [ACCESS_WRONG] = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE,
+        [ACCESS_LATE] = GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE,
+        [ACCESS_WAIT] = GOLDFIELD_COMMAND_ANSWER_STATUS_WAIT_CHOICE,
+        [ACCESS_NO_RANDOM] = GOLDFIELD_COMMAND_ANSWER_STATUS_NO_RANDOM_CHOICE,
+    };
+    if (result != ACCESS_NOTHING) {
+        answer_command(node, link, COMMAND_CHALLENGE, statuses[result]);
+    }
+}
+
+static void challenge(node_t *node, node_links_t link, bool named) {
+    uint64_t number;
+    const access_result_t result = named ? access_challenge(&node->access, link_index(link), &number) : ACCESS_WRONG;
+    if (result != ACCESS_NUMBER) {
+        answer_access(node, link, result);
+        return;
+    }
+    const struct goldfield_access_t message = {.low = (uint32_t)number, .high = (uint32_t)(number >> 32)};
+    uint8_t data[8];
+    const uint8_t length = (uint8_t)goldfield_access_pack(data, &message, sizeof data);
+    node_send(node, link, GOLDFIELD_ACCESS_FRAME_ID, ACCESS_FROM_BOARD, data, length);
+}
+
+static void take_access(node_t *node, node_links_t link, const frame_t *frame) {
+    struct goldfield_access_t message = {0};
+    (void)goldfield_access_unpack(&message, frame->data, frame->length); /* The length has been seen to. */
+    const uint64_t answer = (uint64_t)message.high << 32 | message.low;
+    const access_result_t result = access_answer(&node->access, link_index(link), answer);
+    node->counters[COUNTER_WRONG_ANSWERS] = node_count(node->counters[COUNTER_WRONG_ANSWERS], result == ACCESS_WRONG);
+    answer_access(node, link, result);
 }
 
 static void reset_soon(node_t *node) {
@@ -342,6 +400,17 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
         return;
     }
     const bool named = command.board == own && (frame->id & PROTOCOL_NODE_MASK) == node->id;
+    if (index == COMMAND_CHALLENGE) {
+        challenge(node, link, named);
+        return;
+    }
+    if ((index == COMMAND_START || index == COMMAND_STOP) && !concerns(node, command.argument)) {
+        return;
+    }
+    if (index <= UPDATE_TELL && (CHANGING >> index & 1u) != 0u && !access_granted(&node->access, link_index(link))) {
+        answer_command(node, link, index, GOLDFIELD_COMMAND_ANSWER_STATUS_LOCKED_CHOICE);
+        return;
+    }
     if (index >= UPDATE_BEGIN && index <= UPDATE_TELL) {
         take_update(node, link, index, command.argument, named);
         return;
@@ -350,11 +419,11 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
         begin_save(node, link, named, command.argument != 0);
         return;
     }
-    if ((index == COMMAND_START || index == COMMAND_STOP) && !concerns(node, command.argument)) {
-        return;
-    }
     uint32_t status = GOLDFIELD_COMMAND_ANSWER_STATUS_UNKNOWN_CHOICE;
-    if (index <= COMMAND_NUMBER) {
+    if (index == COMMAND_LOCK) {
+        access_lock(&node->access, link_index(link));
+        status = GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE;
+    } else if (index <= COMMAND_NUMBER) {
         status = carry_out(node, index, command.argument, named) ? GOLDFIELD_COMMAND_ANSWER_STATUS_OK_CHOICE
                                                                  : GOLDFIELD_COMMAND_ANSWER_STATUS_REFUSED_CHOICE;
     }
@@ -383,6 +452,8 @@ void requests_take(node_t *node, node_links_t link, const frame_t *frame) {
         take_command(node, link, index, frame);
     } else if (message == GOLDFIELD_UPDATE_DATA_FRAME_ID) {
         take_update_data(node, index, frame);
+    } else if (message == GOLDFIELD_ACCESS_FRAME_ID && index == ACCESS_TO_BOARD && to != 0u) {
+        take_access(node, link, frame);
     }
 }
 

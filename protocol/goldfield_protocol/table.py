@@ -66,6 +66,8 @@ class Parameter:
         True if an array must be given whole (a matrix), False if fewer elements are allowed (a list).
     excluded : int or None
         A value of the range that is refused all the same.
+    secret : bool
+        A board tells only whether the parameter is set.
     """
 
     first: int
@@ -83,6 +85,7 @@ class Parameter:
     stride: int = 0
     exact: bool = False
     excluded: int | None = None
+    secret: bool = False
 
     @property
     def count(self) -> int:
@@ -218,6 +221,7 @@ def _parameter(row: Mapping[str, Any]) -> Parameter:
         stride=row.get("stride", 0),
         exact=row.get("whole", False),
         excluded=row.get("excluded"),
+        secret=row.get("secret", False),
     )
 
 

@@ -27,7 +27,7 @@ def test_the_page_in_the_docs_is_what_the_generator_prints():
 
 def test_ids_are_in_order_and_belong_to_one_parameter():
     ids = [p.identifier(i) for p in PARAMETERS.values() for i in range(p.count)]
-    assert len(ids) == len(set(ids)) == 836
+    assert len(ids) == len(set(ids)) == 840
     assert list(PARAMETERS.values()) == sorted(PARAMETERS.values(), key=lambda p: p.first)
     assert 0 <= min(ids) < max(ids) <= 4095
     assert [c.index for c in COUNTERS] == list(range(len(COUNTERS)))

@@ -29,7 +29,7 @@ GENERATED = {
 """Headers that the build makes from the protocol's tables."""
 THIRD_PARTY = "firmware/third_party/"
 """What others have written, which only these may include."""
-THIRD_PARTY_USERS = ("firmware/core/boot/image",)
+THIRD_PARTY_USERS = ("firmware/core/boot/image", "firmware/core/link/challenge")
 CONTRACTS = ("firmware/hal/hal.h", "firmware/boards/board.h")
 LONGEST = 60
 

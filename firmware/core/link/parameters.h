@@ -22,7 +22,7 @@
  * still passes the checks of parameters_set().
  *
  * Contexts: all calls come from main. An interrupt may read a value while main sets it, for a value is one word.
- * Memory: parameters_t takes 3.3 kB of RAM; the table lies in flash. Cost: a search passes over at most 39 entries,
+ * Memory: parameters_t takes 3.3 kB of RAM; the table lies in flash. Cost: a search passes over at most 41 entries,
  * which is the bound of every call on one id.
  */
 #ifndef GOLDFIELD_PARAMETERS_H
@@ -42,7 +42,8 @@ typedef enum {
     PARAMETER_UNKNOWN = 1,
     PARAMETER_OUT_OF_RANGE = 2,
     PARAMETER_WRONG_KIND = 3,
-    PARAMETER_READ_ONLY = 4
+    PARAMETER_READ_ONLY = 4,
+    PARAMETER_LOCKED = 5 /* It is judged by who lets a host change a parameter (services/access.h). */
 } parameter_status_t;
 
 /* A value as it travels: its kind, and its 32 bits. */
