@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from goldfield.errors import SystemFailure, UserError, tell
+from goldfield.link.access import AccessKey, Locked
 from goldfield.nodes import opening
 from goldfield.nodes.conversation import Conversation, Tap
 from goldfield.types import FloatArray
@@ -65,7 +66,14 @@ def read(kind: str, where: str, node: int | None) -> BoardCalibration:
         return BoardCalibration(number, ids[0], numbers[:3], numbers[3:].reshape(3, 3))
 
 
-def write(kind: str, where: str, before: BoardCalibration, zero: FloatArray, matrix: FloatArray) -> None:
+def write(
+    kind: str,
+    where: str,
+    before: BoardCalibration,
+    zero: FloatArray,
+    matrix: FloatArray,
+    key: AccessKey | None = None,
+) -> None:
     """Set a board's zero and matrix: all twelve numbers, or none.
 
     A board has no way to take them at once. If it refuses one or does not answer, or at Ctrl-C, it is given back what
@@ -74,20 +82,22 @@ def write(kind: str, where: str, before: BoardCalibration, zero: FloatArray, mat
     Raises
     ------
     SystemFailure
-        If the board refuses or does not answer.
+        If the board refuses or does not answer; if it is locked, and ``key`` is none, or not its own.
     """
-    with closing(Tap(opening.open_link(kind, where))) as tap:
+    with closing(Tap(opening.open_link(kind, where), key)) as tap:
         conversation = Conversation(tap)
+        done: list[Parameter] = []
         try:
-            _set(conversation, before.node, zero, matrix)
-        except BaseException:
-            _give_back(conversation, before)
+            _set(conversation, before.node, zero, matrix, done)
+        except BaseException as error:
+            if done or not isinstance(error, Locked):
+                _give_back(conversation, before)
             raise
 
 
 def _give_back(conversation: Conversation, before: BoardCalibration) -> None:
     try:
-        _set(conversation, before.node, before.zero, before.matrix)
+        _set(conversation, before.node, before.zero, before.matrix, [])
     except (SystemFailure, KeyboardInterrupt):
         tell(
             f"node {before.node} may have part of a new calibration, and could not be given its old one: reset it, or "
@@ -98,6 +108,8 @@ def _give_back(conversation: Conversation, before: BoardCalibration) -> None:
         tell(f"node {before.node} has its old calibration again", failure=True)
 
 
-def _set(conversation: Conversation, node: int, zero: FloatArray, matrix: FloatArray) -> None:
+def _set(conversation: Conversation, node: int, zero: FloatArray, matrix: FloatArray, done: list[Parameter]) -> None:
+    """Set the twelve numbers, and note those that are set in ``done``."""
     for (parameter, element), value in zip(_elements(), [*zero, *matrix.ravel()], strict=True):
         conversation.set(node, parameter.identifier(element), float(value), parameter.kind)
+        done.append(parameter)

@@ -109,7 +109,7 @@ def _carried_out(
         offset_T = np.full(3, np.nan) if found.offset_T is None else found.offset_T
         keep(Path(arguments.sensors), KeptSensor(unique_id, found.axes, offset_T, *_deviations(found), *values))
     if arguments.write and before is not None:  # only once the values are kept: a reset of the board loses them
-        board_calibration.write(kind, where, before, zero, matrix)
+        board_calibration.write(kind, where, before, zero, matrix, link_options.key(arguments))
         tell(f"board {before.unique_id}, node {before.node}, has the new calibration")
     if arguments.out:
         # What is written to the board needs no undoing by the host.
@@ -138,7 +138,7 @@ def _record(
 ) -> tuple[int | None, Turn]:
     live = kind in BOARDS
     seconds = arguments.seconds if arguments.seconds is not None else LIVE_S if live else None
-    choices = Options(node=arguments.node, seconds=seconds)
+    choices = Options(node=arguments.node, seconds=seconds, key=link_options.key(arguments))
     with open_sensor(kind, where, site, choices, None if page is None else page.recorder) as opened:
         reports = opened.reports() if page is None else page.reports(opened)
         turn = turn_of_reports(site, _with_progress(reports, seconds if live else None))
@@ -269,7 +269,7 @@ def restore(arguments: argparse.Namespace) -> int:
         raise UserError(
             f"{arguments.sensors}: has no values for the board {board.unique_id} (node {board.node}): calibrate it"
         )
-    board_calibration.write(kind, where, board, found.zero, found.calibration)
+    board_calibration.write(kind, where, board, found.zero, found.calibration, link_options.key(arguments))
     print(f"written to board {board.unique_id}, node {board.node}: {board_calibration.HOLDS}")
     return 0
 

@@ -37,7 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.doctor.examination import Examination
 
     faults = 0
-    for check in Examination(kind, where, site, arguments.node).checks():
+    examination = Examination(kind, where, site, arguments.node, link_options.key(arguments))
+    for check in examination.checks():
         faults += check.fault is not None
         if arguments.json:
             record: dict[str, Any] = {

@@ -7,6 +7,7 @@ import os
 
 from goldfield.cli import options
 from goldfield.errors import UserError
+from goldfield.link.access import AccessKey, load_key
 from goldfield.sensor.options import Method, Options
 
 LINKS = {
@@ -21,6 +22,7 @@ LINKS = {
 
 def add(parser: argparse.ArgumentParser, *, log: bool = False, nested: bool = False) -> None:
     """Add the options; ``nested``: to the parser of an action, where they do not undo what stands before it."""
+    add_key(parser, nested=nested)
     for name, (metavar, what) in LINKS.items():
         if name != "log" or log:
             variable = options.environment_name(name)
@@ -30,6 +32,22 @@ def add(parser: argparse.ArgumentParser, *, log: bool = False, nested: bool = Fa
                 default=argparse.SUPPRESS if nested else None,
                 help=f"{what} (environment: {variable}, unless another is given)",
             )
+
+
+def add_key(parser: argparse.ArgumentParser, *, nested: bool = False) -> None:
+    """Add ``--key``, of a command that sets boards; ``nested`` as for `add`."""
+    variable = options.environment_name("--key")
+    parser.add_argument(
+        "--key",
+        metavar="FILE",
+        default=argparse.SUPPRESS if nested else os.environ.get(variable) or None,
+        help=f"the site's key, for boards that are locked (environment: {variable})",
+    )
+
+
+def key(arguments: argparse.Namespace) -> AccessKey | None:
+    """Return the key that is given, None if none is; `UserError` if its file cannot be used."""
+    return None if not arguments.key else load_key(arguments.key)
 
 
 def chosen(arguments: argparse.Namespace) -> tuple[str, str]:
@@ -98,4 +116,5 @@ def reading(arguments: argparse.Namespace, method: Method = Method.EACH) -> Opti
         lag_s=getattr(arguments, "lag", None),
         awaits=getattr(arguments, "reconnect", False),
         strongest=getattr(arguments, "strongest", None),
+        key=key(arguments),
     )

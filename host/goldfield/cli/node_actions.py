@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from goldfield.cli import identification, node_boards
+from goldfield.cli import identification, node_boards, node_key
 from goldfield.cli.output import json_line, number
 from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.heartbeat import ROLES
@@ -42,6 +42,8 @@ def checked(arguments: argparse.Namespace) -> Asked:
         raise UserError(f"{name} got {len(texts)} values; it takes {len(elements)} at most")
     if not texts:
         return parameter, elements, ()
+    if parameter.secret:
+        raise UserError(f"{name} is secret, and a command line is not: goldfield nodes key set takes it from its file")
     elements = elements[: len(texts)]
     return parameter, elements, [parsed(parameter, *pair) for pair in zip(elements, texts, strict=True)]
 
@@ -84,6 +86,7 @@ def node_record(node: Node, board: Board | None, image: ElfLines | None = None) 
         "name": None if board is None else board.name,
         "group": None if board is None else board.group,
         "armed": None if board is None else board.armed,
+        "access": None if board is None else board.access,
         "locked": node.locked,
         "phase_s": None if node.phase_s is None else number(node.phase_s),
         "temperature_degC": node.temperature_degC,
@@ -138,7 +141,8 @@ def _words_of(node: Node, board: Board | None, image: ElfLines | None) -> Iterat
             f"speaks protocol {node.protocol:#010x} and this host {protocol_hash():#010x}: flash it with this "
             f"version's firmware (make flash ROLE={node.role or 'beacon'})"
         )
-    yield from (f"unique id {unique_id}" for unique_id in node.unique_ids)
+    access = f", {board.access}" if board is not None and board.access is not None else ""
+    yield from (f"unique id {unique_id}{access}" for unique_id in node.unique_ids)
     if node.contradictions or len(node.unique_ids) > 1:
         yield f"two boards have the number {node.number}: give each its own: goldfield nodes assign"
     if board is not None and (board.name or board.group):
@@ -211,6 +215,9 @@ def _print_values(
         print(json_line(_record(node, parameter, elements, told)))
         return
     name = parameter.label(elements[0]) if len(elements) == 1 else parameter.name
+    if parameter.secret:
+        print(f"{name} is {'set' if any(told) else 'not set'}, which is all that a board tells of it")
+        return
     print(f"{name} = {shown(parameter, elements, told)}  ({parameter.range_text})")
 
 
@@ -319,6 +326,7 @@ ACTIONS: dict[str | None, Callable[[Conversation, argparse.Namespace, Asked], No
     "start": node_boards.start_or_stop,
     "stop": node_boards.start_or_stop,
     "clone": node_boards.copy,
+    "key": node_key.act,
     "reset": reset,
     "clear": clear_cause,
     "save": save,

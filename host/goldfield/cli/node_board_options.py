@@ -51,4 +51,33 @@ def add(actions: Any) -> list[argparse.ArgumentParser]:
         action.add_argument("--id", dest="unique_id", metavar="ID", help="unique id, as goldfield nodes tells it")
     for action in (number, assign, name, copy):
         action.add_argument("--pause", action="store_true", help="let boards switch their coils off while they save")
-    return [boards, number, assign, name, start, stop, copy]
+    return [*_add_key(actions), boards, number, assign, name, start, stop, copy]
+
+
+def _add_key(actions: Any) -> list[argparse.ArgumentParser]:
+    """Add the action ``key``, and return the parsers of what it does on a link."""
+    key = actions.add_parser(
+        "key",
+        help="lock boards with a key",
+        description="Makes a site's key, and locks boards with it: they are read without it, and changed with it only.",
+    )
+    doing = key.add_subparsers(title="actions", metavar="ACTION", dest="key_action", required=True)
+    make = doing.add_parser("make", help="make a key", description="Makes up a key, and writes it to a new file.")
+    make.add_argument("file", metavar="FILE", help="a file that is not there yet; you alone can read it")
+    make.add_argument("--json", action="store_true", default=argparse.SUPPRESS, help="one JSON object a line")
+    give = doing.add_parser(
+        "set",
+        help="give boards the key",
+        description="Gives boards the key of --key, checks that they have it, and lets them save it.",
+    )
+    give.add_argument("--old", metavar="FILE", help="the key that they have now, if it is another one")
+    take = doing.add_parser(
+        "remove",
+        help="take the key from boards",
+        description="Takes the key of --key from boards, which are open to everybody then, and lets them save that.",
+    )
+    for action in (give, take):
+        action.add_argument("nodes", metavar="NODE", type=int, nargs="*", help="numbers of the nodes")
+        action.add_argument("--all", action="store_true", help="all boards")
+        action.add_argument("--pause", action="store_true", help="let boards switch their coils off while they save")
+    return [give, take]

@@ -176,9 +176,10 @@ def list_boards(conversation: Conversation, arguments: argparse.Namespace, _: ob
             continue
         armed = {None: "?", True: "armed", False: "-"}[board.armed]
         group = "?" if board.group is None else str(board.group or "-")
-        cells = (board.role or "?", state or "?", armed, group)
+        cells = (board.role or "?", state or "?", armed, group, board.access or "?")
         print(
-            f"{board.number:4d} {cells[0]:7} {cells[1]:14} {cells[2]:6} {cells[3]:>5}  {board.unique_id}  {board.name}"
+            f"{board.number:4d} {cells[0]:7} {cells[1]:14} {cells[2]:6} {cells[3]:>5} {cells[4]:6}  {board.unique_id}"
+            f"  {board.name}"
         )
 
 
@@ -192,4 +193,5 @@ def board_record(board: Board, state: str | None) -> dict[str, Any]:
         "name": board.name,
         "group": board.group,
         "armed": board.armed,
+        "access": board.access,
     }

@@ -87,6 +87,10 @@ def _add_common(parser: argparse.ArgumentParser, *, nested: bool) -> None:
 @on_command_line()
 def run(arguments: argparse.Namespace) -> int:
     """Open the link and do what is asked."""
+    if arguments.action == "key" and arguments.key_action == "make":
+        from goldfield.cli import node_key
+
+        return node_key.make(arguments)
     from contextlib import closing
 
     from goldfield.cli import node_actions
@@ -94,9 +98,10 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.nodes.opening import open_link
 
     kind, where = link_options.chosen(arguments)
+    key = link_options.key(arguments)
     action = node_actions.ACTIONS[arguments.action]
     asked = node_actions.checked(arguments)  # before anything is opened
-    with closing(Tap(open_link(kind, where))) as tap:
+    with closing(Tap(open_link(kind, where), key)) as tap:
         action(Conversation(tap), arguments, asked)
     if arguments.action is None and kind == "port" and not arguments.json:
         tell(ONLY_ITS_OWN)

@@ -26,6 +26,7 @@ def command(subparsers: Any) -> None:
         "serial port: for goldfield separate, which tells beacons apart in every way that a site file can name.",
     )
     options.add(parser, "--port", metavar="PATH", what="serial port of the sensor")
+    link_options.add_key(parser)
     options.add_site(parser)
     options.add(parser, "--cycles", metavar="N", kind=options.count, what="how many cycles, default 1")
     parser.add_argument(

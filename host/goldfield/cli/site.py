@@ -52,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     options.tell_doubts(site)
     wanted_of(site, [])  # What no board can drive is told before anything is opened.
     kind, where = link_options.chosen(arguments)
-    with closing(Tap(open_link(kind, where))) as tap:
+    key = link_options.key(arguments)
+    with closing(Tap(open_link(kind, where), key)) as tap:
         act(Conversation(tap), arguments, site)
     return 0

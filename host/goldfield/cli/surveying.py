@@ -185,7 +185,7 @@ def _epochs(
     kind, where = link_options.chosen(arguments)
     if kind == "log":
         options.tell_idle(arguments, ("--enough",), "--log")
-    choices = Options(node=arguments.node, seconds=arguments.seconds)
+    choices = Options(node=arguments.node, seconds=arguments.seconds, key=link_options.key(arguments))
     with open_sensor(kind, where, site, choices, None if page is None else page.recorder) as sensor:
         fields = sensor.fields() if page is None else page.fields(sensor)
         if not sensor.live:

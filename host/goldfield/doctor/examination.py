@@ -9,6 +9,7 @@ from itertools import islice
 from goldfield.doctor import boards, machine, poses
 from goldfield.doctor.checks import Check, Fault, sound, unjudged, wrong
 from goldfield.errors import SystemFailure, UserError, counted
+from goldfield.link.access import AccessKey
 from goldfield.link.ports import kernel_can_errors
 from goldfield.link.traffic import DAMAGED, damaged
 from goldfield.nodes.conversation import Conversation, Tap
@@ -39,10 +40,14 @@ class Examination:
     site : Site
     node : int, optional
         Node of the sensor; None: the first one in the order of numbers.
+    key : AccessKey, optional
+        What unlocks a sensor that is locked and does not report the site's codes yet.
     """
 
-    def __init__(self, kind: str, where: str, site: Site, node: int | None = None) -> None:
-        self._kind, self._where = kind, where
+    def __init__(
+        self, kind: str, where: str, site: Site, node: int | None = None, key: AccessKey | None = None
+    ) -> None:
+        self._kind, self._where, self._key = kind, where, key
         self._site = site
         self._node = node
         self._found: list[Check] = []
@@ -63,7 +68,7 @@ class Examination:
         if isinstance(link, Check):
             yield link
             return
-        with closing(Tap(link)) as tap:
+        with closing(Tap(link, self._key)) as tap:
             silent = yield from self._of_link(tap)
         if silent:
             yield machine.silence(self._kind, self._where, damaged(tap.others))

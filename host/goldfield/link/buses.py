@@ -13,6 +13,7 @@ from typing import Protocol
 import can
 
 from goldfield.errors import SystemFailure, UserError, option, tell
+from goldfield.link.access import AccessKey
 from goldfield.link.can_channel import open_channel, resynchronise
 from goldfield.link.loopback_bus import LoopbackBus
 from goldfield.link.recordings import CandumpReader
@@ -77,6 +78,8 @@ class BusSource:
         How often the link was opened again.
     link_bit : int
         The link's bit in the parameters of a board that choose links: 1 a serial line, 2 CAN.
+    key : AccessKey or None
+        The key with which boards on the link are unlocked, if they are locked.
     sender_waits : bool
         Whether the sender goes no faster than it is read: what waits here is then not late.
     """
@@ -87,6 +90,7 @@ class BusSource:
     reconnections = 0
     link_bit = 1
     sender_waits = False
+    key: AccessKey | None = None
 
     def __init__(
         self,

@@ -11,8 +11,8 @@ ANSWER_S = 1.0
 """How long an answer is waited for. A board gives it within a few milliseconds; a simulated one may run slower than the
 wall clock."""
 
-UNKNOWN, OUT_OF_RANGE = 1, 2
-REFUSALS = {UNKNOWN: "unknown", OUT_OF_RANGE: "out of range", 3: "of the wrong kind", 4: "read-only"}
+UNKNOWN, OUT_OF_RANGE, LOCKED = 1, 2, 5
+REFUSALS = {UNKNOWN: "unknown", OUT_OF_RANGE: "out of range", 3: "of the wrong kind", 4: "read-only", LOCKED: "locked"}
 """What a board says of a parameter, by the status of its answer; 0 is no refusal."""
 
 Value = int | float

@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield.link.access import KEY, AccessKey, Locked
 from goldfield.link.requests import Value
 from goldfield.nodes.conversation import (
     ALL_GROUPS,
@@ -36,6 +37,7 @@ ARMED, GROUP = PARAMETERS["armed"].first, PARAMETERS["group"].first
 OWN = (
     "node",
     "name",
+    "access_key",
     "armed",
     "sync_master",
     "zero_x",
@@ -45,7 +47,8 @@ OWN = (
     "code",
     "slot",
 )
-"""Parameters that are not copied from one board to another: number and name are the board's own; a copy is never armed,
+"""Parameters that are not copied from one board to another: number and name are the board's own, its key is told to
+nobody; a copy is never armed,
 and is no second sync master; zero and calibration are those of its converters; and of two boards with one code, or one
 slot, none could be told from the other."""
 
@@ -63,6 +66,8 @@ class Board:
     group : int or None
     armed : bool or None
         None: it did not tell, or shares its number with another board.
+    keyed : bool or None
+        Whether it has a key, and is locked but for who knows it.
     """
 
     unique_id: str
@@ -71,6 +76,12 @@ class Board:
     name: str = ""
     group: int | None = None
     armed: bool | None = None
+    keyed: bool | None = None
+
+    @property
+    def access(self) -> str | None:
+        """Whether anybody may change it, in a word."""
+        return None if self.keyed is None else "locked" if self.keyed else "open"
 
 
 def boards_of(conversation: Conversation) -> list[Board]:
@@ -86,14 +97,16 @@ def boards_of(conversation: Conversation) -> list[Board]:
         raise SystemFailure(f"{conversation.name}: no node was heard: check the power, the cable and the bit rate")
     shared = Counter(number for _, number in found)
     alone = [number for _, number in found if shared[number] == 1 and conversation.roster.nodes[number].same_protocol]
-    told = conversation.read((number, parameter) for number in alone for parameter in (ARMED, GROUP, *NAME_IDS))
+    told = conversation.read(
+        (number, parameter) for number in alone for parameter in (ARMED, GROUP, KEY.first, *NAME_IDS)
+    )
     boards = []
     for unique_id, number in found:
         role = conversation.roster.nodes[number].role
         if shared[number] > 1 or (number, ARMED) not in told:
             boards.append(Board(unique_id, number, role))
             continue
-        group, armed = told.get((number, GROUP)), told.get((number, ARMED))
+        group, armed, keyed = (told.get((number, parameter)) for parameter in (GROUP, ARMED, KEY.first))
         name = name_of([told.get((number, word)) for word in NAME_IDS])
         boards.append(
             Board(
@@ -103,6 +116,7 @@ def boards_of(conversation: Conversation) -> list[Board]:
                 name,
                 None if group is None else int(group),
                 None if armed is None else bool(armed),
+                None if keyed is None else bool(keyed),
             )
         )
     return boards
@@ -263,6 +277,44 @@ def clone(conversation: Conversation, source: int, targets: Sequence[int], role:
                 changes[node, parameter] = value
     conversation.write(changes)
     return len(changes)
+
+
+def set_key(conversation: Conversation, boards: Sequence[Board], key: AccessKey | None) -> None:
+    """Give boards a key, or take theirs away, and check by a challenge that they have it; they have yet to save it.
+
+    What the boards are locked with now is the key of the conversation, which has the new one behind it.
+
+    Raises
+    ------
+    SystemFailure
+        If a board does not answer, is locked with another key, or has not the new one in the end.
+    """
+    words = [0] * KEY.count if key is None else key.words
+    before = conversation.key
+    for board in boards:
+        conversation.key = before
+        ids = [(board.number, KEY.identifier(element)) for element in range(KEY.count)]
+        conversation.unlock(board.number, board.unique_id) if board.keyed else None
+        conversation.write(dict(zip(ids, words, strict=True)))
+        conversation.key = key
+        try:
+            _check_key(conversation, board, key)
+        except Locked as error:
+            raise SystemFailure(
+                f"{conversation.name}: node {board.number} did not take its key as it was given: power it off and on, "
+                "so that it has what it had saved, and try again"
+            ) from error
+
+
+def _check_key(conversation: Conversation, board: Board, key: AccessKey | None) -> None:
+    """Check that a board opens with a key, or needs none; `Locked` if it does not."""
+    conversation.lock()
+    if key is None:
+        told = conversation.read([(board.number, KEY.first)])
+        if told.get((board.number, KEY.first)) != 0:
+            raise Locked(f"node {board.number} still has a key")
+        return
+    conversation.unlock(board.number, board.unique_id)
 
 
 SWITCHES: Mapping[str, int] = {"start": START, "stop": STOP}

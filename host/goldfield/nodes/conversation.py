@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 
 import can
 
 from goldfield.errors import SystemFailure
+from goldfield.link.access import COMMAND_LOCKED, AccessKey, board_of, is_locked, lock_request, unlock
 from goldfield.link.buses import BusSource
 from goldfield.link.requests import ANSWER_S, UNKNOWN, Value, read_request, refusal, set_request, value_of
 from goldfield.link.traffic import added
@@ -58,28 +60,24 @@ IDENTITY_S = 0.5
 """How long the nodes are waited for that have yet to tell their unique ids or their last resets, s."""
 
 
-def board_of(unique_id: str) -> int:
-    """Return what names a board in a ``COMMAND``: the exclusive or of the halves of its unique id.
-
-    Examples
-    --------
-    >>> hex(board_of("0102030405060000000000ff"))
-    '0xf90504030201'
-    """
-    whole = bytes.fromhex(unique_id)
-    return int.from_bytes(whole[:6], "little") ^ int.from_bytes(whole[6:], "little")
-
-
 class Tap(BusSource):
     """A live link whose messages, both ways, are told to a roster; otherwise it is that link.
 
     Parameters
     ----------
     link : BusSource
+    key : AccessKey, optional
+        What unlocks the boards that are locked.
+
+    Attributes
+    ----------
+    unlocked : set of str
+        Unique ids of the boards that were unlocked, which are locked again when the link is let go of.
     """
 
-    def __init__(self, link: BusSource) -> None:
-        self.name = link.name
+    def __init__(self, link: BusSource, key: AccessKey | None = None) -> None:
+        self.name, self.key = link.name, key
+        self.unlocked: set[str] = set()
         self.shared, self.listen_only, self.reconnects = link.shared, link.listen_only, link.reconnects
         self.roster = Roster()
         self._link = link
@@ -108,7 +106,15 @@ class Tap(BusSource):
 
     def close(self) -> None:
         """Let go of the link."""
+        self.lock()
         self._link.close()
+
+    def lock(self) -> None:
+        """Lock the boards that were unlocked; no answer is awaited, as they lock themselves before long."""
+        with suppress(SystemFailure):
+            for unique_id in sorted(self.unlocked):
+                self.send(*lock_request(unique_id))
+        self.unlocked.clear()
 
 
 class Conversation:
@@ -127,6 +133,27 @@ class Conversation:
     def name(self) -> str:
         """The link's name, for messages."""
         return self._tap.name
+
+    @property
+    def key(self) -> AccessKey | None:
+        """The key with which boards are unlocked."""
+        return self._tap.key
+
+    @key.setter
+    def key(self, key: AccessKey | None) -> None:
+        self._tap.key = key
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Send a message."""
+        self._tap.send(identifier, data)
+
+    def unlock(self, node: int, unique_id: str | None = None) -> None:
+        """Unlock a board, as `goldfield.link.access.unlock` does it."""
+        self._tap.unlocked.add(unlock(self, node, unique_id, self.key))
+
+    def lock(self) -> None:
+        """Lock what was unlocked."""
+        self._tap.lock()
 
     def listen(self, seconds: float = HEARD_S, patience_s: float = PATIENCE_S) -> None:
         """Listen for a time, and for longer while no node has sent a heartbeat: up to ``patience_s``, s."""
@@ -188,9 +215,15 @@ class Conversation:
                 raise SystemFailure(f"{self.name}: node {node} {refused}")
 
     def exchange(
-        self, requests: Mapping[tuple[int, int], tuple[int, bytes]], answer: str, tries: int = TRIES
+        self,
+        requests: Mapping[tuple[int, int], tuple[int, bytes]],
+        answer: str,
+        tries: int = TRIES,
+        boards: Mapping[int, str | None] | None = None,
     ) -> dict[tuple[int, int], Message]:
         """Send requests, `WINDOW` at a time, and return the answers to them; what got none is sent again.
+
+        A board that is locked is unlocked, and gets its requests again.
 
         Parameters
         ----------
@@ -200,7 +233,26 @@ class Conversation:
             Name of the message that answers.
         tries : int
             How often a request is sent; an answer is waited for `ANSWER_S`.
+        boards : mapping of int to str or None, optional
+            Unique ids of the boards that are meant, by the node, where two may share one.
+
+        Raises
+        ------
+        Locked
+            If a board is locked, and there is no key, or another one.
         """
+        found = self._exchange(requests, answer, tries)
+        locked = {key for key, message in found.items() if is_locked(message)}
+        if locked:
+            for node in sorted({node for node, _ in locked}):
+                self.unlock(node, (boards or {}).get(node))
+            found |= self._exchange({key: requests[key] for key in locked}, answer, tries)
+        return found
+
+    def _exchange(
+        self, requests: Mapping[tuple[int, int], tuple[int, bytes]], answer: str, tries: int
+    ) -> dict[tuple[int, int], Message]:
+        """Send requests and return the answers, whatever they say."""
         found: dict[tuple[int, int], Message] = {}
         for _ in range(tries):
             missing = [key for key in requests if key not in found]
@@ -235,22 +287,14 @@ class Conversation:
         SystemFailure
             If the node does not answer, or refuses.
         """
-        answers: list[Message] = []
-
-        def take(message: Message) -> bool:
-            if (message.name, message.node, message.index) == ("PARAM_VALUE", node, parameter):
-                answers.append(message)
-            return bool(answers)
-
-        for _ in range(TRIES):
-            self._tap.send(*set_request(node, parameter, value, kind))
-            if not self.wait(take, ANSWER_S):
-                continue
-            refused = refusal(answers[0].signals, parameter, value)
-            if refused is not None:
-                raise SystemFailure(f"{self.name}: node {node} {refused}")
-            return value_of(answers[0].signals)
-        raise self._silent(node, f"when {label_of(parameter)} was to be set, ")
+        key = node, parameter
+        answer = self.exchange({key: set_request(node, parameter, value, kind)}, "PARAM_VALUE").get(key)
+        if answer is None:
+            raise self._silent(node, f"when {label_of(parameter)} was to be set, ")
+        refused = refusal(answer.signals, parameter, value)
+        if refused is not None:
+            raise SystemFailure(f"{self.name}: node {node} {refused}")
+        return value_of(answer.signals)
 
     def discover(self) -> list[tuple[str, int]]:
         """Return the unique id and the number of every board, in the order of the ids, those that share a number, too.
@@ -307,7 +351,8 @@ class Conversation:
         """Give a board a command that it may refuse, and return its status; None if it does not answer."""
         signals = {"board": board_of(board), "argument": argument}
         request = encode("COMMAND", signals, node=node, index=command)
-        answer = self.exchange({(node, command): request}, "COMMAND_ANSWER").get((node, command))
+        answers = self.exchange({(node, command): request}, "COMMAND_ANSWER", boards={node: board})
+        answer = answers.get((node, command))
         return None if answer is None else int(answer.signals["status"])
 
     def commands(self, wanted: Mapping[int, tuple[int, str | None]], command: int) -> dict[int, int]:
@@ -338,7 +383,8 @@ class Conversation:
             )
             for node, (argument, board) in wanted.items()
         }
-        answers = self.exchange(requests, "COMMAND_ANSWER")
+        boards = {node: board for node, (_, board) in wanted.items()}
+        answers = self.exchange(requests, "COMMAND_ANSWER", boards=boards)
         done = {}
         for node in wanted:
             answer = answers.get((node, command))
@@ -354,8 +400,23 @@ class Conversation:
     def broadcast(self, command: int, argument: int) -> dict[int, int]:
         """Give all nodes a command, and return the statuses of those that answered, by the node.
 
-        A board that has carried a start or a stop out does so again when it is asked again: each is sent twice.
+        A board that has carried a start or a stop out does so again when it is asked again: each is sent twice. Boards
+        that are locked are unlocked, and all are asked once more.
+
+        Raises
+        ------
+        Locked
+            If a board is locked, and there is no key, or another one.
         """
+        told = self._broadcast(command, argument)
+        locked = [node for node, status in told.items() if status == COMMAND_LOCKED]
+        if locked:
+            for node in sorted(locked):
+                self.unlock(node)
+            told |= self._broadcast(command, argument)
+        return told
+
+    def _broadcast(self, command: int, argument: int) -> dict[int, int]:
         told: dict[int, int] = {}
 
         def take(message: Message) -> bool:

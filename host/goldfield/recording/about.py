@@ -48,7 +48,8 @@ class About:
 
     def metadata(self, site_file: bytes | None) -> dict[str, str]:
         """Return versions, source and options, as text."""
-        options = {key: value for key, value in dataclasses.asdict(self.options).items() if value is not None}
+        told = dataclasses.asdict(dataclasses.replace(self.options, key=None))  # a key is nobody's to read
+        options = {name: value for name, value in told.items() if value is not None}
         return {
             "goldfield": version("goldfield"),
             "protocol": f"{protocol_hash():#010x}",

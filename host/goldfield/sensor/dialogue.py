@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import struct
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import can
 import numpy as np
 
 from goldfield.errors import SystemFailure, UserError, option
+from goldfield.link.access import lock_request, unlock
 from goldfield.link.buses import BusSource
 from goldfield.link.chips import Calibration
-from goldfield.link.requests import ANSWER_S, read_request, refusal, set_request, value_of
+from goldfield.link.requests import ANSWER_S, LOCKED, read_request, refusal, set_request, value_of
 from goldfield.sensor.receiver import Receiver, used_message
+from goldfield_protocol.messages import Identifier, Message, decode, type_of
 from goldfield_protocol.parameters import PARAMETERS, Kind, label_of
 
 TRIES = 5
@@ -25,6 +27,9 @@ STREAM = PARAMETERS["stream"].first
 """Whether the sensor streams its chips."""
 STRONGEST = PARAMETERS["strongest"].first
 """How many of the strongest codes the sensor reports; 0: it reports its code list."""
+
+ANSWER_TYPES = frozenset(type_of(name) for name in ("ACCESS", "COMMAND_ANSWER", "IDENTITY"))
+"""Types of the messages with which a board answers who unlocks it."""
 
 
 class Unheard(SystemFailure):
@@ -47,6 +52,8 @@ class Dialogue:
     Attributes
     ----------
     kept : list of can.Message
+    unlocked : str or None
+        Unique id of the node's board once it was unlocked, because something was to be set and it was locked.
     """
 
     def __init__(self, receiver: Receiver, bus: BusSource, node: int, *, keeps: bool = False) -> None:
@@ -54,6 +61,7 @@ class Dialogue:
         self._bus = bus
         self.node = node
         self.kept: list[can.Message] = []
+        self.unlocked: str | None = None
         self._keeps = keeps
 
     def check_degree(self, degree: int) -> None:
@@ -120,8 +128,12 @@ class Dialogue:
     def ask(self, parameter: int, value: int | float | None = None) -> int | float:
         """Read a parameter, or set it if a value is given, and return the sensor's answer.
 
+        A sensor that is locked is unlocked with the link's key, until `lock`.
+
         Raises
         ------
+        Locked
+            If it is locked, and there is no key, or another one.
         SystemFailure
             If the sensor does not answer or refuses.
         """
@@ -136,11 +148,49 @@ class Dialogue:
             answer = self._answer(parameter)
             if answer is None:
                 continue
+            if int(answer["status"]) == LOCKED and self.unlocked is None:
+                self.unlocked = unlock(self, self.node, None, self._bus.key)
+                continue
             refused = refusal(answer, parameter, value)
             if refused is not None:
                 raise SystemFailure(f"{self._sensor} {refused}")
             return value_of(answer)
         raise Unheard(f"{self._sensor} did not answer a request for parameter {label_of(parameter)} in {TRIES} tries")
+
+    @property
+    def name(self) -> str:
+        """The link's name."""
+        return self._receiver.name
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Send a message."""
+        self._bus.send(identifier, data)
+
+    def wait(self, take: Callable[[Message], bool], seconds: float) -> bool:
+        """Hand what comes of `ANSWERS` to a function until it returns True, or the time is over; tell whether it did.
+
+        All else is kept, or taken by who listens.
+        """
+        deadline = time.monotonic() + seconds
+        while (remaining := deadline - time.monotonic()) > 0.0:
+            raw = self._receiver.receive_raw(remaining)
+            if raw is None:
+                continue
+            answer = Identifier.unpack(raw.arbitration_id).type in ANSWER_TYPES
+            message = decode(raw.arbitration_id, bytes(raw.data)) if answer else None
+            if message is not None and take(message):
+                return True
+            if self._keeps and not answer:
+                self.kept.append(raw)
+            elif not answer:
+                self._receiver.decoded(raw)
+        return False
+
+    def lock(self) -> None:
+        """Lock a sensor that was unlocked; no answer is awaited, as it locks itself before long."""
+        if self.unlocked is not None:
+            self._bus.send(*lock_request(self.unlocked))
+            self.unlocked = None
 
     def _answer(self, parameter: int) -> Mapping[str, float] | None:
         """Return the signals of the answer, None if it does not come in time."""

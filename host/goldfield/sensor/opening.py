@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from goldfield.errors import UserError, option
+from goldfield.link.access import load_key
 from goldfield.link.buses import Source
 from goldfield.sensor.options import Options, chosen_method
 from goldfield.sensor.pipeline import Sensor
@@ -26,6 +27,7 @@ def connect(
     rate_hz: float | None = None,
     lag_s: float | None = None,
     strongest: int | None = None,
+    key: str | Path | None = None,
 ) -> Sensor:
     """Connect to a sensor board: find it, check that it suits the site, and make it report the site's beacons.
 
@@ -33,21 +35,19 @@ def connect(
     ----------
     port, can : path or str, optional
         Serial port of the sensor, or interface and channel of python-can, as ``"socketcan:can0"``: exactly one.
-    site : Site or path
-        The site, or its file.
-    node : int, optional
-        Node of the sensor, 1 to 4095, where there are several; a beacon with a sensor of its own, an anchor, needs it.
+    site, node : Site or path, and int, optional
+        The site, or its file; node of the sensor, 1 to 4095, where there are several, or it is an anchor's.
     track, on_sensor : bool, optional
-        Follow a sensor in motion, each pose that of the end of its cycle, or let the sensor board compute the poses;
-        else every epoch is located by itself, and its pose is that of the middle of its cycle.
+        Follow a sensor in motion, each pose that of its cycle's end, or let the sensor board compute the poses; else
+        every epoch is located by itself, as of the middle of its cycle.
     listen_only, reconnect : bool, optional
-        Send nothing, ever, as where a recording is replayed, or another host has set up the sensor; wait for a port
-        that is gone and for a sensor that is silent, at the start, too, and go on, where they else end the poses.
+        Send nothing, ever, as where another host has set up the sensor; wait for a port that is gone and a sensor that
+        is silent, at the start, too, where they else end the poses.
     rate_hz, lag_s : float, optional
-        Track; yield so many poses a second, each as soon as its block of chips is there (330 a second), or with
-        ``on_sensor`` the sensor has sent it; yield them so much later, made of what came behind them, too.
-    strongest : int, optional
-        Let the sensor report so many of the codes that it hears best in each cycle, 64 at most, not those of the site.
+        Track; yield so many poses a second, each as soon as its block of chips (330 a second), or with ``on_sensor``
+        the sensor's own, is there; yield them so much later, made of what came behind them, too.
+    strongest, key : int and path, optional
+        Let the sensor report the codes that it hears best, so many (up to 64); the file of a locked sensor's key.
 
     Returns
     -------
@@ -71,8 +71,8 @@ def connect(
     goldfield.errors.UserError: no source is given: give one of port= and can=
     """
     method = chosen_method(track, on_sensor, rate_hz, lag_s)
-    options = Options(method, node, None, None, listen_only, reconnect, rate_hz, lag_s, reconnect, strongest)
-    return open_sensor(*_only(port=port, can=can), _site(site), options)
+    told = (listen_only, reconnect, rate_hz, lag_s, reconnect, strongest, None if key is None else load_key(key))
+    return open_sensor(*_only(port=port, can=can), _site(site), Options(method, node, None, None, *told))
 
 
 def open_log(

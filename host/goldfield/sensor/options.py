@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from goldfield.errors import UserError, option
+from goldfield.link.access import AccessKey
 from goldfield.site import Site
 
 LAST_NODE = 4095
@@ -83,6 +84,8 @@ class Options:
     strongest : int or None
         The sensor is to report so many of the strongest codes that it hears in each cycle; None: those of the site.
         In a recording it has done so. Poses are then made of whole cycles.
+    key : AccessKey or None
+        What unlocks the sensor if it is locked and is not set up yet.
     """
 
     method: Method = Method.EACH
@@ -95,6 +98,7 @@ class Options:
     lag_s: float | None = None
     awaits: bool = False
     strongest: int | None = None
+    key: AccessKey | None = field(default=None, repr=False)
 
     def check(self, site: Site) -> None:
         """Check that the options suit a site.

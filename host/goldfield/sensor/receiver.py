@@ -12,6 +12,7 @@ import can
 from cantools.database.errors import Error as DatabaseError
 
 from goldfield.errors import UserError, tell
+from goldfield.link.access import holds_key
 from goldfield.link.buses import BusSource, Source
 from goldfield.link.heartbeat import ROLES
 from goldfield.link.marks import mark
@@ -72,7 +73,8 @@ class Receiver:
     name : str
         The link's name, for error messages.
     recorder : Recorder, optional
-        Gets every message received, whether it can be decoded or not, and the marks between them.
+        Gets every message received, whether it can be decoded or not, and the marks between them; but for those that
+        set a board's key.
     listener : callable, optional
         Is told of every message of the `USED` ones, before it is returned.
 
@@ -137,7 +139,8 @@ class Receiver:
             for node in self._marks:
                 self._recorder.write(mark(node, raw.timestamp))
             self._marks.clear()
-            self._recorder.write(raw)
+            if not holds_key(raw.arbitration_id):
+                self._recorder.write(raw)
         return raw
 
     def mark(self, node: int | None) -> None:

@@ -81,7 +81,14 @@ class _Stream:
     def begin(self) -> None:
         """Switch it on."""
         if self._before is not None:
-            self.session.dialogue.ask(STREAM, 1)
+            self._set(1)
+
+    def _set(self, value: int | float) -> None:
+        """Set it, if it is not so already."""
+        dialogue = self.session.dialogue
+        if dialogue.ask(STREAM) != value:
+            dialogue.ask(STREAM, value)
+        dialogue.lock()
 
     def take(self, message: Message) -> None:
         """Take any message of the sensor, which may tell that it has restarted or is back after the link was gone."""
@@ -102,7 +109,7 @@ class _Stream:
     def end(self) -> None:
         """Leave the sensor as it was found."""
         if self._before is not None:
-            self.session.dialogue.ask(STREAM, self._before)
+            self._set(self._before)
 
 
 def _cycles(stream: _Stream, assembler: ChipAssembler, calibration: Calibration) -> Iterator[FloatArray]:

@@ -131,6 +131,7 @@ class Session:
         self.counters: dict[int, int] = {}
         self._site = site
         self._streamed_before: int | float = 1
+        self._was_locked = False
         self.strongest = strongest or 0
         self._chooses = strongest
         self._codes = None if strongest is not None and not on_sensor else site.codes
@@ -244,16 +245,19 @@ class Session:
         return changed
 
     def end(self) -> None:
-        """Let a live sensor stop to send blocks or chips on this link, if it did not before; no answer is awaited."""
+        """Let a live sensor stop to send blocks or chips on this link, if it did not before.
+
+        No answer is awaited, but that of a sensor which is locked.
+        """
         if self._bus is None or self.node is None:
             return
         wanted, bit, before = self._parameters or {}, self._bus.link_bit, self.keeping.links_before
         with contextlib.suppress(SystemFailure):
             if wanted.get(BLOCKS) and before is not None and not before & bit:
                 others = (self.keeping.links or 0) & ~bit
-                self._bus.send(*set_request(self.node, BLOCKS, others, Kind.UNSIGNED))
+                self._leave(BLOCKS, others)
             if STREAM in wanted and not self._streamed_before:
-                self._bus.send(*set_request(self.node, STREAM, 0, Kind.UNSIGNED))
+                self._leave(STREAM, 0)
 
     def find(self) -> None:
         """Wait for a live sensor's heartbeat; where it is only listened to, its reports count too.
@@ -384,7 +388,27 @@ class Session:
 
     def _configure(self) -> bool:
         self.keeping.begin(self.node, self._codes, self._parameters, self.health.now_s)
-        return self.dialogue.configure(self._codes, self._parameters)
+        dialogue = self.dialogue
+        try:
+            return dialogue.configure(self._codes, self._parameters)
+        finally:
+            self._lock(dialogue)
+
+    def _lock(self, dialogue: Dialogue) -> None:
+        """Lock a sensor that was unlocked to be set."""
+        self._was_locked |= dialogue.unlocked is not None
+        dialogue.lock()
+
+    def _leave(self, parameter: int, value: int) -> None:
+        """Set the sensor at the end: only one that is locked is waited for."""
+        assert self._bus is not None
+        assert self.node is not None
+        if not self._was_locked:
+            self._bus.send(*set_request(self.node, parameter, value, Kind.UNSIGNED))
+            return
+        dialogue = self.dialogue
+        dialogue.ask(parameter, value)
+        dialogue.lock()
 
     def _configure_again(self) -> None:
         """Set the sensor in the middle of a run; a recording marks that what it reports meanwhile is not read."""
@@ -442,4 +466,5 @@ class Session:
         if self._parameters is not None and self.keeping.disturbed:
             dialogue = self._dialogue(keeps=True)
             self.keeping.put_back(dialogue, self.health.now_s)
+            self._lock(dialogue)
             self.receiver.put_back(dialogue.kept)

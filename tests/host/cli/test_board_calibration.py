@@ -8,6 +8,7 @@ import pytest
 from goldfield.cli import board_calibration
 from goldfield.cli.board_calibration import BoardCalibration, write
 from goldfield.errors import SystemFailure
+from goldfield.link.access import Locked
 
 BEFORE = BoardCalibration(7, "00" * 12, np.array([2048.0, 2049.0, 2050.0]), 1e-7 * np.eye(3))
 ZERO, MATRIX = np.array([1.0, 2.0, 3.0]), 2e-7 * (np.eye(3) + 0.1)
@@ -42,7 +43,7 @@ def board_of(monkeypatch):
     def made(ends):
         board = Board(ends)
         monkeypatch.setattr(board_calibration.opening, "open_link", lambda kind, where: None)
-        monkeypatch.setattr(board_calibration, "Tap", lambda link: Closable())
+        monkeypatch.setattr(board_calibration, "Tap", lambda link, key: Closable())
         monkeypatch.setattr(board_calibration, "Conversation", lambda tap: board)
         return board
 
@@ -77,3 +78,11 @@ def test_a_board_that_cannot_be_given_its_old_one_is_said(board_of, capsys, seco
     with pytest.raises(SystemFailure, match="did not answer"):
         write("port", "p", BEFORE, ZERO, MATRIX)
     assert "may have part of a new calibration" in capsys.readouterr().err
+
+
+def test_a_locked_board_was_not_changed_and_is_left_alone(board_of, capsys):
+    board = board_of({1: Locked("node 7 is locked")})
+    with pytest.raises(Locked):
+        write("port", "p", BEFORE, ZERO, MATRIX)
+    assert (board.tries, board.numbers()) == (1, [*BEFORE.zero, *BEFORE.matrix.ravel()])
+    assert capsys.readouterr().err == ""
