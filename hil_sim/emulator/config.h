@@ -16,6 +16,7 @@ typedef struct {
     double temperature_K_per_s; /* How fast it rises. */
     double dac_load_Ohm;        /* Resistance from each analog output to ground; 0: outputs are ideal (dac.c). */
     uint64_t memory_seed;       /* What the memories hold at power-on follows it, unique_id and the time; 0: zeros. */
+                                /* So do random numbers (rng.c), with 0 as well. */
     uint32_t option_bytes;      /* As FLASH_OPTCR shows them; 0: as from the factory, 0x0FFFAAED. */
     uint16_t revision;          /* REV_ID of the silicon; 0 is taken as 0x1007. Revision A is 0x1000, Z 0x1001. */
     bool strict;        /* A violation (machine.h) stops the board with BOARD_FAULT; else it is only recorded. */

@@ -101,6 +101,10 @@ void emulator_crystal(board_t *board, bool alive, int64_t time_ps) {
     inputs_crystal(board, alive, time_ps);
 }
 
+void emulator_noise(board_t *board, bool alive, int64_t time_ps) {
+    inputs_noise(board, alive, time_ps);
+}
+
 void emulator_supply(board_t *board, double volts, int64_t time_ps) {
     inputs_supply(board, volts, time_ps);
 }

@@ -43,6 +43,9 @@ extern const board_operations_t emulator_operations;
 
 /* The crystal stops, or oscillates again, from a time on. */
 void emulator_crystal(board_t *board, bool alive, int64_t time_ps);
+/* The noise source of the random number generator sticks at one level, or is alive again, from a time on. The generator
+ * repeats its number until it sees that, 65 periods of PLL48CLK later: a seed error (SEIS). */
+void emulator_noise(board_t *board, bool alive, int64_t time_ps);
 /* The chip's supply, 3.3 V from power-on, has this voltage from a time on. */
 void emulator_supply(board_t *board, double volts, int64_t time_ps);
 

@@ -40,7 +40,7 @@ class Configuration:
     dac_load_Ohm : float
         Resistance from each analog output to ground; 0: outputs are ideal (``peripherals/dac.c``).
     memory_seed : int
-        What the memories hold at power-on follows it; 0: zeros.
+        What the memories hold at power-on follows it; 0: zeros. So do random numbers, beside unique id and time.
     option_bytes : int
         The option bytes as FLASH_OPTCR shows them; BOR_LEV is in bits 2 and 3.
     revision : int
@@ -311,6 +311,13 @@ class Emulator:
     def crystal(self, alive: bool, time_ps: int = 0) -> None:
         """Let the crystal stop, or oscillate again, from a time on that may be past: at once."""
         self._library.emulator_crystal(self._board, alive, time_ps)
+
+    def noise(self, alive: bool, time_ps: int = 0) -> None:
+        """Let the noise source of the random number generator stick, or be alive again, from a time on.
+
+        The generator repeats its number until it sees that, 65 periods of its clock later: a seed error.
+        """
+        self._library.emulator_noise(self._board, alive, time_ps)
 
     def supply(self, volts: float, time_ps: int = 0) -> None:
         """Set the chip's supply from a time on; it is 3.3 V from power-on."""

@@ -12,6 +12,7 @@ typedef enum {
     INPUT_CAN_SENT,
     INPUT_CAN_ERROR,
     INPUT_CRYSTAL,
+    INPUT_NOISE,
     INPUT_SUPPLY,
     INPUT_HALT
 } input_kind_t;
@@ -53,6 +54,9 @@ static void arrive(void *context, int64_t time_ps) {
         break;
     case INPUT_CRYSTAL:
         rcc_crystal_in(machine, copy.flag);
+        break;
+    case INPUT_NOISE:
+        rng_noise_in(machine, copy.flag);
         break;
     case INPUT_SUPPLY:
         pwr_supply_in(machine, copy.volts);
@@ -109,6 +113,10 @@ void inputs_can_error(board_t *board, unsigned mailbox, int64_t time_ps) {
 
 void inputs_crystal(board_t *board, bool alive, int64_t time_ps) {
     post(board, &(machine_input_t){.kind = INPUT_CRYSTAL, .flag = alive}, time_ps);
+}
+
+void inputs_noise(board_t *board, bool alive, int64_t time_ps) {
+    post(board, &(machine_input_t){.kind = INPUT_NOISE, .flag = alive}, time_ps);
 }
 
 void inputs_supply(board_t *board, double volts, int64_t time_ps) {

@@ -16,6 +16,8 @@ void inputs_can_sent(board_t *board, unsigned mailbox, bool ok, int64_t time_ps)
 void inputs_can_error(board_t *board, unsigned mailbox, int64_t time_ps);
 /* The crystal stops, or oscillates again. */
 void inputs_crystal(board_t *board, bool alive, int64_t time_ps);
+/* The noise source of the random number generator sticks at one level, or is alive again. */
+void inputs_noise(board_t *board, bool alive, int64_t time_ps);
 /* The chip's supply (VDD, VDDA) has this voltage from a time on; 3.3 V from power-on. */
 void inputs_supply(board_t *board, double volts, int64_t time_ps);
 

@@ -90,6 +90,10 @@ void machine_bench_crystal(machine_t *machine, bool alive) {
     rcc_crystal_in(machine, alive);
 }
 
+void machine_bench_noise(machine_t *machine, bool alive) {
+    rng_noise_in(machine, alive);
+}
+
 void machine_bench_supply(machine_t *machine, double volts) {
     pwr_supply_in(machine, volts);
 }

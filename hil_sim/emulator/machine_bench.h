@@ -34,8 +34,9 @@ void machine_bench_reset(machine_t *machine);
 /* Level of the request line to the NMI; whether the supply holds the chip in reset. */
 bool machine_bench_nmi(const machine_t *machine);
 bool machine_bench_held(const machine_t *machine);
-/* As emulator_crystal() and emulator_supply() do it, now. */
+/* As emulator_crystal(), emulator_noise() and emulator_supply() do it, now. */
 void machine_bench_crystal(machine_t *machine, bool alive);
+void machine_bench_noise(machine_t *machine, bool alive);
 void machine_bench_supply(machine_t *machine, double volts);
 
 /* As emulator_cut_flash() and emulator_flash_steps() do it. */

@@ -205,6 +205,8 @@ typedef struct {
     pin_output_t (*pin_output)(const chip_t *chip, unsigned pin, unsigned af);
     /* GPIO: modes or alternate functions of pins are about to change (done is false), or have changed. The timers. */
     void (*pin_routing)(chip_t *chip, bool done);
+    /* RCC: HCLK, PLL48CLK or the clock enables may have changed. The random number generator. */
+    void (*clocks_changed)(chip_t *chip);
     /* RCC: the clock security system found the crystal dead. TIM1 and TIM8, whose second source of a break it is. */
     void (*clock_failed)(chip_t *chip);
     /* A timer or EXTI: an edge of a trigger of the analog-to-digital converters. */
@@ -275,8 +277,10 @@ void rcc_create(chip_t *chip);
 void rcc_check_limits(chip_t *chip); /* A violation if wait states or voltage scale no longer suffice. */
 double rcc_lsi_hz(const chip_t *chip);
 double chip_temperature_degc(const chip_t *chip); /* The die is this warm now. */
-bool rcc_pll_ready(const chip_t *chip);
-void rcc_force_lsi(chip_t *chip); /* The independent watchdog runs: its oscillator does, until reset. */
+void rcc_force_lsi(chip_t *chip);                 /* The independent watchdog runs: its oscillator does, until reset. */
+#define PLL48_MOST_HZ 48.0001e6 /* RM0090 7.3.2: at most 48 MHz, which a division may miss by its rounding. */
+/* The PLL's output for USB, SDIO and random numbers; nominal: with perfect oscillators. 0: it does not run. */
+double rcc_pll48_hz(const chip_t *chip, bool nominal);
 /* pwr.c, flash.c, flash_operation.c */
 unsigned flash_brown_out_level(const chip_t *chip); /* BOR_LEV of the option bytes: 0 is level 3, 3 is off. */
 bool flash_hardware_watchdog(const chip_t *chip);   /* WDG_SW is 0: the independent watchdog starts by itself. */

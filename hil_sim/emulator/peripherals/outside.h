@@ -26,6 +26,9 @@ void can_error_in(machine_t *machine, unsigned mailbox, int64_t time_ps);
 /* rcc.c: the crystal stops, or oscillates again. */
 void rcc_crystal_in(machine_t *machine, bool alive);
 
+/* rng.c: the noise source of the random number generator sticks at one level, or is alive again. */
+void rng_noise_in(machine_t *machine, bool alive);
+
 /* watchdog.c: a debugger stops the core, or lets it go on; the watchdogs stand still meanwhile if DBGMCU says so, and
  * nothing else can (RM0090 38.16.4). */
 void debug_halt_in(machine_t *machine, bool halted);

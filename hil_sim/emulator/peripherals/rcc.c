@@ -79,7 +79,7 @@ static void pll_start(rcc_t *rcc) {
         machine_violation(rcc->model.machine,
                           "RCC_PLLCFGR: VCO input %.0f Hz (0.95 to 2.1 MHz), output %.0f Hz (100 to 432 MHz)", input,
                           input * n);
-    } else if (input * n / q > 48.0001e6 && (reg(&rcc->model, 0x34) & 0xC0u) != 0) {
+    } else if (input * n / q > PLL48_MOST_HZ && (reg(&rcc->model, 0x34) & 0xC0u) != 0) {
         machine_violation(rcc->model.machine, "RCC_PLLCFGR: PLLQ makes %.0f Hz, above 48 MHz", input * n / q);
     }
     machine_schedule(rcc->model.machine, &rcc->pll, machine_now(rcc->model.machine) + PLL_LOCK_PS);
@@ -180,6 +180,7 @@ static void write_cr(rcc_t *rcc, uint32_t value) {
     } else if (!(value & PLLON)) {
         machine_cancel(machine, &rcc->pll);
         *cr &= ~PLLRDY;
+        rcc_tell_clocks(rcc->model.chip);
     }
     if ((value & PLLI2SON) && !(old & PLLI2SON)) {
         machine_schedule(machine, &rcc->plli2s, now + PLL_LOCK_PS);
@@ -284,6 +285,7 @@ static void pll_ready(void *context, int64_t time_ps) {
     rcc->model.value[CR / 4] |= PLLRDY;
     flag(rcc, 4);
     try_switch(rcc);
+    rcc_tell_clocks(rcc->model.chip);
 }
 
 static void plli2s_ready(void *context, int64_t time_ps) {
@@ -309,10 +311,6 @@ static void drift(void *context, int64_t time_ps) {
 void rcc_force_lsi(chip_t *chip) {
     chip->rcc->lsi_forced = true;
     chip->rcc->model.value[CSR / 4] |= 2u;
-}
-
-bool rcc_pll_ready(const chip_t *chip) {
-    return (reg(&chip->rcc->model, CR) & PLLRDY) != 0;
 }
 
 static void restart(model_t *model) {

@@ -53,8 +53,10 @@ struct rcc {
 /* rcc_clocks.c */
 /* Input of the PLL in Hz; nominal: with perfect oscillators. */
 double rcc_pll_input(const rcc_t *rcc, bool nominal);
-/* Work out the domains, the core's clock and the limits anew, as the system clock or a divider has changed. */
+/* Work out the domains, the core's clock and the limits anew, as the system clock, the PLL or a divider has changed. */
 void rcc_update_clocks(rcc_t *rcc);
+/* Tell the model that listens to changes of clocks. */
+void rcc_tell_clocks(chip_t *chip);
 /* The crystal's frequency moved by parts in a million: the same, but every clock keeps its phase. */
 void rcc_trim_clocks(rcc_t *rcc);
 /* Whether the crystal's frequency changes with time. */

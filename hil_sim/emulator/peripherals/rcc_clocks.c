@@ -54,10 +54,21 @@ double rcc_pll_input(const rcc_t *rcc, bool nominal) {
     return hse && rcc->crystal_stopped && !nominal ? input / FREE_RUNNING : input;
 }
 
-static double pll_output(const rcc_t *rcc, bool nominal) {
+static double pll_oscillator(const rcc_t *rcc, bool nominal) {
     const uint32_t c = reg(&rcc->model, PLLCFGR);
-    const unsigned m = field(c, 0, 6), n = field(c, 6, 9), p = 2 * (field(c, 16, 2) + 1);
-    return rcc_pll_input(rcc, nominal) * n / (m == 0 ? 1 : m) / p;
+    const unsigned m = field(c, 0, 6), n = field(c, 6, 9);
+    return rcc_pll_input(rcc, nominal) * n / (m == 0 ? 1 : m);
+}
+
+static double pll_output(const rcc_t *rcc, bool nominal) {
+    const unsigned p = 2 * (field(reg(&rcc->model, PLLCFGR), 16, 2) + 1);
+    return pll_oscillator(rcc, nominal) / p;
+}
+
+double rcc_pll48_hz(const chip_t *chip, bool nominal) {
+    const rcc_t *const rcc = chip->rcc;
+    const unsigned q = field(reg(&rcc->model, PLLCFGR), 24, 4);
+    return (reg(&rcc->model, CR) & PLLRDY) == 0 || q == 0 ? 0 : pll_oscillator(rcc, nominal) / q;
 }
 
 static double system_clock(const rcc_t *rcc, bool nominal) {
@@ -130,8 +141,15 @@ static void set_clocks(rcc_t *rcc, bool trim) {
     tim_after_change(chip);
 }
 
+void rcc_tell_clocks(chip_t *chip) {
+    if (chip->signals.clocks_changed != NULL) {
+        chip->signals.clocks_changed(chip);
+    }
+}
+
 void rcc_update_clocks(rcc_t *rcc) {
     set_clocks(rcc, false);
+    rcc_tell_clocks(rcc->model.chip);
 }
 
 void rcc_trim_clocks(rcc_t *rcc) {

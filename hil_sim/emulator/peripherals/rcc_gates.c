@@ -43,6 +43,7 @@ void rcc_write_enable(rcc_t *rcc, uint32_t offset, uint32_t value) {
             model_clock(common, (value & 0x700u) != 0, settled);
         }
     }
+    rcc_tell_clocks(chip);
 }
 
 void rcc_write_reset(rcc_t *rcc, uint32_t offset, uint32_t value) {

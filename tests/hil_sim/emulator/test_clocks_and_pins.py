@@ -210,20 +210,6 @@ def test_crc_unit(fast_chip: Bench) -> None:
     assert fast_chip.read(CRC) == mirror(binascii.crc32(data) ^ 0xFFFFFFFF)
 
 
-def test_random_numbers_wait_for_ready(fast_chip: Bench) -> None:
-    rng = 0x50060800
-    fast_chip.write(rng, 0xC)
-    fast_chip.read(rng + 8)
-    fast_chip.expect("read while DRDY is 0")
-    words = set()
-    for _ in range(16):
-        fast_chip.run(MICROSECOND)
-        assert fast_chip.irq(80)
-        words.add(fast_chip.read(rng + 8))
-        assert not fast_chip.irq(80)
-    assert len(words) == 16
-
-
 def test_reset_releases_the_outputs(fast_chip: Bench) -> None:
     """The bridge's enable must not stay on over a reset."""
     chip = fast_chip
