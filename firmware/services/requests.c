@@ -407,7 +407,7 @@ static void take_command(node_t *node, node_links_t link, uint32_t index, const 
     if ((index == COMMAND_START || index == COMMAND_STOP) && !concerns(node, command.argument)) {
         return;
     }
-    if (index <= UPDATE_TELL && (CHANGING >> index & 1u) != 0u && !access_granted(&node->access, link_index(link))) {
+    if (index < 32u && (CHANGING >> index & 1u) != 0u && !access_granted(&node->access, link_index(link))) {
         answer_command(node, link, index, GOLDFIELD_COMMAND_ANSWER_STATUS_LOCKED_CHOICE);
         return;
     }

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import can
 from cantools.database.errors import Error as DatabaseError
 
+from goldfield.link.access import TO_BOARD
 from goldfield.link.heartbeat import ROLES, STATE_STARTING, STATES
 from goldfield.link.requests import UNKNOWN, Value, value_of
 from goldfield.link.traffic import BY_MISMATCH, MEANINGLESS, kind_of
@@ -178,7 +179,7 @@ class Roster:
         message = None if kind is not None else decoded(raw)
         if message is None:
             self.others[kind or MEANINGLESS] += 1
-        elif message.name in REQUESTS:
+        elif message.name in REQUESTS or (message.name, message.index) == ("ACCESS", TO_BOARD):
             self._take_request(message, raw.arbitration_id, bytes(raw.data), now_s)
         elif message.node == 0:
             self.others["messages of node 0, which is no node"] += 1

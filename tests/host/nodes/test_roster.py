@@ -150,3 +150,11 @@ def test_values_are_shown_with_one_unit_or_none():
     half_space, elements = elements_of("half_space")
     assert shown(half_space, elements[:2], [1.0, None]) == "1, - m"
     assert shown(half_space, elements, [1.0, 2.0, 3.0, 0.0, 0.0, 1.0]) == "1, 2, 3, 0, 0, 1"
+
+
+def test_the_answer_of_another_host_to_a_challenge_is_no_message_of_the_node_it_goes_to():
+    roster = Roster()
+    roster.take(raw(encode("ACCESS", {"low": 1, "high": 2}, node=100, index=1)), 0.0)
+    assert ([one.name for one in roster.requests_of_others], list(roster.nodes)) == (["ACCESS"], [])
+    roster.take(raw(encode("ACCESS", {"low": 1, "high": 2}, node=100, index=0)), 0.1)
+    assert (len(roster.requests_of_others), list(roster.nodes)) == (1, [100])
