@@ -58,6 +58,7 @@ bool hal_flash_program(hal_t *h, uint32_t slot, uint32_t index, uint32_t value) 
     (void)h; (void)slot; (void)index; (void)value;
     return false;
 }
+bool hal_random(hal_t *h, uint64_t *number) { (void)h; (void)number; return false; }
 bool hal_flash_erase(hal_t *h, uint32_t slot) { (void)h; (void)slot; return false; }
 hal_images_t hal_images(const hal_t *h) { (void)h; return (hal_images_t){0}; }
 bool hal_image_program(hal_t *h, uint32_t slot, uint32_t index, uint32_t value) {
