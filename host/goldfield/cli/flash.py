@@ -50,8 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
     if sum((bool(arguments.nodes), arguments.role is not None, arguments.all)) != 1:
         raise UserError("flash takes numbers of nodes, --role ROLE or --all: give one of these")
     kind, where = link_options.chosen(arguments)
+    key = link_options.key(arguments)
     images = read(arguments.file)  # before anything is opened
-    with closing(Tap(open_link(kind, where))) as tap:
+    with closing(Tap(open_link(kind, where), key)) as tap:
         try:
             flash(Conversation(tap), arguments, images, shared=kind == "can")
         except KeyboardInterrupt:

@@ -143,10 +143,6 @@ class Conversation:
     def key(self, key: AccessKey | None) -> None:
         self._tap.key = key
 
-    def send(self, identifier: int, data: bytes) -> None:
-        """Send a message."""
-        self._tap.send(identifier, data)
-
     def unlock(self, node: int, unique_id: str | None = None) -> None:
         """Unlock a board, as `goldfield.link.access.unlock` does it."""
         self._tap.unlocked.add(unlock(self, node, unique_id, self.key))

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
+from goldfield.link.access import COMMAND_LOCKED
 from goldfield.nodes.commissioning import Board
 from goldfield.nodes.conversation import (
     DONE,
@@ -292,8 +293,9 @@ class Updater:
         seconds: float = ANSWER_S,
         tries: int = TRIES,
         everyone: bool = False,
+        unlocks: bool = True,
     ) -> dict[Board, Answer]:
-        """Give boards a command and return their answers; who gives none is asked again.
+        """Give boards a command and return their answers; who gives none is asked again, who is locked is unlocked.
 
         ``tries``: 0 waits for answers to what was asked before. ``everyone``: the command may go to all nodes at once,
         which spares a bus its messages.
@@ -320,6 +322,12 @@ class Updater:
                             self._conversation.wait(take, ANSWER_S / WINDOW)
             if len(found) == len(boards) or self._conversation.wait(take, seconds):
                 break
+        locked = [board for board, (status, _) in found.items() if status == COMMAND_LOCKED]
+        if locked and unlocks:
+            for board in locked:
+                self._conversation.unlock(board.number, board.unique_id)
+            tries = max(1, tries)
+            found |= self._ask(locked, command, argument, seconds=seconds, tries=tries, unlocks=False)
         return found
 
     def _command(self, node: int, board: int, command: int, argument: int) -> None:

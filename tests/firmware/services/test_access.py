@@ -40,6 +40,7 @@ from tests.firmware.services.access_host import (
     words,
 )
 from tests.firmware.services.saved_flash import SavedFlash
+from tests.firmware.services.updated_board import BEGIN, BEGIN_FORCED, END, PAGE
 
 Make = Callable[..., Host]
 
@@ -77,7 +78,7 @@ def test_a_locked_board_tells_everything_and_takes_nothing(host: Make, role: int
     board = host(role, can=can)
     before = board.get(PARAMETERS["group"].first)
     assert board.put(PARAMETERS["group"].first, 7) == (PARAMETER_LOCKED, before)
-    for index in (RESET, CLEAR, SAVE, START, SIGNATURE, NUMBER):
+    for index in (RESET, CLEAR, SAVE, START, SIGNATURE, NUMBER, BEGIN, BEGIN_FORCED, PAGE, END):
         assert board.command(index, 11 if index == NUMBER else 0) == LOCKED
     assert board.command(1, 1) == OK  # It blinks,
     assert board.command(STOP) == OK  # and a stop is always obeyed.

@@ -8,12 +8,13 @@ from dataclasses import replace
 
 import pytest
 
+from goldfield.link.access import AccessKey
 from hil_sim import clib
 from tests.firmware.core.boot.slots import BEACON as BEACON_ROLE
 from tests.firmware.core.boot.slots import CODE, IS_CONFIRMED, NEW, OLD, OTHER_KEY, Choice, Node
 from tests.firmware.core.conftest import HEADERS
 from tests.firmware.core.storage.flash_cells import Torn
-from tests.firmware.host_rig import PIN_ENABLE, Coil, beacon
+from tests.firmware.host_rig import PIN_ENABLE, SENSOR, Board, Coil, beacon
 from tests.host.update.boards_on_a_link import BoardsLink, Seat, run
 
 
@@ -151,6 +152,53 @@ def test_a_board_without_a_key_is_told_what_to_do(bench, update_file, monkeypatc
     assert (code, out) == (3, "")
     assert "node 9 has no key by which it could judge an image: program it once with a probe, make flash KEY=" in told
     assert link.seats[0].node.steps == 0
+
+
+@pytest.fixture
+def locked(core, monkeypatch):
+    """Make a link to sensors with a key, and run ``goldfield flash`` on it."""
+    made = []
+
+    def keyed(number, unique):
+        return Board(SENSOR, {"node": number, "access_key": AccessKey(KEY, "").words}, unique_id=unique)
+
+    def make(count, *words):
+        for place in range(count):
+            node = Node(core, seed=place + 1)
+            node.confirmed(OLD, place % 2, 7)
+            made.append(Seat(node, 9 + place, place, keyed))
+        return BoardsLink(made), run(monkeypatch, BoardsLink(made), "flash", *words)
+
+    yield make
+    for seat in made:
+        seat.close()
+
+
+KEY = bytes(range(1, 17))
+
+
+def key_file(tmp_path, key):
+    path = tmp_path / "site.key"
+    path.touch(mode=0o600)
+    path.write_text(key.hex() + "\n")
+    return str(path)
+
+
+def test_locked_boards_are_updated_by_who_has_their_key(locked, update_file, tmp_path):
+    link, (code, out, told) = locked(3, update_file(), "--all", "--key", key_file(tmp_path, KEY))
+    assert code == 0, told
+    assert out.splitlines()[-1] == "3 of 3 boards updated"
+    assert [seat.node.state(1 - seat.place % 2) for seat in link.seats] == [IS_CONFIRMED] * 3
+
+
+@pytest.mark.parametrize(("key", "sentence"), [(None, "node 9 is locked"), (bytes(15) + b"\1", "node 9 has another key than")])
+def test_a_locked_board_keeps_its_image_from_who_has_no_key(locked, update_file, tmp_path, key, sentence):
+    words = [] if key is None else ["--key", key_file(tmp_path, key)]
+    link, (code, out, told) = locked(1, update_file(), "9", *words)
+    assert code == 3
+    assert out == ""
+    assert sentence in told, told
+    assert link.seats[0].choices == [Choice(0, False)]
 
 
 def test_a_board_on_trial_gets_the_time_to_confirm_its_image(bench, update_file, monkeypatch):
