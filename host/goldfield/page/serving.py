@@ -26,6 +26,8 @@ ASSETS = Path(__file__).parent / "built"
 """The built page; `make page` and the wheel's build put it there."""
 PATIENCE_S = 10.0
 """Longest wait for the server to start or to end."""
+ASKING_S = 10.0
+"""Longest wait for the next request of a connection, s: one that asks for nothing takes no place from one that does."""
 LOOPBACK = "127.0.0.1"
 
 
@@ -149,7 +151,13 @@ def _outward(family: int) -> str:
 
 
 class _Counted(H11Protocol):
-    """A connection that is one of `MOST` at the most; another is ended before it has said anything."""
+    """A connection that is one of `MOST` at the most; another is ended before it has said anything.
+
+    uvicorn waits without end for the first request, and for the rest of one whose beginning has come. A hundred
+    connections that say nothing, of anybody in the network, would then keep out whoever may look.
+    """
+
+    _overdue: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin, or end the connection."""
@@ -157,11 +165,27 @@ class _Counted(H11Protocol):
             transport.abort()
         else:
             super().connection_made(transport)
+            self._await_request()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End, if it has begun."""
         if self in self.connections:
             super().connection_lost(exc)
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request, if it is not there already."""
+        self._await_request()
+        super().on_response_complete()
+
+    def _await_request(self) -> None:
+        if self._overdue is not None:
+            self._overdue.cancel()
+        self._overdue = self.loop.call_later(ASKING_S, self._end_unless_asked, self.cycle)
+
+    def _end_unless_asked(self, latest: object) -> None:
+        """End, unless a request came behind the latest one; a connection that became a WebSocket is none of these."""
+        if self in self.connections and self.cycle is latest:
+            self.transport.abort()
 
 
 class PageServer:

@@ -5,6 +5,8 @@ import http.client
 import json
 import re
 import socket
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from urllib.parse import urlsplit
 
@@ -13,6 +15,7 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from goldfield.errors import SystemFailure, UserError
+from goldfield.page import serving as serving_module
 from goldfield.page.application import HEADERS, application
 from goldfield.page.hub import Hub
 from goldfield.page.serving import Listener, PageServer, built_assets, parse_address
@@ -270,3 +273,45 @@ def test_a_hundred_connections_are_taken_and_no_more(local):
         while leaving.recv(4096):
             pass
         assert get(url)[0] == 200
+
+
+@pytest.mark.parametrize(
+    "beginning",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: x\r\n",
+        b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /",
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\nx",
+    ],
+    ids=["nothing", "half a request", "half a second one", "half of what it says"],
+)
+def test_a_connection_that_asks_for_nothing_takes_no_place_for_long(local, monkeypatch, beginning):
+    """It is ended, and with it what it might still ask; the stream and the answer begun before go on for longer."""
+    hub, url = local
+    monkeypatch.setattr(serving_module, "ASKING_S", 1.0)
+    with live(url) as stream:
+        assert next_messages(stream, "hello")
+        with socket.create_connection(("127.0.0.1", urlsplit(url).port), TIMEOUT_S) as silent:
+            silent.sendall(beginning)
+            with contextlib.suppress(ConnectionResetError):
+                while silent.recv(4096):
+                    pass
+        hub.publish_epoch('{"type":"epoch","epoch":1}')
+        assert next_messages(stream, "epoch")
+
+
+def test_an_answer_that_takes_longer_than_a_request_may_is_waited_for(assets, monkeypatch):
+    monkeypatch.setattr(serving_module, "ASKING_S", 1.0)
+    release = threading.Event()
+
+    def slow_map(height_m):
+        assert release.wait(TIMEOUT_S)
+        return {"z_m": height_m}
+
+    listener = Listener(("127.0.0.1", 0))
+    with PageServer(application(Hub("{}", 0.1, live=True), assets, slow_map), listener), ThreadPoolExecutor() as pool:
+        asked = pool.submit(get, listener.url, "expected_error?z=1")
+        with socket.create_connection(("127.0.0.1", urlsplit(listener.url).port), TIMEOUT_S) as silent:
+            assert silent.recv(1) == b""  # as long as that, at least, the answer has been waited for
+        release.set()
+        assert asked.result(TIMEOUT_S)[0] == 200
