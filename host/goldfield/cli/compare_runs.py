@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 from goldfield.cli import options
-from goldfield.errors import EXIT_FAILED, on_command_line
+from goldfield.errors import EXIT_FAILED, UserError, on_command_line
 from goldfield.files.outputs import check_outputs
 
 MOST_LINES = 20
@@ -43,17 +43,16 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.cli.output import json_line  # heavy: only when runs are compared
     from goldfield.files.outputs import write_file
     from goldfield.recording.comparison import Comparison, differences
-    from goldfield.recording.runs import Run, estimated, open_run
+    from goldfield.recording.runs import EstimatedRun, open_run
 
     inputs = {"FILE": arguments.first, "SECOND": arguments.second, "--site": arguments.site}
     check_outputs({"--summary": arguments.summary}, inputs, force=arguments.force)
+    again = arguments.second is None
+    second = open_run(arguments.first if again else arguments.second, arguments.site, again=again)
     first = open_run(arguments.first, arguments.site)
-    second: Run = (
-        estimated(arguments.first, arguments.site)
-        if arguments.second is None
-        else open_run(arguments.second, arguments.site)
-    )
-    comparison = Comparison((first.name, "today's" if arguments.second is None else second.name))
+    if again and isinstance(first, EstimatedRun):
+        raise UserError(f"{first.name}: holds messages and no poses to compare with today's: give a second run")
+    comparison = Comparison((first.name, "today's" if again else second.name))
     shown = 0
     for difference in differences(first, second, comparison):
         if arguments.json:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import can
 
@@ -23,6 +24,8 @@ class CandumpReader:
     ----------
     path : path
         ``-`` is stdin.
+    file : file, optional
+        The same, if it is open to be read already.
 
     Attributes
     ----------
@@ -37,7 +40,7 @@ class CandumpReader:
         If the file cannot be read or holds no message at all.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, file: BinaryIO | None = None) -> None:
         self.name = name_of(path)
         self.traffic = no_traffic()
         self._path = str(path)
@@ -45,7 +48,7 @@ class CandumpReader:
         self._count = 0
         self._told = False
         self._damaged = False
-        self._file = open_input(path, "log")
+        self._file = open_input(path, "log") if file is None else file
 
     def __iter__(self) -> Iterator[can.Message]:
         yield from self._messages()

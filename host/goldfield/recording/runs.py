@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from goldfield.errors import UserError, tell
-from goldfield.files.inputs import name_of, open_input
+from goldfield.files.inputs import STREAM, name_of, open_input
 from goldfield.files.toml_table import parse_table
 from goldfield.foxglove.topics import FIELDS, LINE
-from goldfield.link.mcap_records import MAGIC, McapRecords, no_topic
+from goldfield.link.buses import LogSource
+from goldfield.link.mcap_records import MAGIC, Logged, McapRecords, no_topic
+from goldfield.link.recordings import CandumpReader
 from goldfield.recording.about import ABOUT, SITE_FILE, options_of
+from goldfield.recording.line_checks import check_fields, check_line
 from goldfield.sensor.opening import open_sensor
 from goldfield.sensor.options import Options
 from goldfield.sensor.pipeline import Epoch
@@ -79,6 +82,9 @@ class McapRun(Run):
     Parameters
     ----------
     path : path
+        ``-`` is stdin.
+    file : file, optional
+        The same, if it is open already.
 
     Raises
     ------
@@ -86,9 +92,9 @@ class McapRun(Run):
         If the file cannot be read; while reading, if it holds no poses. What is damaged ends it, and is told.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, file: BinaryIO | None = None) -> None:
         super().__init__(name_of(path))
-        self._file = open_input(path, "recording")
+        self._file = open_input(path, "recording") if file is None else file
         self._records = McapRecords(self.name, self._file)
 
     def __iter__(self) -> Iterator[Item]:
@@ -97,8 +103,9 @@ class McapRun(Run):
         try:
             for logged in self._records:
                 if logged.topic in (LINE, FIELDS):
+                    record = self._record(logged)
                     count += 1
-                    yield Item(logged.topic, logged.arrived_s, json.loads(logged.data))
+                    yield Item(logged.topic, logged.arrived_s, record)
         except UserError:
             raise
         except Exception:  # the reader raises kinds of its own at what is torn
@@ -112,6 +119,15 @@ class McapRun(Run):
         if not count:
             raise UserError(f"{self.name}: {no_topic(self._records, 'poses')}: give a recording of goldfield run")
 
+    def _record(self, logged: Logged) -> dict[str, Any]:
+        """Return what a message holds; `UserError` if it is of another program, since damage is noticed before."""
+        try:
+            return (check_line if logged.topic == LINE else check_fields)(json.loads(logged.data))
+        except (ValueError, RecursionError) as error:
+            raise UserError(
+                f"{self.name}: a message of {logged.topic} is not as goldfield run writes it: {error}"
+            ) from error
+
     @property
     def site(self) -> Site | None:
         """See `Run`."""
@@ -120,15 +136,18 @@ class McapRun(Run):
             return None
         text = attached.decode("utf-8", "replace")
         site = site_of(parse_table(text, f"{self.name}: {SITE_FILE}", "site file"))
-        limit_m = json.loads(self._about.get("alert_limit_m", "null"))
-        return replace(site, alert_limit_m=math.inf if limit_m is None else float(limit_m))
+        try:
+            limit_m = json.loads(self._about.get("alert_limit_m", "null"))
+            return replace(site, alert_limit_m=math.inf if limit_m is None else float(limit_m))
+        except (ValueError, TypeError) as error:
+            raise UserError(f"{self.name}: its metadata does not tell the alert limit: {error}") from error
 
     @property
     def options(self) -> Options:
         """See `Run`."""
         try:
             return options_of(self._about)
-        except (ValueError, TypeError) as error:
+        except (ValueError, TypeError, AttributeError) as error:
             raise UserError(f"{self.name}: its metadata does not tell how the poses were made: {error}") from error
 
     @property
@@ -141,13 +160,13 @@ class JsonRun(Run):
 
     Parameters
     ----------
-    path : path
-        ``-`` is stdin.
+    path, file
+        As for `McapRun`.
 
     Raises
     ------
     UserError
-        If the file cannot be read; while reading, if a line is no pose.
+        If the file cannot be read; while reading, if a line is no pose, but a last one that is cut off.
     """
 
     def __init__(self, path: str | Path, file: BinaryIO | None = None) -> None:
@@ -158,17 +177,16 @@ class JsonRun(Run):
         """See `Run`."""
         with self._file as file:
             for count, line in enumerate(iter(lambda: file.readline(LONGEST_LINE), b""), start=1):
-                if line.strip():
-                    yield Item(LINE, math.nan, self._record(line, count))
-
-    def _record(self, line: bytes, count: int) -> dict[str, Any]:
-        try:
-            record = json.loads(line)
-            if not {"epoch", "t_s", "position_m", "orientation_xyzw", "status"} <= record.keys():
-                raise ValueError("keys are missing")
-        except (ValueError, AttributeError, RecursionError) as error:
-            raise UserError(f"{self.name}:{count}: is no line of goldfield run --json: {error}") from error
-        return dict(record)
+                if not line.strip():
+                    continue
+                try:
+                    record = check_line(json.loads(line))
+                except (ValueError, RecursionError) as error:
+                    if count > 1 and not line.endswith(b"\n") and len(line) < LONGEST_LINE:
+                        tell(f"{self.name}:{count}: the last line is cut off: what comes before is used")
+                        return
+                    raise UserError(f"{self.name}:{count}: is no line of goldfield run --json: {error}") from error
+                yield Item(LINE, math.nan, record)
 
 
 class EstimatedRun(Run):
@@ -179,6 +197,8 @@ class EstimatedRun(Run):
     path : path
     site : Site
     options : Options
+    file : file, optional
+        As for `McapRun`.
 
     Raises
     ------
@@ -186,14 +206,15 @@ class EstimatedRun(Run):
         While reading, as `goldfield.open_log`.
     """
 
-    def __init__(self, path: str | Path, site: Site, options: Options) -> None:
+    def __init__(self, path: str | Path, site: Site, options: Options, file: BinaryIO | None = None) -> None:
         super().__init__(name_of(path))
         self._path, self._site, self._options = str(path), site, options
+        self._source = None if file is None else LogSource(CandumpReader(path, file))
 
     def __iter__(self) -> Iterator[Item]:
         """See `Run`."""
         clock, lines = UnixTime(self._site.cycle_s), Lines()
-        with open_sensor("log", self._path, self._site, self._options) as sensor:
+        with open_sensor("log", self._path, self._site, self._options, source=self._source) as sensor:
             for item in sensor.stream():
                 unix_s = clock.unix_s(item)
                 if isinstance(item, Epoch):
@@ -230,24 +251,30 @@ def open_run(path: str | Path, site_file: str | None = None, *, again: bool = Fa
     Raises
     ------
     UserError
-        If the file cannot be read, or a site file is needed.
+        If the file cannot be read, or a site file is needed, or what must be read twice is a stream.
     """
     file = open_input(path, "recording")
     head = file.peek(len(MAGIC))[: len(MAGIC)] if hasattr(file, "peek") else b""
+    if head.startswith(MAGIC) and not again:
+        return McapRun(path, file)
     if head.startswith(MAGIC):
+        whole = str(path) != STREAM and file.seekable()
         file.close()
-        return estimated(path, site_file) if again else McapRun(path)
+        if not whole:
+            raise UserError(f"{name_of(path)}: is read twice to make its poses again: save it as a file first")
+        return estimated(path, site_file)
     if head.lstrip().startswith(b"{"):
         if again:
             file.close()
             raise UserError(f"{name_of(path)}: holds poses and no messages: nothing can be made of it again")
         return JsonRun(path, file)
-    file.close()
     if not head:
+        file.close()
         raise UserError(f"{name_of(path)}: is empty: give a recording")
     if site_file is None:
+        file.close()
         raise UserError(f"{name_of(path)}: holds no poses: give --site FILE, with which they are made of its messages")
-    return EstimatedRun(path, load(site_file), Options())
+    return EstimatedRun(path, load(site_file), Options(), file)
 
 
 def estimated(path: str | Path, site_file: str | None = None) -> EstimatedRun:

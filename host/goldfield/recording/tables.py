@@ -14,21 +14,16 @@ from numpy.typing import NDArray
 
 from goldfield.errors import UserError
 from goldfield.foxglove.topics import FIELDS, LINE
+from goldfield.recording import line_checks
+from goldfield.recording.line_checks import MATRICES
 from goldfield.recording.runs import Item
 from goldfield.types import FloatArray
 
 AXES = "xyz"
-NUMBERS = ("epoch", "t_s", "unix_s", "latency_s", "residual", "protection_m", "lost", "chips", "saturated", "locked")
+NUMBERS = ("epoch", *line_checks.NUMBERS)
 """Keys of a line that are one number each; NaN where it is not known."""
-TEXTS = ("status", "reason", "used", "excluded")
+TEXTS = ("status", *line_checks.TEXTS)
 """Keys that are text; ids of beacons are joined by commas."""
-MATRICES: dict[str, tuple[int, ...]] = {
-    "position_m": (3,),
-    "orientation_xyzw": (4,),
-    "position_cov_m2": (3, 3),
-    "attitude_cov_rad2": (3, 3),
-}
-"""Keys that are arrays, and their shapes."""
 
 Column = NDArray[Any]
 Json = Mapping[str, Any]
