@@ -38,6 +38,8 @@ OPTIONS: Mapping[str, tuple[str, ...]] = {
     "ros2": ("map", "sensor", "tf"),
 }
 """What may stand behind a ``?``, by scheme."""
+ORIGIN = re.compile(r"null|[a-z][a-z0-9+.-]*://[^/?#@\s]+")
+"""What a browser calls the place that a page is from: ``null`` is a file's."""
 ROS_NAME = re.compile(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
@@ -123,11 +125,14 @@ def _split(url: str, scheme: str) -> Address:
         host.encode("idna")
     except UnicodeError as error:
         raise address.wrong(f"'{host}' is no name of a host ({error})") from None
-    if parts.fragment:
+    if "#" in url:  # also with nothing behind it, as in the pattern of topics "hall/#"
         raise address.wrong(f"'#{parts.fragment}' has no meaning here")
     for name in options:
         if name not in OPTIONS.get(scheme, ()):
             raise address.wrong(f"'{name}' is none of its options ({', '.join(OPTIONS.get(scheme, ())) or 'none'})")
+    for origin in filter(None, options.get("origin", "").split(",")):
+        if not ORIGIN.fullmatch(origin):  # no browser would ever name it, and nothing would tell why pages are refused
+            raise address.wrong(f"'{origin}' is no origin: give it as http://localhost:3000, with nothing behind")
     return _completed(address, given_port=port)
 
 
