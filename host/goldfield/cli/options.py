@@ -134,13 +134,13 @@ def hertz(text: str) -> float:
 
 
 def milliseconds(text: str) -> float:
-    """Parse a number of milliseconds greater than zero as seconds, for argparse."""
-    return 1e-3 * _between(text, 0.0, 1e9, "number of milliseconds greater than zero")
+    """Parse a number of milliseconds greater than zero as seconds, for argparse; the pipeline says how many at most."""
+    return 1e-3 * _between(text, 0.0, math.inf, "number of milliseconds greater than zero")
 
 
 def rate(text: str) -> float:
-    """Parse a rate greater than zero, for argparse."""
-    return _between(text, 0.0, 1e9, "rate in hertz greater than zero")
+    """Parse a rate greater than zero, for argparse; how large it may be, the pipeline says."""
+    return _between(text, 0.0, math.inf, "rate in hertz greater than zero")
 
 
 def _between(text: str, least: float, most: float, what: str) -> float:
@@ -149,8 +149,10 @@ def _between(text: str, least: float, most: float, what: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not least < value < most:
+    if not (least < value and math.isfinite(value)):
         raise argparse.ArgumentTypeError(f"{text} is no {what}")
+    if value >= most:
+        raise argparse.ArgumentTypeError(f"{text} is too large: give less than {most:g}")
     return value
 
 

@@ -158,4 +158,4 @@ class Options:
 
 def _check_range(name: str, value: float | None, highest: float, unit: str) -> None:
     if value is not None and not (math.isfinite(value) and 0.0 < value <= highest):
-        raise UserError(f"{option(name, f'{value:g}')}: must be above 0 and at most {highest:g} {unit}")
+        raise UserError(f"{option(name)}: {value:g} {unit} is not above 0 and at most {highest:g} {unit}")

@@ -1,5 +1,6 @@
 """`goldfield run`: live on a pseudo-terminal, on a recorded log, beside the truth, and with what goes wrong."""
 
+import contextlib
 import json
 import math
 import re
@@ -416,7 +417,7 @@ def test_the_sensors_fields_are_those_of_magpylib():
     assert (sizes < 52e-6).all()
 
 
-@pytest.mark.parametrize("limit", ["0", "-1", "nan", "x", "1e9"])
+@pytest.mark.parametrize("limit", ["0", "-1", "nan", "x", "inf"])
 def test_an_alert_limit_that_is_no_length_is_refused(capsys, limit):
     with pytest.raises(SystemExit, match="2"):
         main(["run", "--alert-limit", limit])
@@ -452,3 +453,26 @@ def test_lines_that_are_late_are_told_of_once_and_measured(capsys, monkeypatch):
     assert summary.latency.quantiles()["median"] == pytest.approx(0.9, rel=0.02)
     assert "5 poses: 5 ok" in summary.text(truth=False)
     assert summary.record()["latency"]["p99_s"] == pytest.approx(2.0, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--alert-limit", "1e9"], "argument --alert-limit: 1e9 is too large: give less than 1e+09"),
+        (["--seconds", "1e12"], "argument --seconds: 1e12 is too large: give less than 1e+09"),
+        (["--rate", "1e9"], "--rate: 1e+09 Hz is not above 0 and at most 10000 Hz"),
+        (["--rate", "10001"], "--rate: 10001 Hz is not above 0 and at most 10000 Hz"),
+        (["--lag", "5000"], "--lag: 5 s is not above 0 and at most 2 s"),
+    ],
+)
+def test_what_is_too_large_is_not_called_too_small_and_has_its_unit(capsys, tmp_path, words, said):
+    log = write(tmp_path, log_of(range(2)))
+    with contextlib.suppress(SystemExit):
+        assert main(["run", "--log", str(log), "--site", str(SITE), *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--rate", "10000"], ["--lag", "2000"]])
+def test_the_largest_rate_and_lag_are_taken(tmp_path, words):
+    log = write(tmp_path, log_of(range(2)))
+    assert main(["run", "--log", str(log), "--site", str(SITE), *words]) == 0
