@@ -30,6 +30,9 @@ LONGEST_LINE = 1000
 PATIENCE = 4_000_000
 """Bytes without any message after which a file, or /dev/zero, is no log."""
 
+PADDING = 3
+"""Most bytes between two containers of a .blf, which some programs leave out behind the last."""
+
 UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 Frames = Iterator[can.Message | str]
@@ -66,7 +69,7 @@ def frames(path: str, file: BinaryIO) -> Frames:
         stream = io.BufferedReader(gzip.GzipFile(fileobj=stream))
     head = stream.peek(HEAD)[:HEAD]
     if head.startswith(b"LOGG"):
-        return _of_reader(lambda: can.BLFReader(stream))
+        return _of_blf(stream)
     if head.startswith(b"SQLite format 3\0"):
         _need_file(path, packed, "a database")
         return _of_reader(lambda: can.SqliteReader(path))
@@ -105,6 +108,42 @@ def _told_unless_asammdf(unraisable: sys.UnraisableHookArgs) -> None:
     """Tell an error in a destructor, but of asammdf, whose half-open files of what is damaged fail in theirs."""
     if not str(getattr(unraisable.object, "__module__", "")).startswith("asammdf"):
         sys.__unraisablehook__(unraisable)
+
+
+class _Measured:
+    """A binary file in the eyes of python-can, which takes what it gets of a container that is cut off for all of it."""
+
+    closed = False
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.size = 0
+        self.torn = False
+
+    def read(self, size: int) -> bytes:
+        """Return so many bytes, or what is left, and note where that is a part of them."""
+        data = self._stream.read(size)
+        self.size += len(data)
+        self.torn = self.torn or (size > PADDING and 0 < len(data) < size)
+        return data
+
+    def close(self) -> None:
+        """Leave the file to who opened it."""
+
+
+def _of_blf(stream: BinaryIO) -> Frames:
+    """Yield the messages of a .blf; it is torn amid a container, or where less is left than its header says."""
+    measured: Any = _Measured(stream)
+    told: list[int] = []
+
+    def reader() -> can.BLFReader:
+        opened = can.BLFReader(measured)
+        told.append(opened.file_size)
+        return opened
+
+    yield from _of_reader(reader)
+    if measured.torn or measured.size < told[0]:
+        raise _Damaged
 
 
 def _of_reader(make: Callable[[], Any]) -> Frames:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import struct
 import sys
 import threading
 
@@ -97,6 +98,31 @@ def test_a_blf_that_is_cut_off_has_all_but_its_last_container(tmp_path, monkeypa
     assert 900 < len(found) < 1000
     writer.close()
     assert readable(tmp_path / "a.blf") == list(range(1000))
+
+
+def test_a_blf_of_which_a_part_is_missing_is_told_and_a_whole_one_is_not(tmp_path, capsys):
+    """python-can takes a container that is cut off for a whole one, and the end of the file for its end."""
+    written(tmp_path / "a.blf", range(300)).close()
+    whole = (tmp_path / "a.blf").read_bytes()
+    starts = [at for at in range(len(whole)) if whole[at : at + 4] == b"LOBJ"]
+    border = next(at for at in starts if at > len(whole) // 2)
+    padding = len(whole) - starts[-1] - struct.unpack_from("<I", whole, starts[-1] + 8)[0]
+    assert 0 <= padding <= 3
+    cut = tmp_path / "cut.blf"
+    for length, missing in (
+        (len(whole), False),
+        (border, True),
+        (border + 7, True),
+        (border + 16, True),
+        (border + 400, True),
+        (len(whole) - padding - 1, True),
+    ):
+        cut.write_bytes(whole[:length])
+        found = readable(cut)
+        said = capsys.readouterr().err
+        assert found == list(range(len(found)))
+        assert ("cut.blf: is damaged or was cut off behind" in said) is missing, length
+        assert missing or len(found) == 300
 
 
 def test_a_blf_has_everything_after_each_flush(tmp_path, monkeypatch, capsys):
