@@ -76,6 +76,8 @@ class BusSource:
     ----------
     reconnections : int
         How often the link was opened again.
+    gone : str
+        Why the link is gone, while it is waited for; else empty. Other threads may look at it.
     link_bit : int
         The link's bit in the parameters of a board that choose links: 1 a serial line, 2 CAN.
     key : AccessKey or None
@@ -88,6 +90,7 @@ class BusSource:
     listen_only = False
     reconnects = False
     reconnections = 0
+    gone = ""
     link_bit = 1
     sender_waits = False
     key: AccessKey | None = None
@@ -219,7 +222,8 @@ class BusSource:
 
     def _reconnect(self, error: Exception, reopen: Callable[[], can.BusABC]) -> None:
         """Wait until the link can be opened again, and read on."""
-        tell(f"{_sentence(self.name, error)}; waiting for it")
+        self.gone = f"{_sentence(self.name, error)}; waiting for it"
+        tell(self.gone)
         self._traffic = added(self._traffic, _bad_frames(self._bus))
         self._shut_down()
         begin_s = time.monotonic()
@@ -231,6 +235,7 @@ class BusSource:
                 time.sleep(RETRY_S)
         self._begin(bus)
         self.reconnections += 1
+        self.gone = ""
         tell(f"{self.name}: is back after {time.monotonic() - begin_s:.1f} s")
 
     def _shut_down(self) -> None:

@@ -111,7 +111,7 @@ def _told_unless_asammdf(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 class _Measured:
-    """A binary file in the eyes of python-can, which takes what it gets of a container that is cut off for all of it."""
+    """A binary file in the eyes of python-can, which takes a part of a container, cut off, for all of it."""
 
     closed = False
 

@@ -99,6 +99,7 @@ class Hub:
         self._health: str | None = None
         self._progress: str | None = None
         self._state, self._text, self._heard_s = State.WAITING, "", clock()
+        self._gone: Callable[[], str] = str
 
     @property
     def browsers(self) -> int:
@@ -117,6 +118,10 @@ class Hub:
         """Forget a browser."""
         with self._lock:
             self._boxes.discard(box)
+
+    def watch(self, gone: Callable[[], str]) -> None:
+        """Look at a link, too: it says why it is gone, while its reader waits for it, else nothing."""
+        self._gone = gone
 
     def publish_epoch(self, message: str) -> None:
         """Hand out an epoch, which a browser that comes later gets too, and which shows that the stream runs."""
@@ -164,7 +169,10 @@ class Hub:
         """Return the message that tells whether the stream runs; a browser gets one every second."""
         with self._lock:
             state, text, silent_s = self._state, self._text, self._clock() - self._heard_s
-        if state is State.RUNNING and silent_s > self._patience_s:
+        gone = self._gone() if state is State.RUNNING else ""
+        if gone:
+            state, text = State.LOST, gone
+        elif state is State.RUNNING and silent_s > self._patience_s:
             state = State.SILENT
             text = "nothing comes from the sensor: check its power, its cable and the port"
         record: dict[str, Any] = {"type": "state", "state": state.value, "text": text, "silent_s": round(silent_s, 1)}

@@ -38,6 +38,7 @@ class Publisher:
         self._hub = hub
         self._heard = RosterRecorder()
         self._monitor = Monitor(site, name, self._heard.roster)
+        self._sensor: Sensor | None = None
         self._health_every = max(1, round(HEALTH_EVERY_S / site.cycle_s))
 
     def recorder(self, other: Recorder | None = None) -> Recorder:
@@ -49,6 +50,9 @@ class Publisher:
         if isinstance(item, Fix):
             self._hub.publish_fix(fix_message(item))
             return
+        if self._sensor is not sensor:
+            self._sensor = sensor
+            self._hub.watch(lambda: sensor.gone)
         self._monitor.node = sensor.node
         self._monitor.add(item)
         self._hub.publish_epoch(epoch_message(item))

@@ -262,6 +262,11 @@ class Sensor:
         return self._session.live
 
     @property
+    def gone(self) -> str:
+        """Why the link is gone, while it is waited for; else empty. Other threads may look at it."""
+        return self._session.gone
+
+    @property
     def node(self) -> int | None:
         """The sensor's node; None while a recording has not told it."""
         return self._session.node

@@ -193,6 +193,11 @@ class Session:
         return 0 if self._bus is None else self._bus.reconnections
 
     @property
+    def gone(self) -> str:
+        """Why the link is gone, while it is waited for; else empty."""
+        return "" if self._bus is None else self._bus.gone
+
+    @property
     def dialogue(self) -> Dialogue:
         """The dialogue with the sensor; it must be live and found."""
         return self._dialogue()

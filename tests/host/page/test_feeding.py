@@ -188,6 +188,8 @@ class Flaky:
 class Failing:
     """A sensor whose link fails when its recording is at its end."""
 
+    gone = ""
+
     def __init__(self, sensor, failure):
         self._sensor, self._failure, self.node = sensor, failure, sensor.node
 

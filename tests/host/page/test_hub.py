@@ -93,6 +93,23 @@ def test_a_live_stream_that_stops_is_told_and_so_is_its_return():
     assert state_of(hub) == {"type": "state", "state": "running", "text": "", "silent_s": 0.0}
 
 
+def test_a_link_that_is_waited_for_is_lost_at_once_and_only_as_long_as_it_is_gone():
+    hub, clock = hub_of()
+    hub.publish_epoch("first")
+    gone = ""
+    hub.watch(lambda: gone)
+    assert state_of(hub)["state"] == "running"
+    gone = "the cable was pulled; waiting for it"
+    assert (state_of(hub)["state"], state_of(hub)["text"]) == ("lost", gone)
+    clock.now_s, gone = 2.0 * SILENCE_S, ""
+    assert state_of(hub)["state"] == "silent"
+    hub.publish_epoch("second")
+    assert state_of(hub)["state"] == "running"
+    gone = "the cable was pulled"
+    hub.end("goldfield has ended")
+    assert state_of(hub)["state"] == "ended"
+
+
 def test_long_cycles_are_waited_for_and_a_recording_is_never_silent():
     hub, clock = hub_of(cycle_s=1.0)
     hub.publish_epoch("first")
