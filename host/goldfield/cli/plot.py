@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,9 @@ from goldfield.cli.export import add_run, beside
 from goldfield.errors import UserError, counted, on_command_line, tell
 from goldfield.files.inputs import STREAM
 from goldfield.files.outputs import check_outputs, write_file
+
+OTHER_KINDS = (".jpg", ".jpeg", ".svg", ".pdf", ".webp", ".gif", ".tif", ".tiff", ".bmp", ".eps", ".html", ".npz")
+"""Ends of names that promise another format."""
 
 
 def command(subparsers: Any) -> None:
@@ -37,6 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.view.truth import Truth
 
     out = arguments.out or beside(arguments.file, ".png")
+    if Path(out).suffix.lower() in OTHER_KINDS:
+        raise UserError(f"--out {out}: pictures are written as PNG: give a name that ends in .png")
     inputs = {"FILE": arguments.file, "--site": arguments.site, "--truth": arguments.truth}
     check_outputs({"--out": out}, inputs, force=arguments.force)
     run_read = open_run(arguments.file, arguments.site, again=arguments.again)
@@ -44,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     poses, errors = read(run_read, truth)
     if not len(poses):
         raise UserError(f"{run_read.name}: holds no pose: there is nothing to draw")
+    if truth is not None and not any(map(math.isfinite, errors.position_m)):
+        tell(f"{arguments.truth}: tells of none of these poses: their errors are not known")
     site = load(arguments.site) if arguments.site else run_read.site
     write_file(out, picture(Path(run_read.name).name, poses, errors, site), "the picture", force=arguments.force)
     if out != STREAM:

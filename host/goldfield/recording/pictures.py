@@ -31,7 +31,8 @@ COLOURS = {
 """Colour of a pose in the track."""
 COIL_COLOUR, SECOND_COLOUR = "#707070", "#b05090"
 RATE_OVER_S = 1.0
-"""Rates are those of spans of so long."""
+"""Rates are those of spans of so long, s, or longer ones in a run of more than `MOST_SPANS`."""
+MOST_SPANS = 4000
 WIDE = 15.0
 """A largest value above so many medians is drawn in a logarithmic scale."""
 MOST_NAMED = 12
@@ -166,14 +167,15 @@ def _residuals(axes: Any, seconds: FloatArray, columns: dict[str, Column], beaco
 
 
 def _rates(axes: Any, seconds: FloatArray, columns: dict[str, Column]) -> None:
-    edges = np.arange(0.0, float(np.nanmax(seconds)) + RATE_OVER_S, RATE_OVER_S)
-    edges = edges if len(edges) > 1 else np.array([0.0, RATE_OVER_S])
+    latest = float(np.nanmax(seconds, initial=0.0))
+    span_s = max(RATE_OVER_S, latest / MOST_SPANS)
+    edges = span_s * np.arange(max(2, math.ceil(latest / span_s) + 1))
     counts, _ = np.histogram(seconds[np.isfinite(seconds)], edges)
     good, _ = np.histogram(seconds[np.isfinite(seconds) & (columns["status"] == Status.OK.value)], edges)
     lost, _ = np.histogram(seconds, edges, weights=np.nan_to_num(columns["lost"]))
-    axes.stairs(counts / RATE_OVER_S, edges, label="poses", color="#1f77b4", linewidth=2.0)
-    axes.stairs(good / RATE_OVER_S, edges, label="ok", color="#30a060", fill=True, alpha=0.3)
-    axes.stairs(lost / RATE_OVER_S, edges, label="messages lost", color="#d03030")
+    axes.stairs(counts / span_s, edges, label="poses", color="#1f77b4", linewidth=2.0)
+    axes.stairs(good / span_s, edges, label="ok", color="#30a060", fill=True, alpha=0.3)
+    axes.stairs(lost / span_s, edges, label="messages lost", color="#d03030")
     axes.set_ylim(bottom=0.0)
     axes.legend(fontsize=7)
     _label(axes, "rates", "s", "1/s")
@@ -209,6 +211,8 @@ def _scaled(axes: Any) -> None:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
         axes.yaxis.set_minor_formatter("")
+    elif len(positive):
+        axes.set_ylim(0.0, 1.08 * positive.max())  # matplotlib would lay a constant on the frame
     else:
         axes.set_ylim(bottom=0.0)
 

@@ -137,3 +137,40 @@ def test_errors_are_those_against_the_truth(recorded, lines, tmp_path):
     assert errors.position_m == pytest.approx(
         [np.linalg.norm(np.subtract(line["position_m"], place)) for line in lines]
     )
+
+
+def test_a_picture_is_no_other_format_than_its_name_says(recorded, tmp_path, capsys):
+    out = tmp_path / "a.SVG"
+    assert main(["plot", str(recorded[0]), "--out", str(out)]) == 2
+    assert f"--out {out}: pictures are written as PNG: give a name that ends in .png" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_truth_of_other_cycles_is_told(recorded, tmp_path, capsys):
+    row = {"t_s": 0.0, "position_m": [0.5, 0.25, 1.0], "orientation_xyzw": [0.0, 0.0, 0.0, 1.0]}
+    truth = tmp_path / "truth.jsonl"
+    for cycles, silent in (([], True), ([500_000], True), (range(CYCLES), False)):
+        truth.write_text("".join(f"{json.dumps(row | {'cycle': cycle})}\n" for cycle in cycles))
+        assert main(["plot", str(recorded[0]), "--truth", str(truth), "--out", str(tmp_path / "a.png"), "--force"]) == 0
+        assert (f"{truth}: tells of none of these poses" in capsys.readouterr().err) is silent
+
+
+@pytest.mark.parametrize("value", [0.8, 1e-6])
+def test_a_constant_is_drawn_below_the_frame(value):
+    from matplotlib.figure import Figure
+
+    from goldfield.recording.pictures import _scaled
+
+    axes = Figure().subplots()
+    axes.plot([0.0, 1.0], [value, value])
+    _scaled(axes)
+    low, high = axes.get_ylim()
+    assert low == 0.0
+    assert 0.85 * high < value < 0.95 * high
+
+
+def test_a_clock_that_jumps_far_is_drawn_in_longer_spans(lines, tmp_path):
+    """Of seconds there would be a thousand millions."""
+    kept = tmp_path / "b.jsonl"
+    kept.write_text("".join(f"{json.dumps(line)}\n" for line in [*lines[:3], lines[4] | {"t_s": 1e9}]))
+    assert main(["plot", str(kept), "--out", str(tmp_path / "b.png")]) == 0
