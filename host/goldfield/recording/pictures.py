@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -35,6 +35,10 @@ RATE_OVER_S = 1.0
 MOST_SPANS = 4000
 WIDE = 15.0
 """A largest value above so many medians is drawn in a logarithmic scale."""
+NEAR = 0.06
+"""Names of places that are nearer, as a share of the extent of all, would lie one on the other."""
+ROOM = 0.07
+"""Room above a coil for its name, as a share of the extent of all."""
 MOST_NAMED = 12
 """Beacons that a legend has room for."""
 
@@ -104,13 +108,15 @@ def _seconds(columns: dict[str, Column]) -> FloatArray:
 
 def _track(axes: Any, columns: dict[str, Column], site: Site | None, plane: tuple[int, int]) -> None:
     across, up = plane
-    names: dict[tuple[float, ...], list[str]] = {}
-    for beacon in () if site is None else site.beacons:
-        wire_m = wire_of(beacon)
-        axes.plot(wire_m[:, across], wire_m[:, up], color=COIL_COLOUR, linewidth=1.5)
-        names.setdefault(tuple(beacon.position_m[[across, up]].round(3).tolist()), []).append(beacon.id)
-    for place, ids in names.items():
-        axes.annotate(", ".join(ids), place, (0, 8), textcoords="offset points", fontsize=7, ha="center")
+    beacons = [] if site is None else site.beacons
+    wires_m = {beacon.id: wire_of(beacon)[:, [across, up]] for beacon in beacons}
+    for wire_m in wires_m.values():
+        axes.plot(*wire_m.T, color=COIL_COLOUR, linewidth=1.5)
+    places_m = {beacon.id: beacon.position_m[[across, up]] for beacon in beacons}
+    for place_m, ids in labels(places_m):
+        top_m = max(float(wires_m[name][:, 1].max()) for name in ids)
+        axes.annotate(", ".join(ids), (place_m[0], top_m), (0, 2), textcoords="offset points", fontsize=7, ha="center")
+        axes.update_datalim([(place_m[0], top_m + ROOM * _extent_m(places_m))])
     place_m = columns["position_m"]
     axes.plot(place_m[:, across], place_m[:, up], color="#b0c8e0", linewidth=0.8, zorder=1)
     for status, colour in COLOURS.items():
@@ -124,6 +130,29 @@ def _track(axes: Any, columns: dict[str, Column], site: Site | None, plane: tupl
         axes.legend(fontsize=7, loc="best")
     axes.set_aspect("equal", adjustable="datalim")
     _label(axes, "plan" if up == 1 else "from the side", f"{'xyz'[across]} / m", f"{'xyz'[up]} / m")
+
+
+def labels(places_m: Mapping[str, FloatArray]) -> list[tuple[FloatArray, list[str]]]:
+    """Return where names stand, and which: those of places that lie too near for two names share one label.
+
+    Examples
+    --------
+    >>> labels({"b1": np.zeros(2), "b2": np.array([0.01, 0.0]), "b3": np.array([2.0, 1.0])})
+    [(array([0., 0.]), ['b1', 'b2']), (array([2., 1.]), ['b3'])]
+    """
+    near_m = NEAR * _extent_m(places_m)
+    found: list[tuple[FloatArray, list[str]]] = []
+    for name, place_m in places_m.items():
+        together = next((ids for other_m, ids in found if np.abs(other_m - place_m).max() <= near_m), None)
+        if together is None:
+            found.append((place_m, [name]))
+        else:
+            together.append(name)
+    return found
+
+
+def _extent_m(places_m: Mapping[str, FloatArray]) -> float:
+    return float(np.ptp(list(places_m.values()), axis=0).max()) if places_m else 0.0
 
 
 def _position_error(axes: Any, seconds: FloatArray, columns: dict[str, Column], errors: Errors) -> None:

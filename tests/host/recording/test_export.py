@@ -2,7 +2,9 @@
 
 import csv
 import json
+import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from pyarrow import parquet
 
 from goldfield.cli import main
 from goldfield.cli.export import FORMATS
+from goldfield.foxglove.topics import LINE
 from goldfield.recording.tables import WRITERS
 from tests.host.fake_sensor import SITE, heartbeat, log_of
 
@@ -174,3 +177,37 @@ def test_a_clock_that_jumps_far_is_drawn_in_longer_spans(lines, tmp_path):
     kept = tmp_path / "b.jsonl"
     kept.write_text("".join(f"{json.dumps(line)}\n" for line in [*lines[:3], lines[4] | {"t_s": 1e9}]))
     assert main(["plot", str(kept), "--out", str(tmp_path / "b.png")]) == 0
+
+
+@pytest.mark.parametrize("size", [1.0, 20.0])
+@pytest.mark.parametrize("plane", [(0, 1), (0, 2)])
+def test_the_names_of_beacons_can_be_read(lines, size, plane):
+    """Also of coils that hang millimetres off the one below, as after a survey: in the frame, and none on another."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    from goldfield import load_site
+    from goldfield.recording.pictures import _track
+    from goldfield.recording.runs import Item
+    from goldfield.recording.tables import PoseTable
+
+    site = load_site(SITE)
+    off = np.random.default_rng(7).uniform(-0.01, 0.01, (len(site.beacons), 3))
+    moved = [replace(b, position_m=size * b.position_m + d) for b, d in zip(site.beacons, off, strict=True)]
+    poses = PoseTable()
+    for line in lines:
+        poses.add(Item(LINE, math.nan, line))
+    figure = Figure(figsize=(6.0, 4.0))
+    axes = figure.subplots()
+    _track(axes, poses.columns(), replace(site, beacons=tuple(moved)), plane)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    frame = axes.get_window_extent()
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert sorted(name for text in axes.texts for name in text.get_text().split(", ")) == [b.id for b in site.beacons]
+    for number, box in enumerate(boxes):
+        assert frame.x0 < box.x0
+        assert box.x1 < frame.x1
+        assert frame.y0 < box.y0
+        assert box.y1 < frame.y1
+        assert not any(box.overlaps(other) for other in boxes[:number])
