@@ -74,6 +74,13 @@ void can_start(const hal_t *hal) {
     interrupt_enable(IRQ_CAN1_SCE, PRIORITY_NORMAL);
 }
 
+void can_deaf(bool deaf) {
+    if (deaf)
+        CAN1->FMR |= CAN_FMR_FINIT; /* Nothing is received meanwhile (RM0090, CAN_FMR). */
+    else
+        CAN1->FMR &= ~CAN_FMR_FINIT;
+}
+
 bool hal_can_send(hal_t *hal, const hal_frame_t *frame) {
     (void)hal;
     const uint32_t status = CAN1->TSR;

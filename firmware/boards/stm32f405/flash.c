@@ -34,7 +34,9 @@ bool hal_flash_erase(hal_t *hal, uint32_t slot) {
     if (slot >= HAL_FLASH_SLOTS || !supply_is_good())
         return false;
     watchdog_set(WATCHDOG_RELOAD_LONG);
+    can_deaf(true);
     const bool done = flash_erase(FIRST_SECTOR + slot);
+    can_deaf(false);
     watchdog_set(WATCHDOG_RELOAD);
     return done;
 }

@@ -47,10 +47,12 @@ bool hal_image_erase(hal_t *hal, uint32_t slot, uint32_t words) {
     if (slot >= HAL_IMAGE_SLOTS || slot == running_slot() || words > IMAGE_BYTES / sizeof(uint32_t))
         return false;
     bool done = supply_is_good();
+    can_deaf(true);
     for (uint32_t i = 0; done && i * SECTOR_BYTES < bytes; i++) {
         watchdog_set_slow(WATCHDOG_RELOAD_LONG);
         done = flash_erase(SLOT_A_SECTOR + slot * SLOT_SECTORS + i);
     }
+    can_deaf(false);
     watchdog_set(WATCHDOG_RELOAD);
     return done;
 }

@@ -276,6 +276,9 @@ chip_time_t chip_now(void);
 
 void can_start(const hal_t *hal);
 
+/* Take no frames, or take them again: while the processor stands still they would run over. They are acknowledged. */
+void can_deaf(bool deaf);
+
 /* The vector table's entries. */
 void Reset_Handler(void);
 void NMI_Handler(void);

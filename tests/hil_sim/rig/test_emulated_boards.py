@@ -4,7 +4,7 @@ import pytest
 
 from goldfield.errors import SystemFailure, UserError
 from goldfield_protocol import decode, encode
-from goldfield_protocol.image import KEY_PLACE
+from goldfield_protocol.image import KEY_PLACE, SLOTS
 from hil_sim import scenario
 from hil_sim.emulator.kept_flash import CELLS, FLASH
 from hil_sim.rig import Rig
@@ -113,15 +113,35 @@ def test_a_board_with_a_public_key_has_a_boot_loader_and_may_be_updated(tmp_path
     key = f'\npublic_key = "{KEY}"' if known else ""
     with Rig(small(tmp_path, crystal_ppm=f"20.0{key}"), "emulated") as rig:
         rig.advance(0.3)
-        rig.can_read()
-        rig.can_write(*encode("COMMAND", {"board": 0, "argument": 0}, node=100, index=15))
-        rig.advance(0.02)
-        answers = [decode(frame.identifier, frame.data) for frame in rig.can_read()]
-        (answer,) = [one.signals for one in answers if one is not None and one.name == "COMMAND_ANSWER"]
+        (answer,) = answers(rig, "COMMAND_ANSWER", 15, {"board": 0, "argument": 0})
         place = KEY_PLACE - FLASH.start
         cells = rig._boards[0].cells()
     assert (answer["status"], answer["value"]) == (0, 3 << 4 | known << 12)
     assert (cells[place + 4 : place + 36] == bytes.fromhex(KEY)) == known
+
+
+def answers(rig, name, index, values):
+    """Give the sensor a command on CAN, and return what it answers within 20 ms."""
+    rig.can_read()
+    rig.can_write(*encode("COMMAND", values, node=100, index=index))
+    rig.advance(0.02)
+    told = [decode(frame.identifier, frame.data) for frame in rig.can_read()]
+    return [one.signals for one in told if one is not None and one.name == name and one.node == 100]
+
+
+@pytest.mark.long
+def test_a_board_empties_its_slot_amid_the_traffic_of_its_bus(tmp_path):
+    """The processor stands still for 2.5 s; frames that ran over would be a violation, which ends a board."""
+    with Rig(small(tmp_path, crystal_ppm=f'20.0\npublic_key = "{KEY}"'), "emulated") as rig:
+        rig.advance(0.5)
+        halves = [int(one["half"]) for one in answers(rig, "IDENTITY", 0, {"board": 0, "argument": 0})]
+        board = halves[0] ^ halves[1]
+        answers(rig, "COMMAND_ANSWER", 10, {"board": board, "argument": 17_800})
+        rig.advance(4.0)
+        told = [decode(frame.identifier, frame.data) for frame in rig.can_read()]
+        begun = [one.signals for one in told if one is not None and (one.name, one.index) == ("COMMAND_ANSWER", 10)]
+        assert [(one["status"], one["value"]) for one in begun] == [(0, SLOTS[1])]
+        assert len([one for one in told if one is not None and one.name == "SYNC"]) > 30
 
 
 def test_host_boards_count_no_cycles(tmp_path):
