@@ -104,7 +104,7 @@ typedef struct {
     uint32_t update_index; /* That command. */
     access_t access;
     update_t update;
-    storage_t storage;   /* It is large, and last: what main looks at each turn lies near the beginning. */
+    storage_t storage; /* It is large, and last: what main looks at each turn lies near the beginning. */
 } node_t;
 
 /* Make the node one that nobody has spoken to, with empty queues; its parameters and its number are not there yet. *hal

@@ -481,6 +481,6 @@ void requests_step(node_t *node) {
         step_update(node);
     }
     act(node);
-    node->under_way = node->saving != NODE_NO_LINK || update_holds(&node->update) || node->blinking || node->resetting ||
-                      node->identity_late != NODE_NO_LINK || node->reset_late != NODE_NO_LINK;
+    node->under_way = node->saving != NODE_NO_LINK || update_holds(&node->update) || node->blinking ||
+                      node->resetting || node->identity_late != NODE_NO_LINK || node->reset_late != NODE_NO_LINK;
 }
