@@ -88,13 +88,13 @@ KEY ?=
 flash-ready: $(BUILD)/venv.stamp
 	@case "$(ROLE)" in beacon|sensor|anchor) ;; *) echo "make flash needs ROLE=beacon, ROLE=sensor or ROLE=anchor"; exit 2;; esac
 	@test -z "$(strip $(STM32_PARAMETERS))" || test -n "$(filter NODE=%,$(STM32_PARAMETERS))" || { echo "make flash with parameters needs NODE=n as well"; exit 2; }
-	@$(PYTHON) firmware/tools/find_probe.py $(PYOCD) $(PROBE)
+	@$(PYTHON) -m goldfield.update.find_probe $(PYOCD) $(PROBE)
 
 flash: flash-ready firmware ## Program a board: ROLE=beacon, sensor or anchor, with NODE=n also its parameters
 	@test -z "$(strip $(STM32_PARAMETERS))" || $(PYTHON) -m goldfield_protocol.parameters $$(echo "$(strip $(STM32_PARAMETERS))" | tr A-Z a-z) -o $(STM32_PAGE)
 	@$(PYOCD) pack show 2>/dev/null | grep -q STM32F4xx_DFP || $(PYOCD) pack install stm32f405rgtx || \
 		{ echo "ST's device pack could not be installed, which needs the network once: $(PYOCD) pack install stm32f405rgtx"; exit 1; }
-	@$(PYTHON) firmware/tools/program_board.py $(PYOCD) $(if $(PROBE),--uid $(PROBE)) --target $(PYOCD_TARGET) \
+	@$(PYTHON) -m goldfield.update.program_board $(PYOCD) $(if $(PROBE),--uid $(PROBE)) --target $(PYOCD_TARGET) \
 		--boot $(BOOT_IMAGE:.elf=.bin) $(if $(KEY),--key $(KEY)) $(STM32_OUT)/$(ROLE).elf $(if $(strip $(STM32_PARAMETERS)),$(STM32_PAGE))
 
 .PHONY: firmware flash flash-ready

@@ -1,10 +1,10 @@
 """Program a board: check that the chip is the one meant, load, compare what was loaded, and set the brown-out level.
 
-``python program_board.py PYOCD [--uid ID] --target TARGET --boot BOOT [--key KEY] ELF [PAGE]``: pyOCD, the debug probe,
-pyOCD's name of the target, the boot loader (its bytes), the public key by which it judges new images (64 hexadecimal
-digits), the image, and a parameter page. The image takes the place of whatever the board has got over its link: the
-other slot is emptied. What a board has saved itself overrules its page: a page that is written takes the place of it,
-and an image alone leaves it. Exit code 0: all is done; 1: a sentence on stderr tells what is not.
+``python -m goldfield.update.program_board PYOCD [--uid ID] --target TARGET --boot BOOT [--key KEY] ELF [PAGE]``: pyOCD,
+the debug probe, pyOCD's name of the target, the boot loader (its bytes), the public key by which it judges new images
+(64 hexadecimal digits), the image, and a parameter page. The image takes the place of whatever the board has got over
+its link: the other slot is emptied. What a board has saved itself overrules its page: a page that is written takes the
+place of it, and an image alone leaves it. Exit code 0: all is done; 1: a sentence on stderr tells what is not.
 """
 
 from __future__ import annotations
@@ -16,8 +16,6 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-
-from elftools.elf.elffile import ELFFile
 
 from goldfield_protocol.image import CODE_OFFSET, KEY_BYTES, KEY_PLACE, SLOTS, key_place
 
@@ -150,17 +148,24 @@ def page_files(page: str) -> list[tuple[Path, int]]:
     return [(Path(page), PAGE_ADDRESS), (saved, SAVED_ADDRESS)]
 
 
-def contents(elf: str, pages: list[tuple[Path, int]]) -> Iterator[tuple[str, int, bytes]]:
+def contents(elf: str | None, pages: list[tuple[Path, int]]) -> Iterator[tuple[str, int, bytes]]:
     """Yield what the flash must hold: whose it is, address, bytes."""
-    with Path(elf).open("rb") as file:
-        for segment in ELFFile(file).iter_segments():
-            if segment["p_type"] == "PT_LOAD" and segment["p_filesz"]:
-                yield elf, segment["p_paddr"], segment.data()
+    if elf is not None:
+        yield from _segments(elf)
     for path, address in pages:
         yield str(path), address, path.read_bytes()
 
 
-def verify(target: Target, elf: str, pages: list[tuple[Path, int]]) -> str:
+def _segments(elf: str) -> Iterator[tuple[str, int, bytes]]:
+    from elftools.elf.elffile import ELFFile
+
+    with Path(elf).open("rb") as file:
+        for segment in ELFFile(file).iter_segments():
+            if segment["p_type"] == "PT_LOAD" and segment["p_filesz"]:
+                yield elf, segment["p_paddr"], segment.data()
+
+
+def verify(target: Target, elf: str | None, pages: list[tuple[Path, int]]) -> str:
     """Compare the flash with the files, and return the words that say so.
 
     Raises
@@ -201,6 +206,19 @@ def set_brown_out(target: Target) -> str:
     return "option bytes: brown-out reset set to level 3 (2.7 V); it acts from the next power-on"
 
 
+def program(target: Target, elf: str | None, files: list[tuple[Path, int]]) -> None:
+    """Load an image and files at their addresses, compare them, and set the brown-out level; print what is done.
+
+    Raises
+    ------
+    NotProgrammed
+        If any of it fails.
+    """
+    target.load(*([] if elf is None else [elf]), *(f"{path}@0x{address:08X}" for path, address in files))
+    print(verify(target, elf, files), flush=True)
+    print(set_brown_out(target), flush=True)
+
+
 def main(arguments: list[str]) -> int:
     """Program a board, and return the exit code."""
     parser = argparse.ArgumentParser(description="Program a board through pyOCD.")
@@ -220,9 +238,7 @@ def main(arguments: list[str]) -> int:
         with tempfile.TemporaryDirectory() as directory:
             files = boot_files(asked.boot, asked.key, Path(directory))
             files += page_files(asked.page) if asked.page else []
-            target.load(asked.elf, *(f"{path}@0x{address:08X}" for path, address in files))
-            print(verify(target, asked.elf, files), flush=True)
-        print(set_brown_out(target), flush=True)
+            program(target, asked.elf, files)
     except NotProgrammed as sentence:
         print(sentence, file=sys.stderr)
         return 1

@@ -1,7 +1,8 @@
-"""Look for the debug probe that ``make flash`` uses, and say which it is or what to do.
+"""Look for the debug probe that programs a board, and say which it is or what to do.
 
-``python find_probe.py PYOCD [ID]``: the program that programs boards and, where several probes are connected, a part of
-the unique id of the one that is meant. Exit code 0: there is exactly one; 2: a sentence on stderr tells why not.
+``python -m goldfield.update.find_probe PYOCD [ID]``: the program that programs boards and, where several probes are
+connected, a part of the unique id of the one that is meant. Exit code 0: there is exactly one; 2: a sentence on stderr
+tells why not.
 """
 
 from __future__ import annotations
