@@ -185,7 +185,10 @@ def test_without_the_packages_of_the_simulator_it_tells_what_to_install(installa
     with taken_away(installation.packages / "elftools"):
         complaint = installation.run("goldfield", "hil", "prigge8", "--boards", "host", code=3)[1]
     assert complaint.count("\n") == 1
-    assert "pip install 'goldfield[dask,docs,feeds,mcap,mf4,parquet,plot,sim,update,view]' brings what it needs" in complaint
+    assert (
+        "pip install 'goldfield[dask,docs,feeds,mcap,mf4,parquet,plot,sim,update,view]' brings what it needs"
+        in complaint
+    )
 
 
 def test_the_pytest_of_another_project_sees_nothing_of_goldfield(installation):

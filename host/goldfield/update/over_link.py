@@ -64,6 +64,7 @@ REFUSALS: Mapping[int, str] = {
 WENT_BACK = (
     "went back to the image that it had, as the new one did not confirm itself: goldfield nodes tells of its last reset"
 )
+RESTARTED = "has restarted meanwhile, with the image that it had: see why with goldfield nodes, and try again"
 NOT_STARTED = "runs the image that it had, and has not tried the new one: try again"
 
 PAGE_BLOCKS = 1024
@@ -212,13 +213,14 @@ class Updater:
 
     def _send_page(self, boards: list[Board], image: Image, page: int, blocks: Sequence[int]) -> list[Board]:
         """Send the blocks of a page until no board misses any; return the boards that have all."""
-        self._announce(boards, page)
+        # A board that does not know the page would take its blocks for those of the page before.
+        boards = self._accepted(boards, self._ask(boards, PAGE, page, everyone=True), refused=RESTARTED)
         wanted: Sequence[int] = blocks
         least, patience = len(boards) * len(blocks), PATIENCE
-        while wanted:
+        while wanted and boards:
             self._send_blocks(boards, image, wanted)
             answers = self._ask(boards, MISSING, everyone=True)
-            boards = self._accepted(boards, answers)
+            boards = self._accepted(boards, answers, refused=RESTARTED)
             lacking = {board: answers[board][1] for board in boards if answers[board][1] >> 16}
             total = sum(value >> 16 for value in lacking.values())
             patience = PATIENCE if total < least else patience - 1
@@ -233,10 +235,6 @@ class Updater:
                 again |= {block for block in range(first, first + 4 * count) if block < blocks[-1] + 1}
             wanted = sorted(again)
         return boards
-
-    def _announce(self, boards: list[Board], page: int) -> None:
-        """Tell the page until every board has confirmed it, or leave it to the count of what is missing."""
-        self._ask(boards, PAGE, page, everyone=True)
 
     def _send_blocks(self, boards: Sequence[Board], image: Image, blocks: Sequence[int]) -> None:
         nodes = [0] if self._shared else [board.number for board in boards]
@@ -305,8 +303,10 @@ class Updater:
 
         def take(message: Message) -> bool:
             if message.name == "COMMAND_ANSWER" and message.index == command and message.node in by_number:
-                signals = message.signals
-                found.setdefault(by_number[message.node], (int(signals["status"]), int(signals["value"])))
+                status, value = int(message.signals["status"]), int(message.signals["value"])
+                late = command == PAGE and status == DONE and value != argument  # The answer to the page before.
+                if not late:
+                    found.setdefault(by_number[message.node], (status, value))
             return len(found) == len(by_number)
 
         for attempt in range(max(1, tries)):
@@ -333,14 +333,22 @@ class Updater:
     def _command(self, node: int, board: int, command: int, argument: int) -> None:
         self._conversation.send(*encode("COMMAND", {"board": board, "argument": argument}, node=node, index=command))
 
-    def _accepted(self, boards: Sequence[Board], answers: Mapping[Board, Answer], wanted: int = DONE) -> list[Board]:
-        """Return the boards that have accepted a command; of the others there is an outcome."""
+    def _accepted(
+        self, boards: Sequence[Board], answers: Mapping[Board, Answer], wanted: int = DONE, refused: str | None = None
+    ) -> list[Board]:
+        """Return the boards that have accepted a command; of the others there is an outcome.
+
+        ``refused``: what is to be said of those that refuse the command, if it is not what that means as a rule.
+        """
         accepted = []
         for board in boards:
             if board not in answers:
                 self._fail(board, "does not answer any more: see who is there with goldfield nodes")
             elif answers[board][0] != wanted:
                 status = answers[board][0]
+                if status == REFUSED and refused is not None:
+                    self._fail(board, refused)
+                    continue
                 self._fail(board, REFUSALS.get(status, f"refuses the update (status {status}): flash it with a probe"))
             else:
                 accepted.append(board)

@@ -6,10 +6,12 @@ import json
 import struct
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from goldfield.link.access import AccessKey
 from hil_sim import clib
+from tests.firmware.core.boot import slots
 from tests.firmware.core.boot.slots import BEACON as BEACON_ROLE
 from tests.firmware.core.boot.slots import CODE, IS_CONFIRMED, NEW, OLD, OTHER_KEY, Choice, Node
 from tests.firmware.core.conftest import HEADERS
@@ -28,11 +30,11 @@ def bench(core):
     """Make sensors that run the old image, with the numbers 9, 10, ..."""
     made = []
 
-    def make(count=1, slots=None, prepare=lambda _: None, **options):
+    def make(count=1, running=None, prepare=lambda _: None, **options):
         seats = []
         for place in range(count):
             node = Node(core, seed=place + 1)
-            node.confirmed(OLD, (slots or count * [0])[place], 7)
+            node.confirmed(OLD, (running or count * [0])[place], 7)
             prepare(node)
             seats.append(Seat(node, 9 + place, place))
         made.extend(seats)
@@ -76,7 +78,7 @@ def test_a_board_takes_an_image_and_confirms_it(bench, update_file, monkeypatch,
 def test_many_boards_in_both_slots_take_it_at_once_whatever_each_loses(bench, update_file, monkeypatch):
     """Each of six boards loses other blocks; those of an image are on the bus little more than once."""
     count = 6
-    slots = [place % 2 for place in range(count)]
+    running = [place % 2 for place in range(count)]
     heard = set()
 
     def hears(name, index, place):
@@ -84,18 +86,46 @@ def test_many_boards_in_both_slots_take_it_at_once_whatever_each_loses(bench, up
         heard.add((index, place))
         return name != "UPDATE_DATA" or not (first and (index * 7 + place * 5) % 11 == 0)
 
-    link = bench(count, slots, hears=hears)
+    link = bench(count, running, hears=hears)
     code, out, told = run(monkeypatch, link, "flash", update_file(), "--all")
     assert code == 0, told
     assert out.count("confirmed") == count
     assert out.endswith("6 of 6 boards updated\n")
-    for seat, slot in zip(link.seats, slots, strict=True):
+    for seat, slot in zip(link.seats, running, strict=True):
         assert seat.choices == [Choice(slot, False), Choice(1 - slot, True)]
     blocks = len(slot_bytes(NEW, 0)) // 8 - 8
     assert link.sent.count("UPDATE_DATA") < 4 * blocks  # Two images; One board after the other would be 6 and more.
     code, out, _ = run(monkeypatch, link, "flash", update_file(), "--all", "--json")
     lines = [json.loads(line) for line in out.splitlines()]
     assert (code, len(lines), {line["updated"] for line in lines}) == (0, count, {True})
+
+
+@pytest.mark.parametrize("deaf", [False, True])
+def test_boards_that_miss_a_page_and_many_blocks(bench, update_file, monkeypatch, deaf):
+    """Three pages. Board 0 misses each page's number once, or for good; a tenth of the blocks is lost everywhere."""
+    monkeypatch.setattr(slots, "WORDS", 4500)
+    random = np.random.default_rng(5)
+    image = replace(NEW, code=(0x20002000, 0x08020201, *(int(one) for one in random.integers(0, 1 << 32, 4300))))
+    told = []
+
+    def hears(name, index, place):
+        if name == "COMMAND" and index == 12 and place == 0:
+            told.append(index)
+            return not (len(told) > 2 if deaf else len(told) % 2)
+        return name != "UPDATE_DATA" or random.random() > 0.1
+
+    link = bench(3, hears=hears)
+    code, out, said = run(monkeypatch, link, "flash", update_file(image), "--all")
+    victim, *others = link.seats
+    assert out.count("confirmed") == (2 if deaf else 3), said
+    assert [seat.choices[-1] for seat in others] == 2 * [Choice(1, True)]
+    blocks = len(slot_bytes(image, 0)) // 8
+    print(f"{link.sent.count('UPDATE_DATA')} blocks sent of {blocks}, for three boards that lose a tenth each")
+    assert link.sent.count("UPDATE_DATA") < 4 * blocks
+    if deaf:
+        assert (code, "node 9 does not answer any more" in said) == (3, True)
+        link.advance(11.0)
+        assert {choice.slot for choice in victim.choices} == {0}
 
 
 def flipped(offset):
