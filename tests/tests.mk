@@ -100,6 +100,16 @@ can-sync-figures: all ## Measure timing over CAN without a sync wire: edges, hol
 
 .PHONY: can-sync-figures
 
+code-figures: $(BUILD)/venv.stamp ## Plan the codes of 500 to 2,000 beacons: interference, its bound, time (minutes; CODES="--beacons 900")
+	@$(PYTHON) -m tests.bench.code_figures $(CODES)
+
+.PHONY: code-figures
+
+building-figures: all ## A thousand host beacons and a sensor that walks 200 m among them: poses, hand-over, speed (an hour; BUILDING="--metres 10")
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.building_figures $(BUILDING)
+
+.PHONY: building-figures
+
 commissioning-figures: all ## Take a hundred host boards from the box to poses by the commands of docs/boards.md, timed (minutes)
 	@$(PYTHON) -m tests.bench.commissioning_figures
 

@@ -7,10 +7,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from goldfield_protocol.parameters import Value, build_page
+from goldfield_protocol.parameters import PARAMETERS, Value, build_page
 from hil_sim.scenario.parts import DEGREE, Beacon, FrontEnd
 from hil_sim.scenario.scenario import Scenario
 from hil_sim.scenario.site_file import axis_deviations
+
+STRONGEST = 16
+"""How many codes the sensor of a scenario chooses that has more beacons than a list holds."""
 
 
 def parameter_page(scenario: Scenario, board: int) -> bytes:
@@ -63,6 +66,8 @@ def _sensor(scenario: Scenario) -> Mapping[str, Value]:
 
 def _code_list(scenario: Scenario) -> dict[str, Value]:
     codes = [beacon.code for beacon in scenario.beacons if beacon.code is not None]
+    if len(codes) > PARAMETERS["code_list"].count:
+        return {"code_count": 0, "code_list": [], "strongest": STRONGEST}
     return {"code_count": len(codes), "code_list": codes}
 
 

@@ -24,7 +24,8 @@ def documented(page: str) -> set[str]:
 
 
 def test_every_key_of_a_site_file_is_explained() -> None:
-    site = {"name", "half_space", "access", "chip_period_s", "degree", *site_reading.LIMITS, *drive.SITE_KEYS}
+    site = {"name", "half_space", "access", "chip_period_s", "degree", "shared_codes"}
+    site |= {*site_reading.LIMITS, *drive.SITE_KEYS}
     keys = site | {*site_reading.SENSOR_KEYS, *site_reading.SURVEY_LIMITS}
     keys |= {*site_reading.BEACON_KEYS, *site_reading.SHAPE_KEYS, *site_reading.DRIVE_KEYS, metal_keys.BEACON_KEY}
     keys |= {*board_keys.BOARD_KEYS}

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -56,6 +57,9 @@ class Separator:
         Standard deviation of one sample on one axis.
     tau_chips : sequence of float, optional
         Time constant of each beacon's coil in chips; left out: all follow at once.
+    some : bool, optional
+        Only some of the codes are present in any cycle, and `from_correlations` alone is used: whether all of them
+        together could be separated is not asked.
 
     Raises
     ------
@@ -64,7 +68,13 @@ class Separator:
     """
 
     def __init__(
-        self, degree: int, codes: Sequence[int], noise_T: float, tau_chips: Sequence[float] | None = None
+        self,
+        degree: int,
+        codes: Sequence[int],
+        noise_T: float,
+        tau_chips: Sequence[float] | None = None,
+        *,
+        some: bool = False,
     ) -> None:
         self.codes = tuple(codes)
         self.chips = (1 << degree) - 1
@@ -79,14 +89,20 @@ class Separator:
         self._normal = self._normal_matrix(self._templates, every)
         self._code_normal = self._normal_matrix(self._code_chips, every)
         self._seen = self._code_chips.T @ self._templates - np.outer(self._sums, self._sums) / self.chips
-        rank = _rank(self._normal)
+        rank = len(codes) if some else _rank(self._normal)
         if rank < len(codes):
             raise UserError(
                 f"the {len(codes)} codes cannot be separated: with an unknown offset only {rank} of their fields are "
                 f"independent in {self.chips} chips; leave out {len(codes) - rank} of the beacons or choose other codes"
             )
-        self._inverse = np.linalg.inv(self._normal)
-        self._seen_inverse = np.linalg.inv(self._seen)
+
+    @cached_property
+    def _inverse(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self._normal), dtype=np.float64)
+
+    @cached_property
+    def _seen_inverse(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self._seen))
 
     @property
     def covariance_T2(self) -> FloatArray:
@@ -113,7 +129,7 @@ class Separator:
                 normal = self._normal_matrix(self._templates, present)
                 if present.sum() <= count or _rank(normal) < count:
                     continue
-                inverse = np.linalg.inv(normal)
+                inverse = np.asarray(np.linalg.inv(normal), dtype=np.float64)
             templates = self._templates[present]
             y = samples_T[present, axis]
             # The offset may be a million times the field: take it out first so that the sums do not round at its size.

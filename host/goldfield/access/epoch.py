@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from goldfield.access.cdma import Separation, Separator
+from goldfield.access.users import CodeUsers
 from goldfield.link.reports import FIELD_LIMIT_T, OFFSET_LIMIT_T, Report
 from goldfield.site import Site
 from goldfield.types import Fields, FloatArray
@@ -15,12 +16,18 @@ ENTERS = math.sqrt(8.0 * 4.108)
 """Standard deviations of a component of a field above which a sensor takes a code in, whatever its axis
 (``firmware/core/codes/strongest.h``: 8 times the upper quartile of chi square with three degrees of freedom)."""
 
+MOST_AT_A_TIME = 64
+"""Most codes that a sensor reports: the codes of a site with more beacons never have to be separated all at once."""
+
 REMEMBERED = 16
 """Sets of strange codes whose separators are kept."""
 
 
 class EpochSeparator:
     """Turns reports into fields, with the exact correction for the beacons in use.
+
+    Where beacons share codes, the field of a code is that of the beacon which is near the others that are heard
+    (`CodeUsers`); a code of which that is not told has no field.
 
     Raises
     ------
@@ -30,7 +37,10 @@ class EpochSeparator:
 
     def __init__(self, site: Site) -> None:
         self._site = site
-        self._tau_chips = [beacon.drive.tau_s / site.chip_period_s for beacon in site.beacons]
+        self._users = CodeUsers(site)
+        self._codes = self._users.codes
+        drives = [site.beacons[self._users.first(code)].drive for code in self._codes]
+        self._tau_chips = [drive.tau_s / site.chip_period_s for drive in drives]
         self._separators: dict[tuple[int, ...], Separator] = {(): self._separator_with(())}
         self._last: tuple[int, float] | None = None
 
@@ -44,8 +54,8 @@ class EpochSeparator:
         saturated chips by the part of the offset that no longer cancels. Fields that did not arrive are left out.
         """
         site = self._site
-        strangers = tuple(sorted(report.correlation_T.keys() - set(site.codes))) if strongest else ()
-        codes = (*site.codes, *strangers)
+        strangers = tuple(sorted(report.correlation_T.keys() - set(self._codes))) if strongest else ()
+        codes = (*self._codes, *strangers)
         correlation = np.array([report.correlation_T.get(code, np.full(3, np.nan)) for code in codes])
         arrived = np.array([code in report.correlation_T for code in codes])
         magnitudes = np.abs(correlation[np.isfinite(correlation)])
@@ -67,14 +77,22 @@ class EpochSeparator:
         separation = separated(largest)
         if strongest and report.announced is not None and len(report.correlation_T) >= report.announced:
             separation = separated(min(largest, self._left_out_T(separation.field_T[arrived], strongest)))
-        measured = np.asarray(np.isfinite(separation.field_T).any(axis=1))[: len(site.beacons)]
+        rows, beacons = self._heard(separation.field_T[: len(self._codes)])
         return Fields(
             epoch=report.cycle,
             time_s=self._time(report),
-            beacons=tuple(b.id for b, seen in zip(site.beacons, measured, strict=True) if seen),
-            field_T=separation.field_T[: len(measured)][measured],
-            sigma_T=separation.sigma_T[: len(measured)][measured],
+            beacons=tuple(site.beacons[index].id for index in beacons),
+            field_T=separation.field_T[rows],
+            sigma_T=separation.sigma_T[rows],
         )
+
+    def _heard(self, field_T: FloatArray) -> tuple[list[int], list[int]]:
+        """Return the rows of codes whose field was measured, and the beacons that they are of, in the site's order."""
+        rows = np.flatnonzero(np.isfinite(field_T).any(axis=1))
+        strength = np.linalg.norm(np.nan_to_num(field_T[rows]), axis=1)
+        users = self._users.heard([self._codes[row] for row in rows.tolist()], strength)
+        told = sorted((user, row) for user, row in zip(users, rows.tolist(), strict=True) if user is not None)
+        return [row for _, row in told], [user for user, _ in told]
 
     def _separator(self, strangers: tuple[int, ...]) -> Separator:
         if strangers not in self._separators:
@@ -86,7 +104,8 @@ class EpochSeparator:
     def _separator_with(self, strangers: tuple[int, ...]) -> Separator:
         site = self._site
         tau_chips = [*self._tau_chips, *(0.0 for _ in strangers)]
-        return Separator(site.degree, (*site.codes, *strangers), site.sensor.noise_T, tau_chips)
+        some = len(self._codes) > MOST_AT_A_TIME
+        return Separator(site.degree, (*self._codes, *strangers), site.sensor.noise_T, tau_chips, some=some)
 
     def _left_out_T(self, chosen_T: FloatArray, strongest: int) -> float:
         """Return how strong a code may be that the sensor did not choose: what it would have had to exceed."""

@@ -8,6 +8,8 @@ import os
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from goldfield.errors import UserError, counted, tell
 from goldfield.files.environment import switched_on
 from goldfield.site import Site
@@ -62,6 +64,27 @@ def add_switch(parser: argparse.ArgumentParser, name: str, *, what: str) -> None
 def add_force(parser: argparse.ArgumentParser) -> None:
     """Add ``--force``, for a command that writes files."""
     parser.add_argument("--force", action="store_true", help="overwrite files that are not empty")
+
+
+def add_box(parser: argparse.ArgumentParser) -> None:
+    """Add ``--box`` and ``--step``: a grid of places."""
+    parser.add_argument(
+        "--box",
+        nargs=6,
+        type=finite,
+        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
+        help="two opposite corners of the box, m, the lower first",
+    )
+    parser.add_argument("--step", type=metres, metavar="METRES", help="distance of the grid's points")
+
+
+def grid_of(arguments: argparse.Namespace) -> Any:
+    """Return the grid (`goldfield.planning.Grid`) of ``--box`` and ``--step``; `UserError` if they are none."""
+    if arguments.box is None or arguments.step is None:
+        raise UserError("--box or --step is missing: give --box X0 Y0 Z0 X1 Y1 Z1, the corners, and --step METRES")
+    from goldfield.planning import Grid  # heavy: only when something is planned
+
+    return Grid.of_box(np.array(arguments.box[:3]), np.array(arguments.box[3:]), arguments.step)
 
 
 def required(value: str | None, name: str, metavar: str) -> str:

@@ -33,14 +33,7 @@ def command(subparsers: Any) -> None:
     )
     options.add_site(parser)
     options.add(parser, "--lattice", metavar="FILE", what="lattice file (TOML) in place of a site file")
-    parser.add_argument(
-        "--box",
-        nargs=6,
-        type=options.finite,
-        metavar=("X0", "Y0", "Z0", "X1", "Y1", "Z1"),
-        help="two opposite corners of the box, m, the lower first",
-    )
-    parser.add_argument("--step", type=options.metres, metavar="METRES", help="distance of the grid's points")
+    options.add_box(parser)
     parser.add_argument(
         "--out",
         action="append",
@@ -107,12 +100,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Compute the maps, write them, and print their summary."""
     _check_files(arguments)
     site = _site_of(arguments)
-    if arguments.box is None or arguments.step is None:
-        raise UserError("--box or --step is missing: give --box X0 Y0 Z0 X1 Y1 Z1, the corners, and --step METRES")
-    from goldfield.planning import Grid, Request, Settings, plan  # heavy: only when a plan is wanted
+    grid = options.grid_of(arguments)
+    from goldfield.planning import Request, Settings, plan  # heavy: only when a plan is wanted
 
     box = np.array(arguments.box)
-    grid = Grid.of_box(box[:3], box[3:], arguments.step)
     _check_near(site, box[:3], box[3:])
     request = Request(
         site, grid, Settings(min(arguments.best, len(site.beacons)), arguments.truncation, arguments.conflict)

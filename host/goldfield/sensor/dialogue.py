@@ -233,13 +233,18 @@ def wanted_parameters(codes: Sequence[int] | None, parameters: Parameters | None
     Raises
     ------
     UserError
-        If there are more codes than a sensor reports.
+        If there are more codes than a sensor reports, or one comes twice.
     """
     most = PARAMETERS["code_list"].count
     if codes is not None and len(codes) > most:
         raise UserError(
             f"the site has {len(codes)} beacons, a sensor reports {most} of a list at most: split the site, or let the "
             f"sensor choose with {option('strongest')}"
+        )
+    if codes is not None and len(set(codes)) < len(codes):
+        raise UserError(
+            "beacons of the site share codes, and a list has each code once: let the sensor choose with "
+            f"{option('strongest')}"
         )
     wanted: dict[int, int | float] = {
         PARAMETERS["code_list"].identifier(place): code for place, code in enumerate(codes or ())

@@ -139,7 +139,7 @@ class Options:
             )
 
     def _check_strongest(self, site: Site) -> None:
-        most = min(MOST_STRONGEST, (site.chips + 1) // 8)
+        most = most_strongest(site)
         told = option("strongest", self.strongest)
         if not 1 <= (self.strongest or 0) <= most:
             raise UserError(f"{told}: a sensor chooses 1 to {most} codes of degree {site.degree}")
@@ -154,6 +154,11 @@ class Options:
                 f"site {site.name}: a sensor never chooses code {site.chips + 1}, which leaks into others: give that "
                 f"beacon another code, or leave out {option('strongest')}"
             )
+
+
+def most_strongest(site: Site) -> int:
+    """Return how many codes a sensor can choose on a site."""
+    return min(MOST_STRONGEST, (site.chips + 1) // 8)
 
 
 def _check_range(name: str, value: float | None, highest: float, unit: str) -> None:

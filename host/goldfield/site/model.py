@@ -171,7 +171,7 @@ class Site:
     half_space : HalfSpace or None
     sensor : SensorSite
     beacons : tuple of Beacon
-        Ids are unique, plain codes too, and frequencies with their waves.
+        Ids are unique, plain codes too unless ``shared_codes``, and frequencies with their waves.
     access : str
         Way in which beacons are told apart: "cdma", "tdma" or "fdma".
     slots : int
@@ -190,6 +190,9 @@ class Site:
         The metal of the room, as far as a survey has learned it; each beacon has its own part of it.
     samples : int
         Samples of a window of tones of unknown phase, of one ``chip_period_s`` each; 0: ``degree`` says how many.
+    shared_codes : bool
+        Whether beacons that are far from each other have the same code: which of them a sensor hears is told by the
+        others that it hears (`goldfield.access.users`).
     """
 
     name: str
@@ -206,6 +209,7 @@ class Site:
     doubts: tuple[str, ...] = ()
     metal: Metal | None = None
     samples: int = 0
+    shared_codes: bool = False
 
     @property
     def chips(self) -> int:

@@ -45,6 +45,7 @@ def load(path: str | Path) -> Site:
     - ``phase``: only for fdma: ``"known"`` (the default) or ``"unknown"`` (`goldfield.access.tones`); ``samples``, how
       many make a window, may then stand in place of ``degree``;
     - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the normal's side;
+    - ``shared_codes``: optional, only for cdma: whether beacons that are far from each other share codes;
     - ``alert_limit_m``, ``ambient_gradient_T_m``: optional, above 0, see `Site`.
 
     The table ``[sensor]`` describes the sensor:
@@ -68,8 +69,8 @@ def load(path: str | Path) -> Site:
       ``position_m``, ``axis`` and ``turns`` (default 1) may then be left out; or
     - ``shape`` for a coil as people make them, one of `goldfield.site.coil_shapes.SHAPES`, with ``position_m``,
       ``axis``, optionally ``angle_rad`` about it, and its sizes;
-    - ``code`` for cdma: index of a Gold code, 0 to 2^degree, different for each beacon; or ``codes``, several at
-      once: a list of ``{code, degree, offset, hold}``, each with the last three optional (`Code`);
+    - ``code`` for cdma: index of a Gold code, 0 to 2^degree, different for each beacon unless ``shared_codes``; or
+      ``codes``, several at once: a list of ``{code, degree, offset, hold}``, the last three optional (`Code`);
     - ``slot`` for tdma: 0 to slots - 1;
     - ``frequency_Hz`` for fdma, a whole number of periods in a cycle, and optionally ``wave``, ``"cosine"`` (the
       default) or ``"sine"``: two beacons may share a frequency, not a frequency and a wave; with unknown phases any
@@ -98,7 +99,7 @@ def site_of(root: Table) -> Site:
     root.allow("site", "sensor", "survey", "metal", "beacon")
     site, sensor = root.table("site"), root.table("sensor")
     survey = root.table("survey") if "survey" in root else None
-    site.allow("name", "chip_period_s", "degree", "half_space", "access", *LIMITS, *SITE_KEYS)
+    site.allow("name", "chip_period_s", "degree", "half_space", "access", "shared_codes", *LIMITS, *SITE_KEYS)
     if survey is not None:
         survey.allow(*SURVEY_LIMITS)
     doubts: list[str] = []
@@ -107,7 +108,10 @@ def site_of(root: Table) -> Site:
     tables = root.tables("beacon")
     metal = read_metal(root.table("metal")) if "metal" in root else None
     beacons = tuple(_beacon(table, plan, survey, metal, doubts) for table in tables)
-    _check_unique(tables, beacons)
+    shared_codes = site.flag("shared_codes") if "shared_codes" in site else False
+    if shared_codes and plan.access != "cdma":
+        raise site.error("shared_codes", f'is for access = "cdma", but the site\'s access is "{plan.access}"')
+    _check_unique(tables, beacons, shared_codes=shared_codes)
     check_boards(tables, [(beacon.id, beacon.board) for beacon in beacons])
     check_extent(tables, beacons, doubts)
     if metal is not None:
@@ -126,6 +130,7 @@ def site_of(root: Table) -> Site:
         assumed=_assumed(tables, sensor, survey),
         doubts=tuple(doubts),
         metal=metal,
+        shared_codes=shared_codes,
     )
 
 
@@ -331,17 +336,15 @@ def _turns(table: Table, doubts: list[str]) -> float:
     return checked(table, "turns", table.positive("turns"), doubts)
 
 
-def _check_unique(tables: list[Table], beacons: tuple[Beacon, ...]) -> None:
+def _check_unique(tables: list[Table], beacons: tuple[Beacon, ...], *, shared_codes: bool) -> None:
     ids: dict[str, int] = {}
-    codes: dict[int, str] = {}
+    codes: dict[int, Beacon] = {}
     waves: dict[tuple[int, str], str] = {}
     for table, beacon in zip(tables, beacons, strict=True):
         if beacon.id in ids:
             raise table.error("id", f'is "{beacon.id}", which beacon {ids[beacon.id]} already has: take another')
         if beacon.code != NO_CODE and beacon.code in codes:
-            raise table.error(
-                "code", f'is {beacon.code}, which beacon "{codes[beacon.code]}" already has: codes must differ'
-            )
+            _check_shared(table, beacon, codes[beacon.code], shared_codes=shared_codes)
         periods, wave = beacon.drive.periods, beacon.drive.wave
         if periods is not None:
             if (periods, wave) in waves:
@@ -351,4 +354,20 @@ def _check_unique(tables: list[Table], beacons: tuple[Beacon, ...]) -> None:
                 )
             waves[periods, wave] = beacon.id
         ids[beacon.id] = len(ids) + 1
-        codes[beacon.code] = beacon.id
+        codes.setdefault(beacon.code, beacon)
+
+
+def _check_shared(table: Table, beacon: Beacon, first: Beacon, *, shared_codes: bool) -> None:
+    """Refuse a code that another beacon has, but where codes are shared; then its coil must follow as fast."""
+    if not shared_codes:
+        raise table.error(
+            "code",
+            f'is {beacon.code}, which beacon "{first.id}" already has: codes must differ, unless [site] has '
+            "shared_codes = true",
+        )
+    if beacon.drive.tau_s != first.drive.tau_s:
+        raise table.error(
+            "code",
+            f'is {beacon.code}, which beacon "{first.id}" already has, whose tau_s is another: coils that share a code '
+            "must follow alike",
+        )

@@ -120,7 +120,7 @@ def revised(
         if beacon_id in beacons:
             _revise_beacon(table, old[beacon_id], beacons[beacon_id])
     for key, value in _given(sensor).items():
-        _put(document["sensor"], key, value)
+        put(document["sensor"], key, value)
     if metal is not None:
         _put_metal(document, metal)
     result = tomlkit.dumps(document)
@@ -139,16 +139,16 @@ def _put_metal(document: Any, metal: Metal) -> None:
         return
     if metal.degree:
         table["degree"] = metal.degree
-        _put(table, "centre_m", metal.centre_m)
-        _put(table, "radius_m", metal.radius_m)
-    _put(table, "sd_T_A", metal.sd_T_A)
+        put(table, "centre_m", metal.centre_m)
+        put(table, "radius_m", metal.radius_m)
+    put(table, "sd_T_A", metal.sd_T_A)
     if len(metal.walked_m):
-        _put(table, "walked_m", metal.walked_m)
+        put(table, "walked_m", metal.walked_m)
     bodies = tomlkit.aot()
     for place, matrix in zip(metal.body_m, metal.polarisability_A_m2_T, strict=True):
         body = tomlkit.table()
-        _put(body, "position_m", place)
-        _put(body, "polarisability_A_m2_T", matrix[ROWS, COLUMNS])
+        put(body, "position_m", place)
+        put(body, "polarisability_A_m2_T", matrix[ROWS, COLUMNS])
         bodies.append(body)
     if len(bodies):
         table["body"] = bodies
@@ -176,7 +176,7 @@ def _revise_beacon(table: MutableMapping[str, Any], old: Beacon, revision: Beaco
         position, axis = values.get("position_m", old.position_m), values.get("axis", old.axis)
         assert old.points_m is not None
         moved = position + (old.points_m - old.position_m) @ smallest_rotation(old.axis, axis).T
-        _put(table, "points_m", moved.round(WIRE_DIGITS))
+        put(table, "points_m", moved.round(WIRE_DIGITS))
         # A wire tells its place and axis; only where the file tells them too there is something to revise.
         values = {
             key: value for key, value in values.items() if key in table or key in ("current_A", "tau_s", "metal_T_A")
@@ -188,10 +188,10 @@ def _revise_beacon(table: MutableMapping[str, Any], old: Beacon, revision: Beaco
         if abs(math.remainder(angle - given, math.tau)) > SAME_ANGLE_RAD:
             values["angle_rad"] = angle
     for key, value in {**values, **_given(survey)}.items():
-        _put(table, key, value)
+        put(table, key, value)
 
 
-def _put(table: MutableMapping[str, Any], key: str, value: float | FloatArray) -> None:
+def put(table: MutableMapping[str, Any], key: str, value: float | FloatArray) -> None:
     """Set a key of a table; a new one stands behind the last key, before the comments that lead to the next table."""
     if key in table:
         table[key] = _renewed(table[key], value)
@@ -206,6 +206,8 @@ def _put(table: MutableMapping[str, Any], key: str, value: float | FloatArray) -
 
 def _renewed(old: Any, value: float | FloatArray) -> Any:
     """Return a number, or a list of numbers at any depth, in the style of the one that it replaces."""
+    if isinstance(value, int):  # true and false, too
+        return tomlkit.item(value)
     if np.ndim(value) == 0:
         return _number(old, float(value))
     values = np.asarray(value, dtype=np.float64)

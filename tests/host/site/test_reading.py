@@ -74,6 +74,26 @@ def test_an_id_may_be_a_whole_number(tmp_path):
             load(write(tmp_path, GOOD.replace('id = "square"', f"id = {wrong}")))
 
 
+def test_codes_are_shared_only_where_the_site_says_so(tmp_path):
+    twice = GOOD.replace("code = 1024", "code = 2")
+    assert twice != GOOD
+    with pytest.raises(UserError, match=r'code is 2, which beacon "a" already has: .*shared_codes = true'):
+        load(write(tmp_path, twice))
+    for told, shared in (("true", True), ("false", False)):
+        text = GOOD.replace("[site]", f"[site]\nshared_codes = {told}")
+        assert load(write(tmp_path, text)).shared_codes == shared
+    shared = twice.replace("[site]", "[site]\nshared_codes = true")
+    assert load(write(tmp_path, shared)).codes == (2, 2)
+    with pytest.raises(UserError, match="whose tau_s is another"):
+        load(write(tmp_path, shared.replace("code = 2", "code = 2\ntau_s = 1e-5", 1)))
+    tones = GOOD.replace("[site]", '[site]\nshared_codes = true\naccess = "fdma"')
+    tones = tones.replace("code = 2\n", "frequency_Hz = 1000.017\n").replace(
+        "code = 1024\n", "frequency_Hz = 2000.035\n"
+    )
+    with pytest.raises(UserError, match='shared_codes is for access = "cdma"'):
+        load(write(tmp_path, tones))
+
+
 def test_a_silent_file_is_not_taken_for_exact(tmp_path):
     site = load(write(tmp_path, GOOD))
     assert [beacon.survey for beacon in site.beacons] == [Survey(0.003, 0.005, 0.003)] * 2
