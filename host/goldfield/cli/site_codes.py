@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from goldfield.errors import counted
 from goldfield.planning.code_plan import CodePlan
 from goldfield.site import Site
 
@@ -32,13 +33,16 @@ def record(plan: CodePlan, site: Site) -> dict[str, Any]:
 def text(plan: CodePlan, site: Site) -> str:
     """Return what is printed for people."""
     told = record(plan, site)
-    lines = [f"{told['beacons']} beacons, {told['codes']} codes, {told['places']} places, {plan.seconds:.1f} s"]
+    lines = [
+        f"{counted(told['beacons'], 'beacons')}, {counted(told['codes'], 'codes')}, "
+        f"{counted(told['places'], 'places')}, {plan.seconds:.1f} s"
+    ]
     if told["same_dB"] is None:
         lines.append("no two beacons share a code")
     else:
         lines.append(
             f"same code: the other beacons' field is {told['same_dB']:.1f} dB of a used one at most; no other choice "
-            f"of {told['codes']} codes has less than {told['bound_dB']:.1f} dB"
+            f"of {counted(told['codes'], 'codes')} has less than {told['bound_dB']:.1f} dB"
         )
         lines.append(
             f"alike: of the beacons around one, {plan.alike} at most have codes that are together elsewhere, too"

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goldfield.access.gold import code_matrix
-from goldfield.errors import UserError
+from goldfield.errors import UserError, counted
 from goldfield.planning.code_colours import Colouring, Groups, bound, coloured
 from goldfield.planning.code_levels import Heard, Levels, Places, levels_of
 from goldfield.planning.grid import Grid
@@ -127,7 +127,7 @@ def planned(site: Site, grid: Grid, strongest: int, told: Callable[[str], None] 
     """
     begin_s = time.perf_counter()
     places, count = Places(site, grid, strongest), len(site.beacons)
-    told(f"fields of {count} beacons at {len(grid)} places")
+    told(f"fields of {counted(count, 'beacons')} at {counted(len(grid), 'places')}")
     levels = levels_of(places, count)
     if not levels.ratio.any() and count > 1:
         raise UserError(f"no beacon of the site {site.name} is heard anywhere in the box: check places and currents")
@@ -135,7 +135,7 @@ def planned(site: Site, grid: Grid, strongest: int, told: Callable[[str], None] 
     balanced = int((total[usable] == -1).sum())
     best: CodePlan | None = None
     for codes in [balanced, *([len(usable)] if count > balanced else [])]:
-        told(f"codes for {count} beacons out of {codes}")
+        told(f"codes for {counted(count, 'beacons')} out of {codes}")
         groups = coloured(levels.ratio, levels.together, codes, few=max(2, strongest // FEW_ALIKE))
         code = _codes_of(groups, levels, usable[:codes], balanced)
         worst = interference(places, code, total)
