@@ -47,8 +47,8 @@ def place_of(unique_id):
     return int.from_bytes(unique_id[8:], "little")
 
 
-def hall(beacons, spacing_m=1.5):
-    """The text of a scenario: so many beacons on two levels of a grid, the sensor among them."""
+def hall(beacons, spacing_m=1.5, sited=MOST_SITED):
+    """The text of a scenario: so many beacons on two levels of a grid, the sensor among them; some of them spare."""
     text = (ROOT / "hil_sim/scenarios/prigge8.toml").read_text()
     text = text[: text.index("[[beacon]]")].replace('name = "prigge8"', 'name = "hall"').replace("pose = 1", "pose = 0")
     side = int(np.ceil(np.sqrt(beacons / 2)))
@@ -56,7 +56,7 @@ def hall(beacons, spacing_m=1.5):
         x, y, z = i // 2 % side * spacing_m, i // 2 // side * spacing_m, i % 2 * 1.78
         text += f'[[beacon]]\nid = "b{i + 1}"\nnode = {i + 1}\nposition_m = [{x}, {y}, {z}]\n'
         # Codes of spare boards are not in the list of the scenario's sensor, which has 64 places.
-        text += f"code = {i + 2}\n" if i < MOST_SITED else f"codes = [{{ code = {i + 2} }}, {{ code = {i + 200} }}]\n"
+        text += f"code = {i + 2}\n" if i < sited else f"codes = [{{ code = {i + 2} }}, {{ code = {i + 200} }}]\n"
         text += "sync_master = true\n" if i == 0 else ""
     return text
 

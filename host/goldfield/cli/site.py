@@ -10,10 +10,7 @@ from goldfield.cli import link_options, options
 from goldfield.cli.output import json_line
 from goldfield.errors import UserError, on_command_line, tell
 from goldfield.files.outputs import check_outputs, check_writable, write_file
-from goldfield.sensor.options import most_strongest
-
-STRONGEST = 16
-"""How many beacons a sensor of a large site reports unless it is said: half of them add little to the pose."""
+from goldfield.sensor.options import USUAL_STRONGEST, most_strongest
 
 
 def command(subparsers: Any) -> None:
@@ -41,6 +38,13 @@ def command(subparsers: Any) -> None:
     for action in (push, check):
         action.add_argument("site", metavar="SITE", help="site file (TOML)")
         link_options.add(action)
+        action.add_argument(
+            "--strongest",
+            type=options.count,
+            metavar="K",
+            help="sensors choose the K codes that they hear best (default: they report the site's codes, or "
+            f"{USUAL_STRONGEST} where these are more than a sensor's list holds, or shared)",
+        )
         options.add_json(action)
     _add_codes(actions)
     parser.set_defaults(run=run)
@@ -59,7 +63,8 @@ def _add_codes(actions: Any) -> None:
         "--strongest",
         type=options.count,
         metavar="K",
-        help=f"how many beacons a sensor reports, those that it hears best (default: {STRONGEST}, or what it can)",
+        help="how many beacons a sensor reports, those that it hears best "
+        f"(default: {USUAL_STRONGEST}, or as many as it can)",
     )
     codes.add_argument("--out", metavar="FILE", help="write the site file with the codes (default: they are not kept)")
     options.add_force(codes)
@@ -81,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     site = load(arguments.site)
     options.tell_doubts(site)
-    wanted_of(site, [])  # What no board can drive is told before anything is opened.
+    wanted_of(site, [], arguments.strongest)  # What no board can drive is told before anything is opened.
     kind, where = link_options.chosen(arguments)
     key = link_options.key(arguments)
     with closing(Tap(open_link(kind, where), key)) as tap:
@@ -105,7 +110,7 @@ def _codes(arguments: argparse.Namespace) -> int:
         raise UserError(
             f"--strongest {arguments.strongest}: a sensor chooses 1 to {most} codes of degree {coded.site.degree}"
         )
-    plan = planned(coded.site, grid, arguments.strongest or min(STRONGEST, most), tell)
+    plan = planned(coded.site, grid, arguments.strongest or min(USUAL_STRONGEST, most), tell)
     if arguments.out:
         text_of_site = coded.with_codes(plan.code.tolist())
         write_file(arguments.out, text_of_site.encode(), "the site", force=arguments.force)

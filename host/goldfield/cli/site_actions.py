@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 
+from goldfield.cli import link_options
 from goldfield.cli.output import json_line
 from goldfield.errors import SystemFailure, counted, tell
+from goldfield.link.budget import NAMES, SHARE, Link, most_reported
 from goldfield.nodes.commissioning import Board, boards_of, save_all, switch
 from goldfield.nodes.conversation import START, Conversation
-from goldfield.nodes.site_boards import Wanted, differences, push, wanted_of
+from goldfield.nodes.site_boards import Wanted, chosen_codes, differences, push, wanted_of
 from goldfield.site import Site
 from goldfield_protocol.parameters import label_of
 
@@ -17,7 +19,7 @@ def act(conversation: Conversation, arguments: argparse.Namespace, site: Site) -
     """Set the boards to a site, or compare them with it."""
     conversation.listen()
     boards = boards_of(conversation)
-    wanted, missing = wanted_of(site, boards)
+    wanted, missing = wanted_of(site, boards, _fitting(arguments, site, boards))
     if arguments.action == "check":
         _check(conversation, arguments, wanted, missing)
         return
@@ -25,8 +27,26 @@ def act(conversation: Conversation, arguments: argparse.Namespace, site: Site) -
         more = "" if len(missing) == 1 else f"; {counted(len(missing) - 1, 'more beacons have')} no board"
         raise SystemFailure(f"{conversation.name}: {missing[0]}{more}: nothing was set")
     if not any(one.owner == "sensor" for one in wanted):
-        tell("no sensor is set: none is there, or a sensor does not report all beacons of this site at a time")
+        tell("no sensor is set: none is there, or the beacons of this site have no codes of their own")
     _push(conversation, arguments, wanted, boards)
+
+
+def _fitting(arguments: argparse.Namespace, site: Site, boards: list[Board]) -> int | None:
+    """Return how many codes sensors are to choose: fewer than are wanted, and it is said, if no more fit the link."""
+    wanted = chosen_codes(site, arguments.strongest)
+    if wanted is None:
+        return None
+    sensors = sum(board.role in ("sensor", "anchor") for board in boards) or 1
+    link = Link.CAN if link_options.chosen(arguments)[0] == "can" else Link.SERIAL
+    if link is Link.SERIAL:
+        sensors = 1
+    most = most_reported(link, wanted, site.chips, site.chip_period_s, sensors)
+    if most < wanted:
+        tell(
+            f"sensors report {most} of the strongest codes, not {wanted}: with {counted(sensors, 'sensors')} more does "
+            f"not fit into {SHARE[link]:.0%} of {NAMES[link]}".replace("%", " %")
+        )
+    return max(most, 1)
 
 
 def _push(conversation: Conversation, arguments: argparse.Namespace, wanted: list[Wanted], boards: list[Board]) -> None:

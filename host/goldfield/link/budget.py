@@ -47,11 +47,21 @@ LEAST_HZ = 30.0
 """Fewest blocks a second that are asked for on CAN: three of the 33 in a cycle, the fewest that were tried."""
 LINK_BITS = {Link.SERIAL: 1, Link.CAN: 2}
 """Values of the parameter ``blocks``."""
+RATES = {Link.SERIAL: (115_200, 921_600, BAUD_RATE), Link.CAN: (125_000, 500_000, CAN_BIT_RATE)}
+"""Bits a second that the tables tell of. The last are those of the boards, which have no others; slower ones are those
+of what passes their messages on, a bridge or an adapter."""
 NAMES = {Link.SERIAL: f"serial at {BAUD_RATE / 1e6:g} Mbaud", Link.CAN: f"CAN at {CAN_BIT_RATE / 1e6:g} Mbit/s"}
 
 
-def message_s(link: Link, name: str) -> float:
+def message_s(link: Link, name: str, rate: int | None = None) -> float:
     """Return the longest time that a message takes on a link, s, with the pause behind it.
+
+    Parameters
+    ----------
+    link : Link
+    name : str
+    rate : int, optional
+        Bits a second, in place of those of the boards.
 
     Examples
     --------
@@ -61,13 +71,13 @@ def message_s(link: Link, name: str) -> float:
     length = database().get_message_by_name(name).length
     if link is Link.SERIAL:
         code_and_delimiter = 2  # COBS adds a byte to frames of this size
-        return 10 * (4 + length + 2 + code_and_delimiter) / BAUD_RATE
+        return 10 * (4 + length + 2 + code_and_delimiter) / (rate or BAUD_RATE)
     stuffed = 39 + 8 * length + 15  # from the start of the frame to the end of its CRC
     delimiters_and_pause = 1 + 2 + 7 + 3
-    return (stuffed + (stuffed - 1) // 4 + delimiters_and_pause) / CAN_BIT_RATE
+    return (stuffed + (stuffed - 1) // 4 + delimiters_and_pause) / (rate or CAN_BIT_RATE)
 
 
-def load(link: Link, carrier: Carrier, codes: int, chips: int, chip_s: float) -> float:
+def load(link: Link, carrier: Carrier, codes: int, chips: int, chip_s: float, rate: int | None = None) -> float:
     """Return the part of a link that a sensor takes with its reports of so many codes, at most.
 
     Parameters
@@ -81,17 +91,37 @@ def load(link: Link, carrier: Carrier, codes: int, chips: int, chip_s: float) ->
         Chips in a cycle.
     chip_s : float
         Length of a chip, s.
+    rate : int, optional
+        Bits a second, in place of those of the boards.
     """
-    headers = sum(message_s(link, name) for name in ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET"))
-    cycles = (headers + codes * message_s(link, "FIELD")) / (chips * chip_s)
+    headers = sum(message_s(link, name, rate) for name in ("EPOCH", "EPOCH_STATUS", "EPOCH_OFFSET"))
+    cycles = (headers + codes * message_s(link, "FIELD", rate)) / (chips * chip_s)
     if carrier is Carrier.BLOCKS:
-        return cycles + block_s(link, codes) / (BLOCK_CHIPS * chip_s)
-    return cycles + (message_s(link, "CHIP") / chip_s if carrier is Carrier.CHIPS else 0.0)
+        return cycles + block_s(link, codes, rate) / (BLOCK_CHIPS * chip_s)
+    return cycles + (message_s(link, "CHIP", rate) / chip_s if carrier is Carrier.CHIPS else 0.0)
 
 
-def block_s(link: Link, codes: int) -> float:
+def most_reported(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1, rate: int | None = None) -> int:
+    """Return how many codes, up to so many, each of the sensors on a link can report in every cycle; 0: not even one.
+
+    Examples
+    --------
+    >>> [most_reported(Link.CAN, 64, 1023, 97.75e-6, rate=rate) for rate in (125_000, 500_000, 1_000_000)]
+    [55, 64, 64]
+    >>> [most_reported(Link.SERIAL, 64, 1023, 97.75e-6, rate=rate) for rate in (115_200, 921_600)]
+    [61, 64]
+    """
+    fitting = (
+        count
+        for count in range(codes, 0, -1)
+        if sensors * load(link, Carrier.CYCLES, count, chips, chip_s, rate) <= SHARE[link]
+    )
+    return next(fitting, 0)
+
+
+def block_s(link: Link, codes: int, rate: int | None = None) -> float:
     """Return the longest time that the messages of a block take, s: from its first byte to its last."""
-    return message_s(link, "BLOCK") + codes * message_s(link, "BLOCK_SUM")
+    return message_s(link, "BLOCK", rate) + codes * message_s(link, "BLOCK_SUM", rate)
 
 
 def block_rate_Hz(link: Link, codes: int, chips: int, chip_s: float, sensors: int = 1) -> float:
@@ -258,6 +288,43 @@ def shared_table(chips: int = 1023, chip_s: float = 97.75e-6) -> str:
     return "\n".join(lines) + "\n"
 
 
+def rate_table(chips: int = 1023, chip_s: float = 97.75e-6) -> str:
+    """Return as a table in Markdown what links of several rates carry (`protocol/framing.md`)."""
+    lines = [
+        "| link | bits a second | cycles of 8 codes | of 16 | of 64 | most codes, 1 sensor | 4 sensors | 16 sensors |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for link, rates in RATES.items():
+        for rate in rates:
+            parts = [f"{100.0 * load(link, Carrier.CYCLES, codes, chips, chip_s, rate):.1f} %" for codes in (8, 16, 64)]
+            sensors = (1, 4, 16) if link is Link.CAN else (1,)
+            most = [str(most_reported(link, 64, chips, chip_s, count, rate) or "-") for count in sensors]
+            cells = [str(link), f"{rate:,}", *parts, *most, *[""] * (3 - len(most))]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def reported_text(link: Link, codes: int, chips: int, chip_s: float, sensors: int, rate: int) -> str:
+    """Return how many codes a sensor is to report on a link of a rate, where up to ``codes`` are wanted, and why.
+
+    Examples
+    --------
+    >>> print(reported_text(Link.CAN, 16, 1023, 97.75e-6, 4, 125_000))
+    11 of the strongest codes, not 16: with those of 4 sensors at most 75 % of CAN at 125000 bit/s
+    """
+    most = most_reported(link, codes, chips, chip_s, sensors, rate)
+    with_all = "" if sensors == 1 else f" with those of {sensors} sensors"
+    if most == 0:
+        return _spaced(
+            f"nothing: one code a cycle{with_all} takes more than {SHARE[link]:.0%} of {link} at {rate} bit/s"
+        )
+    part = sensors * load(link, Carrier.CYCLES, most, chips, chip_s, rate)
+    fewer = f", not {codes}" if most < codes else ""
+    share = SHARE[link] if fewer else part
+    text = f"{most} of the strongest codes{fewer}:{with_all} at most {share:.0%} of {link} at {rate} bit/s"
+    return _spaced(text)
+
+
 def _or_none(rate_Hz: float, least_Hz: float = LEAST_HZ) -> str:
     return f"{rate_Hz:.0f}" if rate_Hz >= least_Hz else "-"
 
@@ -274,9 +341,12 @@ def main(given: list[str] | None = None) -> None:
     if options.strongest is not None:
         for link in Link:
             print(f"{link}: {cycles_of_strongest(link, options.strongest, options.chips, chip_s).text}")
+            for rate in RATES[link]:
+                sensors = options.sensors if link is Link.CAN else 1
+                print(f"  {reported_text(link, options.strongest, options.chips, chip_s, sensors, rate)}")
         return
     if options.codes is None:
-        print(table(options.chips), shared_table(options.chips), sep="\n", end="")
+        print(table(options.chips), shared_table(options.chips), rate_table(options.chips), sep="\n", end="")
         return
     for link, sensors in ((Link.SERIAL, 1), (Link.CAN, options.sensors)):
         print(f"{link}: {choose(link, options.codes, options.chips, chip_s, sensors).text}")

@@ -10,9 +10,9 @@ from goldfield.errors import SystemFailure, UserError, counted
 from goldfield.link.requests import Value
 from goldfield.nodes.commissioning import Board, await_restarts, save_all
 from goldfield.nodes.conversation import RESET, Conversation
-from goldfield.sensor.dialogue import wanted_parameters
+from goldfield.sensor.dialogue import STRONGEST, wanted_parameters
 from goldfield.sensor.on_sensor import on_sensor_parameters
-from goldfield.sensor.options import Method, Options
+from goldfield.sensor.options import USUAL_STRONGEST, Method, Options, most_strongest
 from goldfield.site import Beacon, Site
 from goldfield.site.drive import NO_CODE
 from goldfield_protocol.parameters import PARAMETERS, Kind, find_id, label_of
@@ -97,15 +97,42 @@ def beacon_values(site: Site, beacon: Beacon) -> dict[int, Value]:
     }
 
 
-def sensor_values(site: Site) -> dict[int, Value] | None:
-    """Return the parameters, by id, of a sensor on a site; None if its sensors report none or not all of its beacons.
+def chosen_codes(site: Site, strongest: int | None = None) -> int | None:
+    """Return how many codes the sensors of a site choose by their strength; None: they report those of the site.
 
-    The table of the beacons is among them where a sensor could compute poses of it.
+    They choose where it is said, and `USUAL_STRONGEST` codes, or as many as they can, where the site has more beacons
+    than a list holds, or shares codes.
+    """
+    shared = site.shared_codes and len({beacon.code for beacon in site.beacons}) < len(site.beacons)
+    if strongest is None and (shared or len(site.beacons) > PARAMETERS["code_list"].count):
+        return min(USUAL_STRONGEST, most_strongest(site))
+    return strongest
+
+
+def sensor_values(site: Site, strongest: int | None = None) -> dict[int, Value] | None:
+    """Return the parameters, by id, of a sensor on a site; None if its sensors report none of its beacons.
+
+    The table of the beacons is among them where a sensor could compute poses of it. Sensors of a site that has more
+    beacons than a list holds, or shares codes, have no list and choose what they report (`chosen_codes`).
+
+    Parameters
+    ----------
+    site : Site
+    strongest : int, optional
+        How many of the strongest codes the sensor is to report.
+
+    Raises
+    ------
+    UserError
+        If a sensor cannot choose so many.
     """
     if site.access != "cdma" or any(beacon.code == NO_CODE for beacon in site.beacons):
         return None
-    if len(site.beacons) > PARAMETERS["code_list"].count:
-        return None
+    chosen = chosen_codes(site, strongest)
+    if chosen is not None:
+        Options(strongest=chosen).check(site)
+    if len(site.beacons) > PARAMETERS["code_list"].count or len(set(site.codes)) < len(site.beacons):
+        return {**wanted_parameters(None, {STRONGEST: chosen or 0}), PARAMETERS["degree"].first: site.degree}
     table: dict[int, Value] = {}
     try:
         Options(method=Method.ON_SENSOR).check(site)
@@ -114,7 +141,7 @@ def sensor_values(site: Site) -> dict[int, Value] | None:
     else:
         own = {PARAMETERS[name].first for name in OF_ITS_OWN}
         table = {one: value for one, value in on_sensor_parameters(site).items() if one not in own}
-    values = wanted_parameters(site.codes, table)
+    values = wanted_parameters(site.codes, {**table, STRONGEST: chosen or 0})
     values[PARAMETERS["degree"].first] = site.degree
     kinds = {one: found[0].kind for one in values if (found := find_id(one)) is not None}
     return {one: _kept(kinds[one], value) for one, value in values.items()}
@@ -125,11 +152,11 @@ def _kept(kind: Kind, value: Value) -> Value:
     return float(struct.unpack("<f", struct.pack("<f", value))[0]) if kind is Kind.FLOAT else int(value)
 
 
-def wanted_of(site: Site, boards: Sequence[Board]) -> tuple[list[Wanted], list[str]]:
+def wanted_of(site: Site, boards: Sequence[Board], strongest: int | None = None) -> tuple[list[Wanted], list[str]]:
     """Return what a site wants of the boards that are there, and a sentence for each beacon without a board.
 
     A beacon's board is that of its key ``board`` or ``node``, else the one whose name is the beacon's id. All boards
-    that sense are sensors of the site.
+    that sense are sensors of the site, and report what `sensor_values` says.
 
     Raises
     ------
@@ -147,7 +174,7 @@ def wanted_of(site: Site, boards: Sequence[Board]) -> tuple[list[Wanted], list[s
             missing.append(f'beacon "{beacon.id}": {said}')
         else:
             wanted.append(Wanted(name, board, values))
-    of_sensor = sensor_values(site)
+    of_sensor = sensor_values(site, strongest)
     if of_sensor is not None:
         wanted += [Wanted("sensor", board, of_sensor) for board in boards if board.role in ("sensor", "anchor")]
     return wanted, missing

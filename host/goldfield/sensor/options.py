@@ -16,6 +16,9 @@ LAST_NODE = 4095
 HIGHEST_RATE_HZ = 10_000.0
 """Poses a second that can be asked for; the chips themselves come at 10,230 Hz, so more would tell nothing."""
 
+USUAL_STRONGEST = 16
+"""How many a sensor of a site of hundreds of beacons chooses unless it is said: more add little to a pose."""
+
 MOST_STRONGEST = 64
 """Most codes that a sensor can choose by their strength, as many as it reports."""
 

@@ -45,8 +45,7 @@ def load(path: str | Path) -> Site:
     - ``phase``: only for fdma: ``"known"`` (the default) or ``"unknown"`` (`goldfield.access.tones`); ``samples``, how
       many make a window, may then stand in place of ``degree``;
     - ``half_space``: optional, ``{point = [x, y, z], normal = [x, y, z]}``: the sensor is on the normal's side;
-    - ``shared_codes``: optional, only for cdma: whether beacons that are far from each other share codes;
-    - ``alert_limit_m``, ``ambient_gradient_T_m``: optional, above 0, see `Site`.
+    - ``shared_codes``, for cdma, ``alert_limit_m`` and ``ambient_gradient_T_m``, above 0: optional, see `Site`.
 
     The table ``[sensor]`` describes the sensor:
 

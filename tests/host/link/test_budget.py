@@ -12,6 +12,7 @@ from goldfield.link.budget import (
     LEAST_HZ,
     LINK_BITS,
     MOST_CODES_ON_CAN,
+    RATES,
     SHARE,
     Carrier,
     Link,
@@ -22,7 +23,10 @@ from goldfield.link.budget import (
     load,
     main,
     message_s,
+    most_reported,
     pose_rate_Hz,
+    rate_table,
+    reported_text,
     shared_table,
     table,
 )
@@ -174,7 +178,7 @@ def test_every_choice_is_told_in_one_sentence():
 
 def test_what_it_prints(capsys):
     main([])
-    assert capsys.readouterr().out == f"{table()}\n{shared_table()}"
+    assert capsys.readouterr().out == f"{table()}\n{shared_table()}\n{rate_table()}"
     main(["--codes", "8", "--sensors", "3"])
     serial, can, poses = capsys.readouterr().out.splitlines()
     assert serial == f"serial: {choose(Link.SERIAL, 8, N, CHIP_S).text}"
@@ -190,3 +194,35 @@ def test_a_sensor_that_chooses_takes_the_cycles_of_k_codes(link, capsys):
     assert not choice.parameters
     main(["--strongest", "16"])
     assert f"{link}: {choice.text}\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("link", Link)
+def test_the_most_codes_that_fit_are_found_at_every_rate(link):
+    """Both sides of the limit, for one sensor and several; what is wanted is never exceeded."""
+    for rate in RATES[link]:
+        assert load(link, Carrier.CHIPS, 8, N, CHIP_S, rate) == pytest.approx(
+            load(link, Carrier.CHIPS, 8, N, CHIP_S) * RATES[link][-1] / rate
+        )
+        for sensors in (1, 2, 7, 30, 300):
+            most = most_reported(link, 64, N, CHIP_S, sensors, rate)
+            if most:
+                assert sensors * load(link, Carrier.CYCLES, most, N, CHIP_S, rate) <= SHARE[link]
+            if most < 64:
+                assert sensors * load(link, Carrier.CYCLES, most + 1, N, CHIP_S, rate) > SHARE[link]
+            assert most_reported(link, 5, N, CHIP_S, sensors, rate) == min(5, most)
+            text = reported_text(link, 16, N, CHIP_S, sensors, rate)
+            assert ("not 16" in text) == (0 < most < 16)
+            assert text.startswith("nothing") == (most == 0)
+            assert f"{rate} bit/s" in text
+
+
+def test_the_page_has_the_rates():
+    assert rate_table() in FRAMING.read_text(encoding="utf-8")
+
+
+def test_what_is_told_of_the_rates(capsys):
+    main(["--strongest", "16", "--sensors", "4"])
+    told = capsys.readouterr().out
+    for link in Link:
+        for rate in RATES[link]:
+            assert f"  {reported_text(link, 16, N, CHIP_S, 4 if link is Link.CAN else 1, rate)}\n" in told
