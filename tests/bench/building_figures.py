@@ -35,7 +35,7 @@ from tests.hil.rig_link import RigSerialLink
 
 SPACING_M, CEILING_M = 4.5, 2.7
 STRONGEST = 16
-BOOTED_S = 3.0
+BOOTED_S = 2.5
 SENSOR_HEIGHT_M, SPEED_M_S = 1.2, 1.0
 NINETY_NINE = 11.345
 """What chi square of three degrees of freedom exceeds in one of 100 cases."""

@@ -16,6 +16,7 @@ from goldfield_protocol.parameters import parse_page
 from hil_sim import scenario
 from hil_sim.clib import ROOT
 from hil_sim.world.motion import Line, Still, Waypoints
+from tests.hil.from_the_box import hall
 from tests.hil_sim.rig.fakes import small, write_scenario
 
 COUNTS_PER_T = 2048 / 2e-4
@@ -41,6 +42,23 @@ def test_the_shipped_scenarios_load_and_give_a_site(file, tmp_path):
         periods = beacon.periods if beacon.rotating_periods is None else beacon.rotating_periods
         assert (written.drive.slot, written.drive.periods) == (beacon.slot, periods)
         assert written.drive.codes == beacon.codes
+
+
+def test_more_codes_than_a_list_holds(tmp_path):
+    """From the first on that does not fit, the sensor chooses what it reports."""
+    pages = []
+    for beacons in (64, 65):
+        path = tmp_path / "hall.toml"
+        path.write_text(hall(beacons, sited=beacons))
+        pages.append(parse_page(scenario.parameter_page(scenario.load_scenario(str(path)), 0)))
+    listed, choosing = pages
+    assert (listed["code_count"], listed["code_list"]) == (64, list(range(2, 66)))
+    assert "strongest" not in listed
+    assert (choosing["code_count"], choosing["strongest"]) == (0, 16)
+    assert not choosing.get("code_list")
+    path.write_text(path.read_text().replace("pose = 0", "pose = 1"))
+    with pytest.raises(UserError, match="sensor does not fit the boards' parameters"):
+        scenario.load_scenario(str(path))
 
 
 def test_boards_of_slots_and_tones(tmp_path):
