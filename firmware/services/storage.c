@@ -71,7 +71,7 @@ storage_result_t storage_step(storage_t *storage) {
         } else {
             storage->begun = store_save(&storage->store, storage->words, PARAMETER_SET_WORDS);
             if (!storage->begun) {
-                return STORAGE_FAILED; /* It cannot be: nothing is under way, and the set fits. */
+                return STORAGE_FAILED; /* Somebody has put a record of the store into the parameters (store.h). */
             }
         }
     }

@@ -36,7 +36,7 @@ typedef enum {
     STORAGE_BUSY = 0,     /* The save is under way. */
     STORAGE_KEPT = 1,     /* The set is kept. */
     STORAGE_RESTART = 2,  /* It is kept, and a slot was erased for it: the chip engine is out of step (hal.h). */
-    STORAGE_FAILED = 3,   /* The flash did not take it: the set before it is kept. */
+    STORAGE_FAILED = 3,   /* The flash or the store did not take it: the set before it is kept. */
     STORAGE_STRANDED = 4, /* As STORAGE_FAILED, and a slot was erased: the chip engine is out of step. */
 } storage_result_t;
 

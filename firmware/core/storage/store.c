@@ -215,15 +215,31 @@ static uint32_t record_word(const store_t *store) {
     return store->cursor < store->count + BEFORE_DATA ? store->data[store->cursor - BEFORE_DATA] : store->crc;
 }
 
+/* Whether words hold a whole record of their own. If the power were lost within the record around them, the next start
+ * would find theirs. */
+static bool hold_record(const uint32_t *words, uint32_t count) {
+    for (uint32_t i = 0; i + AROUND_DATA < count; i++) {
+        const bool fits = (words[i] & COUNT_MASK) + AROUND_DATA < count - i;
+        if ((words[i] & ~COUNT_MASK) == RECORD && fits && is_valid(words + i)) {
+            return true;
+        }
+    }
+    return false;
+}
+
 bool store_save(store_t *store, const uint32_t *data, uint32_t count) {
     if (store->phase != PHASE_DONE || count > STORE_WORDS_MAX || store->flash.words < STORE_OVERHEAD ||
         count > store->flash.words - STORE_OVERHEAD) {
         return false;
     }
+    const uint32_t head[BEFORE_DATA] = {RECORD | count, store->sequence + 1u};
+    const uint32_t crc = crc32(crc32(0, head, sizeof head), data, (size_t)count * WORD_BYTES);
+    if (hold_record(data, count) || crc == COMMIT) { /* Such a CRC could commit a record in front of it. */
+        return false;
+    }
     store->data = data;
     store->count = count;
-    const uint32_t head[BEFORE_DATA] = {RECORD | count, store->sequence + 1u};
-    store->crc = crc32(crc32(0, head, sizeof head), data, (size_t)count * WORD_BYTES);
+    store->crc = crc;
     store->attempts = 0;
     store->outcome = STORE_BUSY;
     store->phase = PHASE_CHOOSE;

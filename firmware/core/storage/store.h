@@ -97,8 +97,10 @@ void store_open(store_t *store, const store_flash_t *flash);
 const uint32_t *store_read(const store_t *store, uint32_t *count);
 
 /* Begin to save count words, which must stay as they are until the outcome is there.
- * Returns false, with nothing begun, while another save or the mending after store_open() is under way, and for more
- * words than a slot holds, flash.words - STORE_OVERHEAD, or STORE_WORDS_MAX. */
+ * Returns false, with nothing begun, while another save or the mending after store_open() is under way, for more words
+ * than a slot holds, flash.words - STORE_OVERHEAD, or STORE_WORDS_MAX, and for words that hold a whole record of this
+ * module with its CRC, or whose own CRC is the commit word: they hardly come by chance, and after a loss of power what
+ * is in them would be read in place of the set. */
 bool store_save(store_t *store, const uint32_t *data, uint32_t count);
 
 /* Returns the next step for the caller to carry out; STORE_NOTHING if all is done. */

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
+
 import pytest
 
 from goldfield_protocol import encode
@@ -367,3 +370,17 @@ def test_a_loss_of_power_while_a_set_is_saved_is_told_at_the_next_start() -> Non
     assert in_force(board, NAMES, 1600 * MS) == saving.sets[0]
     board.close()
     assert boot(flash) == saving.sets[0]
+
+
+def test_a_name_that_is_a_record_of_the_store_is_not_saved() -> None:
+    """Found by the fuzzer: whoever may set a name could have a loss of power empty the board's set."""
+    flash = SavedFlash()
+    board = flash.board(SENSOR)
+    assert save(board, SECOND, noise=2e-7) == DONE_RESTARTS
+    head = [0x47520000, 7]
+    record_in_name = [*head, zlib.crc32(struct.pack("<2I", *head)), 0x5AC3A53C]
+    assert record_in_name[2] <= 0x7F7F7F7F  # The board takes it as a part of a name.
+    named = {f"name__{element}": word for element, word in enumerate(record_in_name)}
+    assert save(board, 2 * SECOND, **named) == FLASH_FAILED
+    assert save(board, 3 * SECOND, name__3=0, noise=3e-7) == DONE
+    board.close()

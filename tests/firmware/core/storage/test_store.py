@@ -137,6 +137,46 @@ def test_a_save_before_the_mending_is_refused(core):
     assert board.save((1,))
 
 
+def forged(sequence=9):
+    """Return words that are a whole record, of no words, that nobody has saved."""
+    body = np.array([0x47520000, sequence], np.uint32)
+    return (*body.tolist(), zlib.crc32(body.tobytes()), 0x5AC3A53C)
+
+
+@pytest.mark.parametrize("place", [0, 3])
+def test_a_set_that_holds_a_record_is_refused(core, place):
+    """Found by the fuzzer: with the power lost within its save, the next start read the empty record in it."""
+    board = fresh(core)
+    assert board.save((1, 2, 3))
+    assert not board.save((*range(place), *forged(), 5))
+    assert not board.save((*range(place), *forged()))
+    assert board.start() == (1, 2, 3)
+    board.work()
+    for one in range(4):  # Without one of its words it is none.
+        less = [word ^ (index == one) for index, word in enumerate(forged())]
+        assert board.save((*range(place), *less, 5)), one
+    assert board.save((*range(place), *forged()[:3]))
+
+
+def completed(words, wanted):
+    """Return the word behind words that gives all of them a wanted CRC-32: its register runs backwards."""
+    register = wanted ^ ONES
+    for _ in range(32):
+        register = (register ^ 0xEDB88320) << 1 | 1 if register >> 31 else register << 1
+    return register & ONES ^ zlib.crc32(np.array(words, np.uint32).tobytes()) ^ ONES
+
+
+def test_a_set_whose_crc_is_the_commit_word_is_refused(core):
+    """The words before it are a record but for that word; the CRC comes behind them."""
+    inner = forged()[:3]
+    head = [0x47520000 | len(inner) + 1, 1]
+    last = completed([*head, *inner], 0x5AC3A53C)
+    assert zlib.crc32(np.array([*head, *inner, last], np.uint32).tobytes()) == 0x5AC3A53C
+    board = fresh(core)
+    assert not board.save((*inner, last))
+    assert board.save((*inner, last ^ 1))
+
+
 SAVES = 6
 STEPS = 85
 """So many steps and some more are those of `SAVES` saves: erasures of both slots are among them."""
