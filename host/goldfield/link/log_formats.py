@@ -27,6 +27,10 @@ HEAD = 256
 LONGEST_LINE = 1000
 """Bytes; candump prints 64 of a CAN FD frame in 250."""
 
+LARGEST_IDENTIFIER = 0x1FFFFFFF
+LARGEST_TIME_S = 1e12
+"""Beyond any time since 1970; false for what is not a number."""
+
 PATIENCE = 4_000_000
 """Bytes without any message after which a file, or /dev/zero, is no log."""
 
@@ -159,7 +163,12 @@ def _of_reader(make: Callable[[], Any]) -> Frames:
 
 
 def _kind_of(message: can.Message) -> str | None:
-    """Return the kind of a frame that is no message of ours; some formats do not tell that a frame is of CAN FD."""
+    """Return the kind of a frame that is no message of ours; what a format does not check is checked here.
+
+    Some formats do not tell that a frame is of CAN FD, and the readers of text take numbers of any size.
+    """
+    if not 0 <= message.arbitration_id <= LARGEST_IDENTIFIER or not abs(message.timestamp) < LARGEST_TIME_S:
+        return CORRUPT
     if is_mark(message):
         return None
     return FD if len(message.data) > LONGEST else kind_of(message)
@@ -198,6 +207,7 @@ class _TextLines:
     def __init__(self, text: Iterator[str]) -> None:
         self._text = text
         self._first: str | None = None
+        self.taken = 0
         self.torn = False
 
     def read(self) -> str:
@@ -221,6 +231,7 @@ class _TextLines:
             first, self._first = self._first, None
             return first
         line = next(self._text)
+        self.taken += 1
         if not line.endswith("\n"):
             self.torn = True
             raise StopIteration
@@ -228,19 +239,26 @@ class _TextLines:
 
 
 def _of_lines(stream: BinaryIO, encoding: str, make: Callable[[Any], Any]) -> Frames:
-    """Yield the messages of a text format of python-can; a line that its reader cannot read costs that line."""
+    """Yield the messages of a text format of python-can; a line that its reader cannot read costs that line.
+
+    A reader that fails again before it takes another line, for want of what only the header could have told, reads none
+    of the lines that follow.
+    """
     text = io.TextIOWrapper(stream, encoding=encoding, errors="replace")
     lines = _TextLines(iter(lambda: text.readline(LONGEST_LINE), ""))
     reader = make(lines)
     while True:
+        before = lines.taken
         try:
             for message in reader:
                 yield _kind_of(message) or message
             if lines.torn:
                 yield CORRUPT
             return
-        except (ValueError, IndexError, KeyError, TypeError, OverflowError):
+        except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
             yield CORRUPT
+            if lines.taken == before:
+                raise _Damaged from error
             lines.begin_again()
 
 

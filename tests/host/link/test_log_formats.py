@@ -2,6 +2,7 @@
 
 import gzip
 import importlib.util
+import itertools
 import re
 import subprocess
 import sys
@@ -11,6 +12,7 @@ import pytest
 
 from goldfield.errors import UserError
 from goldfield.link.candump import parse
+from goldfield.link.log_formats import DAMAGE, frames
 from goldfield.link.marks import is_mark, mark, reads
 from goldfield.link.recordings import CandumpReader
 from goldfield.link.traffic import CORRUPT, ELEVEN_BIT, ERROR, FD, REMOTE
@@ -245,3 +247,37 @@ def test_a_bad_line_in_the_middle_costs_that_line(tmp_path, suffix):
 def test_an_endless_file_is_no_log():
     with pytest.raises(UserError, match=r"^/dev/zero:1: the log holds no message"):
         read("/dev/zero")
+
+
+HEADERS = {
+    "no columns": ";$FILEVERSION=2.0\n",
+    "no columns but a start time": ";$FILEVERSION=2.1\n;$STARTTIME=46353.9\n",
+    "a start time that is no number": ";$FILEVERSION=2.1\n;$STARTTIME=46|353.9\n",
+}
+
+
+@pytest.mark.parametrize("header", HEADERS.values(), ids=HEADERS)
+def test_a_header_that_tells_too_little_ends_the_reading(tmp_path, header):
+    """Found by the fuzzer: the reader of .trc failed at the same place again and again, for ever."""
+    path = tmp_path / "log.trc"
+    path.write_text(header + 20 * "  1  1.000 DT 0064 Rx 1 00\n")
+    seen = []
+    with path.open("rb") as file, pytest.raises(DAMAGE):
+        seen.extend(itertools.islice(frames(str(path), file), 100))
+    assert set(seen) == {CORRUPT}
+    with pytest.raises(UserError, match="is damaged or was cut off, and no message can be read"):
+        list(CandumpReader(path))
+
+
+@pytest.mark.parametrize("identifier", ["20000064x", "FFFFFFFFFx"])
+def test_an_identifier_of_more_than_29_bits_is_corrupt(tmp_path, identifier):
+    """Found by the fuzzer: python-can's readers of text do not look, and its lower bits are those of a message."""
+    path = tmp_path / "log.asc"
+    with can.ASCWriter(path) as writer:
+        for number in (0x64, 0x65):
+            writer(can.Message(timestamp=START_S, arbitration_id=number, data=b"\x07"))
+    assert [message.arbitration_id for message in CandumpReader(path)] == [0x64, 0x65]
+    path.write_text(path.read_text().replace("65x", identifier))
+    reader = CandumpReader(path)
+    assert [message.arbitration_id for message in reader] == [0x64]
+    assert counted(reader) == {CORRUPT: 1}
