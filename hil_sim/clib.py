@@ -2,11 +2,13 @@
 
 In a checkout libraries and images lie in ``build`` and the compiler's preprocessor reads the headers. An installed
 wheel has neither headers nor compiler: it carries the libraries, the images and the declarations in ``hil_sim/built``,
-where ``setup.py`` puts them (``python -m hil_sim.clib DIRECTORY`` writes the declarations).
+where ``setup.py`` puts them (``python -m hil_sim.clib DIRECTORY`` writes the declarations). A folder that the
+environment names in ``GOLDFIELD_LIBRARIES`` comes before both: ``make test-sanitized`` has its libraries there.
 """
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -21,6 +23,8 @@ ROOT = Path(__file__).resolve().parent.parent
 """The checkout that this package is part of."""
 INSTALLED = Path(__file__).resolve().with_name("built")
 """What an installed wheel carries."""
+LIBRARIES_VARIABLE = "GOLDFIELD_LIBRARIES"
+"""The environment's variable that names a folder of libraries to be taken before the usual ones."""
 INCLUDES = ("firmware", "hil_sim", "build/protocol")
 LIBRARIES = {
     "libgf_rig.so": "rig/lockstep.h",
@@ -38,7 +42,8 @@ def built(name: str) -> Path:
     FileNotFoundError
         If it was not built; the message is a sentence for the user.
     """
-    for path in (INSTALLED / name, ROOT / "build" / name):
+    chosen = os.environ.get(LIBRARIES_VARIABLE)
+    for path in ([Path(chosen) / name] if chosen else []) + [INSTALLED / name, ROOT / "build" / name]:
         if path.exists():
             return path
     if (ROOT / "Makefile").exists():

@@ -182,3 +182,29 @@ rate-figures: all ## Measure poses from blocks of chips beside one fix a cycle (
 	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.rate_figures $(RATE)
 
 .PHONY: rate-figures
+
+# The whole chain on host boards under the sanitizers. Python itself is not built with them, so their library comes first.
+SANITIZED := $(BUILD)/sanitized
+SANITIZED_TESTS ?= tests/hil tests/firmware/services/test_node.py tests/firmware/services/test_storage.py tests/firmware/apps/test_beacon_app.py
+SANITIZE := -std=c11 -w -O1 -g -fPIC -D_GNU_SOURCE -fsanitize=address,undefined,float-cast-overflow -fno-sanitize-recover=all \
+	-fno-omit-frame-pointer -shared
+
+$(SANITIZED)/libgf_hostboard.so: $(HOSTBOARD_OBJECTS)
+	@mkdir -p $(@D)
+	@$(HOST_CC) $(SANITIZE) $(HOSTBOARD_INCLUDES) -Wl,-Bsymbolic $(HOSTBOARD_SOURCES) $(PROTOCOL_OUT)/goldfield.c -lm -o $@
+
+$(SANITIZED)/libgf_rig.so: $(RIG_OBJECTS)
+	@mkdir -p $(@D)
+	@$(HOST_CC) $(SANITIZE) -pthread -Ihil_sim -Ifirmware $(RIG_SOURCES) -lm -o $@
+
+test-sanitized: all $(SANITIZED)/libgf_hostboard.so $(SANITIZED)/libgf_rig.so ## End to end on host boards under the address and undefined-behaviour sanitizers
+	@rm -rf $(SANITIZED)/reports && mkdir -p $(SANITIZED)/reports
+	@GOLDFIELD_LIBRARIES=$(abspath $(SANITIZED)) OPENBLAS_NUM_THREADS=1 \
+	  ASAN_OPTIONS=detect_leaks=0:log_path=$(abspath $(SANITIZED))/reports/report UBSAN_OPTIONS=print_stacktrace=1 \
+	  LD_PRELOAD="$$($(HOST_CC) -print-file-name=libasan.so) $$($(HOST_CC) -print-file-name=libubsan.so)" \
+	  $(PYTHON) -m pytest -q $(SANITIZED_TESTS) --goldfield-rig host -m "(both_boards or not simulated_bench) and not slow" || \
+	  { cat $(SANITIZED)/reports/* 2>/dev/null; exit 1; }
+	@test -z "$$(ls $(SANITIZED)/reports)" || { cat $(SANITIZED)/reports/*; exit 1; }
+	@echo "sanitizers: nothing found"
+
+.PHONY: test-sanitized

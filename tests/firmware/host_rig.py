@@ -18,7 +18,7 @@ from hil_sim.clib import ROOT, load
 from hil_sim.emulator.emulator import Configuration, Emulator
 from tests.firmware.gold_pairs import PAIRS
 
-FFI, LIBRARY = load("build/libgf_hostboard.so", ["boards/host/host_board.h"])
+FFI, LIBRARY = load("libgf_hostboard.so", ["boards/host/host_board.h"])
 
 BEACON, SENSOR, ANCHOR = 0, 1, 3
 IMAGES = {BEACON: "beacon.elf", SENSOR: "sensor.elf", ANCHOR: "anchor.elf"}
