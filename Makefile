@@ -29,6 +29,7 @@ include host/packaging/wheels.mk
 include hil_sim/emulator/emulator.mk
 include hil_sim/rig/rig.mk
 include tests/tests.mk
+include tests/fuzz/fuzz.mk
 include tests/checks.mk
 include docs/docs.mk
 

@@ -39,6 +39,7 @@ LONG = (
     "firmware/core/test_sanitized.py",
     "firmware/core/timing/test_acquire_instructions.py",
     "firmware/services",
+    "fuzz/test_corpora.py",
     "hil",
     "hil_sim/papers/gietler",
     "hil_sim/world/test_reference_circuit.py",
