@@ -208,3 +208,8 @@ test-sanitized: all $(SANITIZED)/libgf_hostboard.so $(SANITIZED)/libgf_rig.so ##
 	@echo "sanitizers: nothing found"
 
 .PHONY: test-sanitized
+MUTANTS ?=
+mutants: all ## How many small changes of the firmware's core its tests notice (long; MUTANTS="--files link/* --sample 200 --seed 1")
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.mutants.run $(MUTANTS)
+
+.PHONY: mutants

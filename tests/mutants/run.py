@@ -1,0 +1,228 @@
+"""``make mutants``: how many small changes of the firmware's core the tests notice, and which they do not.
+
+See README.md beside this file. Exit status 1: a survivor that `survivors.toml` does not name, or a named one that was
+killed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import os
+import random
+import sys
+import tomllib
+from collections import Counter, defaultdict
+from dataclasses import asdict, dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.mutants.c_build import OF_A_FILE, OUT, ROOT, Build, build
+from tests.mutants.mutant import Mutant
+from tests.mutants.plugin import Ended, Tests
+
+SURVIVORS = Path(__file__).with_name("survivors.toml")
+RESULTS, COVERAGE = OUT / "results.jsonl", OUT / "coverage.json"
+PLACES = ("tests/firmware/core",)
+LEFT_OUT = ("*_instructions.py", "*test_sanitized.py")
+"""Tests that do not run the core in their own process."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a mutant. The digests tell whether it still holds."""
+
+    name: str
+    outcome: str
+    test: str
+    source: str
+    tests: str
+
+
+def _digest(paths: list[Path]) -> str:
+    return hashlib.sha256(b"".join(path.read_bytes() for path in paths)).hexdigest()[:16]
+
+
+def _source_digest(mutant: Mutant) -> str:
+    return _digest([ROOT / mutant.file])
+
+
+class Coverage:
+    """Which test infects which mutants, and what it costs; kept by file of tests, until it or the core changes."""
+
+    def __init__(self, tests: Tests, made: Build):
+        sources = _digest(sorted((ROOT / "firmware/core").glob("*/*.[ch]")))
+        kept = json.loads(COVERAGE.read_text()) if COVERAGE.exists() else {}
+        by_file: dict[str, list[str]] = defaultdict(list)
+        for name in tests.items:
+            by_file[name.split("::")[0]].append(name)
+        shared = _digest(sorted((ROOT / "tests/firmware/core").rglob("conftest.py")))
+        self.costs: dict[str, float] = {}
+        self.by_mutant: dict[int, list[str]] = defaultdict(list)
+        wanted = {file: f"{sources} {shared} {_digest([ROOT / file])}" for file in by_file}
+        for file in sorted(by_file):
+            if kept.get(file, {}).get("digest") != wanted[file]:
+                print(f"tracing {file}", flush=True)
+                kept[file] = {"digest": wanted[file], "tests": tests.traced(by_file[file], _count())}
+                COVERAGE.write_text(json.dumps(kept))
+            for name, (cost, numbers) in kept[file]["tests"].items():
+                if name in tests.items:
+                    self.costs[name] = cost
+                    for number in numbers:
+                        self.by_mutant[number].append(name)
+
+
+def _count() -> int:
+    return len(list((ROOT / "firmware/core").glob("*/*.[ch]"))) * OF_A_FILE
+
+
+def _kept(path: Path) -> dict[str, Result]:
+    """Results of before, the last of each mutant."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    return {result["name"]: Result(**result) for result in map(json.loads, lines)}
+
+
+class Run:
+    """A run over some mutants."""
+
+    def __init__(self, made: Build, chosen: list[Mutant], arguments: argparse.Namespace):
+        self.made, self.chosen, self.arguments = made, chosen, arguments
+        self.results: dict[str, Result] = {}
+        self._killers: dict[str, Counter[str]] = defaultdict(Counter)
+
+    def __call__(self, tests: Tests) -> None:
+        """Trace, then try each mutant that no kept result answers."""
+        tests.load_instead(self.made.trace)
+        coverage = self._coverage(tests)
+        tests.load_instead(self.made.library)
+        kept = {} if self.arguments.fresh else _kept(RESULTS)
+        digests: dict[str, str] = {}
+        with RESULTS.open("a") as out:
+            for i, mutant in enumerate(self.chosen):
+                names = coverage.by_mutant.get(mutant.number, [])
+                files = sorted({name.split("::")[0] for name in names})
+                key = " ".join(files)
+                digests.setdefault(key, _digest([ROOT / file for file in files]))
+                result = kept.get(mutant.name)
+                if result is None or not self._holds(result, mutant, digests[key]):
+                    ended = self._try(tests, coverage, mutant, names)
+                    outcome = ended.by if ended.failed else "survived" if names else "not reached"
+                    test_file = [ROOT / ended.failed.split("::")[0]] if ended.failed else []
+                    of_tests = _digest(test_file) if test_file else digests[key]
+                    result = Result(mutant.name, outcome, ended.failed or "", _source_digest(mutant), of_tests)
+                    out.write(json.dumps(asdict(result)) + "\n")
+                    out.flush()
+                    if self.arguments.verbose or (not ended.failed):
+                        print(f"{i + 1}/{len(self.chosen)} {outcome} {mutant.number} {mutant.name}", flush=True)
+                self.results[mutant.name] = result
+                if result.test:
+                    self._killers[mutant.file][result.test] += 1
+
+    def _coverage(self, tests: Tests) -> Coverage:
+        return Coverage(tests, self.made)
+
+    def _holds(self, result: Result, mutant: Mutant, tests: str) -> bool:
+        """Whether a kept result still answers: the source and the tests that decided it are as they were."""
+        if result.source != _source_digest(mutant):
+            return False
+        if result.test:
+            file = ROOT / result.test.split("::")[0]
+            return file.exists() and result.tests == _digest([file])
+        return result.tests == tests
+
+    def _try(self, tests: Tests, coverage: Coverage, mutant: Mutant, names: list[str]) -> Ended:
+        """Run the tests that infect a mutant, the likely and cheap ones first, up to a budget of processor time."""
+        killers = self._killers[mutant.file]
+        ordered = sorted(names, key=lambda name: coverage.costs[name] / (1 + killers[name]))
+        taken, total = [], 0.0
+        for name in ordered:
+            total += coverage.costs[name]
+            if total > self.arguments.budget and taken:
+                break
+            taken.append(name)
+        return tests.mutated(mutant.number, taken, coverage.costs) if taken else Ended(None)
+
+
+def named_survivors() -> dict[str, dict[str, str]]:
+    """Return the survivors that are explained, by their names."""
+    entries: list[dict[str, Any]] = tomllib.loads(SURVIVORS.read_text(encoding="utf-8")).get("survivor", [])
+    named = {}
+    for entry in entries:
+        for what in entry["what"] if isinstance(entry["what"], list) else [entry["what"]]:
+            named[f"{entry['file']}: {entry['function']}: {what}"] = entry
+    return named
+
+
+def table(run: Run, named: dict[str, Any]) -> tuple[list[str], int]:
+    """Return the lines of the table and how many are wrong: unnamed survivors, and named ones that were killed."""
+    rows: dict[str, Counter[str]] = defaultdict(Counter)
+    for mutant in run.chosen:
+        result = run.results[mutant.name]
+        row = rows[mutant.file]
+        row["mutants"] += 1
+        if result.test:
+            row["killed"] += 1
+            row["by time"] += result.outcome == "time"
+            if mutant.name in named:
+                row["stale"] += 1
+                print(f"killed, though survivors.toml names it: {mutant.name} (by {result.test})")
+        elif mutant.name in named:
+            row["named"] += 1
+        else:
+            row["unnamed"] += 1
+            where = f"{mutant.number} {mutant.file}:{mutant.line}: {mutant.function}: {mutant.what}"
+            print(f"{result.outcome}, and not named: {where}")
+    gone = set(named) - {mutant.name for mutant in run.made.mutants}
+    print("".join(f"no such mutant, though survivors.toml names it: {name}\n" for name in sorted(gone)), end="")
+    wrong = len(gone) + sum(row["unnamed"] + row["stale"] for row in rows.values())
+    columns = ("mutants", "killed", "by time", "named", "unnamed", "stale")
+    rows["all"] = sum(rows.values(), Counter())
+    lines = [f"{'file':44}" + "".join(f"{column:>9}" for column in columns)]
+    lines += [
+        f"{file.removeprefix('firmware/'):44}" + "".join(f"{row[c]:9}" for c in columns) for file, row in rows.items()
+    ]
+    return lines, wrong
+
+
+def main(words: list[str] | None = None) -> int:
+    """Run; return the exit status."""
+    parser = argparse.ArgumentParser(prog="make mutants", description=__doc__)
+    parser.add_argument("--files", nargs="*", default=["*"], help="patterns of files, as 'link/*' or 'drive/guard.c'")
+    parser.add_argument("--tests", nargs="*", default=list(PLACES), help="folders or files of tests that count")
+    parser.add_argument("--number", type=int, nargs="*", help="mutants by number")
+    parser.add_argument("--sample", type=int, help="so many mutants, drawn by --seed")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--budget", type=float, default=30.0, help="unmutated processor time of a mutant's tests, s")
+    parser.add_argument("--fresh", action="store_true", help="use no results of before")
+    parser.add_argument("--list", action="store_true", help="print the mutants and end")
+    parser.add_argument("--verbose", action="store_true", help="a line for each mutant as it is tried")
+    parser.add_argument("--workers", type=int, default=1, help="compilers at a time")
+    arguments = parser.parse_args(words)
+    made = build(arguments.workers)
+    chosen = [m for m in made.mutants if any(fnmatch(m.file, f"*{pattern}") for pattern in arguments.files)]
+    if arguments.number:
+        chosen = [m for m in chosen if m.number in arguments.number]
+    if arguments.sample and arguments.sample < len(chosen):
+        chosen = sorted(random.Random(arguments.seed).sample(chosen, arguments.sample), key=lambda m: m.number)
+    if arguments.list:
+        print("\n".join(f"{m.number:6} {m.file}:{m.line}: {m.function}: {m.what}" for m in chosen))
+        return 0
+    os.chdir(ROOT)
+    run = Run(made, chosen, arguments)
+    ignored = [word for pattern in LEFT_OUT for word in ("--ignore-glob", pattern)]
+    options = ["-q", "-m", "not slow", "-p", "no:cacheprovider", "-p", "no:xdist", "-s", *ignored]
+    status = pytest.main([*options, *arguments.tests], plugins=[Tests(run)])
+    if len(run.results) < len(chosen):
+        print(f"the run ended before all mutants were tried (pytest: {status})")
+        return 2
+    lines, wrong = table(run, named_survivors())
+    print("\n".join(lines))
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
