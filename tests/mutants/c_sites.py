@@ -266,7 +266,7 @@ class Instrumented:
             constant = "gf_b" if self._constant(right) else "gf_a" if self._constant(left) else ""
             zero = constant and self._is_zero(right if constant == "gf_b" else left)
             real = None if zero else False
-            if not (constant and node.child_by_field_name("left") is left and zero and self._is_zero(left)):
+            if not self._picks_an_operand(node, left, right):
                 others.append(
                     (self._add(node, f"with {BOUNDARY[sign]} for {sign}", real), f"gf_a {BOUNDARY[sign]} gf_b")
                 )
@@ -283,6 +283,20 @@ class Instrumented:
         before = self._operands(left, right, *(number for number, _ in others))
         before += "".join(f"\n/*@{n}*/ GF_KIND({n}, gf_a + gf_b)" for n in kinds if n is not None)
         return self._value(node, f"gf_a {sign} gf_b", others, before)
+
+    def _picks_an_operand(self, node: tree_sitter.Node, left: tree_sitter.Node, right: tree_sitter.Node) -> bool:
+        """Whether a comparison chooses the larger or the smaller of what it compares: both are one at its boundary."""
+        above = node.parent
+        if above is None or above.type != "conditional_expression":
+            return False
+        branches = [above.child_by_field_name(name) for name in ("consequence", "alternative")]
+        return {self._bare(branch) for branch in branches if branch} == {self._bare(left), self._bare(right)}
+
+    def _bare(self, node: tree_sitter.Node) -> str:
+        """Text of an expression without casts and parentheses around it."""
+        while node.type in ("cast_expression", "parenthesized_expression"):
+            node = node.named_children[-1]
+        return self._raw(node)
 
     # ---- values ----
     def _opaque(self, call: tree_sitter.Node) -> bool:

@@ -6,7 +6,6 @@ as well as one whose test fails. Nothing waits by the clock.
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
 import signal
@@ -14,21 +13,19 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import cffi
 import hypothesis
 import pytest
 from _pytest.runner import runtestprotocol
 
-CORE = "libgf_core.so"
-"""The library in whose place those with mutants are loaded."""
 SPARE_S, TIMES = 2.0, 5.0
 """A mutant may take so much processor time: seconds, and times what the test took without."""
 
 
 Each = Callable[[str, bool, float], bool]
+Noted = dict[str, list[int]]
+"""Of a test: the mutants that it `infected`, those that can be told apart (`applicable`), and those that cannot."""
 
 
 @dataclass(frozen=True)
@@ -69,12 +66,11 @@ def in_child(work: Callable[[Any], None]) -> tuple[int, list[Any]]:
 
 
 class Tests:
-    """The collected tests and the library they are to load."""
+    """The collected tests; ``then`` is called when they are there."""
 
-    def __init__(self, then: Callable[[Tests], None], modules: Sequence[str] = ()):
+    def __init__(self, then: Callable[[Tests], None]):
         self.items: dict[str, pytest.Item] = {}
-        self._then, self._library, self._modules = then, "", modules
-        self._opened: ctypes.CDLL | None = None
+        self._then = then
 
     # ---- hooks ----
     @pytest.hookimpl(tryfirst=True)
@@ -91,19 +87,6 @@ class Tests:
         self._then(self)
         return True
 
-    # ---- library ----
-    def load_instead(self, library: Path) -> None:
-        """Let whoever loads the core through cffi get another build of it."""
-        self._library = str(library)
-        usual = cffi.FFI.dlopen
-
-        def dlopen(ffi: cffi.FFI, name: Any, flags: int = 0) -> Any:
-            ours = isinstance(name, str) and Path(name).name == CORE
-            return usual(ffi, self._library if ours else name, flags)
-
-        cffi.FFI.dlopen = dlopen  # type: ignore[method-assign]
-        self._opened = ctypes.CDLL(self._library)
-
     # ---- runs ----
     def run(self, names: Sequence[str], costs: dict[str, float] | None, each: Each) -> None:
         """Run tests; ``each`` is told a test's name, whether it passed and its time, and says whether to go on."""
@@ -117,33 +100,28 @@ class Tests:
             if not each(name, passed, time.process_time() - begun):
                 return
 
-    def traced(self, names: Sequence[str], count: int) -> dict[str, tuple[float, list[int]]]:
-        """Return for each test that passes its time and the mutants it infects; the library must be the traced one."""
-        assert self._opened is not None
-        infected = (ctypes.c_ubyte * count).in_dll(self._opened, "gf_infected")
+    def traced(self, names: Sequence[str], noted: Callable[[], Noted]) -> dict[str, tuple[float, Noted]]:
+        """Return each test's time and what it infects; ``noted`` tells that of a test, and forgets it."""
 
         def work(send: Any) -> None:
             def each(name: str, passed: bool, cost: float) -> bool:
-                raw = bytes(infected)
-                send([name, passed, cost, [i for i, byte in enumerate(raw) if byte]])
-                ctypes.memset(infected, 0, count)
+                send([name, passed, cost, noted()])
                 return True
 
+            noted()
             self.run(names, None, each)
 
         status, sent = in_child(work)
         failed = [name for name, passed, _, _ in sent if not passed]
         if status != 0 or failed:
             raise RuntimeError(f"without a mutant these tests fail: {', '.join(failed) or 'the child crashed'}")
-        return {name: (cost, numbers) for name, _, cost, numbers in sent}
+        return {name: (cost, told) for name, _, cost, told in sent}
 
-    def mutated(self, number: int, names: Sequence[str], costs: dict[str, float]) -> Ended:
-        """Run tests on a mutant until one notices it."""
-        assert self._opened is not None
-        mutant = ctypes.c_int.in_dll(self._opened, "gf_mutant")
+    def mutated(self, become: Callable[[], None], names: Sequence[str], costs: dict[str, float]) -> Ended:
+        """Run tests on the mutant that ``become`` selects until one notices it."""
 
         def work(send: Any) -> None:
-            mutant.value = number
+            become()
 
             def each(name: str, passed: bool, cost: float) -> bool:
                 send([name, passed])
@@ -156,7 +134,7 @@ class Tests:
         if sent and not sent[-1][1]:
             return Ended(sent[-1][0], "test")
         if os.WIFSIGNALED(status):
-            by = "time" if os.WTERMSIG(status) in (signal.SIGPROF, signal.SIGXCPU) else "crash"
+            by = "time" if os.WTERMSIG(status) == signal.SIGPROF else "crash"
             return Ended(names[min(done, len(names) - 1)], by)
         if status != 0 or done < len(names):
             return Ended(names[min(done, len(names) - 1)], "crash")

@@ -21,15 +21,13 @@ from typing import Any
 
 import pytest
 
-from tests.mutants.c_build import OF_A_FILE, OUT, ROOT, Build, build
+from tests.mutants.c_build import OUT, ROOT
 from tests.mutants.mutant import Mutant
+from tests.mutants.parts import PARTS, Part
 from tests.mutants.plugin import Ended, Tests
 
 SURVIVORS = Path(__file__).with_name("survivors.toml")
-RESULTS, COVERAGE = OUT / "results.jsonl", OUT / "coverage.json"
-PLACES = ("tests/firmware/core",)
-LEFT_OUT = ("*_instructions.py", "*test_sanitized.py")
-"""Tests that do not run the core in their own process."""
+RESULTS = OUT / "results.jsonl"
 
 
 @dataclass(frozen=True)
@@ -54,30 +52,31 @@ def _source_digest(mutant: Mutant) -> str:
 class Coverage:
     """Which test infects which mutants, and what it costs; kept by file of tests, until it or the core changes."""
 
-    def __init__(self, tests: Tests, made: Build):
-        sources = _digest(sorted((ROOT / "firmware/core").glob("*/*.[ch]")))
-        kept = json.loads(COVERAGE.read_text()) if COVERAGE.exists() else {}
+    def __init__(self, tests: Tests, part: Part, file_of_it: Path):
+        sources = _digest([*part.sources, *Path(__file__).parent.glob("*_sites.py")])
+        kept = json.loads(file_of_it.read_text()) if file_of_it.exists() else {}
         by_file: dict[str, list[str]] = defaultdict(list)
         for name in tests.items:
             by_file[name.split("::")[0]].append(name)
-        shared = _digest(sorted((ROOT / "tests/firmware/core").rglob("conftest.py")))
+        shared = _digest([path for place in part.tests for path in sorted((ROOT / place).rglob("conftest.py"))])
         self.costs: dict[str, float] = {}
         self.by_mutant: dict[int, list[str]] = defaultdict(list)
+        empty, applicable = set[int](), set[int]()
         wanted = {file: f"{sources} {shared} {_digest([ROOT / file])}" for file in by_file}
         for file in sorted(by_file):
             if kept.get(file, {}).get("digest") != wanted[file]:
                 print(f"tracing {file}", flush=True)
-                kept[file] = {"digest": wanted[file], "tests": tests.traced(by_file[file], _count())}
-                COVERAGE.write_text(json.dumps(kept))
-            for name, (cost, numbers) in kept[file]["tests"].items():
+                kept[file] = {"digest": wanted[file], "tests": tests.traced(by_file[file], part.noted)}
+                file_of_it.write_text(json.dumps(kept))
+            for name, (cost, told) in kept[file]["tests"].items():
                 if name in tests.items:
                     self.costs[name] = cost
-                    for number in numbers:
+                    empty.update(told["empty"])
+                    applicable.update(told["applicable"])
+                    for number in told["infected"]:
                         self.by_mutant[number].append(name)
-
-
-def _count() -> int:
-    return len(list((ROOT / "firmware/core").glob("*/*.[ch]"))) * OF_A_FILE
+        self.none = empty - applicable
+        """Mutants that are nothing but the original wherever they were reached."""
 
 
 def _kept(path: Path) -> dict[str, Result]:
@@ -89,16 +88,17 @@ def _kept(path: Path) -> dict[str, Result]:
 class Run:
     """A run over some mutants."""
 
-    def __init__(self, made: Build, chosen: list[Mutant], arguments: argparse.Namespace):
-        self.made, self.chosen, self.arguments = made, chosen, arguments
+    def __init__(self, part: Part, chosen: list[Mutant], arguments: argparse.Namespace):
+        self.part, self.chosen, self.arguments = part, chosen, arguments
         self.results: dict[str, Result] = {}
         self._killers: dict[str, Counter[str]] = defaultdict(Counter)
 
     def __call__(self, tests: Tests) -> None:
         """Trace, then try each mutant that no kept result answers."""
-        tests.load_instead(self.made.trace)
-        coverage = self._coverage(tests)
-        tests.load_instead(self.made.library)
+        self.part.trace()
+        coverage = Coverage(tests, self.part, OUT / f"coverage_{self.arguments.part}.json")
+        self.chosen = [mutant for mutant in self.chosen if mutant.number not in coverage.none]
+        self.part.ready()
         kept = {} if self.arguments.fresh else _kept(RESULTS)
         digests: dict[str, str] = {}
         with RESULTS.open("a") as out:
@@ -122,9 +122,6 @@ class Run:
                 if result.test:
                     self._killers[mutant.file][result.test] += 1
 
-    def _coverage(self, tests: Tests) -> Coverage:
-        return Coverage(tests, self.made)
-
     def _holds(self, result: Result, mutant: Mutant, tests: str) -> bool:
         """Whether a kept result still answers: the source and the tests that decided it are as they were."""
         if result.source != _source_digest(mutant):
@@ -144,10 +141,10 @@ class Run:
             if total > self.arguments.budget and taken:
                 break
             taken.append(name)
-        return tests.mutated(mutant.number, taken, coverage.costs) if taken else Ended(None)
+        return tests.mutated(lambda: self.part.become(mutant.number), taken, coverage.costs) if taken else Ended(None)
 
 
-def named_survivors() -> dict[str, dict[str, str]]:
+def named_survivors() -> dict[str, dict[str, Any]]:
     """Return the survivors that are explained, by their names."""
     entries: list[dict[str, Any]] = tomllib.loads(SURVIVORS.read_text(encoding="utf-8")).get("survivor", [])
     named = {}
@@ -157,7 +154,7 @@ def named_survivors() -> dict[str, dict[str, str]]:
     return named
 
 
-def table(run: Run, named: dict[str, Any]) -> tuple[list[str], int]:
+def table(run: Run, named: dict[str, Any], all_names: set[str]) -> tuple[list[str], int]:
     """Return the lines of the table and how many are wrong: unnamed survivors, and named ones that were killed."""
     rows: dict[str, Counter[str]] = defaultdict(Counter)
     for mutant in run.chosen:
@@ -176,7 +173,8 @@ def table(run: Run, named: dict[str, Any]) -> tuple[list[str], int]:
             row["unnamed"] += 1
             where = f"{mutant.number} {mutant.file}:{mutant.line}: {mutant.function}: {mutant.what}"
             print(f"{result.outcome}, and not named: {where}")
-    gone = set(named) - {mutant.name for mutant in run.made.mutants}
+    files = {str(path.relative_to(ROOT)) for path in run.part.sources}
+    gone = {name for name, entry in named.items() if entry["file"] in files} - all_names
     print("".join(f"no such mutant, though survivors.toml names it: {name}\n" for name in sorted(gone)), end="")
     wrong = len(gone) + sum(row["unnamed"] + row["stale"] for row in rows.values())
     columns = ("mutants", "killed", "by time", "named", "unnamed", "stale")
@@ -191,8 +189,9 @@ def table(run: Run, named: dict[str, Any]) -> tuple[list[str], int]:
 def main(words: list[str] | None = None) -> int:
     """Run; return the exit status."""
     parser = argparse.ArgumentParser(prog="make mutants", description=__doc__)
+    parser.add_argument("part", choices=PARTS, help="whose mutants")
     parser.add_argument("--files", nargs="*", default=["*"], help="patterns of files, as 'link/*' or 'drive/guard.c'")
-    parser.add_argument("--tests", nargs="*", default=list(PLACES), help="folders or files of tests that count")
+    parser.add_argument("--tests", nargs="*", help="folders or files of tests that count")
     parser.add_argument("--number", type=int, nargs="*", help="mutants by number")
     parser.add_argument("--sample", type=int, help="so many mutants, drawn by --seed")
     parser.add_argument("--seed", type=int, default=1)
@@ -202,8 +201,9 @@ def main(words: list[str] | None = None) -> int:
     parser.add_argument("--verbose", action="store_true", help="a line for each mutant as it is tried")
     parser.add_argument("--workers", type=int, default=1, help="compilers at a time")
     arguments = parser.parse_args(words)
-    made = build(arguments.workers)
-    chosen = [m for m in made.mutants if any(fnmatch(m.file, f"*{pattern}") for pattern in arguments.files)]
+    part: Part = PARTS[arguments.part]()
+    mutants = part.mutants(arguments.workers)
+    chosen = [m for m in mutants if any(fnmatch(m.file, f"*{pattern}") for pattern in arguments.files)]
     if arguments.number:
         chosen = [m for m in chosen if m.number in arguments.number]
     if arguments.sample and arguments.sample < len(chosen):
@@ -212,14 +212,26 @@ def main(words: list[str] | None = None) -> int:
         print("\n".join(f"{m.number:6} {m.file}:{m.line}: {m.function}: {m.what}" for m in chosen))
         return 0
     os.chdir(ROOT)
-    run = Run(made, chosen, arguments)
-    ignored = [word for pattern in LEFT_OUT for word in ("--ignore-glob", pattern)]
-    options = ["-q", "-m", "not slow", "-p", "no:cacheprovider", "-p", "no:xdist", "-s", *ignored]
-    status = pytest.main([*options, *arguments.tests], plugins=[Tests(run)])
-    if len(run.results) < len(chosen):
+    run = Run(part, chosen, arguments)
+    ignored = [word for pattern in part.not_tests for word in ("--ignore-glob", pattern)]
+    options = [
+        "-q",
+        "-m",
+        "not slow",
+        "-p",
+        "no:cacheprovider",
+        "-p",
+        "no:xdist",
+        "-p",
+        "no:faulthandler",
+        "-s",
+        *ignored,
+    ]
+    status = pytest.main([*options, *(arguments.tests or part.tests)], plugins=[Tests(run)])
+    if len(run.results) < len(run.chosen):
         print(f"the run ended before all mutants were tried (pytest: {status})")
         return 2
-    lines, wrong = table(run, named_survivors())
+    lines, wrong = table(run, named_survivors(), {mutant.name for mutant in mutants})
     print("\n".join(lines))
     return 1 if wrong else 0
 

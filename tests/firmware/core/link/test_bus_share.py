@@ -101,3 +101,52 @@ def test_what_goes_in_any_case_is_paid_for_later_but_not_for_ever(core):
     free_us = CREDIT_US * 100 // PERCENT  # behind a debt of 10 ms
     assert not lib.bus_share_take(share, 1, free_us)
     assert lib.bus_share_take(share, 1, free_us + 214)
+
+
+def test_it_begins_without_credit_and_alone_whatever_lay_there(core):
+    ffi, lib = core
+    share = ffi.new("bus_share_t *")
+    ffi.memmove(share, b"\x11" * ffi.sizeof("bus_share_t"), ffi.sizeof("bus_share_t"))
+    lib.bus_share_start(share, 5000)
+    assert not lib.bus_share_take(share, 1, 5000)
+    assert lib.bus_share_boards(share, 5000) == 1
+    assert not lib.bus_share_take(share, 1, 5213)
+    assert lib.bus_share_take(share, 1, 5214)
+
+
+def test_a_board_for_which_there_is_no_place_displaces_none(core):
+    _, lib = core
+    share = make(core)
+    for node in range(1, 1 + OTHERS):
+        lib.bus_share_heard(share, node, 10)
+    lib.bus_share_heard(share, 99, 400_000)
+    assert lib.bus_share_boards(share, 10 + FORGET_US) == 1 + OTHERS
+    assert lib.bus_share_boards(share, 11 + FORGET_US) == 1
+
+
+def test_nothing_behind_the_last_place_counts(core):
+    """What lies behind looks like the board that is heard."""
+    ffi, lib = core
+    shares = ffi.new("bus_share_t[2]")
+    lib.bus_share_start(shares, 0)
+    shares[1].credit_ns, shares[1].filled_us = 7, 10
+    assert lib.bus_share_boards(shares, 10) == 1
+    lib.bus_share_heard(shares, 7, 10)
+    assert lib.bus_share_boards(shares, 10) == 2
+
+
+def test_what_the_credit_just_pays_for_goes(core):
+    """640 us alone on the bus are three messages, to the nanosecond."""
+    _, lib = core
+    share = make(core)
+    assert not lib.bus_share_take(share, 3, 639)
+    assert lib.bus_share_take(share, 3, 640)
+
+
+def test_what_goes_in_any_case_is_paid_from_a_credit_that_was_full(core):
+    """Two messages are left of 62, however long it was silent before."""
+    _, lib = core
+    share = make(core)
+    lib.bus_share_spend(share, 60, 20_000)
+    assert not lib.bus_share_take(share, 3, 20_000)
+    assert lib.bus_share_take(share, 2, 20_000)

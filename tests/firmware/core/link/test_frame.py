@@ -1,5 +1,6 @@
 """Frames in C against the shared vectors and, on any bytes, against the Python decoder."""
 
+import binascii
 import json
 
 import pytest
@@ -85,3 +86,65 @@ def test_crc_check_value_and_counter_that_stops(core):
         lib.frame_decode(decoder, byte, ffi.new("frame_t *"))
     assert decoder.malformed == 2**32 - 1
     assert lib.frame_dropped(decoder) == 2**32 - 1
+
+
+def test_what_the_decoder_starts_with_and_what_lies_behind_the_data(core):
+    """Whatever lay in the decoder before, and in the frame: bytes behind the data are zero, as on the wire."""
+    ffi, lib = core
+    decoder, frame = ffi.new("frame_decoder_t *"), ffi.new("frame_t *", {"data": [0xEE] * 8})
+    ffi.memmove(decoder, b"\x55" * ffi.sizeof("frame_decoder_t"), ffi.sizeof("frame_decoder_t"))
+    lib.frame_decoder_init(decoder)
+    assert lib.frame_dropped(decoder) == 0
+    stream = encode_frame(0x123, b"\x07\x08")
+    assert [bool(lib.frame_decode(decoder, byte, frame)) for byte in stream] == [False] * (len(stream) - 1) + [True]
+    assert (frame.id, frame.length, bytes(frame.data)) == (0x123, 2, b"\x07\x08" + bytes(6))
+
+
+def test_an_encoded_frame_ends_with_a_zero_and_goes_no_further(core):
+    ffi, lib = core
+    frame = ffi.new("frame_t *", {"id": 0x1FFFFFFF, "length": 3, "data": [1, 0, 2]})
+    buffer = ffi.new("uint8_t[16]", [0xEE] * 16)
+    count = lib.frame_encode(frame, buffer)
+    assert bytes(buffer)[:count] == encode_frame(0x1FFFFFFF, b"\x01\x00\x02")
+    assert bytes(buffer)[count - 1 :] == b"\0" + b"\xee" * (16 - count)
+
+
+def stuffed(payload):
+    """Bytes on the wire of any payload, by another hand: each zero becomes the distance to the next."""
+    pieces = payload.split(b"\0")
+    return b"".join(bytes([len(piece) + 1]) + piece for piece in pieces) + b"\0"
+
+
+def checked(body):
+    """A body of any length with the checksum that is right for it."""
+    return body + binascii.crc_hqx(body, 0xFFFF).to_bytes(2, "little")
+
+
+@pytest.mark.parametrize(
+    ("body", "good"),
+    [
+        (b"\1\2\3", False),
+        (b"\1\2\3\4", True),
+        (b"\1\2\3\4" + bytes(range(1, 9)), True),
+        (b"\xff\xff\xff\x1f", True),
+        (b"\0\0\0\x20", False),
+    ],
+)
+def test_the_least_and_the_most_that_is_a_frame(core, body, good):
+    """Both sides of the shortest, the longest and the largest identifier, each with a right checksum."""
+    frames, counters = decode(core, stuffed(checked(body)))
+    assert len(frames) == good
+    assert counters == {"bad_crc": 0, "malformed": int(not good), "overlong": 0}
+
+
+def test_a_counter_counts_to_its_end(core):
+    """The sum of all stops at its end, and one below it is told as it is."""
+    ffi, lib = core
+    for before, after in ((2**32 - 3, 2**32 - 2), (2**32 - 2, 2**32 - 1), (2**32 - 1, 2**32 - 1)):
+        decoder = ffi.new("frame_decoder_t *", {"malformed": before})
+        for byte in b"\1\0":
+            lib.frame_decode(decoder, byte, ffi.new("frame_t *"))
+        assert decoder.malformed == after
+    for parts in ((2**31, 2**31 - 2, 0), (2**31, 2**31 - 1, 0), (2**31, 2**31 - 1, 1)):
+        decoder = ffi.new("frame_decoder_t *", dict(zip(COUNTERS, parts, strict=True)))
+        assert lib.frame_dropped(decoder) == min(sum(parts), 2**32 - 1)
