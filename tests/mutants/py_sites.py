@@ -10,7 +10,7 @@ import ast
 import importlib.machinery
 import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
@@ -178,17 +178,21 @@ class Instrumented(ast.NodeTransformer):
         return true, self._add(node, "is always false")
 
     def _condition(self, node: ast.expr) -> ast.expr:
-        if isinstance(node, ast.BoolOp) or (isinstance(node, ast.Compare) and len(node.ops) == 1):
-            plain = isinstance(node, ast.BoolOp) or type(node.ops[0]) in COMPARISONS
-            if plain:
-                return self.visit(node)
+        if isinstance(node, ast.BoolOp):
+            return self._junction(node, self._condition)
+        if isinstance(node, ast.Compare) and len(node.ops) == 1 and type(node.ops[0]) in COMPARISONS:
+            return self.visit(node)
         numbers = self._forced(node)
         return self._call(node, "truth", numbers, self.visit(node))
 
     def visit_BoolOp(self, node: ast.BoolOp) -> ast.AST:
+        """Outside of conditions the value of an operand may be meant, not only its truth."""
+        return self._junction(node, self.visit)
+
+    def _junction(self, node: ast.BoolOp, way: Callable[[ast.expr], Any]) -> ast.expr:
         both = isinstance(node.op, ast.And)
         number = self._add(node, f"with {'or' if both else 'and'}")
-        node.values = [self._condition(value) for value in node.values]
+        node.values = [way(value) for value in node.values]
         other = ast.copy_location(ast.BoolOp(ast.Or() if both else ast.And(), node.values), node)
         return ast.copy_location(ast.IfExp(self._call(node, "on", number), other, node), node)
 
@@ -265,14 +269,14 @@ class _Loader(importlib.machinery.SourceFileLoader):
 class Finder(importlib.machinery.PathFinder):
     """Puts rewritten modules in the place of those of the given files; it stands first in ``sys.meta_path``."""
 
-    def __init__(self, modules: dict[Path, Instrumented]):
-        self._modules = modules
+    def __init__(self, modules: dict[Path, Instrumented], package: str = "goldfield."):
+        self._modules, self._package = modules, package
 
     def find_spec(  # type: ignore[override]
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         """Return where a module is, for those that are rewritten."""
-        if not fullname.startswith("goldfield."):
+        if not fullname.startswith(self._package):
             return None
         spec = importlib.machinery.PathFinder.find_spec(fullname, path, target)
         made = self._modules.get(Path(spec.origin)) if spec is not None and spec.origin else None
