@@ -184,7 +184,7 @@ def test_a_way_that_a_short_could_not_be_told_by_is_left_aside(core, size, told)
     """A short needs 640 counts, and a quarter more to be told from what has arrived: 400 down and 400 beyond."""
     watch = learned(core)
     found = [edge(core, watch, size, -size, -size), edge(core, watch, -size, size, size)]
-    assert (found[-1] == EXCESS) == told
+    assert found == [NONE, EXCESS if told else NONE]
 
 
 def test_a_coil_that_arrives_at_once_is_not_learned(core):
@@ -193,3 +193,39 @@ def test_a_coil_that_arrives_at_once_is_not_learned(core):
     plant.short()
     assert plant.run(500) is None
     assert plant.watch.learned == 0
+
+
+@pytest.mark.parametrize(("fall", "count"), [(-1, 0), (0, 0), (1, 1), (1279, 1), (1280, 0), (1281, 0)])
+def test_a_fall_that_is_learned_is_on_its_way(core, fall, count):
+    """None at all and the wrong way are not learned, nor is half of a way of 2560 counts or more."""
+    for sign in (1, -1):
+        watch = core[0].new("fall_t *")
+        assert edge(core, watch, sign * 1280, -sign * 1280, sign * (1280 - fall)) == NONE
+        assert watch.learned == count
+
+
+@pytest.mark.parametrize(("before", "count"), [(127, 0), (128, 1), (-127, 0), (-128, 1)])
+def test_the_least_current_that_is_looked_at(core, before, count):
+    watch = core[0].new("fall_t *")
+    edge(core, watch, before, -before, before - (10 if before > 0 else -10))
+    assert watch.learned == count
+
+
+def test_a_current_that_is_to_end_falls(core):
+    watch = core[0].new("fall_t *")
+    edge(core, watch, 1280, 0, 1200)
+    assert watch.learned == 1
+
+
+def test_the_rate_is_the_mean_of_the_first_sixteen(core):
+    watch = core[0].new("fall_t *")
+    falls = [100 + 40 * i for i in range(17)]
+    for fall in falls:
+        edge(core, watch, 1280, -1280, 1280 - fall, 2000 + fall)
+    expected = np.mean([fall / (2000 + fall) for fall in falls[:16]])
+    assert (watch.learned, watch.rate) == (16, pytest.approx(expected, rel=1e-6))
+
+
+def test_each_short_is_told_by_two_falls_of_its_own(core):
+    watch = learned(core)
+    assert [edge(core, watch, 1280, -1280, -1280) for _ in range(4)] == [NONE, EXCESS, NONE, EXCESS]

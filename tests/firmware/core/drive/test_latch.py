@@ -145,3 +145,89 @@ def test_words_that_nobody_wrote_count_as_power_on(memory, word, check):
     memory.reset(watchdog=True)
     assert memory.may_drive(0)
     assert memory.kept[0] == ~memory.kept[1] & 0xFFFFFFFF
+
+
+def test_who_is_switched_off_no_longer_counts_as_driving(memory):
+    """A watchdog that strikes behind a trip which was cleared is none more."""
+    memory.on()
+    memory.trip(OVER, 0)
+    memory.clear(1)
+    memory.reset(watchdog=True)
+    assert memory.latch.trips == 1
+
+
+def test_what_is_left_of_a_wait_begins_anew_with_a_reset(memory):
+    """After each trip of a row that was cleared: 2^(n-1) s from the reset, with no cause."""
+    for trip, wait in enumerate((1, 2, 4, 8)):
+        memory.trip(OVER, 1000 * S * trip)
+        memory.clear(1000 * S * trip + 1)
+        memory.reset(watchdog=False, now=7 * S)
+        assert (memory.latch.cause, memory.latch.trips) == (NONE, trip + 1)
+        assert not memory.may_drive(7 * S + wait * S - 1)
+        assert memory.may_drive(7 * S + wait * S)
+
+
+MARK = 0xC0110000
+
+
+@pytest.mark.parametrize(
+    ("word", "spoilt", "cause", "trips", "locked_out"),
+    [
+        (MARK | 0x41, 0, OVER, 4, False),
+        (MARK | 0x51, 0, OVER, 5, True),
+        (MARK | 0x50, 0, WATCHDOG, 5, True),
+        (MARK | 0x40, 0, NONE, 4, False),
+        (MARK | 0x61, 0, NONE, 0, False),
+        (MARK | 0x60, 0, NONE, 0, False),
+        (MARK | 0x41, 1, NONE, 0, False),
+        (MARK | 0x41, 1 << 31, NONE, 0, False),
+        (MARK ^ 1 << 31 | 0x41, 0, NONE, 0, False),
+        (MARK ^ 1 << 16 | 0x41, 0, NONE, 0, False),
+    ],
+)
+def test_words_that_no_latch_wrote_count_as_power_on(memory, word, spoilt, cause, trips, locked_out):
+    memory.kept[0], memory.kept[1] = word, ~word & 0xFFFFFFFF ^ spoilt
+    memory.reset(watchdog=False)
+    latch = memory.latch
+    assert (latch.cause, latch.trips, latch.locked_out) == (cause, trips, locked_out)
+    assert memory.kept[1] == ~memory.kept[0] & 0xFFFFFFFF
+    assert memory.kept[0] == MARK | trips << 4 | cause
+
+
+def test_a_reset_within_the_first_second_counts_the_cause_once(memory):
+    """With no trip before, and as often as it is reset."""
+    memory.on()
+    memory.lib.latch_set(memory.latch, OVER)
+    for _ in range(3):
+        memory.reset(watchdog=False)
+        assert (memory.latch.cause, memory.latch.trips) == (OVER, 1)
+        memory.lib.latch_step(memory.latch, 10)
+        assert memory.latch.trips == 1
+
+
+@pytest.mark.parametrize(("left_us", "seconds"), [(0, 0), (1, 1), (999_999, 1), (S, 1), (S + 1, 2), (2 * S, 2)])
+def test_seconds_to_wait_are_rounded_up(memory, left_us, seconds):
+    memory.trip(OVER, 0)
+    memory.clear(1)
+    memory.trip(OVER, 10 * S)
+    assert memory.lib.latch_wait_s(memory.latch, 12 * S - left_us) == seconds
+    assert memory.lib.latch_wait_s(memory.latch, 13 * S) == 0
+
+
+def test_the_row_ends_only_with_the_bridge_on_throughout(memory):
+    """Ten minutes less a step, a pause, and ten minutes again."""
+    memory.trip(OVER, 0)
+    memory.clear(1)
+    memory.on()
+    memory.may_drive(2 * S)
+    memory.may_drive(601 * S)
+    memory.on(False)
+    memory.may_drive(601 * S + 1)
+    memory.on()
+    memory.may_drive(700 * S)
+    memory.may_drive(1300 * S - 1)
+    assert memory.latch.trips == 1
+    memory.may_drive(1300 * S)
+    assert memory.latch.trips == 0
+    memory.reset(watchdog=False)
+    assert memory.latch.trips == 0

@@ -113,3 +113,54 @@ def test_neither_repeats_nor_strays_nor_a_flood_make_a_leader_step_back(core):
     assert not any(rivals.hears(70 - k, k * rivals.period) for k in range(50))  # Backwards.
     assert not any(rivals.hears(70 + k, k * rivals.period, node=5 + k % 2) for k in range(50))  # By turns.
     assert [rivals.hears(900 + k, 10**9 + k * rivals.period) for k in range(3)][2]
+
+
+@pytest.mark.parametrize(("off_us", "yields"), [(-49_998, True), (-49_999, False), (49_998, True), (49_999, False)])
+def test_half_a_period_to_the_microsecond(core, off_us, yields):
+    """Of 99,996 us: as much before and behind the time that the number says."""
+    rivals = Rivals(core)
+    heard = [rivals.hears(k, k * rivals.period + (off_us if k == 2 else 0)) for k in range(3)]
+    assert heard == [False, False, yields]
+
+
+@pytest.mark.parametrize(("missing", "yields"), [(2, True), (3, False)])
+def test_three_periods_between_two_messages_are_a_row_and_four_are_none(core, missing, yields):
+    rivals = Rivals(core, 7)
+    step = 1 + missing
+    heard = [rivals.hears(70 + k * step * rivals.cycles, k * step * rivals.period) for k in range(3)]
+    assert heard == [False, False, yields]
+
+
+def test_a_rival_that_changes_its_rank_or_its_number_begins_anew(core):
+    for rank, node in ((2, 5), (1, 6)):
+        rivals = Rivals(core)
+        rivals.made.rank = 3
+        heard = [rivals.hears(70 + k, k * rivals.period) for k in range(2)]
+        heard += [rivals.hears(70 + k, k * rivals.period, rank, node) for k in range(2, 5)]
+        assert heard == [False] * 4 + [True]
+
+
+def test_nothing_is_left_of_what_lay_there_before_the_start(core):
+    ffi, lib = core
+    made = ffi.new("election_t *")
+    ffi.memmove(made, b"\1" * ffi.sizeof("election_t"), ffi.sizeof("election_t"))
+    lib.election_start(made, 2, *PERIODS_US[10], START)
+    assert lib.election_wait_us(made, False, START) == 274_991  # Nobody is known to be in step.
+    assert not lib.election_due(made, True, START + 274_990)
+    other = ffi.new("election_leader_t *", [1, 5, 70])
+    assert not lib.election_yields(made, 20, other, START)
+    assert made.rival_syncs == 1
+
+
+def test_the_step_by_rank_is_what_the_time_allows(core):
+    """50 ms where that fits below 950 ms, else as much less as fifteen ranks need."""
+    ffi, lib = core
+    for period, step in ((111_111, 50_000), (111_112, 49_999), (250_000, 27_678)):
+        waits = []
+        for rank in (1, 2, 15):
+            made = ffi.new("election_t *")
+            lib.election_start(made, rank, 1, period, START)
+            waits.append(lib.election_wait_us(made, True, START))
+        first = period * 9 // 4
+        assert waits == [first, first + step, first + 14 * step]
+        assert step == min(50_000, (950_000 - first) // 14)
