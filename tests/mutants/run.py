@@ -109,7 +109,7 @@ class Run:
                 digests.setdefault(key, _digest([ROOT / file for file in files]))
                 result = kept.get(mutant.name)
                 if result is None or not self._holds(result, mutant, digests[key]):
-                    ended = self._try(tests, coverage, mutant, names)
+                    ended = self._try(tests, coverage, mutant, names, result.test if result else "")
                     outcome = ended.by if ended.failed else "survived" if names else "not reached"
                     test_file = [ROOT / ended.failed.split("::")[0]] if ended.failed else []
                     of_tests = _digest(test_file) if test_file else digests[key]
@@ -131,10 +131,11 @@ class Run:
             return file.exists() and result.tests == _digest([file])
         return result.tests == tests
 
-    def _try(self, tests: Tests, coverage: Coverage, mutant: Mutant, names: list[str]) -> Ended:
-        """Run the tests that infect a mutant, the likely and cheap ones first, up to a budget of processor time."""
+    def _try(self, tests: Tests, coverage: Coverage, mutant: Mutant, names: list[str], before: str) -> Ended:
+        """Run the tests that infect a mutant up to a budget of processor time: the one that killed it before, then the
+        likely and cheap ones."""
         killers = self._killers[mutant.file]
-        ordered = sorted(names, key=lambda name: coverage.costs[name] / (1 + killers[name]))
+        ordered = sorted(names, key=lambda name: (name != before, coverage.costs[name] / (1 + killers[name])))
         taken, total = [], 0.0
         for name in ordered:
             total += coverage.costs[name]

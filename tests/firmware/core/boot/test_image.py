@@ -166,6 +166,13 @@ def test_an_image_as_long_as_the_slot_passes(core):
     assert node.check(1) == OK
 
 
+def test_an_image_of_a_stack_pointer_and_an_entry_alone_passes(core):
+    node = Node(core)
+    node.put(replace(OLD, code=(0x20002000, 0x08020201)), 0)
+    assert node.check(0) == OK
+    assert node.intact(0)
+
+
 def test_the_image_for_the_other_slot_is_refused(core):
     node = Node(core)
     node.cells.read[1][0:WORDS] = OLD.at(0).words()

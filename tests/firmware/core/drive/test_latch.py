@@ -231,3 +231,11 @@ def test_the_row_ends_only_with_the_bridge_on_throughout(memory):
     assert memory.latch.trips == 0
     memory.reset(watchdog=False)
     assert memory.latch.trips == 0
+
+
+def test_a_row_never_grows_beyond_the_one_that_locks_out(memory):
+    """Five trips, no cause and the bridge on: no latch writes that, and the watchdog's trip is not a sixth."""
+    memory.kept[0], memory.kept[1] = MARK | 0x1050, ~(MARK | 0x1050) & 0xFFFFFFFF
+    memory.reset(watchdog=True)
+    assert (memory.latch.cause, memory.latch.trips, memory.latch.locked_out) == (WATCHDOG, 5, True)
+    assert not memory.clear(1000 * S)
