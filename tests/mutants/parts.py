@@ -28,6 +28,8 @@ class Part(Protocol):
     """Where its tests are."""
     not_tests: Sequence[str]
     """Patterns of files of tests that do not run it in their own process."""
+    warm: bool
+    """Whether a test may run before, without a mutant: nothing that its sources compute is kept from it."""
 
     def mutants(self, workers: int) -> list[Mutant]:
         """Build what holds all mutants, and return them."""
@@ -57,6 +59,7 @@ class Core:
         self.sources = sorted((ROOT / "firmware/core").glob("*/*.[ch]"))
         self.tests = ["tests/firmware/core"]
         self.not_tests = ["*_instructions.py", "*test_sanitized.py"]
+        self.warm = True
         self._build: Build | None = None
         self._library = ""
         self._dlopen = cffi.FFI.dlopen
@@ -107,6 +110,7 @@ class Locator:
         self.sources = sorted((ROOT / "host/goldfield/locate").glob("*.py"))
         self.tests = ["tests/host/locate"]
         self.not_tests: list[str] = []
+        self.warm = False
 
     def mutants(self, workers: int) -> list[Mutant]:
         """See `Part`."""

@@ -100,6 +100,13 @@ class Tests:
             if not each(name, passed, time.process_time() - begun):
                 return
 
+    def warm(self, costs: dict[str, float]) -> None:
+        """Run the cheapest test of each file here, without a mutant, so that what it loads need not be loaded again."""
+        cheapest: dict[str, str] = {}
+        for name in sorted(costs, key=costs.__getitem__):
+            cheapest.setdefault(name.split("::")[0], name)
+        self.run(list(cheapest.values()), None, lambda name, passed, cost: True)
+
     def traced(self, names: Sequence[str], noted: Callable[[], Noted]) -> dict[str, tuple[float, Noted]]:
         """Return each test's time and what it infects; ``noted`` tells that of a test, and forgets it."""
 

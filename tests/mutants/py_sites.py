@@ -48,7 +48,7 @@ class Instrumented(ast.NodeTransformer):
     def __init__(self, file: str, source: str, first: int = 1):
         self.file, self.mutants = file, []
         self._next, self._functions = first, list[str]()
-        self._loops = set[int]()
+        self._loops, self._expressions = set[int](), list[str]()
         self.tree = self.visit(ast.parse(source, file))
         after = next((i for i, s in enumerate(self.tree.body) if not _stays_in_front(s)), len(self.tree.body))
         self.tree.body[after:after] = ast.parse(f"from tests.mutants import py_runtime as {RUNTIME}").body
@@ -71,10 +71,14 @@ class Instrumented(ast.NodeTransformer):
     # ---- where nothing is changed ----
     def visit(self, node: ast.AST) -> Any:
         """Rewrite a node of a function; elsewhere look for functions alone."""
-        inside = bool(self._functions)
-        if isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module) or inside:
+        if not isinstance(node, ast.FunctionDef | ast.ClassDef | ast.Module) and not self._functions:
+            return node
+        if not isinstance(node, ast.expr):
             return super().visit(node)
-        return node
+        self._expressions.append(ast.unparse(node))
+        made = super().visit(node)
+        self._expressions.pop()
+        return made
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
         self._functions.append(node.name)
@@ -231,7 +235,9 @@ class Instrumented(ast.NodeTransformer):
     def visit_Constant(self, node: ast.Constant) -> ast.AST:
         if not isinstance(node.value, bool | int | float):
             return node
-        number = self._add(node, "is more" if not isinstance(node.value, bool) else f"is {not node.value}")
+        around = shortened(self._expressions[-2], 60) if len(self._expressions) > 1 else ""
+        shown = f"{node.value}` in `{around}" if around else repr(node.value)
+        number = self._add(node, "is more" if not isinstance(node.value, bool) else f"is {not node.value}", shown)
         return self._call(node, "constant", number, node.value)
 
 

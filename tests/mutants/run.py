@@ -99,6 +99,8 @@ class Run:
         coverage = Coverage(tests, self.part, OUT / f"coverage_{self.arguments.part}.json")
         self.chosen = [mutant for mutant in self.chosen if mutant.number not in coverage.none]
         self.part.ready()
+        if self.part.warm:
+            tests.warm(coverage.costs)
         kept = {} if self.arguments.fresh else _kept(RESULTS)
         digests: dict[str, str] = {}
         with RESULTS.open("a") as out:

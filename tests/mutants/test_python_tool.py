@@ -103,7 +103,7 @@ def test_without_a_mutant_all_is_as_it_was(small):
         ("`kelvin > HOT` is always true", lambda m: m.hot(0.0), True),
         ("`a - b` with + for -", lambda m: m.halved(4.0, 2.0), -3.0),
         ("`-(a - b)` loses its -", lambda m: m.halved(4.0, 2.0), 1.0),
-        ("`2` is more", lambda m: m.halved(5.0, 2.0), -1.0),
+        ("`2` in `-(a - b) / 2` is more", lambda m: m.halved(5.0, 2.0), -1.0),
         ("`names or ['none']` with and", lambda m: m.Counter(["a"]).names, ["none"]),
         ("`self.count += some` is left out", lambda m: m.Counter().add(3), 0),
         ("`self.count += some` with -= for +=", lambda m: m.Counter().add(3), -3),

@@ -95,6 +95,54 @@ def test_each_test_of_the_alarm(test, limit, share, alarmed):
     assert alarm(measurements, cost, statistics).tolist() == [alarmed]
 
 
+def heard_alone(heard):
+    """Measurements of which the first beacons alone were heard."""
+    field = np.full((1, BEACONS, 3), np.nan)
+    field[:, :heard] = 1.0
+    return Measurements(field, np.ones((1, BEACONS)))
+
+
+@pytest.mark.parametrize(("heard", "alarmed"), [(1, False), (2, False), (3, True)])
+def test_a_cost_without_a_degree_of_freedom_says_nothing(heard, alarmed):
+    assert alarm(heard_alone(heard), np.array([1e9]), silent_statistics()).tolist() == [alarmed]
+
+
+@pytest.mark.parametrize("heard", [1, 4, 8])
+@pytest.mark.parametrize("freedom", [0, 1, 2, 3])
+@pytest.mark.parametrize(("share", "alarmed"), [(0.999, False), (1.001, True)])
+def test_the_limit_of_a_beacon_is_by_what_was_heard_and_can_show(heard, freedom, share, alarmed):
+    statistics = silent_statistics()
+    statistics.freedom[:] = freedom
+    statistics.drop[0, 0] = share * chi2.isf(0.3 * FALSE_ALARM / heard, max(freedom, 1))
+    assert alarm(heard_alone(heard), np.zeros(1), statistics).tolist() == [alarmed and freedom > 0]
+
+
+@pytest.mark.parametrize("heard", [1, 4, 8])
+@pytest.mark.parametrize(("share", "alarmed"), [(0.999, False), (1.001, True)])
+def test_the_limit_of_a_strength_is_by_what_was_heard(heard, share, alarmed):
+    statistics = silent_statistics()
+    statistics.scale[0, heard - 1] = share * chi2.isf(0.2 * FALSE_ALARM / heard, 1)
+    assert alarm(heard_alone(heard), np.zeros(1), statistics).tolist() == [alarmed]
+
+
+@pytest.mark.parametrize("test", range(4))
+@pytest.mark.parametrize("freedom", range(7))
+@pytest.mark.parametrize(("share", "alarmed"), [(0.999, False), (1.001, True)])
+def test_the_limit_of_a_distortion_is_by_what_can_show(test, freedom, share, alarmed):
+    rate = (0.2, 0.1, 0.1, 0.3 / 3)[test]
+    statistics = silent_statistics()
+    statistics.distortion_freedom[:] = 0
+    statistics.distortion_freedom[0, test] = freedom
+    statistics.distortion[0, test] = share * chi2.isf(rate * FALSE_ALARM, max(freedom, 1))
+    assert alarm(heard_alone(8), np.zeros(1), statistics).tolist() == [alarmed and freedom > 0]
+
+
+def test_a_residual_is_the_root_of_what_is_left_out_by_its_degrees_of_freedom():
+    statistics = silent_statistics()
+    statistics.drop[0, :4], statistics.freedom[0, :4] = [12.0, 8.0, 4.0, 4.0], [3, 2, 1, 0]
+    np.testing.assert_allclose(statistics.normalised(), [[2.0, 2.0, 2.0, np.nan, 0.0, 0.0, 0.0, 0.0]])
+
+
 @pytest.mark.parametrize(("share", "named"), [(0.98, True), (1.02, False)])
 @pytest.mark.parametrize("seed", [81, 82, 83])
 def test_negated_fields_explain_what_is_likelier_than_one_in_a_hundred_thousand(seed, share, named):

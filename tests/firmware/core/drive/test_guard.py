@@ -18,9 +18,9 @@ class Guard:
         self.guard = self.ffi.new("guard_t *")
         assert self.configure(over_A, rms_A, rms_chips)
 
-    def configure(self, over_A=200.0, rms_A=0.0, rms_chips=1.0):
+    def configure(self, over_A=200.0, rms_A=0.0, rms_chips=1.0, reference_A=REFERENCE_A):
         config = self.ffi.new("guard_config_t *", [over_A, rms_A, rms_chips])
-        return self.lib.guard_configure(self.guard, config, SENSE_A, REFERENCE_A)
+        return self.lib.guard_configure(self.guard, config, SENSE_A, reference_A)
 
     def sample(self, asked, came):
         return self.lib.guard_sample(self.guard, asked, came)
@@ -31,7 +31,17 @@ class Guard:
 
 @pytest.mark.parametrize(
     ("limit_A", "most"),
-    [(10.0, 80), (10.124, 80), (10.125, 81), (0.0, 0), (255.625, 2045), (255.75, 2046), (300.0, 2046), (1e30, 2046)],
+    [
+        (10.0, 80),
+        (10.124, 80),
+        (10.125, 81),
+        (0.0, 0),
+        (255.625, 2045),
+        (255.75, 2046),
+        (270.0, 2046),
+        (300.0, 2046),
+        (1e30, 2046),
+    ],
 )
 def test_over_current_begins_above_the_limit_and_at_the_rails(core, limit_A, most):
     guard = Guard(core, over_A=limit_A)
@@ -74,6 +84,16 @@ def test_the_first_chip_after_a_reset_is_not_judged_for_excess(core):
     assert guard.edge(0, 1500) == NONE
     assert guard.sample(0, 1500) == NONE
     assert guard.sample(0, 5) == EXCESS
+
+
+def test_the_first_chip_is_explained_by_the_largest_set_point(core):
+    """With a set-point of a quarter of the sense's count that is less than the rails."""
+    guard = Guard(core)
+    guard.guard = guard.ffi.new("guard_t *")
+    assert guard.configure(over_A=300.0, reference_A=SENSE_A / 4)
+    most = math.floor(MOST * 1.375 / 4) + 4
+    assert guard.edge(0, most) == NONE
+    assert guard.edge(0, most + 1) == EXCESS
 
 
 def test_another_configuration_leaves_what_was_asked_and_what_is_hot(core):

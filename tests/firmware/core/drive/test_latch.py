@@ -239,3 +239,17 @@ def test_a_row_never_grows_beyond_the_one_that_locks_out(memory):
     memory.reset(watchdog=True)
     assert (memory.latch.cause, memory.latch.trips, memory.latch.locked_out) == (WATCHDOG, 5, True)
     assert not memory.clear(1000 * S)
+
+
+def test_a_trip_is_not_forgotten_in_the_step_that_counts_it(memory):
+    """The bridge was on for longer than ends a row, and is said to be on again before anybody counted the trip."""
+    memory.on()
+    memory.may_drive(S)
+    memory.lib.latch_set(memory.latch, OVER)
+    memory.on()
+    memory.lib.latch_step(memory.latch, 700 * S)
+    assert memory.latch.trips == 1
+    memory.lib.latch_step(memory.latch, 1300 * S - 1)
+    assert memory.latch.trips == 1
+    memory.lib.latch_step(memory.latch, 1300 * S)
+    assert memory.latch.trips == 0
