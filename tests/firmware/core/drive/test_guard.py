@@ -158,3 +158,12 @@ def test_a_value_out_of_range_is_refused_and_nothing_is_done(core, over_A, rms_A
     guard = Guard(core, over_A=50.0)
     assert guard.configure(over_A, rms_A, rms_chips) == taken
     assert guard.sample(MOST, 400) == (OVER if taken else NONE)
+
+
+@pytest.mark.parametrize("came", [-1, 0, 1])
+def test_the_least_currents_are_none(core, came):
+    guard = Guard(core, rms_A=0.125)
+    guard.sample(0, 0)
+    assert guard.edge(0, came) == NONE
+    assert guard.sample(0, came) == NONE
+    assert guard.guard.heat == came**2

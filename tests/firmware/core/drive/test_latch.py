@@ -253,3 +253,35 @@ def test_a_trip_is_not_forgotten_in_the_step_that_counts_it(memory):
     assert memory.latch.trips == 1
     memory.lib.latch_step(memory.latch, 1300 * S)
     assert memory.latch.trips == 0
+
+
+def test_a_cause_behind_a_watchdog_is_a_trip_of_its_own(memory):
+    memory.on()
+    memory.reset(watchdog=True)
+    assert (memory.latch.cause, memory.latch.trips) == (NONE, 1)
+    memory.trip(OVER, 5 * S)
+    assert (memory.latch.cause, memory.latch.trips) == (OVER, 2)
+    assert memory.clear(5 * S + 1)
+    assert not memory.may_drive(7 * S - 1)
+    assert memory.may_drive(7 * S)
+
+
+def test_a_cause_that_is_cleared_before_the_next_step_is_counted_all_the_same(memory):
+    memory.lib.latch_set(memory.latch, OVER)
+    assert memory.clear(3 * S)
+    assert memory.latch.trips == 1
+    assert not memory.may_drive(4 * S - 1)
+    assert memory.may_drive(4 * S)
+
+
+def test_a_board_that_never_tripped_is_open_at_once(memory):
+    memory.reset(watchdog=False, now=5 * S)
+    assert memory.lib.latch_open(memory.latch)
+
+
+def test_the_wait_of_a_lock_out_by_the_watchdog_begins_with_the_reset(memory):
+    memory.kept[0], memory.kept[1] = MARK | 0x1040, ~(MARK | 0x1040) & 0xFFFFFFFF
+    memory.reset(watchdog=True)
+    assert (memory.latch.cause, memory.latch.locked_out) == (WATCHDOG, True)
+    memory.lib.latch_step(memory.latch, 10 * S)
+    assert memory.lib.latch_wait_s(memory.latch, 10 * S) == 6
