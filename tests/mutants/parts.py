@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -133,6 +134,7 @@ class Locator:
 
     def noted(self) -> Noted:
         """See `Part`."""
+        self._forget()
         sets = (py_runtime.infected, py_runtime.applicable, py_runtime.reached - py_runtime.applicable)
         told = {name: sorted(numbers) for name, numbers in zip(("infected", "applicable", "empty"), sets, strict=True)}
         for numbers in (py_runtime.infected, py_runtime.applicable, py_runtime.reached):
@@ -142,6 +144,16 @@ class Locator:
     def become(self, number: int) -> None:
         """See `Part`."""
         py_runtime.mutant = number
+
+    @staticmethod
+    def _forget() -> None:
+        """Empty the caches of functions: what one test had computed, the next one is to reach, too."""
+        for name, module in list(sys.modules.items()):
+            if name.startswith("goldfield."):
+                for value in list(vars(module).values()):
+                    clear = getattr(value, "cache_clear", None)
+                    if callable(clear):
+                        clear()
 
 
 PARTS = {"core": Core, "locator": Locator}

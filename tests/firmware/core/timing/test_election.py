@@ -164,3 +164,13 @@ def test_the_step_by_rank_is_what_the_time_allows(core):
         first = period * 9 // 4
         assert waits == [first, first + step, first + 14 * step]
         assert step == min(50_000, (950_000 - first) // 14)
+
+
+def test_in_the_first_second_of_a_board_nobody_is_in_step_unless_told(core):
+    """The clock begins at 0, and so does the time at which nobody told anything."""
+    ffi, lib = core
+    made = ffi.new("election_t *")
+    lib.election_start(made, 1, *PERIODS_US[10], 0)
+    assert lib.election_wait_us(made, False, 500_000) == 224_991
+    lib.election_held(made, 0)
+    assert lib.election_wait_us(made, False, 500_000) == 1_250_000
