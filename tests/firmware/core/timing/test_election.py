@@ -174,3 +174,19 @@ def test_in_the_first_second_of_a_board_nobody_is_in_step_unless_told(core):
     assert lib.election_wait_us(made, False, 500_000) == 224_991
     lib.election_held(made, 0)
     assert lib.election_wait_us(made, False, 500_000) == 1_250_000
+
+
+def test_a_board_in_step_waits_no_longer_because_others_are(core):
+    _, lib = core
+    made = election(core, 2)
+    lib.election_held(made, START)
+    assert lib.election_wait_us(made, True, START + 10) == 274_991
+    assert lib.election_wait_us(made, False, START + 10) == 1_300_000
+
+
+@pytest.mark.parametrize("degree", PERIODS_US)
+def test_one_message_that_comes_again_at_once_is_no_row(core, degree):
+    """Repeated, and with a number within the same sync period."""
+    rivals = Rivals(core, degree)
+    assert not any(rivals.hears(7000, 130 * k) for k in range(20))
+    assert not any(rivals.hears(7000 + k % rivals.cycles, 10**7 + 130 * k) for k in range(20))
