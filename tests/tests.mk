@@ -208,6 +208,7 @@ test-sanitized: all $(SANITIZED)/libgf_hostboard.so $(SANITIZED)/libgf_rig.so ##
 	@echo "sanitizers: nothing found"
 
 .PHONY: test-sanitized
+
 MUTANTS ?=
 mutants: all ## How many small changes of the core and the locator their tests notice (hours; MUTANTS="--files link/* --sample 200 --seed 1")
 	@status=0; for part in core locator; do \
