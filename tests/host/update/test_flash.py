@@ -221,7 +221,9 @@ def test_locked_boards_are_updated_by_who_has_their_key(locked, update_file, tmp
     assert [seat.node.state(1 - seat.place % 2) for seat in link.seats] == [IS_CONFIRMED] * 3
 
 
-@pytest.mark.parametrize(("key", "sentence"), [(None, "node 9 is locked"), (bytes(15) + b"\1", "node 9 has another key than")])
+@pytest.mark.parametrize(
+    ("key", "sentence"), [(None, "node 9 is locked"), (bytes(15) + b"\1", "node 9 has another key than")]
+)
 def test_a_locked_board_keeps_its_image_from_who_has_no_key(locked, update_file, tmp_path, key, sentence):
     words = [] if key is None else ["--key", key_file(tmp_path, key)]
     link, (code, out, told) = locked(1, update_file(), "9", *words)
