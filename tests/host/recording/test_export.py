@@ -173,7 +173,7 @@ def test_a_constant_is_drawn_below_the_frame(value):
 
 
 def test_a_clock_that_jumps_far_is_drawn_in_longer_spans(lines, tmp_path):
-    """Of seconds there would be a thousand millions."""
+    """A span for each second would be a thousand millions of them."""
     kept = tmp_path / "b.jsonl"
     kept.write_text("".join(f"{json.dumps(line)}\n" for line in [*lines[:3], lines[4] | {"t_s": 1e9}]))
     assert main(["plot", str(kept), "--out", str(tmp_path / "b.png")]) == 0
