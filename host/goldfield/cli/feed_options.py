@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Callable
 
 from goldfield.cli.options import environment_name
 from goldfield.feeds.address import EXAMPLES, FILES, Address, parse_address
@@ -22,9 +23,16 @@ def add(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def chosen(arguments: argparse.Namespace) -> list[Address]:
-    """Return the addresses of the feeds that were asked for; `UserError` if one of them is none, or there twice."""
-    urls = arguments.feed or os.environ.get(VARIABLE, "").split()
+def chosen(arguments: argparse.Namespace, dated: Callable[[str], str] = str) -> list[Address]:
+    """Return the addresses of the feeds that were asked for; `UserError` if one of them is none, or there twice.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+    dated : callable
+        Returns a URL with the time in place of what stands for it.
+    """
+    urls = [dated(url) for url in arguments.feed or os.environ.get(VARIABLE, "").split()]
     feeds = [parse_address(url) for url in urls]
     for number, feed in enumerate(feeds):
         if feed.url in urls[:number]:

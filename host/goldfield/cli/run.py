@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import argparse
+import time
 from typing import Any
 
 from goldfield.cli import feed_options, link_options, options
 from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
 from goldfield.cli.page_option import add_view
 from goldfield.errors import on_command_line
+from goldfield.files.dated import DatedNames
 from goldfield.files.outputs import check_outputs
 
 RECORD = (
-    "keep every message received: .mcap with the poses, for Foxglove; .log of candump; .asc and .blf for Vector's tools"
+    "keep every message received: .mcap with the poses, for Foxglove; .log of candump; .asc and .blf for Vector's "
+    "tools; {time} in the name becomes the time of the start"
 )
 
 
@@ -52,9 +55,12 @@ def run(arguments: argparse.Namespace) -> int:
     kind, where = link_options.chosen(arguments)
     site = options.required(arguments.site, "--site", "FILE")
     inputs = {"--site": site, "--log": where if kind == "log" else None, "--truth": arguments.truth}
-    outputs = {"--record": arguments.record, "--fields": arguments.fields, "--summary": arguments.summary}
-    feeds = feed_options.chosen(arguments)
-    check_outputs(outputs | feed_options.outputs(feeds), inputs, force=arguments.force)
-    known = site_of(arguments)
-    options.tell_assumed(known)
-    return print_poses(arguments, kind, where, known, feeds)
+    with DatedNames(time.time()) as dated:
+        for name in ("record", "fields", "summary"):
+            setattr(arguments, name, dated.of(getattr(arguments, name)))
+        outputs = {"--record": arguments.record, "--fields": arguments.fields, "--summary": arguments.summary}
+        feeds = feed_options.chosen(arguments, dated.of_url)
+        check_outputs(outputs | feed_options.outputs(feeds), inputs, force=arguments.force)
+        known = site_of(arguments)
+        options.tell_assumed(known)
+        return print_poses(arguments, kind, where, known, feeds)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import time
 from typing import Any
 
 from goldfield.cli import feed_options, link_options, options
 from goldfield.cli.location_options import add_alert_limit, add_on_sensor, add_times, add_track, site_of
 from goldfield.errors import UserError, on_command_line
+from goldfield.files.dated import DatedNames
 from goldfield.files.outputs import check_outputs
 from goldfield.sensor.options import chosen_method
 
@@ -60,7 +62,8 @@ def _pace(text: str) -> float:
 def run(arguments: argparse.Namespace) -> int:
     """Print the address and serve the page until Ctrl-C, which is the usual end."""
     kind, where = link_options.chosen(arguments)
-    addresses = feed_options.chosen(arguments)
+    dated = DatedNames(time.time())
+    addresses = feed_options.chosen(arguments, dated.of_url)
     files = feed_options.outputs(addresses)
     check_outputs(files, {"--site": arguments.site, "--log": where if kind == "log" else None})
     site = site_of(arguments)
@@ -71,6 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
     from goldfield.sensor.sources import open_source  # heavy: only when a sensor is read
 
     with contextlib.ExitStack() as stack:
+        stack.enter_context(dated)
         source = None
         if kind == "port":
             with contextlib.suppress(UserError):  # which the feed raises again, once the page is there
