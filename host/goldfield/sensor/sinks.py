@@ -15,6 +15,7 @@ from types import TracebackType
 from typing import Generic, Protocol, Self, TypeVar
 
 from goldfield.errors import tell
+from goldfield.files.inputs import reason_of
 
 T = TypeVar("T")
 U = TypeVar("U")
@@ -187,7 +188,7 @@ class Branch(Generic[T]):
             if self._essential:
                 self._error = self._error or error
             else:
-                reason = " ".join(str(error).split()) or type(error).__name__
+                reason = reason_of(error)
                 path = self.name.partition(":")[2]  # of a feed to a file, whose errors begin with it
                 told = reason.removeprefix(f"{self.name}: ").removeprefix(f"{path}: ")
                 tell(f"{self.name}: {told}; the run goes on without", failure=True)

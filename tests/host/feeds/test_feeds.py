@@ -1,7 +1,9 @@
 """All feeds together: each gets every pose with its time, none holds up the poses, and one that fails fails alone."""
 
+import errno
 import json
 import math
+import os
 import threading
 
 import pytest
@@ -160,6 +162,16 @@ def test_a_file_gets_every_pose_of_a_recording():
             feeds.write(epoch(number))
     assert [item.pose.epoch for item in kept.got] == list(range(500))
     assert feeds.dropped == {}
+
+
+def test_what_the_system_says_of_a_feed_is_told_without_its_number(capsys):
+    class Piped(Broken):
+        def write(self, stamped):
+            raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
+
+    with Feeds([("tum:-", Piped())], CYCLE_S, live=True) as feeds:
+        feeds.write(epoch(0))
+    assert capsys.readouterr().err == "goldfield: tum:-: Broken pipe; the run goes on without\n"
 
 
 def test_a_feed_that_fails_is_told_and_the_others_go_on(capsys):
