@@ -206,23 +206,26 @@ def _complaints(health: Health, site: Site) -> Iterator[Finding]:
 
 
 def _complaint(board: Board) -> str | None:
-    """Return what a beacon's board reports for which its field does not count; None if it does count."""
+    """Return what a beacon's board reports for which its field does not count, and what to do; None if it counts."""
     drive = board.drive
     if drive is not None:
         for fault, text in (
-            (drive.open_coil, "an open coil"),
-            (drive.over_current, "over-current"),
-            (drive.driver_fault, "a driver fault"),
-            (not drive.locked, "a clock that is not locked"),
-            (drive.target_A == 0.0, "an amplitude of 0 A"),
-            (not drive.enabled, "a bridge that is off"),
+            (drive.open_coil, "an open coil: check coil and cable, then goldfield nodes clear"),
+            (drive.over_current, "over-current: look for a short in coil and cable, then goldfield nodes clear"),
+            (drive.driver_fault, "a driver fault: check supply and coil, then goldfield nodes clear"),
+            (not drive.locked, "a clock that is not locked: check the sync wire or the CAN bus, and the sync master"),
+            (
+                drive.target_A == 0.0,
+                "an amplitude of 0 A: give it one with goldfield nodes set, or start it with goldfield nodes start",
+            ),
+            (not drive.enabled, "a bridge that is off: goldfield doctor tells why"),
             (not _steady(drive, board.drive_before), "a current that is changing"),
         ):
             if fault:
                 return text
     if board.state == STATE_CLOCK_FALLBACK:
-        return "a clock without its crystal"
-    return "a fault" if board.state == STATE_FAULT and drive is None else None
+        return "a clock without its crystal: repair the board"
+    return "a fault: goldfield nodes tells which" if board.state == STATE_FAULT and drive is None else None
 
 
 def _steady(drive: Drive, before: Drive | None) -> bool:

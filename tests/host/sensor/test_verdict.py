@@ -257,12 +257,15 @@ def test_codes_that_are_not_the_sites(bus):
 # ---- Beacons ----
 
 FAULTS = [
-    ({"open_coil": 1}, "an open coil"),
-    ({"over_current": 1}, "over-current"),
-    ({"driver_fault": 1}, "a driver fault"),
-    ({"locked": 0}, "a clock that is not locked"),
-    ({"target": 0.0, "current": 0.0, "enabled": 0}, "an amplitude of 0 A"),
-    ({"enabled": 0}, "a bridge that is off"),
+    ({"open_coil": 1}, "an open coil: check coil and cable, then goldfield nodes clear"),
+    ({"over_current": 1}, "over-current: look for a short in coil and cable, then goldfield nodes clear"),
+    ({"driver_fault": 1}, "a driver fault: check supply and coil, then goldfield nodes clear"),
+    ({"locked": 0}, "a clock that is not locked: check the sync wire or the CAN bus, and the sync master"),
+    (
+        {"target": 0.0, "current": 0.0, "enabled": 0},
+        "an amplitude of 0 A: give it one with goldfield nodes set, or start it with goldfield nodes start",
+    ),
+    ({"enabled": 0}, "a bridge that is off: goldfield doctor tells why"),
 ]
 
 
@@ -282,7 +285,7 @@ def test_one_sentence_for_all_who_have_the_same(bus):
     bus.say(*(drive(node, locked=0) for node in (2, 4, 5)))
     verdict = bus.judge()
     assert verdict.out == (IDS[1], IDS[3], IDS[4])
-    assert texts(verdict) == [f"the boards of {IDS[1]}, {IDS[3]} and {IDS[4]} report a clock that is not locked"]
+    assert texts(verdict) == [f"the boards of {IDS[1]}, {IDS[3]} and {IDS[4]} report {FAULTS[3][1]}"]
 
 
 @pytest.mark.parametrize(("state", "out"), [(3, False), (4, True), (5, True)])
@@ -342,7 +345,7 @@ def test_two_boards_with_one_code(bus):
 def test_a_fault_of_a_board_that_is_no_beacon_yet_is_told_with_its_number(bus):
     bus.say(heartbeat(node=30, role=0), drive(30, open_coil=1))
     verdict = bus.judge()
-    assert (verdict.out, texts(verdict)) == ((), ["node 30, a beacon, reports an open coil"])
+    assert (verdict.out, texts(verdict)) == ((), [f"node 30, a beacon, reports {FAULTS[0][1]}"])
     bus.say(answer(30, CODE, 500), answer(30, WAVEFORM, 0))
     assert bus.judge() == Verdict()  # it is a beacon of another site
 
