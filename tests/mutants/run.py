@@ -214,6 +214,8 @@ def main(words: list[str] | None = None) -> int:
     if arguments.list:
         print("\n".join(f"{m.number:6} {m.file}:{m.line}: {m.function}: {m.what}" for m in chosen))
         return 0
+    if not chosen:
+        return 0  # What was asked for is in another part.
     os.chdir(ROOT)
     run = Run(part, chosen, arguments)
     ignored = [word for pattern in part.not_tests for word in ("--ignore-glob", pattern)]

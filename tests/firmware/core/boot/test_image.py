@@ -34,6 +34,7 @@ from tests.firmware.core.boot.slots import (
     WRONG_BOARD,
     WRONG_PLACE,
     WRONG_ROLE,
+    Choice,
     Image,
     Node,
     public,
@@ -171,6 +172,31 @@ def test_an_image_of_a_stack_pointer_and_an_entry_alone_passes(core):
     node.put(replace(OLD, code=(0x20002000, 0x08020201)), 0)
     assert node.check(0) == OK
     assert node.intact(0)
+
+
+@pytest.mark.parametrize("words", [0, HEADER, CODE - 1, CODE, CODE + 1])
+def test_a_slot_without_room_for_code_holds_no_image_whatever_lies_behind_it(core, words):
+    node = Node(core)
+    node.put(OLD, 0)
+    assert node.check(0) == OK
+    node.flash.words = words
+    assert node.check(0) == NONE
+    assert not node.intact(0)
+
+
+def test_an_image_is_intact_only_for_its_board_and_only_if_it_is_there(core):
+    """A confirmed image is started for this alone, with no look at its signature."""
+    node = Node(core)
+    assert not node.intact(0)
+    node.put(OLD, 0)
+    assert node.intact(0)
+    node.put(replace(OLD, board=2), 0)
+    assert not node.intact(0)
+    node.put(replace(OLD, magic=0x4D494646), 0)
+    assert not node.intact(0)
+    node.confirmed(replace(OLD, board=2), 0, 8)
+    node.confirmed(OLD, 1, 7)
+    assert node.boot() == Choice(1, False)
 
 
 def test_the_image_for_the_other_slot_is_refused(core):
