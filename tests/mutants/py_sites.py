@@ -112,6 +112,10 @@ class Instrumented(ast.NodeTransformer):
             node.value = self.visit(node.value)
         return node
 
+    def visit_keyword(self, node: ast.keyword) -> ast.AST:
+        """``zip(..., strict=True)`` only asserts."""
+        return node if node.arg == "strict" else self.generic_visit(node)
+
     def visit_JoinedStr(self, node: ast.JoinedStr) -> ast.AST:
         return node
 

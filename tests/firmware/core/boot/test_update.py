@@ -192,6 +192,27 @@ def test_no_update_begins_before_the_running_image_is_confirmed(core):
     assert bare.begin(8) == UNCONFIRMED
 
 
+def test_an_image_that_is_confirmed_and_not_settled_settles_first(core):
+    """The power went between the two words: no update begins before the second one is there."""
+    node = Node(core)
+    node.put(OLD, 0, sequence=7, pending=MARK, tried=MARK, confirmed=MARK)
+    node.open(0)
+    assert node.state(0) == IS_CONFIRMED
+    assert node.begin(8) == UNCONFIRMED
+    assert node.confirm()
+    assert node.words(0)[SETTLED] == MARK
+    assert node.begin(8) == OK
+
+
+def test_a_rejected_image_neither_confirms_itself_nor_begins_an_update(core):
+    node = Node(core)
+    node.put(OLD, 0, sequence=7, pending=MARK, tried=MARK, confirmed=0, settled=MARK)
+    node.open(0)
+    assert node.state(0) == IS_REJECTED
+    assert not node.confirm()
+    assert node.begin(8) == UNCONFIRMED
+
+
 @pytest.mark.parametrize(
     ("length", "refusal"),
     [(0, LENGTH), (7, LENGTH), (8, OK), (4 * (WORDS - CODE), OK), (4 * (WORDS - CODE) + 4, LENGTH)],
