@@ -54,6 +54,21 @@ def test_all_that_is_done_for_an_epoch_counts(counted):
         assert sum(counted) > 15_000
 
 
+def test_what_the_search_took_is_off_the_budget_of_the_explanation(monkeypatch):
+    site, epochs = permuted(2, 1)
+    told = []
+
+    def noting(constellation, measurements, solutions, names):
+        told.append((measurements.budget.evaluations(1), int(solutions.evaluations[0])))
+        return explain(constellation, measurements, solutions, names)
+
+    monkeypatch.setattr("goldfield.locate.locator.explain", noting)
+    Locator(site).locate(epochs[0])
+    ((left, took),) = told
+    assert took > 0
+    assert left == Budget(8).evaluations(1) - 8 * took
+
+
 OVERRUN = 16_000
 """What may be spent after the budget has ended: the stages that are left evaluate each of their starts a few times."""
 

@@ -223,6 +223,17 @@ def test_the_length_must_fit(core, length, refusal):
     assert node.begin(length) == refusal
 
 
+@pytest.mark.parametrize(
+    ("words", "length", "refusal"),
+    [(32, 4, LENGTH), (CODE - 1, 4, LENGTH), (CODE, 4, LENGTH), (CODE + 1, 4, OK), (CODE + 1, 8, LENGTH)],
+)
+def test_a_slot_takes_what_it_has_room_for(core, words, length, refusal):
+    node = running_old(core)
+    node.flash.words = words
+    node.open(0)
+    assert node.begin(length) == refusal
+
+
 def test_only_words_of_the_image_are_taken_and_only_while_it_is_received(core):
     node = running_old(core)
     node.open(0)
