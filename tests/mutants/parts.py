@@ -29,6 +29,8 @@ class Part(Protocol):
     """Where its tests are."""
     not_tests: Sequence[str]
     """Patterns of files of tests that do not run it in their own process."""
+    rewriter: str
+    """The file beside this one that numbers the mutants."""
     warm: bool
     """Whether a test may run before, without a mutant: nothing that its sources compute is kept from it."""
 
@@ -60,7 +62,7 @@ class Core:
         self.sources = sorted((ROOT / "firmware/core").glob("*/*.[ch]"))
         self.tests = ["tests/firmware/core"]
         self.not_tests = ["*_instructions.py", "*test_sanitized.py"]
-        self.warm = True
+        self.rewriter, self.warm = "c_sites.py", True
         self._build: Build | None = None
         self._library = ""
         self._dlopen = cffi.FFI.dlopen
@@ -111,7 +113,7 @@ class Locator:
         self.sources = sorted((ROOT / "host/goldfield/locate").glob("*.py"))
         self.tests = ["tests/host/locate"]
         self.not_tests: list[str] = []
-        self.warm = False
+        self.rewriter, self.warm = "py_sites.py", False
 
     def mutants(self, workers: int) -> list[Mutant]:
         """See `Part`."""

@@ -53,7 +53,7 @@ class Coverage:
     """Which test infects which mutants, and what it costs; kept by file of tests, until it or the core changes."""
 
     def __init__(self, tests: Tests, part: Part, file_of_it: Path):
-        sources = _digest([*part.sources, *Path(__file__).parent.glob("*_sites.py")])
+        sources = _digest([*part.sources, Path(__file__).with_name(part.rewriter)])
         kept = json.loads(file_of_it.read_text()) if file_of_it.exists() else {}
         by_file: dict[str, list[str]] = defaultdict(list)
         for name in tests.items:

@@ -20,6 +20,7 @@ from tests.firmware.core.boot.slots import (
     MARK,
     NEW,
     NO_KEY,
+    NONE,
     NOTHING,
     OK,
     OLD,
@@ -221,6 +222,22 @@ def test_the_length_must_fit(core, length, refusal):
     node = running_old(core)
     node.open(0)
     assert node.begin(length) == refusal
+
+
+def test_an_update_that_was_not_begun_does_not_end(core):
+    """A good image lies in the other slot: it is not marked by that."""
+    node = running_old(core)
+    node.open(0)
+    assert node.end() == NONE
+    assert (node.steps, node.phase) == (0, 0)
+    assert node.update(NEW, 0) == OK
+    assert node.end() == NONE  # It has ended already.
+
+
+def test_by_force_the_oldest_of_all_is_taken(core):
+    node = running_old(core)
+    assert node.update(replace(NEW, version=0), 0, forced=True) == OK
+    assert node.boot() == Choice(1, True)
 
 
 @pytest.mark.parametrize(
