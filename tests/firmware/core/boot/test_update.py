@@ -13,6 +13,7 @@ from tests.firmware.core.boot.slots import (
     CODE,
     CONFIRMED,
     DAMAGED,
+    FORCED,
     IS_CONFIRMED,
     IS_PENDING,
     IS_REJECTED,
@@ -234,6 +235,14 @@ def test_an_update_that_was_not_begun_does_not_end(core):
     assert node.end() == NONE  # It has ended already.
 
 
+@pytest.mark.parametrize("forced", [True, False])
+def test_only_a_forced_update_says_so(core, forced):
+    """The boot loader takes an older image for that word alone, and no signature covers it."""
+    node = running_old(core)
+    assert node.update(NEW, 0, forced=forced) == OK
+    assert node.words(1)[FORCED] == (MARK if forced else 0)
+
+
 def test_by_force_the_oldest_of_all_is_taken(core):
     node = running_old(core)
     assert node.update(replace(NEW, version=0), 0, forced=True) == OK
@@ -282,6 +291,25 @@ def test_flash_that_does_not_take_its_words_fails_the_update_and_nothing_else(co
     stuck.update(NEW, 0)
     assert stuck.phase != PENDING_PHASE
     assert stuck.boot() == Choice(0, False)
+
+
+@pytest.mark.parametrize(
+    ("index", "phase"), [(0, FAILED), (1, FAILED), (CODE - 1, FAILED), (CODE + 2, FAILED), (CODE + 3, RECEIVING)]
+)
+def test_an_erasure_that_leaves_one_word_of_the_image_fails_the_update(core, index, phase):
+    """The first and the last word that the image will take are looked at, and none behind it."""
+    node = running_old(core)
+    erase = node.cells.erase
+
+    def erase_all_but_one(slot):
+        erase(slot)
+        node.cells.read[slot][index] = ONES - 1
+
+    node.open(0)
+    node.begin(12)
+    node.cells.erase = erase_all_but_one
+    node.work()
+    assert node.phase == phase
 
 
 @pytest.mark.parametrize("index", [TRIED, CONFIRMED, SETTLED])
