@@ -40,7 +40,7 @@ from tests.firmware.core.boot.slots import (
 from tests.firmware.core.storage.flash_cells import ONES, Torn
 
 UNCONFIRMED, LENGTH = 1, 2
-RECEIVING, PENDING_PHASE, FAILED = 3, 5, 6
+IDLE, RECEIVING, PENDING_PHASE, FAILED = 0, 3, 5, 6
 
 
 def running_old(core, seed=1, other=True):
@@ -203,6 +203,7 @@ def test_an_image_that_is_confirmed_and_not_settled_settles_first(core):
     assert node.begin(8) == UNCONFIRMED
     assert node.confirm()
     assert node.words(0)[SETTLED] == MARK
+    assert node.phase == IDLE
     assert node.begin(8) == OK
 
 
