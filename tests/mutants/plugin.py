@@ -25,7 +25,7 @@ SPARE_S, TIMES = 2.0, 5.0
 
 Each = Callable[[str, bool, float], bool]
 Noted = dict[str, list[int]]
-"""Of a test: the mutants that it `infected`, those that can be told apart (`applicable`), and those that cannot."""
+"""What a test tells: mutants that it `infected`, those that can be told apart (`applicable`), and those that cannot."""
 
 
 @dataclass(frozen=True)
