@@ -117,7 +117,7 @@ def test_neither_repeats_nor_strays_nor_a_flood_make_a_leader_step_back(core):
 
 @pytest.mark.parametrize(("off_us", "yields"), [(-49_998, True), (-49_999, False), (49_998, True), (49_999, False)])
 def test_half_a_period_to_the_microsecond(core, off_us, yields):
-    """Of 99,996 us: as much before and behind the time that the number says."""
+    """The period is 99,996 us; as much counts before and behind the time that the number says."""
     rivals = Rivals(core)
     heard = [rivals.hears(k, k * rivals.period + (off_us if k == 2 else 0)) for k in range(3)]
     assert heard == [False, False, yields]
