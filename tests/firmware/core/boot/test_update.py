@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from tests.firmware.core.boot.slots import (
     BEACON,
     CODE,
+    COMPLEMENT,
     CONFIRMED,
     DAMAGED,
     FORCED,
@@ -168,6 +169,17 @@ def test_a_node_whose_images_are_all_rejected_starts_the_newest_that_is_signed(c
     assert node.boot() == Choice(0, True)
     node.cells.read[0][CODE] ^= 1
     assert node.boot() is None
+
+
+@pytest.mark.parametrize("bit", [0, 31])
+def test_a_sequence_number_that_its_complement_belies_is_none(core, bit):
+    """The slot counts as empty, whatever its other words say, and the one before starts."""
+    node = running_old(core, other=False)
+    node.confirmed(NEW, 1, 9)
+    assert node.boot() == Choice(1, False)
+    node.cells.read[1][COMPLEMENT] ^= 1 << bit
+    assert node.state(1) == NOTHING
+    assert node.boot() == Choice(0, False)
 
 
 def test_an_empty_node_starts_nothing(core):
