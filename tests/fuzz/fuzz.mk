@@ -3,14 +3,14 @@ FUZZ := $(BUILD)/fuzz
 FUZZ_CC := clang-14
 FUZZ_SANITIZERS := address,undefined,float-cast-overflow
 FUZZ_CFLAGS := -std=c11 -D_GNU_SOURCE -O2 -g -fno-sanitize-recover=all -Ifirmware -I$(PROTOCOL_OUT) -Itests/fuzz/core -MMD -MP
-FUZZ_CORE := frames parameters store boot update sync pose
+FUZZ_CORE := frames parameters store boot update sync pose board
 FUZZ_HOST := frames logs mcap site tables scenario session
 # Inputs of a short run, by target: a few seconds each. So it ends at the same input wherever it runs.
-FUZZ_RUNS_CORE := frames=100000 parameters=4000 store=10000 boot=1500 update=3000 sync=2000 pose=400
-FUZZ_RUNS_HOST := frames=1500 logs=2500 mcap=1500 site=1200 tables=2500 scenario=300 session=60
+FUZZ_RUNS_CORE := frames=10000 parameters=2000 store=2000 boot=500 update=1000 sync=500 pose=150 board=150
+FUZZ_RUNS_HOST := frames=500 logs=1000 mcap=500 site=500 tables=1000 scenario=100 session=40
 FUZZ_SECONDS ?= 600
 FUZZ_ONLY ?= $(FUZZ_CORE:%=core/%) $(FUZZ_HOST:%=host/%)
-FUZZ_OPTIONS := -seed=1 -max_len=4000 -len_control=0 -rss_limit_mb=2048 -timeout=300 -print_final_stats=1
+FUZZ_OPTIONS := -seed=1 -max_len=1000 -len_control=0 -rss_limit_mb=2048 -timeout=300 -print_final_stats=1
 FUZZ_OBJECTS := $(CORE_SOURCES:%.c=$(FUZZ)/%.o) $(FUZZ)/protocol/goldfield.o
 FUZZ_PROGRAMS := $(FUZZ_CORE:%=$(FUZZ)/bin/%)
 
@@ -41,7 +41,11 @@ $(FUZZ_PROGRAMS): $(FUZZ)/bin/%: $(FUZZ)/tests/fuzz/core/%.o $(FUZZ_OBJECTS)
 	@mkdir -p $(@D)
 	@$(FUZZ_CC) -fsanitize=fuzzer,$(FUZZ_SANITIZERS) $^ -lm -o $@
 
--include $(FUZZ_OBJECTS:.o=.d) $(FUZZ_CORE:%=$(FUZZ)/tests/fuzz/core/%.d)
+# The board links applications and services beside the core.
+FUZZ_BOARD_OBJECTS := $(patsubst %.c,$(FUZZ)/%.o,$(filter-out $(CORE_SOURCES),$(HOSTBOARD_SOURCES)))
+$(FUZZ)/bin/board: $(FUZZ_BOARD_OBJECTS)
+
+-include $(FUZZ_OBJECTS:.o=.d) $(FUZZ_BOARD_OBJECTS:.o=.d) $(FUZZ_CORE:%=$(FUZZ)/tests/fuzz/core/%.d)
 
 # $(call fuzz,SIDE/TARGET,OPTIONS): one target, from its corpus on; what is new goes to build/fuzz/found. A line says how it went.
 define fuzz

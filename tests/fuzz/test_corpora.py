@@ -16,6 +16,8 @@ HOST = sorted(path.stem for path in (HERE / "host").glob("[a-z]*.py") if path.st
 SANITIZERS = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
 FLAGS = ["-std=c11", "-D_GNU_SOURCE", "-O1", "-g", *SANITIZERS]
 INCLUDES = [f"-I{ROOT / folder}" for folder in ("firmware", "build/protocol", "tests/fuzz/core")]
+BOARD = ("services", "apps", "boards/host")
+"""What the harness of a whole board takes beside the core."""
 STRICT = ["-Wall", "-Wextra", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Werror"]
 
 
@@ -31,19 +33,26 @@ def test_every_harness_has_a_corpus_and_every_corpus_a_harness() -> None:
     assert all(len(corpus(target)) >= 2 for target in there)
 
 
+def compiled(sources: list[Path], folder: Path) -> list[str]:
+    """Compile sources in a folder of their own; return the objects. Their warnings are the build's to look at."""
+    folder.mkdir()
+    subprocess.run(["gcc", *FLAGS, "-w", *INCLUDES, "-c", *map(str, sources)], check=True, cwd=folder)
+    objects = sorted(str(path) for path in folder.glob("*.o"))
+    assert len(objects) == len(sources)
+    return objects
+
+
 def test_the_core_holds_over_its_corpora(tmp_path: Path) -> None:
     """The core is compiled once; what fails names the file and the line that does not hold."""
-    sources = [*sorted((ROOT / "firmware").glob("core/*/*.c")), *sorted((ROOT / "firmware").glob("third_party/*/*.c"))]
+    firmware = ROOT / "firmware"
+    sources = [*sorted(firmware.glob("core/*/*.c")), *sorted(firmware.glob("third_party/*/*.c"))]
     sources += [ROOT / "build" / "protocol" / "goldfield.c", HERE / "core" / "standalone.c"]
-    subprocess.run(["gcc", *FLAGS, "-w", *INCLUDES, "-c", *map(str, sources)], check=True, cwd=tmp_path)
-    objects = [str(path) for path in tmp_path.glob("*.o")]
-    assert len(objects) == len(sources)
+    core = compiled(sources, tmp_path / "objects")
+    board = compiled([path for part in BOARD for path in sorted(firmware.glob(f"{part}/*.c"))], tmp_path / "board")
     for name in CORE:
-        program = tmp_path / name
-        harness = str(HERE / "core" / f"{name}.c")
-        subprocess.run(
-            ["gcc", *FLAGS, *STRICT, *INCLUDES, harness, *objects, "-lm", "-o", str(program)], check=True, cwd=tmp_path
-        )
+        program, harness = tmp_path / f"run_{name}", HERE / "core" / f"{name}.c"
+        parts = [str(harness), *core, *(board if name == "board" else [])]
+        subprocess.run(["gcc", *FLAGS, *STRICT, *INCLUDES, *parts, "-lm", "-o", str(program)], check=True)
         run = subprocess.run([program, *corpus(f"core/{name}")], capture_output=True, text=True)
         assert run.returncode == 0, f"{name}: {run.stderr[-3000:]}"
         assert run.stderr.count("\n") == len(corpus(f"core/{name}"))

@@ -10,6 +10,7 @@
 #define WORDS_LEAST 4u
 #define SET_MAX     24u
 #define STEPS_MAX   3000u
+#define TURNS_MOST  48u
 #define NO_CUT      UINT32_MAX
 
 typedef struct {
@@ -117,7 +118,7 @@ static void save(board_t *board, input_t *input, uint32_t cut, uint32_t how) {
 
 static void turns(board_t *board, input_t *input) {
     bool on = start(board, NO_CUT, 0);
-    while (input->left > 0u) {
+    for (uint32_t turn = 0; input->left > 0u && turn < TURNS_MOST; turn++) {
         const uint32_t what = take_u8(input), cut = what % 2u == 0u ? take_u8(input) % 64u : NO_CUT;
         if (on && what < 192u) {
             save(board, input, cut, what / 2u % 3u);
