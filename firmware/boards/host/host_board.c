@@ -51,6 +51,7 @@ static void byte_sent(hal_t *hal) {
 /* ---- Inputs ---- */
 
 static void input_add(hal_t *hal, input_t input) {
+    hal->due_ps = INT64_MIN;
     if (hal->inputs_head + hal->inputs_count == hal->inputs_capacity) {
         if (hal->inputs_head > 0) {
             memmove(hal->inputs, hal->inputs + hal->inputs_head, hal->inputs_count * sizeof *hal->inputs);
@@ -273,11 +274,15 @@ static next_t next_event(const hal_t *hal, int64_t *time_ps) {
 
 static board_status_t board_run(board_t *board, int64_t until_ps) {
     hal_t *hal = &board->hal;
+    if (until_ps <= hal->due_ps) {
+        hal->now_ps = until_ps > hal->now_ps ? until_ps : hal->now_ps;
+        return BOARD_OK;
+    }
     if (!board->powered && until_ps > hal->power_on_ps) {
         hal->now_ps = hal->power_on_ps;
         application(board);
     }
-    int64_t time_ps;
+    int64_t time_ps = INT64_MIN;
     next_t next;
     while (board->powered && !hal->dead && (next = next_event(hal, &time_ps), time_ps < until_ps)) {
         hal->now_ps = time_ps > hal->now_ps ? time_ps : hal->now_ps;
@@ -306,6 +311,7 @@ static board_status_t board_run(board_t *board, int64_t until_ps) {
     if (hal->now_ps < until_ps) {
         hal->now_ps = until_ps;
     }
+    hal->due_ps = board->powered && !hal->dead ? time_ps : INT64_MIN;
     return BOARD_OK;
 }
 
@@ -357,6 +363,7 @@ board_t *host_board_create(const host_board_config_t *config, const board_edge_t
         return NULL;
     }
     hal_t *hal = &board->hal;
+    hal->due_ps = INT64_MIN;
     hal->edge = *edge;
     hal->config = *config;
     hal->power_on_ps = power_on_ps;
@@ -381,6 +388,7 @@ void host_board_images(board_t *board, const host_images_t *images) {
 void host_board_fail(board_t *board, host_failure_t failure, bool active) {
     board->hal.failed[failure] = active;
     board->hal.awake = true;
+    board->hal.due_ps = INT64_MIN;
     board->hal.idle_tick = host_tick(&board->hal);
 }
 

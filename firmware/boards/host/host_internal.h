@@ -87,10 +87,12 @@ typedef struct {
 } transmitter_t;
 
 struct hal {
+    /* Nothing happens on the board before due_ps, unless something comes from outside; INT64_MIN: nobody knows. Beside
+     * the present, so that a board on which nothing is due costs a line of the cache. */
+    int64_t due_ps, now_ps;
     board_edge_t edge;
     host_board_config_t config;
     int64_t power_on_ps;
-    int64_t now_ps;
     uint64_t tick_q32; /* Length of a tick, ps times 2^32. */
     bool reset_wanted; /* The application has asked for a reset, which comes at the end of its turn. */
     bool awake;        /* There was an interrupt since the main loop last ran. */
