@@ -6,11 +6,13 @@ import json
 import struct
 from dataclasses import replace
 
+import jsonschema
 import numpy as np
 import pytest
 
 from goldfield.link.access import AccessKey
 from hil_sim import clib
+from hil_sim.clib import ROOT
 from tests.firmware.core.boot import slots
 from tests.firmware.core.boot.slots import BEACON as BEACON_ROLE
 from tests.firmware.core.boot.slots import CODE, IS_CONFIRMED, NEW, OLD, OTHER_KEY, Choice, Node
@@ -97,6 +99,9 @@ def test_many_boards_in_both_slots_take_it_at_once_whatever_each_loses(bench, up
     assert link.sent.count("UPDATE_DATA") < 4 * blocks  # Two images; One board after the other would be 6 and more.
     code, out, _ = run(monkeypatch, link, "flash", update_file(), "--all", "--json")
     lines = [json.loads(line) for line in out.splitlines()]
+    schema = json.loads((ROOT / "docs/schema/update.schema.json").read_text())
+    for line in lines:
+        jsonschema.validate(line, schema)
     assert (code, len(lines), {line["updated"] for line in lines}) == (0, count, {True})
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import struct
 
+import jsonschema
 import pytest
 
 from goldfield.cli import main
@@ -49,6 +50,8 @@ def test_a_signed_file_holds_what_was_built(update_file, key, capsys):
     assert main(["image", "show", str(update_file), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [line["slot"] for line in lines] == ["A", "B"]
+    for line in lines:
+        jsonschema.validate(line, json.loads((ROOT / "docs/schema/image.schema.json").read_text()))
     assert {line["protocol"] for line in lines} == {f"{protocol_hash():#010x}"}
     assert {(line["signed"], line["by_this_key"]) for line in lines} == {(True, None)}
 

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import re
 import stat
 
+import jsonschema
 import pytest
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 
 from goldfield.cli import main
+from hil_sim.clib import ROOT
 
 
 def pem(key):
@@ -32,6 +35,10 @@ def test_a_key_is_made_for_its_owner_alone_and_shown(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [path]
     assert main(["keys", "show", str(path)]) == 0
     assert capsys.readouterr().out == public
+    assert main(["keys", "show", str(path), "--json"]) == 0
+    line = json.loads(capsys.readouterr().out)
+    jsonschema.validate(line, json.loads((ROOT / "docs/schema/key.schema.json").read_text()))
+    assert line["public_key"] + "\n" == public
 
 
 def test_two_keys_are_two(tmp_path, capsys):
