@@ -312,7 +312,7 @@ def test_the_ways_to_save_differ_as_they_should(saving: Saving) -> None:
     """An erasure comes first or not at all, and the steps are those of one set."""
     erasures = [place for place, (_, index, _) in enumerate(saving.steps) if index is None]
     assert erasures == ([] if saving.kind == "appended" else [0])
-    assert 1009 <= len(saving.steps) <= 1019
+    assert 1014 <= len(saving.steps) <= 1024
     assert {slot for slot, _, _ in saving.steps} == {1 if saving.kind == "full" else 0}
 
 
