@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
-from goldfield.link.access import COMMAND_LOCKED
+from goldfield.link.access import COMMAND_LOCKED, board_of
 from goldfield.nodes.commissioning import Board
 from goldfield.nodes.conversation import (
     DONE,
@@ -23,7 +23,6 @@ from goldfield.nodes.conversation import (
     TRIES,
     WINDOW,
     Conversation,
-    board_of,
 )
 from goldfield.update.image_files import BLOCK_BYTES, NAMES, Image
 from goldfield_protocol.image import STATE_BYTES
