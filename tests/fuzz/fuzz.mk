@@ -10,7 +10,7 @@ FUZZ_RUNS_CORE := frames=10000 parameters=2000 store=2000 boot=500 update=1000 s
 FUZZ_RUNS_HOST := frames=500 logs=1000 mcap=500 site=500 tables=1000 scenario=100 session=40
 FUZZ_SECONDS ?= 600
 FUZZ_ONLY ?= $(FUZZ_CORE:%=core/%) $(FUZZ_HOST:%=host/%)
-FUZZ_OPTIONS := -seed=1 -max_len=1000 -len_control=0 -rss_limit_mb=2048 -timeout=300 -print_final_stats=1
+FUZZ_OPTIONS := -seed=1 -len_control=0 -rss_limit_mb=2048 -timeout=300 -print_final_stats=1
 FUZZ_OBJECTS := $(CORE_SOURCES:%.c=$(FUZZ)/%.o) $(FUZZ)/protocol/goldfield.o
 FUZZ_PROGRAMS := $(FUZZ_CORE:%=$(FUZZ)/bin/%)
 
@@ -51,7 +51,7 @@ $(FUZZ)/bin/board: $(FUZZ_BOARD_OBJECTS)
 define fuzz
 mkdir -p $(FUZZ)/found/$(1); \
 $(if $(filter core/%,$(1)),$(FUZZ)/bin/$(notdir $(1)),OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.fuzz.host $(notdir $(1))) \
-  $(FUZZ_OPTIONS) $(2) -artifact_prefix=$(FUZZ)/found/$(dir $(1))crash-$(notdir $(1))- $(FUZZ)/found/$(1) tests/fuzz/corpus/$(1) \
+  $(FUZZ_OPTIONS) -max_len=$(if $(filter core/%,$(1)),1000,4000) $(2) -artifact_prefix=$(FUZZ)/found/$(dir $(1))crash-$(notdir $(1))- $(FUZZ)/found/$(1) tests/fuzz/corpus/$(1) \
   >$(FUZZ)/found/$(1).log 2>&1 || { tail -40 $(FUZZ)/found/$(1).log; echo "fuzz: $(1): see $(FUZZ)/found/$(1).log and tests/fuzz/README.md"; exit 1; }; \
 echo "fuzz: $(1): $$(sed -n 's/^Done \(.*\)/\1/p' $(FUZZ)/found/$(1).log), $$(grep -o 'cov: [0-9]*' $(FUZZ)/found/$(1).log | tail -1) edges"
 endef
