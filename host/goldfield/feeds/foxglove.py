@@ -84,4 +84,6 @@ class FoxgloveFeed:
                 message_backlog_size=BACKLOG,
             )
         except Exception as error:  # the SDK raises a RuntimeError of its own, and says not what it may raise
-            raise address.wrong(f"this machine cannot listen there: {reason_of(error)}") from None
+            raise address.wrong(
+                f"this machine cannot listen there: {reason_of(error)}; give another port or address"
+            ) from None

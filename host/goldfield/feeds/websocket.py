@@ -197,4 +197,6 @@ def _listening(address: Address) -> socket.socket:
     try:
         return listening(address.host, address.port)
     except (OSError, UnicodeError) as error:
-        raise address.wrong(f"this machine cannot listen there: {reason_of(error)}") from None
+        raise address.wrong(
+            f"this machine cannot listen there: {reason_of(error)}; give another port or address"
+        ) from None
