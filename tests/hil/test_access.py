@@ -14,7 +14,8 @@ import pytest
 from goldfield import site as sites
 from goldfield.cli import main
 from goldfield.link import access
-from goldfield.link.access import KEY, Locked, load_key, make_key
+from goldfield.link.access import KEY, Locked
+from goldfield.link.access_key import load_key, make_key
 from goldfield.link.requests import set_request
 from goldfield.nodes import conversation as conversations
 from goldfield.nodes import opening

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from goldfield.errors import SystemFailure, UserError, tell
-from goldfield.link.access import AccessKey, Locked
+from goldfield.link.access import Locked
+from goldfield.link.access_key import AccessKey
 from goldfield.nodes import opening
 from goldfield.nodes.conversation import Conversation, Tap
 from goldfield.types import FloatArray

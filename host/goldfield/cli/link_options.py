@@ -7,7 +7,7 @@ import os
 
 from goldfield.cli import options
 from goldfield.errors import UserError
-from goldfield.link.access import AccessKey, load_key
+from goldfield.link.access_key import AccessKey, load_key
 from goldfield.sensor.options import Method, Options
 
 LINKS = {

@@ -9,7 +9,7 @@ from goldfield.cli import link_options
 from goldfield.cli.node_boards import SHARED, meant
 from goldfield.cli.output import json_line
 from goldfield.errors import UserError, counted, tell
-from goldfield.link.access import load_key, make_key
+from goldfield.link.access_key import load_key, make_key
 from goldfield.nodes.commissioning import Board, boards_of, save_all, set_key
 from goldfield.nodes.conversation import Conversation
 

@@ -9,7 +9,7 @@ from itertools import islice
 from goldfield.doctor import boards, machine, poses
 from goldfield.doctor.checks import Check, Fault, sound, unjudged, wrong
 from goldfield.errors import SystemFailure, UserError, counted
-from goldfield.link.access import AccessKey
+from goldfield.link.access_key import AccessKey
 from goldfield.link.ports import kernel_can_errors
 from goldfield.link.traffic import DAMAGED, damaged
 from goldfield.nodes.conversation import Conversation, Tap

@@ -13,7 +13,7 @@ from typing import Protocol
 import can
 
 from goldfield.errors import SystemFailure, UserError, option, tell
-from goldfield.link.access import AccessKey
+from goldfield.link.access_key import AccessKey
 from goldfield.link.can_channel import open_channel, resynchronise
 from goldfield.link.loopback_bus import LoopbackBus
 from goldfield.link.recordings import CandumpReader

@@ -12,7 +12,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from goldfield.errors import SystemFailure, UserError
-from goldfield.link.access import KEY, AccessKey, Locked
+from goldfield.link.access import KEY, Locked
+from goldfield.link.access_key import AccessKey
 from goldfield.link.requests import Value
 from goldfield.nodes.conversation import (
     ALL_GROUPS,

@@ -12,7 +12,8 @@ from contextlib import suppress
 import can
 
 from goldfield.errors import SystemFailure
-from goldfield.link.access import COMMAND_LOCKED, AccessKey, board_of, is_locked, lock_request, unlock
+from goldfield.link.access import COMMAND_LOCKED, board_of, is_locked, lock_request, unlock
+from goldfield.link.access_key import AccessKey
 from goldfield.link.buses import BusSource
 from goldfield.link.requests import ANSWER_S, UNKNOWN, Value, read_request, refusal, set_request, value_of
 from goldfield.link.traffic import added

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from goldfield.errors import UserError, option
-from goldfield.link.access import load_key
+from goldfield.link.access_key import load_key
 from goldfield.link.buses import Source
 from goldfield.sensor.options import Options, chosen_method
 from goldfield.sensor.pipeline import Sensor

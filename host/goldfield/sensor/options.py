@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from goldfield.errors import UserError, option
-from goldfield.link.access import AccessKey
+from goldfield.link.access_key import AccessKey
 from goldfield.site import Site
 
 LAST_NODE = 4095

@@ -84,10 +84,9 @@ class _Stream:
             self._set(1)
 
     def _set(self, value: int | float) -> None:
-        """Set it, if it is not so already."""
+        """Set it, and lock a sensor that was unlocked for it."""
         dialogue = self.session.dialogue
-        if dialogue.ask(STREAM) != value:
-            dialogue.ask(STREAM, value)
+        dialogue.ask(STREAM, value)
         dialogue.lock()
 
     def take(self, message: Message) -> None:

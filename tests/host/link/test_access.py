@@ -12,7 +12,8 @@ import can
 import pytest
 
 from goldfield.errors import UserError
-from goldfield.link.access import AccessKey, holds_key, load_key, make_key
+from goldfield.link.access import holds_key
+from goldfield.link.access_key import AccessKey, load_key, make_key
 from goldfield.link.requests import set_request
 from goldfield.recording.about import About
 from goldfield.sensor.options import Options
