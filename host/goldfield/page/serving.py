@@ -119,7 +119,8 @@ class Listener:
         except OSError as error:
             if bind is not None:
                 raise UserError(
-                    f"{option(named, f'{address}:{port}')}: this machine cannot listen there: {reason_of(error)}; give another port or address"
+                    f"{option(named, f'{address}:{port}')}: this machine cannot listen there: {reason_of(error)}; "
+                    "give another port or address"
                 ) from None
             tell(f"port {PORT} of this machine is taken, perhaps by another page: this one has another address")
             self.socket = listening(address, 0)

@@ -10,7 +10,7 @@ import jsonschema
 import numpy as np
 import pytest
 
-from goldfield.link.access import AccessKey
+from goldfield.link.access_key import AccessKey
 from hil_sim import clib
 from hil_sim.clib import ROOT
 from tests.firmware.core.boot import slots
