@@ -14,6 +14,7 @@ UNEXPLAINED = 3
 """From so many inconsistent ones among them on, something is wrong that is no beacon."""
 AGREEING = 2
 """So many epochs in a row before must then have left out the same."""
+WHY = f"no pose fitted in {UNEXPLAINED} or more of the latest {LATEST} epochs: what is left out is to be confirmed"
 
 
 class Confirmation:
@@ -36,5 +37,4 @@ class Confirmation:
         self._left_out.append(left_out)
         if not (doubted and left_out and pose.status in (Status.OK, Status.UNVERIFIED)):
             return pose
-        why = f"no pose fitted in {sum(self._inconsistent)} of the latest epochs: what is left out is to be confirmed"
-        return replace(pose, status=Status.INCONSISTENT, reason=joined(pose.reason, why))
+        return replace(pose, status=Status.INCONSISTENT, reason=joined(pose.reason, WHY))

@@ -227,7 +227,7 @@ def test_an_address_that_is_taken_or_none_of_ours():
         taken.listen()
         with pytest.raises(UserError, match="cannot listen there"):
             Listener(taken.getsockname())
-    with pytest.raises(UserError, match="cannot listen there: .*; give another port or address"):
+    with pytest.raises(UserError, match=r"cannot listen there: .*; give another port or address"):
         Listener(("192.0.2.7", 0))  # nobody's (RFC 5737)
 
 

@@ -42,7 +42,7 @@ def test_what_is_left_out_after_so_many_inconsistent_epochs(status, inconsistent
     found = confirmation.follow(pose(status, ("b4",), "b4 left out"))
     assert found.status is (status if believed else INCONSISTENT)
     assert found.excluded == ("b4",)
-    told = "b4 left out; no pose fitted in 3 of the latest epochs: what is left out is to be confirmed"
+    told = "b4 left out; no pose fitted in 3 or more of the latest 10 epochs: what is left out is to be confirmed"
     assert found.reason == ("b4 left out" if believed else told)
 
 
