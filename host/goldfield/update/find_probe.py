@@ -58,7 +58,7 @@ def choose(probes: dict[str, str], wanted: str) -> str:
         return f"debug probe: {name}, {unique_id}"
     listed = ", ".join(f"PROBE={unique_id} ({name})" for unique_id, name in (found or probes).items())
     if found:
-        raise NoProbe(f"{len(found)} debug probes are connected: give one of {listed}")
+        raise NoProbe(f"several debug probes are connected: give one of {listed}")
     if probes:
         raise NoProbe(f"there is no debug probe {wanted}: give one of {listed}")
     raise NoProbe(f"no debug probe was found: {CONNECT}")
