@@ -70,7 +70,7 @@ def test_without_a_terminal_each_look_is_one_line(monitored):
 
 def test_on_a_terminal_the_table_is_drawn_in_place_and_fits_it(monitored, monkeypatch):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((80, 24)))
+    monkeypatch.setattr("shutil.get_terminal_size", lambda *_, **__: os.terminal_size((80, 24)))
     first, second = monitored([cycle_messages(number) for number in range(CYCLES)]).split("\x1b[")[:2]
     assert second == f"{len(first.splitlines())}A"
     assert all(len(line) <= 80 for line in first.splitlines())
@@ -78,6 +78,6 @@ def test_on_a_terminal_the_table_is_drawn_in_place_and_fits_it(monitored, monkey
 
 
 def test_what_does_not_fit_the_terminal_is_cut(monkeypatch, capsys):
-    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((10, 4)))
+    monkeypatch.setattr("shutil.get_terminal_size", lambda *_, **__: os.terminal_size((10, 4)))
     Screen(lambda: "\n".join(["x" * 20] * 9))()
     assert capsys.readouterr().out == "\n".join(["x" * 10] * 3) + "\n"
