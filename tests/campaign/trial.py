@@ -32,6 +32,8 @@ BOOT_S = 2.5
 """Virtual time in which boards boot, synchronise and ramp up their currents."""
 SOUND_S, FAULT_S, AFTER_S = 1.5, 4.0, 6.0
 """How long the bench is watched before the fault, while it lasts, and behind it."""
+CLEAR_S = 0.5
+"""So long after the mending a host clears what is latched: while a current still decays a board would refuse."""
 TRANSFER_S = 0.005
 """About so long after the end of a cycle its last message is there."""
 SNAP_S = 0.025
@@ -159,11 +161,12 @@ class Trial:
         return int(self.random.choice(others))
 
     def clear(self, board: int) -> None:
-        """Let a host clear the cause for which a beacon's drive is off, as ``goldfield nodes clear`` does."""
+        """Let a host clear, a moment from now, why a beacon's drive is off, as ``goldfield nodes clear`` does."""
         unique = self.rig.unique_id(board)
         own = int.from_bytes(unique[:6], "little") ^ int.from_bytes(unique[6:], "little")
         node = self.scenario.beacons[board - 1].node
-        self.rig.can_write(*encode("COMMAND", {"board": own, "argument": 0}, node=node, index=CLEAR))
+        request = encode("COMMAND", {"board": own, "argument": 0}, node=node, index=CLEAR)
+        self._due.append((self.rig.now_s + CLEAR_S, lambda trial: trial.rig.can_write(*request)))
 
     def run(self) -> Outcome:
         """Play it."""
