@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -111,7 +112,11 @@ def codes(roster: Roster, site: Site) -> Iterator[Check]:
         nodes_of.setdefault(int(node.parameters.get(CODE) or 0), []).append(node.number)
     missing = [beacon for beacon in site.beacons if beacon.code not in nodes_of]
     strange = [(code, numbers[0]) for code, numbers in nodes_of.items() if code not in site.codes]
-    shared = [(b, numbers) for b in site.beacons if len(numbers := tuple(nodes_of.get(b.code, ()))) > 1]
+    users = Counter(beacon.code for beacon in site.beacons)  # More than one where codes are shared.
+    driven = {beacon.code: tuple(nodes_of.get(beacon.code, ())) for beacon in site.beacons}
+    first = {beacon.code: beacon for beacon in reversed(site.beacons)}
+    shared = [(first[code], numbers) for code, numbers in driven.items() if len(numbers) > users[code]]
+    few = [(code, numbers) for code, numbers in driven.items() if 0 < len(numbers) < users[code]]
     if len(missing) > 1 and 2 * len(missing) >= len(site.beacons) and len(strange) >= 2:
         yield wrong(
             Fault.SITE,
@@ -137,8 +142,18 @@ def codes(roster: Roster, site: Site) -> Iterator[Check]:
                 "check the board's power and its cable to the bus",
                 beacons=(beacon.id,),
             )
-    if not missing and not strange and not shared:
-        yield sound("codes", f"each of {counted(len(site.beacons), 'codes of the site')} is driven by one board")
+    for code, numbers in few:
+        names = tuple(beacon.id for beacon in site.beacons if beacon.code == code)
+        yield wrong(
+            Fault.OFF,
+            f"beacons {_and(names)}",
+            f"the code {code} of {_and(names)} is driven by {counted(len(numbers), 'boards')} only",
+            "check the power and the cable of the others",
+            beacons=names,
+        )
+    if not missing and not strange and not shared and not few:
+        how = "one board" if len(users) == len(site.beacons) else "as many boards as have it"
+        yield sound("codes", f"each of {counted(len(users), 'codes of the site')} is driven by {how}")
 
 
 def _wrong_code(text: str, nodes: tuple[int, ...], missing: Beacon | None, shared: Beacon | None = None) -> Check:
@@ -270,6 +285,6 @@ def in_order(roster: Roster) -> list[Node]:
     return [node for _, node in sorted(roster.nodes.items()) if node.role not in (None, "host")]
 
 
-def _and(numbers: Sequence[int]) -> str:
+def _and(numbers: Sequence[object]) -> str:
     said = [str(number) for number in numbers]
     return said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"

@@ -11,7 +11,7 @@ on CAN, where SYNC is heard, can the hold-over be told.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from goldfield.link.heartbeat import DRIVING, STATE_CLOCK_FALLBACK, STATE_FAULT
@@ -77,7 +77,7 @@ def judge(health: Health, report: Report, site: Site, *, chosen: bool = False) -
         Whether the sensor chooses the codes that it reports: they need not be the site's.
     """
     grave = list(_of_time(health, report))
-    beacons = [_of_beacon(health, beacon, board) for beacon, board in _boards_of(health, site)]
+    beacons = [_of_beacon(health, known) for known in _known(health, site)]
     findings = [*grave, *_complaints(health, site), *(finding for one in beacons for finding in one.findings)]
     findings += [*_of_wire(health), *_of_sensor(health, report, site, chosen), *_of_others(health, site)]
     holds_over = bool(health.masters) and health.now_s - max(health.masters.values()) > SYNC_MISSED_S
@@ -146,25 +146,42 @@ def _of_sensor(health: Health, report: Report, site: Site, chosen: bool) -> Iter
 # ---- Beacons ----
 
 
-def _boards_of(health: Health, site: Site) -> Iterator[tuple[str, tuple[float, list[Board]]]]:
-    """Yield each beacon with its current in the site file and the boards that drive its code."""
+@dataclass(frozen=True)
+class _Known:
+    """What is known of a beacon: its current in the site file, the boards that drive its code, and who has that code.
+
+    Where beacons share a code (``shared_codes``) it is not known which of the boards is whose.
+    """
+
+    name: str
+    current_A: float
+    boards: list[Board]
+    users: tuple[str, ...]
+
+
+def _known(health: Health, site: Site) -> list[_Known]:
     by_code: dict[int, list[Board]] = {}
     for board in health.boards.values():
         if board.role in DRIVING and board.code is not None:
             by_code.setdefault(board.code, []).append(board)
+    users: dict[int, tuple[str, ...]] = {}
     for beacon in site.beacons:
-        yield beacon.id, (beacon.current_A, by_code.get(beacon.code, []))
+        users[beacon.code] = (*users.get(beacon.code, ()), beacon.id)
+    return [_Known(b.id, b.current_A, by_code.get(b.code, []), users[b.code]) for b in site.beacons]
 
 
-def _of_beacon(health: Health, name: str, known: tuple[float, list[Board]]) -> Verdict:
+def _of_beacon(health: Health, known: _Known) -> Verdict:
     """Return what the boards of one beacon say of it."""
-    site_A, boards = known
+    name, site_A, boards = known.name, known.current_A, known.boards
     if not boards:
         return Verdict()
-    if len(boards) > 1:
+    if len(boards) > len(known.users):
         nodes = _and(sorted(board.node for board in boards))
-        text = f"nodes {nodes} both have the code of {name}: give each board its own code"
-        return Verdict(out=(name,), findings=(_board((name,), text),))
+        both = "both" if len(boards) == 2 else "all"
+        text = f"nodes {nodes} {both} have the code of {_and(known.users)}: give each board its own code"
+        return Verdict(out=(name,), findings=(_board((name,), text),) if name == known.users[0] else ())
+    if len(known.users) > 1:  # One of the boards is its own: what any complains of may be true of it.
+        return Verdict(out=(name,) if any(_complaint(board) is not None for board in boards) else ())
     (board,) = boards
     if health.now_s - board.heard_s > SILENT_S:
         text = f"{name}'s board (node {board.node}) is silent: check its power and its cable"
@@ -190,19 +207,21 @@ def _of_beacon(health: Health, name: str, known: tuple[float, list[Board]]) -> V
 
 def _complaints(health: Health, site: Site) -> Iterator[Finding]:
     """Yield what the boards of beacons complain of, each complaint once, with all who have it."""
-    who: dict[str, list[tuple[str, int]]] = {}
-    for name, (_, boards) in _boards_of(health, site):
-        if len(boards) == 1 and health.now_s - boards[0].heard_s <= SILENT_S:
-            complaint = _complaint(boards[0])
-            if complaint is not None:
-                who.setdefault(complaint, []).append((name, boards[0].node))
+    who: dict[str, list[tuple[tuple[str, ...], int]]] = {}
+    for known in _known(health, site):
+        if known.name != known.users[0] or len(known.boards) > len(known.users):
+            continue
+        for board in known.boards:
+            complaint = _complaint(board)
+            if complaint is not None and health.now_s - board.heard_s <= SILENT_S:
+                who.setdefault(complaint, []).append((known.users, board.node))
     for complaint, told in who.items():
-        names = tuple(name for name, _ in told)
+        names = [" or ".join(users) for users, _ in told]
         if len(told) == 1:
             text = f"{names[0]}'s board (node {told[0][1]}) reports {complaint}"
         else:
             text = f"the boards of {', '.join(names[:-1])} and {names[-1]} report {complaint}"
-        yield _board(names, text)
+        yield _board(tuple(dict.fromkeys(name for users, _ in told for name in users)), text)
 
 
 def _complaint(board: Board) -> str | None:
@@ -264,5 +283,5 @@ def _board(beacons: tuple[str, ...], text: str, factor: float | None = None) -> 
     return Finding(Explanation.BOARD, beacons, text, factor=factor)
 
 
-def _and(numbers: list[int]) -> str:
+def _and(numbers: Iterable[object]) -> str:
     return " and ".join(map(str, numbers))

@@ -342,6 +342,39 @@ def test_two_boards_with_one_code(bus):
     assert "two boards have the number 4, or its code was changed" in texts(verdict)
 
 
+SHARED = dataclasses.replace(
+    ROOM,
+    shared_codes=True,
+    beacons=(*ROOM.beacons[:-1], dataclasses.replace(ROOM.beacons[-1], code=CODES[1])),
+)
+"""The room, whose last beacon has the code of its second."""
+
+
+def test_boards_that_share_a_code_as_the_site_says_are_sound():
+    bus = Bus(codes=(*CODES[:-1], CODES[1]))
+    assert judge(bus.health, bus.report, SHARED) == Verdict()
+    assert judge(bus.health, bus.report, ROOM).out == IDS[1:2]  # In another room they are not.
+
+
+def test_one_board_more_than_beacons_of_a_code_is_told():
+    bus = Bus(codes=(*CODES[:-1], CODES[1]))
+    bus.say(heartbeat(node=9, role=0), answer(9, CODE, CODES[1]), answer(9, WAVEFORM, 0), drive(9))
+    verdict = judge(bus.health, bus.report, SHARED)
+    assert verdict.out == (IDS[1], IDS[-1])
+    assert texts(verdict) == [
+        f"nodes 2 and 8 and 9 all have the code of {IDS[1]} and {IDS[-1]}: give each board its own code"
+    ]
+
+
+def test_what_a_board_complains_of_may_be_true_of_each_beacon_of_its_code():
+    bus = Bus(codes=(*CODES[:-1], CODES[1]))
+    bus.say(drive(8, open_coil=1))
+    verdict = judge(bus.health, bus.report, SHARED)
+    assert verdict.out == (IDS[1], IDS[-1])
+    assert texts(verdict) == [f"{IDS[1]} or {IDS[-1]}'s board (node 8) reports {FAULTS[0][1]}"]
+    assert verdict.findings[0].beacons == (IDS[1], IDS[-1])
+
+
 def test_a_fault_of_a_board_that_is_no_beacon_yet_is_told_with_its_number(bus):
     bus.say(heartbeat(node=30, role=0), drive(30, open_coil=1))
     verdict = bus.judge()

