@@ -190,8 +190,16 @@ NOT_FLASHED = [
         "no debug probe was found: connect one by USB (an ST-LINK, a J-Link or any CMSIS-DAP); one that is c",
     ),
     (ONE_PROBE, ("PROBE=0770",), "there is no debug probe 0770: give one of PROBE=066DFF01 (STM32 STLink 066DFF01)"),
-    (probes("066DFF01", "066DFF02"), ("PROBE=066D",), "several debug probes are connected: give one of PROBE=066DFF01 ("),
-    (probes("066DFF01", "066DFF02"), (), "several debug probes are connected: give one of PROBE=066DFF01 (STM32 STLink 066"),
+    (
+        probes("066DFF01", "066DFF02"),
+        ("PROBE=066D",),
+        "several debug probes are connected: give one of PROBE=066DFF01 (",
+    ),
+    (
+        probes("066DFF01", "066DFF02"),
+        (),
+        "several debug probes are connected: give one of PROBE=066DFF01 (STM32 STLink 066",
+    ),
     (probes(status=1, error="no USB\nhere"), (), "the search for a debug probe failed: no USB here: plug the probe in"),
     ("Traceback", (), "json --probes: does not list the debug probes: run it to see why"),
     ("[]", (), "json --probes: does not list the debug probes: run it to see why"),
