@@ -36,6 +36,8 @@ CLEAR_S = 0.5
 """So long after the mending a host clears what is latched: while a current still decays a board would refuse."""
 TRANSFER_S = 0.005
 """About so long after the end of a cycle its last message is there."""
+LATE_CYCLES = 5
+"""A pose whose number is that of a cycle further away from its arrival was numbered anew."""
 SNAP_S = 0.025
 """So near to what the edges of the wire tell a cycle is theirs: 8 mm of the way."""
 SILENCE_S = 0.35
@@ -214,13 +216,14 @@ class Trial:
     def _place(self, epoch: Epoch, came_s: float, truth: list[Truth]) -> FloatArray:
         """Return where the sensor was in the middle of a cycle, whose last message came at a virtual time.
 
-        A master that comes back numbers the cycles anew, so that the number tells which one it was on the serial line
-        alone, where nobody else is struck.
+        The number tells which cycle it was, unless a master that came back has numbered the cycles anew, which is
+        struck on CAN alone. A cycle of which messages are lost is handed out with the next one.
         """
-        middle_s = came_s - TRANSFER_S - 0.5 * CYCLE_S
-        if self.kind.serial:
-            known = min(truth, key=lambda one: abs(one.cycle - epoch.pose.epoch))
-            middle_s = known.time_s + (epoch.pose.epoch - known.cycle) * CYCLE_S
+        known = min(truth, key=lambda one: abs(one.cycle - epoch.pose.epoch))
+        middle_s = known.time_s + (epoch.pose.epoch - known.cycle) * CYCLE_S
+        arrived_s = came_s - TRANSFER_S - 0.5 * CYCLE_S
+        if not self.kind.serial and abs(middle_s - arrived_s) > LATE_CYCLES * CYCLE_S:
+            middle_s = arrived_s
         nearest_s = min((one.time_s for one in truth), key=lambda time_s: abs(time_s - middle_s))
         if abs(nearest_s - middle_s) < SNAP_S:
             middle_s = nearest_s
