@@ -175,7 +175,7 @@ def test_neither_a_copy_nor_a_read_takes_the_key_along(bench: Bench, keys: Calla
         (("set", "3", "--all"), "takes numbers of nodes or --all"),
         (("set", "3"), "no key is given: give its file with --key FILE"),
         (("remove", "--all"), "no key is given"),
-        (("set", "3", "--key", "nowhere"), "nowhere: the key cannot be read"),
+        (("set", "3", "--key", "nowhere"), "nowhere: there is no such key"),
     ],
 )
 def test_what_is_wrong_with_a_command_is_told_before_a_board_is_asked(

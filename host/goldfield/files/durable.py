@@ -61,19 +61,21 @@ class Durable:
         self._written = False  # before the sync: what is written during it is for the next one
         try:
             os.fdatasync(self._file.fileno())
-            self._sync_folder()
+            sync_folder(self._folder)
         except OSError as error:
             if error.errno not in NO_SYNC:
                 self._error = error
-
-    def _sync_folder(self) -> None:
-        descriptor = os.open(self._folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
 
     def _raise_error(self) -> None:
         error, self._error = self._error, None
         if error is not None:
             raise error
+
+
+def sync_folder(folder: Path) -> None:
+    """See that the names in a folder are on the disk; `OSError` if they cannot be, of `NO_SYNC` where none is known."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

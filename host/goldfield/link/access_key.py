@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import hmac
-import os
-import stat
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from goldfield.errors import UserError
-from goldfield.files.inputs import reason_of
+from goldfield.files import secret_file
 
 KEY_BYTES = 16
 PURPOSE = b"goldfield access 1"
+WHAT = "key"
+MOST_BYTES = 1000
+"""More than any file of a key has."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +51,9 @@ def load_key(path: str | Path) -> AccessKey:
     UserError
         If it cannot be read, others can read it, or it holds no key.
     """
+    text = secret_file.read(path, WHAT, MOST_BYTES)
     try:
-        with Path(path).open(encoding="ascii") as file:
-            mode = os.fstat(file.fileno()).st_mode
-            text = file.read(1000)
-    except (OSError, ValueError) as error:  # bytes that are no ASCII, or a zero byte in the path
-        reason = reason_of(error) if isinstance(error, OSError) else "is no file of a key"
-        raise UserError(f"{path}: the key cannot be read: {reason}") from error
-    if stat.S_ISREG(mode) and mode & (stat.S_IRWXG | stat.S_IRWXO):
-        raise UserError(f"{path}: others than you can read this key: chmod 600 {path}, and think of who has read it")
-    digits = text.strip()
-    try:
-        raw = bytes.fromhex(digits)
+        raw = bytes.fromhex(text.decode("ascii").strip())
     except ValueError:
         raw = b""
     if len(raw) != KEY_BYTES or not any(raw):
@@ -73,33 +64,9 @@ def load_key(path: str | Path) -> AccessKey:
 
 
 def make_key(path: str | Path) -> AccessKey:
-    """Make up a key, and write its file, which its owner alone can read.
-
-    Raises
-    ------
-    UserError
-        If there is a file already, which stays as it is, or it cannot be written.
-    """
+    """Make up a key, and write its file; the errors are those of `goldfield.files.secret_file.keep`."""
     import secrets  # of this one command alone
-    import tempfile
 
     raw = secrets.token_bytes(KEY_BYTES)
-    place = Path(path)
-    written: str | None = None
-    try:
-        handle, written = tempfile.mkstemp(dir=place.parent, prefix=f".{place.name}.")  # for the owner alone
-        with os.fdopen(handle, "w", encoding="ascii") as file:
-            file.write(f"{raw.hex()}\n")
-            file.flush()
-            os.fsync(file.fileno())
-        os.link(written, place)  # There it is whole, and it replaces nothing.
-    except FileExistsError as error:
-        raise UserError(f"{path}: is there already, and a key is never overwritten: give another file") from error
-    except (OSError, ValueError) as error:
-        reason = reason_of(error) if isinstance(error, OSError) else str(error)
-        raise UserError(f"{path}: the key cannot be written: {reason}") from error
-    finally:
-        if written is not None:
-            with suppress(OSError):
-                Path(written).unlink()
+    secret_file.keep(path, f"{raw.hex()}\n".encode(), WHAT)
     return AccessKey(raw, str(path))

@@ -7,22 +7,16 @@ public key take no image that another one has signed, until a probe writes them 
 
 from __future__ import annotations
 
-import errno
-import os
-import stat
 from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from goldfield.errors import SystemFailure, UserError
-from goldfield.files.inputs import read_bounded, reason_of
+from goldfield.errors import UserError
+from goldfield.files import secret_file
 from goldfield_protocol.image import KEY_BYTES
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-MODE = 0o600
 MOST_BYTES = 4096
 """More than any file of a key has."""
 KIND = "private key"
@@ -31,14 +25,7 @@ KIND = "private key"
 def make(path: str, passphrase: bytes | None = None) -> bytes:
     """Make a key pair, keep the private key in a new file, and return the public key, `KEY_BYTES` bytes.
 
-    The file is there whole or not at all, with the mode `MODE` from its first byte on.
-
-    Raises
-    ------
-    UserError
-        There is such a file, or it cannot be made there.
-    SystemFailure
-        The disk is full or broken; nothing is left of the file then.
+    The errors are those of `goldfield.files.secret_file.keep`.
     """
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import (
@@ -50,7 +37,7 @@ def make(path: str, passphrase: bytes | None = None) -> bytes:
 
     key = Ed25519PrivateKey.generate()
     encryption = BestAvailableEncryption(passphrase) if passphrase else NoEncryption()
-    _keep(path, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption))
+    secret_file.keep(path, key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption), KIND)
     return public_bytes(key)
 
 
@@ -72,11 +59,7 @@ def load(path: str, passphrase: Callable[[], bytes]) -> Ed25519PrivateKey:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
 
-    data = read_bounded(path, KIND, MOST_BYTES)
-    with suppress(OSError):  # stdin, which is -
-        status = Path(path).stat()
-        if stat.S_ISREG(status.st_mode) and stat.S_IMODE(status.st_mode) & 0o077:
-            raise UserError(f"{path}: others may read or write this private key: chmod 600 {path}")
+    data = secret_file.read(path, KIND, MOST_BYTES)
     given = passphrase() if b"ENCRYPTED" in data else None
     try:
         key = load_pem_private_key(data, given)
@@ -125,40 +108,3 @@ def has_signed(public: bytes, signature: bytes, message: bytes) -> bool:
     except InvalidSignature:
         return False
     return True
-
-
-def _keep(path: str, data: bytes) -> None:
-    """Write a new file that nobody else may read; an older one of this name is never replaced."""
-    try:
-        place = Path(path).absolute()
-        beside = place.with_name(f".{place.name[:200]}.{os.getpid()}.part")
-        descriptor = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, MODE)
-    except (OSError, ValueError) as error:  # a zero byte in the path
-        raise UserError(f"{path}: the {KIND} cannot be written: {reason_of(error)}") from error
-    try:
-        with os.fdopen(descriptor, "wb") as file:
-            os.fchmod(file.fileno(), MODE)
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.link(beside, place)  # Unlike a rename it fails if there is such a file.
-        _sync_directory(place.parent)
-    except FileExistsError:
-        raise UserError(
-            f"{path}: exists, and a key is never overwritten, as its boards take no other: give a new file"
-        ) from None
-    except OSError as error:
-        raise SystemFailure(f"{path}: the {KIND} cannot be written: {reason_of(error)}") from error
-    finally:
-        beside.unlink(missing_ok=True)
-
-
-def _sync_directory(directory: Path) -> None:
-    descriptor = os.open(directory, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    try:
-        os.fsync(descriptor)
-    except OSError as error:
-        if error.errno not in (errno.EINVAL, errno.EROFS):  # a file system without such a thing
-            raise
-    finally:
-        os.close(descriptor)

@@ -85,12 +85,12 @@ def test_what_is_no_key_is_refused(tmp_path: Path, content: bytes) -> None:
     place = tmp_path / "site.key"
     place.write_bytes(content)
     place.chmod(0o600)
-    with pytest.raises(UserError, match=r"no key|no file of a key"):
+    with pytest.raises(UserError, match="holds no key"):
         load_key(place)
 
 
 def test_a_key_that_is_not_there_is_told(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match="the key cannot be read: No such file"):
+    with pytest.raises(UserError, match="there is no such key"):
         load_key(tmp_path / "site.key")
 
 
