@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from enum import Enum
@@ -98,6 +98,18 @@ def counted(count: int, phrase: str) -> str:
         phrase = _PLURAL.sub(lambda nouns: " or ".join(map(_singular, nouns[0].split(" or "))), phrase, count=1)
         phrase = re.sub(r"\b(?:were|are|have|need)\b", lambda verb: _SINGULAR[verb[0]], phrase, count=1)
     return f"{count} {phrase}"
+
+
+def listed(items: Iterable[object]) -> str:
+    """Return things in one row of words.
+
+    Examples
+    --------
+    >>> listed(["b1"]), listed([3, 4]), listed("xyz"), listed(())
+    ('b1', '3 and 4', 'x, y and z', '')
+    """
+    *rest, last = [*map(str, items)] or [""]
+    return f"{', '.join(rest)} and {last}" if rest else last
 
 
 def _singular(noun: str) -> str:

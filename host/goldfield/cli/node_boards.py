@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 from goldfield.cli.output import json_line
-from goldfield.errors import SystemFailure, UserError, counted
+from goldfield.errors import SystemFailure, UserError, counted, listed
 from goldfield.nodes.commissioning import (
     SWITCHES,
     Board,
@@ -41,7 +41,7 @@ def meant(boards: Sequence[Board], number: int, unique_id: str | None = None) ->
         raise SystemFailure(f"node {number} does not answer: see who is there with goldfield nodes")
     wanted = [board for board in found if unique_id in (None, board.unique_id)]
     if len(wanted) != 1:
-        ids = " and ".join(board.unique_id for board in found)
+        ids = listed(board.unique_id for board in found)
         raise UserError("node " + SHARED.format(number=number, boards=ids))
     return wanted[0]
 

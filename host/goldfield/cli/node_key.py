@@ -8,7 +8,7 @@ from dataclasses import replace
 from goldfield.cli import link_options
 from goldfield.cli.node_boards import SHARED, meant
 from goldfield.cli.output import json_line
-from goldfield.errors import UserError, counted, tell
+from goldfield.errors import UserError, counted, listed, tell
 from goldfield.link.access_key import load_key, make_key
 from goldfield.nodes.commissioning import Board, boards_of, save_all, set_key
 from goldfield.nodes.conversation import Conversation
@@ -51,7 +51,7 @@ def _meant(boards: list[Board], arguments: argparse.Namespace) -> list[Board]:
     for board in boards:
         others = [other.unique_id for other in boards if other.number == board.number]
         if len(others) > 1:
-            raise UserError("node " + SHARED.format(number=board.number, boards=" and ".join(others)))
+            raise UserError("node " + SHARED.format(number=board.number, boards=listed(others)))
     return boards
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 from goldfield.doctor.checks import Check, Fault, sound, unjudged, wrong
-from goldfield.errors import counted
+from goldfield.errors import counted, listed
 from goldfield.nodes.roster import UNLOCKED, Node, Roster
 from goldfield.site import Beacon, Site
 from goldfield_protocol.messages import protocol_hash
@@ -64,9 +64,9 @@ def timing(roster: Roster, *, whole_bus: bool) -> Iterator[Check]:
         yield wrong(
             Fault.MASTERS,
             "sync master",
-            f"nodes {_and(masters)} are both sync masters"
+            f"nodes {listed(masters)} are both sync masters"
             if len(masters) == 2
-            else f"{_and(masters)} are sync masters",
+            else f"{listed(masters)} are sync masters",
             "set sync_master = 0 in the page of all but one: make flash ROLE=beacon NODE=... SYNC_MASTER=0",
             nodes=tuple(masters),
         )
@@ -132,7 +132,7 @@ def codes(roster: Roster, site: Site) -> Iterator[Check]:
     for code, number in strange:
         yield _wrong_code(f"node {number} drives the code {code}, which is no beacon's", (number,), only)
     for beacon, numbers in shared:
-        yield _wrong_code(f"nodes {_and(numbers)} drive the code {beacon.code} of {beacon.id}", numbers, only, beacon)
+        yield _wrong_code(f"nodes {listed(numbers)} drive the code {beacon.code} of {beacon.id}", numbers, only, beacon)
     for beacon in missing:
         if only is None:
             yield wrong(
@@ -146,8 +146,8 @@ def codes(roster: Roster, site: Site) -> Iterator[Check]:
         names = tuple(beacon.id for beacon in site.beacons if beacon.code == code)
         yield wrong(
             Fault.OFF,
-            f"beacons {_and(names)}",
-            f"the code {code} of {_and(names)} is driven by {counted(len(numbers), 'boards')} only",
+            f"beacons {listed(names)}",
+            f"the code {code} of {listed(names)} is driven by {counted(len(numbers), 'boards')} only",
             "check the power and the cable of the others",
             beacons=names,
         )
@@ -251,7 +251,7 @@ def degrees(roster: Roster, site: Site) -> Iterator[Check]:
     told = [(node.number, node.parameters.get(DEGREE)) for node in in_order(roster)]
     for wrong_degree in sorted({int(degree) for _, degree in told if degree not in (None, site.degree)}):
         numbers = tuple(number for number, degree in told if degree == wrong_degree)
-        who = f"node {numbers[0]} works" if len(numbers) == 1 else f"nodes {_and(numbers)} work"
+        who = f"node {numbers[0]} works" if len(numbers) == 1 else f"nodes {listed(numbers)} work"
         yield wrong(
             Fault.SITE,
             "degree",
@@ -274,7 +274,7 @@ def hosts(roster: Roster) -> Check:
     return wrong(
         Fault.HOSTS,
         "hosts",
-        f"another host sets parameters of node{'s' * (len(setting) > 1)} {_and(setting)}",
+        f"another host sets parameters of node{'s' * (len(setting) > 1)} {listed(setting)}",
         "end the other program, or let it listen only: two hosts that set one sensor undo each other's work",
         nodes=setting,
     )
@@ -283,8 +283,3 @@ def hosts(roster: Roster) -> Check:
 def in_order(roster: Roster) -> list[Node]:
     """Return the nodes whose heartbeat was heard, in the order of their numbers."""
     return [node for _, node in sorted(roster.nodes.items()) if node.role not in (None, "host")]
-
-
-def _and(numbers: Sequence[object]) -> str:
-    said = [str(number) for number in numbers]
-    return said[0] if len(said) == 1 else f"{', '.join(said[:-1])} and {said[-1]}"

@@ -145,8 +145,7 @@ def planned(site: Site, grid: Grid, strongest: int, told: Callable[[str], None] 
                 kept.put(beacon, group)
             best = CodePlan(code, worst, bound(levels.ratio, codes), kept.most_alike(), len(grid), 0.0)
     assert best is not None
-    seconds = time.perf_counter() - begin_s
-    return CodePlan(best.code, best.interference, best.bound, best.alike, best.places, seconds)
+    return replace(best, seconds=time.perf_counter() - begin_s)
 
 
 def _codes_of(groups: Groups, levels: Levels, codes: NDArray[np.intp], balanced: int) -> NDArray[np.intp]:

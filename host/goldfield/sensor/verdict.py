@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
+from goldfield.errors import listed
 from goldfield.link.heartbeat import DRIVING, STATE_CLOCK_FALLBACK, STATE_FAULT
 from goldfield.link.reports import Report
 from goldfield.sensor.health import Board, Drive, Health
@@ -77,8 +78,9 @@ def judge(health: Health, report: Report, site: Site, *, chosen: bool = False) -
         Whether the sensor chooses the codes that it reports: they need not be the site's.
     """
     grave = list(_of_time(health, report))
-    beacons = [_of_beacon(health, known) for known in _known(health, site)]
-    findings = [*grave, *_complaints(health, site), *(finding for one in beacons for finding in one.findings)]
+    known = _known(health, site)
+    beacons = [_of_beacon(health, one) for one in known]
+    findings = [*grave, *_complaints(health, known), *(finding for one in beacons for finding in one.findings)]
     findings += [*_of_wire(health), *_of_sensor(health, report, site, chosen), *_of_others(health, site)]
     holds_over = bool(health.masters) and health.now_s - max(health.masters.values()) > SYNC_MISSED_S
     return Verdict(
@@ -98,7 +100,7 @@ def _of_time(health: Health, report: Report) -> Iterator[Finding]:
     sensor = health.boards.get(health.node or 0)
     masters = [node for node, until_s in sorted(health.rivals.items()) if health.now_s - until_s < EVENT_S]
     if masters:
-        yield _clock(f"nodes {_and(masters)} are both sync masters: set sync_master = 1 in one board only")
+        yield _clock(f"nodes {listed(masters)} are both sync masters: set sync_master = 1 in one board only")
     if sensor is None:
         return
     name = f"sensor {sensor.node}"
@@ -120,8 +122,8 @@ def _of_wire(health: Health) -> Iterator[Finding]:
     nodes = [node for node, board in sorted(health.boards.items()) if _within(health, board.disturbed_s, EVENT_S)]
     if nodes:
         yield _clock(
-            f"edges of the sync wire come at wrong times all along, as node {_and(nodes)} counts: set sync_master = 1 "
-            "in one board only, or look for what disturbs the wire"
+            f"edges of the sync wire come at wrong times all along, as node {listed(nodes)} counts: set sync_master = 1 in "
+            "one board only, or look for what disturbs the wire"
         )
 
 
@@ -176,9 +178,9 @@ def _of_beacon(health: Health, known: _Known) -> Verdict:
     if not boards:
         return Verdict()
     if len(boards) > len(known.users):
-        nodes = _and(sorted(board.node for board in boards))
+        nodes = listed(sorted(board.node for board in boards))
         both = "both" if len(boards) == 2 else "all"
-        text = f"nodes {nodes} {both} have the code of {_and(known.users)}: give each board its own code"
+        text = f"nodes {nodes} {both} have the code of {listed(known.users)}: give each board its own code"
         return Verdict(out=(name,), findings=(_board((name,), text),) if name == known.users[0] else ())
     if len(known.users) > 1:  # One of the boards is its own: what any complains of may be true of it.
         return Verdict(out=(name,) if any(_complaint(board) is not None for board in boards) else ())
@@ -205,10 +207,10 @@ def _of_beacon(health: Health, known: _Known) -> Verdict:
     return Verdict(ratio={name: ratio}, findings=findings)
 
 
-def _complaints(health: Health, site: Site) -> Iterator[Finding]:
+def _complaints(health: Health, beacons: Iterable[_Known]) -> Iterator[Finding]:
     """Yield what the boards of beacons complain of, each complaint once, with all who have it."""
     who: dict[str, list[tuple[tuple[str, ...], int]]] = {}
-    for known in _known(health, site):
+    for known in beacons:
         if known.name != known.users[0] or len(known.boards) > len(known.users):
             continue
         for board in known.boards:
@@ -220,7 +222,7 @@ def _complaints(health: Health, site: Site) -> Iterator[Finding]:
         if len(told) == 1:
             text = f"{names[0]}'s board (node {told[0][1]}) reports {complaint}"
         else:
-            text = f"the boards of {', '.join(names[:-1])} and {names[-1]} report {complaint}"
+            text = f"the boards of {listed(names)} report {complaint}"
         yield _board(tuple(dict.fromkeys(name for users, _ in told for name in users)), text)
 
 
@@ -281,7 +283,3 @@ def _clock(text: str) -> Finding:
 
 def _board(beacons: tuple[str, ...], text: str, factor: float | None = None) -> Finding:
     return Finding(Explanation.BOARD, beacons, text, factor=factor)
-
-
-def _and(numbers: Iterable[object]) -> str:
-    return " and ".join(map(str, numbers))

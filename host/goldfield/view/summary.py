@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from goldfield.errors import counted
+from goldfield.errors import counted, listed
 from goldfield.types import Explanation, Finding, FloatArray, Pose, Status
 from goldfield.view.latency import Latency
 from goldfield.view.terminal import WIDTH
@@ -169,7 +169,7 @@ class Summary:
 def _summed_up(kind: Explanation, found: _Found) -> str:
     """Return what was found in one sentence: the median over the epochs where there is a figure."""
     assert found.last is not None
-    names = " and ".join(found.last.beacons)
+    names = listed(found.last.beacons)
     if kind is Explanation.MOVED and found.position_m:
         x, y, z = np.median(found.position_m, axis=0)
         return f"its position fits better at ({x:.3f}, {y:.3f}, {z:.3f}) m"

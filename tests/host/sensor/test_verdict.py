@@ -362,7 +362,7 @@ def test_one_board_more_than_beacons_of_a_code_is_told():
     verdict = judge(bus.health, bus.report, SHARED)
     assert verdict.out == (IDS[1], IDS[-1])
     assert texts(verdict) == [
-        f"nodes 2 and 8 and 9 all have the code of {IDS[1]} and {IDS[-1]}: give each board its own code"
+        f"nodes 2, 8 and 9 all have the code of {IDS[1]} and {IDS[-1]}: give each board its own code"
     ]
 
 
