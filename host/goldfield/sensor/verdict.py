@@ -122,8 +122,8 @@ def _of_wire(health: Health) -> Iterator[Finding]:
     nodes = [node for node, board in sorted(health.boards.items()) if _within(health, board.disturbed_s, EVENT_S)]
     if nodes:
         yield _clock(
-            f"edges of the sync wire come at wrong times all along, as node {listed(nodes)} counts: set sync_master = 1 in "
-            "one board only, or look for what disturbs the wire"
+            f"edges of the sync wire come at wrong times all along, as node {listed(nodes)} counts: set "
+            "sync_master = 1 in one board only, or look for what disturbs the wire"
         )
 
 
