@@ -25,6 +25,11 @@ static void on_current(void *context, uint32_t chip, const uint16_t count[HAL_CH
     liveness_moved(&anchor->node.liveness, LIVENESS_CURRENTS);
 }
 
+static void on_middle(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
+    anchor_t *anchor = context;
+    drive_middle(&anchor->drive, chip, count);
+}
+
 static void on_fault(void *context, hal_fault_t fault) {
     anchor_t *anchor = context;
     drive_fault(&anchor->drive, fault);
@@ -49,6 +54,7 @@ void anchor_start(anchor_t *anchor, onboard_t *onboard, tracking_t *tracking, ha
         .plan = on_plan,
         .samples = on_samples,
         .current = on_current,
+        .middle = on_middle,
         .fault = on_fault,
         .sync = on_sync,
     };

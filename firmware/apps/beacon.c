@@ -24,6 +24,11 @@ static void on_edge(void *context, uint32_t chip, const uint16_t count[HAL_CHANN
     drive_edge(&beacon->drive, chip, count);
 }
 
+static void on_middle(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
+    beacon_t *beacon = context;
+    drive_middle(&beacon->drive, chip, count);
+}
+
 static void on_fault(void *context, hal_fault_t fault) {
     beacon_t *beacon = context;
     drive_fault(&beacon->drive, fault);
@@ -47,6 +52,7 @@ void beacon_start(beacon_t *beacon, hal_t *hal) {
         .plan = on_plan,
         .current = on_current,
         .edge = on_edge,
+        .middle = on_middle,
         .fault = on_fault,
         .sync = on_sync,
     };

@@ -20,7 +20,7 @@
  * go on for a second such block (HAL_FAULT_STALE).
  *
  * Contexts. "Main" is the loop around hal_wait(); "interrupt" is any handler of hal_events_t. All handlers run at one
- * priority except fault, current and edge, which share a higher one and preempt the others; a handler is never
+ * priority except fault, current, edge and middle, which share a higher one and preempt the others; a handler is never
  * re-entered. What must happen at once or at a known time does not wait for them: bridges go off in hardware or in an
  * interrupt above all handlers, and the edges of the sync wire and frames of CAN are stamped above them, so that plan()
  * may take several chips. Functions are callable from main only, unless they say otherwise or are marked [any].
@@ -111,6 +111,11 @@ typedef struct {
     /* Interrupt of a beacon (NULL otherwise), once a chip, also if it is not driven: take the coil currents
      * HAL_EDGE_US into the chip, counts as those of current(), which comes later in the same chip. */
     void (*edge)(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
+
+    /* Interrupt of a beacon or an anchor (NULL otherwise), once a chip, also if it is not driven: take the coil
+     * currents amid the chip, counts as those of current(). From the chip's start, and from the moment of edge(), more
+     * than 2/5 of the time to the moment of current() have passed, and no more than half of it. */
+    void (*middle)(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 
     /* Interrupt: the board has switched the drive off by itself, for this reason. It stays off until
      * hal_drive_enable() is told to enable it again. An active fault input is told also if the drive was off, and once:

@@ -10,7 +10,9 @@
  *                       current_sample, and looks at supply and temperatures. What is wrong with one channel switches
  *                       both bridges off within that chip.
  *      drive_edge       interrupt, once a chip of a beacon, behind its edge: it gives each channel to current_edge and
- *                       fall_edge. A current beyond its limit is so seen twice a chip.
+ *                       fall_edge.
+ *      drive_middle     interrupt, once a chip, amid it: it gives each channel to current_middle, and looks at supply
+ *                       and temperatures. So half a chip passes at most until something wrong is seen.
  *      drive_fault      interrupt: the board has switched the bridges off by itself.
  *   3. drive_step       main, once a turn: it sends SYNC (and FOLLOW_UP) if the board is master, once a sync period
  *                       (sync.h: a cycle, or about 0.1 s of shorter ones), and clears what it is told to. drive_report
@@ -62,7 +64,7 @@
  *
  * Time, as tests/firmware/apps/test_app_instructions.py counts it (Cortex-M4, -O2), for one channel and, in brackets,
  * for a rotating field: drive_plan takes 4,600 (6,500) instructions a block, drive_current 230 (330), once in 31 chips
- * 600 (700), drive_edge 100 (150), and 220 at most.
+ * 600 (700), drive_edge 105 (155), and 220 at most, drive_middle 160 (225).
  */
 #ifndef GOLDFIELD_DRIVE_H
 #define GOLDFIELD_DRIVE_H
@@ -116,7 +118,7 @@ typedef struct {
     timing_t *timing;
     current_t current[HAL_CHANNELS];
     fall_t fall[HAL_CHANNELS];
-    uint16_t ended[HAL_CHANNELS]; /* The currents with which the latest chip ended, counts. */
+    uint16_t start[HAL_CHANNELS]; /* The currents behind the latest edge, or at the end of the chip before, counts. */
     uint32_t channels;            /* Channels driven, 1 or 2. It changes only while the drive is idle, as do levels. */
     drive_settings_t settings;
     int16_t levels[HAL_CHANNELS][DRIVE_CHIPS_MAX]; /* Level of each chip of the sync period (WAVEFORM_ONE is 1). */
@@ -147,10 +149,12 @@ typedef struct {
  * started, and live for ever. Costs nearly all of what beacon.h gives for beacon_start. */
 void drive_start(drive_t *drive, node_t *node, timing_t *timing);
 
-/* The interrupts that hal_events_t has as plan, current, edge and fault. Nobody else plans chips of this clock. */
+/* The interrupts that hal_events_t has as plan, current, edge, middle and fault. Nobody else plans chips of this clock.
+ */
 void drive_plan(drive_t *drive, uint32_t block, hal_plan_t *plan);
 void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 void drive_edge(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
+void drive_middle(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]);
 void drive_fault(drive_t *drive, hal_fault_t fault);
 
 /* Send the messages that are due and write the node's counters: one turn of the main loop, before upkeep_step. */

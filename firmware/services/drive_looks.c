@@ -70,17 +70,41 @@ void drive_edge(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS
         cause_t cause = current_edge(&drive->current[channel], asked, count[channel]);
         if (on && cause == CAUSE_NONE) {
             const fall_edge_t edge = {
-                .before = (int32_t)drive->ended[channel] - CURRENT_MID_SCALE,
+                .before = (int32_t)drive->start[channel] - CURRENT_MID_SCALE,
                 .wanted = asked / SET_POINT_COUNTS,
                 .came = (int32_t)count[channel] - CURRENT_MID_SCALE,
                 .supply = monitor.supply,
             };
             cause = fall_edge(&drive->fall[channel], &edge);
         }
+        drive->start[channel] = count[channel];
         if (cause != CAUSE_NONE) {
             trip(drive, cause, channel);
         }
     }
+}
+
+/* Looks at what is measured beside the currents. */
+static void look_beside(drive_t *drive) {
+    uint32_t channel;
+    const cause_t cause = drive_standing(drive, &channel);
+    if (cause != CAUSE_NONE) {
+        trip(drive, cause, channel);
+    }
+}
+
+void drive_middle(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
+    const uint32_t block = chip / HAL_BLOCK_CHIPS, i = chip - block * HAL_BLOCK_CHIPS;
+    const drive_block_t *const planned = &drive->blocks[block & 1u];
+    const bool on = drive->phase == DRIVE_ON;
+    for (uint32_t channel = 0; channel < drive->channels; channel++) {
+        const int16_t asked = on ? planned->asked[channel][i] : 0; /* It is 0 where the chip is not driven. */
+        const cause_t cause = current_middle(&drive->current[channel], asked, drive->start[channel], count[channel]);
+        if (cause != CAUSE_NONE) {
+            trip(drive, cause, channel);
+        }
+    }
+    look_beside(drive);
 }
 
 void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
@@ -90,17 +114,13 @@ void drive_current(drive_t *drive, uint32_t chip, const uint16_t count[HAL_CHANN
     for (uint32_t channel = 0; channel < drive->channels; channel++) {
         const bool driven = on && (planned->driven[channel] >> i & 1u) != 0u;
         const int16_t asked = driven ? planned->asked[channel][i] : 0;
-        drive->ended[channel] = count[channel];
+        drive->start[channel] = count[channel];
         const cause_t cause = current_sample(&drive->current[channel], driven, asked, count[channel]);
         if (cause != CAUSE_NONE) {
             trip(drive, cause, channel);
         }
     }
-    uint32_t channel;
-    const cause_t cause = drive_standing(drive, &channel);
-    if (cause != CAUSE_NONE) {
-        trip(drive, cause, channel);
-    }
+    look_beside(drive);
     if (drive->phase == DRIVE_ARMED && (int32_t)(chip + 1 - drive->start_chip) >= 0 && !drive_faulty(drive)) {
         switch_on(drive);
     }

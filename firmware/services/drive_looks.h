@@ -1,7 +1,7 @@
 /* drive_looks.h: inside the drive: what is measured of coils and driver, and what of it switches the drive off.
  *
- * The interrupts drive_edge, drive_current and drive_fault of drive.h are in this file; drive.c uses the functions
- * below.
+ * The interrupts drive_edge, drive_middle, drive_current and drive_fault of drive.h are in this file; drive.c uses the
+ * functions below.
  */
 #ifndef GOLDFIELD_DRIVE_LOOKS_H
 #define GOLDFIELD_DRIVE_LOOKS_H

@@ -93,9 +93,14 @@ INTERRUPTS = {
     "CAN stamp out": Interrupt("CAN1_TX_Handler", 1, FRAME, _all(FRAME), "the next frame ends"),
     "CAN stamp in": Interrupt("CAN1_RX1_Handler", 1, FRAME, _all(FRAME), "the next frame ends"),
     "drive": Interrupt(
-        "ADC_Handler", 2, CHIP, {BEACON: 8120, SENSOR: BLOCK, ANCHOR: 9520}, "the middle of the next chip"
+        "ADC_Handler", 2, CHIP, {BEACON: 7568, SENSOR: BLOCK, ANCHOR: 7568}, "the currents amid the next chip come"
     ),
     "edge": Interrupt("ADC_Handler", 2, CHIP, {BEACON: 15000}, "the currents before the chip's end come", (BEACON,)),
+    "middle": Interrupt(
+        *("ADC_Handler", 2, CHIP, {BEACON: 7952, ANCHOR: 7952}),
+        "the currents before the chip's end come",
+        (BEACON, ANCHOR),
+    ),
     "block": Interrupt("DMA2_Stream1_Handler", 3, BLOCK, _all(29 * CHIP), "the last chip but one of the block begins"),
     "sync work": Interrupt("PendSV_Handler", 3, 1023 * CHIP, _all(BLOCK), "a block: the clock is set one block later"),
     "CAN frame": Interrupt("CAN1_RX0_Handler", 2, FRAME, _all(3 * FRAME), "three more frames end: the FIFO has three"),
@@ -212,7 +217,8 @@ class Loaded:
 def measure(image: str, cycles: float | str, seconds: float) -> dict[str, tuple[int, int]]:
     """Return the instructions and cycles of the dearest call of each interrupt.
 
-    An edge's currents, which share their handler with those before the chip's end, count as much as these.
+    The currents behind an edge and amid a chip, which share their handler with those before its end, count as much as
+    these.
     """
     loaded = Loaded(image, cycles)
     for handler in sorted({interrupt.handler for interrupt in INTERRUPTS.values()}):

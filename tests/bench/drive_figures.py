@@ -5,7 +5,8 @@ ten cycles after three seconds. Amplitude and direct current are slope and inter
 level and that current by least squares; a pulse has one level, and no direct current.
 
     python -m tests.bench.drive_figures            the table
-    python -m tests.bench.drive_figures --hours 10  how long a beacon drives without a false trip
+    python -m tests.bench.drive_figures --hours 10  do beacons trip that have nothing? so many hours of them together,
+                                                    a fifth for each way to tell them apart (--told-apart codes: one)
 """
 
 from __future__ import annotations
@@ -159,23 +160,27 @@ def table(amplitude_A: float) -> None:
 
 
 SCENARIO = """
-name = "one beacon"
+name = "{number} beacons"
 seed = 10
+{slots}
 [ambient]
 earth_T = [2e-5, 0.0, -4.5e-5]
 [sensor]
 node = 100
+pose = 0
 range_T = 2e-4
 [motion]
 kind = "still"
 position_m = [0.5, 0.6, 0.4]
 rotation_vector_rad = [0.1, -0.2, 0.3]
+"""
+OF_A_BEACON = """
 [[beacon]]
-id = "a"
-node = 1
-code = 2
-position_m = [0.0, 0.0, 0.0]
-sync_master = true
+id = "b{place}"
+node = {node}
+{told_apart}
+position_m = [{place}.0, 0.0, 0.0]
+sync_master = {master}
 turns = 19
 radius_m = 0.149
 axis = [0.0, 0.0, 1.0]
@@ -184,54 +189,83 @@ inductance_H = 1.9e-4
 resistance_Ohm = 0.15
 supply_V = 120.0
 source_Ohm = 0.5
-reference_gain_error = 0.03
-asymmetry = 0.01
-dc_error_A = 0.05
+reference_gain_error = {gain:.4f}
+asymmetry = {asymmetry:.4f}
+dc_error_A = {dc:.4f}
 dead_time_s = 5e-7
 ambient_degC = 40.0
 thermal_resistance_K_per_W = 2.0
 heat_capacity_J_per_K = 50.0
 """
+BEACONS = 8
+TOLD_APART = {
+    "codes": lambda place: f"code = {place}",
+    "superposed": lambda place: f"codes = [{', '.join(f'{{ code = {3 * place + i} }}' for i in range(3))}]",
+    "slots": lambda place: f"slot = {place}",
+    "periods": lambda place: f"periods = {7 + 4 * place}",
+    "rotation": lambda place: f"rotating_periods = {11 + 6 * place}\nsecond_axis = [1.0, 0.0, 0.0]",
+}
+"""What each beacon of a scenario drives, by its place."""
 
 
-def endurance(hours: float) -> None:
-    """Run a beacon for so long, its supply moved by up to 20 % each ten seconds, and tell whether it ever went off."""
-    random = np.random.default_rng(10)
+def scenario_text(told_apart: str, random: np.random.Generator) -> str:
+    """Return a scenario of beacons whose drivers have errors at random."""
+    text = SCENARIO.format(number=BEACONS, slots="slots = 9" if told_apart == "slots" else "")
+    for place in range(BEACONS):
+        text += OF_A_BEACON.format(
+            place=place,
+            node=place + 1,
+            told_apart=TOLD_APART[told_apart](place),
+            master=str(place == 0).lower(),
+            gain=random.uniform(-0.05, 0.05),
+            asymmetry=random.uniform(-0.01, 0.01),
+            dc=random.uniform(-0.1, 0.1),
+        )
+    return text
+
+
+def endurance(told_apart: str, hours: float) -> None:
+    """Run beacons so long together, each supply moved by up to 20 % each ten seconds, and tell whether one went off."""
+    random = np.random.default_rng([10, list(TOLD_APART).index(told_apart)])
     with tempfile.TemporaryDirectory() as directory:
-        path = Path(directory) / "one.toml"
-        path.write_text(SCENARIO, encoding="utf-8")
+        path = Path(directory) / "beacons.toml"
+        path.write_text(scenario_text(told_apart, random), encoding="utf-8")
         scenario = load_scenario(path)
-    began, causes, lost, on = time.process_time(), set(), 0, 0
+    boards = range(1, BEACONS + 1)
+    began, causes, lost, on, steps = time.process_time(), set(), 0, 0, round(hours * 360 / BEACONS)
     with Rig(scenario, "host", seed=10, threads=1) as rig:
-        decoder = FrameDecoder()
+        decoders = {board: FrameDecoder() for board in boards}
         rig.watch_pins()
-        for step in range(round(hours * 360)):
+        for step in range(steps):
             rig.advance(10.0)
-            rig.set_supply_V(1, 120.0 * float(random.uniform(0.8, 1.2)))
             rig.serial_read(0)
             rig.can_read()
-            changes = rig.pin_changes(1)
-            on += int(np.count_nonzero((changes["pin"] == PIN_ENABLE) & changes["level"]))
-            frames = [decode(frame.identifier, frame.data) for frame in decoder.feed(rig.serial_read(1))]
-            health = [m.signals for m in frames if m is not None and m.name == "DRIVE_HEALTH"]
-            causes |= {int(signals["cause"]) for signals in health}
-            lost += sum(int(signals["headroom_lost"]) for signals in health)
-            if step % 360 == 359:
-                print(f"{(step + 1) / 360:.0f} h: switched on {on} times, causes {sorted(causes)}", flush=True)
-        degC = rig.coil_temperature_degC(1)
-    print(
-        f"{hours:g} h of virtual time in {time.process_time() - began:.0f} s: the bridge went on {on} times, causes"
-        f" {sorted(causes)}, headroom lost in {lost} reports, coil at {degC:.1f} degC"
-    )
+            for board in boards:
+                rig.set_supply_V(board, 120.0 * float(random.uniform(0.8, 1.2)))
+                changes = rig.pin_changes(board)
+                on += int(np.count_nonzero((changes["pin"] == PIN_ENABLE) & changes["level"]))
+                frames = [decode(f.identifier, f.data) for f in decoders[board].feed(rig.serial_read(board))]
+                health = [m.signals for m in frames if m is not None and m.name == "DRIVE_HEALTH"]
+                causes |= {int(signals["cause"]) for signals in health}
+                lost += sum(int(signals["headroom_lost"]) for signals in health)
+            if step % 9 == 8 or step + 1 == steps:
+                print(
+                    f"{told_apart}: {(step + 1) / 360 * BEACONS:.2f} hours of boards, {BEACONS} at a time, switched"
+                    f" on {on} times, causes {sorted(causes)}, headroom lost in {lost} reports,"
+                    f" {time.process_time() - began:.0f} s of processor",
+                    flush=True,
+                )
 
 
 def main() -> None:
     """Print what is asked for."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--hours", type=float, help="run one beacon so long, and tell whether it trips")
+    parser.add_argument("--hours", type=float, help="run beacons so long together, and tell whether one trips")
+    parser.add_argument("--told-apart", choices=TOLD_APART, help="run only these, for a fifth of the hours")
     arguments = parser.parse_args()
     if arguments.hours is not None:
-        endurance(arguments.hours)
+        for told_apart in [arguments.told_apart] if arguments.told_apart else TOLD_APART:
+            endurance(told_apart, arguments.hours / len(TOLD_APART))
         return
     for amplitude_A in (10.0, 2.0):
         table(amplitude_A)

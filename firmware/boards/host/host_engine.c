@@ -7,6 +7,9 @@
 
 /* ---- Converters ---- */
 
+/* When a chip's currents are measured. */
+typedef enum { LOOK_EDGE = 0, LOOK_MIDDLE = 1, LOOK_END = 2, LOOKS = 3 } look_t;
+
 static uint16_t convert(const hal_t *hal, unsigned pin) {
     if (!hal->edge.analog_in) {
         return 0;
@@ -15,15 +18,14 @@ static uint16_t convert(const hal_t *hal, unsigned pin) {
     return count >= HAL_SAMPLE_MAX ? HAL_SAMPLE_MAX : count > 0 ? (uint16_t)count : 0; /* 0 for what is not a number. */
 }
 
-static void measure_currents(hal_t *hal) {
-    hal->engine.current[0] = convert(hal, PIN_CURRENT_0);
-    hal->engine.current[1] = convert(hal, PIN_CURRENT_1);
-}
-
-/* Converts the currents, and with them what changes more slowly. */
-static void measure(hal_t *hal) {
+/* Converts the currents and, but behind an edge, with them what changes more slowly. */
+static void measure(hal_t *hal, look_t look) {
     engine_t *engine = &hal->engine;
-    measure_currents(hal);
+    engine->current[0] = convert(hal, PIN_CURRENT_0);
+    engine->current[1] = convert(hal, PIN_CURRENT_1);
+    if (look == LOOK_EDGE) {
+        return;
+    }
     engine->monitor.supply = convert(hal, PIN_SUPPLY);
     engine->monitor.coil[0] = convert(hal, PIN_COIL_TEMPERATURE_0);
     engine->monitor.coil[1] = convert(hal, PIN_COIL_TEMPERATURE_1);
@@ -37,20 +39,29 @@ static uint32_t planned_period(const engine_t *engine) {
     return period < HAL_CHIP_TICKS_MIN ? HAL_CHIP_TICKS_MIN : period > HAL_CHIP_TICKS_MAX ? HAL_CHIP_TICKS_MAX : period;
 }
 
-/* A chip's events have numbers. 0 is the start of the very first chip; then a beacon has the sampling of its currents
- * behind the edge and the end of that conversion; then, where there are coils, come the sampling of their currents and
- * the end of that conversion; then a sensor's eight samplings (an anchor has both); the last is the start of the next
- * chip. */
-static uint32_t edge_events(const engine_t *engine) {
-    return engine->role == HAL_ROLE_BEACON ? 2u : 0u;
+/* A chip's events have numbers. 0 is the start of the very first chip; then, where there are coils, come the sampling
+ * of their currents and the end of that conversion for each look at them (an anchor has none behind the edge); then a
+ * sensor's eight samplings (an anchor has both); the last is the start of the next chip. */
+static uint32_t first_look(const engine_t *engine) {
+    return engine->role == HAL_ROLE_BEACON ? LOOK_EDGE : LOOK_MIDDLE;
 }
 
 static uint32_t current_events(const engine_t *engine) {
-    return edge_events(engine) + (hal_role_drives(engine->role) ? 2u : 0u);
+    return hal_role_drives(engine->role) ? 2u * (LOOKS - first_look(engine)) : 0u;
 }
 
 static uint32_t last_event(const engine_t *engine) {
     return 1u + current_events(engine) + (hal_role_samples(engine->role) ? HAL_BURST : 0u);
+}
+
+/* Returns which look an event is of. */
+static look_t look_of(const engine_t *engine, uint32_t event) {
+    return (look_t)(first_look(engine) + (event - 1u) / 2u);
+}
+
+/* Returns whether an event samples the currents; the next one ends that conversion. */
+static bool samples_currents(uint32_t event) {
+    return (event & 1u) != 0u;
 }
 
 int64_t host_engine_tick(const engine_t *engine) {
@@ -61,18 +72,21 @@ int64_t host_engine_tick(const engine_t *engine) {
     if (engine->event == last_event(engine)) {
         return end;
     }
-    if (engine->event <= edge_events(engine)) {
-        return engine->chip_start + EDGE_TICKS + (engine->event == 1u ? 0 : CONVERSION_TICKS - SAMPLE_TICKS);
-    }
     const int64_t converted = end - BURST_MARGIN_TICKS;
     /* The samplings of the burst that are to come, this one included. */
     const int64_t to_come = (int64_t)last_event(engine) - engine->event;
     if (engine->event > current_events(engine)) {
         return converted - to_come * CONVERSION_TICKS + SAMPLE_TICKS;
     }
-    const int64_t measured = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS
-                                                            : converted;
-    return engine->event + 1u == current_events(engine) ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
+    const look_t look = look_of(engine, engine->event);
+    const bool sampled = samples_currents(engine->event);
+    if (look == LOOK_EDGE) {
+        return engine->chip_start + EDGE_TICKS + (sampled ? 0 : CONVERSION_TICKS - SAMPLE_TICKS);
+    }
+    const int64_t last = hal_role_samples(engine->role) ? converted - (int64_t)(HAL_BURST + 1) * CONVERSION_TICKS
+                                                        : converted;
+    const int64_t measured = look == LOOK_END ? last : last - MIDDLE_TICKS;
+    return sampled ? measured - CONVERSION_TICKS + SAMPLE_TICKS : measured;
 }
 
 static void next_chip(engine_t *engine) {
@@ -127,6 +141,19 @@ static void check_stale(hal_t *hal) {
     }
 }
 
+static void tell_currents(hal_t *hal, look_t look) {
+    engine_t *engine = &hal->engine;
+    const hal_events_t *events = &engine->events;
+    if (look == LOOK_EDGE) {
+        events->edge(events->context, engine->chip, engine->current);
+    } else if (look == LOOK_MIDDLE) {
+        events->middle(events->context, engine->chip, engine->current);
+    } else {
+        engine->unmeasured = 0;
+        events->current(events->context, engine->chip, engine->current);
+    }
+}
+
 void host_engine_event(hal_t *hal) {
     engine_t *engine = &hal->engine;
     const uint32_t event = engine->event++;
@@ -144,17 +171,10 @@ void host_engine_event(hal_t *hal) {
         }
     } else if (hal->failed[HOST_FAILURE_CURRENT_STOPS]) {
         return;
-    } else if (event <= edge_events(engine)) {
-        if (event == 1u) {
-            measure_currents(hal);
-        } else {
-            engine->events.edge(engine->events.context, engine->chip, engine->current);
-        }
-    } else if (event + 1u == current_events(engine)) {
-        measure(hal);
+    } else if (samples_currents(event)) {
+        measure(hal, look_of(engine, event));
     } else {
-        engine->unmeasured = 0;
-        engine->events.current(engine->events.context, engine->chip, engine->current);
+        tell_currents(hal, look_of(engine, event));
     }
 }
 

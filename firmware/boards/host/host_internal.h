@@ -45,6 +45,7 @@ enum {
     SAMPLE_TICKS = 15 * 8,          /* Time from the start of a conversion to the end of its sampling. */
     CONVERSION_TICKS = 27 * 8,      /* A whole conversion. */
     EDGE_TICKS = HAL_EDGE_US * 168, /* Time from a chip's start to the sampling of the currents behind its edge. */
+    MIDDLE_TICKS = 8192,            /* Time from the currents amid the chip to those before its end. */
     BURST_MARGIN_TICKS = 84,        /* Time from the last conversion's end to the planned end of the chip, 0.5 us. */
     WATCHDOG_TICKS = 84000000,      /* The watchdog strikes so long after it was last kicked, 500 ms. */
     IDLE_TICKS = 1680000            /* The longest sleep before the chip engine runs, 10 ms. */
@@ -73,7 +74,7 @@ typedef struct {
     uint32_t chip_in_block;           /* Its place in the block. */
     int64_t chip_start;               /* The tick at which it began. */
     uint32_t event;                   /* The next event within the chip: host_engine.c numbers them. */
-    uint16_t current[HAL_CHANNELS];   /* The conversions that end shortly: behind the edge, or before the end. */
+    uint16_t current[HAL_CHANNELS];   /* The conversions of the currents that end shortly. */
     hal_monitor_t monitor;            /* What is measured together with them. */
     uint32_t unmeasured;              /* Chips without such a conversion while the drive is on. */
     uint16_t set_point[HAL_CHANNELS]; /* The set-points that the outside has been told. */

@@ -1,19 +1,20 @@
 /* chip_engine.c: timers, DMA streams and the DAC execute the chips; the CPU writes two blocks ahead into rings.
  *
- * TIM1 counts 168 MHz ticks from 0 to ARR; an update event ends each chip. TIM8 (168 MHz) and TIM3 (84 MHz) are reset
- * by each chip's start. What leaves at a chip's edge does so by a compare with preload: the levels of chip c wait in
- * the preload registers during chip c - 1 and take effect in hardware at its end, whatever the bus or the CPU does
+ * TIM1 counts 168 MHz ticks from 0 to ARR; an update event ends each chip. TIM8 (168 MHz), TIM3 and TIM4 (84 MHz) are
+ * reset by each chip's start. What leaves at a chip's edge does so by a compare with preload: the levels of chip c wait
+ * in the preload registers during chip c - 1 and take effect in hardware at its end, whatever the bus or the CPU does
  * then.
  *
  *   timer   is                                 its channels
  *   TIM1    the chip                           1N, 2N: bridge inputs of channel 0; 3N: enable; 4: its trigger output
  *   TIM8    a slave at the same clock          1: capture of the sync wire; 2N, 3N: bridge inputs of channel 1;
  *                                              4: its trigger output, which takes the set-points into the DAC
- *   TIM3    a slave of which nothing has       1: starts the burst; 4: starts the coil currents (converters.c);
+ *   TIM3    a slave of which nothing has       1: starts the burst, or the currents behind the edge (converters.c);
  *           a main output enable               2: sync wire out
+ *   TIM4    the same, which ends twice a chip  1: starts the coil currents each time (converters.c)
  * An advanced timer's outputs, also those that start a converter, end with its MOE, and so does nothing else: what must
- * go on with the bridges off is on TIM3. The trigger outputs are compare levels, thousands of ticks wide, and no update
- * events, which last one tick: a slave at half the clock must not miss one.
+ * go on with the bridges off is on TIM3 and TIM4. The trigger outputs are compare levels, thousands of ticks wide, and
+ * no update events, which last one tick: a slave at half the clock must not miss one.
  *
  * A level is a compare of 0 (low) or 0xFFFF (high, beyond any count). In chip c:
  *
@@ -28,7 +29,7 @@
  *   8000 (CC4)   TIM1_CC4     DMA2 stream 4: edges[c mod 62] -> preloads of TIM1, for c + 1             c + 1
  *   8000 (CC4)   TIM8_CC4     DMA2 stream 7: fuse[c mod 62] -> EGR of TIM1 (bridge.c)                   c + 1
  *   TIM3 CC1     converters   burst of 8 (sensor, anchor), or the coil currents behind the edge (beacon)
- *   TIM3 CC4     converters   one conversion of the coil currents (beacon, anchor)
+ *   TIM4 CC1     converters   the coil currents, amid the chip and before its end (beacon, anchor)
  *   any          TIM8_CC1     edge of the sync wire, its count kept in CCR1
  *   ARR          update       chip c ends
  * The last column has the stream's transfers (bursts of 4 or 2 for TIM1 and TIM8) so far, behind that event.
@@ -165,12 +166,12 @@ static void timers_start(void) {
     TIM8->SMCR = TIM_SMCR_SMS_RESET;
     TIM3->ARR = 0xFFFFu;
     TIM3->SMCR = TIM_SMCR_SMS_RESET;
+    TIM4->SMCR = TIM_SMCR_SMS_RESET;
 }
 
 /* The sync wire is driven, low, from board_start() on. */
 void sync_wire_start(void) {
     TIM3->CCMR1_Output = TIM_CCMR1_OC1M_PWM2 | TIM_CCMR1_OC2M_PWM1 | TIM_CCMR1_OC2PE;
-    TIM3->CCMR2_Output = TIM_CCMR2_OC4M_PWM2;
     TIM3->CCER = TIM_CCER_CC2E;
 }
 
@@ -182,6 +183,7 @@ static void counters_start(hal_t *hal) {
     TIM1->CR1 = TIM_CR1_ARPE | TIM_CR1_CEN;
     TIM3->EGR = TIM_EGR_UG;
     TIM3->CR1 = TIM_CR1_CEN;
+    TIM4->CR1 = TIM_CR1_CEN;
     TIM8->EGR = TIM_EGR_UG;
     TIM8->CR1 = TIM_CR1_CEN;
     TIM3->SR = 0;
@@ -325,8 +327,12 @@ static void take_currents(const uint16_t count[HAL_CHANNELS]) {
  * the currents of the chip before are the older ones. */
 void ADC_Handler(void) {
     uint16_t count[HAL_CHANNELS];
-    if (converters_take(&board, count))
+    const look_t look = converters_take(&board, count);
+    if (look == LOOK_END) {
         take_currents(count);
+    } else if (look == LOOK_MIDDLE && !bridge_lost()) {
+        board.events.middle(board.events.context, chip_now().chip, count);
+    }
     if (converters_take_edge(&board, count)) {
         if (!bridge_lost())
             board.events.edge(board.events.context, chip_now().chip, count);

@@ -7,21 +7,26 @@
  *                  16268..16292, 0.77 to 0.92 us before the nominal end of the chip. Each converter has one axis;
  *                  after each conversion DMA fetches three half-words (axis 0, 1, 2) from the common data register.
  *   coil currents  (beacon, anchor) Channel 0 is on ADC1, channel 1 on ADC2, at one moment, in the second of two
- *                  conversions that TIM3's compare 4 starts. A beacon's are at count 15640 and done by 15880, inside
- *                  the shortest chip. An anchor's are at 14240, done by 14480, before its burst.
+ *                  conversions that TIM4's compare 1 starts. TIM4 ends every 8192 ticks, so they come twice: a beacon's
+ *                  at count 7448 and at 15640, done by 15880, inside the shortest chip; an anchor's at 6048 and at
+ *                  14240, done by 14480, before its burst. A third time comes after the longest chip. Which it was the
+ *                  count tells: the interrupt of the first may wait until the second is there, and that of the second
+ *                  until the first of the next chip. Where TIM1 stands TIM4 goes on, but the count runs beyond a chip.
  *   edges          (beacon) The regular group is one conversion of both coils' currents, which TIM3's compare 1 starts
  *                  at count 540: they are held at 672, 4 us into the chip, and done by 780. An anchor has none, since
  *                  its regular group is the burst.
  *   monitor        (beacon, anchor) The first of the two takes the coils' temperatures, on ADC1 and ADC2, and the
  *                  supply, on ADC3, which takes the driver's temperature beside the currents.
- *   temperature    Channel 16 on ADC1 takes 480 + 12 cycles (3936 ticks), started by software in the first quarter of
- *                  a chip, when nothing else converts, and done by count 8200. For this one conversion it takes the
- *                  place of the injected group, whose trigger is off meanwhile: a start by software beside an armed
- *                  trigger is nothing that RM0090 describes. Converters that run together must sample equally long:
- *                  ADC2 and ADC3 look at pins meanwhile, for nobody. A beacon's is started by the interrupt of an edge,
- *                  behind which nothing converts whatever has become of the chips: where edges come no more, so does
- *                  the temperature. An interrupt that waited, as for an erasure of the flash, may come amid the
- *                  regular group of a later chip: the injected one is then changed behind it.
+ *   temperature    Channel 16 on ADC1 takes 480 + 12 cycles (3936 ticks), started by software in the beginning of a
+ *                  chip, when nothing else converts, and done before the middle's currents, or by count 8200 where
+ *                  there are no coils. For this one conversion it takes the place of the injected group, whose trigger
+ *                  is off meanwhile: a start by software beside an armed trigger is nothing that RM0090 describes. If
+ *                  its interrupt comes late by up to 40 us it costs the currents of the middle, and not those of the
+ *                  end. Converters that run together must sample equally long: ADC2 and ADC3 look at pins meanwhile,
+ *                  for nobody. A beacon's is started by the interrupt of an edge, behind which nothing converts
+ *                  whatever has become of the chips: where edges come no more, so does the temperature. An interrupt
+ *                  that waited, as for an erasure of the flash, may come amid the regular group of a later chip: the
+ *                  injected one is then changed behind it.
  *
  * In step. Chip c's burst lies at 24 (c mod 62) half-words of the two sample blocks. Between two bursts the stream's
  * counter tells whether it is there: 0 behind is in step, 1..23 is a burst that still runs (up to 1.7 us beyond the
@@ -39,19 +44,24 @@
 
 #define CONVERSION_TICKS     216u /* Length of a conversion, ticks: 27 cycles. */
 #define BURST_START          (HAL_CHIP_TICKS - 154u - HAL_BURST * CONVERSION_TICKS)
-#define TRIGGER_TICKS        12u  /* Mean delay of a start, ticks: half of what it takes at most. */
-#define SAMPLING_TICKS       120u /* Length of the sampling in a conversion, ticks: 15 cycles. */
+#define TRIGGER_TICKS        12u   /* Mean delay of a start, ticks: half of what it takes at most. */
+#define SAMPLING_TICKS       120u  /* Length of the sampling in a conversion, ticks: 15 cycles. */
+#define TEMPERATURE_TICKS    3960u /* What the temperature takes at most. */
+#define BEFORE_TRIGGER       400u  /* So long before a trigger it must be over, for its interrupt. */
 #define CHIP_SAMPLES         (HAL_BURST * HAL_AXES)
 #define BUFFER_SAMPLES       (RING_CHIPS * CHIP_SAMPLES)
 #define CURRENT_START        (HAL_CHIP_TICKS_MIN - 360u)
 #define CURRENT_START_ANCHOR (BURST_START - 300u)
 #define EDGE_START           (HAL_EDGE_US * 168u - TRIGGER_TICKS - SAMPLING_TICKS)
-#define BURST_BEYOND         300u /* A burst may end so far behind the end of the shortest chip. */
+#define CURRENTS_APART       8192u /* Ticks from the currents amid the chip to those before its end. */
+#define BURST_BEYOND         300u  /* A burst may end so far behind the end of the shortest chip. */
 #define EDGE_DONE            (EDGE_START + 2u * TRIGGER_TICKS + CONVERSION_TICKS)
 
 _Static_assert(BURST_START == 14540u, "the head of this file says where the burst lies");
 _Static_assert(CURRENT_START == 15640u && CURRENT_START_ANCHOR == 14240u, "and the currents");
 _Static_assert(EDGE_START == 540u, "and the edges");
+_Static_assert(CURRENT_START - CONVERSION_TICKS < 2u * CURRENTS_APART, "TIM4 starts the first ones before its end,");
+_Static_assert(CURRENT_START_ANCHOR - CONVERSION_TICKS + CURRENTS_APART > HAL_CHIP_TICKS_MAX, "and none a third time");
 
 /* Channels of the injected group: those of the monitor, and beside the last of them the currents (pinout.md). */
 enum { CURRENT_0 = 0, CURRENT_1 = 14, SUPPLY = 10, COIL_0 = 11, COIL_1 = 13, DRIVER = 12, PROCESSOR = 16 };
@@ -74,7 +84,17 @@ static void inject_temperature(void) {
     ADC3->JSQR = COIL_0 << 15;
 }
 
-#define CURRENT_TRIGGER (ADC_CR2_JEXTSEL_TIM3_CC4 | ADC_CR2_JEXTEN_RISING)
+#define CURRENT_TRIGGER (ADC_CR2_JEXTSEL_TIM4_CC1 | ADC_CR2_JEXTEN_RISING)
+
+/* Returns at which count of the chip the currents before its end are converted. */
+static uint32_t current_start(const hal_t *hal) {
+    return hal_role_samples(hal->role) ? CURRENT_START_ANCHOR : CURRENT_START;
+}
+
+/* Returns at which count those amid it are triggered. */
+static uint32_t middle_trigger(const hal_t *hal) {
+    return current_start(hal) - CONVERSION_TICKS - CURRENTS_APART;
+}
 
 /* One rank: the edges. ADC3, which goes along, looks at a pin for nobody. */
 static void scan_edges(void) {
@@ -107,13 +127,15 @@ static void samples_stop(void) {
     DMA2->S[0].CR &= ~DMA_S0CR_EN;
 }
 
-/* The triggers are the rising edges of compare outputs that go to no pin: PWM mode 2 rises at the compare. TIM3 counts
- * every second tick. */
+/* The triggers are the rising edges of compare outputs that go to no pin: PWM mode 2 rises at the compare. TIM3 and
+ * TIM4 count every second tick. */
 static void triggers_start(const hal_t *hal) {
-    const uint32_t current = hal_role_samples(hal->role) ? CURRENT_START_ANCHOR : CURRENT_START;
     TIM3->CCR1 = (hal_role_samples(hal->role) ? BURST_START : EDGE_START) / 2u;
-    TIM3->CCR4 = (current - CONVERSION_TICKS) / 2u;
-    TIM3->CCER |= TIM_CCER_CC1E | TIM_CCER_CC4E;
+    TIM3->CCER |= TIM_CCER_CC1E;
+    TIM4->CCMR1_Output = TIM_CCMR1_OC1M_PWM2;
+    TIM4->ARR = CURRENTS_APART / 2u - 1u;
+    TIM4->CCR1 = middle_trigger(hal) / 2u;
+    TIM4->CCER = TIM_CCER_CC1E;
 }
 
 /* Sets all converters up, from their reset state. */
@@ -172,11 +194,20 @@ static bool scans(const hal_t *hal, uint32_t now) {
                                        : now >= EDGE_START && now < EDGE_DONE;
 }
 
-bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
+/* Returns which currents were converted last, at a count of the chip. */
+static look_t latest(const hal_t *hal, uint32_t now) {
+    const uint32_t end = current_start(hal) + CONVERSION_TICKS;
+    if (now >= end - CURRENTS_APART && now < end)
+        return LOOK_MIDDLE;
+    return now < HAL_CHIP_TICKS_MAX ? LOOK_END : LOOK_NONE;
+}
+
+look_t converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     if ((ADC1->SR & ADC_SR_JEOC) == 0)
-        return false;
-    if (hal->temperature_due && scans(hal, TIM8->CNT))
-        return false; /* The flag stays, so the interrupt comes again: it had waited, as for the flash. */
+        return LOOK_NONE;
+    const uint32_t now = TIM8->CNT;
+    if (hal->temperature_due && scans(hal, now))
+        return LOOK_NONE; /* The flag stays, so the interrupt comes again: it had waited, as for the flash. */
     ADC1->SR = ~ADC_SR_JEOC & 0x3Fu;
     if (hal->temperature_due) {
         hal->temperature_due = false;
@@ -184,7 +215,7 @@ bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
         inject_currents();
         if (hal_role_drives(hal->role))
             ADC1->CR2 |= CURRENT_TRIGGER;
-        return false;
+        return LOOK_NONE;
     }
     hal->monitor = (hal_monitor_t){
         .supply = (uint16_t)ADC3->JDR1,
@@ -193,7 +224,7 @@ bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     };
     count[0] = (uint16_t)ADC1->JDR2;
     count[1] = (uint16_t)ADC2->JDR2;
-    return true;
+    return latest(hal, now);
 }
 
 bool converters_take_edge(const hal_t *hal, uint16_t count[HAL_CHANNELS]) {
@@ -204,9 +235,15 @@ bool converters_take_edge(const hal_t *hal, uint16_t count[HAL_CHANNELS]) {
     return true;
 }
 
+/* Returns whether the temperature may be started at a count of the chip, in its beginning. */
+static bool is_early(const hal_t *hal, uint32_t now) {
+    return now <
+           (hal_role_drives(hal->role) ? middle_trigger(hal) - TEMPERATURE_TICKS - BEFORE_TRIGGER : MIDDLE_TICKS / 2u);
+}
+
 void converters_behind_edge(hal_t *hal) {
     const uint32_t now = TIM8->CNT;
-    if (hal->temperature_wanted && !scans(hal, now) && now < MIDDLE_TICKS / 2u) {
+    if (hal->temperature_wanted && !scans(hal, now) && is_early(hal, now)) {
         hal->temperature_wanted = false;
         start_temperature(hal);
     }
@@ -251,7 +288,7 @@ static bool check_samples(hal_t *hal, uint32_t finished, chip_time_t now) {
 void converters_block(hal_t *hal, uint32_t finished, chip_time_t now) {
     if (!hal_role_samples(hal->role))
         hal->temperature_wanted = true;
-    else if (check_samples(hal, finished, now) && now.ticks < MIDDLE_TICKS / 2u)
+    else if (check_samples(hal, finished, now) && is_early(hal, now.ticks))
         start_temperature(hal);
 }
 

@@ -47,6 +47,7 @@ typedef struct {
 #define RCC_AHB2ENR_RNGEN    (1u << 6)
 #define RCC_APB1ENR_TIM2EN   (1u << 0)
 #define RCC_APB1ENR_TIM3EN   (1u << 1)
+#define RCC_APB1ENR_TIM4EN   (1u << 2)
 #define RCC_APB1ENR_TIM7EN   (1u << 5)
 #define RCC_APB1ENR_USART3EN (1u << 18)
 #define RCC_APB1ENR_CAN1EN   (1u << 25)
@@ -178,6 +179,7 @@ typedef struct {
 #define TIM8 ((TIM_registers *)0x40010400u)
 #define TIM2 ((TIM_registers *)0x40000000u) /* 32 bits wide; has neither RCR nor BDTR. */
 #define TIM3 ((TIM_registers *)0x40000400u) /* Has neither RCR nor BDTR. */
+#define TIM4 ((TIM_registers *)0x40000800u) /* As TIM3. */
 #define TIM7 ((TIM_registers *)0x40001400u) /* Counts only: it has no channels. */
 
 #define TIM_CR1_CEN              (1u << 0)
@@ -206,13 +208,11 @@ typedef struct {
 #define TIM_CCMR2_OC3M_ACTIVE    (5u << 4)
 #define TIM_CCMR2_OC3M_PWM1      (6u << 4)
 #define TIM_CCMR2_OC4M_PWM1      (6u << 12)
-#define TIM_CCMR2_OC4M_PWM2      (7u << 12)
 #define TIM_CCER_CC1E            (1u << 0)
 #define TIM_CCER_CC1NE           (1u << 2)
 #define TIM_CCER_CC2E            (1u << 4)
 #define TIM_CCER_CC2NE           (1u << 6)
 #define TIM_CCER_CC3NE           (1u << 10)
-#define TIM_CCER_CC4E            (1u << 12)
 #define TIM_BDTR_LOCK_3          (3u << 8)
 #define TIM_BDTR_OSSI            (1u << 10)
 #define TIM_BDTR_BKE             (1u << 12)
@@ -238,7 +238,7 @@ typedef struct {
 #define ADC_CR1_JEOCIE           (1u << 7)
 #define ADC_CR1_SCAN             (1u << 8)
 #define ADC_CR2_ADON             (1u << 0)
-#define ADC_CR2_JEXTSEL_TIM3_CC4 (5u << 16)
+#define ADC_CR2_JEXTSEL_TIM4_CC1 (6u << 16)
 #define ADC_CR2_JEXTEN_RISING    (1u << 20)
 #define ADC_CR2_JSWSTART         (1u << 22)
 #define ADC_CR2_EXTSEL_TIM3_CC1  (7u << 24)

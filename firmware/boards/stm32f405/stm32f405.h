@@ -104,7 +104,7 @@ struct hal {
 
     /* converters.c */
     bool sampling;                    /* The samples in the buffer are complete and in step. */
-    volatile bool temperature_wanted; /* A block has begun: the temperature is to start behind a beacon's next edge. */
+    volatile bool temperature_wanted; /* A block has begun: it is to start behind a beacon's next edge. */
     volatile bool temperature_due; /* The injected conversion is that of the temperature. JSQR says so, too, but would
                                       have to be read in each chip. */
     uint16_t temperature_count;    /* Its latest result, counts; 0: there is none. */
@@ -249,9 +249,15 @@ void bridge_watch(void);
 
 void converters_start(hal_t *hal);
 
-/* Take the result of injected conversions, if they have ended. Returns true if the counts are those of the coil
- * currents, false if it was the temperature or nothing. */
-bool converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
+/* When the coil currents were converted that converters_take() gives. */
+typedef enum {
+    LOOK_NONE = 0,   /* They were not: it was the temperature, or nothing, or the chips stand. */
+    LOOK_MIDDLE = 1, /* Amid the chip. */
+    LOOK_END = 2     /* Before its end. */
+} look_t;
+
+/* Take the result of injected conversions, if they have ended. Returns of what moment the counts are. */
+look_t converters_take(hal_t *hal, uint16_t count[HAL_CHANNELS]);
 
 /* Take the coil currents behind a beacon's edge, if they are there. Returns whether they are. */
 bool converters_take_edge(const hal_t *hal, uint16_t count[HAL_CHANNELS]);

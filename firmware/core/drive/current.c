@@ -14,6 +14,8 @@
 #define SHORT_SHIFT     6        /* and 1/64; */
 #define LEFT_OUT_SHIFT  3        /* short by 1/8 more it does not count. */
 #define SHORT_AMPLITUDE 0.995f   /* Share of the target below which headroom is lost. */
+#define WAY_DONE        3        /* Amid a chip the current has done 3/8 of its way, */
+#define WAY_PARTS       8        /* see current.h. */
 #define SHORT_BLOCKS    33u      /* Blocks for which that is told: a cycle of degree 10. */
 
 bool current_configure(current_t *current, const current_config_t *config) {
@@ -192,13 +194,33 @@ static void take_zero(current_t *current, int32_t came) {
     }
 }
 
+/* Returns what a chip that asks for so much is expected to bring in its direction, counts of sense. */
+static int32_t expect(const current_line_t *line, uint32_t asked) {
+    return (int32_t)(asked * line->gain_q >> 16) + line->offset_q;
+}
+
+/* Returns the least of it with which the coil is not open. */
+static int32_t least_of(const current_t *current, int32_t expected) {
+    return (int32_t)((uint32_t)(expected > 0 ? expected : 0) * current->open_share >> 16);
+}
+
+/* Returns whether the coil is open amid a chip: neither has the current arrived, nor does it move as one that will. */
+static bool stands_still(const current_t *current, uint32_t asked, bool negative, int32_t began, int32_t came) {
+    if (asked <= current->open_above) {
+        return false;
+    }
+    const int32_t start = negative ? -began : began, along = negative ? -came : came;
+    const int32_t least = least_of(current, expect(&current->line[negative], asked));
+    const int32_t way = least > start ? least - start : 0;
+    return along < least - way + way * WAY_DONE / WAY_PARTS;
+}
+
 /* Returns whether the coil is open, and keeps the chip for the line. */
 static bool take_driven(current_t *current, uint32_t asked, bool negative, int32_t came) {
     current_line_t *const line = &current->line[negative];
     const int32_t along = negative ? -came : came;
-    const int32_t expected = (int32_t)(asked * line->gain_q >> 16) + line->offset_q;
-    const int32_t least = (int32_t)((uint32_t)(expected > 0 ? expected : 0) * current->open_share >> 16);
-    if (asked > current->open_above && along < least) {
+    const int32_t expected = expect(line, asked);
+    if (asked > current->open_above && along < least_of(current, expected)) {
         return true;
     }
     const bool holding = current->state == CURRENT_HOLDING;
@@ -235,6 +257,16 @@ cause_t current_edge(current_t *current, int16_t set_point, uint16_t count) {
     }
     const cause_t cause = guard_edge(&current->guard, size_of(set_point), (int32_t)count - CURRENT_MID_SCALE);
     return cause != CAUSE_NONE ? fail(current, cause) : CAUSE_NONE;
+}
+
+cause_t current_middle(current_t *current, int16_t set_point, uint16_t start, uint16_t count) {
+    const cause_t cause = current_edge(current, set_point, count);
+    if (cause != CAUSE_NONE || current->state == CURRENT_FAULT || current->state == CURRENT_OFF) {
+        return cause;
+    }
+    const int32_t began = (int32_t)start - CURRENT_MID_SCALE, came = (int32_t)count - CURRENT_MID_SCALE;
+    const bool open = stands_still(current, size_of(set_point), set_point < 0, began, came);
+    return open ? fail(current, CAUSE_OPEN_COIL) : CAUSE_NONE;
 }
 
 cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint16_t count) {

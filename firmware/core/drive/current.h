@@ -5,6 +5,7 @@
  *   1. current_configure  while the state is CURRENT_OFF.
  *   2. current_sample     once a chip, from the interrupt of the current sense, driven or not, bridge on or off.
  *      current_edge       the same, before it, where the board measures behind the chip's beginning, too.
+ *      current_middle     the same, between them, amid the chip.
  *      current_ready      tells when the zero of the sense is known: from then on the drive may start.
  *   3. current_start      when the first driven chip begins; current_set_point gives the planner its set-points.
  *   4. current_stop       at the end.
@@ -37,19 +38,20 @@
  * (and 6 counts), a set-point at the end of its range, or an estimated amplitude more than 0.5 % short raises
  * headroom_lost for 33 blocks.
  *
- * Protections: those of guard.h on every measurement, and, by current_sample, in a chip that asks for more than a
- * quarter of the amplitude and than CURRENT_OPEN_MINIMUM_A (so in neither the first quarter of the ramp, nor zeros of a
- * sinusoid, nor cancelling codes),
- *   open coil     The current in the asked direction is below open_fraction of what was asked (by the estimated line);
- *                 a sense of the wrong sign is one.
+ * Protections: those of guard.h on every measurement, and, by current_sample and current_middle, in a chip that asks
+ * for more than a quarter of the amplitude and than CURRENT_OPEN_MINIMUM_A (so in neither the first quarter of the
+ * ramp, nor zeros of a sinusoid, nor cancelling codes), open coil     The current in the asked direction is below
+ * open_fraction of what was asked (by the estimated line); a sense of the wrong sign is one. Amid the chip the current
+ * may still be on its way there. A coil's changes ever slower under a constant supply: one that is there when the chip
+ * ends has done more than 2/5 of the way amid the chip, as hal.h has the moments. It counts as open with less than 3/8.
  * A fault is returned within that chip. The state is then CURRENT_FAULT until current_configure.
  *
  * Units. The sense counts 0..4095, 2048 is about 0 A; sense_A is A per count. The reference counts 0..4095 of
  * reference_A each.
  *
- * Contexts: current_sample (which uses the floating-point unit) and current_edge belong to the interrupt of the sense;
- * current_set_point to the planner alone. The others are for main, and write single words that the interrupts read;
- * current_configure only while the bridge is off. Memory: 184 bytes.
+ * Contexts: current_sample (which uses the floating-point unit), current_edge and current_middle belong to the
+ * interrupt of the sense; current_set_point to the planner alone. The others are for main, and write single words that
+ * the interrupts read; current_configure only while the bridge is off. Memory: 184 bytes.
  */
 #ifndef GOLDFIELD_CURRENT_H
 #define GOLDFIELD_CURRENT_H
@@ -138,5 +140,9 @@ cause_t current_sample(current_t *current, bool driven, int16_t set_point, uint1
 /* Take a measurement behind a chip's beginning, where the current may still be that of the chip before. set_point is 0
  * if the chip is not driven. Costs about 35 instructions. Returns what guard_edge does. */
 cause_t current_edge(current_t *current, int16_t set_point, uint16_t count);
+
+/* Take a measurement amid a chip. start is the one before it: behind the chip's beginning, or at the end of the chip
+ * before. Costs about 60 instructions. Returns what guard_edge does, or that the coil is open. */
+cause_t current_middle(current_t *current, int16_t set_point, uint16_t start, uint16_t count);
 
 #endif

@@ -1,8 +1,8 @@
 /* guard.h: looks at every measurement of one coil's current, driven or not, and tells what is wrong with it.
  *
  * Calls: guard_configure, then, once a chip from the interrupt of the current sense, guard_sample at its end and, where
- * the board measures there, guard_edge before it, behind its beginning; also in chips that are not driven and while the
- * bridge is off.
+ * the board measures there, guard_edge before it, behind its beginning and in its middle; also in chips that are not
+ * driven and while the bridge is off.
  *
  * What is looked at, in this order
  *   over-current  |current| is above the limit. The rails of the converter are, too: what lies beyond is unknown.
@@ -47,7 +47,7 @@ bool guard_configure(guard_t *guard, const guard_config_t *config, float sense_A
  * its zero, -2048..2047. Costs about 30 instructions. Returns what is wrong, or CAUSE_NONE. */
 cause_t guard_sample(guard_t *guard, uint32_t asked, int32_t came);
 
-/* Take one more measurement of a chip, behind its beginning, for over-current and excess. A drive that was switched off
+/* Take one more measurement of a chip, before its end, for over-current and excess. A drive that was switched off
  * just before the latest guard_sample still has its current: what explained that one explains this one, too. The mean
  * square and what is compared later are those of guard_sample. Costs about 15 instructions. Returns what is wrong, or
  * CAUSE_NONE. */

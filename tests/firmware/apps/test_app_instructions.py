@@ -101,6 +101,7 @@ void sense_current(void) {
     for (uint32_t c = 0; c < 2u; c++) early[c] = (uint16_t)((3u * before[c] + now[c]) / 4u);
 }
 void call_edge(void) { events.edge(events.context, chip, early); }
+void call_middle(void) { events.middle(events.context, chip, now); }
 void call_current(void) { events.current(events.context, chip++, now); }
 void call_samples(void) { events.samples(events.context, block - 2, (const hal_samples_t *)&samples); }
 void lock(void) { sensor.timing.clock.locked = true; }
@@ -159,6 +160,7 @@ def image(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "call_plan",
         "sense_current",
         "call_edge",
+        "call_middle",
         "call_current",
         "call_samples",
     )
@@ -217,17 +219,18 @@ def look_for_a_leader(call: Machine, step: str) -> int:
 
 @pytest.mark.parametrize(
     ("call", "most"),
-    [({}, (150, 260, 620, 230)), ({"waveform": 3, "periods": 5, "degree": 11}, (215, 335, 700, 300))],
+    [({}, (150, 260, 620, 230, 175)), ({"waveform": 3, "periods": 5, "degree": 11}, (215, 335, 700, 300, 260))],
     indirect=["call"],
 )
-def test_beacon(call: Machine, most: tuple[int, int, int, int]) -> None:
+def test_beacon(call: Machine, most: tuple[int, int, int, int, int]) -> None:
     start = call("begin_beacon")
-    plans, edges, currents, idle, reports = [], [], [], [], []
+    plans, edges, middles, currents, idle, reports = [], [], [], [], [], []
     listening = look_for_a_leader(call, "step_beacon")
     for _ in range(70):
         for _ in range(31):
             call("sense_current")
             edges.append(call("call_edge"))
+            middles.append(call("call_middle"))
             currents.append(call("call_current"))
         plans.append(call("call_plan"))
         reports.append(call("step_beacon"))
@@ -235,12 +238,13 @@ def test_beacon(call: Machine, most: tuple[int, int, int, int]) -> None:
     chip, chip_most = sorted(currents)[len(currents) // 2], max(currents)
     edge = sorted(edges)[len(edges) // 2]
     print(f"beacon: start {start}, plan of 31 chips {max(plans)}, current {chip}, at most {chip_most}")
-    print(f"        behind an edge {edge}, at most {max(edges)}")
+    print(f"        behind an edge {edge}, at most {max(edges)}, amid the chip {max(middles)}")
     print(f"        main idle {min(idle)}, with a report {max(reports)} instructions")
     assert max(plans) <= 31 * most[0]
     assert chip <= most[1]
     assert chip_most <= most[2]
     assert max(edges) <= most[3]
+    assert max(middles) <= most[4]
     assert min(idle) <= 385
     assert listening <= 560
 

@@ -60,24 +60,28 @@ def test_burst_of_eight_on_three_axes_before_each_chip_end() -> None:
     assert 0 <= chip_end - end <= US
 
 
-def test_coil_currents_are_sampled_behind_each_edge_and_just_before_each_end() -> None:
+def test_coil_currents_are_sampled_behind_each_edge_amid_each_chip_and_just_before_each_end() -> None:
     sampled = Sampled()
     board = Board(BEACON, MASTER, volts=sampled, ppm=-70.0)
     board.run(50 * MS)
     board.close()
     pins = [p for _, p in sampled.times[: len(sampled.times) // 2]]
-    chip = [0, 36, 0, 36, *pins[4 : pins.index(0, 3)]]
+    monitor = pins[4:8]
+    assert sorted(monitor) == [32, 33, 34, 35]  # supply and temperatures
+    chip = [0, 36, 0, 36, *monitor, 0, 36, *monitor]
     assert pins == (chip * len(pins))[: len(pins)]
-    assert sorted(chip[4:]) == [32, 33, 34, 35]  # supply and temperatures
     looks = np.array([t for t, p in sampled.times if p in (0, 36)])
-    both = looks[: len(looks) // 4 * 4].reshape(-1, 2, 2)
+    both = looks[: len(looks) // 6 * 6].reshape(-1, 3, 2)
     times = both[:, :, 0]
     assert (both[:, :, 1] == times).all()
     period = chip_seconds(-70.0) * 1e12
     assert np.abs(np.diff(times, axis=0) - period).max() <= 1
     tick = period / CHIP_TICKS
     assert times[0, 0] - US == pytest.approx(4 * 168 * tick, abs=tick)  # The first chip starts 1 us after power-on.
-    assert 0 < US + period - times[0, 1] < 2 * US
+    assert 0 < US + period - times[0, 2] < 2 * US
+    into = times[0] - US
+    assert 2 / 5 < into[1] / into[2] <= 1 / 2  # hal.h says so
+    assert 2 / 5 < (into[1] - into[0]) / (into[2] - into[0]) <= 1 / 2
 
 
 def test_edges_lie_on_ticks_of_the_local_clock() -> None:

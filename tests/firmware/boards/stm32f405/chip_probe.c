@@ -42,6 +42,7 @@ struct {
     uint32_t syncs, sync_chip[SYNCS], sync_ticks[SYNCS];
     hal_counters_t counters;
     uint32_t edges_right, edges_wrong;
+    uint32_t middles_right, middles_wrong;
 } probe;
 
 static void spin(uint32_t microseconds) {
@@ -56,7 +57,7 @@ static void happen(void) {
     probe.happened = chip_now().chip;
     switch (happens) {
     case STOP_CURRENT:
-        TIM3->CCER &= ~TIM_CCER_CC4E;
+        TIM4->CCER &= ~TIM_CCER_CC1E;
         break;
     case STOP_EDGES:
         DMA2->S[4].CR &= ~DMA_S0CR_EN;
@@ -155,6 +156,18 @@ static void edge(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS
         probe.edges_wrong++;
 }
 
+static void middle(void *context, uint32_t chip, const uint16_t count[HAL_CHANNELS]) {
+    (void)context;
+    hal_monitor_t monitor;
+    hal_monitor(probe.hal, &monitor);
+    const uint32_t expected = chip * 11u % 3000u + 200u, base = chip % 3000u + 107u;
+    if (count[0] == expected && count[1] == expected + 40u && monitor.coil[0] == base &&
+        monitor.coil[1] == base + 200u && monitor.supply == base + 400u && monitor.driver == base + 600u)
+        probe.middles_right++;
+    else
+        probe.middles_wrong++;
+}
+
 static void sync(void *context, uint32_t chip, uint16_t ticks) {
     (void)context;
     if (probe.syncs < SYNCS) {
@@ -188,6 +201,7 @@ int main(void) {
         .samples = hal_role_samples(role) ? samples : NULL,
         .current = hal_role_drives(role) ? current : NULL,
         .edge = role == HAL_ROLE_BEACON ? edge : NULL,
+        .middle = hal_role_drives(role) ? middle : NULL,
         .fault = fault,
         .sync = sync,
     };
