@@ -10,6 +10,7 @@ import pytest
 
 from tests.bench import circuit_diagrams
 from tests.bench.circuit_values import computed
+from tests.docs.named_tests import check
 
 HARDWARE = Path(__file__).resolve().parents[2] / "docs" / "hardware"
 NETLIST_PART = re.compile(r"^(?:[rcd]\d+|m?[qs]q?\d+|x\d+)(?=[a-d]?\s)", re.M)
@@ -85,3 +86,13 @@ def test_the_figures_that_hardware_quotes_are_those_of_the_page(number, unit):
     page = (HARDWARE / "figures.md").read_text(encoding="utf-8")
     values = [float(value) for value in re.findall(rf"(-?[\d.]+) {re.escape(unit)}(?!\w)", page)]
     assert float(number) in [round(abs(value), digits) for value in values]
+
+
+def test_what_silicon_does_is_shown_by_tests_that_are_there():
+    """A test that is renamed or removed takes its row with it."""
+    page = HARDWARE.with_suffix(".md").read_text(encoding="utf-8")
+    [table] = re.findall(r"^\| what silicon does \| shown by \|\n\| --- \| --- \|\n((?:\|[^\n]*\n)+)", page, re.M)
+    rows = [row.strip("| ").split(" | ") for row in table.splitlines()]
+    assert len(rows) >= 19
+    for fault, tests in rows:
+        check(fault, tests)
