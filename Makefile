@@ -30,6 +30,7 @@ include hil_sim/emulator/emulator.mk
 include hil_sim/rig/rig.mk
 include tests/tests.mk
 include tests/fuzz/fuzz.mk
+include tests/coverage/coverage.mk
 include tests/checks.mk
 include docs/docs.mk
 

@@ -38,7 +38,7 @@ class Board:
     """The part of the firmware that chooses codes."""
 
     def __init__(self) -> None:
-        self._ffi, self._lib = clib.load("build/libgf_core.so", HEADERS)
+        self._ffi, self._lib = clib.load("libgf_core.so", HEADERS)
         self._family: Any = self._lib.gold_family(DEGREE)
         self._state: Any = self._ffi.new("strongest_t *")
         self._despread: Any = self._ffi.new("despread_t *")

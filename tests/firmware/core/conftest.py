@@ -72,5 +72,5 @@ def gold_family():
 
 @pytest.fixture(scope="session")
 def core():
-    """(ffi, library) of build/libgf_core.so."""
-    return clib.load("build/libgf_core.so", HEADERS)
+    """(ffi, library) of the core alone."""
+    return clib.load("libgf_core.so", HEADERS)

@@ -59,7 +59,7 @@ RECEIVING = 3
 
 @pytest.fixture(scope="module")
 def core():
-    return clib.load("build/libgf_core.so", HEADERS)
+    return clib.load("libgf_core.so", HEADERS)
 
 
 def fresh(core, seed=1):

@@ -24,7 +24,7 @@ from tests.host.update.boards_on_a_link import BoardsLink, Seat, run
 
 @pytest.fixture(scope="module")
 def core():
-    return clib.load("build/libgf_core.so", HEADERS)
+    return clib.load("libgf_core.so", HEADERS)
 
 
 @pytest.fixture

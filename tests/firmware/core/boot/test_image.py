@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil_sim.clib import ROOT
+from hil_sim import clib
 from tests.firmware.core.boot.slots import (
     BEACON,
     CODE,
@@ -71,7 +71,7 @@ RFC_8032 = [
 def ed25519():
     ffi = cffi.FFI()
     ffi.cdef("int crypto_ed25519_check(const uint8_t *, const uint8_t *, const uint8_t *, size_t);")
-    library = ffi.dlopen(str(ROOT / "build/libgf_core.so"))
+    library = ffi.dlopen(str(clib.built("libgf_core.so")))
     return lambda signature, key, message: library.crypto_ed25519_check(signature, key, message, len(message)) == 0
 
 

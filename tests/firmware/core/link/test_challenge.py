@@ -14,7 +14,7 @@ VECTORS = json.loads((clib.ROOT / "protocol/vectors/access.json").read_text())["
 
 def test_the_hash_is_that_of_rfc_4231() -> None:
     """Cases 1 and 2 of the RFC, on the firmware's implementation and on Python's."""
-    ffi, library = clib.load("build/libgf_core.so", ["third_party/monocypher/monocypher-ed25519.h"])
+    ffi, library = clib.load("libgf_core.so", ["third_party/monocypher/monocypher-ed25519.h"])
     cases = {
         (20 * b"\x0b", b"Hi There"): "87aa7cdea5ef619d4ff0b4241a1d6cb02379f4e2ce4ec2787ad0b30545e17cde"
         "daa833b7d6b8a702038b274eaea3f4e4be9d914eeb61f1702e696c203a126854",
@@ -29,7 +29,7 @@ def test_the_hash_is_that_of_rfc_4231() -> None:
 
 @pytest.mark.parametrize("vector", VECTORS, ids=lambda one: one["name"])
 def test_answers_are_those_of_the_vectors(vector: dict[str, str]) -> None:
-    _, library = clib.load("build/libgf_core.so", ["core/link/challenge.h"])
+    _, library = clib.load("libgf_core.so", ["core/link/challenge.h"])
     key, unique_id, number, answer = (bytes.fromhex(vector[n]) for n in ("key", "unique_id", "number", "answer"))
     told = library.challenge_answer(key, unique_id, int.from_bytes(number, "little"))
     assert told.to_bytes(8, "little") == answer

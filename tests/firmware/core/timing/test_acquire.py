@@ -100,7 +100,7 @@ class Sensor:
 
 @pytest.fixture(scope="module")
 def core():
-    return clib.load("build/libgf_core.so", HEADERS)
+    return clib.load("libgf_core.so", HEADERS)
 
 
 def start(core, family, seed, codes=CODES, **options):
