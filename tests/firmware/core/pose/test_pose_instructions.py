@@ -1,22 +1,17 @@
 """What a pose on the sensor costs on a Cortex-M4: instructions, stack and memory, with the image's flags (Unicorn)."""
 
 import struct
-import subprocess
 
 import magpylib
 import numpy as np
 import pytest
-import unicorn
-from elftools.elf.elffile import ELFFile
 from scipy.spatial.transform import Rotation
-from unicorn import arm_const as arm
 
 from goldfield import site as sites
 from goldfield.locate.uncertainty import cramer_rao_bound
 from hil_sim.clib import ROOT
+from tests.firmware.cortex_m4 import Machine, link
 
-FLAGS = ("-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c11", "-O3")
-RAM, STACK, STOP = 0x20000000, 0x20040000, 0x0801FF00
 OF_OTHERS = {"boot", "challenge.c"}
 """What stands on the code of others, and is left out: a folder, and a file."""
 SIGMA_T = 2e-7 / np.sqrt(1023)
@@ -77,57 +72,12 @@ void one_separation_apply(void) { separation_apply(&separation, 5.0f, axis); }
 """
 
 
-class Machine:
-    """The core on a Cortex-M4; instructions are counted a basic block at a time."""
-
-    def __init__(self, elf):
-        self.unicorn = unicorn.Uc(unicorn.UC_ARCH_ARM, unicorn.UC_MODE_THUMB)
-        self.unicorn.ctl_set_cpu_model(arm.UC_CPU_ARM_CORTEX_M4)
-        self.unicorn.mem_map(0x08000000, 0x40000)
-        self.unicorn.mem_map(RAM, 0x40000)
-        self.symbols = {}
-        with elf.open("rb") as file:
-            loaded = ELFFile(file)
-            for segment in loaded.iter_segments("PT_LOAD"):
-                self.unicorn.mem_write(segment["p_vaddr"], segment.data())
-            for symbol in loaded.get_section_by_name(".symtab").iter_symbols():
-                self.symbols[symbol.name] = symbol["st_value"], symbol["st_size"]
-        self.unicorn.reg_write(arm.UC_ARM_REG_C1_C0_2, 0xF << 20)
-        self.unicorn.reg_write(arm.UC_ARM_REG_FPEXC, 1 << 30)
-        self.blocks = {}
-        self.count = 0
-        self.unicorn.hook_add(unicorn.UC_HOOK_BLOCK, self._block)
-
-    def _block(self, _, address, size, __):
-        if (address, size) not in self.blocks:
-            halfwords = struct.unpack(f"<{size // 2}H", self.unicorn.mem_read(address, size))
-            place = count = 0
-            while place < len(halfwords):
-                place += 2 if halfwords[place] >= 0xE800 else 1  # Thumb-2: such a halfword begins a long instruction.
-                count += 1
-            self.blocks[address, size] = count
-        self.count += self.blocks[address, size]
-
-    def call(self, name):
-        """Instructions and stack of a call."""
-        self.count = 0
-        self.unicorn.mem_write(STACK - 8192, b"\xa5" * 8192)
-        self.unicorn.reg_write(arm.UC_ARM_REG_SP, STACK)
-        self.unicorn.reg_write(arm.UC_ARM_REG_LR, STOP | 1)
-        self.unicorn.emu_start(self.symbols[name][0] | 1, STOP)
-        used = bytes(self.unicorn.mem_read(STACK - 8192, 8192)).lstrip(b"\xa5")
-        return self.count, len(used)
-
-    def write(self, name, data):
-        self.unicorn.mem_write(self.symbols[name][0], data)
-
-    def word(self, name):
-        """The value of a variable of 32 bits."""
-        return struct.unpack("<I", self.unicorn.mem_read(self.symbols[name][0], 4))[0]
+class PoseMachine(Machine):
+    """The harness on a Cortex-M4."""
 
     def pose(self):
         """Position, and whether it was tracked: the last word of the pose."""
-        raw = bytes(self.unicorn.mem_read(*self.symbols["pose"]))
+        raw = self.read("pose")
         return np.array(struct.unpack_from("<3f", raw)), bool(raw[-4])
 
 
@@ -137,26 +87,9 @@ def machine(tmp_path_factory):
     source, elf = directory / "harness.c", directory / "pose.elf"
     source.write_text(HARNESS)
     firmware = ROOT / "firmware"
-    subprocess.run(
-        [
-            *(
-                "arm-none-eabi-gcc",
-                *FLAGS,
-                f"-I{firmware}",
-                f"-I{ROOT / 'build/protocol'}",
-                str(source),
-                *(
-                    str(path)
-                    for path in sorted(firmware.glob("core/*/*.c"))
-                    if not OF_OTHERS & {path.parent.name, path.name}
-                ),
-            ),
-            *("-Ttext=0x08000000", f"-Tdata={RAM:#x}", "-nostartfiles", "--specs=nano.specs"),
-            *("-Wl,-e,0,--no-warn-rwx-segments", "-o", str(elf)),
-        ],
-        check=True,
-    )
-    return Machine(elf)
+    core = [path for path in sorted(firmware.glob("core/*/*.c")) if not OF_OTHERS & {path.parent.name, path.name}]
+    link(elf, [source, *core], ["-O3", f"-I{firmware}", f"-I{ROOT / 'build/protocol'}"])
+    return PoseMachine(elf)
 
 
 @pytest.fixture(scope="module")
