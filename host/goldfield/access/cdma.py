@@ -118,6 +118,8 @@ class Separator:
             One row a chip from chip 0; NaN where a sample is missing. The remaining samples of the axis are used, if
             they suffice.
         """
+        if np.isfinite(samples_T).all():
+            return self._from_all(samples_T)
         count = len(self.codes)
         field = np.full((count, 3), np.nan)
         offset = np.full(3, np.nan)
@@ -139,6 +141,15 @@ class Separator:
             offset[axis] = mean + (centred - templates @ field[:, axis]).mean()
             variance[:, axis] = np.diag(inverse) * self._noise_T**2
         return Separation(field, offset, _worst_sigma(variance))
+
+    def _from_all(self, samples_T: FloatArray) -> Separation:
+        """Separate a cycle of which every sample is there, all axes in one product."""
+        mean = samples_T.mean(axis=0)
+        centred = samples_T - mean  # an offset may be a million times the field: sums must not round at its size
+        rest = centred.mean(axis=0)
+        field = self._inverse @ (self._templates.T @ (centred - rest))
+        offset = mean + rest - self._sums @ field / self.chips
+        return Separation(field, offset, np.sqrt(np.diag(self._inverse)) * self._noise_T)
 
     def from_correlations(
         self, correlation_T: FloatArray, mean_T: FloatArray, missing_T: FloatArray, extra_T: float = 0.0
