@@ -28,7 +28,10 @@ signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 HERE = Path(__file__).parent
 LONG = (
-    "bench",
+    "bench/test_integrity_trials.py",
+    "bench/test_locate_figures.py",
+    "bench/test_rate_figures.py",
+    "bench/test_readme_figures.py",
     "campaign",
     "docs/test_new_room.py",
     "docs/test_pages.py",

@@ -41,13 +41,31 @@ figures: all ## Measure and print the figures of the whole chain (several minute
 
 .PHONY: figures
 
-bench: all ## Measure speed: location beside SciPy and an earlier version, filter update, start-up, each subcommand's time and memory
-	@$(PYTHON) -m tests.bench.locate_figures speed elsewhere
+# Peers that only the bench has. What this machine cannot have is told, and its rows are left out.
+$(BUILD)/bench/peers.stamp: tests/bench/peers/requirements.txt $(BUILD)/venv.stamp
+	@rm -rf $(@D)/cmsis; mkdir -p $(@D)/cmsis
+	@( $(call pip,install --no-deps $$(grep gtsam $<)) ) || echo "bench: GTSAM is left out"
+	@( $(call pip,download --no-deps --no-binary :all: --no-build-isolation -d $(@D)/cmsis $$(grep cmsisdsp $<)) ) && \
+	  tar -xzf $(@D)/cmsis/*.tar.gz -C $(@D)/cmsis || echo "bench: CMSIS-DSP is left out, and despreading with it"
+	@touch $@
+
+BENCH ?=
+bench: all $(BUILD)/qemu.stamp $(BUILD)/bench/peers.stamp ## Speed and memory beside CMSIS-DSP, cantools, NumPy, SciPy, GTSAM, QEMU: one table (a quarter of an hour; BENCH="decode location")
+	@OPENBLAS_NUM_THREADS=1 $(PYTHON) -m tests.bench.peers $(BENCH)
+
+bench-compare: $(BUILD)/venv.stamp ## What differs between the last run of the bench, the one before and the one that is kept
+	@$(PYTHON) -m tests.bench.peers --compare
+
+bench-keep: $(BUILD)/venv.stamp ## Keep the last run of the bench and write its table into docs/comparison.md
+	@$(PYTHON) -m tests.bench.peers --keep
+
+command-costs: all ## Measure start-up, each subcommand's time and memory, and location beside an earlier version
+	@$(PYTHON) -m tests.bench.locate_figures elsewhere
 	@$(PYTHON) -m tests.bench.locate_before
 	@$(PYTHON) tests/bench/start_up.py
 	@$(PYTHON) -m tests.bench.command_costs
 
-.PHONY: bench
+.PHONY: bench bench-compare bench-keep command-costs
 
 location-map: $(BUILD)/venv.stamp ## Draw docs/location.png: error map, error against the bound, starts compared
 	@$(PYTHON) tests/bench/locate_map.py

@@ -170,13 +170,6 @@ def faults(scale=1.0):
     return result
 
 
-def speed(scale=1.0):
-    """One by one, batched, a filter update, and scipy.optimize.least_squares on the same residual."""
-    result = locate_speed.speed(scale)
-    show("speed", result)
-    return result
-
-
 def elsewhere(scale=1.0):
     """Epochs one by one that need a search or an explanation: five beacons, and eight with one at fault."""
     result = locate_speed.elsewhere(scale)
@@ -191,7 +184,6 @@ FIGURES = {
     "board": board,
     "steps": steps,
     "faults": faults,
-    "speed": speed,
     "elsewhere": elsewhere,
 }
 

@@ -1,26 +1,16 @@
-"""How quick location is beside `scipy.optimize.least_squares` on the same residual from the same kind of start.
-
-Processor time, in turns in one run, of which the least of each counts, so that other work on the machine disturbs
-little and all alike.
-"""
+"""Location by `scipy.optimize.least_squares` with our steps and starts, a walk, and how long hard epochs take."""
 
 from __future__ import annotations
-
-import time
 
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from goldfield.locate import Locator
 from goldfield.locate.starts import simple_magnitudes
 from goldfield.locate.wahba import wahba
-from goldfield.track import Tracker
 from goldfield.types import Fields
 from tests.bench import locate_trials as bench
 from tests.bench.integrity_outcome import times_s
-
-ROUNDS = 5
 
 
 def with_scipy(model, epoch):
@@ -58,46 +48,6 @@ def walk(site, rng, count):
     field = field + sigma * rng.normal(size=field.shape)
     names = tuple(beacon.id for beacon in site.beacons)
     return [Fields(i, time_s[i], names, field[i], np.full(len(names), sigma)) for i in range(count)]
-
-
-def speed(scale=1.0):
-    """Time of one location alone, batched, batched without tests and uncertainty, a filter update, and SciPy's."""
-    site, rng = bench.prigge_cube(), np.random.default_rng(106)
-    run = bench.trials(site, bench.cube_positions(rng, max(int(scale * 2000), 50)), rng)
-    locator, fields = Locator(site), bench.fields_of(site, run)
-    some = fields[:40]
-    path = walk(site, rng, 40)
-    results = {}
-
-    def filtered():
-        tracker = Tracker(site)
-        return [tracker.update(epoch) for epoch in path]
-
-    work = {
-        "single": (lambda: [locator.locate(epoch).position_m for epoch in some], len(some)),
-        "batched": (lambda: locator.locate_many(fields), len(fields)),
-        "batched_fit_only": (lambda: locator.fit_all(fields), len(fields)),
-        "filter_update": (filtered, len(path)),
-        "scipy": (lambda: [with_scipy(locator.model, epoch) for epoch in some], len(some)),
-    }
-    least = dict.fromkeys(work, np.inf)
-    locator.locate_many(fields[:10])
-    for _ in range(ROUNDS):
-        for name, (task, count) in work.items():
-            began = time.process_time()
-            results[name] = task()
-            least[name] = min(least[name], 1e6 * (time.process_time() - began) / count)
-
-    def located(positions):
-        error = np.linalg.norm(np.array(positions) - run.position_m[: len(some)], axis=1)
-        return int((error < np.maximum(0.01, 8 * bench.bound_of(site, run)[: len(some)])).sum())
-
-    return (
-        {f"{name}_us": value for name, value in least.items()}
-        | {f"{name}_ratio": least["scipy"] / least[name] for name in ("single", "batched", "batched_fit_only")}
-        | {"batched_per_second": 1e6 / least["batched"]}
-        | {"single_success": located(results["single"]), "scipy_success": located(results["scipy"]), "of": len(some)}
-    )
 
 
 def elsewhere(scale=1.0):
