@@ -21,8 +21,8 @@ from tests.bench.peers.row import Row
 from tests.bench.peers.table import differences, text, told_of
 
 SUBJECTS = (
-    *("despread", "separation", "decode", "location", "tracking", "survey", "plan", "latency", "rig"),
-    "growth",
+    *("despread", "separation", "decode", "location", "tracking", "survey", "plan", "latency", "emulator"),
+    *("rig", "boards", "growth"),
 )
 
 
