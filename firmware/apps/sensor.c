@@ -4,7 +4,11 @@
 
 #include "services/upkeep.h"
 
-#define PI 3.14159265f
+#define PI        3.14159265f
+#define NS_A_TICK (1e9f / (float)HAL_TICKS_PER_SECOND)
+/* Least standard deviation, ticks, of the phase with which a clock goes over to the field: 0.24 us. The beacons' edges
+ * lie by a delay of their drivers and of the front end behind the wire's. */
+#define KNOWN_TICKS 40.0f
 
 /* ---- Interrupts ---- */
 
@@ -13,7 +17,7 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
     timing_t *const timing = &sensor->timing;
     (void)block; /* The chip clock counts the blocks along. */
     timing_serve(timing, sensor->hal);
-    if (timing->by_field) {
+    if (timing->source.by_field) {
         acquire_plan(sensor->acquire, &timing->clock);
     }
     for (uint32_t i = 0; i < HAL_BLOCK_CHIPS; i++) {
@@ -25,7 +29,7 @@ static void on_plan(void *context, uint32_t block, hal_plan_t *plan) {
 
 static void on_samples(void *context, uint32_t block, const hal_samples_t *samples) {
     sensor_t *sensor = context;
-    sense_samples(&sensor->sense, block, samples, sensor->timing.by_field ? sensor->acquire : NULL);
+    sense_samples(&sensor->sense, block, samples, sensor->timing.source.by_field ? sensor->acquire : NULL);
     liveness_moved(&sensor->node.liveness, LIVENESS_SAMPLES);
 }
 
@@ -36,14 +40,18 @@ static void on_sync(void *context, uint32_t chip, uint16_t ticks) {
 
 /* ---- Main ---- */
 
-static void start_acquire(acquire_t *acquire) {
+static acquire_config_t acquire_board(void) {
     const hal_burst_t burst = hal_burst_timing();
-    const acquire_config_t config = {
+    return (acquire_config_t){
         .nominal_ticks = HAL_CHIP_TICKS,
         .first_conversion_ticks = burst.first_ticks,
         .conversion_ticks = burst.spacing_ticks,
         .lag_ticks = (uint16_t)((float)HAL_TICKS_PER_SECOND / (2.0f * PI * (float)HAL_FRONT_END_HZ)),
     };
+}
+
+static void start_acquire(acquire_t *acquire) {
+    const acquire_config_t config = acquire_board();
     acquire_init(acquire, &config);
 }
 
@@ -53,20 +61,67 @@ static void tell_codes(acquire_t *acquire, const sense_t *sense) {
     acquire_codes(acquire, codes, count);
 }
 
-static void follow(sensor_t *sensor, uint32_t source) {
+static void follow(sensor_t *sensor, uint32_t parameter) {
     timing_t *const timing = &sensor->timing;
-    const bool by_field = source == SYNC_BY_FIELD && timing->format.degree == 10u;
-    timing_automatic(timing, source == SYNC_AUTOMATIC);
-    const bool by_can = timing->automatic ? timing->link.follows : source == SYNC_BY_CAN;
-    if (by_field != timing->by_field || by_can != timing->link.follows) {
-        timing->by_field = false; /* It comes first: the interrupts now keep their hands off. */
+    const bool degree_10 = timing->format.degree == 10u;
+    timing->source.field_usable = parameter == SYNC_AUTOMATIC && degree_10 && sense_has_codes(&sensor->sense);
+    if (parameter == SYNC_AUTOMATIC && timing->source.automatic) {
+        return; /* The clock has chosen. */
+    }
+    const bool by_field = parameter == SYNC_BY_FIELD && degree_10;
+    source_automatic(&timing->source, &timing->link, parameter == SYNC_AUTOMATIC);
+    const bool by_can = timing->source.automatic ? timing->link.follows : parameter == SYNC_BY_CAN;
+    if (by_field != timing->source.by_field || by_can != timing->link.follows) {
+        timing->source.by_field = false; /* It comes first: the interrupts now keep their hands off. */
         sync_link_follow(&timing->link, &timing->clock, by_can);
         start_acquire(sensor->acquire);
     }
     if (by_field) {
         tell_codes(sensor->acquire, &sensor->sense);
     }
-    timing->by_field = by_field;
+    timing->source.by_field = by_field;
+}
+
+/* Prepares to follow the field when the clock that chooses its source asks for it: from the phase that it has, or with
+ * a search. */
+static void prepare_field(sensor_t *sensor) {
+    const timing_t *const timing = &sensor->timing;
+    uint16_t codes[EPOCH_CODES_MAX];
+    start_acquire(sensor->acquire);
+    if (timing->clock.locked) {
+        const float deviation = (float)timing->source.error_ns / NS_A_TICK;
+        const uint32_t count = sense_strongest(&sensor->sense, codes, ACQUIRE_CODES_MAX);
+        acquire_known(sensor->acquire, codes, count, timing->clock.chip,
+                      deviation > KNOWN_TICKS ? deviation : KNOWN_TICKS);
+    } else {
+        const uint32_t listed = sense_code_list(&sensor->sense, codes);
+        const uint32_t count = listed > 0u ? listed : sense_strongest(&sensor->sense, codes, ACQUIRE_CODES_MAX);
+        acquire_codes(sensor->acquire, codes, count);
+    }
+    source_ready(&sensor->timing.source);
+}
+
+/* Does what the field needs of main while the clock follows it, or would. */
+static void serve_field(sensor_t *sensor) {
+    source_t *const source = &sensor->timing.source;
+    if (source->automatic) {
+        source->field_usable = sensor->timing.format.degree == 10u && sense_has_codes(&sensor->sense);
+    }
+    if (source_asks(source)) {
+        prepare_field(sensor);
+    }
+    if (!source->by_field) {
+        return;
+    }
+    acquire_step(sensor->acquire);
+    sensor->timing.field_error_ns = (uint32_t)(2.0f * sensor->acquire->deviation_ticks * NS_A_TICK);
+    if (source->automatic && sensor->sense.cycle.locked && sensor->replaced_cycle != sensor->sense.cycle.cycle) {
+        uint16_t codes[EPOCH_CODES_MAX];
+        const uint32_t count = sense_strongest(&sensor->sense, codes, ACQUIRE_CODES_MAX);
+        if (acquire_replace(sensor->acquire, codes, count)) {
+            sensor->replaced_cycle = sensor->sense.cycle.cycle;
+        }
+    }
 }
 
 static node_state_t state(const sensor_t *sensor) {
@@ -82,6 +137,8 @@ void sensor_start(sensor_t *sensor, acquire_t *acquire, onboard_t *onboard, trac
     sensor->acquire = acquire;
     upkeep_start(&sensor->node, hal, HAL_ROLE_SENSOR);
     timing_start(&sensor->timing, &sensor->node, false);
+    const acquire_config_t config = acquire_board();
+    sensor->timing.source.late_ticks = acquire_late_ticks(&config);
     sense_start(&sensor->sense, &sensor->node, &sensor->timing, onboard, tracking);
     follow(sensor, parameters_unsigned(&sensor->node.parameters, PARAMETER_SYNC_SOURCE));
     const hal_events_t events = {.context = sensor, .plan = on_plan, .samples = on_samples, .sync = on_sync};
@@ -94,9 +151,7 @@ void sensor_step(sensor_t *sensor) {
     sense_step(&sensor->sense);
     node->state = state(sensor);
     upkeep_step(node);
-    if (sensor->timing.by_field) {
-        acquire_step(sensor->acquire);
-    }
+    serve_field(sensor);
     sense_spare(&sensor->sense);
     if (node->parameters_changed) {
         node->parameters_changed = false;

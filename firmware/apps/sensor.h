@@ -17,6 +17,11 @@
  *      1 counts as 0.
  *   2  The chip clock follows SYNC and FOLLOW_UP on CAN (sync.h); a wire is only compared, likewise.
  *
+ *   3  The chip clock chooses: the wire, CAN, and where both are silent the field (source.h). A sensor that was in step
+ *      goes over with the phase that it has, tracks the 16 strongest of the codes that it reports, and keeps its lock.
+ *      With strongest above 0 and an empty code list it can follow the field only after it has been in step with a
+ *      wire or with CAN, since only then has it heard codes.
+ *
  * States: starting (no block yet), syncing, running (locked), clock_fallback.
  *
  * The degree of the codes is a parameter that is read once, at start. All others act from the next report on.
@@ -43,6 +48,7 @@ typedef struct {
     timing_t timing;
     sense_t sense;
     acquire_t *acquire;
+    uint32_t replaced_cycle; /* The cycle whose strongest codes are tracked. */
 } sensor_t;
 
 /* Say hello, read the parameters and start the chip engine. What the arguments point at must live for ever. No

@@ -51,6 +51,8 @@ void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples,
         const uint16_t code_chip = sync_chip(&timing->format, &chip);
         if (acquire) {
             acquire_feed(acquire, absolute, &chip, (*samples)[i]);
+        }
+        if (source_late(&timing->source, absolute)) {
             acquire_sample((*samples)[i], sample);
         }
         if (epoch_feed(&sense->collector, absolute, cycle, code_chip, sample, saturated != 0u, locked)) {
@@ -145,6 +147,41 @@ uint32_t sense_code_list(const sense_t *sense, uint16_t codes[EPOCH_CODES_MAX]) 
     const uint32_t count = parameters_unsigned(parameters, PARAMETER_CODE_COUNT);
     for (uint32_t i = 0; i < count; i++) {
         codes[i] = (uint16_t)parameters_unsigned(parameters, PARAMETER_CODE_LIST + i);
+    }
+    return count;
+}
+
+bool sense_has_codes(const sense_t *sense) {
+    return sense->selection.count > 0u || parameters_unsigned(&sense->node->parameters, PARAMETER_CODE_COUNT) > 0u;
+}
+
+/* Returns the square of a reported field, in the unit of its sums. */
+static float strength(const sense_t *sense, uint32_t index) {
+    float square = 0.0f;
+    for (uint32_t axis = 0; axis < HAL_AXES; axis++) {
+        const float sum = (float)sense->cycle.correlation[index][axis];
+        square += sum * sum;
+    }
+    return square;
+}
+
+uint32_t sense_strongest(const sense_t *sense, uint16_t *codes, uint32_t most) {
+    float best[ACQUIRE_CODES_MAX];
+    uint32_t count = 0;
+    const uint32_t room = most < ACQUIRE_CODES_MAX ? most : ACQUIRE_CODES_MAX;
+    for (uint32_t i = 0; i < sense->selection.count; i++) {
+        const float next = strength(sense, i);
+        uint32_t place = count < room ? count++ : room;
+        for (; place > 0u && best[place - 1u] < next; place--) {
+            if (place < room) {
+                best[place] = best[place - 1u];
+                codes[place] = codes[place - 1u];
+            }
+        }
+        if (place < room) {
+            best[place] = next;
+            codes[place] = sense->selection.codes[i].code;
+        }
     }
     return count;
 }

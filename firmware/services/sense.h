@@ -23,7 +23,8 @@
  * selection as it is when their sums are made: that of the cycle reported last. They are made and sent in one go, so
  * that a change falls between blocks; what waits are samples. A track of the board's own (pose_blocks) needs the same
  * codes all the time: with strongest its poses fail (tracking.h). Its poses of cycles take what is both selected and in
- * the code list (onboard.h); synchronisation by the field takes the code list.
+ * the code list (onboard.h); synchronisation by the field takes the code list (sync_source 1), or the strongest of what
+ * is selected (3; source.h).
  *
  * Numbers and times. Cycles count from 0 at start, until SYNC tells the number of the cycle that the latest edge of
  * the sync wire began. EPOCH.time is the middle of the cycle in microseconds of the board's own chip clock since its
@@ -111,8 +112,16 @@ void sense_configure(sense_t *sense);
 /* Read the parameter code_list. Returns how many codes it has. */
 uint32_t sense_code_list(const sense_t *sense, uint16_t codes[EPOCH_CODES_MAX]);
 
+/* Returns whether codes are in the code list, or were chosen by their strength. */
+bool sense_has_codes(const sense_t *sense);
+
+/* Tell the codes, at most so many, that were strongest of those reported in the latest cycle, strongest first. Costs
+ * about 30 instructions for each of them and each code that is reported.
+ * Returns how many they are. */
+uint32_t sense_strongest(const sense_t *sense, uint16_t *codes, uint32_t most);
+
 /* Take the samples of a block, as hal_events_t.samples has them. acquire is NULL, or the module that synchronises by
- * the field: it gets every burst, and samples are then made without the last conversion. */
+ * the field: it gets every burst. Samples of chips that are late (source_late) are made without the last conversion. */
 void sense_samples(sense_t *sense, uint32_t block, const hal_samples_t *samples, acquire_t *acquire);
 
 /* Make the sums of the blocks that wait, if blocks are wanted, send them, and make their poses (tracking.h): none is

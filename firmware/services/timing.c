@@ -22,52 +22,13 @@ void timing_start(timing_t *timing, const node_t *node, bool can_lead) {
     timing->elects = rank > 0u;
     sync_clock_init(&timing->clock, &timing->format, true);
     const uint32_t by = parameters_unsigned(parameters, PARAMETER_SYNC_SOURCE);
-    timing_automatic(timing, by == SYNC_AUTOMATIC);
+    source_automatic(&timing->source, &timing->link, by == SYNC_AUTOMATIC);
     if (by == SYNC_BY_CAN) {
         sync_link_follow(&timing->link, &timing->clock, true);
     }
 }
 
-void timing_automatic(timing_t *timing, bool automatic) {
-    timing->automatic = automatic;
-    timing->link.compares = automatic;
-}
-
 /* ---- In the context of plan ---- */
-
-/* Returns whether a clock that chooses its source itself is to go over to the other one. */
-static bool other_source(const timing_t *timing) {
-    const chip_clock_t *const clock = &timing->clock;
-    const sync_link_t *const link = &timing->link;
-    const uint32_t period = clock->config.chips,
-                   silent = (clock->locked ? TIMING_SILENT_PERIODS : TIMING_SEARCH_PERIODS) * period;
-    const uint32_t wire_age = clock->chip - timing->wire_chip, can_age = clock->chip - link->message_chip;
-    if (!link->follows) {
-        return wire_age > silent && can_age < 2u * period && (!clock->locked || link->good >= TIMING_MESSAGES);
-    }
-    const bool can_silent = can_age > silent, wire_lives = timing->wire_good >= 2u;
-    return timing->wire_good >= TIMING_WIRE_EDGES || (can_silent && (wire_lives || !clock->locked));
-}
-
-static void choose_source(timing_t *timing) {
-    chip_clock_t *const clock = &timing->clock;
-    if (!other_source(timing)) {
-        return;
-    }
-    const bool by_can = !timing->link.follows;
-    const chip_clock_source_t *const source = by_can ? &chip_clock_link : &chip_clock_wire;
-    if (clock->locked) {
-        chip_clock_change(clock, source);
-    } else {
-        chip_clock_forget(clock, source);
-    }
-    timing->link.follows = by_can;
-    timing->link.good = 0;
-    timing->wire_good = 0;
-    timing->wire_chip = clock->chip;
-    timing->link.message_chip = by_can ? clock->chip : timing->link.message_chip;
-    timing->changes++;
-}
 
 /* Makes the leader a follower. What its messages tell of the other leader must be younger than two sync periods. */
 static void follow(timing_t *timing) {
@@ -101,8 +62,8 @@ void timing_serve(timing_t *timing, hal_t *hal) {
         timing->turn = TIMING_STAY;
     }
     sync_link_serve(&timing->link, &timing->clock, &timing->format, hal);
-    if (timing->automatic && !timing->master) {
-        choose_source(timing);
+    if (timing->source.automatic && !timing->master) {
+        source_choose(&timing->source, &timing->clock, &timing->link);
     }
     if (timing->asked) {
         timing->quality = chip_clock_quality(&timing->clock, HAL_TICKS_PER_SECOND / 1000000u);
@@ -114,14 +75,14 @@ void timing_edge(timing_t *timing, hal_t *hal, uint32_t chip, uint16_t ticks) {
     if (timing->master) {
         return; /* It may be the board's own edge. */
     }
-    const bool fits = timing->by_field || timing->link.follows ? chip_clock_compare(&timing->clock, chip, ticks)
-                                                               : chip_clock_edge(&timing->clock, chip, ticks);
+    const bool compares = timing->source.by_field || timing->link.follows;
+    const bool fits = compares ? chip_clock_compare(&timing->clock, chip, ticks)
+                               : chip_clock_edge(&timing->clock, chip, ticks);
     timing->signs += fits;
-    timing->wire_chip = fits ? timing->clock.chip : timing->wire_chip;
-    const int32_t phase = timing->clock.phase_ticks;
-    const bool good = fits && timing->clock.locked && phase <= SYNC_NEAR_TICKS && phase >= -SYNC_NEAR_TICKS;
-    timing->wire_good = good ? timing->wire_good + 1u : 0u;
-    timing->edge_us = (uint32_t)hal_microseconds(hal);
+    source_edge(&timing->source, &timing->clock, fits);
+    if (fits && !compares) {
+        timing->edge_us = (uint32_t)hal_microseconds(hal);
+    }
 }
 
 /* ---- Main ---- */
@@ -203,27 +164,28 @@ static void elect(timing_t *timing, node_t *node, uint64_t now_us) {
 }
 
 static uint8_t source(const timing_t *timing) {
-    return timing->master         ? GOLDFIELD_CLOCK_SOURCE_OWN_CHOICE
-           : timing->by_field     ? GOLDFIELD_CLOCK_SOURCE_FIELD_CHOICE
-           : timing->link.follows ? GOLDFIELD_CLOCK_SOURCE_CAN_CHOICE
-                                  : GOLDFIELD_CLOCK_SOURCE_WIRE_CHOICE;
+    return timing->master            ? GOLDFIELD_CLOCK_SOURCE_OWN_CHOICE
+           : timing->source.by_field ? GOLDFIELD_CLOCK_SOURCE_FIELD_CHOICE
+           : timing->link.follows    ? GOLDFIELD_CLOCK_SOURCE_CAN_CHOICE
+                                     : GOLDFIELD_CLOCK_SOURCE_WIRE_CHOICE;
 }
 
 static void send_clock(const timing_t *timing, node_t *node) {
     const chip_clock_quality_t *const quality = &timing->quality;
     const bool known = quality->error_ns < UINT32_MAX;
     const uint32_t age = quality->age_us / AGE_US;
+    const uint32_t error_ns = node_count(quality->error_ns, timing->source.by_field ? timing->field_error_ns : 0u);
     const struct goldfield_clock_t clock = {
         .source = known ? source(timing) : (uint8_t)GOLDFIELD_CLOCK_SOURCE_NONE_CHOICE,
         .locked = timing->clock.locked,
         .rank = (uint8_t)timing->election.rank,
-        .leader = (uint16_t)(timing->master         ? node->id
-                             : !known               ? 0u
-                             : timing->link.follows ? timing->link.leader
-                                                    : timing->leader),
+        .leader = (uint16_t)(timing->master                      ? node->id
+                             : !known || timing->source.by_field ? 0u
+                             : timing->link.follows              ? timing->link.leader
+                                                                 : timing->leader),
         .age = (uint8_t)(age < UINT8_MAX ? age : UINT8_MAX),
         .rate = node_clamp(quality->rate_ppb, RATE_MAX_PPB),
-        .error = (uint16_t)(quality->error_ns < UINT16_MAX ? quality->error_ns : UINT16_MAX),
+        .error = (uint16_t)(error_ns < UINT16_MAX ? error_ns : UINT16_MAX),
     };
     uint8_t data[8];
     const uint8_t length = (uint8_t)goldfield_clock_pack(data, &clock, sizeof data);
@@ -244,7 +206,7 @@ static void tell(timing_t *timing, node_t *node) {
 
 void timing_step(timing_t *timing, node_t *node) {
     node->counters[COUNTER_SYNC_REJECTED] = timing->clock.edges_rejected;
-    node->counters[COUNTER_SYNC_CHANGES] = timing->changes;
+    node->counters[COUNTER_SYNC_CHANGES] = timing->source.changes;
     if (timing->asking || timing->told_us != (uint32_t)node->heartbeat_us) {
         tell(timing, node);
     }

@@ -29,13 +29,7 @@
  * wire's master is sound: it has numbered an edge of the wire within TIMING_SOUND_US. Else the wire may be that
  * master's and is forgotten, though its edges fit.
  *
- * Automatic (sync_source 3). The wire is followed while its edges are sound. When none has fitted for
- * TIMING_SILENT_PERIODS and the last three messages on CAN tell what the clock has, within 1 us, the clock goes over to
- * CAN. It returns when TIMING_WIRE_EDGES edges in a row lay within 1 us, or two if CAN is silent. Phase and rate go on,
- * and the difference is slewed off. A clock in hold-over whose new source lies further away keeps to itself until the
- * lock ends; a clock that is not in step follows CAN if the wire has no edges that fit for
- * TIMING_SEARCH_PERIODS, and searches the
- * wire again if CAN falls silent. Each change is counted (COUNTER_SYNC_CHANGES).
+ * Automatic (sync_source 3; source.h) chooses between the wire, CAN and, on a sensor, the field.
  *
  * CLOCK goes with each heartbeat: what the clock follows, whom, and how well (chip_clock_quality).
  *
@@ -50,16 +44,12 @@
 #include "core/timing/election.h"
 #include "hal/hal.h"
 #include "services/node.h"
+#include "services/source.h"
 #include "services/sync.h"
 
 #define TIMING_SOUND_US     500000u /* Age up to which the latest good SYNC tells that the wire is sound, us. */
 #define TIMING_NEAR_PERIODS 2       /* Largest difference of a SYNC's number from the own one, sync periods. */
 #define TIMING_STEP_TICKS   168     /* Largest step of a leader that begins to follow and stays locked: 1 us. */
-
-#define TIMING_SILENT_PERIODS 3u  /* Sync periods without a sound edge, or message, that make a source silent. */
-#define TIMING_SEARCH_PERIODS 6u  /* The same for a clock that is not in step: a master may just have begun to lead. */
-#define TIMING_MESSAGES       3u  /* Messages in a row that must agree before CAN is followed. */
-#define TIMING_WIRE_EDGES     10u /* Edges in a row that must agree before the wire is followed again. */
 
 /* What main asks plan to do. */
 typedef enum { TIMING_STAY = 0, TIMING_LEAD = 1, TIMING_FOLLOW = 2 } timing_turn_t;
@@ -76,27 +66,21 @@ typedef struct {
     bool asking;           /* Main waits for it. */
     chip_clock_quality_t quality;
     volatile bool announce;    /* The board has begun to lead in a cycle whose SYNC nobody sent: drive.h sends it. */
-    volatile bool automatic;   /* The clock follows the wire or CAN, whichever is sound. */
-    uint32_t wire_chip;        /* The chip that was planned next when the wire's latest good edge came. */
-    uint32_t wire_good;        /* Edges in a row that lay within SYNC_NEAR_TICKS while CAN is followed. */
-    volatile uint32_t changes; /* Changes from one source to the other. */
+    uint32_t field_error_ns;   /* Twice the standard deviation of the phase by the field. Main sets it. */
+    source_t source;           /* What the clock follows, and what else is there. */
     bool elects;               /* The board has a rank. */
     bool knows;                /* The clock was locked to a leader once: phase and numbers are others', too. */
     volatile uint32_t signs;   /* Edges of the wire that are a sign of a leader; the interrupt counts them, */
     uint32_t signs_seen;       /* and main has seen so many. */
     uint32_t leader;           /* The node whose SYNC numbers the wire's edges, */
     uint64_t leader_us;        /* and when it did so last. */
-    volatile bool by_field;    /* Set by the application: acquire.h serves the clock, so the wire must not. */
     bool sound;                /* The wire's master numbered an edge at sound_us. */
     uint32_t sound_us;         /* When it did so, us. */
-    volatile uint32_t edge_us; /* When the latest edge of the sync wire came, us; one word, so that it is never torn. */
+    volatile uint32_t edge_us; /* When the latest edge that the clock took came, us; one word: it is never torn. */
 } timing_t;
 
 /* Make the chip clock that the node's parameters ask for. can_lead: the board may lead, as all boards that drive. */
 void timing_start(timing_t *timing, const node_t *node, bool can_lead);
-
-/* Let the clock choose between wire and CAN itself from now on, or not. */
-void timing_automatic(timing_t *timing, bool automatic);
 
 /* Begin or end to lead if main has asked for it, and take the messages on CAN since the last call. Costs about 1,100
  * instructions when a FOLLOW_UP came, else 20. */

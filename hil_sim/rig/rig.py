@@ -138,7 +138,7 @@ class Rig:
             self.can_delay(scenario.can.delay_s)
             self._electrical = deque(sorted(electrical, key=lambda event: event.time_s))
             for board in range(len(self._boards)):
-                if scenario.sync != "wire" or (board == SENSOR and not scenario.sensor.sync_wire):
+                if scenario.sync == "can" or (board == SENSOR and not scenario.sensor.sync_wire):
                     self.fault(board, "sync_wire_cut")
         except FileNotFoundError as error:
             self.close()

@@ -12,6 +12,8 @@ from hil_sim.scenario.parts import DEGREE, Beacon, FrontEnd
 from hil_sim.scenario.scenario import Scenario
 from hil_sim.scenario.site_file import axis_deviations
 
+SYNC_SOURCES = {"wire": 0, "can": 2, "automatic": 3}
+"""The boards' parameter for each way of a scenario to have the time."""
 STRONGEST = 16
 """How many codes the sensor of a scenario chooses that has more beacons than a list holds."""
 
@@ -37,8 +39,8 @@ def parameter_page(scenario: Scenario, board: int) -> bytes:
         own = _beacon(beacon, scenario.slots)
         if beacon.sensor is not None:
             own = {**own, **_front_end(beacon.sensor), **_code_list(scenario)}
-        if scenario.sync == "can":
-            own = {**own, "sync_source": 2}
+        if scenario.sync != "wire":
+            own = {**own, "sync_source": SYNC_SOURCES[scenario.sync]}
     return build_page(own if scenario.degree == DEGREE else {**own, "degree": scenario.degree})
 
 
@@ -58,7 +60,7 @@ def _sensor(scenario: Scenario) -> Mapping[str, Value]:
         **(surroundings if sensor.pose else {}),
         "node": sensor.node,
         "stream": sensor.stream,
-        "sync_source": 1 if not sensor.sync_wire else 2 if scenario.sync == "can" else 0,
+        "sync_source": 1 if scenario.sync != "automatic" and not sensor.sync_wire else SYNC_SOURCES[scenario.sync],
         **_code_list(scenario),
         **_front_end(sensor),
     }

@@ -210,7 +210,8 @@ class Sensor(FrontEnd):
     pose : int
         With 1 the board knows the beacons and computes its own poses, with 0 it knows nothing of them.
     sync_wire : bool
-        True: it follows the sync wire; False: its sync input is not connected, it follows the beacons' field.
+        True: it follows the sync wire; False: its sync input is not connected, it follows the beacons' field, or, if
+        the boards choose, CAN or the field.
     """
 
     node: int

@@ -95,8 +95,8 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
         *("coil", "beacon", "event", "metal", "magnet", "installation", "known_point", "can"),
     )
     sync = root.text("sync") if "sync" in root else "wire"
-    if sync not in ("wire", "can"):
-        raise root.error("sync", f'is "{sync}"; it must be "wire" or "can"')
+    if sync not in ("wire", "can", "automatic"):
+        raise root.error("sync", f'is "{sync}"; it must be "wire", "can" or "automatic"')
     coil = root.table("coil") if "coil" in root else Table({}, path=path, lines=())
     coil.allow(*COIL_KEYS)
     own_seed = seed_of(root)

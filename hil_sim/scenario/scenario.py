@@ -18,7 +18,8 @@ from hil_sim.world.walk import Visit
 class Scenario:
     """A whole scenario; board 0 is the sensor, board i the i-th beacon.
 
-    ``sync`` is where the boards have their time from, ``wire`` or ``can``; with ``can`` there is no sync wire.
+    ``sync`` is where the boards have their time from, ``wire``, ``can`` or ``automatic``; with ``can`` there is no sync
+    wire.
     ``beacons`` and ``sensor`` are as the site file and the boards' parameters have them, `installed` as they are, both
     before the first of the ``events``. ``metal`` is there from the start, ``magnets`` when they say; ``visits`` are the
     walk's to known points.

@@ -13,12 +13,22 @@
  * there is next to nothing to see. */
 #define FOOT           0.4f
 #define UNSEEN_RECORDS 4u /* Records in succession without a ramp that start a new search. */
+/* Standard deviation of the rate of a clock that was in step, ticks a chip: 0.06 ppm. */
+#define KNOWN_RATE 1e-3f
 
 static const float q32 = 4294967296.0f; /* 2^32: the scale of positions and periods. */
 
 void acquire_init(acquire_t *acquire, const acquire_config_t *config) {
     memset(acquire, 0, sizeof *acquire);
     acquire->config = *config;
+}
+
+static uint32_t last_hold(const acquire_config_t *config) {
+    return config->first_conversion_ticks + (ACQUIRE_BURST - 1u) * config->conversion_ticks;
+}
+
+int16_t acquire_late_ticks(const acquire_config_t *config) {
+    return (int16_t)(config->nominal_ticks + ACQUIRE_TARGET_TICKS - last_hold(config));
 }
 
 /* ---- Interrupt ---- */
@@ -97,7 +107,8 @@ static void choose_codes(acquire_t *acquire) {
     }
 }
 
-void acquire_codes(acquire_t *acquire, const uint16_t *codes, uint32_t count) {
+/* Takes a list. Returns whether it is another one than before. */
+static bool take_list(acquire_t *acquire, const uint16_t *codes, uint32_t count) {
     uint16_t list[ACQUIRE_LIST_MAX] = {0};
     uint32_t taken = 0;
     for (uint32_t i = 0; i < count && taken < ACQUIRE_LIST_MAX; i++) {
@@ -106,15 +117,38 @@ void acquire_codes(acquire_t *acquire, const uint16_t *codes, uint32_t count) {
             taken++;
         }
     }
-    if (acquire->searches > 0u && taken == acquire->list_count &&
-        memcmp(list, acquire->list, taken * sizeof list[0]) == 0) {
-        return;
+    if (taken == acquire->list_count && memcmp(list, acquire->list, taken * sizeof list[0]) == 0) {
+        return false;
     }
     memcpy(acquire->list, list, taken * sizeof list[0]);
     acquire->list_count = taken;
     acquire->list_first = 0;
     choose_codes(acquire);
-    command(acquire, ACQUIRE_SWEEP);
+    return true;
+}
+
+void acquire_codes(acquire_t *acquire, const uint16_t *codes, uint32_t count) {
+    if (take_list(acquire, codes, count) || acquire->searches == 0u) {
+        command(acquire, ACQUIRE_SWEEP);
+    }
+}
+
+void acquire_known(acquire_t *acquire, const uint16_t *codes, uint32_t count, uint32_t chip, float deviation_ticks) {
+    (void)take_list(acquire, codes, count);
+    edge_track_known(&acquire->track, (float)ACQUIRE_TARGET_TICKS, deviation_ticks, KNOWN_RATE);
+    acquire->captures = ACQUIRE_CAPTURES;
+    acquire->middle_chip = chip;
+    acquire->frame.chip_length = 1.0f;
+    acquire->tracking = true;
+    command(acquire, ACQUIRE_AGAIN);
+}
+
+bool acquire_replace(acquire_t *acquire, const uint16_t *codes, uint32_t count) {
+    const bool free = acquire->tracking && acquire->captures == ACQUIRE_CAPTURES && acquire->stage == ACQUIRE_RECORDING;
+    if (free) {
+        (void)take_list(acquire, codes, count);
+    }
+    return free;
 }
 
 /* ---- Search ---- */
@@ -174,9 +208,8 @@ static void edge_end(acquire_t *acquire) {
     const uint64_t step = acquire->period + ((uint64_t)ACQUIRE_DETUNE_TICKS << 32);
     const uint64_t start = ((uint64_t)acquire->first_position << 32) + step * MIDDLE;
     acquire->edge_period = acquire->period + (uint64_t)fixed(acquire->edge.slip_ticks_per_chip);
-    const uint32_t last_hold = config->first_conversion_ticks + (ACQUIRE_BURST - 1u) * config->conversion_ticks;
     const float time = (float)(ACQUIRE_TARGET_TICKS + ACQUIRE_EXTRA_TICKS),
-                late = (float)config->nominal_ticks + time - (float)last_hold;
+                late = (float)acquire_late_ticks(config) + (float)ACQUIRE_EXTRA_TICKS;
     acquire->edge_position = start + (uint64_t)fixed(edge + late) - label * acquire->edge_period;
     acquire->middle_chip = acquire->first_chip + MIDDLE;
     acquire->extra_ticks = ACQUIRE_EXTRA_TICKS;
@@ -205,6 +238,7 @@ static void track(acquire_t *acquire) {
     const edge_look_t looks[2] = {look(acquire, 0, half, half), look(acquire, half, acquire->length, half)};
     edge_track_t *state = &acquire->track;
     edge_track_move(state, (float)(middle - acquire->middle_chip));
+    edge_track_rise(state, &burst, looks);
     const bool blind = edge_track_blind(state, &burst, looks);
     edge_track_update(state, &burst, looks);
     const bool seen = !blind || state->time_ticks > FOOT * (float)config->lag_ticks;

@@ -3,7 +3,8 @@
  *
  * Calls, in the order they are made
  *   1. acquire_init   main, once, and again when the source of time changes.
- *   2. acquire_codes  main, with the codes that may be on the air.
+ *   2. acquire_codes  main, with the codes that may be on the air. A clock that is in step by something else begins
+ * with acquire_known instead, and goes on with acquire_replace when other codes are nearer.
  *   3. acquire_plan   interrupt, before the chips of a block are planned.
  *   4. acquire_feed   interrupt, with the burst of each chip; acquire_sample (acquire_record.h) makes its sample.
  *   5. acquire_step   main, once a turn.
@@ -36,6 +37,11 @@
  *
  * A record begins when the chip clock has slewed to where it is to be (after a jump up to 22 chips). Bursts under way
  * to it lie elsewhere on the ramp, and would bias the first capture.
+ *
+ * A phase that is known (acquire_known). The clock was in step with the beacons until its wire and its messages fell
+ * silent. Then there is no search: it is tracked from the first whole record on. What is not known is the ramp's rise;
+ * the first record tells it as it would be if the phase were right, and an error of the phase stays, as large as the
+ * filter says. The lock is lost at no time.
  *
  * Dropout. When the codes' share of the variance is that of noise, the clock is left alone (chip_clock.h unlocks it
  * after its hold-over) and each record is searched. Codes at the own phase are tracked again from the first whole
@@ -164,6 +170,19 @@ void acquire_init(acquire_t *acquire, const acquire_config_t *config);
 /* Tell the codes that may be on the air, as indices of gold.h at degree 10. Those above 1024 and beyond the first 64
  * are left out. With a new list the search starts anew; the same list changes nothing. */
 void acquire_codes(acquire_t *acquire, const uint16_t *codes, uint32_t count);
+
+/* Begin with a clock that is in step, and that chip_clock_late puts acquire_late_ticks behind the beacons' chips before
+ * the next acquire_plan: instead of acquire_codes. chip is the clock's next one, deviation_ticks the standard deviation
+ * of its phase. Codes are as in acquire_codes, the first 16 are used. */
+void acquire_known(acquire_t *acquire, const uint16_t *codes, uint32_t count, uint32_t chip, float deviation_ticks);
+
+/* Track these codes from now on, the first 16 of them, without a search. Nothing happens while the codes' phase is not
+ * known, or while the record at work needs those before: the caller asks again.
+ * Returns whether they are in use. */
+bool acquire_replace(acquire_t *acquire, const uint16_t *codes, uint32_t count);
+
+/* Returns how long after the beacons' chips the own ones begin while tracking, ticks. */
+int16_t acquire_late_ticks(const acquire_config_t *config);
 
 /* Apply to the clock what main has decided; from the interrupt, before chips are planned. Costs about 620 instructions
  * when something was decided, else 10. */

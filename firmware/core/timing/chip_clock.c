@@ -12,6 +12,8 @@
 const chip_clock_source_t chip_clock_wire = {.gate_ticks = 336, .lock_ticks = 84, .memory_edges = 6, .floor_ticks = 8};
 const chip_clock_source_t chip_clock_link = {
     .gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16, .floor_ticks = 42};
+const chip_clock_source_t chip_clock_field = {
+    .gate_ticks = 504, .lock_ticks = 84, .memory_edges = 16, .floor_ticks = 42};
 
 /* Returns the largest deviation of a period or a cycle from nominal that two good crystals can show. */
 static int64_t tolerance(int64_t nominal) {
@@ -298,7 +300,7 @@ int32_t chip_clock_told(const chip_clock_t *clock, int32_t ticks) {
 
 bool chip_clock_phase(const chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks, int32_t *phase) {
     if (dated(master_ticks)) {
-        *phase = (int32_t)(message_phase(clock, mark, master_ticks) >> FRACTION_BITS);
+        *phase = (int32_t)(message_phase(clock, mark, master_ticks) >> FRACTION_BITS) + clock->late_ticks;
     }
     return dated(master_ticks);
 }
@@ -345,8 +347,15 @@ void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int3
         clock->phase_ticks = residual_ticks;
     }
     learn_scatter(clock, (int64_t)residual_ticks * ONE);
+    clock->drift = 0;
+    clock->drift_edges = 0;
     clock->edge_cycle = clock->cycle;
     clock->locked = locked;
+}
+
+void chip_clock_late(chip_clock_t *clock, int16_t ticks) {
+    clock->target += (uint64_t)((int64_t)(ticks - clock->late_ticks) * ONE);
+    clock->late_ticks = ticks;
 }
 
 chip_clock_quality_t chip_clock_quality(const chip_clock_t *clock, uint32_t ticks_per_us) {
@@ -386,6 +395,7 @@ void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source) {
     clock->locked = false;
     clock->compared = false;
     clock->detune_ticks = 0;
+    clock->late_ticks = 0;
     clock->good_edges = 0;
     clock->candidate_edges = 0;
 }
@@ -405,7 +415,8 @@ bool chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks) {
     clock->phase_ticks = mark.cycle_ticks;
     clock->compared = true;
     const int32_t gate = clock->source.gate_ticks;
-    return mark.cycle_ticks >= -gate && mark.cycle_ticks <= gate;
+    const int32_t phase = mark.cycle_ticks + clock->late_ticks;
+    return phase >= -gate && phase <= gate;
 }
 
 /* ---- Leading ---- */

@@ -105,6 +105,8 @@ typedef struct {
 
 extern const chip_clock_source_t chip_clock_wire; /* The sync wire: gate 2 us, lock 0.5 us, 6 edges, floor 0.05 us. */
 extern const chip_clock_source_t chip_clock_link; /* Messages on CAN: gate 3 us, lock 0.5 us, 16 edges, 0.25 us. */
+/* An estimate by the field: what is compared with it has a gate of 3 us; lock 0.5 us, 16 edges, floor 0.25 us. */
+extern const chip_clock_source_t chip_clock_field;
 
 /* A planned chip. */
 typedef struct {
@@ -134,6 +136,7 @@ typedef struct {
     uint32_t scatter;        /* Mean size of what the latest edges were off the estimate, 1/256 ticks. */
     int16_t detune_ticks;    /* Written by the owner: planned chips are so many ticks longer than the estimate, so that
                                 the phase slides (acquire.h). */
+    int16_t late_ticks;      /* So many ticks after the master's do the own chips begin on purpose. */
     /* Private. Positions are own ticks with 32 fractional bits modulo 2^64; only differences below 12 s are formed. */
     uint32_t chip;               /* Next absolute chip to plan. */
     uint32_t position;           /* Its start, whole ticks modulo 2^32. */
@@ -208,18 +211,24 @@ void chip_clock_jump(chip_clock_t *clock, uint64_t edge, uint64_t period);
 
 /* Move the estimate by phase (32 fractional bits; positive: chips start later) and its period by period.
  * residual_ticks becomes phase_ticks (unless a wire is compared), and locked becomes `locked`. The call counts as an
- * edge of the present cycle for the hold-over. Costs about 40 instructions. */
+ * edge of the present cycle for the hold-over; a drift that was learnt is forgotten. Costs about 40 instructions. */
 void chip_clock_correct(chip_clock_t *clock, int64_t phase, int64_t period, int32_t residual_ticks, bool locked);
 
-/* Begin with another source of edges, from main. The clock is then unlocked, searching and not detuned; phase and
- * period stay until the new source tells better. */
+/* Let the own chips begin so many ticks after the master's from now on, in place of late_ticks before. The label, the
+ * lock and the rate stay; the planner slews. What compares a wire or a message with the clock allows for it. Costs
+ * about 10 instructions. */
+void chip_clock_late(chip_clock_t *clock, int16_t ticks);
+
+/* Begin with another source of edges, from main. The clock is then unlocked, searching, not detuned and not late;
+ * phase and period stay until the new source tells better. */
 void chip_clock_forget(chip_clock_t *clock, const chip_clock_source_t *source);
 
 /* Returns own ticks, at most 0.4 s of them, as a message of this clock tells them to others: a chip of it has the
  * nominal number, whatever its period is. Costs about 100 instructions. */
 int32_t chip_clock_told(const chip_clock_t *clock, int32_t ticks);
 
-/* Tell how early the clock is against such a message, ticks, without following it. Costs about 150 instructions.
+/* Tell how early the clock is against such a message, ticks, without following it; late_ticks is no error. Costs
+ * about 150 instructions.
  * Returns false, with *phase untouched, if master_ticks is beyond 0.4 s. */
 bool chip_clock_phase(const chip_clock_t *clock, const chip_clock_mark_t *mark, int32_t master_ticks, int32_t *phase);
 
@@ -228,8 +237,8 @@ bool chip_clock_phase(const chip_clock_t *clock, const chip_clock_mark_t *mark, 
 void chip_clock_change(chip_clock_t *clock, const chip_clock_source_t *source);
 
 /* Take an edge of a wire that is there but is not followed. From now on phase_ticks is the difference to the wire, not
- * to the source that is followed.
- * Returns whether the edge lies within the gate of a cycle's start. */
+ * to the source that is followed, late_ticks included.
+ * Returns whether the edge lies within the gate of where the master's cycle is to begin. */
 bool chip_clock_compare(chip_clock_t *clock, uint32_t chip, uint16_t ticks);
 
 /* ---- Leading; from the context of chip_clock_plan. ---- */

@@ -14,8 +14,9 @@
 #define EDGE_VARIANCE 70.0f
 /* Growth of the rate's variance in a chip, (ticks a chip)^2: 0.05 ppm in 1 s, for the crystals' temperature. */
 #define RATE_WALK 6.6e-11f
-#define RISE_MIN  300.0f /* Shortest rise, ticks: 1.8 us. */
-#define STEP_MAX  400.0f /* Largest change of the time in one iteration, ticks: two conversions. */
+#define RISE_MIN  300.0f   /* Shortest rise, ticks: 1.8 us. */
+#define RISE_MAX  20000.0f /* Longest rise that a first look is taken for, ticks: 119 us, more than a chip. */
+#define STEP_MAX  400.0f   /* Largest change of the time in one iteration, ticks: two conversions. */
 
 /* The height on the ramp, in ticks of it, and its slope. */
 typedef struct {
@@ -59,7 +60,7 @@ static float time_of_contrast(const edge_burst_t *burst, float height) {
 }
 
 void edge_track_start(edge_track_t *track, const edge_fit_t *fit, float time_ticks) {
-    *track = (edge_track_t){.time_ticks = time_ticks, .rise_ticks = fit->rise_ticks};
+    *track = (edge_track_t){.time_ticks = time_ticks, .rise_ticks = fit->rise_ticks, .rise_known = true};
     for (uint32_t row = 0; row < 3u; row++) {
         for (uint32_t column = 0; column < 3u; column++) {
             /* A later edge is a shorter time after it. */
@@ -68,6 +69,24 @@ void edge_track_start(edge_track_t *track, const edge_fit_t *fit, float time_tic
         }
     }
     track->covariance[0][0] += EDGE_VARIANCE;
+}
+
+void edge_track_known(edge_track_t *track, float time_ticks, float time_deviation, float rate_deviation) {
+    *track = (edge_track_t){.time_ticks = time_ticks, .rise_ticks = RISE_MAX};
+    track->covariance[0][0] = time_deviation * time_deviation + EDGE_VARIANCE;
+    track->covariance[1][1] = rate_deviation * rate_deviation;
+    track->covariance[2][2] = RISE_MAX * RISE_MAX;
+}
+
+void edge_track_rise(edge_track_t *track, const edge_burst_t *burst, const edge_look_t looks[2]) {
+    if (track->rise_known) {
+        return;
+    }
+    const float share = 0.5f * (looks[0].share + looks[1].share), height = contrast(burst, track->time_ticks).height;
+    const float rise = share * RISE_MAX > height ? height / share : RISE_MAX;
+    track->rise_ticks = rise > RISE_MIN ? rise : RISE_MIN;
+    track->covariance[2][2] = track->rise_ticks * track->rise_ticks;
+    track->rise_known = true;
 }
 
 void edge_track_move(edge_track_t *track, float chips) {

@@ -94,7 +94,7 @@ def _clock(node: Node) -> Iterator[Check]:
             Fault.CLOCK,
             "clock",
             f"the clock of {name} is not locked to the sync master's",
-            "check its sync wire (or the CAN bus, with sync_source = 2), that the sync master is on, and its crystal",
+            "check its sync wire (or CAN, with sync_source 2 or 3), that the sync master is on, and its crystal",
             nodes=(node.number,),
         )
 

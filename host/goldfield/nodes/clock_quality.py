@@ -53,8 +53,10 @@ class ClockQuality:
                 yield f"leads the time as {place}"
             elif self.source != "own":
                 yield place if self.leader is None else f"{place}, follows node {self.leader}"
+        error = "not known" if self.error_s is None else f"{1e6 * self.error_s:.2f} us"
+        if self.source == "field" and self.age_s < HELD_S:
+            yield f"takes the time from the beacons' field: estimated error {error}"
         if self.source not in (None, "own") and self.age_s >= HELD_S:
-            error = "not known" if self.error_s is None else f"{1e6 * self.error_s:.2f} us"
             beyond = " or more" if self.age_s >= LONGEST_AGE_S else ""
             yield f"holds over without sync for {self.age_s:.1f} s{beyond}: estimated error {error}"
 

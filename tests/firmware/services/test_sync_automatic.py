@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from goldfield_protocol import encode
-from tests.firmware.host_rig import MS, PIN_SYNC_IN, SECOND
+from tests.firmware.host_rig import MS, PIN_SYNC_IN, SECOND, SENSOR, Board
 from tests.firmware.services.installation import Installation, late_us
 
 MASTER, BEACON, LISTENER = 1, 4, 100
@@ -120,3 +120,20 @@ def test_with_no_link_the_clock_holds_over_and_any_link_brings_it_back(made: Ins
     made.run(2500 * MS)
     assert made.locked(BEACON, 5) == [1] * 5
     assert sources(made, BEACON)[-1] == BY_CAN
+
+
+@pytest.mark.parametrize(("setting", "follows"), [({}, True), ({"strongest": 4}, False), ({"degree": 9}, False)])
+def test_a_sensor_without_wire_and_can_looks_for_the_field_if_it_knows_codes(
+    setting: dict[str, int], follows: bool
+) -> None:
+    """With strongest and an empty list it has heard none yet, and other degrees than 10 are not for this."""
+    codes = {"code_count": 0} if "strongest" in setting else {"code_count": 2, "code_list": [2, 3]}
+    board = Board(SENSOR, {"node": 100, "sync_source": AUTOMATIC, **codes, **setting}, volts=lambda pin, time: 1.65)
+    board.run(780 * MS)
+    told = [m.signals["value"] for m in board.messages("COUNTER") if m.index == SYNC_CHANGES]
+    board.run(2200 * MS)
+    after = [m.signals["value"] for m in board.messages("COUNTER") if m.index == SYNC_CHANGES]
+    assert not told
+    assert bool(after) == follows
+    assert {m.signals["locked"] for m in board.messages("CLOCK")} == {0}
+    board.close()

@@ -40,6 +40,8 @@ def test_nothing_followed_nobody_known():
         ({"rank": 4, "source": 4, "leader": 3}, ["leads the time as deputy of rank 4"]),
         ({"age": 0.4}, []),
         ({"age": 0.5}, ["holds over without sync for 0.5 s: estimated error 0.14 us"]),
+        ({"source": 3, "age": 0.4, "error": 760}, ["takes the time from the beacons' field: estimated error 0.76 us"]),
+        ({"source": 3, "age": 0.5}, ["holds over without sync for 0.5 s: estimated error 0.14 us"]),
         ({"age": 25.5, "error": 65535}, ["holds over without sync for 25.5 s or more: estimated error not known"]),
     ],
 )

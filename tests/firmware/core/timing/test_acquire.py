@@ -280,3 +280,70 @@ def test_transform_equals_numpy(core):
     assert np.abs(spectrum - np.fft.fft(signal)).max() < 1e-4 * np.abs(spectrum).max()
     lib.fourier_inverse(ffi.from_buffer("fourier_t[2048]", values))
     assert np.abs((values[:, 0] + 1j * values[:, 1]) / 2048 - signal).max() < 1e-4 * np.abs(signal).max()
+
+
+class Known(Sensor):
+    """A sensor whose clock was put in step from elsewhere, with an error of its phase; it then knows only the field."""
+
+    def __init__(self, core, signal, phase_us, deviation_us=0.25):
+        super().__init__(core, signal)
+        lib, clock, period = self.lib, self.clock, signal.chip_s / self.tick_s
+        edge = int((signal.start_s / self.tick_s + phase_us * TICKS_PER_US) * 2**32)
+        board = self.ffi.new("acquire_config_t *", [CHIP_TICKS, FIRST_HOLD, CONVERSION, LAG_TICKS])
+        lib.acquire_init(self.acquire, board)
+        clock.detune_ticks = 0
+        self.run(5 * BLOCK_S)
+        lib.chip_clock_jump(clock, edge % 2**64, int(period * 2**32))
+        self.run(10 * BLOCK_S)
+        clock.locked = True
+        lib.acquire_known(self.acquire, self.listed, len(self.listed), clock.chip, deviation_us * TICKS_PER_US)
+        lib.chip_clock_late(clock, lib.acquire_late_ticks(board))
+        self.since_s = (self.block + 3) * BLOCK_S
+
+
+def known(core, family, seed, phase_us=0.0, **options):
+    random = np.random.default_rng([5, seed])
+    signal = field_signal.random_signal(random, family.astype(float), CODES, **options)
+    return Known(core, signal, phase_us)
+
+
+@pytest.mark.parametrize("rise_us", [8.0, 20.0, 45.0, 70.0])
+@pytest.mark.parametrize("phase_us", [-0.3, 0.0, 0.3])
+def test_a_known_phase_is_held_and_gets_no_worse(core, gold_family, rise_us, phase_us):
+    sensor = known(core, gold_family(10), 600, phase_us, rise_s=rise_us * 1e-6)
+    sensor.run(sensor.since_s + 2.0)
+    assert sensor.acquire.searches == 0
+    assert all(np.array(sensor.locked)[np.array(sensor.times) > sensor.since_s])
+    assert sensor.worst_us(sensor.since_s) < abs(phase_us) + 0.35
+    late_us = np.array(sensor.errors_us)[np.array(sensor.times) > sensor.since_s + 1.0]
+    assert np.ptp(late_us) < 0.5
+
+
+def test_a_known_phase_states_its_error(core, gold_family):
+    """Errors of the phase after half a second, in standard deviations that are stated, for phases known to 0.25 us."""
+    random = np.random.default_rng(61)
+    errors = []
+    for seed in range(610, 634):
+        sensor = known(core, gold_family(10), seed, random.normal(0.0, 0.25))
+        sensor.run(sensor.since_s + 0.6)
+        errors.append(sensor.errors_us[-1] * TICKS_PER_US / sensor.acquire.deviation_ticks)
+    assert 0.5 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+def test_codes_are_replaced_without_a_search(core, gold_family):
+    sensor = known(core, gold_family(10), 640)
+    sensor.run(sensor.since_s + 0.5)
+    sensor.signal.field_T[:4] = 0.0  # Half of the beacons are out of reach.
+    while not sensor.lib.acquire_replace(sensor.acquire, CODES[4:], 4):
+        sensor.run((sensor.block + 0.5) * BLOCK_S)
+    sensor.run(sensor.since_s + 2.0)
+    assert list(sensor.acquire.codes[0 : sensor.acquire.code_count]) == CODES[4:]
+    assert sensor.acquire.searches == 0
+    assert sensor.worst_us(sensor.since_s) < 0.6
+    assert all(np.array(sensor.locked)[np.array(sensor.times) > sensor.since_s])
+
+
+def test_a_search_keeps_its_codes(core, gold_family):
+    sensor = start(core, gold_family(10), 650)
+    assert not sensor.lib.acquire_replace(sensor.acquire, CODES[:2], 2)
+    assert sensor.acquire.code_count == len(CODES)
