@@ -15,7 +15,7 @@ from hil_sim.scenario.site_file import axis_deviations
 SYNC_SOURCES = {"wire": 0, "can": 2, "automatic": 3}
 """The boards' parameter for each way of a scenario to have the time."""
 STRONGEST = 16
-"""How many codes the sensor of a scenario chooses that has more beacons than a list holds."""
+"""How many codes the sensor of a scenario chooses whose beacons share codes, or are more than a list holds."""
 
 
 def parameter_page(scenario: Scenario, board: int) -> bytes:
@@ -68,7 +68,7 @@ def _sensor(scenario: Scenario) -> Mapping[str, Value]:
 
 def _code_list(scenario: Scenario) -> dict[str, Value]:
     codes = [beacon.code for beacon in scenario.beacons if beacon.code is not None]
-    if len(codes) > PARAMETERS["code_list"].count:
+    if scenario.shared_codes or len(codes) > PARAMETERS["code_list"].count:
         return {"code_count": 0, "code_list": [], "strongest": STRONGEST}
     return {"code_count": len(codes), "code_list": codes}
 

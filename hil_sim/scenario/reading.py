@@ -92,7 +92,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
     root = read_table(path, "scenario")
     root.allow(
         *("name", "seed", "degree", "power_on_spread_s", "slots", "sync", "half_space", "ambient", "sensor", "motion"),
-        *("coil", "beacon", "event", "metal", "magnet", "installation", "known_point", "can"),
+        *("coil", "beacon", "event", "metal", "magnet", "installation", "known_point", "can", "shared_codes"),
     )
     sync = root.text("sync") if "sync" in root else "wire"
     if sync not in ("wire", "can", "automatic"):
@@ -121,6 +121,7 @@ def load(path: str | Path, seed: int | None = None) -> Scenario:
         slots=between(root, "slots", 1, plan.chips) if "slots" in root else 0,
         degree=degree,
         sync=sync,
+        shared_codes=root.flag("shared_codes") if "shared_codes" in root else False,
         events=read_events(root),
         metal=read_metal(root),
         magnets=read_magnets(root),
@@ -383,13 +384,16 @@ def _check_boards(root: Table, scenario: Scenario) -> None:
             )
         flash = beacon.clock.flash or None
         for key, value in {"id": beacon.id, "node": beacon.node, "code": beacon.code, "flash": flash}.items():
-            if value is None:
+            if value is None or (key == "code" and scenario.shared_codes):
                 continue
             if (key, value) in taken:
-                raise table.error(key, f"is {value!r}, which {taken[key, value]} already has: take another")
+                but = ", or set shared_codes = true" if key == "code" else ""
+                raise table.error(key, f"is {value!r}, which {taken[key, value]} already has: take another{but}")
             taken[key, value] = f"beacon {beacon.id}"
     if scenario.sensor.pose and any(beacon.plain_code is None for beacon in scenario.beacons):
         raise root.table("sensor").error("pose", "is 1, but the board can tell apart plain codes alone: set pose = 0")
+    if scenario.sensor.pose and scenario.shared_codes:
+        raise root.table("sensor").error("pose", "is 1, but the board needs a code for each beacon: set pose = 0")
     try:
         for board in range(len(scenario.beacons) + 1):
             parameter_page(scenario, board)

@@ -36,6 +36,7 @@ class Scenario:
     slots: int = 0
     degree: int = DEGREE
     sync: str = "wire"
+    shared_codes: bool = False
     events: tuple[Event, ...] = ()
     metal: tuple[Body, ...] = ()
     magnets: tuple[Magnet, ...] = ()

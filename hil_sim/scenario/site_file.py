@@ -58,6 +58,7 @@ def _text(
         "fdma, square": ['access = "fdma"', 'tone = "square"'],
         "fdma, sine": ['access = "fdma"', 'tone = "sine"'],
     }[scenario.beacons[0].access]
+    lines += ["shared_codes = true"] if scenario.shared_codes else []
     if scenario.half_space is not None:
         point, normal = _toml(scenario.half_space.point), _toml(scenario.half_space.normal)
         lines.append(f"half_space = {{ point = {point}, normal = {normal} }}")

@@ -61,6 +61,25 @@ def test_more_codes_than_a_list_holds(tmp_path):
         scenario.load_scenario(str(path))
 
 
+def test_shared_codes_are_said_to_be_meant(tmp_path):
+    path = tmp_path / "hall.toml"
+    text = hall(6).replace("code = 7\n", "code = 2\n")
+    path.write_text(text)
+    with pytest.raises(UserError, match="take another, or set shared_codes = true"):
+        scenario.load_scenario(str(path))
+    shared = text.replace("seed =", "shared_codes = true\nseed =", 1)
+    path.write_text(shared)
+    loaded = scenario.load_scenario(str(path))
+    page = parse_page(scenario.parameter_page(loaded, 0))
+    assert (page["code_count"], page["strongest"]) == (0, 16)
+    site = tmp_path / "site.toml"
+    site.write_text(scenario.site_toml(loaded))
+    assert [beacon.code for beacon in sites.load(site).beacons] == [2, 3, 4, 5, 6, 2]
+    path.write_text(shared.replace("pose = 0", "pose = 1"))
+    with pytest.raises(UserError, match="the board needs a code for each beacon: set pose = 0"):
+        scenario.load_scenario(str(path))
+
+
 def test_boards_of_slots_and_tones(tmp_path):
     slot = parse_page(scenario.parameter_page(scenario.load_scenario("slots8"), 8))
     assert (slot["waveform"], slot["slots"], slot["slot"]) == (1, 9, 7)
@@ -309,6 +328,7 @@ WRONG = {
     "node": ({"node": "5000"}, "node is 5000; it must lie in 1 to 4095"),
     "code": ({"code": "1025"}, "code is 1025; it must lie in 0 to 1024"),
     "codes twice": ({"code": "3"}, "code is 3, which beacon a already has: take another"),
+    "boards' time": ({"name": '"small"\nsync = "field"'}, '"field"; it must be "wire", "can" or "automatic"'),
     "nodes twice": ({"node": "2"}, "node is 2, which the sensor already has: take another"),
     "no master": ({"sync_master": "false"}, "exactly one must have sync_master = true; none has"),
     "motion": ({"kind": '"orbit"'}, 'kind is "orbit"; it must be one of still, line, waypoints'),
